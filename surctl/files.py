@@ -1,0 +1,125 @@
+"""Reading TOML files: every mistake becomes one line with file, key, value and remedy."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any, Literal, TypeVar, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, StrictFloat, ValidationError
+
+from surctl.errors import InputError, nearest
+
+__all__ = ["Quantity", "Strict", "load_model", "pick", "read_toml", "validate"]
+
+
+class Strict(BaseModel):
+    """Base of every file's model: frozen, finite, and no unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Quantity(Strict):
+    """A number with its unit, and what is known of it."""
+
+    value: StrictFloat
+    unit: str
+    range: tuple[float, float] | None = None
+    provenance: str | None = None
+
+
+M = TypeVar("M", bound=BaseModel)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The file's table. InputError for a missing, unreadable, empty, binary or malformed file."""
+    try:
+        raw = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError("no such file", file=path, remedy="check the path") from None
+    except OSError as error:
+        raise InputError(
+            f"cannot be read ({error.strerror})", file=path, remedy="check the path and its permissions"
+        ) from None
+    try:
+        text = raw.decode("utf-8")
+    except UnicodeDecodeError:
+        raise InputError("is not text (UTF-8)", file=path, remedy="give a TOML file") from None
+    if "\0" in text:
+        raise InputError("is not text (it holds a NUL byte)", file=path, remedy="give a TOML file")
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"is not valid TOML: {error}", file=path, remedy="mend that line") from None
+    if not table:
+        raise InputError("is empty", file=path, remedy="start from a built-in file: surctl list --show NAME")
+    return table
+
+
+def load_model(path: Path, model: type[M]) -> M:
+    """Read a TOML file and validate it against `model`."""
+    return validate(read_toml(path), model, file=path)
+
+
+def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
+    """Validate a table against `model`; the first mistake becomes an InputError, the rest are counted."""
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        problems = error.errors(include_url=False)
+        # an unknown key is the likely cause of the missing one beside it: tell it first
+        first = min(problems, key=lambda p: 0 if p["type"] == "extra_forbidden" else 1)
+        key = ".".join(str(part) for part in first["loc"])
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        value = None if first["type"] == "missing" else first["input"]
+        if first["type"] == "extra_forbidden":
+            known = _fields_at(model, first["loc"][:-1])
+            problem, remedy = "unknown key", nearest(str(first["loc"][-1]), known)
+            value = None
+        elif first["type"] == "missing":
+            problem, remedy = "is missing", "add it"
+        else:
+            problem, remedy = first["msg"][0].lower() + first["msg"][1:], "correct the value"
+            if ";" in problem:
+                problem, _, remedy = problem.partition("; ")
+        problem = problem.removeprefix("value error, ")
+        raise InputError(problem + more, file=file, key=key, value=value, remedy=remedy) from None
+
+
+def _fields_at(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:
+    """Field names of the (nested) model that a validation path leads to."""
+    here: Any = model
+    for part in path:
+        if isinstance(part, int):
+            continue
+        field = getattr(here, "model_fields", {}).get(part)
+        if field is None:
+            continue
+        here = _model_in(field.annotation)
+    return list(getattr(here, "model_fields", {}))
+
+
+def _model_in(annotation: Any) -> Any:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    if get_origin(annotation) is Literal:
+        return None
+    for inner in get_args(annotation):
+        found = _model_in(inner)
+        if found is not None:
+            return found
+    return None
+
+
+def pick(name_or_path: str, library: Path, *, what: str) -> Path:
+    """The built-in file of that name, or the user's file at that path.
+
+    A bare name (no suffix, no separator) is looked up in `library`; anything else is a path.
+    """
+    known = {p.stem: p for p in sorted(library.glob("*.toml"))}
+    if name_or_path in known:
+        return known[name_or_path]
+    path = Path(name_or_path)
+    if path.suffix or "/" in name_or_path or "\\" in name_or_path:
+        return path
+    raise InputError(f"unknown {what}", key=what, value=name_or_path, remedy=nearest(name_or_path, known))
