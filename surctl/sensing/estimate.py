@@ -1,0 +1,219 @@
+"""From ranges to contacts: what the known world explains, and where the rest of the echoes stand.
+
+CasADi expressions for the exported law. The heading enters as (cos ψ, sin ψ), azimuths and beam as floats, so
+that no angle is ever recovered: dot and cross products only. This version keeps one echo a sensor and no cell
+memory.
+Planar at the robot's depth, world frame {E}, metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import cos, isfinite, pi, sin
+from typing import NamedTuple
+
+import casadi as ca
+
+from surctl.errors import InputError
+from surctl.ir import Port
+from surctl.sensing.array import SonarArray
+
+__all__ = ["ContactMemory", "Contacts", "expected_range", "sonar_contacts"]
+
+
+def expected_range(
+    position: ca.SX,
+    heading: ca.SX,
+    *,
+    walls: ca.SX,
+    discs: ca.SX,
+    valid: ca.SX,
+    azimuth: float,
+    hull_radius: ca.SX | float,
+    half_angle: float,
+    maximum: float,
+) -> ca.SX:
+    """Range that the known things alone would give in one sensor's cone [m]; 2·maximum when none or further.
+
+    The same closed form as `surctl.world.Shape.nearest_in_cone`: foot point if inside the cone, else the edge
+    rays.
+
+    Args:
+        position: (2,) robot's centre in {E} [m].
+        heading: (2,) cos ψ, sin ψ.
+        walls: (4,) xmin, xmax, ymin, ymax of the tank in {E} [m].
+        discs: (K, 3) known obstacles: x, y, radius [m]; K may be 0.
+        valid: (K,) 1 for a disc that is there, else 0.
+        azimuth: of the sensor in {B} [rad].
+        hull_radius: from the centre to the apex [m]; a symbol in the law, which any vehicle may fly.
+        half_angle: of the cone [rad], 0 < half_angle < π/2.
+        maximum: longest range of the sensor [m].
+
+    Raises:
+        InputError: half_angle out of range.
+    """
+    if not 0.0 < half_angle < pi / 2:
+        raise InputError(
+            "must lie between 0 and pi/2", key="half_angle", value=half_angle, remedy="give radians"
+        )
+    axis = _turned(heading, azimuth)
+    apex = position + hull_radius * axis
+    nothing = 2.0 * maximum
+    found: ca.SX = ca.SX(nothing)
+    for normal, distance in (
+        ((1.0, 0.0), walls[1] - apex[0]),
+        ((-1.0, 0.0), apex[0] - walls[0]),
+        ((0.0, 1.0), walls[3] - apex[1]),
+        ((0.0, -1.0), apex[1] - walls[2]),
+    ):
+        found = ca.fmin(
+            found, _wall_range(axis, normal, distance=distance, half_angle=half_angle, nothing=nothing)
+        )
+    for k in range(discs.shape[0]):
+        hit = _disc_range(
+            axis, discs[k, :2].T - apex, radius=discs[k, 2], half_angle=half_angle, nothing=nothing
+        )
+        found = ca.fmin(found, ca.if_else(valid[k] > 0.5, hit, nothing))
+    return found
+
+
+class Contacts(NamedTuple):
+    """Echoes of one tick; SX expressions."""
+
+    points: ca.SX
+    """(n, 2) contact points in {E} [m]."""
+    valid: ca.SX
+    """(n,) 1 for an echo of something unknown, else 0."""
+
+
+def sonar_contacts(
+    array: SonarArray,
+    range_hat: ca.SX,
+    *,
+    position: ca.SX,
+    heading: ca.SX,
+    hull_radius: ca.SX | float,
+    expected: ca.SX,
+    margin: float = 0.1,
+    tolerance: float = 0.1,
+) -> Contacts:
+    """Contact of each sensor: the point at `range_hat` on its axis, valid when an echo and not explained.
+
+    An echo is range_hat < maximum − margin; it is explained by the known world when range_hat ≥ expected −
+    tolerance.
+
+    Args:
+        array: the sensors.
+        range_hat: (n,) filtered ranges [m].
+        position: (2,) robot's centre in {E} [m].
+        heading: (2,) cos ψ, sin ψ.
+        hull_radius: from the centre to the apexes [m].
+        expected: (n,) of `expected_range` [m].
+        margin: [m].
+        tolerance: [m].
+    """
+    points = []
+    for i, azimuth in enumerate(array.azimuths):
+        points.append((position + (hull_radius + range_hat[i]) * _turned(heading, azimuth)).T)
+    is_echo = range_hat < array.maximum - margin
+    explained = range_hat >= expected - tolerance
+    return Contacts(ca.vertcat(*points), ca.logic_and(is_echo, ca.logic_not(explained)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactMemory:
+    """The last unexplained echo of each sensor, fixed in {E}, dropped after `hold`.
+
+    An echo outlives readings without one: a beam that turns away from an obstacle does not remove it.
+
+    Attributes:
+        sensors: their number n.
+        dt: period of the updates [s].
+        hold: longest age of an echo [s] (*chosen*).
+    """
+
+    dt: float
+    sensors: int = 4
+    hold: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Check the values; InputError names the wrong one."""
+        for name in ("dt", "hold"):
+            value = getattr(self, name)
+            if not (isfinite(value) and value > 0):
+                raise InputError(
+                    "must be greater than 0", key=f"contacts.{name}", value=value, remedy="give s"
+                )
+        if self.sensors < 1:
+            raise InputError("must be at least 1", key="contacts.sensors", value=self.sensors)
+
+    def ports(self, prefix: str = "") -> tuple[Port, ...]:
+        """The state; it starts with every echo too old to count."""
+        return (
+            Port(
+                f"{prefix}echo", (self.sensors, 2), "m", "last unexplained echo of each sensor, x, y in {E}"
+            ),
+            Port(
+                f"{prefix}age",
+                (self.sensors,),
+                "s",
+                "age of that echo, held at hold + dt",
+                self.hold + self.dt,
+            ),
+        )
+
+    def update(
+        self, state: Mapping[str, ca.SX], contacts: Contacts, *, fresh: ca.SX, prefix: str = ""
+    ) -> tuple[dict[str, ca.SX], Contacts]:
+        """Next state, and the echoes that stand: new ones at age 0, and older ones up to `hold`.
+
+        Args:
+            state: by port name, shapes of `ports(prefix)`.
+            contacts: of this tick; only those of fresh sensors are taken.
+            fresh: (n,) 1 for a sensor that fired since the last update, else 0.
+            prefix: of the names of the state.
+        """
+        echo, age = state[f"{prefix}echo"], state[f"{prefix}age"]
+        new = ca.logic_and(fresh > 0.5, contacts.valid)
+        points = [ca.if_else(new[i], contacts.points[i, :], echo[i, :]) for i in range(self.sensors)]
+        older = ca.fmin(age + self.dt, self.hold + self.dt)
+        ages = ca.if_else(new, 0.0, older)
+        after = {f"{prefix}echo": ca.vertcat(*points), f"{prefix}age": ages}
+        # half a step of slack: sums of dt are not exact
+        return after, Contacts(after[f"{prefix}echo"], ages <= self.hold + 0.5 * self.dt)
+
+
+def _turned(heading: ca.SX, angle: float) -> ca.SX:
+    """The unit vector at ψ + angle, from (cos ψ, sin ψ)."""
+    c, s = cos(angle), sin(angle)
+    return ca.vertcat(c * heading[0] - s * heading[1], s * heading[0] + c * heading[1])
+
+
+def _wall_range(
+    axis: ca.SX, normal: tuple[float, float], *, distance: ca.SX, half_angle: float, nothing: float
+) -> ca.SX:
+    """Range to a wall at perpendicular `distance` [m] in the direction `normal` (out of the water)."""
+    along = axis[0] * normal[0] + axis[1] * normal[1]
+    across = ca.fabs(axis[0] * normal[1] - axis[1] * normal[0])
+    # cosine of the angle between the wall's perpendicular and the nearer edge ray
+    edge = along * cos(half_angle) + across * sin(half_angle)
+    slant = distance / ca.fmax(edge, 1e-9)
+    outside = ca.if_else(edge > 1e-9, slant, nothing)
+    seen = ca.if_else(along >= cos(half_angle), distance, outside)
+    return ca.fmin(ca.fmax(seen, 0.0), nothing)
+
+
+def _disc_range(axis: ca.SX, to: ca.SX, *, radius: ca.SX, half_angle: float, nothing: float) -> ca.SX:
+    """Range to a disc whose centre lies at `to` (2,) from the apex [m]."""
+    length = ca.sqrt(ca.dot(to, to))
+    inside_cone = ca.dot(to, axis) >= length * cos(half_angle)
+    edges: ca.SX = ca.SX(nothing)
+    for angle in (half_angle, -half_angle):
+        ray = _turned(axis, angle)
+        along, across = ca.dot(to, ray), to[0] * ray[1] - to[1] * ray[0]
+        square = radius * radius - across * across
+        hits = ca.logic_and(along > 0, square >= 0)
+        edges = ca.fmin(edges, ca.if_else(hits, along - ca.sqrt(ca.fmax(square, 0.0)), nothing))
+    seen = ca.if_else(inside_cone, length - radius, edges)
+    return ca.fmax(0.0, ca.if_else(length <= radius, 0.0, seen))

@@ -1,0 +1,275 @@
+"""From raw samples to a range to act on: weighted average, gate (4)–(5), adaptive LMS (6)–(7), Algorithm 1.
+
+CasADi expressions with explicit state: they are part of the exported law. Operations used: + − × ÷ sqrt fabs
+fmin fmax, comparisons, logic and if_else. Every branch of every select is finite for finite inputs:
+denominators have floors. Windows and histories hold the newest value first. Ranges in metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple, TypeAlias, get_args
+
+import casadi as ca
+
+from surctl.errors import InputError, nearest
+from surctl.ir import Port
+from surctl.sensing.array import SonarArray
+
+__all__ = ["FilterUpdate", "LmsStep", "SensorFilter", "StepRule", "gate", "lms_step", "weighted_average"]
+
+StepRule: TypeAlias = Literal["corrected", "printed"]
+"""Which step factor μ of Algorithm 1: `corrected`, at most the line-search optimum, or `printed` (E5)."""
+
+_POWER_FLOOR = 1e-6  # m², far below any XᵀX of real ranges
+_ERROR_FLOOR = 1e-9  # m
+
+
+def weighted_average(samples: ca.SX) -> ca.SX:
+    """Weighted mean of one firing's `samples` (k,) [m], oldest first.
+
+    The paper says "weighted average" without weights; *chosen*: rising linearly 1, 2, …, k to the newest
+    sample.
+    """
+    k = samples.numel()
+    weights = ca.DM(range(1, k + 1))
+    return ca.dot(weights, samples) / (k * (k + 1) / 2)
+
+
+def gate(window: ca.SX, value: ca.SX, *, lambda1: ca.SX, resolution: float) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """The gate (4)–(5): take `value` when it lies within λ1·S of the one before, else the running mean.
+
+    S² = mean(d²) − mean(d)² over the window, S floored at one conversion step: a constant signal has S = 0
+    and would refuse everything. With λ1 = 0 nothing is accepted and the running mean always results.
+    Raw values enter the window, refused or not: after a genuine jump the next reading lies near the raw one
+    before it and is accepted, so the gate lags one firing and cannot lock.
+
+    Args:
+        window: (n,) the last n averaged raw values [m], newest first.
+        value: the new averaged raw value [m].
+        lambda1: λ1 ≥ 0.
+        resolution: one conversion step [m].
+
+    Returns:
+        gated value [m], accepted (0 or 1), next window (n,).
+    """
+    n = window.numel()
+    mean = ca.sum1(window) / n
+    variance = ca.dot(window, window) / n - mean * mean
+    spread = ca.fmax(ca.sqrt(ca.fmax(variance, 0.0)), resolution)
+    accepted = ca.fabs(value - window[0]) < lambda1 * spread
+    return ca.if_else(accepted, value, mean), accepted, _pushed(window, value)
+
+
+class LmsStep(NamedTuple):
+    """What one step of Algorithm 1 gives; SX expressions."""
+
+    theta: ca.SX
+    """(m,) θ_{n+1}, dimensionless."""
+    errors: ca.SX
+    """(N,) the last |ℜ| [m], newest first."""
+    mean_error: ca.SX
+    """ē, running mean of the corrected error [m]."""
+    residual: ca.SX
+    """ℜ_n = x_n − θ_nᵀX_n [m]."""
+    corrected_error: ca.SX
+    """e_n of (7) [m]."""
+
+
+def lms_step(
+    theta: ca.SX,
+    theta_prev: ca.SX,
+    *,
+    X: ca.SX,
+    x_n: ca.SX,
+    errors: ca.SX,
+    mean_error: ca.SX,
+    relaxation: ca.SX,
+    beta_max: ca.SX,
+    step: StepRule = "corrected",
+) -> LmsStep:
+    """One step of Algorithm 1 with momentum (6) and the corrected error (7), errata E5, E6, E19 applied.
+
+    θ_{n+1} = θ_n + 2μℜX + β(θ_n − θ_{n−1}), ℜ = x_n − θᵀX with X the m values *before* x_n (E19), only when
+    e_n ≥ ē ("smaller … does not need to be corrected"), otherwise θ stays.
+    e_n = (1/N) Σ w_i |e_i| with w falling linearly from 1 (newest) to 1/N (E6); ē is its exponential mean
+    with time constant N firings (*chosen*); β = β_max·min(1, e_n/ē). The variance in (7) enters no formula.
+    `corrected`: 2μ = ρ/XᵀX with the relaxation 0 < ρ ≤ 1; ρ = 1 is the line-search optimum, residual 0.
+    `printed`: 2μ = 2/XᵀX whatever ρ, residual −ℜ for ever (E5).
+
+    Args:
+        theta: θ_n (m,).
+        theta_prev: θ_{n−1} (m,).
+        X: (m,) the values before x_n [m], newest first.
+        x_n: the value to be predicted [m].
+        errors: (N,) the last |ℜ| before this one [m], newest first.
+        mean_error: ē before this step [m].
+        relaxation: ρ, held to [0, 1].
+        beta_max: held to [0, 0.5].
+        step: the rule for μ.
+
+    Raises:
+        InputError: unknown `step`.
+    """
+    if step not in get_args(StepRule):
+        raise InputError("unknown LMS step", key="step", value=step, remedy=nearest(step, get_args(StepRule)))
+    n = errors.numel()
+    residual = x_n - ca.dot(theta, X)
+    history = _pushed(errors, ca.fabs(residual))
+    weights = ca.DM([(n - i) / n for i in range(n)])
+    corrected = ca.dot(weights, history) / n
+    rho = 2.0 if step == "printed" else ca.fmax(0.0, ca.fmin(relaxation, 1.0))
+    beta = ca.fmax(0.0, ca.fmin(beta_max, 0.5)) * ca.fmin(1.0, corrected / ca.fmax(mean_error, _ERROR_FLOOR))
+    power = ca.fmax(ca.dot(X, X), _POWER_FLOOR)
+    moved = theta + rho * residual / power * X + beta * (theta - theta_prev)
+    return LmsStep(
+        theta=ca.if_else(corrected >= mean_error, moved, theta),
+        errors=history,
+        mean_error=mean_error + (corrected - mean_error) / n,
+        residual=residual,
+        corrected_error=corrected,
+    )
+
+
+class FilterUpdate(NamedTuple):
+    """What `SensorFilter.update` gives; SX expressions."""
+
+    state: dict[str, ca.SX]
+    """Next state, keyed as the ports are named."""
+    range_hat: ca.SX
+    """(n,) range from each apex to act on [m]."""
+    healthy: ca.SX
+    """(n,) 1 when the range may be believed, else 0."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorFilter:
+    """Average, gate and LMS of every sensor of an array, as one step with explicit state.
+
+    Attributes:
+        array: the sensors.
+        window: n of (4), values in the gate's window, at least 2.
+        taps: m of Algorithm 1, values a prediction rests on.
+        memory: N of (7), errors that are remembered.
+        refusals: refused values in a row after which a sensor counts as unhealthy.
+        step: rule for μ, see `lms_step`.
+    """
+
+    array: SonarArray = field(default_factory=SonarArray)
+    window: int = 8
+    taps: int = 4
+    memory: int = 8
+    refusals: int = 3
+    step: StepRule = "corrected"
+
+    def __post_init__(self) -> None:
+        """Check the values; InputError names the wrong one."""
+        for name, least in (("window", 2), ("taps", 1), ("memory", 1), ("refusals", 1)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < least:
+                raise InputError(
+                    f"must be a whole number, at least {least}", key=f"filter.{name}", value=value
+                )
+        if self.step not in get_args(StepRule):
+            remedy = nearest(str(self.step), get_args(StepRule))
+            raise InputError("unknown LMS step", key="filter.step", value=self.step, remedy=remedy)
+
+    def ports(self, prefix: str = "") -> tuple[Port, ...]:
+        """The state, one row a sensor; it starts with nothing heard and no sensor believed."""
+        n, far = self.array.size, self.array.maximum
+        return (
+            Port(f"{prefix}window", (n, self.window), "m", "averaged raw ranges, newest first", far),
+            Port(f"{prefix}history", (n, self.taps), "m", "gated ranges, newest first", far),
+            Port(f"{prefix}theta", (n, self.taps), "1", "LMS weights", 1.0 / self.taps),
+            Port(f"{prefix}theta_prev", (n, self.taps), "1", "LMS weights one firing ago", 1.0 / self.taps),
+            Port(f"{prefix}errors", (n, self.memory), "m", "sizes of the prediction errors, newest first"),
+            Port(f"{prefix}mean_error", (n,), "m", "running mean of the corrected error"),
+            Port(f"{prefix}refused", (n,), "1", "refused values in a row", float(self.refusals)),
+        )
+
+    def gain_ports(self, prefix: str = "") -> tuple[Port, ...]:
+        """The gains with their defaults (*chosen*)."""
+        return (
+            Port(
+                f"{prefix}lambda1", (1,), "1", "half-width of the gate (5) in standard deviations, >= 0", 3.0
+            ),
+            Port(f"{prefix}relaxation", (1,), "1", "LMS step as a part of the optimum, 0 to 1", 0.5),
+            Port(f"{prefix}beta_max", (1,), "1", "largest LMS momentum, 0 to 0.5", 0.2),
+        )
+
+    def update(
+        self,
+        state: Mapping[str, ca.SX],
+        samples: ca.SX,
+        *,
+        fresh: ca.SX,
+        gains: Mapping[str, ca.SX],
+        prefix: str = "",
+    ) -> FilterUpdate:
+        """One tick: sensors that fired since the last one take their samples in, the others keep their state.
+
+        The range is the smaller of the newest gated value and the prediction of the next one (it has to last
+        until the sensor fires again), held to [minimum, maximum]. A sensor is healthy while fewer than
+        `refusals` values in a row were refused; before its first accepted value it is not. With λ1 = 0
+        nothing counts as refused.
+
+        Args:
+            state: by port name, shapes of `ports(prefix)`.
+            samples: (n, samples) raw samples [m], oldest first; rows of sensors that did not fire are ignored
+                (but must be finite).
+            fresh: (n,) 1 for a sensor that fired, else 0.
+            gains: by port name, `gain_ports(prefix)`.
+            prefix: of the names of state and gains.
+        """
+        names = [port.name.removeprefix(prefix) for port in self.ports(prefix)]
+        rows = []
+        for i in range(self.array.size):
+            old = {name: state[prefix + name][i, :].T for name in names}
+            new = self._fired(old, samples[i, :].T, gains={k: gains[prefix + k] for k in _GAINS})
+            rows.append({name: ca.if_else(fresh[i] > 0.5, new[name], old[name]) for name in names})
+        after = {name: ca.vertcat(*(row[name].T for row in rows)) for name in names}
+        gated = after["history"][:, 0]
+        predicted = ca.sum2(after["theta"] * after["history"])
+        range_hat = ca.fmax(self.array.minimum, ca.fmin(self.array.maximum, ca.fmin(gated, predicted)))
+        healthy = after["refused"] < self.refusals
+        return FilterUpdate({prefix + name: after[name] for name in names}, range_hat, healthy)
+
+    def _fired(
+        self, old: Mapping[str, ca.SX], samples: ca.SX, *, gains: Mapping[str, ca.SX]
+    ) -> dict[str, ca.SX]:
+        """Next state of one sensor that fired; columns by unprefixed name."""
+        value = weighted_average(samples)
+        lambda1 = gains["lambda1"]
+        gated, accepted, window = gate(
+            old["window"], value, lambda1=lambda1, resolution=self.array.resolution
+        )
+        lms = lms_step(
+            old["theta"],
+            old["theta_prev"],
+            X=old["history"],
+            x_n=gated,
+            errors=old["errors"],
+            mean_error=old["mean_error"],
+            relaxation=gains["relaxation"],
+            beta_max=gains["beta_max"],
+            step=self.step,
+        )
+        fine = ca.logic_or(accepted, ca.logic_not(lambda1 > 0))
+        return {
+            "window": window,
+            "history": _pushed(old["history"], gated),
+            "theta": lms.theta,
+            "theta_prev": old["theta"],
+            "errors": lms.errors,
+            "mean_error": lms.mean_error,
+            "refused": ca.if_else(fine, 0.0, ca.fmin(old["refused"] + 1.0, float(self.refusals))),
+        }
+
+
+_GAINS = ("lambda1", "relaxation", "beta_max")
+
+
+def _pushed(window: ca.SX, value: ca.SX) -> ca.SX:
+    """The window (n,) with `value` put in front and the oldest dropped."""
+    return ca.vertcat(value, window[:-1, :])

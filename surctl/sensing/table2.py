@@ -1,0 +1,110 @@
+"""Table II of the paper as data: the sensor's range test in air and water."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.files import Strict, load_model
+
+__all__ = ["MediumTest", "RangeTest", "table_ii"]
+
+
+@dataclass(frozen=True)
+class MediumTest:
+    """One medium's column.
+
+    Attributes:
+        measured: (n,) readings [m].
+        printed_percent: (n,) relative errors as printed [%], one decimal.
+    """
+
+    measured: NDArray[np.float64]
+    printed_percent: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RangeTest:
+    """A range test.
+
+    Attributes:
+        desired: (n,) true distances [m].
+        air: readings in air.
+        water: readings in water.
+        provenance: where the numbers come from.
+    """
+
+    desired: NDArray[np.float64]
+    air: MediumTest
+    water: MediumTest
+    provenance: str
+
+    def errors(self, medium: Literal["air", "water"]) -> NDArray[np.float64]:
+        """Measured less desired (n,) [m]."""
+        error: NDArray[np.float64] = self._column(medium).measured - self.desired
+        return error
+
+    def percent(self, medium: Literal["air", "water"]) -> NDArray[np.float64]:
+        """Relative error |measured − desired| / desired recomputed (n,) [%], not rounded."""
+        relative: NDArray[np.float64] = 100.0 * np.abs(self.errors(medium)) / self.desired
+        return relative
+
+    def disagreeing(self, medium: Literal["air", "water"]) -> NDArray[np.intp]:
+        """Indices of the rows whose printed percentage is not the recomputed one to its one decimal (E2)."""
+        gap = np.abs(self.percent(medium) - self._column(medium).printed_percent)
+        return np.flatnonzero(gap > 0.05 + 1e-9)
+
+    def _column(self, medium: Literal["air", "water"]) -> MediumTest:
+        return self.air if medium == "air" else self.water
+
+
+class _Distances(Strict):
+    unit: Literal["cm"]
+    values: tuple[float, ...]
+
+
+class _Medium(Strict):
+    unit: Literal["cm"]
+    measured: tuple[float, ...]
+    error_percent: tuple[float, ...]
+
+
+class _File(Strict):
+    kind: Literal["range-test"]
+    name: str
+    provenance: str
+    desired: _Distances
+    air: _Medium
+    water: _Medium
+
+
+def table_ii() -> RangeTest:
+    """Table II, 18 distances from 0.25 to 1.95 m.
+
+    Raises:
+        InputError: the shipped file is damaged.
+    """
+    path = Path(__file__).with_name("table2.toml")
+    model = load_model(path, _File)
+    count = len(model.desired.values)
+    for key, medium in (("air", model.air), ("water", model.water)):
+        if {len(medium.measured), len(medium.error_percent)} != {count}:
+            raise InputError(
+                f"columns differ from the {count} distances", file=path, key=key, remedy="restore the file"
+            )
+    return RangeTest(
+        _metres(model.desired.values), _medium_test(model.air), _medium_test(model.water), model.provenance
+    )
+
+
+def _medium_test(medium: _Medium) -> MediumTest:
+    return MediumTest(_metres(medium.measured), np.array(medium.error_percent))
+
+
+def _metres(centimetres: tuple[float, ...]) -> NDArray[np.float64]:
+    return np.array(centimetres) / 100.0

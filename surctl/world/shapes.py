@@ -1,0 +1,269 @@
+"""Convex shapes and their exact distances, in the horizontal plane at the robot's depth.
+
+Everything here is planar: a shape is the cut of a body by the plane z = robot's depth; that a body reaches
+this depth at all is the scenario's business. World frame {E}, x along the tank, y to the left, metres and
+radians.
+
+One fact serves every cone query. Let K be convex and p the point of K nearest to the apex. If p lies in the
+cone it is the echo. If not, the nearest point of K within the cone lies on one of the cone's two edge rays:
+from any point q of K strictly inside the cone one could move towards p, stay in K and in the cone, and come
+closer.
+So a foot point and two ray hits give the answer in closed form, and the answer is always visible.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from math import cos, hypot, inf, isfinite, pi, sin, sqrt
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+
+__all__ = ["Box", "Disc", "Shape", "Vector2", "Wall", "site_walls"]
+
+Vector2: TypeAlias = Sequence[float] | NDArray[np.float64]
+"""Two numbers, (x, y) in {E}; shapes store them as a tuple of floats."""
+
+_IN_CONE = 1e-12  # slack of cos: a corner exactly on the cone's edge counts as inside
+
+
+class Shape(ABC):
+    """A solid convex set in the plane. A new shape gives `foot`, `ray` and `moved`; the rest is derived."""
+
+    @abstractmethod
+    def foot(self, x: float, y: float) -> tuple[float, float, float]:
+        """Signed distance [m] of (x, y), negative inside, and the nearest surface point (x, y) [m]."""
+
+    @abstractmethod
+    def ray(self, x: float, y: float, *, ex: float, ey: float) -> float:
+        """Distance [m] from (x, y), outside, along the unit vector (ex, ey) to the first hit; inf if none."""
+
+    @abstractmethod
+    def moved(self, offset: Vector2) -> Shape:
+        """The same shape displaced by `offset` (2,) [m] in {E}."""
+
+    def nearest(self, point: Vector2) -> tuple[float, NDArray[np.float64]]:
+        """Signed distance [m] of `point` (2,), negative inside, and the nearest surface point (2,) [m]."""
+        distance, x, y = self.foot(float(point[0]), float(point[1]))
+        return distance, np.array((x, y))
+
+    def nearest_in_cone(self, apex: Vector2, axis: float, *, half_angle: float) -> float:
+        """Distance from `apex` to the nearest point of the shape with |bearing − axis| ≤ half_angle.
+
+        Args:
+            apex: (2,) [m] in {E}.
+            axis: bearing of the cone's axis [rad], counter-clockwise from x of {E}.
+            half_angle: half the opening angle [rad], 0 ≤ half_angle < π/2.
+
+        Returns:
+            Distance [m]; inf when nothing of the shape lies in the cone, 0 when the apex lies inside the
+            shape.
+
+        Raises:
+            InputError: the half angle is out of range, or apex or axis is not finite.
+        """
+        x, y = float(apex[0]), float(apex[1])
+        if not 0.0 <= half_angle < pi / 2:
+            raise InputError(
+                "must lie in [0, pi/2)", key="half_angle", value=half_angle, remedy="give radians"
+            )
+        if not isfinite(x + y + axis):
+            raise InputError("apex and axis must be finite", key="apex, axis", value=(x, y, axis))
+        distance, fx, fy = self.foot(x, y)
+        if distance <= 0.0:
+            return 0.0
+        c, s, k, h = cos(axis), sin(axis), cos(half_angle), sin(half_angle)
+        if (fx - x) * c + (fy - y) * s >= distance * (k - _IN_CONE):
+            return distance
+        left = self.ray(x, y, ex=c * k - s * h, ey=s * k + c * h)
+        right = self.ray(x, y, ex=c * k + s * h, ey=s * k - c * h)
+        return min(left, right)
+
+
+@dataclass(frozen=True)
+class Disc(Shape):
+    """An upright cylinder, or a sphere cut at the robot's depth.
+
+    Attributes:
+        center: (2,) [m] in {E}.
+        radius: [m], greater than 0.
+    """
+
+    center: Vector2
+    radius: float
+
+    def __post_init__(self) -> None:
+        """Check the values; InputError names the wrong one."""
+        object.__setattr__(self, "center", _pair("disc.center", self.center))
+        object.__setattr__(self, "radius", _positive("disc.radius", self.radius))
+
+    def foot(self, x: float, y: float) -> tuple[float, float, float]:
+        """See `Shape.foot`; from the exact centre the point in +x is taken."""
+        cx, cy = self.center
+        dx, dy = x - cx, y - cy
+        length = hypot(dx, dy)
+        ux, uy = (dx / length, dy / length) if length > 0.0 else (1.0, 0.0)
+        return length - self.radius, cx + self.radius * ux, cy + self.radius * uy
+
+    def ray(self, x: float, y: float, *, ex: float, ey: float) -> float:
+        """See `Shape.ray`."""
+        cx, cy = self.center
+        dx, dy = cx - x, cy - y
+        along, across = dx * ex + dy * ey, dx * ey - dy * ex
+        square = self.radius * self.radius - across * across
+        return along - sqrt(square) if along > 0.0 and square >= 0.0 else inf
+
+    def moved(self, offset: Vector2) -> Disc:
+        """See `Shape.moved`."""
+        return replace(self, center=_shifted(self.center, offset))
+
+
+@dataclass(frozen=True)
+class Box(Shape):
+    """An upright box.
+
+    Attributes:
+        center: (2,) [m] in {E}.
+        size: (2,) full lengths [m] along the box's own x and y, each greater than 0.
+        angle: of the box's x from x of {E} [rad], counter-clockwise.
+    """
+
+    center: Vector2
+    size: Vector2
+    angle: float = 0.0
+    _axis: tuple[float, float] = field(init=False, repr=False, compare=False)
+    _half: tuple[float, float] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Check the values; InputError names the wrong one."""
+        object.__setattr__(self, "center", _pair("box.center", self.center))
+        size = _pair("box.size", self.size)
+        angle = float(self.angle)
+        if not isfinite(angle):
+            raise InputError("must be finite", key="box.angle", value=angle, remedy="give radians")
+        object.__setattr__(self, "size", size)
+        object.__setattr__(self, "angle", angle)
+        object.__setattr__(self, "_axis", (cos(angle), sin(angle)))
+        object.__setattr__(self, "_half", tuple(0.5 * _positive("box.size", edge) for edge in size))
+
+    def _local(self, x: float, y: float) -> tuple[float, float]:
+        (c, s), (cx, cy) = self._axis, self.center
+        dx, dy = x - cx, y - cy
+        return c * dx + s * dy, c * dy - s * dx
+
+    def foot(self, x: float, y: float) -> tuple[float, float, float]:
+        """See `Shape.foot`; from inside, the nearest face is taken (the x faces win ties)."""
+        px, py = self._local(x, y)
+        hx, hy = self._half
+        qx, qy = max(-hx, min(hx, px)), max(-hy, min(hy, py))
+        distance = hypot(px - qx, py - qy)
+        if distance == 0.0:
+            outside_x, outside_y = abs(px) - hx, abs(py) - hy
+            distance = max(outside_x, outside_y)
+            if outside_x >= outside_y:
+                qx = hx if px >= 0.0 else -hx
+            else:
+                qy = hy if py >= 0.0 else -hy
+        (c, s), (cx, cy) = self._axis, self.center
+        return distance, cx + c * qx - s * qy, cy + s * qx + c * qy
+
+    def ray(self, x: float, y: float, *, ex: float, ey: float) -> float:
+        """See `Shape.ray`; the slab method in the box's own frame."""
+        px, py = self._local(x, y)
+        c, s = self._axis
+        hx, hy = self._half
+        near_x, far_x = _slab(px, c * ex + s * ey, half=hx)
+        near_y, far_y = _slab(py, c * ey - s * ex, half=hy)
+        near = max(near_x, near_y)
+        return near if 0.0 <= near <= min(far_x, far_y) else inf
+
+    def moved(self, offset: Vector2) -> Box:
+        """See `Shape.moved`."""
+        return replace(self, center=_shifted(self.center, offset))
+
+
+@dataclass(frozen=True)
+class Wall(Shape):
+    """A half-plane: all that lies behind the line through `point`.
+
+    Attributes:
+        point: (2,) any point of the surface [m] in {E}.
+        normal: (2,) pointing into the water; any length greater than 0, kept as a unit vector.
+    """
+
+    point: Vector2
+    normal: Vector2
+
+    def __post_init__(self) -> None:
+        """Check the values; InputError names the wrong one."""
+        nx, ny = _pair("wall.normal", self.normal)
+        length = hypot(nx, ny)
+        if length == 0.0:
+            raise InputError(
+                "has no direction", key="wall.normal", value=(nx, ny), remedy="point it into the water"
+            )
+        object.__setattr__(self, "point", _pair("wall.point", self.point))
+        object.__setattr__(self, "normal", (nx / length, ny / length))
+
+    def foot(self, x: float, y: float) -> tuple[float, float, float]:
+        """See `Shape.foot`."""
+        (px, py), (nx, ny) = self.point, self.normal
+        distance = (x - px) * nx + (y - py) * ny
+        return distance, x - distance * nx, y - distance * ny
+
+    def ray(self, x: float, y: float, *, ex: float, ey: float) -> float:
+        """See `Shape.ray`."""
+        approach = -(ex * self.normal[0] + ey * self.normal[1])
+        return self.foot(x, y)[0] / approach if approach > 0.0 else inf
+
+    def moved(self, offset: Vector2) -> Wall:
+        """See `Shape.moved`."""
+        return replace(self, point=_shifted(self.point, offset))
+
+
+def site_walls(width: float, length: float) -> tuple[Wall, Wall, Wall, Wall]:
+    """The walls x = 0, x = length, y = 0, y = width of the rectangular tank [0, length] × [0, width] [m].
+
+    Raises:
+        InputError: a side that is not greater than 0 and finite.
+    """
+    across, along = _positive("site.width", width), _positive("site.length", length)
+    return (
+        Wall((0.0, 0.0), (1.0, 0.0)),
+        Wall((along, 0.0), (-1.0, 0.0)),
+        Wall((0.0, 0.0), (0.0, 1.0)),
+        Wall((0.0, across), (0.0, -1.0)),
+    )
+
+
+def _slab(position: float, direction: float, *, half: float) -> tuple[float, float]:
+    """Where a line enters and leaves |coordinate| ≤ half; (inf, −inf) when it never does."""
+    if direction == 0.0:
+        return (-inf, inf) if abs(position) <= half else (inf, -inf)
+    one, other = (-half - position) / direction, (half - position) / direction
+    return (one, other) if one <= other else (other, one)
+
+
+def _shifted(point: Vector2, offset: Vector2) -> tuple[float, float]:
+    dx, dy = _pair("offset", offset)
+    return point[0] + dx, point[1] + dy
+
+
+def _pair(key: str, value: Vector2) -> tuple[float, float]:
+    if len(value) != 2:
+        raise InputError(f"has {len(value)} numbers", key=key, value=value, remedy="give two: x, y in m")
+    x, y = float(value[0]), float(value[1])
+    if not isfinite(x + y):
+        raise InputError("must be finite", key=key, value=(x, y), remedy="give x, y in m")
+    return x, y
+
+
+def _positive(key: str, value: float) -> float:
+    if not (isfinite(value) and value > 0):
+        raise InputError("must be greater than 0", key=key, value=value, remedy="give m")
+    return float(value)

@@ -1,0 +1,122 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from surctl.errors import InputError
+from surctl.sensing import SonarArray, fire, true_range
+from surctl.world import Box, Disc, site_walls
+
+QUIET = SonarArray(noise_sd=0.0, bias=0.0)
+
+
+def test_each_sensor_looks_its_own_way():
+    walls = site_walls(5.0, 10.0)
+    narrow = SonarArray(beam_angle=0.2)
+    ranges = [true_range(narrow, i, position=(4.0, 2.0), heading=0.0, shapes=walls) for i in range(4)]
+    assert ranges == pytest.approx([6.0 - 0.27, 3.0 - 0.27, 4.0 - 0.27, 2.0 - 0.27])
+    turned = [true_range(narrow, i, position=(4.0, 2.0), heading=math.pi / 2, shapes=walls) for i in range(4)]
+    assert turned == pytest.approx(ranges[1:] + ranges[:1])
+
+
+def test_the_nearest_shape_hides_the_others():
+    shapes = (Disc((3.0, 0.0), 0.5), Box((2.0, 0.0), (0.2, 1.0)))
+    assert true_range(QUIET, 0, position=(0, 0), heading=0.0, shapes=shapes) == pytest.approx(1.9 - 0.27)
+    assert true_range(QUIET, 2, position=(0, 0), heading=0.0, shapes=shapes) == math.inf
+
+
+@pytest.mark.parametrize("distance", [0.3, 1.0, 2.345, 4.4])
+def test_quantisation_is_to_the_nearest_of_255_steps(distance):
+    rng = np.random.default_rng(0)
+    disc = Disc((0.27 + distance + 0.5, 0.0), 0.5)
+    samples = fire(QUIET, 0, position=(0, 0), heading=0.0, shapes=(disc,), rng=rng)
+    codes = samples / QUIET.resolution
+    assert samples.shape == (5,)
+    assert codes == pytest.approx(np.rint(codes), abs=1e-9)
+    assert np.all(np.abs(samples - distance) <= 0.5 * QUIET.resolution + 1e-12)
+
+
+def test_resolution_is_the_one_of_e4():
+    assert SonarArray().resolution == pytest.approx(0.01765, abs=5e-6)
+
+
+def test_too_close_reads_the_minimum_and_nothing_reads_the_maximum():
+    rng = np.random.default_rng(0)
+    array = SonarArray()
+    touching = fire(array, 0, position=(0, 0), heading=0.0, shapes=(Disc((0.35, 0), 0.05),), rng=rng)
+    assert np.all(np.abs(touching - array.minimum) <= 0.5 * array.resolution)
+    assert np.ptp(touching) == 0.0
+    nothing = fire(array, 0, position=(0, 0), heading=0.0, shapes=(), rng=rng)
+    too_far = fire(array, 0, position=(0, 0), heading=0.0, shapes=(Disc((6.0, 0), 0.5),), rng=rng)
+    assert np.all(nothing == 4.5) and np.all(too_far == 4.5)
+
+
+def test_noise_does_not_bring_back_what_is_out_of_range():
+    loud, rng = SonarArray(noise_sd=0.5), np.random.default_rng(0)
+    beyond = (Disc((loud.hull_radius + 4.51 + 0.5, 0), 0.5),)
+    heard = [fire(loud, 0, position=(0, 0), heading=0.0, shapes=beyond, rng=rng) for _ in range(20)]
+    assert np.all(np.array(heard) == 4.5)
+
+
+def test_bias_and_noise_are_those_of_the_array():
+    array = SonarArray()
+    rng = np.random.default_rng(1)
+    shapes = (Disc((2.3, 0.0), 0.5),)
+    errors = np.array(
+        [fire(array, 0, position=(0, 0), heading=0.0, shapes=shapes, rng=rng) for _ in range(2000)]
+    ) - (1.8 - 0.27)
+    total = math.hypot(array.noise_sd, array.resolution / math.sqrt(12))
+    assert errors.mean() == pytest.approx(array.bias, abs=4 * total / math.sqrt(errors.size))
+    assert errors.std() == pytest.approx(total, rel=0.05)
+
+
+def test_a_seed_gives_a_run_and_the_scene_does_not_shift_the_noise():
+    array = SonarArray()
+    disc = (Disc((2.0, 0.0), 0.5),)
+
+    def second(first_scene):
+        rng = np.random.default_rng(5)
+        fire(array, 1, position=(0, 0), heading=0.0, shapes=first_scene, rng=rng)
+        return fire(array, 0, position=(0, 0), heading=0.0, shapes=disc, rng=rng)
+
+    assert np.array_equal(second(()), second((Disc((0.0, 1.0), 0.2),)))
+
+
+def test_firing_order_and_cycle():
+    array = SonarArray(order=(0, 2, 1, 3))
+    assert [array.sensor_at(k) for k in range(6)] == [0, 2, 1, 3, 0, 2]
+    assert array.cycle == pytest.approx(0.1)
+    assert SonarArray(azimuths=(0.0,), order=(0,)).cycle == pytest.approx(0.025)
+
+
+@pytest.mark.parametrize(
+    ("values", "key"),
+    [
+        ({"firing_period": 0.03}, "array.firing_period"),
+        ({"firing_period": 0.0}, "array.firing_period"),
+        ({"firing_period": math.nan}, "array.firing_period"),
+        ({"order": (0, 1, 2, 2)}, "array.order"),
+        ({"azimuths": ()}, "array.azimuths"),
+        ({"azimuths": (0.0, math.nan, 1.0, 2.0)}, "array.azimuths"),
+        ({"beam_angle": 3.2}, "array.beam_angle"),
+        ({"minimum": 5.0}, "array.minimum, maximum"),
+        ({"minimum": math.nan}, "array.minimum, maximum"),
+        ({"bits": 0}, "array.bits, samples"),
+        ({"samples": 0}, "array.bits, samples"),
+        ({"noise_sd": -0.1}, "array.noise_sd, bias"),
+        ({"hull_radius": math.inf}, "array.hull_radius"),
+    ],
+)
+def test_mistakes_are_named(values, key):
+    with pytest.raises(InputError) as caught:
+        SonarArray(**values)
+    assert caught.value.key == key
+
+
+def test_unknown_sensor_and_nan_pose_are_refused():
+    with pytest.raises(InputError, match="no such sensor"):
+        true_range(QUIET, 4, position=(0, 0), heading=0.0, shapes=())
+    with pytest.raises(InputError, match="finite"):
+        true_range(QUIET, 0, position=(0, math.nan), heading=0.0, shapes=())
