@@ -1,0 +1,19 @@
+"""The controller as a C99 bundle, and the proof by running it that C and Python agree."""
+
+from surctl.export.bundle import Bundle, ExportedFile, build_bundle, write_bundle
+from surctl.export.contract import STATUS, Exportable
+from surctl.export.records import Records
+from surctl.export.sil import Difference, SilReport, software_in_the_loop
+
+__all__ = [
+    "STATUS",
+    "Bundle",
+    "Difference",
+    "Exportable",
+    "ExportedFile",
+    "Records",
+    "SilReport",
+    "build_bundle",
+    "software_in_the_loop",
+    "write_bundle",
+]

@@ -1,0 +1,131 @@
+"""What the export needs to know of a law: its layouts, its symbolic function, and one guarded step."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.ir import Layout, Port, identifier
+
+__all__ = ["STATUS", "Exportable", "Step", "checked_name", "telemetry_ports", "thrust"]
+
+Vector = NDArray[np.float64]
+
+STATUS: tuple[tuple[str, int, str], ...] = (
+    ("OK", 0, "thrust is valid"),
+    ("SATURATED", 1, "bit: a thrust limit was reached"),
+    ("SWITCHED", 2, "bit: the stack of tasks changed in this step"),
+    ("DEGRADED", 4, "bit: a lower level of the stack was given up"),
+    ("NULL", -1, "a pointer was NULL; thrust is zero, state is unchanged"),
+    ("NONFINITE", -2, "a number was not finite; thrust is zero, state is unchanged"),
+)
+"""(name, code, meaning) of what a step returns: positive codes are bits, negative ones mean fail-safe."""
+
+
+class Step(Protocol):
+    """Result of one step."""
+
+    @property
+    def tau(self) -> Vector:
+        """Thrust (4,): F_u, F_v, F_w [N] and F_r [N m], body frame."""
+
+    @property
+    def x_next(self) -> Vector:
+        """Next controller state (nx,)."""
+
+    @property
+    def status(self) -> int:
+        """Code of `STATUS`."""
+
+    @property
+    def telemetry(self) -> Vector:
+        """Telemetry (k,)."""
+
+
+class Exportable(Protocol):
+    """A control law as one object: (state, input, gains) → (thrust, next state, status, telemetry)."""
+
+    @property
+    def name(self) -> str:
+        """C identifier."""
+
+    @property
+    def dt(self) -> float:
+        """Control period [s]."""
+
+    @property
+    def state(self) -> Layout:
+        """Layout of x (nx,)."""
+
+    @property
+    def inputs(self) -> Layout:
+        """Layout of u (nu,)."""
+
+    @property
+    def gains(self) -> Layout:
+        """Layout of p (np,)."""
+
+    @property
+    def outputs(self) -> Layout:
+        """Layout of tau (4,), then of the telemetry (k,)."""
+
+    @property
+    def function(self) -> ca.Function:
+        """(x, u, p) → (tau, x_next, status (1,), telemetry), flat SX vectors."""
+
+    def initial_state(self) -> Vector:
+        """State before the first step (nx,)."""
+
+    def step(self, x: Vector, u: Vector, p: Vector) -> Step:
+        """One guarded step: anything non-finite gives tau = 0, x_next = x, status NONFINITE."""
+
+
+def thrust(law: Exportable) -> Port:
+    """The port of the thrust: the first of the outputs."""
+    return law.outputs.ports[0]
+
+
+def telemetry_ports(law: Exportable) -> tuple[Port, ...]:
+    """The outputs after the thrust."""
+    return law.outputs.ports[1:]
+
+
+def checked_name(law: Exportable, name: str | None = None) -> str:
+    """The bundle's name, after every name that reaches C passed the identifier check.
+
+    Raises:
+        InputError: a name is no C identifier, the outputs do not begin with `tau`, the period is not
+            positive, or the function's sizes are not those of the layouts.
+    """
+    chosen = identifier(law.name if name is None else name)
+    if chosen == "sil_main":
+        raise InputError(
+            "is taken by a file of the bundle", key="name", value=chosen, remedy="choose another"
+        )
+    for layout in (law.state, law.inputs, law.gains, law.outputs):
+        for port in layout:
+            identifier(port.name)
+    if not law.outputs.ports or thrust(law).name != "tau":
+        raise InputError("the first output is not tau", key=f"{chosen}.outputs", remedy="put tau first")
+    if not (np.isfinite(law.dt) and law.dt > 0.0):
+        raise InputError("is not a positive time", key=f"{chosen}.dt", value=law.dt, remedy="give seconds")
+    _check_sizes(law, chosen)
+    return chosen
+
+
+def _check_sizes(law: Exportable, name: str) -> None:
+    function, n_tau = law.function, thrust(law).size
+    have = [int(function.numel_in(k)) for k in range(function.n_in())]
+    have += [int(function.numel_out(k)) for k in range(function.n_out())]
+    want = [law.state.size, law.inputs.size, law.gains.size]
+    want += [n_tau, law.state.size, 1, law.outputs.size - n_tau]
+    if have != want:
+        raise InputError(
+            f"has vectors of {have} entries, its layouts say {want}",
+            key=f"{name}.function",
+            remedy="the order is x, u, p, then tau, x_next, status, telemetry",
+        )

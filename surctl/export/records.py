@@ -1,0 +1,69 @@
+"""Recorded runs of a law, in the form that the software-in-the-loop test replays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError
+from surctl.export.contract import Exportable
+
+__all__ = ["Records", "as_records"]
+
+Vector = NDArray[np.float64]
+Triple = tuple[ArrayLike, ArrayLike, ArrayLike]
+
+
+@dataclass(frozen=True)
+class Records:
+    """A recorded run, row by row.
+
+    Attributes:
+        X: state before each step (T, nx).
+        U: inputs of each step (T, nu).
+        P: gains of each step (T, np).
+    """
+
+    X: Vector
+    U: Vector
+    P: Vector
+
+    def __len__(self) -> int:
+        """Number of steps T."""
+        return len(self.X)
+
+
+def as_records(law: Exportable, records: Records | Sequence[Triple]) -> Records:
+    """Records of the law's sizes from a list of (x, u, p), or from `Records` whose P may be one vector (np,).
+
+    Raises:
+        InputError: no step, or arrays that do not fit the law's layouts.
+    """
+    if not isinstance(records, Records):
+        rows = list(records)
+        records = Records(*(_stack([row[k] for row in rows]) for k in range(3)))
+    steps = len(records.X)
+    if steps == 0:
+        raise InputError("holds no step", key="records", remedy="record at least one step of the law")
+    P = records.P if np.ndim(records.P) == 2 else np.tile(records.P, (steps, 1))
+    return Records(
+        _sized(records.X, steps, law.state.size, "records.X"),
+        _sized(records.U, steps, law.inputs.size, "records.U"),
+        _sized(P, steps, law.gains.size, "records.P"),
+    )
+
+
+def _stack(rows: list[ArrayLike]) -> Vector:
+    return np.array([np.asarray(r, dtype=float).reshape(-1) for r in rows], dtype=float)
+
+
+def _sized(array: ArrayLike, steps: int, size: int, key: str) -> Vector:
+    rows = np.asarray(array, dtype=float)
+    if rows.shape != (steps, size):
+        raise InputError(
+            f"has shape {rows.shape}, expected {(steps, size)}", key=key, remedy="one row a step"
+        )
+    return rows

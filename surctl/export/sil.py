@@ -1,0 +1,202 @@
+"""Software in the loop: the exported C, stepping on its own state, against the law in Python."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError
+from surctl.export.bundle import build_bundle
+from surctl.export.contract import Exportable, Step
+from surctl.export.faults import fault_failures
+from surctl.export.process import Controller, Results, build_controller
+from surctl.export.records import Records, as_records
+from surctl.ir import compiler_version
+
+__all__ = ["TOLERANCE", "Difference", "SilReport", "software_in_the_loop"]
+
+Vector = NDArray[np.float64]
+
+TOLERANCE = 1e-12
+"""Largest difference, relative or absolute (whichever is the milder), that passes."""
+
+_JUMP = 1e-9  # a recorded state this far from the law's own next state was set from outside
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Largest difference of one kind of number over a run.
+
+    Attributes:
+        absolute: max |C − Python|.
+        relative: max |C − Python| / |Python|, over numbers that are not 0 in Python.
+        mixed: max |C − Python| / max(1, |Python|); this one is judged.
+        step: step of the largest mixed difference, None when there is none at all.
+    """
+
+    absolute: float
+    relative: float
+    mixed: float
+    step: int | None
+
+
+@dataclass(frozen=True)
+class SilReport:
+    """Verdict of one software-in-the-loop run.
+
+    Attributes:
+        name: the bundle's name.
+        id: the law's id.
+        steps: number of steps T.
+        resets: steps at which the record's state is not the law's own, and C was loaded with it.
+        tau, state, telemetry: largest differences.
+        status_mismatches: number of steps with another status.
+        fault_cases: number of non-finite cases tried on each side.
+        fault_failures: those that did not give zero thrust, a negative status and an untouched state.
+        self_test: whether the exported self-test passes.
+        compiler: the compiler's version line.
+        code_bytes: size of code and constants, None when unknown.
+    """
+
+    name: str
+    id: str
+    steps: int
+    resets: tuple[int, ...]
+    tau: Difference
+    state: Difference
+    telemetry: Difference
+    status_mismatches: int
+    fault_cases: int
+    fault_failures: tuple[str, ...]
+    self_test: bool
+    compiler: str
+    code_bytes: int | None
+
+    @property
+    def passed(self) -> bool:
+        """Whether every difference is within `TOLERANCE` and every other check holds."""
+        near = all(d.mixed <= TOLERANCE for d in (self.tau, self.state, self.telemetry))
+        return near and self.status_mismatches == 0 and not self.fault_failures and self.self_test
+
+    def summary(self) -> str:
+        """A few lines for people."""
+        size = "" if self.code_bytes is None else f", {self.code_bytes} bytes of code and constants"
+        resets = f", state loaded anew {len(self.resets)} times" if self.resets else ""
+        lines = [
+            f"SIL {self.name}: {'passed' if self.passed else 'FAILED'} over {self.steps} steps{resets}",
+            f"  largest difference (bar {TOLERANCE:g}): thrust {self.tau.mixed:.1e}, "
+            f"state {self.state.mixed:.1e}, telemetry {self.telemetry.mixed:.1e}",
+            f"  status: {self.status_mismatches} of {self.steps} steps differ; "
+            f"self-test {'ok' if self.self_test else 'FAILED'}",
+            f"  non-finite numbers: {self.fault_cases} cases, {len(self.fault_failures)} failures",
+            f"  {self.compiler}{size}",
+        ]
+        lines += [f"  failed: {label}" for label in self.fault_failures[:5]]
+        return "\n".join(lines)
+
+
+def software_in_the_loop(
+    law: Exportable,
+    records: Records | Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]],
+    *,
+    workdir: Path | str | None = None,
+) -> SilReport:
+    """Export the law, compile it, and compare it with Python over a recorded run.
+
+    C starts from the first recorded state and then steps on its own; only the inputs come from the record.
+    Python is evaluated on each recorded state. Where the record's state is not the next state of the step
+    before (a reset, another run), C is loaded with it; the report counts these.
+
+    Args:
+        law: the control law.
+        records: (x, u, p) of each step, or `Records`.
+        workdir: folder that keeps the bundle and the program; a temporary one otherwise.
+
+    Raises:
+        ToolMissing: there is no compiler.
+        SurctlError: the compiler refuses the bundle, or the program crashes.
+        InputError: the records do not fit the law.
+    """
+    run = as_records(law, records)
+    bundle = build_bundle(law, _named_gains(law, run))
+    with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
+        folder = Path(scratch) / bundle.name if workdir is None else Path(workdir)
+        controller = build_controller(law, bundle, folder)
+        return _compare(law, controller, run, name=bundle.name, identity=bundle.id)
+
+
+def _named_gains(law: Exportable, run: Records) -> dict[str, Vector]:
+    """Gains of the first record: the ones the bundle is built with."""
+    if not np.all(np.isfinite(run.P[0])):
+        raise InputError(
+            "the first record's gains are not finite", key="records.P", remedy="give finite gains"
+        )
+    return law.gains.unpack(run.P[0])
+
+
+def _compare(law: Exportable, controller: Controller, run: Records, *, name: str, identity: str) -> SilReport:
+    python = [law.step(x, u, p) for x, u, p in zip(run.X, run.U, run.P, strict=True)]
+    load = _resets(run, python)
+    c = controller.run(run, load=load)
+    cases, failures = fault_failures(law, controller, run)
+    return SilReport(
+        name=name,
+        id=identity,
+        steps=len(run),
+        resets=tuple(int(k) for k in np.flatnonzero(load) if k > 0),
+        tau=_difference(c.tau, [s.tau for s in python]),
+        state=_difference(c.state, [s.x_next for s in python]),
+        telemetry=_telemetry_difference(c, python),
+        status_mismatches=sum(int(s.status) != int(k) for s, k in zip(python, c.status, strict=True)),
+        fault_cases=cases,
+        fault_failures=failures,
+        self_test=controller.self_test(),
+        compiler=compiler_version(),
+        code_bytes=controller.code_bytes,
+    )
+
+
+def _resets(run: Records, python: list[Step]) -> NDArray[np.bool_]:
+    """Steps (T,) at which C must be loaded: the first, and each that does not follow from the one before."""
+    load = np.zeros(len(run), dtype=bool)
+    load[0] = True
+    for k in range(1, len(run)):
+        gap = _mixed(run.X[k], python[k - 1].x_next)
+        load[k] = not bool(np.all(gap <= _JUMP))
+    return load
+
+
+def _telemetry_difference(c: Results, python: list[Step]) -> Difference:
+    """Telemetry of the steps that were carried out: a refused step reports nothing."""
+    done = [k for k, step in enumerate(python) if step.status >= 0]
+    return _difference(c.telemetry[done], [python[k].telemetry for k in done])
+
+
+def _difference(have: Vector, rows: list[Vector]) -> Difference:
+    want = np.array(rows, dtype=float).reshape(have.shape)
+    if have.size == 0:
+        return Difference(0.0, 0.0, 0.0, None)
+    gap, mixed = _gap(have, want), _mixed(have, want)
+    size = np.abs(want)
+    relative = np.divide(gap, size, out=np.zeros_like(gap), where=size > 0.0)
+    worst = float(mixed.max())
+    step = int(np.argmax(mixed.max(axis=1))) if worst > 0.0 else None
+    return Difference(float(gap.max()), float(relative.max()), worst, step)
+
+
+def _gap(have: Vector, want: Vector) -> Vector:
+    """|have − want|; 0 for two equal or two NaN entries, inf when only one is finite."""
+    same = (have == want) | (np.isnan(have) & np.isnan(want))
+    with np.errstate(invalid="ignore"):
+        gap: Vector = np.where(same, 0.0, np.abs(have - want))
+    return np.where(np.isnan(gap), np.inf, gap)
+
+
+def _mixed(have: Vector, want: Vector) -> Vector:
+    scale = np.where(np.isfinite(want), np.maximum(1.0, np.abs(want)), 1.0)
+    return _gap(have, want) / scale

@@ -1,0 +1,69 @@
+"""Test vectors that travel inside the exported source: a short closed run with perturbed inputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.export.contract import Exportable
+
+__all__ = ["TOLERANCE", "SelfTest", "self_test_vectors"]
+
+Vector = NDArray[np.float64]
+
+TOLERANCE = 1e-9
+"""Largest difference, relative or absolute, that the exported self-test accepts: twelve digits are stored."""
+
+_SPREADS = (0.0, 0.1, 0.5, 1.0, 1.0, 2.0)  # of each step; the wide ones turn flags on
+_GOLDEN = 0.6180339887498949
+
+
+@dataclass(frozen=True)
+class SelfTest:
+    """A closed run of the law from its initial state.
+
+    Attributes:
+        inputs: u of each step (T, nu).
+        tau: expected thrust (T, n_tau) [N, N m].
+        state: expected state after each step (T, nx).
+        status: expected status of each step (T,).
+    """
+
+    inputs: Vector
+    tau: Vector
+    state: Vector
+    status: tuple[int, ...]
+
+
+def self_test_vectors(law: Exportable, gains: Vector) -> SelfTest:
+    """Run `law` on its default inputs (first step) and on perturbed ones (the rest).
+
+    The perturbation is a low-discrepancy sequence, from ±0.1 to ±2 times 1 + |default|, so nothing is
+    random; expected values are rounded to 12 digits, so that the last bits of a machine's sine do not reach
+    the bundle.
+    """
+    default = law.inputs.pack()
+    inputs = np.array([_perturbed(default, k, spread) for k, spread in enumerate(_SPREADS)])
+    x, rows = law.initial_state(), []
+    for u in inputs:
+        step = law.step(x, u, gains)
+        rows.append(step)
+        x = step.x_next
+    return SelfTest(
+        inputs,
+        np.array([_rounded(s.tau) for s in rows]),
+        np.array([_rounded(s.x_next) for s in rows]),
+        tuple(int(s.status) for s in rows),
+    )
+
+
+def _perturbed(default: Vector, k: int, spread: float) -> Vector:
+    phase = (np.arange(default.size) + 1 + k * default.size) * _GOLDEN
+    offset = 2.0 * (phase - np.floor(phase)) - 1.0
+    return _rounded(default + spread * (1.0 + np.abs(default)) * offset)
+
+
+def _rounded(values: Vector) -> Vector:
+    return np.array([float(f"{v:.11e}") for v in values], dtype=float)

@@ -1,0 +1,110 @@
+"""Write an instruction list as one C99 function."""
+
+from __future__ import annotations
+
+import math
+import re
+from decimal import Decimal
+
+from surctl.errors import InputError
+from surctl.ir.ops import OPERATIONS
+from surctl.ir.program import Instruction, Program
+
+__all__ = ["c_literal", "emit_c99", "identifier"]
+
+# C99, C11 and C++ keywords (headers are read by C++ too), and words that the standard headers define
+_WORDS = frozenset(
+    re.findall(
+        r"\w+",
+        """
+        auto break case char const continue default do double else enum extern float for goto if inline int
+        long register restrict return short signed sizeof static struct switch typedef union unsigned void
+        volatile while alignas alignof asm bool catch char8_t char16_t char32_t class concept consteval
+        constexpr constinit const_cast co_await co_return co_yield decltype delete dynamic_cast explicit
+        export false friend mutable namespace new noexcept nullptr operator private protected public
+        reinterpret_cast requires static_assert static_cast template this thread_local throw true try typeid
+        typename using virtual wchar_t and and_eq bitand bitor compl not not_eq or or_eq xor xor_eq main
+        errno assert NULL EOF
+        """,
+    )
+)
+_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
+
+
+def identifier(name: str) -> str:
+    """The name itself, when generated C may use it.
+
+    Raises:
+        InputError: not a C identifier (ASCII letters, digits and underscores, a letter first, at most 63), a
+            keyword of C or C++, or a word that the standard headers define.
+    """
+    if not _IDENTIFIER.fullmatch(name) or "__" in name:
+        raise InputError(
+            "is not a C identifier",
+            key="name",
+            value=name,
+            remedy="use letters, digits and single underscores, a letter first, at most 63",
+        )
+    if name in _WORDS:
+        raise InputError(
+            "is a reserved word in C or C++", key="name", value=name, remedy="choose another name"
+        )
+    return name
+
+
+def c_literal(value: float) -> str:
+    """C99 text of exactly this double: decimal where that is exact and short, hexadecimal otherwise."""
+    if math.isnan(value):
+        raise InputError("NaN has no C literal", remedy="find the expression that has no value")
+    if math.isinf(value):
+        return "-HUGE_VAL" if value < 0 else "HUGE_VAL"
+    short = repr(value)
+    if Decimal(short) == Decimal(value) and len(short) <= 12:
+        return short
+    return value.hex()
+
+
+def emit_c99(program: Program, *, symbol: str) -> str:
+    """`static void <symbol>(const double *in0, …, double *out0, …)`, one local a line.
+
+    Only locals and exact literals; every output is computed before any is stored, so that outputs may alias
+    inputs. The text needs <math.h> and, to keep its bytes, a compiler told `-ffp-contract=off`.
+
+    Args:
+        program: the instruction list, without dead instructions (`lower` leaves none).
+        symbol: name of the C function, checked by `identifier`.
+
+    Raises:
+        InputError: `symbol` is no identifier that C may use.
+    """
+    lines = [*_head(program, identifier(symbol)), "{"]
+    lines += [f"    (void)in{k};" for k in _idle_inputs(program)]
+    lines += [f"    (void)out{k};" for k, refs in enumerate(program.output_refs) if not refs]
+    lines += [f"    const double v{at} = {_text(i)};" for at, i in enumerate(program.instructions)]
+    for k, refs in enumerate(program.output_refs):
+        lines += [f"    out{k}[{entry}] = v{ref};" for entry, ref in enumerate(refs)]
+    return "\n".join([*lines, "}"]) + "\n"
+
+
+def _head(program: Program, symbol: str) -> list[str]:
+    arguments = [f"const double *in{k}" for k in range(len(program.inputs))]
+    arguments += [f"double *out{k}" for k in range(len(program.outputs))]
+    sizes = [f"in{k}: {size} numbers" for k, (_, size) in enumerate(program.inputs)]
+    sizes += [f"out{k}: {size}" for k, (_, size) in enumerate(program.outputs)]
+    return [
+        f"/* {program.operations} operations; {', '.join(sizes)}; outputs may alias inputs */",
+        f"static void {symbol}({', '.join(arguments) or 'void'})",
+    ]
+
+
+def _idle_inputs(program: Program) -> list[int]:
+    read = {i.args[0] for i in program.instructions if i.op == "input"}
+    return [k for k in range(len(program.inputs)) if k not in read]
+
+
+def _text(instruction: Instruction) -> str:
+    if instruction.op == "const":
+        return c_literal(float(instruction.value or 0.0))
+    if instruction.op == "input":
+        return "in{}[{}]".format(*instruction.args)
+    return OPERATIONS[instruction.op].c99.format(*(f"v{a}" for a in instruction.args))

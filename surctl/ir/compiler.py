@@ -1,0 +1,119 @@
+"""The system's C compiler: find it, and compile strictly, without any option that changes results."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+from surctl.errors import InputError, SurctlError, ToolMissing
+
+__all__ = ["FLAGS", "compile_program", "compiler_version", "find_compiler"]
+
+FLAGS = (
+    *("-std=c99", "-O2", "-ffp-contract=off"),  # no fused multiply-add: it changes the bytes
+    *("-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"),
+)
+"""Flags of every compilation; the generated Makefile uses the same."""
+
+_TIMEOUT = 300.0  # s; gcc needs 25 s for 30,000 operations
+
+_REFUSED = (
+    "-ffast-math",
+    "-Ofast",
+    "-ffinite-math-only",
+    "-funsafe-math-optimizations",
+    "-fassociative-math",
+    "-freciprocal-math",
+    "-fno-signed-zeros",
+    "-ffp-contract=fast",
+    "-ffp-contract=on",
+)
+
+
+def find_compiler() -> str:
+    """The command of the C compiler: $CC (may hold arguments), else the first of cc, gcc, clang.
+
+    Raises:
+        ToolMissing: $CC names no program, or there is no compiler.
+        InputError: $CC holds a flag that changes results.
+    """
+    wanted = os.environ.get("CC", "").strip()
+    if wanted:
+        words = _words(wanted)
+        if shutil.which(words[0]) is None:
+            raise ToolMissing(
+                "names no program", key="CC", value=wanted, remedy="unset CC or set it to a C compiler"
+            )
+        _refuse(words)
+        return wanted
+    for name in ("cc", "gcc", "clang"):
+        if shutil.which(name):
+            return name
+    raise ToolMissing(
+        "no C compiler found (cc, gcc, clang)", remedy="install one (Debian: apt install gcc) or set CC"
+    )
+
+
+def _words(command: str) -> list[str]:
+    try:
+        return shlex.split(command)
+    except ValueError:
+        raise ToolMissing("names no program", key="CC", value=command, remedy="close its quotes") from None
+
+
+def _refuse(flags: Sequence[str]) -> None:
+    for flag in flags:
+        if flag in _REFUSED:
+            raise InputError(
+                "changes the results of floating-point arithmetic",
+                key="flags",
+                value=flag,
+                remedy="leave it out",
+            )
+
+
+def compile_program(sources: Sequence[Path], output: Path, *, flags: Sequence[str] = ()) -> Path:
+    """Compile and link `sources` to `output` (with "-c" in `flags`: compile one source to an object).
+
+    Args:
+        sources: C sources or objects.
+        output: the file to make.
+        flags: more flags, after `FLAGS`.
+
+    Returns:
+        `output`.
+
+    Raises:
+        ToolMissing: there is no compiler.
+        InputError: a flag that changes results, such as -ffast-math.
+        SurctlError: the compiler refuses; carries its first error line.
+    """
+    _refuse(flags)
+    link = [] if "-c" in flags else ["-lm"]
+    files = [str(s) for s in sources]
+    command = [*_words(find_compiler()), *FLAGS, *flags, "-o", str(output), *files, *link]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_TIMEOUT)
+    except subprocess.TimeoutExpired:
+        raise SurctlError(f"{command[0]} was stopped after {_TIMEOUT:.0f} s: {' '.join(files)}") from None
+    except OSError as error:
+        raise ToolMissing("cannot be run", key="CC", value=command[0], remedy=error.strerror) from None
+    if done.returncode != 0:
+        raise SurctlError(f"{command[0]} failed: {_first_error(done.stderr)}")
+    return output
+
+
+def _first_error(text: str) -> str:
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    return next((line for line in lines if "error" in line), lines[0] if lines else "no message")
+
+
+def compiler_version() -> str:
+    """First line of the compiler's --version."""
+    command = [*_words(find_compiler()), "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_TIMEOUT)
+    return (done.stdout or done.stderr or command[0]).splitlines()[0].strip()

@@ -1,0 +1,158 @@
+"""From a CasADi function to the instruction list."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import casadi as ca
+
+from surctl.errors import InputError, UnsupportedOperation
+from surctl.ir.ops import LEAVES, OPERATIONS, SUBSTITUTES
+from surctl.ir.program import Instruction, Program, drop_dead
+
+__all__ = ["lower"]
+
+_NAMES: Mapping[int, str] = MappingProxyType(
+    {int(getattr(ca, n)): n[3:].lower() for n in dir(ca) if n.startswith("OP_")}
+)
+
+
+def lower(function: ca.Function) -> Program:
+    """Instruction list of a function of dense vectors.
+
+    Equal subexpressions are computed once, the four operations of `if_else` become one `select` (which,
+    unlike the sum that CasADi evaluates, keeps the sign of a zero), what no output needs is dropped.
+    Structural zeros of an output become the constant 0.
+
+    Args:
+        function: SX function, or an MX function that expands to one.
+
+    Raises:
+        UnsupportedOperation: an operation outside `surctl.ir.ops.OPERATIONS`, named with its substitute.
+        InputError: an input that is not a dense column vector.
+    """
+    sx = _expanded(function)
+    inputs = tuple((str(sx.name_in(k)), _dense_size(sx, k)) for k in range(sx.n_in()))
+    builder = _Builder(str(sx.name()))
+    stored = _walk(sx, builder)
+    refs = [_dense_refs(sx, k, stored, builder) for k in range(sx.n_out())]
+    outputs = tuple((str(sx.name_out(k)), len(refs[k])) for k in range(sx.n_out()))
+    instructions, output_refs = drop_dead(builder.instructions, refs)
+    return Program(builder.name, inputs, outputs, instructions, output_refs)
+
+
+def _expanded(function: ca.Function) -> ca.Function:
+    if function.is_a("SXFunction"):
+        return function
+    try:
+        return function.expand()
+    except RuntimeError as error:
+        reason = str(error).strip().splitlines()[-1]
+        raise UnsupportedOperation(
+            f"cannot be expanded to scalar operations ({reason})",
+            key=str(function.name()),
+            remedy="build it from SX expressions without solvers or external calls",
+        ) from None
+
+
+def _dense_size(function: ca.Function, k: int) -> int:
+    sparsity = function.sparsity_in(k)
+    if sparsity.numel() and not (sparsity.is_dense() and sparsity.is_column()):
+        raise InputError(
+            f"is {sparsity.dim()}, not a dense column vector",
+            key=f"{function.name()}.{function.name_in(k)}",
+            remedy="pass a flat vector and reshape it inside",
+        )
+    return int(sparsity.numel())
+
+
+def _dense_refs(
+    function: ca.Function, k: int, stored: Mapping[tuple[int, int], int], builder: _Builder
+) -> tuple[int, ...]:
+    """Position of each entry of output k, column by column; a structural zero is the constant 0."""
+    sparsity = function.sparsity_out(k)
+    at = {entry: nz for nz, entry in enumerate(sparsity.find())}
+    return tuple(
+        stored[k, at[entry]] if entry in at else builder.constant(0.0) for entry in range(sparsity.numel())
+    )
+
+
+def _walk(function: ca.Function, builder: _Builder) -> dict[tuple[int, int], int]:
+    """Feed every instruction to the builder; returns the position stored in (output, nonzero)."""
+    slot: dict[int, int] = {}  # CasADi reuses work slots: each write gives the slot a new meaning
+    stored: dict[tuple[int, int], int] = {}
+    for k in range(function.n_instructions()):
+        op = _NAMES.get(int(function.instruction_id(k)), "unknown")
+        args, result = function.instruction_input(k), function.instruction_output(k)
+        if op == "output":
+            stored[int(result[0]), int(result[1])] = slot[args[0]]
+        elif op == "input":
+            slot[result[0]] = builder.add("input", (int(args[0]), int(args[1])))
+        elif op == "const":
+            slot[result[0]] = builder.constant(float(function.instruction_constant(k)))
+        elif op in OPERATIONS:
+            slot[result[0]] = builder.add(op, tuple(slot[a] for a in args))
+        else:
+            raise UnsupportedOperation(
+                f"operation {op!r} is not carried by the instruction list",
+                key=builder.name,
+                remedy=SUBSTITUTES.get(
+                    op, "rewrite it with the operations that are: " + ", ".join(OPERATIONS)
+                ),
+            )
+    return stored
+
+
+class _Builder:
+    """A growing list that never holds one computation twice."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.instructions: list[Instruction] = []
+        self._known: dict[tuple[str, tuple[int, ...], str], int] = {}
+
+    def constant(self, value: float) -> int:
+        """Position of a constant; -0.0 and 0.0 are two constants."""
+        if math.isnan(value):
+            raise UnsupportedOperation(
+                "holds a NaN constant", key=self.name, remedy="find the expression that has no value"
+            )
+        return self._append(Instruction("const", (), value))
+
+    def add(self, op: str, args: tuple[int, ...]) -> int:
+        """Position of an operation on earlier positions, after the peepholes."""
+        if op in LEAVES:
+            return self._append(Instruction(op, args))
+        if op == "add":
+            chosen = self._as_select(*args)
+            if chosen is not None:
+                return self._append(Instruction("select", chosen))
+        if OPERATIONS[op].commutative:
+            args = tuple(sorted(args))
+        return self._append(Instruction(op, args))
+
+    def _append(self, instruction: Instruction) -> int:
+        # the value is keyed by its bits: 0.0 == -0.0 as numbers
+        bits = "" if instruction.value is None else instruction.value.hex()
+        key = (instruction.op, instruction.args, bits)
+        if key not in self._known:
+            self._known[key] = len(self.instructions)
+            self.instructions.append(instruction)
+        return self._known[key]
+
+    def _as_select(self, left: int, right: int) -> tuple[int, int, int] | None:
+        """(condition, then, otherwise) when the sum is `if_else_zero(c, a) + if_else_zero(not c, b)`."""
+        first, second = self.instructions[left], self.instructions[right]
+        if first.op != "if_else_zero" or second.op != "if_else_zero":
+            return None
+        (c, a), (d, b) = first.args, second.args
+        if self._is_not(d, c):
+            return c, a, b
+        if self._is_not(c, d):
+            return d, b, a
+        return None
+
+    def _is_not(self, at: int, of: int) -> bool:
+        return self.instructions[at] == Instruction("not", (of,))

@@ -1,0 +1,130 @@
+"""The operations of the instruction list, each stated once: arity, NumPy meaning and C99 text.
+
+Every entry but the `LIBM` ones is exact: IEEE 754 defines its result to the last bit, so every back end
+gives the same bytes. Truth values are numbers, 1 for true and 0 for false; any number but 0 is true (a
+NaN too, as in C).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["LEAVES", "LIBM", "OPERATIONS", "SUBSTITUTES", "Operation"]
+
+Value = NDArray[np.floating[Any]]  # () or (batch,), of the replay's dtype
+
+LEAVES = frozenset({"const", "input"})
+"""Instructions without operands: `const` carries `value`, `input` carries (which input, which entry)."""
+
+
+@dataclass(frozen=True)
+class Operation:
+    """One operation.
+
+    Attributes:
+        name: name in the instruction list (CasADi's, in lower case, and `select`).
+        arity: number of operands.
+        numpy: its meaning on arrays of one dtype; a bool result stands for 0 and 1.
+        c99: C expression with {0}, {1}, … for the operands, which are identifiers.
+        commutative: swapping the operands changes no bit of a finite result.
+    """
+
+    name: str
+    arity: int
+    numpy: Callable[..., Any]
+    c99: str
+    commutative: bool = False
+
+
+def _select(condition: Value, then: Value, otherwise: Value) -> Any:
+    return np.where(condition != 0, then, otherwise)
+
+
+def _if_else_zero(condition: Value, then: Value) -> Any:
+    return np.where(condition != 0, then, np.zeros_like(then))
+
+
+def _fmin(a: Value, b: Value) -> Any:
+    # not np.fmin: ties on signed zeros and NaN must fall as in the C text
+    return np.where(b < a, b, a)
+
+
+def _fmax(a: Value, b: Value) -> Any:
+    return np.where(a < b, b, a)
+
+
+_TABLE = (
+    Operation("add", 2, lambda a, b: a + b, "{0} + {1}", commutative=True),
+    Operation("sub", 2, lambda a, b: a - b, "{0} - {1}"),
+    Operation("mul", 2, lambda a, b: a * b, "{0} * {1}", commutative=True),
+    Operation("div", 2, lambda a, b: a / b, "{0} / {1}"),
+    Operation("neg", 1, lambda a: -a, "-{0}"),
+    Operation("inv", 1, lambda a: 1.0 / a, "1.0 / {0}"),
+    Operation("sq", 1, lambda a: a * a, "{0} * {0}"),
+    Operation("twice", 1, lambda a: a + a, "{0} + {0}"),
+    Operation("sqrt", 1, np.sqrt, "sqrt({0})"),
+    Operation("fabs", 1, np.abs, "fabs({0})"),
+    Operation("floor", 1, np.floor, "floor({0})"),
+    Operation("fmin", 2, _fmin, "({1} < {0}) ? {1} : {0}"),
+    Operation("fmax", 2, _fmax, "({0} < {1}) ? {1} : {0}"),
+    Operation("lt", 2, lambda a, b: a < b, "({0} < {1}) ? 1.0 : 0.0"),
+    Operation("le", 2, lambda a, b: a <= b, "({0} <= {1}) ? 1.0 : 0.0"),
+    Operation("eq", 2, lambda a, b: a == b, "({0} == {1}) ? 1.0 : 0.0", commutative=True),
+    Operation("ne", 2, lambda a, b: a != b, "({0} != {1}) ? 1.0 : 0.0", commutative=True),
+    Operation(
+        "and",
+        2,
+        lambda a, b: (a != 0) & (b != 0),
+        "(({0} != 0.0) && ({1} != 0.0)) ? 1.0 : 0.0",
+        commutative=True,
+    ),
+    Operation(
+        "or",
+        2,
+        lambda a, b: (a != 0) | (b != 0),
+        "(({0} != 0.0) || ({1} != 0.0)) ? 1.0 : 0.0",
+        commutative=True,
+    ),
+    Operation("not", 1, lambda a: a == 0, "({0} == 0.0) ? 1.0 : 0.0"),
+    Operation("if_else_zero", 2, _if_else_zero, "({0} != 0.0) ? {1} : 0.0"),
+    Operation("select", 3, _select, "({0} != 0.0) ? {1} : {2}"),
+    Operation("sin", 1, np.sin, "sin({0})"),
+    Operation("cos", 1, np.cos, "cos({0})"),
+    Operation("atan2", 2, np.arctan2, "atan2({0}, {1})"),
+    Operation("acos", 1, np.arccos, "acos({0})"),
+)
+
+OPERATIONS: Mapping[str, Operation] = MappingProxyType({op.name: op for op in _TABLE})
+"""Operation by name."""
+
+LIBM = frozenset({"sin", "cos", "atan2", "acos"})
+"""Operations whose last bits depend on the platform's mathematical library."""
+
+SUBSTITUTES: Mapping[str, str] = MappingProxyType(
+    {
+        "asin": "write atan2(x, sqrt(1 - x*x))",
+        "assertion": "check outside the law",
+        "atan": "write atan2(x, 1)",
+        "call": "build the inner function without never_inline",
+        "ceil": "write -floor(-x)",
+        "constpow": "multiply it out, or use sqrt",
+        "copysign": "write if_else(y < 0, -fabs(x), fabs(x))",
+        "fmod": "write x - y*floor(x/y) (result has the sign of y)",
+        "hypot": "write sqrt(x*x + y*y)",
+        "monitor": "remove it",
+        "parameter": "make it an input of the function",
+        "pow": "multiply it out, or use sqrt",
+        "printme": "remove it",
+        "remainder": "write x - y*floor(x/y + 0.5)",
+        "sign": "write if_else(x < 0, -1, if_else(x > 0, 1, 0))",
+        "tan": "write sin(x)/cos(x)",
+        "tanh": "write x/sqrt(1 + x*x) or a clamp",
+    }
+)
+"""What to write instead of an operation that the instruction list refuses."""

@@ -1,0 +1,111 @@
+"""Named blocks of a flat vector: what the law, the simulation and the exported header agree on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, nearest
+
+__all__ = ["Layout", "Port"]
+
+
+@dataclass(frozen=True)
+class Port:
+    """One named block.
+
+    Attributes:
+        name: C-identifier-safe name.
+        shape: (n,) or (rows, columns); stored row by row.
+        unit: SI unit in brackets-free text, "1" when dimensionless.
+        meaning: what it is and in which frame.
+        default: value of every entry when nothing is given.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    unit: str
+    meaning: str
+    default: float = 0.0
+
+    @property
+    def size(self) -> int:
+        """Number of scalars."""
+        return int(np.prod(self.shape, dtype=int))
+
+
+class Layout:
+    """An ordered set of ports laid end to end in one flat vector (row-major inside a port)."""
+
+    def __init__(self, ports: tuple[Port, ...]) -> None:
+        names = [p.name for p in ports]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError("two ports have one name", key=name, remedy="rename one of them")
+        self.ports = ports
+        self._offset: dict[str, int] = {}
+        at = 0
+        for port in ports:
+            self._offset[port.name] = at
+            at += port.size
+        self.size = at
+
+    def __iter__(self) -> Iterator[Port]:
+        return iter(self.ports)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._offset
+
+    def slice(self, name: str) -> slice:
+        """Where the port lies in the flat vector."""
+        port = self.port(name)
+        return slice(self._offset[name], self._offset[name] + port.size)
+
+    def port(self, name: str) -> Port:
+        """The port of that name; InputError with the nearest known name otherwise."""
+        for port in self.ports:
+            if port.name == name:
+                return port
+        raise InputError("no such field", key=name, remedy=nearest(name, self._offset))
+
+    def pack(self, values: Mapping[str, object] | None = None) -> NDArray[np.float64]:
+        """Flat vector from named values; what is not named takes its default."""
+        flat = np.concatenate([np.full(p.size, p.default) for p in self.ports] or [np.zeros(0)])
+        for name, value in (values or {}).items():
+            port = self.port(name)
+            array = np.asarray(value, dtype=float)
+            if array.size != port.size:
+                raise InputError(
+                    f"has {array.size} numbers, expected shape {port.shape}", key=name, remedy=port.meaning
+                )
+            flat[self.slice(name)] = array.reshape(-1)
+        return flat
+
+    def unpack(self, flat: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        """Named arrays (views) of a flat vector."""
+        return {p.name: flat[self.slice(p.name)].reshape(p.shape) for p in self.ports}
+
+    def symbols(self, prefix: str = "") -> tuple[ca.SX, dict[str, ca.SX]]:
+        """One flat SX symbol and its named parts, each of the port's shape (vectors as columns)."""
+        flat = ca.SX.sym(prefix or "x", self.size)
+        parts: dict[str, ca.SX] = {}
+        for port in self.ports:
+            block = flat[self.slice(port.name)]
+            parts[port.name] = ca.reshape(block, port.shape[1], port.shape[0]).T if len(port.shape) == 2 else block
+        return flat, parts
+
+    def join(self, parts: Mapping[str, ca.SX]) -> ca.SX:
+        """Flat SX vector from named parts; every port must be given."""
+        blocks = []
+        for port in self.ports:
+            block = ca.SX(parts[port.name])
+            if len(port.shape) == 2:
+                block = block.T
+            if block.numel() != port.size:
+                raise InputError(f"has {block.numel()} entries, expected {port.size}", key=port.name)
+            blocks.append(ca.reshape(block, -1, 1))
+        return ca.vertcat(*blocks)

@@ -1,0 +1,130 @@
+"""The instruction list: a symbolic function as plain data, one assignment a line."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from surctl.errors import InputError
+from surctl.ir.ops import LEAVES, LIBM, OPERATIONS
+
+__all__ = ["Instruction", "Program"]
+
+
+@dataclass(frozen=True, slots=True)
+class Instruction:
+    """One assignment; its own position in the list is its name.
+
+    Attributes:
+        op: `const`, `input`, or a name of `surctl.ir.ops.OPERATIONS`.
+        args: operands as positions of earlier instructions; for `input` (which input, which entry).
+        value: the number of a `const`, None otherwise.
+    """
+
+    op: str
+    args: tuple[int, ...] = ()
+    value: float | None = None
+
+
+@dataclass(frozen=True)
+class Program:
+    """A function of flat vectors in static single assignment form.
+
+    Attributes:
+        name: name of the function it came from.
+        inputs: (name, number of entries) of each input vector.
+        outputs: (name, number of entries) of each output vector.
+        instructions: the list; every operand stands before its use.
+        output_refs: for each output, the position that gives each of its entries.
+
+    Raises:
+        InputError: an unknown operation, an operand that is not computed before its use, an entry outside
+            an input or a reference outside the list (construction from data that `lower` did not make).
+    """
+
+    name: str
+    inputs: tuple[tuple[str, int], ...]
+    outputs: tuple[tuple[str, int], ...]
+    instructions: tuple[Instruction, ...]
+    output_refs: tuple[tuple[int, ...], ...]
+
+    def __post_init__(self) -> None:
+        """Refuse a list that a back end could not run."""
+        for at, instruction in enumerate(self.instructions):
+            problem = self._problem(at, instruction)
+            if problem:
+                raise InputError(problem, key=f"{self.name}[{at}]", value=instruction.op)
+        sizes = tuple(len(refs) for refs in self.output_refs)
+        if sizes != tuple(size for _, size in self.outputs):
+            raise InputError("outputs and their references differ in size", key=self.name)
+        if any(not 0 <= r < len(self.instructions) for refs in self.output_refs for r in refs):
+            raise InputError("an output refers outside the instruction list", key=self.name)
+
+    def _problem(self, at: int, instruction: Instruction) -> str:
+        op, args = instruction.op, instruction.args
+        if op == "const":
+            return (
+                "" if instruction.value is not None and not args else "a constant needs a value, no operand"
+            )
+        if op == "input":
+            inside = len(args) == 2 and 0 <= args[0] < len(self.inputs)
+            return "" if inside and 0 <= args[1] < self.inputs[args[0]][1] else "no such input entry"
+        if op not in OPERATIONS:
+            return "unknown operation"
+        if len(args) != OPERATIONS[op].arity:
+            return f"takes {OPERATIONS[op].arity} operands, has {len(args)}"
+        return "" if all(0 <= a < at for a in args) else "an operand is not computed before its use"
+
+    @property
+    def libm(self) -> frozenset[str]:
+        """Names of the operations used whose last bits depend on the mathematical library."""
+        return frozenset(i.op for i in self.instructions) & LIBM
+
+    @property
+    def operations(self) -> int:
+        """Number of instructions that compute something (neither constants nor loads)."""
+        return sum(1 for i in self.instructions if i.op not in LEAVES)
+
+    def text(self) -> str:
+        """The whole program as text; equal texts are equal programs, on any machine."""
+        lines = [f"program {self.name}"]
+        lines += [f"in{k} {name} {size}" for k, (name, size) in enumerate(self.inputs)]
+        lines += [f"v{at} = {_right_side(i)}" for at, i in enumerate(self.instructions)]
+        for k, ((name, _), refs) in enumerate(zip(self.outputs, self.output_refs, strict=True)):
+            lines.append(" ".join([f"out{k} {name}", *(f"v{r}" for r in refs)]))
+        return "\n".join(lines) + "\n"
+
+    def digest(self) -> str:
+        """SHA-256 of `text`, in hexadecimal: the key of every cache and identity of the function."""
+        return hashlib.sha256(self.text().encode()).hexdigest()
+
+
+def _right_side(instruction: Instruction) -> str:
+    if instruction.op == "const":
+        return f"const {float(instruction.value or 0.0).hex()}"
+    if instruction.op == "input":
+        return "in{}[{}]".format(*instruction.args)
+    return " ".join([instruction.op, *(f"v{a}" for a in instruction.args)])
+
+
+def drop_dead(
+    instructions: list[Instruction], refs: list[tuple[int, ...]]
+) -> tuple[tuple[Instruction, ...], tuple[tuple[int, ...], ...]]:
+    """Keep what an output needs, in the old order, renumbered. Returns (instructions, output_refs)."""
+    live = bytearray(len(instructions))
+    for ref in (r for group in refs for r in group):
+        live[ref] = 1
+    for at in range(len(instructions) - 1, -1, -1):
+        if live[at] and instructions[at].op not in LEAVES:
+            for arg in instructions[at].args:
+                live[arg] = 1
+    new = {old: k for k, old in enumerate(at for at in range(len(instructions)) if live[at])}
+    kept = tuple(_renumber(instructions[old], new.__getitem__) for old in new)
+    return kept, tuple(tuple(new[r] for r in group) for group in refs)
+
+
+def _renumber(instruction: Instruction, new: Callable[[int], int]) -> Instruction:
+    if instruction.op in LEAVES:
+        return instruction
+    return Instruction(instruction.op, tuple(new(a) for a in instruction.args), instruction.value)

@@ -1,0 +1,202 @@
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from shutil import which
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from surctl.errors import InputError
+from surctl.export import Bundle, build_bundle, write_bundle
+from surctl.export.rendering import comment
+from surctl.ir import Layout, Port, compile_program, find_compiler
+from tests.export.standin import GAINS, StandIn, stand_in
+from tests.tools import need_compiler
+
+TUNED = {"k_p": np.array([1.0, 2.0, 0.1, 0.7])}
+
+
+def bundle_of(law: StandIn) -> Bundle:
+    return build_bundle(law, TUNED)
+
+
+def test_two_builds_give_the_same_bytes() -> None:
+    assert dict(bundle_of(stand_in()).files) == dict(bundle_of(stand_in()).files)
+
+
+def test_other_processes_give_the_same_bytes() -> None:
+    here = bundle_of(stand_in())
+    script = (
+        "from tests.export.test_bundle import bundle_of, stand_in; b = bundle_of(stand_in()); "
+        "import hashlib; print(b.id, hashlib.sha256(''.join(b.files.values()).encode()).hexdigest())"
+    )
+    want = f"{here.id} {hashlib.sha256(''.join(here.files.values()).encode()).hexdigest()}\n"
+    for seed in ("1", "2"):
+        done = subprocess.run(
+            [sys.executable, "-c", script],
+            cwd=Path(__file__).parents[2],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert done.stdout == want
+
+
+def test_the_id_follows_what_is_computed_and_not_the_name() -> None:
+    base = bundle_of(stand_in())
+    assert build_bundle(stand_in(), TUNED, name="other").id == base.id
+    assert bundle_of(stand_in(gain=float(np.nextafter(0.1, 1)))).id != base.id
+    assert build_bundle(stand_in(), {"k_p": np.array([1.0, 2.0, 0.1, 0.8])}).id != base.id
+    assert bundle_of(replace(stand_in(), dt=0.1)).id != base.id
+
+
+def test_files_and_manifest() -> None:
+    bundle = bundle_of(stand_in())
+    assert list(bundle.files) == [
+        *("standin.h", "standin.c", "sil_main.c", "Makefile", "README.md", "manifest.json")
+    ]
+    manifest = json.loads(bundle.files["manifest.json"])
+    assert manifest["id"] == bundle.id and manifest["dt_s"] == 0.05
+    for name, digest in manifest["sha256"].items():
+        assert hashlib.sha256(bundle.files[name].encode()).hexdigest() == digest
+    assert set(manifest["sha256"]) == set(bundle.files) - {"manifest.json"}
+
+
+def test_header_and_readme_say_unit_and_meaning() -> None:
+    files = bundle_of(stand_in()).files
+    assert "double memory[2][3]; /* [m] last ranges, newest row first */" in files["standin.h"]
+    assert "double fresh; /* [1] 1 when the ranges are new */" in files["standin.h"]
+    assert "| `k_p[4]` | 1.0, 2.0, 0.1, 0.7 | 1/s | proportional gain |" in files["README.md"]
+    assert "ranges by sensor */ ??/ \\| η |" in files["README.md"]
+
+
+def test_text_cannot_leave_its_comment() -> None:
+    text = comment("a */ b /* c ??/ d **// \n e \u202e f")
+    assert not any(bad in text for bad in ("*/", "/*", "??", "\n", "\u202e"))
+
+
+def test_it_compiles_strictly_and_tests_itself(tmp_path: Path) -> None:
+    need_compiler()
+    folder = tmp_path / "bundle"
+    bundle = bundle_of(stand_in())
+    write_bundle(bundle, folder)
+    program = compile_program([folder / "sil_main.c", folder / "standin.c"], folder / "sil")
+    done = subprocess.run([str(program), "--selftest"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, f"{bundle.id} ok\n")
+
+
+def test_the_self_test_notices_a_changed_gain(tmp_path: Path) -> None:
+    need_compiler()
+    write_bundle(bundle_of(stand_in()), tmp_path / "bundle")
+    source = tmp_path / "bundle" / "standin.c"
+    text = source.read_text()
+    assert text.count("{ 1.0, 2.0, ") == 1
+    source.write_text(text.replace("{ 1.0, 2.0, ", "{ 1.0, 2.0001, "))
+    program = compile_program([tmp_path / "bundle" / "sil_main.c", source], tmp_path / "sil")
+    assert subprocess.run([str(program), "--selftest"], capture_output=True, check=False).returncode > 0
+
+
+def test_null_pointers_give_null_and_zero_thrust(tmp_path: Path) -> None:
+    need_compiler()
+    write_bundle(bundle_of(stand_in()), tmp_path / "bundle")
+    main = tmp_path / "main.c"
+    main.write_text(
+        """#include "standin.h"
+#include <stddef.h>
+int main(void)
+{
+    standin_state_t s; standin_gains_t g; standin_input_t u = {{0.0}, {{0.0}}, 0.0}; standin_output_t y;
+    int i;
+    if (standin_initialize(NULL, &g) != -1 || standin_initialize(&s, NULL) != -1) { return 1; }
+    if (standin_initialize(&s, &g) != STANDIN_STATUS_OK) { return 2; }
+    if (s.memory[1][2] != 1.5 || g.k_p[3] != 0.7) { return 2; }
+    for (i = 0; i < 4; ++i) { y.tau[i] = 9.0; }
+    if (standin_step(&s, &g, NULL, &y) != STANDIN_STATUS_NULL) { return 3; }
+    for (i = 0; i < 4; ++i) { if (y.tau[i] != 0.0) { return 4; } }
+    if (standin_step(NULL, &g, &u, &y) != -1 || standin_step(&s, NULL, &u, &y) != -1) { return 5; }
+    if (standin_step(&s, &g, &u, NULL) != -1) { return 6; }
+    standin_terminate(&s);
+    standin_terminate(NULL);
+    return (s.memory[1][2] == 0.0) ? 0 : 7;
+}
+"""
+    )
+    include = ["-I", str(tmp_path / "bundle")]
+    program = compile_program([main, tmp_path / "bundle" / "standin.c"], tmp_path / "m", flags=include)
+    assert subprocess.run([str(program)], check=False).returncode == 0
+
+
+def test_fast_math_is_refused_by_the_source_itself(tmp_path: Path) -> None:
+    compiler = need_compiler()
+    write_bundle(bundle_of(stand_in()), tmp_path / "bundle")
+    command = [*compiler.split(), "-ffast-math", "-c", "-o", "x.o", "standin.c"]
+    done = subprocess.run(command, cwd=tmp_path / "bundle", capture_output=True, text=True, check=False)
+    assert done.returncode != 0 and "without -ffast-math" in done.stderr
+
+
+def test_make_check(tmp_path: Path) -> None:
+    need_compiler()
+    if which("make") is None:
+        pytest.skip("make is not installed")
+    write_bundle(bundle_of(stand_in()), tmp_path / "bundle")
+    command = ["make", "-s", "check", f"CC={find_compiler()}"]
+    done = subprocess.run(command, cwd=tmp_path / "bundle", capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_writing_over_an_older_bundle_leaves_other_files_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "deep" / "bundle"
+    write_bundle(build_bundle(stand_in(), {}), folder)
+    (folder / "mine.txt").write_text("keep")
+    written = write_bundle(bundle_of(stand_in()), folder)
+    for file in written:
+        assert hashlib.sha256(file.path.read_bytes()).hexdigest() == file.sha256
+    assert (folder / "mine.txt").read_text() == "keep"
+    assert [p.name for p in (tmp_path / "deep").iterdir()] == ["bundle"]
+
+
+def test_folders_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for target in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/nowhere/bundle")):
+        with pytest.raises(InputError, match=r"cannot be written.*choose a folder") as caught:
+            write_bundle(bundle_of(stand_in()), target)
+        assert "\n" not in str(caught.value)
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_mistakes_are_named() -> None:
+    law = stand_in()
+    with pytest.raises(InputError, match=r"k_q.*did you mean 'k_p'"):
+        build_bundle(law, {"k_q": np.zeros(4)})
+    with pytest.raises(InputError, match=r"limit.*not finite"):
+        build_bundle(law, {"limit": np.array([np.nan])})
+    with pytest.raises(InputError, match=r"'a-b'.*not a C identifier"):
+        build_bundle(law, {}, name="a-b")
+    with pytest.raises(InputError, match=r"sil_main.*taken"):
+        build_bundle(law, {}, name="sil_main")
+    with pytest.raises(InputError, match=r"dt = 0.0.*positive"):
+        build_bundle(replace(law, dt=0.0), {})
+    bad_port = Layout((*law.gains.ports[:1], Port("limit;", (1,), "N", "x")))
+    with pytest.raises(InputError, match=r"'limit;'.*not a C identifier"):
+        build_bundle(replace(law, gains=bad_port), {})
+    with pytest.raises(InputError, match="first output is not tau"):
+        build_bundle(replace(law, outputs=Layout(law.outputs.ports[::-1])), {})
+    with pytest.raises(InputError, match="its layouts say"):
+        build_bundle(replace(law, gains=Layout(GAINS[:1])), {})
+
+
+def test_refused_operations_reach_the_user() -> None:
+    law = stand_in()
+    x, u, p = law.function.sx_in()
+    tau, x_next, status, telemetry = law.function(x, u, p)
+    worse = ca.Function("law", [x, u, p], [ca.sign(tau), x_next, status, telemetry])
+    with pytest.raises(InputError, match="operation 'sign'"):
+        build_bundle(replace(law, function=worse), {})

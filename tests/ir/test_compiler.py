@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import subprocess
+import time
+from pathlib import Path
+
+import casadi as ca
+import pytest
+
+from surctl.errors import InputError, SurctlError, ToolMissing
+from surctl.ir import compile_program, compiler_version, emit_c99, find_compiler, lower
+from tests.tools import need_compiler
+
+
+def test_cc_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "/nowhere/cc")
+    with pytest.raises(ToolMissing, match=r"CC = '/nowhere/cc'.*unset CC") as caught:
+        find_compiler()
+    assert caught.value.exit_status == 2
+    assert "\n" not in str(caught.value)
+
+
+def test_no_compiler_at_all(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(ToolMissing, match=r"no C compiler found.*install one"):
+        find_compiler()
+
+
+def test_cc_may_hold_arguments_but_no_fast_math(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    compiler = need_compiler()
+    source = tmp_path / "a.c"
+    source.write_text("int main(void) { return 0; }\n")
+    monkeypatch.setenv("CC", f"{compiler} -O1")
+    compile_program([source], tmp_path / "a")
+    monkeypatch.setenv("CC", f"{compiler} -ffast-math")
+    with pytest.raises(InputError, match="-ffast-math"):
+        compile_program([source], tmp_path / "a")
+
+
+@pytest.mark.parametrize("flag", ["-ffast-math", "-Ofast", "-ffp-contract=fast", "-ffinite-math-only"])
+def test_flags_that_change_results_are_refused(flag: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="changes the results"):
+        compile_program([tmp_path / "a.c"], tmp_path / "a", flags=[flag])
+
+
+def test_a_refusal_carries_the_first_error_line(tmp_path: Path) -> None:
+    need_compiler()
+    source = tmp_path / "bad.c"
+    source.write_text("int main(void) { int unused; return 0; }\n")
+    with pytest.raises(SurctlError, match=r"bad\.c:1:.*error.*unused") as caught:
+        compile_program([source], tmp_path / "bad")
+    assert "\n" not in str(caught.value)
+
+
+def test_version_is_one_line() -> None:
+    need_compiler()
+    assert compiler_version() and "\n" not in compiler_version()
+
+
+def test_six_thousand_operations_compile_in_reasonable_time(tmp_path: Path) -> None:
+    need_compiler()
+    x = ca.SX.sym("x", 4)
+    pool = [x[k] for k in range(4)]
+    for k in range(4000):
+        pool.append(pool[-1] * 0.5 + pool[-4] if k % 2 else ca.fmin(pool[-2], pool[-3]) - k)
+    program = lower(ca.Function("large", [x], [ca.vertcat(*pool[-8:])]))
+    assert program.operations >= 6000
+    # the input comes from outside, or the compiler would evaluate everything itself
+    main = "int main(int argc, char **argv) { double x[4] = {argc, 2.0, 3.0, 4.0}; double y[8]; (void)argv; "
+    source = tmp_path / "large.c"
+    text = emit_c99(program, symbol="f")
+    source.write_text(f"#include <math.h>\n{text}{main}f(x, y); return y[0] > 1e300; }}\n")
+    begin = time.perf_counter()
+    built = compile_program([source], tmp_path / "large")
+    assert time.perf_counter() - begin < 30.0
+    assert subprocess.run([str(built)], check=False).returncode == 0

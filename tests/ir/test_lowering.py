@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+import time
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from surctl.errors import InputError, UnsupportedOperation
+from surctl.ir import Instruction, Program, lower, replay
+from surctl.ir.lowering import _Builder
+from tests.ir.expressions import EXACT, LIBM_MAKERS, grown, numbers, picks, whole
+
+
+def ops(program: Program) -> list[str]:
+    return [i.op for i in program.instructions]
+
+
+def test_the_whole_table_is_reached() -> None:
+    used = set(ops(lower(whole(EXACT)))) | set(ops(lower(whole(LIBM_MAKERS))))
+    assert used >= set(EXACT) | set(LIBM_MAKERS) | {"select", "input"}
+
+
+def test_if_else_is_one_select_and_keeps_the_sign_of_zero() -> None:
+    x = ca.SX.sym("x", 3)
+    for condition, taken in ((x[0] > 0, 2.0), (ca.logic_not(x[0] > 0), 3.0)):
+        program = lower(ca.Function("f", [x], [ca.if_else(condition, x[1], x[2])]))
+        assert replay(program, [1.0, 2.0, 3.0])[0][0] == taken
+        assert ops(program).count("select") == 1
+        assert "if_else_zero" not in ops(program) and "add" not in ops(program)
+    program = lower(ca.Function("f", [x], [ca.if_else(x[0] > 0, x[1], x[2])]))
+    (y,) = replay(program, [1.0, -0.0, 3.0])
+    assert np.signbit(y[0])
+
+
+def test_a_select_does_not_let_the_other_branch_leak() -> None:
+    x = ca.SX.sym("x", 2)
+    program = lower(ca.Function("f", [x], [ca.if_else(x[0] > 0, 1 / x[0], x[1])]))
+    np.testing.assert_array_equal(replay(program, [0.0, 7.0])[0], [7.0])
+
+
+def test_equal_expressions_are_computed_once_but_the_two_zeros_are_two() -> None:
+    x = ca.SX.sym("x", 2)
+    program = lower(ca.Function("f", [x], [ca.vertcat(x[0] * x[1], x[1] * x[0], x[0] * x[1] + 1)]))
+    assert ops(program).count("mul") == 1
+    builder = _Builder("b")
+    assert builder.constant(0.0) != builder.constant(-0.0)
+    assert builder.constant(0.0) == builder.constant(0.0)
+
+
+def test_what_no_output_needs_is_dropped() -> None:
+    x = ca.SX.sym("x", 2)
+    unused = ca.sqrt(x[1])
+    program = lower(ca.Function("f", [x], [ca.vertcat(x[0] + 1, unused * 0)]))
+    assert "sqrt" not in ops(program)
+    assert {i.args[1] for i in program.instructions if i.op == "input"} == {0}
+
+
+def test_structural_zeros_and_matrices_come_out_column_by_column() -> None:
+    x = ca.SX.sym("x", 2)
+    function = ca.Function("f", [x], [ca.diag(x), ca.SX(2, 1)])
+    matrix, zeros = replay(lower(function), [3.0, 4.0])
+    np.testing.assert_array_equal(matrix, [3, 0, 0, 4])
+    np.testing.assert_array_equal(zeros, [0, 0])
+
+
+def test_mx_functions_are_expanded() -> None:
+    z = ca.MX.sym("z", 3)
+    (y,) = replay(lower(ca.Function("F", [z], [ca.dot(z, z) * z])), [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(y, [14, 28, 42])
+
+
+@pytest.mark.parametrize(
+    ("expression", "op", "substitute"),
+    [
+        (lambda a: ca.sign(a), "sign", "if_else"),
+        (lambda a: a**2.5, "constpow", "sqrt"),
+        (lambda a: ca.fmod(a, 2), "fmod", "floor"),
+        (lambda a: ca.copysign(a, 2), "copysign", "if_else"),
+        (lambda a: ca.tan(a), "tan", "cos"),
+        (lambda a: ca.exp(a), "exp", "rewrite"),
+    ],
+)
+def test_refused_operations_are_named_with_their_substitute(
+    expression: object, op: str, substitute: str
+) -> None:
+    x = ca.SX.sym("x")
+    with pytest.raises(UnsupportedOperation, match=rf"'{op}'.*{substitute}"):
+        lower(ca.Function("f", [x], [expression(x)]))  # type: ignore[operator]
+
+
+def test_inputs_must_be_dense_columns_and_constants_numbers() -> None:
+    x = ca.SX.sym("x", 2)
+    with pytest.raises(InputError, match="not a dense column"):
+        lower(ca.Function("f", [x.T], [x]))
+    with pytest.raises(UnsupportedOperation, match="NaN constant"):
+        lower(ca.Function("f", [x], [x + float("nan")]))
+
+
+def test_a_program_refuses_what_cannot_run() -> None:
+    def program(*instructions: Instruction, refs: tuple[int, ...] = (0,)) -> Program:
+        return Program("p", (("x", 1),), (("y", len(refs)),), instructions, (refs,))
+
+    first = Instruction("input", (0, 0))
+    for bad, why in (
+        (Instruction("add", (0,)), "takes 2 operands"),
+        (Instruction("add", (0, 1)), "before its use"),
+        (Instruction("pow", (0, 0)), "unknown operation"),
+        (Instruction("input", (0, 1)), "no such input"),
+        (Instruction("const"), "needs a value"),
+    ):
+        with pytest.raises(InputError, match=why):
+            program(first, bad)
+    with pytest.raises(InputError, match="outside the instruction list"):
+        program(first, refs=(1,))
+
+
+def test_text_and_digest_tell_programs_apart() -> None:
+    x = ca.SX.sym("x", 2)
+
+    def digest(gain: float) -> str:
+        return lower(ca.Function("f", [x], [gain * x])).digest()
+
+    assert digest(0.1) == digest(0.1)
+    assert digest(0.1) != digest(np.nextafter(0.1, 1))
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(steps=picks, values=numbers)
+def test_replay_is_the_casadi_machine_bit_for_bit(
+    steps: list[tuple[str, int, int, int]], values: list[float]
+) -> None:
+    function = grown(steps, EXACT)
+    (have,) = replay(lower(function), values)
+    # == : the two zeros count as equal, `if_else` of the machine turns −0 into +0
+    np.testing.assert_array_equal(have, np.asarray(function(values)).reshape(-1))
+
+
+def test_six_thousand_operations_lower_within_a_second() -> None:
+    x = ca.SX.sym("x", 4)
+    pool = [x[k] for k in range(4)]
+    for k in range(6000):
+        pool.append(pool[-1] * 0.5 + pool[-4] if k % 2 else ca.fmin(pool[-2], pool[-3]) - k)
+    function = ca.Function("large", [x], [ca.vertcat(*pool[-8:])])
+    begin = time.perf_counter()
+    program = lower(function)
+    assert time.perf_counter() - begin < 1.0
+    assert program.operations > 6000
