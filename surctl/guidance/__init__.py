@@ -1,0 +1,30 @@
+"""Where the robot wants to go: path, tracking law (8)–(12), avoidance law (17)–(20), choice among contacts."""
+
+from surctl.guidance.avoidance import FORMS, AvoidanceForm, allowed_closing_speed, avoidance_course, encounter_side
+from surctl.guidance.contacts import Contact, disc_contact, nearest_in_quadrants, point_contact, wall_contacts
+from surctl.guidance.path import MAX_WAYPOINTS, Path, path_target
+from surctl.guidance.sectors import Choice, Sector, choose_velocity
+from surctl.guidance.tracking import along_command, path_error, progress_rate, tracking_velocity
+
+__all__ = [
+    "FORMS",
+    "MAX_WAYPOINTS",
+    "AvoidanceForm",
+    "Choice",
+    "Contact",
+    "Path",
+    "Sector",
+    "allowed_closing_speed",
+    "along_command",
+    "avoidance_course",
+    "choose_velocity",
+    "disc_contact",
+    "encounter_side",
+    "nearest_in_quadrants",
+    "path_error",
+    "path_target",
+    "point_contact",
+    "progress_rate",
+    "tracking_velocity",
+    "wall_contacts",
+]

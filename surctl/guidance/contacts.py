@@ -1,0 +1,79 @@
+"""Contacts: everything near the robot as (unit vector, clearance, velocity), whatever it was learnt from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+
+__all__ = ["FAR", "Contact", "disc_contact", "nearest_in_quadrants", "point_contact", "wall_contacts"]
+
+FAR = 100.0  # clearance [m] of a contact that is not there
+
+
+@dataclass(frozen=True)
+class Contact:
+    """One thing near the robot, symbolic.
+
+    Attributes:
+        normal: (2, 1) unit vector robot → contact in {E}.
+        clearance: hull to surface [m]; `FAR` when the contact is not there.
+        velocity: (2, 1) its own velocity in {E} [m/s].
+        reach: centre distance minus clearance [m]: R_OB less the margin.
+    """
+
+    normal: ca.SX
+    clearance: ca.SX
+    velocity: ca.SX
+    reach: ca.SX
+
+    @property
+    def closing(self) -> ca.SX:
+        """v_o·n [m/s]; negative when the contact approaches."""
+        return ca.dot(self.velocity, self.normal)
+
+
+def disc_contact(position: ca.SX, hull: ca.SX, centre: ca.SX, radius: ca.SX, velocity: ca.SX, valid: ca.SX) -> Contact:
+    """Contact with a disc of the given radius [m] that moves with `velocity` (2, 1) [m/s]; a point has radius 0."""
+    offset = centre - position
+    distance = ca.sqrt(ca.sumsqr(offset))
+    apart = distance > 1e-6
+    normal = ca.if_else(apart, offset / ca.fmax(distance, 1e-6), ca.SX([1, 0]))
+    clearance = ca.if_else(valid > 0.5, distance - radius - hull, FAR)
+    return Contact(normal, clearance, velocity, hull + radius)
+
+
+def point_contact(position: ca.SX, hull: ca.SX, point: ca.SX, valid: ca.SX) -> Contact:
+    """Contact with a point that stands still, for example an echo."""
+    return disc_contact(position, hull, point, ca.SX(0), ca.SX.zeros(2), valid)
+
+
+def wall_contacts(position: ca.SX, hull: ca.SX, walls: ca.SX) -> list[Contact]:
+    """Four contacts with the walls x_min, x_max, y_min, y_max [m] of a rectangular site."""
+    x, y = position[0], position[1]
+    sides = [
+        (ca.SX([-1, 0]), x - walls[0]),
+        (ca.SX([1, 0]), walls[1] - x),
+        (ca.SX([0, -1]), y - walls[2]),
+        (ca.SX([0, 1]), walls[3] - y),
+    ]
+    return [Contact(n, distance - hull, ca.SX.zeros(2), hull) for n, distance in sides]
+
+
+def nearest_in_quadrants(contacts: Sequence[Contact], axes: Sequence[ca.SX]) -> list[Contact]:
+    """For each axis (2, 1), the nearest contact within ±45° of it: what a sensor on that axis stands for."""
+    chosen = []
+    for axis in axes:
+        best = Contact(axis, ca.SX(FAR), ca.SX.zeros(2), ca.SX(0.5))
+        for contact in contacts:
+            inside = ca.dot(contact.normal, axis) >= 0.7071
+            take = ca.logic_and(inside, contact.clearance < best.clearance)
+            best = Contact(
+                ca.if_else(take, contact.normal, best.normal),
+                ca.if_else(take, contact.clearance, best.clearance),
+                ca.if_else(take, contact.velocity, best.velocity),
+                ca.if_else(take, contact.reach, best.reach),
+            )
+        chosen.append(best)
+    return chosen

@@ -1,0 +1,91 @@
+"""The reference path: a polyline with arc length, as numbers (`Path`) and inside the law (`path_target`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+
+__all__ = ["MAX_WAYPOINTS", "Path", "path_target"]
+
+MAX_WAYPOINTS = 8
+
+
+@dataclass(frozen=True)
+class Path:
+    """A horizontal polyline in {E}.
+
+    Attributes:
+        waypoints: (n, 2) [m], 2 ≤ n ≤ `MAX_WAYPOINTS`, consecutive points distinct.
+    """
+
+    waypoints: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        points = np.array(self.waypoints, dtype=float)
+        if points.ndim != 2 or points.shape[1] != 2 or not 2 <= len(points) <= MAX_WAYPOINTS:
+            raise InputError(
+                f"a path has 2 to {MAX_WAYPOINTS} points of two coordinates",
+                key="path",
+                value=points.tolist(),
+                remedy="give the start and the target at least",
+            )
+        if not np.all(np.isfinite(points)):
+            raise InputError(
+                "holds a number that is not finite", key="path", value=points.tolist(), remedy="correct it"
+            )
+        if np.any(np.linalg.norm(np.diff(points, axis=0), axis=1) < 1e-6):
+            raise InputError(
+                "has two equal points in a row", key="path", value=points.tolist(), remedy="drop one of them"
+            )
+        points.flags.writeable = False
+        object.__setattr__(self, "waypoints", points)
+
+    @property
+    def length(self) -> float:
+        """Arc length [m]."""
+        return float(np.linalg.norm(np.diff(self.waypoints, axis=0), axis=1).sum())
+
+    @property
+    def slots(self) -> NDArray[np.float64]:
+        """(`MAX_WAYPOINTS`, 2): the waypoints, the last one repeated, as the law takes them."""
+        spare = MAX_WAYPOINTS - len(self.waypoints)
+        return np.vstack([self.waypoints, np.repeat(self.waypoints[-1:], spare, axis=0)])
+
+    def distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distance [m] of each point (k, 2) to the nearest point of the path, (k,)."""
+        points = np.atleast_2d(points)
+        best = np.full(len(points), np.inf)
+        for a, b in zip(self.waypoints[:-1], self.waypoints[1:], strict=True):
+            t = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
+            best = np.minimum(best, np.linalg.norm(points - a - t[:, None] * (b - a), axis=1))
+        return best
+
+
+def path_target(waypoints: ca.SX, s: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Point and tangent at arc length s, for the law.
+
+    Args:
+        waypoints: (n, 2) SX [m] in {E}; trailing repeats of the last point are ignored.
+        s: arc length [m], clipped to [0, length].
+
+    Returns:
+        point (2, 1) [m], unit tangent (2, 1) of the segment that holds s, total length [m].
+    """
+    travelled = ca.SX(0)
+    point, tangent = waypoints[0, :].T, ca.SX([1, 0])
+    for k in range(waypoints.shape[0] - 1):
+        chord = (waypoints[k + 1, :] - waypoints[k, :]).T
+        length = ca.sqrt(ca.sumsqr(chord))
+        real = length > 1e-6
+        direction = chord / ca.fmax(length, 1e-6)
+        here = ca.logic_and(real, s >= travelled)
+        along = ca.fmin(ca.fmax(s - travelled, 0), length)
+        point = ca.if_else(here, waypoints[k, :].T + along * direction, point)
+        tangent = ca.if_else(ca.logic_or(here, k == 0), direction, tangent)
+        travelled = travelled + length
+    return point, tangent, travelled

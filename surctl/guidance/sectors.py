@@ -1,0 +1,144 @@
+"""Choice of a course among many contacts: each blocks a sector of courses, the free course nearest the wish wins.
+
+For one contact the edges of its sector are exactly the `corrected` law φ ± arccos(·) of `avoidance`, with the
+braking distance in place of κ(l − R_OB − d_s): n·v ≤ a(l) + v_o·n. No trigonometric function is needed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import casadi as ca
+
+__all__ = ["Choice", "Sector", "choose_velocity"]
+
+_TOLERANCE = 1e-3  # [m/s] by which a course may miss a bound and still count as free
+_HEAD_ON = 1e-4  # cost of −1 between two equal edges: head-on the obstacle stays on the right (E10)
+_MISSED, _MISSED_RATE = 10.0, 100.0  # cost of a course that is not free, and of each m/s by which it is not
+_TURN_BACK = 8.0  # cost of leaving the latched side: more than any free course (0 … 2), less than a missed bound
+_SAME = 0.3  # [m] that the blocker may move between two steps and still be the same encounter
+_OVERTAKE = 0.05  # [m/s] by which the robot outruns what comes from behind
+
+
+class Sector(NamedTuple):
+    """Courses that one contact blocks: those with n·v > bound.
+
+    Attributes:
+        normal: (2, 1) unit vector robot → contact in {E}.
+        bound: largest n·v [m/s]; negative asks for a retreat.
+        point: (2, 1) [m] in {E}, where the contact is; it tells encounters apart.
+    """
+
+    normal: ca.SX
+    bound: ca.SX
+    point: ca.SX
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What was chosen.
+
+    Attributes:
+        velocity: (2, 1) [m/s] in {E}.
+        side: latched side: 0 no encounter, +1 to the left of the wish (obstacle on the right), −1 to the right.
+        blocked: 1 when the wish itself was not free.
+        violation: by how much the chosen course misses the worst bound [m/s]; 0 when it is free.
+        blocker: (2, 1) [m] in {E}: the contact that blocks the wish most.
+    """
+
+    velocity: ca.SX
+    side: ca.SX
+    blocked: ca.SX
+    violation: ca.SX
+    blocker: ca.SX
+
+
+def choose_velocity(
+    wish: ca.SX, sectors: Sequence[Sector], *, side: ca.SX, blocker: ca.SX, cruise: ca.SX, cap: ca.SX
+) -> Choice:
+    """Velocity on the free course nearest to the wish's.
+
+    Candidates are the wish and both edges of every sector. If none is free, the one that misses its bounds least is
+    taken. The speed is the wish's; no more than `cruise` while the wish is blocked (no catching up between
+    obstacles); more, up to `cap`, while a bound asks for a retreat; and reduced as far as the other bounds ask.
+
+    Args:
+        wish: (2, 1) [m/s] in {E}.
+        sectors: what is in the way.
+        side: latched side of the last step: −1, 0, +1; kept while the same contact blocks the wish.
+        blocker: of the last step.
+        cruise: [m/s].
+        cap: [m/s].
+    """
+    wished = ca.fmax(ca.sqrt(ca.sumsqr(wish)), 1e-3)
+    ahead = wish / wished
+    retreat = _retreat_speed(sectors, cap)
+    near = _violation(ahead, wished, sectors) > _TOLERANCE
+    speed = ca.if_else(near, ca.fmin(wished, cruise), wished)
+    speed = ca.fmax(speed, ca.if_else(retreat > 0, ca.fmin(retreat + _OVERTAKE, cap), 0))
+
+    now = _worst_blocker(ahead, speed, sectors)
+    latched = ca.if_else(ca.sumsqr(now - blocker) <= _SAME * _SAME, side, 0)
+    course, missed = ahead, _violation(ahead, speed, sectors)
+    blocked = missed > _TOLERANCE
+    least, taken = _missed_cost(missed), ca.SX(0)
+    for sign in (1, -1):
+        for sector in sectors:
+            edge = _edge(sector, speed, sign)
+            edge_missed = _violation(edge, speed, sectors)
+            left = ca.if_else(ahead[0] * edge[1] - ahead[1] * edge[0] >= 0, 1, -1)
+            cost = 1 - ca.dot(edge, ahead) + (0 if sign > 0 else _HEAD_ON) + _missed_cost(edge_missed)
+            cost += ca.if_else(latched * left < -0.5, _TURN_BACK, 0)
+            cost += ca.if_else(sector.bound >= speed, 1e6, 0)  # blocks nothing, so it has no edge
+            better = cost < least
+            course, missed = ca.if_else(better, edge, course), ca.if_else(better, edge_missed, missed)
+            taken, least = ca.if_else(better, left, taken), ca.if_else(better, cost, least)
+    velocity = ca.fmax(_free_speed(course, speed, sectors), retreat) * course
+    return Choice(velocity, ca.if_else(blocked, taken, 0), blocked, ca.fmax(missed, 0), now)
+
+
+def _edge(sector: Sector, speed: ca.SX, sign: int) -> ca.SX:
+    """Unit course n turned by ± arccos(bound/speed), left for +1."""
+    n = sector.normal
+    cosine = ca.fmin(ca.fmax(sector.bound / speed, -1), 1)
+    sine = sign * ca.sqrt(1 - cosine * cosine)
+    return ca.vertcat(n[0] * cosine - n[1] * sine, n[1] * cosine + n[0] * sine)
+
+
+def _missed_cost(violation: ca.SX) -> ca.SX:
+    return ca.if_else(violation > _TOLERANCE, _MISSED + _MISSED_RATE * violation, 0)
+
+
+def _violation(course: ca.SX, speed: ca.SX, sectors: Sequence[Sector]) -> ca.SX:
+    worst = ca.SX(-10.0)
+    for sector in sectors:
+        worst = ca.fmax(worst, speed * ca.dot(course, sector.normal) - sector.bound)
+    return worst
+
+
+def _worst_blocker(course: ca.SX, speed: ca.SX, sectors: Sequence[Sector]) -> ca.SX:
+    worst, where = ca.SX(-10.0), sectors[0].point
+    for sector in sectors:
+        violation = speed * ca.dot(course, sector.normal) - sector.bound
+        where = ca.if_else(violation > worst, sector.point, where)
+        worst = ca.fmax(worst, violation)
+    return where
+
+
+def _retreat_speed(sectors: Sequence[Sector], cap: ca.SX) -> ca.SX:
+    retreat = ca.SX(0)
+    for sector in sectors:
+        retreat = ca.fmax(retreat, ca.fmin(-sector.bound, cap))
+    return retreat
+
+
+def _free_speed(course: ca.SX, speed: ca.SX, sectors: Sequence[Sector]) -> ca.SX:
+    """Largest speed up to `speed` on this course that no non-negative bound forbids."""
+    free = speed
+    for sector in sectors:
+        along = ca.dot(course, sector.normal)
+        limit = ca.fmax(sector.bound, 0) / ca.fmax(along, 1e-3)
+        free = ca.if_else(along > 1e-3, ca.fmin(free, limit), free)
+    return free

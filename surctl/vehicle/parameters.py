@@ -1,0 +1,213 @@
+"""The vehicle's numbers: TOML in, frozen dataclass out; each with unit, range and provenance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from surctl.errors import InputError, nearest
+from surctl.files import Quantity, Strict, pick, read_toml, validate
+
+__all__ = ["LIBRARY", "PARAMETERS", "Parameter", "ParameterSpec", "Vehicle", "load_vehicle"]
+
+LIBRARY = Path(__file__).parent / "library"
+
+
+@dataclass(frozen=True)
+class ParameterSpec:
+    """What a vehicle file says about one parameter: its table, unit, whether zero is allowed, a default."""
+
+    table: str
+    unit: str
+    meaning: str
+    zero_allowed: bool = False
+    default: float | None = None
+
+
+PARAMETERS: Mapping[str, ParameterSpec] = {
+    "radius": ParameterSpec("hull", "m", "hull radius"),
+    "m11": ParameterSpec("inertia", "kg", "rigid-body and added mass, surge"),
+    "m22": ParameterSpec("inertia", "kg", "rigid-body and added mass, sway"),
+    "m33": ParameterSpec("inertia", "kg", "rigid-body and added mass, heave"),
+    "m44": ParameterSpec("inertia", "kg m^2", "rigid-body and added moment of inertia about z"),
+    "Xu": ParameterSpec("drag", "N s/m", "linear drag, surge", zero_allowed=True),
+    "Yv": ParameterSpec("drag", "N s/m", "linear drag, sway", zero_allowed=True),
+    "Zw": ParameterSpec("drag", "N s/m", "linear drag, heave (none in the paper)", True, 0.0),
+    "Nr": ParameterSpec("drag", "N m s", "linear drag, yaw", zero_allowed=True),
+    "Xuu": ParameterSpec("drag", "N s^2/m^2", "quadratic drag, surge", zero_allowed=True),
+    "Yvv": ParameterSpec("drag", "N s^2/m^2", "quadratic drag, sway", zero_allowed=True),
+    "Zww": ParameterSpec("drag", "N s^2/m^2", "quadratic drag, heave", zero_allowed=True),
+    "Nrr": ParameterSpec("drag", "N m s^2", "quadratic drag, yaw", zero_allowed=True),
+    "Fu_max": ParameterSpec("thrust", "N", "surge force limit, both signs"),
+    "Fv_max": ParameterSpec("thrust", "N", "sway force limit, both signs"),
+    "Fw_max": ParameterSpec("thrust", "N", "heave force limit, both signs"),
+    "Fr_max": ParameterSpec("thrust", "N m", "yaw moment limit, both signs"),
+    "thrust_lag": ParameterSpec("thrust", "s", "first-order lag of the thrust", True, 0.3),
+}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number with its unit, the range it may lie in, and where it comes from."""
+
+    value: float
+    unit: str
+    range: tuple[float, float] | None
+    provenance: str
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """A vehicle: its name, where it was read, and every parameter of (3) by name (SI units)."""
+
+    name: str
+    note: str
+    parameters: Mapping[str, Parameter]
+    source: str = ""
+
+    def __getitem__(self, name: str) -> float:
+        """Value of the parameter in its SI unit; InputError with the nearest known name."""
+        if name not in self.parameters:
+            raise InputError("no such vehicle parameter", key=name, remedy=nearest(name, self.parameters))
+        return self.parameters[name].value
+
+    @property
+    def mass(self) -> NDArray[np.float64]:
+        """Diagonal of M, (4,): m11, m22, m33 [kg], m44 [kg m²]."""
+        return np.array([self[k] for k in ("m11", "m22", "m33", "m44")])
+
+    @property
+    def linear_drag(self) -> NDArray[np.float64]:
+        """(4,): Xu, Yv, Zw [N s/m], Nr [N m s]."""
+        return np.array([self[k] for k in ("Xu", "Yv", "Zw", "Nr")])
+
+    @property
+    def quadratic_drag(self) -> NDArray[np.float64]:
+        """(4,): Xuu, Yvv, Zww [N s²/m²], Nrr [N m s²]."""
+        return np.array([self[k] for k in ("Xuu", "Yvv", "Zww", "Nrr")])
+
+    @property
+    def thrust_limit(self) -> NDArray[np.float64]:
+        """(4,): largest |F_u|, |F_v|, |F_w| [N] and |F_r| [N m]."""
+        return np.array([self[k] for k in ("Fu_max", "Fv_max", "Fw_max", "Fr_max")])
+
+    def with_values(self, values: Mapping[str, float]) -> Vehicle:
+        """A copy with some values changed (their provenance says so); ranges are kept."""
+        changed = dict(self.parameters)
+        for name, value in values.items():
+            self[name]
+            changed[name] = _checked(name, replace(changed[name], value=float(value)), file=self.source or self.name)
+        return replace(self, parameters=changed)
+
+
+class _VehicleFile(Strict):
+    kind: str = Field(pattern="^vehicle$")
+    name: str = Field(min_length=1)
+    note: str = ""
+    hull: dict[str, Quantity | str]
+    inertia: dict[str, Quantity | str]
+    drag: dict[str, Quantity | str]
+    thrust: dict[str, Quantity | str]
+
+
+def load_vehicle(name_or_path: str) -> Vehicle:
+    """A built-in vehicle by name, or a vehicle file by path.
+
+    Raises:
+        InputError: unknown name, unreadable file, missing or unknown key, wrong unit or sign, value outside
+            its own range, or a table without provenance.
+    """
+    path = pick(str(name_or_path), LIBRARY, what="vehicle")
+    return vehicle_from_table(read_toml(path), source=str(path))
+
+
+def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
+    """A vehicle from the table of its file; `source` names the file in error messages."""
+    if table.get("kind") != "vehicle":
+        raise InputError(
+            "is not a vehicle file", file=source, key="kind", value=table.get("kind"), remedy='write kind = "vehicle"'
+        )
+    model = validate(table, _VehicleFile, file=source)
+    found: dict[str, Parameter] = {}
+    for section in ("hull", "inertia", "drag", "thrust"):
+        found |= _read_section(section, getattr(model, section), source)
+    for name, spec in PARAMETERS.items():
+        if name in found:
+            continue
+        if spec.default is None:
+            raise InputError(
+                "is missing",
+                file=source,
+                key=f"{spec.table}.{name}",
+                remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
+            )
+        found[name] = Parameter(spec.default, spec.unit, None, "default of this toolkit")
+    return Vehicle(model.name, model.note, {name: found[name] for name in PARAMETERS}, source)
+
+
+def _read_section(section: str, table: Mapping[str, Quantity | str], source: str) -> dict[str, Parameter]:
+    known = [name for name, spec in PARAMETERS.items() if spec.table == section]
+    shared = table.get("provenance")
+    if shared is not None and (not isinstance(shared, str) or not shared.strip()):
+        raise InputError(
+            "must be a text", file=source, key=f"{section}.provenance", remedy="say where the numbers come from"
+        )
+    found = {}
+    for name, entry in table.items():
+        if name == "provenance":
+            continue
+        key = f"{section}.{name}"
+        if name not in known:
+            raise InputError("unknown key", file=source, key=key, remedy=nearest(name, [*known, "provenance"]))
+        if isinstance(entry, str):
+            raise InputError(
+                "must be a value with its unit",
+                file=source,
+                key=key,
+                value=entry,
+                remedy=f'write {{ value = ..., unit = "{PARAMETERS[name].unit}" }}',
+            )
+        provenance = entry.provenance or shared
+        if not isinstance(provenance, str):
+            raise InputError(
+                "has no provenance",
+                file=source,
+                key=key,
+                remedy=f'add provenance = "..." to [{section}]: who measured or derived it',
+            )
+        found[name] = _checked(name, Parameter(entry.value, entry.unit, entry.range, provenance), file=source)
+    return found
+
+
+def _checked(name: str, parameter: Parameter, *, file: str) -> Parameter:
+    """The parameter, if unit, sign and range hold."""
+    spec = PARAMETERS[name]
+    key, value = f"{spec.table}.{name}", parameter.value
+    if parameter.unit != spec.unit:
+        raise InputError(
+            "wrong unit", file=file, key=f"{key}.unit", value=parameter.unit, remedy=f"give it in {spec.unit}"
+        )
+    if not np.isfinite(value) or value < 0 or (value == 0 and not spec.zero_allowed):
+        bound = "must be at least 0" if spec.zero_allowed else "must be greater than 0"
+        raise InputError(bound, file=file, key=key, value=value, remedy=f"{spec.meaning}, in {spec.unit}")
+    if parameter.range is not None:
+        low, high = parameter.range
+        if not (0 <= low <= high):
+            raise InputError(
+                "is not a range", file=file, key=f"{key}.range", value=parameter.range, remedy="write [low, high]"
+            )
+        if not low <= value <= high:
+            raise InputError(
+                f"lies outside its own range [{low:g}, {high:g}]",
+                file=file,
+                key=key,
+                value=value,
+                remedy="widen the range or correct the value",
+            )
+    return parameter
