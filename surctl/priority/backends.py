@@ -1,0 +1,156 @@
+"""The least-distance problem min ‖v − target‖ over equalities and named rows: one adapter, several solvers.
+
+Equalities are eliminated first, rows are scaled to length 1, and every answer is checked here: a solver's own
+word that it found the optimum is not enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.priority.kernels import Answer, daqp_kernel, osqp_kernel
+from surctl.priority.rowspace import row_space
+
+__all__ = ["BACKENDS", "LeastDistance", "Status", "check_backend", "solve_least_distance"]
+
+Array: TypeAlias = NDArray[np.float64]
+Kernel: TypeAlias = Callable[[Array, Array, Array], Answer]
+Status: TypeAlias = Literal["optimal", "infeasible", "failed"]
+
+BACKENDS: Mapping[str, Kernel] = MappingProxyType({"daqp": daqp_kernel, "osqp": osqp_kernel})
+"""Solvers of min ½‖y‖² subject to lower ≤ G y ≤ upper, rows of length 1."""
+
+FEASIBLE = 1e-9
+"""Largest violation of a row, as given, relative to 1 + max |v|, that passes as rounding."""
+
+_STATIONARY = 1e-8
+_FIXED = 1e-9  # a row this short after elimination no longer depends on what is left to choose
+
+
+@dataclass(frozen=True)
+class LeastDistance:
+    """Answer of `solve_least_distance`.
+
+    Attributes:
+        x: (n,), or None unless `status` is "optimal".
+        multipliers: (m,) of ½‖x − target‖², for the rows as given: positive at an upper bound, negative at a
+            lower one.
+        iterations: of the solver.
+        status: "infeasible" when no point satisfies rows and equalities, "failed" when the solver's answer
+            did not pass the check.
+    """
+
+    x: Array | None
+    multipliers: Array
+    iterations: int
+    status: Status
+
+
+def check_backend(backend: str) -> str:
+    """The name, if there is such a backend; InputError with the nearest name otherwise."""
+    if backend not in BACKENDS:
+        raise InputError(
+            "no such QP backend", key="backend", value=backend, remedy=nearest(backend, BACKENDS)
+        )
+    return backend
+
+
+def solve_least_distance(
+    target: Array,
+    *,
+    A: Array,
+    lower: Array,
+    upper: Array,
+    A_eq: Array | None = None,
+    b_eq: Array | None = None,
+    backend: str = "daqp",
+) -> LeastDistance:
+    """The point nearest to target (n,) with A_eq x = b_eq and lower ≤ A x ≤ upper (m rows, ±inf allowed).
+
+    Dependent equalities are fine as long as they agree. Infeasibility is a status, not an error.
+
+    Raises:
+        InputError: unknown backend.
+    """
+    kernel = BACKENDS[check_backend(backend)]
+    nothing = np.zeros(lower.size)
+    base, free = _eliminate(target, A_eq, b_eq)
+    if base is None:
+        return LeastDistance(None, nothing, 0, "infeasible")
+    length = np.sqrt(np.einsum("ij,ij->i", A, A))
+    value = A @ base
+    below, above = lower - value, upper - value
+    G = A @ free.T
+    reduced = np.sqrt(np.einsum("ij,ij->i", G, G))
+    fixed = reduced <= _FIXED * length
+    slack = FEASIBLE * np.where(length > 0.0, length, 1.0) * (1.0 + np.abs(base).max(initial=0.0))
+    if np.any(fixed & ((below > slack) | (above < -slack))):
+        return LeastDistance(None, nothing, 0, "infeasible")
+    use = np.flatnonzero(~fixed & (np.isfinite(below) | np.isfinite(above)))
+    if use.size == 0:
+        return LeastDistance(base, nothing, 0, "optimal")
+    scale = reduced[use]
+    G, below, above = G[use] / scale[:, None], below[use] / scale, above[use] / scale
+    answer = _checked(kernel(G, below, above), G, below, above, tolerance=FEASIBLE / np.maximum(scale, 1.0))
+    if answer.y is None:
+        return LeastDistance(None, nothing, answer.iterations, answer.status)
+    nothing[use] = answer.multipliers / scale
+    return LeastDistance(base + free.T @ answer.y, nothing, answer.iterations, "optimal")
+
+
+def _eliminate(target: Array, A_eq: Array | None, b_eq: Array | None) -> tuple[Array | None, Array]:
+    """The nearest point of A_eq x = b_eq (None if they disagree), and a basis (d, n) of what is left."""
+    if A_eq is None or b_eq is None or A_eq.shape[0] == 0:
+        return target, np.eye(target.size)
+    space = row_space(A_eq)
+    base = target + space.particular(b_eq - A_eq @ target)
+    wrong = np.abs(A_eq @ base - b_eq).max()
+    tolerance = FEASIBLE * max(float(np.abs(A_eq).max()), 1.0) * (1.0 + float(np.abs(base).max()))
+    return (base if wrong <= tolerance else None), space.null
+
+
+def _checked(answer: Answer, G: Array, lower: Array, upper: Array, *, tolerance: Array) -> Answer:
+    """The answer if it holds; otherwise what its active rows give, if that holds; otherwise "failed"."""
+    if answer.y is None or _holds(answer, G, lower, upper, tolerance):
+        return answer
+    polished = _polish(answer, G, lower, upper)
+    if _holds(polished, G, lower, upper, tolerance):
+        return polished
+    return Answer(None, answer.multipliers, answer.iterations, "failed")
+
+
+def _holds(answer: Answer, G: Array, lower: Array, upper: Array, tolerance: Array) -> bool:
+    """Feasible within tolerance (m,), stationary, complementary: the KKT conditions of min ½‖y‖².
+
+    A NaN holds nothing.
+    """
+    y, multipliers = answer.y, answer.multipliers
+    if y is None:
+        return False
+    size = 1.0 + np.abs(y).max()
+    value = G @ y
+    feasible = (np.maximum(lower - value, value - upper) <= tolerance * size).all()
+    gap = np.where(multipliers > 0.0, upper, lower) - value
+    at_bound = np.abs(np.where(np.abs(multipliers) > _STATIONARY * size, gap, 0.0)).max()
+    stationary = np.abs(y + G.T @ multipliers).max()
+    return bool(feasible and at_bound <= FEASIBLE * size and stationary <= _STATIONARY * size)
+
+
+def _polish(answer: Answer, G: Array, lower: Array, upper: Array) -> Answer:
+    """Take the rows with a multiplier as equalities, and solve those exactly."""
+    active = np.flatnonzero(np.abs(answer.multipliers) > 1e-6 * (1.0 + np.abs(answer.multipliers).max()))
+    bound = np.where(answer.multipliers[active] > 0.0, upper[active], lower[active])
+    if not np.isfinite(bound).all():
+        return answer
+    y = row_space(G[active]).particular(bound) if active.size else np.zeros(G.shape[1])
+    multipliers = np.zeros(lower.size)
+    if active.size:
+        multipliers[active] = -row_space(G[active].T).particular(y)
+    return Answer(y, multipliers, answer.iterations, "optimal")

@@ -1,0 +1,80 @@
+"""The solvers themselves, each behind the same three lines: min ½‖y‖² subject to lower ≤ G y ≤ upper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import daqp
+import numpy as np
+import osqp
+from numpy.typing import NDArray
+from scipy import sparse
+
+__all__ = ["Answer", "daqp_kernel", "osqp_kernel"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_NO_BOUND = 1e30
+_DAQP_INFEASIBLE = -1
+
+
+@dataclass(frozen=True)
+class Answer:
+    """y (d,) or None, multipliers (m,) with y + Gᵀ·multipliers = 0, iterations, and what the solver says."""
+
+    y: Array | None
+    multipliers: Array
+    iterations: int
+    status: Literal["optimal", "infeasible", "failed"]
+
+
+def daqp_kernel(G: Array, lower: Array, upper: Array) -> Answer:
+    """DAQP (Arnström, Bemporad and Axehill 2022), a dual active-set method; its flag is checked."""
+    m, d = G.shape
+    y, _, flag, info = daqp.solve(
+        np.eye(d),
+        np.zeros(d),
+        np.ascontiguousarray(G),
+        np.minimum(upper, _NO_BOUND),
+        np.maximum(lower, -_NO_BOUND),
+        np.zeros(m, dtype=np.intc),
+        primal_tol=1e-11,
+    )
+    iterations = int(info["iterations"])
+    if flag == 1:
+        return Answer(np.array(y, dtype=float), np.array(info["lam"], dtype=float), iterations, "optimal")
+    return Answer(None, np.zeros(m), iterations, "infeasible" if flag == _DAQP_INFEASIBLE else "failed")
+
+
+def osqp_kernel(G: Array, lower: Array, upper: Array) -> Answer:
+    """OSQP (Stellato et al. 2020), an operator-splitting method, with tight settings.
+
+    Its default tolerances leave bounds violated by 1e-3 and call feasible problems infeasible.
+    """
+    m, d = G.shape
+    solver = osqp.OSQP()
+    solver.setup(
+        sparse.eye(d, format="csc"),
+        np.zeros(d),
+        sparse.csc_matrix(G),
+        np.maximum(lower, -_NO_BOUND),
+        np.minimum(upper, _NO_BOUND),
+        eps_abs=1e-10,
+        eps_rel=1e-10,
+        eps_prim_inf=1e-10,
+        max_iter=20_000,
+        polishing=False,  # it prints to the terminal; the caller polishes
+        verbose=False,
+    )
+    result = solver.solve(raise_error=False)
+    iterations, status = int(result.info.iter), int(result.info.status_val)
+    if status in (
+        osqp.SolverStatus.OSQP_SOLVED,
+        osqp.SolverStatus.OSQP_SOLVED_INACCURATE,
+        osqp.SolverStatus.OSQP_MAX_ITER_REACHED,
+    ):
+        # inaccurate ones too: the caller polishes and checks
+        return Answer(np.array(result.x, dtype=float), np.array(result.y, dtype=float), iterations, "optimal")
+    infeasible = status == osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE
+    return Answer(None, np.zeros(m), iterations, "infeasible" if infeasible else "failed")

@@ -1,0 +1,100 @@
+"""Judging an answer without trusting who gave it: the optimality conditions, from v and the problem alone.
+
+Every condition says that some vector is a non-negative combination of the rows' outward normals, in which
+rows far from v have no part: weight times distance, summed, is the duality gap, and one more equation. It is
+a non-negative least-squares problem (Lawson and Hanson 1974), which shares no code with the QP solvers.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from surctl.priority.nsb import nsb, nsb_sweep
+from surctl.priority.polyhedron import Polyhedron, polyhedron_of
+from surctl.priority.problem import PriorityProblem
+from surctl.tasks.limits import Kind
+
+__all__ = ["is_optimal"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+def is_optimal(v: Array, problem: PriorityProblem, *, mode: str, tol: float = 1e-6) -> bool:
+    """Whether v (n,) is what the mode promises, within `tol` relative to 1 + the size of what is compared.
+
+    nsb: v is the printed law (16). projected: (a) no actuator row is missed; (b) what barrier rows, then set
+    rows, are missed by cannot be less; (c) no v in the set so relaxed meets the first task better; (d) none
+    that meets it as well is nearer to w_2.
+    """
+    if v.shape != (problem.width,) or not np.isfinite(v).all():
+        return False
+    if mode == "nsb":
+        wanted = nsb(problem)
+        return bool(np.abs(v - wanted).max() <= tol * (1.0 + np.abs(wanted).max()))
+    allowed = _least_relaxed(v, polyhedron_of(problem), tol)
+    if allowed is None:
+        return False
+    first = problem.levels[0]
+    size = float(np.abs(first.J).max(initial=1.0))
+    normals, gaps = _bounds(allowed, v)
+    if not _in_cone(first.J.T @ (first.x - first.J @ v) / size**2, normals, gaps, tol):
+        return False
+    w_2 = nsb_sweep(problem.levels[1:], width=problem.width)
+    free = np.vstack([normals, first.J / size, -first.J / size])
+    return _in_cone(w_2 - v, free, np.append(gaps, np.zeros(2 * first.x.size)), tol)
+
+
+def _least_relaxed(v: Array, rows: Polyhedron, tol: float) -> Polyhedron | None:
+    """The rows relaxed as far as v misses them, if no less would do; None otherwise."""
+    slack = tol * (1.0 + float(np.abs(v).max(initial=0.0)))
+    missed = rows.violation(v)
+    if missed[rows.mask("actuator")].max(initial=0.0) > slack:
+        return None
+    harder: tuple[Kind, ...] = ("actuator",)
+    kinds: tuple[Kind, ...] = ("barrier", "set")
+    for kind in kinds:
+        chosen = rows.mask(kind)
+        by = float(missed[chosen].max(initial=0.0))
+        rows = rows.relaxed(chosen, by)
+        if by > slack and not _cannot_be_less(v, rows, chosen, rows.mask(*harder), tol):
+            return None
+        harder = (*harder, kind)
+    return rows
+
+
+def _cannot_be_less(
+    v: Array, rows: Polyhedron, soft: NDArray[np.bool_], hard: NDArray[np.bool_], tol: float
+) -> bool:
+    """Farkas: normals of soft rows, with weights that sum to 1, balance those of the hard ones."""
+    pushing, near = _bounds(rows, v, soft)
+    holding, far = _bounds(rows, v, hard)
+    weight = np.append(np.ones(near.size), np.zeros(far.size))
+    goal = np.append(np.zeros(v.size), 1.0)
+    normals = np.column_stack([np.vstack([pushing, holding]), weight])
+    return _in_cone(goal, normals, np.append(near, far), tol)
+
+
+def _bounds(rows: Polyhedron, v: Array, chosen: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
+    """Outward normals (p, n) of all finite bounds of the chosen rows, and the distance (p,) of v to each."""
+    value = rows.A @ v
+    above, below = np.isfinite(rows.upper), np.isfinite(rows.lower)
+    if chosen is not None:
+        above, below = above & chosen, below & chosen
+    normals = np.vstack([rows.A[above], -rows.A[below]])
+    gaps = np.append((rows.upper - value)[above], (value - rows.lower)[below])
+    return normals, np.maximum(gaps, 0.0)
+
+
+def _in_cone(goal: Array, normals: Array, gaps: Array, tol: float) -> bool:
+    """Whether goal (d,) is a non-negative combination of normals (p, d) with vanishing weight · gap."""
+    size = float(np.abs(goal).max(initial=0.0))
+    if size <= tol:
+        return True
+    if gaps.size == 0:
+        return False
+    _, distance = nnls(np.vstack([normals.T, gaps]), np.append(goal / size, 0.0))
+    return bool(distance * size <= tol * (1.0 + size))

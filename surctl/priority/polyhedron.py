@@ -1,0 +1,103 @@
+"""The velocities that the rows allow: V = {v : lower ≤ A v ≤ upper}, every row of length 1."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.priority.problem import PriorityProblem
+from surctl.priority.rowspace import ZERO_ROW
+from surctl.tasks.limits import Kind
+
+__all__ = ["Polyhedron", "polyhedron_of"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_ROUNDING = 1e-8
+
+
+@dataclass(frozen=True, eq=False)
+class Polyhedron:
+    """Rows scaled to length 1, so that a violation is a velocity; names and kinds beside them.
+
+    Attributes:
+        A: (m, n). lower, upper: (m,). length: (m,), of the rows as given.
+        kinds, names: (m,).
+        box: the actuator rows that bound one velocity each, as lower and upper (n,); ±inf elsewhere.
+    """
+
+    A: Array
+    lower: Array
+    upper: Array
+    length: Array
+    kinds: tuple[Kind, ...]
+    names: tuple[str, ...]
+    box: tuple[Array, Array]
+
+    def violation(self, v: Array) -> Array:
+        """(m,): by how much v (n,) misses each row; 0 where it is kept."""
+        value = self.A @ v
+        return np.maximum(np.maximum(self.lower - value, value - self.upper), 0.0)
+
+    def missed(self, v: Array) -> dict[str, float]:
+        """Rows that v misses by more than rounding, by name, with the amount in each row's own unit."""
+        amount = self.violation(v)
+        tolerance = _ROUNDING * (1.0 + float(np.abs(v).max()))
+        return {self.names[i]: float(amount[i] * self.length[i]) for i in np.flatnonzero(amount > tolerance)}
+
+    def contains(self, v: Array) -> bool:
+        """Whether v keeps every row, without tolerance; False for a NaN."""
+        value = self.A @ v
+        return bool(((self.lower <= value) & (value <= self.upper)).all())
+
+    def mask(self, *kinds: Kind) -> NDArray[np.bool_]:
+        """(m,): which rows are of these kinds."""
+        return np.array([kind in kinds for kind in self.kinds], dtype=bool)
+
+    def relaxed(self, rows: NDArray[np.bool_], by: float) -> Polyhedron:
+        """The same, with both bounds of the chosen rows moved outwards by `by`."""
+        move = np.where(rows, by, 0.0)
+        return replace(self, lower=self.lower - move, upper=self.upper + move)
+
+    def holding(self, v: Array) -> Polyhedron:
+        """The same, with bounds moved just far enough to hold v exactly: for a v that is known to belong."""
+        value = self.A @ v
+        return replace(self, lower=np.minimum(self.lower, value), upper=np.maximum(self.upper, value))
+
+    def clamp(self, v: Array) -> Array:
+        """v moved into the box, entry by entry."""
+        clamped: Array = np.clip(v, *self.box)
+        return clamped
+
+
+def polyhedron_of(problem: PriorityProblem) -> Polyhedron:
+    """The problem's rows, scaled. A row of zeros keeps its bounds: it is met always or never."""
+    rows, n = problem.rows, problem.width
+    A = np.array([row.a for row in rows]).reshape(len(rows), n)
+    length = np.sqrt(np.einsum("ij,ij->i", A, A))
+    length[length <= ZERO_ROW] = 1.0
+    lower = np.array([row.lower for row in rows], dtype=float) / length
+    upper = np.array([row.upper for row in rows], dtype=float) / length
+    A = A / length[:, None]
+    kinds = tuple(row.kind for row in rows)
+    return Polyhedron(
+        A, lower, upper, length, kinds, tuple(r.name for r in rows), _box(A, lower, upper, kinds)
+    )
+
+
+def _box(A: Array, lower: Array, upper: Array, kinds: tuple[Kind, ...]) -> tuple[Array, Array]:
+    """Bounds of single velocities; where two rows contradict each other, the middle of both."""
+    low, high = np.full(A.shape[1], -math.inf), np.full(A.shape[1], math.inf)
+    for i in np.flatnonzero(np.count_nonzero(A, axis=1) == 1):
+        if kinds[i] != "actuator":
+            continue
+        j = int(np.flatnonzero(A[i])[0])
+        ends = (lower[i], upper[i]) if A[i, j] > 0.0 else (-upper[i], -lower[i])
+        low[j], high[j] = max(low[j], ends[0]), min(high[j], ends[1])
+    crossed = low > high
+    low[crossed] = high[crossed] = 0.5 * (low[crossed] + high[crossed])
+    return low, high

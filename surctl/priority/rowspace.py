@@ -1,0 +1,57 @@
+"""What a Jacobian can and cannot move: its row space, with a cut-off that noise does not pass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["CUTOFF", "ZERO_ROW", "RowSpace", "project", "row_space"]
+
+CUTOFF = 1e-10
+"""Singular values below CUTOFF·‖J‖ count as 0."""
+
+ZERO_ROW = 1e-15
+"""A Jacobian smaller than this is that of an inactive task."""
+
+
+@dataclass(frozen=True)
+class RowSpace:
+    """J = left · diag(s) · rows, without what lies below the cut-off.
+
+    Attributes:
+        left: (k, r), orthonormal columns.
+        s: (r,), singular values, all positive.
+        rows: (r, n), an orthonormal basis of the row space.
+        null: (n − r, n), an orthonormal basis of the null space.
+    """
+
+    left: NDArray[np.float64]
+    s: NDArray[np.float64]
+    rows: NDArray[np.float64]
+    null: NDArray[np.float64]
+
+    def pinv(self) -> NDArray[np.float64]:
+        """J⁺, (n, k)."""
+        return (self.rows.T / self.s) @ self.left.T
+
+    def particular(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """J⁺x, (n,)."""
+        return self.rows.T @ ((self.left.T @ x) / self.s)
+
+
+def row_space(J: NDArray[np.float64], *, cutoff: float = CUTOFF) -> RowSpace:
+    """Decompose J (k, n); the cut-off is `cutoff`·‖J‖, and never below `ZERO_ROW`."""
+    left, s, rows = np.linalg.svd(J, full_matrices=True)
+    rank = int(np.count_nonzero(s > max(cutoff * s[0], ZERO_ROW))) if s.size else 0
+    return RowSpace(left[:, :rank], s[:rank], rows[:rank], rows[rank:])
+
+
+def project(w: NDArray[np.float64], J: NDArray[np.float64], *, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The point nearest to w (n,) of argmin ‖J z − x‖: w + J⁺(x − J w). Exact for rank-deficient J too."""
+    if J.shape[0] == 1:
+        row = J[0]
+        square = row @ row
+        return w if square <= ZERO_ROW**2 else w + row * ((x[0] - row @ w) / square)
+    return w + row_space(J).particular(x - J @ w)

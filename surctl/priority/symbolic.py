@@ -1,0 +1,91 @@
+"""NSB as one CasADi expression: the form that is generated into C."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+
+from surctl.errors import InputError
+
+__all__ = ["nsb_symbolic"]
+
+_DEPENDENT = 1e-12
+"""A row whose squared distance from the rows above it is below this part of its square is dependent."""
+
+_ZERO_SQUARE = 1e-30
+"""Square of a row that counts as zero: the task is inactive (`rowspace.ZERO_ROW` squared)."""
+
+
+def nsb_symbolic(levels: Sequence[tuple[ca.SX, ca.SX]], *, damping: float = 0.0) -> ca.SX:
+    """v (n, 1) of the nested law (16) for levels (J (k, n), x (k, 1)), highest priority first.
+
+    The sweep w ← w + J_λ(x − J w) from the lowest level to the highest, J_λ = Jᵀ(JJᵀ + λ²I)⁻¹ by a
+    factorisation LDLᵀ written out: no pseudo-inverse, no loop, no branch. `damping` λ (unit of J) stands in
+    v_i and in N_i alike, which is the only damped form that is still a sweep (min λ²‖z − w‖² + ‖J z − x‖²).
+
+    Without damping a zero row (an inactive task) contributes nothing, and a row that depends on rows above it
+    in its own level is left to those; `nsb` differs there only if the two contradict each other (it takes
+    the mean).
+
+    Raises:
+        InputError: no level, shapes that disagree, negative damping.
+    """
+    _check(levels, damping)
+    w = ca.SX.zeros(levels[0][0].shape[1], 1)
+    for J, x in reversed(levels):
+        w = w + J.T @ _solve_gram(J, x - J @ w, damping)
+    return ca.densify(w)
+
+
+def _solve_gram(J: ca.SX, rhs: ca.SX, damping: float) -> ca.SX:
+    """y (k, 1) with (J Jᵀ + λ²I) y = rhs, by LDLᵀ; dependent and zero rows get y = 0."""
+    G = ca.densify(J @ J.T + damping**2 * ca.SX.eye(J.shape[0]))
+    L, inverse = _factorise(G)
+    k = G.shape[0]
+    y = [rhs[i] for i in range(k)]
+    for i in range(k):
+        for j in range(i):
+            y[i] = y[i] - L[i][j] * y[j]
+    y = [y[i] * inverse[i] for i in range(k)]
+    for i in reversed(range(k)):
+        for j in range(i + 1, k):
+            y[i] = y[i] - L[j][i] * y[j]
+    return ca.vertcat(*y)
+
+
+def _factorise(G: ca.SX) -> tuple[list[list[ca.SX]], list[ca.SX]]:
+    """L (unit lower triangle, by rows) and the inverse pivots, 0 where the pivot vanishes."""
+    k = G.shape[0]
+    L: list[list[ca.SX]] = [[ca.SX(0)] * k for _ in range(k)]
+    pivots: list[ca.SX] = []
+    inverse: list[ca.SX] = []
+    for j in range(k):
+        pivot = G[j, j]
+        for m in range(j):
+            pivot = pivot - L[j][m] * L[j][m] * pivots[m]
+        alive = pivot > _DEPENDENT * G[j, j] + _ZERO_SQUARE
+        # both arms are finite, so the arm not taken cannot poison the result
+        inverse.append(ca.if_else(alive, 1.0 / ca.if_else(alive, pivot, 1.0), 0.0))
+        pivots.append(pivot)
+        for i in range(j + 1, k):
+            entry = G[i, j]
+            for m in range(j):
+                entry = entry - L[i][m] * L[j][m] * pivots[m]
+            L[i][j] = entry * inverse[j]
+    return L, inverse
+
+
+def _check(levels: Sequence[tuple[ca.SX, ca.SX]], damping: float) -> None:
+    if not levels:
+        raise InputError("has no level", key="stack", remedy="give at least one task")
+    if not 0.0 <= damping < float("inf"):
+        raise InputError("must be at least 0", key="damping", value=damping, remedy="0 for none")
+    width = levels[0][0].shape[1]
+    for place, (J, x) in enumerate(levels, start=1):
+        if J.shape[1] != width or x.shape != (J.shape[0], 1):
+            raise InputError(
+                f"J has shape {J.shape}, x has shape {x.shape}",
+                key=f"level {place}",
+                remedy=f"give J of shape (k, {width}) and x of shape (k, 1)",
+            )

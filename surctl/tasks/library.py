@@ -1,0 +1,104 @@
+"""Tasks that come with the toolkit; each is one σ(η), and the reader's own are made the same way."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from surctl.errors import InputError
+from surctl.tasks.task import Expression, Task, as_column
+
+__all__ = [
+    "clearance_task",
+    "depth_task",
+    "distance_task",
+    "heading_task",
+    "line_of_sight_task",
+    "position_task",
+    "velocity_task",
+]
+
+_NEAR = 1e-6
+"""Below this distance [m] a direction means nothing: its derivative is taken as 0, never as NaN."""
+
+
+def position_task(
+    eta: ca.SX, target: Expression, *, rate: Expression = 0.0, gain: Expression = 1.0, name: str = "position"
+) -> Task:
+    """σ = (x, y) or (x, y, z) [m] in {E}, as many as `target` has; `rate` [m/s], `gain` [1/s]."""
+    wanted = _vector(name, "target", target, (2, 3))
+    return Task(name=name, eta=eta, sigma=eta[: wanted.numel()], target=wanted, rate=rate, gain=gain)
+
+
+def depth_task(
+    eta: ca.SX, z_d: Expression, *, rate: Expression = 0.0, gain: Expression = 1.0, name: str = "depth"
+) -> Task:
+    """σ = z [m] in {E}, upwards: 0.15 m deep is z_d = −0.15."""
+    return Task(name=name, eta=eta, sigma=eta[2], target=z_d, rate=rate, gain=gain)
+
+
+def heading_task(
+    eta: ca.SX, psi_d: Expression, *, rate: Expression = 0.0, gain: Expression = 1.0, name: str = "heading"
+) -> Task:
+    """σ = ψ [rad], counter-clockwise from x; turns the short way round."""
+    return Task(name=name, eta=eta, sigma=eta[3], target=psi_d, rate=rate, gain=gain, angular=True)
+
+
+def velocity_task(eta: ca.SX, v_world: Expression, *, name: str = "velocity") -> Task:
+    """σ = (x, y) with σ̃ = 0: only its rate `v_world` (2,) [m/s] in {E} counts."""
+    return Task(
+        name=name, eta=eta, sigma=eta[:2], target=eta[:2], rate=_vector(name, "v_world", v_world, (2,))
+    )
+
+
+def clearance_task(
+    eta: ca.SX, echo_point: Expression, *, margin: Expression, gain: Expression = 1.0, name: str = "clearance"
+) -> Task:
+    """The paper's sub-task of one sensor: σ = ‖p_echo − p‖ − margin → 0 [m] (17), read with E1.
+
+    J = [−cos(φ − ψ), −sin(φ − ψ), 0, 0], φ the bearing of the echo (2,) [m] in {E}. `margin` [m] is the
+    anti-collision radius.
+    """
+    sigma = _distance(eta, _vector(name, "echo_point", echo_point, (2,))) - _scalar(name, "margin", margin)
+    return Task(name=name, eta=eta, sigma=sigma, gain=gain)
+
+
+def distance_task(
+    eta: ca.SX, point: Expression, *, distance: Expression, gain: Expression = 1.0, name: str = "distance"
+) -> Task:
+    """σ = horizontal distance to `point` (2,) [m] in {E}, to be held at `distance` [m]."""
+    sigma = _distance(eta, _vector(name, "point", point, (2,)))
+    return Task(name=name, eta=eta, sigma=sigma, target=_scalar(name, "distance", distance), gain=gain)
+
+
+def line_of_sight_task(
+    eta: ca.SX, point: Expression, *, gain: Expression = 1.0, name: str = "line_of_sight"
+) -> Task:
+    """σ = bearing of `point` (2,) [m] in {E} seen from the bow [rad], to be 0: look at the point.
+
+    On the point itself, where no bearing exists, it is taken as the direction of x.
+    """
+    offset = _vector(name, "point", point, (2,)) - eta[:2]
+    near = ca.sumsqr(offset) < _NEAR**2
+    bearing = ca.atan2(ca.if_else(near, 0.0, offset[1]), ca.if_else(near, 1.0, offset[0]))
+    return Task(name=name, eta=eta, sigma=bearing - eta[3], gain=gain, angular=True)
+
+
+def _distance(eta: ca.SX, point: ca.SX) -> ca.SX:
+    return ca.sqrt(ca.fmax(ca.sumsqr(point - eta[:2]), _NEAR**2))
+
+
+def _vector(name: str, field: str, value: Expression, sizes: tuple[int, ...]) -> ca.SX:
+    try:
+        column = as_column(value)
+    except (NotImplementedError, RuntimeError, TypeError, ValueError):
+        column = None
+    if column is None or column.numel() not in sizes:
+        expected = " or ".join(map(str, sizes))
+        raise InputError(
+            "has the wrong shape", key=f"task {name}: {field}", value=value, remedy=f"give {expected} entries"
+        )
+    return column
+
+
+def _scalar(name: str, field: str, value: Expression) -> ca.SX:
+    return _vector(name, field, value, (1,))

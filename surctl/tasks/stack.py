@@ -1,0 +1,59 @@
+"""The ordered stack of tasks: who comes first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from surctl.errors import InputError
+from surctl.tasks.task import Task
+
+__all__ = ["Stack"]
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """Tasks in order of priority, highest first.
+
+    Raises:
+        InputError: no task, two tasks with one name, or tasks written over different `eta` symbols.
+    """
+
+    tasks: tuple[Task, ...]
+
+    def __post_init__(self) -> None:
+        """Check names and symbols."""
+        object.__setattr__(self, "tasks", tuple(self.tasks))
+        if not self.tasks:
+            raise InputError("holds no task", key="stack", remedy="give at least one task")
+        seen: dict[str, int] = {}
+        for place, task in enumerate(self.tasks, start=1):
+            if task.name in seen:
+                raise InputError(
+                    f"names both task {seen[task.name]} and task {place}",
+                    key="stack",
+                    value=task.name,
+                    remedy="rename one of them",
+                )
+            seen[task.name] = place
+            if not ca.is_equal(task.eta, self.tasks[0].eta):
+                raise InputError(
+                    f"is written over another eta symbol than task {self.tasks[0].name}",
+                    key=f"task {task.name}",
+                    remedy="build all tasks of a stack from one eta",
+                )
+
+    @property
+    def eta(self) -> ca.SX:
+        """The pose symbol (4, 1) that all tasks share."""
+        return self.tasks[0].eta
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names, highest priority first."""
+        return tuple(task.name for task in self.tasks)
+
+    def levels(self) -> list[tuple[ca.SX, ca.SX]]:
+        """(J (k, 4), x (k, 1)) of each task, highest first: σ̇ = J ν should be x (13)–(14)."""
+        return [(task.jacobian(), task.reference()) for task in self.tasks]

@@ -1,0 +1,139 @@
+"""A task: a quantity σ(η), where it should be, and how fast it should get there; (13)–(15)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import casadi as ca
+
+from surctl.errors import InputError
+from surctl.tasks.angle import wrap
+from surctl.vehicle.kinematics import jacobian as kinematics
+
+__all__ = ["Expression", "Task", "as_column"]
+
+Expression: TypeAlias = ca.SX | float | Sequence[float]
+"""A CasADi expression, a number, or a list of numbers."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Task:
+    """A quantity of the robot's pose and the rate that it should have.
+
+    Attributes:
+        name: identifier; it names the task in every message and solution.
+        eta: SX symbol (4, 1): x, y, z [m] in {E} (ENU) and ψ [rad], counter-clockwise.
+        sigma: SX (k, 1), σ(η); other symbols (an echo, a waypoint) may appear in it and are held fixed when
+            it is differentiated: a target that moves says so through `rate`.
+        target: σ_d, (k, 1) or one number for all entries; default 0.
+        rate: σ̇_d, (k, 1) or one number [unit of σ per second]; default 0.
+        gain: K, diagonal (k,) or one number [1/s]; numbers must be greater than 0; default 1.
+        angular: σ is an angle [rad]: the error is brought to (−π, π].
+
+    Raises:
+        InputError: bad name, sizes that disagree, a number that is not finite, a gain that is not positive,
+            σ that does not depend on η; each names the task.
+    """
+
+    name: str
+    eta: ca.SX
+    sigma: ca.SX
+    target: Expression = 0.0
+    rate: Expression = 0.0
+    gain: Expression = 1.0
+    angular: bool = False
+
+    def __post_init__(self) -> None:
+        """Check, and turn every number into a column of k expressions."""
+        _check_name(self.name)
+        if not isinstance(self.eta, ca.SX) or self.eta.shape != (4, 1) or not self.eta.is_valid_input():
+            raise _wrong(
+                self, "eta", "is not an SX symbol of shape (4, 1)", 'write eta = ca.SX.sym("eta", 4)'
+            )
+        sigma = ca.densify(ca.SX(self.sigma))
+        if sigma.shape[1] != 1 or sigma.shape[0] < 1:
+            raise _wrong(self, "sigma", f"has shape {sigma.shape}, expected (k, 1)", "use ca.vertcat")
+        if not ca.depends_on(sigma, self.eta):
+            raise _wrong(
+                self, "sigma", "does not depend on eta", "express it through this task's own eta symbol"
+            )
+        object.__setattr__(self, "sigma", sigma)
+        for field in ("target", "rate", "gain"):
+            object.__setattr__(self, field, _column_of(self, field, sigma.shape[0]))
+        _check_gain(self)
+
+    @property
+    def size(self) -> int:
+        """k, the number of rows."""
+        return int(self.sigma.shape[0])
+
+    def jacobian(self) -> ca.SX:
+        """J, (k, 4): σ̇ = J ν for ν = (u, v, w, r) in {B}; J = ∂σ/∂η · J(η), by differentiation (13)."""
+        return ca.densify(ca.jacobian(self.sigma, self.eta) @ kinematics(self.eta[3]))
+
+    def error(self) -> ca.SX:
+        """σ̃ = σ_d − σ, (k, 1); brought to (−π, π] for an angle."""
+        difference = self.target - self.sigma
+        return wrap(difference) if self.angular else difference
+
+    def reference(self) -> ca.SX:
+        """x = σ̇_d + K σ̃, (k, 1) [unit of σ per second] (14)."""
+        return ca.densify(self.rate + self.gain * self.error())
+
+
+def as_column(value: Expression) -> ca.SX:
+    """The value as a dense SX column; a row is turned. ValueError when it is a matrix."""
+    column = ca.densify(ca.SX(value) if isinstance(value, ca.SX) else ca.SX(ca.DM(value)))
+    if column.shape[0] == 1:
+        column = column.T
+    if column.shape[1] != 1:
+        raise ValueError("not a vector")
+    return column
+
+
+def _check_name(name: object) -> None:
+    if not isinstance(name, str) or not name.isidentifier() or not name.isascii():
+        raise InputError(
+            "is not a task name",
+            key="task.name",
+            value=name,
+            remedy="use letters, digits and _, starting with a letter",
+        )
+
+
+def _wrong(task: Task, field: str, problem: str, remedy: str, value: object = None) -> InputError:
+    return InputError(problem, key=f"task {task.name}: {field}", value=value, remedy=remedy)
+
+
+def _column_of(task: Task, field: str, size: int) -> ca.SX:
+    """The field as (size, 1); one number stands for all entries."""
+    try:
+        column = as_column(getattr(task, field))
+    except (NotImplementedError, RuntimeError, TypeError, ValueError):
+        raise _wrong(
+            task, field, "is neither numbers nor a vector expression", f"give one number or {size}"
+        ) from None
+    if column.numel() == 1:
+        column = ca.repmat(column, size, 1)
+    if column.numel() != size:
+        raise _wrong(
+            task, field, f"has {column.numel()} entries, but sigma has {size}", f"give one number or {size}"
+        )
+    for number in _numbers(column):
+        if not math.isfinite(number):
+            raise _wrong(task, field, "is not finite", "give a finite number", number)
+    return column
+
+
+def _check_gain(task: Task) -> None:
+    for number in _numbers(ca.SX(task.gain)):
+        if number <= 0:
+            raise _wrong(task, "gain", "must be greater than 0", "a gain in 1/s, such as 0.5", number)
+
+
+def _numbers(column: ca.SX) -> list[float]:
+    """The entries that are plain numbers."""
+    return [float(column[i]) for i in range(column.numel()) if column[i].is_constant()]

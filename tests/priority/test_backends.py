@@ -1,0 +1,137 @@
+"""The least-distance adapter against an oracle that tries every set of active rows."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from surctl.errors import InputError
+from surctl.priority import BACKENDS, nsb_sweep, solve_least_distance
+from surctl.priority.rowspace import project, row_space
+from tests.priority.draw import N, levels, unit
+
+both = pytest.mark.parametrize("backend", sorted(BACKENDS))
+
+
+def oracle(target, A, upper):
+    """min ‖x − target‖ with A x ≤ upper, by enumeration; None when empty."""
+    best, where = np.inf, None
+    for k in range(min(len(A), N) + 1):
+        for active in map(list, itertools.combinations(range(len(A)), k)):
+            B = A[active]
+            if np.linalg.matrix_rank(B) < k:
+                continue
+            x = target + np.linalg.pinv(B) @ (upper[active] - B @ target) if k else target
+            if (A @ x <= upper + 1e-9).all() and np.linalg.norm(x - target) < best:
+                best, where = np.linalg.norm(x - target), x
+    return where
+
+
+@both
+def test_it_equals_enumeration(backend):
+    rng = np.random.default_rng(1)
+    empty = 0
+    for _ in range(60):
+        m = int(rng.integers(1, 7))
+        A, upper, target = (
+            np.array([unit(rng) for _ in range(m)]),
+            rng.normal(size=m) * 0.7,
+            rng.normal(size=N),
+        )
+        if m > 1 and rng.random() < 0.3:
+            A[1] = -A[0]
+        if m > 2 and rng.random() < 0.3:
+            A[2], upper[2] = A[0], upper[0]
+        got, want = (
+            solve_least_distance(target, A=A, lower=np.full(m, -np.inf), upper=upper, backend=backend),
+            oracle(target, A, upper),
+        )
+        if want is None:
+            empty += 1
+            assert got.x is None
+            continue
+        assert got.status == "optimal"
+        assert np.abs(got.x - want).max() < 1e-8
+        assert np.abs(got.x - target + A.T @ got.multipliers).max() < 1e-7
+        assert (got.multipliers >= -1e-9).all()
+    assert empty > 0
+
+
+@both
+@settings(max_examples=40)
+@given(st.integers(0, 2**32 - 1))
+def test_the_qp_is_the_last_projection_of_nsb_when_rows_are_loose(backend, seed):
+    made = levels(np.random.default_rng(seed), conditioned=True)
+    first, w_2 = made[0], nsb_sweep(made[1:], width=N)
+    reachable = first.J @ row_space(first.J).particular(first.x)
+    got = solve_least_distance(
+        w_2,
+        A=np.eye(N),
+        lower=np.full(N, -1e3),
+        upper=np.full(N, 1e3),
+        A_eq=first.J,
+        b_eq=reachable,
+        backend=backend,
+    )
+    assert np.abs(got.x - project(w_2, first.J, x=first.x)).max() < 1e-8 * (1 + np.abs(w_2).max())
+
+
+@both
+def test_equalities_that_disagree_are_infeasible_and_doubled_ones_are_not(backend):
+    row = np.array([[1.0, 0, 0, 0], [1.0, 0, 0, 0]])
+    box = {"A": np.eye(N), "lower": np.full(N, -1.0), "upper": np.full(N, 1.0), "backend": backend}
+    assert solve_least_distance(np.ones(N), A_eq=row, b_eq=np.array([0.1, 0.2]), **box).status == "infeasible"
+    doubled = solve_least_distance(np.ones(N), A_eq=row, b_eq=np.array([0.1, 0.1]), **box)
+    assert np.allclose(doubled.x, [0.1, 1, 1, 1], atol=1e-9)
+    outside = solve_least_distance(np.ones(N), A_eq=row, b_eq=np.array([2.0, 2.0]), **box)
+    assert outside.status == "infeasible"
+
+
+@both
+def test_multipliers_are_those_of_the_rows_as_given(backend):
+    rng, bound = np.random.default_rng(6), 0
+    for _ in range(20):
+        A = np.array([unit(rng) * 10.0 ** rng.uniform(-1, 1) for _ in range(3)])
+        upper, target, row = 0.1 * np.linalg.norm(A, axis=1), 2 * rng.normal(size=N), rng.normal(size=(1, N))
+        got = solve_least_distance(
+            target, A=A, lower=np.full(3, -np.inf), upper=upper, A_eq=row, b_eq=np.zeros(1), backend=backend
+        )
+        force = got.x - target + A.T @ got.multipliers  # what is left is the equality's own
+        assert np.linalg.norm(force - row[0] * (row[0] @ force) / (row[0] @ row[0])) < 1e-7
+        bound += np.any(got.multipliers > 0)
+    assert bound > 5
+
+
+@both
+def test_a_fixed_velocity_and_absent_bounds(backend):
+    lower, upper = np.array([0.3, -np.inf, -np.inf, 0.0]), np.array([0.3, np.inf, -0.5, np.inf])
+    got = solve_least_distance(np.zeros(N), A=np.eye(N), lower=lower, upper=upper, backend=backend)
+    assert np.allclose(got.x, [0.3, 0, -0.5, 0], atol=1e-9)
+    assert got.multipliers[0] < 0 < got.multipliers[2]
+
+
+def test_an_answer_that_does_not_hold_is_not_passed_on():
+    from surctl.priority.backends import _checked
+    from surctl.priority.kernels import Answer
+
+    G, low, high = np.eye(2), np.array([0.5, -1.0]), np.array([1.0, 1.0])
+    close = np.full(2, 1e-9)
+    lie = Answer(np.array([0.4, np.nan]), np.array([np.nan, 0.0]), 1, "optimal")
+    assert _checked(lie, G, low, high, tolerance=close).status == "failed"
+    rough = Answer(np.array([0.5 - 1e-6, 1e-6]), np.array([-0.5, 0.0]), 1, "optimal")
+    assert np.abs(_checked(rough, G, low, high, tolerance=close).y - [0.5, 0.0]).max() < 1e-15
+
+
+def test_an_unknown_backend_names_the_nearest():
+    with pytest.raises(InputError, match="did you mean 'daqp'"):
+        solve_least_distance(np.zeros(1), A=np.eye(1), lower=-np.ones(1), upper=np.ones(1), backend="dakp")
+
+
+@both
+def test_nothing_is_printed(backend, capfd):
+    box = {"A": np.eye(N), "lower": np.full(N, -1.0), "upper": np.full(N, 1.0), "backend": backend}
+    solve_least_distance(np.zeros(N), **box)
+    solve_least_distance(np.full(N, 3.0), **box)
+    assert capfd.readouterr() == ("", "")

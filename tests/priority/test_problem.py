@@ -1,0 +1,70 @@
+"""The problem as data: what is refused, printed and saved."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from surctl.errors import InputError
+from surctl.priority import Level, PriorityProblem, Row, build_problem, solve
+from tests.priority.draw import constrained
+
+GOOD = Level("depth", np.eye(4)[2:3], np.array([0.1]))
+
+
+def row(name="wall", kind="barrier", a=(1, 0, 0, 0), lower=-math.inf, upper=0.2):
+    return Row(name, kind, np.array(a, dtype=float), lower, upper)
+
+
+@pytest.mark.parametrize(
+    ("levels", "rows", "says"),
+    [
+        ([], [], "no level"),
+        ([GOOD, GOOD], [], "task depth: names both task 1 and task 2"),
+        ([GOOD], [row(), row()], "limit wall: names both"),
+        ([GOOD, Level("odd", np.ones((1, 3)), np.ones(1))], [], "task odd: J has 3 columns"),
+        ([Level("odd", np.ones((2, 4)), np.ones(1))], [], "task odd: J has shape (2, 4)"),
+        ([Level("odd", np.array([[1, 1, 1, 1], [0, np.nan, 0, 0]]), np.ones(2))], [], "row 1 is not finite"),
+        ([Level("odd", np.ones((2, 4)), np.array([np.inf, 1]))], [], "row 0 is not finite"),
+        ([GOOD], [row(a=(1, 0, 0))], "limit wall: has 3 entries"),
+        ([GOOD], [row(a=(1, 0, 0, np.nan))], "limit wall"),
+        ([GOOD], [row(upper=math.nan)], "limit wall"),
+        ([GOOD], [row(lower=0.3)], "leave no velocity"),
+        ([GOOD], [row(upper=-math.inf)], "leave no velocity"),
+        ([GOOD], [row(kind="actuatr")], "did you mean 'actuator'"),
+    ],
+)
+def test_bad_problems_are_refused_by_name(levels, rows, says):
+    with pytest.raises(InputError) as caught:
+        build_problem(levels, rows)
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_it_survives_json_exactly():
+    for seed in range(20):
+        problem = constrained(np.random.default_rng(seed))
+        again = PriorityProblem.from_dict(json.loads(json.dumps(problem.to_dict(), allow_nan=False)))
+        assert np.array_equal(solve(problem).v, solve(again).v)
+        assert str(again) == str(problem)
+
+
+def test_a_broken_save_is_refused():
+    with pytest.raises(InputError, match="not a saved problem"):
+        PriorityProblem.from_dict({"levels": [{"name": "depth"}]})
+
+
+def test_it_prints_every_row():
+    text = str(build_problem([GOOD], [row()]))
+    assert "depth" in text
+    assert "-> 0.1" in text
+    assert "wall" in text
+    assert "[-inf, 0.2]" in text
+
+
+def test_the_callers_arrays_are_not_shared():
+    J = np.eye(4)[2:3].copy()
+    problem = build_problem([Level("depth", J, np.array([0.1]))])
+    J[0, 2] = 99.0
+    assert problem.levels[0].J[0, 2] == 1.0
