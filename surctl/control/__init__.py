@@ -1,0 +1,36 @@
+"""The controller: gain files, velocity control, and the whole law as one object."""
+
+from surctl.control.gains import GAINS, LIBRARY, Gains, load_gains, write_gains
+from surctl.control.law import (
+    DEGRADED,
+    LAW_NAMES,
+    MODES,
+    NONFINITE,
+    SATURATED,
+    SWITCHED,
+    Law,
+    LawStep,
+    build_law,
+)
+from surctl.control.ports import CONTACT_SLOTS, INPUTS, PARAMETERS, law_parameters
+
+__all__ = [
+    "CONTACT_SLOTS",
+    "DEGRADED",
+    "GAINS",
+    "INPUTS",
+    "LAW_NAMES",
+    "LIBRARY",
+    "MODES",
+    "NONFINITE",
+    "PARAMETERS",
+    "SATURATED",
+    "SWITCHED",
+    "Gains",
+    "Law",
+    "LawStep",
+    "build_law",
+    "law_parameters",
+    "load_gains",
+    "write_gains",
+]

@@ -1,0 +1,143 @@
+"""The gain file: every tunable number of the law by name, with unit and meaning."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from surctl.errors import InputError, nearest
+from surctl.files import Quantity, Strict, load_model, pick
+
+__all__ = ["GAINS", "LIBRARY", "GainSpec", "Gains", "load_gains", "write_gains"]
+
+LIBRARY = Path(__file__).parent / "library"
+
+
+@dataclass(frozen=True)
+class GainSpec:
+    """Unit, meaning, and whether 0 switches the feature off (every other gain must be > 0)."""
+
+    unit: str
+    meaning: str
+    zero_allowed: bool = False
+    below: float = float("inf")
+
+
+GAINS: Mapping[str, GainSpec] = {
+    "k1": GainSpec("1/s", "along-track gain of (12)"),
+    "k2": GainSpec("1/s", "depth gain of (12)"),
+    "lookahead": GainSpec("m", "look-ahead distance Delta_h of the LOS law"),
+    "wait": GainSpec("m", "the path's target stops when the robot is this far behind it"),
+    "k_psi": GainSpec("1/s", "heading gain"),
+    "k_v": GainSpec("1/s", "bandwidth of the velocity loops surge, sway, heave"),
+    "k_r": GainSpec("1/s", "bandwidth of the yaw-rate loop"),
+    "k_i": GainSpec("1/s^2", "integral action of the velocity loops, 0 for none", zero_allowed=True),
+    "margin": GainSpec("m", "stand-off d_s added to every clearance"),
+    "reaction": GainSpec("s", "reaction time in the braking distance: lag, sampling and velocity loop"),
+    "brake": GainSpec("1", "share of the thrust that the braking distance counts on", below=1.0 + 1e-12),
+    "kappa": GainSpec("1/s", "gain of the sensor sub-tasks and of the corrected avoidance form"),
+    "k3": GainSpec("1", "convergence coefficient of (20)"),
+    "delta": GainSpec("m", "offset delta of (20); a positive one lets the robot in (E11)", zero_allowed=True),
+    "lambda1": GainSpec("1", "gate width of (5) in standard deviations; 0 always takes the mean", zero_allowed=True),
+    "lms_step": GainSpec("1", "share of the optimal LMS step", below=1.0 + 1e-12),
+    "beta_max": GainSpec("1", "largest historical-memory factor of (6)", zero_allowed=True, below=0.5 + 1e-12),
+}
+
+
+class _GainFile(Strict):
+    kind: Literal["gains"]
+    name: str = Field(min_length=1)
+    note: str = ""
+    provenance: str = Field(min_length=1)
+    gains: dict[str, Quantity]
+
+
+@dataclass(frozen=True)
+class Gains:
+    """A named, complete set of gains (SI units); values by name."""
+
+    name: str
+    values: Mapping[str, float]
+    provenance: str
+    source: str = ""
+
+    def __getitem__(self, name: str) -> float:
+        """Value of the gain; InputError with the nearest known name."""
+        check_name(name, self.source)
+        return self.values[name]
+
+    def with_values(self, values: Mapping[str, float], *, provenance: str | None = None) -> Gains:
+        """A copy with some gains changed, each checked for its sign and bound."""
+        for name, value in values.items():
+            check_name(name, self.source)
+            check_value(name, float(value), self.source)
+        merged = {**self.values, **{k: float(v) for k, v in values.items()}}
+        return replace(self, values=merged, provenance=provenance or self.provenance)
+
+
+def check_name(name: str, source: object) -> None:
+    """InputError with the nearest known name unless `name` is a gain."""
+    if name not in GAINS:
+        raise InputError("no such gain", file=source or None, key=f"gains.{name}", remedy=nearest(name, GAINS))
+
+
+def check_value(name: str, value: float, source: object) -> None:
+    """InputError unless the value is finite, of the right sign and below its bound."""
+    spec = GAINS[name]
+    low_ok = value >= 0 if spec.zero_allowed else value > 0
+    if not np.isfinite(value) or not low_ok or value > spec.below:
+        least = "at least 0" if spec.zero_allowed else "greater than 0"
+        most = f" and at most {spec.below:.3g}" if np.isfinite(spec.below) else ""
+        raise InputError(
+            f"must be {least}{most}",
+            file=source or None,
+            key=f"gains.{name}",
+            value=value,
+            remedy=f"{spec.meaning}, in {spec.unit}",
+        )
+
+
+def load_gains(name_or_path: str) -> Gains:
+    """A built-in gain file by name, or a gain file by path; every gain must be in it.
+
+    Raises:
+        InputError: unreadable file, unknown or missing gain, wrong unit, or a value out of its bounds.
+    """
+    path = pick(str(name_or_path), LIBRARY, what="gains")
+    model = load_model(path, _GainFile)
+    for name, quantity in model.gains.items():
+        check_name(name, path)
+        if quantity.unit != GAINS[name].unit:
+            raise InputError(
+                "wrong unit",
+                file=path,
+                key=f"gains.{name}.unit",
+                value=quantity.unit,
+                remedy=f"give it in {GAINS[name].unit}",
+            )
+        check_value(name, quantity.value, path)
+    for name, spec in GAINS.items():
+        if name not in model.gains:
+            raise InputError(
+                "is missing",
+                file=path,
+                key=f"gains.{name}",
+                remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
+            )
+    return Gains(model.name, {n: model.gains[n].value for n in GAINS}, model.provenance, str(path))
+
+
+def write_gains(gains: Gains) -> str:
+    """The gain file's text; reading it gives the same numbers back."""
+    quoted = gains.provenance.replace("\\", "\\\\").replace('"', '\\"').replace("\n", " ")
+    lines = ['kind = "gains"', f'name = "{gains.name}"', f'provenance = "{quoted}"', "", "[gains]"]
+    lines += [
+        f'{name} = {{ value = {float(value)!r}, unit = "{GAINS[name].unit}" }} # {GAINS[name].meaning}'
+        for name, value in gains.values.items()
+    ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,235 @@
+"""The two laws: which tasks, in which order, and what they ask for.
+
+`guarded`: path wish, bent around every contact by the braking barrier (`guidance.sectors`), then depth, then heading;
+the same barriers stand as rows for the priority modes that take inequalities.
+`paper`: each sensor a sub-task σ_i = l_dm,i in order of urgency, below them the avoidance velocity (20) or the cruise
+velocity, then depth and heading (III-B to III-D).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from surctl.control.perception import Perception
+from surctl.control.reference import Wish
+from surctl.guidance import (
+    AvoidanceForm,
+    Contact,
+    Sector,
+    allowed_closing_speed,
+    avoidance_course,
+    choose_velocity,
+    encounter_side,
+    nearest_in_quadrants,
+)
+from surctl.ir import Port
+from surctl.tasks import HalfPlane, Task, depth_task, heading_task, velocity_task
+
+__all__ = ["DECISION_PORTS", "Decision", "guarded_law", "paper_law"]
+
+DECISION_PORTS = (
+    Port("side", (1,), "1", "latched passing side: 0 none, +1 obstacle on the right, -1 on the left"),
+    Port("blocker", (2,), "m", "what blocked the wish at the last step, x, y in {E}"),
+    Port("last_velocity", (2,), "m/s", "horizontal velocity commanded at the last step, in {E}"),
+)
+
+_SENSE_RANGE = 1.0  # [m] below which a sensor sub-task may act
+_OVERTAKE = 0.02  # [m/s] by which the avoidance speed exceeds the obstacle's
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What a law asks the priority solver for.
+
+    Attributes:
+        levels: tasks, highest first; a level may be switched off by a zero Jacobian and reference.
+        rows: barriers on ν for modes that take inequalities.
+        velocity: horizontal velocity asked for (2, 1) in {E} [m/s].
+        avoiding: 1 while a contact changes the wish.
+        degraded: 1 when no course satisfied every contact.
+        state: next state by port name.
+    """
+
+    levels: Sequence[tuple[str, ca.SX, ca.SX]]
+    rows: Sequence[HalfPlane]
+    velocity: ca.SX
+    avoiding: ca.SX
+    degraded: ca.SX
+    state: dict[str, ca.SX]
+
+
+def guarded_law(wish: Wish, seen: Perception, x: Mapping[str, ca.SX], eta: ca.SX, p: Mapping[str, ca.SX]) -> Decision:
+    """Path wish on the free course nearest to it; every contact bounds the closing speed by its braking distance."""
+    deceleration = (
+        p["brake"] * ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1]) / ca.fmax(p["mass"][0], p["mass"][1])
+    )
+    sectors = [
+        Sector(c.normal, _closing_bound(c, deceleration, p), eta[:2] + (c.clearance + p["hull"]) * c.normal)
+        for c in seen.all
+    ]
+    choice = choose_velocity(
+        wish.velocity, sectors, side=x["side"], blocker=x["blocker"], cruise=p["cruise"], cap=p["cap"]
+    )
+    tasks = (velocity_task(eta, choice.velocity), *_lower_tasks(eta, wish, p))
+    to_body = _to_body(eta)
+    rows = [
+        HalfPlane(f"contact_{k}", ca.horzcat((to_body @ sector.normal).T, 0, 0), sector.bound, kind="barrier")
+        for k, sector in enumerate(sectors)
+    ]
+    return Decision(
+        [(t.name, t.jacobian(), t.reference()) for t in tasks],
+        rows,
+        choice.velocity,
+        choice.blocked,
+        choice.violation > 0.02,
+        {"side": choice.side, "blocker": choice.blocker, "last_velocity": choice.velocity},
+    )
+
+
+def paper_law(
+    form: AvoidanceForm,
+    wish: Wish,
+    seen: Perception,
+    x: Mapping[str, ca.SX],
+    eta: ca.SX,
+    p: Mapping[str, ca.SX],
+    *,
+    dt: float,
+) -> Decision:
+    """The printed stack, made definite: sensor sub-tasks by urgency, (20) or cruise, depth, heading."""
+    heading = ca.vertcat(ca.cos(eta[3]), ca.sin(eta[3]))
+    left = ca.vertcat(-heading[1], heading[0])
+    sensed = nearest_in_quadrants(seen.all, [heading, left, -heading, -left])
+    closing = [_sub_task_speed(c, p) for c in sensed]
+    threat = [
+        ca.logic_and(c.clearance - p["margin"] < _SENSE_RANGE, ca.dot(wish.velocity, c.normal) > v)
+        for c, v in zip(sensed, closing, strict=True)
+    ]
+    avoiding = threat[0]
+    for other in threat[1:]:
+        avoiding = ca.logic_or(avoiding, other)
+    velocity, side = _avoidance_velocity(form, wish, _most_urgent(sensed, threat, wish), avoiding, x, p, dt=dt)
+    levels = _by_urgency(sensed, closing, velocity, eta, p)
+    lower = (velocity_task(eta, velocity), *_lower_tasks(eta, wish, p))
+    return Decision(
+        [*levels, *((t.name, t.jacobian(), t.reference()) for t in lower)],
+        [],
+        velocity,
+        avoiding,
+        ca.SX(0),
+        {"side": side, "blocker": x["blocker"], "last_velocity": velocity},
+    )
+
+
+def _closing_bound(contact: Contact, deceleration: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
+    """Largest n·v [m/s]; what approaches is given the way it makes during the reaction time as further stand-off."""
+    standoff = p["margin"] + p["reaction"] * ca.fmax(-contact.closing, 0)
+    allowed = allowed_closing_speed(contact.clearance - standoff, deceleration=deceleration, reaction=p["reaction"])
+    return allowed + contact.closing
+
+
+def _lower_tasks(eta: ca.SX, wish: Wish, p: Mapping[str, ca.SX]) -> tuple[Task, Task]:
+    return (
+        depth_task(eta, p["depth"], gain=p["k2"]),
+        heading_task(eta, wish.heading, gain=p["k_psi"]),
+    )
+
+
+def _to_body(eta: ca.SX) -> ca.SX:
+    c, s = ca.cos(eta[3]), ca.sin(eta[3])
+    return ca.vertcat(ca.horzcat(c, s), ca.horzcat(-s, c))
+
+
+def _sub_task_speed(contact: Contact, p: Mapping[str, ca.SX]) -> ca.SX:
+    """Speed towards the contact that σ̇ = −κ σ asks for [m/s]."""
+    return p["kappa"] * (contact.clearance - p["margin"])
+
+
+def _urgency(contact: Contact, speed: ca.SX) -> ca.SX:
+    """Time to contact [s], smallest first; a contact that is not approached is never urgent."""
+    rate = ca.fmax(speed - contact.closing, 1e-3)
+    return ca.fmax(contact.clearance, 0) / rate
+
+
+def _most_urgent(sensed: Sequence[Contact], threat: Sequence[ca.SX], wish: Wish) -> Contact:
+    best, least = sensed[0], ca.SX(1e6)
+    for contact, active in zip(sensed, threat, strict=True):
+        time = ca.if_else(active, _urgency(contact, ca.dot(wish.velocity, contact.normal)), 1e6)
+        take = time < least
+        best = Contact(*(ca.if_else(take, a, b) for a, b in zip(_fields(contact), _fields(best), strict=True)))
+        least = ca.fmin(time, least)
+    return best
+
+
+def _fields(contact: Contact) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    return contact.normal, contact.clearance, contact.velocity, contact.reach
+
+
+def _avoidance_velocity(
+    form: AvoidanceForm,
+    wish: Wish,
+    contact: Contact,
+    avoiding: ca.SX,
+    x: Mapping[str, ca.SX],
+    p: Mapping[str, ca.SX],
+    *,
+    dt: float,
+) -> tuple[ca.SX, ca.SX]:
+    """(20) with λ2 latched for the encounter, inside the window (19); and the next λ2."""
+    met = encounter_side(wish.velocity - contact.velocity, contact.normal)
+    side = ca.if_else(ca.fabs(x["side"]) > 0.5, x["side"], met)
+    speed = ca.fmin(p["cap"], ca.fmax(p["cruise"], ca.sqrt(ca.sumsqr(contact.velocity)) + _OVERTAKE))
+    course = avoidance_course(
+        form,
+        ca.atan2(contact.normal[1], contact.normal[0]),
+        contact.clearance - p["margin"],
+        radius=contact.reach + p["margin"],
+        side=side,
+        delta=p["delta"],
+        k3=p["k3"],
+        speed=speed,
+        closing=contact.closing,
+        kappa=p["kappa"],
+        standoff=ca.SX(0),
+    )
+    velocity = _window(speed, course, x["last_velocity"], contact.reach + p["margin"], p, dt=dt)
+    return ca.if_else(avoiding, velocity, wish.velocity), ca.if_else(avoiding, side, 0)
+
+
+def _window(speed: ca.SX, course: ca.SX, last: ca.SX, radius: ca.SX, p: Mapping[str, ca.SX], *, dt: float) -> ca.SX:
+    """The window (19): speed within a·t, course within √(a/R_OB)·t (E17) of the last command."""
+    acceleration = ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1]) / ca.fmax(p["mass"][0], p["mass"][1])
+    previous = ca.sqrt(ca.sumsqr(last))
+    step = acceleration * dt
+    allowed = ca.fmin(ca.fmax(speed, previous - step), previous + step)
+    turn = course - ca.atan2(last[1], last[0])
+    turn = turn - 2 * np.pi * ca.floor((turn + np.pi) / (2 * np.pi))
+    widest = ca.sqrt(acceleration / radius) * dt
+    # a robot that hardly moves has no course to stay near
+    turn = ca.if_else(previous > 0.02, ca.fmin(ca.fmax(turn, -widest), widest), turn)
+    course = ca.atan2(last[1], last[0]) + turn
+    return allowed * ca.vertcat(ca.cos(course), ca.sin(course))
+
+
+def _by_urgency(
+    sensed: Sequence[Contact], closing: Sequence[ca.SX], lower: ca.SX, eta: ca.SX, p: Mapping[str, ca.SX]
+) -> list[tuple[str, ca.SX, ca.SX]]:
+    """Sensor sub-tasks sorted by time to contact (ties: front, left, rear, right); inactive ones are zero rows."""
+    to_body = _to_body(eta)
+    entries = []
+    for contact, wanted in zip(sensed, closing, strict=True):
+        near = contact.clearance - p["margin"] < _SENSE_RANGE
+        active = ca.logic_and(near, ca.dot(lower, contact.normal) > wanted)
+        row = ca.horzcat(-(to_body @ contact.normal).T, 0, 0)
+        time = ca.if_else(active, _urgency(contact, ca.dot(lower, contact.normal)), 1e6)
+        entries.append([time, ca.if_else(active, row, ca.SX.zeros(1, 4)), ca.if_else(active, -wanted, 0)])
+    for i, j in ((0, 1), (2, 3), (0, 2), (1, 3), (1, 2)):  # sorting network for four
+        swap = entries[j][0] < entries[i][0]
+        first = [ca.if_else(swap, b, a) for a, b in zip(entries[i], entries[j], strict=True)]
+        second = [ca.if_else(swap, a, b) for a, b in zip(entries[i], entries[j], strict=True)]
+        entries[i], entries[j] = first, second
+    return [(f"sensor_{k + 1}", row, reference) for k, (_, row, reference) in enumerate(entries)]

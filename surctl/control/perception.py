@@ -1,0 +1,96 @@
+"""What the law knows to be around it: base station, sonar echoes that nothing known explains, walls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+
+from surctl.control.ports import CONTACT_SLOTS
+from surctl.guidance import Contact, disc_contact, point_contact, wall_contacts
+from surctl.ir import Port
+from surctl.sensing import ContactMemory, SensorFilter, SonarArray, expected_range, sonar_contacts
+
+__all__ = ["Perception", "perceive", "perception_ports"]
+
+_ARRAY = SonarArray()
+_FILTER = SensorFilter(array=_ARRAY)
+
+
+def perception_ports(dt: float) -> tuple[Port, ...]:
+    """State of filters and echo memory for a law that runs every `dt` [s]."""
+    return (*_FILTER.ports("sonar_"), *ContactMemory(dt=dt).ports("sonar_"))
+
+
+@dataclass(frozen=True)
+class Perception:
+    """Contacts around the robot and the next state of what found them.
+
+    Attributes:
+        known: the base station's obstacles.
+        echoes: one a sonar, `FAR` when silent or explained.
+        walls: the site's four walls.
+        ranges: filtered ranges (4, 1) [m].
+        healthy: (4, 1), 1 where a sonar may be believed.
+        state: next state by port name.
+    """
+
+    known: list[Contact]
+    echoes: list[Contact]
+    walls: list[Contact]
+    ranges: ca.SX
+    healthy: ca.SX
+    state: dict[str, ca.SX]
+
+    @property
+    def all(self) -> list[Contact]:
+        """Every contact."""
+        return [*self.known, *self.echoes, *self.walls]
+
+
+def perceive(x: Mapping[str, ca.SX], u: Mapping[str, ca.SX], p: Mapping[str, ca.SX], *, dt: float) -> Perception:
+    """Filter the sonar, drop what walls and known obstacles explain, list what is left.
+
+    Args:
+        x: state by port name (`perception_ports`).
+        u: inputs `eta`, `contacts`, `samples`, `fresh`.
+        p: gains `lambda1`, `lms_step`, `beta_max`, model `hull`, mission `walls`.
+        dt: control period [s].
+    """
+    position, psi, hull = u["eta"][:2], u["eta"][3], p["hull"]
+    heading = ca.vertcat(ca.cos(psi), ca.sin(psi))
+    gains = {"sonar_lambda1": p["lambda1"], "sonar_relaxation": p["lms_step"], "sonar_beta_max": p["beta_max"]}
+    filtered = _FILTER.update(x, u["samples"], fresh=u["fresh"], gains=gains, prefix="sonar_")
+    rows = u["contacts"]
+    expected = [
+        expected_range(
+            position,
+            heading,
+            walls=p["walls"],
+            discs=rows[:, :3],
+            valid=rows[:, 5],
+            azimuth=azimuth,
+            hull_radius=hull,
+            half_angle=_ARRAY.half_angle,
+            maximum=_ARRAY.maximum,
+        )
+        for azimuth in _ARRAY.azimuths
+    ]
+    heard = sonar_contacts(
+        _ARRAY, filtered.range_hat, position=position, heading=heading, hull_radius=hull, expected=ca.vertcat(*expected)
+    )
+    memory, standing = ContactMemory(dt=dt).update(x, heard, fresh=u["fresh"] * filtered.healthy, prefix="sonar_")
+    known = [
+        disc_contact(position, hull, rows[k, :2].T, rows[k, 2], rows[k, 3:5].T, rows[k, 5])
+        for k in range(CONTACT_SLOTS)
+    ]
+    echoes = [point_contact(position, hull, standing.points[i, :].T, standing.valid[i]) for i in range(_ARRAY.size)]
+    return Perception(
+        known,
+        echoes,
+        wall_contacts(position, hull, p["walls"]),
+        filtered.range_hat,
+        filtered.healthy,
+        {**filtered.state, **memory},
+    )

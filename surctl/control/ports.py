@@ -1,0 +1,88 @@
+"""What goes into the law and what it keeps: the same names in simulation, verification and exported header."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.control.gains import GAINS, Gains
+from surctl.guidance import MAX_WAYPOINTS, Path
+from surctl.ir import Layout, Port
+from surctl.vehicle import Vehicle
+
+__all__ = ["CONTACT_SLOTS", "INPUTS", "PARAMETERS", "law_parameters"]
+
+CONTACT_SLOTS = 8
+
+INPUTS = Layout(
+    (
+        Port("eta", (4,), "m, rad", "measured position x, y, z and heading psi in {E} (z up, psi counter-clockwise)"),
+        Port("nu", (4,), "m/s, rad/s", "measured ground velocity u, v, w and yaw rate r in {B}"),
+        Port(
+            "contacts",
+            (CONTACT_SLOTS, 6),
+            "m, m/s, 1",
+            "known obstacles in {E}, one a row: x, y, radius, vx, vy, valid (0 or 1)",
+        ),
+        Port("samples", (4, 5), "m", "five raw samples of each sonar's last firing", 4.5),
+        Port("fresh", (4,), "1", "1 where the sonar has fired since the last step"),
+    )
+)
+
+_MODEL = (
+    Port("mass", (4,), "kg, kg m^2", "diagonal of M as the controller believes it", 1.0),
+    Port("linear_drag", (4,), "N s/m, N m s", "Xu, Yv, Zw, Nr"),
+    Port("quadratic_drag", (4,), "N s^2/m^2, N m s^2", "Xuu, Yvv, Zww, Nrr"),
+    Port("thrust_limit", (4,), "N, N m", "largest thrust per axis, both signs", 1.0),
+    Port("hull", (1,), "m", "hull radius", 0.1),
+)
+_MISSION = (
+    Port("waypoints", (MAX_WAYPOINTS, 2), "m", "path in {E}; unused rows repeat the last point"),
+    Port("depth", (1,), "m", "wanted z in {E}, negative below the surface"),
+    Port("cruise", (1,), "m/s", "speed of the path's target", 0.1),
+    Port("cap", (1,), "m/s", "largest commanded horizontal speed", 0.1),
+    Port("walls", (4,), "m", "x_min, x_max, y_min, y_max of the site in {E}"),
+)
+
+PARAMETERS = Layout(
+    tuple(Port(name, (1,), spec.unit, spec.meaning, 1.0) for name, spec in GAINS.items()) + _MODEL + _MISSION
+)
+
+
+def law_parameters(
+    gains: Gains,
+    vehicle: Vehicle,
+    *,
+    path: Path,
+    depth: float,
+    cruise: float,
+    cap: float,
+    walls: tuple[float, float, float, float],
+) -> NDArray[np.float64]:
+    """The flat parameter vector: gains, the vehicle as the controller believes it, and the mission.
+
+    Args:
+        gains: complete gain set.
+        vehicle: the model; a simulation may fly another one.
+        path: reference path in {E}.
+        depth: z [m], negative below the surface.
+        cruise: U_d [m/s].
+        cap: largest commanded horizontal speed [m/s].
+        walls: x_min, x_max, y_min, y_max [m].
+    """
+    values: Mapping[str, object] = {
+        **gains.values,
+        "mass": vehicle.mass,
+        "linear_drag": vehicle.linear_drag,
+        "quadratic_drag": vehicle.quadratic_drag,
+        "thrust_limit": vehicle.thrust_limit,
+        "hull": vehicle["radius"],
+        "waypoints": path.slots,
+        "depth": depth,
+        "cruise": cruise,
+        "cap": cap,
+        "walls": walls,
+    }
+    return PARAMETERS.pack(values)

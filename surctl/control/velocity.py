@@ -1,0 +1,53 @@
+"""Velocity controller: drag fed forward at the wanted speed, proportional action, thrust limits, no cancellation.
+
+Coriolis and the true drag are not cancelled: a body that turns while it translates needs no force to keep its
+inertial velocity (cancelling m u r asks 9–14 N of 5 N), and the true drag damps. Equal gains in surge and sway make
+the loop provable. Ground velocity is fed back, so that a constant current leaves a small offset only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+__all__ = ["velocity_control"]
+
+
+def velocity_control(
+    wanted: ca.SX,
+    nu: ca.SX,
+    integral: ca.SX,
+    model: Mapping[str, ca.SX],
+    *,
+    k_v: ca.SX,
+    k_r: ca.SX,
+    k_i: ca.SX,
+    dt: float,
+) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """τ = D(ν_d)ν_d + M (K (ν_d − ν) + ξ), limited, and the next integral ξ.
+
+    Args:
+        wanted: ν_d (4, 1) [m/s, rad/s] in {B}.
+        nu: measured ground velocity (4, 1) in {B}.
+        integral: ξ (4, 1) [m/s², rad/s²].
+        model: mass, linear_drag, quadratic_drag, thrust_limit, each (4, 1), as the controller believes them.
+        k_v: bandwidth of surge, sway and heave [1/s].
+        k_r: bandwidth of yaw [1/s].
+        k_i: integral gain [1/s²]; the integral stands still while its axis saturates (conditional anti-windup).
+        dt: control period [s].
+
+    Returns:
+        thrust (4, 1) [N, N m] within the limits, next integral (4, 1), saturated flag (0 or 1). Each axis is
+        limited by itself: shortening the horizontal force as a vector took most of the braking force away whenever
+        a large sideways command came with it.
+    """
+    error = wanted - nu
+    gain = ca.vertcat(k_v, k_v, k_v, k_r)
+    drag = model["linear_drag"] * wanted + model["quadratic_drag"] * wanted * ca.fabs(wanted)
+    free = drag + model["mass"] * (gain * error + integral)
+    limit = model["thrust_limit"]
+    thrust = ca.fmin(ca.fmax(free, -limit), limit)
+    clipped = ca.fabs(free - thrust) > 1e-9
+    held = ca.if_else(clipped, integral, integral + dt * k_i * error)
+    return thrust, held, ca.fmax(ca.fmax(clipped[0], clipped[1]), ca.fmax(clipped[2], clipped[3]))

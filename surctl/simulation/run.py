@@ -1,0 +1,271 @@
+"""The reference closed loop: plant 10 ms RK4, control 50 ms, one sonar every 25 ms, all noise from the seed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Literal, get_args
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.control import CONTACT_SLOTS, NONFINITE, Gains, Law, build_law, law_parameters
+from surctl.errors import InputError, nearest
+from surctl.sensing import BaseStation, OwnState, SonarArray, fire
+from surctl.simulation.metrics import Metrics, path_error, settled_avoidance
+from surctl.simulation.scenario import Scenario
+from surctl.simulation.world import Body, World, build_world
+from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, build_plant, plant_parameters
+from surctl.world import Disc
+
+__all__ = ["SENSING", "Record", "Run", "Sensing", "advance", "simulate"]
+
+Sensing = Literal["sonar", "truth"]
+SENSING: tuple[Sensing, ...] = get_args(Sensing)
+
+_FIRING = 0.025  # [s] between two sonar firings; the plant's steps are split there
+_RK4_STEPS = (0.010, 0.010, 0.005)
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Everything that happened, one row a control tick; kept for plots and for checks of other lives of the law."""
+
+    time: NDArray[np.float64]
+    eta: NDArray[np.float64]
+    nu: NDArray[np.float64]
+    tau: NDArray[np.float64]
+    clearance: NDArray[np.float64]
+    law_state: NDArray[np.float64]
+    law_input: NDArray[np.float64]
+    law_parameters: NDArray[np.float64]
+    status: NDArray[np.int_]
+    telemetry: NDArray[np.float64]
+    obstacles: Sequence[Sequence[Body]]
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One closed-loop run: what was flown, the metrics, and the record."""
+
+    scenario: Scenario
+    vehicle: Vehicle
+    gains: Gains
+    law: Law
+    sensing: Sensing
+    seed: int
+    metrics: Metrics
+    record: Record = field(repr=False)
+
+    def telemetry(self, name: str) -> NDArray[np.float64]:
+        """The law's telemetry port of that name over time, (n, size)."""
+        where = self.law.outputs.slice(name)
+        return self.record.telemetry[:, where.start - 4 : where.stop - 4]
+
+
+@cache
+def advance() -> ca.Function:
+    """(x, tau_command, d, p) → x after one firing interval of 25 ms: RK4 in steps of 10, 10 and 5 ms."""
+    ode = build_plant().ode
+    x, tau, d, p = (ca.SX.sym(n, ode.numel_in(i)) for i, n in enumerate(("x", "tau", "d", "p")))
+    state = x
+    for h in _RK4_STEPS:
+        k1 = ode(state, tau, d, p)
+        k2 = ode(state + h / 2 * k1, tau, d, p)
+        k3 = ode(state + h / 2 * k2, tau, d, p)
+        k4 = ode(state + h * k3, tau, d, p)
+        state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return ca.Function("advance", [x, tau, d, p], [state], {"cse": True})
+
+
+def simulate(
+    scenario: Scenario,
+    vehicle: Vehicle,
+    *,
+    gains: Gains,
+    law: Law | None = None,
+    sensing: Sensing = "truth",
+    seed: int = 0,
+    model: Vehicle | None = None,
+) -> Run:
+    """Fly one scenario.
+
+    Args:
+        scenario: the mission.
+        vehicle: what is flown.
+        gains: the law's gains.
+        law: default `build_law()`.
+        sensing: `truth`: the law is told every obstacle and its own pose exactly; `sonar`: it hears four sonars, and
+            the base station tells it the moving obstacles and its own pose, with noise.
+        seed: of every random choice.
+        model: what the controller believes it flies; default the vehicle itself.
+
+    Raises:
+        InputError: unknown sensing, or a scenario that starts inside an obstacle.
+    """
+    if sensing not in SENSING:
+        raise InputError("is not known", key="sensing", value=sensing, remedy=nearest(str(sensing), SENSING))
+    law = law or build_law()
+    world = build_world(scenario, vehicle, seed=seed)
+    length, width, _ = scenario.site
+    p = law_parameters(
+        gains,
+        model or vehicle,
+        path=scenario.path,
+        depth=scenario.depth,
+        cruise=scenario.cruise,
+        cap=scenario.cap,
+        walls=(0.0, length, 0.0, width),
+    )
+    loop = _Loop(world, vehicle, law, p, sensing, np.random.default_rng([seed, 2]))
+    reason = loop.fly()
+    record = loop.record()
+    return Run(
+        scenario, vehicle, gains, law, sensing, seed, _metrics(scenario, law, record, reason, loop.least), record
+    )
+
+
+class _Loop:
+    """State of a run while it is flown."""
+
+    def __init__(
+        self,
+        world: World,
+        vehicle: Vehicle,
+        law: Law,
+        p: NDArray[np.float64],
+        sensing: Sensing,
+        rng: np.random.Generator,
+    ) -> None:
+        self.world, self.law, self.p, self.sensing, self.rng = world, law, p, sensing, rng
+        self.plant = plant_parameters(vehicle)
+        self.array = SonarArray(hull_radius=world.hull)
+        start = world.scenario.start
+        way = world.scenario.path.waypoints[1] - start
+        eta = [*start, world.scenario.depth, np.arctan2(way[1], way[0])]
+        self.state = PLANT_STATE.pack({"eta": eta})
+        self.law_state = law.initial_state()
+        self.samples = np.full((4, 5), self.array.maximum)
+        self.fresh = np.zeros(4)
+        self.firing = 0
+        self.least = float("inf")
+        self.clear_of_walls = False
+        self.rows: list[tuple[object, ...]] = []
+
+    def fly(self) -> str:
+        """Run to the end; the reason why it stopped."""
+        scenario, dt = self.world.scenario, self.law.dt
+        for tick in range(int(np.ceil(scenario.time_limit / dt))):
+            time = tick * dt
+            bodies = self.world.bodies(time)
+            self._listen(bodies)
+            clearance = self._clearance(time)
+            u = self._inputs(bodies)
+            step = self.law.step(self.law_state, u, self.p)
+            self.rows.append(
+                (time, self.state, step.tau, clearance, self.law_state, u, step.status, step.telemetry, bodies)
+            )
+            if clearance <= 0:
+                return "collision"
+            if np.hypot(*(self.state[:2] - scenario.target)) <= scenario.reach:
+                return "reached"
+            if step.status == NONFINITE:
+                return "fault"
+            self.law_state = step.x_next
+            self._advance(time, step.tau)
+        return "time limit"
+
+    def record(self) -> Record:
+        """The rows as arrays."""
+        time, state, tau, clearance, x, u, status, telemetry, bodies = zip(*self.rows, strict=True)
+        states = np.array(state)
+        return Record(
+            np.array(time),
+            states[:, :4],
+            states[:, 4:8],
+            np.array(tau),
+            np.array(clearance),
+            np.array(x),
+            np.array(u),
+            self.p,
+            np.array(status),
+            np.array(telemetry),
+            bodies,
+        )
+
+    def _advance(self, time: float, tau: NDArray[np.float64]) -> None:
+        half = round(self.law.dt / _FIRING)
+        for k in range(half):
+            d = PLANT_DISTURBANCE.pack(
+                {
+                    "current": [*self.world.scenario.disturbance.current_m_per_s, 0.0],
+                    "force": self.world.force(time + k * _FIRING),
+                }
+            )
+            self.state = np.asarray(advance()(self.state, tau, d, self.plant)).reshape(-1)
+            if k < half - 1:
+                between = time + (k + 1) * _FIRING
+                self._listen(self.world.bodies(between))
+                self._clearance(between)
+
+    def _listen(self, bodies: Sequence[Body]) -> None:
+        if self.sensing == "truth":
+            return
+        sensor = self.array.sensor_at(self.firing)
+        self.firing += 1
+        shapes = [*(b.shape for b in bodies), *self.world.scenario.walls]
+        self.samples[sensor] = fire(
+            self.array, sensor, position=self.state[:2], heading=float(self.state[3]), shapes=shapes, rng=self.rng
+        )
+        self.fresh[sensor] = 1.0
+
+    def _clearance(self, time: float) -> float:
+        clearance = self.world.clearance(self.state[:2], time)
+        wall = self.world.wall_clearance(self.state[:2])
+        self.clear_of_walls = self.clear_of_walls or wall > 0
+        if self.clear_of_walls:
+            clearance = min(clearance, wall)
+        self.least = min(self.least, clearance)
+        return clearance
+
+    def _inputs(self, bodies: Sequence[Body]) -> NDArray[np.float64]:
+        eta, nu = self.state[:4], self.state[4:8]
+        contacts = np.zeros((CONTACT_SLOTS, 6))
+        told = list(bodies) if self.sensing == "truth" else [b for b in bodies if b.moving]
+        told.sort(key=lambda b: b.shape.nearest(self.state[:2])[0])
+        for row, body in zip(contacts, told, strict=False):
+            row[:] = self._contact(body)
+        if self.sensing == "sonar":
+            count = min(len(told), CONTACT_SLOTS)
+            contacts[:count, :2], contacts[:count, 3:5] = BaseStation().observe(
+                contacts[:count, :2], contacts[:count, 3:5], rng=self.rng
+            )
+            eta, nu = OwnState().measure(eta, nu, rng=self.rng)
+        u = self.law.inputs.pack(
+            {"eta": eta, "nu": nu, "contacts": contacts, "samples": self.samples, "fresh": self.fresh}
+        )
+        self.fresh = np.zeros(4)
+        return u
+
+    def _contact(self, body: Body) -> list[float]:
+        if isinstance(body.shape, Disc):
+            return [*body.shape.center, body.shape.radius, *body.velocity, 1.0]
+        return [*body.shape.nearest(self.state[:2])[1], 0.0, *body.velocity, 1.0]
+
+
+def _metrics(scenario: Scenario, law: Law, record: Record, reason: str, least: float) -> Metrics:
+    away = scenario.path.distance(record.eta[:, :2])
+    where = law.outputs.slice("avoiding").start - 4
+    excluded = settled_avoidance(record.telemetry[:, where], away)
+    steps = np.linalg.norm(np.diff(record.eta[:, :2], axis=0), axis=1)
+    return Metrics(
+        reached=reason == "reached",
+        time_s=float(record.time[-1]),
+        min_clearance_m=float(least),
+        path_error_m=path_error(away, record.eta[:, 2] - scenario.depth, excluded),
+        length_m=float(steps.sum()),
+        effort_n=float(np.mean(np.hypot(record.tau[:, 0], record.tau[:, 1]))),
+        stopped_because=reason,
+    )

@@ -1,0 +1,213 @@
+"""Scenarios: a site, a path, obstacles, disturbances and the paper's figure, as TOML."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from surctl.errors import InputError
+from surctl.files import Strict, pick, read_toml, validate
+from surctl.guidance import Path
+from surctl.world import Box, Disc, Wall, site_walls
+
+__all__ = ["LIBRARY", "Obstacle", "Scenario", "Shape", "load_scenario", "scenario_from_table"]
+
+LIBRARY = FilePath(__file__).parent / "library"
+
+Shape = Box | Disc | Wall
+Point = tuple[float, float]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+
+
+class Obstacle(Strict):
+    """One obstacle; lengths in m, speeds in m/s, positions in {E} at the start.
+
+    A box or cylinder stands still but for its drift: a seeded sine of amplitude `drift_m` in a seeded direction. A
+    `moving` sphere goes in a straight line from `centre_m` to `to_m` and is taken out on arrival if `removed`.
+    """
+
+    name: str = Field(min_length=1)
+    shape: Literal["box", "cylinder", "moving"]
+    centre_m: Point
+    size_m: tuple[Positive, Positive] | None = None
+    radius_m: Positive | None = None
+    drift_m: NotNegative = 0.0
+    drift_period_s: Positive = 10.0
+    to_m: Point | None = None
+    speed_m_per_s: Positive | None = None
+    removed: bool = True
+
+    @model_validator(mode="after")
+    def _complete(self) -> Obstacle:
+        if self.shape == "box" and self.size_m is None:
+            raise ValueError("a box needs size_m; add size_m = [along x, along y]")
+        if self.shape == "cylinder" and self.radius_m is None:
+            raise ValueError("a cylinder needs radius_m; add radius_m")
+        if self.shape == "moving" and (self.to_m is None or self.speed_m_per_s is None):
+            raise ValueError("a moving obstacle needs to_m and speed_m_per_s; add both")
+        return self
+
+
+class _Site(Strict):
+    length_m: Positive
+    width_m: Positive
+    depth_m: Positive
+
+
+class Disturbance(Strict):
+    """Waves as a seeded sinusoidal force in {E}, and a constant current."""
+
+    wave_force_n: NotNegative = 0.0
+    wave_period_s: Positive = 3.0
+    current_m_per_s: tuple[float, float] = (0.0, 0.0)
+
+
+class PaperFigure(Strict):
+    """What the paper reports of the scenario."""
+
+    result: str
+    time_s: Positive | None = None
+
+
+class _ScenarioFile(Strict):
+    kind: Literal["scenario"]
+    name: str = Field(min_length=1)
+    title: str = Field(min_length=1)
+    provenance: str = Field(min_length=1)
+    vehicle: str
+    path_m: list[Point]
+    depth_m: float
+    cruise_m_per_s: Positive
+    cap_m_per_s: Positive
+    reach_m: Positive = 0.10
+    time_limit_s: Positive
+    site: _Site
+    obstacles: tuple[Obstacle, ...] = ()
+    disturbance: Disturbance = Disturbance()
+    paper: PaperFigure
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One mission in one site.
+
+    Attributes:
+        path: horizontal reference path in {E}.
+        depth: z of path and obstacles [m], negative below the surface.
+        cruise: U_d [m/s].
+        cap: largest commanded horizontal speed [m/s].
+        reach: distance to the target that counts as arrived [m].
+        site: length along x, width along y, depth [m]; one corner of the floor plan is the origin.
+        vehicle: name or path of the vehicle that flies it by default.
+    """
+
+    name: str
+    title: str
+    provenance: str
+    vehicle: str
+    path: Path
+    depth: float
+    cruise: float
+    cap: float
+    reach: float
+    time_limit: float
+    site: tuple[float, float, float]
+    obstacles: tuple[Obstacle, ...]
+    disturbance: Disturbance
+    paper: PaperFigure
+    source: str = ""
+
+    @property
+    def walls(self) -> tuple[Wall, ...]:
+        """The four walls of the site."""
+        return tuple(site_walls(self.site[1], self.site[0]))
+
+    @property
+    def start(self) -> NDArray[np.float64]:
+        """Start of the path (2,) [m]."""
+        start: NDArray[np.float64] = self.path.waypoints[0]
+        return start
+
+    @property
+    def target(self) -> NDArray[np.float64]:
+        """End of the path (2,) [m]."""
+        target: NDArray[np.float64] = self.path.waypoints[-1]
+        return target
+
+
+def load_scenario(name_or_path: str) -> Scenario:
+    """A built-in scenario by name, or a scenario file by path; InputError when it cannot be flown at all."""
+    path = pick(str(name_or_path), LIBRARY, what="scenario")
+    return scenario_from_table(read_toml(path), source=str(path))
+
+
+def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
+    """A scenario from the table of its file; `source` names the file in error messages."""
+    model = validate(table, _ScenarioFile, file=source)
+    try:
+        path = Path(np.array(model.path_m))
+    except InputError as error:
+        raise InputError(error.problem, file=source, key="path_m", value=error.value, remedy=error.remedy) from None
+    scenario = Scenario(
+        model.name,
+        model.title,
+        model.provenance,
+        model.vehicle,
+        path,
+        model.depth_m,
+        model.cruise_m_per_s,
+        model.cap_m_per_s,
+        model.reach_m,
+        model.time_limit_s,
+        (model.site.length_m, model.site.width_m, model.site.depth_m),
+        model.obstacles,
+        model.disturbance,
+        model.paper,
+        source,
+    )
+    _check(scenario)
+    return scenario
+
+
+def _check(scenario: Scenario) -> None:
+    """What no vehicle could fly: points outside the site, a depth out of the water, twice the same name."""
+    source = scenario.source
+    if not -scenario.site[2] < scenario.depth < 0:
+        raise InputError(
+            "is not in the water",
+            file=source,
+            key="depth_m",
+            value=scenario.depth,
+            remedy=f"z is up: write a value between {-scenario.site[2]:g} and 0",
+        )
+    if scenario.cruise > scenario.cap:
+        raise InputError(
+            f"is above cap_m_per_s = {scenario.cap:g}",
+            file=source,
+            key="cruise_m_per_s",
+            value=scenario.cruise,
+            remedy="lower it or raise the cap",
+        )
+    inside = [("path_m", point) for point in scenario.path.waypoints.tolist()]
+    inside += [(f"obstacles.{o.name}.centre_m", list(o.centre_m)) for o in scenario.obstacles]
+    for key, (x, y) in inside:
+        if not (0 <= x <= scenario.site[0] and 0 <= y <= scenario.site[1]):
+            raise InputError(
+                "lies outside the site", file=source, key=key, value=[x, y], remedy="correct the point or the site"
+            )
+    _unique([o.name for o in scenario.obstacles], source)
+
+
+def _unique(names: Sequence[str], source: str) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                "two obstacles have one name", file=source, key="obstacles.name", value=name, remedy="rename one"
+            )

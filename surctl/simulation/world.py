@@ -1,0 +1,122 @@
+"""The world of one run: obstacles in motion, waves, all fixed by the seed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.simulation.scenario import Obstacle, Scenario, Shape
+from surctl.vehicle import Vehicle
+from surctl.world import Box, Disc
+
+__all__ = ["Body", "World", "build_world"]
+
+
+@dataclass(frozen=True)
+class Body:
+    """An obstacle at one instant: shape in {E}, velocity (2,) [m/s], and whether the base station follows it."""
+
+    name: str
+    shape: Shape
+    velocity: NDArray[np.float64]
+    moving: bool
+
+
+@dataclass(frozen=True)
+class World:
+    """A scenario with its random choices made.
+
+    Attributes:
+        drift_direction: unit vectors (n, 2), one an obstacle.
+        drift_phase: (n,) [rad].
+        wave_direction, wave_phase: of the wave force.
+        hull: radius of the vehicle flown [m], also that of moving obstacles that name none.
+    """
+
+    scenario: Scenario
+    hull: float
+    drift_direction: NDArray[np.float64]
+    drift_phase: NDArray[np.float64]
+    wave_direction: NDArray[np.float64]
+    wave_phase: float
+
+    def bodies(self, time: float) -> list[Body]:
+        """The obstacles that are in the water at `time` [s]."""
+        found = [self._body(k, o, time) for k, o in enumerate(self.scenario.obstacles)]
+        return [body for body in found if body is not None]
+
+    def force(self, time: float) -> NDArray[np.float64]:
+        """Disturbance (4,) in {E} [N, N m]."""
+        d = self.scenario.disturbance
+        push = d.wave_force_n * np.sin(2 * np.pi * time / d.wave_period_s + self.wave_phase)
+        return np.array([*(push * self.wave_direction), 0.0, 0.0])
+
+    def clearance(self, position: NDArray[np.float64], time: float) -> float:
+        """Hull to nearest obstacle [m], negative when it touches; walls apart."""
+        return min((b.shape.nearest(position)[0] - self.hull for b in self.bodies(time)), default=float("inf"))
+
+    def wall_clearance(self, position: NDArray[np.float64]) -> float:
+        """Hull to nearest wall [m]."""
+        return min(wall.nearest(position)[0] for wall in self.scenario.walls) - self.hull
+
+    def _body(self, k: int, obstacle: Obstacle, time: float) -> Body | None:
+        centre = np.array(obstacle.centre_m)
+        if obstacle.shape == "moving":
+            return self._moving(obstacle, centre, time)
+        rate = 2 * np.pi / obstacle.drift_period_s
+        angle = rate * time + self.drift_phase[k]
+        centre = centre + obstacle.drift_m * np.sin(angle) * self.drift_direction[k]
+        velocity = obstacle.drift_m * rate * np.cos(angle) * self.drift_direction[k]
+        if obstacle.size_m is not None:
+            return Body(obstacle.name, Box(centre, np.array(obstacle.size_m)), velocity, moving=False)
+        return Body(obstacle.name, Disc(centre, float(obstacle.radius_m or 0)), velocity, moving=False)
+
+    def _moving(self, obstacle: Obstacle, centre: NDArray[np.float64], time: float) -> Body | None:
+        way = np.array(obstacle.to_m) - centre
+        distance, speed = float(np.linalg.norm(way)), float(obstacle.speed_m_per_s or 0)
+        radius = obstacle.radius_m or self.hull
+        if speed * time >= distance:
+            here = Disc(centre + way, radius)
+            return None if obstacle.removed else Body(obstacle.name, here, np.zeros(2), moving=True)
+        velocity = speed * way / distance
+        return Body(obstacle.name, Disc(centre + velocity * time, radius), velocity, moving=True)
+
+
+def build_world(scenario: Scenario, vehicle: Vehicle, *, seed: int) -> World:
+    """Draw the scenario's random choices for one seed.
+
+    Raises:
+        InputError: the hull starts inside an obstacle (walls are judged once the hull is clear of them).
+    """
+    rng = np.random.default_rng([seed, 1])
+    count = len(scenario.obstacles)
+    angles = rng.uniform(0, 2 * np.pi, count)
+    wave = rng.uniform(0, 2 * np.pi)
+    world = World(
+        scenario,
+        vehicle["radius"],
+        np.column_stack([np.cos(angles), np.sin(angles)]).reshape(count, 2),
+        rng.uniform(0, 2 * np.pi, count),
+        np.array([np.cos(wave), np.sin(wave)]),
+        float(rng.uniform(0, 2 * np.pi)),
+    )
+    _check_start(world, vehicle, world.bodies(0.0))
+    return world
+
+
+def _check_start(world: World, vehicle: Vehicle, bodies: Sequence[Body]) -> None:
+    scenario = world.scenario
+    for body in bodies:
+        clearance = body.shape.nearest(scenario.start)[0] - world.hull
+        if clearance <= 0:
+            raise InputError(
+                f"the {world.hull:g} m hull of {vehicle.name} starts {-clearance:.3f} m inside obstacle {body.name!r}",
+                file=scenario.source,
+                key="path_m",
+                value=scenario.start.tolist(),
+                remedy="move the start or the obstacle, or fly a smaller vehicle",
+            )
