@@ -91,9 +91,7 @@ class SonarArray:
     def apex(self, sensor: int, *, position: Vector2, heading: float) -> tuple[float, float, float]:
         """Apex (x, y) [m] and axis [rad] of a sensor's cone in {E}; `position` (2,) [m], heading ψ [rad]."""
         if not 0 <= sensor < self.size:
-            raise InputError(
-                "no such sensor", key="sensor", value=sensor, remedy=f"give 0 to {self.size - 1}"
-            )
+            raise InputError("no such sensor", key="sensor", value=sensor, remedy=f"give 0 to {self.size - 1}")
         axis = heading + self.azimuths[sensor]
         return (
             float(position[0]) + self.hull_radius * cos(axis),
@@ -102,9 +100,7 @@ class SonarArray:
         )
 
 
-def true_range(
-    array: SonarArray, sensor: int, *, position: Vector2, heading: float, shapes: Iterable[Shape]
-) -> float:
+def true_range(array: SonarArray, sensor: int, *, position: Vector2, heading: float, shapes: Iterable[Shape]) -> float:
     """Distance from the sensor's apex to the nearest reflecting point within its cone [m]; inf when none.
 
     Args:

@@ -79,9 +79,7 @@ class OwnState:
         """
         pose, velocity = np.asarray(eta, dtype=float), np.array(nu, dtype=float)
         if pose.shape != (4,) or velocity.shape != (4,):
-            raise InputError(
-                f"have shapes {pose.shape} and {velocity.shape}", key="eta, nu", remedy="give (4,) each"
-            )
+            raise InputError(f"have shapes {pose.shape} and {velocity.shape}", key="eta, nu", remedy="give (4,) each")
         spread = np.array((self.position_sd, self.position_sd, self.position_sd, self.yaw_sd))
         return pose + spread * rng.standard_normal(4), velocity
 

@@ -54,9 +54,7 @@ def expected_range(
         InputError: half_angle out of range.
     """
     if not 0.0 < half_angle < pi / 2:
-        raise InputError(
-            "must lie between 0 and pi/2", key="half_angle", value=half_angle, remedy="give radians"
-        )
+        raise InputError("must lie between 0 and pi/2", key="half_angle", value=half_angle, remedy="give radians")
     axis = _turned(heading, azimuth)
     apex = position + hull_radius * axis
     nothing = 2.0 * maximum
@@ -67,13 +65,9 @@ def expected_range(
         ((0.0, 1.0), walls[3] - apex[1]),
         ((0.0, -1.0), apex[1] - walls[2]),
     ):
-        found = ca.fmin(
-            found, _wall_range(axis, normal, distance=distance, half_angle=half_angle, nothing=nothing)
-        )
+        found = ca.fmin(found, _wall_range(axis, normal, distance=distance, half_angle=half_angle, nothing=nothing))
     for k in range(discs.shape[0]):
-        hit = _disc_range(
-            axis, discs[k, :2].T - apex, radius=discs[k, 2], half_angle=half_angle, nothing=nothing
-        )
+        hit = _disc_range(axis, discs[k, :2].T - apex, radius=discs[k, 2], half_angle=half_angle, nothing=nothing)
         found = ca.fmin(found, ca.if_else(valid[k] > 0.5, hit, nothing))
     return found
 
@@ -142,18 +136,14 @@ class ContactMemory:
         for name in ("dt", "hold"):
             value = getattr(self, name)
             if not (isfinite(value) and value > 0):
-                raise InputError(
-                    "must be greater than 0", key=f"contacts.{name}", value=value, remedy="give s"
-                )
+                raise InputError("must be greater than 0", key=f"contacts.{name}", value=value, remedy="give s")
         if self.sensors < 1:
             raise InputError("must be at least 1", key="contacts.sensors", value=self.sensors)
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
         """The state; it starts with every echo too old to count."""
         return (
-            Port(
-                f"{prefix}echo", (self.sensors, 2), "m", "last unexplained echo of each sensor, x, y in {E}"
-            ),
+            Port(f"{prefix}echo", (self.sensors, 2), "m", "last unexplained echo of each sensor, x, y in {E}"),
             Port(
                 f"{prefix}age",
                 (self.sensors,),

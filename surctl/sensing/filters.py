@@ -153,6 +153,8 @@ class SensorFilter:
         taps: m of Algorithm 1, values a prediction rests on.
         memory: N of (7), errors that are remembered.
         refusals: refused values in a row after which a sensor counts as unhealthy.
+        jump: accepted change [m] from one firing to the next that means another object (*chosen*; closing at 0.5 m/s
+            makes 0.05 m): the LMS then starts anew, or it would predict phantoms between the two.
         step: rule for μ, see `lms_step`.
     """
 
@@ -161,6 +163,7 @@ class SensorFilter:
     taps: int = 4
     memory: int = 8
     refusals: int = 3
+    jump: float = 0.3
     step: StepRule = "corrected"
 
     def __post_init__(self) -> None:
@@ -168,9 +171,9 @@ class SensorFilter:
         for name, least in (("window", 2), ("taps", 1), ("memory", 1), ("refusals", 1)):
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
-                raise InputError(
-                    f"must be a whole number, at least {least}", key=f"filter.{name}", value=value
-                )
+                raise InputError(f"must be a whole number, at least {least}", key=f"filter.{name}", value=value)
+        if not self.jump > 0:
+            raise InputError("must be greater than 0", key="filter.jump", value=self.jump, remedy="give m")
         if self.step not in get_args(StepRule):
             remedy = nearest(str(self.step), get_args(StepRule))
             raise InputError("unknown LMS step", key="filter.step", value=self.step, remedy=remedy)
@@ -191,9 +194,7 @@ class SensorFilter:
     def gain_ports(self, prefix: str = "") -> tuple[Port, ...]:
         """The gains with their defaults (*chosen*)."""
         return (
-            Port(
-                f"{prefix}lambda1", (1,), "1", "half-width of the gate (5) in standard deviations, >= 0", 3.0
-            ),
+            Port(f"{prefix}lambda1", (1,), "1", "half-width of the gate (5) in standard deviations, >= 0", 3.0),
             Port(f"{prefix}relaxation", (1,), "1", "LMS step as a part of the optimum, 0 to 1", 0.5),
             Port(f"{prefix}beta_max", (1,), "1", "largest LMS momentum, 0 to 0.5", 0.2),
         )
@@ -235,15 +236,11 @@ class SensorFilter:
         healthy = after["refused"] < self.refusals
         return FilterUpdate({prefix + name: after[name] for name in names}, range_hat, healthy)
 
-    def _fired(
-        self, old: Mapping[str, ca.SX], samples: ca.SX, *, gains: Mapping[str, ca.SX]
-    ) -> dict[str, ca.SX]:
+    def _fired(self, old: Mapping[str, ca.SX], samples: ca.SX, *, gains: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
         """Next state of one sensor that fired; columns by unprefixed name."""
         value = weighted_average(samples)
         lambda1 = gains["lambda1"]
-        gated, accepted, window = gate(
-            old["window"], value, lambda1=lambda1, resolution=self.array.resolution
-        )
+        gated, accepted, window = gate(old["window"], value, lambda1=lambda1, resolution=self.array.resolution)
         lms = lms_step(
             old["theta"],
             old["theta_prev"],
@@ -256,13 +253,15 @@ class SensorFilter:
             step=self.step,
         )
         fine = ca.logic_or(accepted, ca.logic_not(lambda1 > 0))
+        anew = ca.logic_and(accepted, ca.fabs(gated - old["history"][0]) > self.jump)
+        mean_of_taps = ca.DM.ones(self.taps) / self.taps
         return {
             "window": window,
-            "history": _pushed(old["history"], gated),
-            "theta": lms.theta,
-            "theta_prev": old["theta"],
-            "errors": lms.errors,
-            "mean_error": lms.mean_error,
+            "history": ca.if_else(anew, gated * ca.DM.ones(self.taps), _pushed(old["history"], gated)),
+            "theta": ca.if_else(anew, mean_of_taps, lms.theta),
+            "theta_prev": ca.if_else(anew, mean_of_taps, old["theta"]),
+            "errors": ca.if_else(anew, old["errors"], lms.errors),
+            "mean_error": ca.if_else(anew, old["mean_error"], lms.mean_error),
             "refused": ca.if_else(fine, 0.0, ca.fmin(old["refused"] + 1.0, float(self.refusals))),
         }
 

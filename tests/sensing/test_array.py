@@ -64,9 +64,9 @@ def test_bias_and_noise_are_those_of_the_array():
     array = SonarArray()
     rng = np.random.default_rng(1)
     shapes = (Disc((2.3, 0.0), 0.5),)
-    errors = np.array(
-        [fire(array, 0, position=(0, 0), heading=0.0, shapes=shapes, rng=rng) for _ in range(2000)]
-    ) - (1.8 - 0.27)
+    errors = np.array([fire(array, 0, position=(0, 0), heading=0.0, shapes=shapes, rng=rng) for _ in range(2000)]) - (
+        1.8 - 0.27
+    )
     total = math.hypot(array.noise_sd, array.resolution / math.sqrt(12))
     assert errors.mean() == pytest.approx(array.bias, abs=4 * total / math.sqrt(errors.size))
     assert errors.std() == pytest.approx(total, rel=0.05)

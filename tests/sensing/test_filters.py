@@ -52,6 +52,17 @@ def plain_update(old, samples, gains, filter_):
         beta = min(max(gains["beta_max"], 0.0), 0.5) * min(1.0, e / max(mean_error, 1e-9))
         two_mu = 2.0 if filter_.step == "printed" else min(max(gains["relaxation"], 0.0), 1.0)
         after = theta + two_mu / float(X @ X) * residual * X + beta * (theta - np.array(old["theta_prev"]))
+    if accepted and abs(x_n - X[0]) > filter_.jump:
+        uniform = np.full(len(X), 1 / len(X))
+        return {
+            "window": [d, *window[:-1]],
+            "history": [x_n] * len(X),
+            "theta": uniform,
+            "theta_prev": uniform,
+            "errors": list(old["errors"]),
+            "mean_error": mean_error,
+            "refused": 0.0,
+        }
     refused = 0.0 if accepted or gains["lambda1"] <= 0 else min(float(old["refused"]) + 1, filter_.refusals)
     return {
         "window": [d, *window[:-1]],
@@ -140,9 +151,7 @@ def lms_function(step, N=1):
     theta, prev, X = (ca.SX.sym(n, 4) for n in ("theta", "prev", "X"))
     x_n, mean, rho, beta = (ca.SX.sym(n) for n in ("x_n", "mean", "rho", "beta"))
     errors = ca.SX.sym("errors", N)
-    out = lms_step(
-        theta, prev, X=X, x_n=x_n, errors=errors, mean_error=mean, relaxation=rho, beta_max=beta, step=step
-    )
+    out = lms_step(theta, prev, X=X, x_n=x_n, errors=errors, mean_error=mean, relaxation=rho, beta_max=beta, step=step)
     return ca.Function("lms", [theta, prev, X, x_n, errors, mean, rho, beta], [out.theta, out.residual])
 
 
@@ -248,3 +257,16 @@ def test_incoherent_readings_make_a_sensor_unhealthy():
     for value in (4.5, 4.5, 2.0, 4.4, 0.3, 4.5):
         x, _, healthy = f(x, np.full((4, 5), value), np.ones(4), gains.pack({"lambda1": 0.5}))
     assert not np.array(healthy).any()
+
+
+def test_an_object_that_appears_is_not_preceded_by_a_phantom():
+    f, states, gain_layout = compiled(SensorFilter(), "sonar_")
+    p = gain_layout.pack()
+    x = states.pack()
+    heard = []
+    for k in range(24):
+        distance = 4.5 if k < 12 else 1.0
+        x, ranges, _ = (np.array(o).ravel() for o in f(x, np.full((4, 5), distance), np.ones(4), p))
+        heard.append(ranges[0])
+    assert min(heard) >= 0.95
+    assert heard[13] == pytest.approx(1.0, abs=1e-9)  # one firing late, no more
