@@ -1,0 +1,209 @@
+"""Study 1: the paper's two stability claims, as printed and as corrected, and the figures that decide them.
+
+    python analysis/01_two_claims/run.py [--quick]
+
+Prints Markdown. Ends with 0 when every verdict is the expected one and every figure agrees, else with 1.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from surctl.errors import InputError
+from surctl.files import Strict, load_model
+from surctl.verification import (
+    Claim,
+    Verdict,
+    claims,
+    evaluate,
+    falsify,
+    replay,
+    setting_from,
+    settling_intrusion,
+)
+
+CONFIG = Path(__file__).with_name("config.toml")
+
+
+class Config(Strict):
+    """What config.toml holds."""
+
+    seed: int
+    samples: int
+    fraction_samples: int
+    tolerance: float
+    gains: dict[str, float]
+    figures: dict[str, float]
+
+
+def main(arguments: list[str]) -> int:
+    """Run the study and print it; the exit status."""
+    unknown = [a for a in arguments if a != "--quick"]
+    if unknown:
+        print(f"{unknown[0]}: unknown option; the only one is --quick", file=sys.stderr)
+        return 2
+    try:
+        return study(load_model(CONFIG, Config), quick="--quick" in arguments)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return error.exit_status
+
+
+def study(config: Config, *, quick: bool) -> int:
+    """Verdicts and figures; 0 when all come out as expected."""
+    samples = config.samples // (8 if quick else 1)
+    verdicts = [falsify(claim, samples=samples, seed=config.seed) for claim in claims(config.gains)]
+    replays_hold = print_verdicts(verdicts)
+    by_name = {v.claim.name: v for v in verdicts}
+    found = tracking_figures(by_name, config) | avoidance_figures(by_name, config)
+    figures_agree = print_figures(found, expected_figures(config), config.tolerance)
+    return 0 if replays_hold and figures_agree and all(v.as_expected for v in verdicts) else 1
+
+
+def expected_figures(config: Config) -> dict[str, float]:
+    """The figures of config.toml, and the two that a formula gives: −δ (E11) and e2* (E12)."""
+    setting = setting_from(config.gains)
+    return {
+        **config.figures,
+        "intrusion_delta": -setting.delta,
+        "intrusion_obstacle": settling_intrusion(setting),
+    }
+
+
+def print_verdicts(verdicts: list[Verdict]) -> bool:
+    """One row a claim; whether every counterexample was confirmed by its replay."""
+    confirmed = True
+    print("| claim | says | errata | expected | verdict | worst margin | share of samples | replay |")
+    print("|---|---|---|---|---|---|---|---|")
+    for v in verdicts:
+        c, shown = v.claim, "–"
+        if v.counterexample is not None:
+            run = replay(c, v.counterexample)
+            confirmed = confirmed and run.confirmed
+            # `watched` is empty where a claim bounds no rate: the margin alone is the evidence
+            path = (
+                f"{run.name} {run.watched[0]:.4g} → {run.watched[-1]:.4g} {run.unit}"
+                if run.watched.size
+                else "algebraic"
+            )
+            shown = f"{path} in {run.time[-1]:.2g} s" if run.time.size else path
+        row = (
+            f"`{c.name}`",
+            cell(c.statement),
+            ", ".join(c.errata),
+            c.expected,
+            v.verdict,
+            f"{v.worst_margin:.2g} {c.unit}",
+            f"{100 * v.fraction:.1f} %",
+            cell(shown),
+        )
+        print("| " + " | ".join(row) + " |")
+    return confirmed
+
+
+def tracking_figures(verdicts: dict[str, Verdict], config: Config) -> dict[str, tuple[str, float]]:
+    """Figures of V1: value by key, with what it is."""
+    printed = verdicts["v1-printed"]
+    # two starts: only the share of the samples is asked for
+    fine = falsify(printed.claim, samples=config.fraction_samples, starts=2, seed=config.seed)
+    cap_x, cap_y = first_violation_under_cap(verdicts["v1-speed-cap"].claim, config.seed)
+    return {
+        "v1_rate": ("V̇1 at (0.6, 1, 0), surge signed [m²/s]", printed.witnesses[0].margin),
+        "v1_fraction": ("share of [−2, 2]³ where V̇1 > 0", fine.fraction),
+        "cap_x": ("first violation with 0 ≤ U_h ≤ 0.25: x_e [m]", cap_x),
+        "cap_y": ("… at |y_e| [m]", cap_y),
+        "sway_offset": (
+            "|y_e| that sway 0.05 m/s at u = 0.15 m/s leaves [m]",
+            sway_offset(verdicts["course-printed"].claim, config.seed),
+        ),
+    }
+
+
+def avoidance_figures(verdicts: dict[str, Verdict], config: Config) -> dict[str, tuple[str, float]]:
+    """Figures of V2: value by key, with what it is."""
+    printed, obstacle, clockwise = (verdicts[n] for n in ("v2-printed", "v2-obstacle", "v2-clockwise"))
+    at = clockwise.witnesses[0].values
+    receding, approaching = obstacle.witnesses
+    right = evaluate(printed.claim, at)[0] / at["e2"]
+    static = {**printed.witnesses[0].values}
+    least = -0.999 * config.gains["radius"]
+    return {
+        "v2_delta": ("V̇2 at e2 = −0.05, δ = 0.1, static [m²/s]", printed.witnesses[0].margin),
+        "v2_receding": ("V̇2 at e2 = 0.3, receding at 0.15 m/s [m²/s]", receding.margin),
+        "rate_right": ("l̇ at ζ = 1, angle counter-clockwise [m/s]", right),
+        "rate_clockwise": (
+            "l̇ there, angle clockwise as printed [m/s]",
+            clockwise.witnesses[0].margin / at["e2"],
+        ),
+        "intrusion_delta": (
+            "e2 where it settles, δ = 0.1, static [m]",
+            settles(printed.claim, static, least),
+        ),
+        "intrusion_obstacle": (
+            "e2* before 0.15 m/s head-on, δ = 0 [m]",
+            settles(obstacle.claim, dict(approaching.values), least),
+        ),
+    }
+
+
+def first_violation_under_cap(claim: Claim, seed: int) -> tuple[float, float]:
+    """(x_e, |y_e|) [m] of the violation nearest to the target, by shrinking the box until none is found."""
+
+    def box(x: float) -> Claim:
+        return claim.on({"x_e": (-x, 0.0), "z_e": (0.0, 0.0), "turn": (0.0, 0.0)})
+
+    reach = bisect(lambda x: refuted(box(x), seed), -claim.variables[0].lower, 0.0)
+    nearest = falsify(box(reach), samples=512, starts=4, seed=seed).counterexample
+    return (-reach, abs(nearest.values["y_e"])) if nearest is not None else (float("nan"), float("nan"))
+
+
+def sway_offset(claim: Claim, seed: int) -> float:
+    """Largest y_e [m] that still grows, surge 0.15 and sway 0.05 m/s."""
+    still = {"u": (0.15, 0.15), "v": (0.05, 0.05)}
+    top = claim.variables[0].upper
+    return bisect(lambda y: refuted(claim.on({**still, "y_e": (y, top)}), seed), 0.01, top)
+
+
+def settles(claim: Claim, values: dict[str, float], least: float) -> float:
+    """e2 < 0 [m] at which l̇ = V̇2/e2 changes its sign, the other values held."""
+    return bisect(lambda e2: evaluate(claim, {**values, "e2": e2})[0] / e2 < 0, -1e-3, least)
+
+
+def refuted(claim: Claim, seed: int) -> bool:
+    """Whether a small search refutes the claim."""
+    return falsify(claim, samples=512, starts=4, seed=seed).verdict == "refuted"
+
+
+def bisect(holds: Callable[[float], bool], yes: float, no: float, *, width: float = 1e-4) -> float:
+    """The last value towards `no` for which `holds`; NaN unless it holds at `yes` and not at `no`."""
+    if not holds(yes) or holds(no):
+        return float("nan")
+    while abs(yes - no) > width:
+        middle = (yes + no) / 2
+        yes, no = (middle, no) if holds(middle) else (yes, middle)
+    return yes
+
+
+def print_figures(found: dict[str, tuple[str, float]], expected: dict[str, float], tolerance: float) -> bool:
+    """One row a figure; whether all agree."""
+    agree = set(found) == set(expected)
+    print("\n| figure | expected | computed | off by | |\n|---|---|---|---|---|")
+    for key, (what, value) in found.items():
+        wanted = expected.get(key, float("nan"))
+        off = abs(value - wanted) / abs(wanted)
+        good = off <= tolerance  # false for NaN
+        agree = agree and good
+        word = "agrees" if good else "**differs**"
+        print(f"| {cell(what)} | {wanted:.4g} | {value:.5g} | {100 * off:.2f} % | {word} |")
+    return agree
+
+
+def cell(text: str) -> str:
+    """Text for a cell of a Markdown table, in which a bar would end the cell."""
+    return text.replace("|", "\\|")
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

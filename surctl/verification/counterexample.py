@@ -1,0 +1,147 @@
+"""A point where a claim fails, and its replay: evaluated from the numbers, flown on the kinematic loop."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from surctl.errors import InputError, SolverError
+from surctl.verification.claim import Claim, Motion
+from surctl.verification.oracle import build_oracle
+
+__all__ = ["Counterexample", "Origin", "Replay", "evaluate", "replay"]
+
+Origin = Literal["search", "witness"]
+
+
+@dataclass(frozen=True)
+class Counterexample:
+    """A point of a claim's domain with the margin there.
+
+    Attributes:
+        values: value of each variable, in its unit.
+        margin: left − right there; the claim fails where it is positive.
+        unit: unit of the margin.
+        origin: found by `search`, or a `witness` that came with the claim.
+    """
+
+    values: Mapping[str, float]
+    margin: float
+    unit: str
+    origin: Origin = "search"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {"values": dict(self.values), "margin": self.margin, "unit": self.unit, "origin": self.origin}
+
+    @classmethod
+    def from_dict(cls, table: Mapping[str, Any]) -> Counterexample:
+        """Back from `to_dict`; InputError when a field is missing or is no number."""
+        try:
+            values = {str(k): float(v) for k, v in table["values"].items()}
+            origin: Origin = "witness" if table.get("origin") == "witness" else "search"
+            return cls(values, float(table["margin"]), str(table["unit"]), origin)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise InputError(
+                "is not a counterexample",
+                key="counterexample",
+                value=str(error),
+                remedy="give values, margin and unit",
+            ) from None
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """What a counterexample shows when it is run again.
+
+    Attributes:
+        margin: left − right, evaluated anew.
+        inside: whether the point lies in the claim's domain.
+        name: name of the watched quantity; empty when the claim has no motion.
+        unit: its unit.
+        time: (k,) [s]; empty without motion.
+        watched: (k,) the quantity along the motion.
+        excess: (k,) ∫ margin dt: by how much it has outgrown what the claim allows.
+    """
+
+    margin: float
+    inside: bool
+    name: str
+    unit: str
+    time: NDArray[np.float64]
+    watched: NDArray[np.float64]
+    excess: NDArray[np.float64]
+
+    @property
+    def confirmed(self) -> bool:
+        """In the domain, a positive margin, and the motion outgrows what the claim allows."""
+        return self.inside and self.margin > 0 and (self.excess.size == 0 or bool(self.excess[-1] > 0))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON and plots."""
+        series = {key: getattr(self, key).tolist() for key in ("time", "watched", "excess")}
+        return {
+            "margin": self.margin, "inside": self.inside, "confirmed": self.confirmed,
+            "name": self.name, "unit": self.unit, **series,
+        }  # fmt: skip
+
+
+def evaluate(claim: Claim, values: Mapping[str, float]) -> tuple[float, bool]:
+    """Margin at named values, and whether they lie in the claim's domain. InputError for a wrong name."""
+    margin, _, inside = build_oracle(claim).evaluate(claim.point(values)[:, None])
+    return float(margin[0]), bool(inside[0])
+
+
+def replay(claim: Claim, counterexample: Counterexample, *, points: int = 101) -> Replay:
+    """Evaluate the counterexample from its numbers; where the claim bounds a rate, integrate the loop.
+
+    The integration ends with the violation, or after the motion's duration.
+
+    Args:
+        claim: the claim, with the same gains as when it was refuted.
+        counterexample: the point; only its values are used.
+        points: length of the time series.
+
+    Raises:
+        InputError: the counterexample does not name the claim's variables.
+        SolverError: the integration failed.
+    """
+    margin, inside = evaluate(claim, counterexample.values)
+    if claim.motion is None:
+        nothing = np.zeros(0)
+        return Replay(margin, inside, "", "", nothing, nothing, nothing)
+    time, watched, excess = _fly(claim, claim.motion, claim.point(counterexample.values), points)
+    return Replay(margin, inside, claim.motion.name, claim.motion.unit, time, watched, excess)
+
+
+def _fly(
+    claim: Claim, motion: Motion, start: NDArray[np.float64], points: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Time, watched quantity and ∫ margin dt, until the violation ends; variables without a rate are held."""
+    x = claim.symbols
+    moving = [motion.rates.get(v.name, ca.SX(0)) for v in claim.variables]
+    rate = ca.Function("rate", [x], [ca.densify(ca.vertcat(*moving, claim.margin))])
+    watch = ca.Function("watch", [x], [motion.watched])
+
+    def derivative(_: float, state: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(rate(state[:-1])).reshape(-1)
+
+    def violated(t: float, state: NDArray[np.float64]) -> float:
+        return float(derivative(t, state)[-1])
+
+    violated.terminal, violated.direction = True, -1  # type: ignore[attr-defined]
+    run = solve_ivp(
+        derivative, (0.0, motion.duration), np.append(start, 0.0), method="DOP853", events=violated,
+        dense_output=True, rtol=1e-10, atol=1e-12,
+    )  # fmt: skip
+    if run.status < 0 or not np.all(np.isfinite(run.y)):
+        raise SolverError(f"claim {claim.name}: the replay stopped after {run.t[-1]:.3g} s: {run.message}")
+    time = np.linspace(0, run.t[-1], points)
+    path = run.sol(time)
+    return time, np.asarray(watch(path[:-1])).reshape(-1), path[-1]

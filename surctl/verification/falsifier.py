@@ -1,0 +1,167 @@
+"""Falsifier: samples, then local optimisation with exact gradients. It can refute, it can never prove."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.stats import qmc
+
+from surctl.errors import InputError
+from surctl.verification.claim import Claim
+from surctl.verification.counterexample import Counterexample
+from surctl.verification.oracle import Oracle, build_oracle
+from surctl.verification.verdict import Verdict
+
+__all__ = ["falsify"]
+
+_APART = 0.1  # least distance between two starts, in unit boxes per root of the dimension
+
+
+def falsify(claim: Claim, *, samples: int = 4096, starts: int = 16, seed: int = 0) -> Verdict:
+    """Look for a point of the domain where the claim fails.
+
+    Scrambled Sobol samples (rounded up to a power of two), then from the worst of them, kept apart, a local
+    ascent of the margin (L-BFGS-B, or SLSQP when the domain has constraints) in the unit box.
+
+    Args:
+        claim: the claim.
+        samples: number of samples in the box, at least 2.
+        starts: largest number of local searches, at least 1.
+        seed: seed of the samples; the same seed gives the same verdict.
+
+    Raises:
+        InputError: nonsensical numbers, an empty domain, or a margin that is not finite inside the domain.
+    """
+    began = time.perf_counter()
+    if samples < 2 or starts < 1:
+        raise InputError("needs at least 2 samples and 1 start", key=claim.name, value=(samples, starts))
+    oracle = build_oracle(claim)
+    unit = _sobol(len(claim.variables), samples, seed)
+    margin, size, inside = oracle.evaluate(oracle.place(unit))
+    _require_finite(oracle, unit, margin, inside)
+    begin = _choose_starts(oracle, unit, margin, inside, starts)
+    found = _climb(oracle, begin)
+    points = np.hstack([oracle.place(unit[:, inside]), found])
+    if points.shape[1] == 0:
+        raise InputError("its domain is empty, as far as the samples see", key=f"claim {claim.name}", remedy="widen it")
+    scale = max(np.max(size[inside], initial=0), np.max(oracle.evaluate(points)[1]))
+    threshold = claim.tolerance * float(scale)
+    witnesses = _weigh(oracle)
+    counterexample, worst = _worst(oracle, points, witnesses, threshold)
+    violating = margin[inside] > threshold
+    return Verdict(
+        claim,
+        "not refuted" if counterexample is None else "refuted",
+        counterexample,
+        worst,
+        threshold,
+        float(violating.mean()) if violating.size else 0.0,
+        int(violating.size),
+        begin.shape[1],
+        witnesses,
+        time.perf_counter() - began,
+    )
+
+
+def _sobol(dimension: int, samples: int, seed: int) -> NDArray[np.float64]:
+    """(dimension, 2^k ≥ samples) points of the unit box."""
+    drawn = qmc.Sobol(dimension, seed=seed).random_base2(int(np.ceil(np.log2(samples))))
+    return np.ascontiguousarray(np.asarray(drawn, dtype=float).T)
+
+
+def _require_finite(
+    oracle: Oracle, unit: NDArray[np.float64], margin: NDArray[np.float64], inside: NDArray[np.bool_]
+) -> None:
+    """A NaN compares false with everything: it would read as "not refuted"."""
+    broken = np.flatnonzero(inside & ~np.isfinite(margin))
+    if broken.size:
+        where = oracle.claim.values(oracle.place(unit[:, broken[0]]))
+        raise InputError(
+            "is not finite inside its domain",
+            key=f"claim {oracle.claim.name}",
+            value=where,
+            remedy="exclude that part",
+        )
+
+
+def _choose_starts(
+    oracle: Oracle,
+    unit: NDArray[np.float64],
+    margin: NDArray[np.float64],
+    inside: NDArray[np.bool_],
+    starts: int,
+) -> NDArray[np.float64]:
+    """(n, ≤ starts): the worst samples that keep apart; those outside the domain come last, nearest first."""
+    outside = np.flatnonzero(~inside)[: 8 * starts]
+    miss = [-float(np.min(oracle.slack(unit[:, i]), initial=0)) for i in outside]
+    order = np.append(np.flatnonzero(inside)[np.argsort(-margin[inside], kind="stable")], outside[np.argsort(miss)])
+    chosen: list[NDArray[np.float64]] = []
+    left = unit[:, order.astype(int)]
+    while left.size and len(chosen) < starts:
+        chosen.append(left[:, 0])
+        left = left[:, np.linalg.norm(left - left[:, :1], axis=0) >= _APART * np.sqrt(len(unit))]
+    return np.column_stack(chosen)
+
+
+def _climb(oracle: Oracle, starts: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, k): ends of the local searches that lie in the domain, in the variables' units."""
+    ends = np.column_stack([oracle.place(_ascend(oracle, start)) for start in starts.T])
+    margin, _, inside = oracle.evaluate(ends)
+    return ends[:, inside & np.isfinite(margin)]
+
+
+def _ascend(oracle: Oracle, start: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit-box point where a local search of the largest margin ends."""
+    slope = float(np.max(np.abs(oracle.gradient(start))))
+    scale = slope if slope > 0 else 1.0  # objective of size 1 per box width: the stopping rules then mean something
+    constrained = oracle.claim.constraints.numel() > 0
+    rows = [{"type": "ineq", "fun": oracle.slack, "jac": oracle.slack_jacobian}] if constrained else ()
+    run = minimize(
+        lambda p: min(-oracle.margin(p) / scale, 1e6),  # finite also where the margin is not
+        start,
+        jac=lambda p: -oracle.gradient(p) / scale,
+        bounds=[(0.0, 1.0)] * start.size,
+        constraints=rows,
+        method="SLSQP" if constrained else "L-BFGS-B",
+        options={"maxiter": 100, "ftol": 1e-12},
+    )
+    return np.asarray(run.x, dtype=float)
+
+
+def _weigh(oracle: Oracle) -> tuple[Counterexample, ...]:
+    """The claim's own points, evaluated; those outside the domain are left out."""
+    claim, weighed = oracle.claim, []
+    for witness in claim.witnesses:
+        point = claim.point(witness)
+        margin, _, inside = oracle.evaluate(point[:, None])
+        if inside[0]:
+            weighed.append(Counterexample(claim.values(point), float(margin[0]), claim.unit, "witness"))
+    return tuple(weighed)
+
+
+def _worst(
+    oracle: Oracle, points: NDArray[np.float64], witnesses: tuple[Counterexample, ...], threshold: float
+) -> tuple[Counterexample | None, float]:
+    """The worst point as a counterexample, if it is one, and its margin."""
+    margin = oracle.evaluate(points)[0]
+    best = int(np.argmax(margin))
+    worst = max([float(margin[best]), *(w.margin for w in witnesses)])
+    if margin[best] > threshold:
+        return _shorten(oracle, points[:, best]), worst
+    refuting = [w for w in witnesses if w.margin > threshold]
+    return (refuting[0] if refuting else None), worst
+
+
+def _shorten(oracle: Oracle, point: NDArray[np.float64]) -> Counterexample:
+    """The point with as few decimals as keep it in the domain with nine tenths of its margin."""
+    claim = oracle.claim
+    full = float(oracle.evaluate(point[:, None])[0][0])
+    for decimals in range(1, 8):
+        rounded = np.round(point, decimals) + 0.0  # + 0.0: no negative zeros
+        margin, _, inside = oracle.evaluate(rounded[:, None])
+        if inside[0] and margin[0] >= 0.9 * full:
+            return Counterexample(claim.values(rounded), float(margin[0]), claim.unit)
+    return Counterexample(claim.values(point), full, claim.unit)

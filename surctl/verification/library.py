@@ -1,0 +1,49 @@
+"""The library of claims: what the paper says of V1, V2 and the course, as printed and as corrected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from surctl.errors import InputError, nearest
+from surctl.verification import avoidance_claims as avoidance
+from surctl.verification import course_claims as course
+from surctl.verification import tracking_claims as tracking
+from surctl.verification.claim import Claim
+from surctl.verification.setting import Setting, setting_from
+
+__all__ = ["claims"]
+
+_BUILDERS: tuple[Callable[[Setting], Claim], ...] = (
+    tracking.v1_printed,
+    tracking.v1_corrected,
+    tracking.v1_speed_cap,
+    tracking.v1_speed_cap_region,
+    course.course_printed,
+    course.course_corrected,
+    tracking.m_norm_printed,
+    tracking.m_norm_corrected,
+    avoidance.v2_printed,
+    avoidance.v2_static,
+    avoidance.v2_obstacle,
+    avoidance.v2_clockwise,
+    avoidance.clearance_printed,
+    avoidance.clearance_corrected,
+)
+
+
+def claims(gains: Mapping[str, float] | None = None, names: Sequence[str] | None = None) -> tuple[Claim, ...]:
+    """The claims of that name, or all of them, for these gains.
+
+    Args:
+        gains: values by name; those of `Setting` are used, the rest passed over. None takes the defaults.
+        names: which claims, in this order; None takes all.
+
+    Raises:
+        InputError: an unknown claim, with the nearest known name; a gain that is not positive.
+    """
+    setting = setting_from(gains)
+    everything = {claim.name: claim for claim in (build(setting) for build in _BUILDERS)}
+    for name in names or ():
+        if name not in everything:
+            raise InputError("unknown claim", key="claim", value=name, remedy=nearest(name, everything))
+    return tuple(everything[name] for name in (everything if names is None else names))

@@ -1,0 +1,119 @@
+"""Linear margins of the cascaded controller about cruise, one loop at a time, from python-control."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.vehicle import Vehicle
+from surctl.verification.cascade import build_cascade
+
+__all__ = ["LoopMargins", "closed_loop_poles", "loop_margins", "margins_of"]
+
+_LOWEST = 1e-4  # [rad/s]
+_POINTS = 800
+_SPURIOUS = 1e-6  # a crossing with |L| or 1/|L| below this is one at ω → ∞ or 0
+
+
+@dataclass(frozen=True)
+class LoopMargins:
+    """How much one loop bears before the closed loop becomes unstable, all other loops closed.
+
+    Attributes:
+        name: the loop; see `loop_margins`.
+        stable: whether the closed loop is stable at all; if not, nothing is left: 1, 0, 0, 0.
+        gain_margin: least factor > 1 on the loop gain that destabilises; inf when none does.
+        phase_margin_deg: least phase lag [deg] that does; inf when the loop gain never crosses 1.
+        delay_margin_s: least extra delay [s] that does: least phase margin over frequency of all crossings.
+        disk_margin: radius α of the balanced disk margin (Seiler, Packard and Gahinet 2020), 0 … 2.
+        crossover_rad_s: highest frequency [rad/s] at which the loop gain crosses 1; 0 when it never does.
+    """
+
+    name: str
+    stable: bool
+    gain_margin: float
+    phase_margin_deg: float
+    delay_margin_s: float
+    disk_margin: float
+    crossover_rad_s: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data; infinite margins stay inf."""
+        return asdict(self)
+
+
+def loop_margins(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float) -> tuple[LoopMargins, ...]:
+    """Margins of the eight loops about cruise; the parts are described in `cascade`.
+
+    `surge`, `sway`, `heave`, `yaw` are broken at the thrust command: a delay or gain error of that thrust,
+    with guidance closed around it. `along_track`, `cross_track`, `depth`, `heading` are broken at the
+    measured x_e, y_e, z_e, ψ: a delay or gain error of that measurement.
+
+    Args:
+        vehicle: the vehicle.
+        gains: k1, k2, k_psi, k_r, k_v [1/s], lookahead [m]; k_i [1/s²] if there is integral action.
+        cruise: U [m/s].
+        dt: control period [s].
+
+    Raises:
+        InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed.
+    """
+    cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt)
+    highest = np.pi / dt  # beyond the Nyquist frequency a sampled controller has no loop
+    thrust = [(name, cascade.at_thrust(i)) for i, name in enumerate(("surge", "sway", "heave", "yaw"))]
+    outer = [(n, cascade.at_output(i)) for i, n in enumerate(("along_track", "cross_track", "depth", "heading"))]
+    if not cascade.stable:
+        return tuple(LoopMargins(name, False, 1.0, 0.0, 0.0, 0.0, 0.0) for name, _ in (*thrust, *outer))
+    return tuple(margins_of(name, *loop, highest=highest) for name, loop in (*thrust, *outer))
+
+
+def closed_loop_poles(
+    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float
+) -> NDArray[np.complex128]:
+    """Poles (n,) [rad/s] of the whole cascade, slowest first; the arguments of `loop_margins`."""
+    return build_cascade(vehicle, gains, cruise=cruise, dt=dt).poles
+
+
+def margins_of(
+    name: str, A: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], *, highest: float
+) -> LoopMargins:
+    """Margins of the loop L(s) = c (sI − A)⁻¹ b under negative feedback, which must be stable when closed.
+
+    Args:
+        name: name of the loop.
+        A: (n, n).
+        b: (n, 1).
+        c: (1, n).
+        highest: highest frequency looked at [rad/s].
+    """
+    import control  # seconds to import: only when asked for
+
+    loop = control.ss(A, b, c, 0)
+    omega = np.geomspace(_LOWEST, highest, _POINTS)
+    response = control.frd(loop, omega, smooth=True)
+    # by frequency response: the polynomial method loses these orders, and finds a gain margin of 5e-17
+    gain, phase, _, at_gain, at_phase, _ = control.stability_margins(response, returnall=True)
+    gain = gain[_genuine(gain, at_gain)]
+    phase, at_phase = phase[_genuine(np.ones_like(phase), at_phase)], at_phase[_genuine(at_phase, at_phase)]
+    lag = np.remainder(phase, 360.0)  # a phase lead is a lag of the rest of the turn
+    return LoopMargins(
+        name,
+        True,
+        float(np.min(gain[gain > 1], initial=np.inf)),
+        float(np.min(lag, initial=np.inf)),
+        float(np.min(np.deg2rad(lag) / at_phase, initial=np.inf)),
+        float(control.disk_margins(loop, omega)[0]),
+        float(np.max(at_phase, initial=0.0)),
+    )
+
+
+def _genuine(gain: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Crossings at a finite frequency with a finite gain: the others are numerical, at ω = 0 and ω = ∞."""
+    found: NDArray[np.bool_] = (
+        np.isfinite(gain) & np.isfinite(at) & (at > 0) & (gain > _SPURIOUS) & (gain < 1 / _SPURIOUS)
+    )
+    return found

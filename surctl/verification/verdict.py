@@ -1,0 +1,75 @@
+"""A verdict is data: what was claimed, what came out, and the evidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from surctl.verification.claim import Claim, VerdictWord
+from surctl.verification.counterexample import Counterexample
+
+__all__ = ["Verdict"]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a check of one claim came to.
+
+    Attributes:
+        claim: the claim.
+        verdict: `refuted`, with a counterexample, or `not refuted`: a vain search proves nothing.
+        counterexample: a point where the claim fails.
+        worst_margin: largest left − right found in the domain, in the claim's unit.
+        threshold: margins up to this count as rounding.
+        fraction: share of the samples in the domain where the claim fails.
+        samples: number of samples in the domain.
+        searches: number of local searches.
+        witnesses: the claim's own points with the margin found there.
+        seconds: time it took [s].
+    """
+
+    claim: Claim
+    verdict: VerdictWord
+    counterexample: Counterexample | None
+    worst_margin: float
+    threshold: float
+    fraction: float
+    samples: int
+    searches: int
+    witnesses: tuple[Counterexample, ...] = ()
+    seconds: float = field(default=0.0, compare=False)
+
+    @property
+    def as_expected(self) -> bool:
+        """Whether the verdict is the one the claim ships with."""
+        return self.verdict == self.claim.expected
+
+    @property
+    def remaining(self) -> str | None:
+        """What is left open; None when the claim is settled."""
+        if self.verdict != "not refuted":
+            return None
+        return (
+            f"not proved: {self.samples} samples and {self.searches} local searches found nothing worse than "
+            f"{self.worst_margin:.3g} {self.claim.unit}"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        found = self.counterexample
+        return {
+            "claim": self.claim.name,
+            "statement": self.claim.statement,
+            "equation": self.claim.equation,
+            "errata": list(self.claim.errata),
+            "expected": self.claim.expected,
+            "verdict": self.verdict,
+            "counterexample": None if found is None else found.to_dict(),
+            "remaining": self.remaining,
+            "worst_margin": self.worst_margin,
+            "unit": self.claim.unit,
+            "fraction": self.fraction,
+            "samples": self.samples,
+            "witnesses": [w.to_dict() for w in self.witnesses],
+            "seconds": self.seconds,
+        }

@@ -1,0 +1,155 @@
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.signal import tf2ss
+
+from surctl.control.velocity import velocity_control
+from surctl.errors import InputError
+from surctl.guidance.tracking import along_command, tracking_velocity
+from surctl.vehicle import load_vehicle, planar_rotation
+from surctl.verification import build_cascade, closed_loop_poles, loop_margins, margins_of
+
+GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
+VEHICLE = load_vehicle("sur540-flooded")
+LOOPS = ["surge", "sway", "heave", "yaw", "along_track", "cross_track", "depth", "heading"]
+
+
+def of(numerator: list[float], denominator: list[float]) -> object:
+    a, b, c, _ = tf2ss(numerator, denominator)
+    return margins_of("test", a, b, c, highest=1e3)
+
+
+def test_an_integrator_has_no_gain_margin_and_ninety_degrees() -> None:
+    m = of([2.0], [1.0, 0.0])
+    assert m.gain_margin == np.inf and m.phase_margin_deg == pytest.approx(90, abs=1e-6)
+    assert m.crossover_rad_s == pytest.approx(2, rel=1e-6)
+    assert m.delay_margin_s == pytest.approx(np.pi / 4, rel=1e-6)
+    assert m.disk_margin == pytest.approx(2, rel=1e-6)
+
+
+def test_three_lags_have_gain_margin_eight() -> None:
+    m = of([4.0], [1.0, 3.0, 3.0, 1.0])
+    cross = np.sqrt(4 ** (2 / 3) - 1)
+    assert m.gain_margin == pytest.approx(2, rel=1e-5)
+    assert m.crossover_rad_s == pytest.approx(cross, rel=1e-5)
+    assert m.phase_margin_deg == pytest.approx(180 - 3 * np.rad2deg(np.arctan(cross)), rel=1e-4)
+
+
+def test_a_margin_against_less_gain_is_not_a_margin_against_more() -> None:
+    # 4 (s + 2)²/s³ crosses −180° at 2 rad/s with |L| = 4: it is lost at a quarter of its gain, at no larger gain
+    assert of([4.0, 16.0, 16.0], [1.0, 0.0, 0.0, 0.0]).gain_margin == np.inf
+
+
+def test_the_delay_margin_is_the_least_over_all_crossings() -> None:
+    # a resonance crosses 1 again, at a higher frequency with less time to spare
+    damping, natural = 0.001, 10.0
+    numerator = [0.3 * natural**2]
+    denominator = np.polymul([1.0, 0.0], [1.0, 2 * damping * natural, natural**2])
+    a, b, c, _ = tf2ss(numerator, denominator)
+    m = margins_of("test", a, b, c, highest=1e3)
+    assert m.crossover_rad_s > 9
+    assert m.delay_margin_s < m.phase_margin_deg / 180 * np.pi / 0.3
+
+
+def test_heave_of_a_vehicle_without_drag_and_lag_is_a_double_integrator() -> None:
+    # L = e^(−sT) k_v (s + k2)/s² : crossover and phase by hand
+    free = VEHICLE.with_values({"thrust_lag": 0.0, "Zw": 0.0})
+    dt, k_v, k2 = 0.05, GAINS["k_v"], GAINS["k2"]
+    cross = np.sqrt((k_v**2 + np.sqrt(k_v**4 + 4 * k_v**2 * k2**2)) / 2)
+    phase = np.arctan(cross / k2) - cross * 1.5 * dt
+    heave = {m.name: m for m in loop_margins(free, GAINS, cruise=0.15, dt=dt)}["heave"]
+    assert heave.crossover_rad_s == pytest.approx(cross, rel=1e-5)
+    assert heave.phase_margin_deg == pytest.approx(np.rad2deg(phase), rel=1e-4)
+    assert heave.delay_margin_s == pytest.approx(phase / cross, rel=1e-4)
+
+
+@pytest.mark.parametrize("k_i", [0.0, 0.2])
+def test_poles_cross_when_the_delay_margin_of_the_tightest_thrust_is_used_up(k_i: float) -> None:
+    # m11 = m22: yaw is by itself, so delaying every thrust is delaying that loop
+    gains = {**GAINS, "k_i": k_i}
+    dt = 0.05
+    margins = loop_margins(VEHICLE, gains, cruise=0.15, dt=dt)
+    least = min(m.delay_margin_s for m in margins[:4])
+    before = closed_loop_poles(VEHICLE, gains, cruise=0.15, dt=dt + 0.97 * least / 1.5)
+    after = closed_loop_poles(VEHICLE, gains, cruise=0.15, dt=dt + 1.03 * least / 1.5)
+    assert before[0].real < 0 < after[0].real
+
+
+def test_gain_margin_of_heading_is_where_its_poles_cross() -> None:
+    heading = loop_margins(VEHICLE, GAINS, cruise=0.15, dt=0.05)[7]
+    assert heading.name == "heading"
+    for factor, stable in ((0.98, True), (1.02, False)):
+        gains = {**GAINS, "k_psi": GAINS["k_psi"] * heading.gain_margin * factor}
+        assert build_cascade(VEHICLE, gains, cruise=0.15, dt=0.05).stable is stable
+
+
+@pytest.mark.parametrize("name", ["sur540-flooded", "sur400", "bluerov2-vonbenzon"])
+def test_the_controller_is_the_derivative_of_the_laws_own_expressions(name: str) -> None:
+    vehicle, cruise, k_i = load_vehicle(name), 0.15, 0.2
+    y, xi = ca.SX.sym("y", 8), ca.SX.sym("xi", 4)
+    along = along_command(
+        y[0],
+        y[1],
+        speed=ca.SX(cruise),
+        k1=ca.SX(GAINS["k1"]),
+        lookahead=ca.SX(GAINS["lookahead"]),
+        maximum=None,
+    )
+    world = tracking_velocity(along, y[1], ca.SX([1, 0]), ca.SX(GAINS["lookahead"]))
+    wanted = ca.vertcat(planar_rotation(y[3]).T @ world, -GAINS["k2"] * y[2], -GAINS["k_psi"] * y[3])
+    nu = y[4:] + ca.SX([cruise, 0, 0, 0])
+    model = {
+        "mass": ca.SX(vehicle.mass),
+        "linear_drag": ca.SX(vehicle.linear_drag),
+        "quadratic_drag": ca.SX(vehicle.quadratic_drag),
+        "thrust_limit": ca.SX(1e6 * vehicle.thrust_limit),
+    }
+    thrust, held, _ = velocity_control(
+        wanted, nu, xi, model, k_v=ca.SX(GAINS["k_v"]), k_r=ca.SX(GAINS["k_r"]), k_i=ca.SX(k_i), dt=1.0
+    )
+    both = ca.vertcat(thrust, held - xi)  # a period of 1 s: the step of ξ is its rate
+    slope = ca.Function("slope", [y, xi], [ca.jacobian(both, ca.vertcat(y, xi))])
+    expected = -np.asarray(slope(np.zeros(8), np.zeros(4)))
+    found = build_cascade(vehicle, {**GAINS, "k_i": k_i}, cruise=cruise, dt=0.05).K
+    assert found == pytest.approx(expected, abs=1e-9)
+
+
+def test_every_loop_is_reported_with_finite_crossovers_and_no_spurious_margin() -> None:
+    margins = loop_margins(VEHICLE, GAINS, cruise=0.15, dt=0.05)
+    assert [m.name for m in margins] == LOOPS
+    for m in margins:
+        assert m.stable and m.gain_margin > 1.5 and 30 < m.phase_margin_deg < 120
+        assert 0.1 < m.delay_margin_s < 60 and 0.3 < m.disk_margin < 2
+        assert set(m.to_dict()) >= {
+            "name",
+            "gain_margin",
+            "phase_margin_deg",
+            "delay_margin_s",
+            "disk_margin",
+        }
+
+
+def test_an_unstable_loop_has_nothing_left() -> None:
+    for m in loop_margins(VEHICLE, {**GAINS, "k_psi": 60.0}, cruise=0.15, dt=0.05):
+        assert not m.stable and (m.gain_margin, m.delay_margin_s, m.disk_margin) == (1.0, 0.0, 0.0)
+    assert closed_loop_poles(VEHICLE, {**GAINS, "k_psi": 60.0}, cruise=0.15, dt=0.05)[0].real > 0
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"k_psi": None}, "k_psi"),
+        ({"k_v": -1.0}, "k_v"),
+        ({"k1": float("nan")}, "k1"),
+        ({"k_i": -1.0}, "k_i"),
+    ],
+)
+def test_bad_gains_are_named(change: dict[str, float | None], key: str) -> None:
+    gains = {n: v for n, v in {**GAINS, **change}.items() if v is not None}
+    with pytest.raises(InputError, match=key):
+        loop_margins(VEHICLE, gains, cruise=0.15, dt=0.05)
+
+
+def test_a_cruise_beyond_the_thrust_is_refused() -> None:
+    with pytest.raises(InputError, match="thrust"):
+        loop_margins(VEHICLE, GAINS, cruise=0.9, dt=0.05)
