@@ -49,9 +49,7 @@ class ExportedFile:
     sha256: str
 
 
-def build_bundle(
-    law: Exportable, gains: Mapping[str, NDArray[np.float64]], *, name: str | None = None
-) -> Bundle:
+def build_bundle(law: Exportable, gains: Mapping[str, NDArray[np.float64]], *, name: str | None = None) -> Bundle:
     """The bundle of a law with tuned gains.
 
     Args:

@@ -54,6 +54,10 @@ class Exportable(Protocol):
         """C identifier."""
 
     @property
+    def mode(self) -> str:
+        """Priority mode; only `nsb`, the closed form, can be exported."""
+
+    @property
     def dt(self) -> float:
         """Control period [s]."""
 
@@ -102,10 +106,15 @@ def checked_name(law: Exportable, name: str | None = None) -> str:
             positive, or the function's sizes are not those of the layouts.
     """
     chosen = identifier(law.name if name is None else name)
-    if chosen == "sil_main":
+    if law.mode != "nsb":
         raise InputError(
-            "is taken by a file of the bundle", key="name", value=chosen, remedy="choose another"
+            "calls a QP in every step, which is not generated as C",
+            key="priority-mode",
+            value=law.mode,
+            remedy="export the law in mode nsb",
         )
+    if chosen == "sil_main":
+        raise InputError("is taken by a file of the bundle", key="name", value=chosen, remedy="choose another")
     for layout in (law.state, law.inputs, law.gains, law.outputs):
         for port in layout:
             identifier(port.name)

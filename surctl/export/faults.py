@@ -53,11 +53,7 @@ def fault_failures(law: Exportable, controller: Controller, records: Records) ->
     labels, cases = fault_cases(law, records)
     load = np.ones(len(cases), dtype=bool)
     c_results = controller.run(cases, load=load)
-    failed = [
-        f"{label} ({side})"
-        for k, label in enumerate(labels)
-        for side in _failed_sides(law, cases, c_results, k)
-    ]
+    failed = [f"{label} ({side})" for k, label in enumerate(labels) for side in _failed_sides(law, cases, c_results, k)]
     return len(labels), tuple(failed)
 
 

@@ -63,7 +63,5 @@ def _stack(rows: list[ArrayLike]) -> Vector:
 def _sized(array: ArrayLike, steps: int, size: int, key: str) -> Vector:
     rows = np.asarray(array, dtype=float)
     if rows.shape != (steps, size):
-        raise InputError(
-            f"has shape {rows.shape}, expected {(steps, size)}", key=key, remedy="one row a step"
-        )
+        raise InputError(f"has shape {rows.shape}, expected {(steps, size)}", key=key, remedy="one row a step")
     return rows

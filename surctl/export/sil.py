@@ -133,9 +133,7 @@ def software_in_the_loop(
 def _named_gains(law: Exportable, run: Records) -> dict[str, Vector]:
     """Gains of the first record: the ones the bundle is built with."""
     if not np.all(np.isfinite(run.P[0])):
-        raise InputError(
-            "the first record's gains are not finite", key="records.P", remedy="give finite gains"
-        )
+        raise InputError("the first record's gains are not finite", key="records.P", remedy="give finite gains")
     return law.gains.unpack(run.P[0])
 
 

@@ -46,9 +46,7 @@ def identifier(name: str) -> str:
             remedy="use letters, digits and single underscores, a letter first, at most 63",
         )
     if name in _WORDS:
-        raise InputError(
-            "is a reserved word in C or C++", key="name", value=name, remedy="choose another name"
-        )
+        raise InputError("is a reserved word in C or C++", key="name", value=name, remedy="choose another name")
     return name
 
 

@@ -45,17 +45,13 @@ def find_compiler() -> str:
     if wanted:
         words = _words(wanted)
         if shutil.which(words[0]) is None:
-            raise ToolMissing(
-                "names no program", key="CC", value=wanted, remedy="unset CC or set it to a C compiler"
-            )
+            raise ToolMissing("names no program", key="CC", value=wanted, remedy="unset CC or set it to a C compiler")
         _refuse(words)
         return wanted
     for name in ("cc", "gcc", "clang"):
         if shutil.which(name):
             return name
-    raise ToolMissing(
-        "no C compiler found (cc, gcc, clang)", remedy="install one (Debian: apt install gcc) or set CC"
-    )
+    raise ToolMissing("no C compiler found (cc, gcc, clang)", remedy="install one (Debian: apt install gcc) or set CC")
 
 
 def _words(command: str) -> list[str]:

@@ -74,9 +74,7 @@ def _dense_refs(
     """Position of each entry of output k, column by column; a structural zero is the constant 0."""
     sparsity = function.sparsity_out(k)
     at = {entry: nz for nz, entry in enumerate(sparsity.find())}
-    return tuple(
-        stored[k, at[entry]] if entry in at else builder.constant(0.0) for entry in range(sparsity.numel())
-    )
+    return tuple(stored[k, at[entry]] if entry in at else builder.constant(0.0) for entry in range(sparsity.numel()))
 
 
 def _walk(function: ca.Function, builder: _Builder) -> dict[tuple[int, int], int]:
@@ -98,9 +96,7 @@ def _walk(function: ca.Function, builder: _Builder) -> dict[tuple[int, int], int
             raise UnsupportedOperation(
                 f"operation {op!r} is not carried by the instruction list",
                 key=builder.name,
-                remedy=SUBSTITUTES.get(
-                    op, "rewrite it with the operations that are: " + ", ".join(OPERATIONS)
-                ),
+                remedy=SUBSTITUTES.get(op, "rewrite it with the operations that are: " + ", ".join(OPERATIONS)),
             )
     return stored
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -35,7 +36,7 @@ class Port:
     @property
     def size(self) -> int:
         """Number of scalars."""
-        return int(np.prod(self.shape, dtype=int))
+        return math.prod(self.shape)
 
 
 class Layout:
@@ -47,12 +48,14 @@ class Layout:
             if names.count(name) > 1:
                 raise InputError("two ports have one name", key=name, remedy="rename one of them")
         self.ports = ports
+        self._by_name = {p.name: p for p in ports}
         self._offset: dict[str, int] = {}
         at = 0
         for port in ports:
             self._offset[port.name] = at
             at += port.size
         self.size = at
+        self._defaults = np.concatenate([np.full(p.size, p.default) for p in ports] or [np.zeros(0)])
 
     def __iter__(self) -> Iterator[Port]:
         return iter(self.ports)
@@ -67,14 +70,13 @@ class Layout:
 
     def port(self, name: str) -> Port:
         """The port of that name; InputError with the nearest known name otherwise."""
-        for port in self.ports:
-            if port.name == name:
-                return port
+        if name in self._by_name:
+            return self._by_name[name]
         raise InputError("no such field", key=name, remedy=nearest(name, self._offset))
 
     def pack(self, values: Mapping[str, object] | None = None) -> NDArray[np.float64]:
         """Flat vector from named values; what is not named takes its default."""
-        flat = np.concatenate([np.full(p.size, p.default) for p in self.ports] or [np.zeros(0)])
+        flat = self._defaults.copy()
         for name, value in (values or {}).items():
             port = self.port(name)
             array = np.asarray(value, dtype=float)

@@ -64,9 +64,7 @@ class Program:
     def _problem(self, at: int, instruction: Instruction) -> str:
         op, args = instruction.op, instruction.args
         if op == "const":
-            return (
-                "" if instruction.value is not None and not args else "a constant needs a value, no operand"
-            )
+            return "" if instruction.value is not None and not args else "a constant needs a value, no operand"
         if op == "input":
             inside = len(args) == 2 and 0 <= args[0] < len(self.inputs)
             return "" if inside and 0 <= args[1] < self.inputs[args[0]][1] else "no such input entry"

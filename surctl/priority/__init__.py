@@ -46,9 +46,7 @@ def solve(problem: PriorityProblem, *, mode: Mode = "projected", backend: str = 
         InputError: unknown mode or backend.
     """
     if mode not in get_args(Mode):
-        raise InputError(
-            "no such priority mode", key="mode", value=mode, remedy=nearest(mode, get_args(Mode))
-        )
+        raise InputError("no such priority mode", key="mode", value=mode, remedy=nearest(mode, get_args(Mode)))
     check_backend(backend)
     with np.errstate(all="ignore"):  # an overflow is dealt with below, not warned about
         try:

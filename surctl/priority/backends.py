@@ -56,9 +56,7 @@ class LeastDistance:
 def check_backend(backend: str) -> str:
     """The name, if there is such a backend; InputError with the nearest name otherwise."""
     if backend not in BACKENDS:
-        raise InputError(
-            "no such QP backend", key="backend", value=backend, remedy=nearest(backend, BACKENDS)
-        )
+        raise InputError("no such QP backend", key="backend", value=backend, remedy=nearest(backend, BACKENDS))
     return backend
 
 

@@ -66,9 +66,7 @@ def _least_relaxed(v: Array, rows: Polyhedron, tol: float) -> Polyhedron | None:
     return rows
 
 
-def _cannot_be_less(
-    v: Array, rows: Polyhedron, soft: NDArray[np.bool_], hard: NDArray[np.bool_], tol: float
-) -> bool:
+def _cannot_be_less(v: Array, rows: Polyhedron, soft: NDArray[np.bool_], hard: NDArray[np.bool_], tol: float) -> bool:
     """Farkas: normals of soft rows, with weights that sum to 1, balance those of the hard ones."""
     pushing, near = _bounds(rows, v, soft)
     holding, far = _bounds(rows, v, hard)

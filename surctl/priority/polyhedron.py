@@ -84,9 +84,7 @@ def polyhedron_of(problem: PriorityProblem) -> Polyhedron:
     upper = np.array([row.upper for row in rows], dtype=float) / length
     A = A / length[:, None]
     kinds = tuple(row.kind for row in rows)
-    return Polyhedron(
-        A, lower, upper, length, kinds, tuple(r.name for r in rows), _box(A, lower, upper, kinds)
-    )
+    return Polyhedron(A, lower, upper, length, kinds, tuple(r.name for r in rows), _box(A, lower, upper, kinds))
 
 
 def _box(A: Array, lower: Array, upper: Array, kinds: tuple[Kind, ...]) -> tuple[Array, Array]:

@@ -53,12 +53,10 @@ class PriorityProblem:
         lines = [f"{'priority':<9} {'name':<20} row · v"]
         for place, level in enumerate(self.levels, start=1):
             lines += [
-                f"{place:<9} {level.name:<20} {_text(row)} -> {x:.6g}"
-                for row, x in zip(level.J, level.x, strict=True)
+                f"{place:<9} {level.name:<20} {_text(row)} -> {x:.6g}" for row, x in zip(level.J, level.x, strict=True)
             ]
         lines += [
-            f"{row.kind:<9} {row.name:<20} {_text(row.a)} in [{row.lower:.6g}, {row.upper:.6g}]"
-            for row in self.rows
+            f"{row.kind:<9} {row.name:<20} {_text(row.a)} in [{row.lower:.6g}, {row.upper:.6g}]" for row in self.rows
         ]
         return "\n".join(lines)
 
@@ -148,17 +146,13 @@ def _checked_row(row: Row, width: int) -> Row:
     a, lower, upper = _array(row.a).reshape(-1), float(row.lower), float(row.upper)
     key = f"limit {row.name}"
     if row.kind not in get_args(Kind):
-        raise InputError(
-            "unknown kind", key=key, value=row.kind, remedy=nearest(str(row.kind), get_args(Kind))
-        )
+        raise InputError("unknown kind", key=key, value=row.kind, remedy=nearest(str(row.kind), get_args(Kind)))
     if a.size != width:
         raise InputError(f"has {a.size} entries, expected {width}", key=key, remedy="one entry a velocity")
     if not np.isfinite(a).all() or math.isnan(lower) or math.isnan(upper):
         raise InputError("is not finite", key=key, value=[*a, lower, upper], remedy="gate the inputs first")
     if lower > upper or lower == math.inf or upper == -math.inf:
-        raise InputError(
-            "bounds leave no velocity", key=key, value=[lower, upper], remedy="give lower <= upper"
-        )
+        raise InputError("bounds leave no velocity", key=key, value=[lower, upper], remedy="give lower <= upper")
     return Row(row.name, row.kind, a, lower, upper)
 
 

@@ -65,9 +65,7 @@ def _descend(task: Level, w_2: Array, rows: Polyhedron, backend: str) -> _Point:
     relaxed = least_violation(rows, w_2, backend=backend)
     if relaxed is not None:
         allowed, inside, spent = relaxed.rows, relaxed.inside, relaxed.iterations
-        found = _meet_first(task, w_2, allowed, backend) or _serve_first(
-            task, w_2, allowed, backend, inside=inside
-        )
+        found = _meet_first(task, w_2, allowed, backend) or _serve_first(task, w_2, allowed, backend, inside=inside)
         if found is not None:
             status: Outcome = "relaxed" if relaxed.opened else found.status
             return replace(found, iterations=found.iterations + spent, status=status)
@@ -122,9 +120,7 @@ def _last_resort(task: Level, w_2: Array, rows: Polyhedron, spent: int, backend:
     return _Point(v, np.zeros(len(rows.names)), spent + answer.iterations, "clamped")
 
 
-def _solution(
-    problem: PriorityProblem, rows: Polyhedron, point: _Point, *, without: Array
-) -> PrioritySolution:
+def _solution(problem: PriorityProblem, rows: Polyhedron, point: _Point, *, without: Array) -> PrioritySolution:
     bite = np.abs(point.multipliers) > 1e-9 * (1.0 + float(np.abs(point.v).max()))
     fallback: Literal[1, 2, 3] = 1 if point.status == "optimal" else 2 if point.status == "limited" else 3
     return PrioritySolution(
@@ -132,9 +128,7 @@ def _solution(
         mode="projected",
         residuals=residuals_at(point.v, problem.levels),
         without_limits=residuals_at(without, problem.levels),
-        binding=tuple(
-            (rows.names[i], float(point.multipliers[i] / rows.length[i])) for i in np.flatnonzero(bite)
-        ),
+        binding=tuple((rows.names[i], float(point.multipliers[i] / rows.length[i])) for i in np.flatnonzero(bite)),
         relaxed=rows.missed(point.v),
         fallback=fallback,
         iterations=point.iterations,

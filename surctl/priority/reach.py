@@ -136,9 +136,7 @@ def _least_uniform(
     n = inside.size
     close = Level("opening", np.eye(1, n + 1, n), np.zeros(1))
     wide = np.append(inside, rows.violation(inside)[rows.mask(kind)].max(initial=0.0))
-    found = nearest_attainable(
-        close, np.append(inside, 0.0), _opening(rows, kind, hard), backend=backend, inside=wide
-    )
+    found = nearest_attainable(close, np.append(inside, 0.0), _opening(rows, kind, hard), backend=backend, inside=wide)
     if found is None:  # cannot be: `wide` keeps every row
         return inside, float(wide[n]), 0
     return found.v[:n], max(float(found.v[n]), 0.0), found.iterations

@@ -54,9 +54,7 @@ class PrioritySolution:
     def explain(self) -> str:
         """One or two sentences: which task gave up how much, because of which row."""
         if self.status == "clamped":
-            return (
-                "The actuator rows contradict each other, or no solver answered: v is only kept in the box."
-            )
+            return "The actuator rows contradict each other, or no solver answered: v is only kept in the box."
         text = self._losses()
         if self.relaxed:
             missed = ", ".join(f"`{name}` by {amount:.2g}" for name, amount in self.relaxed.items())

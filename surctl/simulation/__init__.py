@@ -1,5 +1,6 @@
 """Scenarios as files, the world of a run, the reference closed loop and its metrics."""
 
+from surctl.simulation.fit import Finding, findings
 from surctl.simulation.metrics import Metrics
 from surctl.simulation.run import SENSING, Record, Run, Sensing, advance, simulate
 from surctl.simulation.scenario import LIBRARY, Obstacle, Scenario, load_scenario
@@ -9,6 +10,7 @@ __all__ = [
     "LIBRARY",
     "SENSING",
     "Body",
+    "Finding",
     "Metrics",
     "Obstacle",
     "Record",
@@ -18,6 +20,7 @@ __all__ = [
     "World",
     "advance",
     "build_world",
+    "findings",
     "load_scenario",
     "simulate",
 ]

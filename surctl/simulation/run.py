@@ -161,7 +161,7 @@ class _Loop:
             time = tick * dt
             bodies = self.world.bodies(time)
             self._listen(bodies)
-            clearance = self._clearance(time)
+            clearance = self._clearance(bodies)
             u = self._inputs(bodies)
             step = self.law.step(self.law_state, u, self.p)
             self.rows.append(
@@ -207,8 +207,9 @@ class _Loop:
             self.state = np.asarray(advance()(self.state, tau, d, self.plant)).reshape(-1)
             if k < half - 1:
                 between = time + (k + 1) * _FIRING
-                self._listen(self.world.bodies(between))
-                self._clearance(between)
+                bodies = self.world.bodies(between)
+                self._listen(bodies)
+                self._clearance(bodies)
 
     def _listen(self, bodies: Sequence[Body]) -> None:
         if self.sensing == "truth":
@@ -221,8 +222,8 @@ class _Loop:
         )
         self.fresh[sensor] = 1.0
 
-    def _clearance(self, time: float) -> float:
-        clearance = self.world.clearance(self.state[:2], time)
+    def _clearance(self, bodies: Sequence[Body]) -> float:
+        clearance = self.world.clearance(self.state[:2], bodies)
         wall = self.world.wall_clearance(self.state[:2])
         self.clear_of_walls = self.clear_of_walls or wall > 0
         if self.clear_of_walls:

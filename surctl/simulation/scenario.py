@@ -130,6 +130,11 @@ class Scenario:
         return tuple(site_walls(self.site[1], self.site[0]))
 
     @property
+    def seeded(self) -> bool:
+        """Whether a flight with true positions depends on the seed at all."""
+        return self.disturbance.wave_force_n > 0 or any(o.drift_m > 0 for o in self.obstacles)
+
+    @property
     def start(self) -> NDArray[np.float64]:
         """Start of the path (2,) [m]."""
         start: NDArray[np.float64] = self.path.waypoints[0]

@@ -55,9 +55,9 @@ class World:
         push = d.wave_force_n * np.sin(2 * np.pi * time / d.wave_period_s + self.wave_phase)
         return np.array([*(push * self.wave_direction), 0.0, 0.0])
 
-    def clearance(self, position: NDArray[np.float64], time: float) -> float:
-        """Hull to nearest obstacle [m], negative when it touches; walls apart."""
-        return min((b.shape.nearest(position)[0] - self.hull for b in self.bodies(time)), default=float("inf"))
+    def clearance(self, position: NDArray[np.float64], bodies: Sequence[Body]) -> float:
+        """Hull to the nearest of the bodies [m], negative when it touches; walls apart."""
+        return min((b.shape.nearest(position)[0] - self.hull for b in bodies), default=float("inf"))
 
     def wall_clearance(self, position: NDArray[np.float64]) -> float:
         """Hull to nearest wall [m]."""

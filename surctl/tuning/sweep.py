@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
@@ -32,7 +33,7 @@ COLUMNS: Mapping[str, str] = {
     "score": "1",
     "feasible": "1",
 }
-TUBE = 0.10  # [m] path error that costs as much as doubling the ideal time
+TUBE = 0.10  # [m] mean path error that costs as much as twice the ideal time in the slowest flight
 DELAY_FLOOR = 0.2  # [s] least delay margin of a point that may be picked: four control periods (*chosen*)
 
 
@@ -163,8 +164,12 @@ def _evaluate(
         for point in todo:
             yield point, _fly_point(sets[point], tuple(flights), law)
         return
-    # spawn: a forked child would inherit the locks of numerical libraries
-    with ProcessPoolExecutor(min(workers, len(todo)), mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(
+        min(workers, len(todo)),
+        mp_context=get_context("spawn"),  # a forked child would inherit the locks of numerical libraries
+        initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_IGN),  # Ctrl-C is the parent's affair
+    ) as pool:
         jobs = {pool.submit(_fly_point, sets[point], tuple(flights), law): point for point in todo}
         try:
             for job in as_completed(jobs):
@@ -180,10 +185,15 @@ def _fly_point(gains: Gains, flights: tuple[Flight, ...], law: LawName) -> tuple
     runs = [
         simulate(f.scenario, f.vehicle, gains=gains, law=built, sensing=f.sensing, seed=f.seed).metrics for f in flights
     ]
-    margins = [m for f in flights for m in loop_margins(f.vehicle, gains.values, cruise=f.scenario.cruise, dt=built.dt)]
+    cruises = {(f.vehicle.source, f.vehicle.name, f.scenario.cruise): f.vehicle for f in flights}
+    margins = [
+        m
+        for (_, _, cruise), vehicle in cruises.items()
+        for m in loop_margins(vehicle, gains.values, cruise=cruise, dt=built.dt)
+    ]
     error = float(np.mean([r.path_error_m for r in runs]))
     ideal = [f.scenario.path.length / f.scenario.cruise for f in flights]
-    score = error / TUBE + float(np.mean([r.time_s / t for r, t in zip(runs, ideal, strict=True)]))
+    score = error / TUBE + max(r.time_s / t for r, t in zip(runs, ideal, strict=True))
     clearance = min(r.min_clearance_m for r in runs)
     delay = min(m.delay_margin_s for m in margins)
     feasible = all(r.reached for r in runs) and clearance > 0 and delay >= DELAY_FLOOR and np.isfinite(score)

@@ -32,6 +32,7 @@ class StandIn:
     gains: Layout
     outputs: Layout
     function: ca.Function
+    mode: str = "nsb"
 
     def initial_state(self) -> Vector:
         return self.state.pack()
@@ -72,9 +73,7 @@ def stand_in(
 ) -> StandIn:
     """A law that saturates, latches, remembers, and reports every operation in its telemetry."""
     layouts = Layout(state), Layout(inputs), Layout(GAINS)
-    (x, xs), (u, us), (p, ps) = (
-        layout.symbols(letter) for layout, letter in zip(layouts, "xup", strict=True)
-    )
+    (x, xs), (u, us), (p, ps) = (layout.symbols(letter) for layout, letter in zip(layouts, "xup", strict=True))
     eta, memory = us.get("eta", ca.SX([1, 2, 3, 4])), xs.get("memory", ca.SX.ones(2, 3))
     integral = xs.get("integral", ca.SX.zeros(4))
     wanted = -ps["k_p"] * ca.vertcat(eta[:3], ca.atan2(ca.sin(eta[3]), ca.cos(eta[3]))) - integral
@@ -92,9 +91,7 @@ def stand_in(
     outputs = Layout((Port("tau", (4,), "N, N, N, N m", "thrust, body frame"), *report))
     x_next = layouts[0].join({port.name: parts[port.name] for port in state}) if state else ca.SX(0, 1)
     status = (saturated > ps["limit"]) + 2 * ca.ne(latch, xs.get("latch", ca.SX(0)))
-    function = ca.Function(
-        "law", [x, u, p], [tau, x_next, status, ca.vertcat(*every) if telemetry else ca.SX(0, 1)]
-    )
+    function = ca.Function("law", [x, u, p], [tau, x_next, status, ca.vertcat(*every) if telemetry else ca.SX(0, 1)])
     return StandIn(name, 0.05, *layouts, outputs, function)
 
 

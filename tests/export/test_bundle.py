@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from surctl.control import build_law
 from surctl.errors import InputError
 from surctl.export import Bundle, build_bundle, write_bundle
 from surctl.export.rendering import comment
@@ -60,9 +61,7 @@ def test_the_id_follows_what_is_computed_and_not_the_name() -> None:
 
 def test_files_and_manifest() -> None:
     bundle = bundle_of(stand_in())
-    assert list(bundle.files) == [
-        *("standin.h", "standin.c", "sil_main.c", "Makefile", "README.md", "manifest.json")
-    ]
+    assert list(bundle.files) == [*("standin.h", "standin.c", "sil_main.c", "Makefile", "README.md", "manifest.json")]
     manifest = json.loads(bundle.files["manifest.json"])
     assert manifest["id"] == bundle.id and manifest["dt_s"] == 0.05
     for name, digest in manifest["sha256"].items():
@@ -200,3 +199,9 @@ def test_refused_operations_reach_the_user() -> None:
     worse = ca.Function("law", [x, u, p], [ca.sign(tau), x_next, status, telemetry])
     with pytest.raises(InputError, match="operation 'sign'"):
         build_bundle(replace(law, function=worse), {})
+
+
+def test_a_law_that_needs_a_qp_is_refused(tmp_path):
+    law = build_law(mode="projected")
+    with pytest.raises(InputError, match="priority-mode.*projected.*nsb"):
+        build_bundle(law, {})

@@ -73,9 +73,7 @@ def grown(steps: list[tuple[str, int, int, int]], makers: dict[str, Make]) -> ca
 def whole(makers: dict[str, Make]) -> ca.Function:
     """Function of x (4,) that uses every maker once, one output entry each."""
     x = ca.SX.sym("x", 4)
-    return ca.Function(
-        "whole", [x], [ca.vertcat(*(make(x[0], x[1], x[2] * x[3]) for make in makers.values()))]
-    )
+    return ca.Function("whole", [x], [ca.vertcat(*(make(x[0], x[1], x[2] * x[3]) for make in makers.values()))])
 
 
 def compiled(programs: list[Program], folder: Path) -> list[Callable[..., list[Vector]]]:

@@ -65,9 +65,7 @@ def test_every_exact_operation_treats_special_numbers_alike(tmp_path: Path) -> N
         have = np.array([native(point)[0][0] for point in points])
         np.testing.assert_array_equal(have, want, err_msg=program.name)
         number = ~np.isnan(want)  # a NaN's sign means nothing
-        np.testing.assert_array_equal(
-            np.signbit(have[number]), np.signbit(want[number]), err_msg=program.name
-        )
+        np.testing.assert_array_equal(np.signbit(have[number]), np.signbit(want[number]), err_msg=program.name)
 
 
 def _single(op: Operation) -> Program:

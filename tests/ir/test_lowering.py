@@ -82,9 +82,7 @@ def test_mx_functions_are_expanded() -> None:
         (lambda a: ca.exp(a), "exp", "rewrite"),
     ],
 )
-def test_refused_operations_are_named_with_their_substitute(
-    expression: object, op: str, substitute: str
-) -> None:
+def test_refused_operations_are_named_with_their_substitute(expression: object, op: str, substitute: str) -> None:
     x = ca.SX.sym("x")
     with pytest.raises(UnsupportedOperation, match=rf"'{op}'.*{substitute}"):
         lower(ca.Function("f", [x], [expression(x)]))  # type: ignore[operator]
@@ -128,9 +126,7 @@ def test_text_and_digest_tell_programs_apart() -> None:
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(steps=picks, values=numbers)
-def test_replay_is_the_casadi_machine_bit_for_bit(
-    steps: list[tuple[str, int, int, int]], values: list[float]
-) -> None:
+def test_replay_is_the_casadi_machine_bit_for_bit(steps: list[tuple[str, int, int, int]], values: list[float]) -> None:
     function = grown(steps, EXACT)
     (have,) = replay(lower(function), values)
     # == : the two zeros count as equal, `if_else` of the machine turns −0 into +0
