@@ -65,6 +65,10 @@ class InputError(SurctlError):
             text += f"; {remedy}"
         super().__init__(" ".join(text.split()))
 
+    def inside(self, file: object, key: str | None = None) -> InputError:
+        """The same mistake, told with the file (and key) in which it was made."""
+        return InputError(self.problem, file=file, key=key or self.key, value=self.value, remedy=self.remedy)
+
 
 class ToolMissing(InputError):
     """An outside program that the job needs is not installed."""

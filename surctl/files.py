@@ -69,7 +69,8 @@ def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
         problems = error.errors(include_url=False)
         # an unknown key is the likely cause of the missing one beside it: tell it first
         first = min(problems, key=lambda p: 0 if p["type"] == "extra_forbidden" else 1)
-        key = ".".join(str(part) for part in first["loc"])
+        # a union's member types stand in the path like keys
+        key = ".".join(str(part) for part in first["loc"] if part not in ("Quantity", "str"))
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         value = None if first["type"] == "missing" else first["input"]
         if first["type"] == "extra_forbidden":

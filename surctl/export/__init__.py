@@ -3,7 +3,7 @@
 from surctl.export.bundle import Bundle, ExportedFile, build_bundle, write_bundle
 from surctl.export.contract import STATUS, Exportable
 from surctl.export.records import Records
-from surctl.export.sil import Difference, SilReport, software_in_the_loop
+from surctl.export.sil import Difference, SilReport, software_in_the_loop, software_in_the_loop_runs
 
 __all__ = [
     "STATUS",
@@ -15,5 +15,6 @@ __all__ = [
     "SilReport",
     "build_bundle",
     "software_in_the_loop",
+    "software_in_the_loop_runs",
     "write_bundle",
 ]

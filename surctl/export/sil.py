@@ -18,7 +18,7 @@ from surctl.export.process import Controller, Results, build_controller
 from surctl.export.records import Records, as_records
 from surctl.ir import compiler_version
 
-__all__ = ["TOLERANCE", "Difference", "SilReport", "software_in_the_loop"]
+__all__ = ["TOLERANCE", "Difference", "SilReport", "software_in_the_loop", "software_in_the_loop_runs"]
 
 Vector = NDArray[np.float64]
 
@@ -122,12 +122,27 @@ def software_in_the_loop(
         SurctlError: the compiler refuses the bundle, or the program crashes.
         InputError: the records do not fit the law.
     """
-    run = as_records(law, records)
-    bundle = build_bundle(law, _named_gains(law, run))
+    return software_in_the_loop_runs(law, [records], workdir=workdir)[0]
+
+
+def software_in_the_loop_runs(
+    law: Exportable,
+    runs: Sequence[Records | Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]]],
+    *,
+    workdir: Path | str | None = None,
+) -> tuple[SilReport, ...]:
+    """One report a recorded run, all through one compiled bundle (with the gains of the first run's first record).
+
+    Arguments and errors as `software_in_the_loop`; InputError also when there is no run.
+    """
+    recorded = [as_records(law, run) for run in runs]
+    if not recorded:
+        raise InputError("holds no run", key="records", remedy="record at least one run of the law")
+    bundle = build_bundle(law, _named_gains(law, recorded[0]))
     with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
         folder = Path(scratch) / bundle.name if workdir is None else Path(workdir)
         controller = build_controller(law, bundle, folder)
-        return _compare(law, controller, run, name=bundle.name, identity=bundle.id)
+        return tuple(_compare(law, controller, run, name=bundle.name, identity=bundle.id) for run in recorded)
 
 
 def _named_gains(law: Exportable, run: Records) -> dict[str, Vector]:

@@ -14,6 +14,8 @@ from surctl.vehicle import Vehicle
 
 __all__ = ["Finding", "findings"]
 
+_ROOM = 0.02  # [m] two standard deviations of the base station's position: less room than that cannot be kept
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -44,8 +46,9 @@ def _wall_fit(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     found = []
     for name, point in (("start", scenario.start), ("target", scenario.target)):
         room = _wall_room(scenario, point) - vehicle["radius"]
-        if room < 0:
-            text = f"the {vehicle['radius']:g} m hull of {vehicle.name} is {-room:.3f} m inside a wall at the {name}"
+        if room < _ROOM:
+            where = f"{-room:.3f} m inside a wall" if room < 0 else f"only {room:.3f} m off a wall"
+            text = f"the {vehicle['radius']:g} m hull of {vehicle.name} is {where} at the {name}"
             found.append(Finding("error", "path_m", text))
     return found
 

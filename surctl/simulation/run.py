@@ -86,7 +86,7 @@ def simulate(
     *,
     gains: Gains,
     law: Law | None = None,
-    sensing: Sensing = "truth",
+    sensing: Sensing | str = "truth",
     seed: int = 0,
     model: Vehicle | None = None,
 ) -> Run:

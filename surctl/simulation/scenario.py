@@ -159,7 +159,7 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
     try:
         path = Path(np.array(model.path_m))
     except InputError as error:
-        raise InputError(error.problem, file=source, key="path_m", value=error.value, remedy=error.remedy) from None
+        raise error.inside(source, "path_m") from None
     scenario = Scenario(
         model.name,
         model.title,

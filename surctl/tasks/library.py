@@ -45,9 +45,7 @@ def heading_task(
 
 def velocity_task(eta: ca.SX, v_world: Expression, *, name: str = "velocity") -> Task:
     """σ = (x, y) with σ̃ = 0: only its rate `v_world` (2,) [m/s] in {E} counts."""
-    return Task(
-        name=name, eta=eta, sigma=eta[:2], target=eta[:2], rate=_vector(name, "v_world", v_world, (2,))
-    )
+    return Task(name=name, eta=eta, sigma=eta[:2], target=eta[:2], rate=_vector(name, "v_world", v_world, (2,)))
 
 
 def clearance_task(
@@ -70,9 +68,7 @@ def distance_task(
     return Task(name=name, eta=eta, sigma=sigma, target=_scalar(name, "distance", distance), gain=gain)
 
 
-def line_of_sight_task(
-    eta: ca.SX, point: Expression, *, gain: Expression = 1.0, name: str = "line_of_sight"
-) -> Task:
+def line_of_sight_task(eta: ca.SX, point: Expression, *, gain: Expression = 1.0, name: str = "line_of_sight") -> Task:
     """σ = bearing of `point` (2,) [m] in {E} seen from the bow [rad], to be 0: look at the point.
 
     On the point itself, where no bearing exists, it is taken as the direction of x.

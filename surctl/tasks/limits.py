@@ -105,9 +105,7 @@ class HalfPlane:
 
 def _check_kind(name: str, kind: str) -> None:
     if kind not in get_args(Kind):
-        raise InputError(
-            "unknown kind of limit", key=f"limit {name}", value=kind, remedy=nearest(kind, get_args(Kind))
-        )
+        raise InputError("unknown kind of limit", key=f"limit {name}", value=kind, remedy=nearest(kind, get_args(Kind)))
 
 
 def _column(name: str, field: str, value: Expression, size: int) -> ca.SX:

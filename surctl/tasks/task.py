@@ -50,16 +50,12 @@ class Task:
         """Check, and turn every number into a column of k expressions."""
         _check_name(self.name)
         if not isinstance(self.eta, ca.SX) or self.eta.shape != (4, 1) or not self.eta.is_valid_input():
-            raise _wrong(
-                self, "eta", "is not an SX symbol of shape (4, 1)", 'write eta = ca.SX.sym("eta", 4)'
-            )
+            raise _wrong(self, "eta", "is not an SX symbol of shape (4, 1)", 'write eta = ca.SX.sym("eta", 4)')
         sigma = ca.densify(ca.SX(self.sigma))
         if sigma.shape[1] != 1 or sigma.shape[0] < 1:
             raise _wrong(self, "sigma", f"has shape {sigma.shape}, expected (k, 1)", "use ca.vertcat")
         if not ca.depends_on(sigma, self.eta):
-            raise _wrong(
-                self, "sigma", "does not depend on eta", "express it through this task's own eta symbol"
-            )
+            raise _wrong(self, "sigma", "does not depend on eta", "express it through this task's own eta symbol")
         object.__setattr__(self, "sigma", sigma)
         for field in ("target", "rate", "gain"):
             object.__setattr__(self, field, _column_of(self, field, sigma.shape[0]))
@@ -113,15 +109,11 @@ def _column_of(task: Task, field: str, size: int) -> ca.SX:
     try:
         column = as_column(getattr(task, field))
     except (NotImplementedError, RuntimeError, TypeError, ValueError):
-        raise _wrong(
-            task, field, "is neither numbers nor a vector expression", f"give one number or {size}"
-        ) from None
+        raise _wrong(task, field, "is neither numbers nor a vector expression", f"give one number or {size}") from None
     if column.numel() == 1:
         column = ca.repmat(column, size, 1)
     if column.numel() != size:
-        raise _wrong(
-            task, field, f"has {column.numel()} entries, but sigma has {size}", f"give one number or {size}"
-        )
+        raise _wrong(task, field, f"has {column.numel()} entries, but sigma has {size}", f"give one number or {size}")
     for number in _numbers(column):
         if not math.isfinite(number):
             raise _wrong(task, field, "is not finite", "give a finite number", number)

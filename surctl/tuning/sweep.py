@@ -185,11 +185,11 @@ def _fly_point(gains: Gains, flights: tuple[Flight, ...], law: LawName) -> tuple
     runs = [
         simulate(f.scenario, f.vehicle, gains=gains, law=built, sensing=f.sensing, seed=f.seed).metrics for f in flights
     ]
-    cruises = {(f.vehicle.source, f.vehicle.name, f.scenario.cruise): f.vehicle for f in flights}
+    fastest = {(f.vehicle.source, f.vehicle.name): f for f in sorted(flights, key=lambda f: f.scenario.cruise)}
     margins = [
         m
-        for (_, _, cruise), vehicle in cruises.items()
-        for m in loop_margins(vehicle, gains.values, cruise=cruise, dt=built.dt)
+        for f in fastest.values()
+        for m in loop_margins(f.vehicle, gains.values, cruise=f.scenario.cruise, dt=built.dt)
     ]
     error = float(np.mean([r.path_error_m for r in runs]))
     ideal = [f.scenario.path.length / f.scenario.cruise for f in flights]

@@ -69,9 +69,7 @@ class Shape(ABC):
         """
         x, y = float(apex[0]), float(apex[1])
         if not 0.0 <= half_angle < pi / 2:
-            raise InputError(
-                "must lie in [0, pi/2)", key="half_angle", value=half_angle, remedy="give radians"
-            )
+            raise InputError("must lie in [0, pi/2)", key="half_angle", value=half_angle, remedy="give radians")
         if not isfinite(x + y + axis):
             raise InputError("apex and axis must be finite", key="apex, axis", value=(x, y, axis))
         distance, fx, fy = self.foot(x, y)
@@ -204,9 +202,7 @@ class Wall(Shape):
         nx, ny = _pair("wall.normal", self.normal)
         length = hypot(nx, ny)
         if length == 0.0:
-            raise InputError(
-                "has no direction", key="wall.normal", value=(nx, ny), remedy="point it into the water"
-            )
+            raise InputError("has no direction", key="wall.normal", value=(nx, ny), remedy="point it into the water")
         object.__setattr__(self, "point", _pair("wall.point", self.point))
         object.__setattr__(self, "normal", (nx / length, ny / length))
 

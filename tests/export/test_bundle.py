@@ -203,5 +203,5 @@ def test_refused_operations_reach_the_user() -> None:
 
 def test_a_law_that_needs_a_qp_is_refused(tmp_path):
     law = build_law(mode="projected")
-    with pytest.raises(InputError, match="priority-mode.*projected.*nsb"):
+    with pytest.raises(InputError, match=r"priority-mode.*projected.*nsb"):
         build_bundle(law, {})

@@ -83,9 +83,7 @@ def test_symbolic_leaves_out_zero_and_doubled_rows(seed):
     rng = np.random.default_rng(seed)
     made = levels(rng, conditioned=True, deficient=False)
     row = rng.normal(size=N)
-    odd = Level(
-        "odd", np.vstack([np.zeros(N), row, 0.37 * row]), np.array([5.0, 0.3, 9.0])
-    )  # 9.0 is left out
+    odd = Level("odd", np.vstack([np.zeros(N), row, 0.37 * row]), np.array([5.0, 0.3, 9.0]))  # 9.0 is left out
     with_odd = [*made[:1], odd, *made[1:]]
     plain = [*made[:1], Level("odd", row[None], np.array([0.3])), *made[1:]]
     assert np.abs(evaluate(with_odd) - evaluate(plain)).max() <= 1e-10 * size(plain)

@@ -66,9 +66,7 @@ def test_the_first_task_is_served_as_well_as_the_box_allows():
     rng = np.random.default_rng(2)
     for _ in range(100):
         first = Level("first", rng.normal(size=(2, N)), 3 * rng.normal(size=2))
-        problem = build_problem(
-            [first, Level("second", rng.normal(size=(2, N)), rng.normal(size=2))], box(0.5)
-        )
+        problem = build_problem([first, Level("second", rng.normal(size=(2, N)), rng.normal(size=2))], box(0.5))
         best = lsq_linear(first.J, first.x, bounds=(-0.5, 0.5), tol=1e-14)
         assert solve(problem).residuals["first"] == pytest.approx(np.sqrt(2 * best.cost), abs=1e-7)
 

@@ -183,9 +183,7 @@ def test_a_cone_query_is_cheap():
     calls = 3000
     for shape in shapes:
         seconds = min(
-            timeit.repeat(
-                lambda s=shape: s.nearest_in_cone((0.0, 0.0), 0.1, half_angle=0.6), number=calls, repeat=3
-            )
+            timeit.repeat(lambda s=shape: s.nearest_in_cone((0.0, 0.0), 0.1, half_angle=0.6), number=calls, repeat=3)
         )
         # a few microseconds; the bound leaves room for a busy machine
         assert seconds / calls < 50e-6

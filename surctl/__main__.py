@@ -1,0 +1,6 @@
+"""`python -m surctl`."""
+
+from surctl.cli import main
+
+if __name__ == "__main__":
+    main()

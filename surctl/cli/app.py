@@ -1,0 +1,56 @@
+"""The application: commands, and the one place where errors become a line and an exit status."""
+
+from __future__ import annotations
+
+import sys
+
+import click
+
+from surctl import __version__
+from surctl.cli.export import export
+from surctl.cli.lint import lint
+from surctl.cli.listing import listing
+from surctl.cli.simulate import simulate
+from surctl.cli.study import study
+from surctl.cli.sweep import sweep
+from surctl.cli.verify import verify
+from surctl.errors import SurctlError
+
+__all__ = ["app", "main"]
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(__version__, prog_name="surctl")
+def app() -> None:
+    """Design, tune, verify and export the controller of a small underwater robot.
+
+    Exit status: 0 done and as expected, 1 done and something came out otherwise, 2 bad input.
+    """
+
+
+for _command in (study, simulate, sweep, verify, export, lint, listing):
+    app.add_command(_command)
+
+
+def main() -> None:
+    """Run the command line and exit."""
+    try:
+        status = app(prog_name="surctl", standalone_mode=False)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message())
+        status = 0
+    except click.ClickException as error:
+        context = getattr(error, "ctx", None)
+        _tell(f"{error.format_message()}; see {context.command_path if context else 'surctl'} --help")
+        status = 2
+    except SurctlError as error:
+        _tell(str(error))
+        status = error.exit_status
+    except (KeyboardInterrupt, click.Abort):
+        _tell("stopped; what was finished is kept")
+        status = 130
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _tell(text: str) -> None:
+    sys.stderr.write("surctl: " + " ".join(text.split()) + "\n")

@@ -1,0 +1,46 @@
+"""`surctl list`: what there is."""
+
+from __future__ import annotations
+
+import sys
+
+import click
+
+from surctl.cli.output import as_json, finish
+
+__all__ = ["listing"]
+
+
+@click.command("list")
+@click.option("--show", metavar="NAME", help="Print the built-in file of that name instead.")
+@as_json
+def listing(show: str | None, as_json: bool) -> None:
+    """List built-in vehicles, gain files, scenarios, studies and claims.
+
+    Example: surctl list --show sur540-flooded > my-vehicle.toml
+    """
+    from surctl import control, simulation, study, vehicle
+    from surctl.errors import InputError, nearest
+    from surctl.verification import claims
+
+    libraries = {
+        "vehicles": vehicle.LIBRARY,
+        "gains": control.LIBRARY,
+        "scenarios": simulation.LIBRARY,
+        "studies": study.LIBRARY,
+    }
+    files = {kind: {p.stem: p for p in sorted(folder.glob("*.toml"))} for kind, folder in libraries.items()}
+    if show is not None:
+        kind, _, name = show.rpartition("/")
+        known = {f"{k}/{n}": p for k, group in files.items() for n, p in group.items()}
+        hits = [p for full, p in known.items() if full == show or (not kind and full.endswith("/" + name))]
+        if not hits:
+            raise InputError("no such built-in file", key="--show", value=show, remedy=nearest(show, known))
+        if len(hits) > 1:
+            both = ", ".join(full for full, p in known.items() if p in hits)
+            raise InputError("is not unique", key="--show", value=show, remedy=f"name one of {both}")
+        sys.stdout.write(hits[0].read_text(encoding="utf-8"))
+        return
+    names = {kind: list(group) for kind, group in files.items()} | {"claims": [c.name for c in claims()]}
+    lines = [f"{kind}: {', '.join(group)}" for kind, group in names.items()]
+    finish(names, lines, as_json=as_json, passed=True)

@@ -1,0 +1,46 @@
+"""What every command prints: a summary for people, or one JSON object on stdout; progress goes to stderr."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+__all__ = ["as_json", "finish", "finite", "out_folder", "progress"]
+
+as_json = click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else there."
+)
+out_folder = click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder for plots.")
+
+
+def finite(value: Any) -> Any:
+    """The same data with every number that JSON does not know (NaN, infinities) as null."""
+    if isinstance(value, Mapping):
+        return {str(k): finite(v) for k, v in value.items()}
+    if isinstance(value, str):
+        return value
+    if isinstance(value, Sequence):
+        return [finite(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def finish(result: Mapping[str, Any], lines: Sequence[str], *, as_json: bool, passed: bool) -> None:
+    """Print the result and end with status 0 if `passed`, else 1."""
+    text = json.dumps(finite(result), ensure_ascii=False) if as_json else "\n".join(lines)
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+    click.get_current_context().exit(0 if passed else 1)
+
+
+def progress(text: str) -> None:
+    """One line of progress on stderr."""
+    sys.stderr.write(f"  {text}\n")
+    sys.stderr.flush()

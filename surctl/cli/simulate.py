@@ -1,0 +1,79 @@
+"""`surctl simulate`: closed-loop runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from surctl.cli.output import as_json, finish, out_folder, progress
+
+__all__ = ["simulate"]
+
+
+@click.command
+@click.argument("scenarios", nargs=-1, required=True)
+@click.option("--vehicle", help="Vehicle: name or file; default: the scenario's.")
+@click.option("--gains", default="default", help="Gain file: name or path.")
+@click.option("--law", default="guarded", help="guarded, or the printed stack: paper.")
+@click.option("--avoidance", default="corrected", help="printed, consistent or corrected form of (20).")
+@click.option("--priority-mode", default="nsb", help="nsb (what is exported) or projected (QP).")
+@click.option("--sensing", default="truth", help="truth, or through the sonar array: sonar.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, help="First seed.")
+@click.option("--runs", type=click.IntRange(min=1), default=1, help="Number of seeds, one after another.")
+@out_folder
+@as_json
+def simulate(
+    scenarios: tuple[str, ...],
+    vehicle: str | None,
+    gains: str,
+    law: str,
+    avoidance: str,
+    priority_mode: str,
+    sensing: str,
+    seed: int,
+    runs: int,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Fly scenarios in closed loop. Exit status 1 if a run collides or does not arrive.
+
+    Examples: surctl simulate pool-static --sensing sonar --runs 5; surctl simulate tank-static --law paper --out plots
+    """
+    from surctl.control import build_law, load_gains
+    from surctl.simulation import load_scenario
+    from surctl.simulation import simulate as fly
+    from surctl.study import prepare_folder, run_to_dict
+    from surctl.vehicle import load_vehicle
+
+    if out is not None:
+        prepare_folder(out)
+    built = build_law(law, avoidance=avoidance, mode=priority_mode)
+    chosen = load_gains(gains)
+    plans = [load_scenario(name) for name in scenarios]
+    results, lines = [], []
+    for scenario in plans:
+        flown = load_vehicle(vehicle or scenario.vehicle)
+        for k in range(seed, seed + runs):
+            run = fly(scenario, flown, gains=chosen, law=built, sensing=sensing, seed=k)
+            results.append(run_to_dict(run))
+            m = run.metrics
+            line = (
+                f"{scenario.name} by {flown.name}, {sensing}, seed {k}: {m.stopped_because} at {m.time_s:.2f} s, "
+                f"least clearance {m.min_clearance_m:.3f} m, path error {m.path_error_m:.3f} m"
+            )
+            lines.append(line)
+            if as_json:
+                progress(line)
+            if out is not None:
+                lines.append(f"  {_plot(run, out)}")
+    good = all(r["reached"] and r["min_clearance_m"] > 0 for r in results)
+    finish({"runs": results}, lines, as_json=as_json, passed=good)
+
+
+def _plot(run: object, out: Path) -> Path:
+    from surctl.report import save_run
+    from surctl.simulation import Run
+
+    assert isinstance(run, Run)
+    return save_run(run, out)

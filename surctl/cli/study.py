@@ -1,0 +1,40 @@
+"""`surctl study`: the main job."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from surctl.cli.output import as_json, finish, progress
+from surctl.cli.verify import claim_line
+
+__all__ = ["study"]
+
+
+@click.command
+@click.argument("file", required=False)
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("surctl-out"), help="Folder for report, gains, code."
+)
+@click.option("--workers", type=click.IntRange(min=1), default=2, help="Processes of the sweep.")
+@as_json
+def study(file: str | None, out: Path, workers: int, as_json: bool) -> None:
+    """Sweep two gains, pick a point, print margins, check the claims, fly the scenarios, export and check the C.
+
+    Examples: surctl study; surctl study my-vehicle.toml --out results; surctl study --json > study.json
+    """
+    from surctl.study import conduct, load_plan
+
+    command = " ".join(["surctl study", *([file] if file else []), f"--out {out}"])
+    result = conduct(load_plan(file), out, workers=workers, progress=progress, command=command)
+    lines = [f"study {result.plan.name}: {'passed' if result.passed else 'NOT passed'}"]
+    marks = {True: "ok  ", False: "FAIL", None: "    "}
+    lines += [f"{marks[note.passed]} {note.text}" for note in result.notes]
+    lines += ["", "loop          gain   phase   delay   disk"]
+    for m in result.margins:
+        numbers = f"{m.gain_margin:5.2f} {m.phase_margin_deg:6.1f}° {m.delay_margin_s:6.2f}s {m.disk_margin:6.2f}"
+        lines.append(f"{m.name:<12} {numbers}")
+    lines += ["", *(claim_line(v) for v in result.verdicts)]
+    lines += ["", f"gains  {result.gain_file}", f"code   {out / 'export'}", f"report {result.report}"]
+    finish(result.to_dict(), lines, as_json=as_json, passed=result.passed)

@@ -1,0 +1,137 @@
+"""What a page consists of: sections of paragraphs, tables and pictures, as data. The template only lays it out."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from io import BytesIO
+from typing import ClassVar, Literal
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+__all__ = [
+    "Block",
+    "Cell",
+    "Heading",
+    "Paragraph",
+    "Picture",
+    "Pictures",
+    "Section",
+    "Table",
+    "outcome_cell",
+    "picture",
+]
+
+Mark = Literal["", "good", "bad", "note"]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One entry of a table: its text, what it says of the outcome, whether it is set as code or as a number."""
+
+    text: str
+    mark: Mark = ""
+    code: bool = False
+    number: bool = False
+
+    @property
+    def style(self) -> str:
+        """Classes of the cell: its mark, and how it may be broken into lines."""
+        length = len(self.text)
+        fit = "number" if self.number else "short" if length <= 16 else "long" if length > 40 else "text"
+        return f"{self.mark} {fit}".strip()
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: caption, column heads with units, rows of cells. Plain text stands for an unmarked cell."""
+
+    caption: str
+    heads: tuple[str, ...]
+    rows: tuple[tuple[Cell | str, ...], ...]
+    kind: ClassVar[str] = "table"
+
+    @property
+    def cells(self) -> tuple[tuple[Cell, ...], ...]:
+        """The rows with plain text as cells."""
+        return tuple(tuple(c if isinstance(c, Cell) else Cell(c) for c in row) for row in self.rows)
+
+    @property
+    def columns(self) -> tuple[tuple[str, str], ...]:
+        """Head and class of each column: that of numbers where the first row has one."""
+        first = self.cells[0] if self.rows else tuple(Cell("") for _ in self.heads)
+        return tuple((head, "number" if cell.number else "") for head, cell in zip(self.heads, first, strict=True))
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """A paragraph; a marked one tells an outcome."""
+
+    text: str
+    mark: Mark = ""
+    kind: ClassVar[str] = "paragraph"
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A heading inside a section."""
+
+    text: str
+    kind: ClassVar[str] = "heading"
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An embedded picture.
+
+    Attributes:
+        uri: `data:image/png;base64,...`.
+        width, height: [px].
+        alt: what it shows, for those who do not see it.
+        caption: what to read from it.
+        command: the command that makes it.
+    """
+
+    uri: str
+    width: int
+    height: int
+    alt: str
+    caption: str
+    command: str
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Pictures side by side where there is room."""
+
+    pictures: tuple[Picture, ...]
+    kind: ClassVar[str] = "pictures"
+
+
+Block = Table | Paragraph | Heading | Pictures
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section: its anchor (an HTML id), title and blocks."""
+
+    anchor: str
+    title: str
+    blocks: tuple[Block, ...]
+
+
+def picture(drawn: Axes | Figure, *, alt: str, caption: str, command: str) -> Picture:
+    """Render a plot into a `Picture`; the same plot gives the same bytes."""
+    figure = drawn if isinstance(drawn, Figure) else drawn.figure.figure
+    buffer = BytesIO()
+    # a library's version in the file would make the bytes depend on it
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    width, height = (round(side) for side in figure.get_size_inches() * figure.dpi)
+    uri = "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
+    return Picture(uri, width, height, alt, caption, command)
+
+
+def outcome_cell(good: bool, yes: str, no: str) -> Cell:
+    """`yes` marked good, or `no` marked bad."""
+    return Cell(yes, "good") if good else Cell(no, "bad")

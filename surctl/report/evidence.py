@@ -1,0 +1,172 @@
+"""What a counterexample shows: its replay over time, and the claim's margin about it in two variables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.report.theme import AVOIDING, INK, ROBOT, curve, dress, legend_above, new_axes
+from surctl.verification import Claim, Counterexample, Replay, Variable, Verdict, replay
+from surctl.verification.oracle import Oracle, build_oracle
+
+__all__ = ["MarginSlice", "margin_slice", "plot_counterexample", "plot_replay", "plot_slice"]
+
+_CELLS = 121
+_PROBES = 61
+
+
+@dataclass(frozen=True, eq=False)
+class MarginSlice:
+    """A claim's margin on a plane through a counterexample, all other variables held.
+
+    Attributes:
+        claim: the claim.
+        point: the counterexample.
+        one, other: the variables of the two directions.
+        x: (m,) values of `one`.
+        y: (n,) values of `other`.
+        margin: (n, m) left − right, positive where the claim fails; NaN outside the claim's domain.
+    """
+
+    claim: Claim
+    point: Counterexample
+    one: Variable
+    other: Variable
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    margin: NDArray[np.float64]
+
+
+def margin_slice(verdict: Verdict) -> MarginSlice:
+    """The slice through a verdict's counterexample along its two most influential variables.
+
+    A variable is as influential as the margin's range along its interval, from the counterexample; what lies
+    deeper on the good side than the counterexample on the bad one does not count, or a term far away would decide.
+
+    Raises:
+        InputError: the verdict has no counterexample, or fewer than two variables can vary.
+    """
+    claim, point = verdict.claim, _counterexample(verdict)
+    oracle = build_oracle(claim)
+    here = claim.point(point.values)
+    free = [k for k, v in enumerate(claim.variables) if v.upper > v.lower]
+    if len(free) < 2:
+        raise InputError(
+            "has fewer than two variables that vary", key=f"claim {claim.name}", remedy="show its replay instead"
+        )
+    first, second = sorted(sorted(free, key=lambda k: -_influence(oracle, here, k))[:2])
+    one, other = claim.variables[first], claim.variables[second]
+    x, y = np.linspace(one.lower, one.upper, _CELLS), np.linspace(other.lower, other.upper, _CELLS)
+    points = np.tile(here[:, None], (1, _CELLS * _CELLS))
+    points[first], points[second] = (grid.ravel() for grid in np.meshgrid(x, y))
+    return MarginSlice(claim, point, one, other, x, y, _inside(oracle, points).reshape(_CELLS, _CELLS))
+
+
+def _counterexample(verdict: Verdict) -> Counterexample:
+    if verdict.counterexample is None:
+        raise InputError(
+            "has no counterexample to show", key=f"claim {verdict.claim.name}", remedy="plot refuted claims only"
+        )
+    return verdict.counterexample
+
+
+def _inside(oracle: Oracle, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    margin, _, inside = oracle.evaluate(points)
+    return np.where(inside & np.isfinite(margin), margin, np.nan)
+
+
+def _influence(oracle: Oracle, here: NDArray[np.float64], k: int) -> float:
+    variable = oracle.claim.variables[k]
+    points = np.tile(here[:, None], (1, _PROBES))
+    points[k] = np.linspace(variable.lower, variable.upper, _PROBES)
+    margin = _inside(oracle, points)
+    depth = float(_inside(oracle, here[:, None])[0])
+    known = np.maximum(margin[np.isfinite(margin)], -abs(depth))
+    # rounded, so that equal influence leaves the variables in the claim's order
+    return round(float(np.ptp(known)) / max(abs(depth), 1e-300), 3) if known.size else 0.0
+
+
+def plot_counterexample(verdict: Verdict, ax: Axes | None = None) -> Axes:
+    """The counterexample's replay over time where the claim bounds a rate, else the slice of the margin.
+
+    Raises:
+        InputError: the verdict has no counterexample.
+    """
+    point = _counterexample(verdict)
+    if verdict.claim.motion is None:
+        return plot_slice(margin_slice(verdict), ax)
+    return plot_replay(verdict, replay(verdict.claim, point), ax)
+
+
+def plot_replay(verdict: Verdict, flown: Replay, ax: Axes | None = None) -> Axes:
+    """The watched quantity along the replayed motion, and what the claim would have allowed it to be.
+
+    Raises:
+        InputError: the verdict has no counterexample, or the replay no motion.
+    """
+    claim, point = verdict.claim, _counterexample(verdict)
+    if flown.time.size == 0:
+        raise InputError("has no motion", key=f"claim {claim.name}", remedy="show the slice of its margin instead")
+    ax = dress(ax or new_axes(5.1, 3.7), x="time from the counterexample [s]")
+    ax.set_ylabel(f"{flown.name} [{flown.unit}]", fontsize=9.5, color=INK, parse_math=False)
+    sense = _sense(claim, claim.point(point.values))
+    if sense:
+        bound = flown.watched - sense * flown.excess
+        word = "most" if sense > 0 else "least"
+        curve(ax, flown.time, bound, label=f"{word} that the claim allows", k=1)
+        ax.fill_between(flown.time, bound, flown.watched, color=AVOIDING, alpha=0.15, linewidth=0)
+    curve(ax, flown.time, flown.watched, label=f"{flown.name}, replayed", k=0)
+    if flown.time[-1] > 0:
+        ax.set_xlim(0.0, float(flown.time[-1]))
+    legend_above(ax, columns=2)
+    return ax
+
+
+def _sense(claim: Claim, here: NDArray[np.float64]) -> int:
+    """+1 where the left side is the watched quantity's rate, −1 where it is minus that rate, 0 for neither.
+
+    Judged at the counterexample: a left side that is the worse of two turns is the rate of one of them only.
+    """
+    if claim.motion is None:
+        return 0
+    x = claim.symbols
+    moving = ca.vertcat(*[claim.motion.rates.get(v.name, ca.SX(0)) for v in claim.variables])
+    rate = ca.jtimes(ca.SX(claim.motion.watched), x, moving)
+    sides = ca.Function("sides", [x], [ca.densify(rate), ca.densify(ca.SX(claim.left))])
+    speed, left = (float(side) for side in sides(here))
+    return next((sign for sign in (1, -1) if np.isclose(left, sign * speed, rtol=1e-6, atol=1e-12)), 0)
+
+
+def plot_slice(cut: MarginSlice, ax: Axes | None = None) -> Axes:
+    """Where the claim fails on the slice, how badly, and the counterexample; white lies outside the domain."""
+    ax = dress(ax or new_axes(5.1, 3.7), x=_title(cut.one), y=_title(cut.other))
+    ax.grid(visible=False)
+    known = cut.margin[np.isfinite(cut.margin)]
+    # as wide as the failure is deep: how well the claim holds elsewhere is of less interest
+    size = float(np.max(known, initial=0.0)) or float(np.max(np.abs(known), initial=0.0)) or 1.0
+    image = ax.pcolormesh(
+        cut.x, cut.y, np.ma.masked_invalid(cut.margin), cmap="PuOr_r", vmin=-size, vmax=size, shading="nearest",
+        rasterized=True,
+    )  # fmt: skip
+    bar = ax.figure.colorbar(image, ax=ax, extend="min" if np.min(known, initial=0.0) < -size else "neither")
+    bar.set_label(f"left − right [{cut.claim.unit}]: above 0 the claim fails", fontsize=8.5, color=INK)
+    bar.ax.tick_params(labelsize=8.5)
+    if known.size and known.min() < 0 < known.max():
+        ax.contour(cut.x, cut.y, np.ma.masked_invalid(cut.margin), levels=[0.0], colors=INK, linewidths=1.4)
+        ax.plot([], [], color=INK, linewidth=1.4, label="boundary")
+    at = (cut.point.values[cut.one.name], cut.point.values[cut.other.name])
+    ax.plot(
+        *at, marker="X", color=ROBOT, markersize=11, markeredgecolor="white", linestyle="none", clip_on=False,
+        zorder=5, label="counterexample",
+    )  # fmt: skip
+    legend_above(ax, columns=2)
+    return ax
+
+
+def _title(variable: Variable) -> str:
+    return variable.name if variable.unit == "1" else f"{variable.name} [{variable.unit}]"

@@ -1,0 +1,219 @@
+"""The page's sections on what was checked: claims and closed-loop runs."""
+
+from __future__ import annotations
+
+from surctl.errors import InputError
+from surctl.report.data import ReportData
+from surctl.report.document import (
+    Block,
+    Cell,
+    Heading,
+    Paragraph,
+    Picture,
+    Pictures,
+    Section,
+    Table,
+    outcome_cell,
+    picture,
+)
+from surctl.report.evidence import margin_slice, plot_counterexample, plot_slice
+from surctl.report.plan_view import describe, plot_run
+from surctl.report.signals import plot_run_signals
+from surctl.report.words import gains_argument, number, simulate_command, verify_command
+from surctl.simulation import Run
+from surctl.verification import Counterexample, Verdict
+
+__all__ = ["claims_section", "runs_section"]
+
+_BUDGET = 3_600_000  # [byte] of run pictures, about: the page stays below 6 MB
+
+
+def claims_section(data: ReportData) -> Section:
+    """All verdicts in one table, then each claim with its counterexample or what is left open."""
+    text = (
+        "A claim is an inequality left ≤ right on a domain. A refuted claim comes with a point where it fails; one "
+        "that is not refuted is not proved. Claims as printed in the paper may be expected to be refuted."
+    )
+    rows = tuple(_verdict_row(v) for v in data.verdicts)
+    heads = (
+        "claim", "equation", "errata", "expected", "verdict", "as expected", "worst left − right", "unit",
+        "share of samples that fails [%]", "time [s]",
+    )  # fmt: skip
+    blocks: list[Block] = [Paragraph(text), Table("Verdicts", heads, rows)]
+    gains = gains_argument(data.gains, data.gains_file)
+    for verdict in data.verdicts:
+        blocks += _claim_blocks(verdict, verify_command(verdict.claim.name, gains) or data.command)
+    return Section("claims", "Claims", tuple(blocks))
+
+
+def _verdict_row(v: Verdict) -> tuple[Cell | str, ...]:
+    return (
+        Cell(v.claim.name, code=True),
+        v.claim.equation,
+        ", ".join(v.claim.errata) or "–",
+        v.claim.expected,
+        v.verdict,
+        outcome_cell(v.as_expected, "yes", "NO"),
+        Cell(number(v.worst_margin, digits=3), number=True),
+        v.claim.unit,
+        Cell(number(100 * v.fraction, digits=3), number=True),
+        Cell(number(v.seconds, digits=2), number=True),
+    )
+
+
+def _claim_blocks(v: Verdict, command: str) -> list[Block]:
+    outcome = f"{v.verdict[0].upper()}{v.verdict[1:]}, {'as expected' if v.as_expected else 'which was NOT expected'}."
+    blocks: list[Block] = [
+        Heading(v.claim.name),
+        Paragraph(f"Claim {v.claim.equation}: {v.claim.statement}."),
+        Paragraph(outcome, "good" if v.as_expected else "bad"),
+    ]
+    if v.remaining:
+        blocks.append(Paragraph(f"{v.remaining[0].upper()}{v.remaining[1:]}."))
+    if v.counterexample is not None:
+        blocks += [_counterexample_table(v, v.counterexample), Pictures(_counterexample_pictures(v, command))]
+    return blocks
+
+
+def _counterexample_table(v: Verdict, found: Counterexample) -> Table:
+    rows = [
+        (
+            Cell(x.name, code=True), Cell(number(found.values[x.name], digits=8), number=True), x.unit,
+            f"{number(x.lower)} to {number(x.upper)}", x.meaning,
+        )
+        for x in v.claim.variables
+    ]  # fmt: skip
+    rows.append(
+        (Cell("left − right"), Cell(number(found.margin, digits=6), number=True), found.unit, "at most 0", "the claim")
+    )
+    caption = f"Counterexample to {v.claim.name}, found by {found.origin}"
+    return Table(caption, ("quantity", "value", "unit", "domain (same unit)", "meaning"), tuple(rows))
+
+
+def _counterexample_pictures(v: Verdict, command: str) -> tuple[Picture, ...]:
+    found = []
+    if v.claim.motion is not None:
+        found.append(
+            picture(
+                plot_counterexample(v),
+                alt=f"Replay of the counterexample to {v.claim.name}: {v.claim.motion.name} over time",
+                caption=f"Replayed from the counterexample: {v.claim.motion.name} leaves what the claim allows.",
+                command=command,
+            )
+        )
+    try:
+        cut = margin_slice(v)
+    except InputError:  # a claim in one variable has no plane to show
+        return tuple(found)
+    names = f"{cut.one.name} and {cut.other.name}"
+    found.append(
+        picture(
+            plot_slice(cut),
+            alt=f"Margin of {v.claim.name} over {names} through the counterexample",
+            caption=f"Where the claim fails over {names}, all else as in the counterexample.",
+            command=command,
+        )
+    )
+    return tuple(found)
+
+
+def runs_section(data: ReportData) -> Section:
+    """All runs in one table, then plan view and signals of each kind of run."""
+    rows = tuple(_run_row(run, decides) for run, decides in zip(data.runs, data.decides, strict=True))
+    heads = (
+        "scenario", "vehicle", "law", "sensing", "seed", "reached", "time [s]", "paper's time [s]",
+        "least clearance [m]", "path error [m]", "length [m]", "mean thrust [N]", "stopped because", "decides",
+    )  # fmt: skip
+    text = (
+        "Clearance is from hull to obstacle, and to walls once the hull is clear of them. The path error is the rms "
+        "distance to the path outside avoidance. Runs through the sonar hear the obstacles; the others are told them."
+    )
+    blocks: list[Block] = [Paragraph(text), Table("Closed-loop runs", heads, rows), *_surface_notes(data)]
+    chosen, used, left = _to_draw(data), 0, 0
+    gains = gains_argument(data.gains, data.gains_file)
+    for run, decides in chosen:
+        if used > _BUDGET:
+            left += 1
+            continue
+        same = run.gains.values == data.gains.values
+        command = simulate_command(run, gains if same else gains_argument(run.gains, "")) or data.command
+        pictures = _run_pictures(run, command)
+        used += sum(len(shown.uri) for shown in pictures)
+        blocks += [Heading(describe(run)), *_outcome(run, decides), Pictures(pictures)]
+    left += len(data.runs) - len(chosen)
+    if left:
+        blocks.append(Paragraph(f"{left} more runs are in the table only.", "note"))
+    return Section("runs", "Closed-loop runs", tuple(blocks))
+
+
+def _run_row(run: Run, decides: bool) -> tuple[Cell | str, ...]:
+    m = run.metrics
+    contact = m.min_clearance_m <= 0
+    return (
+        Cell(run.scenario.name, code=True),
+        run.vehicle.name,
+        f"{run.law.name.removeprefix('surctl_')}, {run.law.mode}",
+        run.sensing,
+        Cell(str(run.seed), number=True),
+        outcome_cell(m.reached, "yes", "NO"),
+        Cell(number(m.time_s), number=True),
+        Cell(number(run.scenario.paper.time_s), number=True),
+        Cell(number(m.min_clearance_m, digits=3), "bad" if contact else "", number=True),
+        *(Cell(number(v, digits=3), number=True) for v in (m.path_error_m, m.length_m, m.effort_n)),
+        m.stopped_because,
+        "yes" if decides else "no",
+    )
+
+
+def _surface_notes(data: ReportData) -> list[Block]:
+    """The model has no buoyancy: say where a hull would stand out of the water (E16)."""
+    found = {}
+    for run in data.runs:
+        above = run.scenario.depth + run.vehicle["radius"]
+        if above > 1e-9:
+            found[run.vehicle.name, run.scenario.depth] = above
+    return [
+        Paragraph(
+            f"At z = {number(depth)} m the hull of {name} stands {number(above, digits=3)} m out of the water; the "
+            "model in four degrees of freedom has no buoyancy (E16).",
+            "note",
+        )
+        for (name, depth), above in found.items()
+    ]
+
+
+def _to_draw(data: ReportData) -> list[tuple[Run, bool]]:
+    """The first run of each kind and every run that does not arrive, in order; with each, whether it decides."""
+    seen, chosen = set(), []
+    for run, decides in zip(data.runs, data.decides, strict=True):
+        kind = (run.scenario.name, run.vehicle.name, run.law.name, run.law.mode, run.sensing)
+        if kind not in seen or not run.metrics.reached:
+            chosen.append((run, decides))
+        seen.add(kind)
+    return chosen
+
+
+def _outcome(run: Run, decides: bool) -> list[Block]:
+    m, paper = run.metrics, run.scenario.paper
+    reported = f" The paper: {paper.result}." if paper.result else ""
+    ended = f"{m.stopped_because[:1].upper()}{m.stopped_because[1:]} after {number(m.time_s)} s"
+    text = f"{run.scenario.title}. {ended}{'' if decides else ' (does not decide)'}.{reported}"
+    return [Paragraph(text, "good" if m.reached and m.min_clearance_m > 0 else "bad")]
+
+
+def _run_pictures(run: Run, command: str) -> tuple[Picture, Picture]:
+    m = run.metrics
+    told = f"{m.stopped_because} after {number(m.time_s)} s, least clearance {number(m.min_clearance_m, digits=3)} m"
+    plan = picture(
+        plot_run(run),
+        alt=f"Plan view of {describe(run)}: {told}",
+        caption=f"Plan view: {told}. Numbers in hulls and moving obstacles are times in s.",
+        command=command,
+    )
+    signals = picture(
+        plot_run_signals(run),
+        alt=f"Clearance, path error, velocity, yaw rate, thrust and yaw moment over time of {describe(run)}",
+        caption="Signals over time. Shaded: avoidance; lighter: until back on the path (not counted as path error).",
+        command=command,
+    )
+    return plan, signals

@@ -1,0 +1,167 @@
+"""Linear loops: frequency responses as data; Bode and Nyquist plots, and closed-loop poles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from numpy.typing import NDArray
+
+from surctl.report.theme import AVOIDING, BAD, CYCLE, INK, MUTED, ROBOT, curve, dress, legend_above, new_figure
+from surctl.vehicle import Vehicle
+from surctl.verification import build_cascade
+
+__all__ = ["LoopResponse", "loop_responses", "plot_bode", "plot_nyquist", "plot_poles"]
+
+_THRUST = ("surge", "sway", "heave", "yaw")
+_MEASURED = ("along_track", "cross_track", "depth", "heading")
+_SLOWEST = 1e-2  # [rad/s]
+_POINTS = 400
+_GAP = 6.0  # ratio of two neighbouring pole sizes that separates the dynamics from the delay
+
+
+@dataclass(frozen=True, eq=False)
+class LoopResponse:
+    """Frequency response of one loop, broken at one place with all others closed.
+
+    Attributes:
+        name: the loop, as in `LoopMargins`.
+        at: where it is broken: `thrust` or `measurement`.
+        omega: (k,) [rad/s], up to the Nyquist frequency of the sampled controller.
+        response: (k,) complex L(jω); the closed loop is 1/(1 + L).
+    """
+
+    name: str
+    at: str
+    omega: NDArray[np.float64]
+    response: NDArray[np.complex128]
+
+
+def loop_responses(
+    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float
+) -> tuple[LoopResponse, ...]:
+    """Responses of the eight loops of `loop_margins`, in its order.
+
+    Args:
+        vehicle: the vehicle.
+        gains: values by name.
+        cruise: U [m/s].
+        dt: control period [s].
+
+    Raises:
+        InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed.
+    """
+    cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt)
+    omega = np.geomspace(_SLOWEST, np.pi / dt, _POINTS)
+    broken = [(name, "thrust", cascade.at_thrust(k)) for k, name in enumerate(_THRUST)]
+    broken += [(name, "measurement", cascade.at_output(k)) for k, name in enumerate(_MEASURED)]
+    return tuple(LoopResponse(name, at, omega, _frequency_response(*loop, omega)) for name, at, loop in broken)
+
+
+def _frequency_response(
+    A: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], omega: NDArray[np.float64]
+) -> NDArray[np.complex128]:
+    """c (jω − A)⁻¹ b, (k,)."""
+    pencils = 1j * omega[:, None, None] * np.eye(len(A)) - A
+    found: NDArray[np.complex128] = (c @ np.linalg.solve(pencils, np.broadcast_to(b, (len(omega), *b.shape))))[:, 0, 0]
+    return found
+
+
+def plot_bode(loops: Sequence[LoopResponse], ax: tuple[Axes, Axes] | None = None) -> Figure:
+    """Gain [dB] over phase [deg]; dots mark where a gain crosses 1. `ax`: axes of gain and phase, or None."""
+    if ax is None:
+        ax = new_figure(5.1, 4.5).subplots(2, 1, sharex=True)
+    upper, lower = ax
+    dress(upper, y="gain |L| [dB]")
+    dress(lower, x="frequency [rad/s]", y="phase of L [deg]")
+    for k, loop in enumerate(loops):
+        gain, phase = 20 * np.log10(np.abs(loop.response)), _phase(loop.response)
+        curve(upper, loop.omega, gain, label=loop.name, k=k)
+        curve(lower, loop.omega, phase, label=loop.name, k=k)
+        crossing = np.flatnonzero(np.diff(np.sign(gain)))
+        for axes, values in ((upper, gain), (lower, phase)):
+            axes.plot(loop.omega[crossing], values[crossing], "o", color=CYCLE[k % len(CYCLE)], markersize=5)
+    upper.set_xscale("log")
+    lower.set_xscale("log")
+    upper.axhline(0.0, color=BAD, linewidth=1.0)
+    upper.set_ylim(-60, 60)
+    lower.axhline(-180.0, color=BAD, linewidth=1.0)
+    lower.set_yticks(np.arange(-360, 91, 90))
+    lower.set_ylim(-380, 60)
+    legend_above(upper, columns=4)
+    figure: Figure = upper.figure.figure
+    return figure
+
+
+def _phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Unwrapped phase [deg] that begins in (−270, 90]."""
+    phase = np.rad2deg(np.unwrap(np.angle(response)))
+    return np.asarray(phase - 360 * np.ceil((phase[0] - 90) / 360), dtype=float)
+
+
+def plot_nyquist(loops: Sequence[LoopResponse], ax: Axes | None = None, *, disk_margin: float | None = None) -> Axes:
+    """L(jω) for ω > 0 about the critical point −1, with the unit circle.
+
+    Args:
+        loops: the loops.
+        ax: axes to draw in.
+        disk_margin: α of the balanced disk margin; its forbidden disk (Seiler, Packard and Gahinet 2020) is drawn.
+    """
+    ax = dress(ax or new_figure(5.1, 4.5).add_subplot(), x="real part of L", y="imaginary part of L")
+    ax.add_patch(Circle((0, 0), 1, fill=False, edgecolor=MUTED, linestyle=":", linewidth=1.0))
+    if disk_margin is not None and 0 < disk_margin < 2:
+        left, right = -(2 + disk_margin) / (2 - disk_margin), -(2 - disk_margin) / (2 + disk_margin)
+        disk = Circle(((left + right) / 2, 0), (right - left) / 2)
+        disk.set(facecolor=BAD, alpha=0.13, edgecolor="none", label=f"disk margin {disk_margin:.2f}")
+        ax.add_patch(disk)
+    for k, loop in enumerate(loops):
+        curve(ax, loop.response.real, loop.response.imag, label=loop.name, k=k)
+    ax.plot(-1, 0, marker="+", color=BAD, markersize=12, markeredgewidth=2, linestyle="none")
+    ax.set_xlim(-3.6, 1.6)
+    ax.set_ylim(-2.6, 1.6)
+    ax.set_aspect("equal")
+    legend_above(ax, columns=3)
+    return ax
+
+
+def plot_poles(poles: NDArray[np.complex128], ax: Axes | None = None) -> Axes:
+    """Closed-loop poles [rad/s]; the fast ones that only the delay brings are counted, not shown."""
+    ax = dress(ax or new_figure(5.1, 4.5).add_subplot(), x="real part [1/s]", y="imaginary part [rad/s]")
+    found = np.asarray(poles, dtype=complex)
+    shown = _slow(found)
+    edge = 1.15 * max(float(np.max(np.abs(shown), initial=0.0)), 1e-3)
+    for damping in (0.5, 0.7):
+        slope = np.sqrt(1 - damping**2) / damping
+        for sign in (1, -1):
+            ax.plot([0, -edge], [0, sign * slope * edge], color=MUTED, linestyle=":", linewidth=0.9)
+        at = edge / max(1.0, slope)
+        ax.annotate(f"ζ {damping:g}", (-at * 0.85, slope * at * 0.85), fontsize=8, color=INK, ha="center", va="bottom")
+    ax.axvline(0.0, color=BAD, linewidth=1.0)
+    stable = shown.real < 0
+    ax.plot(shown[stable].real, shown[stable].imag, "x", color=ROBOT, markersize=8, markeredgewidth=2, label="stable")
+    if not stable.all():
+        ax.plot(
+            shown[~stable].real, shown[~stable].imag, "s", color=AVOIDING, markersize=7, label="unstable"
+        )  # fmt: skip
+    ax.set_xlim(-edge, max(0.12 * edge, 1.15 * float(np.max(shown.real, initial=0.0))))
+    ax.set_ylim(-edge, edge)
+    hidden = len(found) - len(shown)
+    if hidden:
+        ax.plot([], [], linestyle="none", label=f"{hidden} faster poles of the delay not shown")
+    legend_above(ax, columns=3)
+    return ax
+
+
+def _slow(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """The poles below the widest gap in size, if there is one wider than `_GAP`; all of them otherwise."""
+    ordered = poles[np.argsort(np.abs(poles), kind="stable")]
+    size = np.maximum(np.abs(ordered), 1e-3)
+    ratio = size[1:] / size[:-1]
+    if ratio.size == 0 or ratio.max() < _GAP:
+        return ordered
+    kept = ordered[: int(np.argmax(ratio)) + 1]
+    return kept if np.all(ordered[len(kept) :].real < 0) else ordered

@@ -1,0 +1,102 @@
+"""The page: one HTML file with everything in it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from surctl.errors import InputError
+from surctl.report.data import ReportData
+from surctl.report.document import Section
+from surctl.report.evidence_sections import claims_section, runs_section
+from surctl.report.sections import (
+    export_section,
+    gains_section,
+    margins_section,
+    sweep_section,
+    time_section,
+    vehicle_section,
+)
+
+__all__ = ["render_page", "write_page"]
+
+_TEMPLATES = Path(__file__).parent / "templates"
+
+
+def render_page(data: ReportData) -> str:
+    """The page as one HTML text: no network, no script, pictures and style inside, every text escaped."""
+    environment = Environment(
+        loader=FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        keep_trailing_newline=True,
+    )
+    style = (_TEMPLATES / "page.css").read_text(encoding="utf-8")
+    page = environment.get_template("page.html")
+    return page.render(data=data, style=style, sections=_sections(data), outcome=_outcome(data))
+
+
+def _sections(data: ReportData) -> tuple[Section, ...]:
+    """The sections in reading order; one that has nothing to tell is left out."""
+    found = [vehicle_section(data), gains_section(data)]
+    if data.margins or data.loops or data.poles is not None:
+        found.append(margins_section(data))
+    if data.sweep is not None:
+        found.append(sweep_section(data, data.sweep))
+    if data.verdicts:
+        found.append(claims_section(data))
+    if data.runs:
+        found.append(runs_section(data))
+    if data.export is not None:
+        found.append(export_section(data.export))
+    if data.seconds:
+        found.append(time_section(data))
+    return tuple(found)
+
+
+def _outcome(data: ReportData) -> tuple[str, str]:
+    """Class and words of the first line."""
+    failed = sum(good is False for good, _ in data.summary)
+    if failed:
+        return "bad", f"✗ {failed} of the checks that decide {'fails' if failed == 1 else 'fail'}."
+    if data.passed is None:
+        return "note", "• Nothing was decided."
+    return "good", "✓ All checks that decide hold."
+
+
+def write_page(data: ReportData, path: Path | str) -> Path:
+    """Render and write the page; the file is replaced in one step or left as it was.
+
+    Returns:
+        The path written.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    return write_bytes(Path(path), render_page(data).encode("utf-8"))
+
+
+def write_bytes(target: Path, content: bytes) -> Path:
+    """Write a file by way of a temporary one beside it; InputError when the folder cannot be written."""
+    staging = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        staging.write_bytes(content)
+        staging.replace(target)
+    except OSError as error:
+        _remove(staging)
+        raise InputError(
+            f"cannot be written ({error.strerror})", file=target, remedy="choose a folder that you may write to"
+        ) from None
+    return target
+
+
+def _remove(path: Path) -> None:
+    """Remove a left-over; that it cannot be removed, or never was, is not worth a second error."""
+    try:
+        path.unlink()
+    except OSError:
+        return

@@ -1,0 +1,219 @@
+"""A run seen from above: path, way flown, hulls, obstacles in motion, walls, sonar beams."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch, PathPatch, Polygon, Rectangle, Wedge
+from matplotlib.path import Path as Outline
+from numpy.typing import NDArray
+
+from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, legend_below, new_axes, printable
+from surctl.sensing import SonarArray
+from surctl.simulation import Body, Run
+from surctl.simulation.scenario import Shape
+from surctl.world import Box, Disc, Wall
+
+__all__ = ["describe", "plot_run"]
+
+_SNAPSHOTS = 9  # hulls drawn along a run, at most
+_NICE = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)  # [s]
+_STILL = 1e-3  # [m] an obstacle that moves less is drawn once
+_INSTANT = "#6D28D9"  # the instant at which the sonar is shown
+
+
+def describe(run: Run) -> str:
+    """What was flown, in one line: scenario, vehicle, law, sensing, seed."""
+    law = run.law.name.removeprefix("surctl_")
+    return f"{run.scenario.name}: {run.vehicle.name}, law {law} ({run.law.mode}), {run.sensing}, seed {run.seed}"
+
+
+def plot_run(run: Run, ax: Axes | None = None) -> Axes:
+    """Plan view in {E}, x and y in m, equal scale; the numbers in hulls and moving obstacles are times in s."""
+    length, width, _ = run.scenario.site
+    if ax is None:
+        height = float(np.clip(7.6 * width / length + 1.5, 3.6, 7.6))
+        ax = new_axes(9.0, height)
+    dress(ax, title=describe(run), x="x in {E} [m]", y="y in {E} [m]")
+    _draw_site(ax, length, width)
+    ticks = _snapshots(run)
+    _draw_obstacles(ax, run, ticks)
+    if run.sensing == "sonar":
+        _draw_beams(ax, run, _closest(run))
+    _draw_way(ax, run)
+    for k in ticks:
+        _draw_hull(ax, run, k)
+    _draw_ends(ax, run)
+    _add_legend(ax, run)
+    ax.set_aspect("equal")
+    rim = 0.03 * max(length, width)
+    ax.set_xlim(-rim, length + rim)
+    ax.set_ylim(-rim, width + rim)
+    return ax
+
+
+def _snapshots(run: Run) -> list[int]:
+    """Ticks at round, evenly spaced times, so far apart that hulls hardly overlap, and the last tick."""
+    time, m = run.record.time, run.metrics
+    apart = 1.4 * run.vehicle["radius"] * m.time_s / max(m.length_m, 1e-9)  # [s] to fly 0.7 diameters
+    least = max(m.time_s / _SNAPSHOTS, apart)
+    step = next((s for s in _NICE if s >= least), _NICE[-1])
+    ticks = {int(np.argmin(np.abs(time - t))) for t in np.arange(0.0, m.time_s - 0.4 * step, step)}
+    return sorted(ticks | {len(time) - 1})
+
+
+def _closest(run: Run) -> int:
+    """Tick of the smallest clearance to an obstacle: the instant whose sonar beams say most."""
+    positions = run.record.eta[:, :2]
+    nearest = [
+        min((body.shape.nearest(at)[0] for body in bodies), default=np.inf)
+        for at, bodies in zip(positions, run.record.obstacles, strict=True)
+    ]
+    return int(np.argmin(nearest))
+
+
+def _draw_site(ax: Axes, length: float, width: float) -> None:
+    rim = 0.03 * max(length, width)
+    frame = [(-rim, -rim), (length + rim, -rim), (length + rim, width + rim), (-rim, width + rim), (-rim, -rim)]
+    water = [(0, 0), (0, width), (length, width), (length, 0), (0, 0)]
+    codes = [Outline.MOVETO, Outline.LINETO, Outline.LINETO, Outline.LINETO, Outline.CLOSEPOLY]
+    solid = Outline(np.array(frame + water, dtype=float), [*codes, *codes])
+    ax.add_patch(PathPatch(solid, facecolor="#E8EAED", edgecolor=MUTED, hatch="////", linewidth=0.0, zorder=0.5))
+    ax.add_patch(Rectangle((0, 0), length, width, fill=False, edgecolor=INK, linewidth=1.4, zorder=0.6))
+
+
+def _outline(shape: Shape) -> Patch:
+    if isinstance(shape, Disc):
+        return Circle((shape.center[0], shape.center[1]), shape.radius)
+    if isinstance(shape, Box):
+        c, s = np.cos(shape.angle), np.sin(shape.angle)
+        half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(shape.size) / 2
+        return Polygon(half @ np.array([[c, s], [-s, c]]) + np.array(shape.center))
+    raise TypeError(f"a {type(shape).__name__} is no body in the water")
+
+
+def _middle(body: Body) -> NDArray[np.float64]:
+    if isinstance(body.shape, Wall):
+        raise TypeError("a wall is no body in the water")
+    return np.asarray(body.shape.center, dtype=float)
+
+
+def _draw_obstacles(ax: Axes, run: Run, ticks: list[int]) -> None:
+    """Each obstacle at the hulls' instants: one that moves fainter the earlier, one that drifts as outlines."""
+    for name in dict.fromkeys(body.name for bodies in run.record.obstacles for body in bodies):
+        seen = {k: b for k, bodies in enumerate(run.record.obstacles) for b in bodies if b.name == name}
+        middles = np.array([_middle(body) for body in seen.values()])
+        travels = next(iter(seen.values())).moving
+        shown = [k for k in ticks if k in seen] or [max(seen)]
+        if np.ptp(middles, axis=0).max() < _STILL:
+            shown = shown[-1:]
+        for rank, k in enumerate(shown):
+            share = (rank + 1) / len(shown)
+            alpha = 0.2 + 0.55 * share if travels else 0.75
+            _draw_body(ax, seen[k], alpha=alpha, filled=travels or k == shown[-1])
+            if travels:
+                _label(ax, _middle(seen[k]), f"{run.record.time[k]:.3g}", "white", OBSTACLE)
+        if travels:
+            ax.plot(middles[:, 0], middles[:, 1], color=OBSTACLE, linestyle=":", linewidth=1.2, zorder=1.5)
+        _name(ax, run, seen[shown[0]], name)
+
+
+def _draw_body(ax: Axes, body: Body, *, alpha: float, filled: bool) -> None:
+    patch = _outline(body.shape)
+    patch.set(facecolor=OBSTACLE if filled else "none", edgecolor=INK, linewidth=0.8, alpha=alpha, zorder=2)
+    ax.add_patch(patch)
+
+
+def _name(ax: Axes, run: Run, body: Body, name: str) -> None:
+    """The obstacle's name beside it, towards the middle of the site."""
+    patch = _outline(body.shape).get_extents()  # in data units: the patch is in no axes yet
+    x, y = _middle(body)
+    up = y < run.scenario.site[1] / 2
+    at = (x, patch.y1 if up else patch.y0)
+    ax.annotate(
+        printable(name), at, xytext=(0, 4 if up else -4), textcoords="offset points", ha="center", fontsize=8,
+        va="bottom" if up else "top", color=INK, parse_math=False, zorder=7,
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8},
+    )  # fmt: skip
+
+
+def _label(ax: Axes, at: NDArray[np.float64], text: str, colour: str, ground: str) -> None:
+    box = {"facecolor": ground, "edgecolor": "none", "alpha": 0.8, "boxstyle": "round,pad=0.15"}
+    ax.text(at[0], at[1], text, ha="center", va="center", fontsize=7, color=colour, bbox=box, zorder=6, clip_on=True)
+
+
+def _draw_way(ax: Axes, run: Run) -> None:
+    """The path, and the way flown, highlighted where the law avoids."""
+    points = run.scenario.path.waypoints
+    ax.plot(points[:, 0], points[:, 1], color=INK, linestyle="--", linewidth=1.1, zorder=3)
+    way = run.record.eta[:, :2]
+    steps = np.stack([way[:-1], way[1:]], axis=1)
+    avoiding = run.telemetry("avoiding")[:-1, 0] > 0.5
+    ax.add_collection(LineCollection(list(steps[~avoiding]), colors=ROBOT, linewidths=1.8, zorder=4))
+    ax.add_collection(LineCollection(list(steps[avoiding]), colors=AVOIDING, linewidths=3.4, zorder=4))
+
+
+def _draw_hull(ax: Axes, run: Run, k: int) -> None:
+    x, y, _, heading = run.record.eta[k]
+    radius = run.vehicle["radius"]
+    ax.add_patch(Circle((x, y), radius, fill=False, edgecolor=ROBOT, linewidth=1.0, zorder=4.5))
+    nose = np.array([[x, y], [x, y]]) + radius * np.array([[0.55], [1.0]]) * [np.cos(heading), np.sin(heading)]
+    ax.plot(nose[:, 0], nose[:, 1], color=ROBOT, linewidth=1.6, zorder=4.5)
+    if 0 < k < len(run.record.time) - 1:  # the ends have marks of their own
+        _label(ax, np.array([x, y]), f"{run.record.time[k]:.3g}", ROBOT, "white")
+
+
+def _draw_beams(ax: Axes, run: Run, k: int) -> None:
+    """The four cones at one tick, as long as the filtered ranges; dashed where the sonar reads its maximum."""
+    array = SonarArray(hull_radius=run.vehicle["radius"])
+    x, y, _, heading = run.record.eta[k]
+    ranges = run.telemetry("ranges")[k]
+    length, width, _ = run.scenario.site
+    water = Rectangle((0, 0), length, width, transform=ax.transData)
+    half = np.rad2deg(array.half_angle)
+    for sensor in range(array.size):
+        ax_x, ax_y, axis = array.apex(sensor, position=(x, y), heading=heading)
+        echo = bool(ranges[sensor] < array.maximum - array.resolution)
+        middle = np.rad2deg(axis)
+        beam = Wedge((ax_x, ax_y), float(ranges[sensor]), middle - half, middle + half)
+        beam.set(facecolor=_INSTANT if echo else "none", edgecolor=_INSTANT, linestyle="-" if echo else "--")
+        beam.set(alpha=0.22 if echo else 0.45, linewidth=0.9, zorder=1.8)
+        ax.add_patch(beam)
+        beam.set_clip_path(water)
+    ax.add_patch(Circle((x, y), run.vehicle["radius"], fill=False, edgecolor=_INSTANT, linewidth=1.8, zorder=4.6))
+    for body in run.record.obstacles[k]:
+        if body.moving:
+            patch = _outline(body.shape)
+            patch.set(facecolor="none", edgecolor=_INSTANT, linewidth=1.8, zorder=2.1)
+            ax.add_patch(patch)
+
+
+def _draw_ends(ax: Axes, run: Run) -> None:
+    x, y = run.scenario.start
+    ax.plot(x, y, marker="s", color=INK, markersize=6, markerfacecolor="white", zorder=5.5, linestyle="none")
+    x, y = run.scenario.target
+    ax.plot(x, y, marker="*", color=GOOD, markersize=13, markeredgecolor="white", zorder=5.5, linestyle="none")
+    if not run.metrics.reached:
+        x, y = run.record.eta[-1, :2]
+        ax.plot(x, y, marker="X", color=AVOIDING, markersize=11, markeredgecolor="white", zorder=6.5, linestyle="none")
+
+
+def _add_legend(ax: Axes, run: Run) -> None:
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], color=INK, linestyle="--", linewidth=1.1, label="path"),
+        Line2D([], [], color=ROBOT, linewidth=1.8, label="way flown"),
+        Line2D([], [], color=AVOIDING, linewidth=3.4, label="avoiding"),
+        Line2D([], [], color=INK, marker="s", markerfacecolor="white", linestyle="none", label="start"),
+        Line2D([], [], color=GOOD, marker="*", markersize=11, linestyle="none", label="target"),
+        Line2D([], [], color=ROBOT, marker="o", markerfacecolor="none", markersize=9, linestyle="none", label="hull"),
+        Patch(facecolor=OBSTACLE, edgecolor=INK, alpha=0.75, label="obstacle"),
+    ]
+    if run.sensing == "sonar":
+        instant = run.record.time[_closest(run)]
+        handles.append(Patch(facecolor=_INSTANT, alpha=0.35, label=f"sonar beams at {instant:g} s"))
+    if not run.metrics.reached:
+        why = f"stopped: {run.metrics.stopped_because}"
+        handles.append(Line2D([], [], color=AVOIDING, marker="X", markersize=9, linestyle="none", label=why))
+    legend_below(ax, columns=5, handles=handles)

@@ -1,0 +1,262 @@
+"""The page's sections on the design: vehicle, gains, margins, sweep, export, time taken."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from surctl.control import GAINS, Gains
+from surctl.export import Difference, SilReport
+from surctl.export.sil import TOLERANCE
+from surctl.report.data import ExportSummary, ReportData
+from surctl.report.document import (
+    Block,
+    Cell,
+    Heading,
+    Paragraph,
+    Picture,
+    Pictures,
+    Section,
+    Table,
+    outcome_cell,
+    picture,
+)
+from surctl.report.heat_map import COLUMN_TITLES, plot_heat_map
+from surctl.report.loops import LoopResponse, plot_bode, plot_nyquist, plot_poles
+from surctl.report.words import file_size, number
+from surctl.tuning import Sweep
+from surctl.vehicle import PARAMETERS, Vehicle
+
+__all__ = ["export_section", "gains_section", "margins_section", "sweep_section", "time_section", "vehicle_section"]
+
+_SWEPT = ("score", "path_error_m", "time_s", "min_clearance_m", "effort_n", "delay_margin_s", "disk_margin")
+
+
+def vehicle_section(data: ReportData) -> Section:
+    """Every parameter with unit, range and provenance; other vehicles that were flown follow."""
+    flown = {run.vehicle.name: run.vehicle for run in data.runs if run.vehicle.name != data.vehicle.name}
+    blocks: list[Block] = [*_note(data.vehicle), _parameters(data.vehicle)]
+    for vehicle in flown.values():
+        blocks += [Heading(f"Also flown: {vehicle.name}"), *_note(vehicle), _parameters(vehicle)]
+    return Section("vehicle", f"Vehicle {data.vehicle.name}", tuple(blocks))
+
+
+def _note(vehicle: Vehicle) -> list[Block]:
+    return [Paragraph(vehicle.note)] if vehicle.note else []
+
+
+def _parameters(vehicle: Vehicle) -> Table:
+    rows = []
+    for name, p in vehicle.parameters.items():
+        span = "–" if p.range is None else f"{number(p.range[0])} to {number(p.range[1])}"
+        meaning = PARAMETERS[name].meaning
+        value = Cell(number(p.value, digits=6), number=True)
+        rows.append((Cell(name, code=True), meaning, value, p.unit, span, p.provenance))
+    heads = ("parameter", "meaning", "value", "unit", "range (same unit)", "provenance")
+    return Table(f"Parameters of {vehicle.name}", heads, tuple(rows))
+
+
+def gains_section(data: ReportData) -> Section:
+    """The gains with unit and meaning, and where they come from."""
+    rows = tuple(
+        (Cell(name, code=True), Cell(number(value, digits=6), number=True), GAINS[name].unit, GAINS[name].meaning)
+        for name, value in data.gains.values.items()
+    )
+    table = Table(f"Gains {data.gains.name}", ("gain", "value", "unit", "meaning"), rows)
+    return Section("gains", "Gains", (Paragraph(_provenance(data.gains)), table))
+
+
+def _provenance(gains: Gains) -> str:
+    return f"Provenance: {gains.provenance.rstrip('.')}."
+
+
+def margins_section(data: ReportData) -> Section:
+    """Margins of each loop, Bode and Nyquist plots, poles."""
+    heads = (
+        "loop", "closed loop", "gain margin [1]", "phase margin [deg]", "delay margin [s]", "disk margin [1]",
+        "crossover [rad/s]",
+    )  # fmt: skip
+    rows = tuple(
+        (
+            Cell(m.name, code=True),
+            outcome_cell(m.stable, "stable", "UNSTABLE"),
+            *(
+                Cell(number(v), number=True)
+                for v in (m.gain_margin, m.phase_margin_deg, m.delay_margin_s, m.disk_margin, m.crossover_rad_s)
+            ),
+        )
+        for m in data.margins
+    )
+    text = (
+        "Each loop is broken at one place while all others stay closed, about straight cruise: surge, sway, heave and "
+        "yaw at the thrust command; along_track, cross_track, depth and heading at the measurement."
+    )
+    blocks: list[Block] = [Paragraph(text), Table("Margins about cruise", heads, rows)]
+    pictures = _loop_pictures(data)
+    if data.poles is not None:
+        slowest = float(np.max(np.real(data.poles)))
+        pictures += (
+            picture(
+                plot_poles(data.poles),
+                alt=f"Closed-loop poles; the largest real part is {number(slowest)} per second",
+                caption=f"Closed-loop poles; the slowest has the real part {number(slowest)} 1/s.",
+                command=data.command,
+            ),
+        )
+    if pictures:
+        blocks.append(Pictures(pictures))
+    return Section("margins", "Margins", tuple(blocks))
+
+
+def _loop_pictures(data: ReportData) -> tuple[Picture, ...]:
+    found = []
+    for at in ("thrust", "measurement"):
+        group = [loop for loop in data.loops if loop.at == at]
+        if group:
+            found += [_bode_picture(data, group, at), _nyquist_picture(data, group, at)]
+    return tuple(found)
+
+
+def _bode_picture(data: ReportData, group: Sequence[LoopResponse], at: str) -> Picture:
+    return picture(
+        plot_bode(group),
+        alt=f"Bode plot of the loops broken at the {at}: {', '.join(loop.name for loop in group)}",
+        caption=f"Bode plot, broken at the {at}. Dots: the loop gain crosses 1.",
+        command=data.command,
+    )
+
+
+def _nyquist_picture(data: ReportData, group: Sequence[LoopResponse], at: str) -> Picture:
+    names = [loop.name for loop in group]
+    disks = [m.disk_margin for m in data.margins if m.name in names and m.stable]
+    least = min(disks, default=None)
+    told = "" if least is None else f" Shaded: the disk that the least disk margin, {number(least)}, keeps free."
+    return picture(
+        plot_nyquist(group, disk_margin=least),
+        alt=f"Nyquist plot of the loops broken at the {at} about the point -1",
+        caption=f"Nyquist plot, broken at the {at}.{told}",
+        command=data.command,
+    )
+
+
+def sweep_section(data: ReportData, sweep: Sweep) -> Section:
+    """Heat maps of the sweep's columns, and the picked point's numbers."""
+    one, other = sweep.axes
+    feasible = sweep.column("feasible") > 0.5
+    text = (
+        f"{feasible.size} points over {one.name} [{one.unit}] and {other.name} [{other.unit}]; each flies "
+        f"{', '.join(dict.fromkeys(sweep.scenarios))}. {int(feasible.sum())} points are feasible: every run arrives "
+        "without contact and the margins suffice. The feasible point of least score is picked."
+    )
+    blocks: list[Block] = [Paragraph(text)]
+    if sweep.picked is None:
+        blocks.append(Paragraph("No point is feasible: the gains of the file are kept.", "bad"))
+    else:
+        blocks.append(_picked(sweep, sweep.picked))
+    maps = tuple(_heat_picture(data, sweep, name) for name in _SWEPT if name in sweep.columns)
+    return Section("sweep", "Sweep", (*blocks, Pictures(maps)))
+
+
+def _picked(sweep: Sweep, at: tuple[int, int]) -> Table:
+    rows = [
+        (axis.name, Cell(number(axis.values[k]), number=True), axis.unit)
+        for axis, k in zip(sweep.axes, at, strict=True)
+    ]
+    rows += [
+        (COLUMN_TITLES.get(name, name), Cell(number(float(sweep.column(name)[at])), number=True), sweep.units[name])
+        for name in _SWEPT
+    ]
+    return Table("The picked point", ("quantity", "value", "unit"), tuple(rows))
+
+
+def _heat_picture(data: ReportData, sweep: Sweep, name: str) -> Picture:
+    one, other = sweep.axes
+    title = COLUMN_TITLES.get(name, name)
+    return picture(
+        plot_heat_map(sweep, name),
+        alt=f"Heat map over {one.name} and {other.name}: {title}",
+        caption=f"{title[0].upper()}{title[1:]}. Framed: the picked point. Hatched: not feasible.",
+        command=data.command,
+    )
+
+
+def export_section(export: ExportSummary) -> Section:
+    """Files with size and SHA-256, and how the compiled C compares with Python."""
+    rows = tuple(
+        (Cell(f.path.name, code=True), Cell(file_size(f.path), number=True), Cell(f.sha256, code=True))
+        for f in export.files
+    )
+    blocks: list[Block] = [Paragraph(f"C99, double precision, prefix {export.name}, law {export.id}.")]
+    if export.status:
+        blocks.append(Paragraph(export.status))
+    blocks.append(Table("Exported files", ("file", "size [byte]", "SHA-256"), rows))
+    blocks += _comparison(export.sil) or [Paragraph("The C was not compiled and not compared.", "note")]
+    return Section("export", "Exported controller", tuple(blocks))
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    name: str
+    difference: Difference
+
+
+def _comparison(reports: Sequence[SilReport]) -> list[Block]:
+    if not reports:
+        return []
+    rows: list[tuple[Cell | str, ...]] = []
+    for k, report in enumerate(reports, start=1):
+        kinds = (("thrust", report.tau), ("next state", report.state), ("telemetry", report.telemetry))
+        rows += [_difference_row(k, report.steps, _Quantity(*kind)) for kind in kinds]
+    heads = ("run", "steps", "quantity", "absolute", "relative", f"judged (bar {TOLERANCE:g})", "at step", "verdict")
+    caption = "Largest differences C against Python, step by step; judged relative to max(1, |Python|)"
+    found: list[Block] = [Heading("Software in the loop"), Table(caption, heads, tuple(rows)), _checks(reports)]
+    for report in reports:
+        found += [Paragraph(f"Failed: {label}", "bad") for label in report.fault_failures[:5]]
+    return found
+
+
+def _difference_row(k: int, steps: int, quantity: _Quantity) -> tuple[Cell | str, ...]:
+    d = quantity.difference
+    near = d.mixed <= TOLERANCE
+    return (
+        Cell(str(k), number=True),
+        Cell(str(steps), number=True),
+        quantity.name,
+        *(Cell(number(v, digits=2), number=True) for v in (d.absolute, d.relative, d.mixed)),
+        Cell("–" if d.step is None else str(d.step), number=True),
+        outcome_cell(near, "equal", "DIFFERS"),
+    )
+
+
+def _checks(reports: Sequence[SilReport]) -> Table:
+    rows = []
+    for k, r in enumerate(reports, start=1):
+        rows.append(
+            (
+                Cell(str(k), number=True),
+                _count(len(r.resets), "none"),
+                _count(r.status_mismatches, "none"),
+                _count(len(r.fault_failures), f"all {r.fault_cases} cases: zero thrust, negative status"),
+                outcome_cell(r.self_test, "passes", "FAILS"),
+                Cell(number(r.code_bytes, digits=9), number=True),
+                r.compiler,
+            )
+        )
+    heads = (
+        "run", "state loaded anew", "status differs", "NaN and infinity at every input", "self-test",
+        "code and constants [byte]", "compiler",
+    )  # fmt: skip
+    return Table("Other checks of the compiled controller", heads, tuple(rows))
+
+
+def _count(failures: int, fine: str) -> Cell:
+    return outcome_cell(failures == 0, fine, f"{failures} FAILED")
+
+
+def time_section(data: ReportData) -> Section:
+    """How long each stage took."""
+    rows = [(stage, Cell(number(value, digits=3), number=True)) for stage, value in data.seconds.items()]
+    rows.append(("together", Cell(number(sum(data.seconds.values()), digits=3), number=True)))
+    return Section("time", "Time taken", (Table("Time by stage", ("stage", "time [s]"), tuple(rows)),))

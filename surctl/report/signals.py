@@ -1,0 +1,143 @@
+"""A run over time: clearance, path errors, velocities, yaw rate, thrust, yaw moment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from surctl.report.plan_view import describe
+from surctl.report.theme import AVOIDING, BAD, INK, MUTED, curve, dress, legend_above, new_figure, printable
+from surctl.simulation import Run
+from surctl.simulation.metrics import settled_avoidance
+
+__all__ = [
+    "plot_clearance",
+    "plot_force",
+    "plot_moment",
+    "plot_path_error",
+    "plot_run_signals",
+    "plot_velocity",
+    "plot_yaw_rate",
+]
+
+_UNKNOWN = 50.0  # [m] what the law calls its nearest contact beyond this is "none"
+
+
+def plot_run_signals(run: Run, ax: Sequence[Axes] | None = None) -> Figure:
+    """The six signals of a run over time.
+
+    Args:
+        run: the run.
+        ax: six axes, in the order clearance, path error, velocity, yaw rate, force, moment; None makes them.
+
+    Returns:
+        The figure that holds the axes.
+    """
+    if ax is None:
+        figure = new_figure(9.5, 7.6)
+        figure.suptitle(printable(describe(run)), fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+        ax = figure.subplots(3, 2, sharex=True).ravel().tolist()
+    plots = (plot_clearance, plot_path_error, plot_velocity, plot_yaw_rate, plot_force, plot_moment)
+    for plot, target in zip(plots, ax, strict=True):
+        plot(run, target)
+    for target in ax[:-2]:
+        target.set_xlabel("")  # the bottom row's label holds for the columns
+    return ax[0].figure.figure
+
+
+def plot_clearance(run: Run, ax: Axes | None = None) -> Axes:
+    """Clearance hull to nearest obstacle or wall [m]: the true one, and the least that the law knows of."""
+    ax = _axes(run, ax, title="clearance", unit="m")
+    time = run.record.time
+    known = run.telemetry("nearest")[:, 0]
+    curve(ax, time, np.where(known < _UNKNOWN, known, np.nan), label="known to the law", k=1, faint=True)
+    curve(ax, time, run.record.clearance, label="true", k=0)
+    ax.axhline(0.0, color=BAD, linewidth=1.4, label="contact")
+    ax.axhline(run.gains["margin"], color=MUTED, linewidth=1.0, linestyle="--", label="stand-off")
+    legend_above(ax)
+    return ax
+
+
+def plot_path_error(run: Run, ax: Axes | None = None) -> Axes:
+    """Errors to the reference path [m]: distance in the plane, depth, and y_e of (8) as the law sees it."""
+    ax = _axes(run, ax, title="path error", unit="m")
+    record, scenario = run.record, run.scenario
+    curve(ax, record.time, run.telemetry("path_error")[:, 1], label="y_e in the law", k=1, faint=True)
+    curve(ax, record.time, scenario.path.distance(record.eta[:, :2]), label="distance to path", k=0)
+    curve(ax, record.time, record.eta[:, 2] - scenario.depth, label="z error", k=2)
+    legend_above(ax)
+    return ax
+
+
+def plot_velocity(run: Run, ax: Axes | None = None) -> Axes:
+    """Ground velocity u, v, w in {B} and horizontal speed [m/s], with the speed cap."""
+    ax = _axes(run, ax, title="velocity in {B}", unit="m/s")
+    nu = run.record.nu
+    for k, name in enumerate("uvw"):
+        curve(ax, run.record.time, nu[:, k], label=name, k=k)
+    curve(ax, run.record.time, np.hypot(nu[:, 0], nu[:, 1]), label="√(u² + v²)", k=3)
+    ax.axhline(run.scenario.cap, color=BAD, linewidth=1.0, linestyle="--", label="cap")
+    legend_above(ax)
+    return ax
+
+
+def plot_yaw_rate(run: Run, ax: Axes | None = None) -> Axes:
+    """Yaw rate r [rad/s]: flown, and wanted by the law."""
+    ax = _axes(run, ax, title="yaw rate", unit="rad/s")
+    curve(ax, run.record.time, run.telemetry("nu_wanted")[:, 3], label="r wanted", k=1, faint=True)
+    curve(ax, run.record.time, run.record.nu[:, 3], label="r", k=0)
+    legend_above(ax)
+    return ax
+
+
+def plot_force(run: Run, ax: Axes | None = None) -> Axes:
+    """Commanded forces F_u, F_v, F_w in {B} [N], with their limits."""
+    ax = _axes(run, ax, title="force", unit="N")
+    for k, name in reversed([*enumerate(("F_u", "F_v", "F_w"))]):  # surge on top
+        curve(ax, run.record.time, run.record.tau[:, k], label=name, k=k, faint=True)
+    _limits(ax, np.unique(run.vehicle.thrust_limit[:3]))
+    legend_above(ax)
+    return ax
+
+
+def plot_moment(run: Run, ax: Axes | None = None) -> Axes:
+    """Commanded yaw moment F_r [N m], with its limit."""
+    ax = _axes(run, ax, title="yaw moment", unit="N m")
+    curve(ax, run.record.time, run.record.tau[:, 3], label="F_r", k=0, faint=True)
+    _limits(ax, run.vehicle.thrust_limit[3:])
+    legend_above(ax)
+    return ax
+
+
+def _limits(ax: Axes, limits: NDArray[np.float64]) -> None:
+    for k, limit in enumerate(limits):
+        ax.axhline(limit, color=BAD, linewidth=1.0, linestyle="--", label="" if k else "limit")
+        ax.axhline(-limit, color=BAD, linewidth=1.0, linestyle="--")
+
+
+def _axes(run: Run, ax: Axes | None, *, title: str, unit: str) -> Axes:
+    """Axes over the run's time, shaded dark where the law avoids and light while it comes back to the path."""
+    if ax is None:
+        ax = new_figure(6.0, 3.0).add_subplot()
+    dress(ax, x="time [s]", y=f"{title} [{unit}]")
+    time = run.record.time
+    if time[-1] > 0:
+        ax.set_xlim(0.0, float(time[-1]))
+    avoiding = run.telemetry("avoiding")[:, 0]
+    away = run.scenario.path.distance(run.record.eta[:, :2])
+    returning = settled_avoidance(avoiding, away) & (avoiding <= 0.5)
+    for mask, strength in ((avoiding > 0.5, 0.20), (returning, 0.07)):
+        for begin, end in _spans(time, mask):
+            ax.axvspan(begin, end, color=AVOIDING, alpha=strength, linewidth=0.0, zorder=0)
+    return ax
+
+
+def _spans(time: NDArray[np.float64], mask: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Begin and end of each stretch of ticks that are true; a tick lasts until the next one."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(int)))
+    ends = np.append(time, time[-1])
+    return [(float(ends[a]), float(ends[b])) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -1,0 +1,77 @@
+"""Numbers, sizes and commands as the page writes them."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from pathlib import Path
+
+from surctl.control import LIBRARY as GAIN_LIBRARY
+from surctl.control import Gains, load_gains
+from surctl.errors import InputError
+from surctl.simulation import LIBRARY as SCENARIO_LIBRARY
+from surctl.simulation import Run
+from surctl.vehicle import LIBRARY as VEHICLE_LIBRARY
+from surctl.vehicle import Vehicle, load_vehicle
+
+__all__ = ["file_size", "gains_argument", "number", "simulate_command", "verify_command"]
+
+
+def number(value: float | None, *, digits: int = 4) -> str:
+    """At most `digits` significant digits; "–" for None and NaN, "∞" and "-∞" for infinities."""
+    if value is None or math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "-∞"
+    return f"{value:.{digits}g}"
+
+
+def file_size(path: Path) -> str:
+    """Size on disk; "–" when the file is not there."""
+    try:
+        return f"{path.stat().st_size:,}".replace(",", "\u202f")
+    except OSError:
+        return "–"
+
+
+def gains_argument(gains: Gains, gains_file: str) -> str | None:
+    """What `--gains` takes to get these gains: the file named, or the one they were read from if unchanged."""
+    try:
+        for source in filter(None, (gains_file, gains.source)):
+            if load_gains(source).values == gains.values:
+                return _short(source, GAIN_LIBRARY)
+    except InputError:
+        return None
+    return None
+
+
+def simulate_command(run: Run, gains: str | None) -> str | None:
+    """The command that flies the run again and draws it; None when no command line says it all."""
+    vehicle = _vehicle_argument(run.vehicle)
+    law = run.law.name.removeprefix("surctl_")
+    if gains is None or vehicle is None or law != "guarded":  # other laws come in forms that a run does not name
+        return None
+    words = ["surctl", "simulate", _short(run.scenario.source, SCENARIO_LIBRARY) or run.scenario.name]
+    words += ["--vehicle", vehicle, "--gains", gains, "--law", law, "--priority-mode", run.law.mode]
+    words += ["--sensing", run.sensing, "--seed", str(run.seed), "--out", "plots"]
+    return shlex.join(words)
+
+
+def verify_command(claim: str, gains: str | None) -> str | None:
+    """The command that looks for the claim's counterexample again."""
+    return None if gains is None else shlex.join(["surctl", "verify", claim, "--gains", gains])
+
+
+def _vehicle_argument(vehicle: Vehicle) -> str | None:
+    """The file that holds exactly this vehicle."""
+    try:
+        same = bool(vehicle.source) and load_vehicle(vehicle.source).parameters == vehicle.parameters
+    except InputError:
+        return None
+    return _short(vehicle.source, VEHICLE_LIBRARY) if same else None
+
+
+def _short(source: str, library: Path) -> str:
+    """The bare name of a built-in file; another file's path as it is."""
+    path = Path(source)
+    return path.stem if path.parent == library else source

@@ -1,0 +1,178 @@
+"""What a study does: read from a study file, or derived from a vehicle file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from surctl.control import Gains, load_gains
+from surctl.control.law import LawName
+from surctl.errors import InputError
+from surctl.files import Strict, pick, read_toml, validate
+from surctl.simulation import Scenario, findings, load_scenario
+from surctl.tuning import Axis, Flight
+from surctl.vehicle import Vehicle, load_vehicle
+from surctl.verification import claims
+
+__all__ = ["LIBRARY", "Leg", "Plan", "load_plan"]
+
+LIBRARY = Path(__file__).parent / "library"
+
+Seed = Annotated[int, Field(ge=0)]
+
+
+class _Flight(Strict):
+    scenario: str
+    vehicle: str | None = None
+
+
+class _Axis(Strict):
+    gain: str
+    values: tuple[float, ...]
+
+
+class _Sweep(Strict):
+    axes: tuple[_Axis, _Axis]
+    seeds: tuple[Seed, ...] = Field((0,), min_length=1)
+
+
+class _StudyFile(Strict):
+    kind: Literal["study"]
+    name: str = Field(min_length=1)
+    note: str = ""
+    vehicle: str
+    gains: str = "default"
+    law: LawName = "guarded"
+    seed: Seed = 0
+    flights: tuple[_Flight, ...] = Field(min_length=1)
+    sweep: _Sweep
+    claims: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One scenario with the vehicle that flies it.
+
+    Attributes:
+        obstacle_to_flying: why it cannot be flown at all, or None.
+        misfit: why the hull does not fit the site: then the run is shown and does not decide; or None.
+    """
+
+    scenario: Scenario
+    vehicle: Vehicle
+    obstacle_to_flying: str | None
+    misfit: str | None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A study, checked and loaded."""
+
+    name: str
+    note: str
+    source: str
+    vehicle: Vehicle
+    gains: Gains
+    law: LawName
+    seed: int
+    legs: tuple[Leg, ...]
+    axes: tuple[Axis, Axis]
+    sweep_seeds: tuple[int, ...]
+    claims: tuple[str, ...] | None
+
+    @property
+    def deciding(self) -> tuple[Leg, ...]:
+        """The legs whose runs with true positions decide."""
+        return tuple(leg for leg in self.legs if leg.obstacle_to_flying is None and leg.misfit is None)
+
+    @property
+    def sweep_flights(self) -> tuple[Flight, ...]:
+        """What every point of the sweep flies; a scenario that no seed changes is flown once."""
+        return tuple(
+            Flight(leg.scenario, leg.vehicle, seed)
+            for leg in self.deciding
+            for seed in (self.sweep_seeds if leg.scenario.seeded else self.sweep_seeds[:1])
+        )
+
+
+def load_plan(file: str | None = None) -> Plan:
+    """The built-in study, the study in a file, or the built-in study with the vehicle of a vehicle file.
+
+    Names inside a study file may be built-in names or paths relative to the file.
+
+    Raises:
+        InputError: a file, key or value that is wrong; no scenario is left that the vehicle can fly.
+    """
+    if file is None:
+        path = LIBRARY / "default.toml"
+        return _plan(_study(read_toml(path), path), path)
+    path = pick(file, LIBRARY, what="study")
+    table = read_toml(path)
+    if table.get("kind") == "vehicle":
+        default = LIBRARY / "default.toml"
+        study = _study(read_toml(default), default)
+        own = [flight.model_copy(update={"vehicle": None}) for flight in study.flights]
+        vehicle = str(path.resolve())
+        study = study.model_copy(update={"flights": tuple(own), "vehicle": vehicle, "name": path.stem, "note": ""})
+        return _plan(study, default, lenient=True)
+    if table.get("kind") != "study":
+        raise InputError(
+            "is neither a study nor a vehicle",
+            file=path,
+            key="kind",
+            value=table.get("kind", "(missing)"),
+            remedy='write kind = "study" or kind = "vehicle"',
+        )
+    return _plan(_study(table, path), path)
+
+
+def _study(table: dict[str, Any], path: Path) -> _StudyFile:
+    return validate(table, _StudyFile, file=path)
+
+
+def _plan(study: _StudyFile, path: Path, *, lenient: bool = False) -> Plan:
+    def near(name: str) -> str:
+        beside = path.parent / name
+        return str(beside) if beside.suffix == ".toml" and beside.exists() else name
+
+    vehicle = load_vehicle(near(study.vehicle))
+    legs = []
+    for flight in study.flights:
+        flown = vehicle if flight.vehicle is None else load_vehicle(near(flight.vehicle))
+        legs.append(_leg(load_scenario(near(flight.scenario)), flown, lenient=lenient))
+    gains = load_gains(near(study.gains))
+    try:
+        axes = tuple(Axis(axis.gain, axis.values) for axis in study.sweep.axes)
+        claims(gains.values, study.claims)
+    except InputError as error:
+        raise error.inside(path) from None
+    plan = Plan(
+        study.name,
+        study.note,
+        str(path),
+        vehicle,
+        gains,
+        study.law,
+        study.seed,
+        tuple(legs),
+        (axes[0], axes[1]),
+        study.sweep.seeds,
+        study.claims,
+    )
+    if not plan.deciding:
+        reasons = "; ".join(f"{leg.scenario.name}: {leg.obstacle_to_flying or leg.misfit}" for leg in legs)
+        raise InputError(f"no scenario can be flown ({reasons})", file=path, key="flights", remedy="add a larger site")
+    return plan
+
+
+def _leg(scenario: Scenario, vehicle: Vehicle, *, lenient: bool) -> Leg:
+    try:
+        errors = [f.text for f in findings(scenario, vehicle) if f.level == "error"]
+    except InputError as error:
+        if not lenient:
+            raise
+        return Leg(scenario, vehicle, error.problem, None)
+    return Leg(scenario, vehicle, None, errors[0] if errors else None)

@@ -1,0 +1,111 @@
+import math
+
+import pytest
+
+from tests.cli.process import surctl
+from tests.tools import need_compiler
+
+RUN_KEYS = {
+    "scenario",
+    "vehicle",
+    "law",
+    "sensing",
+    "priority_mode",
+    "seed",
+    "reached",
+    "time_s",
+    "min_clearance_m",
+    "path_error_m",
+    "length_m",
+    "stopped_because",
+}
+
+
+def test_help_names_every_command(tmp_path):
+    done = surctl("--help", cwd=tmp_path)
+    assert done.status == 0
+    for command in ("study", "simulate", "sweep", "verify", "export", "lint", "list"):
+        assert command in done.out
+        assert surctl(command, "--help", cwd=tmp_path).status == 0
+
+
+def test_list_and_show(tmp_path):
+    names = surctl("list", "--json", cwd=tmp_path).json
+    assert set(names["vehicles"]) >= {"sur540-flooded", "sur540-light", "sur400", "bluerov2-vonbenzon", "bluerov2-wu"}
+    assert set(names["scenarios"]) >= {"tank-static", "tank-speed-015", "pool-static", "pool-behind"}
+    shown = surctl("list", "--show", "sur400", cwd=tmp_path)
+    (tmp_path / "mine.toml").write_text(shown.out)
+    assert surctl("lint", "mine.toml", cwd=tmp_path).status == 0
+
+
+def test_simulate_prints_the_contract(tmp_path):
+    done = surctl("simulate", "pool-behind", "--sensing", "sonar", "--seed", 3, "--runs", 2, "--json", cwd=tmp_path)
+    assert done.status == 0
+    runs = done.json["runs"]
+    assert [run["seed"] for run in runs] == [3, 4]
+    for run in runs:
+        assert set(run) >= RUN_KEYS
+        assert run["reached"]
+        assert run["law"] == "guarded"
+        assert run["priority_mode"] == "nsb"
+        assert math.isfinite(run["path_error_m"])
+
+
+def test_a_collision_ends_with_status_1(tmp_path):
+    done = surctl("simulate", "tank-speed-015", "--law", "paper", "--json", cwd=tmp_path)
+    assert done.status == 1
+    assert done.json["runs"][0]["stopped_because"] == "collision"
+
+
+def test_simulate_draws_to_a_folder(tmp_path):
+    done = surctl("simulate", "pool-behind", "--priority-mode", "projected", "--out", "plots", cwd=tmp_path)
+    assert done.status == 0
+    (picture,) = (tmp_path / "plots").glob("*.png")
+    assert picture.stat().st_size > 10_000
+
+
+def test_verify_tells_expected_verdicts(tmp_path):
+    done = surctl("verify", "v1-printed", "v1-corrected", "--json", cwd=tmp_path)
+    assert done.status == 0
+    printed, corrected = done.json["claims"]
+    assert printed["verdict"] == printed["expected"] == "refuted"
+    assert printed["counterexample"]["values"]
+    assert corrected["verdict"] == "not refuted"
+    assert "not proved" in corrected["remaining"]
+
+
+def test_sweep_resumes_and_does_not_depend_on_workers(tmp_path):
+    words = ("sweep", "lookahead=0.6,1.2", "k_v=1.2,1.8", "--scenario", "pool-behind", "--json")
+    first = surctl(*words, "--out", "a", "--workers", 1, cwd=tmp_path)
+    assert first.status == 0
+    table = tmp_path / "a" / "sweep.csv"
+    lines = table.read_text().splitlines()
+    table.write_text("\n".join(lines[:4]) + "\n" + lines[4][:9])  # killed half-way through a line
+    resumed = surctl(*words, "--out", "a", "--workers", 2, cwd=tmp_path)
+    assert "2/4 points" in resumed.err
+    assert "1/4 points" not in resumed.err
+    assert resumed.json["results"] == first.json["results"]
+    other = surctl(*words, "--out", "b", "--workers", 2, cwd=tmp_path)
+    assert other.json["results"] == first.json["results"]
+
+
+def test_export_checks_itself(tmp_path):
+    need_compiler()
+    done = surctl("export", "--out", "c", "--name", "pilot", "--json", cwd=tmp_path)
+    assert done.status == 0
+    assert done.json["sil"]["passed"]
+    assert max(done.json["sil"][k] for k in ("tau", "state", "telemetry")) <= 1e-12
+    assert done.json["sil"]["fault_failures"] == []
+    assert {"pilot.h", "pilot.c", "manifest.json"} <= {p.name for p in (tmp_path / "c").iterdir()}
+    again = surctl("export", "--out", "d", "--name", "pilot", "--json", cwd=tmp_path)
+    assert again.json["sha256"] == done.json["sha256"]
+
+
+@pytest.mark.parametrize(("vehicle", "status"), [("sur400", 0), ("sur540-flooded", 1)])
+def test_lint_knows_which_hull_fits_the_pool(tmp_path, vehicle, status):
+    done = surctl("lint", "pool-static", "--vehicle", vehicle, "--json", cwd=tmp_path)
+    assert done.status == status
+    errors = [f for f in done.json["findings"] if f["level"] == "error"]
+    assert bool(errors) == bool(status)
+    if errors:
+        assert "0.020 m inside a wall at the start" in errors[0]["text"]

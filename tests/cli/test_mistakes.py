@@ -1,0 +1,157 @@
+"""A user's mistake: one line with file, key, value and remedy; exit status 2; never a traceback."""
+
+import re
+
+import pytest
+
+from tests.cli.process import LIBRARY, surctl
+
+VEHICLE = (LIBRARY / "vehicle" / "library" / "sur400.toml").read_text()
+GAINS = (LIBRARY / "control" / "library" / "default.toml").read_text()
+SCENARIO = (LIBRARY / "simulation" / "library" / "pool-static.toml").read_text()
+STUDY = (LIBRARY / "study" / "library" / "default.toml").read_text()
+
+FILES = {
+    "missing key": (VEHICLE.replace("m33 =", "# m33 ="), ["m.toml", "inertia.m33", "is missing", "kg"]),
+    "wrong unit": (VEHICLE.replace('unit = "kg m^2"', 'unit = "g m^2"'), ["inertia.m44.unit", "'g m^2'", "kg m^2"]),
+    "wrong sign": (VEHICLE.replace("value = 50.0", "value = -50.0", 1), ["inertia.m11", "-50.0", "greater than 0"]),
+    "not a number": (VEHICLE.replace("value = 50.0", "value = nan", 1), ["inertia.m11", "nan"]),
+    "text for a number": (VEHICLE.replace("value = 50.0", 'value = "50 kg"', 1), ["inertia.m11.value", "50 kg"]),
+    "unknown key": (VEHICLE.replace("m33 =", "m_33 ="), ["inertia.m_33", "unknown key", "'m33'"]),
+    "no provenance": (VEHICLE.replace("provenance", "# provenance", 2), ["provenance", "hull.radius"]),
+    "empty file": ("", ["m.toml", "is empty"]),
+    "not TOML": ("kind = vehicle\n", ["m.toml", "not valid TOML"]),
+    "another kind": ('kind = "boat"\n', ["kind", "boat", "vehicle"]),
+    "a study without a vehicle": (STUDY.replace("vehicle =", "# vehicle =", 1), ["vehicle", "is missing"]),
+    "a study of unknown claims": ('claims = ["v1-printd"]\n' + STUDY, ["v1-printed"]),
+    "a sweep of an unknown gain": (STUDY.replace('gain = "k_v"', 'gain = "kv"'), ["kv", "'k_v'"]),
+    "a sweep of one value": (re.sub(r"(k_v.*\nvalues = )\[.*\]", r"\1[1.0]", STUDY), ["k_v", "two values"]),
+}
+
+
+@pytest.mark.parametrize("case", FILES)
+def test_study_of_a_bad_file(tmp_path, case):
+    text, words = FILES[case]
+    (tmp_path / "m.toml").write_text(text)
+    done = surctl("study", "m.toml", cwd=tmp_path)
+    assert done.status == 2, done
+    for word in words:
+        assert word in done.complaint
+    assert done.out == ""
+
+
+def test_binary_file_and_missing_file_and_folder(tmp_path):
+    (tmp_path / "b.toml").write_bytes(bytes(range(256)))
+    assert "not text" in surctl("study", "b.toml", cwd=tmp_path).complaint
+    assert "no such file" in surctl("study", "c.toml", cwd=tmp_path).complaint
+    (tmp_path / "d.toml").mkdir()
+    done = surctl("study", "d.toml", cwd=tmp_path)
+    assert done.status == 2
+    assert "d.toml" in done.complaint
+
+
+GAIN_MISTAKES = {
+    "gain of 0": (GAINS.replace("value = 1.5", "value = 0", 1), ["gains.k_v", "= 0", "greater than 0"]),
+    "gain below 0": (GAINS.replace("value = 1.5", "value = -1.5", 1), ["gains.k_v", "-1.5"]),
+    "unknown gain": (GAINS.replace("k_psi =", "kpsi ="), ["gains.kpsi", "'k_psi'"]),
+    "missing gain": (GAINS.replace("k_psi =", "# k_psi ="), ["gains.k_psi", "is missing"]),
+}
+
+
+@pytest.mark.parametrize("case", GAIN_MISTAKES)
+def test_bad_gain_file(tmp_path, case):
+    text, words = GAIN_MISTAKES[case]
+    (tmp_path / "g.toml").write_text(text)
+    done = surctl("simulate", "pool-static", "--gains", "g.toml", cwd=tmp_path)
+    assert done.status == 2
+    for word in ["g.toml", *words]:
+        assert word in done.complaint
+
+
+SCENARIO_MISTAKES = {
+    "starts inside an obstacle": (
+        SCENARIO.replace("[[0.25, 0.25]", "[[0.55, 0.35]"),
+        ["path_m", "inside obstacle", "Obstacle1"],
+    ),
+    "one point": (SCENARIO.replace("[[0.25, 0.25], [2.75, 1.0]]", "[[0.25, 0.25]]"), ["path_m", "2 to 8 points"]),
+    "negative speed": (
+        SCENARIO.replace("cruise_m_per_s = 0.15", "cruise_m_per_s = -0.15"),
+        ["cruise_m_per_s", "-0.15"],
+    ),
+    "unit in the key": (SCENARIO.replace("cruise_m_per_s", "cruise_km_per_h"), ["cruise_km_per_h", "'cruise_m_per_s'"]),
+    "depth in the air": (SCENARIO.replace("depth_m = -0.15", "depth_m = 0.15"), ["depth_m", "0.15", "z is up"]),
+    "a quote in a name": (
+        SCENARIO.replace('"Obstacle1"', "'Ob\"1'").replace("[[0.25, 0.25]", "[[0.55, 0.35]"),
+        ['Ob"1'],
+    ),
+    "unknown vehicle": (SCENARIO.replace('"sur400"', '"sur4000"'), ["vehicle", "'sur400'"]),
+}
+
+
+@pytest.mark.parametrize("case", SCENARIO_MISTAKES)
+def test_bad_scenario_file(tmp_path, case):
+    text, words = SCENARIO_MISTAKES[case]
+    (tmp_path / "s.toml").write_text(text)
+    done = surctl("simulate", "s.toml", cwd=tmp_path)
+    assert done.status == 2, done
+    for word in words:
+        assert word in done.complaint
+
+
+WORDS = {
+    "unknown scenario": (["simulate", "tank-statik"], ["tank-static"]),
+    "unknown vehicle": (["simulate", "tank-static", "--vehicle", "sur54"], ["vehicle", "sur54"]),
+    "unknown law": (["simulate", "tank-static", "--law", "papr"], ["law", "'paper'"]),
+    "unknown form": (["simulate", "tank-static", "--law", "paper", "--avoidance", "print"], ["avoidance", "'printed'"]),
+    "form that the law does not take": (
+        ["simulate", "tank-static", "--avoidance", "printed"],
+        ["guarded", "corrected"],
+    ),
+    "unknown mode": (["simulate", "tank-static", "--priority-mode", "nbs"], ["priority-mode", "'nsb'"]),
+    "unknown sensing": (["simulate", "tank-static", "--sensing", "sonr"], ["sensing", "'sonar'"]),
+    "negative seed": (["simulate", "tank-static", "--seed", "-1"], ["--seed"]),
+    "unknown claim": (["verify", "v1-print"], ["claim", "'v1-printed'"]),
+    "too fast a cruise": (["verify", "--cruise", "9"], ["thrust"]),
+    "no axis": (["sweep", "lookahead", "k_v=1,2"], ["lookahead", "GAIN="]),
+    "axis twice": (["sweep", "k_v=1,2", "k_v=1,2"], ["k_v", "twice"]),
+    "axis of zero": (["sweep", "k_v=0,1", "lookahead=1,2"], ["k_v", "greater than 0"]),
+    "axis of NaN": (["sweep", "k_v=nan,1", "lookahead=1,2"], ["k_v"]),
+    "no C identifier": (["export", "--name", "my pilot"], ["my pilot"]),
+    "C keyword": (["export", "--name", "while"], ["while"]),
+    "unknown target": (["export", "--target", "c98"], ["--target", "'c99'"]),
+    "nothing of that name": (["list", "--show", "sur41"], ["sur400"]),
+    "unknown command": (["fly"], ["fly"]),
+    "unknown option": (["study", "--fast"], ["--fast"]),
+}
+
+
+@pytest.mark.parametrize("case", WORDS)
+def test_bad_words(tmp_path, case):
+    words, expected = WORDS[case]
+    done = surctl(*words, cwd=tmp_path)
+    assert done.status == 2, done
+    for word in expected:
+        assert word in done.complaint
+    assert done.out == ""
+
+
+def test_no_compiler(tmp_path):
+    for words in (["study"], ["export"]):
+        done = surctl(*words, cwd=tmp_path, CC="no-such-compiler")
+        assert done.status == 2
+        assert "no-such-compiler" in done.complaint
+        assert "CC" in done.complaint
+
+
+def test_folder_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    for words in (["study"], ["export"], ["simulate", "pool-behind"], ["sweep", "k_v=1,2", "lookahead=1,2"]):
+        done = surctl(*words, "--out", "file/inside", cwd=tmp_path)
+        assert done.status == 2, done
+        assert "file/inside" in done.complaint
+
+
+def test_folder_that_not_even_root_can_write(tmp_path):
+    done = surctl("study", "--out", "/proc/surctl", cwd=tmp_path)
+    assert done.status == 2
+    assert "/proc/surctl" in done.complaint
