@@ -42,7 +42,7 @@ def read_toml(path: Path) -> dict[str, Any]:
             f"cannot be read ({error.strerror})", file=path, remedy="check the path and its permissions"
         ) from None
     try:
-        text = raw.decode("utf-8")
+        text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError("is not text (UTF-8)", file=path, remedy="give a TOML file") from None
     if "\0" in text:
@@ -66,7 +66,8 @@ def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        problems = error.errors(include_url=False)
+        # of a union "quantity or text" only the quantity is of use to the reader
+        problems = [p for p in error.errors(include_url=False) if p["loc"][-1] != "str"]
         # an unknown key is the likely cause of the missing one beside it: tell it first
         first = min(problems, key=lambda p: 0 if p["type"] == "extra_forbidden" else 1)
         # a union's member types stand in the path like keys
@@ -77,6 +78,8 @@ def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
             known = _fields_at(model, first["loc"][:-1])
             problem, remedy = "unknown key", nearest(str(first["loc"][-1]), known)
             value = None
+        elif first["type"] == "model_type" and "Quantity" in first["loc"]:
+            problem, remedy = "must be a value with its unit", 'write { value = ..., unit = "..." }'
         elif first["type"] == "missing":
             problem, remedy = "is missing", "add it"
         else:

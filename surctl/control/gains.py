@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -134,10 +135,20 @@ def load_gains(name_or_path: str) -> Gains:
 
 def write_gains(gains: Gains) -> str:
     """The gain file's text; reading it gives the same numbers back."""
-    quoted = gains.provenance.replace("\\", "\\\\").replace('"', '\\"').replace("\n", " ")
-    lines = ['kind = "gains"', f'name = "{gains.name}"', f'provenance = "{quoted}"', "", "[gains]"]
+    lines = [
+        'kind = "gains"',
+        f"name = {_quoted(gains.name)}",
+        f"provenance = {_quoted(gains.provenance)}",
+        "",
+        "[gains]",
+    ]
     lines += [
         f'{name} = {{ value = {float(value)!r}, unit = "{GAINS[name].unit}" }} # {GAINS[name].meaning}'
         for name, value in gains.values.items()
     ]
     return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str) -> str:
+    """A TOML basic string: JSON's escapes, and DEL, which JSON leaves bare."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -32,7 +32,7 @@ class Path:
                 f"a path has 2 to {MAX_WAYPOINTS} points of two coordinates",
                 key="path",
                 value=points.tolist(),
-                remedy="give the start and the target at least",
+                remedy="give the start, the target and what lies between, no more",
             )
         if not np.all(np.isfinite(points)):
             raise InputError(

@@ -63,6 +63,7 @@ def choose_velocity(
     Candidates are the wish and both edges of every sector. If none is free, the one that misses its bounds least is
     taken. The speed is the wish's; no more than `cruise` while the wish is blocked (no catching up between
     obstacles); more, up to `cap`, while a bound asks for a retreat; and reduced as far as the other bounds ask.
+    Boxed in, the robot stands still if that misses the bounds less than any course.
 
     Args:
         wish: (2, 1) [m/s] in {E}.
@@ -96,6 +97,9 @@ def choose_velocity(
             course, missed = ca.if_else(better, edge, course), ca.if_else(better, edge_missed, missed)
             taken, least = ca.if_else(better, left, taken), ca.if_else(better, cost, least)
     velocity = ca.fmax(_free_speed(course, speed, sectors), retreat) * course
+    # boxed in: where every way out is worse than standing still, stand still
+    worse = _excess(velocity, sectors) > _excess(ca.SX.zeros(2), sectors) + _TOLERANCE
+    velocity = ca.if_else(ca.logic_and(missed > _TOLERANCE, worse), 0, velocity)
     return Choice(velocity, ca.if_else(blocked, taken, 0), blocked, ca.fmax(missed, 0), now)
 
 
@@ -112,9 +116,14 @@ def _missed_cost(violation: ca.SX) -> ca.SX:
 
 
 def _violation(course: ca.SX, speed: ca.SX, sectors: Sequence[Sector]) -> ca.SX:
+    return _excess(speed * course, sectors)
+
+
+def _excess(velocity: ca.SX, sectors: Sequence[Sector]) -> ca.SX:
+    """By how much a velocity (2, 1) misses the worst bound [m/s]; negative when it keeps them all."""
     worst = ca.SX(-10.0)
     for sector in sectors:
-        worst = ca.fmax(worst, speed * ca.dot(course, sector.normal) - sector.bound)
+        worst = ca.fmax(worst, ca.dot(velocity, sector.normal) - sector.bound)
     return worst
 
 

@@ -121,8 +121,8 @@ def runs_section(data: ReportData) -> Section:
     """All runs in one table, then plan view and signals of each kind of run."""
     rows = tuple(_run_row(run, decides) for run, decides in zip(data.runs, data.decides, strict=True))
     heads = (
-        "scenario", "vehicle", "law", "sensing", "seed", "reached", "time [s]", "paper's time [s]",
-        "least clearance [m]", "path error [m]", "length [m]", "mean thrust [N]", "stopped because", "decides",
+        "scenario", "vehicle", "law", "sensing", "seed", "reached", "stopped because", "decides",
+        "time [s]", "paper's time [s]", "least clearance [m]", "path error [m]", "length [m]", "mean thrust [N]",
     )  # fmt: skip
     text = (
         "Clearance is from hull to obstacle, and to walls once the hull is clear of them. The path error is the rms "
@@ -156,12 +156,12 @@ def _run_row(run: Run, decides: bool) -> tuple[Cell | str, ...]:
         run.sensing,
         Cell(str(run.seed), number=True),
         outcome_cell(m.reached, "yes", "NO"),
+        m.stopped_because,
+        "yes" if decides else "no",
         Cell(number(m.time_s), number=True),
         Cell(number(run.scenario.paper.time_s), number=True),
         Cell(number(m.min_clearance_m, digits=3), "bad" if contact else "", number=True),
         *(Cell(number(v, digits=3), number=True) for v in (m.path_error_m, m.length_m, m.effort_n)),
-        m.stopped_because,
-        "yes" if decides else "no",
     )
 
 

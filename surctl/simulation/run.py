@@ -108,6 +108,13 @@ def simulate(
     if sensing not in SENSING:
         raise InputError("is not known", key="sensing", value=sensing, remedy=nearest(str(sensing), SENSING))
     law = law or build_law()
+    if abs(law.dt / _FIRING - round(law.dt / _FIRING)) > 1e-9 or law.dt < _FIRING:
+        raise InputError(
+            f"is not a multiple of the sonar's firing period of {_FIRING:g} s",
+            key="dt",
+            value=law.dt,
+            remedy="use 0.05",
+        )
     world = build_world(scenario, vehicle, seed=seed)
     length, width, _ = scenario.site
     p = law_parameters(

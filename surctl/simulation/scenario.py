@@ -50,6 +50,8 @@ class Obstacle(Strict):
             raise ValueError("a box needs size_m; add size_m = [along x, along y]")
         if self.shape == "cylinder" and self.radius_m is None:
             raise ValueError("a cylinder needs radius_m; add radius_m")
+        if self.shape != "box" and self.size_m is not None:
+            raise ValueError(f'a {self.shape} obstacle takes no size_m; remove it or write shape = "box"')
         if self.shape == "moving" and (self.to_m is None or self.speed_m_per_s is None):
             raise ValueError("a moving obstacle needs to_m and speed_m_per_s; add both")
         return self

@@ -1,0 +1,119 @@
+"""The path as numbers and inside the law."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.guidance import MAX_WAYPOINTS, Path, path_target
+
+Array = NDArray[np.float64]
+coordinates = st.integers(-60, 60).map(lambda k: k / 10)
+polylines = st.lists(st.tuples(coordinates, coordinates), min_size=2, max_size=MAX_WAYPOINTS)
+
+
+def _path(points: list[tuple[float, float]]) -> Path:
+    array = np.array(points)
+    assume(np.all(np.linalg.norm(np.diff(array, axis=0), axis=1) > 1e-3))
+    return Path(array)
+
+
+@cache
+def _target() -> ca.Function:
+    w, s = ca.SX.sym("w", MAX_WAYPOINTS, 2), ca.SX.sym("s")
+    return ca.Function("target", [w, s], list(path_target(w, s)))
+
+
+def _by_interpolation(path: Path, s: float) -> Array:
+    lengths = np.linalg.norm(np.diff(path.waypoints, axis=0), axis=1)
+    marks = np.concatenate([[0], np.cumsum(lengths)])
+    return np.array([np.interp(s, marks, path.waypoints[:, i]) for i in range(2)])
+
+
+@settings(derandomize=True, deadline=None)
+@given(polylines, st.floats(-0.5, 1.5))
+def test_the_law_finds_the_same_point_and_length_as_the_numbers(
+    points: list[tuple[float, float]], share: float
+) -> None:
+    path = _path(points)
+    s = share * path.length
+    point, tangent, length = (np.asarray(m).reshape(-1) for m in _target()(path.slots, s))
+    np.testing.assert_allclose(point, _by_interpolation(path, s), atol=1e-9)
+    assert length[0] == pytest.approx(path.length, abs=1e-9)
+    assert np.linalg.norm(tangent) == pytest.approx(1, abs=1e-12)
+
+
+@settings(derandomize=True, deadline=None)
+@given(polylines, st.floats(0.001, 0.999))
+def test_the_tangent_is_the_derivative_of_the_point(points: list[tuple[float, float]], share: float) -> None:
+    path = _path(points)
+    lengths = np.linalg.norm(np.diff(path.waypoints, axis=0), axis=1)
+    k = int(share * len(lengths))
+    middle = float(lengths[:k].sum() + 0.5 * lengths[k])
+    tangent = np.asarray(_target()(path.slots, middle)[1]).reshape(-1)
+    np.testing.assert_allclose(tangent, (path.waypoints[k + 1] - path.waypoints[k]) / lengths[k], atol=1e-9)
+
+
+def test_before_the_start_and_past_the_end_the_target_stands_still() -> None:
+    path = Path(np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0]]))
+    for s, point, tangent in ((-1.0, [0, 0], [1, 0]), (5.0, [2, 1], [0, 1])):
+        found = _target()(path.slots, s)
+        np.testing.assert_allclose(np.asarray(found[0]).reshape(-1), point)
+        np.testing.assert_allclose(np.asarray(found[1]).reshape(-1), tangent)
+
+
+@settings(derandomize=True, deadline=None)
+@given(polylines, coordinates, coordinates)
+def test_distance_against_dense_sampling(points: list[tuple[float, float]], x: float, y: float) -> None:
+    path = _path(points)
+    samples = np.array([_by_interpolation(path, s) for s in np.linspace(0, path.length, 600)])
+    dense = np.linalg.norm(samples - [x, y], axis=1).min()
+    found = path.distance(np.array([x, y]))[0]
+    assert found <= dense + 1e-12
+    assert dense - found <= path.length / 599
+
+
+def test_distance_of_many_points_by_hand() -> None:
+    path = Path(np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0]]))
+    points = np.array([[1.0, 0.5], [-3.0, 4.0], [3.0, 0.5], [2.0, 2.5], [2.0, 0.0]])
+    np.testing.assert_allclose(path.distance(points), [0.5, 5.0, 1.0, 1.5, 0.0], atol=1e-15)
+
+
+def test_slots_repeat_the_last_point() -> None:
+    path = Path(np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0]]))
+    assert path.slots.shape == (MAX_WAYPOINTS, 2)
+    np.testing.assert_array_equal(path.slots[3:], np.tile([2.0, 1.0], (MAX_WAYPOINTS - 3, 1)))
+
+
+def test_waypoints_cannot_be_changed() -> None:
+    given_points = np.array([[0.0, 0.0], [2.0, 0.0]])
+    path = Path(given_points)
+    given_points[0] = 9
+    assert path.waypoints[0, 0] == 0
+    with pytest.raises(ValueError, match="read-only"):
+        path.waypoints[0, 0] = 1
+
+
+@pytest.mark.parametrize(
+    ("points", "problem"),
+    [
+        ([[0.0, 0.0]], "2 to 8 points"),
+        ([], "2 to 8 points"),
+        ([[0.1 * k, 0.0] for k in range(9)], "2 to 8 points"),
+        ([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], "2 to 8 points"),
+        ([[0.0, 0.0], [np.nan, 0.0]], "not finite"),
+        ([[0.0, 0.0], [np.inf, 0.0]], "not finite"),
+        ([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0]], "two equal points"),
+    ],
+    ids=["one", "none", "nine", "3-D", "nan", "inf", "equal"],
+)
+def test_what_is_no_path(points: list[list[float]], problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        Path(np.array(points))

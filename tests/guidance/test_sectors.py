@@ -1,0 +1,221 @@
+"""The choice among many contacts: free courses, side, latch, retreat."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.guidance import Sector, avoidance_course, choose_velocity
+
+Array = NDArray[np.float64]
+CRUISE, CAP = 0.2, 0.22
+OVERTAKE, TOLERANCE = 0.05, 1e-3
+
+
+class _Chosen(NamedTuple):
+    velocity: Array
+    side: int
+    blocked: bool
+    violation: float
+    blocker: Array
+
+
+@cache
+def _choice(count: int) -> ca.Function:
+    wish, side, blocker = ca.SX.sym("wish", 2), ca.SX.sym("side"), ca.SX.sym("blocker", 2)
+    normals, bounds, points = ca.SX.sym("n", 2, count), ca.SX.sym("b", count), ca.SX.sym("p", 2, count)
+    sectors = [Sector(normals[:, k], bounds[k], points[:, k]) for k in range(count)]
+    c = choose_velocity(wish, sectors, side=side, blocker=blocker, cruise=ca.SX(CRUISE), cap=ca.SX(CAP))
+    return ca.Function(
+        "choice",
+        [wish, normals, bounds, points, side, blocker],
+        [c.velocity, c.side, c.blocked, c.violation, c.blocker],
+    )
+
+
+def _choose(
+    wish: ArrayLike,
+    bearings: ArrayLike,
+    bounds: ArrayLike,
+    *,
+    points: ArrayLike | None = None,
+    side: float = 0.0,
+    blocker: ArrayLike = (50.0, 50.0),
+) -> _Chosen:
+    b = np.atleast_1d(np.asarray(bearings, dtype=float))
+    normals = np.vstack([np.cos(b), np.sin(b)])
+    where = normals if points is None else np.asarray(points, dtype=float).T
+    found = _choice(b.size)(np.asarray(wish), normals, np.atleast_1d(bounds), where, side, np.asarray(blocker))
+    velocity, chosen_side, blocked, violation, now = (np.asarray(m).reshape(-1) for m in found)
+    return _Chosen(velocity, int(chosen_side[0]), bool(blocked[0]), float(violation[0]), now)
+
+
+def _unit(angle: float) -> Array:
+    return np.array([np.cos(angle), np.sin(angle)])
+
+
+# --- one contact --------------------------------------------------------------------------------------------------
+
+
+@settings(derandomize=True, deadline=None)
+@given(st.floats(-3, 3), st.floats(-0.19, 0.19), st.sampled_from([-1, 1]), st.floats(0.01, 0.6))
+def test_the_edge_of_one_sector_is_the_corrected_law(bearing: float, bound: float, side: int, off: float) -> None:
+    """ψ = φ ± arccos(bound/u): the `corrected` form with the bound in place of v_o·n + κ(l − R_OB − d_s)."""
+    wish = CRUISE * _unit(bearing + side * off)
+    found = _choose(wish, bearing, bound)
+    symbol = ca.SX.sym("c")
+    law = avoidance_course(
+        "corrected",
+        ca.SX(bearing),
+        ca.SX(0),
+        radius=ca.SX(0.5),
+        side=ca.SX(side),
+        delta=ca.SX(0),
+        k3=ca.SX(1),
+        speed=symbol,
+        closing=ca.SX(bound),
+        kappa=ca.SX(0.3),
+        standoff=ca.SX(0),
+    )
+    speed = max(CRUISE, min(-bound + OVERTAKE, CAP) if bound < 0 else 0.0)
+    if CRUISE * np.cos(off) - bound <= 2 * TOLERANCE:
+        return  # the wish itself is (almost) free
+    course = float(ca.evalf(ca.substitute(law, symbol, speed)))
+    assert found.blocked
+    assert found.side == side
+    np.testing.assert_allclose(found.velocity, speed * _unit(course), atol=1e-9)
+    assert found.velocity @ _unit(bearing) == pytest.approx(bound, abs=1e-9)
+
+
+@pytest.mark.parametrize("bearing", [0.0, 0.5, np.pi / 2, -2.0, 3.0])
+def test_head_on_the_obstacle_stays_on_the_right(bearing: float) -> None:
+    found = _choose(CRUISE * _unit(bearing), bearing, 0.05)
+    assert found.side == 1
+    assert _unit(bearing)[0] * found.velocity[1] - _unit(bearing)[1] * found.velocity[0] > 0.1
+
+
+@settings(derandomize=True, deadline=None)
+@given(st.floats(-3, 3), st.floats(-3, 3), st.floats(0.0, 0.2))
+def test_a_free_wish_is_left_alone(course: float, bearing: float, bound: float) -> None:
+    wish = 0.21 * _unit(course)
+    if wish @ _unit(bearing) > bound:
+        return
+    found = _choose(wish, bearing, bound)
+    np.testing.assert_allclose(found.velocity, wish, atol=1e-12)
+    assert (found.side, found.blocked, found.violation) == (0, False, 0.0)
+
+
+def test_no_catching_up_while_the_wish_is_blocked() -> None:
+    found = _choose([0.22, 0.0], 0.0, 0.05)
+    assert np.linalg.norm(found.velocity) == pytest.approx(CRUISE, abs=1e-12)
+
+
+# --- latch --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize("lean", [-0.3, -0.05, 0.05, 0.3])
+def test_the_side_is_kept_while_the_same_contact_blocks(side: int, lean: float) -> None:
+    """The blocker has moved 0.2 m: the same encounter."""
+    found = _choose(CRUISE * _unit(lean), 0.0, 0.05, points=[[1.0, 0.0]], side=side, blocker=[0.8, 0.0])
+    assert found.side == side
+    assert found.velocity[1] * side > 0.1
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_another_contact_is_another_encounter(side: int) -> None:
+    found = _choose(CRUISE * _unit(0.3), 0.0, 0.05, points=[[1.0, 0.0]], side=side, blocker=[1.4, 0.0])
+    assert found.side == 1
+
+
+def test_the_latch_gives_way_only_when_nothing_on_its_side_is_free() -> None:
+    """Latched to the left: first the wall on the left leaves the way back along it, then that is closed too."""
+    bearings, bounds = [0.0, np.pi / 2], [0.02, 0.0]
+    points = [[1.0, 0.0], [0.0, 1.0]]
+    back = _choose([CRUISE, 0.0], bearings, bounds, points=points, side=1, blocker=[1, 0])
+    assert (back.side, back.violation) == (1, 0)
+    np.testing.assert_allclose(back.velocity, [-CRUISE, 0], atol=1e-9)
+    right = _choose(
+        [CRUISE, 0.0], [*bearings, np.pi], [*bounds, 0.0], points=[*points, [-1.0, 0.0]], side=1, blocker=[1, 0]
+    )
+    assert (right.side, right.violation) == (-1, 0)
+    np.testing.assert_allclose(right.velocity, [0.02, -np.sqrt(CRUISE**2 - 0.02**2)], atol=1e-9)
+
+
+def test_the_blocker_is_the_contact_that_blocks_the_wish_most() -> None:
+    found = _choose([CRUISE, 0.0], [0.0, 0.2], [0.1, 0.05], points=[[1.0, 0.0], [2.0, 0.4]])
+    np.testing.assert_allclose(found.blocker, [2.0, 0.4])
+
+
+# --- many contacts ------------------------------------------------------------------------------------------------
+
+
+def _random(seed: int, *, lowest: float) -> tuple[Array, Array, Array]:
+    rng = np.random.default_rng(seed)
+    wish = rng.uniform(0.02, CAP) * _unit(rng.uniform(-np.pi, np.pi))
+    return wish, rng.uniform(-np.pi, np.pi, 6), rng.uniform(lowest, 0.25, 6)
+
+
+def _speed(wish: Array, normals: Array, bounds: Array) -> float:
+    """The speed that the docstring of choose_velocity describes."""
+    near = np.any(normals @ wish - bounds > TOLERANCE)
+    wished = float(np.linalg.norm(wish))
+    speed = min(wished, CRUISE) if near else wished
+    retreat = max(0.0, min(CAP, float(-bounds.min())))
+    return max(speed, min(retreat + OVERTAKE, CAP) if retreat > 0 else 0.0)
+
+
+@settings(derandomize=True, deadline=None, max_examples=300)
+@given(st.integers(0, 10**9), st.sampled_from([-1.0, 0.0, 1.0]), st.sampled_from([-0.1, 0.0]))
+def test_all_bounds_hold_whenever_some_course_is_free(seed: int, side: float, lowest: float) -> None:
+    """Freedom is judged on 720 courses, not on the candidates that the choice looks at."""
+    wish, bearings, bounds = _random(seed, lowest=lowest)
+    normals = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    # half of the draws are in the encounter of the last step
+    found = _choose(wish, bearings, bounds, side=side, blocker=normals[seed % 6])
+    fan = np.linspace(-np.pi, np.pi, 720)
+    speed = _speed(wish, normals, bounds)
+    free = np.any(np.all(speed * np.column_stack([np.cos(fan), np.sin(fan)]) @ normals.T <= bounds, axis=1))
+    if free:
+        assert np.all(normals @ found.velocity <= bounds + 2 * TOLERANCE)
+        assert found.violation <= TOLERANCE
+
+
+@settings(derandomize=True, deadline=None, max_examples=200)
+@given(st.integers(0, 10**9))
+def test_bounds_that_ask_for_no_retreat_hold_always(seed: int) -> None:
+    """Free or not: the speed is reduced as far as they ask."""
+    wish, bearings, bounds = _random(seed, lowest=0.0)
+    bounds[:3] *= 0.1
+    found = _choose(wish, bearings, bounds)
+    normals = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    assert np.all(normals @ found.velocity <= bounds + 2e-4)
+
+
+@settings(derandomize=True, deadline=None, max_examples=200)
+@given(st.integers(0, 10**9), st.sampled_from([-1.0, 0.0, 1.0]))
+def test_the_speed_never_exceeds_the_cap(seed: int, side: float) -> None:
+    wish, bearings, bounds = _random(seed, lowest=-0.5)
+    found = _choose(wish, bearings, bounds, side=side, blocker=_unit(bearings[0]))
+    assert np.isfinite(found.velocity).all()
+    assert np.linalg.norm(found.velocity) <= CAP + 1e-12
+
+
+def test_what_comes_from_ahead_asks_for_a_retreat() -> None:
+    found = _choose([CRUISE, 0.0], 0.0, -0.1)
+    assert found.velocity[0] == pytest.approx(-0.1, abs=1e-9)
+    assert found.violation == 0
+
+
+def test_boxed_in_it_says_so() -> None:
+    found = _choose([CRUISE, 0.0], [0.0, 2.0, -2.0], [-0.1, -0.1, -0.1])
+    assert found.blocked
+    assert found.violation > 0.1
+    assert np.linalg.norm(found.velocity) <= CAP

@@ -1,0 +1,63 @@
+"""One small study's worth of real data, shared by the report's tests."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from surctl.control import load_gains
+from surctl.report import ReportData, loop_responses
+from surctl.simulation import Run, load_scenario, simulate
+from surctl.tuning import COLUMNS, Axis, Sweep
+from surctl.vehicle import Vehicle, load_vehicle
+from surctl.verification import Verdict, claims, closed_loop_poles, falsify, loop_margins
+
+ABOUT = {"cruise": 0.2, "dt": 0.05}
+GAINS = load_gains("default")
+
+
+def vehicle() -> Vehicle:
+    return load_vehicle("sur540-flooded")
+
+
+@cache
+def run(scenario: str = "pool-behind", sensing: str = "truth", limit: float = 60.0) -> Run:
+    loaded = replace(load_scenario(scenario), time_limit=limit)
+    return simulate(loaded, load_vehicle(loaded.vehicle), gains=GAINS, sensing=sensing)  # type: ignore[arg-type]
+
+
+@cache
+def verdict(name: str) -> Verdict:
+    return falsify(claims(GAINS.values, [name])[0], samples=256, starts=4)
+
+
+def sweep(*, picked: tuple[int, int] | None = (1, 1)) -> Sweep:
+    """A finished sweep with an infeasible point, a NaN and an infinite number in it."""
+    rng = np.random.default_rng(3)
+    table = {name: rng.uniform(0.1, 1.0, (3, 2)) for name in COLUMNS}
+    table["feasible"] = np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 1.0]])
+    table["path_error_m"][0, 1] = np.nan
+    table["delay_margin_s"][2, 0] = np.inf
+    axes = (Axis("lookahead", (0.6, 0.9, 1.2)), Axis("k_v", (1.0, 2.0)))
+    return Sweep(axes, table, picked, GAINS, ("pool-behind", "pool-behind"))
+
+
+@cache
+def report() -> ReportData:
+    return ReportData(
+        title="Study default",
+        command="surctl study",
+        version="0.1.0",
+        vehicle=vehicle(),
+        gains=GAINS,
+        margins=loop_margins(vehicle(), GAINS.values, **ABOUT),
+        poles=closed_loop_poles(vehicle(), GAINS.values, **ABOUT),
+        loops=loop_responses(vehicle(), GAINS.values, **ABOUT),
+        verdicts=(verdict("v1-printed"), verdict("m-norm-printed"), verdict("v1-corrected")),
+        runs=(run(), run(sensing="sonar")),
+        sweep=sweep(),
+        seconds={"sweep": 1.5, "flights": 0.25},
+        summary=((True, "margins suffice"), (None, "sonar does not decide")),
+    )

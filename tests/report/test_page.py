@@ -1,0 +1,253 @@
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surctl.control import write_gains
+from surctl.errors import InputError
+from surctl.export import Difference, ExportedFile, SilReport
+from surctl.report import ExportSummary, ReportData, render_page, write_page
+from tests.report.data import GAINS, report, run, sweep, vehicle
+from tests.report.reader import Reader
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    return render_page(report())
+
+
+def bare(**parts: object) -> ReportData:
+    """A page without pictures, for tests of its words."""
+    plain = ReportData(title="t", command="surctl study", version="0", vehicle=vehicle(), gains=GAINS)
+    return replace(plain, **parts)  # type: ignore[arg-type]
+
+
+def sil(**changes: object) -> SilReport:
+    none = Difference(0.0, 0.0, 0.0, None)
+    good = SilReport("c", "1f", 400, (), none, none, none, 0, 837, (), True, "cc 12", 185992)
+    return replace(good, **changes)  # type: ignore[arg-type]
+
+
+def test_the_page_is_balanced_and_its_anchors_meet(page: str) -> None:
+    read = Reader(page)
+    assert read.mistakes == []
+    ids = [a["id"] for _, a in read.elements if "id" in a]
+    assert len(set(ids)) == len(ids)
+    targets = {(a["href"] or "").removeprefix("#") for a in read.all("a")}
+    assert targets <= set(ids) and len(targets) == 8  # the summary and seven sections
+    labels = {a["aria-labelledby"] for _, a in read.elements if "aria-labelledby" in a}
+    assert labels <= set(ids)
+
+
+def test_nothing_is_fetched_from_anywhere(page: str) -> None:
+    assert not re.search(r"(https?:)?//[a-z]", re.sub(r'"data:[^"]*"', "", page))
+    read = Reader(page)
+    assert not read.all("script") and not read.all("link") and not read.all("iframe")
+    assert "@import" not in page and "url(" not in page
+    assert "default-src 'none'" in str(read.all("meta"))
+
+
+def test_every_picture_is_inside_and_told_in_words(page: str) -> None:
+    images = Reader(page).all("img")
+    # margins 4 + poles, heat maps 7, claims 2 + 1, runs 2 × 2
+    assert len(images) == 4 + 1 + 7 + 3 + 4
+    for image in images:
+        kind, _, content = (image["src"] or "").partition(",")
+        assert kind == "data:image/png;base64"
+        raw = base64.b64decode(content, validate=True)
+        assert raw.startswith(b"\x89PNG")
+        assert [int.from_bytes(raw[k : k + 4], "big") for k in (16, 20)] == [
+            int(image["width"] or 0),
+            int(image["height"] or 0),
+        ]
+        assert len(image["alt"] or "") > 20
+    assert page.count("Command: <code>") == len(images)
+
+
+def test_the_same_data_gives_the_same_bytes_and_less_than_six_megabytes(page: str) -> None:
+    assert render_page(report()) == page
+    assert len(page.encode()) < 6e6
+
+
+def test_many_runs_do_not_make_the_page_grow_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("surctl.report.evidence_sections._BUDGET", 500_000)
+    flown = run(sensing="sonar")
+    stopped = replace(flown, metrics=replace(flown.metrics, reached=False, stopped_because="collision"))
+    many = render_page(bare(runs=(stopped,) * 40))
+    drawn = len(Reader(many).all("img")) // 2
+    assert 1 < drawn < 5 and f"{40 - drawn} more runs are in the table only" in many
+    assert len(many) < 1.2e6
+
+
+def test_names_are_escaped_and_never_run() -> None:
+    evil = """<script>alert('1')</script>"$x_{&amp;}$ 潜\n"""
+    base = run()
+    car = replace(base.vehicle, name=evil, note=evil)
+    leg = replace(base.scenario, name=evil, title=evil, source=evil)
+    data = bare(
+        title=evil, command=evil, version=evil, vehicle=car, gains=replace(GAINS, name=evil, provenance=evil),
+        runs=(replace(base, scenario=leg, vehicle=car),), summary=((True, evil),), seconds={evil: 1.0},
+        export=ExportSummary(name=evil, id=evil, files=(ExportedFile(Path("a<b>.c"), evil),), status=evil),
+    )  # fmt: skip
+    page = render_page(data)
+    read = Reader(page)
+    assert read.mistakes == [] and not read.all("script") and "<script" not in page
+    assert "<script>alert('1')</script>\"$x_{&amp;}$ 潜" in read.text
+    assert all("onerror" not in a and "onload" not in a for _, a in read.elements)
+
+
+def test_numbers_that_are_none_or_endless_are_written_as_signs() -> None:
+    base = run()
+    lost = replace(base, metrics=replace(base.metrics, path_error_m=float("nan"), min_clearance_m=float("inf")))
+    margins = tuple(replace(m, gain_margin=float("inf"), phase_margin_deg=float("nan")) for m in report().margins)
+    read = Reader(render_page(bare(runs=(lost,), margins=margins, sweep=sweep(), seconds={"s": float("nan")})))
+    text = re.sub(r"NaN and infinity", "", read.text)
+    assert not re.search(r"\b(nan|inf|NaN|None)\b", text)
+    assert "surge stable ∞ –" in text
+
+
+@pytest.mark.parametrize(
+    ("summary", "said"),
+    [
+        (((True, "a"), (None, "b")), "✓ All checks that decide hold."),
+        (((True, "a"), (False, "b"), (False, "c")), "✗ 2 of the checks that decide fail."),
+        (((None, "b"),), "• Nothing was decided."),
+    ],
+)
+def test_the_outcome_stands_first(summary: tuple[tuple[bool | None, str], ...], said: str) -> None:
+    data = bare(summary=summary)
+    text = Reader(render_page(data)).text
+    assert said in text and text.index(said) < text.index("Parameters of sur540-flooded")
+    assert data.passed is {"✓": True, "✗": False, "•": None}[said[0]]
+
+
+def test_every_parameter_and_gain_is_listed_with_its_provenance(page: str) -> None:
+    text = Reader(page).text
+    for name, p in vehicle().parameters.items():
+        assert name in text and p.provenance in text
+    for name in GAINS.values:
+        assert f"{name} " in text
+    assert "Also flown: sur400" in text
+    assert "stands 0.05 m out of the water" in text  # E16
+
+
+def test_a_run_says_whether_it_decides_and_how_to_fly_it_again(page: str) -> None:
+    text = Reader(page).text
+    heads = "seed reached stopped because decides time [s] paper's time [s] least clearance [m]"
+    m = run().metrics
+    row = f"truth 0 yes reached yes {m.time_s:.4g} – {m.min_clearance_m:.3g}"
+    assert heads in text and row in text and "sonar 0 yes reached no" in text
+    assert "(does not decide)" in text
+    command = "surctl simulate pool-behind --vehicle sur400 --gains default --law guarded --priority-mode nsb "
+    assert command + "--sensing sonar --seed 0 --out plots" in text
+    assert report().decides == (True, False)
+    assert replace(report(), deciding=(False, True)).decides == (False, True)
+    with pytest.raises(InputError, match="deciding"):
+        replace(report(), deciding=(True,))
+
+
+def test_a_command_names_the_gain_file_only_if_it_holds_these_gains(tmp_path: Path) -> None:
+    tuned = GAINS.with_values({"k_v": 2.0})
+    flown = replace(run(), gains=tuned)
+    unknown = Reader(render_page(bare(gains=tuned, runs=(flown,)))).text
+    assert "surctl simulate" not in unknown and "Command: surctl study" in unknown
+    file = tmp_path / "gains.toml"
+    file.write_text(write_gains(tuned), encoding="utf-8")
+    known = Reader(render_page(bare(gains=tuned, runs=(flown,), gains_file=str(file)))).text
+    assert f"--gains {file} --law guarded" in known
+
+
+def test_a_claim_comes_with_its_counterexample_or_what_is_left(page: str) -> None:
+    text = Reader(page).text
+    found = report().verdicts[0].counterexample
+    assert found is not None
+    for value in found.values.values():
+        assert f"{value:.8g}" in text
+    assert "Counterexample to v1-printed" in text and "Counterexample to v1-corrected" not in text
+    assert "Not proved: 256 samples" in text and "surctl verify v1-printed --gains default" in text
+    wrong = replace(report().verdicts[2], claim=replace(report().verdicts[2].claim, expected="refuted"))
+    assert "which was NOT expected" in render_page(bare(verdicts=(wrong,)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said", "passed"),
+    [
+        ({}, "none none all 837 cases: zero thrust, negative status passes 185992 cc 12", True),
+        ({"tau": Difference(1.0, 0.5, 2e-12, 7)}, "thrust 1 0.5 2e-12 7 DIFFERS", False),
+        ({"fault_failures": ("<x[0]>",)}, "Failed: <x[0]>", False),
+        ({"self_test": False}, "FAILS", False),
+        ({"resets": (3,)}, "1 FAILED", False),
+        ({"status_mismatches": 2, "code_bytes": None}, "2 FAILED", False),
+    ],
+)
+def test_the_export_says_what_was_compared(tmp_path: Path, changes: dict[str, object], said: str, passed: bool) -> None:
+    file = tmp_path / "c.c"
+    file.write_bytes(b"x" * 12345)
+    gone = ExportedFile(tmp_path / "gone.h", "ef")
+    export = ExportSummary(name="c", id="1f", files=(ExportedFile(file, "ab12"), gone), sil=(sil(**changes),))
+    text = Reader(render_page(bare(export=export))).text
+    assert said in text and "c.c 12 345 ab12" in text and "gone.h – ef" in text
+    assert export.passed is passed
+
+
+def test_an_export_that_was_not_compiled_says_so() -> None:
+    export = ExportSummary(name="c", id="1f", files=(), status="No compiler.")
+    assert export.passed is None
+    text = Reader(render_page(bare(export=export))).text
+    assert "No compiler." in text and "not compiled and not compared" in text
+
+
+def test_a_sweep_without_a_feasible_point_says_so() -> None:
+    assert "No point is feasible" in render_page(bare(sweep=sweep(picked=None)))
+
+
+def test_an_unstable_loop_is_drawn_and_told() -> None:
+    margins = tuple(replace(m, stable=False, disk_margin=0.0) for m in report().margins)
+    poles = np.array([0.3 + 1j, 0.3 - 1j, -2.0])
+    text = Reader(render_page(bare(margins=margins, poles=poles, loops=report().loops))).text
+    assert "surge UNSTABLE" in text and "the slowest has the real part 0.3 1/s" in text
+
+
+def test_writing_replaces_the_file_in_one_step(tmp_path: Path) -> None:
+    target = tmp_path / "new" / "report.html"
+    assert write_page(bare(title="one"), target) == target
+    write_page(bare(title="two"), str(target))
+    assert "<h1>two</h1>" in target.read_text(encoding="utf-8")
+    assert [p.name for p in target.parent.iterdir()] == ["report.html"]
+
+
+def blocked(tmp_path: Path) -> Iterator[Path]:
+    file = tmp_path / "file"
+    file.write_text("x")
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    yield file / "report.html"
+    yield folder
+
+
+def test_a_folder_that_cannot_be_written_is_told_in_one_line(tmp_path: Path) -> None:
+    for target in blocked(tmp_path):
+        with pytest.raises(InputError, match="cannot be written") as caught:
+            write_page(bare(), target)
+        assert str(target) in str(caught.value) and "\n" not in str(caught.value)
+    assert not list(tmp_path.glob(".*"))
+
+
+def luminance(colour: str) -> float:
+    parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+    linear = [c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+@pytest.mark.parametrize("name", ["good", "bad", "note", "ink", "soft", "link"])
+def test_text_contrast_reaches_wcag_aa(page: str, name: str) -> None:
+    colours = dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{6})", page))
+    for ground in {colours.get(f"{name}-ground", "#ffffff"), "#ffffff"}:
+        light, dark = sorted((luminance(colours[name]), luminance(ground)), reverse=True)
+        assert (light + 0.05) / (dark + 0.05) >= 4.5

@@ -1,0 +1,244 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+
+import control
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Rectangle, Wedge
+
+from surctl.errors import InputError
+from surctl.report import (
+    loop_responses,
+    margin_slice,
+    plot_bode,
+    plot_counterexample,
+    plot_heat_map,
+    plot_nyquist,
+    plot_poles,
+    plot_replay,
+    plot_run,
+    plot_run_signals,
+    plot_slice,
+    save_heat_map,
+    save_run,
+)
+from surctl.report.evidence import _sense
+from surctl.report.signals import _spans
+from surctl.report.theme import printable
+from surctl.simulation import Run, load_scenario, simulate
+from surctl.verification import build_cascade, evaluate, replay
+from tests.report.data import ABOUT, GAINS, report, run, sweep, vehicle, verdict
+
+
+def drawn(plot: Axes | Figure) -> Figure:
+    """The figure, rendered: warnings of the renderer are errors here."""
+    figure = plot if isinstance(plot, Figure) else plot.figure.figure
+    figure.savefig(BytesIO(), format="png")
+    return figure
+
+
+def first_tick(flown: Run) -> Run:
+    """A run that ended where it began."""
+    r = flown.record
+    short = {k: getattr(r, k)[:1] for k in vars(r) if k != "law_parameters"}
+    metrics = replace(flown.metrics, time_s=0.0, length_m=0.0, reached=False, stopped_because="fault")
+    return replace(flown, record=replace(r, **short), metrics=metrics)
+
+
+RUNS = {
+    "moving": lambda: run(),
+    "sonar": lambda: run(sensing="sonar"),
+    "boxes": lambda: run("tank-static", limit=3.0),
+    "drifting": lambda: run("pool-static", "sonar", 4.0),
+    "first tick": lambda: first_tick(run()),
+    "first tick, sonar": lambda: first_tick(run(sensing="sonar")),
+    "no obstacle": lambda: simulate(
+        replace(load_scenario("pool-behind"), obstacles=(), time_limit=1.0), run().vehicle, gains=GAINS
+    ),
+    "odd names": lambda: replace(run(), scenario=replace(run().scenario, name="$\\frac{$ 潜水 \t<b>", title="$")),
+}
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_runs_are_drawn_without_a_warning(name: str) -> None:
+    flown = RUNS[name]()
+    drawn(plot_run(flown))
+    drawn(plot_run_signals(flown))
+
+
+def test_the_plan_view_holds_what_was_flown() -> None:
+    flown = run(sensing="sonar")
+    ax = plot_run(flown)
+    assert ax.get_aspect() == 1.0
+    hulls = [p for p in ax.patches if isinstance(p, Circle) and p.get_radius() == pytest.approx(0.2)]
+    middles = np.array([h.get_center() for h in hulls])
+    assert np.any(np.all(np.isclose(middles, flown.record.eta[0, :2]), axis=1))
+    assert np.any(np.all(np.isclose(middles, flown.record.eta[-1, :2]), axis=1))
+    assert sum(isinstance(p, Wedge) for p in ax.patches) == 4
+    assert not any(isinstance(p, Wedge) for p in plot_run(run()).patches)
+    way = np.concatenate([s for c in ax.collections for s in c.get_segments()])
+    assert len(way) == 2 * (len(flown.record.time) - 1)
+
+
+def test_given_axes_are_used_and_nothing_global_is_touched() -> None:
+    before = dict(mpl.rcParams)
+    figure = Figure()
+    ax = figure.add_subplot()
+    assert plot_run(run(), ax) is ax
+    six = Figure().subplots(3, 2).ravel().tolist()
+    assert plot_run_signals(run(), six) is six[0].figure
+    assert dict(mpl.rcParams) == before
+
+
+def test_the_signals_show_limits_and_avoidance() -> None:
+    flown = run("tank-static", limit=3.0)
+    clearance, _, _, _, force, _ = plot_run_signals(flown).axes
+    levels = {round(float(np.ravel(line.get_ydata())[0]), 9) for line in force.lines if len(line.get_xdata()) == 2}
+    assert {5.0, -5.0} <= levels
+    shown = next(line for line in clearance.lines if line.get_label() == "true")
+    np.testing.assert_array_equal(shown.get_ydata(), flown.record.clearance)
+
+
+def test_spans_last_until_the_next_tick() -> None:
+    time = np.array([0.0, 1.0, 2.0, 3.0])
+    assert _spans(time, np.array([True, False, True, True])) == [(0.0, 1.0), (2.0, 3.0)]
+    assert _spans(time, np.zeros(4, dtype=bool)) == []
+    assert _spans(time, np.ones(4, dtype=bool)) == [(0.0, 3.0)]
+
+
+def test_what_the_font_lacks_is_replaced() -> None:
+    assert printable("η\tν 潜\n√") == "η ν ? √"
+
+
+def test_loop_responses_are_those_of_python_control() -> None:
+    cascade = build_cascade(vehicle(), GAINS.values, **ABOUT)
+    loops = loop_responses(vehicle(), GAINS.values, **ABOUT)
+    assert [loop.name for loop in loops] == [m.name for m in report().margins]
+    for loop, broken in ((loops[1], cascade.at_thrust(1)), (loops[7], cascade.at_output(3))):
+        expected = control.frequency_response(control.ss(*broken, 0), loop.omega).complex
+        np.testing.assert_allclose(loop.response, np.ravel(expected), rtol=1e-6, atol=1e-12)
+
+
+def test_loops_and_poles_are_drawn() -> None:
+    loops = report().loops
+    gain, phase = drawn(plot_bode(loops[:4])).axes
+    assert (gain.get_xscale(), phase.get_xscale()) == ("log", "log")
+    dots = [line for line in gain.lines if line.get_marker() == "o"]
+    crossover = {m.name: m.crossover_rad_s for m in report().margins}
+    for loop, dot in zip(loops, dots, strict=False):
+        assert np.max(dot.get_xdata()) == pytest.approx(crossover[loop.name], rel=0.03)
+    drawn(plot_nyquist(loops, disk_margin=0.7))
+    drawn(plot_nyquist(loops))
+    poles = report().poles
+    assert poles is not None
+    shown = next(line for line in plot_poles(poles).lines if line.get_label() == "stable")
+    assert len(shown.get_xdata()) == 12  # twelve more belong to the delay
+    drawn(plot_poles(poles))
+    drawn(plot_poles(np.array([0.1 + 2j, 0.1 - 2j, -1.0])))
+    drawn(plot_poles(np.array([-1.0 + 0j])))
+
+
+def test_a_fast_unstable_pole_is_never_hidden() -> None:
+    poles = np.array([-0.1, -0.2, 40.0])
+    ax = plot_poles(poles)
+    unstable = next(line for line in ax.lines if line.get_label() == "unstable")
+    assert list(unstable.get_xdata()) == [40.0] and ax.get_xlim()[1] > 40.0
+
+
+def test_the_disk_is_that_of_the_disk_margin() -> None:
+    """On the disk's rim the balanced sensitivity |S + (σ − 1)/2| with σ = 0 equals 1/α."""
+    alpha = 0.7
+    disk = next(p for p in plot_nyquist([], disk_margin=alpha).patches if str(p.get_label()).startswith("disk"))
+    assert isinstance(disk, Circle)
+    rim = disk.get_center()[0] + disk.get_radius() * np.exp(1j * np.linspace(0, 2 * np.pi, 9))
+    np.testing.assert_allclose(np.abs(1 / (1 + rim) - 0.5), 1 / alpha, rtol=1e-12)
+
+
+def test_the_heat_map_marks_and_hatches_the_right_cells() -> None:
+    ax = plot_heat_map(sweep(picked=(2, 1)), "score")
+    drawn(ax)
+    frames = [p for p in ax.patches if isinstance(p, Rectangle)]
+    assert [p.get_xy() for p in frames if p.get_hatch()] == [(-0.5, 0.5)]
+    assert {p.get_xy() for p in frames if not p.get_hatch()} == {(1.5, 0.5)}
+    np.testing.assert_array_equal(ax.images[0].get_array(), sweep().column("score").T)
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["0.6", "0.9", "1.2"]
+    assert ax.get_xlabel() == "lookahead [m]" and ax.get_ylabel() == "k_v [1/s]"
+
+
+def test_the_heat_map_takes_what_is_not_a_number() -> None:
+    assert "–" in [t.get_text() for t in plot_heat_map(sweep(), "path_error_m").texts]
+    assert "∞" in [t.get_text() for t in plot_heat_map(sweep(), "delay_margin_s").texts]
+    nothing = sweep(picked=None)
+    empty = replace(nothing, table={**nothing.table, "score": np.full((3, 2), np.nan)})
+    drawn(plot_heat_map(empty, "score"))
+    drawn(plot_heat_map(replace(empty, table={**empty.table, "score": np.ones((3, 2))}), "score"))
+    with pytest.raises(InputError, match="score"):
+        plot_heat_map(sweep(), "scores")
+
+
+def test_pictures_on_disk_stay_in_their_folder(tmp_path: Path) -> None:
+    evil = replace(run(), scenario=replace(run().scenario, name="../../a b"))
+    path = save_run(evil, tmp_path)
+    assert path.parent == tmp_path and path.read_bytes().startswith(b"\x89PNG")
+    assert save_heat_map(sweep(), "score", tmp_path / "new").name == "sweep-lookahead-k_v-score.png"
+    with pytest.raises(InputError, match="cannot be written"):
+        save_heat_map(sweep(), "score", tmp_path / "new" / "sweep-lookahead-k_v-score.png")
+
+
+def test_a_counterexample_is_replayed_where_it_moves_and_sliced_where_not() -> None:
+    moving = drawn(plot_counterexample(verdict("v1-printed"))).axes[0]
+    assert "time" in moving.get_xlabel() and moving.get_ylabel() == "V1 [m^2]"
+    assert "x_e" in drawn(plot_counterexample(verdict("m-norm-printed"))).axes[0].get_xlabel()
+    with pytest.raises(InputError, match="no counterexample"):
+        plot_counterexample(verdict("v1-corrected"))
+    with pytest.raises(InputError, match="no counterexample"):
+        margin_slice(verdict("v1-corrected"))
+    still = verdict("m-norm-printed")
+    assert still.counterexample is not None
+    with pytest.raises(InputError, match="no motion"):
+        plot_replay(still, replay(still.claim, still.counterexample))
+
+
+@pytest.mark.parametrize(("name", "sense"), [("v1-printed", 1), ("course-printed", 1), ("clearance-printed", -1)])
+def test_the_allowed_curve_is_on_the_right_side(name: str, sense: int) -> None:
+    found = verdict(name)
+    assert found.counterexample is not None
+    assert _sense(found.claim, found.claim.point(found.counterexample.values)) == sense
+    lines = {line.get_label(): line.get_ydata() for line in plot_counterexample(found).lines}
+    bound = next(y for label, y in lines.items() if "allows" in str(label))
+    flown = next(y for label, y in lines.items() if "replayed" in str(label))
+    assert sense * (np.asarray(flown)[-1] - np.asarray(bound)[-1]) > 0
+
+
+@pytest.mark.parametrize("name", ["v1-printed", "v2-printed", "v2-obstacle"])
+def test_a_slice_holds_the_claims_margin(name: str) -> None:
+    found = verdict(name)
+    cut = margin_slice(found)
+    drawn(plot_slice(cut))
+    assert found.counterexample is not None
+    for i, j in ((0, 0), (60, 30), (120, 120)):
+        values = {**found.counterexample.values, cut.one.name: cut.x[j], cut.other.name: cut.y[i]}
+        margin, inside = evaluate(found.claim, values)
+        if inside:
+            assert cut.margin[i, j] == pytest.approx(margin)
+        else:
+            assert np.isnan(cut.margin[i, j])
+
+
+def test_the_slice_takes_the_variables_that_matter() -> None:
+    cut = margin_slice(verdict("v2-printed"))
+    assert (cut.one.name, cut.other.name) == ("e2", "delta")  # E11: δ and the side of the circle
+
+
+def test_a_claim_in_one_variable_has_no_slice() -> None:
+    found = verdict("v2-printed")
+    assert found.counterexample is not None
+    held = {k: (v, v) for k, v in found.counterexample.values.items() if k != "e2"}
+    with pytest.raises(InputError, match="fewer than two"):
+        margin_slice(replace(found, claim=found.claim.on(held)))

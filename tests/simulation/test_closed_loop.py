@@ -1,0 +1,155 @@
+"""The closed loop: all scenarios, seeds 0–9, and what a run must be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from surctl.control import NONFINITE, build_law, load_gains
+from surctl.errors import InputError
+from surctl.simulation import SENSING, Run, Sensing, load_scenario, simulate
+from surctl.vehicle import load_vehicle
+
+SCENARIOS = ("tank-static", "pool-static", "pool-behind", "tank-speed-015")
+SEEDS = range(10)
+
+
+@cache
+def _run(name: str, sensing: Sensing, seed: int) -> Run:
+    scenario = load_scenario(name)
+    return simulate(scenario, load_vehicle(scenario.vehicle), gains=load_gains("default"), sensing=sensing, seed=seed)
+
+
+def _check(run: Run) -> None:
+    metrics, paper = run.metrics, run.scenario.paper.time_s
+    assert metrics.stopped_because == "reached"
+    assert metrics.reached
+    assert metrics.min_clearance_m > 0
+    assert np.hypot(*(run.record.eta[-1, :2] - run.scenario.target)) <= run.scenario.reach
+    if paper is not None:
+        assert metrics.time_s == pytest.approx(paper, rel=0.25)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_with_true_positions_every_scenario_arrives_unharmed_and_in_time(name: str, seed: int) -> None:
+    _check(_run(name, "truth", seed))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("name", ["tank-speed-015", "pool-behind"])
+def test_with_sonar_the_scenarios_with_one_mover_arrive_too(name: str, seed: int) -> None:
+    _check(_run(name, "sonar", seed))
+
+
+@pytest.mark.parametrize("name", ["tank-static", "pool-static"])
+def test_the_static_scenarios_with_sonar_are_flown_and_recorded(name: str) -> None:
+    """No bar: what comes out is reported."""
+    run = _run(name, "sonar", 0)
+    assert run.metrics.stopped_because in {"reached", "collision", "time limit"}
+    assert np.isfinite(run.metrics.min_clearance_m)
+    assert run.metrics.length_m > 0
+    assert run.record.time.size > 10
+
+
+@pytest.mark.parametrize(("name", "sensing"), [("pool-static", "truth"), ("pool-behind", "sonar")])
+def test_one_seed_one_run(name: str, sensing: Sensing) -> None:
+    first, other = _run(name, sensing, 0), _run(name, sensing, 1)
+    again = simulate(
+        first.scenario, load_vehicle(first.scenario.vehicle), gains=load_gains("default"), sensing=sensing, seed=0
+    )
+    for field in ("time", "eta", "nu", "tau", "clearance", "law_state", "law_input", "status", "telemetry"):
+        np.testing.assert_array_equal(getattr(first.record, field), getattr(again.record, field), err_msg=field)
+    assert first.metrics == again.metrics
+    rows = min(len(first.record.eta), len(other.record.eta))
+    assert np.abs(first.record.eta[:rows] - other.record.eta[:rows]).max() > 1e-4
+
+
+@pytest.mark.parametrize("sensing", SENSING)
+def test_the_record_replays_through_the_law(sensing: Sensing) -> None:
+    """Each row holds what the law was told and what it answered: τ and the next state follow from it alone."""
+    run = _run("pool-behind", sensing, 0)
+    record, law = run.record, run.law
+    for k in range(0, len(record.time) - 1, 7):
+        step = law.step(record.law_state[k], record.law_input[k], record.law_parameters)
+        np.testing.assert_array_equal(step.tau, record.tau[k])
+        np.testing.assert_array_equal(step.x_next, record.law_state[k + 1])
+        assert step.status == record.status[k]
+        np.testing.assert_array_equal(step.telemetry, record.telemetry[k])
+
+
+def test_a_tick_is_50_ms_and_the_metrics_follow_from_the_record() -> None:
+    run = _run("tank-static", "truth", 0)
+    record, metrics = run.record, run.metrics
+    np.testing.assert_allclose(np.diff(record.time), 0.05, atol=1e-12)
+    assert metrics.time_s == record.time[-1]
+    assert metrics.min_clearance_m <= record.clearance.min()
+    assert metrics.min_clearance_m == pytest.approx(record.clearance.min(), abs=0.01)
+    assert metrics.length_m == pytest.approx(np.linalg.norm(np.diff(record.eta[:, :2], axis=0), axis=1).sum())
+    assert metrics.effort_n == pytest.approx(np.hypot(record.tau[:, 0], record.tau[:, 1]).mean())
+    assert np.all(np.abs(record.tau) <= run.vehicle.thrust_limit)
+    assert not np.any(record.status == NONFINITE)
+
+
+def test_telemetry_by_name() -> None:
+    run = _run("tank-static", "truth", 0)
+    assert run.telemetry("nu_wanted").shape == (len(run.record.time), 4)
+    assert set(np.unique(run.telemetry("avoiding"))) == {0.0, 1.0}
+    # the law knows of nothing nearer than there is
+    np.testing.assert_allclose(run.telemetry("nearest")[:, 0], run.record.clearance, atol=1e-6)
+
+
+def test_with_truth_the_law_is_told_the_truth_and_with_sonar_not() -> None:
+    for sensing in SENSING:
+        run = _run("pool-behind", sensing, 0)
+        told = run.record.law_input[:, run.law.inputs.slice("eta")]
+        error = np.abs(told - run.record.eta).max()
+        assert (error == 0) if sensing == "truth" else (0.005 < error < 0.1)
+
+
+def test_the_controller_may_believe_in_another_vehicle() -> None:
+    scenario = load_scenario("tank-speed-015")
+    flown, believed = load_vehicle("sur540-flooded"), load_vehicle("sur540-light")
+    run = simulate(scenario, flown, gains=load_gains("default"), model=believed)
+    law = run.law
+    np.testing.assert_array_equal(run.record.law_parameters[law.gains.slice("mass")], believed.mass)
+    assert run.vehicle is flown
+    assert run.metrics.time_s != _run("tank-speed-015", "truth", 0).metrics.time_s
+
+
+def test_a_collision_ends_the_run() -> None:
+    """The printed stack knows no braking distance: the heavy robot slides into the head-on obstacle."""
+    scenario = load_scenario("tank-speed-015")
+    run = simulate(scenario, load_vehicle(scenario.vehicle), gains=load_gains("default"), law=build_law("paper"))
+    assert run.metrics.stopped_because == "collision"
+    assert not run.metrics.reached
+    assert run.metrics.min_clearance_m <= 0
+    assert run.record.clearance[-1] <= 0
+
+
+def test_the_time_limit_ends_the_run() -> None:
+    scenario = replace(load_scenario("tank-static"), time_limit=3.0)
+    run = simulate(scenario, load_vehicle(scenario.vehicle), gains=load_gains("default"))
+    assert run.metrics.stopped_because == "time limit"
+    assert not run.metrics.reached
+    assert run.record.time.size == 60
+
+
+def test_projected_mode_flies_the_short_scenario() -> None:
+    scenario = load_scenario("pool-behind")
+    run = simulate(
+        scenario, load_vehicle(scenario.vehicle), gains=load_gains("default"), law=build_law(mode="projected")
+    )
+    _check(run)
+
+
+def test_what_cannot_be_flown_is_refused() -> None:
+    scenario, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+    with pytest.raises(InputError, match="did you mean 'sonar'"):
+        simulate(scenario, vehicle, gains=gains, sensing="sonnar")
+    near = scenario.obstacles[0].model_copy(update={"centre_m": (0.9, 0.8)})
+    with pytest.raises(InputError, match=r"starts .* inside obstacle 'OM1'"):
+        simulate(replace(scenario, obstacles=(near,)), vehicle, gains=gains)

@@ -1,0 +1,85 @@
+import csv
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ANALYSIS = Path(__file__).parents[1] / "analysis"
+SWEEP = ANALYSIS / "02_gain_sweep" / "run.py"
+
+
+def run(script: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-W", "error", str(script), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+
+
+def table(printed: str) -> list[list[str]]:
+    """Cells of every table row."""
+    rows = [line.strip("|").split(" | ") for line in printed.splitlines() if line.startswith("| ")]
+    return [[cell.strip() for cell in row] for row in rows]
+
+
+def test_the_study_of_the_claims() -> None:
+    done = run(ANALYSIS / "01_two_claims" / "run.py", "--quick")
+    assert done.returncode == 0, done.stderr
+    verdicts = {row[0].strip("`"): row[4] for row in table(done.stdout) if len(row) == 8}
+    assert verdicts["v1-printed"] == "refuted" and verdicts["v1-corrected"] == "not refuted"
+    assert verdicts["clearance-printed"] == "refuted" and verdicts["clearance-corrected"] == "not refuted"
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.CompletedProcess[str], Path]:
+    out = tmp_path_factory.mktemp("sweep") / "new"
+    return run(SWEEP, "--quick", "--out", str(out)), out / "sweep.csv"
+
+
+def test_the_sweep_holds_what_its_readme_says(swept: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+    done, _ = swept
+    assert done.returncode == 0, done.stdout + done.stderr
+    said = {row[0]: row[2] for row in table(done.stdout) if len(row) == 3}
+    assert said.pop("statement") == ""
+    assert sorted(said.values()) == ["holds"] * 7 + ["not asked"] * 2
+
+
+def test_the_sweep_s_table(swept: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+    rows = [row for row in table(swept[0].stdout) if len(row) == 10][1:]
+    assert [row[:2] for row in rows] == [[a, b] for a in ("0.6", "1.2") for b in ("0.5", "2", "3")]
+    assert [row[-1] for row in rows if row[1] == "0.5"] == ["touches"] * 2
+    assert sum(row[-1] == "**picked**" for row in rows) == 1
+
+
+def test_the_sweep_s_csv(swept: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+    with swept[1].open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 6
+    feasible = [row for row in rows if float(row["feasible"]) == 1.0]
+    picked = min(feasible, key=lambda row: float(row["score"]))
+    assert [row for row in rows if row["picked"] == "1"] == [picked]
+    assert all(float(row["min_clearance_m"]) > 0 for row in feasible)
+
+
+@pytest.fixture(scope="module")
+def study() -> dict[str, Any]:
+    return runpy.run_path(str(SWEEP))
+
+
+def test_a_statement_that_does_not_hold_ends_with_1(
+    study: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = study["load_model"](study["CONFIG"], study["Config"])
+    grid = config.quick.model_copy(update={"k_v": (0.5, 1.0)})  # below the knee: the yaw loop limits, nothing falls
+    config = config.model_copy(update={"knee": 0.5, "workers": 1})
+    assert study["study"](config, grid, tmp_path) == 1
+    failed = [row[0] for row in table(capsys.readouterr().out) if row[-1] == "**does not hold**"]
+    assert [text.partition(" ")[2][:12] for text in failed] == ["delay margin", "yaw loop lim"]
+
+
+def test_a_folder_that_cannot_be_written_ends_with_2(study: dict[str, Any], tmp_path: Path) -> None:
+    taken = tmp_path / "file"
+    taken.write_text("")
+    done = run(SWEEP, "--quick", "--out", str(taken))
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1 and "--out" in done.stderr

@@ -1,0 +1,86 @@
+"""The tree of errors: one line, with its payload, and the next step."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from surctl import errors
+from surctl.errors import (
+    InputError,
+    SelfTestError,
+    SolverError,
+    SurctlError,
+    ToolMissing,
+    UnsupportedOperation,
+    nearest,
+)
+
+
+@pytest.mark.parametrize(
+    ("kind", "status"),
+    [
+        (SurctlError, 1),
+        (SolverError, 1),
+        (SelfTestError, 1),
+        (InputError, 2),
+        (ToolMissing, 2),
+        (UnsupportedOperation, 2),
+    ],
+)
+def test_every_error_has_its_exit_status(kind: type[SurctlError], status: int) -> None:
+    assert issubclass(kind, SurctlError)
+    assert kind.exit_status == status
+
+
+def test_public_names() -> None:
+    assert errors.__all__ == [
+        "InputError",
+        "SelfTestError",
+        "SolverError",
+        "SurctlError",
+        "ToolMissing",
+        "UnsupportedOperation",
+        "nearest",
+    ]
+
+
+def test_input_error_tells_file_key_value_problem_and_remedy_in_this_order() -> None:
+    error = InputError("must be greater than 0", file="a.toml", key="gains.k1", value=-1.0, remedy="raise it")
+    assert str(error) == "a.toml: gains.k1 = -1.0: must be greater than 0; raise it"
+    assert (error.file, error.key, error.value, error.remedy) == ("a.toml", "gains.k1", -1.0, "raise it")
+
+
+def test_input_error_leaves_out_what_is_not_given() -> None:
+    assert str(InputError("is empty", file="a.toml")) == "a.toml: is empty"
+    assert str(InputError("is missing", key="k1")) == "k1: is missing"
+    assert str(InputError("nothing to do")) == "nothing to do"
+
+
+def test_a_value_of_zero_or_false_is_shown() -> None:
+    assert "k = 0:" in str(InputError("bad", key="k", value=0))
+    assert "k = False:" in str(InputError("bad", key="k", value=False))
+
+
+def test_a_long_value_is_cut() -> None:
+    shown = str(InputError("bad", key="k", value="x" * 500, remedy="shorten it"))
+    assert "..." in shown
+    assert len(shown) < 120
+
+
+texts = st.text(max_size=80)
+
+
+@settings(derandomize=True, deadline=None)
+@given(problem=texts, file=texts, key=texts, value=st.one_of(texts, st.floats(), st.lists(st.integers())), remedy=texts)
+def test_the_message_is_one_line_whatever_the_file_holds(
+    problem: str, file: str, key: str, value: object, remedy: str
+) -> None:
+    text = str(InputError(problem, file=file, key=key, value=value, remedy=remedy))
+    assert len(text.splitlines()) <= 1
+
+
+def test_nearest_names_the_close_name_else_lists_all() -> None:
+    assert nearest("lokahead", ["k1", "lookahead"]) == "did you mean 'lookahead'?"
+    assert nearest("zzz", ["k2", "k1"]) == "known: k1, k2"

@@ -1,0 +1,69 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.tools import need_compiler
+
+ROOT = Path(__file__).parents[1]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
+
+PRINTED = {
+    "01_from_vehicle_to_code": (
+        "steady speed at full thrust: 0.272 m/s",
+        "states: x, y, z, psi, u, v, w, r, Fu, Fv, Fw, Fr",
+        "because `velocity.v` binds",
+        "v1-printed: refuted",
+        "v1-corrected: not refuted",
+        "confirmed: True",
+        "reached at",
+        "<- picked",
+        "SIL surctl_guarded: passed",
+    )
+}
+
+
+def export(notebook: Path, target: Path) -> str:
+    """The notebook as .ipynb, by the command that made the committed one."""
+    command = [sys.executable, "-m", "marimo", "export", "ipynb", str(notebook), "-o", str(target)]
+    done = subprocess.run([*command, "--sort", "top-down"], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    return target.read_text(encoding="utf-8")
+
+
+def cells(text: str) -> list[tuple[str, str]]:
+    found: list[dict[str, Any]] = json.loads(text)["cells"]
+    return [(cell["cell_type"], "".join(cell["source"])) for cell in found]
+
+
+def test_every_notebook_is_expected() -> None:
+    assert [notebook.stem for notebook in NOTEBOOKS] == list(PRINTED)
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_it_runs_as_a_script_without_a_warning(notebook: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    need_compiler()
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    command = [sys.executable, "-W", "error", str(notebook)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert [line for line in PRINTED[notebook.stem] if line not in done.stdout] == []
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_its_ipynb_is_in_step(notebook: Path, tmp_path: Path) -> None:
+    committed = notebook.with_suffix(".ipynb").read_text(encoding="utf-8")
+    once, twice = (export(notebook, tmp_path / name) for name in ("once.ipynb", "twice.ipynb"))
+    assert once == twice
+    assert cells(committed) == cells(once)
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_its_ipynb_holds_no_output_and_no_path_of_a_machine(notebook: Path) -> None:
+    text = notebook.with_suffix(".ipynb").read_text(encoding="utf-8")
+    assert not any(cell.get("outputs") for cell in json.loads(text)["cells"])
+    assert [place for place in (str(ROOT), str(Path.home()), "/tmp/", "/home/") if place in text] == []
