@@ -83,7 +83,7 @@ class PrioritySolution:
             return f"{what[0].upper()}{what[1:]}" + (f" because {because} {verb}." if because else ".")
         if because:
             return f"{because} {verb}, at no task's cost."
-        return "No limit binds: v is the null-space-based law."
+        return "v is the null-space-based law." if self.relaxed else "No limit binds: v is the null-space-based law."
 
 
 def residuals_at(v: NDArray[np.float64], levels: tuple[Level, ...]) -> dict[str, float]:

@@ -31,7 +31,16 @@ from surctl.vehicle import PARAMETERS, Vehicle
 
 __all__ = ["export_section", "gains_section", "margins_section", "sweep_section", "time_section", "vehicle_section"]
 
-_SWEPT = ("score", "path_error_m", "time_s", "min_clearance_m", "effort_n", "delay_margin_s", "disk_margin")
+_SWEPT = (
+    "score",
+    "deviation_m",
+    "path_error_m",
+    "time_s",
+    "min_clearance_m",
+    "effort_n",
+    "delay_margin_s",
+    "disk_margin",
+)
 
 
 def vehicle_section(data: ReportData) -> Section:

@@ -22,6 +22,7 @@ class Metrics:
         min_clearance_m: smallest distance hull to obstacle, or to a wall once the hull was clear of the walls.
         path_error_m: rms distance to the reference path, all three axes, outside avoidance intervals; NaN if the
             whole run was one.
+        deviation_m: rms horizontal distance to the reference path over the whole run, avoidance included.
         length_m: length of the way flown.
         effort_n: mean of |horizontal thrust|.
         stopped_because: `reached`, `collision`, `time limit` or `fault`.
@@ -31,6 +32,7 @@ class Metrics:
     time_s: float
     min_clearance_m: float
     path_error_m: float
+    deviation_m: float
     length_m: float
     effort_n: float
     stopped_because: str

@@ -273,6 +273,7 @@ def _metrics(scenario: Scenario, law: Law, record: Record, reason: str, least: f
         time_s=float(record.time[-1]),
         min_clearance_m=float(least),
         path_error_m=path_error(away, record.eta[:, 2] - scenario.depth, excluded),
+        deviation_m=float(np.sqrt(np.mean(away**2))),
         length_m=float(steps.sum()),
         effort_n=float(np.mean(np.hypot(record.tau[:, 0], record.tau[:, 1]))),
         stopped_because=reason,

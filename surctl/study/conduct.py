@@ -280,7 +280,9 @@ def _notes(
         chosen = ", ".join(
             f"{a.name} = {a.values[k]:g} {a.unit}" for a, k in zip(swept.axes, swept.picked, strict=True)
         )
-        notes.append(Note(True, f"sweep: {feasible} of {points} points are feasible; picked {chosen}"))
+        edges = [a.name for a, k in zip(swept.axes, swept.picked, strict=True) if k in (0, len(a.values) - 1)]
+        edge = f" (on the edge of the grid in {' and '.join(edges)}: a wider one may do better)" if edges else ""
+        notes.append(Note(True, f"sweep: {feasible} of {points} points are feasible; picked {chosen}{edge}"))
     least = min(margins, key=lambda m: m.delay_margin_s)
     stable = all(m.stable for m in margins)
     told = f"margins: least delay margin {least.delay_margin_s:.2f} s ({least.name}), least disk margin "

@@ -16,25 +16,34 @@ from numpy.typing import NDArray
 from surctl.control import GAINS, Gains, build_law
 from surctl.control.law import LawName
 from surctl.errors import InputError, nearest
+from surctl.ir import lower
 from surctl.simulation import Scenario, Sensing, simulate
 from surctl.tuning.store import Store
 from surctl.vehicle import Vehicle
 from surctl.verification import loop_margins
 
-__all__ = ["COLUMNS", "DELAY_FLOOR", "Axis", "Flight", "Sweep", "sweep"]
+__all__ = ["COLUMNS", "DELAY_FLOOR", "DISK_FLOOR", "Axis", "Flight", "Sweep", "sweep"]
 
-COLUMNS: Mapping[str, str] = {
+MEASURED: Mapping[str, str] = {
+    "deviation_m": "m",
     "path_error_m": "m",
     "time_s": "s",
     "min_clearance_m": "m",
     "effort_n": "N",
     "delay_margin_s": "s",
     "disk_margin": "1",
-    "score": "1",
-    "feasible": "1",
+    "strayed": "1",
+    "time_ratio": "1",
+    "arrived": "1",
 }
-TUBE = 0.10  # [m] mean path error that costs as much as twice the ideal time in the slowest flight
+"""What is measured at a point, with units: means over the flights, least clearance and margins, mean deviation in hull
+radii, largest time over ideal time, and whether every flight arrived."""
+
+COLUMNS: Mapping[str, str] = {**MEASURED, "score": "1", "feasible": "1"}
+"""The table's columns with their units: what is measured, and what follows from it."""
+
 DELAY_FLOOR = 0.2  # [s] least delay margin of a point that may be picked: four control periods (*chosen*)
+DISK_FLOOR = 0.6  # least disk margin of a point that may be picked: 33° and a factor 1.86 at once (*chosen*)
 
 
 @dataclass(frozen=True)
@@ -84,7 +93,8 @@ class Sweep:
     Attributes:
         axes: the two gains.
         table: column name → (len(axes[0]), len(axes[1])); see `COLUMNS`.
-        picked: grid index of the feasible point with the least score; None when no point is feasible.
+        picked: grid index of the feasible point with the least score (mean deviation in hull radii plus the slowest
+            flight's time over its ideal time); None when no point is feasible.
         gains: the base gains with the picked values; the base itself when nothing is feasible.
         scenarios: what every point flew.
     """
@@ -137,7 +147,7 @@ def sweep(
     sets = {
         (i, j): gains.with_values({axes[0].name: axes[0].values[i], axes[1].name: axes[1].values[j]}) for i, j in grid
     }
-    shelf = Store(store, request=_request(gains, axes, flights, law), columns=tuple(COLUMNS))
+    shelf = Store(store, request=_request(gains, axes, flights, law), columns=tuple(MEASURED))
     done = shelf.load()
     todo = [point for point in grid if point not in done]
     if progress:
@@ -148,7 +158,7 @@ def sweep(
         if progress:
             progress(len(done), len(grid))
     shape = (len(axes[0].values), len(axes[1].values))
-    table = {name: np.array([done[p][k] for p in grid]).reshape(shape) for k, name in enumerate(COLUMNS)}
+    table = _judged({name: np.array([done[p][k] for p in grid]).reshape(shape) for k, name in enumerate(MEASURED)})
     picked = _pick(table)
     return Sweep(axes, table, picked, _picked_gains(gains, sets, picked, axes), tuple(f.scenario.name for f in flights))
 
@@ -180,7 +190,7 @@ def _evaluate(
 
 
 def _fly_point(gains: Gains, flights: tuple[Flight, ...], law: LawName) -> tuple[float, ...]:
-    """One row of the table, in the order of `COLUMNS`."""
+    """What is measured at one point, in the order of `MEASURED`."""
     built = build_law(law)
     runs = [
         simulate(f.scenario, f.vehicle, gains=gains, law=built, sensing=f.sensing, seed=f.seed).metrics for f in flights
@@ -191,22 +201,34 @@ def _fly_point(gains: Gains, flights: tuple[Flight, ...], law: LawName) -> tuple
         for f in fastest.values()
         for m in loop_margins(f.vehicle, gains.values, cruise=f.scenario.cruise, dt=built.dt)
     ]
-    error = float(np.mean([r.path_error_m for r in runs]))
+    # a run that is one long avoidance has no path error
+    errors = [r.path_error_m for r in runs if np.isfinite(r.path_error_m)]
     ideal = [f.scenario.path.length / f.scenario.cruise for f in flights]
-    score = error / TUBE + max(r.time_s / t for r, t in zip(runs, ideal, strict=True))
-    clearance = min(r.min_clearance_m for r in runs)
-    delay = min(m.delay_margin_s for m in margins)
-    feasible = all(r.reached for r in runs) and clearance > 0 and delay >= DELAY_FLOOR and np.isfinite(score)
     return (
-        error,
+        float(np.mean([r.deviation_m for r in runs])),
+        float(np.mean(errors)) if errors else float("nan"),
         float(np.mean([r.time_s for r in runs])),
-        clearance,
+        min(r.min_clearance_m for r in runs),
         float(np.mean([r.effort_n for r in runs])),
-        delay,
+        min(m.delay_margin_s for m in margins),
         min(m.disk_margin for m in margins),
-        score,
-        float(feasible),
+        float(np.mean([r.deviation_m / f.vehicle["radius"] for r, f in zip(runs, flights, strict=True)])),
+        max(r.time_s / t for r, t in zip(runs, ideal, strict=True)),
+        float(all(r.reached for r in runs)),
     )
+
+
+def _judged(measured: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    """The table with score and feasibility. The path error is not in the score: it counts only what lies outside
+    avoidance, and the gains change how much that is."""
+    feasible = (
+        (measured["arrived"] > 0.5)
+        & (measured["min_clearance_m"] > 0)
+        & (measured["delay_margin_s"] >= DELAY_FLOOR)
+        & (measured["disk_margin"] >= DISK_FLOOR)
+    )
+    score = measured["strayed"] + measured["time_ratio"]
+    return {**measured, "score": score, "feasible": feasible.astype(float)}
 
 
 def _pick(table: Mapping[str, NDArray[np.float64]]) -> tuple[int, int] | None:
@@ -229,6 +251,6 @@ def _picked_gains(
 
 def _request(gains: Gains, axes: tuple[Axis, Axis], flights: Sequence[Flight], law: LawName) -> str:
     """Everything that the result depends on, as text."""
-    lines = [f"law {law}", f"axes {axes!r}", f"gains {dict(gains.values)!r}"]
+    lines = [f"law {lower(build_law(law).function).digest()}", f"axes {axes!r}", f"gains {dict(gains.values)!r}"]
     lines += [f"flight {f.scenario!r} {dict(f.vehicle.parameters)!r} {f.seed} {f.sensing}" for f in flights]
     return "\n".join(lines)

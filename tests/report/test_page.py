@@ -56,7 +56,7 @@ def test_nothing_is_fetched_from_anywhere(page: str) -> None:
 def test_every_picture_is_inside_and_told_in_words(page: str) -> None:
     images = Reader(page).all("img")
     # margins 4 + poles, heat maps 7, claims 2 + 1, runs 2 × 2
-    assert len(images) == 4 + 1 + 7 + 3 + 4
+    assert len(images) == 4 + 1 + 8 + 3 + 4
     for image in images:
         kind, _, content = (image["src"] or "").partition(",")
         assert kind == "data:image/png;base64"

@@ -1,0 +1,138 @@
+import hashlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from surctl.control import load_gains
+from surctl.errors import InputError
+from surctl.study import load_plan
+from surctl.vehicle import LIBRARY
+from tests.cli.process import surctl
+from tests.tools import need_compiler
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    need_compiler()
+    return tmp_path_factory.mktemp("study")
+
+
+@pytest.fixture(scope="module")
+def study(folder):
+    """The main job, killed in the middle of its sweep once, then run to the end."""
+    command = [sys.executable, "-m", "surctl", "study", "--json"]
+    begun = subprocess.Popen(
+        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+    )
+    store = folder / "surctl-out" / "sweep.csv"
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline and not (store.exists() and len(store.read_text().splitlines()) >= 5):
+        time.sleep(0.2)
+    os.killpg(begun.pid, signal.SIGKILL)
+    begun.communicate()
+    finished = len(store.read_text().splitlines()) - 2
+    assert finished >= 3
+    done = surctl("study", "--json", cwd=folder)
+    assert f"sweep {finished}/16 points" in done.err or f"sweep {finished - 1}/16 points" in done.err
+    assert "sweep 0/16" not in done.err
+    return done
+
+
+def test_the_main_job_ends_well(study):
+    assert study.status == 0
+    data = study.json
+    assert data["passed"]
+    assert set(data) >= {"gains", "margins", "verdicts", "runs", "export", "report"}
+    assert all(v["verdict"] == v["expected"] for v in data["verdicts"])
+    assert {m["name"] for m in data["margins"]} >= {"surge", "sway", "heave", "yaw", "cross_track"}
+
+
+def test_runs_with_true_positions_decide_and_sonar_ones_are_shown(study):
+    runs = {(r["scenario"], r["sensing"]): r for r in study.json["runs"]}
+    scenarios = ("tank-static", "tank-speed-015", "pool-static", "pool-behind")
+    assert set(runs) == {(s, how) for s in scenarios for how in ("truth", "sonar")}
+    for (scenario, sensing), run in runs.items():
+        assert run["decides"] == (sensing == "truth")
+        assert run["vehicle"] == ("sur400" if scenario.startswith("pool") else "sur540-flooded")
+        if run["decides"]:
+            assert run["reached"]
+            assert run["min_clearance_m"] > 0
+
+
+def test_c_equals_python_over_every_deciding_run(study):
+    reports = study.json["export"]["sil"]
+    assert len(reports) == 4
+    for report in reports:
+        assert report["passed"]
+        assert max(report["tau"], report["state"], report["telemetry"]) <= 1e-12
+        assert report["status_mismatches"] == 0
+        assert report["fault_cases"] > 0
+        assert report["fault_failures"] == []
+
+
+def test_files_are_there_and_hash_as_told(study, folder):
+    data = study.json
+    for name, digest in data["export"]["sha256"].items():
+        assert hashlib.sha256((folder / "surctl-out" / "export" / name).read_bytes()).hexdigest() == digest
+    gains = load_gains(str(folder / data["gains"]["file"]))
+    assert dict(gains.values) == data["gains"]["values"]
+    assert "picked by a grid sweep" in gains.provenance
+
+
+def test_the_report_stands_alone(study, folder):
+    page = (folder / study.json["report"]).read_text()
+    images = re.findall(r"<img[^>]*>", page)
+    assert len(images) > 20
+    assert all('src="data:image/' in image and "alt=" in image for image in images)
+    assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
+    for word in ("pool-static", "v1-printed", "delay margin", "sur400"):
+        assert word in page
+
+
+def test_the_built_in_plan():
+    plan = load_plan()
+    assert [leg.scenario.name for leg in plan.deciding] == [
+        "tank-static",
+        "tank-speed-015",
+        "pool-static",
+        "pool-behind",
+    ]
+    # a scenario that no seed changes is flown once a point
+    assert sum(f.scenario.name == "tank-static" for f in plan.sweep_flights) == 1
+    assert sum(f.scenario.name == "pool-static" for f in plan.sweep_flights) == 8
+
+
+def own_vehicle(tmp_path, source="sur540-light"):
+    file = tmp_path / "my.toml"
+    file.write_text((LIBRARY / f"{source}.toml").read_text().replace(f'"{source}"', '"my \\"boat\\""'))
+    return file
+
+
+def test_a_vehicle_file_flies_the_built_in_study_with_that_vehicle(tmp_path):
+    plan = load_plan(str(own_vehicle(tmp_path)))
+    assert {leg.vehicle.name for leg in plan.legs} == {'my "boat"'}
+    assert [leg.scenario.name for leg in plan.deciding] == ["tank-static", "tank-speed-015"]
+    misfits = {leg.scenario.name: leg.misfit for leg in plan.legs if leg.misfit}
+    assert set(misfits) == {"pool-static", "pool-behind"}
+    assert "0.020 m inside a wall at the start" in misfits["pool-static"]
+
+
+def test_a_vehicle_that_fits_nowhere_is_told_why(tmp_path):
+    file = own_vehicle(tmp_path)
+    file.write_text(file.read_text().replace("value = 0.27", "value = 2.6"))
+    with pytest.raises(InputError, match=r"no scenario can be flown.*tank-static"):
+        load_plan(str(file))
+
+
+def test_names_in_a_study_file_may_lie_beside_it(tmp_path):
+    own_vehicle(tmp_path, "sur400")
+    text = (Path(load_plan().source)).read_text().replace('vehicle = "sur540-flooded"', 'vehicle = "my.toml"')
+    (tmp_path / "s.toml").write_text(text)
+    plan = load_plan(str(tmp_path / "s.toml"))
+    assert plan.vehicle.name == 'my "boat"'
