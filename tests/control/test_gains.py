@@ -73,8 +73,8 @@ def test_every_gain_must_be_there(tmp_path: Path, name: str) -> None:
     ("old", "new", "fragment"),
     [
         ("lookahead =", "lokahead =", "gains.lokahead: no such gain; did you mean 'lookahead'?"),
-        ('lookahead = { value = 1.2, unit = "m" }', 'lookahead = { value = 1.2, unit = "cm" }', "give it in m"),
-        ("lookahead = { value = 1.2", "lookahead = { valeu = 1.2", "did you mean 'value'?"),
+        ('lookahead = { value = 0.8, unit = "m" }', 'lookahead = { value = 0.8, unit = "cm" }', "give it in m"),
+        ("lookahead = { value = 0.8", "lookahead = { valeu = 0.8", "did you mean 'value'?"),
         ('kind = "gains"', 'kind = "vehicle"', "kind = 'vehicle'"),
         ("[gains]", "[gain]", "did you mean 'gains'?"),
         ('name = "default"', 'name = ""', "name = ''"),

@@ -208,7 +208,7 @@ def test_an_obstacle_ahead_is_passed_with_the_obstacle_on_the_right() -> None:
 def test_what_approaches_is_given_its_way_during_the_reaction_and_its_speed() -> None:
     law, v_o = build_law(), 0.1
     step = law.step(_started(law), _input(law, (*AHEAD[:3], -v_o, 0.0, 1.0)), _parameters())
-    a, t = 0.7 * 5 / 95, 0.6
+    a, t = 0.7 * 5 / 95, load_gains("default")["reaction"]
     room = 0.46 - 0.05 - t * v_o
     bound = -a * t + np.sqrt((a * t) ** 2 + 2 * a * room) - v_o
     assert step.telemetry[0] == pytest.approx(bound, abs=1e-6)
@@ -225,7 +225,7 @@ def test_walls_hold_the_robot_back() -> None:
     law = build_law()
     p = _parameters(walls=(-100, 1.4, -100, 100))  # 0.13 m ahead of the hull
     wanted = law.step(_started(law), _input(law), p).telemetry[:4]
-    a, t = 0.7 * 5 / 95, 0.6
+    a, t = 0.7 * 5 / 95, load_gains("default")["reaction"]
     allowed = -a * t + np.sqrt((a * t) ** 2 + 2 * a * (0.13 - 0.05))
     assert wanted[0] == pytest.approx(allowed, abs=1e-9)
 
