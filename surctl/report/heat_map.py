@@ -16,7 +16,7 @@ __all__ = ["COLUMN_TITLES", "plot_heat_map"]
 
 COLUMN_TITLES = {
     "score": "score (low is good)",
-    "deviation_m": "deviation from the path, avoidance included (low is good)",
+    "deviation_m": "deviation from the path (low is good)",
     "path_error_m": "path error outside avoidance (low is good)",
     "time_s": "time to the target (low is good)",
     "min_clearance_m": "least clearance (high is good)",

@@ -270,7 +270,7 @@ def _metrics(scenario: Scenario, law: Law, record: Record, reason: str, least: f
     steps = np.linalg.norm(np.diff(record.eta[:, :2], axis=0), axis=1)
     return Metrics(
         reached=reason == "reached",
-        time_s=float(record.time[-1]),
+        time_s=round(float(record.time[-1]), 9),
         min_clearance_m=float(least),
         path_error_m=path_error(away, record.eta[:, 2] - scenario.depth, excluded),
         deviation_m=float(np.sqrt(np.mean(away**2))),
