@@ -68,8 +68,8 @@ def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
     except ValidationError as error:
         # of a union "quantity or text" only the quantity is of use to the reader
         problems = [p for p in error.errors(include_url=False) if p["loc"][-1] != "str"]
-        # an unknown key is the likely cause of the missing one beside it: tell it first
-        first = min(problems, key=lambda p: 0 if p["type"] == "extra_forbidden" else 1)
+        # another kind of file explains everything else; an unknown key the missing one beside it
+        first = min(problems, key=lambda p: (p["loc"] != ("kind",), p["type"] != "extra_forbidden"))
         # a union's member types stand in the path like keys
         key = ".".join(str(part) for part in first["loc"] if part not in ("Quantity", "str"))
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
