@@ -6,7 +6,7 @@ word that it found the optimum is not enough.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal, TypeAlias
@@ -15,16 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.priority.kernels import Answer, daqp_kernel, osqp_kernel
+from surctl.priority.kernels import Answer, Kernel, daqp_kernel, osqp_kernel, qpsolvers_kernels
 from surctl.priority.rowspace import row_space
 
 __all__ = ["BACKENDS", "LeastDistance", "Status", "check_backend", "solve_least_distance"]
 
 Array: TypeAlias = NDArray[np.float64]
-Kernel: TypeAlias = Callable[[Array, Array, Array], Answer]
 Status: TypeAlias = Literal["optimal", "infeasible", "failed"]
 
-BACKENDS: Mapping[str, Kernel] = MappingProxyType({"daqp": daqp_kernel, "osqp": osqp_kernel})
+BACKENDS: Mapping[str, Kernel] = MappingProxyType({"daqp": daqp_kernel, "osqp": osqp_kernel, **qpsolvers_kernels()})
 """Solvers of min ½‖y‖² subject to lower ≤ G y ≤ upper, rows of length 1."""
 
 FEASIBLE = 1e-9

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, TypeAlias
 
 import daqp
 import numpy as np
 import osqp
+import qpsolvers
 from numpy.typing import NDArray
 from scipy import sparse
 
-__all__ = ["Answer", "daqp_kernel", "osqp_kernel"]
+__all__ = ["Answer", "Kernel", "daqp_kernel", "osqp_kernel", "qpsolvers_kernels"]
 
 Array: TypeAlias = NDArray[np.float64]
 
 _NO_BOUND = 1e30
 _DAQP_INFEASIBLE = -1
+_TIGHT = {"clarabel": {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12}}
 
 
 @dataclass(frozen=True)
@@ -27,6 +32,9 @@ class Answer:
     multipliers: Array
     iterations: int
     status: Literal["optimal", "infeasible", "failed"]
+
+
+Kernel: TypeAlias = Callable[[Array, Array, Array], Answer]
 
 
 def daqp_kernel(G: Array, lower: Array, upper: Array) -> Answer:
@@ -78,3 +86,28 @@ def osqp_kernel(G: Array, lower: Array, upper: Array) -> Answer:
         return Answer(np.array(result.x, dtype=float), np.array(result.y, dtype=float), iterations, "optimal")
     infeasible = status == osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE
     return Answer(None, np.zeros(m), iterations, "infeasible" if infeasible else "failed")
+
+
+def qpsolvers_kernels() -> dict[str, Kernel]:
+    """One kernel for every other solver that qpsolvers (Caron et al.) finds installed, for cross-checks."""
+    others = sorted(set(qpsolvers.available_solvers) - {"daqp", "osqp"})
+    return {name: partial(_qpsolvers_kernel, solver=name) for name in others}
+
+
+def _qpsolvers_kernel(G: Array, lower: Array, upper: Array, *, solver: str) -> Answer:
+    m, d = G.shape
+    below, above = np.flatnonzero(lower > -_NO_BOUND), np.flatnonzero(upper < _NO_BOUND)
+    # qpsolvers knows one-sided rows only, and an infinite bound spoils its own check
+    rows, bounds = np.vstack([G[above], -G[below]]), np.concatenate([upper[above], -lower[below]])
+    form = sparse.csc_matrix if solver in qpsolvers.sparse_solvers else np.asarray
+    problem = qpsolvers.Problem(form(np.eye(d)), np.zeros(d), G=form(rows), h=bounds)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # "terminated with status ..." is what the answer says already
+        solution = qpsolvers.solve_problem(problem, solver=solver, **_TIGHT.get(solver, {}))
+    if not solution.found or solution.x is None or solution.z is None:
+        # a solver that finds nothing seldom says why: not taken as a proof of infeasibility
+        return Answer(None, np.zeros(m), 0, "failed")
+    multipliers = np.zeros(m)
+    multipliers[above] += solution.z[: len(above)]
+    multipliers[below] -= solution.z[len(above) :]
+    return Answer(np.asarray(solution.x, dtype=float), multipliers, 0, "optimal")
