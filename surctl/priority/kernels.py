@@ -21,7 +21,6 @@ Array: TypeAlias = NDArray[np.float64]
 
 _NO_BOUND = 1e30
 _DAQP_INFEASIBLE = -1
-_TIGHT = {"clarabel": {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12}}
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,7 @@ def _qpsolvers_kernel(G: Array, lower: Array, upper: Array, *, solver: str) -> A
     problem = qpsolvers.Problem(form(np.eye(d)), np.zeros(d), G=form(rows), h=bounds)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # "terminated with status ..." is what the answer says already
-        solution = qpsolvers.solve_problem(problem, solver=solver, **_TIGHT.get(solver, {}))
+        solution = qpsolvers.solve_problem(problem, solver=solver)
     if not solution.found or solution.x is None or solution.z is None:
         # a solver that finds nothing seldom says why: not taken as a proof of infeasibility
         return Answer(None, np.zeros(m), 0, "failed")
