@@ -1,0 +1,379 @@
+import marimo
+
+__generated_with = "0.25.2"
+app = marimo.App(width="medium", app_title="From a vehicle file to C code")
+
+
+@app.cell
+def _():
+    import marimo as mo
+
+    return (mo,)
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    # From a vehicle file to C code
+
+    The whole chain on one robot, in about 20 s: read a vehicle, linearise it, stack tasks, watch a limit bind,
+    refute a claim of the paper, fly a mission, sweep two gains, and export the controller that flew as C.
+
+    Frames: world {E} has x along the tank, y to the left, z **up**; body {B} has x forward, y left, z up; ψ is
+    counter-clockwise. Pose η = (x, y, z, ψ), velocity ν = (u, v, w, r) in {B}, thrust τ. SI units and radians.
+    """)
+    return
+
+
+@app.cell
+def _():
+    import tempfile
+    from pathlib import Path
+
+    import casadi as ca
+    import matplotlib.pyplot as plt
+    import numpy as np
+
+    return Path, ca, np, plt, tempfile
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    ## 1. A vehicle says where its numbers come from
+
+    The paper prints a mass in air and a diameter, nothing else. So every other number of its robot is derived or
+    chosen, and the file says which: a table without `provenance` is refused. A range is what the number may
+    plausibly be.
+    """)
+    return
+
+
+@app.cell
+def _(mo):
+    from surctl.vehicle import linearise, load_vehicle, steady_speed
+
+    vehicle = load_vehicle("sur540-flooded")
+    _lines = ["| | value | unit | range | provenance |", "|---|---|---|---|---|"]
+    for _name in ("radius", "m11", "m44", "Xuu", "Fu_max"):
+        _p = vehicle.parameters[_name]
+        _range = "–" if _p.range is None else f"{_p.range[0]:g} … {_p.range[1]:g}"
+        _lines.append(f"| {_name} | {_p.value:g} | {_p.unit} | {_range} | {_p.provenance} |")
+    mo.md("\n".join(_lines))
+    return linearise, load_vehicle, steady_speed, vehicle
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    Drag $X_u u + X_{uu} u^2$ against 5 N of thrust gives the top speed, and 95 kg against 5 N gives the stopping
+    distance. The second number is the one to remember: this robot is heavy, and a law that forgets it collides.
+    """)
+    return
+
+
+@app.cell
+def _(np, steady_speed, vehicle):
+    top_speed = steady_speed(vehicle["Fu_max"], vehicle["Xu"], vehicle["Xuu"])
+    u = np.linspace(0.0, 0.22, 221)
+    braking = vehicle["Fu_max"] + vehicle["Xu"] * u + vehicle["Xuu"] * u**2
+    stopping = np.trapezoid(vehicle["m11"] * u / braking, u)
+    print(f"steady speed at full thrust: {top_speed:.3f} m/s")
+    print(f"stopping distance from 0.22 m/s, full thrust and drag, no lag: {stopping:.2f} m")
+    return
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    `linearise` gives a python-control `StateSpace` about trimmed motion, with signals by name. Take one channel out
+    and read its poles: the drag at 0.15 m/s, and the thrust lag of 0.3 s.
+    """)
+    return
+
+
+@app.cell
+def _(linearise, np, vehicle):
+    plant = linearise(vehicle, np.array([0.15, 0.0, 0.0, 0.0]))
+    surge = plant["u", "Fu_cmd"]
+    print("inputs:", ", ".join(plant.input_labels))
+    print("states:", ", ".join(plant.state_labels))
+    rates = np.linalg.eigvals(plant.A[np.ix_([4, 8], [4, 8])])
+    print("surge poles [1/s]:", np.round(np.sort(rates.real), 4))
+    print(f"surge speed per newton at 0.1 rad/s: {abs(surge(0.1j)):.3f} m/s")
+    return
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    ## 2. Three tasks, one velocity
+
+    A task is any CasADi expression σ(η) with a target and a gain; its Jacobian is found by differentiation.
+    Priority is the order. Here: keep 0.8 m away from a buoy; go to a waypoint; look at the buoy. The first is
+    written by hand, to show that nothing more is needed.
+    """)
+    return
+
+
+@app.cell
+def _(ca):
+    from surctl.tasks import Stack, Task, VelocityBox, line_of_sight_task, position_task
+
+    eta = ca.SX.sym("eta", 4)
+    buoy = [1.0, 0.3]
+    keep_off = Task(name="keep_off", eta=eta, sigma=ca.norm_2(eta[:2] - ca.DM(buoy)), target=0.8, gain=0.5)
+    go = position_task(eta, [2.0, 0.0], gain=0.2, name="go")
+    look = line_of_sight_task(eta, buoy, gain=0.6, name="look")
+    stack = Stack((keep_off, go, look))
+    return VelocityBox, eta, stack
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    At one pose the stack becomes numbers: levels $J_i\,\nu = \dot\sigma_{i,d} + K_i\tilde\sigma_i$, and rows that
+    limit ν. The problem is plain data; print it before you solve it.
+    """)
+    return
+
+
+@app.cell
+def _():
+    from surctl.priority import Level, Row, build_problem, solve
+
+    return Level, Row, build_problem, solve
+
+
+@app.cell
+def _(Level, ca, eta, np):
+    def level_at(task, pose):
+        """One task at one pose, as numbers."""
+        values = ca.Function("level", [eta], [task.jacobian(), task.reference()])(pose)
+        return Level(task.name, *(np.array(value) for value in values))
+
+    return (level_at,)
+
+
+@app.cell
+def _(Row, VelocityBox, build_problem, ca, level_at, np, stack):
+    box = VelocityBox([-0.1, -0.1, -0.1, -0.3], [0.1, 0.1, 0.1, 0.3])
+    rows = [Row(r.name, r.kind, np.array(ca.DM(r.a)), float(r.lower), float(r.upper)) for r in box.rows()]
+    pose = [0.4, 0.0, -0.15, 0.0]
+    problem = build_problem([level_at(task, pose) for task in stack.tasks], rows)
+    print(problem)
+    return (problem,)
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    The paper's law (16), null-space-based behaviours (`nsb`), knows no limits. `projected` is the same sweep of
+    projections with its last one kept inside the rows by a QP: equal to (16) where nothing binds, and where
+    something does, it says **what gave up how much, because of which row**. The first task comes through whole; the
+    lower ones pay.
+    """)
+    return
+
+
+@app.cell
+def _(np, problem, solve):
+    for _mode in ("nsb", "projected"):
+        _found = solve(problem, mode=_mode)
+        print(f"{_mode:<10} nu = {np.round(_found.v, 4)}")
+        print(f"{'':<10} residuals: { ({k: round(r, 4) for k, r in _found.residuals.items()}) }")
+        print(f"{'':<10} {_found.explain()}\n")
+    return
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    ## 3. A claim of the paper, refuted
+
+    The paper closes its tracking law with $V_1 = \tfrac12(x_e^2 + y_e^2 + z_e^2)$ and says $\dot V_1 \le 0$
+    everywhere. A claim is an inequality over a box; the falsifier samples the box, then climbs with exact
+    gradients. It can refute. When it finds nothing it says `not refuted`, which is no proof.
+    """)
+    return
+
+
+@app.cell
+def _():
+    from surctl.verification import claims, falsify, replay
+
+    for _claim in claims(names=["v1-printed", "v1-corrected"]):
+        _verdict = falsify(_claim, samples=1024)
+        print(f"{_claim.name}: {_verdict.verdict}\n  says: {_claim.statement}")
+        if _verdict.counterexample is None:
+            print(f"  {_verdict.remaining}")
+        else:
+            refuted, counterexample = _claim, _verdict.counterexample
+            print(f"  fails at {counterexample.values}: margin {counterexample.margin:.3g} {_claim.unit}")
+    return counterexample, refuted, replay
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    Do not take the falsifier's word: fly its counterexample on the kinematic loop. The surge $(U_d - k_1
+    x_e)\sqrt{y_e^2 + \Delta^2}/\Delta$ is negative there, the robot swims backwards, and $V_1$ grows.
+    """)
+    return
+
+
+@app.cell
+def _(counterexample, plt, refuted, replay):
+    flown = replay(refuted, counterexample)
+    print(f"confirmed: {flown.confirmed}; {flown.name} {flown.watched[0]:.3g} -> {flown.watched[-1]:.3g} {flown.unit}")
+    _, _ax = plt.subplots(figsize=(6.0, 2.6), layout="constrained")
+    _ax.plot(flown.time, flown.watched)
+    _ax.set_xlabel("time [s]")
+    _ax.set_ylabel(f"{flown.name} [{flown.unit}]")
+    _ax.grid(visible=True, alpha=0.4)
+    _ax
+    return
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    ## 4. Fly
+
+    `pool-static` is the paper's pool with four drifting cylinders, flown by the 0.40 m hull that fits it. The law
+    is told the true positions here (`sensing="truth"`); through the four sonars it is harder, and `surctl simulate
+    --sensing sonar` shows it. One seed fixes drift and waves.
+    """)
+    return
+
+
+@app.cell
+def _(load_vehicle):
+    from surctl.control import build_law, load_gains
+    from surctl.simulation import load_scenario, simulate
+
+    scenario = load_scenario("pool-static")
+    robot = load_vehicle(scenario.vehicle)
+    law = build_law()
+    gains = load_gains("default")
+    run = simulate(scenario, robot, gains=gains, law=law, sensing="truth", seed=0)
+    print(f"{run.metrics.stopped_because} at {run.metrics.time_s:.2f} s (paper: about {scenario.paper.time_s:g} s)")
+    return gains, law, robot, run, scenario, simulate
+
+
+@app.cell
+def _(plt, run):
+    from surctl.report import plot_run
+
+    plot_run(run, ax=plt.subplots(figsize=(8.0, 6.6), layout="constrained")[1])
+    return
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    Read a metric before you trust it. The least clearance is taken over the whole run, and this run *starts* with
+    its hull 0.05 m from two walls: no gain can make that figure larger. The path error leaves out avoidance, from
+    the command until the robot is back within 0.10 m of its path, and in this run it is hardly ever back.
+    """)
+    return
+
+
+@app.cell
+def _(run, scenario):
+    from surctl.simulation.metrics import settled_avoidance
+
+    away = scenario.path.distance(run.record.eta[:, :2])
+    left_out = settled_avoidance(run.telemetry("avoiding")[:, 0], away)
+    print(f"clearance: {run.record.clearance[0]:.3f} m at the start, {run.metrics.min_clearance_m:.3f} m at the least")
+    print(f"path error: {run.metrics.path_error_m:.3f} m, taken over {100 * (1 - left_out.mean()):.1f} % of the ticks")
+    print(f"largest distance to the path, avoidance included: {away.max():.2f} m")
+    return
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    ## 5. Sweep two gains
+
+    Four points are enough to see how it works: each is flown, its loop margins are computed, and the feasible point
+    (arrives, touches nothing, delay margin of at least 0.2 s) with the least score is picked. `lookahead` is how
+    far ahead on the path the robot aims; `k_v` is the bandwidth of its velocity loops. The study
+    `analysis/02_gain_sweep` flies 30 points in four scenarios, and shows how much of such a pick hangs on one
+    scenario.
+    """)
+    return
+
+
+@app.cell
+def _(gains, robot, scenario):
+    from surctl.tuning import Axis, Flight, sweep
+
+    _axes = (Axis("lookahead", (0.6, 1.2)), Axis("k_v", (1.0, 2.0)))
+    swept = sweep(gains, _axes, flights=[Flight(scenario, robot)], workers=1)
+    print("lookahead  k_v  path error  clearance  delay margin  score")
+    for _i, _lookahead in enumerate(swept.axes[0].values):
+        for _j, _k_v in enumerate(swept.axes[1].values):
+            _names = ("path_error_m", "min_clearance_m", "delay_margin_s", "score")
+            _row = "  ".join(f"{swept.column(n)[_i, _j]:10.4f}" for n in _names)
+            print(f"{_lookahead:9g}  {_k_v:3g}  {_row}{'   <- picked' if (_i, _j) == swept.picked else ''}")
+    print(swept.gains.provenance)
+    return (swept,)
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    ## 6. Export the law that flew, and check it
+
+    The controller is one symbolic object. What was simulated is lowered to an instruction list and printed as C99:
+    no heap, nothing but standard headers, a guard that turns any NaN into zero thrust and a negative status, and a
+    self-test.
+    """)
+    return
+
+
+@app.cell
+def _(Path, law, robot, scenario, simulate, swept, tempfile):
+    from surctl.export import Records, build_bundle, software_in_the_loop, write_bundle
+
+    final = simulate(scenario, robot, gains=swept.gains, law=law, sensing="truth", seed=0)
+    bundle = build_bundle(law, law.gains.unpack(final.record.law_parameters))
+    with tempfile.TemporaryDirectory() as _folder:
+        for _file in write_bundle(bundle, Path(_folder, bundle.name)):
+            print(f"{_file.sha256[:12]}  {_file.path.stat().st_size:>7} bytes  {_file.path.name}")
+    return Records, final, software_in_the_loop
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    Software in the loop: compile the C, load the first state, and let it step **on its own state** through the
+    whole recorded flight, against Python. Then put a NaN into every input, one after another. This cell needs a C
+    compiler.
+    """)
+    return
+
+
+@app.cell
+def _(Records, final, law, software_in_the_loop):
+    record = final.record
+    report = software_in_the_loop(law, Records(record.law_state, record.law_input, record.law_parameters))
+    print(report.summary())
+    return
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    ## Where to go from here
+
+    - your own robot: `surctl list --show sur540-flooded > my-vehicle.toml`, edit, `surctl study my-vehicle.toml`
+    - your own mission: a scenario file; `surctl lint my-scenario.toml` says what cannot work before you fly it
+    - the claims in full: `analysis/01_two_claims`; the sweep in full: `analysis/02_gain_sweep`
+    """)
+    return
+
+
+if __name__ == "__main__":
+    app.run()
