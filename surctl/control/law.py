@@ -71,6 +71,7 @@ class Law:
 
     Attributes:
         name: C identifier.
+        avoidance: form of (20).
         mode: priority mode; `nsb` runs `function`, `projected` runs `pre`, a QP and `post`.
         dt: control period [s].
         state, inputs, gains, outputs: layouts of the flat vectors.
@@ -82,6 +83,7 @@ class Law:
     """
 
     name: str
+    avoidance: AvoidanceForm
     mode: Mode
     dt: float
     state: Layout
@@ -213,6 +215,7 @@ def build_law(
     rows = [row for limit in decision.rows for row in limit.rows()]
     return Law(
         name=f"surctl_{law}",
+        avoidance=avoidance,
         mode=mode,
         dt=dt,
         state=state,

@@ -49,10 +49,11 @@ def simulate_command(run: Run, gains: str | None) -> str | None:
     """The command that flies the run again and draws it; None when no command line says it all."""
     vehicle = _vehicle_argument(run.vehicle)
     law = run.law.name.removeprefix("surctl_")
-    if gains is None or vehicle is None or law != "guarded":  # other laws come in forms that a run does not name
+    if gains is None or vehicle is None:
         return None
     words = ["surctl", "simulate", _short(run.scenario.source, SCENARIO_LIBRARY) or run.scenario.name]
-    words += ["--vehicle", vehicle, "--gains", gains, "--law", law, "--priority-mode", run.law.mode]
+    words += ["--vehicle", vehicle, "--gains", gains, "--law", law, "--avoidance", run.law.avoidance]
+    words += ["--priority-mode", run.law.mode]
     words += ["--sensing", run.sensing, "--seed", str(run.seed), "--out", "plots"]
     return shlex.join(words)
 

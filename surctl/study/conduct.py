@@ -107,6 +107,7 @@ def run_to_dict(run: Run) -> dict[str, Any]:
         "scenario": run.scenario.name,
         "vehicle": run.vehicle.name,
         "law": run.law.name.removeprefix("surctl_"),
+        "avoidance": run.law.avoidance,
         "sensing": run.sensing,
         "priority_mode": run.law.mode,
         "seed": run.seed,
