@@ -144,8 +144,8 @@ def test_a_run_says_whether_it_decides_and_how_to_fly_it_again(page: str) -> Non
     row = f"truth 0 yes reached yes {m.time_s:.4g} – {m.min_clearance_m:.3g}"
     assert heads in text and row in text and "sonar 0 yes reached no" in text
     assert "(does not decide)" in text
-    command = "surctl simulate pool-behind --vehicle sur400 --gains default --law guarded --avoidance corrected --priority-mode nsb "
-    assert command + "--sensing sonar --seed 0 --out plots" in text
+    command = "surctl simulate pool-behind --vehicle sur400 --gains default --law guarded --avoidance corrected "
+    assert command + "--priority-mode nsb --sensing sonar --seed 0 --out plots" in text
     assert report().decides == (True, False)
     assert replace(report(), deciding=(False, True)).decides == (False, True)
     with pytest.raises(InputError, match="deciding"):
