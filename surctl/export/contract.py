@@ -18,8 +18,8 @@ Vector = NDArray[np.float64]
 STATUS: tuple[tuple[str, int, str], ...] = (
     ("OK", 0, "thrust is valid"),
     ("SATURATED", 1, "bit: a thrust limit was reached"),
-    ("SWITCHED", 2, "bit: the stack of tasks changed in this step"),
-    ("DEGRADED", 4, "bit: a lower level of the stack was given up"),
+    ("SWITCHED", 2, "bit: the passing side changed in this step"),
+    ("DEGRADED", 4, "bit: no course kept every bound, the least violation was taken"),
     ("NULL", -1, "a pointer was NULL; thrust is zero, state is unchanged"),
     ("NONFINITE", -2, "a number was not finite; thrust is zero, state is unchanged"),
 )
