@@ -1,27 +1,45 @@
-"""The instruction list of a symbolic function and its back ends."""
+"""The instruction list of a symbolic function, bounded loops over it, and their back ends."""
 
 from surctl.ir.c99 import c_literal, emit_c99, identifier
+from surctl.ir.c99_routine import emit_block
+from surctl.ir.cache import cache_folder, shared_library
 from surctl.ir.compiler import compile_program, compiler_version, find_compiler
 from surctl.ir.lowering import lower
+from surctl.ir.native import Native, Workspace, compile_block
 from surctl.ir.ops import LIBM, OPERATIONS, Operation
 from surctl.ir.ports import Layout, Port
 from surctl.ir.program import Instruction, Program
 from surctl.ir.replay import replay
+from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step
+from surctl.ir.symbolic import to_casadi
 
 __all__ = [
     "LIBM",
     "OPERATIONS",
+    "Block",
+    "Call",
+    "Gather",
     "Instruction",
     "Layout",
+    "Loop",
+    "Native",
     "Operation",
     "Port",
     "Program",
+    "Routine",
+    "Step",
+    "Workspace",
     "c_literal",
+    "cache_folder",
+    "compile_block",
     "compile_program",
     "compiler_version",
+    "emit_block",
     "emit_c99",
     "find_compiler",
     "identifier",
     "lower",
     "replay",
+    "shared_library",
+    "to_casadi",
 ]

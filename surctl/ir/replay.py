@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError
 from surctl.ir.ops import OPERATIONS
 from surctl.ir.program import Instruction, Program
+from surctl.ir.routine import Block, Gather, Loop, Routine
 
 __all__ = ["replay"]
 
@@ -17,13 +18,13 @@ Real = type[np.float64] | type[np.float32]
 Value = NDArray[np.floating[Any]]
 
 
-def replay(program: Program, *inputs: ArrayLike, real: Real = np.float64) -> list[Value]:
+def replay(program: Block, *inputs: ArrayLike, real: Real = np.float64) -> list[Value]:
     """Outputs of the program, every intermediate rounded to `real`.
 
     Bit-equal to the emitted C for programs without `libm` operations; those differ in the last bits.
 
     Args:
-        program: the instruction list.
+        program: the instruction list, or a routine with loops.
         inputs: one array an input, shape (n,), or (batch, n) for many runs at once.
         real: np.float64 or np.float32.
 
@@ -35,14 +36,75 @@ def replay(program: Program, *inputs: ArrayLike, real: Real = np.float64) -> lis
     """
     arrays = _checked(program, inputs, real)
     batch = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
-    values: list[Value] = []
     with np.errstate(all="ignore"):  # C raises nothing for 1/0 either
-        for instruction in program.instructions:
-            values.append(np.asarray(_evaluate(instruction, values, arrays), dtype=real))
-    return [_gather([values[r] for r in refs], batch, real) for refs in program.output_refs]
+        outputs = _run(program, arrays, real)
+    return [np.array(np.broadcast_to(y, (*batch, y.shape[-1]))) for y in outputs]
 
 
-def _checked(program: Program, inputs: tuple[ArrayLike, ...], real: Real) -> list[Value]:
+def _run(block: Block, arrays: list[Value], real: Real) -> list[Value]:
+    return _run_program(block, arrays, real) if isinstance(block, Program) else _run_routine(block, arrays, real)
+
+
+def _run_program(program: Program, arrays: list[Value], real: Real) -> list[Value]:
+    batch = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
+    values: list[Value] = []
+    for instruction in program.instructions:
+        values.append(np.asarray(_evaluate(instruction, values, arrays), dtype=real))
+    return [_stack([values[r] for r in refs], batch, real) for refs in program.output_refs]
+
+
+def _run_routine(routine: Routine, arrays: list[Value], real: Real) -> list[Value]:
+    scope = {name: array for (name, _), array in zip(routine.inputs, arrays, strict=True)}
+    for step in routine.steps:
+        if isinstance(step, Gather):
+            scope[step.result] = _piece(scope[step.source], scope[step.index], step.width)
+            continue
+        if isinstance(step, Loop):
+            made = _run_loop(step, scope, real)
+        else:
+            made = _run(step.block, [scope[name] for name in step.args], real)
+        scope.update(zip(step.results, made, strict=True))
+    return [scope[name] for name in routine.results]
+
+
+def _run_loop(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
+    state = [scope[name] for name in loop.carried]
+    pieces = [np.split(scope[name], loop.count, axis=-1) for name in loop.sliced]
+    fixed = [scope[name] for name in loop.fixed]
+    stacked: list[list[Value]] = []
+    for turn in range(loop.count):
+        running = None if loop.until is None else state[loop.until] == 0
+        if running is not None and not running.any():
+            break
+        index = [np.full(1, turn, dtype=real)] if loop.index else []
+        made = _run(loop.block, [*index, *state, *(piece[turn] for piece in pieces), *fixed], real)
+        fresh = made[: len(state)]
+        # in a batch, the runs that ended stay as they are
+        state = fresh if running is None else [np.where(running, a, b) for a, b in zip(fresh, state, strict=True)]
+        stacked.append(made[len(state) :])
+    return [*state, *(np.concatenate(parts, axis=-1) for parts in _broadcast(stacked))]
+
+
+def _broadcast(stacked: list[list[Value]]) -> list[list[Value]]:
+    """Pieces of each stacked array, with one batch shape."""
+    groups = []
+    for parts in zip(*stacked, strict=True):
+        batch = np.broadcast_shapes(*(p.shape[:-1] for p in parts))
+        groups.append([np.broadcast_to(p, (*batch, p.shape[-1])) for p in parts])
+    return groups
+
+
+def _piece(source: Value, index: Value, width: int) -> Value:
+    count = source.shape[-1] // width
+    inside = np.where(index >= 1, np.where(index < count - 1, index, count - 1), 0).astype(np.intp)
+    batch = np.broadcast_shapes(source.shape[:-1], index.shape[:-1])
+    cut = np.broadcast_to(source, (*batch, count * width)).reshape(*batch, count, width)
+    at = np.broadcast_to(inside, (*batch, 1))[..., None]
+    piece: Value = np.take_along_axis(cut, np.broadcast_to(at, (*batch, 1, width)), axis=-2)[..., 0, :]
+    return piece
+
+
+def _checked(program: Block, inputs: tuple[ArrayLike, ...], real: Real) -> list[Value]:
     if len(inputs) != len(program.inputs):
         raise InputError(f"takes {len(program.inputs)} inputs, got {len(inputs)}", key=program.name)
     arrays: list[Value] = [np.asarray(x, dtype=real) for x in inputs]
@@ -61,7 +123,7 @@ def _evaluate(instruction: Instruction, values: list[Value], arrays: list[Value]
     return OPERATIONS[instruction.op].numpy(*(values[a] for a in instruction.args))
 
 
-def _gather(entries: list[Value], batch: tuple[int, ...], real: Real) -> Value:
+def _stack(entries: list[Value], batch: tuple[int, ...], real: Real) -> Value:
     out: Value = np.empty((*batch, len(entries)), dtype=real)
     for k, entry in enumerate(entries):
         out[..., k] = entry

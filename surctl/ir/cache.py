@@ -1,0 +1,125 @@
+"""Shared libraries by content: the same sources, flags and compiler are compiled once.
+
+An entry is trusted only if it lies in a folder of this user that nobody else may write to, and still has the
+digest that was noted when it was made. Anything else is built again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import stat
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from surctl.errors import SurctlError
+from surctl.ir.compiler import FLAGS, compile_program, compiler_version, find_compiler
+
+__all__ = ["cache_folder", "shared_library"]
+
+_SHARED = ("-shared", "-fPIC")
+
+
+def cache_folder() -> Path:
+    """$SURCTL_CACHE, else $XDG_CACHE_HOME/surctl, else ~/.cache/surctl (XDG Base Directory Specification)."""
+    own = os.environ.get("SURCTL_CACHE")
+    if own:
+        return Path(own)
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    return (Path(base) if Path(base).is_absolute() else Path.home() / ".cache") / "surctl"
+
+
+def shared_library(source: str, *, flags: Sequence[str] = (), folder: Path | None = None) -> bytes:
+    """The shared library compiled from one C source.
+
+    Args:
+        source: the C text.
+        flags: more flags for the compiler, after `FLAGS`.
+        folder: of the cache; `cache_folder()` if None. Where nothing can be written, the cache is left alone.
+
+    Returns:
+        The library's bytes: what was checked is what is loaded.
+
+    Raises:
+        ToolMissing, InputError, SurctlError: as `compile_program`.
+    """
+    key = _key(source, flags)
+    place = cache_folder() if folder is None else folder
+    kept = _read(place, key)
+    if kept is not None:
+        return kept
+    built = _build(source, flags)
+    _write(place, key, built)
+    return built
+
+
+def _key(source: str, flags: Sequence[str]) -> str:
+    parts = [source, *FLAGS, *_SHARED, *flags, find_compiler(), compiler_version(), platform.platform()]
+    if any("native" in flag for flag in flags):
+        parts.append(_processor())
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+
+
+def _processor() -> str:
+    """What -march=native depends on."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    return "\n".join(sorted({line for line in lines if line.startswith(("flags", "model name", "Features"))}))
+
+
+def _read(place: Path, key: str) -> bytes | None:
+    """The entry if it can be trusted."""
+    try:
+        if not (_is_ours(place) and _is_ours(place / f"{key}.so")):
+            return None
+        body = (place / f"{key}.so").read_bytes()
+        noted = (place / f"{key}.sha256").read_text().strip()
+    except (OSError, ValueError):
+        return None
+    return body if hashlib.sha256(body).hexdigest() == noted else None
+
+
+def _is_ours(path: Path) -> bool:
+    """Owned by this user, no link, and writable by nobody else."""
+    found = path.lstat()
+    if stat.S_ISLNK(found.st_mode) or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        return False
+    return not hasattr(os, "getuid") or found.st_uid == os.getuid()
+
+
+def _write(place: Path, key: str, body: bytes) -> None:
+    """Keep the entry; a folder that cannot be written to, or is not ours, is left alone."""
+    try:
+        place.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not _is_ours(place):
+            return
+        _replace(place / f"{key}.so", body)
+        _replace(place / f"{key}.sha256", hashlib.sha256(body).hexdigest().encode())
+    except OSError:
+        return
+
+
+def _replace(path: Path, body: bytes) -> None:
+    handle, name = tempfile.mkstemp(dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(body)
+        Path(name).replace(path)
+    except OSError:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def _build(source: str, flags: Sequence[str]) -> bytes:
+    try:
+        with tempfile.TemporaryDirectory(prefix="surctl-") as folder:
+            text = Path(folder) / "block.c"
+            text.write_text(source)
+            library = compile_program([text], Path(folder) / "block.so", flags=[*_SHARED, *flags])
+            return library.read_bytes()
+    except OSError as error:
+        raise SurctlError(f"cannot compile in the temporary folder: {error.strerror}") from None

@@ -1,0 +1,140 @@
+"""Compiled blocks, called from Python with as little in between as possible."""
+
+from __future__ import annotations
+
+import ctypes
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError
+from surctl.ir.c99_routine import emit_block
+from surctl.ir.cache import shared_library
+from surctl.ir.routine import Block
+
+__all__ = ["Native", "Workspace", "compile_block"]
+
+Array = NDArray[np.float64]
+
+_SYMBOL = "surctl_block"
+
+
+class Workspace:
+    """Buffers of one caller, and the compiled block bound to them: write `inputs`, call `run`, read `outputs`.
+
+    Not to be shared between threads; a `Native` gives any number of them.
+
+    Attributes:
+        inputs, outputs: views of one buffer, one a name, in the block's order.
+        run: the compiled function; takes nothing, gives None.
+    """
+
+    def __init__(self, native: Native) -> None:
+        sizes = [size for _, size in (*native.block.inputs, *native.block.outputs)]
+        self._memory = np.zeros(max(1, sum(sizes)))
+        ends = np.cumsum([0, *sizes])
+        views = [self._memory[a:b] for a, b in zip(ends, ends[1:], strict=False)]
+        split = len(native.block.inputs)
+        self.inputs: tuple[Array, ...] = tuple(views[:split])
+        self.outputs: tuple[Array, ...] = tuple(views[split:])
+        self.run: Callable[[], None] = native.bound(self._memory)
+
+
+class Native:
+    """A block compiled by the system's C compiler; the same bytes as `replay` for programs without libm.
+
+    Attributes:
+        block: what was compiled.
+    """
+
+    def __init__(self, block: Block, library: bytes) -> None:
+        self.block = block
+        with tempfile.TemporaryDirectory(prefix="surctl-") as folder:
+            path = Path(folder) / "block.so"
+            path.write_bytes(library)
+            # once loaded, the file is no longer needed
+            self._library = ctypes.CDLL(str(path))
+        self._library.surctl_run.restype = None
+        self._library.surctl_run.argtypes = [ctypes.c_void_p]
+        self._library.surctl_run_many.restype = None
+        count = len(block.inputs) + len(block.outputs)
+        self._library.surctl_run_many.argtypes = [ctypes.c_long, *[ctypes.c_void_p] * count]
+
+    def workspace(self) -> Workspace:
+        """Fresh buffers, bound to the compiled function."""
+        return Workspace(self)
+
+    def bound(self, memory: Array) -> Callable[[], None]:
+        """The function on one flat buffer: inputs, then outputs, end to end. The caller keeps the buffer alive."""
+        if memory.dtype != np.float64 or not memory.flags.c_contiguous:
+            raise InputError("is not a contiguous float64 buffer", key=self.block.name)
+        function: Any = self._library.surctl_run
+        address = ctypes.c_void_p(memory.ctypes.data)
+
+        def run() -> None:
+            function(address)
+
+        return run
+
+    def __call__(self, *inputs: ArrayLike) -> list[Array]:
+        """As `replay`: (n,) or (batch, n) for each input gives (m,) or (batch, m) for each output."""
+        wanted = self.block.inputs
+        if len(inputs) != len(wanted):
+            raise InputError(f"takes {len(wanted)} inputs, got {len(inputs)}", key=self.block.name)
+        arrays = [np.asarray(x, dtype=np.float64) for x in inputs]
+        for array, (name, size) in zip(arrays, wanted, strict=True):
+            if array.ndim == 0 or array.shape[-1] != size:
+                raise InputError(f"has shape {array.shape}, expected (…, {size})", key=f"{self.block.name}.{name}")
+        batch = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
+        full = [np.ascontiguousarray(np.broadcast_to(a, (*batch, a.shape[-1]))) for a in arrays]
+        out = [np.empty((*batch, size)) for _, size in self.block.outputs]
+        count = int(np.prod(batch, dtype=np.int64))
+        self._library.surctl_run_many(count, *(a.ctypes.data for a in (*full, *out)))
+        return out
+
+
+def compile_block(block: Block, *, flags: Sequence[str] = (), folder: Path | None = None) -> Native:
+    """Compile a block, or take it from the cache.
+
+    Args:
+        block: program or routine.
+        flags: more flags for the compiler; none that changes results.
+        folder: of the cache (`surctl.ir.cache.cache_folder()` if None).
+
+    Raises:
+        ToolMissing: there is no compiler; `replay` runs the same block.
+        InputError: a flag that changes results.
+        SurctlError: the compiler refuses.
+    """
+    return Native(block, shared_library(_source(block), flags=flags, folder=folder))
+
+
+def _source(block: Block) -> str:
+    sizes = [size for _, size in (*block.inputs, *block.outputs)]
+    split = len(block.inputs)
+    ends = [sum(sizes[:k]) for k in range(len(sizes))]
+    one = ", ".join(f"memory + {end}" for end in ends)
+    kinds = ["const double *"] * split + ["double *"] * (len(sizes) - split)
+    head = ", ".join(["long count", *(f"{kind}x{k}" for k, kind in enumerate(kinds))])
+    many = ", ".join(f"x{k} + {size} * i" for k, size in enumerate(sizes))
+    return f"""#include <math.h>
+
+{emit_block(block, symbol=_SYMBOL)}
+void surctl_run(double *memory);
+void surctl_run(double *memory)
+{{
+    {_SYMBOL}({one});
+}}
+
+void surctl_run_many({head});
+void surctl_run_many({head})
+{{
+    for (long i = 0; i < count; ++i) {{
+        {_SYMBOL}({many});
+    }}
+}}
+"""

@@ -1,0 +1,114 @@
+"""Give a block back to CasADi: one function, for its derivatives and its virtual machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+import casadi as ca
+
+from surctl.ir.program import Program
+from surctl.ir.routine import Block, Call, Gather, Loop, Routine, nested
+
+__all__ = ["to_casadi"]
+
+_SYMBOLIC: Mapping[str, Callable[..., ca.SX]] = MappingProxyType(
+    {
+        "add": lambda a, b: a + b,
+        "sub": lambda a, b: a - b,
+        "mul": lambda a, b: a * b,
+        "div": lambda a, b: a / b,
+        "neg": lambda a: -a,
+        "inv": lambda a: 1 / a,
+        "sq": lambda a: a * a,
+        "twice": lambda a: a + a,
+        "sqrt": ca.sqrt,
+        "fabs": ca.fabs,
+        "floor": ca.floor,
+        # not ca.fmin: ties on signed zeros and NaN must fall as in the C text
+        "fmin": lambda a, b: ca.if_else(b < a, b, a),
+        "fmax": lambda a, b: ca.if_else(a < b, b, a),
+        "lt": lambda a, b: a < b,
+        "le": lambda a, b: a <= b,
+        "eq": ca.eq,
+        "ne": ca.ne,
+        "and": ca.logic_and,
+        "or": ca.logic_or,
+        "not": ca.logic_not,
+        "if_else_zero": lambda c, a: ca.if_else(c, a, 0),
+        "select": ca.if_else,
+        "sin": ca.sin,
+        "cos": ca.cos,
+        "atan2": ca.atan2,
+        "acos": ca.acos,
+    }
+)
+
+
+def to_casadi(block: Block) -> ca.Function:
+    """The block as a CasADi function of column vectors: SX for a program, MX with unrolled loops for a routine.
+
+    Same numbers as the replay, but for the sign of a zero (`if_else` of CasADi turns −0 into +0). Every loop runs
+    all its turns; one that has ended keeps its state, so derivatives are those of the turns that counted.
+    """
+    made: dict[int, ca.Function] = {}
+    for key, inner in nested(block).items():
+        made[key] = _program(inner) if isinstance(inner, Program) else _routine(inner, made)
+    return made[id(block)]
+
+
+def _program(program: Program) -> ca.Function:
+    inputs = [ca.SX.sym(name, size) for name, size in program.inputs]
+    values: list[ca.SX] = []
+    for instruction in program.instructions:
+        if instruction.op == "const":
+            values.append(ca.SX(float(instruction.value or 0.0)))
+        elif instruction.op == "input":
+            values.append(inputs[instruction.args[0]][instruction.args[1]])
+        else:
+            values.append(_SYMBOLIC[instruction.op](*(values[a] for a in instruction.args)))
+    outputs = [ca.densify(ca.vertcat(ca.SX(0, 1), *(values[r] for r in refs))) for refs in program.output_refs]
+    return ca.Function(program.name, inputs, outputs)
+
+
+def _routine(routine: Routine, made: Mapping[int, ca.Function]) -> ca.Function:
+    inputs = [ca.MX.sym(name, size) for name, size in routine.inputs]
+    scope = {name: symbol for (name, _), symbol in zip(routine.inputs, inputs, strict=True)}
+    for step in routine.steps:
+        if isinstance(step, Gather):
+            scope[step.result] = _piece(scope[step.source], scope[step.index], step.width)
+            continue
+        if isinstance(step, Call):
+            results = _called(made[id(step.block)], [scope[name] for name in step.args])
+        else:
+            results = _unrolled(step, made[id(step.block)], scope)
+        scope.update(zip(step.results, results, strict=True))
+    return ca.Function(routine.name, inputs, [scope[name] for name in routine.results])
+
+
+def _called(function: ca.Function, arguments: list[ca.MX]) -> list[ca.MX]:
+    results = function.call(arguments)
+    return list(results)
+
+
+def _unrolled(loop: Loop, function: ca.Function, scope: Mapping[str, ca.MX]) -> list[ca.MX]:
+    state = [scope[name] for name in loop.carried]
+    pieces = [ca.vertsplit(scope[name], scope[name].numel() // loop.count) for name in loop.sliced]
+    fixed = [scope[name] for name in loop.fixed]
+    stacked: list[list[ca.MX]] = []
+    for turn in range(loop.count):
+        index = [ca.MX(turn)] if loop.index else []
+        made = _called(function, [*index, *state, *(piece[turn] for piece in pieces), *fixed])
+        fresh = made[: len(state)]
+        stacked.append(made[len(state) :])
+        if loop.until is not None:
+            running = state[loop.until] == 0
+            fresh = [ca.if_else(running, a, b) for a, b in zip(fresh, state, strict=True)]
+        state = fresh
+    return [*state, *(ca.vertcat(*parts) for parts in zip(*stacked, strict=True))]
+
+
+def _piece(source: ca.MX, index: ca.MX, width: int) -> ca.MX:
+    last = source.numel() // width - 1
+    inside = ca.if_else(index >= 1, ca.if_else(index < last, ca.floor(index), last), 0)
+    return source[inside * width + ca.DM(range(width))]
