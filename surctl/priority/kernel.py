@@ -1,0 +1,91 @@
+"""The least-distance solver as a routine: the iteration of `dual_step` in a bounded loop."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from surctl.ir import Call, Gather, Loop, Program, Routine, lower
+from surctl.priority.dual_step import SKIPPED, Space, iteration, polish, pricing, threshold, which
+
+__all__ = ["CAP", "certificate", "kernel"]
+
+CAP = 40
+"""Largest number of iterations."""
+
+_KEPT = 1e-9
+
+
+def kernel(space: Space, rows: int) -> Routine:
+    """(rows, base, skip[, Z]) → (point, numbers, multipliers, status, count).
+
+    The point nearest to the base, in y, that keeps all rows.
+
+    rows: (rows·(n + 3),), each a (of length 1, or 0), lower, upper, soft. base: (n + 1,), v and t. skip: not 0
+    gives the base with status `SKIPPED`. Z: (n·d,), row by row, orthonormal columns (or an orthogonal projector);
+    absent if the opening is free. status: 0 when `CAP` was reached; the point is then of no use.
+    """
+    n, d = space.n, space.d
+    free = () if space.opening else (("Z", n * d),)
+    names = tuple(name for name, _ in free)
+    state = ("point", "normals", "table", "pending", "status", "count")
+    last = tuple(f"{name}_last" for name in state)
+    steps = (
+        Call(_start(space), ("base", "skip"), state),
+        Loop(
+            _turn(space, rows), CAP, carried=state, results=last, fixed=("rows", "base", *names), until=4
+        ),
+        Call(polish(space), ("normals_last", "table_last", "base", *names), ("polished", "numbers", "multipliers")),
+    )
+    inputs = (("rows", rows * space.row), ("base", n + 1), ("skip", 1), *free)
+    return Routine(
+        f"nearest_{d}", inputs, steps, ("polished", "numbers", "multipliers", "status_last", "count_last")
+    )
+
+
+def _start(space: Space) -> Program:
+    """(base, skip) → the state before the first iteration."""
+    base, skip = ca.SX.sym("base", space.n + 1), ca.SX.sym("skip")
+    d = space.d
+    zeros = [ca.SX.zeros(size, 1) for size in (d * d, 3 * d, 2)]
+    status = ca.if_else(skip, SKIPPED, 0)
+    return lower(ca.Function(f"start_{d}", [base, skip], [base, *map(ca.densify, zeros), status, ca.SX.zeros(1)]))
+
+
+def _turn(space: Space, rows: int) -> Routine:
+    """Price all rows, fetch the one to work on, make one step."""
+    n, d = space.n, space.d
+    state = (("point", n + 1), ("normals", d * d), ("table", 3 * d), ("pending", 2), ("status", 1), ("count", 1))
+    fixed = (("rows", rows * space.row), ("base", n + 1), *(() if space.opening else (("Z", n * d),)))
+    given = tuple(name for name, _ in state)
+    after = tuple(f"{name}_next" for name in given)
+    free = () if space.opening else ("Z",)
+    steps = (
+        Call(threshold(space), ("point",), ("least",)),
+        Loop(pricing(space), rows, ("least",), ("best",), sliced=("rows",), fixed=("point",), index=True),
+        Call(which(), ("best", "pending"), ("at", "number")),
+        Gather("rows", "at", space.row, "row"),
+        Call(iteration(space), (*given, "number", "row", "base", *free), after),
+    )
+    return Routine(f"turn_{d}", (*state, *fixed), steps, after)
+
+
+def certificate(space: Space, rows: int) -> Routine:
+    """(rows, point) → 1 if the point keeps every row within 1e-9 (relative to max |v| above 1), else 0.
+
+    Written as what holds, not as what is violated: a NaN keeps nothing.
+    """
+    n = space.n
+    kept, row, point = ca.SX.sym("kept"), ca.SX.sym("row", space.row), ca.SX.sym("point", n + 1)
+    size = ca.SX.sym("size")
+    value, room = ca.dot(row[:n], point[:n]), row[n + 2] * point[n]
+    good = (value - row[n + 1] - room <= size) * (row[n] - value - room <= size)
+    one = lower(ca.Function("keeps", [kept, row, point, size], [kept * good]))
+    largest = ca.SX(1)
+    for i in range(n):
+        largest = ca.fmax(largest, ca.fabs(point[i]))
+    begin = lower(ca.Function("tolerance", [point], [ca.SX(1), _KEPT * largest]))
+    steps = (
+        Call(begin, ("point",), ("yes", "size")),
+        Loop(one, rows, ("yes",), ("kept",), sliced=("rows",), fixed=("point", "size")),
+    )
+    return Routine("certify", (("rows", rows * space.row), ("point", n + 1)), steps, ("kept",))
