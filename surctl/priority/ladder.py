@@ -1,0 +1,342 @@
+"""The safe tick as one routine: a finite answer for any input, by a ladder of least-distance problems.
+
+1. The point nearest to the target that meets the task J v = x and every row.
+2. If there is none: the point that meets the task as well as the rows allow, and is nearest to the target among
+   those. min ‖v − target‖² + ‖J v − x‖²/δ² over the rows is itself a least-distance problem, in v and the scaled
+   misses (J v − x)/δ, and always has independent equalities; done twice (a proximal point step takes the error
+   from δ² to δ⁴), then solved again with J v at its value.
+3. If the rows contradict each other: the least t by which the soft rows must open, from the point (target, −γ)
+   (a least-distance problem solves a linear programme exactly once γ is large: Mangasarian and Meyer 1979), then 2.
+4. If the hard rows contradict each other: the target in the box.
+
+Whatever came out is moved into the box, and checked.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from surctl.ir import Call, Loop, Program, Routine, lower
+from surctl.priority.dual_step import OPTIMAL, Space
+from surctl.priority.elimination import as_matrix, eliminate, flat
+from surctl.priority.kernel import certificate, kernel
+
+__all__ = ["CLAMPED", "LIMITED", "MET", "RELAXED", "safe_tick"]
+
+MET, LIMITED, RELAXED, CLAMPED = 1, 2, 3, 4
+"""Status: task met; met as well as the rows allow; soft rows opened; only kept in the box."""
+
+_DELTA = 1e-3
+_PULL = 1e3  # γ, relative to 1 + max |target|
+_MARGIN = 1e-11  # room that the opening gets beyond the least one, for rounding
+_MET = 1e-9
+_SHORT = 1e-15
+_HUGE = 1e300
+
+
+class _Sizes:
+    """n velocities, p task rows, m rows; the routines below share them."""
+
+    def __init__(self, n: int, p: int, m: int) -> None:
+        self.n, self.p, self.m = n, p, m
+        self.general = Space(n, n)
+        self.fast = Space(n, n - p) if p < n else None
+        self.rows = m * self.general.row
+        self.general_kernel = kernel(self.general, m)
+        self.certificate = certificate(self.general, m)
+
+
+def safe_tick(n: int, p: int, m: int) -> Routine:
+    """(target (n,), J (p·n,), x (p,), rows (m·(n + 3),), box (2n,)) → the answer, always finite.
+
+    rows: a (n,), lower, upper, soft (1: may open, 0: may not), of any length. box: lower (n,), upper (n,).
+    Outputs: v (n,); active (n,), signed row numbers from 1 (+ at the upper bound, − at the lower, 0 none) and
+    their multipliers (n,) of ½‖v − target‖², for rows of length 1; opening (1,) of the soft rows [row of length
+    1]; status (1,), see `MET` …; count (1,), iterations in all.
+
+    Args:
+        n: velocities, at least 1.
+        p: rows of the task, at least 1 (a row of zeros with x = 0 is no task).
+        m: rows, at least 1 (a row of zeros between infinite bounds is none).
+    """
+    sizes = _Sizes(n, p, m)
+    carried = ("point", "active", "multipliers", "status", "count")
+    after = tuple(f"{name}_down" for name in carried)
+    steps = (
+        Loop(_unit_row(sizes), m, (), ("unit",), sliced=("rows",)),
+        Call(_prepare(sizes), ("J", "x", "target"), ("lift", "fast", "all", "full", "base", "idle")),
+        Call(
+            _hard(sizes),
+            ("unit", "base", "idle", "fast", "all", "full"),
+            ("nearest", "active", "multipliers", "end", "count"),
+        ),
+        Call(sizes.certificate, ("unit", "nearest"), ("kept",)),
+        Call(_judge(sizes), ("nearest", "end", "kept", "J", "x", "base"), ("point", "status")),
+        Loop(
+            _down(sizes),
+            2,
+            carried=carried,
+            results=after,
+            fixed=("unit", "target", "J", "x", "lift", "fast", "all", "full"),
+            until=3,
+        ),
+        Call(_finish(sizes), ("point_down", "status_down", "box"), ("v", "opening", "outcome")),
+    )
+    inputs = (("target", n), ("J", p * n), ("x", p), ("rows", sizes.rows), ("box", 2 * n))
+    return Routine(
+        "safe_tick",
+        inputs,
+        steps,
+        ("v", "active_down", "multipliers_down", "opening", "outcome", "count_down"),
+    )
+
+
+def _unit_row(sizes: _Sizes) -> Program:
+    """A row scaled to length 1; a row of zeros keeps its bounds: it is met always or never."""
+    n = sizes.n
+    row = ca.SX.sym("row", n + 3)
+    length = ca.sqrt(ca.sumsqr(row[:n]))
+    inverse = 1 / ca.if_else(length <= _SHORT, 1, length)
+    return lower(ca.Function("unit_row", [row], [ca.vertcat(row[: n + 2] * inverse, row[n + 2])]))
+
+
+def _prepare(sizes: _Sizes) -> Program:
+    """(J, x, target) → lift, Z of the fast and of the general kernel, whether all rows count, base, 0."""
+    n, p = sizes.n, sizes.p
+    J, x, target = ca.SX.sym("J", p * n), ca.SX.sym("x", p), ca.SX.sym("target", n)
+    matrix = as_matrix(J, n)
+    left = eliminate(matrix)
+    taken = [left.rank > i for i in range(n)]
+    free = ca.horzcat(*(ca.if_else(taken[i], 0, left.basis[:, i]) if i < p else left.basis[:, i] for i in range(n)))
+    full = ca.eq(left.rank, p) if sizes.fast is not None else ca.SX(0)
+    fast = left.basis[:, p:] if sizes.fast is not None else ca.SX.zeros(1, 1)
+    base = target + left.lift @ (x - matrix @ target)
+    outputs = [flat(left.lift), flat(fast), flat(free), full, ca.vertcat(base, 0), ca.SX.zeros(1)]
+    return lower(ca.Function("prepare", [J, x, target], list(map(ca.densify, outputs))))
+
+
+def _hard(sizes: _Sizes) -> Routine:
+    """(rows, base, skip, Z fast, Z all, full) → (point, active, multipliers, status, count), the task exact.
+
+    With independent task rows in n − p unknowns, otherwise in n.
+    """
+    n, fast = sizes.n, sizes.fast
+    given = (
+        ("rows", sizes.rows),
+        ("base", n + 1),
+        ("skip", 1),
+        ("fast", n * fast.d if fast is not None else 1),
+        ("all", n * n),
+        ("full", 1),
+    )
+    outputs = ("point", "active", "multipliers", "status", "count")
+    slow = tuple(f"{name}_all" for name in outputs)
+    if fast is None:
+        steps: tuple[Call, ...] = (Call(sizes.general_kernel, ("rows", "base", "skip", "all"), outputs),)
+        return Routine("hard", given, steps, outputs)
+    quick = tuple(f"{name}_fast" for name in outputs)
+    full, skip = ca.SX.sym("full"), ca.SX.sym("skip")
+    switch = lower(
+        ca.Function(
+            "switch", [full, skip], [ca.logic_or(skip, ca.logic_not(full)), ca.logic_or(skip, full)]
+        )
+    )
+    steps = (
+        Call(switch, ("full", "skip"), ("skip_fast", "skip_all")),
+        Call(kernel(fast, sizes.m), ("rows", "base", "skip_fast", "fast"), quick),
+        Call(sizes.general_kernel, ("rows", "base", "skip_all", "all"), slow),
+        Call(_either(n, fast.d), ("full", *quick, *slow), outputs),
+    )
+    return Routine("hard", given, steps, outputs)
+
+
+def _either(n: int, d: int) -> Program:
+    """The answer of the kernel that ran; slots that the fast one does not have are empty."""
+    full = ca.SX.sym("full")
+    quick = [ca.SX.sym(f"quick{k}", size) for k, size in enumerate((n + 1, d, d, 1, 1))]
+    slow = [ca.SX.sym(f"slow{k}", size) for k, size in enumerate((n + 1, n, n, 1, 1))]
+    padded = [ca.vertcat(a, ca.SX.zeros(b.numel() - a.numel(), 1)) for a, b in zip(quick, slow, strict=True)]
+    chosen = [ca.densify(ca.if_else(full, a, b)) for a, b in zip(padded, slow, strict=True)]
+    return lower(ca.Function("either", [full, *quick, *slow], chosen))
+
+
+def _judge(sizes: _Sizes) -> Program:
+    """(point, kernel status, kept, J, x, base) → point (the base if it does not count), MET or 0."""
+    n, p = sizes.n, sizes.p
+    point, end, kept = ca.SX.sym("point", n + 1), ca.SX.sym("end"), ca.SX.sym("kept")
+    J, x, base = ca.SX.sym("J", p * n), ca.SX.sym("x", p), ca.SX.sym("base", n + 1)
+    good = ca.logic_and(ca.logic_and(ca.eq(end, OPTIMAL), kept), _meets(as_matrix(J, n), x, point[:n]))
+    chosen = ca.densify(ca.if_else(good, point, base))
+    return lower(ca.Function("judge", [point, end, kept, J, x, base], [chosen, ca.if_else(good, MET, 0)]))
+
+
+def _meets(J: ca.SX, x: ca.SX, v: ca.SX) -> ca.SX:
+    """Whether every task row is met, relative to its length; said as what holds."""
+    size = ca.SX(1)
+    for i in range(v.numel()):
+        size = ca.fmax(size, ca.fabs(v[i]))
+    good = ca.SX(1)
+    for k in range(J.shape[0]):
+        length = ca.sqrt(ca.sumsqr(J[k, :]))
+        scale = ca.if_else(length <= _SHORT, 1, length)
+        good = ca.logic_and(good, ca.fabs(ca.dot(J[k, :].T, v) - x[k]) <= _MET * size * scale)
+    return good
+
+
+def _down(sizes: _Sizes) -> Routine:
+    """Rungs 2 and 3: serve the task inside the rows; if no point keeps them, open the soft ones for the next turn."""
+    n, p = sizes.n, sizes.p
+    state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1))
+    fast = n * sizes.fast.d if sizes.fast is not None else 1
+    fixed = (
+        ("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("lift", n * p), ("fast", fast),
+        ("all", n * n), ("full", 1),
+    )  # fmt: skip
+    opening = Space(n, n + 1, opening=True)
+    ends = ("point", "active", "multipliers", "end", "count")
+    served, again, opened = (tuple(f"{name}_{tag}" for name in ends) for tag in ("served", "again", "opened"))
+    steps = (
+        Call(_scaled(sizes), ("J", "x"), ("weights", "rest", "pull")),
+        Call(_begin(sizes), ("target", "point"), ("centre", *(f"{name}_zero" for name in ends[1:]))),
+        Loop(
+            _serve(sizes),
+            2,
+            carried=("centre", *(f"{name}_zero" for name in ends[1:])),
+            results=served,
+            fixed=("unit", "weights", "rest", "pull"),
+        ),
+        Call(sizes.certificate, ("unit", "point_served"), ("kept_served",)),
+        Call(
+            _value(sizes), ("point_served", "end_served", "kept_served", "target", "J", "lift"), ("held", "no", "yes")
+        ),
+        Call(_hard(sizes), ("unit", "held", "no", "fast", "all", "full"), again),
+        Call(sizes.certificate, ("unit", "point_again"), ("kept_again",)),
+        Call(_pulled(sizes), ("target",), ("low",)),
+        Call(kernel(opening, sizes.m), ("unit", "low", "yes"), opened),
+        Call(
+            _outcome(sizes),
+            ("point", "count", "no", "yes", "kept_again", *served, *again, *opened),
+            tuple(f"{name}_next" for name, _ in state),
+        ),
+    )
+    return Routine("down", (*state, *fixed), steps, tuple(f"{name}_next" for name, _ in state))
+
+
+def _scaled(sizes: _Sizes) -> Program:
+    """(J, x) → lift and Z of the problem in (v, (J v − x)/δ), their v parts, and x; J divided by its largest row."""
+    n, p = sizes.n, sizes.p
+    J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
+    matrix = as_matrix(J, n)
+    longest = ca.SX(0)
+    for k in range(p):
+        longest = ca.fmax(longest, ca.sqrt(ca.sumsqr(matrix[k, :])))
+    scale = ca.if_else(longest <= _SHORT, 0, 1 / ca.if_else(longest <= _SHORT, 1, longest))
+    matrix = matrix * scale
+    left = eliminate(ca.horzcat(matrix, -_DELTA * ca.SX.eye(p)))
+    lift = left.lift[:n, :]
+    weights = ca.vertcat(flat(lift), flat(matrix))
+    return lower(ca.Function("scaled", [J, x], [weights, flat(left.basis[:n, p:]), x * scale]))
+
+
+def _begin(sizes: _Sizes) -> Program:
+    """(target, point) → the target with the opening so far, and empty results."""
+    n = sizes.n
+    target, point = ca.SX.sym("target", n), ca.SX.sym("point", n + 1)
+    zeros = [ca.SX.zeros(n, 1), ca.SX.zeros(n, 1), ca.SX.zeros(1), ca.SX.zeros(1)]
+    return lower(ca.Function("begin", [target, point], [ca.vertcat(target, point[n]), *zeros]))
+
+
+def _serve(sizes: _Sizes) -> Routine:
+    """One proximal step: from a centre to the point that weighs the task against the distance to it."""
+    n, p = sizes.n, sizes.p
+    centre, weights, pull = ca.SX.sym("centre", n + 1), ca.SX.sym("weights", 2 * n * p), ca.SX.sym("pull", p)
+    lift, matrix = as_matrix(weights[: n * p], p), as_matrix(weights[n * p :], n)
+    moved = centre[:n] + lift @ (pull - matrix @ centre[:n])
+    base = lower(
+        ca.Function("weigh", [centre, weights, pull], [ca.vertcat(moved, centre[n]), ca.SX.zeros(1)])
+    )
+    old, new = ca.SX.sym("old"), ca.SX.sym("new")
+    add = lower(ca.Function("total", [old, new], [old + new]))
+    given = (("centre", n + 1), ("active", n), ("multipliers", n), ("end", 1), ("count", 1))
+    fixed = (("unit", sizes.rows), ("weights", 2 * n * p), ("rest", n * n), ("pull", p))
+    steps = (
+        Call(base, ("centre", "weights", "pull"), ("base", "go")),
+        Call(
+            sizes.general_kernel,
+            ("unit", "base", "go", "rest"),
+            ("point_next", "active_next", "multipliers_next", "end_next", "spent"),
+        ),
+        Call(add, ("count", "spent"), ("count_next",)),
+    )
+    return Routine(
+        "serve",
+        (*given, *fixed),
+        steps,
+        ("point_next", "active_next", "multipliers_next", "end_next", "count_next"),
+    )
+
+
+def _value(sizes: _Sizes) -> Program:
+    """(served point, end, kept, target, J, lift) → base that holds J v at its value, and whether it failed, served."""
+    n, p = sizes.n, sizes.p
+    point, end, kept = ca.SX.sym("point", n + 1), ca.SX.sym("end"), ca.SX.sym("kept")
+    target, J, lift = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("lift", n * p)
+    base = target + as_matrix(lift, p) @ (as_matrix(J, n) @ (point[:n] - target))
+    good = ca.logic_and(ca.eq(end, OPTIMAL), kept)
+    outputs = [ca.vertcat(base, point[n]), ca.logic_not(good), good]
+    return lower(ca.Function("value", [point, end, kept, target, J, lift], outputs))
+
+
+def _pulled(sizes: _Sizes) -> Program:
+    """target → (target, −γ)."""
+    target = ca.SX.sym("target", sizes.n)
+    size = ca.SX(0)
+    for i in range(sizes.n):
+        size = ca.fmax(size, ca.fabs(target[i]))
+    return lower(ca.Function("pulled", [target], [ca.vertcat(target, -_PULL * (1 + size))]))
+
+
+def _outcome(sizes: _Sizes) -> Program:
+    """The better of served and solved again; or, if neither, the opened rows' point and their opening."""
+    n = sizes.n
+    point, count = ca.SX.sym("point", n + 1), ca.SX.sym("count")
+    no, yes, kept = ca.SX.sym("no"), ca.SX.sym("yes"), ca.SX.sym("kept")
+
+    def answer(tag: str, d: int) -> list[ca.SX]:
+        names = ("point", "active", "multipliers", "end", "count")
+        return [ca.SX.sym(f"{k}_{tag}", s) for k, s in zip(names, (n + 1, d, d, 1, 1), strict=True)]
+
+    served, again, opened = answer("served", n), answer("again", n), answer("opened", n + 1)
+    better = ca.logic_and(yes, ca.logic_and(ca.eq(again[3], OPTIMAL), kept))
+    found = ca.logic_and(no, ca.eq(opened[3], OPTIMAL))
+    wider = opened[0][n] * (1 + _MARGIN) + _MARGIN
+    open_point = ca.vertcat(opened[0][:n], ca.fmax(wider, point[n]))
+    chosen = [ca.if_else(better, again[k], served[k]) for k in range(3)]
+    empty = ca.SX.zeros(n, 1)
+    outputs = [
+        ca.if_else(yes, chosen[0], ca.if_else(found, open_point, point)),
+        ca.if_else(yes, chosen[1], empty),
+        ca.if_else(yes, chosen[2], empty),
+        ca.if_else(yes, ca.if_else(point[n] > 0, RELAXED, LIMITED), 0),
+        count + served[4] + again[4] + opened[4],
+    ]
+    inputs = [point, count, no, yes, kept, *served, *again, *opened]
+    return lower(ca.Function("outcome", inputs, list(map(ca.densify, outputs))))
+
+
+def _finish(sizes: _Sizes) -> Program:
+    """(point, status, box) → v inside the box, finite whatever came before; opening; outcome."""
+    n = sizes.n
+    point, status, box = ca.SX.sym("point", n + 1), ca.SX.sym("status"), ca.SX.sym("box", 2 * n)
+    good, v = status != 0, []
+    size = ca.SX(1)
+    for i in range(n):
+        size = ca.fmax(size, ca.fabs(point[i]))
+    for i in range(n):
+        above = ca.if_else(box[i] <= point[i], point[i], box[i])  # a NaN goes to the bound
+        inside = ca.if_else(above <= box[n + i], above, box[n + i])
+        finite = ca.if_else(ca.fabs(inside) <= _HUGE, inside, 0)
+        good = ca.logic_and(good, ca.fabs(finite - point[i]) <= _MET * size)
+        v.append(finite)
+    opening = ca.if_else(good, point[n], 0)
+    return lower(ca.Function("finish", [point, status, box], [ca.vertcat(*v), opening, ca.if_else(good, status, CLAMPED)]))
