@@ -60,11 +60,13 @@ def safe_tick(n: int, p: int, m: int) -> Routine:
         m: rows, at least 1 (a row of zeros between infinite bounds is none).
     """
     sizes = _Sizes(n, p, m)
-    carried = ("point", "active", "multipliers", "status", "count")
+    carried = ("point", "active", "multipliers", "status", "count", "none")
     after = tuple(f"{name}_down" for name in carried)
     steps = (
         Loop(_unit_row(sizes), m, (), ("unit",), sliced=("rows",)),
-        Call(_prepare(sizes), ("J", "x", "target"), ("lift", "fast", "all", "full", "base", "idle")),
+        Call(
+            _prepare(sizes), ("J", "x", "target", "box"), ("lift", "fast", "all", "full", "base", "idle", "near", "none")
+        ),
         Call(
             _hard(sizes),
             ("unit", "base", "idle", "fast", "all", "full"),
@@ -77,10 +79,10 @@ def safe_tick(n: int, p: int, m: int) -> Routine:
             2,
             carried=carried,
             results=after,
-            fixed=("unit", "target", "J", "x", "lift", "fast", "all", "full"),
+            fixed=("unit", "target", "near", "J", "x", "lift", "fast", "all", "full"),
             until=3,
         ),
-        Call(_finish(sizes), ("point_down", "status_down", "box"), ("v", "opening", "outcome")),
+        Call(_finish(sizes), ("point_down", "status_down", "none_down", "box"), ("v", "opening", "outcome")),
     )
     inputs = (("target", n), ("J", p * n), ("x", p), ("rows", sizes.rows), ("box", 2 * n))
     return Routine(
@@ -101,9 +103,14 @@ def _unit_row(sizes: _Sizes) -> Program:
 
 
 def _prepare(sizes: _Sizes) -> Program:
-    """(J, x, target) → lift, Z of the fast and of the general kernel, whether all rows count, base, 0."""
+    """(J, x, target, box) → lift, Z of the fast and of the general kernel, whether all rows count, base, 0, near, 0.
+
+    `near` is the target moved into the box: where rungs 2 and 3 start, since only the task's value and the opening
+    are taken from them, and small numbers are exact ones.
+    """
     n, p = sizes.n, sizes.p
     J, x, target = ca.SX.sym("J", p * n), ca.SX.sym("x", p), ca.SX.sym("target", n)
+    box = ca.SX.sym("box", 2 * n)
     matrix = as_matrix(J, n)
     left = eliminate(matrix)
     taken = [left.rank > i for i in range(n)]
@@ -111,8 +118,16 @@ def _prepare(sizes: _Sizes) -> Program:
     full = ca.eq(left.rank, p) if sizes.fast is not None else ca.SX(0)
     fast = left.basis[:, p:] if sizes.fast is not None else ca.SX.zeros(1, 1)
     base = target + left.lift @ (x - matrix @ target)
-    outputs = [flat(left.lift), flat(fast), flat(free), full, ca.vertcat(base, 0), ca.SX.zeros(1)]
-    return lower(ca.Function("prepare", [J, x, target], list(map(ca.densify, outputs))))
+    base = base + left.lift @ (x - matrix @ base)  # a far target costs digits: once more
+    near = ca.vertcat(*(_into(target[i], box[i], box[n + i]) for i in range(n)))
+    outputs = [flat(left.lift), flat(fast), flat(free), full, ca.vertcat(base, 0), ca.SX.zeros(1), near, ca.SX.zeros(1)]
+    return lower(ca.Function("prepare", [J, x, target, box], list(map(ca.densify, outputs))))
+
+
+def _into(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
+    """The value moved between the bounds; a NaN goes to the lower one."""
+    above = ca.if_else(low <= value, value, low)
+    return ca.if_else(above <= high, above, high)
 
 
 def _hard(sizes: _Sizes) -> Routine:
@@ -186,10 +201,10 @@ def _meets(J: ca.SX, x: ca.SX, v: ca.SX) -> ca.SX:
 def _down(sizes: _Sizes) -> Routine:
     """Rungs 2 and 3: serve the task inside the rows; if no point keeps them, open the soft ones for the next turn."""
     n, p = sizes.n, sizes.p
-    state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1))
+    state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("safe", 1))
     fast = n * sizes.fast.d if sizes.fast is not None else 1
     fixed = (
-        ("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("lift", n * p), ("fast", fast),
+        ("unit", sizes.rows), ("target", n), ("near", n), ("J", p * n), ("x", p), ("lift", n * p), ("fast", fast),
         ("all", n * n), ("full", 1),
     )  # fmt: skip
     opening = Space(n, n + 1, opening=True)
@@ -197,7 +212,7 @@ def _down(sizes: _Sizes) -> Routine:
     served, again, opened = (tuple(f"{name}_{tag}" for name in ends) for tag in ("served", "again", "opened"))
     steps = (
         Call(_scaled(sizes), ("J", "x"), ("weights", "rest", "pull")),
-        Call(_begin(sizes), ("target", "point"), ("centre", *(f"{name}_zero" for name in ends[1:]))),
+        Call(_begin(sizes), ("near", "point"), ("centre", *(f"{name}_zero" for name in ends[1:]))),
         Loop(
             _serve(sizes),
             2,
@@ -211,11 +226,13 @@ def _down(sizes: _Sizes) -> Routine:
         ),
         Call(_hard(sizes), ("unit", "held", "no", "fast", "all", "full"), again),
         Call(sizes.certificate, ("unit", "point_again"), ("kept_again",)),
-        Call(_pulled(sizes), ("target",), ("low",)),
+        Call(_pulled(sizes), ("near",), ("low",)),
         Call(kernel(opening, sizes.m), ("unit", "low", "yes"), opened),
+        Call(_widened(sizes), ("point_opened", "end_opened", "point"), ("wide", "found")),
+        Call(sizes.certificate, ("unit", "wide"), ("kept_wide",)),
         Call(
             _outcome(sizes),
-            ("point", "count", "no", "yes", "kept_again", *served, *again, *opened),
+            ("point", "count", "safe", "yes", "kept_again", "wide", "found", "kept_wide", "count_opened", *served, *again),
             tuple(f"{name}_next" for name, _ in state),
         ),
     )
@@ -296,47 +313,62 @@ def _pulled(sizes: _Sizes) -> Program:
     return lower(ca.Function("pulled", [target], [ca.vertcat(target, -_PULL * (1 + size))]))
 
 
+def _widened(sizes: _Sizes) -> Program:
+    """(opened point, end, point) → the opened point with a margin on its opening, and whether there is one."""
+    n = sizes.n
+    opened, end, point = ca.SX.sym("opened", n + 1), ca.SX.sym("end"), ca.SX.sym("point", n + 1)
+    wider = opened[n] + _MARGIN * (1 + ca.fabs(opened[n]))
+    found = ca.eq(end, OPTIMAL)
+    wide = ca.if_else(found, ca.vertcat(opened[:n], ca.fmax(wider, point[n])), point)
+    return lower(ca.Function("widened", [opened, end, point], [ca.densify(wide), found]))
+
+
 def _outcome(sizes: _Sizes) -> Program:
     """The better of served and solved again; or, if neither, the opened rows' point and their opening."""
     n = sizes.n
-    point, count = ca.SX.sym("point", n + 1), ca.SX.sym("count")
-    no, yes, kept = ca.SX.sym("no"), ca.SX.sym("yes"), ca.SX.sym("kept")
+    point, count, safe = ca.SX.sym("point", n + 1), ca.SX.sym("count"), ca.SX.sym("safe")
+    yes, kept, wide = ca.SX.sym("yes"), ca.SX.sym("kept"), ca.SX.sym("wide", n + 1)
+    found, kept_wide, spent = ca.SX.sym("found"), ca.SX.sym("kept_wide"), ca.SX.sym("spent")
 
-    def answer(tag: str, d: int) -> list[ca.SX]:
+    def answer(tag: str) -> list[ca.SX]:
         names = ("point", "active", "multipliers", "end", "count")
-        return [ca.SX.sym(f"{k}_{tag}", s) for k, s in zip(names, (n + 1, d, d, 1, 1), strict=True)]
+        return [ca.SX.sym(f"{k}_{tag}", s) for k, s in zip(names, (n + 1, n, n, 1, 1), strict=True)]
 
-    served, again, opened = answer("served", n), answer("again", n), answer("opened", n + 1)
+    served, again = answer("served"), answer("again")
     better = ca.logic_and(yes, ca.logic_and(ca.eq(again[3], OPTIMAL), kept))
-    found = ca.logic_and(no, ca.eq(opened[3], OPTIMAL))
-    wider = opened[0][n] * (1 + _MARGIN) + _MARGIN
-    open_point = ca.vertcat(opened[0][:n], ca.fmax(wider, point[n]))
     chosen = [ca.if_else(better, again[k], served[k]) for k in range(3)]
     empty = ca.SX.zeros(n, 1)
     outputs = [
-        ca.if_else(yes, chosen[0], ca.if_else(found, open_point, point)),
+        ca.if_else(yes, chosen[0], wide),
         ca.if_else(yes, chosen[1], empty),
         ca.if_else(yes, chosen[2], empty),
         ca.if_else(yes, ca.if_else(point[n] > 0, RELAXED, LIMITED), 0),
-        count + served[4] + again[4] + opened[4],
+        count + served[4] + again[4] + spent,
+        ca.logic_or(safe, ca.logic_and(found, kept_wide)),
     ]
-    inputs = [point, count, no, yes, kept, *served, *again, *opened]
+    inputs = [point, count, safe, yes, kept, wide, found, kept_wide, spent, *served, *again]
     return lower(ca.Function("outcome", inputs, list(map(ca.densify, outputs))))
 
 
 def _finish(sizes: _Sizes) -> Program:
-    """(point, status, box) → v inside the box, finite whatever came before; opening; outcome."""
+    """(point, status, safe, box) → v inside the box, finite whatever came before; opening; outcome.
+
+    A point of rung 3 that keeps the opened rows will do when nothing better was found from there.
+    """
     n = sizes.n
     point, status, box = ca.SX.sym("point", n + 1), ca.SX.sym("status"), ca.SX.sym("box", 2 * n)
-    good, v = status != 0, []
+    safe, v = ca.SX.sym("safe"), []
+    reached = ca.if_else(ca.logic_and(ca.eq(status, 0), safe), RELAXED, status)
+    good = reached != 0
     size = ca.SX(1)
     for i in range(n):
         size = ca.fmax(size, ca.fabs(point[i]))
     for i in range(n):
-        above = ca.if_else(box[i] <= point[i], point[i], box[i])  # a NaN goes to the bound
-        inside = ca.if_else(above <= box[n + i], above, box[n + i])
+        inside = _into(point[i], box[i], box[n + i])
         finite = ca.if_else(ca.fabs(inside) <= _HUGE, inside, 0)
         good = ca.logic_and(good, ca.fabs(finite - point[i]) <= _MET * size)
         v.append(finite)
     opening = ca.if_else(good, point[n], 0)
-    return lower(ca.Function("finish", [point, status, box], [ca.vertcat(*v), opening, ca.if_else(good, status, CLAMPED)]))
+    return lower(ca.Function(
+            "finish", [point, status, safe, box], [ca.vertcat(*v), opening, ca.if_else(good, reached, CLAMPED)]
+        ))

@@ -1,0 +1,193 @@
+"""Random least-distance problems that are meant to break a solver, and a referee that trusts none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["FAMILIES", "Trials", "Verdict", "draw_trials", "judge"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+FAMILIES = (
+    "plain",  # random rows
+    "doubled",  # rows that stand twice, some with different bounds
+    "parallel",  # pairs of rows 1e-3 … 1e-9 rad apart
+    "degenerate",  # many rows through one point
+    "opposed",  # soft rows that contradict each other, or leave exactly one value
+    "scaled",  # rows of length 1e-8 … 1e8
+    "dependent",  # a task with doubled, zero or contradicting rows
+    "far",  # a target far outside
+)
+"""Kinds of problems; a problem has the features of one or of several."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trials:
+    """A batch of problems, in the arrays that `surctl.priority.ladder.safe_tick` takes.
+
+    Attributes:
+        target: (N, n). J: (N, p·n). x: (N, p). rows: (N, m·(n + 3)). box: (N, 2n).
+        features: (N, len(FAMILIES)), which features a problem has.
+    """
+
+    target: Array
+    J: Array
+    x: Array
+    rows: Array
+    box: Array
+    features: NDArray[np.bool_]
+
+    @property
+    def arrays(self) -> tuple[Array, Array, Array, Array, Array]:
+        """The five arrays, in order."""
+        return self.target, self.J, self.x, self.rows, self.box
+
+    def unit(self) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """A (N, m, n) with rows of length 1, lower, upper (N, m), and which rows are soft."""
+        n = self.target.shape[1]
+        rows = self.rows.reshape(len(self.rows), -1, n + 3)
+        A, length = rows[..., :n], np.linalg.norm(rows[..., :n], axis=2)
+        length = np.where(length > 0, length, 1.0)
+        return A / length[..., None], rows[..., n] / length, rows[..., n + 1] / length, rows[..., n + 2] > 0
+
+    def __getitem__(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Trials:
+        """The chosen problems."""
+        return Trials(*(a[chosen] for a in self.arrays), features=self.features[chosen])
+
+
+def draw_trials(count: int, *, n: int = 4, p: int = 2, m: int = 24, seed: int = 0, mixed: bool = True) -> Trials:
+    """Random problems: n box rows and some thrust rows, hard and consistent (they hold 0), the rest soft.
+
+    Args:
+        count: number of problems N.
+        n, p, m: velocities, task rows, rows; m > n.
+        seed: of numpy's PCG64.
+        mixed: give each problem 0–3 features of `FAMILIES`; otherwise all are plain.
+    """
+    rng = np.random.default_rng(seed)
+    picks = rng.random((count, len(FAMILIES))) < 0.2 if mixed else np.zeros((count, len(FAMILIES)), dtype=bool)
+    picks[:, 0] = ~picks[:, 1:].any(axis=1)
+    has = {name: picks[:, k] for k, name in enumerate(FAMILIES)}
+    A = rng.normal(size=(count, m, n))
+    A /= np.linalg.norm(A, axis=2, keepdims=True)
+    A[:, :n] = np.eye(n)
+    _tilt(A, has["parallel"], n, rng)
+    inside = 0.3 * rng.normal(size=(count, n))
+    value = np.einsum("kij,kj->ki", A, inside)
+    upper = value + np.abs(rng.normal(size=(count, m))) * rng.choice([0.1, 0.5, 1.0], (count, 1))
+    upper[has["degenerate"], n:] = value[has["degenerate"], n:]
+    lower = np.where(rng.random((count, m)) < 0.2, upper - 2 * np.abs(rng.normal(size=(count, m))), -np.inf)
+    _double(A, lower, upper, has["doubled"], n, rng)
+    _oppose(A, lower, upper, has["opposed"], rng)
+    hard = min(n + 2, m - 1)
+    upper[:, :hard] = rng.uniform(0.05, 1.5, (count, hard))
+    lower[:, :hard] = -rng.uniform(0.05, 1.5, (count, hard))
+    soft = np.zeros((count, m))
+    soft[:, hard:] = 1.0
+    box = np.concatenate([lower[:, :n], upper[:, :n]], axis=1)
+    target = rng.normal(size=(count, n)) * np.where(has["far"], 10.0 ** rng.uniform(1, 4, count), 1.0)[:, None]
+    J, x = _task(inside, p, has, rng)
+    scale = np.where(has["scaled"][:, None], 10.0 ** rng.uniform(-8, 8, (count, m)), 1.0)
+    rows = np.concatenate(
+        [A * scale[..., None], (lower * scale)[..., None], (upper * scale)[..., None], soft[..., None]], axis=2
+    )
+    return Trials(target, J.reshape(count, -1), x, rows.reshape(count, -1), box, picks)
+
+
+def _tilt(A: Array, chosen: NDArray[np.bool_], n: int, rng: np.random.Generator) -> None:
+    for i in range(n + 1, A.shape[1], 2):
+        angle = 10.0 ** rng.uniform(-9, -3, len(A))
+        tilted = A[:, i - 1] + angle[:, None] * A[:, i]
+        tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
+        A[chosen, i] = tilted[chosen]
+
+
+def _double(
+    A: Array, lower: Array, upper: Array, chosen: NDArray[np.bool_], n: int, rng: np.random.Generator
+) -> None:
+    for i in range(n + 1, A.shape[1], 3):
+        sign = rng.choice([-1.0, 1.0], len(A))
+        A[chosen, i] = (sign[:, None] * A[:, i - 1])[chosen]
+        same = chosen & (sign > 0)
+        upper[same, i], lower[same, i] = upper[same, i - 1], lower[same, i - 1]
+
+
+def _oppose(A: Array, lower: Array, upper: Array, chosen: NDArray[np.bool_], rng: np.random.Generator) -> None:
+    m = A.shape[1]
+    gap = rng.choice([0.0, 0.1, -0.1, -0.5, 1e-6, -1e-6], len(A))
+    A[chosen, m - 1] = -A[chosen, m - 2]
+    upper[chosen, m - 1] = (gap - upper[:, m - 2])[chosen]
+    lower[chosen, m - 2 :] = -np.inf
+
+
+def _task(
+    inside: Array, p: int, has: dict[str, NDArray[np.bool_]], rng: np.random.Generator
+) -> tuple[Array, Array]:
+    count, n = inside.shape
+    J = rng.normal(size=(count, p, n))
+    scale = np.where(has["scaled"][:, None], 10.0 ** rng.uniform(-8, 8, (count, p)), 1.0)
+    J *= scale[..., None]
+    kind = np.where(has["dependent"], rng.integers(0, 4, count), 4)
+    J[kind == 0, 0] = 0.0
+    if p > 1:
+        J[kind >= 1, p - 1] = np.where((kind < 4)[kind >= 1, None], 2.0 * J[kind >= 1, 0], J[kind >= 1, p - 1])
+    x = np.einsum("kij,kj->ki", J, inside + (rng.random((count, 1)) < 0.4) * rng.normal(size=(count, n)))
+    x[kind == 3, p - 1] += scale[kind == 3, p - 1]
+    return J, x
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """Residuals of an answer that claims to be optimal, each relative to 1 + max |v|, |target|; all (N,).
+
+    Attributes:
+        missed: of rows of length 1. task: of task rows of length 1.
+        stationary: what target − v keeps outside the cone of active rows and the span of J.
+        loose: largest distance of a row with a multiplier from its bound.
+        negative: largest multiplier of the wrong sign.
+    """
+
+    missed: Array
+    task: Array
+    stationary: Array
+    loose: Array
+    negative: Array
+
+    def worst(self) -> Array:
+        """(N,), the largest of all; the answer is that of the KKT conditions when it vanishes."""
+        every = (self.missed, self.task, self.stationary, self.loose, self.negative)
+        largest: Array = np.max(np.stack(every), axis=0)
+        return largest
+
+
+def judge(trials: Trials, v: Array, active: Array, *, multipliers: Array) -> Verdict:
+    """KKT residuals of v (N, n), with the active rows (N, k) as signed numbers and their multipliers (N, k)."""
+    A, lower, upper, _ = trials.unit()
+    count, n = v.shape
+    size = 1.0 + np.maximum(np.abs(v).max(axis=1), np.abs(trials.target).max(axis=1))
+    value = np.einsum("kij,kj->ki", A, v)
+    missed = np.maximum(np.maximum(value - upper, lower - value).max(axis=1), 0.0)
+    J = trials.J.reshape(count, -1, n)
+    length = np.linalg.norm(J, axis=2)
+    length = np.where(length > 0, length, 1.0)
+    J, off = J / length[..., None], (np.einsum("kij,kj->ki", J, v) - trials.x) / length
+    used = active != 0
+    at = np.maximum(np.abs(active) - 1, 0).astype(np.intp)
+    normals = np.take_along_axis(A, at[..., None], axis=1) * (np.sign(active) * used)[..., None]
+    here = np.take_along_axis(value, at, axis=1)
+    bound = np.where(active > 0, np.take_along_axis(upper, at, axis=1), np.take_along_axis(lower, at, axis=1))
+    force = trials.target - v - np.einsum("kij,ki->kj", normals, multipliers)
+    outside = force - np.einsum("kij,kj->ki", np.linalg.pinv(J, rcond=1e-10) @ J, force)
+    loose = np.where(used, np.abs(here - np.where(used, bound, 0.0)), 0.0).max(axis=1)
+    negative = np.maximum(np.where(used, -multipliers, 0.0).max(axis=1), 0.0)
+    return Verdict(
+        missed / size,
+        np.abs(off).max(axis=1) / size,
+        np.abs(outside).max(axis=1) / size,
+        loose / size,
+        negative / size,
+    )
