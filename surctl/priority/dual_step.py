@@ -4,10 +4,11 @@ The unknown is y (d,); the rows act on v = base + Z y (n,) and on an opening t o
 
     lower − soft·t ≤ a·v ≤ upper + soft·t
 
-with a of length 1. Rows are priced on v itself, so that nothing has to be reduced but the row that enters. Up to d
-active rows stand in slots: normal, multiplier, signed row number (+ at the upper bound, − at the lower, 0 empty),
-and by how much the base misses the row. The slots are orthogonalised afresh in every iteration (modified
-Gram–Schmidt): no factor is updated, nothing drifts. A row that needs several steps is pending in between.
+with a of length 1. Rows are priced on v itself, so that nothing has to be reduced but the row that enters, and the
+last pricing is a check of the very point that is handed out. Up to d active rows stand in slots: normal, multiplier
+and signed row number (+ at the upper bound, − at the lower, 0 empty). The slots are orthogonalised afresh in every
+iteration (modified Gram–Schmidt): no factor is updated, nothing drifts. A row that needs several steps is pending in
+between.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import casadi as ca
 from surctl.ir import Program, lower
 from surctl.priority.elimination import as_matrix, flat
 
-__all__ = ["OPTIMAL", "SKIPPED", "STUCK", "Space", "iteration", "polish", "pricing", "threshold", "which"]
+__all__ = ["OPTIMAL", "SKIPPED", "STUCK", "Space", "iteration", "pricing", "threshold", "which"]
 
 OPTIMAL, STUCK, SKIPPED = 1, 2, 3
 """Why an iteration was the last: no row is missed; no point keeps the rows; there was nothing to do."""
@@ -52,26 +53,27 @@ class Space:
 
 
 def pricing(space: Space) -> Program:
-    """(turn, best, row, point) → best: the most violated row so far, (amount, signed number from 1).
+    """(turn, best, row, point) → best: the most violated row so far, (amount, its number from 1).
 
     Strictly more than the best: the first of equals wins, and a NaN never does.
     """
     turn, best = ca.SX.sym("turn"), ca.SX.sym("best", 2)
     row, point = ca.SX.sym("row", space.row), ca.SX.sym("point", space.n + 1)
-    above, below = _missed(space, row, point)
-    at_lower = above < below
-    missed = ca.if_else(at_lower, below, above)
+    above, below = misses(space, row, point)
+    missed = ca.if_else(above < below, below, above)
     better = best[0] < missed
-    number = turn + 1
-    chosen = ca.if_else(at_lower, -number, number)
-    result = ca.vertcat(ca.if_else(better, missed, best[0]), ca.if_else(better, chosen, best[1]))
-    return lower(ca.Function("price", [turn, best, row, point], [result]))
+    result = ca.vertcat(ca.if_else(better, missed, best[0]), ca.if_else(better, turn + 1, best[1]))
+    return lower(ca.Function("price_open" if space.opening else "price", [turn, best, row, point], [result]))
 
 
-def _missed(space: Space, row: ca.SX, point: ca.SX) -> tuple[ca.SX, ca.SX]:
+def misses(space: Space, row: ca.SX, point: ca.SX) -> tuple[ca.SX, ca.SX]:
     """By how much the point is above the upper and below the lower bound (negative: inside)."""
-    value, room = ca.dot(row[: space.n], point[: space.n]), row[space.n + 2] * point[space.n]
-    return value - row[space.n + 1] - room, row[space.n] - value - room
+    n = space.n
+    value = ca.dot(row[:n], point[:n])
+    if not space.opening:  # t is 0
+        return value - row[n + 1], row[n] - value
+    room = row[n + 2] * point[n]
+    return value - (row[n + 1] + room), (row[n] - room) - value
 
 
 def threshold(space: Space) -> Program:
@@ -88,30 +90,19 @@ def _size(v: ca.SX) -> ca.SX:
 
 
 def which() -> Program:
-    """(best, pending) → index of the row to work on, and its signed number: the pending one, if there is one."""
+    """(best, pending) → index of the row to work on: that of the pending one, if there is one; −1 for none."""
     best, pending = ca.SX.sym("best", 2), ca.SX.sym("pending", 2)
-    number = ca.if_else(ca.eq(pending[0], 0), best[1], pending[0])
-    return lower(ca.Function("which", [best, pending], [ca.fabs(number) - 1, number]))
+    number = ca.if_else(ca.eq(pending[0], 0), best[1], ca.fabs(pending[0]))
+    return lower(ca.Function("which", [best, pending], [number - 1]))
 
 
 @dataclass(frozen=True)
 class _Slots:
-    """Active rows as columns: normals (d, d), multipliers, numbers, misses of the base (d,)."""
+    """Active rows: normals (d,) each, multipliers, numbers."""
 
     normals: list[ca.SX]
     multipliers: list[ca.SX]
     numbers: list[ca.SX]
-    misses: list[ca.SX]
-
-    @staticmethod
-    def of(space: Space, normals: ca.SX, table: ca.SX) -> _Slots:
-        d = space.d
-        columns = [normals[d * j : d * (j + 1)] for j in range(d)]
-        u, numbers, misses = ([table[d * k + j] for j in range(d)] for k in range(3))
-        return _Slots(columns, u, numbers, misses)
-
-    def table(self) -> ca.SX:
-        return ca.vertcat(*self.multipliers, *self.numbers, *self.misses)
 
 
 @dataclass(frozen=True)
@@ -157,32 +148,23 @@ class _Triangle:
             r[j] = r[j] * self.inverse[j]
         return r
 
-    def solve_transposed(self, rhs: list[ca.SX]) -> list[ca.SX]:
-        """c with Rᵀ c = rhs, 0 in empty slots."""
-        c = list(rhs)
-        for j in range(len(c)):
-            for i in range(j):
-                c[j] = c[j] - self.R[i][j] * c[i]
-            c[j] = c[j] * self.inverse[j]
-        return c
-
 
 @dataclass(frozen=True)
 class _Entering:
-    """The row at hand, turned so that it asks for normal · v ≤ bound: its normal in y, and both misses."""
+    """The row at hand, turned so that it asks for normal · v ≤ bound: signed number, normal in y, and its miss."""
 
+    number: ca.SX
     normal: ca.SX
     missed: ca.SX
-    missed_by_base: ca.SX
 
     @staticmethod
-    def of(space: Space, row: ca.SX, number: ca.SX, *, point: ca.SX, base: ca.SX, Z: ca.SX | None) -> _Entering:
-        n, at_lower = space.n, number < 0
-        a = ca.if_else(at_lower, -row[:n], row[:n])
-        bound, soft = ca.if_else(at_lower, -row[n], row[n + 1]), row[n + 2]
-        normal = ca.vertcat(a, -soft) if Z is None else Z.T @ a
-        missed, at_base = (ca.dot(a, p[:n]) - bound - soft * p[n] for p in (point, base))
-        return _Entering(normal, missed, at_base)
+    def of(space: Space, row: ca.SX, at: ca.SX, *, pending: ca.SX, point: ca.SX, Z: ca.SX | None) -> _Entering:
+        above, below = misses(space, row, point)
+        at_lower = ca.if_else(ca.eq(pending, 0), above < below, pending < 0)
+        number = at + 1
+        a = ca.if_else(at_lower, -row[: space.n], row[: space.n])
+        normal = ca.vertcat(a, -row[space.n + 2]) if Z is None else Z.T @ a
+        return _Entering(ca.if_else(at_lower, -number, number), normal, ca.if_else(at_lower, below, above))
 
 
 @dataclass(frozen=True)
@@ -226,45 +208,44 @@ class _Step:
 
 
 def iteration(space: Space) -> Program:
-    """(point, normals, table, pending, status, count, number, row, base[, Z]) → the first six, one step on.
+    """(point, normals, multipliers, numbers, pending, status, count, at, row[, Z]) → the first seven, one step on.
 
-    point, base: (n + 1,), v and t. normals: (d·d,), slot by slot. table: (3d,), multipliers, numbers, misses.
-    pending: (2,), signed number (0: none) and multiplier. Z: (n·d,) row by row, absent if the opening is free.
+    point: (n + 1,), v and t. normals: (d·d,), slot by slot. multipliers, numbers: (d,). pending: (2,), signed number
+    (0: none) and multiplier. at: index of the row, −1 for none. Z: (n·d,) row by row, absent if the opening is free.
     """
     n, d = space.n, space.d
-    point, normals, table = ca.SX.sym("point", n + 1), ca.SX.sym("normals", d * d), ca.SX.sym("table", 3 * d)
-    pending, status, count = ca.SX.sym("pending", 2), ca.SX.sym("status"), ca.SX.sym("count")
-    number, row, base = ca.SX.sym("number"), ca.SX.sym("row", space.row), ca.SX.sym("base", n + 1)
+    point, normals, u = ca.SX.sym("point", n + 1), ca.SX.sym("normals", d * d), ca.SX.sym("multipliers", d)
+    numbers, pending, status = ca.SX.sym("numbers", d), ca.SX.sym("pending", 2), ca.SX.sym("status")
+    count, at, row = ca.SX.sym("count"), ca.SX.sym("at"), ca.SX.sym("row", space.row)
     Z = None if space.opening else ca.SX.sym("Z", n * d)
     map_ = None if Z is None else as_matrix(Z, d)
 
-    slots = _Slots.of(space, normals, table)
-    entering = _Entering.of(space, row, number, point=point, base=base, Z=map_)
+    slots = _Slots([normals[d * j : d * (j + 1)] for j in range(d)], ca.vertsplit(u), ca.vertsplit(numbers))
+    entering = _Entering.of(space, row, at, pending=pending[0], point=point, Z=map_)
     triangle = _Triangle.of(slots)
     outside, inside = triangle.split(entering.normal)
     r = triangle.solve(inside)
-    step = _Step.of(slots, number != 0, entering, outside, r, _size(point[:n]))
+    step = _Step.of(slots, at >= 0, entering, outside, r, _size(point[:n]))
     lifted = outside if map_ is None else ca.vertcat(map_ @ outside, 0)
     multiplier = pending[1] + step.length
-    after = _exchange(slots, step, r, entering, number, multiplier)
+    after = _exchange(slots, step, r, entering, multiplier)
     stays = ca.logic_and(ca.eq(step.status, 0), ca.logic_not(step.full))
     outputs = [
         point - step.move * lifted,
         ca.vertcat(*after.normals),
-        after.table(),
-        ca.vertcat(ca.if_else(stays, number, 0), ca.if_else(stays, multiplier, 0)),
+        ca.vertcat(*after.multipliers),
+        ca.vertcat(*after.numbers),
+        ca.vertcat(ca.if_else(stays, entering.number, 0), ca.if_else(stays, multiplier, 0)),
         step.status,
         count + 1,
     ]
-    inputs = [point, normals, table, pending, status, count, number, row, base, *([] if Z is None else [Z])]
+    inputs = [point, normals, u, numbers, pending, status, count, at, row, *([] if Z is None else [Z])]
     return lower(ca.Function(f"iterate_{d}", inputs, outputs))
 
 
-def _exchange(
-    slots: _Slots, step: _Step, r: list[ca.SX], entering: _Entering, number: ca.SX, multiplier: ca.SX
-) -> _Slots:
+def _exchange(slots: _Slots, step: _Step, r: list[ca.SX], entering: _Entering, multiplier: ca.SX) -> _Slots:
     """Multipliers after the step; the dropped row leaves its slot, the entering one takes the first empty slot."""
-    columns: tuple[list[ca.SX], ...] = ([], [], [], [])
+    columns: tuple[list[ca.SX], ...] = ([], [], [])
     waiting = step.full
     for j, drop in enumerate(step.drop):
         takes = ca.logic_and(waiting, ca.eq(slots.numbers[j], 0))
@@ -272,31 +253,9 @@ def _exchange(
         left = ca.fmax(slots.multipliers[j] - step.length * r[j], 0)
         for column, old, new in zip(
             columns,
-            (slots.normals[j], left, slots.numbers[j], slots.misses[j]),
-            (entering.normal, multiplier, number, entering.missed_by_base),
+            (slots.normals[j], left, slots.numbers[j]),
+            (entering.normal, multiplier, entering.number),
             strict=True,
         ):
             column.append(ca.if_else(takes, new, ca.if_else(drop, 0, old)))
     return _Slots(*columns)
-
-
-def polish(space: Space) -> Program:
-    """(normals, table, base[, Z]) → (point, numbers, multipliers) from the active rows alone.
-
-    The nearest point to the base at which every active row is tight, with one step of refinement: what rounding
-    the iterations left is gone, and the multipliers are those of ½‖y‖².
-    """
-    n, d = space.n, space.d
-    normals, table, base = ca.SX.sym("normals", d * d), ca.SX.sym("table", 3 * d), ca.SX.sym("base", n + 1)
-    Z = None if space.opening else ca.SX.sym("Z", n * d)
-    slots = _Slots.of(space, normals, table)
-    triangle = _Triangle.of(slots)
-    y, u = ca.SX.zeros(d, 1), [ca.SX(0)] * d
-    for _ in range(2):
-        off = [miss + ca.dot(normal, y) for miss, normal in zip(slots.misses, slots.normals, strict=True)]
-        c = triangle.solve_transposed(off)
-        y = y - sum((c[j] * triangle.Q[j] for j in range(d)), ca.SX.zeros(d, 1))
-        u = [old + more for old, more in zip(u, triangle.solve(c), strict=True)]
-    lifted = y if Z is None else ca.vertcat(as_matrix(Z, d) @ y, 0)
-    outputs = [base + lifted, ca.vertcat(*slots.numbers), ca.vertcat(*u)]
-    return lower(ca.Function(f"polish_{d}", [normals, table, base, *([] if Z is None else [Z])], outputs))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.ir import Call, Gather, Loop, Program, Routine, lower
-from surctl.priority.dual_step import SKIPPED, Space, iteration, polish, pricing, threshold, which
+from surctl.priority.dual_step import SKIPPED, Space, iteration, misses, pricing, threshold, which
 
 __all__ = ["CAP", "certificate", "kernel"]
 
@@ -27,18 +27,27 @@ def kernel(space: Space, rows: int) -> Routine:
     n, d = space.n, space.d
     free = () if space.opening else (("Z", n * d),)
     names = tuple(name for name, _ in free)
-    state = ("point", "normals", "table", "pending", "status", "count")
+    state = tuple(name for name, _ in _state(space))
     last = tuple(f"{name}_last" for name in state)
     steps = (
         Call(_start(space), ("base", "skip"), state),
-        Loop(
-            _turn(space, rows), CAP, carried=state, results=last, fixed=("rows", "base", *names), until=4
-        ),
-        Call(polish(space), ("normals_last", "table_last", "base", *names), ("polished", "numbers", "multipliers")),
+        Loop(_turn(space, rows), CAP, carried=state, results=last, fixed=("rows", *names), until=5),
     )
     inputs = (("rows", rows * space.row), ("base", n + 1), ("skip", 1), *free)
-    return Routine(
-        f"nearest_{d}", inputs, steps, ("polished", "numbers", "multipliers", "status_last", "count_last")
+    results = ("point_last", "numbers_last", "multipliers_last", "status_last", "count_last")
+    return Routine(f"nearest_{d}", inputs, steps, results)
+
+
+def _state(space: Space) -> tuple[tuple[str, int], ...]:
+    d = space.d
+    return (
+        ("point", space.n + 1),
+        ("normals", d * d),
+        ("multipliers", d),
+        ("numbers", d),
+        ("pending", 2),
+        ("status", 1),
+        ("count", 1),
     )
 
 
@@ -46,27 +55,25 @@ def _start(space: Space) -> Program:
     """(base, skip) → the state before the first iteration."""
     base, skip = ca.SX.sym("base", space.n + 1), ca.SX.sym("skip")
     d = space.d
-    zeros = [ca.SX.zeros(size, 1) for size in (d * d, 3 * d, 2)]
+    zeros = [ca.SX.zeros(size, 1) for size in (d * d, d, d, 2)]
     status = ca.if_else(skip, SKIPPED, 0)
     return lower(ca.Function(f"start_{d}", [base, skip], [base, *map(ca.densify, zeros), status, ca.SX.zeros(1)]))
 
 
 def _turn(space: Space, rows: int) -> Routine:
     """Price all rows, fetch the one to work on, make one step."""
-    n, d = space.n, space.d
-    state = (("point", n + 1), ("normals", d * d), ("table", 3 * d), ("pending", 2), ("status", 1), ("count", 1))
-    fixed = (("rows", rows * space.row), ("base", n + 1), *(() if space.opening else (("Z", n * d),)))
+    state = _state(space)
+    free = () if space.opening else (("Z", space.n * space.d),)
     given = tuple(name for name, _ in state)
     after = tuple(f"{name}_next" for name in given)
-    free = () if space.opening else ("Z",)
     steps = (
         Call(threshold(space), ("point",), ("least",)),
         Loop(pricing(space), rows, ("least",), ("best",), sliced=("rows",), fixed=("point",), index=True),
-        Call(which(), ("best", "pending"), ("at", "number")),
+        Call(which(), ("best", "pending"), ("at",)),
         Gather("rows", "at", space.row, "row"),
-        Call(iteration(space), (*given, "number", "row", "base", *free), after),
+        Call(iteration(space), (*given, "at", "row", *(name for name, _ in free)), after),
     )
-    return Routine(f"turn_{d}", (*state, *fixed), steps, after)
+    return Routine(f"turn_{space.d}", (*state, ("rows", rows * space.row), *free), steps, after)
 
 
 def certificate(space: Space, rows: int) -> Routine:
@@ -77,9 +84,9 @@ def certificate(space: Space, rows: int) -> Routine:
     n = space.n
     kept, row, point = ca.SX.sym("kept"), ca.SX.sym("row", space.row), ca.SX.sym("point", n + 1)
     size = ca.SX.sym("size")
-    value, room = ca.dot(row[:n], point[:n]), row[n + 2] * point[n]
-    good = (value - row[n + 1] - room <= size) * (row[n] - value - room <= size)
-    one = lower(ca.Function("keeps", [kept, row, point, size], [kept * good]))
+    above, below = misses(space, row, point)
+    good = ca.if_else(below <= size, ca.if_else(above <= size, kept, 0), 0)
+    one = lower(ca.Function("keeps", [kept, row, point, size], [good]))
     largest = ca.SX(1)
     for i in range(n):
         largest = ca.fmax(largest, ca.fabs(point[i]))
@@ -88,4 +95,4 @@ def certificate(space: Space, rows: int) -> Routine:
         Call(begin, ("point",), ("yes", "size")),
         Loop(one, rows, ("yes",), ("kept",), sliced=("rows",), fixed=("point", "size")),
     )
-    return Routine("certify", (("rows", rows * space.row), ("point", n + 1)), steps, ("kept",))
+    return Routine("certify_open" if space.opening else "certify", (("rows", rows * space.row), ("point", n + 1)), steps, ("kept",))

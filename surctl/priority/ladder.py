@@ -211,6 +211,7 @@ def _down(sizes: _Sizes) -> Routine:
     ends = ("point", "active", "multipliers", "end", "count")
     served, again, opened = (tuple(f"{name}_{tag}" for name in ends) for tag in ("served", "again", "opened"))
     steps = (
+        Loop(_open_row(sizes), sizes.m, (), ("open",), sliced=("unit",), fixed=("point",)),
         Call(_scaled(sizes), ("J", "x"), ("weights", "rest", "pull")),
         Call(_begin(sizes), ("near", "point"), ("centre", *(f"{name}_zero" for name in ends[1:]))),
         Loop(
@@ -218,18 +219,18 @@ def _down(sizes: _Sizes) -> Routine:
             2,
             carried=("centre", *(f"{name}_zero" for name in ends[1:])),
             results=served,
-            fixed=("unit", "weights", "rest", "pull"),
+            fixed=("open", "weights", "rest", "pull"),
         ),
-        Call(sizes.certificate, ("unit", "point_served"), ("kept_served",)),
+        Call(sizes.certificate, ("open", "point_served"), ("kept_served",)),
         Call(
             _value(sizes), ("point_served", "end_served", "kept_served", "target", "J", "lift"), ("held", "no", "yes")
         ),
-        Call(_hard(sizes), ("unit", "held", "no", "fast", "all", "full"), again),
-        Call(sizes.certificate, ("unit", "point_again"), ("kept_again",)),
+        Call(_hard(sizes), ("open", "held", "no", "fast", "all", "full"), again),
+        Call(sizes.certificate, ("open", "point_again"), ("kept_again",)),
         Call(_pulled(sizes), ("near",), ("low",)),
         Call(kernel(opening, sizes.m), ("unit", "low", "yes"), opened),
         Call(_widened(sizes), ("point_opened", "end_opened", "point"), ("wide", "found")),
-        Call(sizes.certificate, ("unit", "wide"), ("kept_wide",)),
+        Call(certificate(opening, sizes.m), ("unit", "wide"), ("kept_wide",)),
         Call(
             _outcome(sizes),
             ("point", "count", "safe", "yes", "kept_again", "wide", "found", "kept_wide", "count_opened", *served, *again),
@@ -237,6 +238,15 @@ def _down(sizes: _Sizes) -> Routine:
         ),
     )
     return Routine("down", (*state, *fixed), steps, tuple(f"{name}_next" for name, _ in state))
+
+
+def _open_row(sizes: _Sizes) -> Program:
+    """A row with its bounds moved outwards by the opening of the point, if it is soft."""
+    n = sizes.n
+    row, point = ca.SX.sym("row", n + 3), ca.SX.sym("point", n + 1)
+    room = row[n + 2] * point[n]
+    moved = ca.vertcat(row[:n], row[n] - room, row[n + 1] + room, row[n + 2])
+    return lower(ca.Function("open_row", [row, point], [moved]))
 
 
 def _scaled(sizes: _Sizes) -> Program:
@@ -275,12 +285,12 @@ def _serve(sizes: _Sizes) -> Routine:
     old, new = ca.SX.sym("old"), ca.SX.sym("new")
     add = lower(ca.Function("total", [old, new], [old + new]))
     given = (("centre", n + 1), ("active", n), ("multipliers", n), ("end", 1), ("count", 1))
-    fixed = (("unit", sizes.rows), ("weights", 2 * n * p), ("rest", n * n), ("pull", p))
+    fixed = (("open", sizes.rows), ("weights", 2 * n * p), ("rest", n * n), ("pull", p))
     steps = (
         Call(base, ("centre", "weights", "pull"), ("base", "go")),
         Call(
             sizes.general_kernel,
-            ("unit", "base", "go", "rest"),
+            ("open", "base", "go", "rest"),
             ("point_next", "active_next", "multipliers_next", "end_next", "spent"),
         ),
         Call(add, ("count", "spent"), ("count_next",)),

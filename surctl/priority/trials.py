@@ -136,7 +136,7 @@ def _task(
     if p > 1:
         J[kind >= 1, p - 1] = np.where((kind < 4)[kind >= 1, None], 2.0 * J[kind >= 1, 0], J[kind >= 1, p - 1])
     x = np.einsum("kij,kj->ki", J, inside + (rng.random((count, 1)) < 0.4) * rng.normal(size=(count, n)))
-    x[kind == 3, p - 1] += scale[kind == 3, p - 1]
+    x[kind == 3, p - 1] += np.linalg.norm(J[kind == 3, p - 1], axis=1)
     return J, x
 
 
