@@ -98,8 +98,7 @@ def _loop(loop: Loop, function: str, sizes: Mapping[str, int], local: Mapping[st
     state = len(loop.carried)
     results = [local[name] for name in loop.results]
     lines = [
-        _copy(result, local[name], sizes[name])
-        for name, result in zip(loop.carried, results[:state], strict=True)
+        _copy(result, local[name], sizes[name]) for name, result in zip(loop.carried, results[:state], strict=True)
     ]
     running = "" if loop.until is None else f" && ({results[loop.until]}[0] == 0.0)"
     lines.append(f"    for (int i = 0; (i < {loop.count}){running}; ++i) {{")
@@ -109,9 +108,7 @@ def _loop(loop: Loop, function: str, sizes: Mapping[str, int], local: Mapping[st
     arguments += [_part(local[name], sizes[name] // loop.count) for name in loop.sliced]
     arguments += [local[name] for name in loop.fixed]
     arguments += results[:state]
-    arguments += [
-        _part(local[name], sizes[name] // loop.count) for name in loop.results[state:]
-    ]
+    arguments += [_part(local[name], sizes[name] // loop.count) for name in loop.results[state:]]
     return [*lines, f"        {function}({', '.join(arguments)});", "    }"]
 
 

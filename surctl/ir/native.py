@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -37,7 +38,7 @@ class Workspace:
         sizes = [size for _, size in (*native.block.inputs, *native.block.outputs)]
         self._memory = np.zeros(max(1, sum(sizes)))
         ends = np.cumsum([0, *sizes])
-        views = [self._memory[a:b] for a, b in zip(ends, ends[1:], strict=False)]
+        views = [self._memory[a:b] for a, b in itertools.pairwise(ends)]
         split = len(native.block.inputs)
         self.inputs: tuple[Array, ...] = tuple(views[:split])
         self.outputs: tuple[Array, ...] = tuple(views[split:])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
+from typing import Any
 
 import casadi as ca
 
@@ -12,7 +13,7 @@ from surctl.ir.routine import Block, Call, Gather, Loop, Routine, nested
 
 __all__ = ["to_casadi"]
 
-_SYMBOLIC: Mapping[str, Callable[..., ca.SX]] = MappingProxyType(
+_SYMBOLIC: Mapping[str, Callable[..., Any]] = MappingProxyType(
     {
         "add": lambda a, b: a + b,
         "sub": lambda a, b: a - b,

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.priority.backends import BACKENDS, LeastDistance, check_backend, solve_least_distance
+from surctl.priority.ladder import safe_tick
+from surctl.priority.least_distance import SafePoint, least_distance
 from surctl.priority.nsb import nsb, nsb_sweep
 from surctl.priority.polyhedron import polyhedron_of
 from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
@@ -24,10 +26,13 @@ __all__ = [
     "PriorityProblem",
     "PrioritySolution",
     "Row",
+    "SafePoint",
     "build_problem",
+    "least_distance",
     "nsb",
     "nsb_sweep",
     "nsb_symbolic",
+    "safe_tick",
     "solve",
     "solve_least_distance",
 ]
@@ -40,7 +45,7 @@ def solve(problem: PriorityProblem, *, mode: Mode = "projected", backend: str = 
         problem: from `build_problem`.
         mode: "projected" keeps every row; "nsb" is the printed law (16), which knows no rows (those that it
             misses are listed in `relaxed`).
-        backend: "daqp" or "osqp"; plays no part in "nsb".
+        backend: "daqp", "osqp" or "own"; plays no part in "nsb".
 
     Raises:
         InputError: unknown mode or backend.

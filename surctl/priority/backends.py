@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.priority.kernels import Answer, Kernel, daqp_kernel, osqp_kernel, qpsolvers_kernels
+from surctl.priority.kernels import Answer, Kernel, daqp_kernel, osqp_kernel, own_kernel, qpsolvers_kernels
 from surctl.priority.rowspace import row_space
 
 __all__ = ["BACKENDS", "LeastDistance", "Status", "check_backend", "solve_least_distance"]
@@ -23,7 +23,9 @@ __all__ = ["BACKENDS", "LeastDistance", "Status", "check_backend", "solve_least_
 Array: TypeAlias = NDArray[np.float64]
 Status: TypeAlias = Literal["optimal", "infeasible", "failed"]
 
-BACKENDS: Mapping[str, Kernel] = MappingProxyType({"daqp": daqp_kernel, "osqp": osqp_kernel, **qpsolvers_kernels()})
+BACKENDS: Mapping[str, Kernel] = MappingProxyType(
+    {"daqp": daqp_kernel, "osqp": osqp_kernel, "own": own_kernel, **qpsolvers_kernels()}
+)
 """Solvers of min ½‖y‖² subject to lower ≤ G y ≤ upper, rows of length 1."""
 
 FEASIBLE = 1e-9

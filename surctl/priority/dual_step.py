@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import casadi as ca
 
 from surctl.ir import Program, lower
-from surctl.priority.elimination import as_matrix, flat
+from surctl.priority.elimination import as_matrix
 
-__all__ = ["OPTIMAL", "SKIPPED", "STUCK", "Space", "iteration", "pricing", "threshold", "which"]
+__all__ = ["OPTIMAL", "SKIPPED", "STUCK", "Space", "iteration", "misses", "pricing", "threshold", "which"]
 
 OPTIMAL, STUCK, SKIPPED = 1, 2, 3
 """Why an iteration was the last: no row is missed; no point keeps the rows; there was nothing to do."""

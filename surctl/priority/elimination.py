@@ -64,9 +64,7 @@ def eliminate(J: ca.SX) -> Elimination:
             (ca.if_else(free[i], 0, y[i]) * triangle[i, :] for i in range(first + (k >= n))), ca.SX.zeros(1, p)
         )
         scaled = rhs * ca.if_else(alive, 1 / ca.if_else(alive, pivot, 1), 0)
-        triangle = ca.vertcat(
-            *(ca.if_else(ca.logic_and(here[i], alive), scaled, triangle[i, :]) for i in range(n))
-        )
+        triangle = ca.vertcat(*(ca.if_else(ca.logic_and(here[i], alive), scaled, triangle[i, :]) for i in range(n)))
         rank = rank + alive
     return Elimination(basis @ triangle, basis, rank)
 

@@ -95,4 +95,6 @@ def certificate(space: Space, rows: int) -> Routine:
         Call(begin, ("point",), ("yes", "size")),
         Loop(one, rows, ("yes",), ("kept",), sliced=("rows",), fixed=("point", "size")),
     )
-    return Routine("certify_open" if space.opening else "certify", (("rows", rows * space.row), ("point", n + 1)), steps, ("kept",))
+    return Routine(
+        "certify_open" if space.opening else "certify", (("rows", rows * space.row), ("point", n + 1)), steps, ("kept",)
+    )

@@ -15,7 +15,10 @@ import qpsolvers
 from numpy.typing import NDArray
 from scipy import sparse
 
-__all__ = ["Answer", "Kernel", "daqp_kernel", "osqp_kernel", "qpsolvers_kernels"]
+from surctl.priority.dual_step import OPTIMAL, STUCK
+from surctl.priority.least_distance import nearest_to_zero
+
+__all__ = ["Answer", "Kernel", "daqp_kernel", "osqp_kernel", "own_kernel", "qpsolvers_kernels"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -85,6 +88,14 @@ def osqp_kernel(G: Array, lower: Array, upper: Array) -> Answer:
         return Answer(np.array(result.x, dtype=float), np.array(result.y, dtype=float), iterations, "optimal")
     infeasible = status == osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE
     return Answer(None, np.zeros(m), iterations, "infeasible" if infeasible else "failed")
+
+
+def own_kernel(G: Array, lower: Array, upper: Array) -> Answer:
+    """This package's own dual active-set method (`dual_step`), compiled; the one that is exported as C."""
+    y, multipliers, status, iterations = nearest_to_zero(G, lower, upper)
+    if status == OPTIMAL:
+        return Answer(y, multipliers, iterations, "optimal")
+    return Answer(None, np.zeros(lower.size), iterations, "infeasible" if status == STUCK else "failed")
 
 
 def qpsolvers_kernels() -> dict[str, Kernel]:

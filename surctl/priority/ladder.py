@@ -65,7 +65,9 @@ def safe_tick(n: int, p: int, m: int) -> Routine:
     steps = (
         Loop(_unit_row(sizes), m, (), ("unit",), sliced=("rows",)),
         Call(
-            _prepare(sizes), ("J", "x", "target", "box"), ("lift", "fast", "all", "full", "base", "idle", "near", "none")
+            _prepare(sizes),
+            ("J", "x", "target", "box"),
+            ("lift", "fast", "all", "full", "base", "idle", "near", "none"),
         ),
         Call(
             _hard(sizes),
@@ -152,9 +154,7 @@ def _hard(sizes: _Sizes) -> Routine:
     quick = tuple(f"{name}_fast" for name in outputs)
     full, skip = ca.SX.sym("full"), ca.SX.sym("skip")
     switch = lower(
-        ca.Function(
-            "switch", [full, skip], [ca.logic_or(skip, ca.logic_not(full)), ca.logic_or(skip, full)]
-        )
+        ca.Function("switch", [full, skip], [ca.logic_or(skip, ca.logic_not(full)), ca.logic_or(skip, full)])
     )
     steps = (
         Call(switch, ("full", "skip"), ("skip_fast", "skip_all")),
@@ -233,7 +233,19 @@ def _down(sizes: _Sizes) -> Routine:
         Call(certificate(opening, sizes.m), ("unit", "wide"), ("kept_wide",)),
         Call(
             _outcome(sizes),
-            ("point", "count", "safe", "yes", "kept_again", "wide", "found", "kept_wide", "count_opened", *served, *again),
+            (
+                "point",
+                "count",
+                "safe",
+                "yes",
+                "kept_again",
+                "wide",
+                "found",
+                "kept_wide",
+                "count_opened",
+                *served,
+                *again,
+            ),
             tuple(f"{name}_next" for name, _ in state),
         ),
     )
@@ -279,9 +291,7 @@ def _serve(sizes: _Sizes) -> Routine:
     centre, weights, pull = ca.SX.sym("centre", n + 1), ca.SX.sym("weights", 2 * n * p), ca.SX.sym("pull", p)
     lift, matrix = as_matrix(weights[: n * p], p), as_matrix(weights[n * p :], n)
     moved = centre[:n] + lift @ (pull - matrix @ centre[:n])
-    base = lower(
-        ca.Function("weigh", [centre, weights, pull], [ca.vertcat(moved, centre[n]), ca.SX.zeros(1)])
-    )
+    base = lower(ca.Function("weigh", [centre, weights, pull], [ca.vertcat(moved, centre[n]), ca.SX.zeros(1)]))
     old, new = ca.SX.sym("old"), ca.SX.sym("new")
     add = lower(ca.Function("total", [old, new], [old + new]))
     given = (("centre", n + 1), ("active", n), ("multipliers", n), ("end", 1), ("count", 1))
@@ -379,6 +389,6 @@ def _finish(sizes: _Sizes) -> Program:
         good = ca.logic_and(good, ca.fabs(finite - point[i]) <= _MET * size)
         v.append(finite)
     opening = ca.if_else(good, point[n], 0)
-    return lower(ca.Function(
-            "finish", [point, status, safe, box], [ca.vertcat(*v), opening, ca.if_else(good, reached, CLAMPED)]
-        ))
+    return lower(
+        ca.Function("finish", [point, status, safe, box], [ca.vertcat(*v), opening, ca.if_else(good, reached, CLAMPED)])
+    )

@@ -56,7 +56,9 @@ class Trials:
 
     def __getitem__(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Trials:
         """The chosen problems."""
-        return Trials(*(a[chosen] for a in self.arrays), features=self.features[chosen])
+        return Trials(
+            self.target[chosen], self.J[chosen], self.x[chosen], self.rows[chosen], self.box[chosen], self.features[chosen]
+        )
 
 
 def draw_trials(count: int, *, n: int = 4, p: int = 2, m: int = 24, seed: int = 0, mixed: bool = True) -> Trials:
@@ -106,9 +108,7 @@ def _tilt(A: Array, chosen: NDArray[np.bool_], n: int, rng: np.random.Generator)
         A[chosen, i] = tilted[chosen]
 
 
-def _double(
-    A: Array, lower: Array, upper: Array, chosen: NDArray[np.bool_], n: int, rng: np.random.Generator
-) -> None:
+def _double(A: Array, lower: Array, upper: Array, chosen: NDArray[np.bool_], n: int, rng: np.random.Generator) -> None:
     for i in range(n + 1, A.shape[1], 3):
         sign = rng.choice([-1.0, 1.0], len(A))
         A[chosen, i] = (sign[:, None] * A[:, i - 1])[chosen]
@@ -124,9 +124,7 @@ def _oppose(A: Array, lower: Array, upper: Array, chosen: NDArray[np.bool_], rng
     lower[chosen, m - 2 :] = -np.inf
 
 
-def _task(
-    inside: Array, p: int, has: dict[str, NDArray[np.bool_]], rng: np.random.Generator
-) -> tuple[Array, Array]:
+def _task(inside: Array, p: int, has: dict[str, NDArray[np.bool_]], rng: np.random.Generator) -> tuple[Array, Array]:
     count, n = inside.shape
     J = rng.normal(size=(count, p, n))
     scale = np.where(has["scaled"][:, None], 10.0 ** rng.uniform(-8, 8, (count, p)), 1.0)

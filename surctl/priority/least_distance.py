@@ -1,0 +1,190 @@
+"""The ladder, compiled for fixed sizes, and called with arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError, ToolMissing
+from surctl.ir import Routine, compile_block, replay
+from surctl.priority.dual_step import Space
+from surctl.priority.kernel import kernel
+from surctl.priority.ladder import CLAMPED, safe_tick
+
+__all__ = ["Rung", "SafePoint", "least_distance", "nearest_to_zero", "runner", "tick_routine"]
+
+Array: TypeAlias = NDArray[np.float64]
+Runner: TypeAlias = Callable[..., list[Array]]
+Rung: TypeAlias = Literal["met", "limited", "relaxed", "clamped"]
+"""met: task and rows hold; limited: the task as well as the rows allow; relaxed: soft rows opened; clamped: only
+kept in the box."""
+
+_RUNGS: tuple[Rung, ...] = get_args(Rung)
+_BUCKET = 8  # rows are padded to a multiple of this, so that few sizes are compiled
+
+
+@dataclass(frozen=True, eq=False)
+class SafePoint:
+    """Answer of `least_distance`.
+
+    Attributes:
+        v: (n,), finite and inside the box.
+        rung: how it came about.
+        binding: (name, multiplier) of the active rows, of ½‖v − target‖² for the rows as given: positive at an
+            upper bound, negative at a lower one. Empty unless a least-distance problem gave v.
+        opening: by how much soft rows had to open [row of length 1].
+        iterations: of the active-set method, over all rungs.
+    """
+
+    v: Array
+    rung: Rung
+    binding: tuple[tuple[str, float], ...]
+    opening: float
+    iterations: int
+
+
+@cache
+def tick_routine(n: int, p: int, m: int) -> Routine:
+    """`safe_tick` of these sizes, built once."""
+    return safe_tick(n, p, m)
+
+
+@cache
+def _nearest(d: int, m: int) -> Routine:
+    return kernel(Space(d, d), m)
+
+
+@cache
+def runner(routine: Routine) -> Runner:
+    """The routine compiled, or its replay where there is no compiler: the same numbers, 1,000 times slower."""
+    try:
+        return compile_block(routine)
+    except ToolMissing:
+        return lambda *inputs: [np.asarray(y, dtype=np.float64) for y in replay(routine, *inputs)]
+
+
+def least_distance(
+    target: ArrayLike,
+    *,
+    A: ArrayLike,
+    lower: ArrayLike,
+    upper: ArrayLike,
+    J: ArrayLike | None = None,
+    x: ArrayLike | None = None,
+    soft: ArrayLike | None = None,
+    box: tuple[ArrayLike, ArrayLike] | None = None,
+    names: tuple[str, ...] | None = None,
+) -> SafePoint:
+    """The point nearest to target (n,) with J v = x and lower ≤ A v ≤ upper, or the next best: see `ladder`.
+
+    Args:
+        target: (n,).
+        A, lower, upper: rows (m, n) and bounds (m,), ±inf where there is none. Any length.
+        J, x: the task, (p, n) and (p,). None: no task.
+        soft: (m,), true for rows that may open when the rows contradict each other. None: all may.
+        box: lower and upper (n,), into which v is moved at the end. None: no box. Give its rows in A as well.
+        names: of the rows; "row 0", … if None.
+
+    Raises:
+        InputError: shapes that disagree, a number that is not finite, bounds that cross; it names the row.
+    """
+    goal = _array("target", target, (None,))
+    n = goal.size
+    rows, names = _rows(n, A, lower, upper, soft, names)
+    matrix = _array("J", np.zeros((1, n)) if J is None else J, (None, n))
+    value = _array("x", np.zeros(1) if x is None else x, (matrix.shape[0],))
+    if J is None and value.any():
+        raise InputError("is given without J", key="x")
+    limits = np.array([np.full(n, -np.inf), np.full(n, np.inf)]) if box is None else _box(box, n)
+    m = max(_BUCKET, -(-len(rows) // _BUCKET) * _BUCKET)
+    padded = np.vstack([rows, np.tile(_idle(n), (m - len(rows), 1))])
+    if matrix.shape[0] == 0:
+        matrix, value = np.zeros((1, n)), np.zeros(1)
+    routine = tick_routine(n, matrix.shape[0], m)
+    v, active, multipliers, opening, status, count = runner(routine)(
+        goal, matrix.reshape(-1), value, padded.reshape(-1), limits.reshape(-1)
+    )
+    solved = int(status[0]) != CLAMPED
+    binding = tuple(
+        (names[int(abs(k)) - 1], float(np.sign(k) * u / _length(rows[int(abs(k)) - 1, :n])))
+        for k, u in zip(active, multipliers, strict=True)
+        if k != 0.0 and solved
+    )
+    return SafePoint(v, _RUNGS[int(status[0]) - 1], binding, float(opening[0]), int(count[0]))
+
+
+def nearest_to_zero(G: Array, lower: Array, upper: Array) -> tuple[Array, Array, int, int]:
+    """min ½‖y‖² with lower ≤ G y ≤ upper, rows of length 1: (y, multipliers (m,), status, iterations).
+
+    The status is one of `dual_step` (0: cap reached).
+    """
+    m, d = G.shape
+    size = -(-m // _BUCKET) * _BUCKET
+    rows = np.tile(_idle(d), (size, 1))
+    rows[:m, :d], rows[:m, d], rows[:m, d + 1] = G, lower, upper
+    point, numbers, u, status, count = runner(_nearest(d, size))(
+        rows.reshape(-1), np.zeros(d + 1), np.zeros(1), np.eye(d).reshape(-1)
+    )
+    multipliers = np.zeros(size)
+    used = numbers != 0.0
+    multipliers[np.abs(numbers[used]).astype(int) - 1] = np.sign(numbers[used]) * u[used]
+    return point[:d], multipliers[:m], int(status[0]), int(count[0])
+
+
+def _idle(n: int) -> Array:
+    """A row that never binds."""
+    return np.concatenate([np.zeros(n), [-np.inf, np.inf, 0.0]])
+
+
+def _length(a: Array) -> float:
+    length = float(np.sqrt(a @ a))
+    return length if length > 0.0 else 1.0
+
+
+def _rows(
+    n: int, A: ArrayLike, lower: ArrayLike, upper: ArrayLike, soft: ArrayLike | None, names: tuple[str, ...] | None
+) -> tuple[Array, tuple[str, ...]]:
+    """(m, n + 3) and names, checked."""
+    normals = _array("A", A, (None, n))
+    m = len(normals)
+    named = tuple(f"row {i}" for i in range(m)) if names is None else names
+    if len(named) != m:
+        raise InputError(f"has {len(named)} entries, A has {m} rows", key="names")
+    low, high = _array("lower", lower, (m,), finite=False), _array("upper", upper, (m,), finite=False)
+    opens = np.ones(m) if soft is None else (_array("soft", soft, (m,)) != 0.0).astype(float)
+    for name, below, above in zip(named, low, high, strict=True):
+        _check_bounds(f"limit {name}", float(below), float(above))
+    return np.column_stack([normals, low, high, opens]), named
+
+
+def _box(box: tuple[ArrayLike, ArrayLike], n: int) -> Array:
+    limits = np.array([_array("box", side, (n,), finite=False) for side in box])
+    for i, (low, high) in enumerate(limits.T):
+        _check_bounds(f"box[{i}]", float(low), float(high))
+    return limits
+
+
+def _check_bounds(key: str, low: float, high: float) -> None:
+    if not low <= high or low == np.inf or high == -np.inf:
+        raise InputError("bounds leave no velocity", key=key, value=[low, high], remedy="give lower <= upper, no NaN")
+
+
+def _array(key: str, value: ArrayLike, shape: tuple[int | None, ...], *, finite: bool = True) -> Array:
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError("is not an array of numbers", key=key, value=value) from None
+    if array.ndim != len(shape) or any(s is not None and s != a for s, a in zip(shape, array.shape, strict=True)):
+        wanted = tuple("any" if s is None else s for s in shape)
+        raise InputError(f"has shape {array.shape}, expected {wanted}", key=key)
+    if finite and not np.isfinite(array).all():
+        bad = int(np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))[0])
+        raise InputError(
+            "is not finite", key=f"{key}[{bad}]", value=array[bad].tolist(), remedy="gate the inputs first"
+        )
+    return array

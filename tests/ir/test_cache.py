@@ -1,0 +1,112 @@
+"""The compile cache: used when it can be trusted, and only then."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import pytest
+
+from surctl.ir import cache as module
+from surctl.ir import cache_folder, shared_library
+from tests.tools import need_compiler
+
+SOURCE = "int answer(void);\nint answer(void) { return 42; }\n"
+
+
+@pytest.fixture
+def builds(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    need_compiler()
+    seen: list[str] = []
+    real = module._build
+
+    def counted(source: str, flags: object) -> bytes:
+        seen.append(source)
+        return real(source, flags)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(module, "_build", counted)
+    return seen
+
+
+def entry(folder: Path) -> Path:
+    (library,) = folder.glob("*.so")
+    return library
+
+
+def test_the_second_time_nothing_is_compiled(builds: list[str], tmp_path: Path) -> None:
+    first = shared_library(SOURCE, folder=tmp_path / "c")
+    assert shared_library(SOURCE, folder=tmp_path / "c") == first
+    assert len(builds) == 1
+    shared_library(SOURCE, flags=("-O3",), folder=tmp_path / "c")
+    shared_library(SOURCE.replace("42", "43"), folder=tmp_path / "c")
+    assert len(builds) == 3
+
+
+def test_another_compiler_is_another_entry(
+    builds: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shared_library(SOURCE, folder=tmp_path)
+    monkeypatch.setattr(module, "compiler_version", lambda: "another 1.0")
+    shared_library(SOURCE, folder=tmp_path)
+    assert len(builds) == 2
+
+
+@pytest.mark.parametrize("spoil", ["flip", "empty", "note", "no note", "link", "open", "open folder"])
+def test_what_cannot_be_trusted_is_built_again(builds: list[str], tmp_path: Path, spoil: str) -> None:
+    folder = tmp_path / "c"
+    good = shared_library(SOURCE, folder=folder)
+    library = entry(folder)
+    note = library.with_suffix(".sha256")
+    if spoil == "flip":
+        body = bytearray(good)
+        body[len(body) // 2] ^= 1
+        library.write_bytes(bytes(body))
+    elif spoil == "empty":
+        library.write_bytes(b"")
+    elif spoil == "note":
+        note.write_bytes(b"\xff\xfe")
+    elif spoil == "no note":
+        note.unlink()
+    elif spoil == "link":
+        library.rename(tmp_path / "elsewhere.so")
+        library.symlink_to(tmp_path / "elsewhere.so")
+    elif spoil == "open":
+        # somebody else could have written it, digest and all
+        library.write_bytes(b"evil")
+        note.write_text(hashlib.sha256(b"evil").hexdigest())
+        library.chmod(0o666)
+    else:
+        folder.chmod(0o777)
+        library.write_bytes(b"evil")
+        note.write_text(hashlib.sha256(b"evil").hexdigest())
+    assert shared_library(SOURCE, folder=folder) == good
+    assert len(builds) == 2
+
+
+def test_an_entry_of_another_user_is_built_again(
+    builds: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shared_library(SOURCE, folder=tmp_path)
+    mine = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: mine + 1)
+    shared_library(SOURCE, folder=tmp_path)
+    assert len(builds) == 2
+
+
+def test_without_a_place_to_write_it_works_and_leaves_nothing(builds: list[str], tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("not a folder")
+    assert shared_library(SOURCE, folder=blocked / "c") == shared_library(SOURCE, folder=blocked / "c")
+    assert len(builds) == 2
+    assert blocked.read_text() == "not a folder"
+
+
+def test_where_the_cache_lies(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("SURCTL_CACHE", str(tmp_path))
+    assert cache_folder() == tmp_path
+    monkeypatch.delenv("SURCTL_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache_folder() == tmp_path / "surctl"
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")  # the specification: ignore it
+    assert cache_folder() == Path.home() / ".cache" / "surctl"
