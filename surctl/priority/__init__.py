@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.priority.backends import BACKENDS, LeastDistance, check_backend, solve_least_distance
 from surctl.priority.ladder import safe_tick
-from surctl.priority.least_distance import SafePoint, least_distance
+from surctl.priority.safe_point import SafePoint, least_distance
 from surctl.priority.nsb import nsb, nsb_sweep
 from surctl.priority.polyhedron import polyhedron_of
 from surctl.priority.problem import Level, PriorityProblem, Row, build_problem

@@ -7,10 +7,13 @@ import casadi as ca
 from surctl.ir import Call, Gather, Loop, Program, Routine, lower
 from surctl.priority.dual_step import SKIPPED, Space, iteration, misses, pricing, threshold, which
 
-__all__ = ["CAP", "certificate", "kernel"]
+__all__ = ["CAP", "OPEN_CAP", "certificate", "kernel"]
 
 CAP = 40
 """Largest number of iterations."""
+
+OPEN_CAP = 80
+"""The same where the opening is free: γ makes every soft row a candidate."""
 
 _KEPT = 1e-9
 
@@ -22,16 +25,17 @@ def kernel(space: Space, rows: int) -> Routine:
 
     rows: (rows·(n + 3),), each a (of length 1, or 0), lower, upper, soft. base: (n + 1,), v and t. skip: not 0
     gives the base with status `SKIPPED`. Z: (n·d,), row by row, orthonormal columns (or an orthogonal projector);
-    absent if the opening is free. status: 0 when `CAP` was reached; the point is then of no use.
+    absent if the opening is free. status: 0 when `CAP` (`OPEN_CAP`) was reached; the point is then of no use.
     """
     n, d = space.n, space.d
     free = () if space.opening else (("Z", n * d),)
     names = tuple(name for name, _ in free)
     state = tuple(name for name, _ in _state(space))
     last = tuple(f"{name}_last" for name in state)
+    cap = OPEN_CAP if space.opening else CAP
     steps = (
         Call(_start(space), ("base", "skip"), state),
-        Loop(_turn(space, rows), CAP, carried=state, results=last, fixed=("rows", *names), until=5),
+        Loop(_turn(space, rows), cap, carried=state, results=last, fixed=("rows", *names), until=5),
     )
     inputs = (("rows", rows * space.row), ("base", n + 1), ("skip", 1), *free)
     results = ("point_last", "numbers_last", "multipliers_last", "status_last", "count_last")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from surctl.priority.dual_step import OPTIMAL, STUCK
-from surctl.priority.least_distance import nearest_to_zero
+from surctl.priority.safe_point import nearest_to_zero
 
 __all__ = ["Answer", "Kernel", "daqp_kernel", "osqp_kernel", "own_kernel", "qpsolvers_kernels"]
 

@@ -6,7 +6,8 @@
    misses (J v − x)/δ, and always has independent equalities; done twice (a proximal point step takes the error
    from δ² to δ⁴), then solved again with J v at its value.
 3. If the rows contradict each other: the least t by which the soft rows must open, from the point (target, −γ)
-   (a least-distance problem solves a linear programme exactly once γ is large: Mangasarian and Meyer 1979), then 2.
+   (a least-distance problem solves a linear programme exactly once γ is large: Mangasarian and Meyer 1979; a second
+   step from there reaches farther), then 2.
 4. If the hard rows contradict each other: the target in the box.
 
 Whatever came out is moved into the box, and checked.
@@ -67,7 +68,7 @@ def safe_tick(n: int, p: int, m: int) -> Routine:
         Call(
             _prepare(sizes),
             ("J", "x", "target", "box"),
-            ("lift", "fast", "all", "full", "base", "idle", "near", "none"),
+            ("lift", "fast", "all", "full", "base", "idle", "near", "none", "sound"),
         ),
         Call(
             _hard(sizes),
@@ -84,7 +85,7 @@ def safe_tick(n: int, p: int, m: int) -> Routine:
             fixed=("unit", "target", "near", "J", "x", "lift", "fast", "all", "full"),
             until=3,
         ),
-        Call(_finish(sizes), ("point_down", "status_down", "none_down", "box"), ("v", "opening", "outcome")),
+        Call(_finish(sizes), ("point_down", "status_down", "none_down", "sound", "box"), ("v", "opening", "outcome")),
     )
     inputs = (("target", n), ("J", p * n), ("x", p), ("rows", sizes.rows), ("box", 2 * n))
     return Routine(
@@ -105,10 +106,10 @@ def _unit_row(sizes: _Sizes) -> Program:
 
 
 def _prepare(sizes: _Sizes) -> Program:
-    """(J, x, target, box) → lift, Z of the fast and of the general kernel, whether all rows count, base, 0, near, 0.
+    """(J, x, target, box) → lift, Z of the fast and of the general kernel, whether all rows count, base, 0, near, 0, sound.
 
     `near` is the target moved into the box: where rungs 2 and 3 start, since only the task's value and the opening
-    are taken from them, and small numbers are exact ones.
+    are taken from them, and small numbers are exact ones. `sound`: task and target are finite.
     """
     n, p = sizes.n, sizes.p
     J, x, target = ca.SX.sym("J", p * n), ca.SX.sym("x", p), ca.SX.sym("target", n)
@@ -121,8 +122,21 @@ def _prepare(sizes: _Sizes) -> Program:
     fast = left.basis[:, p:] if sizes.fast is not None else ca.SX.zeros(1, 1)
     base = target + left.lift @ (x - matrix @ target)
     base = base + left.lift @ (x - matrix @ base)  # a far target costs digits: once more
+    sound = ca.SX(1)
+    for entry in ca.vertsplit(ca.vertcat(target, J, x)):
+        sound = ca.if_else(ca.fabs(entry) <= _HUGE, sound, 0)
     near = ca.vertcat(*(_into(target[i], box[i], box[n + i]) for i in range(n)))
-    outputs = [flat(left.lift), flat(fast), flat(free), full, ca.vertcat(base, 0), ca.SX.zeros(1), near, ca.SX.zeros(1)]
+    outputs = [
+        flat(left.lift),
+        flat(fast),
+        flat(free),
+        full,
+        ca.vertcat(base, 0),
+        ca.SX.zeros(1),
+        near,
+        ca.SX.zeros(1),
+        sound,
+    ]
     return lower(ca.Function("prepare", [J, x, target, box], list(map(ca.densify, outputs))))
 
 
@@ -209,7 +223,7 @@ def _down(sizes: _Sizes) -> Routine:
     )  # fmt: skip
     opening = Space(n, n + 1, opening=True)
     ends = ("point", "active", "multipliers", "end", "count")
-    served, again, opened = (tuple(f"{name}_{tag}" for name in ends) for tag in ("served", "again", "opened"))
+    served, again = (tuple(f"{name}_{tag}" for name in ends) for tag in ("served", "again"))
     steps = (
         Loop(_open_row(sizes), sizes.m, (), ("open",), sliced=("unit",), fixed=("point",)),
         Call(_scaled(sizes), ("J", "x"), ("weights", "rest", "pull")),
@@ -227,8 +241,14 @@ def _down(sizes: _Sizes) -> Routine:
         ),
         Call(_hard(sizes), ("open", "held", "no", "fast", "all", "full"), again),
         Call(sizes.certificate, ("open", "point_again"), ("kept_again",)),
-        Call(_pulled(sizes), ("near",), ("low",)),
-        Call(kernel(opening, sizes.m), ("unit", "low", "yes"), opened),
+        Call(_start_open(sizes), ("near",), ("low", "end_low", "count_low")),
+        Loop(
+            _open(sizes, opening),
+            2,
+            carried=("low", "end_low", "count_low"),
+            results=("point_opened", "end_opened", "count_opened"),
+            fixed=("unit", "yes"),
+        ),
         Call(_widened(sizes), ("point_opened", "end_opened", "point"), ("wide", "found")),
         Call(certificate(opening, sizes.m), ("unit", "wide"), ("kept_wide",)),
         Call(
@@ -324,13 +344,32 @@ def _value(sizes: _Sizes) -> Program:
     return lower(ca.Function("value", [point, end, kept, target, J, lift], outputs))
 
 
-def _pulled(sizes: _Sizes) -> Program:
-    """target → (target, −γ)."""
-    target = ca.SX.sym("target", sizes.n)
+def _start_open(sizes: _Sizes) -> Program:
+    """near → (near, 0), and empty results."""
+    near = ca.SX.sym("near", sizes.n)
+    outputs = [ca.densify(ca.vertcat(near, 0)), ca.SX.zeros(1), ca.SX.zeros(1)]
+    return lower(ca.Function("start_open", [near], outputs))
+
+
+def _open(sizes: _Sizes, space: Space) -> Routine:
+    """One proximal step of the linear programme min t: nearest to (v, t − γ); a step that fails changes nothing."""
+    n = sizes.n
+    point, end, count = ca.SX.sym("point", n + 1), ca.SX.sym("end"), ca.SX.sym("count")
+    found, why, spent = ca.SX.sym("found", n + 1), ca.SX.sym("why"), ca.SX.sym("spent")
     size = ca.SX(0)
-    for i in range(sizes.n):
-        size = ca.fmax(size, ca.fabs(target[i]))
-    return lower(ca.Function("pulled", [target], [ca.vertcat(target, -_PULL * (1 + size))]))
+    for i in range(n + 1):
+        size = ca.fmax(size, ca.fabs(point[i]))
+    low = lower(ca.Function("pull", [point], [ca.vertcat(point[:n], point[n] - _PULL * (1 + size))]))
+    good = ca.eq(why, OPTIMAL)
+    kept = [ca.densify(ca.if_else(good, found, point)), ca.if_else(good, why, end), count + spent]
+    keep = lower(ca.Function("keep", [point, end, count, found, why, spent], kept))
+    steps = (
+        Call(low, ("point",), ("base",)),
+        Call(kernel(space, sizes.m), ("unit", "base", "skip"), ("found", "numbers", "multipliers", "why", "spent")),
+        Call(keep, ("point", "end", "count", "found", "why", "spent"), ("point_next", "end_next", "count_next")),
+    )
+    given = (("point", n + 1), ("end", 1), ("count", 1), ("unit", sizes.rows), ("skip", 1))
+    return Routine("open", given, steps, ("point_next", "end_next", "count_next"))
 
 
 def _widened(sizes: _Sizes) -> Program:
@@ -371,15 +410,15 @@ def _outcome(sizes: _Sizes) -> Program:
 
 
 def _finish(sizes: _Sizes) -> Program:
-    """(point, status, safe, box) → v inside the box, finite whatever came before; opening; outcome.
+    """(point, status, safe, sound, box) → v inside the box, finite whatever came before; opening; outcome.
 
-    A point of rung 3 that keeps the opened rows will do when nothing better was found from there.
+    Whatever a task that is not finite led to is not called an answer. A point of rung 3 that keeps the opened rows will do when nothing better was found from there.
     """
     n = sizes.n
     point, status, box = ca.SX.sym("point", n + 1), ca.SX.sym("status"), ca.SX.sym("box", 2 * n)
-    safe, v = ca.SX.sym("safe"), []
+    safe, sound, v = ca.SX.sym("safe"), ca.SX.sym("sound"), []
     reached = ca.if_else(ca.logic_and(ca.eq(status, 0), safe), RELAXED, status)
-    good = reached != 0
+    good = ca.logic_and(reached != 0, sound)
     size = ca.SX(1)
     for i in range(n):
         size = ca.fmax(size, ca.fabs(point[i]))
@@ -390,5 +429,7 @@ def _finish(sizes: _Sizes) -> Program:
         v.append(finite)
     opening = ca.if_else(good, point[n], 0)
     return lower(
-        ca.Function("finish", [point, status, safe, box], [ca.vertcat(*v), opening, ca.if_else(good, reached, CLAMPED)])
+        ca.Function(
+            "finish", [point, status, safe, sound, box], [ca.vertcat(*v), opening, ca.if_else(good, reached, CLAMPED)]
+        )
     )

@@ -57,7 +57,12 @@ class Trials:
     def __getitem__(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Trials:
         """The chosen problems."""
         return Trials(
-            self.target[chosen], self.J[chosen], self.x[chosen], self.rows[chosen], self.box[chosen], self.features[chosen]
+            self.target[chosen],
+            self.J[chosen],
+            self.x[chosen],
+            self.rows[chosen],
+            self.box[chosen],
+            self.features[chosen],
         )
 
 

@@ -43,9 +43,7 @@ def test_the_second_time_nothing_is_compiled(builds: list[str], tmp_path: Path) 
     assert len(builds) == 3
 
 
-def test_another_compiler_is_another_entry(
-    builds: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_compiler_is_another_entry(builds: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shared_library(SOURCE, folder=tmp_path)
     monkeypatch.setattr(module, "compiler_version", lambda: "another 1.0")
     shared_library(SOURCE, folder=tmp_path)

@@ -1,0 +1,204 @@
+"""The safe tick against problems that are meant to break it, and a referee that trusts no solver."""
+
+from __future__ import annotations
+
+import daqp
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from surctl.ir import compile_block, replay, to_casadi
+from surctl.priority import safe_tick
+from surctl.priority.dual_step import OPTIMAL, STUCK, Space
+from surctl.priority.kernel import CAP, OPEN_CAP, kernel
+from surctl.priority.ladder import CLAMPED, LIMITED, MET, RELAXED
+from surctl.priority.trials import FAMILIES, Trials, draw_trials, judge
+from tests.tools import need_compiler
+
+Array = NDArray[np.float64]
+N, P, M = 4, 2, 24
+
+
+class Flown:
+    """A batch of problems and what the compiled ladder says."""
+
+    def __init__(self, trials: Trials) -> None:
+        need_compiler()
+        self.trials = trials
+        self.outputs = compile_block(safe_tick(N, P, M))(*trials.arrays)
+        self.v, self.active, self.multipliers, opening, status, count = self.outputs
+        self.opening, self.status, self.count = opening[:, 0], status[:, 0], count[:, 0]
+
+
+@pytest.fixture(scope="module")
+def flown() -> Flown:
+    return Flown(draw_trials(12_000, n=N, p=P, m=M, seed=1))
+
+
+def has(trials: Trials, name: str) -> NDArray[np.bool_]:
+    return trials.features[:, FAMILIES.index(name)]
+
+
+def nearest(trials: Trials, k: int, unit: tuple[Array, Array, Array]) -> Array | None:
+    """DAQP's point for rung 1, if it finds one that holds."""
+    A, lower, upper = unit
+    J, x = trials.J[k].reshape(P, N), trials.x[k]
+    length = np.linalg.norm(J, axis=1)
+    length[length == 0] = 1.0
+    rows = np.ascontiguousarray(np.vstack([A[k], J / length[:, None]]))
+    low, high = np.append(lower[k], x / length), np.append(upper[k], x / length)
+    sense = np.append(np.zeros(M), np.full(P, 5)).astype(np.intc)
+    y, _, flag, _ = daqp.solve(
+        np.eye(N),
+        -trials.target[k],
+        rows,
+        np.minimum(high, 1e30),
+        np.maximum(low, -1e30),
+        sense,
+        primal_tol=1e-12,
+    )
+    if flag != 1:
+        return None
+    holds = max((rows @ y - high).max(), (low - rows @ y).max()) <= 1e-10 * (1 + np.abs(y).max())
+    return np.array(y) if holds else None
+
+
+def test_every_tick_has_a_finite_answer_inside_the_hard_rows(flown: Flown) -> None:
+    A, lower, upper, soft = flown.trials.unit()
+    assert np.isfinite(np.concatenate(flown.outputs, axis=1)).all()
+    value = np.einsum("kij,kj->ki", A, flown.v)
+    missed = np.maximum(value - upper, lower - value)
+    assert missed[~soft].max() <= 1e-9
+    assert (np.where(soft, missed, -1).max(axis=1) <= flown.opening + 1e-9).all()
+    box = flown.trials.box
+    assert ((box[:, :N] <= flown.v) & (flown.v <= box[:, N:])).all()
+    assert not (flown.status == CLAMPED).any()
+    for rung in (MET, LIMITED, RELAXED):
+        assert (flown.status == rung).sum() > 1000
+
+
+def test_met_is_the_nearest_point_by_its_optimality_conditions(flown: Flown) -> None:
+    met = flown.status == MET
+    verdict = judge(flown.trials[met], flown.v[met], flown.active[met], multipliers=flown.multipliers[met])
+    assert verdict.worst().max() <= 1e-9
+    assert verdict.worst()[~has(flown.trials[met], "parallel")].max() <= 1e-12
+
+
+def test_the_referee_sees_a_wrong_answer(flown: Flown) -> None:
+    met = np.flatnonzero((flown.status == MET) & (flown.active != 0).any(axis=1) & ~has(flown.trials, "far"))[:50]
+    trials = flown.trials[met]
+    for change in (1e-6, -1e-6):
+        moved = judge(trials, flown.v[met] + change, flown.active[met], multipliers=flown.multipliers[met])
+        assert (moved.worst() > 1e-8).all()
+    forgot = judge(trials, flown.v[met], np.zeros((50, N)), multipliers=np.zeros((50, N)))
+    assert (forgot.worst() > 1e-8).all()
+
+
+def test_daqp_agrees_and_nothing_feasible_is_given_up(flown: Flown) -> None:
+    compared, unit = 0, flown.trials.unit()[:3]
+    for k in range(4000):
+        want = nearest(flown.trials, k, unit)
+        if want is None:
+            continue
+        assert flown.status[k] == MET, k
+        gap = np.abs(want - flown.v[k]).max() / (1 + np.abs(flown.trials.target[k]).max())
+        assert gap <= 1e-8, k
+        compared += 1
+    assert compared > 500
+
+
+def test_limited_is_the_best_that_the_rows_allow(flown: Flown) -> None:
+    """First-order condition of min ‖J v − x‖² over the rows: no feasible direction improves it (a linear programme)."""
+    A, lower, upper, _ = flown.trials.unit()
+    usual = (flown.status == LIMITED) & ~has(flown.trials, "scaled") & ~has(flown.trials, "parallel")
+    for k in np.flatnonzero(usual)[:150]:
+        J, x = flown.trials.J[k].reshape(P, N), flown.trials.x[k]
+        slope = J.T @ (J @ flown.v[k] - x)
+        sides = [(A[k], upper[k]), (-A[k], -lower[k])]
+        G = np.vstack([rows[np.isfinite(b)] for rows, b in sides])
+        h = np.concatenate([b[np.isfinite(b)] for _, b in sides])
+        best = linprog(slope, G, h, bounds=[(None, None)] * N, method="highs")
+        assert best.status == 0
+        assert slope @ flown.v[k] - best.fun <= 1e-6 * (1 + np.abs(slope).max())
+
+
+def test_relaxed_opens_no_more_than_it_must(flown: Flown) -> None:
+    A, lower, upper, soft = flown.trials.unit()
+    usual = (flown.status == RELAXED) & ~has(flown.trials, "parallel")
+    for k in np.flatnonzero(usual)[:150]:
+        opens = -soft[k].astype(float)
+        sides = [(A[k], upper[k]), (-A[k], -lower[k])]
+        G = np.vstack([np.column_stack([rows, opens])[np.isfinite(b)] for rows, b in sides])
+        h = np.concatenate([b[np.isfinite(b)] for _, b in sides])
+        bounds = [(None, None)] * N + [(0, None)]
+        least = linprog(np.append(np.zeros(N), 1.0), G, h, bounds=bounds, method="highs")
+        assert least.status == 0
+        assert abs(flown.opening[k] - least.x[-1]) <= 2e-7  # HiGHS keeps rows to 1e-7
+
+
+@pytest.mark.parametrize(("space", "seen", "cap"), [(Space(4, 4), 25, CAP), (Space(4, 5, opening=True), 40, OPEN_CAP)])
+def test_the_cap_is_far_away(space: Space, seen: int, cap: int) -> None:
+    need_compiler()
+    trials = draw_trials(20_000, n=N, p=P, m=M, seed=2)
+    A, lower, upper, soft = trials.unit()
+    rows = np.concatenate([A, lower[..., None], upper[..., None], soft[..., None]], axis=2).reshape(len(A), -1)
+    goal = np.clip(trials.target, trials.box[:, :N], trials.box[:, N:])
+    base = np.column_stack([goal, np.full(len(goal), -1e3 if space.opening else 0.0)])
+    rest = [] if space.opening else [np.eye(N).reshape(-1)]
+    _, _, _, status, count = compile_block(kernel(space, M))(rows, base, np.zeros(1), *rest)
+    assert set(np.unique(status)) <= ({OPTIMAL} if space.opening else {OPTIMAL, STUCK})
+    assert count.max() <= seen < cap
+
+
+def test_replay_and_casadi_give_the_same_bytes(flown: Flown) -> None:
+    some = flown.trials[slice(0, 400)]
+    for a, b in zip(replay(safe_tick(N, P, M), *some.arrays), flown.outputs, strict=True):
+        assert a.tobytes() == b[:400].tobytes()
+    machine = to_casadi(safe_tick(N, P, M))
+    for k in range(60):
+        one = machine(*(array[k] for array in some.arrays))
+        for a, b in zip(one, flown.outputs, strict=True):
+            # + 0.0: CasADi's if_else turns −0 into +0
+            assert (np.asarray(a).reshape(-1) + 0.0).tobytes() == (b[k] + 0.0).tobytes()
+
+
+@pytest.mark.parametrize("flags", [("-O0",), ("-O3",), ("-O3", "-march=native")])
+def test_every_optimisation_level_gives_the_same_bytes(flown: Flown, flags: tuple[str, ...]) -> None:
+    some = flown.trials[slice(0, 1000)]
+    for a, b in zip(compile_block(safe_tick(N, P, M), flags=flags)(*some.arrays), flown.outputs, strict=True):
+        assert a.tobytes() == b[:1000].tobytes()
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e308, -1e308, 1e-320])
+def test_no_number_anywhere_makes_it_anything_but_finite(bad: float) -> None:
+    need_compiler()
+    tick = compile_block(safe_tick(N, P, M))
+    good = draw_trials(1, n=N, p=P, m=M, seed=4)
+    for which, array in enumerate(good.arrays):
+        count = array.shape[1]
+        arrays = [np.repeat(a, count, axis=0) for a in good.arrays]
+        arrays[which][np.arange(count), np.arange(count)] = bad
+        v, *_, status, _ = tick(*arrays)
+        assert np.isfinite(v).all()
+        if which < 4:  # the box itself is sound
+            assert ((good.box[0, :N] <= v) & (v <= good.box[0, N:])).all()
+        if np.isnan(bad) and which < 4:
+            soft = which == 3 and np.arange(count) % (N + 3) == N + 2  # what is no number is not soft
+            assert (status[:, 0] == CLAMPED)[~np.broadcast_to(soft, count)].all()
+
+
+def test_the_derivative_is_the_projector_of_the_active_rows(flown: Flown) -> None:
+    import casadi as ca
+
+    target = ca.MX.sym("target", N)
+    machine = to_casadi(safe_tick(N, P, M))
+    usual = np.flatnonzero((flown.status == MET) & has(flown.trials, "plain"))[:5]
+    for k in usual:
+        rest = [ca.DM(a[k]) for a in flown.trials.arrays[1:]]
+        slope = ca.Function("slope", [target], [ca.jacobian(machine(target, *rest)[0], target)])
+        A = flown.trials[np.array([k])].unit()[0][0]
+        used = np.abs(flown.active[k][flown.active[k] != 0]).astype(int) - 1
+        held = np.vstack([A[used], flown.trials.J[k].reshape(P, N)])
+        want = np.eye(N) - np.linalg.pinv(held) @ held
+        np.testing.assert_allclose(np.asarray(slope(flown.trials.target[k])), want, atol=1e-9)
