@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.priority.backends import BACKENDS, LeastDistance, check_backend, solve_least_distance
 from surctl.priority.ladder import safe_tick
-from surctl.priority.safe_point import SafePoint, least_distance
 from surctl.priority.nsb import nsb, nsb_sweep
 from surctl.priority.polyhedron import polyhedron_of
 from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
 from surctl.priority.projected import solve_projected
+from surctl.priority.safe_point import SafePoint, least_distance
 from surctl.priority.solution import Mode, PrioritySolution, residuals_at
 from surctl.priority.symbolic import nsb_symbolic
 

@@ -106,7 +106,8 @@ def _unit_row(sizes: _Sizes) -> Program:
 
 
 def _prepare(sizes: _Sizes) -> Program:
-    """(J, x, target, box) → lift, Z of the fast and of the general kernel, whether all rows count, base, 0, near, 0, sound.
+    """(J, x, target, box) → lift, Z of the fast and of the general kernel, whether all rows count, base, 0, near, 0,
+    sound.
 
     `near` is the target moved into the box: where rungs 2 and 3 start, since only the task's value and the opening
     are taken from them, and small numbers are exact ones. `sound`: task and target are finite.
@@ -412,7 +413,8 @@ def _outcome(sizes: _Sizes) -> Program:
 def _finish(sizes: _Sizes) -> Program:
     """(point, status, safe, sound, box) → v inside the box, finite whatever came before; opening; outcome.
 
-    Whatever a task that is not finite led to is not called an answer. A point of rung 3 that keeps the opened rows will do when nothing better was found from there.
+    Whatever a task that is not finite led to is not called an answer. A point of rung 3 that keeps the opened rows
+    will do when nothing better was found from there.
     """
     n = sizes.n
     point, status, box = ca.SX.sym("point", n + 1), ca.SX.sym("status"), ca.SX.sym("box", 2 * n)

@@ -1,0 +1,195 @@
+"""Study 2: the least-distance ladder on problems that are meant to break it, and its speed against DAQP's core.
+
+    python analysis/02_least_distance/run.py [--n 100000] [--seed 0] [--no-race]
+
+Prints Markdown. Ends with 0 when every bar below holds, else with 1. The race needs a C compiler and the DAQP that
+ships with CasADi; both sides solve the same problems in one process, in turns.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import casadi
+import daqp
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.ir import compile_block, compiler_version, emit_block
+from surctl.ir.compiler import FLAGS, find_compiler
+from surctl.priority import safe_tick
+from surctl.priority.dual_step import Space
+from surctl.priority.kernel import CAP, OPEN_CAP, kernel
+from surctl.priority.ladder import CLAMPED, LIMITED, MET, RELAXED
+from surctl.priority.trials import FAMILIES, Trials, draw_trials, judge
+
+N, P, M = 4, 2, 24
+CHUNK = 20_000
+HERE = Path(__file__).parent
+Array = NDArray[np.float64]
+
+
+def main() -> int:
+    """Run both parts; the number of bars that do not hold decides the status."""
+    parser = argparse.ArgumentParser(description="least-distance ladder: robustness and speed")
+    parser.add_argument("--n", type=int, default=100_000, help="random problems")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--no-race", action="store_true", help="skip the timing")
+    options = parser.parse_args()
+    failed = robustness(options.n, options.seed)
+    if not options.no_race:
+        race()
+    return 1 if failed else 0
+
+
+def robustness(count: int, seed: int) -> bool:
+    """Every bar over `count` problems; whether any failed."""
+    tick = compile_block(safe_tick(N, P, M))
+    worst: dict[str, float] = {}
+    rungs = np.zeros((len(FAMILIES), CLAMPED + 1), dtype=int)
+    for at, first in enumerate(range(0, count, CHUNK)):
+        trials = draw_trials(min(CHUNK, count - first), n=N, p=P, m=M, seed=seed * 1_000_003 + at)
+        outputs = tick(*trials.arrays)
+        for name, value in {**answers(trials, outputs), **referee(trials, outputs), **iterations(trials)}.items():
+            combine = sum if name.startswith("number") else max
+            worst[name] = combine((worst.get(name, 0.0), value))
+        for k in range(len(FAMILIES)):
+            rungs[k] += np.bincount(outputs[4][trials.features[:, k], 0].astype(int), minlength=CLAMPED + 1)
+    print(
+        f"## {count} problems: n = {N}, {P} equalities, {M} rows, float64\n\n"
+        "| feature | met | limited | relaxed | clamped |"
+    )
+    print("|---|---|---|---|---|")
+    for name, row in zip(FAMILIES, rungs, strict=True):
+        print(f"| {name} | {row[MET]} | {row[LIMITED]} | {row[RELAXED]} | {row[CLAMPED]} |")
+    print("\n| fact | worst | bar | |\n|---|---|---|---|")
+    failed = False
+    for name, value in worst.items():
+        bar = BARS.get(name)
+        failed = failed or (bar is not None and not value <= bar)
+        word = "" if bar is None or value <= bar else "FAILED"
+        print(f"| {name} | {value:.3g} | {'' if bar is None else bar} | {word} |")
+    return failed
+
+
+BARS = {
+    "number not finite": 0,
+    "number clamped": 0,
+    "hard row missed": 1e-9,
+    "soft row missed beyond the opening": 1e-9,
+    "KKT residual where met": 1e-8,
+    "difference from DAQP where both solve": 1e-8,
+    "number that DAQP solves and we do not": 0,
+    "iterations, rows fixed": CAP - 1,
+    "iterations, opening free": OPEN_CAP - 1,
+}
+
+
+def answers(trials: Trials, outputs: list[Array]) -> dict[str, float]:
+    """What can be said of each answer without a second solver."""
+    v, active, multipliers, opening, status, _ = outputs
+    A, lower, upper, soft = trials.unit()
+    value = np.einsum("kij,kj->ki", A, v)
+    missed = np.maximum(value - upper, lower - value)
+    met = status[:, 0] == MET
+    verdict = judge(trials[met], v[met], active[met], multipliers=multipliers[met])
+    return {
+        "number not finite": float((~np.isfinite(v).all(axis=1)).sum()),
+        "number clamped": float((status == CLAMPED).sum()),
+        "hard row missed": float(missed[~soft].max()),
+        "soft row missed beyond the opening": float((np.where(soft, missed, -1.0) - opening).max()),
+        "KKT residual where met": float(verdict.worst().max()),
+    }
+
+
+def referee(trials: Trials, outputs: list[Array]) -> dict[str, float]:
+    """DAQP with tight settings; its answers count where they hold, and where both solve they are compared."""
+    A, lower, upper, _ = trials.unit()
+    J = trials.J.reshape(len(A), P, N)
+    length = np.linalg.norm(J, axis=2)
+    length = np.where(length > 0, length, 1.0)
+    rows = np.concatenate([A, J / length[..., None]], axis=1)
+    low, high = (np.concatenate([b, trials.x / length], axis=1) for b in (lower, upper))
+    sense = np.append(np.zeros(M), np.full(P, 5)).astype(np.intc)
+    gap, missing, refused = 0.0, 0, 0
+    for k, (G, a, b, goal) in enumerate(zip(rows, low, high, trials.target, strict=True)):
+        y, _, flag, _ = daqp.solve(
+            np.eye(N), -goal, np.ascontiguousarray(G), np.minimum(b, 1e30), np.maximum(a, -1e30), sense.copy(),
+            primal_tol=1e-12,
+        )  # fmt: skip
+        ours = outputs[4][k, 0] == MET
+        if flag != 1 or max((G @ y - b).max(), (a - G @ y).max()) > 1e-10 * (1 + np.abs(y).max()):
+            refused += ours
+        elif ours:
+            gap = max(gap, float(np.abs(y - outputs[0][k]).max() / (1 + np.abs(goal).max())))
+        else:
+            missing += 1
+    return {
+        "difference from DAQP where both solve": gap,
+        "number that DAQP solves and we do not": float(missing),
+        "number that we solve and DAQP does not": float(refused),
+    }
+
+
+def iterations(trials: Trials) -> dict[str, float]:
+    """Most iterations of the kernels that a tick is made of, each on its own."""
+    A, lower, upper, soft = trials.unit()
+    rows = np.concatenate([A, lower[..., None], upper[..., None], soft[..., None]], axis=2).reshape(len(A), -1)
+    goal = np.clip(trials.target, trials.box[:, :N], trials.box[:, N:])
+    fixed = compile_block(kernel(Space(N, N), M))
+    opened = compile_block(kernel(Space(N, N + 1, opening=True), M))
+    zero = np.zeros((len(A), 1))
+    return {
+        "iterations, rows fixed": float(
+            fixed(rows, np.hstack([trials.target, zero]), [0.0], np.eye(N).reshape(-1))[4].max()
+        ),
+        "iterations, opening free": float(opened(rows, np.hstack([goal, zero - 1e3]), [0.0])[4].max()),
+    }
+
+
+def race(count: int = 2000, rounds: int = 60) -> None:
+    """Ours and DAQP's core on problems whose first rung holds, in turns, medians."""
+    routine = safe_tick(N, P, M)
+    trials = draw_trials(20_000, n=N, p=P, m=M, seed=5, mixed=False)
+    outputs = compile_block(routine)(*trials.arrays)
+    chosen = np.flatnonzero(outputs[4][:, 0] == MET)[:count]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        np.concatenate(trials[chosen].arrays, axis=1).tofile(folder / "problems.bin")
+        lines = subprocess.run(
+            [build(folder, emit_block(routine, symbol="tick")), folder / "problems.bin", *map(str, (N, M, P, rounds))],
+            capture_output=True, text=True, check=True,
+        ).stdout.splitlines()  # fmt: skip
+    table = np.array([line.split() for line in lines], dtype=float)
+    ours, core, whole, gap, bad = np.median(table, axis=0)
+    print(f"\n## One solve in C: {len(chosen)} problems, {rounds} turns, {compiler_version()}\n")
+    print(f"mean iterations {outputs[5][chosen].mean():.2f}; largest difference {gap:.1e}; failures {bad:.0f}\n")
+    print("| what | ns | ours / it |\n|---|---|---|")
+    print(f"| ours: scaling, elimination, search, check, box | {ours:.0f} | 1 |")
+    print(f"| DAQP: search alone | {core:.0f} | {np.median(table[:, 0] / table[:, 1]):.2f} |")
+    print(f"| DAQP: new data, search, solution | {whole:.0f} | {np.median(table[:, 0] / table[:, 2]):.2f} |")
+
+
+def build(folder: Path, source: str) -> Path:
+    """The race's program."""
+    names = "const double *a, const double *b, const double *c, const double *d, const double *e, double *v, double *s"
+    local = f"double active[{N}], multipliers[{N}], opening[1], count[1];"
+    body = f"{{ {local} tick(a, b, c, d, e, v, active, multipliers, opening, s, count); }}"
+    (folder / "tick.c").write_text(
+        f"#include <math.h>\n{source}\nvoid surctl_tick({names});\nvoid surctl_tick({names})\n{body}\n"
+    )
+    home = Path(casadi.__file__).parent
+    cc = find_compiler().split()
+    subprocess.run([*cc, *FLAGS, "-c", folder / "tick.c", "-o", folder / "tick.o"], check=True)
+    link = ["-L", home, "-ldaqp", f"-Wl,-rpath,{home}", "-lm"]
+    include = ["-I", home / "include"]
+    subprocess.run([*cc, "-O2", *include, HERE / "race.c", folder / "tick.o", *link, "-o", folder / "race"], check=True)
+    return folder / "race"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
