@@ -54,6 +54,7 @@ class Native:
 
     def __init__(self, block: Block, library: bytes) -> None:
         self.block = block
+        self._inputs, self._outputs = block.inputs, block.outputs  # a routine works them out anew each time
         with tempfile.TemporaryDirectory(prefix="surctl-") as folder:
             path = Path(folder) / "block.so"
             path.write_bytes(library)
@@ -83,7 +84,7 @@ class Native:
 
     def __call__(self, *inputs: ArrayLike) -> list[Array]:
         """As `replay`: (n,) or (batch, n) for each input gives (m,) or (batch, m) for each output."""
-        wanted = self.block.inputs
+        wanted = self._inputs
         if len(inputs) != len(wanted):
             raise InputError(f"takes {len(wanted)} inputs, got {len(inputs)}", key=self.block.name)
         arrays = [np.asarray(x, dtype=np.float64) for x in inputs]
@@ -92,7 +93,7 @@ class Native:
                 raise InputError(f"has shape {array.shape}, expected (…, {size})", key=f"{self.block.name}.{name}")
         batch = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
         full = [np.ascontiguousarray(np.broadcast_to(a, (*batch, a.shape[-1]))) for a in arrays]
-        out = [np.empty((*batch, size)) for _, size in self.block.outputs]
+        out = [np.empty((*batch, size)) for _, size in self._outputs]
         count = int(np.prod(batch, dtype=np.int64))
         self._library.surctl_run_many(count, *(a.ctypes.data for a in (*full, *out)))
         return out

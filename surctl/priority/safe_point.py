@@ -16,7 +16,7 @@ from surctl.priority.dual_step import Space
 from surctl.priority.kernel import kernel
 from surctl.priority.ladder import CLAMPED, safe_tick
 
-__all__ = ["Rung", "SafePoint", "least_distance", "nearest_to_zero", "runner", "tick_routine"]
+__all__ = ["Rung", "SafePoint", "least_distance", "nearest_to_zero", "tick_runner"]
 
 Array: TypeAlias = NDArray[np.float64]
 Runner: TypeAlias = Callable[..., list[Array]]
@@ -49,19 +49,17 @@ class SafePoint:
 
 
 @cache
-def tick_routine(n: int, p: int, m: int) -> Routine:
-    """`safe_tick` of these sizes, built once."""
-    return safe_tick(n, p, m)
+def tick_runner(n: int, p: int, m: int) -> Runner:
+    """`safe_tick` of these sizes, compiled once; its replay where there is no compiler: the same numbers, slower."""
+    return _runner(safe_tick(n, p, m))
 
 
 @cache
-def _nearest(d: int, m: int) -> Routine:
-    return kernel(Space(d, d), m)
+def _nearest(d: int, m: int) -> Runner:
+    return _runner(kernel(Space(d, d), m))
 
 
-@cache
-def runner(routine: Routine) -> Runner:
-    """The routine compiled, or its replay where there is no compiler: the same numbers, 1,000 times slower."""
+def _runner(routine: Routine) -> Runner:
     try:
         return compile_block(routine)
     except ToolMissing:
@@ -105,8 +103,7 @@ def least_distance(
     padded = np.vstack([rows, np.tile(_idle(n), (m - len(rows), 1))])
     if matrix.shape[0] == 0:
         matrix, value = np.zeros((1, n)), np.zeros(1)
-    routine = tick_routine(n, matrix.shape[0], m)
-    v, active, multipliers, opening, status, count = runner(routine)(
+    v, active, multipliers, opening, status, count = tick_runner(n, matrix.shape[0], m)(
         goal, matrix.reshape(-1), value, padded.reshape(-1), limits.reshape(-1)
     )
     solved = int(status[0]) != CLAMPED
@@ -127,7 +124,7 @@ def nearest_to_zero(G: Array, lower: Array, upper: Array) -> tuple[Array, Array,
     size = -(-m // _BUCKET) * _BUCKET
     rows = np.tile(_idle(d), (size, 1))
     rows[:m, :d], rows[:m, d], rows[:m, d + 1] = G, lower, upper
-    point, numbers, u, status, count = runner(_nearest(d, size))(
+    point, numbers, u, status, count = _nearest(d, size)(
         rows.reshape(-1), np.zeros(d + 1), np.zeros(1), np.eye(d).reshape(-1)
     )
     multipliers = np.zeros(size)

@@ -50,7 +50,7 @@ def test_another_compiler_is_another_entry(builds: list[str], tmp_path: Path, mo
     assert len(builds) == 2
 
 
-@pytest.mark.parametrize("spoil", ["flip", "empty", "note", "no note", "link", "open", "open folder"])
+@pytest.mark.parametrize("spoil", ["flip", "empty", "note", "no note", "link", "group", "world", "open folder"])
 def test_what_cannot_be_trusted_is_built_again(builds: list[str], tmp_path: Path, spoil: str) -> None:
     folder = tmp_path / "c"
     good = shared_library(SOURCE, folder=folder)
@@ -69,11 +69,11 @@ def test_what_cannot_be_trusted_is_built_again(builds: list[str], tmp_path: Path
     elif spoil == "link":
         library.rename(tmp_path / "elsewhere.so")
         library.symlink_to(tmp_path / "elsewhere.so")
-    elif spoil == "open":
+    elif spoil in ("group", "world"):
         # somebody else could have written it, digest and all
         library.write_bytes(b"evil")
         note.write_text(hashlib.sha256(b"evil").hexdigest())
-        library.chmod(0o666)
+        library.chmod(0o620 if spoil == "group" else 0o602)
     else:
         folder.chmod(0o777)
         library.write_bytes(b"evil")

@@ -110,6 +110,18 @@ def test_random_bodies_in_a_loop_agree(steps: list[tuple[str, int, int, int]], t
         np.testing.assert_array_equal(np.asarray(a).reshape(-1), b[0])  # == : the sign of a zero may differ
 
 
+def test_gather_takes_the_nearest_piece_that_there_is() -> None:
+    need_compiler()
+    routine = Routine("g", (("table", 6), ("at", 1)), (Gather("table", "at", 2, "piece"),), ("piece",))
+    at = np.array([-np.inf, -1e300, -1, -0.0, 0, 0.9, 1, 1.9, 2, 2.5, 3, 1e300, np.inf, np.nan])[:, None]
+    want = np.array([0, 0, 0, 0, 0, 0, 1, 1, 2, 2, 2, 2, 2, 0])
+    table = np.arange(6.0)
+    assert same(replay(routine, table, at)[0][:, 0], 2.0 * want)
+    assert same(compile_block(routine)(table, at)[0][:, 0], 2.0 * want)
+    for k, index in enumerate(at[:-1, 0]):
+        assert float(to_casadi(routine)(table, index)[0]) == 2.0 * want[k]
+
+
 def test_derivatives_go_through_the_loop() -> None:
     x = ca.MX.sym("x")
     limit, table = ca.DM(50.0), ca.DM(np.arange(6.0))

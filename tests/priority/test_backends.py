@@ -69,7 +69,7 @@ def test_the_qp_is_the_last_projection_of_nsb_when_rows_are_loose(backend, seed)
     got = solve_least_distance(
         w_2,
         A=np.eye(N),
-        lower=np.full(N, -1e6),
+        lower=np.full(N, -1e6),  # w_2 grows to 1e3 with nearly parallel levels
         upper=np.full(N, 1e6),
         A_eq=first.J,
         b_eq=reachable,

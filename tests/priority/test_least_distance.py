@@ -43,6 +43,15 @@ def test_the_ladder_from_python() -> None:
     np.testing.assert_allclose(clamped.v, [1.0, 0.3])
 
 
+def test_of_equal_rows_the_first_binds_and_nearly_equal_ones_do_not_send_v_away() -> None:
+    twice = {"A": [[0.0, 1.0], [1.0, 0.0], [1.0, 0.0]], "lower": [-9.0] * 3, "upper": [9.0, 1.0, 1.0]}
+    assert [name for name, _ in least_distance([3.0, 0.0], **twice).binding] == ["row 1"]
+    # these two meet a million kilometres away: that is no answer for a robot
+    sharp = {"A": [[1.0, 0.0], [-1.0, 1e-9]], "lower": [-np.inf] * 2, "upper": [0.0, -1.0]}
+    got = least_distance([0.0, 0.0], **sharp)
+    assert got.rung == "relaxed" and np.abs(got.v).max() < 2.0
+
+
 def test_no_rows_and_many_rows() -> None:
     nothing = np.zeros((0, 3))
     assert least_distance([1.0, 2.0, 3.0], A=nothing, lower=[], upper=[]).v.tolist() == [1.0, 2.0, 3.0]
@@ -81,11 +90,11 @@ def test_without_a_compiler_the_numbers_are_the_same(monkeypatch: pytest.MonkeyP
         raise ToolMissing("no C compiler found")
 
     monkeypatch.setattr(module, "compile_block", missing)
-    module.runner.cache_clear()
+    module.tick_runner.cache_clear()
     try:
         got = least_distance([3.0, 0.4], **BOX)
     finally:
-        module.runner.cache_clear()
+        module.tick_runner.cache_clear()
     assert got.v.tobytes() == want.v.tobytes() and got.binding == want.binding
 
 
