@@ -7,8 +7,11 @@ from typing import Any
 
 import pytest
 
+from tests.tools import need_compiler
+
 ANALYSIS = Path(__file__).parents[1] / "analysis"
 SWEEP = ANALYSIS / "02_gain_sweep" / "run.py"
+SOLVER = ANALYSIS / "03_least_distance" / "run.py"
 
 
 def run(script: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -83,3 +86,27 @@ def test_a_folder_that_cannot_be_written_ends_with_2(study: dict[str, Any], tmp_
     done = run(SWEEP, "--quick", "--out", str(taken))
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1 and "--out" in done.stderr
+
+
+def test_the_solver_holds_its_bars() -> None:
+    need_compiler()
+    done = run(SOLVER, "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    facts = {row[0]: row[1:] for row in table(done.stdout) if len(row) == 4}
+    assert len(facts) == 11 and all(bar for name, (_, bar, _) in facts.items() if "DAQP does not" not in name)
+    assert not any(mark for _, _, mark in facts.values())
+    assert float(facts["KKT residual where met"][0]) <= 1e-8
+    features = [row for row in table(done.stdout) if len(row) == 5][1:]
+    assert len(features) == 8
+    assert all(int(met) > 0 and int(opened) > 0 and clamped == "0" for _, met, _, opened, clamped in features)
+
+
+def test_a_bar_of_the_solver_that_is_missed_ends_with_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    need_compiler()
+    study = runpy.run_path(str(SOLVER))
+    monkeypatch.setitem(study["BARS"], "KKT residual where met", 1e-30)
+    assert study["main"](["--n", "500", "--no-race"]) == 1
+    failed = [row[0] for row in table(capsys.readouterr().out) if row[-1] == "FAILED"]
+    assert failed == ["KKT residual where met"]

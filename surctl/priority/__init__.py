@@ -45,7 +45,8 @@ def solve(problem: PriorityProblem, *, mode: Mode = "projected", backend: str = 
         problem: from `build_problem`.
         mode: "projected" keeps every row; "nsb" is the printed law (16), which knows no rows (those that it
             misses are listed in `relaxed`).
-        backend: "daqp", "osqp" or "own"; plays no part in "nsb".
+        backend: a name in `BACKENDS`: "daqp", "osqp", "own", or another solver that qpsolvers finds; plays no
+            part in "nsb".
 
     Raises:
         InputError: unknown mode or backend.

@@ -91,7 +91,7 @@ def osqp_kernel(G: Array, lower: Array, upper: Array) -> Answer:
 
 
 def own_kernel(G: Array, lower: Array, upper: Array) -> Answer:
-    """This package's own dual active-set method (`dual_step`), compiled; the one that is exported as C."""
+    """This package's own dual active-set method (`dual_step`), compiled where there is a C compiler."""
     y, multipliers, status, iterations = nearest_to_zero(G, lower, upper)
     if status == OPTIMAL:
         return Answer(y, multipliers, iterations, "optimal")

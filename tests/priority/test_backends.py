@@ -12,7 +12,7 @@ from surctl.priority import BACKENDS, nsb_sweep, solve_least_distance
 from surctl.priority.rowspace import project, row_space
 from tests.priority.draw import N, levels, unit
 
-both = pytest.mark.parametrize("backend", ["daqp", "osqp"])
+each = pytest.mark.parametrize("backend", ["daqp", "osqp", "own"])
 
 
 def oracle(target, A, upper):
@@ -29,7 +29,7 @@ def oracle(target, A, upper):
     return where
 
 
-@both
+@each
 def test_it_equals_enumeration(backend):
     rng = np.random.default_rng(1)
     empty = 0
@@ -59,8 +59,8 @@ def test_it_equals_enumeration(backend):
     assert empty > 0
 
 
-@both
-@settings(max_examples=40)
+@each
+@settings(max_examples=40, deadline=None)  # the first use of a backend may compile
 @given(st.integers(0, 2**32 - 1))
 def test_the_qp_is_the_last_projection_of_nsb_when_rows_are_loose(backend, seed):
     made = levels(np.random.default_rng(seed), conditioned=True)
@@ -78,7 +78,7 @@ def test_the_qp_is_the_last_projection_of_nsb_when_rows_are_loose(backend, seed)
     assert np.abs(got.x - project(w_2, first.J, x=first.x)).max() < 1e-8 * (1 + np.abs(w_2).max())
 
 
-@both
+@each
 def test_equalities_that_disagree_are_infeasible_and_doubled_ones_are_not(backend):
     row = np.array([[1.0, 0, 0, 0], [1.0, 0, 0, 0]])
     box = {"A": np.eye(N), "lower": np.full(N, -1.0), "upper": np.full(N, 1.0), "backend": backend}
@@ -89,7 +89,7 @@ def test_equalities_that_disagree_are_infeasible_and_doubled_ones_are_not(backen
     assert outside.status == "infeasible"
 
 
-@both
+@each
 def test_multipliers_are_those_of_the_rows_as_given(backend):
     rng, bound = np.random.default_rng(6), 0
     for _ in range(20):
@@ -104,7 +104,7 @@ def test_multipliers_are_those_of_the_rows_as_given(backend):
     assert bound > 5
 
 
-@both
+@each
 def test_a_fixed_velocity_and_absent_bounds(backend):
     lower, upper = np.array([0.3, -np.inf, -np.inf, 0.0]), np.array([0.3, np.inf, -0.5, np.inf])
     got = solve_least_distance(np.zeros(N), A=np.eye(N), lower=lower, upper=upper, backend=backend)
@@ -124,12 +124,17 @@ def test_an_answer_that_does_not_hold_is_not_passed_on():
     assert np.abs(_checked(rough, G, low, high, tolerance=close).y - [0.5, 0.0]).max() < 1e-15
 
 
+def test_the_backends_come_in_order():
+    assert list(BACKENDS)[:3] == ["daqp", "osqp", "own"]
+    assert "clarabel" in list(BACKENDS)[3:]
+
+
 def test_an_unknown_backend_names_the_nearest():
     with pytest.raises(InputError, match="did you mean 'daqp'"):
         solve_least_distance(np.zeros(1), A=np.eye(1), lower=-np.ones(1), upper=np.ones(1), backend="dakp")
 
 
-@both
+@each
 def test_nothing_is_printed(backend, capfd):
     box = {"A": np.eye(N), "lower": np.full(N, -1.0), "upper": np.full(N, 1.0), "backend": backend}
     solve_least_distance(np.zeros(N), **box)
