@@ -124,6 +124,23 @@ def test_an_answer_that_does_not_hold_is_not_passed_on():
     assert np.abs(_checked(rough, G, low, high, tolerance=close).y - [0.5, 0.0]).max() < 1e-15
 
 
+def test_own_needs_no_polish():
+    rng, bound = np.random.default_rng(8), 0
+    for _ in range(200):
+        m = int(rng.integers(1, 12))
+        G = np.array([unit(rng) for _ in range(m)])
+        inside = rng.normal(size=N)
+        lower, upper = G @ inside - rng.uniform(0, 1, m), G @ inside + rng.uniform(0, 1, m)
+        got = BACKENDS["own"](G, lower, upper)
+        assert got.status == "optimal"
+        value, u = G @ got.y, got.multipliers
+        assert np.maximum(lower - value, value - upper).max() <= 1e-10
+        assert np.abs(got.y + G.T @ u).max() <= 1e-10
+        assert np.abs(np.where(u > 0, upper, lower) - value)[u != 0].max(initial=0.0) <= 1e-10
+        bound += np.any(u != 0)
+    assert bound > 150
+
+
 def test_the_backends_come_in_order():
     assert list(BACKENDS)[:3] == ["daqp", "osqp", "own"]
     assert "clarabel" in list(BACKENDS)[3:]
