@@ -80,6 +80,9 @@ def least_distance(
 ) -> SafePoint:
     """The point nearest to target (n,) with J v = x and lower ≤ A v ≤ upper, or the next best: see `ladder`.
 
+    The answer `met` is exact to rounding. `limited` and `relaxed` keep the hard rows and the box, but are not refereed
+    for task rows whose lengths differ by many orders of magnitude, nor for near-parallel soft rows.
+
     Args:
         target: (n,).
         A, lower, upper: rows (m, n) and bounds (m,), ±inf where there is none. Any length.
