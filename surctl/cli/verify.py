@@ -18,33 +18,44 @@ __all__ = ["claim_line", "verify"]
 @click.argument("claims", nargs=-1)
 @click.option("--vehicle", default="sur540-flooded", help="Vehicle of the margins: name or file.")
 @click.option("--gains", default="default", help="Gain file: name or path.")
+@click.option("--uncertainty", type=float, default=0.0, help="Share by which mass and drag may be off, e.g. 0.2.")
 @click.option("--cruise", type=float, default=0.20, help="Speed in m/s about which the margins are taken.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of the falsifier.")
 @as_json
-def verify(claims: tuple[str, ...], vehicle: str, gains: str, cruise: float, seed: int, as_json: bool) -> None:
+def verify(
+    claims: tuple[str, ...], vehicle: str, gains: str, uncertainty: float, cruise: float, seed: int, as_json: bool
+) -> None:
     """Try to refute the paper's claims, printed and corrected, and print the loop margins.
 
+    The claims are about the kinematic loop; vehicle and uncertainty enter the margins only.
     A claim that is not refuted is not proved. Exit status 0 when every verdict is the one the claim ships with.
     Examples: surctl verify; surctl verify v1-printed v1-corrected --gains my-gains.toml
     """
     from surctl.control import build_law, load_gains
     from surctl.vehicle import load_vehicle
     from surctl.verification import claims as library
-    from surctl.verification import falsify, loop_margins
+    from surctl.verification import falsify, worst_margins
 
     values = load_gains(gains).values
     chosen = library(values, claims or None)
     flown = load_vehicle(vehicle)
-    margins = loop_margins(flown, values, cruise=cruise, dt=build_law().dt)
+    margins = worst_margins(flown, values, uncertainty=uncertainty, cruise=cruise, dt=build_law().dt)
     verdicts = []
     for claim in chosen:
         progress(claim.name)
         verdicts.append(falsify(claim, seed=seed))
     lines = [claim_line(v) for v in verdicts]
     least = min(margins, key=lambda m: m.delay_margin_s)
-    lines.append(f"margins of {flown.name}: least delay margin {least.delay_margin_s:.2f} s ({least.name})")
-    result = {"claims": [v.to_dict() for v in verdicts], "margins": [m.to_dict() for m in margins]}
-    finish(result, lines, as_json=as_json, passed=all(v.as_expected for v in verdicts))
+    off = f" with mass and drag off by ±{uncertainty:.0%}" if uncertainty else ""
+    stable = all(m.stable for m in margins)
+    word = "stable" if stable else "UNSTABLE"
+    lines.append(f"margins of {flown.name}{off}: {word}, least delay {least.delay_margin_s:.2f} s ({least.name})")
+    result = {
+        "claims": [v.to_dict() for v in verdicts],
+        "uncertainty": uncertainty,
+        "margins": [m.to_dict() for m in margins],
+    }
+    finish(result, lines, as_json=as_json, passed=stable and all(v.as_expected for v in verdicts))
 
 
 def claim_line(verdict: Verdict) -> str:

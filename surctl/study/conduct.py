@@ -178,9 +178,8 @@ def conduct(
         gain_file.write_text(write_gains(swept.gains), encoding="utf-8")
     with clock("margins"):
         cruise = max(leg.scenario.cruise for leg in plan.deciding)
-        about = {"cruise": cruise, "dt": law.dt}
-        margins = loop_margins(plan.vehicle, swept.gains.values, **about)
-        poles = closed_loop_poles(plan.vehicle, swept.gains.values, **about)
+        margins = loop_margins(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt)
+        poles = closed_loop_poles(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt)
     with clock("claims"):
         verdicts = tuple(falsify(claim) for claim in claims(swept.gains.values, plan.claims))
     with clock("flights"):
@@ -200,7 +199,7 @@ def conduct(
             gains=swept.gains,
             margins=margins,
             poles=poles,
-            loops=loop_responses(plan.vehicle, swept.gains.values, **about),
+            loops=loop_responses(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt),
             gains_file=str(gain_file),
             verdicts=verdicts,
             runs=runs,

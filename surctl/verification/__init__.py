@@ -6,7 +6,7 @@ from surctl.verification.claim import Claim, Motion, Variable, VerdictWord
 from surctl.verification.counterexample import Counterexample, Replay, evaluate, replay
 from surctl.verification.falsifier import falsify
 from surctl.verification.library import claims
-from surctl.verification.margins import LoopMargins, closed_loop_poles, loop_margins, margins_of
+from surctl.verification.margins import LoopMargins, closed_loop_poles, loop_margins, margins_of, worst_margins
 from surctl.verification.setting import Setting, setting_from
 from surctl.verification.verdict import Verdict
 
@@ -32,4 +32,5 @@ __all__ = [
     "replay",
     "setting_from",
     "settling_intrusion",
+    "worst_margins",
 ]

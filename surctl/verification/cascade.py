@@ -69,29 +69,33 @@ class Cascade:
         return closed, self.B @ self.K[:, [index]], self.C[[index]]
 
 
-def build_cascade(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float) -> Cascade:
+def build_cascade(
+    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle | None = None
+) -> Cascade:
     """Linearise the plant at cruise speed and close the cascade around it.
 
     Args:
-        vehicle: the vehicle; its own model is the plant.
+        vehicle: the plant.
         gains: `CASCADE_GAINS` by name, and k_i [1/s²] if there is integral action; others are passed over.
         cruise: U [m/s], > 0.
         dt: control period [s], > 0; the loop delay is 1.5 dt: one to compute, half of one for the hold.
+        model: what the controller believes the vehicle to be; default the vehicle itself.
 
     Raises:
         InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed.
     """
+    model = model or vehicle
     k = _gains({**gains, "cruise": cruise, "dt": dt})
     plant = linearise(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
     # outputs in a fixed order, by name; states of the plant are its outputs
     pick = np.array([plant.output_labels.index(name) for name in _OUTPUTS])
     A, B, C = np.asarray(plant.A), np.asarray(plant.B), np.asarray(plant.C)[pick]
     A, B, C = _delayed(A, B, C, 1.5 * dt)
-    proportional = Cascade(A, B, C, _controller(vehicle, k))
+    proportional = Cascade(A, B, C, _controller(model, k))
     k_i = float(gains.get("k_i", 0.0))
     if not (np.isfinite(k_i) and k_i >= 0):
         raise InputError("must be at least 0", key="k_i", value=k_i, remedy="correct it")
-    return _with_integral(proportional, vehicle, k, k_i) if k_i > 0 else proportional
+    return _with_integral(proportional, model, k, k_i) if k_i > 0 else proportional
 
 
 def _guidance(k: Mapping[str, float]) -> NDArray[np.float64]:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.errors import InputError
 from surctl.vehicle import Vehicle
 from surctl.verification.cascade import build_cascade
 
-__all__ = ["LoopMargins", "closed_loop_poles", "loop_margins", "margins_of"]
+__all__ = ["LoopMargins", "closed_loop_poles", "loop_margins", "margins_of", "worst_margins"]
 
 _LOWEST = 1e-4  # [rad/s]
 _POINTS = 800
@@ -46,7 +47,9 @@ class LoopMargins:
         return asdict(self)
 
 
-def loop_margins(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float) -> tuple[LoopMargins, ...]:
+def loop_margins(
+    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle | None = None
+) -> tuple[LoopMargins, ...]:
     """Margins of the eight loops about cruise; the parts are described in `cascade`.
 
     `surge`, `sway`, `heave`, `yaw` are broken at the thrust command: a delay or gain error of that thrust,
@@ -58,17 +61,68 @@ def loop_margins(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float,
         gains: k1, k2, k_psi, k_r, k_v [1/s], lookahead [m]; k_i [1/s²] if there is integral action.
         cruise: U [m/s].
         dt: control period [s].
+        model: what the controller believes the vehicle to be; default the vehicle itself.
 
     Raises:
         InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed.
     """
-    cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt)
+    cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model)
     highest = np.pi / dt  # beyond the Nyquist frequency a sampled controller has no loop
     thrust = [(name, cascade.at_thrust(i)) for i, name in enumerate(("surge", "sway", "heave", "yaw"))]
     outer = [(n, cascade.at_output(i)) for i, n in enumerate(("along_track", "cross_track", "depth", "heading"))]
     if not cascade.stable:
         return tuple(LoopMargins(name, False, 1.0, 0.0, 0.0, 0.0, 0.0) for name, _ in (*thrust, *outer))
     return tuple(margins_of(name, *loop, highest=highest) for name, loop in (*thrust, *outer))
+
+
+def worst_margins(
+    vehicle: Vehicle, gains: Mapping[str, float], *, uncertainty: float, cruise: float, dt: float
+) -> tuple[LoopMargins, ...]:
+    """Least margins of each loop over the corners of mass and drag, while the controller keeps the nominal model.
+
+    All masses together are (1 ± uncertainty) times the nominal ones, all drag coefficients likewise: four corners, and
+    the nominal vehicle. Corners are where a linear loop is usually worst, not a proof for what lies between.
+
+    Args:
+        vehicle: the nominal vehicle.
+        gains: as `loop_margins`.
+        uncertainty: 0 ≤ uncertainty < 1.
+        cruise: U [m/s].
+        dt: control period [s].
+
+    Raises:
+        InputError: as `loop_margins`, or an uncertainty out of range.
+    """
+    if not 0 <= uncertainty < 1:
+        raise InputError(
+            "must be at least 0 and less than 1", key="uncertainty", value=uncertainty, remedy="write 0.2 for ±20 %"
+        )
+    factors = (1 - uncertainty, 1 + uncertainty) if uncertainty > 0 else ()
+    corners = [vehicle, *(_scaled(vehicle, m, d) for m in factors for d in factors)]
+    found = [loop_margins(corner, gains, cruise=cruise, dt=dt, model=vehicle) for corner in corners]
+    return tuple(_least(same) for same in zip(*found, strict=True))
+
+
+def _scaled(vehicle: Vehicle, mass: float, drag: float) -> Vehicle:
+    named = dict.fromkeys(("m11", "m22", "m33", "m44"), mass)
+    named |= dict.fromkeys(("Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr"), drag)
+    changed = {
+        name: replace(parameter, value=parameter.value * named.get(name, 1.0), range=None)
+        for name, parameter in vehicle.parameters.items()
+    }
+    return replace(vehicle, parameters=changed)
+
+
+def _least(loops: Sequence[LoopMargins]) -> LoopMargins:
+    return LoopMargins(
+        loops[0].name,
+        all(m.stable for m in loops),
+        min(m.gain_margin for m in loops),
+        min(m.phase_margin_deg for m in loops),
+        min(m.delay_margin_s for m in loops),
+        min(m.disk_margin for m in loops),
+        max(m.crossover_rad_s for m in loops),
+    )
 
 
 def closed_loop_poles(

@@ -7,7 +7,7 @@ from surctl.control.velocity import velocity_control
 from surctl.errors import InputError
 from surctl.guidance.tracking import along_command, tracking_velocity
 from surctl.vehicle import load_vehicle, planar_rotation
-from surctl.verification import build_cascade, closed_loop_poles, loop_margins, margins_of
+from surctl.verification import build_cascade, closed_loop_poles, loop_margins, margins_of, worst_margins
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
 VEHICLE = load_vehicle("sur540-flooded")
@@ -153,3 +153,28 @@ def test_bad_gains_are_named(change: dict[str, float | None], key: str) -> None:
 def test_a_cruise_beyond_the_thrust_is_refused() -> None:
     with pytest.raises(InputError, match="thrust"):
         loop_margins(VEHICLE, GAINS, cruise=0.9, dt=0.05)
+
+
+def test_a_wrong_model_scales_the_loop_gain():
+    vehicle, gains = load_vehicle("sur540-flooded"), GAINS
+    heavy = vehicle.with_values({"m33": 115.0})
+    about = {"cruise": 0.2, "dt": 0.05}
+    right, wrong = ({m.name: m for m in loop_margins(heavy, gains, model=model, **about)} for model in (heavy, vehicle))
+    # the heave loop of a body of 115 kg that is taken for 95 kg crosses over 95/115 lower, to first order
+    ratio = wrong["heave"].crossover_rad_s / right["heave"].crossover_rad_s
+    assert 0.75 < ratio < 0.9
+    assert wrong["surge"] == right["surge"]
+
+
+def test_worst_margins_are_the_least_of_the_corners():
+    vehicle, gains = load_vehicle("sur540-flooded"), GAINS
+    about = {"cruise": 0.2, "dt": 0.05}
+    nominal = loop_margins(vehicle, gains, **about)
+    assert worst_margins(vehicle, gains, uncertainty=0.0, **about) == nominal
+    small, large = (worst_margins(vehicle, gains, uncertainty=u, **about) for u in (0.2, 0.4))
+    for some, less, least in zip(nominal, small, large, strict=True):
+        assert some.disk_margin >= less.disk_margin >= least.disk_margin > 0
+        assert some.delay_margin_s >= less.delay_margin_s >= least.delay_margin_s
+    assert min(m.disk_margin for m in large) < min(m.disk_margin for m in nominal)
+    with pytest.raises(InputError, match="uncertainty = 1"):
+        worst_margins(vehicle, gains, uncertainty=1.0, **about)
