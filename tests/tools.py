@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from shutil import which
 
 import pytest
 
@@ -15,6 +16,20 @@ def need_compiler() -> str:
     try:
         return find_compiler()
     except ToolMissing as missing:
-        if os.environ.get("CI") == "true":
-            pytest.fail(f"CI must have a C compiler: {missing}")
-        pytest.skip(str(missing))
+        _without(str(missing))
+        raise
+
+
+def need_make() -> str:
+    """`make`, on the same terms."""
+    found = which("make")
+    if found is None:
+        _without("make is not installed")
+    return str(found)
+
+
+def _without(reason: str) -> None:
+    """Skip, with the reason; under CI=true nothing may be missing."""
+    if os.environ.get("CI") == "true":
+        pytest.fail(f"CI must have it: {reason}")
+    pytest.skip(reason)

@@ -7,7 +7,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from shutil import which
 
 import casadi as ca
 import numpy as np
@@ -19,7 +18,7 @@ from surctl.export import Bundle, build_bundle, write_bundle
 from surctl.export.rendering import comment
 from surctl.ir import Layout, Port, compile_program, find_compiler
 from tests.export.standin import GAINS, StandIn, stand_in
-from tests.tools import need_compiler
+from tests.tools import need_compiler, need_make
 
 TUNED = {"k_p": np.array([1.0, 2.0, 0.1, 0.7])}
 
@@ -143,10 +142,9 @@ def test_fast_math_is_refused_by_the_source_itself(tmp_path: Path) -> None:
 
 def test_make_check(tmp_path: Path) -> None:
     need_compiler()
-    if which("make") is None:
-        pytest.skip("make is not installed")
+    make = need_make()
     write_bundle(bundle_of(stand_in()), tmp_path / "bundle")
-    command = ["make", "-s", "check", f"CC={find_compiler()}"]
+    command = [make, "-s", "check", f"CC={find_compiler()}"]
     done = subprocess.run(command, cwd=tmp_path / "bundle", capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
 
