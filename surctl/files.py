@@ -1,7 +1,8 @@
-"""Reading TOML files: every mistake becomes one line with file, key, value and remedy."""
+"""Reading TOML files and making folders: every mistake becomes one line with file, key, value and remedy."""
 
 from __future__ import annotations
 
+import os
 import tomllib
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
@@ -10,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, StrictFloat, ValidationError
 
 from surctl.errors import InputError, nearest
 
-__all__ = ["Quantity", "Strict", "load_model", "pick", "read_toml", "validate"]
+__all__ = ["Quantity", "Strict", "load_model", "pick", "prepare_folder", "read_toml", "validate"]
 
 
 class Strict(BaseModel):
@@ -113,6 +114,24 @@ def _model_in(annotation: Any) -> Any:
         if found is not None:
             return found
     return None
+
+
+def prepare_folder(folder: Path) -> Path:
+    """Make the output folder, or say in one line why that cannot be.
+
+    Raises:
+        InputError: it is a file, or cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / f".surctl-{os.getpid()}"
+        probe.write_bytes(b"")
+        probe.unlink()
+    except OSError as error:
+        raise InputError(
+            f"cannot be written ({error.strerror})", key="--out", value=str(folder), remedy="name another folder"
+        ) from None
+    return folder
 
 
 def pick(name_or_path: str, library: Path, *, what: str) -> Path:

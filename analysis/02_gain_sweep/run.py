@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 
 from surctl.control import Gains, build_law, load_gains
 from surctl.errors import InputError
-from surctl.files import Strict, load_model
+from surctl.files import Strict, load_model, prepare_folder
 from surctl.simulation import Run, load_scenario, simulate
 from surctl.simulation.metrics import settled_avoidance
-from surctl.study import prepare_folder
 from surctl.tuning import COLUMNS, DELAY_FLOOR, DISK_FLOOR, Axis, Flight, Sweep, sweep
 from surctl.vehicle import load_vehicle
 from surctl.verification import loop_margins

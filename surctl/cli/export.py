@@ -47,7 +47,6 @@ def export(
     from surctl.export import Records, build_bundle, software_in_the_loop, write_bundle
     from surctl.ir import find_compiler
     from surctl.simulation import load_scenario, simulate
-    from surctl.study.conduct import sil_to_dict
     from surctl.vehicle import load_vehicle
 
     for key, value, known in (("--target", target, ("c99",)), ("--real", real, ("float64",))):
@@ -63,13 +62,12 @@ def export(
     files = write_bundle(bundle, out)
     progress("compiling and replaying")
     sil = software_in_the_loop(built, Records(record.law_state, record.law_input, record.law_parameters))
-    passed = sil.passed and not sil.resets
     result = {
         "name": bundle.name,
         "id": bundle.id,
         "files": [str(f.path) for f in files],
         "sha256": {f.path.name: f.sha256 for f in files},
-        "sil": sil_to_dict(sil),
+        "sil": sil.to_dict(),
     }
     lines = [*(f"{f.sha256[:12]}  {f.path}" for f in files), "", sil.summary()]
-    finish(result, lines, as_json=as_json, passed=passed)
+    finish(result, lines, as_json=as_json, passed=sil.conclusive)

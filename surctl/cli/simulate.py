@@ -41,9 +41,9 @@ def simulate(
     Examples: surctl simulate pool-static --sensing sonar --runs 5; surctl simulate tank-static --law paper --out plots
     """
     from surctl.control import build_law, load_gains
+    from surctl.files import prepare_folder
     from surctl.simulation import load_scenario
     from surctl.simulation import simulate as fly
-    from surctl.study import prepare_folder, run_to_dict
     from surctl.vehicle import load_vehicle
 
     if out is not None:
@@ -56,7 +56,7 @@ def simulate(
         flown = load_vehicle(vehicle or scenario.vehicle)
         for k in range(seed, seed + runs):
             run = fly(scenario, flown, gains=chosen, law=built, sensing=sensing, seed=k)
-            results.append(run_to_dict(run))
+            results.append(run.to_dict())
             m = run.metrics
             line = (
                 f"{scenario.name} by {flown.name}, {sensing}, seed {k}: {m.stopped_because} at {m.time_s:.2f} s, "

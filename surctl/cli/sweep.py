@@ -40,9 +40,9 @@ def sweep(
     Example: surctl sweep lookahead=0.6,0.9,1.2 k_v=1,1.5,2 --scenario pool-static --out sweep
     """
     from surctl.control import load_gains, write_gains
+    from surctl.files import prepare_folder
     from surctl.report import save_heat_map
     from surctl.simulation import load_scenario
-    from surctl.study import prepare_folder
     from surctl.tuning import COLUMNS, Axis, Flight
     from surctl.tuning import sweep as run_sweep
     from surctl.vehicle import load_vehicle

@@ -7,7 +7,7 @@ solver, for the modes that need a QP. Python, C, verification and tuning all see
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from typing import Literal, NamedTuple, get_args
 
 import casadi as ca
@@ -76,7 +76,7 @@ class Law:
         dt: control period [s].
         state, inputs, gains, outputs: layouts of the flat vectors.
         function: (x, u, p) → (tau, x_next, status, telemetry), closed form (16).
-        pre: (x, u, p) → (stacked J, stacked references, barrier rows, barrier bounds).
+        pre: (x, u, p) → (stacked J, stacked references, barrier rows, barrier bounds, velocity box (4,)).
         post: (x, u, p, nu_wanted) → as `function`.
         levels: (name, rows) of each priority level, highest first.
         barriers: names of the barrier rows.
@@ -116,34 +116,28 @@ class Law:
         tau, x_next, status, telemetry = parts
         return LawStep(tau, x_next, int(status[0]), telemetry, solution)
 
+    def telemetry_slice(self, name: str) -> slice:
+        """Where an output port lies in the telemetry, which leaves tau out."""
+        where = self.outputs.slice(name)
+        return slice(where.start - 4, where.stop - 4)
+
     def problem(self, x: NDArray[np.float64], u: NDArray[np.float64], p: NDArray[np.float64]) -> PriorityProblem:
         """The priority problem of one tick, as data with names on every row."""
-        J, reference, rows, bounds = (np.asarray(m, dtype=float) for m in self.pre(x, u, p))
+        J, reference, rows, bounds, box = (np.asarray(m, dtype=float) for m in self.pre(x, u, p))
         levels, at = [], 0
         for name, count in self.levels:
             levels.append(Level(name, J[at : at + count], reference[at : at + count, 0]))
             at += count
         limits = [
+            Row(f"velocity.{axis}", "actuator", a, -float(m), float(m))
+            for axis, a, m in zip("uvwr", np.eye(4), box.reshape(-1), strict=True)
+        ]
+        limits += [
             Row(name, "barrier", a, -np.inf, float(b))
             for name, a, b in zip(self.barriers, rows, bounds.reshape(-1), strict=True)
         ]
         # built by this class from finite numbers: the checks of build_problem were made once, at assembly
-        return PriorityProblem(tuple(levels), (*self._box(p), *limits))
-
-    def _box(self, p: NDArray[np.float64]) -> list[Row]:
-        cap = float(p[self.gains.slice("cap")][0])
-        limits = (cap, cap, _CLIMB, self._yaw_limit(p))
-        return [
-            Row(f"velocity.{axis}", "actuator", a, -m, m) for axis, a, m in zip("uvwr", np.eye(4), limits, strict=True)
-        ]
-
-    @cached_property
-    def _yaw_limit_function(self) -> ca.Function:
-        p, named = self.gains.symbols("p")
-        return ca.Function("yaw_limit", [p], [_yaw_limit(named)])
-
-    def _yaw_limit(self, p: NDArray[np.float64]) -> float:
-        return float(self._yaw_limit_function(p))
+        return PriorityProblem(tuple(levels), tuple(limits))
 
     def _fail_safe(self, x: NDArray[np.float64]) -> LawStep:
         return LawStep(np.zeros(4), np.array(x, dtype=float), NONFINITE, np.zeros(self.outputs.size - 4))
@@ -231,6 +225,7 @@ def build_law(
                 ca.densify(ca.vertcat(*(r for _, _, r in decision.levels))),
                 ca.densify(ca.vertcat(*(row.a for row in rows))) if rows else ca.SX(0, 4),
                 ca.densify(ca.vertcat(*(row.upper for row in rows))) if rows else ca.SX(0, 1),
+                ca.vertcat(ps["cap"], ps["cap"], _CLIMB, _yaw_limit(ps)),
             ],
             options,
         ),

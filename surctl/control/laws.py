@@ -28,6 +28,7 @@ from surctl.guidance import (
 )
 from surctl.ir import Port
 from surctl.tasks import HalfPlane, Task, depth_task, heading_task, velocity_task
+from surctl.vehicle import planar_rotation
 
 __all__ = ["DECISION_PORTS", "Decision", "guarded_law", "paper_law"]
 
@@ -64,9 +65,7 @@ class Decision:
 
 def guarded_law(wish: Wish, seen: Perception, x: Mapping[str, ca.SX], eta: ca.SX, p: Mapping[str, ca.SX]) -> Decision:
     """Path wish on the free course nearest to it; every contact bounds the closing speed by its braking distance."""
-    deceleration = (
-        p["brake"] * ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1]) / ca.fmax(p["mass"][0], p["mass"][1])
-    )
+    deceleration = _acceleration(p, p["brake"])
     sectors = [
         Sector(c.normal, _closing_bound(c, deceleration, p), eta[:2] + (c.clearance + p["hull"]) * c.normal)
         for c in seen.all
@@ -75,7 +74,7 @@ def guarded_law(wish: Wish, seen: Perception, x: Mapping[str, ca.SX], eta: ca.SX
         wish.velocity, sectors, side=x["side"], blocker=x["blocker"], cruise=p["cruise"], cap=p["cap"]
     )
     tasks = (velocity_task(eta, choice.velocity), *_lower_tasks(eta, wish, p))
-    to_body = _to_body(eta)
+    to_body = planar_rotation(eta[3]).T
     rows = [
         HalfPlane(f"contact_{k}", ca.horzcat((to_body @ sector.normal).T, 0, 0), sector.bound, kind="barrier")
         for k, sector in enumerate(sectors)
@@ -139,9 +138,9 @@ def _lower_tasks(eta: ca.SX, wish: Wish, p: Mapping[str, ca.SX]) -> tuple[Task, 
     )
 
 
-def _to_body(eta: ca.SX) -> ca.SX:
-    c, s = ca.cos(eta[3]), ca.sin(eta[3])
-    return ca.vertcat(ca.horzcat(c, s), ca.horzcat(-s, c))
+def _acceleration(p: Mapping[str, ca.SX], share: ca.SX | float = 1) -> ca.SX:
+    """What a share of the horizontal thrust gives at the least [m/s²]."""
+    return share * ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1]) / ca.fmax(p["mass"][0], p["mass"][1])
 
 
 def _sub_task_speed(contact: Contact, p: Mapping[str, ca.SX]) -> ca.SX:
@@ -202,7 +201,7 @@ def _avoidance_velocity(
 
 def _window(speed: ca.SX, course: ca.SX, last: ca.SX, radius: ca.SX, p: Mapping[str, ca.SX], *, dt: float) -> ca.SX:
     """The window (19): speed within a·t, course within √(a/R_OB)·t (E17) of the last command."""
-    acceleration = ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1]) / ca.fmax(p["mass"][0], p["mass"][1])
+    acceleration = _acceleration(p)
     previous = ca.sqrt(ca.sumsqr(last))
     step = acceleration * dt
     allowed = ca.fmin(ca.fmax(speed, previous - step), previous + step)
@@ -219,7 +218,7 @@ def _by_urgency(
     sensed: Sequence[Contact], closing: Sequence[ca.SX], lower: ca.SX, eta: ca.SX, p: Mapping[str, ca.SX]
 ) -> list[tuple[str, ca.SX, ca.SX]]:
     """Sensor sub-tasks sorted by time to contact (ties: front, left, rear, right); inactive ones are zero rows."""
-    to_body = _to_body(eta)
+    to_body = planar_rotation(eta[3]).T
     entries = []
     for contact, wanted in zip(sensed, closing, strict=True):
         near = contact.clearance - p["margin"] < _SENSE_RANGE

@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -82,6 +83,26 @@ class SilReport:
         """Whether every difference is within `TOLERANCE` and every other check holds."""
         near = all(d.mixed <= TOLERANCE for d in (self.tau, self.state, self.telemetry))
         return near and self.status_mismatches == 0 and not self.fault_failures and self.self_test
+
+    @property
+    def conclusive(self) -> bool:
+        """Whether it passed over one run that C carried on its own state from the first step to the last."""
+        return self.passed and not self.resets
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON; differences are the mixed ones."""
+        return {
+            "passed": self.conclusive,
+            "steps": self.steps,
+            "tau": self.tau.mixed,
+            "state": self.state.mixed,
+            "telemetry": self.telemetry.mixed,
+            "status_mismatches": self.status_mismatches,
+            "fault_cases": self.fault_cases,
+            "fault_failures": list(self.fault_failures),
+            "compiler": self.compiler,
+            "code_bytes": self.code_bytes,
+        }
 
     def summary(self) -> str:
         """A few lines for people."""

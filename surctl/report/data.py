@@ -41,7 +41,7 @@ class ExportSummary:
     @property
     def passed(self) -> bool | None:
         """Whether every comparison passed without a reset; None when there was none."""
-        return all(report.passed and not report.resets for report in self.sil) if self.sil else None
+        return all(report.conclusive for report in self.sil) if self.sil else None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cache
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import casadi as ca
 import numpy as np
@@ -61,8 +61,21 @@ class Run:
 
     def telemetry(self, name: str) -> NDArray[np.float64]:
         """The law's telemetry port of that name over time, (n, size)."""
-        where = self.law.outputs.slice(name)
-        return self.record.telemetry[:, where.start - 4 : where.stop - 4]
+        return self.record.telemetry[:, self.law.telemetry_slice(name)]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The run as the command line's contract has it; numbers that are not finite are left to the writer."""
+        return {
+            "scenario": self.scenario.name,
+            "vehicle": self.vehicle.name,
+            "law": self.law.name.removeprefix("surctl_"),
+            "avoidance": self.law.avoidance,
+            "sensing": self.sensing,
+            "priority_mode": self.law.mode,
+            "seed": self.seed,
+            **asdict(self.metrics),
+            "paper_time_s": self.scenario.paper.time_s,
+        }
 
 
 @cache
@@ -265,8 +278,7 @@ class _Loop:
 
 def _metrics(scenario: Scenario, law: Law, record: Record, reason: str, least: float) -> Metrics:
     away = scenario.path.distance(record.eta[:, :2])
-    where = law.outputs.slice("avoiding").start - 4
-    excluded = settled_avoidance(record.telemetry[:, where], away)
+    excluded = settled_avoidance(record.telemetry[:, law.telemetry_slice("avoiding")].ravel(), away)
     steps = np.linalg.norm(np.diff(record.eta[:, :2], axis=0), axis=1)
     return Metrics(
         reached=reason == "reached",

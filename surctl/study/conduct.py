@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -12,8 +11,8 @@ from typing import Any
 
 from surctl import __version__
 from surctl.control import Law, build_law, write_gains
-from surctl.errors import InputError
 from surctl.export import ExportedFile, Records, SilReport, build_bundle, software_in_the_loop_runs, write_bundle
+from surctl.files import prepare_folder
 from surctl.ir import find_compiler
 from surctl.report import ExportSummary, ReportData, loop_responses, write_page
 from surctl.simulation import Run, simulate
@@ -21,7 +20,7 @@ from surctl.study.plan import Plan
 from surctl.tuning import Sweep, sweep
 from surctl.verification import LoopMargins, Verdict, claims, closed_loop_poles, falsify, loop_margins
 
-__all__ = ["Note", "Study", "conduct", "prepare_folder", "run_to_dict"]
+__all__ = ["Note", "Study", "conduct"]
 
 Progress = Callable[[str], None]
 
@@ -85,7 +84,7 @@ class Study:
             },
             "margins": [m.to_dict() for m in self.margins],
             "verdicts": [v.to_dict() for v in self.verdicts],
-            "runs": [run_to_dict(run) | {"decides": d} for run, d in zip(self.runs, self.deciding, strict=True)],
+            "runs": [run.to_dict() | {"decides": d} for run, d in zip(self.runs, self.deciding, strict=True)],
             "not_flown": [
                 {"scenario": leg.scenario.name, "reason": leg.obstacle_to_flying}
                 for leg in self.plan.legs
@@ -94,63 +93,11 @@ class Study:
             "export": {
                 "files": [str(f.path) for f in self.files],
                 "sha256": {f.path.name: f.sha256 for f in self.files},
-                "sil": [sil_to_dict(report) for report in self.sil],
+                "sil": [report.to_dict() for report in self.sil],
             },
             "report": str(self.report),
             "seconds": self.seconds,
         }
-
-
-def run_to_dict(run: Run) -> dict[str, Any]:
-    """One run as the command line's contract has it."""
-    return {
-        "scenario": run.scenario.name,
-        "vehicle": run.vehicle.name,
-        "law": run.law.name.removeprefix("surctl_"),
-        "avoidance": run.law.avoidance,
-        "sensing": run.sensing,
-        "priority_mode": run.law.mode,
-        "seed": run.seed,
-        **asdict(run.metrics),
-        "paper_time_s": run.scenario.paper.time_s,
-    }
-
-
-def sil_to_dict(report: SilReport) -> dict[str, Any]:
-    """One software-in-the-loop verdict as plain data."""
-    return {
-        "passed": report.passed and not report.resets,
-        "steps": report.steps,
-        "tau": report.tau.mixed,
-        "state": report.state.mixed,
-        "telemetry": report.telemetry.mixed,
-        "status_mismatches": report.status_mismatches,
-        "fault_cases": report.fault_cases,
-        "fault_failures": list(report.fault_failures),
-        "compiler": report.compiler,
-        "code_bytes": report.code_bytes,
-    }
-
-
-def prepare_folder(folder: Path) -> Path:
-    """Make the output folder, or say in one line why that cannot be.
-
-    Raises:
-        InputError: it is a file, or cannot be written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        writable = os.access(folder, os.W_OK | os.X_OK)
-        probe = folder / f".surctl-{os.getpid()}"
-        probe.write_bytes(b"")
-        probe.unlink()
-    except OSError as error:
-        raise InputError(
-            f"cannot be written ({error.strerror})", key="--out", value=str(folder), remedy="name another folder"
-        ) from None
-    if not writable:
-        raise InputError("cannot be written", key="--out", value=str(folder), remedy="name another folder")
-    return folder
 
 
 def conduct(
@@ -302,6 +249,6 @@ def _notes(
             notes.append(Note(None, f"{leg.scenario.name} does not decide: {reason}"))
     worst = max((max(r.tau.mixed, r.state.mixed, r.telemetry.mixed) for r in sil), default=0.0)
     steps, cases = sum(r.steps for r in sil), sum(r.fault_cases for r in sil)
-    passed = all(r.passed and not r.resets for r in sil)
+    passed = all(r.conclusive for r in sil)
     notes.append(Note(passed, f"export: C equals Python to {worst:.1e} over {steps} steps; {cases} faults tried"))
     return tuple(notes)
