@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from surctl.errors import InputError
-from surctl.tasks.task import Expression, Task, as_column
+from surctl.tasks.task import Expression, Task, sized_column
 
 __all__ = [
     "clearance_task",
@@ -84,16 +83,7 @@ def _distance(eta: ca.SX, point: ca.SX) -> ca.SX:
 
 
 def _vector(name: str, field: str, value: Expression, sizes: tuple[int, ...]) -> ca.SX:
-    try:
-        column = as_column(value)
-    except (NotImplementedError, RuntimeError, TypeError, ValueError):
-        column = None
-    if column is None or column.numel() not in sizes:
-        expected = " or ".join(map(str, sizes))
-        raise InputError(
-            "has the wrong shape", key=f"task {name}: {field}", value=value, remedy=f"give {expected} entries"
-        )
-    return column
+    return sized_column(value, sizes, key=f"task {name}: {field}")
 
 
 def _scalar(name: str, field: str, value: Expression) -> ca.SX:

@@ -9,7 +9,7 @@ from typing import Literal, Protocol, TypeAlias, get_args
 import casadi as ca
 
 from surctl.errors import InputError, nearest
-from surctl.tasks.task import Expression, as_column
+from surctl.tasks.task import Expression, sized_column
 
 __all__ = ["HalfPlane", "Kind", "Limit", "LimitRow", "VelocityBox"]
 
@@ -109,14 +109,7 @@ def _check_kind(name: str, kind: str) -> None:
 
 
 def _column(name: str, field: str, value: Expression, size: int) -> ca.SX:
-    try:
-        column = as_column(value)
-    except (NotImplementedError, RuntimeError, TypeError, ValueError):
-        column = None
-    if column is None or column.numel() != size:
-        raise InputError(
-            "has the wrong shape", key=f"limit {name}: {field}", value=value, remedy=f"give {size} entries"
-        )
+    column = sized_column(value, (size,), key=f"limit {name}: {field}")
     if any(column[i].is_constant() and math.isnan(float(column[i])) for i in range(size)):
         raise InputError(
             "is not a number",

@@ -13,7 +13,7 @@ from surctl.errors import InputError
 from surctl.tasks.angle import wrap
 from surctl.vehicle.kinematics import jacobian as kinematics
 
-__all__ = ["Expression", "Task", "as_column"]
+__all__ = ["Expression", "Task", "as_column", "sized_column"]
 
 Expression: TypeAlias = ca.SX | float | Sequence[float]
 """A CasADi expression, a number, or a list of numbers."""
@@ -81,12 +81,27 @@ class Task:
 
 
 def as_column(value: Expression) -> ca.SX:
-    """The value as a dense SX column; a row is turned. ValueError when it is a matrix."""
-    column = ca.densify(ca.SX(value) if isinstance(value, ca.SX) else ca.SX(ca.DM(value)))
+    """The value as a dense SX column; a row is turned. ValueError when it is a matrix, or no numbers at all."""
+    try:
+        column = ca.densify(ca.SX(value) if isinstance(value, ca.SX) else ca.SX(ca.DM(value)))
+    except (NotImplementedError, RuntimeError, TypeError) as error:  # what CasADi says of what it cannot read
+        raise ValueError("not numbers") from error
     if column.shape[0] == 1:
         column = column.T
     if column.shape[1] != 1:
         raise ValueError("not a vector")
+    return column
+
+
+def sized_column(value: Expression, sizes: tuple[int, ...], *, key: str) -> ca.SX:
+    """The value as a column of one of these sizes; InputError, with the key, when it is none."""
+    try:
+        column = as_column(value)
+    except ValueError:
+        column = None
+    if column is None or column.numel() not in sizes:
+        expected = " or ".join(map(str, sizes))
+        raise InputError("has the wrong shape", key=key, value=value, remedy=f"give {expected} entries")
     return column
 
 
@@ -108,7 +123,7 @@ def _column_of(task: Task, field: str, size: int) -> ca.SX:
     """The field as (size, 1); one number stands for all entries."""
     try:
         column = as_column(getattr(task, field))
-    except (NotImplementedError, RuntimeError, TypeError, ValueError):
+    except ValueError:
         raise _wrong(task, field, "is neither numbers nor a vector expression", f"give one number or {size}") from None
     if column.numel() == 1:
         column = ca.repmat(column, size, 1)
