@@ -60,3 +60,27 @@ def wide(problem, *, span=1e3):
     """The same levels with rows that never bind."""
     rows = [Row(f"box{i}", "actuator", np.eye(N)[i], -span, span) for i in range(N)]
     return build_problem(problem, [*rows, Row("wall", "barrier", np.ones(N), -np.inf, span)])
+
+
+def with_sets(problem, rng):
+    """The same problem with some rows of some levels turned into bounds."""
+    made = []
+    for level in problem.levels:
+        k = level.lower.size
+        room = np.where(rng.random(k) < 0.7, rng.choice([0.1, 0.5, 2.0], k), 0.0)
+        if rng.random() < 0.65:
+            room[:] = 0.0
+        lower = np.where((room > 0.0) & (rng.random(k) < 0.2), -np.inf, level.lower)
+        made.append(Level(level.name, level.J, lower, level.lower + room))
+    return build_problem(made, problem.rows)
+
+
+def strict(made):
+    """Strict (lexicographic) priority: v ← v + (J N)⁺(x − J v), cut off at 1e-10·‖J‖."""
+    v, N_A = np.zeros(N), np.eye(N)
+    for level in made:
+        left, s, right = np.linalg.svd(level.J @ N_A, full_matrices=False)
+        keep = s > 1e-10 * np.linalg.norm(level.J, 2)
+        v = v + right[keep].T @ ((left[:, keep].T @ (level.x - level.J @ v)) / s[keep])
+        N_A = N_A - right[keep].T @ right[keep]
+    return v

@@ -17,7 +17,7 @@ from surctl.tasks import (
     position_task,
     velocity_task,
 )
-from tests.priority.draw import N, levels
+from tests.priority.draw import N, levels, strict
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -32,17 +32,6 @@ def printed(made):
     return v
 
 
-def strict(made):
-    """Strict (lexicographic) priority: v ← v + (J N)⁺(x − J v), cut off at 1e-10·‖J‖."""
-    v, N_A = np.zeros(N), np.eye(N)
-    for level in made:
-        left, s, right = np.linalg.svd(level.J @ N_A, full_matrices=False)
-        keep = s > 1e-10 * np.linalg.norm(level.J, 2)
-        v = v + right[keep].T @ ((left[:, keep].T @ (level.x - level.J @ v)) / s[keep])
-        N_A = N_A - right[keep].T @ right[keep]
-    return v
-
-
 def size(made):
     return 1.0 + sum(np.linalg.norm(np.linalg.pinv(lv.J, rcond=1e-10) @ lv.x) for lv in made)
 
@@ -52,7 +41,7 @@ def test_nsb_equals_the_sweep_and_the_printed_formula(seed):
     made = levels(np.random.default_rng(seed), most=8, conditioned=True)
     v = nsb(build_problem(made))
     assert np.abs(v - printed(made)).max() <= 1e-12 * size(made)
-    assert np.abs(v - nsb_sweep(made, width=N)).max() <= 1e-12 * size(made)
+    assert np.abs(v - nsb_sweep(made, start=np.zeros(N))).max() <= 1e-12 * size(made)
 
 
 def test_noise_in_a_deficient_jacobian_is_not_inverted():
