@@ -151,7 +151,7 @@ def build_law(
     Args:
         law: `guarded`, or the printed stack `paper`.
         avoidance: form of (20); `guarded` is built on `corrected` and takes no other.
-        mode: `nsb` (closed form, can be exported), or `filter`, `projected`, `lexicographic` (with limits and barriers).
+        mode: `nsb` (closed form, can be exported), or one with limits: `filter`, `projected`, `lexicographic`.
         dt: control period [s].
 
     Raises:

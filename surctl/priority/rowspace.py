@@ -57,4 +57,7 @@ def project(
         row = J[0]
         square = row @ row
         return w if square <= ZERO_ROW**2 else w + row * ((x[0] - row @ w) / square)
-    return w + row_space(J, cutoff=cutoff).particular(x - J @ w)
+    space = row_space(J, cutoff=cutoff)
+    # J w is not formed: its error would be divided by the smallest singular value
+    moved: NDArray[np.float64] = w + space.rows.T @ ((space.left.T @ x) / space.s - space.rows @ w)
+    return moved

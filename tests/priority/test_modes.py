@@ -2,7 +2,6 @@
 
 import json
 
-import daqp
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,8 +9,10 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.priority import Level, PriorityProblem, Row, build_problem, nsb, nsb_sweep, solve
-from tests.priority.draw import N, constrained, levels, strict, unit, wide, with_sets
+from surctl.priority.draws import draw_levels, draw_problem, inequality_problem, unit, wide, with_sets
+from surctl.priority.references import daqp_hierarchy, svd_cascade
 
+N = 4
 E = np.eye(N)
 SETTINGS = [
     {"mode": "filter"},
@@ -39,7 +40,7 @@ def miss(row, v):
 def test_every_answer_is_what_the_mode_promises(settings):
     rng = np.random.default_rng(29)
     for k in range(250):
-        problem = constrained(rng)
+        problem = draw_problem(rng)
         if k % 2:
             problem = with_sets(problem, rng)
         got = solve(problem, **settings)
@@ -54,7 +55,7 @@ def test_every_answer_is_what_the_mode_promises(settings):
 def test_a_moved_answer_is_refused(settings):
     rng, refused = np.random.default_rng(31), 0
     for _ in range(50):
-        problem = with_sets(constrained(rng), rng)
+        problem = with_sets(draw_problem(rng), rng)
         got = solve(problem, **settings)
         moved = type(got)(**{**vars(got), "v": got.v + 1e-3 * rng.normal(size=N)})
         refused += not moved.is_optimal(problem, 1e-6)
@@ -63,42 +64,14 @@ def test_a_moved_answer_is_refused(settings):
 
 @given(seeds)
 def test_where_nothing_binds_the_modes_are_those_without_rows(seed):
-    problem = wide(levels(np.random.default_rng(seed), conditioned=True), span=1e6)
+    problem = wide(draw_levels(np.random.default_rng(seed), conditioned=True), span=1e6)
     printed = nsb(problem)
     size = 1 + np.abs(printed).max()
     for mode in ("nsb", "filter", "projected"):
         assert np.abs(solve(problem, mode=mode).v - printed).max() <= 1e-10 * size
-    lex, wanted = solve(problem, mode="lexicographic").v, strict(problem.levels)
+    lex, wanted = solve(problem, mode="lexicographic").v, svd_cascade(problem.levels)
     for level in problem.levels:
         assert level.residual(lex) == pytest.approx(level.residual(wanted), abs=1e-8 * (1 + np.abs(wanted).max()))
-
-
-def inequality_problem(rng):
-    """Unit rows, some doubled, some shared with the level above, some set-based; limits that agree."""
-    made = []
-    for i in range(rng.integers(1, 6)):
-        J = np.array([unit(rng) for _ in range(rng.integers(1, 4))])
-        if len(J) > 1 and rng.random() < 0.2:
-            J[1] = J[0]
-        if made and rng.random() < 0.2:
-            J[0] = made[-1].J[0]
-        x = 0.5 * rng.normal(size=len(J))
-        made.append(Level(f"t{i}", J, x, x + rng.choice([0.0, 0.1, 0.5], len(J), p=[0.7, 0.15, 0.15])))
-    walls = [Row(f"w{i}", "barrier", unit(rng), -np.inf, 0.3 * abs(rng.normal())) for i in range(rng.integers(0, 5))]
-    return build_problem(made, [*box(0.5), *walls])
-
-
-def daqp_hierarchy(problem):
-    """DAQP's own lexicographic solver; its first level are the limits."""
-    A = np.vstack([*[row.a for row in problem.rows], *[level.J for level in problem.levels]])
-    lower = np.concatenate([[row.lower for row in problem.rows], *[level.lower for level in problem.levels]])
-    upper = np.concatenate([[row.upper for row in problem.rows], *[level.high for level in problem.levels]])
-    ends = np.cumsum([len(problem.rows), *[level.lower.size for level in problem.levels]]).astype(np.intc)
-    bounds = np.minimum(upper, 1e30), np.maximum(lower, -1e30)
-    sense = np.zeros(upper.size, dtype=np.intc)
-    v, _, flag, _ = daqp.solve(None, None, A, *bounds, sense, break_points=ends, primal_tol=1e-11, dual_tol=1e-11)
-    assert flag > 0
-    return np.array(v)
 
 
 def test_lexicographic_residuals_are_those_of_daqp_or_better():
@@ -118,7 +91,7 @@ def test_lexicographic_residuals_are_those_of_daqp_or_better():
 def test_more_sweeps_tend_to_strict_priority_where_tasks_are_compatible():
     rng = np.random.default_rng(6)
     angles = [Level(f"t{i}", unit(rng)[None], rng.normal(size=1)) for i in range(3)]
-    problem, wanted = build_problem(angles), strict(angles)
+    problem, wanted = build_problem(angles), svd_cascade(angles)
     gaps = [np.abs(solve(problem, mode="nsb", sweeps=k).v - wanted).max() for k in (1, 3, 10, 200)]
     assert gaps == sorted(gaps, reverse=True)
     assert gaps[0] > 1e-2
@@ -129,7 +102,7 @@ def test_more_sweeps_tend_to_strict_priority_where_tasks_are_compatible():
 
 @given(seeds, st.floats(1e-3, 1.0))
 def test_damping_is_nsb_with_the_damped_inverse_in_both_places(seed, damping):
-    problem = build_problem(levels(np.random.default_rng(seed), most=4))
+    problem = build_problem(draw_levels(np.random.default_rng(seed), most=4))
     v = np.zeros(N)
     for level in reversed(problem.levels):
         inverse = level.J.T @ np.linalg.inv(level.J @ level.J.T + damping**2 * np.eye(level.x.size))
