@@ -172,6 +172,18 @@ def test_a_task_on_its_own_point_is_told_apart_from_the_conflict_it_causes():
     assert "where `line_of_sight` is singular itself" in str(found)
 
 
+def test_a_search_comes_as_near_to_a_singular_point_as_the_task_lets_it():
+    (singular,) = look(DISTANCE).singularities  # the gradient is of length 1 until 1e-6 m
+    assert singular.symptom == "turning" and singular.value < 1e-5
+    for pose in singular.poses:
+        assert math.hypot(pose["x"] - pose["point_0"], pose["y"] - pose["point_1"]) < 1e-3
+
+
+def test_a_task_singular_by_itself_is_not_blamed_on_those_above():
+    (singular,) = look(POSITION, SIGHT).singularities
+    assert (singular.task, singular.kind) == ("line_of_sight", "kinematic")
+
+
 def test_a_jacobian_that_loses_rank_is_kinematic_even_below_other_tasks():
     folded = Task(name="folded", eta=ETA, sigma=ca.vertcat(ETA[0] + ETA[1], ETA[0] + ETA[1] ** 2))
     found = look(DEPTH, folded, parameters=())  # rows (1, 1) and (1, 2y): parallel at y = 0.5
@@ -182,11 +194,19 @@ def test_a_jacobian_that_loses_rank_is_kinematic_even_below_other_tasks():
 
 def test_an_inactive_task_is_not_singular():
     switched = Task(name="switched", eta=ETA, sigma=ca.fmax(ETA[0], 0.0))
-    assert look(POSITION, switched, parameters=()).singularities == ()
+    for above in (POSITION, MIXED):
+        assert look(above, switched, parameters=()).singularities == ()
     off = look(POSITION, switched, region=([-2, -2, -1, -3], [-1, 2, 0, 3]), parameters=())
     assert off.pairs[0].kind == "never active together" and off.pairs[0].smallest is None
     assert off.levels[1].rank == 0
     assert "`switched`" in str(off) and "inactive at all samples" in str(off)
+
+
+def test_a_task_met_at_some_samples_only_is_not_met():
+    switched = Task(name="switched", eta=ETA, sigma=ca.fmax(ETA[0], 0.0), target=1.0)
+    (level,) = look(switched, parameters=()).levels
+    assert level.met == "by neither law"
+    assert level.strict.largest == pytest.approx(1.0) and level.strict.where["x"] < 0
 
 
 @given(st.lists(st.sampled_from(LIBRARY), min_size=1, max_size=6, unique_by=lambda task: task.name), st.integers(0, 99))
