@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 
 from surctl.priority.region import Pose
 
-__all__ = ["Equality", "LevelReport", "Met", "Pair", "PairKind", "Residual", "Singularity", "Verdict"]
+__all__ = ["Equality", "LevelReport", "Met", "Pair", "PairKind", "Residual", "Singularity", "Symptom", "Verdict"]
 
 Verdict: TypeAlias = Literal["everywhere", "on all samples", "differs"]
 """everywhere: the commutators vanish as expressions, for every pose and parameter; on all samples: nothing else was
@@ -22,6 +22,10 @@ at every sample; or one of the two is empty at every sample."""
 
 Met: TypeAlias = Literal["by both laws", "by strict priority only", "by neither law"]
 """Whether the reference of a level is reached at all samples."""
+
+Symptom: TypeAlias = Literal["sine", "strength", "turning"]
+"""What went below the threshold: the sine of the angle to the row space above; the strength, a singular value in parts
+of the median of ‖J‖; the turning, a step [m, or rad] that may turn a row right round."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +84,7 @@ class Singularity:
         task: its name.
         kind: `algorithmic`: a direction of the task falls into the row space above while its own Jacobian is
             regular; `kinematic`: the Jacobian itself loses rank, or has no limit.
-        symptom: what went below the threshold: `sine` of the angle to the row space above; `strength`, the singular
-            value in parts of ‖J‖'s median; `turning`, the step [m, or rad] that may turn a row right round.
+        symptom: see `Symptom`.
         value: the least that was found.
         poses: where, worst first; they keep apart.
         also_singular: tasks above that are singular by themselves at the first pose.
@@ -90,7 +93,7 @@ class Singularity:
 
     task: str
     kind: Literal["algorithmic", "kinematic"]
-    symptom: Literal["sine", "strength", "turning"]
+    symptom: Symptom
     value: float
     poses: tuple[Pose, ...]
     also_singular: tuple[str, ...]

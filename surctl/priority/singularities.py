@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from surctl.priority.angles import freedom, remaining_sine, task_strength
 from surctl.priority.commutator import TOLERANCE, directions
 from surctl.priority.field import Field, Measure, Values, best_of, descend
-from surctl.priority.findings import Singularity
+from surctl.priority.findings import Singularity, Symptom
 
 __all__ = ["Survey", "find_singularities", "gained_rank", "task_rank"]
 
@@ -67,9 +67,6 @@ def find_singularities(survey: Survey) -> tuple[Singularity, ...]:
             sine = remaining_sine(i, gained=gained, rank=task_rank(survey.values, i))
             found += _singularity(survey, i, "sine", sine, partial(_regular, survey, i))
     return tuple(found)
-
-
-Symptom: TypeAlias = Literal["sine", "strength", "turning"]
 
 
 def _own(survey: Survey, i: int) -> dict[Symptom, Measure]:
