@@ -18,7 +18,7 @@ from continuity import LOOPS, MAY_JUMP, SETTINGS, chatter, lipschitz
 from numpy.typing import NDArray
 
 from surctl.priority import Level, Mode, PriorityProblem, Row, build_problem, solve
-from surctl.priority.commutator import equals_strict_priority
+from surctl.priority.diagnosis import equals_strict_priority
 from surctl.priority.draws import draw_levels, draw_problem, inequality_problem, unit, wide, with_sets
 from surctl.priority.references import daqp_hierarchy, printed_law, svd_cascade
 

@@ -10,10 +10,10 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.priority.angles import freedom, remaining_sine, task_strength
-from surctl.priority.commutator import TOLERANCE, directions
-from surctl.priority.field import Field, Measure, Values, best_of, descend
-from surctl.priority.findings import Singularity, Symptom
+from surctl.priority.diagnosis.angles import freedom, remaining_sine, task_strength
+from surctl.priority.diagnosis.commutator import TOLERANCE, directions
+from surctl.priority.diagnosis.field import Field, Measure, Values, best_of, descend
+from surctl.priority.diagnosis.findings import Singularity, Symptom
 
 __all__ = ["Survey", "find_singularities", "gained_rank", "task_rank"]
 

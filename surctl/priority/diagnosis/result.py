@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from surctl.priority.findings import Equality, LevelReport, Pair, Singularity
-from surctl.priority.sentences import say_equality, say_level, say_pair, say_singularity
+from surctl.priority.diagnosis.findings import Equality, LevelReport, Pair, Singularity
+from surctl.priority.diagnosis.sentences import say_equality, say_level, say_pair, say_singularity
 
 __all__ = ["Diagnosis"]
 

@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.priority.angles import outside_sines, pair_angles, projector_above, smallest_angle
-from surctl.priority.commutator import TOLERANCE, commutator_norms, directions
-from surctl.priority.diagnosis import Diagnosis
-from surctl.priority.field import Values, build_field
-from surctl.priority.findings import Equality, LevelReport, Met, Pair, PairKind, Residual, Verdict
-from surctl.priority.outcomes import nsb_velocities, residual_norms, strict_velocities
-from surctl.priority.region import Bounds, Parameter, build_region
-from surctl.priority.singularities import Survey, find_singularities, gained_rank, task_rank
-from surctl.priority.structure import commuting_levels, orthogonal_pairs
+from surctl.priority.diagnosis.angles import outside_sines, pair_angles, projector_above, smallest_angle
+from surctl.priority.diagnosis.commutator import TOLERANCE, commutator_norms, directions
+from surctl.priority.diagnosis.field import Values, build_field
+from surctl.priority.diagnosis.findings import Equality, LevelReport, Met, Pair, PairKind, Residual, Verdict
+from surctl.priority.diagnosis.outcomes import nsb_velocities, residual_norms, strict_velocities
+from surctl.priority.diagnosis.region import Bounds, Parameter, build_region
+from surctl.priority.diagnosis.result import Diagnosis
+from surctl.priority.diagnosis.singularities import Survey, find_singularities, gained_rank, task_rank
+from surctl.priority.diagnosis.structure import commuting_levels, orthogonal_pairs
 from surctl.tasks import Stack
 
 __all__ = ["diagnose"]

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.priority.commutator import commutator_norms, equals_strict_priority
+from surctl.priority.diagnosis.commutator import commutator_norms, equals_strict_priority
+from surctl.priority.diagnosis.outcomes import nsb_velocities, residual_norms, strict_velocities
 from surctl.priority.draws import draw_levels
-from surctl.priority.outcomes import nsb_velocities, residual_norms, strict_velocities
 from surctl.priority.references import printed_law
 
 N = 4

@@ -7,8 +7,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.priority.commutator import Directions, absorb, directions
-from surctl.priority.field import Measure, Values
+from surctl.priority.diagnosis.commutator import Directions, absorb, directions
+from surctl.priority.diagnosis.field import Measure, Values
 from surctl.priority.rowspace import ZERO_ROW
 
 __all__ = [

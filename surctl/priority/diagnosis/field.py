@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from surctl.errors import InputError
-from surctl.priority.region import Region, pose_text
-from surctl.priority.structure import world_jacobians
+from surctl.priority.diagnosis.region import Region, pose_text
+from surctl.priority.diagnosis.structure import world_jacobians
 from surctl.tasks import Stack
 
 __all__ = ["Field", "Measure", "Values", "best_of", "build_field", "descend"]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from surctl.priority.findings import Equality, LevelReport, Pair, Residual, Singularity
-from surctl.priority.region import pose_text
+from surctl.priority.diagnosis.findings import Equality, LevelReport, Pair, Residual, Singularity
+from surctl.priority.diagnosis.region import pose_text
 
 __all__ = ["say_equality", "say_level", "say_pair", "say_singularity"]
 
