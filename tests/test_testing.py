@@ -361,7 +361,7 @@ def test_wrong_backends_are_caught(kernel, says):
     one_line(caught, "backend ", " problem ", says)
 
 
-def test_multipliers_on_idle_rows_are_caught():
+def test_multipliers_on_idle_rows_and_other_answers_are_caught():
     """Rows that cancel: y and gradient are right, the multipliers are not."""
     G = np.vstack([np.eye(4), -np.eye(4)[:1]])
     problem = Known(G, np.full(5, -np.inf), np.array([-1.0, 5, 5, 5, 5]), np.array([-1.0, 0, 0, 0]))
@@ -369,6 +369,8 @@ def test_multipliers_on_idle_rows_are_caught():
     bad = _compared(Answer(problem.y, np.array([2.0, 0, 0, 0, 1.0]), 1, "optimal"), problem, problem.y, 1e-8)
     assert good.finding == ""
     assert "off its bound by" in bad.finding
+    elsewhere = _compared(Answer(problem.y, np.array([1.0, 0, 0, 0, 0]), 1, "optimal"), problem, problem.y + 1e-6, 1e-8)
+    assert elsewhere.finding.startswith("y is wrong by 5e-07")
 
 
 def test_a_report_tells_every_family_and_never_raises():

@@ -100,6 +100,8 @@ def test_a_stack_holds_both_kinds():
     (J, lower, upper), (_, at_least, at_most) = stack.slabs()
     assert J.shape == (1, 4)
     assert lower.shape == upper.shape == (1, 1)
+    pose = [0, 0, -0.2, 0.4]
+    assert [float(function(part, ETA)(pose)) for part in (lower, upper)] == pytest.approx([-0.3, 0.1])
     assert ca.is_equal(at_least, at_most)
     values = [np.array(function(part, ETA)([0, 0, -0.3, 0.4])) for part in (at_least, go.reference())]
     assert np.array_equal(*values)
