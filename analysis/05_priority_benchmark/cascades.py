@@ -136,7 +136,7 @@ def others(instances: Sequence[Instance]) -> list[Contender]:
             ticks.append(None)
             continue
         levels = i.problem.levels
-        goal = nsb_sweep(levels[1:], width=N)
+        goal = nsb_sweep(levels[1:], start=np.zeros(N))
         A = np.vstack([i.A, levels[0].J])
         low, high = np.append(i.lower, levels[0].x), np.append(i.upper, levels[0].x)
         ticks.append((-goal, A, low, high))

@@ -104,6 +104,8 @@ class KeptDaqp(_Kept):
 class KeptOsqp(_Kept):
     """OSQP (Stellato et al. 2020), set up once a size, then `update(l, u, Ax)`; settings as in `osqp_kernel`.
 
+    Like a fresh OSQP it may stop short of 1e-8 on degenerate rows; `solve_least_distance` polishes and checks.
+
     Not to be shared between threads.
 
     Args:

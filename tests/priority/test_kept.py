@@ -1,15 +1,20 @@
 """Solvers kept alive: the same answers as fresh ones, whatever came before."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.priority import BACKENDS, solve, solve_least_distance
+from surctl.priority import BACKENDS, Mode, solve, solve_least_distance
+from surctl.priority.draws import draw_problem, unit
 from surctl.priority.kept import KeptDaqp, KeptOsqp
 from surctl.priority.kernels import Answer, daqp_kernel, osqp_kernel
-from tests.priority.draw import N, constrained, unit
+from surctl.testing import check_backend
+
+N = 4
 
 each = pytest.mark.parametrize(("kept", "fresh"), [(KeptDaqp, daqp_kernel), (KeptOsqp, osqp_kernel)])
 either = pytest.mark.parametrize("kept", [KeptDaqp, KeptOsqp])
@@ -171,12 +176,29 @@ def test_whole_problems_come_out_as_with_a_fresh_solver(kept, warm, seed):
 def test_the_law_runs_on_it(kept):
     rng, solver, bound = np.random.default_rng(9), kept(), 0
     for _ in range(40):
-        problem = constrained(rng)
+        problem = draw_problem(rng)
         got, want = solve(problem, backend=solver), solve(problem, backend="daqp")
         if want.status in ("optimal", "limited"):
             assert np.abs(got.v - want.v).max() < 1e-6
             bound += bool(want.binding)
     assert bound > 10
+
+
+@either
+@pytest.mark.parametrize("mode", get_args(Mode))
+def test_every_mode_runs_on_it(kept, mode):
+    rng, solver = np.random.default_rng(11), kept()
+    for _ in range(15):
+        problem = draw_problem(rng, most=3)
+        got, want = solve(problem, mode=mode, backend=solver), solve(problem, mode=mode, backend="daqp")
+        assert np.isfinite(got.v).all()
+        if got.status == want.status == "optimal":
+            assert np.abs(got.v - want.v).max() < 1e-6 * (1 + np.abs(want.v).max())
+
+
+@pytest.mark.parametrize("warm", [False, True])
+def test_daqp_passes_the_public_check_without_a_polish(warm):
+    check_backend(KeptDaqp(warm=warm))
 
 
 def test_any_function_is_a_backend():
