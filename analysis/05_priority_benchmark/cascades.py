@@ -36,7 +36,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "osqp": {"eps_abs": 1e-6, "eps_rel": 1e-6, "max_iter": 20_000},
 }
 _WHY = {"quadprog": "not installed (GPL: in no extra of this project)"}
-_REGULAR = 1e-6  # with less DAQP gives up on some levels, with more the answers are off
+_REGULAR = 1e-6  # from 1e-8 to 1e-10 DAQP gives up on some levels; with more the answers are off
 _INFINITE = 1e30
 
 

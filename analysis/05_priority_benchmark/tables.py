@@ -144,6 +144,6 @@ def draw(lines: Sequence[Line], path: Path) -> None:
         ax.plot(line.hard / 1e3, at, marker="|", markersize=8, color=colour)
         ax.plot(line.median / 1e3, at, marker="o" if line.ours else "s", markersize=5, color=colour)
     ax.set_xscale("log")
-    dress(ax, title="Time of one tick: median (dot) and 99th percentile of the ticks (bar)", x="µs")
+    dress(ax, title="One tick: median and 99th percentile", x="µs")
     ax.set_yticks(range(len(shown)), [f"{line.name} · {line.problem}" for line in shown], fontsize=7.5, color=INK)
     ax.figure.figure.savefig(path)
