@@ -3,7 +3,7 @@
 nsb          the sweep of projections (16); knows no rows.
 filter       the point of the rows nearest to it.
 projected    the sweep down to level 2, then the last projection, that of level 1, inside the rows (`last_projection`).
-lexicographic strict priority inside the rows (`cascade`).
+lexicographic strict priority inside the rows (`compiled_cascade`).
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import casadi as ca
 
 from surctl.errors import InputError, nearest
 from surctl.ir import Call, Loop, Program, Routine, Step, lower
-from surctl.priority.cascade import cascade
+from surctl.priority.compiled_cascade import cascade
 from surctl.priority.ladder import CLAMPED, MET, safe_tick
 from surctl.priority.last_projection import last_projection
 from surctl.priority.level_shape import LevelShape, StackShape
-from surctl.priority.sweep import HUGE, gate, into, sweep, swept
+from surctl.priority.compiled_sweep import HUGE, gate, into, sweep, swept
 
 __all__ = ["OUTPUTS", "TickMode", "priority_tick"]
 

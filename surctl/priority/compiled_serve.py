@@ -14,7 +14,7 @@ from surctl.priority.dual_step import OPTIMAL, Space
 from surctl.priority.elimination import as_matrix
 from surctl.priority.kernel import certificate, kernel
 from surctl.priority.ladder import LIMITED, safe_tick
-from surctl.priority.sweep import HUGE
+from surctl.priority.compiled_sweep import HUGE
 from surctl.priority.tangent import holding, largest, merged
 
 __all__ = ["serve"]

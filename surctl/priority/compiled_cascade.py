@@ -23,8 +23,8 @@ from surctl.priority.kernel import certificate, kernel
 from surctl.priority.ladder import CLAMPED, LIMITED, safe_tick
 from surctl.priority.level_shape import StackShape, SymbolicLevel
 from surctl.priority.rungs import SHORT
-from surctl.priority.serve import serve
-from surctl.priority.sweep import HUGE
+from surctl.priority.compiled_serve import serve
+from surctl.priority.compiled_sweep import HUGE
 from surctl.priority.tangent import merged
 
 __all__ = ["cascade"]
