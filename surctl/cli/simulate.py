@@ -17,7 +17,7 @@ __all__ = ["simulate"]
 @click.option("--gains", default="default", help="Gain file: name or path.")
 @click.option("--law", default="guarded", help="guarded, or the printed stack: paper.")
 @click.option("--avoidance", default="corrected", help="printed, consistent or corrected form of (20).")
-@click.option("--priority-mode", default="nsb", help="nsb (what is exported) or projected (QP).")
+@click.option("--priority-mode", default="nsb", help="nsb (what is exported), filter, projected or lexicographic.")
 @click.option("--sensing", default="truth", help="truth, or through the sonar array: sonar.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="First seed.")
 @click.option("--runs", type=click.IntRange(min=1), default=1, help="Number of seeds, one after another.")

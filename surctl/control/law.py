@@ -22,12 +22,11 @@ from surctl.control.velocity import velocity_control
 from surctl.errors import InputError, nearest
 from surctl.guidance import FORMS, AvoidanceForm
 from surctl.ir import Layout, Port
-from surctl.priority import Level, PriorityProblem, PrioritySolution, Row, nsb_symbolic, solve
+from surctl.priority import Level, Mode, PriorityProblem, PrioritySolution, Row, nsb_symbolic, solve
 
 __all__ = ["DEGRADED", "LAW_NAMES", "MODES", "NONFINITE", "SATURATED", "SWITCHED", "Law", "LawStep", "build_law"]
 
 LawName = Literal["guarded", "paper"]
-Mode = Literal["nsb", "projected"]
 LAW_NAMES: tuple[LawName, ...] = get_args(LawName)
 MODES: tuple[Mode, ...] = get_args(Mode)
 
@@ -72,7 +71,7 @@ class Law:
     Attributes:
         name: C identifier.
         avoidance: form of (20).
-        mode: priority mode; `nsb` runs `function`, `projected` runs `pre`, a QP and `post`.
+        mode: priority mode; `nsb` runs `function`, the others run `pre`, the priority solver and `post`.
         dt: control period [s].
         state, inputs, gains, outputs: layouts of the flat vectors.
         function: (x, u, p) → (tau, x_next, status, telemetry), closed form (16).
@@ -152,7 +151,7 @@ def build_law(
     Args:
         law: `guarded`, or the printed stack `paper`.
         avoidance: form of (20); `guarded` is built on `corrected` and takes no other.
-        mode: `nsb` (closed form, can be exported) or `projected` (QP with limits and barriers).
+        mode: `nsb` (closed form, can be exported), or one with limits: `filter`, `projected`, `lexicographic`.
         dt: control period [s].
 
     Raises:

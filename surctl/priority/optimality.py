@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from surctl.priority.nsb import nsb, nsb_sweep
+from surctl.priority.nsb import nsb
 from surctl.priority.polyhedron import Polyhedron, polyhedron_of
-from surctl.priority.problem import PriorityProblem
+from surctl.priority.problem import Level, PriorityProblem
+from surctl.priority.settings import Settings
+from surctl.priority.sweep import nsb_sweep, without_rows
 from surctl.tasks.limits import Kind
 
 __all__ = ["is_optimal"]
@@ -23,29 +25,69 @@ __all__ = ["is_optimal"]
 Array: TypeAlias = NDArray[np.float64]
 
 
-def is_optimal(v: Array, problem: PriorityProblem, *, mode: str, tol: float = 1e-6) -> bool:
+def is_optimal(v: Array, problem: PriorityProblem, *, settings: Settings, target: Array, tol: float = 1e-6) -> bool:
     """Whether v (n,) is what the mode promises, within `tol` relative to 1 + the size of what is compared.
 
-    nsb: v is the printed law (16). projected: (a) no actuator row is missed; (b) what barrier rows, then set
-    rows, are missed by cannot be less; (c) no v in the set so relaxed meets the first task better; (d) none
-    that meets it as well is nearer to w_2.
+    nsb: v is the printed law (16), or its sweeps. The others: (a) no actuator row is missed; (b) what barrier rows,
+    then set rows, are missed by cannot be less; (c) of every strict level, no v in the set so relaxed that keeps what
+    the levels above reached meets it better; (d) none that keeps them all is nearer to `target` (n,), which is that
+    of the mode (where it is known from the problem alone: not for several sweeps of "projected").
     """
     if v.shape != (problem.width,) or not np.isfinite(v).all():
         return False
-    if mode == "nsb":
-        wanted = nsb(problem)
-        return bool(np.abs(v - wanted).max() <= tol * (1.0 + np.abs(wanted).max()))
+    if not _is_target(target, problem, settings, tol):
+        return False
+    if settings.mode == "nsb":
+        return _close(v, target, tol)
     allowed = _least_relaxed(v, polyhedron_of(problem), tol)
     if allowed is None:
         return False
-    first = problem.levels[0]
-    size = float(np.abs(first.J).max(initial=1.0))
     normals, gaps = _bounds(allowed, v)
-    if not _in_cone(first.J.T @ (first.x - first.J @ v) / size**2, normals, gaps, tol):
-        return False
-    w_2 = nsb_sweep(problem.levels[1:], width=problem.width)
-    free = np.vstack([normals, first.J / size, -first.J / size])
-    return _in_cone(w_2 - v, free, np.append(gaps, np.zeros(2 * first.x.size)), tol)
+    first = problem.levels[0]
+    if settings.mode == "projected" and settings.damping > 0.0:
+        pull = settings.damping**2 * (target - v) + first.J.T @ first.miss(v)
+        return _in_cone(pull / max(1.0, _size(first)) ** 2, normals, gaps, tol)
+    for level in problem.levels[: {"filter": 0, "projected": 1}.get(settings.mode)]:
+        if not _in_cone(level.J.T @ level.miss(v) / _size(level) ** 2, normals, gaps, tol):
+            return False
+        normals, gaps = _frozen(level, v, normals, gaps, tol)
+    return _in_cone(target - v, normals, gaps, tol)
+
+
+def _is_target(target: Array, problem: PriorityProblem, settings: Settings, tol: float) -> bool:
+    """Whether the point is where the mode's last projection starts."""
+    n = problem.width
+    if settings.mode == "lexicographic":
+        return not target.any()
+    if settings.mode == "projected":
+        if settings.sweeps > 1:
+            return bool(np.isfinite(target).all())
+        return _close(target, nsb_sweep(problem.levels[1:], start=np.zeros(n), settings=settings), tol)
+    plain = settings.sweeps == 1 and settings.damping == 0.0 and all(level.is_goal for level in problem.levels)
+    if plain:
+        return _close(target, nsb(problem, cutoff=settings.cutoff), tol)
+    return _close(target, without_rows(problem.levels, width=n, settings=settings), tol)
+
+
+def _close(v: Array, wanted: Array, tol: float) -> bool:
+    return bool(np.abs(v - wanted).max() <= tol * (1.0 + np.abs(wanted).max()))
+
+
+def _size(level: Level) -> float:
+    return float(np.abs(level.J).max(initial=1.0))
+
+
+def _frozen(level: Level, v: Array, normals: Array, gaps: Array, tol: float) -> tuple[Array, Array]:
+    """The normals with those of the level's rows: both signs where the value is fixed, else those of its bounds."""
+    J = level.J / _size(level)
+    fixed = level.exact | (np.abs(level.miss(v)) > tol * (1.0 + np.abs(level.J @ v)))
+    value = level.J @ v
+    above, below = ~fixed & np.isfinite(level.high), ~fixed & np.isfinite(level.lower)
+    room = np.concatenate([level.high[above] - value[above], value[below] - level.lower[below]]) / _size(level)
+    return (
+        np.vstack([normals, J[fixed], -J[fixed], J[above], -J[below]]),
+        np.concatenate([gaps, np.zeros(2 * int(fixed.sum())), np.maximum(room, 0.0)]),
+    )
 
 
 def _least_relaxed(v: Array, rows: Polyhedron, tol: float) -> Polyhedron | None:

@@ -38,6 +38,17 @@ class Polyhedron:
     names: tuple[str, ...]
     box: tuple[Array, Array]
 
+    @staticmethod
+    def none(n: int) -> Polyhedron:
+        """No row at all over n velocities."""
+        nothing, unbounded = np.zeros(0), np.full(n, np.inf)
+        return Polyhedron(np.zeros((0, n)), nothing, nothing, nothing, (), (), (-unbounded, unbounded))
+
+    @property
+    def width(self) -> int:
+        """n."""
+        return int(self.A.shape[1])
+
     def violation(self, v: Array) -> Array:
         """(m,): by how much v (n,) misses each row; 0 where it is kept."""
         value = self.A @ v
@@ -68,6 +79,39 @@ class Polyhedron:
         value = self.A @ v
         return replace(self, lower=np.minimum(self.lower, value), upper=np.maximum(self.upper, value))
 
+    def only(self, rows: NDArray[np.bool_]) -> Polyhedron:
+        """The chosen rows alone."""
+        chosen = np.flatnonzero(rows)
+        return replace(
+            self,
+            A=self.A[chosen],
+            lower=self.lower[chosen],
+            upper=self.upper[chosen],
+            length=self.length[chosen],
+            kinds=tuple(self.kinds[i] for i in chosen),
+            names=tuple(self.names[i] for i in chosen),
+        )
+
+    def also(self, J: Array, lower: Array, upper: Array, *, name: str) -> Polyhedron:
+        """The same with more rows J v in [lower, upper], J (k, n), kept like those of a set-based task."""
+        length = _lengths(J)
+        kind: Kind = "set"
+        return replace(
+            self,
+            A=np.vstack([self.A, J / length[:, None]]),
+            lower=np.append(self.lower, lower / length),
+            upper=np.append(self.upper, upper / length),
+            length=np.append(self.length, length),
+            kinds=(*self.kinds, *((kind,) * length.size)),
+            names=(*self.names, *((name,) * length.size)),
+        )
+
+    def widened(self, J: Array, lower: Array, upper: Array) -> Polyhedron:
+        """The rows over (v, s) with s (k,), and k more rows J v + s in [lower, upper]."""
+        k = J.shape[0]
+        wide = replace(self, A=np.hstack([self.A, np.zeros((self.A.shape[0], k))]))
+        return wide.also(np.hstack([J, np.eye(k)]), lower, upper, name="slack")
+
     def clamp(self, v: Array) -> Array:
         """v moved into the box, entry by entry."""
         clamped: Array = np.clip(v, *self.box)
@@ -78,13 +122,19 @@ def polyhedron_of(problem: PriorityProblem) -> Polyhedron:
     """The problem's rows, scaled. A row of zeros keeps its bounds: it is met always or never."""
     rows, n = problem.rows, problem.width
     A = np.array([row.a for row in rows]).reshape(len(rows), n)
-    length = np.sqrt(np.einsum("ij,ij->i", A, A))
-    length[length <= ZERO_ROW] = 1.0
+    length = _lengths(A)
     lower = np.array([row.lower for row in rows], dtype=float) / length
     upper = np.array([row.upper for row in rows], dtype=float) / length
     A = A / length[:, None]
     kinds = tuple(row.kind for row in rows)
     return Polyhedron(A, lower, upper, length, kinds, tuple(r.name for r in rows), _box(A, lower, upper, kinds))
+
+
+def _lengths(A: Array) -> Array:
+    """Length of each row; 1 for a row of zeros."""
+    length: Array = np.sqrt(np.einsum("ij,ij->i", A, A))
+    length[length <= ZERO_ROW] = 1.0
+    return length
 
 
 def _box(A: Array, lower: Array, upper: Array, kinds: tuple[Kind, ...]) -> tuple[Array, Array]:

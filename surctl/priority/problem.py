@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +16,58 @@ from surctl.tasks.limits import Kind
 __all__ = ["Level", "PriorityProblem", "Row", "build_problem"]
 
 
+Array: TypeAlias = NDArray[np.float64]
+
+
 @dataclass(frozen=True, eq=False)
 class Level:
-    """One task at one instant: J v should be x; J (k, n), x (k,) [unit of σ per second]."""
+    """One task at one instant, row by row: lower ≤ J v ≤ upper.
+
+    `Level(name, J, x)` asks for J v = x. A set-based task gives both bounds, ±inf for none; where they leave
+    room the row asks for nothing while it is kept.
+
+    Attributes:
+        J: (k, n).
+        lower, upper: (k,) [unit of σ per second]; upper None: the same as lower.
+        unit: of σ̇, as "m/s"; for explanations.
+    """
 
     name: str
-    J: NDArray[np.float64]
-    x: NDArray[np.float64]
+    J: Array
+    lower: Array
+    upper: Array | None = None
+    unit: str = ""
+
+    @property
+    def x(self) -> Array:
+        """(k,), the value asked for, of a level without a set-based row; otherwise its lower bounds."""
+        return self.lower
+
+    @property
+    def high(self) -> Array:
+        """(k,), the upper bounds."""
+        return self.lower if self.upper is None else self.upper
+
+    @property
+    def exact(self) -> NDArray[np.bool_]:
+        """(k,): which rows ask for one value."""
+        rows: NDArray[np.bool_] = self.lower == self.high
+        return rows
+
+    @property
+    def is_goal(self) -> bool:
+        """Whether every row asks for one value."""
+        return self.upper is None or bool(self.exact.all())
+
+    def miss(self, v: Array) -> Array:
+        """(k,): what J v lacks to the nearest allowed value, signed; v (n,). 0 where a row is kept."""
+        value = self.J @ v
+        lacks: Array = np.clip(value, self.lower, self.high) - value
+        return lacks
+
+    def residual(self, v: Array) -> float:
+        """‖miss‖: ‖J v − x‖ for a task that asks for one value."""
+        return float(np.sqrt((self.miss(v) ** 2).sum()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +76,7 @@ class Row:
 
     name: str
     kind: Kind
-    a: NDArray[np.float64]
+    a: Array
     lower: float
     upper: float
 
@@ -53,7 +98,8 @@ class PriorityProblem:
         lines = [f"{'priority':<9} {'name':<20} row · v"]
         for place, level in enumerate(self.levels, start=1):
             lines += [
-                f"{place:<9} {level.name:<20} {_text(row)} -> {x:.6g}" for row, x in zip(level.J, level.x, strict=True)
+                f"{place:<9} {level.name:<20} {_text(row)} {_wanted(low, high)}"
+                for row, low, high in zip(level.J, level.lower, level.high, strict=True)
             ]
         lines += [
             f"{row.kind:<9} {row.name:<20} {_text(row.a)} in [{row.lower:.6g}, {row.upper:.6g}]" for row in self.rows
@@ -63,7 +109,16 @@ class PriorityProblem:
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; an absent bound is null. Numbers survive the round trip exactly."""
         return {
-            "levels": [{"name": lv.name, "J": lv.J.tolist(), "x": lv.x.tolist()} for lv in self.levels],
+            "levels": [
+                {
+                    "name": lv.name,
+                    "J": lv.J.tolist(),
+                    "lower": [_bound(value) for value in lv.lower],
+                    "upper": [_bound(value) for value in lv.high],
+                    "unit": lv.unit,
+                }
+                for lv in self.levels
+            ],
             "rows": [
                 {
                     "name": r.name,
@@ -80,7 +135,16 @@ class PriorityProblem:
     def from_dict(data: Mapping[str, Any]) -> PriorityProblem:
         """The problem that `to_dict` gave; checked like any other. InputError for a missing key."""
         try:
-            levels = [Level(lv["name"], _array(lv["J"]), _array(lv["x"])) for lv in data["levels"]]
+            levels = [
+                Level(
+                    lv["name"],
+                    _array(lv["J"]),
+                    _array([_unbound(value, -math.inf) for value in lv["lower"]]),
+                    _array([_unbound(value, math.inf) for value in lv["upper"]]),
+                    lv["unit"],
+                )
+                for lv in data["levels"]
+            ]
             rows = [
                 Row(
                     r["name"],
@@ -124,22 +188,27 @@ def build_problem(levels: Sequence[Level], rows: Sequence[Row] = ()) -> Priority
 
 
 def _checked_level(level: Level) -> Level:
-    J, x = _array(level.J), _array(level.x).reshape(-1)
-    if J.ndim != 2 or J.shape[0] != x.size or J.size == 0:
+    J, lower, upper = _array(level.J), _array(level.lower).reshape(-1), _array(level.high).reshape(-1)
+    key = f"task {level.name}"
+    if J.ndim != 2 or J.shape[0] != lower.size or J.size == 0 or lower.size != upper.size:
+        entries = f"{lower.size}" if lower.size == upper.size else f"{lower.size} and {upper.size}"
         raise InputError(
-            f"J has shape {J.shape}, x has {x.size} entries",
-            key=f"task {level.name}",
-            remedy="give J of shape (k, n) and x of shape (k,)",
+            f"J has shape {J.shape}, its values have {entries} entries",
+            key=key,
+            remedy="give J of shape (k, n) and k values",
         )
-    if not (np.isfinite(J).all() and np.isfinite(x).all()):
-        bad = int(np.flatnonzero(~(np.isfinite(J).all(axis=1) & np.isfinite(x)))[0])
-        raise InputError(
-            f"row {bad} is not finite",
-            key=f"task {level.name}",
-            value=[*J[bad], x[bad]],
-            remedy="gate the inputs first",
-        )
-    return Level(level.name, J, x)
+    finite = np.isfinite(J).all(axis=1) & ~np.isnan(lower) & ~np.isnan(upper)
+    finite &= np.isfinite(lower) | (lower < upper)
+    crossed = ~(lower <= upper) | (lower == math.inf) | (upper == -math.inf)
+    for wrong, problem, remedy in (
+        (~finite, "is not finite", "gate the inputs first"),
+        (crossed, "bounds leave no value", "give lower <= upper"),
+    ):
+        if wrong.any():
+            bad = int(np.flatnonzero(wrong)[0])
+            ends = [lower[bad]] if level.upper is None else [lower[bad], upper[bad]]
+            raise InputError(f"row {bad} {problem}", key=key, value=np.append(J[bad], ends).tolist(), remedy=remedy)
+    return Level(level.name, J, lower, None if np.array_equal(lower, upper) else upper, level.unit)
 
 
 def _checked_row(row: Row, width: int) -> Row:
@@ -150,7 +219,7 @@ def _checked_row(row: Row, width: int) -> Row:
     if a.size != width:
         raise InputError(f"has {a.size} entries, expected {width}", key=key, remedy="one entry a velocity")
     if not np.isfinite(a).all() or math.isnan(lower) or math.isnan(upper):
-        raise InputError("is not finite", key=key, value=[*a, lower, upper], remedy="gate the inputs first")
+        raise InputError("is not finite", key=key, value=[*a.tolist(), lower, upper], remedy="gate the inputs first")
     if lower > upper or lower == math.inf or upper == -math.inf:
         raise InputError("bounds leave no velocity", key=key, value=[lower, upper], remedy="give lower <= upper")
     return Row(row.name, row.kind, a, lower, upper)
@@ -166,7 +235,7 @@ def _check_names(what: str, names: Sequence[str]) -> None:
             )
 
 
-def _array(value: Any) -> NDArray[np.float64]:
+def _array(value: Any) -> Array:
     return np.array(value, dtype=float)
 
 
@@ -178,5 +247,9 @@ def _unbound(value: float | None, absent: float) -> float:
     return absent if value is None else float(value)
 
 
-def _text(row: NDArray[np.float64]) -> str:
+def _wanted(lower: float, upper: float) -> str:
+    return f"-> {lower:.6g}" if lower == upper else f"in [{lower:.6g}, {upper:.6g}]"
+
+
+def _text(row: Array) -> str:
     return "[" + " ".join(f"{entry: .4g}" for entry in row) + "]"

@@ -41,17 +41,23 @@ class RowSpace:
         return self.rows.T @ ((self.left.T @ x) / self.s)
 
 
-def row_space(J: NDArray[np.float64], *, cutoff: float = CUTOFF) -> RowSpace:
-    """Decompose J (k, n); the cut-off is `cutoff`·‖J‖, and never below `ZERO_ROW`."""
+def row_space(J: NDArray[np.float64], *, cutoff: float = CUTOFF, scale: float | None = None) -> RowSpace:
+    """Decompose J (k, n); the cut-off is `cutoff`·`scale` (‖J‖ if None), and never below `ZERO_ROW`."""
     left, s, rows = np.linalg.svd(J, full_matrices=True)
-    rank = int(np.count_nonzero(s > max(cutoff * s[0], ZERO_ROW))) if s.size else 0
+    largest = scale if scale is not None else float(s[0]) if s.size else 0.0
+    rank = int(np.count_nonzero(s > max(cutoff * largest, ZERO_ROW)))
     return RowSpace(left[:, :rank], s[:rank], rows[:rank], rows[rank:])
 
 
-def project(w: NDArray[np.float64], J: NDArray[np.float64], *, x: NDArray[np.float64]) -> NDArray[np.float64]:
+def project(
+    w: NDArray[np.float64], J: NDArray[np.float64], *, x: NDArray[np.float64], cutoff: float = CUTOFF
+) -> NDArray[np.float64]:
     """The point nearest to w (n,) of argmin ‖J z − x‖: w + J⁺(x − J w). Exact for rank-deficient J too."""
     if J.shape[0] == 1:
         row = J[0]
         square = row @ row
         return w if square <= ZERO_ROW**2 else w + row * ((x[0] - row @ w) / square)
-    return w + row_space(J).particular(x - J @ w)
+    space = row_space(J, cutoff=cutoff)
+    # J w is not formed: its error would be divided by the smallest singular value
+    moved: NDArray[np.float64] = w + space.rows.T @ ((space.left.T @ x) / space.s - space.rows @ w)
+    return moved

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from surctl.priority.optimality import is_optimal
 from surctl.priority.problem import Level, PriorityProblem
+from surctl.priority.settings import Settings
 
-__all__ = ["Mode", "Outcome", "PrioritySolution", "residuals_at"]
+__all__ = ["Outcome", "PrioritySolution", "residuals_at"]
 
-Mode: TypeAlias = Literal["nsb", "projected"]
 Outcome: TypeAlias = Literal["optimal", "limited", "relaxed", "clamped"]
-"""optimal: the first task is met; limited: it is met as well as the rows allow; relaxed: the rows contradict
-each other, and some gave way; clamped: the actuator rows themselves do (or no solver answered), and v is only
-kept in the box."""
+"""optimal: what the mode promises, and the first task as well met as without rows where the mode cares; limited: it
+is met as well as the rows allow; relaxed: the rows contradict each other, and some gave way; clamped: the actuator
+rows themselves do (or no solver answered), and v is only kept in the box."""
 
 _NOTICEABLE = 1e-7
 
@@ -29,63 +29,91 @@ class PrioritySolution:
 
     Attributes:
         v: (n,); for this vehicle (u, v, w, r) in {B} [m/s, rad/s].
-        mode: the law.
+        settings: mode, sweeps, damping, cut-off.
+        target: (n,), the point that the last projection started from: w_2 of "projected", (16) of "filter", 0 of
+            "lexicographic".
         residuals: ‖J_i v − x_i‖ of each level [unit of σ per second].
         without_limits: the same for the law (16) without rows: what a level loses to levels above it alone.
         binding: (row, multiplier) of the rows that hold v back; positive at the upper bound, negative at the
-            lower. Of ½‖v − w_2‖² in the last projection; for a row that holds back the first task itself, of
-            ½‖J_1 v − x_1‖².
+            lower. Of ½‖v − target‖² in the last projection; for a row that holds back a strict level (the first of
+            "projected", any of "lexicographic"), of ½‖J v − x‖² of that level.
+        blame: rows that hold back a strict level, by level.
         relaxed: how far v misses the rows that it misses, in the unit of each row.
+        conflict: the rows that contradict each other, which is why some were relaxed.
         fallback: 1 first task met, 2 met as well as the rows allow, 3 rows relaxed or v clamped.
-        iterations: of the QP solver, summed; 0 when none was needed.
+        iterations: of the solvers, summed; 0 when none was needed.
         status: see `Outcome`.
+        units: of each level's residual.
     """
 
     v: NDArray[np.float64]
-    mode: Mode
+    settings: Settings
+    target: NDArray[np.float64]
     residuals: Mapping[str, float]
     without_limits: Mapping[str, float]
     binding: tuple[tuple[str, float], ...]
+    blame: Mapping[str, tuple[str, ...]]
     relaxed: Mapping[str, float]
+    conflict: tuple[str, ...]
     fallback: Literal[1, 2, 3]
     iterations: int
     status: Outcome
+    units: Mapping[str, str]
+
+    @property
+    def mode(self) -> str:
+        """The mode's name."""
+        return self.settings.mode
 
     def explain(self) -> str:
         """One or two sentences: which task gave up how much, because of which row."""
         if self.status == "clamped":
             return "The actuator rows contradict each other, or no solver answered: v is only kept in the box."
         text = self._losses()
-        if self.relaxed:
-            missed = ", ".join(f"`{name}` by {amount:.2g}" for name, amount in self.relaxed.items())
-            text += (
-                f" This mode knows no limits: v misses {missed}."
-                if self.mode == "nsb"
-                else (f" The limits contradict each other, so the least violation was allowed: {missed}.")
-            )
-        return text
+        if not self.relaxed:
+            return text
+        missed = ", ".join(f"`{name}` by {amount:.2g}" for name, amount in self.relaxed.items())
+        if self.mode == "nsb":
+            return f"{text} This mode knows no limits: v misses {missed}."
+        who = f" ({_listed(self.conflict)})" if self.conflict else ""
+        return f"{text} The limits contradict each other{who}, so the least violation was allowed: {missed}."
 
     def is_optimal(self, problem: PriorityProblem, tol: float = 1e-6) -> bool:
         """Whether v is what `mode` promises for `problem`, judged from v alone; see `optimality`."""
-        return self.status != "clamped" and is_optimal(self.v, problem, mode=self.mode, tol=tol)
+        return self.status != "clamped" and is_optimal(
+            self.v, problem, settings=self.settings, target=self.target, tol=tol
+        )
 
     def _losses(self) -> str:
-        """The sentence on tasks."""
-        lost = {
-            name: residual - self.without_limits[name]
-            for name, residual in self.residuals.items()
-            if residual - self.without_limits[name] > _NOTICEABLE
-        }
-        because = " and ".join(f"`{name}`" for name, _ in self.binding)
-        verb = "bind" if len(self.binding) > 1 else "binds"
-        if lost:
-            what = ", ".join(f"task `{name}` gave up {amount:.2g}" for name, amount in lost.items())
-            return f"{what[0].upper()}{what[1:]}" + (f" because {because} {verb}." if because else ".")
-        if because:
-            return f"{because} {verb}, at no task's cost."
-        return "v is the null-space-based law." if self.relaxed else "No limit binds: v is the null-space-based law."
+        """The sentence on tasks: who gave up how much, grouped by the rows that are to blame."""
+        bind = tuple(name for name, _ in self.binding)
+        lost: dict[tuple[str, ...], list[str]] = {}
+        for name, residual in self.residuals.items():
+            amount = residual - self.without_limits[name]
+            if amount > _NOTICEABLE:
+                unit = f" {self.units[name]}" if self.units[name] else ""
+                lost.setdefault(self.blame.get(name, bind), []).append(f"task `{name}` gave up {amount:.2g}{unit}")
+        if not lost:
+            if bind:
+                return f"{_listed(bind)} {_verb(bind)}, at no task's cost."
+            known = "the null-space-based law" if self.mode != "lexicographic" else "that of strict priority"
+            return f"v is {known}." if self.relaxed else f"No limit binds: v is {known}."
+        because = [
+            ", ".join(tasks) + (f" because {_listed(rows)} {_verb(rows)}" if rows else "")
+            for rows, tasks in lost.items()
+        ]
+        text = "; ".join(because)
+        return f"{text[0].upper()}{text[1:]}."
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(f"`{name}`" for name in names)
+
+
+def _verb(names: Sequence[str]) -> str:
+    return "bind" if len(names) > 1 else "binds"
 
 
 def residuals_at(v: NDArray[np.float64], levels: tuple[Level, ...]) -> dict[str, float]:
-    """‖J_i v − x_i‖ of each level, by name."""
-    return {level.name: float(np.sqrt(((level.J @ v - level.x) ** 2).sum())) for level in levels}
+    """‖J_i v − x_i‖ of each level, by name; of a set-based task, the distance from what it allows."""
+    return {level.name: level.residual(v) for level in levels}

@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.priority import BACKENDS, nsb_sweep, solve_least_distance
+from surctl.priority.draws import draw_levels, unit
 from surctl.priority.rowspace import project, row_space
-from tests.priority.draw import N, levels, unit
+
+N = 4
 
 each = pytest.mark.parametrize("backend", ["daqp", "osqp", "own"])
 
@@ -63,8 +65,8 @@ def test_it_equals_enumeration(backend):
 @settings(max_examples=40, deadline=None)  # the first use of a backend may compile
 @given(st.integers(0, 2**32 - 1))
 def test_the_qp_is_the_last_projection_of_nsb_when_rows_are_loose(backend, seed):
-    made = levels(np.random.default_rng(seed), conditioned=True)
-    first, w_2 = made[0], nsb_sweep(made[1:], width=N)
+    made = draw_levels(np.random.default_rng(seed), conditioned=True)
+    first, w_2 = made[0], nsb_sweep(made[1:], start=np.zeros(N))
     reachable = first.J @ row_space(first.J).particular(first.x)
     got = solve_least_distance(
         w_2,

@@ -10,8 +10,8 @@ import pytest
 import surctl.priority.safe_point as module
 from surctl.errors import InputError, ToolMissing
 from surctl.priority import build_problem, least_distance, solve
+from surctl.priority.draws import draw_problem
 from surctl.priority.problem import Row
-from tests.priority.draw import constrained
 
 BOX: dict[str, Any] = {"A": np.eye(2), "lower": [-1.0, -1.0], "upper": [1.0, 1.0]}
 
@@ -101,7 +101,7 @@ def test_without_a_compiler_the_numbers_are_the_same(monkeypatch: pytest.MonkeyP
 def test_the_backend_own_solves_whole_ticks_as_daqp_does() -> None:
     rng = np.random.default_rng(11)
     for _ in range(150):
-        problem = constrained(rng)
+        problem = draw_problem(rng)
         own, other = solve(problem, backend="own"), solve(problem, backend="daqp")
         assert own.status == other.status
         # rungs 2 and 3 go through an iteration that ends at 1e-7 or so
@@ -112,7 +112,7 @@ def test_the_backend_own_solves_whole_ticks_as_daqp_does() -> None:
 
 def test_a_row_that_does_nothing_changes_nothing() -> None:
     rng = np.random.default_rng(3)
-    problem = constrained(rng)
+    problem = draw_problem(rng)
     wider = build_problem(problem.levels, [*problem.rows, Row("idle", "barrier", np.ones(4), -np.inf, 1e6)])
     a, b = solve(problem, backend="own"), solve(wider, backend="own")
     np.testing.assert_allclose(a.v, b.v, atol=1e-12)

@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.priority import Level, build_problem, nsb, nsb_sweep, nsb_symbolic
+from surctl.priority.draws import draw_levels
+from surctl.priority.references import printed_law, svd_cascade
 from surctl.tasks import (
     Stack,
     depth_task,
@@ -17,30 +19,9 @@ from surctl.tasks import (
     position_task,
     velocity_task,
 )
-from tests.priority.draw import N, levels
 
+N = 4
 seeds = st.integers(0, 2**32 - 1)
-
-
-def printed(made):
-    """(16) with numpy's own pseudo-inverse, nested outwards from v_1."""
-    v, chain = np.zeros(N), np.eye(N)
-    for level in made:
-        inverse = np.linalg.pinv(level.J, rcond=1e-10)
-        v = v + chain @ inverse @ level.x
-        chain = chain @ (np.eye(N) - inverse @ level.J)
-    return v
-
-
-def strict(made):
-    """Strict (lexicographic) priority: v ← v + (J N)⁺(x − J v), cut off at 1e-10·‖J‖."""
-    v, N_A = np.zeros(N), np.eye(N)
-    for level in made:
-        left, s, right = np.linalg.svd(level.J @ N_A, full_matrices=False)
-        keep = s > 1e-10 * np.linalg.norm(level.J, 2)
-        v = v + right[keep].T @ ((left[:, keep].T @ (level.x - level.J @ v)) / s[keep])
-        N_A = N_A - right[keep].T @ right[keep]
-    return v
 
 
 def size(made):
@@ -49,10 +30,10 @@ def size(made):
 
 @given(seeds)
 def test_nsb_equals_the_sweep_and_the_printed_formula(seed):
-    made = levels(np.random.default_rng(seed), most=8, conditioned=True)
+    made = draw_levels(np.random.default_rng(seed), most=8, conditioned=True)
     v = nsb(build_problem(made))
-    assert np.abs(v - printed(made)).max() <= 1e-12 * size(made)
-    assert np.abs(v - nsb_sweep(made, width=N)).max() <= 1e-12 * size(made)
+    assert np.abs(v - printed_law(made)).max() <= 1e-12 * size(made)
+    assert np.abs(v - nsb_sweep(made, start=np.zeros(N))).max() <= 1e-12 * size(made)
 
 
 def test_noise_in_a_deficient_jacobian_is_not_inverted():
@@ -73,7 +54,7 @@ def evaluate(made, *, damping=0.0):
 
 @given(seeds)
 def test_symbolic_equals_numeric_on_conditioned_levels(seed):
-    made = levels(np.random.default_rng(seed), conditioned=True, deficient=False)
+    made = draw_levels(np.random.default_rng(seed), conditioned=True, deficient=False)
     v = nsb(build_problem(made))
     assert np.abs(evaluate(made) - v).max() <= 1e-10 * size(made)
 
@@ -81,7 +62,7 @@ def test_symbolic_equals_numeric_on_conditioned_levels(seed):
 @given(seeds)
 def test_symbolic_leaves_out_zero_and_doubled_rows(seed):
     rng = np.random.default_rng(seed)
-    made = levels(rng, conditioned=True, deficient=False)
+    made = draw_levels(rng, conditioned=True, deficient=False)
     row = rng.normal(size=N)
     odd = Level("odd", np.vstack([np.zeros(N), row, 0.37 * row]), np.array([5.0, 0.3, 9.0]))  # 9.0 is left out
     with_odd = [*made[:1], odd, *made[1:]]
@@ -93,7 +74,7 @@ def test_symbolic_leaves_out_zero_and_doubled_rows(seed):
 
 @given(seeds, st.floats(1e-3, 1.0))
 def test_damped_form_is_nsb_with_the_damped_inverse_in_both_places(seed, damping):
-    made = levels(np.random.default_rng(seed), most=4)
+    made = draw_levels(np.random.default_rng(seed), most=4)
     v = np.zeros(N)
     for level in reversed(made):
         inverse = level.J.T @ np.linalg.inv(level.J @ level.J.T + damping**2 * np.eye(level.x.size))
@@ -124,11 +105,11 @@ def test_stacks_whose_projectors_commute_equal_strict_priority_and_others_do_not
         for stack in orthogonal:
             made = at(stack, pose)
             v = nsb(build_problem(made))
-            assert np.abs(v - strict(made)).max() < 1e-12
+            assert np.abs(v - svd_cascade(made)).max() < 1e-12
             if stack is not orthogonal[-1]:
                 assert max(np.abs(lv.J @ v - lv.x).max() for lv in made) < 1e-12
         made = at(mixed, pose)
-        apart = max(apart, np.abs(nsb(build_problem(made)) - strict(made)).max())
+        apart = max(apart, np.abs(nsb(build_problem(made)) - svd_cascade(made)).max())
     assert apart > 0.05
 
 

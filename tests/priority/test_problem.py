@@ -8,7 +8,7 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.priority import Level, PriorityProblem, Row, build_problem, solve
-from tests.priority.draw import constrained
+from surctl.priority.draws import draw_problem
 
 GOOD = Level("depth", np.eye(4)[2:3], np.array([0.1]))
 
@@ -44,7 +44,7 @@ def test_bad_problems_are_refused_by_name(levels, rows, says):
 
 def test_it_survives_json_exactly():
     for seed in range(20):
-        problem = constrained(np.random.default_rng(seed))
+        problem = draw_problem(np.random.default_rng(seed))
         again = PriorityProblem.from_dict(json.loads(json.dumps(problem.to_dict(), allow_nan=False)))
         assert np.array_equal(solve(problem).v, solve(again).v)
         assert str(again) == str(problem)

@@ -8,7 +8,9 @@ from scipy.optimize import lsq_linear
 
 from surctl.errors import InputError
 from surctl.priority import Level, PriorityProblem, Row, build_problem, nsb, solve
-from tests.priority.draw import N, constrained, levels, wide
+from surctl.priority.draws import draw_levels, draw_problem, wide
+
+N = 4
 
 both = pytest.mark.parametrize("backend", ["daqp", "osqp"])
 E = np.eye(N)
@@ -27,7 +29,7 @@ def worst_miss(rows, v):
 @both
 @given(st.integers(0, 2**32 - 1))
 def test_it_is_nsb_when_nothing_binds(backend, seed):
-    problem = wide(levels(np.random.default_rng(seed), conditioned=True))
+    problem = wide(draw_levels(np.random.default_rng(seed), conditioned=True))
     got, want = solve(problem, backend=backend), nsb(problem)
     assert np.abs(got.v - want).max() <= 1e-8 * (1 + np.abs(want).max())
     assert (got.fallback, got.binding, got.relaxed, got.status) == (1, (), {}, "optimal")
@@ -37,7 +39,7 @@ def test_it_is_nsb_when_nothing_binds(backend, seed):
 def test_every_tick_has_an_answer_that_stands_without_the_solver(backend, count, certified):
     rng, stands, seen = np.random.default_rng(17), 0, set()
     for _ in range(count):
-        problem = constrained(rng)
+        problem = draw_problem(rng)
         got = solve(problem, backend=backend)
         assert np.isfinite(got.v).all()
         assert worst_miss([r for r in problem.rows if r.kind == "actuator"], got.v) <= 1e-7
@@ -54,7 +56,7 @@ def test_every_tick_has_an_answer_that_stands_without_the_solver(backend, count,
 def test_backends_agree_where_rows_are_consistent():
     rng, compared = np.random.default_rng(4), 0
     for _ in range(60):
-        problem = constrained(rng)
+        problem = draw_problem(rng)
         one, other = (solve(problem, backend=b) for b in ("daqp", "osqp"))
         if one.fallback == other.fallback == 1:
             compared += 1
@@ -138,7 +140,7 @@ def test_is_optimal_refuses_what_is_not():
     rng = np.random.default_rng(8)
     refused = 0
     for _ in range(100):
-        problem = constrained(rng)
+        problem = draw_problem(rng)
         got = solve(problem)
         moved = type(got)(**{**vars(got), "v": got.v + 1e-3 * rng.normal(size=N)})
         refused += not moved.is_optimal(problem, 1e-6)
@@ -158,7 +160,7 @@ def test_a_nan_that_slipped_past_the_gate_never_becomes_a_command():
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-200, 1e-12, 1e12, 1e150, 1e300]))
 def test_numbers_of_any_size_give_a_finite_answer_inside_the_box(seed, scale):
     rng = np.random.default_rng(seed)
-    made = [Level(lv.name, lv.J, lv.x * scale) for lv in levels(rng)]
+    made = [Level(lv.name, lv.J, lv.x * scale) for lv in draw_levels(rng)]
     problem = build_problem(made, box(0.3))
     for mode in ("projected", "nsb"):
         assert np.isfinite(solve(problem, mode=mode).v).all()
@@ -185,7 +187,7 @@ def test_mode_nsb_knows_no_rows_and_says_so():
 
 
 def test_without_rows_it_is_nsb():
-    problem = build_problem(levels(np.random.default_rng(0)))
+    problem = build_problem(draw_levels(np.random.default_rng(0)))
     assert np.allclose(solve(problem).v, nsb(problem), atol=1e-12)
     assert solve(problem).explain() == "No limit binds: v is the null-space-based law."
 

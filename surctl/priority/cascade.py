@@ -1,0 +1,162 @@
+"""Strict levels one after another inside the rows, then the nearest point to a target in what they leave.
+
+With no strict level this is a filter of the target; with one, the last projection of the paper's sweep kept inside
+the rows; with all of them and target 0, strict (lexicographic) priority (Kanoun, Lamiraux and Wieber 2011; Escande,
+Mansard and Wieber 2014). What a level reached is kept by elimination, never by an inequality with a tolerance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.priority.freedom import Freedom
+from surctl.priority.polyhedron import Polyhedron
+from surctl.priority.problem import Level
+from surctl.priority.served import serve
+
+__all__ = ["Reached", "reach"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_MISSED = 1e-9
+_ROOM = 1e-9
+"""Room [row of length 1] for rows that may give, where the set has no inside and a solver calls it empty."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """Where the cascade ended.
+
+    Attributes:
+        v: (n,).
+        binding: (name, multiplier) of the rows in the way, in the order of the rows as given: of ½‖v − target‖²; of
+            ½‖miss‖² for rows that hold a strict level back.
+        blame: for each strict level that rows hold back, their names.
+        iterations: of all solvers.
+    """
+
+    v: Array
+    binding: tuple[tuple[str, float], ...]
+    blame: Mapping[str, tuple[str, ...]]
+    iterations: int
+
+    @staticmethod
+    def of(
+        v: Array,
+        names: Sequence[str],
+        multipliers: Array,
+        iterations: int,
+        *,
+        held: Mapping[str, float] | None = None,
+        blame: Mapping[str, tuple[str, ...]] | None = None,
+    ) -> Reached:
+        """From multipliers (m,) of all rows; `held`, those of rows that hold a strict level back, count first."""
+        found = {name: float(u) for name, u in zip(names, multipliers, strict=True) if u != 0.0} | dict(held or {})
+        return Reached(
+            v, tuple((name, found[name]) for name in dict.fromkeys(names) if name in found), blame or {}, iterations
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """What some levels leave: a freedom, rows, and the point in both that is nearest to the target.
+
+    multipliers: (m,) of that point. held: the same of the level that rows hold back.
+    """
+
+    freedom: Freedom
+    rows: Polyhedron
+    inside: Array
+    multipliers: Array
+    iterations: int
+    held: Mapping[str, float]
+
+
+def reach(
+    strict: Sequence[Level],
+    target: Array,
+    rows: Polyhedron,
+    *,
+    backend: str,
+    cutoff: float,
+    inside: Array | None = None,
+) -> Reached | None:
+    """The cascade; None if no v keeps the rows. target (n,); inside (n,): a point known to keep them, or None."""
+    freedom = Freedom.whole(target.size)
+    rows = rows if inside is None else rows.holding(inside)
+    blame: dict[str, tuple[str, ...]] = {}
+    held: dict[str, float] = {}
+    place: _Place | None = None
+    spent = 0
+    for level in strict:
+        met = _met(level, target, rows, freedom=freedom, backend=backend, cutoff=cutoff)
+        if met is None:
+            place = place or _nearest(freedom, rows, target, backend=backend, inside=inside)
+            if place is None:
+                return None
+            spent += place.iterations
+            met = _served(level, target, place, backend=backend, cutoff=cutoff)
+            if met.held:
+                blame[level.name] = tuple(met.held)
+            held = {**met.held, **held}
+        place = met
+        spent += place.iterations
+        freedom, rows = place.freedom, place.rows
+    if place is None:
+        place = _nearest(freedom, rows, target, backend=backend, inside=inside)
+        if place is None:
+            return None
+        spent += place.iterations
+    return Reached.of(place.inside, place.rows.names, place.multipliers, spent, held=held, blame=blame)
+
+
+def _met(
+    level: Level, target: Array, rows: Polyhedron, *, freedom: Freedom, backend: str, cutoff: float
+) -> _Place | None:
+    """The level met as well as the levels above allow, if the rows allow that too."""
+    goal = level.exact
+    narrow = freedom.narrowed(level.J[goal], level.lower[goal], cutoff=cutoff)
+    more = _kept(level, rows, ~goal)
+    return _nearest(narrow, more, target, backend=backend)
+
+
+def _served(level: Level, target: Array, place: _Place, *, backend: str, cutoff: float) -> _Place:
+    """The level met as well as the rows allow, and frozen there."""
+    found = serve(level, place.inside, place.rows, freedom=place.freedom, cutoff=cutoff)
+    value = level.J @ found.v
+    off = np.abs(level.miss(found.v)) > _MISSED * (1.0 + np.abs(value))
+    frozen = level.exact | off
+    narrow = place.freedom.narrowed(level.J[frozen], value[frozen], cutoff=cutoff)
+    rows = _kept(level, place.rows, ~frozen).holding(found.v)
+    after = _nearest(narrow, rows, target, backend=backend, inside=found.v)
+    assert after is not None  # a point inside is known
+    # a level that rows hardly hold back (by 1e-9 of ‖J‖) counts as met
+    felt = _MISSED * float(np.linalg.norm(level.J, 2)) ** 2
+    held = {place.rows.names[i]: float(u) for i, u in enumerate(found.multipliers) if abs(u) > felt}
+    return _Place(narrow, rows, after.inside, after.multipliers, after.iterations + found.iterations, held)
+
+
+def _kept(level: Level, rows: Polyhedron, chosen: NDArray[np.bool_]) -> Polyhedron:
+    """The rows, and the chosen ones of a set-based level."""
+    if not chosen.any():
+        return rows
+    return rows.also(level.J[chosen], level.lower[chosen], level.high[chosen], name=level.name)
+
+
+def _nearest(
+    freedom: Freedom, rows: Polyhedron, target: Array, *, backend: str, inside: Array | None = None
+) -> _Place | None:
+    """The nearest point to the target; None if there is none, and none is known to be inside."""
+    answer = freedom.nearest(target, rows, backend=backend)
+    spent = answer.iterations
+    if answer.x is None and inside is not None:
+        answer = freedom.nearest(target, rows.relaxed(rows.mask("barrier", "set"), _ROOM), backend=backend)
+        spent += answer.iterations
+    if answer.x is not None:
+        return _Place(freedom, rows, answer.x, answer.multipliers, spent, {})
+    return None if inside is None else _Place(freedom, rows, inside, np.zeros(len(rows.names)), spent, {})

@@ -1,0 +1,116 @@
+"""Random priority problems, for tests, studies and conformance checks."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
+
+__all__ = ["draw_levels", "draw_problem", "inequality_problem", "unit", "wide", "with_sets"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_N = 4
+
+
+def draw_levels(
+    rng: np.random.Generator, *, most: int = 5, conditioned: bool = False, deficient: bool = True
+) -> list[Level]:
+    """1 … `most` levels of 1–4 rows over 4 velocities, named task0, task1, …
+
+    Args:
+        conditioned: singular values between 0.3 and 3.
+        deficient: some levels have doubled rows, rank 1, only zeros, or select velocities.
+    """
+    made = []
+    for i in range(rng.integers(1, most + 1)):
+        k = int(rng.integers(1, _N + 1))
+        J = rng.normal(size=(k, _N))
+        if conditioned:
+            left, _, right = np.linalg.svd(J, full_matrices=False)
+            J = left @ np.diag(rng.uniform(0.3, 3.0, k)) @ right
+        if deficient:
+            J = _spoiled(J, rng)
+        made.append(Level(f"task{i}", J, rng.normal(size=k)))
+    return made
+
+
+def _spoiled(J: Array, rng: np.random.Generator) -> Array:
+    k, kind = len(J), rng.random()
+    if kind < 0.15 and k > 1:
+        J[1] = J[0]
+    elif kind < 0.25:
+        J = rng.normal(size=(k, 1)) @ rng.normal(size=(1, _N))
+    elif kind < 0.3:
+        J = np.zeros_like(J)
+    elif kind < 0.4:
+        J = np.eye(_N)[rng.permutation(_N)[:k]]
+    return J
+
+
+def unit(rng: np.random.Generator) -> Array:
+    """A random direction (4,)."""
+    a = rng.normal(size=_N)
+    return np.asarray(a / np.linalg.norm(a))
+
+
+def draw_problem(rng: np.random.Generator, *, most: int = 5) -> PriorityProblem:
+    """Levels with a box and thrust rows, which agree, and with barriers and sets that often contradict them.
+
+    Barrier rows have lengths between 0.1 and 10; some stand twice, some against each other.
+    """
+    half = rng.uniform(0.05, 1.0, _N)
+    rows = [Row(f"box{i}", "actuator", np.eye(_N)[i], -half[i], half[i]) for i in range(_N)]
+    rows += [
+        Row(f"thrust{i}", "actuator", unit(rng), -rng.uniform(0.05, 1), rng.uniform(0.05, 1))
+        for i in range(rng.integers(0, 4))
+    ]
+    for i in range(rng.integers(0, 6)):
+        a, bound = unit(rng) * 10.0 ** rng.uniform(-1, 1), 0.5 * rng.normal()
+        rows.append(Row(f"barrier{i}", "barrier", a, -np.inf, bound))
+        if rng.random() < 0.2:
+            rows.append(Row(f"double{i}", "barrier", a, -np.inf, bound))
+        if rng.random() < 0.1:
+            rows.append(Row(f"against{i}", "barrier", -a, -np.inf, -bound + rng.choice([0.0, 0.1, -0.1])))
+    if rng.random() < 0.5:
+        middle = 0.3 * rng.normal()
+        rows.append(Row("set", "set", unit(rng), middle, middle + rng.choice([0.0, 0.2])))
+    return build_problem(draw_levels(rng, most=most), rows)
+
+
+def with_sets(problem: PriorityProblem, rng: np.random.Generator) -> PriorityProblem:
+    """The same problem with some rows of a third of its levels turned into bounds."""
+    made = []
+    for level in problem.levels:
+        k = level.lower.size
+        room = np.where(rng.random(k) < 0.7, rng.choice([0.1, 0.5, 2.0], k), 0.0)
+        if rng.random() < 0.65:
+            room[:] = 0.0
+        lower = np.where((room > 0.0) & (rng.random(k) < 0.2), -np.inf, level.lower)
+        made.append(Level(level.name, level.J, lower, level.lower + room))
+    return build_problem(made, problem.rows)
+
+
+def wide(levels: list[Level] | tuple[Level, ...], *, span: float = 1e3) -> PriorityProblem:
+    """The levels with rows that do not bind: a box of ± `span` and a barrier."""
+    rows = [Row(f"box{i}", "actuator", np.eye(_N)[i], -span, span) for i in range(_N)]
+    return build_problem(levels, [*rows, Row("wall", "barrier", np.ones(_N), -np.inf, span)])
+
+
+def inequality_problem(rng: np.random.Generator, *, most: int = 5) -> PriorityProblem:
+    """Levels of unit rows, some doubled, some shared with the level above, some set-based; limits that hold 0."""
+    made: list[Level] = []
+    for i in range(rng.integers(1, most + 1)):
+        J = np.array([unit(rng) for _ in range(rng.integers(1, 4))])
+        if len(J) > 1 and rng.random() < 0.2:
+            J[1] = J[0]
+        if made and rng.random() < 0.2:
+            J[0] = made[-1].J[0]
+        x = 0.5 * rng.normal(size=len(J))
+        made.append(Level(f"task{i}", J, x, x + rng.choice([0.0, 0.1, 0.5], len(J), p=[0.7, 0.15, 0.15])))
+    rows = [Row(f"box{i}", "actuator", np.eye(_N)[i], -0.5, 0.5) for i in range(_N)]
+    rows += [Row(f"wall{i}", "barrier", unit(rng), -np.inf, 0.3 * abs(rng.normal())) for i in range(rng.integers(0, 5))]
+    return build_problem(made, rows)

@@ -1,0 +1,67 @@
+"""What the levels above leave free: v = base + Z y."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.priority.backends import LeastDistance, solve_least_distance
+from surctl.priority.polyhedron import Polyhedron
+from surctl.priority.rowspace import row_space
+
+__all__ = ["Freedom"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Freedom:
+    """An affine set of velocities.
+
+    Attributes:
+        base: (n,), one of them.
+        Z: (n, d), orthonormal columns: the directions that are free.
+        fixed: (n − d, n), orthonormal rows: the others.
+    """
+
+    base: Array
+    Z: Array
+    fixed: Array
+
+    @staticmethod
+    def whole(n: int) -> Freedom:
+        """All of them."""
+        return Freedom(np.zeros(n), np.eye(n), np.zeros((0, n)))
+
+    def narrowed(self, J: Array, x: Array, *, cutoff: float) -> Freedom:
+        """Those that meet J v = x best, J (k, n).
+
+        What J can still move is cut off at `cutoff`·‖J‖, not at a part of what is left of it: once the freedom is
+        spent that would be a part of rounding noise.
+        """
+        if J.shape[0] == 0:
+            return self
+        scale = float(np.linalg.norm(J, 2))
+        space = row_space(J @ self.Z, cutoff=cutoff, scale=scale)
+        base = self.base + self.Z @ space.particular(x - J @ self.base)
+        return Freedom(base, self.Z @ space.null.T, np.vstack([self.fixed, space.rows @ self.Z.T]))
+
+    def project(self, v: Array) -> Array:
+        """The nearest of them to v (n,)."""
+        nearest: Array = self.base + self.Z @ (self.Z.T @ (v - self.base))
+        return nearest
+
+    def nearest(self, target: Array, rows: Polyhedron, *, backend: str) -> LeastDistance:
+        """The nearest of them to target (n,) that keeps the rows."""
+        return solve_least_distance(
+            target,
+            A=rows.A,
+            lower=rows.lower,
+            upper=rows.upper,
+            A_eq=self.fixed,
+            b_eq=self.fixed @ self.base,
+            backend=backend,
+        )

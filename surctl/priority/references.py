@@ -1,0 +1,72 @@
+"""Other ways to the same answer, which share no code with this package's solvers; for tests and studies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import daqp
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import SolverError
+from surctl.priority.problem import Level, PriorityProblem
+
+__all__ = ["daqp_hierarchy", "printed_law", "svd_cascade"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_CUTOFF = 1e-10
+_NO_BOUND = 1e30
+
+
+def printed_law(levels: Sequence[Level]) -> Array:
+    """(16) with numpy's own pseudo-inverse, nested outwards: v_1 + N_1 v_2 + N_1 N_2 v_3 + …"""
+    n = levels[0].J.shape[1]
+    v, chain = np.zeros(n), np.eye(n)
+    for level in levels:
+        inverse = np.linalg.pinv(level.J, rcond=_CUTOFF)
+        v = v + chain @ inverse @ level.x
+        chain = chain @ (np.eye(n) - inverse @ level.J)
+    return v
+
+
+def svd_cascade(levels: Sequence[Level]) -> Array:
+    """Strict priority without rows: v ← v + (J N)⁺(x − J v), N of all levels above, cut off at 1e-10·‖J‖."""
+    n = levels[0].J.shape[1]
+    v, N = np.zeros(n), np.eye(n)
+    for level in levels:
+        left, s, right = np.linalg.svd(level.J @ N, full_matrices=False)
+        keep = s > _CUTOFF * np.linalg.norm(level.J, 2)
+        v = v + right[keep].T @ ((left[:, keep].T @ (level.x - level.J @ v)) / s[keep])
+        N = N - right[keep].T @ right[keep]
+    return v
+
+
+def daqp_hierarchy(problem: PriorityProblem) -> Array:
+    """DAQP's own lexicographic solver (Arnström, Bemporad and Axehill 2022), the limits as its first level.
+
+    It scales rows to length 1: residuals compare with others where all rows have that length already.
+
+    Raises:
+        SolverError: DAQP gives no answer.
+    """
+    levels, rows = problem.levels, problem.rows
+    A = np.vstack([*[row.a for row in rows], *[level.J for level in levels]])
+    lower = np.concatenate([[row.lower for row in rows], *[level.lower for level in levels]])
+    upper = np.concatenate([[row.upper for row in rows], *[level.high for level in levels]])
+    ends = np.cumsum([len(rows), *[level.lower.size for level in levels]]).astype(np.intc)
+    v, _, flag, _ = daqp.solve(
+        None,
+        None,  # with a vector of zeros in its place the answer is not initialised
+        A,
+        np.minimum(upper, _NO_BOUND),
+        np.maximum(lower, -_NO_BOUND),
+        np.zeros(upper.size, dtype=np.intc),
+        break_points=ends,
+        primal_tol=1e-11,
+        dual_tol=1e-11,
+    )
+    if flag <= 0:
+        raise SolverError(f"DAQP's hierarchy ends with flag {flag}")
+    return np.array(v, dtype=float)

@@ -1,0 +1,101 @@
+"""A task served as well as the rows allow: least squares over a polyhedron, by a primal active-set method.
+
+It starts at a point that keeps the rows and never leaves them, so that it can be stopped at any time; each step goes
+to the best point of the active rows, or as far as the next row in the way (Nocedal and Wright 2006, 16.5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.priority.freedom import Freedom
+from surctl.priority.polyhedron import Polyhedron
+from surctl.priority.problem import Level
+from surctl.priority.rowspace import row_space
+
+__all__ = ["Served", "serve"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_CAP = 100
+_PATIENT = 20
+"""After this many steps rows are exchanged first come first served, which cannot go round in circles (Bland 1977)."""
+
+_STILL = 1e-14
+_PUSHES = 1e-11
+
+
+@dataclass(frozen=True, eq=False)
+class Served:
+    """A point where the level is met as well as the rows allow.
+
+    Attributes:
+        v: (n,).
+        multipliers: (m,) of ½‖miss‖², positive at an upper bound.
+        iterations: steps.
+        settled: whether the last multipliers had the right signs; if not, v keeps the rows but may not be the best.
+    """
+
+    v: Array
+    multipliers: Array
+    iterations: int
+    settled: bool
+
+
+def serve(level: Level, start: Array, rows: Polyhedron, *, freedom: Freedom, cutoff: float) -> Served:
+    """argmin of the level's residual over the rows and the freedom, from a start (n,) that keeps both."""
+    goal = level.exact
+    if goal.all():
+        return _least_squares(level.J, level.lower, start, rows, Z=freedom.Z, cutoff=cutoff)
+    # a set-based row is met up to a slack of its own: J v + s inside the bounds, and s should be 0
+    slack, n = np.flatnonzero(~goal), start.size
+    q = slack.size
+    J = np.block([[level.J[goal], np.zeros((int(goal.sum()), q))], [np.zeros((q, n)), np.eye(q)]])
+    wide = rows.widened(level.J[slack], level.lower[slack], level.high[slack])
+    Z = np.block([[freedom.Z, np.zeros((n, q))], [np.zeros((q, freedom.Z.shape[1])), np.eye(q)]])
+    x = np.append(level.lower[goal], np.zeros(q))
+    found = _least_squares(J, x, np.append(start, level.miss(start)[slack]), wide, Z=Z, cutoff=cutoff)
+    return Served(found.v[:n], found.multipliers[: len(rows.names)], found.iterations, found.settled)
+
+
+def _least_squares(J: Array, x: Array, start: Array, rows: Polyhedron, *, Z: Array, cutoff: float) -> Served:
+    """min ‖J v − x‖ over start + Z y and the rows."""
+    rows = rows.holding(start)
+    scale = float(np.linalg.norm(J, 2))
+    v, active, multipliers = start, np.zeros(len(rows.names)), np.zeros(len(rows.names))
+    for count in range(1, _CAP + 1):
+        held = np.flatnonzero(active)
+        A = rows.A[held] @ Z
+        basis = Z @ row_space(A, cutoff=1e-13).null.T if held.size else Z
+        step = basis @ row_space(J @ basis, cutoff=cutoff, scale=scale).particular(x - J @ v)
+        length, blocking = _as_far_as(v, step, rows, active)
+        v = v + length * step
+        if blocking is not None:
+            active[blocking] = np.sign(rows.A[blocking] @ step)
+            continue
+        gradient = Z.T @ (J.T @ (x - J @ v))
+        multipliers = np.zeros(active.size)
+        multipliers[held] = np.linalg.lstsq(A.T, gradient, rcond=None)[0] if held.size else 0.0
+        wrong = np.flatnonzero(multipliers * active < -_PUSHES * scale * max(scale, float(np.abs(x - J @ v).max())))
+        if wrong.size == 0:
+            return Served(v, multipliers, count, True)
+        active[wrong[0] if count > _PATIENT else wrong[np.argmin((multipliers * active)[wrong])]] = 0.0
+    return Served(v, multipliers, _CAP, False)
+
+
+def _as_far_as(v: Array, step: Array, rows: Polyhedron, active: Array) -> tuple[float, int | None]:
+    """The part of the step that keeps the rows, at most 1, and the row that ends it."""
+    rate = rows.A @ step
+    with np.errstate(invalid="ignore"):
+        room = np.where(rate > 0.0, rows.upper, rows.lower) - rows.A @ v
+    moving = (active == 0.0) & (np.abs(rate) > _STILL * np.abs(step).max(initial=0.0)) & np.isfinite(room)
+    if not moving.any():
+        return 1.0, None
+    part = np.full(rate.size, np.inf)
+    part[moving] = np.maximum(room[moving] / rate[moving], 0.0)
+    first = int(np.argmin(part))
+    return (float(part[first]), first) if part[first] < 1.0 else (1.0, None)

@@ -1,0 +1,63 @@
+"""How a priority problem is to be solved: mode, sweeps, damping, cut-off."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, TypeAlias, get_args
+
+from surctl.errors import InputError, nearest
+from surctl.priority.rowspace import CUTOFF
+
+__all__ = ["Mode", "Settings"]
+
+Mode: TypeAlias = Literal["nsb", "filter", "projected", "lexicographic"]
+"""nsb: the printed law (16), which knows no rows. filter: the point of the rows nearest to it. projected: (16) with
+its last projection, that of the first task, kept inside the rows. lexicographic: strict priority inside the rows."""
+
+_LEAST_DAMPING = 1e-6
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What `solve` takes beside the problem.
+
+    Attributes:
+        mode: see `Mode`.
+        sweeps: how often the sweep of projections is run, each from the last result; 1 is (16), and with more the
+            answer tends to strict priority where the tasks are compatible. 1 for lexicographic.
+        damping: λ [unit of J], at least 1e-6, or 0 for none: every projection becomes min λ²‖z − w‖² + ‖J z − x‖²,
+            which is (16) with Jᵀ(JJᵀ + λ²I)⁻¹ in v_i and in N_i alike. 0 for lexicographic.
+        cutoff: singular values below cutoff·‖J_i‖ count as 0, also those of J_i N.
+
+    Raises:
+        InputError: an unknown mode, or a number out of range.
+    """
+
+    mode: Mode = "projected"
+    sweeps: int = 1
+    damping: float = 0.0
+    cutoff: float = CUTOFF
+
+    def __post_init__(self) -> None:
+        """Check the range of each, and that the mode takes it."""
+        modes = get_args(Mode)
+        if self.mode not in modes:
+            raise InputError(
+                "no such priority mode", key="mode", value=self.mode, remedy=nearest(str(self.mode), modes)
+            )
+        if not isinstance(self.sweeps, int) or self.sweeps < 1:
+            raise InputError("is not a number of sweeps", key="sweeps", value=self.sweeps, remedy="give 1, 2, …")
+        if self.damping != 0.0 and not _LEAST_DAMPING <= self.damping < math.inf:
+            raise InputError(
+                "is out of range", key="damping", value=self.damping, remedy=f"give 0, or {_LEAST_DAMPING:g} and more"
+            )
+        if not 0.0 < self.cutoff < 1.0:
+            raise InputError("is out of range", key="cutoff", value=self.cutoff, remedy="give a number between 0 and 1")
+        if self.mode == "lexicographic" and (self.sweeps != 1 or self.damping != 0.0):
+            raise InputError(
+                "belongs to the sweep, and mode lexicographic makes none",
+                key="sweeps" if self.sweeps != 1 else "damping",
+                value=self.sweeps if self.sweeps != 1 else self.damping,
+                remedy="leave it out, or take mode projected",
+            )

@@ -1,0 +1,156 @@
+"""The four modes behind one call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.priority.backends import check_backend
+from surctl.priority.cascade import Reached, reach
+from surctl.priority.descent import Answer, descend
+from surctl.priority.freedom import Freedom
+from surctl.priority.polyhedron import Polyhedron, polyhedron_of
+from surctl.priority.problem import Level, PriorityProblem
+from surctl.priority.rowspace import CUTOFF
+from surctl.priority.settings import Mode, Settings
+from surctl.priority.solution import Outcome, PrioritySolution, residuals_at
+from surctl.priority.sweep import damped_point, nsb_sweep, without_rows
+
+__all__ = ["solve"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+def solve(
+    problem: PriorityProblem,
+    *,
+    mode: Mode = "projected",
+    sweeps: int = 1,
+    damping: float = 0.0,
+    cutoff: float = CUTOFF,
+    backend: str = "daqp",
+) -> PrioritySolution:
+    """Solve one tick. It always answers: v is finite, whatever the problem holds.
+
+    (1) The first task is met inside the rows; (2) if no point does that, it is met as well as they allow; (3) if the
+    rows contradict each other, the same after rows of set-based tasks and, if those are not enough, barrier rows were
+    relaxed by the least uniform amount. Actuator rows never give way. Where no row binds the answer is that of the
+    same mode without rows.
+
+    Args:
+        problem: from `build_problem`.
+        mode: "projected": the law (16), its last projection kept inside the rows. "filter": the point of the rows
+            nearest to (16). "lexicographic": strict priority. "nsb": (16), which knows no rows (those that it misses
+            are listed in `relaxed`).
+        sweeps, damping, cutoff: see `Settings`.
+        backend: a name in `BACKENDS`: "daqp", "osqp", "own", or another solver that qpsolvers finds; plays no
+            part in "nsb".
+
+    Raises:
+        InputError: unknown mode or backend, a setting out of range.
+    """
+    settings = Settings(mode, sweeps, damping, cutoff)
+    check_backend(backend)
+    rows = polyhedron_of(problem)
+    with np.errstate(all="ignore"):  # an overflow is dealt with below, not warned about
+        try:
+            answer = _MODES[settings.mode](problem.levels, rows, settings, backend)
+            free = without_rows(problem.levels, width=problem.width, settings=settings)
+            if np.isfinite(answer.v).all() and np.isfinite(free).all():
+                return _solution(problem, settings, rows, answer, free)
+        except (np.linalg.LinAlgError, ArithmeticError):
+            pass
+        # the numbers ran away: no velocity, or as little as the box allows
+        v = np.nan_to_num(rows.clamp(np.zeros(problem.width)))
+        return _solution(problem, settings, rows, Answer(v, v, "clamped"), v)
+
+
+def _nsb(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: str) -> Answer:
+    free = without_rows(levels, width=rows.width, settings=settings)
+    return Answer(free, free, "optimal")
+
+
+def _filter(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: str) -> Answer:
+    target = without_rows(levels, width=rows.width, settings=settings)
+    if rows.contains(target):
+        return Answer(target, target, "optimal")
+    find = partial(reach, (), target, backend=backend, cutoff=settings.cutoff)
+    return descend(find, target, rows, free=target, backend=backend)
+
+
+def _projected(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: str) -> Answer:
+    answer = Answer(np.zeros(rows.width), np.zeros(rows.width), "optimal")
+    for _ in range(settings.sweeps):
+        target = nsb_sweep(levels[1:], start=answer.v, settings=settings)
+        free = nsb_sweep(levels[:1], start=target, settings=settings)
+        if rows.contains(free):
+            answer = Answer(free, target, "optimal")
+            continue
+        find: Callable[..., Reached | None] = partial(
+            reach, levels[:1], target, backend=backend, cutoff=settings.cutoff
+        )
+        if settings.damping > 0.0:
+            find = partial(_damped, levels[0], target, damping=settings.damping, backend=backend)
+        answer = descend(find, target, rows, free=free, backend=backend)
+    return answer
+
+
+def _lexicographic(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: str) -> Answer:
+    target = np.zeros(rows.width)
+    free = without_rows(levels, width=rows.width, settings=settings)
+    if rows.contains(free):
+        return Answer(free, target, "optimal")
+    find = partial(reach, levels, target, backend=backend, cutoff=settings.cutoff)
+    return descend(find, target, rows, free=free, backend=backend)
+
+
+_MODES: Mapping[Mode, Callable[[Sequence[Level], Polyhedron, Settings, str], Answer]] = {
+    "nsb": _nsb,
+    "filter": _filter,
+    "projected": _projected,
+    "lexicographic": _lexicographic,
+}
+
+
+def _damped(
+    level: Level, target: Array, rows: Polyhedron, *, damping: float, backend: str, inside: Array | None = None
+) -> Reached | None:
+    """The damped projection as a cascade that ends at once."""
+    spent = 0
+    if inside is None:
+        answer = Freedom.whole(target.size).nearest(target, rows, backend=backend)
+        inside, spent = answer.x, answer.iterations
+    if inside is None:
+        return None
+    found = damped_point(level, target, rows, damping=damping, inside=inside)
+    return Reached.of(found.v, rows.names, found.multipliers, spent + found.iterations)
+
+
+def _solution(
+    problem: PriorityProblem, settings: Settings, rows: Polyhedron, answer: Answer, free: Array
+) -> PrioritySolution:
+    """The answer in the words of the problem: names, and multipliers of the rows as given."""
+    length = dict(zip(rows.names, rows.length, strict=True))
+    limited = answer.status == "optimal" and problem.levels[0].name in answer.blame
+    status: Outcome = "limited" if limited else answer.status
+    fallback: Literal[1, 2, 3] = 1 if status == "optimal" else 2 if status == "limited" else 3
+    bite = 1e-9 * (1.0 + float(np.abs(answer.v).max()))
+    return PrioritySolution(
+        v=answer.v,
+        settings=settings,
+        target=answer.target,
+        residuals=residuals_at(answer.v, problem.levels),
+        without_limits=residuals_at(free, problem.levels),
+        binding=tuple((name, u / length.get(name, 1.0)) for name, u in answer.binding if abs(u) > bite),
+        blame=answer.blame,
+        relaxed=rows.missed(answer.v),
+        conflict=answer.conflict,
+        fallback=fallback,
+        iterations=answer.iterations,
+        status=status,
+        units={level.name: level.unit for level in problem.levels},
+    )

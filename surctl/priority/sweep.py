@@ -1,0 +1,84 @@
+"""The law (16) as a sweep of Euclidean projections, which also takes set-based tasks and damping."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.priority.cascade import reach
+from surctl.priority.freedom import Freedom
+from surctl.priority.polyhedron import Polyhedron
+from surctl.priority.problem import Level
+from surctl.priority.rowspace import ZERO_ROW, project
+from surctl.priority.served import Served, serve
+from surctl.priority.settings import Settings
+
+__all__ = ["damped_point", "nsb_sweep", "without_rows"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_PLAIN = Settings()
+_NOTHING = 1e-15  # a damped problem has full rank: no direction is cut off
+
+
+def nsb_sweep(levels: Sequence[Level], *, start: Array, settings: Settings = _PLAIN) -> Array:
+    """One sweep of projections from the lowest priority to the highest, from `start` (n,).
+
+    w_{k+1} = start; w_i = argmin ‖z − w_{i+1}‖ over argmin ‖J_i z − x_i‖; v = w_1. From 0 this is (16), because
+    J_i⁺x_i + N_i w is that projection. A set-based task leaves w alone where it is kept. Of `settings` the damping
+    and the cut-off count here.
+    """
+    w = start
+    for level in reversed(levels):
+        w = _onto(level, w, settings)
+    return w
+
+
+def without_rows(levels: Sequence[Level], *, width: int, settings: Settings = _PLAIN) -> Array:
+    """The mode's answer (width,) where there are no rows: some sweeps from 0, or strict priority.
+
+    Strict priority is v_i = v_{i−1} + (J_i N)⁺(x_i − J_i v_{i−1}) with N of all levels above (Siciliano and Slotine
+    1991), cut off at a part of ‖J_i‖.
+    """
+    v = np.zeros(width)
+    if settings.mode == "lexicographic":
+        reached = reach(levels, v, Polyhedron.none(width), backend="daqp", cutoff=settings.cutoff)
+        return v if reached is None else reached.v
+    for _ in range(settings.sweeps):
+        v = nsb_sweep(levels, start=v, settings=settings)
+    return v
+
+
+def _onto(level: Level, w: Array, settings: Settings) -> Array:
+    damping = settings.damping
+    if level.is_goal and damping == 0.0:
+        return project(w, level.J, x=level.x, cutoff=settings.cutoff)
+    if level.is_goal or level.J.shape[0] == 1:
+        gram = level.J @ level.J.T + damping**2 * np.eye(level.J.shape[0])
+        if damping == 0.0 and gram[0, 0] <= ZERO_ROW**2:
+            return w
+        moved: Array = w + level.J.T @ np.linalg.solve(gram, level.miss(w))
+        return moved
+    rows = Polyhedron.none(w.size)
+    if damping == 0.0:
+        reached = reach([level], w, rows, backend="daqp", cutoff=settings.cutoff)
+        return w if reached is None else reached.v
+    return damped_point(level, w, rows, damping=damping, inside=w).v
+
+
+def damped_point(level: Level, w: Array, rows: Polyhedron, *, damping: float, inside: Array) -> Served:
+    """argmin λ²‖v − w‖² + ‖miss of the level‖² over the rows; λ = `damping` > 0, w (n,).
+
+    `inside` (n,) keeps the rows. The multipliers are those of half the sum.
+    """
+    n, pull = w.size, damping * w
+    both = Level(
+        level.name,
+        np.vstack([level.J, damping * np.eye(n)]),
+        np.append(level.lower, pull),
+        np.append(level.high, pull),
+    )
+    return serve(both, inside, rows, freedom=Freedom.whole(n), cutoff=_NOTHING)

@@ -1,0 +1,237 @@
+"""The four modes: what each promises, judged without its solver; sweeps, damping and set-based levels."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from surctl.errors import InputError
+from surctl.priority import Level, PriorityProblem, Row, build_problem, nsb, nsb_sweep, solve
+from surctl.priority.draws import draw_levels, draw_problem, inequality_problem, unit, wide, with_sets
+from surctl.priority.references import daqp_hierarchy, svd_cascade
+
+N = 4
+E = np.eye(N)
+SETTINGS = [
+    {"mode": "filter"},
+    {"mode": "projected"},
+    {"mode": "lexicographic"},
+    {"mode": "nsb"},
+    {"mode": "projected", "sweeps": 3},
+    {"mode": "projected", "damping": 0.1},
+    {"mode": "filter", "sweeps": 2, "damping": 0.01},
+    {"mode": "nsb", "sweeps": 2, "damping": 0.1},
+]
+every = pytest.mark.parametrize("settings", SETTINGS, ids=lambda s: "-".join(map(str, s.values())))
+seeds = st.integers(0, 2**32 - 1)
+
+
+def box(half):
+    return [Row(f"box.{axis}", "actuator", E[i], -half, half) for i, axis in enumerate("uvwr")]
+
+
+def miss(row, v):
+    return max(row.lower - row.a @ v, row.a @ v - row.upper) / np.linalg.norm(row.a)
+
+
+@every
+def test_every_answer_is_what_the_mode_promises(settings):
+    rng = np.random.default_rng(29)
+    for k in range(250):
+        problem = draw_problem(rng)
+        if k % 2:
+            problem = with_sets(problem, rng)
+        got = solve(problem, **settings)
+        assert got.is_optimal(problem, 1e-6), (k, got.status)
+        assert got.explain()
+        if settings["mode"] != "nsb":
+            assert max(miss(row, got.v) for row in problem.rows if row.kind == "actuator") <= 1e-9
+            assert (got.relaxed == {}) == (got.fallback < 3)
+
+
+@every
+def test_a_moved_answer_is_refused(settings):
+    rng, refused = np.random.default_rng(31), 0
+    for _ in range(50):
+        problem = with_sets(draw_problem(rng), rng)
+        got = solve(problem, **settings)
+        moved = type(got)(**{**vars(got), "v": got.v + 1e-3 * rng.normal(size=N)})
+        refused += not moved.is_optimal(problem, 1e-6)
+    assert refused == 50
+
+
+@given(seeds)
+def test_where_nothing_binds_the_modes_are_those_without_rows(seed):
+    problem = wide(draw_levels(np.random.default_rng(seed), conditioned=True), span=1e6)
+    printed = nsb(problem)
+    size = 1 + np.abs(printed).max()
+    for mode in ("nsb", "filter", "projected"):
+        assert np.abs(solve(problem, mode=mode).v - printed).max() <= 1e-10 * size
+    lex, wanted = solve(problem, mode="lexicographic").v, svd_cascade(problem.levels)
+    for level in problem.levels:
+        assert level.residual(lex) == pytest.approx(level.residual(wanted), abs=1e-8 * (1 + np.abs(wanted).max()))
+
+
+def test_lexicographic_residuals_are_those_of_daqp_or_better():
+    rng, apart = np.random.default_rng(5), 0
+    for _ in range(400):
+        problem = inequality_problem(rng)
+        got, other = solve(problem, mode="lexicographic").v, daqp_hierarchy(problem)
+        gaps = np.array([level.residual(got) - level.residual(other) for level in problem.levels])
+        differs = np.flatnonzero(np.abs(gaps) > 1e-8)
+        # DAQP now and then ends at a worse point of a level, or outside the limits; never we
+        if differs.size:
+            apart += 1
+            assert gaps[differs[0]] < 0.0 or max(miss(row, other) for row in problem.rows) > 1e-8
+    assert apart <= 8
+
+
+def test_more_sweeps_tend_to_strict_priority_where_tasks_are_compatible():
+    rng = np.random.default_rng(6)
+    angles = [Level(f"t{i}", unit(rng)[None], rng.normal(size=1)) for i in range(3)]
+    problem, wanted = build_problem(angles), svd_cascade(angles)
+    gaps = [np.abs(solve(problem, mode="nsb", sweeps=k).v - wanted).max() for k in (1, 3, 10, 200)]
+    assert gaps == sorted(gaps, reverse=True)
+    assert gaps[0] > 1e-2
+    assert gaps[-1] < 1e-10
+    inside = build_problem(angles, box(10.0))
+    assert np.abs(solve(inside, sweeps=200).v - wanted).max() < 1e-10
+
+
+@given(seeds, st.floats(1e-3, 1.0))
+def test_damping_is_nsb_with_the_damped_inverse_in_both_places(seed, damping):
+    problem = build_problem(draw_levels(np.random.default_rng(seed), most=4))
+    v = np.zeros(N)
+    for level in reversed(problem.levels):
+        inverse = level.J.T @ np.linalg.inv(level.J @ level.J.T + damping**2 * np.eye(level.x.size))
+        v = inverse @ level.x + (E - inverse @ level.J) @ v
+    size = 1 + np.abs(v).max()
+    assert np.abs(solve(problem, mode="nsb", damping=damping).v - v).max() <= 1e-7 * size
+    bounded = build_problem(problem.levels, box(1e6))
+    assert np.abs(solve(bounded, damping=damping).v - v).max() <= 1e-7 * size
+
+
+def test_a_damped_task_near_its_singularity_stays_small():
+    def v(angle, **settings):
+        turned = np.cos(angle) * E[0] + np.sin(angle) * E[1]
+        J = np.vstack([E[0], turned])
+        return solve(build_problem([Level("near", J, np.array([0.1, 0.2]))]), mode="nsb", **settings).v
+
+    assert np.abs(v(1e-6)).max() > 1e4
+    assert np.abs(v(1e-6, damping=0.1)).max() < 0.3
+
+
+def test_a_set_based_level_leaves_alone_what_is_inside():
+    surge = Level("surge", E[:1], np.array([0.2]))
+    corridor = Level("corridor", E[:1], np.array([-0.1]), np.array([0.3]), "m/s")
+    for mode in ("nsb", "filter", "projected", "lexicographic"):
+        assert np.allclose(solve(build_problem([corridor, surge], box(1)), mode=mode).v, [0.2, 0, 0, 0], atol=1e-12)
+    tight = Level("corridor", E[:1], np.array([-0.1]), np.array([0.05]), "m/s")
+    for mode in ("nsb", "filter", "projected", "lexicographic"):
+        got = solve(build_problem([tight, surge], box(1)), mode=mode)
+        assert np.allclose(got.v, [0.05, 0, 0, 0], atol=1e-12)
+        assert got.residuals["corridor"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_projection_onto_a_set_of_several_rows_is_the_nearest_point():
+    rng = np.random.default_rng(12)
+    for _ in range(50):
+        J, w = rng.normal(size=(3, N)), rng.normal(size=N)
+        level = Level("set", J, -0.1 * np.ones(3), 0.1 * np.ones(3))
+        z = nsb_sweep([level], start=w)
+        assert np.abs(level.miss(z)).max() <= 1e-9
+        for _ in range(20):  # no point of the set is nearer
+            other = z + 0.05 * rng.normal(size=N)
+            other = other + np.linalg.pinv(J) @ level.miss(other)
+            assert np.linalg.norm(other - w) >= np.linalg.norm(z - w) - 1e-9
+
+
+def test_a_lexicographic_answer_blames_each_level_on_its_own_rows():
+    surge, depth = Level("surge", E[:1], np.array([1.0]), unit="m/s"), Level("depth", E[2:3], np.array([0.4]))
+    wall = Row("wall", "barrier", 2 * E[2], -np.inf, 0.2)
+    got = solve(build_problem([surge, depth], [*box(0.22), wall]), mode="lexicographic")
+    assert np.allclose(got.v, [0.22, 0, 0.1, 0], atol=1e-12)
+    assert got.blame == {"surge": ("box.u",), "depth": ("wall",)}
+    assert (got.status, got.fallback) == ("limited", 2)
+    assert got.explain() == (
+        "Task `surge` gave up 0.78 m/s because `box.u` binds; task `depth` gave up 0.3 because `wall` binds."
+    )
+    # ½(2·v − 0.2 …): the multiplier of the row as given, of half the squared miss of its level
+    assert dict(got.binding) == {"box.u": pytest.approx(0.78), "wall": pytest.approx(0.15)}
+
+
+def test_the_rows_that_contradict_each_other_are_named():
+    level = Level("sway", E[1:2], np.array([0.2]))
+    ahead, behind = Row("ahead", "barrier", E[0], -np.inf, -0.1), Row("behind", "barrier", -E[0], -np.inf, -0.1)
+    idle = Row("idle", "barrier", E[2], -np.inf, 0.05)
+    got = solve(build_problem([level], [*box(0.22), ahead, idle, behind]))
+    assert set(got.conflict) == {"ahead", "behind"}
+    assert "contradict each other (`ahead` and `behind`)" in got.explain()
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"sweeps": 0}, "sweeps"),
+        ({"sweeps": 1.5}, "sweeps"),
+        ({"damping": -1.0}, "damping"),
+        ({"damping": 1e-9}, "damping"),
+        ({"damping": float("nan")}, "damping"),
+        ({"cutoff": 0.0}, "cutoff"),
+        ({"mode": "lexicographic", "sweeps": 2}, "makes none"),
+        ({"mode": "lexicographic", "damping": 0.1}, "makes none"),
+        ({"mode": "lexicografic"}, "did you mean 'lexicographic'"),
+    ],
+)
+def test_settings_out_of_range_are_refused(settings, says):
+    with pytest.raises(InputError, match=says):
+        solve(build_problem([Level("surge", E[:1], np.array([1.0]))]), **settings)
+
+
+@pytest.mark.parametrize(
+    ("level", "says"),
+    [
+        (
+            Level("odd", E[:2], np.array([0.0, 0.3]), np.array([1.0, 0.1])),
+            "task odd = [0.0, 1.0, 0.0, 0.0, 0.3, 0.1]: row 1 bounds leave no value",
+        ),
+        (Level("odd", E[:2], np.zeros(2), np.array([1.0, np.nan])), "row 1 is not finite"),
+        (Level("odd", E[:1], np.array([np.inf]), np.array([np.inf])), "row 0"),
+        (Level("odd", E[:2], np.zeros(2), np.ones(1)), "2 and 1 entries"),
+    ],
+)
+def test_bad_sets_are_refused_by_task_and_row(level, says):
+    with pytest.raises(InputError) as caught:
+        build_problem([level])
+    assert says in str(caught.value)
+
+
+def test_the_printed_law_takes_no_set():
+    with pytest.raises(InputError, match="task corridor: is set-based"):
+        nsb(build_problem([Level("corridor", E[:1], np.zeros(1), np.ones(1))]))
+
+
+def test_sets_survive_json_and_print():
+    problem = build_problem([Level("corridor", E[:2], np.array([-np.inf, 0.1]), np.array([0.3, 0.1]), "m/s")], box(1))
+    again = PriorityProblem.from_dict(json.loads(json.dumps(problem.to_dict(), allow_nan=False)))
+    assert str(again) == str(problem)
+    assert again.levels[0].unit == "m/s"
+    assert "in [-inf, 0.3]" in str(problem)
+    assert "-> 0.1" in str(problem)
+
+
+def test_answers_are_continuous_where_sets_and_rows_start_to_bind():
+    turned = np.array([[1.0, 1.0, 0, 0], [0, 1.0, 1.0, 0]])
+
+    def v(s, **settings):
+        made = [
+            Level("corridor", turned[:1], np.array([-0.1]), np.array([0.1])),
+            Level("wish", E[:3], np.array([s, 0.1 - s, 0.2 * s])),
+        ]
+        return solve(build_problem(made, [*box(0.22), Row("wall", "barrier", turned[1], -np.inf, 0.05)]), **settings).v
+
+    for settings in ({"mode": "filter"}, {"mode": "projected"}, {"mode": "projected", "damping": 0.05}):
+        path = np.array([v(s, **settings) for s in np.linspace(-0.5, 0.5, 801)])
+        assert np.abs(np.diff(path, axis=0)).max() <= 4 / 800
