@@ -16,15 +16,16 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, Step, lower
+from surctl.priority.compiled_rows import opened_row
+from surctl.priority.compiled_serve import serve
+from surctl.priority.compiled_sweep import HUGE
 from surctl.priority.decomposition import decompose
 from surctl.priority.dual_step import OPTIMAL, Space
 from surctl.priority.elimination import as_matrix
 from surctl.priority.kernel import certificate, kernel
 from surctl.priority.ladder import CLAMPED, LIMITED, safe_tick
 from surctl.priority.level_shape import StackShape, SymbolicLevel
-from surctl.priority.rungs import SHORT
-from surctl.priority.compiled_serve import serve
-from surctl.priority.compiled_sweep import HUGE
+from surctl.priority.rowspace import ZERO_ROW
 from surctl.priority.tangent import merged
 
 __all__ = ["cascade"]
@@ -78,7 +79,7 @@ def cascade(shape: StackShape, rows: int) -> Routine:
     steps: tuple[Step, ...] = (
         Call(_arrange(sizes), ("J", "lower", "upper", "rows"), (*levels, "zero", "none", "rows_all")),
         Call(safe_tick(n, 1, sizes.m), ("zero", "zero", "none", "rows_all", "box"), tick),
-        Loop(_opened(sizes.n), sizes.m, (), ("rows_0",), sliced=("rows_all",), fixed=("opening", "v_t")),
+        Loop(opened_row(n), sizes.m, (), ("rows_0",), sliced=("rows_all",), fixed=("opening", "v_t")),
         Call(_begin(sizes), (*tick[:3], *tick[4:], "sound"), tuple(s for s in start if s != "rows_0")),
         Loop(_level(sizes), len(shape.levels), start, last, sliced=levels, until=0),
         Call(merged(n), ("held_last", "hold_last", "active_last", "push_last"), ("active", "multipliers")),
@@ -113,17 +114,6 @@ def _arrange(sizes: _Sizes) -> Program:
         ca.vertcat(rows, *([idle] * sizes.sets)),
     ]
     return lower(ca.Function("arrange", [*flat, rows], list(map(ca.densify, outputs))))
-
-
-def _opened(n: int) -> Program:
-    """(row, opening, v) → the row of length 1, opened if it is soft, and wide enough to hold v to the last digit."""
-    row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
-    length = ca.sqrt(ca.sumsqr(row[:n]))
-    a = row[: n + 2] * (1 / ca.if_else(length <= SHORT, 1, length))
-    value, room = ca.dot(a[:n], v), row[n + 2] * opening
-    low, high = a[n] - room, a[n + 1] + room
-    low, high = ca.if_else(low <= value, low, value), ca.if_else(high >= value, high, value)
-    return lower(ca.Function("opened", [row, opening, v], [ca.vertcat(a[:n], low, high, 0)]))
 
 
 def _begin(sizes: _Sizes) -> Program:
@@ -192,8 +182,10 @@ def _free(sizes: _Sizes) -> Program:
     less = projector - parts.directions().T @ parts.directions()
     reached = base + parts.directions().T @ parts.coordinates(x - matrix @ base)
     length = ca.sqrt(ca.sumsqr(matrix[0, :]))
-    unit = 1 / ca.if_else(length <= SHORT, 1, length)
-    row = ca.vertcat(matrix[0, :].T * unit, low[0] * unit, high[0] * unit, 0)
+    off = length <= ZERO_ROW  # a task that is switched off asks for nothing
+    unit = 1 / ca.if_else(off, 1, length)
+    bounds = [ca.if_else(off, -HUGE, low[0] * unit), ca.if_else(off, HUGE, high[0] * unit)]
+    row = ca.vertcat(matrix[0, :].T * unit, *bounds, 0)
     turn = ca.vertcat(*(parts.scale * p.T for p in parts.P))
     outputs = [
         ca.vertcat(ca.if_else(is_set, base, reached), 0),

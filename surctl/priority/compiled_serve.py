@@ -10,26 +10,27 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, lower
+from surctl.priority.compiled_rows import holding_row, reduced_row
+from surctl.priority.compiled_sweep import HUGE
 from surctl.priority.dual_step import OPTIMAL, Space
 from surctl.priority.elimination import as_matrix
 from surctl.priority.kernel import certificate, kernel
 from surctl.priority.ladder import LIMITED, safe_tick
-from surctl.priority.compiled_sweep import HUGE
 from surctl.priority.tangent import holding, largest, merged
 
 __all__ = ["serve"]
 
 _TURNS = 6
 _SETTLED = 1e-13  # part of the pull that is left
-_FLAT = 1e-12  # a row of length 1 of which N leaves less than this does not bound y
 
 
 def serve(n: int, k: int, m: int) -> Routine:
-    """(skip, v, base, N, rows, held, hold, active, push, count, N before, N less, Q, T Q, turn, J, x, square) → the first ten.
+    """The state skip, v, base, N, rows, held, hold, active, push, count → the same with the level served and frozen.
 
-    v keeps the rows (m·(n + 3), of length 1) before and after. Q, T Q, turn: of the level inside N, see `decomposition`.
-    square: 1/scale², of the multipliers. What comes out holds the level's value: base, N (without its directions), the
-    nearest point v to 0 that is left, its active rows, and held with the rows that keep the level from more.
+    v keeps the rows (m·(n + 3), of length 1) before and after. What comes out holds the level's value: base, N
+    (without its directions), the nearest point v to 0 that is left, its active rows, and held with the rows that keep
+    the level from more. Fixed: N before and without its directions; Q, T Q and turn of the level inside N, see
+    `decomposition`; J, x; square, which is 1/scale², for the multipliers.
     """
     row, space = n + 3, Space(n, n)
     state = (
@@ -52,7 +53,7 @@ def serve(n: int, k: int, m: int) -> Routine:
             fixed=("rows", "N_before", "task", "turn", "J", "x", "square"),
             until=4,
         ),
-        Loop(_holding_row(n), m, (), ("rows_next",), sliced=("rows",), fixed=("v_best",)),
+        Loop(holding_row(n), m, (), ("rows_next",), sliced=("rows",), fixed=("v_best",)),
         Call(_frozen(n, k), ("v_best", "base", "Q"), ("base_held",)),
         Call(kernel(space, m), ("rows_next", "base_held", "none", "N_less"), ("point", "act", "press", "end", "spent")),
         Call(certificate(space, m), ("rows_next", "point"), ("kept",)),
@@ -72,7 +73,7 @@ def _nothing(n: int) -> Program:
 
 
 def _again(n: int, k: int, m: int) -> Routine:
-    """One turn: from v to the point that the safe tick finds, the rows that hold it there, and whether it is the best."""
+    """One turn: from v to the point that the safe tick finds, the rows that hold it there, whether it is the best."""
     state = (("v", n), ("numbers", n), ("u", n), ("count", 1), ("settled", 1))
     fixed = (
         ("rows", m * (n + 3)), ("N", n * n), ("task", k * n), ("turn", k * k), ("J", k * n), ("x", k), ("square", 1),
@@ -80,7 +81,7 @@ def _again(n: int, k: int, m: int) -> Routine:
     after = tuple(f"{name}_next" for name, _ in state)
     tick = ("y", "active", "multipliers", "opening", "status", "spent")
     steps = (
-        Loop(_reduced(n), m, (), ("reduced",), sliced=("rows",), fixed=("v", "N")),
+        Loop(reduced_row(n), m, (), ("reduced",), sliced=("rows",), fixed=("v", "N")),
         Call(_lack(n, k), ("v", "turn", "J", "x"), ("lack", "zero", "anywhere", "none")),
         Call(safe_tick(n, k, m), ("zero", "task", "lack", "reduced", "anywhere"), tick),
         Call(_moved(n), ("v", "N", "y", "status"), ("point",)),
@@ -98,16 +99,6 @@ def _again(n: int, k: int, m: int) -> Routine:
         ),
     )
     return Routine("serve_again", (*state, *fixed), steps, after)
-
-
-def _reduced(n: int) -> Program:
-    """(row, v, N) → the row as a bound of y, wide enough to hold y = 0."""
-    row, v, N = ca.SX.sym("row", n + 3), ca.SX.sym("v", n), ca.SX.sym("N", n * n)
-    a, value = as_matrix(N, n) @ row[:n], ca.dot(row[:n], v)
-    flat = ca.sqrt(ca.sumsqr(a)) <= _FLAT
-    low, high = ca.fmin(row[n] - value, 0), ca.fmax(row[n + 1] - value, 0)
-    outputs = ca.vertcat(ca.if_else(flat, 0, a), ca.if_else(flat, -HUGE, low), ca.if_else(flat, HUGE, high), 0)
-    return lower(ca.Function("reduced", [row, v, N], [ca.densify(outputs)]))
 
 
 def _lack(n: int, k: int) -> Program:
@@ -143,14 +134,6 @@ def _settled(n: int) -> Program:
     still = ca.logic_or(largest(rest) <= _SETTLED * (1 + largest(pull)), ca.logic_not(moved))
     outputs = [part * square, sum(counts, ca.SX(0)), still]
     return lower(ca.Function("settled", [rest, pull, part, square, moved, *counts], list(map(ca.densify, outputs))))
-
-
-def _holding_row(n: int) -> Program:
-    """(row, v) → the row, wide enough to hold v to the last digit."""
-    row, v = ca.SX.sym("row", n + 3), ca.SX.sym("v", n)
-    value = ca.dot(row[:n], v)
-    bounds = [ca.fmin(row[n], value), ca.fmax(row[n + 1], value)]
-    return lower(ca.Function("holding_row", [row, v], [ca.vertcat(row[:n], *bounds, row[n + 2])]))
 
 
 def _frozen(n: int, k: int) -> Program:

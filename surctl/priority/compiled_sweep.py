@@ -7,6 +7,7 @@ import casadi as ca
 from surctl.ir import Call, Loop, Program, Step, lower
 from surctl.priority.decomposition import decompose
 from surctl.priority.level_shape import StackShape, SymbolicLevel
+from surctl.priority.settings import Settings
 from surctl.priority.symbolic import projection
 
 __all__ = ["HUGE", "gate", "into", "project", "sweep", "swept"]
@@ -37,12 +38,12 @@ def sweep(shape: StackShape, *, damping: float, highest: int = 0) -> Program:
     return lower(ca.Function("sweep", [start, *flat], [ca.densify(w)]))
 
 
-def swept(shape: StackShape, *, damping: float, sweeps: int) -> tuple[Step, ...]:
+def swept(shape: StackShape, settings: Settings) -> tuple[Step, ...]:
     """Steps that turn `zero`, J, lower, upper into `swept`: as many sweeps as asked for, each from the last result."""
-    one, fixed = sweep(shape, damping=damping), ("J", "lower", "upper")
-    if sweeps == 1:
+    one, fixed = sweep(shape, damping=settings.damping), ("J", "lower", "upper")
+    if settings.sweeps == 1:
         return (Call(one, ("zero", *fixed), ("swept",)),)
-    return (Loop(one, sweeps, ("zero",), ("swept",), fixed=fixed),)
+    return (Loop(one, settings.sweeps, ("zero",), ("swept",), fixed=fixed),)
 
 
 def gate(shape: StackShape) -> Program:
@@ -72,5 +73,3 @@ def into(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
         inside = ca.if_else(above <= high[i], above, high[i])
         moved.append(ca.if_else(ca.fabs(inside) <= HUGE, inside, 0))
     return ca.vertcat(*moved)
-
-

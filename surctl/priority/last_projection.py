@@ -15,9 +15,10 @@ import math
 import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, Step, lower
+from surctl.priority.compiled_rows import longer_row, opened_row
 from surctl.priority.decomposition import decompose
-from surctl.priority.ladder import CLAMPED, LIMITED, RELAXED, safe_tick
 from surctl.priority.elimination import as_matrix
+from surctl.priority.ladder import CLAMPED, LIMITED, MET, RELAXED, safe_tick
 from surctl.priority.level_shape import StackShape
 from surctl.priority.rowspace import ZERO_ROW
 from surctl.priority.tangent import holding, largest, merged
@@ -155,29 +156,26 @@ def _side(shape: StackShape) -> Program:
 
 
 def _damped(shape: StackShape, rows: int, damping: float) -> tuple[Step, ...]:
-    """The safe tick over (v, s)."""
+    """The safe tick without a task, which opens rows where it must; then, in these rows, the one over (v, s)."""
     n, level = shape.n, shape.levels[0]
     q, wide = level.rows, shape.n + level.rows
     p, m = (1, rows + 1) if level.is_set else (q, rows)
-    raw = tuple(f"{name}_wide" for name in _ANSWER)
-    row = ca.SX.sym("row", n + 3)
-    longer = lower(ca.Function("longer", [row], [ca.densify(ca.vertcat(row[:n], ca.SX.zeros(q), row[n:]))]))
+    plain, raw = (tuple(f"{name}_{tag}" for name in _ANSWER) for tag in ("plain", "wide"))
+    w = ca.SX.sym("w", n)
+    no_task = lower(ca.Function("no_task", [w], [ca.SX.zeros(n), ca.SX.zeros(1)]))
     return (
-        Loop(longer, rows, (), ("rows_longer",), sliced=("rows",)),
+        Call(no_task, ("w",), ("no_J", "no_x")),
+        Call(safe_tick(n, 1, rows), ("w", "no_J", "no_x", "rows", "box"), plain),
+        Loop(opened_row(n), rows, (), ("rows_open",), sliced=("rows",), fixed=("opening_plain", "v_plain")),
+        Loop(longer_row(n, q), rows, (), ("rows_longer",), sliced=("rows_open",)),
         Call(
             _with_miss(shape, rows, damping),
             ("w", "J", "lower", "upper", "rows_longer", "box"),
             ("w_wide", "J_wide", "x_wide", "rows_wide", "box_wide"),
         ),
         Call(safe_tick(wide, p, m), ("w_wide", "J_wide", "x_wide", "rows_wide", "box_wide"), raw),
-        Call(_narrow(n, wide, rows), raw[:3], tuple(f"{name}_found" for name in _ANSWER[:3])),
-        *(Call(_copy(), (raw[k],), (f"{_ANSWER[k]}_found",)) for k in (3, 4, 5)),
+        Call(_narrow(n, wide, rows, damping), (*plain, *raw), tuple(f"{name}_found" for name in _ANSWER)),
     )
-
-
-def _copy() -> Program:
-    a = ca.SX.sym("a")
-    return lower(ca.Function("copy_1", [a], [a]))
 
 
 def _with_miss(shape: StackShape, rows: int, damping: float) -> Program:
@@ -186,31 +184,42 @@ def _with_miss(shape: StackShape, rows: int, damping: float) -> Program:
     level = levels[0]
     q = level.J.shape[0]
     w, given, box = ca.SX.sym("w", n), ca.SX.sym("rows", rows * (n + q + 3)), ca.SX.sym("box", 2 * n)
-    J, x = ca.horzcat(level.J, -damping * ca.SX.eye(q)), level.lower
+    J, x, more = ca.horzcat(level.J, -damping * ca.SX.eye(q)), level.lower, ca.SX(0, 1)
     if level.is_set:
-        given_all = ca.vertcat(given, J.T, level.lower, level.upper, 0)
+        more = ca.vertcat(J.T, level.lower, level.upper, 0)
         J, x = ca.SX.zeros(1, n + q), ca.SX.zeros(1)
-    else:
-        given_all = given
-    far = ca.SX(math.inf) * ca.SX.ones(q)
+    far = math.inf * ca.SX.ones(q)
     outputs = [
         ca.vertcat(w, ca.SX.zeros(q)),
         ca.vec(ca.densify(J).T),
         x,
-        given_all,
+        ca.vertcat(given, more),
         ca.vertcat(box[:n], -far, box[n:], far),
     ]
     return lower(ca.Function("with_miss", [w, *flat, given, box], list(map(ca.densify, outputs))))
 
 
-def _narrow(n: int, wide: int, rows: int) -> Program:
-    """v, and the places of active rows: at most n rows of v are independent, so n places hold them."""
-    v, active, multipliers = (ca.SX.sym(name, wide) for name in _ANSWER[:3])
+def _narrow(n: int, wide: int, rows: int, damping: float) -> Program:
+    """(the answer without a task, the answer over (v, s)) → the latter's v, or the former's if there is none.
+
+    At most n of its active rows are independent, so n places hold them. Multipliers of the damped problem.
+    """
+    plain = [ca.SX.sym(f"{name}_plain", size) for name, size in zip(_ANSWER, (n, n, n, 1, 1, 1), strict=True)]
+    found = [ca.SX.sym(f"{name}_wide", size) for name, size in zip(_ANSWER, (wide,) * 3 + (1, 1, 1), strict=True)]
     slots, push = [ca.SX(0)] * n, [ca.SX(0)] * n
-    for k in range(wide):
-        waits = ca.logic_and(active[k] != 0, ca.fabs(active[k]) <= rows)
+    for number, multiplier in zip(ca.vertsplit(found[1]), ca.vertsplit(found[2]), strict=True):
+        waits = ca.logic_and(number != 0, ca.fabs(number) <= rows)
         for j in range(n):
             takes = ca.logic_and(waits, ca.eq(slots[j], 0))
             waits = ca.logic_and(waits, ca.logic_not(takes))
-            slots[j], push[j] = ca.if_else(takes, active[k], slots[j]), ca.if_else(takes, multipliers[k], push[j])
-    return lower(ca.Function("narrow", [v, active, multipliers], [v[:n], ca.vertcat(*slots), ca.vertcat(*push)]))
+            slots[j] = ca.if_else(takes, number, slots[j])
+            push[j] = ca.if_else(takes, damping**2 * multiplier, push[j])
+    good = ca.logic_and(ca.eq(found[4], MET), plain[4] != CLAMPED)
+    better = (found[0][:n], ca.vertcat(*slots), ca.vertcat(*push))
+    outputs = [
+        *(ca.if_else(good, a, b) for a, b in zip(better, plain[:3], strict=True)),
+        plain[3],
+        ca.if_else(good, plain[4], ca.fmax(plain[4], LIMITED)),
+        plain[5] + found[5],
+    ]
+    return lower(ca.Function("narrow", [*plain, *found], list(map(ca.densify, outputs))))

@@ -10,10 +10,10 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, lower
+from surctl.priority.compiled_sweep import HUGE
 from surctl.priority.dual_step import OPTIMAL, Space
 from surctl.priority.kernel import kernel
-from surctl.priority.rungs import SHORT
-from surctl.priority.compiled_sweep import HUGE
+from surctl.priority.rowspace import ZERO_ROW
 
 __all__ = ["holding", "largest", "merged"]
 
@@ -63,7 +63,7 @@ def _touching(n: int) -> Program:
     """A row as a bound of directions: 0 on the side that v touches, none on the other."""
     row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
     length = ca.sqrt(ca.sumsqr(row[:n]))
-    inverse = 1 / ca.if_else(length <= SHORT, 1, length)
+    inverse = 1 / ca.if_else(length <= ZERO_ROW, 1, length)
     value, room = ca.dot(row[:n], v) * inverse, row[n + 2] * opening + _TOUCHES * (1 + largest(v))
     below = ca.if_else(value - room <= row[n] * inverse, 0, -HUGE)
     above = ca.if_else(value + room >= row[n + 1] * inverse, 0, HUGE)

@@ -8,22 +8,21 @@ lexicographic strict priority inside the rows (`compiled_cascade`).
 
 from __future__ import annotations
 
-import math
-from typing import Literal, TypeAlias, get_args
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 import casadi as ca
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError
 from surctl.ir import Call, Loop, Program, Routine, Step, lower
 from surctl.priority.compiled_cascade import cascade
+from surctl.priority.compiled_sweep import HUGE, gate, into, sweep, swept
 from surctl.priority.ladder import CLAMPED, MET, safe_tick
 from surctl.priority.last_projection import last_projection
 from surctl.priority.level_shape import LevelShape, StackShape
-from surctl.priority.compiled_sweep import HUGE, gate, into, sweep, swept
+from surctl.priority.settings import Mode, Settings
 
-__all__ = ["OUTPUTS", "TickMode", "priority_tick"]
-
-TickMode: TypeAlias = Literal["nsb", "filter", "projected", "lexicographic"]
+__all__ = ["OUTPUTS", "priority_tick"]
 
 OUTPUTS = ("v", "active", "multipliers", "opening", "status", "count", "target")
 """Names of a tick's outputs, in order."""
@@ -33,7 +32,7 @@ _STACK = ("J", "lower", "upper")
 
 
 def priority_tick(
-    mode: TickMode, *, n: int, levels: tuple[LevelShape, ...], rows: int, sweeps: int = 1, damping: float = 0.0
+    mode: Mode, *, n: int, levels: tuple[LevelShape, ...], rows: int, sweeps: int = 1, damping: float = 0.0
 ) -> Routine:
     """(J (K·n,), lower (K,), upper (K,), rows (m·(n + 3),), box (2n,)) → the tick's answer; K rows in all levels.
 
@@ -66,53 +65,33 @@ def priority_tick(
     Raises:
         InputError: an unknown mode, a size or a number out of range; it names the level.
     """
-    shape = StackShape(n, levels)
-    _check(mode, rows, sweeps, damping)
-    steps = {
-        "nsb": lambda: (*swept(shape, damping=damping, sweeps=sweeps), Call(_unlimited(n), ("swept",), _RAW)),
-        "filter": lambda: _filter(shape, rows, sweeps, damping),
-        "projected": lambda: _projected(shape, rows, sweeps, damping),
-        "lexicographic": lambda: (Call(cascade(shape, rows), (*_STACK, "rows", "box", "sound"), _RAW),),
-    }[mode]()
+    shape, settings = StackShape(n, levels), Settings(mode, sweeps, damping)
+    if rows < 1:
+        raise InputError("must be at least 1", key="rows", value=rows, remedy="a row of zeros is none")
+    steps = _MODES[mode](shape, rows, settings)
     inputs = (*shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n))
     start = Call(gate(shape), _STACK, ("sound", "zero", "none"))
     end = Call(_finish(n, boxed=mode != "nsb"), (*_RAW, "sound", "box"), OUTPUTS)
     return Routine(f"{mode}_tick", inputs, (start, *steps, end), OUTPUTS)
 
 
-def _check(mode: str, rows: int, sweeps: int, damping: float) -> None:
-    modes = get_args(TickMode)
-    if mode not in modes:
-        raise InputError("no such priority mode", key="mode", value=mode, remedy=nearest(mode, modes))
-    if rows < 1:
-        raise InputError("must be at least 1", key="rows", value=rows, remedy="a row of zeros is none")
-    if sweeps < 1:
-        raise InputError("must be at least 1", key="sweeps", value=sweeps)
-    if not 0.0 <= damping < math.inf:
-        raise InputError("must be at least 0", key="damping", value=damping, remedy="0 for none")
-    for key, value, usual in (("sweeps", sweeps, 1), ("damping", damping, 0.0)):
-        if mode == "lexicographic" and value != usual:
-            raise InputError(
-                "belongs to the sweep, and mode lexicographic makes none",
-                key=key,
-                value=value,
-                remedy="leave it out, or take mode projected",
-            )
+def _nsb(shape: StackShape, rows: int, settings: Settings) -> tuple[Step, ...]:
+    return (*swept(shape, settings), Call(_unlimited(shape.n), ("swept",), _RAW))
 
 
-def _filter(shape: StackShape, rows: int, sweeps: int, damping: float) -> tuple[Step, ...]:
+def _filter(shape: StackShape, rows: int, settings: Settings) -> tuple[Step, ...]:
     given = ("swept", "zero", "none", "rows", "box")
     last = Call(_with_target(shape.n), ("swept",), (_RAW[-1],))
     return (
-        *swept(shape, damping=damping, sweeps=sweeps),
+        *swept(shape, settings),
         Call(safe_tick(shape.n, 1, rows), given, _RAW[:-1]),
         last,
     )
 
 
-def _projected(shape: StackShape, rows: int, sweeps: int, damping: float) -> tuple[Step, ...]:
+def _projected(shape: StackShape, rows: int, settings: Settings) -> tuple[Step, ...]:
     """Turns of: the sweep of the lower levels from the last v, then the last projection."""
-    n, fixed = shape.n, (*_STACK, "rows", "box")
+    n, damping, fixed = shape.n, settings.damping, (*_STACK, "rows", "box")
     given = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1), ("target", n))
     after = tuple(f"{name}_next" for name in OUTPUTS)
     turn = Routine(
@@ -125,9 +104,18 @@ def _projected(shape: StackShape, rows: int, sweeps: int, damping: float) -> tup
         after,
     )
     state = ("zero", "zero", "zero", "none", "none", "none", "zero")
-    if sweeps == 1:
+    if settings.sweeps == 1:
         return (Call(turn, (*state, *fixed), _RAW),)
-    return (Loop(turn, sweeps, state, _RAW, fixed=fixed),)
+    return (Loop(turn, settings.sweeps, state, _RAW, fixed=fixed),)
+
+
+def _lexicographic(shape: StackShape, rows: int, settings: Settings) -> tuple[Step, ...]:
+    return (Call(cascade(shape, rows), (*_STACK, "rows", "box", "sound"), _RAW),)
+
+
+_MODES: Mapping[Mode, Callable[[StackShape, int, Settings], tuple[Step, ...]]] = MappingProxyType(
+    {"nsb": _nsb, "filter": _filter, "projected": _projected, "lexicographic": _lexicographic}
+)
 
 
 def _with_target(n: int) -> Program:
