@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import casadi as ca
 import numpy as np
@@ -131,12 +131,13 @@ class AssembledTick(PriorityTick):
 
 def _buffered(
     function: ca.Function, inputs: Sequence[Array], results: Sequence[Array]
-) -> tuple[Any, Callable[[], None]]:
-    buffer, trigger = function.buffer()
+) -> tuple[object, Callable[[], None]]:
+    """CasADi's own buffer over these arrays, and what evaluates the function on them."""
+    buffer, trigger = cast(Any, function).buffer()
     for place, array in enumerate(inputs):
-        buffer.set_arg(place, memoryview(array))
+        buffer.set_arg(place, array.data)
     for place, array in enumerate(results):
-        buffer.set_res(place, memoryview(array.reshape(-1)))
+        buffer.set_res(place, array.reshape(-1).data)
     return buffer, trigger
 
 
