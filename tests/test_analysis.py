@@ -12,6 +12,7 @@ from tests.tools import need_compiler
 ANALYSIS = Path(__file__).parents[1] / "analysis"
 SWEEP = ANALYSIS / "02_gain_sweep" / "run.py"
 SOLVER = ANALYSIS / "03_least_distance" / "run.py"
+MODES = ANALYSIS / "04_priority_modes" / "run.py"
 
 
 def run(script: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -110,3 +111,30 @@ def test_a_bar_of_the_solver_that_is_missed_ends_with_1(
     assert study["main"](["--n", "500", "--no-race"]) == 1
     failed = [row[0] for row in table(capsys.readouterr().out) if row[-1] == "FAILED"]
     assert failed == ["KKT residual where met"]
+
+
+def test_the_priority_modes_hold_their_bars() -> None:
+    done = run(MODES, "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    facts = {row[0]: row[1:] for row in table(done.stdout) if len(row) == 4 and row[0] != "fact"}
+    assert len(facts) == 19
+    assert not any(mark for _, _, mark in facts.values())
+    exceptions = facts["number of exceptions to: equal if and only if the commutators vanish"]
+    assert exceptions[:2] == ["0", "0"] and 0 < int(facts["number where the commutators vanish"][0]) < 300
+    jumps = [tuple(row[:2]) for row in table(done.stdout) if len(row) == 5 and row[-1] == "jumps"]
+    assert ("Jacobians turn too, task 1 out of reach", "`projected`") in jumps
+    assert all("lexicographic" in how or "out of reach" in where for where, how in jumps)
+    prices = {row[0]: row[1:] for row in table(done.stdout) if len(row) == 6}
+    assert prices["`nsb`"][-1] != "0%" and prices["`projected`"][-1] == "0%"
+    assert float(prices["`filter`"][0]) > float(prices["`projected`"][0]) == 0.0
+
+
+def test_a_bar_of_the_modes_that_is_missed_ends_with_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(MODES.parent))
+    study = runpy.run_path(str(MODES))
+    monkeypatch.setitem(study["without_limits"].__globals__, "SPAN", 0.5)  # now the rows bind
+    assert study["without_limits"](20, 0) is False
+    failed = [row[0] for row in table(capsys.readouterr().out) if row[-1] == "FAILED"]
+    assert len(failed) == 3 and not any("nsb" in name for name in failed)

@@ -1,0 +1,144 @@
+"""When the law (16) is strict priority: the commutator condition, on Jacobians as numbers.
+
+For all references x, NSB equals strict (lexicographic) priority
+
+    v_i = v_{i−1} + (J_i N)⁺(x_i − J_i v_{i−1}),   N = I − P,   P the projector on the row space of all tasks above i
+
+if and only if J_iᵀJ_i commutes with P at every level i ≥ 2. The ranks play no part: a task may be deficient, depend
+on those above it, or find no freedom left. Proof in short. With x_i = 0 both laws of the first i levels must agree
+with those of the first i − 1 inside range(P), which strict priority fills; so its correction must vanish there:
+(J_i N)⁺J_i P = 0, which is N J_iᵀJ_i P = 0. Conversely N then commutes with J_iᵀJ_i, hence with J_i⁺J_i, so that
+(J_i N)⁺ = N J_i⁺ and N_1 ⋯ N_i is the projector on the intersection of the null spaces.
+
+Everything here takes arrays with leading axes for samples: J (..., k, n).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.priority.rowspace import CUTOFF, ZERO_ROW
+
+__all__ = ["TOLERANCE", "Directions", "absorb", "commutator_norms", "directions", "equals_strict_priority"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+TOLERANCE = 1e-9
+"""Commutators up to this norm count as zero: far above rounding (1e-15), above the cut-off of ranks."""
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Right singular vectors and values of J (..., k, n), what lies below the cut-off set to 0.
+
+    Attributes:
+        vectors: (..., n, n), one unit vector a row, largest singular value first.
+        s: (..., n), singular values [unit of J]; 0 in the null space.
+    """
+
+    vectors: Array
+    s: Array
+
+    @property
+    def rank(self) -> NDArray[np.intp]:
+        """(...,), the number of singular values that count."""
+        count: NDArray[np.intp] = np.asarray(np.count_nonzero(self.s, axis=-1), dtype=np.intp)
+        return count
+
+    @property
+    def rows(self) -> Array:
+        """(..., n, n): an orthonormal basis of the row space, one vector a row, followed by rows of 0."""
+        basis: Array = self.vectors * (self.s > 0.0)[..., None]
+        return basis
+
+    @property
+    def projector(self) -> Array:
+        """(..., n, n), orthogonal projector on the row space."""
+        product: Array = np.swapaxes(self.rows, -1, -2) @ self.rows
+        return product
+
+
+def directions(J: Array, *, cutoff: float = CUTOFF) -> Directions:
+    """Decompose J (..., k, n), finite; singular values up to `cutoff`·‖J‖ (or `ZERO_ROW`) count as 0."""
+    _, found, vectors = np.linalg.svd(J, full_matrices=True)
+    s = np.zeros(vectors.shape[:-1])
+    s[..., : found.shape[-1]] = found
+    return Directions(vectors, np.where(s > np.maximum(cutoff * s[..., :1], ZERO_ROW), s, 0.0))
+
+
+def absorb(P: Array, task: Directions) -> Array:
+    """(..., n, n): the projector P enlarged by the row space of a task."""
+    N = np.eye(P.shape[-1]) - P
+    _, s, vectors = np.linalg.svd(task.rows @ N)
+    new = vectors @ N * (s > CUTOFF)[..., None]  # N again: a short remainder has lost digits
+    enlarged: Array = P + np.swapaxes(new, -1, -2) @ new
+    return enlarged
+
+
+def commutator_norms(jacobians: Sequence[Array]) -> Array:
+    """How far J_iᵀJ_i is from commuting with P, level by level, (..., levels); 0 for the first.
+
+    The spectral norm of the commutator, written in the singular vectors of J_i, each entry (a, b) divided by
+    s_a² + s_b². It is free of units, at most 1/2 for a task of one row and √(n/8) for any, and zero exactly where the
+    commutator is. Where all rows are of one length it is ‖[J_iᵀJ_i, P]‖/‖J_i‖²; that one is blind to the short rows
+    of a task that has long ones, though their share of both laws is as large.
+
+    Args:
+        jacobians: J (..., k, n) of each level, highest priority first.
+
+    Raises:
+        InputError: no level, widths that disagree, a number that is not finite; it names the level.
+    """
+    levels = _checked(jacobians)
+    n = levels[0].shape[-1]
+    P = np.zeros((*np.broadcast_shapes(*(J.shape[:-2] for J in levels)), n, n))
+    norms = np.zeros((*P.shape[:-2], len(levels)))
+    for i, J in enumerate(levels):
+        task = directions(J)
+        norms[..., i] = _norm(task, P)
+        P = absorb(P, task)
+    return norms
+
+
+def equals_strict_priority(jacobians: Sequence[Array], *, tol: float = TOLERANCE) -> bool:
+    """Whether NSB equals strict priority for all references: no commutator norm is above `tol`.
+
+    Args:
+        jacobians: J (k, n) of each level, highest priority first; with leading axes, all samples must commute.
+        tol: for `commutator_norms`.
+
+    Raises:
+        InputError: as `commutator_norms`.
+    """
+    return bool((commutator_norms(jacobians) <= tol).all())
+
+
+def _norm(task: Directions, P: Array) -> Array:
+    square = (task.s / np.where(task.s[..., :1] > 0.0, task.s[..., :1], 1.0)) ** 2
+    total = square[..., :, None] + square[..., None, :]
+    weight = (square[..., None, :] - square[..., :, None]) / np.where(total > 0.0, total, 1.0)
+    inside = task.vectors @ P @ np.swapaxes(task.vectors, -1, -2)
+    norm: Array = np.linalg.norm(weight * inside, 2, axis=(-2, -1))
+    return norm
+
+
+def _checked(jacobians: Sequence[Array]) -> list[Array]:
+    levels = [np.asarray(J, dtype=float) for J in jacobians]
+    if not levels:
+        raise InputError("has no level", key="jacobians", remedy="give at least one")
+    for place, J in enumerate(levels, start=1):
+        if J.ndim < 2 or 0 in J.shape or J.shape[-1] != levels[0].shape[-1]:
+            raise InputError(
+                f"J has shape {J.shape}",
+                key=f"level {place}",
+                remedy="give (k, n), with the same n for all levels",
+            )
+        if not np.isfinite(J).all():
+            raise InputError("J is not finite", key=f"level {place}", remedy="gate the inputs first")
+    return levels

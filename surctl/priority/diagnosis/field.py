@@ -1,0 +1,150 @@
+"""The tasks of a stack as fields over a region: Jacobians, references, and how fast the rows turn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from surctl.errors import InputError
+from surctl.priority.diagnosis.region import Region, pose_text
+from surctl.priority.diagnosis.structure import world_jacobians
+from surctl.tasks import Stack
+
+__all__ = ["Field", "Measure", "Values", "best_of", "build_field", "descend"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_STEP = 1e-7  # of the unit box, for differences
+_APART = 0.1  # least distance of two starts, in unit boxes per root of the dimension
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """What the tasks are at N points.
+
+    Attributes:
+        jacobians: (N, k, 4) of each task.
+        references: (N, k) of each task [unit of σ per second].
+        turning: (N,) of each task: the shortest ‖a‖/‖∂a/∂η‖ of its rows a of ∂σ/∂η, inf where no row changes.
+            A step of that length [m, or rad] may turn the row right round: it goes to 0 where the task has a
+            singular point, such as the point of a distance, whose gradient is of length 1 all around it.
+    """
+
+    jacobians: list[Array]
+    references: list[Array]
+    turning: list[Array]
+
+
+Measure: TypeAlias = Callable[[Values], Array]
+"""A number (N,) for each point, not negative; inf or NaN where it has no meaning."""
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """A stack, compiled over a region.
+
+    Attributes:
+        names, sizes: of the tasks.
+        region: where.
+        function: point (d,) → vec(J), x, ‖a‖² and ‖∂a/∂η‖² of the rows, task after task, as one column.
+    """
+
+    names: tuple[str, ...]
+    sizes: tuple[int, ...]
+    region: Region
+    function: ca.Function
+
+    def at(self, points: Array) -> Values:
+        """The values at points (N, d); not finite ones are passed on."""
+        column = np.asarray(self.function(points.T), dtype=float).T
+        values, start = Values([], [], []), 0
+        for k in self.sizes:
+            J, x, square, change = np.split(column[:, start : start + 7 * k], [4 * k, 5 * k, 6 * k], axis=1)
+            values.jacobians.append(J.reshape(-1, 4, k).swapaxes(1, 2))
+            values.references.append(x)
+            moves = (change > 0.0) & (square > 0.0)
+            ratio = np.where(moves, square, np.inf) / np.where(moves, change, 1.0)
+            values.turning.append(np.sqrt(ratio.min(axis=1)))
+            start += 7 * k
+        return values
+
+    def require_finite(self, values: Values, points: Array) -> None:
+        """InputError, with the task and the pose, when a Jacobian or a reference is not finite."""
+        for name, J, x in zip(self.names, values.jacobians, values.references, strict=True):
+            broken = np.flatnonzero(~(np.isfinite(J).all(axis=(1, 2)) & np.isfinite(x).all(axis=1)))
+            if broken.size:
+                where = pose_text(self.region.pose(points[broken[0]]))
+                raise InputError(f"is not finite at {where}", key=f"task {name}", remedy="leave that part out")
+
+
+def build_field(stack: Stack, region: Region) -> Field:
+    """Compile a stack over a region that `build_region` made for it."""
+    parts = []
+    for (J, x), A in zip(stack.levels(), world_jacobians(stack), strict=True):
+        square = ca.sum2(A**2)
+        change = [ca.sumsqr(ca.jacobian(A[i, :], stack.eta)) for i in range(J.shape[0])]
+        parts += [ca.vec(J), x, square, *change]
+    column = ca.densify(ca.vertcat(*parts))
+    function = ca.Function("field", [region.symbols], [column])
+    return Field(stack.names, tuple(task.size for task in stack.tasks), region, function)
+
+
+def best_of(measure: Array, unit: Array, *, most: int) -> NDArray[np.intp]:
+    """Indices of at most `most` samples (N, f) with the least measure (N,) that keep apart; none that is not finite."""
+    order = np.argsort(measure, kind="stable")
+    left = order[np.isfinite(measure[order])]
+    chosen: list[np.intp] = []
+    while left.size and len(chosen) < most:
+        chosen.append(left[0])
+        distance = np.linalg.norm(unit[left] - unit[left[0]], axis=1)
+        left = left[distance > _APART * np.sqrt(unit.shape[1])]
+    return np.array(chosen, dtype=np.intp)
+
+
+def descend(field: Field, measure: Measure, start: Array) -> tuple[Array, float]:
+    """From a point (f,) of the unit box to a local minimum of the measure: (point (d,), measure there).
+
+    L-BFGS-B on the square, which is smooth where a distance or a sine reaches 0, with central differences; never
+    worse than the start.
+    """
+    begin = _value(field, measure, start[None])[0]
+    if not np.isfinite(begin) or begin == 0.0 or start.size == 0:
+        return field.region.place(start[None])[0], float(begin)
+    run = minimize(
+        lambda u: _slope(field, measure, u, scale=begin),
+        start,
+        jac=True,
+        bounds=[(0.0, 1.0)] * start.size,
+        method="L-BFGS-B",
+        options={"maxiter": 60, "ftol": 1e-18, "gtol": 1e-12},
+    )
+    end = np.asarray(run.x, dtype=float)
+    reached = _value(field, measure, end[None])[0]
+    point, value = (end, reached) if reached <= begin else (start, begin)
+    return field.region.place(point[None])[0], float(value)
+
+
+def _value(field: Field, measure: Measure, unit: Array) -> Array:
+    """The measure (N,) at points of the unit box; inf where a Jacobian is not finite."""
+    values = field.at(field.region.place(unit))
+    finite = np.logical_and.reduce([np.isfinite(J).all(axis=(1, 2)) for J in values.jacobians])
+    cleaned = [np.where(finite[:, None, None], J, 0.0) for J in values.jacobians]
+    found = measure(Values(cleaned, values.references, values.turning))
+    return np.where(finite & ~np.isnan(found), found, np.inf)
+
+
+def _slope(field: Field, measure: Measure, u: Array, *, scale: float) -> tuple[float, Array]:
+    """(measure/scale)² and its gradient (f,), from one call for all the points."""
+    steps = _STEP * np.eye(u.size)
+    around = np.clip(np.vstack([u[None], u + steps, u - steps]), 0.0, 1.0)
+    # a wall (no meaning: the very point of a distance) is no higher than it must be to halve a step that runs into it
+    values = np.minimum((_value(field, measure, around) / scale) ** 2, 2.0)
+    ahead, behind = values[1 : u.size + 1], values[u.size + 1 :]
+    width = (around[1 : u.size + 1] - around[u.size + 1 :]).diagonal()
+    return float(values[0]), (ahead - behind) / width

@@ -1,0 +1,80 @@
+"""Both laws on many samples at once: what each level is left with, and how much freedom it finds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.priority.rowspace import CUTOFF, ZERO_ROW
+
+__all__ = ["nsb_velocities", "residual_norms", "strict_velocities"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+def strict_velocities(jacobians: Sequence[Array], references: Sequence[Array]) -> Array:
+    """v (..., n) of strict priority: v ← v + (J_i N)⁺(x_i − J_i v), N the null space of all levels above.
+
+    Siciliano and Slotine (1991). Singular values of J_i N up to `CUTOFF`·‖J_i‖ count as 0: where a task depends on
+    those above it, v does not grow without bound, but it jumps.
+
+    Args:
+        jacobians: J (..., k, n) of each level, highest priority first, finite.
+        references: x (..., k) of each level [unit of σ per second], finite.
+    """
+    n = jacobians[0].shape[-1]
+    N = np.eye(n)
+    v = np.zeros(n)
+    for J, x in zip(jacobians, references, strict=True):
+        least = np.maximum(CUTOFF * _size(J), ZERO_ROW)
+        v = v + _pulled(J @ N, x - _times(J, v), least)
+        N = N - _span(J @ N, least)
+    return v
+
+
+def nsb_velocities(jacobians: Sequence[Array], references: Sequence[Array]) -> Array:
+    """v (..., n) of the law (16), as the sweep w ← w + J_i⁺(x_i − J_i w) from the lowest level to the highest.
+
+    Arguments as for `strict_velocities`.
+    """
+    w = np.zeros(jacobians[0].shape[-1])
+    for J, x in zip(reversed(jacobians), reversed(references), strict=True):
+        w = w + _pulled(J, x - _times(J, w), np.maximum(CUTOFF * _size(J), ZERO_ROW))
+    return w
+
+
+def residual_norms(jacobians: Sequence[Array], references: Sequence[Array], v: Array) -> Array:
+    """‖J_i v − x_i‖ of each level, (..., levels) [unit of σ per second]."""
+    return np.stack(
+        [np.linalg.norm(_times(J, v) - x, axis=-1) for J, x in zip(jacobians, references, strict=True)], axis=-1
+    )
+
+
+def _pulled(J: Array, y: Array, least: Array) -> Array:
+    """J⁺y, (..., n); singular values up to `least` (..., 1) count as 0."""
+    left, s, right = np.linalg.svd(J, full_matrices=False)
+    kept = s > least
+    share = np.where(kept, np.einsum("...ka,...k->...a", left, y), 0.0) / np.where(kept, s, 1.0)
+    pulled: Array = np.einsum("...an,...a->...n", right, share)
+    return pulled
+
+
+def _span(J: Array, least: Array) -> Array:
+    """J⁺J, (..., n, n), with the same cut-off."""
+    _, s, right = np.linalg.svd(J, full_matrices=False)
+    rows = right * (s > least)[..., None]
+    projector: Array = np.swapaxes(rows, -1, -2) @ rows
+    return projector
+
+
+def _size(J: Array) -> Array:
+    size: Array = np.linalg.norm(J, 2, axis=(-2, -1))[..., None]
+    return size
+
+
+def _times(J: Array, v: Array) -> Array:
+    product: Array = np.einsum("...kn,...n->...k", J, v)
+    return product

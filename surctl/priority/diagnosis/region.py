@@ -1,0 +1,159 @@
+"""The poses and parameters that a diagnosis speaks of: a box, its samples, and how a point of it is written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from surctl.errors import InputError
+from surctl.tasks import Stack
+
+__all__ = ["Bounds", "Parameter", "Pose", "Region", "build_region", "pose_text"]
+
+Array: TypeAlias = NDArray[np.float64]
+Bounds: TypeAlias = tuple[Sequence[float] | Array | float, Sequence[float] | Array | float]
+"""Lower and upper corner of a box."""
+Parameter: TypeAlias = tuple[ca.SX, Sequence[float] | Array | float, Sequence[float] | Array | float]
+"""A symbol (k, 1) and its lower and upper corner, k numbers (or one for all) each, in the symbol's own unit."""
+Pose: TypeAlias = Mapping[str, float]
+"""x, y, z [m] in {E}, psi [rad], and every parameter by its name."""
+
+_AXES = ("x", "y", "z", "psi")
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A box of poses and parameters; make it with `build_region`, which checks it.
+
+    Attributes:
+        symbols: SX (d, 1): eta, then every parameter that the stack uses.
+        names: (d,), as they stand in a `Pose`.
+        lower, upper: (d,) [m, m, m, rad, then each parameter's own unit].
+    """
+
+    symbols: ca.SX
+    names: tuple[str, ...]
+    lower: Array
+    upper: Array
+
+    @property
+    def free(self) -> NDArray[np.intp]:
+        """Indices of the variables that have room, (f,)."""
+        return np.flatnonzero(self.upper > self.lower)
+
+    def place(self, unit: Array) -> Array:
+        """Points (N, d) of the region from points (N, f) of the unit box."""
+        points = np.tile(self.lower, (len(unit), 1))
+        points[:, self.free] += np.clip(unit, 0.0, 1.0) * (self.upper - self.lower)[self.free]
+        return np.clip(points, self.lower, self.upper)
+
+    def sample(self, samples: int, seed: int) -> Array:
+        """(2^k ≥ samples, f) scrambled Sobol points of the unit box; one point when nothing is free."""
+        if self.free.size == 0:
+            return np.zeros((1, 0))
+        drawn = qmc.Sobol(self.free.size, seed=seed).random_base2(math.ceil(math.log2(samples)))
+        return np.asarray(drawn, dtype=float)
+
+    def pose(self, point: Array) -> dict[str, float]:
+        """A point (d,) by names."""
+        return {name: float(value) for name, value in zip(self.names, point, strict=True)}
+
+
+def build_region(stack: Stack, region: Bounds, parameters: Sequence[Parameter] = ()) -> Region:
+    """Check a box of eta, (4,) each [m, m, m, rad], and those of the parameters; unused parameters are left out.
+
+    Raises:
+        InputError: wrong sizes, NaN or infinity, crossed bounds, a parameter that is no symbol, is given twice or
+            shares its name; a symbol of the stack without a range, with the task that uses it.
+    """
+    lower, upper = _corners(region, 4, key="region", names=_AXES)
+    symbols, names, low, high = [stack.eta[i] for i in range(4)], list(_AXES), [lower], [upper]
+    used = {s.element_hash() for J, x in stack.levels() for s in _symbols(J, x)}
+    for parameter in parameters:
+        symbol, bounds = _split(parameter)
+        entries = _entries(symbol)
+        if any(entry.element_hash() == s.element_hash() for entry in entries for s in symbols):
+            raise InputError("is given twice", key=f"parameters: {symbol}", remedy="give each symbol one range")
+        lower, upper = _corners(bounds, len(entries), key="parameters", names=[str(e) for e in entries])
+        for entry, least, most in zip(entries, lower, upper, strict=True):
+            if entry.element_hash() in used:
+                symbols.append(entry)
+                names.append(_fresh(str(entry), names))
+                low.append(np.array([least]))
+                high.append(np.array([most]))
+    _check_complete(stack, {s.element_hash() for s in symbols})
+    return Region(ca.vertcat(*symbols), tuple(names), np.concatenate(low), np.concatenate(high))
+
+
+def pose_text(pose: Pose) -> str:
+    """`x = 0.5 m, y = …, psi = 0.3 rad, waypoint_0 = 1`; four significant digits."""
+    units = {"x": " m", "y": " m", "z": " m", "psi": " rad"}
+    return ", ".join(f"{name} = {value:.4g}{units.get(name, '')}" for name, value in pose.items())
+
+
+def _symbols(*expressions: ca.SX) -> list[ca.SX]:
+    found: list[ca.SX] = ca.symvar(ca.vertcat(*[ca.vec(e) for e in expressions]))
+    return found
+
+
+def _check_complete(stack: Stack, known: set[int]) -> None:
+    for name, (J, x) in zip(stack.names, stack.levels(), strict=True):
+        for symbol in _symbols(J, x):
+            if symbol.element_hash() not in known:
+                raise InputError(
+                    f"uses {symbol}, which has no range",
+                    key=f"task {name}",
+                    remedy=f"give parameters=[({symbol}, lower, upper)]",
+                )
+
+
+def _split(parameter: Parameter) -> tuple[ca.SX, Bounds]:
+    try:
+        symbol, lower, upper = parameter
+    except (TypeError, ValueError):
+        raise InputError(
+            "is not a symbol with a range", key="parameters", value=parameter, remedy="give (symbol, lower, upper)"
+        ) from None
+    return symbol, (lower, upper)
+
+
+def _entries(symbol: ca.SX) -> list[ca.SX]:
+    if not isinstance(symbol, ca.SX) or symbol.numel() == 0 or not symbol.is_valid_input():
+        raise InputError("is not an SX symbol", key="parameters", value=symbol, remedy="give (symbol, lower, upper)")
+    return [ca.vec(symbol)[i] for i in range(symbol.numel())]
+
+
+def _fresh(name: str, names: list[str]) -> str:
+    if name in names:
+        raise InputError("names two variables", key="parameters", value=name, remedy="rename one of the symbols")
+    return name
+
+
+def _corners(bounds: Bounds, size: int, *, key: str, names: Sequence[str]) -> tuple[Array, Array]:
+    """Both corners, (size,) each; one number stands for all entries of a parameter."""
+    try:
+        lower, upper = (np.array(part, dtype=float).reshape(-1) for part in bounds)
+    except (TypeError, ValueError):
+        raise InputError("is not a box", key=key, value=bounds, remedy="give (lower, upper), numbers each") from None
+    spread = key == "parameters"
+    corners = [np.repeat(c, size) if spread and c.size == 1 else c for c in (lower, upper)]
+    for side, corner in zip(("lower", "upper"), corners, strict=True):
+        if corner.size != size:
+            raise InputError(
+                f"{side} corner has {corner.size} entries",
+                key=f"{key}: {', '.join(names)}",
+                remedy=f"give {size}",
+            )
+    for name, least, most in zip(names, *corners, strict=True):
+        if not (math.isfinite(least) and math.isfinite(most)):
+            raise InputError("is not finite", key=f"{key}: {name}", value=[least, most], remedy="give finite bounds")
+        if least > most:
+            raise InputError("bounds cross", key=f"{key}: {name}", value=[least, most], remedy="give lower <= upper")
+    return corners[0], corners[1]

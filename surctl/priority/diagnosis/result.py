@@ -1,0 +1,62 @@
+"""A diagnosis: all findings on one stack over one region, in data and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from surctl.priority.diagnosis.findings import Equality, LevelReport, Pair, Singularity
+from surctl.priority.diagnosis.sentences import say_equality, say_level, say_pair, say_singularity
+
+__all__ = ["Diagnosis"]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All findings on a stack over a region; `explain` (or `str`) says them in sentences.
+
+    Attributes:
+        tasks: names, highest priority first.
+        region: (lower, upper) of every variable [m, m, m, rad, then each parameter's own unit].
+        samples: number of samples.
+        seed: of the samples.
+        threshold: sine, strength or step [m, or rad] below which something counts as singular.
+        equality, pairs, singularities, levels: the findings.
+    """
+
+    tasks: tuple[str, ...]
+    region: Mapping[str, tuple[float, float]]
+    samples: int
+    seed: int
+    threshold: float
+    equality: Equality
+    pairs: tuple[Pair, ...]
+    singularities: tuple[Singularity, ...]
+    levels: tuple[LevelReport, ...]
+
+    def explain(self) -> str:
+        """One sentence a line: equality, pairs, singularities, levels, and what the numbers rest on."""
+        lines = [say_equality(self.equality, levels=len(self.tasks), samples=self.samples)]
+        lines += [say_pair(pair) for pair in self.pairs]
+        lines += [say_singularity(found) for found in self.singularities]
+        lines += [say_level(level) for level in self.levels]
+        lines.append(
+            f"Numbers rest on {self.samples} samples (seed {self.seed}) and local searches from the worst of them: "
+            "what was not found may still be there."
+        )
+        return "\n".join(lines)
+
+    def __str__(self) -> str:
+        """The sentences of `explain`."""
+        return self.explain()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON; every number is finite."""
+        return {name: _plain(value) for name, value in asdict(self).items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    return [_plain(entry) for entry in value] if isinstance(value, tuple) else value

@@ -1,0 +1,104 @@
+"""Findings of a diagnosis in plain sentences."""
+
+from __future__ import annotations
+
+import math
+
+from surctl.priority.diagnosis.findings import Equality, LevelReport, Pair, Residual, Singularity
+from surctl.priority.diagnosis.region import pose_text
+
+__all__ = ["say_equality", "say_level", "say_pair", "say_singularity"]
+
+
+def say_equality(found: Equality, *, levels: int, samples: int) -> str:
+    """Whether NSB is strict priority."""
+    if levels == 1:
+        return "One task: NSB is strict priority."
+    if found.verdict == "everywhere":
+        return "NSB equals strict priority everywhere: all commutators vanish as expressions."
+    if found.where is None:
+        return (
+            f"NSB equals strict priority on all {samples} samples (largest commutator {found.largest:.1g}), "
+            "which is no proof."
+        )
+    at = pose_text(found.where)
+    return f"NSB differs from strict priority at `{found.task}`: commutator {found.largest:.2g} at {at}."
+
+
+def say_pair(pair: Pair) -> str:
+    """How two tasks lie to each other."""
+    both = f"`{pair.first}` and `{pair.second}`"
+    if pair.smallest is None or pair.largest is None or pair.where is None:
+        return f"{both} are never active together."
+    at = pose_text(pair.where)
+    equal = "" if pair.equal == "differs" else ", and NSB treats these two as strict priority does"
+    if pair.kind == "orthogonal":
+        where = "everywhere" if pair.structural else "on all samples"
+        return f"{both} are orthogonal {where}: neither disturbs the other."
+    if pair.kind == "dependent everywhere":
+        return f"{both} share {_directions(pair.shared)} at every sample{equal}."
+    if pair.kind == "dependent somewhere":
+        return (
+            f"{both} come to ask for the same direction: angle between {_degrees(pair.smallest)} and "
+            f"{_degrees(pair.largest)}, smallest at {at}."
+        )
+    return (
+        f"{both} are coupled: angle between {_degrees(pair.smallest)} and {_degrees(pair.largest)}, "
+        f"smallest at {at}{equal}."
+    )
+
+
+def say_singularity(found: Singularity) -> str:
+    """Where a level loses rank, and by whose doing."""
+    at = pose_text(found.poses[0])
+    more = f" ({len(found.poses) - 1} more poses found)" if len(found.poses) > 1 else ""
+    if found.kind == "algorithmic":
+        cause = "".join(f", where `{name}` is singular itself" for name in found.also_singular[:1])
+        return (
+            f"`{found.task}` loses a direction to the tasks above it{cause} (algorithmic singularity, sine "
+            f"{found.value:.2g}): strict priority has no bound near {at}{more}."
+        )
+    reason = (
+        f"a step of {found.value:.2g} [m, or rad] may turn its Jacobian right round"
+        if found.symptom == "turning"
+        else f"its Jacobian loses rank, down to {found.value:.2g} of its usual size"
+    )
+    return f"`{found.task}` is singular by itself (kinematic singularity): {reason} near {at}{more}."
+
+
+def say_level(level: LevelReport) -> str:
+    """Whether a level gets what it asks for, and why not."""
+    name = f"`{level.task}`"
+    if level.met == "by both laws":
+        text = f"{name} is met by both laws at all samples"
+    elif level.met == "by strict priority only":
+        text = f"{name} is met by strict priority only: NSB leaves {_residual(level.nsb)}"
+    else:
+        text = (
+            f"{name} cannot be met: strict priority leaves {_residual(level.strict)}, NSB leaves {_residual(level.nsb)}"
+        )
+    return text + _why(level) + "."
+
+
+def _why(level: LevelReport) -> str:
+    if level.rank == 0:
+        return "; it is inactive at all samples"
+    whole = _directions(level.rank)
+    dependent = f"; it shares {level.dependent} of its {whole} with tasks above it" if level.dependent else ""
+    spent = f"; the tasks above it leave no freedom at {level.exhausted:.0%} of the samples" if level.exhausted else ""
+    return dependent + spent
+
+
+def _residual(residual: Residual) -> str:
+    return (
+        f"{residual.median:.2g} in the median and {residual.largest:.2g} at worst [unit of sigma per second], "
+        f"at {pose_text(residual.where)}"
+    )
+
+
+def _directions(count: int) -> str:
+    return "1 direction" if count == 1 else f"{count} directions"
+
+
+def _degrees(angle: float) -> str:
+    return f"{math.degrees(angle):.3g}°"

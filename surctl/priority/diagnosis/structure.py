@@ -1,0 +1,102 @@
+"""What the expressions of a stack show without numbers: levels that commute at every pose there is.
+
+J = A(η) R(ψ) with A = ∂σ/∂η, and R of (2) is orthogonal: J_iᵀJ_i commutes with the projector of the tasks above
+exactly when A_iᵀA_i commutes with theirs. In {E} the sines and cosines are gone, and most A are constant.
+
+A yes is an identity of the expressions; a no only means that they do not show it.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.priority.rowspace import row_space
+from surctl.tasks import Stack
+
+__all__ = ["commuting_levels", "orthogonal_pairs", "world_jacobians"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_ROUNDING = 1e-12  # constants of this size are what is left of a zero
+
+
+def world_jacobians(stack: Stack) -> list[ca.SX]:
+    """A = ∂σ/∂η, (k, 4), of each task: σ̇ = A η̇ in {E}. What two of them share is one node in both."""
+    parts = [ca.jacobian(task.sigma, stack.eta) for task in stack.tasks]
+    together = ca.cse(ca.vertcat(*parts))
+    ends = np.cumsum([0, *(task.size for task in stack.tasks)])
+    return [together[int(a) : int(b), :] for a, b in pairwise(ends)]
+
+
+def commuting_levels(stack: Stack) -> tuple[bool, ...]:
+    """For each level whether its commutator vanishes as an expression: for all η and all parameters.
+
+    It does when A_iᵀA_i maps the row space above into itself, which is tried row by row; or when that row space
+    holds all rows of A_i.
+    """
+    levels = world_jacobians(stack)
+    rows = [[A[i, :].T for i in range(A.shape[0])] for A in levels]
+    return tuple(_commutes(levels[i], [row for above in rows[:i] for row in above]) for i in range(len(levels)))
+
+
+def orthogonal_pairs(stack: Stack) -> set[tuple[int, int]]:
+    """Pairs (i, j), i < j, of tasks whose rows are orthogonal as expressions."""
+    levels = world_jacobians(stack)
+    return {(i, j) for j, B in enumerate(levels) for i, A in enumerate(levels[:j]) if _vanishes(A @ B.T)}
+
+
+def _commutes(A: ca.SX, above: list[ca.SX]) -> bool:
+    """Whether AᵀA maps the span of the rows above, columns (n, 1) here, into itself.
+
+    The span is range(P) of the constant rows and what the others hold outside it; its dimension may change from
+    pose to pose, which does not matter.
+    """
+    P = _projector([np.array(ca.DM(row)).ravel() for row in above if row.is_constant()], A.shape[1])
+    outside = ca.SX(ca.sparsify(ca.DM(np.eye(A.shape[1]) - P)))
+    moving = [b for b in (_clean(outside @ row) for row in above if not row.is_constant()) if b.nnz()]
+    own = [_clean(outside @ A[i, :].T) for i in range(A.shape[0])]
+    if all(a.nnz() == 0 or any(_vanishes(a - b) or _vanishes(a + b) for b in moving) for a in own):
+        return True
+    G = _clean(outside @ A.T @ A)
+    if not _vanishes(G @ ca.SX(ca.sparsify(ca.DM(P)))):
+        return False
+    factors = _eigenvalues(A)
+    images = [(G @ b, b) for b in moving]
+    return all(any(_vanishes(image - factor * b) for factor in factors) for image, b in images)
+
+
+def _projector(rows: list[Array], n: int) -> Array:
+    """(n, n), on the span of constant rows; entries that are 0 or ±1 up to rounding are made exactly so."""
+    if not rows:
+        return np.zeros((n, n))
+    basis = row_space(np.array(rows)).rows
+    P: Array = basis.T @ basis
+    return np.where(np.abs(P - np.round(P)) <= _ROUNDING, np.round(P), P)
+
+
+def _eigenvalues(A: ca.SX) -> list[float]:
+    """0, and those of AᵀA when it is constant."""
+    if not A.is_constant():
+        return [0.0]
+    squares = np.linalg.svd(np.array(ca.DM(A)), compute_uv=False) ** 2
+    return [0.0, *(float(np.round(s)) if abs(s - np.round(s)) <= _ROUNDING else float(s) for s in squares)]
+
+
+def _clean(expression: ca.SX) -> ca.SX:
+    """The same without entries that are zero, or constants of the size of rounding."""
+    entries = ca.SX(*expression.shape)
+    simple = ca.simplify(expression)
+    for i, j in zip(*simple.sparsity().get_triplet(), strict=True):
+        entry = simple[i, j]
+        if not (entry.is_constant() and abs(float(entry)) <= _ROUNDING):
+            entries[i, j] = entry
+    return entries
+
+
+def _vanishes(expression: ca.SX) -> bool:
+    return bool(_clean(expression).nnz() == 0)

@@ -1,0 +1,286 @@
+"""Diagnosis of stacks whose answers are known by hand."""
+
+import json
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from surctl.errors import InputError
+from surctl.priority import Level, build_problem, nsb
+from surctl.priority.diagnosis.commutator import commutator_norms
+from surctl.priority.diagnosis.diagnose import diagnose
+from surctl.priority.diagnosis.outcomes import strict_velocities
+from surctl.priority.diagnosis.structure import commuting_levels, orthogonal_pairs
+from surctl.tasks import (
+    Stack,
+    Task,
+    clearance_task,
+    depth_task,
+    distance_task,
+    heading_task,
+    line_of_sight_task,
+    position_task,
+    velocity_task,
+)
+
+ETA = ca.SX.sym("eta", 4)
+POINT, OTHER = ca.SX.sym("point", 2), ca.SX.sym("other", 2)
+REGION = ([-2.0, -2.0, -1.0, -3.0], [2.0, 2.0, 0.0, 3.0])
+BOTH = [(POINT, -1.0, 1.0), (OTHER, [-1.0, -1.0], [1.0, 1.0])]
+
+DEPTH, HEADING = depth_task(ETA, -0.15), heading_task(ETA, 0.4)
+POSITION, VELOCITY = position_task(ETA, [1.0, 2.0]), velocity_task(ETA, [0.1, 0.05])
+SPACE = position_task(ETA, [1.0, 2.0, -0.3], name="space")
+DISTANCE = distance_task(ETA, POINT, distance=0.5)
+SAME = distance_task(ETA, POINT, distance=0.5, name="same")
+FAR = distance_task(ETA, OTHER, distance=1.0, name="far")
+SIGHT = line_of_sight_task(ETA, POINT)
+MIXED = Task(name="mixed", eta=ETA, sigma=ETA[0] + ETA[1] + ETA[3])
+CROSS = Task(name="cross", eta=ETA, sigma=ETA[0] - ETA[1])
+LIBRARY = (DEPTH, HEADING, POSITION, VELOCITY, SPACE, DISTANCE, SAME, FAR, SIGHT, MIXED, CROSS)
+
+
+def look(*tasks, region=REGION, parameters=BOTH, **settings):
+    return diagnose(Stack(tasks), region, parameters=parameters, **{"samples": 128, **settings})
+
+
+def at(stack, pose):
+    """Jacobians and references at a pose that a diagnosis gave."""
+    symbols = ca.vertcat(ETA, POINT, OTHER)
+    f = ca.Function("f", [symbols], [part for pair in stack.levels() for part in pair])
+    values = [np.array(v) for v in f([*(pose[n] for n in ("x", "y", "z", "psi")), *(pose.get(n, 0.0) for n in OPEN)])]
+    return values[::2], [x.ravel() for x in values[1::2]]
+
+
+OPEN = ("point_0", "point_1", "other_0", "other_1")
+
+
+def test_selections_of_degrees_of_freedom_are_equal_everywhere_as_expressions():
+    found = look(DEPTH, HEADING, POSITION)
+    assert (found.equality.verdict, found.equality.largest, found.equality.where) == ("everywhere", 0.0, None)
+    assert found.equality.structural == ("depth", "heading", "position")
+    assert {(p.kind, p.structural, p.equal) for p in found.pairs} == {("orthogonal", True, "everywhere")}
+    assert found.singularities == ()
+    assert [(lv.rank, lv.gained, lv.rank_above, lv.met) for lv in found.levels] == [
+        (1, 1, 0, "by both laws"),
+        (1, 1, 1, "by both laws"),
+        (2, 2, 2, "by both laws"),
+    ]
+    assert "NSB equals strict priority everywhere" in str(found)
+
+
+def test_a_line_of_sight_and_a_position_differ_and_the_pose_shows_it():
+    found = look(SIGHT, POSITION)
+    assert (found.equality.verdict, found.equality.task) == ("differs", "position")
+    pose = found.equality.where
+    # the row (t/d, -1) and the plane of x and y meet at atan d; sin cos is largest at d = 1
+    distance = math.hypot(pose["x"] - pose["point_0"], pose["y"] - pose["point_1"])
+    assert found.equality.largest == pytest.approx(0.5, abs=1e-9)
+    assert distance == pytest.approx(1.0, abs=1e-3)
+    jacobians, x = at(Stack((SIGHT, POSITION)), pose)
+    assert commutator_norms(jacobians)[1] == pytest.approx(found.equality.largest)
+    made = [Level(n, J, b) for n, J, b in zip(("a", "b"), jacobians, x, strict=True)]
+    assert np.abs(nsb(build_problem(made)) - strict_velocities(jacobians, x)).max() > 0.01
+    assert found.levels[1].met == "by strict priority only"
+    assert "NSB differs from strict priority at `position`" in found.explain()
+
+
+def test_the_angle_of_a_coupled_pair_runs_over_what_geometry_says():
+    region = ([1.0, -0.5, -1.0, -3.0], [2.0, 0.5, 0.0, 3.0])  # 1 to 2.06 m from the origin
+    found = look(SIGHT, POSITION, region=region, parameters=[(POINT, 0.0, 0.0)], samples=1024)
+    (pair,) = found.pairs
+    assert pair.kind == "independent" and pair.shared == 0 and pair.equal == "differs"
+    assert pair.smallest == pytest.approx(math.atan(1.0), abs=1e-9)
+    assert pair.largest == pytest.approx(math.atan(math.hypot(2.0, 0.5)), abs=2e-2)
+    assert (pair.where["x"], pair.where["y"]) == pytest.approx((1.0, 0.0), abs=1e-6)
+    assert found.singularities == ()
+    assert "`line_of_sight` and `position` are coupled: angle between 45° and" in str(found)
+
+
+def test_a_distance_lies_inside_a_position_and_commutes_with_it():
+    for tasks in ((DISTANCE, POSITION), (POSITION, DISTANCE)):
+        found = look(*tasks)
+        assert found.equality.verdict == "everywhere"
+        (pair,) = found.pairs
+        assert (pair.kind, pair.shared, pair.equal) == ("dependent everywhere", 1, "everywhere")
+        lower = found.levels[1]
+        assert lower.dependent == 1 and lower.met == "by neither law" and lower.strict.median > 0.1
+
+
+def test_what_only_samples_show_is_not_called_a_proof():
+    found = look(DISTANCE, SIGHT)  # orthogonal by n·t = 0, which no simplification sees
+    assert found.equality.verdict == "on all samples"
+    assert found.equality.largest < 1e-12
+    assert (found.pairs[0].kind, found.pairs[0].structural) == ("orthogonal", False)
+    assert "which is no proof" in str(found)
+
+
+def test_a_doubled_task_is_dependent_and_met_only_when_it_agrees():
+    found = look(DISTANCE, SAME)
+    assert found.pairs[0].kind == "dependent everywhere"
+    assert (found.levels[1].gained, found.levels[1].dependent, found.levels[1].met) == (0, 1, "by both laws")
+    against = look(DISTANCE, distance_task(ETA, POINT, distance=0.7, name="against"))
+    assert against.levels[1].met == "by neither law"
+    assert against.levels[1].strict.median == pytest.approx(0.2)
+    assert "`against` cannot be met" in str(against)
+
+
+def test_five_rows_in_four_velocities_leave_no_freedom():
+    found = look(SPACE, HEADING, FAR)
+    assert [lv.rank_above for lv in found.levels] == [0, 3, 4]
+    assert [lv.exhausted for lv in found.levels] == [0.0, 0.0, 1.0]
+    assert "the tasks above it leave no freedom at 100% of the samples" in str(found)
+
+
+def test_the_clearances_of_the_paper_against_a_velocity():
+    one, two = clearance_task(ETA, POINT, margin=0.5, name="one"), clearance_task(ETA, OTHER, margin=0.5, name="two")
+    alone = look(one, VELOCITY)
+    assert alone.equality.verdict == "everywhere"
+    assert alone.levels[1].dependent == 1
+    found = look(one, two, VELOCITY)
+    assert (found.equality.verdict, found.equality.task) == ("differs", "two")
+    assert found.equality.by_task["velocity"] == 0.0
+    assert found.levels[1].met == "by strict priority only"
+    assert found.levels[2].gained == 0 and found.levels[2].met == "by neither law"
+
+
+def test_two_distances_lose_a_direction_on_the_line_through_their_points():
+    near, far = distance_task(ETA, [-1.0, 0.5], distance=0.4), distance_task(ETA, [1.0, 0.5], distance=0.4, name="far")
+    region = ([-0.6, -2.0, -1.0, -3.0], [0.6, 2.0, 0.0, 3.0])
+    found = look(near, far, region=region, parameters=())
+    (singular,) = found.singularities
+    assert (singular.task, singular.kind, singular.symptom) == ("far", "algorithmic", "sine")
+    assert singular.value < 1e-8 and singular.also_singular == ()
+    for pose in singular.poses:
+        assert pose["y"] == pytest.approx(0.5, abs=1e-6)
+    assert found.pairs[0].kind == "dependent somewhere" and found.pairs[0].shared <= 1
+    off = look(near, far, region=([-0.6, 0.8, -1.0, -3.0], [0.6, 2.0, 0.0, 3.0]), parameters=())
+    assert off.singularities == () and off.pairs[0].kind == "independent"
+
+
+def test_a_task_on_its_own_point_is_told_apart_from_the_conflict_it_causes():
+    found = look(SIGHT, POSITION, parameters=[(POINT, [0.3, -0.2], [0.3, -0.2])])
+    own, caused = found.singularities
+    assert (own.task, own.kind, own.symptom) == ("line_of_sight", "kinematic", "turning")
+    assert (caused.task, caused.kind, caused.also_singular) == ("position", "algorithmic", ("line_of_sight",))
+    for pose in (own.poses[0], caused.poses[0]):
+        assert (pose["x"], pose["y"]) == pytest.approx((0.3, -0.2), abs=1e-3)
+    assert "where `line_of_sight` is singular itself" in str(found)
+
+
+def test_a_search_comes_as_near_to_a_singular_point_as_the_task_lets_it():
+    (singular,) = look(DISTANCE).singularities  # the gradient is of length 1 until 1e-6 m
+    assert singular.symptom == "turning" and singular.value < 1e-5
+    for pose in singular.poses:
+        assert math.hypot(pose["x"] - pose["point_0"], pose["y"] - pose["point_1"]) < 1e-3
+
+
+def test_a_task_singular_by_itself_is_not_blamed_on_those_above():
+    (singular,) = look(POSITION, SIGHT).singularities
+    assert (singular.task, singular.kind) == ("line_of_sight", "kinematic")
+
+
+def test_a_jacobian_that_loses_rank_is_kinematic_even_below_other_tasks():
+    folded = Task(name="folded", eta=ETA, sigma=ca.vertcat(ETA[0] + ETA[1], ETA[0] + ETA[1] ** 2))
+    found = look(DEPTH, folded, parameters=())  # rows (1, 1) and (1, 2y): parallel at y = 0.5
+    (singular,) = found.singularities
+    assert (singular.task, singular.kind, singular.symptom) == ("folded", "kinematic", "strength")
+    assert all(pose["y"] == pytest.approx(0.5, abs=1e-3) for pose in singular.poses)
+
+
+def test_an_inactive_task_is_not_singular():
+    switched = Task(name="switched", eta=ETA, sigma=ca.fmax(ETA[0], 0.0))
+    for above in (POSITION, MIXED):
+        assert look(above, switched, parameters=()).singularities == ()
+    off = look(POSITION, switched, region=([-2, -2, -1, -3], [-1, 2, 0, 3]), parameters=())
+    assert off.pairs[0].kind == "never active together" and off.pairs[0].smallest is None
+    assert off.levels[1].rank == 0
+    assert "`switched`" in str(off) and "inactive at all samples" in str(off)
+
+
+def test_a_task_met_at_some_samples_only_is_not_met():
+    switched = Task(name="switched", eta=ETA, sigma=ca.fmax(ETA[0], 0.0), target=1.0)
+    (level,) = look(switched, parameters=()).levels
+    assert level.met == "by neither law"
+    assert level.strict.largest == pytest.approx(1.0) and level.strict.where["x"] < 0
+
+
+@given(st.lists(st.sampled_from(LIBRARY), min_size=1, max_size=6, unique_by=lambda task: task.name), st.integers(0, 99))
+def test_what_the_expressions_show_holds_at_every_sample(tasks, seed):
+    stack = Stack(tuple(tasks))
+    rng = np.random.default_rng(seed)
+    shown, orthogonal = commuting_levels(stack), orthogonal_pairs(stack)
+    for _ in range(5):
+        pose = dict(zip(("x", "y", "z", "psi", *OPEN), rng.uniform(-2, 2, 8), strict=True))
+        jacobians, _ = at(stack, pose)
+        norms = commutator_norms(jacobians)
+        assert all(norm <= 1e-9 for norm, is_shown in zip(norms, shown, strict=True) if is_shown)
+        assert all(np.abs(jacobians[i] @ jacobians[j].T).max() <= 1e-12 for i, j in orthogonal)
+
+
+def test_one_task_is_trivially_equal_and_a_fixed_pose_is_one_sample():
+    found = look(HEADING, region=([0, 0, 0, 1.0], [0, 0, 0, 1.0]))
+    assert (found.samples, found.equality.verdict, found.pairs) == (1, "everywhere", ())
+    assert "One task: NSB is strict priority." in str(found)
+    assert "point_0" not in found.region  # no task uses it
+
+
+def test_the_same_seed_gives_the_same_diagnosis_and_json_keeps_it():
+    first, second = (look(SIGHT, POSITION, FAR).to_dict() for _ in range(2))
+    assert first == second
+    assert json.loads(json.dumps(first, allow_nan=False)) == first
+    assert first["region"]["point_1"] == [-1.0, 1.0]
+    assert look(SIGHT, POSITION, FAR, seed=1).to_dict() != first
+
+
+@pytest.mark.parametrize(
+    ("region", "message"),
+    [
+        (([0.0] * 3, [1.0] * 4), "region.*lower corner has 3 entries"),
+        (([0.0, 0, 0, 2.0], [1.0, 1, 1, 1.0]), "region: psi = .*bounds cross"),
+        (([0.0, math.nan, 0, 0], [1.0] * 4), "region: y = .*is not finite"),
+        (([0.0] * 4, [1.0, 1, math.inf, 1]), "region: z = .*is not finite"),
+        (0.0, "region = 0.0: is not a box"),
+        ((["a"] * 4, [1.0] * 4), "is not a box"),
+    ],
+)
+def test_a_bad_region_names_the_axis(region, message):
+    with pytest.raises(InputError, match=message):
+        look(DEPTH, region=region)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ([], "task line_of_sight: uses point_0, which has no range"),
+        ([(POINT[0], 0.0, 1.0)], "task line_of_sight: uses point_1"),
+        ([(POINT, 1.0, 0.0)], "parameters: point_0 = .*bounds cross"),
+        ([(POINT, [0.0, math.nan], 1.0)], "parameters: point_1 = .*is not finite"),
+        ([(POINT, [0.0, 0.0, 0.0], 1.0)], "lower corner has 3 entries"),
+        ([(POINT, 0.0, 1.0), (POINT[1], 0.0, 1.0)], "given twice"),
+        ([(ETA, 0.0, 1.0)], "given twice"),
+        ([(POINT + 1.0, 0.0, 1.0)], "is not an SX symbol"),
+        ([(POINT, 1.0)], "is not a symbol with a range"),
+    ],
+)
+def test_a_bad_parameter_is_named(parameters, message):
+    with pytest.raises(InputError, match=message):
+        look(SIGHT, parameters=parameters)
+
+
+def test_two_symbols_of_one_name_are_refused():
+    twin = ca.SX.sym("point", 2)
+    with pytest.raises(InputError, match=r"point_0.*names two variables"):
+        look(SIGHT, distance_task(ETA, twin, distance=1.0), parameters=[(POINT, 0.0, 1.0), (twin, 0.0, 1.0)])
+
+
+def test_bad_numbers_and_tasks_that_are_not_finite_are_refused():
+    for bad in ({"samples": 0}, {"samples": 2.5}, {"starts": 0}, {"threshold": 0.0}, {"threshold": math.nan}):
+        with pytest.raises(InputError, match=next(iter(bad))):
+            look(DEPTH, **bad)
+    with pytest.raises(InputError, match=r"task root: is not finite at x = -"):
+        look(Task(name="root", eta=ETA, sigma=ca.sqrt(ETA[0])), parameters=())
