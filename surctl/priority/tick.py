@@ -48,7 +48,7 @@ def priority_tick(
 
     A set-based level keeps w where it is inside its bounds and moves it to the nearest bound otherwise: no switch, no
     jump. In mode lexicographic one that is met is row m + 1, m + 2, … of those that bind (in the order of the levels).
-    In mode nsb the status is MET whenever (16) has a finite value, and v knows neither rows nor box.
+    In mode nsb the status is MET whenever (16) has a finite value, v knows neither rows nor box, and target is v.
 
     With damping λ every projection is min λ²‖z − w‖² + ‖J z − x‖², in mode projected the last one too (inside the
     rows). A number in J, lower or upper that is none (or above 1e300), or a value with lower ≠ upper: CLAMPED, and v
@@ -127,7 +127,7 @@ def _unlimited(n: int) -> Program:
     """v → the outputs of a tick that no row shapes."""
     v = ca.SX.sym("v", n)
     empty, none = ca.SX.zeros(n), ca.SX.zeros(1)
-    return lower(ca.Function("unlimited", [v], [v, empty, empty, none, ca.SX(MET), none, empty]))
+    return lower(ca.Function("unlimited", [v], [v, empty, empty, none, ca.SX(MET), none, v]))
 
 
 def _finish(n: int, *, boxed: bool) -> Program:
