@@ -1,0 +1,231 @@
+"""From symbols to a tick: a stack and limits over poses and parameters, evaluated straight into a tick's arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias, cast
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.priority.level_shape import LevelShape
+from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
+from surctl.priority.runner import PriorityTick
+from surctl.priority.settings import Mode
+from surctl.tasks import Limit, LimitRow, SetTask, Stack
+
+__all__ = ["AssembledTick", "Assembly", "assemble"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_N = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """A stack and limits as one function of named inputs; made by `assemble`.
+
+    Attributes:
+        stack, limits: as given; `limits` are the rows of all limits.
+        sizes: entries of each input, by name.
+        function: CasADi function of the inputs, in their order → J (K·4,) row by row, lower, upper (K,), rows
+            (m·7,), box (8,), as `priority_tick` takes them (one idle row if there is no limit). The box is made of
+            the actuator rows that bound one velocity whatever the inputs are.
+    """
+
+    stack: Stack
+    limits: tuple[LimitRow, ...]
+    sizes: Mapping[str, int]
+    function: ca.Function
+
+    def problem(self, values: Mapping[str, ArrayLike]) -> PriorityProblem:
+        """The priority problem at these values, one array an input.
+
+        Raises:
+            InputError: an input that is missing, unknown, or of the wrong size; a level or a limit that is not
+                finite there, by name and row.
+        """
+        arguments = self._checked(values)
+        J, lower, upper, rows, _ = (np.array(part).reshape(-1) for part in self.function.call(arguments))
+        levels, start = [], 0
+        for task, shape in zip(self.stack.tasks, self.shapes, strict=True):
+            end = start + shape.rows
+            # an equal pair stays one value, so that a NaN in it is told as such
+            high = upper[start:end] if shape.is_set else None
+            levels.append(Level(task.name, J[_N * start : _N * end].reshape(-1, _N), lower[start:end], high))
+            start = end
+        table = rows.reshape(-1, _N + 3)
+        limits = [
+            Row(row.name, row.kind, entry[:_N], float(entry[_N]), float(entry[_N + 1]))
+            for row, entry in zip(self.limits, table, strict=False)
+        ]
+        return build_problem(levels, limits)
+
+    def tick(self, mode: Mode = "projected", *, sweeps: int = 1, damping: float = 0.0) -> AssembledTick:
+        """A compiled tick with buffers of its own, fed by this assembly.
+
+        Raises:
+            InputError: a set-based task of more than one row; see `priority_tick` for the others.
+        """
+        return AssembledTick(self, mode, sweeps=sweeps, damping=damping)
+
+    @property
+    def shapes(self) -> tuple[LevelShape, ...]:
+        """The shape of each level."""
+        return tuple(LevelShape(task.size, isinstance(task, SetTask)) for task in self.stack.tasks)
+
+    def _checked(self, values: Mapping[str, ArrayLike]) -> list[Array]:
+        for name in values:
+            if name not in self.sizes:
+                raise InputError("no such input", key=name, remedy=nearest(name, self.sizes))
+        arguments = []
+        for name, size in self.sizes.items():
+            if name not in values:
+                raise InputError("is missing", key=name, remedy=f"give {size} numbers")
+            try:
+                value = np.array(values[name], dtype=np.float64).reshape(-1)
+            except (TypeError, ValueError):
+                raise InputError("is not an array of numbers", key=name, value=values[name]) from None
+            if value.size != size:
+                raise InputError(f"has {value.size} entries, expected {size}", key=name)
+            arguments.append(value)
+        return arguments
+
+
+class AssembledTick(PriorityTick):
+    """A `PriorityTick` whose inputs come from an `Assembly`: write `inputs`, call `step`, read `v`.
+
+    A number that is not finite anywhere gives status CLAMPED and v = 0 in the box; `Assembly.problem` with the same
+    values then names the task and the row.
+
+    Attributes:
+        inputs: one array an input of the assembly, by name; write into them.
+    """
+
+    def __init__(self, assembly: Assembly, mode: Mode, *, sweeps: int = 1, damping: float = 0.0) -> None:
+        """See `Assembly.tick`."""
+        for task in assembly.stack.tasks:
+            if isinstance(task, SetTask) and task.size > 1:
+                raise InputError(
+                    f"is set-based and has {task.size} rows; a compiled level has 1",
+                    key=f"task {task.name}",
+                    remedy="put its split() into the stack",
+                )
+        places = max(1, len(assembly.limits))
+        super().__init__(mode, n=_N, levels=assembly.shapes, rows=places, sweeps=sweeps, damping=damping)
+        self.level_names = assembly.stack.names
+        self.row_names = tuple(row.name for row in assembly.limits)
+        self.inputs = {name: np.zeros(size) for name, size in assembly.sizes.items()}
+        results = (self.J, self.lower, self.upper, self.rows, self.box)
+        # the buffer holds addresses only: it is kept with the arrays, which outlive it as attributes
+        self._buffer, self._evaluate = _buffered(assembly.function, list(self.inputs.values()), results)
+
+    def step(self) -> None:
+        """Evaluate the stack and the limits at `inputs`, then solve."""
+        self._evaluate()
+        self.solve()
+
+
+def _buffered(
+    function: ca.Function, inputs: Sequence[Array], results: Sequence[Array]
+) -> tuple[object, Callable[[], None]]:
+    """CasADi's own buffer over these arrays, and what evaluates the function on them."""
+    buffer, trigger = cast(Any, function).buffer()
+    for place, array in enumerate(inputs):
+        buffer.set_arg(place, array.data)
+    for place, array in enumerate(results):
+        buffer.set_res(place, array.reshape(-1).data)
+    return buffer, trigger
+
+
+def assemble(stack: Stack, limits: Sequence[Limit] = (), *, inputs: Mapping[str, ca.SX]) -> Assembly:
+    """One function for a stack and its limits.
+
+    Args:
+        stack: tasks and set-based tasks.
+        limits: whatever gives rows.
+        inputs: every symbol that stands in them, by the name under which its values will be given, "eta" say; SX
+            columns of symbols.
+
+    Raises:
+        InputError: an input that is no symbol or stands twice; a symbol of a task or a limit that is no input, by
+            name; a limit of the wrong width; two rows with one name.
+    """
+    for name, symbol in inputs.items():
+        if not (isinstance(symbol, ca.SX) and symbol.shape[1] == 1 and symbol.numel() and symbol.is_valid_input()):
+            raise InputError("is not a column of SX symbols", key=f"inputs.{name}", remedy='as in ca.SX.sym("eta", 4)')
+    known = _known(inputs)
+    rows = tuple(row for limit in limits for row in limit.rows())
+    slabs = stack.slabs()
+    for task, parts in zip(stack.tasks, slabs, strict=True):
+        _check_symbols(f"task {task.name}", parts, known)
+    for i, row in enumerate(rows):
+        _check_symbols(f"limit {row.name}", (row.a, row.lower, row.upper), known)
+        if row.a.numel() != _N:
+            raise InputError(f"has {row.a.numel()} entries, expected {_N}", key=f"limit {row.name}")
+        if row.name in (other.name for other in rows[:i]):
+            raise InputError("names two limits", key=f"limit {row.name}", remedy="rename one of them")
+    outputs = [*_stacked(slabs), _table(rows), _box(rows)]
+    names = ["J", "lower", "upper", "rows", "box"]
+    dense = [ca.densify(output) for output in outputs]
+    function = ca.Function("assembly", list(inputs.values()), dense, [f"in_{k}" for k in range(len(inputs))], names)
+    return Assembly(stack, rows, {name: int(symbol.numel()) for name, symbol in inputs.items()}, function)
+
+
+def _known(inputs: Mapping[str, ca.SX]) -> set[int]:
+    """Hashes of all scalar symbols."""
+    known: set[int] = set()
+    for name, symbol in inputs.items():
+        for scalar in ca.vertsplit(symbol):
+            if scalar.element_hash() in known:
+                raise InputError("stands in two inputs", key=f"inputs.{name}", value=str(scalar))
+            known.add(scalar.element_hash())
+    return known
+
+
+def _check_symbols(key: str, parts: Sequence[ca.SX], known: set[int]) -> None:
+    every = ca.vertcat(*(ca.vec(ca.SX(part)) for part in parts))
+    missing = [str(symbol) for symbol in ca.symvar(every) if symbol.element_hash() not in known]
+    if missing:
+        raise InputError(
+            f"depends on {', '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} not among the inputs",
+            key=key,
+            remedy="add the symbol to inputs",
+        )
+
+
+def _stacked(slabs: Sequence[tuple[ca.SX, ca.SX, ca.SX]]) -> list[ca.SX]:
+    return [
+        ca.vertcat(*(ca.vec(ca.densify(J).T) for J, _, _ in slabs)),
+        ca.vertcat(*(lower for _, lower, _ in slabs)),
+        ca.vertcat(*(upper for _, _, upper in slabs)),
+    ]
+
+
+def _table(rows: Sequence[LimitRow]) -> ca.SX:
+    lines = [ca.vertcat(ca.vec(row.a), row.lower, row.upper, ca.SX(0 if row.kind == "actuator" else 1)) for row in rows]
+    return ca.vertcat(*lines) if lines else ca.vertcat(ca.SX.zeros(_N), -ca.inf, ca.inf, 0)
+
+
+def _box(rows: Sequence[LimitRow]) -> ca.SX:
+    """Lower and upper of single velocities; where two rows contradict each other, the middle of both."""
+    low, high = [ca.SX(-ca.inf)] * _N, [ca.SX(ca.inf)] * _N
+    for row in rows:
+        entries = [j for j in range(_N) if not row.a[j].is_zero()]
+        if row.kind != "actuator" or len(entries) != 1:
+            continue
+        (j,) = entries
+        a, lower, upper = row.a[j], row.lower, row.upper
+        used = a != 0
+        by = ca.if_else(used, a, 1)
+        ends = (ca.if_else(a > 0, lower / by, upper / by), ca.if_else(a > 0, upper / by, lower / by))
+        low[j] = ca.fmax(low[j], ca.if_else(used, ends[0], -ca.inf))
+        high[j] = ca.fmin(high[j], ca.if_else(used, ends[1], ca.inf))
+    both = list(zip(low, high, strict=True))
+    return ca.vertcat(
+        *(ca.if_else(lo > hi, 0.5 * (lo + hi), lo) for lo, hi in both),
+        *(ca.if_else(lo > hi, 0.5 * (lo + hi), hi) for lo, hi in both),
+    )

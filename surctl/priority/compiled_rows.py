@@ -1,0 +1,52 @@
+"""One row of the limits at a time, as the compiled modes change it: a (n,), lower, upper, soft."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from surctl.ir import Program, lower
+from surctl.priority.compiled_sweep import HUGE
+from surctl.priority.elimination import as_matrix
+from surctl.priority.rowspace import ZERO_ROW
+
+__all__ = ["holding_row", "longer_row", "opened_row", "reduced_row"]
+
+_FLAT = 1e-12  # a row of length 1 of which N leaves less than this does not bound y
+
+
+def opened_row(n: int) -> Program:
+    """(row, opening, v) → the row of length 1, opened if it is soft, and wide enough to hold v to the last digit.
+
+    It is hard from then on.
+    """
+    row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
+    length = ca.sqrt(ca.sumsqr(row[:n]))
+    a = row[: n + 2] * (1 / ca.if_else(length <= ZERO_ROW, 1, length))
+    value, room = ca.dot(a[:n], v), row[n + 2] * opening
+    low, high = a[n] - room, a[n + 1] + room
+    low, high = ca.if_else(low <= value, low, value), ca.if_else(high >= value, high, value)
+    return lower(ca.Function("opened_row", [row, opening, v], [ca.vertcat(a[:n], low, high, 0)]))
+
+
+def holding_row(n: int) -> Program:
+    """(row, v) → the row, wide enough to hold v to the last digit."""
+    row, v = ca.SX.sym("row", n + 3), ca.SX.sym("v", n)
+    value = ca.dot(row[:n], v)
+    bounds = [ca.fmin(row[n], value), ca.fmax(row[n + 1], value)]
+    return lower(ca.Function("holding_row", [row, v], [ca.vertcat(row[:n], *bounds, row[n + 2])]))
+
+
+def reduced_row(n: int) -> Program:
+    """(row of length 1, v, N) → the row as a bound of y in v + N y, wide enough to hold y = 0."""
+    row, v, N = ca.SX.sym("row", n + 3), ca.SX.sym("v", n), ca.SX.sym("N", n * n)
+    a, value = as_matrix(N, n) @ row[:n], ca.dot(row[:n], v)
+    flat = ca.sqrt(ca.sumsqr(a)) <= _FLAT
+    low, high = ca.fmin(row[n] - value, 0), ca.fmax(row[n + 1] - value, 0)
+    outputs = ca.vertcat(ca.if_else(flat, 0, a), ca.if_else(flat, -HUGE, low), ca.if_else(flat, HUGE, high), 0)
+    return lower(ca.Function("reduced_row", [row, v, N], [ca.densify(outputs)]))
+
+
+def longer_row(n: int, more: int) -> Program:
+    """row → the same row over `more` further variables, which it does not bound."""
+    row = ca.SX.sym("row", n + 3)
+    return lower(ca.Function("longer_row", [row], [ca.densify(ca.vertcat(row[:n], ca.SX.zeros(more), row[n:]))]))

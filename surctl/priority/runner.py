@@ -1,0 +1,185 @@
+"""The fast path from Python: a tick compiled once, its arrays as named views, one call a tick."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TypeAlias, cast, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, ToolMissing
+from surctl.ir import Routine, compile_block, replay
+from surctl.priority.level_shape import LevelShape
+from surctl.priority.polyhedron import polyhedron_of
+from surctl.priority.problem import PriorityProblem
+from surctl.priority.rowspace import ZERO_ROW
+from surctl.priority.safe_point import Rung
+from surctl.priority.settings import Mode
+from surctl.priority.tick import priority_tick
+
+__all__ = ["PriorityTick", "level_shapes"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+class PriorityTick:
+    """`priority_tick` compiled for one caller: write the inputs, call `solve`, read the outputs.
+
+        tick = PriorityTick.of(problem, mode="projected")
+        tick.J[...], tick.lower[...], tick.upper[...] = J, x, x
+        tick.solve()
+        tick.v, tick.rung, tick.binding()
+
+    Every array is a view of one buffer that each `solve` reads or overwrites: copy what must last. Not to be shared
+    between threads. Where there is no C compiler the same numbers come from the replay, slowly.
+
+    Attributes:
+        J (K, n), lower, upper (K,): the levels end to end, highest first; upper = lower for a level with one value.
+        rows (m, n + 3): normal, lower, upper, 1 if it may open; the rows of the box among them.
+        box (2, n): lower and upper, into which v is moved at the end.
+        v (n,), active, multipliers (n,), opening, status, count (1,), target (n,): see `priority_tick`.
+        solve: one tick; takes nothing, gives None.
+        level_names, row_names: set by `load`; otherwise "level 1", … and "row 0", ….
+        levels: the shape of each level.
+        compiled: whether it runs in C.
+    """
+
+    J: Array
+    lower: Array
+    upper: Array
+    rows: Array
+    box: Array
+    v: Array
+    active: Array
+    multipliers: Array
+    opening: Array
+    status: Array
+    count: Array
+    target: Array
+    solve: Callable[[], None]
+
+    def __init__(
+        self, mode: Mode, *, n: int, levels: Sequence[LevelShape], rows: int, sweeps: int = 1, damping: float = 0.0
+    ) -> None:
+        """As `priority_tick`, which raises the errors. All rows are idle and the box is open until they are written."""
+        self.levels, self.mode = tuple(levels), mode
+        routine = priority_tick(mode, n=n, levels=self.levels, rows=rows, sweeps=sweeps, damping=damping)
+        inputs, outputs, self.solve, self.compiled = _bound(routine)
+        self.J, self.rows, self.box = inputs[0].reshape(-1, n), inputs[3].reshape(rows, n + 3), inputs[4].reshape(2, n)
+        self.lower, self.upper = inputs[1:3]
+        self.v, self.active, self.multipliers, self.opening, self.status, self.count, self.target = outputs
+        self.level_names = tuple(f"level {place}" for place in range(1, len(self.levels) + 1))
+        self.row_names = tuple(f"row {place}" for place in range(rows))
+        self.rows[:] = _idle(n)
+        self.box[:] = [[-np.inf], [np.inf]]
+
+    @staticmethod
+    def of(
+        problem: PriorityProblem,
+        mode: Mode = "projected",
+        *,
+        rows: int | None = None,
+        sweeps: int = 1,
+        damping: float = 0.0,
+    ) -> PriorityTick:
+        """A tick for problems of this one's shape, loaded with it; `rows` places, as many as it has if None."""
+        places = max(1, len(problem.rows)) if rows is None else rows
+        tick = PriorityTick(
+            mode, n=problem.width, levels=level_shapes(problem), rows=places, sweeps=sweeps, damping=damping
+        )
+        tick.load(problem)
+        return tick
+
+    def load(self, problem: PriorityProblem) -> None:
+        """Write a checked problem: levels, rows with their names, and the box from its actuator rows.
+
+        Rows of kind "barrier" and "set" may open; unlike in `solve`, they open together.
+
+        Raises:
+            InputError: levels of another shape, or more rows than there are places; it names the level.
+        """
+        self._check(problem)
+        self.J[:] = np.vstack([level.J for level in problem.levels])
+        self.lower[:] = np.concatenate([level.lower for level in problem.levels])
+        self.upper[:] = np.concatenate([level.high for level in problem.levels])
+        self.rows[:] = _idle(problem.width)
+        for place, row in zip(self.rows, problem.rows, strict=False):
+            place[:-3] = row.a
+            place[-3:] = row.lower, row.upper, row.kind != "actuator"
+        self.box[:] = polyhedron_of(problem).box
+        self.level_names = tuple(level.name for level in problem.levels)
+        self.row_names = tuple(row.name for row in problem.rows)
+
+    @property
+    def rung(self) -> Rung:
+        """How the last answer came about."""
+        rungs: tuple[Rung, ...] = get_args(Rung)
+        return rungs[int(self.status[0]) - 1]
+
+    def binding(self) -> tuple[tuple[str, float], ...]:
+        """(name, multiplier) of the rows that shape v, rows as given: positive at an upper bound.
+
+        First those that hold a task back (of ½‖J v − x‖²), then those of ½‖v − target‖². A set-based level that
+        binds has its own name.
+        """
+        found = []
+        for number, multiplier in zip(self.active, self.multipliers, strict=True):
+            if number != 0.0:
+                name, a = self._row(int(abs(number)) - 1)
+                length = float(np.sqrt(a @ a))
+                signed = float(np.copysign(multiplier, number))
+                found.append((name, signed / length if length > ZERO_ROW else signed))
+        return tuple(found)
+
+    def _row(self, place: int) -> tuple[str, Array]:
+        """Name and normal of an active row; beyond the rows stand the set-based levels."""
+        if place < len(self.rows):
+            name = self.row_names[place] if place < len(self.row_names) else f"row {place}"
+            return name, self.rows[place, :-3]
+        sets = [i for i, level in enumerate(self.levels) if level.is_set]
+        which = sets[place - len(self.rows)]
+        start = sum(level.rows for level in self.levels[:which])
+        return self.level_names[which], self.J[start]
+
+    def _check(self, problem: PriorityProblem) -> None:
+        if problem.width != self.v.size:
+            raise InputError(f"has {problem.width} velocities, the tick {self.v.size}", key="problem")
+        if len(problem.levels) != len(self.levels):
+            raise InputError(f"has {len(problem.levels)} levels, the tick {len(self.levels)}", key="problem")
+        for level, shape in zip(problem.levels, self.levels, strict=True):
+            if level.lower.size != shape.rows:
+                raise InputError(f"has {level.lower.size} rows, the tick {shape.rows}", key=f"task {level.name}")
+            if not (shape.is_set or level.is_goal):
+                raise InputError("is set-based, its level in the tick is not", key=f"task {level.name}")
+        if len(problem.rows) > len(self.rows):
+            raise InputError(
+                f"has {len(problem.rows)} rows, the tick {len(self.rows)} places",
+                key="problem",
+                remedy="make the tick with more rows",
+            )
+
+
+def level_shapes(problem: PriorityProblem) -> tuple[LevelShape, ...]:
+    """The shape of each level; one with room between its bounds is set-based."""
+    return tuple(LevelShape(level.lower.size, not level.is_goal) for level in problem.levels)
+
+
+def _idle(n: int) -> Array:
+    """A row that never binds."""
+    return np.concatenate([np.zeros(n), [-np.inf, np.inf, 0.0]])
+
+
+def _bound(routine: Routine) -> tuple[list[Array], list[Array], Callable[[], None], bool]:
+    """Input and output arrays, and what computes the latter from the former; whether that is compiled."""
+    try:
+        workspace = compile_block(routine).workspace()
+    except ToolMissing:
+        inputs, outputs = ([np.zeros(size) for _, size in ports] for ports in (routine.inputs, routine.outputs))
+
+        def run() -> None:
+            for array, value in zip(outputs, replay(routine, *inputs), strict=True):
+                array[:] = cast(Array, value)
+
+        return inputs, outputs, run, False
+    return list(workspace.inputs), list(workspace.outputs), workspace.run, True

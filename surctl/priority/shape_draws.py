@@ -1,0 +1,46 @@
+"""Random priority problems of one shape: what a tick compiled once is tried on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from surctl.priority.draws import draw_levels, draw_problem
+from surctl.priority.level_shape import LevelShape
+from surctl.priority.problem import Level, PriorityProblem, build_problem
+
+__all__ = ["draw_of_shape"]
+
+_N = 4
+
+
+def draw_of_shape(
+    rng: np.random.Generator, shapes: tuple[LevelShape, ...], *, limits: bool = True, conditioned: bool = False
+) -> PriorityProblem:
+    """Levels of these shapes over 4 velocities, with the actuator and barrier rows of `draw_problem`.
+
+    Some levels are rank-deficient, doubled, switched off, or ask for something else than the level above with the
+    same row; rows often contradict each other. At most 22 rows.
+
+    Args:
+        limits: whether there are rows.
+        conditioned: singular values between 0.3 and 3, and no deficient level.
+    """
+    levels: list[Level] = []
+    while len(levels) < len(shapes):
+        for drawn in draw_levels(rng, conditioned=conditioned, deficient=not conditioned):
+            if len(levels) < len(shapes) and drawn.lower.size >= shapes[len(levels)].rows:
+                levels.append(_cut(drawn, shapes[len(levels)], f"task{len(levels)}", rng))
+    if len(levels) > 1 and not conditioned and rng.random() < 0.2:
+        place = int(rng.integers(1, len(levels)))
+        levels[place].J[0] = levels[place - 1].J[0]
+    # rows of kind "set" open after barriers in `solve`, and together with them in a compiled tick
+    rows = [row for row in draw_problem(rng).rows if row.kind != "set"] if limits else []
+    return build_problem(levels, rows)
+
+
+def _cut(level: Level, shape: LevelShape, name: str, rng: np.random.Generator) -> Level:
+    J, lower = level.J[: shape.rows].copy(), level.lower[: shape.rows]
+    if not shape.is_set:
+        return Level(name, J, lower)
+    upper = lower + rng.choice([0.1, 0.5, 2.0])
+    return Level(name, J, np.where(rng.random(1) < 0.2, -np.inf, lower), upper)

@@ -1,0 +1,358 @@
+"""The compiled ticks against the law in NumPy, against references that share no code, and against bad numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from surctl.errors import InputError, SolverError
+from surctl.ir import compile_block, replay, to_casadi
+from surctl.priority import Level, Mode, PriorityProblem, Row, Settings, build_problem, solve
+from surctl.priority.level_shape import LevelShape
+from surctl.priority.optimality import is_optimal
+from surctl.priority.polyhedron import polyhedron_of
+from surctl.priority.references import daqp_hierarchy, printed_law, svd_cascade
+from surctl.priority.runner import PriorityTick
+from surctl.priority.shape_draws import draw_of_shape
+from surctl.priority.tick import OUTPUTS, priority_tick
+from tests.tools import need_compiler
+
+Array = NDArray[np.float64]
+
+N, M = 4, 24
+VALUES = (LevelShape(2), LevelShape(1))
+SETS = (LevelShape(1, True), LevelShape(2), LevelShape(1, True))
+MODES: tuple[Mode, ...] = ("nsb", "filter", "projected", "lexicographic")
+SETTINGS = [Settings(mode) for mode in MODES] + [
+    Settings("nsb", sweeps=3, damping=0.1),
+    Settings("projected", sweeps=3),
+    Settings("projected", damping=0.1),
+]
+STATUS = {"met": "optimal", "limited": "limited", "relaxed": "relaxed", "clamped": "clamped"}
+E = np.eye(N)
+seeds = st.integers(0, 2**32 - 1)
+every = pytest.mark.parametrize("chosen", SETTINGS, ids=lambda s: f"{s.mode}-{s.sweeps}-{s.damping}")
+stacks = pytest.mark.parametrize("shapes", [VALUES, SETS], ids=["values", "sets"])
+modes = pytest.mark.parametrize("mode", MODES)
+
+_made: dict[tuple[object, ...], PriorityTick] = {}
+
+
+def tick_for(shapes: tuple[LevelShape, ...], chosen: Settings) -> PriorityTick:
+    need_compiler()
+    key = (shapes, chosen)
+    if key not in _made:
+        _made[key] = PriorityTick(chosen.mode, n=N, levels=shapes, rows=M, sweeps=chosen.sweeps, damping=chosen.damping)
+    return _made[key]
+
+
+def box(half: float) -> list[Row]:
+    return [Row(f"box.{axis}", "actuator", E[i], -half, half) for i, axis in enumerate("uvwr")]
+
+
+def size(v: Array) -> float:
+    return 1.0 + float(np.abs(v).max())
+
+
+@every
+@stacks
+def test_it_is_the_law_in_numpy(shapes: tuple[LevelShape, ...], chosen: Settings) -> None:
+    tick, rng, seen = tick_for(shapes, chosen), np.random.default_rng(11), set()
+    arguments = {"mode": chosen.mode, "sweeps": chosen.sweeps, "damping": chosen.damping}
+    for _ in range(200):
+        problem = draw_of_shape(rng, shapes)
+        tick.load(problem)
+        tick.solve()
+        want = solve(problem, **arguments)
+        assert STATUS[tick.rung] == want.status
+        # the least opening leaves a set without inside, where digits are lost in both
+        bar = 1e-12 if chosen.mode == "nsb" else 1e-6 if want.status == "relaxed" else 2e-8
+        assert np.abs(tick.v - want.v).max() <= bar * size(want.v)
+        assert is_optimal(tick.v, problem, settings=chosen, target=tick.target, tol=1e-6)
+        seen.add(tick.rung)
+    expected = {"nsb": {"met"}, "filter": {"met", "relaxed"}}.get(chosen.mode, {"met", "limited", "relaxed"})
+    assert seen == expected - ({"limited"} if chosen.damping else set())
+
+
+@stacks
+def test_the_judge_refuses_a_moved_answer(shapes: tuple[LevelShape, ...]) -> None:
+    rng = np.random.default_rng(3)
+    for chosen in SETTINGS[1:4]:
+        tick, refused = tick_for(shapes, chosen), 0
+        for _ in range(40):
+            problem = draw_of_shape(rng, shapes)
+            tick.load(problem)
+            tick.solve()
+            v = tick.v + 1e-4 * rng.normal(size=N)
+            refused += not is_optimal(v, problem, settings=chosen, target=tick.target, tol=1e-6)
+        assert refused >= 38
+
+
+@given(seeds)
+@settings(max_examples=100)
+def test_without_rows_the_modes_are_nsb_and_strict_priority(seed: int) -> None:
+    problem = draw_of_shape(np.random.default_rng(seed), VALUES, limits=False)
+    for mode in MODES:
+        tick = tick_for(VALUES, Settings(mode))
+        tick.load(problem)
+        tick.solve()
+        want = svd_cascade(problem.levels) if mode == "lexicographic" else printed_law(problem.levels)
+        assert np.abs(tick.v - want).max() <= (1e-9 if mode == "lexicographic" else 1e-11) * size(want)
+        assert tick.rung == "met" and tick.binding() == ()
+
+
+@given(seeds)
+@settings(max_examples=50)
+def test_independent_rows_give_nsb_to_the_last_digits(seed: int) -> None:
+    problem = draw_of_shape(np.random.default_rng(seed), VALUES, limits=False, conditioned=True)
+    tick = tick_for(VALUES, Settings("nsb"))
+    tick.load(problem)
+    tick.solve()
+    want = printed_law(problem.levels)
+    assert np.abs(tick.v - want).max() <= 1e-13 * size(want)
+
+
+def unit_rows(problem: PriorityProblem) -> PriorityProblem:
+    """DAQP scales rows to length 1: residuals compare where they have it already."""
+    made = []
+    for level in problem.levels:
+        length = np.linalg.norm(level.J, axis=1)
+        made.append(Level(level.name, level.J / np.where(length > 0, length, 1.0)[:, None], level.lower, level.high))
+    return build_problem(made, problem.rows)
+
+
+@stacks
+def test_no_level_is_served_worse_than_by_daqp_s_hierarchy(shapes: tuple[LevelShape, ...]) -> None:
+    tick, rng, compared = tick_for(shapes, Settings("lexicographic")), np.random.default_rng(5), 0
+    for _ in range(300):
+        problem = unit_rows(draw_of_shape(rng, shapes))
+        tick.load(problem)
+        tick.solve()
+        if tick.rung not in ("met", "limited"):
+            continue
+        try:
+            other = daqp_hierarchy(problem)
+        except SolverError:
+            continue
+        rows = polyhedron_of(problem)
+        assert rows.violation(tick.v).max() <= 1e-9
+        if rows.violation(other).max() > 1e-9:
+            continue
+        gaps = np.array([level.residual(tick.v) - level.residual(other) for level in problem.levels])
+        different = np.flatnonzero(np.abs(gaps) > 1e-8)
+        compared += different.size == 0
+        if different.size:  # DAQP stops a hair off the best of a higher level, which frees a lower one: who is right?
+            strict = Settings("lexicographic")
+            assert is_optimal(tick.v, problem, settings=strict, target=np.zeros(N), tol=1e-9)
+            assert not is_optimal(other, problem, settings=strict, target=np.zeros(N), tol=1e-9)
+    assert compared > 60
+
+
+def test_the_opening_is_the_least() -> None:
+    rng, compared = np.random.default_rng(2), 0
+    for chosen in (Settings("filter"), Settings("projected", damping=0.1), Settings("lexicographic")):
+        tick = tick_for(SETS, chosen)
+        for _ in range(60):
+            problem = draw_of_shape(rng, SETS)
+            tick.load(problem)
+            tick.solve()
+            if tick.rung == "relaxed":
+                rows = polyhedron_of(problem)
+                opens = -(~rows.mask("actuator")).astype(float)
+                sides = [(rows.A, rows.upper), (-rows.A, -rows.lower)]
+                G = np.vstack([np.column_stack([A, opens])[np.isfinite(b)] for A, b in sides])
+                h = np.concatenate([b[np.isfinite(b)] for _, b in sides])
+                bounds = [(None, None)] * N + [(0, None)]
+                least = linprog(np.append(np.zeros(N), 1.0), G, h, bounds=bounds, method="highs")
+                assert abs(tick.opening[0] - least.x[-1]) <= 1e-6
+                compared += 1
+    assert compared > 30
+
+
+def test_the_rows_that_hold_the_first_task_back_balance_its_pull() -> None:
+    tick, rng, checked = tick_for(VALUES, Settings("projected")), np.random.default_rng(8), 0
+    for _ in range(200):
+        problem = draw_of_shape(rng, VALUES, conditioned=True)
+        tick.load(problem)
+        tick.solve()
+        if tick.rung != "limited":
+            continue
+        J, x = problem.levels[0].J, problem.levels[0].lower
+        normal = {row.name: row.a for row in problem.rows}
+        pull, first = J.T @ (x - J @ tick.v), {}
+        for name, multiplier in tick.binding():
+            first[name] = multiplier * normal[name]
+            if np.abs(sum(first.values()) - pull).max() <= 1e-7:
+                checked += 1
+                break
+        else:
+            raise AssertionError((tick.binding(), pull))
+    assert checked > 30
+
+
+def test_a_limited_task_names_its_row() -> None:
+    first = Level("surge", E[[0, 3]], np.array([1.0, 0.0]))
+    problem = build_problem([first, Level("depth", E[2:3], np.array([0.1]))], box(0.22))
+    for mode in ("projected", "lexicographic"):
+        tick = tick_for(VALUES, Settings(mode))
+        tick.load(problem)
+        tick.solve()
+        np.testing.assert_allclose(tick.v, [0.22, 0, 0.1, 0], atol=1e-12)
+        assert tick.rung == "limited"
+        assert tick.binding() == (("box.u", pytest.approx(0.78)),)
+
+
+def test_a_set_that_binds_has_its_own_name() -> None:
+    depth = Level("depth", E[2:3], np.array([0.2]), np.array([0.4]))
+    heading = Level("heading", E[3:], np.array([-0.1]), np.array([0.1]))
+    surge = Level("surge", E[:2], np.array([0.1, 0.0]))
+    tick = tick_for(SETS, Settings("lexicographic"))
+    tick.load(build_problem([depth, surge, heading], box(1.0)))
+    tick.solve()
+    np.testing.assert_allclose(tick.v, [0.1, 0, 0.2, 0], atol=1e-12)
+    assert tick.binding() == (("depth", pytest.approx(-0.2)),)
+
+
+@pytest.mark.parametrize("mode", ["projected", "filter", "nsb"])
+def test_a_set_based_level_makes_no_jump(mode: Mode) -> None:
+    """Along a smooth path into the set, through it and out, steps of v stay in proportion to steps of the path."""
+    tick, rng = tick_for(SETS, Settings(mode)), np.random.default_rng(4)
+    problem = draw_of_shape(rng, SETS, conditioned=True)
+    problem = build_problem(problem.levels, box(0.6))
+    tick.load(problem)
+    last, largest, kept = None, 0.0, set()
+    for middle in np.linspace(-3, 3, 3001):
+        tick.lower[0], tick.upper[0] = middle - 0.3, middle + 0.3
+        tick.solve()
+        value = float(tick.J[0] @ tick.v)
+        kept.add(int(value > tick.upper[0] - 1e-9) - int(value < tick.lower[0] + 1e-9))
+        if last is not None:
+            largest = max(largest, float(np.abs(tick.v - last).max()) / 0.002)
+        last = tick.v.copy()
+    assert kept >= {-1, 0, 1}
+    assert largest <= 5.0
+
+
+@modes
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e308, -1e308, 1e-320])
+def test_no_number_anywhere_makes_it_anything_but_finite(mode: Mode, bad: float) -> None:
+    tick = tick_for(SETS, Settings(mode))
+    problem = draw_of_shape(np.random.default_rng(1), SETS)
+    inputs = {"J": tick.J, "lower": tick.lower, "upper": tick.upper, "rows": tick.rows, "box": tick.box}
+    for name, array in inputs.items():
+        for k in range(array.size):
+            tick.load(problem)
+            array.reshape(-1)[k] = bad
+            tick.solve()
+            for output in OUTPUTS:
+                assert np.isfinite(getattr(tick, output)).all(), (name, k, output)
+            if mode != "nsb" and name != "box":
+                assert (tick.box[0] <= tick.v).all() and (tick.v <= tick.box[1]).all()
+            if np.isnan(bad) and name in ("J", "lower", "upper"):
+                assert tick.rung == "clamped"
+                assert (tick.v == 0.0).all()  # 0 lies in the box
+
+
+@modes
+def test_a_value_with_two_bounds_is_no_value(mode: Mode) -> None:
+    tick = tick_for(VALUES, Settings(mode))
+    tick.load(draw_of_shape(np.random.default_rng(0), VALUES))
+    tick.upper[1] += 1e-3
+    tick.solve()
+    assert tick.rung == "clamped" and (tick.v == 0.0).all()
+
+
+@modes
+def test_hard_rows_that_contradict_each_other_leave_the_box(mode: Mode) -> None:
+    if mode == "nsb":
+        return
+    against = Row("against", "actuator", E[0] + E[1], 1.0, np.inf)
+    tick = tick_for(VALUES, Settings(mode))
+    tick.load(build_problem(draw_of_shape(np.random.default_rng(0), VALUES).levels, [*box(0.2), against]))
+    tick.solve()
+    assert tick.rung == "clamped" and np.abs(tick.v).max() <= 0.2 and tick.binding() == ()
+
+
+@modes
+def test_compiled_and_replayed_are_the_same_bytes(mode: Mode) -> None:
+    need_compiler()
+    routine, rng, made = priority_tick(mode, n=N, levels=SETS, rows=7), np.random.default_rng(9), []
+    for _ in range(30):
+        problem = draw_of_shape(rng, SETS, limits=False)
+        rows = [Row(f"wall{i}", "barrier", rng.normal(size=N), -np.inf, 0.3 * rng.normal()) for i in range(3)]
+        loaded = PriorityTick.of(build_problem(problem.levels, [*box(0.3), *rows]), "nsb", rows=7)
+        inputs = (loaded.J, loaded.lower, loaded.upper, loaded.rows, loaded.box)
+        made.append([array.reshape(-1).copy() for array in inputs])
+    arrays = [np.array(column) for column in zip(*made, strict=True)]
+    outputs = dict(zip(OUTPUTS, compile_block(routine)(*arrays), strict=True))
+    for (name, a), b in zip(outputs.items(), replay(routine, *arrays), strict=True):
+        assert a.tobytes() == np.asarray(b).tobytes(), name
+    assert mode in ("nsb", "filter") or set(outputs["status"][:, 0]) >= {1.0, 2.0, 3.0}
+
+
+@modes
+def test_casadi_runs_the_same_routine(mode: Mode) -> None:
+    shapes, rng = (LevelShape(1), LevelShape(1, True)), np.random.default_rng(6)
+    routine = priority_tick(mode, n=2, levels=shapes, rows=3)
+    machine = to_casadi(routine)
+    for _ in range(3):
+        rows = np.zeros((3, 5))
+        rows[:2, :2], rows[:2, 2], rows[:2, 3] = np.eye(2), -0.5, 0.5
+        rows[2] = [*rng.normal(size=2), -np.inf, rng.normal(), 1.0]
+        lower = rng.normal(size=2)
+        upper = lower + np.array([0.0, 0.2])
+        inputs = [rng.normal(size=4), lower, upper, rows.reshape(-1), np.array([-0.5, -0.5, 0.5, 0.5])]
+        for a, b in zip(machine.call(inputs), replay(routine, *inputs), strict=True):
+            np.testing.assert_array_equal(np.array(a).reshape(-1), b)
+
+
+def test_without_a_compiler_the_replay_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = draw_of_shape(np.random.default_rng(0), VALUES)
+    want = tick_for(VALUES, Settings("filter"))
+    want.load(problem)
+    want.solve()
+    monkeypatch.setenv("CC", "no-such-compiler")
+    tick = PriorityTick("filter", n=N, levels=VALUES, rows=M)
+    tick.load(problem)
+    tick.solve()
+    assert want.compiled and not tick.compiled
+    for name in OUTPUTS:
+        assert getattr(tick, name).tobytes() == getattr(want, name).tobytes()
+
+
+def test_one_velocity_and_more_rows_than_velocities() -> None:
+    for mode in MODES:
+        tall = Level("tall", np.array([[1.0], [2.0], [2.0]]), np.array([0.1, 0.2, 0.2]))
+        tick = PriorityTick.of(build_problem([tall], [Row("fast", "barrier", np.array([1.0]), -np.inf, 0.5)]), mode)
+        tick.solve()
+        np.testing.assert_allclose(tick.v, [0.1], atol=1e-12)
+        assert tick.rung == "met"
+
+
+def test_wrong_shapes_are_told_by_name() -> None:
+    with pytest.raises(InputError, match=r"level 2.*split it"):
+        priority_tick("nsb", n=4, levels=(LevelShape(1), LevelShape(2, True)), rows=1)
+    with pytest.raises(InputError, match="no such priority mode"):
+        priority_tick("nsbb", n=4, levels=VALUES, rows=1)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="sweeps"):
+        priority_tick("lexicographic", n=4, levels=VALUES, rows=1, sweeps=2)
+    for wrong in ({"n": 0}, {"levels": ()}, {"levels": (LevelShape(0),)}, {"rows": 0}):
+        with pytest.raises(InputError):
+            priority_tick("projected", **{"n": 4, "levels": VALUES, "rows": 1, **wrong})
+
+
+def test_load_refuses_another_shape_by_name() -> None:
+    tick = tick_for(VALUES, Settings("nsb"))
+    good = draw_of_shape(np.random.default_rng(0), VALUES)
+    narrow = build_problem([Level("a", np.eye(2)[:1], np.zeros(1))])
+    tall = build_problem([Level("a", E[:1], np.zeros(1)), good.levels[1]])
+    slab = build_problem([good.levels[0], Level("b", E[:1], np.zeros(1), np.ones(1))])
+    many = build_problem(good.levels, [Row(f"r{i}", "barrier", E[0], -1.0, 1.0) for i in range(M + 1)])
+    for problem, word in ((narrow, "velocities"), (build_problem(good.levels[:1]), "levels"), (tall, "task a"),
+                          (slab, "task b"), (many, "places")):  # fmt: skip
+        with pytest.raises(InputError, match=word):
+            tick.load(problem)
