@@ -8,7 +8,7 @@ import casadi as ca
 
 from surctl.errors import InputError
 
-__all__ = ["nsb_symbolic"]
+__all__ = ["nsb_symbolic", "projection"]
 
 _DEPENDENT = 1e-12
 """A row whose squared distance from the rows above it is below this part of its square is dependent."""
@@ -34,8 +34,13 @@ def nsb_symbolic(levels: Sequence[tuple[ca.SX, ca.SX]], *, damping: float = 0.0)
     _check(levels, damping)
     w = ca.SX.zeros(levels[0][0].shape[1], 1)
     for J, x in reversed(levels):
-        w = w + J.T @ _solve_gram(J, x - J @ w, damping)
+        w = projection(w, J, x, damping=damping)
     return ca.densify(w)
+
+
+def projection(w: ca.SX, J: ca.SX, x: ca.SX, *, damping: float = 0.0) -> ca.SX:
+    """One step of the sweep, from w (n, 1): argmin λ²‖z − w‖² + ‖J z − x‖²; J (k, n), x (k, 1)."""
+    return w + J.T @ _solve_gram(J, x - J @ w, damping)
 
 
 def _solve_gram(J: ca.SX, rhs: ca.SX, damping: float) -> ca.SX:

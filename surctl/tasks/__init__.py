@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from surctl.tasks.acceleration import AccelerationLimit
+from surctl.tasks.actuators import ActuatorLimits
+from surctl.tasks.barrier import Barrier
+from surctl.tasks.braking import BrakingBarrier
 from surctl.tasks.library import (
     clearance_task,
     depth_task,
@@ -11,16 +15,27 @@ from surctl.tasks.library import (
     position_task,
     velocity_task,
 )
-from surctl.tasks.limits import HalfPlane, Limit, LimitRow, VelocityBox
+from surctl.tasks.limits import HalfPlane, Kind, Limit, LimitRow, VelocityBox
+from surctl.tasks.rate import RateLimit
+from surctl.tasks.set_task import SetTask
 from surctl.tasks.stack import Stack
 from surctl.tasks.task import Task
+from surctl.tasks.thrust import ThrustLimit
 
 __all__ = [
+    "AccelerationLimit",
+    "ActuatorLimits",
+    "Barrier",
+    "BrakingBarrier",
     "HalfPlane",
+    "Kind",
     "Limit",
     "LimitRow",
+    "RateLimit",
+    "SetTask",
     "Stack",
     "Task",
+    "ThrustLimit",
     "VelocityBox",
     "clearance_task",
     "depth_task",

@@ -25,26 +25,28 @@ def position_task(
 ) -> Task:
     """σ = (x, y) or (x, y, z) [m] in {E}, as many as `target` has; `rate` [m/s], `gain` [1/s]."""
     wanted = _vector(name, "target", target, (2, 3))
-    return Task(name=name, eta=eta, sigma=eta[: wanted.numel()], target=wanted, rate=rate, gain=gain)
+    return Task(name=name, eta=eta, sigma=eta[: wanted.numel()], target=wanted, rate=rate, gain=gain, unit="m")
 
 
 def depth_task(
     eta: ca.SX, z_d: Expression, *, rate: Expression = 0.0, gain: Expression = 1.0, name: str = "depth"
 ) -> Task:
     """σ = z [m] in {E}, upwards: 0.15 m deep is z_d = −0.15."""
-    return Task(name=name, eta=eta, sigma=eta[2], target=z_d, rate=rate, gain=gain)
+    return Task(name=name, eta=eta, sigma=eta[2], target=z_d, rate=rate, gain=gain, unit="m")
 
 
 def heading_task(
     eta: ca.SX, psi_d: Expression, *, rate: Expression = 0.0, gain: Expression = 1.0, name: str = "heading"
 ) -> Task:
     """σ = ψ [rad], counter-clockwise from x; turns the short way round."""
-    return Task(name=name, eta=eta, sigma=eta[3], target=psi_d, rate=rate, gain=gain, angular=True)
+    return Task(name=name, eta=eta, sigma=eta[3], target=psi_d, rate=rate, gain=gain, angular=True, unit="rad")
 
 
 def velocity_task(eta: ca.SX, v_world: Expression, *, name: str = "velocity") -> Task:
     """σ = (x, y) with σ̃ = 0: only its rate `v_world` (2,) [m/s] in {E} counts."""
-    return Task(name=name, eta=eta, sigma=eta[:2], target=eta[:2], rate=_vector(name, "v_world", v_world, (2,)))
+    return Task(
+        name=name, eta=eta, sigma=eta[:2], target=eta[:2], rate=_vector(name, "v_world", v_world, (2,)), unit="m"
+    )
 
 
 def clearance_task(
@@ -56,7 +58,7 @@ def clearance_task(
     anti-collision radius.
     """
     sigma = _distance(eta, _vector(name, "echo_point", echo_point, (2,))) - _scalar(name, "margin", margin)
-    return Task(name=name, eta=eta, sigma=sigma, gain=gain)
+    return Task(name=name, eta=eta, sigma=sigma, gain=gain, unit="m")
 
 
 def distance_task(
@@ -64,7 +66,7 @@ def distance_task(
 ) -> Task:
     """σ = horizontal distance to `point` (2,) [m] in {E}, to be held at `distance` [m]."""
     sigma = _distance(eta, _vector(name, "point", point, (2,)))
-    return Task(name=name, eta=eta, sigma=sigma, target=_scalar(name, "distance", distance), gain=gain)
+    return Task(name=name, eta=eta, sigma=sigma, target=_scalar(name, "distance", distance), gain=gain, unit="m")
 
 
 def line_of_sight_task(eta: ca.SX, point: Expression, *, gain: Expression = 1.0, name: str = "line_of_sight") -> Task:
@@ -75,7 +77,7 @@ def line_of_sight_task(eta: ca.SX, point: Expression, *, gain: Expression = 1.0,
     offset = _vector(name, "point", point, (2,)) - eta[:2]
     near = ca.sumsqr(offset) < _NEAR**2
     bearing = ca.atan2(ca.if_else(near, 0.0, offset[1]), ca.if_else(near, 1.0, offset[0]))
-    return Task(name=name, eta=eta, sigma=bearing - eta[3], gain=gain, angular=True)
+    return Task(name=name, eta=eta, sigma=bearing - eta[3], gain=gain, angular=True, unit="rad")
 
 
 def _distance(eta: ca.SX, point: ca.SX) -> ca.SX:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from surctl.errors import InputError
+from surctl.tasks.set_task import SetTask
 from surctl.tasks.task import Task
 
 __all__ = ["Stack"]
@@ -14,13 +15,13 @@ __all__ = ["Stack"]
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """Tasks in order of priority, highest first.
+    """Tasks and set-based tasks in order of priority, highest first.
 
     Raises:
         InputError: no task, two tasks with one name, or tasks written over different `eta` symbols.
     """
 
-    tasks: tuple[Task, ...]
+    tasks: tuple[Task | SetTask, ...]
 
     def __post_init__(self) -> None:
         """Check names and symbols."""
@@ -55,5 +56,28 @@ class Stack:
         return tuple(task.name for task in self.tasks)
 
     def levels(self) -> list[tuple[ca.SX, ca.SX]]:
-        """(J (k, 4), x (k, 1)) of each task, highest first: σ̇ = J ν should be x (13)–(14)."""
-        return [(task.jacobian(), task.reference()) for task in self.tasks]
+        """(J (k, 4), x (k, 1)) of each task, highest first: σ̇ = J ν should be x (13)–(14).
+
+        Raises:
+            InputError: a task is set-based, so that it has no x; `slabs` has both.
+        """
+        return [(task.jacobian(), _equality(task).reference()) for task in self.tasks]
+
+    def slabs(self) -> list[tuple[ca.SX, ca.SX, ca.SX]]:
+        """(J (k, 4), lower (k, 1), upper (k, 1)) of each task, highest first; both are x for a Task."""
+        return [(task.jacobian(), *_slab(task)) for task in self.tasks]
+
+
+def _slab(task: Task | SetTask) -> tuple[ca.SX, ca.SX]:
+    if isinstance(task, SetTask):
+        return task.slab()
+    reference = task.reference()
+    return reference, reference
+
+
+def _equality(task: Task | SetTask) -> Task:
+    if isinstance(task, SetTask):
+        raise InputError(
+            "is set-based, so it has no one reference", key=f"task {task.name}", remedy="take the slabs of the stack"
+        )
+    return task

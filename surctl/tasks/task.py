@@ -32,10 +32,11 @@ class Task:
         rate: σ̇_d, (k, 1) or one number [unit of σ per second]; default 0.
         gain: K, diagonal (k,) or one number [1/s]; numbers must be greater than 0; default 1.
         angular: σ is an angle [rad]: the error is brought to (−π, π].
+        unit: unit of σ, such as "m" or "rad", for what is told about the task; "" if not said.
 
     Raises:
         InputError: bad name, sizes that disagree, a number that is not finite, a gain that is not positive,
-            σ that does not depend on η; each names the task.
+            σ that does not depend on η, a unit that is no text; each names the task.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Task:
     rate: Expression = 0.0
     gain: Expression = 1.0
     angular: bool = False
+    unit: str = ""
 
     def __post_init__(self) -> None:
         """Check, and turn every number into a column of k expressions."""
@@ -60,11 +62,17 @@ class Task:
         for field in ("target", "rate", "gain"):
             object.__setattr__(self, field, _column_of(self, field, sigma.shape[0]))
         _check_gain(self)
+        if not isinstance(self.unit, str):
+            raise _wrong(self, "unit", "is not a text", 'write unit = "m"', self.unit)
 
     @property
     def size(self) -> int:
         """k, the number of rows."""
         return int(self.sigma.shape[0])
+
+    def row_names(self, what: str) -> tuple[str, ...]:
+        """NAME.WHAT for one row, NAME.WHAT0, NAME.WHAT1, … for more."""
+        return (f"{self.name}.{what}",) if self.size == 1 else tuple(f"{self.name}.{what}{i}" for i in range(self.size))
 
     def jacobian(self) -> ca.SX:
         """J, (k, 4): σ̇ = J ν for ν = (u, v, w, r) in {B}; J = ∂σ/∂η · J(η), by differentiation (13)."""

@@ -1,0 +1,256 @@
+"""Mode `lexicographic`: strict priority inside the rows, one level after another in a bounded loop.
+
+What the levels above leave free is v = base + N y, with N an orthogonal projector and base orthogonal to it, so that
+the kernel's nearest point to base is the nearest to 0. A level then is one of
+
+1. reachable: its value is frozen by elimination (base moves, N loses the level's directions). A set-based level is
+   kept as a row instead;
+2. not reachable inside the rows: it is served as well as they allow (`serve`), and that value frozen.
+
+Nothing is ever frozen by a row with a tolerance, so the rows stay consistent. If they are not from the start, the
+soft ones are opened first, as the safe tick does it.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from surctl.ir import Call, Loop, Program, Routine, Step, lower
+from surctl.priority.decomposition import decompose
+from surctl.priority.dual_step import OPTIMAL, Space
+from surctl.priority.elimination import as_matrix
+from surctl.priority.kernel import certificate, kernel
+from surctl.priority.ladder import CLAMPED, LIMITED, safe_tick
+from surctl.priority.level_shape import StackShape, SymbolicLevel
+from surctl.priority.rungs import SHORT
+from surctl.priority.compiled_serve import serve
+from surctl.priority.compiled_sweep import HUGE
+from surctl.priority.tangent import merged
+
+__all__ = ["cascade"]
+
+_STATE = ("stop", "v", "base", "N", "rows", "held", "hold", "active", "push", "limited", "count")
+
+
+class _Sizes:
+    """n velocities, k rows of the tallest level, m rows with those of set-based levels at the end."""
+
+    def __init__(self, shape: StackShape, rows: int) -> None:
+        self.shape, self.n, self.k, self.given = shape, shape.n, shape.tallest, rows
+        self.sets = sum(level.is_set for level in shape.levels)
+        self.m = rows + self.sets
+        self.row = shape.n + 3
+
+    @property
+    def state(self) -> tuple[tuple[str, int], ...]:
+        """What a level hands to the next.
+
+        stop: nothing more to do. v: keeps the rows. base, N: what is free. rows: of length 1, opened. held, hold:
+        numbers and multipliers of rows that hold levels back. active, push: those of the last projection. limited:
+        whether level 1 was not reachable. count: iterations.
+        """
+        n = self.n
+        sizes = (1, n, n, n * n, self.m * self.row, n, n, n, n, 1, 1)
+        return tuple(zip(_STATE, sizes, strict=True))
+
+    @property
+    def level(self) -> tuple[tuple[str, int], ...]:
+        """What the loop reads of a level, padded: is_set, first: flags; slot: where the row of a set-based one goes."""
+        return (
+            ("J_i", self.k * self.n),
+            ("lower_i", self.k),
+            ("upper_i", self.k),
+            ("is_set", 1),
+            ("first", 1),
+            ("slot", self.sets),
+        )
+
+
+def cascade(shape: StackShape, rows: int) -> Routine:
+    """(J, lower, upper, rows, box, sound) → v, active, multipliers, opening, status, count, target (0).
+
+    sound: 0 stops it before the first level.
+    """
+    sizes = _Sizes(shape, rows)
+    n, start = shape.n, tuple(f"{name}_0" for name in _STATE)
+    last, tick = tuple(f"{name}_last" for name in _STATE), ("v_t", "active_t", "push_t", "opening", "status_t", "spent")
+    levels = tuple(f"{name}_all" for name, _ in sizes.level if name != "slot" or sizes.sets)
+    steps: tuple[Step, ...] = (
+        Call(_arrange(sizes), ("J", "lower", "upper", "rows"), (*levels, "zero", "none", "rows_all")),
+        Call(safe_tick(n, 1, sizes.m), ("zero", "zero", "none", "rows_all", "box"), tick),
+        Loop(_opened(sizes.n), sizes.m, (), ("rows_0",), sliced=("rows_all",), fixed=("opening", "v_t")),
+        Call(_begin(sizes), (*tick[:3], *tick[4:], "sound"), tuple(s for s in start if s != "rows_0")),
+        Loop(_level(sizes), len(shape.levels), start, last, sliced=levels, until=0),
+        Call(merged(n), ("held_last", "hold_last", "active_last", "push_last"), ("active", "multipliers")),
+        Call(_end(sizes), ("v_last", "limited_last", "status_t"), ("v", "status", "target")),
+    )
+    inputs = (*shape.inputs, ("rows", rows * sizes.row), ("box", 2 * n), ("sound", 1))
+    outputs = ("v", "active", "multipliers", "opening", "status", "count_last", "target")
+    return Routine("cascade", inputs, steps, outputs)
+
+
+def _arrange(sizes: _Sizes) -> Program:
+    """(J, lower, upper, rows) → the levels padded to one size, flags, 0, 0, the rows with places for sets."""
+    shape, n, k = sizes.shape, sizes.n, sizes.k
+    flat, levels = shape.symbols()
+    rows = ca.SX.sym("rows", sizes.given * sizes.row)
+    zeros = [ca.SX.zeros(k - level.J.shape[0]) for level in levels]
+    J = [ca.vertcat(ca.vec(lv.J.T), ca.SX.zeros(z.numel() * n)) for lv, z in zip(levels, zeros, strict=True)]
+    place, slots = 0, []
+    for level in levels:
+        slots += [ca.SX(int(level.is_set and j == place)) for j in range(sizes.sets)]
+        place += level.is_set
+    idle = ca.vertcat(ca.SX.zeros(n), -HUGE, HUGE, 0)
+    outputs = [
+        ca.vertcat(*J),
+        ca.vertcat(*(ca.vertcat(lv.lower, z) for lv, z in zip(levels, zeros, strict=True))),
+        ca.vertcat(*(ca.vertcat(lv.upper, z) for lv, z in zip(levels, zeros, strict=True))),
+        ca.vertcat(*(ca.SX(int(lv.is_set)) for lv in levels)),
+        ca.vertcat(*(ca.SX(int(i == 0)) for i in range(len(levels)))),
+        *([ca.vertcat(*slots)] if slots else []),
+        ca.SX.zeros(n),
+        ca.SX.zeros(1),
+        ca.vertcat(rows, *([idle] * sizes.sets)),
+    ]
+    return lower(ca.Function("arrange", [*flat, rows], list(map(ca.densify, outputs))))
+
+
+def _opened(n: int) -> Program:
+    """(row, opening, v) → the row of length 1, opened if it is soft, and wide enough to hold v to the last digit."""
+    row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
+    length = ca.sqrt(ca.sumsqr(row[:n]))
+    a = row[: n + 2] * (1 / ca.if_else(length <= SHORT, 1, length))
+    value, room = ca.dot(a[:n], v), row[n + 2] * opening
+    low, high = a[n] - room, a[n + 1] + room
+    low, high = ca.if_else(low <= value, low, value), ca.if_else(high >= value, high, value)
+    return lower(ca.Function("opened", [row, opening, v], [ca.vertcat(a[:n], low, high, 0)]))
+
+
+def _begin(sizes: _Sizes) -> Program:
+    """(v, active, push, status, count, sound) → the state without its rows."""
+    n = sizes.n
+    v, active, push = (ca.SX.sym(name, n) for name in ("v", "active", "push"))
+    status, count, sound = (ca.SX.sym(name) for name in ("status", "count", "sound"))
+    zero = ca.SX.zeros(n)
+    stop = ca.logic_or(ca.eq(status, CLAMPED), ca.logic_not(sound))
+    outputs = [stop, v, zero, ca.vec(ca.SX.eye(n)), zero, zero, active, push, ca.SX.zeros(1), count]
+    return lower(ca.Function("begin_levels", [v, active, push, status, count, sound], list(map(ca.densify, outputs))))
+
+
+def _level(sizes: _Sizes) -> Routine:
+    """One level: try it, and serve it if it cannot be reached."""
+    n, k, m = sizes.n, sizes.k, sizes.m
+    space = Space(n, n)
+    level = tuple(pair for pair in sizes.level if pair[1])
+    slot = ("slot",) if sizes.sets else ()
+    freedom = ("base_c", "N_c", "N_less", "directions", "task", "turn", "x_i", "square")
+    after = tuple(f"{name}_next" for name in _STATE)
+    tried = ("skip", "v_1", "base_1", "N_1", "rows_1", "held_1", "hold_1", "active_1", "push_1", "count_1")
+    served = ("skip_2", *after[1:9], "count_next")
+    steps: tuple[Step, ...] = (
+        Call(_free(sizes), ("v", "base", "N", "J_i", "lower_i", "upper_i", "is_set"), (*freedom, "row_i")),
+        Call(_added(sizes), ("rows", "row_i", *slot), ("rows_c",)),
+        Call(_zero(), ("stop",), ("go",)),
+        Call(kernel(space, m), ("rows_c", "base_c", "go", "N_c"), ("point", "numbers", "u", "end", "spent")),
+        Call(certificate(space, m), ("rows_c", "point"), ("kept",)),
+        Call(
+            _tried(sizes),
+            ("point", "numbers", "u", "end", "kept", "base_c", "N_c", "rows_c", *_STATE, "spent", "first"),
+            (*tried, "limited_next"),
+        ),
+        Loop(
+            serve(n, k, m),
+            1,
+            carried=tried,
+            results=served,
+            fixed=("N", "N_less", "directions", "task", "turn", "J_i", "x_i", "square"),
+            until=0,
+        ),
+    )
+    results = tuple("stop" if name == "stop_next" else name for name in after)
+    return Routine("level", (*sizes.state, *level), steps, results)
+
+
+def _zero() -> Program:
+    stop = ca.SX.sym("stop")
+    return lower(ca.Function("go", [stop], [ca.SX.zeros(1)]))
+
+
+def _free(sizes: _Sizes) -> Program:
+    """(v, base, N, J, lower, upper, is_set) → what the level would leave free, and what is needed to serve it.
+
+    base (n + 1) and N if it is reached, N without its directions, its directions Q, its task T Q and the turn Pᵀ·scale
+    inside N (see `decomposition`), the value asked for, 1/scale², and its row if it is set-based.
+    """
+    n, k = sizes.n, sizes.k
+    v, base, N, J = ca.SX.sym("v", n), ca.SX.sym("base", n), ca.SX.sym("N", n * n), ca.SX.sym("J", k * n)
+    low, high, is_set = ca.SX.sym("low", k), ca.SX.sym("high", k), ca.SX.sym("is_set")
+    matrix, projector = as_matrix(J, n), as_matrix(N, n)
+    slab = SymbolicLevel(matrix, low, high, is_set=True)
+    x = ca.if_else(is_set, slab.wanted(v), low)
+    parts = decompose(matrix, projector)
+    less = projector - parts.directions().T @ parts.directions()
+    reached = base + parts.directions().T @ parts.coordinates(x - matrix @ base)
+    length = ca.sqrt(ca.sumsqr(matrix[0, :]))
+    unit = 1 / ca.if_else(length <= SHORT, 1, length)
+    row = ca.vertcat(matrix[0, :].T * unit, low[0] * unit, high[0] * unit, 0)
+    turn = ca.vertcat(*(parts.scale * p.T for p in parts.P))
+    outputs = [
+        ca.vertcat(ca.if_else(is_set, base, reached), 0),
+        ca.vec(ca.if_else(is_set, projector, less)),
+        ca.vec(less),
+        ca.vec(parts.directions().T),
+        ca.vec(parts.task().T),
+        ca.vec(turn.T),
+        x,
+        ca.if_else(parts.scale > 0, 1 / ca.if_else(parts.scale > 0, parts.scale, 1) ** 2, 0),
+        row,
+    ]
+    inputs = [v, base, N, J, low, high, is_set]
+    return lower(ca.Function("free", inputs, list(map(ca.densify, outputs))))
+
+
+def _added(sizes: _Sizes) -> Program:
+    """(rows, row[, slot]) → the rows with this one in its place."""
+    rows, row = ca.SX.sym("rows", sizes.m * sizes.row), ca.SX.sym("row", sizes.row)
+    slot = ca.SX.sym("slot", sizes.sets)
+    first = sizes.given * sizes.row
+    places = [rows[first + j * sizes.row : first + (j + 1) * sizes.row] for j in range(sizes.sets)]
+    filled = [ca.if_else(slot[j], row, place) for j, place in enumerate(places)]
+    inputs = [rows, row, *([slot] if sizes.sets else [])]
+    return lower(ca.Function("added", inputs, [ca.densify(ca.vertcat(rows[:first], *filled))]))
+
+
+def _tried(sizes: _Sizes) -> Program:
+    """(what the kernel found, the freedom it was found in, the state, first) → the state for `serve`, limited.
+
+    It begins with 1 if the level was reached: then there is nothing to serve.
+    """
+    n = sizes.n
+    point, numbers, u = ca.SX.sym("point", n + 1), ca.SX.sym("numbers", n), ca.SX.sym("u", n)
+    end, kept, spent, first = (ca.SX.sym(name) for name in ("end", "kept", "spent", "first"))
+    base_c, N_c, rows_c = ca.SX.sym("base_c", n + 1), ca.SX.sym("N_c", n * n), ca.SX.sym("rows_c", sizes.m * sizes.row)
+    state = {name: ca.SX.sym(name, size) for name, size in sizes.state}
+    good = ca.logic_and(ca.eq(end, OPTIMAL), kept)
+    outputs = [
+        good,
+        ca.if_else(good, point[:n], state["v"]),
+        ca.if_else(good, base_c[:n], state["base"]),
+        ca.if_else(good, N_c, state["N"]),
+        ca.if_else(good, rows_c, state["rows"]),
+        state["held"],
+        state["hold"],
+        ca.if_else(good, numbers, state["active"]),
+        ca.if_else(good, u, state["push"]),
+        state["count"] + spent,
+        ca.if_else(first, ca.logic_not(good), state["limited"]),
+    ]
+    inputs = [point, numbers, u, end, kept, base_c, N_c, rows_c, *state.values(), spent, first]
+    return lower(ca.Function("tried", inputs, list(map(ca.densify, outputs))))
+
+
+def _end(sizes: _Sizes) -> Program:
+    """(v, limited, status of the rows alone) → v, status, and the point that it is nearest to: 0."""
+    v, limited, status = ca.SX.sym("v", sizes.n), ca.SX.sym("limited"), ca.SX.sym("status")
+    outcome = ca.if_else(limited, ca.fmax(status, LIMITED), status)
+    return lower(ca.Function("end_levels", [v, limited, status], [v, outcome, ca.SX.zeros(sizes.n)]))

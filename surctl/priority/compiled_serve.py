@@ -1,0 +1,178 @@
+"""A level of the cascade that the rows keep from its value: served as well as they allow, and frozen there.
+
+The safe tick finds min ‖J v − x‖ in the variables y of v + N y, from a v that keeps the rows, so that y = 0 always
+does. Near-dependent rows can cost it digits; it is started again from its own answer until what the rows leave of the
+pull vanishes (`tangent`), which are the optimality conditions. The value is then frozen by elimination.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from surctl.ir import Call, Loop, Program, Routine, lower
+from surctl.priority.dual_step import OPTIMAL, Space
+from surctl.priority.elimination import as_matrix
+from surctl.priority.kernel import certificate, kernel
+from surctl.priority.ladder import LIMITED, safe_tick
+from surctl.priority.compiled_sweep import HUGE
+from surctl.priority.tangent import holding, largest, merged
+
+__all__ = ["serve"]
+
+_TURNS = 6
+_SETTLED = 1e-13  # part of the pull that is left
+_FLAT = 1e-12  # a row of length 1 of which N leaves less than this does not bound y
+
+
+def serve(n: int, k: int, m: int) -> Routine:
+    """(skip, v, base, N, rows, held, hold, active, push, count, N before, N less, Q, T Q, turn, J, x, square) → the first ten.
+
+    v keeps the rows (m·(n + 3), of length 1) before and after. Q, T Q, turn: of the level inside N, see `decomposition`.
+    square: 1/scale², of the multipliers. What comes out holds the level's value: base, N (without its directions), the
+    nearest point v to 0 that is left, its active rows, and held with the rows that keep the level from more.
+    """
+    row, space = n + 3, Space(n, n)
+    state = (
+        ("skip", 1), ("v", n), ("base", n), ("N", n * n), ("rows", m * row), ("held", n), ("hold", n), ("active", n),
+        ("push", n), ("count", 1),
+    )  # fmt: skip
+    fixed = (
+        ("N_before", n * n), ("N_less", n * n), ("Q", k * n), ("task", k * n), ("turn", k * k), ("J", k * n), ("x", k),
+        ("square", 1),
+    )  # fmt: skip
+    best = ("v_best", "numbers", "u", "count_best", "settled")
+    after = ("yes", "v_next", "base_next", "N_less", "rows_next", "held_next", "hold_next", "active_next", "push_next")
+    steps = (
+        Call(_nothing(n), ("skip",), ("none", "numbers_0", "u_0", "yes")),
+        Loop(
+            _again(n, k, m),
+            _TURNS,
+            carried=("v", "numbers_0", "u_0", "count", "none"),
+            results=best,
+            fixed=("rows", "N_before", "task", "turn", "J", "x", "square"),
+            until=4,
+        ),
+        Loop(_holding_row(n), m, (), ("rows_next",), sliced=("rows",), fixed=("v_best",)),
+        Call(_frozen(n, k), ("v_best", "base", "Q"), ("base_held",)),
+        Call(kernel(space, m), ("rows_next", "base_held", "none", "N_less"), ("point", "act", "press", "end", "spent")),
+        Call(certificate(space, m), ("rows_next", "point"), ("kept",)),
+        Call(
+            _chosen(n),
+            ("v_best", "base_held", "N_less", "point", "act", "press", "end", "kept", "count_best", "spent"),
+            ("v_next", "base_next", "active_next", "push_next", "count_next"),
+        ),
+        Call(merged(n), ("held", "hold", "numbers", "u"), ("held_next", "hold_next")),
+    )
+    return Routine("serve", (*state, *fixed), steps, (*after, "count_next"))
+
+
+def _nothing(n: int) -> Program:
+    skip, zero = ca.SX.sym("skip"), ca.SX.zeros(n)
+    return lower(ca.Function("nothing", [skip], [ca.SX.zeros(1), zero, zero, ca.SX(1)]))
+
+
+def _again(n: int, k: int, m: int) -> Routine:
+    """One turn: from v to the point that the safe tick finds, the rows that hold it there, and whether it is the best."""
+    state = (("v", n), ("numbers", n), ("u", n), ("count", 1), ("settled", 1))
+    fixed = (
+        ("rows", m * (n + 3)), ("N", n * n), ("task", k * n), ("turn", k * k), ("J", k * n), ("x", k), ("square", 1),
+    )  # fmt: skip
+    after = tuple(f"{name}_next" for name, _ in state)
+    tick = ("y", "active", "multipliers", "opening", "status", "spent")
+    steps = (
+        Loop(_reduced(n), m, (), ("reduced",), sliced=("rows",), fixed=("v", "N")),
+        Call(_lack(n, k), ("v", "turn", "J", "x"), ("lack", "zero", "anywhere", "none")),
+        Call(safe_tick(n, k, m), ("zero", "task", "lack", "reduced", "anywhere"), tick),
+        Call(_moved(n), ("v", "N", "y", "status"), ("point",)),
+        Call(certificate(Space(n, n), m), ("rows", "point"), ("kept",)),
+        Call(
+            _pulled(n, k),
+            ("v", "point", "kept", "task", "turn", "J", "x"),
+            ("v_next", "pull", "moved"),
+        ),
+        Call(holding(n, m), ("rows", "none", "v_next", "pull", "N"), ("numbers_next", "part", "rest", "more")),
+        Call(
+            _settled(n),
+            ("rest", "pull", "part", "square", "moved", "count", "spent", "more"),
+            ("u_next", "count_next", "settled_next"),
+        ),
+    )
+    return Routine("serve_again", (*state, *fixed), steps, after)
+
+
+def _reduced(n: int) -> Program:
+    """(row, v, N) → the row as a bound of y, wide enough to hold y = 0."""
+    row, v, N = ca.SX.sym("row", n + 3), ca.SX.sym("v", n), ca.SX.sym("N", n * n)
+    a, value = as_matrix(N, n) @ row[:n], ca.dot(row[:n], v)
+    flat = ca.sqrt(ca.sumsqr(a)) <= _FLAT
+    low, high = ca.fmin(row[n] - value, 0), ca.fmax(row[n + 1] - value, 0)
+    outputs = ca.vertcat(ca.if_else(flat, 0, a), ca.if_else(flat, -HUGE, low), ca.if_else(flat, HUGE, high), 0)
+    return lower(ca.Function("reduced", [row, v, N], [ca.densify(outputs)]))
+
+
+def _lack(n: int, k: int) -> Program:
+    """(v, turn, J, x) → what T Q y should be, and 0, no box, 0."""
+    v, turn, J, x = ca.SX.sym("v", n), ca.SX.sym("turn", k * k), ca.SX.sym("J", k * n), ca.SX.sym("x", k)
+    lack = as_matrix(turn, k) @ (x - as_matrix(J, n) @ v)
+    anywhere = ca.vertcat(-HUGE * ca.SX.ones(n), HUGE * ca.SX.ones(n))
+    return lower(ca.Function("lack", [v, turn, J, x], [lack, ca.SX.zeros(n), anywhere, ca.SX.zeros(1)]))
+
+
+def _moved(n: int) -> Program:
+    """(v, N, y, status) → v + N y (and no opening), or v if the tick found no point."""
+    v, N, y, status = ca.SX.sym("v", n), ca.SX.sym("N", n * n), ca.SX.sym("y", n), ca.SX.sym("status")
+    step = ca.if_else(status <= LIMITED, as_matrix(N, n) @ y, 0)
+    return lower(ca.Function("moved", [v, N, y, status], [ca.vertcat(v + step, 0)]))
+
+
+def _pulled(n: int, k: int) -> Program:
+    """(v, point, kept, task, turn, J, x) → the point if it keeps the rows, the pull there, and whether it did."""
+    v, point, kept = ca.SX.sym("v", n), ca.SX.sym("point", n + 1), ca.SX.sym("kept")
+    task, turn, J, x = ca.SX.sym("task", k * n), ca.SX.sym("turn", k * k), ca.SX.sym("J", k * n), ca.SX.sym("x", k)
+    chosen = ca.if_else(kept, point[:n], v)
+    lack = as_matrix(turn, k) @ (x - as_matrix(J, n) @ chosen)
+    pull = as_matrix(task, n).T @ lack
+    return lower(ca.Function("pulled", [v, point, kept, task, turn, J, x], [chosen, pull, kept]))
+
+
+def _settled(n: int) -> Program:
+    """(rest, pull, multipliers, square, moved, counts) → multipliers in the level's own size, count, settled."""
+    rest, pull, part = (ca.SX.sym(name, n) for name in ("rest", "pull", "part"))
+    square, moved = ca.SX.sym("square"), ca.SX.sym("moved")
+    counts = [ca.SX.sym(name) for name in ("count", "spent", "more")]
+    still = ca.logic_or(largest(rest) <= _SETTLED * (1 + largest(pull)), ca.logic_not(moved))
+    outputs = [part * square, sum(counts, ca.SX(0)), still]
+    return lower(ca.Function("settled", [rest, pull, part, square, moved, *counts], list(map(ca.densify, outputs))))
+
+
+def _holding_row(n: int) -> Program:
+    """(row, v) → the row, wide enough to hold v to the last digit."""
+    row, v = ca.SX.sym("row", n + 3), ca.SX.sym("v", n)
+    value = ca.dot(row[:n], v)
+    bounds = [ca.fmin(row[n], value), ca.fmax(row[n + 1], value)]
+    return lower(ca.Function("holding_row", [row, v], [ca.vertcat(row[:n], *bounds, row[n + 2])]))
+
+
+def _frozen(n: int, k: int) -> Program:
+    """(v, base, Q) → the base of what is left when the level keeps the value that it has at v."""
+    v, base, Q = ca.SX.sym("v", n), ca.SX.sym("base", n), ca.SX.sym("Q", k * n)
+    directions = as_matrix(Q, n)
+    return lower(ca.Function("frozen", [v, base, Q], [ca.vertcat(base + directions.T @ (directions @ (v - base)), 0)]))
+
+
+def _chosen(n: int) -> Program:
+    """The nearest point to 0 with this value; or, where rounding leaves none, the point that has it."""
+    v, base, N = ca.SX.sym("v", n), ca.SX.sym("base", n + 1), ca.SX.sym("N", n * n)
+    point, act, press = ca.SX.sym("point", n + 1), ca.SX.sym("act", n), ca.SX.sym("press", n)
+    end, kept, count, spent = (ca.SX.sym(name) for name in ("end", "kept", "count", "spent"))
+    good = ca.logic_and(ca.eq(end, OPTIMAL), kept)
+    own = v - as_matrix(N, n) @ v
+    outputs = [
+        ca.if_else(good, point[:n], v),
+        ca.if_else(good, base[:n], own),
+        ca.if_else(good, act, 0),
+        ca.if_else(good, press, 0),
+        count + spent,
+    ]
+    inputs = [v, base, N, point, act, press, end, kept, count, spent]
+    return lower(ca.Function("chosen", inputs, list(map(ca.densify, outputs))))

@@ -1,0 +1,76 @@
+"""The sweep of projections as instruction lists, and the gate that every input of a tick passes."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from surctl.ir import Call, Loop, Program, Step, lower
+from surctl.priority.decomposition import decompose
+from surctl.priority.level_shape import StackShape, SymbolicLevel
+from surctl.priority.symbolic import projection
+
+__all__ = ["HUGE", "gate", "into", "project", "sweep", "swept"]
+
+HUGE = 1e300
+"""A number larger than this counts as none."""
+
+
+def project(w: ca.SX, level: SymbolicLevel, *, damping: float) -> ca.SX:
+    """The point nearest to w (n, 1) among those that meet the level best; between bounds it is w itself.
+
+    The damped form is that of `symbolic.projection`. Without damping several rows are decomposed, so that dependent
+    and contradicting rows are met in the least-squares sense, as by the pseudo-inverse.
+    """
+    if level.J.shape[0] == 1 or damping > 0.0:
+        return projection(w, level.J, level.wanted(w), damping=damping)
+    parts = decompose(level.J)
+    return w + parts.directions().T @ parts.coordinates(level.lower - level.J @ w)
+
+
+def sweep(shape: StackShape, *, damping: float, highest: int = 0) -> Program:
+    """(w (n,), J, lower, upper) → w after one sweep from the lowest level up to number `highest` (0 is the first)."""
+    flat, levels = shape.symbols()
+    start = ca.SX.sym("w", shape.n)
+    w = start
+    for level in reversed(levels[highest:]):
+        w = project(w, level, damping=damping)
+    return lower(ca.Function("sweep", [start, *flat], [ca.densify(w)]))
+
+
+def swept(shape: StackShape, *, damping: float, sweeps: int) -> tuple[Step, ...]:
+    """Steps that turn `zero`, J, lower, upper into `swept`: as many sweeps as asked for, each from the last result."""
+    one, fixed = sweep(shape, damping=damping), ("J", "lower", "upper")
+    if sweeps == 1:
+        return (Call(one, ("zero", *fixed), ("swept",)),)
+    return (Loop(one, sweeps, ("zero",), ("swept",), fixed=fixed),)
+
+
+def gate(shape: StackShape) -> Program:
+    """(J, lower, upper) → sound (1,), zero (n,), none (1,).
+
+    sound: 1 if every number is one, a level that asks for a value has lower = upper, and the bounds of the others
+    leave room. Said as what holds: a NaN passes no comparison.
+    """
+    flat, levels = shape.symbols()
+    sound = ca.SX(1)
+    for level in levels:
+        for entry in ca.vertsplit(ca.vec(level.J)):
+            sound = ca.if_else(ca.fabs(entry) <= HUGE, sound, 0)
+        for low, high in zip(ca.vertsplit(level.lower), ca.vertsplit(level.upper), strict=True):
+            if level.is_set:
+                sound = ca.if_else(low <= high, ca.if_else(low <= HUGE, ca.if_else(high >= -HUGE, sound, 0), 0), 0)
+            else:
+                sound = ca.if_else(ca.fabs(low) <= HUGE, ca.if_else(ca.eq(low, high), sound, 0), 0)
+    return lower(ca.Function("gate", flat, [sound, ca.SX.zeros(shape.n), ca.SX.zeros(1)]))
+
+
+def into(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
+    """The value moved between the bounds and finite, entry by entry; 0 where there is no such number."""
+    moved = []
+    for i in range(value.numel()):
+        above = ca.if_else(value[i] >= low[i], value[i], low[i])
+        inside = ca.if_else(above <= high[i], above, high[i])
+        moved.append(ca.if_else(ca.fabs(inside) <= HUGE, inside, 0))
+    return ca.vertcat(*moved)
+
+

@@ -1,0 +1,126 @@
+"""What rows can move, as symbolic expressions: exact for dependent and contradicting rows, without squaring J."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+
+from surctl.priority.rowspace import CUTOFF, ZERO_ROW
+
+__all__ = ["Decomposition", "decompose"]
+
+
+class Decomposition(NamedTuple):
+    """scale·J N = P T Q, a complete orthogonal decomposition (Golub and Van Loan 2013, 5.4.7), N a projector.
+
+    Attributes:
+        Q: k columns (n, 1), orthonormal rows of J N, zero where a row depends on those above it.
+        P: k columns (k, 1), orthonormal, zero where Q is.
+        T: k lists of k: upper triangle, with zero rows and columns where Q is zero.
+        inverse: k, of the diagonal of T, 0 where it is 0.
+        scale: 1/‖J‖ with ‖J‖ the length of the longest row; 0 for a J that is switched off.
+    """
+
+    Q: list[ca.SX]
+    P: list[ca.SX]
+    T: list[list[ca.SX]]
+    inverse: list[ca.SX]
+    scale: ca.SX
+
+    @property
+    def rank(self) -> ca.SX:
+        """Number of independent rows."""
+        return sum((inverse > 0 for inverse in self.inverse), ca.SX(0))
+
+    def turned(self, x: ca.SX) -> ca.SX:
+        """Pᵀ·scale·x (k, 1): ‖scale·(J N y − x)‖² = ‖T Q y − Pᵀ scale x‖² + what no y can change."""
+        rest, made = x * self.scale, []
+        for p in self.P:
+            made.append(ca.dot(p, rest))
+            rest = rest - made[-1] * p
+        return ca.vertcat(*made)
+
+    def coordinates(self, x: ca.SX) -> ca.SX:
+        """c (k, 1): Qᵀc is the shortest y in the range of N with ‖J N y − x‖ least."""
+        c = ca.vertsplit(self.turned(x))
+        for j in reversed(range(len(c))):
+            for i in range(j + 1, len(c)):
+                c[j] = c[j] - self.T[j][i] * c[i]
+            c[j] = c[j] * self.inverse[j]
+        return ca.vertcat(*c)
+
+    def task(self) -> ca.SX:
+        """T Q (k, n)."""
+        return _matrix(self.T) @ self.directions()
+
+    def directions(self) -> ca.SX:
+        """Q as a matrix (k, n)."""
+        return ca.horzcat(*self.Q).T
+
+
+def decompose(J: ca.SX, N: ca.SX | None = None) -> Decomposition:
+    """Decompose J (k, n) inside the range of the orthogonal projector N (n, n); None: everywhere.
+
+    A row counts as dependent when less than `CUTOFF`·‖J‖ of it is left by N and the rows above. The cut-off is
+    relative to J, never to J N: once N leaves nothing, that would be relative to rounding noise.
+    """
+    k = J.shape[0]
+    longest = ca.SX(0)
+    for i in range(k):
+        longest = ca.fmax(longest, ca.sqrt(ca.sumsqr(J[i, :])))
+    alive = longest > ZERO_ROW
+    scale = ca.if_else(alive, 1 / ca.if_else(alive, longest, 1), 0)
+    rows = [(scale * J[i, :]).T for i in range(k)]
+    Q: list[ca.SX] = []
+    for row in rows:
+        Q.append(_direction(row, Q, N))
+    # row i is made of directions 1 … i; what rounding leaves of the others is dropped
+    left = [[ca.dot(rows[i], Q[j]) if j <= i else ca.SX(0) for j in range(k)] for i in range(k)]
+    P, T, inverse = _orthonormal_columns(left)
+    return Decomposition(Q, P, T, inverse, scale)
+
+
+def _direction(row: ca.SX, Q: list[ca.SX], N: ca.SX | None) -> ca.SX:
+    """The part of the row outside all earlier directions, of length 1, or zero; twice is enough (Parlett 1998, 6.9)."""
+    q = _outside(row, Q, N)
+    length = ca.sqrt(ca.sumsqr(q))
+    alive = length > CUTOFF
+    q = q * ca.if_else(alive, 1 / ca.if_else(alive, length, 1), 0)
+    if not Q and N is None:
+        return q
+    q = _outside(q, Q, N)
+    again = ca.sqrt(ca.sumsqr(q))
+    return q * ca.if_else(alive, 1 / ca.if_else(alive, again, 1), 0)
+
+
+def _outside(vector: ca.SX, Q: list[ca.SX], N: ca.SX | None) -> ca.SX:
+    if N is not None:
+        vector = N @ vector
+    for q in Q:
+        vector = vector - ca.dot(q, vector) * q
+    return vector
+
+
+def _orthonormal_columns(left: list[list[ca.SX]]) -> tuple[list[ca.SX], list[list[ca.SX]], list[ca.SX]]:
+    """P, T and 1/diag T of a k × k matrix, by modified Gram–Schmidt, each column twice."""
+    k = len(left)
+    P: list[ca.SX] = []
+    T: list[list[ca.SX]] = [[ca.SX(0)] * k for _ in range(k)]
+    inverse: list[ca.SX] = []
+    for j in range(k):
+        p = ca.vertcat(*(left[i][j] for i in range(k)))
+        for _ in range(2 if j else 0):
+            for i, earlier in enumerate(P):
+                part = ca.dot(earlier, p)
+                T[i][j] = T[i][j] + part
+                p = p - part * earlier
+        T[j][j] = ca.sqrt(ca.sumsqr(p))
+        alive = T[j][j] > 0
+        inverse.append(ca.if_else(alive, 1 / ca.if_else(alive, T[j][j], 1), 0))
+        P.append(p * inverse[j])
+    return P, T, inverse
+
+
+def _matrix(entries: list[list[ca.SX]]) -> ca.SX:
+    return ca.vertcat(*(ca.horzcat(*row) for row in entries))

@@ -1,0 +1,216 @@
+"""The last projection of mode `projected`, that of level 1, kept inside the rows.
+
+A level that asks for a value is the task of the safe tick. A set-based one (lower ≤ J v ≤ upper) takes two of them:
+first the nearest point without a task; if it leaves the bounds, then with the nearer bound as the task. That is the
+projection on rows and bounds together where they share a point (a convex set that the first point misses is nearest
+at its border), and otherwise it misses the bounds by as little as the rows allow: the set never opens a soft row.
+With damping the miss of the task gets variables of its own, s with J v − λs = x: the nearest point in (v, s) is
+min ‖v − w‖² + ‖J v − x‖²/λ² over the rows.
+"""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+
+from surctl.ir import Call, Loop, Program, Routine, Step, lower
+from surctl.priority.decomposition import decompose
+from surctl.priority.ladder import CLAMPED, LIMITED, RELAXED, safe_tick
+from surctl.priority.elimination import as_matrix
+from surctl.priority.level_shape import StackShape
+from surctl.priority.rowspace import ZERO_ROW
+from surctl.priority.tangent import holding, largest, merged
+
+__all__ = ["last_projection"]
+
+_ANSWER = ("v", "active", "multipliers", "opening", "status", "count")
+_ROUNDING = 1e-12
+
+
+def last_projection(shape: StackShape, rows: int, *, damping: float) -> Routine:
+    """(w (n,), count (1,), J, lower, upper, rows, box) → v, active, multipliers, opening, status, count."""
+    n = shape.n
+    given = (("w", n), ("before", 1), *shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n))
+    steps: tuple[Step, ...]
+    if damping > 0.0:
+        steps = _damped(shape, rows, damping)
+    elif shape.levels[0].is_set:
+        steps = _slab(shape, rows)
+    else:
+        steps = _value(shape, rows)
+    found = tuple(f"{name}_found" for name in _ANSWER)
+    add = Call(_sum(), ("before", found[-1]), ("total",))
+    return Routine("last_projection", given, (*steps, add), (*found[:-1], "total"))
+
+
+def _sum() -> Program:
+    a, b = ca.SX.sym("a"), ca.SX.sym("b")
+    return lower(ca.Function("sum", [a, b], [a + b]))
+
+
+def _first(shape: StackShape) -> Program:
+    """(J, lower, upper) → J_1, and the x_1 that it can reach: what no v can change of the miss is left out."""
+    flat, levels = shape.symbols()
+    J, x = levels[0].J, levels[0].lower
+    k = J.shape[0]
+    if k > 1:
+        parts = decompose(J)
+        full = ca.eq(parts.rank, k)
+        J, x = ca.if_else(full, J, parts.task()), ca.if_else(full, x, parts.turned(x))
+    else:
+        x = ca.if_else(largest(J.T) > ZERO_ROW, x, 0)
+    return lower(ca.Function("first", flat, [ca.densify(ca.vec(J.T)), ca.densify(x)]))
+
+
+def _value(shape: StackShape, rows: int) -> tuple[Step, ...]:
+    raw, found = tuple(f"{name}_tick" for name in _ANSWER), tuple(f"{name}_found" for name in _ANSWER)
+    k = shape.levels[0].rows
+    return (
+        Call(_first(shape), ("J", "lower", "upper"), ("J_1", "x_1")),
+        Call(safe_tick(shape.n, k, rows), ("w", "J_1", "x_1", "rows", "box"), raw),
+        Call(_named(shape.n, k, rows), ("J_1", "x_1", "rows", *raw), found),
+    )
+
+
+def _named(n: int, k: int, rows: int) -> Routine:
+    """(J_1, x_1, rows, the answer) → the answer, and first among its rows those that hold task 1 back."""
+    answer = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1))
+    fixed = (("rows", rows * (n + 3)), ("v", n), ("opening", 1), ("pull", n), ("Z", n * n))
+    add = Routine(
+        "add_holding",
+        (("met", 1), *answer[1:3], ("count", 1), *fixed),
+        (
+            Call(holding(n, rows), ("rows", "opening", "v", "pull", "Z"), ("numbers", "push", "rest", "spent")),
+            Call(merged(n), ("numbers", "push", "active", "multipliers"), ("active_next", "multipliers_next")),
+            Call(_sum(), ("count", "spent"), ("total",)),
+        ),
+        ("met", "active_next", "multipliers_next", "total"),
+    )
+    state = ("met", "active", "multipliers", "count")
+    steps = (
+        Call(_pull(n, k), ("J_1", "x_1", "v", "status"), ("met", "pull", "Z")),
+        Loop(add, 1, state, tuple(f"{name}_last" for name in state), fixed=tuple(name for name, _ in fixed), until=0),
+    )
+    given = (("J_1", k * n), ("x_1", k), ("rows", rows * (n + 3)), *answer)
+    return Routine("named", given, steps, ("v", "active_last", "multipliers_last", "opening", "status", "count_last"))
+
+
+def _pull(n: int, k: int) -> Program:
+    """(J_1, x_1, v, status) → whether nothing holds the task back, Jᵀ(x − J v), and the projector on everything."""
+    J, x, v, status = ca.SX.sym("J", k * n), ca.SX.sym("x", k), ca.SX.sym("v", n), ca.SX.sym("status")
+    matrix = as_matrix(J, n)
+    met = ca.logic_not(ca.logic_or(ca.eq(status, LIMITED), ca.eq(status, RELAXED)))
+    outputs = [met, matrix.T @ (x - matrix @ v), ca.vec(ca.SX.eye(n))]
+    return lower(ca.Function("pull_1", [J, x, v, status], list(map(ca.densify, outputs))))
+
+
+def _slab(shape: StackShape, rows: int) -> tuple[Step, ...]:
+    n = shape.n
+    answer = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1))
+    task = (("J_1", n), ("x_1", 1))
+    raw = tuple(f"{name}_tick" for name in _ANSWER)
+    fixed = (("w", n), *shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n))
+    state = (*(name for name, _ in task), *_ANSWER, "done")
+    after = tuple(f"{name}_next" for name in state)
+    side = Routine(
+        "side",
+        (*task, *answer, ("done", 1), *fixed),
+        (
+            Call(safe_tick(n, 1, rows), ("w", "J_1", "x_1", "rows", "box"), raw),
+            Call(_side(shape), ("J", "lower", "upper", *state[2:8], *raw), after),
+        ),
+        after,
+    )
+    start = ("no_J", "no_x", "no_v", "no_active", "no_multipliers", "no_opening", "no_status", "no_count", "not_done")
+    last = ("J_last", "x_last", *(f"{name}_slab" for name in _ANSWER), "done_last")
+    empty = [ca.SX.zeros(size) for size in (n, 1, n, n, n, 1, 1, 1, 1)]
+    w = ca.SX.sym("w", n)
+    return (
+        Call(lower(ca.Function("empty", [w], empty)), ("w",), start),
+        Loop(side, 2, start, last, fixed=tuple(name for name, _ in fixed), until=8),
+        Call(_named(n, 1, rows), ("J_last", "x_last", "rows", *last[2:8]), tuple(f"{name}_found" for name in _ANSWER)),
+    )
+
+
+def _side(shape: StackShape) -> Program:
+    """(J, lower, upper, the last answer, the new one) → the task for the next turn, the better answer, done."""
+    n, (flat, levels) = shape.n, shape.symbols()
+    sizes = (n, n, n, 1, 1, 1)
+    old = [ca.SX.sym(f"{name}_old", size) for name, size in zip(_ANSWER, sizes, strict=True)]
+    new = [ca.SX.sym(f"{name}_new", size) for name, size in zip(_ANSWER, sizes, strict=True)]
+    J, v = levels[0].J, new[0]
+    value, wanted = J @ v, levels[0].wanted(v)
+    kept = ca.fabs(value - wanted) <= _ROUNDING * largest(J.T) * (1 + largest(v))
+    inside = ca.logic_or(kept, ca.logic_not(largest(J.T) > ZERO_ROW))
+    second = old[4] != 0
+    # numbers that ran away in the second turn leave the answer of the first, which keeps the rows
+    failed = ca.logic_and(second, ca.eq(new[4], CLAMPED))
+    chosen = [ca.if_else(failed, a, b) for a, b in zip(old, new, strict=True)]
+    chosen[4] = ca.if_else(failed, ca.fmax(old[4], LIMITED), new[4])
+    chosen[5] = old[5] + new[5]
+    done = ca.logic_or(ca.logic_or(second, inside), ca.eq(new[4], CLAMPED))
+    outputs = [J.T, wanted, *chosen, done]
+    return lower(ca.Function("choose_side", [*flat, *old, *new], list(map(ca.densify, outputs))))
+
+
+def _damped(shape: StackShape, rows: int, damping: float) -> tuple[Step, ...]:
+    """The safe tick over (v, s)."""
+    n, level = shape.n, shape.levels[0]
+    q, wide = level.rows, shape.n + level.rows
+    p, m = (1, rows + 1) if level.is_set else (q, rows)
+    raw = tuple(f"{name}_wide" for name in _ANSWER)
+    row = ca.SX.sym("row", n + 3)
+    longer = lower(ca.Function("longer", [row], [ca.densify(ca.vertcat(row[:n], ca.SX.zeros(q), row[n:]))]))
+    return (
+        Loop(longer, rows, (), ("rows_longer",), sliced=("rows",)),
+        Call(
+            _with_miss(shape, rows, damping),
+            ("w", "J", "lower", "upper", "rows_longer", "box"),
+            ("w_wide", "J_wide", "x_wide", "rows_wide", "box_wide"),
+        ),
+        Call(safe_tick(wide, p, m), ("w_wide", "J_wide", "x_wide", "rows_wide", "box_wide"), raw),
+        Call(_narrow(n, wide, rows), raw[:3], tuple(f"{name}_found" for name in _ANSWER[:3])),
+        *(Call(_copy(), (raw[k],), (f"{_ANSWER[k]}_found",)) for k in (3, 4, 5)),
+    )
+
+
+def _copy() -> Program:
+    a = ca.SX.sym("a")
+    return lower(ca.Function("copy_1", [a], [a]))
+
+
+def _with_miss(shape: StackShape, rows: int, damping: float) -> Program:
+    """(w, J, lower, upper, rows, box) → the same over (v, s); a set-based level is one more row, and no task."""
+    n, (flat, levels) = shape.n, shape.symbols()
+    level = levels[0]
+    q = level.J.shape[0]
+    w, given, box = ca.SX.sym("w", n), ca.SX.sym("rows", rows * (n + q + 3)), ca.SX.sym("box", 2 * n)
+    J, x = ca.horzcat(level.J, -damping * ca.SX.eye(q)), level.lower
+    if level.is_set:
+        given_all = ca.vertcat(given, J.T, level.lower, level.upper, 0)
+        J, x = ca.SX.zeros(1, n + q), ca.SX.zeros(1)
+    else:
+        given_all = given
+    far = ca.SX(math.inf) * ca.SX.ones(q)
+    outputs = [
+        ca.vertcat(w, ca.SX.zeros(q)),
+        ca.vec(ca.densify(J).T),
+        x,
+        given_all,
+        ca.vertcat(box[:n], -far, box[n:], far),
+    ]
+    return lower(ca.Function("with_miss", [w, *flat, given, box], list(map(ca.densify, outputs))))
+
+
+def _narrow(n: int, wide: int, rows: int) -> Program:
+    """v, and the places of active rows: at most n rows of v are independent, so n places hold them."""
+    v, active, multipliers = (ca.SX.sym(name, wide) for name in _ANSWER[:3])
+    slots, push = [ca.SX(0)] * n, [ca.SX(0)] * n
+    for k in range(wide):
+        waits = ca.logic_and(active[k] != 0, ca.fabs(active[k]) <= rows)
+        for j in range(n):
+            takes = ca.logic_and(waits, ca.eq(slots[j], 0))
+            waits = ca.logic_and(waits, ca.logic_not(takes))
+            slots[j], push[j] = ca.if_else(takes, active[k], slots[j]), ca.if_else(takes, multipliers[k], push[j])
+    return lower(ca.Function("narrow", [v, active, multipliers], [v[:n], ca.vertcat(*slots), ca.vertcat(*push)]))

@@ -1,0 +1,102 @@
+"""Which rows hold a task back: the multipliers of its least-squares problem, found from the answer itself.
+
+At the best point v of min ½‖J v − x‖² over the rows, the pull Jᵀ(x − J v) is made up of the normals of rows that v
+touches. The projection of the pull on the cone of directions that these rows leave is 0 there, its multipliers are
+those of the problem; what is left of the pull says how far from the best v is.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from surctl.ir import Call, Loop, Program, Routine, lower
+from surctl.priority.dual_step import OPTIMAL, Space
+from surctl.priority.kernel import kernel
+from surctl.priority.rungs import SHORT
+from surctl.priority.compiled_sweep import HUGE
+
+__all__ = ["holding", "largest", "merged"]
+
+_TOUCHES = 1e-9  # distance from the bound, relative to 1 + max |v|
+_STILL = 1e-12  # a pull no larger than this counts as none
+
+
+def holding(n: int, m: int) -> Routine:
+    """(rows (m·(n + 3),), opening (1,), v (n,), pull (n,), Z (n·n,)) → numbers, multipliers, rest, count.
+
+    numbers (n,): signed, from 1, of the rows that hold the pull back (+ at the upper bound), 0 for none; multipliers
+    (n,) for rows of length 1; rest (n,): what they leave of the pull inside the range of the projector Z; count (1,)
+    of iterations. Soft rows have opened by `opening`.
+    """
+    steps = (
+        Call(_unit_pull(n), ("pull",), ("base", "size", "go")),
+        Loop(_touching(n), m, (), ("cone",), sliced=("rows",), fixed=("opening", "v")),
+        Call(kernel(Space(n, n), m), ("cone", "base", "go", "Z"), ("point", "found", "push", "end", "count")),
+        Call(
+            _scaled(n),
+            ("point", "found", "push", "end", "size", "pull"),
+            ("numbers", "multipliers", "rest"),
+        ),
+    )
+    inputs = (("rows", m * (n + 3)), ("opening", 1), ("v", n), ("pull", n), ("Z", n * n))
+    return Routine("holding", inputs, steps, ("numbers", "multipliers", "rest", "count"))
+
+
+def largest(vector: ca.SX) -> ca.SX:
+    """Largest absolute entry."""
+    size = ca.SX(0)
+    for i in range(vector.numel()):
+        size = ca.fmax(size, ca.fabs(vector[i]))
+    return size
+
+
+def _unit_pull(n: int) -> Program:
+    """The pull with largest entry 1 and no opening, its size, and whether there is nothing to do."""
+    pull = ca.SX.sym("pull", n)
+    size = largest(pull)
+    none = ca.logic_not(size > _STILL)
+    unit = pull * ca.if_else(none, 0, 1 / ca.if_else(none, 1, size))
+    return lower(ca.Function("unit_pull", [pull], [ca.vertcat(unit, 0), ca.if_else(none, 0, size), none]))
+
+
+def _touching(n: int) -> Program:
+    """A row as a bound of directions: 0 on the side that v touches, none on the other."""
+    row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
+    length = ca.sqrt(ca.sumsqr(row[:n]))
+    inverse = 1 / ca.if_else(length <= SHORT, 1, length)
+    value, room = ca.dot(row[:n], v) * inverse, row[n + 2] * opening + _TOUCHES * (1 + largest(v))
+    below = ca.if_else(value - room <= row[n] * inverse, 0, -HUGE)
+    above = ca.if_else(value + room >= row[n + 1] * inverse, 0, HUGE)
+    return lower(ca.Function("touching", [row, opening, v], [ca.vertcat(row[:n] * inverse, below, above, 0)]))
+
+
+def _scaled(n: int) -> Program:
+    """Multipliers and rest in the size of the pull; nothing found leaves the pull as it is."""
+    point, found, push = ca.SX.sym("point", n + 1), ca.SX.sym("found", n), ca.SX.sym("push", n)
+    end, size, pull = ca.SX.sym("end"), ca.SX.sym("size"), ca.SX.sym("pull", n)
+    good = ca.eq(end, OPTIMAL)
+    outputs = [
+        ca.if_else(good, found, 0),
+        ca.if_else(good, push * size, 0),
+        ca.if_else(good, point[:n] * size, pull),
+    ]
+    return lower(ca.Function("scaled_push", [point, found, push, end, size, pull], list(map(ca.densify, outputs))))
+
+
+def merged(n: int) -> Program:
+    """(numbers, multipliers, more numbers, more multipliers), (n,) each → the first with those of the second added.
+
+    A row that stands in the first already is not added again, and one for which no place is left is dropped.
+    """
+    numbers, push = ca.SX.sym("numbers", n), ca.SX.sym("push", n)
+    more, further = ca.SX.sym("more", n), ca.SX.sym("further", n)
+    slots, amounts = ca.vertsplit(numbers), ca.vertsplit(push)
+    for k in range(n):
+        waits = more[k] != 0
+        for j in range(n):
+            waits = ca.logic_and(waits, ca.fabs(numbers[j]) != ca.fabs(more[k]))
+        for j in range(n):
+            takes = ca.logic_and(waits, ca.eq(slots[j], 0))
+            waits = ca.logic_and(waits, ca.logic_not(takes))
+            slots[j], amounts[j] = ca.if_else(takes, more[k], slots[j]), ca.if_else(takes, further[k], amounts[j])
+    return lower(ca.Function("merged", [numbers, push, more, further], [ca.vertcat(*slots), ca.vertcat(*amounts)]))

@@ -1,0 +1,165 @@
+"""One compiled tick a mode: a stack, rows and a box in, a finite velocity out, whatever the numbers.
+
+nsb          the sweep of projections (16); knows no rows.
+filter       the point of the rows nearest to it.
+projected    the sweep down to level 2, then the last projection, that of level 1, inside the rows (`last_projection`).
+lexicographic strict priority inside the rows (`compiled_cascade`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, TypeAlias, get_args
+
+import casadi as ca
+
+from surctl.errors import InputError, nearest
+from surctl.ir import Call, Loop, Program, Routine, Step, lower
+from surctl.priority.compiled_cascade import cascade
+from surctl.priority.ladder import CLAMPED, MET, safe_tick
+from surctl.priority.last_projection import last_projection
+from surctl.priority.level_shape import LevelShape, StackShape
+from surctl.priority.compiled_sweep import HUGE, gate, into, sweep, swept
+
+__all__ = ["OUTPUTS", "TickMode", "priority_tick"]
+
+TickMode: TypeAlias = Literal["nsb", "filter", "projected", "lexicographic"]
+
+OUTPUTS = ("v", "active", "multipliers", "opening", "status", "count", "target")
+"""Names of a tick's outputs, in order."""
+
+_RAW = tuple(f"{name}_raw" for name in OUTPUTS)
+_STACK = ("J", "lower", "upper")
+
+
+def priority_tick(
+    mode: TickMode, *, n: int, levels: tuple[LevelShape, ...], rows: int, sweeps: int = 1, damping: float = 0.0
+) -> Routine:
+    """(J (K·n,), lower (K,), upper (K,), rows (m·(n + 3),), box (2n,)) → the tick's answer; K rows in all levels.
+
+    J is row by row, highest priority first; lower = upper for a level that asks for a value. rows: a (n,), lower,
+    upper, soft (1: may open when the rows contradict each other), of any length, those of the box among them; a row
+    of zeros between infinite bounds is none. box: lower (n,), upper (n,), into which v is moved at the end.
+
+    Outputs: v (n,); active (n,), signed row numbers from 1 (+ at the upper bound, − at the lower, 0 none), first
+    those that hold a task back, with multipliers (n,) of ½‖J v − x‖² for these and of ½‖v − target‖² for the others,
+    for rows of length 1; opening (1,) of the soft rows; status (1,): MET (level 1 is met as well as its Jacobian
+    can), LIMITED (as well as the rows allow), RELAXED (soft rows opened), CLAMPED (only moved into the box); count
+    (1,), iterations; target (n,), the point from which the last projection started.
+
+    A set-based level keeps w where it is inside its bounds and moves it to the nearest bound otherwise: no switch, no
+    jump. In mode lexicographic one that is met is row m + 1, m + 2, … of those that bind (in the order of the levels).
+    In mode nsb the status is MET whenever (16) has a finite value, and v knows neither rows nor box.
+
+    With damping λ every projection is min λ²‖z − w‖² + ‖J z − x‖², in mode projected the last one too (inside the
+    rows). A number in J, lower or upper that is none (or above 1e300), or a value with lower ≠ upper: CLAMPED, and v
+    is 0 moved into the box.
+
+    Args:
+        mode: the law.
+        n: velocities.
+        levels: their sizes.
+        rows: m, at least 1.
+        sweeps: how often the sweep is made, each from the last result; 1 in mode lexicographic.
+        damping: λ [unit of J]; 0 in mode lexicographic.
+
+    Raises:
+        InputError: an unknown mode, a size or a number out of range; it names the level.
+    """
+    shape = StackShape(n, levels)
+    _check(mode, rows, sweeps, damping)
+    steps = {
+        "nsb": lambda: (*swept(shape, damping=damping, sweeps=sweeps), Call(_unlimited(n), ("swept",), _RAW)),
+        "filter": lambda: _filter(shape, rows, sweeps, damping),
+        "projected": lambda: _projected(shape, rows, sweeps, damping),
+        "lexicographic": lambda: (Call(cascade(shape, rows), (*_STACK, "rows", "box", "sound"), _RAW),),
+    }[mode]()
+    inputs = (*shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n))
+    start = Call(gate(shape), _STACK, ("sound", "zero", "none"))
+    end = Call(_finish(n, boxed=mode != "nsb"), (*_RAW, "sound", "box"), OUTPUTS)
+    return Routine(f"{mode}_tick", inputs, (start, *steps, end), OUTPUTS)
+
+
+def _check(mode: str, rows: int, sweeps: int, damping: float) -> None:
+    modes = get_args(TickMode)
+    if mode not in modes:
+        raise InputError("no such priority mode", key="mode", value=mode, remedy=nearest(mode, modes))
+    if rows < 1:
+        raise InputError("must be at least 1", key="rows", value=rows, remedy="a row of zeros is none")
+    if sweeps < 1:
+        raise InputError("must be at least 1", key="sweeps", value=sweeps)
+    if not 0.0 <= damping < math.inf:
+        raise InputError("must be at least 0", key="damping", value=damping, remedy="0 for none")
+    for key, value, usual in (("sweeps", sweeps, 1), ("damping", damping, 0.0)):
+        if mode == "lexicographic" and value != usual:
+            raise InputError(
+                "belongs to the sweep, and mode lexicographic makes none",
+                key=key,
+                value=value,
+                remedy="leave it out, or take mode projected",
+            )
+
+
+def _filter(shape: StackShape, rows: int, sweeps: int, damping: float) -> tuple[Step, ...]:
+    given = ("swept", "zero", "none", "rows", "box")
+    last = Call(_with_target(shape.n), ("swept",), (_RAW[-1],))
+    return (
+        *swept(shape, damping=damping, sweeps=sweeps),
+        Call(safe_tick(shape.n, 1, rows), given, _RAW[:-1]),
+        last,
+    )
+
+
+def _projected(shape: StackShape, rows: int, sweeps: int, damping: float) -> tuple[Step, ...]:
+    """Turns of: the sweep of the lower levels from the last v, then the last projection."""
+    n, fixed = shape.n, (*_STACK, "rows", "box")
+    given = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1), ("target", n))
+    after = tuple(f"{name}_next" for name in OUTPUTS)
+    turn = Routine(
+        "sweep_within",
+        (*given, *shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n)),
+        (
+            Call(sweep(shape, damping=damping, highest=1), ("v", *_STACK), (after[-1],)),
+            Call(last_projection(shape, rows, damping=damping), (after[-1], "count", *fixed), after[:-1]),
+        ),
+        after,
+    )
+    state = ("zero", "zero", "zero", "none", "none", "none", "zero")
+    if sweeps == 1:
+        return (Call(turn, (*state, *fixed), _RAW),)
+    return (Loop(turn, sweeps, state, _RAW, fixed=fixed),)
+
+
+def _with_target(n: int) -> Program:
+    target = ca.SX.sym("target", n)
+    return lower(ca.Function("copy", [target], [target]))
+
+
+def _unlimited(n: int) -> Program:
+    """v → the outputs of a tick that no row shapes."""
+    v = ca.SX.sym("v", n)
+    empty, none = ca.SX.zeros(n), ca.SX.zeros(1)
+    return lower(ca.Function("unlimited", [v], [v, empty, empty, none, ca.SX(MET), none, empty]))
+
+
+def _finish(n: int, *, boxed: bool) -> Program:
+    """(the outputs, sound, box) → the outputs, finite: 0 moved into the box where the stack or its sweep is not."""
+    flat = [ca.SX.sym(name, size) for name, size in zip(OUTPUTS, (n, n, n, 1, 1, 1, n), strict=True)]
+    v, active, multipliers, opening, status, count, target = flat
+    sound, box = ca.SX.sym("sound"), ca.SX.sym("box", 2 * n)
+    good = sound
+    for entry in [*ca.vertsplit(v), *ca.vertsplit(target)]:
+        good = ca.if_else(ca.fabs(entry) <= HUGE, good, 0)
+    rest = into(ca.SX.zeros(n), box[:n], box[n:])
+    inside = into(v, box[:n], box[n:]) if boxed else v
+    solved = ca.logic_and(good, status != CLAMPED)
+    outputs = [
+        ca.if_else(good, inside, rest),
+        ca.if_else(solved, active, 0),
+        ca.if_else(solved, multipliers, 0),
+        ca.if_else(solved, opening, 0),
+        ca.if_else(good, status, CLAMPED),
+        count,
+        ca.if_else(good, target, 0),
+    ]
+    return lower(ca.Function("answer", [*flat, sound, box], list(map(ca.densify, outputs))))

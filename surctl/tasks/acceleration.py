@@ -1,0 +1,50 @@
+"""How far the commanded velocity may be from the present one."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+
+import casadi as ca
+
+from surctl.tasks.limits import VelocityBox
+from surctl.tasks.rows import Kind, LimitRow, checked_column, checked_kind, checked_name, checked_positive
+from surctl.tasks.task import Expression
+
+__all__ = ["AccelerationLimit"]
+
+
+@dataclass(frozen=True, eq=False)
+class AccelerationLimit:
+    """|v − ν| ≤ a·dt, entry by entry, body frame.
+
+    Attributes:
+        nu: ν (4,), the present velocity [m/s, m/s, m/s, rad/s].
+        limit: a (4,), at least 0 [m/s², m/s², m/s², rad/s²].
+        dt: step in which v is to be reached, greater than 0 [s].
+
+    Raises:
+        InputError: not 4 entries, numbers that are not finite or negative, dt not greater than 0.
+    """
+
+    nu: Expression
+    limit: Expression
+    _: KW_ONLY
+    dt: Expression
+    name: str = "acceleration"
+    kind: Kind = "actuator"
+
+    def __post_init__(self) -> None:
+        """Check name, kind and shapes."""
+        checked_kind(checked_name(self.name), self.kind)
+        object.__setattr__(self, "nu", checked_column(self.name, "nu", self.nu, 4, finite=True))
+        object.__setattr__(self, "limit", checked_positive(self.name, "limit", self.limit, 4, zero=True))
+        object.__setattr__(self, "dt", checked_positive(self.name, "dt", self.dt))
+
+    def box(self) -> VelocityBox:
+        """The same limit as a box of velocities, (4,) each [m/s, rad/s]."""
+        nu, reach = ca.SX(self.nu), ca.SX(self.limit) * ca.SX(self.dt)
+        return VelocityBox(nu - reach, nu + reach, self.name, self.kind)
+
+    def rows(self) -> tuple[LimitRow, ...]:
+        """Four rows, named NAME.u, NAME.v, NAME.w, NAME.r."""
+        return self.box().rows()

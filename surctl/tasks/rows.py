@@ -1,0 +1,112 @@
+"""Rows l ≤ a·v ≤ u with a name and a kind: what every limit is made of."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Literal, Protocol, TypeAlias, get_args
+
+import casadi as ca
+
+from surctl.errors import InputError, nearest
+from surctl.tasks.task import Expression, sized_column
+
+__all__ = [
+    "AXES",
+    "Kind",
+    "Limit",
+    "LimitRow",
+    "checked_column",
+    "checked_kind",
+    "checked_name",
+    "checked_order",
+    "checked_positive",
+]
+
+Kind: TypeAlias = Literal["actuator", "barrier", "set"]
+"""What a row stands for. Actuator rows never give way; barrier rows do only when they contradict those, by
+the least violation; rows of set-based tasks give way before barriers."""
+
+AXES = ("u", "v", "w", "r")
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_0-9]+)*")
+
+
+@dataclass(frozen=True, eq=False)
+class LimitRow:
+    """One row lower ≤ a·v ≤ upper, for v = (u, v, w, r) in {B} [m/s, rad/s].
+
+    Attributes:
+        name: dotted name, as "velocity.u"; it appears in explanations.
+        kind: see `Kind`.
+        a: SX (1, 4).
+        lower, upper: SX scalars; −inf or inf where there is none.
+    """
+
+    name: str
+    kind: Kind
+    a: ca.SX
+    lower: ca.SX
+    upper: ca.SX
+
+
+class Limit(Protocol):
+    """Whatever can say its rows."""
+
+    def rows(self) -> tuple[LimitRow, ...]:
+        """The rows, in a fixed order."""
+        ...
+
+
+def checked_name(name: object) -> str:
+    """The name, if it is identifiers joined by dots; InputError otherwise."""
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise InputError(
+            "is not a limit name", key="limit.name", value=name, remedy="use letters, digits and _, joined by dots"
+        )
+    return name
+
+
+def checked_kind(name: str, kind: str) -> None:
+    """InputError, with the nearest kind, when there is no such kind."""
+    if kind not in get_args(Kind):
+        raise InputError("unknown kind of limit", key=f"limit {name}", value=kind, remedy=nearest(kind, get_args(Kind)))
+
+
+def checked_column(name: str, field: str, value: Expression, size: int, *, finite: bool = False) -> ca.SX:
+    """The value as an SX column of `size`; InputError that names limit and field for a wrong shape or a NaN.
+
+    With `finite`, an infinite number is refused too.
+    """
+    key = f"limit {name}: {field}"
+    column = sized_column(value, (size,), key=key)
+    numbers = [float(column[i]) for i in range(size) if column[i].is_constant()]
+    if any(math.isnan(number) or (finite and math.isinf(number)) for number in numbers):
+        remedy = "give finite numbers" if finite else "give numbers, or inf for none"
+        raise InputError("is not a number", key=key, value=value, remedy=remedy)
+    return column
+
+
+def checked_positive(name: str, field: str, value: Expression, size: int = 1, *, zero: bool = False) -> ca.SX:
+    """As `checked_column`, finite, and numbers must be greater than 0 (with `zero`: at least 0)."""
+    column = checked_column(name, field, value, size, finite=True)
+    for i in range(size):
+        if column[i].is_constant() and (float(column[i]) < 0.0 or (float(column[i]) == 0.0 and not zero)):
+            problem = "must be at least 0" if zero else "must be greater than 0"
+            raise InputError(problem, key=f"limit {name}: {field}", value=float(column[i]))
+    return column
+
+
+def checked_order(name: str, lower: ca.SX, upper: ca.SX) -> None:
+    """Numbers must leave room; expressions are taken on trust here and checked when they have values."""
+    if not (lower.is_constant() and upper.is_constant()):
+        return
+    low, high = float(lower), float(upper)
+    if low > high or low == math.inf or high == -math.inf:
+        raise InputError(
+            "leaves no velocity",
+            key=f"limit {name}",
+            value=[low, high],
+            remedy="give lower <= upper, or inf for none",
+        )

@@ -1,0 +1,157 @@
+"""A set-based task: a quantity that may be anywhere between two bounds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import casadi as ca
+
+from surctl.errors import InputError
+from surctl.tasks.rows import LimitRow
+from surctl.tasks.task import Expression, Task, as_column
+
+__all__ = ["SetTask"]
+
+_TURN = 2.0 * math.pi
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SetTask:
+    """lower ≤ σ(η) ≤ upper, kept by K(lower − σ) ≤ σ̇ − σ̇_set ≤ K(upper − σ) (Escande et al. 2014).
+
+    Inside the set the slab holds 0 and leaves room on both sides; at a bound σ may not leave; outside it comes back
+    as a task with gain K would. No switch: the slab moves continuously with σ.
+
+    Attributes:
+        name, eta, sigma, gain, unit: as in `Task`.
+        lower, upper: (k,) or one number for all [unit of σ]; −inf or inf where there is none.
+        rate: σ̇_set, with which the set moves, (k,) or one number [unit of σ per second].
+        angular: σ is an angle [rad]: the set is the arc from lower to upper, shorter than a turn, and outside it σ
+            comes back the short way round (so the slab jumps opposite the middle of the arc, as any angle does).
+
+    Raises:
+        InputError: as `Task`; bounds that are NaN or cross; an arc that has no end or is a whole turn; each names
+            the task.
+    """
+
+    name: str
+    eta: ca.SX
+    sigma: ca.SX
+    lower: Expression
+    upper: Expression
+    rate: Expression = 0.0
+    gain: Expression = 1.0
+    angular: bool = False
+    unit: str = ""
+    _middle: Task = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Check, and turn every number into a column of k expressions."""
+        k = int(ca.SX(self.sigma).shape[0])
+        for bound in ("lower", "upper"):
+            object.__setattr__(self, bound, self._column(bound, k))
+        for i in range(k):
+            self._check_pair(i)
+        # one numeric source of checks, of J and of the wrapped error: the task that holds the middle of the arc
+        middle = Task(
+            name=self.name,
+            eta=self.eta,
+            sigma=self.sigma,
+            target=0.5 * (ca.SX(self.lower) + ca.SX(self.upper)) if self.angular else 0.0,
+            rate=self.rate,
+            gain=self.gain,
+            angular=self.angular,
+            unit=self.unit,
+        )
+        object.__setattr__(self, "_middle", middle)
+        for same in ("sigma", "rate", "gain"):
+            object.__setattr__(self, same, getattr(middle, same))
+
+    @property
+    def size(self) -> int:
+        """k, the number of rows."""
+        return self._middle.size
+
+    def jacobian(self) -> ca.SX:
+        """J, (k, 4): σ̇ = J ν for ν = (u, v, w, r) in {B} (13)."""
+        return self._middle.jacobian()
+
+    def slab(self) -> tuple[ca.SX, ca.SX]:
+        """Lower and upper bound of J ν, (k, 1) each [unit of σ per second]; ±inf where the set has no bound."""
+        below, above = self._distances()
+        lower = [self._rate_of(i, below[i], -math.inf) for i in range(self.size)]
+        upper = [self._rate_of(i, above[i], math.inf) for i in range(self.size)]
+        return ca.densify(ca.vertcat(*lower)), ca.densify(ca.vertcat(*upper))
+
+    def rows(self) -> tuple[LimitRow, ...]:
+        """The slab as rows of kind "set": NAME.set for one row, NAME.set0, NAME.set1, … for more."""
+        J, (lower, upper) = self.jacobian(), self.slab()
+        return tuple(LimitRow(name, "set", J[i, :], lower[i], upper[i]) for i, name in enumerate(self.row_names("set")))
+
+    def row_names(self, what: str) -> tuple[str, ...]:
+        """NAME.WHAT for one row, NAME.WHAT0, NAME.WHAT1, … for more."""
+        return self._middle.row_names(what)
+
+    def split(self) -> tuple[SetTask, ...]:
+        """The same set as k tasks of one row each, named NAME0, NAME1, …; itself if k is 1."""
+        if self.size == 1:
+            return (self,)
+        return tuple(
+            SetTask(
+                name=f"{self.name}{i}",
+                eta=self.eta,
+                sigma=self.sigma[i],
+                lower=ca.SX(self.lower)[i],
+                upper=ca.SX(self.upper)[i],
+                rate=ca.SX(self.rate)[i],
+                gain=ca.SX(self.gain)[i],
+                angular=self.angular,
+                unit=self.unit,
+            )
+            for i in range(self.size)
+        )
+
+    def _distances(self) -> tuple[ca.SX, ca.SX]:
+        """(lower − σ, upper − σ), (k, 1) each; along the shorter arc for an angle."""
+        lower, upper = ca.SX(self.lower), ca.SX(self.upper)
+        if not self.angular:
+            return lower - self.sigma, upper - self.sigma
+        error, half = self._middle.error(), 0.5 * (upper - lower)
+        return error - half, error + half
+
+    def _rate_of(self, i: int, distance: ca.SX, absent: float) -> ca.SX:
+        """One bound of the slab; a number that stands for no bound stays one."""
+        if distance.is_constant() and math.isinf(float(distance)):
+            return ca.SX(absent)
+        return ca.SX(self.rate)[i] + ca.SX(self.gain)[i] * distance
+
+    def _column(self, bound: str, k: int) -> ca.SX:
+        key = f"task {self.name}: {bound}"
+        try:
+            column = as_column(getattr(self, bound))
+        except ValueError:
+            raise InputError(
+                "is neither numbers nor a vector expression", key=key, remedy=f"give one number or {k}"
+            ) from None
+        if column.numel() == 1:
+            column = ca.repmat(column, k, 1)
+        if column.numel() != k:
+            raise InputError(
+                f"has {column.numel()} entries, but sigma has {k}", key=key, remedy=f"give one number or {k}"
+            )
+        return column
+
+    def _check_pair(self, i: int) -> None:
+        """Numbers must be a set; expressions are taken on trust."""
+        lower, upper = ca.SX(self.lower)[i], ca.SX(self.upper)[i]
+        if not (lower.is_constant() and upper.is_constant()):
+            return
+        low, high = float(lower), float(upper)
+        key, value = f"task {self.name}: row {i}", [low, high]
+        if not low <= high or low == math.inf or high == -math.inf:
+            raise InputError("leaves no value", key=key, value=value, remedy="give lower <= upper, or inf for none")
+        if self.angular and not high - low < _TURN:
+            raise InputError(
+                "is no arc", key=key, value=value, remedy="give two angles less than a turn apart, or no task at all"
+            )

@@ -1,0 +1,152 @@
+"""Which velocities the thrusters can reach within one step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.tasks.rows import (
+    Kind,
+    LimitRow,
+    checked_column,
+    checked_kind,
+    checked_name,
+    checked_order,
+    checked_positive,
+)
+from surctl.tasks.task import Expression
+from surctl.vehicle.dynamics import coriolis_force, damping_force
+
+__all__ = ["ThrustLimit"]
+
+_FORCES = ("Fu", "Fv", "Fw", "Fr")
+_NEEDED = ("mass", "linear_drag", "quadratic_drag", "thrust_limit")
+
+
+@dataclass(frozen=True, eq=False)
+class ThrustLimit:
+    """lower ≤ M (v − ν)/dt + load ≤ upper, entry by entry: (3) over one step, solved for the thrust.
+
+    The load is taken at ν, so a thrust on its bound brings the vehicle to the v that this row predicts up to
+    O(dt²). Thrust is the force that acts in the water: where it lags, pass the bounds that it can have on
+    average over the step.
+
+    Attributes:
+        nu: ν (4,), the present velocity over ground in {B} [m/s, rad/s].
+        mass: M, diagonal (4,) or symmetric positive definite (4, 4) [kg, kg m²].
+        load: (4,) thrust that holds ν: C(ν)ν + D(ν)ν less what else pushes [N, N m].
+        lower, upper: (4,) bounds of the thrust [N, N m].
+        dt: step in which v is to be reached [s].
+
+    Raises:
+        InputError: wrong shapes, numbers that are not finite, a mass that is not positive, lower > upper, dt not
+            greater than 0; it names field or row.
+    """
+
+    nu: Expression
+    mass: Expression
+    _: KW_ONLY
+    load: Expression
+    lower: Expression
+    upper: Expression
+    dt: Expression
+    name: str = "thrust"
+    kind: Kind = "actuator"
+
+    def __post_init__(self) -> None:
+        """Check name, kind, shapes and order."""
+        checked_kind(checked_name(self.name), self.kind)
+        for field in ("nu", "load", "lower", "upper"):
+            column = checked_column(self.name, field, getattr(self, field), 4, finite=field in ("nu", "load"))
+            object.__setattr__(self, field, column)
+        object.__setattr__(self, "mass", _mass_matrix(self.name, self.mass))
+        object.__setattr__(self, "dt", checked_positive(self.name, "dt", self.dt))
+        for i, force in enumerate(_FORCES):
+            checked_order(f"{self.name}.{force}", ca.SX(self.lower)[i], ca.SX(self.upper)[i])
+
+    @staticmethod
+    def of_plant(
+        nu: Expression,
+        parameters: Mapping[str, Expression],
+        *,
+        dt: Expression,
+        water: Expression = (0.0, 0.0, 0.0),
+        force: Expression = (0.0, 0.0, 0.0, 0.0),
+        name: str = "thrust",
+    ) -> ThrustLimit:
+        """The limit of the plant (3) of `surctl.vehicle`, with its own expressions for C and D.
+
+        Args:
+            nu: (4,) velocity over ground in {B} [m/s, rad/s].
+            parameters: mass, linear_drag, quadratic_drag, thrust_limit, (4,) each, numbers or SX, as the ports of
+                `PLANT_PARAMETERS`; others are not read.
+            dt: step [s].
+            water: (3,) velocity of the water in {B} [m/s], R(ψ)ᵀ times the current; as in the plant, forces are
+                those of ν − water, and the water's velocity turns in {B} at −r.
+            force: (4,) known force on the vehicle in {B} [N, N m].
+            name: of the limit.
+
+        Raises:
+            InputError: a parameter is missing, or as the class does.
+        """
+        for key in _NEEDED:
+            if key not in parameters:
+                raise InputError("is missing", key=f"limit {name}: {key}", remedy=nearest(key, parameters))
+        p = {key: checked_column(name, key, parameters[key], 4, finite=True) for key in _NEEDED}
+        velocity = checked_column(name, "nu", nu, 4, finite=True)
+        current = checked_column(name, "water", water, 3, finite=True)
+        relative = velocity - ca.vertcat(current, 0)
+        turning = ca.vertcat(velocity[3] * current[1], -velocity[3] * current[0], 0, 0)
+        load = coriolis_force(relative, p) + damping_force(relative, p) - p["mass"] * turning
+        load -= checked_column(name, "force", force, 4, finite=True)
+        most = p["thrust_limit"]
+        return ThrustLimit(velocity, p["mass"], load=load, lower=-most, upper=most, dt=dt, name=name)
+
+    def needed(self, v: ca.SX) -> ca.SX:
+        """Thrust (4,) [N, N m] that brings ν to v (4,) [m/s, rad/s] within the step."""
+        return ca.SX(self.mass) @ (v - ca.SX(self.nu)) / ca.SX(self.dt) + ca.SX(self.load)
+
+    def toward(self, wanted: ca.SX) -> ca.SX:
+        """A velocity (4,) that the thrust reaches: that of the thrust needed for `wanted` (4,), brought into bounds.
+
+        `wanted` itself when its thrust is within bounds. For a diagonal M the reachable set is a box, and this is
+        its point nearest to `wanted`.
+        """
+        asked = self.needed(wanted)
+        missing = ca.fmin(ca.fmax(asked, ca.SX(self.lower)), ca.SX(self.upper)) - asked
+        return wanted + ca.SX(self.dt) * self._divided(missing)
+
+    def rows(self) -> tuple[LimitRow, ...]:
+        """Four rows, named NAME.Fu, NAME.Fv, NAME.Fw, NAME.Fr; a·v and its bounds are in N and N m."""
+        slope = ca.densify(ca.SX(self.mass) / ca.SX(self.dt))
+        offset = ca.SX(self.load) - slope @ ca.SX(self.nu)
+        lower, upper = ca.SX(self.lower) - offset, ca.SX(self.upper) - offset
+        return tuple(
+            LimitRow(f"{self.name}.{force}", self.kind, slope[i, :], lower[i], upper[i])
+            for i, force in enumerate(_FORCES)
+        )
+
+    def _divided(self, force: ca.SX) -> ca.SX:
+        """M⁻¹ force, (4,)."""
+        mass = ca.SX(self.mass)
+        return force / ca.diag(mass) if mass.sparsity().is_diag() else ca.solve(mass, force)
+
+
+def _mass_matrix(name: str, mass: Expression) -> ca.SX:
+    """M as (4, 4), sparse where a diagonal was given."""
+    given = ca.SX(mass) if isinstance(mass, ca.SX) else ca.SX(ca.DM(mass))
+    if given.shape != (4, 4):
+        return ca.diag(checked_positive(name, "mass", given, 4))
+    if given.is_constant() and not _positive_definite(np.array(ca.DM(given))):
+        raise InputError("is not symmetric positive definite", key=f"limit {name}: mass", value=given)
+    return given
+
+
+def _positive_definite(matrix: NDArray[np.float64]) -> bool:
+    symmetric = np.isfinite(matrix).all() and np.array_equal(matrix, matrix.T)
+    return bool(symmetric and np.linalg.eigvalsh(matrix)[0] > 0.0)
