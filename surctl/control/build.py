@@ -1,0 +1,205 @@
+"""Assemble a law from its parts: perception, guidance, tasks, priority, velocity control."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal, get_args
+
+import casadi as ca
+
+from surctl.control.law import DEGRADED, SATURATED, SWITCHED, TELEMETRY, Law
+from surctl.control.laws import DECISION_PORTS, Decision, guarded_law, paper_law
+from surctl.control.perception import perceive, perception_ports
+from surctl.control.ports import INPUTS, PARAMETERS
+from surctl.control.reference import path_wish
+from surctl.control.velocity import velocity_control
+from surctl.errors import InputError, nearest
+from surctl.guidance import FORMS, AvoidanceForm
+from surctl.ir import Block, Call, Layout, Port, Routine, lower
+from surctl.priority import LevelShape, Mode, nsb_symbolic, priority_tick
+from surctl.priority.ladder import RELAXED
+from surctl.tasks import LimitRow, VelocityBox
+
+__all__ = ["LAW_NAMES", "MODES", "build_law"]
+
+LawName = Literal["guarded", "paper"]
+LAW_NAMES: tuple[LawName, ...] = get_args(LawName)
+MODES: tuple[Mode, ...] = get_args(Mode)
+
+_YAW_SHARE = 0.85  # share of the yaw thrust that the heading task may plan with
+_CLIMB = 0.1  # [m/s] largest heave command
+
+
+@cache
+def build_law(
+    law: LawName = "guarded", *, avoidance: AvoidanceForm = "corrected", mode: Mode = "nsb", dt: float = 0.05
+) -> Law:
+    """Assemble a law once; the gains stay symbols.
+
+    Args:
+        law: `guarded`, or the printed stack `paper`.
+        avoidance: form of (20); `guarded` is built on `corrected` and takes no other.
+        mode: `nsb`, which knows no limits, or one that keeps them: `filter`, `projected`, `lexicographic`.
+        dt: control period [s].
+
+    Raises:
+        InputError: an unknown name, or a form that the law does not take.
+    """
+    for key, value, known in (("law", law, LAW_NAMES), ("avoidance", avoidance, FORMS), ("priority-mode", mode, MODES)):
+        if value not in known:
+            raise InputError("is not known", key=key, value=value, remedy=nearest(str(value), known))
+    if law == "guarded" and avoidance != "corrected":
+        raise InputError(
+            "law guarded is built on the corrected form",
+            key="avoidance",
+            value=avoidance,
+            remedy="compare the forms with law paper",
+        )
+    state = _state_layout(dt)
+    x, xs = state.symbols("x")
+    u, us = INPUTS.symbols("u")
+    p, ps = PARAMETERS.symbols("p")
+    wish = path_wish(us["eta"], xs["progress"], ps, dt=dt)
+    seen = perceive(xs, us, ps, dt=dt)
+    decision = (
+        guarded_law(wish, seen, xs, us["eta"], ps)
+        if law == "guarded"
+        else paper_law(avoidance, wish, seen, xs, us["eta"], ps, dt=dt)
+    )
+    nearest_clearance = ca.SX(100)
+    for contact in seen.all:
+        nearest_clearance = ca.fmin(nearest_clearance, contact.clearance)
+    finish = _Finish(
+        state=state,
+        outputs=Layout(TELEMETRY),
+        x=xs,
+        u=us,
+        p=ps,
+        dt=dt,
+        carried={**seen.state, **decision.state, "progress": wish.progress},
+        extra={
+            "path_error": ca.vertcat(wish.x_e, wish.y_e),
+            "avoiding": decision.avoiding,
+            "nearest": nearest_clearance,
+            "ranges": seen.ranges,
+        },
+        decision=decision,
+    )
+    inputs, names = [x, u, p], ["tau", "x_next", "status", "telemetry"]
+    options = {"cse": True}
+    rows = _rows(decision, ps)
+    wanted, rung = ca.SX.sym("nu_wanted", 4), ca.SX.sym("rung")
+    nsb = nsb_symbolic([(J, r) for _, J, r in decision.levels])
+    levels = tuple((name, int(J.shape[0])) for name, J, _ in decision.levels)
+    function = ca.Function("law", inputs, finish.close(nsb, ca.SX(0)), ["x", "u", "p"], names, options)
+    pre = ca.Function("pre", inputs, _tick_inputs(decision, rows, ps), options)
+    post = ca.Function(
+        "post", [*inputs, wanted, rung], finish.close(wanted, rung), ["x", "u", "p", "nu_wanted", "rung"], names, options
+    )
+    return Law(
+        name=f"surctl_{law}",
+        avoidance=avoidance,
+        mode=mode,
+        dt=dt,
+        state=state,
+        inputs=INPUTS,
+        gains=PARAMETERS,
+        outputs=finish.outputs,
+        block=lower(function) if mode == "nsb" else _routine(mode, pre, post, levels=levels, rows=len(rows)),
+        function=function,
+        pre=pre,
+        post=post,
+        levels=levels,
+        rows=tuple(row.name for row in rows),
+    )
+
+
+def _routine(
+    mode: Mode, pre: ca.Function, post: ca.Function, *, levels: tuple[tuple[str, int], ...], rows: int
+) -> Block:
+    """`pre`, the priority tick, and `post`."""
+    shapes = tuple(LevelShape(count) for _, count in levels)
+    tick = priority_tick(mode, n=4, levels=shapes, rows=rows)
+    before, after = lower(pre), lower(post)
+    found = tuple(f"tick_{name}" for name, _ in tick.outputs)
+    results = tuple(name for name, _ in after.outputs)
+    steps = (
+        Call(before, ("x", "u", "p"), ("J", "wanted", "rows", "box")),
+        Call(tick, ("J", "wanted", "wanted", "rows", "box"), found),
+        Call(after, ("x", "u", "p", "tick_v", "tick_status"), results),
+    )
+    return Routine("law", before.inputs, steps, results)
+
+
+def _rows(decision: Decision, p: dict[str, ca.SX]) -> list[LimitRow]:
+    """The velocity box, then the barriers."""
+    most = ca.vertcat(p["cap"], p["cap"], _CLIMB, _yaw_limit(p))
+    return [*VelocityBox(-most, most).rows(), *(row for limit in decision.rows for row in limit.rows())]
+
+
+def _tick_inputs(decision: Decision, rows: list[LimitRow], p: dict[str, ca.SX]) -> list[ca.SX]:
+    """J row by row, references, rows (a, lower, upper, may open), box."""
+    flat = [ca.vertcat(row.a.T, row.lower, row.upper, row.kind != "actuator") for row in rows]
+    box = [ca.vertcat(*(getattr(row, side) for row in rows[:4])) for side in ("lower", "upper")]
+    J = ca.vertcat(*(J for _, J, _ in decision.levels))
+    outputs = [ca.vec(J.T), ca.vertcat(*(r for _, _, r in decision.levels)), ca.vertcat(*flat), ca.vertcat(*box)]
+    return [ca.densify(output) for output in outputs]
+
+
+def _state_layout(dt: float) -> Layout:
+    return Layout(
+        (
+            Port("progress", (1,), "m", "arc length of the path's target"),
+            Port("integral", (4,), "m/s^2, rad/s^2", "integral action of the velocity loops"),
+            *DECISION_PORTS,
+            *perception_ports(dt),
+        )
+    )
+
+
+def _yaw_limit(p: dict[str, ca.SX]) -> ca.SX:
+    """Yaw rate [rad/s] that 85 % of the yaw thrust holds."""
+    moment, linear, quadratic = _YAW_SHARE * p["thrust_limit"][3], p["linear_drag"][3], p["quadratic_drag"][3]
+    root = ca.sqrt(linear * linear + 4 * quadratic * moment)
+    # the form without a difference of near-equal numbers, and defined without quadratic drag
+    return 2 * moment / ca.fmax(linear + root, 1e-6)
+
+
+@dataclass(frozen=True)
+class _Finish:
+    """Last stage: limit the wanted velocity, velocity control, and what is carried and told."""
+
+    state: Layout
+    outputs: Layout
+    x: dict[str, ca.SX]
+    u: dict[str, ca.SX]
+    p: dict[str, ca.SX]
+    dt: float
+    carried: dict[str, ca.SX]
+    extra: dict[str, ca.SX]
+    decision: Decision
+
+    def close(self, nu_wanted: ca.SX, rung: ca.SX) -> list[ca.SX]:
+        """(tau, x_next, status, telemetry) of a wanted velocity; rung of the priority tick, 0 if there was none."""
+        tau, integral, saturated, clamped = self._thrust(nu_wanted)
+        switched = ca.logic_not(self.decision.state["side"] == self.x["side"])
+        degraded = ca.logic_or(self.decision.degraded, rung >= RELAXED)
+        status = SATURATED * saturated + SWITCHED * switched + DEGRADED * degraded
+        full = self.outputs.join({"tau": tau, "nu_wanted": clamped, **self.extra})
+        return [tau, self.state.join({**self.carried, "integral": integral}), status, full[4:]]
+
+    def _thrust(self, wanted: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        p = self.p
+        speed = ca.sqrt(ca.sumsqr(wanted[:2]))
+        horizontal = wanted[:2] * ca.fmin(1, p["cap"] / ca.fmax(speed, 1e-6))
+        turn = _yaw_limit(p)
+        clamped = ca.vertcat(
+            horizontal,
+            ca.fmin(ca.fmax(wanted[2], -_CLIMB), _CLIMB),
+            ca.fmin(ca.fmax(wanted[3], -turn), turn),
+        )
+        tau, integral, saturated = velocity_control(
+            clamped, self.u["nu"], self.x["integral"], p, k_v=p["k_v"], k_r=p["k_r"], k_i=p["k_i"], dt=self.dt
+        )
+        return tau, integral, saturated, clamped
