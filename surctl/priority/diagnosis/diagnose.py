@@ -48,7 +48,7 @@ def diagnose(
     Scrambled Sobol samples (rounded up to a power of two), then local searches from the worst of them.
 
     Args:
-        stack: the tasks.
+        stack: the tasks; each asks for one value (of a set-based one, diagnose the task at its bound).
         region: lower and upper corner of η, (4,) each [m, m, m, rad] in {E}.
         parameters: (symbol, lower, upper) of every further symbol that Jacobians or references hold.
         samples: number of samples, at least 1.
@@ -58,7 +58,7 @@ def diagnose(
 
     Raises:
         InputError: a region or parameter that `build_region` refuses, a symbol without a range, nonsensical numbers,
-            or a task that is not finite at a sample; it names the symbol or the task.
+            a set-based task, or one that is not finite at a sample; it names the symbol or the task.
     """
     _check_numbers(samples, threshold, starts)
     box = build_region(stack, region, parameters)

@@ -86,10 +86,10 @@ class Field:
 def build_field(stack: Stack, region: Region) -> Field:
     """Compile a stack over a region that `build_region` made for it."""
     parts = []
-    for task, A in zip(stack.tasks, world_jacobians(stack), strict=True):
+    for (J, x), A in zip(stack.levels(), world_jacobians(stack), strict=True):
         square = ca.sum2(A**2)
-        change = [ca.sumsqr(ca.jacobian(A[i, :], stack.eta)) for i in range(task.size)]
-        parts += [ca.vec(task.jacobian()), task.reference(), square, *change]
+        change = [ca.sumsqr(ca.jacobian(A[i, :], stack.eta)) for i in range(J.shape[0])]
+        parts += [ca.vec(J), x, square, *change]
     column = ca.densify(ca.vertcat(*parts))
     function = ca.Function("field", [region.symbols], [column])
     return Field(stack.names, tuple(task.size for task in stack.tasks), region, function)

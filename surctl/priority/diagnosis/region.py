@@ -75,7 +75,7 @@ def build_region(stack: Stack, region: Bounds, parameters: Sequence[Parameter] =
     """
     lower, upper = _corners(region, 4, key="region", names=_AXES)
     symbols, names, low, high = [stack.eta[i] for i in range(4)], list(_AXES), [lower], [upper]
-    used = {s.element_hash() for task in stack.tasks for s in _symbols(task.jacobian(), task.reference())}
+    used = {s.element_hash() for J, x in stack.levels() for s in _symbols(J, x)}
     for parameter in parameters:
         symbol, bounds = _split(parameter)
         entries = _entries(symbol)
@@ -104,12 +104,12 @@ def _symbols(*expressions: ca.SX) -> list[ca.SX]:
 
 
 def _check_complete(stack: Stack, known: set[int]) -> None:
-    for task in stack.tasks:
-        for symbol in _symbols(task.jacobian(), task.reference()):
+    for name, (J, x) in zip(stack.names, stack.levels(), strict=True):
+        for symbol in _symbols(J, x):
             if symbol.element_hash() not in known:
                 raise InputError(
                     f"uses {symbol}, which has no range",
-                    key=f"task {task.name}",
+                    key=f"task {name}",
                     remedy=f"give parameters=[({symbol}, lower, upper)]",
                 )
 

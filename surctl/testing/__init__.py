@@ -1,0 +1,20 @@
+"""Conformance checks for what others write: tasks, limits and QP backends. Each names what fails, and where."""
+
+from surctl.testing.backends import BACKEND_FAMILIES, BackendReport, check_backend, measure_backend
+from surctl.testing.finding import CheckFailed
+from surctl.testing.limits import LimitReport, check_limit
+from surctl.testing.ranges import Parameter
+from surctl.testing.tasks import TaskReport, check_task
+
+__all__ = [
+    "BACKEND_FAMILIES",
+    "BackendReport",
+    "CheckFailed",
+    "LimitReport",
+    "Parameter",
+    "TaskReport",
+    "check_backend",
+    "check_limit",
+    "check_task",
+    "measure_backend",
+]

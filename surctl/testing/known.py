@@ -1,0 +1,150 @@
+"""Least-distance problems that are made from their answers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["BACKEND_FAMILIES", "Known", "draw_known"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """min ½‖y‖² subject to lower ≤ G y ≤ upper, with its answer.
+
+    Attributes:
+        G: (m, d). lower, upper: (m,).
+        y: (d,), the only optimum; None when no y keeps the rows.
+        angle: smallest angle between rows that matter [rad], at most 1: errors in bounds grow by its inverse.
+    """
+
+    G: Array
+    lower: Array
+    upper: Array
+    y: Array | None
+    angle: float = 1.0
+
+
+def _unit(rng: np.random.Generator, count: int, size: int) -> Array:
+    rows: Array = rng.normal(size=(count, size))
+    made: Array = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    return made
+
+
+def _pushing(normals: Array, rng: np.random.Generator, *, idle: int = 6, free: int = 0) -> Known:
+    """y* = −normalsᵀ·multipliers, with each normal at its upper bound; then random sides and idle rows.
+
+    The last `free` of the normals get the multiplier 0: they go through y* without pushing.
+    """
+    count, size = normals.shape
+    multipliers = np.append(rng.uniform(0.1, 1.0, count - free), np.zeros(free))
+    y = -normals.T @ multipliers
+    others = _unit(rng, idle, size)
+    G = np.vstack([normals, others])
+    value = G @ y
+    room = np.concatenate([np.zeros(count), rng.exponential(0.5, idle) + 1e-3])
+    width = rng.exponential(1.0, len(G)) + 1e-3
+    upper, lower = value + room, np.where(rng.random(len(G)) < 0.5, value - width, -np.inf)
+    side = np.where(rng.random(len(G)) < 0.5, -1.0, 1.0)  # a·y ≤ b is −b ≤ −a·y
+    turned = side < 0.0
+    G, lower, upper = G * side[:, None], np.where(turned, -upper, lower), np.where(turned, -lower, upper)
+    order = rng.permutation(len(G))
+    return Known(G[order], lower[order], upper[order], y)
+
+
+def _loose(size: int, rng: np.random.Generator) -> Known:
+    """Nothing binds: 0 is the answer."""
+    return _pushing(np.zeros((0, size)), rng, idle=8)
+
+
+def _plain(size: int, rng: np.random.Generator) -> Known:
+    return _pushing(_unit(rng, int(rng.integers(1, size + 1)), size), rng)
+
+
+def _equal(size: int, rng: np.random.Generator) -> Known:
+    """Some rows leave one value."""
+    made = _pushing(_unit(rng, int(rng.integers(1, size)), size), rng)
+    if made.y is None:
+        return made
+    value = made.G @ made.y
+    tight = np.minimum(made.upper - value, value - made.lower) < 1e-12
+    return Known(made.G, np.where(tight, value, made.lower), np.where(tight, value, made.upper), made.y)
+
+
+def _degenerate(size: int, rng: np.random.Generator) -> Known:
+    """More rows through the answer than unknowns, most of them without pushing."""
+    return _pushing(_unit(rng, 2 * size, size), rng, free=int(rng.integers(size, 2 * size)))
+
+
+def _doubled(size: int, rng: np.random.Generator) -> Known:
+    """Rows that stand twice."""
+    made = _plain(size, rng)
+    twice = rng.integers(0, len(made.G), 4)
+    side = rng.choice([-1.0, 1.0], 4)
+    lower = np.where(side > 0.0, made.lower[twice], -made.upper[twice])
+    upper = np.where(side > 0.0, made.upper[twice], -made.lower[twice])
+    G = np.vstack([made.G, made.G[twice] * side[:, None]])
+    return Known(G, np.concatenate([made.lower, lower]), np.concatenate([made.upper, upper]), made.y)
+
+
+def _parallel(size: int, rng: np.random.Generator) -> Known:
+    """Two rows that push are 1e-5 to 1e-2 rad apart."""
+    normals = _unit(rng, 2, size)
+    angle = float(10.0 ** rng.uniform(-5, -2))
+    across = normals[1] - (normals[0] @ normals[1]) * normals[0]
+    normals[1] = np.cos(angle) * normals[0] + np.sin(angle) * across / np.linalg.norm(across)
+    made = _pushing(normals, rng)
+    return Known(made.G, made.lower, made.upper, made.y, angle)
+
+
+def _scaled(size: int, rng: np.random.Generator) -> Known:
+    """Rows of length 1e-3 to 1e3."""
+    made = _plain(size, rng)
+    length = 10.0 ** rng.uniform(-3, 3, len(made.G))
+    return Known(made.G * length[:, None], made.lower * length, made.upper * length, made.y)
+
+
+def _infeasible(size: int, rng: np.random.Generator) -> Known:
+    """Rows that sum to 0 under positive weights, with bounds that sum to less than 0."""
+    count = int(rng.integers(2, size + 2))
+    weights = rng.uniform(0.2, 1.0, count)
+    normals = _unit(rng, count, size)
+    closing = -weights[:-1] @ normals[:-1] / weights[-1]
+    length = float(np.linalg.norm(closing))
+    normals[-1], weights[-1] = closing / length, weights[-1] * length
+    upper = rng.normal(size=count)
+    upper[-1] -= (weights @ upper + rng.uniform(0.05, 1.0)) / weights[-1]
+    made = _pushing(np.zeros((0, size)), rng)
+    G = np.vstack([normals, made.G])
+    lower = np.concatenate([np.full(count, -np.inf), made.lower])
+    return Known(G, lower, np.concatenate([upper, made.upper]), None)
+
+
+_MAKERS: Mapping[str, Callable[[int, np.random.Generator], Known]] = MappingProxyType(
+    {
+        "loose": _loose,
+        "plain": _plain,
+        "equal": _equal,
+        "degenerate": _degenerate,
+        "doubled": _doubled,
+        "parallel": _parallel,
+        "scaled": _scaled,
+        "infeasible": _infeasible,
+    }
+)
+
+BACKEND_FAMILIES = tuple(_MAKERS)
+"""Kinds of problems: nothing binds; random; equalities; too many rows through the answer; rows twice; nearly
+parallel rows; rows of length 1e-3 to 1e3; no answer."""
+
+
+def draw_known(family: str, *, size: int, rng: np.random.Generator) -> Known:
+    """One problem of a family in `BACKEND_FAMILIES` with `size` unknowns, at least 2."""
+    return _MAKERS[family](size, rng)

@@ -1,0 +1,238 @@
+"""Whether a limit's rows are rows: finite, named, and never contradicting themselves."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias, get_args
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from surctl.tasks import Kind, Limit, LimitRow
+from surctl.testing.finding import CheckFailed
+from surctl.testing.ranges import Parameter, Ranges, Sampled, ranges_of
+
+__all__ = ["LimitReport", "check_limit"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_DOTTED = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z0-9_]+)*")
+_STARTS, _ROUNDS, _TRIES = 3, 40, 20  # of the search for bounds that cross
+_EMPTY = 1e-9  # velocity by which actuator rows must open before they count as contradictory
+_SWEEPS = 10
+_BESIDE = 1e-3  # velocity by which a trial point stands beside the bound of a row
+_ON = 1e-7  # trial points nearer to a bound than this are no evidence
+
+
+@dataclass(frozen=True)
+class LimitReport:
+    """What a limit that passed looks like.
+
+    Attributes:
+        names: of its rows.
+        samples: points at which they were evaluated, corners of the ranges included.
+        narrowest, narrowest_row: least room upper − lower found, as a velocity, and the row; inf for none.
+        compared: velocities at which `holds` was asked.
+    """
+
+    names: tuple[str, ...]
+    samples: int
+    narrowest: float
+    narrowest_row: str
+    compared: int
+
+
+def check_limit(
+    limit: Limit,
+    *,
+    parameters: Sequence[Parameter] = (),
+    holds: Callable[..., bool] | None = None,
+    velocity: float = 1.0,
+    samples: int = 50,
+    seed: int = 0,
+) -> LimitReport:
+    """Check the rows of a limit over the ranges of its symbols.
+
+    Names are unique, identifiers joined by dots, and the same at every call; kinds are known; a is (1, 4). At random
+    points and at corners of the ranges: a is finite, bounds are no NaN and leave room (lower ≤ upper, a row of zeros
+    holds 0). Bounds that cross are then searched for, row by row, by random steps from the narrowest points found.
+    The actuator rows together leave a velocity (by linear programming).
+
+    Args:
+        limit: whatever has `rows()`.
+        parameters: (symbol, lowest, highest) for every symbol in the rows.
+        holds: (v (4,), *values of the parameters) → whether v keeps the limit, as its author means it; compared with
+            the rows at random velocities and on both sides of every bound.
+        velocity: largest entry of those random velocities [m/s, rad/s].
+        samples: number of random points.
+        seed: of numpy's PCG64.
+
+    Raises:
+        CheckFailed: the first finding; it names the row.
+        InputError: a symbol has no range.
+    """
+    rows = _shaped(limit)
+    ranges = ranges_of(parameters)
+    check = _Check(rows, ranges, Sampled("limit", ranges, _expressions(rows)))
+    rng = np.random.default_rng(seed)
+    points = np.vstack([ranges.draw(rng, samples), ranges.corners()])
+    room = check.rooms(points)
+    for i in range(len(rows)):
+        room = np.vstack([room, check.search(i, points[np.argsort(room[: len(points), i])[:_STARTS]], rng)])
+    compared = 0
+    for point in points[:samples]:
+        check.together(point)
+        if holds is not None:
+            compared += check.compare(point, holds, rng, velocity)
+    least = room.min(axis=0)
+    narrowest = int(np.argmin(least))
+    return LimitReport(
+        tuple(row.name for row in rows), len(points), float(least[narrowest]), rows[narrowest].name, compared
+    )
+
+
+def _shaped(limit: Limit) -> tuple[LimitRow, ...]:
+    """The rows, if all that does not depend on values is right."""
+    rows, again = tuple(limit.rows()), tuple(limit.rows())
+    if not rows:
+        raise CheckFailed("limit", "has no rows")
+    if [row.name for row in rows] != [row.name for row in again]:
+        raise CheckFailed("limit", "gives other names at every call")
+    seen: set[str] = set()
+    for row in rows:
+        what = f"limit row {row.name!r}"
+        if not isinstance(row.name, str) or not _DOTTED.fullmatch(row.name):
+            raise CheckFailed(what, "is not identifiers joined by dots")
+        if row.name in seen:
+            raise CheckFailed(what, "stands twice")
+        seen.add(row.name)
+        if row.kind not in get_args(Kind):
+            raise CheckFailed(what, f"has the unknown kind {row.kind!r}; known: {', '.join(get_args(Kind))}")
+        for field, value, shape in (("a", row.a, (1, 4)), ("lower", row.lower, (1, 1)), ("upper", row.upper, (1, 1))):
+            if ca.SX(value).shape != shape:
+                raise CheckFailed(what, f"{field} has shape {ca.SX(value).shape}, expected {shape}")
+    return rows
+
+
+def _expressions(rows: Sequence[LimitRow]) -> list[ca.SX]:
+    return [ca.vertcat(*(ca.SX(getattr(row, field)) for row in rows)) for field in ("a", "lower", "upper")]
+
+
+@dataclass(frozen=True)
+class _Check:
+    rows: Sequence[LimitRow]
+    ranges: Ranges
+    at: Sampled
+
+    def values(self, point: Array) -> tuple[Array, Array, Array]:
+        """A (m, 4), lower (m,), upper (m,)."""
+        A, lower, upper = self.at(point)
+        return A, lower.reshape(-1), upper.reshape(-1)
+
+    def rooms(self, points: Array) -> Array:
+        """upper − lower (N, m), as a velocity where the row has a length; CheckFailed if a row is none somewhere."""
+        A, lower, upper = self.at.many(points)
+        lower, upper = lower[..., 0], upper[..., 0]
+        length = np.linalg.norm(A, axis=2)
+        crossed = (lower > upper) | (lower == math.inf) | (upper == -math.inf)
+        never = (length == 0.0) & ((lower > 0.0) | (upper < 0.0))
+        for bad, problem in (
+            (~np.isfinite(A).all(axis=2), "a is not finite: {a}"),
+            (np.isnan(lower) | np.isnan(upper), "a bound is not a number: {low} to {high}"),
+            (crossed, "leaves no velocity: lower = {low}, upper = {high}"),
+            (never, "asks a row of zeros to lie in {low} to {high}"),
+        ):
+            for k, i in np.argwhere(bad)[:1]:
+                told = {"a": A[k, i].tolist(), "low": f"{lower[k, i]:.6g}", "high": f"{upper[k, i]:.6g}"}
+                self._fail(i, problem.format_map(told), points[k])
+        room: Array = (upper - lower) / np.where(length > 0.0, length, 1.0)
+        return room
+
+    def search(self, i: int, starts: Array, rng: np.random.Generator) -> Array:
+        """Narrow row i down from each start: random steps, half as wide when none helps; the narrowest room found."""
+        best = np.full(len(self.rows), math.inf)
+        span = self.ranges.high - self.ranges.low
+        for start in starts if span.any() else starts[:0]:
+            here, least, width = start, self.rooms(start[None, :])[0, i], 0.3
+            for _ in range(_ROUNDS if math.isfinite(least) else 0):
+                steps = width * span * rng.normal(size=(_TRIES, span.size))
+                tried = np.clip(here + steps, self.ranges.low, self.ranges.high)
+                rooms = self.rooms(tried)
+                best = np.minimum(best, rooms.min(axis=0))
+                k = int(np.argmin(rooms[:, i]))
+                if rooms[k, i] < least:
+                    here, least = tried[k], rooms[k, i]
+                else:
+                    width *= 0.5
+        return best
+
+    def together(self, point: Array) -> None:
+        """Actuator rows must have a velocity in common: least t by which all open, rows of length 1, is 0."""
+        A, lower, upper = self.values(point)
+        hard = np.array([row.kind == "actuator" for row in self.rows]) & A.any(axis=1)
+        if hard.sum() < 2:
+            return
+        chosen = np.flatnonzero(hard)
+        length = np.linalg.norm(A[chosen], axis=1)
+        G, low, high = A[chosen] / length[:, None], lower[chosen] / length, upper[chosen] / length
+        above, below = np.isfinite(high), np.isfinite(low)
+        sides = np.vstack([G[above], -G[below]])
+        found = linprog(
+            [0, 0, 0, 0, 1],
+            A_ub=np.column_stack([sides, -np.ones(len(sides))]),
+            b_ub=np.concatenate([high[above], -low[below]]),
+            bounds=[(None, None)] * 4 + [(0, None)],
+        )
+        size = 1.0 + float(np.abs(found.x[:4]).max()) if found.x is not None else 1.0
+        if found.status == 0 and found.x[4] > _EMPTY * size:
+            names = np.concatenate([chosen[above], chosen[below]])[np.abs(found.ineqlin.marginals) > _EMPTY]
+            guilty = " and ".join(dict.fromkeys(self.rows[i].name for i in names))
+            raise CheckFailed(
+                "limit", f"actuator rows {guilty} contradict each other by {found.x[4]:.3g}", at=self.ranges.told(point)
+            )
+
+    def compare(self, point: Array, holds: Callable[..., bool], rng: np.random.Generator, velocity: float) -> int:
+        """Ask `holds` at random velocities and beside every bound; the number of velocities asked."""
+        A, lower, upper = self.values(point)
+        asked = 0
+        for v in self._trials(A, lower, upper, rng, velocity):
+            inside = np.minimum(A @ v - lower, upper - A @ v) / np.maximum(np.linalg.norm(A, axis=1), 1e-300)
+            if np.abs(inside).min() < _ON:
+                continue
+            asked += 1
+            kept = bool((inside > 0.0).all())
+            if bool(holds(v, *self.ranges.split(point))) != kept:
+                i = int(np.argmin(inside))
+                verdict = "and all others keep" if kept else "refuses"
+                told = np.array2string(v, precision=5, separator=", ")
+                self._fail(i, f"{verdict} v = {told}, but holds() says otherwise", point)
+        return asked
+
+    def _trials(self, A: Array, lower: Array, upper: Array, rng: np.random.Generator, velocity: float) -> list[Array]:
+        """Velocities anywhere, and on both sides of every bound where the other rows are kept."""
+        trials = list(rng.uniform(-velocity, velocity, (5, 4)))
+        for a, *bounds in zip(A, lower, upper, strict=True):
+            for bound in bounds:
+                if a.any() and math.isfinite(bound):
+                    v = _toward(A, lower, upper, rng.uniform(-velocity, velocity, 4))
+                    on, normal = v + a * (bound - a @ v) / (a @ a), a / np.linalg.norm(a)
+                    trials += [on - _BESIDE * normal, on + _BESIDE * normal]
+        return trials
+
+    def _fail(self, i: int, problem: str, point: Array) -> None:
+        raise CheckFailed(f"limit row {self.rows[i].name!r}", problem, at=self.ranges.told(point))
+
+
+def _toward(A: Array, lower: Array, upper: Array, v: Array) -> Array:
+    """v after some sweeps of projections on the rows that it misses (Kaczmarz): mostly inside all of them."""
+    for _ in range(_SWEEPS):
+        for a, low, high in zip(A, lower, upper, strict=True):
+            if a.any():
+                inset = min(2.0 * _BESIDE * float(np.linalg.norm(a)), 0.5 * (high - low))
+                v = v + a * (min(max(float(a @ v), low + inset), high - inset) - a @ v) / (a @ a)
+    return v

@@ -1,0 +1,119 @@
+"""The symbols of an expression, with the ranges from which a check takes their values."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+
+__all__ = ["Parameter", "Ranges", "Sampled", "ranges_of"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+Parameter: TypeAlias = tuple[ca.SX, float | Sequence[float], float | Sequence[float]]
+"""(symbol (k, 1), lowest, highest): one number for all entries, or (k,)."""
+
+_MOST_CORNERS = 10  # entries up to which every corner of the box of values is visited
+
+
+@dataclass(frozen=True, eq=False)
+class Ranges:
+    """Symbols laid end to end, with the lowest and highest value of each entry; low, high: (total,)."""
+
+    symbols: tuple[ca.SX, ...]
+    low: Array
+    high: Array
+
+    def draw(self, rng: np.random.Generator, count: int) -> Array:
+        """(count, total), uniform."""
+        return rng.uniform(self.low, self.high, (count, self.low.size))
+
+    def corners(self) -> Array:
+        """(corners, total): every corner of the box of values for few entries, else its two ends."""
+        if self.low.size == 0:
+            return np.zeros((1, 0))
+        if self.low.size > _MOST_CORNERS:
+            return np.vstack([self.low, self.high])
+        ends = itertools.product(*zip(self.low, self.high, strict=True))
+        return np.array(list(ends)).reshape(-1, self.low.size)
+
+    def split(self, values: Array) -> list[Array]:
+        """The flat values (total,) by symbol."""
+        return np.split(values, np.cumsum([s.numel() for s in self.symbols])[:-1]) if self.symbols else []
+
+    def told(self, values: Array) -> str:
+        """The values as text, "eta = [...], echo = [...]"."""
+        names = [_name(symbol) for symbol in self.symbols]
+        return ", ".join(
+            f"{name} = {np.array2string(part, precision=5, separator=', ', max_line_width=10_000)}"
+            for name, part in zip(names, self.split(values), strict=True)
+        )
+
+
+class Sampled:
+    """Expressions as one numeric function of flat values.
+
+    Raises:
+        InputError: the expressions hold a symbol without a range; it names the symbol.
+    """
+
+    def __init__(self, what: str, ranges: Ranges, expressions: Sequence[ca.SX]) -> None:
+        known = ca.vertcat(ca.SX(0, 1), *ranges.symbols)
+        for symbol in ca.symvar(ca.veccat(*expressions)):
+            if not (known.numel() and ca.depends_on(known, symbol)):
+                raise InputError(
+                    f"holds the symbol {symbol.name()}, which has no range",
+                    key=what,
+                    remedy="give (symbol, lowest, highest) in parameters",
+                )
+        self._function = ca.Function("sampled", [known], [ca.densify(e) for e in expressions])
+
+    def __call__(self, values: Array) -> list[Array]:
+        """The value of each expression, in its own shape."""
+        return [part[0] for part in self.many(values[None, :])]
+
+    def many(self, points: Array) -> list[Array]:
+        """The values at each of the points (N, total), (N, rows, columns) each."""
+        found = self._function.map(len(points)).call([ca.DM(np.ascontiguousarray(points.T))])
+        return [
+            np.array(part, dtype=float).reshape(part.shape[0], len(points), -1).transpose(1, 0, 2) for part in found
+        ]
+
+
+def ranges_of(parameters: Sequence[Parameter]) -> Ranges:
+    """The parameters as ranges; InputError, naming the symbol, when one is no symbol or its range is empty."""
+    low: list[Array] = []
+    high: list[Array] = []
+    for symbol, lowest, highest in parameters:
+        if not isinstance(symbol, ca.SX) or symbol.shape[1] != 1 or not symbol.is_valid_input():
+            raise InputError("is not an SX symbol of shape (k, 1)", key="parameters", value=symbol)
+        for value, ends in ((lowest, low), (highest, high)):
+            ends.append(_spread(_name(symbol), value, symbol.numel()))
+        if not (low[-1] <= high[-1]).all():
+            raise InputError("has no value in its range", key=f"parameter {_name(symbol)}", value=[lowest, highest])
+    flat = [np.concatenate([*ends, np.zeros(0)]) for ends in (low, high)]
+    return Ranges(tuple(symbol for symbol, _, _ in parameters), *flat)
+
+
+def _spread(name: str, value: float | Sequence[float], size: int) -> Array:
+    given = np.asarray(value, dtype=float).reshape(-1)
+    if given.size not in (1, size) or not np.isfinite(given).all():
+        raise InputError(f"needs finite ranges of 1 or {size} entries", key=f"parameter {name}", value=value)
+    return np.broadcast_to(given, size).astype(float)
+
+
+def _names(symbol: ca.SX) -> Iterator[str]:
+    return (symbol[i].name() for i in range(symbol.numel()))
+
+
+def _name(symbol: ca.SX) -> str:
+    """The name that the symbol was made with: CasADi numbers the entries of a vector, x_0, x_1, …"""
+    first = next(_names(symbol))
+    return str(first if symbol.numel() == 1 else first.rsplit("_", 1)[0])

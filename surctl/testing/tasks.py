@@ -1,0 +1,193 @@
+"""Whether a task is what it says: its Jacobian, its reference, its wrap."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.tasks import SetTask, Task
+from surctl.testing.finding import CheckFailed
+from surctl.testing.ranges import Parameter, Ranges, Sampled, ranges_of
+
+__all__ = ["TaskReport", "check_task"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_STEPS = (1e-4, 1e-5, 1e-6)  # of the differences: rounding and curvature leave one of them accurate
+_OFFSETS = (0.0, 1e-12, 1e-9, 1e-6)  # about the poses given as near-singular
+_SAME = 1e-9
+_DEPENDENT = 1e-9
+
+
+@dataclass(frozen=True)
+class TaskReport:
+    """What a task that passed looks like.
+
+    Attributes:
+        name, size: of the task.
+        samples: poses at which it was differentiated.
+        derivative_error: largest difference of J from the differences of σ, relative to 1 + max |J|.
+        rank: largest rank of J found.
+        least_rank, least_rank_at: smallest rank found, and where; smaller than `rank` at a singular pose.
+    """
+
+    name: str
+    size: int
+    samples: int
+    derivative_error: float
+    rank: int
+    least_rank: int
+    least_rank_at: str
+
+
+def check_task(
+    task: Task | SetTask | Callable[[ca.SX], Task | SetTask],
+    *,
+    parameters: Sequence[Parameter] = (),
+    near: Sequence[Sequence[float]] = (),
+    samples: int = 50,
+    extent: float = 3.0,
+    full_turn: bool = True,
+    tol: float = 1e-6,
+    seed: int = 0,
+) -> TaskReport:
+    """Check a task, or what a builder makes of an eta symbol.
+
+    At random poses: J equals central differences of σ along the motion of every velocity, (1)–(2) written out anew;
+    σ, J and reference are finite (bounds of a set-based task may be infinite, outwards, and must not cross); an
+    angular error lies in [−π, π]. A full turn of the vehicle changes neither J nor the reference. At the poses in
+    `near` and close to them everything is finite.
+
+    Args:
+        task: the task, or a builder: eta SX (4, 1) → task.
+        parameters: (symbol, lowest, highest) for every symbol but eta.
+        near: poses (4,) at or near singularities, such as a pose on top of a waypoint.
+        samples: number of random poses.
+        extent: |x|, |y|, |z| of random poses are at most this [m]; ψ is in (−π, π).
+        full_turn: False for a task that counts turns, as one that unwinds a tether.
+        tol: largest difference of J, relative to 1 + max |J|.
+        seed: of numpy's PCG64.
+
+    Raises:
+        CheckFailed: the first finding.
+        InputError: the task is refused by its own class, or a symbol has no range.
+    """
+    made = task(ca.SX.sym("eta", 4)) if callable(task) else task
+    box = [extent, extent, extent, math.pi]
+    ranges = ranges_of([(made.eta, [-b for b in box], box), *parameters])
+    check = _Check(made, ranges, Sampled(f"task {made.name}", ranges, _expressions(made)))
+    rng = np.random.default_rng(seed)
+    worst, ranks = 0.0, []
+    for values in ranges.draw(rng, samples):
+        _, J, _, _, _ = check.finite(values)
+        worst = max(worst, check.derivative(values, J, tol))
+        if full_turn:
+            check.full_turn(values)
+        ranks.append((_rank(J), values))
+    for pose in near:
+        for offset in _OFFSETS:
+            values = ranges.draw(rng, 1)[0]
+            values[:4] = np.asarray(pose, dtype=float) + offset * rng.uniform(-1, 1, 4)
+            _, J, _, _, _ = check.finite(values)
+            ranks.append((_rank(J), values))
+    least = min(ranks, key=lambda entry: entry[0])
+    return TaskReport(made.name, made.size, samples, worst, max(r for r, _ in ranks), least[0], ranges.told(least[1]))
+
+
+def _expressions(task: Task | SetTask) -> list[ca.SX]:
+    """σ, J, lower and upper bound of σ̇, error; shapes checked."""
+    J = task.jacobian()
+    if isinstance(task, SetTask):
+        (lower, upper), error = task.slab(), ca.SX.zeros(task.size, 1)
+    else:
+        lower = upper = task.reference()
+        error = task.error()
+    for what, expression, shape in (
+        ("J", J, (task.size, 4)),
+        ("the reference", lower, (task.size, 1)),
+        ("the reference", upper, (task.size, 1)),
+    ):
+        if expression.shape != shape:
+            raise CheckFailed(f"task {task.name}", f"{what} has shape {expression.shape}, expected {shape}")
+    return [task.sigma, J, lower, upper, error]
+
+
+@dataclass(frozen=True)
+class _Check:
+    task: Task | SetTask
+    ranges: Ranges
+    at: Sampled
+
+    def finite(self, values: Array) -> list[Array]:
+        """Values of every expression, if they are numbers as they should be."""
+        found = self.at(values)
+        for what, part in zip(("sigma", "J"), found, strict=False):
+            if not np.isfinite(part).all():
+                self._fail(f"{what} is not finite in row {_first_bad(part)}", values)
+        lower, upper, error = (part.reshape(-1) for part in found[2:])
+        bad = ~np.isfinite(lower) | ~np.isfinite(upper)
+        if isinstance(self.task, SetTask):
+            bad = np.isnan(lower) | np.isnan(upper) | (lower == math.inf) | (upper == -math.inf)
+        for i in np.flatnonzero(bad):
+            self._fail(f"the reference is not finite in row {i}: {lower[i]:g} to {upper[i]:g}", values)
+        for i in np.flatnonzero(lower > upper):
+            self._fail(f"the bounds of row {i} cross: {lower[i]:g} > {upper[i]:g}", values)
+        if self.task.angular and np.abs(error).max() > math.pi + _SAME:
+            self._fail(f"the angular error {np.abs(error).max():g} is more than half a turn", values)
+        return found
+
+    def derivative(self, values: Array, J: Array, tol: float) -> float:
+        """The largest error of J; CheckFailed when it is more than tol."""
+        measured = np.stack([self._differences(values, step) for step in _STEPS])
+        error = np.abs(measured - J).min(axis=0) / (1.0 + np.abs(J).max())
+        row, column = np.unravel_index(int(np.argmax(error)), error.shape)
+        if not error[row, column] <= tol:
+            best = measured[np.argmin(np.abs(measured[:, row, column] - J[row, column])), row, column]
+            self._fail(
+                f"row {row} of J says {J[row, column]:.9g} for {'uvwr'[column]}, "
+                f"but sigma changes at a rate of {best:.9g}",
+                values,
+            )
+        return float(error[row, column])
+
+    def full_turn(self, values: Array) -> None:
+        """The same pose, a turn later."""
+        turned = values.copy()
+        turned[3] += 2.0 * math.pi
+        before, after = self.at(values), self.at(turned)
+        for k, what in ((1, "J"), (2, "the reference"), (3, "the reference")):
+            if not np.allclose(after[k], before[k], rtol=_SAME, atol=_SAME):
+                remedy = "" if self.task.angular else " (is sigma an angle, angular=True?)"
+                self._fail(f"{what} changes when the vehicle makes a full turn{remedy}", values)
+
+    def _differences(self, values: Array, step: float) -> Array:
+        """(k, 4): central differences of σ along each velocity."""
+        c, s = math.cos(values[3]), math.sin(values[3])
+        motion = np.array([[c, s, 0, 0], [-s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], dtype=float)
+        columns = []
+        for along in motion:
+            move = np.zeros(values.size)
+            move[:4] = step * along
+            change = (self.at(values + move)[0] - self.at(values - move)[0]).reshape(-1)
+            if self.task.angular:
+                change = np.array([math.remainder(entry, 2.0 * math.pi) for entry in change])
+            columns.append(change / (2.0 * step))
+        return np.stack(columns, axis=1)
+
+    def _fail(self, problem: str, values: Array) -> None:
+        raise CheckFailed(f"task {self.task.name}", problem, at=self.ranges.told(values))
+
+
+def _rank(J: Array) -> int:
+    singular = np.linalg.svd(J, compute_uv=False)
+    return int((singular > _DEPENDENT * max(1.0, float(singular[0]))).sum())
+
+
+def _first_bad(part: Array) -> int:
+    return int(np.flatnonzero(~np.isfinite(part).all(axis=1))[0])

@@ -1,0 +1,386 @@
+"""The public checks: what is right passes, and everything that is deliberately wrong is caught and named."""
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import linprog, nnls
+
+from surctl.errors import InputError, SurctlError
+from surctl.priority.kernels import Answer, daqp_kernel, own_kernel
+from surctl.tasks import (
+    AccelerationLimit,
+    ActuatorLimits,
+    Barrier,
+    BrakingBarrier,
+    HalfPlane,
+    LimitRow,
+    RateLimit,
+    SetTask,
+    Task,
+    ThrustLimit,
+    VelocityBox,
+    clearance_task,
+    depth_task,
+    distance_task,
+    heading_task,
+    line_of_sight_task,
+    position_task,
+    velocity_task,
+)
+from surctl.testing import BACKEND_FAMILIES, CheckFailed, check_backend, check_limit, check_task, measure_backend
+from surctl.testing.backends import _compared
+from surctl.testing.known import Known, draw_known
+from surctl.vehicle import PLANT_PARAMETERS, load_vehicle, plant_parameters
+
+ETA = ca.SX.sym("eta", 4)
+NU = ca.SX.sym("nu", 4)
+ECHO = ca.SX.sym("echo", 2)
+GAIN = ca.SX.sym("gain")
+ON_TOP = [1.3, -0.4, 0.0, 0.3]
+POINT = ON_TOP[:2]
+DISC = ca.norm_2(ETA[:2] - ca.DM([1.0, 0.5])) - 0.4
+
+
+def one_line(caught, *parts):
+    text = str(caught.value)
+    assert "\n" not in text
+    for part in parts:
+        assert part in text, text
+
+
+# --- tasks --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda eta: position_task(eta, [1.0, 2.0, -0.5]),
+        lambda eta: depth_task(eta, -0.15),
+        lambda eta: heading_task(eta, 0.7),
+        lambda eta: velocity_task(eta, [0.1, -0.2]),
+        lambda eta: clearance_task(eta, POINT, margin=0.4),
+        lambda eta: distance_task(eta, POINT, distance=0.5),
+        lambda eta: line_of_sight_task(eta, POINT),
+        lambda eta: SetTask(name="arc", eta=eta, sigma=eta[3], lower=-1.0, upper=2.0, angular=True),
+        lambda eta: SetTask(name="band", eta=eta, sigma=eta[2], lower=-math.inf, upper=-0.1),
+    ],
+)
+def test_tasks_of_the_library_pass(make):
+    report = check_task(make, near=[ON_TOP])
+    assert report.derivative_error < 1e-7
+    assert report.samples == 50
+    assert report.rank == report.size
+
+
+def test_ranks_are_reported_with_the_pose_of_the_least():
+    report = check_task(lambda eta: distance_task(eta, POINT, distance=0.5), near=[ON_TOP])
+    assert (report.rank, report.least_rank) == (1, 0)
+    assert report.least_rank_at.startswith("eta = [")
+    report = check_task(lambda eta: Task(name="twice", eta=eta, sigma=ca.vertcat(eta[2], 2 * eta[2])))
+    assert (report.size, report.rank, report.least_rank) == (2, 1, 1)
+
+
+def test_symbols_are_drawn_from_their_ranges():
+    task = clearance_task(ETA, ECHO, margin=0.4, gain=GAIN)
+    assert check_task(task, parameters=[(ECHO, -3, [3, 4]), (GAIN, 0.1, 2)]).rank == 1
+    with pytest.raises(InputError, match="task clearance: holds the symbol gain"):
+        check_task(task, parameters=[(ECHO, -3, 3)])
+    with pytest.raises(InputError, match="parameter echo"):
+        check_task(task, parameters=[(ECHO, 3, -3), (GAIN, 0.1, 2)])
+    with pytest.raises(InputError, match="parameter echo"):
+        check_task(task, parameters=[(ECHO, [1, 2, 3], 3), (GAIN, 0.1, 2)])
+
+
+class ForgetsTheFrame(Task):
+    """∂σ/∂η without J(ψ): right at ψ = 0 only."""
+
+    def jacobian(self):
+        return ca.jacobian(self.sigma, self.eta)
+
+
+class SlightlyOff(Task):
+    def jacobian(self):
+        return super().jacobian() * (1 + 1e-5)
+
+
+class TooShort(Task):
+    def reference(self):
+        return super().reference()[0]
+
+
+class Unwrapped(Task):
+    def error(self):
+        return self.target - self.sigma
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda e: ForgetsTheFrame(name="bad", eta=e, sigma=e[:2]), ["row 0 of J says", "sigma changes", "eta = ["]),
+        (lambda e: SlightlyOff(name="bad", eta=e, sigma=e[:2]), ["of J says ", "but sigma changes at a rate of"]),
+        (lambda e: TooShort(name="bad", eta=e, sigma=e[:2]), ["reference has shape (1, 1), expected (2, 1)"]),
+        (lambda e: Task(name="bad", eta=e, sigma=e[3]), ["the reference changes", "full turn", "angular=True?"]),
+        (lambda e: Unwrapped(name="bad", eta=e, sigma=3 * e[3], angular=True), ["the angular error", "half a turn"]),
+        (lambda e: Task(name="bad", eta=e, sigma=ca.sqrt(e[0])), ["sigma is not finite in row 0"]),
+        (lambda e: Task(name="bad", eta=e, sigma=e[0], rate=ca.log(e[1])), ["the reference is not finite in row 0"]),
+        (lambda e: Task(name="bad", eta=e, sigma=ca.norm_2(e[:2] - ca.DM(POINT))), ["J is not finite", "1.3, -0.4"]),
+        (
+            lambda e: SetTask(name="bad", eta=e, sigma=e[2], lower=0.1 * e[0], upper=0.2),
+            ["the bounds of row 0 cross", "eta = ["],
+        ),
+    ],
+)
+def test_wrong_tasks_are_caught_and_named(make, says):
+    with pytest.raises(CheckFailed) as caught:
+        check_task(make, near=[ON_TOP], samples=400)
+    one_line(caught, "task bad: ", *says)
+    assert isinstance(caught.value, SurctlError)
+    assert isinstance(caught.value, AssertionError)
+
+
+def test_a_task_that_counts_turns_may_say_so():
+    assert check_task(lambda e: Task(name="unwind", eta=e, sigma=e[3]), full_turn=False).rank == 1
+
+
+# --- limits -------------------------------------------------------------------------------------------------------
+
+WIDE = [(NU, -0.5, 0.5)]
+NUMBERS = PLANT_PARAMETERS.unpack(plant_parameters(load_vehicle("sur540-flooded")))
+
+
+@pytest.mark.parametrize(
+    ("limit", "parameters"),
+    [
+        (VelocityBox([-1] * 4, [1, 1, 1, math.inf]), []),
+        (HalfPlane("wall", ECHO[[0, 1, 0, 1]], 0.3), [(ECHO, -1, 1)]),
+        (AccelerationLimit(NU, [0.1] * 4, dt=0.05), WIDE),
+        (ThrustLimit.of_plant(NU, NUMBERS, dt=0.05), WIDE),
+        (
+            ActuatorLimits(
+                VelocityBox([-0.1] * 4, [0.1] * 4),
+                ThrustLimit.of_plant(NU, NUMBERS, dt=0.05),
+                AccelerationLimit(NU, [0.1] * 4, dt=0.05),
+            ),
+            [(NU, -3, 3)],
+        ),
+        (Barrier("disc", ETA, h=DISC), [(ETA, -3, 3)]),
+        (BrakingBarrier("disc", ETA, h=DISC, deceleration=GAIN, reaction=0.4), [(ETA, -3, 3), (GAIN, 0.01, 1)]),
+        (RateLimit(position_task(ETA, [1.0, 2.0]), 0.1), [(ETA, -3, 3)]),
+        (SetTask(name="band", eta=ETA, sigma=ETA[:2], lower=-1.0, upper=[0.5, math.inf]), [(ETA, -3, 3)]),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_limits_of_the_library_pass(limit, parameters):
+    report = check_limit(limit, parameters=parameters)
+    assert report.names == tuple(row.name for row in limit.rows())
+    assert report.narrowest >= 0
+    assert report.samples > 50
+
+
+class Rows:
+    """A limit of rows as they are given."""
+
+    def __init__(self, *rows):
+        self.given = rows
+
+    def rows(self):
+        return self.given
+
+
+class Renamed:
+    def __init__(self):
+        self.calls = 0
+
+    def rows(self):
+        self.calls += 1
+        return (row(f"row{self.calls}"),)
+
+
+def row(name="mine.u", kind="barrier", a=(1, 0, 0, 0), lower=-math.inf, upper=1.0):
+    return LimitRow(name, kind, ca.SX(a).T if isinstance(a, ca.SX) else ca.SX([list(a)]), ca.SX(lower), ca.SX(upper))
+
+
+# crosses only in a corner of the ranges that no random sample meets: within 0.06 of one point of (−1, 1)²
+HIDDEN = ca.sumsqr(ECHO - ca.DM([0.31, -0.62])) - 0.003
+
+
+@pytest.mark.parametrize(
+    ("limit", "says"),
+    [
+        (Rows(), "has no rows"),
+        (Rows(row(), row()), "'mine.u': stands twice"),
+        (Rows(row("my row")), "'my row': is not identifiers"),
+        (Rows(row("mine.")), "is not identifiers"),
+        (Rows(row(kind="soft")), "unknown kind 'soft'; known: actuator, barrier, set"),
+        (Rows(row(a=(1, 0, 0))), "a has shape (1, 3), expected (1, 4)"),
+        (Renamed(), "other names at every call"),
+        (Rows(row(upper=ca.log(ECHO[0]))), "'mine.u': a bound is not a number"),
+        (Rows(row(a=ca.vertcat(1 / (ECHO[0] - 1), 0, 0, 0))), "'mine.u': a is not finite: [inf"),
+        (Rows(row(), row("mine.v", lower=ECHO[0], upper=ECHO[1])), "'mine.v': leaves no velocity"),
+        (Rows(row(), row("mine.v", lower=0.0, upper=HIDDEN)), "'mine.v': leaves no velocity: lower = 0, upper = -"),
+        (Rows(row(a=(0, 0, 0, 0), upper=-0.1)), "asks a row of zeros"),
+        (Rows(row(upper=-math.inf)), "leaves no velocity"),
+        (
+            Rows(
+                row(kind="actuator", a=(2, 0, 0, 0), upper=0.2),
+                row("other", "actuator", a=(0, 1, 0, 0)),
+                row("mine.v", "actuator", lower=0.3, upper=0.4),
+            ),
+            "actuator rows mine.u and mine.v contradict each other by 0.1",
+        ),
+        (
+            Rows(
+                *VelocityBox([-0.1] * 4, [0.1] * 4).rows(),
+                *AccelerationLimit(10 * ECHO[[0, 1, 0, 1]], [0.1] * 4, dt=1).rows(),
+            ),
+            "contradict each other",
+        ),
+    ],
+)
+def test_wrong_limits_are_caught_and_named(limit, says):
+    with pytest.raises(CheckFailed) as caught:
+        check_limit(limit, parameters=[(ECHO, -1, 1)])
+    one_line(caught, says)
+
+
+def test_the_point_of_a_finding_is_told():
+    with pytest.raises(CheckFailed) as caught:
+        check_limit(Rows(row(lower=0.0, upper=HIDDEN)), parameters=[(ECHO, -1, 1)])
+    x, y = map(float, caught.value.at.removeprefix("echo = [").removesuffix("]").split(","))
+    assert (x - 0.31) ** 2 + (y + 0.62) ** 2 < 0.003
+
+
+def test_a_predicate_is_compared_on_both_sides_of_every_bound():
+    limit = AccelerationLimit(NU, [0.1, 0.2, 0.3, 0.4], dt=0.5)
+
+    def within(reach):
+        return lambda v, nu: bool((np.abs(v - nu) <= np.array(reach)).all())
+
+    assert check_limit(limit, parameters=WIDE, holds=within([0.05, 0.1, 0.15, 0.2])).compared > 500
+    with pytest.raises(CheckFailed) as caught:
+        check_limit(limit, parameters=WIDE, holds=within([0.05, 0.1, 0.15, 0.19]))
+    one_line(caught, "and all others keep v = [", "but holds() says otherwise, at nu = [")
+    with pytest.raises(CheckFailed) as caught:
+        check_limit(limit, parameters=WIDE, holds=lambda v, nu: True)
+    one_line(caught, "refuses v = [")
+
+
+# --- backends -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("backend", ["daqp", "own", daqp_kernel, own_kernel])
+def test_exact_backends_pass(backend):
+    report = check_backend(backend, problems=40)
+    assert max(report.error.values()) < 1e-10
+    assert max(report.violation.values()) < 1e-12
+    assert report.undetected == report.unnamed == 0
+    assert str(report).count("\n") == len(BACKEND_FAMILIES) + 1
+
+
+@pytest.mark.parametrize("family", BACKEND_FAMILIES)
+def test_known_problems_satisfy_their_optimality_conditions(family):
+    """Feasible, and −y* in the cone of the rows at their bounds (by non-negative least squares)."""
+    rng = np.random.default_rng(5)
+    for _ in range(30):
+        problem = draw_known(family, size=4, rng=rng)
+        G, lower, upper = problem.G, problem.lower, problem.upper
+        if problem.y is None:
+            finite = np.isfinite(upper), np.isfinite(lower)
+            A, b = np.vstack([G[finite[0]], -G[finite[1]]]), np.concatenate([upper[finite[0]], -lower[finite[1]]])
+            assert linprog(np.zeros(4), A_ub=A, b_ub=b, bounds=[(None, None)] * 4).status == 2
+            continue
+        length, value = np.linalg.norm(G, axis=1), G @ problem.y
+        assert (np.maximum(lower - value, value - upper) / length).max() < 1e-12
+        at = np.vstack([G[(upper - value) / length < 1e-10], -G[(value - lower) / length < 1e-10], np.zeros((1, 4))])
+        assert nnls(at.T, -problem.y)[1] < 1e-10
+        if family == "parallel":
+            assert problem.angle <= 1e-2
+
+
+def wrong(change):
+    """daqp with one thing wrong: change(answer, G, lower, upper) → Answer."""
+
+    def kernel(G, lower, upper):
+        return change(daqp_kernel(G, lower, upper), G, lower, upper)
+
+    return kernel
+
+
+def with_(answer, *, y=None, multipliers=None, status=None):
+    return Answer(
+        answer.y if y is None else y,
+        answer.multipliers if multipliers is None else multipliers,
+        answer.iterations,
+        status or answer.status,
+    )
+
+
+def only_upper(G, lower, upper):
+    return daqp_kernel(G, np.full_like(lower, -np.inf), upper)
+
+
+def feasible_but_farther(answer, G, lower, upper):
+    """Keeps every row, but 1e-6 inside each: not the nearest point."""
+    inside = daqp_kernel(G, lower + 1e-6, upper - 1e-6)
+    return answer if answer.y is None or inside.y is None else inside
+
+
+def broken(G, lower, upper):
+    raise ValueError("no\nidea")
+
+
+def writes_into_its_arguments(G, lower, upper):
+    answer = daqp_kernel(G, lower, upper)
+    upper += 1.0
+    return answer
+
+
+@pytest.mark.parametrize(
+    ("kernel", "says"),
+    [
+        (only_upper, "a row is missed by"),
+        (wrong(feasible_but_farther), "allowed 1e-08"),
+        (wrong(lambda a, *_: a if a.y is None else with_(a, y=a.y + 1e-7)), "allowed 1e-08"),
+        (wrong(lambda a, *_: a if a.y is None else with_(a, y=np.full(4, np.nan))), "is not finite"),
+        (wrong(lambda a, *_: a if a.y is None else with_(a, y=a.y[:3])), "y has shape (3,)"),
+        (wrong(lambda a, *_: with_(a, multipliers=-a.multipliers)), "y + G'·multipliers is off by"),
+        (wrong(lambda a, *_: with_(a, multipliers=a.multipliers * 0)), "y + G'·multipliers is off by"),
+        (wrong(lambda a, G, *_: with_(a, status="optimal", y=np.zeros(4) if a.y is None else a.y)), "no y exists"),
+        (wrong(lambda a, *_: with_(a, status="infeasible")), "has a solution, but is called infeasible"),
+        (wrong(lambda a, *_: with_(a, status="solved")), "unknown status 'solved'"),
+        (wrong(lambda a, *_: Answer(None, a.multipliers, 0, "optimal")), "there is no y"),
+        (broken, "raised ValueError: no idea"),
+        (writes_into_its_arguments, "changed its own arguments"),
+    ],
+)
+def test_wrong_backends_are_caught(kernel, says):
+    with pytest.raises(CheckFailed) as caught:
+        check_backend(kernel, problems=20)
+    one_line(caught, "backend ", " problem ", says)
+
+
+def test_multipliers_on_idle_rows_and_other_answers_are_caught():
+    """Rows that cancel: y and gradient are right, the multipliers are not."""
+    G = np.vstack([np.eye(4), -np.eye(4)[:1]])
+    problem = Known(G, np.full(5, -np.inf), np.array([-1.0, 5, 5, 5, 5]), np.array([-1.0, 0, 0, 0]))
+    good = _compared(Answer(problem.y, np.array([1.0, 0, 0, 0, 0]), 1, "optimal"), problem, problem.y, 1e-8)
+    bad = _compared(Answer(problem.y, np.array([2.0, 0, 0, 0, 1.0]), 1, "optimal"), problem, problem.y, 1e-8)
+    assert good.finding == ""
+    assert "off its bound by" in bad.finding
+    elsewhere = _compared(Answer(problem.y, np.array([1.0, 0, 0, 0, 0]), 1, "optimal"), problem, problem.y + 1e-6, 1e-8)
+    assert elsewhere.finding.startswith("y is wrong by 5e-07")
+
+
+def test_a_report_tells_every_family_and_never_raises():
+    report = measure_backend(only_upper, problems=20)
+    assert any(finding.startswith("plain problem") for finding in report.findings)
+    assert not any(finding.startswith("loose problem") for finding in report.findings)
+
+
+def test_unknown_names_are_refused():
+    with pytest.raises(InputError, match="did you mean 'daqp'"):
+        check_backend("dapq")
+    with pytest.raises(InputError, match="did you mean 'scaled'"):
+        check_backend("daqp", families=["scaledd"])
