@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import casadi as ca
 
@@ -17,8 +17,10 @@ from surctl.control.velocity import velocity_control
 from surctl.errors import InputError, nearest
 from surctl.guidance import FORMS, AvoidanceForm
 from surctl.ir import Block, Call, Layout, Port, Routine, lower
-from surctl.priority import LevelShape, Mode, nsb_symbolic, priority_tick
+from surctl.priority import Mode, nsb_symbolic
 from surctl.priority.ladder import RELAXED
+from surctl.priority.level_shape import LevelShape
+from surctl.priority.tick import priority_tick
 from surctl.tasks import LimitRow, VelocityBox
 
 __all__ = ["LAW_NAMES", "MODES", "build_law"]
@@ -29,6 +31,7 @@ MODES: tuple[Mode, ...] = get_args(Mode)
 
 _YAW_SHARE = 0.85  # share of the yaw thrust that the heading task may plan with
 _CLIMB = 0.1  # [m/s] largest heave command
+_TICK_INPUTS = ("J", "wanted", "rows", "box")
 
 
 @cache
@@ -56,7 +59,7 @@ def build_law(
             value=avoidance,
             remedy="compare the forms with law paper",
         )
-    state = _state_layout(dt)
+    state, outputs = _state_layout(dt), Layout(TELEMETRY)
     x, xs = state.symbols("x")
     u, us = INPUTS.symbols("u")
     p, ps = PARAMETERS.symbols("p")
@@ -70,33 +73,32 @@ def build_law(
     nearest_clearance = ca.SX(100)
     for contact in seen.all:
         nearest_clearance = ca.fmin(nearest_clearance, contact.clearance)
-    finish = _Finish(
-        state=state,
-        outputs=Layout(TELEMETRY),
-        x=xs,
-        u=us,
-        p=ps,
-        dt=dt,
-        carried={**seen.state, **decision.state, "progress": wish.progress},
-        extra={
-            "path_error": ca.vertcat(wish.x_e, wish.y_e),
-            "avoiding": decision.avoiding,
-            "nearest": nearest_clearance,
-            "ranges": seen.ranges,
-        },
-        decision=decision,
-    )
-    inputs, names = [x, u, p], ["tau", "x_next", "status", "telemetry"]
-    options = {"cse": True}
+    unknown = {"tau": ca.SX.zeros(4), "nu_wanted": ca.SX.zeros(4)}
+    told = {
+        "path_error": ca.vertcat(wish.x_e, wish.y_e),
+        "avoiding": decision.avoiding,
+        "nearest": nearest_clearance,
+        "ranges": seen.ranges,
+    }
+    carried = {**seen.state, **decision.state, "progress": wish.progress, "integral": xs["integral"]}
+    flags = SWITCHED * ca.logic_not(decision.state["side"] == xs["side"]) + DEGRADED * decision.degraded
+    memory = _Memory(state.join(carried), outputs.join({**unknown, **told})[8:], flags)
+
     rows = _rows(decision, ps)
-    wanted, rung = ca.SX.sym("nu_wanted", 4), ca.SX.sym("rung")
-    nsb = nsb_symbolic([(J, r) for _, J, r in decision.levels])
     levels = tuple((name, int(J.shape[0])) for name, J, _ in decision.levels)
-    function = ca.Function("law", inputs, finish.close(nsb, ca.SX(0)), ["x", "u", "p"], names, options)
-    pre = ca.Function("pre", inputs, _tick_inputs(decision, rows, ps), options)
-    post = ca.Function(
-        "post", [*inputs, wanted, rung], finish.close(wanted, rung), ["x", "u", "p", "nu_wanted", "rung"], names, options
+    nsb = nsb_symbolic([(J, r) for _, J, r in decision.levels])
+    close = _Closing(state, outputs, u, us, p, ps, dt)
+    given, found, options = ["x", "u", "p"], ["tau", "x_next", "status", "telemetry"], {"cse": True}
+    function = ca.Function("law", [x, u, p], close.outputs_of(memory, nsb, ca.SX(0)), given, found, options)
+    pre = ca.Function(
+        "pre",
+        [x, u, p],
+        [*_tick_inputs(decision, rows, ps), *memory],
+        given,
+        [*_TICK_INPUTS, *_Memory._fields],
+        options,
     )
+    post = close.function()
     return Law(
         name=f"surctl_{law}",
         avoidance=avoidance,
@@ -105,7 +107,7 @@ def build_law(
         state=state,
         inputs=INPUTS,
         gains=PARAMETERS,
-        outputs=finish.outputs,
+        outputs=outputs,
         block=lower(function) if mode == "nsb" else _routine(mode, pre, post, levels=levels, rows=len(rows)),
         function=function,
         pre=pre,
@@ -122,12 +124,12 @@ def _routine(
     shapes = tuple(LevelShape(count) for _, count in levels)
     tick = priority_tick(mode, n=4, levels=shapes, rows=rows)
     before, after = lower(pre), lower(post)
-    found = tuple(f"tick_{name}" for name, _ in tick.outputs)
+    answer = tuple(f"tick_{name}" for name, _ in tick.outputs)
     results = tuple(name for name, _ in after.outputs)
     steps = (
-        Call(before, ("x", "u", "p"), ("J", "wanted", "rows", "box")),
-        Call(tick, ("J", "wanted", "wanted", "rows", "box"), found),
-        Call(after, ("x", "u", "p", "tick_v", "tick_status"), results),
+        Call(before, ("x", "u", "p"), (*_TICK_INPUTS, *_Memory._fields)),
+        Call(tick, ("J", "wanted", "wanted", "rows", "box"), answer),
+        Call(after, ("u", "p", *_Memory._fields, "tick_v", "tick_status"), results),
     )
     return Routine("law", before.inputs, steps, results)
 
@@ -166,30 +168,49 @@ def _yaw_limit(p: dict[str, ca.SX]) -> ca.SX:
     return 2 * moment / ca.fmax(linear + root, 1e-6)
 
 
+class _Memory(NamedTuple):
+    """What is known before the priority decision: next state but for the integral, telemetry after the wish, flags."""
+
+    carried: ca.SX
+    told: ca.SX
+    flags: ca.SX
+
+
 @dataclass(frozen=True)
-class _Finish:
-    """Last stage: limit the wanted velocity, velocity control, and what is carried and told."""
+class _Closing:
+    """Last stage: limit the wanted velocity, velocity control, and put the outputs together."""
 
     state: Layout
     outputs: Layout
-    x: dict[str, ca.SX]
+    flat_u: ca.SX
     u: dict[str, ca.SX]
+    flat_p: ca.SX
     p: dict[str, ca.SX]
     dt: float
-    carried: dict[str, ca.SX]
-    extra: dict[str, ca.SX]
-    decision: Decision
 
-    def close(self, nu_wanted: ca.SX, rung: ca.SX) -> list[ca.SX]:
-        """(tau, x_next, status, telemetry) of a wanted velocity; rung of the priority tick, 0 if there was none."""
-        tau, integral, saturated, clamped = self._thrust(nu_wanted)
-        switched = ca.logic_not(self.decision.state["side"] == self.x["side"])
-        degraded = ca.logic_or(self.decision.degraded, rung >= RELAXED)
-        status = SATURATED * saturated + SWITCHED * switched + DEGRADED * degraded
-        full = self.outputs.join({"tau": tau, "nu_wanted": clamped, **self.extra})
-        return [tau, self.state.join({**self.carried, "integral": integral}), status, full[4:]]
+    def function(self) -> ca.Function:
+        """(u, p, carried, told, flags, nu_wanted, rung) → (tau, x_next, status, telemetry)."""
+        sizes = (self.state.size, self.outputs.size - 8, 1)
+        memory = _Memory(*(ca.SX.sym(name, size) for name, size in zip(_Memory._fields, sizes, strict=True)))
+        wanted, rung = ca.SX.sym("nu_wanted", 4), ca.SX.sym("rung")
+        return ca.Function(
+            "post",
+            [self.flat_u, self.flat_p, *memory, wanted, rung],
+            self.outputs_of(memory, wanted, rung),
+            ["u", "p", *_Memory._fields, "nu_wanted", "rung"],
+            ["tau", "x_next", "status", "telemetry"],
+            {"cse": True},
+        )
 
-    def _thrust(self, wanted: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    def outputs_of(self, memory: _Memory, nu_wanted: ca.SX, rung: ca.SX) -> list[ca.SX]:
+        """tau, x_next, status, telemetry of a wanted velocity; rung of the priority tick, 0 if there was none."""
+        carried = self.state.split(memory.carried)
+        tau, integral, saturated, clamped = self._thrust(nu_wanted, carried["integral"])
+        opened = ca.logic_and(rung >= RELAXED, memory.flags < DEGRADED)
+        status = memory.flags + SATURATED * saturated + DEGRADED * opened
+        return [tau, self.state.join({**carried, "integral": integral}), status, ca.vertcat(clamped, memory.told)]
+
+    def _thrust(self, wanted: ca.SX, integral: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         p = self.p
         speed = ca.sqrt(ca.sumsqr(wanted[:2]))
         horizontal = wanted[:2] * ca.fmin(1, p["cap"] / ca.fmax(speed, 1e-6))
@@ -200,6 +221,6 @@ class _Finish:
             ca.fmin(ca.fmax(wanted[3], -turn), turn),
         )
         tau, integral, saturated = velocity_control(
-            clamped, self.u["nu"], self.x["integral"], p, k_v=p["k_v"], k_r=p["k_r"], k_i=p["k_i"], dt=self.dt
+            clamped, self.u["nu"], integral, p, k_v=p["k_v"], k_r=p["k_r"], k_i=p["k_i"], dt=self.dt
         )
         return tau, integral, saturated, clamped

@@ -8,7 +8,7 @@ C, in every mode. Python, C, verification and tuning all see these expressions a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
@@ -67,8 +67,9 @@ class Law:
         block: (x, u, p) → (tau, x_next, status, telemetry): `function` lowered in mode nsb; otherwise `pre`, the
             priority tick and `post` as one routine.
         function: the same in closed form (16), whatever the mode.
-        pre: (x, u, p) → (J row by row, references, rows of the priority tick, velocity box (8,)).
-        post: (x, u, p, nu_wanted, rung of the priority tick) → as `function`.
+        pre: (x, u, p) → (J row by row, references, rows of the priority tick, velocity box (8,)), and what else is
+            known before the priority decision: next state but for the integral, telemetry after the wish, flags.
+        post: (u, p, those three, nu_wanted, rung of the priority tick) → as `function`.
         levels: (name, rows) of each priority level, highest first.
         rows: names of the rows: box, then barriers.
     """
@@ -81,7 +82,7 @@ class Law:
     inputs: Layout
     gains: Layout
     outputs: Layout
-    block: Block
+    block: Block = field(repr=False)
     function: ca.Function
     pre: ca.Function
     post: ca.Function
@@ -119,7 +120,7 @@ class Law:
 
     def problem(self, x: Vector, u: Vector, p: Vector) -> PriorityProblem:
         """The priority problem of one tick, as data with names on every row."""
-        J, wanted, rows, _ = (np.asarray(m, dtype=float).reshape(-1) for m in self.pre(x, u, p))
+        J, wanted, rows, *_ = (np.asarray(m, dtype=float).reshape(-1) for m in self.pre(x, u, p))
         levels, at = [], 0
         for name, count in self.levels:
             here = slice(at, at + count)

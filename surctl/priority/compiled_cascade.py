@@ -16,6 +16,8 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, Step, lower
+from surctl.priority.compiled_serve import serve
+from surctl.priority.compiled_sweep import HUGE
 from surctl.priority.decomposition import decompose
 from surctl.priority.dual_step import OPTIMAL, Space
 from surctl.priority.elimination import as_matrix
@@ -23,8 +25,6 @@ from surctl.priority.kernel import certificate, kernel
 from surctl.priority.ladder import CLAMPED, LIMITED, safe_tick
 from surctl.priority.level_shape import StackShape, SymbolicLevel
 from surctl.priority.rungs import SHORT
-from surctl.priority.compiled_serve import serve
-from surctl.priority.compiled_sweep import HUGE
 from surctl.priority.tangent import merged
 
 __all__ = ["cascade"]

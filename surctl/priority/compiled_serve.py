@@ -10,11 +10,11 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, lower
+from surctl.priority.compiled_sweep import HUGE
 from surctl.priority.dual_step import OPTIMAL, Space
 from surctl.priority.elimination import as_matrix
 from surctl.priority.kernel import certificate, kernel
 from surctl.priority.ladder import LIMITED, safe_tick
-from surctl.priority.compiled_sweep import HUGE
 from surctl.priority.tangent import holding, largest, merged
 
 __all__ = ["serve"]

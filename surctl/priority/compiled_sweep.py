@@ -72,5 +72,3 @@ def into(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
         inside = ca.if_else(above <= high[i], above, high[i])
         moved.append(ca.if_else(ca.fabs(inside) <= HUGE, inside, 0))
     return ca.vertcat(*moved)
-
-

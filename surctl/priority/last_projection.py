@@ -16,8 +16,8 @@ import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, Step, lower
 from surctl.priority.decomposition import decompose
-from surctl.priority.ladder import CLAMPED, LIMITED, RELAXED, safe_tick
 from surctl.priority.elimination import as_matrix
+from surctl.priority.ladder import CLAMPED, LIMITED, RELAXED, safe_tick
 from surctl.priority.level_shape import StackShape
 from surctl.priority.rowspace import ZERO_ROW
 from surctl.priority.tangent import holding, largest, merged

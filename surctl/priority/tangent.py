@@ -10,10 +10,10 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, lower
+from surctl.priority.compiled_sweep import HUGE
 from surctl.priority.dual_step import OPTIMAL, Space
 from surctl.priority.kernel import kernel
 from surctl.priority.rungs import SHORT
-from surctl.priority.compiled_sweep import HUGE
 
 __all__ = ["holding", "largest", "merged"]
 

@@ -16,10 +16,10 @@ import casadi as ca
 from surctl.errors import InputError, nearest
 from surctl.ir import Call, Loop, Program, Routine, Step, lower
 from surctl.priority.compiled_cascade import cascade
+from surctl.priority.compiled_sweep import HUGE, gate, into, sweep, swept
 from surctl.priority.ladder import CLAMPED, MET, safe_tick
 from surctl.priority.last_projection import last_projection
 from surctl.priority.level_shape import LevelShape, StackShape
-from surctl.priority.compiled_sweep import HUGE, gate, into, sweep, swept
 
 __all__ = ["OUTPUTS", "TickMode", "priority_tick"]
 
