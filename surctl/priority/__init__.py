@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from surctl.priority.backends import BACKENDS, LeastDistance, solve_least_distance
+from surctl.priority.backends import BACKENDS, Backend, LeastDistance, solve_least_distance
+from surctl.priority.kept import KeptDaqp, KeptOsqp
 from surctl.priority.ladder import safe_tick
 from surctl.priority.nsb import nsb
 from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
@@ -15,6 +16,9 @@ from surctl.priority.symbolic import nsb_symbolic
 
 __all__ = [
     "BACKENDS",
+    "Backend",
+    "KeptDaqp",
+    "KeptOsqp",
     "LeastDistance",
     "Level",
     "Mode",

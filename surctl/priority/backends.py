@@ -18,7 +18,7 @@ from surctl.errors import InputError, nearest
 from surctl.priority.kernels import Answer, Kernel, daqp_kernel, osqp_kernel, own_kernel, qpsolvers_kernels
 from surctl.priority.rowspace import row_space
 
-__all__ = ["BACKENDS", "LeastDistance", "Status", "check_backend", "solve_least_distance"]
+__all__ = ["BACKENDS", "Backend", "LeastDistance", "Status", "check_backend", "solve_least_distance"]
 
 Array: TypeAlias = NDArray[np.float64]
 Status: TypeAlias = Literal["optimal", "infeasible", "failed"]
@@ -27,6 +27,9 @@ BACKENDS: Mapping[str, Kernel] = MappingProxyType(
     {"daqp": daqp_kernel, "osqp": osqp_kernel, "own": own_kernel, **qpsolvers_kernels()}
 )
 """Solvers of min ½‖y‖² subject to lower ≤ G y ≤ upper, rows of length 1."""
+
+Backend: TypeAlias = str | Kernel
+"""A name in `BACKENDS`, or a kernel itself, such as `KeptDaqp()`."""
 
 FEASIBLE = 1e-9
 """Largest violation of a row, as given, relative to 1 + max |v|, that passes as rounding."""
@@ -54,10 +57,13 @@ class LeastDistance:
     status: Status
 
 
-def check_backend(backend: str) -> str:
-    """The name, if there is such a backend; InputError with the nearest name otherwise."""
-    if backend not in BACKENDS:
-        raise InputError("no such QP backend", key="backend", value=backend, remedy=nearest(backend, BACKENDS))
+def check_backend(backend: Backend) -> Kernel:
+    """The kernel of that name, or the kernel itself; InputError with the nearest name otherwise."""
+    if isinstance(backend, str) and backend in BACKENDS:
+        return BACKENDS[backend]
+    if isinstance(backend, str) or not callable(backend):
+        remedy = nearest(str(backend), BACKENDS)
+        raise InputError("no such QP backend", key="backend", value=backend, remedy=remedy)
     return backend
 
 
@@ -69,16 +75,17 @@ def solve_least_distance(
     upper: Array,
     A_eq: Array | None = None,
     b_eq: Array | None = None,
-    backend: str = "daqp",
+    backend: Backend = "daqp",
 ) -> LeastDistance:
     """The point nearest to target (n,) with A_eq x = b_eq and lower ≤ A x ≤ upper (m rows, ±inf allowed).
 
-    Dependent equalities are fine as long as they agree. Infeasibility is a status, not an error.
+    Dependent equalities are fine as long as they agree. Infeasibility is a status, not an error. `backend` is a name
+    in `BACKENDS` or a kernel; it meets the rows that are left after elimination, so their number varies.
 
     Raises:
         InputError: unknown backend.
     """
-    kernel = BACKENDS[check_backend(backend)]
+    kernel = check_backend(backend)
     nothing = np.zeros(lower.size)
     base, free = _eliminate(target, A_eq, b_eq)
     if base is None:
@@ -92,9 +99,11 @@ def solve_least_distance(
     slack = FEASIBLE * np.where(length > 0.0, length, 1.0) * (1.0 + np.abs(base).max(initial=0.0))
     if np.any(fixed & ((below > slack) | (above < -slack))):
         return LeastDistance(None, nothing, 0, "infeasible")
-    use = np.flatnonzero(~fixed & (np.isfinite(below) | np.isfinite(above)))
+    # said as what is absent: a NaN is no bound, but neither is it none
+    use = np.flatnonzero(~fixed & ~((below == -np.inf) & (above == np.inf)))
     if use.size == 0:
-        return LeastDistance(base, nothing, 0, "optimal")
+        finite = bool(np.isfinite(base).all())
+        return LeastDistance(base if finite else None, nothing, 0, "optimal" if finite else "failed")
     scale = reduced[use]
     G, below, above = G[use] / scale[:, None], below[use] / scale, above[use] / scale
     answer = _checked(kernel(G, below, above), G, below, above, tolerance=FEASIBLE / np.maximum(scale, 1.0))

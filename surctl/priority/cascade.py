@@ -14,6 +14,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.priority.backends import Backend
 from surctl.priority.freedom import Freedom
 from surctl.priority.polyhedron import Polyhedron
 from surctl.priority.problem import Level
@@ -82,7 +83,7 @@ def reach(
     target: Array,
     rows: Polyhedron,
     *,
-    backend: str,
+    backend: Backend,
     cutoff: float,
     inside: Array | None = None,
 ) -> Reached | None:
@@ -116,7 +117,7 @@ def reach(
 
 
 def _met(
-    level: Level, target: Array, rows: Polyhedron, *, freedom: Freedom, backend: str, cutoff: float
+    level: Level, target: Array, rows: Polyhedron, *, freedom: Freedom, backend: Backend, cutoff: float
 ) -> _Place | None:
     """The level met as well as the levels above allow, if the rows allow that too."""
     goal = level.exact
@@ -125,7 +126,7 @@ def _met(
     return _nearest(narrow, more, target, backend=backend)
 
 
-def _served(level: Level, target: Array, place: _Place, *, backend: str, cutoff: float) -> _Place:
+def _served(level: Level, target: Array, place: _Place, *, backend: Backend, cutoff: float) -> _Place:
     """The level met as well as the rows allow, and frozen there."""
     found = serve(level, place.inside, place.rows, freedom=place.freedom, cutoff=cutoff)
     value = level.J @ found.v
@@ -149,7 +150,7 @@ def _kept(level: Level, rows: Polyhedron, chosen: NDArray[np.bool_]) -> Polyhedr
 
 
 def _nearest(
-    freedom: Freedom, rows: Polyhedron, target: Array, *, backend: str, inside: Array | None = None
+    freedom: Freedom, rows: Polyhedron, target: Array, *, backend: Backend, inside: Array | None = None
 ) -> _Place | None:
     """The nearest point to the target; None if there is none, and none is known to be inside."""
     answer = freedom.nearest(target, rows, backend=backend)

@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.priority.backends import Backend
 from surctl.priority.cascade import Reached
 from surctl.priority.freedom import Freedom
 from surctl.priority.polyhedron import Polyhedron
@@ -41,7 +42,7 @@ class Answer:
 
 
 def descend(
-    find: Callable[..., Reached | None], target: Array, rows: Polyhedron, *, free: Array, backend: str
+    find: Callable[..., Reached | None], target: Array, rows: Polyhedron, *, free: Array, backend: Backend
 ) -> Answer:
     """The first rung that holds; always a finite v inside the box.
 
@@ -70,7 +71,7 @@ def _answer(
     return Answer(v, target, status, found.binding, found.blame, spent + found.iterations, conflict)
 
 
-def _last_resort(free: Array, target: Array, rows: Polyhedron, backend: str) -> Answer:
+def _last_resort(free: Array, target: Array, rows: Polyhedron, backend: Backend) -> Answer:
     """The actuator rows contradict each other, or every solver gave up: what misses those rows least."""
     hard = rows.mask("actuator")
     answer = Freedom.whole(free.size).nearest(free, rows.only(hard), backend=backend)

@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.priority.backends import LeastDistance, solve_least_distance
+from surctl.priority.backends import Backend, LeastDistance, solve_least_distance
 from surctl.priority.polyhedron import Polyhedron
 from surctl.priority.rowspace import row_space
 
@@ -54,7 +54,7 @@ class Freedom:
         nearest: Array = self.base + self.Z @ (self.Z.T @ (v - self.base))
         return nearest
 
-    def nearest(self, target: Array, rows: Polyhedron, *, backend: str) -> LeastDistance:
+    def nearest(self, target: Array, rows: Polyhedron, *, backend: Backend) -> LeastDistance:
         """The nearest of them to target (n,) that keeps the rows."""
         return solve_least_distance(
             target,

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias
 
 import daqp
 import numpy as np
@@ -18,12 +17,32 @@ from scipy import sparse
 from surctl.priority.dual_step import OPTIMAL, STUCK
 from surctl.priority.safe_point import nearest_to_zero
 
-__all__ = ["Answer", "Kernel", "daqp_kernel", "osqp_kernel", "own_kernel", "qpsolvers_kernels"]
+__all__ = [
+    "DAQP_INFEASIBLE",
+    "DAQP_TOLERANCE",
+    "NO_BOUND",
+    "Answer",
+    "Kernel",
+    "daqp_answer",
+    "daqp_kernel",
+    "new_osqp",
+    "osqp_answer",
+    "osqp_kernel",
+    "own_kernel",
+    "qpsolvers_kernels",
+    "unfit",
+]
 
 Array: TypeAlias = NDArray[np.float64]
 
-_NO_BOUND = 1e30
-_DAQP_INFEASIBLE = -1
+NO_BOUND = 1e30
+"""What stands for infinity in DAQP and OSQP."""
+
+DAQP_TOLERANCE = 1e-11
+"""Largest violation of a row of length 1 that DAQP leaves."""
+
+DAQP_INFEASIBLE = -1
+"""DAQP's flag of a problem without a point."""
 
 
 @dataclass(frozen=True)
@@ -36,25 +55,48 @@ class Answer:
     status: Literal["optimal", "infeasible", "failed"]
 
 
-Kernel: TypeAlias = Callable[[Array, Array, Array], Answer]
+class Kernel(Protocol):
+    """Any solver of min ½‖y‖² subject to lower ≤ G y ≤ upper: a function, or an object that keeps its memory."""
+
+    def __call__(self, G: Array, lower: Array, upper: Array, /) -> Answer:
+        """The answer for rows G (m, d) of length 1 and bounds (m,), ±inf where there is none."""
+        ...
+
+
+def unfit(G: Array, lower: Array, upper: Array) -> Answer | None:
+    """The answer that needs no solver: "infeasible" where bounds cross, "failed" for a NaN; None if it does.
+
+    DAQP takes a NaN for a row that holds; DAQP and OSQP refuse crossed bounds, but then give the last answer again.
+    """
+    if (lower <= upper).all() and np.isfinite(G).all():  # a NaN is not below anything
+        return None
+    whole = np.isfinite(G).all() and not (np.isnan(lower).any() or np.isnan(upper).any())
+    return Answer(None, np.zeros(lower.size), 0, "infeasible" if whole else "failed")
 
 
 def daqp_kernel(G: Array, lower: Array, upper: Array) -> Answer:
     """DAQP (Arnström, Bemporad and Axehill 2022), a dual active-set method; its flag is checked."""
     m, d = G.shape
-    y, _, flag, info = daqp.solve(
-        np.eye(d),
-        np.zeros(d),
-        np.ascontiguousarray(G),
-        np.minimum(upper, _NO_BOUND),
-        np.maximum(lower, -_NO_BOUND),
-        np.zeros(m, dtype=np.intc),
-        primal_tol=1e-11,
+    return daqp_answer(
+        m,
+        *daqp.solve(
+            np.eye(d),
+            np.zeros(d),
+            np.ascontiguousarray(G),
+            np.minimum(upper, NO_BOUND),
+            np.maximum(lower, -NO_BOUND),
+            np.zeros(m, dtype=np.intc),
+            primal_tol=DAQP_TOLERANCE,
+        ),
     )
+
+
+def daqp_answer(m: int, y: Any, _: float, flag: int, info: Any) -> Answer:
+    """What DAQP returned for m rows, with its flag looked at."""
     iterations = int(info["iterations"])
     if flag == 1:
         return Answer(np.array(y, dtype=float), np.array(info["lam"], dtype=float), iterations, "optimal")
-    return Answer(None, np.zeros(m), iterations, "infeasible" if flag == _DAQP_INFEASIBLE else "failed")
+    return Answer(None, np.zeros(m), iterations, "infeasible" if flag == DAQP_INFEASIBLE else "failed")
 
 
 def osqp_kernel(G: Array, lower: Array, upper: Array) -> Answer:
@@ -62,21 +104,35 @@ def osqp_kernel(G: Array, lower: Array, upper: Array) -> Answer:
 
     Its default tolerances leave bounds violated by 1e-3 and call feasible problems infeasible.
     """
+    low, high = np.maximum(lower, -NO_BOUND), np.minimum(upper, NO_BOUND)
+    return unfit(G, low, high) or osqp_answer(new_osqp(G, low, high, warm=False))
+
+
+def new_osqp(G: Array, lower: Array, upper: Array, *, warm: bool) -> Any:
+    """An `osqp.OSQP` with every entry of G (m, d) in its pattern, so that all can be updated; finite bounds (m,)."""
     m, d = G.shape
+    pattern = (G.T.ravel(), np.tile(np.arange(m), d), np.arange(0, m * d + 1, m))
     solver = osqp.OSQP()
     solver.setup(
         sparse.eye(d, format="csc"),
         np.zeros(d),
-        sparse.csc_matrix(G),
-        np.maximum(lower, -_NO_BOUND),
-        np.minimum(upper, _NO_BOUND),
+        sparse.csc_matrix(pattern, shape=(m, d)),
+        lower,
+        upper,
         eps_abs=1e-10,
         eps_rel=1e-10,
         eps_prim_inf=1e-10,
         max_iter=20_000,
         polishing=False,  # it prints to the terminal; the caller polishes
+        scaling=0,  # rows have length 1 already; and scaled data, updated, would keep the last problem's rounding
+        warm_starting=warm,
         verbose=False,
     )
+    return solver
+
+
+def osqp_answer(solver: Any) -> Answer:
+    """Solve what an `osqp.OSQP` was given; its status is looked at."""
     result = solver.solve(raise_error=False)
     iterations, status = int(result.info.iter), int(result.info.status_val)
     if status in (
@@ -87,7 +143,7 @@ def osqp_kernel(G: Array, lower: Array, upper: Array) -> Answer:
         # inaccurate ones too: the caller polishes and checks
         return Answer(np.array(result.x, dtype=float), np.array(result.y, dtype=float), iterations, "optimal")
     infeasible = status == osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE
-    return Answer(None, np.zeros(m), iterations, "infeasible" if infeasible else "failed")
+    return Answer(None, np.zeros(solver.m), iterations, "infeasible" if infeasible else "failed")
 
 
 def own_kernel(G: Array, lower: Array, upper: Array) -> Answer:
@@ -106,7 +162,7 @@ def qpsolvers_kernels() -> dict[str, Kernel]:
 
 def _qpsolvers_kernel(G: Array, lower: Array, upper: Array, *, solver: str) -> Answer:
     m, d = G.shape
-    below, above = np.flatnonzero(lower > -_NO_BOUND), np.flatnonzero(upper < _NO_BOUND)
+    below, above = np.flatnonzero(lower > -NO_BOUND), np.flatnonzero(upper < NO_BOUND)
     # qpsolvers knows one-sided rows only, and an infinite bound spoils its own check
     rows, bounds = np.vstack([G[above], -G[below]]), np.concatenate([upper[above], -lower[below]])
     form = sparse.csc_matrix if solver in qpsolvers.sparse_solvers else np.asarray

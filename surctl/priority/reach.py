@@ -8,6 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.priority.backends import Backend
 from surctl.priority.freedom import Freedom
 from surctl.priority.polyhedron import Polyhedron
 from surctl.priority.problem import Level
@@ -42,7 +43,7 @@ class Relaxed:
     conflict: tuple[str, ...]
 
 
-def least_violation(rows: Polyhedron, start: Array, *, backend: str) -> Relaxed | None:
+def least_violation(rows: Polyhedron, start: Array, *, backend: Backend) -> Relaxed | None:
     """Relax barrier rows, then rows of set-based tasks, each by the least uniform amount [row of length 1].
 
     None if the actuator rows contradict each other, or no solver answers. `start` (n,).

@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.priority.backends import check_backend
+from surctl.priority.backends import Backend, check_backend
 from surctl.priority.cascade import Reached, reach
 from surctl.priority.descent import Answer, descend
 from surctl.priority.freedom import Freedom
@@ -32,7 +32,7 @@ def solve(
     sweeps: int = 1,
     damping: float = 0.0,
     cutoff: float = CUTOFF,
-    backend: str = "daqp",
+    backend: Backend = "daqp",
 ) -> PrioritySolution:
     """Solve one tick. It always answers: v is finite, whatever the problem holds.
 
@@ -47,8 +47,8 @@ def solve(
             nearest to (16). "lexicographic": strict priority. "nsb": (16), which knows no rows (those that it misses
             are listed in `relaxed`).
         sweeps, damping, cutoff: see `Settings`.
-        backend: a name in `BACKENDS`: "daqp", "osqp", "own", or another solver that qpsolvers finds; plays no
-            part in "nsb".
+        backend: a name in `BACKENDS`: "daqp", "osqp", "own", or another solver that qpsolvers finds; or a `Kernel`,
+            such as one that is kept alive between ticks. Plays no part in "nsb".
 
     Raises:
         InputError: unknown mode or backend, a setting out of range.
@@ -69,12 +69,12 @@ def solve(
         return _solution(problem, settings, rows, Answer(v, v, "clamped"), v)
 
 
-def _nsb(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: str) -> Answer:
+def _nsb(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> Answer:
     free = without_rows(levels, width=rows.width, settings=settings)
     return Answer(free, free, "optimal")
 
 
-def _filter(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: str) -> Answer:
+def _filter(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> Answer:
     target = without_rows(levels, width=rows.width, settings=settings)
     if rows.contains(target):
         return Answer(target, target, "optimal")
@@ -82,7 +82,7 @@ def _filter(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backe
     return descend(find, target, rows, free=target, backend=backend)
 
 
-def _projected(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: str) -> Answer:
+def _projected(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> Answer:
     answer = Answer(np.zeros(rows.width), np.zeros(rows.width), "optimal")
     for _ in range(settings.sweeps):
         target = nsb_sweep(levels[1:], start=answer.v, settings=settings)
@@ -99,7 +99,7 @@ def _projected(levels: Sequence[Level], rows: Polyhedron, settings: Settings, ba
     return answer
 
 
-def _lexicographic(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: str) -> Answer:
+def _lexicographic(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> Answer:
     target = np.zeros(rows.width)
     free = without_rows(levels, width=rows.width, settings=settings)
     if rows.contains(free):
@@ -108,7 +108,7 @@ def _lexicographic(levels: Sequence[Level], rows: Polyhedron, settings: Settings
     return descend(find, target, rows, free=free, backend=backend)
 
 
-_MODES: Mapping[Mode, Callable[[Sequence[Level], Polyhedron, Settings, str], Answer]] = {
+_MODES: Mapping[Mode, Callable[[Sequence[Level], Polyhedron, Settings, Backend], Answer]] = {
     "nsb": _nsb,
     "filter": _filter,
     "projected": _projected,
@@ -117,7 +117,7 @@ _MODES: Mapping[Mode, Callable[[Sequence[Level], Polyhedron, Settings, str], Ans
 
 
 def _damped(
-    level: Level, target: Array, rows: Polyhedron, *, damping: float, backend: str, inside: Array | None = None
+    level: Level, target: Array, rows: Polyhedron, *, damping: float, backend: Backend, inside: Array | None = None
 ) -> Reached | None:
     """The damped projection as a cascade that ends at once."""
     spent = 0

@@ -126,6 +126,18 @@ def test_an_answer_that_does_not_hold_is_not_passed_on():
     assert np.abs(_checked(rough, G, low, high, tolerance=close).y - [0.5, 0.0]).max() < 1e-15
 
 
+@each
+def test_crossed_bounds_and_a_nan_are_no_answer(backend, capfd):
+    G, low, high = np.eye(2), np.array([0.5, -1.0]), np.array([0.4, 1.0])
+    assert BACKENDS[backend](G, low, high).status == "infeasible"
+    for rows in ((G * np.nan, low, high + 1.0), (G, low, high * np.nan)):
+        got = solve_least_distance(np.ones(2), A=rows[0], lower=rows[1], upper=rows[2], backend=backend)
+        assert got.status == "failed" and got.x is None
+    free = {"A": G, "lower": np.full(2, -np.inf), "upper": np.full(2, np.inf), "backend": backend}
+    assert solve_least_distance(np.array([1.0, np.nan]), **free).status == "failed"
+    assert capfd.readouterr() == ("", "")
+
+
 def test_own_needs_no_polish():
     rng, bound = np.random.default_rng(8), 0
     for _ in range(200):

@@ -1,0 +1,51 @@
+"""This toolkit's contenders: the Python API in every mode and with every kind of backend, and the fast path."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, TypeAlias, get_args
+
+import numpy as np
+from contender import Contender
+from fast import FastTick
+from instances import BOX, LEVELS, ROWS, Instance
+from numpy.typing import NDArray
+
+from surctl.priority import Mode, build_problem, nsb, solve
+from surctl.priority.kept import KeptDaqp, KeptOsqp
+
+__all__ = ["FAST", "PROJECTED", "STRICT", "ours"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+FAST = "surctl fast path: projected"
+"""The contender that bars and ratios are about."""
+
+NSB, PROJECTED, STRICT = "nsb", "projected", "lexicographic"
+"""Problems, named as the modes: the law without limits; with its last projection inside them; strict priority."""
+
+
+def ours(instances: Sequence[Instance]) -> list[Contender]:
+    """All of them; a mode that `solve` has not is not there."""
+    problems = [(instance.problem,) for instance in instances]
+    found = [Contender(f"surctl solve: {mode}", mode, _api(mode), problems, ours=True) for mode in get_args(Mode)]
+    for name, backend in (("own", "own"), ("KeptDaqp", KeptDaqp()), ("KeptOsqp", KeptOsqp())):
+        run = _api(PROJECTED, backend)
+        found.append(Contender(f"surctl solve: projected, {name}", PROJECTED, run, problems, ours=True))
+    parts = [(instance.problem.levels, instance.problem.rows) for instance in instances]
+    found.append(Contender("surctl build_problem + solve: projected", PROJECTED, _built, parts, ours=True))
+    found.append(Contender("surctl nsb, as printed", NSB, nsb, problems, ours=True))
+    arrays = [(i.J, i.x, i.table) for i in instances]
+    fast = FastTick(LEVELS, box=BOX, rows=ROWS)
+    return [Contender(FAST, PROJECTED, fast, arrays, ours=True), *found]
+
+
+def _api(mode: Any, backend: Any = "daqp") -> Any:
+    def run(problem: Any) -> Array:
+        return solve(problem, mode=mode, backend=backend).v
+
+    return run
+
+
+def _built(levels: Any, rows: Any) -> Array:
+    return solve(build_problem(levels, rows)).v

@@ -1,0 +1,121 @@
+"""pink and mink on a minimal problem of their own: a robot with the four degrees of freedom of the vehicle.
+
+Both are libraries of inverse kinematics: they weigh tasks instead of ranking them, and evaluate a robot model in
+every tick. On this problem (go to a point and hold the heading, which do not conflict, inside velocity limits) weights
+and ranks give the same answer, so that it can be compared; the times are an indicator, not a race of equals.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any, TypeAlias
+
+import numpy as np
+from contender import Contender, Missing
+from fast import FastTick
+from numpy.typing import NDArray
+
+from surctl.priority import Level, Row, build_problem, solve
+
+__all__ = ["MINK", "PEER", "PEER_API", "PEER_FAST", "PINK", "peers"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+PEER = "go to a point, hold the heading"
+PEER_FAST, PEER_API = "surctl fast path: their problem", "surctl build_problem + solve: their problem"
+PINK, MINK = "pink (pinocchio), daqp", "mink (mujoco), daqp"
+
+_DT = 0.01  # s
+_GAIN = 0.5
+_LIMIT = np.array([0.6, 0.5, 0.4, 0.8])
+_MJCF = """<mujoco><option timestep="0.01"/><worldbody><body name="vehicle">
+<joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>
+<joint name="z" type="slide" axis="0 0 1"/><joint name="psi" type="hinge" axis="0 0 1"/>
+<geom type="sphere" size="0.2" mass="10"/></body></worldbody></mujoco>"""
+
+
+def peers(count: int, *, seed: int) -> list[Contender | Missing]:
+    """`count` poses and targets for all of them; some steps are longer than the limits allow."""
+    rng = np.random.default_rng(seed)
+    poses = np.column_stack([rng.uniform(-2, 2, (count, 3)), rng.uniform(-1, 1, count)])
+    targets = poses.copy()
+    # the heading is to be held: with a turn their frame task asks for a screw motion, which is another problem
+    targets[:, :3] += 0.01 * rng.normal(size=(count, 3))
+    ticks = list(zip(poses, targets, strict=True))
+    found: list[Contender | Missing] = [
+        Contender(PEER_FAST, PEER, _fast(), ticks, ours=True),
+        Contender(PEER_API, PEER, _api(), ticks, ours=True),
+    ]
+    for name, packages, make in (
+        (PINK, ("pink", "pinocchio"), _pink),
+        (MINK, ("mink", "mujoco"), _mink),
+    ):
+        if all(importlib.util.find_spec(package) for package in packages):
+            found.append(Contender(name, PEER, make(), ticks))
+        else:
+            found.append(Missing(name))
+    return found
+
+
+def _api() -> Callable[[Array, Array], Array]:
+    rows = [Row(f"box.{name}", "actuator", np.eye(4)[i], -_LIMIT[i], _LIMIT[i]) for i, name in enumerate("xyzr")]
+    place, turn = np.eye(4)[:3], np.eye(4)[3:]
+
+    def run(pose: Array, target: Array) -> Array:
+        x = _GAIN / _DT * (target - pose)
+        return solve(build_problem([Level("position", place, x[:3]), Level("angle", turn, x[3:])], rows)).v
+
+    return run
+
+
+def _fast() -> Callable[[Array, Array], Array]:
+    tick = FastTick((3, 1), box=np.array([-_LIMIT, _LIMIT]), rows=0)
+    tick.J[:] = np.eye(4)
+
+    def run(pose: Array, target: Array) -> Array:
+        np.subtract(target, pose, out=tick.x)
+        np.multiply(tick.x, _GAIN / _DT, out=tick.x)
+        tick.run()
+        return tick.v
+
+    return run
+
+
+def _pink() -> Callable[[Array, Array], Array]:
+    pink, pin = import_module("pink"), import_module("pinocchio")
+    model: Any = pin.Model()
+    parent = 0
+    joints = (pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ(), pin.JointModelRZ())
+    for name, joint in zip(("x", "y", "z", "psi"), joints, strict=True):
+        parent = model.addJoint(parent, joint, pin.SE3.Identity(), name)
+    model.appendBodyToJoint(parent, pin.Inertia.FromSphere(10.0, 0.2), pin.SE3.Identity())
+    model.addFrame(pin.Frame("vehicle", parent, 0, pin.SE3.Identity(), pin.FrameType.BODY))
+    model.velocityLimit = _LIMIT.copy()
+    model.lowerPositionLimit, model.upperPositionLimit = np.full(4, -10.0), np.full(4, 10.0)
+    configuration = pink.Configuration(model, model.createData(), np.zeros(4))
+    task = pink.FrameTask("vehicle", position_cost=1.0, orientation_cost=1.0, gain=_GAIN)
+    limits = [pink.limits.VelocityLimit(model)]
+
+    def run(pose: Array, target: Array) -> Array:
+        configuration.update(pose)
+        task.set_target(pin.SE3(pin.utils.rotate("z", target[3]), target[:3]))
+        return np.asarray(pink.solve_ik(configuration, [task], _DT, solver="daqp", limits=limits))
+
+    return run
+
+
+def _mink() -> Callable[[Array, Array], Array]:
+    mink, mujoco = import_module("mink"), import_module("mujoco")
+    model = mujoco.MjModel.from_xml_string(_MJCF)
+    configuration = mink.Configuration(model)
+    task = mink.FrameTask("vehicle", "body", position_cost=1.0, orientation_cost=1.0, gain=_GAIN)
+    limits = [mink.VelocityLimit(model, dict(zip(("x", "y", "z", "psi"), _LIMIT, strict=True)))]
+
+    def run(pose: Array, target: Array) -> Array:
+        configuration.update(pose)
+        task.set_target(mink.SE3.from_rotation_and_translation(mink.SO3.from_z_radians(target[3]), target[:3]))
+        return np.asarray(mink.solve_ik(configuration, [task], _DT, solver="daqp", limits=limits))
+
+    return run

@@ -1,0 +1,166 @@
+"""Study 5: the priority law's time a tick against other solvers, hierarchies and libraries, on the same problems.
+
+    python analysis/05_priority_benchmark/run.py [--quick] [--out DIR] [--seed 0] [--bars]
+
+Prints Markdown and saves a picture. Ends with 0 when every answer of this toolkit is right, else with 1; with --bars
+also when a bar of speed is missed; with 2 for a bad option or folder, or without a C compiler.
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+import sys
+import tempfile
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import get_args
+
+from cascades import cascades, hierarchies, others
+from contender import Contender, Missing, race, warm_up
+from in_c import (
+    CASADI_CLOSED,
+    CLOSED,
+    LEAST,
+    OSQP,
+    OURS,
+    OURS_CLOSED,
+    OURS_TICK,
+    QRQP,
+    TICK,
+    CompiledRun,
+    compiled,
+    race_in_c,
+)
+from instances import draw_instances
+from ours import FAST, NSB, STRICT, ours
+from peers import MINK, PEER, PEER_API, PEER_FAST, PINK, peers
+from tables import Line, compiled_lines, draw, lines_of, print_bars, print_lines, print_rows
+
+from surctl.errors import InputError, ToolMissing
+from surctl.files import prepare_folder
+from surctl.ir import compiler_version
+from surctl.priority import Mode
+
+KEPT = "DAQP hierarchy: Model kept"
+PACKAGES = (
+    *("numpy", "casadi", "daqp", "osqp", "qpsolvers", "clarabel", "piqp", "proxsuite", "quadprog"),
+    *("pin", "pin-pink", "mujoco", "mink"),
+)
+
+# whom the answers to a problem are compared with: somebody who shares as little as possible with the others of ours
+REFERENCES = {mode: f"surctl solve: {mode}" for mode in get_args(Mode)} | {
+    NSB: "numpy nested pinv",
+    STRICT: KEPT,
+    PEER: PEER_API,
+}
+OURS_IN_C = {LEAST: OURS, CLOSED: OURS_CLOSED, TICK: OURS_TICK}
+
+
+def main(arguments: list[str]) -> int:
+    """Run the study; the exit status."""
+    parser = argparse.ArgumentParser(prog="run.py", description="Time a tick of the priority law against its peers.")
+    parser.add_argument("--quick", action="store_true", help="few ticks and rounds: shows that it runs, not how fast")
+    parser.add_argument("--out", type=Path, help="folder of benchmark.png; default: a new temporary one")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--bars", action="store_true", help="a missed bar of speed ends with 1")
+    options = parser.parse_args(arguments)
+    if options.seed < 0:
+        parser.error("--seed is at least 0")
+    try:
+        out = prepare_folder(options.out or Path(tempfile.mkdtemp(prefix="surctl-benchmark-")))
+        return study(quick=options.quick, seed=options.seed, out=out, strict=options.bars)
+    except (InputError, ToolMissing) as error:
+        print(error, file=sys.stderr)
+        return 2
+
+
+def study(*, quick: bool, seed: int, out: Path, strict: bool) -> int:
+    """Race in Python, race in C, print, draw."""
+    print_machine()
+    count, rounds, budget = (40, 2, 0.3) if quick else (300, 12, 8.0)
+    instances = draw_instances(count, seed=seed)
+    taking_part = [*ours(instances), *hierarchies(instances), *cascades(instances), *others(instances)]
+    taking_part += peers(count, seed=seed)
+    contenders = [each for each in taking_part if isinstance(each, Contender)]
+    timings = warm_up(contenders)
+    race(contenders, timings, rounds=rounds, turn=25, budget=budget)
+    python = lines_of(contenders, timings, REFERENCES)
+    with tempfile.TemporaryDirectory() as folder:
+        built, references = compiled(instances, count=100 if quick else 1000, seed=seed + 5, folder=Path(folder))
+        runs = [run for run in built if isinstance(run, CompiledRun)]
+        race_in_c(runs, rounds=3 if quick else 40)
+    in_c = compiled_lines(runs, references)
+    print("\n## One tick, called from Python")
+    print_lines(python, ours=dict.fromkeys(REFERENCES, FAST) | {PEER: PEER_FAST}, mean=False)
+    print("\n## Inside C")
+    print_lines(in_c, ours=OURS_IN_C, mean=True)
+    print_missing([each for each in (*taking_part, *built) if isinstance(each, Missing)])
+    print("\n## Bars of speed")
+    held = print_bars(bars({line.name: line for line in (*python, *in_c)}))
+    draw([*python, *in_c], out / "benchmark.png")
+    print(f"\nPicture: {out / 'benchmark.png'}")
+    right = print_wrong([*python, *in_c])
+    return 0 if right and (held or not strict) else 1
+
+
+def bars(lines: dict[str, Line]) -> list[tuple[str, float | None, float, bool]]:
+    """What the toolkit is to reach; study 3 has the one against DAQP's core."""
+
+    def ratio(who: str, other: str) -> float | None:
+        return lines[who].typical / lines[other].typical if {who, other} <= lines.keys() else None
+
+    found: list[tuple[str, float | None, float, bool]] = [
+        ("safe tick from Python, median µs", lines[FAST].median / 1e3, 6.0, True),
+        ("safe tick from Python / DAQP's kept hierarchy", ratio(FAST, KEPT), 1.0, True),
+    ]
+    found += [(f"{name} / ours on their problem", ratio(name, PEER_FAST), 30.0, False) for name in (PINK, MINK)]
+    found.append((f"{QRQP} / ours", ratio(QRQP, OURS), 30.0, False))
+    found += [(f"{name} / ours", ratio(name, OURS), 100.0, False) for name in OSQP]
+    found.append(("our closed form / CasADi's, both in C", ratio(OURS_CLOSED, CASADI_CLOSED), 1.2, True))
+    return found
+
+
+def print_wrong(lines: Sequence[Line]) -> bool:
+    """This toolkit's answers that are off or missing; whether there are none."""
+    wrong = [line for line in lines if line.ours and (line.off or line.silent)]
+    for line in wrong:
+        print(f"\n**Wrong**: {line.name}: {line.off} off by up to {line.gap:.1e}, {line.silent} without an answer.")
+    if not wrong:
+        print("\nEvery answer of this toolkit agrees with its reference.")
+    return not wrong
+
+
+def print_missing(missing: Sequence[Missing]) -> None:
+    """Who did not take part."""
+    if missing:
+        print_rows(["did not take part", "why"], [[each.name, each.reason] for each in missing])
+
+
+def print_machine() -> None:
+    """Processor, system, compiler and versions."""
+    system = f"{platform.system()} {platform.machine()}"
+    print(f"Machine: {processor()}, {system}, Python {platform.python_version()}, {compiler_version()}")
+    print(f"\nVersions: {', '.join(filter(None, map(installed, PACKAGES)))}")
+
+
+def processor() -> str:
+    """The processor's name."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.partition(": ")[2] for line in lines if line.startswith("model name")), platform.processor())
+
+
+def installed(package: str) -> str:
+    """Name and version, or nothing."""
+    try:
+        return f"{package} {version(package)}"
+    except PackageNotFoundError:
+        return ""
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,145 @@
+import importlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import get_args
+
+import pytest
+
+from surctl.priority import Mode
+from tests.tools import need_compiler
+
+STUDY = Path(__file__).parents[1] / "analysis" / "05_priority_benchmark"
+MODULES = ("cascades", "contender", "fast", "in_c", "instances", "ours", "peers", "run", "tables")
+
+
+def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-W", "error", str(STUDY / "run.py"), *arguments]
+    env = {**os.environ, **environment}
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, env=env)
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.CompletedProcess[str], Path]:
+    need_compiler()
+    out = tmp_path_factory.mktemp("benchmark") / "new"
+    return run("--quick", "--out", str(out)), out / "benchmark.png"
+
+
+@pytest.fixture
+def study(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    monkeypatch.syspath_prepend(str(STUDY))
+    yield importlib.import_module("run")
+    for name in MODULES:
+        sys.modules.pop(name, None)
+
+
+def rows(printed: str, width: int) -> dict[str, list[str]]:
+    """Table rows of that width by their first cell, without the heads."""
+    split = [[cell.strip() for cell in line.strip("|").split(" | ")] for line in printed.splitlines() if "| " in line]
+    return {row[0].strip(): row[1:] for row in split if len(row) == width}
+
+
+def test_every_answer_of_ours_is_right(quick: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+    done, _ = quick
+    assert done.returncode == 0, done.stdout + done.stderr
+    python = {name: row for name, row in rows(done.stdout, 11).items() if name.startswith("surctl")}
+    assert {f"surctl solve: {mode}" for mode in get_args(Mode)} < python.keys()
+    in_c = {name: row for name, row in rows(done.stdout, 12).items() if name.startswith("surctl")}
+    assert len(python) >= 10 and len(in_c) == 3
+    for row in (*python.values(), *in_c.values()):
+        assert float(row[-4]) <= 1e-6 and row[-3].startswith("0 of ") and row[-2] == "0"
+
+
+def test_everybody_takes_part_or_is_listed(quick: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+    printed = quick[0].stdout
+    timed = rows(printed, 11) | rows(printed, 12)
+    missing = rows(printed, 2)
+    wanted = [f"qpsolvers cascade: {name}" for name in ("daqp", "piqp", "proxqp", "quadprog", "clarabel", "osqp")]
+    wanted += [
+        "DAQP hierarchy: one call",
+        "DAQP hierarchy: Model kept",
+        "pink (pinocchio), daqp",
+        "mink (mujoco), daqp",
+    ]
+    wanted += ["CasADi qrqp, generated C", "OSQP, generated C, tolerance 1e-6", "CasADi closed form, generated C"]
+    for name in wanted:
+        assert (name in timed) != (name in missing), name
+    assert {"qpsolvers cascade: daqp", "qpsolvers cascade: osqp", "CasADi closed form, generated C"} < timed.keys()
+
+
+def test_two_independent_strict_hierarchies_agree(quick: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+    cascade = rows(quick[0].stdout, 11)["qpsolvers cascade: daqp"]
+    assert float(cascade[-4]) <= 1e-4  # what its regularisation leaves
+
+
+def test_bars_are_judged(quick: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+    bars = {name: row for name, row in rows(quick[0].stdout, 4).items() if row[-1].rstrip("| ") != ""}
+    assert len(bars) == 8
+    assert {row[-1].rstrip("| ") for row in bars.values()} <= {"holds", "**missed**", "not measured"}
+
+
+def test_the_picture(quick: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+    assert quick[1].read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def test_a_wrong_answer_is_told(study: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    line = {"problem": "nsb", "typical": 1.0, "median": 1.0, "p99": 1.0, "hard": 1.0, "samples": 1, "asked": 9}
+    right = study.Line(name="a", ours=True, silent=0, off=0, gap=1e-9, **line)
+    theirs = study.Line(name="b", ours=False, silent=3, off=4, gap=1.0, **line)
+    off = study.Line(name="c", ours=True, silent=0, off=1, gap=1e-3, **line)
+    silent = study.Line(name="d", ours=True, silent=1, off=0, gap=0.0, **line)
+    assert study.print_wrong([right, theirs])
+    assert not study.print_wrong([right, off])
+    assert not study.print_wrong([silent])
+    assert "**Wrong**: c: 1 off by up to 1.0e-03" in capsys.readouterr().out
+
+
+def test_a_bar_is_held_or_missed(study: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    assert study.print_bars([("low", 1.0, 2.0, True), ("high", 3.0, 2.0, False), ("none", None, 2.0, False)])
+    assert not study.print_bars([("low", 3.0, 2.0, True)])
+    assert not study.print_bars([("high", 1.0, 2.0, False)])
+    assert not study.print_bars([("nan", float("nan"), 2.0, False)])
+    assert capsys.readouterr().out.count("**missed**") == 3
+
+
+def test_what_differs_is_counted(study: ModuleType) -> None:
+    need_compiler()
+    instances = study.draw_instances(8, seed=1)
+    (fast, *_) = study.ours(instances)
+
+    def off(*tick: object) -> object:
+        return fast.run(*tick) + 1e-3
+
+    wrong = study.Contender("wrong", fast.problem, off, fast.ticks, ours=True)
+    mute = study.Contender("mute", fast.problem, lambda *tick: None, fast.ticks)
+    nan = study.Contender("nan", fast.problem, lambda *tick: off(*tick) * float("nan"), fast.ticks)
+    timings = study.warm_up([fast, wrong, mute, nan])
+    study.race([fast, wrong, mute, nan], timings, rounds=2, turn=3, budget=1.0)
+    first, second, third, fourth = study.lines_of([fast, wrong, mute, nan], timings, {fast.problem: fast.name})
+    assert (first.off, first.silent, first.asked, first.samples) == (0, 0, 8, 16)
+    assert second.off == 8 and abs(second.gap - 1e-3) < 1e-12
+    assert third.silent == 8
+    assert fourth.off == 8
+
+
+@pytest.mark.parametrize("arguments", [["--seed", "-1"], ["--rounds", "3"]])
+def test_bad_options_end_with_2(arguments: list[str]) -> None:
+    done = run(*arguments)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+
+
+def test_a_folder_that_cannot_be_written_ends_with_2(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    done = run("--quick", "--out", str(tmp_path / "file"))
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1 and "--out" in done.stderr
+
+
+def test_without_a_compiler_it_ends_with_2(tmp_path: Path) -> None:
+    done = run("--quick", "--out", str(tmp_path), CC="no-such-compiler")
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
