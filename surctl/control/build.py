@@ -85,8 +85,8 @@ def build_law(
     memory = _Memory(state.join(carried), outputs.join({**unknown, **told})[8:], flags)
 
     rows = _rows(decision, ps)
-    levels = tuple((name, int(J.shape[0])) for name, J, _ in decision.levels)
-    nsb = nsb_symbolic([(J, r) for _, J, r in decision.levels])
+    levels = tuple((level.name, int(level.J.shape[0]), level.unit) for level in decision.levels)
+    nsb = nsb_symbolic([(level.J, level.reference) for level in decision.levels])
     close = _Closing(state, outputs, u, us, p, ps, dt)
     given, found, options = ["x", "u", "p"], ["tau", "x_next", "status", "telemetry"], {"cse": True}
     function = ca.Function("law", [x, u, p], close.outputs_of(memory, nsb, ca.SX(0)), given, found, options)
@@ -118,10 +118,10 @@ def build_law(
 
 
 def _routine(
-    mode: Mode, pre: ca.Function, post: ca.Function, *, levels: tuple[tuple[str, int], ...], rows: int
+    mode: Mode, pre: ca.Function, post: ca.Function, *, levels: tuple[tuple[str, int, str], ...], rows: int
 ) -> Block:
     """`pre`, the priority tick, and `post`."""
-    shapes = tuple(LevelShape(count) for _, count in levels)
+    shapes = tuple(LevelShape(count) for _, count, _ in levels)
     tick = priority_tick(mode, n=4, levels=shapes, rows=rows)
     before, after = lower(pre), lower(post)
     answer = tuple(f"tick_{name}" for name, _ in tick.outputs)
@@ -144,8 +144,13 @@ def _tick_inputs(decision: Decision, rows: list[LimitRow], p: dict[str, ca.SX]) 
     """J row by row, references, rows (a, lower, upper, may open), box."""
     flat = [ca.vertcat(row.a.T, row.lower, row.upper, row.kind != "actuator") for row in rows]
     box = [ca.vertcat(*(getattr(row, side) for row in rows[:4])) for side in ("lower", "upper")]
-    J = ca.vertcat(*(J for _, J, _ in decision.levels))
-    outputs = [ca.vec(J.T), ca.vertcat(*(r for _, _, r in decision.levels)), ca.vertcat(*flat), ca.vertcat(*box)]
+    J = ca.vertcat(*(level.J for level in decision.levels))
+    outputs = [
+        ca.vec(J.T),
+        ca.vertcat(*(level.reference for level in decision.levels)),
+        ca.vertcat(*flat),
+        ca.vertcat(*box),
+    ]
     return [ca.densify(output) for output in outputs]
 
 

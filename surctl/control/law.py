@@ -70,7 +70,7 @@ class Law:
         pre: (x, u, p) → (J row by row, references, rows of the priority tick, velocity box (8,)), and what else is
             known before the priority decision: next state but for the integral, telemetry after the wish, flags.
         post: (u, p, those three, nu_wanted, rung of the priority tick) → as `function`.
-        levels: (name, rows) of each priority level, highest first.
+        levels: (name, rows, unit) of each priority level, highest first.
         rows: names of the rows: box, then barriers.
     """
 
@@ -86,7 +86,7 @@ class Law:
     function: ca.Function
     pre: ca.Function
     post: ca.Function
-    levels: tuple[tuple[str, int], ...]
+    levels: tuple[tuple[str, int, str], ...]
     rows: tuple[str, ...]
 
     def initial_state(self) -> Vector:
@@ -122,9 +122,9 @@ class Law:
         """The priority problem of one tick, as data with names on every row."""
         J, wanted, rows, *_ = (np.asarray(m, dtype=float).reshape(-1) for m in self.pre(x, u, p))
         levels, at = [], 0
-        for name, count in self.levels:
+        for name, count, unit in self.levels:
             here = slice(at, at + count)
-            levels.append(Level(name, J.reshape(-1, 4)[here], wanted[here]))
+            levels.append(Level(name, J.reshape(-1, 4)[here], wanted[here], unit=unit))
             at += count
         limits = [
             Row(name, "barrier" if row[6] else "actuator", row[:4], float(row[4]), float(row[5]))

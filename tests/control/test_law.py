@@ -326,7 +326,7 @@ def test_the_law_in_c_is_the_replay_and_decides_as_the_solver_in_numpy(mode: str
 @pytest.mark.parametrize("form", FORMS)
 def test_the_printed_stack_has_a_level_for_each_sensor_and_gives_way(form: str) -> None:
     law = build_law("paper", avoidance=form)
-    assert [name for name, _ in law.levels] == [
+    assert [name for name, _, _ in law.levels] == [
         *("sensor_1", "sensor_2", "sensor_3", "sensor_4"),
         *("velocity", "depth", "heading"),
     ]
