@@ -17,6 +17,7 @@ __all__ = ["export"]
 @click.option("--scenario", default="pool-static", help="Mission of the defaults and of the check.")
 @click.option("--law", default="guarded", help="guarded or paper.")
 @click.option("--avoidance", default="corrected", help="Form of (20) in law paper.")
+@click.option("--priority-mode", default="nsb", help="nsb, or one that keeps limits: filter, projected, lexicographic.")
 @click.option("--name", help="Prefix of files and C symbols.")
 @click.option("--target", default="c99", help="c99.")
 @click.option("--real", default="float64", help="float64.")
@@ -31,6 +32,7 @@ def export(
     scenario: str,
     law: str,
     avoidance: str,
+    priority_mode: str,
     name: str | None,
     target: str,
     real: str,
@@ -53,7 +55,7 @@ def export(
         if value not in known:
             raise InputError("is not available", key=key, value=value, remedy=nearest(value, known))
     find_compiler()
-    built = build_law(law, avoidance=avoidance)
+    built = build_law(law, avoidance=avoidance, mode=priority_mode)
     mission = load_scenario(scenario)
     progress(f"flying {mission.name}")
     run = simulate(mission, load_vehicle(vehicle or mission.vehicle), gains=load_gains(gains), law=built, seed=seed)

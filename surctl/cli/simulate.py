@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import click
@@ -17,10 +18,11 @@ __all__ = ["simulate"]
 @click.option("--gains", default="default", help="Gain file: name or path.")
 @click.option("--law", default="guarded", help="guarded, or the printed stack: paper.")
 @click.option("--avoidance", default="corrected", help="printed, consistent or corrected form of (20).")
-@click.option("--priority-mode", default="nsb", help="nsb (what is exported), filter, projected or lexicographic.")
+@click.option("--priority-mode", default="nsb", help="nsb, or one that keeps limits: filter, projected, lexicographic.")
 @click.option("--sensing", default="truth", help="truth, or through the sonar array: sonar.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="First seed.")
 @click.option("--runs", type=click.IntRange(min=1), default=1, help="Number of seeds, one after another.")
+@click.option("--explain", "explained", is_flag=True, help="Tell what each task gave up, and to which limit.")
 @out_folder
 @as_json
 def simulate(
@@ -33,6 +35,7 @@ def simulate(
     sensing: str,
     seed: int,
     runs: int,
+    explained: bool,
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -42,7 +45,7 @@ def simulate(
     """
     from surctl.control import build_law, load_gains
     from surctl.files import prepare_folder
-    from surctl.simulation import load_scenario
+    from surctl.simulation import explain, load_scenario
     from surctl.simulation import simulate as fly
     from surctl.vehicle import load_vehicle
 
@@ -65,6 +68,10 @@ def simulate(
             lines.append(line)
             if as_json:
                 progress(line)
+            if explained:
+                told = explain(run)
+                results[-1]["explanations"] = [asdict(one) for one in told]
+                lines += [f"  {one.time_s:6.2f} s  {one.text}" for one in told]
             if out is not None:
                 lines.append(f"  {_plot(run, out)}")
     good = all(r["reached"] and r["min_clearance_m"] > 0 for r in results)

@@ -1,16 +1,14 @@
 """The controller: gain files, velocity control, and the whole law as one object."""
 
+from surctl.control.build import LAW_NAMES, MODES, build_law
 from surctl.control.gains import GAINS, LIBRARY, Gains, load_gains, write_gains
 from surctl.control.law import (
     DEGRADED,
-    LAW_NAMES,
-    MODES,
     NONFINITE,
     SATURATED,
     SWITCHED,
     Law,
     LawStep,
-    build_law,
 )
 from surctl.control.ports import CONTACT_SLOTS, INPUTS, PARAMETERS, law_parameters
 

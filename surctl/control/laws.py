@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -42,6 +43,20 @@ _SENSE_RANGE = 1.0  # [m] below which a sensor sub-task may act
 _OVERTAKE = 0.02  # [m/s] by which the avoidance speed exceeds the obstacle's
 
 
+class Wanted(NamedTuple):
+    """A priority level in symbols: J ν should be `reference` (k, 1) [unit]; J (k, 4)."""
+
+    name: str
+    J: ca.SX
+    reference: ca.SX
+    unit: str
+
+    @staticmethod
+    def of(task: Task) -> Wanted:
+        """What a task asks for."""
+        return Wanted(task.name, task.jacobian(), task.reference(), f"{task.unit}/s")
+
+
 @dataclass(frozen=True)
 class Decision:
     """What a law asks the priority solver for.
@@ -55,7 +70,7 @@ class Decision:
         state: next state by port name.
     """
 
-    levels: Sequence[tuple[str, ca.SX, ca.SX]]
+    levels: Sequence[Wanted]
     rows: Sequence[HalfPlane]
     velocity: ca.SX
     avoiding: ca.SX
@@ -80,7 +95,7 @@ def guarded_law(wish: Wish, seen: Perception, x: Mapping[str, ca.SX], eta: ca.SX
         for k, sector in enumerate(sectors)
     ]
     return Decision(
-        [(t.name, t.jacobian(), t.reference()) for t in tasks],
+        [Wanted.of(task) for task in tasks],
         rows,
         choice.velocity,
         choice.blocked,
@@ -115,7 +130,7 @@ def paper_law(
     levels = _by_urgency(sensed, closing, velocity, eta, p)
     lower = (velocity_task(eta, velocity), *_lower_tasks(eta, wish, p))
     return Decision(
-        [*levels, *((t.name, t.jacobian(), t.reference()) for t in lower)],
+        [*levels, *(Wanted.of(task) for task in lower)],
         [],
         velocity,
         avoiding,
@@ -216,7 +231,7 @@ def _window(speed: ca.SX, course: ca.SX, last: ca.SX, radius: ca.SX, p: Mapping[
 
 def _by_urgency(
     sensed: Sequence[Contact], closing: Sequence[ca.SX], lower: ca.SX, eta: ca.SX, p: Mapping[str, ca.SX]
-) -> list[tuple[str, ca.SX, ca.SX]]:
+) -> list[Wanted]:
     """Sensor sub-tasks sorted by time to contact (ties: front, left, rear, right); inactive ones are zero rows."""
     to_body = planar_rotation(eta[3]).T
     entries = []
@@ -231,4 +246,4 @@ def _by_urgency(
         first = [ca.if_else(swap, b, a) for a, b in zip(entries[i], entries[j], strict=True)]
         second = [ca.if_else(swap, a, b) for a, b in zip(entries[i], entries[j], strict=True)]
         entries[i], entries[j] = first, second
-    return [(f"sensor_{k + 1}", row, reference) for k, (_, row, reference) in enumerate(entries)]
+    return [Wanted(f"sensor_{k + 1}", row, reference, "m/s") for k, (_, row, reference) in enumerate(entries)]

@@ -19,7 +19,7 @@ from surctl.errors import InputError
 from surctl.export.contract import Exportable, checked_name
 from surctl.export.rendering import render_files
 from surctl.export.vectors import self_test_vectors
-from surctl.ir import Layout, Program, lower
+from surctl.ir import Layout
 
 __all__ = ["Bundle", "ExportedFile", "build_bundle", "gain_vector", "law_id", "write_bundle"]
 
@@ -59,13 +59,11 @@ def build_bundle(law: Exportable, gains: Mapping[str, NDArray[np.float64]], *, n
 
     Raises:
         InputError: a name that C cannot use, an unknown or non-finite gain, a law unlike its layouts.
-        UnsupportedOperation: the law uses an operation that the instruction list refuses.
     """
     prefix = checked_name(law, name)
     p = gain_vector(law.gains, gains)
-    program = lower(law.function)
-    identity = law_id(law, program, p)
-    files = render_files(law, program, p, name=prefix, identity=identity, tests=self_test_vectors(law, p))
+    identity = law_id(law, p)
+    files = render_files(law, p, name=prefix, identity=identity, tests=self_test_vectors(law, p))
     files["manifest.json"] = _manifest(law, prefix, identity, files)
     return Bundle(prefix, identity, MappingProxyType(files))
 
@@ -79,9 +77,9 @@ def gain_vector(layout: Layout, gains: Mapping[str, NDArray[np.float64]]) -> Vec
     return p
 
 
-def law_id(law: Exportable, program: Program, gains: Vector) -> str:
+def law_id(law: Exportable, gains: Vector) -> str:
     """SHA-256 of the instruction list, gains, initial state and period, all to the last bit."""
-    lines = [program.text(), float(law.dt).hex()]
+    lines = [law.block.text(), float(law.dt).hex()]
     lines += [float(v).hex() for v in (*gains, *law.initial_state())]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 

@@ -1,15 +1,14 @@
-"""What the export needs to know of a law: its layouts, its symbolic function, and one guarded step."""
+"""What the export needs to know of a law: its layouts, its instruction list, and one guarded step."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.ir import Layout, Port, identifier
+from surctl.ir import Block, Layout, Port, identifier
 
 __all__ = ["STATUS", "Exportable", "Step", "checked_name", "telemetry_ports", "thrust"]
 
@@ -54,10 +53,6 @@ class Exportable(Protocol):
         """C identifier."""
 
     @property
-    def mode(self) -> str:
-        """Priority mode; only `nsb`, the closed form, can be exported."""
-
-    @property
     def dt(self) -> float:
         """Control period [s]."""
 
@@ -78,8 +73,8 @@ class Exportable(Protocol):
         """Layout of tau (4,), then of the telemetry (k,)."""
 
     @property
-    def function(self) -> ca.Function:
-        """(x, u, p) → (tau, x_next, status (1,), telemetry), flat SX vectors."""
+    def block(self) -> Block:
+        """(x, u, p) → (tau, x_next, status (1,), telemetry), flat vectors: a program, or a routine with loops."""
 
     def initial_state(self) -> Vector:
         """State before the first step (nx,)."""
@@ -103,16 +98,9 @@ def checked_name(law: Exportable, name: str | None = None) -> str:
 
     Raises:
         InputError: a name is no C identifier, the outputs do not begin with `tau`, the period is not
-            positive, or the function's sizes are not those of the layouts.
+            positive, or the block's sizes are not those of the layouts.
     """
     chosen = identifier(law.name if name is None else name)
-    if law.mode != "nsb":
-        raise InputError(
-            "calls a QP in every step, which is not generated as C",
-            key="priority-mode",
-            value=law.mode,
-            remedy="export the law in mode nsb",
-        )
     if chosen == "sil_main":
         raise InputError("is taken by a file of the bundle", key="name", value=chosen, remedy="choose another")
     for layout in (law.state, law.inputs, law.gains, law.outputs):
@@ -127,14 +115,13 @@ def checked_name(law: Exportable, name: str | None = None) -> str:
 
 
 def _check_sizes(law: Exportable, name: str) -> None:
-    function, n_tau = law.function, thrust(law).size
-    have = [int(function.numel_in(k)) for k in range(function.n_in())]
-    have += [int(function.numel_out(k)) for k in range(function.n_out())]
+    n_tau = thrust(law).size
+    have = [size for _, size in (*law.block.inputs, *law.block.outputs)]
     want = [law.state.size, law.inputs.size, law.gains.size]
     want += [n_tau, law.state.size, 1, law.outputs.size - n_tau]
     if have != want:
         raise InputError(
             f"has vectors of {have} entries, its layouts say {want}",
-            key=f"{name}.function",
+            key=f"{name}.block",
             remedy="the order is x, u, p, then tau, x_next, status, telemetry",
         )

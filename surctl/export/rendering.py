@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from surctl import __version__
 from surctl.export.contract import STATUS, Exportable, telemetry_ports, thrust
 from surctl.export.vectors import TOLERANCE, SelfTest
-from surctl.ir import Layout, Port, Program, c_literal, emit_c99
+from surctl.ir import Layout, Port, c_literal, emit_block
 from surctl.ir.compiler import FLAGS
 
 __all__ = ["render_files"]
@@ -21,20 +21,17 @@ __all__ = ["render_files"]
 Vector = NDArray[np.float64]
 
 
-def render_files(
-    law: Exportable, program: Program, gains: Vector, *, name: str, identity: str, tests: SelfTest
-) -> dict[str, str]:
+def render_files(law: Exportable, gains: Vector, *, name: str, identity: str, tests: SelfTest) -> dict[str, str]:
     """Text of every file but the manifest, by file name.
 
     Args:
         law: the law, its names already checked.
-        program: its instruction list.
         gains: tuned gains (np,).
         name: prefix of files and symbols.
         identity: the law's id.
         tests: vectors of the built-in self-test.
     """
-    values = _values(law, program, gains, name, identity, tests)
+    values = _values(law, gains, name, identity, tests)
     environment = Environment(
         loader=PackageLoader("surctl.export"),
         undefined=StrictUndefined,
@@ -54,9 +51,7 @@ def render_files(
     return {file: environment.get_template(t).render(values) for file, t in templates.items()}
 
 
-def _values(
-    law: Exportable, program: Program, gains: Vector, name: str, identity: str, tests: SelfTest
-) -> dict[str, Any]:
+def _values(law: Exportable, gains: Vector, name: str, identity: str, tests: SelfTest) -> dict[str, Any]:
     """What the templates know."""
     n_tau = thrust(law).size
     return {
@@ -80,9 +75,9 @@ def _values(
         "initial": [c_literal(float(v)) for v in law.initial_state()],
         "gain_values": [c_literal(float(v)) for v in gains],
         "gain_table": _gain_table(law.gains, gains),
-        "law": emit_c99(program, symbol=f"{name}_law"),
-        "operations": program.operations,
-        "libm": sorted(program.libm),
+        "law": emit_block(law.block, symbol=f"{name}_law"),
+        "operations": law.block.operations,
+        "libm": sorted(law.block.libm),
         "tolerance": c_literal(TOLERANCE),
         "tests": len(tests.status),
         "test_inputs": _rows(tests.inputs),

@@ -94,11 +94,15 @@ class Layout:
     def symbols(self, prefix: str = "") -> tuple[ca.SX, dict[str, ca.SX]]:
         """One flat SX symbol and its named parts, each of the port's shape (vectors as columns)."""
         flat = ca.SX.sym(prefix or "x", self.size)
+        return flat, self.split(flat)
+
+    def split(self, flat: ca.SX) -> dict[str, ca.SX]:
+        """Named parts of a flat SX vector, each of the port's shape (vectors as columns)."""
         parts: dict[str, ca.SX] = {}
         for port in self.ports:
             block = flat[self.slice(port.name)]
             parts[port.name] = ca.reshape(block, port.shape[1], port.shape[0]).T if len(port.shape) == 2 else block
-        return flat, parts
+        return parts
 
     def join(self, parts: Mapping[str, ca.SX]) -> ca.SX:
         """Flat SX vector from named parts; every port must be given."""

@@ -1,5 +1,6 @@
 """Scenarios as files, the world of a run, the reference closed loop and its metrics."""
 
+from surctl.simulation.explanation import Explanation, explain
 from surctl.simulation.fit import Finding, findings
 from surctl.simulation.metrics import Metrics
 from surctl.simulation.run import SENSING, Record, Run, Sensing, advance, simulate
@@ -10,6 +11,7 @@ __all__ = [
     "LIBRARY",
     "SENSING",
     "Body",
+    "Explanation",
     "Finding",
     "Metrics",
     "Obstacle",
@@ -20,6 +22,7 @@ __all__ = [
     "World",
     "advance",
     "build_world",
+    "explain",
     "findings",
     "load_scenario",
     "simulate",

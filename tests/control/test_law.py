@@ -27,7 +27,9 @@ from surctl.control import (
 )
 from surctl.errors import InputError
 from surctl.guidance import FORMS, Path
+from surctl.ir import replay
 from surctl.vehicle import load_vehicle
+from tests.tools import need_compiler
 
 Array = NDArray[np.float64]
 LAWS = [("guarded", "corrected"), *(("paper", form) for form in FORMS)]
@@ -113,7 +115,7 @@ def test_what_cannot_be_built_is_refused(kwargs: dict[str, str], fragment: str) 
 
 def test_the_choices() -> None:
     assert LAW_NAMES == ("guarded", "paper")
-    assert MODES == ("nsb", "projected")
+    assert MODES == ("nsb", "filter", "projected", "lexicographic")
 
 
 # --- NaN never becomes a command ----------------------------------------------------------------------------------
@@ -262,8 +264,7 @@ def test_projected_equals_nsb_when_nothing_binds() -> None:
         np.testing.assert_allclose(b.tau, a.tau, atol=1e-8 * 95 * 1.5)  # m k_v multiplies what nu_wanted differs by
         np.testing.assert_allclose(b.x_next, a.x_next, atol=1e-8)
         assert a.status == b.status
-        assert b.solution is not None
-        assert not b.solution.binding
+        assert not cut.explained(x, u, p).binding
         moved += bool(np.linalg.norm(a.telemetry[:3]) > 0.1)
     assert moved > 50
 
@@ -271,7 +272,8 @@ def test_projected_equals_nsb_when_nothing_binds() -> None:
 def test_post_of_what_the_closed_form_asks_is_the_closed_form() -> None:
     law, p = build_law(), _parameters()
     x, u = _started(law), _input(law, AHEAD, nu=(0.1, 0.02, 0, 0.1))
-    for a, b in zip(law.function(x, u, p), law.post(x, u, p, law.step(x, u, p).telemetry[:4]), strict=True):
+    memory = law.pre(x, u, p)[4:]
+    for a, b in zip(law.function(x, u, p), law.post(u, p, *memory, law.step(x, u, p).telemetry[:4], 0), strict=True):
         np.testing.assert_allclose(np.asarray(a), np.asarray(b), atol=1e-12)
 
 
@@ -292,8 +294,30 @@ def test_projected_keeps_the_barriers_of_a_contact() -> None:
     wanted = step.telemetry[:4]
     for row in problem.rows:
         assert row.a @ wanted <= row.upper + 1e-7, row.name
-    assert step.solution is not None
-    assert step.solution.status == "optimal"
+    assert law.explained(x, u, p).status == "optimal"
+
+
+@pytest.mark.parametrize("mode", ["filter", "projected", "lexicographic"])
+def test_the_law_in_c_is_the_replay_and_decides_as_the_solver_in_numpy(mode: str) -> None:
+    """Random poses among contacts: the compiled step is the replay byte for byte, and the decision that of `solve`."""
+    need_compiler()
+    law, p, rng, seen = build_law(mode=mode), _parameters(), np.random.default_rng(3), set()
+    for k in range(40):
+        angle, far = rng.uniform(-np.pi, np.pi), rng.uniform(0.3, 1.2)
+        contact = (1.0 + far * np.cos(angle), far * np.sin(angle), 0.27, *rng.uniform(-0.1, 0.1, 2), 1.0)
+        nu = np.append(rng.uniform(-0.2, 0.2, 3), rng.uniform(-0.2, 0.2))
+        x, u = _started(law, integral=rng.uniform(-0.01, 0.01, 4)), _input(law, contact, nu=nu)
+        step, decision = law.step(x, u, p), law.explained(x, u, p)
+        seen.add((decision.status, bool(decision.binding)))
+        if k < 10:
+            for a, b in zip(
+                replay(law.block, x, u, p), (step.tau, step.x_next, [step.status], step.telemetry), strict=True
+            ):
+                assert np.array_equal(a, b)
+        wanted = law.post(u, p, *law.pre(x, u, p)[4:], decision.v, decision.fallback)
+        np.testing.assert_allclose(step.tau, np.asarray(wanted[0]).ravel(), atol=1e-6)
+        np.testing.assert_allclose(step.telemetry[:4], np.asarray(wanted[3]).ravel()[:4], atol=1e-8)
+    assert len(seen) >= 2
 
 
 # --- the printed stack --------------------------------------------------------------------------------------------
@@ -302,11 +326,11 @@ def test_projected_keeps_the_barriers_of_a_contact() -> None:
 @pytest.mark.parametrize("form", FORMS)
 def test_the_printed_stack_has_a_level_for_each_sensor_and_gives_way(form: str) -> None:
     law = build_law("paper", avoidance=form)
-    assert [name for name, _ in law.levels] == [
+    assert [name for name, _, _ in law.levels] == [
         *("sensor_1", "sensor_2", "sensor_3", "sensor_4"),
         *("velocity", "depth", "heading"),
     ]
-    assert law.barriers == ()
+    assert law.rows == ("velocity.u", "velocity.v", "velocity.w", "velocity.r")
     free = law.step(_started(law), _input(law), _parameters())
     np.testing.assert_allclose(free.telemetry[:4], [0.2, 0, 0, 0], atol=1e-12)
     fast = _started(law, last_velocity=[0.2, 0.0])  # the window (19) starts from the last command

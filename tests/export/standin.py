@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.export import Records
-from surctl.ir import Layout, Port
+from surctl.ir import Block, Layout, Port, lower
 from tests.ir.expressions import EXACT, LIBM_MAKERS
 
 Vector = NDArray[np.float64]
@@ -32,7 +32,10 @@ class StandIn:
     gains: Layout
     outputs: Layout
     function: ca.Function
-    mode: str = "nsb"
+
+    @property
+    def block(self) -> Block:
+        return lower(self.function)
 
     def initial_state(self) -> Vector:
         return self.state.pack()

@@ -12,7 +12,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.control import build_law
 from surctl.errors import InputError
 from surctl.export import Bundle, build_bundle, write_bundle
 from surctl.export.rendering import comment
@@ -197,9 +196,3 @@ def test_refused_operations_reach_the_user() -> None:
     worse = ca.Function("law", [x, u, p], [ca.sign(tau), x_next, status, telemetry])
     with pytest.raises(InputError, match="operation 'sign'"):
         build_bundle(replace(law, function=worse), {})
-
-
-def test_a_law_that_needs_a_qp_is_refused(tmp_path):
-    law = build_law(mode="projected")
-    with pytest.raises(InputError, match=r"priority-mode.*projected.*nsb"):
-        build_bundle(law, {})

@@ -6,9 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from surctl.control import build_law, load_gains
 from surctl.errors import InputError, ToolMissing
 from surctl.export import Records, software_in_the_loop
 from surctl.export.sil import _difference
+from surctl.simulation import load_scenario, simulate
+from surctl.vehicle import load_vehicle
 from tests.export.standin import StandIn, StandInStep, recorded, stand_in
 from tests.tools import need_compiler
 
@@ -160,3 +163,15 @@ def test_differences_are_honest_about_what_is_not_finite() -> None:
     assert worse.mixed == np.inf and worse.step == 1
     small = _difference(np.array([[1e-3 + 1e-6]]), [np.array([1e-3])])
     assert small.mixed == pytest.approx(1e-6) and small.relative == pytest.approx(1e-3)
+
+
+def test_the_law_with_limits_ships_with_its_solver() -> None:
+    """A flight past the cylinders by the law with its priority solver inside: C as exported, against Python."""
+    need_compiler()
+    law, scenario = build_law(mode="projected"), load_scenario("pool-static")
+    record = simulate(scenario, load_vehicle(scenario.vehicle), gains=load_gains("default"), law=law, seed=0).record
+    report = software_in_the_loop(law, Records(record.law_state, record.law_input, record.law_parameters))
+    assert report.conclusive, report.summary()
+    assert report.tau.absolute == report.state.absolute == 0.0
+    assert report.steps > 300
+    assert report.fault_cases > 500 and not report.fault_failures

@@ -1,0 +1,231 @@
+"""Assemble a law from its parts: perception, guidance, tasks, priority, velocity control."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal, NamedTuple, get_args
+
+import casadi as ca
+
+from surctl.control.law import DEGRADED, SATURATED, SWITCHED, TELEMETRY, Law
+from surctl.control.laws import DECISION_PORTS, Decision, guarded_law, paper_law
+from surctl.control.perception import perceive, perception_ports
+from surctl.control.ports import INPUTS, PARAMETERS
+from surctl.control.reference import path_wish
+from surctl.control.velocity import velocity_control
+from surctl.errors import InputError, nearest
+from surctl.guidance import FORMS, AvoidanceForm
+from surctl.ir import Block, Call, Layout, Port, Routine, lower
+from surctl.priority import Mode, nsb_symbolic
+from surctl.priority.ladder import RELAXED
+from surctl.priority.level_shape import LevelShape
+from surctl.priority.tick import priority_tick
+from surctl.tasks import LimitRow, VelocityBox
+
+__all__ = ["LAW_NAMES", "MODES", "build_law"]
+
+LawName = Literal["guarded", "paper"]
+LAW_NAMES: tuple[LawName, ...] = get_args(LawName)
+MODES: tuple[Mode, ...] = get_args(Mode)
+
+_YAW_SHARE = 0.85  # share of the yaw thrust that the heading task may plan with
+_CLIMB = 0.1  # [m/s] largest heave command
+_TICK_INPUTS = ("J", "wanted", "rows", "box")
+
+
+@cache
+def build_law(
+    law: LawName = "guarded", *, avoidance: AvoidanceForm = "corrected", mode: Mode = "nsb", dt: float = 0.05
+) -> Law:
+    """Assemble a law once; the gains stay symbols.
+
+    Args:
+        law: `guarded`, or the printed stack `paper`.
+        avoidance: form of (20); `guarded` is built on `corrected` and takes no other.
+        mode: `nsb`, which knows no limits, or one that keeps them: `filter`, `projected`, `lexicographic`.
+        dt: control period [s].
+
+    Raises:
+        InputError: an unknown name, or a form that the law does not take.
+    """
+    for key, value, known in (("law", law, LAW_NAMES), ("avoidance", avoidance, FORMS), ("priority-mode", mode, MODES)):
+        if value not in known:
+            raise InputError("is not known", key=key, value=value, remedy=nearest(str(value), known))
+    if law == "guarded" and avoidance != "corrected":
+        raise InputError(
+            "law guarded is built on the corrected form",
+            key="avoidance",
+            value=avoidance,
+            remedy="compare the forms with law paper",
+        )
+    state, outputs = _state_layout(dt), Layout(TELEMETRY)
+    x, xs = state.symbols("x")
+    u, us = INPUTS.symbols("u")
+    p, ps = PARAMETERS.symbols("p")
+    wish = path_wish(us["eta"], xs["progress"], ps, dt=dt)
+    seen = perceive(xs, us, ps, dt=dt)
+    decision = (
+        guarded_law(wish, seen, xs, us["eta"], ps)
+        if law == "guarded"
+        else paper_law(avoidance, wish, seen, xs, us["eta"], ps, dt=dt)
+    )
+    nearest_clearance = ca.SX(100)
+    for contact in seen.all:
+        nearest_clearance = ca.fmin(nearest_clearance, contact.clearance)
+    unknown = {"tau": ca.SX.zeros(4), "nu_wanted": ca.SX.zeros(4)}
+    told = {
+        "path_error": ca.vertcat(wish.x_e, wish.y_e),
+        "avoiding": decision.avoiding,
+        "nearest": nearest_clearance,
+        "ranges": seen.ranges,
+    }
+    carried = {**seen.state, **decision.state, "progress": wish.progress, "integral": xs["integral"]}
+    flags = SWITCHED * ca.logic_not(decision.state["side"] == xs["side"]) + DEGRADED * decision.degraded
+    memory = _Memory(state.join(carried), outputs.join({**unknown, **told})[8:], flags)
+
+    rows = _rows(decision, ps)
+    levels = tuple((level.name, int(level.J.shape[0]), level.unit) for level in decision.levels)
+    nsb = nsb_symbolic([(level.J, level.reference) for level in decision.levels])
+    close = _Closing(state, outputs, u, us, p, ps, dt)
+    given, found, options = ["x", "u", "p"], ["tau", "x_next", "status", "telemetry"], {"cse": True}
+    function = ca.Function("law", [x, u, p], close.outputs_of(memory, nsb, ca.SX(0)), given, found, options)
+    pre = ca.Function(
+        "pre",
+        [x, u, p],
+        [*_tick_inputs(decision, rows, ps), *memory],
+        given,
+        [*_TICK_INPUTS, *_Memory._fields],
+        options,
+    )
+    post = close.function()
+    return Law(
+        name=f"surctl_{law}",
+        avoidance=avoidance,
+        mode=mode,
+        dt=dt,
+        state=state,
+        inputs=INPUTS,
+        gains=PARAMETERS,
+        outputs=outputs,
+        block=lower(function) if mode == "nsb" else _routine(mode, pre, post, levels=levels, rows=len(rows)),
+        function=function,
+        pre=pre,
+        post=post,
+        levels=levels,
+        rows=tuple(row.name for row in rows),
+    )
+
+
+def _routine(
+    mode: Mode, pre: ca.Function, post: ca.Function, *, levels: tuple[tuple[str, int, str], ...], rows: int
+) -> Block:
+    """`pre`, the priority tick, and `post`."""
+    shapes = tuple(LevelShape(count) for _, count, _ in levels)
+    tick = priority_tick(mode, n=4, levels=shapes, rows=rows)
+    before, after = lower(pre), lower(post)
+    answer = tuple(f"tick_{name}" for name, _ in tick.outputs)
+    results = tuple(name for name, _ in after.outputs)
+    steps = (
+        Call(before, ("x", "u", "p"), (*_TICK_INPUTS, *_Memory._fields)),
+        Call(tick, ("J", "wanted", "wanted", "rows", "box"), answer),
+        Call(after, ("u", "p", *_Memory._fields, "tick_v", "tick_status"), results),
+    )
+    return Routine("law", before.inputs, steps, results)
+
+
+def _rows(decision: Decision, p: dict[str, ca.SX]) -> list[LimitRow]:
+    """The velocity box, then the barriers."""
+    most = ca.vertcat(p["cap"], p["cap"], _CLIMB, _yaw_limit(p))
+    return [*VelocityBox(-most, most).rows(), *(row for limit in decision.rows for row in limit.rows())]
+
+
+def _tick_inputs(decision: Decision, rows: list[LimitRow], p: dict[str, ca.SX]) -> list[ca.SX]:
+    """J row by row, references, rows (a, lower, upper, may open), box."""
+    flat = [ca.vertcat(row.a.T, row.lower, row.upper, row.kind != "actuator") for row in rows]
+    box = [ca.vertcat(*(getattr(row, side) for row in rows[:4])) for side in ("lower", "upper")]
+    J = ca.vertcat(*(level.J for level in decision.levels))
+    outputs = [
+        ca.vec(J.T),
+        ca.vertcat(*(level.reference for level in decision.levels)),
+        ca.vertcat(*flat),
+        ca.vertcat(*box),
+    ]
+    return [ca.densify(output) for output in outputs]
+
+
+def _state_layout(dt: float) -> Layout:
+    return Layout(
+        (
+            Port("progress", (1,), "m", "arc length of the path's target"),
+            Port("integral", (4,), "m/s^2, rad/s^2", "integral action of the velocity loops"),
+            *DECISION_PORTS,
+            *perception_ports(dt),
+        )
+    )
+
+
+def _yaw_limit(p: dict[str, ca.SX]) -> ca.SX:
+    """Yaw rate [rad/s] that 85 % of the yaw thrust holds."""
+    moment, linear, quadratic = _YAW_SHARE * p["thrust_limit"][3], p["linear_drag"][3], p["quadratic_drag"][3]
+    root = ca.sqrt(linear * linear + 4 * quadratic * moment)
+    # the form without a difference of near-equal numbers, and defined without quadratic drag
+    return 2 * moment / ca.fmax(linear + root, 1e-6)
+
+
+class _Memory(NamedTuple):
+    """What is known before the priority decision: next state but for the integral, telemetry after the wish, flags."""
+
+    carried: ca.SX
+    told: ca.SX
+    flags: ca.SX
+
+
+@dataclass(frozen=True)
+class _Closing:
+    """Last stage: limit the wanted velocity, velocity control, and put the outputs together."""
+
+    state: Layout
+    outputs: Layout
+    flat_u: ca.SX
+    u: dict[str, ca.SX]
+    flat_p: ca.SX
+    p: dict[str, ca.SX]
+    dt: float
+
+    def function(self) -> ca.Function:
+        """(u, p, carried, told, flags, nu_wanted, rung) → (tau, x_next, status, telemetry)."""
+        sizes = (self.state.size, self.outputs.size - 8, 1)
+        memory = _Memory(*(ca.SX.sym(name, size) for name, size in zip(_Memory._fields, sizes, strict=True)))
+        wanted, rung = ca.SX.sym("nu_wanted", 4), ca.SX.sym("rung")
+        return ca.Function(
+            "post",
+            [self.flat_u, self.flat_p, *memory, wanted, rung],
+            self.outputs_of(memory, wanted, rung),
+            ["u", "p", *_Memory._fields, "nu_wanted", "rung"],
+            ["tau", "x_next", "status", "telemetry"],
+            {"cse": True},
+        )
+
+    def outputs_of(self, memory: _Memory, nu_wanted: ca.SX, rung: ca.SX) -> list[ca.SX]:
+        """tau, x_next, status, telemetry of a wanted velocity; rung of the priority tick, 0 if there was none."""
+        carried = self.state.split(memory.carried)
+        tau, integral, saturated, clamped = self._thrust(nu_wanted, carried["integral"])
+        opened = ca.logic_and(rung >= RELAXED, memory.flags < DEGRADED)
+        status = memory.flags + SATURATED * saturated + DEGRADED * opened
+        return [tau, self.state.join({**carried, "integral": integral}), status, ca.vertcat(clamped, memory.told)]
+
+    def _thrust(self, wanted: ca.SX, integral: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        p = self.p
+        speed = ca.sqrt(ca.sumsqr(wanted[:2]))
+        horizontal = wanted[:2] * ca.fmin(1, p["cap"] / ca.fmax(speed, 1e-6))
+        turn = _yaw_limit(p)
+        clamped = ca.vertcat(
+            horizontal,
+            ca.fmin(ca.fmax(wanted[2], -_CLIMB), _CLIMB),
+            ca.fmin(ca.fmax(wanted[3], -turn), turn),
+        )
+        tau, integral, saturated = velocity_control(
+            clamped, self.u["nu"], integral, p, k_v=p["k_v"], k_r=p["k_r"], k_i=p["k_i"], dt=self.dt
+        )
+        return tau, integral, saturated, clamped

@@ -1,0 +1,36 @@
+"""What the priority solver gave up during a run, and because of which row."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from surctl.simulation.run import Run
+
+__all__ = ["Explanation", "explain"]
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """From `time_s` [s] on, until the next one: which rows bind, and what the tasks gave up at its first tick."""
+
+    time_s: float
+    binding: tuple[str, ...]
+    relaxed: tuple[str, ...]
+    text: str
+
+
+def explain(run: Run) -> list[Explanation]:
+    """Every tick of a run whose binding or relaxed rows are others than those of the tick before.
+
+    The ticks are solved again with names on every row; for mode nsb, which knows no rows, the relaxed ones are those
+    that it missed. Ticks that the law refused (`NONFINITE`) are left out.
+    """
+    record, found = run.record, list[Explanation]()
+    for k, status in enumerate(record.status):
+        if status < 0:
+            continue
+        answer = run.law.explained(record.law_state[k], record.law_input[k], record.law_parameters)
+        binding, relaxed = tuple(name for name, _ in answer.binding), tuple(answer.relaxed)
+        if not found or (binding, relaxed) != (found[-1].binding, found[-1].relaxed):
+            found.append(Explanation(float(record.time[k]), binding, relaxed, answer.explain()))
+    return found
