@@ -7,10 +7,10 @@ C, in every mode. Python, C, verification and tuning all see these expressions a
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import NamedTuple, TypeAlias
+from functools import cached_property, partial
+from typing import Any, NamedTuple, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -97,21 +97,22 @@ class Law:
         """One step. NaN never becomes a command: a non-finite number anywhere gives zero thrust, `NONFINITE`."""
         if not (np.isfinite(x).all() and np.isfinite(u).all() and np.isfinite(p).all()):
             return self._fail_safe(x)
-        parts = [np.asarray(r, dtype=float).reshape(-1) for r in self._run(x, u, p)]
+        parts = self._run(x, u, p)
         if not all(np.isfinite(part).all() for part in parts):
             return self._fail_safe(x)
         tau, x_next, status, telemetry = parts
         return LawStep(tau, x_next, int(status[0]), telemetry)
 
     @cached_property
-    def _run(self) -> Callable[..., list[Vector]]:
+    def _run(self) -> Callable[[Vector, Vector, Vector], list[Vector]]:
         """CasADi's machine for the closed form; C for a block with loops, or its replay: the same numbers, slower."""
-        if self.mode == "nsb":
-            return lambda x, u, p: list(self.function(x, u, p))
-        try:
-            return compile_block(self.block)
-        except ToolMissing:
-            return lambda x, u, p: replay(self.block, x, u, p)
+        run: Callable[..., Sequence[Any]] = self.function
+        if self.mode != "nsb":
+            try:
+                run = compile_block(self.block)
+            except ToolMissing:
+                run = partial(replay, self.block)
+        return lambda x, u, p: [np.asarray(r, dtype=np.float64).reshape(-1) for r in run(x, u, p)]
 
     def telemetry_slice(self, name: str) -> slice:
         """Where an output port lies in the telemetry, which leaves tau out."""

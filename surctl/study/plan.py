@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from surctl.control import Gains, load_gains
-from surctl.control.law import LawName
+from surctl.control.build import LawName
 from surctl.errors import InputError
 from surctl.files import Strict, pick, read_toml, validate
 from surctl.simulation import Scenario, findings, load_scenario

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control import GAINS, Gains, build_law
-from surctl.control.law import LawName
+from surctl.control.build import LawName
 from surctl.errors import InputError, nearest
 from surctl.ir import lower
 from surctl.simulation import Scenario, Sensing, simulate
