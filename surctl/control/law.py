@@ -7,7 +7,7 @@ C, in every mode. Python, C, verification and tuning all see these expressions a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any, NamedTuple, TypeAlias
@@ -106,7 +106,7 @@ class Law:
     @cached_property
     def _run(self) -> Callable[[Vector, Vector, Vector], list[Vector]]:
         """CasADi's machine for the closed form; C for a block with loops, or its replay: the same numbers, slower."""
-        run: Callable[..., Sequence[Any]] = self.function
+        run: Callable[..., Any] = self.function
         if self.mode != "nsb":
             try:
                 run = compile_block(self.block)

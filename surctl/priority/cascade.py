@@ -14,11 +14,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.priority.active_set import serve
 from surctl.priority.backends import Backend
 from surctl.priority.freedom import Freedom
 from surctl.priority.polyhedron import Polyhedron
 from surctl.priority.problem import Level
-from surctl.priority.served import serve
 
 __all__ = ["Reached", "reach"]
 

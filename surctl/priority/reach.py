@@ -8,12 +8,12 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.priority.active_set import serve
 from surctl.priority.backends import Backend
 from surctl.priority.freedom import Freedom
 from surctl.priority.polyhedron import Polyhedron
 from surctl.priority.problem import Level
 from surctl.priority.rowspace import CUTOFF
-from surctl.priority.served import serve
 from surctl.tasks.limits import Kind
 
 __all__ = ["Relaxed", "least_violation"]

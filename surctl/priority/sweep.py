@@ -8,12 +8,12 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.priority.active_set import Served, serve
 from surctl.priority.cascade import reach
 from surctl.priority.freedom import Freedom
 from surctl.priority.polyhedron import Polyhedron
 from surctl.priority.problem import Level
 from surctl.priority.rowspace import ZERO_ROW, project
-from surctl.priority.served import Served, serve
 from surctl.priority.settings import Settings
 
 __all__ = ["damped_point", "nsb_sweep", "without_rows"]
