@@ -1,39 +1,47 @@
-"""This toolkit's fast path: one compiled tick, its buffers written and read from Python.
-
-`tick_block` is the one place that says which tick is meant: the sweep of the lower tasks, then the safe tick of the
-first one, which together are the mode `projected`.
-"""
+"""This toolkit's fast path: a compiled tick of each mode, its buffers written and read from Python."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.ir import Call, Program, Routine, compile_block, lower
-from surctl.priority import nsb_symbolic, safe_tick
+from surctl.ir import Program, Routine, lower
+from surctl.priority import LevelShape, Mode, PriorityTick, nsb_symbolic, priority_tick
 
-__all__ = ["FastTick", "sweep_block", "tick_block"]
+__all__ = ["fast_tick", "sweep_block", "sweep_function", "tick_block"]
 
 Array: TypeAlias = NDArray[np.float64]
 
 
-def tick_block(n: int, levels: tuple[int, ...], m: int) -> Routine:
-    """(J, x, rows, box) → v and the other outputs of `safe_tick`; J and x of all levels, highest priority first."""
-    first, rest = levels[0], levels[1:]
-    steps = (
-        Call(_split(n, levels), ("J", "x"), ("J_first", "x_first", "J_rest", "x_rest")),
-        Call(sweep_block(n, rest), ("J_rest", "x_rest"), ("target",)),
-        Call(
-            safe_tick(n, first, m),
-            ("target", "J_first", "x_first", "rows", "box"),
-            ("v", "active", "multipliers", "opening", "status", "count"),
-        ),
-    )
-    inputs = (("J", n * sum(levels)), ("x", sum(levels)), ("rows", m * (n + 3)), ("box", 2 * n))
-    return Routine("projected_tick", inputs, steps, ("v", "active", "multipliers", "opening", "status", "count"))
+def tick_block(mode: Mode, n: int, levels: tuple[int, ...], m: int) -> Routine:
+    """The compiled tick of a mode for levels of so many rows, and m rows of limits."""
+    return priority_tick(mode, n=n, levels=tuple(map(LevelShape, levels)), rows=m)
+
+
+def fast_tick(mode: Mode, levels: tuple[int, ...], *, box: Array, rows: int) -> Callable[[Array, Array, Array], Array]:
+    """(J (K, n), x (K,), rows (m, n + 3)) → v: new numbers in, a view out that the next call writes over.
+
+    box: (2, n), written once, as bounds and as rows.
+    """
+    n = box.shape[1]
+    tick = PriorityTick(mode, n=n, levels=tuple(map(LevelShape, levels)), rows=n + rows)
+    tick.rows[:n] = np.column_stack([np.eye(n), *box, np.zeros(n)])
+    tick.box[:] = box
+    limits = tick.rows[n:]
+
+    def run(J: Array, x: Array, table: Array) -> Array:
+        tick.J[:] = J
+        tick.lower[:] = x
+        tick.upper[:] = x
+        limits[:] = table
+        tick.solve()
+        return tick.v
+
+    return run
 
 
 def sweep_function(n: int, levels: tuple[int, ...]) -> ca.Function:
@@ -48,39 +56,3 @@ def sweep_function(n: int, levels: tuple[int, ...]) -> ca.Function:
 def sweep_block(n: int, levels: tuple[int, ...]) -> Program:
     """The same, as an instruction list."""
     return lower(sweep_function(n, levels))
-
-
-def _split(n: int, levels: tuple[int, ...]) -> Program:
-    total, first = sum(levels), levels[0]
-    J, x = ca.SX.sym("J", n * total), ca.SX.sym("x", total)
-    return lower(ca.Function("split", [J, x], [J[: n * first], x[:first], J[n * first :], x[first:]]))
-
-
-class FastTick:
-    """The compiled tick and its buffers: write `J`, `x` and `rows`, call `run`, read `v`.
-
-    Args:
-        levels: rows of each task.
-        box: (2, n), written once, as bounds and as rows.
-        rows: m, inequality rows beside the box.
-
-    Attributes:
-        J: (K, n). x: (K,). rows: (m, n + 3), of a (n,), lower, upper, soft. v: (n,). status: (1,).
-    """
-
-    def __init__(self, levels: tuple[int, ...], *, box: Array, rows: int) -> None:
-        n = box.shape[1]
-        work = compile_block(tick_block(n, levels, n + rows)).workspace()
-        J, self.x, table, limits = work.inputs
-        self.J, table = J.reshape(-1, n), table.reshape(n + rows, n + 3)
-        table[:n, :n], table[:n, n], table[:n, n + 1] = np.eye(n), *box
-        limits[:] = box.reshape(-1)
-        self.rows, self.run, self.v, self.status = table[n:], work.run, work.outputs[0], work.outputs[4]
-
-    def __call__(self, J: Array, x: Array, rows: Array) -> Array:
-        """New numbers in, v out: a view that the next call writes over."""
-        self.J[:] = J
-        self.x[:] = x
-        self.rows[:] = rows
-        self.run()
-        return self.v

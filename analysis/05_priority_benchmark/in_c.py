@@ -124,7 +124,8 @@ def compiled(
         TICK: np.array([solve(problem).v for problem in problems]),
     }
     stacked = np.array([np.concatenate([i.J.reshape(-1), i.x]) for i in instances])
-    ticks = np.hstack([stacked, np.array([_table(i) for i in instances]), np.tile(BOX.reshape(-1), (len(stacked), 1))])
+    box = np.tile(BOX.reshape(-1), (len(stacked), 1))
+    ticks = np.hstack([stacked, np.array([i.x for i in instances]), np.array([_table(i) for i in instances]), box])
     records = np.concatenate(trials.arrays, axis=1)
     safe, closed = safe_tick(N, _EQUAL, _M), sweep_block(N, LEVELS)
     found: list[CompiledRun | Missing] = [
@@ -138,7 +139,7 @@ def compiled(
             found.append(Missing(name, str(error).splitlines()[0]))
     found.append(CompiledRun(OURS_CLOSED, CLOSED, _ours(folder, closed), stacked, N, ours=True))
     found.append(CompiledRun(CASADI_CLOSED, CLOSED, _closed(folder), stacked, N))
-    whole = _ours(folder, tick_block(N, LEVELS, N + ROWS))
+    whole = _ours(folder, tick_block("projected", N, LEVELS, N + ROWS))
     return [*found, CompiledRun(OURS_TICK, TICK, whole, ticks, N, ours=True)], references
 
 

@@ -7,7 +7,7 @@ from typing import Any, TypeAlias, get_args
 
 import numpy as np
 from contender import Contender
-from fast import FastTick
+from fast import fast_tick
 from instances import BOX, LEVELS, ROWS, Instance
 from numpy.typing import NDArray
 
@@ -36,8 +36,13 @@ def ours(instances: Sequence[Instance]) -> list[Contender]:
     found.append(Contender("surctl build_problem + solve: projected", PROJECTED, _built, parts, ours=True))
     found.append(Contender("surctl nsb, as printed", NSB, nsb, problems, ours=True))
     arrays = [(i.J, i.x, i.table) for i in instances]
-    fast = FastTick(LEVELS, box=BOX, rows=ROWS)
-    return [Contender(FAST, PROJECTED, fast, arrays, ours=True), *found]
+    fast = [
+        Contender(
+            f"{FAST[: -len(PROJECTED)]}{mode}", mode, fast_tick(mode, LEVELS, box=BOX, rows=ROWS), arrays, ours=True
+        )
+        for mode in (PROJECTED, NSB, "filter", STRICT)
+    ]
+    return [*fast, *found]
 
 
 def _api(mode: Any, backend: Any = "daqp") -> Any:

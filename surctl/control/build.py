@@ -17,10 +17,8 @@ from surctl.control.velocity import velocity_control
 from surctl.errors import InputError, nearest
 from surctl.guidance import FORMS, AvoidanceForm
 from surctl.ir import Block, Call, Layout, Port, Routine, lower
-from surctl.priority import Mode, nsb_symbolic
+from surctl.priority import LevelShape, Mode, nsb_symbolic, priority_tick
 from surctl.priority.ladder import RELAXED
-from surctl.priority.level_shape import LevelShape
-from surctl.priority.tick import priority_tick
 from surctl.tasks import LimitRow, VelocityBox
 
 __all__ = ["LAW_NAMES", "MODES", "build_law"]

@@ -6,6 +6,7 @@ import ctypes
 import itertools
 import tempfile
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -75,12 +76,7 @@ class Native:
         if memory.dtype != np.float64 or not memory.flags.c_contiguous:
             raise InputError("is not a contiguous float64 buffer", key=self.block.name)
         function: Any = self._library.surctl_run
-        address = ctypes.c_void_p(memory.ctypes.data)
-
-        def run() -> None:
-            function(address)
-
-        return run
+        return partial(function, ctypes.c_void_p(memory.ctypes.data))
 
     def __call__(self, *inputs: ArrayLike) -> list[Array]:
         """As `replay`: (n,) or (batch, n) for each input gives (m,) or (batch, m) for each output."""

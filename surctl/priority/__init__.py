@@ -2,36 +2,46 @@
 
 from __future__ import annotations
 
+from surctl.priority.assemble import AssembledTick, Assembly, assemble
 from surctl.priority.backends import BACKENDS, Backend, LeastDistance, solve_least_distance
 from surctl.priority.kept import KeptDaqp, KeptOsqp
 from surctl.priority.ladder import safe_tick
+from surctl.priority.level_shape import LevelShape
 from surctl.priority.nsb import nsb
 from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
+from surctl.priority.runner import PriorityTick
 from surctl.priority.safe_point import SafePoint, least_distance
 from surctl.priority.settings import Mode, Settings
 from surctl.priority.solution import PrioritySolution
 from surctl.priority.solving import solve
 from surctl.priority.sweep import nsb_sweep
 from surctl.priority.symbolic import nsb_symbolic
+from surctl.priority.tick import priority_tick
 
 __all__ = [
     "BACKENDS",
+    "AssembledTick",
+    "Assembly",
     "Backend",
     "KeptDaqp",
     "KeptOsqp",
     "LeastDistance",
     "Level",
+    "LevelShape",
     "Mode",
     "PriorityProblem",
     "PrioritySolution",
+    "PriorityTick",
     "Row",
     "SafePoint",
     "Settings",
+    "assemble",
     "build_problem",
     "least_distance",
     "nsb",
     "nsb_sweep",
     "nsb_symbolic",
+    "priority_tick",
     "safe_tick",
     "solve",
     "solve_least_distance",

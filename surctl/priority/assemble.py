@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias, cast
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
+from surctl.ir import Call, Program, Routine, lower
 from surctl.priority.level_shape import LevelShape
 from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
-from surctl.priority.runner import PriorityTick
+from surctl.priority.runner import PriorityTick, bound
 from surctl.priority.settings import Mode
+from surctl.priority.tick import priority_tick
 from surctl.tasks import Limit, LimitRow, SetTask, Stack
 
 __all__ = ["AssembledTick", "Assembly", "assemble"]
@@ -96,10 +98,10 @@ class Assembly:
 
 
 class AssembledTick(PriorityTick):
-    """A `PriorityTick` whose inputs come from an `Assembly`: write `inputs`, call `step`, read `v`.
+    """A `PriorityTick` with its `Assembly` before it, in one compiled call: write `inputs`, call `solve`, read `v`.
 
-    A number that is not finite anywhere gives status CLAMPED and v = 0 in the box; `Assembly.problem` with the same
-    values then names the task and the row.
+    J, lower, upper, rows and box are outputs here. A number that is not finite anywhere gives status CLAMPED and
+    v = 0 in the box; `Assembly.problem` with the same values then names the task and the row.
 
     Attributes:
         inputs: one array an input of the assembly, by name; write into them.
@@ -115,30 +117,25 @@ class AssembledTick(PriorityTick):
                     remedy="put its split() into the stack",
                 )
         places = max(1, len(assembly.limits))
-        super().__init__(mode, n=_N, levels=assembly.shapes, rows=places, sweeps=sweeps, damping=damping)
+        tick = priority_tick(mode, n=_N, levels=assembly.shapes, rows=places, sweeps=sweeps, damping=damping)
+        inputs, outputs, self.solve, self.compiled = bound(_fused(lower(assembly.function), tick))
+        self._take(mode, _N, assembly.shapes, outputs[: len(tick.inputs)], outputs[len(tick.inputs) :])
         self.level_names = assembly.stack.names
         self.row_names = tuple(row.name for row in assembly.limits)
-        self.inputs = {name: np.zeros(size) for name, size in assembly.sizes.items()}
-        results = (self.J, self.lower, self.upper, self.rows, self.box)
-        # the buffer holds addresses only: it is kept with the arrays, which outlive it as attributes
-        self._buffer, self._evaluate = _buffered(assembly.function, list(self.inputs.values()), results)
-
-    def step(self) -> None:
-        """Evaluate the stack and the limits at `inputs`, then solve."""
-        self._evaluate()
-        self.solve()
+        self.inputs = dict(zip(assembly.sizes, inputs, strict=True))
 
 
-def _buffered(
-    function: ca.Function, inputs: Sequence[Array], results: Sequence[Array]
-) -> tuple[object, Callable[[], None]]:
-    """CasADi's own buffer over these arrays, and what evaluates the function on them."""
-    buffer, trigger = cast(Any, function).buffer()
-    for place, array in enumerate(inputs):
-        buffer.set_arg(place, array.data)
-    for place, array in enumerate(results):
-        buffer.set_res(place, array.reshape(-1).data)
-    return buffer, trigger
+def _fused(stack: Program, tick: Routine) -> Routine:
+    """The tick on what the stack gives; both are outputs."""
+    given = tuple(name for name, _ in stack.inputs)
+    between = tuple(name for name, _ in tick.inputs)
+    found = tuple(name for name, _ in tick.outputs)
+    return Routine(
+        f"assembled_{tick.name}",
+        stack.inputs,
+        (Call(stack, given, between), Call(tick, between, found)),
+        (*between, *found),
+    )
 
 
 def assemble(stack: Stack, limits: Sequence[Limit] = (), *, inputs: Mapping[str, ca.SX]) -> Assembly:

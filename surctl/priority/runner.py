@@ -18,7 +18,7 @@ from surctl.priority.safe_point import Rung
 from surctl.priority.settings import Mode
 from surctl.priority.tick import priority_tick
 
-__all__ = ["PriorityTick", "level_shapes"]
+__all__ = ["PriorityTick", "bound", "level_shapes"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -63,16 +63,23 @@ class PriorityTick:
         self, mode: Mode, *, n: int, levels: Sequence[LevelShape], rows: int, sweeps: int = 1, damping: float = 0.0
     ) -> None:
         """As `priority_tick`, which raises the errors. All rows are idle and the box is open until they are written."""
-        self.levels, self.mode = tuple(levels), mode
-        routine = priority_tick(mode, n=n, levels=self.levels, rows=rows, sweeps=sweeps, damping=damping)
-        inputs, outputs, self.solve, self.compiled = _bound(routine)
-        self.J, self.rows, self.box = inputs[0].reshape(-1, n), inputs[3].reshape(rows, n + 3), inputs[4].reshape(2, n)
-        self.lower, self.upper = inputs[1:3]
-        self.v, self.active, self.multipliers, self.opening, self.status, self.count, self.target = outputs
-        self.level_names = tuple(f"level {place}" for place in range(1, len(self.levels) + 1))
-        self.row_names = tuple(f"row {place}" for place in range(rows))
+        shapes = tuple(levels)
+        routine = priority_tick(mode, n=n, levels=shapes, rows=rows, sweeps=sweeps, damping=damping)
+        inputs, outputs, self.solve, self.compiled = bound(routine)
+        self._take(mode, n, shapes, inputs, outputs)
         self.rows[:] = _idle(n)
         self.box[:] = [[-np.inf], [np.inf]]
+
+    def _take(
+        self, mode: Mode, n: int, levels: tuple[LevelShape, ...], inputs: Sequence[Array], outputs: Sequence[Array]
+    ) -> None:
+        """Name the arrays of a tick."""
+        self.mode, self.levels = mode, levels
+        J, self.lower, self.upper, rows, box = inputs
+        self.J, self.rows, self.box = J.reshape(-1, n), rows.reshape(-1, n + 3), box.reshape(2, n)
+        self.v, self.active, self.multipliers, self.opening, self.status, self.count, self.target = outputs
+        self.level_names = tuple(f"level {place}" for place in range(1, len(self.levels) + 1))
+        self.row_names = tuple(f"row {place}" for place in range(len(self.rows)))
 
     @staticmethod
     def of(
@@ -170,7 +177,7 @@ def _idle(n: int) -> Array:
     return np.concatenate([np.zeros(n), [-np.inf, np.inf, 0.0]])
 
 
-def _bound(routine: Routine) -> tuple[list[Array], list[Array], Callable[[], None], bool]:
+def bound(routine: Routine) -> tuple[list[Array], list[Array], Callable[[], None], bool]:
     """Input and output arrays, and what computes the latter from the former; whether that is compiled."""
     try:
         workspace = compile_block(routine).workspace()

@@ -51,7 +51,7 @@ def test_eta_in_v_out_is_the_law_at_these_values(assembly: Assembly, mode: Mode)
         values = drawn(rng)
         for name, value in values.items():
             tick.inputs[name][:] = value
-        tick.step()
+        tick.solve()
         problem = assembly.problem(values)
         want = solve(problem, mode=mode)
         bar = 1e-6 if want.status == "relaxed" else 1e-8
@@ -90,22 +90,22 @@ def test_the_box_is_that_of_the_problem() -> None:
         tick = made.tick("nsb")
         for name, value in values.items():
             tick.inputs[name][:] = value
-        tick.step()
+        tick.solve()
         np.testing.assert_allclose(tick.box, [[-0.3, -0.05, -0.2, low], [-0.3, 0.3, 0.3, high]], atol=1e-15)
 
 
 def test_two_ticks_do_not_share_their_arrays(assembly: Assembly) -> None:
     one, other = assembly.tick("nsb"), assembly.tick("nsb")
     one.inputs["goal"][:] = 1.0
-    one.step()
-    other.step()
+    one.solve()
+    other.solve()
     assert not np.array_equal(one.v, other.v)
 
 
 def test_no_limit_is_no_row() -> None:
     made = assemble(Stack((depth_task(eta, -0.2),)), inputs={"eta": eta})
     tick = made.tick()
-    tick.step()
+    tick.solve()
     np.testing.assert_allclose(tick.v, [0, 0, -0.2, 0], atol=1e-15)
     assert made.problem({"eta": np.zeros(4)}).rows == ()
 
@@ -115,7 +115,7 @@ def test_a_number_that_is_none_is_clamped_and_told_by_name(assembly: Assembly) -
     values["goal"][1] = np.nan
     for name, value in values.items():
         tick.inputs[name][:] = value
-    tick.step()
+    tick.solve()
     assert tick.rung == "clamped" and (tick.v == 0.0).all()
     with pytest.raises(InputError, match=r"task line_of_sight.*row 0 is not finite"):
         assembly.problem(values)
@@ -163,5 +163,5 @@ def test_a_set_of_two_rows_is_to_be_split() -> None:
         assemble(Stack((place,)), inputs=INPUTS).tick()
     tick = assemble(Stack(place.split()), inputs=INPUTS).tick("projected")
     tick.inputs["eta"][:] = [2.0, 0.0, 0.0, 0.0]
-    tick.step()
+    tick.solve()
     np.testing.assert_allclose(tick.v, [-1.0, 0, 0, 0], atol=1e-12)
