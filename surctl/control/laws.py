@@ -54,7 +54,7 @@ class Wanted(NamedTuple):
     @staticmethod
     def of(task: Task) -> Wanted:
         """What a task asks for."""
-        return Wanted(task.name, task.jacobian(), task.reference(), f"{task.unit}/s")
+        return Wanted(task.name, task.jacobian(), task.reference(), task.rate_unit)
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,9 @@ class Assembly:
             end = start + shape.rows
             # an equal pair stays one value, so that a NaN in it is told as such
             high = upper[start:end] if shape.is_set else None
-            levels.append(Level(task.name, J[_N * start : _N * end].reshape(-1, _N), lower[start:end], high))
+            levels.append(
+                Level(task.name, J[_N * start : _N * end].reshape(-1, _N), lower[start:end], high, task.rate_unit)
+            )
             start = end
         table = rows.reshape(-1, _N + 3)
         limits = [

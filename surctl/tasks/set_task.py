@@ -73,6 +73,11 @@ class SetTask:
         """k, the number of rows."""
         return self._middle.size
 
+    @property
+    def rate_unit(self) -> str:
+        """Unit of σ̇, as `Task.rate_unit`."""
+        return self._middle.rate_unit
+
     def jacobian(self) -> ca.SX:
         """J, (k, 4): σ̇ = J ν for ν = (u, v, w, r) in {B} (13)."""
         return self._middle.jacobian()

@@ -70,6 +70,11 @@ class Task:
         """k, the number of rows."""
         return int(self.sigma.shape[0])
 
+    @property
+    def rate_unit(self) -> str:
+        """Unit of σ̇, such as "m/s"; "" if that of σ was not said."""
+        return f"{self.unit}/s" if self.unit else ""
+
     def row_names(self, what: str) -> tuple[str, ...]:
         """NAME.WHAT for one row, NAME.WHAT0, NAME.WHAT1, … for more."""
         return (f"{self.name}.{what}",) if self.size == 1 else tuple(f"{self.name}.{what}{i}" for i in range(self.size))

@@ -207,6 +207,7 @@ def _level(survey: Survey, i: int, strict: Array, nsb: Array, kept: tuple[Array,
         strict=_residual(survey, strict),
         nsb=_residual(survey, nsb),
         met=met,
+        unit=survey.field.units[i],
     )
 
 

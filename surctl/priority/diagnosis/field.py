@@ -50,13 +50,14 @@ class Field:
     """A stack, compiled over a region.
 
     Attributes:
-        names, sizes: of the tasks.
+        names, sizes, units: of the tasks; units of σ̇.
         region: where.
         function: point (d,) → vec(J), x, ‖a‖² and ‖∂a/∂η‖² of the rows, task after task, as one column.
     """
 
     names: tuple[str, ...]
     sizes: tuple[int, ...]
+    units: tuple[str, ...]
     region: Region
     function: ca.Function
 
@@ -92,7 +93,8 @@ def build_field(stack: Stack, region: Region) -> Field:
         parts += [ca.vec(J), x, square, *change]
     column = ca.densify(ca.vertcat(*parts))
     function = ca.Function("field", [region.symbols], [column])
-    return Field(stack.names, tuple(task.size for task in stack.tasks), region, function)
+    sizes, units = tuple(task.size for task in stack.tasks), tuple(task.rate_unit for task in stack.tasks)
+    return Field(stack.names, sizes, units, region, function)
 
 
 def best_of(measure: Array, unit: Array, *, most: int) -> NDArray[np.intp]:

@@ -121,6 +121,7 @@ class LevelReport:
         exhausted: share of the samples where the tasks above leave no freedom at all (0 … 1).
         strict, nsb: residuals by strict priority and by the law (16).
         met: see `Met`.
+        unit: of the residuals, as "m/s"; "" if the task has none.
     """
 
     task: str
@@ -131,6 +132,7 @@ class LevelReport:
     strict: Residual
     nsb: Residual
     met: Met
+    unit: str = ""
 
     @property
     def dependent(self) -> int:

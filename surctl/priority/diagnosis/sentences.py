@@ -72,10 +72,11 @@ def say_level(level: LevelReport) -> str:
     if level.met == "by both laws":
         text = f"{name} is met by both laws at all samples"
     elif level.met == "by strict priority only":
-        text = f"{name} is met by strict priority only: NSB leaves {_residual(level.nsb)}"
+        text = f"{name} is met by strict priority only: NSB leaves {_residual(level.nsb, level.unit)}"
     else:
         text = (
-            f"{name} cannot be met: strict priority leaves {_residual(level.strict)}, NSB leaves {_residual(level.nsb)}"
+            f"{name} cannot be met: strict priority leaves {_residual(level.strict, level.unit)}, "
+            f"NSB leaves {_residual(level.nsb, level.unit)}"
         )
     return text + _why(level) + "."
 
@@ -89,9 +90,10 @@ def _why(level: LevelReport) -> str:
     return dependent + spent
 
 
-def _residual(residual: Residual) -> str:
+def _residual(residual: Residual, unit: str) -> str:
+    named = f" {unit}" if unit else ""
     return (
-        f"{residual.median:.2g} in the median and {residual.largest:.2g} at worst [unit of sigma per second], "
+        f"{residual.median:.2g}{named} in the median and {residual.largest:.2g}{named} at worst, "
         f"at {pose_text(residual.where)}"
     )
 
