@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-__all__ = ["CUTOFF", "Elimination", "as_matrix", "eliminate", "flat"]
+__all__ = ["CUTOFF", "Elimination", "as_matrix", "eliminate", "flat", "pseudo_inverse"]
 
 CUTOFF = 1e-10
 """A row of length 1 whose distance from the span of the rows above it is below this depends on them."""
@@ -67,6 +67,16 @@ def eliminate(J: ca.SX) -> Elimination:
         triangle = ca.vertcat(*(ca.if_else(ca.logic_and(here[i], alive), scaled, triangle[i, :]) for i in range(n)))
         rank = rank + alive
     return Elimination(basis @ triangle, basis, rank)
+
+
+def pseudo_inverse(J: ca.SX) -> ca.SX:
+    """(n, p): Moore-Penrose inverse of J (p, n), by a complete orthogonal decomposition.
+
+    J = L Q.T with orthonormal columns Q of its row space; L, of full column rank, is eliminated in its turn.
+    """
+    left = eliminate(J)
+    Q = ca.horzcat(*(ca.if_else(left.rank > i, left.basis[:, i], 0) for i in range(J.shape[1])))
+    return Q @ eliminate((J @ Q).T).lift.T
 
 
 def _at_least(i: int, rank: ca.SX, k: int) -> ca.SX:

@@ -15,7 +15,8 @@ import casadi as ca
 from surctl.ir import Call, Loop, Program, Routine, lower
 from surctl.priority.dual_step import OPTIMAL
 from surctl.priority.elimination import as_matrix, eliminate, flat
-from surctl.priority.rungs import LIMITED, RELAXED, SHORT, Sizes, exact_rung, lower_rungs
+from surctl.priority.rows import SHORT, Sizes
+from surctl.priority.rungs import LIMITED, RELAXED, exact_rung, lower_rungs
 
 __all__ = ["CLAMPED", "LIMITED", "MET", "RELAXED", "safe_tick"]
 

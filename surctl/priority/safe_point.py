@@ -80,8 +80,9 @@ def least_distance(
 ) -> SafePoint:
     """The point nearest to target (n,) with J v = x and lower ≤ A v ≤ upper, or the next best: see `ladder`.
 
-    The answer `met` is exact to rounding. `limited` and `relaxed` keep the hard rows and the box, but are not refereed
-    for task rows whose lengths differ by many orders of magnitude, nor for near-parallel soft rows.
+    Every answer is exact to rounding, with two exceptions: where near-parallel rows contradict each other, the opening
+    is the least one but the task may be served less well than the opened rows allow (by 1e-11 times how sharp they
+    are); and rows that meet only far away (1e9 times as far as the box) are opened instead.
 
     Args:
         target: (n,).
