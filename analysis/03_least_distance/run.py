@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from surctl.errors import ToolMissing
 from surctl.ir import compile_block, compiler_version, emit_block
-from surctl.ir.compiler import FLAGS, find_compiler
+from surctl.ir.compiler import FLAGS, find_compiler, tuned_flags
 from surctl.priority import safe_tick
 from surctl.priority.dual_step import Space
-from surctl.priority.kernel import CAP, OPEN_CAP, kernel
+from surctl.priority.kernel import CAP, OPEN_CAP, in_blocks, kernel
 from surctl.priority.ladder import CLAMPED, LIMITED, MET, RELAXED
 from surctl.priority.referee import examine
 from surctl.priority.trials import FAMILIES, Trials, draw_trials, judge
@@ -193,7 +193,8 @@ def lower_rungs(count: int, seed: int) -> bool:
 def iterations(trials: Trials) -> dict[str, float]:
     """Most iterations of the kernels that a tick is made of, each on its own."""
     A, lower, upper, soft = trials.unit()
-    rows = np.concatenate([A, lower[..., None], upper[..., None], soft[..., None]], axis=2).reshape(len(A), -1)
+    rows = np.concatenate([A, lower[..., None], upper[..., None], soft[..., None]], axis=2)
+    rows = in_blocks(rows)
     goal = np.clip(trials.target, trials.box[:, :N], trials.box[:, N:])
     fixed = compile_block(kernel(Space(N, N), M))
     opened = compile_block(kernel(Space(N, N + 1, opening=True), M))
@@ -242,7 +243,7 @@ def build(folder: Path, source: str) -> Path:
     )
     home = Path(casadi.__file__).parent
     cc = find_compiler().split()
-    subprocess.run([*cc, *FLAGS, "-c", folder / "tick.c", "-o", folder / "tick.o"], check=True)
+    subprocess.run([*cc, *FLAGS, *tuned_flags(), "-c", folder / "tick.c", "-o", folder / "tick.o"], check=True)
     link = ["-L", home, "-ldaqp", f"-Wl,-rpath,{home}", "-lm"]
     include = ["-I", home / "include"]
     subprocess.run([*cc, "-O2", *include, HERE / "race.c", folder / "tick.o", *link, "-o", folder / "race"], check=True)

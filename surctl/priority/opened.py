@@ -11,17 +11,13 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, lower
-from surctl.priority.dual_step import OPTIMAL, Space
-from surctl.priority.kernel import certificate, kernel
+from surctl.priority.dual_step import OPTIMAL
+from surctl.priority.precision import Precision
 from surctl.priority.rows import Sizes
 
 __all__ = ["opened"]
 
-_PULL = 1e3  # γ of the first and of the last step, relative to 1 + max |v|, t
-_GROWTH = 10.0
 _STEPS = 7
-_GAP = 1e-13
-_MARGIN = 1e-11  # room that the opening gets beyond the least one, for rounding
 
 
 def opened(sizes: Sizes) -> Routine:
@@ -30,43 +26,42 @@ def opened(sizes: Sizes) -> Routine:
     wide: a point with the least opening, never below the given point's, and a margin for rounding; the given point
     if not found. skip: not 0 does nothing. kept: it keeps the rows so opened.
     """
-    n, m = sizes.n, sizes.m
-    space = Space(n, n + 1, opening=True)
+    n, tight = sizes.n, sizes.precision
     state = ("low", "gamma", "ends", "found", "count")
     steps = (
-        Call(_begin(n), ("near", "skip"), state),
+        Call(_begin(n, tight), ("near", "skip"), state),
         Loop(
-            _turn(sizes, space), _STEPS, carried=state, results=tuple(f"{k}_last" for k in state),
+            _turn(sizes), _STEPS, carried=state, results=tuple(f"{k}_last" for k in state),
             fixed=("unit",), until=2,
         ),
-        Call(_clean(n), ("low_last", "found_last"), ("base", "idle")),
-        Call(kernel(space, m), ("unit", "base", "idle"), ("cleaned", "numbers", "u", "end", "spent")),
+        Call(_clean(n, tight), ("low_last", "found_last"), ("base", "idle")),
+        Call(sizes.opening_kernel, ("unit", "base", "idle"), ("cleaned", "numbers", "u", "end", "spent")),
         Call(
-            _widened(n),
+            _widened(n, tight),
             ("low_last", "found_last", "cleaned", "end", "point", "count_last", "spent"),
             ("wide", "found_any", "count_all"),
         ),
-        Call(certificate(space, m), ("unit", "wide"), ("kept",)),
+        Call(sizes.opening_certificate, ("unit", "wide"), ("kept",)),
     )  # fmt: skip
     given = (("unit", sizes.rows), ("near", n), ("point", n + 1), ("skip", 1))
     return Routine("opened", given, steps, ("wide", "found_any", "kept", "count_all"))
 
 
-def _begin(n: int) -> Program:
+def _begin(n: int, precision: Precision) -> Program:
     """(near, skip) → the point (near, 0), γ, whether it ends, nothing found, no iterations."""
     near, skip = ca.SX.sym("near", n), ca.SX.sym("skip")
-    outputs = [ca.vertcat(near, 0), ca.SX(_PULL), skip, ca.SX.zeros(1), ca.SX.zeros(1)]
+    outputs = [ca.vertcat(near, 0), ca.SX(precision.pull), skip, ca.SX.zeros(1), ca.SX.zeros(1)]
     return lower(ca.Function("open_begin", [near, skip], list(map(ca.densify, outputs))))
 
 
-def _turn(sizes: Sizes, space: Space) -> Routine:
+def _turn(sizes: Sizes) -> Routine:
     """One proximal step; one that fails ends the loop and changes nothing."""
     n = sizes.n
     steps = (
         Call(_pull(n), ("low", "gamma"), ("base", "go")),
-        Call(kernel(space, sizes.m), ("unit", "base", "go"), ("next", "numbers", "u", "end", "spent")),
+        Call(sizes.opening_kernel, ("unit", "base", "go"), ("next", "numbers", "u", "end", "spent")),
         Call(
-            _judge(n),
+            _judge(n, sizes.precision),
             ("low", "gamma", "ends", "found", "count", "next", "end", "spent"),
             tuple(f"{k}_next" for k in ("low", "gamma", "ends", "found", "count")),
         ),
@@ -90,7 +85,7 @@ def _pull(n: int) -> Program:
     return lower(ca.Function("pull", [point, gamma], [base, ca.SX.zeros(1)]))
 
 
-def _judge(n: int) -> Program:
+def _judge(n: int, precision: Precision) -> Program:
     """The state after a step: ended when what t may still lose is nothing, or when the step failed."""
     low, gamma, ends, found = ca.SX.sym("low", n + 1), ca.SX.sym("gamma"), ca.SX.sym("ends"), ca.SX.sym("found")
     count, after, why, spent = ca.SX.sym("count"), ca.SX.sym("after", n + 1), ca.SX.sym("why"), ca.SX.sym("spent")
@@ -98,10 +93,10 @@ def _judge(n: int) -> Program:
     moved = ca.SX(0)
     for i in range(n + 1):
         moved = ca.fmax(moved, ca.fabs(after[i] - low[i]))
-    settled = moved <= _GAP * gamma * _size(low)
+    settled = moved <= precision.gap * gamma * _size(low)
     outputs = [
         ca.if_else(good, after, low),
-        _GROWTH * gamma,
+        precision.growth * gamma,
         ca.logic_or(ca.logic_not(good), settled),
         ca.logic_or(found, good),
         count + spent,
@@ -110,20 +105,20 @@ def _judge(n: int) -> Program:
     return lower(ca.Function("open_judge", inputs, list(map(ca.densify, outputs))))
 
 
-def _clean(n: int) -> Program:
+def _clean(n: int, precision: Precision) -> Program:
     """(point, found) → the base of the last step, and whether there is none."""
     low, found = ca.SX.sym("low", n + 1), ca.SX.sym("found")
-    base = ca.vertcat(low[:n], low[n] - _PULL * _size(low))
+    base = ca.vertcat(low[:n], low[n] - precision.pull * _size(low))
     return lower(ca.Function("clean", [low, found], [base, ca.logic_not(found)]))
 
 
-def _widened(n: int) -> Program:
+def _widened(n: int, precision: Precision) -> Program:
     """The cleaned point with a margin on its opening, or the one before, or the given one; found; count."""
     low, found, cleaned = ca.SX.sym("low", n + 1), ca.SX.sym("found"), ca.SX.sym("cleaned", n + 1)
     end, point = ca.SX.sym("end"), ca.SX.sym("point", n + 1)
     count, spent = ca.SX.sym("count"), ca.SX.sym("spent")
     best = ca.if_else(ca.eq(end, OPTIMAL), cleaned, low)
-    wider = best[n] + _MARGIN * (1 + ca.fabs(best[n]))
+    wider = best[n] + precision.margin * (1 + ca.fabs(best[n]))
     wide = ca.if_else(found, ca.vertcat(best[:n], ca.fmax(wider, point[n])), point)
     inputs = [low, found, cleaned, end, point, count, spent]
     return lower(ca.Function("widened", inputs, [ca.densify(wide), found, count + spent]))

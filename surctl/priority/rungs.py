@@ -14,8 +14,8 @@ import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, lower
 from surctl.priority.dual_step import OPTIMAL
-from surctl.priority.elimination import as_matrix
-from surctl.priority.kernel import kernel
+from surctl.priority.elimination import as_matrix, eliminate, flat, reflect
+from surctl.priority.kernel import reduced_kernel
 from surctl.priority.opened import opened
 from surctl.priority.rows import Sizes
 from surctl.priority.served import served
@@ -27,85 +27,116 @@ LIMITED, RELAXED = 2, 3
 
 
 def exact_rung(sizes: Sizes) -> Routine:
-    """(rows, base, skip, Z fast, Z all, full) → (point, active, multipliers, status, count), the task exact.
+    """(unit, target, J, x, skip) → (point, active, multipliers, status, count), the task exact; the point's t is 0.
 
     With independent task rows in n − p unknowns, otherwise in n.
     """
-    n, fast = sizes.n, sizes.fast
-    given = (
-        ("rows", sizes.rows),
-        ("base", n + 1),
-        ("skip", 1),
-        ("fast", n * fast.d if fast is not None else 1),
-        ("all", n * n),
-        ("full", 1),
-    )
+    n, p, fast = sizes.n, sizes.p, sizes.fast
     outputs = ("point", "active", "multipliers", "status", "count")
-    slow = tuple(f"{name}_all" for name in outputs)
+    fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("skip", 1))
+    given = tuple(name for name, _ in fixed)
     if fast is None:
-        steps: tuple[Call, ...] = (Call(sizes.general_kernel, ("rows", "base", "skip", "all"), outputs),)
-        return Routine("hard", given, steps, outputs)
-    quick = tuple(f"{name}_fast" for name in outputs)
-    full, skip = ca.SX.sym("full"), ca.SX.sym("skip")
-    switch = lower(
-        ca.Function("switch", [full, skip], [ca.logic_or(skip, ca.logic_not(full)), ca.logic_or(skip, full)])
-    )
+        return Routine("hard", fixed, (Call(_dependent(sizes), given, outputs),), outputs)
+    state = (*outputs, "full")
     steps = (
-        Call(switch, ("full", "skip"), ("skip_fast", "skip_all")),
-        Call(kernel(fast, sizes.m), ("rows", "base", "skip_fast", "fast"), quick),
-        Call(sizes.general_kernel, ("rows", "base", "skip_all", "all"), slow),
-        Call(_either(n, fast.d), ("full", *quick, *slow), outputs),
+        Call(_reflected(sizes, fast.d), given[1:], ("origin", "start", "free", "ends", "idle")),
+        Call(
+            reduced_kernel(fast, sizes.m), ("unit", "origin", "start", "idle", "free"),
+            tuple(f"{name}_fast" for name in outputs),
+        ),
+        Call(_padded(n, fast.d), ("active_fast", "multipliers_fast"), ("active_wide", "multipliers_wide")),
+        Loop(
+            _otherwise(sizes), 1,
+            carried=("point_fast", "active_wide", "multipliers_wide", "status_fast", "count_fast", "ends"),
+            results=state, fixed=given, until=5,
+        ),
+    )  # fmt: skip
+    return Routine("hard", fixed, steps, outputs)
+
+
+def _reflected(sizes: Sizes, d: int) -> Program:
+    """(target, J, x, skip) → origin, start, Z of the fast kernel; whether that is all to do; whether to skip it."""
+    n, p = sizes.n, sizes.p
+    target, J, x, skip = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("x", p), ca.SX.sym("skip")
+    left = reflect(as_matrix(J, n), x, target, sizes.precision)
+    outputs = [
+        left.origin,
+        left.start,
+        flat(left.free),
+        ca.logic_or(skip, left.full),
+        ca.logic_or(skip, ca.logic_not(left.full)),
+    ]
+    return lower(ca.Function("reflected", [target, J, x, skip], list(map(ca.densify, outputs))), reciprocals=True)
+
+
+def _padded(n: int, d: int) -> Program:
+    """Active rows and multipliers with the slots that the fast kernel does not have, empty."""
+    pair = [ca.SX.sym("active", d), ca.SX.sym("multipliers", d)]
+    wide = [ca.densify(ca.vertcat(a, ca.SX.zeros(n - d, 1))) for a in pair]
+    return lower(ca.Function("padded", pair, wide))
+
+
+def _otherwise(sizes: Sizes) -> Routine:
+    """The one turn of a loop that runs where the task rows are dependent: the general kernel in place of the fast."""
+    n, p = sizes.n, sizes.p
+    sizes_of = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("ends", 1))
+    fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("skip", 1))
+    fresh = tuple(f"{name}_next" for name, _ in sizes_of[:-1])
+    one = lower(ca.Function("done", [ca.SX.sym("ends")], [ca.SX.ones(1)]))
+    steps = (
+        Call(_dependent(sizes), tuple(name for name, _ in fixed), fresh),
+        Call(one, ("ends",), ("ends_next",)),
     )
-    return Routine("hard", given, steps, outputs)
+    return Routine("otherwise", (*sizes_of, *fixed), steps, (*fresh, "ends_next"))
 
 
-def _either(n: int, d: int) -> Program:
-    """The answer of the kernel that ran; slots that the fast one does not have are empty."""
-    full = ca.SX.sym("full")
-    quick = [ca.SX.sym(f"quick{k}", size) for k, size in enumerate((n + 1, d, d, 1, 1))]
-    slow = [ca.SX.sym(f"slow{k}", size) for k, size in enumerate((n + 1, n, n, 1, 1))]
-    padded = [ca.vertcat(a, ca.SX.zeros(b.numel() - a.numel(), 1)) for a, b in zip(quick, slow, strict=True)]
-    chosen = [ca.densify(ca.if_else(full, a, b)) for a, b in zip(padded, slow, strict=True)]
-    return lower(ca.Function("either", [full, *quick, *slow], chosen))
+def _dependent(sizes: Sizes) -> Routine:
+    """As `exact_rung`, for any task rows: those that depend on rows above them are passed over."""
+    n, p = sizes.n, sizes.p
+    target, J, x = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("x", p)
+    matrix = as_matrix(J, n)
+    left = eliminate(matrix, sizes.precision)
+    taken = [left.rank > i for i in range(n)]
+    free = ca.horzcat(*(ca.if_else(taken[i], 0, left.basis[:, i]) if i < p else left.basis[:, i] for i in range(n)))
+    base = target + left.lift @ (x - matrix @ target)
+    base = base + left.lift @ (x - matrix @ base)  # a far target costs digits: once more
+    outputs = [ca.vertcat(base, 0), flat(free)]
+    prepare = lower(ca.Function("eliminated", [target, J, x], list(map(ca.densify, outputs))))
+    results = ("point", "active", "multipliers", "status", "count")
+    steps = (
+        Call(prepare, ("target", "J", "x"), ("base", "free")),
+        Call(sizes.general_kernel, ("unit", "base", "skip", "free"), results),
+    )
+    fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("skip", 1))
+    return Routine("dependent", fixed, steps, results)
 
 
 def lower_rungs(sizes: Sizes) -> Routine:
     """Rungs 2 and 3: serve the task inside the rows; if no point keeps them, open the soft ones for the next turn."""
     n, p = sizes.n, sizes.p
     state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("safe", 1))
-    fast = n * sizes.fast.d if sizes.fast is not None else 1
-    fixed = (
-        ("unit", sizes.rows), ("target", n), ("near", n), ("J", p * n), ("x", p), ("lift", n * p), ("fast", fast),
-        ("all", n * n), ("full", 1),
-    )  # fmt: skip
+    fixed = (("unit", sizes.rows), ("target", n), ("near", n), ("J", p * n), ("x", p))
     ends = ("point", "active", "multipliers", "end", "count")
     first, again = (tuple(f"{name}_{tag}" for name in ends) for tag in ("served", "again"))
     steps = (
-        Loop(_open_row(sizes), sizes.m, (), ("open",), sliced=("unit",), fixed=("point",)),
+        Loop(
+            _open_row(sizes), sizes.blocks, (), ("open",), sliced=("unit",), fixed=("point",), lanes=sizes.lanes
+        ),
         Call(_opening(n), ("point",), ("opening",)),
         Call(served(sizes), ("open", "near", "opening", "J", "x"), first),
-        Call(_value(sizes), ("point_served", "end_served", "target", "J", "lift"), ("held", "no", "yes")),
-        Call(exact_rung(sizes), ("open", "held", "no", "fast", "all", "full"), again),
+        Call(_value(sizes), ("point_served", "end_served", "J"), ("held", "no", "yes")),
+        Call(exact_rung(sizes), ("open", "target", "J", "held", "no"), again),
         Call(sizes.certificate, ("open", "point_again"), ("kept_again",)),
         Call(opened(sizes), ("unit", "near", "point", "yes"), ("wide", "found", "kept_wide", "count_opened")),
         Call(
             _outcome(sizes),
             (
-                "point",
-                "count",
-                "safe",
-                "yes",
-                "kept_again",
-                "wide",
-                "found",
-                "kept_wide",
-                "count_opened",
-                *first,
-                *again,
+                "point", "count", "safe", "yes", "kept_again", "wide", "found", "kept_wide", "count_opened",
+                *first, *again,
             ),
             tuple(f"{name}_next" for name, _ in state),
         ),
-    )
+    )  # fmt: skip
     return Routine("down", (*state, *fixed), steps, tuple(f"{name}_next" for name, _ in state))
 
 
@@ -125,16 +156,11 @@ def _open_row(sizes: Sizes) -> Program:
 
 
 def _value(sizes: Sizes) -> Program:
-    """(served point, end, target, J, lift) → base that holds J v at its value, and whether it failed, served."""
+    """(served point, end, J) → the task's value there, and whether there is none, one."""
     n, p = sizes.n, sizes.p
-    point, end = ca.SX.sym("point", n + 1), ca.SX.sym("end")
-    target, J, lift = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("lift", n * p)
-    matrix, inverse = as_matrix(J, n), as_matrix(lift, p)
-    base = target + inverse @ (matrix @ (point[:n] - target))
-    base = base + inverse @ (matrix @ (point[:n] - base))  # a far target costs digits: once more
+    point, end, J = ca.SX.sym("point", n + 1), ca.SX.sym("end"), ca.SX.sym("J", p * n)
     good = ca.eq(end, OPTIMAL)
-    outputs = [ca.vertcat(base, point[n]), ca.logic_not(good), good]
-    return lower(ca.Function("value", [point, end, target, J, lift], outputs))
+    return lower(ca.Function("value", [point, end, J], [as_matrix(J, n) @ point[:n], ca.logic_not(good), good]))
 
 
 def _outcome(sizes: Sizes) -> Program:
@@ -150,7 +176,8 @@ def _outcome(sizes: Sizes) -> Program:
 
     served, again = answer("served"), answer("again")
     better = ca.logic_and(yes, ca.logic_and(ca.eq(again[3], OPTIMAL), kept))
-    chosen = [ca.if_else(better, again[k], served[k]) for k in range(3)]
+    final = [ca.vertcat(again[0][:n], point[n]), again[1], again[2]]
+    chosen = [ca.if_else(better, final[k], served[k]) for k in range(3)]
     empty = ca.SX.zeros(n, 1)
     outputs = [
         ca.if_else(yes, chosen[0], wide),

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError, ToolMissing
 from surctl.ir import Routine, compile_block, replay
 from surctl.priority.dual_step import Space
-from surctl.priority.kernel import kernel
+from surctl.priority.kernel import in_blocks, kernel
 from surctl.priority.ladder import CLAMPED, safe_tick
 
 __all__ = ["Rung", "SafePoint", "least_distance", "nearest_to_zero", "tick_runner"]
@@ -129,7 +129,7 @@ def nearest_to_zero(G: Array, lower: Array, upper: Array) -> tuple[Array, Array,
     rows = np.tile(_idle(d), (size, 1))
     rows[:m, :d], rows[:m, d], rows[:m, d + 1] = G, lower, upper
     point, numbers, u, status, count = _nearest(d, size)(
-        rows.reshape(-1), np.zeros(d + 1), np.zeros(1), np.eye(d).reshape(-1)
+        in_blocks(rows), np.zeros(d + 1), np.zeros(1), np.eye(d).reshape(-1)
     )
     multipliers = np.zeros(size)
     used = numbers != 0.0

@@ -14,15 +14,12 @@ import casadi as ca
 from surctl.ir import Call, Gather, Loop, Program, Routine, Step, lower
 from surctl.priority.dual_step import OPTIMAL, STUCK
 from surctl.priority.elimination import as_matrix, eliminate, flat, pseudo_inverse
-from surctl.priority.rows import SHORT, Sizes
+from surctl.priority.precision import Precision
+from surctl.priority.rows import Sizes
 
 __all__ = ["served"]
 
-_DELTA = 1e-3  # of the first step
-_SHRINK = 0.03
 _STEPS = 5
-_SIGN = 1e-9  # multipliers and stationarity, relative to ‖J v − x‖: so much of it may be left at most
-_NOISE = 1e-17  # the same, relative to J v: rounding
 
 
 def served(sizes: Sizes) -> Routine:
@@ -52,9 +49,10 @@ def _begin(sizes: Sizes) -> Program:
     matrix, longest = as_matrix(J, n), ca.SX(0)
     for k in range(p):
         longest = ca.fmax(longest, ca.sqrt(ca.sumsqr(matrix[k, :])))
-    scale = ca.if_else(longest <= SHORT, 0, 1 / ca.if_else(longest <= SHORT, 1, longest))
+    none = longest <= sizes.precision.short
+    scale = ca.if_else(none, 0, 1 / ca.if_else(none, 1, longest))
     zeros = ca.densify(ca.SX.zeros(n, 1))
-    state = [ca.vertcat(near, opening), zeros, ca.SX(_DELTA), ca.SX.zeros(1), ca.SX.zeros(1)]
+    state = [ca.vertcat(near, opening), zeros, ca.SX(sizes.precision.delta), ca.SX.zeros(1), ca.SX.zeros(1)]
     return lower(ca.Function("begin", [near, opening, J, x], [*map(ca.densify, state), J * scale, x * scale, zeros]))
 
 
@@ -68,7 +66,7 @@ def _turn(sizes: Sizes) -> Routine:
         Call(_weigh(sizes), ("point", "delta", "matrix", "pull"), ("base", "rest", "go")),
         Call(sizes.general_kernel, ("open", "base", "go", "rest"), ("found", "numbers", "u", "end", "spent")),
         Call(_indices(n), ("numbers",), tuple(f"at{j}" for j in range(n))),
-        *(Gather("open", f"at{j}", n + 3, rows[j]) for j in range(n)),
+        *(Gather("open", f"at{j}", n + 3, rows[j], lanes=sizes.lanes) for j in range(n)),
         Call(_direct(sizes), ("found", "numbers", "matrix", "pull", *rows), ("direct", "good")),
         Call(sizes.certificate, ("open", "direct"), ("kept",)),
         Call(
@@ -86,7 +84,7 @@ def _weigh(sizes: Sizes) -> Program:
     point, delta = ca.SX.sym("point", n + 1), ca.SX.sym("delta")
     J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
     matrix = as_matrix(J, n)
-    left = eliminate(ca.horzcat(matrix, -delta * ca.SX.eye(p)))
+    left = eliminate(ca.horzcat(matrix, -delta * ca.SX.eye(p)), sizes.precision)
     base = point[:n] + left.lift[:n, :] @ (x - matrix @ point[:n])
     outputs = [ca.vertcat(base, point[n]), flat(left.basis[:n, p:]), ca.SX.zeros(1)]
     return lower(ca.Function("weigh", [point, delta, J, x], list(map(ca.densify, outputs))))
@@ -115,10 +113,10 @@ def _direct(sizes: Sizes) -> Program:
         normals.append((sign * row[:n]).T)
         bounds.append(ca.if_else(ca.eq(numbers[j], 0), 0, bound))
     active, edge = ca.vertcat(*normals), ca.vertcat(*bounds)
-    held = eliminate(active)
+    held = eliminate(active, sizes.precision)
     free = ca.horzcat(*(ca.if_else(held.rank > i, 0, held.basis[:, i]) for i in range(n)))
     v = v + held.lift @ (edge - active @ v)
-    inverse = free @ pseudo_inverse(_without_noise(matrix @ free, matrix))
+    inverse = free @ pseudo_inverse(_without_noise(matrix @ free, matrix, sizes.precision), sizes.precision)
     v = v + inverse @ (x - matrix @ v)
     v = v + held.lift @ (edge - active @ v)
     v = v + inverse @ (x - matrix @ v)
@@ -128,18 +126,18 @@ def _direct(sizes: Sizes) -> Program:
     size = ca.SX(1)
     for entry in ca.vertsplit(v):
         size = ca.fmax(size, ca.fabs(entry))
-    noise = ca.fmax(_NOISE * size, _SIGN * ca.sqrt(ca.sumsqr(x - matrix @ v)))
+    noise = ca.fmax(sizes.precision.noise * size, sizes.precision.sign * ca.sqrt(ca.sumsqr(x - matrix @ v)))
     good = ca.SX(1)
     for entry in (*ca.vertsplit(multipliers), *ca.vertsplit(outside), *ca.vertsplit(-outside)):
         good = ca.logic_and(good, -noise <= entry)
     return lower(ca.Function("direct", [found, numbers, J, x, *rows], [ca.vertcat(v, found[n]), good]))
 
 
-def _without_noise(projected: ca.SX, matrix: ca.SX) -> ca.SX:
+def _without_noise(projected: ca.SX, matrix: ca.SX, precision: Precision) -> ca.SX:
     """Rows of J in the free directions; what is left of a row by rounding alone counts as nothing."""
     rows = []
     for k in range(matrix.shape[0]):
-        left = ca.sumsqr(projected[k, :]) > 1e-20 * ca.sumsqr(matrix[k, :])
+        left = ca.sumsqr(projected[k, :]) > precision.cutoff**2 * ca.sumsqr(matrix[k, :])
         rows.append(ca.if_else(left, projected[k, :], 0))
     return ca.vertcat(*rows)
 
@@ -157,7 +155,7 @@ def _decide(sizes: Sizes) -> Program:
     outputs = [
         ca.if_else(solved, ca.if_else(done, direct, found), point),
         ca.if_else(solved, numbers, active),
-        ca.if_else(solved, _SHRINK * delta, delta),
+        ca.if_else(solved, sizes.precision.shrink * delta, delta),
         ca.if_else(done, OPTIMAL, ca.if_else(solved, 0, STUCK)),
         count + spent,
     ]
@@ -168,5 +166,5 @@ def _decide(sizes: Sizes) -> Program:
 def _end(sizes: Sizes) -> Program:
     """(status, δ, kept) → whether the point counts: optimal, or what at least one proximal step led to."""
     status, delta, kept = ca.SX.sym("status"), ca.SX.sym("delta"), ca.SX.sym("kept")
-    stepped = ca.logic_or(ca.eq(status, OPTIMAL), delta < _DELTA)
+    stepped = ca.logic_or(ca.eq(status, OPTIMAL), delta < sizes.precision.delta)
     return lower(ca.Function("served_end", [status, delta, kept], [ca.logic_and(stepped, kept)]))
