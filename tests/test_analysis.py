@@ -93,12 +93,17 @@ def test_the_solver_holds_its_bars() -> None:
     done = run(SOLVER, "--quick")
     assert done.returncode == 0, done.stdout + done.stderr
     facts = {row[0]: row[1:] for row in table(done.stdout) if len(row) == 4}
-    assert {name.split(":")[0] for name, (_, bar, _) in facts.items() if bar} > {"limited", "relaxed", "number clamped"}
-    assert sum(bool(bar) for _, bar, _ in facts.values()) == 16
+    assert {name.split(":")[0] for name, (_, bar, _) in facts.items() if bar} > {
+        "limited",
+        "relaxed",
+        "float32",
+        "number clamped",
+    }
+    assert sum(bool(bar) for _, bar, _ in facts.values()) == 21
     assert not any(mark for _, _, mark in facts.values())
     assert float(facts["KKT residual where met"][0]) <= 1e-8
-    features = [row for row in table(done.stdout) if len(row) == 5][1:]
-    assert len(features) == 8
+    features = [row for row in table(done.stdout) if len(row) == 5][1:9]
+    assert features[0][0] == "plain" and features[-1][0] == "far"
     assert all(int(met) > 0 and int(opened) > 0 and clamped == "0" for _, met, _, opened, clamped in features)
 
 

@@ -27,6 +27,7 @@ from surctl.priority import safe_tick
 from surctl.priority.dual_step import Space
 from surctl.priority.kernel import CAP, OPEN_CAP, in_blocks, kernel
 from surctl.priority.ladder import CLAMPED, LIMITED, MET, RELAXED
+from surctl.priority.precision import FLOAT32
 from surctl.priority.referee import examine
 from surctl.priority.trials import FAMILIES, Trials, draw_trials, judge
 
@@ -57,6 +58,7 @@ def main(arguments: list[str]) -> int:
         print(missing, file=sys.stderr)
         return 2
     failed = robustness(count, options.seed)
+    failed = single(count, options.seed) or failed
     if checked:
         failed = lower_rungs(checked, options.seed) or failed
     if not options.no_race:
@@ -99,7 +101,61 @@ def compared(worst: dict[str, float]) -> bool:
     return failed
 
 
+def single(count: int, seed: int) -> bool:
+    """The same ladder in float, on problems rounded to it; whether a bar failed."""
+    tick = compile_block(safe_tick(N, P, M, precision=FLOAT32), real="float32")
+    double = compile_block(safe_tick(N, P, M))
+    worst: dict[str, float] = {}
+    rungs = np.zeros((2, CLAMPED + 1), dtype=int)
+    for at, first in enumerate(range(0, count, CHUNK)):
+        trials = draw_trials(min(CHUNK, count - first), n=N, p=P, m=M, seed=seed * 1_000_003 + 500_000 + at)
+        wanted = double(*trials.arrays)  # as drawn: rounded, box and box rows differ by more than double forgives
+        rounded = [array.astype(np.float32) for array in trials.arrays]
+        trials = Trials(*(array.astype(np.float64) for array in rounded), trials.features)
+        outputs = tick(*rounded)
+        v, status, opening = outputs[0].astype(np.float64), outputs[4][:, 0], outputs[3]
+        A, lower, upper, soft = trials.unit()
+        value = np.einsum("kij,kj->ki", A, v)
+        missed = np.maximum(value - upper, lower - value)
+        both = (status == MET) & (wanted[4][:, 0] == MET)
+        gap = np.abs(v - wanted[0]).max(axis=1) / (1 + np.abs(trials.target).max(axis=1))
+        facts = {
+            "float32: number not finite": float((~np.isfinite(np.concatenate(outputs, axis=1)).all(axis=1)).sum()),
+            "float32: number outside the box": float(
+                ((v < trials.box[:, :N]) | (trials.box[:, N:] < v)).any(axis=1).sum()
+            ),
+            "float32: number clamped": float((status == CLAMPED).sum()),
+            "float32: hard row missed": float(missed[~soft].max()),
+            "float32: number with a hard row missed by more than 1e-5": float(
+                (np.where(soft, -1.0, missed).max(axis=1) > 1e-5).sum()
+            ),
+            "float32: soft row missed beyond the opening": float((np.where(soft, missed, -1.0) - opening).max()),
+            "float32: difference from float64 where both meet": float(gap[both].max(initial=0.0)),
+            "float32: the same without near-parallel rows": float(
+                gap[both & ~trials.features[:, FAMILIES.index("parallel")]].max(initial=0.0)
+            ),
+            "float32: number met that float64 does not meet": float(((status == MET) & (wanted[4][:, 0] != MET)).sum()),
+            "float32: number that only float64 meets": float(((status != MET) & (wanted[4][:, 0] == MET)).sum()),
+            "float32: iterations over all rungs": float(outputs[5].max()),
+        }
+        for name, value_ in facts.items():
+            combine = sum if "number" in name else max
+            worst[name] = combine((worst.get(name, 0.0), value_))
+        rungs += [np.bincount(s.astype(int), minlength=CLAMPED + 1) for s in (status, wanted[4][:, 0])]
+    print(
+        f"\n## {count} problems rounded to float32\n\n| in | met | limited | relaxed | clamped |\n|---|---|---|---|---|"
+    )
+    for name, row in zip(("float32", "float64"), rungs, strict=True):
+        print(f"| {name} | {row[MET]} | {row[LIMITED]} | {row[RELAXED]} | {row[CLAMPED]} |")
+    return compared(worst)
+
+
 BARS = {
+    "float32: number not finite": 0,
+    "float32: number outside the box": 0,
+    "float32: number clamped": 0,
+    "float32: hard row missed": 1e-4,
+    "float32: soft row missed beyond the opening": 1e-3,
     "number not finite": 0,
     "number clamped": 0,
     "hard row missed": 1e-9,

@@ -8,16 +8,20 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from surctl.ir import compile_block, replay, to_casadi
+from surctl.ir import Real, compile_block, replay, to_casadi
 from surctl.priority import safe_tick
 from surctl.priority.dual_step import OPTIMAL, STUCK, Space
 from surctl.priority.kernel import CAP, OPEN_CAP, in_blocks, kernel
 from surctl.priority.ladder import CLAMPED, LIMITED, MET, RELAXED
+from surctl.priority.precision import FLOAT32, FLOAT64, Precision
 from surctl.priority.trials import FAMILIES, Trials, draw_trials, judge
 from tests.tools import need_compiler
 
 Array = NDArray[np.float64]
 N, P, M = 4, 2, 24
+
+
+PRECISION: dict[Real, Precision] = {"float64": FLOAT64, "float32": FLOAT32}
 
 
 class Flown:
@@ -192,6 +196,24 @@ def test_replay_and_casadi_give_the_same_bytes(flown: Flown) -> None:
             assert (np.asarray(a).reshape(-1) + 0.0).tobytes() == (b[k] + 0.0).tobytes()
 
 
+def test_in_float_it_is_as_safe_and_nearly_as_good(flown: Flown) -> None:
+    routine = safe_tick(N, P, M, precision=FLOAT32)
+    rounded = [array.astype(np.float32) for array in flown.trials.arrays]
+    outputs = compile_block(routine, real="float32")(*rounded)
+    some = [array[:150] for array in rounded]
+    for a, b in zip(replay(routine, *some, real=np.float32), outputs, strict=True):
+        assert a.dtype == np.float32 and a.tobytes() == b[:150].tobytes()
+    v, status = outputs[0], outputs[4][:, 0]
+    assert np.isfinite(np.concatenate(outputs, axis=1)).all() and not (status == CLAMPED).any()
+    assert ((rounded[4][:, :N] <= v) & (v <= rounded[4][:, N:])).all()
+    A, lower, upper, soft = Trials(*(a.astype(np.float64) for a in rounded), flown.trials.features).unit()
+    value = np.einsum("kij,kj->ki", A, v.astype(np.float64))
+    assert np.where(soft, -1.0, np.maximum(value - upper, lower - value)).max() <= 1e-4
+    both = (status == MET) & (flown.status == MET)
+    gap = np.abs(v - flown.v).max(axis=1) / (1 + np.abs(flown.trials.target).max(axis=1))
+    assert both.sum() > 2000 and np.quantile(gap[both], 0.9) <= 1e-6
+
+
 @pytest.mark.parametrize("flags", [("-O0",), ("-O3",), ("-O3", "-mavx512f"), ("-march=x86-64",)])
 def test_every_optimisation_level_gives_the_same_bytes(flown: Flown, flags: tuple[str, ...]) -> None:
     some = flown.trials[slice(0, 1000)]
@@ -199,10 +221,13 @@ def test_every_optimisation_level_gives_the_same_bytes(flown: Flown, flags: tupl
         assert a.tobytes() == b[:1000].tobytes()
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e308, -1e308, 1e-320])
-def test_no_number_anywhere_makes_it_anything_but_finite(bad: float) -> None:
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e308, -1e308, 1e-320, 1e38, 1e-40])
+@pytest.mark.parametrize("real", ["float64", "float32"])
+def test_no_number_anywhere_makes_it_anything_but_finite(bad: float, real: Real) -> None:
     need_compiler()
-    tick = compile_block(safe_tick(N, P, M))
+    if real == "float32" and abs(bad) == 1e308:
+        pytest.skip("no float is so large")
+    tick = compile_block(safe_tick(N, P, M, precision=PRECISION[real]), real=real)
     good = draw_trials(1, n=N, p=P, m=M, seed=4)
     for which, array in enumerate(good.arrays):
         count = array.shape[1]
@@ -211,7 +236,8 @@ def test_no_number_anywhere_makes_it_anything_but_finite(bad: float) -> None:
         v, *_, status, _ = tick(*arrays)
         assert np.isfinite(v).all()
         if which < 4:  # the box itself is sound
-            assert ((good.box[0, :N] <= v) & (v <= good.box[0, N:])).all()
+            box = good.box[0].astype(real)
+            assert ((box[:N] <= v) & (v <= box[N:])).all()
         if np.isnan(bad) and which < 4:
             soft = which == 3 and np.arange(count) % (N + 3) == N + 2  # what is no number is not soft
             assert (status[:, 0] == CLAMPED)[~np.broadcast_to(soft, count)].all()
