@@ -102,3 +102,20 @@ def test_shared_divisors_are_inverted_once() -> None:
     assert ops.count("inv") == 1 and ops.count("div") == 1 and ops.count("mul") == 2
     want = replay(lower(function), [3.0, 5.0, 7.0])[0]
     np.testing.assert_allclose(replay(lower(function, reciprocals=True), [3.0, 5.0, 7.0])[0], want, rtol=1e-15)
+
+
+@pytest.mark.parametrize("flags", TEXTS)
+def test_signed_zeros_and_what_is_no_number(flags: tuple[str, ...]) -> None:
+    need_compiler()
+    x = ca.SX.sym("x", 2)
+    a, b = x[0], x[1]
+    made = [ca.fmin(a, b), ca.fmax(a, b), a < b, a <= b, ca.eq(a, b), ca.ne(a, b), -a, ca.fabs(a), ca.if_else(a, b, a)]
+    made += [ca.logic_and(a, b), ca.logic_or(a, b), ca.logic_not(a), ca.if_else(a < b, a, 0), ca.sqrt(a)]
+    block = lower(ca.Function("pairs", [x], [ca.vertcat(*made)]))
+    special = [0.0, -0.0, 1.0, np.nan, np.inf, -np.inf]
+    pairs = np.array([[p, q] for p in special for q in special]).reshape(-1)
+    routine = Routine("r", (("x", 72),), (Loop(block, 9, (), ("y",), spread=("x",), lanes=4),), ("y",))
+    (got,), (want,) = compile_block(routine, flags=flags)(pairs), replay(routine, pairs)
+    number = ~np.isnan(want)
+    assert (np.isnan(got) == ~number).all()
+    assert got[number].tobytes() == want[number].tobytes()
