@@ -29,21 +29,22 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64") -> str:
     """
     identifier(symbol)
     writer = _Writer(symbol, real)
+    alone = _run_alone(block)
     for inner in nested(block).values():
         if isinstance(inner, Routine):
             for step in inner.steps:
                 if isinstance(step, Loop) and step.lanes > 1:
                     writer.lanes(step)
-        if inner is block or isinstance(inner, Routine) or _runs_alone(inner, block):
+        if inner is block or isinstance(inner, Routine) or id(inner) in alone:
             writer.block(inner, last=inner is block)
     return "\n".join(writer.chunks)
 
 
-def _runs_alone(program: Program, block: Block) -> bool:
-    """Whether a step other than a loop over lanes runs it."""
+def _run_alone(block: Block) -> set[int]:
+    """Identities of the blocks that a step other than a loop over lanes runs."""
     routines = [inner for inner in nested(block).values() if isinstance(inner, Routine)]
     steps = [step for routine in routines for step in routine.steps if not isinstance(step, Gather)]
-    return any(step.block is program and (isinstance(step, Call) or step.lanes == 1) for step in steps)
+    return {id(step.block) for step in steps if isinstance(step, Call) or step.lanes == 1}
 
 
 class _Writer:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 from surctl.errors import InputError
@@ -139,6 +140,10 @@ class Routine:
 
     def digest(self) -> str:
         """SHA-256 of `text`, in hexadecimal."""
+        return self._digest
+
+    @cached_property
+    def _digest(self) -> str:
         return hashlib.sha256(self.text().encode()).hexdigest()
 
 
