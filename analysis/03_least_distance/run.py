@@ -1,6 +1,6 @@
 """Study 3: the least-distance ladder on problems that are meant to break it, and its speed against DAQP's core.
 
-    python analysis/03_least_distance/run.py [--quick] [--n 100000] [--seed 0] [--no-race]
+    python analysis/03_least_distance/run.py [--quick] [--n 100000] [--referee 500] [--seed 0] [--no-race]
 
 Prints Markdown. Ends with 0 when every bar below holds, else with 1; with 2 for a bad option, or without a C
 compiler. The race needs the DAQP that ships with CasADi; both sides solve the same problems in one process, in turns.
@@ -12,6 +12,7 @@ import argparse
 import subprocess
 import sys
 import tempfile
+from dataclasses import astuple
 from pathlib import Path
 
 import casadi
@@ -21,11 +22,13 @@ from numpy.typing import NDArray
 
 from surctl.errors import ToolMissing
 from surctl.ir import compile_block, compiler_version, emit_block
-from surctl.ir.compiler import FLAGS, find_compiler
+from surctl.ir.compiler import FLAGS, find_compiler, tuned_flags
 from surctl.priority import safe_tick
 from surctl.priority.dual_step import Space
-from surctl.priority.kernel import CAP, OPEN_CAP, kernel
+from surctl.priority.kernel import CAP, OPEN_CAP, in_blocks, kernel
 from surctl.priority.ladder import CLAMPED, LIMITED, MET, RELAXED
+from surctl.priority.precision import FLOAT32
+from surctl.priority.referee import examine
 from surctl.priority.trials import FAMILIES, Trials, draw_trials, judge
 
 N, P, M = 4, 2, 24
@@ -39,18 +42,25 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(description="least-distance ladder: robustness and speed")
     parser.add_argument("--quick", action="store_true", help="2,000 problems unless --n says otherwise, a short race")
     parser.add_argument("--n", type=int, help="random problems; 100,000 if not given")
+    parser.add_argument(
+        "--referee", type=int, help="problems of rungs 2 and 3 each that are refereed; 500 if not given"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--no-race", action="store_true", help="skip the timing")
     options = parser.parse_args(arguments)
     count = options.n if options.n is not None else 2_000 if options.quick else 100_000
-    if count < 1 or options.seed < 0:
-        parser.error("--n is at least 1, --seed at least 0")
+    checked = options.referee if options.referee is not None else 100 if options.quick else 500
+    if count < 1 or options.seed < 0 or checked < 0:
+        parser.error("--n is at least 1, --seed and --referee at least 0")
     try:
         find_compiler()
     except ToolMissing as missing:
         print(missing, file=sys.stderr)
         return 2
     failed = robustness(count, options.seed)
+    failed = single(count, options.seed) or failed
+    if checked:
+        failed = lower_rungs(checked, options.seed) or failed
     if not options.no_race:
         race(count=200, rounds=5) if options.quick else race()
     return 1 if failed else 0
@@ -76,6 +86,11 @@ def robustness(count: int, seed: int) -> bool:
     print("|---|---|---|---|---|")
     for name, row in zip(FAMILIES, rungs, strict=True):
         print(f"| {name} | {row[MET]} | {row[LIMITED]} | {row[RELAXED]} | {row[CLAMPED]} |")
+    return compared(worst)
+
+
+def compared(worst: dict[str, float]) -> bool:
+    """Prints the facts beside their bars; whether any failed."""
     print("\n| fact | worst | bar | |\n|---|---|---|---|")
     failed = False
     for name, value in worst.items():
@@ -86,7 +101,61 @@ def robustness(count: int, seed: int) -> bool:
     return failed
 
 
+def single(count: int, seed: int) -> bool:
+    """The same ladder in float, on problems rounded to it; whether a bar failed."""
+    tick = compile_block(safe_tick(N, P, M, precision=FLOAT32), real="float32")
+    double = compile_block(safe_tick(N, P, M))
+    worst: dict[str, float] = {}
+    rungs = np.zeros((2, CLAMPED + 1), dtype=int)
+    for at, first in enumerate(range(0, count, CHUNK)):
+        trials = draw_trials(min(CHUNK, count - first), n=N, p=P, m=M, seed=seed * 1_000_003 + 500_000 + at)
+        wanted = double(*trials.arrays)  # as drawn: rounded, box and box rows differ by more than double forgives
+        rounded = [array.astype(np.float32) for array in trials.arrays]
+        trials = Trials(*(array.astype(np.float64) for array in rounded), trials.features)
+        outputs = tick(*rounded)
+        v, status, opening = outputs[0].astype(np.float64), outputs[4][:, 0], outputs[3]
+        A, lower, upper, soft = trials.unit()
+        value = np.einsum("kij,kj->ki", A, v)
+        missed = np.maximum(value - upper, lower - value)
+        both = (status == MET) & (wanted[4][:, 0] == MET)
+        gap = np.abs(v - wanted[0]).max(axis=1) / (1 + np.abs(trials.target).max(axis=1))
+        facts = {
+            "float32: number not finite": float((~np.isfinite(np.concatenate(outputs, axis=1)).all(axis=1)).sum()),
+            "float32: number outside the box": float(
+                ((v < trials.box[:, :N]) | (trials.box[:, N:] < v)).any(axis=1).sum()
+            ),
+            "float32: number clamped": float((status == CLAMPED).sum()),
+            "float32: hard row missed": float(missed[~soft].max()),
+            "float32: number with a hard row missed by more than 1e-5": float(
+                (np.where(soft, -1.0, missed).max(axis=1) > 1e-5).sum()
+            ),
+            "float32: soft row missed beyond the opening": float((np.where(soft, missed, -1.0) - opening).max()),
+            "float32: difference from float64 where both meet": float(gap[both].max(initial=0.0)),
+            "float32: the same without near-parallel rows": float(
+                gap[both & ~trials.features[:, FAMILIES.index("parallel")]].max(initial=0.0)
+            ),
+            "float32: number met that float64 does not meet": float(((status == MET) & (wanted[4][:, 0] != MET)).sum()),
+            "float32: number that only float64 meets": float(((status != MET) & (wanted[4][:, 0] == MET)).sum()),
+            "float32: iterations over all rungs": float(outputs[5].max()),
+        }
+        for name, value_ in facts.items():
+            combine = sum if "number" in name else max
+            worst[name] = combine((worst.get(name, 0.0), value_))
+        rungs += [np.bincount(s.astype(int), minlength=CLAMPED + 1) for s in (status, wanted[4][:, 0])]
+    print(
+        f"\n## {count} problems rounded to float32\n\n| in | met | limited | relaxed | clamped |\n|---|---|---|---|---|"
+    )
+    for name, row in zip(("float32", "float64"), rungs, strict=True):
+        print(f"| {name} | {row[MET]} | {row[LIMITED]} | {row[RELAXED]} | {row[CLAMPED]} |")
+    return compared(worst)
+
+
 BARS = {
+    "float32: number not finite": 0,
+    "float32: number outside the box": 0,
+    "float32: number clamped": 0,
+    "float32: hard row missed": 1e-4,
+    "float32: soft row missed beyond the opening": 1e-3,
     "number not finite": 0,
     "number clamped": 0,
     "hard row missed": 1e-9,
@@ -94,6 +163,9 @@ BARS = {
     "KKT residual where met": 1e-8,
     "difference from DAQP where both solve": 1e-8,
     "number that DAQP solves and we do not": 0,
+    **{f"{name}: opening above the least one": 1e-8 for name in ("limited", "relaxed")},
+    **{f"{name}: task above the least one, where it is clear": 1e-8 for name in ("limited", "relaxed")},
+    **{f"{name}: v away from the nearest, where it is clear": 1e-8 for name in ("limited", "relaxed")},
     "iterations, rows fixed": CAP - 1,
     "iterations, opening free": OPEN_CAP - 1,
 }
@@ -145,10 +217,40 @@ def referee(trials: Trials, outputs: list[Array]) -> dict[str, float]:
     }
 
 
+def lower_rungs(count: int, seed: int) -> bool:
+    """`count` answers of rung 2 and as many of rung 3, by a referee that shares no code; whether a bar failed."""
+    trials = draw_trials(8 * count + 200, n=N, p=P, m=M, seed=seed * 1_000_003 + 999_983)
+    outputs = compile_block(safe_tick(N, P, M))(*trials.arrays)
+    worst: dict[str, float] = {}
+    print(f"\n## {count} problems each of rungs 2 and 3 before a referee\n")
+    print("| rung | feature | problems | opening | task, where clear | task | v |\n|" + 7 * "---|")
+    for rung, name in ((LIMITED, "limited"), (RELAXED, "relaxed")):
+        chosen = np.flatnonzero(outputs[4][:, 0] == rung)[:count]
+        found = np.array([astuple(one) for one in examine(trials[chosen], outputs[0][chosen], outputs[3][chosen, 0])])
+        opening, task, weight, distance = found.T
+        has = dict(zip(FAMILIES, trials.features[chosen].T, strict=True))
+        # near-parallel rows leave the task to rounding; so do a far target and task rows of unlike lengths together
+        clear = (weight <= 100) & ~(has["parallel"] & (rung == RELAXED)) & ~(has["scaled"] & has["far"])
+        facts = np.column_stack([opening, np.where(clear, task, 0.0), task, distance])
+        for k, feature in enumerate(FAMILIES):
+            shown = facts[trials.features[chosen, k]]
+            cells = " | ".join(f"{value:.1e}" for value in np.nanmax(np.vstack([shown, 0 * facts[:1]]), axis=0))
+            print(f"| {name} | {feature} | {len(shown)} | {cells} |")
+        worst[f"{name}: opening above the least one"] = np.nanmax(opening)
+        worst[f"{name}: task above the least one, where it is clear"] = np.nanmax(facts[:, 1])
+        worst[f"{name}: task above the least one"] = np.nanmax(facts[:, 2])
+        worst[f"{name}: v away from the nearest, where it is clear"] = np.nanmax(np.where(clear, distance, 0.0))
+        worst[f"{name}: v away from the nearest"] = np.nanmax(distance)
+        worst[f"{name}: number of tasks more than 1e-8 above"] = float((task > 1e-8).sum())
+        worst[f"{name}: number that the referee cannot solve"] = float(np.isnan(found).any(axis=1).sum())
+    return compared(worst)
+
+
 def iterations(trials: Trials) -> dict[str, float]:
     """Most iterations of the kernels that a tick is made of, each on its own."""
     A, lower, upper, soft = trials.unit()
-    rows = np.concatenate([A, lower[..., None], upper[..., None], soft[..., None]], axis=2).reshape(len(A), -1)
+    rows = np.concatenate([A, lower[..., None], upper[..., None], soft[..., None]], axis=2)
+    rows = in_blocks(rows)
     goal = np.clip(trials.target, trials.box[:, :N], trials.box[:, N:])
     fixed = compile_block(kernel(Space(N, N), M))
     opened = compile_block(kernel(Space(N, N + 1, opening=True), M))
@@ -197,7 +299,7 @@ def build(folder: Path, source: str) -> Path:
     )
     home = Path(casadi.__file__).parent
     cc = find_compiler().split()
-    subprocess.run([*cc, *FLAGS, "-c", folder / "tick.c", "-o", folder / "tick.o"], check=True)
+    subprocess.run([*cc, *FLAGS, *tuned_flags(), "-c", folder / "tick.c", "-o", folder / "tick.o"], check=True)
     link = ["-L", home, "-ldaqp", f"-Wl,-rpath,{home}", "-lm"]
     include = ["-I", home / "include"]
     subprocess.run([*cc, "-O2", *include, HERE / "race.c", folder / "tick.o", *link, "-o", folder / "race"], check=True)

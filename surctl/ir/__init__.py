@@ -1,9 +1,10 @@
 """The instruction list of a symbolic function, bounded loops over it, and their back ends."""
 
-from surctl.ir.c99 import c_literal, emit_c99, identifier
+from surctl.ir.c99 import Real, c_literal, emit_c99, identifier
+from surctl.ir.c99_lanes import Feed, emit_lanes
 from surctl.ir.c99_routine import emit_block
 from surctl.ir.cache import cache_folder, shared_library
-from surctl.ir.compiler import compile_program, compiler_version, find_compiler
+from surctl.ir.compiler import compile_program, compiler_version, find_compiler, tuned_flags
 from surctl.ir.lowering import lower
 from surctl.ir.native import Native, Workspace, compile_block
 from surctl.ir.ops import LIBM, OPERATIONS, Operation
@@ -18,6 +19,7 @@ __all__ = [
     "OPERATIONS",
     "Block",
     "Call",
+    "Feed",
     "Gather",
     "Instruction",
     "Layout",
@@ -26,6 +28,7 @@ __all__ = [
     "Operation",
     "Port",
     "Program",
+    "Real",
     "Routine",
     "Step",
     "Workspace",
@@ -36,10 +39,12 @@ __all__ = [
     "compiler_version",
     "emit_block",
     "emit_c99",
+    "emit_lanes",
     "find_compiler",
     "identifier",
     "lower",
     "replay",
     "shared_library",
     "to_casadi",
+    "tuned_flags",
 ]

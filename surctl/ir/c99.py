@@ -4,13 +4,24 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from decimal import Decimal
+from types import MappingProxyType
+from typing import Literal, TypeAlias
+
+import numpy as np
 
 from surctl.errors import InputError
 from surctl.ir.ops import OPERATIONS
 from surctl.ir.program import Instruction, Program
 
-__all__ = ["c_literal", "emit_c99", "identifier"]
+__all__ = ["Real", "c_literal", "emit_c99", "expression", "identifier"]
+
+Real: TypeAlias = Literal["float64", "float32"]
+"""Type of every number in the C text: double or float."""
+
+C_TYPE: Mapping[Real, str] = MappingProxyType({"float64": "double", "float32": "float"})
+"""The word for it."""
 
 # C99, C11 and C++ keywords (headers are read by C++ too), and words that the standard headers define
 _WORDS = frozenset(
@@ -50,19 +61,22 @@ def identifier(name: str) -> str:
     return name
 
 
-def c_literal(value: float) -> str:
-    """C99 text of exactly this double: decimal where that is exact and short, hexadecimal otherwise."""
+def c_literal(value: float, real: Real = "float64") -> str:
+    """C99 text of exactly this number (rounded to `real`): decimal where that is exact and short, else hexadecimal."""
     if math.isnan(value):
         raise InputError("NaN has no C literal", remedy="find the expression that has no value")
+    with np.errstate(over="ignore"):
+        value = float(value if real == "float64" else np.float32(value))
+    tail = "" if real == "float64" else "f"
     if math.isinf(value):
-        return "-HUGE_VAL" if value < 0 else "HUGE_VAL"
+        return ("-HUGE_VAL" if value < 0 else "HUGE_VAL") + tail.upper()
     short = repr(value)
     if Decimal(short) == Decimal(value) and len(short) <= 12:
-        return short
-    return value.hex()
+        return short + tail
+    return value.hex() + tail
 
 
-def emit_c99(program: Program, *, symbol: str) -> str:
+def emit_c99(program: Program, *, symbol: str, real: Real = "float64") -> str:
     """`static void <symbol>(const double *in0, …, double *out0, …)`, one local a line.
 
     Only locals and exact literals; every output is computed before any is stored, so that outputs may alias
@@ -71,22 +85,23 @@ def emit_c99(program: Program, *, symbol: str) -> str:
     Args:
         program: the instruction list, without dead instructions (`lower` leaves none).
         symbol: name of the C function, checked by `identifier`.
+        real: "float32" writes float for double, with literals and functions of that type.
 
     Raises:
         InputError: `symbol` is no identifier that C may use.
     """
-    lines = [*_head(program, identifier(symbol)), "{"]
+    lines = [*_head(program, identifier(symbol), C_TYPE[real]), "{"]
     lines += [f"    (void)in{k};" for k in _idle_inputs(program)]
     lines += [f"    (void)out{k};" for k, refs in enumerate(program.output_refs) if not refs]
-    lines += [f"    const double v{at} = {_text(i)};" for at, i in enumerate(program.instructions)]
+    lines += [f"    const {C_TYPE[real]} v{at} = {expression(i, real)};" for at, i in enumerate(program.instructions)]
     for k, refs in enumerate(program.output_refs):
         lines += [f"    out{k}[{entry}] = v{ref};" for entry, ref in enumerate(refs)]
     return "\n".join([*lines, "}"]) + "\n"
 
 
-def _head(program: Program, symbol: str) -> list[str]:
-    arguments = [f"const double *in{k}" for k in range(len(program.inputs))]
-    arguments += [f"double *out{k}" for k in range(len(program.outputs))]
+def _head(program: Program, symbol: str, c_type: str) -> list[str]:
+    arguments = [f"const {c_type} *in{k}" for k in range(len(program.inputs))]
+    arguments += [f"{c_type} *out{k}" for k in range(len(program.outputs))]
     sizes = [f"in{k}: {size} numbers" for k, (_, size) in enumerate(program.inputs)]
     sizes += [f"out{k}: {size}" for k, (_, size) in enumerate(program.outputs)]
     return [
@@ -100,9 +115,17 @@ def _idle_inputs(program: Program) -> list[int]:
     return [k for k in range(len(program.inputs)) if k not in read]
 
 
-def _text(instruction: Instruction) -> str:
+def expression(instruction: Instruction, real: Real = "float64", *, operand: str = "v{}") -> str:
+    """Right side of one assignment; `operand` makes the text of an operand from its position."""
     if instruction.op == "const":
-        return c_literal(float(instruction.value or 0.0))
+        return c_literal(float(instruction.value or 0.0), real)
     if instruction.op == "input":
         return "in{}[{}]".format(*instruction.args)
-    return OPERATIONS[instruction.op].c99.format(*(f"v{a}" for a in instruction.args))
+    text = OPERATIONS[instruction.op].c99
+    if real == "float32":
+        text = _FUNCTION.sub(r"\1f(", _NUMBER.sub(r"\1f", text))
+    return text.format(*(operand.format(a) for a in instruction.args))
+
+
+_NUMBER = re.compile(r"\b(\d+\.\d+)\b")
+_FUNCTION = re.compile(r"\b(sqrt|fabs|floor|sin|cos|atan2|acos)\(")

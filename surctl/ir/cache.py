@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from surctl.errors import SurctlError
-from surctl.ir.compiler import FLAGS, compile_program, compiler_version, find_compiler
+from surctl.ir.compiler import FLAGS, compile_program, compiler_version, find_compiler, tuned_flags
 
 __all__ = ["cache_folder", "shared_library"]
 
@@ -36,7 +36,7 @@ def shared_library(source: str, *, flags: Sequence[str] = (), folder: Path | Non
 
     Args:
         source: the C text.
-        flags: more flags for the compiler, after `FLAGS`.
+        flags: more flags for the compiler, after `FLAGS` and `tuned_flags`.
         folder: of the cache; `cache_folder()` if None. Where nothing can be written, the cache is left alone.
 
     Returns:
@@ -56,9 +56,8 @@ def shared_library(source: str, *, flags: Sequence[str] = (), folder: Path | Non
 
 
 def _key(source: str, flags: Sequence[str]) -> str:
-    parts = [source, *FLAGS, *_SHARED, *flags, find_compiler(), compiler_version(), platform.platform()]
-    if any("native" in flag for flag in flags):
-        parts.append(_processor())
+    used = [*FLAGS, *_SHARED, *tuned_flags(), *flags]
+    parts = [source, *used, find_compiler(), compiler_version(), platform.platform(), _processor()]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
 
@@ -119,7 +118,11 @@ def _build(source: str, flags: Sequence[str]) -> bytes:
         with tempfile.TemporaryDirectory(prefix="surctl-") as folder:
             text = Path(folder) / "block.c"
             text.write_text(source)
-            library = compile_program([text], Path(folder) / "block.so", flags=[*_SHARED, *flags])
-            return library.read_bytes()
+            output = Path(folder) / "block.so"
+            try:
+                compile_program([text], output, flags=[*_SHARED, *tuned_flags(), *flags])
+            except SurctlError:  # a compiler that does not know them; if the source is at fault, it fails again
+                compile_program([text], output, flags=[*_SHARED, *flags])
+            return output.read_bytes()
     except OSError as error:
         raise SurctlError(f"cannot compile in the temporary folder: {error.strerror}") from None

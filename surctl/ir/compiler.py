@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import shlex
 import shutil
 import subprocess
@@ -11,13 +12,26 @@ from pathlib import Path
 
 from surctl.errors import InputError, SurctlError, ToolMissing
 
-__all__ = ["FLAGS", "compile_program", "compiler_version", "find_compiler"]
+__all__ = ["FLAGS", "compile_program", "compiler_version", "find_compiler", "tuned_flags"]
 
 FLAGS = (
     *("-std=c99", "-O2", "-ffp-contract=off"),  # no fused multiply-add: it changes the bytes
     *("-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"),
 )
 """Flags of every compilation; the generated Makefile uses the same."""
+
+_X86 = ("x86_64", "amd64", "i386", "i686")
+
+
+def tuned_flags() -> tuple[str, ...]:
+    """Flags for code that stays on this machine: all its instructions, but no other results.
+
+    errno is not asked for, so that a root is one instruction. AVX-512 is left out: its masks are slower than AVX2's
+    for vectors of four, by a tenth of a solve.
+    """
+    narrow = ("-mno-avx512f",) if platform.machine().lower() in _X86 else ()
+    return ("-march=native", *narrow, "-fno-math-errno")
+
 
 _TIMEOUT = 300.0  # s; gcc needs 25 s for 30,000 operations
 

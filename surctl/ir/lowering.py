@@ -19,7 +19,7 @@ _NAMES: Mapping[int, str] = MappingProxyType(
 )
 
 
-def lower(function: ca.Function) -> Program:
+def lower(function: ca.Function, *, reciprocals: bool = False) -> Program:
     """Instruction list of a function of dense vectors.
 
     Equal subexpressions are computed once, the four operations of `if_else` become one `select` (which,
@@ -28,6 +28,8 @@ def lower(function: ca.Function) -> Program:
 
     Args:
         function: SX function, or an MX function that expands to one.
+        reciprocals: several divisions by one number become products with its inverse: faster, and rounded once more.
+            CasADi turns every such product into a division on its own.
 
     Raises:
         UnsupportedOperation: an operation outside `surctl.ir.ops.OPERATIONS`, named with its substitute.
@@ -39,8 +41,28 @@ def lower(function: ca.Function) -> Program:
     stored = _walk(sx, builder)
     refs = [_dense_refs(sx, k, stored, builder) for k in range(sx.n_out())]
     outputs = tuple((str(sx.name_out(k)), len(refs[k])) for k in range(sx.n_out()))
+    if reciprocals:
+        builder, moved = _with_reciprocals(builder)
+        refs = [tuple(moved[at] for at in entries) for entries in refs]
     instructions, output_refs = drop_dead(builder.instructions, refs)
     return Program(builder.name, inputs, outputs, instructions, output_refs)
+
+
+def _with_reciprocals(old: _Builder) -> tuple[_Builder, list[int]]:
+    """The same list with shared divisors inverted once, and where each instruction is now."""
+    divisors = [i.args[1] for i in old.instructions if i.op == "div"]
+    shared = {at for at in divisors if divisors.count(at) > 1}
+    new, moved = _Builder(old.name), list[int]()
+    for instruction in old.instructions:
+        leaf = instruction.op in LEAVES
+        args = instruction.args if leaf else tuple(moved[a] for a in instruction.args)
+        if instruction.op == "const":
+            moved.append(new.constant(float(instruction.value or 0.0)))
+        elif instruction.op == "div" and instruction.args[1] in shared:
+            moved.append(new.add("mul", (args[0], new.add("inv", (args[1],)))))
+        else:
+            moved.append(new.add(instruction.op, args))
+    return new, moved
 
 
 def _expanded(function: ca.Function) -> ca.Function:

@@ -8,19 +8,20 @@ import tempfile
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
+from surctl.ir.c99 import C_TYPE, Real
 from surctl.ir.c99_routine import emit_block
 from surctl.ir.cache import shared_library
 from surctl.ir.routine import Block
 
 __all__ = ["Native", "Workspace", "compile_block"]
 
-Array = NDArray[np.float64]
+Array: TypeAlias = NDArray[Any]  # of the block's dtype
 
 _SYMBOL = "surctl_block"
 
@@ -37,7 +38,7 @@ class Workspace:
 
     def __init__(self, native: Native) -> None:
         sizes = [size for _, size in (*native.block.inputs, *native.block.outputs)]
-        self._memory = np.zeros(max(1, sum(sizes)))
+        self._memory = np.zeros(max(1, sum(sizes)), dtype=native.dtype)
         ends = np.cumsum([0, *sizes])
         views = [self._memory[a:b] for a, b in itertools.pairwise(ends)]
         split = len(native.block.inputs)
@@ -51,10 +52,11 @@ class Native:
 
     Attributes:
         block: what was compiled.
+        dtype: of every array, np.float64 or np.float32.
     """
 
-    def __init__(self, block: Block, library: bytes) -> None:
-        self.block = block
+    def __init__(self, block: Block, library: bytes, *, real: Real = "float64") -> None:
+        self.block, self.dtype = block, np.dtype(real)
         self._inputs, self._outputs = block.inputs, block.outputs  # a routine works them out anew each time
         with tempfile.TemporaryDirectory(prefix="surctl-") as folder:
             path = Path(folder) / "block.so"
@@ -73,8 +75,8 @@ class Native:
 
     def bound(self, memory: Array) -> Callable[[], None]:
         """The function on one flat buffer: inputs, then outputs, end to end. The caller keeps the buffer alive."""
-        if memory.dtype != np.float64 or not memory.flags.c_contiguous:
-            raise InputError("is not a contiguous float64 buffer", key=self.block.name)
+        if memory.dtype != self.dtype or not memory.flags.c_contiguous:
+            raise InputError(f"is not a contiguous {self.dtype} buffer", key=self.block.name)
         function: Any = self._library.surctl_run
         return partial(function, ctypes.c_void_p(memory.ctypes.data))
 
@@ -83,47 +85,51 @@ class Native:
         wanted = self._inputs
         if len(inputs) != len(wanted):
             raise InputError(f"takes {len(wanted)} inputs, got {len(inputs)}", key=self.block.name)
-        arrays = [np.asarray(x, dtype=np.float64) for x in inputs]
+        arrays = [np.asarray(x, dtype=self.dtype) for x in inputs]
         for array, (name, size) in zip(arrays, wanted, strict=True):
             if array.ndim == 0 or array.shape[-1] != size:
                 raise InputError(f"has shape {array.shape}, expected (…, {size})", key=f"{self.block.name}.{name}")
         batch = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
         full = [np.ascontiguousarray(np.broadcast_to(a, (*batch, a.shape[-1]))) for a in arrays]
-        out = [np.empty((*batch, size)) for _, size in self._outputs]
+        out = [np.empty((*batch, size), dtype=self.dtype) for _, size in self._outputs]
         count = int(np.prod(batch, dtype=np.int64))
         self._library.surctl_run_many(count, *(a.ctypes.data for a in (*full, *out)))
         return out
 
 
-def compile_block(block: Block, *, flags: Sequence[str] = (), folder: Path | None = None) -> Native:
+def compile_block(
+    block: Block, *, flags: Sequence[str] = (), folder: Path | None = None, real: Real = "float64"
+) -> Native:
     """Compile a block, or take it from the cache.
 
     Args:
         block: program or routine.
         flags: more flags for the compiler; none that changes results.
         folder: of the cache (`surctl.ir.cache.cache_folder()` if None).
+        real: "float32" computes in float; inputs are rounded to it.
 
     Raises:
         ToolMissing: there is no compiler; `replay` runs the same block.
         InputError: a flag that changes results.
         SurctlError: the compiler refuses.
     """
-    return Native(block, shared_library(_source(block), flags=flags, folder=folder))
+    return Native(block, shared_library(_source(block, real), flags=flags, folder=folder), real=real)
 
 
-def _source(block: Block) -> str:
+def _source(block: Block, real: Real) -> str:
+    kind = C_TYPE[real]
     sizes = [size for _, size in (*block.inputs, *block.outputs)]
     split = len(block.inputs)
     ends = [sum(sizes[:k]) for k in range(len(sizes))]
     one = ", ".join(f"memory + {end}" for end in ends)
-    kinds = ["const double *"] * split + ["double *"] * (len(sizes) - split)
+    kinds = [f"const {kind} *"] * split + [f"{kind} *"] * (len(sizes) - split)
     head = ", ".join(["long count", *(f"{kind}x{k}" for k, kind in enumerate(kinds))])
     many = ", ".join(f"x{k} + {size} * i" for k, size in enumerate(sizes))
     return f"""#include <math.h>
 
-{emit_block(block, symbol=_SYMBOL)}
-void surctl_run(double *memory);
-void surctl_run(double *memory)
+{emit_block(block, symbol=_SYMBOL, real=real)}
+void surctl_run({kind} *memory);
+void surctl_run({kind} *memory)
 {{
     {_SYMBOL}({one});
 }}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 from surctl.errors import InputError
 from surctl.ir.ops import LEAVES, LIBM, OPERATIONS
@@ -95,6 +96,10 @@ class Program:
 
     def digest(self) -> str:
         """SHA-256 of `text`, in hexadecimal: the key of every cache and identity of the function."""
+        return self._digest
+
+    @cached_property
+    def _digest(self) -> str:
         return hashlib.sha256(self.text().encode()).hexdigest()
 
 

@@ -57,10 +57,12 @@ def _run_routine(routine: Routine, arrays: list[Value], real: Real) -> list[Valu
     scope = {name: array for (name, _), array in zip(routine.inputs, arrays, strict=True)}
     for step in routine.steps:
         if isinstance(step, Gather):
-            scope[step.result] = _piece(scope[step.source], scope[step.index], step.width)
+            scope[step.result] = _piece(
+                _plain(scope[step.source], step.width, step.lanes), scope[step.index], step.width
+            )
             continue
         if isinstance(step, Loop):
-            made = _run_loop(step, scope, real)
+            made = _run_loop(step, scope, real) if step.lanes == 1 else _run_lanes(step, scope, real)
         else:
             made = _run(step.block, [scope[name] for name in step.args], real)
         scope.update(zip(step.results, made, strict=True))
@@ -69,7 +71,7 @@ def _run_routine(routine: Routine, arrays: list[Value], real: Real) -> list[Valu
 
 def _run_loop(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
     state = [scope[name] for name in loop.carried]
-    pieces = [np.split(scope[name], loop.count, axis=-1) for name in loop.sliced]
+    pieces = [np.split(scope[name], loop.count, axis=-1) for name in (*loop.sliced, *loop.spread)]
     fixed = [scope[name] for name in loop.fixed]
     stacked: list[list[Value]] = []
     for turn in range(loop.count):
@@ -83,6 +85,54 @@ def _run_loop(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
         state = fresh if running is None else [np.where(running, a, b) for a, b in zip(fresh, state, strict=True)]
         stacked.append(made[len(state) :])
     return [*state, *(np.concatenate(parts, axis=-1) for parts in _broadcast(stacked))]
+
+
+def _run_lanes(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
+    """The lanes as a further axis of the batch."""
+    lanes = loop.lanes
+    state = [_by_lane(scope[name], lanes) for name in loop.carried]
+    pieces = [[_by_lane(x, lanes) for x in np.split(scope[name], loop.count, axis=-1)] for name in loop.sliced]
+    spread = [_cut(scope[name], loop.count, lanes) for name in loop.spread]
+    fixed = [scope[name][..., None, :] for name in loop.fixed]
+    stacked: list[list[Value]] = []
+    for turn in range(loop.count):
+        numbers: Value = np.array([[turn * lanes + k] for k in range(lanes)], dtype=real)
+        given: list[Value] = [
+            *([numbers] if loop.index else []),
+            *state,
+            *(x[turn] for x in (*pieces, *spread)),
+            *fixed,
+        ]
+        made = _run(loop.block, given, real)
+        state = made[: len(state)]
+        stacked.append([_by_entry(x, lanes) for x in made[len(state) :]])
+    return [*(_by_entry(x, lanes) for x in state), *(np.concatenate(x, axis=-1) for x in _broadcast(stacked))]
+
+
+def _by_lane(array: Value, lanes: int) -> Value:
+    """(…, entries · lanes), entry by entry → (…, lanes, entries)."""
+    return np.swapaxes(array.reshape(*array.shape[:-1], -1, lanes), -1, -2)
+
+
+def _by_entry(array: Value, lanes: int) -> Value:
+    """(…, lanes or 1, entries) → (…, entries · lanes), entry by entry."""
+    array = array if array.ndim > 1 else array[None]  # a program without inputs knows no lanes
+    full = np.broadcast_to(array, (*array.shape[:-2], lanes, array.shape[-1]))
+    return np.swapaxes(full, -1, -2).reshape(*array.shape[:-2], -1)
+
+
+def _cut(array: Value, count: int, lanes: int) -> list[Value]:
+    """(…, count · lanes · entries) → for each turn (…, lanes, entries)."""
+    cut = array.reshape(*array.shape[:-1], count, lanes, -1)
+    return [cut[..., turn, :, :] for turn in range(count)]
+
+
+def _plain(source: Value, width: int, lanes: int) -> Value:
+    """Pieces that stand `lanes` at a time entry by entry, one after the other."""
+    if lanes == 1:
+        return source
+    blocks = source.reshape(*source.shape[:-1], -1, width, lanes)
+    return np.swapaxes(blocks, -1, -2).reshape(source.shape)
 
 
 def _broadcast(stacked: list[list[Value]]) -> list[list[Value]]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 from surctl.errors import InputError
@@ -32,7 +33,8 @@ class Loop:
     """At most `count` turns of a block.
 
     In turn k the block takes, in this order: the number k (1,) if `index`; the carried arrays; piece k of each
-    sliced array; the fixed arrays. It gives the next carried arrays, then a piece k of each stacked array.
+    sliced array; a piece of each spread array; the fixed arrays. It gives the next carried arrays, then a piece k of
+    each stacked array.
 
     Attributes:
         block: the body, a program or a routine (loops nest).
@@ -44,6 +46,10 @@ class Loop:
         index: whether the body takes the number of the turn.
         until: position in `carried` of a flag of size 1; the loop ends before the first turn that finds it other
             than 0 (a NaN too), so that a flag that is up at the start means no turn at all. No stacked arrays then.
+        spread: arrays of `count` · `lanes` equal pieces; lane l of turn k reads piece k · `lanes` + l.
+        lanes: number of runs of the body side by side, each on its own numbers. The body is a program then; carried
+            and stacked arrays and the pieces of the sliced ones hold `lanes` numbers an entry, entry by entry; the
+            fixed arrays are shared, and the index of lane l is k · `lanes` + l. No `until`.
     """
 
     block: Block
@@ -54,19 +60,23 @@ class Loop:
     fixed: tuple[str, ...] = ()
     index: bool = False
     until: int | None = None
+    spread: tuple[str, ...] = ()
+    lanes: int = 1
 
 
 @dataclass(frozen=True, slots=True)
 class Gather:
     """result = piece `index` of the source, cut in pieces of `width`.
 
-    The index (1,) is rounded down; outside the array the nearest piece is taken, and piece 0 for a NaN.
+    The index (1,) is rounded down; outside the array the nearest piece is taken, and piece 0 for a NaN. With `lanes`
+    the source is one that a loop with as many lanes stacked: `lanes` pieces stand entry by entry.
     """
 
     source: str
     index: str
     width: int
     result: str
+    lanes: int = 1
 
 
 @dataclass(frozen=True)
@@ -130,6 +140,10 @@ class Routine:
 
     def digest(self) -> str:
         """SHA-256 of `text`, in hexadecimal."""
+        return self._digest
+
+    @cached_property
+    def _digest(self) -> str:
         return hashlib.sha256(self.text().encode()).hexdigest()
 
 
@@ -157,7 +171,7 @@ def _collect(block: Block, found: dict[int, Block]) -> None:
 
 
 def _turns(step: Call | Loop) -> int:
-    return step.count if isinstance(step, Loop) else 1
+    return step.count * step.lanes if isinstance(step, Loop) else 1
 
 
 def _own_text(routine: Routine) -> str:
@@ -169,13 +183,14 @@ def _own_text(routine: Routine) -> str:
 
 def _step_text(step: Step) -> str:
     if isinstance(step, Gather):
-        return f"{step.result} = gather {step.source} {step.index} width {step.width}"
+        return f"{step.result} = gather {step.source} {step.index} width {step.width} lanes {step.lanes}"
     what = f"{step.block.name}:{step.block.digest()[:16]}"
     if isinstance(step, Call):
         return f"{' '.join(step.results)} = call {what} {' '.join(step.args)}"
     return (
         f"{' '.join(step.results)} = loop {what} count {step.count} index {int(step.index)} until {step.until}"
         f" carried {' '.join(step.carried)} sliced {' '.join(step.sliced)} fixed {' '.join(step.fixed)}"
+        f" spread {' '.join(step.spread)} lanes {step.lanes}"
     )
 
 
@@ -194,7 +209,8 @@ def _size(sizes: Mapping[str, int], name: str, key: str) -> int:
 def written(step: Step, sizes: Mapping[str, int], key: str) -> Iterator[tuple[str, int]]:
     """(name, size) of what the step writes, after a check of what it reads."""
     if isinstance(step, Gather):
-        if step.width < 1 or _size(sizes, step.source, key) % step.width or _size(sizes, step.index, key) != 1:
+        block = step.width * step.lanes
+        if block < 1 or _size(sizes, step.source, key) % block or _size(sizes, step.index, key) != 1:
             raise InputError("cannot be cut in such pieces", key=key, value=step.source)
         return iter([(step.result, step.width)])
     given = [_size(sizes, name, key) for name in step.args] if isinstance(step, Call) else _fed(step, sizes, key)
@@ -205,6 +221,7 @@ def written(step: Step, sizes: Mapping[str, int], key: str) -> Iterator[tuple[st
     if isinstance(step, Loop):
         _check_carried(step, sizes, made, key)
         state = len(step.carried)
+        made = [size * step.lanes for size in made]
         made = made[:state] + [step.count * size for size in made[state:]]
     if len(made) != len(step.results):
         raise InputError(f"names {len(step.results)} results, there are {len(made)}", key=key)
@@ -215,15 +232,20 @@ def _fed(loop: Loop, sizes: Mapping[str, int], key: str) -> list[int]:
     """Sizes of what a turn passes to the body."""
     if loop.count < 1:
         raise InputError("a loop needs at least one turn", key=key, value=loop.count)
-    pieces = [_size(sizes, name, key) for name in loop.sliced]
-    if any(size % loop.count for size in pieces):
-        raise InputError(f"cannot be cut in {loop.count} equal pieces", key=key, value=list(loop.sliced))
-    carried, fixed = ([_size(sizes, name, key) for name in names] for names in (loop.carried, loop.fixed))
-    return [1] * loop.index + carried + [size // loop.count for size in pieces] + fixed
+    if loop.lanes < 1 or (loop.lanes > 1 and (loop.until is not None or not isinstance(loop.block, Program))):
+        raise InputError("lanes run a program side by side, all turns of it", key=key, value=loop.lanes)
+    carried, pieces, spread, fixed = (
+        [_size(sizes, name, key) for name in names] for names in (loop.carried, loop.sliced, loop.spread, loop.fixed)
+    )
+    turns = loop.count * loop.lanes
+    if any(size % turns for size in (*pieces, *spread)) or any(size % loop.lanes for size in carried):
+        raise InputError(f"cannot be cut in {turns} equal pieces", key=key, value=[*loop.sliced, *loop.spread])
+    carried = [size // loop.lanes for size in carried]
+    return [1] * loop.index + carried + [size // turns for size in (*pieces, *spread)] + fixed
 
 
 def _check_carried(loop: Loop, sizes: Mapping[str, int], made: list[int], key: str) -> None:
-    state = [_size(sizes, name, key) for name in loop.carried]
+    state = [_size(sizes, name, key) // loop.lanes for name in loop.carried]
     if made[: len(state)] != state:
         raise InputError(f"carries arrays of {state} entries, the body gives {made}", key=key)
     if loop.until is None:

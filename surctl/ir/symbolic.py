@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any
 
@@ -60,16 +61,28 @@ def to_casadi(block: Block) -> ca.Function:
 
 def _program(program: Program) -> ca.Function:
     inputs = [ca.SX.sym(name, size) for name, size in program.inputs]
-    values: list[ca.SX] = []
-    for instruction in program.instructions:
-        if instruction.op == "const":
-            values.append(ca.SX(float(instruction.value or 0.0)))
-        elif instruction.op == "input":
-            values.append(inputs[instruction.args[0]][instruction.args[1]])
-        else:
-            values.append(_SYMBOLIC[instruction.op](*(values[a] for a in instruction.args)))
+    with _as_written():
+        values: list[ca.SX] = []
+        for instruction in program.instructions:
+            if instruction.op == "const":
+                values.append(ca.SX(float(instruction.value or 0.0)))
+            elif instruction.op == "input":
+                values.append(inputs[instruction.args[0]][instruction.args[1]])
+            else:
+                values.append(_SYMBOLIC[instruction.op](*(values[a] for a in instruction.args)))
     outputs = [ca.densify(ca.vertcat(ca.SX(0, 1), *(values[r] for r in refs))) for refs in program.output_refs]
     return ca.Function(program.name, inputs, outputs)
+
+
+@contextmanager
+def _as_written() -> Iterator[None]:
+    """CasADi would turn a product with an inverse into a division, which rounds otherwise."""
+    usual = ca.GlobalOptions.getSimplificationOnTheFly()
+    ca.GlobalOptions.setSimplificationOnTheFly(False)
+    try:
+        yield
+    finally:
+        ca.GlobalOptions.setSimplificationOnTheFly(usual)
 
 
 def _routine(routine: Routine, made: Mapping[int, ca.Function]) -> ca.Function:
@@ -77,10 +90,13 @@ def _routine(routine: Routine, made: Mapping[int, ca.Function]) -> ca.Function:
     scope = {name: symbol for (name, _), symbol in zip(routine.inputs, inputs, strict=True)}
     for step in routine.steps:
         if isinstance(step, Gather):
-            scope[step.result] = _piece(scope[step.source], scope[step.index], step.width)
+            source = _plain(scope[step.source], step.width, step.lanes)
+            scope[step.result] = _piece(source, scope[step.index], step.width)
             continue
         if isinstance(step, Call):
             results = _called(made[id(step.block)], [scope[name] for name in step.args])
+        elif step.lanes > 1:
+            results = _side_by_side(step, made[id(step.block)], scope)
         else:
             results = _unrolled(step, made[id(step.block)], scope)
         scope.update(zip(step.results, results, strict=True))
@@ -94,7 +110,7 @@ def _called(function: ca.Function, arguments: list[ca.MX]) -> list[ca.MX]:
 
 def _unrolled(loop: Loop, function: ca.Function, scope: Mapping[str, ca.MX]) -> list[ca.MX]:
     state = [scope[name] for name in loop.carried]
-    pieces = [ca.vertsplit(scope[name], scope[name].numel() // loop.count) for name in loop.sliced]
+    pieces = [ca.vertsplit(scope[name], scope[name].numel() // loop.count) for name in (*loop.sliced, *loop.spread)]
     fixed = [scope[name] for name in loop.fixed]
     stacked: list[list[ca.MX]] = []
     for turn in range(loop.count):
@@ -107,6 +123,38 @@ def _unrolled(loop: Loop, function: ca.Function, scope: Mapping[str, ca.MX]) -> 
             fresh = [ca.if_else(running, a, b) for a, b in zip(fresh, state, strict=True)]
         state = fresh
     return [*state, *(ca.vertcat(*parts) for parts in zip(*stacked, strict=True))]
+
+
+def _side_by_side(loop: Loop, function: ca.Function, scope: Mapping[str, ca.MX]) -> list[ca.MX]:
+    lanes, turns = loop.lanes, loop.count * loop.lanes
+    state = [[scope[name][k::lanes] for k in range(lanes)] for name in loop.carried]
+    blocks = [ca.vertsplit(scope[name], scope[name].numel() // loop.count) for name in loop.sliced]
+    pieces = [ca.vertsplit(scope[name], scope[name].numel() // turns) for name in loop.spread]
+    fixed = [scope[name] for name in loop.fixed]
+    stacked: list[list[ca.MX]] = []
+    for turn in range(loop.count):
+        made = []
+        for k in range(lanes):
+            at = turn * lanes + k
+            own = [*(x[k] for x in state), *(x[turn][k::lanes] for x in blocks), *(x[at] for x in pieces)]
+            made.append(_called(function, [*([ca.MX(at)] if loop.index else []), *own, *fixed]))
+        outputs = [list(x) for x in zip(*made, strict=True)]
+        state = outputs[: len(state)]
+        stacked.append([_by_entry(x) for x in outputs[len(state) :]])
+    return [*(_by_entry(x) for x in state), *(ca.vertcat(*parts) for parts in zip(*stacked, strict=True))]
+
+
+def _by_entry(parts: list[ca.MX]) -> ca.MX:
+    """One array a lane → one array, entry by entry."""
+    return ca.reshape(ca.horzcat(*parts).T, -1, 1)
+
+
+def _plain(source: ca.MX, width: int, lanes: int) -> ca.MX:
+    """Pieces that stand `lanes` at a time entry by entry, one after the other."""
+    if lanes == 1:
+        return source
+    blocks = ca.vertsplit(source, width * lanes)
+    return ca.vertcat(*(ca.reshape(ca.reshape(b, lanes, width).T, -1, 1) for b in blocks))
 
 
 def _piece(source: ca.MX, index: ca.MX, width: int) -> ca.MX:

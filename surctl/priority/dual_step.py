@@ -1,14 +1,14 @@
 """One iteration of the dual active-set method of Goldfarb and Idnani (1983) for min ‖y‖, as symbolic expressions.
 
-The unknown is y (d,); the rows act on v = base + Z y (n,) and on an opening t of the soft rows:
+The rows act on a point, and the point moves with the unknown y (d,):
 
-    lower − soft·t ≤ a·v ≤ upper + soft·t
+    lower ≤ g·point ≤ upper,   point = start + M y
 
-with a of length 1. Rows are priced on v itself, so that nothing has to be reduced but the row that enters, and the
-last pricing is a check of the very point that is handed out. Up to d active rows stand in slots: normal, multiplier
-and signed row number (+ at the upper bound, − at the lower, 0 empty). The slots are orthogonalised afresh in every
-iteration (modified Gram–Schmidt): no factor is updated, nothing drifts. A row that needs several steps is pending in
-between.
+or, where an opening t of the soft rows is free, lower − soft·t ≤ a·v ≤ upper + soft·t with point = (v, t). Rows are
+priced on the point itself, so that the last pricing is a check of what is handed out, `lanes` rows at a time. Up to d
+active rows stand in slots, the empty ones last: normal, multiplier and signed row number (+ at the upper bound, − at
+the lower, 0 empty). The slots are orthogonalised afresh in every iteration (modified Gram–Schmidt): no factor is
+updated, nothing drifts. A row that needs several steps is pending in between.
 """
 
 from __future__ import annotations
@@ -19,17 +19,25 @@ import casadi as ca
 
 from surctl.ir import Program, lower
 from surctl.priority.elimination import as_matrix
+from surctl.priority.planar import planar
+from surctl.priority.precision import FLOAT64, Precision
 
-__all__ = ["OPTIMAL", "SKIPPED", "STUCK", "Space", "iteration", "misses", "pricing", "threshold", "which"]
+__all__ = [
+    "OPTIMAL",
+    "SKIPPED",
+    "STUCK",
+    "Space",
+    "close",
+    "halve",
+    "iteration",
+    "misses",
+    "pricing",
+    "threshold",
+    "which",
+]
 
 OPTIMAL, STUCK, SKIPPED = 1, 2, 3
 """Why an iteration was the last: no row is missed; no point keeps the rows; there was nothing to do."""
-
-_PRICED = 1e-12  # a row missed by no more than this, relative to 1 + max |v|, counts as kept
-_ROUNDING = 1e-10  # likewise for a row that depends on the active ones: more means that no point keeps both
-_PARALLEL = 1e-16  # square of the smallest part of a normal outside the span of the active ones
-_PUSHING = 1e-12
-_NEVER = 1e300
 
 
 @dataclass(frozen=True)
@@ -37,49 +45,89 @@ class Space:
     """Sizes, and which variables are free.
 
     Attributes:
-        n: length of v.
+        n: entries of the point that the rows act on; v without t.
         d: length of y, at least 1.
-        opening: whether t is free as well; then d = n + 1 and y = (v, t) − base, otherwise t is the base's.
+        opening: whether t is free as well; the point has n + 1 entries then, and d = n + 1.
+        mapped: whether M is given; otherwise it is the identity.
+        precision: tolerances.
     """
 
     n: int
     d: int
     opening: bool = False
+    mapped: bool = True
+    precision: Precision = FLOAT64
 
     @property
     def row(self) -> int:
-        """Entries of a row: a (n,), lower, upper, soft."""
-        return self.n + 3
+        """Entries of a row: its normal, lower, upper, soft (absent where M is the identity and t is not free)."""
+        return self.n + 3 if self.opening or self.mapped else self.n + 2
+
+    @property
+    def point(self) -> int:
+        """Entries of the point."""
+        return self.n + self.opening
 
 
 def pricing(space: Space) -> Program:
-    """(turn, best, row, point) → best: the most violated row so far, (amount, its number from 1).
+    """(turn, best, row, point) → best: the most violated row so far, (amount, its signed number from 1).
 
-    Strictly more than the best: the first of equals wins, and a NaN never does.
+    Strictly more than the best: the first of equals in a lane wins, and a NaN never does.
     """
     turn, best = ca.SX.sym("turn"), ca.SX.sym("best", 2)
-    row, point = ca.SX.sym("row", space.row), ca.SX.sym("point", space.n + 1)
+    row, point = ca.SX.sym("row", space.row), ca.SX.sym("point", space.point)
     above, below = misses(space, row, point)
-    missed = ca.if_else(above < below, below, above)
+    at_lower = above < below
+    missed = ca.if_else(at_lower, below, above)
+    number = ca.if_else(at_lower, -(turn + 1), turn + 1)
     better = best[0] < missed
-    result = ca.vertcat(ca.if_else(better, missed, best[0]), ca.if_else(better, turn + 1, best[1]))
+    result = ca.vertcat(ca.if_else(better, missed, best[0]), ca.if_else(better, number, best[1]))
     return lower(ca.Function("price_open" if space.opening else "price", [turn, best, row, point], [result]))
 
 
 def misses(space: Space, row: ca.SX, point: ca.SX) -> tuple[ca.SX, ca.SX]:
     """By how much the point is above the upper and below the lower bound (negative: inside)."""
     n = space.n
-    value = ca.dot(row[:n], point[:n])
-    if not space.opening:  # t is 0
+    value = _sum([row[i] * point[i] for i in range(n)])
+    if not space.opening:
         return value - row[n + 1], row[n] - value
     room = row[n + 2] * point[n]
     return value - (row[n + 1] + room), (row[n] - room) - value
 
 
+def _sum(terms: list[ca.SX]) -> ca.SX:
+    """In pairs: half the latency of one after the other."""
+    while len(terms) > 1:
+        terms = [a + b for a, b in zip(terms[::2], terms[1::2], strict=False)] + terms[len(terms) // 2 * 2 :]
+    return terms[0]
+
+
+def _dot(a: ca.SX, b: ca.SX) -> ca.SX:
+    return _sum([a[i] * b[i] for i in range(a.numel())])
+
+
 def threshold(space: Space) -> Program:
     """point → (smallest amount that counts, no row)."""
-    point = ca.SX.sym("point", space.n + 1)
-    return lower(ca.Function("threshold", [point], [ca.vertcat(_PRICED * _size(point[: space.n]), 0)]))
+    point = ca.SX.sym("point", space.point)
+    least = space.precision.priced * _size(point[: space.n])
+    return lower(ca.Function("threshold", [point], [ca.densify(ca.vertcat(least, 0))]))
+
+
+def halve() -> Program:
+    """(amount, amount, number, number) of two rows → (amount, number) of the one missed by more, else of the first."""
+    four = ca.SX.sym("four", 4)
+    tie = ca.logic_and(ca.eq(four[0], four[1]), ca.fabs(four[3]) < ca.fabs(four[2]))
+    second = ca.logic_or(four[0] < four[1], tie)
+    best = ca.vertcat(ca.if_else(second, four[1], four[0]), ca.if_else(second, four[3], four[2]))
+    return lower(ca.Function("halve", [four], [best]))
+
+
+def close() -> Program:
+    """(best, pending, status) → status: optimal if no row is missed and none is pending."""
+    best, pending, status = ca.SX.sym("best", 2), ca.SX.sym("pending", 2), ca.SX.sym("status")
+    idle = ca.logic_and(ca.eq(best[1], 0), ca.eq(pending[0], 0))
+    after = ca.if_else(ca.logic_and(ca.eq(status, 0), idle), OPTIMAL, status)
+    return lower(ca.Function("close", [best, pending, status], [after]))
 
 
 def _size(v: ca.SX) -> ca.SX:
@@ -90,15 +138,15 @@ def _size(v: ca.SX) -> ca.SX:
 
 
 def which() -> Program:
-    """(best, pending) → index of the row to work on: that of the pending one, if there is one; −1 for none."""
+    """(best, pending) → index of the row to work on, and its signed number: the pending one, if there is one."""
     best, pending = ca.SX.sym("best", 2), ca.SX.sym("pending", 2)
-    number = ca.if_else(ca.eq(pending[0], 0), best[1], ca.fabs(pending[0]))
-    return lower(ca.Function("which", [best, pending], [number - 1]))
+    number = ca.if_else(ca.eq(pending[0], 0), best[1], pending[0])
+    return lower(ca.Function("which", [best, pending], [ca.fabs(number) - 1, number]))
 
 
 @dataclass(frozen=True)
 class _Slots:
-    """Active rows: normals (d,) each, multipliers, numbers."""
+    """Active rows: normals (d,) each, multipliers, numbers; the empty slots last."""
 
     normals: list[ca.SX]
     multipliers: list[ca.SX]
@@ -107,7 +155,11 @@ class _Slots:
 
 @dataclass(frozen=True)
 class _Triangle:
-    """normals = Q R by modified Gram–Schmidt; an empty slot has a zero column and a zero in `inverse`."""
+    """normals = Q R by modified Gram–Schmidt without roots: Q orthogonal, R unit upper triangular.
+
+    Attributes:
+        Q: columns. R: above the diagonal. inverse: 1/‖q‖² of each column, 0 in an empty slot.
+    """
 
     Q: list[ca.SX]
     R: list[list[ca.SX]]
@@ -121,22 +173,25 @@ class _Triangle:
         for j, normal in enumerate(slots.normals):
             q = normal
             for i in range(j):
-                R[i][j] = ca.dot(Q[i], q)
+                R[i][j] = _dot(Q[i], q) * inverse[i]
                 q = q - R[i][j] * Q[i]
             used = slots.numbers[j] != 0
-            length = ca.sqrt(ca.if_else(used, ca.sumsqr(q), 1))
-            inverse.append(ca.if_else(used, 1 / length, 0))
-            Q.append(q * inverse[j])
+            inverse.append(ca.if_else(used, 1 / ca.if_else(used, _dot(q, q), 1), 0))
+            Q.append(q)
         return _Triangle(Q, R, inverse)
 
     def split(self, normal: ca.SX) -> tuple[ca.SX, list[ca.SX]]:
-        """(what stands outside the span, coordinates in Q); twice, which is enough (Parlett 1998, 6.9)."""
+        """(what stands outside the span, coordinates in Q); twice, which is enough (Parlett 1998, 6.9).
+
+        With the last slot taken nothing stands outside: it is left out of the first.
+        """
         outside, inside = normal, [ca.SX(0)] * len(self.Q)
         for _ in range(2):
-            for j, q in enumerate(self.Q):
-                part = ca.dot(q, outside)
+            for j, q in enumerate(self.Q[:-1]):
+                part = _dot(q, outside) * self.inverse[j]
                 outside = outside - part * q
                 inside[j] = inside[j] + part
+        inside[-1] = _dot(self.Q[-1], outside) * self.inverse[-1]
         return outside, inside
 
     def solve(self, rhs: list[ca.SX]) -> list[ca.SX]:
@@ -145,7 +200,6 @@ class _Triangle:
         for j in reversed(range(len(r))):
             for k in range(j + 1, len(r)):
                 r[j] = r[j] - self.R[j][k] * r[k]
-            r[j] = r[j] * self.inverse[j]
         return r
 
 
@@ -158,13 +212,48 @@ class _Entering:
     missed: ca.SX
 
     @staticmethod
-    def of(space: Space, row: ca.SX, at: ca.SX, *, pending: ca.SX, point: ca.SX, Z: ca.SX | None) -> _Entering:
+    def of(space: Space, row: ca.SX, number: ca.SX, *, point: ca.SX, M: ca.SX | None) -> _Entering:
         above, below = misses(space, row, point)
-        at_lower = ca.if_else(ca.eq(pending, 0), above < below, pending < 0)
-        number = at + 1
+        at_lower = number < 0
         a = ca.if_else(at_lower, -row[: space.n], row[: space.n])
-        normal = ca.vertcat(a, -row[space.n + 2]) if Z is None else Z.T @ a
-        return _Entering(ca.if_else(at_lower, -number, number), normal, ca.if_else(at_lower, below, above))
+        if M is not None:
+            a = ca.vertcat(*(_dot(M[:, j], a) for j in range(space.d)))
+        normal = ca.vertcat(a, -row[space.n + 2]) if space.opening else a
+        return _Entering(number, normal, ca.if_else(at_lower, below, above))
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where the entering row stands to the active ones.
+
+    Attributes:
+        outside: whether enough of its normal stands outside their span.
+        whole, full: step in the multiplier, and way (d,), that meet the row, if so.
+        rate: (d,), way for a step of 1. r: how fast the multipliers fall. ratios: multipliers divided by that.
+    """
+
+    outside: ca.SX
+    whole: ca.SX
+    full: ca.SX
+    rate: ca.SX
+    r: list[ca.SX]
+    ratios: list[ca.SX]
+
+    @staticmethod
+    def of(slots: _Slots, entering: _Entering, precision: Precision) -> _Place:
+        missed = entering.missed
+        if len(slots.normals) == 2:
+            at = planar(slots.normals, slots.numbers, slots.multipliers, entering.normal)
+            outside = at.apart * at.apart > precision.parallel * at.first
+            return _Place(outside, missed * at.whole, missed * at.full, at.rate, at.r, at.ratios)
+        triangle = _Triangle.of(slots)
+        rest, inside = triangle.split(entering.normal)
+        square = _dot(rest, rest)
+        outside = square > precision.parallel
+        whole = missed / ca.if_else(outside, square, 1)
+        r = triangle.solve(inside)
+        ratios = [u / ca.if_else(ca.eq(rate, 0), 1, rate) for u, rate in zip(slots.multipliers, r, strict=True)]
+        return _Place(outside, whole, whole * rest, rest, r, ratios)
 
 
 @dataclass(frozen=True)
@@ -172,66 +261,59 @@ class _Step:
     """How far to go, and what happens to the slots."""
 
     length: ca.SX
-    move: ca.SX
+    way: ca.SX
     full: ca.SX
     drop: list[ca.SX]
     status: ca.SX
 
     @staticmethod
-    def of(slots: _Slots, found: ca.SX, entering: _Entering, outside: ca.SX, r: list[ca.SX], size: ca.SX) -> _Step:
-        square = ca.sumsqr(outside)
-        room = ca.SX(0)
-        for number in slots.numbers:
-            room = ca.logic_or(room, ca.eq(number, 0))
+    def of(slots: _Slots, entering: _Entering, place: _Place, size: ca.SX, precision: Precision) -> _Step:
+        never = precision.never
         # a full step needs a free slot: rounding may see a further direction where there is none
-        free = ca.logic_and(square > _PARALLEL, room)
-        whole = ca.if_else(free, entering.missed / ca.if_else(free, square, 1), _NEVER)
-        part, first = ca.SX(_NEVER), ca.SX(-1)
-        for j, number in enumerate(slots.numbers):
-            gives = ca.logic_and(number != 0, r[j] > _PUSHING)
-            ratio = ca.if_else(gives, slots.multipliers[j] / ca.if_else(gives, r[j], 1), _NEVER)
-            sooner = ratio < part
+        free = ca.logic_and(place.outside, ca.eq(slots.numbers[-1], 0))
+        whole = ca.if_else(free, place.whole, never)
+        part, first = ca.SX(never), ca.SX(-1)
+        for j, (number, r, ratio) in enumerate(zip(slots.numbers, place.r, place.ratios, strict=True)):
+            sooner = ca.logic_and(ca.logic_and(number != 0, r > precision.pushing), ratio < part)
             part, first = ca.if_else(sooner, ratio, part), ca.if_else(sooner, j, first)
-        rounding = ca.logic_and(ca.logic_not(free), entering.missed <= _ROUNDING * size)
-        goes = ca.logic_and(found, ca.logic_not(rounding))
-        full = ca.logic_and(ca.logic_and(goes, free), whole <= part)
-        partial = ca.logic_and(ca.logic_and(goes, ca.logic_not(full)), part < _NEVER)
-        length = ca.if_else(full, whole, ca.if_else(partial, part, 0))
+        goes = ca.logic_not(ca.logic_and(ca.logic_not(free), entering.missed <= precision.rounding * size))
+        full = ca.logic_and(free, whole <= part)
+        partial = ca.logic_and(ca.logic_and(goes, ca.logic_not(full)), part < never)
         stuck = ca.logic_and(goes, ca.logic_not(ca.logic_or(full, partial)))
+        length = ca.if_else(full, whole, ca.if_else(partial, part, 0))
         return _Step(
             length=length,
-            move=ca.if_else(free, length, 0),
+            way=ca.if_else(full, place.full, ca.if_else(ca.logic_and(free, partial), part * place.rate, 0)),
             full=full,
-            drop=[ca.logic_and(partial, ca.eq(first, j)) for j in range(len(r))],
+            drop=[ca.logic_and(partial, ca.eq(first, j)) for j in range(len(place.r))],
             status=ca.if_else(goes, ca.if_else(stuck, STUCK, 0), OPTIMAL),
         )
 
 
 def iteration(space: Space) -> Program:
-    """(point, normals, multipliers, numbers, pending, status, count, at, row[, Z]) → the first seven, one step on.
+    """(point, normals, multipliers, numbers, pending, status, count, number, row[, M]) → the first seven, a step on.
 
-    point: (n + 1,), v and t. normals: (d·d,), slot by slot. multipliers, numbers: (d,). pending: (2,), signed number
-    (0: none) and multiplier. at: index of the row, −1 for none. Z: (n·d,) row by row, absent if the opening is free.
+    normals: (d·d,), slot by slot. multipliers, numbers: (d,). pending: (2,), signed number (0: none) and multiplier.
+    number: signed, of the row. M: (n·d,) row by row, absent unless `mapped`.
     """
     n, d = space.n, space.d
-    point, normals, u = ca.SX.sym("point", n + 1), ca.SX.sym("normals", d * d), ca.SX.sym("multipliers", d)
+    point, normals, u = ca.SX.sym("point", space.point), ca.SX.sym("normals", d * d), ca.SX.sym("multipliers", d)
     numbers, pending, status = ca.SX.sym("numbers", d), ca.SX.sym("pending", 2), ca.SX.sym("status")
-    count, at, row = ca.SX.sym("count"), ca.SX.sym("at"), ca.SX.sym("row", space.row)
-    Z = None if space.opening else ca.SX.sym("Z", n * d)
-    map_ = None if Z is None else as_matrix(Z, d)
+    count, number, row = ca.SX.sym("count"), ca.SX.sym("number"), ca.SX.sym("row", space.row)
+    M = ca.SX.sym("M", n * d) if space.mapped else None
+    map_ = None if M is None else as_matrix(M, d)
 
     slots = _Slots([normals[d * j : d * (j + 1)] for j in range(d)], ca.vertsplit(u), ca.vertsplit(numbers))
-    entering = _Entering.of(space, row, at, pending=pending[0], point=point, Z=map_)
-    triangle = _Triangle.of(slots)
-    outside, inside = triangle.split(entering.normal)
-    r = triangle.solve(inside)
-    step = _Step.of(slots, at >= 0, entering, outside, r, _size(point[:n]))
-    lifted = outside if map_ is None else ca.vertcat(map_ @ outside, 0)
+    entering = _Entering.of(space, row, number, point=point, M=map_)
+    place = _Place.of(slots, entering, space.precision)
+    step = _Step.of(slots, entering, place, _size(point[:n]), space.precision)
+    r, way = place.r, step.way
+    lifted = way if map_ is None else ca.vertcat(*(_dot(map_[i, :], way) for i in range(n)))
     multiplier = pending[1] + step.length
     after = _exchange(slots, step, r, entering, multiplier)
     stays = ca.logic_and(ca.eq(step.status, 0), ca.logic_not(step.full))
     outputs = [
-        point - step.move * lifted,
+        point - lifted,
         ca.vertcat(*after.normals),
         ca.vertcat(*after.multipliers),
         ca.vertcat(*after.numbers),
@@ -239,23 +321,22 @@ def iteration(space: Space) -> Program:
         step.status,
         count + 1,
     ]
-    inputs = [point, normals, u, numbers, pending, status, count, at, row, *([] if Z is None else [Z])]
-    return lower(ca.Function(f"iterate_{d}", inputs, outputs))
+    inputs = [point, normals, u, numbers, pending, status, count, number, row, *([] if M is None else [M])]
+    return lower(ca.Function(f"iterate_{d}", inputs, outputs), reciprocals=True)
 
 
 def _exchange(slots: _Slots, step: _Step, r: list[ca.SX], entering: _Entering, multiplier: ca.SX) -> _Slots:
-    """Multipliers after the step; the dropped row leaves its slot, the entering one takes the first empty slot."""
+    """Multipliers after the step; those behind the dropped row move up, the entering one takes the first empty slot."""
     columns: tuple[list[ca.SX], ...] = ([], [], [])
-    waiting = step.full
+    left = [ca.fmax(u - step.length * ratio, 0) for u, ratio in zip(slots.multipliers, r, strict=True)]
+    new = (entering.normal, multiplier, entering.number)
+    moves, taken_before = ca.SX(0), ca.SX(1)
     for j, drop in enumerate(step.drop):
-        takes = ca.logic_and(waiting, ca.eq(slots.numbers[j], 0))
-        waiting = ca.logic_and(waiting, ca.logic_not(takes))
-        left = ca.fmax(slots.multipliers[j] - step.length * r[j], 0)
-        for column, old, new in zip(
-            columns,
-            (slots.normals[j], left, slots.numbers[j]),
-            (entering.normal, multiplier, entering.number),
-            strict=True,
-        ):
-            column.append(ca.if_else(takes, new, ca.if_else(drop, 0, old)))
+        moves = ca.logic_or(moves, drop)
+        taken = slots.numbers[j] != 0
+        takes = ca.logic_and(step.full, ca.logic_and(taken_before, ca.logic_not(taken)))
+        taken_before = taken
+        for column, every, own in zip(columns, (slots.normals, left, slots.numbers), new, strict=True):
+            behind = every[j + 1] if j + 1 < len(every) else 0
+            column.append(ca.if_else(takes, own, ca.if_else(moves, behind, every[j])))
     return _Slots(*columns)

@@ -6,13 +6,9 @@ from typing import NamedTuple
 
 import casadi as ca
 
-__all__ = ["CUTOFF", "Elimination", "as_matrix", "eliminate", "flat"]
+from surctl.priority.precision import FLOAT64, Precision
 
-CUTOFF = 1e-10
-"""A row of length 1 whose distance from the span of the rows above it is below this depends on them."""
-
-_ZERO_ROW = 1e-15
-"""A row shorter than this is that of an inactive task."""
+__all__ = ["Elimination", "Reflection", "as_matrix", "eliminate", "flat", "pseudo_inverse", "reflect"]
 
 
 class Elimination(NamedTuple):
@@ -39,14 +35,58 @@ def flat(matrix: ca.SX) -> ca.SX:
     return ca.reshape(ca.densify(matrix).T, -1, 1)
 
 
-def eliminate(J: ca.SX) -> Elimination:
+class Reflection(NamedTuple):
+    """What p < n independent rows leave of n variables.
+
+    Attributes:
+        origin: (n,), the shortest x with J x = b.
+        free: (n, n − p), orthonormal columns, the other directions.
+        start: (n − p,), the target's coordinates there.
+        full: whether the rows are independent; the others are of no use if not.
+    """
+
+    origin: ca.SX
+    free: ca.SX
+    start: ca.SX
+    full: ca.SX
+
+
+def reflect(J: ca.SX, b: ca.SX, target: ca.SX, precision: Precision = FLOAT64) -> Reflection:
+    """Householder elimination of p < n rows that are expected to be independent: a third of the work of `eliminate`."""
+    p, n = J.shape
+    full, normals, weights, solved = ca.SX(1), list[ca.SX](), list[ca.SX](), list[ca.SX]()
+    for k in range(p):
+        y = J[k, :].T
+        for normal, weight in zip(normals, weights, strict=True):
+            y = _mirror(y, normal, weight)
+        square, whole = ca.sumsqr(y[k:]), ca.sumsqr(J[k, :])
+        usable = ca.logic_and(square > precision.cutoff**2 * whole, whole > precision.short**2)
+        full = ca.logic_and(full, usable)
+        size = ca.sqrt(ca.if_else(usable, square, 1))
+        pivot = ca.if_else(y[k] < 0, size, -size)
+        weights.append(1 / (size * (size + ca.fabs(y[k]))))
+        normals.append(ca.vertcat(ca.SX.zeros(k, 1), y[k] - pivot, y[k + 1 :]))
+        solved.append((b[k] - sum((y[i] * solved[i] for i in range(k)), ca.SX(0))) / pivot)
+    columns = [ca.vertcat(*solved, ca.SX.zeros(n - p, 1)), *(ca.SX.eye(n)[:, j] for j in range(p, n))]
+    for normal, weight in zip(reversed(normals), reversed(weights), strict=True):
+        columns = [_mirror(column, normal, weight) for column in columns]
+    for normal, weight in zip(normals, weights, strict=True):
+        target = _mirror(target, normal, weight)
+    return Reflection(columns[0], ca.horzcat(*columns[1:]), target[p:], full)
+
+
+def _mirror(x: ca.SX, normal: ca.SX, weight: ca.SX) -> ca.SX:
+    return x - (weight * ca.dot(normal, x)) * normal
+
+
+def eliminate(J: ca.SX, precision: Precision = FLOAT64) -> Elimination:
     """Householder elimination of the rows of J (p, n); dependent rows are passed over, first come first served."""
     p, n = J.shape
     basis, rank = ca.SX.eye(n), ca.SX(0)
     triangle = ca.SX.zeros(n, p)  # column k: what the free variable of row k needs, as a function of b − J v
     for k in range(p):
         length = ca.sqrt(ca.sumsqr(J[k, :]))
-        usable = length > _ZERO_ROW
+        usable = length > precision.short
         inverse = ca.if_else(usable, 1 / ca.if_else(usable, length, 1), 0)
         y = basis.T @ (J[k, :].T * inverse)
         first = min(k, n - 1)
@@ -55,7 +95,7 @@ def eliminate(J: ca.SX) -> Elimination:
         here = [_is(i, rank, k) for i in range(n)]
         head = sum((ca.if_else(here[i], y[i], 0) for i in range(first + 1)), ca.SX(0))
         size = ca.sqrt(ca.sumsqr(x))
-        alive = ca.logic_and(size > CUTOFF, rank < n) if k >= n else size > CUTOFF
+        alive = ca.logic_and(size > precision.cutoff, rank < n) if k >= n else size > precision.cutoff
         pivot = ca.if_else(head < 0, size, -size)
         weight = ca.if_else(alive, 1 / ca.if_else(alive, size * (size + ca.fabs(head)), 1), 0)
         normal = ca.vertcat(*(x[i] - ca.if_else(here[i], pivot, 0) for i in range(n)))
@@ -67,6 +107,16 @@ def eliminate(J: ca.SX) -> Elimination:
         triangle = ca.vertcat(*(ca.if_else(ca.logic_and(here[i], alive), scaled, triangle[i, :]) for i in range(n)))
         rank = rank + alive
     return Elimination(basis @ triangle, basis, rank)
+
+
+def pseudo_inverse(J: ca.SX, precision: Precision = FLOAT64) -> ca.SX:
+    """(n, p): Moore-Penrose inverse of J (p, n), by a complete orthogonal decomposition.
+
+    J = L Q.T with orthonormal columns Q of its row space; L, of full column rank, is eliminated in its turn.
+    """
+    left = eliminate(J, precision)
+    Q = ca.horzcat(*(ca.if_else(left.rank > i, left.basis[:, i], 0) for i in range(J.shape[1])))
+    return Q @ eliminate((J @ Q).T, precision).lift.T
 
 
 def _at_least(i: int, rank: ca.SX, k: int) -> ca.SX:

@@ -1,13 +1,33 @@
-"""The least-distance solver as a routine: the iteration of `dual_step` in a bounded loop."""
+"""The least-distance solver as a routine: the iteration of `dual_step` in a bounded loop.
+
+Rows stand in blocks of as many as there are lanes, entry by entry (`surctl.ir.Loop`), so that one instruction prices
+several.
+"""
 
 from __future__ import annotations
 
+import itertools
+import math
+
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
-from surctl.ir import Call, Gather, Loop, Program, Routine, lower
-from surctl.priority.dual_step import SKIPPED, Space, iteration, misses, pricing, threshold, which
+from surctl.ir import Call, Gather, Loop, Program, Routine, Step, lower
+from surctl.priority.dual_step import (
+    SKIPPED,
+    Space,
+    close,
+    halve,
+    iteration,
+    misses,
+    pricing,
+    threshold,
+    which,
+)
+from surctl.priority.elimination import as_matrix
 
-__all__ = ["CAP", "OPEN_CAP", "certificate", "kernel"]
+__all__ = ["CAP", "OPEN_CAP", "certificate", "in_blocks", "kernel", "lanes_of", "reduced_kernel"]
 
 CAP = 40
 """Largest number of iterations."""
@@ -15,7 +35,19 @@ CAP = 40
 OPEN_CAP = 80
 """The same where the opening is free: γ makes every soft row a candidate."""
 
-_KEPT = 1e-9
+_LANES = 4
+
+
+def lanes_of(rows: int) -> int:
+    """Rows a block: the largest of 4, 2, 1 that leaves no rest."""
+    return math.gcd(rows, _LANES)
+
+
+def in_blocks(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(…, rows, width) → (…, rows·width), as the routines here take them."""
+    *batch, count, width = rows.shape
+    lanes = lanes_of(count)
+    return np.swapaxes(rows.reshape(*batch, count // lanes, lanes, width), -1, -2).reshape(*batch, count * width)
 
 
 def kernel(space: Space, rows: int) -> Routine:
@@ -23,82 +55,178 @@ def kernel(space: Space, rows: int) -> Routine:
 
     The point nearest to the base, in y, that keeps all rows.
 
-    rows: (rows·(n + 3),), each a (of length 1, or 0), lower, upper, soft. base: (n + 1,), v and t. skip: not 0
-    gives the base with status `SKIPPED`. Z: (n·d,), row by row, orthonormal columns (or an orthogonal projector);
+    rows: (rows·(n + 3),) in blocks, each a (of length 1, or 0), lower, upper, soft. base: (n + 1,), v and t. skip: not
+    0 gives the base with status `SKIPPED`. Z: (n·d,), row by row, orthonormal columns (or an orthogonal projector);
     absent if the opening is free. status: 0 when `CAP` (`OPEN_CAP`) was reached; the point is then of no use.
     """
     n, d = space.n, space.d
     free = () if space.opening else (("Z", n * d),)
+    base, x = ca.SX.sym("base", n + 1), ca.SX.sym("x", space.point)
+    take = lower(ca.Function(f"take_{space.point}", [base], [base[: space.point]]))
+    full = x if space.opening else ca.vertcat(x, base[n])
+    give = lower(ca.Function(f"give_{space.point}", [x, base], [full]))
+    search = _search(space, rows)
+    steps = (
+        Call(take, ("base",), ("start",)),
+        Call(
+            search,
+            ("rows", "start", "skip", *(name for name, _ in free)),
+            ("x", "numbers", "multipliers", "status", "count"),
+        ),
+        Call(give, ("x", "base"), ("point",)),
+    )
+    inputs = (("rows", rows * (n + 3)), ("base", n + 1), ("skip", 1), *free)
+    return Routine(f"nearest_{d}", inputs, steps, ("point", "numbers", "multipliers", "status", "count"))
+
+
+def reduced_kernel(space: Space, rows: int) -> Routine:
+    """(rows, origin, start, skip, Z) → (point, numbers, multipliers, status, count): as `kernel`, in d < n variables.
+
+    The point is origin + Z y, with y (d,) nearest to start; the rows are reduced to y once. The origin (n,) should be
+    of the size of the answer, or the rows' bounds lose digits; start may be far away. The point has t = 0.
+    """
+    n, d = space.n, space.d
+    lanes = lanes_of(rows)
+    small = Space(d, d, mapped=False, precision=space.precision)
+    origin, Z, y = ca.SX.sym("origin", n), ca.SX.sym("Z", n * d), ca.SX.sym("y", d)
+    lift = lower(ca.Function("lift", [origin, Z, y], [ca.vertcat(origin + as_matrix(Z, d) @ y, 0)]))
+    steps = (
+        Loop(
+            _reduce(space), rows // lanes, (), ("table",), sliced=("rows",), fixed=("origin", "Z"), lanes=lanes
+        ),
+        Call(_search(small, rows), ("table", "start", "skip"), ("y", "numbers", "multipliers", "status", "count")),
+        Call(lift, ("origin", "Z", "y"), ("point",)),
+    )  # fmt: skip
+    inputs = (("rows", rows * (n + 3)), ("origin", n), ("start", d), ("skip", 1), ("Z", n * d))
+    return Routine(f"reduced_{d}", inputs, steps, ("point", "numbers", "multipliers", "status", "count"))
+
+
+def _reduce(space: Space) -> Program:
+    """(row, origin, Z) → the row on y: Z.T a, lower and upper less what the origin takes."""
+    n, d = space.n, space.d
+    row, origin, Z = ca.SX.sym("row", n + 3), ca.SX.sym("origin", n), ca.SX.sym("Z", n * d)
+    value = ca.dot(row[:n], origin)
+    reduced = ca.vertcat(as_matrix(Z, d).T @ row[:n], row[n] - value, row[n + 1] - value)
+    return lower(ca.Function("reduce", [row, origin, Z], [reduced]))
+
+
+def _search(space: Space, rows: int) -> Routine:
+    """(rows, start, skip[, M]) → (point, numbers, multipliers, status, count)."""
+    free = (("M", space.n * space.d),) if space.mapped and not space.opening else ()
+    space = space if free else Space(space.n, space.d, space.opening, mapped=False, precision=space.precision)
+    width = space.row
     names = tuple(name for name, _ in free)
     state = tuple(name for name, _ in _state(space))
-    last = tuple(f"{name}_last" for name in state)
     cap = OPEN_CAP if space.opening else CAP
     steps = (
-        Call(_start(space), ("base", "skip"), state),
-        Loop(_turn(space, rows), cap, carried=state, results=last, fixed=("rows", *names), until=5),
+        Call(_start(space), ("base", "skip"), tuple(f"{name}_first" for name in state[:-2])),
+        *_price(space, rows, "_first"),
+        Call(close(), ("best_first", "pending_first", "began_first"), ("status_first",)),
+        Loop(
+            _turn(space, rows),
+            cap,
+            carried=tuple(f"{name}_first" for name in state),
+            results=tuple(f"{name}_last" for name in state),
+            fixed=("rows", *names),
+            until=len(state) - 1,
+        ),
     )
-    inputs = (("rows", rows * space.row), ("base", n + 1), ("skip", 1), *free)
+    inputs = (("rows", rows * width), ("base", space.point), ("skip", 1), *free)
     results = ("point_last", "numbers_last", "multipliers_last", "status_last", "count_last")
-    return Routine(f"nearest_{d}", inputs, steps, results)
+    return Routine(f"search_{space.d}", inputs, steps, results)
 
 
 def _state(space: Space) -> tuple[tuple[str, int], ...]:
     d = space.d
     return (
-        ("point", space.n + 1),
+        ("point", space.point),
         ("normals", d * d),
         ("multipliers", d),
         ("numbers", d),
         ("pending", 2),
-        ("status", 1),
+        ("began", 1),
         ("count", 1),
+        ("best", 2),
+        ("status", 1),
     )
 
 
 def _start(space: Space) -> Program:
-    """(base, skip) → the state before the first iteration."""
-    base, skip = ca.SX.sym("base", space.n + 1), ca.SX.sym("skip")
+    """(start, skip) → the state before the first pricing."""
+    base, skip = ca.SX.sym("base", space.point), ca.SX.sym("skip")
     d = space.d
     zeros = [ca.SX.zeros(size, 1) for size in (d * d, d, d, 2)]
     status = ca.if_else(skip, SKIPPED, 0)
     return lower(ca.Function(f"start_{d}", [base, skip], [base, *map(ca.densify, zeros), status, ca.SX.zeros(1)]))
 
 
+def _price(space: Space, rows: int, tag: str) -> tuple[Step, ...]:
+    """The most violated row at point{tag}: of each lane, then of half as many lanes, until one is left."""
+    lanes = lanes_of(rows)
+    names = [f"best{tag}" if left == 1 else f"best{tag}_of_{left}" for left in (8, 4, 2, 1) if left <= lanes]
+    halves: list[Step] = []
+    for full, half in itertools.pairwise(names):
+        lanes_left = lanes // 2 ** (len(halves) + 1)
+        halves.append(Loop(halve(), 1, (), (half,), sliced=(full,), lanes=lanes_left))
+    return (
+        Loop(threshold(space), 1, (), (f"least{tag}",), fixed=(f"point{tag}",), lanes=lanes),
+        Loop(
+            pricing(space), rows // lanes, (f"least{tag}",), (names[0],), sliced=("rows",),
+            fixed=(f"point{tag}",), index=True, lanes=lanes,
+        ),
+        *halves,
+    )  # fmt: skip
+
+
 def _turn(space: Space, rows: int) -> Routine:
-    """Price all rows, fetch the one to work on, make one step."""
-    state = _state(space)
-    free = () if space.opening else (("Z", space.n * space.d),)
-    given = tuple(name for name, _ in state)
-    after = tuple(f"{name}_next" for name in given)
+    """One step with the row that the last pricing found, or with the pending one; then all rows are priced."""
+    state, lanes = _state(space), lanes_of(rows)
+    free = (("M", space.n * space.d),) if space.mapped else ()
+    given = tuple(name for name, _ in state[:-2])
     steps = (
-        Call(threshold(space), ("point",), ("least",)),
-        Loop(pricing(space), rows, ("least",), ("best",), sliced=("rows",), fixed=("point",), index=True),
-        Call(which(), ("best", "pending"), ("at",)),
-        Gather("rows", "at", space.row, "row"),
-        Call(iteration(space), (*given, "at", "row", *(name for name, _ in free)), after),
-    )
-    return Routine(f"turn_{space.d}", (*state, ("rows", rows * space.row), *free), steps, after)
+        Call(which(), ("best", "pending"), ("at", "number")),
+        Gather("rows", "at", space.row, "row", lanes=lanes),
+        Call(
+            iteration(space), (*given, "number", "row", *(name for name, _ in free)),
+            tuple(f"{name}_next" for name in given),
+        ),
+        *_price(space, rows, "_next"),
+        Call(close(), ("best_next", "pending_next", "began_next"), ("status_next",)),
+    )  # fmt: skip
+    inputs = (*state, ("rows", rows * space.row), *free)
+    return Routine(f"turn_{space.d}", inputs, steps, tuple(f"{name}_next" for name, _ in state))
 
 
 def certificate(space: Space, rows: int) -> Routine:
-    """(rows, point) → 1 if the point keeps every row within 1e-9 (relative to max |v| above 1), else 0.
+    """(rows, point) → 1 if the point (n + 1,) keeps every row within `kept` (relative to max |v| above 1), else 0.
 
     Written as what holds, not as what is violated: a NaN keeps nothing.
     """
-    n = space.n
-    kept, row, point = ca.SX.sym("kept"), ca.SX.sym("row", space.row), ca.SX.sym("point", n + 1)
+    n, lanes = space.n, lanes_of(rows)
+    full = Space(n, space.d, space.opening, precision=space.precision)
+    kept, row, point = ca.SX.sym("kept"), ca.SX.sym("row", n + 3), ca.SX.sym("point", n + 1)
     size = ca.SX.sym("size")
-    above, below = misses(space, row, point)
+    above, below = misses(full, row, point)
     good = ca.if_else(below <= size, ca.if_else(above <= size, kept, 0), 0)
     one = lower(ca.Function("keeps", [kept, row, point, size], [good]))
     largest = ca.SX(1)
     for i in range(n):
         largest = ca.fmax(largest, ca.fabs(point[i]))
-    begin = lower(ca.Function("tolerance", [point], [ca.SX(1), _KEPT * largest]))
+    begin = lower(ca.Function("tolerance", [point], [space.precision.kept * largest]))
+    yes_all = lower(ca.Function("ones", [], [ca.SX.ones(1)]))
+    every, yes = ca.SX.sym("every", lanes), ca.SX(1)
+    for k in range(lanes):
+        yes = ca.logic_and(yes, every[k])
+    end = lower(ca.Function("all_kept", [every], [yes]))
     steps = (
-        Call(begin, ("point",), ("yes", "size")),
-        Loop(one, rows, ("yes",), ("kept",), sliced=("rows",), fixed=("point", "size")),
+        Call(begin, ("point",), ("size",)),
+        Loop(yes_all, 1, (), ("yes",), lanes=lanes),
+        Loop(one, rows // lanes, ("yes",), ("every",), sliced=("rows",), fixed=("point", "size"), lanes=lanes),
+        Call(end, ("every",), ("kept",)),
     )
     return Routine(
-        "certify_open" if space.opening else "certify", (("rows", rows * space.row), ("point", n + 1)), steps, ("kept",)
+        "certify_open" if space.opening else "certify",
+        (("rows", rows * (n + 3)), ("point", n + 1)),
+        steps,
+        ("kept",),
     )

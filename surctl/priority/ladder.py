@@ -14,19 +14,18 @@ import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, lower
 from surctl.priority.dual_step import OPTIMAL
-from surctl.priority.elimination import as_matrix, eliminate, flat
-from surctl.priority.rungs import LIMITED, RELAXED, SHORT, Sizes, exact_rung, lower_rungs
+from surctl.priority.elimination import as_matrix
+from surctl.priority.precision import FLOAT64, Precision
+from surctl.priority.rows import Sizes, unit_rows
+from surctl.priority.rungs import LIMITED, RELAXED, exact_rung, lower_rungs
 
 __all__ = ["CLAMPED", "LIMITED", "MET", "RELAXED", "safe_tick"]
 
 MET, CLAMPED = 1, 4
 """Status, beside `LIMITED` and `RELAXED` of the rungs between: task met; only kept in the box."""
 
-_MET = 1e-9
-_HUGE = 1e300
 
-
-def safe_tick(n: int, p: int, m: int) -> Routine:
+def safe_tick(n: int, p: int, m: int, *, precision: Precision = FLOAT64) -> Routine:
     """(target (n,), J (p·n,), x (p,), rows (m·(n + 3),), box (2n,)) → the answer, always finite.
 
     rows: a (n,), lower, upper, soft (1: may open, 0: may not), of any length. box: lower (n,), upper (n,).
@@ -37,35 +36,27 @@ def safe_tick(n: int, p: int, m: int) -> Routine:
     Args:
         n: velocities, at least 1.
         p: rows of the task, at least 1 (a row of zeros with x = 0 is no task).
-        m: rows, at least 1 (a row of zeros between infinite bounds is none).
+        m: rows, at least 1 (a row of zeros between infinite bounds is none); fastest if a multiple of 8.
+        precision: tolerances; those of the type of numbers that the routine is run with.
     """
-    sizes = Sizes(n, p, m)
+    sizes = Sizes(n, p, m, precision)
     carried = ("point", "active", "multipliers", "status", "count", "none")
     after = tuple(f"{name}_down" for name in carried)
     steps = (
-        Loop(_unit_row(sizes), m, (), ("unit",), sliced=("rows",)),
+        Call(unit_rows(sizes), ("rows",), ("unit",)),
+        Call(_zero(), (), ("none",)),
         Call(
-            _prepare(sizes),
-            ("J", "x", "target", "box"),
-            ("lift", "fast", "all", "full", "base", "idle", "near", "none", "sound"),
+            exact_rung(sizes), ("unit", "target", "J", "x", "none"),
+            ("point", "active", "multipliers", "end", "count"),
         ),
+        Call(sizes.certificate, ("unit", "point"), ("kept",)),
+        Call(_judge(sizes), ("point", "end", "kept", "J", "x"), ("status",)),
+        Loop(_down(sizes), 1, carried=carried, results=after, fixed=("unit", "target", "J", "x", "box"), until=3),
         Call(
-            exact_rung(sizes),
-            ("unit", "base", "idle", "fast", "all", "full"),
-            ("nearest", "active", "multipliers", "end", "count"),
+            _finish(sizes), ("point_down", "status_down", "none_down", "target", "J", "x", "box"),
+            ("v", "opening", "outcome"),
         ),
-        Call(sizes.certificate, ("unit", "nearest"), ("kept",)),
-        Call(_judge(sizes), ("nearest", "end", "kept", "J", "x", "base"), ("point", "status")),
-        Loop(
-            lower_rungs(sizes),
-            2,
-            carried=carried,
-            results=after,
-            fixed=("unit", "target", "near", "J", "x", "lift", "fast", "all", "full"),
-            until=3,
-        ),
-        Call(_finish(sizes), ("point_down", "status_down", "none_down", "sound", "box"), ("v", "opening", "outcome")),
-    )
+    )  # fmt: skip
     inputs = (("target", n), ("J", p * n), ("x", p), ("rows", sizes.rows), ("box", 2 * n))
     return Routine(
         "safe_tick",
@@ -75,99 +66,74 @@ def safe_tick(n: int, p: int, m: int) -> Routine:
     )
 
 
-def _unit_row(sizes: Sizes) -> Program:
-    """A row scaled to length 1; a row of zeros keeps its bounds: it is met always or never."""
-    n = sizes.n
-    row = ca.SX.sym("row", n + 3)
-    length = ca.sqrt(ca.sumsqr(row[:n]))
-    inverse = 1 / ca.if_else(length <= SHORT, 1, length)
-    return lower(ca.Function("unit_row", [row], [ca.vertcat(row[: n + 2] * inverse, row[n + 2])]))
+def _zero() -> Program:
+    return lower(ca.Function("zero", [], [ca.SX.zeros(1)]))
 
 
-def _prepare(sizes: Sizes) -> Program:
-    """(J, x, target, box) → lift, Z of the fast and of the general kernel, whether all rows count, base, 0, near, 0,
-    sound.
-
-    `near` is the target moved into the box: where rungs 2 and 3 start, since only the task's value and the opening
-    are taken from them, and small numbers are exact ones. `sound`: task and target are finite.
-    """
+def _down(sizes: Sizes) -> Routine:
+    """The one turn of a loop that runs where the first rung does not hold: two turns of the lower ones."""
     n, p = sizes.n, sizes.p
-    J, x, target = ca.SX.sym("J", p * n), ca.SX.sym("x", p), ca.SX.sym("target", n)
-    box = ca.SX.sym("box", 2 * n)
-    matrix = as_matrix(J, n)
-    left = eliminate(matrix)
-    taken = [left.rank > i for i in range(n)]
-    free = ca.horzcat(*(ca.if_else(taken[i], 0, left.basis[:, i]) if i < p else left.basis[:, i] for i in range(n)))
-    full = ca.eq(left.rank, p) if sizes.fast is not None else ca.SX(0)
-    fast = left.basis[:, p:] if sizes.fast is not None else ca.SX.zeros(1, 1)
-    base = target + left.lift @ (x - matrix @ target)
-    base = base + left.lift @ (x - matrix @ base)  # a far target costs digits: once more
-    sound = ca.SX(1)
-    for entry in ca.vertsplit(ca.vertcat(target, J, x)):
-        sound = ca.if_else(ca.fabs(entry) <= _HUGE, sound, 0)
+    state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("safe", 1))
+    fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("box", 2 * n))
+    carried = tuple(name for name, _ in state)
+    begun = ("closed", *carried[1:])
+    results = tuple(f"{name}_next" for name in carried)
+    steps = (
+        Call(_near(n), ("target", "box"), ("near", "closed")),
+        Loop(
+            lower_rungs(sizes), 2, carried=begun, results=results, fixed=("unit", "target", "near", "J", "x"), until=3
+        ),
+    )
+    return Routine("descend", (*state, *fixed), steps, results)
+
+
+def _near(n: int) -> Program:
+    """The target moved into the box: where rungs 2 and 3 start, as small numbers are exact ones; the same, t = 0."""
+    target, box = ca.SX.sym("target", n), ca.SX.sym("box", 2 * n)
     near = ca.vertcat(*(_into(target[i], box[i], box[n + i]) for i in range(n)))
-    outputs = [
-        flat(left.lift),
-        flat(fast),
-        flat(free),
-        full,
-        ca.vertcat(base, 0),
-        ca.SX.zeros(1),
-        near,
-        ca.SX.zeros(1),
-        sound,
-    ]
-    return lower(ca.Function("prepare", [J, x, target, box], list(map(ca.densify, outputs))))
+    return lower(ca.Function("near", [target, box], [near, ca.densify(ca.vertcat(near, 0))]))
 
 
 def _judge(sizes: Sizes) -> Program:
-    """(point, kernel status, kept, J, x, base) → point (the base if it does not count), MET or 0."""
+    """(point, kernel status, kept, J, x) → MET or 0: every task row met, relative to its length."""
     n, p = sizes.n, sizes.p
     point, end, kept = ca.SX.sym("point", n + 1), ca.SX.sym("end"), ca.SX.sym("kept")
-    J, x, base = ca.SX.sym("J", p * n), ca.SX.sym("x", p), ca.SX.sym("base", n + 1)
-    good = ca.logic_and(ca.logic_and(ca.eq(end, OPTIMAL), kept), _meets(as_matrix(J, n), x, point[:n]))
-    chosen = ca.densify(ca.if_else(good, point, base))
-    return lower(ca.Function("judge", [point, end, kept, J, x, base], [chosen, ca.if_else(good, MET, 0)]))
-
-
-def _meets(J: ca.SX, x: ca.SX, v: ca.SX) -> ca.SX:
-    """Whether every task row is met, relative to its length; said as what holds."""
-    size = ca.SX(1)
-    for i in range(v.numel()):
-        size = ca.fmax(size, ca.fabs(v[i]))
-    good = ca.SX(1)
-    for k in range(J.shape[0]):
-        length = ca.sqrt(ca.sumsqr(J[k, :]))
-        scale = ca.if_else(length <= SHORT, 1, length)
-        good = ca.logic_and(good, ca.fabs(ca.dot(J[k, :].T, v) - x[k]) <= _MET * size * scale)
-    return good
+    J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
+    matrix, size, short = as_matrix(J, n), ca.SX(1), sizes.precision.short**2
+    for i in range(n):
+        size = ca.fmax(size, ca.fabs(point[i]))
+    good = ca.logic_and(ca.eq(end, OPTIMAL), kept)
+    for k in range(p):
+        square = ca.sumsqr(matrix[k, :])
+        allowed = (sizes.precision.kept * size) ** 2 * ca.if_else(square <= short, 1, square)
+        good = ca.logic_and(good, (ca.dot(matrix[k, :].T, point[:n]) - x[k]) ** 2 <= allowed)
+    return lower(ca.Function("judge", [point, end, kept, J, x], [ca.if_else(good, MET, 0)]))
 
 
 def _finish(sizes: Sizes) -> Program:
-    """(point, status, safe, sound, box) → v inside the box, finite whatever came before; opening; outcome.
+    """(point, status, safe, target, J, x, box) → v inside the box, finite whatever came before; opening; outcome.
 
-    Whatever a task that is not finite led to is not called an answer. A point of rung 3 that keeps the opened rows
-    will do when nothing better was found from there.
+    Whatever a task or a target that is not finite led to is not called an answer. A point of rung 3 that keeps the
+    opened rows will do when nothing better was found from there.
     """
-    n = sizes.n
+    n, p, huge = sizes.n, sizes.p, sizes.precision.huge
     point, status, box = ca.SX.sym("point", n + 1), ca.SX.sym("status"), ca.SX.sym("box", 2 * n)
-    safe, sound, v = ca.SX.sym("safe"), ca.SX.sym("sound"), []
+    target, J, x = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("x", p)
+    safe, v = ca.SX.sym("safe"), []
     reached = ca.if_else(ca.logic_and(ca.eq(status, 0), safe), RELAXED, status)
-    good = ca.logic_and(reached != 0, sound)
-    size = ca.SX(1)
+    good, size = reached != 0, ca.SX(1)
+    for entry in ca.vertsplit(ca.vertcat(target, J, x)):
+        good = ca.logic_and(good, ca.fabs(entry) <= huge)
     for i in range(n):
         size = ca.fmax(size, ca.fabs(point[i]))
     for i in range(n):
         inside = _into(point[i], box[i], box[n + i])
-        finite = ca.if_else(ca.fabs(inside) <= _HUGE, inside, 0)
-        good = ca.logic_and(good, ca.fabs(finite - point[i]) <= _MET * size)
+        finite = ca.if_else(ca.fabs(inside) <= huge, inside, 0)
+        good = ca.logic_and(good, ca.fabs(finite - point[i]) <= sizes.precision.kept * size)
         v.append(finite)
     opening = ca.if_else(good, point[n], 0)
-    return lower(
-        ca.Function(
-            "finish", [point, status, safe, sound, box], [ca.vertcat(*v), opening, ca.if_else(good, reached, CLAMPED)]
-        )
-    )
+    outputs = [ca.vertcat(*v), opening, ca.if_else(good, reached, CLAMPED)]
+    return lower(ca.Function("finish", [point, status, safe, target, J, x, box], outputs))
 
 
 def _into(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:

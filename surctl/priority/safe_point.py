@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError, ToolMissing
 from surctl.ir import Routine, compile_block, replay
 from surctl.priority.dual_step import Space
-from surctl.priority.kernel import kernel
+from surctl.priority.kernel import in_blocks, kernel
 from surctl.priority.ladder import CLAMPED, safe_tick
 
 __all__ = ["Rung", "SafePoint", "least_distance", "nearest_to_zero", "tick_runner"]
@@ -80,8 +80,9 @@ def least_distance(
 ) -> SafePoint:
     """The point nearest to target (n,) with J v = x and lower ≤ A v ≤ upper, or the next best: see `ladder`.
 
-    The answer `met` is exact to rounding. `limited` and `relaxed` keep the hard rows and the box, but are not refereed
-    for task rows whose lengths differ by many orders of magnitude, nor for near-parallel soft rows.
+    Every answer is exact to rounding, with two exceptions: where near-parallel rows contradict each other, the opening
+    is the least one but the task may be served less well than the opened rows allow (by 1e-11 times how sharp they
+    are); and rows that meet only far away (1e9 times as far as the box) are opened instead.
 
     Args:
         target: (n,).
@@ -128,7 +129,7 @@ def nearest_to_zero(G: Array, lower: Array, upper: Array) -> tuple[Array, Array,
     rows = np.tile(_idle(d), (size, 1))
     rows[:m, :d], rows[:m, d], rows[:m, d + 1] = G, lower, upper
     point, numbers, u, status, count = _nearest(d, size)(
-        rows.reshape(-1), np.zeros(d + 1), np.zeros(1), np.eye(d).reshape(-1)
+        in_blocks(rows), np.zeros(d + 1), np.zeros(1), np.eye(d).reshape(-1)
     )
     multipliers = np.zeros(size)
     used = numbers != 0.0

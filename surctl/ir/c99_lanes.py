@@ -1,0 +1,213 @@
+"""Write an instruction list as C99 over several runs side by side: GNU vector types, or the same in a loop.
+
+Every lane does what the scalar text does, operation by operation, so that the bytes are the same whichever of the two
+the compiler takes. Truth values are masks of all bits until a number is needed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from surctl.ir.c99 import C_TYPE, Real, c_literal, emit_c99, expression, identifier
+from surctl.ir.program import Instruction, Program
+
+__all__ = ["GUARD", "Feed", "chooses", "emit_lanes", "emit_straight"]
+
+GUARD = "defined(__GNUC__) && (defined(__AVX__) || defined(__ARM_NEON) || defined(__VSX__))"
+"""When the vector text is taken: elsewhere it would be unrolled to scalars."""
+
+_WIDTH = {"float64": 8, "float32": 4}
+_WHOLE = {"float64": "long long", "float32": "int"}
+_UNSIGNED = {"float64": "0x7fffffffffffffffLL", "float32": "0x7fffffff"}
+_COMPARE = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
+_PLAIN = {
+    "add": "{0} + {1}",
+    "sub": "{0} - {1}",
+    "mul": "{0} * {1}",
+    "div": "{0} / {1}",
+    "neg": "-{0}",
+    "inv": "one / {0}",
+    "sq": "{0} * {0}",
+    "twice": "{0} + {0}",
+}
+
+
+@dataclass(frozen=True)
+class Feed:
+    """How the lanes read one input of the program.
+
+    Attributes:
+        kind: "lanes": entry by entry, one number a lane; "spread": lane by lane, as many numbers as entries;
+            "shared": one number an entry, for all lanes.
+    """
+
+    kind: str = "lanes"
+
+
+def emit_lanes(program: Program, *, symbol: str, lanes: int, feeds: tuple[Feed, ...], real: Real = "float64") -> str:
+    """`static void <symbol>(const double *in0, …, double *out0, …)`: as `emit_c99`, `lanes` runs at once.
+
+    Outputs stand entry by entry, one number a lane. Outputs may alias inputs of kind "lanes".
+
+    Args:
+        program: the instruction list.
+        symbol: name of the C function.
+        lanes: number of runs, a power of 2.
+        feeds: one an input.
+        real: type of the numbers.
+
+    Raises:
+        InputError: `symbol` is no identifier that C may use.
+    """
+    kind = C_TYPE[real]
+    arguments = [f"const {kind} *in{k}" for k in range(len(program.inputs))]
+    arguments += [f"{kind} *out{k}" for k in range(len(program.outputs))]
+    read = {i.args[0] for i in program.instructions if i.op == "input"}
+    lines = [
+        f"/* {program.operations} operations in each of {lanes} lanes; outputs may alias inputs that are not shared */",
+        f"static void {identifier(symbol)}({', '.join(arguments)})",
+        "{",
+        *(f"    (void)in{k};" for k in range(len(program.inputs)) if k not in read),
+        f"#if {GUARD}",
+        *_vectors(program, lanes, feeds, real),
+        "#else",
+        *_loop(program, lanes, feeds, real),
+        "#endif",
+        "}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+_CHOICES = frozenset({"select", "if_else_zero", "fmin", "fmax", "and", "or"})
+
+
+def chooses(program: Program) -> bool:
+    """Whether a compiler may turn some operation into a branch."""
+    return any(i.op in _CHOICES for i in program.instructions)
+
+
+def emit_straight(program: Program, *, symbol: str, real: Real = "float64") -> str:
+    """The function of `emit_c99`, as two equal lanes: choices become masks, where a compiler would take branches.
+
+    A branch that depends on what an active-set method finds is guessed wrong half the time, at the price of twenty
+    operations.
+    """
+    plain = emit_c99(program, symbol=symbol, real=real).splitlines()
+    body = plain.index("{") + 1
+    feeds = (Feed("shared"),) * len(program.inputs)
+    idle = [line for line in plain[body:-1] if line.startswith("    (void)")]
+    rest = [line for line in plain[body:-1] if not line.startswith("    (void)")]
+    lines = [*plain[:body], *idle, f"#if {GUARD}", *_vectors(program, 2, feeds, real, single=True), "#else", *rest]
+    return "\n".join([*lines, "#endif", "}"]) + "\n"
+
+
+def _address(program: Program, lanes: int, feed: Feed, which: int, entry: int, lane: str) -> str:
+    if feed.kind == "shared":
+        return f"in{which}[{entry}]"
+    if feed.kind == "spread":
+        return f"in{which}[{program.inputs[which][1]} * {lane} + {entry}]"
+    return f"in{which}[{entry * lanes} + {lane}]"
+
+
+def _loop(program: Program, lanes: int, feeds: tuple[Feed, ...], real: Real) -> list[str]:
+    lines = [f"    for (int lane = 0; lane < {lanes}; ++lane) {{"]
+    for at, instruction in enumerate(program.instructions):
+        if instruction.op == "input":
+            which, entry = instruction.args
+            right = _address(program, lanes, feeds[which], which, entry, "lane")
+        else:
+            right = expression(instruction, real)
+        lines.append(f"        const {C_TYPE[real]} v{at} = {right};")
+    for k, refs in enumerate(program.output_refs):
+        lines += [f"        out{k}[{entry * lanes} + lane] = v{ref};" for entry, ref in enumerate(refs)]
+    return [*lines, "    }"]
+
+
+def _vectors(program: Program, lanes: int, feeds: tuple[Feed, ...], real: Real, *, single: bool = False) -> list[str]:
+    """The body; with `single` only the first lane is stored."""
+    kind, size = C_TYPE[real], lanes * _WIDTH[real]
+    ones = ", ".join([c_literal(1.0, real)] * lanes)
+    lines = [
+        f"    typedef {kind} vec __attribute__((vector_size({size})));",
+        f"    const vec one = {{{ones}}};",
+        "    (void)one;",
+    ]
+    head, lines = lines, []
+    masks: set[int] = set()
+    for at, instruction in enumerate(program.instructions):
+        if instruction.op == "input":
+            which, entry = instruction.args
+            lines += _read(program, lanes, feeds[which], (which, entry, at))
+        elif instruction.op == "const":
+            numbers = ", ".join([c_literal(float(instruction.value or 0.0), real)] * lanes)
+            lines.append(f"    const vec v{at} = {{{numbers}}};")
+        else:
+            lines += _assignment(instruction, at, masks, lanes, real)
+    for k, refs in enumerate(program.output_refs):
+        for e, ref in enumerate(refs):
+            to, lane = (f"out{k}[{e}]", "[0]") if single else (f"*(loose *)(out{k} + {e * lanes})", "")
+            value = f"({_number(ref, masks)})" if single else _number(ref, masks)
+            lines.append(f"    {to} = {value}{lane};")
+    if any("loose" in line for line in lines):
+        loose = f"vector_size({size}), aligned({_WIDTH[real]}), may_alias"
+        head.append(f"    typedef {kind} loose __attribute__(({loose}));")
+    if any("mask" in line for line in lines):
+        head.append(f"    typedef {_WHOLE[real]} mask __attribute__((vector_size({size})));")
+    return [*head, *lines]
+
+
+def _read(program: Program, lanes: int, feed: Feed, what: tuple[int, int, int]) -> list[str]:
+    which, entry, at = what
+    if feed.kind == "lanes":
+        return [f"    const vec v{at} = *(const loose *)(in{which} + {entry * lanes});"]
+    numbers = ", ".join(_address(program, lanes, feed, which, entry, str(lane)) for lane in range(lanes))
+    return [f"    const vec v{at} = {{{numbers}}};"]
+
+
+def _number(at: int, masks: set[int]) -> str:
+    return f"(vec)(v{at} & (mask)one)" if at in masks else f"v{at}"
+
+
+def _truth(at: int, masks: set[int]) -> str:
+    return f"v{at}" if at in masks else f"(mask)(v{at} != (one - one))"
+
+
+def _assignment(instruction: Instruction, at: int, masks: set[int], lanes: int, real: Real) -> list[str]:
+    op, args = instruction.op, instruction.args
+    numbers = [_number(a, masks) for a in args]
+    if op in _COMPARE:
+        masks.add(at)
+        return [f"    const mask v{at} = (mask)({numbers[0]} {_COMPARE[op]} {numbers[1]});"]
+    if op in ("and", "or", "not"):
+        truths = [_truth(a, masks) for a in args]
+        masks.add(at)
+        text = f"~({truths[0]})" if op == "not" else f"({truths[0]}) {'&' if op == 'and' else '|'} ({truths[1]})"
+        return [f"    const mask v{at} = {text};"]
+    if op in _PLAIN:
+        text = _PLAIN[op].format(*numbers)
+    elif op == "fabs":
+        text = f"(vec)((mask){numbers[0]} & {_UNSIGNED[real]})"
+    elif op in ("fmin", "fmax"):
+        a, b = numbers
+        text = _chosen(f"(mask)({b} < {a})" if op == "fmin" else f"(mask)({a} < {b})", b, a)
+    elif op == "select":
+        text = _chosen(_truth(args[0], masks), numbers[1], numbers[2])
+    elif op == "if_else_zero":
+        text = f"(vec)(({_truth(args[0], masks)}) & (mask){numbers[1]})"
+    else:
+        return _lane_by_lane(instruction, at, masks, lanes, real)
+    return [f"    const vec v{at} = {text};"]
+
+
+def _chosen(condition: str, then: str, otherwise: str) -> str:
+    return f"(vec)((({condition}) & (mask){then}) | (~({condition}) & (mask){otherwise}))"
+
+
+def _lane_by_lane(instruction: Instruction, at: int, masks: set[int], lanes: int, real: Real) -> list[str]:
+    """A function that has no vector form in C."""
+    text = expression(instruction, real, operand="w{}[lane]")
+    copies = [f"const vec w{a} = {_number(a, masks)};" for a in sorted(set(instruction.args))]
+    return [
+        f"    vec v{at} = one;",
+        f"    {{ {' '.join(copies)} for (int lane = 0; lane < {lanes}; ++lane) {{ v{at}[lane] = {text}; }} }}",
+    ]

@@ -1,0 +1,124 @@
+"""Rung 3: the least t by which the soft rows must open, exact to rounding.
+
+min t over the rows is a linear programme; a proximal step from (v, t) is the least-distance problem from (v, t − γ),
+and finitely many of them end in a minimiser (Mangasarian and Meyer 1979 for one, Ferris 1991 for several). A step of
+length s leaves t at most s·D/γ above the least one, D the width of what can be reached: the steps end when that is
+nothing. γ grows, since near-parallel rows need much of it, and is small in the last step, since rounding grows with it.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from surctl.ir import Call, Loop, Program, Routine, lower
+from surctl.priority.dual_step import OPTIMAL
+from surctl.priority.precision import Precision
+from surctl.priority.rows import Sizes
+
+__all__ = ["opened"]
+
+_STEPS = 7
+
+
+def opened(sizes: Sizes) -> Routine:
+    """(unit, near (n,), point (n + 1,), skip) → (wide (n + 1,), found, kept, count).
+
+    wide: a point with the least opening, never below the given point's, and a margin for rounding; the given point
+    if not found. skip: not 0 does nothing. kept: it keeps the rows so opened.
+    """
+    n, tight = sizes.n, sizes.precision
+    state = ("low", "gamma", "ends", "found", "count")
+    steps = (
+        Call(_begin(n, tight), ("near", "skip"), state),
+        Loop(
+            _turn(sizes), _STEPS, carried=state, results=tuple(f"{k}_last" for k in state),
+            fixed=("unit",), until=2,
+        ),
+        Call(_clean(n, tight), ("low_last", "found_last"), ("base", "idle")),
+        Call(sizes.opening_kernel, ("unit", "base", "idle"), ("cleaned", "numbers", "u", "end", "spent")),
+        Call(
+            _widened(n, tight),
+            ("low_last", "found_last", "cleaned", "end", "point", "count_last", "spent"),
+            ("wide", "found_any", "count_all"),
+        ),
+        Call(sizes.opening_certificate, ("unit", "wide"), ("kept",)),
+    )  # fmt: skip
+    given = (("unit", sizes.rows), ("near", n), ("point", n + 1), ("skip", 1))
+    return Routine("opened", given, steps, ("wide", "found_any", "kept", "count_all"))
+
+
+def _begin(n: int, precision: Precision) -> Program:
+    """(near, skip) → the point (near, 0), γ, whether it ends, nothing found, no iterations."""
+    near, skip = ca.SX.sym("near", n), ca.SX.sym("skip")
+    outputs = [ca.vertcat(near, 0), ca.SX(precision.pull), skip, ca.SX.zeros(1), ca.SX.zeros(1)]
+    return lower(ca.Function("open_begin", [near, skip], list(map(ca.densify, outputs))))
+
+
+def _turn(sizes: Sizes) -> Routine:
+    """One proximal step; one that fails ends the loop and changes nothing."""
+    n = sizes.n
+    steps = (
+        Call(_pull(n), ("low", "gamma"), ("base", "go")),
+        Call(sizes.opening_kernel, ("unit", "base", "go"), ("next", "numbers", "u", "end", "spent")),
+        Call(
+            _judge(n, sizes.precision),
+            ("low", "gamma", "ends", "found", "count", "next", "end", "spent"),
+            tuple(f"{k}_next" for k in ("low", "gamma", "ends", "found", "count")),
+        ),
+    )
+    given = (("low", n + 1), ("gamma", 1), ("ends", 1), ("found", 1), ("count", 1), ("unit", sizes.rows))
+    results = tuple(f"{k}_next" for k in ("low", "gamma", "ends", "found", "count"))
+    return Routine("open", given, steps, results)
+
+
+def _size(point: ca.SX) -> ca.SX:
+    size = ca.SX(0)
+    for entry in ca.vertsplit(point):
+        size = ca.fmax(size, ca.fabs(entry))
+    return 1 + size
+
+
+def _pull(n: int) -> Program:
+    """(point, γ) → (v, t − γ·size), 0."""
+    point, gamma = ca.SX.sym("point", n + 1), ca.SX.sym("gamma")
+    base = ca.vertcat(point[:n], point[n] - gamma * _size(point))
+    return lower(ca.Function("pull", [point, gamma], [base, ca.SX.zeros(1)]))
+
+
+def _judge(n: int, precision: Precision) -> Program:
+    """The state after a step: ended when what t may still lose is nothing, or when the step failed."""
+    low, gamma, ends, found = ca.SX.sym("low", n + 1), ca.SX.sym("gamma"), ca.SX.sym("ends"), ca.SX.sym("found")
+    count, after, why, spent = ca.SX.sym("count"), ca.SX.sym("after", n + 1), ca.SX.sym("why"), ca.SX.sym("spent")
+    good = ca.eq(why, OPTIMAL)
+    moved = ca.SX(0)
+    for i in range(n + 1):
+        moved = ca.fmax(moved, ca.fabs(after[i] - low[i]))
+    settled = moved <= precision.gap * gamma * _size(low)
+    outputs = [
+        ca.if_else(good, after, low),
+        precision.growth * gamma,
+        ca.logic_or(ca.logic_not(good), settled),
+        ca.logic_or(found, good),
+        count + spent,
+    ]
+    inputs = [low, gamma, ends, found, count, after, why, spent]
+    return lower(ca.Function("open_judge", inputs, list(map(ca.densify, outputs))))
+
+
+def _clean(n: int, precision: Precision) -> Program:
+    """(point, found) → the base of the last step, and whether there is none."""
+    low, found = ca.SX.sym("low", n + 1), ca.SX.sym("found")
+    base = ca.vertcat(low[:n], low[n] - precision.pull * _size(low))
+    return lower(ca.Function("clean", [low, found], [base, ca.logic_not(found)]))
+
+
+def _widened(n: int, precision: Precision) -> Program:
+    """The cleaned point with a margin on its opening, or the one before, or the given one; found; count."""
+    low, found, cleaned = ca.SX.sym("low", n + 1), ca.SX.sym("found"), ca.SX.sym("cleaned", n + 1)
+    end, point = ca.SX.sym("end"), ca.SX.sym("point", n + 1)
+    count, spent = ca.SX.sym("count"), ca.SX.sym("spent")
+    best = ca.if_else(ca.eq(end, OPTIMAL), cleaned, low)
+    wider = best[n] + precision.margin * (1 + ca.fabs(best[n]))
+    wide = ca.if_else(found, ca.vertcat(best[:n], ca.fmax(wider, point[n])), point)
+    inputs = [low, found, cleaned, end, point, count, spent]
+    return lower(ca.Function("widened", inputs, [ca.densify(wide), found, count + spent]))

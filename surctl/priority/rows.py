@@ -1,0 +1,88 @@
+"""Sizes that the routines of the ladder share, and the routines that several of them call."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from surctl.ir import Call, Loop, Program, Routine, lower
+from surctl.priority.dual_step import Space
+from surctl.priority.kernel import certificate, kernel, lanes_of
+from surctl.priority.precision import FLOAT64, Precision
+
+__all__ = ["Sizes", "unit_rows"]
+
+
+class Sizes:
+    """n velocities, p task rows, m rows; the routines of the ladder share them.
+
+    Attributes:
+        precision: tolerances.
+        general: v free in n directions. fast: in n − p, after p independent task rows (None if p ≥ n). opening: v and
+            the opening free.
+        rows: entries of all rows. lanes, blocks: rows a block, and how many of those.
+        general_kernel, opening_kernel, certificate, opening_certificate: of `kernel`.
+    """
+
+    def __init__(self, n: int, p: int, m: int, precision: Precision = FLOAT64) -> None:
+        self.n, self.p, self.m, self.precision = n, p, m, precision
+        self.general = Space(n, n, precision=precision)
+        self.fast = Space(n, n - p, precision=precision) if p < n else None
+        self.opening = Space(n, n + 1, opening=True, precision=precision)
+        self.rows = m * (n + 3)
+        self.lanes = lanes_of(m)
+        self.blocks = m // self.lanes
+        self.general_kernel = kernel(self.general, m)
+        self.opening_kernel = kernel(self.opening, m)
+        self.certificate = certificate(self.general, m)
+        self.opening_certificate = certificate(self.opening, m)
+
+
+def unit_rows(sizes: Sizes) -> Routine:
+    """rows (m·(n + 3),), row by row → the same in blocks, scaled to length 1; nothing is scaled if none needs it.
+
+    A row of zeros keeps its bounds: it is met always or never.
+    """
+    width = sizes.n + 3
+    steps = (
+        Loop(_all_unit(), 1, (), ("one",), lanes=sizes.lanes),
+        Loop(
+            _load(sizes), sizes.blocks, ("one",), ("each", "loaded"), spread=("rows",), lanes=sizes.lanes
+        ),
+        Call(_every(sizes.lanes), ("each",), ("done",)),
+        Loop(_scaling(sizes), 1, ("loaded", "done"), ("unit", "scaled"), until=1),
+    )  # fmt: skip
+    return Routine("unit_rows", (("rows", sizes.m * width),), steps, ("unit",))
+
+
+def _all_unit() -> Program:
+    return lower(ca.Function("all_unit", [], [ca.SX.ones(1)]))
+
+
+def _load(sizes: Sizes) -> Program:
+    """(all rows of this lane are of length 1 or 0, row) → the same with this row; the row."""
+    yes, row = ca.SX.sym("yes"), ca.SX.sym("row", sizes.n + 3)
+    square = ca.sumsqr(row[: sizes.n])
+    good = ca.logic_or(ca.fabs(square - 1) <= sizes.precision.unit, ca.eq(square, 0))
+    return lower(ca.Function("load", [yes, row], [ca.if_else(good, yes, 0), row]))
+
+
+def _every(lanes: int) -> Program:
+    each, yes = ca.SX.sym("each", lanes), ca.SX(1)
+    for k in range(lanes):
+        yes = ca.logic_and(yes, each[k])
+    return lower(ca.Function("every", [each], [yes]))
+
+
+def _scaling(sizes: Sizes) -> Routine:
+    """The one turn of a loop that runs where some row has another length."""
+    n = sizes.n
+    row = ca.SX.sym("row", n + 3)
+    length = ca.sqrt(ca.sumsqr(row[:n]))
+    inverse = 1 / ca.if_else(length <= sizes.precision.short, 1, length)
+    scale = lower(ca.Function("unit_row", [row], [ca.vertcat(row[: n + 2] * inverse, row[n + 2])]))
+    one = lower(ca.Function("scaled", [], [ca.SX.ones(1)]))
+    steps = (
+        Loop(scale, sizes.blocks, (), ("unit",), sliced=("rows",), lanes=sizes.lanes),
+        Call(one, (), ("yes",)),
+    )
+    return Routine("scale", (("rows", sizes.rows), ("done", 1)), steps, ("unit", "yes"))
