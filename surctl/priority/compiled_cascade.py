@@ -22,7 +22,7 @@ from surctl.priority.compiled_sweep import HUGE
 from surctl.priority.decomposition import decompose
 from surctl.priority.dual_step import OPTIMAL, Space
 from surctl.priority.elimination import as_matrix
-from surctl.priority.kernel import certificate, kernel
+from surctl.priority.kernel import certificate, kernel, row_by_row
 from surctl.priority.ladder import CLAMPED, LIMITED, safe_tick
 from surctl.priority.level_shape import StackShape, SymbolicLevel
 from surctl.priority.rowspace import ZERO_ROW
@@ -141,8 +141,12 @@ def _level(sizes: _Sizes) -> Routine:
         Call(_free(sizes), ("v", "base", "N", "J_i", "lower_i", "upper_i", "is_set"), (*freedom, "row_i")),
         Call(_added(sizes), ("rows", "row_i", *slot), ("rows_c",)),
         Call(_zero(), ("stop",), ("go",)),
-        Call(kernel(space, m), ("rows_c", "base_c", "go", "N_c"), ("point", "numbers", "u", "end", "spent")),
-        Call(certificate(space, m), ("rows_c", "point"), ("kept",)),
+        Call(
+            row_by_row(kernel(space, m), m),
+            ("rows_c", "base_c", "go", "N_c"),
+            ("point", "numbers", "u", "end", "spent"),
+        ),
+        Call(row_by_row(certificate(space, m), m), ("rows_c", "point"), ("kept",)),
         Call(
             _tried(sizes),
             ("point", "numbers", "u", "end", "kept", "base_c", "N_c", "rows_c", *_STATE, "spent", "first"),

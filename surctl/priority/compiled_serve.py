@@ -14,7 +14,7 @@ from surctl.priority.compiled_rows import holding_row, reduced_row
 from surctl.priority.compiled_sweep import HUGE
 from surctl.priority.dual_step import OPTIMAL, Space
 from surctl.priority.elimination import as_matrix
-from surctl.priority.kernel import certificate, kernel
+from surctl.priority.kernel import certificate, kernel, row_by_row
 from surctl.priority.ladder import LIMITED, safe_tick
 from surctl.priority.tangent import holding, largest, merged
 
@@ -55,8 +55,12 @@ def serve(n: int, k: int, m: int) -> Routine:
         ),
         Loop(holding_row(n), m, (), ("rows_next",), sliced=("rows",), fixed=("v_best",)),
         Call(_frozen(n, k), ("v_best", "base", "Q"), ("base_held",)),
-        Call(kernel(space, m), ("rows_next", "base_held", "none", "N_less"), ("point", "act", "press", "end", "spent")),
-        Call(certificate(space, m), ("rows_next", "point"), ("kept",)),
+        Call(
+            row_by_row(kernel(space, m), m),
+            ("rows_next", "base_held", "none", "N_less"),
+            ("point", "act", "press", "end", "spent"),
+        ),
+        Call(row_by_row(certificate(space, m), m), ("rows_next", "point"), ("kept",)),
         Call(
             _chosen(n),
             ("v_best", "base_held", "N_less", "point", "act", "press", "end", "kept", "count_best", "spent"),
@@ -85,7 +89,7 @@ def _again(n: int, k: int, m: int) -> Routine:
         Call(_lack(n, k), ("v", "turn", "J", "x"), ("lack", "zero", "anywhere", "none")),
         Call(safe_tick(n, k, m), ("zero", "task", "lack", "reduced", "anywhere"), tick),
         Call(_moved(n), ("v", "N", "y", "status"), ("point",)),
-        Call(certificate(Space(n, n), m), ("rows", "point"), ("kept",)),
+        Call(row_by_row(certificate(Space(n, n), m), m), ("rows", "point"), ("kept",)),
         Call(
             _pulled(n, k),
             ("v", "point", "kept", "task", "turn", "J", "x"),

@@ -27,7 +27,7 @@ from surctl.priority.dual_step import (
 )
 from surctl.priority.elimination import as_matrix
 
-__all__ = ["CAP", "OPEN_CAP", "certificate", "in_blocks", "kernel", "lanes_of", "reduced_kernel"]
+__all__ = ["CAP", "OPEN_CAP", "certificate", "in_blocks", "kernel", "lanes_of", "reduced_kernel", "row_by_row"]
 
 CAP = 40
 """Largest number of iterations."""
@@ -48,6 +48,17 @@ def in_blocks(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     *batch, count, width = rows.shape
     lanes = lanes_of(count)
     return np.swapaxes(rows.reshape(*batch, count // lanes, lanes, width), -1, -2).reshape(*batch, count * width)
+
+
+def row_by_row(routine: Routine, rows: int) -> Routine:
+    """The same routine with its first input, `rows` rows, row by row instead of in blocks."""
+    (name, size), *others = routine.inputs
+    table = ca.SX.sym(name, size)
+    order = in_blocks(np.arange(size, dtype=np.float64).reshape(rows, size // rows)).astype(int).tolist()
+    arrange = lower(ca.Function(f"in_blocks_{rows}", [table], [table[order]]))
+    rest, results = tuple(other for other, _ in others), tuple(result for result, _ in routine.outputs)
+    steps = (Call(arrange, (name,), ("blocks",)), Call(routine, ("blocks", *rest), results))
+    return Routine(f"{routine.name}_row_by_row", routine.inputs, steps, results)
 
 
 def kernel(space: Space, rows: int) -> Routine:

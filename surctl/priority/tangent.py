@@ -12,7 +12,7 @@ import casadi as ca
 from surctl.ir import Call, Loop, Program, Routine, lower
 from surctl.priority.compiled_sweep import HUGE
 from surctl.priority.dual_step import OPTIMAL, Space
-from surctl.priority.kernel import kernel
+from surctl.priority.kernel import kernel, row_by_row
 from surctl.priority.rowspace import ZERO_ROW
 
 __all__ = ["holding", "largest", "merged"]
@@ -31,7 +31,11 @@ def holding(n: int, m: int) -> Routine:
     steps = (
         Call(_unit_pull(n), ("pull",), ("base", "size", "go")),
         Loop(_touching(n), m, (), ("cone",), sliced=("rows",), fixed=("opening", "v")),
-        Call(kernel(Space(n, n), m), ("cone", "base", "go", "Z"), ("point", "found", "push", "end", "count")),
+        Call(
+            row_by_row(kernel(Space(n, n), m), m),
+            ("cone", "base", "go", "Z"),
+            ("point", "found", "push", "end", "count"),
+        ),
         Call(
             _scaled(n),
             ("point", "found", "push", "end", "size", "pull"),
