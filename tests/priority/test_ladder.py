@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import platform
+
 import daqp
 import numpy as np
 import pytest
@@ -214,19 +216,24 @@ def test_in_float_it_is_as_safe_and_nearly_as_good(flown: Flown) -> None:
     assert both.sum() > 2000 and np.quantile(gap[both], 0.9) <= 1e-6
 
 
-@pytest.mark.parametrize("flags", [("-O0",), ("-O3",), ("-O3", "-mavx512f"), ("-march=x86-64",)])
+X86 = platform.machine().lower() in ("x86_64", "amd64")
+LEVELS = [("-O0",), ("-O3",), *([("-march=x86-64",)] if X86 else [])]
+
+
+@pytest.mark.parametrize("flags", LEVELS)
 def test_every_optimisation_level_gives_the_same_bytes(flown: Flown, flags: tuple[str, ...]) -> None:
     some = flown.trials[slice(0, 1000)]
     for a, b in zip(compile_block(safe_tick(N, P, M), flags=flags)(*some.arrays), flown.outputs, strict=True):
         assert a.tobytes() == b[:1000].tobytes()
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e308, -1e308, 1e-320, 1e38, 1e-40])
-@pytest.mark.parametrize("real", ["float64", "float32"])
+ODD = [np.nan, np.inf, -np.inf, 1e-320, 1e38, 1e-40]
+CASES = [("float64", 1e308), ("float64", -1e308), *((real, bad) for real in ("float64", "float32") for bad in ODD)]
+
+
+@pytest.mark.parametrize(("real", "bad"), CASES)
 def test_no_number_anywhere_makes_it_anything_but_finite(bad: float, real: Real) -> None:
     need_compiler()
-    if real == "float32" and abs(bad) == 1e308:
-        pytest.skip("no float is so large")
     tick = compile_block(safe_tick(N, P, M, precision=PRECISION[real]), real=real)
     good = draw_trials(1, n=N, p=P, m=M, seed=4)
     for which, array in enumerate(good.arrays):
