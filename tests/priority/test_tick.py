@@ -238,11 +238,13 @@ def test_multipliers_are_those_of_what_is_minimised() -> None:
     # an opened row holds the task back as much as one that is kept
     back = Row("back", "barrier", 2 * E[0], -np.inf, -0.6)
     tick = tick_for(VALUES, Settings("projected"))
-    tick.load(build_problem(problem.levels, [*box(0.2), back]))
+    side = Row("side", "barrier", E[0], -np.inf, -0.25)  # missed as well, but not up to its opened bound
+    tick.load(build_problem(problem.levels, [side, *box(0.2), back]))
     tick.solve()
     np.testing.assert_allclose(tick.v, [-0.2, 0, 0.1, 0], atol=1e-10)
     assert tick.rung == "relaxed" and tick.opening[0] == pytest.approx(0.1)
     assert dict(tick.binding())["back"] == pytest.approx(0.6)
+    assert "side" not in dict(tick.binding())
 
 
 def test_levels_with_nearly_dependent_rows_are_served_to_the_last_digits() -> None:
@@ -253,10 +255,14 @@ def test_levels_with_nearly_dependent_rows_are_served_to_the_last_digits() -> No
         turn = np.linalg.qr(rng.normal(size=(2, 2)))[0]
         J = turn @ np.diag([1.0, 3e-3]) @ basis[:2]
         second = draw_of_shape(rng, VALUES).levels[1]
-        problem = build_problem([Level("flat", J, rng.normal(size=2)), second], box(0.3))
+        # a wall stands in the way of the first direction, and leaves the other
+        wall = Row("wall", "barrier", basis[0], -np.inf, 0.1)
+        flat = Level("flat", J, turn @ [2.0, 3e-3 * rng.uniform(-0.1, 0.1)])
+        problem = build_problem([flat, second], [*box(1.0), wall])
         tick.load(problem)
         tick.solve()
         seen += tick.rung == "limited"
+        np.testing.assert_allclose(basis[:2] @ tick.v, [0.1, (turn.T @ flat.lower)[1] / 3e-3], atol=1e-9)
         strict = Settings("lexicographic")
         assert is_optimal(tick.v, problem, settings=strict, target=np.zeros(N), tol=1e-10)
     assert seen > 30
