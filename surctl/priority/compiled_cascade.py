@@ -77,8 +77,9 @@ def cascade(shape: StackShape, rows: int) -> Routine:
     last, tick = tuple(f"{name}_last" for name in _STATE), ("v_t", "active_t", "push_t", "opening", "status_t", "spent")
     levels = tuple(f"{name}_all" for name, _ in sizes.level if name != "slot" or sizes.sets)
     steps: tuple[Step, ...] = (
-        Call(_arrange(sizes), ("J", "lower", "upper", "rows"), (*levels, "zero", "none", "rows_all")),
-        Call(safe_tick(n, 1, sizes.m), ("zero", "zero", "none", "rows_all", "box"), tick),
+        Call(_arrange(sizes), ("J", "lower", "upper", "rows"), (*levels, "zero", "no_J", "no_x", "rows_all")),
+        # no task, but places for one: so the levels can call the very same routine
+        Call(safe_tick(n, sizes.k, sizes.m), ("zero", "no_J", "no_x", "rows_all", "box"), tick),
         Loop(opened_row(n), sizes.m, (), ("rows_0",), sliced=("rows_all",), fixed=("opening", "v_t")),
         Call(_begin(sizes), (*tick[:3], *tick[4:], "sound"), tuple(s for s in start if s != "rows_0")),
         Loop(_level(sizes), len(shape.levels), start, last, sliced=levels, until=0),
@@ -91,7 +92,7 @@ def cascade(shape: StackShape, rows: int) -> Routine:
 
 
 def _arrange(sizes: _Sizes) -> Program:
-    """(J, lower, upper, rows) → the levels padded to one size, flags, 0, 0, the rows with places for sets."""
+    """(J, lower, upper, rows) → the levels padded to one size, flags, 0, no task, the rows with places for sets."""
     shape, n, k = sizes.shape, sizes.n, sizes.k
     flat, levels = shape.symbols()
     rows = ca.SX.sym("rows", sizes.given * sizes.row)
@@ -110,7 +111,8 @@ def _arrange(sizes: _Sizes) -> Program:
         ca.vertcat(*(ca.SX(int(i == 0)) for i in range(len(levels)))),
         *([ca.vertcat(*slots)] if slots else []),
         ca.SX.zeros(n),
-        ca.SX.zeros(1),
+        ca.SX.zeros(k * n),
+        ca.SX.zeros(k),
         ca.vertcat(rows, *([idle] * sizes.sets)),
     ]
     return lower(ca.Function("arrange", [*flat, rows], list(map(ca.densify, outputs))))

@@ -21,7 +21,8 @@ from surctl.priority.tangent import holding, largest, merged
 __all__ = ["serve"]
 
 _TURNS = 6
-_SETTLED = 1e-13  # part of the pull that is left
+_SETTLED = 1e-15  # part of the pull that is left, where a pull of 1 is that of a row of length 1
+_STILL = 1e-13  # a step no longer than this, relative to 1 + max |v|, changes nothing
 
 
 def serve(n: int, k: int, m: int) -> Routine:
@@ -121,13 +122,14 @@ def _moved(n: int) -> Program:
 
 
 def _pulled(n: int, k: int) -> Program:
-    """(v, point, kept, task, turn, J, x) → the point if it keeps the rows, the pull there, and whether it did."""
+    """(v, point, kept, task, turn, J, x) → the point if it keeps the rows, the pull there, whether it is a new one."""
     v, point, kept = ca.SX.sym("v", n), ca.SX.sym("point", n + 1), ca.SX.sym("kept")
     task, turn, J, x = ca.SX.sym("task", k * n), ca.SX.sym("turn", k * k), ca.SX.sym("J", k * n), ca.SX.sym("x", k)
     chosen = ca.if_else(kept, point[:n], v)
     lack = as_matrix(turn, k) @ (x - as_matrix(J, n) @ chosen)
     pull = as_matrix(task, n).T @ lack
-    return lower(ca.Function("pulled", [v, point, kept, task, turn, J, x], [chosen, pull, kept]))
+    moved = largest(chosen - v) > _STILL * (1 + largest(v))
+    return lower(ca.Function("pulled", [v, point, kept, task, turn, J, x], [chosen, pull, moved]))
 
 
 def _settled(n: int) -> Program:

@@ -68,9 +68,9 @@ def _touching(n: int) -> Program:
     row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
     length = ca.sqrt(ca.sumsqr(row[:n]))
     inverse = 1 / ca.if_else(length <= ZERO_ROW, 1, length)
-    value, room = ca.dot(row[:n], v) * inverse, row[n + 2] * opening + _TOUCHES * (1 + largest(v))
-    below = ca.if_else(value - room <= row[n] * inverse, 0, -HUGE)
-    above = ca.if_else(value + room >= row[n + 1] * inverse, 0, HUGE)
+    value, room = ca.dot(row[:n], v) * inverse, row[n + 2] * opening - _TOUCHES * (1 + largest(v))
+    below = ca.if_else(value <= row[n] * inverse - room, 0, -HUGE)
+    above = ca.if_else(value >= row[n + 1] * inverse + room, 0, HUGE)
     return lower(ca.Function("touching", [row, opening, v], [ca.vertcat(row[:n] * inverse, below, above, 0)]))
 
 

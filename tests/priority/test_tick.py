@@ -217,6 +217,57 @@ def test_a_set_that_binds_has_its_own_name() -> None:
     assert tick.binding() == (("depth", pytest.approx(-0.2)),)
 
 
+def test_a_row_along_a_set_that_is_kept_still_has_its_name() -> None:
+    roomy = Level("roomy", E[2:3], np.array([-1.0]), np.array([1.0]))
+    depth = Level("depth", E[[2, 0]], np.array([0.5, 0.0]))
+    heading = Level("heading", E[3:], np.array([-0.1]), np.array([0.1]))
+    tick = tick_for(SETS, Settings("projected"))
+    tick.load(build_problem([roomy, depth, heading], box(0.22)))
+    tick.solve()
+    np.testing.assert_allclose(tick.v, [0, 0, 0.22, 0], atol=1e-12)
+    assert tick.rung == "met" and tick.binding() == (("box.w", pytest.approx(0.28)),)
+
+
+def test_multipliers_are_those_of_what_is_minimised() -> None:
+    first = Level("surge", E[[0, 3]], np.array([1.0, 0.0]))
+    problem = build_problem([first, Level("depth", E[2:3], np.array([0.1]))], box(0.22))
+    tick = tick_for(VALUES, Settings("projected", damping=0.1))
+    tick.load(problem)
+    tick.solve()
+    assert tick.binding() == (("box.u", pytest.approx(0.78 - 0.1**2 * 0.22)),)
+    # an opened row holds the task back as much as one that is kept
+    back = Row("back", "barrier", 2 * E[0], -np.inf, -0.6)
+    tick = tick_for(VALUES, Settings("projected"))
+    side = Row("side", "barrier", E[0], -np.inf, -0.25)  # missed as well, but not up to its opened bound
+    tick.load(build_problem(problem.levels, [side, *box(0.2), back]))
+    tick.solve()
+    np.testing.assert_allclose(tick.v, [-0.2, 0, 0.1, 0], atol=1e-10)
+    assert tick.rung == "relaxed" and tick.opening[0] == pytest.approx(0.1)
+    assert dict(tick.binding())["back"] == pytest.approx(0.6)
+    assert "side" not in dict(tick.binding())
+
+
+def test_levels_with_nearly_dependent_rows_are_served_to_the_last_digits() -> None:
+    """Singular values 1 and 3e-3, near the weight of the proximal steps."""
+    tick, rng, seen = tick_for(VALUES, Settings("lexicographic")), np.random.default_rng(12), 0
+    for _ in range(60):
+        basis = np.linalg.qr(rng.normal(size=(N, N)))[0]
+        turn = np.linalg.qr(rng.normal(size=(2, 2)))[0]
+        J = turn @ np.diag([1.0, 3e-3]) @ basis[:2]
+        second = draw_of_shape(rng, VALUES).levels[1]
+        # a wall stands in the way of the first direction, and leaves the other
+        wall = Row("wall", "barrier", basis[0], -np.inf, 0.1)
+        flat = Level("flat", J, turn @ [2.0, 3e-3 * rng.uniform(-0.1, 0.1)])
+        problem = build_problem([flat, second], [*box(1.0), wall])
+        tick.load(problem)
+        tick.solve()
+        seen += tick.rung == "limited"
+        np.testing.assert_allclose(basis[:2] @ tick.v, [0.1, (turn.T @ flat.lower)[1] / 3e-3], atol=1e-9)
+        strict = Settings("lexicographic")
+        assert is_optimal(tick.v, problem, settings=strict, target=np.zeros(N), tol=1e-10)
+    assert seen > 30
+
+
 @pytest.mark.parametrize("mode", ["projected", "filter", "nsb"])
 def test_a_set_based_level_makes_no_jump(mode: Mode) -> None:
     """Along a smooth path into the set, through it and out, steps of v stay in proportion to steps of the path."""
