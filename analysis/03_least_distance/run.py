@@ -24,12 +24,12 @@ from surctl.errors import ToolMissing
 from surctl.ir import compile_block, compiler_version, emit_block
 from surctl.ir.compiler import FLAGS, find_compiler, tuned_flags
 from surctl.priority import safe_tick
-from surctl.priority.dual_step import Space
-from surctl.priority.kernel import CAP, OPEN_CAP, in_blocks, kernel
-from surctl.priority.ladder import CLAMPED, LIMITED, MET, RELAXED
-from surctl.priority.precision import FLOAT32
-from surctl.priority.referee import examine
-from surctl.priority.trials import FAMILIES, Trials, draw_trials, judge
+from surctl.priority.solver.dual_step import Space
+from surctl.priority.solver.kernel import CAP, OPEN_CAP, in_blocks, kernel
+from surctl.priority.solver.ladder import CLAMPED, LIMITED, MET, RELAXED
+from surctl.priority.solver.precision import FLOAT32
+from surctl.priority.solver.referee import examine
+from surctl.priority.solver.trials import FAMILIES, Trials, draw_trials, judge
 
 N, P, M = 4, 2, 24
 CHUNK = 20_000

@@ -25,8 +25,8 @@ from scipy import sparse
 
 from surctl.ir import Block, compile_block, emit_block, find_compiler
 from surctl.priority import nsb, safe_tick, solve
-from surctl.priority.ladder import MET
-from surctl.priority.trials import Trials, draw_trials
+from surctl.priority.solver.ladder import MET
+from surctl.priority.solver.trials import Trials, draw_trials
 
 __all__ = [
     "CASADI_CLOSED",

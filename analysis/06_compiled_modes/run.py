@@ -22,12 +22,12 @@ from surctl.errors import ToolMissing
 from surctl.ir import compiler_version
 from surctl.ir.compiler import find_compiler
 from surctl.priority import Mode, Settings, build_problem, solve
-from surctl.priority.assemble import assemble
-from surctl.priority.level_shape import LevelShape
+from surctl.priority.compiled.assemble import assemble
+from surctl.priority.compiled.level_shape import LevelShape
+from surctl.priority.compiled.runner import PriorityTick
+from surctl.priority.compiled.shape_draws import draw_of_shape
 from surctl.priority.optimality import is_optimal
 from surctl.priority.problem import Level, PriorityProblem, Row
-from surctl.priority.runner import PriorityTick
-from surctl.priority.shape_draws import draw_of_shape
 from surctl.tasks import (
     HalfPlane,
     Stack,

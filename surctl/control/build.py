@@ -18,7 +18,7 @@ from surctl.errors import InputError, nearest
 from surctl.guidance import FORMS, AvoidanceForm
 from surctl.ir import Block, Call, Layout, Port, Routine, lower
 from surctl.priority import LevelShape, Mode, nsb_symbolic, priority_tick
-from surctl.priority.ladder import RELAXED
+from surctl.priority.solver.ladder import RELAXED
 from surctl.tasks import LimitRow, VelocityBox
 
 __all__ = ["LAW_NAMES", "MODES", "build_law"]

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from surctl.priority.assemble import AssembledTick, Assembly, assemble
 from surctl.priority.backends import BACKENDS, Backend, LeastDistance, solve_least_distance
+from surctl.priority.compiled.assemble import AssembledTick, Assembly, assemble
+from surctl.priority.compiled.level_shape import LevelShape
+from surctl.priority.compiled.runner import PriorityTick
+from surctl.priority.compiled.tick import priority_tick
 from surctl.priority.kept import KeptDaqp, KeptOsqp
-from surctl.priority.ladder import safe_tick
-from surctl.priority.level_shape import LevelShape
 from surctl.priority.nsb import nsb
 from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
-from surctl.priority.runner import PriorityTick
-from surctl.priority.safe_point import SafePoint, least_distance
 from surctl.priority.settings import Mode, Settings
 from surctl.priority.solution import PrioritySolution
+from surctl.priority.solver.ladder import safe_tick
+from surctl.priority.solver.safe_point import SafePoint, least_distance
 from surctl.priority.solving import solve
 from surctl.priority.sweep import nsb_sweep
 from surctl.priority.symbolic import nsb_symbolic
-from surctl.priority.tick import priority_tick
 
 __all__ = [
     "BACKENDS",

@@ -14,8 +14,8 @@ import qpsolvers
 from numpy.typing import NDArray
 from scipy import sparse
 
-from surctl.priority.dual_step import OPTIMAL, STUCK
-from surctl.priority.safe_point import nearest_to_zero
+from surctl.priority.solver.dual_step import OPTIMAL, STUCK
+from surctl.priority.solver.safe_point import nearest_to_zero
 
 __all__ = [
     "DAQP_INFEASIBLE",

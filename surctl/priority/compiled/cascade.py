@@ -16,17 +16,17 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, Step, lower
-from surctl.priority.compiled_rows import opened_row
-from surctl.priority.compiled_serve import serve
-from surctl.priority.compiled_sweep import HUGE
-from surctl.priority.decomposition import decompose
-from surctl.priority.dual_step import OPTIMAL, Space
-from surctl.priority.elimination import as_matrix
-from surctl.priority.kernel import certificate, kernel, row_by_row
-from surctl.priority.ladder import CLAMPED, LIMITED, safe_tick
-from surctl.priority.level_shape import StackShape, SymbolicLevel
+from surctl.priority.compiled.decomposition import decompose
+from surctl.priority.compiled.level_shape import StackShape, SymbolicLevel
+from surctl.priority.compiled.rows import opened_row
+from surctl.priority.compiled.serve import serve
+from surctl.priority.compiled.sweep import HUGE
+from surctl.priority.compiled.tangent import merged
 from surctl.priority.rowspace import ZERO_ROW
-from surctl.priority.tangent import merged
+from surctl.priority.solver.dual_step import OPTIMAL, Space
+from surctl.priority.solver.elimination import as_matrix
+from surctl.priority.solver.kernel import certificate, kernel, row_by_row
+from surctl.priority.solver.ladder import CLAMPED, LIMITED, safe_tick
 
 __all__ = ["cascade"]
 

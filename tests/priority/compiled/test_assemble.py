@@ -8,7 +8,7 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.priority import Mode, solve
-from surctl.priority.assemble import Assembly, assemble
+from surctl.priority.compiled.assemble import Assembly, assemble
 from surctl.tasks import (
     HalfPlane,
     SetTask,

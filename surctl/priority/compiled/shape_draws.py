@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from surctl.priority.compiled.level_shape import LevelShape
 from surctl.priority.draws import draw_levels, draw_problem
-from surctl.priority.level_shape import LevelShape
 from surctl.priority.problem import Level, PriorityProblem, build_problem
 
 __all__ = ["draw_of_shape"]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import surctl.priority.safe_point as module
+import surctl.priority.solver.safe_point as module
 from surctl.errors import InputError, ToolMissing
 from surctl.priority import build_problem, least_distance, solve
 from surctl.priority.draws import draw_problem

@@ -12,10 +12,10 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.ir import Call, Gather, Loop, Program, Routine, Step, lower
-from surctl.priority.dual_step import OPTIMAL, STUCK
-from surctl.priority.elimination import as_matrix, eliminate, flat, pseudo_inverse
-from surctl.priority.precision import Precision
-from surctl.priority.rows import Sizes
+from surctl.priority.solver.dual_step import OPTIMAL, STUCK
+from surctl.priority.solver.elimination import as_matrix, eliminate, flat, pseudo_inverse
+from surctl.priority.solver.precision import Precision
+from surctl.priority.solver.rows import Sizes
 
 __all__ = ["served"]
 

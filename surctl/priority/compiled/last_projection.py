@@ -15,13 +15,13 @@ import math
 import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, Step, lower
-from surctl.priority.compiled_rows import longer_row, opened_row
-from surctl.priority.decomposition import decompose
-from surctl.priority.elimination import as_matrix
-from surctl.priority.ladder import CLAMPED, LIMITED, MET, RELAXED, safe_tick
-from surctl.priority.level_shape import StackShape
+from surctl.priority.compiled.decomposition import decompose
+from surctl.priority.compiled.level_shape import StackShape
+from surctl.priority.compiled.rows import longer_row, opened_row
+from surctl.priority.compiled.tangent import holding, largest, merged
 from surctl.priority.rowspace import ZERO_ROW
-from surctl.priority.tangent import holding, largest, merged
+from surctl.priority.solver.elimination import as_matrix
+from surctl.priority.solver.ladder import CLAMPED, LIMITED, MET, RELAXED, safe_tick
 
 __all__ = ["last_projection"]
 

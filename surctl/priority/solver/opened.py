@@ -11,9 +11,9 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, lower
-from surctl.priority.dual_step import OPTIMAL
-from surctl.priority.precision import Precision
-from surctl.priority.rows import Sizes
+from surctl.priority.solver.dual_step import OPTIMAL
+from surctl.priority.solver.precision import Precision
+from surctl.priority.solver.rows import Sizes
 
 __all__ = ["opened"]
 

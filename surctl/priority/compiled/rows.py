@@ -5,9 +5,9 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.ir import Program, lower
-from surctl.priority.compiled_sweep import HUGE
-from surctl.priority.elimination import as_matrix
+from surctl.priority.compiled.sweep import HUGE
 from surctl.priority.rowspace import ZERO_ROW
+from surctl.priority.solver.elimination import as_matrix
 
 __all__ = ["holding_row", "longer_row", "opened_row", "reduced_row"]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.ir import Call, Gather, Loop, Program, Routine, Step, lower
-from surctl.priority.dual_step import (
+from surctl.priority.solver.dual_step import (
     SKIPPED,
     Space,
     close,
@@ -25,7 +25,7 @@ from surctl.priority.dual_step import (
     threshold,
     which,
 )
-from surctl.priority.elimination import as_matrix
+from surctl.priority.solver.elimination import as_matrix
 
 __all__ = ["CAP", "OPEN_CAP", "certificate", "in_blocks", "kernel", "lanes_of", "reduced_kernel", "row_by_row"]
 

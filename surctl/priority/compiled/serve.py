@@ -10,13 +10,13 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, lower
-from surctl.priority.compiled_rows import holding_row, reduced_row
-from surctl.priority.compiled_sweep import HUGE
-from surctl.priority.dual_step import OPTIMAL, Space
-from surctl.priority.elimination import as_matrix
-from surctl.priority.kernel import certificate, kernel, row_by_row
-from surctl.priority.ladder import LIMITED, safe_tick
-from surctl.priority.tangent import holding, largest, merged
+from surctl.priority.compiled.rows import holding_row, reduced_row
+from surctl.priority.compiled.sweep import HUGE
+from surctl.priority.compiled.tangent import holding, largest, merged
+from surctl.priority.solver.dual_step import OPTIMAL, Space
+from surctl.priority.solver.elimination import as_matrix
+from surctl.priority.solver.kernel import certificate, kernel, row_by_row
+from surctl.priority.solver.ladder import LIMITED, safe_tick
 
 __all__ = ["serve"]
 

@@ -12,13 +12,13 @@ from scipy.optimize import linprog
 from surctl.errors import InputError, SolverError
 from surctl.ir import compile_block, replay, to_casadi
 from surctl.priority import Level, Mode, PriorityProblem, Row, Settings, build_problem, solve
-from surctl.priority.level_shape import LevelShape
+from surctl.priority.compiled.level_shape import LevelShape
+from surctl.priority.compiled.runner import PriorityTick
+from surctl.priority.compiled.shape_draws import draw_of_shape
+from surctl.priority.compiled.tick import OUTPUTS, priority_tick
 from surctl.priority.optimality import is_optimal
 from surctl.priority.polyhedron import polyhedron_of
 from surctl.priority.references import daqp_hierarchy, printed_law, svd_cascade
-from surctl.priority.runner import PriorityTick
-from surctl.priority.shape_draws import draw_of_shape
-from surctl.priority.tick import OUTPUTS, priority_tick
 from tests.tools import need_compiler
 
 Array = NDArray[np.float64]

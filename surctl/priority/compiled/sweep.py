@@ -5,8 +5,8 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Step, lower
-from surctl.priority.decomposition import decompose
-from surctl.priority.level_shape import StackShape, SymbolicLevel
+from surctl.priority.compiled.decomposition import decompose
+from surctl.priority.compiled.level_shape import StackShape, SymbolicLevel
 from surctl.priority.settings import Settings
 from surctl.priority.symbolic import projection
 

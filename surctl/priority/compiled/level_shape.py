@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from surctl.errors import InputError
-from surctl.priority.elimination import as_matrix
+from surctl.priority.solver.elimination import as_matrix
 
 __all__ = ["LevelShape", "StackShape", "SymbolicLevel"]
 

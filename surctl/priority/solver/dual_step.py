@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import casadi as ca
 
 from surctl.ir import Program, lower
-from surctl.priority.elimination import as_matrix
-from surctl.priority.planar import planar
-from surctl.priority.precision import FLOAT64, Precision
+from surctl.priority.solver.elimination import as_matrix
+from surctl.priority.solver.planar import planar
+from surctl.priority.solver.precision import FLOAT64, Precision
 
 __all__ = [
     "OPTIMAL",

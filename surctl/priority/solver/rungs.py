@@ -13,12 +13,12 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, lower
-from surctl.priority.dual_step import OPTIMAL
-from surctl.priority.elimination import as_matrix, eliminate, flat, reflect
-from surctl.priority.kernel import reduced_kernel
-from surctl.priority.opened import opened
-from surctl.priority.rows import Sizes
-from surctl.priority.served import served
+from surctl.priority.solver.dual_step import OPTIMAL
+from surctl.priority.solver.elimination import as_matrix, eliminate, flat, reflect
+from surctl.priority.solver.kernel import reduced_kernel
+from surctl.priority.solver.opened import opened
+from surctl.priority.solver.rows import Sizes
+from surctl.priority.solver.served import served
 
 __all__ = ["LIMITED", "RELAXED", "exact_rung", "lower_rungs"]
 

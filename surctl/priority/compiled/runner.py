@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, ToolMissing
 from surctl.ir import Routine, compile_block, replay
-from surctl.priority.level_shape import LevelShape
+from surctl.priority.compiled.level_shape import LevelShape
+from surctl.priority.compiled.tick import priority_tick
 from surctl.priority.polyhedron import polyhedron_of
 from surctl.priority.problem import PriorityProblem
 from surctl.priority.rowspace import ZERO_ROW
-from surctl.priority.safe_point import Rung
 from surctl.priority.settings import Mode
-from surctl.priority.tick import priority_tick
+from surctl.priority.solver.safe_point import Rung
 
 __all__ = ["PriorityTick", "bound", "level_shapes"]
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from surctl.priority.precision import FLOAT64, Precision
+from surctl.priority.solver.precision import FLOAT64, Precision
 
 __all__ = ["Elimination", "Reflection", "as_matrix", "eliminate", "flat", "pseudo_inverse", "reflect"]
 

@@ -15,12 +15,12 @@ import casadi as ca
 
 from surctl.errors import InputError
 from surctl.ir import Call, Loop, Program, Routine, Step, lower
-from surctl.priority.compiled_cascade import cascade
-from surctl.priority.compiled_sweep import HUGE, gate, into, sweep, swept
-from surctl.priority.ladder import CLAMPED, MET, safe_tick
-from surctl.priority.last_projection import last_projection
-from surctl.priority.level_shape import LevelShape, StackShape
+from surctl.priority.compiled.cascade import cascade
+from surctl.priority.compiled.last_projection import last_projection
+from surctl.priority.compiled.level_shape import LevelShape, StackShape
+from surctl.priority.compiled.sweep import HUGE, gate, into, sweep, swept
 from surctl.priority.settings import Mode, Settings
+from surctl.priority.solver.ladder import CLAMPED, MET, safe_tick
 
 __all__ = ["OUTPUTS", "priority_tick"]
 

@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.ir import Call, Program, Routine, lower
-from surctl.priority.level_shape import LevelShape
+from surctl.priority.compiled.level_shape import LevelShape
+from surctl.priority.compiled.runner import PriorityTick, bound
+from surctl.priority.compiled.tick import priority_tick
 from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
-from surctl.priority.runner import PriorityTick, bound
 from surctl.priority.settings import Mode
-from surctl.priority.tick import priority_tick
 from surctl.tasks import Limit, LimitRow, SetTask, Stack
 
 __all__ = ["AssembledTick", "Assembly", "assemble"]

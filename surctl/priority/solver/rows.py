@@ -5,9 +5,9 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, lower
-from surctl.priority.dual_step import Space
-from surctl.priority.kernel import certificate, kernel, lanes_of
-from surctl.priority.precision import FLOAT64, Precision
+from surctl.priority.solver.dual_step import Space
+from surctl.priority.solver.kernel import certificate, kernel, lanes_of
+from surctl.priority.solver.precision import FLOAT64, Precision
 
 __all__ = ["Sizes", "unit_rows"]
 

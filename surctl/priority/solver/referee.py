@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog, nnls
 
-from surctl.priority.trials import Trials
+from surctl.priority.solver.trials import Trials
 
 __all__ = ["Finding", "examine"]
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, lower
-from surctl.priority.compiled_sweep import HUGE
-from surctl.priority.dual_step import OPTIMAL, Space
-from surctl.priority.kernel import kernel, row_by_row
+from surctl.priority.compiled.sweep import HUGE
 from surctl.priority.rowspace import ZERO_ROW
+from surctl.priority.solver.dual_step import OPTIMAL, Space
+from surctl.priority.solver.kernel import kernel, row_by_row
 
 __all__ = ["holding", "largest", "merged"]
 

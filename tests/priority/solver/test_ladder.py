@@ -12,11 +12,11 @@ from scipy.optimize import linprog
 
 from surctl.ir import Real, compile_block, replay, to_casadi
 from surctl.priority import safe_tick
-from surctl.priority.dual_step import OPTIMAL, STUCK, Space
-from surctl.priority.kernel import CAP, OPEN_CAP, in_blocks, kernel
-from surctl.priority.ladder import CLAMPED, LIMITED, MET, RELAXED
-from surctl.priority.precision import FLOAT32, FLOAT64, Precision
-from surctl.priority.trials import FAMILIES, Trials, draw_trials, judge
+from surctl.priority.solver.dual_step import OPTIMAL, STUCK, Space
+from surctl.priority.solver.kernel import CAP, OPEN_CAP, in_blocks, kernel
+from surctl.priority.solver.ladder import CLAMPED, LIMITED, MET, RELAXED
+from surctl.priority.solver.precision import FLOAT32, FLOAT64, Precision
+from surctl.priority.solver.trials import FAMILIES, Trials, draw_trials, judge
 from tests.tools import need_compiler
 
 Array = NDArray[np.float64]

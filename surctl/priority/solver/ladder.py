@@ -13,11 +13,11 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, lower
-from surctl.priority.dual_step import OPTIMAL
-from surctl.priority.elimination import as_matrix
-from surctl.priority.precision import FLOAT64, Precision
-from surctl.priority.rows import Sizes, unit_rows
-from surctl.priority.rungs import LIMITED, RELAXED, exact_rung, lower_rungs
+from surctl.priority.solver.dual_step import OPTIMAL
+from surctl.priority.solver.elimination import as_matrix
+from surctl.priority.solver.precision import FLOAT64, Precision
+from surctl.priority.solver.rows import Sizes, unit_rows
+from surctl.priority.solver.rungs import LIMITED, RELAXED, exact_rung, lower_rungs
 
 __all__ = ["CLAMPED", "LIMITED", "MET", "RELAXED", "safe_tick"]
 

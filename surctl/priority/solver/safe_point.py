@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, ToolMissing
 from surctl.ir import Routine, compile_block, replay
-from surctl.priority.dual_step import Space
-from surctl.priority.kernel import in_blocks, kernel
-from surctl.priority.ladder import CLAMPED, safe_tick
+from surctl.priority.solver.dual_step import Space
+from surctl.priority.solver.kernel import in_blocks, kernel
+from surctl.priority.solver.ladder import CLAMPED, safe_tick
 
 __all__ = ["Rung", "SafePoint", "least_distance", "nearest_to_zero", "tick_runner"]
 

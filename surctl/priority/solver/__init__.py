@@ -1,0 +1,3 @@
+"""The own least-distance solver: one dual active-set iteration as expressions, in bounded loops, with its ladder."""
+
+from __future__ import annotations
