@@ -196,7 +196,7 @@ def _from_stack(mode: Mode) -> Callable[[], None]:
     def run() -> None:
         into_eta[:] = pose
         into_walls[:] = given
-        tick.step()
+        tick.solve()
 
     return run
 
