@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from functools import cached_property
 
 from surctl.errors import InputError
 from surctl.ir.ops import LEAVES, LIBM, OPERATIONS
@@ -101,11 +100,6 @@ class Program:
 
     @cached_property
     def _digest(self) -> str:
-        return self._digest
-
-    @cached_property
-    def _digest(self) -> str:
-        # asked for once a call: a routine is made of many
         return hashlib.sha256(self.text().encode()).hexdigest()
 
 

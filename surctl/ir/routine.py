@@ -11,7 +11,6 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from functools import cached_property
 from typing import TypeAlias
 
 from surctl.errors import InputError
@@ -145,11 +144,6 @@ class Routine:
 
     @cached_property
     def _digest(self) -> str:
-        return self._digest
-
-    @cached_property
-    def _digest(self) -> str:
-        # asked for once a call: a routine is made of many
         return hashlib.sha256(self.text().encode()).hexdigest()
 
 
