@@ -26,6 +26,7 @@ class Contender:
         run: the arguments of one tick → v (n,), or None without an answer. This is timed.
         ticks: the arguments of each tick, made beforehand; None where this problem cannot be posed.
         ours: whether it is this toolkit.
+        read: the answer and the arguments of its tick → v in the coordinates that answers are compared in; not timed.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Contender:
     run: Callable[..., Any]
     ticks: Sequence[tuple[Any, ...] | None]
     ours: bool = False
+    read: Callable[..., Any] = lambda v, *tick: v
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ def warm_up(contenders: Sequence[Contender]) -> dict[str, Timing]:
         for at, tick in enumerate(contender.ticks):
             if tick is not None:
                 v = contender.run(*tick)
-                timing.answers[at] = None if v is None else np.array(v, dtype=float)
+                timing.answers[at] = None if v is None else np.array(contender.read(v, *tick), dtype=float)
     return timings
 
 

@@ -1,4 +1,6 @@
-"""The race inside C: this toolkit's emitted code against what CasADi and OSQP generate, all with the same flags.
+"""The race inside C: this toolkit's emitted code against what CasADi and OSQP generate.
+
+All are compiled with the same flags, for the machine at hand.
 
 Each contender is a shared library with the same loop around it (`loop.h`); they are called in turns.
 """
@@ -24,6 +26,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from surctl.ir import Block, compile_block, emit_block, find_compiler
+from surctl.ir.compiler import tuned_flags
 from surctl.priority import nsb, safe_tick, solve
 from surctl.priority.solver.ladder import MET
 from surctl.priority.solver.trials import Trials, draw_trials
@@ -219,7 +222,16 @@ def _pattern() -> Array:
 
 def _library(folder: Path, name: str, sources: list[Path], *flags: str) -> Any:
     path = folder / f"{name}.so"
-    command = [*shlex.split(find_compiler()), *FLAGS, *flags, "-o", str(path), *map(str, sources), "-lm"]
+    command = [
+        *shlex.split(find_compiler()),
+        *FLAGS,
+        *tuned_flags(),
+        *flags,
+        "-o",
+        str(path),
+        *map(str, sources),
+        "-lm",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise RuntimeError(f"{name} does not compile: {done.stderr[:2000]}")

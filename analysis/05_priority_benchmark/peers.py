@@ -18,16 +18,17 @@ import numpy as np
 from contender import Contender, Missing
 from numpy.typing import NDArray
 
-from surctl.priority import Level, Row, assemble, build_problem, solve
+from surctl.priority import Level, Mode, Row, assemble, build_problem, solve
 from surctl.tasks import HalfPlane, Stack, heading_task, position_task
 from surctl.vehicle.kinematics import jacobian
 
-__all__ = ["MINK", "PEER", "PEER_API", "PEER_FAST", "PINK", "peers"]
+__all__ = ["MINK", "PEER", "PEER_API", "PEER_FAST", "PEER_FILTER", "PINK", "peers"]
 
 Array: TypeAlias = NDArray[np.float64]
 
 PEER = "go to a point, hold the heading"
-PEER_FAST, PEER_API = "surctl fast path: their problem", "surctl build_problem + solve: their problem"
+PEER_FAST, PEER_API = "surctl fast path: projected, their problem", "surctl build_problem + solve: their problem"
+PEER_FILTER = "surctl fast path: filter, their problem"
 PINK, MINK = "pink (pinocchio), daqp", "mink (mujoco), daqp"
 
 _DT = 0.01  # s
@@ -48,7 +49,8 @@ def peers(count: int, *, seed: int) -> list[Contender | Missing]:
     targets[:, :3] += 0.01 * rng.normal(size=(count, 3))
     ticks = list(zip(poses, targets, strict=True))
     found: list[Contender | Missing] = [
-        Contender(PEER_FAST, PEER, _fast(), ticks, ours=True),
+        Contender(PEER_FAST, PEER, _fast("projected"), ticks, ours=True, read=_in_world),
+        Contender(PEER_FILTER, PEER, _fast("filter"), ticks, ours=True, read=_in_world),
         Contender(PEER_API, PEER, _api(), ticks, ours=True),
     ]
     for name, packages, make in (
@@ -73,8 +75,12 @@ def _api() -> Callable[[Array, Array], Array]:
     return run
 
 
-def _fast() -> Callable[[Array, Array], Array]:
-    """Tasks, their Jacobians at the pose, and the limits in one compiled call; velocities in {E}, as theirs."""
+def _fast(mode: Mode) -> Callable[[Array, Array], Array]:
+    """Tasks, their Jacobians at the pose, and the limits in one compiled call; limits in {E}, as theirs.
+
+    The task rows are orthonormal, so that the nearest point to the law without limits (filter), the first task first
+    (projected) and equal weights (theirs) are one point.
+    """
     eta, wanted = ca.SX.sym("eta", 4), ca.SX.sym("wanted", 4)
     gain = _GAIN / _DT
     stack = Stack((position_task(eta, wanted[:3], gain=gain), heading_task(eta, wanted[3], gain=gain)))
@@ -84,20 +90,22 @@ def _fast() -> Callable[[Array, Array], Array]:
         for i, name in enumerate("xyzr")
         for side, sign in (("upper", 1), ("lower", -1))
     ]
-    tick = assemble(stack, limits, inputs={"eta": eta, "wanted": wanted}).tick()
-    here, there, turn = tick.inputs["eta"], tick.inputs["wanted"], np.empty(4)
+    tick = assemble(stack, limits, inputs={"eta": eta, "wanted": wanted}).tick(mode)
+    here, there = tick.inputs["eta"], tick.inputs["wanted"]
 
     def run(pose: Array, target: Array) -> Array:
         here[:] = pose
         there[:] = target
         tick.solve()
-        # v is in {B}; they answer in the coordinates of the joints
-        c, s = math.cos(pose[3]), math.sin(pose[3])
-        u, v, turn[2], turn[3] = tick.v.tolist()
-        turn[0], turn[1] = c * u - s * v, s * u + c * v
-        return turn
+        return tick.v
 
     return run
+
+
+def _in_world(v: Array, pose: Array, target: Array) -> Array:
+    """v is in {B}; they answer in the coordinates of the joints."""
+    c, s = math.cos(pose[3]), math.sin(pose[3])
+    return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1], v[2], v[3]])
 
 
 def _pink() -> Callable[[Array, Array], Array]:

@@ -35,7 +35,7 @@ from in_c import (
 )
 from instances import draw_instances
 from ours import FAST, NSB, STRICT, ours
-from peers import MINK, PEER, PEER_API, PEER_FAST, PINK, peers
+from peers import MINK, PEER, PEER_API, PEER_FAST, PEER_FILTER, PINK, peers
 from tables import Line, compiled_lines, draw, lines_of, print_bars, print_lines, print_rows
 
 from surctl.errors import InputError, ToolMissing
@@ -115,7 +115,8 @@ def bars(lines: dict[str, Line]) -> list[tuple[str, float | None, float, bool]]:
         ("safe tick from Python, median µs", lines[FAST].median / 1e3, 6.0, True),
         ("safe tick from Python / DAQP's kept hierarchy", ratio(FAST, KEPT), 1.0, True),
     ]
-    found += [(f"{name} / ours on their problem", ratio(name, PEER_FAST), 30.0, False) for name in (PINK, MINK)]
+    for fast in (PEER_FAST, PEER_FILTER):
+        found += [(f"{name} / {fast}", ratio(name, fast), 30.0, False) for name in (PINK, MINK)]
     found.append((f"{QRQP} / ours", ratio(QRQP, OURS), 30.0, False))
     found += [(f"{name} / ours", ratio(name, OURS), 100.0, False) for name in OSQP]
     found.append(("our closed form / CasADi's, both in C", ratio(OURS_CLOSED, CASADI_CLOSED), 1.2, True))
