@@ -12,6 +12,7 @@ from tests.tools import need_compiler
 ANALYSIS = Path(__file__).parents[1] / "analysis"
 SWEEP = ANALYSIS / "02_gain_sweep" / "run.py"
 SOLVER = ANALYSIS / "03_least_distance" / "run.py"
+COMPILED = ANALYSIS / "06_compiled_modes" / "run.py"
 MODES = ANALYSIS / "04_priority_modes" / "run.py"
 
 
@@ -144,3 +145,13 @@ def test_a_bar_of_the_modes_that_is_missed_ends_with_1(
     assert study["without_limits"](20, 0) is False
     failed = [row[0] for row in table(capsys.readouterr().out) if row[-1] == "FAILED"]
     assert len(failed) == 3 and not any("nsb" in name for name in failed)
+
+
+def test_the_compiled_modes_are_the_law() -> None:
+    need_compiler()
+    done = run(COMPILED, "--quick", "--no-timing")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = [row for row in table(done.stdout) if len(row) >= 12 and row[0] != "mode"]
+    assert [row[0] for row in rows] == ["nsb", "nsb", "filter", *["projected"] * 3, "lexicographic"]
+    assert all(row[10] == row[11] == "0" for row in rows)  # no other outcome, none refused
+    assert all(int(row[7]) > 0 for row in rows[2:])  # rows that contradict each other are among them
