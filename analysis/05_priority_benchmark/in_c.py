@@ -13,7 +13,7 @@ import subprocess
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, get_args
 
 import casadi as ca
 import daqp
@@ -27,7 +27,7 @@ from scipy import sparse
 
 from surctl.ir import Block, compile_block, emit_block, find_compiler
 from surctl.ir.compiler import tuned_flags
-from surctl.priority import nsb, safe_tick, solve
+from surctl.priority import Mode, nsb, safe_tick, solve
 from surctl.priority.solver.ladder import MET
 from surctl.priority.solver.trials import Trials, draw_trials
 
@@ -38,9 +38,9 @@ __all__ = [
     "OSQP",
     "OURS",
     "OURS_CLOSED",
-    "OURS_TICK",
+    "OURS_TICKS",
     "QRQP",
-    "TICK",
+    "TICKS",
     "CompiledRun",
     "compiled",
     "race_in_c",
@@ -53,10 +53,10 @@ FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-D_POSIX_C_SOURCE=199309L", "-
 
 LEAST = "least distance: 2 equalities, 24 rows"
 CLOSED = "closed form of nsb"
-TICK = "complete tick: 4 tasks, box, 8 rows"
+TICKS: dict[Mode, str] = {mode: f"complete tick of {mode}: 4 tasks, box, 8 rows" for mode in get_args(Mode)}
 
 OURS, OURS_CLOSED = "surctl safe tick, C", "surctl closed form, C"
-OURS_TICK = "surctl projected tick, C"
+OURS_TICKS: dict[Mode, str] = {mode: f"surctl {mode} tick, C" for mode in TICKS}
 QRQP, CASADI_CLOSED = "CasADi qrqp, generated C", "CasADi closed form, generated C"
 OSQP = {"OSQP, generated C, tolerance 1e-3 (its default)": 1e-3, "OSQP, generated C, tolerance 1e-6": 1e-6}
 
@@ -69,7 +69,7 @@ class CompiledRun:
     """A contender in C.
 
     Attributes:
-        name: in the tables. problem: one of `LEAST`, `CLOSED`, `TICK`.
+        name: in the tables. problem: `LEAST`, `CLOSED`, or one of `TICKS`.
         records: (count, size), what it is given.
         answers: (count, width); NaN where it gave up.
         parts: where the parts of the problems that are run in one go begin, and the end; repeats: of each.
@@ -124,8 +124,7 @@ def compiled(
     references = {
         LEAST: _daqp(trials),
         CLOSED: np.array([nsb(problem) for problem in problems]),
-        TICK: np.array([solve(problem).v for problem in problems]),
-    }
+    } | {name: np.array([solve(problem, mode=mode).v for problem in problems]) for mode, name in TICKS.items()}
     stacked = np.array([np.concatenate([i.J.reshape(-1), i.x]) for i in instances])
     box = np.tile(BOX.reshape(-1), (len(stacked), 1))
     ticks = np.hstack([stacked, np.array([i.x for i in instances]), np.array([_table(i) for i in instances]), box])
@@ -142,8 +141,10 @@ def compiled(
             found.append(Missing(name, str(error).splitlines()[0]))
     found.append(CompiledRun(OURS_CLOSED, CLOSED, _ours(folder, closed), stacked, N, ours=True))
     found.append(CompiledRun(CASADI_CLOSED, CLOSED, _closed(folder), stacked, N))
-    whole = _ours(folder, tick_block("projected", N, LEVELS, N + ROWS))
-    return [*found, CompiledRun(OURS_TICK, TICK, whole, ticks, N, ours=True)], references
+    for mode, problem in TICKS.items():
+        whole = _ours(folder, tick_block(mode, N, LEVELS, N + ROWS))
+        found.append(CompiledRun(OURS_TICKS[mode], problem, whole, ticks, N, ours=True))
+    return found, references
 
 
 def race_in_c(runs: list[CompiledRun], *, rounds: int) -> None:

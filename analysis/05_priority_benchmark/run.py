@@ -26,9 +26,9 @@ from in_c import (
     OSQP,
     OURS,
     OURS_CLOSED,
-    OURS_TICK,
+    OURS_TICKS,
     QRQP,
-    TICK,
+    TICKS,
     CompiledRun,
     compiled,
     race_in_c,
@@ -55,7 +55,7 @@ REFERENCES = {mode: f"surctl solve: {mode}" for mode in get_args(Mode)} | {
     STRICT: KEPT,
     PEER: PEER_API,
 }
-OURS_IN_C = {LEAST: OURS, CLOSED: OURS_CLOSED, TICK: OURS_TICK}
+OURS_IN_C = {LEAST: OURS, CLOSED: OURS_CLOSED} | {TICKS[mode]: OURS_TICKS[mode] for mode in TICKS}
 
 
 def main(arguments: list[str]) -> int:
