@@ -26,7 +26,7 @@ class Answer:
     """What a mode answers.
 
     Attributes:
-        v: (n,). target: (n,), the point that the last projection started from.
+        v: (n,). target: (n,), the point that the last projection started from. free: (n,), the answer without rows.
         status: how it came about; "optimal" here also where rows hold levels back.
         binding, blame, iterations: as `Reached`.
         conflict: names of the rows that contradict each other.
@@ -34,6 +34,7 @@ class Answer:
 
     v: Array
     target: Array
+    free: Array
     status: Outcome
     binding: tuple[tuple[str, float], ...] = ()
     blame: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -53,7 +54,7 @@ def descend(
     """
     found = find(rows, inside=None)
     if found is not None:
-        return _answer(found, target, rows, "optimal", 0, ())
+        return _answer(found, target, rows, free, "optimal", 0, ())
     relaxed = least_violation(rows, target, backend=backend)
     if relaxed is None:
         return _last_resort(free, target, rows, backend)
@@ -61,14 +62,20 @@ def descend(
     if found is None:  # cannot be but by a solver's failure: a point inside is known
         return _last_resort(free, target, rows, backend)
     status: Outcome = "relaxed" if relaxed.opened else "optimal"
-    return _answer(found, target, rows, status, relaxed.iterations, relaxed.conflict)
+    return _answer(found, target, rows, free, status, relaxed.iterations, relaxed.conflict)
 
 
 def _answer(
-    found: Reached, target: Array, rows: Polyhedron, status: Outcome, spent: int, conflict: tuple[str, ...]
+    found: Reached,
+    target: Array,
+    rows: Polyhedron,
+    free: Array,
+    status: Outcome,
+    spent: int,
+    conflict: tuple[str, ...],
 ) -> Answer:
     v = rows.clamp(found.v)
-    return Answer(v, target, status, found.binding, found.blame, spent + found.iterations, conflict)
+    return Answer(v, target, free, status, found.binding, found.blame, spent + found.iterations, conflict)
 
 
 def _last_resort(free: Array, target: Array, rows: Polyhedron, backend: Backend) -> Answer:
@@ -78,4 +85,4 @@ def _last_resort(free: Array, target: Array, rows: Polyhedron, backend: Backend)
     options = [rows.clamp(option) for option in (answer.x, free, np.zeros(free.size)) if option is not None]
     finite = [option for option in options if np.isfinite(option).all()] or [rows.clamp(np.zeros(free.size))]
     v = min(finite, key=lambda option: float(rows.violation(option)[hard].max(initial=0.0)))
-    return Answer(v, target, "clamped", iterations=answer.iterations)
+    return Answer(v, target, free, "clamped", iterations=answer.iterations)

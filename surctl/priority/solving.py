@@ -59,43 +59,46 @@ def solve(
     with np.errstate(all="ignore"):  # an overflow is dealt with below, not warned about
         try:
             answer = _MODES[settings.mode](problem.levels, rows, settings, backend)
-            free = without_rows(problem.levels, width=problem.width, settings=settings)
-            if np.isfinite(answer.v).all() and np.isfinite(free).all():
-                return _solution(problem, settings, rows, answer, free)
+            if np.isfinite(answer.v).all() and np.isfinite(answer.free).all():
+                return _solution(problem, settings, rows, answer)
         except (np.linalg.LinAlgError, ArithmeticError):
             pass
         # the numbers ran away: no velocity, or as little as the box allows
         v = np.nan_to_num(rows.clamp(np.zeros(problem.width)))
-        return _solution(problem, settings, rows, Answer(v, v, "clamped"), v)
+        return _solution(problem, settings, rows, Answer(v, v, v, "clamped"))
 
 
 def _nsb(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> Answer:
     free = without_rows(levels, width=rows.width, settings=settings)
-    return Answer(free, free, "optimal")
+    return Answer(free, free, free, "optimal")
 
 
 def _filter(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> Answer:
     target = without_rows(levels, width=rows.width, settings=settings)
     if rows.contains(target):
-        return Answer(target, target, "optimal")
+        return Answer(target, target, target, "optimal")
     find = partial(reach, (), target, backend=backend, cutoff=settings.cutoff)
     return descend(find, target, rows, free=target, backend=backend)
 
 
 def _projected(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> Answer:
-    answer = Answer(np.zeros(rows.width), np.zeros(rows.width), "optimal")
+    v = without = np.zeros(rows.width)
+    bound = False
     for _ in range(settings.sweeps):
-        target = nsb_sweep(levels[1:], start=answer.v, settings=settings)
+        target = nsb_sweep(levels[1:], start=v, settings=settings)
         free = nsb_sweep(levels[:1], start=target, settings=settings)
+        # as long as no row has bound, the sweeps with rows and those without are the same
+        without = nsb_sweep(levels, start=without, settings=settings) if bound else free
         if rows.contains(free):
-            answer = Answer(free, target, "optimal")
-            continue
-        find: Callable[..., Reached | None] = partial(
-            reach, levels[:1], target, backend=backend, cutoff=settings.cutoff
-        )
-        if settings.damping > 0.0:
-            find = partial(_damped, levels[0], target, damping=settings.damping, backend=backend)
-        answer = descend(find, target, rows, free=free, backend=backend)
+            answer = Answer(free, target, without, "optimal")
+        else:
+            find: Callable[..., Reached | None] = partial(
+                reach, levels[:1], target, backend=backend, cutoff=settings.cutoff
+            )
+            if settings.damping > 0.0:
+                find = partial(_damped, levels[0], target, damping=settings.damping, backend=backend)
+            answer, bound = descend(find, target, rows, free=without, backend=backend), True
+        v = answer.v
     return answer
 
 
@@ -103,7 +106,7 @@ def _lexicographic(levels: Sequence[Level], rows: Polyhedron, settings: Settings
     target = np.zeros(rows.width)
     free = without_rows(levels, width=rows.width, settings=settings)
     if rows.contains(free):
-        return Answer(free, target, "optimal")
+        return Answer(free, target, free, "optimal")
     find = partial(reach, levels, target, backend=backend, cutoff=settings.cutoff)
     return descend(find, target, rows, free=free, backend=backend)
 
@@ -130,9 +133,7 @@ def _damped(
     return Reached.of(found.v, rows.names, found.multipliers, spent + found.iterations)
 
 
-def _solution(
-    problem: PriorityProblem, settings: Settings, rows: Polyhedron, answer: Answer, free: Array
-) -> PrioritySolution:
+def _solution(problem: PriorityProblem, settings: Settings, rows: Polyhedron, answer: Answer) -> PrioritySolution:
     """The answer in the words of the problem: names, and multipliers of the rows as given."""
     length = dict(zip(rows.names, rows.length, strict=True))
     limited = answer.status == "optimal" and problem.levels[0].name in answer.blame
@@ -144,7 +145,7 @@ def _solution(
         settings=settings,
         target=answer.target,
         residuals=residuals_at(answer.v, problem.levels),
-        without_limits=residuals_at(free, problem.levels),
+        without_limits=residuals_at(answer.free, problem.levels),
         binding=tuple((name, u / length.get(name, 1.0)) for name, u in answer.binding if abs(u) > bite),
         blame=answer.blame,
         relaxed=rows.missed(answer.v),
