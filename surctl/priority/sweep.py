@@ -58,10 +58,10 @@ def _onto(level: Level, w: Array, settings: Settings) -> Array:
         return project(w, level.J, x=level.x, cutoff=settings.cutoff)
     if level.is_goal or level.J.shape[0] == 1:
         # not by the Gram matrix: squared, λ is lost beside a Jacobian 1e8 times as large
-        left, s, rows = np.linalg.svd(level.J, full_matrices=False)
+        left, s, right = np.linalg.svd(level.J, full_matrices=False)
         if damping == 0.0 and s[0] <= ZERO_ROW:
             return w
-        moved: Array = w + rows.T @ (left.T @ level.miss(w) * (s / (s**2 + damping**2)))
+        moved: Array = w + right.T @ (left.T @ level.miss(w) * (s / (s**2 + damping**2)))
         return moved
     rows = Polyhedron.none(w.size)
     if damping == 0.0:

@@ -259,3 +259,15 @@ def test_damping_far_below_the_jacobian_still_answers(mode):
     assert got.status == "optimal"
     # the damping itself changes v by (λ/‖J‖)² = 1e-21; rounding of J, 1e-16·‖J‖, counts against λ
     np.testing.assert_allclose(got.v, solve(problem, mode=mode).v, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("damping", "1"), ("damping", None), ("cutoff", "small"), ("sweeps", True), ("sweeps", None)]
+)
+def test_a_setting_that_is_no_number_is_refused_by_name(key, value):
+    with pytest.raises(InputError, match=key):
+        solve(wide([Level("a", E[:1], np.ones(1))]), **{key: value})
+
+
+def test_a_number_of_sweeps_may_be_numpys():
+    assert solve(wide([Level("a", E[:1], np.ones(1))]), sweeps=np.int64(2)).fallback == 1
