@@ -176,6 +176,9 @@ def build_problem(levels: Sequence[Level], rows: Sequence[Row] = ()) -> Priority
         raise InputError("has no level", key="problem", remedy="give at least one task")
     _check_names("task", [level.name for level in levels])
     _check_names("limit", [row.name for row in rows])
+    shared = {level.name for level in levels} & {row.name for row in rows}
+    if shared:  # a set-based task may bind like a limit: the answer would not say which of the two
+        raise InputError("names a limit too", key=f"task {min(shared)}", remedy="rename one of them")
     checked = tuple(_checked_level(level) for level in levels)
     width = checked[0].J.shape[1]
     for level in checked:

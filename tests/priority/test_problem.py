@@ -88,3 +88,8 @@ def test_what_is_no_number_names_the_task(J):
 def test_a_bound_that_is_no_number_names_the_limit(bound):
     with pytest.raises(InputError, match="limit wall"):
         build_problem([Level("depth", np.eye(4)[:1], np.ones(1))], [Row("wall", "barrier", np.ones(4), -1.0, bound)])
+
+
+def test_a_task_and_a_limit_of_one_name_are_refused():
+    with pytest.raises(InputError, match="task wall: names a limit too"):
+        build_problem([Level("wall", np.eye(4)[:1], np.ones(1))], [Row("wall", "barrier", np.ones(4), -1.0, 1.0)])
