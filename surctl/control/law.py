@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import ToolMissing
+from surctl.errors import InputError, ToolMissing
 from surctl.guidance import AvoidanceForm
 from surctl.ir import Block, Layout, Port, compile_block, replay
 from surctl.priority import Level, Mode, PriorityProblem, PrioritySolution, Row, solve
@@ -94,7 +94,12 @@ class Law:
         return self.state.pack()
 
     def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
-        """One step. NaN never becomes a command: a non-finite number anywhere gives zero thrust, `NONFINITE`."""
+        """One step. NaN never becomes a command: a non-finite number anywhere gives zero thrust, `NONFINITE`.
+
+        Raises:
+            InputError: a vector that has not the size of its layout.
+        """
+        x, u, p = self._vectors(x, u, p)
         if not (np.isfinite(x).all() and np.isfinite(u).all() and np.isfinite(p).all()):
             return self._fail_safe(x)
         parts = self._run(x, u, p)
@@ -120,8 +125,16 @@ class Law:
         return slice(where.start - 4, where.stop - 4)
 
     def problem(self, x: Vector, u: Vector, p: Vector) -> PriorityProblem:
-        """The priority problem of one tick, as data with names on every row."""
+        """The priority problem of one tick, as data with names on every row.
+
+        Raises:
+            InputError: a vector of another size than its layout's, or numbers that lead to one that is not finite.
+        """
+        x, u, p = self._vectors(x, u, p)
         J, wanted, rows, *_ = (np.asarray(m, dtype=float).reshape(-1) for m in self.pre(x, u, p))
+        # the bounds of a row may be absent: ±inf, but no NaN
+        if not np.isfinite(J).all() or not np.isfinite(wanted).all() or np.isnan(rows).any():
+            raise InputError("is not finite", key=f"{self.name}.problem", remedy="`step` refuses such a tick")
         levels, at = [], 0
         for name, count, unit in self.levels:
             here = slice(at, at + count)
@@ -137,6 +150,20 @@ class Law:
     def explained(self, x: Vector, u: Vector, p: Vector) -> PrioritySolution:
         """The priority decision of one tick with names and words: what `step` does, solved again in NumPy."""
         return solve(self.problem(x, u, p), mode=self.mode)
+
+    def _vectors(self, *vectors: Vector) -> list[Vector]:
+        """x, u, p as flat vectors of the right sizes."""
+        flat = []
+        for vector, layout, name in zip(vectors, (self.state, self.inputs, self.gains), "xup", strict=True):
+            array = np.asarray(vector)
+            if array.size != layout.size or array.dtype.kind not in "fiu":
+                raise InputError(
+                    f"has shape {array.shape} of {array.dtype}",
+                    key=f"{self.name}.{name}",
+                    remedy=f"give {layout.size} real numbers, as its layout packs them",
+                )
+            flat.append(array.astype(float, copy=False).reshape(-1))
+        return flat
 
     def _fail_safe(self, x: Vector) -> LawStep:
         return LawStep(np.zeros(4), np.array(x, dtype=float), NONFINITE, np.zeros(self.outputs.size - 4))

@@ -34,6 +34,7 @@ Backend: TypeAlias = str | Kernel
 FEASIBLE = 1e-9
 """Largest violation of a row, as given, relative to 1 + max |v|, that passes as rounding."""
 
+_FAR = 1e3  # times 1 + max |x|, from where on the target is brought near
 _STATIONARY = 1e-8
 _FIXED = 1e-9  # a row this short after elimination no longer depends on what is left to choose
 
@@ -86,6 +87,23 @@ def solve_least_distance(
         InputError: unknown backend.
     """
     kernel = check_backend(backend)
+    answer = _nearest(target, A, lower, upper, A_eq, b_eq, kernel)
+    if answer.x is None:
+        return answer
+    # rounding is that of the largest number in play: a far target is brought near, along a ray that ends in one point
+    size = 1.0 + float(np.abs(answer.x).max())
+    away = float(np.abs(target - answer.x).max())
+    if not _FAR * size < away < np.inf:
+        return answer
+    pull = size / away
+    near = _nearest(answer.x + pull * (target - answer.x), A, lower, upper, A_eq, b_eq, kernel)
+    return LeastDistance(near.x, near.multipliers / pull, answer.iterations + near.iterations, near.status)
+
+
+def _nearest(
+    target: Array, A: Array, lower: Array, upper: Array, A_eq: Array | None, b_eq: Array | None, kernel: Kernel
+) -> LeastDistance:
+    """As `solve_least_distance`, with rows kept to a part of 1 + max |target|."""
     nothing = np.zeros(lower.size)
     base, free = _eliminate(target, A_eq, b_eq)
     if base is None:

@@ -168,13 +168,17 @@ def build_problem(levels: Sequence[Level], rows: Sequence[Row] = ()) -> Priority
     """Check and freeze a problem.
 
     Raises:
-        InputError: no level, widths that disagree, a number that is not finite, bounds that cross, an unknown
-            kind, or a name used twice; it names the task (and the row inside it) or the limit.
+        InputError: no level, widths that disagree, what is no number or not finite, bounds that cross, an unknown
+            kind, a name that is empty, not of one line or used twice; it names the task (and the row inside it) or
+            the limit.
     """
     if not levels:
         raise InputError("has no level", key="problem", remedy="give at least one task")
     _check_names("task", [level.name for level in levels])
     _check_names("limit", [row.name for row in rows])
+    shared = {level.name for level in levels} & {row.name for row in rows}
+    if shared:  # a set-based task may bind like a limit: the answer would not say which of the two
+        raise InputError("names a limit too", key=f"task {min(shared)}", remedy="rename one of them")
     checked = tuple(_checked_level(level) for level in levels)
     width = checked[0].J.shape[1]
     for level in checked:
@@ -188,8 +192,9 @@ def build_problem(levels: Sequence[Level], rows: Sequence[Row] = ()) -> Priority
 
 
 def _checked_level(level: Level) -> Level:
-    J, lower, upper = _array(level.J), _array(level.lower).reshape(-1), _array(level.high).reshape(-1)
     key = f"task {level.name}"
+    J, lower, upper = (_numbers(value, key) for value in (level.J, level.lower, level.high))
+    lower, upper = lower.reshape(-1), upper.reshape(-1)
     if J.ndim != 2 or J.shape[0] != lower.size or J.size == 0 or lower.size != upper.size:
         entries = f"{lower.size}" if lower.size == upper.size else f"{lower.size} and {upper.size}"
         raise InputError(
@@ -212,8 +217,8 @@ def _checked_level(level: Level) -> Level:
 
 
 def _checked_row(row: Row, width: int) -> Row:
-    a, lower, upper = _array(row.a).reshape(-1), float(row.lower), float(row.upper)
     key = f"limit {row.name}"
+    a, lower, upper = _numbers(row.a, key).reshape(-1), _number(row.lower, key), _number(row.upper, key)
     if row.kind not in get_args(Kind):
         raise InputError("unknown kind", key=key, value=row.kind, remedy=nearest(str(row.kind), get_args(Kind)))
     if a.size != width:
@@ -227,6 +232,10 @@ def _checked_row(row: Row, width: int) -> Row:
 
 def _check_names(what: str, names: Sequence[str]) -> None:
     for i, name in enumerate(names):
+        if not isinstance(name, str) or not name or not name.isprintable():
+            raise InputError(
+                "is no name", key=f"name of {what} {i + 1}", value=name, remedy="give text of one line, not empty"
+            )
         if name in names[:i]:
             raise InputError(
                 f"names both {what} {names.index(name) + 1} and {what} {i + 1}",
@@ -237,6 +246,22 @@ def _check_names(what: str, names: Sequence[str]) -> None:
 
 def _array(value: Any) -> Array:
     return np.array(value, dtype=float)
+
+
+def _numbers(value: Any, key: str) -> Array:
+    try:
+        if not np.iscomplexobj(value):
+            return _array(value)
+    except (TypeError, ValueError):
+        pass
+    raise InputError("is not an array of numbers", key=key, value=value, remedy="give real numbers, rows of one length")
+
+
+def _number(value: Any, key: str) -> float:
+    number = _numbers(value, key)
+    if number.size != 1:
+        raise InputError("is not one number", key=key, value=value, remedy="give one lower and one upper bound")
+    return float(number.reshape(()))
 
 
 def _bound(value: float) -> float | None:

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
+import numpy as np
+
 from surctl.errors import InputError, nearest
 from surctl.priority.rowspace import CUTOFF
 
@@ -46,8 +48,11 @@ class Settings:
             raise InputError(
                 "no such priority mode", key="mode", value=self.mode, remedy=nearest(str(self.mode), modes)
             )
-        if not isinstance(self.sweeps, int) or self.sweeps < 1:
+        if not isinstance(self.sweeps, int | np.integer) or isinstance(self.sweeps, bool) or self.sweeps < 1:
             raise InputError("is not a number of sweeps", key="sweeps", value=self.sweeps, remedy="give 1, 2, …")
+        for name, value in (("damping", self.damping), ("cutoff", self.cutoff)):
+            if not isinstance(value, float | int | np.floating | np.integer) or isinstance(value, bool):
+                raise InputError("is not a number", key=name, value=value, remedy="give a number, or leave it out")
         if self.damping != 0.0 and not _LEAST_DAMPING <= self.damping < math.inf:
             raise InputError(
                 "is out of range", key="damping", value=self.damping, remedy=f"give 0, or {_LEAST_DAMPING:g} and more"

@@ -57,10 +57,11 @@ def _onto(level: Level, w: Array, settings: Settings) -> Array:
     if level.is_goal and damping == 0.0:
         return project(w, level.J, x=level.x, cutoff=settings.cutoff)
     if level.is_goal or level.J.shape[0] == 1:
-        gram = level.J @ level.J.T + damping**2 * np.eye(level.J.shape[0])
-        if damping == 0.0 and gram[0, 0] <= ZERO_ROW**2:
+        # not by the Gram matrix: squared, λ is lost beside a Jacobian 1e8 times as large
+        left, s, right = np.linalg.svd(level.J, full_matrices=False)
+        if damping == 0.0 and s[0] <= ZERO_ROW:
             return w
-        moved: Array = w + level.J.T @ np.linalg.solve(gram, level.miss(w))
+        moved: Array = w + right.T @ (left.T @ level.miss(w) * (s / (s**2 + damping**2)))
         return moved
     rows = Polyhedron.none(w.size)
     if damping == 0.0:

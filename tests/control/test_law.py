@@ -380,3 +380,21 @@ def test_gains_of_another_vehicle_change_the_command_but_not_the_law() -> None:
     u = _input(law, nu=(0.19, 0, 0, 0))
     a, b = law.step(_started(law), u, p), law.step(_started(law), u, light)
     assert a.tau[0] - b.tau[0] == pytest.approx(45 * 1.5 * 0.01, rel=1e-9)
+
+
+@pytest.mark.parametrize("mode", ["nsb", "projected"])
+def test_a_vector_of_the_wrong_size_names_it(mode):
+    law = build_law("guarded", mode=mode)
+    right = {"x": law.initial_state(), "u": law.inputs.pack(), "p": law.gains.pack()}
+    for name, vector in right.items():
+        for wrong in (vector[:-1], vector[:0], np.stack([vector, vector]), 1j * vector, "text"):
+            for call in (law.step, law.problem, law.explained):
+                with pytest.raises(InputError, match=rf"surctl_guarded\.{name}"):
+                    call(**{**right, name: wrong})
+
+
+def test_the_problem_of_a_tick_that_the_law_refuses_is_refused():
+    law = build_law("guarded", mode="projected")
+    u = np.full(law.inputs.size, np.nan)
+    with pytest.raises(InputError, match="not finite"):
+        law.explained(law.initial_state(), u, law.gains.pack())

@@ -235,3 +235,39 @@ def test_answers_are_continuous_where_sets_and_rows_start_to_bind():
     for settings in ({"mode": "filter"}, {"mode": "projected"}, {"mode": "projected", "damping": 0.05}):
         path = np.array([v(s, **settings) for s in np.linspace(-0.5, 0.5, 801)])
         assert np.abs(np.diff(path, axis=0)).max() <= 4 / 800
+
+
+@every
+def test_references_far_beyond_the_rows_do_not_move_an_actuator_row(settings):
+    rng = np.random.default_rng(41)
+    for k in range(150):
+        problem = draw_problem(rng)
+        far = [Level(level.name, level.J, 10.0 ** rng.uniform(6, 12) * level.x) for level in problem.levels]
+        problem = build_problem(far, problem.rows)
+        got = solve(problem, **settings)
+        assert got.is_optimal(problem, 1e-6), (k, got.status)
+        if settings["mode"] != "nsb":
+            assert max(miss(row, got.v) for row in problem.rows if row.kind == "actuator") <= 1e-9, k
+
+
+@pytest.mark.parametrize("mode", ["nsb", "filter", "projected"])
+def test_damping_far_below_the_jacobian_still_answers(mode):
+    doubled = np.array([[3e4, -1e4, 0.0, 2e4]] * 2)
+    levels = [Level("first", doubled, np.array([1e3, 1e3])), Level("second", doubled[:, ::-1], np.array([2e3, 2e3]))]
+    problem = build_problem(levels, box(10.0))
+    got = solve(problem, mode=mode, damping=1e-6)
+    assert got.status == "optimal"
+    # the damping itself changes v by (λ/‖J‖)² = 1e-21; rounding of J, 1e-16·‖J‖, counts against λ
+    np.testing.assert_allclose(got.v, solve(problem, mode=mode).v, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("damping", "1"), ("damping", None), ("cutoff", "small"), ("sweeps", True), ("sweeps", None)]
+)
+def test_a_setting_that_is_no_number_is_refused_by_name(key, value):
+    with pytest.raises(InputError, match=key):
+        solve(wide([Level("a", E[:1], np.ones(1))]), **{key: value})
+
+
+def test_a_number_of_sweeps_may_be_numpys():
+    assert solve(wide([Level("a", E[:1], np.ones(1))]), sweeps=np.int64(2)).fallback == 1

@@ -68,3 +68,28 @@ def test_the_callers_arrays_are_not_shared():
     problem = build_problem([Level("depth", J, np.array([0.1]))])
     J[0, 2] = 99.0
     assert problem.levels[0].J[0, 2] == 1.0
+
+
+@pytest.mark.parametrize("name", ["", "two\nlines", None, 3])
+def test_a_name_that_cannot_be_told_in_a_line_is_refused(name):
+    with pytest.raises(InputError, match=r"name of task 2.*is no name"):
+        build_problem([Level("first", np.eye(4)[:1], np.ones(1)), Level(name, np.eye(4)[1:2], np.ones(1))])
+    with pytest.raises(InputError, match=r"name of limit 1.*is no name"):
+        build_problem([Level("first", np.eye(4)[:1], np.ones(1))], [Row(name, "actuator", np.ones(4), -1.0, 1.0)])
+
+
+@pytest.mark.parametrize("J", ["text", [[1.0, 2.0], [3.0]], 1j * np.eye(4)[:1]])
+def test_what_is_no_number_names_the_task(J):
+    with pytest.raises(InputError, match=r"task depth.*not an array of numbers"):
+        build_problem([Level("depth", J, np.ones(1))])
+
+
+@pytest.mark.parametrize("bound", ["high", np.ones(2), [[1.0], [2.0, 3.0]]])
+def test_a_bound_that_is_no_number_names_the_limit(bound):
+    with pytest.raises(InputError, match="limit wall"):
+        build_problem([Level("depth", np.eye(4)[:1], np.ones(1))], [Row("wall", "barrier", np.ones(4), -1.0, bound)])
+
+
+def test_a_task_and_a_limit_of_one_name_are_refused():
+    with pytest.raises(InputError, match="task wall: names a limit too"):
+        build_problem([Level("wall", np.eye(4)[:1], np.ones(1))], [Row("wall", "barrier", np.ones(4), -1.0, 1.0)])

@@ -60,7 +60,7 @@ def diagnose(
         InputError: a region or parameter that `build_region` refuses, a symbol without a range, nonsensical numbers,
             a set-based task, or one that is not finite at a sample; it names the symbol or the task.
     """
-    _check_numbers(samples, threshold, starts)
+    _check_numbers(samples, threshold, starts, seed)
     box = build_region(stack, region, parameters)
     field = build_field(stack, box)
     unit = box.sample(samples, seed)
@@ -81,11 +81,11 @@ def diagnose(
     )
 
 
-def _check_numbers(samples: int, threshold: float, starts: int) -> None:
-    for name, value in (("samples", samples), ("starts", starts)):
-        if not isinstance(value, int) or value < 1:
-            raise InputError("must be a whole number of at least 1", key=name, value=value, remedy="such as 4")
-    if not 0.0 < threshold < 1.0:
+def _check_numbers(samples: int, threshold: float, starts: int, seed: int) -> None:
+    for name, value, least in (("samples", samples, 1), ("starts", starts, 1), ("seed", seed, 0)):
+        if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
+            raise InputError(f"must be a whole number of at least {least}", key=name, value=value, remedy="such as 4")
+    if not isinstance(threshold, float | int | np.floating) or not 0.0 < threshold < 1.0:
         raise InputError("must be between 0 and 1", key="threshold", value=threshold, remedy="such as 1e-3")
 
 

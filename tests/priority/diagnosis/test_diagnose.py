@@ -279,7 +279,17 @@ def test_two_symbols_of_one_name_are_refused():
 
 
 def test_bad_numbers_and_tasks_that_are_not_finite_are_refused():
-    for bad in ({"samples": 0}, {"samples": 2.5}, {"starts": 0}, {"threshold": 0.0}, {"threshold": math.nan}):
+    for bad in (
+        {"samples": 0},
+        {"samples": 2.5},
+        {"starts": 0},
+        {"threshold": 0.0},
+        {"threshold": math.nan},
+        {"threshold": "x"},
+        {"seed": -1},
+        {"seed": "x"},
+        {"seed": None},
+    ):
         with pytest.raises(InputError, match=next(iter(bad))):
             look(DEPTH, **bad)
     with pytest.raises(InputError, match=r"task root: is not finite at x = -"):
