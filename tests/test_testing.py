@@ -384,3 +384,64 @@ def test_unknown_names_are_refused():
         check_backend("dapq")
     with pytest.raises(InputError, match="did you mean 'scaled'"):
         check_backend("daqp", families=["scaledd"])
+
+
+PLAIN = Task(name="plain", eta=ETA, sigma=ETA[:2])
+KNOB = ca.SX.sym("knob")
+
+
+@pytest.mark.parametrize(
+    ("check", "says"),
+    [
+        (lambda: check_task(PLAIN, samples=0), "samples = 0"),
+        (lambda: check_task(PLAIN, near=[[0.0, 0.0]]), r"near\[0\]"),
+        (lambda: check_task("plain"), "neither a Task nor a SetTask"),
+        (lambda: check_task(PLAIN, parameters=[(KNOB, 0.0)]), "lowest, highest"),
+        (lambda: check_task(PLAIN, parameters=[(KNOB, "a", "b")]), "parameter knob"),
+        (lambda: check_task(PLAIN, parameters=[(KNOB, 0, 1), (KNOB, 0, 1)]), "knob: has two ranges"),
+        (lambda: check_limit(VelocityBox([-1] * 4, [1] * 4), samples=0), "samples = 0"),
+        (lambda: check_limit(VelocityBox([-1] * 4, [1] * 4), velocity=math.nan), "velocity = nan"),
+        (lambda: check_backend("own", problems=0), "problems = 0"),
+        (lambda: check_backend("own", size=1), "size = 1"),
+        (lambda: check_backend("own", tol=math.nan), "tol = nan"),
+        (lambda: check_backend("own", families=[]), "no list of families"),
+        (lambda: check_backend(3), "no such QP backend"),
+    ],
+)
+def test_a_check_of_nothing_is_refused(check, says):
+    with pytest.raises(InputError, match=says):
+        check()
+
+
+@pytest.mark.parametrize(
+    ("limit", "says"),
+    [
+        (3, "is a int without rows"),
+        (Rows(1, 2), "a row that is a int"),
+        (Rows(LimitRow("own", "actuator", None, ca.SX(-1), ca.SX(1))), "a is a NoneType, not SX"),
+    ],
+)
+def test_what_is_no_limit_at_all_is_a_finding(limit, says):
+    with pytest.raises(CheckFailed, match=says):
+        check_limit(limit)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        None,
+        (1, 2),
+        Answer(np.array(["a"] * 4), np.zeros(8), 0, "optimal"),
+        Answer(np.zeros(4), np.zeros(8), None, "failed"),
+    ],
+)
+def test_what_is_no_answer_at_all_is_a_finding(answer):
+    report = measure_backend(lambda G, lower, upper: answer, families=["loose"], problems=2)
+    assert len(report.findings) == 1
+
+
+def test_an_answer_in_lists_is_an_answer():
+    zeros = measure_backend(
+        lambda G, lower, upper: Answer([0.0] * G.shape[1], [0.0] * len(lower), 0, "optimal"), families=["loose"]
+    )
+    assert zeros.findings == ()

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError
+from surctl.errors import InputError, ToolMissing
 from surctl.ir.c99 import C_TYPE, Real
 from surctl.ir.c99_routine import emit_block
 from surctl.ir.cache import shared_library
@@ -58,11 +58,7 @@ class Native:
     def __init__(self, block: Block, library: bytes, *, real: Real = "float64") -> None:
         self.block, self.dtype = block, np.dtype(real)
         self._inputs, self._outputs = block.inputs, block.outputs  # a routine works them out anew each time
-        with tempfile.TemporaryDirectory(prefix="surctl-") as folder:
-            path = Path(folder) / "block.so"
-            path.write_bytes(library)
-            # once loaded, the file is no longer needed
-            self._library = ctypes.CDLL(str(path))
+        self._library = _loaded(library)
         self._library.surctl_run.restype = None
         self._library.surctl_run.argtypes = [ctypes.c_void_p]
         self._library.surctl_run_many.restype = None
@@ -97,6 +93,22 @@ class Native:
         return out
 
 
+def _loaded(library: bytes) -> ctypes.CDLL:
+    """Once loaded, the file is no longer needed."""
+    try:
+        with tempfile.TemporaryDirectory(prefix="surctl-") as folder:
+            path = Path(folder) / "block.so"
+            path.write_bytes(library)
+            return ctypes.CDLL(str(path))
+    except OSError as error:  # a folder that is full, or mounted noexec
+        raise ToolMissing(
+            f"compiled code cannot be loaded from there ({error})",
+            key="TMPDIR",
+            value=tempfile.gettempdir(),
+            remedy="set it to a folder from which programs may run",
+        ) from None
+
+
 def compile_block(
     block: Block, *, flags: Sequence[str] = (), folder: Path | None = None, real: Real = "float64"
 ) -> Native:
@@ -109,7 +121,7 @@ def compile_block(
         real: "float32" computes in float; inputs are rounded to it.
 
     Raises:
-        ToolMissing: there is no compiler; `replay` runs the same block.
+        ToolMissing: there is no compiler, or no folder to load from; `replay` runs the same block.
         InputError: a flag that changes results.
         SurctlError: the compiler refuses.
     """

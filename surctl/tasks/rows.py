@@ -71,7 +71,8 @@ def checked_name(name: object) -> str:
 def checked_kind(name: str, kind: str) -> None:
     """InputError, with the nearest kind, when there is no such kind."""
     if kind not in get_args(Kind):
-        raise InputError("unknown kind of limit", key=f"limit {name}", value=kind, remedy=nearest(kind, get_args(Kind)))
+        remedy = nearest(str(kind), get_args(Kind))
+        raise InputError("unknown kind of limit", key=f"limit {name}", value=kind, remedy=remedy)
 
 
 def checked_column(name: str, field: str, value: Expression, size: int, *, finite: bool = False) -> ca.SX:

@@ -9,7 +9,7 @@ import casadi as ca
 
 from surctl.errors import InputError
 from surctl.tasks.rows import LimitRow
-from surctl.tasks.task import Expression, Task, as_column
+from surctl.tasks.task import Expression, Task, as_column, sigma_column
 
 __all__ = ["SetTask"]
 
@@ -48,7 +48,7 @@ class SetTask:
 
     def __post_init__(self) -> None:
         """Check, and turn every number into a column of k expressions."""
-        k = int(ca.SX(self.sigma).shape[0])
+        k = int(sigma_column(self.name, self.sigma).shape[0])
         for bound in ("lower", "upper"):
             object.__setattr__(self, bound, self._column(bound, k))
         for i in range(k):

@@ -13,7 +13,7 @@ from surctl.errors import InputError
 from surctl.tasks.angle import wrap
 from surctl.vehicle.kinematics import jacobian as kinematics
 
-__all__ = ["Expression", "Task", "as_column", "sized_column"]
+__all__ = ["Expression", "Task", "as_column", "sigma_column", "sized_column"]
 
 Expression: TypeAlias = ca.SX | float | Sequence[float]
 """A CasADi expression, a number, or a list of numbers."""
@@ -53,9 +53,7 @@ class Task:
         _check_name(self.name)
         if not isinstance(self.eta, ca.SX) or self.eta.shape != (4, 1) or not self.eta.is_valid_input():
             raise _wrong(self, "eta", "is not an SX symbol of shape (4, 1)", 'write eta = ca.SX.sym("eta", 4)')
-        sigma = ca.densify(ca.SX(self.sigma))
-        if sigma.shape[1] != 1 or sigma.shape[0] < 1:
-            raise _wrong(self, "sigma", f"has shape {sigma.shape}, expected (k, 1)", "use ca.vertcat")
+        sigma = sigma_column(self.name, self.sigma)
         if not ca.depends_on(sigma, self.eta):
             raise _wrong(self, "sigma", "does not depend on eta", "express it through this task's own eta symbol")
         object.__setattr__(self, "sigma", sigma)
@@ -91,6 +89,18 @@ class Task:
     def reference(self) -> ca.SX:
         """x = σ̇_d + K σ̃, (k, 1) [unit of σ per second] (14)."""
         return ca.densify(self.rate + self.gain * self.error())
+
+
+def sigma_column(name: str, value: Expression) -> ca.SX:
+    """σ as a dense (k, 1), k at least 1; InputError, with the task's name, when it is none."""
+    key = f"task {name}: sigma"
+    try:
+        sigma: ca.SX = ca.densify(ca.SX(value))
+    except (NotImplementedError, RuntimeError, TypeError):  # what CasADi says of what it cannot read
+        raise InputError("is not an SX expression", key=key, value=value, remedy="write it over eta") from None
+    if sigma.shape[1] != 1 or sigma.shape[0] < 1:
+        raise InputError(f"has shape {sigma.shape}, expected (k, 1)", key=key, remedy="use ca.vertcat")
+    return sigma
 
 
 def as_column(value: Expression) -> ca.SX:

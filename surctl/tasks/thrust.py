@@ -139,7 +139,12 @@ class ThrustLimit:
 
 def _mass_matrix(name: str, mass: Expression) -> ca.SX:
     """M as (4, 4), sparse where a diagonal was given."""
-    given = ca.SX(mass) if isinstance(mass, ca.SX) else ca.SX(ca.DM(mass))
+    try:
+        given = ca.SX(mass) if isinstance(mass, ca.SX) else ca.SX(ca.DM(mass))
+    except (NotImplementedError, RuntimeError, TypeError):  # what CasADi says of what it cannot read
+        raise InputError(
+            "is not numbers", key=f"limit {name}: mass", value=mass, remedy="give 4 numbers, or a (4, 4) matrix"
+        ) from None
     if given.shape != (4, 4):
         return ca.diag(checked_positive(name, "mass", given, 4))
     if given.is_constant() and not _positive_definite(np.array(ca.DM(given))):

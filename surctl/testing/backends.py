@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -15,6 +16,7 @@ from surctl.priority import BACKENDS, solve_least_distance
 from surctl.priority.kernels import Answer, Kernel
 from surctl.testing.finding import CheckFailed
 from surctl.testing.known import BACKEND_FAMILIES, Known, draw_known
+from surctl.testing.ranges import checked_count
 
 __all__ = ["BACKEND_FAMILIES", "BackendReport", "check_backend", "measure_backend"]
 
@@ -103,8 +105,14 @@ def measure_backend(
         seed: of numpy's PCG64.
 
     Raises:
-        InputError: unknown backend or family.
+        InputError: unknown backend or family; no problems, less than 2 unknowns, a tolerance that is not positive.
     """
+    checked_count("problems", problems)
+    checked_count("size", size, least=2)
+    if not 0.0 < tol < math.inf:
+        raise InputError("is no tolerance", key="tol", value=tol, remedy="give a positive number")
+    if isinstance(families, str) or not families:
+        raise InputError("is no list of families", key="families", value=families, remedy=nearest("", BACKEND_FAMILIES))
     for family in families:
         if family not in BACKEND_FAMILIES:
             raise InputError("no such family", key="families", value=family, remedy=nearest(family, BACKEND_FAMILIES))
@@ -149,10 +157,11 @@ class _Mark:
 
 def _asked(backend: str | Kernel) -> tuple[str, Kernel]:
     """A name to tell, and the kernel."""
-    if not isinstance(backend, str):
+    if callable(backend):
         return getattr(backend, "__name__", type(backend).__name__), backend
-    if backend not in BACKENDS:
-        raise InputError("no such QP backend", key="backend", value=backend, remedy=nearest(backend, BACKENDS))
+    if not isinstance(backend, str) or backend not in BACKENDS:
+        remedy = nearest(str(backend), BACKENDS)
+        raise InputError("no such QP backend", key="backend", value=backend, remedy=remedy)
 
     def ask(G: Array, lower: Array, upper: Array) -> Answer:
         found = solve_least_distance(np.zeros(G.shape[1]), A=G, lower=lower, upper=upper, backend=backend)
@@ -165,9 +174,11 @@ def _judged(kernel: Kernel, problem: Known, tol: float) -> _Mark:
     """Solve and judge one problem; whatever the kernel raises is a finding."""
     G, lower, upper = problem.G.copy(), problem.lower.copy(), problem.upper.copy()
     try:
-        answer = kernel(G, lower, upper)
+        answer: object = kernel(G, lower, upper)
     except Exception as error:  # a backend may raise anything; here it is what we are after
         return _Mark("failed", f"raised {type(error).__name__}: {error}")
+    if not isinstance(answer, Answer) or not isinstance(answer.iterations, int | np.integer):
+        return _Mark("failed", f"gave {answer!r:.60}, not an Answer with a whole number of iterations")
     if not all(map(np.array_equal, (G, lower, upper), (problem.G, problem.lower, problem.upper))):
         return _Mark(answer.status, "changed its own arguments")
     if answer.status not in ("optimal", "infeasible", "failed"):
@@ -184,7 +195,10 @@ def _compared(answer: Answer, problem: Known, known: Array, tol: float) -> _Mark
     d, m = known.size, problem.lower.size
     if answer.y is None:
         return _Mark("failed", "is called optimal, but there is no y")
-    y, multipliers = answer.y, answer.multipliers
+    try:
+        y, multipliers = np.asarray(answer.y, dtype=np.float64), np.asarray(answer.multipliers, dtype=np.float64)
+    except (TypeError, ValueError):
+        return _Mark("failed", "y or the multipliers are not numbers")
     if np.shape(y) != (d,) or np.shape(multipliers) != (m,):
         return _Mark("failed", f"y has shape {np.shape(y)}, multipliers {np.shape(multipliers)}")
     if not (np.isfinite(y).all() and np.isfinite(multipliers).all()):

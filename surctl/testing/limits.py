@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
+from surctl.errors import InputError
 from surctl.tasks import Kind, Limit, LimitRow
 from surctl.testing.finding import CheckFailed
-from surctl.testing.ranges import Parameter, Ranges, Sampled, ranges_of
+from surctl.testing.ranges import Parameter, Ranges, Sampled, checked_count, ranges_of
 
 __all__ = ["LimitReport", "check_limit"]
 
@@ -74,8 +75,11 @@ def check_limit(
 
     Raises:
         CheckFailed: the first finding; it names the row.
-        InputError: a symbol has no range.
+        InputError: a symbol has no range, or two; no samples; a velocity that is not positive.
     """
+    checked_count("samples", samples)
+    if not 0.0 < velocity < math.inf:
+        raise InputError("is no size of a velocity", key="velocity", value=velocity, remedy="give a positive number")
     rows = _shaped(limit)
     ranges = ranges_of(parameters)
     check = _Check(rows, ranges, Sampled("limit", ranges, _expressions(rows)))
@@ -98,9 +102,14 @@ def check_limit(
 
 def _shaped(limit: Limit) -> tuple[LimitRow, ...]:
     """The rows, if all that does not depend on values is right."""
+    if not hasattr(limit, "rows"):
+        raise CheckFailed("limit", f"is a {type(limit).__name__} without rows()")
     rows, again = tuple(limit.rows()), tuple(limit.rows())
     if not rows:
         raise CheckFailed("limit", "has no rows")
+    for row in (*rows, *again):
+        if not isinstance(row, LimitRow):
+            raise CheckFailed("limit", f"has a row that is a {type(row).__name__}, not a LimitRow")
     if [row.name for row in rows] != [row.name for row in again]:
         raise CheckFailed("limit", "gives other names at every call")
     seen: set[str] = set()
@@ -114,8 +123,12 @@ def _shaped(limit: Limit) -> tuple[LimitRow, ...]:
         if row.kind not in get_args(Kind):
             raise CheckFailed(what, f"has the unknown kind {row.kind!r}; known: {', '.join(get_args(Kind))}")
         for field, value, shape in (("a", row.a, (1, 4)), ("lower", row.lower, (1, 1)), ("upper", row.upper, (1, 1))):
-            if ca.SX(value).shape != shape:
-                raise CheckFailed(what, f"{field} has shape {ca.SX(value).shape}, expected {shape}")
+            try:
+                found = ca.SX(value).shape
+            except (NotImplementedError, RuntimeError, TypeError):
+                raise CheckFailed(what, f"{field} is a {type(value).__name__}, not SX") from None
+            if found != shape:
+                raise CheckFailed(what, f"{field} has shape {found}, expected {shape}")
     return rows
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 
-__all__ = ["Parameter", "Ranges", "Sampled", "ranges_of"]
+__all__ = ["Parameter", "Ranges", "Sampled", "checked_count", "ranges_of"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -91,19 +91,37 @@ def ranges_of(parameters: Sequence[Parameter]) -> Ranges:
     """The parameters as ranges; InputError, naming the symbol, when one is no symbol or its range is empty."""
     low: list[Array] = []
     high: list[Array] = []
-    for symbol, lowest, highest in parameters:
+    for parameter in parameters:
+        if not isinstance(parameter, tuple | list) or len(parameter) != 3:
+            raise InputError("is not (symbol, lowest, highest)", key="parameters", value=parameter)
+        symbol, lowest, highest = parameter
         if not isinstance(symbol, ca.SX) or symbol.shape[1] != 1 or not symbol.is_valid_input():
             raise InputError("is not an SX symbol of shape (k, 1)", key="parameters", value=symbol)
         for value, ends in ((lowest, low), (highest, high)):
             ends.append(_spread(_name(symbol), value, symbol.numel()))
         if not (low[-1] <= high[-1]).all():
             raise InputError("has no value in its range", key=f"parameter {_name(symbol)}", value=[lowest, highest])
+    seen: set[int] = set()
+    for symbol, _, _ in parameters:
+        hashes = {symbol[i].element_hash() for i in range(symbol.numel())}
+        if hashes & seen:
+            raise InputError("has two ranges", key=f"parameter {_name(symbol)}", remedy="leave one of them out")
+        seen |= hashes
     flat = [np.concatenate([*ends, np.zeros(0)]) for ends in (low, high)]
     return Ranges(tuple(symbol for symbol, _, _ in parameters), *flat)
 
 
+def checked_count(key: str, value: object, *, least: int = 1) -> None:
+    """InputError unless the value is a whole number of at least `least`: a check of nothing would pass."""
+    if not isinstance(value, int | np.integer) or value < least:
+        raise InputError("is not enough", key=key, value=value, remedy=f"give {least} or more")
+
+
 def _spread(name: str, value: float | Sequence[float], size: int) -> Array:
-    given = np.asarray(value, dtype=float).reshape(-1)
+    try:
+        given = np.asarray(value, dtype=float).reshape(-1)
+    except (TypeError, ValueError):
+        raise InputError("needs numbers as its range", key=f"parameter {name}", value=value) from None
     if given.size not in (1, size) or not np.isfinite(given).all():
         raise InputError(f"needs finite ranges of 1 or {size} entries", key=f"parameter {name}", value=value)
     return np.broadcast_to(given, size).astype(float)

@@ -11,9 +11,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.errors import InputError
 from surctl.tasks import SetTask, Task
 from surctl.testing.finding import CheckFailed
-from surctl.testing.ranges import Parameter, Ranges, Sampled, ranges_of
+from surctl.testing.ranges import Parameter, Ranges, Sampled, checked_count, ranges_of
 
 __all__ = ["TaskReport", "check_task"]
 
@@ -76,9 +77,14 @@ def check_task(
 
     Raises:
         CheckFailed: the first finding.
-        InputError: the task is refused by its own class, or a symbol has no range.
+        InputError: the task is refused by its own class, or is none; a symbol has no range, or two; no samples; a
+            pose in `near` that is no four numbers.
     """
+    checked_count("samples", samples)
+    poses = [_pose(place, pose) for place, pose in enumerate(near)]
     made = task(ca.SX.sym("eta", 4)) if callable(task) else task
+    if not isinstance(made, Task | SetTask):
+        raise InputError("is neither a Task nor a SetTask", key="task", value=made)
     box = [extent, extent, extent, math.pi]
     ranges = ranges_of([(made.eta, [-b for b in box], box), *parameters])
     check = _Check(made, ranges, Sampled(f"task {made.name}", ranges, _expressions(made)))
@@ -90,14 +96,24 @@ def check_task(
         if full_turn:
             check.full_turn(values)
         ranks.append((_rank(J), values))
-    for pose in near:
+    for pose in poses:
         for offset in _OFFSETS:
             values = ranges.draw(rng, 1)[0]
-            values[:4] = np.asarray(pose, dtype=float) + offset * rng.uniform(-1, 1, 4)
+            values[:4] = pose + offset * rng.uniform(-1, 1, 4)
             _, J, _, _, _ = check.finite(values)
             ranks.append((_rank(J), values))
     least = min(ranks, key=lambda entry: entry[0])
     return TaskReport(made.name, made.size, samples, worst, max(r for r, _ in ranks), least[0], ranges.told(least[1]))
+
+
+def _pose(place: int, pose: Sequence[float]) -> Array:
+    try:
+        given = np.asarray(pose, dtype=float)
+    except (TypeError, ValueError):
+        given = np.zeros(0)
+    if given.shape != (4,) or not np.isfinite(given).all():
+        raise InputError("is not a pose", key=f"near[{place}]", value=pose, remedy="give x, y, z and psi")
+    return given
 
 
 def _expressions(task: Task | SetTask) -> list[ca.SX]:

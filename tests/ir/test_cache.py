@@ -6,10 +6,12 @@ import hashlib
 import os
 from pathlib import Path
 
+import casadi as ca
 import pytest
 
+from surctl.errors import ToolMissing
+from surctl.ir import Native, cache_folder, lower, shared_library
 from surctl.ir import cache as module
-from surctl.ir import cache_folder, shared_library
 from tests.tools import need_compiler
 
 SOURCE = "int answer(void);\nint answer(void) { return 42; }\n"
@@ -108,3 +110,9 @@ def test_where_the_cache_lies(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -
     assert cache_folder() == tmp_path / "surctl"
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")  # the specification: ignore it
     assert cache_folder() == Path.home() / ".cache" / "surctl"
+
+
+def test_a_folder_from_which_nothing_loads_is_told() -> None:
+    x = ca.SX.sym("x")
+    with pytest.raises(ToolMissing, match="TMPDIR"):
+        Native(lower(ca.Function("twice", [x], [2 * x])), b"no library")

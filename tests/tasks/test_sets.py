@@ -14,6 +14,8 @@ from surctl.tasks import (
     SetTask,
     Stack,
     Task,
+    ThrustLimit,
+    VelocityBox,
     clearance_task,
     depth_task,
     distance_task,
@@ -172,3 +174,22 @@ def test_bad_rate_limits_are_refused_by_name(limit, kind, says):
     with pytest.raises(InputError) as caught:
         RateLimit(depth_task(ETA, 0.0), limit, kind=kind)
     assert says in str(caught.value)
+
+
+@pytest.mark.parametrize("sigma", [None, "x", ca.MX.sym("x")])
+@pytest.mark.parametrize("make", [lambda s: Task(name="odd", eta=ETA, sigma=s),
+                                  lambda s: SetTask(name="odd", eta=ETA, sigma=s, lower=0.0, upper=1.0)])  # fmt: skip
+def test_what_is_no_expression_is_refused_by_name(make, sigma):
+    with pytest.raises(InputError, match="task odd: sigma"):
+        make(sigma)
+
+
+@pytest.mark.parametrize("mass", [None, "heavy", [[1, 2], [3]]])
+def test_a_mass_that_is_no_number_is_refused_by_name(mass):
+    with pytest.raises(InputError, match="limit thrust: mass"):
+        ThrustLimit([0] * 4, mass, load=[0] * 4, lower=[-1] * 4, upper=[1] * 4, dt=0.1)
+
+
+def test_a_kind_that_is_no_text_is_refused_by_name():
+    with pytest.raises(InputError, match="limit velocity = 3"):
+        VelocityBox([-1] * 4, [1] * 4, kind=3)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TypeAlias
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import TypeAlias, get_args
 
 import casadi as ca
 import numpy as np
@@ -17,7 +18,7 @@ from surctl.priority.compiled.runner import PriorityTick, bound
 from surctl.priority.compiled.tick import priority_tick
 from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
 from surctl.priority.settings import Mode
-from surctl.tasks import Limit, LimitRow, SetTask, Stack
+from surctl.tasks import Kind, Limit, LimitRow, SetTask, Stack
 
 __all__ = ["AssembledTick", "Assembly", "assemble"]
 
@@ -102,12 +103,14 @@ class Assembly:
 class AssembledTick(PriorityTick):
     """A `PriorityTick` with its `Assembly` before it, in one compiled call: write `inputs`, call `solve`, read `v`.
 
-    J, lower, upper, rows and box are outputs here. A number that is not finite anywhere gives status CLAMPED and
-    v = 0 in the box; `Assembly.problem` with the same values then names the task and the row.
+    J, lower, upper, rows and box are outputs here, so there is nothing to load. A number that is not finite anywhere
+    gives status CLAMPED and v = 0 in the box; `Assembly.problem` with the same values then names the task and the row.
 
     Attributes:
-        inputs: one array an input of the assembly, by name; write into them.
+        inputs: one array an input of the assembly, by name; read-only: write into the arrays.
     """
+
+    inputs: Mapping[str, Array]
 
     def __init__(self, assembly: Assembly, mode: Mode, *, sweeps: int = 1, damping: float = 0.0) -> None:
         """See `Assembly.tick`."""
@@ -124,7 +127,14 @@ class AssembledTick(PriorityTick):
         self._take(mode, _N, assembly.shapes, outputs[: len(tick.inputs)], outputs[len(tick.inputs) :])
         self.level_names = assembly.stack.names
         self.row_names = tuple(row.name for row in assembly.limits)
-        self.inputs = dict(zip(assembly.sizes, inputs, strict=True))
+        self.inputs = MappingProxyType(dict(zip(assembly.sizes, inputs, strict=True)))
+
+    def load(self, problem: PriorityProblem) -> None:
+        """Always an InputError: what it would write is worked out anew from the inputs by every `solve`."""
+        del problem
+        raise InputError(
+            "takes no problem, only inputs", key="tick", remedy="write into them, or take PriorityTick.of(problem)"
+        )
 
 
 def _fused(stack: Program, tick: Routine) -> Routine:
@@ -157,14 +167,24 @@ def assemble(stack: Stack, limits: Sequence[Limit] = (), *, inputs: Mapping[str,
         if not (isinstance(symbol, ca.SX) and symbol.shape[1] == 1 and symbol.numel() and symbol.is_valid_input()):
             raise InputError("is not a column of SX symbols", key=f"inputs.{name}", remedy='as in ca.SX.sym("eta", 4)')
     known = _known(inputs)
-    rows = tuple(row for limit in limits for row in limit.rows())
+    rows = tuple(
+        replace(row, a=ca.SX(row.a), lower=ca.SX(row.lower), upper=ca.SX(row.upper))
+        for limit in limits
+        for row in limit.rows()
+    )
     slabs = stack.slabs()
     for task, parts in zip(stack.tasks, slabs, strict=True):
         _check_symbols(f"task {task.name}", parts, known)
     for i, row in enumerate(rows):
         _check_symbols(f"limit {row.name}", (row.a, row.lower, row.upper), known)
-        if row.a.numel() != _N:
-            raise InputError(f"has {row.a.numel()} entries, expected {_N}", key=f"limit {row.name}")
+        for field, size in (("a", _N), ("lower", 1), ("upper", 1)):
+            entries = getattr(row, field).numel()
+            if entries != size:
+                raise InputError(f"has {entries} entries, expected {size}", key=f"limit {row.name}: {field}")
+        if row.kind not in get_args(Kind):
+            raise InputError(
+                "unknown kind of limit", key=f"limit {row.name}", value=row.kind, remedy=", ".join(get_args(Kind))
+            )
         if row.name in (other.name for other in rows[:i]):
             raise InputError("names two limits", key=f"limit {row.name}", remedy="rename one of them")
     outputs = [*_stacked(slabs), _table(rows), _box(rows)]

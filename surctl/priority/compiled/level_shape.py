@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
+import numpy as np
 
 from surctl.errors import InputError
 from surctl.priority.solver.elimination import as_matrix
@@ -45,7 +46,7 @@ class StackShape:
     """n velocities and the levels over them, highest priority first.
 
     Raises:
-        InputError: no velocity, no level, a level without rows, or a set-based level of more than one row.
+        InputError: no velocity, no level, a level without a whole number of rows, or a set-based one of more than one.
     """
 
     n: int
@@ -53,13 +54,15 @@ class StackShape:
 
     def __post_init__(self) -> None:
         """Check the sizes."""
-        if self.n < 1:
-            raise InputError("must be at least 1", key="n", value=self.n)
+        if not isinstance(self.n, int | np.integer) or self.n < 1:
+            raise InputError("must be at least 1, and whole", key="n", value=self.n)
         if not self.levels:
             raise InputError("has no level", key="levels", remedy="give at least one task")
         for place, level in enumerate(self.levels, start=1):
-            if level.rows < 1:
-                raise InputError("has no row", key=f"level {place}", value=level.rows)
+            if not isinstance(level, LevelShape):
+                raise InputError("is no LevelShape", key=f"level {place}", value=level, remedy="as in LevelShape(2)")
+            if not isinstance(level.rows, int | np.integer) or level.rows < 1:
+                raise InputError("is no number of rows", key=f"level {place}", value=level.rows, remedy="give 1, 2, …")
             if level.is_set and level.rows > 1:
                 raise InputError(
                     f"is set-based and has {level.rows} rows; a compiled one has 1",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, ToolMissing
 from surctl.ir import Routine, compile_block, replay
 from surctl.priority.compiled.level_shape import LevelShape
-from surctl.priority.compiled.tick import priority_tick
+from surctl.priority.compiled.tick import OUTPUTS, priority_tick
 from surctl.priority.polyhedron import polyhedron_of
 from surctl.priority.problem import PriorityProblem
 from surctl.priority.rowspace import ZERO_ROW
@@ -22,6 +22,8 @@ __all__ = ["PriorityTick", "bound", "level_shapes"]
 
 Array: TypeAlias = NDArray[np.float64]
 
+_VIEWS = frozenset(("J", "lower", "upper", "rows", "box", *OUTPUTS))
+
 
 class PriorityTick:
     """`priority_tick` compiled for one caller: write the inputs, call `solve`, read the outputs.
@@ -31,8 +33,9 @@ class PriorityTick:
         tick.solve()
         tick.v, tick.rung, tick.binding()
 
-    Every array is a view of one buffer that each `solve` reads or overwrites: copy what must last. Not to be shared
-    between threads. Where there is no C compiler the same numbers come from the replay, slowly.
+    Every array is a view of one buffer that each `solve` reads or overwrites: copy what must last, and write into it;
+    another array in its place would never be read, so that is an InputError. Not to be shared between threads. Where
+    there is no C compiler the same numbers come from the replay, slowly.
 
     Attributes:
         J (K, n), lower, upper (K,): the levels end to end, highest first; upper = lower for a level with one value.
@@ -69,6 +72,12 @@ class PriorityTick:
         self._take(mode, n, shapes, inputs, outputs)
         self.rows[:] = _idle(n)
         self.box[:] = [[-np.inf], [np.inf]]
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Refuse another array in place of a view; `tick.J += 1` gives the same one back."""
+        if name in _VIEWS and name in self.__dict__ and value is not self.__dict__[name]:
+            raise InputError("is a view of the tick's buffer", key=name, remedy=f"write into it: tick.{name}[...] = …")
+        super().__setattr__(name, value)
 
     def _take(
         self, mode: Mode, n: int, levels: tuple[LevelShape, ...], inputs: Sequence[Array], outputs: Sequence[Array]
@@ -120,7 +129,9 @@ class PriorityTick:
 
     @property
     def rung(self) -> Rung:
-        """How the last answer came about."""
+        """How the last answer came about; InputError before the first."""
+        if self.status[0] == 0.0:
+            raise InputError("has no answer yet", key="tick", remedy="call solve() first")
         rungs: tuple[Rung, ...] = get_args(Rung)
         return rungs[int(self.status[0]) - 1]
 

@@ -8,6 +8,7 @@ from surctl.ir import Call, Loop, Program, Step, lower
 from surctl.priority.compiled.decomposition import decompose
 from surctl.priority.compiled.level_shape import StackShape, SymbolicLevel
 from surctl.priority.settings import Settings
+from surctl.priority.solver.precision import LONGEST
 from surctl.priority.symbolic import projection
 
 __all__ = ["HUGE", "gate", "into", "project", "sweep", "swept"]
@@ -56,7 +57,7 @@ def gate(shape: StackShape) -> Program:
     sound = ca.SX(1)
     for level in levels:
         for entry in ca.vertsplit(ca.vec(level.J)):
-            sound = ca.if_else(ca.fabs(entry) <= HUGE, sound, 0)
+            sound = ca.if_else(ca.fabs(entry) <= LONGEST, sound, 0)
         for low, high in zip(ca.vertsplit(level.lower), ca.vertsplit(level.upper), strict=True):
             if level.is_set:
                 sound = ca.if_else(low <= high, ca.if_else(low <= HUGE, ca.if_else(high >= -HUGE, sound, 0), 0), 0)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 import casadi as ca
+import numpy as np
 
 from surctl.errors import InputError
 from surctl.ir import Call, Loop, Program, Routine, Step, lower
@@ -51,8 +52,8 @@ def priority_tick(
     In mode nsb the status is MET whenever (16) has a finite value, v knows neither rows nor box, and target is v.
 
     With damping λ every projection is min λ²‖z − w‖² + ‖J z − x‖², in mode projected the last one too (inside the
-    rows). A number in J, lower or upper that is none (or above 1e300), or a value with lower ≠ upper: CLAMPED, and v
-    is 0 moved into the box.
+    rows). A number in J, lower or upper that is none (or above 1e300, in J above 1e140), or a value with lower ≠ upper:
+    CLAMPED, and v is 0 moved into the box; also in the modes with rows where one is longer than 1e150.
 
     Args:
         mode: the law.
@@ -66,8 +67,8 @@ def priority_tick(
         InputError: an unknown mode, a size or a number out of range; it names the level.
     """
     shape, settings = StackShape(n, levels), Settings(mode, sweeps, damping)
-    if rows < 1:
-        raise InputError("must be at least 1", key="rows", value=rows, remedy="a row of zeros is none")
+    if not isinstance(rows, int | np.integer) or rows < 1:
+        raise InputError("must be at least 1, and whole", key="rows", value=rows, remedy="a row of zeros is none")
     steps = _MODES[mode](shape, rows, settings)
     inputs = (*shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n))
     start = Call(gate(shape), _STACK, ("sound", "zero", "none"))

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["FLOAT32", "FLOAT64", "Precision"]
+__all__ = ["FLOAT32", "FLOAT64", "LONGEST", "Precision"]
+
+LONGEST = 1e140
+"""Largest entry of a normal or a Jacobian in double: squares and their sums must not overflow."""
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ class Sizes:
 def unit_rows(sizes: Sizes) -> Routine:
     """rows (m·(n + 3),), row by row → the same in blocks, scaled to length 1; nothing is scaled if none needs it.
 
-    A row of zeros keeps its bounds: it is met always or never.
+    A row of zeros keeps its bounds: it is met always or never. One whose squared length is above `huge` is never met.
     """
     width = sizes.n + 3
     steps = (
@@ -77,9 +77,14 @@ def _scaling(sizes: Sizes) -> Routine:
     """The one turn of a loop that runs where some row has another length."""
     n = sizes.n
     row = ca.SX.sym("row", n + 3)
-    length = ca.sqrt(ca.sumsqr(row[:n]))
+    square = ca.sumsqr(row[:n])
+    length = ca.sqrt(square)
     inverse = 1 / ca.if_else(length <= sizes.precision.short, 1, length)
-    scale = lower(ca.Function("unit_row", [row], [ca.vertcat(row[: n + 2] * inverse, row[n + 2])]))
+    scaled = ca.vertcat(row[: n + 2] * inverse, row[n + 2])
+    # its square overflows: it would come out as a row of zeros, met always, so it is made one that is never met
+    never = ca.vertcat(ca.SX.zeros(n), 1, 1, 0)
+    far = square > sizes.precision.huge
+    scale = lower(ca.Function("unit_row", [row], [ca.if_else(far, never, scaled)]))
     one = lower(ca.Function("scaled", [], [ca.SX.ones(1)]))
     steps = (
         Loop(scale, sizes.blocks, (), ("unit",), sliced=("rows",), lanes=sizes.lanes),

@@ -15,6 +15,7 @@ from surctl.ir import Routine, compile_block, replay
 from surctl.priority.solver.dual_step import Space
 from surctl.priority.solver.kernel import in_blocks, kernel
 from surctl.priority.solver.ladder import CLAMPED, safe_tick
+from surctl.priority.solver.precision import LONGEST
 
 __all__ = ["Rung", "SafePoint", "least_distance", "nearest_to_zero", "tick_runner"]
 
@@ -93,7 +94,8 @@ def least_distance(
         names: of the rows; "row 0", … if None.
 
     Raises:
-        InputError: shapes that disagree, a number that is not finite, bounds that cross; it names the row.
+        InputError: shapes that disagree, a number that is not finite, or above 1e140 in A or J, bounds that cross; it
+            names the row.
     """
     goal = _array("target", target, (None,))
     n = goal.size
@@ -104,6 +106,11 @@ def least_distance(
         raise InputError("is given without J", key="x")
     limits = np.array([np.full(n, -np.inf), np.full(n, np.inf)]) if box is None else _box(box, n)
     m = max(_BUCKET, -(-len(rows) // _BUCKET) * _BUCKET)
+    for key, value_of in (("A", rows[:, :n]), ("J", matrix)):
+        for i in np.flatnonzero(np.abs(value_of).max(axis=1, initial=0.0) > LONGEST)[:1]:
+            raise InputError(
+                "is too long to be squared", key=f"{key}[{i}]", value=value_of[i].tolist(), remedy="use SI units"
+            )
     padded = np.vstack([rows, np.tile(_idle(n), (m - len(rows), 1))])
     if matrix.shape[0] == 0:
         matrix, value = np.zeros((1, n)), np.zeros(1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from surctl.priority import Mode, solve
 from surctl.priority.compiled.assemble import Assembly, assemble
 from surctl.tasks import (
     HalfPlane,
+    LimitRow,
     SetTask,
     Stack,
     VelocityBox,
@@ -165,3 +168,38 @@ def test_a_set_of_two_rows_is_to_be_split() -> None:
     tick.inputs["eta"][:] = [2.0, 0.0, 0.0, 0.0]
     tick.solve()
     np.testing.assert_allclose(tick.v, [-1.0, 0, 0, 0], atol=1e-12)
+
+
+def test_inputs_are_written_into_and_nothing_is_loaded(assembly: Assembly) -> None:
+    tick, values = assembly.tick("nsb"), drawn(np.random.default_rng(0))
+    with pytest.raises(TypeError):
+        tick.inputs["eta"] = values["eta"]  # type: ignore[index]
+    with pytest.raises(InputError, match="takes no problem, only inputs"):
+        tick.load(assembly.problem(values))
+
+
+@dataclass(frozen=True)
+class Own:
+    """A limit by somebody else."""
+
+    row: LimitRow
+
+    def rows(self) -> tuple[LimitRow, ...]:
+        return (self.row,)
+
+
+def test_rows_of_others_are_checked_and_may_be_numbers() -> None:
+    stack = Stack((depth_task(eta, 0.0),))
+    a, one = ca.SX([[1, 0, 0, 0]]), ca.SX(1)
+    for row, says in (
+        (LimitRow("own", "hard", a, -one, one), "unknown kind"),  # type: ignore[arg-type]
+        (LimitRow("own", "actuator", a, ca.SX([-1, -1]), one), "own: lower: has 2 entries, expected 1"),
+        (LimitRow("own", "actuator", ca.SX.zeros(1, 3), -one, one), "own: a: has 3 entries, expected 4"),
+    ):
+        with pytest.raises(InputError, match=says):
+            assemble(stack, [Own(row)], inputs={"eta": eta})
+    plain = Own(LimitRow("own", "actuator", np.array([[0, 0, 1.0, 0]]), -0.1, 0.1))  # type: ignore[arg-type]
+    tick = assemble(stack, [plain], inputs={"eta": eta}).tick()
+    tick.inputs["eta"][:] = [0, 0, -3, 0]
+    tick.solve()
+    np.testing.assert_allclose(tick.v, [0, 0, 0.1, 0], atol=1e-12)

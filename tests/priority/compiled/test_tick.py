@@ -407,3 +407,47 @@ def test_load_refuses_another_shape_by_name() -> None:
                           (slab, "task b"), (many, "places")):  # fmt: skip
         with pytest.raises(InputError, match=word):
             tick.load(problem)
+
+
+def test_an_array_in_place_of_a_view_is_refused() -> None:
+    tick = PriorityTick("nsb", n=N, levels=VALUES, rows=1)
+    for name in ("J", "lower", "upper", "rows", "box", "v", "status"):
+        with pytest.raises(InputError, match=rf"{name}: is a view.*write into it"):
+            setattr(tick, name, np.ones_like(getattr(tick, name)))
+    tick.J += 1.0
+    tick.lower[:] = tick.upper[:] = 2.0
+    assert (tick.J == 1.0).all()
+
+
+def test_before_the_first_tick_there_is_no_rung() -> None:
+    with pytest.raises(InputError, match=r"no answer yet; call solve\(\) first"):
+        _ = PriorityTick("nsb", n=N, levels=VALUES, rows=1).rung
+
+
+@pytest.mark.parametrize("mode", ["filter", "projected", "lexicographic"])
+@pytest.mark.parametrize("length", [1e155, 1e200, 1e299])
+def test_a_row_too_long_to_be_squared_is_never_passed_over(mode: Mode, length: float) -> None:
+    tick = PriorityTick(mode, n=N, levels=(LevelShape(1),), rows=2)
+    tick.J[:], tick.lower[:], tick.upper[:] = E[:1], 0.5, 0.5
+    tick.rows[0] = [length, 0, 0, 0, -0.1 * length, 0.1 * length, 0]
+    tick.solve()
+    assert tick.rung == "clamped" and np.isfinite(tick.v).all()
+
+
+@pytest.mark.parametrize("mode", ["nsb", "filter", "projected", "lexicographic"])
+@pytest.mark.parametrize("length", [1e155, 1e200, 1e299])
+def test_a_task_too_long_to_be_squared_is_not_met(mode: Mode, length: float) -> None:
+    tick = PriorityTick(mode, n=N, levels=(LevelShape(1),), rows=1)
+    tick.J[:], tick.lower[:], tick.upper[:] = length * E[:1], 0.5 * length, 0.5 * length
+    tick.solve()
+    assert tick.rung == "clamped" and not tick.v.any()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"n": 4.0}, {"rows": 2.5}, {"levels": (1, 2)}, {"levels": (LevelShape(1.5),)}],  # type: ignore[arg-type]
+)
+def test_sizes_are_whole_numbers(wrong: dict[str, object]) -> None:
+    sizes: dict[str, object] = {"n": 4, "levels": VALUES, "rows": 1}
+    with pytest.raises(InputError):
+        priority_tick("projected", **{**sizes, **wrong})  # type: ignore[arg-type]

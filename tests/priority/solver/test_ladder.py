@@ -10,8 +10,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
+from surctl.errors import InputError
 from surctl.ir import Real, compile_block, replay, to_casadi
-from surctl.priority import safe_tick
+from surctl.priority import least_distance, safe_tick
 from surctl.priority.solver.dual_step import OPTIMAL, STUCK, Space
 from surctl.priority.solver.kernel import CAP, OPEN_CAP, in_blocks, kernel
 from surctl.priority.solver.ladder import CLAMPED, LIMITED, MET, RELAXED
@@ -264,3 +265,11 @@ def test_the_derivative_is_the_projector_of_the_active_rows(flown: Flown) -> Non
         held = np.vstack([A[used], flown.trials.J[k].reshape(P, N)])
         want = np.eye(N) - np.linalg.pinv(held) @ held
         np.testing.assert_allclose(np.asarray(slope(flown.trials.target[k])), want, atol=1e-9)
+
+
+def test_rows_and_tasks_too_long_to_be_squared_are_refused_by_name() -> None:
+    wide = np.array([[1e155, 0.0]])
+    with pytest.raises(InputError, match=r"A\[0\]"):
+        least_distance([0.5, 0.0], A=wide, lower=[-1e154], upper=[1e154])
+    with pytest.raises(InputError, match=r"J\[0\]"):
+        least_distance([0.5, 0.0], A=np.eye(2), lower=[-1, -1], upper=[1, 1], J=wide, x=[1e154])
