@@ -7,7 +7,7 @@ word that it found the optimum is not enough.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Literal, TypeAlias
 
@@ -97,7 +97,10 @@ def solve_least_distance(
         return answer
     pull = size / away
     near = _nearest(answer.x + pull * (target - answer.x), A, lower, upper, A_eq, b_eq, kernel)
-    return LeastDistance(near.x, near.multipliers / pull, answer.iterations + near.iterations, near.status)
+    spent = answer.iterations + near.iterations
+    if near.x is None:  # a solver that fails where it did not before
+        return replace(answer, iterations=spent)
+    return LeastDistance(near.x, near.multipliers / pull, spent, near.status)
 
 
 def _nearest(
