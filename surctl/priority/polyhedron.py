@@ -125,16 +125,25 @@ def polyhedron_of(problem: PriorityProblem) -> Polyhedron:
     length = _lengths(A)
     lower = np.array([row.lower for row in rows], dtype=float) / length
     upper = np.array([row.upper for row in rows], dtype=float) / length
-    A = A / length[:, None]
+    A = np.where(_is_zero(A), 0.0, A / length[:, None])
     kinds = tuple(row.kind for row in rows)
     return Polyhedron(A, lower, upper, length, kinds, tuple(r.name for r in rows), _box(A, lower, upper, kinds))
 
 
 def _lengths(A: Array) -> Array:
     """Length of each row; 1 for a row of zeros."""
-    length: Array = np.sqrt(np.einsum("ij,ij->i", A, A))
-    length[length <= ZERO_ROW] = 1.0
+    largest = np.abs(A).max(axis=1, initial=0.0)
+    largest[largest == 0.0] = 1.0
+    scaled = A / largest[:, None]  # squared as it is, a row of 1e155 would be infinitely long
+    length: Array = largest * np.sqrt(np.einsum("ij,ij->i", scaled, scaled))
+    length[_is_zero(A)[:, 0]] = 1.0
     return length
+
+
+def _is_zero(A: Array) -> NDArray[np.bool_]:
+    """(m, 1): which rows count as rows of zeros."""
+    zero: NDArray[np.bool_] = np.abs(A).max(axis=1, initial=0.0, keepdims=True) <= ZERO_ROW
+    return zero
 
 
 def _box(A: Array, lower: Array, upper: Array, kinds: tuple[Kind, ...]) -> tuple[Array, Array]:

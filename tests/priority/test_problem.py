@@ -93,3 +93,15 @@ def test_a_bound_that_is_no_number_names_the_limit(bound):
 def test_a_task_and_a_limit_of_one_name_are_refused():
     with pytest.raises(InputError, match="task wall: names a limit too"):
         build_problem([Level("wall", np.eye(4)[:1], np.ones(1))], [Row("wall", "barrier", np.ones(4), -1.0, 1.0)])
+
+
+def test_rows_of_any_length_bound_what_they_say():
+    surge = Level("surge", np.eye(4)[:1], np.array([0.5]))
+    box = [row(f"box{i}", "actuator", np.eye(4)[i], -1.0, 1.0) for i in range(4)]
+    for length in (1e-12, 1e155, 1e300):
+        got = solve(build_problem([surge], [*box, row("wall", "barrier", (length, 0, 0, 0), upper=0.1 * length)]))
+        assert got.v[0] == pytest.approx(0.1, abs=1e-9), length
+    # shorter than 1e-15 it is a row of zeros, which is met always or never
+    got = solve(build_problem([surge], [*box, row("none", "actuator", (1e-16, 0, 0, 0), -1e-17, 1e-17)]))
+    assert np.allclose(got.v, [0.5, 0, 0, 0], atol=1e-12)
+    assert got.is_optimal(build_problem([surge], box))

@@ -16,7 +16,7 @@ from surctl.priority.polyhedron import polyhedron_of
 from surctl.priority.problem import PriorityProblem
 from surctl.priority.rowspace import ZERO_ROW
 from surctl.priority.settings import Mode
-from surctl.priority.solver.safe_point import Rung
+from surctl.priority.solver.safe_point import Rung, idle_row
 
 __all__ = ["PriorityTick", "bound", "level_shapes"]
 
@@ -70,7 +70,7 @@ class PriorityTick:
         routine = priority_tick(mode, n=n, levels=shapes, rows=rows, sweeps=sweeps, damping=damping)
         inputs, outputs, self.solve, self.compiled = bound(routine)
         self._take(mode, n, shapes, inputs, outputs)
-        self.rows[:] = _idle(n)
+        self.rows[:] = idle_row(n)
         self.box[:] = [[-np.inf], [np.inf]]
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -119,7 +119,7 @@ class PriorityTick:
         self.J[:] = np.vstack([level.J for level in problem.levels])
         self.lower[:] = np.concatenate([level.lower for level in problem.levels])
         self.upper[:] = np.concatenate([level.high for level in problem.levels])
-        self.rows[:] = _idle(problem.width)
+        self.rows[:] = idle_row(problem.width)
         for place, row in zip(self.rows, problem.rows, strict=False):
             place[:-3] = row.a
             place[-3:] = row.lower, row.upper, row.kind != "actuator"
@@ -181,11 +181,6 @@ class PriorityTick:
 def level_shapes(problem: PriorityProblem) -> tuple[LevelShape, ...]:
     """The shape of each level; one with room between its bounds is set-based."""
     return tuple(LevelShape(level.lower.size, not level.is_goal) for level in problem.levels)
-
-
-def _idle(n: int) -> Array:
-    """A row that never binds."""
-    return np.concatenate([np.zeros(n), [-np.inf, np.inf, 0.0]])
 
 
 def bound(routine: Routine) -> tuple[list[Array], list[Array], Callable[[], None], bool]:

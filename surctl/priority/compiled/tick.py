@@ -25,6 +25,8 @@ from surctl.priority.solver.ladder import CLAMPED, MET, safe_tick
 
 __all__ = ["OUTPUTS", "priority_tick"]
 
+_LEAST_DAMPING = 1e-3  # of the last projection: its rows shrink with λ/‖J‖, down to what the kernel calls parallel
+
 OUTPUTS = ("v", "active", "multipliers", "opening", "status", "count", "target")
 """Names of a tick's outputs, in order."""
 
@@ -52,7 +54,8 @@ def priority_tick(
     In mode nsb the status is MET whenever (16) has a finite value, v knows neither rows nor box, and target is v.
 
     With damping λ every projection is min λ²‖z − w‖² + ‖J z − x‖², in mode projected the last one too (inside the
-    rows). A number in J, lower or upper that is none (or above 1e300, in J above 1e140), or a value with lower ≠ upper:
+    rows): exact while ‖J‖ of the first level is below 5e4·λ; beyond, the rows it shares with λ are lost to rounding.
+    A number in J, lower or upper that is none (or above 1e300, in J above 1e140), or a value with lower ≠ upper:
     CLAMPED, and v is 0 moved into the box; also in the modes with rows where one is longer than 1e150.
 
     Args:
@@ -67,6 +70,13 @@ def priority_tick(
         InputError: an unknown mode, a size or a number out of range; it names the level.
     """
     shape, settings = StackShape(n, levels), Settings(mode, sweeps, damping)
+    if mode == "projected" and 0.0 < damping < _LEAST_DAMPING:
+        raise InputError(
+            "is too small for a compiled projection",
+            key="damping",
+            value=damping,
+            remedy=f"give 0, or {_LEAST_DAMPING:g} and more",
+        )
     if not isinstance(rows, int | np.integer) or rows < 1:
         raise InputError("must be at least 1, and whole", key="rows", value=rows, remedy="a row of zeros is none")
     steps = _MODES[mode](shape, rows, settings)

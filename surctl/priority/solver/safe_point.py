@@ -17,7 +17,7 @@ from surctl.priority.solver.kernel import in_blocks, kernel
 from surctl.priority.solver.ladder import CLAMPED, safe_tick
 from surctl.priority.solver.precision import LONGEST
 
-__all__ = ["Rung", "SafePoint", "least_distance", "nearest_to_zero", "tick_runner"]
+__all__ = ["Rung", "SafePoint", "idle_row", "least_distance", "nearest_to_zero", "tick_runner"]
 
 Array: TypeAlias = NDArray[np.float64]
 Runner: TypeAlias = Callable[..., list[Array]]
@@ -111,7 +111,7 @@ def least_distance(
             raise InputError(
                 "is too long to be squared", key=f"{key}[{i}]", value=value_of[i].tolist(), remedy="use SI units"
             )
-    padded = np.vstack([rows, np.tile(_idle(n), (m - len(rows), 1))])
+    padded = np.vstack([rows, np.tile(idle_row(n), (m - len(rows), 1))])
     if matrix.shape[0] == 0:
         matrix, value = np.zeros((1, n)), np.zeros(1)
     v, active, multipliers, opening, status, count = tick_runner(n, matrix.shape[0], m)(
@@ -133,7 +133,7 @@ def nearest_to_zero(G: Array, lower: Array, upper: Array) -> tuple[Array, Array,
     """
     m, d = G.shape
     size = -(-m // _BUCKET) * _BUCKET
-    rows = np.tile(_idle(d), (size, 1))
+    rows = np.tile(idle_row(d), (size, 1))
     rows[:m, :d], rows[:m, d], rows[:m, d + 1] = G, lower, upper
     point, numbers, u, status, count = _nearest(d, size)(
         in_blocks(rows), np.zeros(d + 1), np.zeros(1), np.eye(d).reshape(-1)
@@ -144,7 +144,7 @@ def nearest_to_zero(G: Array, lower: Array, upper: Array) -> tuple[Array, Array,
     return point[:d], multipliers[:m], int(status[0]), int(count[0])
 
 
-def _idle(n: int) -> Array:
+def idle_row(n: int) -> Array:
     """A row that never binds."""
     return np.concatenate([np.zeros(n), [-np.inf, np.inf, 0.0]])
 

@@ -451,3 +451,9 @@ def test_sizes_are_whole_numbers(wrong: dict[str, object]) -> None:
     sizes: dict[str, object] = {"n": 4, "levels": VALUES, "rows": 1}
     with pytest.raises(InputError):
         priority_tick("projected", **{**sizes, **wrong})  # type: ignore[arg-type]
+
+
+def test_damping_that_a_compiled_projection_cannot_resolve_is_refused() -> None:
+    with pytest.raises(InputError, match="damping"):
+        priority_tick("projected", n=4, levels=VALUES, rows=8, damping=1e-5)
+    priority_tick("projected", n=4, levels=VALUES, rows=8, damping=1e-3)
