@@ -98,7 +98,9 @@ def solve_least_distance(
     pull = size / away
     near = _nearest(answer.x + pull * (target - answer.x), A, lower, upper, A_eq, b_eq, kernel)
     spent = answer.iterations + near.iterations
-    if near.x is None:  # a solver that fails where it did not before
+    value, length = A @ answer.x, np.maximum(np.linalg.norm(A, axis=1), 1.0)
+    kept = (np.maximum(lower - value, value - upper) <= FEASIBLE * size * length).all()
+    if near.status == "failed" and kept:  # a solver that fails where it did not before
         return replace(answer, iterations=spent)
     return LeastDistance(near.x, near.multipliers / pull, spent, near.status)
 

@@ -183,3 +183,13 @@ def test_a_solver_of_qpsolvers_referees():
         referee = solve_least_distance(target, **rows, backend="clarabel")
         assert native.status == referee.status == "optimal"
         assert np.abs(native.x - referee.x).max() < 1e-6  # what its default tolerances give
+
+
+@pytest.mark.parametrize("backend", ["daqp", "own", "osqp"])
+def test_rows_that_contradict_each_other_have_no_answer_for_a_far_target_either(backend):
+    across = np.array([[0.6, 0.8, 0.0, 0.0], [-0.6, -0.8, 0.0, 0.0]])
+    A = np.vstack([np.eye(4), across])
+    lower, upper = np.append(-np.ones(4), [1e-4, 0.0]), np.append(np.ones(4), [2.0, 2.0])
+    for size in (1.0, 1e6, 1e8, 1e10, 1e12):
+        answer = solve_least_distance(np.full(4, size), A=A, lower=lower, upper=upper, backend=backend)
+        assert answer.x is None, (size, answer.status)
