@@ -25,6 +25,7 @@ __all__ = ["Reached", "reach"]
 Array: TypeAlias = NDArray[np.float64]
 
 _MISSED = 1e-9
+_FELT = 1e-9  # a multiplier up to this, relative to 1 + max |v|, is rounding
 _ROOM = 1e-9
 """Room [row of length 1] for rows that may give, where the set has no inside and a solver calls it empty."""
 
@@ -35,7 +36,7 @@ class Reached:
 
     Attributes:
         v: (n,).
-        binding: (name, multiplier) of the rows in the way, in the order of the rows as given: of ½‖v − target‖²; of
+        binding: (name, multiplier) of the rows in the way, for the rows as given, in their order: of ½‖v − target‖²; of
             ½‖miss‖² for rows that hold a strict level back.
         blame: for each strict level that rows hold back, their names.
         iterations: of all solvers.
@@ -49,18 +50,26 @@ class Reached:
     @staticmethod
     def of(
         v: Array,
-        names: Sequence[str],
+        rows: Polyhedron,
         multipliers: Array,
         iterations: int,
         *,
         held: Mapping[str, float] | None = None,
         blame: Mapping[str, tuple[str, ...]] | None = None,
     ) -> Reached:
-        """From multipliers (m,) of all rows; `held`, those of rows that hold a strict level back, count first."""
-        found = {name: float(u) for name, u in zip(names, multipliers, strict=True) if u != 0.0} | dict(held or {})
+        """From multipliers (m,) of all rows, of length 1; `held`, of rows that hold a strict level back, count first."""
+        found = as_given(rows, multipliers, above=_FELT * (1.0 + float(np.abs(v).max()))) | dict(held or {})
         return Reached(
-            v, tuple((name, found[name]) for name in dict.fromkeys(names) if name in found), blame or {}, iterations
+            v,
+            tuple((name, found[name]) for name in dict.fromkeys((*rows.names, *found)) if name in found),
+            blame or {},
+            iterations,
         )
+
+
+def as_given(rows: Polyhedron, multipliers: Array, *, above: float) -> dict[str, float]:
+    """Multipliers (m,) of rows of length 1 that are larger than `above`, by name, for the rows as given."""
+    return {rows.names[i]: float(u / rows.length[i]) for i, u in enumerate(multipliers) if abs(u) > above}
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +122,7 @@ def reach(
         if place is None:
             return None
         spent += place.iterations
-    return Reached.of(place.inside, place.rows.names, place.multipliers, spent, held=held, blame=blame)
+    return Reached.of(place.inside, place.rows, place.multipliers, spent, held=held, blame=blame)
 
 
 def _met(
@@ -138,7 +147,7 @@ def _served(level: Level, target: Array, place: _Place, *, backend: Backend, cut
     assert after is not None  # a point inside is known
     # a level that rows hardly hold back (by 1e-9 of ‖J‖) counts as met
     felt = _MISSED * float(np.linalg.norm(level.J, 2)) ** 2
-    held = {place.rows.names[i]: float(u) for i, u in enumerate(found.multipliers) if abs(u) > felt}
+    held = as_given(place.rows, found.multipliers, above=felt)
     return _Place(narrow, rows, after.inside, after.multipliers, after.iterations + found.iterations, held)
 
 
@@ -146,7 +155,9 @@ def _kept(level: Level, rows: Polyhedron, chosen: NDArray[np.bool_]) -> Polyhedr
     """The rows, and the chosen ones of a set-based level."""
     if not chosen.any():
         return rows
-    return rows.also(level.J[chosen], level.lower[chosen], level.high[chosen], name=level.name)
+    one = level.lower.size == 1
+    names = [level.name if one else f"{level.name}.{i}" for i in np.flatnonzero(chosen)]
+    return rows.also(level.J[chosen], level.lower[chosen], level.high[chosen], names=names)
 
 
 def _nearest(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -92,7 +93,7 @@ class Polyhedron:
             names=tuple(self.names[i] for i in chosen),
         )
 
-    def also(self, J: Array, lower: Array, upper: Array, *, name: str) -> Polyhedron:
+    def also(self, J: Array, lower: Array, upper: Array, *, names: Sequence[str]) -> Polyhedron:
         """The same with more rows J v in [lower, upper], J (k, n), kept like those of a set-based task."""
         length = _lengths(J)
         kind: Kind = "set"
@@ -103,14 +104,14 @@ class Polyhedron:
             upper=np.append(self.upper, upper / length),
             length=np.append(self.length, length),
             kinds=(*self.kinds, *((kind,) * length.size)),
-            names=(*self.names, *((name,) * length.size)),
+            names=(*self.names, *names),
         )
 
     def widened(self, J: Array, lower: Array, upper: Array) -> Polyhedron:
         """The rows over (v, s) with s (k,), and k more rows J v + s in [lower, upper]."""
         k = J.shape[0]
         wide = replace(self, A=np.hstack([self.A, np.zeros((self.A.shape[0], k))]))
-        return wide.also(np.hstack([J, np.eye(k)]), lower, upper, name="slack")
+        return wide.also(np.hstack([J, np.eye(k)]), lower, upper, names=["slack"] * k)
 
     def clamp(self, v: Array) -> Array:
         """v moved into the box, entry by entry."""

@@ -34,8 +34,9 @@ class PrioritySolution:
             "lexicographic".
         residuals: ‖J_i v − x_i‖ of each level [unit of σ per second].
         without_limits: the same for the law (16) without rows: what a level loses to levels above it alone.
-        binding: (row, multiplier) of the rows that hold v back; positive at the upper bound, negative at the
-            lower. Of ½‖v − target‖² in the last projection; for a row that holds back a strict level (the first of
+        binding: (row, multiplier) of the rows that hold v back, for rows as given: positive at the upper bound, negative
+            at the lower. A set-based level that binds stands here by its name, with a dot and the row's place if it has
+            several. Of ½‖v − target‖² in the last projection; for a row that holds back a strict level (the first of
             "projected", any of "lexicographic"), of ½‖J v − x‖² of that level.
         blame: rows that hold back a strict level, by level.
         relaxed: how far v misses the rows that it misses, in the unit of each row.

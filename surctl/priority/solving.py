@@ -130,23 +130,21 @@ def _damped(
     if inside is None:
         return None
     found = damped_point(level, target, rows, damping=damping, inside=inside)
-    return Reached.of(found.v, rows.names, found.multipliers, spent + found.iterations)
+    return Reached.of(found.v, rows, found.multipliers, spent + found.iterations)
 
 
 def _solution(problem: PriorityProblem, settings: Settings, rows: Polyhedron, answer: Answer) -> PrioritySolution:
     """The answer in the words of the problem: names, and multipliers of the rows as given."""
-    length = dict(zip(rows.names, rows.length, strict=True))
     limited = answer.status == "optimal" and problem.levels[0].name in answer.blame
     status: Outcome = "limited" if limited else answer.status
     fallback: Literal[1, 2, 3] = 1 if status == "optimal" else 2 if status == "limited" else 3
-    bite = 1e-9 * (1.0 + float(np.abs(answer.v).max()))
     return PrioritySolution(
         v=answer.v,
         settings=settings,
         target=answer.target,
         residuals=residuals_at(answer.v, problem.levels),
         without_limits=residuals_at(answer.free, problem.levels),
-        binding=tuple((name, u / length.get(name, 1.0)) for name, u in answer.binding if abs(u) > bite),
+        binding=answer.binding,
         blame=answer.blame,
         relaxed=rows.missed(answer.v),
         conflict=answer.conflict,

@@ -271,3 +271,15 @@ def test_a_setting_that_is_no_number_is_refused_by_name(key, value):
 
 def test_a_number_of_sweeps_may_be_numpys():
     assert solve(wide([Level("a", E[:1], np.ones(1))]), sweeps=np.int64(2)).fallback == 1
+
+
+def test_rows_of_a_set_have_names_and_multipliers_of_their_own():
+    wish = Level("wish", E[:3], np.array([0.5, 0.4, 2.0]))  # more than the box gives, so that rows bind
+    for scale in (1.0, 5.0):
+        pair = Level("pair", scale * E[:2], np.array([-np.inf, -np.inf]), scale * np.array([0.1, 0.2]))
+        got = solve(build_problem([pair, wish], box(1)))
+        assert np.allclose(got.v, [0.1, 0.2, 1, 0], atol=1e-9)
+        wanted = {"box.w": 1.0, "pair.0": 0.4 / scale, "pair.1": 0.2 / scale}
+        assert dict(got.binding) == {name: pytest.approx(u) for name, u in wanted.items()}
+        one = Level("one", scale * E[:1], np.array([-np.inf]), np.array([0.1 * scale]))
+        assert dict(solve(build_problem([one, wish], box(1))).binding)["one"] == pytest.approx(0.4 / scale)
