@@ -57,7 +57,7 @@ class Reached:
         held: Mapping[str, float] | None = None,
         blame: Mapping[str, tuple[str, ...]] | None = None,
     ) -> Reached:
-        """From multipliers (m,) of all rows, of length 1; `held`, of rows that hold a strict level back, count first."""
+        """From multipliers (m,) of rows of length 1; `held`, of rows that hold a strict level back, count first."""
         found = as_given(rows, multipliers, above=_FELT * (1.0 + float(np.abs(v).max()))) | dict(held or {})
         return Reached(
             v,

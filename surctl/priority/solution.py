@@ -34,7 +34,7 @@ class PrioritySolution:
             "lexicographic".
         residuals: ‖J_i v − x_i‖ of each level [unit of σ per second].
         without_limits: the same for the law (16) without rows: what a level loses to levels above it alone.
-        binding: (row, multiplier) of the rows that hold v back, for rows as given: positive at the upper bound, negative
+        binding: (row, multiplier) of the rows that hold v back, as given: positive at the upper bound, negative
             at the lower. A set-based level that binds stands here by its name, with a dot and the row's place if it has
             several. Of ½‖v − target‖² in the last projection; for a row that holds back a strict level (the first of
             "projected", any of "lexicographic"), of ½‖J v − x‖² of that level.
