@@ -109,3 +109,22 @@ def test_lint_knows_which_hull_fits_the_pool(tmp_path, vehicle, status):
     assert bool(errors) == bool(status)
     if errors:
         assert "0.020 m inside a wall at the start" in errors[0]["text"]
+
+
+def test_explanations_name_who_gave_up_what(tmp_path):
+    done = surctl("simulate", "pool-behind", "--priority-mode", "projected", "--explain", "--json", cwd=tmp_path)
+    assert done.status == 0
+    told = done.json["runs"][0]["explanations"]
+    assert told[0] == {"time_s": 0.0, "binding": [], "relaxed": [], "text": told[0]["text"]}
+    assert "No limit binds" in told[0]["text"]
+    late = told[1]
+    assert late["time_s"] > 5.0 and late["binding"]
+    assert f"because `{late['binding'][0]}`" in late["text"] and " m/s " in late["text"]
+
+
+def test_a_law_with_limits_is_exported_and_replayed(tmp_path):
+    need_compiler()
+    done = surctl("export", "--priority-mode", "filter", "--out", "c", "--json", cwd=tmp_path)
+    assert done.status == 0
+    sil = done.json["sil"]
+    assert sil["passed"] and sil["tau"] == sil["state"] == 0.0 and sil["steps"] > 300
