@@ -9,16 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, NamedTuple, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, ToolMissing
+from surctl.errors import InputError
 from surctl.guidance import AvoidanceForm
-from surctl.ir import Block, Layout, Port, compile_block, replay
+from surctl.ir import Block, Layout, Port, runnable
 from surctl.priority import Level, Mode, PriorityProblem, PrioritySolution, Row, solve
 
 __all__ = ["DEGRADED", "NONFINITE", "SATURATED", "SWITCHED", "TELEMETRY", "Law", "LawStep"]
@@ -111,12 +111,7 @@ class Law:
     @cached_property
     def _run(self) -> Callable[[Vector, Vector, Vector], list[Vector]]:
         """CasADi's machine for the closed form; C for a block with loops, or its replay: the same numbers, slower."""
-        run: Callable[..., Any] = self.function
-        if self.mode != "nsb":
-            try:
-                run = compile_block(self.block)
-            except ToolMissing:
-                run = partial(replay, self.block)
+        run: Callable[..., Any] = self.function if self.mode == "nsb" else runnable(self.block)
         return lambda x, u, p: [np.asarray(r, dtype=np.float64).reshape(-1) for r in run(x, u, p)]
 
     def telemetry_slice(self, name: str) -> slice:

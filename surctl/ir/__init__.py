@@ -6,7 +6,7 @@ from surctl.ir.c99_routine import emit_block
 from surctl.ir.cache import cache_folder, shared_library
 from surctl.ir.compiler import compile_program, compiler_version, find_compiler, tuned_flags
 from surctl.ir.lowering import lower
-from surctl.ir.native import Native, Workspace, compile_block
+from surctl.ir.native import Native, Workspace, compile_block, runnable
 from surctl.ir.ops import LIBM, OPERATIONS, Operation
 from surctl.ir.ports import Layout, Port
 from surctl.ir.program import Instruction, Program
@@ -44,6 +44,7 @@ __all__ = [
     "identifier",
     "lower",
     "replay",
+    "runnable",
     "shared_library",
     "to_casadi",
     "tuned_flags",

@@ -49,11 +49,6 @@ class Freedom:
         base = self.base + self.Z @ space.particular(x - J @ self.base)
         return Freedom(base, self.Z @ space.null.T, np.vstack([self.fixed, space.rows @ self.Z.T]))
 
-    def project(self, v: Array) -> Array:
-        """The nearest of them to v (n,)."""
-        nearest: Array = self.base + self.Z @ (self.Z.T @ (v - self.base))
-        return nearest
-
     def nearest(self, target: Array, rows: Polyhedron, *, backend: Backend) -> LeastDistance:
         """The nearest of them to target (n,) that keeps the rows."""
         return solve_least_distance(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 
@@ -13,7 +13,7 @@ from surctl.errors import InputError
 from surctl.tasks.angle import wrap
 from surctl.vehicle.kinematics import jacobian as kinematics
 
-__all__ = ["Expression", "Task", "as_column", "sigma_column", "sized_column"]
+__all__ = ["Expression", "Task", "as_column", "as_expression", "sigma_column", "sized_column"]
 
 Expression: TypeAlias = ca.SX | float | Sequence[float]
 """A CasADi expression, a number, or a list of numbers."""
@@ -91,12 +91,20 @@ class Task:
         return ca.densify(self.rate + self.gain * self.error())
 
 
+def as_expression(value: Any) -> ca.SX:
+    """The value as SX of its own shape; ValueError when it is neither an expression nor numbers."""
+    try:
+        return ca.SX(value)
+    except (NotImplementedError, RuntimeError, TypeError) as error:  # how CasADi refuses what it cannot read
+        raise ValueError("not numbers") from error
+
+
 def sigma_column(name: str, value: Expression) -> ca.SX:
     """σ as a dense (k, 1), k at least 1; InputError, with the task's name, when it is none."""
     key = f"task {name}: sigma"
     try:
-        sigma: ca.SX = ca.densify(ca.SX(value))
-    except (NotImplementedError, RuntimeError, TypeError):  # what CasADi says of what it cannot read
+        sigma: ca.SX = ca.densify(as_expression(value))
+    except ValueError:
         raise InputError("is not an SX expression", key=key, value=value, remedy="write it over eta") from None
     if sigma.shape[1] != 1 or sigma.shape[0] < 1:
         raise InputError(f"has shape {sigma.shape}, expected (k, 1)", key=key, remedy="use ca.vertcat")
@@ -105,10 +113,7 @@ def sigma_column(name: str, value: Expression) -> ca.SX:
 
 def as_column(value: Expression) -> ca.SX:
     """The value as a dense SX column; a row is turned. ValueError when it is a matrix, or no numbers at all."""
-    try:
-        column = ca.densify(ca.SX(value) if isinstance(value, ca.SX) else ca.SX(ca.DM(value)))
-    except (NotImplementedError, RuntimeError, TypeError) as error:  # what CasADi says of what it cannot read
-        raise ValueError("not numbers") from error
+    column = ca.densify(as_expression(value))
     if column.shape[0] == 1:
         column = column.T
     if column.shape[1] != 1:

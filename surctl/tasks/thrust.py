@@ -19,7 +19,7 @@ from surctl.tasks.rows import (
     checked_order,
     checked_positive,
 )
-from surctl.tasks.task import Expression
+from surctl.tasks.task import Expression, as_expression
 from surctl.vehicle.dynamics import coriolis_force, damping_force
 
 __all__ = ["ThrustLimit"]
@@ -140,8 +140,8 @@ class ThrustLimit:
 def _mass_matrix(name: str, mass: Expression) -> ca.SX:
     """M as (4, 4), sparse where a diagonal was given."""
     try:
-        given = ca.SX(mass) if isinstance(mass, ca.SX) else ca.SX(ca.DM(mass))
-    except (NotImplementedError, RuntimeError, TypeError):  # what CasADi says of what it cannot read
+        given = as_expression(mass)
+    except ValueError:
         raise InputError(
             "is not numbers", key=f"limit {name}: mass", value=mass, remedy="give 4 numbers, or a (4, 4) matrix"
         ) from None

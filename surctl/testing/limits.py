@@ -15,6 +15,7 @@ from scipy.optimize import linprog
 
 from surctl.errors import InputError
 from surctl.tasks import Kind, Limit, LimitRow
+from surctl.tasks.task import as_expression
 from surctl.testing.finding import CheckFailed
 from surctl.testing.ranges import Parameter, Ranges, Sampled, checked_count, ranges_of
 
@@ -124,8 +125,8 @@ def _shaped(limit: Limit) -> tuple[LimitRow, ...]:
             raise CheckFailed(what, f"has the unknown kind {row.kind!r}; known: {', '.join(get_args(Kind))}")
         for field, value, shape in (("a", row.a, (1, 4)), ("lower", row.lower, (1, 1)), ("upper", row.upper, (1, 1))):
             try:
-                found = ca.SX(value).shape
-            except (NotImplementedError, RuntimeError, TypeError):
+                found = as_expression(value).shape
+            except ValueError:
                 raise CheckFailed(what, f"{field} is a {type(value).__name__}, not SX") from None
             if found != shape:
                 raise CheckFailed(what, f"{field} has shape {found}, expected {shape}")

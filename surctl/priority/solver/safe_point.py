@@ -10,8 +10,8 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, ToolMissing
-from surctl.ir import Routine, compile_block, replay
+from surctl.errors import InputError
+from surctl.ir import runnable
 from surctl.priority.solver.dual_step import Space
 from surctl.priority.solver.kernel import in_blocks, kernel
 from surctl.priority.solver.ladder import CLAMPED, safe_tick
@@ -52,19 +52,12 @@ class SafePoint:
 @cache
 def tick_runner(n: int, p: int, m: int) -> Runner:
     """`safe_tick` of these sizes, compiled once; its replay where there is no compiler: the same numbers, slower."""
-    return _runner(safe_tick(n, p, m))
+    return runnable(safe_tick(n, p, m))
 
 
 @cache
 def _nearest(d: int, m: int) -> Runner:
-    return _runner(kernel(Space(d, d), m))
-
-
-def _runner(routine: Routine) -> Runner:
-    try:
-        return compile_block(routine)
-    except ToolMissing:
-        return lambda *inputs: [np.asarray(y, dtype=np.float64) for y in replay(routine, *inputs)]
+    return runnable(kernel(Space(d, d), m))
 
 
 def least_distance(

@@ -89,7 +89,7 @@ def test_without_a_compiler_the_numbers_are_the_same(monkeypatch: pytest.MonkeyP
     def missing(_: object) -> None:
         raise ToolMissing("no C compiler found")
 
-    monkeypatch.setattr(module, "compile_block", missing)
+    monkeypatch.setattr("surctl.ir.native.compile_block", missing)
     module.tick_runner.cache_clear()
     try:
         got = least_distance([3.0, 0.4], **BOX)
