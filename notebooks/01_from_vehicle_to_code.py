@@ -308,14 +308,15 @@ def _(mo):
 
 @app.cell
 def _(gains, robot, scenario):
-    from surctl.tuning import Axis, Flight, sweep
+    from surctl.simulation import Case
+    from surctl.tuning import Axis, grid, sweep
 
-    _axes = (Axis("lookahead", (0.6, 1.2)), Axis("k_v", (1.0, 2.0)))
-    swept = sweep(gains, _axes, flights=[Flight(scenario, robot)], workers=1)
+    _design = grid([Axis("lookahead", (0.6, 1.2)), Axis("k_v", (1.0, 2.0))])
+    swept = sweep([Case(scenario, robot, gains)], _design)
     print("lookahead  k_v   deviation   clearance       delay        disk       score")
     for _i, _lookahead in enumerate(swept.axes[0].values):
         for _j, _k_v in enumerate(swept.axes[1].values):
-            _names = ("deviation_m", "min_clearance_m", "delay_margin_s", "disk_margin", "score")
+            _names = ("deviation_m", "min_clearance_m_worst", "delay_margin_s", "disk_margin", "score")
             _row = "  ".join(f"{swept.column(n)[_i, _j]:10.4f}" for n in _names)
             print(f"{_lookahead:9g}  {_k_v:3g}  {_row}{'   <- picked' if (_i, _j) == swept.picked else ''}")
     print(swept.gains.provenance)

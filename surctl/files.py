@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, StrictFloat, ValidationError
 
 from surctl.errors import InputError, nearest
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
 
 __all__ = ["Quantity", "Strict", "load_model", "pick", "prepare_folder", "read_toml", "validate"]
 
@@ -69,6 +73,8 @@ def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
     except ValidationError as error:
         # of a union "quantity or text" only the quantity is of use to the reader
         problems = [p for p in error.errors(include_url=False) if p["loc"][-1] != "str"]
+        # a list counts as too short by the members that are wrong
+        problems = [p for p in problems if p["type"] != "too_short" or not _inside(p["loc"], problems)]
         # another kind of file explains everything else; an unknown key the missing one beside it
         first = min(problems, key=lambda p: (p["loc"] != ("kind",), p["type"] != "extra_forbidden"))
         # a union's member types stand in the path like keys
@@ -89,6 +95,10 @@ def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
                 problem, _, remedy = problem.partition("; ")
         problem = problem.removeprefix("value error, ")
         raise InputError(problem + more, file=file, key=key, value=value, remedy=remedy) from None
+
+
+def _inside(path: tuple[int | str, ...], problems: Sequence[ErrorDetails]) -> bool:
+    return any(p["loc"][: len(path)] == path and p["loc"] != path for p in problems)
 
 
 def _fields_at(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:

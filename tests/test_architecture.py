@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 import surctl
+from tests.tools import PATIENCE
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "surctl"
@@ -26,7 +27,7 @@ NOWHERE = ["../" + "shared", "/wo" + "rk/", "TO" + "DO", "FIX" + "ME"]
 
 def _run(*command: str) -> str:
     """Output of a tool that must end with status 0."""
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=300)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=PATIENCE)
     assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}\n{done.stderr}"
     return done.stdout
 
@@ -85,6 +86,15 @@ def test_every_public_name_exists(name: str) -> None:
     assert len(set(public)) == len(public)
     for item in public:
         assert hasattr(module, item), f"{name}.{item}"
+
+
+def test_input_is_checked_before_heavy_libraries_are_loaded() -> None:
+    heavy = ("control", "distributed", "matplotlib", "optuna", "osqp", "qpsolvers", "scipy", "xarray")
+    code = f"""
+import sys, surctl.cli, surctl.control, surctl.simulation, surctl.study, surctl.tuning, surctl.verification
+print([m for m in {heavy} if m in sys.modules])
+"""
+    assert _run(sys.executable, "-c", code).split("\n")[0] == "[]"
 
 
 def test_no_file_is_too_long() -> None:

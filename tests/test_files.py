@@ -92,6 +92,17 @@ def test_an_unknown_key_inside_a_list_is_looked_up_in_the_list_entry() -> None:
     assert error.remedy == "did you mean 'label'?"
 
 
+def test_a_list_of_one_wrong_member_is_one_mistake() -> None:
+    class Shelf(Strict):
+        things: tuple[_Thing, ...] = Field(min_length=1)
+
+    with pytest.raises(InputError) as caught:
+        validate({"things": [{"name": "a", "part": {}}]}, Shelf, file="a.toml")
+    assert (caught.value.key, caught.value.problem) == ("things.0.part.mass_kg", "is missing")
+    with pytest.raises(InputError, match="at least 1 item"):
+        validate({"things": []}, Shelf, file="a.toml")
+
+
 @pytest.mark.parametrize("value", [-1.0, 0.0, float("nan"), float("inf"), "heavy", [1.0]])
 def test_a_wrong_value_is_shown(value: object) -> None:
     error = _mistake({"name": "a", "part": {"mass_kg": value}})

@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from tests.tools import need_compiler
+from tests.processes import run_python
+from tests.tools import PATIENCE, need_compiler
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
@@ -29,7 +30,9 @@ PRINTED = {
 def export(notebook: Path, target: Path) -> str:
     """The notebook as .ipynb, by the command that made the committed one."""
     command = [sys.executable, "-m", "marimo", "export", "ipynb", str(notebook), "-o", str(target)]
-    done = subprocess.run([*command, "--sort", "top-down"], capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(
+        [*command, "--sort", "top-down"], capture_output=True, text=True, timeout=PATIENCE, check=False
+    )
     assert done.returncode == 0, done.stderr
     return target.read_text(encoding="utf-8")
 
@@ -47,8 +50,7 @@ def test_every_notebook_is_expected() -> None:
 def test_it_runs_as_a_script_without_a_warning(notebook: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     need_compiler()
     monkeypatch.setenv("MPLBACKEND", "Agg")
-    command = [sys.executable, "-W", "error", str(notebook)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, cwd=tmp_path)
+    done = run_python([str(notebook)], cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert [line for line in PRINTED[notebook.stem] if line not in done.stdout] == []
     assert list(tmp_path.iterdir()) == []

@@ -10,6 +10,7 @@ from typing import get_args
 import pytest
 
 from surctl.priority import Mode
+from tests.processes import run_python
 from tests.tools import need_compiler
 
 STUDY = Path(__file__).parents[1] / "analysis" / "05_priority_benchmark"
@@ -17,9 +18,7 @@ MODULES = ("cascades", "contender", "fast", "in_c", "instances", "ours", "peers"
 
 
 def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-W", "error", str(STUDY / "run.py"), *arguments]
-    env = {**os.environ, **environment}
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, env=env)
+    return run_python([str(STUDY / "run.py"), *arguments], environment={**os.environ, **environment})
 
 
 @pytest.fixture(scope="module")

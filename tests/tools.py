@@ -10,6 +10,8 @@ import pytest
 from surctl.errors import ToolMissing
 from surctl.ir import find_compiler
 
+PATIENCE = 1200  # s; until a process that says nothing is taken for one that hangs, on a busy machine too
+
 
 def need_compiler() -> str:
     """The C compiler; without one the test is skipped, or fails where CI=true promises one."""

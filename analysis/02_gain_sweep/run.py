@@ -21,14 +21,15 @@ from numpy.typing import NDArray
 from surctl.control import Gains, build_law, load_gains
 from surctl.errors import InputError
 from surctl.files import Strict, load_model, prepare_folder
-from surctl.simulation import Run, load_scenario, simulate
+from surctl.simulation import Case, Run, load_scenario, simulate
 from surctl.simulation.metrics import settled_avoidance
-from surctl.tuning import COLUMNS, DELAY_FLOOR, DISK_FLOOR, Axis, Flight, Sweep, sweep
+from surctl.tuning import DELAY_FLOOR, DISK_FLOOR, Axis, LocalExecutor, SweepTable, grid, sweep
 from surctl.vehicle import load_vehicle
 from surctl.verification import loop_margins
 
 CONFIG = Path(__file__).with_name("config.toml")
-SHOWN = ("deviation_m", "path_error_m", "time_s", "min_clearance_m", "delay_margin_s", "disk_margin", "score")
+SHOWN = ("deviation_m", "path_error_m", "time_s", "min_clearance_m_worst", "delay_margin_s", "disk_margin", "score")
+ROUNDING = 1e-9  # margins that do not depend on k_v differ in their last digits, and not on every machine
 
 
 class Grid(Strict):
@@ -116,20 +117,20 @@ def study(config: Config, grid: Grid, out: Path) -> int:
     return 0 if holds and swept.picked else 1
 
 
-def run_sweep(config: Config, grid: Grid, gains: Gains) -> Sweep:
+def run_sweep(config: Config, points: Grid, gains: Gains) -> SweepTable:
     """The sweep of the grid; progress goes to stderr."""
-    axes = (Axis("lookahead", grid.lookahead), Axis("k_v", grid.k_v))
-    scenarios = [load_scenario(name) for name in grid.scenarios]
-    flights = [Flight(s, load_vehicle(s.vehicle), seed) for s in scenarios for seed in grid.seeds]
-    return sweep(gains, axes, flights=flights, workers=config.workers, progress=tell)
+    axes = (Axis("lookahead", points.lookahead), Axis("k_v", points.k_v))
+    scenarios = [load_scenario(name) for name in points.scenarios]
+    cases = [Case(s, load_vehicle(s.vehicle), gains) for s in scenarios]
+    return sweep(cases, grid(axes), seeds=points.seeds, executor=LocalExecutor(config.workers), progress=tell)
 
 
-def tell(done: int, count: int) -> None:
+def tell(line: str) -> None:
     """Progress on stderr."""
-    print(f"  {done}/{count} points", file=sys.stderr)
+    print(f"  {line}", file=sys.stderr)
 
 
-def points(swept: Sweep) -> Iterator[tuple[int, int, float, float]]:
+def points(swept: SweepTable) -> Iterator[tuple[int, int, float, float]]:
     """(i, j, lookahead, k_v) of every point."""
     for i, lookahead in enumerate(swept.axes[0].values):
         for j, k_v in enumerate(swept.axes[1].values):
@@ -143,9 +144,9 @@ def print_rows(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
         print("| " + " | ".join(row) + " |")
 
 
-def print_table(swept: Sweep) -> None:
+def print_table(swept: SweepTable) -> None:
     """One row a point."""
-    header = ["lookahead [m]", "k_v [1/s]", *(f"{name} [{COLUMNS[name]}]" for name in SHOWN), ""]
+    header = ["lookahead [m]", "k_v [1/s]", *(f"{name} [{swept.units[name]}]" for name in SHOWN), ""]
     rows = []
     for i, j, lookahead, k_v in points(swept):
         figures = [f"{swept.column(name)[i, j]:.4g}" for name in SHOWN]
@@ -153,26 +154,26 @@ def print_table(swept: Sweep) -> None:
     print_rows(header, rows)
 
 
-def remark(swept: Sweep, i: int, j: int) -> str:
+def remark(swept: SweepTable, i: int, j: int) -> str:
     """Why a point may not be picked, or that it was."""
     if (i, j) == swept.picked:
         return "**picked**"
     reasons = {
-        "touches": swept.column("min_clearance_m")[i, j] <= 0,
-        "does not arrive": swept.column("arrived")[i, j] < 0.5,
+        "touches": swept.column("min_clearance_m_worst")[i, j] <= 0,
+        "does not arrive": swept.column("reached_worst")[i, j] < 0.5,
         "delay margin": swept.column("delay_margin_s")[i, j] < DELAY_FLOOR,
         "disk margin": swept.column("disk_margin")[i, j] < DISK_FLOOR,
     }
     return next((reason for reason, holds in reasons.items() if holds), "")
 
 
-def ranking(swept: Sweep, by: str = "score") -> list[tuple[int, int]]:
+def ranking(swept: SweepTable, by: str = "score") -> list[tuple[int, int]]:
     """Feasible points, least first."""
     feasible = [(i, j) for i, j, *_ in points(swept) if swept.column("feasible")[i, j] > 0.5]
     return sorted(feasible, key=lambda p: float(np.nan_to_num(swept.column(by)[p], nan=np.inf)))
 
 
-def print_pick(swept: Sweep, what: str, watched: Mapping[str, Gains]) -> None:
+def print_pick(swept: SweepTable, what: str, watched: Mapping[str, Gains]) -> None:
     """The picked point and the next ones, how far behind the watched ones are, and what each figure would pick."""
     order, score = ranking(swept), swept.column("score")
     print(f"\n{what}: {len(order)} of {score.size} points are feasible.")
@@ -187,20 +188,20 @@ def print_pick(swept: Sweep, what: str, watched: Mapping[str, Gains]) -> None:
             print(f"- by {figure} alone: {name_of(swept, point)}")
 
 
-def name_of(swept: Sweep, point: tuple[int, int]) -> str:
+def name_of(swept: SweepTable, point: tuple[int, int]) -> str:
     """The point's gains with units, and whether it lies on the edge of the grid."""
     named = ", ".join(f"{a.name} = {a.values[k]:g} {a.unit}" for a, k in zip(swept.axes, point, strict=True))
     edges = [a.name for a, k in zip(swept.axes, point, strict=True) if k in (0, len(a.values) - 1)]
     return f"{named} (edge in {' and '.join(edges)})" if edges else named
 
 
-def save(swept: Sweep, path: Path) -> None:
+def save(swept: SweepTable, path: Path) -> None:
     """The whole sweep as CSV, one line a point."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(["lookahead_m", "k_v_per_s", *COLUMNS, "picked"])
+        writer.writerow(["lookahead_m", "k_v_per_s", *swept.columns, "picked"])
         for i, j, lookahead, k_v in points(swept):
-            row = [repr(float(swept.column(name)[i, j])) for name in COLUMNS]
+            row = [repr(float(swept.column(name)[i, j])) for name in swept.columns]
             writer.writerow([lookahead, k_v, *row, int((i, j) == swept.picked)])
 
 
@@ -258,16 +259,16 @@ def print_flown(flown: Sequence[Flown]) -> None:
     print_rows([*header, "deviation [m]", "path error [m]", "ticks it counts"], rows)
 
 
-def statements(config: Config, grid: Grid, swept: Sweep, flown: Sequence[Flown], gains: Gains) -> list[Statement]:
+def statements(config: Config, grid: Grid, swept: SweepTable, flown: Sequence[Flown], gains: Gains) -> list[Statement]:
     """Everything the README says of trends, against this run; the first k_v is the one that touches."""
     delay, deviation = swept.column("delay_margin_s"), swept.column("deviation_m")[:, 1:]
     beyond = delay[:, np.array(grid.k_v) >= config.knee]
-    least = swept.column("min_clearance_m")[:, 0]
+    least = swept.column("min_clearance_m_worst")[:, 0]
     slow = f"k_v = {grid.k_v[0]:g} 1/s"
     return [
         Statement(
             f"the delay margin never rises with k_v, and from {config.knee:g} 1/s on it falls at every step",
-            bool((np.diff(delay) <= 1e-9).all()) and rising(-beyond),
+            bool((np.diff(delay) <= ROUNDING).all()) and rising(-beyond),
             span(delay, "s"),
         ),
         limiting_loops(gains, grid),
@@ -322,8 +323,8 @@ def limiting_loops(gains: Gains, grid: Grid) -> Statement:
 
 
 def rising(values: NDArray[np.float64]) -> bool:
-    """Whether every step along the last axis goes up; not for a NaN."""
-    return bool((np.diff(values) > 0).all())
+    """Whether every step along the last axis goes up, by more than rounding; not for a NaN."""
+    return bool((np.diff(values) > ROUNDING).all())
 
 
 def span(values: NDArray[np.float64], unit: str) -> str:

@@ -62,11 +62,11 @@ class Facts:
 def main(arguments: Sequence[str]) -> int:
     """Run all parts; the exit status."""
     parser = argparse.ArgumentParser(description="the four priority modes: exactness, cost, continuity")
-    parser.add_argument("--quick", action="store_true", help="300 problems unless --n says otherwise")
+    parser.add_argument("--quick", action="store_true", help="100 problems unless --n says otherwise")
     parser.add_argument("--n", type=int, help="random problems; 10,000 if not given")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
-    count = options.n if options.n is not None else 300 if options.quick else 10_000
+    count = options.n if options.n is not None else 100 if options.quick else 10_000
     if count < 1 or options.seed < 0:
         parser.error("--n is at least 1, --seed at least 0")
     good = [
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str]) -> int:
         strict_with_limits(count, options.seed),
         continuous(400 if options.quick else 2000),
     ]
-    prices(100 if options.quick else 500, options.seed)
+    prices(40 if options.quick else 500, options.seed)
     return 0 if all(good) else 1
 
 

@@ -13,6 +13,7 @@ from surctl.cli.listing import listing
 from surctl.cli.simulate import simulate
 from surctl.cli.study import study
 from surctl.cli.sweep import sweep
+from surctl.cli.tune import tune
 from surctl.cli.verify import verify
 from surctl.errors import SurctlError
 
@@ -28,7 +29,7 @@ def app() -> None:
     """
 
 
-for _command in (study, simulate, sweep, verify, export, lint, listing):
+for _command in (study, simulate, sweep, tune, verify, export, lint, listing):
     app.add_command(_command)
 
 

@@ -23,6 +23,7 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
     from surctl.files import pick, read_toml
     from surctl.simulation import LIBRARY, findings, load_scenario
     from surctl.study import load_plan
+    from surctl.tuning import load_goals
     from surctl.vehicle import load_vehicle
 
     path = str(pick(file, LIBRARY, what="scenario"))
@@ -32,6 +33,8 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
         load_vehicle(path)
     elif kind == "gains":
         load_gains(path)
+    elif kind == "goals":
+        load_goals(path)
     elif kind == "scenario":
         scenario = load_scenario(path)
         found = findings(scenario, load_vehicle(vehicle or scenario.vehicle))
@@ -44,7 +47,7 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
             file=path,
             key="kind",
             value=kind,
-            remedy='write kind = "vehicle", "gains", "scenario" or "study"',
+            remedy='write kind = "vehicle", "gains", "goals", "scenario" or "study"',
         )
     lines = [f"{f.level}: {f.key}: {f.text}" for f in found] or [f"{path}: nothing found"]
     result = {"file": path, "kind": kind, "findings": [f.to_dict() for f in found]}

@@ -15,11 +15,11 @@ __all__ = ["listing"]
 @click.option("--show", metavar="NAME", help="Print the built-in file of that name instead.")
 @as_json
 def listing(show: str | None, as_json: bool) -> None:
-    """List built-in vehicles, gain files, scenarios, studies and claims.
+    """List built-in vehicles, gain files, scenarios, studies, goals and claims.
 
     Example: surctl list --show sur540-flooded > my-vehicle.toml
     """
-    from surctl import control, simulation, study, vehicle
+    from surctl import control, simulation, study, tuning, vehicle
     from surctl.errors import InputError, nearest
     from surctl.verification import claims
 
@@ -28,6 +28,7 @@ def listing(show: str | None, as_json: bool) -> None:
         "gains": control.LIBRARY,
         "scenarios": simulation.LIBRARY,
         "studies": study.LIBRARY,
+        "goals": tuning.LIBRARY,
     }
     files = {kind: {p.stem: p for p in sorted(folder.glob("*.toml"))} for kind, folder in libraries.items()}
     if show is not None:

@@ -51,12 +51,12 @@ def simulate(
 
     if out is not None:
         prepare_folder(out)
-    built = build_law(law, avoidance=avoidance, mode=priority_mode)
     chosen = load_gains(gains)
     plans = [load_scenario(name) for name in scenarios]
+    vehicles = [load_vehicle(vehicle or scenario.vehicle) for scenario in plans]
+    built = build_law(law, avoidance=avoidance, mode=priority_mode)  # takes a second, so a mistake is told before
     results, lines = [], []
-    for scenario in plans:
-        flown = load_vehicle(vehicle or scenario.vehicle)
+    for scenario, flown in zip(plans, vehicles, strict=True):
         for k in range(seed, seed + runs):
             run = fly(scenario, flown, gains=chosen, law=built, sensing=sensing, seed=k)
             results.append(run.to_dict())

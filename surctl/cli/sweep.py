@@ -1,90 +1,191 @@
-"""`surctl sweep`: a grid over two gains."""
+"""`surctl sweep`: closed-loop and linear metrics over any knobs."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from surctl.cli.output import as_json, finish, progress
 
+if TYPE_CHECKING:
+    from surctl.simulation import Case
+    from surctl.tuning import Executor, Sensitivity, SweepTable
+
 __all__ = ["sweep"]
+
+_SHOWN = 40  # points printed for people; the file has them all
+_MOST_JSON = 100_000  # points printed as JSON
+_LOCUS = 61  # poles are computed at so many values
+_TOLD = (  # columns printed for people
+    "deviation_m", "path_error_m", "time_s", "min_clearance_m_worst", "effort_n", "delay_margin_s", "disk_margin",
+    "reached_worst", "score", "feasible",
+)  # fmt: skip
 
 
 @click.command
-@click.argument("axes", nargs=2, metavar="GAIN=V1,V2,... GAIN=V1,V2,...")
+@click.argument("axes", nargs=-1, required=True, metavar="KNOB=V1,V2,...|LOW..HIGH[:COUNT][:log] ...")
 @click.option(
     "--scenario", "scenarios", multiple=True, default=("tank-static", "pool-static"), help="Flown at each point."
 )
-@click.option("--vehicle", help="Vehicle: name or file; default: each scenario's.")
+@click.option("--vehicle", "vehicles", multiple=True, help="Vehicles: names or files; default: each scenario's.")
+@click.option("--sensing", default="truth", help="truth, or through the sonar array: sonar.")
 @click.option("--gains", default="default", help="All other gains: name or path.")
+@click.option("--law", default="guarded", help="guarded, or the printed stack: paper.")
+@click.option("--priority-mode", default="nsb", help="nsb, filter, projected or lexicographic.")
+@click.option("--design", default="grid", help="grid, or points that fill ranges: lhs, sobol.")
+@click.option("--points", type=click.IntRange(min=1), help="Number of points of lhs and sobol.")
+@click.option("--sensitivity", metavar="COLUMN", help="Sobol' indices of a column; takes N(axes + 2) points, N = 64.")
+@click.option("--locus", metavar="KNOB", help="Draw the closed-loop poles over this axis, about the picked gains.")
 @click.option("--seeds", type=click.IntRange(min=1), default=1, help="Seeds 0 to N-1 of every scenario.")
-@click.option("--workers", type=click.IntRange(min=1), default=2, help="Processes; the result does not depend on them.")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes (2); the result does not depend on them.")
+@click.option("--dask", metavar="ADDRESS", help="A Dask scheduler instead of processes of this machine.")
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("surctl-out"), help="Folder; its sweep.csv resumes."
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("surctl-out"),
+    help="Folder of sweep.nc; a killed sweep resumes.",
 )
 @as_json
 def sweep(
-    axes: tuple[str, str],
+    axes: tuple[str, ...],
     scenarios: tuple[str, ...],
-    vehicle: str | None,
+    vehicles: tuple[str, ...],
+    sensing: str,
     gains: str,
+    law: str,
+    priority_mode: str,
+    design: str,
+    points: int | None,
+    sensitivity: str | None,
+    locus: str | None,
     seeds: int,
-    workers: int,
+    workers: int | None,
+    dask: str | None,
     out: Path,
     as_json: bool,
 ) -> None:
-    """Fly scenarios over a grid of two gains, with loop margins, and pick a point.
+    """Fly scenarios over any knobs, with loop margins, and pick a point.
 
-    Exit status 1 when no point is feasible.
-    Example: surctl sweep lookahead=0.6,0.9,1.2 k_v=1,1.5,2 --scenario pool-static --out sweep
+    A knob is a gain (k_v), a vehicle parameter (vehicle.m11; plant.m11 if the controller does not know), a number of
+    the scenario (scenario.cruise) or seed. Exit status 1 when no point is feasible.
+
+    Examples: surctl sweep lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log --scenario pool-static --out sweep;
+    surctl sweep k_v=1..3 plant.m11=30..60 --design sobol --points 128;
+    surctl sweep k_v=1..3 k_r=1..3 --sensitivity deviation_m
     """
     from surctl.control import load_gains, write_gains
+    from surctl.errors import InputError, nearest
     from surctl.files import prepare_folder
-    from surctl.report import save_heat_map
     from surctl.simulation import load_scenario
-    from surctl.tuning import COLUMNS, Axis, Flight
+    from surctl.tuning import build_cases, check_column, make_design, parse_axis, saltelli
+    from surctl.tuning import sensitivity as indices
     from surctl.tuning import sweep as run_sweep
     from surctl.vehicle import load_vehicle
 
-    parsed = [_axis(text) for text in axes]
-    loaded = [load_scenario(name) for name in scenarios]
-    flights = [Flight(s, load_vehicle(vehicle or s.vehicle), k) for s in loaded for k in range(seeds)]
-    base = load_gains(gains)
-    grid = (Axis(*parsed[0]), Axis(*parsed[1]))
+    parsed = [parse_axis(text) for text in axes]
+    if sensitivity is None:
+        chosen = make_design(design, parsed, count=points)
+    else:
+        check_column(sensitivity)
+        chosen = saltelli(parsed, base=64 if points is None else points)
+    if locus is not None and locus not in chosen.names:
+        raise InputError(
+            "is not an axis of this sweep", key="--locus", value=locus, remedy=nearest(locus, chosen.names)
+        )
+    if as_json and len(chosen.points) > _MOST_JSON:
+        raise InputError(
+            f"would print {len(chosen.points)} points", key="--json", remedy="leave it away and read sweep.nc"
+        )
+    cases = build_cases(
+        [load_scenario(name) for name in scenarios],
+        [load_vehicle(name) for name in vehicles],
+        gains=load_gains(gains), law=law, mode=priority_mode, sensing=sensing,
+    )  # fmt: skip
+    executor = _executor(workers, dask)
     prepare_folder(out)
-    result = run_sweep(
-        base,
-        grid,
-        flights=flights,
-        workers=workers,
-        store=out / "sweep.csv",
-        progress=lambda done, count: progress(f"{done}/{count} points"),
-    )
-    (out / "gains.toml").write_text(write_gains(result.gains), encoding="utf-8")
-    picture = save_heat_map(result, "score", out)
-    rows = [
-        {grid[0].name: a, grid[1].name: b} | {name: float(result.column(name)[i, j]) for name in COLUMNS}
-        for i, a in enumerate(grid[0].values)
-        for j, b in enumerate(grid[1].values)
-    ]
-    lines = ["  ".join(f"{k}={v:.4g}" for k, v in row.items()) for row in rows]
-    where = result.gains.provenance if result.picked else "no point is feasible"
-    lines += ["", where, f"gains {out / 'gains.toml'}", f"table {out / 'sweep.csv'}", f"plot  {picture}"]
+    table = run_sweep(cases, chosen, seeds=range(seeds), executor=executor, out=out, progress=progress)
+    found = None if sensitivity is None else indices(table, sensitivity)
+    picked = table.picked
+    (out / "gains.toml").write_text(write_gains(table.gains), encoding="utf-8")
+    pictures = _pictures(table, found, out)
+    if locus is not None:
+        pictures.append(_locus(table, locus, cases[0], out))
+    lines = _lines(table, found)
+    where = table.gains.provenance if picked else "no point is feasible"
+    lines += ["", where, f"gains {out / 'gains.toml'}", f"table {table.path}"]
+    lines += [f"plot  {picture}" for picture in pictures]
     data = {
-        "axes": {axis.name: list(axis.values) for axis in grid},
-        "results": rows,
-        "picked": None if result.picked is None else rows[result.picked[0] * len(grid[1].values) + result.picked[1]],
+        "axes": {axis.name: axis.values.tolist() for axis in table.axes},
+        "units": {axis.name: axis.unit for axis in table.axes} | dict(table.units),
+        "cases": list(table.cases),
+        "results": table.rows() if as_json else [],
+        "picked": None if picked is None else table.row(picked),
+        "sensitivity": None if found is None else found.to_dict(),
+        "table": str(table.path),
     }
-    finish(data, lines, as_json=as_json, passed=result.picked is not None)
+    finish(data, lines, as_json=as_json, passed=picked is not None)
 
 
-def _axis(text: str) -> tuple[str, tuple[float, ...]]:
-    name, equals, values = text.partition("=")
-    try:
-        numbers = tuple(float(v) for v in values.split(","))
-    except ValueError:
-        numbers = ()
-    if not equals or not numbers:
-        raise click.BadParameter(f"{text!r} is not GAIN=V1,V2,...")
-    return name, numbers
+def _executor(workers: int | None, dask: str | None) -> Executor:
+    from surctl.tuning import DaskExecutor, LocalExecutor
+
+    if workers is not None and dask is not None:
+        raise click.UsageError("--workers and --dask exclude each other")
+    return LocalExecutor(workers or 2) if dask is None else DaskExecutor(dask)
+
+
+def _pictures(table: SweepTable, found: Sensitivity | None, out: Path) -> list[Path]:
+    from surctl.report import save_heat_map, save_parallel, save_sensitivity
+
+    if found is not None:
+        return [save_sensitivity(found, out)]
+    pictures = [save_parallel(table, out)]
+    if table.is_grid and len(table.axes) > 1:
+        pictures.append(save_heat_map(table, "score", out))
+    return pictures
+
+
+def _locus(table: SweepTable, knob: str, case: Case, out: Path) -> Path:
+    """Poles of the first case's vehicle over the range of an axis."""
+    import numpy as np
+
+    from surctl.report import save_locus
+    from surctl.verification import sweep_locus
+
+    axis = next(axis for axis in table.axes if axis.name == knob)
+    values = np.linspace(axis.values.min(), axis.values.max(), _LOCUS)
+    data = sweep_locus(
+        case.vehicle,
+        table.gains.values,
+        knob,
+        values,
+        cruise=case.scenario.cruise,
+        dt=case.build().dt,
+        model=case.model,
+    )
+    picked = None if table.picked is None else table.at(table.picked)[knob]
+    return save_locus(data, out, unit=axis.unit, picked=picked)
+
+
+def _lines(table: SweepTable, found: Sensitivity | None) -> list[str]:
+    """What people are told of the points, or of the indices."""
+    if found is not None:
+        if found.constant:
+            return [f"{found.column} is constant over these ranges: it depends on none of the axes"]
+        head = f"{found.column}: share of the variance of each axis, alone and with others, with 95 % intervals"
+        shares = zip(found.axes, found.first, found.first_interval, found.total, found.total_interval, strict=True)
+        return [head] + [
+            f"{name:<16} {f:6.3f} ({a[0]:.3f} … {a[1]:.3f})  {t:6.3f} ({b[0]:.3f} … {b[1]:.3f})"
+            for name, f, a, t, b in shares
+        ]
+    import numpy as np
+
+    indices = list(np.ndindex(table.shape))
+    columns = {name: table.column(name) for name in _TOLD}
+    rows = [table.at(index) | {name: float(v[index]) for name, v in columns.items()} for index in indices[:_SHOWN]]
+    lines = ["  ".join(f"{name}={value:.4g}" for name, value in row.items()) for row in rows]
+    if len(indices) > _SHOWN:
+        lines.append(f"... and {len(indices) - _SHOWN} more points in the table")
+    return lines

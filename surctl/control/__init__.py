@@ -10,7 +10,7 @@ from surctl.control.law import (
     Law,
     LawStep,
 )
-from surctl.control.ports import CONTACT_SLOTS, INPUTS, PARAMETERS, law_parameters
+from surctl.control.ports import CONTACT_SLOTS, INPUTS, PARAMETERS, law_inputs, law_parameters
 
 __all__ = [
     "CONTACT_SLOTS",
@@ -28,6 +28,7 @@ __all__ = [
     "Law",
     "LawStep",
     "build_law",
+    "law_inputs",
     "law_parameters",
     "load_gains",
     "write_gains",

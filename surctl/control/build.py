@@ -11,7 +11,7 @@ import casadi as ca
 from surctl.control.law import DEGRADED, SATURATED, SWITCHED, TELEMETRY, Law
 from surctl.control.laws import DECISION_PORTS, Decision, guarded_law, paper_law
 from surctl.control.perception import perceive, perception_ports
-from surctl.control.ports import INPUTS, PARAMETERS
+from surctl.control.ports import CONTACT_SLOTS, PARAMETERS, law_inputs
 from surctl.control.reference import path_wish
 from surctl.control.velocity import velocity_control
 from surctl.errors import InputError, nearest
@@ -34,7 +34,13 @@ _TICK_INPUTS = ("J", "wanted", "rows", "box")
 
 @cache
 def build_law(
-    law: LawName = "guarded", *, avoidance: AvoidanceForm = "corrected", mode: Mode = "nsb", dt: float = 0.05
+    law: LawName = "guarded",
+    *,
+    avoidance: AvoidanceForm = "corrected",
+    mode: Mode = "nsb",
+    dt: float = 0.05,
+    contacts: int = CONTACT_SLOTS,
+    sonar: bool = True,
 ) -> Law:
     """Assemble a law once; the gains stay symbols.
 
@@ -43,6 +49,8 @@ def build_law(
         avoidance: form of (20); `guarded` is built on `corrected` and takes no other.
         mode: `nsb`, which knows no limits, or one that keeps them: `filter`, `projected`, `lexicographic`.
         dt: control period [s].
+        contacts: slots for known obstacles; a law with fewer does the same as long as they suffice.
+        sonar: whether it listens to the sonars; without them it needs true positions.
 
     Raises:
         InputError: an unknown name, or a form that the law does not take.
@@ -57,9 +65,9 @@ def build_law(
             value=avoidance,
             remedy="compare the forms with law paper",
         )
-    state, outputs = _state_layout(dt), Layout(TELEMETRY)
+    state, outputs, inputs = _state_layout(dt, sonar=sonar), Layout(TELEMETRY), law_inputs(contacts, sonar=sonar)
     x, xs = state.symbols("x")
-    u, us = INPUTS.symbols("u")
+    u, us = inputs.symbols("u")
     p, ps = PARAMETERS.symbols("p")
     wish = path_wish(us["eta"], xs["progress"], ps, dt=dt)
     seen = perceive(xs, us, ps, dt=dt)
@@ -103,7 +111,7 @@ def build_law(
         mode=mode,
         dt=dt,
         state=state,
-        inputs=INPUTS,
+        inputs=inputs,
         gains=PARAMETERS,
         outputs=outputs,
         block=lower(function) if mode == "nsb" else _routine(mode, pre, post, levels=levels, rows=len(rows)),
@@ -152,13 +160,13 @@ def _tick_inputs(decision: Decision, rows: list[LimitRow], p: dict[str, ca.SX]) 
     return [ca.densify(output) for output in outputs]
 
 
-def _state_layout(dt: float) -> Layout:
+def _state_layout(dt: float, *, sonar: bool) -> Layout:
     return Layout(
         (
             Port("progress", (1,), "m", "arc length of the path's target"),
             Port("integral", (4,), "m/s^2, rad/s^2", "integral action of the velocity loops"),
             *DECISION_PORTS,
-            *perception_ports(dt),
+            *perception_ports(dt, sonar=sonar),
         )
     )
 

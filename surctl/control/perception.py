@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from surctl.control.ports import CONTACT_SLOTS
 from surctl.guidance import Contact, disc_contact, point_contact, wall_contacts
 from surctl.ir import Port
 from surctl.sensing import ContactMemory, SensorFilter, SonarArray, expected_range, sonar_contacts
@@ -18,8 +17,10 @@ _ARRAY = SonarArray()
 _FILTER = SensorFilter(array=_ARRAY)
 
 
-def perception_ports(dt: float) -> tuple[Port, ...]:
-    """State of filters and echo memory for a law that runs every `dt` [s]."""
+def perception_ports(dt: float, *, sonar: bool = True) -> tuple[Port, ...]:
+    """State of filters and echo memory for a law that runs every `dt` [s]; none without sonars."""
+    if not sonar:
+        return ()
     return (*_FILTER.ports("sonar_"), *ContactMemory(dt=dt).ports("sonar_"))
 
 
@@ -29,10 +30,9 @@ class Perception:
 
     Attributes:
         known: the base station's obstacles.
-        echoes: one a sonar, `FAR` when silent or explained.
+        echoes: one a sonar, `FAR` when silent or explained; none without sonars.
         walls: the site's four walls.
-        ranges: filtered ranges (4, 1) [m].
-        healthy: (4, 1), 1 where a sonar may be believed.
+        ranges: filtered ranges (4, 1) [m]; the maximum without sonars.
         state: next state by port name.
     """
 
@@ -40,7 +40,6 @@ class Perception:
     echoes: list[Contact]
     walls: list[Contact]
     ranges: ca.SX
-    healthy: ca.SX
     state: dict[str, ca.SX]
 
     @property
@@ -52,17 +51,26 @@ class Perception:
 def perceive(x: Mapping[str, ca.SX], u: Mapping[str, ca.SX], p: Mapping[str, ca.SX], *, dt: float) -> Perception:
     """Filter the sonar, drop what walls and known obstacles explain, list what is left.
 
+    An input without `contacts` knows of none, one without `samples` has no sonars.
+
     Args:
         x: state by port name (`perception_ports`).
         u: inputs `eta`, `contacts`, `samples`, `fresh`.
         p: gains `lambda1`, `lms_step`, `beta_max`, model `hull`, mission `walls`.
         dt: control period [s].
     """
-    position, psi, hull = u["eta"][:2], u["eta"][3], p["hull"]
+    position, hull, rows = u["eta"][:2], p["hull"], u.get("contacts", ca.SX.zeros(0, 6))
+    known = [
+        disc_contact(position, hull, rows[k, :2].T, rows[k, 2], rows[k, 3:5].T, rows[k, 5])
+        for k in range(rows.shape[0])
+    ]
+    walls = wall_contacts(position, hull, p["walls"])
+    if "samples" not in u:
+        return Perception(known, [], walls, ca.SX.ones(_ARRAY.size) * _ARRAY.maximum, {})
+    psi = u["eta"][3]
     heading = ca.vertcat(ca.cos(psi), ca.sin(psi))
     gains = {"sonar_lambda1": p["lambda1"], "sonar_relaxation": p["lms_step"], "sonar_beta_max": p["beta_max"]}
     filtered = _FILTER.update(x, u["samples"], fresh=u["fresh"], gains=gains, prefix="sonar_")
-    rows = u["contacts"]
     expected = [
         expected_range(
             position,
@@ -81,16 +89,5 @@ def perceive(x: Mapping[str, ca.SX], u: Mapping[str, ca.SX], p: Mapping[str, ca.
         _ARRAY, filtered.range_hat, position=position, heading=heading, hull_radius=hull, expected=ca.vertcat(*expected)
     )
     memory, standing = ContactMemory(dt=dt).update(x, heard, fresh=u["fresh"] * filtered.healthy, prefix="sonar_")
-    known = [
-        disc_contact(position, hull, rows[k, :2].T, rows[k, 2], rows[k, 3:5].T, rows[k, 5])
-        for k in range(CONTACT_SLOTS)
-    ]
     echoes = [point_contact(position, hull, standing.points[i, :].T, standing.valid[i]) for i in range(_ARRAY.size)]
-    return Perception(
-        known,
-        echoes,
-        wall_contacts(position, hull, p["walls"]),
-        filtered.range_hat,
-        filtered.healthy,
-        {**filtered.state, **memory},
-    )
+    return Perception(known, echoes, walls, filtered.range_hat, {**filtered.state, **memory})

@@ -12,24 +12,36 @@ from surctl.guidance import MAX_WAYPOINTS, Path
 from surctl.ir import Layout, Port
 from surctl.vehicle import Vehicle
 
-__all__ = ["CONTACT_SLOTS", "INPUTS", "PARAMETERS", "law_parameters"]
+__all__ = ["CONTACT_SLOTS", "INPUTS", "PARAMETERS", "law_inputs", "law_parameters"]
 
 CONTACT_SLOTS = 8
 
-INPUTS = Layout(
-    (
+
+def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True) -> Layout:
+    """What a law is given each tick.
+
+    Args:
+        contacts: number of slots for known obstacles, 0 or more.
+        sonar: whether it listens to the sonars.
+    """
+    pose = (
         Port("eta", (4,), "m, rad", "measured position x, y, z and heading psi in {E} (z up, psi counter-clockwise)"),
         Port("nu", (4,), "m/s, rad/s", "measured ground velocity u, v, w and yaw rate r in {B}"),
-        Port(
-            "contacts",
-            (CONTACT_SLOTS, 6),
-            "m, m/s, 1",
-            "known obstacles in {E}, one a row: x, y, radius, vx, vy, valid (0 or 1)",
-        ),
+    )
+    known = Port(
+        "contacts",
+        (contacts, 6),
+        "m, m/s, 1",
+        "known obstacles in {E}, one a row: x, y, radius, vx, vy, valid (0 or 1)",
+    )
+    heard = (
         Port("samples", (4, 5), "m", "five raw samples of each sonar's last firing", 4.5),
         Port("fresh", (4,), "1", "1 where the sonar has fired since the last step"),
     )
-)
+    return Layout((*pose, *((known,) if contacts else ()), *(heard if sonar else ())))
+
+
+INPUTS = law_inputs()
 
 _MODEL = (
     Port("mass", (4,), "kg, kg m^2", "diagonal of M as the controller believes it", 1.0),

@@ -20,7 +20,7 @@ __all__ = ["Controller", "Results", "build_controller"]
 
 Vector = NDArray[np.float64]
 
-_TIMEOUT = 120.0  # s, for any run of the compiled program
+_TIMEOUT = 600.0  # s, for any run of the compiled program
 
 
 @dataclass(frozen=True)

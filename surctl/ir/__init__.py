@@ -1,10 +1,16 @@
 """The instruction list of a symbolic function, bounded loops over it, and their back ends."""
 
+from surctl.ir.angles import nearby_angles
+from surctl.ir.batch import Batch, compile_batch
 from surctl.ir.c99 import Real, c_literal, emit_c99, identifier
 from surctl.ir.c99_lanes import Feed, emit_lanes
 from surctl.ir.c99_routine import emit_block
+from surctl.ir.c99_wide import Wide, emit_wide
 from surctl.ir.cache import cache_folder, shared_library
 from surctl.ir.compiler import compile_program, compiler_version, find_compiler, tuned_flags
+from surctl.ir.divisors import shared_divisors
+from surctl.ir.elementary import without_libm
+from surctl.ir.fusing import fused
 from surctl.ir.lowering import lower
 from surctl.ir.native import Native, Workspace, compile_block, runnable
 from surctl.ir.ops import LIBM, OPERATIONS, Operation
@@ -17,6 +23,7 @@ from surctl.ir.symbolic import to_casadi
 __all__ = [
     "LIBM",
     "OPERATIONS",
+    "Batch",
     "Block",
     "Call",
     "Feed",
@@ -31,21 +38,28 @@ __all__ = [
     "Real",
     "Routine",
     "Step",
+    "Wide",
     "Workspace",
     "c_literal",
     "cache_folder",
+    "compile_batch",
     "compile_block",
     "compile_program",
     "compiler_version",
     "emit_block",
     "emit_c99",
     "emit_lanes",
+    "emit_wide",
     "find_compiler",
+    "fused",
     "identifier",
     "lower",
+    "nearby_angles",
     "replay",
     "runnable",
+    "shared_divisors",
     "shared_library",
     "to_casadi",
     "tuned_flags",
+    "without_libm",
 ]

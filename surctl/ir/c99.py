@@ -128,4 +128,4 @@ def expression(instruction: Instruction, real: Real = "float64", *, operand: str
 
 
 _NUMBER = re.compile(r"\b(\d+\.\d+)\b")
-_FUNCTION = re.compile(r"\b(sqrt|fabs|floor|sin|cos|atan2|acos)\(")
+_FUNCTION = re.compile(r"\b(sqrt|fabs|floor|fma|sin|cos|atan2|acos)\(")

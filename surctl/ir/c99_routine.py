@@ -29,7 +29,7 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64") -> str:
     """
     identifier(symbol)
     writer = _Writer(symbol, real)
-    alone = _run_alone(block)
+    alone = run_alone(block)
     for inner in nested(block).values():
         if isinstance(inner, Routine):
             for step in inner.steps:
@@ -40,7 +40,7 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64") -> str:
     return "\n".join(writer.chunks)
 
 
-def _run_alone(block: Block) -> set[int]:
+def run_alone(block: Block) -> set[int]:
     """Identities of the blocks that a step other than a loop over lanes runs."""
     routines = [inner for inner in nested(block).values() if isinstance(inner, Routine)]
     steps = [step for routine in routines for step in routine.steps if not isinstance(step, Gather)]
@@ -60,7 +60,7 @@ class _Writer:
         digest = block.digest()
         if digest in self.named:
             return
-        name = self.symbol if last else _free(f"{self.symbol}_{block.name}", self.named)
+        name = self.symbol if last else free_name(f"{self.symbol}_{block.name}", self.named)
         self.named[digest] = name
         if isinstance(block, Program):
             emit = emit_straight if chooses(block) and not last else emit_c99
@@ -73,7 +73,7 @@ class _Writer:
         key = _lanes_key(loop)
         if key in self.named or not isinstance(loop.block, Program):
             return
-        self.named[key] = _free(f"{self.symbol}_{loop.block.name}_{loop.lanes}", self.named)
+        self.named[key] = free_name(f"{self.symbol}_{loop.block.name}_{loop.lanes}", self.named)
         self.chunks.append(
             emit_lanes(loop.block, symbol=self.named[key], lanes=loop.lanes, feeds=_feeds(loop), real=self.real)
         )
@@ -90,7 +90,7 @@ def _lanes_key(loop: Loop) -> str:
     return f"{loop.block.digest()} {loop.lanes} {kinds}"
 
 
-def _free(wanted: str, named: Mapping[str, str]) -> str:
+def free_name(wanted: str, named: Mapping[str, str]) -> str:
     name, at = wanted, 2
     while name in named.values():
         name, at = f"{wanted}_{at}", at + 1
@@ -104,14 +104,14 @@ def _routine(routine: Routine, symbol: str, writer: _Writer) -> str:
     # local arrays are numbered, so that no name from outside reaches the C text unchecked
     local = {name: f"in{k}" for k, (name, _) in enumerate(routine.inputs)}
     local |= {name: f"a{k}" for k, name in enumerate(sizes) if name not in local}
-    taken_over = _taken_over(routine)
-    local |= {result: local[name] for result, name in taken_over.items()}
+    kept = taken_over(routine)
+    local |= {result: local[name] for result, name in kept.items()}
     meaning = ", ".join(f"{local[name]}: {identifier(name)} {size}" for name, size in sizes.items())
     lines = [f"/* {meaning}; outputs may alias inputs */", f"static void {symbol}({', '.join(arguments)})", "{"]
     own = list(sizes.items())[len(routine.inputs) :]
-    lines += [f"    {writer.kind} {local[name]}[{size}];" for name, size in own if name not in taken_over]
-    read = {name for step in routine.steps for name in _reads(step)} | set(routine.results)
-    lines += [f"    (void){local[name]};" for name in local if name not in read and name not in taken_over]
+    lines += [f"    {writer.kind} {local[name]}[{size}];" for name, size in own if name not in kept]
+    read = {name for step in routine.steps for name in reads(step)} | set(routine.results)
+    lines += [f"    (void){local[name]};" for name in local if name not in read and name not in kept]
     for step in routine.steps:
         lines += _step(step, sizes, local, writer)
     for k, name in enumerate(routine.results):
@@ -119,14 +119,14 @@ def _routine(routine: Routine, symbol: str, writer: _Writer) -> str:
     return "\n".join([*lines, "}"]) + "\n"
 
 
-def _taken_over(routine: Routine) -> dict[str, str]:
+def taken_over(routine: Routine) -> dict[str, str]:
     """Last carried array → the array that held it before the loop, where nothing else reads that: no copy then."""
     inputs = {name for name, _ in routine.inputs}
     origin: dict[str, str] = {}
     for at, step in enumerate(routine.steps):
         if not isinstance(step, Loop):
             continue
-        later = {name for other in routine.steps[at + 1 :] for name in _reads(other)} | set(routine.results)
+        later = {name for other in routine.steps[at + 1 :] for name in reads(other)} | set(routine.results)
         for name, result in zip(step.carried, step.results, strict=False):
             alone = step.carried.count(name) == 1 and name not in (*step.sliced, *step.spread, *step.fixed)
             if alone and name not in later and name not in inputs:
@@ -134,7 +134,7 @@ def _taken_over(routine: Routine) -> dict[str, str]:
     return origin
 
 
-def _reads(step: Step) -> tuple[str, ...]:
+def reads(step: Step) -> tuple[str, ...]:
     if isinstance(step, Gather):
         return (step.source, step.index)
     return step.args if isinstance(step, Call) else (*step.carried, *step.sliced, *step.spread, *step.fixed)

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from surctl.errors import SurctlError
-from surctl.ir.compiler import FLAGS, compile_program, compiler_version, find_compiler, tuned_flags
+from surctl.ir.compiler import FLAGS, compile_program, compiler_version, find_compiler, further_flags, tuned_flags
 
 __all__ = ["cache_folder", "shared_library"]
 
@@ -31,13 +31,14 @@ def cache_folder() -> Path:
     return (Path(base) if Path(base).is_absolute() else Path.home() / ".cache") / "surctl"
 
 
-def shared_library(source: str, *, flags: Sequence[str] = (), folder: Path | None = None) -> bytes:
+def shared_library(source: str, *, flags: Sequence[str] = (), folder: Path | None = None, wide: bool = False) -> bytes:
     """The shared library compiled from one C source.
 
     Args:
         source: the C text.
-        flags: more flags for the compiler, after `FLAGS` and `tuned_flags`.
+        flags: more flags for the compiler, after `FLAGS`, `further_flags` and `tuned_flags`.
         folder: of the cache; `cache_folder()` if None. Where nothing can be written, the cache is left alone.
+        wide: for the widest vectors, as `tuned_flags` says.
 
     Returns:
         The library's bytes: what was checked is what is loaded.
@@ -45,18 +46,19 @@ def shared_library(source: str, *, flags: Sequence[str] = (), folder: Path | Non
     Raises:
         ToolMissing, InputError, SurctlError: as `compile_program`.
     """
-    key = _key(source, flags)
+    tuned = tuned_flags(wide=wide)
+    key = _key(source, (*tuned, *flags))
     place = cache_folder() if folder is None else folder
     kept = _read(place, key)
     if kept is not None:
         return kept
-    built = _build(source, flags)
+    built = _build(source, flags, tuned)
     _write(place, key, built)
     return built
 
 
 def _key(source: str, flags: Sequence[str]) -> str:
-    used = [*FLAGS, *_SHARED, *tuned_flags(), *flags]
+    used = [*FLAGS, *further_flags(), *_SHARED, *flags]
     parts = [source, *used, find_compiler(), compiler_version(), platform.platform(), _processor()]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
@@ -113,14 +115,14 @@ def _replace(path: Path, body: bytes) -> None:
         raise
 
 
-def _build(source: str, flags: Sequence[str]) -> bytes:
+def _build(source: str, flags: Sequence[str], tuned: Sequence[str]) -> bytes:
     try:
         with tempfile.TemporaryDirectory(prefix="surctl-") as folder:
             text = Path(folder) / "block.c"
             text.write_text(source)
             output = Path(folder) / "block.so"
             try:
-                compile_program([text], output, flags=[*_SHARED, *tuned_flags(), *flags])
+                compile_program([text], output, flags=[*_SHARED, *tuned, *flags])
             except SurctlError:  # a compiler that does not know them; if the source is at fault, it fails again
                 compile_program([text], output, flags=[*_SHARED, *flags])
             return output.read_bytes()

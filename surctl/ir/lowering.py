@@ -9,7 +9,8 @@ from types import MappingProxyType
 import casadi as ca
 
 from surctl.errors import InputError, UnsupportedOperation
-from surctl.ir.ops import LEAVES, OPERATIONS, SUBSTITUTES
+from surctl.ir.numbering import Numbering
+from surctl.ir.ops import OPERATIONS, SUBSTITUTES
 from surctl.ir.program import Instruction, Program, drop_dead
 
 __all__ = ["lower"]
@@ -54,14 +55,11 @@ def _with_reciprocals(old: _Builder) -> tuple[_Builder, list[int]]:
     shared = {at for at in divisors if divisors.count(at) > 1}
     new, moved = _Builder(old.name), list[int]()
     for instruction in old.instructions:
-        leaf = instruction.op in LEAVES
-        args = instruction.args if leaf else tuple(moved[a] for a in instruction.args)
-        if instruction.op == "const":
-            moved.append(new.constant(float(instruction.value or 0.0)))
-        elif instruction.op == "div" and instruction.args[1] in shared:
-            moved.append(new.add("mul", (args[0], new.add("inv", (args[1],)))))
+        if instruction.op == "div" and instruction.args[1] in shared:
+            over, under = (moved[a] for a in instruction.args)
+            moved.append(new.add("mul", (over, new.add("inv", (under,)))))
         else:
-            moved.append(new.add(instruction.op, args))
+            moved.append(new.copy(instruction, moved))
     return new, moved
 
 
@@ -123,42 +121,25 @@ def _walk(function: ca.Function, builder: _Builder) -> dict[tuple[int, int], int
     return stored
 
 
-class _Builder:
-    """A growing list that never holds one computation twice."""
+class _Builder(Numbering):
+    """Value numbering and the peepholes."""
 
     def __init__(self, name: str) -> None:
+        super().__init__()
         self.name = name
-        self.instructions: list[Instruction] = []
-        self._known: dict[tuple[str, tuple[int, ...], str], int] = {}
 
     def constant(self, value: float) -> int:
-        """Position of a constant; -0.0 and 0.0 are two constants."""
+        """Position of a constant, which is a number."""
         if math.isnan(value):
             raise UnsupportedOperation(
                 "holds a NaN constant", key=self.name, remedy="find the expression that has no value"
             )
-        return self._append(Instruction("const", (), value))
+        return super().constant(value)
 
     def add(self, op: str, args: tuple[int, ...]) -> int:
         """Position of an operation on earlier positions, after the peepholes."""
-        if op in LEAVES:
-            return self._append(Instruction(op, args))
-        if op == "add":
-            chosen = self._as_select(*args)
-            if chosen is not None:
-                return self._append(Instruction("select", chosen))
-        if OPERATIONS[op].commutative:
-            args = tuple(sorted(args))
-        return self._append(Instruction(op, args))
-
-    def _append(self, instruction: Instruction) -> int:
-        # the value is keyed by its bits: 0.0 == -0.0 as numbers
-        bits = "" if instruction.value is None else instruction.value.hex()
-        key = (instruction.op, instruction.args, bits)
-        if key not in self._known:
-            self._known[key] = len(self.instructions)
-            self.instructions.append(instruction)
-        return self._known[key]
+        chosen = self._as_select(*args) if op == "add" else None
+        return super().add(op, args) if chosen is None else super().add("select", chosen)
 
     def _as_select(self, left: int, right: int) -> tuple[int, int, int] | None:
         """(condition, then, otherwise) when the sum is `if_else_zero(c, a) + if_else_zero(not c, b)`."""

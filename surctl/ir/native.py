@@ -59,7 +59,7 @@ class Native:
     def __init__(self, block: Block, library: bytes, *, real: Real = "float64") -> None:
         self.block, self.dtype = block, np.dtype(real)
         self._inputs, self._outputs = block.inputs, block.outputs  # a routine works them out anew each time
-        self._library = _loaded(library)
+        self._library = loaded(library)
         self._library.surctl_run.restype = None
         self._library.surctl_run.argtypes = [ctypes.c_void_p]
         self._library.surctl_run_many.restype = None
@@ -94,7 +94,7 @@ class Native:
         return out
 
 
-def _loaded(library: bytes) -> ctypes.CDLL:
+def loaded(library: bytes) -> ctypes.CDLL:
     """Once loaded, the file is no longer needed."""
     try:
         with tempfile.TemporaryDirectory(prefix="surctl-") as folder:

@@ -1,14 +1,16 @@
 """The operations of the instruction list, each stated once: arity, NumPy meaning and C99 text.
 
 Every entry but the `LIBM` ones is exact: IEEE 754 defines its result to the last bit, so every back end
-gives the same bytes. Truth values are numbers, 1 for true and 0 for false; any number but 0 is true (a
-NaN too, as in C).
+gives the same bytes. `fma` is a product and a sum rounded once. Truth values are numbers, 1 for true and 0 for
+false; any number but 0 is true (a NaN too, as in C).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from types import MappingProxyType
 from typing import Any
 
@@ -59,11 +61,40 @@ def _fmax(a: Value, b: Value) -> Any:
     return np.where(a < b, b, a)
 
 
+def _fma(a: Value, b: Value, c: Value) -> Any:
+    single = np.result_type(a, b, c) == np.float32
+    return np.frompyfunc(_fma_single if single else _fma_double, 3, 1)(a, b, c)
+
+
+def _fma_double(*operands: Any) -> float:
+    """a b + c rounded once, by rational numbers: slow, and right for every double."""
+    a, b, c = map(float, operands)
+    if not (math.isfinite(a) and math.isfinite(b)) or (c == 0.0 and 0.0 in (a, b)):
+        return a * b + c
+    if not math.isfinite(c):  # a b must not overflow to its opposite
+        return c
+    exact = Fraction(a) * Fraction(b) + Fraction(c)
+    try:
+        return float(exact)
+    except OverflowError:
+        return math.inf if exact > 0 else -math.inf
+
+
+def _fma_single(a: Any, b: Any, c: Any) -> float:
+    once = _fma_double(a, b, c)
+    if math.isfinite(once):  # the double nearest by a single's tie may be on the wrong side of it: its last bit tells
+        lost = Fraction(float(a)) * Fraction(float(b)) + Fraction(float(c)) - Fraction(once)
+        if lost and not np.float64(once).view(np.int64) & 1:
+            once = math.nextafter(once, math.copysign(math.inf, lost))
+    return once
+
+
 _TABLE = (
     Operation("add", 2, lambda a, b: a + b, "{0} + {1}", commutative=True),
     Operation("sub", 2, lambda a, b: a - b, "{0} - {1}"),
     Operation("mul", 2, lambda a, b: a * b, "{0} * {1}", commutative=True),
     Operation("div", 2, lambda a, b: a / b, "{0} / {1}"),
+    Operation("fma", 3, _fma, "fma({0}, {1}, {2})"),
     Operation("neg", 1, lambda a: -a, "-{0}"),
     Operation("inv", 1, lambda a: 1.0 / a, "1.0 / {0}"),
     Operation("sq", 1, lambda a: a * a, "{0} * {0}"),

@@ -8,8 +8,8 @@ that can be printed, replayed in NumPy, differentiated by CasADi and written as 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -158,6 +158,18 @@ def nested(block: Block) -> dict[int, Block]:
     found: dict[int, Block] = {}
     _collect(block, found)
     return found
+
+
+def rebuilt(block: Block, change: Callable[[Program], Program]) -> Block:
+    """The block with every program in it changed, each once."""
+    made: dict[int, Block] = {}
+    for key, inner in nested(block).items():
+        if isinstance(inner, Program):
+            made[key] = change(inner)
+            continue
+        steps = [s if isinstance(s, Gather) else replace(s, block=made[id(s.block)]) for s in inner.steps]
+        made[key] = replace(inner, steps=tuple(steps))
+    return made[id(block)]
 
 
 def _collect(block: Block, found: dict[int, Block]) -> None:

@@ -20,6 +20,7 @@ _SYMBOLIC: Mapping[str, Callable[..., Any]] = MappingProxyType(
         "sub": lambda a, b: a - b,
         "mul": lambda a, b: a * b,
         "div": lambda a, b: a / b,
+        "fma": lambda a, b, c: a * b + c,  # rounded twice: CasADi knows no other
         "neg": lambda a: -a,
         "inv": lambda a: 1 / a,
         "sq": lambda a: a * a,

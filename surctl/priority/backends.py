@@ -6,8 +6,9 @@ word that it found the optimum is not enough.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Literal, TypeAlias
 
@@ -23,9 +24,27 @@ __all__ = ["BACKENDS", "Backend", "LeastDistance", "Status", "check_backend", "s
 Array: TypeAlias = NDArray[np.float64]
 Status: TypeAlias = Literal["optimal", "infeasible", "failed"]
 
-BACKENDS: Mapping[str, Kernel] = MappingProxyType(
-    {"daqp": daqp_kernel, "osqp": osqp_kernel, "own": own_kernel, **qpsolvers_kernels()}
-)
+
+class _Solvers(Mapping[str, Kernel]):
+    """Three that are known by name; qpsolvers, which imports all that it finds, is asked for the rest only."""
+
+    _known: Mapping[str, Kernel] = MappingProxyType({"daqp": daqp_kernel, "osqp": osqp_kernel, "own": own_kernel})
+
+    @cached_property
+    def _all(self) -> Mapping[str, Kernel]:
+        return {**self._known, **qpsolvers_kernels()}
+
+    def __getitem__(self, name: str) -> Kernel:
+        return self._known[name] if name in self._known else self._all[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._all)
+
+    def __len__(self) -> int:
+        return len(self._all)
+
+
+BACKENDS: Mapping[str, Kernel] = _Solvers()
 """Solvers of min ½‖y‖² subject to lower ≤ G y ≤ upper, rows of length 1."""
 
 Backend: TypeAlias = str | Kernel

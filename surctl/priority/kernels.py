@@ -9,10 +9,7 @@ from typing import Any, Literal, Protocol, TypeAlias
 
 import daqp
 import numpy as np
-import osqp
-import qpsolvers
 from numpy.typing import NDArray
-from scipy import sparse
 
 from surctl.priority.solver.dual_step import OPTIMAL, STUCK
 from surctl.priority.solver.safe_point import nearest_to_zero
@@ -110,6 +107,9 @@ def osqp_kernel(G: Array, lower: Array, upper: Array) -> Answer:
 
 def new_osqp(G: Array, lower: Array, upper: Array, *, warm: bool) -> Any:
     """An `osqp.OSQP` with every entry of G (m, d) in its pattern, so that all can be updated; finite bounds (m,)."""
+    import osqp
+    from scipy import sparse
+
     m, d = G.shape
     pattern = (G.T.ravel(), np.tile(np.arange(m), d), np.arange(0, m * d + 1, m))
     solver = osqp.OSQP()
@@ -133,6 +133,8 @@ def new_osqp(G: Array, lower: Array, upper: Array, *, warm: bool) -> Any:
 
 def osqp_answer(solver: Any) -> Answer:
     """Solve what an `osqp.OSQP` was given; its status is looked at."""
+    import osqp
+
     result = solver.solve(raise_error=False)
     iterations, status = int(result.info.iter), int(result.info.status_val)
     if status in (
@@ -156,11 +158,16 @@ def own_kernel(G: Array, lower: Array, upper: Array) -> Answer:
 
 def qpsolvers_kernels() -> dict[str, Kernel]:
     """One kernel for every other solver that qpsolvers (Caron et al.) finds installed, for cross-checks."""
+    import qpsolvers
+
     others = sorted(set(qpsolvers.available_solvers) - {"daqp", "osqp"})
     return {name: partial(_qpsolvers_kernel, solver=name) for name in others}
 
 
 def _qpsolvers_kernel(G: Array, lower: Array, upper: Array, *, solver: str) -> Answer:
+    import qpsolvers
+    from scipy import sparse
+
     m, d = G.shape
     below, above = np.flatnonzero(lower > -NO_BOUND), np.flatnonzero(upper < NO_BOUND)
     # qpsolvers knows one-sided rows only, and an infinite bound spoils its own check

@@ -11,7 +11,6 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from surctl.priority.nsb import nsb
 from surctl.priority.polyhedron import Polyhedron, polyhedron_of
@@ -131,6 +130,8 @@ def _bounds(rows: Polyhedron, v: Array, chosen: NDArray[np.bool_] | None = None)
 
 def _in_cone(goal: Array, normals: Array, gaps: Array, tol: float) -> bool:
     """Whether goal (d,) is a non-negative combination of normals (p, d) with vanishing weight · gap."""
+    from scipy.optimize import nnls
+
     size = float(np.abs(goal).max(initial=0.0))
     if size <= tol:
         return True

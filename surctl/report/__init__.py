@@ -2,31 +2,55 @@
 
 from surctl.report.data import ExportSummary, ReportData
 from surctl.report.evidence import MarginSlice, margin_slice, plot_counterexample, plot_replay, plot_slice
-from surctl.report.files import save_heat_map, save_run
+from surctl.report.files import (
+    save_heat_map,
+    save_locus,
+    save_parallel,
+    save_run,
+    save_sensitivity,
+    save_tuning,
+)
+from surctl.report.goals import GoalBars, GoalView, goal_bars, goal_view, plot_front, plot_goal_bars, plot_goal_view
 from surctl.report.heat_map import plot_heat_map
+from surctl.report.locus import plot_locus
 from surctl.report.loops import LoopResponse, loop_responses, plot_bode, plot_nyquist, plot_poles
 from surctl.report.page import render_page, write_page
 from surctl.report.plan_view import plot_run
 from surctl.report.signals import plot_run_signals
+from surctl.report.sweep_plots import plot_parallel, plot_sensitivity
 
 __all__ = [
     "ExportSummary",
+    "GoalBars",
+    "GoalView",
     "LoopResponse",
     "MarginSlice",
     "ReportData",
+    "goal_bars",
+    "goal_view",
     "loop_responses",
     "margin_slice",
     "plot_bode",
     "plot_counterexample",
+    "plot_front",
+    "plot_goal_bars",
+    "plot_goal_view",
     "plot_heat_map",
+    "plot_locus",
     "plot_nyquist",
+    "plot_parallel",
     "plot_poles",
     "plot_replay",
     "plot_run",
     "plot_run_signals",
+    "plot_sensitivity",
     "plot_slice",
     "render_page",
     "save_heat_map",
+    "save_locus",
+    "save_parallel",
     "save_run",
+    "save_sensitivity",
+    "save_tuning",
     "write_page",
 ]

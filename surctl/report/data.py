@@ -13,7 +13,7 @@ from surctl.errors import InputError
 from surctl.export import ExportedFile, SilReport
 from surctl.report.loops import LoopResponse
 from surctl.simulation import Run
-from surctl.tuning import Sweep
+from surctl.tuning import SweepTable
 from surctl.vehicle import Vehicle
 from surctl.verification import LoopMargins, Verdict
 
@@ -81,7 +81,7 @@ class ReportData:
     verdicts: tuple[Verdict, ...] = ()
     runs: tuple[Run, ...] = ()
     deciding: tuple[bool, ...] | None = None
-    sweep: Sweep | None = None
+    sweep: SweepTable | None = None
     export: ExportSummary | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
     summary: tuple[tuple[bool | None, str], ...] = ()

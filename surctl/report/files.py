@@ -8,15 +8,19 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from surctl.report.goals import goal_bars, goal_view, plot_front, plot_goal_bars, plot_goal_view
 from surctl.report.heat_map import plot_heat_map
+from surctl.report.locus import plot_locus
 from surctl.report.page import write_bytes
 from surctl.report.plan_view import plot_run
 from surctl.report.signals import plot_run_signals
+from surctl.report.sweep_plots import plot_parallel, plot_sensitivity
 from surctl.report.theme import new_figure
 from surctl.simulation import Run
-from surctl.tuning import Sweep
+from surctl.tuning import Sensitivity, SweepTable, Tuning
+from surctl.verification import Locus
 
-__all__ = ["save_heat_map", "save_run"]
+__all__ = ["save_heat_map", "save_locus", "save_parallel", "save_run", "save_sensitivity", "save_tuning"]
 
 
 def save_run(run: Run, folder: Path | str) -> Path:
@@ -36,14 +40,48 @@ def save_run(run: Run, folder: Path | str) -> Path:
     return _save(figure, Path(folder), what)
 
 
-def save_heat_map(sweep: Sweep, column: str, folder: Path | str) -> Path:
-    """One column of a sweep as a PNG, named after it; the path written.
+def save_heat_map(table: SweepTable, column: str, folder: Path | str, *, over: tuple[str, str] | None = None) -> Path:
+    """One column of a sweep over two axes as a PNG, named after it; the path written.
 
     Raises:
-        InputError: the sweep has no such column, or the folder cannot be written.
+        InputError: as `plot_heat_map`, or the folder cannot be written.
     """
-    figure = plot_heat_map(sweep, column).figure.figure
-    return _save(figure, Path(folder), ("sweep", *(axis.name for axis in sweep.axes), column))
+    across, up = over or (table.axes[0].name, table.axes[1].name if len(table.axes) > 1 else "")
+    figure = plot_heat_map(table, column, over=over).figure.figure
+    return _save(figure, Path(folder), ("sweep", across, up, column))
+
+
+def save_parallel(table: SweepTable, folder: Path | str) -> Path:
+    """Parallel coordinates of a sweep as a PNG; the path written. InputError if the folder cannot be written."""
+    return _save(plot_parallel(table).figure.figure, Path(folder), ("sweep", "parallel"))
+
+
+def save_sensitivity(found: Sensitivity, folder: Path | str) -> Path:
+    """Sobol' indices as a PNG; the path written. InputError if the folder cannot be written."""
+    return _save(plot_sensitivity(found).figure.figure, Path(folder), ("sensitivity", found.column))
+
+
+def save_locus(data: Locus, folder: Path | str, *, unit: str = "", picked: float | None = None) -> Path:
+    """A sweep locus as a PNG, named after its knob; the path written.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    return _save(plot_locus(data, unit=unit, picked=picked).figure.figure, Path(folder), ("locus", data.knob))
+
+
+def save_tuning(tuning: Tuning, folder: Path | str) -> list[Path]:
+    """Overview, front and a view of each goal that has a course over time, as PNGs; the paths written.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    drawn = {"goals": plot_goal_bars(goal_bars(tuning)), "front": plot_front(tuning)}
+    for goal in tuning.request.goals:
+        view = goal_view(tuning, goal)
+        if view is not None:
+            drawn[goal.name] = plot_goal_view(view)
+    return [_save(ax.figure.figure, Path(folder), ("tuning", name)) for name, ax in drawn.items()]
 
 
 def _save(figure: Figure, folder: Path, what: tuple[str, ...]) -> Path:

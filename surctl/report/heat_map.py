@@ -1,4 +1,4 @@
-"""A sweep's grid as a heat map: the picked point marked, infeasible cells hatched, numbers in the cells."""
+"""A sweep's column over two of its axes as a heat map: picked point marked, infeasible cells hatched."""
 
 from __future__ import annotations
 
@@ -9,64 +9,105 @@ from matplotlib.colors import Colormap
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from surctl.report.theme import AVOIDING, INK, dress, finite, new_axes
-from surctl.tuning import Axis, Sweep
+from surctl.errors import InputError, nearest
+from surctl.report.theme import AVOIDING, INK, dress, finite, new_axes, printable
+from surctl.tuning import SweepTable, SweptAxis
 
-__all__ = ["COLUMN_TITLES", "plot_heat_map"]
+__all__ = ["COLUMN_TITLES", "axis_title", "column_title", "plot_heat_map"]
 
 COLUMN_TITLES = {
     "score": "score (low is good)",
     "deviation_m": "deviation from the path (low is good)",
     "path_error_m": "path error outside avoidance (low is good)",
     "time_s": "time to the target (low is good)",
-    "min_clearance_m": "least clearance (high is good)",
+    "min_clearance_m_worst": "least clearance (high is good)",
     "effort_n": "mean thrust (low is good)",
     "delay_margin_s": "least delay margin (high is good)",
     "disk_margin": "least disk margin (high is good)",
     "feasible": "feasible (1) or not (0)",
 }
 _NUMBERS = 80  # cells with a number in them, at most
+_TICKS = 12  # on an axis, at most
 
 
-def plot_heat_map(sweep: Sweep, column: str, ax: Axes | None = None) -> Axes:
-    """One column of a sweep over its two gains.
+def plot_heat_map(
+    table: SweepTable, column: str, ax: Axes | None = None, *, over: tuple[str, str] | None = None
+) -> Axes:
+    """One column of a grid over two of its axes; every other axis at its picked value, else at its middle one.
 
     Args:
-        sweep: the sweep.
+        table: a sweep over a grid of two axes or more.
         column: name of the column.
         ax: axes to draw in.
+        over: names of the horizontal and the vertical axis; by default the first two.
 
     Raises:
-        InputError: the sweep has no such column.
+        InputError: the sweep has no such column or axis, or no grid of two axes.
     """
-    measured = sweep.column(column).T  # (rows = second gain, columns = first gain)
+    names = [axis.name for axis in table.axes]
+    if not table.is_grid or len(names) < 2:
+        raise InputError("needs a grid of two axes", key="heat map", remedy="draw parallel coordinates")
+    across, up = over or (names[0], names[1])
+    for name in (across, up):
+        if name not in names:
+            raise InputError("no such axis", key="heat map", value=name, remedy=nearest(name, names))
+    if across == up:
+        raise InputError("is drawn twice", key="heat map", value=across, remedy="name two axes")
+    at = table.picked or tuple(n // 2 for n in table.shape)
+    measured = _slice(table.column(column), names, at, across, up)  # (rows = vertical axis, columns = horizontal one)
+    feasible = _slice(table.column("feasible"), names, at, across, up) > 0.5
     values = finite(measured)
-    feasible = sweep.column("feasible").T > 0.5
     ax = ax or new_axes(5.1, 3.9)
-    one, other = sweep.axes
-    unit = "" if sweep.units[column] == "1" else f" [{sweep.units[column]}]"
-    dress(ax, title=COLUMN_TITLES.get(column, column) + unit, x=_axis_title(one), y=_axis_title(other))
+    one, other = (table.axes[names.index(name)] for name in (across, up))
+    fixed = [f"{a.name} = {a.values[k]:.4g}" for a, k in zip(table.axes, at, strict=True) if a.name not in (across, up)]
+    dress(ax, title=column_title(table, column), x=axis_title(one), y=axis_title(other))
+    if fixed:
+        ax.set_title(f"{ax.get_title(loc='left')}\nat {printable(', '.join(fixed))}", loc="left", parse_math=False)
     ax.grid(visible=False)
     colours = mpl.colormaps["cividis"].with_extremes(bad="#E8EAED")
     low, high = _range(values)
-    # cells of equal size whatever the spacing of the gains: the ticks name them
+    # cells of equal size whatever the spacing of the values: the ticks name them
     image = ax.imshow(values, origin="lower", aspect="auto", cmap=colours, vmin=low, vmax=high)
     bar = ax.figure.colorbar(image, ax=ax)
     bar.ax.tick_params(labelsize=8.5)
-    ax.set_xticks(range(len(one.values)), [f"{v:g}" for v in one.values])
-    ax.set_yticks(range(len(other.values)), [f"{v:g}" for v in other.values])
+    ax.set_xticks(*_ticks(one))
+    ax.set_yticks(*_ticks(other))
     _hatch(ax, ~feasible)
-    if values.size <= _NUMBERS:
+    if values.size <= _NUMBERS and len(one.values) <= _TICKS:
         _write_numbers(ax, measured, colours, low, high)
-    if sweep.picked is not None:
-        i, j = sweep.picked
+    if table.picked is not None:
+        i, j = at[names.index(across)], at[names.index(up)]
         ax.add_patch(Rectangle((i - 0.5, j - 0.5), 1, 1, fill=False, edgecolor="white", linewidth=5, zorder=4))
         ax.add_patch(Rectangle((i - 0.5, j - 0.5), 1, 1, fill=False, edgecolor=AVOIDING, linewidth=2.5, zorder=5))
     return ax
 
 
-def _axis_title(axis: Axis) -> str:
-    return f"{axis.name} [{axis.unit}]"
+def axis_title(axis: SweptAxis) -> str:
+    """Name and unit."""
+    return axis.name + _in(axis.unit)
+
+
+def column_title(table: SweepTable, column: str) -> str:
+    """What the column is, and its unit."""
+    return COLUMN_TITLES.get(column, column) + _in(table.units.get(column, "1"))
+
+
+def _in(unit: str) -> str:
+    return "" if unit == "1" else f" [{unit}]"
+
+
+def _slice(
+    values: NDArray[np.float64], names: list[str], at: tuple[int, ...], across: str, up: str
+) -> NDArray[np.float64]:
+    place = tuple(slice(None) if name in (across, up) else k for name, k in zip(names, at, strict=True))
+    plane = values[place]
+    return plane.T if names.index(across) < names.index(up) else plane
+
+
+def _ticks(axis: SweptAxis) -> tuple[list[int], list[str]]:
+    """Places and texts; not more than are legible."""
+    places = list(range(0, len(axis.values), -(-len(axis.values) // _TICKS)))
+    return places, [f"{axis.values[k]:.4g}" for k in places]
 
 
 def _range(values: NDArray[np.float64]) -> tuple[float, float]:

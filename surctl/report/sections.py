@@ -23,10 +23,11 @@ from surctl.report.document import (
     outcome_cell,
     picture,
 )
-from surctl.report.heat_map import COLUMN_TITLES, plot_heat_map
+from surctl.report.heat_map import COLUMN_TITLES, axis_title, plot_heat_map
 from surctl.report.loops import LoopResponse, plot_bode, plot_nyquist, plot_poles
+from surctl.report.sweep_plots import plot_parallel
 from surctl.report.words import file_size, number
-from surctl.tuning import Sweep
+from surctl.tuning import SweepTable
 from surctl.vehicle import PARAMETERS, Vehicle
 
 __all__ = ["export_section", "gains_section", "margins_section", "sweep_section", "time_section", "vehicle_section"]
@@ -36,7 +37,7 @@ _SWEPT = (
     "deviation_m",
     "path_error_m",
     "time_s",
-    "min_clearance_m",
+    "min_clearance_m_worst",
     "effort_n",
     "delay_margin_s",
     "disk_margin",
@@ -150,43 +151,54 @@ def _nyquist_picture(data: ReportData, group: Sequence[LoopResponse], at: str) -
     )
 
 
-def sweep_section(data: ReportData, sweep: Sweep) -> Section:
-    """Heat maps of the sweep's columns, and the picked point's numbers."""
-    one, other = sweep.axes
+def sweep_section(data: ReportData, sweep: SweepTable) -> Section:
+    """Pictures of the sweep's columns, and the picked point's numbers."""
     feasible = sweep.column("feasible") > 0.5
+    over = " and ".join(axis_title(axis) for axis in sweep.axes)
     text = (
-        f"{feasible.size} points over {one.name} [{one.unit}] and {other.name} [{other.unit}]; each flies "
-        f"{', '.join(dict.fromkeys(sweep.scenarios))}. {int(feasible.sum())} points are feasible: every run arrives "
-        "without contact and the margins suffice. The feasible point of least score is picked."
+        f"{feasible.size} points over {over}; each flies {', '.join(sweep.cases)}. {int(feasible.sum())} points are "
+        "feasible: every run arrives without contact and the margins suffice. The feasible point of least score is "
+        "picked."
     )
     blocks: list[Block] = [Paragraph(text)]
     if sweep.picked is None:
         blocks.append(Paragraph("No point is feasible: the gains of the file are kept.", "bad"))
     else:
         blocks.append(_picked(sweep, sweep.picked))
-    maps = tuple(_heat_picture(data, sweep, name) for name in _SWEPT if name in sweep.columns)
+    if sweep.is_grid and len(sweep.axes) > 1:
+        maps = tuple(_heat_picture(data, sweep, name) for name in _SWEPT if name in sweep.columns)
+    else:
+        maps = (_parallel_picture(data, sweep),)
     return Section("sweep", "Sweep", (*blocks, Pictures(maps)))
 
 
-def _picked(sweep: Sweep, at: tuple[int, int]) -> Table:
-    rows = [
-        (axis.name, Cell(number(axis.values[k]), number=True), axis.unit)
-        for axis, k in zip(sweep.axes, at, strict=True)
-    ]
+def _picked(sweep: SweepTable, at: tuple[int, ...]) -> Table:
+    here = sweep.row(at)
+    rows = [(axis.name, Cell(number(here[axis.name]), number=True), axis.unit) for axis in sweep.axes]
     rows += [
-        (COLUMN_TITLES.get(name, name), Cell(number(float(sweep.column(name)[at])), number=True), sweep.units[name])
+        (COLUMN_TITLES.get(name, name), Cell(number(here[name]), number=True), sweep.units[name])
         for name in _SWEPT
+        if name in sweep.columns
     ]
     return Table("The picked point", ("quantity", "value", "unit"), tuple(rows))
 
 
-def _heat_picture(data: ReportData, sweep: Sweep, name: str) -> Picture:
-    one, other = sweep.axes
+def _heat_picture(data: ReportData, sweep: SweepTable, name: str) -> Picture:
+    one, other, *_ = sweep.axes
     title = COLUMN_TITLES.get(name, name)
     return picture(
         plot_heat_map(sweep, name),
         alt=f"Heat map over {one.name} and {other.name}: {title}",
         caption=f"{title[0].upper()}{title[1:]}. Framed: the picked point. Hatched: not feasible.",
+        command=data.command,
+    )
+
+
+def _parallel_picture(data: ReportData, sweep: SweepTable) -> Picture:
+    return picture(
+        plot_parallel(sweep),
+        alt=f"Parallel coordinates of the sweep over {', '.join(axis.name for axis in sweep.axes)}",
+        caption="Parallel coordinates: one line a point, each scale over its own range.",
         command=data.command,
     )
 

@@ -58,7 +58,7 @@ def new_axes(width: float, height: float) -> Axes:
 
 def dress(ax: Axes, *, title: str = "", x: str = "", y: str = "") -> Axes:
     """Set title and axis labels (with units), grid, and frame; the texts are never read as formulas."""
-    ax.set_title(printable(title), loc="left", fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+    _title(ax, printable(title))
     ax.set_xlabel(printable(x), fontsize=9.5, color=INK, parse_math=False)
     ax.set_ylabel(printable(y), fontsize=9.5, color=INK, parse_math=False)
     ax.grid(visible=True, color="#DADCE0", linewidth=0.6)
@@ -69,6 +69,10 @@ def dress(ax: Axes, *, title: str = "", x: str = "", y: str = "") -> Axes:
     for side in ("bottom", "left"):
         ax.spines[side].set_color(MUTED)
     return ax
+
+
+def _title(ax: Axes, text: str, *, pad: float | None = None) -> None:
+    ax.set_title(text, loc="left", pad=pad, fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
 
 
 def curve(ax: Axes, x: NDArray[np.float64], y: NDArray[np.float64], *, label: str, k: int, faint: bool = False) -> None:
@@ -98,7 +102,9 @@ def legend_below(ax: Axes, *, columns: int, handles: Sequence[Artist]) -> None:
 
 
 def legend_above(ax: Axes, *, columns: int = 6) -> None:
-    """A legend of the labelled lines on top of the axes, where it covers no data."""
+    """A legend of the labelled lines on top of the axes, where it covers no data, under the title if there is one."""
+    if ax.get_title(loc="left"):
+        _title(ax, ax.get_title(loc="left"), pad=22.0)
     ax.legend(
         loc="lower left",
         bbox_to_anchor=(0.0, 1.0),

@@ -2,24 +2,34 @@
 
 from surctl.sensing.array import SonarArray, fire, true_range
 from surctl.sensing.base_station import BaseStation, OwnState
+from surctl.sensing.echo import heard_samples, range_to_box, range_to_disc, range_to_walls
 from surctl.sensing.estimate import ContactMemory, Contacts, expected_range, sonar_contacts
 from surctl.sensing.filters import FilterUpdate, LmsStep, SensorFilter, gate, lms_step, weighted_average
+from surctl.sensing.noise import NOISE_STATE, NoiseStream, draw_normals, noise_states
 from surctl.sensing.table2 import RangeTest, table_ii
 
 __all__ = [
+    "NOISE_STATE",
     "BaseStation",
     "ContactMemory",
     "Contacts",
     "FilterUpdate",
     "LmsStep",
+    "NoiseStream",
     "OwnState",
     "RangeTest",
     "SensorFilter",
     "SonarArray",
+    "draw_normals",
     "expected_range",
     "fire",
     "gate",
+    "heard_samples",
     "lms_step",
+    "noise_states",
+    "range_to_box",
+    "range_to_disc",
+    "range_to_walls",
     "sonar_contacts",
     "table_ii",
     "true_range",

@@ -127,25 +127,33 @@ def fire(
     position: Vector2,
     heading: float,
     shapes: Iterable[Shape],
-    rng: np.random.Generator,
+    noise: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """The raw samples of one firing, (samples,) [m], in the order they are taken.
 
     Each is the true range + bias + noise, held to [minimum, maximum], then rounded to the nearest conversion
     step (so the minimum of 0.2 m comes out as its nearest code, 0.194 m). Without an echo within the maximum
-    every sample is the maximum. The generator is advanced alike with and without an echo: a run that meets
-    one obstacle more keeps its other noise.
+    every sample is the maximum.
+
+    Args:
+        array: the array.
+        sensor: index into its azimuths.
+        position: (2,) centre of the robot in {E} [m].
+        heading: ψ [rad].
+        shapes: all that reflects, where it is now.
+        noise: (samples,) standard normal numbers.
 
     Raises:
-        InputError: as `true_range`.
+        InputError: as `true_range`, or noise of another shape.
     """
-    noise = rng.normal(0.0, array.noise_sd, array.samples)
+    if np.shape(noise) != (array.samples,):
+        raise InputError(f"has shape {np.shape(noise)}", key="noise", remedy=f"give ({array.samples},)")
     distance = true_range(array, sensor, position=position, heading=heading, shapes=shapes)
     if distance > array.maximum:
         return np.full(array.samples, array.maximum)
-    heard = np.clip(distance + array.bias + noise, array.minimum, array.maximum)
+    heard = np.clip(distance + array.bias + array.noise_sd * noise, array.minimum, array.maximum)
     top = array.top_code
-    codes: NDArray[np.float64] = np.rint(heard * top / array.maximum)
+    codes: NDArray[np.float64] = np.floor(heard * top / array.maximum + 0.5)
     return codes * array.maximum / top
 
 

@@ -55,7 +55,7 @@ def expected_range(
     """
     if not 0.0 < half_angle < pi / 2:
         raise InputError("must lie between 0 and pi/2", key="half_angle", value=half_angle, remedy="give radians")
-    axis = _turned(heading, azimuth)
+    axis = turned(heading, azimuth)
     apex = position + hull_radius * axis
     nothing = 2.0 * maximum
     found: ca.SX = ca.SX(nothing)
@@ -65,9 +65,9 @@ def expected_range(
         ((0.0, 1.0), walls[3] - apex[1]),
         ((0.0, -1.0), apex[1] - walls[2]),
     ):
-        found = ca.fmin(found, _wall_range(axis, normal, distance=distance, half_angle=half_angle, nothing=nothing))
+        found = ca.fmin(found, wall_range(axis, normal, distance=distance, half_angle=half_angle, nothing=nothing))
     for k in range(discs.shape[0]):
-        hit = _disc_range(axis, discs[k, :2].T - apex, radius=discs[k, 2], half_angle=half_angle, nothing=nothing)
+        hit = disc_range(axis, discs[k, :2].T - apex, radius=discs[k, 2], half_angle=half_angle, nothing=nothing)
         found = ca.fmin(found, ca.if_else(valid[k] > 0.5, hit, nothing))
     return found
 
@@ -109,7 +109,7 @@ def sonar_contacts(
     """
     points = []
     for i, azimuth in enumerate(array.azimuths):
-        points.append((position + (hull_radius + range_hat[i]) * _turned(heading, azimuth)).T)
+        points.append((position + (hull_radius + range_hat[i]) * turned(heading, azimuth)).T)
     is_echo = range_hat < array.maximum - margin
     explained = range_hat >= expected - tolerance
     return Contacts(ca.vertcat(*points), ca.logic_and(is_echo, ca.logic_not(explained)))
@@ -174,13 +174,13 @@ class ContactMemory:
         return after, Contacts(after[f"{prefix}echo"], ages <= self.hold + 0.5 * self.dt)
 
 
-def _turned(heading: ca.SX, angle: float) -> ca.SX:
+def turned(heading: ca.SX, angle: float) -> ca.SX:
     """The unit vector at ψ + angle, from (cos ψ, sin ψ)."""
     c, s = cos(angle), sin(angle)
     return ca.vertcat(c * heading[0] - s * heading[1], s * heading[0] + c * heading[1])
 
 
-def _wall_range(
+def wall_range(
     axis: ca.SX, normal: tuple[float, float], *, distance: ca.SX, half_angle: float, nothing: float
 ) -> ca.SX:
     """Range to a wall at perpendicular `distance` [m] in the direction `normal` (out of the water)."""
@@ -194,13 +194,13 @@ def _wall_range(
     return ca.fmin(ca.fmax(seen, 0.0), nothing)
 
 
-def _disc_range(axis: ca.SX, to: ca.SX, *, radius: ca.SX, half_angle: float, nothing: float) -> ca.SX:
+def disc_range(axis: ca.SX, to: ca.SX, *, radius: ca.SX, half_angle: float, nothing: float) -> ca.SX:
     """Range to a disc whose centre lies at `to` (2,) from the apex [m]."""
     length = ca.sqrt(ca.dot(to, to))
     inside_cone = ca.dot(to, axis) >= length * cos(half_angle)
     edges: ca.SX = ca.SX(nothing)
     for angle in (half_angle, -half_angle):
-        ray = _turned(axis, angle)
+        ray = turned(axis, angle)
         along, across = ca.dot(to, ray), to[0] * ray[1] - to[1] * ray[0]
         square = radius * radius - across * across
         hits = ca.logic_and(along > 0, square >= 0)

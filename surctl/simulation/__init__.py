@@ -1,29 +1,50 @@
-"""Scenarios as files, the world of a run, the reference closed loop and its metrics."""
+"""Scenarios as files, the world of a run, the reference closed loop, many loops at once, and their metrics."""
 
+from surctl.simulation.batch import (
+    ENGINES,
+    BatchResult,
+    Case,
+    Engine,
+    Knob,
+    SlowerEngine,
+    knobs,
+    simulate_batch,
+)
 from surctl.simulation.explanation import Explanation, explain
 from surctl.simulation.fit import Finding, findings
-from surctl.simulation.metrics import Metrics
+from surctl.simulation.metrics import METRICS, STOPS, Metrics, MetricSpec
 from surctl.simulation.run import SENSING, Record, Run, Sensing, advance, simulate
 from surctl.simulation.scenario import LIBRARY, Obstacle, Scenario, load_scenario
 from surctl.simulation.world import Body, World, build_world
 
 __all__ = [
+    "ENGINES",
     "LIBRARY",
+    "METRICS",
     "SENSING",
+    "STOPS",
+    "BatchResult",
     "Body",
+    "Case",
+    "Engine",
     "Explanation",
     "Finding",
+    "Knob",
+    "MetricSpec",
     "Metrics",
     "Obstacle",
     "Record",
     "Run",
     "Scenario",
     "Sensing",
+    "SlowerEngine",
     "World",
     "advance",
     "build_world",
     "explain",
     "findings",
+    "knobs",
     "load_scenario",
     "simulate",
+    "simulate_batch",
 ]

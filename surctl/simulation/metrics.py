@@ -2,14 +2,53 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Metrics", "path_error", "settled_avoidance"]
+__all__ = ["METRICS", "STOPS", "MetricSpec", "Metrics", "path_error", "settled_avoidance"]
 
 TUBE = 0.10  # [m] |y_e| below which an avoidance interval has ended (*chosen*)
+NEAR_TARGET = 1.0  # [m] within which going past the target is overshoot (*chosen*)
+
+STOPS = ("time limit", "reached", "collision", "fault")
+"""Why a run can end; a batch gives the position in this tuple."""
+
+
+@dataclass(frozen=True)
+class MetricSpec:
+    """Unit and meaning of a figure, and which way is better (None: neither)."""
+
+    unit: str
+    meaning: str
+    better: Literal["low", "high"] | None
+
+
+METRICS: Mapping[str, MetricSpec] = MappingProxyType(
+    {
+        "reached": MetricSpec("1", "1 if the run arrived within reach of the target", "high"),
+        "collided": MetricSpec("1", "1 if the hull touched something", "low"),
+        "time_s": MetricSpec("s", "when the run ended", "low"),
+        "min_clearance_m": MetricSpec("m", "least distance hull to obstacle or wall", "high"),
+        "path_error_m": MetricSpec(
+            "m", "rms distance to the path, three axes, outside avoidance; NaN if all was", "low"
+        ),
+        "deviation_m": MetricSpec("m", "rms horizontal distance to the path over the whole run", "low"),
+        "max_deviation_m": MetricSpec("m", "largest horizontal distance to the path", "low"),
+        "overshoot_m": MetricSpec("m", "largest way past the target along the last leg, within 1 m of it", "low"),
+        "length_m": MetricSpec("m", "length of the way flown", "low"),
+        "effort_n": MetricSpec("N", "mean of |horizontal thrust command|", "low"),
+        "peak_thrust_share": MetricSpec("1", "largest |thrust command| over its limit, any axis", "low"),
+        "saturated_share": MetricSpec("1", "share of the ticks with a thrust command at its limit", "low"),
+        "thrust_rate_n_per_s": MetricSpec("N/s", "rms rate of change of the horizontal thrust command", "low"),
+        "stopped": MetricSpec("1", "why the run ended: " + ", ".join(f"{k} {w}" for k, w in enumerate(STOPS)), None),
+    }
+)
+"""What a batch of runs gives for each run, in the order of its columns."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +64,8 @@ class Metrics:
         deviation_m: rms horizontal distance to the reference path over the whole run, avoidance included.
         length_m: length of the way flown.
         effort_n: mean of |horizontal thrust|.
-        stopped_because: `reached`, `collision`, `time limit` or `fault`.
+        stopped_because: one of `STOPS`.
+        max_deviation_m, overshoot_m, peak_thrust_share, saturated_share, thrust_rate_n_per_s: see `METRICS`.
     """
 
     reached: bool
@@ -36,6 +76,20 @@ class Metrics:
     length_m: float
     effort_n: float
     stopped_because: str
+    max_deviation_m: float
+    overshoot_m: float
+    peak_thrust_share: float
+    saturated_share: float
+    thrust_rate_n_per_s: float
+
+    def row(self) -> tuple[float, ...]:
+        """The figures in the order of `METRICS`."""
+        coded = {
+            "reached": float(self.reached),
+            "collided": float(self.stopped_because == "collision"),
+            "stopped": float(STOPS.index(self.stopped_because)),
+        }
+        return tuple(coded[name] if name in coded else float(getattr(self, name)) for name in METRICS)
 
 
 def settled_avoidance(

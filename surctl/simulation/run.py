@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import casadi as ca
 import numpy as np
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from surctl.control import CONTACT_SLOTS, NONFINITE, Gains, Law, build_law, law_parameters
 from surctl.errors import InputError, nearest
-from surctl.sensing import BaseStation, OwnState, SonarArray, fire
-from surctl.simulation.metrics import Metrics, path_error, settled_avoidance
+from surctl.sensing import BaseStation, NoiseStream, OwnState, SonarArray, fire
+from surctl.simulation.metrics import NEAR_TARGET, Metrics, path_error, settled_avoidance
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.world import Body, World, build_world
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, build_plant, plant_parameters
@@ -25,7 +25,7 @@ __all__ = ["SENSING", "Record", "Run", "Sensing", "advance", "simulate"]
 Sensing = Literal["sonar", "truth"]
 SENSING: tuple[Sensing, ...] = get_args(Sensing)
 
-_FIRING = 0.025  # [s] between two sonar firings; the plant's steps are split there
+FIRING = 0.025  # [s] between two sonar firings; the plant's steps are split there
 _RK4_STEPS = (0.010, 0.010, 0.005)
 
 
@@ -121,9 +121,9 @@ def simulate(
     if sensing not in SENSING:
         raise InputError("is not known", key="sensing", value=sensing, remedy=nearest(str(sensing), SENSING))
     law = law or build_law()
-    if abs(law.dt / _FIRING - round(law.dt / _FIRING)) > 1e-9 or law.dt < _FIRING:
+    if abs(law.dt / FIRING - round(law.dt / FIRING)) > 1e-9 or law.dt < FIRING:
         raise InputError(
-            f"is not a multiple of the sonar's firing period of {_FIRING:g} s",
+            f"is not a multiple of the sonar's firing period of {FIRING:g} s",
             key="dt",
             value=law.dt,
             remedy="use 0.05",
@@ -139,12 +139,20 @@ def simulate(
         cap=scenario.cap,
         walls=(0.0, length, 0.0, width),
     )
-    loop = _Loop(world, vehicle, law, p, sensing, np.random.default_rng([seed, 2]))
+    loop = _Loop(world, vehicle, law, p, sensing, NoiseStream(seed))
     reason = loop.fly()
     record = loop.record()
     return Run(
         scenario, vehicle, gains, law, sensing, seed, _metrics(scenario, law, record, reason, loop.least), record
     )
+
+
+class _Drawn(NamedTuple):
+    """Standard normal numbers of one tick: (firings, samples), (4,), and (4,) for each mover by name."""
+
+    samples: NDArray[np.float64]
+    own_state: NDArray[np.float64]
+    movers: dict[str, NDArray[np.float64]]
 
 
 class _Loop:
@@ -157,9 +165,9 @@ class _Loop:
         law: Law,
         p: NDArray[np.float64],
         sensing: Sensing,
-        rng: np.random.Generator,
+        noise: NoiseStream,
     ) -> None:
-        self.world, self.law, self.p, self.sensing, self.rng = world, law, p, sensing, rng
+        self.world, self.law, self.p, self.sensing, self.noise = world, law, p, sensing, noise
         self.plant = plant_parameters(vehicle)
         self.array = SonarArray(hull_radius=world.hull)
         start = world.scenario.start
@@ -180,9 +188,10 @@ class _Loop:
         for tick in range(int(np.ceil(scenario.time_limit / dt))):
             time = tick * dt
             bodies = self.world.bodies(time)
-            self._listen(bodies)
+            drawn = self._draw()
+            self._listen(bodies, drawn.samples[0])
             clearance = self._clearance(bodies)
-            u = self._inputs(bodies)
+            u = self._inputs(bodies, drawn)
             step = self.law.step(self.law_state, u, self.p)
             self.rows.append(
                 (time, self.state, step.tau, clearance, self.law_state, u, step.status, step.telemetry, bodies)
@@ -194,7 +203,7 @@ class _Loop:
             if step.status == NONFINITE:
                 return "fault"
             self.law_state = step.x_next
-            self._advance(time, step.tau)
+            self._advance(time, step.tau, drawn.samples[1:])
         return "time limit"
 
     def record(self) -> Record:
@@ -215,30 +224,39 @@ class _Loop:
             bodies,
         )
 
-    def _advance(self, time: float, tau: NDArray[np.float64]) -> None:
-        half = round(self.law.dt / _FIRING)
+    def _draw(self) -> _Drawn:
+        """All the noise of one tick, in a fixed order: firings, own state, then every mover."""
+        movers = [o.name for o in self.world.scenario.obstacles if o.shape == "moving"]
+        firings, taken = round(self.law.dt / FIRING), self.array.samples
+        count = firings * taken + 4 + 4 * len(movers)
+        numbers = self.noise.normals(count) if self.sensing == "sonar" else np.zeros(count)
+        samples, rest = numbers[: firings * taken].reshape(firings, taken), numbers[firings * taken :]
+        return _Drawn(samples, rest[:4], dict(zip(movers, rest[4:].reshape(-1, 4), strict=True)))
+
+    def _advance(self, time: float, tau: NDArray[np.float64], samples: NDArray[np.float64]) -> None:
+        half = round(self.law.dt / FIRING)
         for k in range(half):
             d = PLANT_DISTURBANCE.pack(
                 {
                     "current": [*self.world.scenario.disturbance.current_m_per_s, 0.0],
-                    "force": self.world.force(time + k * _FIRING),
+                    "force": self.world.force(time + k * FIRING),
                 }
             )
             self.state = np.asarray(advance()(self.state, tau, d, self.plant)).reshape(-1)
             if k < half - 1:
-                between = time + (k + 1) * _FIRING
+                between = time + (k + 1) * FIRING
                 bodies = self.world.bodies(between)
-                self._listen(bodies)
+                self._listen(bodies, samples[k])
                 self._clearance(bodies)
 
-    def _listen(self, bodies: Sequence[Body]) -> None:
+    def _listen(self, bodies: Sequence[Body], noise: NDArray[np.float64]) -> None:
         if self.sensing == "truth":
             return
         sensor = self.array.sensor_at(self.firing)
         self.firing += 1
         shapes = [*(b.shape for b in bodies), *self.world.scenario.walls]
         self.samples[sensor] = fire(
-            self.array, sensor, position=self.state[:2], heading=float(self.state[3]), shapes=shapes, rng=self.rng
+            self.array, sensor, position=self.state[:2], heading=float(self.state[3]), shapes=shapes, noise=noise
         )
         self.fresh[sensor] = 1.0
 
@@ -251,19 +269,21 @@ class _Loop:
         self.least = min(self.least, clearance)
         return clearance
 
-    def _inputs(self, bodies: Sequence[Body]) -> NDArray[np.float64]:
+    def _inputs(self, bodies: Sequence[Body], drawn: _Drawn) -> NDArray[np.float64]:
         eta, nu = self.state[:4], self.state[4:8]
         contacts = np.zeros((CONTACT_SLOTS, 6))
         told = list(bodies) if self.sensing == "truth" else [b for b in bodies if b.moving]
-        told.sort(key=lambda b: b.shape.nearest(self.state[:2])[0])
+        if len(told) > CONTACT_SLOTS:
+            by_distance = sorted(told, key=lambda b: b.shape.nearest(self.state[:2])[0])
+            kept = {b.name for b in by_distance[:CONTACT_SLOTS]}
+            told = [b for b in told if b.name in kept]
         for row, body in zip(contacts, told, strict=False):
             row[:] = self._contact(body)
         if self.sensing == "sonar":
-            count = min(len(told), CONTACT_SLOTS)
-            contacts[:count, :2], contacts[:count, 3:5] = BaseStation().observe(
-                contacts[:count, :2], contacts[:count, 3:5], rng=self.rng
-            )
-            eta, nu = OwnState().measure(eta, nu, rng=self.rng)
+            noise = np.array([drawn.movers[b.name] for b in told]).reshape(-1, 4)
+            heard = contacts[: len(told)]
+            heard[:, :2], heard[:, 3:5] = BaseStation().observe(heard[:, :2], heard[:, 3:5], noise=noise)
+            eta, nu = OwnState().measure(eta, nu, noise=drawn.own_state)
         u = self.law.inputs.pack(
             {"eta": eta, "nu": nu, "contacts": contacts, "samples": self.samples, "fresh": self.fresh}
         )
@@ -277,9 +297,15 @@ class _Loop:
 
 
 def _metrics(scenario: Scenario, law: Law, record: Record, reason: str, least: float) -> Metrics:
-    away = scenario.path.distance(record.eta[:, :2])
+    where, thrust = record.eta[:, :2], record.tau[:, :2]
+    away = scenario.path.distance(where)
     excluded = settled_avoidance(record.telemetry[:, law.telemetry_slice("avoiding")].ravel(), away)
-    steps = np.linalg.norm(np.diff(record.eta[:, :2], axis=0), axis=1)
+    steps = np.linalg.norm(np.diff(where, axis=0), axis=1)
+    leg = scenario.target - scenario.path.waypoints[-2]
+    past = (where - scenario.target) @ (leg / np.linalg.norm(leg))
+    near = np.linalg.norm(where - scenario.target, axis=1) <= NEAR_TARGET
+    limit = record.law_parameters[law.gains.slice("thrust_limit")]
+    jumps = np.diff(thrust, axis=0)
     return Metrics(
         reached=reason == "reached",
         time_s=round(float(record.time[-1]), 9),
@@ -287,6 +313,11 @@ def _metrics(scenario: Scenario, law: Law, record: Record, reason: str, least: f
         path_error_m=path_error(away, record.eta[:, 2] - scenario.depth, excluded),
         deviation_m=float(np.sqrt(np.mean(away**2))),
         length_m=float(steps.sum()),
-        effort_n=float(np.mean(np.hypot(record.tau[:, 0], record.tau[:, 1]))),
+        effort_n=float(np.mean(np.hypot(thrust[:, 0], thrust[:, 1]))),
         stopped_because=reason,
+        max_deviation_m=float(np.max(away)),
+        overshoot_m=float(np.max(past[near], initial=0.0)),
+        peak_thrust_share=float(np.max(np.abs(record.tau) / limit)),
+        saturated_share=float(np.mean(record.status % 2)),
+        thrust_rate_n_per_s=float(np.sqrt(np.mean(np.sum(jumps**2, axis=1))) / law.dt) if len(jumps) else 0.0,
     )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import cos, sin
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +15,7 @@ from surctl.simulation.scenario import Obstacle, Scenario, Shape
 from surctl.vehicle import Vehicle
 from surctl.world import Box, Disc
 
-__all__ = ["Body", "World", "build_world"]
+__all__ = ["Body", "World", "WorldDraw", "build_world", "draw_world"]
 
 
 @dataclass(frozen=True)
@@ -86,24 +88,31 @@ class World:
         return Body(obstacle.name, Disc(centre + velocity * time, radius), velocity, moving=True)
 
 
+class WorldDraw(NamedTuple):
+    """Random choices of a run, see `World`."""
+
+    drift_direction: NDArray[np.float64]
+    drift_phase: NDArray[np.float64]
+    wave_direction: NDArray[np.float64]
+    wave_phase: float
+
+
+def draw_world(obstacles: int, *, seed: int) -> WorldDraw:
+    """The random choices of one seed for so many obstacles."""
+    turns = (2 * np.pi * np.random.default_rng([seed, 1]).random(2 * obstacles + 2)).tolist()
+    drifts, wave, phases, wave_phase = turns[:obstacles], turns[obstacles], turns[obstacles + 1 : -1], turns[-1]
+    # the library's sine: numpy's differs in the last digit with an array's length
+    directions = np.array([(cos(angle), sin(angle)) for angle in (*drifts, wave)])
+    return WorldDraw(directions[:-1], np.array(phases), directions[-1], wave_phase)
+
+
 def build_world(scenario: Scenario, vehicle: Vehicle, *, seed: int) -> World:
     """Draw the scenario's random choices for one seed.
 
     Raises:
         InputError: the hull starts inside an obstacle (walls are judged once the hull is clear of them).
     """
-    rng = np.random.default_rng([seed, 1])
-    count = len(scenario.obstacles)
-    angles = rng.uniform(0, 2 * np.pi, count)
-    wave = rng.uniform(0, 2 * np.pi)
-    world = World(
-        scenario,
-        vehicle["radius"],
-        np.column_stack([np.cos(angles), np.sin(angles)]).reshape(count, 2),
-        rng.uniform(0, 2 * np.pi, count),
-        np.array([np.cos(wave), np.sin(wave)]),
-        float(rng.uniform(0, 2 * np.pi)),
-    )
+    world = World(scenario, vehicle["radius"], *draw_world(len(scenario.obstacles), seed=seed))
     _check_start(world, vehicle, world.bodies(0.0))
     return world
 

@@ -14,10 +14,9 @@ from surctl.control import Law, build_law, write_gains
 from surctl.export import ExportedFile, Records, SilReport, build_bundle, software_in_the_loop_runs, write_bundle
 from surctl.files import prepare_folder
 from surctl.ir import find_compiler
-from surctl.report import ExportSummary, ReportData, loop_responses, write_page
 from surctl.simulation import Run, simulate
 from surctl.study.plan import Plan
-from surctl.tuning import Sweep, sweep
+from surctl.tuning import LocalExecutor, SweepTable, grid, sweep
 from surctl.verification import LoopMargins, Verdict, claims, closed_loop_poles, falsify, loop_margins
 
 __all__ = ["Note", "Study", "conduct"]
@@ -46,7 +45,7 @@ class Study:
     """
 
     plan: Plan
-    sweep: Sweep
+    sweep: SweepTable
     margins: tuple[LoopMargins, ...]
     verdicts: tuple[Verdict, ...]
     runs: tuple[Run, ...]
@@ -77,9 +76,10 @@ class Study:
                 "provenance": self.sweep.gains.provenance,
             },
             "sweep": {
-                "axes": {axis.name: list(axis.values) for axis in self.sweep.axes},
+                "axes": {axis.name: axis.values.tolist() for axis in self.sweep.axes},
                 "picked": None if picked is None else list(picked),
-                "scenarios": list(self.sweep.scenarios),
+                "cases": list(self.sweep.cases),
+                "table": str(self.sweep.path),
                 "columns": {name: self.sweep.column(name).tolist() for name in self.sweep.columns},
             },
             "margins": [m.to_dict() for m in self.margins],
@@ -115,6 +115,8 @@ def conduct(
     Raises:
         InputError: the folder cannot be written, or there is no compiler. Both are found before the long work.
     """
+    from surctl.report import ExportSummary, ReportData, loop_responses, write_page
+
     prepare_folder(out)
     find_compiler()
     law = build_law(plan.law)
@@ -175,22 +177,18 @@ class _Clock:
         self.progress(f"{stage} done in {self.seconds[stage]:.1f} s")
 
 
-def _sweep(plan: Plan, out: Path, workers: int, progress: Progress) -> Sweep:
-    def tell(done: int, count: int) -> None:
-        progress(f"sweep {done}/{count} points")
-
+def _sweep(plan: Plan, out: Path, workers: int, progress: Progress) -> SweepTable:
     return sweep(
-        plan.gains,
-        plan.axes,
-        flights=plan.sweep_flights,
-        law=plan.law,
-        workers=workers,
-        store=out / "sweep.csv",
-        progress=tell,
+        plan.sweep_cases,
+        grid(plan.axes),
+        seeds=plan.sweep_seeds,
+        executor=LocalExecutor(workers),
+        out=out,
+        progress=progress,
     )
 
 
-def _fly(plan: Plan, law: Law, swept: Sweep, progress: Progress) -> tuple[tuple[Run, ...], tuple[bool, ...]]:
+def _fly(plan: Plan, law: Law, swept: SweepTable, progress: Progress) -> tuple[tuple[Run, ...], tuple[bool, ...]]:
     runs, deciding = [], []
     for leg in plan.legs:
         if leg.obstacle_to_flying:
@@ -211,7 +209,7 @@ def _sil(law: Law, runs: Sequence[Run]) -> tuple[SilReport, ...]:
 
 def _notes(
     plan: Plan,
-    swept: Sweep,
+    swept: SweepTable,
     margins: tuple[LoopMargins, ...],
     verdicts: tuple[Verdict, ...],
     runs: tuple[Run, ...],
@@ -224,10 +222,9 @@ def _notes(
     if swept.picked is None:
         notes.append(Note(False, f"sweep: none of {points} points is feasible; the gains of the file are kept"))
     else:
-        chosen = ", ".join(
-            f"{a.name} = {a.values[k]:g} {a.unit}" for a, k in zip(swept.axes, swept.picked, strict=True)
-        )
-        edges = [a.name for a, k in zip(swept.axes, swept.picked, strict=True) if k in (0, len(a.values) - 1)]
+        at = list(zip(swept.axes, swept.picked, strict=True))
+        chosen = ", ".join(f"{a.name} = {a.values[k]:g} {a.unit}" for a, k in at)
+        edges = [a.name for a, k in at if len(a.values) > 1 and k in (0, len(a.values) - 1)]
         edge = f" (on the edge of the grid in {' and '.join(edges)}: a wider one may do better)" if edges else ""
         notes.append(Note(True, f"sweep: {feasible} of {points} points are feasible; picked {chosen}{edge}"))
     least = min(margins, key=lambda m: m.delay_margin_s)

@@ -12,8 +12,8 @@ from surctl.control import Gains, load_gains
 from surctl.control.build import LawName
 from surctl.errors import InputError
 from surctl.files import Strict, pick, read_toml, validate
-from surctl.simulation import Scenario, findings, load_scenario
-from surctl.tuning import Axis, Flight
+from surctl.simulation import Case, Scenario, findings, load_scenario
+from surctl.tuning import Axis, Goal, GoalTable, goals_from_tables, load_goals
 from surctl.vehicle import Vehicle, load_vehicle
 from surctl.verification import claims
 
@@ -35,7 +35,7 @@ class _Axis(Strict):
 
 
 class _Sweep(Strict):
-    axes: tuple[_Axis, _Axis]
+    axes: tuple[_Axis, ...] = Field(min_length=1)
     seeds: tuple[Seed, ...] = Field((0,), min_length=1)
 
 
@@ -50,6 +50,7 @@ class _StudyFile(Strict):
     flights: tuple[_Flight, ...] = Field(min_length=1)
     sweep: _Sweep
     claims: tuple[str, ...] | None = None
+    goals: tuple[GoalTable, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class Leg:
 
 @dataclass(frozen=True)
 class Plan:
-    """A study, checked and loaded."""
+    """A study, checked and loaded; a study without goals has the built-in ones."""
 
     name: str
     note: str
@@ -79,9 +80,10 @@ class Plan:
     law: LawName
     seed: int
     legs: tuple[Leg, ...]
-    axes: tuple[Axis, Axis]
+    axes: tuple[Axis, ...]
     sweep_seeds: tuple[int, ...]
     claims: tuple[str, ...] | None
+    goals: tuple[Goal, ...]
 
     @property
     def deciding(self) -> tuple[Leg, ...]:
@@ -89,13 +91,9 @@ class Plan:
         return tuple(leg for leg in self.legs if leg.obstacle_to_flying is None and leg.misfit is None)
 
     @property
-    def sweep_flights(self) -> tuple[Flight, ...]:
-        """What every point of the sweep flies; a scenario that no seed changes is flown once."""
-        return tuple(
-            Flight(leg.scenario, leg.vehicle, seed)
-            for leg in self.deciding
-            for seed in (self.sweep_seeds if leg.scenario.seeded else self.sweep_seeds[:1])
-        )
+    def sweep_cases(self) -> tuple[Case, ...]:
+        """What every point of the sweep flies."""
+        return tuple(Case(leg.scenario, leg.vehicle, self.gains, self.law) for leg in self.deciding)
 
 
 def load_plan(file: str | None = None) -> Plan:
@@ -145,7 +143,7 @@ def _plan(study: _StudyFile, path: Path, *, lenient: bool = False) -> Plan:
         legs.append(_leg(load_scenario(near(flight.scenario)), flown, lenient=lenient))
     gains = load_gains(near(study.gains))
     try:
-        axes = tuple(Axis(axis.gain, axis.values) for axis in study.sweep.axes)
+        axes = tuple(_gain_axis(axis, gains) for axis in study.sweep.axes)
         claims(gains.values, study.claims)
     except InputError as error:
         raise error.inside(path) from None
@@ -158,14 +156,22 @@ def _plan(study: _StudyFile, path: Path, *, lenient: bool = False) -> Plan:
         study.law,
         study.seed,
         tuple(legs),
-        (axes[0], axes[1]),
+        axes,
         study.sweep.seeds,
         study.claims,
+        goals_from_tables(study.goals, file=path) if study.goals else load_goals(),
     )
     if not plan.deciding:
         reasons = "; ".join(f"{leg.scenario.name}: {leg.obstacle_to_flying or leg.misfit}" for leg in legs)
         raise InputError(f"no scenario can be flown ({reasons})", file=path, key="flights", remedy="add a larger site")
     return plan
+
+
+def _gain_axis(axis: _Axis, gains: Gains) -> Axis:
+    """The axis, if it is a gain: that is what a study picks."""
+    for value in axis.values:
+        gains.with_values({axis.gain: value})
+    return Axis(axis.gain, axis.values)
 
 
 def _leg(scenario: Scenario, vehicle: Vehicle, *, lenient: bool) -> Leg:

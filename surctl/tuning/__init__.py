@@ -1,5 +1,81 @@
-"""Gains chosen by measurement: sweeps and their store."""
+"""Gains chosen by measurement: sweeps and what a quantity depends on; goals, gradients, and gains tuned to goals."""
 
-from surctl.tuning.sweep import COLUMNS, DELAY_FLOOR, DISK_FLOOR, Axis, Flight, Sweep, sweep
+from surctl.tuning.axes import SEED, Axis, Span, parse_axis
+from surctl.tuning.cegis import Tuning, tune
+from surctl.tuning.design import DESIGNS, Design, grid, make_design, saltelli, spread
+from surctl.tuning.evaluation import Condition, Evaluation, conditions, corners, evaluate, figures, scope
+from surctl.tuning.executors import DaskExecutor, Executor, LocalExecutor
+from surctl.tuning.goals import LIBRARY, Goal, GoalTable, goals_from_tables, load_goals
+from surctl.tuning.gradient import SURROGATES, DifferentiableRun, prepare
+from surctl.tuning.measure import build_cases, check_column
+from surctl.tuning.montecarlo import Counterexample, MonteCarlo
+from surctl.tuning.pool import Pool, Request
+from surctl.tuning.provenance import goal_rows, summary, tuned_gains, tuning_dict
+from surctl.tuning.refine import Refinement, refine
+from surctl.tuning.rounds import Round
+from surctl.tuning.search import search
+from surctl.tuning.sensitivity import Sensitivity, sensitivity
+from surctl.tuning.space import TUNED, GainRange, gain_ranges
+from surctl.tuning.start import lqr_start
+from surctl.tuning.sweep import TABLE, sweep
+from surctl.tuning.table import DELAY_FLOOR, DISK_FLOOR, SweepTable, SweptAxis, load_sweep
 
-__all__ = ["COLUMNS", "DELAY_FLOOR", "DISK_FLOOR", "Axis", "Flight", "Sweep", "sweep"]
+__all__ = [
+    "DELAY_FLOOR",
+    "DESIGNS",
+    "DISK_FLOOR",
+    "LIBRARY",
+    "SEED",
+    "SURROGATES",
+    "TABLE",
+    "TUNED",
+    "Axis",
+    "Condition",
+    "Counterexample",
+    "DaskExecutor",
+    "Design",
+    "DifferentiableRun",
+    "Evaluation",
+    "Executor",
+    "GainRange",
+    "Goal",
+    "GoalTable",
+    "LocalExecutor",
+    "MonteCarlo",
+    "Pool",
+    "Refinement",
+    "Request",
+    "Round",
+    "Sensitivity",
+    "Span",
+    "SweepTable",
+    "SweptAxis",
+    "Tuning",
+    "build_cases",
+    "check_column",
+    "conditions",
+    "corners",
+    "evaluate",
+    "figures",
+    "gain_ranges",
+    "goal_rows",
+    "goals_from_tables",
+    "grid",
+    "load_goals",
+    "load_sweep",
+    "lqr_start",
+    "make_design",
+    "parse_axis",
+    "prepare",
+    "refine",
+    "saltelli",
+    "scope",
+    "search",
+    "sensitivity",
+    "spread",
+    "summary",
+    "sweep",
+    "tune",
+    "tuned_gains",
+    "tuning_dict",
+]

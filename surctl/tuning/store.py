@@ -1,67 +1,141 @@
-"""Where a sweep keeps its finished points, so that a killed one resumes."""
+"""Finished chunks of a sweep on disk, so that a killed one resumes with nothing lost but the chunks in flight."""
 
 from __future__ import annotations
 
-import csv
 import hashlib
-from collections.abc import Sequence
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
-from surctl import __version__
+import numpy as np
+from numpy.typing import NDArray
+
 from surctl.errors import InputError
 
-__all__ = ["Store"]
+__all__ = ["ChunkStore", "cannot_write"]
+
+_MAGIC = "surctl-chunk-1"
 
 
-class Store:
-    """A CSV file of grid points; its first line names the request, and another request starts afresh.
+@dataclass(frozen=True)
+class ChunkStore:
+    """A folder with one file a chunk.
 
-    Args:
-        path: the file; None keeps nothing.
-        request: text of everything that the result depends on.
-        columns: names of the columns after the two grid indices.
+    A file is one line of text (magic word, request, index, rows, columns, SHA-256) and the columns one after another
+    as little-endian doubles. It appears under its name only when it is complete and on the disk.
+
+    Attributes:
+        folder: where the chunks are.
+        request: digest of everything that the numbers depend on; a chunk of another request is not read.
     """
 
-    def __init__(self, path: Path | None, *, request: str, columns: Sequence[str]) -> None:
-        self.path, self.columns = path, tuple(columns)
-        digest = hashlib.sha256(request.encode()).hexdigest()
-        self.title = f"# surctl {__version__} sweep {digest}"
+    folder: Path
+    request: str
 
-    def load(self) -> dict[tuple[int, int], tuple[float, ...]]:
-        """Finished points of the same request; a line that a kill cut short is dropped.
+    @contextmanager
+    def open(self) -> Iterator[None]:
+        """Make the folder, hold it, and clear away what a kill left half-written.
 
         Raises:
-            InputError: the file cannot be read or written.
+            InputError: it cannot be written, or another process holds it.
         """
-        if self.path is None:
-            return {}
         try:
-            text = self.path.read_text(encoding="utf-8") if self.path.exists() else ""
-            lines = text.splitlines()
-            kept = lines[2:] if lines[:1] == [self.title] else []
-            rows = {point: row for point, row in map(self._parse, csv.reader(kept)) if point is not None}
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            # written anew, so that a half line does not stay in the middle
-            self.path.write_text("\n".join([self.title, ",".join(("i", "j", *self.columns)), ""]), encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(
-                f"cannot be used ({error})", file=self.path, key="store", remedy="name another folder with --out"
-            ) from None
-        for point, row in rows.items():
-            self.append(point, row)
-        return rows
+            self.folder.mkdir(parents=True, exist_ok=True)
+            lock = (self.folder / "lock").open("w")
+        except OSError as error:
+            raise cannot_write(self.folder, error) from None
+        with lock:
+            _hold(lock, self.folder)
+            for left in self.folder.glob("*.tmp"):
+                left.unlink(missing_ok=True)
+            yield
 
-    def append(self, point: tuple[int, int], row: Sequence[float]) -> None:
-        """Add one finished point and flush it."""
-        if self.path is None:
-            return
-        with self.path.open("a", encoding="utf-8", newline="") as file:
-            csv.writer(file).writerow([*point, *(repr(float(v)) for v in row)])
-
-    def _parse(self, fields: Sequence[str]) -> tuple[tuple[int, int] | None, tuple[float, ...]]:
+    def has(self, index: int, shape: tuple[int, int]) -> bool:
+        """Whether the chunk is there, of this request and shape, and unharmed."""
         try:
-            if len(fields) != len(self.columns) + 2:
-                return None, ()
-            return (int(fields[0]), int(fields[1])), tuple(float(f) for f in fields[2:])
-        except ValueError:
-            return None, ()
+            raw = self._path(index).read_bytes()
+        except OSError:
+            return False
+        line, _, payload = raw.partition(b"\n")
+        return len(payload) == 8 * shape[0] * shape[1] and line == self._line(index, shape, payload)
+
+    def write(self, index: int, table: NDArray[np.float64]) -> None:
+        """Keep one finished chunk (rows, columns).
+
+        Raises:
+            InputError: the disk is full, or the folder cannot be written; what was kept before stays.
+        """
+        payload = np.ascontiguousarray(table.T, dtype="<f8").tobytes()
+        path = self._path(index)
+        part = path.with_suffix(f".{os.getpid()}.tmp")
+        try:
+            with part.open("wb") as file:
+                file.write(self._line(index, (table.shape[0], table.shape[1]), payload) + b"\n")
+                file.write(payload)
+                file.flush()
+                os.fsync(file.fileno())
+            part.replace(path)
+            _sync(self.folder)
+        except OSError as error:
+            with suppress(OSError):
+                part.unlink(missing_ok=True)
+            raise cannot_write(self.folder, error) from None
+
+    def column(self, index: int, shape: tuple[int, int], column: int) -> NDArray[np.float64]:
+        """One column (rows,) of a chunk that `has` found."""
+        rows, columns = shape
+        path = self._path(index)
+        start = path.stat().st_size - 8 * rows * columns
+        return np.fromfile(path, dtype="<f8", count=rows, offset=start + 8 * rows * column)
+
+    def remove(self) -> None:
+        """Take the chunks away, once their numbers are kept elsewhere; the parent goes too if nothing else is in it."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        with suppress(OSError):
+            self.folder.parent.rmdir()
+
+    def _path(self, index: int) -> Path:
+        return self.folder / f"{index:07d}.chunk"
+
+    def _line(self, index: int, shape: tuple[int, int], payload: bytes) -> bytes:
+        head = f"{_MAGIC} {self.request} {index} {shape[0]} {shape[1]}"
+        return f"{head} {hashlib.sha256(head.encode() + payload).hexdigest()}".encode()
+
+
+def cannot_write(place: Path, error: Exception) -> InputError:
+    """One line for a disk that is full or a folder that cannot be written."""
+    reason = getattr(error, "strerror", None) or str(error)
+    return InputError(
+        f"cannot be written ({reason}); finished chunks are kept",
+        file=place,
+        remedy="make room or name another folder with --out; the same command resumes",
+    )
+
+
+def _hold(lock: IO[str], folder: Path) -> None:
+    """Take the lock, which ends with the process that has it, however that ends."""
+    if sys.platform == "win32":
+        return
+    import fcntl
+
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        raise InputError(
+            "another sweep of this request is running", file=folder, remedy="wait for it, or name another --out"
+        ) from None
+
+
+def _sync(folder: Path) -> None:
+    """The folder's entries on the disk, where the system can do that for a folder."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

@@ -1,256 +1,236 @@
-"""Grid sweep over two gains: closed-loop metrics and linear margins at every point, and the point that is picked."""
+"""Sweeps: closed-loop and linear metrics over a design of knobs, in chunks that survive a kill."""
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
-from itertools import pairwise
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import GAINS, Gains, build_law
-from surctl.control.build import LawName
-from surctl.errors import InputError, nearest
-from surctl.ir import lower
-from surctl.simulation import Scenario, Sensing, simulate
-from surctl.tuning.store import Store
-from surctl.vehicle import Vehicle
-from surctl.verification import loop_margins
+from surctl.simulation import Case
+from surctl.tuning.design import Design
+from surctl.tuning.executors import Chunk, Evaluator, Executor, LocalExecutor
+from surctl.tuning.measure import (
+    CASE_COLUMNS,
+    FLOWN_COLUMNS,
+    LINEAR_COLUMNS,
+    Evaluation,
+    Quantity,
+    check_request,
+    linear_names,
+    request_digest,
+)
+from surctl.tuning.netcdf import Column, provenance, request_of, write_netcdf
+from surctl.tuning.store import ChunkStore, cannot_write
+from surctl.tuning.table import SweepTable, judged, load_sweep
 
-__all__ = ["COLUMNS", "DELAY_FLOOR", "DISK_FLOOR", "Axis", "Flight", "Sweep", "sweep"]
+__all__ = ["TABLE", "Tell", "run_chunks", "sweep"]
 
-MEASURED: Mapping[str, str] = {
-    "deviation_m": "m",
-    "path_error_m": "m",
-    "time_s": "s",
-    "min_clearance_m": "m",
-    "effort_n": "N",
-    "delay_margin_s": "s",
-    "disk_margin": "1",
-    "strayed": "1",
-    "time_ratio": "1",
-    "arrived": "1",
-}
-"""What is measured at a point, with units: means over the flights, least clearance and margins, mean deviation in hull
-radii, largest time over ideal time, and whether every flight arrived."""
+Floats = NDArray[np.float64]
+Tell = Callable[[str], None]
 
-COLUMNS: Mapping[str, str] = {**MEASURED, "score": "1", "feasible": "1"}
-"""The table's columns with their units: what is measured, and what follows from it."""
-
-DELAY_FLOOR = 0.2  # [s] least delay margin of a point that may be picked: four control periods (*chosen*)
-DISK_FLOOR = 0.6  # least disk margin of a point that may be picked: 33° and a factor 1.86 at once (*chosen*)
-
-
-@dataclass(frozen=True)
-class Axis:
-    """One swept gain and its values, ascending.
-
-    Raises:
-        InputError: unknown gain, fewer than two values, values that do not ascend, or one out of its bounds.
-    """
-
-    name: str
-    values: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        if self.name not in GAINS:
-            raise InputError("no such gain", key="axis", value=self.name, remedy=nearest(self.name, GAINS))
-        values = tuple(float(v) for v in self.values)
-        if len(values) < 2 or any(not b > a for a, b in pairwise(values)):
-            raise InputError(
-                "needs at least two values in ascending order",
-                key=f"axis {self.name}",
-                value=values,
-                remedy="sort them",
-            )
-        object.__setattr__(self, "values", values)
-
-    @property
-    def unit(self) -> str:
-        """Unit of the gain."""
-        return GAINS[self.name].unit
-
-
-@dataclass(frozen=True)
-class Flight:
-    """One closed-loop run that every point of a sweep flies."""
-
-    scenario: Scenario
-    vehicle: Vehicle
-    seed: int = 0
-    sensing: Sensing = "truth"
-
-
-@dataclass(frozen=True, eq=False)
-class Sweep:
-    """A finished sweep.
-
-    Attributes:
-        axes: the two gains.
-        table: column name → (len(axes[0]), len(axes[1])); see `COLUMNS`.
-        picked: grid index of the feasible point with the least score (mean deviation in hull radii plus the slowest
-            flight's time over its ideal time); None when no point is feasible.
-        gains: the base gains with the picked values; the base itself when nothing is feasible.
-        scenarios: what every point flew.
-    """
-
-    axes: tuple[Axis, Axis]
-    table: Mapping[str, NDArray[np.float64]] = field(repr=False)
-    picked: tuple[int, int] | None
-    gains: Gains
-    scenarios: tuple[str, ...]
-
-    columns = tuple(COLUMNS)
-    units = COLUMNS
-
-    def column(self, name: str) -> NDArray[np.float64]:
-        """One column on the grid; InputError with the nearest known name."""
-        if name not in self.table:
-            raise InputError("no such column", key="column", value=name, remedy=nearest(name, self.table))
-        return self.table[name]
+TABLE = "sweep.nc"
+_MOST_CHUNKS = 64  # a small sweep is cut in as many, so that little is lost and every worker has something to do
+_MOST_RUNS = 4096  # in one chunk
+_MOST_LINEAR = 64  # points in one chunk of linear metrics
 
 
 def sweep(
-    gains: Gains,
-    axes: tuple[Axis, Axis],
+    cases: Sequence[Case],
+    design: Design,
     *,
-    flights: Sequence[Flight],
-    law: LawName = "guarded",
-    workers: int = 2,
-    store: Path | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> Sweep:
-    """Fly every flight at every point of the grid.
+    seeds: Sequence[int] = (0,),
+    linear: bool = True,
+    executor: Executor | None = None,
+    out: Path | None = None,
+    progress: Tell = lambda _: None,
+) -> SweepTable:
+    """Fly every case at every point of a design, and measure the linearised loops there.
 
     Args:
-        gains: all other gains.
-        axes: two different gains.
-        flights: at least one.
-        law: the law that is flown, closed form.
-        workers: processes; the result does not depend on their number.
-        store: CSV file that each finished point is appended to; a sweep of the same request resumes from it.
-        progress: called with (points done, points in all).
+        cases: at least one, all with the same gains.
+        design: the points; see `grid`, `spread`, `saltelli`, `make_design`.
+        seeds: every case is flown with each at every point; one that no seed changes is flown once.
+        linear: whether the linear metrics are measured too, once for each combination of what they depend on.
+        executor: who does the work; this process by default. The numbers do not depend on it.
+        out: folder of `sweep.nc`; finished chunks lie beside it until it is complete, and the same request resumes from
+            them. A finished table of another request is renamed, and that is told. None keeps nothing.
+        progress: told one line at a time.
 
     Raises:
-        InputError: the same gain twice, no flight, a value out of its bounds, or a store that cannot be written.
+        InputError: see `check_request`; the folder cannot be written, or the disk is full: then what is finished stays.
     """
-    if axes[0].name == axes[1].name:
-        raise InputError("is swept twice", key="axis", value=axes[0].name, remedy="name two different gains")
-    if not flights:
-        raise InputError("has nothing to fly", key="sweep", remedy="name at least one scenario")
-    grid = [(i, j) for i in range(len(axes[0].values)) for j in range(len(axes[1].values))]
-    sets = {
-        (i, j): gains.with_values({axes[0].name: axes[0].values[i], axes[1].name: axes[1].values[j]}) for i, j in grid
-    }
-    shelf = Store(store, request=_request(gains, axes, flights, law), columns=tuple(MEASURED))
-    done = shelf.load()
-    todo = [point for point in grid if point not in done]
-    if progress:
-        progress(len(done), len(grid))
-    for point, row in _evaluate(todo, sets, flights, law, workers):
-        done[point] = row
-        shelf.append(point, row)
-        if progress:
-            progress(len(done), len(grid))
-    shape = (len(axes[0].values), len(axes[1].values))
-    table = _judged({name: np.array([done[p][k] for p in grid]).reshape(shape) for k, name in enumerate(MEASURED)})
-    picked = _pick(table)
-    return Sweep(axes, table, picked, _picked_gains(gains, sets, picked, axes), tuple(f.scenario.name for f in flights))
+    cases, seeds = tuple(cases), tuple(int(s) for s in seeds)
+    check_request(cases, design, seeds)
+    job = _Job(Evaluation(cases, design.names, seeds), design, linear)
+    if out is not None:
+        return _kept(job, out, executor or LocalExecutor(), progress)
+    with tempfile.TemporaryDirectory(prefix="surctl-sweep-") as folder:
+        table = _kept(job, Path(folder), executor or LocalExecutor(), progress)
+        loaded = table.dataset.load()
+        table.dataset.close()
+        loaded.encoding.pop("source", None)
+        return SweepTable(loaded)
 
 
-def _evaluate(
-    todo: Sequence[tuple[int, int]],
-    sets: Mapping[tuple[int, int], Gains],
-    flights: Sequence[Flight],
-    law: LawName,
-    workers: int,
-) -> Iterator[tuple[tuple[int, int], tuple[float, ...]]]:
-    if workers <= 1 or len(todo) <= 1:
-        for point in todo:
-            yield point, _fly_point(sets[point], tuple(flights), law)
+def run_chunks(
+    function: Evaluator,
+    chunks: Sequence[Chunk],
+    *,
+    store: ChunkStore,
+    executor: Executor,
+    finished: Callable[[int], None] = lambda _: None,
+) -> None:
+    """Evaluate chunks, and keep each as it comes.
+
+    Args:
+        function: the evaluator.
+        chunks: those that the store does not have yet.
+        store: an open one.
+        executor: who does the work.
+        finished: told the index of each chunk once it is kept.
+
+    Raises:
+        InputError: a chunk cannot be written.
+    """
+    with closing(executor.map_chunks(function, chunks)) as results:  # an error here stops the workers too
+        for index, table in results:
+            store.write(index, table)
+            finished(index)
+
+
+@dataclass
+class _Job:
+    """A sweep, cut in chunks: those of linear metrics first, then those that fly."""
+
+    evaluation: Evaluation
+    design: Design
+    linear: bool
+    chunks: list[Chunk] = field(init=False)
+    linear_count: int = field(init=False, default=0)
+    inverse: NDArray[np.int64] = field(init=False)
+    request: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        points, names = self.design.points, self.design.names
+        self.chunks = []
+        if self.linear:
+            matter = [k for k, name in enumerate(names) if name in linear_names(names)]
+            different, inverse = np.unique(points[:, matter], axis=0, return_inverse=True)
+            self.inverse = inverse.reshape(-1)
+            whole = np.tile(points[:1], (len(different), 1))  # an axis that does not matter has any value
+            whole[:, matter] = different
+            self.chunks += _cut(whole, _size(len(different), _MOST_LINEAR), first=0)
+            self.linear_count = len(self.chunks)
+        size = _size(len(points), max(1, _MOST_RUNS // self.evaluation.runs_per_point))
+        self.chunks += _cut(points, size, first=self.linear_count)
+        self.request = request_digest(self.evaluation, self.design, linear=self.linear, chunk=size)
+        self.evaluation = Evaluation(
+            self.evaluation.cases, self.evaluation.names, self.evaluation.seeds, self.linear_count
+        )
+
+    def width(self, index: int) -> int:
+        """Number of columns of a chunk."""
+        if index < self.linear_count:
+            return len(LINEAR_COLUMNS)
+        return len(FLOWN_COLUMNS) + len(self.evaluation.cases) * len(CASE_COLUMNS)
+
+    def columns(self, store: ChunkStore) -> Iterator[Column]:
+        """The table's columns, each read from the chunks when its turn comes."""
+        found: dict[str, Floats] = {}
+        flown = self.chunks[self.linear_count :]
+
+        def of_runs(k: int) -> Floats:
+            return np.concatenate([store.column(i, (len(p), self.width(i)), k) for i, p in flown])
+
+        def of_loops(k: int) -> Floats:
+            parts = [store.column(i, (len(p), self.width(i)), k) for i, p in self.chunks[: self.linear_count]]
+            return np.asarray(np.concatenate(parts)[self.inverse])
+
+        for k, (name, quantity) in enumerate(FLOWN_COLUMNS.items()):
+            yield name, quantity, [partial(of_runs, k)], False
+        for k, (name, quantity) in enumerate(LINEAR_COLUMNS.items() if self.linear else ()):
+            yield name, quantity, [partial(of_loops, k)], False
+        for name in ("strayed", "time_ratio", "reached_worst", "min_clearance_m_worst"):
+            found[name] = of_runs(list(FLOWN_COLUMNS).index(name))
+        for name in ("delay_margin_s", "disk_margin") if self.linear else ():
+            found[name] = of_loops(list(LINEAR_COLUMNS).index(name))
+        verdict = judged(found)
+        told = "mean deviation in hull radii plus worst time ratio"
+        yield "score", Quantity("1", told), [lambda: verdict["score"]], False
+        yield "feasible", Quantity("1", "1 where the point may be picked"), [lambda: verdict["feasible"]], False
+        count = len(self.evaluation.cases)
+        for k, (name, quantity) in enumerate(CASE_COLUMNS.items()):
+            places = [len(FLOWN_COLUMNS) + c * len(CASE_COLUMNS) + k for c in range(count)]
+            by_case = Quantity(quantity.unit, f"{quantity.meaning}, by case")
+            yield f"case_{name}", by_case, [partial(of_runs, place) for place in places], True
+
+
+def _kept(job: _Job, out: Path, executor: Executor, progress: Tell) -> SweepTable:
+    target = out / TABLE
+    aside = out / f"sweep-{job.request[:12]}.nc"
+    for path in (target, aside):
+        if path.exists() and request_of(path) == job.request:
+            progress(f"sweep {len(job.design.points)}/{len(job.design.points)} points: {path} has them all")
+            return load_sweep(path)
+    store = ChunkStore(out / "sweep.chunks" / job.request[:16], job.request)
+    with store.open():
+        todo = [(i, p) for i, p in job.chunks if not store.has(i, (len(p), job.width(i)))]
+        pace = _Pace(job, todo, progress)
+        run_chunks(job.evaluation, todo, store=store, executor=executor, finished=pace.finished)
+        _make_room(target, progress)
+        attributes = provenance(job.evaluation, job.design, request=job.request)
+        write_netcdf(target, job.design, job.columns(store), evaluation=job.evaluation, attributes=attributes)
+    store.remove()
+    return load_sweep(target)
+
+
+def _make_room(target: Path, progress: Tell) -> None:
+    """Rename a table of another request."""
+    if not target.exists():
         return
-    with ProcessPoolExecutor(
-        min(workers, len(todo)),
-        mp_context=get_context("spawn"),  # a forked child would inherit the locks of numerical libraries
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_IGN),  # Ctrl-C is the parent's affair
-    ) as pool:
-        jobs = {pool.submit(_fly_point, sets[point], tuple(flights), law): point for point in todo}
-        try:
-            for job in as_completed(jobs):
-                yield jobs[job], job.result()
-        finally:
-            for job in jobs:
-                job.cancel()
+    other = target.with_name(f"sweep-{(request_of(target) or 'unreadable')[:12]}.nc")
+    try:
+        target.replace(other)
+    except OSError as error:
+        raise cannot_write(target, error) from None
+    progress(f"{target} held another request's table; it is now {other}")
 
 
-def _fly_point(gains: Gains, flights: tuple[Flight, ...], law: LawName) -> tuple[float, ...]:
-    """What is measured at one point, in the order of `MEASURED`."""
-    built = build_law(law)
-    runs = [
-        simulate(f.scenario, f.vehicle, gains=gains, law=built, sensing=f.sensing, seed=f.seed).metrics for f in flights
-    ]
-    fastest = {(f.vehicle.source, f.vehicle.name): f for f in sorted(flights, key=lambda f: f.scenario.cruise)}
-    margins = [
-        m
-        for f in fastest.values()
-        for m in loop_margins(f.vehicle, gains.values, cruise=f.scenario.cruise, dt=built.dt)
-    ]
-    # a run that is one long avoidance has no path error
-    errors = [r.path_error_m for r in runs if np.isfinite(r.path_error_m)]
-    ideal = [f.scenario.path.length / f.scenario.cruise for f in flights]
-    return (
-        float(np.mean([r.deviation_m for r in runs])),
-        float(np.mean(errors)) if errors else float("nan"),
-        float(np.mean([r.time_s for r in runs])),
-        min(r.min_clearance_m for r in runs),
-        float(np.mean([r.effort_n for r in runs])),
-        min(m.delay_margin_s for m in margins),
-        min(m.disk_margin for m in margins),
-        float(np.mean([r.deviation_m / f.vehicle["radius"] for r, f in zip(runs, flights, strict=True)])),
-        max(r.time_s / t for r, t in zip(runs, ideal, strict=True)),
-        float(all(r.reached for r in runs)),
-    )
+def _size(count: int, most: int) -> int:
+    """Points in one chunk; it must not depend on who does the work, or a sweep could not be resumed by another."""
+    return max(1, min(most, -(-count // _MOST_CHUNKS)))
 
 
-def _judged(measured: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
-    """The table with score and feasibility. The path error is not in the score: it counts only what lies outside
-    avoidance, and the gains change how much that is."""
-    feasible = (
-        (measured["arrived"] > 0.5)
-        & (measured["min_clearance_m"] > 0)
-        & (measured["delay_margin_s"] >= DELAY_FLOOR)
-        & (measured["disk_margin"] >= DISK_FLOOR)
-    )
-    score = measured["strayed"] + measured["time_ratio"]
-    return {**measured, "score": score, "feasible": feasible.astype(float)}
+def _cut(points: Floats, size: int, *, first: int) -> list[Chunk]:
+    return [(first + k, points[at : at + size]) for k, at in enumerate(range(0, len(points), size))]
 
 
-def _pick(table: Mapping[str, NDArray[np.float64]]) -> tuple[int, int] | None:
-    score = np.where(table["feasible"] > 0.5, table["score"], np.inf)
-    if not np.isfinite(score).any():
-        return None
-    i, j = np.unravel_index(int(np.argmin(score)), score.shape)
-    return int(i), int(j)
+class _Pace:
+    """Lines of progress: points done, runs a second, time to go. At most two lines a second."""
 
+    def __init__(self, job: _Job, todo: Sequence[Chunk], tell: Tell) -> None:
+        self.tell, self.runs_per_point, self.all = tell, job.evaluation.runs_per_point, len(job.design.points)
+        self.sizes = {index: len(points) if index >= job.linear_count else 0 for index, points in todo}
+        self.before = self.done = self.all - sum(self.sizes.values())
+        self.start = self.last = time.monotonic()
+        self.tell(f"sweep {self.done}/{self.all} points")
 
-def _picked_gains(
-    gains: Gains, sets: Mapping[tuple[int, int], Gains], picked: tuple[int, int] | None, axes: tuple[Axis, Axis]
-) -> Gains:
-    if picked is None:
-        return gains
-    chosen = {axis.name: axis.values[k] for axis, k in zip(axes, picked, strict=True)}
-    what = ", ".join(f"{name} = {value:g}" for name, value in chosen.items())
-    return sets[picked].with_values({}, provenance=f"{gains.provenance}; picked by a grid sweep: {what}")
-
-
-def _request(gains: Gains, axes: tuple[Axis, Axis], flights: Sequence[Flight], law: LawName) -> str:
-    """Everything that the result depends on, as text."""
-    lines = [f"law {lower(build_law(law).function).digest()}", f"axes {axes!r}", f"gains {dict(gains.values)!r}"]
-    lines += [f"flight {f.scenario!r} {dict(f.vehicle.parameters)!r} {f.seed} {f.sensing}" for f in flights]
-    return "\n".join(lines)
+    def finished(self, index: int) -> None:
+        """Count one more chunk."""
+        self.done += self.sizes.pop(index)
+        now = time.monotonic()
+        if self.done == self.before or (self.sizes and now - self.last < 0.5):
+            return
+        self.last = now
+        rate = (self.done - self.before) / max(now - self.start, 1e-9)
+        left = round((self.all - self.done) / rate)
+        eta = f"{left // 3600}:{left // 60 % 60:02d}:{left % 60:02d}"
+        runs = rate * self.runs_per_point
+        self.tell(f"sweep {self.done}/{self.all} points, {runs:.3g} runs/s, ETA {eta}")

@@ -11,7 +11,7 @@ from surctl.vehicle.dynamics import (
     trim_thrust,
 )
 from surctl.vehicle.kinematics import jacobian, planar_rotation
-from surctl.vehicle.linearise import linearise
+from surctl.vehicle.linearise import linearise, plant_jacobians
 from surctl.vehicle.parameters import LIBRARY, PARAMETERS, Parameter, Vehicle, load_vehicle
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "linearise",
     "load_vehicle",
     "planar_rotation",
+    "plant_jacobians",
     "plant_parameters",
     "steady_speed",
     "trim_thrust",

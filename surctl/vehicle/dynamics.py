@@ -127,10 +127,17 @@ def build_plant() -> Plant:
 
 def trim_thrust(vehicle: Vehicle, nu: NDArray[np.float64]) -> NDArray[np.float64]:
     """Thrust (4,) [N, N m] that holds the body velocity ν (4,) in still water: τ = C(ν)ν + D(ν)ν."""
+    return np.asarray(trim_function()(nu, plant_parameters(vehicle))).reshape(4)
+
+
+@cache
+def trim_function() -> ca.Function:
+    """(ν, p) → `trim_thrust`, both in columns for many at once."""
     flat, parameters = PLANT_PARAMETERS.symbols("p")
     velocity = ca.SX.sym("nu", 4)
-    load = coriolis_force(velocity, parameters) + damping_force(velocity, parameters)
-    return np.asarray(ca.Function("trim", [velocity, flat], [load])(nu, plant_parameters(vehicle))).reshape(4)
+    return ca.Function(
+        "trim", [velocity, flat], [coriolis_force(velocity, parameters) + damping_force(velocity, parameters)]
+    )
 
 
 def steady_speed(force: float, linear: float, quadratic: float) -> float:

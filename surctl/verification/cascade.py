@@ -10,32 +10,33 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from surctl.errors import InputError, nearest
-from surctl.vehicle import Vehicle, linearise
+from surctl.ir import Layout
+from surctl.vehicle import PLANT_PARAMETERS, Vehicle, linearise, plant_jacobians, plant_parameters
 
-__all__ = ["CASCADE_GAINS", "Cascade", "build_cascade"]
+__all__ = ["CASCADE_GAINS", "Cascade", "build_cascade", "build_cascades", "check_positive"]
 
 CASCADE_GAINS = ("k1", "k2", "k_psi", "k_r", "k_v", "lookahead")
-_OUTPUTS = ("x", "y", "z", "psi", "u", "v", "w", "r")
+_OUTPUTS = 8  # x, y, z, ψ, u, v, w, r: the first states of the plant
 _PADE_ORDER = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Cascade:
-    """Delayed plant and controller: ẋ = A x + B f, y = C x, f = −K y.
+    """Delayed plant and controller: ẋ = A x + B f, y = C x, f = −K y; one, or many behind a leading axis.
 
     With integral action ξ (4,) joins the states and the end of y, and its rate the end of f.
 
     Attributes:
-        A: (n, n) plant with thrust lag, then the delay states, then ξ.
-        B: (n, 4 or 8) from commanded thrust [N, N m], then ξ̇.
-        C: (8 or 12, n) to (x, y, z, ψ, u, v, w, r), then ξ.
-        K: (4 or 8, 8 or 12) controller.
+        A: (…, n, n) plant with thrust lag, then the delay states, then ξ.
+        B: (…, n, 4 or 8) from commanded thrust [N, N m], then ξ̇.
+        C: (…, 8 or 12, n) to (x, y, z, ψ, u, v, w, r), then ξ.
+        K: (…, 4 or 8, 8 or 12) controller.
     """
 
     A: NDArray[np.float64]
@@ -44,29 +45,35 @@ class Cascade:
     K: NDArray[np.float64]
 
     @property
+    def closed(self) -> NDArray[np.float64]:
+        """A − B K C, (…, n, n)."""
+        closed: NDArray[np.float64] = self.A - self.B @ self.K @ self.C
+        return closed
+
+    @property
     def poles(self) -> NDArray[np.complex128]:
-        """Closed-loop poles (n,) [rad/s], the slowest first."""
-        found = np.linalg.eigvals(self.A - self.B @ self.K @ self.C).astype(complex)
-        return found[np.argsort(-found.real, kind="stable")]
+        """Closed-loop poles (…, n) [rad/s], the slowest first."""
+        found = np.linalg.eigvals(self.closed).astype(complex)
+        return np.take_along_axis(found, np.argsort(-found.real, axis=-1, kind="stable"), axis=-1)
 
     @property
     def stable(self) -> bool:
         """Whether every closed-loop pole lies in the open left half-plane."""
-        return bool(self.poles[0].real < -1e-9)
+        return bool(np.all(self.poles[..., 0].real < -1e-9))
 
     def at_thrust(self, axis: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Loop (A, b, c) broken at one thrust command, all others closed."""
         rest = self.K.copy()
-        rest[axis] = 0
+        rest[..., axis, :] = 0
         closed = self.A - self.B @ rest @ self.C
-        return closed, self.B[:, [axis]], self.K[[axis]] @ self.C
+        return closed, self.B[..., [axis]], self.K[..., [axis], :] @ self.C
 
     def at_output(self, index: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Loop (A, b, c) broken at one measured output, all others closed."""
         rest = self.K.copy()
-        rest[:, index] = 0
+        rest[..., index] = 0
         closed = self.A - self.B @ rest @ self.C
-        return closed, self.B @ self.K[:, [index]], self.C[[index]]
+        return closed, self.B @ self.K[..., [index]], self.C[..., [index], :]
 
 
 def build_cascade(
@@ -84,68 +91,133 @@ def build_cascade(
     Raises:
         InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed.
     """
-    model = model or vehicle
-    k = _gains({**gains, "cruise": cruise, "dt": dt})
-    plant = linearise(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
-    # outputs in a fixed order, by name; states of the plant are its outputs
-    pick = np.array([plant.output_labels.index(name) for name in _OUTPUTS])
-    A, B, C = np.asarray(plant.A), np.asarray(plant.B), np.asarray(plant.C)[pick]
-    A, B, C = _delayed(A, B, C, 1.5 * dt)
-    proportional = Cascade(A, B, C, _controller(model, k))
-    k_i = float(gains.get("k_i", 0.0))
-    if not (np.isfinite(k_i) and k_i >= 0):
-        raise InputError("must be at least 0", key="k_i", value=k_i, remedy="correct it")
-    return _with_integral(proportional, model, k, k_i) if k_i > 0 else proportional
+    check_positive({"cruise": np.atleast_1d(cruise)})
+    linearise(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))  # says whether it can cruise at that speed
+    many = build_cascades(
+        plant_parameters(vehicle)[None],
+        {name: np.atleast_1d(float(value)) for name, value in gains.items()},
+        cruise=np.atleast_1d(cruise),
+        dt=dt,
+        model=plant_parameters(model or vehicle)[None],
+    )
+    return Cascade(many.A[0], many.B[0], many.C[0], many.K[0])
 
 
-def _guidance(k: Mapping[str, float]) -> NDArray[np.float64]:
-    """(4, 4): ν_c = −this · (x, y, z, ψ)."""
-    outer = np.diag([k["k1"], k["cruise"] / k["lookahead"], k["k2"], k["k_psi"]])
-    outer[1, 3] = k["cruise"]
+def build_cascades(
+    plant: NDArray[np.float64],
+    gains: Mapping[str, NDArray[np.float64]],
+    *,
+    cruise: NDArray[np.float64],
+    dt: float,
+    model: NDArray[np.float64],
+) -> Cascade:
+    """`build_cascade` of n points at once, all with thrust lag or none, all with integral action or none.
+
+    Args:
+        plant: (n, 17) as `plant_parameters` lays them out; whether it can cruise is the caller's to know.
+        gains: `CASCADE_GAINS`, and k_i if there is integral action, each (n,).
+        cruise: U (n,) [m/s].
+        dt: control period [s].
+        model: what the controller believes, as plant.
+
+    Raises:
+        InputError: a gain is missing or not positive, or the points are of different orders.
+    """
+    for name in CASCADE_GAINS:
+        if name not in gains:
+            raise InputError("gain is missing", key=name, remedy=nearest(name, gains))
+    k = {**{name: gains[name] for name in CASCADE_GAINS}, "cruise": cruise}
+    check_positive({**k, "dt": np.atleast_1d(dt)})
+    k_i = gains.get("k_i", np.zeros(len(cruise)))
+    if not np.all(np.isfinite(k_i) & (k_i >= 0)):
+        raise InputError("must be at least 0", key="k_i", value=float(np.min(k_i)), remedy="correct it")
+    lag = plant[:, PLANT_PARAMETERS.slice("thrust_lag")][:, 0]
+    for key, value in (("thrust_lag", lag), ("k_i", k_i)):
+        if np.any(value > 0) != np.all(value > 0):
+            raise InputError("is 0 for some and not for others", key=key, remedy="build those apart: other orders")
+    nu = np.zeros((len(cruise), 4))
+    nu[:, 0] = cruise
+    A, B, _ = plant_jacobians(plant, nu)
+    # states of the plant are its outputs; without lag the thrust states are none
+    keep = A.shape[-1] if lag[0] > 0 else _OUTPUTS
+    C = np.broadcast_to(np.eye(_OUTPUTS, keep), (len(nu), _OUTPUTS, keep))
+    A, B, C = _delayed(A[:, :keep, :keep], B[:, :keep], C, 1.5 * dt)
+    drawn = {name: _columns(model, PLANT_PARAMETERS, name) for name in ("mass", "linear_drag", "quadratic_drag")}
+    proportional = Cascade(A, B, C, _controller(drawn, k, nu))
+    return _with_integral(proportional, drawn["mass"], k, k_i) if k_i[0] > 0 else proportional
+
+
+def check_positive(values: Mapping[str, NDArray[np.float64]]) -> None:
+    """InputError that names the first value which is not finite and > 0."""
+    for name, given in values.items():
+        wrong = given[~(np.isfinite(given) & (given > 0))]
+        if wrong.size:
+            raise InputError("must be greater than 0", key=name, value=float(wrong[0]), remedy="correct it")
+
+
+def _columns(flat: NDArray[np.float64], layout: Layout, name: str) -> NDArray[np.float64]:
+    return flat[:, layout.slice(name)]
+
+
+def _guidance(k: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+    """(n, 4, 4): ν_c = −this · (x, y, z, ψ)."""
+    outer = np.zeros((len(k["cruise"]), 4, 4))
+    for axis, slope in enumerate((k["k1"], k["cruise"] / k["lookahead"], k["k2"], k["k_psi"])):
+        outer[:, axis, axis] = slope
+    outer[:, 1, 3] = k["cruise"]
     return outer
 
 
-def _controller(vehicle: Vehicle, k: Mapping[str, float]) -> NDArray[np.float64]:
-    """K (4, 8) from deviations (x, y, z, ψ, u, v, w, r) to −F."""
-    inner = vehicle.mass * np.array([k["k_v"], k["k_v"], k["k_v"], k["k_r"]])
-    speed = np.array([k["cruise"], 0.0, 0.0, 0.0])
-    slope = vehicle.linear_drag + 2 * vehicle.quadratic_drag * speed  # D'(ν_0)
-    return np.hstack([(inner + slope)[:, None] * _guidance(k), np.diag(inner)])
+def _controller(
+    model: Mapping[str, NDArray[np.float64]], k: Mapping[str, NDArray[np.float64]], nu: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """K (n, 4, 8) from deviations (x, y, z, ψ, u, v, w, r) to −F."""
+    inner = model["mass"] * np.stack([k["k_v"], k["k_v"], k["k_v"], k["k_r"]], axis=-1)
+    slope = model["linear_drag"] + 2 * model["quadratic_drag"] * np.abs(nu)  # D'(ν_0)
+    return np.concatenate([(inner + slope)[..., None] * _guidance(k), inner[..., None] * np.eye(4)], axis=-1)
 
 
-def _with_integral(cascade: Cascade, vehicle: Vehicle, k: Mapping[str, float], k_i: float) -> Cascade:
+def _with_integral(
+    cascade: Cascade,
+    mass: NDArray[np.float64],
+    k: Mapping[str, NDArray[np.float64]],
+    k_i: NDArray[np.float64],
+) -> Cascade:
     """The cascade with ξ̇ = k_i (ν_c − ν) and m̂ ξ added to the thrust."""
-    eye = np.eye(4)
-    drive = k_i * np.hstack([_guidance(k), eye])
+    eye = np.broadcast_to(np.eye(4), (len(k_i), 4, 4))
+    drive = k_i[:, None, None] * np.concatenate([_guidance(k), eye], axis=-1)
     return Cascade(
-        block_diag(cascade.A, np.zeros((4, 4))),
-        block_diag(cascade.B, eye),
-        block_diag(cascade.C, eye),
-        np.block([[cascade.K, -np.diag(vehicle.mass)], [drive, np.zeros((4, 4))]]),
+        _diagonal(cascade.A, np.zeros_like(eye)),
+        _diagonal(cascade.B, eye),
+        _diagonal(cascade.C, eye),
+        np.block([[cascade.K, -mass[..., None] * eye], [drive, np.zeros_like(eye)]]),
     )
+
+
+def _diagonal(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Both on the diagonal of a larger matrix; (n, …, …) each."""
+    (n, rows, columns), (_, more, further) = first.shape, second.shape
+    joined = np.zeros((n, rows + more, columns + further))
+    joined[:, :rows, :columns], joined[:, rows:, columns:] = first, second
+    return joined
 
 
 def _delayed(
     A: NDArray[np.float64], B: NDArray[np.float64], C: NDArray[np.float64], delay: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """The plant behind a Padé delay [s] on each of its inputs."""
+    """The plants behind a Padé delay [s] on each of their inputs."""
+    eye = np.eye(B.shape[-1])
+    a, b, c, d = (np.kron(eye, m) for m in _pade(delay))
+    n, order, lags = len(A), A.shape[-1], len(a)
+    joined = np.zeros((n, order + lags, order + lags))
+    joined[:, :order, :order], joined[:, :order, order:], joined[:, order:, order:] = A, B @ c, a
+    entry = np.concatenate([B @ d, np.broadcast_to(b, (n, *b.shape))], axis=-2)
+    return joined, entry, np.concatenate([C, np.zeros((n, C.shape[-2], lags))], axis=-1)
+
+
+@cache
+def _pade(delay: float) -> tuple[NDArray[np.float64], ...]:
     import control  # seconds to import: only when asked for
 
     lag = control.ss(control.tf(*control.pade(delay, _PADE_ORDER)))
-    eye = np.eye(B.shape[1])
-    a, b, c, d = (np.kron(eye, np.asarray(m)) for m in (lag.A, lag.B, lag.C, lag.D))
-    top = np.hstack([A, B @ c])
-    bottom = np.hstack([np.zeros((a.shape[0], A.shape[0])), a])
-    return np.vstack([top, bottom]), np.vstack([B @ d, b]), np.hstack([C, np.zeros((C.shape[0], a.shape[0]))])
-
-
-def _gains(given: Mapping[str, float]) -> dict[str, float]:
-    found = {}
-    for name in (*CASCADE_GAINS, "cruise", "dt"):
-        if name not in given:
-            raise InputError("gain is missing", key=name, remedy=nearest(name, given))
-        value = float(given[name])
-        if not (np.isfinite(value) and value > 0):
-            raise InputError("must be greater than 0", key=name, value=value, remedy="correct it")
-        found[name] = value
-    return found
+    return tuple(np.asarray(m) for m in (lag.A, lag.B, lag.C, lag.D))

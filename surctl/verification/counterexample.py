@@ -9,7 +9,6 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from surctl.errors import InputError, SolverError
 from surctl.verification.claim import Claim, Motion
@@ -124,6 +123,8 @@ def _fly(
     claim: Claim, motion: Motion, start: NDArray[np.float64], points: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Time, watched quantity and ∫ margin dt, until the violation ends; variables without a rate are held."""
+    from scipy.integrate import solve_ivp
+
     x = claim.symbols
     moving = [motion.rates.get(v.name, ca.SX(0)) for v in claim.variables]
     rate = ca.Function("rate", [x], [ca.densify(ca.vertcat(*moving, claim.margin))])

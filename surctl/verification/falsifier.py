@@ -6,8 +6,6 @@ import time
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
-from scipy.stats import qmc
 
 from surctl.errors import InputError
 from surctl.verification.claim import Claim
@@ -68,6 +66,8 @@ def falsify(claim: Claim, *, samples: int = 4096, starts: int = 16, seed: int = 
 
 def _sobol(dimension: int, samples: int, seed: int) -> NDArray[np.float64]:
     """(dimension, 2^k ≥ samples) points of the unit box."""
+    from scipy.stats import qmc
+
     drawn = qmc.Sobol(dimension, seed=seed).random_base2(int(np.ceil(np.log2(samples))))
     return np.ascontiguousarray(np.asarray(drawn, dtype=float).T)
 
@@ -115,6 +115,8 @@ def _climb(oracle: Oracle, starts: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _ascend(oracle: Oracle, start: NDArray[np.float64]) -> NDArray[np.float64]:
     """Unit-box point where a local search of the largest margin ends."""
+    from scipy.optimize import minimize
+
     slope = float(np.max(np.abs(oracle.gradient(start))))
     scale = slope if slope > 0 else 1.0  # objective of size 1 per box width: the stopping rules then mean something
     constrained = oracle.claim.constraints.numel() > 0

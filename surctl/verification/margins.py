@@ -1,4 +1,4 @@
-"""Linear margins of the cascaded controller about cruise, one loop at a time, from python-control."""
+"""Linear margins of the cascaded controller about cruise, one loop at a time; python-control judges them."""
 
 from __future__ import annotations
 
@@ -11,13 +11,10 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.vehicle import Vehicle
-from surctl.verification.cascade import build_cascade
+from surctl.verification.cascade import Cascade, build_cascade
+from surctl.verification.loops import LOOP_NAMES, Crossings, Loop, broken_loops, crossings_of
 
 __all__ = ["LoopMargins", "closed_loop_poles", "loop_margins", "margins_of", "worst_margins"]
-
-_LOWEST = 1e-4  # [rad/s]
-_POINTS = 800
-_SPURIOUS = 1e-6  # a crossing with |L| or 1/|L| below this is one at ω → ∞ or 0
 
 
 @dataclass(frozen=True)
@@ -68,11 +65,13 @@ def loop_margins(
     """
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model)
     highest = np.pi / dt  # beyond the Nyquist frequency a sampled controller has no loop
-    thrust = [(name, cascade.at_thrust(i)) for i, name in enumerate(("surge", "sway", "heave", "yaw"))]
-    outer = [(n, cascade.at_output(i)) for i, n in enumerate(("along_track", "cross_track", "depth", "heading"))]
     if not cascade.stable:
-        return tuple(LoopMargins(name, False, 1.0, 0.0, 0.0, 0.0, 0.0) for name, _ in (*thrust, *outer))
-    return tuple(margins_of(name, *loop, highest=highest) for name, loop in (*thrust, *outer))
+        return tuple(LoopMargins(name, False, 1.0, 0.0, 0.0, 0.0, 0.0) for name in LOOP_NAMES)
+    one = Cascade(*(m[None] for m in (cascade.A, cascade.B, cascade.C, cascade.K)))
+    return tuple(
+        _only(name, crossings_of(loop, highest=highest))
+        for name, loop in zip(LOOP_NAMES, broken_loops(one), strict=True)
+    )
 
 
 def worst_margins(
@@ -144,30 +143,18 @@ def margins_of(
         c: (1, n).
         highest: highest frequency looked at [rad/s].
     """
-    import control  # seconds to import: only when asked for
+    loop = Loop(np.linalg.eigvals(A - b @ c)[None].astype(complex), np.linalg.eigvals(A)[None].astype(complex))
+    return _only(name, crossings_of(loop, highest=highest))
 
-    loop = control.ss(A, b, c, 0)
-    omega = np.geomspace(_LOWEST, highest, _POINTS)
-    response = control.frd(loop, omega, smooth=True)
-    # by frequency response: the polynomial method loses these orders, and finds a gain margin of 5e-17
-    gain, phase, _, at_gain, at_phase, _ = control.stability_margins(response, returnall=True)
-    gain = gain[_genuine(gain, at_gain)]
-    phase, at_phase = phase[_genuine(np.ones_like(phase), at_phase)], at_phase[_genuine(at_phase, at_phase)]
-    lag = np.remainder(phase, 360.0)  # a phase lead is a lag of the rest of the turn
+
+def _only(name: str, found: Crossings) -> LoopMargins:
+    """The margins of the one point there is."""
     return LoopMargins(
         name,
         True,
-        float(np.min(gain[gain > 1], initial=np.inf)),
-        float(np.min(lag, initial=np.inf)),
-        float(np.min(np.deg2rad(lag) / at_phase, initial=np.inf)),
-        float(control.disk_margins(loop, omega)[0]),
-        float(np.max(at_phase, initial=0.0)),
+        float(found.gain_margin[0]),
+        float(found.phase_margin_deg[0]),
+        float(found.delay_margin_s[0]),
+        float(found.disk_margin[0]),
+        float(found.crossover_rad_s[0]),
     )
-
-
-def _genuine(gain: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Crossings at a finite frequency with a finite gain: the others are numerical, at ω = 0 and ω = ∞."""
-    found: NDArray[np.bool_] = (
-        np.isfinite(gain) & np.isfinite(at) & (at > 0) & (gain > _SPURIOUS) & (gain < 1 / _SPURIOUS)
-    )
-    return found

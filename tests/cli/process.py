@@ -2,10 +2,10 @@
 
 import json
 import os
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
+
+from tests.processes import run_python
 
 
 @dataclass(frozen=True)
@@ -28,16 +28,8 @@ class Outcome:
         return lines[0]
 
 
-def surctl(*words, cwd, timeout=300, **environment) -> Outcome:
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-m", "surctl", *map(str, words)],
-        cwd=cwd,
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        timeout=timeout,
-        stdin=subprocess.DEVNULL,
-    )
+def surctl(*words, cwd, **environment) -> Outcome:
+    done = run_python(["-m", "surctl", *words], cwd=cwd, environment={**os.environ, **environment})
     return Outcome(done.returncode, done.stdout, done.stderr)
 
 

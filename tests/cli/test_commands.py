@@ -74,19 +74,30 @@ def test_verify_tells_expected_verdicts(tmp_path):
     assert "not proved" in corrected["remaining"]
 
 
-def test_sweep_resumes_and_does_not_depend_on_workers(tmp_path):
-    words = ("sweep", "lookahead=0.6,1.2", "k_v=1.2,1.8", "--scenario", "pool-behind", "--json")
+def test_sweep_finishes_picks_and_does_not_depend_on_workers(tmp_path):
+    words = ("sweep", "lookahead=0.6,1.2", "k_v=1.2..1.8:2", "vehicle.m11=50,55", "--scenario", "pool-behind", "--json")
     first = surctl(*words, "--out", "a", "--workers", 1, cwd=tmp_path)
     assert first.status == 0
-    table = tmp_path / "a" / "sweep.csv"
-    lines = table.read_text().splitlines()
-    table.write_text("\n".join(lines[:4]) + "\n" + lines[4][:9])  # killed half-way through a line
-    resumed = surctl(*words, "--out", "a", "--workers", 2, cwd=tmp_path)
-    assert "2/4 points" in resumed.err
-    assert "1/4 points" not in resumed.err
-    assert resumed.json["results"] == first.json["results"]
+    assert first.json["axes"] == {"lookahead": [0.6, 1.2], "k_v": [1.2, 1.8], "vehicle.m11": [50.0, 55.0]}
+    rows = first.json["results"]
+    assert len(rows) == 8 and first.json["picked"] in rows
+    assert first.json["picked"]["score"] == min(row["score"] for row in rows if row["feasible"])
+    assert {p.name for p in (tmp_path / "a").iterdir()} == {
+        "sweep.nc", "gains.toml", "sweep-parallel.png", "sweep-lookahead-k_v-score.png",
+    }  # fmt: skip
+    again = surctl(*words, "--out", "a", cwd=tmp_path)
+    assert "has them all" in again.err and again.json == first.json
     other = surctl(*words, "--out", "b", "--workers", 2, cwd=tmp_path)
-    assert other.json["results"] == first.json["results"]
+    assert "ETA" in other.err
+    assert other.json["results"] == rows
+
+
+def test_sweep_tells_what_a_column_depends_on(tmp_path):
+    words = ("sweep", "k_v=1..3", "lookahead=0.5..1.5", "--scenario", "pool-behind", "--sensitivity", "disk_margin")
+    done = surctl(*words, "--points", 4, "--json", cwd=tmp_path)
+    found = done.json["sensitivity"]
+    assert found["axes"] == ["k_v", "lookahead"] and len(done.json["results"]) == 16
+    assert (tmp_path / "surctl-out" / "sensitivity-disk_margin.png").exists()
 
 
 def test_export_checks_itself(tmp_path):

@@ -25,7 +25,10 @@ FILES = {
     "a study without a vehicle": (STUDY.replace("vehicle =", "# vehicle =", 1), ["vehicle", "is missing"]),
     "a study of unknown claims": ('claims = ["v1-printd"]\n' + STUDY, ["v1-printed"]),
     "a sweep of an unknown gain": (STUDY.replace('gain = "k_v"', 'gain = "kv"'), ["kv", "'k_v'"]),
-    "a sweep of one value": (re.sub(r"(k_v.*\nvalues = )\[.*\]", r"\1[1.0]", STUDY), ["k_v", "two values"]),
+    "a sweep of a value twice": (
+        re.sub(r"(k_v.*\nvalues = )\[.*\]", r"\1[1.0, 1.0]", STUDY),
+        ["k_v", "ascending"],
+    ),
 }
 
 
@@ -112,9 +115,17 @@ WORDS = {
     "negative seed": (["simulate", "tank-static", "--seed", "-1"], ["--seed"]),
     "unknown claim": (["verify", "v1-print"], ["claim", "'v1-printed'"]),
     "too fast a cruise": (["verify", "--cruise", "9"], ["thrust"]),
-    "no axis": (["sweep", "lookahead", "k_v=1,2"], ["lookahead", "GAIN="]),
+    "no axis": (["sweep", "lookahead", "k_v=1,2"], ["lookahead", "KNOB="]),
     "axis twice": (["sweep", "k_v=1,2", "k_v=1,2"], ["k_v", "twice"]),
     "axis of zero": (["sweep", "k_v=0,1", "lookahead=1,2"], ["k_v", "greater than 0"]),
+    "no such knob": (["sweep", "kv=1,2"], ["kv", "'k_v'"]),
+    "reversed range": (["sweep", "k_v=3..1:4"], ["k_v", "reversed"]),
+    "range without a count": (["sweep", "k_v=1..3"], ["k_v=1..3:COUNT"]),
+    "no points": (["sweep", "k_v=1..3", "--design", "lhs", "--points", "0"], ["--points"]),
+    "points of a grid": (["sweep", "k_v=1,3", "--points", "5"], ["points", "COUNT"]),
+    "unknown design": (["sweep", "k_v=1..3", "--design", "lsh", "--points", "5"], ["design", "'lhs'"]),
+    "unknown column": (["sweep", "k_v=1..3", "k_r=1..3", "--sensitivity", "times_s"], ["column", "'time_s'"]),
+    "workers and a cluster": (["sweep", "k_v=1,2", "--workers", "2", "--dask", "tcp://a:1"], ["--workers", "--dask"]),
     "axis of NaN": (["sweep", "k_v=nan,1", "lookahead=1,2"], ["k_v"]),
     "no C identifier": (["export", "--name", "my pilot"], ["my pilot"]),
     "C keyword": (["export", "--name", "while"], ["while"]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import keyword
 import re
 
@@ -148,10 +149,13 @@ def test_the_state_handed_back_after_a_fault_is_a_copy() -> None:
     assert x[law.state.slice("progress")][0] == 1.0
 
 
+_law = functools.cache(lambda mode: build_law(mode=mode))
+
+
 @settings(derandomize=True, deadline=None, max_examples=60)
 @given(st.integers(0, 10**9), st.sampled_from([1.0, 1e6, 1e154, 1e300]), st.sampled_from(MODES))
 def test_any_finite_numbers_give_a_finite_command_within_the_limits(seed: int, scale: float, mode: str) -> None:
-    law = build_law(mode=mode)
+    law = _law(mode)
     rng = np.random.default_rng(seed)
     x = scale * rng.standard_normal(law.state.size)
     u = scale * rng.standard_normal(law.inputs.size)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -68,6 +69,19 @@ def grown(steps: list[tuple[str, int, int, int]], makers: dict[str, Make]) -> ca
         # clamped: a tower of squares must not overflow into inf − inf
         pool.append(ca.fmax(ca.fmin(made, 1e6), -1e6))
     return ca.Function("grown", [x], [ca.vertcat(*pool[-3:])])
+
+
+def random_functions(count: int) -> list[ca.Function]:
+    """The same ones at every call."""
+    made: list[ca.Function] = []
+
+    @settings(max_examples=count, deadline=None, derandomize=True, phases=[Phase.generate], database=None)
+    @given(steps=picks)
+    def collect(steps: list[tuple[str, int, int, int]]) -> None:
+        made.append(grown(steps, EXACT))
+
+    collect()
+    return made
 
 
 def whole(makers: dict[str, Make]) -> ca.Function:

@@ -7,7 +7,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import Phase, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
@@ -23,13 +23,13 @@ from surctl.ir import (
     lower,
     replay,
 )
-from tests.ir.expressions import EXACT, LIBM_MAKERS, compiled, grown, picks, whole
+from tests.ir.expressions import EXACT, LIBM_MAKERS, compiled, random_functions, whole
 from tests.tools import need_compiler
 
 
 def test_c_equals_replay_bit_for_bit_on_random_programs(tmp_path: Path) -> None:
     need_compiler()
-    functions = _random_functions(40)
+    functions = random_functions(40)
     assert len(functions) == 40
     programs = [lower(f) for f in functions]
     points = np.vstack(
@@ -41,18 +41,6 @@ def test_c_equals_replay_bit_for_bit_on_random_programs(tmp_path: Path) -> None:
             have = native(point)[0]
             assert have.tobytes() == np.ascontiguousarray(want).tobytes()
             np.testing.assert_array_equal(have, np.asarray(function(point)).reshape(-1))
-
-
-def _random_functions(count: int) -> list[ca.Function]:
-    made: list[ca.Function] = []
-
-    @settings(max_examples=count, deadline=None, derandomize=True, phases=[Phase.generate], database=None)
-    @given(steps=picks)
-    def collect(steps: list[tuple[str, int, int, int]]) -> None:
-        made.append(grown(steps, EXACT))
-
-    collect()
-    return made
 
 
 def test_every_exact_operation_treats_special_numbers_alike(tmp_path: Path) -> None:

@@ -23,9 +23,9 @@ def builds(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     seen: list[str] = []
     real = module._build
 
-    def counted(source: str, flags: object) -> bytes:
+    def counted(source: str, flags: object, tuned: object) -> bytes:
         seen.append(source)
-        return real(source, flags)  # type: ignore[arg-type]
+        return real(source, flags, tuned)  # type: ignore[arg-type]
 
     monkeypatch.setattr(module, "_build", counted)
     return seen
@@ -50,6 +50,15 @@ def test_another_compiler_is_another_entry(builds: list[str], tmp_path: Path, mo
     monkeypatch.setattr(module, "compiler_version", lambda: "another 1.0")
     shared_library(SOURCE, folder=tmp_path)
     assert len(builds) == 2
+
+
+def test_other_flags_of_the_environment_are_another_entry(
+    builds: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for count, flags in enumerate(("-O1", "-O2"), 1):
+        monkeypatch.setenv("SURCTL_CFLAGS", flags)
+        shared_library(SOURCE, folder=tmp_path)
+        assert len(builds) == count
 
 
 @pytest.mark.parametrize("spoil", ["flip", "empty", "note", "no note", "link", "group", "world", "open folder"])

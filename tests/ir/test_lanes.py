@@ -14,7 +14,7 @@ from tests.ir.expressions import EXACT, LIBM_MAKERS, grown, picks, whole
 from tests.tools import need_compiler
 
 # -mno-avx takes the scalar text; without it, the vectors
-TEXTS = [(), ("-mno-avx",), ("-O3", "-mavx512f"), ("-O0",)]
+TEXTS = [("-O2",), ("-mno-avx",), ("-O3", "-mavx512f"), ("-O0",)]
 
 
 def bench(body: ca.Function, entries: int, *, lanes: int, turns: int = 3) -> Routine:

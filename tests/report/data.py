@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from functools import cache
 
 import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
 
 from surctl.control import load_gains
 from surctl.report import ReportData, loop_responses
 from surctl.simulation import Run, load_scenario, simulate
-from surctl.tuning import COLUMNS, Axis, Sweep
+from surctl.tuning import SweepTable
 from surctl.vehicle import Vehicle, load_vehicle
 from surctl.verification import Verdict, claims, closed_loop_poles, falsify, loop_margins
 
+COLUMNS = {
+    "deviation_m": "m",
+    "path_error_m": "m",
+    "time_s": "s",
+    "min_clearance_m_worst": "m",
+    "effort_n": "N",
+    "delay_margin_s": "s",
+    "disk_margin": "1",
+    "score": "1",
+    "feasible": "1",
+}
 ABOUT = {"cruise": 0.2, "dt": 0.05}
 GAINS = load_gains("default")
 
@@ -33,15 +48,37 @@ def verdict(name: str) -> Verdict:
     return falsify(claims(GAINS.values, [name])[0], samples=256, starts=4)
 
 
-def sweep(*, picked: tuple[int, int] | None = (1, 1)) -> Sweep:
+def sweep(*, picked: tuple[int, int] | None = (1, 1)) -> SweepTable:
     """A finished sweep with an infeasible point, a NaN and an infinite number in it."""
     rng = np.random.default_rng(3)
     table = {name: rng.uniform(0.1, 1.0, (3, 2)) for name in COLUMNS}
-    table["feasible"] = np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 1.0]])
+    table["feasible"] = np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 1.0]]) if picked else np.zeros((3, 2))
     table["path_error_m"][0, 1] = np.nan
     table["delay_margin_s"][2, 0] = np.inf
-    axes = (Axis("lookahead", (0.6, 0.9, 1.2)), Axis("k_v", (1.0, 2.0)))
-    return Sweep(axes, table, picked, GAINS, ("pool-behind", "pool-behind"))
+    if picked:
+        table["score"][picked] = 0.05
+    return swept({"lookahead": (0.6, 0.9, 1.2), "k_v": (1.0, 2.0)}, table)
+
+
+def swept(
+    axes: Mapping[str, Sequence[float]], table: Mapping[str, NDArray[np.float64]], design: str = "grid"
+) -> SweepTable:
+    """A sweep of these columns."""
+    where = tuple(axes) if design == "grid" else ("point",)
+    about = {"design": design, "axes": json.dumps(list(axes)), "gains": json.dumps(asdict(GAINS))}
+    return SweepTable(
+        xr.Dataset(
+            {name: (where, v, {"units": COLUMNS.get(name, "1"), "long_name": name}) for name, v in table.items()},
+            {
+                **{
+                    name: ((name,) if design == "grid" else where, list(v), {"units": unit, "long_name": name})
+                    for (name, v), unit in zip(axes.items(), ("m", "1/s", "kg", "s"), strict=False)
+                },
+                "case": ["pool-behind/sur400/truth"],
+            },
+            about,
+        )
+    )
 
 
 @cache

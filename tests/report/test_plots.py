@@ -9,6 +9,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle, Wedge
 
@@ -20,10 +21,12 @@ from surctl.report import (
     plot_counterexample,
     plot_heat_map,
     plot_nyquist,
+    plot_parallel,
     plot_poles,
     plot_replay,
     plot_run,
     plot_run_signals,
+    plot_sensitivity,
     plot_slice,
     save_heat_map,
     save_run,
@@ -32,8 +35,9 @@ from surctl.report.evidence import _sense
 from surctl.report.signals import _spans
 from surctl.report.theme import printable
 from surctl.simulation import Run, load_scenario, simulate
+from surctl.tuning import Sensitivity, SweepTable
 from surctl.verification import build_cascade, evaluate, replay
-from tests.report.data import ABOUT, GAINS, report, run, sweep, vehicle, verdict
+from tests.report.data import ABOUT, GAINS, report, run, sweep, swept, vehicle, verdict
 
 
 def drawn(plot: Axes | Figure) -> Figure:
@@ -166,7 +170,7 @@ def test_the_heat_map_marks_and_hatches_the_right_cells() -> None:
     frames = [p for p in ax.patches if isinstance(p, Rectangle)]
     assert [p.get_xy() for p in frames if p.get_hatch()] == [(-0.5, 0.5)]
     assert {p.get_xy() for p in frames if not p.get_hatch()} == {(1.5, 0.5)}
-    np.testing.assert_array_equal(ax.images[0].get_array(), sweep().column("score").T)
+    np.testing.assert_array_equal(ax.images[0].get_array(), sweep(picked=(2, 1)).column("score").T)
     assert [t.get_text() for t in ax.get_xticklabels()] == ["0.6", "0.9", "1.2"]
     assert ax.get_xlabel() == "lookahead [m]" and ax.get_ylabel() == "k_v [1/s]"
 
@@ -175,11 +179,62 @@ def test_the_heat_map_takes_what_is_not_a_number() -> None:
     assert "–" in [t.get_text() for t in plot_heat_map(sweep(), "path_error_m").texts]
     assert "∞" in [t.get_text() for t in plot_heat_map(sweep(), "delay_margin_s").texts]
     nothing = sweep(picked=None)
-    empty = replace(nothing, table={**nothing.table, "score": np.full((3, 2), np.nan)})
-    drawn(plot_heat_map(empty, "score"))
-    drawn(plot_heat_map(replace(empty, table={**empty.table, "score": np.ones((3, 2))}), "score"))
+    for value in (np.nan, 1.0):
+        flat = nothing.dataset.assign(score=nothing.dataset["score"] * 0 + value)
+        drawn(plot_heat_map(SweepTable(flat), "score"))
     with pytest.raises(InputError, match="score"):
         plot_heat_map(sweep(), "scores")
+
+
+def cube() -> SweepTable:
+    """Three axes; the score is least at (1, 0, 2)."""
+    axes = {"lookahead": (0.6, 0.9, 1.2), "k_v": (1.0, 2.0), "vehicle.m11": (40.0, 50.0, 60.0, 70.0)}
+    score = np.arange(24.0).reshape(3, 2, 4) + 1
+    score[1, 0, 2] = 0.5
+    return swept(axes, {"score": score, "feasible": np.ones((3, 2, 4))})
+
+
+def test_the_heat_map_cuts_a_grid_of_three_axes_at_the_picked_value() -> None:
+    table = cube()
+    score = table.column("score")
+    ax = plot_heat_map(table, "score")
+    np.testing.assert_array_equal(ax.images[0].get_array(), score[:, :, 2].T)
+    assert "vehicle.m11 = 60" in ax.get_title(loc="left")
+    ax = plot_heat_map(table, "score", over=("vehicle.m11", "lookahead"))
+    np.testing.assert_array_equal(ax.images[0].get_array(), score[:, 0, :])
+    assert {p.get_xy() for p in ax.patches if isinstance(p, Rectangle)} == {(1.5, 0.5)}
+    for over, word in ((("k_v", "k_v"), "twice"), (("kv", "lookahead"), "'k_v'")):
+        with pytest.raises(InputError, match=word):
+            plot_heat_map(table, "score", over=over)
+
+
+def test_parallel_coordinates_are_the_points() -> None:
+    points = {"lookahead": (0.6, 1.2, 0.9), "k_v": (1.0, 3.0, 2.0)}
+    columns = {"score": np.array([3.0, 1.0, np.inf]), "feasible": np.array([1.0, 1.0, 0.0])}
+    table = swept(points, columns, design="lhs")
+    ax = plot_parallel(table, ["score"])
+    drawn(ax)
+    bad, good, picked = (c for c in ax.collections if isinstance(c, LineCollection))
+    np.testing.assert_allclose(picked.get_segments(), [[[0, 1], [1, 1], [2, 0]]])
+    np.testing.assert_allclose(good.get_segments(), [[[0, 0], [1, 0], [2, 1]], [[0, 1], [1, 1], [2, 0]]])
+    np.testing.assert_allclose(bad.get_segments()[0], [[0, 0.5], [1, 0.5]])  # a line ends where there is no number
+    texts = [t.get_text() for t in ax.get_xticklabels()]
+    assert texts[0].split() == ["lookahead", "[m]"] and texts[1].split() == ["k_v", "[1/s]"]
+    whole = plot_parallel(cube())
+    assert sum(len(c.get_paths()) for c in whole.collections) == 25
+    with pytest.raises(InputError, match="heat map"):
+        plot_heat_map(table, "score")
+
+
+def test_bars_of_sensitivity_have_their_intervals() -> None:
+    spans = ((0.1, 0.3), (0.5, 0.7))
+    ax = plot_sensitivity(Sensitivity("time_s", ("k_v", "plant.m11"), (0.2, 0.6), (0.3, 0.9), spans, spans, False, 64))
+    drawn(ax)
+    assert [b.get_width() for b in ax.patches[:4]] == [0.2, 0.6, 0.3, 0.9]
+    assert [t.get_text() for t in ax.get_yticklabels()] == ["k_v", "plant.m11"]
+    none = ((0.0, 0.0),) * 2
+    flat = Sensitivity("time_s", ("k_v", "k_r"), (0.0, 0.0), (0.0, 0.0), none, none, True, 64)
+    assert "constant" in plot_sensitivity(flat).get_title(loc="left")
 
 
 def test_pictures_on_disk_stay_in_their_folder(tmp_path: Path) -> None:

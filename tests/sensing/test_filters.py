@@ -217,7 +217,9 @@ def run(distance, *, seed=0, cycles=80, step="corrected"):
     for k in range(cycles):
         true = distance(k * ARRAY.cycle)
         wall = Wall((ARRAY.hull_radius + true, 0.0), (-1.0, 0.0))
-        samples = np.tile(fire(ARRAY, 0, position=(0, 0), heading=0.0, shapes=(wall,), rng=rng), (4, 1))
+        samples = np.tile(
+            fire(ARRAY, 0, position=(0, 0), heading=0.0, shapes=(wall,), noise=rng.standard_normal(5)), (4, 1)
+        )
         x, ranges, healthy = f(x, samples, np.ones(4), gains.pack())
         rows.append((true, float(ranges[0]), float(healthy[0])))
     return np.array(rows).T

@@ -10,11 +10,12 @@ import pytest
 
 from surctl.control import NONFINITE, build_law, load_gains
 from surctl.errors import InputError
-from surctl.simulation import SENSING, Run, Sensing, load_scenario, simulate
+from surctl.simulation import SENSING, STOPS, Case, Run, Sensing, load_scenario, simulate, simulate_batch
 from surctl.vehicle import load_vehicle
+from tests.tools import need_compiler
 
 SCENARIOS = ("tank-static", "pool-static", "pool-behind", "tank-speed-015")
-SEEDS = range(10)
+SEEDS = 10
 
 
 @cache
@@ -33,16 +34,28 @@ def _check(run: Run) -> None:
         assert metrics.time_s == pytest.approx(paper, rel=0.25)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+def _check_seeds(name: str, sensing: Sensing) -> None:
+    """The first seed here; all of them through the compiled loop, which `test_batch` compares with this one."""
+    _check(_run(name, sensing, 0))
+    need_compiler()
+    scenario = load_scenario(name)
+    case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing=sensing)
+    flown = simulate_batch(case, seeds=np.arange(SEEDS))
+    assert np.all(flown.column("stopped") == STOPS.index("reached"))
+    assert np.all(flown.column("reached") == 1)
+    assert np.all(flown.column("min_clearance_m") > 0)
+    if scenario.paper.time_s is not None:
+        np.testing.assert_allclose(flown.column("time_s"), scenario.paper.time_s, rtol=0.25)
+
+
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_with_true_positions_every_scenario_arrives_unharmed_and_in_time(name: str, seed: int) -> None:
-    _check(_run(name, "truth", seed))
+def test_with_true_positions_every_scenario_arrives_unharmed_and_in_time(name: str) -> None:
+    _check_seeds(name, "truth")
 
 
-@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", ["tank-speed-015", "pool-behind"])
-def test_with_sonar_the_scenarios_with_one_mover_arrive_too(name: str, seed: int) -> None:
-    _check(_run(name, "sonar", seed))
+def test_with_sonar_the_scenarios_with_one_mover_arrive_too(name: str) -> None:
+    _check_seeds(name, "sonar")
 
 
 @pytest.mark.parametrize("name", ["tank-static", "pool-static"])

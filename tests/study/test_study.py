@@ -14,7 +14,7 @@ from surctl.errors import InputError
 from surctl.study import load_plan
 from surctl.vehicle import LIBRARY
 from tests.cli.process import surctl
-from tests.tools import need_compiler
+from tests.tools import PATIENCE, need_compiler
 
 
 @pytest.fixture(scope="module")
@@ -30,16 +30,17 @@ def study(folder):
     begun = subprocess.Popen(
         command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
     )
-    store = folder / "surctl-out" / "sweep.csv"
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline and not (store.exists() and len(store.read_text().splitlines()) >= 5):
-        time.sleep(0.2)
+    chunks = folder / "surctl-out" / "sweep.chunks"
+    deadline = time.monotonic() + PATIENCE
+    while time.monotonic() < deadline and len(list(chunks.glob("*/*.chunk"))) < 19:  # 16 linear ones come first
+        time.sleep(0.02)
     os.killpg(begun.pid, signal.SIGKILL)
     begun.communicate()
-    finished = len(store.read_text().splitlines()) - 2
+    finished = len(list(chunks.glob("*/*.chunk"))) - 16
     assert finished >= 3
     done = surctl("study", "--json", cwd=folder)
-    assert f"sweep {finished}/16 points" in done.err or f"sweep {finished - 1}/16 points" in done.err
+    if finished < 16:
+        assert f"sweep {finished}/16 points" in done.err
     assert "sweep 0/16" not in done.err
     return done
 
@@ -103,9 +104,12 @@ def test_the_built_in_plan():
         "pool-static",
         "pool-behind",
     ]
-    # a scenario that no seed changes is flown once a point
-    assert sum(f.scenario.name == "tank-static" for f in plan.sweep_flights) == 1
-    assert sum(f.scenario.name == "pool-static" for f in plan.sweep_flights) == 8
+    assert [case.name for case in plan.sweep_cases] == [
+        "tank-static/sur540-flooded/truth",
+        "tank-speed-015/sur540-flooded/truth",
+        "pool-static/sur400/truth",
+        "pool-behind/sur400/truth",
+    ]
 
 
 def own_vehicle(tmp_path, source="sur540-light"):

@@ -1,108 +1,499 @@
+import hashlib
+import json
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.simulation import load_scenario, simulate
-from surctl.tuning import DISK_FLOOR, Axis, Flight, sweep
-from surctl.tuning import sweep as sweep_function
-from surctl.tuning.sweep import MEASURED, _judged, _pick
-from surctl.vehicle import load_vehicle
+from surctl.simulation import METRICS
+from surctl.tuning import (
+    DISK_FLOOR,
+    Axis,
+    LocalExecutor,
+    Span,
+    grid,
+    load_sweep,
+    make_design,
+    measure,
+    parse_axis,
+    saltelli,
+    sensitivity,
+    spread,
+    store,
+    sweep,
+)
+from surctl.tuning.executors import DaskExecutor
+from surctl.tuning.store import ChunkStore
+from surctl.tuning.sweep import run_chunks
+from surctl.tuning.table import judged
+from tests.tools import PATIENCE
+from tests.tuning import stub
 
-GAINS = load_gains("default")
-
-
-def flight(name="pool-behind", seed=0):
-    scenario = load_scenario(name)
-    return Flight(scenario, load_vehicle(scenario.vehicle), seed)
-
-
-def test_a_point_is_what_the_single_run_measures():
-    axes = (Axis("lookahead", (0.6, 1.0)), Axis("k_v", (1.2, 1.8)))
-    done = sweep(GAINS, axes, flights=[flight()], workers=1)
-    one = flight()
-    run = simulate(one.scenario, one.vehicle, gains=GAINS.with_values({"lookahead": 1.0, "k_v": 1.2}))
-    assert done.column("time_s")[1, 0] == run.metrics.time_s
-    assert done.column("min_clearance_m")[1, 0] == run.metrics.min_clearance_m
-    assert done.column("deviation_m")[1, 0] == run.metrics.deviation_m
-    i, j = done.picked
-    assert done.gains["lookahead"] == axes[0].values[i]
-    assert done.gains["k_v"] == axes[1].values[j]
-    assert "picked by a grid sweep" in done.gains.provenance
-
-
-def table(**columns):
-    base = {name: np.ones((2, 2)) for name in MEASURED}
-    return _judged({**base, **{name: np.array(values) for name, values in columns.items()}})
+ROOT = Path(__file__).parents[2]
+GRID = grid([Axis("k_v", (0.5, 1.0, 2.0)), Axis("lookahead", (0.6, 1.0))])
 
 
-def test_the_least_score_among_the_feasible_is_picked():
-    judged = table(strayed=[[0.1, 0.2], [0.3, 0.4]], arrived=[[0, 1], [1, 1]])
-    assert _pick(judged) == (0, 1)
-    judged = table(strayed=[[0.1, 0.2], [0.3, 0.4]], min_clearance_m=[[0.1, -0.01], [0.1, 0.1]])
-    assert _pick(judged) == (0, 0)
-    judged = table(disk_margin=[[DISK_FLOOR, 0.1], [0.1, 0.1]], path_error_m=[[np.nan, 1], [1, 1]])
-    assert _pick(judged) == (0, 0)
-    assert _pick(table(arrived=np.zeros((2, 2)))) is None
+@pytest.fixture
+def cheap(monkeypatch):
+    stub.install(monkeypatch)
 
 
-def test_nothing_feasible_keeps_the_gains():
-    axes = (Axis("k_v", (0.01, 0.02)), Axis("lookahead", (0.8, 1.0)))
-    done = sweep(GAINS, axes, flights=[flight()], workers=1)
-    assert done.picked is None
-    assert done.gains == GAINS
+def data(table):
+    """Digest of the data: every variable's bytes, by name."""
+    return {name: hashlib.sha256(v.values.tobytes()).hexdigest() for name, v in table.dataset.data_vars.items()}
 
 
-def test_the_store_resumes_its_own_request_only(tmp_path):
-    store = tmp_path / "deep" / "sweep.csv"
-    axes = (Axis("lookahead", (0.6, 1.0)), Axis("k_v", (1.2, 1.8)))
-    told = []
-    first = sweep(GAINS, axes, flights=[flight()], workers=1, store=store)
-    again = sweep(GAINS, axes, flights=[flight()], workers=1, store=store, progress=lambda *n: told.append(n))
-    assert told == [(4, 4)]
-    for name in first.columns:
-        assert np.array_equal(first.column(name), again.column(name), equal_nan=True)
-    told.clear()
-    sweep(GAINS, axes, flights=[flight(seed=1)], workers=1, store=store, progress=lambda *n: told.append(n))
-    assert told[0] == (0, 4)
+# --- axes and designs
 
 
-@pytest.mark.parametrize("rubbish", [b"", b"\xff\xfe\x00", b"# another file\n1,2,3\n", b"i,j\n"])
-def test_a_foreign_store_is_not_trusted(tmp_path, rubbish):
-    store = tmp_path / "sweep.csv"
-    store.write_bytes(rubbish)
-    axes = (Axis("lookahead", (0.6, 1.0)), Axis("k_v", (1.2, 1.8)))
-    if rubbish.startswith(b"\xff"):
-        with pytest.raises(InputError, match=r"sweep\.csv"):
-            sweep(GAINS, axes, flights=[flight()], workers=1, store=store)
-        return
-    told = []
-    sweep(GAINS, axes, flights=[flight()], workers=1, store=store, progress=lambda *n: told.append(n))
-    assert told[0] == (0, 4)
+@pytest.mark.parametrize(
+    ("text", "axis"),
+    [
+        ("k_v=1,1.5,2", Axis("k_v", (1.0, 1.5, 2.0))),
+        ("k_v=2", Axis("k_v", (2.0,))),
+        ("k_v=0.5..3:6", Axis("k_v", (0.5, 1.0, 1.5, 2.0, 2.5, 3.0))),
+        ("k_v=1..4:3:log", Axis("k_v", (1.0, 2.0, 4.0))),
+        ("k_v=0.5..3", Span("k_v", 0.5, 3.0)),
+        ("vehicle.m11=1e1..1e2:log", Span("vehicle.m11", 10.0, 100.0, log=True)),
+        ("seed=0..4:5", Axis("seed", (0, 1, 2, 3, 4))),
+    ],
+)
+def test_an_axis_is_read(text, axis):
+    assert parse_axis(text) == axis
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("k_v", "k_v.*KNOB="),
+        ("k_v=", "KNOB="),
+        ("=1,2", "KNOB="),
+        ("k_v=1,x", "KNOB="),
+        ("k_v=1..2:3:4", "KNOB="),
+        ("k_v=1..2:x", "KNOB="),
+        ("k_v=1..2:0", "two points"),
+        ("k_v=1..2:-3", "two points"),
+        ("k_v=2,1", "ascending"),
+        ("k_v=1,1", "ascending"),
+        ("k_v=nan,1", "finite"),
+        ("k_v=1,inf", "finite"),
+        ("k_v=nan..1", "finite"),
+        ("k_v=3..1", "reversed"),
+        ("k_v=1..1", "empty"),
+        ("k_v=0..1:log", "logarithm"),
+        ("seed=-1,2", "whole"),
+        ("seed=0..1:3", "whole"),
+    ],
+)
+def test_an_axis_that_is_none_is_refused(text, words):
+    with pytest.raises(InputError, match=words):
+        parse_axis(text)
+
+
+@given(st.lists(st.integers(1, 4), min_size=1, max_size=4))
+def test_a_grid_is_every_combination_in_c_order(lengths):
+    names = ("k_v", "k_r", "k1", "k2")
+    made = grid([Axis(n, tuple(range(1, k + 1))) for n, k in zip(names, lengths, strict=False)])
+    expected = np.array([[v + 1 for v in index] for index in np.ndindex(*lengths)])
+    assert made.shape == tuple(lengths)
+    assert np.array_equal(made.points, expected)
+
+
+@pytest.mark.parametrize("kind", ["lhs", "sobol"])
+def test_a_filling_design_fills_and_repeats(kind):
+    spans = [Span("k_v", 1.0, 3.0), Span("k_r", 0.1, 10.0, log=True), Span("seed", 0, 3)]
+    made = spread(kind, spans, count=48, seed=5)
+    assert made.points.shape == (48, 3)
+    assert np.array_equal(made.points, spread(kind, spans, count=48, seed=5).points)
+    assert not np.array_equal(made.points, spread(kind, spans, count=48, seed=6).points)
+    assert made.points[:, 0].min() >= 1.0 and made.points[:, 0].max() <= 3.0
+    shares = (np.log(made.points[:, 1]) - np.log(0.1)) / np.log(100)
+    assert np.all(np.abs(np.histogram(shares, 4, (0, 1))[0] - 12) <= 3)  # even in the logarithm
+    assert sorted(set(made.points[:, 2])) == [0, 1, 2, 3]
+
+
+def test_saltelli_crosses_one_axis_at_a_time():
+    made = saltelli([Span("k_v", 1, 2), Span("k_r", 1, 2), Span("k1", 1, 2)], base=8)
+    a, b, *crossed = made.points.reshape(5, 8, 3)
+    for k, points in enumerate(crossed):
+        assert np.array_equal(points[:, k], b[:, k])
+        assert np.array_equal(np.delete(points, k, axis=1), np.delete(a, k, axis=1))
 
 
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: Axis("kv", (1, 2)), "kv.*k_v"),
-        (lambda: Axis("k_v", (1,)), "two values"),
-        (lambda: Axis("k_v", (2, 1)), "ascending"),
-        (lambda: Axis("k_v", (float("nan"), 1)), "ascending"),
-        (lambda: sweep_function(GAINS, (Axis("k_v", (1, 2)), Axis("k_v", (1, 2))), flights=[flight()]), "twice"),
-        (
-            lambda: sweep_function(GAINS, (Axis("k_v", (0, 2)), Axis("k1", (1, 2))), flights=[flight()]),
-            "greater than 0",
-        ),
-        (lambda: sweep_function(GAINS, (Axis("k_v", (1, 2)), Axis("k1", (1, 2))), flights=[]), "nothing to fly"),
+        (lambda: make_design("grid", [Axis("k_v", (1, 2)), Axis("k_v", (1, 2))]), "twice"),
+        (lambda: make_design("grid", []), "nothing to sweep"),
+        (lambda: make_design("grid", [Span("k_v", 1, 2)]), "k_v=1..2:COUNT"),
+        (lambda: make_design("grid", [Axis("k_v", (1, 2))], count=3), "lhs and sobol"),
+        (lambda: make_design("lhs", [Span("k_v", 1, 2)]), "--points"),
+        (lambda: make_design("lhs", [Span("k_v", 1, 2)], count=0), "at least 1"),
+        (lambda: make_design("lhs", [Axis("k_v", (1, 2))], count=3), "LOW..HIGH"),
+        (lambda: make_design("lsh", [Span("k_v", 1, 2)], count=3), "lhs"),
+        (lambda: saltelli([Span("k_v", 1, 2), Span("k_r", 1, 2)], base=48), "power of two.*64"),
+        (lambda: saltelli([Span("k_v", 1, 2)], base=64), "two axes"),
+        (lambda: LocalExecutor(0), "at least 1"),
     ],
 )
-def test_mistakes_are_named(make, words):
+def test_mistakes_in_a_design_are_named(make, words):
     with pytest.raises(InputError, match=words):
         make()
 
 
-def test_unknown_column():
-    axes = (Axis("lookahead", (0.6, 1.0)), Axis("k_v", (1.2, 1.8)))
-    done = sweep(GAINS, axes, flights=[flight()], workers=1)
+# --- the request
+
+
+@pytest.mark.parametrize(
+    ("axes", "more", "words"),
+    [
+        ([Axis("kv", (1, 2))], {}, "kv.*k_v"),
+        ([Axis("vehicle.m12", (1, 2))], {}, "vehicle.m11|vehicle.m22"),
+        ([Axis("k_v", (0, 2))], {}, "k_v.*greater than 0"),
+        ([Axis("beta_max", (0.1, 0.9))], {}, "beta_max.*at most 0.5"),
+        ([Axis("k_v", (1, 2))], {"seeds": ()}, "seeds"),
+        ([Axis("k_v", (1, 2))], {"seeds": (0, 0)}, "seeds"),
+        ([Axis("k_v", (1, 2))], {"seeds": (-1,)}, "seeds"),
+        ([Axis("seed", (1, 2))], {"seeds": (0, 1)}, "already"),
+        ([Axis("k_v", (1, 2))], {"cases": ()}, "nothing to fly"),
+        ([Axis("k_v", (1, 2))], {"cases": ("pool-behind", "pool-behind")}, "twice"),
+    ],
+)
+def test_a_request_that_cannot_be_flown_is_named(cheap, axes, more, words):
+    cases = [stub.case(name) for name in more.pop("cases", ("pool-behind",))]
+    with pytest.raises(InputError, match=words):
+        sweep(cases, grid(axes), **more)
+
+
+def test_an_axis_that_only_one_case_knows_is_for_that_case(cheap, monkeypatch):
+    seen = {}
+
+    def fly(case, values, *, seeds):
+        seen[case.name] = set(values)
+        return stub.fly(case, values, seeds=seeds)
+
+    monkeypatch.setattr(measure, "simulate_batch", fly)
+    cases = [stub.case("tank-speed-015"), stub.case("tank-static")]
+    names = [set(measure.knobs(c)) for c in cases]
+    (own,) = [n for n in names[0] - names[1] if n.endswith(".speed")]
+    sweep(cases, grid([Axis(own, (0.1, 0.2))]))
+    assert [own in seen[c.name] for c in cases] == [True, False]
+
+
+# --- the table
+
+
+def test_columns_are_what_the_batch_measures(cheap, tmp_path):
+    cases = [stub.case("pool-behind", "sonar"), stub.case("pool-static", "sonar")]
+    table = sweep(cases, GRID, seeds=(0, 1, 2), out=tmp_path)
+    k_v, lookahead = np.meshgrid([0.5, 1.0, 2.0], [0.6, 1.0], indexing="ij")
+    runs = [
+        stub.figures(k_v, lookahead, 50.0, np.full((3, 2), float(s)), len(c.scenario.name) / 100)
+        for c in cases
+        for s in (0, 1, 2)
+    ]
+    for name, spec in METRICS.items():
+        if spec.better is None:
+            assert name not in table.columns
+            continue
+        values = np.stack([run[name] for run in runs])
+        mean, worst = np.nanmean(values, 0), (np.nanmax if spec.better == "low" else np.nanmin)(values, 0)
+        np.testing.assert_allclose(table.column(name), mean, rtol=1e-14)
+        np.testing.assert_array_equal(table.column(f"{name}_worst"), worst)
+        one = np.nanmean(values[3:], 0)
+        np.testing.assert_allclose(table.column(name, case="pool-static/sur400/sonar"), one, rtol=1e-14)
+        assert table.units[name] == spec.unit
+    np.testing.assert_allclose(table.column("strayed"), table.column("deviation_m") / cases[0].vehicle["radius"])
+    place = list(measure.LINEAR_METRICS).index("delay_margin_s")
+    assert np.array_equal(table.column("delay_margin_s"), 1 / k_v + place)
     with pytest.raises(InputError, match="score"):
-        done.column("scor")
+        table.column("scor")
+    with pytest.raises(InputError, match="pool-static"):
+        table.column("time_s", case="pool-statik")
+
+
+def test_a_run_that_went_wrong_shows(cheap, monkeypatch):
+    def fly(case, values, *, seeds):
+        done = stub.fly(case, values, seeds=seeds)
+        done.columns["deviation_m"][0] = np.nan
+        done.columns["path_error_m"][:] = np.nan
+        return done
+
+    monkeypatch.setattr(measure, "simulate_batch", fly)
+    table = sweep([stub.case()], grid([Axis("k_v", (1, 2))]), linear=False)
+    assert np.isnan(table.column("deviation_m")).any() and np.isnan(table.column("deviation_m_worst")).any()
+    assert np.isnan(table.column("path_error_m")).all()
+
+
+def test_linear_metrics_once_for_each_combination_that_matters(cheap):
+    axes = [Axis("k_v", (1, 2)), Axis("margin", (0.1, 0.2, 0.3)), Axis("seed", (0, 1, 2, 3))]
+    table = sweep([stub.case()], grid(axes))
+    assert sum(stub.CALLS) == 2
+    assert np.array_equal(
+        table.column("disk_margin")[:, 1, 2],
+        1 / np.array([1.0, 2.0]) + list(measure.LINEAR_METRICS).index("disk_margin"),
+    )
+
+
+def test_the_file_says_what_it_holds(cheap, tmp_path):
+    made = sweep([stub.case()], GRID, out=tmp_path)
+    table = load_sweep(tmp_path / "sweep.nc")
+    assert table.dataset.attrs["Conventions"].startswith("CF-")
+    assert json.loads(table.dataset.attrs["axes"]) == ["k_v", "lookahead"]
+    for variable in (*table.dataset.data_vars.values(), table.dataset["k_v"]):
+        assert variable.attrs["units"] and variable.attrs["long_name"]
+    assert data(table) == data(made)
+    assert table.base.values == stub.GAINS.values
+    assert {axis.name: axis.unit for axis in table.axes} == {"k_v": "1/s", "lookahead": "m"}
+    assert not (tmp_path / "sweep.chunks").exists()
+    for rubbish in ("no.nc", "text.nc"):
+        (tmp_path / "text.nc").write_text("rubbish")
+        with pytest.raises(InputError, match=rubbish):
+            load_sweep(tmp_path / rubbish)
+
+
+def test_points_that_fill_have_one_dimension(cheap, tmp_path):
+    design = spread("sobol", [Span("k_v", 1, 3), Span("vehicle.m11", 40, 60)], count=10)
+    table = sweep([stub.case()], design, out=tmp_path)
+    assert table.shape == (10,) and table.column("score").shape == (10,)
+    assert np.array_equal(np.stack([axis.values for axis in table.axes], axis=1), design.points)
+    picked = table.picked
+    assert picked is not None and table.gains["k_v"] == table.at(picked)["k_v"]
+    assert "vehicle.m11" in table.gains.provenance
+
+
+def test_the_least_score_among_the_feasible_is_picked(cheap):
+    table = sweep([stub.case()], GRID, linear=False)
+    score = np.where(table.column("feasible") > 0.5, table.column("score"), np.inf)
+    assert not table.column("feasible")[0].any()  # k_v = 0.5 does not arrive
+    assert table.column("score")[table.picked] == score.min()
+    assert table.gains["k_v"] == table.at(table.picked)["k_v"]
+    assert "picked by a grid sweep" in table.gains.provenance
+    nothing = sweep([stub.case()], grid([Axis("k_v", (0.2, 0.3))]), linear=False)
+    assert nothing.picked is None and nothing.gains == stub.GAINS
+
+
+def test_feasible_takes_arrival_clearance_and_margins():
+    ones = {n: np.ones(5) for n in ("strayed", "time_ratio", "delay_margin_s")}
+    columns = ones | {
+        "reached_worst": np.array([1, 0, 1, 1, 1]),
+        "min_clearance_m_worst": np.array([0.1, 0.1, 0.0, 0.1, 0.1]),
+        "disk_margin": np.array([DISK_FLOOR, 1, 1, np.nextafter(DISK_FLOOR, 0), np.nan]),
+    }
+    assert judged(columns)["feasible"].tolist() == [1, 0, 0, 0, 0]
+
+
+# --- chunks
+
+
+CHUNKS = [(k, np.arange(3.0)[:, None] + 3 * k) for k in range(40)]
+
+
+def kept(folder):
+    return ChunkStore(folder, "request")
+
+
+def test_a_harmed_or_foreign_chunk_is_not_trusted(tmp_path):
+    shelf = kept(tmp_path)
+    with shelf.open():
+        shelf.write(3, np.arange(6.0).reshape(3, 2))
+        assert shelf.has(3, (3, 2)) and not shelf.has(3, (2, 3)) and not shelf.has(2, (3, 2))
+        assert shelf.column(3, (3, 2), 1).tolist() == [1.0, 3.0, 5.0]
+        assert not ChunkStore(tmp_path, "other").has(3, (3, 2))
+        file = next(tmp_path.glob("*.chunk"))
+        good = file.read_bytes()
+        other = good.replace(b" 3 ", b" 4 ", 1)
+        for bad in (b"", good[:-1], good + b"\0", good[:-3] + b"abc", good[10:], b"\n", other):
+            file.write_bytes(bad)
+            assert not shelf.has(3, (3, 2)), bad
+        file.write_bytes(good)
+        assert shelf.has(3, (3, 2))
+        with pytest.raises(InputError, match="another sweep"), kept(tmp_path).open():
+            pass
+
+
+def test_a_harmed_chunk_alone_is_run_again(cheap, tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("surctl.tuning.netcdf._write", full)
+        with pytest.raises(InputError, match=r"No space left on device.*kept.*resumes"):
+            sweep([stub.case()], GRID, out=tmp_path)
+    files = sorted(tmp_path.glob("sweep.chunks/*/*.chunk"))
+    files[-1].write_bytes(files[-1].read_bytes()[:-1])
+    told = []
+    table = sweep([stub.case()], GRID, out=tmp_path, progress=told.append)
+    assert told[0].startswith("sweep 5/6 points")
+    assert data(table) == data(sweep([stub.case()], GRID))
+
+
+def test_another_request_in_the_folder_keeps_the_first_one_s_table(cheap, tmp_path):
+    first, told = sweep([stub.case()], GRID, out=tmp_path), []
+    before = data(first)
+    sweep([stub.case()], GRID, seeds=(1,), out=tmp_path, progress=told.append)  # pool-behind has no seed in it
+    assert any("another request" in line for line in told)
+    told.clear()
+    again = sweep([stub.case()], GRID, out=tmp_path, progress=told.append)
+    assert len(told) == 1 and "has them all" in told[0] and again.path.name != "sweep.nc"
+    assert data(again) == before
+
+
+def test_a_harmed_table_is_made_again(cheap, tmp_path):
+    made = data(sweep([stub.case()], GRID, out=tmp_path))
+    file = tmp_path / "sweep.nc"
+    raw = bytearray(file.read_bytes())
+    raw[len(raw) // 2 : len(raw) // 2 + 4000] = b"\xff" * 4000
+    file.write_bytes(raw)
+    told = []
+    again = sweep([stub.case()], GRID, out=tmp_path, progress=told.append)
+    assert "has them all" not in told[0]
+    assert data(again) == made
+
+
+def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, monkeypatch):
+    monkeypatch.setenv("SURCTL_TEST_TRACE", str(tmp_path / "trace"))
+    synced, real = [], os.fsync
+
+    def fsync(handle):
+        synced.append(handle)
+        if len(synced) > 20:  # a file and its folder for each chunk
+            raise OSError(28, "No space left on device")
+        real(handle)
+
+    shelf = kept(tmp_path / "chunks")
+    with monkeypatch.context() as patch, shelf.open():
+        patch.setattr(store.os, "fsync", fsync)
+        with pytest.raises(InputError, match="No space left on device") as caught:
+            run_chunks(stub.slow_squares, CHUNKS, store=shelf, executor=LocalExecutor())
+    assert "\n" not in str(caught.value)
+    assert not list((tmp_path / "chunks").glob("*.tmp"))
+    assert [shelf.has(k, (3, 2)) for k, _ in CHUNKS] == [k < 10 for k in range(40)]
+
+
+def test_a_limit_on_file_size_is_one_line_too(tmp_path):
+    shelf = kept(tmp_path)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with shelf.open():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
+        try:
+            with pytest.raises(InputError, match="cannot be written"):
+                shelf.write(0, np.zeros((1000, 2)))
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not list(tmp_path.glob("*.tmp")) and not shelf.has(0, (1000, 2))
+
+
+KILLED = """
+import os, random, signal, sys, time
+from pathlib import Path
+from surctl.tuning.executors import LocalExecutor
+from surctl.tuning.store import ChunkStore
+from surctl.tuning.sweep import run_chunks
+from tests.tuning.stub import slow_squares
+from tests.tuning.test_sweep import CHUNKS
+
+shelf, draw = ChunkStore(Path(sys.argv[1]), "request"), random.Random(int(sys.argv[2]))
+
+
+def fly():
+    with shelf.open():
+        todo = [(k, p) for k, p in CHUNKS if not shelf.has(k, (3, 2))]
+        run_chunks(slow_squares, todo, store=shelf, executor=LocalExecutor())
+
+
+for _ in range(20):
+    child = os.fork()
+    if child == 0:
+        fly()
+        os._exit(0)
+    time.sleep(draw.uniform(0.0, 0.03))
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+fly()
+"""
+
+
+def test_killed_twenty_times_it_is_the_same_to_the_byte(tmp_path, monkeypatch):
+    environment = os.environ | {"SURCTL_TEST_TRACE": str(tmp_path / "trace"), "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-c", KILLED, str(tmp_path / "killed"), "7"],
+        env=environment, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    runs = [int(line) for line in (tmp_path / "trace").read_text().split()]
+    assert set(runs) == set(range(40))
+    assert len(runs) <= 40 + 20  # a kill costs the chunk in flight and no other
+    monkeypatch.setenv("SURCTL_TEST_TRACE", str(tmp_path / "other"))
+    shelf = kept(tmp_path / "whole")
+    with shelf.open():
+        run_chunks(stub.slow_squares, CHUNKS, store=shelf, executor=LocalExecutor())
+    for path in sorted((tmp_path / "whole").glob("*.chunk")):
+        assert path.read_bytes() == (tmp_path / "killed" / path.name).read_bytes()
+    assert not list((tmp_path / "killed").glob("*.tmp"))
+
+
+def test_workers_give_the_same(tmp_path, monkeypatch):
+    monkeypatch.setenv("SURCTL_TEST_TRACE", str(tmp_path / "trace"))
+    one = dict(LocalExecutor(1).map_chunks(stub.slow_squares, CHUNKS))
+    two = dict(LocalExecutor(2).map_chunks(stub.slow_squares, CHUNKS))
+    assert sorted(two) == list(range(40))
+    assert all(np.array_equal(one[k], two[k]) for k in one)
+
+
+def test_a_case_that_no_seed_changes_is_flown_once():
+    cases = (stub.case("tank-static"), stub.case("pool-static"), stub.case("tank-static", "sonar"))
+    flown = measure.Evaluation(cases, ("k_v", "plant.m11"), (0, 1, 2))
+    assert [len(flown.seeds_of(case)) for case in cases] == [1, 3, 3]
+    waves = measure.Evaluation(cases, ("scenario.wave_force",), (0, 1, 2))
+    assert waves.runs_per_point == 9
+
+
+# --- sensitivity
+
+
+def test_indices_of_a_known_function(cheap, monkeypatch):
+    """Ishigami's function with a = 7, b = 0.1 has closed-form indices."""
+
+    one = stub.case("pool-static")
+    third = next(n for n in measure.knobs(one) if n.startswith("obstacle.") and n.endswith(".x"))
+    names = ("scenario.current_x", "scenario.current_y", third)
+
+    def fly(case, values, *, seeds):
+        done = stub.fly(case, {}, seeds=seeds)
+        x, y, z = (values.get(n, np.zeros_like(done.columns["length_m"])) for n in names)
+        done.columns["deviation_m"] = np.sin(x) + 7 * np.sin(y) ** 2 + 0.1 * z**4 * np.sin(x)
+        return done
+
+    monkeypatch.setattr(measure, "simulate_batch", fly)
+    design = saltelli([Span(n, -np.pi, np.pi) for n in names], base=1024)
+    table = sweep([one], design, linear=False)
+    found = sensitivity(table, "deviation_m")
+    np.testing.assert_allclose(found.first, (0.3139, 0.4424, 0.0), atol=0.03)
+    np.testing.assert_allclose(found.total, (0.5576, 0.4424, 0.2437), atol=0.03)
+    for value, (low, high) in zip(found.first + found.total, found.first_interval + found.total_interval, strict=True):
+        assert low <= value <= high and high - low < 0.25
+    assert found == sensitivity(table, "deviation_m")
+    constant = sensitivity(table, "length_m")
+    assert constant.constant and set(constant.total) == {0.0}
+    with pytest.raises(InputError, match="Saltelli"):
+        sensitivity(sweep([one], GRID, linear=False), "deviation_m")
+
+
+def test_a_column_that_lacks_numbers_has_no_indices(cheap):
+    design = saltelli([Span("k_v", 1, 2), Span("seed", 0, 9)], base=8)
+    with pytest.raises(InputError, match="not a finite number at"):
+        sensitivity(sweep([stub.case()], design, linear=False), "path_error_m")
+
+
+def test_a_silent_scheduler_is_told_soon():
+    with pytest.raises(InputError, match="no scheduler answers") as caught:
+        list(DaskExecutor("tcp://127.0.0.1:9").map_chunks(stub.slow_squares, CHUNKS))
+    assert "\n" not in str(caught.value)

@@ -9,7 +9,6 @@ from typing import TypeAlias
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from surctl.errors import InputError
 from surctl.priority.diagnosis.region import Region, pose_text
@@ -115,6 +114,8 @@ def descend(field: Field, measure: Measure, start: Array) -> tuple[Array, float]
     L-BFGS-B on the square, which is smooth where a distance or a sine reaches 0, with central differences; never
     worse than the start.
     """
+    from scipy.optimize import minimize
+
     begin = _value(field, measure, start[None])[0]
     if not np.isfinite(begin) or begin == 0.0 or start.size == 0:
         return field.region.place(start[None])[0], float(begin)

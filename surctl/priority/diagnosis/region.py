@@ -10,7 +10,6 @@ from typing import TypeAlias
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from surctl.errors import InputError
 from surctl.tasks import Stack
@@ -56,6 +55,8 @@ class Region:
 
     def sample(self, samples: int, seed: int) -> Array:
         """(2^k ≥ samples, f) scrambled Sobol points of the unit box; one point when nothing is free."""
+        from scipy.stats import qmc
+
         if self.free.size == 0:
             return np.zeros((1, 0))
         drawn = qmc.Sobol(self.free.size, seed=seed).random_base2(math.ceil(math.log2(samples)))

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linprog, nnls
 
 from surctl.priority.solver.trials import Trials
 
@@ -71,6 +70,8 @@ def _one_sided(rows: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
 
 
 def _least_opening(G: Array, h: Array) -> float:
+    from scipy.optimize import linprog
+
     n = G.shape[1] - 1
     cost = np.append(np.zeros(n), 1.0)
     done = linprog(cost, G, h, bounds=[(None, None)] * n + [(0, None)], method="highs-ds", options=_TIGHT)
@@ -83,6 +84,8 @@ def _excess(G: Array, h: Array, J: Array, x: Array, v: Array) -> tuple[float, fl
     The bound is the tangent's at v, or at a better point where that is loose: the best combination of v and of what
     the linear programmes gave so far (Frank and Wolfe 1956, fully corrective).
     """
+    from scipy.optimize import linprog
+
     scale = float(np.linalg.norm(J, axis=1).max())
     if scale == 0.0:
         return 0.0, 0.0
@@ -109,6 +112,8 @@ def _excess(G: Array, h: Array, J: Array, x: Array, v: Array) -> tuple[float, fl
 
 def _closest(corners: Array, J: Array, x: Array) -> Array:
     """The combination of corners, weights at least 0 and of sum 1, with ‖J v − x‖ least."""
+    from scipy.optimize import nnls
+
     images = (J @ corners.T) - x[:, None]
     heavy = 1e3 * (1.0 + float(np.abs(images).max()))
     try:
@@ -120,6 +125,8 @@ def _closest(corners: Array, J: Array, x: Array) -> Array:
 
 def _distance(G: Array, h: Array, J: Array, target: Array, v: Array) -> float:
     """v against min ‖w − target‖ over w with J w = J v and G w ≤ h."""
+    from scipy.optimize import nnls
+
     length = np.linalg.norm(J, axis=1, keepdims=True)
     _, values, right = np.linalg.svd(J / np.where(length > 0, length, 1.0))
     free = right[int((values > 1e-10).sum()) :].T

@@ -35,7 +35,6 @@ SETTINGS = [Settings(mode) for mode in MODES] + [
 STATUS = {"met": "optimal", "limited": "limited", "relaxed": "relaxed", "clamped": "clamped"}
 E = np.eye(N)
 seeds = st.integers(0, 2**32 - 1)
-every = pytest.mark.parametrize("chosen", SETTINGS, ids=lambda s: f"{s.mode}-{s.sweeps}-{s.damping}")
 stacks = pytest.mark.parametrize("shapes", [VALUES, SETS], ids=["values", "sets"])
 modes = pytest.mark.parametrize("mode", MODES)
 
@@ -58,12 +57,15 @@ def size(v: Array) -> float:
     return 1.0 + float(np.abs(v).max())
 
 
-@every
-@stacks
+@pytest.mark.parametrize(
+    ("shapes", "chosen"),
+    [*((VALUES, chosen) for chosen in SETTINGS[:4]), *((SETS, chosen) for chosen in SETTINGS)],
+    ids=lambda one: f"{one.mode}-{one.sweeps}-{one.damping}" if isinstance(one, Settings) else f"{len(one)} levels",
+)
 def test_it_is_the_law_in_numpy(shapes: tuple[LevelShape, ...], chosen: Settings) -> None:
     tick, rng, seen = tick_for(shapes, chosen), np.random.default_rng(11), set()
     arguments = {"mode": chosen.mode, "sweeps": chosen.sweeps, "damping": chosen.damping}
-    for _ in range(200):
+    for _ in range(100):
         problem = draw_of_shape(rng, shapes)
         tick.load(problem)
         tick.solve()
@@ -424,23 +426,20 @@ def test_before_the_first_tick_there_is_no_rung() -> None:
         _ = PriorityTick("nsb", n=N, levels=VALUES, rows=1).rung
 
 
-@pytest.mark.parametrize("mode", ["filter", "projected", "lexicographic"])
-@pytest.mark.parametrize("length", [1e155, 1e200, 1e299])
-def test_a_row_too_long_to_be_squared_is_never_passed_over(mode: Mode, length: float) -> None:
+@modes
+def test_a_row_or_a_task_too_long_to_be_squared_is_never_passed_over(mode: Mode) -> None:
     tick = PriorityTick(mode, n=N, levels=(LevelShape(1),), rows=2)
-    tick.J[:], tick.lower[:], tick.upper[:] = E[:1], 0.5, 0.5
-    tick.rows[0] = [length, 0, 0, 0, -0.1 * length, 0.1 * length, 0]
-    tick.solve()
-    assert tick.rung == "clamped" and np.isfinite(tick.v).all()
-
-
-@pytest.mark.parametrize("mode", ["nsb", "filter", "projected", "lexicographic"])
-@pytest.mark.parametrize("length", [1e155, 1e200, 1e299])
-def test_a_task_too_long_to_be_squared_is_not_met(mode: Mode, length: float) -> None:
-    tick = PriorityTick(mode, n=N, levels=(LevelShape(1),), rows=1)
-    tick.J[:], tick.lower[:], tick.upper[:] = length * E[:1], 0.5 * length, 0.5 * length
-    tick.solve()
-    assert tick.rung == "clamped" and not tick.v.any()
+    for length in (1e155, 1e200, 1e299):
+        tick.J[:], tick.lower[:], tick.upper[:] = length * E[:1], 0.5 * length, 0.5 * length
+        tick.rows[:] = 0.0
+        tick.solve()
+        assert tick.rung == "clamped" and not tick.v.any(), length
+        if mode == "nsb":  # which knows no rows
+            continue
+        tick.J[:], tick.lower[:], tick.upper[:] = E[:1], 0.5, 0.5
+        tick.rows[0] = [length, 0, 0, 0, -0.1 * length, 0.1 * length, 0]
+        tick.solve()
+        assert tick.rung == "clamped" and np.isfinite(tick.v).all(), length
 
 
 @pytest.mark.parametrize(

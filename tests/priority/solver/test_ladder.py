@@ -218,7 +218,7 @@ def test_in_float_it_is_as_safe_and_nearly_as_good(flown: Flown) -> None:
 
 
 X86 = platform.machine().lower() in ("x86_64", "amd64")
-LEVELS = [("-O0",), ("-O3",), *([("-march=x86-64",)] if X86 else [])]
+LEVELS = [("-O0",), ("-O2",), ("-O3",), *([("-march=x86-64",)] if X86 else [])]
 
 
 @pytest.mark.parametrize("flags", LEVELS)

@@ -1,0 +1,81 @@
+"""Who flies, how a turn is timed, and how long turns are compared."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Contender", "Fit", "fit", "race", "ratio"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(eq=False)
+class Contender:
+    """One way to fly runs of a case.
+
+    Attributes:
+        name: in the tables.
+        fly: a turn; the control periods flown.
+        runs: in a turn.
+        every: rounds for each of its turns.
+        cpu, wall: seconds of each turn, of this process and of the clock. steps: control periods of each turn.
+    """
+
+    name: str
+    fly: Callable[[], float]
+    runs: int
+    every: int = 1
+    cpu: list[float] = field(default_factory=list)
+    wall: list[float] = field(default_factory=list)
+    steps: list[float] = field(default_factory=list)
+
+    def turn(self) -> None:
+        """Fly once, timed."""
+        wall, cpu = time.perf_counter(), time.process_time()
+        steps = self.fly()
+        self.cpu.append(time.process_time() - cpu)
+        self.wall.append(time.perf_counter() - wall)
+        self.steps.append(steps)
+
+    def per_step(self, *, clock: bool = False) -> Array:
+        """Microseconds a control period, one number a turn."""
+        return 1e6 * np.array(self.wall if clock else self.cpu) / np.array(self.steps)
+
+
+def race(contenders: Sequence[Contender], *, rounds: int) -> None:
+    """Untimed once, then turn and turn about, in an order that changes from round to round."""
+    rng = np.random.default_rng(0)
+    for contender in contenders:
+        contender.fly()
+    for turn in range(rounds):
+        for k in rng.permutation(len(contenders)):
+            if turn % contenders[k].every == 0:
+                contenders[k].turn()
+
+
+def ratio(slow: Contender, fast: Contender, *, clock: bool = False) -> float:
+    """How many times as long the first takes a step, least turn against least turn."""
+    return float(slow.per_step(clock=clock).min() / fast.per_step(clock=clock).min())
+
+
+@dataclass(frozen=True)
+class Fit:
+    """y = slope x + intercept by least squares, and R²."""
+
+    slope: float
+    intercept: float
+    r2: float
+
+
+def fit(x: Sequence[float], y: Sequence[float]) -> Fit:
+    """The line through the points; R² is NaN where every y is the same."""
+    a, b = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    slope, intercept = np.polyfit(a, b, 1)
+    total = float(np.sum((b - b.mean()) ** 2))
+    left = float(np.sum((b - slope * a - intercept) ** 2))
+    return Fit(float(slope), float(intercept), 1.0 - left / total if total > 0 else float("nan"))

@@ -1,0 +1,71 @@
+"""A case as flat numbers: the layout that `hand/loop.c` and the numba loop read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.simulation import Obstacle, Scenario, build_world
+from surctl.vehicle import Vehicle, plant_parameters
+
+__all__ = ["LUCK", "MOST_OBSTACLES", "Array", "luck_of", "scene_of"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+MOST_OBSTACLES = 16
+LUCK = 3 + 3 * MOST_OBSTACLES  # numbers a run: wave direction and phase, drift direction and phase of every obstacle
+_WAYPOINTS = 8
+_DT = 0.05
+
+
+def scene_of(scenario: Scenario, vehicle: Vehicle, *, sonar: bool, projected: bool) -> Array:
+    """Everything but gains and chance; the members of `Scene` in hand/loop.c, in order."""
+    if len(scenario.obstacles) > MOST_OBSTACLES:
+        raise ValueError(f"{len(scenario.obstacles)} obstacles; the hand-written loop takes {MOST_OBSTACLES}")
+    length, width, _ = scenario.site
+    points = np.zeros((_WAYPOINTS, 2))
+    count = len(scenario.path.waypoints)
+    points[:count] = scenario.path.waypoints
+    plant = plant_parameters(vehicle)
+    hull = vehicle["radius"]
+    disturbance = scenario.disturbance
+    obstacles = np.zeros((MOST_OBSTACLES, 11))
+    for row, obstacle in zip(obstacles, scenario.obstacles, strict=False):
+        row[:] = _obstacle(obstacle, hull)
+    ticks = float(np.ceil(scenario.time_limit / _DT))
+    return np.concatenate(
+        [
+            [_DT, sonar, projected, ticks, *scenario.start, *scenario.target, scenario.depth],
+            [scenario.cruise, scenario.cap, scenario.reach, length, width, count],
+            points.reshape(-1),
+            plant,
+            [hull],
+            plant[:16],
+            [hull, *disturbance.current_m_per_s, disturbance.wave_force_n, disturbance.wave_period_s],
+            [len(scenario.obstacles)],
+            obstacles.reshape(-1),
+        ]
+    )
+
+
+def luck_of(scenario: Scenario, vehicle: Vehicle, seeds: Sequence[int] | NDArray[np.int_]) -> Array:
+    """What the seed decides before the start, (seeds, LUCK), as the toolkit draws it."""
+    table = np.zeros((len(seeds), LUCK))
+    for row, seed in zip(table, seeds, strict=True):
+        world = build_world(scenario, vehicle, seed=int(seed))
+        row[:3] = *world.wave_direction, world.wave_phase
+        drift = np.column_stack([world.drift_direction, world.drift_phase]).reshape(-1)
+        row[3 : 3 + drift.size] = drift
+    return table
+
+
+def _obstacle(o: Obstacle, hull: float) -> list[float]:
+    shape = ("box", "cylinder", "moving").index(o.shape)
+    radius = o.radius_m or (hull if o.shape == "moving" else 0.0)
+    half = [0.5 * edge for edge in o.size_m] if o.size_m is not None else [radius, 0.0]
+    to = o.to_m or o.centre_m
+    speed = o.speed_m_per_s or 0.0
+    return [shape, *o.centre_m, *half, o.drift_m, 2 * np.pi / o.drift_period_s, *to, speed, float(o.removed)]

@@ -1,0 +1,364 @@
+"""Study 7: time a control period of the closed loop, compiled for many runs, against other ways to fly the same runs.
+
+    python analysis/07_batch_loop/run.py [--check] [--out DIR] [--bars]
+
+Prints Markdown and saves `results.csv`. Ends with 0 when all contenders fly the same runs, else with 1; with --bars
+also when a bar of speed is missed; with 2 for a bad option or folder, or without a C compiler.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import platform
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE / "peers"))
+
+from contender import Contender, fit, race, ratio  # noqa: E402
+from hand import FLAGS, HandLoop  # noqa: E402
+from python_loop import control_step, flown_by, matched, scipy_step  # noqa: E402
+from scene import luck_of, scene_of  # noqa: E402
+
+from surctl.control import GAINS, Gains, load_gains  # noqa: E402
+from surctl.errors import InputError, ToolMissing  # noqa: E402
+from surctl.files import Strict, load_model, prepare_folder  # noqa: E402
+from surctl.ir import compiler_version, to_casadi  # noqa: E402
+from surctl.priority import Mode  # noqa: E402
+from surctl.simulation import METRICS, Case, Sensing, load_scenario, simulate, simulate_batch  # noqa: E402
+from surctl.simulation.batch import build_loop  # noqa: E402
+from surctl.simulation.batch.pack import pack, structure_of  # noqa: E402
+from surctl.vehicle import load_vehicle, plant_parameters  # noqa: E402
+
+Array: TypeAlias = NDArray[np.float64]
+
+OURS, TWO, REFERENCE = "simulate_batch", "simulate_batch, 2 threads", "simulate"
+MAP, ACCUM, NUMBA, HAND = "CasADi map", "CasADi mapaccum", "numba", "hand-written C"
+SCIPY, CONTROL = "scipy solve_ivp", "python-control"
+PACKAGES = ("numpy", "casadi", "scipy", "control", "numba")
+VARIED = ("k_v", "lookahead", "k_psi", "k1")  # gains that a turn draws anew for every run, by up to a tenth
+_DT = 0.05
+
+
+class Size(Strict):
+    """How much is flown."""
+
+    cases: tuple[tuple[str, Sensing, Mode], ...]
+    rounds: int
+    runs: int
+    machine_runs: int
+    machine_ticks: int
+    machine_every: int
+    python_ticks: int
+    growth: bool
+    numba: bool
+    gain_sets: int
+    steps: int
+
+
+class Config(Strict):
+    """What config.toml holds."""
+
+    kind: Literal["batch-loop"]
+    gains: str
+    seed: int
+    tolerance: float
+    bars: dict[str, float]
+    full: Size
+    quick: Size
+
+
+def main(arguments: list[str]) -> int:
+    """Run the study; the exit status."""
+    parser = argparse.ArgumentParser(prog="run.py", description="Time the closed loop against its peers.")
+    parser.add_argument("--check", action="store_true", help="few runs: shows that all agree, not how fast they are")
+    parser.add_argument("--out", type=Path, help="folder of results.csv; default: a new temporary one")
+    parser.add_argument("--bars", action="store_true", help="a missed bar of speed ends with 1")
+    options = parser.parse_args(arguments)
+    try:
+        config = load_model(HERE / "config.toml", Config)
+        out = prepare_folder(options.out or Path(tempfile.mkdtemp(prefix="surctl-batch-")))
+        return study(config, config.quick if options.check else config.full, out, strict=options.bars)
+    except (InputError, ToolMissing) as error:
+        print(error, file=sys.stderr)
+        return 2
+
+
+def study(config: Config, size: Size, out: Path, *, strict: bool) -> int:
+    """Race every case, then growth and many gain sets; print and save."""
+    print_machine()
+    gains, right, held = load_gains(config.gains), True, True
+    table: list[list[str]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        hand = {name: HandLoop(Path(folder), flags) for name, flags in FLAGS.items()}
+        for name, sensing, mode in size.cases:
+            scenario = load_scenario(name)
+            case = Case(scenario, load_vehicle(scenario.vehicle), gains, mode=mode, sensing=sensing)
+            start = time.perf_counter()
+            simulate_batch(case, seeds=config.seed)
+            print(f"\n## {name}, {sensing}, {mode}\n\nReady after {time.perf_counter() - start:.1f} s (0 when cached).")
+            right &= agree(case, hand, config, numba=size.numba)
+            contenders = list(taking_part(case, hand, size, config.seed))
+            race(contenders, rounds=size.rounds)
+            table += print_times([name, sensing, mode], contenders)
+            held &= print_bars(contenders, config.bars)
+    case = Case(*first_case(size), gains)
+    if size.growth:
+        print_growth(case, size)
+    print_many(case, size)
+    save(table, out / "results.csv")
+    print(f"\nTable: {out / 'results.csv'}")
+    return 0 if right and (held or not strict) else 1
+
+
+def first_case(size: Size) -> tuple[Any, Any]:
+    """Scenario and vehicle of the first case."""
+    scenario = load_scenario(size.cases[0][0])
+    return scenario, load_vehicle(scenario.vehicle)
+
+
+def drawn(gains: Gains, runs: int) -> dict[str, Array]:
+    """Gains of as many runs, by name."""
+    rng = np.random.default_rng(1)
+    return {name: gains[name] * rng.uniform(0.9, 1.1, runs) for name in VARIED}
+
+
+def gain_table(gains: Gains, values: dict[str, Array], runs: int) -> Array:
+    """(runs, 17) in the order of `GAINS`."""
+    return np.column_stack([values.get(name, np.full(runs, gains[name])) for name in GAINS])
+
+
+def agree(case: Case, hand: dict[str, HandLoop], config: Config, *, numba: bool) -> bool:
+    """Whether everybody gets the figures of `simulate` for one run, and of `simulate_batch` for some; printed."""
+    runs, seeds = 8, np.arange(config.seed, config.seed + 8)
+    values = drawn(case.gains, runs)
+    batch = simulate_batch(case, values, seeds=seeds).table
+    scene, gains = scene_for(case), gain_table(case.gains, values, runs)
+    luck = luck_of(case.scenario, case.vehicle, seeds)
+    others = {f"{HAND} {name}": loop.run(scene, gains, luck, seeds.astype(np.uint64)) for name, loop in hand.items()}
+    if numba and find_spec("numba"):
+        import numba_loop
+
+        others[NUMBA] = numba_loop.fly_many(scene, gains, luck, seeds.astype(np.uint64))
+    chosen = case.gains.with_values({name: float(column[0]) for name, column in values.items()})
+    once = simulate(
+        case.scenario, case.vehicle, gains=chosen, law=case.build(), sensing=case.sensing, seed=int(seeds[0])
+    )
+    gaps = {REFERENCE: gap(np.array([once.metrics.row()]), batch[:1])}
+    gaps |= {name: gap(table, batch) for name, table in others.items()}
+    print_rows(["the same runs", "largest difference of a figure"], [[n, f"{g:.1e}"] for n, g in gaps.items()])
+    wrong = [name for name, size in gaps.items() if not size <= config.tolerance]
+    for name in wrong:
+        print(f"\n**Wrong**: {name} flies something else.")
+    return not wrong
+
+
+def gap(found: Array, wanted: Array) -> float:
+    """Largest difference; inf where only one is a number."""
+    if (np.isnan(found) != np.isnan(wanted)).any():
+        return float("inf")
+    same = (found == wanted) | np.isnan(found)
+    return float(np.max(np.where(same, 0.0, np.abs(np.where(same, 0.0, found) - np.where(same, 0.0, wanted)))))
+
+
+def scene_for(case: Case) -> Array:
+    """The case for the loops by hand."""
+    sonar, projected = case.sensing == "sonar", case.mode == "projected"
+    return scene_of(case.scenario, case.vehicle, sonar=sonar, projected=projected)
+
+
+def steps_of(table: Array) -> float:
+    """Control periods of all runs."""
+    return float(np.sum(np.rint(table[:, list(METRICS).index("time_s")] / _DT) + 1))
+
+
+def taking_part(case: Case, hand: dict[str, HandLoop], size: Size, seed: int) -> Iterator[Contender]:
+    """Everybody, for one case; fast ones fly whole runs, those in Python the first ticks of one."""
+    runs = size.runs
+    values, seeds = drawn(case.gains, runs), np.arange(seed, seed + runs)
+    scene, gains = scene_for(case), gain_table(case.gains, values, runs)
+
+    def by_hand(run: Callable[..., Array]) -> Callable[[], float]:
+        whole = seeds.astype(np.uint64)
+        return lambda: steps_of(run(scene, gains, luck_of(case.scenario, case.vehicle, seeds), whole))
+
+    yield Contender(OURS, lambda: steps_of(simulate_batch(case, values, seeds=seeds).table), runs)
+    yield Contender(TWO, lambda: steps_of(simulate_batch(case, values, seeds=seeds, threads=2).table), runs)
+    for name, loop in hand.items():
+        yield Contender(f"{HAND} {name}", by_hand(loop.run), runs)
+    if size.numba and find_spec("numba"):
+        import numba_loop
+
+        yield Contender(NUMBA, by_hand(numba_loop.fly_many), runs)
+    yield from through_machine(case, values, size, seeds)
+
+    short = replace(case.scenario, time_limit=size.python_ticks * _DT)
+    law = case.build()
+
+    def fly() -> float:
+        run = simulate(short, case.vehicle, gains=case.gains, law=law, sensing=case.sensing, seed=seed)
+        return float(len(run.record.time))
+
+    def other(step: Any) -> Callable[[], float]:
+        def flown() -> float:
+            with flown_by(step):
+                return fly()
+
+        return flown
+
+    yield Contender(REFERENCE, fly, 1)
+    record = simulate(case.scenario, case.vehicle, gains=case.gains, law=law, sensing=case.sensing, seed=seed).record
+    ticks = list(ticks_of(case, record))
+    for name, make in ((SCIPY, lambda rtol: scipy_step("RK45", rtol)), (CONTROL, control_step)):
+        rtol, error = matched(make, ticks)
+        print(f"\n{name}: tolerance {rtol:.0e}, error a tick {error:.1e}.")
+        yield Contender(name, other(make(rtol)), 1)
+
+
+def through_machine(case: Case, values: dict[str, Array], size: Size, seeds: NDArray[np.int_]) -> Iterator[Contender]:
+    """CasADi's machine: all runs a tick at a time (`map`), and a run for many ticks in one call (`mapaccum`)."""
+    runs, ticks = size.machine_runs, size.machine_ticks
+    few = {name: column[:runs] for name, column in values.items()}
+    short = replace(case, scenario=replace(case.scenario, time_limit=ticks * _DT))
+    machine = {"seeds": seeds[:runs], "engine": "vm"}
+    yield Contender(MAP, lambda: steps_of(simulate_batch(short, few, **machine).table), runs, size.machine_every)
+    loop = build_loop(structure_of(case, few))
+    packed = pack(case, loop, few, seeds[:runs].astype(np.int64))
+    many = to_casadi(loop.tick).mapaccum(ticks)
+
+    def accumulated() -> float:
+        many(packed.state[0], np.tile(packed.parameters[0][:, None], ticks))
+        return float(ticks)
+
+    yield Contender(ACCUM, accumulated, 1, size.machine_every)
+
+
+def ticks_of(case: Case, record: Any) -> Iterator[tuple[Array, Array, Array, Array]]:
+    """State, thrust command, disturbance and parameters of some ticks; the thrust lags behind the one before."""
+    p = plant_parameters(case.vehicle)
+    still = np.array([*case.scenario.disturbance.current_m_per_s, *[0.0] * 5])
+    for k in range(1, len(record.time), max(1, len(record.time) // 8)):
+        yield np.concatenate([record.eta[k], record.nu[k], record.tau[k - 1]]), record.tau[k], still, p
+
+
+def print_times(case: list[str], contenders: Sequence[Contender]) -> list[list[str]]:
+    """One row a contender; the rows that are saved."""
+    ours, rows = contenders[0], []
+    for c in contenders:
+        cpu, wall = c.per_step(), c.per_step(clock=True)
+        per_second = np.max(np.array(c.runs) / np.array(c.wall))
+        whole = f"{per_second:.3g}" if c.runs > 1 and not c.name.startswith("CasADi") else ""
+        times = f"{ratio(c, ours, clock=c.name == TWO):.3g}"
+        usual = f"{np.median(cpu) / np.median(ours.per_step()):.3g}"
+        rows.append([c.name, f"{cpu.min():.4g}", f"{np.median(cpu):.4g}", f"{wall.min():.4g}", whole, times, usual])
+    header = ["who", "µs a step", "median", "µs of the clock", "runs a second", "of ours", "medians"]
+    print_rows(header, rows)
+    return [[*case, *row] for row in rows]
+
+
+def print_bars(contenders: Sequence[Contender], bars: dict[str, float]) -> bool:
+    """Bars against what was measured; whether all are held. Of several builds of one contender the fastest counts."""
+    ours, rows, held = contenders[0], [], True
+    for name, wanted in bars.items():
+        two = name == "2 threads"
+        found = [c for c in contenders if c.name.startswith(TWO if two else name)]
+        ratios = [1.0 / ratio(c, ours, clock=True) if two else ratio(c, ours) for c in found]
+        measured = min(ratios, default=float("nan"))
+        verdict = "not measured" if not found else "holds" if measured >= wanted else "**missed**"
+        held &= verdict == "holds"
+        rows.append([f"{name} / {OURS}" if not two else "one thread / two", f"{measured:.3g}", f"{wanted:g}", verdict])
+    print_rows(["bar", "measured", "wanted", ""], rows)
+    return held
+
+
+def print_growth(case: Case, size: Size) -> None:
+    """How the time of a batch grows with steps, runs, obstacles and threads."""
+    rows = []
+
+    def measured(what: str, unit: str, points: Sequence[tuple[float, Callable[[], Any]]]) -> None:
+        turns = [Contender(f"{x:g}", lambda go=go: steps_of(go().table), 1) for x, go in points]
+        race(turns, rounds=size.rounds)
+        x, y = [p[0] for p in points], [min(t.cpu) for t in turns]
+        line = fit(x, y)
+        shown = ", ".join(f"{a:g}: {b:.3g} s" for a, b in zip(x, y, strict=True))
+        rows.append([what, shown, f"{line.slope:.3g} s {unit}", f"{line.intercept:.2g} s", f"{line.r2:.5f}"])
+
+    def batch(runs: int, ticks: int, obstacles: int) -> Callable[[], Any]:
+        scenario = replace(case.scenario, time_limit=ticks * _DT, obstacles=case.scenario.obstacles[:obstacles])
+        values = drawn(case.gains, runs)
+        return lambda: simulate_batch(replace(case, scenario=scenario), values)
+
+    runs = size.runs
+    measured("steps", "a step", [(n, batch(runs, n, 4)) for n in (100, 200, 400, 800)])
+    measured("runs", "a run", [(n, batch(n, 400, 4)) for n in (runs, 2 * runs, 3 * runs, 4 * runs)])
+    measured("obstacles", "an obstacle", [(n, batch(runs, 400, n)) for n in (0, 2, 4)])
+    print(f"\n## Growth of {case.name}, one thread, time of the processor ({runs} runs, 400 steps, 4 obstacles)")
+    print_rows(["grows with", "points", "slope", "intercept", "R²"], rows)
+
+
+def print_many(case: Case, size: Size) -> None:
+    """Many gain sets for many steps, on one thread and on two."""
+    scenario = replace(case.scenario, time_limit=size.steps * _DT)
+    values = drawn(case.gains, size.gain_sets)
+    print(f"\n## {size.gain_sets} gain sets, up to {size.steps} steps each, {case.name}")
+    rows = []
+    for threads in (1, 2):
+        start, cpu = time.perf_counter(), time.process_time()
+        table = simulate_batch(replace(case, scenario=scenario), values, threads=threads).table
+        rows.append([str(threads), f"{time.perf_counter() - start:.2f}", f"{time.process_time() - cpu:.2f}"])
+        rows[-1].append(f"{steps_of(table):.3g}")
+    print_rows(["threads", "s of the clock", "s of the processor", "steps flown"], rows)
+
+
+def print_rows(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A Markdown table."""
+    print("\n| " + " | ".join(header) + " |\n" + "|---" * len(header) + "|")
+    for row in rows:
+        print("| " + " | ".join(row) + " |")
+
+
+def print_machine() -> None:
+    """Processor, load, system, compiler, flags and versions: what the times belong to."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    name = next((line.partition(": ")[2] for line in lines if line.startswith("model name")), platform.processor())
+    print(f"Machine: {name}, {os.cpu_count()} cores, {platform.system()} {platform.machine()}, {compiler_version()}")
+    print(f"\nLoad before: {', '.join(f'{x:.1f}' for x in os.getloadavg())} (runnable programs over 1, 5, 15 minutes)")
+    print(f"\nVersions: Python {platform.python_version()}, {', '.join(filter(None, map(installed, PACKAGES)))}")
+    print(f"\nFlags of the loop by hand: {'; '.join(' '.join(flags) for flags in FLAGS.values())}")
+
+
+def installed(package: str) -> str:
+    """Name and version, or nothing."""
+    try:
+        return f"{package} {version(package)}"
+    except PackageNotFoundError:
+        return ""
+
+
+def save(table: list[list[str]], path: Path) -> None:
+    """One line a case and contender."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        times = "us us_median us_clock runs_per_s of_ours of_ours_median"
+        writer.writerow(["scenario", "sensing", "mode", "who", *times.split()])
+        writer.writerows(table)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

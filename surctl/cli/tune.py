@@ -1,0 +1,114 @@
+"""`surctl tune`: gains that meet goals, checked by fresh runs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from surctl.cli.output import as_json, finish, finite, progress
+
+__all__ = ["tune"]
+
+
+@click.command
+@click.argument("file", required=False, metavar="[STUDY]")
+@click.option("--gain", "gain", multiple=True, metavar="NAME[=LOW..HIGH]", help="A gain to tune; repeat it.")
+@click.option("--goals", "goals_file", help="Goals: name or file; default: the study's, else the built-in ones.")
+@click.option("--trials", type=click.IntRange(min=1), default=256, help="Gain sets that each search tries, twice.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of the search and of the fresh runs.")
+@click.option("--seeds", type=click.IntRange(min=1), default=4, help="Seeds 0 to N-1 of every scenario.")
+@click.option("--vehicle", "vehicles", multiple=True, help="Flies every scenario: name or file; default: the study's.")
+@click.option("--rounds", type=click.IntRange(min=1), default=3, help="Most rounds of tuning and verifying.")
+@click.option(
+    "--monte-carlo",
+    "runs",
+    type=click.IntRange(min=0),
+    default=2000,
+    help="Fresh runs that verify a round; ten times as many train.",
+)
+@click.option("--descend", is_flag=True, help="Start also from a descent along exact gradients; takes minutes.")
+@click.option("--workers", type=click.IntRange(min=1), default=2, help="Threads; the result does not depend on them.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("surctl-out"), help="Folder; a killed one resumes."
+)
+@as_json
+def tune(
+    file: str | None,
+    gain: tuple[str, ...],
+    goals_file: str | None,
+    trials: int,
+    seed: int,
+    seeds: int,
+    vehicles: tuple[str, ...],
+    rounds: int,
+    runs: int,
+    descend: bool,
+    workers: int,
+    out: Path,
+    as_json: bool,
+) -> None:
+    """Tune gains to goals, and tune again with the runs that refute them.
+
+    Hard goals must be met over every scenario, seed and corner of the vehicle's ranges; soft goals are brought low.
+    Fresh runs and the claims then try to refute the result. Exit status 1 when a hard goal is not met or does not hold.
+
+    Examples: surctl tune; surctl tune my-study.toml --gain k_v=0.5..3 --gain lookahead --goals my-goals.toml
+    """
+    from surctl.control import write_gains
+    from surctl.files import prepare_folder
+    from surctl.simulation import Case
+    from surctl.study import load_plan
+    from surctl.tuning import TUNED, Request, conditions, gain_ranges, load_goals, summary, tuned_gains, tuning_dict
+    from surctl.tuning import tune as run_tuning
+    from surctl.vehicle import load_vehicle
+
+    given = dict(_gain(text) for text in gain)
+    if len(given) < len(gain):
+        raise click.BadParameter("a gain is named twice", param_hint="--gain")
+    plan = load_plan(file)
+    goals = plan.goals if goals_file is None else load_goals(goals_file)
+    flown = [(leg.scenario, leg.vehicle) for leg in plan.deciding]
+    if vehicles:
+        scenarios = {s.name: s for s, _ in flown}.values()
+        flown = [(s, v) for v in map(load_vehicle, vehicles) for s in scenarios]
+    cases = [Case(scenario, vehicle, plan.gains, law=plan.law) for scenario, vehicle in flown]
+    prepare_folder(out)
+    request = Request(
+        goals,
+        conditions(cases, seeds=range(seeds)),
+        plan.gains,
+        gain_ranges(plan.gains, given or TUNED),
+        seed=seed,
+        threads=workers,
+    )
+    tuning = run_tuning(
+        request, trials=trials, rounds=rounds, runs=runs, descend=descend, folder=out, progress=progress
+    )
+    gains_path = out / "gains.toml"
+    gains_path.write_text(write_gains(tuned_gains(tuning)), encoding="utf-8")
+    result = tuning_dict(tuning)
+    (out / "tuning.json").write_text(json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n", encoding="utf-8")
+    from surctl.report import save_tuning  # matplotlib, once there is something to draw
+
+    pictures = save_tuning(tuning, out)
+    lines = [*summary(tuning), "", f"gains {gains_path}", f"all   {out / 'tuning.json'}"]
+    lines += [f"plot  {path}" for path in pictures]
+    lines += ["next", f"  surctl verify --gains {gains_path}", f"  surctl export --gains {gains_path}"]
+    if not tuning.kept:
+        lines.append(f"  surctl tune --out {out} --trials {2 * trials} --rounds {rounds + 2}  (or relax a goal)")
+    finish(result, lines, as_json=as_json, passed=tuning.kept)
+
+
+def _gain(text: str) -> tuple[str, tuple[float, float] | None]:
+    name, equals, ends = text.partition("=")
+    if not equals:
+        return name, None
+    low, dots, high = ends.partition("..")
+    try:
+        if dots:
+            return name, (float(low), float(high))
+    except ValueError:
+        pass
+    raise click.BadParameter(f"{text!r} is not NAME=LOW..HIGH", param_hint="--gain")

@@ -1,0 +1,58 @@
+"""Sines and cosines of angles that stay near one of them: turned from there by a short series."""
+
+from __future__ import annotations
+
+from surctl.ir.numbering import Numbering
+from surctl.ir.program import Program
+
+__all__ = ["nearby_angles"]
+
+_SIN = (-1 / 6, 1 / 120, -1 / 5040, 1 / 362880)
+_COS = (-1 / 2, 1 / 24, -1 / 720, 1 / 40320, -1 / 3628800)
+
+
+def nearby_angles(program: Program, source: int, entry: int) -> Program:
+    """The program with sin and cos of a + d, for the entry a of an input, from those of a and d's Taylor series.
+
+    A third of the work of a sine that takes any angle. Meant for the stages of an integrator, whose angle moves little
+    within a call: the series is off by |d|¹¹ / 11! and |d|¹² / 12!, less than a unit in the last place of 1 up to
+    d = 0.2, and 1e-11 at d = 0.5. What is a sum of a and anything is turned, other angles are left alone.
+
+    Args:
+        program: the instruction list.
+        source: which input.
+        entry: which entry of it.
+    """
+    text, moved = Numbering(), list[int]()
+    near: dict[int, int | None] = {}  # position → position in `text` of its distance from a; None at a itself
+    for at, instruction in enumerate(program.instructions):
+        if instruction.op == "input" and instruction.args == (source, entry):
+            near[at] = None
+        distance = near.get(instruction.args[0]) if instruction.op in ("sin", "cos") else None
+        if distance is not None:
+            moved.append(_turned(text, instruction.op, text.add("input", (source, entry)), distance))
+            continue
+        moved.append(text.copy(instruction, moved))
+        known = [a for a in instruction.args if instruction.op == "add" and a in near]
+        if len(known) == 1:
+            (base,) = known
+            step = moved[instruction.args[1] if instruction.args[0] == base else instruction.args[0]]
+            so_far = near[base]
+            near[at] = step if so_far is None else text.add("add", (so_far, step))
+    return text.rewritten(program, moved)
+
+
+def _turned(text: Numbering, op: str, angle: int, distance: int) -> int:
+    """sin or cos of angle + distance."""
+    square = text.add("sq", (distance,))
+
+    def series(coefficients: tuple[float, ...]) -> int:
+        value = text.constant(coefficients[-1])
+        for coefficient in (*coefficients[-2::-1], 1.0):
+            value = text.add("add", (text.add("mul", (value, square)), text.constant(coefficient)))
+        return value
+
+    sine, cosine = text.add("mul", (distance, series(_SIN))), series(_COS)
+    own, other = text.add(op, (angle,)), text.add("cos" if op == "sin" else "sin", (angle,))
+    products = text.add("mul", (own, cosine)), text.add("mul", (other, sine))
+    return text.add("add" if op == "sin" else "sub", products)

@@ -1,0 +1,258 @@
+"""A tick, again and again, for many runs side by side."""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.ir.c99_wide import emit_wide
+from surctl.ir.c99_words import PRELUDE
+from surctl.ir.cache import shared_library
+from surctl.ir.native import loaded
+from surctl.ir.routine import Block
+
+__all__ = ["Batch", "compile_batch"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_WIDEST = 8
+_TURN = 0.05  # s; about how long a call into C takes, after which an interrupt is seen
+
+
+class Batch:
+    """A compiled tick: (state, parameters) → state, for any number of runs.
+
+    Attributes:
+        tick: the block that was compiled.
+        lanes: runs that one thread has in flight.
+    """
+
+    def __init__(self, tick: Block, library: bytes) -> None:
+        self.tick = tick
+        self._library = loaded(library)
+        self._library.surctl_lanes.restype = ctypes.c_long
+        self._library.surctl_work.restype = ctypes.c_long
+        self._library.surctl_go.restype = ctypes.c_long
+        self._library.surctl_go.argtypes = [ctypes.c_void_p] * 5 + [ctypes.c_long] * 2
+        self.lanes = int(self._library.surctl_lanes())
+
+    def run(self, state: Array, parameters: Array, *, steps: int, threads: int = 1) -> Array:
+        """Final states. A run ends after the first tick that raises its flag, or after `steps` ticks.
+
+        Args:
+            state: (runs, n); entry 0 of each is its flag, 0 while the run goes on (up at the start: no tick at all).
+            parameters: (runs, m).
+            steps: largest number of ticks.
+            threads: that share the runs; the bytes do not depend on it.
+
+        Returns:
+            (runs, n).
+
+        Raises:
+            InputError: arrays of other shapes, negative `steps`, no thread.
+        """
+        (_, n), (_, m) = self.tick.inputs
+        given = [np.ascontiguousarray(x, dtype=np.float64) for x in (state, parameters)]
+        runs = given[0].shape[0] if given[0].ndim else 0
+        for name, array, size in (("state", given[0], n), ("parameters", given[1], m)):
+            if array.shape != (runs, size):
+                raise InputError(f"has shape {array.shape}, expected ({runs}, {size})", key=name)
+        if steps < 0 or threads < 1:
+            raise InputError("cannot be run", key="steps, threads", value=(steps, threads))
+        out = np.empty_like(given[0])
+        threads = max(1, min(threads, -(-runs // self.lanes)))
+        job = _Job(self._library, given[0], given[1], out, steps, _blocks(runs, threads, self.lanes))
+        if threads == 1:
+            job.work()
+        else:
+            job.share(threads)
+        return out
+
+
+def _blocks(runs: int, threads: int, lanes: int) -> Iterator[tuple[int, int]]:
+    """The runs in pieces that a thread takes one after the other."""
+    size = runs if threads == 1 else max(lanes, min(1024, runs // (16 * threads)))
+    for first in range(0, runs, max(1, size)):
+        yield first, min(runs, first + size)
+
+
+class _Job:
+    """One call of `Batch.run`, for the threads that work on it."""
+
+    def __init__(
+        self, library: Any, state: Array, parameters: Array, out: Array, steps: int, blocks: Iterator[tuple[int, int]]
+    ) -> None:
+        self.library, self.arrays, self.steps, self.blocks = library, (state, parameters, out), steps, blocks
+        self.lock, self.stop = threading.Lock(), threading.Event()
+
+    def share(self, threads: int) -> None:
+        """Work in as many threads, and end all of them when one fails or the user interrupts."""
+        with ThreadPoolExecutor(threads) as pool:
+            try:
+                for done in [pool.submit(self.work) for _ in range(threads)]:
+                    done.result()
+            finally:
+                self.stop.set()
+
+    def work(self) -> None:
+        """Blocks of runs until there are none, a short while in C at a time."""
+        lanes = int(self.library.surctl_lanes())
+        # next run, end, whether more may come, runs in flight, then for each lane its run and the ticks that are left
+        book = np.zeros(4 + 2 * lanes, dtype=np.dtype(ctypes.c_long))
+        book[4 : 4 + lanes] = -1
+        memory = _aligned(int(self.library.surctl_work()))
+        addresses = [x.ctypes.data for x in (*self.arrays, memory, book)]
+        ticks = 1
+        book[2] = 1
+        while not self.stop.is_set():
+            if book[2] and book[0] == book[1]:
+                self._take(book)
+            begin = time.perf_counter()
+            used = int(self.library.surctl_go(*addresses, self.steps, ticks))
+            if not book[2] and not book[3]:
+                return
+            if used == ticks:
+                spent = time.perf_counter() - begin
+                ticks = int(min(2 * ticks, max(1, ticks * _TURN / max(spent, 1e-9))))
+
+    def _take(self, book: NDArray[Any]) -> None:
+        with self.lock:
+            block = next(self.blocks, None)
+        if block is None:
+            book[2] = 0
+        else:
+            book[:2] = block
+
+
+def _aligned(size: int) -> Array:
+    """Zeros that begin at a multiple of a vector's length."""
+    memory = np.zeros(size + _WIDEST)
+    skip = (-memory.ctypes.data // memory.itemsize) % _WIDEST
+    return memory[skip : skip + size]
+
+
+def compile_batch(
+    tick: Block, *, lanes: int | None = None, flags: Sequence[str] = (), folder: Path | None = None
+) -> Batch:
+    """Compile a tick for many runs, or take it from the cache.
+
+    Args:
+        tick: inputs (state (n,), parameters (m,)), output (state (n,)); entry 0 of the state is the flag.
+        lanes: runs side by side in one thread, 1, 2, 4 or 8; what this machine's vectors hold if None. The bytes do
+            not depend on it, unless the tick uses functions of the mathematical library (see `without_libm`).
+        flags: more flags for the compiler; none that changes results.
+        folder: of the cache (`surctl.ir.cache.cache_folder()` if None).
+
+    Raises:
+        InputError: a block of other inputs and outputs, another number of lanes, a flag that changes results.
+        ToolMissing: there is no compiler, or no folder to load from.
+        SurctlError: the compiler refuses.
+    """
+    sizes = [size for _, size in tick.inputs]
+    made = [size for _, size in tick.outputs]
+    if len(sizes) != 2 or made != sizes[:1] or sizes[0] < 1:
+        raise InputError(
+            f"takes {sizes} numbers and gives {made}", key=tick.name, remedy="(state, parameters) in, state out"
+        )
+    if lanes not in (None, 1, 2, 4, 8):
+        raise InputError("is no width", key="lanes", value=lanes, remedy="take 1, 2, 4 or 8")
+    width = () if lanes is None else (f"-DLANES={lanes}",)
+    return Batch(tick, shared_library(_source(tick), flags=(*width, *flags), folder=folder, wide=True))
+
+
+def _source(tick: Block) -> str:
+    wide = emit_wide(tick, symbol="surctl_tick")
+    (_, n), (_, m) = tick.inputs
+    return f"{PRELUDE}\n{wide.text}\n#define STATE {n}\n#define PARAMETERS {m}\n#define WORK {wide.work}\n{_DRIVER}"
+
+
+_DRIVER = r"""
+long surctl_lanes(void);
+long surctl_lanes(void) { return LANES; }
+
+/* numbers of memory that one thread needs */
+long surctl_work(void);
+long surctl_work(void) { return (long)LANES * (STATE + PARAMETERS + WORK); }
+
+/* the next run that has something to do, in this lane; those that have not are done already */
+static void refill(const double *state, const double *parameters, double *out, double *memory, long *book, int lane,
+    long steps)
+{
+    long *const run = book + 4 + lane;
+    *run = -1;
+    while (*run < 0 && book[0] < book[1]) {
+        const long next = book[0]++;
+        const double *const from = state + next * STATE;
+        if (from[0] != 0.0 || steps == 0) {
+            for (int k = 0; k < STATE; ++k) { out[next * STATE + k] = from[k]; }
+            continue;
+        }
+        for (int k = 0; k < STATE; ++k) { memory[k * LANES + lane] = from[k]; }
+        double *const own = memory + STATE * LANES;
+        for (int k = 0; k < PARAMETERS; ++k) { own[k * LANES + lane] = parameters[next * PARAMETERS + k]; }
+        *run = next;
+        run[LANES] = steps;
+    }
+}
+
+/* lanes without a run do what a lane that has one does */
+static void shadow(double *memory, const long *book)
+{
+    int busy = 0;
+    while (busy < LANES && book[4 + busy] < 0) { ++busy; }
+    for (int lane = 0; lane < LANES && busy < LANES; ++lane) {
+        if (book[4 + lane] >= 0) { continue; }
+        for (int k = 0; k < STATE + PARAMETERS; ++k) { memory[k * LANES + lane] = memory[k * LANES + busy]; }
+    }
+}
+
+/* at most `ticks` ticks, fewer when a lane is free and no run is left; the number of them */
+long surctl_go(const double *state, const double *parameters, double *out, double *memory, long *book, long steps,
+    long ticks);
+long surctl_go(const double *state, const double *parameters, double *out, double *memory, long *book, long steps,
+    long ticks)
+{
+    double *const own = memory + STATE * LANES;
+    double *const work = own + PARAMETERS * LANES;
+    long done = 0;
+    for (;;) {
+        long left = ticks - done, busy = 0, idle = 0;
+        for (int lane = 0; lane < LANES; ++lane) {
+            if (book[4 + lane] < 0) {
+                refill(state, parameters, out, memory, book, lane, steps);
+                ++idle;
+            }
+            if (book[4 + lane] >= 0) {
+                ++busy;
+                left = (book[4 + LANES + lane] < left) ? book[4 + LANES + lane] : left;
+            }
+        }
+        book[3] = busy;
+        if (busy == 0 || done == ticks || (busy < LANES && book[2] != 0)) { return done; }
+        if (idle > 0 && busy < LANES) { shadow(memory, book); }
+        long made = 0;
+        do {
+            surctl_tick(memory, own, memory, work);
+            ++made;
+        } while (made < left && running(memory) == ALL_LANES);
+        done += made;
+        for (int lane = 0; lane < LANES; ++lane) {
+            const long run = book[4 + lane];
+            if (run < 0) { continue; }
+            book[4 + LANES + lane] -= made;
+            if (memory[lane] == 0.0 && book[4 + LANES + lane] > 0) { continue; }
+            for (int k = 0; k < STATE; ++k) { out[run * STATE + k] = memory[k * LANES + lane]; }
+            book[4 + lane] = -1;
+        }
+    }
+}
+"""

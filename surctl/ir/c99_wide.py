@@ -1,0 +1,297 @@
+"""Write a block as C99 that does `LANES` runs side by side: every number of the block is a vector of one a run.
+
+The text is the same for every width. A prelude gives the words it is written in (LOAD, ADD, SELECT, …) for the vectors
+that the compiler has, or for one number at a time. Array entry e of lane l stands at e · LANES + l.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from surctl.ir.c99 import c_literal, identifier
+from surctl.ir.c99_routine import free_name, reads, run_alone, taken_over
+from surctl.ir.c99_wide_program import head, program_text
+from surctl.ir.program import Program
+from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
+from surctl.ir.split import split
+
+__all__ = ["Wide", "emit_wide"]
+
+_LONGEST = 1200
+"""Operations in one C function; gcc's time for a function of n operations grows faster than n."""
+
+
+class Wide:
+    """C text of a block for many runs at once.
+
+    Attributes:
+        text: functions, callees first; the last is `static void <symbol>(const double *in0, …, double *out0, …,
+            double *work)`, whose outputs may alias its inputs.
+        work: numbers a lane that `work` must hold; arrays live there, so that nothing large is on the stack.
+    """
+
+    def __init__(self, text: str, work: int) -> None:
+        self.text, self.work = text, work
+
+
+def emit_wide(block: Block, *, symbol: str) -> Wide:
+    """Write the block and every block inside it. Blocks of one text become one function.
+
+    Args:
+        block: program or routine.
+        symbol: name of the last function, and beginning of the others' names.
+
+    Raises:
+        InputError: `symbol` is no identifier that C may use.
+    """
+    writer = _Writer(identifier(symbol))
+    short = _shortened(block)
+    alone = run_alone(short)
+    writer.see(short)
+    for inner in nested(short).values():
+        if isinstance(inner, Routine):
+            for step in inner.steps:
+                if isinstance(step, Loop) and step.lanes > 1 and isinstance(step.block, Program):
+                    writer.program(step.block, _strides(step))
+            writer.routine(inner, last=inner is short)
+        elif inner is short or id(inner) in alone:
+            writer.program(inner, (), last=inner is short)
+    return Wide("\n".join(writer.chunks), writer.work[short.digest()])
+
+
+def _shortened(block: Block) -> Block:
+    """The block with its long programs split."""
+    made: dict[int, Block] = {}
+    for key, inner in nested(block).items():
+        if isinstance(inner, Program):
+            made[key] = split(inner, _LONGEST)
+            continue
+        steps: list[Step] = []
+        for step in inner.steps:
+            if isinstance(step, Call):
+                steps.append(Call(made[id(step.block)], step.args, step.results))
+            elif isinstance(step, Loop) and step.lanes == 1:
+                whole = {name: getattr(step, name) for name in Loop.__slots__}
+                steps.append(Loop(**{**whole, "block": made[id(step.block)]}))
+            else:
+                steps.append(step)
+        made[key] = Routine(inner.name, inner.inputs, tuple(steps), inner.results)
+    return made[id(block)]
+
+
+def _strides(loop: Loop) -> tuple[int, ...]:
+    """Distance between two entries of each input, then of each output, of a body that inner lanes run."""
+    own = loop.index + len(loop.carried) + len(loop.sliced)
+    side = (loop.lanes,) * own
+    return (
+        (1,) * loop.index
+        + side[loop.index :]
+        + (1,) * (len(loop.spread) + len(loop.fixed))
+        + (loop.lanes,) * len(loop.results)
+    )
+
+
+class _Writer:
+    """The functions so far, their names by what they are the text of, and the memory that they need."""
+
+    def __init__(self, symbol: str) -> None:
+        self.symbol = symbol
+        self.named: dict[str, str] = {}
+        self.work: dict[str, int] = {}
+        self.chunks: list[str] = []
+        self.overlapping: set[str] = set()
+
+    def see(self, block: Block) -> None:
+        """Note the programs that somebody calls with one array both as an input and as an output."""
+        self.overlapping.add(_key(block, ()))
+        for inner in nested(block).values():
+            if isinstance(inner, Routine):
+                local = _Text(inner, self).local
+                blocks = [s.block for s in inner.steps if not isinstance(s, Gather) and _overlaps(s, local)]
+                self.overlapping |= {_key(block, ()) for block in blocks}
+
+    def name(self, block: Block, strides: tuple[int, ...] = ()) -> str:
+        """Name of the function of a block that is written."""
+        return self.named[_key(block, strides)]
+
+    def program(self, program: Program, strides: tuple[int, ...], *, last: bool = False) -> None:
+        """Write it, unless its text is there already."""
+        name = self._new(program, strides, last)
+        if name:
+            key = _key(program, strides)
+            text, self.work[key] = program_text(program, name, strides, overlapping=key in self.overlapping)
+            self.chunks.append(text)
+
+    def routine(self, routine: Routine, *, last: bool) -> None:
+        """Write it, unless its text is there already."""
+        name = self._new(routine, (), last)
+        if name:
+            text, own = _Text(routine, self).function(name)
+            inner = [self.work[_key(s.block, _lane_strides(s))] for s in routine.steps if not isinstance(s, Gather)]
+            self.chunks.append(text)
+            self.work[_key(routine, ())] = own + max(inner, default=0)
+
+    def _new(self, block: Block, strides: tuple[int, ...], last: bool) -> str:
+        key = _key(block, strides)
+        if key in self.named:
+            return ""
+        wanted = f"{self.symbol}_{block.name}" + ("_side" if strides else "")
+        self.named[key] = self.symbol if last else free_name(wanted, self.named)
+        return self.named[key]
+
+
+def _key(block: Block, strides: tuple[int, ...]) -> str:
+    return block.digest() + ("" if not strides else f" {strides}")
+
+
+def _overlaps(step: Step, local: Mapping[str, str]) -> bool:
+    """Whether an output may be an input: an outer input may be an outer output, and a loop carries in place."""
+    if not isinstance(step, Call):
+        return isinstance(step, Loop)
+    given, made = {local[name] for name in step.args}, {local[name] for name in step.results}
+    return bool(given & made) or (any(n.startswith("in") for n in given) and any(n.startswith("out") for n in made))
+
+
+def _lane_strides(step: Call | Loop) -> tuple[int, ...]:
+    return _strides(step) if isinstance(step, Loop) and step.lanes > 1 else ()
+
+
+class _Text:
+    """One routine on its way to C."""
+
+    def __init__(self, routine: Routine, writer: _Writer) -> None:
+        self.routine, self.writer = routine, writer
+        self.sizes = routine.sizes()
+        self.own = 0
+        self.lines: list[str] = []
+        # local arrays are numbered, so that no name from outside reaches the C text unchecked
+        self.local = {name: f"in{k}" for k, (name, _) in enumerate(routine.inputs)}
+        self.local |= {name: f"a{k}" for k, name in enumerate(self.sizes) if name not in self.local}
+        kept = taken_over(routine)
+        self.local |= {result: self.local[name] for result, name in kept.items()}
+        direct = _direct(routine)
+        self.local |= {name: f"out{k}" for name, k in direct.items()}
+        for name in list(self.sizes)[len(routine.inputs) :]:
+            if name not in kept and name not in direct:
+                self._array(self.local[name], self.sizes[name])
+
+    def function(self, symbol: str) -> tuple[str, int]:
+        """(the function, numbers a lane of its own arrays)."""
+        routine, local = self.routine, self.local
+        read = {name for step in routine.steps for name in reads(step)} | set(routine.results)
+        idle = [f"    (void){name};" for name in dict.fromkeys(local[x] for x in local if x not in read)]
+        body: list[str] = []
+        for at, step in enumerate(routine.steps):
+            body += self._step(step, at)
+        for k, name in enumerate(routine.results):
+            if local[name] != f"out{k}":
+                body.append(f"    copy(out{k}, {local[name]}, {self.sizes[name]});")
+        meaning = ", ".join(f"{local[name]}: {identifier(name)} {size}" for name, size in self.sizes.items())
+        top = head(routine, symbol, len(routine.results), routine.operations)
+        rest = [f"    double *const rest = work + {self.own} * LANES;", "    (void)rest;"]
+        comment = f"/* {meaning}; outputs may alias inputs */"
+        return "\n".join([comment, *top, *self.lines, *rest, *idle, *body, "}"]) + "\n", self.own
+
+    def _array(self, name: str, size: int) -> None:
+        self.lines.append(f"    double *const {name} = work + {self.own} * LANES;")
+        self.own += size
+
+    def _step(self, step: Step, at: int) -> list[str]:
+        if isinstance(step, Gather):
+            return self._gather(step)
+        if isinstance(step, Call):
+            return [f"    {self._call(step.block, [*step.args, *step.results])}"]
+        return self._loop(step, at)
+
+    def _call(self, block: Block, names: list[str]) -> str:
+        return f"{self.writer.name(block)}({', '.join([*(self.local[n] for n in names), 'rest'])});"
+
+    def _gather(self, step: Gather) -> list[str]:
+        index, source, result = (self.local[name] for name in (step.index, step.source, step.result))
+        last = self.sizes[step.source] // step.width - 1
+        first = f"{step.width} * at"
+        if step.lanes > 1:
+            first = f"{step.width * step.lanes} * (at / {step.lanes}) + at % {step.lanes}"
+        return [
+            "    for (int lane = 0; lane < LANES; ++lane) {",
+            f"        const int at = piece({index}[lane], {c_literal(float(last))});",
+            f"        const double *from = {source} + ({first}) * LANES + lane;",
+            f"        for (int k = 0; k < {step.width}; ++k) {{",
+            f"            {result}[k * LANES + lane] = from[{step.lanes} * k * LANES];",
+            "        }",
+            "    }",
+        ]
+
+    def _loop(self, loop: Loop, at: int) -> list[str]:
+        state = len(loop.carried)
+        results = [self.local[name] for name in loop.results]
+        pairs = list(zip(loop.carried, results[:state], strict=False))
+        lines = [
+            f"    copy({to}, {self.local[name]}, {self.sizes[name]});" for name, to in pairs if to != self.local[name]
+        ]
+        head = f"    for (int i = 0; i < {loop.count}; ++i) {{"
+        if loop.index:
+            self._array(f"turn{at}", 1)
+        if loop.lanes > 1:
+            return [*lines, head, *self._side_by_side(loop, at), "    }"]
+        parts = [self._piece(name, loop.count) for name in (*loop.sliced, *loop.spread)]
+        stacked = [self._piece(name, loop.count) for name in loop.results[state:]]
+        fixed = [self.local[name] for name in loop.fixed]
+        given = [f"turn{at}"] * loop.index + results[:state] + parts + fixed
+        function = self.writer.name(loop.block)
+        body = [f"        fill(turn{at}, (double)i);"] * loop.index
+        in_place = f"{function}({', '.join([*given, *results[:state], *stacked, 'rest'])});"
+        if loop.until is None:
+            return [*lines, head, *body, f"        {in_place}", "    }"]
+        fresh = [f"fresh{at}_{k}" for k in range(state)]
+        for name, array in zip(loop.carried, fresh, strict=True):
+            self._array(array, self.sizes[name])
+        flag = results[loop.until]
+        # the flag goes last: it says which lanes still run
+        order = [k for k in range(state) if k != loop.until] + [loop.until]
+        keep = [f"            keep({results[k]}, {fresh[k]}, {flag}, {self.sizes[loop.carried[k]]});" for k in order]
+        return [
+            *lines,
+            head,
+            f"        const unsigned run = running({flag});",
+            "        if (run == 0U) { break; }",
+            *body,
+            f"        if (run == ALL_LANES) {{ {in_place} }}",
+            "        else {",
+            f"            {function}({', '.join([*given, *fresh, 'rest'])});",
+            *keep,
+            "        }",
+            "    }",
+        ]
+
+    def _side_by_side(self, loop: Loop, at: int) -> list[str]:
+        state, count = len(loop.carried), loop.count
+        results = [f"{self.local[name]} + l * LANES" for name in loop.results[:state]]
+        given = [f"turn{at}"] * loop.index + results
+        given += [f"{self._piece(name, count)} + l * LANES" for name in loop.sliced]
+        for name in loop.spread:
+            size = self.sizes[name] // (count * loop.lanes)
+            given.append(f"{self.local[name]} + ({loop.lanes} * i + l) * {size} * LANES")
+        given += [self.local[name] for name in loop.fixed]
+        stacked = [f"{self._piece(name, count)} + l * LANES" for name in loop.results[state:]]
+        function = self.writer.name(loop.block, _strides(loop))
+        return [
+            f"        for (int l = 0; l < {loop.lanes}; ++l) {{",
+            *[f"            fill(turn{at}, (double)({loop.lanes} * i + l));"] * loop.index,
+            f"            {function}({', '.join([*given, *results, *stacked, 'rest'])});",
+            "        }",
+        ]
+
+    def _piece(self, name: str, count: int) -> str:
+        return f"{self.local[name]} + {self.sizes[name] // count} * i * LANES"
+
+
+def _direct(routine: Routine) -> Mapping[str, int]:
+    """Results that the last step may write where they belong: a program reads all that it needs before it writes."""
+    last = routine.steps[-1] if routine.steps else None
+    inputs = {name for name, _ in routine.inputs}
+    if not isinstance(last, Call) or not isinstance(last.block, Program) or inputs & set(routine.results):
+        return {}
+    return {
+        name: k for k, name in enumerate(routine.results) if name in last.results and routine.results.count(name) == 1
+    }

@@ -1,0 +1,129 @@
+"""Write one instruction list as C99 in the words of `c99_words`: a function that does it for all lanes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from surctl.ir.c99 import c_literal
+from surctl.ir.moves import Move, handed_on
+from surctl.ir.program import Instruction, Program, drop_dead
+from surctl.ir.routine import Block
+
+__all__ = ["head", "program_text"]
+
+_INLINE = 300  # operations of the largest function that may be put where it is called
+
+# kinds of the operands and of the result: v a number, m a truth value
+_KINDS = {
+    **dict.fromkeys(("lt", "le", "eq", "ne"), "vvm"),
+    **dict.fromkeys(("and", "or"), "mmm"),
+    "not": "mm",
+    "select": "mvvv",
+    "if_else_zero": "mvv",
+}
+_WORDS = {"if_else_zero": "ONLY_IF"}  # the others are the names of the operations
+_IN_PLACE = {  # those that some dialects know only number by number
+    "fma": "FUSED({0}, {1}, {2})",
+    "sqrt": "ROOT({0})",
+    "floor": "ROUND_DOWN({0})",
+    "atan2": "LIBRARY_2(atan2, {0}, {1})",
+    **{name: f"LIBRARY({name}, {{0}})" for name in ("sin", "cos", "acos")},
+}
+
+
+def head(block: Block, symbol: str, outputs: int, operations: int) -> list[str]:
+    """Signature of a function, and the brace that opens it."""
+    arguments = [f"const double *in{k}" for k in range(len(block.inputs))]
+    arguments += [f"double *out{k}" for k in range(outputs)]
+    apart = "APART " if operations > _INLINE else ""
+    return [f"{apart}static void {symbol}({', '.join([*arguments, 'double *work'])})", "{"]
+
+
+def program_text(
+    program: Program, symbol: str, strides: tuple[int, ...] = (), *, overlapping: bool = True
+) -> tuple[str, int]:
+    """The function, and the numbers a lane of memory that it needs.
+
+    What the program only hands on is copied as a whole; where an output may be an input (`overlapping`), by way of
+    `work`, since the function has to read before it writes.
+
+    Args:
+        program: the instruction list.
+        symbol: name of the function.
+        strides: distance between two entries of each input, then of each output, for a body that inner lanes run;
+            nothing is copied as a whole then. All 1 where empty.
+        overlapping: whether somebody calls it with one array both as an input and as an output.
+    """
+    moves = () if strides else handed_on(program)
+    before, after, held = [], [], 0
+    for m in moves:
+        to, source = (f"out{m.output}", m.to), (f"in{m.input}", m.start)
+        if overlapping:
+            before.append(_copied(("work", held), source, m.count))
+            after.append(_copied(to, ("work", held), m.count))
+            held += m.count
+        else:
+            before.append(_copied(to, source, m.count))
+    all_strides = strides or (1,) * (len(program.inputs) + len(program.outputs))
+    return _text(program, symbol, all_strides, moves, before, after), held
+
+
+def _copied(to: tuple[str, int], source: tuple[str, int], count: int) -> str:
+    return f"    copy({to[0]} + {to[1]} * LANES, {source[0]} + {source[1]} * LANES, {count});"
+
+
+def _text(
+    program: Program,
+    symbol: str,
+    strides: tuple[int, ...],
+    moves: Sequence[Move],
+    before: Sequence[str],
+    after: Sequence[str],
+) -> str:
+    """The function; what is in `moves` is left to the lines `before` and `after`, which stand around the rest."""
+    moved = {(m.output, e) for m in moves for e in range(m.to, m.to + m.count)}
+    stored = [(k, e) for k, refs in enumerate(program.output_refs) for e in range(len(refs)) if (k, e) not in moved]
+    refs: list[tuple[int, ...]] = [(program.output_refs[k][e],) for k, e in stored]
+    instructions, kept = drop_dead(list(program.instructions), refs)
+    read = {i.args[0] for i in instructions if i.op == "input"} | {m.input for m in moves}
+    lines = [
+        f"/* {program.operations} operations; outputs may alias inputs */",
+        *head(program, symbol, len(program.outputs), program.operations),
+        "    (void)work;",
+        *(f"    (void)in{k};" for k in range(len(program.inputs)) if k not in read),
+        *(f"    (void)out{k};" for k, entries in enumerate(program.output_refs) if not entries),
+        *before,
+    ]
+    if stored:
+        lines.append("    EACH_LANE {")
+        truths: set[int] = set()
+        for at, instruction in enumerate(instructions):
+            lines.append("        " + _assignment(instruction, at, truths, strides))
+        for (k, e), (ref,) in zip(stored, kept, strict=True):
+            lines.append(f"        STORE(out{k}, {e * strides[len(program.inputs) + k]}, {_number(ref, truths)});")
+        lines.append("    }")
+    return "\n".join([*lines, *after, "}"]) + "\n"
+
+
+def _assignment(instruction: Instruction, at: int, truths: set[int], strides: tuple[int, ...]) -> str:
+    op, args = instruction.op, instruction.args
+    if op == "const":
+        return f"const vec v{at} = SET({c_literal(float(instruction.value or 0.0))});"
+    if op == "input":
+        return f"const vec v{at} = LOAD(in{args[0]}, {args[1] * strides[args[0]]});"
+    kinds = _KINDS.get(op, "v" * (len(args) + 1))
+    operands = [_truth(a, truths) if kind == "m" else _number(a, truths) for a, kind in zip(args, kinds, strict=False)]
+    if op in _IN_PLACE:
+        return f"vec v{at} = {operands[0]}; {_IN_PLACE[op].format(f'v{at}', *operands[1:])};"
+    word = _WORDS.get(op, op.upper())
+    if kinds[-1] == "m":
+        truths.add(at)
+    return f"const {'truth' if kinds[-1] == 'm' else 'vec'} v{at} = {word}({', '.join(operands)});"
+
+
+def _number(at: int, truths: set[int]) -> str:
+    return f"NUMBER(v{at})" if at in truths else f"v{at}"
+
+
+def _truth(at: int, truths: set[int]) -> str:
+    return f"v{at}" if at in truths else f"TRUTH(v{at})"

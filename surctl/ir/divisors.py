@@ -1,0 +1,28 @@
+"""Divisions by the same number, of which all but one can be saved."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from surctl.ir.numbering import Numbering
+from surctl.ir.program import Program
+
+__all__ = ["shared_divisors"]
+
+
+def shared_divisors(program: Program) -> Program:
+    """The program with x / d as x · (1 / d) for every d that divides more than once.
+
+    A division takes a vector unit as long as thirty products. A quotient changes by two units in the last place at
+    most where 1 / d is a normal number, so not by `lower`, which changes no bit; CasADi itself writes x · (1 / d) back
+    as x / d.
+    """
+    divisors = Counter(i.args[-1] for i in program.instructions if i.op in ("div", "inv"))
+    text, moved = Numbering(), list[int]()
+    for instruction in program.instructions:
+        if instruction.op == "div" and divisors[instruction.args[1]] > 1:
+            over, under = (moved[a] for a in instruction.args)
+            moved.append(text.add("mul", (over, text.add("inv", (under,)))))
+        else:
+            moved.append(text.copy(instruction, moved))
+    return text.rewritten(program, moved)

@@ -1,0 +1,144 @@
+"""sin, cos, atan2 and acos from exact operations only, so that their bytes are the same on every machine.
+
+The arguments are reduced as Cody and Waite (1980) do, to |r| ≤ π/4 for sin and cos and to |t| ≤ tan(π/8) for atan2.
+The polynomials in the square of the reduced argument interpolate, at Chebyshev's nodes, (sin r / r − 1) / r²,
+(cos r − 1 + r²/2) / r⁴ and (atan t / t − 1) / t²; they were computed with 60 digits and rounded to double, and are off
+by less than 3e-17, 2e-18 and 4e-17.
+
+Errors, in double: sin and cos 2e-16 for |x| ≤ 1e6, atan2 and acos 5e-16, which is two to three units in the last place
+near 1. In float: 1.5e-7 for sin and cos with |x| ≤ 3000 (beyond, half a unit in the last place of x), 4e-7 for the
+other two.
+
+What has no value is NaN: sin and cos of a NaN, of an infinity and of |x| > 2²⁰, atan2 with a NaN or of two
+infinities, acos outside [−1, 1]. atan2 takes a zero of either sign as +0, so that it lies in (−π, π] and is 0 at the
+origin; sin keeps the sign of a zero. The sum of |y| and |x| must not overflow.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+from surctl.ir.numbering import Numbering
+from surctl.ir.program import Program
+from surctl.ir.routine import Block, rebuilt
+
+__all__ = ["without_libm"]
+
+# π/2 in four parts: 13, 13 and 33 bits, so that their products with a quadrant's number are exact, and the rest
+_HALF_PI = tuple(float.fromhex(x) for x in ("0x1.921p+0", "0x1.f6ap-13", "0x1.110b4611p-26", "0x1.4c4c6628b80dcp-59"))
+_TWO_BY_PI = float.fromhex("0x1.45f306dc9c883p-1")
+_LARGEST = 2.0**20
+_TAN_PI_8 = math.sqrt(2.0) - 1.0  # where atan is cut; its last bits do not matter
+
+_SIN = (
+    *(-0.16666666666666666, 0.008333333333330936, -0.00019841269836740532, 2.7557316093198404e-06),
+    *(-2.5051129896450185e-08, 1.5917988979397435e-10),
+)
+_COS = (
+    *(0.041666666666666664, -0.0013888888888887389, 2.48015872987544e-05, -2.755731726587808e-07),
+    *(2.087614504941318e-09, -1.138254464534925e-11),
+)
+_ATAN = (
+    *(-0.3333333333333333, 0.1999999999999548, -0.14285714284657894, 0.11111111014561013, -0.09090904549884611),
+    *(0.07692182535116648, -0.06664502215671447, 0.058580687568615106, -0.05085030492810941),
+    *(0.03921955253255129, -0.019162068915902573),
+)
+
+
+def without_libm(block: Block) -> Block:
+    """The block with sin, cos, atan2 and acos written out; one without them comes back as it is.
+
+    See the module's text for the errors and for what happens at zeros, infinities and NaN. What two of them share, as
+    the reduction of one angle, is computed once.
+    """
+    if not block.libm:
+        return block
+    return rebuilt(block, _program)
+
+
+def _program(program: Program) -> Program:
+    if not program.libm:
+        return program
+    text, moved = _Formulas(), list[int]()
+    for instruction in program.instructions:
+        if instruction.op in _WRITTEN_OUT:
+            moved.append(_WRITTEN_OUT[instruction.op](text, *(moved[a] for a in instruction.args)))
+        else:
+            moved.append(text.copy(instruction, moved))
+    return text.rewritten(program, moved)
+
+
+class _Formulas(Numbering):
+    """The list under construction; numbers stand for constants, positions for what is computed."""
+
+    def do(self, op: str, *args: int | float) -> int:
+        """One operation; a float operand is a constant."""
+        return self.add(op, tuple(self.constant(a) if isinstance(a, float) else a for a in args))
+
+    def polynomial(self, z: int, coefficients: tuple[float, ...]) -> int:
+        """Horner's rule, the constant term first in the list."""
+        value: int | float = coefficients[-1]
+        for coefficient in coefficients[-2::-1]:
+            value = self.do("add", self.do("mul", value, z), coefficient)
+        return int(value)
+
+    def reduced(self, x: int) -> tuple[int, int]:
+        """(k, r) with x = k π/2 + r, |r| ≤ π/4 but for rounding."""
+        inside = self.do("le", self.do("fabs", x), _LARGEST)
+        x = self.do("select", inside, x, math.inf)
+        k = self.do("floor", self.do("add", self.do("mul", x, _TWO_BY_PI), 0.5))
+        r = x
+        for part in _HALF_PI:
+            r = self.do("sub", r, self.do("mul", k, part))
+        return k, r
+
+    def wave(self, x: int) -> tuple[int, int, int]:
+        """(quadrant 0 to 3, ± sin x, ± cos x), the last two by magnitude."""
+        k, r = self.reduced(x)
+        z = self.do("sq", r)
+        sine = self.do("mul", r, self.do("add", self.do("mul", z, self.polynomial(z, _SIN)), 1.0))
+        half = self.do("sub", self.do("mul", z, 0.5), self.do("mul", self.do("sq", z), self.polynomial(z, _COS)))
+        cosine = self.do("sub", 1.0, half)
+        quadrant = self.do("sub", k, self.do("mul", self.do("floor", self.do("mul", k, 0.25)), 4.0))
+        pair = self.do("mul", k, 0.5)
+        odd = self.do("ne", pair, self.do("floor", pair))
+        return quadrant, self.do("select", odd, cosine, sine), self.do("select", odd, sine, cosine)
+
+    def sin(self, x: int) -> int:
+        quadrant, size, _ = self.wave(x)
+        return self.do("select", self.do("le", 2.0, quadrant), self.do("neg", size), size)
+
+    def cos(self, x: int) -> int:
+        quadrant, _, size = self.wave(x)
+        middle = self.do("lt", self.do("fabs", self.do("sub", quadrant, 1.5)), 1.0)
+        return self.do("select", middle, self.do("neg", size), size)
+
+    def first_quadrant(self, y: int, x: int) -> int:
+        """atan2 of numbers that are not negative."""
+        # not fmin and fmax: they may lose a NaN
+        steep = self.do("lt", x, y)
+        small, large = self.do("select", steep, x, y), self.do("select", steep, y, x)
+        cut = self.do("lt", self.do("mul", large, _TAN_PI_8), small)
+        over = self.do("select", cut, self.do("sub", small, large), small)
+        under = self.do("select", cut, self.do("add", small, large), large)
+        t = self.do("div", over, self.do("select", self.do("eq", under, 0.0), 1.0, under))
+        z = self.do("sq", t)
+        angle = self.do("add", t, self.do("mul", self.do("mul", t, z), self.polynomial(z, _ATAN)))
+        angle = self.do("select", cut, self.do("add", angle, math.pi / 4), angle)
+        return self.do("select", steep, self.do("sub", math.pi / 2, angle), angle)
+
+    def atan2(self, y: int, x: int) -> int:
+        angle = self.first_quadrant(self.do("fabs", y), self.do("fabs", x))
+        angle = self.do("select", self.do("lt", x, 0.0), self.do("sub", math.pi, angle), angle)
+        return self.do("select", self.do("lt", y, 0.0), self.do("neg", angle), angle)
+
+    def acos(self, x: int) -> int:
+        below, above = self.do("sub", 1.0, x), self.do("add", x, 1.0)
+        return self.do("twice", self.first_quadrant(self.do("sqrt", below), self.do("sqrt", above)))
+
+
+_WRITTEN_OUT: Mapping[str, Callable[..., int]] = MappingProxyType(
+    {"sin": _Formulas.sin, "cos": _Formulas.cos, "atan2": _Formulas.atan2, "acos": _Formulas.acos}
+)

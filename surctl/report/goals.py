@@ -1,0 +1,219 @@
+"""Goals as pictures: how far each is met, the front of a tuning, and a figure over time with the bad side shaded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from textwrap import fill
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from surctl.control import Gains, build_law
+from surctl.report.theme import (
+    AVOIDING,
+    BAD,
+    GOOD,
+    INK,
+    MUTED,
+    ROBOT,
+    curve,
+    dress,
+    legend_above,
+    legend_below,
+    new_axes,
+    printable,
+)
+from surctl.simulation import simulate
+from surctl.tuning import Condition, Goal, Tuning, figures, scope
+from surctl.vehicle import Vehicle
+
+__all__ = ["GoalBars", "GoalView", "goal_bars", "goal_view", "plot_front", "plot_goal_bars", "plot_goal_view"]
+
+_MOST = 2.0  # normalised values are drawn up to this; longer bars are cut and say so
+
+
+@dataclass(frozen=True, eq=False)
+class GoalBars:
+    """Normalised values of m goals with two gain sets.
+
+    Attributes:
+        names: (m,) goals, hard ones first.
+        hard: (m,) whether the goal is hard.
+        hand, tuned: (m,) normalised values.
+    """
+
+    names: tuple[str, ...]
+    hard: tuple[bool, ...]
+    hand: NDArray[np.float64]
+    tuned: NDArray[np.float64]
+
+
+def goal_bars(tuning: Tuning) -> GoalBars:
+    """The goals of a tuning, hard ones first."""
+    goals = tuning.request.goals
+    order = sorted(range(len(goals)), key=lambda j: goals[j].kind != "hard")
+    hand, tuned = tuning.hand.evaluation.normalised[0], tuning.tuned.evaluation.normalised[0]
+    names = tuple(goals[j].name for j in order)
+    return GoalBars(names, tuple(goals[j].kind == "hard" for j in order), hand[order], tuned[order])
+
+
+def plot_goal_bars(data: GoalBars, ax: Axes | None = None) -> Axes:
+    """A pair of bars a goal, with the line at 1 that they must not pass."""
+    count = len(data.names)
+    ax = ax or new_axes(7.0, 1.7 + 0.52 * count)
+    dress(ax, title="normalised goals: at most 1 is met", x="normalised value [1]")
+    ax.grid(visible=False, axis="y")
+    at = np.arange(count)[::-1]
+    right = min(_MOST, max(1.25, 1.1 * _largest(data)))
+    ax.axvspan(1.0, right, color=BAD, alpha=0.08, zorder=0)
+    ax.axvline(1.0, color=BAD, linewidth=1.4, zorder=3)
+    for values, colour, shift in ((data.hand, MUTED, 0.18), (data.tuned, ROBOT, -0.18)):
+        drawn = np.clip(np.nan_to_num(values, nan=np.inf), 0.0, right)
+        ax.barh(at + shift, drawn, height=0.32, color=colour, zorder=2)
+        for y, value, length in zip(at + shift, values, drawn, strict=True):
+            text = f"{value:.3g}" if np.isfinite(value) else "not met"
+            inside = length > 0.8 * right
+            ax.text(
+                length - 0.01 * right if inside else length + 0.01 * right,
+                y,
+                text,
+                ha="right" if inside else "left",
+                va="center",
+                fontsize=8,
+                color="white" if inside else INK,
+                zorder=4,
+            )
+    kinds = ["hard" if hard else "soft" for hard in data.hard]
+    ax.set_yticks(at, [f"{name} ({kind})" for name, kind in zip(data.names, kinds, strict=True)], parse_math=False)
+    ax.set_xlim(0.0, right)
+    ax.set_ylim(-0.6, count - 0.4)
+    legend_below(ax, columns=2, handles=[Patch(color=MUTED, label="hand gains"), Patch(color=ROBOT, label="tuned")])
+    return ax
+
+
+def _largest(data: GoalBars) -> float:
+    both = np.concatenate([data.hand, data.tuned])
+    return float(np.max(both[np.isfinite(both)], initial=1.0))
+
+
+def plot_front(tuning: Tuning, ax: Axes | None = None) -> Axes:
+    """The undominated gain sets: score against mean thrust, with the start and the tuned gains marked."""
+    ax = dress(ax or new_axes(5.6, 4.2), title="what the tuning found", x="score [1]", y="mean thrust [N]")
+    start = tuning.hand.evaluation.normalised[0]
+    front = tuning.front
+    score, effort = front.score(start), front.evaluation.effort
+    ax.step(score, effort, where="post", color=MUTED, linewidth=1.0, zorder=1)
+    ax.plot(score, effort, "o", color=GOOD, markersize=5, label="undominated", zorder=2)
+    for pool, mark, colour, label in ((tuning.hand, "s", MUTED, "hand gains"), (tuning.tuned, "D", AVOIDING, "tuned")):
+        at, thrust = float(pool.score(start)[0]), float(pool.evaluation.effort[0])
+        if np.isfinite([at, thrust]).all():
+            ax.plot(at, thrust, mark, color=colour, markersize=8, label=label, linestyle="none", zorder=3)
+    ax.axvline(1.0, color=BAD, linewidth=1.0, zorder=0)
+    ax.margins(0.1)
+    legend_above(ax, columns=3)
+    return ax
+
+
+@dataclass(frozen=True, eq=False)
+class GoalView:
+    """A figure over time in the run that is worst for a goal, against its bound.
+
+    Attributes:
+        goal: the goal.
+        label: the run.
+        course: what the values are, with their unit.
+        time: label of a gain set → (k,) [s].
+        values: label of a gain set → (k,).
+    """
+
+    goal: Goal
+    label: str
+    course: str
+    time: dict[str, NDArray[np.float64]]
+    values: dict[str, NDArray[np.float64]]
+
+
+_OVER_TIME = {
+    "min_clearance_m": "clearance [m]",
+    "deviation_m": "deviation so far, rms [m]",
+    "max_deviation_m": "distance from the path [m]",
+    "effort_n": "thrust so far, mean [N]",
+    "time_s": "distance to the target [m]",  # the bound is one on the other axis
+}
+
+
+def goal_view(tuning: Tuning, goal: Goal) -> GoalView | None:
+    """The figure behind a goal over time, hand gains and tuned ones, in the tuned gains' worst run.
+
+    The run is flown again by the reference loop. None where the figure has no course over time.
+    """
+    if goal.metric not in _OVER_TIME:
+        return None
+    flown = tuning.request.flown
+    own = [flown[k] for k in scope(goal, flown)]
+    tuned = {name: np.array([value]) for name, value in tuning.result.gains.items()}
+    worst = int(goal.normalised(figures([goal], own, tuned)[goal.metric][0]).argmax())
+    base = tuning.request.base
+    sets = {"hand gains": base, "tuned": base.with_values(tuning.result.gains)}
+    time, values = {}, {}
+    for label, gains in sets.items():
+        time[label], values[label] = _course(own[worst], gains, goal.metric)
+    return GoalView(goal, own[worst].label, _OVER_TIME[goal.metric], time, values)
+
+
+def _course(condition: Condition, gains: Gains, metric: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    case = condition.case
+    run = simulate(
+        case.scenario,
+        _flown(case.vehicle, condition),
+        gains=gains,
+        law=build_law(case.law, mode=case.mode),
+        sensing=case.sensing,
+        seed=condition.seed,
+        model=case.model or case.vehicle,
+    )
+    record = run.record
+    away = case.scenario.path.distance(record.eta[:, :2])
+    counted = np.arange(1, len(away) + 1)
+    course = {
+        "min_clearance_m": record.clearance,
+        "deviation_m": np.sqrt(np.cumsum(away**2) / counted),  # the figure is the last value of the curve
+        "max_deviation_m": away,
+        "effort_n": np.cumsum(np.hypot(record.tau[:, 0], record.tau[:, 1])) / counted,
+        "time_s": np.hypot(*(record.eta[:, :2] - case.scenario.target).T),
+    }[metric]
+    return record.time, np.asarray(course, dtype=float)
+
+
+def _flown(vehicle: Vehicle, condition: Condition) -> Vehicle:
+    return vehicle.with_values({name.removeprefix("plant."): value for name, value in condition.plant.items()})
+
+
+def plot_goal_view(data: GoalView, ax: Axes | None = None) -> Axes:
+    """The figure over time; the side of the bound that misses the goal is shaded."""
+    goal = data.goal
+    ax = ax or new_axes(6.4, 3.9)
+    dress(ax, title=goal.name, x="time [s]", y=data.course)
+    for k, label in enumerate(data.time):
+        curve(ax, data.time[label], data.values[label], label=label, k=k)
+    # an arrival is bounded along the time, every other figure along its own axis
+    drawn, shade, line, bounded, free = (
+        (data.time, ax.axvspan, ax.axvline, ax.set_xlim, ax.set_ylim)
+        if goal.metric == "time_s"
+        else (data.values, ax.axhspan, ax.axhline, ax.set_ylim, ax.set_xlim)
+    )
+    ends = np.concatenate([*drawn.values(), [goal.limit]])
+    known = ends[np.isfinite(ends)]
+    spread = max(float(np.ptp(known)), 1e-6)
+    low, high = min(0.0, float(known.min())) - 0.02 * spread, float(known.max()) + 0.12 * spread
+    above = goal.bad_side() == "above"
+    shade(goal.limit if above else low, high if above else goal.limit, color=BAD, alpha=0.10, zorder=0)
+    line(goal.limit, color=BAD, linewidth=1.4, zorder=1, label=f"{goal.sense} {goal.limit:g} {goal.unit}")
+    bounded(low, high)
+    free(0.0)
+    legend_above(ax, columns=3)
+    label = fill(printable(data.label), 100)
+    ax.set_xlabel(f"{ax.get_xlabel()}\n\n{label}", fontsize=8, color=INK, parse_math=False)
+    return ax

@@ -1,0 +1,155 @@
+"""Seeded noise that a run carries with it: the same numbers in Python, in CasADi and in C, whatever runs beside it.
+
+MRG32k3a (L'Ecuyer 1999, "Good parameters and implementations for combined multiple recursive random number
+generators"), whose arithmetic is exact in double precision. A seed is a stream: streams start 2^127 draws apart
+(L'Ecuyer, Simard, Chen and Kelton 2002). Normal numbers by Box and Muller, in pairs.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from math import cos, log, pi, sin, sqrt
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError
+
+__all__ = ["NOISE_STATE", "NoiseStream", "draw_normals", "noise_states"]
+
+NOISE_STATE = 6
+"""Numbers in a generator's state: whole numbers below 2^32, three of each component, oldest first."""
+
+_M1, _M2 = 4294967087, 4294944443
+_A1 = ((0, 1, 0), (0, 0, 1), (-810728, 1403580, 0))
+_A2 = ((0, 1, 0), (0, 0, 1), (-1370589, 0, 527612))
+_NORM = 2.328306549295728e-10  # 1/(m1 + 1)
+_STREAM = 127  # streams start 2^127 draws apart
+_FIRST = 12345
+_SEED_BITS = 63
+# natural logarithm on [sqrt(1/2), sqrt(2)): 2 artanh((m − 1)/(m + 1)), its series to the 19th power, error < 1e-16
+_LOG_TERMS = tuple(2.0 / (2 * k + 1) for k in range(10))
+
+
+def noise_states(seeds: ArrayLike) -> NDArray[np.float64]:
+    """State at the start of each seed's stream, (n, 6).
+
+    Args:
+        seeds: (n,) whole numbers, 0 to 2^63 − 1.
+
+    Raises:
+        InputError: a seed that is no such number.
+    """
+    given = np.atleast_1d(np.asarray(seeds))
+    if given.dtype.kind == "f" and not np.all(given == np.floor(given)):
+        raise InputError("is no whole number", key="seed", value=given[given != np.floor(given)][0])
+    if given.dtype.kind not in "iuf" or given.ndim != 1 or np.any(given < 0):
+        raise InputError("must be whole numbers, at least 0", key="seed", value=given.tolist()[:3])
+    whole = given.astype(np.uint64)
+    parts = []
+    for modulus, jumps in ((_M1, _jumps(0)), (_M2, _jumps(1))):
+        state = np.full((len(whole), 3), _FIRST, dtype=np.uint64)
+        for bit in range(int(whole.max(initial=np.uint64(0))).bit_length()):
+            moved = _times(jumps[bit], state, np.uint64(modulus))
+            state = np.where(((whole >> np.uint64(bit)) & np.uint64(1))[:, None] == 1, moved, state)
+        parts.append(state)
+    return np.hstack(parts).astype(np.float64)
+
+
+@cache
+def _jumps(component: int) -> list[NDArray[np.uint64]]:
+    """Matrices that advance one component by 2^127 · 2^k draws."""
+    modulus, matrix = ((_M1, _A1), (_M2, _A2))[component]
+    power = np.array(matrix, dtype=object) % modulus
+    found = []
+    for k in range(_STREAM + _SEED_BITS):
+        if k >= _STREAM:
+            found.append(power.astype(np.uint64))
+        power = power.dot(power) % modulus
+    return found
+
+
+def _times(matrix: NDArray[np.uint64], state: NDArray[np.uint64], modulus: np.uint64) -> NDArray[np.uint64]:
+    """(n, 3): matrix · state mod modulus; a product of two numbers below 2^32 fits 64 bits."""
+    rows = [sum((matrix[i, j] * state[:, j] % modulus for j in range(3)), start=np.uint64(0)) for i in range(3)]
+    return np.column_stack([row % modulus for row in rows])
+
+
+class NoiseStream:
+    """The noise of one run, drawn one after another.
+
+    Args:
+        seed: of the run, 0 to 2^63 − 1.
+    """
+
+    def __init__(self, seed: int) -> None:
+        first = [int(v) for v in noise_states([seed])[0]]
+        self._one, self._two = first[:3], first[3:]
+
+    def uniform(self) -> float:
+        """The next number in (0, 1)."""
+        one = (1403580 * self._one[1] - 810728 * self._one[0]) % _M1
+        two = (527612 * self._two[2] - 1370589 * self._two[0]) % _M2
+        self._one, self._two = [*self._one[1:], one], [*self._two[1:], two]
+        return (one - two if one > two else one - two + _M1) * _NORM
+
+    def normals(self, count: int) -> NDArray[np.float64]:
+        """The next `count` standard normal numbers; an odd one drops the last of its pair."""
+        out: list[float] = []
+        while len(out) < count:
+            radius, turn = sqrt(-2.0 * log(self.uniform())), 2.0 * pi * self.uniform()
+            out += [radius * cos(turn), radius * sin(turn)]
+        return np.array(out[:count])
+
+
+def draw_normals(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
+    """Standard normal numbers (count, 1) and the next state (6, 1): `NoiseStream.normals` in symbols.
+
+    Args:
+        state: (6, 1).
+        count: how many, even.
+
+    Raises:
+        InputError: an odd count.
+    """
+    if count % 2:
+        raise InputError("must be even", key="count", value=count)
+    one, two = [state[k] for k in range(3)], [state[k] for k in range(3, 6)]
+    out = []
+    for _ in range(count // 2):
+        u1, one, two = _uniform(one, two)
+        u2, one, two = _uniform(one, two)
+        radius, turn = ca.sqrt(-2.0 * _log_of_uniform(u1)), 2.0 * pi * u2
+        out += [radius * ca.cos(turn), radius * ca.sin(turn)]
+    return ca.vertcat(*out), ca.vertcat(*one, *two)
+
+
+def _uniform(one: list[ca.SX], two: list[ca.SX]) -> tuple[ca.SX, list[ca.SX], list[ca.SX]]:
+    a = _remainder(1403580.0 * one[1] - 810728.0 * one[0], float(_M1))
+    b = _remainder(527612.0 * two[2] - 1370589.0 * two[0], float(_M2))
+    difference = a - b
+    return ca.if_else(difference > 0, difference, difference + _M1) * _NORM, [*one[1:], a], [*two[1:], b]
+
+
+def _remainder(x: ca.SX, modulus: float) -> ca.SX:
+    """x mod modulus for whole |x| < 2^53: the quotient lies at least 1/modulus below the next whole number, and its
+    rounding error is below that (|quotient| < 2^21), so that floor finds the right one."""
+    return x - ca.floor(x / modulus) * modulus
+
+
+def _log_of_uniform(u: ca.SX) -> ca.SX:
+    """ln u for 2^-33 < u < 1, without a logarithm: scale by powers of 2 to [1/2, 1), then a series."""
+    mantissa, exponent = u, ca.SX(0)
+    for step in (32, 16, 8, 4, 2, 1):
+        small = mantissa < 2.0**-step
+        mantissa = ca.if_else(small, mantissa * 2.0**step, mantissa)
+        exponent = ca.if_else(small, exponent - step, exponent)
+    low = mantissa < sqrt(0.5)
+    mantissa, exponent = ca.if_else(low, 2 * mantissa, mantissa), ca.if_else(low, exponent - 1, exponent)
+    t = (mantissa - 1) / (mantissa + 1)
+    square = t * t
+    series = ca.SX(_LOG_TERMS[-1])
+    for term in reversed(_LOG_TERMS[:-1]):
+        series = series * square + term
+    return exponent * log(2.0) + t * series

@@ -1,0 +1,142 @@
+"""The obstacles of a scenario in symbols, and their numbers for many runs at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.sensing import SonarArray, range_to_box, range_to_disc
+from surctl.simulation.scenario import Obstacle
+
+__all__ = ["ABSENT", "Body", "BodyKind", "body_at", "body_columns", "body_size", "kind_of"]
+
+Columns: TypeAlias = NDArray[np.float64]
+BodyKind = Literal["box", "disc", "drifting box", "drifting disc", "mover"]
+
+ABSENT = 1e30  # [m] clearance of what is not there
+
+
+@dataclass(frozen=True)
+class Body:
+    """An obstacle at one instant, symbolic.
+
+    Attributes:
+        centre: (2, 1) [m] in {E}.
+        size: (2, 1) edges of a box, or (1, 1) radius of a disc [m].
+        velocity: (2, 1) [m/s] in {E}.
+        present: 0 when it has been taken out of the water.
+        moving: whether the base station follows it.
+    """
+
+    centre: ca.SX
+    size: ca.SX
+    velocity: ca.SX
+    present: ca.SX
+    moving: bool
+
+    @property
+    def boxed(self) -> bool:
+        """Whether it is a box."""
+        return bool(self.size.numel() == 2)
+
+    def clearance(self, position: ca.SX) -> ca.SX:
+        """Signed distance [m] from a point (2, 1) to the surface; `ABSENT` when it is not there."""
+        offset = position - self.centre
+        if self.boxed:
+            beyond = ca.fabs(offset) - 0.5 * self.size
+            outside = ca.sqrt(ca.sumsqr(ca.fmax(beyond, 0)))
+            distance = ca.if_else(outside > 0, outside, ca.fmax(beyond[0], beyond[1]))
+        else:
+            distance = ca.sqrt(ca.sumsqr(offset)) - self.size
+        return ca.if_else(self.present, distance, ABSENT)
+
+    def contact(self, position: ca.SX) -> ca.SX:
+        """Row (1, 6) of the law's contacts: x, y, radius, vx, vy, valid; of a box its point nearest to `position`."""
+        if self.boxed:
+            half = 0.5 * self.size
+            point = self.centre + ca.fmin(ca.fmax(position - self.centre, -half), half)
+            radius = ca.SX(0)
+        else:
+            point, radius = self.centre, self.size
+        row = ca.vertcat(point, radius, self.velocity, 1)
+        return ca.if_else(self.present, row, ca.SX.zeros(6)).T
+
+    def range(self, array: SonarArray, apex: ca.SX, axis: ca.SX) -> ca.SX:
+        """Distance in the cone of a sensor [m], beyond the array's maximum when there is nothing."""
+        if self.boxed:
+            found = range_to_box(array, apex, axis, centre=self.centre, size=self.size)
+        else:
+            found = range_to_disc(array, apex, axis, centre=self.centre, radius=self.size)
+        return ca.if_else(self.present, found, 2.0 * array.maximum)
+
+
+def kind_of(obstacle: Obstacle, *, drifting: bool) -> BodyKind:
+    """What of the obstacle is fixed in the compiled loop."""
+    if obstacle.shape == "moving":
+        return "mover"
+    if obstacle.shape == "box":
+        return "drifting box" if drifting else "box"
+    return "drifting disc" if drifting else "disc"
+
+
+def body_size(kind: BodyKind) -> int:
+    """How many numbers describe it."""
+    return {"box": 4, "disc": 3, "drifting box": 8, "drifting disc": 7, "mover": 8}[kind]
+
+
+def body_at(kind: BodyKind, numbers: ca.SX, time: ca.SX) -> Body:
+    """The obstacle at a time [s], from the numbers of `body_columns`."""
+    start = numbers[:2]
+    if kind == "mover":
+        direction, distance, speed, stays = numbers[3:5], numbers[5], numbers[6], numbers[7]
+        there = speed * time >= distance
+        velocity = ca.if_else(there, 0, speed) * direction
+        where = start + ca.fmin(speed * time, distance) * direction
+        return Body(where, numbers[2], velocity, ca.logic_or(ca.logic_not(there), stays), moving=True)
+    shape = 2 if kind.endswith("box") else 1
+    size, drift = numbers[2 : 2 + shape], numbers[2 + shape :]
+    if not kind.startswith("drifting"):
+        return Body(start, size, ca.SX.zeros(2), ca.SX(1), moving=False)
+    angle = drift[2] * time + drift[3]
+    return Body(start + ca.sin(angle) * drift[:2], size, drift[2] * ca.cos(angle) * drift[:2], ca.SX(1), moving=False)
+
+
+def body_columns(
+    obstacle: Obstacle,
+    kind: BodyKind,
+    *,
+    number: Callable[[str], Columns],
+    given: Mapping[str, Columns],
+    hull: Columns,
+    direction: Columns,
+    phase: Columns,
+) -> list[Columns]:
+    """The numbers of `body_at` for n runs, one column (n,) or () each.
+
+    Args:
+        obstacle: as the scenario has it.
+        kind: of `kind_of`.
+        number: value of one of the obstacle's knobs, by the last part of its name.
+        given: values by full knob name; tells whether a radius was chosen.
+        hull: (n,) [m], radius of a mover that has none of its own.
+        direction: (n, 2) unit vector of the drift.
+        phase: (n,) [rad] of the drift.
+    """
+    x, y = number("x"), number("y")
+    if kind == "mover":
+        own = obstacle.radius_m is not None or f"obstacle.{obstacle.name}.radius" in given
+        way = np.stack(np.broadcast_arrays(number("to_x") - x, number("to_y") - y))
+        distance = np.hypot(*way)
+        unit = way / np.where(distance > 0, distance, 1.0)
+        stays = np.asarray(float(not obstacle.removed))
+        return [x, y, number("radius") if own else hull, unit[0], unit[1], distance, number("speed"), stays]
+    size = [number("size_x"), number("size_y")] if kind.endswith("box") else [number("radius")]
+    if not kind.startswith("drifting"):
+        return [x, y, *size]
+    rate, amplitude = 2 * np.pi / number("drift_period"), number("drift")
+    return [x, y, *size, amplitude * direction[:, 0], amplitude * direction[:, 1], rate, phase]

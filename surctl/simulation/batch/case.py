@@ -1,0 +1,177 @@
+"""What a batch flies, and every number of it that may be changed by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.control import GAINS, Gains, Law, build_law
+from surctl.control.build import LawName
+from surctl.errors import InputError, nearest
+from surctl.guidance import AvoidanceForm
+from surctl.priority import Mode
+from surctl.simulation.run import Sensing
+from surctl.simulation.scenario import Obstacle, Scenario
+from surctl.vehicle import PARAMETERS as VEHICLE_PARAMETERS
+from surctl.vehicle import Vehicle
+
+__all__ = ["Case", "Knob", "check_values", "knobs"]
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One scenario, flown by one vehicle under one law.
+
+    Attributes:
+        scenario: the mission.
+        vehicle: what is flown.
+        gains: the law's gains.
+        law, avoidance, mode: as `build_law`.
+        sensing: `truth` or `sonar`.
+        model: what the controller believes it flies; None: the vehicle itself.
+    """
+
+    scenario: Scenario
+    vehicle: Vehicle
+    gains: Gains
+    law: LawName = "guarded"
+    mode: Mode = "nsb"
+    sensing: Sensing = "truth"
+    model: Vehicle | None = None
+    avoidance: AvoidanceForm = "corrected"
+
+    @property
+    def name(self) -> str:
+        """Scenario, vehicle and sensing."""
+        return f"{self.scenario.name}/{self.vehicle.name}/{self.sensing}"
+
+    def build(self) -> Law:
+        """The law that is flown."""
+        return build_law(self.law, avoidance=self.avoidance, mode=self.mode)
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A number of a case that may be changed.
+
+    Attributes:
+        name: `k_v`, `vehicle.m11` (plant and model), `plant.m11` (plant only), `scenario.cruise`,
+            `obstacle.NAME.speed`, …
+        unit: SI unit.
+        meaning: what it is.
+        value: in the case as it stands.
+        low, high: bounds; `low` itself is refused if `open_below`.
+        range: where the number may lie, as its file states it, or None.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    value: float
+    low: float = -inf
+    high: float = inf
+    open_below: bool = False
+    range: tuple[float, float] | None = None
+
+    def check(self, values: Vector) -> None:
+        """InputError unless every value is finite and within the bounds."""
+        good = np.isfinite(values) & (values <= self.high)
+        good &= (values > self.low) if self.open_below else (values >= self.low)
+        if not good.all():
+            least = f"greater than {self.low:g}" if self.open_below else f"at least {self.low:g}"
+            bounds = [least] if self.low > -inf else []
+            bounds += [f"at most {self.high:.3g}"] if self.high < inf else []
+            raise InputError(
+                "must be " + " and ".join(bounds or ["finite"]),
+                key=self.name,
+                value=float(values[~good][0]),
+                remedy=f"{self.meaning}, in {self.unit}",
+            )
+
+
+def knobs(case: Case) -> Mapping[str, Knob]:
+    """Every number of the case that a batch may change, by name."""
+    found = [
+        Knob(name, spec.unit, spec.meaning, case.gains.values[name], 0.0, spec.below, not spec.zero_allowed)
+        for name, spec in GAINS.items()
+    ]
+    for name, spec in VEHICLE_PARAMETERS.items():
+        known = case.vehicle.parameters[name]
+        found.append(
+            Knob(f"vehicle.{name}", spec.unit, spec.meaning, known.value, 0.0, inf, not spec.zero_allowed, known.range)
+        )
+        what = f"{spec.meaning}, of the vehicle that is flown; the controller keeps its model"
+        found.append(Knob(f"plant.{name}", spec.unit, what, known.value, 0.0, inf, not spec.zero_allowed, known.range))
+    found += _scenario_knobs(case.scenario)
+    for obstacle in case.scenario.obstacles:
+        found += _obstacle_knobs(obstacle, case.vehicle)
+    return {knob.name: knob for knob in found}
+
+
+def _scenario_knobs(scenario: Scenario) -> list[Knob]:
+    d = scenario.disturbance
+    return [
+        Knob("scenario.cruise", "m/s", "speed of the path's target", scenario.cruise, 0.0, inf, True),
+        Knob("scenario.cap", "m/s", "largest commanded horizontal speed", scenario.cap, 0.0, inf, True),
+        Knob("scenario.depth", "m", "wanted z, negative below the surface", scenario.depth, -scenario.site[2], 0.0),
+        Knob("scenario.reach", "m", "distance to the target that counts as arrived", scenario.reach, 0.0, inf, True),
+        Knob("scenario.time_limit", "s", "longest run", scenario.time_limit, 0.0, inf, True),
+        Knob("scenario.current_x", "m/s", "current along x of {E}", d.current_m_per_s[0]),
+        Knob("scenario.current_y", "m/s", "current along y of {E}", d.current_m_per_s[1]),
+        Knob("scenario.wave_force", "N", "amplitude of the wave force", d.wave_force_n, 0.0),
+        Knob("scenario.wave_period", "s", "period of the waves", d.wave_period_s, 0.0, inf, True),
+    ]
+
+
+def _obstacle_knobs(obstacle: Obstacle, vehicle: Vehicle) -> list[Knob]:
+    def knob(
+        name: str, unit: str, meaning: str, value: float, least: float | None = None, *, above: bool = False
+    ) -> Knob:
+        low = -inf if least is None else least
+        return Knob(f"obstacle.{obstacle.name}.{name}", unit, meaning, value, low, inf, above)
+
+    found = [
+        knob("x", "m", "centre at the start, x in {E}", obstacle.centre_m[0]),
+        knob("y", "m", "centre at the start, y in {E}", obstacle.centre_m[1]),
+    ]
+    if obstacle.size_m is not None:
+        found += [
+            knob(f"size_{axis}", "m", f"edge along {axis} of {{E}}", obstacle.size_m[k], 0.0, above=True)
+            for k, axis in enumerate("xy")
+        ]
+    else:
+        radius = obstacle.radius_m or vehicle["radius"]
+        found.append(knob("radius", "m", "radius", radius, 0.0, above=True))
+    if obstacle.shape == "moving":
+        to_x, to_y = obstacle.to_m or obstacle.centre_m
+        return [
+            *found,
+            knob("to_x", "m", "where it goes, x in {E}", to_x),
+            knob("to_y", "m", "where it goes, y in {E}", to_y),
+            knob("speed", "m/s", "its speed", float(obstacle.speed_m_per_s or 0.0), 0.0, above=True),
+        ]
+    return [
+        *found,
+        knob("drift", "m", "amplitude of its drift", obstacle.drift_m, 0.0),
+        knob("drift_period", "s", "period of its drift", obstacle.drift_period_s, 0.0, above=True),
+    ]
+
+
+def check_values(case: Case, values: Mapping[str, Vector]) -> None:
+    """InputError for an unknown knob, or a value that it does not take."""
+    known = knobs(case)
+    for name, column in values.items():
+        if name not in known:
+            raise InputError("no such number in the case", key=name, value=case.name, remedy=nearest(name, known))
+        known[name].check(column)
+    at = {name: values.get(f"scenario.{name}", getattr(case.scenario, name)) for name in ("cruise", "cap")}
+    if np.any(np.greater(at["cruise"], at["cap"])):
+        raise InputError(
+            "goes above scenario.cap", key="scenario.cruise", value=float(np.max(at["cruise"])), remedy="lower it"
+        )

@@ -1,0 +1,76 @@
+"""The metrics of a run in symbols, counted tick by tick."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from surctl.guidance import MAX_WAYPOINTS
+from surctl.simulation.metrics import NEAR_TARGET, TUBE
+
+__all__ = ["SUMS", "counted", "modulo"]
+
+SUMS = (
+    ("sum_square", "m^2", "of the horizontal distance to the path"),
+    ("sum_error", "m^2", "squared distance to the path outside avoidance"),
+    ("count_error", "1", "ticks outside avoidance"),
+    ("sum_effort", "N", "of |horizontal thrust command|"),
+    ("sum_jump", "N^2", "squared change of the horizontal thrust command"),
+    ("count_saturated", "1", "ticks with a command at its limit"),
+    ("most_away", "m", "largest horizontal distance to the path"),
+    ("most_past", "m", "largest way past the target"),
+    ("most_thrust", "1", "largest share of a thrust limit"),
+    ("length", "m", "way flown"),
+)
+"""What a run carries for its metrics: name, unit, meaning."""
+
+
+def counted(
+    old: Mapping[str, ca.SX],
+    w: Mapping[str, ca.SX],
+    tau: ca.SX,
+    status: ca.SX,
+    avoiding: ca.SX,
+    to_target: ca.SX,
+    gap: ca.SX,
+) -> dict[str, ca.SX]:
+    """The metrics after this tick, see `metrics.METRICS`."""
+    place, depth = old["plant"][:2], old["plant"][2]
+    square = _path_square(w["waypoints"], place)
+    away = ca.sqrt(square)
+    excluded = ca.logic_or(avoiding, ca.logic_and(old["away"], away > TUBE))
+    first = old["tick"] < 0.5
+    thrust, step = tau[:2], place - old["last_place"]
+    past = ca.if_else(gap <= NEAR_TARGET, ca.dot(to_target, w["leg"]), 0)
+    share = ca.fabs(tau) / w["thrust_limit"]
+    return {
+        "away": excluded,
+        "last_thrust": thrust,
+        "sum_square": old["sum_square"] + square,
+        "sum_error": old["sum_error"] + ca.if_else(excluded, 0, square + (depth - w["depth"]) ** 2),
+        "count_error": old["count_error"] + ca.logic_not(excluded),
+        "sum_effort": old["sum_effort"] + ca.sqrt(ca.sumsqr(thrust)),
+        "sum_jump": old["sum_jump"] + ca.if_else(first, 0, ca.sumsqr(thrust - old["last_thrust"])),
+        "count_saturated": old["count_saturated"] + modulo(status, 2),
+        "most_away": ca.fmax(old["most_away"], away),
+        "most_past": ca.fmax(old["most_past"], past),
+        "most_thrust": ca.fmax(old["most_thrust"], ca.mmax(share)),
+        "length": old["length"] + ca.if_else(first, 0, ca.sqrt(ca.sumsqr(step))),
+    }
+
+
+def _path_square(waypoints: ca.SX, point: ca.SX) -> ca.SX:
+    """Squared distance [m²] to the polyline; repeated waypoints are points."""
+    best = ca.SX(1e30)
+    for k in range(MAX_WAYPOINTS - 1):
+        a, b = waypoints[k, :].T, waypoints[k + 1, :].T
+        chord = b - a
+        along = ca.dot(point - a, chord) / ca.fmax(ca.sumsqr(chord), 1e-12)
+        best = ca.fmin(best, ca.sumsqr(point - a - ca.fmin(ca.fmax(along, 0), 1) * chord))
+    return best
+
+
+def modulo(number: ca.SX, period: int) -> ca.SX:
+    """A whole number modulo a period."""
+    return number - period * ca.floor(number / period)

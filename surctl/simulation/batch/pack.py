@@ -1,0 +1,174 @@
+"""From a case, values by name and seeds to the numbers of every run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.control import GAINS, law_parameters
+from surctl.sensing import noise_states
+from surctl.simulation.batch.bodies import body_columns, kind_of
+from surctl.simulation.batch.case import Case, knobs
+from surctl.simulation.batch.tick import Loop, Structure
+from surctl.simulation.world import WorldDraw, draw_world
+from surctl.vehicle import PLANT_PARAMETERS
+
+__all__ = ["Packed", "pack", "structure_of"]
+
+Columns = NDArray[np.float64]
+
+_VECTORS = {
+    "mass": ("m11", "m22", "m33", "m44"),
+    "linear_drag": ("Xu", "Yv", "Zw", "Nr"),
+    "quadratic_drag": ("Xuu", "Yvv", "Zww", "Nrr"),
+    "thrust_limit": ("Fu_max", "Fv_max", "Fw_max", "Fr_max"),
+}
+"""Vectors that plant and model have in common, and the vehicle parameters they hold."""
+
+
+@dataclass(frozen=True, eq=False)
+class Packed:
+    """Numbers of n runs.
+
+    Attributes:
+        state: (n, …) at the start.
+        parameters: (n, …).
+        steps: most control periods of any run.
+    """
+
+    state: Columns
+    parameters: Columns
+    steps: int
+
+
+def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
+    """What is compiled for the case; an obstacle drifts if it does in the scenario or in any value."""
+    kinds = []
+    for obstacle in case.scenario.obstacles:
+        moved = values.get(f"obstacle.{obstacle.name}.drift", np.asarray(obstacle.drift_m))
+        kinds.append(kind_of(obstacle, drifting=bool(np.any(moved > 0))))
+    return Structure(case.law, case.avoidance, case.mode, case.sensing, tuple(kinds))
+
+
+def pack(case: Case, loop: Loop, values: Mapping[str, Columns], seeds: NDArray[np.int64]) -> Packed:
+    """Fill in every run.
+
+    Args:
+        case: what is flown.
+        loop: of `structure_of(case, values)`.
+        values: (n,) by knob name, already checked by `check_values`.
+        seeds: (n,).
+    """
+    filler = _Filler(case, loop, values, seeds)
+    return Packed(filler.states(), filler.parameters(), filler.steps)
+
+
+class _Filler:
+    def __init__(self, case: Case, loop: Loop, values: Mapping[str, Columns], seeds: NDArray[np.int64]) -> None:
+        self.case, self.loop, self.values, self.seeds = case, loop, values, seeds
+        self.known = knobs(case)
+        limit = np.asarray(self.number("scenario.time_limit"))
+        self.ticks = np.ceil(limit / loop.law.dt)
+        self.steps = int(np.max(self.ticks))
+
+    def number(self, name: str) -> Columns:
+        """Values of a knob: given ones (n,), or its own ()."""
+        return np.asarray(self.values.get(name, self.known[name].value), dtype=float)
+
+    def flown(self, name: str) -> Columns:
+        """A parameter of the vehicle that is flown."""
+        if f"plant.{name}" in self.values:
+            return self.values[f"plant.{name}"]
+        return self.number(f"vehicle.{name}")
+
+    def believed(self, name: str) -> Columns:
+        """The same as the controller believes it."""
+        model = self.case.model or self.case.vehicle
+        return np.asarray(self.values.get(f"vehicle.{name}", model[name]), dtype=float)
+
+    def states(self) -> Columns:
+        """(n, state)."""
+        layout, case = self.loop.state, self.case
+        way = case.scenario.path.waypoints[1] - case.scenario.start
+        pose = [*case.scenario.start, case.scenario.depth, np.arctan2(way[1], way[0])]
+        first = layout.pack({"plant": [*pose, *[0.0] * 8], "law": self.loop.law.initial_state()})
+        out = np.tile(first, (len(self.seeds), 1))
+        out[:, layout.slice("plant").start + 2] = self.number("scenario.depth")
+        if "noise" in layout:
+            out[:, layout.slice("noise")] = noise_states(self.seeds)
+        return out
+
+    def parameters(self) -> Columns:
+        """(n, parameters)."""
+        layout = self.loop.parameters
+        out = np.empty((len(self.seeds), layout.size))
+        self._law(out[:, : self.loop.law.gains.size])
+        for name, columns in self._world().items():
+            here = layout.slice(name)
+            for k, column in enumerate(columns):
+                out[:, here.start + k] = column
+        return out
+
+    def _law(self, out: Columns) -> None:
+        case, layout, scenario = self.case, self.loop.law.gains, self.case.scenario
+        length, width, _ = scenario.site
+        out[:] = law_parameters(
+            case.gains,
+            case.model or case.vehicle,
+            path=scenario.path,
+            depth=scenario.depth,
+            cruise=scenario.cruise,
+            cap=scenario.cap,
+            walls=(0.0, length, 0.0, width),
+        )
+        for name in GAINS:
+            out[:, layout.slice(name).start] = self.number(name)
+        for name in ("depth", "cruise", "cap"):
+            out[:, layout.slice(name).start] = self.number(f"scenario.{name}")
+        for vector, members in _VECTORS.items():
+            for k, member in enumerate(members):
+                out[:, layout.slice(vector).start + k] = self.believed(member)
+        out[:, layout.slice("hull").start] = self.believed("radius")
+
+    def _world(self) -> dict[str, list[Columns]]:
+        scenario, drawn = self.case.scenario, self._draws()
+        plant = {vector: [self.flown(m) for m in members] for vector, members in _VECTORS.items()}
+        plant["thrust_lag"] = [self.flown("thrust_lag")]
+        leg = scenario.target - scenario.path.waypoints[-2]
+        leg = leg / np.linalg.norm(leg)
+        force, hull = self.number("scenario.wave_force"), self.flown("radius")
+        found: dict[str, list[Columns]] = {
+            "plant": [column for port in PLANT_PARAMETERS for column in plant[port.name]],
+            "world_hull": [hull],
+            "reach": [self.number("scenario.reach")],
+            "ticks": [self.ticks],
+            "leg": [np.asarray(leg[0]), np.asarray(leg[1])],
+            "current": [self.number("scenario.current_x"), self.number("scenario.current_y")],
+            "wave": [
+                force * drawn.wave_direction[:, 0],
+                force * drawn.wave_direction[:, 1],
+                2 * np.pi / self.number("scenario.wave_period"),
+                np.asarray(drawn.wave_phase),
+            ],
+        }
+        for k, (obstacle, kind) in enumerate(zip(scenario.obstacles, self.loop.structure.bodies, strict=True)):
+            prefix = f"obstacle.{obstacle.name}."
+            found[f"body{k}"] = body_columns(
+                obstacle,
+                kind,
+                number=lambda name, prefix=prefix: self.number(prefix + name),  # type: ignore[misc]
+                given=self.values,
+                hull=hull,
+                direction=drawn.drift_direction[:, k],
+                phase=drawn.drift_phase[:, k],
+            )
+        return found
+
+    def _draws(self) -> WorldDraw:
+        """Random choices of every run, stacked."""
+        unique, back = np.unique(self.seeds, return_inverse=True)
+        drawn = [draw_world(len(self.case.scenario.obstacles), seed=int(seed)) for seed in unique]
+        return WorldDraw(*(np.array(part)[back] for part in zip(*drawn, strict=True)))  # type: ignore[arg-type]

@@ -1,0 +1,206 @@
+"""Tuning by counterexamples: tune, look for runs that refute a goal, make them part of the goal, tune again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.tuning.claim_points import ClaimPoint, refuted_claims
+from surctl.tuning.conflict import conflict
+from surctl.tuning.journal import Journal
+from surctl.tuning.montecarlo import APART, fresh, monte_carlo
+from surctl.tuning.pool import Pool, Progress, Request
+from surctl.tuning.rounds import Record, Round
+from surctl.tuning.search import BATCH, search
+from surctl.tuning.sift import TRAINING, Sifted, harder, kept_pool, sift
+from surctl.tuning.start import starting_sets
+
+__all__ = ["Tuning", "tune"]
+
+_WORTH = 0.01  # share of the score that makes another round worth while
+_OTHERS = 8  # sets that a round hands to the next beside its best
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """A finished tuning.
+
+    Attributes:
+        request: what the last search was asked for, with all counterexamples.
+        asked: number of the conditions that were asked for: the rest are counterexamples.
+        hand: one set: the start gains, over all conditions.
+        tuned: one set: the tuned gains, over the same.
+        front: undominated sets in score and thrust, of the last round.
+        rounds: what happened.
+        chosen: index of the round whose gains are the tuned ones: of the rounds that nothing refutes the one with the
+            least score, else the last.
+        conflict: demands that were not met together; empty when the chosen round is not refuted.
+    """
+
+    request: Request
+    asked: int
+    hand: Pool
+    tuned: Pool
+    front: Pool
+    rounds: tuple[Round, ...]
+    chosen: int
+    conflict: tuple[str, ...]
+
+    @property
+    def result(self) -> Round:
+        """The chosen round."""
+        return self.rounds[self.chosen]
+
+    @property
+    def kept(self) -> bool:
+        """Whether the tuned gains meet every hard goal, and neither fresh runs nor a claim refute one."""
+        hard = {g.name for g in self.request.goals if g.kind == "hard"} | {p.name for p in self.result.claims}
+        return bool(self.tuned.feasible[0]) and not hard & set(self.result.refuted)
+
+    @property
+    def better(self) -> tuple[bool, ...]:
+        """For each goal, whether the tuned gains do better than the start gains."""
+        less = self.tuned.evaluation.normalised[0] < self.hand.evaluation.normalised[0]
+        return tuple(bool(b) for b in less)
+
+
+def tune(
+    request: Request,
+    *,
+    trials: int = 256,
+    rounds: int = 3,
+    runs: int = 2000,
+    descend: bool = False,
+    folder: Path | None = None,
+    progress: Progress = lambda _: None,
+) -> Tuning:
+    """Tune, and while training runs, fresh runs or claims refute a goal, tune again with the runs that do.
+
+    Args:
+        request: goals, runs, start gains and search space.
+        trials: of each search; one that finds nothing that meets the hard goals goes on for as many more, once.
+        rounds: most rounds; at least 1.
+        runs: fresh runs that verify each round, and a tenth of the training runs that sift its sets; 0 for neither.
+        descend: let the first search start from a descent along exact gradients as well (`starting_sets`).
+        folder: keeps trials and rounds: a killed tuning of the same request resumes there.
+        progress: told one line at a time what is going on.
+
+    Raises:
+        InputError: nonsensical numbers, a value out of bounds, or a folder that cannot be used.
+    """
+    _check(trials, rounds, runs)
+    record = Record(folder, f"{request.digest} {trials} {runs} {descend}")
+    journal = Journal(None if folder is None else folder / "trials.journal")
+    done: list[Round] = []
+    current, asked = request, len(request.flown)
+    try:
+        for k in range(rounds):
+            known = record.round(k)
+            progress(f"round {k + 1} of at most {rounds}: {len(current.flown)} runs a gain set")
+            pool = None
+            if known is None:
+                pool = _searched(current, done, _longer(trials, done), journal, progress, descend=descend)
+                known, pool = _round(current, pool, runs, k, progress, used=1 + max(c.seed for c in request.flown))
+                record.add(known)
+            done.append(known)
+            if _ended(done) or k + 1 == rounds:
+                break
+            if not _barren(known):
+                current = harder(current, (*known.training, *known.fresh), known.claims)
+        final = harder(current, done[-1].training)
+        if pool is None:  # every round was known already
+            pool = _searched(current, done[:-1], _longer(trials, done[:-1]), journal, progress, descend=descend)
+            pool = kept_pool(final, pool, done[-1].gains)
+    finally:
+        journal.close()
+    hand, found = final.judge({s.name: np.array([request.base[s.name]]) for s in request.space}), _found(final, done)
+    start = hand.evaluation.normalised[0]
+    chosen = _chosen(done, found, start)
+    last, clash = done[chosen], tuple[str, ...]()
+    if last.refuted or not last.feasible:
+        progress("looking for the demands that do not hold together")
+        clash = conflict(harder(final, last.fresh, last.claims), pool, last.refuted, progress=progress)
+    front = pool.taken(pool.front(pool.evaluation.normalised[0]))
+    return Tuning(final, asked, hand, found.taken([chosen]), front, tuple(done), chosen, clash)
+
+
+def _found(request: Request, done: Sequence[Round]) -> Pool:
+    """What each round found, over all runs."""
+    return request.judge({s.name: np.array([r.gains[s.name] for r in done]) for s in request.space})
+
+
+def _chosen(done: Sequence[Round], found: Pool, start: NDArray[np.float64]) -> int:
+    """See `Tuning.chosen`; a later round's runs may refute an earlier round's gains."""
+    merit = found.merit(start)
+    sound = [k for k, one in enumerate(done) if found.feasible[k] and not one.refuted]
+    return min(sound, key=lambda k: float(merit[k]), default=len(done) - 1)
+
+
+def _check(trials: int, rounds: int, runs: int) -> None:
+    for key, value, least in (("--trials", trials, 1), ("--rounds", rounds, 1), ("--monte-carlo", runs, 0)):
+        if value < least:
+            raise InputError(f"must be at least {least}", key=key, value=value, remedy="correct it")
+    most = APART // 2 // (1 + max(rounds, TRAINING))
+    if runs > most:
+        raise InputError(
+            "asks for more seeds than there are", key="--monte-carlo", value=runs, remedy=f"at most {most}"
+        )
+
+
+def _ended(done: Sequence[Round]) -> bool:
+    """Whether another round could not do better: nothing new was learnt, or it gains next to nothing any more."""
+    last = done[-1]
+    if _barren(last):
+        return last.feasible or (len(done) > 1 and _barren(done[-2]))
+    before = [r.score for r in done[:-1] if r.feasible and not r.refuted]
+    return last.feasible and not last.refuted and last.score > (1 - _WORTH) * min(before, default=np.inf)
+
+
+def _barren(one: Round) -> bool:
+    """Whether the next round asks for nothing that this one did not."""
+    return not (one.training or one.claims or (one.fresh and one.feasible))
+
+
+def _longer(trials: int, done: Sequence[Round]) -> int:
+    """Trials of the next search: twice as many of the same one where it found nothing that meets the hard goals."""
+    return 2 * trials if done and _barren(done[-1]) else trials
+
+
+def _searched(
+    request: Request, done: Sequence[Round], trials: int, journal: Journal, progress: Progress, *, descend: bool
+) -> Pool:
+    """One search: it begins where the last round ended, the first one with `starting_sets`."""
+    first: Sequence[Mapping[str, float]] = [done[-1].gains, *done[-1].others] if done else []
+    if not done and len(journal.trials(request.digest)) < BATCH:
+        first = starting_sets(request, descend=descend, progress=progress)
+    return search(request, trials=trials, first=first, journal=journal, progress=progress)
+
+
+def _round(
+    request: Request, pool: Pool, runs: int, number: int, progress: Progress, *, used: int
+) -> tuple[Round, Pool]:
+    """The round that a search ends, and its best sets over the runs known then, the chosen one last."""
+    left, verified = Sifted(request, pool.gains(pool.best(pool.evaluation.normalised[0])), ()), None
+    if runs:
+        left = sift(request, pool, runs=TRAINING * runs, progress=progress)
+        flown = fresh(request.cases, runs=runs, first=used + number * runs, tuning=request.seed)
+        verified = monte_carlo(request.goals, flown, left.gains, threads=request.threads)
+        word = ", ".join(verified.refuted) or "nothing"
+        progress(f"{runs} fresh runs, seeds {verified.seeds[0]} to {verified.seeds[1]}, refute {word}")
+    failing = refuted_claims({**request.base.values, **left.gains}, seed=request.seed)
+    points = tuple(
+        ClaimPoint(v.claim.name, dict(v.counterexample.values), v.threshold) for v in failing if v.counterexample
+    )
+    known = kept_pool(left.request, pool, left.gains)
+    start, own = known.evaluation.normalised[0], len(known.claims) - 1
+    missed = tuple(g.name for g, n in zip(request.goals, known.evaluation.normalised[own], strict=True) if not n <= 1)
+    others = [k for k in np.argsort(known.merit(start), kind="stable").tolist() if k != own][:_OTHERS]
+    score, feasible = float(known.score(start)[own]), bool(known.feasible[own])
+    progress(f"score {score:.4f}{'' if feasible else ', not all hard goals met'} over {len(left.request.flown)} runs")
+    further = tuple(known.gains(k) for k in others)
+    return Round(left.gains, score, feasible, missed, left.found, verified, points, further), known

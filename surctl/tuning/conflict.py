@@ -1,0 +1,121 @@
+"""Which demands cannot hold together: a minimal subset, over what was flown and a search for each question."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from surctl.tuning.evaluation import Condition, merged
+from surctl.tuning.goals import Goal
+from surctl.tuning.pool import Pool, Progress, Request, joined
+from surctl.tuning.search import search
+
+__all__ = ["Demand", "conflict", "demands", "minimal_subset"]
+
+_TRIALS = 64  # of the search that each question gets
+_KEPT = 64  # gain sets of the pool that every question is asked of first
+
+
+@dataclass(frozen=True)
+class Demand:
+    """A goal over some runs: one thing that is asked of the gains.
+
+    Attributes:
+        label: how it is named in the answer.
+        goal: the goal, hard and under a name of its own.
+        flown: its runs.
+    """
+
+    label: str
+    goal: Goal
+    flown: tuple[Condition, ...]
+
+
+def minimal_subset(count: int, together: Callable[[tuple[int, ...]], bool]) -> tuple[int, ...]:
+    """A subset of 0 … count - 1 that does not hold together while every smaller part of it does.
+
+    QuickXplain (Junker 2004): of n demands it asks at most 2 k (1 + log₂(n / k)) times for a subset of k.
+
+    Args:
+        count: number of demands, which do not hold together.
+        together: whether a subset does.
+    """
+
+    def explained(beside: tuple[int, ...], added: bool, given: tuple[int, ...]) -> tuple[int, ...]:
+        """The part of `given` that is in the subset, next to those `beside` it, some of which were just added."""
+        if added and not together(tuple(sorted(beside))):
+            return ()
+        if len(given) == 1:
+            return given
+        first, second = given[: len(given) // 2], given[len(given) // 2 :]
+        later = explained((*beside, *first), True, second)
+        return (*explained((*beside, *later), bool(later), first), *later)
+
+    return tuple(sorted(explained((), False, tuple(range(count)))))
+
+
+def demands(goals: Sequence[Goal], flown: Sequence[Condition], refuted: Sequence[str]) -> tuple[Demand, ...]:
+    """Hard goals and the refuted soft ones over the runs that were asked for, and over each case's counterexamples."""
+    asked = [c for c in flown if c.goals is None]
+    found: list[Demand] = []
+    for goal in goals:
+        if goal.kind == "hard" or goal.name in refuted:
+            own = [c for c in asked if not goal.cases or {c.case.name, c.case.scenario.name} & set(goal.cases)]
+            found.append(_demand(goal, own, len(found), goal.name))
+    refuting: dict[tuple[str, str], list[Condition]] = {}
+    for condition in flown:
+        for name in condition.goals or ():
+            refuting.setdefault((name, condition.case.name), []).append(condition)
+    named = {goal.name: goal for goal in goals}
+    for (name, case), own in refuting.items():
+        where = own[0].label if len(own) == 1 else f"{len(own)} runs of {case} that refuted other gains"
+        found.append(_demand(named[name], own, len(found), f"{name} in {where}"))
+    return tuple(found)
+
+
+def _demand(goal: Goal, flown: Sequence[Condition], k: int, label: str) -> Demand:
+    own = f"demand {k}"
+    return Demand(label, replace(goal, name=own, kind="hard", cases=()), tuple(replace(c, goals=(own,)) for c in flown))
+
+
+def conflict(
+    request: Request, pool: Pool, refuted: Sequence[str], *, progress: Progress = lambda _: None
+) -> tuple[str, ...]:
+    """Labels of demands that no gain set was found to meet together, though every part of them was met by one.
+
+    It is what searches found, not a proof. Empty when some gain set meets all of them after all.
+    """
+    asked = demands(request.goals, request.flown, refuted)
+    if not asked:
+        return ()
+    whole = _of(request, asked)
+    near = np.argsort(pool.merit(pool.evaluation.normalised[0]), kind="stable")[:_KEPT].tolist()
+    known = whole.judge(pool.taken(near).sets)
+
+    def together(subset: tuple[int, ...]) -> bool:
+        nonlocal known
+        held = (known.claims <= 0).all(axis=1) & (known.evaluation.normalised[:, list(subset)] <= 1).all(axis=1)
+        if held.any():
+            return True
+        part = _of(request, [asked[k] for k in subset])
+        found = search(part, trials=_TRIALS, first=[known.gains(_nearest(known, subset))])
+        best = found.best(found.evaluation.normalised[0])
+        known = joined([known, whole.judge(found.taken([best]).sets)])
+        met = bool(found.feasible[best])
+        progress(f"{len(subset)} of {len(asked)} demands together: {'met' if met else 'not met'}")
+        return met
+
+    everything = tuple(range(len(asked)))
+    return () if together(everything) else tuple(asked[k].label for k in minimal_subset(len(asked), together))
+
+
+def _of(request: Request, chosen: Sequence[Demand]) -> Request:
+    """The request for some demands alone; each run is flown once."""
+    return replace(request, goals=tuple(d.goal for d in chosen), flown=merged(c for d in chosen for c in d.flown))
+
+
+def _nearest(known: Pool, subset: Sequence[int]) -> int:
+    """The set that misses these demands least."""
+    return int(known.evaluation.excess[:, list(subset)].sum(axis=1).argmin())

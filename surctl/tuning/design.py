@@ -1,0 +1,183 @@
+"""Which points a sweep evaluates: a full grid, a Latin hypercube, Sobol' points, or Saltelli's for sensitivity."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.tuning.axes import Axis, Span
+
+__all__ = ["DESIGNS", "Design", "DesignName", "grid", "make_design", "saltelli", "spread"]
+
+DesignName = Literal["grid", "lhs", "sobol"]
+DESIGNS: tuple[DesignName, ...] = get_args(DesignName)
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """The points of a sweep.
+
+    Attributes:
+        kind: `grid`, `lhs`, `sobol` or `saltelli`.
+        axes: what is changed; all `Axis` for a grid, else all `Span`.
+        points: (n, len(axes)), a grid's in C order.
+        description: text of everything that the points follow from.
+    """
+
+    kind: str
+    axes: tuple[Axis, ...] | tuple[Span, ...]
+    points: NDArray[np.float64] = field(repr=False)
+    description: str
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the axes."""
+        return tuple(axis.name for axis in self.axes)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of a column: one entry an axis for a grid, else (n,)."""
+        lengths = tuple(len(axis.values) for axis in self.axes if isinstance(axis, Axis))
+        return lengths if self.kind == "grid" else (len(self.points),)
+
+
+def grid(axes: Sequence[Axis]) -> Design:
+    """Every combination of the axes' values.
+
+    Raises:
+        InputError: no axis, or one twice.
+    """
+    axes = tuple(axes)
+    _check_names(axes)
+    # the index of each axis at each point, without a table of indices for all axes at once
+    shape = tuple(len(axis.values) for axis in axes)
+    points = np.empty((math.prod(shape), len(axes)))
+    for k, axis in enumerate(axes):
+        place = [1] * len(shape)
+        place[k] = shape[k]
+        points[:, k] = np.broadcast_to(np.reshape(axis.values, place), shape).reshape(-1)
+    return Design("grid", axes, points, f"grid {axes!r}")
+
+
+def spread(kind: Literal["lhs", "sobol"], spans: Sequence[Span], *, count: int, seed: int = 0) -> Design:
+    """Points that fill ranges: a Latin hypercube (`lhs`) or scrambled Sobol' points (`sobol`), from scipy.stats.qmc.
+
+    Args:
+        kind: which.
+        spans: the ranges.
+        count: number of points; Sobol' points are best balanced where it is a power of two.
+        seed: of the design, not of the runs.
+
+    Raises:
+        InputError: no axis, one twice, or no point.
+    """
+    spans = _spans(spans, kind)
+    if count < 1:
+        raise InputError("must be at least 1", key="points", value=count, remedy="write the number of points")
+    from scipy.stats import qmc  # a second to import
+
+    if kind == "lhs":
+        unit = qmc.LatinHypercube(len(spans), rng=seed).random(count)
+    else:
+        # the first points of a full power of two are the same points
+        unit = qmc.Sobol(len(spans), rng=seed).random_base2(_power(count))[:count]
+    return Design(kind, spans, _filled(spans, unit), f"{kind} {spans!r} {count} {seed}")
+
+
+def saltelli(axes: Sequence[Axis | Span], *, base: int, seed: int = 0) -> Design:
+    """The base·(d + 2) points from which Sobol' indices follow (Saltelli et al. 2010).
+
+    They are A, B, then for each axis A with that axis taken from B; A and B are the halves of Sobol' points.
+
+    Args:
+        axes: d ranges.
+        base: points of A and of B, a power of two, at least 4.
+        seed: of the points.
+
+    Raises:
+        InputError: fewer than two axes, one twice, one of values, or a base that is no power of two.
+    """
+    spans = _spans(axes, "sensitivity")
+    if len(spans) < 2:
+        raise InputError(
+            "a share of the variance takes two axes", key="sensitivity", value=spans[0].name, remedy="add another knob"
+        )
+    if base < 4 or base & (base - 1):
+        raise InputError(
+            "must be a power of two, at least 4", key="points", value=base, remedy=f"write {2 ** max(2, _power(base))}"
+        )
+    from scipy.stats import qmc
+
+    unit = qmc.Sobol(2 * len(spans), rng=seed).random_base2(_power(base))
+    a, b = unit[:, : len(spans)], unit[:, len(spans) :]
+    crossed = [np.where(np.arange(len(spans)) == k, b, a) for k in range(len(spans))]
+    return Design(
+        "saltelli", spans, _filled(spans, np.concatenate([a, b, *crossed])), f"saltelli {spans!r} {base} {seed}"
+    )
+
+
+def make_design(
+    kind: DesignName | str, axes: Sequence[Axis | Span], *, count: int | None = None, seed: int = 0
+) -> Design:
+    """The design of that name from axes as a user writes them.
+
+    Raises:
+        InputError: as the designs, values where a range is needed or the reverse, or no number of points.
+    """
+    if kind not in DESIGNS:
+        raise InputError("is not known", key="design", value=kind, remedy=nearest(kind, DESIGNS))
+    if kind == "grid":
+        if count is not None:
+            raise InputError(
+                "is for the designs lhs and sobol", key="points", value=count, remedy="a grid takes LOW..HIGH:COUNT"
+            )
+        for axis in axes:
+            if isinstance(axis, Span):
+                raise InputError(
+                    "a grid needs to know how many values",
+                    key=f"axis {axis.name}",
+                    remedy=f"write {axis.name}={axis.low:g}..{axis.high:g}:COUNT, or choose --design lhs",
+                )
+        return grid([axis for axis in axes if isinstance(axis, Axis)])
+    spans = _spans(axes, kind)
+    if count is None:
+        raise InputError("is missing", key="points", remedy=f"say how many points {kind} shall have: --points N")
+    return spread("lhs" if kind == "lhs" else "sobol", spans, count=count, seed=seed)
+
+
+def _spans(axes: Sequence[Axis | Span], kind: str) -> tuple[Span, ...]:
+    """The axes, if all are ranges under different names."""
+    _check_names(axes)
+    for axis in axes:
+        if isinstance(axis, Axis):
+            raise InputError(
+                f"{kind} fills ranges",
+                key=f"axis {axis.name}",
+                value=axis.values,
+                remedy=f"write {axis.name}=LOW..HIGH",
+            )
+    return tuple(axis for axis in axes if isinstance(axis, Span))
+
+
+def _check_names(axes: Sequence[Axis | Span]) -> None:
+    if not axes:
+        raise InputError("nothing to sweep", key="axis", remedy="name at least one knob")
+    names = [axis.name for axis in axes]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError("is swept twice", key="axis", value=name, remedy="name each knob once")
+
+
+def _filled(spans: Sequence[Span], unit: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack([span.at(unit[:, k]) for k, span in enumerate(spans)], axis=1)
+
+
+def _power(count: int) -> int:
+    """Least k with 2^k ≥ count."""
+    return max(0, count - 1).bit_length()

@@ -1,0 +1,269 @@
+"""What gain sets make of goals: many gain sets, cases, seeds and plants in one batch of closed loops."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.simulation import Case, knobs, simulate_batch
+from surctl.tuning.goals import Goal
+from surctl.vehicle import Vehicle
+from surctl.verification import linear_table
+
+__all__ = [
+    "Condition",
+    "Evaluation",
+    "conditions",
+    "corners",
+    "evaluate",
+    "figures",
+    "merged",
+    "row",
+    "scope",
+    "varied",
+]
+
+Sets = Mapping[str, NDArray[np.float64]]
+Figures = Mapping[str, NDArray[np.float64]]  # metric → (n, conditions)
+
+_DRAG = ("Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr")
+_GROUPS = (("m11", "m22", "m33", "m44"), _DRAG, ("Fu_max", "Fv_max", "Fw_max", "Fr_max"))
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One run that a gain set is judged by.
+
+    Attributes:
+        case: what is flown.
+        seed: of its world and its noise.
+        plant: `plant.` knobs of what is flown, while the controller believes the case's model; empty: as the case says.
+        goals: names of the goals that it counts for; None for all. A counterexample counts for the goal it refutes.
+    """
+
+    case: Case
+    seed: int = 0
+    plant: Mapping[str, float] = field(default_factory=dict)
+    goals: tuple[str, ...] | None = None
+
+    @property
+    def run(self) -> tuple[str, int, tuple[tuple[str, float], ...]]:
+        """What is flown, whatever it counts for."""
+        return self.case.name, self.seed, tuple(sorted(self.plant.items()))
+
+    @property
+    def label(self) -> str:
+        """Case, seed and what is off, for people."""
+        off = ", ".join(f"{name.removeprefix('plant.')} = {value:.4g}" for name, value in self.plant.items())
+        return f"{self.case.name}, seed {self.seed}" + (f", {off}" if off else "")
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Goals of n gain sets.
+
+    Attributes:
+        goals: the goals, m of them.
+        normalised: (n, m): at most 1 where met.
+        figure: (n, m): worst or mean figure in the metric's unit; NaN when a run did not arrive.
+        excess: (n, m): mean over the goal's runs of what is above 1, which counts up to 1 in each: 0 where met.
+        effort: (n,): mean of |horizontal thrust| over all runs [N].
+    """
+
+    goals: tuple[Goal, ...]
+    normalised: NDArray[np.float64]
+    figure: NDArray[np.float64]
+    excess: NDArray[np.float64]
+    effort: NDArray[np.float64]
+
+    @property
+    def feasible(self) -> NDArray[np.bool_]:
+        """(n,): whether every hard goal is met."""
+        hard = [g.kind == "hard" for g in self.goals]
+        met: NDArray[np.bool_] = np.all(self.normalised[:, hard] <= 1, axis=1)
+        return met
+
+    @property
+    def worst_soft(self) -> NDArray[np.float64]:
+        """(n,): largest normalised value of the soft goals; 0 when there is none."""
+        soft = [g.kind == "soft" for g in self.goals]
+        worst: NDArray[np.float64] = self.normalised[:, soft].max(axis=1, initial=0.0)
+        return worst
+
+
+def corners(vehicle: Vehicle) -> tuple[dict[str, float], ...]:
+    """Plant knobs of the nominal vehicle and of the corners of its stated ranges.
+
+    All masses go to one end together, so do all drag coefficients and all thrust limits: up to eight corners. A
+    parameter without a range stays where it is.
+    """
+    ends = []
+    for group in _GROUPS:
+        known = [(f"plant.{name}", vehicle.parameters[name].range) for name in group]
+        low = {name: r[0] for name, r in known if r is not None}
+        high = {name: r[1] for name, r in known if r is not None}
+        ends.append((low, high) if low else ({},))
+    found = [{**m, **d, **t} for m, d, t in product(*ends)]
+    return ({}, *found) if found != [{}] else ({},)
+
+
+def conditions(cases: Sequence[Case], *, seeds: Sequence[int], with_corners: bool = True) -> tuple[Condition, ...]:
+    """Every case under every seed with the nominal plant, and at its corners under the first seed.
+
+    A case that no seed changes is flown under the first one alone.
+    """
+    found = []
+    for case in cases:
+        own = seeds if varied(case) else seeds[:1]
+        found += [Condition(case, seed) for seed in own]
+        if with_corners:
+            found += [Condition(case, seeds[0], plant) for plant in corners(case.vehicle) if plant]
+    return tuple(found)
+
+
+def merged(flown: Iterable[Condition]) -> tuple[Condition, ...]:
+    """Conditions of named goals, each run once, for all the goals that name it."""
+    counted: dict[object, tuple[Condition, dict[str, None]]] = {}
+    for one in flown:
+        counted.setdefault(one.run, (one, {}))[1].update(dict.fromkeys(one.goals or ()))
+    return tuple(replace(one, goals=tuple(goals)) for one, goals in counted.values())
+
+
+def varied(case: Case) -> bool:
+    """Whether a seed changes what is flown."""
+    return case.scenario.seeded or case.sensing == "sonar"
+
+
+def scope(goal: Goal, flown: Sequence[Condition]) -> list[int]:
+    """Indices of the conditions that a goal is taken over.
+
+    Raises:
+        InputError: the goal names a case that is not flown.
+    """
+    names = {name for c in flown for name in (c.case.name, c.case.scenario.name)}
+    for name in goal.cases:
+        if name not in names:
+            raise InputError("no such case", key=f"goals.{goal.name}.cases", value=name, remedy=nearest(name, names))
+    return [
+        k
+        for k, c in enumerate(flown)
+        if (c.goals is None or goal.name in c.goals)
+        and (goal.plants == "all" or not c.plant)
+        and (not goal.cases or {c.case.name, c.case.scenario.name} & set(goal.cases))
+    ]
+
+
+def evaluate(goals: Sequence[Goal], flown: Sequence[Condition], sets: Sets, *, threads: int = 1) -> Evaluation:
+    """Judge n gain sets by m goals.
+
+    Args:
+        goals: the goals.
+        flown: the runs; every gain set flies them all.
+        sets: gain → (n,) values; the gains not named are the case's.
+        threads: of the compiled loop; the result does not depend on them.
+
+    Raises:
+        InputError: a value out of a gain's bounds, or a goal about a case that is not flown.
+    """
+    return judged(goals, flown, figures(goals, flown, sets, threads=threads))
+
+
+def judged(goals: Sequence[Goal], flown: Sequence[Condition], table: Figures) -> Evaluation:
+    """What the goals make of the figures of runs."""
+    count = len(table["effort_n"])
+    shape = (count, len(goals))
+    normalised, figure, excess = np.zeros(shape), np.full(shape, np.nan), np.zeros(shape)
+    for j, goal in enumerate(goals):
+        own = table[goal.metric][:, scope(goal, flown)]
+        each = goal.normalised(own)
+        if goal.over == "mean":
+            figure[:, j] = own.mean(axis=1)
+            each = goal.normalised(figure[:, [j]])
+            normalised[:, j] = each[:, 0]
+        else:
+            worst = each.argmax(axis=1)
+            figure[:, j], normalised[:, j] = own[np.arange(count), worst], each.max(axis=1)
+        excess[:, j] = np.clip(each - 1, 0, 1).mean(axis=1)
+    effort = table["effort_n"].mean(axis=1)
+    return Evaluation(tuple(goals), normalised, figure, excess, effort)
+
+
+def figures(
+    goals: Sequence[Goal], flown: Sequence[Condition], sets: Sets, *, threads: int = 1
+) -> dict[str, NDArray[np.float64]]:
+    """Metric → (n, conditions) for the goals' metrics and the effort.
+
+    NaN where a run did not arrive, and for a linear metric where no goal asks for it.
+    """
+    count = len(next(iter(sets.values())))
+    looped = {"effort_n", *(g.metric for g in goals if not g.linear)}
+    linear = {g.metric for g in goals if g.linear}
+    asked = {k for g in goals if g.linear for k in scope(g, flown)}  # a linear figure costs more than a run
+    table = {name: np.full((count, len(flown)), np.nan) for name in (*looped, *linear)}
+    for case, own in _by_case(flown):
+        seeds = np.tile([flown[k].seed for k in own], count)
+        batch = simulate_batch(case, _spread(case, [flown[k] for k in own], sets), seeds=seeds, threads=threads)
+        arrived = batch.column("reached").reshape(count, -1) > 0.5
+        for name in looped:
+            table[name][:, own] = np.where(arrived, batch.column(name).reshape(count, -1), np.nan)
+        about = [k for k in own if k in asked]
+        if about:
+            for name, values in _linear(case, [flown[k] for k in about], sets, linear, threads).items():
+                table[name][:, about] = values
+    return table
+
+
+def row(sets: Sets, k: int) -> dict[str, float]:
+    """The k-th gain set by name."""
+    return {name: float(values[k]) for name, values in sets.items()}
+
+
+def _by_case(flown: Sequence[Condition]) -> list[tuple[Case, list[int]]]:
+    """Cases in order with the indices of their conditions: one batch a case."""
+    found: list[tuple[Case, list[int]]] = []
+    for k, condition in enumerate(flown):
+        for case, own in found:
+            if case is condition.case:
+                own.append(k)
+                break
+        else:
+            found.append((condition.case, [k]))
+    return found
+
+
+def _spread(case: Case, flown: Sequence[Condition], sets: Sets) -> dict[str, NDArray[np.float64]]:
+    """Knob values of every gain set under every condition, gain sets outermost."""
+    count = len(next(iter(sets.values())))
+    spread = {name: np.repeat(np.asarray(values, dtype=float), len(flown)) for name, values in sets.items()}
+    off = sorted({name for c in flown for name in c.plant})
+    nominal = knobs(case) if off else {}
+    for name in off:
+        spread[name] = np.tile([c.plant.get(name, nominal[name].value) for c in flown], count)
+    return spread
+
+
+def _linear(
+    case: Case, flown: Sequence[Condition], sets: Sets, names: set[str], threads: int
+) -> dict[str, NDArray[np.float64]]:
+    """Linear figures, (n, conditions) each: computed once a plant, since no seed changes them."""
+    keys = [tuple(sorted(c.plant.items())) for c in flown]
+    plants = dict(zip(keys, flown, strict=True))
+    place = {key: k for k, key in enumerate(plants)}
+    which = [place[key] for key in keys]
+    count = len(next(iter(sets.values())))
+    table = linear_table(
+        case.vehicle,
+        _spread(case, list(plants.values()), sets),
+        base=case.gains.values,
+        cruise=case.scenario.cruise,
+        dt=case.build().dt,
+        model=case.model or case.vehicle,
+        columns=sorted(names),
+        workers=threads,
+    )
+    return {name: table[name].reshape(count, len(plants))[:, which] for name in names}

@@ -1,0 +1,144 @@
+"""Who evaluates the chunks of a sweep: this process, processes of this machine, or a Dask cluster."""
+
+from __future__ import annotations
+
+import logging
+import signal
+from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import CancelledError, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing import get_context
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, SurctlError
+
+__all__ = ["Chunk", "DaskExecutor", "Evaluator", "Executor", "LocalExecutor"]
+
+Chunk = tuple[int, NDArray[np.float64]]
+"""Index of the chunk, and its points (rows, axes)."""
+
+Evaluator = Callable[[int, NDArray[np.float64]], NDArray[np.float64]]
+"""(index of the chunk, points (rows, axes)) → (rows, columns). Pickled by name for other processes."""
+
+Results = Generator[tuple[int, NDArray[np.float64]], None, None]
+
+_REACH = 8.0  # [s] until an address counts as silent
+_RETRIES = 2
+
+
+class Executor(Protocol):
+    """Evaluates chunks; the numbers must not depend on who does it, nor on the order."""
+
+    def map_chunks(self, function: Evaluator, chunks: Iterable[Chunk]) -> Results:
+        """(index, result) of every chunk, in any order."""
+
+
+@dataclass(frozen=True)
+class LocalExecutor:
+    """This machine: this process for one worker, else spawned processes.
+
+    Raises:
+        InputError: fewer than one worker.
+        SurctlError: a worker died.
+    """
+
+    workers: int = 1
+
+    def __post_init__(self) -> None:
+        if self.workers < 1:
+            raise InputError("must be at least 1", key="workers", value=self.workers, remedy="write 1")
+
+    def map_chunks(self, function: Evaluator, chunks: Iterable[Chunk]) -> Results:
+        """See `Executor`."""
+        chunks = list(chunks)
+        if self.workers == 1 or len(chunks) <= 1:
+            for index, points in chunks:
+                yield index, function(index, points)
+            return
+        with ProcessPoolExecutor(
+            min(self.workers, len(chunks)),
+            mp_context=get_context("spawn"),  # a forked child would inherit the locks of numerical libraries
+            initializer=signal.signal,
+            initargs=(signal.SIGINT, signal.SIG_IGN),  # Ctrl-C is the parent's affair
+        ) as pool:
+            jobs = {pool.submit(function, index, points): index for index, points in chunks}
+            try:
+                for job in as_completed(jobs):
+                    yield jobs.pop(job), job.result()
+            except BrokenProcessPool:
+                raise SurctlError(
+                    "a worker process died (out of memory?); finished chunks are kept, the same command resumes"
+                ) from None
+            finally:
+                for job in jobs:
+                    job.cancel()
+
+
+@dataclass(frozen=True)
+class DaskExecutor:
+    """The workers of a Dask scheduler, which need this package too; each compiles what it flies into its own cache.
+
+    The scheduler gives the chunks of a lost worker to another one; a chunk that fails on one is tried again twice.
+
+    Raises:
+        InputError: dask.distributed is not installed, nobody answers at the address, or no worker comes.
+        SurctlError: the cluster was lost while chunks were running.
+    """
+
+    address: str
+
+    def map_chunks(self, function: Evaluator, chunks: Iterable[Chunk]) -> Results:
+        """See `Executor`."""
+        chunks = list(chunks)
+        if not chunks:
+            return
+        try:
+            import distributed
+        except ImportError:
+            raise InputError(
+                "dask.distributed is not installed", key="--dask", remedy="pip install 'surctl[cluster]'"
+            ) from None
+        logger = logging.getLogger("distributed")
+        level = logger.level
+        logger.setLevel(logging.CRITICAL)  # its reports of lost workers are told as one line or not at all
+        client = None
+        try:
+            client = self._connect(distributed)
+            jobs = {client.submit(function, *chunk, pure=False, retries=_RETRIES): chunk[0] for chunk in chunks}
+            for job in distributed.as_completed(list(jobs)):
+                yield jobs.pop(job), job.result()
+        except (distributed.KilledWorker, CancelledError, OSError) as error:
+            raise SurctlError(
+                f"the cluster at {self.address} was lost ({type(error).__name__}); finished chunks are kept, "
+                "the same command resumes"
+            ) from None
+        finally:
+            if client is not None:
+                client.close()
+            logger.setLevel(level)
+
+    def _connect(self, distributed: Any) -> Any:
+        try:
+            client = distributed.Client(self.address, timeout=_REACH, set_as_default=False)
+        except (OSError, TimeoutError, ValueError, ImportError) as error:
+            raise InputError(
+                f"no scheduler answers ({type(error).__name__})",
+                key="--dask",
+                value=self.address,
+                remedy="start one with `dask scheduler` and give its address, such as tcp://127.0.0.1:8786",
+            ) from None
+        try:
+            client.wait_for_workers(1, timeout=_REACH)
+        except TimeoutError:
+            client.close()
+            raise InputError(
+                "the scheduler has no worker",
+                key="--dask",
+                value=self.address,
+                remedy=f"start one with `dask worker {self.address}`",
+            ) from None
+        return client

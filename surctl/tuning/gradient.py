@@ -1,0 +1,258 @@
+"""Exact gradients of a whole closed-loop run with respect to gains, by reverse differentiation.
+
+A run is a fixed number of ticks of the closed-form law and the plant, with true positions (`simulate` with sensing
+`truth`); where the obstacles are is data, tick by tick. What the run is judged by (`SURROGATES`) is smooth, unlike
+the metrics. The law itself is piecewise smooth: between two switches (a latched side, a limit, a nearest contact)
+the gradient is exact, on one it is that of one side. `DifferentiableRun.branches` tells whether two runs share every
+branch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from types import MappingProxyType
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.control import CONTACT_SLOTS, Law, law_parameters
+from surctl.errors import InputError
+from surctl.ir import Instruction, Program, lower, to_casadi
+from surctl.sensing import SonarArray
+from surctl.simulation import Case, World, advance, build_world
+from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, plant_parameters
+from surctl.world import Box, Disc
+
+__all__ = ["SURROGATES", "DifferentiableRun", "prepare"]
+
+Array = NDArray[np.float64]
+
+SURROGATES: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {
+        "deviation": ("m^2", "mean square of the cross-track error"),
+        "clearance": ("m", "soft minimum over time and obstacles of the clearance, walls apart"),
+        "effort": ("N^2", "mean square of the horizontal thrust"),
+        "remaining": ("m", "mean distance to the target over the whole horizon: late arrivals cost"),
+    }
+)
+"""Smooth stand-ins for the metrics: name → (unit, meaning)."""
+
+_SHARPNESS = 60.0  # [1/m] of the soft minimum: log(1000 samples)/60 is 0.1 m below the least of as many equal ones
+_ROW = 8  # of a body: centre x, y, half sides x, y (0 for a disc), radius, velocity x, y, valid
+_TINY = 1e-24  # under a root: √ has no slope at 0, and 0 · ∞ would be NaN where the root does not count
+_FAR = 100.0  # [m] where an empty slot is
+_HALVES = 2  # firing intervals of the plant in one tick
+
+
+@dataclass(frozen=True, eq=False)
+class DifferentiableRun:
+    """A case made ready: surrogates of a run and their gradient as functions of a few gains.
+
+    Attributes:
+        case: what is flown, with its other gains.
+        names: the gains that vary, in the order of every vector of gains.
+        ticks: length of the run.
+    """
+
+    case: Case
+    names: tuple[str, ...]
+    ticks: int
+    _fixed: tuple[Array, ...] = field(repr=False)
+    _run: ca.Function = field(repr=False)
+    _slope: ca.Function = field(repr=False)
+
+    def surrogates(self, values: Array) -> dict[str, float]:
+        """`SURROGATES` of the run with these gains (k,)."""
+        return dict(zip(SURROGATES, np.asarray(self._run(values, *self._fixed)[0]).ravel().tolist(), strict=True))
+
+    def gradient(self, values: Array, weights: Mapping[str, float]) -> Array:
+        """Gradient (k,) of Σ weight · surrogate with respect to the gains."""
+        seed = np.array([float(weights.get(name, 0.0)) for name in SURROGATES])
+        return np.asarray(self._slope(values, seed, *self._fixed)).ravel()
+
+    def track(self, values: Array) -> Array:
+        """Plant states (ticks, 12) at the end of each tick, in the order of `PLANT_STATE`."""
+        return np.asarray(self._run(values, *self._fixed)[1]).T[:, : PLANT_STATE.size]
+
+    def branches(self, values: Array) -> Array:
+        """One number a tick (ticks,) for the outcome of all comparisons in it: equal numbers, equal branches."""
+        run = np.asarray(self._run(values, *self._fixed)[1])
+        start, data, p, plant = self._fixed
+        before = np.column_stack([start, run[:, :-1]])
+        law = self.case.build()
+        full = p.copy()
+        for name, value in zip(self.names, values, strict=True):
+            full[law.gains.slice(name)] = value
+        tally = _tick(law)[1]
+        return np.asarray(tally(before, data, full, plant)).ravel()
+
+
+def prepare(case: Case, names: Sequence[str], *, ticks: int, seed: int = 0) -> DifferentiableRun:
+    """Make a case ready for gradients.
+
+    Args:
+        case: closed form (mode nsb), true positions.
+        names: gains to differentiate by.
+        ticks: length of the run, at least 1; a run that arrives earlier stays at the target.
+        seed: of drift and waves.
+
+    Raises:
+        InputError: another mode or sensing, an unknown gain, or a scenario that starts inside an obstacle.
+    """
+    for key, value, only in (("mode", case.mode, "nsb"), ("sensing", case.sensing, "truth")):
+        if value != only:
+            raise InputError("has no gradient", key=key, value=value, remedy=f"use {only}")
+    if ticks < 1 or not names:
+        raise InputError("has nothing to differentiate", key="ticks, names", value=(ticks, tuple(names)))
+    for name in names:
+        case.gains[name]  # says what is unknown
+    law = case.build()
+    scenario = case.scenario
+    world = build_world(scenario, case.vehicle, seed=seed)
+    if len(scenario.obstacles) > CONTACT_SLOTS:
+        raise InputError(f"has more than {CONTACT_SLOTS} obstacles", file=scenario.source, key="obstacles")
+    length, width, _ = scenario.site
+    p = law_parameters(
+        case.gains,
+        case.model or case.vehicle,
+        path=scenario.path,
+        depth=scenario.depth,
+        cruise=scenario.cruise,
+        cap=scenario.cap,
+        walls=(0.0, length, 0.0, width),
+    )
+    way = scenario.path.waypoints[1] - scenario.start
+    eta = [*scenario.start, scenario.depth, np.arctan2(way[1], way[0])]
+    start = np.concatenate([PLANT_STATE.pack({"eta": eta}), law.initial_state()])
+    plant = np.array([*plant_parameters(case.vehicle), *scenario.disturbance.current_m_per_s, *scenario.target])
+    fixed = (start, _data(world, ticks=ticks, dt=law.dt).T, p, np.append(plant, case.vehicle["radius"]))
+    return DifferentiableRun(case, tuple(names), ticks, fixed, *_functions(law, tuple(names), ticks))
+
+
+def _data(world: World, *, ticks: int, dt: float) -> Array:
+    """(ticks, 8 · slots + 4): the bodies, and the wave force in the halves of the tick."""
+    rows = np.zeros((ticks, CONTACT_SLOTS, _ROW))
+    rows[:, :, :2] = _FAR
+    forces = np.zeros((ticks, 2 * _HALVES))
+    for tick in range(ticks):
+        for row, body in zip(rows[tick], world.bodies(tick * dt), strict=False):
+            shape = body.shape
+            assert isinstance(shape, Disc | Box)  # walls are no bodies
+            size = (0.0, 0.0, shape.radius) if isinstance(shape, Disc) else (*np.asarray(shape.size) / 2, 0.0)
+            row[:] = [*shape.center, *size, *body.velocity, 1.0]
+        for half in range(_HALVES):
+            forces[tick, 2 * half : 2 * half + 2] = world.force((tick + half / _HALVES) * dt)[:2]
+    return np.hstack([rows.reshape(ticks, -1), forces])
+
+
+@cache
+def _functions(law: Law, names: tuple[str, ...], ticks: int) -> tuple[ca.Function, ca.Function]:
+    """(gains, fixed …) → (surrogates, states), and (gains, weights, fixed …) → gradient."""
+    tick, _ = _tick(law)
+    gains, weights = ca.MX.sym("gains", len(names)), ca.MX.sym("weights", len(SURROGATES))
+    start, p, plant = (ca.MX.sym(n, tick.size1_in(i)) for n, i in (("start", 0), ("p", 2), ("plant", 3)))
+    data = ca.MX.sym("data", tick.size1_in(1), ticks)
+    place = np.zeros((law.gains.size, len(names)))
+    for column, name in enumerate(names):
+        place[law.gains.slice(name), column] = 1
+    full = p * (1 - place.sum(axis=1)) + ca.mtimes(place, gains)
+    states, told = tick.mapaccum(ticks)(start, data, ca.repmat(full, 1, ticks), ca.repmat(plant, 1, ticks))
+    clearances = ca.vec(told[3:, :])
+    least = ca.mmin(clearances)
+    soft = least - ca.log(ca.sum1(ca.exp(-_SHARPNESS * (clearances - least)))) / _SHARPNESS
+    mean = ca.sum2(told[:3, :]) / ticks
+    found = ca.vertcat(mean[0], soft, mean[1], mean[2])
+    fixed = [start, data, p, plant]
+    run = ca.Function("run", [gains, *fixed], [found, states])
+    slope = ca.Function("slope", [gains, weights, *fixed], [ca.gradient(ca.dot(weights, found), gains)])
+    return run, slope
+
+
+@cache
+def _tick(law: Law) -> tuple[ca.Function, ca.Function]:
+    """(state, data, p, plant) → (next state, y_e², thrust², distance to go, clearances); and → its branches."""
+    state = ca.SX.sym("state", PLANT_STATE.size + law.state.size)
+    data = ca.SX.sym("data", CONTACT_SLOTS * _ROW + 2 * _HALVES)
+    p, world = ca.SX.sym("p", law.gains.size), ca.SX.sym("plant", len(_plant_names()))
+    plant, current, target, hull = ca.vertsplit(world, [0, world.numel() - 5, world.numel() - 3, world.numel() - 1,
+                                                        world.numel()])  # fmt: skip
+    body, memory = state[: PLANT_STATE.size], state[PLANT_STATE.size :]
+    position = body[:2]
+    contacts, clearances = [], []
+    for k in range(CONTACT_SLOTS):
+        row = data[k * _ROW : (k + 1) * _ROW]
+        # the nearest point of the box, or the centre of the disc
+        point = row[:2] + ca.fmin(ca.fmax(position - row[:2], -row[2:4]), row[2:4])
+        contacts.append(ca.horzcat(point.T, row[4], row[5:7].T, row[7]))
+        clearances.append(ca.sqrt(ca.sumsqr(point - position)) - row[4] - hull)
+    inputs = law.inputs.join(
+        {
+            "eta": body[:4],
+            "nu": body[4:8],
+            "contacts": ca.vertcat(*contacts),
+            "samples": ca.SX.ones(4, 5) * SonarArray().maximum,
+            "fresh": ca.SX.zeros(4),
+        }
+    )
+    tau, memory_next, _, telemetry = law.function(memory, inputs, p)
+    after = body
+    for half in range(_HALVES):
+        force = data[CONTACT_SLOTS * _ROW + 2 * half : CONTACT_SLOTS * _ROW + 2 * half + 2]
+        after = advance()(after, tau, PLANT_DISTURBANCE.join(_disturbance(current, force)), plant)
+    y_e = telemetry[law.telemetry_slice("path_error")][1]
+    going = ca.sqrt(ca.sumsqr(position - target))
+    told = ca.vertcat(y_e * y_e, ca.sumsqr(tau[:2]), going, *clearances)
+    given = [state, data, p, world]
+    names = ["state", "data", "p", "plant"]
+    whole = ca.Function("tick", given, [ca.vertcat(after, memory_next), told], names, ["next", "told"], {"cse": True})
+    smooth = _with_slopes(lower(whole))
+    return to_casadi(smooth), _tally(to_casadi(_compared(smooth)))
+
+
+def _disturbance(current: ca.SX, force: ca.SX) -> dict[str, ca.SX]:
+    return {"current": ca.vertcat(current, 0), "force": ca.vertcat(force, 0, 0)}
+
+
+def _plant_names() -> range:
+    """Entries of the plant vector: parameters, current x, y, target x, y, hull radius."""
+    return range(advance().size1_in(3) + 5)
+
+
+def _with_slopes(program: Program) -> Program:
+    """The same numbers to 1e-12, with √x replaced by √max(x, tiny): no branch has an infinite slope."""
+    made: list[Instruction] = [Instruction("const", (), _TINY)]
+    new: list[int] = []
+    for instruction in program.instructions:
+        args = instruction.args
+        if instruction.op not in ("const", "input"):
+            args = tuple(new[a] for a in args)
+        if instruction.op == "sqrt":
+            made.append(Instruction("fmax", (args[0], 0)))
+            args = (len(made) - 1,)
+        made.append(Instruction(instruction.op, args, instruction.value))
+        new.append(len(made) - 1)
+    refs = tuple(tuple(new[r] for r in group) for group in program.output_refs)
+    return Program(program.name, program.inputs, program.outputs, tuple(made), refs)
+
+
+def _compared(program: Program) -> Program:
+    """The program that gives the outcome of every comparison instead: conditions, and which of two is less."""
+    made, found = list(program.instructions), []
+    for at, instruction in enumerate(program.instructions):
+        if instruction.op in ("lt", "le", "eq", "ne"):
+            found.append(at)
+        elif instruction.op in ("fmin", "fmax"):
+            made.append(Instruction("lt", instruction.args))
+            found.append(len(made) - 1)
+    return Program("compared", program.inputs, (("outcomes", len(found)),), tuple(made), (tuple(found),))
+
+
+def _tally(compared: ca.Function) -> ca.Function:
+    """One number for all outcomes of a tick, by weights that no two sets of outcomes are likely to share."""
+    given = [ca.SX.sym(f"i{k}", compared.size1_in(k)) for k in range(compared.n_in())]
+    outcomes = compared(*given)
+    weights = np.random.default_rng(0).uniform(1, 2, outcomes.numel())
+    return ca.Function("tally", given, [ca.dot(ca.DM(weights), outcomes)])

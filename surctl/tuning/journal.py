@@ -1,0 +1,153 @@
+"""Where a tuning keeps its trials: optuna's journal, written a batch at a time, so that a killed tuning resumes."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+from surctl.errors import InputError
+
+if TYPE_CHECKING:
+    from optuna import Study
+    from optuna.storages import JournalStorage
+    from optuna.trial import FrozenTrial
+
+__all__ = ["Journal", "quiet_optuna"]
+
+_OBJECTIVES = ["minimize", "minimize"]
+
+
+def quiet_optuna() -> Any:
+    """The package, imported when it is asked for, and told to print warnings only."""
+    import optuna
+
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    return optuna
+
+
+class Journal:
+    """Finished trials by study name, in one file.
+
+    One process at a time holds the file; the lock goes with the process, however it ends. A line that a kill cut
+    short is dropped.
+
+    Args:
+        path: the file; None keeps them in memory.
+
+    Raises:
+        InputError: the file is in use, cannot be used, or is no journal.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+        self._file: BinaryIO | None = None if path is None else _hold(path)
+        self._storage: Any = None
+        self._kept: dict[str, list[FrozenTrial]] = {}
+        self._held: Callable[[], AbstractContextManager[None]] = nullcontext
+        if path is not None:
+            try:
+                self._storage, self._held = _open(path)
+            except InputError:
+                self.close()
+                raise
+
+    def close(self) -> None:
+        """Let go of the file."""
+        if self._file is not None:
+            self._file.close()
+
+    def trials(self, name: str) -> list[FrozenTrial]:
+        """The finished trials of a study, oldest first."""
+        if self._storage is None:
+            return list(self._kept.get(name, []))
+        found: list[FrozenTrial] = self._study(name).get_trials()
+        return found
+
+    def append(self, name: str, trials: Sequence[FrozenTrial]) -> None:
+        """Add finished trials: one write, on the disk when this returns."""
+        if self._storage is None:
+            self._kept.setdefault(name, []).extend(trials)
+            return
+        study = self._study(name)
+        with self._held():
+            study.add_trials(trials)
+
+    def _study(self, name: str) -> Study:
+        optuna = quiet_optuna()
+        return optuna.create_study(storage=self._storage, study_name=name, directions=_OBJECTIVES, load_if_exists=True)
+
+
+def _hold(path: Path) -> BinaryIO:
+    """The file, locked, without a half line at its end."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("a+b")
+    except OSError as error:
+        raise _unusable(path, str(error.strerror)) from None
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        file.close()
+        raise _unusable(path, "another tuning uses it") from None
+    file.seek(0)
+    whole = file.read()
+    os.truncate(path, whole.rfind(b"\n") + 1)
+    return file
+
+
+def _open(path: Path) -> tuple[JournalStorage, Any]:
+    """Storage, and the context in which what is written is held back and then written at once."""
+    from optuna.storages import JournalStorage
+    from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
+
+    class Alone(JournalFileOpenLock):  # type: ignore[misc]
+        """The file is held already."""
+
+        def acquire(self) -> bool:
+            return True
+
+        def release(self) -> None:
+            return None
+
+    class Batched(JournalFileBackend):  # type: ignore[misc]
+        """Each entry costs a trip to the disk: a batch of trials makes one."""
+
+        def __init__(self, file: str) -> None:
+            super().__init__(file, Alone(file))
+            self.written = Path(file).read_bytes().count(b"\n")
+            self.back: list[dict[str, Any]] | None = None
+
+        def append_logs(self, logs: list[dict[str, Any]]) -> None:
+            if self.back is not None:
+                self.back += logs
+                return
+            super().append_logs(logs)
+            self.written += len(logs)
+
+        def read_logs(self, log_number_from: int) -> Iterator[dict[str, Any]]:
+            yield from super().read_logs(log_number_from)
+            yield from (self.back or [])[max(0, log_number_from - self.written) :]
+
+        @contextmanager
+        def held(self) -> Iterator[None]:
+            self.back = []
+            try:
+                yield
+            finally:
+                logs, self.back = self.back, None
+                if logs:
+                    self.append_logs(logs)
+
+    backend = Batched(str(path))
+    try:
+        return JournalStorage(backend), backend.held
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise _unusable(path, "it is no journal of trials") from None
+
+
+def _unusable(path: Path, why: str) -> InputError:
+    return InputError(f"cannot be used ({why})", file=path, key="--out", remedy="name another folder with --out")

@@ -1,0 +1,284 @@
+"""What a sweep measures at its points: closed-loop metrics over cases and seeds, and linear metrics."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import cast, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl import __version__
+from surctl.control import GAINS, Gains, build_law
+from surctl.control.build import LawName
+from surctl.errors import InputError, nearest
+from surctl.guidance import AvoidanceForm
+from surctl.ir import lower
+from surctl.priority import Mode
+from surctl.simulation import METRICS, Case, Scenario, Sensing, knobs, simulate_batch
+from surctl.tuning.axes import SEED
+from surctl.tuning.design import Design
+from surctl.vehicle import Vehicle, load_vehicle
+from surctl.verification import LINEAR_KNOBS, LINEAR_METRICS, linear_table
+
+__all__ = [
+    "CASE_COLUMNS",
+    "FLOWN_COLUMNS",
+    "LINEAR_COLUMNS",
+    "Case",
+    "Evaluation",
+    "Quantity",
+    "build_cases",
+    "check_column",
+    "check_request",
+    "knobs",
+    "law_digest",
+    "linear_names",
+    "request_digest",
+]
+
+Floats = NDArray[np.float64]
+
+_WORST = "_worst"
+_OFTEN_ABSENT = ("path_error_m",)  # NaN here says that there is none, not that the run went wrong
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Unit and meaning of a column."""
+
+    unit: str
+    meaning: str
+
+
+_AVERAGED = {name: spec for name, spec in METRICS.items() if spec.better is not None}  # a code has no mean
+
+CASE_COLUMNS: Mapping[str, Quantity] = {
+    **{name: Quantity(spec.unit, f"{spec.meaning}, mean") for name, spec in _AVERAGED.items()},
+    **{name + _WORST: Quantity(spec.unit, f"{spec.meaning}, worst") for name, spec in _AVERAGED.items()},
+}
+"""Closed-loop columns, of one case over its seeds and of all runs at a point: mean and worst of every metric that
+has a better side. Runs without a path error do not count in its mean; any other NaN shows."""
+
+FLOWN_COLUMNS: Mapping[str, Quantity] = {
+    **CASE_COLUMNS,
+    "strayed": Quantity("1", "rms horizontal distance to the path in hull radii, mean"),
+    "time_ratio": Quantity("1", "time over path length divided by cruise speed, worst"),
+}
+"""Columns over all runs at a point."""
+
+LINEAR_COLUMNS: Mapping[str, Quantity] = {
+    name: Quantity(spec.unit, f"{spec.meaning}; worst vehicle") for name, spec in LINEAR_METRICS.items()
+}
+"""Columns of the linearised loops, at each vehicle's largest cruise speed."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Evaluates chunks of points; picklable, and small beside them.
+
+    Attributes:
+        cases: what is flown at every point.
+        names: of the points' columns.
+        seeds: of every case that depends on a seed; the others are flown once, with the first one.
+        linear_chunks: chunks of a lower index are evaluated linearly.
+    """
+
+    cases: tuple[Case, ...]
+    names: tuple[str, ...]
+    seeds: tuple[int, ...]
+    linear_chunks: int = 0
+
+    def __call__(self, index: int, points: Floats) -> Floats:
+        """(rows, axes) → (rows, columns), in the order of `LINEAR_COLUMNS` or `FLOWN_COLUMNS` and the cases' ones."""
+        values = {name: points[:, k] for k, name in enumerate(self.names)}
+        return self._linear(values, len(points)) if index < self.linear_chunks else self._flown(values, len(points))
+
+    @property
+    def runs_per_point(self) -> int:
+        """Closed-loop runs at each point."""
+        return sum(len(self.seeds_of(case)) for case in self.cases)
+
+    def seeds_of(self, case: Case) -> tuple[int, ...]:
+        """Seeds that a case is flown with at each point."""
+        gentle = all(name in GAINS or name.startswith(("vehicle.", "plant.")) for name in self.names)
+        depends = case.scenario.seeded or case.sensing != "truth" or not gentle  # other knobs may bring in waves
+        return self.seeds if depends else self.seeds[:1]
+
+    def _flown(self, values: Mapping[str, Floats], count: int) -> Floats:
+        found: list[dict[str, Floats]] = []
+        strayed, ratios = [], []
+        for case in self.cases:
+            seeds = self.seeds_of(case)
+            known = knobs(case)
+            numbers = np.repeat(values[SEED], len(seeds)) if SEED in values else np.tile(seeds, count)
+            done = simulate_batch(
+                case,
+                {name: np.repeat(v, len(seeds)) for name, v in values.items() if name in known},
+                seeds=numbers.astype(np.int64),
+            )
+            found.append({name: done.column(name).reshape(count, len(seeds)) for name in _AVERAGED})
+            radius = _own(values, ("plant.radius", "vehicle.radius"), case.vehicle["radius"])
+            cruise = _own(values, ("scenario.cruise",), case.scenario.cruise)
+            strayed.append(found[-1]["deviation_m"] / radius)
+            ratios.append(found[-1]["time_s"] / (case.scenario.path.length / cruise))
+        together = {name: np.concatenate([one[name] for one in found], axis=1) for name in _AVERAGED}
+        of_all = [np.concatenate(strayed, axis=1).mean(axis=1), np.concatenate(ratios, axis=1).max(axis=1)]
+        return np.stack([*_summary(together), *of_all, *(c for one in found for c in _summary(one))], axis=1)
+
+    def _linear(self, values: Mapping[str, Floats], count: int) -> Floats:
+        best = [-np.inf if spec.better == "low" else np.inf for spec in LINEAR_METRICS.values()]
+        table = np.tile(best, (count, 1))
+        for case in _fastest(self.cases):
+            found = linear_table(
+                case.vehicle,
+                values,
+                base=case.gains.values,
+                cruise=case.scenario.cruise,
+                dt=build_law(case.law).dt,
+                model=case.model,
+            )
+            for k, (name, spec) in enumerate(LINEAR_METRICS.items()):
+                worst = np.maximum if spec.better == "low" else np.minimum  # NaN, no linear model, stays
+                table[:, k] = worst(table[:, k], found[name])
+        return table
+
+
+def build_cases(
+    scenarios: Sequence[Scenario],
+    vehicles: Sequence[Vehicle] = (),
+    *,
+    gains: Gains,
+    law: str = "guarded",
+    mode: str = "nsb",
+    sensing: str = "truth",
+) -> tuple[Case, ...]:
+    """Every scenario by every vehicle; by its own one if there are none.
+
+    Raises:
+        InputError: an unknown law, mode or sensing.
+    """
+    for key, value, known in (
+        ("law", law, get_args(LawName)),
+        ("priority-mode", mode, get_args(Mode)),
+        ("sensing", sensing, get_args(Sensing)),
+    ):
+        if value not in known:
+            raise InputError("is not known", key=key, value=value, remedy=nearest(value, known))
+    return tuple(
+        Case(scenario, vehicle, gains, cast(LawName, law), cast(Mode, mode), cast(Sensing, sensing))
+        for scenario in scenarios
+        for vehicle in vehicles or (load_vehicle(scenario.vehicle),)
+    )
+
+
+def check_column(name: str) -> None:
+    """InputError with the nearest known name unless a sweep with linear metrics has that column."""
+    known = (*FLOWN_COLUMNS, *LINEAR_COLUMNS, "score", "feasible")
+    if name not in known:
+        raise InputError("no such column", key="column", value=name, remedy=nearest(name, known))
+
+
+def linear_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Those of the axes that the linear metrics depend on."""
+    return tuple(name for name in names if name in LINEAR_KNOBS)
+
+
+def check_request(cases: Sequence[Case], design: Design, seeds: Sequence[int]) -> None:
+    """What can be wrong with a sweep before anything is flown.
+
+    Raises:
+        InputError: nothing to fly, one case twice, cases of different gains, seeds that are missing, negative, twice or
+            also an axis, an axis that no case knows, or a value out of a knob's bounds.
+    """
+    if not cases:
+        raise InputError("has nothing to fly", key="sweep", remedy="name at least one scenario")
+    names = [case.name for case in cases]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError("is flown twice", key="case", value=name, remedy="name each case once")
+    if any(case.gains.values != cases[0].gains.values for case in cases):
+        raise InputError("cases start from different gains", key="gains", remedy="give all cases the same")
+    if not seeds or min(seeds) < 0 or len(set(seeds)) < len(seeds):
+        raise InputError(
+            "must be different whole numbers, at least 0", key="seeds", value=tuple(seeds), remedy="write 0,1,2,..."
+        )
+    if SEED in design.names and len(seeds) > 1:
+        raise InputError("is an axis already", key="seeds", value=len(seeds), remedy="leave --seeds or the axis away")
+    known = [knobs(case) for case in cases]
+    for k, name in enumerate(design.names):
+        if name == SEED:
+            continue
+        of_cases = [table[name] for table in known if name in table]
+        if not of_cases:
+            every = {SEED, *(n for table in known for n in table)}
+            raise InputError("no such knob", key="axis", value=name, remedy=_nearest_knob(name, every))
+        for knob in of_cases:
+            knob.check(np.array([design.points[:, k].min(), design.points[:, k].max()]))
+
+
+def request_digest(evaluation: Evaluation, design: Design, *, linear: bool, chunk: int) -> str:
+    """SHA-256 of everything that the numbers, and how they are cut, depend on."""
+    lines = [f"surctl {__version__}", f"columns {tuple(METRICS)} {tuple(LINEAR_METRICS) if linear else ()}"]
+    lines += [f"design {design.description}", f"seeds {evaluation.seeds}", f"chunk {chunk}"]
+    for case in evaluation.cases:
+        lines.append(f"case {case.scenario!r} {_numbers(case.vehicle)} {_numbers(case.model or case.vehicle)}")
+        lines.append(f"law {law_digest(case)} {case.mode} {case.sensing} {dict(case.gains.values)!r}")
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+def law_digest(case: Case) -> str:
+    """Digest of the law's instruction list, without the priority mode's solver."""
+    return _law_digest(case.law, case.avoidance)
+
+
+@cache
+def _law_digest(law: LawName, avoidance: AvoidanceForm) -> str:
+    return lower(build_law(law, avoidance=avoidance).function).digest()
+
+
+def _numbers(vehicle: Vehicle) -> str:
+    return f"{vehicle.name} {[(name, p.value) for name, p in vehicle.parameters.items()]!r}"
+
+
+def _nearest_knob(name: str, known: set[str]) -> str:
+    told = nearest(name, known)
+    if told.startswith("did you mean"):
+        return told
+    groups = sorted({k.partition(".")[0] + ".…" if "." in k else k for k in known})
+    return "known: " + ", ".join(groups)
+
+
+def _own(values: Mapping[str, Floats], names: Sequence[str], nominal: float) -> Floats:
+    """(points, 1) or (1, 1): the first of these knobs that is swept, else its nominal value."""
+    for name in names:
+        if name in values:
+            return values[name][:, None]
+    return np.full((1, 1), nominal)
+
+
+def _summary(found: Mapping[str, Floats]) -> list[Floats]:
+    """Columns in the order of `CASE_COLUMNS` from metrics (points, runs)."""
+    means, worst = [], []
+    for name, spec in _AVERAGED.items():
+        runs = found[name]
+        there = np.isfinite(runs) if name in _OFTEN_ABSENT else np.full(runs.shape, True)
+        count = there.sum(axis=1)
+        total = np.where(there, runs, 0.0).sum(axis=1)
+        means.append(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+        ill = np.where(there, runs, -np.inf if spec.better == "low" else np.inf)
+        extreme = ill.max(axis=1) if spec.better == "low" else ill.min(axis=1)
+        worst.append(np.where(count > 0, extreme, np.nan))
+    return means + worst
+
+
+def _fastest(cases: Sequence[Case]) -> list[Case]:
+    """For each different vehicle, model and law the case of the largest cruise speed."""
+    kept: list[Case] = []
+    for case in sorted(cases, key=lambda c: -c.scenario.cruise):
+        if not any((case.vehicle, case.model, case.law) == (k.vehicle, k.model, k.law) for k in kept):
+            kept.append(case)
+    return kept

@@ -1,0 +1,154 @@
+"""Fresh runs of one gain set: new seeds, and plants drawn from the ranges while the controller believes the model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.simulation import Case
+from surctl.tuning.evaluation import Condition, figures, scope, varied
+from surctl.tuning.goals import Goal
+
+__all__ = ["APART", "Counterexample", "MonteCarlo", "fresh", "monte_carlo"]
+
+APART = 10_000_000  # runs between the seeds of two tunings: no round of either reaches the other's
+
+
+@dataclass(frozen=True)
+class Counterexample:
+    """A run that misses a goal.
+
+    Attributes:
+        goal: name of the goal.
+        case: name of the case.
+        seed: of the run.
+        plant: `plant.` knobs of what was flown.
+        figure: the metric, in its unit; NaN when the run did not arrive.
+        normalised: above 1.
+    """
+
+    goal: str
+    case: str
+    seed: int
+    plant: Mapping[str, float]
+    figure: float
+    normalised: float
+
+    def condition(self, cases: Sequence[Case]) -> Condition:
+        """The run as a condition of the goal."""
+        case = next(c for c in cases if c.name == self.case)
+        return Condition(case, self.seed, dict(self.plant), (self.goal,))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        told = {"goal": self.goal, "case": self.case, "seed": self.seed, "plant": dict(self.plant)}
+        return {**told, "figure": self.figure, "normalised": self.normalised}
+
+
+@dataclass(frozen=True)
+class MonteCarlo:
+    """What fresh runs say of one gain set.
+
+    Attributes:
+        runs: number of runs.
+        seeds: first and last seed, none of them used before.
+        missed: goal → share of its runs that by themselves miss it; a goal without a fresh run is left out.
+        normalised: goal → worst (or mean) normalised value.
+        counterexamples: the worst runs of each goal that is refuted, a few a case; the worst of all first.
+    """
+
+    runs: int
+    seeds: tuple[int, int]
+    missed: Mapping[str, float]
+    normalised: Mapping[str, float]
+    counterexamples: tuple[Counterexample, ...]
+
+    @property
+    def refuted(self) -> tuple[str, ...]:
+        """Names of the goals that a run refutes."""
+        return tuple(dict.fromkeys(c.goal for c in self.counterexamples))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        found = [c.to_dict() for c in self.counterexamples]
+        told = {"runs": self.runs, "seeds": list(self.seeds), "missed": dict(self.missed)}
+        return {**told, "normalised": dict(self.normalised), "counterexamples": found}
+
+
+def fresh(cases: Sequence[Case], *, runs: int, first: int, tuning: int = 0) -> tuple[Condition, ...]:
+    """Conditions of fresh runs, dealt to the cases in turn.
+
+    Every other run of a case flies the case's own vehicle, for the goals that are about that alone; not of a case
+    that no seed changes, where it would be the same run each time.
+
+    Args:
+        cases: what is flown.
+        runs: number of runs over all cases.
+        first: how many seeds this tuning has used so far.
+        tuning: seed of the tuning; two tunings share no seed.
+    """
+    found = []
+    for k in range(runs):
+        case, seed = cases[k % len(cases)], tuning * APART + first + k
+        rng = np.random.default_rng([seed, 3])
+        nominal = k // len(cases) % 2 == 1 and varied(case)
+        known = {} if nominal else case.vehicle.parameters
+        ranges = {n: p.range for n, p in known.items() if p.range is not None}
+        found.append(Condition(case, seed, {f"plant.{n}": float(rng.uniform(*ends)) for n, ends in ranges.items()}))
+    return tuple(found)
+
+
+def monte_carlo(
+    goals: Sequence[Goal],
+    flown: Sequence[Condition],
+    gains: Mapping[str, float],
+    *,
+    each: int = 3,
+    threads: int = 1,
+) -> MonteCarlo:
+    """Fly one gain set under every condition and look for goals that it misses.
+
+    Args:
+        goals: the goals.
+        flown: the runs.
+        gains: the set, by name.
+        each: most counterexamples of one goal in one case.
+        threads: of the compiled loop.
+    """
+    table = figures(goals, flown, {name: np.array([value]) for name, value in gains.items()}, threads=threads)
+    missed, normalised, found = {}, {}, []
+    for goal in goals:
+        own = scope(goal, flown)
+        if not own:  # about cases that no seed changes, and their own vehicle: nothing is fresh there
+            continue
+        figure = table[goal.metric][0, own]
+        apiece = goal.normalised(figure)
+        whole = float(goal.normalised(figure.mean()) if goal.over == "mean" else apiece.max())
+        missed[goal.name], normalised[goal.name] = float((apiece > 1).mean()), whole
+        if whole > 1:
+            chosen = _worst(goal, figure, apiece, [flown[k].case.name for k in own], each)
+            found += [_counterexample(goal, flown[own[k]], figure[k], apiece[k]) for k in chosen]
+    return MonteCarlo(len(flown), (flown[0].seed, flown[-1].seed), missed, normalised, tuple(found))
+
+
+def _worst(
+    goal: Goal, figure: NDArray[np.float64], normalised: NDArray[np.float64], cases: Sequence[str], most: int
+) -> list[int]:
+    """The worst runs of every case that miss the goal; the worst of all where it is missed by the mean alone."""
+    # on the wrong side of zero every normalised value is inf: there the figure tells which is worse, NaN first
+    bad = np.where(np.isnan(figure), np.inf, figure if goal.sense == "at most" else -figure)
+    taken: dict[str, int] = {}
+    found = []
+    for k in np.lexsort((-bad, -normalised)):
+        if normalised[k] > 1 and taken.setdefault(cases[k], 0) < most:
+            taken[cases[k]] += 1
+            found.append(int(k))
+    return found or [int(normalised.argmax())]
+
+
+def _counterexample(goal: Goal, run: Condition, figure: float, normalised: float) -> Counterexample:
+    return Counterexample(goal.name, run.case.name, run.seed, run.plant, float(figure), float(normalised))

@@ -1,0 +1,151 @@
+"""A sweep's columns as one netCDF-4 file, column by column: memory holds one column at a time."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl import __version__
+from surctl.simulation import Case, knobs
+from surctl.tuning.axes import SEED, Axis, Span
+from surctl.tuning.design import Design
+from surctl.tuning.measure import Evaluation, Quantity, law_digest
+from surctl.tuning.store import cannot_write
+from surctl.tuning.table import netcdf_name
+
+__all__ = ["Column", "provenance", "request_of", "write_netcdf"]
+
+_CACHE = 2**20  # bytes of HDF5's cache for each variable; its default times the columns would fill the memory
+
+Column = tuple[str, Quantity, list[Callable[[], NDArray[np.float64]]], bool]
+"""Name, unit and meaning, what gives its values over the points (one, or one a case), whether it is by case."""
+
+
+def write_netcdf(
+    path: Path, design: Design, columns: Iterable[Column], *, evaluation: Evaluation, attributes: Mapping[str, str]
+) -> None:
+    """Write the table; the file appears under its name when it is complete and on the disk.
+
+    Args:
+        path: the file.
+        design: its axes become coordinates.
+        columns: the data variables; values (points,).
+        evaluation: names the cases and their knobs.
+        attributes: global ones.
+
+    Raises:
+        InputError: the disk is full, or the folder cannot be written.
+    """
+    part = path.with_suffix(f".{os.getpid()}.tmp")
+    try:
+        _write(part, design, columns, evaluation, attributes)
+        with part.open("rb") as file:
+            os.fsync(file.fileno())
+        part.replace(path)
+    except (OSError, RuntimeError) as error:  # netCDF tells a full disk as a RuntimeError
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise cannot_write(path, error) from None
+
+
+def _write(
+    path: Path, design: Design, columns: Iterable[Column], evaluation: Evaluation, attributes: Mapping[str, str]
+) -> None:
+    import netCDF4
+
+    with netCDF4.Dataset(path, "w", format="NETCDF4") as file:
+        file.setncatts({"Conventions": "CF-1.11", **attributes})
+        dimensions = _coordinates(file, design, evaluation.cases)
+        file.createDimension("case", len(evaluation.cases))
+        case = file.createVariable("case", str, ("case",))
+        case.long_name = "scenario, vehicle and sensing"
+        case[:] = np.array([c.name for c in evaluation.cases], dtype=object)
+        for name, quantity, sources, by_case in columns:
+            where = ("case", *dimensions) if by_case else dimensions
+            made = _variable(file, name, where, quantity)
+            for k, source in enumerate(sources):
+                values = source().reshape(design.shape)
+                if by_case:
+                    made[k] = values
+                else:
+                    made[:] = values
+
+
+def _variable(file: Any, name: str, dimensions: tuple[str, ...], quantity: Quantity) -> Any:
+    made = file.createVariable(name, "f8", dimensions, fletcher32=True, fill_value=False, chunk_cache=_CACHE)
+    made.units, made.long_name = quantity.unit, quantity.meaning
+    return made
+
+
+def _coordinates(file: Any, design: Design, cases: tuple[Case, ...]) -> tuple[str, ...]:
+    """Make the dimensions and what they mean; their names."""
+    names = tuple(netcdf_name(name) for name in design.names)
+    if design.kind != "grid":
+        file.createDimension("point", len(design.points))
+    axes: tuple[Axis | Span, ...] = design.axes
+    for k, (name, axis) in enumerate(zip(names, axes, strict=True)):
+        quantity = _quantity(axis.name, cases)
+        if isinstance(axis, Axis):
+            file.createDimension(name, len(axis.values))
+            _variable(file, name, (name,), quantity)[:] = axis.values
+        else:
+            _variable(file, name, ("point",), quantity)[:] = design.points[:, k]
+    if design.kind == "grid":
+        return names
+    file.coordinates = " ".join(names)
+    return ("point",)
+
+
+def _quantity(name: str, cases: tuple[Case, ...]) -> Quantity:
+    if name == SEED:
+        return Quantity("1", "seed of every run")
+    knob = next(table[name] for table in map(knobs, cases) if name in table)
+    return Quantity(knob.unit, knob.meaning)
+
+
+def provenance(evaluation: Evaluation, design: Design, *, request: str) -> dict[str, str]:
+    """Global attributes: what the numbers come from. There is no time in it: one request gives one file."""
+    gains = evaluation.cases[0].gains
+    told = [
+        {"name": c.name, "law": c.law, "priority_mode": c.mode, "seeds": list(evaluation.seeds_of(c))}
+        | ({} if c.model is None else {"model": c.model.name})
+        for c in evaluation.cases
+    ]
+    return {
+        "title": f"surctl sweep over {', '.join(design.names)}",
+        "source": f"surctl {__version__}",
+        "request": request,
+        "design": design.kind,
+        "points": design.description if design.kind != "grid" else f"{len(design.points)} on a grid",
+        "axes": json.dumps(design.names),
+        "cases": json.dumps(told),
+        "law_sha256": ", ".join(dict.fromkeys(law_digest(c) for c in evaluation.cases)),
+        "gains": json.dumps(
+            {
+                "name": gains.name,
+                "values": dict(gains.values),
+                "provenance": gains.provenance,
+                "source": gains.source,
+            }
+        ),
+    }
+
+
+def request_of(path: Path) -> str | None:
+    """Digest of the request that a finished table answers; None if it is harmed, or no such table."""
+    import netCDF4
+
+    try:
+        with netCDF4.Dataset(path) as file:
+            for variable in file.variables.values():
+                _ = variable[:]  # checks the sums that were written with the values
+            return str(file.getncattr("request"))
+    except (OSError, RuntimeError, AttributeError):
+        return None

@@ -1,0 +1,108 @@
+"""What a tuning leaves behind: a gain file that says where it comes from, and everything else as JSON."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from surctl import __version__
+from surctl.control import Gains
+from surctl.tuning.cegis import Tuning
+
+__all__ = ["goal_rows", "summary", "tuned_gains", "tuning_dict"]
+
+
+def tuned_gains(tuning: Tuning) -> Gains:
+    """The start gains with the tuned values; the provenance says goals, seeds, version, digest, rounds and outcome."""
+    request = tuning.request
+    bounds = "; ".join(
+        f"{g.name}: {g.over} {g.metric} {g.sense} {g.limit:g} {g.unit} ({g.kind})" for g in request.goals
+    )
+    asked = request.flown[: tuning.asked]
+    seeds = sorted({c.seed for c in asked})
+    cases = ", ".join(dict.fromkeys(c.case.name for c in asked))
+    text = (
+        f"{request.base.provenance}; tuned by surctl {__version__} from gains {request.base.name}, "
+        f"request {request.digest[:16]}, search seed {request.seed}, {len(tuning.rounds)} round(s), "
+        f"{len(asked)} runs over {cases} with seeds {seeds[0]} to {seeds[-1]} and "
+        f"{len(request.flown) - tuning.asked} counterexamples; goals: {bounds}; {_outcome(tuning)}"
+    )
+    values = dict(tuning.result.gains)
+    return request.base.with_values(values, provenance=text)
+
+
+def _outcome(tuning: Tuning) -> str:
+    last = tuning.result
+    fresh = last.verified
+    checked = "not verified by fresh runs"
+    if fresh is not None:
+        refuted = ", ".join(last.refuted) or "nothing"
+        checked = f"{fresh.runs} fresh runs with seeds {fresh.seeds[0]} to {fresh.seeds[1]} refute {refuted}"
+    if tuning.conflict:
+        checked += f"; not met together: {' + '.join(tuning.conflict)}"
+    return checked
+
+
+def goal_rows(tuning: Tuning) -> list[dict[str, Any]]:
+    """One row a goal: its bound, figure and normalised value with the start gains and with the tuned ones."""
+    hand, tuned = tuning.hand.evaluation, tuning.tuned.evaluation
+    return [
+        goal.to_dict()
+        | {
+            "hand": float(hand.figure[0, j]),
+            "tuned": float(tuned.figure[0, j]),
+            "normalised_hand": float(hand.normalised[0, j]),
+            "normalised_tuned": float(tuned.normalised[0, j]),
+            "met": bool(tuned.normalised[0, j] <= 1),
+            "better": tuning.better[j],
+        }
+        for j, goal in enumerate(tuning.request.goals)
+    ]
+
+
+def summary(tuning: Tuning) -> list[str]:
+    """The table of goals for people, and the outcome."""
+    lines = [f"{'goal':<24}{'kind':<6}{'unit':<6}{'limit':>12}{'hand gains':>12}{'tuned':>12}{'normalised':>18}"]
+    for one in goal_rows(tuning):
+        sign = "≤" if one["sense"] == "at most" else "≥"
+        change = f"{one['normalised_hand']:.3f} → {one['normalised_tuned']:.3f}"
+        mark = "" if one["met"] else "  MISSED"
+        lines.append(
+            f"{one['name']:<24}{one['kind']:<6}{one['unit']:<6}{sign + ' ' + format(one['limit'], 'g'):>12}"
+            f"{one['hand']:>12.4g}{one['tuned']:>12.4g}{change:>18}{mark}"
+        )
+    last = tuning.result
+    values = ", ".join(f"{name} = {value:.4g}" for name, value in last.gains.items())
+    lines += ["", f"gains: {values}", f"after {len(tuning.rounds)} round(s): {_outcome(tuning)}"]
+    return lines
+
+
+def tuning_dict(tuning: Tuning) -> dict[str, Any]:
+    """Plain data for `tuning.json`; numbers that are not finite are left to the writer."""
+    request, front, best = tuning.request, tuning.front, tuning.result
+    start = tuning.hand.evaluation.normalised[0]
+    scores = front.score(start)
+    return {
+        "version": __version__,
+        "request": request.digest,
+        "seed": request.seed,
+        "kept": tuning.kept,
+        "goals": goal_rows(tuning),
+        "space": {s.name: [s.low, s.high] for s in request.space},
+        "best": {"gains": dict(best.gains), "score": best.score, "feasible": best.feasible},
+        "front": [
+            {
+                "gains": front.gains(k),
+                "score": float(scores[k]),
+                "effort_n": float(front.evaluation.effort[k]),
+                "normalised": front.evaluation.normalised[k].tolist(),
+            }
+            for k in range(len(scores))
+        ],
+        "rounds": [r.to_dict() for r in tuning.rounds],
+        "counterexamples": [
+            c.to_dict()
+            for r in tuning.rounds
+            for c in (*r.training, *(r.verified.counterexamples if r.verified else ()))
+        ],
+        "conflict": list(tuning.conflict),
+    }

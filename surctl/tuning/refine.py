@@ -1,0 +1,152 @@
+"""Local refinement of gains by exact gradients: projected quasi-Newton on smooth surrogates of the metrics.
+
+L-BFGS-B in the logarithms of the gains: the cost is piecewise smooth, bounds are simple, and a step needs one value
+and one gradient. What comes out is judged by the true metrics elsewhere; a surrogate only shows the way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.control import Gains
+from surctl.errors import InputError, nearest
+from surctl.simulation import Case
+from surctl.tuning.gradient import SURROGATES, DifferentiableRun, prepare
+
+__all__ = ["WEIGHTS", "Refinement", "refine"]
+
+Array = NDArray[np.float64]
+
+WEIGHTS: Mapping[str, float] = MappingProxyType({"deviation": 1.0, "clearance": 4.0, "effort": 0.1, "remaining": 1.0})
+"""Weight of each surrogate in the cost, after scaling by hull radius, surge thrust and length of the path."""
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """What a refinement found.
+
+    Attributes:
+        gains: the gains with the least cost, or those given if none was better.
+        cost: their cost.
+        history: cost after each iteration, one tuple a start; the first entry is the start itself.
+    """
+
+    gains: Gains
+    cost: float
+    history: tuple[tuple[float, ...], ...]
+
+
+def refine(
+    cases: Sequence[Case],
+    gains: Gains,
+    ranges: Mapping[str, tuple[float, float]],
+    *,
+    weights: Mapping[str, float] = WEIGHTS,
+    floor: float = 0.05,
+    ticks: int = 600,
+    starts: int = 1,
+    iterations: int = 20,
+    seed: int = 0,
+) -> Refinement:
+    """Descend from the gains, and from further seeded starts within the ranges.
+
+    The cost of a case is w_d deviation/R² + w_c (max(0, floor − clearance)/R)² + w_e effort/F² + w_r remaining/L with
+    hull radius R, surge thrust limit F, length of the path L, and the surrogates of `SURROGATES`; that of several
+    is their sum.
+
+    Args:
+        cases: closed form, true positions; their own gains are replaced.
+        gains: the first start, and every gain that is not in `ranges`.
+        ranges: gain → (low, high), 0 < low < high; a start outside is put on its bound.
+        weights: by name of `SURROGATES`; a missing one counts 0.
+        floor: clearance [m] below which a case pays; the soft minimum lies up to about 0.1 m below the least.
+        ticks: length of every run.
+        starts: number of starts.
+        iterations: most quasi-Newton iterations a start; of cost and gradient about three times as many.
+        seed: of the further starts, and of drift and waves.
+
+    Raises:
+        InputError: no case, a range that is none, an unknown gain or weight, or a case that has no gradient.
+    """
+    from scipy.optimize import minimize
+
+    names = tuple(ranges)
+    _check(cases, gains, ranges, weights)
+    flights = [prepare(case, names, ticks=ticks, seed=seed) for case in cases]
+    low, high = (np.log([ranges[name][k] for name in names]) for k in (0, 1))
+    rng = np.random.default_rng([seed, 3])
+    points = [np.clip(np.log([max(gains[name], 1e-12) for name in names]), low, high)]
+    points += [rng.uniform(low, high) for _ in range(starts - 1)]
+    cost = _cost_of(flights, weights, floor)
+    best, least, history = points[0], cost(points[0])[0], []
+    for point in points:
+        values = [cost(point)[0]]
+        found = minimize(
+            cost,
+            point,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=list(zip(low, high, strict=True)),
+            callback=_keep(values),
+            options={"maxiter": iterations, "maxfun": 3 * iterations},
+        )
+        history.append(tuple(values))
+        if found.fun < least:
+            best, least = found.x, float(found.fun)
+    told = f"refined by gradients from {gains.name!r}: {', '.join(names)}"
+    chosen = dict(zip(names, np.exp(best).tolist(), strict=True))
+    return Refinement(gains.with_values(chosen, provenance=told), least, tuple(history))
+
+
+def _keep(values: list[float]) -> Callable[..., None]:
+    def keep(intermediate_result: object) -> None:  # SciPy looks at the name
+        values.append(float(intermediate_result.fun))  # type: ignore[attr-defined]
+
+    return keep
+
+
+def _cost_of(
+    flights: Sequence[DifferentiableRun], weights: Mapping[str, float], floor: float
+) -> Callable[[Array], tuple[float, Array]]:
+    """Log gains (k,) → cost and its gradient."""
+
+    def cost(logs: Array) -> tuple[float, Array]:
+        values, total, slope = np.exp(logs), 0.0, np.zeros(len(logs))
+        for flight in flights:
+            vehicle = flight.case.vehicle
+            hull = vehicle["radius"]
+            scale = {
+                "deviation": 1 / hull**2,
+                "effort": 1 / vehicle["Fu_max"] ** 2,
+                "remaining": 1 / flight.case.scenario.path.length,
+            }
+            linear = {name: weights.get(name, 0.0) * s for name, s in scale.items()}
+            found = flight.surrogates(values)
+            missing = max(0.0, floor - found["clearance"]) / hull
+            pay = weights.get("clearance", 0.0)
+            total += sum(linear[name] * found[name] for name in linear) + pay * missing**2
+            slope += flight.gradient(values, {**linear, "clearance": -2 * pay * missing / hull})
+        if not (np.isfinite(total) and np.isfinite(slope).all()):
+            return 1e9, np.zeros(len(logs))  # a line search steps back from it
+        return total, slope * values
+
+    return cost
+
+
+def _check(
+    cases: Sequence[Case], gains: Gains, ranges: Mapping[str, tuple[float, float]], weights: Mapping[str, float]
+) -> None:
+    if not cases:
+        raise InputError("has nothing to fly", key="refine", remedy="give at least one case")
+    for name in weights:
+        if name not in SURROGATES:
+            raise InputError("no such surrogate", key=name, remedy=nearest(name, SURROGATES))
+    for name, (low, high) in ranges.items():
+        if not 0 < low < high < np.inf:
+            raise InputError("is not a range", key=name, value=(low, high), remedy="give 0 < low < high")
+        gains.with_values({name: low}).with_values({name: high})  # says what is out of its bounds

@@ -1,0 +1,136 @@
+"""What a tuning remembers of its rounds, and the file that keeps them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from surctl.errors import InputError
+from surctl.tuning.claim_points import ClaimPoint
+from surctl.tuning.montecarlo import Counterexample, MonteCarlo
+
+__all__ = ["Record", "Round"]
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round: a search, its best sets sifted by training runs, the one that is left verified by fresh runs.
+
+    Attributes:
+        gains: the tuned gains by name.
+        score: see `Pool.score`.
+        feasible: whether they meet every hard goal over the runs known at the end of the round.
+        missed: goals that they miss over those runs.
+        training: training runs that refuted sets which the search held for better.
+        verified: fresh runs; None when there were none.
+        claims: points where a claim fails that should hold.
+        others: further sets that are best over the runs known, best first: the next search starts from them too.
+    """
+
+    gains: Mapping[str, float]
+    score: float
+    feasible: bool
+    missed: tuple[str, ...]
+    training: tuple[Counterexample, ...]
+    verified: MonteCarlo | None
+    claims: tuple[ClaimPoint, ...]
+    others: tuple[Mapping[str, float], ...]
+
+    @property
+    def refuted(self) -> tuple[str, ...]:
+        """Names of the goals and claims that are refuted."""
+        goals = () if self.verified is None else self.verified.refuted
+        return (*goals, *(p.name for p in self.claims))
+
+    @property
+    def fresh(self) -> tuple[Counterexample, ...]:
+        """Fresh runs that refute a goal which the known runs do not."""
+        found = () if self.verified is None else self.verified.counterexamples
+        return tuple(c for c in found if c.goal not in self.missed)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {
+            "gains": dict(self.gains),
+            "score": self.score,
+            "feasible": self.feasible,
+            "missed": list(self.missed),
+            "training": [c.to_dict() for c in self.training],
+            "monte_carlo": None if self.verified is None else self.verified.to_dict(),
+            "claims": [{"name": p.name, "values": dict(p.values), "threshold": p.threshold} for p in self.claims],
+            "others": [dict(gains) for gains in self.others],
+        }
+
+
+class Record:
+    """Finished rounds of one request in a JSON file, which is replaced as a whole.
+
+    Args:
+        folder: where `rounds.json` is kept; None keeps nothing.
+        request: text of everything that the rounds follow from; a file of another request is not trusted.
+    """
+
+    def __init__(self, folder: Path | None, request: str) -> None:
+        self.path = None if folder is None else folder / "rounds.json"
+        self.digest = hashlib.sha256(request.encode()).hexdigest()
+        self.rounds: list[Round] = self._load()
+
+    def round(self, k: int) -> Round | None:
+        """The k-th round if it is finished."""
+        return self.rounds[k] if k < len(self.rounds) else None
+
+    def add(self, one: Round) -> None:
+        """Keep a finished round."""
+        self.rounds.append(one)
+        if self.path is None:
+            return
+        text = json.dumps({"request": self.digest, "rounds": [r.to_dict() for r in self.rounds]}, indent=1)
+        beside = self.path.with_suffix(".tmp")
+        try:
+            with beside.open("w", encoding="utf-8") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
+            beside.replace(self.path)
+        except OSError as error:
+            raise InputError(
+                f"cannot be written ({error.strerror})", file=self.path, key="--out", remedy="make room; it resumes"
+            ) from None
+
+    def _load(self) -> list[Round]:
+        """Rounds of the same request; anything else in the file's place is not trusted."""
+        if self.path is None or not self.path.exists():
+            return []
+        try:
+            table = json.loads(self.path.read_text(encoding="utf-8"))
+            if table["request"] != self.digest:
+                return []
+            return [_round_from(one) for one in table["rounds"]]
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return []
+
+
+def _round_from(table: Mapping[str, Any]) -> Round:
+    verified, m = None, table["monte_carlo"]
+    if m is not None:
+        found = _counterexamples(m["counterexamples"])
+        verified = MonteCarlo(m["runs"], (m["seeds"][0], m["seeds"][1]), m["missed"], m["normalised"], found)
+    return Round(
+        table["gains"],
+        table["score"],
+        table["feasible"],
+        tuple(table["missed"]),
+        _counterexamples(table["training"]),
+        verified,
+        tuple(ClaimPoint(**p) for p in table["claims"]),
+        tuple(table["others"]),
+    )
+
+
+def _counterexamples(table: list[dict[str, Any]]) -> tuple[Counterexample, ...]:
+    return tuple(Counterexample(**c) for c in table)

@@ -1,0 +1,123 @@
+"""One search for gains: optuna's NSGA-II in batches on the compiled loop, then a descent about the best (`descend`).
+
+Two objectives are minimised: the score, which is the largest soft goal (each over what the start gains make of it, or
+over its limit if they miss it), as systune does, and the mean thrust. One objective a goal would leave nearly every
+trial undominated; two can be drawn. Hard goals and claims are constraints.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.tuning.descent import descend
+from surctl.tuning.evaluation import row
+from surctl.tuning.journal import Journal, quiet_optuna
+from surctl.tuning.pool import Pool, Progress, Request, joined
+from surctl.tuning.trials import distributions, kept, objectives, remembered
+
+if TYPE_CHECKING:
+    from optuna import Study
+    from optuna.trial import FrozenTrial, Trial
+
+__all__ = ["BATCH", "search"]
+
+BATCH = 32  # trials that are flown together: NSGA-II's population
+
+
+def search(
+    request: Request,
+    *,
+    trials: int,
+    first: Sequence[Mapping[str, float]] = (),
+    journal: Journal | None = None,
+    progress: Progress = lambda _: None,
+) -> Pool:
+    """All gain sets that were flown; the start gains come first.
+
+    Args:
+        request: what is searched for.
+        trials: of NSGA-II, rounded up to whole batches; about as many more in the descent.
+        first: gain sets to try before any other, after the start gains: what an earlier search found.
+        journal: keeps the trials; a search of the same request resumes from it, and ends where it would have ended.
+        progress: told one line a batch.
+    """
+    shelf, name = journal or Journal(None), request.digest
+    done = shelf.trials(name)
+    batches = -(-trials // BATCH)
+    pools = [remembered(request, done[k : k + BATCH]) for k in range(0, len(done) // BATCH * BATCH, BATCH)][:batches]
+    known = list(done[: len(pools) * BATCH])
+    start = pools[0].evaluation.normalised[0] if pools else request.judge(_start(request)).evaluation.normalised[0]
+    clock = _Clock(batches, len(pools), progress)
+    for k in range(len(pools), batches):
+        memory = _study(known)  # anew, so that nothing but the finished trials has a say in what is drawn
+        asked = _ask(memory, request, k, [row(_start(request), 0), *first] if k == 0 else [])
+        sets = {s.name: np.array([t.params[s.name] for t in asked]) for s in request.space}
+        pool = request.judge(sets)
+        finished = _tell(memory, asked, pool, start)
+        # a kill may have left a part of this batch behind: it is the same part
+        shelf.append(name, finished[max(0, len(done) - k * BATCH) :])
+        known += finished
+        pools.append(pool)
+        clock.tell(k + 1, joined(pools), start)
+    whole = joined(pools)
+    return descend(request, whole, trials=trials, shelf=shelf, progress=progress)
+
+
+class _Clock:
+    def __init__(self, batches: int, done: int, progress: Progress) -> None:
+        self.batches, self.done, self.progress, self.began = batches, done, progress, time.perf_counter()
+        if done:
+            progress(f"{done * BATCH} trials of the same request are resumed")
+
+    def tell(self, k: int, pool: Pool, start: NDArray[np.float64]) -> None:
+        rate = (k - self.done) * BATCH / (time.perf_counter() - self.began)
+        left = (self.batches - k) * BATCH / rate
+        best = pool.best(start)
+        word = "" if pool.feasible[best] else ", no hard goals met yet"
+        told = f"trial {k * BATCH}/{self.batches * BATCH}, best score {pool.score(start)[best]:.4f}{word}"
+        self.progress(f"{told}, {rate:.3g} trials/s, ETA {left:.0f} s")
+
+
+def _start(request: Request) -> dict[str, NDArray[np.float64]]:
+    return {s.name: np.array([s.clip(request.base[s.name])]) for s in request.space}
+
+
+def _study(trials: Sequence[FrozenTrial]) -> Study:
+    """The study in memory: a trip to the disk a batch, not ten a trial."""
+    optuna = quiet_optuna()
+    study = optuna.create_study(directions=["minimize", "minimize"])
+    study.add_trials(trials)
+    sampler = optuna.samplers.NSGAIISampler(population_size=BATCH)
+    for generation in range(1, len(trials) // BATCH):  # the parents of each, chosen in turn as they were before
+        sampler.get_parent_population(study, generation)
+    return study
+
+
+def _ask(study: Study, request: Request, batch: int, first: Sequence[Mapping[str, float]]) -> list[Trial]:
+    """A whole generation. Every trial's draws have a seed of their own, so that a resumed search draws the same."""
+    optuna = quiet_optuna()
+    space = distributions(request)
+    for given in first[:BATCH]:
+        study.enqueue_trial({s.name: s.clip(given[s.name]) for s in request.space})
+    asked = []
+    for k in range(batch * BATCH, (batch + 1) * BATCH):
+        drawn = int(np.random.SeedSequence([request.seed, k]).generate_state(1)[0])
+        study.sampler = optuna.samplers.NSGAIISampler(population_size=BATCH, seed=drawn)
+        asked.append(study.ask(space))
+    return asked
+
+
+def _tell(study: Study, asked: Sequence[Trial], pool: Pool, start: NDArray[np.float64]) -> list[FrozenTrial]:
+    constraints, reached, told = pool.constraints, objectives(pool, start), []
+    for k, trial in enumerate(asked):
+        for name, value in kept(pool, k).items():
+            trial.set_user_attr(name, value)
+        for j, value in enumerate(constraints[k]):
+            trial.set_constraint(f"{j}", float(value))
+        told.append(study.tell(trial, reached[k]))
+    return told

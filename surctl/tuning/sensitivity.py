@@ -1,0 +1,97 @@
+"""What a column depends on: Sobol' indices of first and total order, with confidence intervals."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.tuning.table import SweepTable
+
+__all__ = ["Sensitivity", "sensitivity"]
+
+_RESAMPLES = 500
+_CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Shares of a column's variance that are due to each axis, over the axes' ranges.
+
+    Attributes:
+        column: which column.
+        axes: names of the axes.
+        first: index of first order of each: the share due to that axis alone.
+        total: index of total order: the share that involves it; the sum may exceed 1.
+        first_interval: (low, high) of each, 95 % bootstrap percentiles.
+        total_interval: likewise.
+        constant: the column does not vary at all; then every index is 0.
+        base: size of the two independent samples.
+    """
+
+    column: str
+    axes: tuple[str, ...]
+    first: tuple[float, ...]
+    total: tuple[float, ...]
+    first_interval: tuple[tuple[float, float], ...]
+    total_interval: tuple[tuple[float, float], ...]
+    constant: bool
+    base: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return asdict(self)
+
+
+def sensitivity(table: SweepTable, column: str, *, seed: int = 0) -> Sensitivity:
+    """Sobol' indices of a column from a sweep over a Saltelli design (Saltelli et al. 2010, scipy.stats).
+
+    Args:
+        table: a sweep of `saltelli`.
+        column: any of its columns.
+        seed: of the bootstrap.
+
+    Raises:
+        InputError: another design, an unknown column, or one that is not finite everywhere.
+    """
+    values = table.column(column)
+    if table.dataset.attrs["design"] != "saltelli":
+        raise InputError(
+            "needs the points of a Saltelli design", key="sensitivity", value=column, remedy="use --sensitivity"
+        )
+    names = tuple(json.loads(table.dataset.attrs["axes"]))
+    lost = int((~np.isfinite(values)).sum())
+    if lost:
+        raise InputError(
+            f"is not a finite number at {lost} of {values.size} points",
+            key="sensitivity",
+            value=column,
+            remedy="choose another column or narrower ranges",
+        )
+    parts = values.reshape(len(names) + 2, -1)
+    base = parts.shape[1]
+    if np.ptp(values) == 0:
+        none, interval = (0.0,) * len(names), ((0.0, 0.0),) * len(names)
+        return Sensitivity(column, names, none, none, interval, interval, True, base)
+    estimate = _indices(parts)
+    rng = np.random.default_rng(seed)
+    draws = np.array([_indices(parts[:, rng.integers(0, base, base)]) for _ in range(_RESAMPLES)])
+    tail = 50 * (1 - _CONFIDENCE)
+    low, high = np.percentile(draws, [tail, 100 - tail], axis=0)
+    intervals = [tuple((float(a), float(b)) for a, b in zip(low[k], high[k], strict=True)) for k in (0, 1)]
+    first, total = (tuple(float(v) for v in row) for row in estimate)
+    return Sensitivity(column, names, first, total, intervals[0], intervals[1], False, base)
+
+
+def _indices(parts: NDArray[np.float64]) -> NDArray[np.float64]:
+    """First and total indices (2, axes) from values (2 + axes, base) at A, B and the crossed samples."""
+    from scipy.stats import sobol_indices
+
+    found = sobol_indices(
+        func={"f_A": parts[:1], "f_B": parts[1:2], "f_AB": parts[2:, None, :]}, n=parts.shape[1]
+    )  # a resample without variance has indices of 0 there
+    return np.stack([np.atleast_1d(found.first_order).reshape(-1), np.atleast_1d(found.total_order).reshape(-1)])

@@ -1,0 +1,81 @@
+"""The search space of a tuning: named gains with ranges, searched on a log scale."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.control import GAINS, Gains
+from surctl.errors import InputError, nearest
+
+__all__ = ["TUNED", "GainRange", "gain_ranges"]
+
+TUNED = ("k1", "lookahead", "k_psi", "k_v", "k_r", "kappa", "reaction", "brake")
+"""Gains that are tuned where none is named: those that shape the motion and are no statement about the sensors."""
+
+_SPREAD = 4.0  # a range that is not given reaches from a quarter of the base value to four times it
+
+
+@dataclass(frozen=True)
+class GainRange:
+    """One tuned gain and the range it is searched in, both ends included.
+
+    Raises:
+        InputError: unknown gain, or ends that are not 0 < low < high within the gain's bounds.
+    """
+
+    name: str
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        if self.name not in GAINS:
+            raise InputError("no such gain", key="--gain", value=self.name, remedy=nearest(self.name, GAINS))
+        key, top = f"--gain {self.name}", GAINS[self.name].below
+        if not (np.isfinite([self.low, self.high]).all() and 0 < self.low < self.high):
+            given = f"{self.low:g}..{self.high:g}"
+            raise InputError("is not a range", key=key, value=given, remedy="write LOW..HIGH with 0 < LOW < HIGH")
+        if self.high > top:
+            raise InputError(f"is above its bound of {top:.3g}", key=key, value=self.high, remedy="lower the upper end")
+
+    def clip(self, value: float) -> float:
+        """The nearest value within the range."""
+        return min(max(value, self.low), self.high)
+
+    def place(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Values at 0 … 1 of the range, on a log scale."""
+        at: NDArray[np.float64] = self.low * (self.high / self.low) ** np.asarray(unit, dtype=float)
+        return np.clip(at, self.low, self.high)
+
+    def unit(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The inverse of `place`, cut to 0 … 1."""
+        at = np.log(np.asarray(values, dtype=float) / self.low) / np.log(self.high / self.low)
+        unit: NDArray[np.float64] = np.clip(at, 0.0, 1.0)
+        return unit
+
+
+def gain_ranges(
+    base: Gains, given: Mapping[str, tuple[float, float] | None] | Sequence[str] = TUNED
+) -> tuple[GainRange, ...]:
+    """The gains to tune, with their ranges.
+
+    Args:
+        base: where the derived ranges are centred: a quarter to four times its value, within the gain's bounds.
+        given: gain → (low, high), or None for the derived range; or names alone.
+
+    Raises:
+        InputError: no gain, an unknown one, a range that is none, or a gain of 0 without a range.
+    """
+    table = given if isinstance(given, Mapping) else dict.fromkeys(given)
+    if not table:
+        raise InputError("nothing is tuned", key="--gain", remedy="name at least one gain")
+    return tuple(GainRange(name, *(ends or _derived(name, base[name]))) for name, ends in table.items())
+
+
+def _derived(name: str, value: float) -> tuple[float, float]:
+    if value <= 0:
+        raise InputError("is 0, so that no range follows", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
+    return value / _SPREAD, min(value * _SPREAD, GAINS[name].below)

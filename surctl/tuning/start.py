@@ -1,0 +1,128 @@
+"""Where a search for gains begins: a linear quadratic regulator about cruise, and a descent along exact gradients."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError
+from surctl.simulation import Case, simulate_batch
+from surctl.tuning.pool import Progress, Request
+from surctl.tuning.refine import refine
+from surctl.vehicle import Vehicle, linearise, plant_parameters
+from surctl.verification import CASCADE_GAINS, build_cascade, linear_table
+from surctl.verification.cascade import build_cascades
+
+__all__ = ["lqr_start", "starting_sets"]
+
+_DISK_FLOOR = 0.6  # least disk margin of a start: 33° and a factor 1.86 at once, as a sweep's floor
+_DEVIATION = (0.3, 0.3, 0.3, 0.3, 0.1, 0.1, 0.1, 0.2)  # largest deviations that count as equal: m, rad, m/s, rad/s
+_MILDER = 2.0  # factor on R while the floor is missed
+_OUTER = np.array([0.5**0.5] * 4 + [1.0] * 4)  # factor on Q with each of them
+_MOST = 24  # of such factors
+_ITERATIONS = 6  # of the descent: what comes after judges by the true metrics
+
+
+def starting_sets(
+    request: Request, *, descend: bool = False, progress: Progress = lambda _: None
+) -> list[dict[str, float]]:
+    """Gain sets that a search tries before it draws any, all within its space.
+
+    `lqr_start` of every vehicle, with the request's own gains for the rest. With `descend` the request's gains refined
+    by exact gradients over its cases too (`refine`), where they have any: the closed form with true positions. A
+    gradient costs as much as some thousand compiled runs, so it is done when asked for.
+    """
+    found = []
+    for case in {c.vehicle.name: c for c in request.cases}.values():
+        try:
+            regulator = lqr_start(case.model or case.vehicle, cruise=case.scenario.cruise, dt=case.build().dt)
+        except InputError as error:
+            progress(f"no LQR start for {case.vehicle.name}: {error}")
+            continue
+        found.append({s.name: regulator.get(s.name, request.base[s.name]) for s in request.space})
+    smooth = [c for c in request.cases if c.mode == "nsb" and c.sensing == "truth"]
+    if descend and smooth:
+        progress(f"descent along exact gradients over {len(smooth)} cases")
+        ranges = {s.name: (s.low, s.high) for s in request.space}
+        ticks = _horizon(smooth)
+        refined = refine(smooth, request.base, ranges, ticks=ticks, iterations=_ITERATIONS, seed=request.seed)
+        found.append(dict(refined.gains.values))
+    return [{s.name: s.clip(values[s.name]) for s in request.space} for values in found]
+
+
+def _horizon(cases: Sequence[Case]) -> int:
+    """Ticks that the slowest of the cases takes with its own gains."""
+    return max(int(np.ceil(simulate_batch(case).column("time_s")[0] / case.build().dt)) + 1 for case in cases)
+
+
+def lqr_start(
+    vehicle: Vehicle, *, cruise: float, dt: float, q: ArrayLike | None = None, r: ArrayLike | None = None
+) -> dict[str, float]:
+    """`CASCADE_GAINS` that come nearest to an LQR of the vehicle, and leave a disk margin of 0.6 in every loop.
+
+    The regulator (python-control's `lqr`) knows neither thrust lag nor delay, and feeds back every state to every
+    thrust; the cascade has six numbers for that. They are fitted by least squares, in logarithms, to the thrust that
+    the regulator would give to deviations of the size that q allows, as a share of the thrust limits: what is not in
+    the cascade (surge from sway, say) cannot be fitted and is not counted against any gain. Lag and delay are then
+    respected by asking for less until the cascade with both has the margin: r is doubled, and the weights of position
+    and heading go down by √2, since the outer loops need the more time the slower the inner ones are. k_i is not
+    among the gains: guidance already integrates position.
+
+    Args:
+        vehicle: the plant and the model.
+        cruise: U [m/s].
+        dt: control period [s].
+        q: (8,) weights > 0 of deviations in x, y, z [1/m²], ψ [1/rad²], u, v, w [s²/m²], r [s²/rad²]; default by
+            Bryson's rule, one over the square of the largest deviation.
+        r: (4,) weights > 0 of the thrust [1/N², 1/(N m)²]; default one over the square of the limit.
+
+    Raises:
+        InputError: weights of the wrong shape or sign, a cruise that the vehicle cannot hold, or no such gains.
+    """
+    import control  # seconds to import: only when asked for
+
+    wanted, thrust = _weights("q", q, 1 / np.square(_DEVIATION)), _weights("r", r, 1 / vehicle.thrust_limit**2)
+    plant = linearise(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
+    A = np.asarray(plant.A)[:8, :8]
+    B = np.vstack([np.zeros((4, 4)), np.diag(1 / vehicle.mass)])
+    for doubling in range(_MOST):
+        state = wanted * _OUTER**doubling
+        K, _, _ = control.lqr(A, B, np.diag(state), np.diag(thrust * _MILDER**doubling))
+        gains = _fit(vehicle, np.asarray(K), wanted, cruise=cruise, dt=dt)
+        table = linear_table(vehicle, {}, base=gains, cruise=cruise, dt=dt, columns=["disk_margin"])
+        if table["disk_margin"][0] >= _DISK_FLOOR:
+            return gains
+    raise InputError(
+        f"no cascade has a disk margin of {_DISK_FLOOR:g} at this period", key="dt", value=dt, remedy="shorten it"
+    )
+
+
+def _fit(
+    vehicle: Vehicle, K: NDArray[np.float64], q: NDArray[np.float64], *, cruise: float, dt: float
+) -> dict[str, float]:
+    """The gains whose K (4, 8) is nearest, each entry as a share of its thrust limit at its largest deviation."""
+    from scipy.optimize import least_squares
+
+    scale = 1 / np.sqrt(q)[None] / vehicle.thrust_limit[:, None]
+    flat = plant_parameters(vehicle)[None]
+    # entries that some gain moves; the others are not the cascade's to give
+    reachable = build_cascade(vehicle, dict.fromkeys(CASCADE_GAINS, 1.0), cruise=cruise, dt=dt).K != 0
+
+    def missed(logs: NDArray[np.float64]) -> NDArray[np.float64]:
+        gains: Mapping[str, NDArray[np.float64]] = {
+            n: np.exp(v)[None] for n, v in zip(CASCADE_GAINS, logs, strict=True)
+        }
+        found = build_cascades(flat, gains, cruise=np.array([cruise]), dt=dt, model=flat).K[0]
+        return np.asarray(((found - K) * scale)[reachable], dtype=float)
+
+    fitted = least_squares(missed, np.zeros(len(CASCADE_GAINS)), bounds=(np.log(1e-3), np.log(1e2)))
+    return {name: float(np.exp(v)) for name, v in zip(CASCADE_GAINS, fitted.x, strict=True)}
+
+
+def _weights(key: str, given: ArrayLike | None, default: NDArray[np.float64]) -> NDArray[np.float64]:
+    weights = default if given is None else np.asarray(given, dtype=float)
+    if weights.shape != default.shape or not np.all(np.isfinite(weights) & (weights > 0)):
+        raise InputError(f"takes {default.size} numbers greater than 0", key=key, remedy="correct it")
+    return weights

@@ -1,0 +1,186 @@
+"""A finished sweep: an xarray data set, its columns by name, and the point that is picked."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.control import GAINS, Gains
+from surctl.errors import InputError, nearest
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["DELAY_FLOOR", "DISK_FLOOR", "SweepTable", "SweptAxis", "load_sweep"]
+
+DELAY_FLOOR = 0.2  # [s] least delay margin of a point that may be picked: four control periods (*chosen*)
+DISK_FLOOR = 0.6  # least disk margin of a point that may be picked: 33° and a factor 1.86 at once (*chosen*)
+
+
+@dataclass(frozen=True, eq=False)
+class SweptAxis:
+    """A swept knob with its unit and values: a grid's different ones, else one a point."""
+
+    name: str
+    unit: str
+    meaning: str
+    values: NDArray[np.float64] = field(repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class SweepTable:
+    """A finished sweep.
+
+    Attributes:
+        dataset: dimensions are the axes of a grid, else `point`; one data variable a column with units and long_name.
+            Columns named `case_…` are those of single cases and have the dimension `case` in front. Read from the file
+            when asked for.
+    """
+
+    dataset: xr.Dataset = field(repr=False)
+
+    @property
+    def is_grid(self) -> bool:
+        """Whether every combination of the axes' values was evaluated."""
+        return bool(self.dataset.attrs["design"] == "grid")
+
+    @property
+    def axes(self) -> tuple[SweptAxis, ...]:
+        """The swept knobs, in the order of the dimensions."""
+        found = []
+        for name in json.loads(self.dataset.attrs["axes"]):
+            values = self.dataset[netcdf_name(name)]
+            found.append(SweptAxis(name, values.attrs["units"], values.attrs["long_name"], np.asarray(values.values)))
+        return tuple(found)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of a column."""
+        return tuple(self.dataset[self.columns[0]].shape)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns over all cases."""
+        return tuple(str(name) for name, v in self.dataset.data_vars.items() if "case" not in v.dims)
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Unit of every column."""
+        return {name: str(self.dataset[name].attrs["units"]) for name in self.columns}
+
+    @property
+    def cases(self) -> tuple[str, ...]:
+        """Names of the cases that every point flew."""
+        return tuple(str(name) for name in self.dataset["case"].values)
+
+    @property
+    def path(self) -> Path | None:
+        """The file that the table is read from; None for one in memory."""
+        source = self.dataset.encoding.get("source")
+        return Path(source) if source else None
+
+    def column(self, name: str, *, case: str | None = None) -> NDArray[np.float64]:
+        """One column over all cases, or of one, in the design's shape; InputError with the nearest known name."""
+        known = self.columns
+        if case is not None:
+            known = tuple(v.removeprefix("case_") for v in map(str, self.dataset.data_vars) if v.startswith("case_"))
+        if name not in known:
+            raise InputError("no such column", key="column", value=name, remedy=nearest(name, known))
+        if case is None:
+            return np.asarray(self.dataset[name].values)
+        if case not in self.cases:
+            raise InputError("no such case", key="case", value=case, remedy=nearest(case, self.cases))
+        return np.asarray(self.dataset["case_" + name][self.cases.index(case)].values)
+
+    @property
+    def picked(self) -> tuple[int, ...] | None:
+        """Index of the feasible point with the least score; None when no point is feasible.
+
+        The score is the mean deviation in hull radii plus the slowest run's time over its ideal time. Feasible: every
+        run arrives without contact, and the margins suffice where they were measured.
+        """
+        score = np.where(self.column("feasible") > 0.5, self.column("score"), np.inf)
+        if not np.isfinite(score).any():
+            return None
+        return tuple(int(k) for k in np.unravel_index(int(np.nanargmin(score)), score.shape))
+
+    def at(self, index: tuple[int, ...]) -> dict[str, float]:
+        """Values of the axes at a point."""
+        if self.is_grid:
+            return {axis.name: float(axis.values[k]) for axis, k in zip(self.axes, index, strict=True)}
+        return {axis.name: float(axis.values[index]) for axis in self.axes}
+
+    def row(self, index: tuple[int, ...]) -> dict[str, float]:
+        """Values of the axes and of every column at a point."""
+        return self.at(index) | {name: float(self.dataset[name][index]) for name in self.columns}
+
+    def rows(self) -> list[dict[str, float]]:
+        """`row` of every point, in C order."""
+        columns = {name: self.column(name).reshape(-1) for name in self.columns}
+        points = [self.at(index) for index in np.ndindex(self.shape)]
+        return [p | {name: float(values[k]) for name, values in columns.items()} for k, p in enumerate(points)]
+
+    @property
+    def base(self) -> Gains:
+        """The gains that the sweep started from."""
+        return Gains(**json.loads(self.dataset.attrs["gains"]))
+
+    @property
+    def gains(self) -> Gains:
+        """The base gains with the picked values; the base itself when nothing is feasible."""
+        if self.picked is None:
+            return self.base
+        chosen = self.at(self.picked)
+        what = ", ".join(f"{name} = {value:g}" for name, value in chosen.items())
+        return self.base.with_values(
+            {name: value for name, value in chosen.items() if name in GAINS},
+            provenance=f"{self.base.provenance}; picked by a {self.dataset.attrs['design']} sweep: {what}",
+        )
+
+
+def judged(columns: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    """Score and feasibility from the columns that they follow from.
+
+    The path error is not in the score: it counts only what lies outside avoidance, and the gains change how much that
+    is.
+    """
+    feasible = (columns["reached_worst"] > 0.5) & (columns["min_clearance_m_worst"] > 0)
+    if "delay_margin_s" in columns:
+        feasible &= (columns["delay_margin_s"] >= DELAY_FLOOR) & (columns["disk_margin"] >= DISK_FLOOR)
+    return {"score": columns["strayed"] + columns["time_ratio"], "feasible": feasible.astype(float)}
+
+
+def load_sweep(path: Path | str) -> SweepTable:
+    """A finished sweep from its netCDF file; the columns are read when asked for.
+
+    Raises:
+        InputError: no such file, or it is not one of a sweep.
+    """
+    import xarray as xr  # seconds to import
+
+    path = Path(path)
+    if not path.is_file():
+        raise InputError("no such file", file=path, remedy="give the sweep.nc of a finished sweep")
+    dataset: Any = None
+    try:
+        dataset = xr.open_dataset(path.resolve(), engine="netcdf4", cache=False)
+        missing = {"design", "axes", "request", "gains"} - set(dataset.attrs)
+    except (OSError, ValueError, RuntimeError) as error:
+        raise InputError(
+            f"is not a netCDF file that can be read ({type(error).__name__})", file=path, remedy="run the sweep again"
+        ) from None
+    if missing:
+        dataset.close()
+        raise InputError("is not the table of a sweep", file=path, remedy="give the sweep.nc of a finished sweep")
+    return SweepTable(dataset)
+
+
+def netcdf_name(name: str) -> str:
+    """The knob's name as netCDF allows it: a slash would be a path there."""
+    return name.replace("/", "|")

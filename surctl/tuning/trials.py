@@ -1,0 +1,60 @@
+"""Gain sets as trials of optuna's journal, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.tuning.evaluation import Evaluation
+from surctl.tuning.journal import quiet_optuna
+from surctl.tuning.pool import CAP, Pool, Request
+
+if TYPE_CHECKING:
+    from optuna.trial import FrozenTrial
+
+__all__ = ["distributions", "frozen", "kept", "objectives", "remembered"]
+
+
+def objectives(pool: Pool, start: NDArray[np.float64]) -> list[list[float]]:
+    """Score and thrust of each set, finite ones."""
+    effort = pool.evaluation.effort
+    usual = max(float(np.fmin.reduce(effort, initial=np.inf)), 1e-9)
+    bounded = np.where(np.isfinite(effort), effort, CAP * usual if np.isfinite(usual) else CAP)
+    return [[float(s), float(t)] for s, t in zip(pool.score(start), bounded, strict=True)]
+
+
+def kept(pool: Pool, k: int) -> dict[str, Any]:
+    """What `remembered` needs of the k-th set."""
+    e = pool.evaluation
+    told = {"normalised": e.normalised[k].tolist(), "figure": e.figure[k].tolist(), "excess": e.excess[k].tolist()}
+    return {**told, "effort": float(e.effort[k]), "claims": pool.claims[k].tolist()}
+
+
+def remembered(request: Request, trials: Sequence[FrozenTrial]) -> Pool:
+    """What the journal knows of a batch."""
+
+    def table(name: str) -> NDArray[np.float64]:
+        return np.array([t.user_attrs[name] for t in trials], dtype=float)
+
+    sets = {s.name: np.array([t.params[s.name] for t in trials]) for s in request.space}
+    whole = Evaluation(request.goals, table("normalised"), table("figure"), table("excess"), table("effort"))
+    claims = table("claims").reshape(len(trials), len(request.claims))
+    return Pool(sets, whole, claims)
+
+
+def frozen(request: Request, pool: Pool, start: NDArray[np.float64]) -> list[FrozenTrial]:
+    """Sets as finished trials."""
+    optuna, space = quiet_optuna(), distributions(request)
+    return [
+        optuna.trial.create_trial(params=pool.gains(k), distributions=space, values=values, user_attrs=kept(pool, k))
+        for k, values in enumerate(objectives(pool, start))
+    ]
+
+
+def distributions(request: Request) -> dict[str, Any]:
+    """The search space as optuna has it."""
+    optuna = quiet_optuna()
+    return {s.name: optuna.distributions.FloatDistribution(s.low, s.high, log=True) for s in request.space}

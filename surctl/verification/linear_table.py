@@ -1,0 +1,226 @@
+"""Linear figures of many points at once: poles, margins of the eight loops, step responses.
+
+A point is a set of gains, a vehicle and a cruise speed. Every figure is python-control's (`damp`, `stability_margins`,
+`disk_margins`, `step_info`), which the tests hold it to; computed over all points together it is some hundred times
+faster.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError
+from surctl.simulation import MetricSpec
+from surctl.vehicle import PARAMETERS, PLANT_PARAMETERS, Vehicle, plant_parameters
+from surctl.vehicle.dynamics import trim_function
+from surctl.verification.cascade import CASCADE_GAINS, Cascade, build_cascades, check_positive
+from surctl.verification.loops import LOOP_NAMES, broken_loops, crossings_of
+from surctl.verification.steps import STEP_NAMES, step_figures
+
+__all__ = ["LINEAR_KNOBS", "LINEAR_METRICS", "Points", "cascades_by_order", "linear_table", "read_points"]
+
+_CHUNK = 64  # points at a time: their frequency responses fit in the cache
+
+_PLACES = {  # vehicle parameter → its place in the plant's flat vector
+    name: PLANT_PARAMETERS.slice(group).start + k
+    for group, names in (
+        ("mass", ("m11", "m22", "m33", "m44")),
+        ("linear_drag", ("Xu", "Yv", "Zw", "Nr")),
+        ("quadratic_drag", ("Xuu", "Yvv", "Zww", "Nrr")),
+        ("thrust_limit", ("Fu_max",)),
+        ("thrust_lag", ("thrust_lag",)),
+    )
+    for k, name in enumerate(names)
+}
+
+LINEAR_KNOBS: tuple[str, ...] = (
+    *CASCADE_GAINS,
+    "k_i",
+    "scenario.cruise",
+    *(f"vehicle.{name}" for name in _PLACES),
+    *(f"plant.{name}" for name in _PLACES),
+)
+"""The knobs that a linear figure depends on; no other one changes any."""
+
+
+_MARGINS = {
+    "gain_margin": MetricSpec("1", "factor on the loop gain that is borne", "high"),
+    "phase_margin_deg": MetricSpec("deg", "phase lag that is borne", "high"),
+    "delay_margin_s": MetricSpec("s", "extra delay that is borne", "high"),
+    "disk_margin": MetricSpec("1", "radius of the balanced disk margin, 0 to 2", "high"),
+}
+LINEAR_METRICS: Mapping[str, MetricSpec] = {
+    "slowest_pole_per_s": MetricSpec("1/s", "largest real part of a closed-loop pole", "low"),
+    "least_damping": MetricSpec("1", "least damping ratio of the closed-loop poles; 1 without a complex one", "high"),
+    **{name: MetricSpec(m.unit, f"{m.meaning}, least of all loops", m.better) for name, m in _MARGINS.items()},
+    **{
+        f"{name}.{loop}": MetricSpec(m.unit, f"{m.meaning}, loop {loop}", m.better)
+        for loop in LOOP_NAMES
+        for name, m in _MARGINS.items()
+    },
+    **{f"settling_time_s.{s}": MetricSpec("s", f"2 % settling time of a step in {s}", "low") for s in STEP_NAMES},
+    **{f"overshoot.{s}": MetricSpec("1", f"overshoot of a step in {s}, share of the step", "low") for s in STEP_NAMES},
+}
+"""What `linear_table` finds, by column name."""
+
+
+def linear_table(
+    vehicle: Vehicle,
+    values: Mapping[str, ArrayLike],
+    *,
+    base: Mapping[str, float],
+    cruise: ArrayLike,
+    dt: float,
+    model: Vehicle | None = None,
+    columns: Collection[str] = tuple(LINEAR_METRICS),
+    workers: int = 1,
+) -> dict[str, NDArray[np.float64]]:
+    """`LINEAR_METRICS` columns of n points.
+
+    An unstable point has margins 1, 0, 0, 0 (as `LoopMargins`), settling time and overshoot inf. A point whose
+    vehicle cannot hold the cruise speed with its thrust has no linear model: NaN throughout.
+
+    Args:
+        vehicle: the plant.
+        values: knob → (n,) or scalar; `LINEAR_KNOBS` count, other names are passed over. `vehicle.*` changes plant
+            and model, `plant.*` (which goes before it) the plant alone.
+        base: gains that `values` does not name.
+        cruise: U [m/s], (n,) or scalar, unless `scenario.cruise` is among the values.
+        dt: control period [s].
+        model: what the controller believes the vehicle to be; default the vehicle itself.
+        columns: those wanted; steps take three quarters of the time, margins most of the rest.
+        workers: threads; the numbers do not depend on them.
+
+    Raises:
+        InputError: a gain is missing or out of its bounds, a vehicle parameter of the wrong sign, or shapes that
+            disagree.
+    """
+    points = read_points(vehicle, values, base=base, cruise=cruise, dt=dt, model=model)
+    table = {name: np.full(points.count, np.nan) for name in columns}
+    chunks = [group[at : at + _CHUNK] for group in cascades_by_order(points) for at in range(0, len(group), _CHUNK)]
+
+    def fill(chunk: NDArray[np.intp]) -> None:
+        found = _figures(points.cascade(chunk), dt=dt, columns=columns)
+        for name in columns:
+            table[name][chunk] = found[name]
+
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(fill, chunks))
+    return table
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """n operating points: plant and model (n, 17) as `plant_parameters`, gains and cruise (n,)."""
+
+    plant: NDArray[np.float64]
+    model: NDArray[np.float64]
+    gains: Mapping[str, NDArray[np.float64]]
+    cruise: NDArray[np.float64]
+    dt: float
+
+    @property
+    def count(self) -> int:
+        """n."""
+        return len(self.cruise)
+
+    @property
+    def flyable(self) -> NDArray[np.bool_]:
+        """(n,): whether the trim thrust at cruise lies strictly inside the thrust limits."""
+        nu = np.zeros((self.count, 4))
+        nu[:, 0] = self.cruise
+        trim = np.asarray(trim_function()(nu.T, self.plant.T)).T
+        inside: NDArray[np.bool_] = np.all(np.abs(trim) < self.plant[:, PLANT_PARAMETERS.slice("thrust_limit")], axis=1)
+        return inside
+
+    def cascade(self, chosen: NDArray[np.intp]) -> Cascade:
+        """The cascades of the chosen points, all of one order."""
+        return build_cascades(
+            self.plant[chosen],
+            {name: column[chosen] for name, column in self.gains.items()},
+            cruise=self.cruise[chosen],
+            dt=self.dt,
+            model=self.model[chosen],
+        )
+
+
+def read_points(
+    vehicle: Vehicle,
+    values: Mapping[str, ArrayLike],
+    *,
+    base: Mapping[str, float],
+    cruise: ArrayLike,
+    dt: float,
+    model: Vehicle | None,
+) -> Points:
+    """The points that the arguments of `linear_table` describe."""
+    known = {name: np.asarray(values[name], dtype=float) for name in LINEAR_KNOBS if name in values}
+    speed = known.pop("scenario.cruise", np.asarray(cruise, dtype=float))
+    try:
+        (count,) = np.broadcast_shapes((1,), speed.shape, *(v.shape for v in known.values()))
+    except ValueError:
+        shapes = {name: v.shape for name, v in known.items()} | {"cruise": speed.shape}
+        raise InputError(f"have shapes {shapes}", key="values", remedy="give (n,) each, or one number") from None
+
+    def column(given: ArrayLike) -> NDArray[np.float64]:
+        return np.broadcast_to(np.asarray(given, dtype=float), (count,)).copy()
+
+    gains = {n: column(known[n] if n in known else base[n]) for n in (*CASCADE_GAINS, "k_i") if n in known or n in base}
+    flat = [np.tile(plant_parameters(v), (count, 1)) for v in (vehicle, model or vehicle)]
+    for kind, targets in (("vehicle", flat), ("plant", flat[:1])):
+        for name, place in _PLACES.items():
+            key = f"{kind}.{name}"
+            if key in known:
+                checked = column(known[key])
+                _check_parameter(name, key, checked)
+                for target in targets:
+                    target[:, place] = checked
+    check_positive({"cruise": column(speed)})
+    return Points(flat[0], flat[1], gains, column(speed), dt)
+
+
+def cascades_by_order(points: Points) -> Iterator[NDArray[np.intp]]:
+    """Indices of the points that can be flown, in groups whose cascades have the same states."""
+    lag = points.plant[:, _PLACES["thrust_lag"]] > 0
+    integral = points.gains.get("k_i", np.zeros(points.count)) > 0
+    flyable = points.flyable
+    for lagged in (False, True):
+        for integrated in (False, True):
+            group = np.flatnonzero(flyable & (lag == lagged) & (integral == integrated))
+            if group.size:
+                yield group
+
+
+def _check_parameter(name: str, key: str, values: NDArray[np.float64]) -> None:
+    spec = PARAMETERS[name]
+    good = np.isfinite(values) & ((values >= 0) if spec.zero_allowed else (values > 0))
+    if not good.all():
+        least = "at least 0" if spec.zero_allowed else "greater than 0"
+        raise InputError(
+            f"must be {least}", key=key, value=float(values[~good][0]), remedy=f"{spec.meaning}, in {spec.unit}"
+        )
+
+
+def _figures(cascade: Cascade, *, dt: float, columns: Collection[str]) -> dict[str, NDArray[np.float64]]:
+    """The columns, and whatever comes with them."""
+    poles = cascade.poles
+    size = np.abs(poles)
+    damping = np.where(poles.imag != 0, -poles.real / np.where(size > 0, size, 1), 1.0)
+    found = {"slowest_pole_per_s": poles[:, 0].real, "least_damping": damping.min(axis=1)}
+    stable = poles[:, 0].real < -1e-9
+    asked = {name.partition(".")[0] for name in columns}
+    nothing = {"gain_margin": 1.0, "phase_margin_deg": 0.0, "delay_margin_s": 0.0, "disk_margin": 0.0}
+    if asked & nothing.keys():
+        for name, loop in zip(LOOP_NAMES, broken_loops(cascade), strict=True):
+            margins = crossings_of(loop, highest=np.pi / dt)
+            found |= {f"{m}.{name}": np.where(stable, getattr(margins, m), left) for m, left in nothing.items()}
+        found |= {m: np.min([found[f"{m}.{name}"] for name in LOOP_NAMES], axis=0) for m in nothing}
+    if asked & {"settling_time_s", "overshoot"}:
+        for name, (settling, overshoot) in step_figures(cascade, stable).items():
+            found |= {f"settling_time_s.{name}": settling, f"overshoot.{name}": overshoot}
+    return found

@@ -1,0 +1,85 @@
+"""Closed-loop poles over any one knob: a root locus in whatever a sweep can change."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.vehicle import Vehicle
+from surctl.verification.linear_table import LINEAR_KNOBS, cascades_by_order, read_points
+
+__all__ = ["Locus", "sweep_locus"]
+
+
+@dataclass(frozen=True, eq=False)
+class Locus:
+    """Poles over the values of a knob.
+
+    Attributes:
+        knob: its name.
+        values: (n,) ascending or descending, in the knob's unit.
+        poles: (n, k) complex [rad/s]; a column is one pole, followed from value to value.
+    """
+
+    knob: str
+    values: NDArray[np.float64]
+    poles: NDArray[np.complex128]
+
+    @property
+    def stable(self) -> NDArray[np.bool_]:
+        """(n,): whether every pole lies in the open left half-plane."""
+        stable: NDArray[np.bool_] = np.all(self.poles.real < -1e-9, axis=1)
+        return stable
+
+
+def sweep_locus(
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    knob: str,
+    values: ArrayLike,
+    *,
+    cruise: float,
+    dt: float,
+    model: Vehicle | None = None,
+) -> Locus:
+    """Poles of the cascade over one knob.
+
+    From one value to the next the poles are paired so that the sum of the distances they go is least.
+
+    Args:
+        vehicle: the plant.
+        gains: all gains, as `loop_margins`.
+        knob: one of `LINEAR_KNOBS`.
+        values: (n,), n ≥ 2, in order.
+        cruise: U [m/s], unless it is the knob.
+        dt: control period [s].
+        model: what the controller believes; default the vehicle itself.
+
+    Raises:
+        InputError: a knob without influence on any pole, values out of order or bounds, a cruise that the vehicle
+            cannot hold, or values that change the number of poles (0 and others of k_i or thrust_lag).
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    if knob not in LINEAR_KNOBS:
+        raise InputError("moves no pole", key="locus", value=knob, remedy=nearest(knob, LINEAR_KNOBS))
+    swept = np.atleast_1d(np.asarray(values, dtype=float))
+    if swept.ndim != 1 or len(swept) < 2 or not (np.all(np.diff(swept) > 0) or np.all(np.diff(swept) < 0)):
+        raise InputError("needs at least two values in order", key=knob, remedy="sort them")
+    points = read_points(vehicle, {knob: swept}, base=gains, cruise=cruise, dt=dt, model=model)
+    if not points.flyable.all():
+        at = float(swept[np.argmin(points.flyable)])
+        raise InputError("needs more thrust than the vehicle has", key=knob, value=at, remedy="cruise slower")
+    groups = list(cascades_by_order(points))
+    if len(groups) > 1:
+        raise InputError("changes the number of poles at 0", key=knob, remedy="begin above 0")
+    poles = points.cascade(groups[0]).poles
+    for before, after in pairwise(poles):
+        _, order = linear_sum_assignment(np.abs(before[:, None] - after[None]))
+        after[:] = after[order]
+    return Locus(knob, swept, poles)

@@ -1,0 +1,162 @@
+"""Loops and step responses of many cascades at once, from eigenvalues: what margins and tables are read from.
+
+A loop l that leaves the system A_o open and A_c closed is l(s) = det(sI − A_c)/det(sI − A_o) − 1, so that its
+frequency response is a product over poles: no linear system is solved at any frequency. The blocks of A that do not
+touch each other (surge, heave, sway with yaw) are told apart first, and each loop sees its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.verification.cascade import Cascade
+
+__all__ = ["LOOP_NAMES", "Crossings", "Loop", "broken_loops", "crossings_of", "state_blocks"]
+
+LOOP_NAMES = ("surge", "sway", "heave", "yaw", "along_track", "cross_track", "depth", "heading")
+_LOWEST = 1e-4  # [rad/s]
+_POINTS = 800
+_SPURIOUS = 1e-6  # a crossing with |L| or 1/|L| below this is one at ω → ∞ or 0
+_HALVINGS = 20
+_GOLDEN = (np.sqrt(5) - 1) / 2
+_SHRINKS = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """One loop of n points, broken at one place, all others closed.
+
+    Attributes:
+        closed: (n, k) poles with this loop closed too [rad/s].
+        opened: (n, k) poles with this loop open.
+    """
+
+    closed: NDArray[np.complex128]
+    opened: NDArray[np.complex128]
+
+    def response(self, omega: NDArray[np.float64], points: NDArray[np.intp] | slice) -> NDArray[np.complex128]:
+        """L(jω), (p, …), at ω (p, …) or broadcast to it [rad/s], of the p points named."""
+        s = 1j * omega
+        closed, opened = self.closed[points], self.opened[points]
+        shape = (len(closed), *(1,) * (omega.ndim - 1))
+        product = np.ones(np.broadcast_shapes(shape, omega.shape), dtype=complex)
+        for k in range(closed.shape[1]):
+            product *= (s - closed[:, k].reshape(shape)) / (s - opened[:, k].reshape(shape))
+        return product - 1
+
+
+@dataclass(frozen=True, eq=False)
+class Crossings:
+    """Margins of one loop over n points, each (n,); see `LoopMargins` for what they mean."""
+
+    gain_margin: NDArray[np.float64]
+    phase_margin_deg: NDArray[np.float64]
+    delay_margin_s: NDArray[np.float64]
+    disk_margin: NDArray[np.float64]
+    crossover_rad_s: NDArray[np.float64]
+
+
+def broken_loops(cascade: Cascade) -> list[Loop]:
+    """The eight loops of `LOOP_NAMES` of a batch of cascades."""
+    closed = cascade.closed
+    blocks = state_blocks(closed)
+    poles = [np.linalg.eigvals(closed[:, block[:, None], block]).astype(complex) for block in blocks]
+    places = [cascade.at_thrust(k) for k in range(4)] + [cascade.at_output(k) for k in range(4)]
+    found = []
+    for A, b, _ in places:
+        # the block that this loop acts on
+        where = next(k for k, block in enumerate(blocks) if np.any(b[:, block] != 0))
+        block = blocks[where]
+        found.append(Loop(poles[where], np.linalg.eigvals(A[:, block[:, None], block]).astype(complex)))
+    return found
+
+
+def state_blocks(A: NDArray[np.float64]) -> list[NDArray[np.intp]]:
+    """Indices of the states that touch each other in any of the points, one array a block."""
+    from scipy.sparse.csgraph import connected_components
+
+    count, label = connected_components(np.any(A != 0, axis=0), directed=False)
+    return [np.flatnonzero(label == k) for k in range(count)]
+
+
+def crossings_of(loop: Loop, *, highest: float) -> Crossings:
+    """Margins of one loop of n points, each stable when closed.
+
+    As python-control's `stability_margins` and `disk_margins` define them: crossings are bracketed on a grid of
+    frequencies and then halved; the disk margin's frequency is found by golden section.
+
+    Args:
+        loop: the loop.
+        highest: highest frequency looked at [rad/s].
+    """
+    count = len(loop.closed)
+    grid = np.geomspace(_LOWEST, highest, _POINTS)
+    response = loop.response(grid[None], slice(None))
+    gain_margin, lag, delay = (np.full(count, np.inf) for _ in range(3))
+    crossover = np.zeros(count)
+
+    def at_phase(value: NDArray[np.complex128]) -> NDArray[np.float64]:
+        return np.asarray(np.angle(-value), dtype=float)
+
+    def at_gain(value: NDArray[np.complex128]) -> NDArray[np.float64]:
+        return np.asarray(np.abs(value) - 1, dtype=float)
+
+    left = response[:, :-1].real <= 0  # the other crossings of the real axis are no −180°
+    points, omega = _zeros(loop, grid, response, at_phase, left)
+    gain = 1 / np.abs(loop.response(omega, points))
+    kept = (gain > 1) & (gain < 1 / _SPURIOUS)
+    np.minimum.at(gain_margin, points[kept], gain[kept])
+
+    points, omega = _zeros(loop, grid, response, at_gain, np.ones_like(left))
+    # a phase lead is a lag of the rest of the turn
+    phase = np.remainder(np.rad2deg(np.angle(-loop.response(omega, points))), 360.0)
+    np.minimum.at(lag, points, phase)
+    np.minimum.at(delay, points, np.deg2rad(phase) / omega)
+    np.maximum.at(crossover, points, omega)
+    return Crossings(gain_margin, lag, delay, _disk(loop, grid, response), crossover)
+
+
+def _zeros(
+    loop: Loop,
+    grid: NDArray[np.float64],
+    response: NDArray[np.complex128],
+    value: Callable[[NDArray[np.complex128]], NDArray[np.float64]],
+    wanted: NDArray[np.bool_],
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Points and frequencies at which a value of the response changes sign, in the wanted intervals of the grid."""
+    points, at = np.nonzero((np.diff(np.sign(value(response)), axis=1) != 0) & wanted)
+    low, high = np.log(grid[at]), np.log(grid[at + 1])
+    first, second = value(response[points, at]), value(response[points, at + 1])
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        found = value(loop.response(np.exp(middle), points))
+        same = np.sign(found) == np.sign(first)
+        low, first = np.where(same, middle, low), np.where(same, found, first)
+        high, second = np.where(same, high, middle), np.where(same, second, found)
+    # the rest is straight: one secant step
+    share = np.where(second != first, first / np.where(second != first, first - second, 1), 0.5)
+    return points, np.exp(low + np.clip(share, 0, 1) * (high - low))
+
+
+def _disk(loop: Loop, grid: NDArray[np.float64], response: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """α = min over ω of |2 (1 + L)/(1 − L)|: 1/‖S − T‖·2 of Seiler, Packard and Gahinet (2020), balanced."""
+
+    def radius(value: NDArray[np.complex128]) -> NDArray[np.float64]:
+        with np.errstate(divide="ignore"):
+            return np.asarray(2 * np.abs(1 + value) / np.abs(1 - value), dtype=float)
+
+    points, log = np.arange(len(response)), np.log(grid)
+    coarse = radius(response)
+    nearest = np.argmin(coarse, axis=1)
+    low, high = log[np.maximum(nearest - 1, 0)], log[np.minimum(nearest + 1, len(grid) - 1)]
+    least: NDArray[np.float64] = coarse[points, nearest]
+    for _ in range(_SHRINKS):
+        one, other = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+        first, second = (radius(loop.response(np.exp(at), points)) for at in (one, other))
+        least = np.minimum(least, np.minimum(first, second))
+        low, high = np.where(first < second, low, one), np.where(first < second, other, high)
+    return least

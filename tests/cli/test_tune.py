@@ -1,0 +1,77 @@
+import json
+
+import pytest
+
+from tests.cli.process import surctl
+from tests.tools import need_compiler
+
+STUDY = """
+kind = "study"
+name = "small"
+vehicle = "sur400"
+flights = [{ scenario = "pool-behind" }]
+
+[sweep]
+axes = [{ gain = "k_v", values = [1.0, 2.0] }, { gain = "lookahead", values = [0.5, 0.8] }]
+
+[[goals]]
+name = "keep clear"
+metric = "min_clearance_m"
+at_least = { value = %s, unit = "m" }
+kind = "hard"
+
+[[goals]]
+name = "arrive soon"
+metric = "time_s"
+at_most = { value = 12.0, unit = "s" }
+"""
+
+SMALL = ("--gain", "k_v=0.8..3", "--trials", 32, "--seeds", 1, "--rounds", 1, "--monte-carlo", 20, "--json")
+
+
+def test_tune_writes_gains_with_provenance_and_all_else(tmp_path):
+    need_compiler()
+    (tmp_path / "small.toml").write_text(STUDY % "0.01")
+    done = surctl("tune", "small.toml", *SMALL, "--out", "out", cwd=tmp_path)
+    assert done.status == 0, done.err
+    assert set(done.json) >= {"best", "front", "goals", "rounds", "counterexamples", "conflict"}
+    assert "ETA" in done.err and "fresh runs" in done.err
+    assert 0.8 <= done.json["best"]["gains"]["k_v"] <= 3
+    assert json.loads((tmp_path / "out" / "tuning.json").read_text()) == done.json
+    lint = surctl("lint", "out/gains.toml", cwd=tmp_path)
+    assert lint.status == 0
+    assert "fresh runs" in (tmp_path / "out" / "gains.toml").read_text()
+    assert {p.name for p in (tmp_path / "out").glob("*.png")} >= {"tuning-goals.png", "tuning-front.png"}
+    # the same request in the same folder resumes, and ends the same
+    again = surctl("tune", "small.toml", *SMALL, "--out", "out", cwd=tmp_path)
+    assert again.json == done.json
+
+
+def test_a_hard_goal_that_cannot_be_met_ends_with_1_and_is_named(tmp_path):
+    need_compiler()
+    (tmp_path / "small.toml").write_text(STUDY % "5.0")
+    done = surctl("tune", "small.toml", *SMALL, cwd=tmp_path)
+    assert done.status == 1, done.err
+    assert done.json["conflict"] == ["keep clear"]
+    assert not done.json["kept"]
+
+
+MISTAKES = {
+    "an unknown gain": (("--gain", "k_w"), "did you mean"),
+    "no range": (("--gain", "k_v=1"), "NAME=LOW..HIGH"),
+    "a range from above": (("--gain", "k_v=3..1"), "not a range"),
+    "not a number": (("--gain", "k_v=nan..1"), "not a range"),
+    "the same gain twice": (("--gain", "k_v", "--gain", "k_v"), "twice"),
+    "goals that are not there": (("--goals", "none.toml"), "no such file"),
+    "another kind of file": (("--goals", "small.toml"), "kind"),
+    "no trials": (("--trials", "0"), "--trials"),
+    "a study without one": (("none.toml",), "no such file"),
+}
+
+
+@pytest.mark.parametrize("what", MISTAKES)
+def test_a_mistake_is_one_line_and_status_2(tmp_path, what):
+    (tmp_path / "small.toml").write_text(STUDY % "0.01")
+    words, told = MISTAKES[what]
+    done = surctl("tune", *words, cwd=tmp_path)
+    assert done.status == 2 and told in done.complaint

@@ -1,0 +1,43 @@
+"""Quotients by one number: a single division, and what that costs in exactness."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from surctl.ir import Program, lower, replay, shared_divisors
+
+
+def quotients() -> Program:
+    """Two numbers by the third, the fourth by the fifth, and one by the third."""
+    x = ca.SX.sym("x", 5)
+    return lower(ca.Function("q", [x], [ca.vertcat(x[0] / x[2], x[1] / x[2], x[3] / x[4], 1 / x[2])]))
+
+
+def divisions(program: Program) -> int:
+    return sum(i.op in ("div", "inv") for i in program.instructions)
+
+
+def test_one_division_for_each_divisor() -> None:
+    plain, shared = quotients(), shared_divisors(quotients())
+    assert (divisions(plain), divisions(shared)) == (4, 2)
+
+
+def test_a_divisor_of_one_quotient_is_left_alone() -> None:
+    x = ca.SX.sym("x", 2)
+    program = lower(ca.Function("q", [x], [x[0] / x[1] + x[0]]))
+    assert shared_divisors(program).instructions == program.instructions
+
+
+size = st.floats(1e-6, 1e6)
+signed = st.one_of(size, size.map(lambda v: -v))
+
+
+@settings(max_examples=300)
+@given(st.lists(signed, min_size=5, max_size=5))
+def test_a_quotient_is_off_by_two_units_at_most(x: list[float]) -> None:
+    wanted, found = (np.array(replay(p, x)[0], dtype=float) for p in (quotients(), shared_divisors(quotients())))
+    assert np.all(np.abs(found - wanted) <= 2 * np.spacing(np.abs(wanted)))
+    assert found[2] == wanted[2]

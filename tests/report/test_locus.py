@@ -1,0 +1,36 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection
+
+from surctl.report.locus import plot_locus
+from surctl.verification import Locus
+
+VALUES = np.array([1.0, 2.0, 3.0])
+
+
+def locus(fast: float) -> Locus:
+    """A pair that gets faster, a real pole, and three that are the delay's."""
+    pair = -0.5 * VALUES + 1j * VALUES
+    still = np.full(3, -fast + 0j)
+    return Locus("k_v", VALUES, np.column_stack([pair, pair.conj(), -0.1 * VALUES, still, still, still]))
+
+
+@pytest.mark.parametrize(("fast", "edge"), [(60.0, 1.15 * np.hypot(1.5, 3.0)), (5.0, 1.15 * 5.0)])
+def test_the_poles_of_the_delay_are_left_out_where_a_gap_parts_them(fast: float, edge: float) -> None:
+    ax = plot_locus(locus(fast), unit="1/s", picked=2.1)
+    assert ax.get_xlim()[0] == pytest.approx(-edge) and ax.get_ylim() == pytest.approx((-edge, edge))
+
+
+def test_every_pole_has_its_way_and_start_and_pick_are_marked() -> None:
+    ax = plot_locus(locus(60.0), picked=2.1)
+    ways = [c for c in ax.collections if isinstance(c, LineCollection)]
+    assert len(ways) == 6
+    np.testing.assert_allclose(ways[0].get_segments()[0], [[-0.5, 1.0], [-1.0, 2.0]])
+    marks = {line.get_label(): line.get_xydata() for line in ax.lines}
+    assert [-0.5, 1.0] in marks["start: 1"].tolist() and [-1.0, 2.0] in marks["picked: 2"].tolist()
+
+
+def test_a_reach_that_is_given_is_kept() -> None:
+    assert plot_locus(locus(60.0), reach=80.0).get_ylim() == (-80.0, 80.0)

@@ -1,0 +1,72 @@
+"""A batch that costs nothing: smooth figures of the knobs, behind the interfaces of the real ones."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+from surctl.control import load_gains
+from surctl.simulation import METRICS, Case, load_scenario
+from surctl.tuning import measure, netcdf
+from surctl.vehicle import load_vehicle
+
+GAINS = load_gains("default")
+
+
+def case(name="pool-behind", sensing="truth"):
+    scenario = load_scenario(name)
+    return Case(scenario, load_vehicle(scenario.vehicle), GAINS, sensing=sensing)
+
+
+class Batch:
+    def __init__(self, columns):
+        self.columns = columns
+
+    def column(self, name):
+        return self.columns[name]
+
+
+def figures(k_v, lookahead, m11, seed, shift):
+    """Metrics by closed form; `path_error_m` lacks where the seed is odd."""
+    base = (k_v - 2.0) ** 2 + 0.3 * (lookahead - 0.8) ** 2 + 0.001 * m11 + 0.01 * seed + shift
+    found = {name: base + k for k, name in enumerate(METRICS)}
+    found |= {"reached": (k_v > 0.6).astype(float), "collided": np.zeros_like(base)}
+    return found | {"path_error_m": np.where(seed % 2 == 1, np.nan, base), "min_clearance_m": 0.05 - 0.01 * seed}
+
+
+def fly(case, values, *, seeds):
+    n = len(seeds)
+    knob = {name: np.broadcast_to(values.get(name, d), n) for name, d in (("k_v", 1.5), ("lookahead", 0.8))}
+    m11 = np.broadcast_to(values.get("vehicle.m11", 50.0), n)
+    return Batch(figures(knob["k_v"], knob["lookahead"], m11, seeds.astype(float), len(case.scenario.name) / 100))
+
+
+CALLS = []
+
+
+def linear(vehicle, values, *, base, cruise, dt, model=None):
+    n = len(next(iter(values.values())))
+    CALLS.append(n)
+    k_v = np.broadcast_to(values.get("k_v", base["k_v"]), n)
+    return {name: 1.0 / k_v + k for k, name in enumerate(measure.LINEAR_METRICS)}
+
+
+def install(monkeypatch):
+    monkeypatch.setattr(measure, "simulate_batch", fly)
+    monkeypatch.setattr(measure, "linear_table", linear)
+    monkeypatch.setattr(measure, "law_digest", lambda case: "stub")
+    monkeypatch.setattr(netcdf, "law_digest", lambda case: "stub")
+    monkeypatch.setattr(measure, "build_law", lambda law: SimpleNamespace(dt=0.05))
+    CALLS.clear()
+
+
+def slow_squares(index, points):
+    """A chunk's evaluator that leaves a trace of every evaluation and takes a moment."""
+    with Path(os.environ["SURCTL_TEST_TRACE"]).open("a") as file:
+        file.write(f"{index}\n")
+    time.sleep(float(os.environ.get("SURCTL_TEST_PAUSE", "0.001")))
+    return np.column_stack([points[:, 0] ** 2, np.sin(points[:, 0]) + index])

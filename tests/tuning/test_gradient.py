@@ -1,0 +1,113 @@
+"""Gradients of a run: the run is the reference loop's, the gradient that of finite differences, and it is of use."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surctl.control import load_gains
+from surctl.errors import InputError
+from surctl.simulation import Case, load_scenario, simulate
+from surctl.tuning.gradient import SURROGATES, prepare
+from surctl.tuning.refine import refine
+from surctl.vehicle import load_vehicle
+
+GAINS = load_gains("default")
+NAMES = ("k_v", "lookahead", "margin", "k1", "k_r")
+AT = np.array([1.37, 0.93, 0.061, 0.33, 1.2])
+WEIGHTS = {"deviation": 1.0, "clearance": 0.7, "effort": 0.01, "remaining": 0.4}
+SCENARIOS = ["pool-static", "pool-behind", "tank-static", "tank-speed-015"]
+TICKS = 160
+
+
+def case(name: str) -> Case:
+    scenario = load_scenario(name)
+    return Case(scenario, load_vehicle(scenario.vehicle), GAINS)
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_the_run_is_that_of_the_reference_loop(name: str) -> None:
+    flown = case(name)
+    gains = GAINS.with_values(dict(zip(NAMES, AT, strict=True)))
+    record = simulate(flown.scenario, flown.vehicle, gains=gains, seed=3).record
+    track = prepare(flown, NAMES, ticks=TICKS, seed=3).track(AT)
+    shared = min(TICKS, len(record.eta) - 1)
+    np.testing.assert_allclose(track[:shared, :4], record.eta[1 : shared + 1], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_the_gradient_is_that_of_central_differences(name: str) -> None:
+    run = prepare(case(name), NAMES, ticks=TICKS, seed=3)
+    gradient = run.gradient(AT, WEIGHTS)
+
+    def cost(values: np.ndarray) -> float:
+        found = run.surrogates(values)
+        return sum(WEIGHTS[key] * found[key] for key in SURROGATES)
+
+    scale, smooth = np.abs(gradient * AT).max(), 0
+    for k in range(len(NAMES)):
+        step = np.zeros(len(NAMES))
+        step[k] = 1e-6 * AT[k]
+        up, here, down = (cost(AT + side * step) for side in (1, 0, -1))
+        switched = not np.array_equal(run.branches(AT + step), run.branches(AT - step))
+        # a comparison may turn without effect: a kink shows as well in the slopes on either side
+        if switched and abs(up - 2 * here + down) > 1e-4 * abs(up - down):
+            continue
+        smooth += 1
+        difference = (up - down) / (2 * step[k])
+        assert gradient[k] == pytest.approx(difference, rel=1e-5, abs=1e-6 * scale / AT[k])
+    assert smooth >= 3 and scale > 1e-4
+
+
+def test_a_switch_shows_in_the_branches() -> None:
+    run = prepare(case("pool-static"), ("k_v",), ticks=TICKS)
+    assert np.array_equal(run.branches(np.array([1.5])), run.branches(np.array([1.5])))
+    assert not np.array_equal(run.branches(np.array([1.5])), run.branches(np.array([3.0])))
+
+
+def test_the_soft_clearance_lies_just_below_the_least() -> None:
+    flown = case("tank-static")
+    run = prepare(flown, ("k_v",), ticks=400)
+    flight = simulate(flown.scenario, flown.vehicle, gains=GAINS)
+    least = min(flight.record.clearance[:400])
+    assert least - np.log(8 * 400) / 60 < run.surrogates(np.array([1.5]))["clearance"] <= least + 1e-3
+
+
+def test_refining_poor_gains_lowers_the_true_metrics() -> None:
+    flown = case("pool-static")
+    poor = GAINS.with_values({"k_v": 0.5, "lookahead": 2.0})
+    found = refine(
+        [flown], poor, {"k_v": (0.4, 3.0), "lookahead": (0.3, 2.5)}, ticks=320, iterations=8, floor=0.0, seed=1
+    )
+    (history,) = found.history
+    assert found.cost == pytest.approx(min(history)) and found.cost < 0.95 * history[0]
+    before, after = (simulate(flown.scenario, flown.vehicle, gains=g, seed=1).metrics for g in (poor, found.gains))
+    assert after.reached and after.deviation_m < before.deviation_m
+    again = refine(
+        [flown], poor, {"k_v": (0.4, 3.0), "lookahead": (0.3, 2.5)}, ticks=320, iterations=8, floor=0.0, seed=1
+    )
+    assert again.gains.values == found.gains.values
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [({"mode": "projected"}, "mode"), ({"sensing": "sonar"}, "sensing")],
+)
+def test_what_has_no_gradient_is_refused(change: dict[str, str], key: str) -> None:
+    flown = case("pool-static")
+    with pytest.raises(InputError, match=key):
+        prepare(Case(flown.scenario, flown.vehicle, GAINS, **change), NAMES, ticks=10)  # type: ignore[arg-type]
+
+
+def test_bad_requests_are_named() -> None:
+    flown = case("pool-static")
+    with pytest.raises(InputError, match="no such gain"):
+        prepare(flown, ("k_w",), ticks=10)
+    with pytest.raises(InputError, match="ticks"):
+        prepare(flown, NAMES, ticks=0)
+    with pytest.raises(InputError, match="not a range"):
+        refine([flown], GAINS, {"k_v": (2.0, 1.0)})
+    with pytest.raises(InputError, match="no such surrogate"):
+        refine([flown], GAINS, {"k_v": (1.0, 2.0)}, weights={"clearence": 1.0})
+    with pytest.raises(InputError, match="nothing to fly"):
+        refine([], GAINS, {"k_v": (1.0, 2.0)})

@@ -1,0 +1,72 @@
+"""Gains from a regulator: stable, with margins, and near what the regulator does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surctl.control import load_gains
+from surctl.errors import InputError
+from surctl.simulation import Case, load_scenario, simulate_batch
+from surctl.tuning import Goal, Request, conditions, gain_ranges
+from surctl.tuning.start import lqr_start, starting_sets
+from surctl.vehicle import load_vehicle
+from surctl.verification import CASCADE_GAINS, loop_margins
+
+ABOUT = {"cruise": 0.15, "dt": 0.05}
+
+
+@pytest.mark.parametrize("name", ["sur400", "sur540-flooded", "bluerov2-vonbenzon"])
+def test_the_start_is_stable_with_the_stated_disk_margin(name: str) -> None:
+    vehicle = load_vehicle(name)
+    gains = lqr_start(vehicle, **ABOUT)
+    assert tuple(gains) == CASCADE_GAINS
+    assert min(m.disk_margin for m in loop_margins(vehicle, gains, **ABOUT)) >= 0.6
+    load_gains("default").with_values(gains)
+
+
+def test_dearer_thrust_makes_a_slower_loop() -> None:
+    vehicle = load_vehicle("sur540-flooded")
+    mild, milder = (lqr_start(vehicle, r=f / vehicle.thrust_limit**2, **ABOUT) for f in (30.0, 300.0))
+    assert milder["k_v"] < mild["k_v"] and milder["k_psi"] < mild["k_psi"]
+    assert milder["lookahead"] > mild["lookahead"]
+
+
+def test_a_single_axis_gets_the_regulators_own_gains() -> None:
+    # yaw alone: ψ̇ = r, m ṙ = −d r + F has the LQR gains √(q/r) and −d + √(d² + r-weighted …) in closed form
+    vehicle = load_vehicle("sur540-flooded")
+    q, r = np.full(8, 1e-8), 1e3 / vehicle.thrust_limit**2
+    q[3], q[7] = 4.0, 1.0
+    gains = lqr_start(vehicle, q=q, r=r, **ABOUT)
+    m, d = vehicle["m44"], vehicle["Nr"]
+    heading = np.sqrt(q[3] / r[3])
+    rate = -d + np.sqrt(d**2 + q[7] / r[3] + 2 * m * heading)
+    assert m * gains["k_r"] == pytest.approx(rate, rel=0.05)
+    assert (m * gains["k_r"] + d) * gains["k_psi"] == pytest.approx(heading, rel=0.05)
+
+
+@pytest.mark.parametrize(("key", "value"), [("q", np.ones(4)), ("r", np.zeros(4)), ("q", np.full(8, np.nan))])
+def test_bad_weights_are_named(key: str, value: np.ndarray) -> None:
+    with pytest.raises(InputError, match=key):
+        lqr_start(load_vehicle("sur400"), **{key: value}, **ABOUT)
+
+
+def test_a_search_starts_from_the_regulator_and_from_the_descent() -> None:
+    scenario, vehicle = load_scenario("pool-behind"), load_vehicle("sur400")
+    poor = load_gains("default").with_values({"lookahead": 2.0})
+    near = Goal("near", "deviation_m", "m", 0.1)
+    space = gain_ranges(poor, {"k_v": (0.9, 1.6), "lookahead": (0.3, 2.5)})
+    case = Case(scenario, vehicle, poor)
+    request = Request((near,), conditions([case], seeds=[0], with_corners=False), poor, space)
+    regulator, refined = starting_sets(request, descend=True)
+    wanted = lqr_start(vehicle, cruise=scenario.cruise, dt=0.05)
+    assert regulator == {
+        name: np.clip(wanted[name], *ends) for name, ends in (("k_v", (0.9, 1.6)), ("lookahead", (0.3, 2.5)))
+    }
+    sets = {name: [poor[name], refined[name]] for name in refined}
+    start, descended = simulate_batch(case, sets).column("deviation_m")
+    assert descended < start
+
+    deaf = Case(scenario, vehicle, poor, sensing="sonar")  # no gradient there
+    request = Request((near,), conditions([deaf], seeds=[0], with_corners=False), poor, space)
+    assert starting_sets(request, descend=True) == [regulator]

@@ -1,0 +1,156 @@
+"""The linear table against python-control, one point at a time."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.vehicle import load_vehicle
+from surctl.verification import LINEAR_KNOBS, LINEAR_METRICS, build_cascade, linear_table, loop_margins
+from surctl.verification.loops import LOOP_NAMES
+from surctl.verification.steps import STEP_NAMES, step_system
+
+GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
+VEHICLE = load_vehicle("sur540-flooded")
+ABOUT = {"cruise": 0.15, "dt": 0.05}
+
+
+def random_points(count: int, *, seed: int) -> dict[str, NDArray[np.float64]]:
+    rng = np.random.default_rng(seed)
+    found = {name: value * 6 ** rng.uniform(-1, 1, count) for name, value in GAINS.items()}
+    found["k_psi"][-2:] = 60.0  # unstable whatever the rest
+    return {**found, "k_i": np.where(rng.random(count) < 0.5, 0.0, rng.uniform(0, 0.4, count))}
+
+
+def row(values: dict[str, NDArray[np.float64]], k: int) -> dict[str, float]:
+    return {name: float(column[k]) for name, column in values.items()}
+
+
+VALUES = random_points(8, seed=3)
+TABLE = linear_table(VEHICLE, VALUES, base=GAINS, **ABOUT)
+
+
+def test_every_metric_is_a_column() -> None:
+    assert list(TABLE) == list(LINEAR_METRICS)
+    assert all(column.shape == (8,) for column in TABLE.values())
+    stable = TABLE["slowest_pole_per_s"] < 0
+    assert 2 <= (~stable).sum() <= 5, "the draw has both"
+
+
+@pytest.mark.parametrize("k", range(8))
+def test_poles_are_those_of_damp(k: int) -> None:
+    cascade = build_cascade(VEHICLE, row(VALUES, k), **ABOUT)
+    n = len(cascade.A)
+    closed = control.ss(cascade.closed, np.zeros((n, 1)), np.zeros((1, n)), 0)
+    _, damping, poles = control.damp(closed, doprint=False)
+    assert TABLE["slowest_pole_per_s"][k] == pytest.approx(poles.real.max(), abs=1e-7)
+    assert TABLE["least_damping"][k] == pytest.approx(damping[poles.imag != 0].min(), abs=1e-7)
+
+
+@pytest.mark.parametrize("k", range(8))
+def test_margins_are_those_of_stability_margins_and_disk_margins(k: int) -> None:
+    cascade = build_cascade(VEHICLE, row(VALUES, k), **ABOUT)
+    if not cascade.stable:
+        for name, nothing in (("gain_margin", 1), ("phase_margin_deg", 0), ("delay_margin_s", 0), ("disk_margin", 0)):
+            assert {TABLE[f"{name}.{loop}"][k] for loop in LOOP_NAMES} | {TABLE[name][k]} == {nothing}
+        return
+    omega = np.geomspace(1e-4, np.pi / 0.05, 800)
+    places = [cascade.at_thrust(i) for i in range(4)] + [cascade.at_output(i) for i in range(4)]
+    for name, loop in zip(LOOP_NAMES, places, strict=True):
+        system = control.ss(*loop, 0)
+        found = control.stability_margins(control.frd(system, omega, smooth=True), returnall=True)
+        gain, phase, at_phase = found[0], found[1], found[4]
+        gain = gain[np.isfinite(gain) & (gain > 1) & (gain < 1e6)]
+        lag = np.remainder(phase, 360)
+        expected = {
+            "gain_margin": np.min(gain, initial=np.inf),
+            "phase_margin_deg": np.min(lag, initial=np.inf),
+            "delay_margin_s": np.min(np.deg2rad(lag) / at_phase, initial=np.inf),
+        }
+        for metric, value in expected.items():
+            assert TABLE[f"{metric}.{name}"][k] == pytest.approx(value, rel=1e-4), (metric, name)
+        # the grid of python-control holds the least radius to the width of its steps
+        coarse = control.disk_margins(system, omega)[0]
+        assert TABLE[f"disk_margin.{name}"][k] == pytest.approx(coarse, rel=1e-2)
+        assert TABLE[f"disk_margin.{name}"][k] <= coarse * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("k", range(8))
+def test_step_responses_are_those_of_step_info(k: int) -> None:
+    cascade = build_cascade(VEHICLE, row(VALUES, k), **ABOUT)
+    for name in STEP_NAMES:
+        settling, overshoot = TABLE[f"settling_time_s.{name}"][k], TABLE[f"overshoot.{name}"][k]
+        if not cascade.stable:
+            assert settling == overshoot == np.inf
+            continue
+        A, b, c = step_system(cascade, name)
+        time = np.linspace(0, 1.5 * settling, 4000)
+        # minimal: blocks that this step does not reach leave integrators that are slow to no effect
+        told = control.step_response(control.ss(A, b, c, 0), time)
+        final = float(control.evalfr(control.ss(A, b, c, 0), 1e-9j).real)
+        info = control.step_info(told.outputs, told.time, yfinal=final)
+        assert settling == pytest.approx(info["SettlingTime"], rel=5e-3, abs=2 * time[1])
+        assert overshoot == pytest.approx(info["Overshoot"] / 100, abs=1e-3)
+
+
+def test_the_table_and_the_margins_of_one_point_are_one() -> None:
+    for k in range(4):
+        for m in loop_margins(VEHICLE, row(VALUES, k), **ABOUT):
+            assert TABLE[f"disk_margin.{m.name}"][k] == pytest.approx(m.disk_margin, rel=1e-9)
+            assert TABLE[f"delay_margin_s.{m.name}"][k] == pytest.approx(m.delay_margin_s, rel=1e-9)
+
+
+def test_knobs_of_the_plant_leave_the_model_alone() -> None:
+    heavy = VEHICLE.with_values({"m33": 115.0})
+    by_knob = linear_table(VEHICLE, {"plant.m33": [95.0, 115.0]}, base=GAINS, **ABOUT)
+    by_hand = linear_table(heavy, {}, base=GAINS, model=VEHICLE, **ABOUT)
+    both = linear_table(VEHICLE, {"vehicle.m33": 115.0}, base=GAINS, **ABOUT)
+    right = linear_table(heavy, {}, base=GAINS, **ABOUT)
+    for name in LINEAR_METRICS:
+        assert by_knob[name][1] == pytest.approx(by_hand[name][0], rel=1e-9)
+        assert both[name][0] == pytest.approx(right[name][0], rel=1e-9)
+    assert by_knob["delay_margin_s.heave"][0] != pytest.approx(by_knob["delay_margin_s.heave"][1], rel=1e-3)
+
+
+def test_orders_mix_and_threads_change_nothing() -> None:
+    values = {"k_i": [0.0, 0.1, 0.0, 0.1], "vehicle.thrust_lag": [0.0, 0.0, 0.3, 0.3], "margin": [1.0, 2.0, 3.0, 4.0]}
+    one, two = (linear_table(VEHICLE, values, base=GAINS, workers=w, **ABOUT) for w in (1, 2))
+    for name in LINEAR_METRICS:
+        np.testing.assert_array_equal(one[name], two[name])
+    lags = one["delay_margin_s.yaw"]
+    assert lags[0] > lags[2] > 0 and lags[0] > lags[1] > 0
+    assert "margin" not in LINEAR_KNOBS
+
+
+def test_a_cruise_beyond_the_thrust_has_no_figures() -> None:
+    table = linear_table(VEHICLE, {"scenario.cruise": [0.1, 0.9]}, base=GAINS, **ABOUT)
+    for column in table.values():
+        assert not np.isnan(column[0]) and np.isnan(column[1])
+
+
+@pytest.mark.parametrize(
+    ("values", "key"),
+    [
+        ({"k_v": [1.0, -1.0]}, "k_v = -1"),
+        ({"k_psi": [1.0, np.nan]}, "k_psi"),
+        ({"k_i": [-0.1]}, "k_i"),
+        ({"plant.m11": [0.0]}, "plant.m11"),
+        ({"vehicle.Xu": [-1.0]}, "vehicle.Xu"),
+        ({"scenario.cruise": [0.0]}, "cruise"),
+        ({"k_v": [1.0, 2.0], "k_r": [1.0, 2.0, 3.0]}, "values"),
+    ],
+)
+def test_bad_values_are_named(values: dict[str, list[float]], key: str) -> None:
+    with pytest.raises(InputError, match=key):
+        linear_table(VEHICLE, values, base=GAINS, **ABOUT)
+
+
+@pytest.mark.parametrize("columns", [["disk_margin"], ["least_damping"], ["overshoot.heading", "delay_margin_s.yaw"]])
+def test_columns_alone_are_those_of_the_whole_table(columns: list[str]) -> None:
+    alone = linear_table(VEHICLE, VALUES, base=GAINS, columns=columns, **ABOUT)
+    assert list(alone) == columns
+    for name in columns:
+        np.testing.assert_array_equal(alone[name], TABLE[name])

@@ -1,0 +1,50 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surctl.errors import InputError
+from surctl.vehicle import load_vehicle
+from surctl.verification import closed_loop_poles, sweep_locus
+
+GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
+VEHICLE = load_vehicle("sur540-flooded")
+ABOUT = {"cruise": 0.15, "dt": 0.05}
+
+
+@pytest.mark.parametrize("knob", ["k_psi", "vehicle.m44", "scenario.cruise"])
+def test_every_row_holds_the_poles_of_its_value(knob: str) -> None:
+    values = {"k_psi": [0.3, 0.6, 0.9], "vehicle.m44": [0.8, 1.0, 1.2], "scenario.cruise": [0.1, 0.15, 0.2]}[knob]
+    locus = sweep_locus(VEHICLE, GAINS, knob, values, **ABOUT)
+    for value, poles in zip(values, locus.poles, strict=True):
+        gains = {**GAINS, knob: value} if knob in GAINS else GAINS
+        vehicle = VEHICLE.with_values({"m44": value}) if knob == "vehicle.m44" else VEHICLE
+        cruise = value if knob == "scenario.cruise" else ABOUT["cruise"]
+        expected = closed_loop_poles(vehicle, gains, cruise=cruise, dt=ABOUT["dt"])
+        np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(expected), atol=1e-6)
+
+
+def test_poles_are_followed_and_instability_is_seen() -> None:
+    locus = sweep_locus(VEHICLE, GAINS, "k_psi", np.linspace(0.2, 6.0, 300), **ABOUT)
+    step = np.abs(np.diff(locus.poles, axis=0)).max()
+    sizes = np.sort(np.abs(locus.poles), axis=1)
+    assert step < 1.0 < np.ptp(sizes)
+    assert locus.stable[0] and not locus.stable[-1]
+    # a pair that crosses the boundary keeps its two columns
+    crossed = (locus.poles[0].real < 0) & (locus.poles[-1].real > 0)
+    assert crossed.sum() == 2
+
+
+@pytest.mark.parametrize(
+    ("knob", "values", "told"),
+    [
+        ("margin", [1.0, 2.0], "moves no pole"),
+        ("k_v", [2.0], "in order"),
+        ("k_v", [1.0, 3.0, 2.0], "in order"),
+        ("k_i", [0.0, 0.1], "begin above 0"),
+        ("scenario.cruise", [0.1, 0.9], "thrust"),
+    ],
+)
+def test_what_has_no_locus_is_refused(knob: str, values: list[float], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        sweep_locus(VEHICLE, GAINS, knob, values, **ABOUT)
