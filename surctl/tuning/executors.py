@@ -109,7 +109,7 @@ class DaskExecutor:
         try:
             client = self._connect(distributed)
             jobs = {client.submit(function, *chunk, pure=False, retries=_RETRIES): chunk[0] for chunk in chunks}
-            for job in distributed.as_completed(list(jobs)):
+            for job in distributed.as_completed(list(jobs), loop=client.loop):
                 yield jobs.pop(job), job.result()
         except (distributed.KilledWorker, CancelledError, OSError) as error:
             raise SurctlError(

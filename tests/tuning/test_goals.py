@@ -108,7 +108,7 @@ def test_many_sets_at_once_are_what_each_is_alone(monkeypatch):
     assert loop.calls == 2  # one batch a case
     for k in range(3):
         alone = evaluate(goals, flown, {name: values[k : k + 1] for name, values in sets.items()})
-        for name in ("normalised", "figure", "missed"):
+        for name in ("normalised", "figure", "excess"):
             assert np.array_equal(getattr(whole, name)[k], getattr(alone, name)[0], equal_nan=True)
     assert np.isinf(whole.normalised[1, :3]).all(), "a run that did not arrive meets nothing"
     assert np.isfinite(whole.normalised[1, 3]), "but the linear loop is what it is"
