@@ -58,9 +58,9 @@ def race(contenders: Sequence[Contender], *, rounds: int) -> None:
                 contenders[k].turn()
 
 
-def ratio(slow: Contender, fast: Contender, *, clock: bool = False) -> float:
-    """How many times as long the first takes a step, least turn against least turn."""
-    return float(slow.per_step(clock=clock).min() / fast.per_step(clock=clock).min())
+def ratio(slow: Contender, fast: Contender) -> float:
+    """How many times as long of the processor's time the first takes a step, least turn against least turn."""
+    return float(slow.per_step().min() / fast.per_step().min())
 
 
 @dataclass(frozen=True)
