@@ -14,6 +14,8 @@ SWEEP = ANALYSIS / "02_gain_sweep" / "run.py"
 SOLVER = ANALYSIS / "03_least_distance" / "run.py"
 COMPILED = ANALYSIS / "06_compiled_modes" / "run.py"
 MODES = ANALYSIS / "04_priority_modes" / "run.py"
+SCALE = ANALYSIS / "08_sweep_scale" / "run.py"
+TUNING = ANALYSIS / "09_tuning" / "run.py"
 
 
 def run(script: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -154,3 +156,35 @@ def test_the_compiled_modes_are_the_law() -> None:
     assert [row[0] for row in rows] == ["nsb", "nsb", "filter", *["projected"] * 3, "lexicographic"]
     assert all(row[10] == row[11] == "0" for row in rows)  # no other outcome, none refused
     assert all(int(row[7]) > 0 for row in rows[2:])  # rows that contradict each other are among them
+
+
+def test_a_large_sweep_streams_to_disk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    need_compiler()
+    study = runpy.run_path(str(SCALE))
+    config = study["load_model"](study["CONFIG"], study["Config"])
+    config = config.model_copy(update={"workers": 1, "least_fit": -float("inf")})  # of times: not a test's affair
+    assert study["study"](config, (200, 400, 800), tmp_path) == 0
+    rows = [row for row in table(capsys.readouterr().out) if len(row) == 7][1:]
+    assert [row[0] for row in rows] == ["200", "400", "800"]
+    assert study["study"](config.model_copy(update={"most_memory_mib": 1.0}), (200, 400, 800), tmp_path) == 1
+
+
+def test_the_study_of_tuning_compares_where_the_hand_gains_arrive(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    need_compiler()
+    study = runpy.run_path(str(TUNING))
+    config = study["load_model"](study["CONFIG"], study["Config"])
+    little = config.quick.model_copy(update={"seeds": 1, "trials": 32, "fresh": 8})
+    status = study["study"](config.model_copy(update={"rounds": 1, "workers": 1}), little, tmp_path)
+    printed = capsys.readouterr().out
+    assert "The hand gains do not arrive in 1 of them." in printed and "- tank-static/" in printed
+    rows = [row for row in table(printed) if len(row) == 9 and row[0] != "goal"]
+    assert [row[0] for row in rows[:7]] == [row[0] for row in rows[7:]] and len(rows) == 14
+    by_hand = [float(row[4]) for row in rows]
+    assert all(by_hand) and by_hand[:7] == by_hand[7:], "figures, and the same ones"
+    worse = [any(row[-1] == "**not better**" for row in part) for part in (rows[:7], rows[7:])]
+    assert (f"| 0 | {'**no**' if worse[0] else 'yes'} |") in printed
+    assert status == int(worse[0] or "named: **no**" in printed)
+    for folder in ("seed0", "verified0"):
+        assert (tmp_path / folder / "gains.toml").read_text(encoding="utf-8")

@@ -37,8 +37,8 @@ class Tuning:
         tuned: one set: the tuned gains, over the same.
         front: undominated sets in score and thrust, of the last round.
         rounds: what happened.
-        chosen: index of the round whose gains are the tuned ones: of the rounds that nothing refutes the one with the
-            least score, else the last.
+        chosen: index of the round whose gains are the tuned ones: of the rounds that nothing refutes, or of all where
+            each is refuted, the best over all runs that are known in the end.
         conflict: demands that were not met together; empty when the chosen round is not refuted.
     """
 
@@ -124,7 +124,7 @@ def tune(
     last, clash = done[chosen], tuple[str, ...]()
     if last.refuted or not last.feasible:
         progress("looking for the demands that do not hold together")
-        clash = conflict(harder(final, last.fresh, last.claims), pool, last.refuted, progress=progress)
+        clash = conflict(harder(final, last.fresh, last.claims), pool, last.refuted, trials=trials, progress=progress)
     front = pool.taken(pool.front(pool.evaluation.normalised[0]))
     return Tuning(final, asked, hand, found.taken([chosen]), front, tuple(done), chosen, clash)
 
@@ -138,7 +138,7 @@ def _chosen(done: Sequence[Round], found: Pool, start: NDArray[np.float64]) -> i
     """See `Tuning.chosen`; a later round's runs may refute an earlier round's gains."""
     merit = found.merit(start)
     sound = [k for k, one in enumerate(done) if found.feasible[k] and not one.refuted]
-    return min(sound, key=lambda k: float(merit[k]), default=len(done) - 1)
+    return min(sound or range(len(done)), key=lambda k: float(merit[k]))
 
 
 def _check(trials: int, rounds: int, runs: int) -> None:

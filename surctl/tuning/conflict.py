@@ -14,7 +14,6 @@ from surctl.tuning.search import search
 
 __all__ = ["Demand", "conflict", "demands", "minimal_subset"]
 
-_TRIALS = 64  # of the search that each question gets
 _KEPT = 64  # gain sets of the pool that every question is asked of first
 
 
@@ -81,11 +80,18 @@ def _demand(goal: Goal, flown: Sequence[Condition], k: int, label: str) -> Deman
 
 
 def conflict(
-    request: Request, pool: Pool, refuted: Sequence[str], *, progress: Progress = lambda _: None
+    request: Request, pool: Pool, refuted: Sequence[str], *, trials: int, progress: Progress = lambda _: None
 ) -> tuple[str, ...]:
     """Labels of demands that no gain set was found to meet together, though every part of them was met by one.
 
     It is what searches found, not a proof. Empty when some gain set meets all of them after all.
+
+    Args:
+        request: with all that refuted a gain set.
+        pool: gain sets to ask first.
+        refuted: names of the goals that were, which are asked for too where they are soft.
+        trials: of the search that each question gets.
+        progress: told one line a question.
     """
     asked = demands(request.goals, request.flown, refuted)
     if not asked:
@@ -100,7 +106,7 @@ def conflict(
         if held.any():
             return True
         part = _of(request, [asked[k] for k in subset])
-        found = search(part, trials=_TRIALS, first=[known.gains(_nearest(known, subset))])
+        found = search(part, trials=trials, first=[known.gains(_nearest(known, subset))])
         best = found.best(found.evaluation.normalised[0])
         known = joined([known, whole.judge(found.taken([best]).sets)])
         met = bool(found.feasible[best])

@@ -213,24 +213,47 @@ def _cut(points: Floats, size: int, *, first: int) -> list[Chunk]:
 
 
 class _Pace:
-    """Lines of progress: points done, runs a second, time to go. At most two lines a second."""
+    """Lines of progress, of the linear figures and of the points: done, how fast, time to go. At most two a second."""
 
     def __init__(self, job: _Job, todo: Sequence[Chunk], tell: Tell) -> None:
-        self.tell, self.runs_per_point, self.all = tell, job.evaluation.runs_per_point, len(job.design.points)
-        self.sizes = {index: len(points) if index >= job.linear_count else 0 for index, points in todo}
-        self.before = self.done = self.all - sum(self.sizes.values())
-        self.start = self.last = time.monotonic()
-        self.tell(f"sweep {self.done}/{self.all} points")
+        self.tell, self.linear_count = tell, job.linear_count
+        self.left = {index: len(points) for index, points in todo}
+        self.stages = []
+        for name, unit, each, chunks in (
+            ("linear figures of", "sets", 1, job.chunks[: job.linear_count]),
+            ("sweep", "runs", job.evaluation.runs_per_point, job.chunks[job.linear_count :]),
+        ):
+            whole = sum(len(points) for _, points in chunks)
+            self.stages.append(_Stage(name, unit, each, whole, whole - sum(self.left.get(i, 0) for i, _ in chunks)))
+        self.last = time.monotonic()
+        self.tell(f"sweep {self.stages[1].done}/{self.stages[1].whole} points")
 
     def finished(self, index: int) -> None:
         """Count one more chunk."""
-        self.done += self.sizes.pop(index)
+        linear, flown = self.stages
+        stage = linear if index < self.linear_count else flown
+        stage.done += self.left.pop(index)
         now = time.monotonic()
-        if self.done == self.before or (self.sizes and now - self.last < 0.5):
-            return
-        self.last = now
+        if stage is linear:
+            flown.start = now
+        if not self.left or now - self.last >= 0.5:
+            self.last = now
+            self.tell(stage.line(now))
+
+
+@dataclass
+class _Stage:
+    name: str
+    unit: str
+    each: int
+    whole: int
+    done: int
+
+    def __post_init__(self) -> None:
+        self.before, self.start = self.done, time.monotonic()
+
+    def line(self, now: float) -> str:
         rate = (self.done - self.before) / max(now - self.start, 1e-9)
-        left = round((self.all - self.done) / rate)
+        left = round((self.whole - self.done) / rate)
         eta = f"{left // 3600}:{left // 60 % 60:02d}:{left % 60:02d}"
-        runs = rate * self.runs_per_point
-        self.tell(f"sweep {self.done}/{self.all} points, {runs:.3g} runs/s, ETA {eta}")
+        return f"{self.name} {self.done}/{self.whole} points, {rate * self.each:.3g} {self.unit}/s, ETA {eta}"
