@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 
 import click
 
@@ -35,6 +36,7 @@ for _command in (study, simulate, sweep, tune, verify, export, lint, listing):
 
 def main() -> None:
     """Run the command line and exit."""
+    warnings.showwarning = lambda message, *_: _tell(str(message))
     try:
         status = app(prog_name="surctl", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as error:

@@ -6,7 +6,7 @@ from surctl.ir.c99 import Real, c_literal, emit_c99, identifier
 from surctl.ir.c99_lanes import Feed, emit_lanes
 from surctl.ir.c99_routine import emit_block
 from surctl.ir.c99_wide import Wide, emit_wide
-from surctl.ir.cache import cache_folder, shared_library
+from surctl.ir.cache import CacheUnused, cache_folder, shared_library
 from surctl.ir.compiler import compile_program, compiler_version, find_compiler, tuned_flags
 from surctl.ir.divisors import shared_divisors
 from surctl.ir.elementary import without_libm
@@ -25,6 +25,7 @@ __all__ = [
     "OPERATIONS",
     "Batch",
     "Block",
+    "CacheUnused",
     "Call",
     "Feed",
     "Gather",

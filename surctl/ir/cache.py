@@ -11,15 +11,20 @@ import os
 import platform
 import stat
 import tempfile
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
 from surctl.errors import SurctlError
 from surctl.ir.compiler import FLAGS, compile_program, compiler_version, find_compiler, further_flags, tuned_flags
 
-__all__ = ["cache_folder", "shared_library"]
+__all__ = ["CacheUnused", "cache_folder", "shared_library"]
 
 _SHARED = ("-shared", "-fPIC")
+
+
+class CacheUnused(UserWarning):
+    """Nothing can be kept in the cache: each process compiles anew."""
 
 
 def cache_folder() -> Path:
@@ -37,7 +42,8 @@ def shared_library(source: str, *, flags: Sequence[str] = (), folder: Path | Non
     Args:
         source: the C text.
         flags: more flags for the compiler, after `FLAGS`, `further_flags` and `tuned_flags`.
-        folder: of the cache; `cache_folder()` if None. Where nothing can be written, the cache is left alone.
+        folder: of the cache; `cache_folder()` if None. One that cannot be written to, or that another user could
+            write to, is left alone, with a warning `CacheUnused`.
         wide: for the widest vectors, as `tuned_flags` says.
 
     Returns:
@@ -53,7 +59,10 @@ def shared_library(source: str, *, flags: Sequence[str] = (), folder: Path | Non
     if kept is not None:
         return kept
     built = _build(source, flags, tuned)
-    _write(place, key, built)
+    why = _write(place, key, built)
+    if why:
+        text = f"the cache folder {place} is left alone: {why}; each process compiles anew (set SURCTL_CACHE)"
+        warnings.warn(text, CacheUnused, stacklevel=2)
     return built
 
 
@@ -92,16 +101,17 @@ def _is_ours(path: Path) -> bool:
     return not hasattr(os, "getuid") or found.st_uid == os.getuid()
 
 
-def _write(place: Path, key: str, body: bytes) -> None:
-    """Keep the entry; a folder that cannot be written to, or is not ours, is left alone."""
+def _write(place: Path, key: str, body: bytes) -> str:
+    """Keep the entry; why not, if the folder cannot be written to or is not ours."""
     try:
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not _is_ours(place):
-            return
+            return "it is another user's, a link, or others may write to it"
         _replace(place / f"{key}.so", body)
         _replace(place / f"{key}.sha256", hashlib.sha256(body).hexdigest().encode())
-    except OSError:
-        return
+    except OSError as error:
+        return f"it cannot be written ({error.strerror})"
+    return ""
 
 
 def _replace(path: Path, body: bytes) -> None:

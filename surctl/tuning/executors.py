@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import signal
+import warnings
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import CancelledError, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -62,8 +63,7 @@ class LocalExecutor:
         with ProcessPoolExecutor(
             min(self.workers, len(chunks)),
             mp_context=get_context("spawn"),  # a forked child would inherit the locks of numerical libraries
-            initializer=signal.signal,
-            initargs=(signal.SIGINT, signal.SIG_IGN),  # Ctrl-C is the parent's affair
+            initializer=_begin,
         ) as pool:
             jobs = {pool.submit(function, index, points): index for index, points in chunks}
             try:
@@ -76,6 +76,12 @@ class LocalExecutor:
             finally:
                 for job in jobs:
                     job.cancel()
+
+
+def _begin() -> None:
+    """Ctrl-C is the parent's affair, and a warning one line."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    warnings.formatwarning = lambda message, *_, **__: f"surctl: {message}\n"
 
 
 @dataclass(frozen=True)

@@ -61,20 +61,30 @@ class Journal:
             self._file.close()
 
     def trials(self, name: str) -> list[FrozenTrial]:
-        """The finished trials of a study, oldest first."""
+        """The finished trials of a study, oldest first; InputError where there is no room."""
         if self._storage is None:
             return list(self._kept.get(name, []))
-        found: list[FrozenTrial] = self._study(name).get_trials()
+        with self._room():
+            found: list[FrozenTrial] = self._study(name).get_trials()
         return found
 
     def append(self, name: str, trials: Sequence[FrozenTrial]) -> None:
-        """Add finished trials: one write, on the disk when this returns."""
+        """Add finished trials: one write, on the disk when this returns; InputError where there is no room."""
         if self._storage is None:
             self._kept.setdefault(name, []).extend(trials)
             return
-        study = self._study(name)
-        with self._held():
-            study.add_trials(trials)
+        with self._room():
+            study = self._study(name)
+            with self._held():
+                study.add_trials(trials)
+
+    @contextmanager
+    def _room(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            why = f"cannot be written ({error.strerror})"
+            raise InputError(why, file=self.path, key="--out", remedy="make room; it resumes") from None
 
     def _study(self, name: str) -> Study:
         optuna = quiet_optuna()

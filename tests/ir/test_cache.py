@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import os
+from contextlib import nullcontext
 from pathlib import Path
 
 import casadi as ca
 import pytest
 
 from surctl.errors import ToolMissing
-from surctl.ir import Native, cache_folder, lower, shared_library
+from surctl.ir import CacheUnused, Native, cache_folder, lower, shared_library
 from surctl.ir import cache as module
 from tests.tools import need_compiler
 
@@ -89,7 +90,8 @@ def test_what_cannot_be_trusted_is_built_again(builds: list[str], tmp_path: Path
         folder.chmod(0o777)
         library.write_bytes(b"evil")
         note.write_text(hashlib.sha256(b"evil").hexdigest())
-    assert shared_library(SOURCE, folder=folder) == good
+    with pytest.warns(CacheUnused, match="others may write") if spoil == "open folder" else nullcontext():
+        assert shared_library(SOURCE, folder=folder) == good
     assert len(builds) == 2
 
 
@@ -97,16 +99,19 @@ def test_an_entry_of_another_user_is_built_again(
     builds: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shared_library(SOURCE, folder=tmp_path)
+    kept = entry(tmp_path).read_bytes()
     mine = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: mine + 1)
-    shared_library(SOURCE, folder=tmp_path)
-    assert len(builds) == 2
+    with pytest.warns(CacheUnused, match=rf"{tmp_path} is left alone: it is another user's.*set SURCTL_CACHE"):
+        shared_library(SOURCE, folder=tmp_path)
+    assert len(builds) == 2 and entry(tmp_path).read_bytes() == kept
 
 
 def test_without_a_place_to_write_it_works_and_leaves_nothing(builds: list[str], tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("not a folder")
-    assert shared_library(SOURCE, folder=blocked / "c") == shared_library(SOURCE, folder=blocked / "c")
+    with pytest.warns(CacheUnused, match=r"cannot be written \(Not a directory\)"):
+        assert shared_library(SOURCE, folder=blocked / "c") == shared_library(SOURCE, folder=blocked / "c")
     assert len(builds) == 2
     assert blocked.read_text() == "not a folder"
 

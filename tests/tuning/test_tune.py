@@ -1,4 +1,5 @@
 import json
+import resource
 import subprocess
 import sys
 from dataclasses import replace
@@ -120,6 +121,24 @@ def test_an_interrupted_search_resumes_to_the_same_end(monkeypatch, tmp_path, ca
     search(request(), trials=128, journal=journal)
     journal.close()
     assert fresh_loop.runs == 0, "finished trials are not flown again"
+
+
+def test_a_full_disk_is_one_line_and_the_search_resumes(monkeypatch, tmp_path):
+    install(monkeypatch)
+    whole = search(request(), trials=96)
+    journal = Journal(tmp_path / "trials.journal")
+    room = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, room[1]))
+    try:
+        with pytest.raises(InputError, match=r"trials\.journal.*cannot be written.*make room"):
+            search(request(), trials=96, journal=journal)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, room)
+        journal.close()
+    journal, told = Journal(tmp_path / "trials.journal"), []
+    again = search(request(), trials=96, journal=journal, progress=told.append)
+    journal.close()
+    assert same(whole, again) and told[0].startswith("32 trials of the same request are resumed")
 
 
 def test_another_request_shares_nothing(monkeypatch, tmp_path):
