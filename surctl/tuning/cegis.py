@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from surctl.tuning.claim_points import ClaimPoint, refuted_claims
 from surctl.tuning.conflict import conflict
 from surctl.tuning.journal import Journal
 from surctl.tuning.montecarlo import APART, fresh, monte_carlo
-from surctl.tuning.pool import Pool, Progress, Request
+from surctl.tuning.pool import Pool, Progress, Request, joined
 from surctl.tuning.rounds import Record, Round
 from surctl.tuning.search import BATCH, search
 from surctl.tuning.sift import TRAINING, Sifted, harder, kept_pool, sift
@@ -174,11 +174,29 @@ def _longer(trials: int, done: Sequence[Round]) -> int:
 def _searched(
     request: Request, done: Sequence[Round], trials: int, journal: Journal, progress: Progress, *, descend: bool
 ) -> Pool:
-    """One search: it begins where the last round ended, the first one with `starting_sets`."""
+    """One search, and where it meets not all hard goals one for these alone.
+
+    It begins where the last round ended, the first one with `starting_sets`.
+    """
     first: Sequence[Mapping[str, float]] = [done[-1].gains, *done[-1].others] if done else []
     if not done and len(journal.trials(request.digest)) < BATCH:
         first = starting_sets(request, descend=descend, progress=progress)
-    return search(request, trials=trials, first=first, journal=journal, progress=progress)
+    pool = search(request, trials=trials, first=first, journal=journal, progress=progress)
+    hard = tuple(g for g in request.goals if g.kind == "hard")
+    if pool.feasible.any() or len(hard) in (0, len(request.goals)):
+        return pool
+    progress("no gain set meets all hard goals: they alone are searched for")
+    names = {g.name for g in hard}
+    flown = tuple(c for c in request.flown if c.goals is None or names & set(c.goals))
+    alone = replace(request, goals=hard, flown=flown)
+    found = _leading(search(alone, trials=trials, first=_leading(pool), journal=journal, progress=progress))
+    return joined([pool, request.judge({s.name: np.array([gains[s.name] for gains in found]) for s in request.space})])
+
+
+def _leading(pool: Pool) -> list[dict[str, float]]:
+    """The best sets of a pool, as many as a round hands to the next."""
+    order = np.argsort(pool.merit(pool.evaluation.normalised[0]), kind="stable")
+    return [pool.gains(k) for k in order[: 1 + _OTHERS].tolist()]
 
 
 def _round(

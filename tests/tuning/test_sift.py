@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surctl.tuning import Goal, search, tune
+from surctl.tuning import Goal, cegis, search, tune
 from surctl.tuning.cegis import _chosen, _ended
 from surctl.tuning.descent import descend
 from surctl.tuning.journal import Journal
@@ -112,7 +112,33 @@ def test_the_best_of_the_rounds_that_nothing_refutes_is_chosen(monkeypatch):
     assert _chosen(sound, found, start) == order[0]
     sound[order[0]] = round_of(1.0, refuted=["keep clear"])
     assert _chosen(sound, found, start) == order[1]
-    assert _chosen([round_of(1.0, refuted=["keep clear"])] * 3, found, start) == 2
+    assert _chosen([round_of(1.0, refuted=["keep clear"])] * 3, found, start) == order[0]
+
+
+def test_hard_goals_that_a_search_does_not_meet_are_searched_for_alone(monkeypatch):
+    install(monkeypatch)
+    asked = request()
+    run = replace(asked.flown[0], seed=7)
+    asked = replace(asked, flown=(*asked.flown, *(replace(run, goals=(name,)) for name in ("keep clear", "stay near"))))
+    looked = []
+
+    def searched(one, **given):
+        looked.append((one, given["first"]))
+        sets = {"k1": np.array([1.5, 2.0]), "k_v": np.array([0.5, 0.6])} if len(looked) == 1 else {**clear}
+        return one.judge(sets)
+
+    monkeypatch.setattr(cegis, "search", searched)
+    clear = {"k1": np.array([1.5, 0.3]), "k_v": np.array([0.5, 1.5])}
+    pool = cegis._searched(asked, [round_of(1.0)], 32, Journal(None), lambda _: None, descend=False)
+    assert pool.feasible.tolist() == [False, False, True, False], "the best of the second search come first"
+    (_, (alone, first)) = looked
+    assert alone.goals == (CLEAR,) and [c.goals for c in alone.flown] == [None, None, ("keep clear",)]
+    assert sorted(one["k1"] for one in first) == [1.5, 2.0]
+    looked.clear()
+    clear = {"k1": np.array([0.3]), "k_v": np.array([1.5])}
+    monkeypatch.setattr(cegis, "search", lambda one, **given: looked.append(one) or one.judge(clear))
+    cegis._searched(asked, [round_of(1.0)], 32, Journal(None), lambda _: None, descend=False)
+    assert len(looked) == 1, "met at once"
 
 
 def test_what_is_chosen_is_what_nothing_refuted(monkeypatch):
