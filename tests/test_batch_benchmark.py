@@ -116,6 +116,20 @@ def test_bars_are_held_or_missed(study: ModuleType, capsys: pytest.CaptureFixtur
     assert "not measured" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("wanted", "held"), [(0.0, True), (np.inf, False)])
+def test_two_threads_are_judged_on_many_gain_sets(
+    study: ModuleType, capsys: pytest.CaptureFixture[str], *, wanted: float, held: bool
+) -> None:
+    need_compiler()
+    scenario = load_scenario("tank-static")
+    size = study.load_model(STUDY / "config.toml", study.Config).quick
+    case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"))
+    assert study.print_many(case, size, wanted=wanted) is held
+    printed = capsys.readouterr().out
+    assert [row[-1] for row in rows(printed, 4).values() if row[-1] == "6400"] == ["6400"] * 2, "steps of each"
+    assert ("holds" if held else "**missed**") in printed
+
+
 @pytest.mark.parametrize("arguments", [["--runs", "3"], ["--check", "--out", __file__]])
 def test_bad_options_end_with_2(arguments: list[str]) -> None:
     done = run(*arguments)

@@ -326,7 +326,8 @@ def print_many(case: Case, size: Size, *, wanted: float) -> bool:
     print_rows(["threads", "s of the clock", "s of the processor", "steps flown"], rows)
     faster = least[1][0] / least[2][0]
     verdict = "holds" if faster >= wanted else "**missed**"
-    print(f"\nTwo threads by the clock: {faster:.3g} times as fast as one; wanted {wanted:g}: {verdict}.")
+    row = ["one thread / two, by the clock", f"{faster:.3g}", f"{wanted:g}", verdict]
+    print_rows(["bar", "measured", "wanted", ""], [row])
     return faster >= wanted
 
 
