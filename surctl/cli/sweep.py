@@ -18,6 +18,7 @@ __all__ = ["sweep"]
 _SHOWN = 40  # points printed for people; the file has them all
 _MOST_JSON = 100_000  # points printed as JSON
 _LOCUS = 61  # poles are computed at so many values
+_SMOOTH = 0.02  # and at more where one goes further than this share of its modulus
 _TOLD = (  # columns printed for people
     "deviation_m", "path_error_m", "time_s", "min_clearance_m_worst", "effort_n", "delay_margin_s", "disk_margin",
     "reached_worst", "score", "feasible",
@@ -155,7 +156,9 @@ def _locus(table: SweepTable, knob: str, case: Case, out: Path) -> Path:
     from surctl.verification import sweep_locus
 
     axis = next(axis for axis in table.axes if axis.name == knob)
+    picked = None if table.picked is None else table.at(table.picked)[knob]
     values = np.linspace(axis.values.min(), axis.values.max(), _LOCUS)
+    values = np.union1d(values, [] if picked is None else [picked])
     data = sweep_locus(
         case.vehicle,
         table.gains.values,
@@ -164,8 +167,8 @@ def _locus(table: SweepTable, knob: str, case: Case, out: Path) -> Path:
         cruise=case.scenario.cruise,
         dt=case.build().dt,
         model=case.model,
+        smooth=_SMOOTH,
     )
-    picked = None if table.picked is None else table.at(table.picked)[knob]
     return save_locus(data, out, unit=axis.unit, picked=picked)
 
 

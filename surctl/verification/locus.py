@@ -15,6 +15,8 @@ from surctl.verification.linear_table import LINEAR_KNOBS, cascades_by_order, re
 
 __all__ = ["Locus", "sweep_locus"]
 
+_HALVED = 8  # times that a step between two values is halved at most
+
 
 @dataclass(frozen=True, eq=False)
 class Locus:
@@ -46,6 +48,7 @@ def sweep_locus(
     cruise: float,
     dt: float,
     model: Vehicle | None = None,
+    smooth: float = np.inf,
 ) -> Locus:
     """Poles of the cascade over one knob.
 
@@ -59,27 +62,46 @@ def sweep_locus(
         cruise: U [m/s], unless it is the knob.
         dt: control period [s].
         model: what the controller believes; default the vehicle itself.
+        smooth: share of its modulus that a pole may go from one value to the next. Where one goes further, as where
+            two part, values are put in between, down to 2⁻⁸ of a step.
 
     Raises:
         InputError: a knob without influence on any pole, values out of order or bounds, a cruise that the vehicle
             cannot hold, or values that change the number of poles (0 and others of k_i or thrust_lag).
     """
-    from scipy.optimize import linear_sum_assignment
-
     if knob not in LINEAR_KNOBS:
         raise InputError("moves no pole", key="locus", value=knob, remedy=nearest(knob, LINEAR_KNOBS))
     swept = np.atleast_1d(np.asarray(values, dtype=float))
     if swept.ndim != 1 or len(swept) < 2 or not (np.all(np.diff(swept) > 0) or np.all(np.diff(swept) < 0)):
         raise InputError("needs at least two values in order", key=knob, remedy="sort them")
-    points = read_points(vehicle, {knob: swept}, base=gains, cruise=cruise, dt=dt, model=model)
-    if not points.flyable.all():
-        at = float(swept[np.argmin(points.flyable)])
-        raise InputError("needs more thrust than the vehicle has", key=knob, value=at, remedy="cruise slower")
-    groups = list(cascades_by_order(points))
-    if len(groups) > 1:
-        raise InputError("changes the number of poles at 0", key=knob, remedy="begin above 0")
-    poles = points.cascade(groups[0]).poles
+
+    def followed(values: NDArray[np.float64]) -> NDArray[np.complex128]:
+        points = read_points(vehicle, {knob: values}, base=gains, cruise=cruise, dt=dt, model=model)
+        if not points.flyable.all():
+            at = float(values[np.argmin(points.flyable)])
+            raise InputError("needs more thrust than the vehicle has", key=knob, value=at, remedy="cruise slower")
+        groups = list(cascades_by_order(points))
+        if len(groups) > 1:
+            raise InputError("changes the number of poles at 0", key=knob, remedy="begin above 0")
+        return _paired(points.cascade(groups[0]).poles)
+
+    poles = followed(swept)
+    for _ in range(_HALVED):
+        sizes = np.abs(poles)
+        far = np.abs(np.diff(poles, axis=0)) > smooth * np.maximum(sizes[1:], sizes[:-1])
+        rough = np.flatnonzero(far.any(axis=1))
+        if len(rough) == 0:
+            break
+        swept = np.insert(swept, rough + 1, (swept[rough] + swept[rough + 1]) / 2)
+        poles = followed(swept)
+    return Locus(knob, swept, poles)
+
+
+def _paired(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Every row in the order of the one before it."""
+    from scipy.optimize import linear_sum_assignment
+
     for before, after in pairwise(poles):
         _, order = linear_sum_assignment(np.abs(before[:, None] - after[None]))
         after[:] = after[order]
-    return Locus(knob, swept, poles)
+    return poles

@@ -35,6 +35,19 @@ def test_poles_are_followed_and_instability_is_seen() -> None:
     assert crossed.sum() == 2
 
 
+def test_where_poles_part_there_are_more_values() -> None:
+    values = np.linspace(0.5, 3.0, 21)
+    rough, fine = (sweep_locus(VEHICLE, GAINS, "k_v", values, **ABOUT, smooth=s) for s in (np.inf, 0.05))
+    assert set(values) < set(fine.values.tolist()) and np.all(np.diff(fine.values) > 0)
+    assert np.array_equal(np.sort_complex(fine.poles[np.isin(fine.values, values)]), np.sort_complex(rough.poles))
+
+    def furthest(poles: np.ndarray) -> float:
+        return float((np.abs(np.diff(poles, axis=0)) / np.abs(poles[1:])).max())
+
+    assert furthest(rough.poles) > 0.3 and furthest(fine.poles) < 0.06
+    assert len(fine.values) < 200, "only where it is rough"
+
+
 @pytest.mark.parametrize(
     ("knob", "values", "told"),
     [
