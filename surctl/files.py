@@ -1,10 +1,11 @@
-"""Reading TOML files and making folders: every mistake becomes one line with file, key, value and remedy."""
+"""Reading TOML, writing files, making folders: every mistake becomes one line with file, key, value and remedy."""
 
 from __future__ import annotations
 
 import os
 import tomllib
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
 
@@ -15,7 +16,7 @@ from surctl.errors import InputError, nearest
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
-__all__ = ["Quantity", "Strict", "load_model", "pick", "prepare_folder", "read_toml", "validate"]
+__all__ = ["Quantity", "Strict", "load_model", "pick", "prepare_folder", "read_toml", "validate", "write_file"]
 
 
 class Strict(BaseModel):
@@ -156,3 +157,28 @@ def pick(name_or_path: str, library: Path, *, what: str) -> Path:
     if path.suffix or "/" in name_or_path or "\\" in name_or_path:
         return path
     raise InputError(f"unknown {what}", key=what, value=name_or_path, remedy=nearest(name_or_path, known))
+
+
+def write_file(target: Path, content: str | bytes) -> Path:
+    """Write a file by way of a temporary one beside it, so that it is there as a whole or as it was; the path.
+
+    Raises:
+        InputError: there is no room, or the folder cannot be written.
+    """
+    staging = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with staging.open("wb") as file:
+            file.write(content.encode("utf-8") if isinstance(content, str) else content)
+            file.flush()
+            os.fsync(file.fileno())
+        staging.replace(target)
+    except OSError as error:
+        with suppress(OSError):  # that it cannot be removed, or never was, is not worth a second error
+            staging.unlink()
+        raise InputError(
+            f"cannot be written ({error.strerror})",
+            file=target,
+            remedy="make room, or choose a folder that you may write to",
+        ) from None
+    return target

@@ -1,7 +1,8 @@
-"""Reading TOML files: whatever is wrong becomes one line."""
+"""Reading and writing files: whatever is wrong becomes one line."""
 
 from __future__ import annotations
 
+import resource
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 from pydantic import Field
 
 from surctl.errors import InputError
-from surctl.files import Quantity, Strict, load_model, pick, read_toml, validate
+from surctl.files import Quantity, Strict, load_model, pick, read_toml, validate, write_file
 
 
 class _Part(Strict):
@@ -139,3 +140,18 @@ def test_pick_prefers_the_library_and_takes_anything_with_a_suffix_or_separator_
     assert pick("some/where", tmp_path, what="thing") == Path("some/where")
     with pytest.raises(InputError, match="unknown thing; did you mean 'ball'"):
         pick("bal", tmp_path, what="thing")
+
+
+def test_a_file_is_written_whole_or_left_as_it_was(tmp_path: Path) -> None:
+    target = tmp_path / "new" / "gains.toml"
+    assert write_file(target, "k = 1\n") == target and target.read_bytes() == b"k = 1\n"
+    room = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, room[1]))
+    try:
+        with pytest.raises(InputError, match=r"gains\.toml: cannot be written \(File too large\); make room"):
+            write_file(target, b"x" * 2000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, room)
+    assert target.read_bytes() == b"k = 1\n" and [p.name for p in target.parent.iterdir()] == ["gains.toml"]
+    with pytest.raises(InputError, match="cannot be written"):
+        write_file(target / "below", "")

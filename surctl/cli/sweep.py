@@ -78,7 +78,7 @@ def sweep(
     """
     from surctl.control import load_gains, write_gains
     from surctl.errors import InputError, nearest
-    from surctl.files import prepare_folder
+    from surctl.files import prepare_folder, write_file
     from surctl.simulation import load_scenario
     from surctl.tuning import build_cases, check_column, make_design, parse_axis, saltelli
     from surctl.tuning import sensitivity as indices
@@ -109,13 +109,13 @@ def sweep(
     table = run_sweep(cases, chosen, seeds=range(seeds), executor=executor, out=out, progress=progress)
     found = None if sensitivity is None else indices(table, sensitivity)
     picked = table.picked
-    (out / "gains.toml").write_text(write_gains(table.gains), encoding="utf-8")
+    gains_path = write_file(out / "gains.toml", write_gains(table.gains))
     pictures = _pictures(table, found, out)
     if locus is not None:
         pictures.append(_locus(table, locus, cases[0], out))
     lines = _lines(table, found)
     where = table.gains.provenance if picked else "no point is feasible"
-    lines += ["", where, f"gains {out / 'gains.toml'}", f"table {table.path}"]
+    lines += ["", where, f"gains {gains_path}", f"table {table.path}"]
     lines += [f"plot  {picture}" for picture in pictures]
     data = {
         "axes": {axis.name: axis.values.tolist() for axis in table.axes},

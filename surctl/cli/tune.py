@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 
 import click
@@ -57,7 +58,7 @@ def tune(
     Examples: surctl tune; surctl tune my-study.toml --gain k_v=0.5..3 --gain lookahead --goals my-goals.toml
     """
     from surctl.control import write_gains
-    from surctl.files import prepare_folder
+    from surctl.files import prepare_folder, write_file
     from surctl.simulation import Case
     from surctl.study import load_plan
     from surctl.tuning import TUNED, Request, conditions, gain_ranges, load_goals, summary, tuned_gains, tuning_dict
@@ -86,18 +87,18 @@ def tune(
     tuning = run_tuning(
         request, trials=trials, rounds=rounds, runs=runs, descend=descend, folder=out, progress=progress
     )
-    gains_path = out / "gains.toml"
-    gains_path.write_text(write_gains(tuned_gains(tuning)), encoding="utf-8")
+    gains_path = write_file(out / "gains.toml", write_gains(tuned_gains(tuning)))
     result = tuning_dict(tuning)
-    (out / "tuning.json").write_text(json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n", encoding="utf-8")
+    everything = write_file(out / "tuning.json", json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n")
     from surctl.report import save_tuning  # matplotlib, once there is something to draw
 
     pictures = save_tuning(tuning, out)
-    lines = [*summary(tuning), "", f"gains {gains_path}", f"all   {out / 'tuning.json'}"]
+    lines = [*summary(tuning), "", f"gains {gains_path}", f"all   {everything}"]
     lines += [f"plot  {path}" for path in pictures]
-    lines += ["next", f"  surctl verify --gains {gains_path}", f"  surctl export --gains {gains_path}"]
+    lines += ["next", *(f"  surctl {what} --gains {shlex.quote(str(gains_path))}" for what in ("verify", "export"))]
     if not tuning.kept:
-        lines.append(f"  surctl tune --out {out} --trials {2 * trials} --rounds {rounds + 2}  (or relax a goal)")
+        more = f"--trials {2 * trials} --rounds {rounds + 2}"
+        lines.append(f"  surctl tune --out {shlex.quote(str(out))} {more}  (or relax a goal)")
     finish(result, lines, as_json=as_json, passed=tuning.kept)
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from surctl.files import write_file
 from surctl.report.goals import goal_bars, goal_view, plot_front, plot_goal_bars, plot_goal_view
 from surctl.report.heat_map import plot_heat_map
 from surctl.report.locus import plot_locus
-from surctl.report.page import write_bytes
 from surctl.report.plan_view import plot_run
 from surctl.report.signals import plot_run_signals
 from surctl.report.sweep_plots import plot_parallel, plot_sensitivity
@@ -89,4 +89,4 @@ def _save(figure: Figure, folder: Path, what: tuple[str, ...]) -> Path:
     name = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "-", part).strip("-.") or "x" for part in what)
     buffer = BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
-    return write_bytes(folder / f"{name}.png", buffer.getvalue())
+    return write_file(folder / f"{name}.png", buffer.getvalue())

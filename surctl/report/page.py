@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from surctl.errors import InputError
+from surctl.files import write_file
 from surctl.report.data import ReportData
 from surctl.report.document import Section
 from surctl.report.evidence_sections import claims_section, runs_section
@@ -76,27 +75,4 @@ def write_page(data: ReportData, path: Path | str) -> Path:
     Raises:
         InputError: the folder cannot be written.
     """
-    return write_bytes(Path(path), render_page(data).encode("utf-8"))
-
-
-def write_bytes(target: Path, content: bytes) -> Path:
-    """Write a file by way of a temporary one beside it; InputError when the folder cannot be written."""
-    staging = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        staging.write_bytes(content)
-        staging.replace(target)
-    except OSError as error:
-        _remove(staging)
-        raise InputError(
-            f"cannot be written ({error.strerror})", file=target, remedy="choose a folder that you may write to"
-        ) from None
-    return target
-
-
-def _remove(path: Path) -> None:
-    """Remove a left-over; that it cannot be removed, or never was, is not worth a second error."""
-    try:
-        path.unlink()
-    except OSError:
-        return
+    return write_file(Path(path), render_page(data))

@@ -12,7 +12,7 @@ from typing import Any
 from surctl import __version__
 from surctl.control import Law, build_law, write_gains
 from surctl.export import ExportedFile, Records, SilReport, build_bundle, software_in_the_loop_runs, write_bundle
-from surctl.files import prepare_folder
+from surctl.files import prepare_folder, write_file
 from surctl.ir import find_compiler
 from surctl.simulation import Run, simulate
 from surctl.study.plan import Plan
@@ -123,8 +123,7 @@ def conduct(
     clock = _Clock(progress)
     with clock("sweep"):
         swept = _sweep(plan, out, workers, progress)
-        gain_file = out / "gains.toml"
-        gain_file.write_text(write_gains(swept.gains), encoding="utf-8")
+        gain_file = write_file(out / "gains.toml", write_gains(swept.gains))
     with clock("margins"):
         cruise = max(leg.scenario.cruise for leg in plan.deciding)
         margins = loop_margins(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from surctl.errors import InputError
+from surctl.files import write_file
 from surctl.tuning.claim_points import ClaimPoint
 from surctl.tuning.montecarlo import Counterexample, MonteCarlo
 
@@ -90,17 +89,7 @@ class Record:
         if self.path is None:
             return
         text = json.dumps({"request": self.digest, "rounds": [r.to_dict() for r in self.rounds]}, indent=1)
-        beside = self.path.with_suffix(".tmp")
-        try:
-            with beside.open("w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-            beside.replace(self.path)
-        except OSError as error:
-            raise InputError(
-                f"cannot be written ({error.strerror})", file=self.path, key="--out", remedy="make room; it resumes"
-            ) from None
+        write_file(self.path, text)
 
     def _load(self) -> list[Round]:
         """Rounds of the same request; anything else in the file's place is not trusted."""
