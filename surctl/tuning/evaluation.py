@@ -88,13 +88,6 @@ class Evaluation:
         met: NDArray[np.bool_] = np.all(self.normalised[:, hard] <= 1, axis=1)
         return met
 
-    @property
-    def worst_soft(self) -> NDArray[np.float64]:
-        """(n,): largest normalised value of the soft goals; 0 when there is none."""
-        soft = [g.kind == "soft" for g in self.goals]
-        worst: NDArray[np.float64] = self.normalised[:, soft].max(axis=1, initial=0.0)
-        return worst
-
 
 def corners(vehicle: Vehicle) -> tuple[dict[str, float], ...]:
     """Plant knobs of the nominal vehicle and of the corners of its stated ranges.
