@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError
+from surctl.errors import InputError, nearest
 from surctl.simulation import MetricSpec
 from surctl.vehicle import PARAMETERS, PLANT_PARAMETERS, Vehicle, plant_parameters
 from surctl.vehicle.dynamics import trim_function
@@ -97,9 +97,12 @@ def linear_table(
         workers: threads; the numbers do not depend on them.
 
     Raises:
-        InputError: a gain is missing or out of its bounds, a vehicle parameter of the wrong sign, or shapes that
-            disagree.
+        InputError: an unknown column, a gain is missing or out of its bounds, a vehicle parameter of the wrong sign,
+            or shapes that disagree.
     """
+    for name in columns:
+        if name not in LINEAR_METRICS:
+            raise InputError("no such column", key="columns", value=name, remedy=nearest(name, LINEAR_METRICS))
     points = read_points(vehicle, values, base=base, cruise=cruise, dt=dt, model=model)
     table = {name: np.full(points.count, np.nan) for name in columns}
     chunks = [group[at : at + _CHUNK] for group in cascades_by_order(points) for at in range(0, len(group), _CHUNK)]

@@ -154,3 +154,8 @@ def test_columns_alone_are_those_of_the_whole_table(columns: list[str]) -> None:
     assert list(alone) == columns
     for name in columns:
         np.testing.assert_array_equal(alone[name], TABLE[name])
+
+
+def test_an_unknown_column_is_named() -> None:
+    with pytest.raises(InputError, match=r"columns = 'disc_margin': no such column; did you mean 'disk_margin'"):
+        linear_table(VEHICLE, VALUES, base=GAINS, columns=["disc_margin"], **ABOUT)
