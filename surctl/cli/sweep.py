@@ -10,8 +10,15 @@ import click
 from surctl.cli.output import as_json, finish, progress
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from surctl.control import Gains
     from surctl.simulation import Case
     from surctl.tuning import Executor, Sensitivity, SweepTable
+    from surctl.verification import Locus
 
 __all__ = ["sweep"]
 
@@ -39,7 +46,7 @@ _TOLD = (  # columns printed for people
 @click.option("--points", type=click.IntRange(min=1), help="Number of points of lhs and sobol.")
 @click.option("--sensitivity", metavar="COLUMN", help="Sobol' indices of a column; takes N(axes + 2) points, N = 64.")
 @click.option("--locus", metavar="KNOB", help="Draw the closed-loop poles over this axis, about the picked gains.")
-@click.option("--seeds", type=click.IntRange(min=1), default=1, help="Seeds 0 to N-1 of every scenario.")
+@click.option("--seeds", type=click.IntRange(1, 1_000_000), default=1, help="Seeds 0 to N-1 of every scenario.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes (2); the result does not depend on them.")
 @click.option("--dask", metavar="ADDRESS", help="A Dask scheduler instead of processes of this machine.")
 @click.option(
@@ -91,6 +98,8 @@ def sweep(
     else:
         check_column(sensitivity)
         chosen = saltelli(parsed, base=64 if points is None else points)
+    if sensitivity is not None and design != "grid":
+        raise InputError("has points of its own", key="--sensitivity", value=sensitivity, remedy="leave --design away")
     if locus is not None and locus not in chosen.names:
         raise InputError(
             "is not an axis of this sweep", key="--locus", value=locus, remedy=nearest(locus, chosen.names)
@@ -99,12 +108,16 @@ def sweep(
         raise InputError(
             f"would print {len(chosen.points)} points", key="--json", remedy="leave it away and read sweep.nc"
         )
+    base = load_gains(gains)
     cases = build_cases(
         [load_scenario(name) for name in scenarios],
         [load_vehicle(name) for name in vehicles],
-        gains=load_gains(gains), law=law, mode=priority_mode, sensing=sensing,
+        gains=base, law=law, mode=priority_mode, sensing=sensing,
     )  # fmt: skip
     executor = _executor(workers, dask)
+    if locus is not None:  # what is wrong with it is told now, not after the flights
+        swept = chosen.points[:, chosen.names.index(locus)]
+        _locus(cases, base, locus, swept, {})
     prepare_folder(out)
     table = run_sweep(cases, chosen, seeds=range(seeds), executor=executor, out=out, progress=progress)
     found = None if sensitivity is None else indices(table, sensitivity)
@@ -112,7 +125,12 @@ def sweep(
     gains_path = write_file(out / "gains.toml", write_gains(table.gains))
     pictures = _pictures(table, found, out)
     if locus is not None:
-        pictures.append(_locus(table, locus, cases[0], out))
+        from surctl.report import save_locus
+
+        at = {} if picked is None else table.at(picked)
+        axis = next(axis for axis in table.axes if axis.name == locus)
+        poles = _locus(cases, table.gains, locus, axis.values, at)
+        pictures.append(save_locus(poles, out, unit=axis.unit, picked=at.get(locus)))
     lines = _lines(table, found)
     where = table.gains.provenance if picked else "no point is feasible"
     lines += ["", where, f"gains {gains_path}", f"table {table.path}"]
@@ -148,28 +166,27 @@ def _pictures(table: SweepTable, found: Sensitivity | None, out: Path) -> list[P
     return pictures
 
 
-def _locus(table: SweepTable, knob: str, case: Case, out: Path) -> Path:
-    """Poles of the first case's vehicle over the range of an axis."""
+def _locus(
+    cases: Sequence[Case], gains: Gains, knob: str, swept: NDArray[np.float64], at: Mapping[str, float]
+) -> Locus:
+    """Poles of the first case's vehicle at its largest cruise speed over the range of an axis, about a point."""
     import numpy as np
 
-    from surctl.report import save_locus
     from surctl.verification import sweep_locus
 
-    axis = next(axis for axis in table.axes if axis.name == knob)
-    picked = None if table.picked is None else table.at(table.picked)[knob]
-    values = np.linspace(axis.values.min(), axis.values.max(), _LOCUS)
-    values = np.union1d(values, [] if picked is None else [picked])
-    data = sweep_locus(
-        case.vehicle,
-        table.gains.values,
+    first = cases[0]
+    values = np.union1d(np.linspace(swept.min(), swept.max(), _LOCUS), [at[knob]] if knob in at else [])
+    return sweep_locus(
+        first.vehicle,
+        gains.values,
         knob,
         values,
-        cruise=case.scenario.cruise,
-        dt=case.build().dt,
-        model=case.model,
+        cruise=max(c.scenario.cruise for c in cases if c.vehicle == first.vehicle),
+        dt=first.build().dt,
+        model=first.model,
         smooth=_SMOOTH,
+        about=at,
     )
-    return save_locus(data, out, unit=axis.unit, picked=picked)
 
 
 def _lines(table: SweepTable, found: Sensitivity | None) -> list[str]:

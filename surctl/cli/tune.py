@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import sys
 from pathlib import Path
 
 import click
@@ -19,7 +20,7 @@ __all__ = ["tune"]
 @click.option("--goals", "goals_file", help="Goals: name or file; default: the study's, else the built-in ones.")
 @click.option("--trials", type=click.IntRange(min=1), default=256, help="Gain sets that each search tries, twice.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of the search and of the fresh runs.")
-@click.option("--seeds", type=click.IntRange(min=1), default=4, help="Seeds 0 to N-1 of every scenario.")
+@click.option("--seeds", type=click.IntRange(1, 1_000_000), default=4, help="Seeds 0 to N-1 of every scenario.")
 @click.option("--vehicle", "vehicles", multiple=True, help="Flies every scenario: name or file; default: the study's.")
 @click.option("--rounds", type=click.IntRange(min=1), default=3, help="Most rounds of tuning and verifying.")
 @click.option(
@@ -97,8 +98,8 @@ def tune(
     lines += [f"plot  {path}" for path in pictures]
     lines += ["next", *(f"  surctl {what} --gains {shlex.quote(str(gains_path))}" for what in ("verify", "export"))]
     if not tuning.kept:
-        more = f"--trials {2 * trials} --rounds {rounds + 2}"
-        lines.append(f"  surctl tune --out {shlex.quote(str(out))} {more}  (or relax a goal)")
+        again = shlex.join([*sys.argv[1:], "--trials", str(2 * trials), "--rounds", str(rounds + 2)])
+        lines.append(f"  surctl {again}  (or relax a goal)")
     finish(result, lines, as_json=as_json, passed=tuning.kept)
 
 

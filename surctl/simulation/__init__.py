@@ -7,6 +7,7 @@ from surctl.simulation.batch import (
     Engine,
     Knob,
     SlowerEngine,
+    check_speeds,
     knobs,
     simulate_batch,
 )
@@ -41,6 +42,7 @@ __all__ = [
     "World",
     "advance",
     "build_world",
+    "check_speeds",
     "explain",
     "findings",
     "knobs",

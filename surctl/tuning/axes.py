@@ -10,7 +10,10 @@ import numpy as np
 
 from surctl.errors import InputError
 
-__all__ = ["SEED", "Axis", "Span", "parse_axis"]
+__all__ = ["MOST_POINTS", "SEED", "Axis", "Span", "parse_axis"]
+
+MOST_POINTS = 10_000_000
+"""Points of a sweep at most: they and a column of the table are held in memory."""
 
 SEED = "seed"
 """The axis of this name sets the seed of every run instead of a knob."""
@@ -68,6 +71,9 @@ class Span:
             raise InputError(
                 "a range needs at least two points", key=f"axis {self.name}", value=count, remedy="write :2 or more"
             )
+        if count > MOST_POINTS:
+            remedy = f"at most {MOST_POINTS}"
+            raise InputError("are too many points", key=f"axis {self.name}", value=count, remedy=remedy)
         # geomspace and linspace both put the given ends in
         values = np.geomspace(self.low, self.high, count) if self.log else np.linspace(self.low, self.high, count)
         return Axis(self.name, tuple(values.tolist()))
@@ -117,5 +123,5 @@ def _unreadable(text: str) -> InputError:
 
 
 def _check_seeds(name: str, values: tuple[float, ...]) -> None:
-    if name == SEED and any(v < 0 or v != int(v) for v in values):
+    if name == SEED and any(not 0 <= v <= 2**53 or v != int(v) for v in values):
         raise InputError("must be whole numbers, at least 0", key="axis seed", value=values, remedy="write 0,1,2,...")

@@ -13,7 +13,7 @@ from surctl.errors import InputError
 from surctl.tuning.claim_points import ClaimPoint, refuted_claims
 from surctl.tuning.conflict import conflict
 from surctl.tuning.journal import Journal
-from surctl.tuning.montecarlo import APART, fresh, monte_carlo
+from surctl.tuning.montecarlo import APART, MOST_SEED, fresh, monte_carlo
 from surctl.tuning.pool import Pool, Progress, Request, joined
 from surctl.tuning.rounds import Record, Round
 from surctl.tuning.search import BATCH, search
@@ -91,10 +91,11 @@ def tune(
         progress: told one line at a time what is going on.
 
     Raises:
-        InputError: nonsensical numbers, a value out of bounds, or a folder that cannot be used.
+        InputError: nonsensical numbers, one case twice, a value out of bounds, or a folder that cannot be used.
     """
-    _check(trials, rounds, runs)
-    record = Record(folder, f"{request.digest} {trials} {runs} {descend}")
+    _check(request, trials, rounds, runs)
+    request = replace(request, begun="descent" if descend else "")  # its trials are not those of one without
+    record = Record(folder, f"{request.digest} {trials} {runs}")
     journal = Journal(None if folder is None else folder / "trials.journal")
     done: list[Round] = []
     current, asked = request, len(request.flown)
@@ -141,7 +142,15 @@ def _chosen(done: Sequence[Round], found: Pool, start: NDArray[np.float64]) -> i
     return min(sound or range(len(done)), key=lambda k: float(merit[k]))
 
 
-def _check(trials: int, rounds: int, runs: int) -> None:
+def _check(request: Request, trials: int, rounds: int, runs: int) -> None:
+    names = [case.name for case in request.cases]
+    for name in names:
+        if names.count(name) > 1:  # a counterexample knows its case by name
+            raise InputError("is flown twice", key="case", value=name, remedy="give each vehicle a name of its own")
+    if request.seed > MOST_SEED:
+        raise InputError(
+            "leaves no seeds for fresh runs", key="--seed", value=request.seed, remedy=f"at most {MOST_SEED}"
+        )
     for key, value, least in (("--trials", trials, 1), ("--rounds", rounds, 1), ("--monte-carlo", runs, 0)):
         if value < least:
             raise InputError(f"must be at least {least}", key=key, value=value, remedy="correct it")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.tuning.axes import Axis, Span
+from surctl.tuning.axes import MOST_POINTS, Axis, Span
 
 __all__ = ["DESIGNS", "Design", "DesignName", "grid", "make_design", "saltelli", "spread"]
 
@@ -57,6 +57,7 @@ def grid(axes: Sequence[Axis]) -> Design:
     _check_names(axes)
     # the index of each axis at each point, without a table of indices for all axes at once
     shape = tuple(len(axis.values) for axis in axes)
+    _check_size(math.prod(shape))
     points = np.empty((math.prod(shape), len(axes)))
     for k, axis in enumerate(axes):
         place = [1] * len(shape)
@@ -80,6 +81,7 @@ def spread(kind: Literal["lhs", "sobol"], spans: Sequence[Span], *, count: int, 
     spans = _spans(spans, kind)
     if count < 1:
         raise InputError("must be at least 1", key="points", value=count, remedy="write the number of points")
+    _check_size(count)
     from scipy.stats import qmc  # a second to import
 
     if kind == "lhs":
@@ -112,6 +114,7 @@ def saltelli(axes: Sequence[Axis | Span], *, base: int, seed: int = 0) -> Design
         raise InputError(
             "must be a power of two, at least 4", key="points", value=base, remedy=f"write {2 ** max(2, _power(base))}"
         )
+    _check_size(base * (len(spans) + 2))
     from scipy.stats import qmc
 
     unit = qmc.Sobol(2 * len(spans), rng=seed).random_base2(_power(base))
@@ -172,6 +175,11 @@ def _check_names(axes: Sequence[Axis | Span]) -> None:
     for name in names:
         if names.count(name) > 1:
             raise InputError("is swept twice", key="axis", value=name, remedy="name each knob once")
+
+
+def _check_size(count: int) -> None:
+    if count > MOST_POINTS:
+        raise InputError("are too many", key="points", value=count, remedy=f"at most {MOST_POINTS} in one sweep")
 
 
 def _filled(spans: Sequence[Span], unit: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
+import threading
 import warnings
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import CancelledError, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait
 from typing import Any, Protocol
 
 import numpy as np
@@ -79,9 +82,17 @@ class LocalExecutor:
 
 
 def _begin() -> None:
-    """Ctrl-C is the parent's affair, and a warning one line."""
+    """Ctrl-C is the parent's affair, a warning is one line, and a worker does not outlive who asked for it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
     warnings.formatwarning = lambda message, *_, **__: f"surctl: {message}\n"
+
+
+def _end_with(sentinel: int) -> None:
+    wait([sentinel])
+    os._exit(1)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["Journal", "quiet_optuna"]
 
 _OBJECTIVES = ["minimize", "minimize"]
+_HARMED = (ValueError, KeyError, TypeError, AttributeError)  # what reading a file that is no journal may raise
 
 
 def quiet_optuna() -> Any:
@@ -85,6 +86,8 @@ class Journal:
         except OSError as error:
             why = f"cannot be written ({error.strerror})"
             raise InputError(why, file=self.path, key="--out", remedy="make room; it resumes") from None
+        except _HARMED:
+            raise _unusable(self.path or Path(), "it is no journal of trials") from None
 
     def _study(self, name: str) -> Study:
         optuna = quiet_optuna()
@@ -105,6 +108,9 @@ def _hold(path: Path) -> BinaryIO:
         raise _unusable(path, "another tuning uses it") from None
     file.seek(0)
     whole = file.read()
+    if whole and not whole.startswith(b'{"op_code"'):
+        file.close()
+        raise _unusable(path, "it is no journal of trials")
     os.truncate(path, whole.rfind(b"\n") + 1)
     return file
 
@@ -155,7 +161,7 @@ def _open(path: Path) -> tuple[JournalStorage, Any]:
     backend = Batched(str(path))
     try:
         return JournalStorage(backend), backend.held
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except _HARMED:
         raise _unusable(path, "it is no journal of trials") from None
 
 

@@ -18,7 +18,7 @@ from surctl.errors import InputError, nearest
 from surctl.guidance import AvoidanceForm
 from surctl.ir import lower
 from surctl.priority import Mode
-from surctl.simulation import METRICS, Case, Scenario, Sensing, knobs, simulate_batch
+from surctl.simulation import METRICS, Case, Scenario, Sensing, check_speeds, knobs, simulate_batch
 from surctl.tuning.axes import SEED
 from surctl.tuning.design import Design
 from surctl.vehicle import Vehicle, load_vehicle
@@ -218,6 +218,8 @@ def check_request(cases: Sequence[Case], design: Design, seeds: Sequence[int]) -
             raise InputError("no such knob", key="axis", value=name, remedy=_nearest_knob(name, every))
         for knob in of_cases:
             knob.check(np.array([design.points[:, k].min(), design.points[:, k].max()]))
+    for case in cases:
+        check_speeds(case, {name: design.points[:, k] for k, name in enumerate(design.names)})
 
 
 def request_digest(evaluation: Evaluation, design: Design, *, linear: bool, chunk: int) -> str:

@@ -13,14 +13,17 @@ from surctl.simulation import Case
 from surctl.tuning.evaluation import Condition, figures, scope, varied
 from surctl.tuning.goals import Goal
 
-__all__ = ["APART", "Counterexample", "MonteCarlo", "fresh", "monte_carlo"]
+__all__ = ["APART", "MOST_SEED", "Counterexample", "MonteCarlo", "fresh", "monte_carlo"]
 
 APART = 10_000_000  # runs between the seeds of two tunings: no round of either reaches the other's
+
+MOST_SEED = 2**62 // APART
+"""Largest seed of a tuning: the seeds of its runs are 64-bit numbers."""
 
 
 @dataclass(frozen=True)
 class Counterexample:
-    """A run that misses a goal.
+    """A run that misses a goal; of a goal over a mean, one of some runs that stand for those whose mean misses it.
 
     Attributes:
         goal: name of the goal.
@@ -28,7 +31,7 @@ class Counterexample:
         seed: of the run.
         plant: `plant.` knobs of what was flown.
         figure: the metric, in its unit; NaN when the run did not arrive.
-        normalised: above 1.
+        normalised: above 1, but for a mean.
     """
 
     goal: str
@@ -58,7 +61,8 @@ class MonteCarlo:
         seeds: first and last seed, none of them used before.
         missed: goal → share of its runs that by themselves miss it; a goal without a fresh run is left out.
         normalised: goal → worst (or mean) normalised value.
-        counterexamples: the worst runs of each goal that is refuted, a few a case; the worst of all first.
+        counterexamples: the worst runs of each goal that is refuted, a few a case, the worst of all first; of a mean
+            a few evenly spread over all.
     """
 
     runs: int
@@ -130,24 +134,27 @@ def monte_carlo(
         whole = float(goal.normalised(figure.mean()) if goal.over == "mean" else apiece.max())
         missed[goal.name], normalised[goal.name] = float((apiece > 1).mean()), whole
         if whole > 1:
-            chosen = _worst(goal, figure, apiece, [flown[k].case.name for k in own], each)
+            chosen = _chosen(goal, figure, apiece, [flown[k].case.name for k in own], each)
             found += [_counterexample(goal, flown[own[k]], figure[k], apiece[k]) for k in chosen]
     return MonteCarlo(len(flown), (flown[0].seed, flown[-1].seed), missed, normalised, tuple(found))
 
 
-def _worst(
+def _chosen(
     goal: Goal, figure: NDArray[np.float64], normalised: NDArray[np.float64], cases: Sequence[str], most: int
 ) -> list[int]:
-    """The worst runs of every case that miss the goal; the worst of all where it is missed by the mean alone."""
+    """Runs that refute a goal: of every case the worst that miss it, or for a mean some whose mean is about theirs."""
     # on the wrong side of zero every normalised value is inf: there the figure tells which is worse, NaN first
     bad = np.where(np.isnan(figure), np.inf, figure if goal.sense == "at most" else -figure)
-    taken: dict[str, int] = {}
+    order = [int(k) for k in np.lexsort((-bad, -normalised))]
+    by_case = {case: [k for k in order if cases[k] == case] for case in dict.fromkeys(cases[k] for k in order)}
     found = []
-    for k in np.lexsort((-bad, -normalised)):
-        if normalised[k] > 1 and taken.setdefault(cases[k], 0) < most:
-            taken[cases[k]] += 1
-            found.append(int(k))
-    return found or [int(normalised.argmax())]
+    for own in by_case.values():
+        if goal.over == "mean":  # evenly spread over their ranks: the worst alone would make another mean
+            count = min(most, len(own))
+            found += [own[(2 * j + 1) * len(own) // (2 * count)] for j in range(count)]
+        else:
+            found += [k for k in own if normalised[k] > 1][:most]
+    return sorted(found, key=order.index)
 
 
 def _counterexample(goal: Goal, run: Condition, figure: float, normalised: float) -> Counterexample:

@@ -39,6 +39,7 @@ class Request:
         seed: of the search.
         claims: points of claims that must hold.
         threads: of the compiled loop; nothing depends on them.
+        begun: words for what the search begins with, where that is not the start gains alone.
     """
 
     goals: tuple[Goal, ...]
@@ -48,6 +49,7 @@ class Request:
     seed: int = 0
     claims: tuple[ClaimPoint, ...] = ()
     threads: int = 1
+    begun: str = ""
 
     @property
     def cases(self) -> tuple[Case, ...]:
@@ -68,6 +70,7 @@ class Request:
             model = None if case.model is None else dict(case.model.parameters)
             lines.append(f"case {case.name} {case.scenario!r} {dict(case.vehicle.parameters)!r} {model!r}")
             lines.append(f"law {(case.law, case.avoidance, case.mode)} {dict(case.gains.values)!r}")
+        lines += [f"begun {self.begun}"] * bool(self.begun)
         lines += [f"run {c.label} {sorted(c.plant.items())!r} {c.goals}" for c in self.flown]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 

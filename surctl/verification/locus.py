@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,6 +50,7 @@ def sweep_locus(
     dt: float,
     model: Vehicle | None = None,
     smooth: float = np.inf,
+    about: Mapping[str, float] = MappingProxyType({}),
 ) -> Locus:
     """Poles of the cascade over one knob.
 
@@ -64,6 +66,7 @@ def sweep_locus(
         model: what the controller believes; default the vehicle itself.
         smooth: share of its modulus that a pole may go from one value to the next. Where one goes further, as where
             two part, values are put in between, down to 2⁻⁸ of a step.
+        about: other knobs that stay at a value; those that move no pole are passed over.
 
     Raises:
         InputError: a knob without influence on any pole, values out of order or bounds, a cruise that the vehicle
@@ -73,10 +76,10 @@ def sweep_locus(
         raise InputError("moves no pole", key="locus", value=knob, remedy=nearest(knob, LINEAR_KNOBS))
     swept = np.atleast_1d(np.asarray(values, dtype=float))
     if swept.ndim != 1 or len(swept) < 2 or not (np.all(np.diff(swept) > 0) or np.all(np.diff(swept) < 0)):
-        raise InputError("needs at least two values in order", key=knob, remedy="sort them")
+        raise InputError("needs at least two values in order", key=knob, remedy="write a range, in order")
 
     def followed(values: NDArray[np.float64]) -> NDArray[np.complex128]:
-        points = read_points(vehicle, {knob: values}, base=gains, cruise=cruise, dt=dt, model=model)
+        points = read_points(vehicle, {**about, knob: values}, base=gains, cruise=cruise, dt=dt, model=model)
         if not points.flyable.all():
             at = float(values[np.argmin(points.flyable)])
             raise InputError("needs more thrust than the vehicle has", key=knob, value=at, remedy="cruise slower")

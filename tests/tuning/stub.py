@@ -70,3 +70,9 @@ def slow_squares(index, points):
         file.write(f"{index}\n")
     time.sleep(float(os.environ.get("SURCTL_TEST_PAUSE", "0.001")))
     return np.column_stack([points[:, 0] ** 2, np.sin(points[:, 0]) + index])
+
+
+def own_number(index, points):
+    """The worker's process; takes a moment."""
+    time.sleep(0.01)
+    return np.array([[float(os.getpid())]])

@@ -2,8 +2,10 @@ import hashlib
 import json
 import os
 import resource
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -438,6 +440,35 @@ def test_killed_twenty_times_it_is_the_same_to_the_byte(tmp_path, monkeypatch):
     for path in sorted((tmp_path / "whole").glob("*.chunk")):
         assert path.read_bytes() == (tmp_path / "killed" / path.name).read_bytes()
     assert not list((tmp_path / "killed").glob("*.tmp"))
+
+
+LEFT = """
+import os, signal, sys
+import numpy as np
+from surctl.tuning.executors import LocalExecutor
+from tests.tuning.stub import own_number
+
+if __name__ == "__main__":
+    done = LocalExecutor(2).map_chunks(own_number, [(k, np.ones((1, 1))) for k in range(10_000)])
+    print(int(next(done)[1][0, 0]), flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_workers_do_not_outlive_who_asked_for_them(tmp_path):
+    script = tmp_path / "left.py"
+    script.write_text(LEFT)
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    with (tmp_path / "told").open("w") as told:
+        done = subprocess.run(
+            [sys.executable, str(script)], env=environment, cwd=ROOT, stdout=told, stderr=told, timeout=PATIENCE,
+        )  # fmt: skip
+    assert done.returncode == -signal.SIGKILL, (tmp_path / "told").read_text()
+    worker = int((tmp_path / "told").read_text().split()[0])
+    deadline = time.monotonic() + PATIENCE
+    while Path(f"/proc/{worker}").exists() and "\nState:\tZ" not in Path(f"/proc/{worker}/status").read_text():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 def test_workers_give_the_same(tmp_path, monkeypatch):

@@ -157,9 +157,14 @@ def test_a_folder_in_use_and_a_file_that_is_no_journal_are_one_line(tmp_path):
     with pytest.raises(InputError, match="another tuning uses it"):
         Journal(path)
     journal.close()
-    path.write_text("not a journal\n" * 3)
+    for text in ("not a journal\n" * 3, "my notes, no newline", '{"a": 1'):
+        path.write_text(text)
+        with pytest.raises(InputError, match="no journal"):
+            Journal(path)
+        assert path.read_text() == text, "it is somebody's"
+    path.write_text('{"op_code": 0}\n{"op_code": "x"}\nrubbish\n')
     with pytest.raises(InputError, match="no journal"):
-        Journal(path)
+        Journal(path).trials("any")
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be used"):
         Journal(tmp_path / "file" / "trials.journal")
@@ -209,6 +214,22 @@ def test_the_worst_run_of_a_refuted_goal_is_the_counterexample(monkeypatch):
     assert worst.goal == "keep clear" and found.normalised["spare thrust"] <= 1 and 0 < found.missed["keep clear"] < 1
     again = monte_carlo((CLEAR,), [worst.condition([flown[0].case])], {"k1": 0.4, "k_v": 1.5})
     assert again.normalised["keep clear"] == worst.normalised == found.normalised["keep clear"]
+
+
+def test_what_refutes_a_mean_has_about_its_mean(monkeypatch):
+    install(monkeypatch, Loop(mass=0.2))
+    cases = [case("tank-static", "sur540-flooded"), case()]
+    mean = Goal("mean thrust", "effort_n", "N", 0.1, over="mean")
+    flown = fresh(cases, runs=400, first=0)
+    found = monte_carlo((mean,), flown, {"k1": 0.4, "k_v": 1.5}, each=10).counterexamples
+    assert [sum(c.case == one.name for c in found) for one in cases] == [10, 10]
+    figure = figures((mean,), flown, {"k1": np.array([0.4]), "k_v": np.array([1.5])})["effort_n"][0]
+    assert np.mean([c.figure for c in found]) == pytest.approx(figure.mean(), abs=0.1 * figure.std())
+
+
+def test_what_a_search_begins_with_is_part_of_its_name():
+    one, other = request(), replace(request(), begun="descent")
+    assert one.digest == replace(other, begun="").digest != other.digest
 
 
 def test_counterexamples_become_constraints_until_nothing_is_refuted(monkeypatch):

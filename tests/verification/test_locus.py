@@ -35,6 +35,16 @@ def test_poles_are_followed_and_instability_is_seen() -> None:
     assert crossed.sum() == 2
 
 
+def test_it_is_drawn_about_a_point() -> None:
+    about = {"k_r": 0.8, "plant.m22": 120.0, "scenario.cruise": 0.2, "seed": 3.0, "k_v": 9.0}
+    found = sweep_locus(VEHICLE, GAINS, "k_v", [1.0, 2.0], **ABOUT, about=about)
+    plant = VEHICLE.with_values({"m22": 120.0})
+    for value, poles in zip([1.0, 2.0], found.poles, strict=True):
+        gains = {**GAINS, "k_r": 0.8, "k_v": value}
+        expected = sweep_locus(plant, gains, "k_v", [value, 9.0], cruise=0.2, dt=0.05, model=VEHICLE).poles[0]
+        np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(expected), atol=1e-9)
+
+
 def test_where_poles_part_there_are_more_values() -> None:
     values = np.linspace(0.5, 3.0, 21)
     rough, fine = (sweep_locus(VEHICLE, GAINS, "k_v", values, **ABOUT, smooth=s) for s in (np.inf, 0.05))

@@ -1,6 +1,6 @@
 """The closed loop as one block: many runs at once, compiled."""
 
-from surctl.simulation.batch.case import Case, Knob, knobs
+from surctl.simulation.batch.case import Case, Knob, check_speeds, knobs
 from surctl.simulation.batch.fly import ENGINES, BatchResult, Engine, SlowerEngine, simulate_batch
 from surctl.simulation.batch.tick import Loop, Structure, build_loop
 
@@ -14,6 +14,7 @@ __all__ = [
     "SlowerEngine",
     "Structure",
     "build_loop",
+    "check_speeds",
     "knobs",
     "simulate_batch",
 ]

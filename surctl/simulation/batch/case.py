@@ -19,7 +19,7 @@ from surctl.simulation.scenario import Obstacle, Scenario
 from surctl.vehicle import PARAMETERS as VEHICLE_PARAMETERS
 from surctl.vehicle import Vehicle
 
-__all__ = ["Case", "Knob", "check_values", "knobs"]
+__all__ = ["Case", "Knob", "check_speeds", "check_values", "knobs"]
 
 Vector = NDArray[np.float64]
 
@@ -121,7 +121,7 @@ def _scenario_knobs(scenario: Scenario) -> list[Knob]:
         Knob("scenario.cap", "m/s", "largest commanded horizontal speed", scenario.cap, 0.0, inf, True),
         Knob("scenario.depth", "m", "wanted z, negative below the surface", scenario.depth, -scenario.site[2], 0.0),
         Knob("scenario.reach", "m", "distance to the target that counts as arrived", scenario.reach, 0.0, inf, True),
-        Knob("scenario.time_limit", "s", "longest run", scenario.time_limit, 0.0, inf, True),
+        Knob("scenario.time_limit", "s", "longest run", scenario.time_limit, 0.0, 1e6, True),
         Knob("scenario.current_x", "m/s", "current along x of {E}", d.current_m_per_s[0]),
         Knob("scenario.current_y", "m/s", "current along y of {E}", d.current_m_per_s[1]),
         Knob("scenario.wave_force", "N", "amplitude of the wave force", d.wave_force_n, 0.0),
@@ -170,6 +170,11 @@ def check_values(case: Case, values: Mapping[str, Vector]) -> None:
         if name not in known:
             raise InputError("no such number in the case", key=name, value=case.name, remedy=nearest(name, known))
         known[name].check(column)
+    check_speeds(case, values)
+
+
+def check_speeds(case: Case, values: Mapping[str, Vector]) -> None:
+    """InputError where the cruise speed is above the cap."""
     at = {name: values.get(f"scenario.{name}", getattr(case.scenario, name)) for name in ("cruise", "cap")}
     if np.any(np.greater(at["cruise"], at["cap"])):
         raise InputError(
