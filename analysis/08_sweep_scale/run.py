@@ -62,6 +62,8 @@ def main(arguments: list[str]) -> int:
     options = parser.parse_args(arguments)
     try:
         config = load_model(CONFIG, Config)
+        if options.runs is not None and options.runs < 64:
+            raise InputError("is too few", key="--runs", value=options.runs, remedy="write 64 or more")
         sizes = config.runs if options.runs is None else tuple(round(options.runs * share) for share in config.full)
         if options.out is not None:
             return study(config, sizes, prepare_folder(options.out))

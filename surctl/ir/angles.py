@@ -16,7 +16,7 @@ def nearby_angles(program: Program, source: int, entry: int) -> Program:
 
     A third of the work of a sine that takes any angle. Meant for the stages of an integrator, whose angle moves little
     within a call: the series is off by |d|¹¹ / 11! and |d|¹² / 12!, less than a unit in the last place of 1 up to
-    d = 0.2, and 1e-11 at d = 0.5. What is a sum of a and anything is turned, other angles are left alone.
+    d = 0.18, and 1e-11 at d = 0.5. What is a sum of a and anything is turned, other angles are left alone.
 
     Args:
         program: the instruction list.

@@ -60,8 +60,9 @@ CASE_COLUMNS: Mapping[str, Quantity] = {
     **{name: Quantity(spec.unit, f"{spec.meaning}, mean") for name, spec in _AVERAGED.items()},
     **{name + _WORST: Quantity(spec.unit, f"{spec.meaning}, worst") for name, spec in _AVERAGED.items()},
 }
-"""Closed-loop columns, of one case over its seeds and of all runs at a point: mean and worst of every metric that
-has a better side. Runs without a path error do not count in its mean; any other NaN shows."""
+"""Closed-loop columns, of one case over its seeds and of all runs at a point: mean, in which every case weighs the same,
+and worst of every metric that has a better side. Runs without a path error do not count in its mean; any other NaN
+shows."""
 
 FLOWN_COLUMNS: Mapping[str, Quantity] = {
     **CASE_COLUMNS,
@@ -120,7 +121,11 @@ class Evaluation:
                 {name: np.repeat(v, len(seeds)) for name, v in values.items() if name in known},
                 seeds=numbers.astype(np.int64),
             )
-            found.append({name: done.column(name).reshape(count, len(seeds)) for name in _AVERAGED})
+            # one run that no seed changes stands for as many: a mean weighs every case alike
+            often = len(self.seeds) // len(seeds)
+            found.append(
+                {name: np.tile(done.column(name).reshape(count, len(seeds)), (1, often)) for name in _AVERAGED}
+            )
             radius = _own(values, ("plant.radius", "vehicle.radius"), case.vehicle["radius"])
             cruise = _own(values, ("scenario.cruise",), case.scenario.cruise)
             strayed.append(found[-1]["deviation_m"] / radius)

@@ -455,6 +455,14 @@ if __name__ == "__main__":
 """
 
 
+def test_every_case_weighs_the_same_in_a_mean(cheap):
+    cases = [stub.case("tank-static"), stub.case("pool-static")]
+    table = sweep(cases, GRID, seeds=(0, 1, 2), linear=False)
+    for name in ("deviation_m", "effort_n"):
+        by_case = np.stack([table.column(name, case=c.name) for c in cases])
+        np.testing.assert_allclose(table.column(name), by_case.mean(axis=0), rtol=1e-14)
+
+
 def test_workers_do_not_outlive_who_asked_for_them(tmp_path):
     script = tmp_path / "left.py"
     script.write_text(LEFT)
