@@ -60,8 +60,9 @@ CASE_COLUMNS: Mapping[str, Quantity] = {
     **{name: Quantity(spec.unit, f"{spec.meaning}, mean") for name, spec in _AVERAGED.items()},
     **{name + _WORST: Quantity(spec.unit, f"{spec.meaning}, worst") for name, spec in _AVERAGED.items()},
 }
-"""Closed-loop columns, of one case over its seeds and of all runs at a point: mean, in which each case weighs alike, and
-worst of every metric that has a better side. Runs without a path error do not count in its mean; any other NaN shows."""
+"""Closed-loop columns, of one case over its seeds and of all runs at a point: mean and worst of every metric that
+has a better side. In a mean each case weighs alike. Runs without a path error do not count in its mean; any other NaN
+shows."""
 
 FLOWN_COLUMNS: Mapping[str, Quantity] = {
     **CASE_COLUMNS,
