@@ -95,11 +95,11 @@ def sweep(
     parsed = [parse_axis(text) for text in axes]
     if sensitivity is None:
         chosen = make_design(design, parsed, count=points)
+    elif design != "grid":
+        raise InputError("has points of its own", key="--sensitivity", value=sensitivity, remedy="leave --design away")
     else:
         check_column(sensitivity)
         chosen = saltelli(parsed, base=64 if points is None else points)
-    if sensitivity is not None and design != "grid":
-        raise InputError("has points of its own", key="--sensitivity", value=sensitivity, remedy="leave --design away")
     if locus is not None and locus not in chosen.names:
         raise InputError(
             "is not an axis of this sweep", key="--locus", value=locus, remedy=nearest(locus, chosen.names)

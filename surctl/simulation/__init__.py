@@ -14,7 +14,7 @@ from surctl.simulation.batch import (
 from surctl.simulation.explanation import Explanation, explain
 from surctl.simulation.fit import Finding, findings
 from surctl.simulation.metrics import METRICS, STOPS, Metrics, MetricSpec
-from surctl.simulation.run import SENSING, Record, Run, Sensing, advance, simulate
+from surctl.simulation.run import SENSING, Record, Run, Sensing, advance, law_numbers, simulate
 from surctl.simulation.scenario import LIBRARY, Obstacle, Scenario, load_scenario
 from surctl.simulation.world import Body, World, build_world
 
@@ -46,6 +46,7 @@ __all__ = [
     "explain",
     "findings",
     "knobs",
+    "law_numbers",
     "load_scenario",
     "simulate",
     "simulate_batch",

@@ -20,7 +20,7 @@ from surctl.simulation.world import Body, World, build_world
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, build_plant, plant_parameters
 from surctl.world import Disc
 
-__all__ = ["SENSING", "Record", "Run", "Sensing", "advance", "simulate"]
+__all__ = ["SENSING", "Record", "Run", "Sensing", "advance", "law_numbers", "simulate"]
 
 Sensing = Literal["sonar", "truth"]
 SENSING: tuple[Sensing, ...] = get_args(Sensing)
@@ -129,21 +129,26 @@ def simulate(
             remedy="use 0.05",
         )
     world = build_world(scenario, vehicle, seed=seed)
-    length, width, _ = scenario.site
-    p = law_parameters(
-        gains,
-        model or vehicle,
-        path=scenario.path,
-        depth=scenario.depth,
-        cruise=scenario.cruise,
-        cap=scenario.cap,
-        walls=(0.0, length, 0.0, width),
-    )
+    p = law_numbers(scenario, gains, model or vehicle)
     loop = _Loop(world, vehicle, law, p, sensing, NoiseStream(seed))
     reason = loop.fly()
     record = loop.record()
     return Run(
         scenario, vehicle, gains, law, sensing, seed, _metrics(scenario, law, record, reason, loop.least), record
+    )
+
+
+def law_numbers(scenario: Scenario, gains: Gains, model: Vehicle) -> NDArray[np.float64]:
+    """The law's parameters, as `PARAMETERS` packs them: of a scenario, gains, and the vehicle that is believed in."""
+    length, width, _ = scenario.site
+    return law_parameters(
+        gains,
+        model,
+        path=scenario.path,
+        depth=scenario.depth,
+        cruise=scenario.cruise,
+        cap=scenario.cap,
+        walls=(0.0, length, 0.0, width),
     )
 
 
@@ -170,10 +175,7 @@ class _Loop:
         self.world, self.law, self.p, self.sensing, self.noise = world, law, p, sensing, noise
         self.plant = plant_parameters(vehicle)
         self.array = SonarArray(hull_radius=world.hull)
-        start = world.scenario.start
-        way = world.scenario.path.waypoints[1] - start
-        eta = [*start, world.scenario.depth, np.arctan2(way[1], way[0])]
-        self.state = PLANT_STATE.pack({"eta": eta})
+        self.state = PLANT_STATE.pack({"eta": world.scenario.start_pose})
         self.law_state = law.initial_state()
         self.samples = np.full((4, 5), self.array.maximum)
         self.fresh = np.zeros(4)

@@ -132,6 +132,12 @@ class Scenario:
         return tuple(site_walls(self.site[1], self.site[0]))
 
     @property
+    def start_pose(self) -> NDArray[np.float64]:
+        """η (4,) at the start: x, y, z [m], and ψ [rad] along the path's first leg."""
+        way = self.path.waypoints[1] - self.start
+        return np.array([*self.start, self.depth, np.arctan2(way[1], way[0])])
+
+    @property
     def seeded(self) -> bool:
         """Whether a flight with true positions depends on the seed at all."""
         return self.disturbance.wave_force_n > 0 or any(o.drift_m > 0 for o in self.obstacles)

@@ -204,8 +204,7 @@ def _searched(
 
 def _leading(pool: Pool) -> list[dict[str, float]]:
     """The best sets of a pool, as many as a round hands to the next."""
-    order = np.argsort(pool.merit(pool.evaluation.normalised[0]), kind="stable")
-    return [pool.gains(k) for k in order[: 1 + _OTHERS].tolist()]
+    return [pool.gains(k) for k in pool.ranked(pool.evaluation.normalised[0])[: 1 + _OTHERS]]
 
 
 def _round(
@@ -226,7 +225,7 @@ def _round(
     known = kept_pool(left.request, pool, left.gains)
     start, own = known.evaluation.normalised[0], len(known.claims) - 1
     missed = tuple(g.name for g, n in zip(request.goals, known.evaluation.normalised[own], strict=True) if not n <= 1)
-    others = [k for k in np.argsort(known.merit(start), kind="stable").tolist() if k != own][:_OTHERS]
+    others = [k for k in known.ranked(start) if k != own][:_OTHERS]
     score, feasible = float(known.score(start)[own]), bool(known.feasible[own])
     progress(f"score {score:.4f}{'' if feasible else ', not all hard goals met'} over {len(left.request.flown)} runs")
     further = tuple(known.gains(k) for k in others)

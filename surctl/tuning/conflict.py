@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from surctl.tuning.evaluation import Condition, merged
 from surctl.tuning.goals import Goal
 from surctl.tuning.pool import Pool, Progress, Request, joined
@@ -97,7 +95,7 @@ def conflict(
     if not asked:
         return ()
     whole = _of(request, asked)
-    near = np.argsort(pool.merit(pool.evaluation.normalised[0]), kind="stable")[:_KEPT].tolist()
+    near = pool.ranked(pool.evaluation.normalised[0])[:_KEPT]
     known = whole.judge(pool.taken(near).sets)
 
     def together(subset: tuple[int, ...]) -> bool:

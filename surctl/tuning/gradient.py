@@ -18,11 +18,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import CONTACT_SLOTS, Law, law_parameters
+from surctl.control import CONTACT_SLOTS, Law
 from surctl.errors import InputError
 from surctl.ir import Instruction, Program, lower, to_casadi
 from surctl.sensing import SonarArray
-from surctl.simulation import Case, World, advance, build_world
+from surctl.simulation import Case, World, advance, build_world, law_numbers
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, plant_parameters
 from surctl.world import Box, Disc
 
@@ -114,19 +114,8 @@ def prepare(case: Case, names: Sequence[str], *, ticks: int, seed: int = 0) -> D
     world = build_world(scenario, case.vehicle, seed=seed)
     if len(scenario.obstacles) > CONTACT_SLOTS:
         raise InputError(f"has more than {CONTACT_SLOTS} obstacles", file=scenario.source, key="obstacles")
-    length, width, _ = scenario.site
-    p = law_parameters(
-        case.gains,
-        case.model or case.vehicle,
-        path=scenario.path,
-        depth=scenario.depth,
-        cruise=scenario.cruise,
-        cap=scenario.cap,
-        walls=(0.0, length, 0.0, width),
-    )
-    way = scenario.path.waypoints[1] - scenario.start
-    eta = [*scenario.start, scenario.depth, np.arctan2(way[1], way[0])]
-    start = np.concatenate([PLANT_STATE.pack({"eta": eta}), law.initial_state()])
+    p = law_numbers(scenario, case.gains, case.model or case.vehicle)
+    start = np.concatenate([PLANT_STATE.pack({"eta": scenario.start_pose}), law.initial_state()])
     plant = np.array([*plant_parameters(case.vehicle), *scenario.disturbance.current_m_per_s, *scenario.target])
     fixed = (start, _data(world, ticks=ticks, dt=law.dt).T, p, np.append(plant, case.vehicle["radius"]))
     return DifferentiableRun(case, tuple(names), ticks, fixed, *_functions(law, tuple(names), ticks))

@@ -133,6 +133,11 @@ class Pool:
         merit: NDArray[np.float64] = self.score(start) + _PENALTY * (broken + (broken > 0))
         return merit
 
+    def ranked(self, start: NDArray[np.float64]) -> list[int]:
+        """Indices of all sets by merit, the best first."""
+        order: list[int] = np.argsort(self.merit(start), kind="stable").tolist()
+        return order
+
     def best(self, start: NDArray[np.float64]) -> int:
         """Index of the feasible set with the least score; where none is feasible, of the one that misses least."""
         return int(np.argmin(self.merit(start)))

@@ -58,7 +58,7 @@ def sift(request: Request, pool: Pool, *, runs: int, progress: Progress = lambda
     """
     start = pool.evaluation.normalised[0]
     met = pool.evaluation.normalised <= 1
-    left = [int(k) for k in np.argsort(pool.merit(start), kind="stable") if pool.feasible[k]]
+    left = [k for k in pool.ranked(start) if pool.feasible[k]]
     training = fresh(request.cases, runs=runs, first=_FIRST, tuning=request.seed)
     found: list[Counterexample] = []
     tried = 0
@@ -83,7 +83,7 @@ def sift(request: Request, pool: Pool, *, runs: int, progress: Progress = lambda
 def kept_pool(request: Request, pool: Pool, *others: Mapping[str, float]) -> Pool:
     """The start gains, the best sets of a pool and its front, and others, over the runs of the request."""
     start = pool.evaluation.normalised[0]
-    best = np.argsort(pool.merit(start), kind="stable")[:_SHORT].tolist()
+    best = pool.ranked(start)[:_SHORT]
     front = pool.front(start)
     spread = [front[int(k)] for k in np.unique(np.linspace(0, len(front) - 1, _SHORT).astype(int))] if front else []
     chosen = pool.taken(list(dict.fromkeys([0, *best, *spread]))).sets

@@ -16,6 +16,7 @@ from surctl.tuning import DaskExecutor, LocalExecutor
 from tests.tools import PATIENCE
 from tests.tuning.stub import slow_squares
 
+# under CI=true nothing may skip: there a missing package is an error
 distributed = pytest.importorskip("distributed") if os.environ.get("CI") != "true" else __import__("distributed")
 
 ROOT = Path(__file__).parents[2]

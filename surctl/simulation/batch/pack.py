@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import GAINS, law_parameters
+from surctl.control import GAINS
 from surctl.sensing import noise_states
 from surctl.simulation.batch.bodies import body_columns, kind_of
 from surctl.simulation.batch.case import Case, knobs
 from surctl.simulation.batch.tick import Loop, Structure
+from surctl.simulation.run import law_numbers
 from surctl.simulation.world import WorldDraw, draw_world
 from surctl.vehicle import PLANT_PARAMETERS
 
@@ -92,9 +93,7 @@ class _Filler:
     def states(self) -> Columns:
         """(n, state)."""
         layout, case = self.loop.state, self.case
-        way = case.scenario.path.waypoints[1] - case.scenario.start
-        pose = [*case.scenario.start, case.scenario.depth, np.arctan2(way[1], way[0])]
-        first = layout.pack({"plant": [*pose, *[0.0] * 8], "law": self.loop.law.initial_state()})
+        first = layout.pack({"plant": [*case.scenario.start_pose, *[0.0] * 8], "law": self.loop.law.initial_state()})
         out = np.tile(first, (len(self.seeds), 1))
         out[:, layout.slice("plant").start + 2] = self.number("scenario.depth")
         if "noise" in layout:
@@ -113,17 +112,8 @@ class _Filler:
         return out
 
     def _law(self, out: Columns) -> None:
-        case, layout, scenario = self.case, self.loop.law.gains, self.case.scenario
-        length, width, _ = scenario.site
-        out[:] = law_parameters(
-            case.gains,
-            case.model or case.vehicle,
-            path=scenario.path,
-            depth=scenario.depth,
-            cruise=scenario.cruise,
-            cap=scenario.cap,
-            walls=(0.0, length, 0.0, width),
-        )
+        case, layout = self.case, self.loop.law.gains
+        out[:] = law_numbers(case.scenario, case.gains, case.model or case.vehicle)
         for name in GAINS:
             out[:, layout.slice(name).start] = self.number(name)
         for name in ("depth", "cruise", "cap"):
