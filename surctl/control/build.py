@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Literal, NamedTuple, get_args
 
 import casadi as ca
 
-from surctl.control.law import DEGRADED, SATURATED, SWITCHED, TELEMETRY, Law
-from surctl.control.laws import DECISION_PORTS, Decision, guarded_law, paper_law
-from surctl.control.perception import perceive, perception_ports
-from surctl.control.ports import CONTACT_SLOTS, PARAMETERS, law_inputs
+from surctl.control.law import DEGRADED, SATURATED, SWITCHED, TELEMETRY, Law, scan_telemetry
+from surctl.control.laws import DECISION_PORTS, Decision, Scan, guarded_law, paper_law
+from surctl.control.echoes import perceive, perception_ports
+from surctl.control.ports import CONTACT_SLOTS, PARAMETERS, SECTORS, YAW_SHARE, law_inputs, scan_inputs
 from surctl.control.reference import path_wish
+from surctl.control.senses import Senses, build_senses
 from surctl.control.velocity import velocity_control
 from surctl.errors import InputError, nearest
 from surctl.guidance import FORMS, AvoidanceForm
 from surctl.ir import Block, Call, Layout, Port, Routine, lower
 from surctl.priority import LevelShape, Mode, nsb_symbolic, priority_tick
 from surctl.priority.solver.ladder import RELAXED
+from surctl.sensing import SonarArray
 from surctl.tasks import LimitRow, VelocityBox
 
 __all__ = ["LAW_NAMES", "MODES", "build_law"]
@@ -27,7 +29,7 @@ LawName = Literal["guarded", "paper"]
 LAW_NAMES: tuple[LawName, ...] = get_args(LawName)
 MODES: tuple[Mode, ...] = get_args(Mode)
 
-_YAW_SHARE = 0.85  # share of the yaw thrust that the heading task may plan with
+DEFAULT_ARRAY = SonarArray()
 _CLIMB = 0.1  # [m/s] largest heave command
 _TICK_INPUTS = ("J", "wanted", "rows", "box")
 
@@ -41,6 +43,7 @@ def build_law(
     dt: float = 0.05,
     contacts: int = CONTACT_SLOTS,
     sonar: bool = True,
+    array: SonarArray = DEFAULT_ARRAY,
 ) -> Law:
     """Assemble a law once; the gains stay symbols.
 
@@ -51,6 +54,7 @@ def build_law(
         dt: control period [s].
         contacts: slots for known obstacles; a law with fewer does the same as long as they suffice.
         sonar: whether it listens to the sonars; without them it needs true positions.
+        array: the sonars as `guarded` believes them; `paper` has the default ones.
 
     Raises:
         InputError: an unknown name, or a form that the law does not take.
@@ -65,14 +69,46 @@ def build_law(
             value=avoidance,
             remedy="compare the forms with law paper",
         )
-    state, outputs, inputs = _state_layout(dt, sonar=sonar), Layout(TELEMETRY), law_inputs(contacts, sonar=sonar)
+    if law == "paper" or not sonar:
+        return _decide(law, avoidance, mode, dt, law_inputs(contacts, sonar=sonar), sonar=sonar)
+    told = scan_inputs(contacts + SECTORS, sensors=array.size)
+    decide = _decide(law, avoidance, mode, dt, told)
+    return _with_senses(decide, build_senses(array, law_inputs(contacts), told, dt=dt))
+
+
+def _with_senses(decide: Law, senses: Senses) -> Law:
+    """The whole law: what the senses tell, decided on."""
+    state = Layout((*decide.state.ports, *senses.state.ports))
+    x, u = ca.SX.sym("x", state.size), ca.SX.sym("u", senses.inputs.size)
+    own = decide.state.size
+    apart = lower(ca.Function("apart", [x], [x[:own], x[own:]], ["x"], ["decided", "sensed"]))
+    parts = ca.SX.sym("decided", own), ca.SX.sym("sensed", senses.state.size)
+    together = lower(ca.Function("together", [*parts], [ca.vertcat(*parts)], ["decided", "sensed"], ["x_next"]))
+    steps = (
+        Call(apart, ("x",), ("decided", "sensed")),
+        Call(senses.block, ("sensed", "u", "p"), ("sensed_next", "told")),
+        Call(decide.block, ("decided", "told", "p"), ("tau", "decided_next", "status", "telemetry")),
+        Call(together, ("decided_next", "sensed_next"), ("x_next",)),
+    )
+    sizes = (("x", state.size), ("u", senses.inputs.size), ("p", PARAMETERS.size))
+    block = Routine("law", sizes, steps, ("tau", "x_next", "status", "telemetry"))
+    return replace(decide, state=state, inputs=senses.inputs, block=block, senses=senses)
+
+
+def _decide(
+    law: LawName, avoidance: AvoidanceForm, mode: Mode, dt: float, inputs: Layout, *, sonar: bool = False
+) -> Law:
+    """The law, or what of it comes after the senses."""
+    scans = "unknown" in inputs
+    state = _state_layout(dt, sonar=sonar)
+    outputs = Layout(scan_telemetry(inputs.port("heard").shape[0]) if scans else TELEMETRY)
     x, xs = state.symbols("x")
     u, us = inputs.symbols("u")
     p, ps = PARAMETERS.symbols("p")
     wish = path_wish(us["eta"], xs["progress"], ps, dt=dt)
     seen = perceive(xs, us, ps, dt=dt)
     decision = (
-        guarded_law(wish, seen, xs, us["eta"], ps)
+        guarded_law(wish, seen, xs, us["eta"], us["nu"], ps, scan=Scan(us["unknown"], us["heard"]) if scans else None)
         if law == "guarded"
         else paper_law(avoidance, wish, seen, xs, us["eta"], ps, dt=dt)
     )
@@ -86,6 +122,9 @@ def build_law(
         "nearest": nearest_clearance,
         "ranges": seen.ranges,
     }
+    if scans:
+        heard = us["heard"]
+        told |= {"ranges": heard[:, 0], "bounds": heard[:, 1], "healthy": heard[:, 2], "halted": decision.halted}
     carried = {**seen.state, **decision.state, "progress": wish.progress, "integral": xs["integral"]}
     flags = SWITCHED * ca.logic_not(decision.state["side"] == xs["side"]) + DEGRADED * decision.degraded
     memory = _Memory(state.join(carried), outputs.join({**unknown, **told})[8:], flags)
@@ -173,7 +212,7 @@ def _state_layout(dt: float, *, sonar: bool) -> Layout:
 
 def _yaw_limit(p: dict[str, ca.SX]) -> ca.SX:
     """Yaw rate [rad/s] that 85 % of the yaw thrust holds."""
-    moment, linear, quadratic = _YAW_SHARE * p["thrust_limit"][3], p["linear_drag"][3], p["quadratic_drag"][3]
+    moment, linear, quadratic = YAW_SHARE * p["thrust_limit"][3], p["linear_drag"][3], p["quadratic_drag"][3]
     root = ca.sqrt(linear * linear + 4 * quadratic * moment)
     # the form without a difference of near-equal numbers, and defined without quadratic drag
     return 2 * moment / ca.fmax(linear + root, 1e-6)

@@ -35,6 +35,7 @@ GAINS: Mapping[str, GainSpec] = {
     "lookahead": GainSpec("m", "look-ahead distance Delta_h of the LOS law"),
     "wait": GainSpec("m", "the path's target stops when the robot is this far behind it"),
     "k_psi": GainSpec("1/s", "heading gain"),
+    "spin": GainSpec("rad/s", "yaw rate at which a law with sonars looks around", zero_allowed=True),
     "k_v": GainSpec("1/s", "bandwidth of the velocity loops surge, sway, heave"),
     "k_r": GainSpec("1/s", "bandwidth of the yaw-rate loop"),
     "k_i": GainSpec("1/s^2", "integral action of the velocity loops, 0 for none", zero_allowed=True),

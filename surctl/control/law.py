@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.control.senses import Senses
 from surctl.errors import InputError
 from surctl.guidance import AvoidanceForm
 from surctl.ir import Block, Layout, Port, runnable
@@ -36,6 +37,17 @@ TELEMETRY = (
     Port("nearest", (1,), "m", "smallest clearance that the law knows of"),
     Port("ranges", (4,), "m", "filtered sonar ranges"),
 )
+
+
+def scan_telemetry(sensors: int) -> tuple[Port, ...]:
+    """The telemetry of a law that scans with so many sonars."""
+    return (
+        *(port for port in TELEMETRY if port.name != "ranges"),
+        Port("ranges", (sensors,), "m", "filtered sonar ranges"),
+        Port("bounds", (sensors,), "m", "by how much a range may be wrong"),
+        Port("healthy", (sensors,), "1", "1 where a sonar may be believed"),
+        Port("halted", (1,), "1", "1 while it stands because it does not know what is ahead"),
+    )
 
 
 class LawStep(NamedTuple):
@@ -72,6 +84,8 @@ class Law:
         post: (u, p, those three, nu_wanted, rung of the priority tick) → as `function`.
         levels: (name, rows, unit) of each priority level, highest first.
         rows: names of the rows: box, then barriers.
+        senses: what runs before the decision, or None; `function`, `pre` and `post` then take the decision's own state
+            and what the senses tell as x and u.
     """
 
     name: str
@@ -88,6 +102,7 @@ class Law:
     post: ca.Function
     levels: tuple[tuple[str, int, str], ...]
     rows: tuple[str, ...]
+    senses: Senses | None = None
 
     def initial_state(self) -> Vector:
         """State before the first step."""
@@ -111,8 +126,14 @@ class Law:
     @cached_property
     def _run(self) -> Callable[[Vector, Vector, Vector], list[Vector]]:
         """CasADi's machine for the closed form; C for a block with loops, or its replay: the same numbers, slower."""
-        run: Callable[..., Any] = self.function if self.mode == "nsb" else runnable(self.block)
+        closed = self.mode == "nsb" and self.senses is None
+        run: Callable[..., Any] = self.function if closed else runnable(self.block)
         return lambda x, u, p: [np.asarray(r, dtype=np.float64).reshape(-1) for r in run(x, u, p)]
+
+    @cached_property
+    def _sense(self) -> Callable[..., list[Vector]]:
+        assert self.senses is not None
+        return runnable(self.senses.block)
 
     def telemetry_slice(self, name: str) -> slice:
         """Where an output port lies in the telemetry, which leaves tau out."""
@@ -126,6 +147,10 @@ class Law:
             InputError: a vector of another size than its layout's, or numbers that lead to one that is not finite.
         """
         x, u, p = self._vectors(x, u, p)
+        if self.senses is not None:
+            sensed = self.senses.state.size
+            _, u = self._sense(x[-sensed:], u, p)
+            x = x[:-sensed]
         J, wanted, rows, *_ = (np.asarray(m, dtype=float).reshape(-1) for m in self.pre(x, u, p))
         # the bounds of a row may be absent: ±inf, but no NaN
         if not np.isfinite(J).all() or not np.isfinite(wanted).all() or np.isnan(rows).any():

@@ -9,15 +9,17 @@ velocity, then depth and heading (III-B to III-D).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from surctl.control.perception import Perception
+from surctl.control.echoes import Perception
+from surctl.control.ports import SECTORS
 from surctl.control.reference import Wish
 from surctl.guidance import (
+    SAME_CONTACT,
     AvoidanceForm,
     Contact,
     Sector,
@@ -31,7 +33,7 @@ from surctl.ir import Port
 from surctl.tasks import HalfPlane, Task, depth_task, heading_task, velocity_task
 from surctl.vehicle import planar_rotation
 
-__all__ = ["DECISION_PORTS", "Decision", "guarded_law", "paper_law"]
+__all__ = ["DECISION_PORTS", "Decision", "Scan", "guarded_law", "paper_law"]
 
 DECISION_PORTS = (
     Port("side", (1,), "1", "latched passing side: 0 none, +1 obstacle on the right, -1 on the left"),
@@ -40,6 +42,10 @@ DECISION_PORTS = (
 )
 
 _SENSE_RANGE = 1.0  # [m] below which a sensor sub-task may act
+_CRAWL = 0.01  # [m/s] below which it stands
+_ONE_ENCOUNTER = 1e3  # [m]
+_BRAKE = 4.0
+_GIVE_WAY = 0.03  # [m/s] with which the robot backs off from a mark; half of what is marked near the hull is not there
 _OVERTAKE = 0.02  # [m/s] by which the avoidance speed exceeds the obstacle's
 
 
@@ -68,6 +74,7 @@ class Decision:
         avoiding: 1 while a contact changes the wish.
         degraded: 1 when no course satisfied every contact.
         state: next state by port name.
+        halted: 1 while it stands, or nearly so, because it does not know what is ahead.
     """
 
     levels: Sequence[Wanted]
@@ -76,32 +83,103 @@ class Decision:
     avoiding: ca.SX
     degraded: ca.SX
     state: dict[str, ca.SX]
+    halted: ca.SX = field(default_factory=lambda: ca.SX(0))
 
 
-def guarded_law(wish: Wish, seen: Perception, x: Mapping[str, ca.SX], eta: ca.SX, p: Mapping[str, ca.SX]) -> Decision:
-    """Path wish on the free course nearest to it; every contact bounds the closing speed by its braking distance."""
+class Scan(NamedTuple):
+    """What a law that scans is told beside the contacts, as `ports.scan_inputs` has it."""
+
+    unknown: ca.SX
+    heard: ca.SX
+
+
+def guarded_law(
+    wish: Wish,
+    seen: Perception,
+    x: Mapping[str, ca.SX],
+    eta: ca.SX,
+    nu: ca.SX,
+    p: Mapping[str, ca.SX],
+    *,
+    scan: Scan | None = None,
+) -> Decision:
+    """Path wish on the free course nearest to it; every contact bounds the closing speed by its braking distance.
+
+    With sonars it turns all the time, and goes only where it can stop before the first place it knows nothing of.
+    """
     deceleration = _acceleration(p, p["brake"])
-    sectors = [
-        Sector(c.normal, _closing_bound(c, deceleration, p), eta[:2] + (c.clearance + p["hull"]) * c.normal)
-        for c in seen.all
-    ]
+    marks = len(seen.known) - SECTORS if scan is not None else len(seen.all)
+    sectors = []
+    for k, c in enumerate(seen.all):
+        bound = _closing_bound(c, deceleration, p)
+        if marks <= k < len(seen.known):
+            bound = ca.fmax(bound, -_GIVE_WAY)
+        sectors.append(Sector(c.normal, bound, eta[:2] + (c.clearance + p["hull"]) * c.normal))
     choice = choose_velocity(
-        wish.velocity, sectors, side=x["side"], blocker=x["blocker"], cruise=p["cruise"], cap=p["cap"]
+        wish.velocity,
+        sectors,
+        side=x["side"],
+        blocker=x["blocker"],
+        cruise=p["cruise"],
+        cap=p["cap"],
+        # of a wall the map knows points, so the blocker jumps: one encounter lasts as long as the wish is blocked
+        same=SAME_CONTACT if scan is None else _ONE_ENCOUNTER,
     )
-    tasks = (velocity_task(eta, choice.velocity), *_lower_tasks(eta, wish, p))
+    velocity, halted = choice.velocity, ca.SX(0)
+    named = [(f"contact_{k}", sector.normal, sector.bound) for k, sector in enumerate(sectors)]
+    levels = [Wanted.of(task) for task in _lower_tasks(eta, wish, p)]
+    if scan is not None:
+        caution = _cautious_bounds(scan, deceleration, p)
+        chased = ca.SX(0)
+        for sector in sectors[:marks]:
+            chased = ca.logic_or(chased, sector.bound < 0)
+        velocity = ca.if_else(chased, velocity, _slowed(velocity, caution))
+        velocity = _braked(velocity, planar_rotation(eta[3]) @ nu[:2], [(q.normal, q.bound) for q in sectors] + caution)
+        halted = ca.logic_and(ca.sumsqr(velocity) < _CRAWL**2, ca.sumsqr(choice.velocity) > (2 * _CRAWL) ** 2)
+        named += [(f"unknown_{k}", normal, bound) for k, (normal, bound) in enumerate(caution)]
+        turning = ca.fmin(p["spin"], p["spin_limit"])
+        levels = [levels[0], Wanted("scan", ca.SX([[0, 0, 0, 1]]), turning, "rad/s")]
     to_body = planar_rotation(eta[3]).T
     rows = [
-        HalfPlane(f"contact_{k}", ca.horzcat((to_body @ sector.normal).T, 0, 0), sector.bound, kind="barrier")
-        for k, sector in enumerate(sectors)
+        HalfPlane(name, ca.horzcat((to_body @ normal).T, 0, 0), bound, kind="barrier") for name, normal, bound in named
     ]
     return Decision(
-        [Wanted.of(task) for task in tasks],
+        [Wanted.of(velocity_task(eta, velocity)), *levels],
         rows,
-        choice.velocity,
+        velocity,
         choice.blocked,
         choice.violation > 0.02,
-        {"side": choice.side, "blocker": choice.blocker, "last_velocity": choice.velocity},
+        {"side": choice.side, "blocker": choice.blocker, "last_velocity": velocity},
+        halted,
     )
+
+
+def _cautious_bounds(scan: Scan, deceleration: ca.SX, p: Mapping[str, ca.SX]) -> list[tuple[ca.SX, ca.SX]]:
+    """(normal, largest speed along it): stop before what is unknown, slow where a sonar is not to be trusted."""
+    bounds = []
+    for k in range(scan.unknown.shape[0]):
+        normal, clearance = scan.unknown[k, :2].T, scan.unknown[k, 2]
+        allowed = allowed_closing_speed(ca.fmax(clearance, 0), deceleration=deceleration, reaction=p["reaction"])
+        bounds.append((normal, allowed))
+    return bounds
+
+
+def _braked(velocity: ca.SX, now: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) -> ca.SX:
+    """More than the velocity loop alone would brake, where the robot is faster than a bound."""
+    excess, normal = ca.SX(0), ca.SX.zeros(2)
+    for n, bound in bounds:
+        over = ca.dot(now, n) - bound
+        normal = ca.if_else(over > excess, n, normal)
+        excess = ca.fmax(excess, over)
+    return velocity - _BRAKE * excess * normal
+
+
+def _slowed(velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) -> ca.SX:
+    """The same course, as slow as the bounds (not negative) ask."""
+    share = ca.SX(1)
+    for normal, bound in bounds:
+        share = ca.fmin(share, bound / ca.fmax(ca.dot(velocity, normal), 1e-6))
+    return velocity * share
 
 
 def paper_law(

@@ -8,13 +8,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control.gains import GAINS, Gains
-from surctl.guidance import MAX_WAYPOINTS, Path
+from surctl.guidance import FAR, MAX_WAYPOINTS, Path
 from surctl.ir import Layout, Port
 from surctl.vehicle import Vehicle
 
-__all__ = ["CONTACT_SLOTS", "INPUTS", "PARAMETERS", "law_inputs", "law_parameters"]
+__all__ = [
+    "CONTACT_SLOTS",
+    "INPUTS",
+    "PARAMETERS",
+    "SECTORS",
+    "YAW_SHARE",
+    "law_inputs",
+    "law_parameters",
+    "scan_inputs",
+]
 
 CONTACT_SLOTS = 8
+YAW_SHARE = 0.85
+"""Share of the yaw thrust that turning may plan with."""
+
+SECTORS = 16
+"""Directions in which a scanning law knows the nearest marked and unknown place."""
+
+_POSE = (
+    Port("eta", (4,), "m, rad", "measured position x, y, z and heading psi in {E} (z up, psi counter-clockwise)"),
+    Port("nu", (4,), "m/s, rad/s", "measured ground velocity u, v, w and yaw rate r in {B}"),
+)
 
 
 def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True) -> Layout:
@@ -24,10 +43,6 @@ def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True) -> Layout:
         contacts: number of slots for known obstacles, 0 or more.
         sonar: whether it listens to the sonars.
     """
-    pose = (
-        Port("eta", (4,), "m, rad", "measured position x, y, z and heading psi in {E} (z up, psi counter-clockwise)"),
-        Port("nu", (4,), "m/s, rad/s", "measured ground velocity u, v, w and yaw rate r in {B}"),
-    )
     known = Port(
         "contacts",
         (contacts, 6),
@@ -38,10 +53,39 @@ def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True) -> Layout:
         Port("samples", (4, 5), "m", "five raw samples of each sonar's last firing", 4.5),
         Port("fresh", (4,), "1", "1 where the sonar has fired since the last step"),
     )
-    return Layout((*pose, *((known,) if contacts else ()), *(heard if sonar else ())))
+    return Layout((*_POSE, *((known,) if contacts else ()), *(heard if sonar else ())))
 
 
 INPUTS = law_inputs()
+
+
+def scan_inputs(contacts: int, *, sensors: int) -> Layout:
+    """What the senses tell the decision of a law that scans.
+
+    Args:
+        contacts: number of contacts, those of the base station and those of the map.
+        sensors: number of sonars.
+    """
+    return Layout(
+        (
+            *_POSE,
+            Port("contacts", (contacts, 6), "m, m/s, 1", "what is around, one a row: x, y, radius, vx, vy, valid"),
+            Port(
+                "unknown",
+                (SECTORS, 3),
+                "1, m",
+                "nearest unknown place in each direction: unit vector in {E}, clearance",
+                FAR,
+            ),
+            Port(
+                "heard",
+                (sensors, 6),
+                "m, m, 1, s, 1",
+                "each sonar: range, bound, healthy (0 or 1), age, axis x and y in {E}",
+            ),
+        )
+    )
+
 
 _MODEL = (
     Port("mass", (4,), "kg, kg m^2", "diagonal of M as the controller believes it", 1.0),
@@ -49,6 +93,7 @@ _MODEL = (
     Port("quadratic_drag", (4,), "N s^2/m^2, N m s^2", "Xuu, Yvv, Zww, Nrr"),
     Port("thrust_limit", (4,), "N, N m", "largest thrust per axis, both signs", 1.0),
     Port("hull", (1,), "m", "hull radius", 0.1),
+    Port("spin_limit", (1,), "rad/s", "yaw rate that 85 % of the yaw thrust holds at the worst of the ranges", 0.1),
 )
 _MISSION = (
     Port("waypoints", (MAX_WAYPOINTS, 2), "m", "path in {E}; unused rows repeat the last point"),
@@ -91,6 +136,7 @@ def law_parameters(
         "quadratic_drag": vehicle.quadratic_drag,
         "thrust_limit": vehicle.thrust_limit,
         "hull": vehicle["radius"],
+        "spin_limit": vehicle.steady_yaw(YAW_SHARE),
         "waypoints": path.slots,
         "depth": depth,
         "cruise": cruise,

@@ -1,14 +1,16 @@
 """Where the robot wants to go: path, tracking law (8)–(12), avoidance law (17)–(20), choice among contacts."""
 
 from surctl.guidance.avoidance import FORMS, AvoidanceForm, allowed_closing_speed, avoidance_course, encounter_side
-from surctl.guidance.contacts import Contact, disc_contact, nearest_in_quadrants, point_contact, wall_contacts
+from surctl.guidance.contacts import FAR, Contact, disc_contact, nearest_in_quadrants, point_contact, wall_contacts
 from surctl.guidance.path import MAX_WAYPOINTS, Path, path_target
-from surctl.guidance.sectors import Choice, Sector, choose_velocity
+from surctl.guidance.sectors import SAME_CONTACT, Choice, Sector, choose_velocity
 from surctl.guidance.tracking import along_command, path_error, progress_rate, tracking_velocity
 
 __all__ = [
+    "FAR",
     "FORMS",
     "MAX_WAYPOINTS",
+    "SAME_CONTACT",
     "AvoidanceForm",
     "Choice",
     "Contact",

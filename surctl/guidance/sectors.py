@@ -18,7 +18,7 @@ _TOLERANCE = 1e-3  # [m/s] by which a course may miss a bound and still count as
 _HEAD_ON = 1e-4  # cost of −1 between two equal edges: head-on the obstacle stays on the right (E10)
 _MISSED, _MISSED_RATE = 10.0, 100.0  # cost of a course that is not free, and of each m/s by which it is not
 _TURN_BACK = 8.0  # cost of leaving the latched side: more than any free course (0 … 2), less than a missed bound
-_SAME = 0.3  # [m] that the blocker may move between two steps and still be the same encounter
+SAME_CONTACT = 0.3  # [m] that the blocker may move between two steps and still be the same encounter
 _OVERTAKE = 0.05  # [m/s] by which the robot outruns what comes from behind
 
 
@@ -56,7 +56,14 @@ class Choice:
 
 
 def choose_velocity(
-    wish: ca.SX, sectors: Sequence[Sector], *, side: ca.SX, blocker: ca.SX, cruise: ca.SX, cap: ca.SX
+    wish: ca.SX,
+    sectors: Sequence[Sector],
+    *,
+    side: ca.SX,
+    blocker: ca.SX,
+    cruise: ca.SX,
+    cap: ca.SX,
+    same: float = SAME_CONTACT,
 ) -> Choice:
     """Velocity on the free course nearest to the wish's.
 
@@ -72,6 +79,7 @@ def choose_velocity(
         blocker: of the last step.
         cruise: [m/s].
         cap: [m/s].
+        same: [m] that the blocker may move between two steps and still be the same encounter.
     """
     wished = ca.fmax(ca.sqrt(ca.sumsqr(wish)), 1e-3)
     ahead = wish / wished
@@ -81,7 +89,7 @@ def choose_velocity(
     speed = ca.fmax(speed, ca.if_else(retreat > 0, ca.fmin(retreat + _OVERTAKE, cap), 0))
 
     now = _worst_blocker(ahead, speed, sectors)
-    latched = ca.if_else(ca.sumsqr(now - blocker) <= _SAME * _SAME, side, 0)
+    latched = ca.if_else(ca.sumsqr(now - blocker) <= same * same, side, 0)
     course, missed = ahead, _violation(ahead, speed, sectors)
     blocked = missed > _TOLERANCE
     least, taken = _missed_cost(missed), ca.SX(0)

@@ -4,6 +4,7 @@ from surctl.sensing.array import SonarArray, fire, true_range
 from surctl.sensing.base_station import BaseStation, OwnState
 from surctl.sensing.echo import heard_samples, range_to_box, range_to_disc, range_to_walls
 from surctl.sensing.estimate import ContactMemory, Contacts, expected_range, sonar_contacts
+from surctl.sensing.local_map import LocalMap
 from surctl.sensing.filters import FilterUpdate, LmsStep, SensorFilter, gate, lms_step, weighted_average
 from surctl.sensing.noise import NOISE_STATE, NoiseStream, draw_normals, noise_states
 from surctl.sensing.table2 import RangeTest, table_ii
@@ -15,6 +16,7 @@ __all__ = [
     "Contacts",
     "FilterUpdate",
     "LmsStep",
+    "LocalMap",
     "NoiseStream",
     "OwnState",
     "RangeTest",

@@ -97,6 +97,16 @@ class Vehicle:
         """(4,): largest |F_u|, |F_v|, |F_w| [N] and |F_r| [N m]."""
         return np.array([self[k] for k in ("Fu_max", "Fv_max", "Fw_max", "Fr_max")])
 
+    def steady_yaw(self, share: float) -> float:
+        """Yaw rate [rad/s] that a share of the yaw thrust holds against drag, at the worst of the stated ranges."""
+
+        def worst(name: str, which: int) -> float:
+            known = self.parameters[name].range
+            return self[name] if known is None else known[which]
+
+        moment, linear, quadratic = share * worst("Fr_max", 0), worst("Nr", 1), worst("Nrr", 1)
+        return 2 * moment / max(linear + np.sqrt(linear**2 + 4 * quadratic * moment), 1e-6)
+
     def with_values(self, values: Mapping[str, float]) -> Vehicle:
         """A copy with some values changed (their provenance says so); ranges are kept."""
         changed = dict(self.parameters)

@@ -1,4 +1,4 @@
-"""What the law knows to be around it: base station, sonar echoes that nothing known explains, walls."""
+"""What a law without a memory knows to be around it: base station, sonar echoes that nothing known explains, walls."""
 
 from __future__ import annotations
 
