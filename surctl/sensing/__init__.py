@@ -1,11 +1,12 @@
 """What the robot feels: the sonar array, its filters, contacts, and what the base station tells."""
 
-from surctl.sensing.array import SonarArray, fire, true_range
+from surctl.sensing.array import SonarArray, fire, heard, true_range
 from surctl.sensing.base_station import BaseStation, OwnState
 from surctl.sensing.echo import heard_samples, range_to_box, range_to_disc, range_to_walls
 from surctl.sensing.estimate import ContactMemory, Contacts, expected_range, sonar_contacts
 from surctl.sensing.filters import FilterUpdate, LmsStep, SensorFilter, gate, lms_step, weighted_average
 from surctl.sensing.noise import NOISE_STATE, NoiseStream, draw_normals, noise_states
+from surctl.sensing.sound import Medium, speed_of_sound
 from surctl.sensing.table2 import RangeTest, table_ii
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "Contacts",
     "FilterUpdate",
     "LmsStep",
+    "Medium",
     "NoiseStream",
     "OwnState",
     "RangeTest",
@@ -24,6 +26,7 @@ __all__ = [
     "expected_range",
     "fire",
     "gate",
+    "heard",
     "heard_samples",
     "lms_step",
     "noise_states",
@@ -31,6 +34,7 @@ __all__ = [
     "range_to_disc",
     "range_to_walls",
     "sonar_contacts",
+    "speed_of_sound",
     "table_ii",
     "true_range",
     "weighted_average",
