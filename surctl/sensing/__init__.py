@@ -2,16 +2,19 @@
 
 from surctl.sensing.array import SonarArray, fire, heard, true_range
 from surctl.sensing.base_station import BaseStation, OwnState
-from surctl.sensing.echo import heard_samples, range_to_box, range_to_disc, range_to_walls
+from surctl.sensing.echo import Beam, beam_of, echo_range, heard_samples
 from surctl.sensing.estimate import ContactMemory, Contacts, expected_range, sonar_contacts
 from surctl.sensing.filters import FilterUpdate, LmsStep, SensorFilter, gate, lms_step, weighted_average
 from surctl.sensing.noise import NOISE_STATE, NoiseStream, draw_normals, noise_states
+from surctl.sensing.solids import Cone, Solid, SolidBox, SolidDisc, SolidWalls
 from surctl.sensing.sound import Medium, speed_of_sound
 from surctl.sensing.table2 import RangeTest, table_ii
 
 __all__ = [
     "NOISE_STATE",
     "BaseStation",
+    "Beam",
+    "Cone",
     "ContactMemory",
     "Contacts",
     "FilterUpdate",
@@ -21,8 +24,14 @@ __all__ = [
     "OwnState",
     "RangeTest",
     "SensorFilter",
+    "Solid",
+    "SolidBox",
+    "SolidDisc",
+    "SolidWalls",
     "SonarArray",
+    "beam_of",
     "draw_normals",
+    "echo_range",
     "expected_range",
     "fire",
     "gate",
@@ -30,9 +39,6 @@ __all__ = [
     "heard_samples",
     "lms_step",
     "noise_states",
-    "range_to_box",
-    "range_to_disc",
-    "range_to_walls",
     "sonar_contacts",
     "speed_of_sound",
     "table_ii",
