@@ -1,38 +1,75 @@
 """What the robot feels: the sonar array, its filters, contacts, and what the base station tells."""
 
-from surctl.sensing.array import SonarArray, fire, true_range
+from surctl.sensing.array import SonarArray, fire, heard, true_range
 from surctl.sensing.base_station import BaseStation, OwnState
-from surctl.sensing.echo import heard_samples, range_to_box, range_to_disc, range_to_walls
+from surctl.sensing.echo import Beam, beam_of, echo_range, heard_samples
 from surctl.sensing.estimate import ContactMemory, Contacts, expected_range, sonar_contacts
-from surctl.sensing.local_map import LocalMap
+from surctl.sensing.fault_block import SLOT, Arrival, fault_ports, fault_slots, faulty_samples
+from surctl.sensing.faults import (
+    FAULT_KINDS,
+    LONGEST_DELAY,
+    Fault,
+    FaultChances,
+    FaultKind,
+    FaultState,
+    check_faults,
+    fault_state,
+    faulty,
+)
 from surctl.sensing.filters import FilterUpdate, LmsStep, SensorFilter, gate, lms_step, weighted_average
-from surctl.sensing.noise import NOISE_STATE, NoiseStream, draw_normals, noise_states
+from surctl.sensing.local_map import LocalMap
+from surctl.sensing.noise import NOISE_STATE, NoiseStream, draw_normals, draw_uniforms, noise_states
+from surctl.sensing.solids import Cone, Solid, SolidBox, SolidDisc, SolidWalls
+from surctl.sensing.sound import Medium, speed_of_sound
 from surctl.sensing.table2 import RangeTest, table_ii
 
 __all__ = [
+    "FAULT_KINDS",
+    "LONGEST_DELAY",
     "NOISE_STATE",
+    "SLOT",
+    "Arrival",
     "BaseStation",
+    "Beam",
+    "Cone",
     "ContactMemory",
     "Contacts",
+    "Fault",
+    "FaultChances",
+    "FaultKind",
+    "FaultState",
     "FilterUpdate",
     "LmsStep",
     "LocalMap",
+    "Medium",
     "NoiseStream",
     "OwnState",
     "RangeTest",
     "SensorFilter",
+    "Solid",
+    "SolidBox",
+    "SolidDisc",
+    "SolidWalls",
     "SonarArray",
+    "beam_of",
+    "check_faults",
     "draw_normals",
+    "draw_uniforms",
+    "echo_range",
     "expected_range",
+    "fault_ports",
+    "fault_slots",
+    "fault_state",
+    "faulty",
+    "faulty_samples",
     "fire",
     "gate",
+    "heard",
     "heard_samples",
     "lms_step",
     "noise_states",
-    "range_to_box",
-    "range_to_disc",
-    "range_to_walls",
     "sonar_contacts",
+    "speed_of_sound",
     "table_ii",
     "true_range",
     "weighted_average",

@@ -1,73 +1,125 @@
-"""The echo model in symbols: what `fire` gives, for the closed loop that is compiled."""
+"""The echo model in symbols: what `true_range` and `heard` give, for the closed loop that is compiled."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import cos
 
 import casadi as ca
 
+from surctl.errors import InputError
 from surctl.sensing.array import SonarArray
-from surctl.sensing.estimate import disc_range, turned, wall_range
+from surctl.sensing.estimate import turned
+from surctl.sensing.solids import Cone, Solid
 
-__all__ = ["heard_samples", "range_to_box", "range_to_disc", "range_to_walls"]
-
-_IN_CONE = 1e-12  # as `Shape.nearest_in_cone`
-_PARALLEL = 1e-30  # stands for a direction of 0, so that a slab is crossed very far away
+__all__ = ["Beam", "beam_of", "echo_range", "heard_samples"]
 
 
-def range_to_disc(array: SonarArray, apex: ca.SX, axis: ca.SX, *, centre: ca.SX, radius: ca.SX) -> ca.SX:
-    """Distance [m] from the apex (2, 1) to the nearest point of a disc in the cone about `axis` (2, 1); 2·maximum
-    when none."""
-    return disc_range(axis, centre - apex, radius=radius, half_angle=array.half_angle, nothing=2.0 * array.maximum)
+@dataclass(frozen=True, eq=False)
+class Beam:
+    """Where a sensor listens: its apex (2, 1) in {E} [m], and the cones that the hull leaves open."""
+
+    apex: ca.SX
+    cones: tuple[Cone, ...]
 
 
-def range_to_walls(array: SonarArray, apex: ca.SX, axis: ca.SX, *, walls: ca.SX) -> ca.SX:
-    """As `range_to_disc`, for the walls (4,): x_min, x_max, y_min, y_max [m]; 0 from behind one."""
-    nothing = 2.0 * array.maximum
-    found = ca.SX(nothing)
-    for normal, distance in (
-        ((-1.0, 0.0), apex[0] - walls[0]),
-        ((1.0, 0.0), walls[1] - apex[0]),
-        ((0.0, -1.0), apex[1] - walls[2]),
-        ((0.0, 1.0), walls[3] - apex[1]),
-    ):
-        seen = wall_range(axis, normal, distance=distance, half_angle=array.half_angle, nothing=nothing)
-        found = ca.fmin(found, ca.if_else(distance <= 0, 0.0, seen))
-    return found
-
-
-def range_to_box(array: SonarArray, apex: ca.SX, axis: ca.SX, *, centre: ca.SX, size: ca.SX) -> ca.SX:
-    """As `range_to_disc`, for a box with edges `size` (2, 1) [m] along x and y of {E}."""
-    nothing, half = 2.0 * array.maximum, 0.5 * size
-    here = apex - centre
-    offset = ca.fmin(ca.fmax(here, -half), half) - here
-    distance = ca.sqrt(ca.sumsqr(offset))
-    in_cone = ca.dot(offset, axis) >= distance * (cos(array.half_angle) - _IN_CONE)
-    edges = ca.SX(nothing)
-    for angle in (array.half_angle, -array.half_angle):
-        ray = turned(axis, angle)
-        ray = ca.if_else(ray == 0, _PARALLEL, ray)
-        one, other = (-half - here) / ray, (half - here) / ray
-        near, far = ca.fmin(one, other), ca.fmax(one, other)
-        first, last = ca.fmax(near[0], near[1]), ca.fmin(far[0], far[1])
-        hits = ca.logic_and(first >= 0, first <= last)
-        edges = ca.fmin(edges, ca.if_else(hits, first, nothing))
-    return ca.if_else(distance <= 0, 0.0, ca.if_else(in_cone, distance, edges))
-
-
-def heard_samples(array: SonarArray, ranges: Sequence[ca.SX], *, noise: ca.SX) -> ca.SX:
-    """The samples (samples, 1) [m] of one firing, from the ranges to all that reflects, as `fire` gives them.
+def beam_of(
+    array: SonarArray,
+    sensors: Sequence[int],
+    turn: ca.SX | int,
+    *,
+    position: ca.SX,
+    heading: ca.SX,
+    hull_radius: ca.SX | float | None = None,
+) -> Beam:
+    """The beam of the sensor whose turn it is.
 
     Args:
         array: the array.
-        ranges: distances in the cone [m], beyond the maximum when there is nothing.
+        sensors: those of which one fires.
+        turn: which of them, 0, 1, …
+        position: (2, 1) centre of the robot in {E} [m].
+        heading: ψ [rad].
+        hull_radius: [m] of sensors on the hull, as a symbol for a loop that any vehicle may fly; None: the array's.
+            Mounts, and the hull's shadow that goes with them, are the array's own.
+
+    Raises:
+        InputError: no sensors, or one that the array does not have.
+    """
+    if not sensors or not all(0 <= i < array.size for i in sensors):
+        raise InputError("no such sensor", key="sensors", value=sensors, remedy=f"give some of 0 to {array.size - 1}")
+    angle = heading + _picked(turn, [array.azimuths[i] for i in sensors])
+    axis = ca.vertcat(ca.cos(angle), ca.sin(angle))
+    if array.mounts is None:
+        apex = position + (array.hull_radius if hull_radius is None else hull_radius) * axis
+    else:
+        mount = ca.vertcat(*(_picked(turn, [array.mounts[i][k] for i in sensors]) for k in (0, 1)))
+        c, s = ca.cos(heading), ca.sin(heading)
+        apex = position + ca.vertcat(c * mount[0] - s * mount[1], s * mount[0] + c * mount[1])
+    cones = [array.cones[i] for i in sensors]
+    parts = []
+    for k in range(max(len(own) for own in cones)):
+        offsets, halves = zip(*(own[min(k, len(own) - 1)] for own in cones), strict=True)
+        offset = _picked(turn, offsets)
+        turned_axis = axis if isinstance(offset, float) and offset == 0.0 else turned(axis, offset)
+        parts.append(Cone(turned_axis, _picked(turn, halves)))
+    return Beam(apex, tuple(parts))
+
+
+def echo_range(array: SonarArray, beam: Beam, solids: Sequence[Solid]) -> ca.SX:
+    """Distance [m] from the apex to the nearest reflecting point, as `true_range`; 2·maximum when none or further."""
+    nothing = 2.0 * array.maximum
+    found = ca.SX(nothing)
+    if array.incidence_limit is None:
+        for solid in solids:
+            for cone in beam.cones:
+                seen = solid.nearest_in_cone(beam.apex, cone, nothing=nothing)
+                found = ca.fmin(found, ca.if_else(solid.present, seen, nothing))
+        return found
+    looks = [(edge, ca.SX(1)) for cone in beam.cones for edge in cone.edges]
+    inside = ca.SX(0)
+    for solid in solids:
+        inside = ca.logic_or(inside, ca.logic_and(solid.present, solid.holds(beam.apex)))
+        looks += [(ray, _held(beam, ray)) for ray in solid.outlook(beam.apex)]
+    faced = cos(array.incidence_limit)
+    for ray, looked in looks:
+        distance, cosine = ca.SX(nothing), ca.SX(0)
+        for solid in solids:
+            far, facing = solid.hit(beam.apex, ray, nothing=nothing)
+            first = ca.logic_and(solid.present, far < distance)
+            distance, cosine = ca.if_else(first, far, distance), ca.if_else(first, facing, cosine)
+        found = ca.fmin(found, ca.if_else(ca.logic_and(looked, cosine >= faced), distance, nothing))
+    return ca.if_else(inside, 0.0, found)
+
+
+def heard_samples(array: SonarArray, distance: ca.SX, *, noise: ca.SX) -> ca.SX:
+    """The samples (samples, 1) [m] of a firing whose echo comes from `distance` [m], as `heard` gives them.
+
+    Args:
+        array: the array.
+        distance: true range [m], beyond the maximum when there is no echo.
         noise: (samples, 1) standard normal numbers.
     """
-    distance = ca.SX(2.0 * array.maximum)
-    for one in ranges:
-        distance = ca.fmin(distance, one)
-    heard = ca.fmin(ca.fmax(distance + array.bias + array.noise_sd * noise, array.minimum), array.maximum)
+    reading = array.scale * distance + array.bias + array.noise_sd * noise
+    reading = ca.fmin(ca.fmax(reading, array.lowest), array.maximum)
     top = float(array.top_code)
-    codes = ca.floor(heard * top / array.maximum + 0.5)
+    codes = ca.floor(reading * top / array.maximum + 0.5)
     return ca.if_else(distance > array.maximum, array.maximum, codes * array.maximum / top)
+
+
+def _picked(turn: ca.SX | int, values: Sequence[float]) -> ca.SX | float:
+    """values[turn]; a plain number where all are the same."""
+    if all(value == values[0] for value in values):
+        return values[0]
+    found = ca.SX(0)
+    for k, value in enumerate(values):
+        found = ca.if_else(turn == k, value, found)
+    return found
+
+
+def _held(beam: Beam, ray: ca.SX) -> ca.SX:
+    found = ca.SX(0)
+    for cone in beam.cones:
+        found = ca.logic_or(found, cone.holds(ray))
+    return found

@@ -211,7 +211,7 @@ class SensorFilter:
         """One tick: sensors that fired since the last one take their samples in, the others keep their state.
 
         The range is the smaller of the newest gated value and the prediction of the next one (it has to last
-        until the sensor fires again), held to [minimum, maximum]. A sensor is healthy while fewer than
+        until the sensor fires again), held to [lowest, maximum]. A sensor is healthy while fewer than
         `refusals` values in a row were refused; before its first accepted value it is not. With λ1 = 0
         nothing counts as refused.
 
@@ -232,7 +232,7 @@ class SensorFilter:
         after = {name: ca.vertcat(*(row[name].T for row in rows)) for name in names}
         gated = after["history"][:, 0]
         predicted = ca.sum2(after["theta"] * after["history"])
-        range_hat = ca.fmax(self.array.minimum, ca.fmin(self.array.maximum, ca.fmin(gated, predicted)))
+        range_hat = ca.fmax(self.array.lowest, ca.fmin(self.array.maximum, ca.fmin(gated, predicted)))
         healthy = after["refused"] < self.refusals
         return FilterUpdate({prefix + name: after[name] for name in names}, range_hat, healthy)
 

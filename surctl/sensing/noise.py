@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 
-__all__ = ["NOISE_STATE", "NoiseStream", "draw_normals", "noise_states"]
+__all__ = ["NOISE_STATE", "NoiseStream", "draw_normals", "draw_uniforms", "noise_states"]
 
 NOISE_STATE = 6
 """Numbers in a generator's state: whole numbers below 2^32, three of each component, oldest first."""
@@ -94,6 +94,10 @@ class NoiseStream:
         self._one, self._two = [*self._one[1:], one], [*self._two[1:], two]
         return (one - two if one > two else one - two + _M1) * _NORM
 
+    def uniforms(self, count: int) -> NDArray[np.float64]:
+        """The next `count` numbers in (0, 1)."""
+        return np.array([self.uniform() for _ in range(count)])
+
     def normals(self, count: int) -> NDArray[np.float64]:
         """The next `count` standard normal numbers; an odd one drops the last of its pair."""
         out: list[float] = []
@@ -122,6 +126,16 @@ def draw_normals(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
         u2, one, two = _uniform(one, two)
         radius, turn = ca.sqrt(-2.0 * _log_of_uniform(u1)), 2.0 * pi * u2
         out += [radius * ca.cos(turn), radius * ca.sin(turn)]
+    return ca.vertcat(*out), ca.vertcat(*one, *two)
+
+
+def draw_uniforms(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
+    """Numbers in (0, 1), (count, 1), and the next state (6, 1): `NoiseStream.uniforms` in symbols."""
+    one, two = [state[k] for k in range(3)], [state[k] for k in range(3, 6)]
+    out = []
+    for _ in range(count):
+        number, one, two = _uniform(one, two)
+        out.append(number)
     return ca.vertcat(*out), ca.vertcat(*one, *two)
 
 

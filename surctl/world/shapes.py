@@ -9,6 +9,8 @@ cone it is the echo. If not, the nearest point of K within the cone lies on one 
 from any point q of K strictly inside the cone one could move towards p, stay in K and in the cone, and come
 closer.
 So a foot point and two ray hits give the answer in closed form, and the answer is always visible.
+
+Where only a surface that faces the apex answers, `echoes.nearest_echo` looks along the `outlook` of every shape.
 """
 
 from __future__ import annotations
@@ -30,22 +32,33 @@ Vector2: TypeAlias = Sequence[float] | NDArray[np.float64]
 """Two numbers, (x, y) in {E}; shapes store them as a tuple of floats."""
 
 _IN_CONE = 1e-12  # slack of cos: a corner exactly on the cone's edge counts as inside
+_BESIDE = 1e-9  # rad; a ray beside a corner or a rim, of which no rounding decides whether it hits
 
 
 class Shape(ABC):
-    """A solid convex set in the plane. A new shape gives `foot`, `ray` and `moved`; the rest is derived."""
+    """A solid convex set in the plane. A new shape gives `foot`, `hit`, `outlook` and `moved`; the rest is derived."""
 
     @abstractmethod
     def foot(self, x: float, y: float) -> tuple[float, float, float]:
         """Signed distance [m] of (x, y), negative inside, and the nearest surface point (x, y) [m]."""
 
     @abstractmethod
-    def ray(self, x: float, y: float, *, ex: float, ey: float) -> float:
-        """Distance [m] from (x, y), outside, along the unit vector (ex, ey) to the first hit; inf if none."""
+    def hit(self, x: float, y: float, *, ex: float, ey: float) -> tuple[float, float]:
+        """First hit from (x, y), outside, along the unit vector (ex, ey): distance [m], inf if none, and cos of the
+        angle between the outward normal there and the way back."""
+
+    @abstractmethod
+    def outlook(self, x: float, y: float) -> list[tuple[float, float]]:
+        """Unit vectors from (x, y), outside, among which is the best for each of its faces, and those just past its
+        rims (by 1e-9 rad), where what stands behind it comes into sight."""
 
     @abstractmethod
     def moved(self, offset: Vector2) -> Shape:
         """The same shape displaced by `offset` (2,) [m] in {E}."""
+
+    def ray(self, x: float, y: float, *, ex: float, ey: float) -> float:
+        """Distance [m] of `hit`."""
+        return self.hit(x, y, ex=ex, ey=ey)[0]
 
     def nearest(self, point: Vector2) -> tuple[float, NDArray[np.float64]]:
         """Signed distance [m] of `point` (2,), negative inside, and the nearest surface point (2,) [m]."""
@@ -108,13 +121,25 @@ class Disc(Shape):
         ux, uy = (dx / length, dy / length) if length > 0.0 else (1.0, 0.0)
         return length - self.radius, cx + self.radius * ux, cy + self.radius * uy
 
-    def ray(self, x: float, y: float, *, ex: float, ey: float) -> float:
-        """See `Shape.ray`."""
+    def hit(self, x: float, y: float, *, ex: float, ey: float) -> tuple[float, float]:
+        """See `Shape.hit`."""
         cx, cy = self.center
         dx, dy = cx - x, cy - y
         along, across = dx * ex + dy * ey, dx * ey - dy * ex
         square = self.radius * self.radius - across * across
-        return along - sqrt(square) if along > 0.0 and square >= 0.0 else inf
+        if along <= 0.0 or square < 0.0:
+            return inf, 0.0
+        root = sqrt(square)
+        return along - root, root / self.radius
+
+    def outlook(self, x: float, y: float) -> list[tuple[float, float]]:
+        """See `Shape.outlook`: the centre, where the incidence is 0 and the range least, and the two rims."""
+        dx, dy = self.center[0] - x, self.center[1] - y
+        length = hypot(dx, dy)
+        ux, uy, s = dx / length, dy / length, min(1.0, self.radius / length)
+        c = sqrt(1.0 - s * s)
+        left, right = (c * ux - s * uy, c * uy + s * ux), (c * ux + s * uy, c * uy - s * ux)
+        return [(ux, uy), _beside(*left, 1.0), _beside(*right, -1.0)]
 
     def moved(self, offset: Vector2) -> Disc:
         """See `Shape.moved`."""
@@ -170,15 +195,44 @@ class Box(Shape):
         (c, s), (cx, cy) = self._axis, self.center
         return distance, cx + c * qx - s * qy, cy + s * qx + c * qy
 
-    def ray(self, x: float, y: float, *, ex: float, ey: float) -> float:
-        """See `Shape.ray`; the slab method in the box's own frame."""
+    def hit(self, x: float, y: float, *, ex: float, ey: float) -> tuple[float, float]:
+        """See `Shape.hit`; the slab method in the box's own frame. The face is that of the slab entered last."""
         px, py = self._local(x, y)
         c, s = self._axis
         hx, hy = self._half
-        near_x, far_x = _slab(px, c * ex + s * ey, half=hx)
-        near_y, far_y = _slab(py, c * ey - s * ex, half=hy)
+        lx, ly = c * ex + s * ey, c * ey - s * ex
+        near_x, far_x = _slab(px, lx, half=hx)
+        near_y, far_y = _slab(py, ly, half=hy)
         near = max(near_x, near_y)
-        return near if 0.0 <= near <= min(far_x, far_y) else inf
+        if not 0.0 <= near <= min(far_x, far_y):
+            return inf, 0.0
+        return near, abs(lx) if near_x >= near_y else abs(ly)
+
+    def outlook(self, x: float, y: float) -> list[tuple[float, float]]:
+        """See `Shape.outlook`: the foot on a face, either side of the nearest corner, and past its two neighbours.
+
+        Range and incidence of a face grow away from its own foot point, so that its best is that point, or, when the
+        apex stands before no face, its end at the nearest corner. A corner has no normal: it answers as an end of
+        its faces, where one of them faces the apex, and not by itself (an edge scatters, but does not mirror).
+        """
+        px, py = self._local(x, y)
+        hx, hy = self._half
+        cx, cy = (hx if px >= 0.0 else -hx), (hy if py >= 0.0 else -hy)
+        found = []
+        if abs(px) <= hx or abs(py) <= hy:
+            qx, qy = max(-hx, min(hx, px)) - px, max(-hy, min(hy, py)) - py
+            length = hypot(qx, qy)
+            found.append((qx / length, qy / length))
+        for corner_x, corner_y in ((cx, cy), (cx, -cy), (-cx, cy)):
+            dx, dy = corner_x - px, corner_y - py
+            length = hypot(dx, dy)
+            # outward is away from the centre, which lies at (-px, -py) from here
+            side = 1.0 if px * dy < py * dx else -1.0
+            found.append(_beside(dx / length, dy / length, side))
+            if (corner_x, corner_y) == (cx, cy):
+                found.append(_beside(dx / length, dy / length, -side))
+        c, s = self._axis
+        return [(c * ux - s * uy, s * ux + c * uy) for ux, uy in found]
 
     def moved(self, offset: Vector2) -> Box:
         """See `Shape.moved`."""
@@ -212,10 +266,14 @@ class Wall(Shape):
         distance = (x - px) * nx + (y - py) * ny
         return distance, x - distance * nx, y - distance * ny
 
-    def ray(self, x: float, y: float, *, ex: float, ey: float) -> float:
-        """See `Shape.ray`."""
+    def hit(self, x: float, y: float, *, ex: float, ey: float) -> tuple[float, float]:
+        """See `Shape.hit`."""
         approach = -(ex * self.normal[0] + ey * self.normal[1])
-        return self.foot(x, y)[0] / approach if approach > 0.0 else inf
+        return (self.foot(x, y)[0] / approach, approach) if approach > 0.0 else (inf, 0.0)
+
+    def outlook(self, x: float, y: float) -> list[tuple[float, float]]:
+        """See `Shape.outlook`: its foot point alone; a half-plane has no rim at a finite distance."""
+        return [(-self.normal[0], -self.normal[1])]
 
     def moved(self, offset: Vector2) -> Wall:
         """See `Shape.moved`."""
@@ -235,6 +293,11 @@ def site_walls(width: float, length: float) -> tuple[Wall, Wall, Wall, Wall]:
         Wall((0.0, 0.0), (0.0, 1.0)),
         Wall((0.0, across), (0.0, -1.0)),
     )
+
+
+def _beside(ux: float, uy: float, side: float) -> tuple[float, float]:
+    """The unit vector turned by 1e-9 rad, to the left for side 1."""
+    return ux - side * _BESIDE * uy, uy + side * _BESIDE * ux
 
 
 def _slab(position: float, direction: float, *, half: float) -> tuple[float, float]:

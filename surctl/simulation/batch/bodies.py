@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.sensing import SonarArray, range_to_box, range_to_disc
+from surctl.sensing import Solid, SolidBox, SolidDisc
 from surctl.simulation.scenario import Obstacle
 
 __all__ = ["ABSENT", "Body", "BodyKind", "body_at", "body_columns", "body_size", "kind_of"]
@@ -66,13 +66,12 @@ class Body:
         row = ca.vertcat(point, radius, self.velocity, 1)
         return ca.if_else(self.present, row, ca.SX.zeros(6)).T
 
-    def range(self, array: SonarArray, apex: ca.SX, axis: ca.SX) -> ca.SX:
-        """Distance in the cone of a sensor [m], beyond the array's maximum when there is nothing."""
+    @property
+    def solid(self) -> Solid:
+        """What a sonar hears of it."""
         if self.boxed:
-            found = range_to_box(array, apex, axis, centre=self.centre, size=self.size)
-        else:
-            found = range_to_disc(array, apex, axis, centre=self.centre, radius=self.size)
-        return ca.if_else(self.present, found, 2.0 * array.maximum)
+            return SolidBox(self.centre, self.size, present=self.present)
+        return SolidDisc(self.centre, self.size, present=self.present)
 
 
 def kind_of(obstacle: Obstacle, *, drifting: bool) -> BodyKind:

@@ -18,7 +18,17 @@ from surctl.control.build import LawName
 from surctl.guidance import MAX_WAYPOINTS, AvoidanceForm
 from surctl.ir import Call, Layout, Port, Program, Routine, lower, nearby_angles, shared_divisors
 from surctl.priority import Mode
-from surctl.sensing import NOISE_STATE, BaseStation, OwnState, SonarArray, draw_normals, heard_samples, range_to_walls
+from surctl.sensing import (
+    NOISE_STATE,
+    BaseStation,
+    OwnState,
+    SolidWalls,
+    SonarArray,
+    beam_of,
+    draw_normals,
+    echo_range,
+    heard_samples,
+)
 from surctl.simulation.batch.bodies import ABSENT, Body, BodyKind, body_at, body_size
 from surctl.simulation.batch.counting import SUMS, counted, modulo
 from surctl.simulation.metrics import STOPS
@@ -265,14 +275,10 @@ class _Builder:
         """Samples (sensors, samples) after the first or second firing of a tick."""
         turns = [_ARRAY.order[k] for k in range(int(second), _ARRAY.size, 2)]
         turn = modulo(tick, len(turns))
-        azimuth = ca.SX(0)
-        for k, sensor in enumerate(turns):
-            azimuth = ca.if_else(turn == k, _ARRAY.azimuths[sensor], azimuth)
-        angle = plant[3] + azimuth
-        axis = ca.vertcat(ca.cos(angle), ca.sin(angle))
-        apex = plant[:2] + w["world_hull"] * axis
-        ranges = [body.range(_ARRAY, apex, axis) for body in bodies]
-        heard = heard_samples(_ARRAY, [*ranges, range_to_walls(_ARRAY, apex, axis, walls=w["walls"])], noise=noise)
+        hull = w["world_hull"]
+        beam = beam_of(_ARRAY, turns, turn, position=plant[:2], heading=plant[3], hull_radius=hull)
+        distance = echo_range(_ARRAY, beam, [*(body.solid for body in bodies), SolidWalls(w["walls"])])
+        heard = heard_samples(_ARRAY, distance, noise=noise)
         rows = [samples[i, :] for i in range(_ARRAY.size)]
         for k, sensor in enumerate(turns):
             rows[sensor] = ca.if_else(turn == k, heard.T, rows[sensor])

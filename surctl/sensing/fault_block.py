@@ -1,0 +1,174 @@
+"""Faults in symbols: what `faulty` does, for the closed loop that is compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.ir import Port
+from surctl.sensing.array import SonarArray
+from surctl.sensing.echo import heard_samples
+from surctl.sensing.faults import (
+    FAULT_KINDS,
+    LONGEST_DELAY,
+    SLACK,
+    Fault,
+    FaultChances,
+    FaultKind,
+    check_faults,
+    delay_firings,
+    fault_end,
+)
+
+__all__ = ["SLOT", "Arrival", "fault_ports", "fault_slots", "faulty_samples"]
+
+SLOT = 5
+"""Numbers of a fault: code of its kind (0: none), sensor, start [s], end [s], delay in firings."""
+
+_NEVER = 1e30  # s
+
+
+class Arrival(NamedTuple):
+    """What `faulty_samples` gives; SX expressions."""
+
+    samples: ca.SX
+    """(samples, 1) [m]; what arrived last from the sensor, when nothing does."""
+    arrived: ca.SX
+    """1 when something arrives, else 0."""
+    state: dict[str, ca.SX]
+    """Next state, keyed as the ports are named."""
+
+
+def fault_slots(array: SonarArray, faults: Sequence[Fault], count: int) -> NDArray[np.float64]:
+    """The numbers of up to `count` faults, (count, SLOT), in their order.
+
+    Raises:
+        InputError: more faults than that, or one that the array cannot have.
+    """
+    if len(faults) > count:
+        raise InputError(f"there are {len(faults)}, more than {count}", key="faults", remedy="name fewer")
+    check_faults(array, faults)
+    slots = np.zeros((count, SLOT))
+    for k, fault in enumerate(faults):
+        end = min(fault_end(array, fault), _NEVER)
+        slots[k] = _code(fault.kind), fault.sensor, fault.start_s, end, delay_firings(array, fault)
+    return slots
+
+
+def fault_ports(array: SonarArray, *, delays: bool, prefix: str = "") -> tuple[Port, ...]:
+    """The state: what arrived last (the same as a loop's newest samples), and with `delays` what was heard before.
+
+    A row of the history holds `LONGEST_DELAY` firings end to end, newest first.
+    """
+    n, samples, far = array.size, array.samples, array.maximum
+    last = Port(f"{prefix}last", (n, samples), "m", "what arrived last from each sonar", far)
+    if not delays:
+        return (last,)
+    meaning = "what each sonar heard in its last firings, newest first"
+    return (last, Port(f"{prefix}heard", (n, LONGEST_DELAY * samples), "m", meaning, far))
+
+
+def faulty_samples(
+    array: SonarArray,
+    state: Mapping[str, ca.SX],
+    sensor: ca.SX,
+    *,
+    time: ca.SX,
+    distance: ca.SX,
+    noise: ca.SX,
+    slots: ca.SX,
+    chances: ca.SX,
+    uniforms: ca.SX,
+    delays: bool,
+    prefix: str = "",
+) -> Arrival:
+    """One firing, as `faulty`.
+
+    Args:
+        array: the array.
+        state: by port name, shapes of `fault_ports`.
+        sensor: index of the one that fires.
+        time: of the firing [s].
+        distance: of `echo_range` [m].
+        noise: (samples, 1) standard normal numbers.
+        slots: (k, SLOT) of `fault_slots`; k may be 0.
+        chances: (6, 1), `FaultChances.numbers`.
+        uniforms: (2, 1) in (0, 1).
+        delays: whether the state holds what was heard before; without it no slot may be a delay.
+        prefix: of the state's names.
+    """
+    own = heard_samples(array, distance, noise=noise)
+    last = state[f"{prefix}last"]
+    kind, late, start = _told(slots, sensor, time)
+    kind = ca.if_else(kind > 0, kind, _struck(chances, uniforms[0]))
+    before = [array.order[array.order.index(i) - 1] for i in range(array.size)]
+    mine = _row(sensor, [last[i, :].T for i in range(array.size)])
+    choices: dict[FaultKind, ca.SX | float] = {
+        "stuck": mine,
+        "zero": 0.0,
+        "maximum": array.maximum,
+        "spike": _spike(array, uniforms[1]),
+        "second_echo": heard_samples(array, 2.0 * distance, noise=noise),
+        "crosstalk": _row(sensor, [last[i, :].T for i in before]),
+    }
+    samples = own
+    for name, value in choices.items():
+        samples = ca.if_else(kind == _code(name), value, samples)
+    lost = ca.logic_or(kind == _code("dropout"), kind == _code("dead"))
+    after = {}
+    if delays:
+        rows = [state[f"{prefix}heard"][i, :].T for i in range(array.size)]
+        delayed = kind == _code("delay")
+        waiting = time - late * array.cycle < start - SLACK
+        lost = ca.logic_or(lost, ca.logic_and(delayed, waiting))
+        kept = _row(sensor, rows)
+        old = [kept[k * array.samples : (k + 1) * array.samples] for k in range(LONGEST_DELAY)]
+        samples = ca.if_else(delayed, _row(late - 1, old), samples)
+        pushed = ca.vertcat(own, kept[: -array.samples])
+        after[f"{prefix}heard"] = ca.vertcat(*(ca.if_else(sensor == i, pushed, row).T for i, row in enumerate(rows)))
+    samples = ca.if_else(lost, mine, samples)
+    after[f"{prefix}last"] = ca.vertcat(*(ca.if_else(sensor == i, samples.T, last[i, :]) for i in range(array.size)))
+    return Arrival(samples, ca.logic_not(lost), after)
+
+
+def _told(slots: ca.SX, sensor: ca.SX, time: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Code, delay and start of the first slot that acts; code 0 for none."""
+    kind, late, start = ca.SX(0), ca.SX(0), ca.SX(0)
+    for k in reversed(range(slots.shape[0])):
+        code, whose, begin, end, firings = (slots[k, j] for j in range(SLOT))
+        acts = ca.logic_and(whose == sensor, ca.logic_and(time >= begin - SLACK, time < end - SLACK))
+        acts = ca.logic_and(acts, code > 0)
+        kind, late, start = (ca.if_else(acts, new, old) for new, old in ((code, kind), (firings, late), (begin, start)))
+    return kind, late, start
+
+
+def _struck(chances: ca.SX, drawn: ca.SX) -> ca.SX:
+    """Code of the kind that a uniform number stands for; 0 for none."""
+    passed, found, below = ca.SX(0), ca.SX(0), ca.SX(0)
+    for k, kind in enumerate(FaultChances.kinds()):
+        passed = passed + chances[k]
+        now = drawn < passed
+        found = ca.if_else(ca.logic_and(now, ca.logic_not(below)), _code(kind), found)
+        below = now
+    return found
+
+
+def _spike(array: SonarArray, drawn: ca.SX) -> ca.SX:
+    value, top = array.lowest + drawn * (array.maximum - array.lowest), float(array.top_code)
+    return ca.floor(value * top / array.maximum + 0.5) * array.maximum / top
+
+
+def _row(index: ca.SX, rows: Sequence[ca.SX]) -> ca.SX:
+    found = rows[0]
+    for k, row in enumerate(rows[1:], 1):
+        found = ca.if_else(index == k, row, found)
+    return found
+
+
+def _code(kind: FaultKind) -> int:
+    return 1 + FAULT_KINDS.index(kind)

@@ -1,0 +1,46 @@
+"""What a beam sees past the robot's own hull: the open cones of a sensor that stands anywhere on or off it."""
+
+from __future__ import annotations
+
+from math import asin, atan2, hypot, pi
+
+__all__ = ["SLIVER", "inside_hull", "open_cones"]
+
+SLIVER = 1e-6  # rad; an opening narrower than twice this is none
+_ON_HULL = 1e-9  # m; an apex this far inside the hull stands on it
+
+
+def inside_hull(mount: tuple[float, float], hull_radius: float) -> bool:
+    """Whether an apex (x, y) in {B} [m] lies inside the hull, and not on it."""
+    return hypot(*mount) < hull_radius - _ON_HULL
+
+
+def open_cones(
+    mount: tuple[float, float], azimuth: float, *, half_angle: float, hull_radius: float
+) -> tuple[tuple[float, float], ...]:
+    """Parts of a beam that the hull does not hide: (offset from the beam's axis, half angle) [rad], from right to left.
+
+    Seen from an apex at distance ρ from the centre, the hull (a disc of radius R) hides the bearings within asin(R/ρ)
+    of the centre's; from an apex on the hull, the half-plane behind it. Nothing can stand between apex and hull. What
+    is left of the beam is all of it, one part, two parts either side of the hull, or nothing.
+
+    Args:
+        mount: (2,) apex in {B} [m], not inside the hull.
+        azimuth: of the beam's axis in {B} [rad].
+        half_angle: of the beam [rad], below π/2.
+        hull_radius: R [m]; 0 hides nothing.
+    """
+    distance = hypot(*mount)
+    if hull_radius <= 0.0:
+        return ((0.0, half_angle),)
+    hidden = asin(min(1.0, hull_radius / distance))
+    centre = atan2(-mount[1], -mount[0]) - azimuth
+    centre -= 2.0 * pi * round(centre / (2.0 * pi))
+    parts = [(-half_angle, half_angle)]
+    for turn in (-2.0 * pi, 0.0, 2.0 * pi):
+        low, high = centre + turn - hidden, centre + turn + hidden
+        cut = [piece for a, b in parts for piece in ((a, min(b, low)), (max(a, high), b))]
+        parts = [(a, b) for a, b in cut if b - a > 2.0 * SLIVER]
+    if parts == [(-half_angle, half_angle)]:
+        return ((0.0, half_angle),)
+    return tuple((0.5 * (a + b), 0.5 * (b - a)) for a, b in parts)

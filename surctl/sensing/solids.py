@@ -1,0 +1,218 @@
+"""What reflects, in symbols: twins of `surctl.world`'s shapes for the closed loop that is compiled.
+
+Ranges beyond what a sensor waits for come out as `nothing`. Every branch is finite for finite numbers.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+
+import casadi as ca
+
+from surctl.sensing.estimate import disc_range, turned, wall_range
+
+__all__ = ["Cone", "Solid", "SolidBox", "SolidDisc", "SolidWalls"]
+
+_IN_CONE = 1e-12  # as `Shape.nearest_in_cone`
+_BESIDE = 1e-9  # rad, as `Shape.outlook`
+_PARALLEL = 1e-30  # stands for a direction of 0, so that a slab is crossed very far away
+_LEAST = 1e-30  # m, floor of a length that divides
+
+
+@dataclass(frozen=True, eq=False)
+class Cone:
+    """A part of a beam: its axis, a unit vector (2, 1) in {E}, and half its opening [rad], below π/2."""
+
+    axis: ca.SX
+    half_angle: float | ca.SX
+
+    @property
+    def edges(self) -> tuple[ca.SX, ca.SX]:
+        """Unit vectors along its left and right edge."""
+        return turned(self.axis, self.half_angle), turned(self.axis, -self.half_angle)
+
+    def holds(self, ray: ca.SX) -> ca.SX:
+        """Whether a unit vector (2, 1) lies in it."""
+        return ca.dot(ray, self.axis) >= ca.cos(self.half_angle) - _IN_CONE
+
+
+class Solid(ABC):
+    """Something that reflects; see `surctl.world.Shape` for the meaning of each method."""
+
+    present: ca.SX
+    """1 when it is there."""
+
+    @abstractmethod
+    def nearest_in_cone(self, apex: ca.SX, cone: Cone, *, nothing: float) -> ca.SX:
+        """Distance [m] from the apex (2, 1) to the nearest point in the cone; 0 from inside."""
+
+    @abstractmethod
+    def holds(self, apex: ca.SX) -> ca.SX:
+        """Whether the apex lies inside."""
+
+    @abstractmethod
+    def hit(self, apex: ca.SX, ray: ca.SX, *, nothing: float) -> tuple[ca.SX, ca.SX]:
+        """Distance [m] along a unit vector (2, 1) to the first hit, and the cosine of its incidence."""
+
+    @abstractmethod
+    def outlook(self, apex: ca.SX) -> list[ca.SX]:
+        """Unit vectors (2, 1) from the apex in which the nearest echo of a scene may lie."""
+
+
+@dataclass(frozen=True, eq=False)
+class SolidDisc(Solid):
+    """`Disc` in symbols: centre (2, 1), radius [m]."""
+
+    centre: ca.SX
+    radius: ca.SX
+    present: ca.SX = field(default_factory=lambda: ca.SX(1))
+
+    def nearest_in_cone(self, apex: ca.SX, cone: Cone, *, nothing: float) -> ca.SX:
+        """See `Solid.nearest_in_cone`."""
+        return disc_range(
+            cone.axis, self.centre - apex, radius=self.radius, half_angle=cone.half_angle, nothing=nothing
+        )
+
+    def holds(self, apex: ca.SX) -> ca.SX:
+        """See `Solid.holds`."""
+        return ca.sqrt(ca.sumsqr(self.centre - apex)) <= self.radius
+
+    def hit(self, apex: ca.SX, ray: ca.SX, *, nothing: float) -> tuple[ca.SX, ca.SX]:
+        """See `Solid.hit`."""
+        to = self.centre - apex
+        along, across = ca.dot(to, ray), to[0] * ray[1] - to[1] * ray[0]
+        square = self.radius * self.radius - across * across
+        root = ca.sqrt(ca.fmax(square, 0.0))
+        hits = ca.logic_and(along > 0, square >= 0)
+        return ca.if_else(hits, along - root, nothing), root / ca.fmax(self.radius, _LEAST)
+
+    def outlook(self, apex: ca.SX) -> list[ca.SX]:
+        """See `Solid.outlook`: the centre, and past the two rims."""
+        to = self.centre - apex
+        length = ca.fmax(ca.sqrt(ca.sumsqr(to)), _LEAST)
+        ray, s = to / length, ca.fmin(1.0, self.radius / length)
+        c = ca.sqrt(1.0 - s * s)
+        return [ray, *(_beside(c * ray + side * s * _left(ray), side) for side in (1.0, -1.0))]
+
+
+@dataclass(frozen=True, eq=False)
+class SolidBox(Solid):
+    """`Box` in symbols: centre (2, 1), edges `size` (2, 1) [m] along its own axes, its angle [rad] in {E}."""
+
+    centre: ca.SX
+    size: ca.SX
+    angle: ca.SX | float = 0.0
+    present: ca.SX = field(default_factory=lambda: ca.SX(1))
+
+    def nearest_in_cone(self, apex: ca.SX, cone: Cone, *, nothing: float) -> ca.SX:
+        """See `Solid.nearest_in_cone`."""
+        half, here = 0.5 * self.size, self._local(apex - self.centre)
+        offset = ca.fmin(ca.fmax(here, -half), half) - here
+        distance = ca.sqrt(ca.sumsqr(offset))
+        in_cone = ca.dot(offset, self._local(cone.axis)) >= distance * (ca.cos(cone.half_angle) - _IN_CONE)
+        edges = ca.SX(nothing)
+        for edge in cone.edges:
+            edges = ca.fmin(edges, self._entry(here, self._local(edge), nothing)[0])
+        return ca.if_else(distance <= 0, 0.0, ca.if_else(in_cone, distance, edges))
+
+    def holds(self, apex: ca.SX) -> ca.SX:
+        """See `Solid.holds`."""
+        beyond = ca.fabs(self._local(apex - self.centre)) - 0.5 * self.size
+        return ca.fmax(beyond[0], beyond[1]) <= 0
+
+    def hit(self, apex: ca.SX, ray: ca.SX, *, nothing: float) -> tuple[ca.SX, ca.SX]:
+        """See `Solid.hit`."""
+        return self._entry(self._local(apex - self.centre), self._local(ray), nothing)
+
+    def outlook(self, apex: ca.SX) -> list[ca.SX]:
+        """See `Solid.outlook`: the foot on a face, either side of the nearest corner, past its two neighbours."""
+        half, here = 0.5 * self.size, self._local(apex - self.centre)
+        corner = ca.if_else(here >= 0, half, -half)
+        either = _towards(corner - here)
+        found = [_beside(either, 1.0), _beside(either, -1.0)]
+        on_face = ca.logic_or(ca.fabs(here[0]) <= half[0], ca.fabs(here[1]) <= half[1])
+        foot = _towards(ca.fmin(ca.fmax(here, -half), half) - here)
+        found.append(ca.if_else(on_face, foot, found[0]))
+        for mirrored in ((1.0, -1.0), (-1.0, 1.0)):
+            to = ca.DM(mirrored) * corner - here
+            side = ca.if_else(here[0] * to[1] < here[1] * to[0], 1.0, -1.0)
+            found.append(_beside(_towards(to), side))
+        return [self._global(ray) for ray in found]
+
+    def _entry(self, here: ca.SX, ray: ca.SX, nothing: float) -> tuple[ca.SX, ca.SX]:
+        """Distance and cosine of the incidence of a ray in the box's frame; the slab method."""
+        half = 0.5 * self.size
+        ray = ca.if_else(ray == 0, _PARALLEL, ray)
+        one, other = (-half - here) / ray, (half - here) / ray
+        near, far = ca.fmin(one, other), ca.fmax(one, other)
+        first, last = ca.fmax(near[0], near[1]), ca.fmin(far[0], far[1])
+        hits = ca.logic_and(first >= 0, first <= last)
+        cosine = ca.if_else(near[0] >= near[1], ca.fabs(ray[0]), ca.fabs(ray[1]))
+        return ca.if_else(hits, first, nothing), cosine
+
+    def _local(self, vector: ca.SX) -> ca.SX:
+        return vector if _is_zero(self.angle) else turned(vector, -self.angle)
+
+    def _global(self, vector: ca.SX) -> ca.SX:
+        return vector if _is_zero(self.angle) else turned(vector, self.angle)
+
+
+@dataclass(frozen=True, eq=False)
+class SolidWalls(Solid):
+    """`site_walls` in symbols: (4,) x_min, x_max, y_min, y_max [m]; 0 from behind one."""
+
+    walls: ca.SX
+    present: ca.SX = field(default_factory=lambda: ca.SX(1))
+
+    def nearest_in_cone(self, apex: ca.SX, cone: Cone, *, nothing: float) -> ca.SX:
+        """See `Solid.nearest_in_cone`."""
+        found = ca.SX(nothing)
+        for normal, distance in self._faces(apex):
+            seen = wall_range(cone.axis, normal, distance=distance, half_angle=cone.half_angle, nothing=nothing)
+            found = ca.fmin(found, ca.if_else(distance <= 0, 0.0, seen))
+        return found
+
+    def holds(self, apex: ca.SX) -> ca.SX:
+        """See `Solid.holds`."""
+        (_, one), (_, two), (_, three), (_, four) = self._faces(apex)
+        return ca.fmin(ca.fmin(one, two), ca.fmin(three, four)) <= 0
+
+    def hit(self, apex: ca.SX, ray: ca.SX, *, nothing: float) -> tuple[ca.SX, ca.SX]:
+        """See `Solid.hit`."""
+        west, east, south, north = (distance for _, distance in self._faces(apex))
+        approach = ca.fmax(ca.fabs(ray), _PARALLEL)
+        along_x = ca.if_else(ray[0] > 0, east, west) / approach[0]
+        along_y = ca.if_else(ray[1] > 0, north, south) / approach[1]
+        cosine = ca.if_else(along_x <= along_y, approach[0], approach[1])
+        return ca.fmin(ca.fmin(along_x, along_y), nothing), cosine
+
+    def outlook(self, apex: ca.SX) -> list[ca.SX]:
+        """See `Solid.outlook`: the four foot points."""
+        return [ca.SX(normal) for normal, _ in self._faces(apex)]
+
+    def _faces(self, apex: ca.SX) -> tuple[tuple[tuple[float, float], ca.SX], ...]:
+        """Directions out of the water, and how far each wall is that way [m]."""
+        return (
+            ((-1.0, 0.0), apex[0] - self.walls[0]),
+            ((1.0, 0.0), self.walls[1] - apex[0]),
+            ((0.0, -1.0), apex[1] - self.walls[2]),
+            ((0.0, 1.0), self.walls[3] - apex[1]),
+        )
+
+
+def _is_zero(angle: ca.SX | float) -> bool:
+    return isinstance(angle, float) and angle == 0.0
+
+
+def _left(ray: ca.SX) -> ca.SX:
+    return ca.vertcat(-ray[1], ray[0])
+
+
+def _beside(ray: ca.SX, side: ca.SX | float) -> ca.SX:
+    """The unit vector turned by 1e-9 rad, to the left for side 1."""
+    return ray + side * _BESIDE * _left(ray)
+
+
+def _towards(to: ca.SX) -> ca.SX:
+    return to / ca.fmax(ca.sqrt(ca.sumsqr(to)), _LEAST)
