@@ -11,7 +11,7 @@ import casadi as ca
 from surctl.control.law import DEGRADED, SATURATED, SWITCHED, TELEMETRY, Law, scan_telemetry
 from surctl.control.laws import DECISION_PORTS, Decision, Scan, guarded_law, paper_law
 from surctl.control.echoes import perceive, perception_ports
-from surctl.control.ports import CONTACT_SLOTS, PARAMETERS, SECTORS, YAW_SHARE, law_inputs, scan_inputs
+from surctl.control.ports import CONTACT_SLOTS, DEFAULT_ARRAY, PARAMETERS, SECTORS, YAW_SHARE, law_inputs, scan_inputs
 from surctl.control.reference import path_wish
 from surctl.control.senses import Senses, build_senses
 from surctl.control.velocity import velocity_control
@@ -29,7 +29,6 @@ LawName = Literal["guarded", "paper"]
 LAW_NAMES: tuple[LawName, ...] = get_args(LawName)
 MODES: tuple[Mode, ...] = get_args(Mode)
 
-DEFAULT_ARRAY = SonarArray()
 _CLIMB = 0.1  # [m/s] largest heave command
 _TICK_INPUTS = ("J", "wanted", "rows", "box")
 
@@ -69,11 +68,13 @@ def build_law(
             value=avoidance,
             remedy="compare the forms with law paper",
         )
+    if law == "paper" and sonar and array != DEFAULT_ARRAY:
+        raise InputError("law paper has the four sonars of the paper", key="array", remedy="fly law guarded")
     if law == "paper" or not sonar:
         return _decide(law, avoidance, mode, dt, law_inputs(contacts, sonar=sonar), sonar=sonar)
     told = scan_inputs(contacts + SECTORS, sensors=array.size)
     decide = _decide(law, avoidance, mode, dt, told)
-    return _with_senses(decide, build_senses(array, law_inputs(contacts), told, dt=dt))
+    return _with_senses(decide, build_senses(array, law_inputs(contacts, array=array), told, dt=dt))
 
 
 def _with_senses(decide: Law, senses: Senses) -> Law:

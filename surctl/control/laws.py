@@ -44,7 +44,7 @@ DECISION_PORTS = (
 _SENSE_RANGE = 1.0  # [m] below which a sensor sub-task may act
 _CRAWL = 0.01  # [m/s] below which it stands
 _ONE_ENCOUNTER = 1e3  # [m]
-_BRAKE = 4.0
+_BRAKE = 4.0  # times the excess speed that is taken off the command: the velocity loop alone is too slow
 _GIVE_WAY = 0.03  # [m/s] with which the robot backs off from a mark; half of what is marked near the hull is not there
 _OVERTAKE = 0.02  # [m/s] by which the avoidance speed exceeds the obstacle's
 

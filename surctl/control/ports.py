@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from surctl.control.gains import GAINS, Gains
 from surctl.guidance import FAR, MAX_WAYPOINTS, Path
 from surctl.ir import Layout, Port
+from surctl.sensing import SonarArray
 from surctl.vehicle import Vehicle
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
 ]
 
 CONTACT_SLOTS = 8
+DEFAULT_ARRAY = SonarArray()
 YAW_SHARE = 0.85
 """Share of the yaw thrust that turning may plan with."""
 
@@ -36,12 +38,13 @@ _POSE = (
 )
 
 
-def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True) -> Layout:
+def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True, array: SonarArray = DEFAULT_ARRAY) -> Layout:
     """What a law is given each tick.
 
     Args:
         contacts: number of slots for known obstacles, 0 or more.
         sonar: whether it listens to the sonars.
+        array: the sonars.
     """
     known = Port(
         "contacts",
@@ -50,8 +53,8 @@ def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True) -> Layout:
         "known obstacles in {E}, one a row: x, y, radius, vx, vy, valid (0 or 1)",
     )
     heard = (
-        Port("samples", (4, 5), "m", "five raw samples of each sonar's last firing", 4.5),
-        Port("fresh", (4,), "1", "1 where the sonar has fired since the last step"),
+        Port("samples", (array.size, array.samples), "m", "raw samples of each sonar's last firing", array.maximum),
+        Port("fresh", (array.size,), "1", "1 where a firing of the sonar has arrived since the last step"),
     )
     return Layout((*_POSE, *((known,) if contacts else ()), *(heard if sonar else ())))
 

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from surctl.control import CONTACT_SLOTS, NONFINITE, Gains, Law, build_law, law_parameters
 from surctl.errors import InputError, nearest
-from surctl.sensing import BaseStation, NoiseStream, OwnState, SonarArray, fire
+from surctl.sensing import BaseStation, NoiseStream, OwnState, fault_state, faulty, true_range
 from surctl.simulation.metrics import NEAR_TARGET, Metrics, path_error, settled_avoidance
 from surctl.simulation.scenario import Scenario
+from surctl.simulation.sonar import FIRING, firing_plan
 from surctl.simulation.world import Body, World, build_world
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, build_plant, plant_parameters
 from surctl.world import Disc
@@ -25,7 +26,6 @@ __all__ = ["SENSING", "Record", "Run", "Sensing", "advance", "law_numbers", "sim
 Sensing = Literal["sonar", "truth"]
 SENSING: tuple[Sensing, ...] = get_args(Sensing)
 
-FIRING = 0.025  # [s] between two sonar firings; the plant's steps are split there
 _RK4_STEPS = (0.010, 0.010, 0.005)
 
 
@@ -109,7 +109,7 @@ def simulate(
         scenario: the mission.
         vehicle: what is flown.
         gains: the law's gains.
-        law: default `build_law()`.
+        law: default: `build_law`, with sonars or without as `sensing` says.
         sensing: `truth`: the law is told every obstacle and its own pose exactly; `sonar`: it hears four sonars, and
             the base station tells it the moving obstacles and its own pose, with noise.
         seed: of every random choice.
@@ -120,7 +120,12 @@ def simulate(
     """
     if sensing not in SENSING:
         raise InputError("is not known", key="sensing", value=sensing, remedy=nearest(str(sensing), SENSING))
-    law = law or build_law()
+    sonar = sensing == "sonar"
+    law = law or build_law(sonar=sonar, array=scenario.sonars.array)
+    if law.senses is not None and not sonar:
+        raise InputError(
+            "the law listens to the sonars", key="sensing", value=sensing, remedy="fly it with sonar, or build it without"
+        )
     if abs(law.dt / FIRING - round(law.dt / FIRING)) > 1e-9 or law.dt < FIRING:
         raise InputError(
             f"is not a multiple of the sonar's firing period of {FIRING:g} s",
@@ -153,9 +158,11 @@ def law_numbers(scenario: Scenario, gains: Gains, model: Vehicle) -> NDArray[np.
 
 
 class _Drawn(NamedTuple):
-    """Standard normal numbers of one tick: (firings, samples), (4,), and (4,) for each mover by name."""
+    """Random numbers of one tick: normal ones (instants, k, samples), (4,), and (4,) for each mover by name; uniform
+    ones (instants, k, 2) where a sonar may fail."""
 
     samples: NDArray[np.float64]
+    uniforms: NDArray[np.float64]
     own_state: NDArray[np.float64]
     movers: dict[str, NDArray[np.float64]]
 
@@ -174,12 +181,14 @@ class _Loop:
     ) -> None:
         self.world, self.law, self.p, self.sensing, self.noise = world, law, p, sensing, noise
         self.plant = plant_parameters(vehicle)
-        self.array = SonarArray(hull_radius=world.hull)
+        self.sonars = world.scenario.sonars
+        self.array = self.sonars.on(world.hull)
+        self.firings = firing_plan(self.array)
         self.state = PLANT_STATE.pack({"eta": world.scenario.start_pose})
         self.law_state = law.initial_state()
-        self.samples = np.full((4, 5), self.array.maximum)
-        self.fresh = np.zeros(4)
-        self.firing = 0
+        self.faults = fault_state(self.array)
+        self.fresh = np.zeros(self.array.size)
+        self.instant = 0
         self.least = float("inf")
         self.clear_of_walls = False
         self.rows: list[tuple[object, ...]] = []
@@ -191,7 +200,7 @@ class _Loop:
             time = tick * dt
             bodies = self.world.bodies(time)
             drawn = self._draw()
-            self._listen(bodies, drawn.samples[0])
+            self._listen(bodies, drawn, 0)
             clearance = self._clearance(bodies)
             u = self._inputs(bodies, drawn)
             step = self.law.step(self.law_state, u, self.p)
@@ -205,7 +214,7 @@ class _Loop:
             if step.status == NONFINITE:
                 return "fault"
             self.law_state = step.x_next
-            self._advance(time, step.tau, drawn.samples[1:])
+            self._advance(time, step.tau, drawn)
         return "time limit"
 
     def record(self) -> Record:
@@ -229,13 +238,19 @@ class _Loop:
     def _draw(self) -> _Drawn:
         """All the noise of one tick, in a fixed order: firings, own state, then every mover."""
         movers = [o.name for o in self.world.scenario.obstacles if o.shape == "moving"]
-        firings, taken = round(self.law.dt / FIRING), self.array.samples
-        count = firings * taken + 4 + 4 * len(movers)
-        numbers = self.noise.normals(count) if self.sensing == "sonar" else np.zeros(count)
-        samples, rest = numbers[: firings * taken].reshape(firings, taken), numbers[firings * taken :]
-        return _Drawn(samples, rest[:4], dict(zip(movers, rest[4:].reshape(-1, 4), strict=True)))
+        instants, wide, taken = round(self.law.dt / FIRING), len(self.firings.sensors[0]), self.array.samples
+        heard = instants * wide * taken
+        # in pairs, as the generator makes them
+        count = heard + heard % 2 + 4 + 4 * len(movers)
+        hears = self.sensing == "sonar"
+        numbers = self.noise.normals(count) if hears else np.zeros(count)
+        chances = 2 * instants * wide
+        uniforms = self.noise.uniforms(chances) if hears and self.sonars.may_fail else np.full(chances, 0.5)
+        samples, rest = numbers[:heard].reshape(instants, wide, taken), numbers[heard + heard % 2 :]
+        told = dict(zip(movers, rest[4:].reshape(-1, 4), strict=True))
+        return _Drawn(samples, uniforms.reshape(instants, wide, 2), rest[:4], told)
 
-    def _advance(self, time: float, tau: NDArray[np.float64], samples: NDArray[np.float64]) -> None:
+    def _advance(self, time: float, tau: NDArray[np.float64], drawn: _Drawn) -> None:
         half = round(self.law.dt / FIRING)
         for k in range(half):
             d = PLANT_DISTURBANCE.pack(
@@ -248,19 +263,30 @@ class _Loop:
             if k < half - 1:
                 between = time + (k + 1) * FIRING
                 bodies = self.world.bodies(between)
-                self._listen(bodies, samples[k])
+                self._listen(bodies, drawn, k + 1)
                 self._clearance(bodies)
 
-    def _listen(self, bodies: Sequence[Body], noise: NDArray[np.float64]) -> None:
+    def _listen(self, bodies: Sequence[Body], drawn: _Drawn, instant: int) -> None:
         if self.sensing == "truth":
             return
-        sensor = self.array.sensor_at(self.firing)
-        self.firing += 1
+        time = self.instant * FIRING
         shapes = [*(b.shape for b in bodies), *self.world.scenario.walls]
-        self.samples[sensor] = fire(
-            self.array, sensor, position=self.state[:2], heading=float(self.state[3]), shapes=shapes, noise=noise
-        )
-        self.fresh[sensor] = 1.0
+        for k, sensor in enumerate(self.firings.at(self.instant)):
+            heading = float(self.state[3])
+            given, self.faults = faulty(
+                self.array,
+                self.faults,
+                sensor,
+                time=time,
+                distance=true_range(self.array, sensor, position=self.state[:2], heading=heading, shapes=shapes),
+                noise=drawn.samples[instant, k],
+                faults=self.sonars.faults,
+                chances=self.sonars.chances,
+                uniforms=drawn.uniforms[instant, k],
+            )
+            if given is not None:
+                self.fresh[sensor] = 1.0
+        self.instant += 1
 
     def _clearance(self, bodies: Sequence[Body]) -> float:
         clearance = self.world.clearance(self.state[:2], bodies)
@@ -286,10 +312,9 @@ class _Loop:
             heard = contacts[: len(told)]
             heard[:, :2], heard[:, 3:5] = BaseStation().observe(heard[:, :2], heard[:, 3:5], noise=noise)
             eta, nu = OwnState().measure(eta, nu, noise=drawn.own_state)
-        u = self.law.inputs.pack(
-            {"eta": eta, "nu": nu, "contacts": contacts, "samples": self.samples, "fresh": self.fresh}
-        )
-        self.fresh = np.zeros(4)
+        given = {"eta": eta, "nu": nu, "contacts": contacts, "samples": self.faults.last, "fresh": self.fresh}
+        u = self.law.inputs.pack({name: value for name, value in given.items() if name in self.law.inputs})
+        self.fresh = np.zeros(self.array.size)
         return u
 
     def _contact(self, body: Body) -> list[float]:

@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 from surctl.errors import InputError
 from surctl.files import Strict, pick, read_toml, validate
 from surctl.guidance import Path
+from surctl.simulation.sonar import Sonars, SonarTable, sonars_from_table
 from surctl.world import Box, Disc, Wall, site_walls
 
 __all__ = ["LIBRARY", "Obstacle", "Scenario", "Shape", "load_scenario", "scenario_from_table"]
@@ -93,6 +94,7 @@ class _ScenarioFile(Strict):
     site: _Site
     obstacles: tuple[Obstacle, ...] = ()
     disturbance: Disturbance = Disturbance()
+    sonar: SonarTable = SonarTable()
     paper: PaperFigure
 
 
@@ -108,6 +110,7 @@ class Scenario:
         reach: distance to the target that counts as arrived [m].
         site: length along x, width along y, depth [m]; one corner of the floor plan is the origin.
         vehicle: name or path of the vehicle that flies it by default.
+        sonars: the sonar array and its faults.
     """
 
     name: str
@@ -125,6 +128,7 @@ class Scenario:
     disturbance: Disturbance
     paper: PaperFigure
     source: str = ""
+    sonars: Sonars = Sonars()
 
     @property
     def walls(self) -> tuple[Wall, ...]:
@@ -168,6 +172,10 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
         path = Path(np.array(model.path_m))
     except InputError as error:
         raise error.inside(source, "path_m") from None
+    try:
+        sonars = sonars_from_table(model.sonar)
+    except InputError as error:
+        raise error.inside(source, f"sonar.{error.key}") from None
     scenario = Scenario(
         model.name,
         model.title,
@@ -184,6 +192,7 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
         model.disturbance,
         model.paper,
         source,
+        sonars,
     )
     _check(scenario)
     return scenario

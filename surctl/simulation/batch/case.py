@@ -53,7 +53,10 @@ class Case:
 
     def build(self) -> Law:
         """The law that is flown."""
-        return build_law(self.law, avoidance=self.avoidance, mode=self.mode)
+        sonar = self.sensing == "sonar"
+        return build_law(
+            self.law, avoidance=self.avoidance, mode=self.mode, sonar=sonar, array=self.scenario.sonars.array
+        )
 
 
 @dataclass(frozen=True)
@@ -115,8 +118,12 @@ def knobs(case: Case) -> Mapping[str, Knob]:
 
 
 def _scenario_knobs(scenario: Scenario) -> list[Knob]:
-    d = scenario.disturbance
+    d, chances = scenario.disturbance, scenario.sonars.chances
     return [
+        *(
+            Knob(f"sonar.{kind}", "1", f"chance of this fault ({kind}) per firing of a sonar", chance, 0.0, 1.0)
+            for kind, chance in zip(chances.kinds(), chances.numbers, strict=True)
+        ),
         Knob("scenario.cruise", "m/s", "speed of the path's target", scenario.cruise, 0.0, inf, True),
         Knob("scenario.cap", "m/s", "largest commanded horizontal speed", scenario.cap, 0.0, inf, True),
         Knob("scenario.depth", "m", "wanted z, negative below the surface", scenario.depth, -scenario.site[2], 0.0),

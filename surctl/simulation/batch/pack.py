@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control import GAINS
-from surctl.sensing import noise_states
+from surctl.sensing import FaultChances, fault_slots, noise_states
 from surctl.simulation.batch.bodies import body_columns, kind_of
 from surctl.simulation.batch.case import Case, knobs
 from surctl.simulation.batch.tick import Loop, Structure
@@ -51,7 +51,27 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
     for obstacle in case.scenario.obstacles:
         moved = values.get(f"obstacle.{obstacle.name}.drift", np.asarray(obstacle.drift_m))
         kinds.append(kind_of(obstacle, drifting=bool(np.any(moved > 0))))
-    return Structure(case.law, case.avoidance, case.mode, case.sensing, tuple(kinds))
+    if case.sensing == "truth":
+        return Structure(case.law, case.avoidance, case.mode, case.sensing, tuple(kinds))
+    sonars = case.scenario.sonars
+    array = sonars.array if sonars.array.mounts is None else sonars.on(case.vehicle["radius"])
+    struck = any(np.any(values.get(f"sonar.{kind}", chance) > 0) for kind, chance in _chances(case))
+    return Structure(
+        case.law,
+        case.avoidance,
+        case.mode,
+        case.sensing,
+        tuple(kinds),
+        array,
+        len(sonars.faults),
+        struck,
+        any(fault.kind == "delay" for fault in sonars.faults),
+    )
+
+
+def _chances(case: Case) -> list[tuple[str, float]]:
+    chances = case.scenario.sonars.chances
+    return list(zip(chances.kinds(), chances.numbers, strict=True))
 
 
 def pack(case: Case, loop: Loop, values: Mapping[str, Columns], seeds: NDArray[np.int64]) -> Packed:
@@ -144,6 +164,12 @@ class _Filler:
                 np.asarray(drawn.wave_phase),
             ],
         }
+        structure = self.loop.structure
+        if structure.may_fail:
+            found["fault_chances"] = [self.number(f"sonar.{kind}") for kind in FaultChances.kinds()]
+        if structure.faults:
+            slots = fault_slots(structure.array, scenario.sonars.faults, structure.faults)
+            found["fault_slots"] = [np.asarray(value) for value in slots.ravel()]
         for k, (obstacle, kind) in enumerate(zip(scenario.obstacles, self.loop.structure.bodies, strict=True)):
             prefix = f"obstacle.{obstacle.name}."
             found[f"body{k}"] = body_columns(

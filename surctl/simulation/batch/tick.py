@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
+from math import gcd
 from typing import Any
 
 import casadi as ca
@@ -20,38 +21,58 @@ from surctl.ir import Call, Layout, Port, Program, Routine, lower, nearby_angles
 from surctl.priority import Mode
 from surctl.sensing import (
     NOISE_STATE,
+    SLOT,
     BaseStation,
+    FaultChances,
     OwnState,
     SolidWalls,
     SonarArray,
     beam_of,
     draw_normals,
+    draw_uniforms,
     echo_range,
+    fault_ports,
+    faulty_samples,
     heard_samples,
 )
 from surctl.simulation.batch.bodies import ABSENT, Body, BodyKind, body_at, body_size
 from surctl.simulation.batch.counting import SUMS, counted, modulo
 from surctl.simulation.metrics import STOPS
-from surctl.simulation.run import FIRING, Sensing, advance
+from surctl.simulation.run import Sensing, advance
+from surctl.simulation.sonar import FIRING, FiringPlan, firing_plan
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE
 
 __all__ = ["Loop", "Structure", "build_loop"]
 
 _OPTIONS = {"cse": True}
 _HEADING = PLANT_STATE.slice("eta").start + 3
-_ARRAY = SonarArray()
 _FINITE = 1e300
 
 
 @dataclass(frozen=True)
 class Structure:
-    """What of a case is fixed in the compiled loop; everything else is a number of a run."""
+    """What of a case is fixed in the compiled loop; everything else is a number of a run.
+
+    Attributes:
+        array: the sonars; their hull counts only if they have mounts.
+        faults: number of slots for told faults; `delays` if one of them may be a delay.
+        chances: whether faults may strike by chance.
+    """
 
     law: LawName
     avoidance: AvoidanceForm
     mode: Mode
     sensing: Sensing
     bodies: tuple[BodyKind, ...]
+    array: SonarArray = SonarArray()
+    faults: int = 0
+    chances: bool = False
+    delays: bool = False
+
+    @property
+    def may_fail(self) -> bool:
+        """Whether a sonar may fail."""
+        return self.faults > 0 or self.chances
 
     @property
     def movers(self) -> int:
@@ -91,6 +112,7 @@ def build_loop(structure: Structure) -> Loop:
         mode=structure.mode,
         contacts=structure.contacts,
         sonar=structure.sensing == "sonar",
+        array=structure.array,
     )
     state, parameters = Layout(_state_ports(law, structure)), Layout(_parameter_ports(structure))
     builder = _Builder(structure, law, state, parameters)
@@ -102,7 +124,7 @@ def build_loop(structure: Structure) -> Loop:
         Call(sense, ("s", "w"), made[0]),
         Call(law.block, ("x", "u", "p"), ("tau", "x_next", "status", "telemetry")),
         Call(move, ("plant", "tau", "d0", "plant_p"), ("plant_between",)),
-        Call(between, ("w", "plant_between", "samples", "noise_between", "tick"), made[1]),
+        Call(between, tuple(name for name, _ in between.inputs), made[1]),
         Call(move, ("plant_between", "tau", "d1", "plant_p"), ("plant_next",)),
         Call(close, tuple(name for name, _ in close.inputs), made[2]),
     )
@@ -121,12 +143,17 @@ def _parameter_ports(structure: Structure) -> tuple[Port, ...]:
         Port("wave", (4,), "N, rad/s, rad", "amplitude along x and y of {E}, rate, phase"),
     )
     bodies = (Port(f"body{k}", (body_size(kind),), "SI", kind) for k, kind in enumerate(structure.bodies))
-    return (*PARAMETERS, *world, *bodies)
+    failing = (
+        Port("fault_slots", (structure.faults, SLOT), "SI", "told faults, see fault_slots"),
+        Port("fault_chances", (len(FaultChances.kinds()),), "1", "per firing, see FaultChances"),
+    )
+    return (*PARAMETERS, *world, *bodies, *(port for port in failing if structure.may_fail and port.size))
 
 
 def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
     heard = (
-        Port("samples", (_ARRAY.size, _ARRAY.samples), "m", "last samples of each sonar", _ARRAY.maximum),
+        *fault_ports(structure.array, delays=structure.delays, prefix="sonar_"),
+        Port("fresh", (structure.array.size,), "1", "1 where a sonar's firing arrived since the last tick"),
         Port("noise", (NOISE_STATE,), "1", "state of the noise generator"),
     )
     return (
@@ -163,17 +190,16 @@ class _Builder:
         out: dict[str, ca.SX] = {"x": state["law"], "p": w[: PARAMETERS.size]}
         inputs: dict[str, ca.SX] = {"eta": eta, "nu": nu}
         if self.sonar:
-            drawn, out["noise_next"] = draw_normals(state["noise"], 2 * _ARRAY.samples + 4 + 4 * self.structure.movers)
-            first, own = drawn[: _ARRAY.samples], 2 * _ARRAY.samples
-            out["noise_between"] = drawn[_ARRAY.samples : own]
-            out["samples"] = _flat(self._fired(given, bodies, state["plant"], state["samples"], tick, first))
-            inputs["eta"] = eta + ca.DM(_own_state_spread()) * drawn[own : own + 4]
-            inputs["samples"] = ca.reshape(out["samples"], _ARRAY.samples, _ARRAY.size).T
-            inputs["fresh"] = _fresh(tick)
-            movers = ca.reshape(drawn[own + 4 :], 4, self.structure.movers).T
+            own, drawn = self._drawn(state["noise"], out)
+            heard, arrived = self._instant(given, bodies, state["plant"], state, tick, out, instant=0)
+            inputs["eta"] = eta + ca.DM(_own_state_spread()) * own
+            inputs["samples"] = heard["sonar_last"]
+            inputs["fresh"] = ca.fmax(state["fresh"], arrived)
+            out["heard"] = self._heard.join(heard)
+            movers = ca.reshape(drawn, 4, self.structure.movers).T
             rows = [_observed(b.contact(eta[:2]), movers[k, :]) for k, b in enumerate(b for b in bodies if b.moving)]
         else:
-            out |= {"noise_next": ca.SX(0), "noise_between": ca.SX(0), "samples": ca.SX(0)}
+            out |= {name: ca.SX(0) for name in ("noise_next", "normals", "uniforms", "heard")}
             rows = [b.contact(eta[:2]) for b in bodies]
         near = [b.clearance(eta[:2]) for b in bodies if b.moving or not self.sonar]
         if rows:
@@ -185,21 +211,106 @@ class _Builder:
         out["clearance"] = _clearances(bodies, given, eta[:2])
         return _lowered("sense", {"s": s, "w": w}, out)
 
+    def _drawn(self, noise: ca.SX, out: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+        """Draw what a tick needs, see `run._Drawn`: the own state's and the movers' share; the firings' goes to `out`."""
+        count = self._instants * self._wide * self.structure.array.samples
+        count += count % 2
+        drawn, after = draw_normals(noise, count + 4 + 4 * self.structure.movers)
+        out["normals"], out["uniforms"] = drawn[:count], ca.SX(0)
+        if self.structure.may_fail:
+            out["uniforms"], after = draw_uniforms(after, 2 * self._instants * self._wide)
+        out["noise_next"] = after
+        return drawn[count : count + 4], drawn[count + 4 :]
+
+    @property
+    def _instants(self) -> int:
+        return round(self.law.dt / FIRING)
+
+    @cached_property
+    def _plan(self) -> FiringPlan:
+        return firing_plan(self.structure.array)
+
+    @property
+    def _wide(self) -> int:
+        return len(self._plan.sensors[0])
+
+    @cached_property
+    def _heard(self) -> Layout:
+        return Layout(fault_ports(self.structure.array, delays=self.structure.delays, prefix="sonar_"))
+
     def between(self) -> Program:
-        """Second firing and clearances, 25 ms after the tick."""
+        """Second instant of firing and clearances, 25 ms after the tick."""
         w, given = self.parameters.symbols("w")
-        plant, tick = ca.SX.sym("plant_between", PLANT_STATE.size), ca.SX.sym("tick")
-        count, taken = (_ARRAY.size * _ARRAY.samples, _ARRAY.samples) if self.sonar else (1, 1)
-        samples, noise = ca.SX.sym("samples", count), ca.SX.sym("noise_between", taken)
-        bodies = self._bodies(given, tick * self.law.dt + FIRING)
-        after = samples
+        structure, plan, wide = self.structure, self._plan, self._wide
+        sizes = {"plant_between": PLANT_STATE.size, "tick": 1, "normals": 1, "uniforms": 1, "heard": 1}
         if self.sonar:
-            shaped = ca.reshape(samples, _ARRAY.samples, _ARRAY.size).T
-            after = _flat(self._fired(given, bodies, plant, shaped, tick, noise, second=True))
-        inputs = {"w": w, "plant_between": plant, "samples": samples, "noise_between": noise, "tick": tick}
-        return _lowered(
-            "between", inputs, {"samples_next": after, "clearance_between": _clearances(bodies, given, plant[:2])}
-        )
+            count = self._instants * wide * structure.array.samples
+            sizes |= {"normals": count + count % 2, "heard": self._heard.size}
+            sizes["uniforms"] = 2 * self._instants * wide if structure.may_fail else 1
+        v = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+        plant = v["plant_between"]
+        bodies = self._bodies(given, v["tick"] * self.law.dt + FIRING)
+        heard, fresh = v["heard"], ca.SX(0)
+        if self.sonar:
+            after, fresh = self._instant(given, bodies, plant, self._heard.split(heard), v["tick"], v, instant=1)
+            heard = self._heard.join(after)
+        near = _clearances(bodies, given, plant[:2])
+        return _lowered("between", {"w": w, **v}, {"heard_next": heard, "fresh_next": fresh, "clearance_between": near})
+
+    def _instant(
+        self,
+        w: Mapping[str, ca.SX],
+        bodies: Sequence[Body],
+        plant: ca.SX,
+        heard: Mapping[str, ca.SX],
+        tick: ca.SX,
+        drawn: Mapping[str, ca.SX],
+        *,
+        instant: int,
+    ) -> tuple[dict[str, ca.SX], ca.SX]:
+        """What has been heard after one instant of firing, and (sensors, 1) 1 for those whose firing arrived."""
+        structure, plan, wide = self.structure, self._plan, self._wide
+        array, taken = structure.array, structure.array.samples
+        after = {name: value for name, value in heard.items() if name.startswith("sonar_")}
+        fresh = [ca.SX(0)] * array.size
+        period = plan.period // gcd(plan.period, self._instants)  # ticks
+        turn = modulo(tick, period)
+        for k in range(wide):
+            turns = [plan.sensors[(t * self._instants + instant) % plan.period][k] for t in range(period)]
+            listed = [0 if i is None else i for i in turns]
+            beam = beam_of(array, listed, turn, position=plant[:2], heading=plant[3], hull_radius=w["world_hull"])
+            distance = echo_range(array, beam, [*(body.solid for body in bodies), SolidWalls(w["walls"])])
+            at = (instant * wide + k) * taken
+            noise, sensor = drawn["normals"][at : at + taken], ca.SX(0)
+            for t, i in enumerate(listed):
+                sensor = ca.if_else(turn == t, i, sensor)
+            if structure.may_fail:
+                at = 2 * (instant * wide + k)
+                arrival = faulty_samples(
+                    array,
+                    after,
+                    sensor,
+                    time=tick * self.law.dt + instant * FIRING,
+                    distance=distance,
+                    noise=noise,
+                    slots=w["fault_slots"] if structure.faults else ca.SX.zeros(0, SLOT),
+                    chances=w["fault_chances"],
+                    uniforms=drawn["uniforms"][at : at + 2],
+                    delays=structure.delays,
+                    prefix="sonar_",
+                )
+                now, arrived = arrival.state, arrival.arrived
+            else:
+                row, last = heard_samples(array, distance, noise=noise).T, after["sonar_last"]
+                rows = [ca.if_else(sensor == i, row, last[i, :]) for i in range(array.size)]
+                now, arrived = {"sonar_last": ca.vertcat(*rows)}, ca.SX(1)
+            silent = [t for t, i in enumerate(turns) if i is None]
+            for t in silent:  # nobody's turn
+                now = {name: ca.if_else(turn == t, after[name], value) for name, value in now.items()}
+                arrived = ca.if_else(turn == t, 0, arrived)
+            after |= now
+            fresh = [ca.fmax(flag, ca.logic_and(sensor == i, arrived)) for i, flag in enumerate(fresh)]
+        return after, ca.vertcat(*fresh)
 
     def close(self) -> Program:
         """Judge the tick, count the metrics, and put the next state together."""
@@ -214,7 +325,8 @@ class _Builder:
             "status": 1,
             "telemetry": law.outputs.size - 4,
             "plant_next": PLANT_STATE.size,
-            "samples_next": _ARRAY.size * _ARRAY.samples if sonar else 1,
+            "heard_next": self._heard.size if sonar else 1,
+            "fresh_next": self.structure.array.size if sonar else 1,
             "noise_next": NOISE_STATE if sonar else 1,
         }
         v = {name: ca.SX.sym(name, size) for name, size in symbols.items()}
@@ -244,8 +356,7 @@ class _Builder:
             "last_place": place,
         }
         if sonar:
-            shaped = ca.reshape(v["samples_next"], _ARRAY.samples, _ARRAY.size).T
-            new |= {"samples": shaped, "noise": v["noise_next"]}
+            new |= {**self._heard.split(v["heard_next"]), "fresh": v["fresh_next"], "noise": v["noise_next"]}
         tau, status = ca.if_else(broken, 0, v["tau"]), ca.if_else(broken, 0, v["status"])
         avoiding = v["telemetry"][law.telemetry_slice("avoiding")] > 0.5
         new |= counted(old, given, tau, status, ca.if_else(broken, 0, avoiding), to_target, gap)
@@ -260,29 +371,6 @@ class _Builder:
         return PLANT_DISTURBANCE.join(
             {"current": ca.vertcat(w["current"], 0), "force": ca.vertcat(push, ca.SX.zeros(2))}
         )
-
-    @staticmethod
-    def _fired(
-        w: Mapping[str, ca.SX],
-        bodies: Sequence[Body],
-        plant: ca.SX,
-        samples: ca.SX,
-        tick: ca.SX,
-        noise: ca.SX,
-        *,
-        second: bool = False,
-    ) -> ca.SX:
-        """Samples (sensors, samples) after the first or second firing of a tick."""
-        turns = [_ARRAY.order[k] for k in range(int(second), _ARRAY.size, 2)]
-        turn = modulo(tick, len(turns))
-        hull = w["world_hull"]
-        beam = beam_of(_ARRAY, turns, turn, position=plant[:2], heading=plant[3], hull_radius=hull)
-        distance = echo_range(_ARRAY, beam, [*(body.solid for body in bodies), SolidWalls(w["walls"])])
-        heard = heard_samples(_ARRAY, distance, noise=noise)
-        rows = [samples[i, :] for i in range(_ARRAY.size)]
-        for k, sensor in enumerate(turns):
-            rows[sensor] = ca.if_else(turn == k, heard.T, rows[sensor])
-        return ca.vertcat(*rows)
 
 
 def _clearances(bodies: Sequence[Body], w: Mapping[str, ca.SX], position: ca.SX) -> ca.SX:
@@ -324,18 +412,6 @@ def _observed(row: ca.SX, noise: ca.SX) -> ca.SX:
 def _own_state_spread() -> list[float]:
     own = OwnState()
     return [own.position_sd, own.position_sd, own.position_sd, own.yaw_sd]
-
-
-def _fresh(tick: ca.SX) -> ca.SX:
-    """(sensors, 1): who has fired since the last control tick: the second firing of the last, the first of this."""
-    period = _ARRAY.size // 2
-    flags = [ca.SX(0)] * _ARRAY.size
-    for k in range(period):
-        here = modulo(tick, period) == k
-        flags[_ARRAY.order[2 * k]] += here
-        before = _ARRAY.order[(2 * k - 1) % _ARRAY.size]
-        flags[before] += ca.logic_and(here, tick > 0.5)
-    return ca.vertcat(*flags)
 
 
 def _code(reason: str) -> float:
