@@ -39,7 +39,7 @@ def test_the_open_parts_are_those_whose_rays_miss_the_hull():
     for _ in range(300):
         bearing, distance = rng.uniform(-4, 4), R * rng.choice([1.0, rng.uniform(1, 4)])
         mount = distance * np.array((math.cos(bearing), math.sin(bearing)))
-        azimuth, half = rng.uniform(-7, 7), rng.uniform(0.05, 1.5)
+        azimuth, half = rng.uniform(-30, 30), rng.uniform(0.05, 1.5)
         cones = open_cones(tuple(mount), azimuth, half_angle=half, hull_radius=R)
         seen.add(len(cones))
         looks = np.linspace(-half, half, 2001)
