@@ -137,12 +137,11 @@ def faulty_samples(
 
 
 def _told(slots: ca.SX, sensor: ca.SX, time: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Code, delay and start of the first slot that acts; code 0 for none."""
+    """Code, delay and start of the first slot that acts; code 0 for none (an empty slot ends as it starts)."""
     kind, late, start = ca.SX(0), ca.SX(0), ca.SX(0)
     for k in reversed(range(slots.shape[0])):
         code, whose, begin, end, firings = (slots[k, j] for j in range(SLOT))
         acts = ca.logic_and(whose == sensor, ca.logic_and(time >= begin - SLACK, time < end - SLACK))
-        acts = ca.logic_and(acts, code > 0)
         kind, late, start = (ca.if_else(acts, new, old) for new, old in ((code, kind), (firings, late), (begin, start)))
     return kind, late, start
 

@@ -1,12 +1,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.sensing import SonarArray, fire, true_range
+from surctl.sensing import SonarArray, fire, speed_of_sound, true_range
 from surctl.world import Box, Disc, site_walls
 
 QUIET = SonarArray(noise_sd=0.0, bias=0.0)
@@ -95,9 +96,100 @@ def test_firing_order_and_cycle():
     assert SonarArray(azimuths=(0.0,), order=(0,)).cycle == pytest.approx(0.025)
 
 
+def test_an_uncorrected_constant_of_air_reads_23_cm_for_a_metre_of_water():
+    array = SonarArray(noise_sd=0.0, bias=0.0, bits=16, calibrated_for=343.0)
+    ahead = (Disc((array.hull_radius + 1.0 + 0.5, 0), 0.5),)
+    assert true_range(array, 0, position=(0, 0), heading=0.0, shapes=ahead) == pytest.approx(1.0)
+    samples = fire(array, 0, position=(0, 0), heading=0.0, shapes=ahead, noise=np.zeros(5))
+    assert samples == pytest.approx(343.0 / speed_of_sound(20.0), abs=array.resolution)
+    assert np.round(samples, 2) == pytest.approx(0.23)
+    nothing = fire(array, 0, position=(0, 0), heading=0.0, shapes=(), noise=np.zeros(5))
+    assert np.all(nothing == array.maximum)
+    touching = (Disc((array.hull_radius + 0.02 + 0.5, 0), 0.5),)
+    low = fire(array, 0, position=(0, 0), heading=0.0, shapes=touching, noise=np.zeros(5))
+    assert low == pytest.approx(0.2 * array.scale, abs=array.resolution)
+
+
+def test_a_constant_too_large_reads_no_further_than_the_maximum():
+    array = SonarArray(noise_sd=0.0, bias=0.0, calibrated_for=1600.0)
+    samples = fire(array, 0, position=(0, 0), heading=0.0, shapes=(Disc((5.2, 0), 0.5),), noise=np.zeros(5))
+    assert np.all(samples == array.maximum)
+
+
+def test_the_temperature_changes_the_reading_of_a_fixed_constant():
+    warm = SonarArray(temperature=30.0, calibrated_for=speed_of_sound(20.0))
+    cold = SonarArray(temperature=5.0, calibrated_for=speed_of_sound(20.0))
+    assert warm.scale < 1 < cold.scale
+    assert SonarArray(temperature=30.0).scale == 1.0
+
+
+def test_the_blind_range_is_half_the_way_of_the_blind_time():
+    array = SonarArray(blind_time=4e-4)
+    assert array.blind == pytest.approx(0.5 * speed_of_sound(20.0) * 4e-4)
+    assert SonarArray().blind == SonarArray().lowest == 0.2
+    ahead = (Disc((array.hull_radius + 0.05 + 0.5, 0), 0.5),)
+    samples = fire(array, 0, position=(0, 0), heading=0.0, shapes=ahead, noise=np.zeros(5))
+    assert samples == pytest.approx(array.blind, abs=0.5 * array.resolution)
+
+
+def test_only_what_faces_the_sensor_is_heard():
+    box = (Box((2.0, 0.0), (1.0, 1.0), math.pi / 4),)
+    narrow = {"beam_angle": math.radians(15)}
+    corner = 2.0 - math.sqrt(0.5) - 0.27
+    assert true_range(SonarArray(**narrow), 0, position=(0, 0), heading=0.0, shapes=box) == pytest.approx(corner)
+    limited = SonarArray(**narrow, incidence_limit=math.radians(22.5))
+    assert true_range(limited, 0, position=(0, 0), heading=0.0, shapes=box) == math.inf
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 6, 8])
+def test_any_number_of_sensors(count):
+    azimuths = tuple(2 * math.pi * k / count for k in range(count))
+    array = SonarArray(azimuths=azimuths, order=tuple(range(count)), firing_period=0.1 / count)
+    assert array.size == count and len(array.cones) == count and array.cycle == pytest.approx(0.1)
+    assert hash(array) == hash(replace(array)) and array == replace(array)
+    wall = site_walls(8.0, 8.0)
+    for sensor in range(count):
+        assert 0 < true_range(array, sensor, position=(4, 4), heading=0.1, shapes=wall) <= 4.0 - 0.27 + 2.0
+
+
+@pytest.mark.parametrize("degrees", [15, 75, 120, 179])
+def test_beams_up_to_a_half_circle(degrees):
+    array = SonarArray(beam_angle=math.radians(degrees))
+    beside = (Disc((0.27 + math.cos(math.radians(degrees / 2)), math.sin(math.radians(degrees / 2))), 0.01),)
+    assert true_range(array, 0, position=(0, 0), heading=0.0, shapes=beside) == pytest.approx(0.99)
+    assert true_range(array, 0, position=(0, 0), heading=0.1, shapes=beside) < math.inf
+    assert true_range(array, 0, position=(0, 0), heading=-0.1, shapes=beside) == math.inf
+
+
+def test_windows_must_hold_the_echo():
+    with pytest.raises(InputError, match=r"overlapping firing windows: its echo takes 26\.2 ms in air") as caught:
+        SonarArray(medium="air")
+    assert caught.value.key == "array.maximum"
+    assert SonarArray(medium="air", maximum=4.29).echo_time <= 0.025
+    with pytest.raises(InputError, match="range beyond the cycle"):
+        SonarArray(maximum=80.0)
+    with pytest.raises(InputError, match=r"longer than 0\.05 s"):
+        SonarArray(cycle_limit=0.05)
+    # five pings one after another would not fit: a firing is one ping
+    assert 5 * SonarArray().echo_time > SonarArray().firing_period
+
+
 @pytest.mark.parametrize(
     ("values", "key"),
     [
+        ({"incidence_limit": 0.0}, "array.incidence_limit"),
+        ({"incidence_limit": math.pi / 2}, "array.incidence_limit"),
+        ({"incidence_limit": math.nan}, "array.incidence_limit"),
+        ({"medium": "sand"}, "array.medium"),
+        ({"temperature": -1.0}, "array.temperature"),
+        ({"temperature": math.nan}, "array.temperature"),
+        ({"calibrated_for": 0.0}, "array.calibrated_for"),
+        ({"calibrated_for": math.inf}, "array.calibrated_for"),
+        ({"calibrated_for": 1e5}, "array.calibrated_for"),
+        ({"blind_time": 4e-4, "minimum": 0.3}, "array.blind_time"),
+        ({"blind_time": 0.0}, "array.blind_time"),
+        ({"blind_time": 0.01}, "array.blind_time"),
+        ({"cycle_limit": 0.0}, "array.cycle_limit"),
         ({"firing_period": 0.03}, "array.firing_period"),
         ({"firing_period": 0.0}, "array.firing_period"),
         ({"firing_period": math.nan}, "array.firing_period"),

@@ -12,47 +12,9 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.world import Box, Disc, Wall, site_walls
+from tests.raycasting import CAST, corners
 
 RAYS = 40_001
-
-
-def cast_disc(disc, apex, rays):
-    """First hits of unit rays (n, 2): the smaller root of |apex + t·ray − center|² = r²."""
-    to = apex - np.array(disc.center)
-    b, c = rays @ to, to @ to - disc.radius**2
-    root = b * b - c
-    t = -b - np.sqrt(np.where(root >= 0, root, np.nan))
-    return np.where(np.isnan(t) | (t < 0), np.inf, t)
-
-
-def corners(box):
-    c, s = math.cos(box.angle), math.sin(box.angle)
-    half = np.array(box.size) / 2
-    local = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half
-    return np.array(box.center) + local @ np.array([[c, s], [-s, c]])
-
-
-def cast_box(box, apex, rays):
-    """First hits on the four edges, each solved as apex + t·ray = a + q·(b − a) by Cramer's rule."""
-    best = np.full(len(rays), np.inf)
-    points = corners(box)
-    for a, b in zip(points, np.roll(points, -1, axis=0), strict=True):
-        edge, to = b - a, a - apex
-        det = rays[:, 1] * edge[0] - rays[:, 0] * edge[1]
-        det = np.where(np.abs(det) < 1e-14, np.nan, det)
-        t = (to[1] * edge[0] - to[0] * edge[1]) / det
-        q = (to[1] * rays[:, 0] - to[0] * rays[:, 1]) / det
-        best = np.minimum(best, np.where((t >= 0) & (q >= 0) & (q <= 1), t, np.inf))
-    return best
-
-
-def cast_wall(wall, apex, rays):
-    gap = (apex - np.array(wall.point)) @ np.array(wall.normal)
-    closing = -(rays @ np.array(wall.normal))
-    return np.where(closing > 1e-14, gap / np.where(closing > 1e-14, closing, 1.0), np.inf)
-
-
-CAST = {Disc: cast_disc, Box: cast_box, Wall: cast_wall}
 
 
 def random_shape(rng):
@@ -82,11 +44,11 @@ def test_cone_against_ray_casting(seed):
             assert got == 0.0
             outcomes["inside"] += 1
             continue
-        hits = CAST[type(shape)](shape, apex, fan(axis, half))
+        hits = CAST[type(shape)](shape, apex, fan(axis, half))[0]
         nearest = hits.min()
         if math.isinf(nearest):
             # a sliver thinner than the ray spacing may be all that is in the cone
-            wider = CAST[type(shape)](shape, apex, fan(axis, half + 1e-4)).min()
+            wider = CAST[type(shape)](shape, apex, fan(axis, half + 1e-4))[0].min()
             assert math.isinf(got) or not math.isinf(wider)
             outcomes["miss"] += 1
             continue

@@ -1,0 +1,43 @@
+"""The speed of sound against a formula of other authors and against published values."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from surctl.errors import InputError
+from surctl.sensing import speed_of_sound
+
+# Bilaniuk and Wong 1993 (erratum 1996), "Speed of sound in pure water as a function of temperature", 148 points
+BILANIUK = (1.40238744e3, 5.03836171, -5.81172916e-2, 3.34638117e-4, -1.48259672e-6, 3.16585020e-9)
+
+
+def test_water_agrees_with_bilaniuk_and_wong():
+    for temperature in np.linspace(0, 95, 200):
+        other = np.polynomial.polynomial.polyval(temperature, BILANIUK)
+        assert speed_of_sound(temperature) == pytest.approx(other, abs=0.03)
+
+
+def test_air_is_that_of_an_ideal_gas():
+    for temperature in (-20.0, 0.0, 20.0, 50.0):
+        ideal = math.sqrt(1.4 * 8.314463 * (temperature + 273.15) / 0.0289652)  # CODATA, dry air
+        assert speed_of_sound(temperature, "air") == pytest.approx(ideal, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("temperature", "medium", "key"),
+    [
+        (-0.1, "water", "temperature"),
+        (95.1, "water", "temperature"),
+        (math.nan, "water", "temperature"),
+        (-20.1, "air", "temperature"),
+        (50.1, "air", "temperature"),
+        (20.0, "sand", "medium"),
+    ],
+)
+def test_mistakes_are_named(temperature, medium, key):
+    with pytest.raises(InputError) as caught:
+        speed_of_sound(temperature, medium)
+    assert caught.value.key == key
