@@ -2,10 +2,14 @@
 
 from surctl.sensing.array import SonarArray, fire, true_range
 from surctl.sensing.base_station import BaseStation, OwnState
+from surctl.sensing.delivery import Delivery, delayed, delayed_symbols
 from surctl.sensing.echo import heard_samples, range_to_box, range_to_disc, range_to_walls
 from surctl.sensing.estimate import ContactMemory, Contacts, expected_range, sonar_contacts
 from surctl.sensing.filters import FilterUpdate, LmsStep, SensorFilter, gate, lms_step, weighted_average
+from surctl.sensing.movers import Movers, MoverTracker, mover_step
 from surctl.sensing.noise import NOISE_STATE, NoiseStream, draw_normals, noise_states
+from surctl.sensing.own_state import OwnEstimate, OwnStateFilter
+from surctl.sensing.own_state_numbers import own_state_step
 from surctl.sensing.table2 import RangeTest, table_ii
 
 __all__ = [
@@ -13,20 +17,29 @@ __all__ = [
     "BaseStation",
     "ContactMemory",
     "Contacts",
+    "Delivery",
     "FilterUpdate",
     "LmsStep",
+    "MoverTracker",
+    "Movers",
     "NoiseStream",
+    "OwnEstimate",
     "OwnState",
+    "OwnStateFilter",
     "RangeTest",
     "SensorFilter",
     "SonarArray",
+    "delayed",
+    "delayed_symbols",
     "draw_normals",
     "expected_range",
     "fire",
     "gate",
     "heard_samples",
     "lms_step",
+    "mover_step",
     "noise_states",
+    "own_state_step",
     "range_to_box",
     "range_to_disc",
     "range_to_walls",
