@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from math import exp, isfinite, pi
+from math import exp, isfinite
 from typing import Generic, NamedTuple, TypeVar
 
 import casadi as ca
@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.ir import Port
 from surctl.sensing.delivery import whole_steps
-from surctl.sensing.own_state_design import ahead, growth, settled_covariance, transition, yaw_gains
+from surctl.sensing.own_state_design import ahead, growth, settled_covariance, transition, white, yaw_gains
+from surctl.sensing.own_state_motion import believed_acceleration, from_upper, wrapped
 
 __all__ = ["BELIEVED_AFTER", "LONGEST_AGE", "LONGEST_LATENCY", "UNKNOWN_SD", "OwnEstimate", "OwnStateFilter"]
 
@@ -37,7 +38,6 @@ LONGEST_LATENCY = 1.0  # [s] beyond it a believed vehicle says nothing of now (*
 LONGEST_AGE = 60.0  # [s] an older fix is as good as none
 BELIEVED_AFTER = 3  # refused fixes in a row that agree
 UNKNOWN_SD = 100.0  # [m] of the position before the first fix
-_LEAST_MASS = 1e-6  # [kg]
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # entries of a covariance that are kept
 
 
@@ -73,7 +73,9 @@ class OwnStateFilter:
         disturbance_sd: of the acceleration that the believed vehicle does not know, along each axis of {E} [m/s²]
             (*chosen*, see `analysis/11_own_state`).
         disturbance_time: in which that acceleration forgets itself [s] (*chosen*).
-        acceleration_noise: its white part [m/s^1.5] (*chosen*).
+        acceleration_noise: its white part, always there [m/s^1.5] (*chosen*).
+        model_noise: more of the white part for each m/s² of believed acceleration [s^0.5] (*chosen*): with a wrong mass
+            the error grows with the thrust, and thrust noise grows with what the filter takes for certain.
         yaw_acceleration_noise: white yaw acceleration that the believed vehicle does not know [rad/s^1.5] (*chosen*).
         velocity_start_sd: of the velocity when a fix is taken over [m/s] (*chosen*).
         thrust_lag: first-order lag of the thrust, as believed [s]; 0 for none.
@@ -86,9 +88,10 @@ class OwnStateFilter:
     position_sd: float = 0.01
     yaw_sd: float = 0.01
     rate_sd: float = 0.005
-    disturbance_sd: float = 0.02
-    disturbance_time: float = 3.0
+    disturbance_sd: float = 0.005
+    disturbance_time: float = 10.0
     acceleration_noise: float = 0.003
+    model_noise: float = 0.3
     yaw_acceleration_noise: float = 0.1
     velocity_start_sd: float = 0.1
     thrust_lag: float = 0.3
@@ -100,10 +103,10 @@ class OwnStateFilter:
             value = getattr(self, name)
             if not (isfinite(value) and value > 0):
                 raise InputError("must be greater than 0", key=f"own_state.{name}", value=value, remedy=f"give {unit}")
-        for name in ("latency", "thrust_lag"):
+        for name, unit in _AT_LEAST_ZERO.items():
             value = getattr(self, name)
             if not (isfinite(value) and value >= 0):
-                raise InputError("must be at least 0", key=f"own_state.{name}", value=value, remedy="give s")
+                raise InputError("must be at least 0", key=f"own_state.{name}", value=value, remedy=f"give {unit}")
         if self.latency >= LONGEST_LATENCY:
             raise InputError(
                 f"must be less than {LONGEST_LATENCY:g} s", key="own_state.latency", value=self.latency, remedy="give s"
@@ -129,9 +132,9 @@ class OwnStateFilter:
         return transition(self.dt, self.disturbance_time), noise
 
     @cached_property
-    def ahead(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Φ and Q (3, 3) from `latency` ago to now."""
-        return ahead(*self.step, self.late)
+    def doubt(self) -> NDArray[np.float64]:
+        """What a step adds to Q (3, 3) for each (m/s²)² of believed acceleration."""
+        return white(self.dt, self.model_noise)
 
     @cached_property
     def yaw_gains(self) -> NDArray[np.float64]:
@@ -147,10 +150,10 @@ class OwnStateFilter:
 
     @property
     def settled(self) -> tuple[float, float]:
-        """Standard deviations of position [m] and velocity [m/s] at the arrival of one of many fixes without a gap."""
+        """Standard deviations of position [m] and velocity [m/s], at rest, at the arrival of one of many fixes."""
         every = whole_steps("own_state.period", self.period, dt=self.dt)
         P = settled_covariance(*self.step, fix_variance=self.position_sd**2, every=every)
-        whole, grown = self.ahead
+        whole, grown = ahead(*self.step, self.late)
         now = whole @ P @ whole.T + grown
         return float(np.sqrt(now[0, 0])), float(np.sqrt(now[1, 1]))
 
@@ -215,21 +218,21 @@ class OwnStateFilter:
         pushes = old.get("pushes", ca.SX.zeros(0, 3))
 
         _, velocity = self._now(old["position"], old["velocity"], old["disturbance"], pushes)
-        push, turning = _acceleration(psi + 0.5 * self.dt * rate, velocity, rate, mean_thrust, model, self.dt)
+        push, turning = believed_acceleration(psi + 0.5 * self.dt * rate, velocity, rate, mean_thrust, model, self.dt)
         known = ca.vertcat(push.T, pushes)
         here = self._corrected(old, known[-1, :].T, fix, fix_fresh > 0.5)
         pushes = known[:-1, :]
 
         after = rate + self.dt * turning
-        wanted = ca.vertcat(_wrap(yaw - psi - 0.5 * self.dt * (rate + after)), yaw_rate - after)
+        wanted = ca.vertcat(wrapped(yaw - psi - 0.5 * self.dt * (rate + after)), yaw_rate - after)
         turn = ca.vertcat(psi + 0.5 * self.dt * (rate + after), after) + ca.DM(self.yaw_gains) @ wanted
         turn = ca.if_else(begun, turn, ca.vertcat(yaw, yaw_rate))
-        turn = ca.vertcat(_wrap(turn[0]), turn[1])
+        turn = ca.vertcat(wrapped(turn[0]), turn[1])
 
         position, velocity = self._now(here["position"], here["velocity"], here["disturbance"], pushes)
         c, s = ca.cos(turn[0]), ca.sin(turn[0])
         nu = ca.vertcat(c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0], velocity[2], turn[1])
-        spread = self._spread(here["covariance"])
+        spread = self._spread(here["covariance"], pushes)
         position_sd = ca.if_else(here["found"], spread[0], UNKNOWN_SD)
         velocity_sd = ca.if_else(here["found"], spread[1], self.velocity_start_sd)
         new = {**here, "thrust": thrust, "turn": turn, "begun": ca.SX(1)} | ({"pushes": pushes} if self.late else {})
@@ -258,8 +261,7 @@ class OwnStateFilter:
         """The filter of `latency` ago: one step on, and the fix."""
         found, variance = old["found"] > 0.5, self.position_sd**2
         position, velocity, disturbance = self._moved(old["position"], old["velocity"], old["disturbance"], push)
-        phi, grown = self.step
-        P = phi @ _square(old["covariance"]) @ phi.T + grown
+        P = self._grown(from_upper(old["covariance"]), push)
         error = fix - position
         inside = ca.sumsqr(error) <= self.gate**2 * (P[0, 0] + variance)
         accepted = ca.logic_and(fresh, ca.logic_and(found, inside))
@@ -289,11 +291,18 @@ class OwnStateFilter:
             "age": ca.if_else(ca.logic_or(accepted, taken), self.latency, ca.fmin(old["age"] + self.dt, LONGEST_AGE)),
         }
 
-    def _spread(self, covariance: ca.SX) -> ca.SX:
+    def _grown(self, P: ca.SX, push: ca.SX) -> ca.SX:
+        """Covariance (3, 3) after one step; the more acceleration is believed, the more of it may be wrong."""
+        phi, noise, doubt = ca.DM(self.step[0]), ca.DM(self.step[1]), ca.DM(self.doubt)
+        grown: ca.SX = phi @ P @ phi.T + noise + ca.sumsqr(push) * doubt
+        return grown
+
+    def _spread(self, covariance: ca.SX, pushes: ca.SX) -> ca.SX:
         """Standard deviations (2,) of position [m] and velocity [m/s] now."""
-        whole, grown = self.ahead
-        now = whole @ _square(covariance) @ whole.T + grown
-        spread: ca.SX = ca.sqrt(ca.fmax(ca.vertcat(now[0, 0], now[1, 1]), 0.0))
+        P = from_upper(covariance)
+        for k in reversed(range(self.late)):
+            P = self._grown(P, pushes[k, :].T)
+        spread: ca.SX = ca.sqrt(ca.fmax(ca.vertcat(P[0, 0], P[1, 1]), 0.0))
         return spread
 
 
@@ -310,34 +319,4 @@ _POSITIVE = {
     "velocity_start_sd": "m/s",
     "gate": "standard deviations",
 }
-
-
-def _acceleration(
-    psi: ca.SX, velocity: ca.SX, rate: ca.SX, thrust: ca.SX, model: Mapping[str, ca.SX], dt: float
-) -> tuple[ca.SX, ca.SX]:
-    """Mean acceleration over a step, (3,) in {E} [m/s²], and yaw acceleration [rad/s²], of the believed vehicle (3).
-
-    A linearly implicit step: drag acts as it will be half-way, so that no drag is too large for the period. In {E} only
-    the unequal part of M leaves a Coriolis force: (m22 − m11)(v r, u r, 0, −u v) in {B}.
-    """
-    c, s = ca.cos(psi), ca.sin(psi)
-    nu = ca.vertcat(c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0], velocity[2], rate)
-    linear, quadratic = model["linear_drag"], model["quadratic_drag"]
-    mass = ca.fmax(model["mass"], _LEAST_MASS)
-    uneven = (mass[1] - mass[0]) * ca.vertcat(nu[1] * rate, nu[0] * rate, 0, -nu[0] * nu[1])
-    load = thrust + uneven - linear * nu - quadratic * nu * ca.fabs(nu)
-    a = load / (mass + 0.5 * dt * (linear + 2 * quadratic * ca.fabs(nu)))
-    return ca.vertcat(c * a[0] - s * a[1], s * a[0] + c * a[1], a[2]), a[3]
-
-
-def _square(upper: ca.SX) -> ca.SX:
-    """A covariance (3, 3) from its upper triangle (6,)."""
-    a, b, c, d, e, f = (upper[k] for k in range(6))
-    return ca.vertcat(ca.horzcat(a, b, c), ca.horzcat(b, d, e), ca.horzcat(c, e, f))
-
-
-def _wrap(angle: ca.SX) -> ca.SX:
-    """The same angle [rad] in (−π, π]."""
-    turn = 2.0 * pi
-    once = angle + turn * ca.floor((pi - angle) / turn)
-    return once - turn * (once > pi) + turn * (once <= -pi)
+_AT_LEAST_ZERO = {"latency": "s", "thrust_lag": "s", "model_noise": "s^0.5"}

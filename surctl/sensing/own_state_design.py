@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ahead", "growth", "settled_covariance", "transition", "yaw_gains"]
+__all__ = ["ahead", "growth", "settled_covariance", "transition", "white", "yaw_gains"]
 
 Matrix = NDArray[np.float64]
 
@@ -21,11 +21,15 @@ def transition(dt: float, disturbance_time: float) -> Matrix:
     return np.array([[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, np.exp(-dt / disturbance_time)]])
 
 
+def white(dt: float, size: float) -> Matrix:
+    """What white acceleration noise [m/s^1.5] adds to the covariance (3, 3) of one axis in a step."""
+    return size**2 * np.array([[dt**3 / 3, dt**2 / 2, 0.0], [dt**2 / 2, dt, 0.0], [0.0, 0.0, 0.0]])
+
+
 def growth(dt: float, *, acceleration_noise: float, disturbance_sd: float, disturbance_time: float) -> Matrix:
     """Q (3, 3) of one axis and step: white acceleration noise [m/s^1.5], and what keeps the disturbance's sd [m/s²]."""
-    q = acceleration_noise**2
     fresh = disturbance_sd**2 * (1.0 - np.exp(-2.0 * dt / disturbance_time))
-    return np.array([[q * dt**3 / 3, q * dt**2 / 2, 0.0], [q * dt**2 / 2, q * dt, 0.0], [0.0, 0.0, fresh]])
+    return white(dt, acceleration_noise) + np.diag([0.0, 0.0, fresh])
 
 
 def ahead(step: Matrix, noise: Matrix, steps: int) -> tuple[Matrix, Matrix]:
@@ -55,8 +59,7 @@ def yaw_gains(dt: float, *, yaw_sd: float, rate_sd: float, acceleration_noise: f
         rate_sd: [rad/s].
         acceleration_noise: white, of the yaw acceleration that the model does not know [rad/s^1.5].
     """
-    F, q = np.array([[1.0, dt], [0.0, 1.0]]), acceleration_noise**2
-    Q = q * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    F, Q = np.array([[1.0, dt], [0.0, 1.0]]), white(dt, acceleration_noise)[:2, :2]
     R = np.diag([yaw_sd**2, rate_sd**2])
     P, K = R.copy(), np.zeros((2, 2))
     for _ in range(_SETTLED):

@@ -53,7 +53,8 @@ def own_state_step(
     during = wanted + mean * (old["thrust"] - wanted)
     push, turning = _acceleration(psi + 0.5 * own.dt * rate, velocity, rate, during, model, own.dt)
     pushes = np.vstack([push, pushes])
-    here, x = _corrected(own, old, _carried(own, x, pushes[-1:]), np.asarray(fix, dtype=float), bool(fix_fresh))
+    P = _grown(own, _square(old["covariance"]), pushes[-1:])
+    here, x = _corrected(own, old, _carried(own, x, pushes[-1:]), P, np.asarray(fix, dtype=float), bool(fix_fresh))
     pushes = pushes[:-1]
 
     after = rate + own.dt * turning
@@ -64,8 +65,7 @@ def own_state_step(
     turn[0] = _wrap(turn[0])
 
     position, velocity, _ = _carried(own, x, pushes)
-    whole, grown = own.ahead
-    now = whole @ _square(here["covariance"]) @ whole.T + grown
+    now = _grown(own, _square(here["covariance"]), pushes)
     found = bool(here["found"][0])
     new = {
         **here,
@@ -96,12 +96,18 @@ def _carried(own: OwnStateFilter, x: Vector, pushes: Vector) -> Vector:
     return x
 
 
+def _grown(own: OwnStateFilter, P: Vector, pushes: Vector) -> Vector:
+    """Covariance (3, 3) after the steps of a ring (k, 3), newest first."""
+    phi, noise = own.step
+    for push in pushes[::-1]:
+        P = phi @ P @ phi.T + noise + (push @ push) * own.doubt
+    return P
+
+
 def _corrected(
-    own: OwnStateFilter, old: Mapping[str, Vector], x: Vector, fix: Vector, fresh: bool
+    own: OwnStateFilter, old: Mapping[str, Vector], x: Vector, P: Vector, fix: Vector, fresh: bool
 ) -> tuple[dict[str, Vector], Vector]:
-    """What the fix makes of the filter of `latency` ago."""
-    phi, grown = own.step
-    P = phi @ _square(old["covariance"]) @ phi.T + grown
+    """What the fix makes of the filter of `latency` ago, after its step."""
     found, refused, offset = bool(old["found"][0]), float(old["refused"][0]), old["offset"]
     age, R = min(float(old["age"][0]) + own.dt, LONGEST_AGE), own.position_sd**2
     error = fix - x[0]
