@@ -26,10 +26,11 @@ _GIVEN = (("fix", 3), ("fix_fresh", 1), ("yaw", 1), ("yaw_rate", 1), ("tau", 4))
 MODEL = Layout(tuple(Port(name, (4,), "SI", "") for name in _BELIEVED))
 GIVEN = Layout(tuple(Port(name, (size,), "SI", "") for name, size in _GIVEN))
 
-Estimator = Literal["filter", "fixed gain", "as if now", "differences", "truth"]
+Estimator = Literal["filter", "constant noise", "fixed gain", "as if now", "differences", "truth"]
 ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
-"""What the controller is told: the filter's estimate; that of the same filter with the gain that it settles at; that of
-one that takes a late fix for the present; the last fix with the difference of the last two; or the truth."""
+"""What the controller is told: the filter's estimate; that of one whose noise does not grow with the believed
+acceleration; of one with the gain that it settles at; of one that takes a late fix for the present; the last fix with the
+difference of the last two; or the truth."""
 
 Array = NDArray[np.float64]
 
@@ -145,6 +146,8 @@ class _Known:
         own = OwnStateFilter(dt=DT, latency=sensors.fixes.latency)
         if estimator == "as if now":
             own = replace(own, latency=0.0)
+        if estimator == "constant noise":
+            own = replace(own, model_noise=0.0)
         if estimator == "fixed gain":
             own = replace(own, gate=1e6)
         self.estimator, self.own = estimator, own

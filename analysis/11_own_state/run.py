@@ -140,7 +140,7 @@ def study(config: Config, size: Size) -> int:
                 measure(config.model_copy(update={"k_v": k_v}), size, min(config.mass_kg), drag, estimator=name),
             )
             for k_v in config.softer
-            for name in ("truth", "filter")
+            for name in ("truth", "filter", "constant noise")
         ],
     )
     settled = measure(config, size, light, drag, estimator="fixed gain", gaps=True)
