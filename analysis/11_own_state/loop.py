@@ -29,8 +29,8 @@ GIVEN = Layout(tuple(Port(name, (size,), "SI", "") for name, size in _GIVEN))
 Estimator = Literal["filter", "constant noise", "fixed gain", "as if now", "differences", "truth"]
 ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
 """What the controller is told: the filter's estimate; that of one whose noise does not grow with the believed
-acceleration; of one with the gain that it settles at; of one that takes a late fix for the present; the last fix with the
-difference of the last two; or the truth."""
+acceleration; of one with the gain that it settles at; of one that takes a late fix for the present; the last fix
+with the difference of the last two; or the truth."""
 
 Array = NDArray[np.float64]
 
