@@ -2,7 +2,8 @@
 
 from surctl.sensing.array import SonarArray, fire, heard, true_range
 from surctl.sensing.base_station import BaseStation, OwnState
-from surctl.sensing.echo import Beam, beam_of, echo_range, heard_samples
+from surctl.sensing.delivery import Delivery, delayed, delayed_symbols
+from surctl.sensing.echo import Beam, beam_of, echo_range, heard_samples, range_to_box, range_to_disc, range_to_walls
 from surctl.sensing.estimate import ContactMemory, Contacts, expected_range, sonar_contacts
 from surctl.sensing.fault_block import SLOT, Arrival, fault_ports, fault_slots, faulty_samples
 from surctl.sensing.faults import (
@@ -18,7 +19,10 @@ from surctl.sensing.faults import (
 )
 from surctl.sensing.filters import FilterUpdate, LmsStep, SensorFilter, gate, lms_step, weighted_average
 from surctl.sensing.local_map import LocalMap
+from surctl.sensing.movers import Movers, MoverTracker, mover_step
 from surctl.sensing.noise import NOISE_STATE, NoiseStream, draw_normals, draw_uniforms, noise_states
+from surctl.sensing.own_state import OwnEstimate, OwnStateFilter
+from surctl.sensing.own_state_numbers import own_state_step
 from surctl.sensing.solids import Cone, Solid, SolidBox, SolidDisc, SolidWalls
 from surctl.sensing.sound import Medium, speed_of_sound
 from surctl.sensing.table2 import RangeTest, table_ii
@@ -34,6 +38,7 @@ __all__ = [
     "Cone",
     "ContactMemory",
     "Contacts",
+    "Delivery",
     "Fault",
     "FaultChances",
     "FaultKind",
@@ -42,8 +47,12 @@ __all__ = [
     "LmsStep",
     "LocalMap",
     "Medium",
+    "MoverTracker",
+    "Movers",
     "NoiseStream",
+    "OwnEstimate",
     "OwnState",
+    "OwnStateFilter",
     "RangeTest",
     "SensorFilter",
     "Solid",
@@ -53,6 +62,8 @@ __all__ = [
     "SonarArray",
     "beam_of",
     "check_faults",
+    "delayed",
+    "delayed_symbols",
     "draw_normals",
     "draw_uniforms",
     "echo_range",
@@ -67,7 +78,12 @@ __all__ = [
     "heard",
     "heard_samples",
     "lms_step",
+    "mover_step",
     "noise_states",
+    "own_state_step",
+    "range_to_box",
+    "range_to_disc",
+    "range_to_walls",
     "sonar_contacts",
     "speed_of_sound",
     "table_ii",

@@ -1,0 +1,159 @@
+"""Moving obstacles from late and lost messages: where each is now, and how far off that may be.
+
+CasADi expressions with explicit state: they are part of the exported law. `mover_step` is the same in plain NumPy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite
+from typing import Generic, NamedTuple, TypeVar
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.ir import Port
+
+__all__ = ["MoverTracker", "Movers", "mover_step"]
+
+T = TypeVar("T")
+
+
+class Movers(NamedTuple, Generic[T]):
+    """The moving obstacles at a control step: SX, or arrays from the numeric twin."""
+
+    state: dict[str, T]
+    """Next state by port name."""
+    rows: T
+    """(slots, 6) contacts now in {E}: x, y, radius [m], vx, vy [m/s], valid; zeros in an empty slot."""
+    bound: T
+    """(slots,) how far off the centre may be [m]; 0 in an empty slot."""
+    age: T
+    """(slots,) time since the moment that the slot's message describes [s]; `forget + dt` in an empty slot."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MoverTracker:
+    """Holds each slot's last message and carries it on in a straight line.
+
+    The bound is `sigmas`·(position_sd + velocity_sd·age) + acceleration·age²/2. A slot that the station itself calls
+    empty is empty at once; one that it is silent about is kept until `forget`.
+
+    Attributes:
+        dt: control period [s].
+        slots: number of obstacles that a message can hold, 1 or more.
+        latency: age of a message when it arrives [s], below `forget`.
+        position_sd: of each coordinate in a message [m].
+        velocity_sd: of each velocity component [m/s].
+        acceleration: largest of an obstacle [m/s²] (*chosen*: a light robot of the same size under full thrust).
+        forget: longest age of a message [s] (*chosen*).
+        sigmas: standard deviations in the bound (*chosen*: 3 hold 98.9 % of a planar Gaussian).
+    """
+
+    dt: float
+    slots: int
+    latency: float = 0.1
+    position_sd: float = 0.01
+    velocity_sd: float = 0.01
+    acceleration: float = 0.1
+    forget: float = 3.0
+    sigmas: float = 3.0
+
+    def __post_init__(self) -> None:
+        """Check the values; InputError names the wrong one."""
+        if self.slots != int(self.slots) or self.slots < 1:
+            raise InputError("must be a whole number, at least 1", key="movers.slots", value=self.slots)
+        if not (isfinite(self.dt) and self.dt > 0):
+            raise InputError("must be greater than 0", key="movers.dt", value=self.dt, remedy="give s")
+        for name, unit in _AT_LEAST_ZERO.items():
+            value = getattr(self, name)
+            if not (isfinite(value) and value >= 0):
+                raise InputError("must be at least 0", key=f"movers.{name}", value=value, remedy=f"give {unit}")
+        if self.forget <= self.latency:
+            raise InputError(
+                f"must be greater than the latency of {self.latency:g} s",
+                key="movers.forget",
+                value=self.forget,
+                remedy="give s",
+            )
+
+    def ports(self, prefix: str = "") -> tuple[Port, ...]:
+        """The state; it starts with every slot empty."""
+        return (
+            Port(f"{prefix}told", (self.slots, 5), "m, m/s", "last message of each slot: x, y, radius, vx, vy in {E}"),
+            Port(
+                f"{prefix}age",
+                (self.slots,),
+                "s",
+                "since the moment that it describes, held at forget + dt",
+                self.forget + self.dt,
+            ),
+        )
+
+    def update(
+        self, state: Mapping[str, ca.SX], *, message: ca.SX, message_fresh: ca.SX, prefix: str = ""
+    ) -> Movers[ca.SX]:
+        """One control step.
+
+        Args:
+            state: by port name, shapes of `ports(prefix)`.
+            message: (slots, 6) x, y, radius, vx, vy, valid, as it was `latency` ago in {E}; ignored, but finite, when
+                there is none.
+            message_fresh: 1 when one has arrived since the last step, else 0.
+            prefix: of the names of the state.
+        """
+        fresh, old = message_fresh > 0.5, state[f"{prefix}age"]
+        heard = ca.logic_and(fresh, message[:, 5] > 0.5)
+        cleared = ca.logic_and(fresh, ca.logic_not(heard))
+        age = ca.if_else(heard, self.latency, ca.if_else(cleared, self._empty, ca.fmin(old + self.dt, self._empty)))
+        slots = range(self.slots)
+        told = ca.vertcat(*(ca.if_else(heard[i], message[i, :5], state[f"{prefix}told"][i, :]) for i in slots))
+        # half a step of slack: sums of dt are not exact
+        valid = age <= self.forget + 0.5 * self.dt
+        now = ca.horzcat(told[:, :2] + age * told[:, 3:5], told[:, 2:], ca.SX.ones(self.slots))
+        rows = ca.vertcat(*(ca.if_else(valid[i], now[i, :], 0.0) for i in slots))
+        bound = self.sigmas * (self.position_sd + self.velocity_sd * age) + 0.5 * self.acceleration * age * age
+        return Movers({f"{prefix}told": told, f"{prefix}age": age}, rows, ca.if_else(valid, bound, 0.0), age)
+
+    @property
+    def _empty(self) -> float:
+        return self.forget + self.dt
+
+
+_AT_LEAST_ZERO = {
+    "latency": "s",
+    "position_sd": "m",
+    "velocity_sd": "m/s",
+    "acceleration": "m/s^2",
+    "forget": "s",
+    "sigmas": "a number",
+}
+
+
+def mover_step(
+    tracker: MoverTracker,
+    state: Mapping[str, NDArray[np.float64]],
+    *,
+    message: NDArray[np.float64],
+    message_fresh: float,
+    prefix: str = "",
+) -> Movers[NDArray[np.float64]]:
+    """`MoverTracker.update` in plain NumPy: arrays of the ports' shapes, left as they are."""
+    told = np.array(state[f"{prefix}told"], dtype=float)
+    age = np.array(state[f"{prefix}age"], dtype=float) + tracker.dt
+    heard = np.asarray(message, dtype=float)
+    rows, bound = np.zeros((tracker.slots, 6)), np.zeros(tracker.slots)
+    for k in range(tracker.slots):
+        if message_fresh:
+            age[k] = tracker.latency if heard[k, 5] else np.inf
+            told[k] = heard[k, :5] if heard[k, 5] else told[k]
+        age[k] = min(age[k], tracker.forget + tracker.dt)
+        if age[k] <= tracker.forget + 0.5 * tracker.dt:
+            x, y, radius, vx, vy = told[k]
+            rows[k] = x + vx * age[k], y + vy * age[k], radius, vx, vy, 1.0
+            spread = tracker.position_sd + tracker.velocity_sd * age[k]
+            bound[k] = tracker.sigmas * spread + tracker.acceleration * age[k] ** 2 / 2
+    return Movers({f"{prefix}told": told, f"{prefix}age": age}, rows, bound, age.copy())

@@ -1,0 +1,322 @@
+"""Where the robot is and how fast it moves: late camera fixes, IMU and the believed vehicle in one Kalman filter.
+
+The filter of the position lives `latency` ago: there a fix is compared with the position of that very moment, by
+plain Kalman steps, after gaps of any length. From there to now it goes by the accelerations of the steps between,
+which are kept in a ring. They are those of the believed vehicle (3) under the last command (thrust limit and lag, drag
+at the estimated ground velocity), turned to {E} by the heading; what the model does not know (mass, drag, waves,
+current) is a disturbing acceleration in {E}, estimated with the rest.
+
+x, y and z share one covariance, without the drag that would damp it: in a gap it errs on the wide side. Yaw and yaw
+rate are measured in every step, so their gains are constant.
+
+CasADi expressions with explicit state: they are part of the exported law.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from math import exp, isfinite
+from typing import Generic, NamedTuple, TypeVar
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.ir import Port
+from surctl.sensing.delivery import whole_steps
+from surctl.sensing.own_state_design import ahead, growth, settled_covariance, transition, white, yaw_gains
+from surctl.sensing.own_state_motion import believed_acceleration, from_upper, wrapped
+
+__all__ = ["BELIEVED_AFTER", "LONGEST_AGE", "LONGEST_LATENCY", "UNKNOWN_SD", "OwnEstimate", "OwnStateFilter"]
+
+T = TypeVar("T")
+
+LONGEST_LATENCY = 1.0  # [s] beyond it a believed vehicle says nothing of now (*chosen*)
+LONGEST_AGE = 60.0  # [s] an older fix is as good as none
+BELIEVED_AFTER = 3  # refused fixes in a row that agree
+UNKNOWN_SD = 100.0  # [m] of the position before the first fix
+_UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # entries of a covariance that are kept
+
+
+class OwnEstimate(NamedTuple, Generic[T]):
+    """What a step of the filter gives: SX columns, or arrays from its numeric twin."""
+
+    state: dict[str, T]
+    """Next state by port name."""
+    eta: T
+    """(4,) x, y, z [m] and ψ [rad], in (−π, π], now, in {E}."""
+    nu: T
+    """(4,) u, v, w [m/s] and r [rad/s], now, over ground, in {B}."""
+    position_sd: T
+    """(1,) standard deviation of each of x, y, z [m]; `UNKNOWN_SD` before the first fix."""
+    velocity_sd: T
+    """(1,) standard deviation of each of u, v, w [m/s]."""
+    age: T
+    """(1,) time since the moment that the last accepted fix describes [s]: `latency` when it arrives, at most
+    `LONGEST_AGE`, which also stands for none yet."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnStateFilter:
+    """The filter's numbers.
+
+    Attributes:
+        dt: control period [s].
+        latency: age of a fix when it arrives [s], a multiple of dt below `LONGEST_LATENCY`.
+        period: usual time between two fixes [s], a multiple of dt; only `settled` depends on it.
+        position_sd: standard deviation of each coordinate of a fix [m].
+        yaw_sd: of the measured yaw [rad].
+        rate_sd: of the measured yaw rate [rad/s].
+        disturbance_sd: of the acceleration that the believed vehicle does not know, along each axis of {E} [m/s²]
+            (*chosen*, see `analysis/11_own_state`).
+        disturbance_time: in which that acceleration forgets itself [s] (*chosen*).
+        acceleration_noise: its white part, always there [m/s^1.5] (*chosen*).
+        model_noise: more of the white part for each m/s² of believed acceleration [s^0.5] (*chosen*): with a wrong mass
+            the error grows with the thrust, and thrust noise grows with what the filter takes for certain.
+        yaw_acceleration_noise: white yaw acceleration that the believed vehicle does not know [rad/s^1.5] (*chosen*).
+        velocity_start_sd: of the velocity when a fix is taken over [m/s] (*chosen*).
+        thrust_lag: first-order lag of the thrust, as believed [s]; 0 for none.
+        gate: a fix further off than so many standard deviations is refused (*chosen*).
+    """
+
+    dt: float
+    latency: float = 0.1
+    period: float = 0.1
+    position_sd: float = 0.01
+    yaw_sd: float = 0.01
+    rate_sd: float = 0.005
+    disturbance_sd: float = 0.005
+    disturbance_time: float = 10.0
+    acceleration_noise: float = 0.003
+    model_noise: float = 0.3
+    yaw_acceleration_noise: float = 0.1
+    velocity_start_sd: float = 0.1
+    thrust_lag: float = 0.3
+    gate: float = 5.0
+
+    def __post_init__(self) -> None:
+        """Check the values; InputError names the wrong one."""
+        for name, unit in _POSITIVE.items():
+            value = getattr(self, name)
+            if not (isfinite(value) and value > 0):
+                raise InputError("must be greater than 0", key=f"own_state.{name}", value=value, remedy=f"give {unit}")
+        for name, unit in _AT_LEAST_ZERO.items():
+            value = getattr(self, name)
+            if not (isfinite(value) and value >= 0):
+                raise InputError("must be at least 0", key=f"own_state.{name}", value=value, remedy=f"give {unit}")
+        if self.latency >= LONGEST_LATENCY:
+            raise InputError(
+                f"must be less than {LONGEST_LATENCY:g} s", key="own_state.latency", value=self.latency, remedy="give s"
+            )
+        whole_steps("own_state.latency", self.latency, dt=self.dt)
+        if whole_steps("own_state.period", self.period, dt=self.dt) < 1:
+            raise InputError("is shorter than dt", key="own_state.period", value=self.period, remedy="give s")
+
+    @property
+    def late(self) -> int:
+        """Steps between a fix's measurement and its arrival."""
+        return whole_steps("own_state.latency", self.latency, dt=self.dt)
+
+    @cached_property
+    def step(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Φ and Q (3, 3) of one step: position, velocity, disturbance of one axis of {E}."""
+        noise = growth(
+            self.dt,
+            acceleration_noise=self.acceleration_noise,
+            disturbance_sd=self.disturbance_sd,
+            disturbance_time=self.disturbance_time,
+        )
+        return transition(self.dt, self.disturbance_time), noise
+
+    @cached_property
+    def doubt(self) -> NDArray[np.float64]:
+        """What a step adds to Q (3, 3) for each (m/s²)² of believed acceleration."""
+        return white(self.dt, self.model_noise)
+
+    @cached_property
+    def yaw_gains(self) -> NDArray[np.float64]:
+        """(2, 2): what of the errors of measured yaw and rate (columns) goes to yaw and rate (rows)."""
+        return yaw_gains(
+            self.dt, yaw_sd=self.yaw_sd, rate_sd=self.rate_sd, acceleration_noise=self.yaw_acceleration_noise
+        )
+
+    @property
+    def taken_over(self) -> tuple[float, float, float]:
+        """Variances of position, velocity and disturbance when a fix is taken over."""
+        return self.position_sd**2, self.velocity_start_sd**2, self.disturbance_sd**2
+
+    @property
+    def settled(self) -> tuple[float, float]:
+        """Standard deviations of position [m] and velocity [m/s], at rest, at the arrival of one of many fixes."""
+        every = whole_steps("own_state.period", self.period, dt=self.dt)
+        P = settled_covariance(*self.step, fix_variance=self.position_sd**2, every=every)
+        whole, grown = ahead(*self.step, self.late)
+        now = whole @ P @ whole.T + grown
+        return float(np.sqrt(now[0, 0])), float(np.sqrt(now[1, 1]))
+
+    @property
+    def thrust_shares(self) -> tuple[float, float]:
+        """Share of the old thrust that is left after a step, and its mean share during it."""
+        if self.thrust_lag == 0:
+            return 0.0, 0.0
+        left = exp(-self.dt / self.thrust_lag)
+        return left, (1.0 - left) * self.thrust_lag / self.dt
+
+    def ports(self, prefix: str = "") -> tuple[Port, ...]:
+        """The state; position, velocity, disturbance and covariance are those of `latency` ago, in {E}."""
+        ring = Port(f"{prefix}pushes", (self.late, 3), "m/s^2", "believed acceleration of the last steps, newest first")
+        return (
+            Port(f"{prefix}position", (3,), "m", "x, y, z"),
+            Port(f"{prefix}velocity", (3,), "m/s", "over ground"),
+            Port(f"{prefix}disturbance", (3,), "m/s^2", "acceleration that the believed vehicle does not explain"),
+            Port(f"{prefix}covariance", (6,), "SI", "of one axis: rows of the upper triangle"),
+            *((ring,) if self.late else ()),
+            Port(f"{prefix}thrust", (4,), "N, N m", "believed thrust after its lag, now, in {B}"),
+            Port(f"{prefix}turn", (2,), "rad, rad/s", "yaw and yaw rate, now"),
+            Port(f"{prefix}begun", (1,), "1", "1 after the first step"),
+            Port(f"{prefix}found", (1,), "1", "1 after the first fix"),
+            Port(f"{prefix}refused", (1,), "1", "refused fixes in a row that agree"),
+            Port(f"{prefix}offset", (3,), "m", "the last refused fix, from the estimate"),
+            Port(f"{prefix}age", (1,), "s", "since the moment that the last fix describes", LONGEST_AGE),
+        )
+
+    def update(
+        self,
+        state: Mapping[str, ca.SX],
+        *,
+        fix: ca.SX,
+        fix_fresh: ca.SX,
+        yaw: ca.SX,
+        yaw_rate: ca.SX,
+        tau: ca.SX,
+        model: Mapping[str, ca.SX],
+        prefix: str = "",
+    ) -> OwnEstimate[ca.SX]:
+        """One control step of Kalman's filter (e.g. Brown and Hwang 2012, ch. 4).
+
+        The first fix is taken over, and so is the third refused one in a row that agrees with those before it. Two
+        refused ones agree when they lie off by the same, within the gate: that does not take the robot's own way for
+        a disagreement.
+
+        Args:
+            state: by port name, shapes of `ports(prefix)`.
+            fix: (3,) position in {E} `latency` ago [m]; ignored, but finite, when there is none.
+            fix_fresh: 1 when a fix has arrived since the last step, else 0.
+            yaw: measured ψ [rad], any number of turns.
+            yaw_rate: measured r [rad/s].
+            tau: (4,) command of the step before, in {B} [N, N m].
+            model: `mass`, `linear_drag`, `quadratic_drag`, `thrust_limit`, (4,) each, as believed.
+            prefix: of the names of the state.
+        """
+        old = {port.name.removeprefix(prefix): state[port.name] for port in self.ports(prefix)}
+        begun = old["begun"] > 0.5
+        psi, rate = ca.if_else(begun, old["turn"][0], yaw), ca.if_else(begun, old["turn"][1], yaw_rate)
+        thrust, mean_thrust = self._thrust(old["thrust"], tau, model["thrust_limit"])
+        pushes = old.get("pushes", ca.SX.zeros(0, 3))
+
+        _, velocity = self._now(old["position"], old["velocity"], old["disturbance"], pushes)
+        push, turning = believed_acceleration(psi + 0.5 * self.dt * rate, velocity, rate, mean_thrust, model, self.dt)
+        known = ca.vertcat(push.T, pushes)
+        here = self._corrected(old, known[-1, :].T, fix, fix_fresh > 0.5)
+        pushes = known[:-1, :]
+
+        after = rate + self.dt * turning
+        wanted = ca.vertcat(wrapped(yaw - psi - 0.5 * self.dt * (rate + after)), yaw_rate - after)
+        turn = ca.vertcat(psi + 0.5 * self.dt * (rate + after), after) + ca.DM(self.yaw_gains) @ wanted
+        turn = ca.if_else(begun, turn, ca.vertcat(yaw, yaw_rate))
+        turn = ca.vertcat(wrapped(turn[0]), turn[1])
+
+        position, velocity = self._now(here["position"], here["velocity"], here["disturbance"], pushes)
+        c, s = ca.cos(turn[0]), ca.sin(turn[0])
+        nu = ca.vertcat(c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0], velocity[2], turn[1])
+        spread = self._spread(here["covariance"], pushes)
+        position_sd = ca.if_else(here["found"], spread[0], UNKNOWN_SD)
+        velocity_sd = ca.if_else(here["found"], spread[1], self.velocity_start_sd)
+        new = {**here, "thrust": thrust, "turn": turn, "begun": ca.SX(1)} | ({"pushes": pushes} if self.late else {})
+        named = {prefix + name: value for name, value in new.items()}
+        return OwnEstimate(named, ca.vertcat(position, turn[0]), nu, position_sd, velocity_sd, here["age"])
+
+    def _thrust(self, old: ca.SX, tau: ca.SX, limit: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Believed thrust (4,) at the end of the step, and its mean over it [N, N m]."""
+        wanted = ca.fmin(ca.fmax(tau, -limit), limit)
+        left, mean = self.thrust_shares
+        return wanted + left * (old - wanted), wanted + mean * (old - wanted)
+
+    def _now(self, position: ca.SX, velocity: ca.SX, disturbance: ca.SX, pushes: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Position and velocity (3,) after the steps of the ring (k, 3), oldest last, from before them."""
+        for k in reversed(range(pushes.shape[0])):
+            position, velocity, disturbance = self._moved(position, velocity, disturbance, pushes[k, :].T)
+        return position, velocity
+
+    def _moved(self, position: ca.SX, velocity: ca.SX, disturbance: ca.SX, push: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """One step of the means, (3,) each."""
+        change = self.dt * (push + disturbance)
+        left = float(self.step[0][2, 2])
+        return position + self.dt * velocity + 0.5 * self.dt * change, velocity + change, left * disturbance
+
+    def _corrected(self, old: Mapping[str, ca.SX], push: ca.SX, fix: ca.SX, fresh: ca.SX) -> dict[str, ca.SX]:
+        """The filter of `latency` ago: one step on, and the fix."""
+        found, variance = old["found"] > 0.5, self.position_sd**2
+        position, velocity, disturbance = self._moved(old["position"], old["velocity"], old["disturbance"], push)
+        P = self._grown(from_upper(old["covariance"]), push)
+        error = fix - position
+        inside = ca.sumsqr(error) <= self.gate**2 * (P[0, 0] + variance)
+        accepted = ca.logic_and(fresh, ca.logic_and(found, inside))
+        refused = ca.logic_and(fresh, ca.logic_not(accepted))
+        agrees = ca.logic_and(
+            old["refused"] > 0.5, ca.sumsqr(error - old["offset"]) <= self.gate**2 * (P[0, 0] + 2 * variance)
+        )
+        count = ca.if_else(
+            accepted, 0.0, ca.if_else(refused, ca.if_else(agrees, old["refused"] + 1, 1.0), old["refused"])
+        )
+        first = ca.logic_or(ca.logic_not(found), count > BELIEVED_AFTER - 0.5)
+        taken = ca.logic_and(refused, first)
+
+        gain = ca.if_else(accepted, P[:, 0] / (P[0, 0] + variance), 0.0)
+        corrected = ca.vertcat(*(P[i, j] - gain[i] * P[0, j] for i, j in _UPPER))
+        start = self.taken_over
+        anew = ca.DM([start[0], 0.0, 0.0, start[1], 0.0, start[2]])
+        still = ca.logic_and(ca.logic_not(found), ca.logic_not(taken))  # nothing known grows no worse
+        return {
+            "position": ca.if_else(taken, fix, ca.if_else(found, position + gain[0] * error, 0.0)),
+            "velocity": velocity + gain[1] * error,
+            "disturbance": ca.if_else(taken, 0.0, disturbance + gain[2] * error),
+            "covariance": ca.if_else(taken, anew, ca.if_else(still, 0.0, corrected)),
+            "found": ca.logic_or(found, fresh),
+            "refused": ca.if_else(taken, 0.0, count),
+            "offset": ca.if_else(refused, error, old["offset"]),
+            "age": ca.if_else(ca.logic_or(accepted, taken), self.latency, ca.fmin(old["age"] + self.dt, LONGEST_AGE)),
+        }
+
+    def _grown(self, P: ca.SX, push: ca.SX) -> ca.SX:
+        """Covariance (3, 3) after one step; the more acceleration is believed, the more of it may be wrong."""
+        phi, noise, doubt = ca.DM(self.step[0]), ca.DM(self.step[1]), ca.DM(self.doubt)
+        grown: ca.SX = phi @ P @ phi.T + noise + ca.sumsqr(push) * doubt
+        return grown
+
+    def _spread(self, covariance: ca.SX, pushes: ca.SX) -> ca.SX:
+        """Standard deviations (2,) of position [m] and velocity [m/s] now."""
+        P = from_upper(covariance)
+        for k in reversed(range(self.late)):
+            P = self._grown(P, pushes[k, :].T)
+        spread: ca.SX = ca.sqrt(ca.fmax(ca.vertcat(P[0, 0], P[1, 1]), 0.0))
+        return spread
+
+
+_POSITIVE = {
+    "dt": "s",
+    "period": "s",
+    "position_sd": "m",
+    "yaw_sd": "rad",
+    "rate_sd": "rad/s",
+    "disturbance_sd": "m/s^2",
+    "disturbance_time": "s",
+    "acceleration_noise": "m/s^1.5",
+    "yaw_acceleration_noise": "rad/s^1.5",
+    "velocity_start_sd": "m/s",
+    "gate": "standard deviations",
+}
+_AT_LEAST_ZERO = {"latency": "s", "thrust_lag": "s", "model_noise": "s^0.5"}

@@ -1,0 +1,167 @@
+"""The own-state filter in plain NumPy: the same numbers as `OwnStateFilter.update`, written apart from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import cos, pi, sin, sqrt
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.sensing.own_state import BELIEVED_AFTER, LONGEST_AGE, UNKNOWN_SD, OwnEstimate, OwnStateFilter
+
+__all__ = ["own_state_step"]
+
+Vector = NDArray[np.float64]
+
+
+def own_state_step(
+    own: OwnStateFilter,
+    state: Mapping[str, Vector],
+    *,
+    fix: ArrayLike,
+    fix_fresh: float,
+    yaw: float,
+    yaw_rate: float,
+    tau: ArrayLike,
+    model: Mapping[str, Vector],
+    prefix: str = "",
+) -> OwnEstimate[Vector]:
+    """One control step; arguments and result as `OwnStateFilter.update` has them, arrays of the ports' shapes.
+
+    Args:
+        own: the filter.
+        state: by port name, as `Layout(own.ports(prefix)).unpack` gives it; left as it is.
+        fix: (3,) [m] in {E}.
+        fix_fresh: 0 or 1.
+        yaw: [rad].
+        yaw_rate: [rad/s].
+        tau: (4,) [N, N m].
+        model: `mass`, `linear_drag`, `quadratic_drag`, `thrust_limit`, (4,) each.
+        prefix: of the names of the state.
+    """
+    old = {port.name.removeprefix(prefix): np.array(state[port.name], dtype=float) for port in own.ports(prefix)}
+    begun = bool(old["begun"][0])
+    psi, rate = old["turn"] if begun else (yaw, yaw_rate)
+    limit = np.asarray(model["thrust_limit"], dtype=float)
+    wanted = np.clip(np.asarray(tau, dtype=float), -limit, limit)
+    left, mean = own.thrust_shares
+    pushes = old.get("pushes", np.zeros((0, 3)))
+
+    x = np.stack([old["position"], old["velocity"], old["disturbance"]])
+    velocity = _carried(own, x, pushes)[1]
+    during = wanted + mean * (old["thrust"] - wanted)
+    push, turning = _acceleration(psi + 0.5 * own.dt * rate, velocity, rate, during, model, own.dt)
+    pushes = np.vstack([push, pushes])
+    P = _grown(own, _square(old["covariance"]), pushes[-1:])
+    here, x = _corrected(own, old, _carried(own, x, pushes[-1:]), P, np.asarray(fix, dtype=float), bool(fix_fresh))
+    pushes = pushes[:-1]
+
+    after = rate + own.dt * turning
+    ahead = psi + 0.5 * own.dt * (rate + after)
+    turn = np.array([ahead, after]) + own.yaw_gains @ np.array([_wrap(yaw - ahead), yaw_rate - after])
+    if not begun:
+        turn = np.array([yaw, yaw_rate])
+    turn[0] = _wrap(turn[0])
+
+    position, velocity, _ = _carried(own, x, pushes)
+    now = _grown(own, _square(here["covariance"]), pushes)
+    found = bool(here["found"][0])
+    new = {
+        **here,
+        "position": x[0],
+        "velocity": x[1],
+        "disturbance": x[2],
+        "thrust": wanted + left * (old["thrust"] - wanted),
+        "turn": turn,
+        "begun": np.ones(1),
+    }
+    if own.late:
+        new["pushes"] = pushes
+    return OwnEstimate(
+        {prefix + name: value for name, value in new.items()},
+        np.append(position, turn[0]),
+        np.append(_turned(-turn[0]) @ velocity, turn[1]),
+        np.array([sqrt(max(now[0, 0], 0.0)) if found else UNKNOWN_SD]),
+        np.array([sqrt(max(now[1, 1], 0.0)) if found else own.velocity_start_sd]),
+        here["age"],
+    )
+
+
+def _carried(own: OwnStateFilter, x: Vector, pushes: Vector) -> Vector:
+    """Position, velocity and disturbance (rows of (3, 3)) after the steps of a ring (k, 3), newest first."""
+    phi = own.step[0]
+    for push in pushes[::-1]:
+        x = phi @ x + np.outer([0.5 * own.dt**2, own.dt, 0.0], push)
+    return x
+
+
+def _grown(own: OwnStateFilter, P: Vector, pushes: Vector) -> Vector:
+    """Covariance (3, 3) after the steps of a ring (k, 3), newest first."""
+    phi, noise = own.step
+    for push in pushes[::-1]:
+        P = phi @ P @ phi.T + noise + (push @ push) * own.doubt
+    return P
+
+
+def _corrected(
+    own: OwnStateFilter, old: Mapping[str, Vector], x: Vector, P: Vector, fix: Vector, fresh: bool
+) -> tuple[dict[str, Vector], Vector]:
+    """What the fix makes of the filter of `latency` ago, after its step."""
+    found, refused, offset = bool(old["found"][0]), float(old["refused"][0]), old["offset"]
+    age, R = min(float(old["age"][0]) + own.dt, LONGEST_AGE), own.position_sd**2
+    error = fix - x[0]
+    if not found:
+        x, P = np.stack([np.zeros(3), x[1], x[2]]), np.zeros((3, 3))
+    if fresh and found and error @ error <= own.gate**2 * (P[0, 0] + R):
+        gain = P[:, 0] / (P[0, 0] + R)
+        x, P = x + np.outer(gain, error), P - np.outer(gain, P[0, :])
+        refused, age = 0.0, own.latency
+    elif fresh:
+        off = error - offset
+        agrees = refused > 0 and off @ off <= own.gate**2 * (P[0, 0] + 2 * R)
+        refused, offset = (refused + 1 if agrees else 1.0), error
+        if not found or refused >= BELIEVED_AFTER:
+            x, P = np.stack([fix, x[1], np.zeros(3)]), np.diag(own.taken_over)
+            refused, age = 0.0, own.latency
+    here = {
+        "covariance": P[np.triu_indices(3)],
+        "found": np.array([float(found or fresh)]),
+        "refused": np.array([refused]),
+        "offset": offset,
+        "age": np.array([age]),
+    }
+    return here, x
+
+
+def _acceleration(
+    psi: float, velocity: Vector, rate: float, thrust: Vector, model: Mapping[str, Vector], dt: float
+) -> tuple[Vector, float]:
+    """Mean acceleration over a step in {E} [m/s²], and yaw acceleration [rad/s²], of the believed vehicle."""
+    nu = np.append(_turned(-psi) @ velocity, rate)
+    mass = np.maximum(model["mass"], 1e-6)
+    X, XX = np.asarray(model["linear_drag"]), np.asarray(model["quadratic_drag"])
+    u, v, _, r = nu
+    load = thrust - (X + XX * np.abs(nu)) * nu + (mass[1] - mass[0]) * np.array([v * r, u * r, 0.0, -u * v])
+    a = load / (mass + 0.5 * dt * (X + 2 * XX * np.abs(nu)))
+    return _turned(psi) @ a[:3], float(a[3])
+
+
+def _turned(psi: float) -> Vector:
+    """Rotation (3, 3) about z."""
+    c, s = cos(psi), sin(psi)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _square(upper: Vector) -> Vector:
+    """A covariance (3, 3) from its upper triangle (6,)."""
+    P = np.zeros((3, 3))
+    P[np.triu_indices(3)] = upper
+    return P + np.triu(P, 1).T
+
+
+def _wrap(angle: float) -> float:
+    """The same angle [rad] in (−π, π]."""
+    turns = np.floor((pi - angle) / (2 * pi))
+    once = float(angle + 2 * pi * turns)
+    return once - 2 * pi if once > pi else once + 2 * pi if once <= -pi else once
