@@ -3,7 +3,7 @@
 from surctl.sensing.array import SonarArray, fire, heard, true_range
 from surctl.sensing.base_station import BaseStation, OwnState
 from surctl.sensing.delivery import Delivery, delayed, delayed_symbols
-from surctl.sensing.echo import Beam, beam_of, echo_range, heard_samples, range_to_box, range_to_disc, range_to_walls
+from surctl.sensing.echo import Beam, beam_of, echo_range, heard_samples
 from surctl.sensing.estimate import ContactMemory, Contacts, expected_range, sonar_contacts
 from surctl.sensing.fault_block import SLOT, Arrival, fault_ports, fault_slots, faulty_samples
 from surctl.sensing.faults import (
@@ -81,9 +81,6 @@ __all__ = [
     "mover_step",
     "noise_states",
     "own_state_step",
-    "range_to_box",
-    "range_to_disc",
-    "range_to_walls",
     "sonar_contacts",
     "speed_of_sound",
     "table_ii",
