@@ -6,6 +6,14 @@ from surctl.sensing.echo import heard_samples, range_to_box, range_to_disc, rang
 from surctl.sensing.estimate import ContactMemory, Contacts, expected_range, sonar_contacts
 from surctl.sensing.filters import FilterUpdate, LmsStep, SensorFilter, gate, lms_step, weighted_average
 from surctl.sensing.noise import NOISE_STATE, NoiseStream, draw_normals, noise_states
+from surctl.sensing.plain import (
+    PlainLmsStep,
+    PlainUpdate,
+    plain_average,
+    plain_filter,
+    plain_gate,
+    plain_lms_step,
+)
 from surctl.sensing.table2 import RangeTest, table_ii
 
 __all__ = [
@@ -17,6 +25,8 @@ __all__ = [
     "LmsStep",
     "NoiseStream",
     "OwnState",
+    "PlainLmsStep",
+    "PlainUpdate",
     "RangeTest",
     "SensorFilter",
     "SonarArray",
@@ -27,6 +37,10 @@ __all__ = [
     "heard_samples",
     "lms_step",
     "noise_states",
+    "plain_average",
+    "plain_filter",
+    "plain_gate",
+    "plain_lms_step",
     "range_to_box",
     "range_to_disc",
     "range_to_walls",
