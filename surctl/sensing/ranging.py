@@ -64,6 +64,7 @@ class RangeTracker:
         obstacle_speed: largest speed of what is tracked [m/s]; the bound grows with it while nothing is believed.
         tolerance: by which an honest reading may exceed the expected range, and agree with it [m]: noise, and error
             of the own position.
+        yaw_tolerance: error of the own heading that the bound allows for while the beam turns [rad].
         longest_delay: of a stream that comes late after a gap [s].
         hold: how long an echo that went out of sight without reason is kept [s] when the beam does not turn
             (default: for ever, because a fault may last as long).
@@ -73,12 +74,13 @@ class RangeTracker:
     dt: float = 0.05
     obstacle_speed: float = 0.25
     tolerance: float = 0.1
+    yaw_tolerance: float = 0.03
     longest_delay: float = 0.8
     hold: float = _NEVER
 
     def __post_init__(self) -> None:
         """Check the values; InputError names the wrong one."""
-        for name, unit in (("dt", "s"), ("tolerance", "m"), ("longest_delay", "s"), ("hold", "s")):
+        for name, unit in (("dt", "s"), ("tolerance", "m"), ("yaw_tolerance", "rad"), ("longest_delay", "s"), ("hold", "s")):
             value = getattr(self, name)
             if not (isfinite(value) and value > 0):
                 raise InputError("must be greater than 0", key=f"tracker.{name}", value=value, remedy=f"give {unit}")
@@ -105,7 +107,7 @@ class RangeTracker:
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
         """The state; it starts with nothing heard and no sensor believed."""
         n, far = self.array.size, self.array.maximum
-        delays, cycles = self._delays, self._cycles
+        delays = self._delays
 
         def port(name: str, unit: str, meaning: str, default: float = 0.0, *, width: int = 0) -> Port:
             return Port(f"{prefix}{name}", (n, width) if width else (n,), unit, meaning, default)
@@ -120,6 +122,7 @@ class RangeTracker:
             port("known", "1", "1 once a track exists"),
             port("explained", "1", "1 while the track agrees with the expected range"),
             port("doubt", "1", "1 while the last arrival was not believed"),
+            port("distrust", "1", "1 since a reading beyond a known wall, until one is honest again"),
             port("since", "s", "time since the last arrival", _NEVER),
             port("age", "s", "time since the last believed reading", _NEVER),
             port("turned", "rad", "beam's turn since the last believed reading", _NEVER),
@@ -137,7 +140,7 @@ class RangeTracker:
             port("recent", "m", "last three robust values moved by own motion, newest first", width=3),
             port("samples", "m", "samples of the last firing", -1.0, width=self.array.samples),
             port("shifts", "m", "predicted range 1, 2, ... steps ago less the present one", width=delays),
-            port("walls", "m", "expected range 1, 2, ... steps ago", far, width=cycles),
+            port("walls", "m", "expected range 1, 2, ... steps ago", far, width=delays + 1),
         )
 
     def update(
@@ -235,6 +238,7 @@ class RangeTracker:
             sensors=a.size,
             obstacle_speed=self.obstacle_speed,
             tolerance=self.tolerance,
+            yaw_tolerance=self.yaw_tolerance,
             longest_delay=self.longest_delay,
             hold=self.hold,
             repeats=self.repeats,
@@ -243,11 +247,7 @@ class RangeTracker:
 
     @property
     def _delays(self) -> int:
-        return max(1, ceil(self.longest_delay / self.dt - 1e-9))
-
-    @property
-    def _cycles(self) -> int:
-        return round(self.due / self.dt)
+        return max(round(self.due / self.dt), ceil(self.longest_delay / self.dt - 1e-9))
 
 
 @cache

@@ -23,15 +23,18 @@ _RATE_VARIANCE = 0.0625  # m²/s², of a rate that is not known
 _VARIANCE = 0.09  # m², largest of the range
 _GATE = 4.0  # standard deviations
 _GATE_LEAST, _GATE_MOST, _GATE_TURNING = 0.05, 0.10, 0.35  # m
+_SLIDING = 0.04  # m in a cycle, above the noise of an expected range
 _SAME = 0.06  # m, from one reading of a rival to the next, own motion taken out
 _SAME_TURNING = 0.16  # m
 _VOTES = 3  # readings in a row that make a rival the track
+_VOTES_AFTER_FAULT = 8  # which no wall that is passed by chance gives
 _MARGIN, _DEVIATIONS = 0.01, 3.5  # m and standard deviations of a healthy bound
 _RIVAL = 0.04  # m, half-width of a rival
 _TWICE = 0.1  # m, by which a second echo may miss twice the range
 _CROSS = 0.05  # m, by which crosstalk may miss another sensor's reading
-_SMALL_SHIFT, _TELLING_SHIFT, _BEARABLE_SHIFT = 0.025, 0.035, 0.05  # m, of a stream that may be late
-_EVIDENCE, _LOOKS, _FORGET = 0.008, 3, 0.95  # m², readings, and what of the old evidence stays
+_SMALL_SHIFT, _TELLING_SHIFT, _TELLING_WALL, _BEARABLE_SHIFT = 0.025, 0.035, 0.05, 0.05  # m, if a stream is late
+_TRACK_SPREAD, _WALL_SPREAD = 0.012, 0.02  # m, of residuals on the old track, and on the expected range
+_EVIDENCE, _LOOKS, _FORGET = 60.0, 4, 0.95  # variances, readings, and what of the old evidence stays
 _CAUTIOUS = 0.1  # part of the filter's gain while a stream may be late
 _CALM = 0.6  # part of a surprise that stays
 _SURPRISING = 2.5  # standard deviations
@@ -53,6 +56,7 @@ class Rules:
     sensors: int
     obstacle_speed: float
     tolerance: float
+    yaw_tolerance: float
     longest_delay: float
     hold: float
     repeats: int
@@ -75,9 +79,11 @@ class _Scene(NamedTuple):
     fired: Value
     turning: Value
     follow: Value  # the beam turns, and the track is a known wall: it moves as the expected range does
+    raw: Value  # the expected range as given
     wall: Value  # a known wall is in reach
     expected: Value  # held to the maximum
     tolerance: Value
+    unsure: Value  # error of the expected range that the heading's brings [m]
     slide: Value  # by how much the expected range moved within a cycle, while the beam turns
 
 
@@ -87,9 +93,8 @@ class _Late(NamedTuple):
     late_by: Value
     late: Value
     away: Value  # a late reading less the present range
-    shift: Value  # of that, what the track did not take in
-    undecided: Value
-    judging: Value  # this reading is evidence
+    undecided: Value  # and it matters
+    judging: Value  # this reading is evidence, and so not one for the track
 
 
 def tick(
@@ -116,14 +121,16 @@ def tick(
 def _scene(op: Elementwise, rules: Rules, old: Mapping[str, Value], seen: Seen) -> _Scene:
     turning = op.size(seen.turn) > _TURNING
     expected = op.least(op.most(seen.expected, 0.0), rules.maximum)
-    slide = op.where(turning, op.size(expected - old["walls"][-1]), 0.0)
+    slide = op.where(turning, op.size(expected - old["walls"][round(rules.due / rules.dt) - 1]), 0.0)
     return _Scene(
         fired=seen.fresh > 0.5,
         turning=turning,
-        follow=op.both(turning, old["explained"] > 0.5, old["known"] > 0.5),
+        follow=op.both(turning, slide > _SLIDING, old["explained"] > 0.5, old["known"] > 0.5),
+        raw=seen.expected,
         wall=seen.expected < rules.maximum,
         expected=expected,
         tolerance=rules.tolerance + slide,
+        unsure=rules.yaw_tolerance * slide / (rules.due * op.most(op.size(seen.turn), _TURNING)),
         slide=slide,
     )
 
@@ -211,49 +218,50 @@ def _lateness(
     sound: Value,
     reading: Value,
 ) -> _Late:
-    """After a gap the stream may be late by the gap: compare it with what own motion makes of the old track.
+    """After a gap the stream may be late by the gap: compare it with the known walls, or with the old track.
 
-    A late reading is the range of `late_by` ago, longer by `away`. The residuals of the readings on the part of it
-    that the track did not take in give the share of it that is real: 0 for a true stream, 1 for a late one.
+    A late reading is the range of `late_by` ago, longer by a shift that the known walls give, or own motion. The
+    residuals of the readings on the shift give the share of it that is real: 0 for a true stream, 1 for a late one.
     """
-    since = state["since"]
-    missing = op.floor(since / rules.due + 0.5) - 1.0
+    missing = op.floor(state["since"] / rules.due + 0.5) - 1.0
     lost = missing * rules.due
     gap = op.both(scene.fired, missing > 0.5, lost <= rules.longest_delay + 0.5 * rules.dt, state["known"] > 0.5)
     late_by = op.where(gap, op.most(old["late_by"], lost), old["late_by"])
-    away = 0.0 * late_by
-    for k, value in enumerate(state["shifts"]):
-        away = op.where(op.size(late_by - (k + 1) * rules.dt) < 0.5 * rules.dt, value, away)
+    away, wall_then = 0.0 * late_by, scene.expected + 0.0 * late_by
+    for k, (shift, wall) in enumerate(zip(state["shifts"], state["walls"][1:], strict=True)):
+        chosen = op.size(late_by - (k + 1) * rules.dt) < 0.5 * rules.dt
+        away, wall_then = op.where(chosen, shift, away), op.where(chosen, wall, wall_then)
     late = op.both(old["late"] > 0.5, op.no(gap), op.size(away) > 0.4 * _SMALL_SHIFT)
-    shift = away - old["absorbed"]
-    telling = op.both(late_by > 0.0, op.no(late), op.size(shift) > _TELLING_SHIFT)
-    undecided = op.both(late_by > 0.0, op.no(late), op.size(away) > _SMALL_SHIFT)
-    usable = op.either(op.no(scene.turning), scene.follow)
-    residual = reading - state["range"]
-    gate = _GATE_LEAST + 0.25 * op.size(shift)
+    suspected = op.both(late_by > 0.0, op.no(late))
+    by_wall = op.both(scene.wall, wall_then < rules.maximum, op.size(wall_then - scene.expected) > _TELLING_WALL)
+    shift = op.where(by_wall, wall_then - scene.expected, away - old["absorbed"])
+    residual = reading - op.where(by_wall, scene.expected, state["range"])
+    spread = op.where(by_wall, _WALL_SPREAD + scene.unsure / 3.0, _TRACK_SPREAD)
+    telling = op.both(suspected, op.either(by_wall, op.both(op.size(shift) > _TELLING_SHIFT, op.no(scene.turning))))
+    gate = 4.0 * spread + 0.25 * op.size(shift)
     fits = op.both(residual >= op.least(shift, 0.0) - gate, residual <= op.most(shift, 0.0) + gate)
-    judging = op.both(sound, telling, usable, fits, state["votes"] < 0.5)
-    cross = op.where(judging, _FORGET * old["cross"] + residual * shift, old["cross"])
-    power = op.where(judging, _FORGET * old["power"] + shift * shift, old["power"])
+    judging = op.both(sound, telling, fits, op.either(by_wall, state["votes"] < 0.5))
+    weight = 1.0 / (spread * spread)
+    cross = op.where(judging, _FORGET * old["cross"] + residual * shift * weight, old["cross"])
+    power = op.where(judging, _FORGET * old["power"] + shift * shift * weight, old["power"])
     looks = op.where(judging, old["looks"] + 1.0, old["looks"])
     decided = op.both(looks > _LOOKS - 0.5, power >= _EVIDENCE)
     true = op.both(decided, cross < 0.5 * power)
     late = op.either(late, op.both(decided, cross >= 0.5 * power))
-    fresh_start = op.either(gap, decided)
-    state["cross"] = op.where(fresh_start, 0.0, cross)
-    state["power"] = op.where(fresh_start, 0.0, power)
-    state["looks"] = op.where(fresh_start, 0.0, looks)
+    afresh = op.either(gap, decided)
+    state["cross"] = op.where(afresh, 0.0, cross)
+    state["power"] = op.where(afresh, 0.0, power)
+    state["looks"] = op.where(afresh, 0.0, looks)
     state["late_by"] = op.where(true, 0.0, late_by)
     state["late"] = op.where(late, 1.0, 0.0)
     state["absorbed"] = op.where(op.either(true, late, late_by <= 0.0), 0.0, old["absorbed"])
-    undecided = op.both(undecided, op.no(true), op.no(late))
+    suspected = op.both(suspected, op.no(true), op.no(late))
     return _Late(
         late_by=state["late_by"],
         late=late,
         away=op.where(state["late_by"] > 0.0, away, 0.0),
-        shift=shift,
-        undecided=undecided,
-        judging=op.both(judging, op.no(true)),
+        undecided=op.both(suspected, op.size(away) > _SMALL_SHIFT),
+        judging=op.both(judging, op.no(true), op.no(by_wall)),
     )
 
 
@@ -269,16 +277,23 @@ def _believed(
     gate = op.least(op.most(_GATE * spread, _GATE_LEAST), widest)
     agrees = op.both(scene.wall, op.size(taken - scene.expected) <= scene.tolerance)
     there = op.both(known, op.either(state["turned"] <= rules.beam, agrees))
-    near = op.both(sound, there, op.size(innovation) <= op.where(late.judging, rules.maximum, gate))
+    # a stream of a rival that happens to cross the track does not become true by it
+    crossing = op.both(state["votes"] > 0.5, op.size(taken - state["rival"]) <= _SAME)
+    crosstalk = _crosstalk(op, rules, state, op.where(scene.fired, reading, state["heard"]), taken)
+    foreign = op.both(crosstalk, scene.turning, op.no(agrees))
+    near = op.both(sound, there, op.no(crossing), op.no(foreign), op.size(innovation) <= op.where(late.judging, rules.maximum, gate))
     entered = op.both(sound, known, op.no(near), agrees, innovation < 0.0)  # a known wall comes into the beam
     other = op.both(sound, op.no(near), op.no(entered))
-    won = _rival(op, rules, state, scene, taken, innovation, agrees, known, other)
+    won = _rival(op, rules, state, scene, reading, taken, innovation, agrees, known, crosstalk, other)
     anew = op.either(entered, won)
-    _filtered(op, rules, state, scene, late, taken, near, anew)
+    _filtered(op, rules, state, scene, late, taken, crosstalk, agrees, near, anew)
     believed = op.either(near, anew)
     # a set that repeats once is a sign, not yet a doubt
     honest = op.either(sound, op.both(state["repeated"] > 0.5, state["repeated"] < max(rules.repeats, 1) - 0.5))
     doubt = op.where(honest, state["doubt"], 1.0)
+    too_long = op.both(scene.fired, reading > scene.raw + scene.tolerance)
+    trusted = op.both(believed, op.either(agrees, op.both(near, state["turned"] <= _UNSEEN)))
+    state["distrust"] = op.where(too_long, 1.0, op.where(trusted, 0.0, state["distrust"]))
     state["doubt"] = op.where(believed, 0.0, op.where(scene.fired, doubt, state["doubt"]))
     state["known"] = op.where(believed, 1.0, state["known"])
     state["explained"] = op.where(believed, op.where(agrees, 1.0, 0.0), state["explained"])
@@ -293,10 +308,12 @@ def _rival(
     rules: Rules,
     state: dict[str, Value],
     scene: _Scene,
+    reading: Value,
     taken: Value,
     innovation: Value,
     agrees: Value,
     known: Value,
+    crosstalk: Value,
     other: Value,
 ) -> Value:
     """Keep a reading away from the track as a rival; whether the rival has become the track."""
@@ -305,12 +322,14 @@ def _rival(
     goes_on = op.both(state["votes"] > 0.5, op.size(taken - state["rival"]) <= same)
     twice = op.both(op.size(taken - 2.0 * x) <= _TWICE, innovation > 0.0)
     vanished = op.both(taken >= top, innovation > 0.0)
-    crosstalk = _crosstalk(op, rules, state, taken)
-    suspect = op.where(goes_on, state["suspect"] > 0.5, op.either(twice, vanished))
-    votes = op.where(op.both(goes_on, op.no(crosstalk)), op.least(state["votes"] + 1.0, 9.0), 1.0)
+    # within one conflict a suspicion stays: noise may break a stream in two
+    suspect = op.either(op.both(state["votes"] > 0.5, state["suspect"] > 0.5), twice, vanished)
+    strange = op.both(op.no(agrees), op.either(crosstalk, state["distrust"] > 0.5))
+    votes = op.where(op.both(goes_on, op.no(strange)), op.least(state["votes"] + 1.0, 9.0), 1.0)
     excused = op.either(op.both(agrees, op.no(twice)), state["turned"] > rules.beam, state["age"] > rules.hold)
-    convincing = op.either(op.no(known), op.no(suspect), excused)
-    won = op.both(other, votes > _VOTES - 0.5, convincing)
+    convincing = op.either(op.no(known), op.no(suspect), innovation < 0.0, excused)
+    needed = op.where(state["distrust"] > 0.5, _VOTES_AFTER_FAULT, _VOTES)
+    won = op.both(other, votes > needed - 0.5, convincing)
     rival = op.where(goes_on, state["rival"] + 0.5 * (taken - state["rival"]), taken)
     state["rival"] = op.where(other, rival, state["rival"])
     state["votes"] = op.where(other, votes, state["votes"])
@@ -318,14 +337,15 @@ def _rival(
     return won
 
 
-def _crosstalk(op: Elementwise, rules: Rules, state: Mapping[str, Value], taken: Value) -> Value:
+def _crosstalk(op: Elementwise, rules: Rules, state: Mapping[str, Value], newest: Value, taken: Value) -> Value:
     """Whether the value is what another sensor heard; all may see nothing."""
     found = taken < 0.0
     for k in range(1, rules.sensors):
-        theirs, rate = op.turned(state["heard"], k), op.turned(state["rate"], k)
-        reach = _CROSS + op.size(rate) * rules.due
-        echo = theirs < rules.maximum - rules.resolution
-        found = op.either(found, op.both(echo, op.size(taken - theirs) <= reach))
+        reach = _CROSS + op.size(op.turned(state["rate"], k)) * rules.due
+        for heard in (newest, state["heard"]):
+            theirs = op.turned(heard, k)
+            echo = theirs < rules.maximum - rules.resolution
+            found = op.either(found, op.both(echo, op.size(taken - theirs) <= reach))
     return found
 
 
@@ -336,6 +356,8 @@ def _filtered(
     scene: _Scene,
     late: _Late,
     taken: Value,
+    crosstalk: Value,
+    agrees: Value,
     near: Value,
     anew: Value,
 ) -> None:
@@ -344,23 +366,28 @@ def _filtered(
     p11, p12, p22 = state["var_range"], state["covariance"], state["var_rate"]
     r = rules.sigma * rules.sigma
     total = p11 + r
-    part = op.where(late.undecided, _CAUTIOUS, 1.0)
-    k1, k2 = part * p11 / total, op.where(op.either(late.undecided, scene.follow), 0.0, p12 / total)
-    innovation = taken - x
-    surprise = op.most(_CALM * state["surprise"], op.size(innovation) - _SURPRISING * op.root(total), 0.0)
+    # what may be late carries the track along little, and what is also another sensor's reading not at all
+    part = op.where(crosstalk, 0.0, op.where(late.undecided, _CAUTIOUS, 1.0))
+    steady = op.either(crosstalk, late.undecided, scene.follow)
+    k1, k2 = p11 / total, op.where(steady, 0.0, p12 / total)
+    innovation = part * (taken - x)
+    surprise = op.most(_CALM * state["surprise"], op.size(taken - x) - _SURPRISING * op.root(total), 0.0)
+    # it only bears the track out, as well as it agrees with it
+    shared = op.most(op.where(anew, 0.0, op.size(taken - x)), op.where(agrees, op.size(taken - scene.expected), 0.0))
+    surprise = op.where(crosstalk, op.most(surprise, shared), surprise)
     surprise = op.where(late.undecided, state["surprise"], surprise)
 
     def chosen(after: Value, start: Value, before: Value) -> Value:
         return op.where(anew, start, op.where(near, after, before))
 
     state["range"] = chosen(op.least(op.most(x + k1 * innovation, 0.0), rules.maximum), taken, x)
-    state["rate"] = chosen(op.where(scene.follow, 0.0, u + k2 * innovation), 0.0, u)
+    state["rate"] = chosen(op.where(steady, 0.0, u + k2 * innovation), 0.0, u)
     # the form that holds for any gain
     state["var_range"] = chosen((1.0 - k1) * (1.0 - k1) * p11 + k1 * k1 * r, r, p11)
     state["covariance"] = chosen((1.0 - k1) * (p12 - k2 * p11) + k1 * k2 * r, 0.0, p12)
     state["var_rate"] = chosen(p22 - 2.0 * k2 * p12 + k2 * k2 * total, _RATE_VARIANCE, p22)
-    state["surprise"] = chosen(surprise, 0.0, state["surprise"])
-    absorbed = state["absorbed"] + k1 * (late.away - state["absorbed"])
+    state["surprise"] = chosen(surprise, op.where(crosstalk, shared, 0.0), state["surprise"])
+    absorbed = state["absorbed"] + part * k1 * (late.away - state["absorbed"])
     suspected = op.both(late.late_by > 0.0, op.no(late.late))
     state["absorbed"] = op.where(suspected, chosen(absorbed, late.away, state["absorbed"]), 0.0)
 
@@ -396,8 +423,9 @@ def _answer(
     """Range, bound, rate, healthy, age, reading, accepted, carve."""
     x, far = state["range"], rules.maximum
     overdue = state["since"] > rules.due + 0.5 * rules.dt
-    blind = op.both(scene.turning, op.no(scene.follow), late.late_by > rules.due + 0.5 * rules.dt)
+    blind = op.both(scene.turning, late.late_by > rules.due + 0.5 * rules.dt)
     away = op.size(late.away) + op.size(state["rate"]) * late.late_by
+    away = away + op.where(late.late_by > 0.0, scene.slide, 0.0)
     healthy = op.both(
         state["known"] > 0.5,
         op.no(overdue),
@@ -409,20 +437,24 @@ def _answer(
         op.size(late.away) <= _BEARABLE_SHIFT,
     )
     reach = _MARGIN + _DEVIATIONS * op.root(op.most(state["var_range"], 0.0)) + state["surprise"] + away
-    sliding = op.where(scene.follow, 0.02 + scene.slide, 0.01 + op.size(state["rate"]) * rules.dt)
-    reach = reach + op.where(scene.turning, sliding, 0.0)
+    sliding = op.where(scene.follow, 0.03 + scene.unsure, 0.01 + op.size(state["rate"]) * rules.dt)
+    reach = reach + op.where(op.both(scene.turning, state["since"] > 0.0), sliding, 0.0)
     reach = reach + rules.obstacle_speed * op.most(state["age"] - rules.due, 0.0)
     low, high = x - reach, x + reach
+    # a known wall that the turning beam may have met since the last firing
+    meets = op.both(scene.turning, state["since"] > 0.0)
+    low = op.where(meets, op.least(low, scene.expected - 0.03 - scene.unsure), low)
     rivalled = state["votes"] > 0.5
     low = op.where(rivalled, op.least(low, state["rival"] - _RIVAL), low)
     high = op.where(rivalled, op.most(high, state["rival"] + _RIVAL), high)
-    lost = op.both(op.no(healthy), op.either(state["turned"] > _UNSEEN, op.both(scene.turning, late.late_by > 0.0)))
+    lost = op.both(op.no(healthy), op.either(state["turned"] > _UNSEEN, blind, op.both(scene.turning, late.late)))
     anything = op.either(state["known"] < 0.5, lost)
     at_minimum = state["heard"] <= rules.minimum + 1.5 * rules.resolution  # it reads the same from there down to 0
     low = op.where(op.either(anything, at_minimum), 0.0, op.most(low, 0.0))
     ceiling = op.least(scene.expected + scene.tolerance, far)
     high = op.least(op.where(anything, far, high), ceiling)
-    low = op.least(low, op.most(high - 2.0 * rules.tolerance, 0.0))
+    # a track beyond what the walls allow: the wall itself
+    low = op.where(low > ceiling, op.most(ceiling - 2.0 * scene.tolerance, 0.0), low)
     accepted = op.both(believed, healthy)
     nearest = op.least(*state["recent"])
     return (
