@@ -17,6 +17,7 @@ __all__ = ["Rules", "Seen", "tick"]
 
 _TURNING = 0.05  # rad/s; below it the beam counts as still
 _UNSEEN = 0.03  # rad; a beam that turned further since the last believed reading tells nothing of what it sees now
+_STALE = 0.2  # rad; likewise, a reading that is near an older track is so by chance
 _NOISE = 2.25e-3  # m²/s³, of the rate: an obstacle that changes its speed by 0.15 m/s within a second
 _NOISE_TURNING = 0.4  # m²/s³: nearest points slide along what the beam sweeps
 _RATE_VARIANCE = 0.0625  # m²/s², of a rate that is not known
@@ -34,7 +35,7 @@ _TWICE = 0.1  # m, by which a second echo may miss twice the range
 _CROSS = 0.05  # m, by which crosstalk may miss another sensor's reading
 _SMALL_SHIFT, _TELLING_SHIFT, _TELLING_WALL, _BEARABLE_SHIFT = 0.025, 0.035, 0.05, 0.05  # m, if a stream is late
 _TRACK_SPREAD, _WALL_SPREAD = 0.012, 0.02  # m, of residuals on the old track, and on the expected range
-_EVIDENCE, _LOOKS, _FORGET = 60.0, 4, 0.95  # variances, readings, and what of the old evidence stays
+_EVIDENCE, _LOOKS, _LOOKS_WALL, _FORGET = 60.0, 4, 6, 0.95  # variances, readings, and what of the old evidence stays
 _CAUTIOUS = 0.1  # part of the filter's gain while a stream may be late
 _CALM = 0.6  # part of a surprise that stays
 _SURPRISING = 2.5  # standard deviations
@@ -121,7 +122,11 @@ def tick(
 def _scene(op: Elementwise, rules: Rules, old: Mapping[str, Value], seen: Seen) -> _Scene:
     turning = op.size(seen.turn) > _TURNING
     expected = op.least(op.most(seen.expected, 0.0), rules.maximum)
-    slide = op.where(turning, op.size(expected - old["walls"][round(rules.due / rules.dt) - 1]), 0.0)
+    cycle = round(rules.due / rules.dt)
+    before, earlier = (old["walls"][min(k * cycle, len(old["walls"])) - 1] for k in (1, 2))
+    slide = op.most(op.size(expected - before), op.size(before - earlier), 0.5 * op.size(expected - earlier))
+    slide = op.where(turning, slide, 0.0)
+    unsure = rules.yaw_tolerance * slide / (rules.due * op.most(op.size(seen.turn), _TURNING))
     return _Scene(
         fired=seen.fresh > 0.5,
         turning=turning,
@@ -129,8 +134,8 @@ def _scene(op: Elementwise, rules: Rules, old: Mapping[str, Value], seen: Seen) 
         raw=seen.expected,
         wall=seen.expected < rules.maximum,
         expected=expected,
-        tolerance=rules.tolerance + slide,
-        unsure=rules.yaw_tolerance * slide / (rules.due * op.most(op.size(seen.turn), _TURNING)),
+        tolerance=rules.tolerance + slide + unsure,
+        unsure=unsure,
         slide=slide,
     )
 
@@ -233,22 +238,25 @@ def _lateness(
         away, wall_then = op.where(chosen, shift, away), op.where(chosen, wall, wall_then)
     late = op.both(old["late"] > 0.5, op.no(gap), op.size(away) > 0.4 * _SMALL_SHIFT)
     suspected = op.both(late_by > 0.0, op.no(late))
-    by_wall = op.both(scene.wall, wall_then < rules.maximum, op.size(wall_then - scene.expected) > _TELLING_WALL)
+    told = op.size(wall_then - scene.expected) > _TELLING_WALL + scene.unsure
+    by_wall = op.both(scene.wall, wall_then < rules.maximum, told)
     shift = op.where(by_wall, wall_then - scene.expected, away - old["absorbed"])
     residual = reading - op.where(by_wall, scene.expected, state["range"])
     spread = op.where(by_wall, _WALL_SPREAD + scene.unsure / 3.0, _TRACK_SPREAD)
     telling = op.both(suspected, op.either(by_wall, op.both(op.size(shift) > _TELLING_SHIFT, op.no(scene.turning))))
-    gate = 4.0 * spread + 0.25 * op.size(shift)
-    fits = op.both(residual >= op.least(shift, 0.0) - gate, residual <= op.most(shift, 0.0) + gate)
+    gate = op.where(by_wall, _GATE_LEAST + scene.unsure, _GATE_LEAST + 0.25 * op.size(shift))
+    fits = op.either(op.size(residual) <= gate, op.size(residual - shift) <= gate)
     judging = op.both(sound, telling, fits, op.either(by_wall, state["votes"] < 0.5))
+    # something stands before the wall
+    elsewhere = op.both(sound, telling, by_wall, op.no(fits))
     weight = 1.0 / (spread * spread)
     cross = op.where(judging, _FORGET * old["cross"] + residual * shift * weight, old["cross"])
     power = op.where(judging, _FORGET * old["power"] + shift * shift * weight, old["power"])
     looks = op.where(judging, old["looks"] + 1.0, old["looks"])
-    decided = op.both(looks > _LOOKS - 0.5, power >= _EVIDENCE)
+    decided = op.both(looks > op.where(by_wall, _LOOKS_WALL, _LOOKS) - 0.5, power >= _EVIDENCE)
     true = op.both(decided, cross < 0.5 * power)
     late = op.either(late, op.both(decided, cross >= 0.5 * power))
-    afresh = op.either(gap, decided)
+    afresh = op.either(gap, decided, elsewhere)
     state["cross"] = op.where(afresh, 0.0, cross)
     state["power"] = op.where(afresh, 0.0, power)
     state["looks"] = op.where(afresh, 0.0, looks)
@@ -275,14 +283,18 @@ def _believed(
     spread = op.root(op.most(state["var_range"], 0.0) + rules.sigma * rules.sigma)
     widest = op.where(scene.turning, _GATE_TURNING, _GATE_MOST)
     gate = op.least(op.most(_GATE * spread, _GATE_LEAST), widest)
-    agrees = op.both(scene.wall, op.size(taken - scene.expected) <= scene.tolerance)
-    there = op.both(known, op.either(state["turned"] <= rules.beam, agrees))
+    off = op.size(taken - scene.expected)
+    agrees = op.both(scene.wall, off <= rules.tolerance + scene.unsure)
+    closely = op.both(scene.wall, off <= 0.5 * (rules.tolerance + scene.unsure))
+    agrees = op.where(state["distrust"] > 0.5, closely, agrees)
+    there = op.both(known, op.either(state["turned"] <= _STALE, op.both(agrees, state["distrust"] < 0.5)))
     # a stream of a rival that happens to cross the track does not become true by it
     crossing = op.both(state["votes"] > 0.5, op.size(taken - state["rival"]) <= _SAME)
     crosstalk = _crosstalk(op, rules, state, op.where(scene.fired, reading, state["heard"]), taken)
     foreign = op.both(crosstalk, scene.turning, op.no(agrees))
     near = op.both(sound, there, op.no(crossing), op.no(foreign), op.size(innovation) <= op.where(late.judging, rules.maximum, gate))
-    entered = op.both(sound, known, op.no(near), agrees, innovation < 0.0)  # a known wall comes into the beam
+    # a known wall comes into the beam
+    entered = op.both(sound, known, scene.turning, op.no(near), op.no(crosstalk), agrees, innovation < 0.0)
     other = op.both(sound, op.no(near), op.no(entered))
     won = _rival(op, rules, state, scene, reading, taken, innovation, agrees, known, crosstalk, other)
     anew = op.either(entered, won)
@@ -324,7 +336,7 @@ def _rival(
     vanished = op.both(taken >= top, innovation > 0.0)
     # within one conflict a suspicion stays: noise may break a stream in two
     suspect = op.either(op.both(state["votes"] > 0.5, state["suspect"] > 0.5), twice, vanished)
-    strange = op.both(op.no(agrees), op.either(crosstalk, state["distrust"] > 0.5))
+    strange = op.either(crosstalk, op.both(op.no(agrees), state["distrust"] > 0.5))
     votes = op.where(op.both(goes_on, op.no(strange)), op.least(state["votes"] + 1.0, 9.0), 1.0)
     excused = op.either(op.both(agrees, op.no(twice)), state["turned"] > rules.beam, state["age"] > rules.hold)
     convincing = op.either(op.no(known), op.no(suspect), innovation < 0.0, excused)
@@ -439,6 +451,8 @@ def _answer(
     reach = _MARGIN + _DEVIATIONS * op.root(op.most(state["var_range"], 0.0)) + state["surprise"] + away
     sliding = op.where(scene.follow, 0.03 + scene.unsure, 0.01 + op.size(state["rate"]) * rules.dt)
     reach = reach + op.where(op.both(scene.turning, state["since"] > 0.0), sliding, 0.0)
+    by_wall = op.both(scene.turning, scene.wall, state["explained"] > 0.5)
+    reach = reach + op.where(by_wall, op.size(x - scene.expected), 0.0)
     reach = reach + rules.obstacle_speed * op.most(state["age"] - rules.due, 0.0)
     low, high = x - reach, x + reach
     # a known wall that the turning beam may have met since the last firing
