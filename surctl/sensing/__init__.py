@@ -14,6 +14,7 @@ from surctl.sensing.plain import (
     plain_gate,
     plain_lms_step,
 )
+from surctl.sensing.ranging import RangeTracker, Ranging
 from surctl.sensing.table2 import RangeTest, table_ii
 
 __all__ = [
@@ -28,6 +29,8 @@ __all__ = [
     "PlainLmsStep",
     "PlainUpdate",
     "RangeTest",
+    "RangeTracker",
+    "Ranging",
     "SensorFilter",
     "SonarArray",
     "draw_normals",
