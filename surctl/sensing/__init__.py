@@ -23,6 +23,8 @@ from surctl.sensing.movers import Movers, MoverTracker, mover_step
 from surctl.sensing.noise import NOISE_STATE, NoiseStream, draw_normals, draw_uniforms, noise_states
 from surctl.sensing.own_state import OwnEstimate, OwnStateFilter
 from surctl.sensing.own_state_numbers import own_state_step
+from surctl.sensing.plain import PlainLmsStep, PlainUpdate, plain_average, plain_filter, plain_gate, plain_lms_step
+from surctl.sensing.ranging import RangeTracker, Ranging
 from surctl.sensing.solids import Cone, Solid, SolidBox, SolidDisc, SolidWalls
 from surctl.sensing.sound import Medium, speed_of_sound
 from surctl.sensing.table2 import RangeTest, table_ii
@@ -53,7 +55,11 @@ __all__ = [
     "OwnEstimate",
     "OwnState",
     "OwnStateFilter",
+    "PlainLmsStep",
+    "PlainUpdate",
     "RangeTest",
+    "RangeTracker",
+    "Ranging",
     "SensorFilter",
     "Solid",
     "SolidBox",
@@ -81,6 +87,10 @@ __all__ = [
     "mover_step",
     "noise_states",
     "own_state_step",
+    "plain_average",
+    "plain_filter",
+    "plain_gate",
+    "plain_lms_step",
     "sonar_contacts",
     "speed_of_sound",
     "table_ii",

@@ -1,0 +1,252 @@
+"""The rules of `RangeTracker`, written once for symbols and numbers (`Elementwise`).
+
+A step moves the track by the robot's own motion, takes the new reading in if it can be honest and agrees with the
+track, and otherwise keeps it as a rival hypothesis until there is reason to believe it. What is not resolved widens the
+interval in which the range is promised to lie.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from surctl.sensing.elementwise import Elementwise, Value
+from surctl.sensing.ranging_late import Late, lateness
+from surctl.sensing.ranging_scene import Rules, Seen, Step, opened, robust, sound
+
+__all__ = ["tick"]
+
+_UNSEEN = 0.03  # rad; a beam that turned further since the last believed reading tells nothing of what it sees now
+_STALE = 0.2  # rad; likewise, a reading that is near an older track is so by chance
+_GATE = 4.0  # standard deviations
+_GATE_LEAST, _GATE_MOST, _GATE_TURNING = 0.05, 0.10, 0.35  # m
+_SAME, _SAME_TURNING = 0.06, 0.16  # m, from one reading of a rival to the next, own motion taken out
+_VOTES = 3  # readings in a row that make a rival the track
+_VOTES_AFTER_FAULT = 8  # which no wall that is passed by chance gives
+_MARGIN, _DEVIATIONS = 0.01, 3.5  # m and standard deviations of a healthy bound
+_RIVAL = 0.04  # m, half-width of a rival
+_TWICE = 0.1  # m, by which a second echo may miss twice the range
+_CROSS = 0.05  # m, by which crosstalk may miss another sensor's reading
+_BEARABLE = 0.05  # m, shift of a stream that may be late, in a healthy bound
+_CAUTIOUS = 0.1  # part of the filter's gain while a stream may be late
+_CALM = 0.6  # part of a surprise that stays
+_SURPRISING = 2.5  # standard deviations
+
+
+class _Compared(NamedTuple):
+    """A reading against what is known."""
+
+    taken: Value  # [m], a late one less its shift
+    innovation: Value  # [m] from the track
+    agrees: Value  # with the known walls
+    crosstalk: Value  # it is also another sensor's reading
+    near: Value  # it belongs to the track
+
+
+def tick(
+    op: Elementwise, rules: Rules, old: Mapping[str, Value], seen: Seen
+) -> tuple[dict[str, Value], tuple[Value, ...]]:
+    """Next state, and range, bound, rate, healthy, age, reading, accepted, carve.
+
+    Args:
+        op: operations of symbols or of numbers.
+        rules: numbers.
+        old: state by unprefixed port name; a port with columns is a list of them.
+        seen: inputs.
+    """
+    step = opened(op, rules, old, seen)
+    reading = robust(step)
+    fine = sound(step, reading)
+    late = lateness(step, fine, reading)
+    believed = _believed(step, late, fine, reading)
+    _record(step, reading)
+    return step.state, _answer(step, late, believed)
+
+
+def _compared(step: Step, late: Late, fine: Value, reading: Value) -> _Compared:
+    """The reading against track, walls, rival and the other sensors."""
+    op, rules, _, state, _, scene = step
+    x, known = state["range"], state["known"] > 0.5
+    taken = op.where(late.late, op.least(op.most(reading - late.away, 0.0), rules.maximum), reading)
+    innovation = taken - x
+    spread = op.root(op.most(state["var_range"], 0.0) + rules.sigma * rules.sigma)
+    widest = op.where(scene.turning, _GATE_TURNING, _GATE_MOST)
+    # less than a second echo is away
+    gate = op.most(op.least(_GATE * spread, widest, 0.5 * x), _GATE_LEAST)
+    off = op.size(taken - scene.expected)
+    agrees = op.both(scene.wall, off <= rules.tolerance + scene.unsure)
+    closely = op.both(scene.wall, off <= 0.5 * (rules.tolerance + scene.unsure))
+    agrees = op.where(state["distrust"] > 0.5, closely, agrees)
+    there = op.both(known, op.either(state["turned"] <= _STALE, op.both(agrees, state["distrust"] < 0.5)))
+    # a stream of a rival that happens to cross the track does not become true by it
+    crossing = op.both(state["votes"] > 0.5, op.size(taken - state["rival"]) <= _SAME)
+    crosstalk = _crosstalk(step, op.where(scene.fired, reading, state["heard"]), taken)
+    foreign = op.both(crosstalk, scene.turning, op.no(agrees))
+    within = op.size(innovation) <= op.where(late.judging, rules.maximum, gate)
+    near = op.both(fine, there, op.no(crossing), op.no(foreign), within)
+    return _Compared(taken, innovation, agrees, crosstalk, near)
+
+
+def _believed(step: Step, late: Late, fine: Value, reading: Value) -> Value:
+    """Take the reading into the track, or into the rival; whether it was believed."""
+    op, rules, _, state, _, scene = step
+    new = _compared(step, late, fine, reading)
+    # a known wall comes into the beam
+    honest = op.both(state["known"] > 0.5, op.no(new.crosstalk), state["distrust"] < 0.5)
+    entered = op.both(fine, honest, scene.turning, op.no(new.near), new.agrees, new.innovation < 0.0)
+    other = op.both(fine, op.no(new.near), op.no(entered))
+    anew = op.either(entered, _rival(step, new, other))
+    _filtered(step, late, new, anew)
+    believed = op.either(new.near, anew)
+    # a set that repeats once is a sign, not yet a doubt
+    fair = op.either(fine, op.both(state["repeated"] > 0.5, state["repeated"] < rules.stuck))
+    doubt = op.where(fair, state["doubt"], 1.0)
+    too_long = op.both(scene.fired, reading > scene.raw + scene.tolerance)
+    trusted = op.both(believed, op.either(new.agrees, op.both(new.near, state["turned"] <= _UNSEEN)))
+    state["distrust"] = op.where(too_long, 1.0, op.where(trusted, 0.0, state["distrust"]))
+    state["doubt"] = op.where(believed, 0.0, op.where(scene.fired, doubt, state["doubt"]))
+    state["known"] = op.where(believed, 1.0, state["known"])
+    state["explained"] = op.where(believed, op.where(new.agrees, 1.0, 0.0), state["explained"])
+    state["votes"] = op.where(believed, 0.0, state["votes"])
+    state["age"] = op.where(believed, 0.0, state["age"])
+    state["turned"] = op.where(believed, 0.0, state["turned"])
+    state["swung"] = op.where(believed, 0.0, state["swung"])
+    return believed
+
+
+def _rival(step: Step, new: _Compared, other: Value) -> Value:
+    """Keep a reading away from the track as a rival; whether the rival has become the track."""
+    op, rules, _, state, _, scene = step
+    taken, outward = new.taken, new.innovation > 0.0
+    x, top = state["range"], rules.maximum - 2.0 * rules.resolution
+    same = op.where(scene.turning, _SAME_TURNING, _SAME)
+    goes_on = op.both(state["votes"] > 0.5, op.size(taken - state["rival"]) <= same)
+    twice = op.both(op.size(taken - 2.0 * x) <= _TWICE, outward)
+    vanished = op.both(taken >= top, outward)
+    # within one conflict a suspicion stays: noise may break a stream in two
+    suspect = op.either(op.both(state["votes"] > 0.5, state["suspect"] > 0.5), twice, vanished)
+    # what is narrow has left the beam
+    passed = op.size(state["swung"]) > rules.beam
+    strange = op.either(new.crosstalk, op.both(op.no(new.agrees), state["distrust"] > 0.5))
+    votes = op.where(op.both(goes_on, op.no(strange)), op.least(state["votes"] + 1.0, 9.0), 1.0)
+    excused = op.either(op.both(new.agrees, op.no(twice)), passed, state["age"] > rules.hold)
+    convincing = op.either(state["known"] < 0.5, op.no(suspect), op.no(outward), excused)
+    needed = op.where(state["distrust"] > 0.5, _VOTES_AFTER_FAULT, _VOTES)
+    won = op.both(other, votes > needed - 0.5, convincing)
+    rival = op.where(goes_on, state["rival"] + 0.5 * (taken - state["rival"]), taken)
+    state["rival"] = op.where(other, rival, state["rival"])
+    state["votes"] = op.where(other, votes, state["votes"])
+    state["suspect"] = op.where(other, op.where(suspect, 1.0, 0.0), state["suspect"])
+    return won
+
+
+def _crosstalk(step: Step, newest: Value, taken: Value) -> Value:
+    """Whether the value is what another sensor heard; all may see nothing."""
+    op, rules, state = step.op, step.rules, step.state
+    found = taken < 0.0
+    for k in range(1, rules.sensors):
+        reach = _CROSS + op.size(op.turned(state["rate"], k)) * rules.due
+        for heard in (newest, state["heard"]):
+            theirs = op.turned(heard, k)
+            echo = theirs < rules.maximum - rules.resolution
+            found = op.either(found, op.both(echo, op.size(taken - theirs) <= reach))
+    return found
+
+
+def _filtered(step: Step, late: Late, new: _Compared, anew: Value) -> None:
+    """Kalman update where the reading is near the track; a new track where it starts anew."""
+    op, rules, _, state, _, scene = step
+    taken, crosstalk = new.taken, new.crosstalk
+    x, u = state["range"], state["rate"]
+    p11, p12, p22 = state["var_range"], state["covariance"], state["var_rate"]
+    r = rules.sigma * rules.sigma
+    total = p11 + r
+    # what may be late carries the track along little, and what is also another sensor's reading not at all
+    part = op.where(crosstalk, 0.0, op.where(late.undecided, _CAUTIOUS, 1.0))
+    steady = op.either(crosstalk, late.undecided, scene.follow)
+    k1, k2 = p11 / total, op.where(steady, 0.0, p12 / total)
+    innovation = part * (taken - x)
+    surprise = op.most(_CALM * state["surprise"], op.size(taken - x) - _SURPRISING * op.root(total), 0.0)
+    # it only bears the track out, as well as it agrees with it
+    from_wall = op.where(new.agrees, op.size(taken - scene.expected), 0.0)
+    shared = op.most(op.where(anew, 0.0, op.size(taken - x)), from_wall)
+    surprise = op.where(crosstalk, op.most(surprise, shared), surprise)
+    surprise = op.where(late.undecided, state["surprise"], surprise)
+
+    def chosen(after: Value, start: Value, before: Value) -> Value:
+        return op.where(anew, start, op.where(new.near, after, before))
+
+    state["range"] = chosen(op.least(op.most(x + k1 * innovation, 0.0), rules.maximum), taken, x)
+    state["rate"] = chosen(op.where(steady, 0.0, u + k2 * innovation), 0.0, u)
+    # the form that holds for any gain
+    state["var_range"] = chosen((1.0 - k1) * (1.0 - k1) * p11 + k1 * k1 * r, r, p11)
+    state["covariance"] = chosen((1.0 - k1) * (p12 - k2 * p11) + k1 * k2 * r, 0.0, p12)
+    state["var_rate"] = chosen(p22 - 2.0 * k2 * p12 + k2 * k2 * total, rules.rate_variance, p22)
+    state["surprise"] = chosen(surprise, op.where(crosstalk, shared, 0.0), state["surprise"])
+    absorbed = state["absorbed"] + part * k1 * (late.away - state["absorbed"])
+    suspected = op.both(late.late_by > 0.0, op.no(late.late))
+    state["absorbed"] = op.where(suspected, chosen(absorbed, late.away, state["absorbed"]), 0.0)
+
+
+def _record(step: Step, reading: Value) -> None:
+    """What later steps compare with."""
+    op, _, old, state, seen, scene = step
+    state["heard"] = op.where(scene.fired, reading, old["heard"])
+    state["since"] = op.where(scene.fired, 0.0, state["since"])
+    pairs = zip(seen.samples, old["samples"], strict=True)
+    state["samples"] = [op.where(scene.fired, new, before) for new, before in pairs]
+    moved = state["recent"]
+    state["recent"] = [op.where(scene.fired, new, kept) for new, kept in zip([reading, *moved], moved, strict=False)]
+
+
+def _answer(step: Step, late: Late, believed: Value) -> tuple[Value, ...]:
+    """Range, bound, rate, healthy, age, reading, accepted, carve."""
+    op, rules, _, state, _, scene = step
+    x, far = state["range"], rules.maximum
+    overdue = state["since"] > rules.due + 0.5 * rules.dt
+    blind = op.both(scene.turning, late.late_by > rules.due + 0.5 * rules.dt)
+    away = op.size(late.away) + op.size(state["rate"]) * late.late_by
+    away = away + op.where(late.late_by > 0.0, scene.slide, 0.0)
+    healthy = op.both(
+        state["known"] > 0.5,
+        op.no(overdue),
+        state["repeated"] < rules.stuck,
+        state["votes"] < 0.5,
+        state["doubt"] < 0.5,
+        op.no(late.late),
+        op.no(blind),
+        op.size(late.away) <= _BEARABLE,
+    )
+    reach = _MARGIN + _DEVIATIONS * op.root(op.most(state["var_range"], 0.0)) + state["surprise"] + away
+    sliding = op.where(scene.follow, 0.03 + scene.unsure, 0.01 + op.size(state["rate"]) * rules.dt)
+    reach = reach + op.where(op.both(scene.turning, state["since"] > 0.0), sliding, 0.0)
+    by_wall = op.both(scene.turning, scene.wall, state["explained"] > 0.5)
+    reach = reach + op.where(by_wall, op.size(x - scene.expected), 0.0)
+    reach = reach + rules.obstacle_speed * op.most(state["age"] - rules.due, 0.0)
+    low, high = x - reach, x + reach
+    # a known wall that the turning beam may have met since the last firing
+    meets = op.both(scene.turning, state["since"] > 0.0)
+    low = op.where(meets, op.least(low, scene.expected - 0.03 - scene.unsure), low)
+    rivalled = state["votes"] > 0.5
+    low = op.where(rivalled, op.least(low, state["rival"] - _RIVAL), low)
+    high = op.where(rivalled, op.most(high, state["rival"] + _RIVAL), high)
+    lost = op.both(op.no(healthy), op.either(state["turned"] > _UNSEEN, blind, op.both(scene.turning, late.late)))
+    anything = op.either(state["known"] < 0.5, lost)
+    at_minimum = state["heard"] <= rules.minimum + 1.5 * rules.resolution  # it reads the same from there down to 0
+    low = op.where(op.either(anything, at_minimum), 0.0, op.most(low, 0.0))
+    ceiling = op.least(scene.expected + scene.tolerance, far)
+    high = op.least(op.where(anything, far, high), ceiling)
+    # a track beyond what the walls allow: the wall itself
+    low = op.where(low > ceiling, op.most(ceiling - 2.0 * scene.tolerance, 0.0), low)
+    accepted = op.both(believed, healthy)
+    nearest = op.least(*state["recent"])
+    return (
+        0.5 * (low + high),
+        0.5 * (high - low),
+        state["rate"] + 0.0,
+        op.where(healthy, 1.0, 0.0),
+        state["age"] + 0.0,
+        state["heard"] + 0.0,
+        op.where(accepted, 1.0, 0.0),
+        op.where(accepted, nearest, 0.0),
+    )
