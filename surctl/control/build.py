@@ -8,10 +8,19 @@ from typing import Literal, NamedTuple, get_args
 
 import casadi as ca
 
+from surctl.control.echoes import perceive, perception_ports
 from surctl.control.law import DEGRADED, SATURATED, SWITCHED, TELEMETRY, Law, scan_telemetry
 from surctl.control.laws import DECISION_PORTS, Decision, Scan, guarded_law, paper_law
-from surctl.control.echoes import perceive, perception_ports
-from surctl.control.ports import CONTACT_SLOTS, DEFAULT_ARRAY, PARAMETERS, SECTORS, YAW_SHARE, law_inputs, scan_inputs
+from surctl.control.ports import (
+    CONTACT_SLOTS,
+    DEFAULT_ARRAY,
+    PARAMETERS,
+    SECTORS,
+    YAW_SHARE,
+    law_inputs,
+    scan_inputs,
+    sonar_inputs,
+)
 from surctl.control.reference import path_wish
 from surctl.control.senses import Senses, build_senses
 from surctl.control.velocity import velocity_control
@@ -20,12 +29,13 @@ from surctl.guidance import FORMS, AvoidanceForm
 from surctl.ir import Block, Call, Layout, Port, Routine, lower
 from surctl.priority import LevelShape, Mode, nsb_symbolic, priority_tick
 from surctl.priority.solver.ladder import RELAXED
-from surctl.sensing import SonarArray
+from surctl.sensing import Equipment
 from surctl.tasks import LimitRow, VelocityBox
 
 __all__ = ["LAW_NAMES", "MODES", "build_law"]
 
 LawName = Literal["guarded", "paper"]
+DEFAULT_EQUIPMENT = Equipment()
 LAW_NAMES: tuple[LawName, ...] = get_args(LawName)
 MODES: tuple[Mode, ...] = get_args(Mode)
 
@@ -42,7 +52,7 @@ def build_law(
     dt: float = 0.05,
     contacts: int = CONTACT_SLOTS,
     sonar: bool = True,
-    array: SonarArray = DEFAULT_ARRAY,
+    equipment: Equipment = DEFAULT_EQUIPMENT,
 ) -> Law:
     """Assemble a law once; the gains stay symbols.
 
@@ -53,7 +63,7 @@ def build_law(
         dt: control period [s].
         contacts: slots for known obstacles; a law with fewer does the same as long as they suffice.
         sonar: whether it listens to the sonars; without them it needs true positions.
-        array: the sonars as `guarded` believes them; `paper` has the default ones.
+        equipment: what `guarded` with sonars believes it senses with; `paper` has the paper's four sonars.
 
     Raises:
         InputError: an unknown name, or a form that the law does not take.
@@ -68,28 +78,29 @@ def build_law(
             value=avoidance,
             remedy="compare the forms with law paper",
         )
-    if law == "paper" and sonar and array != DEFAULT_ARRAY:
+    if law == "paper" and sonar and equipment.array != DEFAULT_ARRAY:
         raise InputError("law paper has the four sonars of the paper", key="array", remedy="fly law guarded")
     if law == "paper" or not sonar:
         return _decide(law, avoidance, mode, dt, law_inputs(contacts, sonar=sonar), sonar=sonar)
-    told = scan_inputs(contacts + SECTORS, sensors=array.size)
+    told = scan_inputs(contacts + SECTORS, sensors=equipment.array.size)
     decide = _decide(law, avoidance, mode, dt, told)
-    return _with_senses(decide, build_senses(array, law_inputs(contacts, array=array), told, dt=dt))
+    return _with_senses(decide, build_senses(equipment, sonar_inputs(equipment, contacts=contacts), told, dt=dt))
 
 
 def _with_senses(decide: Law, senses: Senses) -> Law:
     """The whole law: what the senses tell, decided on."""
     state = Layout((*decide.state.ports, *senses.state.ports))
-    x, u = ca.SX.sym("x", state.size), ca.SX.sym("u", senses.inputs.size)
+    x = ca.SX.sym("x", state.size)
     own = decide.state.size
     apart = lower(ca.Function("apart", [x], [x[:own], x[own:]], ["x"], ["decided", "sensed"]))
-    parts = ca.SX.sym("decided", own), ca.SX.sym("sensed", senses.state.size)
-    together = lower(ca.Function("together", [*parts], [ca.vertcat(*parts)], ["decided", "sensed"], ["x_next"]))
+    names = ("decided", "tau", "sensed")
+    parts = [ca.SX.sym(name, size) for name, size in zip(names, (own, 4, senses.state.size - 4), strict=True)]
+    together = lower(ca.Function("together", parts, [ca.vertcat(*parts)], names, ["x_next"]))
     steps = (
         Call(apart, ("x",), ("decided", "sensed")),
         Call(senses.block, ("sensed", "u", "p"), ("sensed_next", "told")),
         Call(decide.block, ("decided", "told", "p"), ("tau", "decided_next", "status", "telemetry")),
-        Call(together, ("decided_next", "sensed_next"), ("x_next",)),
+        Call(together, ("decided_next", "tau", "sensed_next"), ("x_next",)),
     )
     sizes = (("x", state.size), ("u", senses.inputs.size), ("p", PARAMETERS.size))
     block = Routine("law", sizes, steps, ("tau", "x_next", "status", "telemetry"))
@@ -108,8 +119,17 @@ def _decide(
     p, ps = PARAMETERS.symbols("p")
     wish = path_wish(us["eta"], xs["progress"], ps, dt=dt)
     seen = perceive(xs, us, ps, dt=dt)
+    scan = Scan(us["unknown"], us["heard"], us["placed"]) if scans else None
     decision = (
-        guarded_law(wish, seen, xs, us["eta"], us["nu"], ps, scan=Scan(us["unknown"], us["heard"]) if scans else None)
+        guarded_law(
+            wish,
+            seen,
+            xs,
+            us["eta"],
+            us["nu"],
+            ps,
+            scan=Scan(us["unknown"], us["heard"], us["placed"]) if scans else None,
+        )
         if law == "guarded"
         else paper_law(avoidance, wish, seen, xs, us["eta"], ps, dt=dt)
     )

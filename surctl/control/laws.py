@@ -43,6 +43,8 @@ DECISION_PORTS = (
 
 _SENSE_RANGE = 1.0  # [m] below which a sensor sub-task may act
 _CRAWL = 0.01  # [m/s] below which it stands
+_GROPING = 0.5  # of the cruise speed: most towards where a sonar is not to be believed
+_NO_BOUND = 10.0  # [m/s]
 _ONE_ENCOUNTER = 1e3  # [m]
 _BRAKE = 4.0  # times the excess speed that is taken off the command: the velocity loop alone is too slow
 _GIVE_WAY = 0.03  # [m/s] with which the robot backs off from a mark; half of what is marked near the hull is not there
@@ -91,6 +93,7 @@ class Scan(NamedTuple):
 
     unknown: ca.SX
     heard: ca.SX
+    placed: ca.SX
 
 
 def guarded_law(
@@ -134,7 +137,9 @@ def guarded_law(
         for sector in sectors[:marks]:
             chased = ca.logic_or(chased, sector.bound < 0)
         velocity = ca.if_else(chased, velocity, _slowed(velocity, caution))
+        blind = ca.sum1(scan.heard[:, 2]) < 0.5
         velocity = _braked(velocity, planar_rotation(eta[3]) @ nu[:2], [(q.normal, q.bound) for q in sectors] + caution)
+        velocity = ca.if_else(ca.logic_or(blind, ca.logic_not(scan.placed)), 0, velocity)
         halted = ca.logic_and(ca.sumsqr(velocity) < _CRAWL**2, ca.sumsqr(choice.velocity) > (2 * _CRAWL) ** 2)
         named += [(f"unknown_{k}", normal, bound) for k, (normal, bound) in enumerate(caution)]
         turning = ca.fmin(p["spin"], p["spin_limit"])
@@ -161,6 +166,9 @@ def _cautious_bounds(scan: Scan, deceleration: ca.SX, p: Mapping[str, ca.SX]) ->
         normal, clearance = scan.unknown[k, :2].T, scan.unknown[k, 2]
         allowed = allowed_closing_speed(ca.fmax(clearance, 0), deceleration=deceleration, reaction=p["reaction"])
         bounds.append((normal, allowed))
+    for k in range(scan.heard.shape[0]):
+        slow = ca.if_else(scan.heard[k, 2] > 0.5, _NO_BOUND, _GROPING * p["cruise"])
+        bounds.append((scan.heard[k, 4:6].T, slow))
     return bounds
 
 

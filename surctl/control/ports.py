@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from surctl.control.gains import GAINS, Gains
 from surctl.guidance import FAR, MAX_WAYPOINTS, Path
 from surctl.ir import Layout, Port
-from surctl.sensing import SonarArray
+from surctl.sensing import Equipment, SonarArray
 from surctl.vehicle import Vehicle
 
 __all__ = [
@@ -38,13 +38,12 @@ _POSE = (
 )
 
 
-def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True, array: SonarArray = DEFAULT_ARRAY) -> Layout:
+def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True) -> Layout:
     """What a law is given each tick.
 
     Args:
         contacts: number of slots for known obstacles, 0 or more.
         sonar: whether it listens to the sonars.
-        array: the sonars.
     """
     known = Port(
         "contacts",
@@ -52,14 +51,40 @@ def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True, array: Sona
         "m, m/s, 1",
         "known obstacles in {E}, one a row: x, y, radius, vx, vy, valid (0 or 1)",
     )
-    heard = (
+    return Layout((*_POSE, *((known,) if contacts else ()), *(_heard_ports(DEFAULT_ARRAY) if sonar else ())))
+
+
+def _heard_ports(array: SonarArray) -> tuple[Port, ...]:
+    return (
         Port("samples", (array.size, array.samples), "m", "raw samples of each sonar's last firing", array.maximum),
         Port("fresh", (array.size,), "1", "1 where a firing of the sonar has arrived since the last step"),
     )
-    return Layout((*_POSE, *((known,) if contacts else ()), *(heard if sonar else ())))
 
 
 INPUTS = law_inputs()
+
+
+def sonar_inputs(equipment: Equipment, *, contacts: int = CONTACT_SLOTS) -> Layout:
+    """What a law that scans is given each tick.
+
+    Args:
+        equipment: what the robot senses with.
+        contacts: number of moving obstacles that a message of the base station can hold, 0 or more.
+    """
+    array = equipment.array
+    own: tuple[Port, ...] = _POSE
+    if equipment.own is not None:
+        own = (
+            Port("fix", (3,), "m", "position x, y, z in {E} as the base station measured it a latency ago"),
+            Port("fix_fresh", (1,), "1", "1 where a fix has arrived since the last step"),
+            Port("yaw", (1,), "rad", "measured heading psi"),
+            Port("yaw_rate", (1,), "rad/s", "measured yaw rate r"),
+        )
+    known = (
+        Port("contacts", (contacts, 6), "m, m/s, 1", "message of the base station, as in law_inputs"),
+        Port("contacts_fresh", (1,), "1", "1 where a message has arrived since the last step"),
+    )
+    return Layout((*own, *(known if contacts else ()), *_heard_ports(array)))
 
 
 def scan_inputs(contacts: int, *, sensors: int) -> Layout:
@@ -86,6 +111,7 @@ def scan_inputs(contacts: int, *, sensors: int) -> Layout:
                 "m, m, 1, s, 1",
                 "each sonar: range, bound, healthy (0 or 1), age, axis x and y in {E}",
             ),
+            Port("placed", (1,), "1", "1 while the robot knows where it is", 1.0),
         )
     )
 

@@ -1,31 +1,44 @@
 """From what the sensors say to what the decision is told: a step of its own, with its own state.
 
-Range filter of every sonar, then the map of `sensing.local_map`, whose nearest marks become contacts beside those of
-the base station. What walls or known obstacles explain is not marked.
+Own state from late fixes, moving obstacles from late messages, the range of every sonar with its bound, and the map of
+`sensing.local_map`, whose nearest marks become contacts beside those of the base station. What walls or known obstacles
+explain is not marked; every contact is as large as the doubt about it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from math import ceil, cos, sin
+from typing import NamedTuple
 
 import casadi as ca
 
-from surctl.control.ports import PARAMETERS
+from surctl.control.ports import PARAMETERS, SECTORS
+from surctl.errors import InputError
 from surctl.ir import Block, Call, Layout, Port, Program, Routine, lower
-from surctl.sensing import LocalMap, SonarArray, expected_range
+from surctl.sensing import Equipment, LocalMap, MoverTracker, OwnStateFilter, RangeTracker, expected_range
 from surctl.sensing.estimate import turned
-from surctl.sensing.local_map import SLOT
+from surctl.sensing.local_map import READING, RING
+from surctl.vehicle import planar_rotation
 
-__all__ = ["CELLS_A_HULL", "Senses", "build_senses"]
+__all__ = ["CELLS_A_HULL", "LAST_THRUST", "Senses", "build_senses"]
 
 CELLS_A_HULL = 4.0
 """Cells of the map in a hull radius (*chosen*): 6.75 cm in the tank, 5 cm in the pool."""
 
-_TOLERANCE = 0.10  # [m] by which an echo may be shorter than a known thing's and still be its own
+LAST_THRUST = Port("last_thrust", (4,), "N, N m", "thrust command of the step before")
+"""First port of the state: what the decision writes and the own state's filter reads."""
 
-_REACH = 0.5
-_GRAIN = 0.71  # cells; half a cell's diagonal
+_TOLERANCE = 0.10  # [m] by which an echo may be shorter than a known thing's and still be its own
+_SILENT = 0.1  # [m] below the maximum: no echo
+_READING = 0.03  # [m] by which one believed firing may be off: four of its standard deviations
+_DIAGONAL = 0.71  # cells, half a cell's diagonal
+_EXPLAINS = 0.5  # cells beyond the reading in which a mark still explains it
+_MARGIN_SD = 0.02 / 3  # [m] standard deviation of the own position that the law's margin has room for
+_PLACED_SD = 0.2  # [m] standard deviation beyond which the robot does not know where it is
+_FAR = 1e5  # [m²] above any squared distance in the map
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,10 +46,10 @@ class Senses:
     """What runs before the decision.
 
     Attributes:
-        state: layout of its state.
+        state: layout of its state, `LAST_THRUST` first.
         inputs: layout of what it is given.
         told: layout of what it tells the decision.
-        block: (state, inputs, parameters) → (next state, told).
+        block: (state, inputs, parameters) → (next state without the thrust, told).
     """
 
     state: Layout
@@ -45,147 +58,315 @@ class Senses:
     block: Block
 
 
-def build_senses(array: SonarArray, inputs: Layout, told: Layout, *, dt: float) -> Senses:
-    """Assemble it for an array.
+class _Around(NamedTuple):
+    """Pose and known obstacles of one step, symbolic."""
+
+    eta: ca.SX
+    nu: ca.SX
+    doubt: ca.SX
+    placed: ca.SX
+    movers: ca.SX
+
+    @property
+    def heading(self) -> ca.SX:
+        return ca.vertcat(ca.cos(self.eta[3]), ca.sin(self.eta[3]))
+
+
+def build_senses(equipment: Equipment, inputs: Layout, told: Layout, *, dt: float) -> Senses:
+    """Assemble it.
 
     Args:
-        array: the sonars as the law believes them.
-        inputs: `eta`, `nu`, `contacts`, `samples`, `fresh`.
+        equipment: as the law believes it.
+        inputs: see `ports.sonar_inputs`.
         told: see `ports.scan_inputs`.
         dt: control period [s].
+
+    Raises:
+        InputError: a sonar whose beam the hull cuts in two.
     """
-    slots = min(array.size, ceil(dt / array.firing_period - 1e-9))
-    chart = LocalMap(dt=dt, slots=slots)
-    state = Layout(
-        (Port("recent", (array.size, 3), "m", "last readings, newest first", array.maximum), *chart.ports("map_"))
-    )
-    split, feel = _split(state, inputs), _feel(array, chart, inputs, dt=dt)
-    tell = _tell(array, chart, inputs, told)
-    steps = (
-        Call(split, ("x", "u"), ("recent", "cells", "corner")),
-        Call(feel, ("recent", "u", "p"), ("recent_next", "place", "slots", "heard")),
-        Call(
-            chart.routine(), ("cells", "corner", "place", "slots"), ("cells_next", "corner_next", "marked", "unknown")
-        ),
-        Call(tell, ("u", "p", "marked", "unknown", "heard"), ("told",)),
-        Call(_join(state), ("recent_next", "cells_next", "corner_next"), ("x_next",)),
-    )
-    sizes = (("x", state.size), ("u", inputs.size), ("p", PARAMETERS.size))
-    return Senses(state, inputs, told, Routine("senses", sizes, steps, ("x_next", "told")))
+    return _Builder(equipment, inputs, told, dt).build()
 
 
-def _split(state: Layout, inputs: Layout) -> Program:
-    x, u = ca.SX.sym("x", state.size), ca.SX.sym("u", inputs.size)
-    return _lowered("split", {"x": x, "u": u}, {port.name: x[state.slice(port.name)] for port in state})
+@dataclass(frozen=True)
+class _Builder:
+    equipment: Equipment
+    inputs: Layout
+    told: Layout
+    dt: float
 
-
-def _join(state: Layout) -> Program:
-    parts = {port.name: ca.SX.sym(port.name, port.size) for port in state}
-    return _lowered("join", parts, {"x_next": ca.vertcat(*parts.values())})
-
-
-def _feel(array: SonarArray, chart: LocalMap, inputs: Layout, *, dt: float) -> Program:
-    n = array.size
-    recent = ca.SX.sym("recent", 3 * n)
-    u, given = inputs.symbols("u")
-    p, known = PARAMETERS.symbols("p")
-    told = given.get("contacts", ca.SX.zeros(0, 6))
-    position, psi, hull = given["eta"][:2], given["eta"][3], known["hull"]
-    heading = ca.vertcat(ca.cos(psi), ca.sin(psi))
-    edge = hull / CELLS_A_HULL
-    rows, heard, firings = [], [], []
-    old = ca.reshape(recent, 3, n).T
-    for i in range(n):
-        reading = ca.sum1(given["samples"][i, :].T) / array.samples
-        fresh = given["fresh"][i] > 0.5
-        axis = turned(heading, array.azimuths[i])
-        velocity = ca.vertcat(
-            heading[0] * given["nu"][0] - heading[1] * given["nu"][1],
-            heading[1] * given["nu"][0] + heading[0] * given["nu"][1],
-        )
-        closing = ca.dot(velocity, axis)
-        moved = old[i, :].T - dt * closing
-        after = ca.if_else(fresh, ca.vertcat(reading, moved[:2]), moved)
-        rows.append(after)
-        walls = expected_range(
-            position,
-            heading,
-            walls=known["walls"],
-            discs=told[:, :3],
-            valid=told[:, 5],
-            azimuth=array.azimuths[i],
-            hull_radius=hull,
-            half_angle=array.half_angle,
-            maximum=array.maximum,
-        )
-        clear = ca.fmin(ca.fmin(after[0], after[1]), after[2])
-        echo = ca.logic_and(reading < array.maximum - 0.1, reading < walls - _TOLERANCE)
-        bound = 0.03
-        apex = position + hull * axis
-        blind = reading <= array.minimum + 0.5 * array.resolution
-        firings.append(
-            [
-                fresh,
-                ca.vertcat(
-                    apex,
-                    axis,
-                    cos(array.half_angle),
-                    sin(array.half_angle),
-                    ca.fmax(clear - bound - _GRAIN * edge, 0),
-                    ca.if_else(blind, 0, ca.fmax(reading - bound - 0.5 * edge, 0)),
-                    ca.if_else(echo, reading + bound + 0.5 * edge, -1),
-                    reading + _REACH * edge + 0.01,
-                ),
-            ]
-        )
-        heard.append(ca.vertcat(reading, bound, 1, 0, axis))
-    size = sum(k for _, k, _ in SLOT)
-    slots = [ca.vertcat(ca.SX.zeros(size - 2), -1, 0) for _ in range(chart.slots)]
-    count = ca.SX(0)
-    for fresh, firing in firings:
-        for s in range(chart.slots):
-            slots[s] = ca.if_else(ca.logic_and(fresh, count == s), firing, slots[s])
-        count += fresh
-    place = ca.vertcat(position, hull, edge)
-    return _lowered(
-        "feel",
-        {"recent": recent, "u": u, "p": p},
-        {"recent_next": ca.vertcat(*rows), "place": place, "slots": ca.vertcat(*slots), "heard": ca.vertcat(*heard)},
-    )
-
-
-def _tell(array: SonarArray, chart: LocalMap, inputs: Layout, told: Layout) -> Program:
-    u, given = inputs.symbols("u")
-    p, known = PARAMETERS.symbols("p")
-    marked, unknown = ca.SX.sym("marked", 3 * chart.sectors), ca.SX.sym("unknown", 3 * chart.sectors)
-    heard = ca.SX.sym("heard", 6 * array.size)
-    position, edge = given["eta"][:2], known["hull"] / CELLS_A_HULL
-    far = 1e5
-    rows = given.get("contacts", ca.SX.zeros(0, 6))
-    contacts = [rows[k, :] for k in range(rows.shape[0])]
-    blank = []
-    for k in range(chart.sectors):
-        at = marked[3 * k : 3 * k + 3]
-        there = at[2] < far
-        row = ca.horzcat((position + at[:2]).T, 0.71 * edge, 0, 0, 1)
-        contacts.append(ca.if_else(there, row, ca.SX.zeros(1, 6)))
-        at = unknown[3 * k : 3 * k + 3]
-        there = at[2] < far
-        distance = ca.sqrt(ca.if_else(there, at[2], 1))
-        blank.append(
-            ca.if_else(
-                there, ca.horzcat((at[:2] / distance).T, distance - known["hull"] - 0.5 * edge), ca.DM([[0, 0, 100]])
+    def build(self) -> Senses:
+        array = self.equipment.array
+        if any(len(cones) > 1 for cones in array.cones):
+            raise InputError(
+                "the hull cuts a beam in two, and the map knows one cone a sonar", key="array.mounts", remedy="move it"
             )
+        split, feel, tell = self._split(), self._feel(), self._tell()
+        steps = (
+            Call(split, ("x",), tuple(name for name, _ in split.outputs)),
+            Call(feel, ("small", "u", "p"), ("small_next", "place", "readings", "seen")),
+            Call(
+                self._map.routine(),
+                ("map_cells", "map_corner", "place", "readings"),
+                ("map_cells_next", "map_corner_next", "marked", "unknown"),
+            ),
+            Call(tell, ("p", "seen", "marked", "unknown"), ("told",)),
+            Call(self._join(), ("small_next", "map_cells_next", "map_corner_next"), ("x_next",)),
         )
-    values = {
-        "eta": given["eta"],
-        "nu": given["nu"],
-        "contacts": ca.vertcat(*contacts),
-        "unknown": ca.vertcat(*blank),
-        "heard": ca.reshape(heard, 6, array.size).T,
-    }
-    inputs_ = {"u": u, "p": p, "marked": marked, "unknown": unknown, "heard": heard}
-    return _lowered("tell", inputs_, {"told": told.join(values)})
+        sizes = (("x", self.state.size), ("u", self.inputs.size), ("p", PARAMETERS.size))
+        return Senses(self.state, self.inputs, self.told, Routine("senses", sizes, steps, ("x_next", "told")))
+
+    @cached_property
+    def _map(self) -> LocalMap:
+        array = self.equipment.array
+        slots = min(array.size, ceil(self.dt / array.firing_period - 1e-9))
+        return LocalMap(dt=self.dt, slots=slots, sectors=SECTORS)
+
+    @cached_property
+    def _ranges(self) -> RangeTracker:
+        return RangeTracker(array=self.equipment.array, dt=self.dt)
+
+    @cached_property
+    def _own(self) -> OwnStateFilter | None:
+        own = self.equipment.own
+        if own is None:
+            return None
+        return OwnStateFilter(
+            dt=self.dt,
+            latency=own.fixes.latency,
+            period=own.fixes.period,
+            position_sd=max(own.position_sd, 1e-4),
+            yaw_sd=max(own.yaw_sd, 1e-4),
+            rate_sd=max(own.rate_sd, 1e-4),
+        )
+
+    @cached_property
+    def _movers(self) -> MoverTracker | None:
+        station = self.equipment.station
+        slots = self.inputs.port("contacts").shape[0] if "contacts" in self.inputs else 0
+        if not slots:
+            return None
+        return MoverTracker(
+            dt=self.dt,
+            slots=slots,
+            latency=station.messages.latency,
+            position_sd=station.position_sd,
+            velocity_sd=station.velocity_sd,
+        )
+
+    @cached_property
+    def _small(self) -> Layout:
+        """The state of all but the thrust and the map."""
+        own = self._own.ports("own_") if self._own else ()
+        movers = self._movers.ports("mover_") if self._movers else ()
+        return Layout((*own, *movers, *self._ranges.ports("sonar_")))
+
+    @cached_property
+    def state(self) -> Layout:
+        """The whole state."""
+        return Layout((LAST_THRUST, *self._small.ports, *self._map.ports("map_")))
+
+    @cached_property
+    def _seen(self) -> Layout:
+        """What is known before the map is asked."""
+        heard = self.told.port("heard")
+        slots = self._movers.slots if self._movers else 0
+        known = (Port("movers", (slots, 6), "m, m/s, 1", "moving obstacles now"),) if slots else ()
+        pose = tuple(self.told.port(name) for name in ("eta", "nu"))
+        doubt = Port("doubt", (1,), "m", "doubt about the own position beyond what the margin has room for")
+        return Layout((*pose, doubt, self.told.port("placed"), *known, heard))
+
+    def _split(self) -> Program:
+        """The thrust and small states as one array, then the map's two."""
+        x = ca.SX.sym("x", self.state.size)
+        parts = {name: x[self.state.slice(f"map_{name}")] for name in ("cells", "corner")}
+        small = x[: LAST_THRUST.size + self._small.size]
+        return _lowered("split", {"x": x}, {"small": small, **{f"map_{k}": v for k, v in parts.items()}})
+
+    def _join(self) -> Program:
+        parts = {
+            "small": ca.SX.sym("small", self._small.size),
+            **{name: ca.SX.sym(name, self.state.port(name).size) for name in ("map_cells", "map_corner")},
+        }
+        return _lowered("join", parts, {"x_next": ca.vertcat(*parts.values())})
+
+    def _feel(self) -> Program:
+        array, chart = self.equipment.array, self._map
+        small = ca.SX.sym("small", LAST_THRUST.size + self._small.size)
+        x = self._small.split(small[LAST_THRUST.size :])
+        u, given = self.inputs.symbols("u")
+        p, known = PARAMETERS.symbols("p")
+        around, after = self._around(x, small[: LAST_THRUST.size], given, known)
+        edge = known["hull"] / CELLS_A_HULL
+        axes, apexes, halves = self._beams(around, known["hull"])
+        velocity = planar_rotation(around.eta[3]) @ around.nu[:2]
+        walls, things = self._expected(around, known)
+        ranging = self._ranges.update(
+            x,
+            self._corrected(given["samples"]),
+            fresh=given["fresh"],
+            closing=ca.vertcat(*(ca.dot(velocity, axis) for axis in axes)),
+            expected=walls,
+            turn=around.nu[3],
+            prefix="sonar_",
+        )
+        firings = []
+        for i in range(array.size):
+            reading = ranging.reading[i]
+            echo = ca.logic_and(reading < array.maximum - _SILENT, reading < ca.fmin(walls[i], things[i]) - _TOLERANCE)
+            echo = ca.logic_and(echo, ranging.accepted[i] > 0.5)
+            blind = reading <= array.lowest / array.scale + array.resolution
+            firing = {
+                "apex": apexes[i],
+                "axis": axes[i],
+                "half": ca.DM([cos(halves[i]), sin(halves[i])]),
+                "clear": ca.fmax(ranging.carve[i] - _READING - _DIAGONAL * edge, 0),
+                "near": ca.if_else(blind, 0, ca.fmax(reading - _READING - 0.5 * edge, 0)),
+                "far": ca.if_else(echo, reading + _READING + 0.5 * edge, -1),
+                "reach": reading + _EXPLAINS * edge + 0.01,
+            }
+            firings.append(
+                (
+                    ca.logic_and(given["fresh"][i] > 0.5, around.placed),
+                    ca.vertcat(*(firing[name] for name, _, _ in READING)),
+                )
+            )
+        heard = [
+            ca.horzcat(ranging.range[i], ranging.bound[i], ranging.healthy[i], ranging.age[i], axes[i].T)
+            for i in range(array.size)
+        ]
+        seen = {
+            "eta": around.eta,
+            "nu": around.nu,
+            "doubt": around.doubt,
+            "placed": around.placed,
+            "heard": ca.vertcat(*heard),
+        }
+        if self._movers:
+            seen["movers"] = around.movers
+        outputs = {
+            "small_next": self._small.join({**after, **ranging.state}),
+            "place": ca.vertcat(around.eta[:2], known["hull"], edge),
+            "readings": _listed(firings, chart.slots),
+            "seen": self._seen.join(seen),
+        }
+        return _lowered("feel", {"small": small, "u": u, "p": p}, outputs)
+
+    def _around(
+        self, x: Mapping[str, ca.SX], tau: ca.SX, u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]
+    ) -> tuple[_Around, dict[str, ca.SX]]:
+        movers, after = ca.SX(0, 6), {}
+        if self._movers:
+            told = self._movers.update(x, message=u["contacts"], message_fresh=u["contacts_fresh"], prefix="mover_")
+            after |= told.state
+            rows = told.rows
+            movers = ca.horzcat(rows[:, :2], rows[:, 2] + told.bound, rows[:, 3:])
+        if self._own is None:
+            return _Around(u["eta"], u["nu"], ca.SX(0), ca.SX(1), movers), after
+        own = self._own.update(
+            x,
+            fix=u["fix"],
+            fix_fresh=u["fix_fresh"],
+            yaw=u["yaw"],
+            yaw_rate=u["yaw_rate"],
+            tau=tau,
+            model=p,
+            prefix="own_",
+        )
+        placed = own.position_sd < _PLACED_SD
+        doubt = 3 * ca.fmax(ca.fmin(own.position_sd, _PLACED_SD) - _MARGIN_SD, 0)
+        return _Around(own.eta, own.nu, doubt, placed, movers), {**after, **own.state}
+
+    def _beams(self, around: _Around, hull: ca.SX) -> tuple[list[ca.SX], list[ca.SX], list[float]]:
+        """Axis, apex and half angle of each sonar's open cone."""
+        array, axes, apexes, halves = self.equipment.array, [], [], []
+        for i, azimuth in enumerate(array.azimuths):
+            offset, half = array.cones[i][0]
+            axes.append(turned(around.heading, azimuth + offset))
+            if array.mounts is None:
+                away = hull * turned(around.heading, azimuth)
+            else:
+                away = planar_rotation(around.eta[3]) @ ca.DM(list(array.mounts[i]))
+            apexes.append(around.eta[:2] + away)
+            halves.append(half)
+        return axes, apexes, halves
+
+    def _expected(self, around: _Around, p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+        """(n,) ranges at which the walls, and the moving obstacles, would give an echo [m]."""
+        array, walls, things = self.equipment.array, [], []
+        far = ca.DM([-1e3, 1e3, -1e3, 1e3])
+        none = ca.SX(0, 3), ca.SX(0, 1)
+        discs = (around.movers[:, :3], around.movers[:, 5])
+        for azimuth in array.azimuths:
+            for found, site, (round_ones, valid) in ((walls, p["walls"], none), (things, far, discs)):
+                found.append(
+                    expected_range(
+                        around.eta[:2],
+                        around.heading,
+                        walls=ca.SX(site),
+                        discs=round_ones,
+                        valid=valid,
+                        azimuth=azimuth,
+                        hull_radius=p["hull"],
+                        half_angle=array.half_angle,
+                        maximum=array.maximum,
+                    )
+                )
+        return ca.vertcat(*walls), ca.vertcat(*things)
+
+    def _corrected(self, samples: ca.SX) -> ca.SX:
+        """Samples without the known bias and scale; what reads the maximum, or nothing, stays."""
+        array = self.equipment.array
+        if array.scale == 1.0 and array.bias == 0.0:
+            return samples
+        top = array.maximum - 0.5 * array.resolution
+        least = array.lowest - array.resolution
+        echo = ca.logic_and(samples < top, samples > least)
+        return ca.if_else(echo, (samples - array.bias) / array.scale, samples)
+
+    def _tell(self) -> Program:
+        chart = self._map
+        p, known = PARAMETERS.symbols("p")
+        flat, seen = self._seen.symbols("seen")
+        marked, unknown = ca.SX.sym("marked", 3 * chart.sectors), ca.SX.sym("unknown", 3 * chart.sectors)
+        position, edge = seen["eta"][:2], known["hull"] / CELLS_A_HULL
+        contacts = []
+        if self._movers:
+            rows = seen["movers"]
+            contacts = [
+                ca.if_else(rows[k, 5] > 0.5, rows[k, :] + ca.horzcat(0, 0, seen["doubt"], 0, 0, 0), 0)
+                for k in range(rows.shape[0])
+            ]
+        blank = []
+        for k in range(chart.sectors):
+            at = marked[3 * k : 3 * k + 3]
+            row = ca.horzcat((position + at[:2]).T, _DIAGONAL * edge + seen["doubt"], 0, 0, 1)
+            contacts.append(ca.if_else(at[2] < _FAR, row, ca.SX.zeros(1, 6)))
+            at = unknown[3 * k : 3 * k + 3]
+            there = at[2] < _FAR
+            distance = ca.sqrt(ca.if_else(there, at[2], 1))
+            row = ca.horzcat((at[:2] / distance).T, distance - known["hull"] - RING * edge - seen["doubt"])
+            blank.append(ca.if_else(there, row, ca.DM([[0, 0, 100]])))
+        values = {
+            "eta": seen["eta"],
+            "nu": seen["nu"],
+            "contacts": ca.vertcat(*contacts),
+            "unknown": ca.vertcat(*blank),
+            "heard": seen["heard"],
+            "placed": seen["placed"],
+        }
+        inputs = {"p": p, "seen": flat, "marked": marked, "unknown": unknown}
+        return _lowered("tell", inputs, {"told": self.told.join(values)})
+
+
+def _listed(firings: list[tuple[ca.SX, ca.SX]], slots: int) -> ca.SX:
+    """The firings that arrived, one slot after the other; an empty slot neither clears nor marks."""
+    size = sum(k for _, k, _ in READING)
+    empty = ca.vertcat(ca.SX.zeros(size - 2), -1, 0)
+    listed, count = [empty] * slots, ca.SX(0)
+    for fresh, firing in firings:
+        listed = [ca.if_else(ca.logic_and(fresh, count == s), firing, old) for s, old in enumerate(listed)]
+        count += fresh
+    return ca.vertcat(*listed)
 
 
 def _lowered(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> Program:

@@ -4,6 +4,7 @@ from surctl.sensing.array import SonarArray, fire, heard, true_range
 from surctl.sensing.base_station import BaseStation, OwnState
 from surctl.sensing.delivery import Delivery, delayed, delayed_symbols
 from surctl.sensing.echo import Beam, beam_of, echo_range, heard_samples
+from surctl.sensing.equipment import Equipment
 from surctl.sensing.estimate import ContactMemory, Contacts, expected_range, sonar_contacts
 from surctl.sensing.fault_block import SLOT, Arrival, fault_ports, fault_slots, faulty_samples
 from surctl.sensing.faults import (
@@ -41,6 +42,7 @@ __all__ = [
     "ContactMemory",
     "Contacts",
     "Delivery",
+    "Equipment",
     "Fault",
     "FaultChances",
     "FaultKind",

@@ -6,8 +6,8 @@ reading clears the cells short of it and marks those on the arc that are not kno
 edges of other cones cross the false marks and clear them (range-only mapping; cf. Moravec and Elfes 1985, "High
 resolution maps from wide angle sonar").
 
-The map is a torus: world cell (I, J) lives at (I mod N, J mod N), the window moves with the robot, and a cell that comes
-in at one side takes the place of the one that leaves at the other. So its size does not depend on the site.
+The map is a torus: world cell (I, J) lives at (I mod N, J mod N), the window moves with the robot, and a cell that
+comes in at one side takes the place of the one that leaves at the other. So its size does not depend on the site.
 A cell holds one number: 1 just marked, fading to 0 in `mark_time`; −1 just cleared, fading to 0 in `free_time`.
 """
 
@@ -21,9 +21,9 @@ import casadi as ca
 from surctl.errors import InputError
 from surctl.ir import Call, Loop, Port, Program, Routine, lower
 
-__all__ = ["SLOT", "LocalMap"]
+__all__ = ["READING", "LocalMap"]
 
-SLOT = (
+READING = (
     ("apex", 2, "m, x and y in {E}"),
     ("axis", 2, "unit vector of the beam in {E}"),
     ("half", 2, "cosine and sine of half the beam's angle"),
@@ -34,7 +34,11 @@ SLOT = (
 )
 """One firing: name, numbers, meaning."""
 
-_SLOT_SIZE = sum(size for _, size, _ in SLOT)
+RING = 1.5
+"""Cells beside the hull that no beam sees whole: what is unknown there does not count, so none may come in unknown."""
+
+_READING_SIZE = sum(size for _, size, _ in READING)
+_OF_THE_BEAM = 0.4  # of a beam's half width: of one that is narrower than a cell the middle clears
 _NOWHERE = 1e6  # cells; lowest corner of a window that has never been
 _FAR = 1e6  # m², of a block without such a cell
 
@@ -93,9 +97,9 @@ class LocalMap:
     def routine(self) -> Routine:
         """(cells, corner, place, slots) → (cells, corner, marked, unknown).
 
-        `place` (4,): the robot's x, y in {E} [m], hull radius [m], edge of a cell [m]. `slots` (slots · 9,): one firing
-        after the other, see `SLOT`. `marked` and `unknown` (sectors · 3,): for each direction the offset x, y from the
-        robot's centre to the nearest such cell [m] and its squared distance [m²], 1e6 when there is none.
+        `place` (4,): the robot's x, y in {E} [m], hull radius [m], edge of a cell [m]. `slots` (slots · 10,): one
+        firing after the other, see `READING`. `marked` and `unknown` (sectors · 3,): for each direction the offset x, y
+        from the robot's centre to the nearest such cell [m] and its squared distance [m²], 1e6 when there is none.
         """
         n, blocks = self.side, self.blocks
         line, spans, fixed = self._line(), ("columns", "rows"), ("place", "slots")
@@ -121,7 +125,7 @@ class LocalMap:
                 self._sort(), blocks * blocks, ("marked_none", "unknown_none"), ("marked", "unknown"), sliced=("near",)
             ),
         )
-        inputs = (("cells", n * n), ("corner", 2), ("place", 4), ("slots", self.slots * _SLOT_SIZE))
+        inputs = (("cells", n * n), ("corner", 2), ("place", 4), ("slots", self.slots * _READING_SIZE))
         return Routine("local_map", inputs, steps, ("cells_next", "corner_next", "marked", "unknown"))
 
     @property
@@ -136,7 +140,7 @@ class LocalMap:
         """One column or row: offset of its centres from the robot, its square, whether it was there before; and for
         each firing its share of the way along the beam, of that across, and of the squared distance."""
         at, span = ca.SX.sym("at"), ca.SX.sym("span")
-        place, slots = ca.SX.sym("place", 4), ca.SX.sym("slots", self.slots * _SLOT_SIZE)
+        place, slots = ca.SX.sym("place", 4), ca.SX.sym("slots", self.slots * _READING_SIZE)
         old, new = ca.SX.sym("old", 2), ca.SX.sym("new", 2)
         n, second = self.side, span > 0.5
 
@@ -184,7 +188,8 @@ class LocalMap:
         found = ca.SX.sym("found", self.slots)
         symbols = self._block_symbols()
         hull, edge = symbols["place"][2], symbols["place"][3]
-        inside, beside = hull * hull, (hull + edge) * (hull + edge)
+        ring = hull + RING * edge
+        inside, beyond = hull * hull, ring * ring
         cells = []
         near = [ca.SX([0.0, 0.0, _FAR]), ca.SX([0.0, 0.0, _FAR])]
         for k, (value, line, slots) in enumerate(self._each(symbols)):
@@ -194,11 +199,11 @@ class LocalMap:
                     self._on_arc(line[s], slot, edge), ca.logic_or(value >= -self.known, ca.logic_not(found[s]))
                 )
                 value = ca.if_else(self._in_front(line[s], slot, edge), -1, ca.if_else(marked, 1, value))
-            own = ca.logic_or(square < inside, ca.logic_and(square < beside, value <= 0))
-            value = ca.if_else(own, -1, value)
+            value = ca.if_else(square < inside, -1, value)
             cells.append(value)
             here = ca.vertcat(dx, dy, square)
-            for which, holds in enumerate((value > 0, ca.logic_and(value >= -self.known, value <= 0))):
+            blank = ca.logic_and(ca.logic_and(value >= -self.known, value <= 0), square > beyond)
+            for which, holds in enumerate((value > 0, blank)):
                 nearer = ca.logic_and(holds, square < near[which][2])
                 near[which] = ca.if_else(nearer, here, near[which])
         return _lowered("change", {**symbols, "found": found}, {"after": ca.vertcat(*cells), "near": ca.vertcat(*near)})
@@ -210,7 +215,7 @@ class LocalMap:
             "columns": ca.SX.sym("columns", b * size),
             "rows": ca.SX.sym("rows", b * size),
             "place": ca.SX.sym("place", 4),
-            "slots": ca.SX.sym("slots", self.slots * _SLOT_SIZE),
+            "slots": ca.SX.sym("slots", self.slots * _READING_SIZE),
         }
 
     def _offset(self, symbols: dict[str, ca.SX], k: int) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -241,7 +246,8 @@ class LocalMap:
 
     def _in_front(self, line: ca.SX, slot: dict[str, ca.SX], edge: ca.SX) -> ca.SX:
         """Whether the whole cell is free: half a cell inside the cone, short of what was heard."""
-        return ca.logic_and(self._inside(line, slot) > 0.6 * edge + 0.01, line[2] < slot["clear"] * slot["clear"])
+        wide = ca.fmin(0.6 * edge + 0.01, _OF_THE_BEAM * line[0] * slot["half"][1])
+        return ca.logic_and(self._inside(line, slot) > wide, line[2] < slot["clear"] * slot["clear"])
 
     def _on_arc(self, line: ca.SX, slot: dict[str, ca.SX], edge: ca.SX) -> ca.SX:
         """Whether any of the cell may be what was heard."""
@@ -251,8 +257,8 @@ class LocalMap:
     def _split(self, slots: ca.SX) -> list[dict[str, ca.SX]]:
         out = []
         for s in range(self.slots):
-            at, one = s * _SLOT_SIZE, {}
-            for name, size, _ in SLOT:
+            at, one = s * _READING_SIZE, {}
+            for name, size, _ in READING:
                 one[name] = slots[at : at + size]
                 at += size
             out.append(one)

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from surctl.control import CONTACT_SLOTS, NONFINITE, Gains, Law, build_law, law_parameters
 from surctl.errors import InputError, nearest
-from surctl.sensing import BaseStation, NoiseStream, OwnState, fault_state, faulty, true_range
+from surctl.sensing import NoiseStream, OwnState, delayed, fault_state, faulty, true_range
 from surctl.simulation.metrics import NEAR_TARGET, Metrics, path_error, settled_avoidance
 from surctl.simulation.scenario import Scenario
-from surctl.simulation.sonar import FIRING, firing_plan
+from surctl.simulation.sensors import FIRING, firing_plan
 from surctl.simulation.world import Body, World, build_world
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, build_plant, plant_parameters
 from surctl.world import Disc
@@ -121,10 +121,13 @@ def simulate(
     if sensing not in SENSING:
         raise InputError("is not known", key="sensing", value=sensing, remedy=nearest(str(sensing), SENSING))
     sonar = sensing == "sonar"
-    law = law or build_law(sonar=sonar, array=scenario.sonars.array)
+    law = law or build_law(sonar=sonar, equipment=scenario.sensors.on(vehicle["radius"]))
     if law.senses is not None and not sonar:
         raise InputError(
-            "the law listens to the sonars", key="sensing", value=sensing, remedy="fly it with sonar, or build it without"
+            "the law listens to the sonars",
+            key="sensing",
+            value=sensing,
+            remedy="fly it with sonar, or build it without",
         )
     if abs(law.dt / FIRING - round(law.dt / FIRING)) > 1e-9 or law.dt < FIRING:
         raise InputError(
@@ -158,13 +161,14 @@ def law_numbers(scenario: Scenario, gains: Gains, model: Vehicle) -> NDArray[np.
 
 
 class _Drawn(NamedTuple):
-    """Random numbers of one tick: normal ones (instants, k, samples), (4,), and (4,) for each mover by name; uniform
-    ones (instants, k, 2) where a sonar may fail."""
+    """Random numbers of one tick: normal ones (instants, k, samples), (6,) for fix and IMU, (slots, 4) for a message
+    and one for its loss; uniform ones (instants, k, 2) where a sonar may fail."""
 
     samples: NDArray[np.float64]
     uniforms: NDArray[np.float64]
     own_state: NDArray[np.float64]
-    movers: dict[str, NDArray[np.float64]]
+    movers: NDArray[np.float64]
+    loss: float
 
 
 class _Loop:
@@ -181,14 +185,20 @@ class _Loop:
     ) -> None:
         self.world, self.law, self.p, self.sensing, self.noise = world, law, p, sensing, noise
         self.plant = plant_parameters(vehicle)
-        self.sonars = world.scenario.sonars
-        self.array = self.sonars.on(world.hull)
+        self.sensors = world.scenario.sensors
+        self.station = self.sensors.equipment.station
+        self.array = self.sensors.array_on(world.hull)
         self.firings = firing_plan(self.array)
         self.state = PLANT_STATE.pack({"eta": world.scenario.start_pose})
         self.law_state = law.initial_state()
         self.faults = fault_state(self.array)
         self.fresh = np.zeros(self.array.size)
         self.instant = 0
+        self.movers = [o.name for o in world.scenario.obstacles if o.shape == "moving"]
+        self.slots = min(CONTACT_SLOTS, len(self.movers))
+        own = self.sensors.equipment.own
+        self.places = np.tile(self.state[:3], (own.fixes.late(law.dt) if own else 0, 1))
+        self.messages = np.zeros((self.station.messages.late(law.dt), self.slots * 6))
         self.least = float("inf")
         self.clear_of_walls = False
         self.rows: list[tuple[object, ...]] = []
@@ -202,7 +212,7 @@ class _Loop:
             drawn = self._draw()
             self._listen(bodies, drawn, 0)
             clearance = self._clearance(bodies)
-            u = self._inputs(bodies, drawn)
+            u = self._inputs(bodies, drawn, tick)
             step = self.law.step(self.law_state, u, self.p)
             self.rows.append(
                 (time, self.state, step.tau, clearance, self.law_state, u, step.status, step.telemetry, bodies)
@@ -237,18 +247,17 @@ class _Loop:
 
     def _draw(self) -> _Drawn:
         """All the noise of one tick, in a fixed order: firings, own state, then every mover."""
-        movers = [o.name for o in self.world.scenario.obstacles if o.shape == "moving"]
         instants, wide, taken = round(self.law.dt / FIRING), len(self.firings.sensors[0]), self.array.samples
         heard = instants * wide * taken
         # in pairs, as the generator makes them
-        count = heard + heard % 2 + 4 + 4 * len(movers)
+        count = heard + heard % 2 + 8 + 4 * self.slots
         hears = self.sensing == "sonar"
         numbers = self.noise.normals(count) if hears else np.zeros(count)
         chances = 2 * instants * wide
-        uniforms = self.noise.uniforms(chances) if hears and self.sonars.may_fail else np.full(chances, 0.5)
+        uniforms = self.noise.uniforms(chances) if hears and self.sensors.may_fail else np.full(chances, 0.5)
         samples, rest = numbers[:heard].reshape(instants, wide, taken), numbers[heard + heard % 2 :]
-        told = dict(zip(movers, rest[4:].reshape(-1, 4), strict=True))
-        return _Drawn(samples, uniforms.reshape(instants, wide, 2), rest[:4], told)
+        told, own = rest[7:-1].reshape(self.slots, 4), rest[:6]
+        return _Drawn(samples, uniforms.reshape(instants, wide, 2), own, told, float(rest[6]))
 
     def _advance(self, time: float, tau: NDArray[np.float64], drawn: _Drawn) -> None:
         half = round(self.law.dt / FIRING)
@@ -280,8 +289,8 @@ class _Loop:
                 time=time,
                 distance=true_range(self.array, sensor, position=self.state[:2], heading=heading, shapes=shapes),
                 noise=drawn.samples[instant, k],
-                faults=self.sonars.faults,
-                chances=self.sonars.chances,
+                faults=self.sensors.faults,
+                chances=self.sensors.chances,
                 uniforms=drawn.uniforms[instant, k],
             )
             if given is not None:
@@ -297,25 +306,63 @@ class _Loop:
         self.least = min(self.least, clearance)
         return clearance
 
-    def _inputs(self, bodies: Sequence[Body], drawn: _Drawn) -> NDArray[np.float64]:
+    def _inputs(self, bodies: Sequence[Body], drawn: _Drawn, tick: int) -> NDArray[np.float64]:
         eta, nu = self.state[:4], self.state[4:8]
+        given: dict[str, object] = {"samples": self.faults.last, "fresh": self.fresh}
+        if self.sensing == "truth":
+            given |= {"eta": eta, "nu": nu, "contacts": self._all_contacts(bodies)}
+        else:
+            given |= self._told(self._mover_rows(bodies), drawn, tick)
+        self.fresh = np.zeros(self.array.size)
+        return self.law.inputs.pack({name: value for name, value in given.items() if name in self.law.inputs})
+
+    def _told(self, rows: NDArray[np.float64], drawn: _Drawn, tick: int) -> dict[str, object]:
+        """What camera, IMU and base station tell; a law without a filter of its own is told at once."""
+        eta, nu, own = self.state[:4], self.state[4:8], self.sensors.equipment.own
         contacts = np.zeros((CONTACT_SLOTS, 6))
-        told = list(bodies) if self.sensing == "truth" else [b for b in bodies if b.moving]
+        if self.law.senses is None:
+            contacts[: self.slots] = rows
+            seen = contacts[: self.slots]
+            seen[:, :2], seen[:, 3:5] = self.station.observe(seen[:, :2], seen[:, 3:5], noise=drawn.movers)
+            seen[rows[:, 5] < 0.5] = 0.0
+            pose, _ = (own or OwnState(position_sd=0.0, yaw_sd=0.0)).measure(eta, nu, noise=drawn.own_state[:4])
+            return {"eta": pose, "nu": nu, "contacts": contacts}
+        then, self.messages = delayed(self.messages, rows.ravel())
+        told, arrived = self.station.message(
+            then.reshape(-1, 6), tick, noise=drawn.movers, chance=drawn.loss, dt=self.law.dt
+        )
+        contacts[: self.slots] = told
+        given: dict[str, object] = {"contacts": contacts, "contacts_fresh": arrived}
+        if own is None:
+            return {**given, "eta": eta, "nu": nu}
+        place, self.places = delayed(self.places, self.state[:3])
+        fix, fresh = own.fix(place, tick, noise=drawn.own_state[:4], dt=self.law.dt)
+        yaw, rate = own.imu(eta, nu, noise=drawn.own_state[4:])
+        return {**given, "fix": fix, "fix_fresh": fresh, "yaw": yaw, "yaw_rate": rate}
+
+    def _mover_rows(self, bodies: Sequence[Body]) -> NDArray[np.float64]:
+        """A row a moving obstacle, zeros for one that is not there; the nearest ones if there are too many."""
+        there = {b.name: b for b in bodies if b.moving}
+        named = self.movers
+        if len(named) > self.slots:
+            near = {b.name: b.shape.nearest(self.state[:2])[0] for b in there.values()}
+            kept = sorted(named, key=lambda name: near.get(name, np.inf))[: self.slots]
+            named = [name for name in named if name in kept]
+        rows = np.zeros((self.slots, 6))
+        for row, name in zip(rows, named, strict=True):
+            if name in there:
+                row[:] = self._contact(there[name])
+        return rows
+
+    def _all_contacts(self, bodies: Sequence[Body]) -> NDArray[np.float64]:
+        contacts, told = np.zeros((CONTACT_SLOTS, 6)), list(bodies)
         if len(told) > CONTACT_SLOTS:
             by_distance = sorted(told, key=lambda b: b.shape.nearest(self.state[:2])[0])
             kept = {b.name for b in by_distance[:CONTACT_SLOTS]}
             told = [b for b in told if b.name in kept]
         for row, body in zip(contacts, told, strict=False):
             row[:] = self._contact(body)
-        if self.sensing == "sonar":
-            noise = np.array([drawn.movers[b.name] for b in told]).reshape(-1, 4)
-            heard = contacts[: len(told)]
-            heard[:, :2], heard[:, 3:5] = BaseStation().observe(heard[:, :2], heard[:, 3:5], noise=noise)
-            eta, nu = OwnState().measure(eta, nu, noise=drawn.own_state)
-        given = {"eta": eta, "nu": nu, "contacts": contacts, "samples": self.faults.last, "fresh": self.fresh}
-        u = self.law.inputs.pack({name: value for name, value in given.items() if name in self.law.inputs})
-        self.fresh = np.zeros(self.array.size)
-        return u
+        return contacts
 
     def _contact(self, body: Body) -> list[float]:
         if isinstance(body.shape, Disc):

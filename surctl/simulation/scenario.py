@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from surctl.errors import InputError
 from surctl.files import Strict, pick, read_toml, validate
 from surctl.guidance import Path
-from surctl.simulation.sonar import Sonars, SonarTable, sonars_from_table
+from surctl.simulation.sensors import OwnStateTable, Sensors, SonarTable, StationTable, sensors_from_tables
 from surctl.world import Box, Disc, Wall, site_walls
 
 __all__ = ["LIBRARY", "Obstacle", "Scenario", "Shape", "load_scenario", "scenario_from_table"]
@@ -95,6 +95,8 @@ class _ScenarioFile(Strict):
     obstacles: tuple[Obstacle, ...] = ()
     disturbance: Disturbance = Disturbance()
     sonar: SonarTable = SonarTable()
+    base_station: StationTable = StationTable()
+    own_state: OwnStateTable = OwnStateTable()
     paper: PaperFigure
 
 
@@ -110,7 +112,7 @@ class Scenario:
         reach: distance to the target that counts as arrived [m].
         site: length along x, width along y, depth [m]; one corner of the floor plan is the origin.
         vehicle: name or path of the vehicle that flies it by default.
-        sonars: the sonar array and its faults.
+        sensors: sonars and their faults, base station, own state.
     """
 
     name: str
@@ -128,7 +130,7 @@ class Scenario:
     disturbance: Disturbance
     paper: PaperFigure
     source: str = ""
-    sonars: Sonars = Sonars()
+    sensors: Sensors = field(default_factory=Sensors)
 
     @property
     def walls(self) -> tuple[Wall, ...]:
@@ -173,9 +175,9 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
     except InputError as error:
         raise error.inside(source, "path_m") from None
     try:
-        sonars = sonars_from_table(model.sonar)
+        sensors = sensors_from_tables(model.sonar, model.base_station, model.own_state)
     except InputError as error:
-        raise error.inside(source, f"sonar.{error.key}") from None
+        raise error.inside(source) from None
     scenario = Scenario(
         model.name,
         model.title,
@@ -192,7 +194,7 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
         model.disturbance,
         model.paper,
         source,
-        sonars,
+        sensors,
     )
     _check(scenario)
     return scenario

@@ -55,7 +55,11 @@ class Case:
         """The law that is flown."""
         sonar = self.sensing == "sonar"
         return build_law(
-            self.law, avoidance=self.avoidance, mode=self.mode, sonar=sonar, array=self.scenario.sonars.array
+            self.law,
+            avoidance=self.avoidance,
+            mode=self.mode,
+            sonar=sonar,
+            equipment=self.scenario.sensors.on(self.vehicle["radius"]),
         )
 
 
@@ -118,7 +122,7 @@ def knobs(case: Case) -> Mapping[str, Knob]:
 
 
 def _scenario_knobs(scenario: Scenario) -> list[Knob]:
-    d, chances = scenario.disturbance, scenario.sonars.chances
+    d, chances = scenario.disturbance, scenario.sensors.chances
     return [
         *(
             Knob(f"sonar.{kind}", "1", f"chance of this fault ({kind}) per firing of a sonar", chance, 0.0, 1.0)

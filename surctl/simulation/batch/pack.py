@@ -53,8 +53,7 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         kinds.append(kind_of(obstacle, drifting=bool(np.any(moved > 0))))
     if case.sensing == "truth":
         return Structure(case.law, case.avoidance, case.mode, case.sensing, tuple(kinds))
-    sonars = case.scenario.sonars
-    array = sonars.array if sonars.array.mounts is None else sonars.on(case.vehicle["radius"])
+    sensors = case.scenario.sensors
     struck = any(np.any(values.get(f"sonar.{kind}", chance) > 0) for kind, chance in _chances(case))
     return Structure(
         case.law,
@@ -62,15 +61,15 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         case.mode,
         case.sensing,
         tuple(kinds),
-        array,
-        len(sonars.faults),
+        sensors.on(case.vehicle["radius"]),
+        len(sensors.faults),
         struck,
-        any(fault.kind == "delay" for fault in sonars.faults),
+        any(fault.kind == "delay" for fault in sensors.faults),
     )
 
 
 def _chances(case: Case) -> list[tuple[str, float]]:
-    chances = case.scenario.sonars.chances
+    chances = case.scenario.sensors.chances
     return list(zip(chances.kinds(), chances.numbers, strict=True))
 
 
@@ -168,7 +167,7 @@ class _Filler:
         if structure.may_fail:
             found["fault_chances"] = [self.number(f"sonar.{kind}") for kind in FaultChances.kinds()]
         if structure.faults:
-            slots = fault_slots(structure.array, scenario.sonars.faults, structure.faults)
+            slots = fault_slots(structure.equipment.array, scenario.sensors.faults, structure.faults)
             found["fault_slots"] = [np.asarray(value) for value in slots.ravel()]
         for k, (obstacle, kind) in enumerate(zip(scenario.obstacles, self.loop.structure.bodies, strict=True)):
             prefix = f"obstacle.{obstacle.name}."

@@ -7,7 +7,7 @@ or sent through CasADi's machine. The two are written independently and compared
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property
 from math import gcd
 from typing import Any
@@ -23,11 +23,11 @@ from surctl.sensing import (
     NOISE_STATE,
     SLOT,
     BaseStation,
+    Equipment,
     FaultChances,
-    OwnState,
     SolidWalls,
-    SonarArray,
     beam_of,
+    delayed_symbols,
     draw_normals,
     draw_uniforms,
     echo_range,
@@ -39,7 +39,7 @@ from surctl.simulation.batch.bodies import ABSENT, Body, BodyKind, body_at, body
 from surctl.simulation.batch.counting import SUMS, counted, modulo
 from surctl.simulation.metrics import STOPS
 from surctl.simulation.run import Sensing, advance
-from surctl.simulation.sonar import FIRING, FiringPlan, firing_plan
+from surctl.simulation.sensors import FIRING, FiringPlan, firing_plan
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE
 
 __all__ = ["Loop", "Structure", "build_loop"]
@@ -54,7 +54,7 @@ class Structure:
     """What of a case is fixed in the compiled loop; everything else is a number of a run.
 
     Attributes:
-        array: the sonars; their hull counts only if they have mounts.
+        equipment: what is sensed with; the sonars' hull counts only if they have mounts.
         faults: number of slots for told faults; `delays` if one of them may be a delay.
         chances: whether faults may strike by chance.
     """
@@ -64,7 +64,7 @@ class Structure:
     mode: Mode
     sensing: Sensing
     bodies: tuple[BodyKind, ...]
-    array: SonarArray = SonarArray()
+    equipment: Equipment = field(default_factory=Equipment)
     faults: int = 0
     chances: bool = False
     delays: bool = False
@@ -78,6 +78,11 @@ class Structure:
     def movers(self) -> int:
         """Number of moving obstacles."""
         return self.bodies.count("mover")
+
+    @property
+    def slots(self) -> int:
+        """Moving obstacles that a message of the base station holds."""
+        return min(CONTACT_SLOTS, self.movers)
 
     @property
     def contacts(self) -> int:
@@ -112,7 +117,7 @@ def build_loop(structure: Structure) -> Loop:
         mode=structure.mode,
         contacts=structure.contacts,
         sonar=structure.sensing == "sonar",
-        array=structure.array,
+        equipment=structure.equipment,
     )
     state, parameters = Layout(_state_ports(law, structure)), Layout(_parameter_ports(structure))
     builder = _Builder(structure, law, state, parameters)
@@ -152,9 +157,10 @@ def _parameter_ports(structure: Structure) -> tuple[Port, ...]:
 
 def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
     heard = (
-        *fault_ports(structure.array, delays=structure.delays, prefix="sonar_"),
-        Port("fresh", (structure.array.size,), "1", "1 where a sonar's firing arrived since the last tick"),
+        *fault_ports(structure.equipment.array, delays=structure.delays, prefix="sonar_"),
+        Port("fresh", (structure.equipment.array.size,), "1", "1 where a sonar's firing arrived since the last tick"),
         Port("noise", (NOISE_STATE,), "1", "state of the noise generator"),
+        *_late_ports(law, structure),
     )
     return (
         Port("done", (1,), "1", "1 when the run has ended"),
@@ -170,6 +176,19 @@ def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
         Port("last_thrust", (2,), "N", "F_u, F_v at the last tick"),
         *(Port(name, (1,), unit, meaning) for name, unit, meaning in SUMS),
     )
+
+
+def _late_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
+    """What the base station measured and has not sent yet."""
+    if law.senses is None:
+        return ()
+    own, station = structure.equipment.own, structure.equipment.station
+    fixes, messages = own.fixes.late(law.dt) if own else 0, station.messages.late(law.dt)
+    ports = (
+        Port("places", (fixes, 3), "m", "last positions, newest first"),
+        Port("messages", (messages, structure.slots * 6), "m, m/s, 1", "last states of the moving obstacles"),
+    )
+    return tuple(port for port in ports if port.size)
 
 
 class _Builder:
@@ -190,37 +209,91 @@ class _Builder:
         out: dict[str, ca.SX] = {"x": state["law"], "p": w[: PARAMETERS.size]}
         inputs: dict[str, ca.SX] = {"eta": eta, "nu": nu}
         if self.sonar:
-            own, drawn = self._drawn(state["noise"], out)
+            own, drawn, loss = self._drawn(state["noise"], out)
             heard, arrived = self._instant(given, bodies, state["plant"], state, tick, out, instant=0)
-            inputs["eta"] = eta + ca.DM(_own_state_spread()) * own
-            inputs["samples"] = heard["sonar_last"]
-            inputs["fresh"] = ca.fmax(state["fresh"], arrived)
+            inputs = {"samples": heard["sonar_last"], "fresh": ca.fmax(state["fresh"], arrived)}
             out["heard"] = self._heard.join(heard)
-            movers = ca.reshape(drawn, 4, self.structure.movers).T
-            rows = [_observed(b.contact(eta[:2]), movers[k, :]) for k, b in enumerate(b for b in bodies if b.moving)]
+            movers = [b for b in bodies if b.moving]
+            rows = _slots([b.contact(eta[:2]) for b in movers], [b.clearance(eta[:2]) for b in movers])
+            inputs |= self._told(state, eta, nu, rows, own, ca.reshape(drawn, 4, self.structure.slots).T, loss, out)
         else:
             out |= {name: ca.SX(0) for name in ("noise_next", "normals", "uniforms", "heard")}
-            rows = [b.contact(eta[:2]) for b in bodies]
-        near = [b.clearance(eta[:2]) for b in bodies if b.moving or not self.sonar]
-        if rows:
-            inputs["contacts"] = _slots(rows, near)
+            if bodies:
+                inputs["contacts"] = _slots(
+                    [b.contact(eta[:2]) for b in bodies], [b.clearance(eta[:2]) for b in bodies]
+                )
         out["u"] = self.law.inputs.join(inputs)
         out["plant"], out["plant_p"] = state["plant"], given["plant"]
         out["d0"], out["d1"] = self._disturbance(given, time), self._disturbance(given, time + FIRING)
         out["tick"] = tick
         out["clearance"] = _clearances(bodies, given, eta[:2])
+        out["late"] = ca.vertcat(ca.SX(0, 1), *(_flat(out.pop(name)) for name in self._late if name in out))
         return _lowered("sense", {"s": s, "w": w}, out)
 
-    def _drawn(self, noise: ca.SX, out: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-        """Draw what a tick needs, see `run._Drawn`: the own state's and the movers' share; the firings' goes to `out`."""
-        count = self._instants * self._wide * self.structure.array.samples
+    @property
+    def _late(self) -> tuple[str, ...]:
+        return tuple(port.name for port in _late_ports(self.law, self.structure)) if self.sonar else ()
+
+    def _told(
+        self,
+        state: Mapping[str, ca.SX],
+        eta: ca.SX,
+        nu: ca.SX,
+        rows: ca.SX,
+        own_noise: ca.SX,
+        noise: ca.SX,
+        loss: ca.SX,
+        out: dict[str, ca.SX],
+    ) -> dict[str, ca.SX]:
+        """What camera, IMU and base station tell, as `run._Loop._told`."""
+        own, station, dt, tick = (
+            self.structure.equipment.own,
+            self.structure.equipment.station,
+            self.law.dt,
+            state["tick"],
+        )
+        if self.law.senses is None:
+            spread = [own.position_sd, own.position_sd, own.position_sd, own.yaw_sd] if own else [0.0] * 4
+            told = {"eta": eta + ca.DM(spread) * own_noise[:4], "nu": nu}
+            if rows.shape[0]:
+                told["contacts"] = ca.vertcat(
+                    *(_observed(station, rows[k, :], noise[k, :]) for k in range(rows.shape[0]))
+                )
+            return told
+        told = {}
+        if rows.shape[0]:
+            then = _flat(rows)
+            if "messages" in state:
+                then, out["messages"] = delayed_symbols(state["messages"], then)
+            shaped = ca.reshape(then, 6, rows.shape[0]).T
+            told["contacts"], told["contacts_fresh"] = station.message_symbols(
+                shaped, tick, noise=noise, chance=loss, dt=dt
+            )
+        if own is None:
+            return {**told, "eta": eta, "nu": nu}
+        place = eta[:3]
+        if "places" in state:
+            # before the first step it was where it is
+            past = ca.if_else(tick > 0.5, state["places"], ca.repmat(place.T, state["places"].shape[0], 1))
+            place, out["places"] = delayed_symbols(past, place)
+        told["fix"], told["fix_fresh"] = own.fix_symbols(place, tick, noise=own_noise[:4], dt=dt)
+        told["yaw"], told["yaw_rate"] = own.imu_symbols(eta, nu, noise=own_noise[4:])
+        return told
+
+    def _drawn(self, noise: ca.SX, out: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Draw what a tick needs, see `run._Drawn`: for own state, message and its loss; for the firings into `out`."""
+        count = self._instants * self._wide * self.structure.equipment.array.samples
         count += count % 2
-        drawn, after = draw_normals(noise, count + 4 + 4 * self.structure.movers)
+        drawn, after = draw_normals(noise, count + 8 + 4 * self.structure.slots)
         out["normals"], out["uniforms"] = drawn[:count], ca.SX(0)
         if self.structure.may_fail:
             out["uniforms"], after = draw_uniforms(after, 2 * self._instants * self._wide)
         out["noise_next"] = after
-        return drawn[count : count + 4], drawn[count + 4 :]
+        return drawn[count : count + 6], drawn[count + 7 : -1], drawn[count + 6]
+
+    @cached_property
+    def _late_layout(self) -> Layout:
+        return Layout(tuple(self.state.port(name) for name in self._late))
 
     @property
     def _instants(self) -> int:
@@ -228,7 +301,7 @@ class _Builder:
 
     @cached_property
     def _plan(self) -> FiringPlan:
-        return firing_plan(self.structure.array)
+        return firing_plan(self.structure.equipment.array)
 
     @property
     def _wide(self) -> int:
@@ -236,15 +309,15 @@ class _Builder:
 
     @cached_property
     def _heard(self) -> Layout:
-        return Layout(fault_ports(self.structure.array, delays=self.structure.delays, prefix="sonar_"))
+        return Layout(fault_ports(self.structure.equipment.array, delays=self.structure.delays, prefix="sonar_"))
 
     def between(self) -> Program:
         """Second instant of firing and clearances, 25 ms after the tick."""
         w, given = self.parameters.symbols("w")
-        structure, plan, wide = self.structure, self._plan, self._wide
+        structure, wide = self.structure, self._wide
         sizes = {"plant_between": PLANT_STATE.size, "tick": 1, "normals": 1, "uniforms": 1, "heard": 1}
         if self.sonar:
-            count = self._instants * wide * structure.array.samples
+            count = self._instants * wide * structure.equipment.array.samples
             sizes |= {"normals": count + count % 2, "heard": self._heard.size}
             sizes["uniforms"] = 2 * self._instants * wide if structure.may_fail else 1
         v = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
@@ -270,7 +343,7 @@ class _Builder:
     ) -> tuple[dict[str, ca.SX], ca.SX]:
         """What has been heard after one instant of firing, and (sensors, 1) 1 for those whose firing arrived."""
         structure, plan, wide = self.structure, self._plan, self._wide
-        array, taken = structure.array, structure.array.samples
+        array, taken = structure.equipment.array, structure.equipment.array.samples
         after = {name: value for name, value in heard.items() if name.startswith("sonar_")}
         fresh = [ca.SX(0)] * array.size
         period = plan.period // gcd(plan.period, self._instants)  # ticks
@@ -326,7 +399,8 @@ class _Builder:
             "telemetry": law.outputs.size - 4,
             "plant_next": PLANT_STATE.size,
             "heard_next": self._heard.size if sonar else 1,
-            "fresh_next": self.structure.array.size if sonar else 1,
+            "fresh_next": self.structure.equipment.array.size if sonar else 1,
+            "late": sum(self.state.port(name).size for name in self._late),
             "noise_next": NOISE_STATE if sonar else 1,
         }
         v = {name: ca.SX.sym(name, size) for name, size in symbols.items()}
@@ -357,6 +431,7 @@ class _Builder:
         }
         if sonar:
             new |= {**self._heard.split(v["heard_next"]), "fresh": v["fresh_next"], "noise": v["noise_next"]}
+            new |= self._late_layout.split(v["late"])
         tau, status = ca.if_else(broken, 0, v["tau"]), ca.if_else(broken, 0, v["status"])
         avoiding = v["telemetry"][law.telemetry_slice("avoiding")] > 0.5
         new |= counted(old, given, tau, status, ca.if_else(broken, 0, avoiding), to_target, gap)
@@ -392,7 +467,7 @@ def _with_walls(clear: ca.SX, clearances: ca.SX) -> tuple[ca.SX, ca.SX]:
 def _slots(rows: Sequence[ca.SX], near: Sequence[ca.SX]) -> ca.SX:
     """The law's contacts, (k, 6): all rows, or the `CONTACT_SLOTS` nearest ones in their order."""
     if len(rows) <= CONTACT_SLOTS:
-        return ca.vertcat(*rows)
+        return ca.vertcat(ca.SX(0, 6), *rows)
     slots, taken = [ca.SX.zeros(1, 6) for _ in range(CONTACT_SLOTS)], ca.SX(0)
     for k, row in enumerate(rows):
         ahead = [near[j] <= near[k] if j < k else near[j] < near[k] for j in range(len(rows)) if j != k]
@@ -402,16 +477,10 @@ def _slots(rows: Sequence[ca.SX], near: Sequence[ca.SX]) -> ca.SX:
     return ca.vertcat(*slots)
 
 
-def _observed(row: ca.SX, noise: ca.SX) -> ca.SX:
-    """A contact (1, 6) as the base station tells it."""
-    station = BaseStation()
+def _observed(station: BaseStation, row: ca.SX, noise: ca.SX) -> ca.SX:
+    """A contact (1, 6) as the base station tells it at once."""
     spread = ca.horzcat(station.position_sd * noise[:2], 0, station.velocity_sd * noise[2:], 0)
     return ca.if_else(row[5], row + spread, ca.SX.zeros(1, 6))
-
-
-def _own_state_spread() -> list[float]:
-    own = OwnState()
-    return [own.position_sd, own.position_sd, own.position_sd, own.yaw_sd]
 
 
 def _code(reason: str) -> float:

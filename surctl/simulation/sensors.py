@@ -1,0 +1,236 @@
+"""The sensors of a scenario: what there is, what goes wrong with it, and which sonar fires when in the closed loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from math import gcd, pi
+from typing import Annotated, TypeVar
+
+from pydantic import Field
+
+from surctl.errors import InputError
+from surctl.files import Strict
+from surctl.sensing import (
+    BaseStation,
+    Delivery,
+    Equipment,
+    Fault,
+    FaultChances,
+    OwnState,
+    SonarArray,
+    check_faults,
+)
+
+__all__ = [
+    "FIRING",
+    "FiringPlan",
+    "OwnStateTable",
+    "Sensors",
+    "SonarTable",
+    "StationTable",
+    "firing_plan",
+    "sensors_from_tables",
+]
+
+T = TypeVar("T")
+
+FIRING = 0.025
+"""[s] between two instants at which sensors may fire; the plant's steps are split there."""
+
+_PERIOD = 0.05  # [s] of the control; what the base station sends is laid on it
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Degrees = Annotated[float, Field(gt=0, lt=180)]
+
+
+class SonarTable(Strict):
+    """`[sonar]` of a scenario file; what is not named is as `SonarArray` has it."""
+
+    azimuths_deg: tuple[float, ...] | None = None
+    mounts_m: tuple[tuple[float, float], ...] | None = None
+    order: tuple[int, ...] | None = None
+    beam_deg: Degrees | None = None
+    incidence_limit_deg: Degrees | None = None
+    minimum_m: Positive | None = None
+    blind_time_s: Positive | None = None
+    maximum_m: Positive | None = None
+    firing_period_s: Positive | None = None
+    bits: int | None = None
+    samples: int | None = None
+    noise_sd_m: float | None = None
+    bias_m: float | None = None
+    scale: Positive | None = None
+    temperature_c: float | None = None
+    calibrated_for_m_per_s: Positive | None = None
+    faults: tuple[Fault, ...] = ()
+    chances: FaultChances = FaultChances()
+
+
+class _DeliveryTable(Strict):
+    period_s: Positive | None = None
+    latency_s: NotNegative | None = None
+    loss: NotNegative | None = None
+    gaps_s: tuple[tuple[float, float], ...] = ()
+
+    def delivery(self) -> Delivery:
+        """As the robot's side has it."""
+        given = {"period": self.period_s, "latency": self.latency_s, "loss": self.loss}
+        return Delivery(gaps=self.gaps_s, **{name: value for name, value in given.items() if value is not None})
+
+
+class StationTable(_DeliveryTable):
+    """`[base_station]` of a scenario file: what it tells of moving obstacles."""
+
+    position_sd_m: NotNegative = 0.01
+    velocity_sd_m_per_s: NotNegative = 0.01
+
+
+class OwnStateTable(_DeliveryTable):
+    """`[own_state]` of a scenario file: fixes of the camera, and the IMU; or the truth."""
+
+    truth: bool = False
+    position_sd_m: NotNegative = 0.01
+    yaw_sd_rad: NotNegative = 0.01
+    rate_sd_rad_per_s: NotNegative = 0.005
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """The sensors of a scenario.
+
+    Attributes:
+        equipment: as it is, and as the law believes it; the hull is that of the vehicle flown, see `on`.
+        faults: of sonars, told beforehand.
+        chances: of sonars, per firing.
+    """
+
+    equipment: Equipment = field(default_factory=Equipment)
+    faults: tuple[Fault, ...] = ()
+    chances: FaultChances = field(default_factory=FaultChances)
+
+    def on(self, hull_radius: float) -> Equipment:
+        """The equipment on a hull [m]; a hull without mounts does not matter to it."""
+        array = self.equipment.array
+        return self.equipment if array.mounts is None else self._with(replace(array, hull_radius=hull_radius))
+
+    def array_on(self, hull_radius: float) -> SonarArray:
+        """The sonars on a hull [m]."""
+        return replace(self.equipment.array, hull_radius=hull_radius)
+
+    @property
+    def may_fail(self) -> bool:
+        """Whether anything ever goes wrong with a sonar."""
+        return bool(self.faults) or any(self.chances.numbers)
+
+    def _with(self, array: SonarArray) -> Equipment:
+        return replace(self.equipment, array=array)
+
+
+_NAMES = {
+    "mounts_m": "mounts",
+    "order": "order",
+    "minimum_m": "minimum",
+    "blind_time_s": "blind_time",
+    "maximum_m": "maximum",
+    "firing_period_s": "firing_period",
+    "bits": "bits",
+    "samples": "samples",
+    "noise_sd_m": "noise_sd",
+    "bias_m": "bias",
+    "temperature_c": "temperature",
+    "calibrated_for_m_per_s": "calibrated_for",
+}
+
+
+def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateTable) -> Sensors:
+    """The sensors of a scenario's tables.
+
+    Raises:
+        InputError: an array that cannot be, or cannot have these faults, or does not fit the closed loop's steps; it
+            names the table and the key.
+    """
+    array = _in_table("sonar", lambda: _array(sonar))
+    told = BaseStation(
+        position_sd=station.position_sd_m,
+        velocity_sd=station.velocity_sd_m_per_s,
+        messages=_in_table("base_station", station.delivery),
+    )
+    measured = OwnState(
+        position_sd=own.position_sd_m,
+        yaw_sd=own.yaw_sd_rad,
+        rate_sd=own.rate_sd_rad_per_s,
+        fixes=_in_table("own_state", own.delivery),
+    )
+    for table, delivery in (("base_station", told.messages), ("own_state", measured.fixes)):
+        _in_table(table, lambda delivery=delivery: (delivery.late(_PERIOD), delivery.every(_PERIOD)))
+    equipment = Equipment(array=array, station=told, own=None if own.truth else measured)
+    return Sensors(equipment, sonar.faults, sonar.chances)
+
+
+def _in_table(table: str, make: Callable[[], T]) -> T:
+    try:
+        return make()
+    except InputError as error:
+        key = (error.key or "").rpartition(".")[2]
+        raise InputError(error.problem, key=f"{table}.{key}", value=error.value, remedy=error.remedy) from None
+
+
+def _array(table: SonarTable) -> SonarArray:
+    given = {name: getattr(table, key) for key, name in _NAMES.items() if getattr(table, key) is not None}
+    for key, name in (("beam_deg", "beam_angle"), ("incidence_limit_deg", "incidence_limit")):
+        value = getattr(table, key)
+        if value is not None:
+            given[name] = value * pi / 180.0
+    if table.azimuths_deg is not None:
+        given["azimuths"] = tuple(a * pi / 180.0 for a in table.azimuths_deg)
+        given.setdefault("order", tuple(range(len(table.azimuths_deg))))
+    array = SonarArray(**given)
+    if table.scale is not None:
+        if table.calibrated_for_m_per_s is not None:
+            raise InputError("says the same as calibrated_for_m_per_s", key="scale", remedy="give one of them")
+        array = replace(array, calibrated_for=table.scale * array.speed)
+    check_faults(array, table.faults, table.chances)
+    firing_plan(array)
+    return array
+
+
+@dataclass(frozen=True)
+class FiringPlan:
+    """Who fires when.
+
+    Attributes:
+        period: instants of `FIRING` after which it repeats.
+        sensors: (period, k) who fires at an instant; None for nobody.
+    """
+
+    period: int
+    sensors: tuple[tuple[int | None, ...], ...]
+
+    def at(self, instant: int) -> tuple[int, ...]:
+        """The sensors that fire at an instant, in their order."""
+        return tuple(i for i in self.sensors[instant % self.period] if i is not None)
+
+
+def firing_plan(array: SonarArray) -> FiringPlan:
+    """Lay the array's firings on the closed loop's instants: several fire at one, or one every few.
+
+    Raises:
+        InputError: a period of the firings that is no such part or multiple.
+    """
+    ratio = array.firing_period / FIRING
+    several, every = round(1 / ratio), round(ratio)
+    if abs(ratio - every) < 1e-9 and every >= 1:
+        period = array.size * every
+        return FiringPlan(period, tuple((array.order[k // every] if k % every == 0 else None,) for k in range(period)))
+    if several >= 1 and abs(1 / ratio - several) < 1e-9:
+        period = array.size // gcd(array.size, several)
+        rows = [[array.order[(k * several + j) % array.size] for j in range(several)] for k in range(period)]
+        return FiringPlan(period, tuple(tuple(row) for row in rows))
+    raise InputError(
+        f"is no whole part or multiple of the loop's {FIRING:g} s",
+        key="sonar.firing_period_s",
+        value=array.firing_period,
+        remedy="use 0.025, 0.0125 or 0.05",
+    )
