@@ -121,15 +121,7 @@ def _decide(
     seen = perceive(xs, us, ps, dt=dt)
     scan = Scan(us["unknown"], us["heard"], us["placed"]) if scans else None
     decision = (
-        guarded_law(
-            wish,
-            seen,
-            xs,
-            us["eta"],
-            us["nu"],
-            ps,
-            scan=Scan(us["unknown"], us["heard"], us["placed"]) if scans else None,
-        )
+        guarded_law(wish, seen, xs, us["eta"], us["nu"], ps, scan=scan)
         if law == "guarded"
         else paper_law(avoidance, wish, seen, xs, us["eta"], ps, dt=dt)
     )

@@ -18,7 +18,7 @@ import casadi as ca
 from surctl.control.ports import PARAMETERS, SECTORS
 from surctl.errors import InputError
 from surctl.ir import Block, Call, Layout, Port, Program, Routine, lower
-from surctl.sensing import Equipment, LocalMap, MoverTracker, OwnStateFilter, RangeTracker, expected_range
+from surctl.sensing import Equipment, LocalMap, MoverTracker, OwnStateFilter, RangeTracker, Ranging, expected_range
 from surctl.sensing.estimate import turned
 from surctl.sensing.local_map import READING, RING
 from surctl.vehicle import planar_rotation
@@ -37,6 +37,7 @@ _READING = 0.03  # [m] by which one believed firing may be off: four of its stan
 _DIAGONAL = 0.71  # cells, half a cell's diagonal
 _EXPLAINS = 0.5  # cells beyond the reading in which a mark still explains it
 _MARGIN_SD = 0.02 / 3  # [m] standard deviation of the own position that the law's margin has room for
+_DEAF = 0.3  # [s] without an honest firing after which a sonar is not to be believed
 _PLACED_SD = 0.2  # [m] standard deviation beyond which the robot does not know where it is
 _FAR = 1e5  # [m²] above any squared distance in the map
 
@@ -158,7 +159,9 @@ class _Builder:
         """The state of all but the thrust and the map."""
         own = self._own.ports("own_") if self._own else ()
         movers = self._movers.ports("mover_") if self._movers else ()
-        return Layout((*own, *movers, *self._ranges.ports("sonar_")))
+        n = self.equipment.array.size
+        silent = Port("silent", (n,), "s", "time since the last honest firing of each sonar", _DEAF + self.dt)
+        return Layout((*own, *movers, *self._ranges.ports("sonar_"), silent))
 
     @cached_property
     def state(self) -> Layout:
@@ -209,29 +212,27 @@ class _Builder:
             turn=around.nu[3],
             prefix="sonar_",
         )
-        firings = []
+        firings, silent = [], []
         for i in range(array.size):
-            reading = ranging.reading[i]
+            reading, recent = ranging.reading[i], ranging.state["sonar_recent"][i, :]
+            arrived = ca.logic_and(given["fresh"][i] > 0.5, self._honest(given["samples"], ranging, i))
+            silent.append(ca.if_else(arrived, 0.0, ca.fmin(x["silent"][i] + self.dt, _DEAF + self.dt)))
             echo = ca.logic_and(reading < array.maximum - _SILENT, reading < ca.fmin(walls[i], things[i]) - _TOLERANCE)
-            echo = ca.logic_and(echo, ranging.accepted[i] > 0.5)
             blind = reading <= array.lowest / array.scale + array.resolution
             firing = {
                 "apex": apexes[i],
                 "axis": axes[i],
                 "half": ca.DM([cos(halves[i]), sin(halves[i])]),
-                "clear": ca.fmax(ranging.carve[i] - _READING - _DIAGONAL * edge, 0),
+                "clear": ca.fmax(_least(recent) - _READING - _DIAGONAL * edge, 0),
                 "near": ca.if_else(blind, 0, ca.fmax(reading - _READING - 0.5 * edge, 0)),
                 "far": ca.if_else(echo, reading + _READING + 0.5 * edge, -1),
                 "reach": reading + _EXPLAINS * edge + 0.01,
             }
-            firings.append(
-                (
-                    ca.logic_and(given["fresh"][i] > 0.5, around.placed),
-                    ca.vertcat(*(firing[name] for name, _, _ in READING)),
-                )
-            )
+            listed = ca.vertcat(*(firing[name] for name, _, _ in READING))
+            firings.append((ca.logic_and(arrived, around.placed), listed))
+        hears = ca.vertcat(*silent) <= _DEAF
         heard = [
-            ca.horzcat(ranging.range[i], ranging.bound[i], ranging.healthy[i], ranging.age[i], axes[i].T)
+            ca.horzcat(ranging.range[i], ranging.bound[i], hears[i], ranging.age[i], axes[i].T)
             for i in range(array.size)
         ]
         seen = {
@@ -244,12 +245,27 @@ class _Builder:
         if self._movers:
             seen["movers"] = around.movers
         outputs = {
-            "small_next": self._small.join({**after, **ranging.state}),
+            "small_next": self._small.join({**after, **ranging.state, "silent": ca.vertcat(*silent)}),
             "place": ca.vertcat(around.eta[:2], known["hull"], edge),
             "readings": _listed(firings, chart.slots),
             "seen": self._seen.join(seen),
         }
         return _lowered("feel", {"small": small, "u": u, "p": p}, outputs)
+
+    def _honest(self, samples: ca.SX, ranging: Ranging, sensor: int) -> ca.SX:
+        """Whether a firing may change the map: no sensor that is stuck, late, reads nothing or through a wall, or has
+        what another one heard. One that jumps may: the map itself is cleared by three readings in a row only."""
+        array, state = self.equipment.array, ranging.state
+        reading, least = ranging.reading[sensor], array.lowest / array.scale
+        fine = ca.logic_and(reading >= least - 1.5 * array.resolution, state["sonar_late"][sensor] < 0.5)
+        fine = ca.logic_and(fine, state["sonar_distrust"][sensor] < 0.5)
+        fine = ca.logic_and(fine, state["sonar_repeated"][sensor] < max(self._ranges.repeats, 1))
+        tells = ca.logic_and(reading > least + array.resolution, reading < array.maximum - _SILENT)
+        for other in range(array.size):
+            if other != sensor:
+                differ = ca.sumsqr(samples[other, :] - samples[sensor, :]) > 0
+                fine = ca.logic_and(fine, ca.logic_or(differ, ca.logic_not(tells)))
+        return fine
 
     def _around(
         self, x: Mapping[str, ca.SX], tau: ca.SX, u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]
@@ -356,6 +372,13 @@ class _Builder:
         }
         inputs = {"p": p, "seen": flat, "marked": marked, "unknown": unknown}
         return _lowered("tell", inputs, {"told": self.told.join(values)})
+
+
+def _least(values: ca.SX) -> ca.SX:
+    least = values[0]
+    for k in range(1, values.numel()):
+        least = ca.fmin(least, values[k])
+    return least
 
 
 def _listed(firings: list[tuple[ca.SX, ca.SX]], slots: int) -> ca.SX:
