@@ -138,7 +138,12 @@ def guarded_law(
             chased = ca.logic_or(chased, sector.bound < 0)
         velocity = ca.if_else(chased, velocity, _slowed(velocity, caution))
         blind = ca.sum1(scan.heard[:, 2]) < 0.5
-        velocity = _braked(velocity, planar_rotation(eta[3]) @ nu[:2], [(q.normal, q.bound) for q in sectors] + caution)
+        over_ground = planar_rotation(eta[3]) @ nu[:2]
+        moving, still = sectors[:marks], sectors[marks:]
+        velocity = _braked(velocity, over_ground, [(sector.normal, sector.bound) for sector in moving])
+        velocity = _braked(velocity, over_ground, [*((sector.normal, sector.bound) for sector in still), *caution])
+        for sector in sectors[-len(seen.walls) :]:  # whose normals are at right angles: one after the other is exact
+            velocity -= ca.fmax(ca.dot(velocity, sector.normal) - sector.bound, 0) * sector.normal
         velocity = ca.if_else(ca.logic_or(blind, ca.logic_not(scan.placed)), 0, velocity)
         halted = ca.logic_and(ca.sumsqr(velocity) < _CRAWL**2, ca.sumsqr(choice.velocity) > (2 * _CRAWL) ** 2)
         named += [(f"unknown_{k}", normal, bound) for k, (normal, bound) in enumerate(caution)]

@@ -35,6 +35,7 @@ _TOLERANCE = 0.10  # [m] by which an echo may be shorter than a known thing's an
 _SILENT = 0.1  # [m] below the maximum: no echo
 _READING = 0.03  # [m] by which one believed firing may be off: four of its standard deviations
 _DIAGONAL = 0.71  # cells, half a cell's diagonal
+_AROUND_A_MARK = 0.8  # cells from its middle: half a diagonal, and a little for what drifts
 _EXPLAINS = 0.5  # cells beyond the reading in which a mark still explains it
 _MARGIN_SD = 0.02 / 3  # [m] standard deviation of the own position that the law's margin has room for
 _DEAF = 0.3  # [s] without an honest firing after which a sonar is not to be believed
@@ -208,7 +209,7 @@ class _Builder:
             self._corrected(given["samples"]),
             fresh=given["fresh"],
             closing=ca.vertcat(*(ca.dot(velocity, axis) for axis in axes)),
-            expected=walls,
+            expected=ca.fmax(walls, array.lowest / array.scale + array.resolution),  # from behind it reads the same
             turn=around.nu[3],
             prefix="sonar_",
         )
@@ -355,7 +356,7 @@ class _Builder:
         blank = []
         for k in range(chart.sectors):
             at = marked[3 * k : 3 * k + 3]
-            row = ca.horzcat((position + at[:2]).T, _DIAGONAL * edge + seen["doubt"], 0, 0, 1)
+            row = ca.horzcat((position + at[:2]).T, _AROUND_A_MARK * edge + seen["doubt"], 0, 0, 1)
             contacts.append(ca.if_else(at[2] < _FAR, row, ca.SX.zeros(1, 6)))
             at = unknown[3 * k : 3 * k + 3]
             there = at[2] < _FAR

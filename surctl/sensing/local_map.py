@@ -38,7 +38,9 @@ RING = 1.5
 """Cells beside the hull that no beam sees whole: what is unknown there does not count, so none may come in unknown."""
 
 _READING_SIZE = sum(size for _, size, _ in READING)
-_OF_THE_BEAM = 0.4  # of a beam's half width: of one that is narrower than a cell the middle clears
+_INSIDE, _INSIDE_MORE = 0.6, 0.01  # cells, and m: how deep inside a beam a cell must lie to be cleared
+# of half the beam's width, where the beam is narrower than that: its middle clears, its turn shows the rest
+_OF_THE_UNKNOWN, _OF_A_MARK = 0.4, 0.75
 _NOWHERE = 1e6  # cells; lowest corner of a window that has never been
 _FAR = 1e6  # m², of a block without such a cell
 
@@ -198,7 +200,7 @@ class LocalMap:
                 marked = ca.logic_and(
                     self._on_arc(line[s], slot, edge), ca.logic_or(value >= -self.known, ca.logic_not(found[s]))
                 )
-                value = ca.if_else(self._in_front(line[s], slot, edge), -1, ca.if_else(marked, 1, value))
+                value = ca.if_else(self._in_front(line[s], slot, edge, value), -1, ca.if_else(marked, 1, value))
             value = ca.if_else(square < inside, -1, value)
             cells.append(value)
             here = ca.vertcat(dx, dy, square)
@@ -244,10 +246,11 @@ class LocalMap:
         """Distance into the cone from its nearer edge [m]."""
         return line[0] * slot["half"][1] - line[1] * slot["half"][0]
 
-    def _in_front(self, line: ca.SX, slot: dict[str, ca.SX], edge: ca.SX) -> ca.SX:
+    def _in_front(self, line: ca.SX, slot: dict[str, ca.SX], edge: ca.SX, value: ca.SX) -> ca.SX:
         """Whether the whole cell is free: half a cell inside the cone, short of what was heard."""
-        wide = ca.fmin(0.6 * edge + 0.01, _OF_THE_BEAM * line[0] * slot["half"][1])
-        return ca.logic_and(self._inside(line, slot) > wide, line[2] < slot["clear"] * slot["clear"])
+        whole, beam = _INSIDE * edge + _INSIDE_MORE, line[0] * slot["half"][1]
+        deep = ca.fmin(whole, ca.if_else(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN) * beam)
+        return ca.logic_and(self._inside(line, slot) > deep, line[2] < slot["clear"] * slot["clear"])
 
     def _on_arc(self, line: ca.SX, slot: dict[str, ca.SX], edge: ca.SX) -> ca.SX:
         """Whether any of the cell may be what was heard."""
