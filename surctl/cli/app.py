@@ -8,6 +8,7 @@ import warnings
 import click
 
 from surctl import __version__
+from surctl.cli.calibrate import calibrate
 from surctl.cli.export import export
 from surctl.cli.lint import lint
 from surctl.cli.listing import listing
@@ -30,7 +31,7 @@ def app() -> None:
     """
 
 
-for _command in (study, simulate, sweep, tune, verify, export, lint, listing):
+for _command in (study, simulate, sweep, tune, verify, export, calibrate, lint, listing):
     app.add_command(_command)
 
 

@@ -1,8 +1,10 @@
 """Pictures, and the self-contained HTML page."""
 
+from surctl.report.calibration_plots import plot_calibration
 from surctl.report.data import ExportSummary, ReportData
 from surctl.report.evidence import MarginSlice, margin_slice, plot_counterexample, plot_replay, plot_slice
 from surctl.report.files import (
+    save_calibrations,
     save_heat_map,
     save_locus,
     save_parallel,
@@ -31,6 +33,7 @@ __all__ = [
     "loop_responses",
     "margin_slice",
     "plot_bode",
+    "plot_calibration",
     "plot_counterexample",
     "plot_front",
     "plot_goal_bars",
@@ -46,6 +49,7 @@ __all__ = [
     "plot_sensitivity",
     "plot_slice",
     "render_page",
+    "save_calibrations",
     "save_heat_map",
     "save_locus",
     "save_parallel",

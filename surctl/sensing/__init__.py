@@ -2,6 +2,16 @@
 
 from surctl.sensing.array import SonarArray, fire, true_range
 from surctl.sensing.base_station import BaseStation, OwnState
+from surctl.sensing.calibration import OUTLIER_RULE, Calibration, Estimate, calibrate
+from surctl.sensing.calibration_file import (
+    SensorCalibration,
+    calibrate_file,
+    calibrate_table_ii,
+    calibration_rows,
+    file_stems,
+    pick_calibration,
+    sonar_fragment,
+)
 from surctl.sensing.echo import heard_samples, range_to_box, range_to_disc, range_to_walls
 from surctl.sensing.estimate import ContactMemory, Contacts, expected_range, sonar_contacts
 from surctl.sensing.filters import FilterUpdate, LmsStep, SensorFilter, gate, lms_step, weighted_average
@@ -10,27 +20,38 @@ from surctl.sensing.table2 import RangeTest, table_ii
 
 __all__ = [
     "NOISE_STATE",
+    "OUTLIER_RULE",
     "BaseStation",
+    "Calibration",
     "ContactMemory",
     "Contacts",
+    "Estimate",
     "FilterUpdate",
     "LmsStep",
     "NoiseStream",
     "OwnState",
     "RangeTest",
+    "SensorCalibration",
     "SensorFilter",
     "SonarArray",
+    "calibrate",
+    "calibrate_file",
+    "calibrate_table_ii",
+    "calibration_rows",
     "draw_normals",
     "expected_range",
+    "file_stems",
     "fire",
     "gate",
     "heard_samples",
     "lms_step",
     "noise_states",
+    "pick_calibration",
     "range_to_box",
     "range_to_disc",
     "range_to_walls",
     "sonar_contacts",
+    "sonar_fragment",
     "table_ii",
     "true_range",
     "weighted_average",
