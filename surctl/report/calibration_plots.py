@@ -30,7 +30,7 @@ def plot_calibration(one: SensorCalibration, ax: Sequence[Axes] | None = None) -
     """
     if ax is None:
         figure = new_figure(8.0, 6.4)
-        title = f"Calibration of {one.title}: {len(one.found.true)} rows"
+        title = f"Calibration, {one.title}: {len(one.found.true)} rows"
         figure.suptitle(printable(title), fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
         ax = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2)).ravel().tolist()
     plot_errors(one, ax[0]).set_xlabel("")
@@ -51,8 +51,8 @@ def plot_errors(one: SensorCalibration, ax: Axes | None = None) -> Axes:
         label="line ± 1.96 sd",
     )  # fmt: skip
     shown = _share(found.true, found.outliers)
-    ax.plot(found.true[shown], 1e3 * found.errors[shown], "o", color=ROBOT, markersize=4, label="row")
-    ax.plot(at, 1e3 * line, color=INK, linewidth=1.5, label="fitted line")
+    ax.plot(found.true[shown], 1e3 * found.errors[shown], "o", color=ROBOT, label="row", **_dot(shown))
+    ax.plot(at, 1e3 * line, color=INK, linewidth=1.5, label="fitted line", zorder=3)
     if len(found.outliers):
         ax.plot(
             found.true[found.outliers], 1e3 * found.errors[found.outliers], "s", color=AVOIDING, markersize=8,
@@ -72,7 +72,7 @@ def plot_studentised(one: SensorCalibration, ax: Axes | None = None) -> Axes:
     ax.axhline(0.0, color=MUTED, linewidth=0.9)
     for sign in (1, -1):
         ax.axhline(sign * bound, color=BAD, linewidth=1.0, linestyle="--", label="outlier bound" if sign > 0 else "")
-    ax.plot(found.true[shown], values[shown], "o", color=ROBOT, markersize=4)
+    ax.plot(found.true[shown], values[shown], "o", color=ROBOT, **_dot(shown))
     if len(found.outliers):
         beyond = np.abs(found.studentised[found.outliers]) > 3.0 * bound
         label = "outlier, kept (held to the axis)" if beyond.any() else "outlier, kept"
@@ -88,6 +88,10 @@ def _share(true: NDArray[np.float64], outliers: NDArray[np.intp]) -> NDArray[np.
     """Indices of an even share of the rows, and of every outlier."""
     even = np.linspace(0, len(true) - 1, min(len(true), _DOTS)).astype(np.intp)
     return np.union1d(even, outliers)
+
+
+def _dot(shown: NDArray[np.intp]) -> dict[str, float]:
+    return {"markersize": 4.0} if len(shown) <= 400 else {"markersize": 2.0, "alpha": 0.5}
 
 
 def _axes(ax: Axes | None, *, y: str) -> Axes:

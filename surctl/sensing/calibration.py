@@ -86,6 +86,7 @@ class Calibration:
         relative_sd: (n,) fitted sd at each row over `noise_sd`.
         studentised: (n,) residual over its own sd, without that row.
         outliers: (k,) indices that `OUTLIER_RULE` marks.
+        rests_on_outliers: the noise depends on range at the 5 % level, and without the outliers it does not.
     """
 
     true: NDArray[np.float64]
@@ -102,6 +103,7 @@ class Calibration:
     relative_sd: NDArray[np.float64]
     studentised: NDArray[np.float64]
     outliers: NDArray[np.intp]
+    rests_on_outliers: bool
 
     @property
     def errors(self) -> NDArray[np.float64]:
@@ -144,6 +146,7 @@ class Calibration:
             "residuals_m": self.residuals.tolist() if len(self.true) <= _MOST_LISTED else None,
             "noise_slope_p": self.noise_slope_p,
             "noise_varies": self.varies,
+            "noise_rests_on_outliers": self.rests_on_outliers,
             "rms_error_m": self.rms,
             "largest_error_m": float(self.errors[self.largest]),
             "largest_error_at_m": float(self.true[self.largest]),
@@ -174,6 +177,7 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
         return rows(
             bias=bias, scale=scale, noise_sd=Estimate(0.0, 0.0, 0.0), noise_at_zero=None, noise_slope=None,
             noise_slope_p=None, relative_sd=np.ones(n), studentised=np.zeros(n), outliers=np.empty(0, dtype=np.intp),
+            rests_on_outliers=False,
         )  # fmt: skip
     shape = noise_shape(x, plain.residuals) if n >= LEAST_ROWS_OF_SLOPE else None
     if shape is not None and shape.p < _LEVEL:
@@ -185,11 +189,21 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
         bias, scale = (_around(v, sd, n - 2) for v, sd in zip(plain.beta, plain.beta_sd, strict=True))
         level, at_zero, relative = _of_sd(plain.sd, n - 2), None, np.ones(n)
     studentised = studentised_residuals(fit_line(x, y, relative))
+    marked = np.abs(studentised) > _bound(n)
     return rows(
         bias=bias, scale=scale, noise_sd=level, noise_at_zero=at_zero,
         noise_slope=None if shape is None else Estimate(*shape.s1), noise_slope_p=None if shape is None else shape.p,
-        relative_sd=relative, studentised=studentised, outliers=np.flatnonzero(np.abs(studentised) > _bound(n)),
+        relative_sd=relative, studentised=studentised, outliers=np.flatnonzero(marked),
+        rests_on_outliers=at_zero is not None and bool(marked.any()) and not _varies(x[~marked], y[~marked]),
     )  # fmt: skip
+
+
+def _varies(x: NDArray[np.float64], y: NDArray[np.float64]) -> bool:
+    """Whether the noise of these rows depends on range at the 5 % level."""
+    if len(x) < LEAST_ROWS_OF_SLOPE or len(np.unique(x)) < LEAST_DISTANCES:
+        return False
+    line = fit_line(x, y, np.ones(len(x)))
+    return line.sd > _EXACT * float(x.max()) and noise_shape(x, line.residuals).p < _LEVEL
 
 
 def _bound(n: int) -> float:

@@ -61,18 +61,20 @@ class SensorCalibration:
 
     @property
     def title(self) -> str:
-        """Sensor and medium for people, "all rows" without either."""
+        """Sensor and medium for people, "one sensor" without either."""
         parts = [f"sensor {self.sensor}" if self.sensor else "", self.medium]
-        return ", ".join(p for p in parts if p) or "all rows"
+        return ", ".join(p for p in parts if p) or "one sensor"
 
     @property
     def notes(self) -> list[str]:
         """What a reader should know of the rows, a sentence each."""
         said = []
         if self.skipped:
-            said.append(f"{self.skipped} rows skipped: a number is missing, NaN or infinite")
+            said.append(f"rows skipped because a number is missing, NaN or infinite: {self.skipped}")
         if self.unsorted:
-            said.append(f"{self.unsorted} rows were not in ascending order of true distance; sorted")
+            said.append(f"rows that were not in ascending order of true distance, and were sorted: {self.unsorted}")
+        if self.found.rests_on_outliers:
+            said.append("that the noise depends on range rests on the outliers: without them it does not; see to them")
         if self.found.true[-1] > _FAR:
             said.append(f"distances reach {self.found.true[-1]:.4g} m: check that the column's unit is right")
         return said

@@ -165,6 +165,18 @@ def test_one_row_off_a_perfect_line_is_the_outlier() -> None:
     assert found.outliers.tolist() == [4] and np.all(np.isfinite(found.studentised))
 
 
+def test_a_slope_of_the_noise_that_rests_on_one_outlier_is_told() -> None:
+    rng = np.random.default_rng(6)
+    x, y = drawn(rng, 40, 0.01, 0.0)
+    y[1] += 0.3
+    found = calibrate(x, y)
+    assert found.varies and found.outliers.tolist() == [1] and found.rests_on_outliers
+    x, y = drawn(rng, 80, 0.0005, 0.02)
+    y[40] += 1.0
+    found = calibrate(x, y)
+    assert found.varies and found.outliers.tolist() == [40] and not found.rests_on_outliers
+
+
 def test_repeated_distances_of_coarse_readings_are_fitted() -> None:
     x = np.repeat([0.5, 1.0, 2.0], 4)
     y = np.round(x + np.tile([0.0, 0.0, 0.01, -0.01], 3), 2)

@@ -39,7 +39,7 @@ def table(factor: float = 1.0, unit: str = "m", extra: str = "") -> str:
 def test_units_go_by_the_suffix(tmp_path: Path, unit: str, factor: float) -> None:
     (one,) = calibrate_file(written(tmp_path, table(factor, unit)))
     assert one.found.bias.to_list() == pytest.approx(calibrate(TRUE, MEASURED).bias.to_list(), abs=1e-9)
-    assert one.notes == [] and one.title == "all rows" and one.lines.tolist() == list(range(2, 22))
+    assert one.notes == [] and one.title == "one sensor" and one.lines.tolist() == list(range(2, 22))
 
 
 def test_rows_without_numbers_are_skipped_and_unsorted_ones_sorted(tmp_path: Path) -> None:
@@ -47,7 +47,7 @@ def test_rows_without_numbers_are_skipped_and_unsorted_ones_sorted(tmp_path: Pat
     assert one.skipped == 3 and one.unsorted == 2
     assert one.lines[0] == 26 and one.found.true[0] == 0.25
     assert np.all(np.diff(one.found.true) >= 0)
-    assert [note.split()[0] for note in one.notes] == ["3", "2"]
+    assert [note.split()[-1] for note in one.notes] == ["3", "2"]
 
 
 def test_each_sensor_and_medium_has_its_own(tmp_path: Path) -> None:
