@@ -16,6 +16,14 @@ from surctl.sensing.echo import heard_samples, range_to_box, range_to_disc, rang
 from surctl.sensing.estimate import ContactMemory, Contacts, expected_range, sonar_contacts
 from surctl.sensing.filters import FilterUpdate, LmsStep, SensorFilter, gate, lms_step, weighted_average
 from surctl.sensing.noise import NOISE_STATE, NoiseStream, draw_normals, noise_states
+from surctl.sensing.plain import (
+    PlainLmsStep,
+    PlainUpdate,
+    plain_average,
+    plain_filter,
+    plain_gate,
+    plain_lms_step,
+)
 from surctl.sensing.table2 import RangeTest, table_ii
 
 __all__ = [
@@ -30,6 +38,8 @@ __all__ = [
     "LmsStep",
     "NoiseStream",
     "OwnState",
+    "PlainLmsStep",
+    "PlainUpdate",
     "RangeTest",
     "SensorCalibration",
     "SensorFilter",
@@ -47,6 +57,10 @@ __all__ = [
     "lms_step",
     "noise_states",
     "pick_calibration",
+    "plain_average",
+    "plain_filter",
+    "plain_gate",
+    "plain_lms_step",
     "range_to_box",
     "range_to_disc",
     "range_to_walls",

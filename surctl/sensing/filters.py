@@ -22,8 +22,8 @@ __all__ = ["FilterUpdate", "LmsStep", "SensorFilter", "StepRule", "gate", "lms_s
 StepRule: TypeAlias = Literal["corrected", "printed"]
 """Which step factor μ of Algorithm 1: `corrected`, at most the line-search optimum, or `printed` (E5)."""
 
-_POWER_FLOOR = 1e-6  # m², far below any XᵀX of real ranges
-_ERROR_FLOOR = 1e-9  # m
+POWER_FLOOR = 1e-6  # m², far below any XᵀX of real ranges
+ERROR_FLOOR = 1e-9  # m
 
 
 def weighted_average(samples: ca.SX) -> ca.SX:
@@ -120,8 +120,8 @@ def lms_step(
     weights = ca.DM([(n - i) / n for i in range(n)])
     corrected = ca.dot(weights, history) / n
     rho = 2.0 if step == "printed" else ca.fmax(0.0, ca.fmin(relaxation, 1.0))
-    beta = ca.fmax(0.0, ca.fmin(beta_max, 0.5)) * ca.fmin(1.0, corrected / ca.fmax(mean_error, _ERROR_FLOOR))
-    power = ca.fmax(ca.dot(X, X), _POWER_FLOOR)
+    beta = ca.fmax(0.0, ca.fmin(beta_max, 0.5)) * ca.fmin(1.0, corrected / ca.fmax(mean_error, ERROR_FLOOR))
+    power = ca.fmax(ca.dot(X, X), POWER_FLOOR)
     moved = theta + rho * residual / power * X + beta * (theta - theta_prev)
     return LmsStep(
         theta=ca.if_else(corrected >= mean_error, moved, theta),

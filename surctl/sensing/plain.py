@@ -1,0 +1,194 @@
+"""The numeric twins of `filters`: the same rules on NumPy arrays, for recorded readings and for many runs at once.
+
+Leading axes are free: runs, sensors. State goes in and comes out; nothing is changed in place. Windows and histories
+hold the newest value first. Ranges in metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.sensing.filters import ERROR_FLOOR, POWER_FLOOR, SensorFilter, StepRule
+
+__all__ = ["PlainLmsStep", "PlainUpdate", "plain_average", "plain_filter", "plain_gate", "plain_lms_step"]
+
+Array = NDArray[np.float64]
+
+
+def plain_average(samples: Array) -> Array:
+    """`weighted_average` of samples (..., k) [m], oldest first: (...)."""
+    weights = np.arange(1.0, samples.shape[-1] + 1.0)
+    mean: Array = samples @ weights / weights.sum()
+    return mean
+
+
+def plain_gate(window: Array, value: Array, *, lambda1: ArrayLike, resolution: float) -> tuple[Array, Array, Array]:
+    """`gate` (4)–(5).
+
+    Args:
+        window: (..., n) the last averaged raw values [m].
+        value: (...) the new one [m].
+        lambda1: λ1 ≥ 0.
+        resolution: one conversion step [m].
+
+    Returns:
+        gated value (...) [m], accepted (...) as 0 or 1, next window (..., n).
+    """
+    mean = window.mean(axis=-1)
+    variance = np.mean(window * window, axis=-1) - mean * mean
+    spread = np.maximum(np.sqrt(np.maximum(variance, 0.0)), resolution)
+    accepted = np.abs(value - window[..., 0]) < np.asarray(lambda1) * spread
+    return np.where(accepted, value, mean), accepted.astype(float), _pushed(window, value)
+
+
+class PlainLmsStep(NamedTuple):
+    """As `LmsStep`, arrays."""
+
+    theta: Array
+    """(..., m) θ_{n+1}."""
+    errors: Array
+    """(..., N) the last |ℜ| [m]."""
+    mean_error: Array
+    """(...) ē [m]."""
+    residual: Array
+    """(...) ℜ_n [m]."""
+    corrected_error: Array
+    """(...) e_n of (7) [m]."""
+
+
+def plain_lms_step(
+    theta: Array,
+    theta_prev: Array,
+    *,
+    X: Array,
+    x_n: Array,
+    errors: Array,
+    mean_error: Array,
+    relaxation: ArrayLike,
+    beta_max: ArrayLike,
+    step: StepRule = "corrected",
+) -> PlainLmsStep:
+    """`lms_step`, Algorithm 1 with (6)–(7).
+
+    Args:
+        theta: θ_n (..., m).
+        theta_prev: θ_{n−1} (..., m).
+        X: (..., m) the values before x_n [m].
+        x_n: (...) the value to be predicted [m].
+        errors: (..., N) [m].
+        mean_error: (...) ē before this step [m].
+        relaxation: ρ, held to [0, 1].
+        beta_max: held to [0, 0.5].
+        step: the rule for μ.
+
+    Raises:
+        InputError: unknown `step`.
+    """
+    if step not in get_args(StepRule):
+        raise InputError("unknown LMS step", key="step", value=step, remedy=nearest(step, get_args(StepRule)))
+    n = errors.shape[-1]
+    residual = np.asarray(x_n - np.sum(theta * X, axis=-1))
+    history = _pushed(errors, np.abs(residual))
+    corrected = history @ ((n - np.arange(n)) / n) / n
+    rho = np.asarray(2.0) if step == "printed" else np.clip(relaxation, 0.0, 1.0)
+    beta = np.clip(beta_max, 0.0, 0.5) * np.minimum(1.0, corrected / np.maximum(mean_error, ERROR_FLOOR))
+    power = np.maximum(np.sum(X * X, axis=-1), POWER_FLOOR)
+    moved = theta + (rho * residual / power)[..., None] * X + beta[..., None] * (theta - theta_prev)
+    return PlainLmsStep(
+        theta=np.where((corrected >= mean_error)[..., None], moved, theta),
+        errors=history,
+        mean_error=mean_error + (corrected - mean_error) / n,
+        residual=residual,
+        corrected_error=corrected,
+    )
+
+
+class PlainUpdate(NamedTuple):
+    """As `FilterUpdate`, arrays."""
+
+    state: dict[str, Array]
+    """Next state, keyed as the ports are named."""
+    range_hat: Array
+    """(..., n) range from each apex to act on [m]."""
+    healthy: Array
+    """(..., n) 1 when the range may be believed, else 0."""
+
+
+def plain_filter(
+    filter_: SensorFilter,
+    state: Mapping[str, Array],
+    samples: Array,
+    *,
+    fresh: Array,
+    gains: Mapping[str, ArrayLike],
+    prefix: str = "",
+) -> PlainUpdate:
+    """`SensorFilter.update`.
+
+    Args:
+        filter_: the filter.
+        state: by port name, each (..., *port.shape).
+        samples: (..., n, k) [m].
+        fresh: (..., n) 1 for a sensor that fired, else 0.
+        gains: by port name, scalars.
+        prefix: of the names of state and gains.
+    """
+    old = {port.name.removeprefix(prefix): state[port.name] for port in filter_.ports(prefix)}
+    new = _fired(filter_, old, samples, {name: float(np.asarray(gains[prefix + name]).item()) for name in _GAINS})
+    fired = fresh > 0.5
+    after = {
+        name: np.where(fired if value.ndim == fired.ndim else fired[..., None], new[name], value)
+        for name, value in old.items()
+    }
+    predicted = np.sum(after["theta"] * after["history"], axis=-1)
+    ahead = np.minimum(after["history"][..., 0], predicted)
+    return PlainUpdate(
+        {prefix + name: value for name, value in after.items()},
+        np.clip(ahead, filter_.array.minimum, filter_.array.maximum),
+        (after["refused"] < filter_.refusals).astype(float),
+    )
+
+
+_GAINS = ("lambda1", "relaxation", "beta_max")
+
+
+def _fired(
+    filter_: SensorFilter, old: Mapping[str, Array], samples: Array, gains: Mapping[str, float]
+) -> dict[str, Array]:
+    """Next state of sensors that fired, by unprefixed name."""
+    lambda1 = gains["lambda1"]
+    gated, accepted, window = plain_gate(
+        old["window"], plain_average(samples), lambda1=lambda1, resolution=filter_.array.resolution
+    )
+    lms = plain_lms_step(
+        old["theta"],
+        old["theta_prev"],
+        X=old["history"],
+        x_n=gated,
+        errors=old["errors"],
+        mean_error=old["mean_error"],
+        relaxation=gains["relaxation"],
+        beta_max=gains["beta_max"],
+        step=filter_.step,
+    )
+    anew = (accepted > 0.5) & (np.abs(gated - old["history"][..., 0]) > filter_.jump)
+    wide, uniform = anew[..., None], 1.0 / filter_.taps
+    refused = np.minimum(old["refused"] + 1.0, float(filter_.refusals))
+    return {
+        "window": window,
+        "history": np.where(wide, gated[..., None], _pushed(old["history"], gated)),
+        "theta": np.where(wide, uniform, lms.theta),
+        "theta_prev": np.where(wide, uniform, old["theta"]),
+        "errors": np.where(wide, old["errors"], lms.errors),
+        "mean_error": np.where(anew, old["mean_error"], lms.mean_error),
+        "refused": np.where((accepted > 0.5) | (not lambda1 > 0), 0.0, refused),
+    }
+
+
+def _pushed(window: Array, value: Array) -> Array:
+    return np.concatenate([np.asarray(value)[..., None], window[..., :-1]], axis=-1)
