@@ -10,6 +10,7 @@ from surctl.report.files import (
     save_parallel,
     save_run,
     save_sensitivity,
+    save_sonar_replay,
     save_tuning,
 )
 from surctl.report.goals import GoalBars, GoalView, goal_bars, goal_view, plot_front, plot_goal_bars, plot_goal_view
@@ -18,6 +19,7 @@ from surctl.report.locus import plot_locus
 from surctl.report.loops import LoopResponse, loop_responses, plot_bode, plot_nyquist, plot_poles
 from surctl.report.page import render_page, write_page
 from surctl.report.plan_view import plot_run
+from surctl.report.replay_plots import plot_replay_sensor, plot_sonar_replay
 from surctl.report.signals import plot_run_signals
 from surctl.report.sweep_plots import plot_parallel, plot_sensitivity
 
@@ -44,10 +46,12 @@ __all__ = [
     "plot_parallel",
     "plot_poles",
     "plot_replay",
+    "plot_replay_sensor",
     "plot_run",
     "plot_run_signals",
     "plot_sensitivity",
     "plot_slice",
+    "plot_sonar_replay",
     "render_page",
     "save_calibrations",
     "save_heat_map",
@@ -55,6 +59,7 @@ __all__ = [
     "save_parallel",
     "save_run",
     "save_sensitivity",
+    "save_sonar_replay",
     "save_tuning",
     "write_page",
 ]

@@ -51,7 +51,7 @@ def plot_errors(one: SensorCalibration, ax: Axes | None = None) -> Axes:
         label="line ± 1.96 sd",
     )  # fmt: skip
     shown = _share(found.true, found.outliers)
-    ax.plot(found.true[shown], 1e3 * found.errors[shown], "o", color=ROBOT, label="row", **_dot(shown))
+    ax.plot(found.true[shown], 1e3 * found.errors[shown], "o", color=ROBOT, label="row", markersize=_size(shown))
     ax.plot(at, 1e3 * line, color=INK, linewidth=1.5, label="fitted line", zorder=3)
     if len(found.outliers):
         ax.plot(
@@ -72,7 +72,7 @@ def plot_studentised(one: SensorCalibration, ax: Axes | None = None) -> Axes:
     ax.axhline(0.0, color=MUTED, linewidth=0.9)
     for sign in (1, -1):
         ax.axhline(sign * bound, color=BAD, linewidth=1.0, linestyle="--", label="outlier bound" if sign > 0 else "")
-    ax.plot(found.true[shown], values[shown], "o", color=ROBOT, **_dot(shown))
+    ax.plot(found.true[shown], values[shown], "o", color=ROBOT, markersize=_size(shown))
     if len(found.outliers):
         beyond = np.abs(found.studentised[found.outliers]) > 3.0 * bound
         label = "outlier, kept (held to the axis)" if beyond.any() else "outlier, kept"
@@ -90,8 +90,8 @@ def _share(true: NDArray[np.float64], outliers: NDArray[np.intp]) -> NDArray[np.
     return np.union1d(even, outliers)
 
 
-def _dot(shown: NDArray[np.intp]) -> dict[str, float]:
-    return {"markersize": 4.0} if len(shown) <= 400 else {"markersize": 2.0, "alpha": 0.5}
+def _size(shown: NDArray[np.intp]) -> float:
+    return 4.0 if len(shown) <= 400 else 1.5
 
 
 def _axes(ax: Axes | None, *, y: str) -> Axes:

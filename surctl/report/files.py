@@ -15,10 +15,11 @@ from surctl.report.goals import goal_bars, goal_view, plot_front, plot_goal_bars
 from surctl.report.heat_map import plot_heat_map
 from surctl.report.locus import plot_locus
 from surctl.report.plan_view import plot_run
+from surctl.report.replay_plots import plot_sonar_replay
 from surctl.report.signals import plot_run_signals
 from surctl.report.sweep_plots import plot_parallel, plot_sensitivity
 from surctl.report.theme import new_figure
-from surctl.sensing import SensorCalibration, file_stems
+from surctl.sensing import Replay, SensorCalibration, file_stems
 from surctl.simulation import Run
 from surctl.tuning import Sensitivity, SweepTable, Tuning
 from surctl.verification import Locus
@@ -30,6 +31,7 @@ __all__ = [
     "save_parallel",
     "save_run",
     "save_sensitivity",
+    "save_sonar_replay",
     "save_tuning",
 ]
 
@@ -106,6 +108,11 @@ def save_calibrations(results: Sequence[SensorCalibration], folder: Path | str) 
         _save(plot_calibration(one), Path(folder), (f"calibration{stem}",))
         for one, stem in zip(results, stems, strict=True)
     ]
+
+
+def save_sonar_replay(replayed: Replay, folder: Path | str, *, title: str = "") -> Path:
+    """Raw and filtered ranges of a recording as a PNG; the path written. InputError if the folder cannot be written."""
+    return _save(plot_sonar_replay(replayed, title=title), Path(folder), ("sonar-replay",))
 
 
 def _save(figure: Figure, folder: Path, what: tuple[str, ...]) -> Path:

@@ -24,6 +24,8 @@ from surctl.sensing.plain import (
     plain_gate,
     plain_lms_step,
 )
+from surctl.sensing.replay import Readings, Replay, SensorSummary, Tracked, replay, track
+from surctl.sensing.replay_file import Recording, filtered_rows, read_readings, sonar_array
 from surctl.sensing.table2 import RangeTest, table_ii
 
 __all__ = [
@@ -41,9 +43,14 @@ __all__ = [
     "PlainLmsStep",
     "PlainUpdate",
     "RangeTest",
+    "Readings",
+    "Recording",
+    "Replay",
     "SensorCalibration",
     "SensorFilter",
+    "SensorSummary",
     "SonarArray",
+    "Tracked",
     "calibrate",
     "calibrate_file",
     "calibrate_table_ii",
@@ -51,6 +58,7 @@ __all__ = [
     "draw_normals",
     "expected_range",
     "file_stems",
+    "filtered_rows",
     "fire",
     "gate",
     "heard_samples",
@@ -64,9 +72,13 @@ __all__ = [
     "range_to_box",
     "range_to_disc",
     "range_to_walls",
+    "read_readings",
+    "replay",
+    "sonar_array",
     "sonar_contacts",
     "sonar_fragment",
     "table_ii",
+    "track",
     "true_range",
     "weighted_average",
 ]
