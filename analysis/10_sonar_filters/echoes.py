@@ -88,7 +88,9 @@ def approach(
     else:
         box = np.column_stack([np.full(runs, front + 0.5 * BOX[0]), rng.uniform(-0.5, 0.5, runs)])
     if kind.startswith("tank"):
-        walls = np.column_stack([-rng.uniform(1, 4, runs), np.zeros(runs), -rng.uniform(1.0, 4.0, runs), np.zeros(runs)])
+        walls = np.column_stack(
+            [-rng.uniform(1, 4, runs), np.zeros(runs), -rng.uniform(1.0, 4.0, runs), np.zeros(runs)]
+        )
         walls[:, 1], walls[:, 3] = walls[:, 0] + 10.0, walls[:, 2] + 5.0
     truth = np.minimum(_ranges(x, y, heading, walls, box), 2 * ARRAY.maximum)
     if known:
@@ -150,6 +152,8 @@ def _ranges(x: Array, y: Array, heading: Array, walls: Array, box: Array) -> Arr
     found = np.empty((runs, steps, ARRAY.size))
     mapped = function.map(steps)
     for r in range(runs):
-        once = mapped(np.vstack([x[r], y[r]]), heading[r], np.tile(walls[r], (steps, 1)).T, np.tile(box[r], (steps, 1)).T)
+        once = mapped(
+            np.vstack([x[r], y[r]]), heading[r], np.tile(walls[r], (steps, 1)).T, np.tile(box[r], (steps, 1)).T
+        )
         found[r] = np.asarray(once).T
     return found

@@ -24,6 +24,7 @@ from surctl.sensing.plain import (
     plain_gate,
     plain_lms_step,
 )
+from surctl.sensing.ranging import RangeTracker, Ranging
 from surctl.sensing.replay import Readings, Replay, SensorSummary, Tracked, replay, track
 from surctl.sensing.replay_file import Recording, filtered_rows, read_readings, sonar_array
 from surctl.sensing.table2 import RangeTest, table_ii
@@ -43,6 +44,8 @@ __all__ = [
     "PlainLmsStep",
     "PlainUpdate",
     "RangeTest",
+    "RangeTracker",
+    "Ranging",
     "Readings",
     "Recording",
     "Replay",

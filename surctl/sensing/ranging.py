@@ -22,7 +22,8 @@ from surctl.errors import InputError
 from surctl.ir import Port
 from surctl.sensing.array import SonarArray
 from surctl.sensing.elementwise import NUMBERS, SYMBOLS
-from surctl.sensing.ranging_rules import Rules, Seen, tick
+from surctl.sensing.ranging_rules import tick
+from surctl.sensing.ranging_scene import Rules, Seen
 
 __all__ = ["RangeTracker", "Ranging"]
 
@@ -80,7 +81,13 @@ class RangeTracker:
 
     def __post_init__(self) -> None:
         """Check the values; InputError names the wrong one."""
-        for name, unit in (("dt", "s"), ("tolerance", "m"), ("yaw_tolerance", "rad"), ("longest_delay", "s"), ("hold", "s")):
+        for name, unit in (
+            ("dt", "s"),
+            ("tolerance", "m"),
+            ("yaw_tolerance", "rad"),
+            ("longest_delay", "s"),
+            ("hold", "s"),
+        ):
             value = getattr(self, name)
             if not (isfinite(value) and value > 0):
                 raise InputError("must be greater than 0", key=f"tracker.{name}", value=value, remedy=f"give {unit}")
@@ -205,8 +212,8 @@ class RangeTracker:
             for port in self.ports(prefix)
         }
         columns = [samples[..., j] for j in range(self.array.samples)]
-        given = (np.asarray(v, dtype=float) for v in (fresh, closing, expected))
-        after, found = tick(NUMBERS, self.rules(), old, Seen(columns, *given, np.asarray(turn, dtype=float)[..., None]))
+        fired, own, walls, beside = (np.asarray(v, dtype=float) for v in (fresh, closing, expected, turn))
+        after, found = tick(NUMBERS, self.rules(), old, Seen(columns, fired, own, walls, beside[..., None]))
         lead = samples.shape[:-1]
         new = {
             prefix + name: np.stack([np.broadcast_to(c, lead) for c in v], axis=-1)
@@ -242,7 +249,7 @@ class RangeTracker:
             longest_delay=self.longest_delay,
             hold=self.hold,
             repeats=self.repeats,
-            one_repeat=0 < self.repeats and _chance_of_equal_sets(a) < _REPEAT,
+            one_repeat=self.repeats > 0 and _chance_of_equal_sets(a) < _REPEAT,
         )
 
     @property
@@ -261,5 +268,3 @@ def _chance_of_equal_sets(array: SonarArray) -> float:
         below = np.array([0.5 * (1.0 + erf(edge)) for edge in edges])
         largest = max(largest, float(np.sum(np.diff(below) ** 2)))
     return largest**array.samples
-
-

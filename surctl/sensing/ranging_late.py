@@ -1,0 +1,78 @@
+"""Whether a stream that came back after a gap is late, by the known walls or by the robot's own motion."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from surctl.sensing.elementwise import Value
+from surctl.sensing.ranging_scene import Step
+
+__all__ = ["Late", "lateness"]
+
+_SMALL, _TELLING, _TELLING_WALL = 0.025, 0.035, 0.05  # m, shifts of a late stream
+_TRACK_SPREAD, _WALL_SPREAD = 0.012, 0.02  # m, of residuals on the old track, and on the expected range
+_TRACK_GATE = _WALL_GATE = 0.05  # m
+_EVIDENCE, _LOOKS, _LOOKS_WALL = 60.0, 4, 6  # variances, and readings
+_FORGET = 0.95  # what of the old evidence stays
+
+
+class Late(NamedTuple):
+    """What a stream that may be late means at this step."""
+
+    late_by: Value
+    late: Value
+    away: Value  # a late reading less the present range
+    undecided: Value  # and it matters
+    judging: Value  # this reading is evidence, and so not one for the track
+
+
+def lateness(step: Step, sound: Value, reading: Value) -> Late:
+    """After a gap the stream may be late by the gap: compare it with the known walls, or with the old track.
+
+    A late reading is the range of `late_by` ago, longer by a shift that the known walls give, or own motion. The
+    residuals of the readings on the shift give the share of it that is real: 0 for a true stream, 1 for a late one.
+    """
+    op, rules, old, state, _, scene = step
+    missing = op.floor(state["since"] / rules.due + 0.5) - 1.0
+    lost = missing * rules.due
+    gap = op.both(scene.fired, missing > 0.5, lost <= rules.longest_delay + 0.5 * rules.dt, state["known"] > 0.5)
+    late_by = op.where(gap, op.most(old["late_by"], lost), old["late_by"])
+    away, wall_then = 0.0 * late_by, scene.expected + 0.0 * late_by
+    for k, (shift, wall) in enumerate(zip(state["shifts"], state["walls"][1:], strict=True)):
+        chosen = op.size(late_by - (k + 1) * rules.dt) < 0.5 * rules.dt
+        away, wall_then = op.where(chosen, shift, away), op.where(chosen, wall, wall_then)
+    late = op.both(old["late"] > 0.5, op.no(gap), op.size(away) > 0.4 * _SMALL)
+    suspected = op.both(late_by > 0.0, op.no(late))
+    told = op.size(wall_then - scene.expected) > _TELLING_WALL + scene.unsure
+    by_wall = op.both(scene.wall, wall_then < rules.maximum, told)
+    shift = op.where(by_wall, wall_then - scene.expected, away - old["absorbed"])
+    residual = reading - op.where(by_wall, scene.expected, state["range"])
+    spread = op.where(by_wall, _WALL_SPREAD + scene.unsure / 3.0, _TRACK_SPREAD)
+    telling = op.both(suspected, op.either(by_wall, op.both(op.size(shift) > _TELLING, op.no(scene.turning))))
+    gate = op.where(by_wall, _WALL_GATE + scene.unsure, _TRACK_GATE + 0.25 * op.size(shift))
+    fits = op.either(op.size(residual) <= gate, op.size(residual - shift) <= gate)
+    judging = op.both(sound, telling, fits, op.either(by_wall, state["votes"] < 0.5))
+    # something stands before the wall
+    elsewhere = op.both(sound, telling, by_wall, op.no(fits))
+    weight = 1.0 / (spread * spread)
+    cross = op.where(judging, _FORGET * old["cross"] + residual * shift * weight, old["cross"])
+    power = op.where(judging, _FORGET * old["power"] + shift * shift * weight, old["power"])
+    looks = op.where(judging, old["looks"] + 1.0, old["looks"])
+    decided = op.both(looks > op.where(by_wall, _LOOKS_WALL, _LOOKS) - 0.5, power >= _EVIDENCE)
+    true = op.both(decided, cross < 0.5 * power)
+    late = op.either(late, op.both(decided, cross >= 0.5 * power))
+    afresh = op.either(gap, decided, elsewhere)
+    state["cross"] = op.where(afresh, 0.0, cross)
+    state["power"] = op.where(afresh, 0.0, power)
+    state["looks"] = op.where(afresh, 0.0, looks)
+    state["late_by"] = op.where(true, 0.0, late_by)
+    state["late"] = op.where(late, 1.0, 0.0)
+    state["absorbed"] = op.where(op.either(true, late, late_by <= 0.0), 0.0, old["absorbed"])
+    suspected = op.both(suspected, op.no(true), op.no(late))
+    return Late(
+        late_by=state["late_by"],
+        late=late,
+        away=op.where(state["late_by"] > 0.0, away, 0.0),
+        undecided=op.both(suspected, op.size(away) > _SMALL),
+        judging=op.both(judging, op.no(true), op.no(by_wall)),
+    )

@@ -1,0 +1,184 @@
+"""A step of `RangeTracker` up to the new reading: what surrounds a sensor, where its track has moved, what it heard."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from surctl.sensing.elementwise import Elementwise, Value
+
+__all__ = ["Rules", "Scene", "Seen", "Step", "opened", "robust", "sound"]
+
+_TURNING = 0.05  # rad/s; below it the beam counts as still
+_SLIDING = 0.04  # m in a cycle, above the noise of an expected range
+_NOISE = 2.25e-3  # m²/s³, of the rate: an obstacle that changes its speed by 0.15 m/s within a second
+_NOISE_TURNING = 0.4  # m²/s³: nearest points slide along what the beam sweeps
+_VARIANCE = 0.09  # m², largest of the range
+_NEVER = 1e6  # s, rad
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rules:
+    """Numbers of the rules, SI units; see `RangeTracker`."""
+
+    dt: float
+    due: float
+    minimum: float
+    maximum: float
+    resolution: float
+    bias: float
+    sigma: float
+    beam: float
+    sensors: int
+    obstacle_speed: float
+    tolerance: float
+    yaw_tolerance: float
+    longest_delay: float
+    hold: float
+    repeats: int
+    one_repeat: bool
+
+    @property
+    def stuck(self) -> float:
+        """Repetitions above which a sensor is stuck; none are counted where the noise cannot tell."""
+        return max(self.repeats, 1) - 0.5
+
+    @property
+    def rate_variance(self) -> float:
+        """Of a rate that is not known [m²/s²]."""
+        return max(self.obstacle_speed, 0.05) ** 2
+
+
+class Seen(NamedTuple):
+    """Inputs of a step."""
+
+    samples: list[Value]
+    fresh: Value
+    closing: Value
+    expected: Value
+    turn: Value
+
+
+class Scene(NamedTuple):
+    """What the rules share within a step: where the sensor stands with its surroundings and its stream."""
+
+    fired: Value
+    turning: Value
+    follow: Value  # the beam turns, and the track is a known wall: it moves as the expected range does
+    raw: Value  # the expected range as given
+    wall: Value  # a known wall is in reach
+    expected: Value  # held to the maximum
+    tolerance: Value
+    unsure: Value  # error of the expected range that the heading's brings [m]
+    slide: Value  # by how much the expected range moved within a cycle, while the beam turns
+
+
+class Step(NamedTuple):
+    """A step in work: its state is a dictionary of its own and filled rule by rule."""
+
+    op: Elementwise
+    rules: Rules
+    old: Mapping[str, Value]
+    state: dict[str, Value]
+    seen: Seen
+    scene: Scene
+
+
+def opened(op: Elementwise, rules: Rules, old: Mapping[str, Value], seen: Seen) -> Step:
+    """The step with the state moved on, before the reading.
+
+    Args:
+        op: operations of symbols or of numbers.
+        rules: numbers.
+        old: state by unprefixed port name; a port with columns is a list of them.
+        seen: inputs.
+    """
+    scene = _scene(op, rules, old, seen)
+    return Step(op, rules, old, _moved(op, rules, old, seen, scene), seen, scene)
+
+
+def _scene(op: Elementwise, rules: Rules, old: Mapping[str, Value], seen: Seen) -> Scene:
+    turning = op.size(seen.turn) > _TURNING
+    expected = op.least(op.most(seen.expected, 0.0), rules.maximum)
+    cycle = round(rules.due / rules.dt)
+    before, earlier = (old["walls"][min(k * cycle, len(old["walls"])) - 1] for k in (1, 2))
+    slide = op.most(op.size(expected - before), op.size(before - earlier), 0.5 * op.size(expected - earlier))
+    slide = op.where(turning, slide, 0.0)
+    unsure = rules.yaw_tolerance * slide / (rules.due * op.most(op.size(seen.turn), _TURNING))
+    return Scene(
+        fired=seen.fresh > 0.5,
+        turning=turning,
+        follow=op.both(turning, slide > _SLIDING, old["explained"] > 0.5, old["known"] > 0.5),
+        raw=seen.expected,
+        wall=seen.expected < rules.maximum,
+        expected=expected,
+        tolerance=rules.tolerance + slide + unsure,
+        unsure=unsure,
+        slide=slide,
+    )
+
+
+def _moved(op: Elementwise, rules: Rules, old: Mapping[str, Value], seen: Seen, scene: Scene) -> dict[str, Value]:
+    """The state a step later without a reading."""
+    dt, top = rules.dt, rules.maximum - 0.5 * rules.resolution
+    state = dict(old)
+    own = -seen.closing * dt
+    known = op.where(scene.follow, scene.expected - old["walls"][0], op.where(old["range"] >= top, 0.0, own))
+    coasting = op.both(
+        op.no(scene.follow),
+        old["votes"] < 0.5,
+        old["doubt"] < 0.5,
+        old["since"] + dt <= rules.due + 0.5 * dt,
+        old["late_by"] <= 0.0,
+    )
+    drift = op.where(coasting, old["rate"] * dt, 0.0)
+    noise = op.where(scene.turning, _NOISE_TURNING, _NOISE) * dt
+    p11, p12, p22 = old["var_range"], old["covariance"], old["var_rate"]
+    state["range"] = op.least(op.most(old["range"] + known + drift, 0.0), rules.maximum)
+    state["var_range"] = op.least(p11 + 2.0 * dt * p12 + dt * dt * p22 + noise * dt * dt / 3.0, _VARIANCE)
+    state["covariance"] = p12 + dt * p22 + 0.5 * noise * dt
+    state["var_rate"] = op.least(p22 + noise, op.where(scene.turning, 16.0, 1.0) * rules.rate_variance)
+    # a covariance matrix after its entries were capped, too
+    limit = 0.99 * op.root(op.most(state["var_range"] * state["var_rate"], 0.0))
+    state["covariance"] = op.least(op.most(state["covariance"], -limit), limit)
+    state["rival"] = op.where(old["rival"] >= top, old["rival"], op.most(old["rival"] + own, 0.0))
+    state["recent"] = [op.most(value + own, 0.0) for value in old["recent"]]
+    state["since"] = op.least(old["since"] + dt, _NEVER)
+    state["age"] = op.least(old["age"] + dt, _NEVER)
+    state["turned"] = op.least(old["turned"] + op.size(seen.turn) * dt, _NEVER)
+    state["shifts"] = [-known, *(value - known for value in old["shifts"][:-1])]
+    state["walls"] = [scene.expected + 0.0 * own, *old["walls"][:-1]]
+    return state
+
+
+def robust(step: Step) -> Value:
+    """Mean of a firing without its smallest and its largest sample [m]; the maximum where all read it."""
+    op, rules, samples = step.op, step.rules, step.seen.samples
+    total = samples[0]
+    for value in samples[1:]:
+        total = total + value
+    count = len(samples)
+    if count >= 3:
+        total, count = total - op.least(*samples) - op.most(*samples), count - 2
+    nothing = op.least(*samples) >= rules.maximum - 0.5 * rules.resolution
+    return op.where(nothing, rules.maximum, op.least(total / count - rules.bias, rules.maximum))
+
+
+def sound(step: Step, reading: Value) -> Value:
+    """Whether this firing's reading can be honest by itself; counts repetitions."""
+    op, rules, old, state, seen, scene = step
+    code = rules.resolution
+    differs = 0.0
+    for new, before in zip(seen.samples, old["samples"], strict=True):
+        differs = differs + op.size(new - before)
+    # at the ends of its range an honest sensor repeats itself
+    same = op.both(differs < 0.25 * code, reading > rules.minimum + code, reading < rules.maximum - code)
+    count = op.where(same, op.least(old["repeated"] + 1.0, 9.0), 0.0) if rules.repeats else 0.0 * reading
+    state["repeated"] = op.where(scene.fired, count, old["repeated"])
+    return op.both(
+        scene.fired,
+        state["repeated"] < (0.5 if rules.one_repeat else rules.stuck),
+        reading >= rules.minimum - code,
+        reading <= seen.expected + scene.tolerance,
+    )
