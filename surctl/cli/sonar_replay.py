@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from pathlib import Path
 
 import click
@@ -48,15 +49,18 @@ def sonar_replay(
 
     Examples: surctl sonar-replay log.csv --out replay; surctl sonar-replay log.csv --maximum 6 --noise-sd 0.02
     """
+    from surctl.errors import InputError
     from surctl.files import prepare_folder, write_file
-    from surctl.sensing import filtered_rows, read_readings, replay, sonar_array
+    from surctl.sensing import filtered_rows, read_readings, replay_readings, sonar_array
 
+    if not isfinite(scale):
+        raise InputError("must be finite", key="--scale", value=scale, remedy="give what surctl calibrate printed")
     array = sonar_array(
         sensors, minimum=minimum, maximum=maximum, bits=bits, bias=bias / scale, noise_sd=noise_sd / scale
     )
     recording = read_readings(Path(file), array, scale=scale)
     prepare_folder(out)
-    replayed = replay(recording.readings)
+    replayed = replay_readings(recording.readings)
     rows = write_file(out / "filtered.csv", filtered_rows(replayed))
     from surctl.report import save_sonar_replay
 

@@ -25,7 +25,7 @@ from surctl.sensing.plain import (
     plain_lms_step,
 )
 from surctl.sensing.ranging import RangeTracker, Ranging
-from surctl.sensing.replay import Readings, Replay, SensorSummary, Tracked, replay, track
+from surctl.sensing.replay import Readings, Replay, SensorSummary, Tracked, replay_readings, track
 from surctl.sensing.replay_file import Recording, filtered_rows, read_readings, sonar_array
 from surctl.sensing.table2 import RangeTest, table_ii
 
@@ -76,7 +76,7 @@ __all__ = [
     "range_to_disc",
     "range_to_walls",
     "read_readings",
-    "replay",
+    "replay_readings",
     "sonar_array",
     "sonar_contacts",
     "sonar_fragment",

@@ -17,7 +17,7 @@ from surctl.ir import Layout
 from surctl.sensing.array import SonarArray
 from surctl.sensing.ranging import RangeTracker
 
-__all__ = ["Readings", "Replay", "SensorSummary", "Tracked", "replay", "track"]
+__all__ = ["Readings", "Replay", "SensorSummary", "Tracked", "replay_readings", "track"]
 
 Array = NDArray[np.float64]
 _CHUNK = 1000  # steps a call
@@ -139,7 +139,7 @@ class Replay:
         )
 
 
-def replay(readings: Readings) -> Replay:
+def replay_readings(readings: Readings) -> Replay:
     """Run the tracker over the readings; no wall is known to it."""
     parts = np.split(np.arange(len(readings.time)), readings.first[1:])
     tracker = tracker_of(readings)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.sensing.array import CYCLE_LIMIT, SonarArray
+from surctl.sensing.pacing import on_steps, usual_cycle
 from surctl.sensing.recorded import Recorded, read_recorded
 from surctl.sensing.replay import Readings, Replay
 
@@ -20,9 +21,6 @@ __all__ = ["Recording", "filtered_rows", "read_readings", "sonar_array"]
 
 Array = NDArray[np.float64]
 _BACK = 0.05  # share of rows whose time may go back
-_SILENCE = 5.0  # s, at least; after a longer silence of all sensors the tracker starts anew
-_SLOWEST, _FASTEST = 10.0, 1e-3  # s from one reading of a sensor to its next
-_MOST_STEPS = 5_000_000
 _MOTION = ("closing_m_per_s", "turn_rad_per_s")
 
 
@@ -39,6 +37,7 @@ class Recording:
         crowded: rows skipped because another reading of that sensor came within the same step.
         beyond: rows with a sample beyond the sensor's maximum, held to it.
         cycle: usual time from one reading of a sensor to its next [s].
+        still: motion that the file does not tell, columns' names; it is taken for 0.
     """
 
     readings: Readings
@@ -49,6 +48,7 @@ class Recording:
     crowded: int
     beyond: int
     cycle: float
+    still: tuple[str, ...]
 
     @property
     def notes(self) -> list[str]:
@@ -61,6 +61,7 @@ class Recording:
             (len(self.readings.first) - 1, "silences after which the filter started anew"),
         )
         said = [f"{text}: {count}" for count, text in counts if count]
+        said += [f"no column {name}: taken for 0" for name in self.still]
         if not CYCLE_LIMIT / 2 <= self.cycle <= 1.5 * CYCLE_LIMIT:
             said.append(f"a sensor reads every {self.cycle:.3g} s; the filter was made for {CYCLE_LIMIT:g} s")
         return said
@@ -115,10 +116,11 @@ def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recor
     samples = samples / scale
     beyond = int(np.count_nonzero((samples > array.maximum + array.resolution).any(axis=1)))
     time = columns["time_s"][good]
-    cycle = _cycle(table, time, sensor)
+    cycle = usual_cycle(time, sensor, file=table.name)
     dt = cycle / 2 if cycle <= 1.5 * CYCLE_LIMIT else cycle  # then a reading is due after one or two whole steps
     array = replace(array, samples=len(heard), firing_period=min(cycle, CYCLE_LIMIT) / array.size)
-    step, first, begin = _steps(table, time, dt)
+    step, first, begin = on_steps(time, dt, file=table.name)
+    still = tuple(name for name in _MOTION if name not in columns)
     closing, turn = (columns[name][good] if name in columns else np.zeros(len(good)) for name in _MOTION)
     count = int(step[-1]) + 1
     row = np.full((count, array.size), -1)
@@ -140,7 +142,7 @@ def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recor
             dt=dt,
         ),
         name=table.name, rows=len(table.lines), incomplete=incomplete, back=back,
-        crowded=len(good) - int(fresh.sum()), beyond=beyond, cycle=cycle,
+        crowded=len(good) - int(fresh.sum()), beyond=beyond, cycle=cycle, still=still,
     )  # fmt: skip
 
 
@@ -210,49 +212,6 @@ def _sensors(table: Recorded, values: Array, rows: NDArray[np.intp], array: Sona
             remedy=f"give 0 to {array.size - 1}, or the number of sensors: --sensors",
         )  # fmt: skip
     return given.astype(np.int64)
-
-
-def _cycle(table: Recorded, time: Array, sensor: NDArray[np.int64]) -> float:
-    """Usual time from one reading of a sensor to its next [s]: mean of those within a half of the median."""
-    waits = np.concatenate([np.diff(time[sensor == i]) for i in np.unique(sensor)])
-    waits = waits[waits > 0]
-    if not len(waits):
-        raise InputError("no sensor has two readings at two times", file=table.name, remedy="give a longer recording")
-    median = float(np.median(waits))
-    cycle = float(waits[np.abs(waits - median) <= 0.5 * median].mean())  # in the mean, jitter goes
-    if not _FASTEST <= cycle <= _SLOWEST:
-        raise InputError(
-            f"a sensor's readings are {cycle:.3g} s apart", file=table.name, key="time_s",
-            remedy=f"give seconds; {_FASTEST:g} to {_SLOWEST:g} s can be filtered",
-        )  # fmt: skip
-    return cycle
-
-
-def _steps(table: Recorded, time: Array, dt: float) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Step of each row; first step of each segment between silences, and its time [s].
-
-    The steps lie such that jitter seldom moves a reading into the neighbouring one.
-    """
-    silence = max(_SILENCE, 20.0 * dt)
-    breaks = np.flatnonzero(np.diff(time) > silence) + 1
-    step = np.empty(len(time), dtype=np.int64)
-    first, begin = [0], []
-    shifts = np.arange(20) / 20
-    for rows in np.split(np.arange(len(time)), breaks):
-        phase = (time[rows] - time[rows[0]]) / dt
-        # of the ways to lay the steps, that in which nearly all readings come in the middle of one
-        off = [np.percentile(np.abs((phase[:10_000] + shift) % 1.0 - 0.5), 90) for shift in shifts]
-        shift = shifts[int(np.argmin(off))]
-        ticks = np.floor(phase + shift)
-        if ticks[-1] + first[-1] > _MOST_STEPS:
-            raise InputError(
-                f"would take more than {_MOST_STEPS} steps of {dt:.3g} s", file=table.name, key="time_s",
-                remedy="cut the recording",
-            )  # fmt: skip
-        step[rows] = first[-1] + ticks.astype(np.int64)
-        first.append(int(step[rows[-1]]) + 1)
-        begin.append(float(time[rows[0]] + (0.5 - shift) * dt))
-    return step, np.array(first[:-1]), np.array(begin)
 
 
 def _held(values: Array, row: NDArray[np.int64]) -> Array:
