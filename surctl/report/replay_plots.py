@@ -15,6 +15,7 @@ from surctl.sensing import Replay
 __all__ = ["plot_replay_sensor", "plot_sonar_replay"]
 
 _POINTS = 20_000  # steps and samples drawn at most
+_FAINT_BAD = "#F3C6C1"
 _STRIP = 0.04  # of the panel's height
 
 
@@ -78,5 +79,5 @@ def _strip(
     """A strip along the foot of the panel; hatched, so that colour alone does not tell the two apart."""
     ax.fill_between(
         time, 0.0, _STRIP, where=where.tolist(), step="post", transform=ax.get_xaxis_transform(), label=label,
-        facecolor=colour if hatch is None else "white", edgecolor=colour, hatch=hatch, linewidth=0.0, zorder=3,
+        facecolor=colour if hatch is None else _FAINT_BAD, edgecolor=colour, hatch=hatch, linewidth=0.0, zorder=3,
     )  # fmt: skip
