@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +29,34 @@ class Stream:
     fresh: Array
     begin: NDArray[np.int64]
     end: NDArray[np.int64]
+
+
+def shows(stream: Stream, honest_samples: Array, *, off: Array) -> NDArray[np.int64]:
+    """First firing at which the fault shows, (runs,); the number of firings where it never does.
+
+    Nothing arrives, or what does is off the truth by more than `off` (runs, firings) [m].
+    """
+    run = stream.run
+    firings = stream.fresh.shape[1]
+    value = np.sort(run.samples[:, :, 0], axis=-1)[..., 1:-1].mean(axis=-1)
+    wrong = np.abs(value - run.seen[:, ::EVERY, 0]) > off
+    index = np.arange(firings)
+    active = (index >= stream.begin[:, None]) & (index < stream.end[:, None])
+    changed = np.any(run.samples[:, :, 0] != honest_samples[:, :, 0], axis=-1)
+    seen = active & ((stream.fresh[:, :, 0] < 0.5) | (wrong & changed))
+    return np.where(seen.any(axis=1), seen.argmax(axis=1), firings)
+
+
+def joined(streams: Sequence[Stream]) -> Stream:
+    """All runs of several streams as one."""
+
+    def along(name: str) -> Array:
+        return np.concatenate([getattr(s.run, name) for s in streams])
+
+    fields = ("truth", "closing", "expected", "turn", "speed", "samples")
+    run = Approach(time=streams[0].run.time, **{name: along(name) for name in fields})
+    whole = (np.concatenate([getattr(s, name) for s in streams]) for name in ("fresh", "begin", "end"))
+    return Stream(run, *whole)
 
 
 def honest(run: Approach) -> Stream:
@@ -74,27 +103,3 @@ def faulty(run: Approach, fault: str, *, seed: int) -> Stream:
         }[fault]
         samples[:, :, 0] = np.where(active[..., None], false, own)
     return Stream(replace(run, samples=samples), fresh, begin, end)
-
-
-def tracked(tracker, stream: Stream):
-    """Ranges, bounds, health, acceptance, readings of sensor 0 over a stream, (runs, steps) each."""
-    run = stream.run
-    runs, steps, sensors = run.truth.shape
-    state = tracker.start((runs,))
-    names = ("range", "bound", "healthy", "accepted", "reading", "rate", "carve", "age")
-    out = {name: np.empty((runs, steps)) for name in names}
-    idle = np.zeros((runs, sensors))
-    for k in range(steps):
-        firing, now = divmod(k, EVERY)
-        found = tracker.step(
-            state,
-            run.samples[:, firing],
-            fresh=stream.fresh[:, firing] if now == 0 else idle,
-            closing=run.closing[:, k],
-            expected=run.expected[:, k],
-            turn=run.turn[:, k],
-        )
-        state = found.state
-        for name in names:
-            out[name][:, k] = getattr(found, name)[:, 0]
-    return out

@@ -133,6 +133,7 @@ class RangeTracker:
             port("since", "s", "time since the last arrival", _NEVER),
             port("age", "s", "time since the last believed reading", _NEVER),
             port("turned", "rad", "beam's turn since the last believed reading", _NEVER),
+            port("swung", "rad", "the same with its sign"),
             port("rival", "m", "range of a second hypothesis", far),
             port("votes", "1", "readings in a row that agree with it"),
             port("suspect", "1", "1 while it looks like a fault"),

@@ -71,7 +71,8 @@ def _compared(step: Step, late: Late, fine: Value, reading: Value) -> _Compared:
     innovation = taken - x
     spread = op.root(op.most(state["var_range"], 0.0) + rules.sigma * rules.sigma)
     widest = op.where(scene.turning, _GATE_TURNING, _GATE_MOST)
-    gate = op.least(op.most(_GATE * spread, _GATE_LEAST), widest)
+    # less than a second echo is away
+    gate = op.most(op.least(_GATE * spread, widest, 0.5 * x), _GATE_LEAST)
     off = op.size(taken - scene.expected)
     agrees = op.both(scene.wall, off <= rules.tolerance + scene.unsure)
     closely = op.both(scene.wall, off <= 0.5 * (rules.tolerance + scene.unsure))
@@ -109,6 +110,7 @@ def _believed(step: Step, late: Late, fine: Value, reading: Value) -> Value:
     state["votes"] = op.where(believed, 0.0, state["votes"])
     state["age"] = op.where(believed, 0.0, state["age"])
     state["turned"] = op.where(believed, 0.0, state["turned"])
+    state["swung"] = op.where(believed, 0.0, state["swung"])
     return believed
 
 
@@ -123,9 +125,11 @@ def _rival(step: Step, new: _Compared, other: Value) -> Value:
     vanished = op.both(taken >= top, outward)
     # within one conflict a suspicion stays: noise may break a stream in two
     suspect = op.either(op.both(state["votes"] > 0.5, state["suspect"] > 0.5), twice, vanished)
+    # what is narrow has left the beam
+    passed = op.size(state["swung"]) > rules.beam
     strange = op.either(new.crosstalk, op.both(op.no(new.agrees), state["distrust"] > 0.5))
     votes = op.where(op.both(goes_on, op.no(strange)), op.least(state["votes"] + 1.0, 9.0), 1.0)
-    excused = op.either(op.both(new.agrees, op.no(twice)), state["turned"] > rules.beam, state["age"] > rules.hold)
+    excused = op.either(op.both(new.agrees, op.no(twice)), passed, state["age"] > rules.hold)
     convincing = op.either(state["known"] < 0.5, op.no(suspect), op.no(outward), excused)
     needed = op.where(state["distrust"] > 0.5, _VOTES_AFTER_FAULT, _VOTES)
     won = op.both(other, votes > needed - 0.5, convincing)

@@ -147,6 +147,7 @@ def _moved(op: Elementwise, rules: Rules, old: Mapping[str, Value], seen: Seen, 
     state["since"] = op.least(old["since"] + dt, _NEVER)
     state["age"] = op.least(old["age"] + dt, _NEVER)
     state["turned"] = op.least(old["turned"] + op.size(seen.turn) * dt, _NEVER)
+    state["swung"] = op.least(op.most(old["swung"] + seen.turn * dt, -_NEVER), _NEVER)
     state["shifts"] = [-known, *(value - known for value in old["shifts"][:-1])]
     state["walls"] = [scene.expected + 0.0 * own, *old["walls"][:-1]]
     return state

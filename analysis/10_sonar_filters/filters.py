@@ -1,0 +1,138 @@
+"""The filters that are compared, each over many runs at once: what a law would take for the clearance at every step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from echoes import ARRAY, DT, EVERY
+from numpy.typing import NDArray
+from streams import Stream, joined
+
+from surctl.sensing import RangeTracker, SensorFilter, plain_average, plain_filter, plain_gate
+from surctl.sensing.filters import StepRule
+
+Array = NDArray[np.float64]
+TOGETHER = 1000  # runs
+TRACKER = RangeTracker(array=ARRAY, dt=DT)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Of sensor 0, (runs, steps) each: range [m] and whether the filter says that it may be believed."""
+
+    range: Array
+    healthy: Array
+
+
+@dataclass(frozen=True)
+class Tracked(Estimate):
+    """What the tracker says besides, (runs, steps) each."""
+
+    bound: Array
+    accepted: Array
+    reading: Array
+    carve: Array
+    rate: Array
+
+
+def raw(stream: Stream) -> Estimate:
+    """The newest sample."""
+    return _held(stream, lambda samples: samples[..., -1])
+
+
+def average(stream: Stream) -> Estimate:
+    """The weighted average of a firing."""
+    return _held(stream, plain_average)
+
+
+def gated(stream: Stream) -> Estimate:
+    """Average and gate (4)–(5), with the defaults of `SensorFilter`."""
+    values = plain_average(stream.run.samples[:, :, 0])
+    window = np.repeat(values[:, :1], SensorFilter().window, axis=1)
+    out = np.empty_like(values)
+    last = values[:, 0]
+    for k in range(values.shape[1]):
+        value, _, after = plain_gate(window, values[:, k], lambda1=3.0, resolution=ARRAY.resolution)
+        fresh = stream.fresh[:, k, 0] > 0.5
+        last = np.where(fresh, value, last)
+        window = np.where(fresh[:, None], after, window)
+        out[:, k] = last
+    return _spread(out)
+
+
+def lms(rule: StepRule) -> Callable[[Stream], Estimate]:
+    """Average, gate and Algorithm 1: `SensorFilter`, which the law `paper` flies."""
+
+    def run(stream: Stream) -> Estimate:
+        filter_ = SensorFilter(array=ARRAY, step=rule)
+        runs, firings = stream.run.samples.shape[:2]
+        state = {port.name: np.full((runs, *port.shape), port.default) for port in filter_.ports()}
+        gains = {port.name: port.default for port in filter_.gain_ports()}
+        ranges, healthy = np.empty((runs, firings)), np.empty((runs, firings))
+        for k in range(firings):
+            found = plain_filter(filter_, state, stream.run.samples[:, k], fresh=stream.fresh[:, k], gains=gains)
+            state = found.state
+            ranges[:, k], healthy[:, k] = found.range_hat[:, 0], found.healthy[:, 0]
+        return Estimate(_spread(ranges).range, np.repeat(healthy, EVERY, axis=1))
+
+    return run
+
+
+def robust(stream: Stream) -> Tracked:
+    """`RangeTracker`."""
+    run = stream.run
+    runs, steps, sensors = run.truth.shape
+    state = TRACKER.start((runs,))
+    names = ("range", "healthy", "bound", "accepted", "reading", "carve", "rate")
+    out = {name: np.empty((runs, steps)) for name in names}
+    nothing = np.zeros((runs, sensors))
+    for k in range(steps):
+        firing, between = divmod(k, EVERY)
+        found = TRACKER.step(
+            state,
+            run.samples[:, firing],
+            fresh=nothing if between else stream.fresh[:, firing],
+            closing=run.closing[:, k],
+            expected=run.expected[:, k],
+            turn=run.turn[:, k],
+        )
+        state = found.state
+        for name in names:
+            out[name][:, k] = getattr(found, name)[:, 0]
+    return Tracked(**out)
+
+
+def robust_each(streams: Sequence[Stream]) -> Iterator[Tracked]:
+    """`robust` of each; few runs go through together, which takes as long as one of them."""
+    size = len(streams[0].begin)
+    at_once = max(1, TOGETHER // size)
+    for first in range(0, len(streams), at_once):
+        group = streams[first : first + at_once]
+        found = robust(joined(group))
+        for k in range(len(group)):
+            part = slice(k * size, (k + 1) * size)
+            yield Tracked(**{name: value[part] for name, value in vars(found).items()})
+
+
+FILTERS: dict[str, Callable[[Stream], Estimate]] = {
+    "raw": raw,
+    "average": average,
+    "gate": gated,
+    "LMS printed": lms("printed"),
+    "LMS corrected": lms("corrected"),
+    "robust": robust,
+}
+
+
+def _held(stream: Stream, value: Callable[[Array], Array]) -> Estimate:
+    """One value a firing, kept until the next arrives."""
+    values, fresh = value(stream.run.samples[:, :, 0]), stream.fresh[:, :, 0] > 0.5
+    index = np.maximum.accumulate(np.where(fresh, np.arange(values.shape[1]), 0), axis=1)
+    return _spread(np.take_along_axis(values, index, axis=1))
+
+
+def _spread(values: Array) -> Estimate:
+    held = np.repeat(values, EVERY, axis=1)
+    return Estimate(held, np.ones_like(held))
