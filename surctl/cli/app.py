@@ -8,10 +8,12 @@ import warnings
 import click
 
 from surctl import __version__
+from surctl.cli.calibrate import calibrate
 from surctl.cli.export import export
 from surctl.cli.lint import lint
 from surctl.cli.listing import listing
 from surctl.cli.simulate import simulate
+from surctl.cli.sonar_replay import sonar_replay
 from surctl.cli.study import study
 from surctl.cli.sweep import sweep
 from surctl.cli.tune import tune
@@ -30,7 +32,7 @@ def app() -> None:
     """
 
 
-for _command in (study, simulate, sweep, tune, verify, export, lint, listing):
+for _command in (study, simulate, sweep, tune, verify, export, calibrate, sonar_replay, lint, listing):
     app.add_command(_command)
 
 

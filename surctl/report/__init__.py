@@ -1,13 +1,16 @@
 """Pictures, and the self-contained HTML page."""
 
+from surctl.report.calibration_plots import plot_calibration
 from surctl.report.data import ExportSummary, ReportData
 from surctl.report.evidence import MarginSlice, margin_slice, plot_counterexample, plot_replay, plot_slice
 from surctl.report.files import (
+    save_calibrations,
     save_heat_map,
     save_locus,
     save_parallel,
     save_run,
     save_sensitivity,
+    save_sonar_replay,
     save_tuning,
 )
 from surctl.report.goals import GoalBars, GoalView, goal_bars, goal_view, plot_front, plot_goal_bars, plot_goal_view
@@ -16,6 +19,7 @@ from surctl.report.locus import plot_locus
 from surctl.report.loops import LoopResponse, loop_responses, plot_bode, plot_nyquist, plot_poles
 from surctl.report.page import render_page, write_page
 from surctl.report.plan_view import plot_run
+from surctl.report.replay_plots import plot_replay_sensor, plot_sonar_replay
 from surctl.report.signals import plot_run_signals
 from surctl.report.sweep_plots import plot_parallel, plot_sensitivity
 
@@ -31,6 +35,7 @@ __all__ = [
     "loop_responses",
     "margin_slice",
     "plot_bode",
+    "plot_calibration",
     "plot_counterexample",
     "plot_front",
     "plot_goal_bars",
@@ -41,16 +46,20 @@ __all__ = [
     "plot_parallel",
     "plot_poles",
     "plot_replay",
+    "plot_replay_sensor",
     "plot_run",
     "plot_run_signals",
     "plot_sensitivity",
     "plot_slice",
+    "plot_sonar_replay",
     "render_page",
+    "save_calibrations",
     "save_heat_map",
     "save_locus",
     "save_parallel",
     "save_run",
     "save_sensitivity",
+    "save_sonar_replay",
     "save_tuning",
     "write_page",
 ]

@@ -3,24 +3,37 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
 from surctl.files import write_file
+from surctl.report.calibration_plots import plot_calibration
 from surctl.report.goals import goal_bars, goal_view, plot_front, plot_goal_bars, plot_goal_view
 from surctl.report.heat_map import plot_heat_map
 from surctl.report.locus import plot_locus
 from surctl.report.plan_view import plot_run
+from surctl.report.replay_plots import plot_sonar_replay
 from surctl.report.signals import plot_run_signals
 from surctl.report.sweep_plots import plot_parallel, plot_sensitivity
 from surctl.report.theme import new_figure
+from surctl.sensing import Replay, SensorCalibration, file_stems
 from surctl.simulation import Run
 from surctl.tuning import Sensitivity, SweepTable, Tuning
 from surctl.verification import Locus
 
-__all__ = ["save_heat_map", "save_locus", "save_parallel", "save_run", "save_sensitivity", "save_tuning"]
+__all__ = [
+    "save_calibrations",
+    "save_heat_map",
+    "save_locus",
+    "save_parallel",
+    "save_run",
+    "save_sensitivity",
+    "save_sonar_replay",
+    "save_tuning",
+]
 
 
 def save_run(run: Run, folder: Path | str) -> Path:
@@ -82,6 +95,24 @@ def save_tuning(tuning: Tuning, folder: Path | str) -> list[Path]:
         if view is not None:
             drawn[goal.name] = plot_goal_view(view)
     return [_save(ax.figure.figure, Path(folder), ("tuning", name)) for name, ax in drawn.items()]
+
+
+def save_calibrations(results: Sequence[SensorCalibration], folder: Path | str) -> list[Path]:
+    """Residual plots of calibrations as PNGs, named after sensor and medium; the paths written.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    stems = file_stems(results)
+    return [
+        _save(plot_calibration(one), Path(folder), (f"calibration{stem}",))
+        for one, stem in zip(results, stems, strict=True)
+    ]
+
+
+def save_sonar_replay(replayed: Replay, folder: Path | str, *, title: str = "") -> Path:
+    """Raw and filtered ranges of a recording as a PNG; the path written. InputError if the folder cannot be written."""
+    return _save(plot_sonar_replay(replayed, title=title), Path(folder), ("sonar-replay",))
 
 
 def _save(figure: Figure, folder: Path, what: tuple[str, ...]) -> Path:

@@ -2,6 +2,16 @@
 
 from surctl.sensing.array import SonarArray, fire, heard, true_range
 from surctl.sensing.base_station import BaseStation, OwnState
+from surctl.sensing.calibration import OUTLIER_RULE, Calibration, Estimate, calibrate
+from surctl.sensing.calibration_file import (
+    SensorCalibration,
+    calibrate_file,
+    calibrate_table_ii,
+    calibration_rows,
+    file_stems,
+    pick_calibration,
+    sonar_fragment,
+)
 from surctl.sensing.delivery import Delivery, delayed, delayed_symbols
 from surctl.sensing.echo import Beam, beam_of, echo_range, heard_samples
 from surctl.sensing.equipment import Equipment
@@ -26,6 +36,8 @@ from surctl.sensing.own_state import OwnEstimate, OwnStateFilter
 from surctl.sensing.own_state_numbers import own_state_step
 from surctl.sensing.plain import PlainLmsStep, PlainUpdate, plain_average, plain_filter, plain_gate, plain_lms_step
 from surctl.sensing.ranging import RangeTracker, Ranging
+from surctl.sensing.replay import Readings, Replay, SensorSummary, Tracked, replay_readings, track
+from surctl.sensing.replay_file import Recording, filtered_rows, read_readings, sonar_array
 from surctl.sensing.solids import Cone, Solid, SolidBox, SolidDisc, SolidWalls
 from surctl.sensing.sound import Medium, speed_of_sound
 from surctl.sensing.table2 import RangeTest, table_ii
@@ -34,15 +46,18 @@ __all__ = [
     "FAULT_KINDS",
     "LONGEST_DELAY",
     "NOISE_STATE",
+    "OUTLIER_RULE",
     "SLOT",
     "Arrival",
     "BaseStation",
     "Beam",
+    "Calibration",
     "Cone",
     "ContactMemory",
     "Contacts",
     "Delivery",
     "Equipment",
+    "Estimate",
     "Fault",
     "FaultChances",
     "FaultKind",
@@ -62,13 +77,23 @@ __all__ = [
     "RangeTest",
     "RangeTracker",
     "Ranging",
+    "Readings",
+    "Recording",
+    "Replay",
+    "SensorCalibration",
     "SensorFilter",
+    "SensorSummary",
     "Solid",
     "SolidBox",
     "SolidDisc",
     "SolidWalls",
     "SonarArray",
+    "Tracked",
     "beam_of",
+    "calibrate",
+    "calibrate_file",
+    "calibrate_table_ii",
+    "calibration_rows",
     "check_faults",
     "delayed",
     "delayed_symbols",
@@ -81,6 +106,8 @@ __all__ = [
     "fault_state",
     "faulty",
     "faulty_samples",
+    "file_stems",
+    "filtered_rows",
     "fire",
     "gate",
     "heard",
@@ -89,13 +116,19 @@ __all__ = [
     "mover_step",
     "noise_states",
     "own_state_step",
+    "pick_calibration",
     "plain_average",
     "plain_filter",
     "plain_gate",
     "plain_lms_step",
+    "read_readings",
+    "replay_readings",
+    "sonar_array",
     "sonar_contacts",
+    "sonar_fragment",
     "speed_of_sound",
     "table_ii",
+    "track",
     "true_range",
     "weighted_average",
 ]

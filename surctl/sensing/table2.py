@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.files import Strict, load_model
 
-__all__ = ["MediumTest", "RangeTest", "table_ii"]
+__all__ = ["MEDIA", "Medium", "MediumTest", "RangeTest", "table_ii"]
+
+Medium: TypeAlias = Literal["air", "water"]
+MEDIA: tuple[Medium, ...] = ("air", "water")
 
 
 @dataclass(frozen=True)
@@ -44,22 +47,23 @@ class RangeTest:
     water: MediumTest
     provenance: str
 
-    def errors(self, medium: Literal["air", "water"]) -> NDArray[np.float64]:
+    def errors(self, medium: Medium) -> NDArray[np.float64]:
         """Measured less desired (n,) [m]."""
-        error: NDArray[np.float64] = self._column(medium).measured - self.desired
+        error: NDArray[np.float64] = self.column(medium).measured - self.desired
         return error
 
-    def percent(self, medium: Literal["air", "water"]) -> NDArray[np.float64]:
+    def percent(self, medium: Medium) -> NDArray[np.float64]:
         """Relative error |measured − desired| / desired recomputed (n,) [%], not rounded."""
         relative: NDArray[np.float64] = 100.0 * np.abs(self.errors(medium)) / self.desired
         return relative
 
-    def disagreeing(self, medium: Literal["air", "water"]) -> NDArray[np.intp]:
+    def disagreeing(self, medium: Medium) -> NDArray[np.intp]:
         """Indices of the rows whose printed percentage is not the recomputed one to its one decimal (E2)."""
-        gap = np.abs(self.percent(medium) - self._column(medium).printed_percent)
+        gap = np.abs(self.percent(medium) - self.column(medium).printed_percent)
         return np.flatnonzero(gap > 0.05 + 1e-9)
 
-    def _column(self, medium: Literal["air", "water"]) -> MediumTest:
+    def column(self, medium: Medium) -> MediumTest:
+        """One medium's readings."""
         return self.air if medium == "air" else self.water
 
 

@@ -1,0 +1,100 @@
+"""`surctl sonar-replay`: recorded readings through the sonar filter."""
+
+from __future__ import annotations
+
+from math import isfinite
+from pathlib import Path
+
+import click
+
+from surctl.cli.output import as_json, finish
+
+__all__ = ["sonar_replay"]
+
+_METRES = click.FloatRange(min=0.0, min_open=True)
+
+
+@click.command("sonar-replay")
+@click.argument("file")
+@click.option("--sensors", type=click.IntRange(1, 16), default=4, help="Sensors of the array (4).")
+@click.option("--minimum", type=_METRES, default=0.2, help="Shortest range of a sensor [m] (0.2).")
+@click.option("--maximum", type=_METRES, default=4.5, help="Longest range; no echo reads it [m] (4.5).")
+@click.option("--bits", type=click.IntRange(1, 24), default=8, help="Of the conversion (8).")
+@click.option("--bias", type=float, default=0.0, help="Of a sample [m], as surctl calibrate gives it (0).")
+@click.option("--scale", type=_METRES, default=1.0, help="Likewise [1] (1).")
+@click.option("--noise-sd", type=click.FloatRange(min=0.0), default=0.015, help="Likewise [m] (0.015).")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("surctl-out", "sonar-replay"),
+    help="Folder of filtered.csv and the plot.",
+)
+@as_json
+def sonar_replay(
+    file: str,
+    sensors: int,
+    minimum: float,
+    maximum: float,
+    bits: int,
+    bias: float,
+    scale: float,
+    noise_sd: float,
+    out: Path,
+    as_json: bool,
+) -> None:
+    """Run recorded sonar readings through the filter of the controller: range, bound and health at each step.
+
+    Columns: time_s, sensor (0-based), and sample_1_m, sample_2_m, ... or one range_m; optional closing_m_per_s (own
+    speed along that beam) and turn_rad_per_s (yaw rate).
+
+    Examples: surctl sonar-replay log.csv --out replay; surctl sonar-replay log.csv --maximum 6 --noise-sd 0.02
+    """
+    from surctl.errors import InputError
+    from surctl.files import prepare_folder, write_file
+    from surctl.sensing import filtered_rows, read_readings, replay_readings, sonar_array
+
+    if not isfinite(scale):
+        raise InputError("must be finite", key="--scale", value=scale, remedy="give what surctl calibrate printed")
+    array = sonar_array(
+        sensors, minimum=minimum, maximum=maximum, bits=bits, bias=bias / scale, noise_sd=noise_sd / scale
+    )
+    recording = read_readings(Path(file), array, scale=scale)
+    prepare_folder(out)
+    replayed = replay_readings(recording.readings)
+    rows = write_file(out / "filtered.csv", filtered_rows(replayed))
+    from surctl.report import save_sonar_replay
+
+    picture = save_sonar_replay(replayed, out, title=recording.name)
+    found = [replayed.summary(sensor) for sensor in replayed.sensors]
+    span = recording.readings.time[-1] - recording.readings.time[0]
+    lines = [
+        f"{recording.name}: {recording.rows} rows over {span:.4g} s, a sensor reads every {recording.cycle:.3g} s",
+        "sensor  readings  refused  healthy  gaps  longest gap  median bound",
+    ]
+    lines += [
+        f"{s.sensor:>6}  {s.readings:>8}  {s.refused:>7}  {100 * s.healthy:>6.1f}%  {s.gaps:>4}  "
+        f"{f'{s.longest_gap:.3g} s' if s.gaps else '-':>11}  {_bound(s.median_bound):>12}"
+        for s in found
+    ]
+    lines += [f"note: {text}" for text in recording.notes]
+    lines += ["", f"table {rows}", f"plot  {picture}"]
+    data = {
+        "file": recording.name,
+        "rows": recording.rows,
+        "duration_s": float(span),
+        "cycle_s": recording.cycle,
+        "step_s": recording.readings.dt,
+        "skipped_incomplete": recording.incomplete,
+        "skipped_back_in_time": recording.back,
+        "skipped_crowded": recording.crowded,
+        "beyond_maximum": recording.beyond,
+        "restarts": len(recording.readings.first) - 1,
+        "sensors": [s.to_dict() for s in found],
+        "notes": recording.notes,
+        "files": [str(rows), str(picture)],
+    }
+    finish(data, lines, as_json=as_json, passed=True)
+
+
+def _bound(metres: float) -> str:
+    return f"{metres:.3f} m" if metres == metres else "-"

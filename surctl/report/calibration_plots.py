@@ -1,0 +1,98 @@
+"""A range sensor's calibration: errors against distance with the fitted line and noise, and studentised residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from surctl.report.theme import AVOIDING, BAD, INK, MUTED, ROBOT, dress, legend_above, new_figure, printable
+from surctl.sensing import SensorCalibration
+
+__all__ = ["plot_calibration", "plot_errors", "plot_studentised"]
+
+_DOTS = 4000  # drawn at most beside the outliers: more is a solid block
+_NORMAL = 1.96
+
+
+def plot_calibration(one: SensorCalibration, ax: Sequence[Axes] | None = None) -> Figure:
+    """Errors, and studentised residuals, over the true distance.
+
+    Args:
+        one: the calibration.
+        ax: two axes; None makes them.
+
+    Returns:
+        The figure that holds the axes.
+    """
+    if ax is None:
+        figure = new_figure(8.0, 6.4)
+        title = f"Calibration, {one.title}: {len(one.found.true)} rows"
+        figure.suptitle(printable(title), fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+        ax = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2)).ravel().tolist()
+    plot_errors(one, ax[0]).set_xlabel("")
+    plot_studentised(one, ax[1])
+    return ax[0].figure.figure
+
+
+def plot_errors(one: SensorCalibration, ax: Axes | None = None) -> Axes:
+    """Measured − true [mm] over the true distance [m], the fitted line and the band that holds 95 % of the noise."""
+    found = one.found
+    ax = _axes(ax, y="measured − true [mm]")
+    ax.axhline(0.0, color=MUTED, linewidth=0.9)
+    at = np.linspace(found.true[0], found.true[-1], 200)
+    line = (found.scale.value - 1.0) * at + found.bias.value
+    sd = found.noise_sd.value * np.interp(at, found.true, found.relative_sd)
+    ax.fill_between(
+        at, 1e3 * (line - _NORMAL * sd), 1e3 * (line + _NORMAL * sd), color=ROBOT, alpha=0.12, linewidth=0.0,
+        label="line ± 1.96 sd",
+    )  # fmt: skip
+    shown = _share(found.true, found.outliers)
+    ax.plot(found.true[shown], 1e3 * found.errors[shown], "o", color=ROBOT, label="row", markersize=_size(shown))
+    ax.plot(at, 1e3 * line, color=INK, linewidth=1.5, label="fitted line", zorder=3)
+    if len(found.outliers):
+        ax.plot(
+            found.true[found.outliers], 1e3 * found.errors[found.outliers], "s", color=AVOIDING, markersize=8,
+            fillstyle="none", label="outlier, kept",
+        )  # fmt: skip
+    legend_above(ax)
+    return ax
+
+
+def plot_studentised(one: SensorCalibration, ax: Axes | None = None) -> Axes:
+    """Residual over its own sd over the true distance [m], with the bound beyond which a row counts as an outlier."""
+    found = one.found
+    ax = _axes(ax, y="studentised residual [1]")
+    bound = found.outlier_bound
+    values = np.clip(found.studentised, -3.0 * bound, 3.0 * bound)
+    shown = _share(found.true, found.outliers)
+    ax.axhline(0.0, color=MUTED, linewidth=0.9)
+    for sign in (1, -1):
+        ax.axhline(sign * bound, color=BAD, linewidth=1.0, linestyle="--", label="outlier bound" if sign > 0 else "")
+    ax.plot(found.true[shown], values[shown], "o", color=ROBOT, markersize=_size(shown))
+    if len(found.outliers):
+        beyond = np.abs(found.studentised[found.outliers]) > 3.0 * bound
+        label = "outlier, kept (held to the axis)" if beyond.any() else "outlier, kept"
+        ax.plot(
+            found.true[found.outliers], values[found.outliers], "s", color=AVOIDING, markersize=8, fillstyle="none",
+            label=label,
+        )  # fmt: skip
+    legend_above(ax)
+    return ax
+
+
+def _share(true: NDArray[np.float64], outliers: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Indices of an even share of the rows, and of every outlier."""
+    even = np.linspace(0, len(true) - 1, min(len(true), _DOTS)).astype(np.intp)
+    return np.union1d(even, outliers)
+
+
+def _size(shown: NDArray[np.intp]) -> float:
+    return 4.0 if len(shown) <= 400 else 1.5
+
+
+def _axes(ax: Axes | None, *, y: str) -> Axes:
+    return dress(ax or new_figure(7.0, 3.2).add_subplot(), x="true distance [m]", y=y)

@@ -1,0 +1,83 @@
+"""A recording through the filter, a panel a sensor: raw samples, filtered range with its bound, a strip of health."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from surctl.report.theme import BAD, GOOD, INK, MUTED, ROBOT, dress, legend_above, new_figure, printable
+from surctl.sensing import Replay
+
+__all__ = ["plot_replay_sensor", "plot_sonar_replay"]
+
+_POINTS = 20_000  # steps and samples drawn at most
+_FAINT_BAD = "#F3C6C1"
+_STRIP = 0.04  # of the panel's height
+
+
+def plot_sonar_replay(replayed: Replay, ax: Sequence[Axes] | None = None, *, title: str = "") -> Figure:
+    """One panel for each sensor that sent anything.
+
+    Args:
+        replayed: the replay.
+        ax: as many axes as there are such sensors; None makes them.
+        title: above them.
+
+    Returns:
+        The figure that holds the axes.
+    """
+    sensors = replayed.sensors
+    if ax is None:
+        figure = new_figure(9.5, 1.0 + 2.5 * len(sensors))
+        figure.suptitle(printable(title), fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+        ax = figure.subplots(len(sensors), 1, sharex=True, squeeze=False).ravel().tolist()
+    for k, (sensor, one) in enumerate(zip(sensors, ax, strict=True)):
+        plot_replay_sensor(replayed, sensor, one)
+        if k == 0:
+            legend_above(one)
+        if k < len(sensors) - 1:
+            one.set_xlabel("")
+    return ax[0].figure.figure
+
+
+def plot_replay_sensor(replayed: Replay, sensor: int, ax: Axes | None = None) -> Axes:
+    """Raw samples, filtered range, its bound and health of one sensor over time."""
+    r, t = replayed.readings, replayed.tracked
+    ax = dress(ax or new_figure(9.0, 3.0).add_subplot(), x="time [s]", y=f"sensor {sensor}: range [m]")
+    steps = np.linspace(0, len(r.time) - 1, min(len(r.time), _POINTS)).astype(np.intp)
+    ends = r.first[1:]
+    cuts = np.searchsorted(steps, ends)  # a line does not span a silence
+    time = np.insert(r.time[steps], cuts, r.time[np.minimum(ends, len(r.time) - 1)])
+    value, bound = (np.insert(v[steps, sensor], cuts, np.nan) for v in (t.range, t.bound))
+    ax.fill_between(time, value - bound, value + bound, color=ROBOT, alpha=0.18, linewidth=0.0, label="promised bound")
+    fired = np.flatnonzero(r.fresh[:, sensor])
+    fired = fired[np.linspace(0, len(fired) - 1, min(len(fired), _POINTS // r.samples.shape[2] + 1)).astype(np.intp)]
+    raw = r.samples[fired, sensor]
+    at = np.repeat(r.time[fired], raw.shape[1])
+    few = len(at) < 2000
+    ax.plot(
+        at, raw.ravel(), "o", color=MUTED, markersize=2.5 if few else 1.2, markeredgewidth=0.0,
+        alpha=0.8 if few else 0.5, label="raw sample",
+    )  # fmt: skip
+    ax.plot(time, value, color=ROBOT, linewidth=1.3, label="filtered range")
+    ax.set_ylim(-0.07 * r.array.maximum, 1.04 * r.array.maximum)
+    healthy = t.healthy[steps, sensor]
+    _strip(ax, r.time[steps], healthy, colour=GOOD, hatch=None, label="healthy")
+    _strip(ax, r.time[steps], ~healthy, colour=BAD, hatch="////", label="not healthy")
+    if r.time[-1] > r.time[0]:
+        ax.set_xlim(float(r.time[0]), float(r.time[-1]))
+    return ax
+
+
+def _strip(
+    ax: Axes, time: NDArray[np.float64], where: NDArray[np.bool_], *, colour: str, hatch: str | None, label: str
+) -> None:
+    """A strip along the foot of the panel; hatched, so that colour alone does not tell the two apart."""
+    ax.fill_between(
+        time, 0.0, _STRIP, where=where.tolist(), step="post", transform=ax.get_xaxis_transform(), label=label,
+        facecolor=colour if hatch is None else _FAINT_BAD, edgecolor=colour, hatch=hatch, linewidth=0.0, zorder=3,
+    )  # fmt: skip

@@ -1,0 +1,251 @@
+"""Calibration of a range sensor: measured = scale·true + bias + noise(range), each with a 95 % confidence interval.
+
+The line is least squares with Student's t. Whether the noise depends on range (sd = s0 + s1·range) is tested at the 5 %
+level by the restricted likelihood ratio of `surctl.sensing.noise_shape`. When it does not, the intervals are the exact
+ones of normal noise: t for the line, χ² for the sd. When it does, the line is weighted by that sd. The errors
+measured − true are described too, as if the scale were 1, which is how range tests are usually quoted.
+
+What the intervals hold, measured over simulated data: 94 to 97 % where the noise is the same at all ranges, and from
+about 50 rows on where it is not. With fewer rows an uneven noise is often not found, and a noise that falls fivefold
+over 12 to 18 rows leaves the interval of the bias 88 to 91 % (one that grows: more than 93 %).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from math import isfinite, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError
+from surctl.sensing.noise_shape import noise_shape
+from surctl.sensing.straight_line import fit_line, studentised_residuals
+
+__all__ = [
+    "LEAST_DISTANCES",
+    "LEAST_ROWS",
+    "LEAST_ROWS_OF_SLOPE",
+    "OUTLIER_RULE",
+    "Calibration",
+    "Estimate",
+    "calibrate",
+]
+
+LEAST_ROWS = 6
+"""Rows that a calibration needs: below, a sd is known to less than a factor of 3."""
+LEAST_DISTANCES = 3
+"""Distinct true distances that it needs: two leave no residual that tells a bent line from noise."""
+LEAST_ROWS_OF_SLOPE = 12
+"""Rows from which on the slope of the noise is fitted; below, the test finds next to nothing."""
+OUTLIER_RULE = (
+    "outlier: residual over its sd without that row (externally studentised) beyond Student's t at 5 % shared among "
+    "all rows (Bonferroni); marked and kept"
+)
+_LEVEL = 0.05
+_MOST_LISTED = 10_000
+_EXACT = 1e-9  # residuals below this share of the distances are rounding of numbers, not noise
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number and the ends of its 95 % confidence interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if not all(isfinite(v) for v in (self.value, self.low, self.high)):
+            raise InputError("estimate is not finite", key="calibration", value=(self.value, self.low, self.high))
+
+    def to_list(self) -> list[float]:
+        """Value, low, high."""
+        return [self.value, self.low, self.high]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """One sensor's calibration; lengths in metres, arrays by ascending true distance.
+
+    Attributes:
+        true: (n,) true distances.
+        measured: (n,) what the sensor read.
+        order: (n,) index of each row in what was given.
+        bias: of the line at true = 0.
+        scale: of the line [1].
+        noise_sd: about the line; root of the mean of sd² over the rows when the noise depends on range.
+        noise_at_zero: s0 of sd = s0 + s1·range; None when one sd holds for all ranges, or too few rows.
+        noise_slope: s1 [m/m]; None with too few rows, or no noise at all.
+        noise_slope_p: chance of such a slope were there none; None as `noise_slope`.
+        mean_error: of measured − true.
+        error_sd: of measured − true about their mean.
+        relative_sd: (n,) fitted sd at each row over `noise_sd`.
+        studentised: (n,) residual over its own sd, without that row.
+        outliers: (k,) indices that `OUTLIER_RULE` marks.
+        rests_on_outliers: the noise depends on range at the 5 % level, and without the outliers it does not.
+    """
+
+    true: NDArray[np.float64]
+    measured: NDArray[np.float64]
+    order: NDArray[np.intp]
+    bias: Estimate
+    scale: Estimate
+    noise_sd: Estimate
+    noise_at_zero: Estimate | None
+    noise_slope: Estimate | None
+    noise_slope_p: float | None
+    mean_error: Estimate
+    error_sd: Estimate
+    relative_sd: NDArray[np.float64]
+    studentised: NDArray[np.float64]
+    outliers: NDArray[np.intp]
+    rests_on_outliers: bool
+
+    @property
+    def errors(self) -> NDArray[np.float64]:
+        """Measured less true (n,) [m]."""
+        return self.measured - self.true
+
+    @property
+    def residuals(self) -> NDArray[np.float64]:
+        """Measured less the line (n,) [m]."""
+        return self.measured - (self.scale.value * self.true + self.bias.value)
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of measured − true [m]."""
+        return float(np.sqrt(np.mean(self.errors**2)))
+
+    @property
+    def largest(self) -> int:
+        """Index of the largest |measured − true|."""
+        return int(np.argmax(np.abs(self.errors)))
+
+    @property
+    def outlier_bound(self) -> float:
+        """|studentised| beyond which a row is an outlier."""
+        return _bound(len(self.true))
+
+    @property
+    def varies(self) -> bool:
+        """Whether the noise depends on range at the 5 % level; then the line is weighted."""
+        return self.noise_at_zero is not None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Estimates as [value, low, high] in metres; residuals by ascending true distance, unless very many."""
+        estimates = ("bias", "scale", "noise_sd", "noise_at_zero", "noise_slope", "mean_error", "error_sd")
+        found = {name: getattr(self, name) for name in estimates}
+        plain = ("scale", "noise_slope")  # not in metres
+        return {
+            "rows": len(self.true),
+            **{k if k in plain else f"{k}_m": None if v is None else v.to_list() for k, v in found.items()},
+            "residuals_m": self.residuals.tolist() if len(self.true) <= _MOST_LISTED else None,
+            "noise_slope_p": self.noise_slope_p,
+            "noise_varies": self.varies,
+            "noise_rests_on_outliers": self.rests_on_outliers,
+            "rms_error_m": self.rms,
+            "largest_error_m": float(self.errors[self.largest]),
+            "largest_error_at_m": float(self.true[self.largest]),
+        }
+
+
+def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
+    """Fit bias, scale and noise to true and measured distances (n,) [m], in any order.
+
+    Raises:
+        InputError: fewer than `LEAST_ROWS` rows or `LEAST_DISTANCES` distinct distances, a number that is not finite
+            or below 0, or distances of another unit than the readings (a median ratio outside 1/3 to 3).
+    """
+    x, y = np.asarray(true, dtype=float), np.asarray(measured, dtype=float)
+    _check(x, y)
+    order = np.argsort(x, kind="stable")
+    x, y = x[order], y[order]
+    n = len(x)
+    plain = fit_line(x, y, np.ones(n))
+    error = y - x
+    mean, spread = float(error.mean()), float(error.std(ddof=1))
+    rows = partial(
+        Calibration, true=x, measured=y, order=order,
+        mean_error=_around(mean, spread / sqrt(n), n - 1), error_sd=_of_sd(spread, n - 1),
+    )  # fmt: skip
+    if plain.sd <= _EXACT * float(x.max()):
+        bias, scale = (_around(v, 0.0, n - 2) for v in plain.beta)
+        return rows(
+            bias=bias, scale=scale, noise_sd=Estimate(0.0, 0.0, 0.0), noise_at_zero=None, noise_slope=None,
+            noise_slope_p=None, relative_sd=np.ones(n), studentised=np.zeros(n), outliers=np.empty(0, dtype=np.intp),
+            rests_on_outliers=False,
+        )  # fmt: skip
+    shape = noise_shape(x, plain.residuals) if n >= LEAST_ROWS_OF_SLOPE else None
+    if shape is not None and shape.p < _LEVEL:
+        (bias_plus, scale_plus), relative = shape.line, shape.relative
+        bias = Estimate(*(float(v) for v in plain.beta[0] + bias_plus))
+        scale = Estimate(*(float(v) for v in plain.beta[1] + scale_plus))
+        level, at_zero = Estimate(*shape.level), Estimate(*shape.s0)
+    else:
+        bias, scale = (_around(v, sd, n - 2) for v, sd in zip(plain.beta, plain.beta_sd, strict=True))
+        level, at_zero, relative = _of_sd(plain.sd, n - 2), None, np.ones(n)
+    studentised = studentised_residuals(fit_line(x, y, relative))
+    marked = np.abs(studentised) > _bound(n)
+    return rows(
+        bias=bias, scale=scale, noise_sd=level, noise_at_zero=at_zero,
+        noise_slope=None if shape is None else Estimate(*shape.s1), noise_slope_p=None if shape is None else shape.p,
+        relative_sd=relative, studentised=studentised, outliers=np.flatnonzero(marked),
+        rests_on_outliers=at_zero is not None and bool(marked.any()) and not _varies(x[~marked], y[~marked]),
+    )  # fmt: skip
+
+
+def _varies(x: NDArray[np.float64], y: NDArray[np.float64]) -> bool:
+    """Whether the noise of these rows depends on range at the 5 % level."""
+    if len(x) < LEAST_ROWS_OF_SLOPE or len(np.unique(x)) < LEAST_DISTANCES:
+        return False
+    line = fit_line(x, y, np.ones(len(x)))
+    return line.sd > _EXACT * float(x.max()) and noise_shape(x, line.residuals).p < _LEVEL
+
+
+def _bound(n: int) -> float:
+    from scipy import stats  # a second to import
+
+    return float(stats.t.isf(_LEVEL / (2 * n), n - 3))
+
+
+def _around(value: float, sd: float, dof: int) -> Estimate:
+    from scipy import stats
+
+    reach = float(stats.t.ppf(1 - _LEVEL / 2, dof)) * float(sd)
+    return Estimate(float(value), float(value) - reach, float(value) + reach)
+
+
+def _of_sd(sd: float, dof: int) -> Estimate:
+    from scipy import stats
+
+    low, high = (sd * sqrt(dof / float(stats.chi2.ppf(p, dof))) for p in (1 - _LEVEL / 2, _LEVEL / 2))
+    return Estimate(sd, low, high)
+
+
+def _check(x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+    if x.ndim != 1 or x.shape != y.shape:
+        raise InputError(f"have shapes {x.shape} and {y.shape}", key="true, measured", remedy="give (n,) both")
+    for name, values in (("true", x), ("measured", y)):
+        if not np.all(np.isfinite(values)) or np.any(values < 0):
+            wrong = values[~(np.isfinite(values) & (values >= 0))][0]
+            raise InputError("must be finite distances, at least 0", key=name, value=float(wrong))
+    if len(x) < LEAST_ROWS:
+        raise InputError(f"{len(x)} good rows are too few", key="rows", remedy=f"give at least {LEAST_ROWS}")
+    distinct = len(np.unique(x))
+    if distinct < LEAST_DISTANCES:
+        raise InputError(
+            f"{distinct} distinct true distance{'s' * (distinct > 1)} are too few",
+            key="rows",
+            remedy=f"measure at {LEAST_DISTANCES} or more",
+        )
+    ratio = float(np.median(y) / np.median(x)) if np.median(x) > 0 else 1.0
+    if not 1 / 3 <= ratio <= 3:
+        raise InputError(
+            f"measured distances are about {ratio:.3g} times the true ones",
+            key="rows",
+            remedy="check the units of both columns and which is which",
+        )

@@ -1,0 +1,270 @@
+"""A calibration's CSV file in, its results and a scenario's `[sonar]` fragment out; Table II as built-in data."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.sensing.calibration import Calibration, Estimate, calibrate
+from surctl.sensing.recorded import Recorded, read_recorded, shown
+from surctl.sensing.table2 import MEDIA, table_ii
+
+__all__ = [
+    "BUILT_IN",
+    "SensorCalibration",
+    "calibrate_file",
+    "calibrate_table_ii",
+    "calibration_rows",
+    "file_stems",
+    "pick_calibration",
+    "sonar_fragment",
+]
+
+BUILT_IN = "table-ii"
+"""Name under which `surctl calibrate` knows the shipped table."""
+_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+_PAIRS = [(f"true_{unit}", f"measured_{unit}") for unit in _UNITS]
+_FAR = 20.0  # m; a range that makes one ask for the unit
+_MOST_SENSORS = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorCalibration:
+    """One sensor in one medium.
+
+    Attributes:
+        sensor: its name in the file, "" without such a column.
+        medium: likewise.
+        source: where the rows come from, one printable line.
+        found: the calibration.
+        lines: (n,) line in the file of each row of `found`; 0 for built-in data.
+        skipped: rows left out because a number was missing, NaN or infinite.
+        unsorted: rows whose true distance was below that of the row before; all were sorted.
+    """
+
+    sensor: str
+    medium: str
+    source: str
+    found: Calibration
+    lines: NDArray[np.int64]
+    skipped: int
+    unsorted: int
+
+    @property
+    def title(self) -> str:
+        """Sensor and medium for people, "one sensor" without either."""
+        parts = [f"sensor {self.sensor}" if self.sensor else "", self.medium]
+        return ", ".join(p for p in parts if p) or "one sensor"
+
+    @property
+    def notes(self) -> list[str]:
+        """What a reader should know of the rows, a sentence each."""
+        said = []
+        if self.skipped:
+            said.append(f"rows skipped because a number is missing, NaN or infinite: {self.skipped}")
+        if self.unsorted:
+            said.append(f"rows that were not in ascending order of true distance, and were sorted: {self.unsorted}")
+        if self.found.rests_on_outliers:
+            said.append("that the noise depends on range rests on the outliers: without them it does not; see to them")
+        if self.found.true[-1] > _FAR:
+            said.append(f"distances reach {self.found.true[-1]:.4g} m: check that the column's unit is right")
+        return said
+
+    def to_dict(self) -> dict[str, Any]:
+        """The calibration with its rows; outliers by line."""
+        f = self.found
+        return {
+            "sensor": self.sensor,
+            "medium": self.medium,
+            **f.to_dict(),
+            "skipped_rows": self.skipped,
+            "unsorted_rows": self.unsorted,
+            "outlier_lines": self.lines[f.outliers].tolist(),
+            "outliers": [
+                {"true_m": float(f.true[k]), "measured_m": float(f.measured[k]), "studentised": float(f.studentised[k])}
+                for k in f.outliers
+            ],
+            "notes": self.notes,
+        }
+
+
+def calibrate_file(path: Path) -> list[SensorCalibration]:
+    """Calibrate every sensor and medium of a CSV file, in the order in which they first stand there.
+
+    Columns: `true_m, measured_m`, or both in `_cm` or `_mm`; `sensor` and `medium` (text) if there are several; others
+    are left alone. Rows with a missing, NaN or infinite number are skipped and counted; rows in any order are sorted
+    and counted; a distance below 0 is refused.
+
+    Raises:
+        InputError: as `read_recorded` and `calibrate`, a missing column or two units, with file and line.
+    """
+    table = read_recorded(path)
+    true_column, measured_column, factor = _columns(table)
+    x, y = table.numbers(true_column), table.numbers(measured_column)
+    for column, values in ((true_column, x), (measured_column, y)):
+        below = np.flatnonzero(values < 0)
+        if len(below):
+            raise InputError(
+                "is below 0", file=table.at(below[0]), key=column, value=float(values[below[0]]),
+                remedy="give distances",
+            )  # fmt: skip
+    x, y = x * factor, y * factor
+    results = []
+    for (sensor, medium), rows in _groups(table):
+        good = rows[np.isfinite(x[rows]) & np.isfinite(y[rows])]
+        try:
+            found = calibrate(x[good], y[good])
+        except InputError as error:
+            which = ", ".join(p for p in (f"sensor {sensor}" if sensor else "", medium) if p)
+            skipped = len(rows) - len(good)
+            more = f" ({skipped} more skipped: a number is missing, NaN or infinite)" if skipped else ""
+            raise InputError(
+                error.problem + more, file=table.name, key=which or error.key, remedy=error.remedy
+            ) from None
+        results.append(
+            SensorCalibration(
+                sensor=sensor, medium=medium, source=table.name, found=found, lines=table.lines[good][found.order],
+                skipped=len(rows) - len(good), unsorted=int(np.count_nonzero(np.diff(x[good]) < 0)),
+            )
+        )  # fmt: skip
+    return results
+
+
+def calibrate_table_ii() -> list[SensorCalibration]:
+    """The calibrations that Table II gives, in air and in water."""
+    table = table_ii()
+    results = []
+    for medium in MEDIA:
+        found = calibrate(table.desired, table.column(medium).measured)
+        results.append(
+            SensorCalibration(
+                sensor="U1", medium=medium, source=table.provenance, found=found,
+                lines=np.zeros(len(found.true), dtype=np.int64), skipped=0, unsorted=0,
+            )
+        )  # fmt: skip
+    return results
+
+
+def sonar_fragment(one: SensorCalibration) -> str:
+    """TOML text to paste into a scenario: `[sonar]` with bias_m, scale, noise_sd_m, the intervals as comments."""
+    f = one.found
+    head = [
+        f"# {shown(one.title)}: {len(f.true)} rows from {shown(one.source)}",
+        f"# {f.true[0]:.6g} to {f.true[-1]:.6g} m; measured = scale * true + bias + noise; 95 % confidence intervals",
+    ]
+    body = ["[sonar]"]
+    for key, estimate in (("bias_m", f.bias), ("scale", f.scale), ("noise_sd_m", f.noise_sd)):
+        body.append(f"{key} = {_number(estimate.value)}  # {estimate.low:.6g} to {estimate.high:.6g}")
+    if f.varies and f.noise_at_zero is not None and f.noise_slope is not None:
+        body += [
+            "# the noise depends on range, noise_sd_m is its root mean square over the rows:",
+            f"# sd = {_span(f.noise_at_zero)} m + {_span(f.noise_slope)} m/m * range",
+        ]
+    body += [
+        "# with the scale held at 1 instead (then write scale = 1.0):",
+        f"# bias_m = {_number(f.mean_error.value)}  # {f.mean_error.low:.6g} to {f.mean_error.high:.6g}",
+        f"# noise_sd_m = {_number(f.error_sd.value)}  # {f.error_sd.low:.6g} to {f.error_sd.high:.6g}",
+        "# noise_sd_m is that of one recorded reading, its rounding included",
+    ]
+    return "\n".join([*head, *body]) + "\n"
+
+
+def calibration_rows(results: Sequence[SensorCalibration]) -> str:
+    """Every row as CSV text: where it came from, its error, residual, and whether it is marked as an outlier."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    head = ("sensor", "medium", "line", "true_m", "measured_m", "error_m", "residual_m", "studentised", "outlier")
+    writer.writerow(head)
+    for one in results:
+        f = one.found
+        marked = np.zeros(len(f.true), dtype=int)
+        marked[f.outliers] = 1
+        numbers = [np.char.mod("%.9g", v) for v in (f.true, f.measured, f.errors, f.residuals, f.studentised)]
+        writer.writerows(
+            (one.sensor, one.medium, *row)
+            for row in zip(one.lines.tolist(), *(v.tolist() for v in numbers), marked.tolist(), strict=True)
+        )
+    return out.getvalue()
+
+
+def _columns(table: Recorded) -> tuple[str, str, float]:
+    """The two columns and the factor to metres."""
+    there = [unit for unit, pair in zip(_UNITS, _PAIRS, strict=True) if set(pair) <= set(table.columns)]
+    if len(there) > 1:
+        raise InputError(
+            f"has distances in {' and in '.join(there)}", file=table.name, remedy="leave one pair of columns"
+        )
+    if there:
+        return f"true_{there[0]}", f"measured_{there[0]}", _UNITS[there[0]]
+    true = [name for name, _ in _PAIRS if name in table.columns]
+    measured = [name for _, name in _PAIRS if name in table.columns]
+    if true and measured:
+        raise InputError(f"{true[0]} and {measured[0]} differ in unit", file=table.name, remedy="give both in one unit")
+    if true or measured:
+        absent = measured[0].replace("measured", "true") if measured else true[0].replace("true", "measured")
+        table.need([absent])
+    table.need(_PAIRS[0])
+    return (*_PAIRS[0], 1.0)
+
+
+def _groups(table: Recorded) -> Iterator[tuple[tuple[str, str], NDArray[np.intp]]]:
+    """Rows of each sensor and medium, by first appearance."""
+    count = len(table.lines)
+    names = [[c.strip() for c in table.columns.get(key, [""] * count)] for key in ("sensor", "medium")]
+    rows: dict[tuple[str, str], list[int]] = {}
+    for k, name in enumerate(zip(*names, strict=True)):
+        rows.setdefault(name, []).append(k)
+    if len(rows) > _MOST_SENSORS:
+        raise InputError(
+            f"has {len(rows)} sensors and media",
+            file=table.name,
+            key="sensor",
+            remedy=f"give at most {_MOST_SENSORS}: is this column a name?",
+        )
+    for (sensor, medium), indices in rows.items():
+        yield (shown(sensor), shown(medium)), np.array(indices)
+
+
+def _number(value: float) -> str:
+    """A TOML float."""
+    text = f"{value:.6g}"
+    return text if any(c in text for c in ".en") else text + ".0"
+
+
+def _span(estimate: Estimate) -> str:
+    return f"{estimate.value:.6g} ({estimate.low:.6g} to {estimate.high:.6g})"
+
+
+def file_stems(results: Sequence[SensorCalibration]) -> list[str]:
+    """A file name part for each result, distinct: "-sensor-medium", or "" for a single unnamed one."""
+    stems: list[str] = []
+    for k, one in enumerate(results):
+        parts = [re.sub(r"[^A-Za-z0-9_.]+", "-", part).strip("-.")[:40] for part in (one.sensor, one.medium)]
+        stem = "".join(f"-{part}" for part in parts if part)
+        if stem in stems or (not stem and len(results) > 1):
+            stem = f"-{k + 1}{stem}"
+        stems.append(stem)
+    return stems
+
+
+def pick_calibration(name: str) -> list[SensorCalibration]:
+    """What the command's FILE names: the built-in table, or a file.
+
+    Raises:
+        InputError: no such file, or as `calibrate_file`.
+    """
+    if name == BUILT_IN:
+        return calibrate_table_ii()
+    path = Path(name)
+    if not path.suffix and len(path.parts) == 1 and not path.exists():
+        raise InputError("no such file", file=shown(name), remedy=nearest(name, [BUILT_IN]))
+    return calibrate_file(path)

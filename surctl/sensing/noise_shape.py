@@ -1,0 +1,183 @@
+"""How the noise of a straight line's residuals depends on range: sd(x) = s0 + s1·x by restricted likelihood.
+
+The residuals of n readings about a line are e ~ N(0, sd(x)²). The shape is λ = ln(sd at the far end / sd at the near
+end), held to |λ| ≤ ln 50; given λ, the level has a closed form, and the restricted likelihood of Patterson and
+Thompson (1971) in λ takes one weighted regression. An interval is what a likelihood-ratio test does not refuse, with
+t²(0.975; n − 3) in the place of χ²(1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import log, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["NoiseShape", "noise_shape"]
+
+_MOST = log(50.0)  # of |λ|
+_GRID = 401
+_ZOOMS = 5
+_DEEP = 25.0  # log-likelihoods below the largest that the grid still spans
+_THIN = 4
+_HALVINGS = 45  # of a bracket, of its logarithm
+_CELLS = 4096  # more distinct ranges than this share weights within a 4096th of the span
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseShape:
+    """What the residuals say of the noise against range.
+
+    Attributes:
+        p: chance of a likelihood ratio as large were the noise the same at all ranges.
+        s0: sd carried on to range 0 [m]: estimate, low, high (95 %); the line may cross zero before that.
+        s1: slope of the sd [m/m]: estimate, low, high.
+        level: root of the mean of sd² over the rows [m]: estimate, low, high.
+        relative: (n,) sd at each row over `level`, for weights.
+        line: (2, 3) intercept and slope of the weighted line about `x = 0`: estimate, low, high; the interval is
+            the marginal over λ (flat prior) of Student's t given λ, so that it knows that the weights are estimated.
+    """
+
+    p: float
+    s0: tuple[float, float, float]
+    s1: tuple[float, float, float]
+    level: tuple[float, float, float]
+    relative: NDArray[np.float64]
+    line: NDArray[np.float64]
+
+
+def noise_shape(x: NDArray[np.float64], residuals: NDArray[np.float64]) -> NoiseShape:
+    """Fit sd(x) = s0 + s1·x to residuals about a line.
+
+    Args:
+        x: (n,) ranges [m], n > 4, not all one.
+        residuals: (n,) about an unweighted line [m], not all 0. `line` of the result is in their terms: it is what the
+            weighted line adds to the unweighted one.
+    """
+    from scipy import stats  # a second to import
+
+    cells = _Cells.of(x, residuals)
+    dof = len(x) - 2
+    grid = np.linspace(-_MOST, _MOST, _GRID)
+    flat = _profile(cells, np.zeros(1))
+    for _ in range(_ZOOMS):
+        found = _profile(cells, grid)
+        near = np.flatnonzero(found.likelihood > found.likelihood.max() - _DEEP)
+        grid = np.linspace(grid[max(near[0] - 1, 0)], grid[min(near[-1] + 1, _GRID - 1)], _GRID)
+    best = int(np.argmax(found.likelihood))
+    top = found.likelihood[best]
+    ratio = 2.0 * max(float(top - flat.likelihood[0]), 0.0)
+    cut = float(stats.t.ppf(0.975, dof - 1)) ** 2
+    inside = 2.0 * (top - found.likelihood) <= cut
+    shrink, stretch = _level_limits(dof, 0.5 * cut - (top - found.likelihood[inside]))
+
+    def interval(per_level: NDArray[np.float64]) -> tuple[float, float, float]:
+        reach = per_level[inside] * found.level[inside] * np.array([shrink, stretch])
+        return float(per_level[best] * found.level[best]), float(reach.min()), float(reach.max())
+
+    slope = found.scale * np.expm1(found.shape) / cells.span
+    near_end = found.scale - slope * cells.start
+    chosen = found.scale[best] * (1.0 + np.expm1(found.shape[best]) * (x - cells.start) / cells.span)
+    return NoiseShape(
+        p=float(2.0 * stats.t.sf(sqrt(ratio), dof - 1)),
+        s0=interval(near_end),
+        s1=interval(slope),
+        level=interval(np.ones_like(found.scale)),
+        relative=chosen,
+        line=_marginal_line(found, cells.centre, dof, best),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Cells:
+    """Sums of the rows that share a weight: count, x, x², r, x r, r² (x about its mean), and the x of the weight."""
+
+    sums: NDArray[np.float64]
+    at: NDArray[np.float64]
+    start: float
+    span: float
+    centre: float
+    rows: int
+
+    @classmethod
+    def of(cls, x: NDArray[np.float64], r: NDArray[np.float64]) -> _Cells:
+        start, span, centre = float(x.min()), float(np.ptp(x)), float(x.mean())
+        at, cell = np.unique(x, return_inverse=True)
+        if len(at) > _CELLS:
+            cell = np.minimum((x - start) / span * _CELLS, _CELLS - 1).astype(int)
+            at = start + span * (np.arange(_CELLS) + 0.5) / _CELLS
+        about = x - centre
+        powers = (np.ones_like(x), about, about * about, r, about * r, r * r)
+        sums: NDArray[np.float64] = np.stack([np.bincount(cell, power, len(at)).astype(float) for power in powers])
+        return cls(sums=sums, at=at, start=start, span=span, centre=centre, rows=len(x))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Profile:
+    """For each λ: restricted likelihood with the best level, that level, near-end sd over it, the line about centre."""
+
+    shape: NDArray[np.float64]
+    likelihood: NDArray[np.float64]
+    level: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    line: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    """(k, 3): of intercept, both, slope, at level 1."""
+
+
+def _profile(cells: _Cells, shape: NDArray[np.float64]) -> _Profile:
+    dof = cells.rows - 2
+    bent = 1.0 + np.expm1(shape)[:, None] * ((cells.at - cells.start) / cells.span)
+    scale = 1.0 / np.sqrt(bent**2 @ cells.sums[0] / cells.rows)
+    sd = bent * scale[:, None]
+    one, x, xx, r, xr, rr = ((sd**-2) @ cells.sums.T).T
+    det = one * xx - x * x
+    line = np.stack([(xx * r - x * xr) / det, (one * xr - x * r) / det], axis=1)
+    left = np.maximum(rr - line[:, 0] * r - line[:, 1] * xr, np.finfo(float).tiny)
+    level = np.sqrt(left / dof)
+    likelihood = -dof * np.log(level) - np.log(sd) @ cells.sums[0] - 0.5 * np.log(det)
+    covariance = np.stack([xx / det, -x / det, one / det], axis=1)
+    return _Profile(shape=shape, likelihood=likelihood, level=level, scale=scale, line=line, covariance=covariance)
+
+
+def _level_limits(dof: int, drop: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Factors t < 1 < t' on the best level at which the likelihood has lost `drop`: ln t + (1/t² − 1)/2 = drop/dof."""
+
+    def lost(t: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.log(t) + 0.5 * (t**-2 - 1.0) - drop / dof
+
+    ends = []
+    for outer in (1e-6, 1e6):
+        inner, far = np.ones_like(drop), np.full_like(drop, outer)
+        for _ in range(_HALVINGS):
+            middle = np.sqrt(inner * far)
+            beyond = lost(middle) > 0
+            inner, far = np.where(beyond, inner, middle), np.where(beyond, middle, far)
+        ends.append(far)
+    return ends[0], ends[1]
+
+
+def _marginal_line(found: _Profile, centre: float, dof: int, best: int) -> NDArray[np.float64]:
+    """(2, 3): intercept at 0 and slope, with the 2.5 % and 97.5 % points of the mixture of t's over λ."""
+    from scipy.special import stdtr  # Student's distribution function, without the overhead of scipy.stats
+
+    some = slice(best % _THIN, None, _THIN)  # enough for an integral
+    weight = np.exp(found.likelihood[some] - found.likelihood[best])
+    weight /= weight.sum()
+    c, level, best = found.covariance[some], found.level[some], best // _THIN
+    slope, slope_sd = found.line[some, 1], level * np.sqrt(c[:, 2])
+    start = found.line[some, 0] - centre * slope
+    start_sd = level * np.sqrt(np.maximum(c[:, 0] - 2.0 * centre * c[:, 1] + centre**2 * c[:, 2], 0.0))
+    rows = []
+    for value, sd in ((start, start_sd), (slope, slope_sd)):
+        row = [float(value[best])]
+        for p in (0.025, 0.975):
+            low, high = float((value - 60.0 * sd).min()), float((value + 60.0 * sd).max())
+            for _ in range(_HALVINGS):
+                middle = 0.5 * (low + high)
+                below = float(weight @ stdtr(dof, (middle - value) / sd)) < p
+                low, high = (middle, high) if below else (low, middle)
+            row.append(0.5 * (low + high))
+        rows.append(row)
+    return np.array(rows)

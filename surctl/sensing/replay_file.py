@@ -1,0 +1,221 @@
+"""A recording's CSV file in, filtered ranges out."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass, replace
+from math import pi
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.sensing.array import CYCLE_LIMIT, SonarArray
+from surctl.sensing.pacing import on_steps, usual_cycle
+from surctl.sensing.recorded import Recorded, read_recorded
+from surctl.sensing.replay import Readings, Replay
+
+__all__ = ["Recording", "filtered_rows", "read_readings", "sonar_array"]
+
+Array = NDArray[np.float64]
+_BACK = 0.05  # share of rows whose time may go back
+_MOTION = ("closing_m_per_s", "turn_rad_per_s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """A file's readings, and what was left out of them.
+
+    Attributes:
+        readings: on the tracker's steps.
+        name: of the file, printable.
+        rows: in the file.
+        incomplete: rows skipped because a number is missing, NaN or infinite.
+        back: rows skipped because their time lies before that of a row above.
+        crowded: rows skipped because another reading of that sensor came within the same step.
+        beyond: rows with a sample beyond the sensor's maximum, held to it.
+        cycle: usual time from one reading of a sensor to its next [s].
+        still: motion that the file does not tell, columns' names; it is taken for 0.
+    """
+
+    readings: Readings
+    name: str
+    rows: int
+    incomplete: int
+    back: int
+    crowded: int
+    beyond: int
+    cycle: float
+    still: tuple[str, ...]
+
+    @property
+    def notes(self) -> list[str]:
+        """What a reader should know of the rows, a sentence each."""
+        counts = (
+            (self.incomplete, "rows skipped because a number is missing, NaN or infinite"),
+            (self.back, "rows skipped because time goes back"),
+            (self.crowded, "rows skipped because a later reading of that sensor came within the same step"),
+            (self.beyond, "rows with a sample beyond the sensor's maximum, held to it"),
+            (len(self.readings.first) - 1, "silences after which the filter started anew"),
+        )
+        said = [f"{text}: {count}" for count, text in counts if count]
+        said += [f"no column {name}: taken for 0" for name in self.still]
+        if not CYCLE_LIMIT / 2 <= self.cycle <= 1.5 * CYCLE_LIMIT:
+            said.append(f"a sensor reads every {self.cycle:.3g} s; the filter was made for {CYCLE_LIMIT:g} s")
+        return said
+
+
+def sonar_array(sensors: int, **numbers: float | int) -> SonarArray:
+    """An array of evenly spaced sensors that fire one after another; `numbers` as `SonarArray` names them."""
+    return replace(
+        SonarArray(
+            azimuths=tuple(2.0 * pi * i / sensors for i in range(sensors)),
+            order=tuple(range(sensors)),
+            firing_period=CYCLE_LIMIT / sensors,
+        ),
+        **numbers,  # type: ignore[arg-type]
+    )
+
+
+def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recording:
+    """Read a recording.
+
+    Columns: `time_s`, `sensor` (0-based), `sample_1_m`, `sample_2_m`, … or one `range_m`; optional `closing_m_per_s`
+    (own velocity along that beam), `turn_rad_per_s` (yaw rate). Steps are half the usual time from one reading of a
+    sensor to its next; a reading belongs to the nearest step. Rows with a missing, NaN or infinite number, and rows
+    whose time goes back, are skipped and counted.
+
+    Args:
+        path: the file.
+        array: the sensors; its `samples` and `firing_period` come from the file.
+        scale: of the sensor; readings are divided by it.
+
+    Raises:
+        InputError: as `read_recorded`; a missing column, a sensor that is not there, a sample below 0, time that goes
+            back in more than a twentieth of the rows, too few rows, or a pace that no sonar has.
+    """
+    table = read_recorded(path)
+    heard = _sample_columns(table)
+    table.need(["time_s", "sensor", *heard])
+    motion = [name for name in _MOTION if name in table.columns]
+    columns = {name: table.numbers(name) for name in ("time_s", "sensor", *heard, *motion)}
+    good = np.flatnonzero(np.isfinite(np.stack(list(columns.values()))).all(axis=0))
+    incomplete = len(table.lines) - len(good)
+    good, back = _forward(table, columns["time_s"], good)
+    sensor = _sensors(table, columns["sensor"], good, array)
+    samples = np.stack([columns[name][good] for name in heard], axis=1)
+    low = np.argwhere(samples < 0)
+    if len(low):
+        row, column = low[0]
+        raise InputError(
+            "is below 0", file=table.at(good[row]), key=heard[column], value=float(samples[row, column]),
+            remedy="give a distance, or leave the cell empty where nothing was read",
+        )  # fmt: skip
+    samples = samples / scale
+    beyond = int(np.count_nonzero((samples > array.maximum + array.resolution).any(axis=1)))
+    time = columns["time_s"][good]
+    cycle = usual_cycle(time, sensor, file=table.name)
+    dt = cycle / 2 if cycle <= 1.5 * CYCLE_LIMIT else cycle  # then a reading is due after one or two whole steps
+    array = replace(array, samples=len(heard), firing_period=min(cycle, CYCLE_LIMIT) / array.size)
+    step, first, begin = on_steps(time, dt, file=table.name)
+    still = tuple(name for name in _MOTION if name not in columns)
+    closing, turn = (columns[name][good] if name in columns else np.zeros(len(good)) for name in _MOTION)
+    count = int(step[-1]) + 1
+    row = np.full((count, array.size), -1)
+    row[step, sensor] = np.arange(len(good))  # the last one of a step stays
+    fresh = row >= 0
+    stepped = np.zeros((count, array.size, len(heard)))
+    stepped[fresh] = np.minimum(samples, array.maximum)[row[fresh]]
+    segment = np.searchsorted(first, np.arange(count), side="right") - 1
+    return Recording(
+        readings=Readings(
+            time=begin[segment] + dt * (np.arange(count) - first[segment]),
+            samples=stepped,
+            fresh=fresh,
+            row=np.where(fresh, good[row], -1),
+            closing=_held(closing, row),
+            turn=_held(turn, row.max(axis=1)[:, None])[:, 0],
+            first=first,
+            array=array,
+            dt=dt,
+        ),
+        name=table.name, rows=len(table.lines), incomplete=incomplete, back=back,
+        crowded=len(good) - int(fresh.sum()), beyond=beyond, cycle=cycle, still=still,
+    )  # fmt: skip
+
+
+def filtered_rows(replayed: Replay) -> str:
+    """Every step of every sensor that sent anything, as CSV text; `reading_m` only where one arrived."""
+    r = replayed.readings
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(("time_s", "sensor", "reading_m", "range_m", "bound_m", "healthy", "age_s"))
+    sensors = replayed.sensors
+    clock = np.char.mod("%.6f", r.time)
+    for begin in range(0, len(r.time), 100_000):
+        part = slice(begin, begin + 100_000)
+        told = {i: _told(replayed, part, i) for i in sensors}
+        for k, now in enumerate(clock[part].tolist()):
+            writer.writerows((now, i, *told[i][k]) for i in sensors)
+    return out.getvalue()
+
+
+def _told(replayed: Replay, part: slice, sensor: int) -> list[tuple[str, ...]]:
+    t, fresh = replayed.tracked, replayed.readings.fresh[part, sensor]
+    reading, ranges, bound, age = (np.char.mod("%.5f", v[part, sensor]) for v in (t.reading, t.range, t.bound, t.age))
+    cells = (
+        np.where(fresh, reading, ""),
+        ranges,
+        bound,
+        np.where(t.healthy[part, sensor], "1", "0"),
+        np.where(np.isfinite(t.age[part, sensor]), age, ""),
+    )
+    return list(zip(*(c.tolist() for c in cells), strict=True))
+
+
+def _sample_columns(table: Recorded) -> list[str]:
+    """`range_m`, or `sample_1_m` to the last one without a hole."""
+    samples = [name for name in table.columns if name.startswith("sample_") and name.endswith("_m")]
+    if "range_m" in table.columns:
+        if samples:
+            raise InputError(f"has range_m and {samples[0]}", file=table.name, remedy="leave one of them")
+        return ["range_m"]
+    if not samples:
+        table.need(["time_s", "sensor", "range_m"])
+    return [f"sample_{k}_m" for k in range(1, len(samples) + 1)]
+
+
+def _forward(table: Recorded, time: Array, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], int]:
+    """The rows whose time does not lie before that of a row above, and the number of the others."""
+    if not len(rows):
+        raise InputError("has no complete row", file=table.name, remedy="every cell of a row needs a number")
+    before = np.maximum.accumulate(time[rows])
+    goes_back = time[rows] < before
+    count = int(np.count_nonzero(goes_back))
+    if count > _BACK * len(rows):
+        first = int(np.argmax(goes_back))
+        raise InputError(
+            f"time goes back in {count} of {len(rows)} rows", file=table.at(rows[first]), key="time_s",
+            value=float(time[rows[first]]), remedy="sort the file by time_s, or mend the wrong time above that line",
+        )  # fmt: skip
+    return rows[~goes_back], count
+
+
+def _sensors(table: Recorded, values: Array, rows: NDArray[np.intp], array: SonarArray) -> NDArray[np.int64]:
+    given = values[rows]
+    wrong = np.flatnonzero((given != np.floor(given)) | (given < 0) | (given >= array.size))
+    if len(wrong):
+        raise InputError(
+            "no such sensor", file=table.at(rows[wrong[0]]), key="sensor", value=float(given[wrong[0]]),
+            remedy=f"give 0 to {array.size - 1}, or the number of sensors: --sensors",
+        )  # fmt: skip
+    return given.astype(np.int64)
+
+
+def _held(values: Array, row: NDArray[np.int64]) -> Array:
+    """Values (rows,) at `row` (steps, n), the last one held where there is none (-1), 0 before the first."""
+    newest = np.maximum.accumulate(row, axis=0)
+    held: Array = np.where(newest >= 0, values[np.maximum(newest, 0)], 0.0)
+    return held

@@ -1,0 +1,87 @@
+"""Whether the simulated sensor could have given Table II: many simulated tables at its 18 distances.
+
+A table's reading is taken for one raw sample, printed in whole centimetres. The paper does not say so, but the other
+reading, the weighted average of a firing, has half the spread and is refused here.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from surctl.sensing import Calibration, NoiseStream, SonarArray, calibrate, fire, table_ii
+from surctl.world import Wall
+
+ARRAY = SonarArray()
+TABLES = 1000
+CENTIMETRES = 2  # decimals of a printed reading in m
+
+
+def firing(distance: float, noise: NoiseStream) -> np.ndarray:
+    """Samples against a wall straight ahead."""
+    wall = Wall(point=(ARRAY.hull_radius + distance, 0.0), normal=(-1.0, 0.0))
+    drawn = noise.normals(ARRAY.samples)
+    return fire(ARRAY, 0, position=(0.0, 0.0), heading=0.0, shapes=[wall], noise=drawn)
+
+
+@cache
+def simulated(kind: str, count: int = TABLES) -> list[Calibration]:
+    """A calibration a seed."""
+    weights = np.arange(1.0, ARRAY.samples + 1)
+    tables = []
+    for seed in range(count):
+        noise = NoiseStream(seed)
+        samples = [firing(d, noise) for d in table_ii().desired]
+        readings = [s[0] if kind == "sample" else s @ weights / weights.sum() for s in samples]
+        tables.append(calibrate(table_ii().desired, np.round(readings, CENTIMETRES)))
+    return tables
+
+
+@cache
+def printed() -> Calibration:
+    return calibrate(table_ii().desired, table_ii().water.measured)
+
+
+def test_spread_of_a_sample_is_that_of_noise_and_conversion() -> None:
+    sd = np.sqrt(np.mean([t.error_sd.value**2 for t in simulated("sample")]))
+    # 15.8 mm without the rounding to centimetres, which goes with the conversion's at these 18 distances
+    assert np.hypot(ARRAY.noise_sd, ARRAY.resolution / np.sqrt(12)) == pytest.approx(0.01584, abs=1e-5)
+    assert sd == pytest.approx(0.01544, rel=0.015)
+    bias = np.mean([t.mean_error.value for t in simulated("sample")])
+    assert bias == pytest.approx(ARRAY.bias, abs=4 * sd / np.sqrt(18 * TABLES))
+
+
+def test_printed_bias_and_spread_lie_in_the_simulated_intervals() -> None:
+    of_bias = np.mean(
+        [t.mean_error.low <= printed().mean_error.value <= t.mean_error.high for t in simulated("sample")]
+    )
+    of_sd = np.mean([t.error_sd.low <= printed().error_sd.value <= t.error_sd.high for t in simulated("sample")])
+    # 0.95 each if the sensor's figures were exactly the printed ones; its sd is 15.4 mm and not 16.4
+    assert of_bias == pytest.approx(0.95, abs=0.02)
+    assert of_sd == pytest.approx(0.91, abs=0.03)
+
+
+def test_simulated_bias_and_spread_lie_in_the_printed_intervals() -> None:
+    table = printed()
+    of_bias = np.mean(
+        [table.mean_error.low <= t.mean_error.value <= table.mean_error.high for t in simulated("sample")]
+    )
+    of_sd = np.mean([table.error_sd.low <= t.error_sd.value <= table.error_sd.high for t in simulated("sample")])
+    assert of_bias > 0.95
+    assert of_sd == pytest.approx(0.85, abs=0.03)
+
+
+def test_largest_error_is_ordinary() -> None:
+    largest = [abs(t.errors[t.largest]) for t in simulated("sample")]
+    assert np.median(largest) == pytest.approx(0.03, abs=0.0051)
+    assert abs(printed().errors[printed().largest]) == pytest.approx(0.03)
+
+
+def test_an_average_of_a_firing_would_spread_half_as_much() -> None:
+    averaged = simulated("average", 300)
+    inside = np.mean([t.error_sd.low <= printed().error_sd.value <= t.error_sd.high for t in averaged])
+    assert inside < 0.06
+    table = printed()
+    assert np.mean([t.error_sd.value >= table.error_sd.low for t in averaged]) < 0.02
