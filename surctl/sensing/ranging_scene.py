@@ -113,7 +113,7 @@ def _scene(op: Elementwise, rules: Rules, old: Mapping[str, Value], seen: Seen) 
         raw=seen.expected,
         wall=seen.expected < rules.maximum,
         expected=expected,
-        tolerance=rules.tolerance + slide + unsure,
+        tolerance=rules.tolerance + 0.5 * slide + unsure,
         unsure=unsure,
         slide=slide,
     )
