@@ -143,7 +143,7 @@ def _rival(step: Step, new: _Compared, other: Value) -> Value:
 def _crosstalk(step: Step, newest: Value, taken: Value) -> Value:
     """Whether the value is what another sensor heard; all may see nothing."""
     op, rules, state = step.op, step.rules, step.state
-    found = taken < 0.0
+    found = op.size(taken) < 0.0  # of none
     for k in range(1, rules.sensors):
         reach = _CROSS + op.size(op.turned(state["rate"], k)) * rules.due
         for heard in (newest, state["heard"]):

@@ -311,6 +311,17 @@ def test_a_gap_is_noticed_and_bridged(missing: int) -> None:
     assert found["healthy"][160 + 2 * missing + 2 :].all() and found.kept() == 1.0
 
 
+@pytest.mark.parametrize("rate", [-0.25, 0.25])
+def test_while_nothing_is_heard_an_obstacle_may_move(rate: float) -> None:
+    def truth(t: float) -> float:
+        return 2.0 + rate * min(max(t - 8.0, 0.0), 3.0)
+
+    found = Flight(truth).fly(14.0, from_firing(80, lambda k, h: None, until=120))
+    assert found.kept() == 1.0
+    assert found["bound"][230] < 0.25 * 3.5 + 0.1, "and no more than that"
+    assert found["healthy"][246:].all()
+
+
 @pytest.mark.parametrize("cycles", [1, 2, 4, 8])
 @pytest.mark.parametrize("known", [False, True], ids=["obstacle", "wall"])
 def test_a_stream_that_comes_late_is_within_the_bound(cycles: int, known: bool) -> None:
