@@ -16,6 +16,7 @@ COMPILED = ANALYSIS / "06_compiled_modes" / "run.py"
 MODES = ANALYSIS / "04_priority_modes" / "run.py"
 SCALE = ANALYSIS / "08_sweep_scale" / "run.py"
 TUNING = ANALYSIS / "09_tuning" / "run.py"
+SONAR = ANALYSIS / "10_sonar_filters" / "run.py"
 
 
 def run(script: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -189,3 +190,34 @@ def test_the_study_of_tuning_compares_where_the_hand_gains_arrive(
     assert status == int(worse[0] or "named: **no**" in printed)
     for folder in ("seed0", "verified0"):
         assert (tmp_path / folder / "gains.toml").read_text(encoding="utf-8")
+
+
+def test_the_sonar_s_filters_hold_their_bars(tmp_path: Path) -> None:
+    out = tmp_path / "pictures"
+    done = run(SONAR, "--quick", "--out", str(out))
+    assert done.returncode == 0, done.stdout + done.stderr
+    bars = [line for line in done.stdout.splitlines() if line.startswith("- ")]
+    assert len(bars) == 11 and all(line.endswith(": holds") for line in bars)
+    accuracy = {row[0]: row[1:] for row in table(done.stdout) if len(row) == 6}
+    assert [name for name, row in accuracy.items() if row[-1] == "no"] == ["raw", "LMS printed"]
+    faults = [row for row in table(done.stdout) if len(row) == 8 and row[0] != "fault"]
+    assert len(faults) == 5 * 10
+    for straight in (faults[:10], faults[10:20]):
+        assert all(row[2] == "100.0 %" for row in straight[1:]) and all(row[3] == "100.000 %" for row in straight)
+    assert len(list(out.glob("*.png"))) == 10
+
+
+def test_a_bar_of_the_sonar_that_is_missed_ends_with_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(SONAR.parent))
+    study = runpy.run_path(str(SONAR))
+    monkeypatch.setitem(study["study"].__globals__, "KINDS", ("wall",))
+    config = study["load_model"](study["CONFIG"], study["Config"])
+    config = config.model_copy(update={"quick_runs": 4, "quick_error_runs": 4})
+    assert study["study"](config, quick=True, out=None) == 0
+    for missed in ({"rms_still": 0.004}, {"bound_still": 0.01}, {"kept": 1.1}, {"detected": 1.1}):
+        strict = config.model_copy(update={"bars": config.bars.model_copy(update=missed)})
+        assert study["study"](strict, quick=True, out=None) == 1
+    failed = [line for line in capsys.readouterr().out.splitlines() if line.endswith("**does not hold**")]
+    assert len(failed) == 4

@@ -23,14 +23,14 @@ _GATE_LEAST, _GATE_MOST, _GATE_TURNING = 0.05, 0.10, 0.35  # m
 _SAME, _SAME_TURNING = 0.06, 0.16  # m, from one reading of a rival to the next, own motion taken out
 _VOTES = 3  # readings in a row that make a rival the track
 _VOTES_AFTER_FAULT = 8  # which no wall that is passed by chance gives
-_MARGIN, _DEVIATIONS = 0.01, 3.5  # m and standard deviations of a healthy bound
+_MARGIN, _DEVIATIONS = 0.015, 3.5  # m and standard deviations of a healthy bound
 _RIVAL = 0.04  # m, half-width of a rival
 _TWICE = 0.1  # m, by which a second echo may miss twice the range
 _CROSS = 0.05  # m, by which crosstalk may miss another sensor's reading
 _BEARABLE = 0.05  # m, shift of a stream that may be late, in a healthy bound
 _CAUTIOUS = 0.1  # part of the filter's gain while a stream may be late
 _CALM = 0.6  # part of a surprise that stays
-_SURPRISING = 2.5  # standard deviations
+_SURPRISING, _SURPRISING_TURNING = 2.5, 0.5  # standard deviations
 
 
 class _Compared(NamedTuple):
@@ -143,7 +143,7 @@ def _rival(step: Step, new: _Compared, other: Value) -> Value:
 def _crosstalk(step: Step, newest: Value, taken: Value) -> Value:
     """Whether the value is what another sensor heard; all may see nothing."""
     op, rules, state = step.op, step.rules, step.state
-    found = taken < 0.0
+    found = op.size(taken) < 0.0  # of none
     for k in range(1, rules.sensors):
         reach = _CROSS + op.size(op.turned(state["rate"], k)) * rules.due
         for heard in (newest, state["heard"]):
@@ -166,7 +166,8 @@ def _filtered(step: Step, late: Late, new: _Compared, anew: Value) -> None:
     steady = op.either(crosstalk, late.undecided, scene.follow)
     k1, k2 = p11 / total, op.where(steady, 0.0, p12 / total)
     innovation = part * (taken - x)
-    surprise = op.most(_CALM * state["surprise"], op.size(taken - x) - _SURPRISING * op.root(total), 0.0)
+    usual = op.where(scene.turning, _SURPRISING_TURNING, _SURPRISING) * op.root(total)
+    surprise = op.most(_CALM * state["surprise"], op.size(taken - x) - usual, 0.0)
     # it only bears the track out, as well as it agrees with it
     from_wall = op.where(new.agrees, op.size(taken - scene.expected), 0.0)
     shared = op.most(op.where(anew, 0.0, op.size(taken - x)), from_wall)

@@ -113,7 +113,7 @@ def _scene(op: Elementwise, rules: Rules, old: Mapping[str, Value], seen: Seen) 
         raw=seen.expected,
         wall=seen.expected < rules.maximum,
         expected=expected,
-        tolerance=rules.tolerance + slide + unsure,
+        tolerance=rules.tolerance + 0.5 * slide + unsure,
         unsure=unsure,
         slide=slide,
     )
@@ -136,12 +136,17 @@ def _moved(op: Elementwise, rules: Rules, old: Mapping[str, Value], seen: Seen, 
     noise = op.where(scene.turning, _NOISE_TURNING, _NOISE) * dt
     p11, p12, p22 = old["var_range"], old["covariance"], old["var_rate"]
     state["range"] = op.least(op.most(old["range"] + known + drift, 0.0), rules.maximum)
-    state["var_range"] = op.least(p11 + 2.0 * dt * p12 + dt * dt * p22 + noise * dt * dt / 3.0, _VARIANCE)
-    state["covariance"] = p12 + dt * p22 + 0.5 * noise * dt
-    state["var_rate"] = op.least(p22 + noise, op.where(scene.turning, 16.0, 1.0) * rules.rate_variance)
+    # afterwards the bound grows by the obstacle's largest speed instead
+    growing = old["age"] + dt <= rules.due + 0.5 * dt
+    largest = op.where(scene.turning, 16.0, 1.0) * rules.rate_variance
+    ahead = op.least(p11 + 2.0 * dt * p12 + dt * dt * p22 + noise * dt * dt / 3.0, _VARIANCE)
+    faster = op.least(p22 + noise, largest)
     # a covariance matrix after its entries were capped, too
-    limit = 0.99 * op.root(op.most(state["var_range"] * state["var_rate"], 0.0))
-    state["covariance"] = op.least(op.most(state["covariance"], -limit), limit)
+    limit = 0.99 * op.root(op.most(ahead * faster, 0.0))
+    both = op.least(op.most(p12 + dt * p22 + 0.5 * noise * dt, -limit), limit)
+    state["var_range"] = op.where(growing, ahead, p11)
+    state["covariance"] = op.where(growing, both, p12)
+    state["var_rate"] = op.where(growing, faster, p22)
     state["rival"] = op.where(old["rival"] >= top, old["rival"], op.most(old["rival"] + own, 0.0))
     state["recent"] = [op.most(value + own, 0.0) for value in old["recent"]]
     state["since"] = op.least(old["since"] + dt, _NEVER)
@@ -163,7 +168,7 @@ def robust(step: Step) -> Value:
     if count >= 3:
         total, count = total - op.least(*samples) - op.most(*samples), count - 2
     nothing = op.least(*samples) >= rules.maximum - 0.5 * rules.resolution
-    return op.where(nothing, rules.maximum, op.least(total / count - rules.bias, rules.maximum))
+    return op.where(nothing, rules.maximum, op.least(op.most(total / count - rules.bias, 0.0), rules.maximum))
 
 
 def sound(step: Step, reading: Value) -> Value:
