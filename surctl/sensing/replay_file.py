@@ -12,12 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.sensing.array import CYCLE_LIMIT, SonarArray
+from surctl.sensing.array import SonarArray
 from surctl.sensing.pacing import on_steps, usual_cycle
 from surctl.sensing.recorded import Recorded, read_recorded
 from surctl.sensing.replay import Readings, Replay
 
 __all__ = ["Recording", "filtered_rows", "read_readings", "sonar_array"]
+
+_CYCLE = SonarArray().cycle_limit  # s
 
 Array = NDArray[np.float64]
 _BACK = 0.05  # share of rows whose time may go back
@@ -62,8 +64,8 @@ class Recording:
         )
         said = [f"{text}: {count}" for count, text in counts if count]
         said += [f"no column {name}: taken for 0" for name in self.still]
-        if not CYCLE_LIMIT / 2 <= self.cycle <= 1.5 * CYCLE_LIMIT:
-            said.append(f"a sensor reads every {self.cycle:.3g} s; the filter was made for {CYCLE_LIMIT:g} s")
+        if not _CYCLE / 2 <= self.cycle <= 1.5 * _CYCLE:
+            said.append(f"a sensor reads every {self.cycle:.3g} s; the filter was made for {_CYCLE:g} s")
         return said
 
 
@@ -73,7 +75,7 @@ def sonar_array(sensors: int, **numbers: float | int) -> SonarArray:
         SonarArray(
             azimuths=tuple(2.0 * pi * i / sensors for i in range(sensors)),
             order=tuple(range(sensors)),
-            firing_period=CYCLE_LIMIT / sensors,
+            firing_period=_CYCLE / sensors,
         ),
         **numbers,  # type: ignore[arg-type]
     )
@@ -117,8 +119,8 @@ def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recor
     beyond = int(np.count_nonzero((samples > array.maximum + array.resolution).any(axis=1)))
     time = columns["time_s"][good]
     cycle = usual_cycle(time, sensor, file=table.name)
-    dt = cycle / 2 if cycle <= 1.5 * CYCLE_LIMIT else cycle  # then a reading is due after one or two whole steps
-    array = replace(array, samples=len(heard), firing_period=min(cycle, CYCLE_LIMIT) / array.size)
+    dt = cycle / 2 if cycle <= 1.5 * _CYCLE else cycle  # then a reading is due after one or two whole steps
+    array = replace(array, samples=len(heard), firing_period=min(cycle, _CYCLE) / array.size)
     step, first, begin = on_steps(time, dt, file=table.name)
     still = tuple(name for name in _MOTION if name not in columns)
     closing, turn = (columns[name][good] if name in columns else np.zeros(len(good)) for name in _MOTION)
