@@ -59,6 +59,10 @@ class Ranging(NamedTuple):
 class RangeTracker:
     """Filter, bound and health of every sensor of an array, as one step with explicit state.
 
+    The bound holds for what the last firing could see. What enters or leaves a turning beam between two firings is in
+    it only where the walls are known, and a sensor that reads its maximum in open water cannot be told from one that
+    sees nothing (study 10).
+
     Attributes:
         array: the sensors.
         dt: period of the steps [s].

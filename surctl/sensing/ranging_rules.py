@@ -127,7 +127,9 @@ def _rival(step: Step, new: _Compared, other: Value) -> Value:
     suspect = op.either(op.both(state["votes"] > 0.5, state["suspect"] > 0.5), twice, vanished)
     # what is narrow has left the beam
     passed = op.size(state["swung"]) > rules.beam
-    strange = op.either(new.crosstalk, op.both(op.no(new.agrees), state["distrust"] > 0.5))
+    # before anything is known two sensors may well read alike, in a corridor or between walls
+    foreign = op.both(new.crosstalk, state["known"] > 0.5)
+    strange = op.either(foreign, op.both(op.no(new.agrees), state["distrust"] > 0.5))
     votes = op.where(op.both(goes_on, op.no(strange)), op.least(state["votes"] + 1.0, 9.0), 1.0)
     excused = op.either(op.both(new.agrees, op.no(twice)), passed, state["age"] > rules.hold)
     convincing = op.either(state["known"] < 0.5, op.no(suspect), op.no(outward), excused)
