@@ -51,7 +51,7 @@ def build_law(
     mode: Mode = "nsb",
     dt: float = 0.05,
     contacts: int = CONTACT_SLOTS,
-    sonar: bool = True,
+    sonar: bool = False,
     equipment: Equipment = DEFAULT_EQUIPMENT,
 ) -> Law:
     """Assemble a law once; the gains stay symbols.

@@ -7,39 +7,23 @@ or sent through CasADi's machine. The two are written independently and compared
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cache, cached_property
-from math import gcd
+from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import casadi as ca
 
-from surctl.control import CONTACT_SLOTS, PARAMETERS, Law, build_law
-from surctl.control.build import LawName
-from surctl.guidance import MAX_WAYPOINTS, AvoidanceForm
+from surctl.control import PARAMETERS, Law, build_law
+from surctl.guidance import MAX_WAYPOINTS
 from surctl.ir import Call, Layout, Port, Program, Routine, lower, nearby_angles, shared_divisors
-from surctl.priority import Mode
-from surctl.sensing import (
-    NOISE_STATE,
-    SLOT,
-    BaseStation,
-    Equipment,
-    FaultChances,
-    SolidWalls,
-    beam_of,
-    delayed_symbols,
-    draw_normals,
-    draw_uniforms,
-    echo_range,
-    fault_ports,
-    faulty_samples,
-    heard_samples,
-)
-from surctl.simulation.batch.bodies import ABSENT, Body, BodyKind, body_at, body_size
-from surctl.simulation.batch.counting import SUMS, counted, modulo
+from surctl.sensing import NOISE_STATE, SLOT, FaultChances
+from surctl.simulation.batch.bodies import ABSENT, Body, body_at, body_size
+from surctl.simulation.batch.counting import SUMS, counted
+from surctl.simulation.batch.listening import Listening, flat, slots
+from surctl.simulation.batch.structure import Structure
 from surctl.simulation.metrics import STOPS
-from surctl.simulation.run import Sensing, advance
-from surctl.simulation.sensors import FIRING, FiringPlan, firing_plan
+from surctl.simulation.run import advance
+from surctl.simulation.sensors import FIRING
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE
 
 __all__ = ["Loop", "Structure", "build_loop"]
@@ -47,47 +31,6 @@ __all__ = ["Loop", "Structure", "build_loop"]
 _OPTIONS = {"cse": True}
 _HEADING = PLANT_STATE.slice("eta").start + 3
 _FINITE = 1e300
-
-
-@dataclass(frozen=True)
-class Structure:
-    """What of a case is fixed in the compiled loop; everything else is a number of a run.
-
-    Attributes:
-        equipment: what is sensed with; the sonars' hull counts only if they have mounts.
-        faults: number of slots for told faults; `delays` if one of them may be a delay.
-        chances: whether faults may strike by chance.
-    """
-
-    law: LawName
-    avoidance: AvoidanceForm
-    mode: Mode
-    sensing: Sensing
-    bodies: tuple[BodyKind, ...]
-    equipment: Equipment = field(default_factory=Equipment)
-    faults: int = 0
-    chances: bool = False
-    delays: bool = False
-
-    @property
-    def may_fail(self) -> bool:
-        """Whether a sonar may fail."""
-        return self.faults > 0 or self.chances
-
-    @property
-    def movers(self) -> int:
-        """Number of moving obstacles."""
-        return self.bodies.count("mover")
-
-    @property
-    def slots(self) -> int:
-        """Moving obstacles that a message of the base station holds."""
-        return min(CONTACT_SLOTS, self.movers)
-
-    @property
-    def contacts(self) -> int:
-        """Number of obstacles that the law is told of."""
-        return min(CONTACT_SLOTS, self.movers if self.sensing == "sonar" else len(self.bodies))
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,18 +99,12 @@ def _parameter_ports(structure: Structure) -> tuple[Port, ...]:
 
 
 def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
-    heard = (
-        *fault_ports(structure.equipment.array, delays=structure.delays, prefix="sonar_"),
-        Port("fresh", (structure.equipment.array.size,), "1", "1 where a sonar's firing arrived since the last tick"),
-        Port("noise", (NOISE_STATE,), "1", "state of the noise generator"),
-        *_late_ports(law, structure),
-    )
     return (
         Port("done", (1,), "1", "1 when the run has ended"),
         Port("tick", (1,), "1", "number of the control period"),
         Port("plant", (PLANT_STATE.size,), "SI", "PLANT_STATE"),
         Port("law", (law.state.size,), "SI", "the law's state"),
-        *(heard if structure.sensing == "sonar" else ()),
+        *(Listening(structure, law).ports() if structure.sensing == "sonar" else ()),
         Port("clear", (1,), "1", "1 once the hull was clear of the walls"),
         Port("least", (1,), "m", "least clearance", ABSENT),
         Port("stop", (1,), "1", "why the run ended, see STOPS"),
@@ -178,25 +115,12 @@ def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
     )
 
 
-def _late_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
-    """What the base station measured and has not sent yet."""
-    if law.senses is None:
-        return ()
-    own, station = structure.equipment.own, structure.equipment.station
-    fixes, messages = own.fixes.late(law.dt) if own else 0, station.messages.late(law.dt)
-    ports = (
-        Port("places", (fixes, 3), "m", "last positions, newest first"),
-        Port("messages", (messages, structure.slots * 6), "m, m/s, 1", "last states of the moving obstacles"),
-    )
-    return tuple(port for port in ports if port.size)
-
-
 class _Builder:
     """The three programs around the law and the plant."""
 
     def __init__(self, structure: Structure, law: Law, state: Layout, parameters: Layout) -> None:
         self.structure, self.law, self.state, self.parameters = structure, law, state, parameters
-        self.sonar = structure.sensing == "sonar"
+        self.sonar, self.listening = structure.sensing == "sonar", Listening(structure, law)
 
     def sense(self) -> Program:
         """World and first firing at the tick; what the law and the plant are given."""
@@ -209,181 +133,47 @@ class _Builder:
         out: dict[str, ca.SX] = {"x": state["law"], "p": w[: PARAMETERS.size]}
         inputs: dict[str, ca.SX] = {"eta": eta, "nu": nu}
         if self.sonar:
-            own, drawn, loss = self._drawn(state["noise"], out)
-            heard, arrived = self._instant(given, bodies, state["plant"], state, tick, out, instant=0)
+            own, drawn, loss = self.listening.drawn(state["noise"], out)
+            heard, arrived = self.listening.instant(given, bodies, state["plant"], state, tick, out, instant=0)
             inputs = {"samples": heard["sonar_last"], "fresh": ca.fmax(state["fresh"], arrived)}
-            out["heard"] = self._heard.join(heard)
+            out["heard"] = self.listening.heard.join(heard)
             movers = [b for b in bodies if b.moving]
-            rows = _slots([b.contact(eta[:2]) for b in movers], [b.clearance(eta[:2]) for b in movers])
-            inputs |= self._told(state, eta, nu, rows, own, ca.reshape(drawn, 4, self.structure.slots).T, loss, out)
+            rows = slots([b.contact(eta[:2]) for b in movers], [b.clearance(eta[:2]) for b in movers])
+            noise = ca.reshape(drawn, 4, self.structure.slots).T
+            inputs |= self.listening.told(state, eta, nu, rows, own, noise, loss, out)
         else:
             out |= {name: ca.SX(0) for name in ("noise_next", "normals", "uniforms", "heard")}
             if bodies:
-                inputs["contacts"] = _slots(
-                    [b.contact(eta[:2]) for b in bodies], [b.clearance(eta[:2]) for b in bodies]
-                )
+                inputs["contacts"] = slots([b.contact(eta[:2]) for b in bodies], [b.clearance(eta[:2]) for b in bodies])
         out["u"] = self.law.inputs.join(inputs)
         out["plant"], out["plant_p"] = state["plant"], given["plant"]
         out["d0"], out["d1"] = self._disturbance(given, time), self._disturbance(given, time + FIRING)
         out["tick"] = tick
         out["clearance"] = _clearances(bodies, given, eta[:2])
-        out["late"] = ca.vertcat(ca.SX(0, 1), *(_flat(out.pop(name)) for name in self._late if name in out))
+        out["late"] = ca.vertcat(ca.SX(0, 1), *(flat(out.pop(port.name)) for port in self._late if port.name in out))
         return _lowered("sense", {"s": s, "w": w}, out)
 
     @property
-    def _late(self) -> tuple[str, ...]:
-        return tuple(port.name for port in _late_ports(self.law, self.structure)) if self.sonar else ()
-
-    def _told(
-        self,
-        state: Mapping[str, ca.SX],
-        eta: ca.SX,
-        nu: ca.SX,
-        rows: ca.SX,
-        own_noise: ca.SX,
-        noise: ca.SX,
-        loss: ca.SX,
-        out: dict[str, ca.SX],
-    ) -> dict[str, ca.SX]:
-        """What camera, IMU and base station tell, as `run._Loop._told`."""
-        own, station, dt, tick = (
-            self.structure.equipment.own,
-            self.structure.equipment.station,
-            self.law.dt,
-            state["tick"],
-        )
-        if self.law.senses is None:
-            spread = [own.position_sd, own.position_sd, own.position_sd, own.yaw_sd] if own else [0.0] * 4
-            told = {"eta": eta + ca.DM(spread) * own_noise[:4], "nu": nu}
-            if rows.shape[0]:
-                told["contacts"] = ca.vertcat(
-                    *(_observed(station, rows[k, :], noise[k, :]) for k in range(rows.shape[0]))
-                )
-            return told
-        told = {}
-        if rows.shape[0]:
-            then = _flat(rows)
-            if "messages" in state:
-                then, out["messages"] = delayed_symbols(state["messages"], then)
-            shaped = ca.reshape(then, 6, rows.shape[0]).T
-            told["contacts"], told["contacts_fresh"] = station.message_symbols(
-                shaped, tick, noise=noise, chance=loss, dt=dt
-            )
-        if own is None:
-            return {**told, "eta": eta, "nu": nu}
-        place = eta[:3]
-        if "places" in state:
-            # before the first step it was where it is
-            past = ca.if_else(tick > 0.5, state["places"], ca.repmat(place.T, state["places"].shape[0], 1))
-            place, out["places"] = delayed_symbols(past, place)
-        told["fix"], told["fix_fresh"] = own.fix_symbols(place, tick, noise=own_noise[:4], dt=dt)
-        told["yaw"], told["yaw_rate"] = own.imu_symbols(eta, nu, noise=own_noise[4:])
-        return told
-
-    def _drawn(self, noise: ca.SX, out: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Draw what a tick needs, see `run._Drawn`: for own state, message and its loss; for the firings into `out`."""
-        count = self._instants * self._wide * self.structure.equipment.array.samples
-        count += count % 2
-        drawn, after = draw_normals(noise, count + 8 + 4 * self.structure.slots)
-        out["normals"], out["uniforms"] = drawn[:count], ca.SX(0)
-        if self.structure.may_fail:
-            out["uniforms"], after = draw_uniforms(after, 2 * self._instants * self._wide)
-        out["noise_next"] = after
-        return drawn[count : count + 6], drawn[count + 7 : -1], drawn[count + 6]
-
-    @cached_property
-    def _late_layout(self) -> Layout:
-        return Layout(tuple(self.state.port(name) for name in self._late))
-
-    @property
-    def _instants(self) -> int:
-        return round(self.law.dt / FIRING)
-
-    @cached_property
-    def _plan(self) -> FiringPlan:
-        return firing_plan(self.structure.equipment.array)
-
-    @property
-    def _wide(self) -> int:
-        return len(self._plan.sensors[0])
-
-    @cached_property
-    def _heard(self) -> Layout:
-        return Layout(fault_ports(self.structure.equipment.array, delays=self.structure.delays, prefix="sonar_"))
+    def _late(self) -> Layout:
+        return self.listening.late if self.sonar else Layout(())
 
     def between(self) -> Program:
         """Second instant of firing and clearances, 25 ms after the tick."""
         w, given = self.parameters.symbols("w")
-        structure, wide = self.structure, self._wide
         sizes = {"plant_between": PLANT_STATE.size, "tick": 1, "normals": 1, "uniforms": 1, "heard": 1}
         if self.sonar:
-            count = self._instants * wide * structure.equipment.array.samples
-            sizes |= {"normals": count + count % 2, "heard": self._heard.size}
-            sizes["uniforms"] = 2 * self._instants * wide if structure.may_fail else 1
+            listening = self.listening
+            sizes |= {"normals": listening.normals, "uniforms": listening.uniforms, "heard": listening.heard.size}
         v = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
         plant = v["plant_between"]
         bodies = self._bodies(given, v["tick"] * self.law.dt + FIRING)
         heard, fresh = v["heard"], ca.SX(0)
         if self.sonar:
-            after, fresh = self._instant(given, bodies, plant, self._heard.split(heard), v["tick"], v, instant=1)
-            heard = self._heard.join(after)
+            before = self.listening.heard.split(heard)
+            after, fresh = self.listening.instant(given, bodies, plant, before, v["tick"], v, instant=1)
+            heard = self.listening.heard.join(after)
         near = _clearances(bodies, given, plant[:2])
         return _lowered("between", {"w": w, **v}, {"heard_next": heard, "fresh_next": fresh, "clearance_between": near})
-
-    def _instant(
-        self,
-        w: Mapping[str, ca.SX],
-        bodies: Sequence[Body],
-        plant: ca.SX,
-        heard: Mapping[str, ca.SX],
-        tick: ca.SX,
-        drawn: Mapping[str, ca.SX],
-        *,
-        instant: int,
-    ) -> tuple[dict[str, ca.SX], ca.SX]:
-        """What has been heard after one instant of firing, and (sensors, 1) 1 for those whose firing arrived."""
-        structure, plan, wide = self.structure, self._plan, self._wide
-        array, taken = structure.equipment.array, structure.equipment.array.samples
-        after = {name: value for name, value in heard.items() if name.startswith("sonar_")}
-        fresh = [ca.SX(0)] * array.size
-        period = plan.period // gcd(plan.period, self._instants)  # ticks
-        turn = modulo(tick, period)
-        for k in range(wide):
-            turns = [plan.sensors[(t * self._instants + instant) % plan.period][k] for t in range(period)]
-            listed = [0 if i is None else i for i in turns]
-            beam = beam_of(array, listed, turn, position=plant[:2], heading=plant[3], hull_radius=w["world_hull"])
-            distance = echo_range(array, beam, [*(body.solid for body in bodies), SolidWalls(w["walls"])])
-            at = (instant * wide + k) * taken
-            noise, sensor = drawn["normals"][at : at + taken], ca.SX(0)
-            for t, i in enumerate(listed):
-                sensor = ca.if_else(turn == t, i, sensor)
-            if structure.may_fail:
-                at = 2 * (instant * wide + k)
-                arrival = faulty_samples(
-                    array,
-                    after,
-                    sensor,
-                    time=tick * self.law.dt + instant * FIRING,
-                    distance=distance,
-                    noise=noise,
-                    slots=w["fault_slots"] if structure.faults else ca.SX.zeros(0, SLOT),
-                    chances=w["fault_chances"],
-                    uniforms=drawn["uniforms"][at : at + 2],
-                    delays=structure.delays,
-                    prefix="sonar_",
-                )
-                now, arrived = arrival.state, arrival.arrived
-            else:
-                row, last = heard_samples(array, distance, noise=noise).T, after["sonar_last"]
-                rows = [ca.if_else(sensor == i, row, last[i, :]) for i in range(array.size)]
-                now, arrived = {"sonar_last": ca.vertcat(*rows)}, ca.SX(1)
-            silent = [t for t, i in enumerate(turns) if i is None]
-            for t in silent:  # nobody's turn
-                now = {name: ca.if_else(turn == t, after[name], value) for name, value in now.items()}
-                arrived = ca.if_else(turn == t, 0, arrived)
-            after |= now
-            fresh = [ca.fmax(flag, ca.logic_and(sensor == i, arrived)) for i, flag in enumerate(fresh)]
-        return after, ca.vertcat(*fresh)
 
     def close(self) -> Program:
         """Judge the tick, count the metrics, and put the next state together."""
@@ -398,9 +188,9 @@ class _Builder:
             "status": 1,
             "telemetry": law.outputs.size - 4,
             "plant_next": PLANT_STATE.size,
-            "heard_next": self._heard.size if sonar else 1,
+            "heard_next": self.listening.heard.size if sonar else 1,
             "fresh_next": self.structure.equipment.array.size if sonar else 1,
-            "late": sum(self.state.port(name).size for name in self._late),
+            "late": self._late.size,
             "noise_next": NOISE_STATE if sonar else 1,
         }
         v = {name: ca.SX.sym(name, size) for name, size in symbols.items()}
@@ -430,8 +220,8 @@ class _Builder:
             "last_place": place,
         }
         if sonar:
-            new |= {**self._heard.split(v["heard_next"]), "fresh": v["fresh_next"], "noise": v["noise_next"]}
-            new |= self._late_layout.split(v["late"])
+            new |= {**self.listening.heard.split(v["heard_next"]), "fresh": v["fresh_next"], "noise": v["noise_next"]}
+            new |= self._late.split(v["late"])
         tau, status = ca.if_else(broken, 0, v["tau"]), ca.if_else(broken, 0, v["status"])
         avoiding = v["telemetry"][law.telemetry_slice("avoiding")] > 0.5
         new |= counted(old, given, tau, status, ca.if_else(broken, 0, avoiding), to_target, gap)
@@ -464,32 +254,8 @@ def _with_walls(clear: ca.SX, clearances: ca.SX) -> tuple[ca.SX, ca.SX]:
     return now, ca.if_else(now, ca.fmin(clearances[0], clearances[1]), clearances[0])
 
 
-def _slots(rows: Sequence[ca.SX], near: Sequence[ca.SX]) -> ca.SX:
-    """The law's contacts, (k, 6): all rows, or the `CONTACT_SLOTS` nearest ones in their order."""
-    if len(rows) <= CONTACT_SLOTS:
-        return ca.vertcat(ca.SX(0, 6), *rows)
-    slots, taken = [ca.SX.zeros(1, 6) for _ in range(CONTACT_SLOTS)], ca.SX(0)
-    for k, row in enumerate(rows):
-        ahead = [near[j] <= near[k] if j < k else near[j] < near[k] for j in range(len(rows)) if j != k]
-        chosen = sum(ahead, start=ca.SX(0)) < CONTACT_SLOTS
-        slots = [ca.if_else(ca.logic_and(chosen, taken == at), row, slot) for at, slot in enumerate(slots)]
-        taken += chosen
-    return ca.vertcat(*slots)
-
-
-def _observed(station: BaseStation, row: ca.SX, noise: ca.SX) -> ca.SX:
-    """A contact (1, 6) as the base station tells it at once."""
-    spread = ca.horzcat(station.position_sd * noise[:2], 0, station.velocity_sd * noise[2:], 0)
-    return ca.if_else(row[5], row + spread, ca.SX.zeros(1, 6))
-
-
 def _code(reason: str) -> float:
     return float(STOPS.index(reason))
-
-
-def _flat(matrix: ca.SX) -> ca.SX:
-    """Row by row."""
-    return ca.reshape(matrix.T, -1, 1)
 
 
 def _lowered(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, Any]) -> Program:

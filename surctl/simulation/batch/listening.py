@@ -1,0 +1,225 @@
+"""What a closed loop hears and is told, in symbols: sonars instant by instant, fixes and messages that come late.
+
+The counterpart of `run._Loop`'s `_listen` and `_told`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from math import gcd
+
+import casadi as ca
+
+from surctl.control import CONTACT_SLOTS, Law
+from surctl.ir import Layout, Port
+from surctl.sensing import (
+    NOISE_STATE,
+    SLOT,
+    BaseStation,
+    SolidWalls,
+    beam_of,
+    delayed_symbols,
+    draw_normals,
+    draw_uniforms,
+    echo_range,
+    fault_ports,
+    faulty_samples,
+    heard_samples,
+)
+from surctl.simulation.batch.bodies import Body
+from surctl.simulation.batch.counting import modulo
+from surctl.simulation.batch.structure import Structure
+from surctl.simulation.sensors import FIRING, FiringPlan, firing_plan
+
+__all__ = ["Listening", "flat", "slots"]
+
+
+class Listening:
+    """Sonars, base station and own state of a structure whose law listens to them."""
+
+    def __init__(self, structure: Structure, law: Law) -> None:
+        self.structure, self.law = structure, law
+
+    def ports(self) -> tuple[Port, ...]:
+        """What a run carries for them."""
+        array = self.structure.equipment.array
+        return (
+            *self.heard.ports,
+            Port("fresh", (array.size,), "1", "1 where a sonar's firing arrived since the last tick"),
+            Port("noise", (NOISE_STATE,), "1", "state of the noise generator"),
+            *self.late.ports,
+        )
+
+    @cached_property
+    def heard(self) -> Layout:
+        """What arrived of each sonar, and was heard before."""
+        array = self.structure.equipment.array
+        return Layout(fault_ports(array, delays=self.structure.delays, prefix="sonar_"))
+
+    @cached_property
+    def late(self) -> Layout:
+        """What the base station measured and has not sent yet."""
+        if self.law.senses is None:
+            return Layout(())
+        own, station = self.structure.equipment.own, self.structure.equipment.station
+        fixes, messages = own.fixes.late(self.law.dt) if own else 0, station.messages.late(self.law.dt)
+        ports = (
+            Port("places", (fixes, 3), "m", "last positions, newest first"),
+            Port("messages", (messages, self.structure.slots * 6), "m, m/s, 1", "last states of the moving obstacles"),
+        )
+        return Layout(tuple(port for port in ports if port.size))
+
+    @property
+    def normals(self) -> int:
+        """Normal numbers that the firings of a tick take."""
+        count = self._instants * self._wide * self.structure.equipment.array.samples
+        return count + count % 2
+
+    @property
+    def uniforms(self) -> int:
+        """Uniform ones; at least 1, so that there is an array."""
+        return 2 * self._instants * self._wide if self.structure.may_fail else 1
+
+    @property
+    def _instants(self) -> int:
+        return round(self.law.dt / FIRING)
+
+    @cached_property
+    def _plan(self) -> FiringPlan:
+        return firing_plan(self.structure.equipment.array)
+
+    @property
+    def _wide(self) -> int:
+        return len(self._plan.sensors[0])
+
+    def drawn(self, noise: ca.SX, out: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Draw what a tick needs, see `run._Drawn`: for own state, message and its loss; for the firings into `out`."""
+        count = self.normals
+        drawn, after = draw_normals(noise, count + 8 + 4 * self.structure.slots)
+        out["normals"], out["uniforms"] = drawn[:count], ca.SX(0)
+        if self.structure.may_fail:
+            out["uniforms"], after = draw_uniforms(after, self.uniforms)
+        out["noise_next"] = after
+        return drawn[count : count + 6], drawn[count + 7 : -1], drawn[count + 6]
+
+    def told(
+        self,
+        state: Mapping[str, ca.SX],
+        eta: ca.SX,
+        nu: ca.SX,
+        rows: ca.SX,
+        own_noise: ca.SX,
+        noise: ca.SX,
+        loss: ca.SX,
+        out: dict[str, ca.SX],
+    ) -> dict[str, ca.SX]:
+        """What camera, IMU and base station tell, as `run._Loop._told`."""
+        equipment, dt, tick = self.structure.equipment, self.law.dt, state["tick"]
+        own, station = equipment.own, equipment.station
+        if self.law.senses is None:
+            spread = [own.position_sd, own.position_sd, own.position_sd, own.yaw_sd] if own else [0.0] * 4
+            told = {"eta": eta + ca.DM(spread) * own_noise[:4], "nu": nu}
+            if rows.shape[0]:
+                told["contacts"] = ca.vertcat(
+                    *(_observed(station, rows[k, :], noise[k, :]) for k in range(rows.shape[0]))
+                )
+            return told
+        told = {}
+        if rows.shape[0]:
+            then = flat(rows)
+            if "messages" in state:
+                then, out["messages"] = delayed_symbols(state["messages"], then)
+            shaped = ca.reshape(then, 6, rows.shape[0]).T
+            told["contacts"], told["contacts_fresh"] = station.message_symbols(
+                shaped, tick, noise=noise, chance=loss, dt=dt
+            )
+        if own is None:
+            return {**told, "eta": eta, "nu": nu}
+        place = eta[:3]
+        if "places" in state:
+            # before the first step it was where it is
+            past = ca.if_else(tick > 0.5, state["places"], ca.repmat(place.T, state["places"].shape[0], 1))
+            place, out["places"] = delayed_symbols(past, place)
+        told["fix"], told["fix_fresh"] = own.fix_symbols(place, tick, noise=own_noise[:4], dt=dt)
+        told["yaw"], told["yaw_rate"] = own.imu_symbols(eta, nu, noise=own_noise[4:])
+        return told
+
+    def instant(
+        self,
+        w: Mapping[str, ca.SX],
+        bodies: Sequence[Body],
+        plant: ca.SX,
+        heard: Mapping[str, ca.SX],
+        tick: ca.SX,
+        drawn: Mapping[str, ca.SX],
+        *,
+        instant: int,
+    ) -> tuple[dict[str, ca.SX], ca.SX]:
+        """What has been heard after one instant of firing, and (sensors, 1) 1 for those whose firing arrived."""
+        structure, plan, wide = self.structure, self._plan, self._wide
+        array, taken = structure.equipment.array, structure.equipment.array.samples
+        after = {name: value for name, value in heard.items() if name.startswith("sonar_")}
+        fresh = [ca.SX(0)] * array.size
+        period = plan.period // gcd(plan.period, self._instants)  # ticks
+        turn = modulo(tick, period)
+        for k in range(wide):
+            turns = [plan.sensors[(t * self._instants + instant) % plan.period][k] for t in range(period)]
+            listed = [0 if i is None else i for i in turns]
+            beam = beam_of(array, listed, turn, position=plant[:2], heading=plant[3], hull_radius=w["world_hull"])
+            distance = echo_range(array, beam, [*(body.solid for body in bodies), SolidWalls(w["walls"])])
+            at = (instant * wide + k) * taken
+            noise, sensor = drawn["normals"][at : at + taken], ca.SX(0)
+            for t, i in enumerate(listed):
+                sensor = ca.if_else(turn == t, i, sensor)
+            if structure.may_fail:
+                at = 2 * (instant * wide + k)
+                arrival = faulty_samples(
+                    array,
+                    after,
+                    sensor,
+                    time=tick * self.law.dt + instant * FIRING,
+                    distance=distance,
+                    noise=noise,
+                    slots=w["fault_slots"] if structure.faults else ca.SX.zeros(0, SLOT),
+                    chances=w["fault_chances"],
+                    uniforms=drawn["uniforms"][at : at + 2],
+                    delays=structure.delays,
+                    prefix="sonar_",
+                )
+                now, arrived = arrival.state, arrival.arrived
+            else:
+                row, last = heard_samples(array, distance, noise=noise).T, after["sonar_last"]
+                rows = [ca.if_else(sensor == i, row, last[i, :]) for i in range(array.size)]
+                now, arrived = {"sonar_last": ca.vertcat(*rows)}, ca.SX(1)
+            silent = [t for t, i in enumerate(turns) if i is None]
+            for t in silent:  # nobody's turn
+                now = {name: ca.if_else(turn == t, after[name], value) for name, value in now.items()}
+                arrived = ca.if_else(turn == t, 0, arrived)
+            after |= now
+            fresh = [ca.fmax(flag, ca.logic_and(sensor == i, arrived)) for i, flag in enumerate(fresh)]
+        return after, ca.vertcat(*fresh)
+
+
+def slots(rows: Sequence[ca.SX], near: Sequence[ca.SX]) -> ca.SX:
+    """The law's contacts, (k, 6): all rows, or the `CONTACT_SLOTS` nearest ones in their order."""
+    if len(rows) <= CONTACT_SLOTS:
+        return ca.vertcat(ca.SX(0, 6), *rows)
+    slots, taken = [ca.SX.zeros(1, 6) for _ in range(CONTACT_SLOTS)], ca.SX(0)
+    for k, row in enumerate(rows):
+        ahead = [near[j] <= near[k] if j < k else near[j] < near[k] for j in range(len(rows)) if j != k]
+        chosen = sum(ahead, start=ca.SX(0)) < CONTACT_SLOTS
+        slots = [ca.if_else(ca.logic_and(chosen, taken == at), row, slot) for at, slot in enumerate(slots)]
+        taken += chosen
+    return ca.vertcat(*slots)
+
+
+def _observed(station: BaseStation, row: ca.SX, noise: ca.SX) -> ca.SX:
+    """A contact (1, 6) as the base station tells it at once."""
+    spread = ca.horzcat(station.position_sd * noise[:2], 0, station.velocity_sd * noise[2:], 0)
+    return ca.if_else(row[5], row + spread, ca.SX.zeros(1, 6))
+
+
+def flat(matrix: ca.SX) -> ca.SX:
+    """Row by row."""
+    return ca.reshape(matrix.T, -1, 1)
