@@ -16,6 +16,7 @@ from surctl.simulation.fit import Finding, findings
 from surctl.simulation.metrics import METRICS, STOPS, Metrics, MetricSpec
 from surctl.simulation.run import SENSING, Record, Run, Sensing, advance, law_numbers, simulate
 from surctl.simulation.scenario import LIBRARY, Obstacle, Scenario, load_scenario
+from surctl.simulation.sensors import Sensors
 from surctl.simulation.world import Body, World, build_world
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "Run",
     "Scenario",
     "Sensing",
+    "Sensors",
     "SlowerEngine",
     "World",
     "advance",

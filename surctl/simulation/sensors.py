@@ -163,10 +163,14 @@ def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateT
         rate_sd=own.rate_sd_rad_per_s,
         fixes=_in_table("own_state", own.delivery),
     )
-    for table, delivery in (("base_station", told.messages), ("own_state", measured.fixes)):
-        _in_table(table, lambda delivery=delivery: (delivery.late(_PERIOD), delivery.every(_PERIOD)))
+    _in_table("base_station", lambda: _fits(told.messages))
+    _in_table("own_state", lambda: _fits(measured.fixes))
     equipment = Equipment(array=array, station=told, own=None if own.truth else measured)
     return Sensors(equipment, sonar.faults, sonar.chances)
+
+
+def _fits(delivery: Delivery) -> tuple[int, int]:
+    return delivery.late(_PERIOD), delivery.every(_PERIOD)
 
 
 def _in_table(table: str, make: Callable[[], T]) -> T:

@@ -287,7 +287,7 @@ def test_the_problem_has_a_name_on_every_row() -> None:
     assert [level.name for level in problem.levels] == ["velocity", "depth", "heading"]
     names = [row.name for row in problem.rows]
     assert names[:4] == ["velocity.u", "velocity.v", "velocity.w", "velocity.r"]
-    assert len(names) == 4 + CONTACT_SLOTS + 4 + 4  # box, base station, sonars, walls
+    assert len(names) == 4 + CONTACT_SLOTS + 4  # box, base station, walls
     assert len(set(names)) == len(names)
 
 
