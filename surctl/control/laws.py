@@ -148,7 +148,8 @@ def guarded_law(
         halted = ca.logic_and(ca.sumsqr(velocity) < _CRAWL**2, ca.sumsqr(choice.velocity) > (2 * _CRAWL) ** 2)
         named += [(f"unknown_{k}", normal, bound) for k, (normal, bound) in enumerate(caution)]
         turning = ca.fmin(p["spin"], p["spin_limit"])
-        levels = [levels[0], Wanted("scan", ca.SX([[0, 0, 0, 1]]), turning, "rad/s")]
+        depth = levels[0]._replace(reference=ca.if_else(scan.placed, levels[0].reference, 0))
+        levels = [depth, Wanted("scan", ca.SX([[0, 0, 0, 1]]), turning, "rad/s")]
     to_body = planar_rotation(eta[3]).T
     rows = [
         HalfPlane(name, ca.horzcat((to_body @ normal).T, 0, 0), bound, kind="barrier") for name, normal, bound in named

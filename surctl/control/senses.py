@@ -11,15 +11,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil, cos, sin
-from typing import NamedTuple
 
 import casadi as ca
 
+from surctl.control.beams import SILENT, Around, beams, corrected, expected, honest
 from surctl.control.ports import PARAMETERS, SECTORS
 from surctl.errors import InputError
 from surctl.ir import Block, Call, Layout, Port, Program, Routine, lower
-from surctl.sensing import Equipment, LocalMap, MoverTracker, OwnStateFilter, RangeTracker, Ranging, expected_range
-from surctl.sensing.estimate import turned
+from surctl.sensing import Equipment, LocalMap, MoverTracker, OwnStateFilter, RangeTracker
 from surctl.sensing.local_map import READING, RING
 from surctl.vehicle import planar_rotation
 
@@ -32,7 +31,6 @@ LAST_THRUST = Port("last_thrust", (4,), "N, N m", "thrust command of the step be
 """First port of the state: what the decision writes and the own state's filter reads."""
 
 _TOLERANCE = 0.10  # [m] by which an echo may be shorter than a known thing's and still be its own
-_SILENT = 0.1  # [m] below the maximum: no echo
 _READING = 0.03  # [m] by which one believed firing may be off: four of its standard deviations
 _DIAGONAL = 0.71  # cells, half a cell's diagonal
 _AROUND_A_MARK = 0.8  # cells from its middle: half a diagonal, and a little for what drifts
@@ -58,20 +56,6 @@ class Senses:
     inputs: Layout
     told: Layout
     block: Block
-
-
-class _Around(NamedTuple):
-    """Pose and known obstacles of one step, symbolic."""
-
-    eta: ca.SX
-    nu: ca.SX
-    doubt: ca.SX
-    placed: ca.SX
-    movers: ca.SX
-
-    @property
-    def heading(self) -> ca.SX:
-        return ca.vertcat(ca.cos(self.eta[3]), ca.sin(self.eta[3]))
 
 
 def build_senses(equipment: Equipment, inputs: Layout, told: Layout, *, dt: float) -> Senses:
@@ -201,12 +185,12 @@ class _Builder:
         p, known = PARAMETERS.symbols("p")
         around, after = self._around(x, small[: LAST_THRUST.size], given, known)
         edge = known["hull"] / CELLS_A_HULL
-        axes, apexes, halves = self._beams(around, known["hull"])
+        axes, apexes, halves = beams(array, around, known["hull"])
         velocity = planar_rotation(around.eta[3]) @ around.nu[:2]
-        walls, things = self._expected(around, known)
+        walls, things = expected(array, around, known)
         ranging = self._ranges.update(
             x,
-            self._corrected(given["samples"]),
+            corrected(array, given["samples"]),
             fresh=given["fresh"],
             closing=ca.vertcat(*(ca.dot(velocity, axis) for axis in axes)),
             expected=ca.fmax(walls, array.lowest / array.scale + array.resolution),  # from behind it reads the same
@@ -216,9 +200,11 @@ class _Builder:
         firings, silent = [], []
         for i in range(array.size):
             reading, recent = ranging.reading[i], ranging.state["sonar_recent"][i, :]
-            arrived = ca.logic_and(given["fresh"][i] > 0.5, self._honest(given["samples"], ranging, i))
+            arrived = ca.logic_and(
+                given["fresh"][i] > 0.5, honest(array, given["samples"], ranging, i, repeats=self._ranges.repeats)
+            )
             silent.append(ca.if_else(arrived, 0.0, ca.fmin(x["silent"][i] + self.dt, _DEAF + self.dt)))
-            echo = ca.logic_and(reading < array.maximum - _SILENT, reading < ca.fmin(walls[i], things[i]) - _TOLERANCE)
+            echo = ca.logic_and(reading < array.maximum - SILENT, reading < ca.fmin(walls[i], things[i]) - _TOLERANCE)
             blind = reading <= array.lowest / array.scale + array.resolution
             firing = {
                 "apex": apexes[i],
@@ -253,24 +239,9 @@ class _Builder:
         }
         return _lowered("feel", {"small": small, "u": u, "p": p}, outputs)
 
-    def _honest(self, samples: ca.SX, ranging: Ranging, sensor: int) -> ca.SX:
-        """Whether a firing may change the map: no sensor that is stuck, late, reads nothing or through a wall, or has
-        what another one heard. One that jumps may: the map itself is cleared by three readings in a row only."""
-        array, state = self.equipment.array, ranging.state
-        reading, least = ranging.reading[sensor], array.lowest / array.scale
-        fine: ca.SX = ca.logic_and(reading >= least - 1.5 * array.resolution, state["sonar_late"][sensor] < 0.5)
-        fine = ca.logic_and(fine, state["sonar_distrust"][sensor] < 0.5)
-        fine = ca.logic_and(fine, state["sonar_repeated"][sensor] < max(self._ranges.repeats, 1))
-        tells = ca.logic_and(reading > least + array.resolution, reading < array.maximum - _SILENT)
-        for other in range(array.size):
-            if other != sensor:
-                differ = ca.sumsqr(samples[other, :] - samples[sensor, :]) > 0
-                fine = ca.logic_and(fine, ca.logic_or(differ, ca.logic_not(tells)))
-        return fine
-
     def _around(
         self, x: Mapping[str, ca.SX], tau: ca.SX, u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]
-    ) -> tuple[_Around, dict[str, ca.SX]]:
+    ) -> tuple[Around, dict[str, ca.SX]]:
         movers = ca.SX(0, 6)
         after: dict[str, ca.SX] = {}
         if self._movers:
@@ -279,7 +250,7 @@ class _Builder:
             rows = told.rows
             movers = ca.horzcat(rows[:, :2], rows[:, 2] + told.bound, rows[:, 3:])
         if self._own is None:
-            return _Around(u["eta"], u["nu"], ca.SX(0), ca.SX(1), movers), after
+            return Around(u["eta"], u["nu"], ca.SX(0), ca.SX(1), movers), after
         own = self._own.update(
             x,
             fix=u["fix"],
@@ -292,56 +263,7 @@ class _Builder:
         )
         placed = own.position_sd < _PLACED_SD
         doubt = 3 * ca.fmax(ca.fmin(own.position_sd, _PLACED_SD) - _MARGIN_SD, 0)
-        return _Around(own.eta, own.nu, doubt, placed, movers), {**after, **own.state}
-
-    def _beams(self, around: _Around, hull: ca.SX) -> tuple[list[ca.SX], list[ca.SX], list[float]]:
-        """Axis, apex and half angle of each sonar's open cone."""
-        array, axes, apexes, halves = self.equipment.array, [], [], []
-        for i, azimuth in enumerate(array.azimuths):
-            offset, half = array.cones[i][0]
-            axes.append(turned(around.heading, azimuth + offset))
-            if array.mounts is None:
-                away = hull * turned(around.heading, azimuth)
-            else:
-                away = planar_rotation(around.eta[3]) @ ca.DM(list(array.mounts[i]))
-            apexes.append(around.eta[:2] + away)
-            halves.append(half)
-        return axes, apexes, halves
-
-    def _expected(self, around: _Around, p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-        """(n,) ranges at which the walls, and the moving obstacles, would give an echo [m]."""
-        array = self.equipment.array
-        walls: list[ca.SX] = []
-        things: list[ca.SX] = []
-        far = ca.DM([-1e3, 1e3, -1e3, 1e3])
-        none = ca.SX(0, 3), ca.SX(0, 1)
-        discs = (around.movers[:, :3], around.movers[:, 5])
-        for azimuth in array.azimuths:
-            for found, site, (round_ones, valid) in ((walls, p["walls"], none), (things, far, discs)):
-                found.append(
-                    expected_range(
-                        around.eta[:2],
-                        around.heading,
-                        walls=ca.SX(site),
-                        discs=round_ones,
-                        valid=valid,
-                        azimuth=azimuth,
-                        hull_radius=p["hull"],
-                        half_angle=array.half_angle,
-                        maximum=array.maximum,
-                    )
-                )
-        return ca.vertcat(*walls), ca.vertcat(*things)
-
-    def _corrected(self, samples: ca.SX) -> ca.SX:
-        """Samples without the known bias and scale; what reads the maximum, or nothing, stays."""
-        array = self.equipment.array
-        if array.scale == 1.0 and array.bias == 0.0:
-            return samples
-        top = array.maximum - 0.5 * array.resolution
-        least = array.lowest - array.resolution
-        echo = ca.logic_and(samples < top, samples > least)
-        return ca.if_else(echo, (samples - array.bias) / array.scale, samples)
+        return Around(own.eta, own.nu, doubt, placed, movers), {**after, **own.state}
 
     def _tell(self) -> Program:
         chart = self._map

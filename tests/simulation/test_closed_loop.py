@@ -108,7 +108,8 @@ def test_with_no_sonar_at_all_it_stays_where_it_is() -> None:
     scenario = replace(load_scenario("tank-static"), sensors=dead, time_limit=20.0)
     flown = _flown(scenario, 4)
     assert np.all(flown.column("collided") == 0)
-    assert np.all(flown.column("length_m") < 0.05)
+    assert np.all(flown.column("length_m") < 0.2)  # in 20 s, with the jitter of its estimate
+    assert np.all(flown.column("max_deviation_m") < 0.03)
 
 
 @pytest.mark.parametrize(("name", "sensing"), [("pool-static", "truth"), ("pool-behind", "sonar")])

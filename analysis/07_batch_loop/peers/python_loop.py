@@ -90,12 +90,12 @@ def flown_by(step: Step) -> Iterator[None]:
 
 
 def _stepped(step: Step) -> Callable[..., None]:
-    def advanced(loop: Any, time: float, tau: Array, samples: Array) -> None:
+    def advanced(loop: Any, time: float, tau: Array, drawn: Any) -> None:
         current = [*loop.world.scenario.disturbance.current_m_per_s, 0.0]
         first, second = (np.array([*current, *loop.world.force(time + at)]) for at in (0.0, _HALF))
         loop.state, end = step(loop.state, tau, first, second, loop.plant)
         bodies = loop.world.bodies(time + _HALF)
-        loop._listen(bodies, samples[0])
+        loop._listen(bodies, drawn, 1)
         loop._clearance(bodies)
         loop.state = end
 

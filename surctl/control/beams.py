@@ -1,0 +1,98 @@
+"""The sonars as the law sees them: where they look, what they should hear, and which firing is honest. In symbols."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import casadi as ca
+
+from surctl.sensing import Ranging, SonarArray, expected_range
+from surctl.sensing.estimate import turned
+from surctl.vehicle import planar_rotation
+
+__all__ = ["SILENT", "Around", "beams", "corrected", "expected", "honest"]
+
+SILENT = 0.1
+"""[m] below the maximum: no echo."""
+
+
+class Around(NamedTuple):
+    """Pose and known obstacles of one step, symbolic."""
+
+    eta: ca.SX
+    nu: ca.SX
+    doubt: ca.SX
+    placed: ca.SX
+    movers: ca.SX
+
+    @property
+    def heading(self) -> ca.SX:
+        """(2, 1) cosine and sine of ψ."""
+        return ca.vertcat(ca.cos(self.eta[3]), ca.sin(self.eta[3]))
+
+
+def beams(array: SonarArray, around: Around, hull: ca.SX) -> tuple[list[ca.SX], list[ca.SX], list[float]]:
+    """Axis, apex and half angle of each sonar's open cone."""
+    axes, apexes, halves = [], [], []
+    for i, azimuth in enumerate(array.azimuths):
+        offset, half = array.cones[i][0]
+        axes.append(turned(around.heading, azimuth + offset))
+        if array.mounts is None:
+            away = hull * turned(around.heading, azimuth)
+        else:
+            away = planar_rotation(around.eta[3]) @ ca.DM(list(array.mounts[i]))
+        apexes.append(around.eta[:2] + away)
+        halves.append(half)
+    return axes, apexes, halves
+
+
+def expected(array: SonarArray, around: Around, p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+    """(n,) ranges at which the walls, and the moving obstacles, would give an echo [m]."""
+    walls: list[ca.SX] = []
+    things: list[ca.SX] = []
+    far = ca.DM([-1e3, 1e3, -1e3, 1e3])
+    none = ca.SX(0, 3), ca.SX(0, 1)
+    discs = (around.movers[:, :3], around.movers[:, 5])
+    for azimuth in array.azimuths:
+        for found, site, (round_ones, valid) in ((walls, p["walls"], none), (things, far, discs)):
+            found.append(
+                expected_range(
+                    around.eta[:2],
+                    around.heading,
+                    walls=ca.SX(site),
+                    discs=round_ones,
+                    valid=valid,
+                    azimuth=azimuth,
+                    hull_radius=p["hull"],
+                    half_angle=array.half_angle,
+                    maximum=array.maximum,
+                )
+            )
+    return ca.vertcat(*walls), ca.vertcat(*things)
+
+
+def corrected(array: SonarArray, samples: ca.SX) -> ca.SX:
+    """Samples without the known bias and scale; what reads the maximum, or nothing, stays."""
+    if array.scale == 1.0 and array.bias == 0.0:
+        return samples
+    top = array.maximum - 0.5 * array.resolution
+    least = array.lowest - array.resolution
+    echo = ca.logic_and(samples < top, samples > least)
+    return ca.if_else(echo, (samples - array.bias) / array.scale, samples)
+
+
+def honest(array: SonarArray, samples: ca.SX, ranging: Ranging, sensor: int, *, repeats: int) -> ca.SX:
+    """Whether a firing may change the map: no sensor that is stuck, late, reads nothing or through a wall, or has
+    what another one heard. One that jumps may: the map itself is cleared by three readings in a row only."""
+    state = ranging.state
+    reading, least = ranging.reading[sensor], array.lowest / array.scale
+    fine: ca.SX = ca.logic_and(reading >= least - 1.5 * array.resolution, state["sonar_late"][sensor] < 0.5)
+    fine = ca.logic_and(fine, state["sonar_distrust"][sensor] < 0.5)
+    fine = ca.logic_and(fine, state["sonar_repeated"][sensor] < max(repeats, 1))
+    tells = ca.logic_and(reading > least + array.resolution, reading < array.maximum - SILENT)
+    for other in range(array.size):
+        if other != sensor:
+            differ = ca.sumsqr(samples[other, :] - samples[sensor, :]) > 0
+            fine = ca.logic_and(fine, ca.logic_or(differ, ca.logic_not(tells)))
+    return fine
