@@ -54,9 +54,18 @@ def simulate(
     chosen = load_gains(gains)
     plans = [load_scenario(name) for name in scenarios]
     vehicles = [load_vehicle(vehicle or scenario.vehicle) for scenario in plans]
-    built = build_law(law, avoidance=avoidance, mode=priority_mode)  # takes a second, so a mistake is told before
+    laws = [  # takes a second, so a mistake is told before
+        build_law(
+            law,
+            avoidance=avoidance,
+            mode=priority_mode,
+            sonar=sensing == "sonar",
+            equipment=scenario.sensors.on(flown["radius"]),
+        )
+        for scenario, flown in zip(plans, vehicles, strict=True)
+    ]
     results, lines = [], []
-    for scenario, flown in zip(plans, vehicles, strict=True):
+    for scenario, flown, built in zip(plans, vehicles, laws, strict=True):
         for k in range(seed, seed + runs):
             run = fly(scenario, flown, gains=chosen, law=built, sensing=sensing, seed=k)
             results.append(run.to_dict())

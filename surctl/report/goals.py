@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from surctl.control import Gains, build_law
+from surctl.control import Gains
 from surctl.report.theme import (
     AVOIDING,
     BAD,
@@ -169,7 +169,7 @@ def _course(condition: Condition, gains: Gains, metric: str) -> tuple[NDArray[np
         case.scenario,
         _flown(case.vehicle, condition),
         gains=gains,
-        law=build_law(case.law, mode=case.mode),
+        law=case.build(),
         sensing=case.sensing,
         seed=condition.seed,
         model=case.model or case.vehicle,

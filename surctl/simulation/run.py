@@ -122,12 +122,12 @@ def simulate(
         raise InputError("is not known", key="sensing", value=sensing, remedy=nearest(str(sensing), SENSING))
     sonar = sensing == "sonar"
     law = law or build_law(sonar=sonar, equipment=scenario.sensors.on(vehicle["radius"]))
-    if law.senses is not None and not sonar:
+    if sonar != ("samples" in law.inputs):
         raise InputError(
-            "the law listens to the sonars",
+            "does not go with a law that listens to " + ("no sonars" if sonar else "the sonars"),
             key="sensing",
             value=sensing,
-            remedy="fly it with sonar, or build it without",
+            remedy="build the law with sonar=" + str(sonar),
         )
     if abs(law.dt / FIRING - round(law.dt / FIRING)) > 1e-9 or law.dt < FIRING:
         raise InputError(

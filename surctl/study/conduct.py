@@ -193,7 +193,8 @@ def _fly(plan: Plan, law: Law, swept: SweepTable, progress: Progress) -> tuple[t
         if leg.obstacle_to_flying:
             continue
         for sensing in ("truth", "sonar"):
-            run = simulate(leg.scenario, leg.vehicle, gains=swept.gains, law=law, sensing=sensing, seed=plan.seed)
+            flown = law if sensing == "truth" else None  # with sonars, what the scenario has of them
+            run = simulate(leg.scenario, leg.vehicle, gains=swept.gains, law=flown, sensing=sensing, seed=plan.seed)
             m = run.metrics
             progress(f"{leg.scenario.name} {sensing}: {m.stopped_because} at {m.time_s:.1f} s")
             runs.append(run)

@@ -175,6 +175,8 @@ def test_a_law_with_sonars_needs_them() -> None:
     scenario = load_scenario("pool-behind")
     with pytest.raises(InputError, match="listens to the sonars"):
         simulate(scenario, load_vehicle("sur400"), gains=load_gains("default"), law=build_law(sonar=True))
+    with pytest.raises(InputError, match="listens to no sonars"):
+        simulate(scenario, load_vehicle("sur400"), gains=load_gains("default"), law=build_law(), sensing="sonar")
 
 
 def test_the_controller_may_believe_in_another_vehicle() -> None:
