@@ -8,7 +8,7 @@ explain is not marked; every contact is as large as the doubt about it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil, cos, sin
 from typing import NamedTuple
@@ -125,7 +125,7 @@ class _Builder:
 
     @cached_property
     def _ranges(self) -> RangeTracker:
-        return RangeTracker(array=self.equipment.array, dt=self.dt)
+        return RangeTracker(array=replace(self.equipment.array, bias=0.0), dt=self.dt)  # `_corrected` took it off
 
     @cached_property
     def _own(self) -> OwnStateFilter | None:
@@ -203,7 +203,7 @@ class _Builder:
         edge = known["hull"] / CELLS_A_HULL
         axes, apexes, halves = self._beams(around, known["hull"])
         velocity = planar_rotation(around.eta[3]) @ around.nu[:2]
-        walls, things = self._expected(around, known)
+        walls, things = self._expected(around, apexes, known)
         ranging = self._ranges.update(
             x,
             self._corrected(given["samples"]),
@@ -247,7 +247,8 @@ class _Builder:
             seen["movers"] = around.movers
         outputs = {
             "small_next": self._small.join({**after, **ranging.state, "silent": ca.vertcat(*silent)}),
-            "place": ca.vertcat(around.eta[:2], known["hull"], edge),
+            # the place of a hull that does not know where it is is not free
+            "place": ca.vertcat(around.eta[:2], ca.if_else(around.placed, known["hull"], 0), edge),
             "readings": _listed(firings, chart.slots),
             "seen": self._seen.join(seen),
         }
@@ -307,24 +308,24 @@ class _Builder:
             halves.append(half)
         return axes, apexes, halves
 
-    def _expected(self, around: _Around, p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+    def _expected(self, around: _Around, apexes: list[ca.SX], p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
         """(n,) ranges at which the walls, and the moving obstacles, would give an echo [m]."""
         array, walls, things = self.equipment.array, [], []
         far = ca.DM([-1e3, 1e3, -1e3, 1e3])
         none = ca.SX(0, 3), ca.SX(0, 1)
         discs = (around.movers[:, :3], around.movers[:, 5])
-        for azimuth in array.azimuths:
+        for azimuth, apex, ((offset, half), *_) in zip(array.azimuths, apexes, array.cones, strict=True):
             for found, site, (round_ones, valid) in ((walls, p["walls"], none), (things, far, discs)):
                 found.append(
                     expected_range(
-                        around.eta[:2],
+                        apex,
                         around.heading,
                         walls=ca.SX(site),
                         discs=round_ones,
                         valid=valid,
-                        azimuth=azimuth,
-                        hull_radius=p["hull"],
-                        half_angle=array.half_angle,
+                        azimuth=azimuth + offset,
+                        hull_radius=0.0,
+                        half_angle=half,
                         maximum=array.maximum,
                     )
                 )
