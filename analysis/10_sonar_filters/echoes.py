@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.sensing import SonarArray, range_to_box, range_to_walls
+from surctl.sensing import SolidBox, SolidWalls, SonarArray, beam_of, echo_range
 
 Array = NDArray[np.float64]
 Kind = Literal["wall", "obstacle", "wall, turning", "obstacle, turning", "tank, turning"]
@@ -142,11 +142,9 @@ def _ranges(x: Array, y: Array, heading: Array, walls: Array, box: Array) -> Arr
     """(runs, steps, sensors) [m], by the symbolic echo model of the closed loop, 2·maximum when nothing."""
     place, psi, w, c = ca.SX.sym("p", 2), ca.SX.sym("psi"), ca.SX.sym("w", 4), ca.SX.sym("c", 2)
     out = []
-    for azimuth in ARRAY.azimuths:
-        axis = ca.vertcat(ca.cos(psi + azimuth), ca.sin(psi + azimuth))
-        apex = place + ARRAY.hull_radius * axis
-        to_box = range_to_box(ARRAY, apex, axis, centre=c, size=ca.DM(BOX))
-        out.append(ca.fmin(range_to_walls(ARRAY, apex, axis, walls=w), to_box))
+    for sensor in range(ARRAY.size):
+        beam = beam_of(ARRAY, [sensor], 0, position=place, heading=psi)
+        out.append(echo_range(ARRAY, beam, [SolidBox(c, ca.SX(ca.DM(BOX))), SolidWalls(w)]))
     function = ca.Function("ranges", [place, psi, w, c], [ca.vertcat(*out)])
     runs, steps = x.shape
     found = np.empty((runs, steps, ARRAY.size))

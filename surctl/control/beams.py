@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import casadi as ca
@@ -47,25 +47,25 @@ def beams(array: SonarArray, around: Around, hull: ca.SX) -> tuple[list[ca.SX], 
     return axes, apexes, halves
 
 
-def expected(array: SonarArray, around: Around, p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+def expected(array: SonarArray, around: Around, apexes: Sequence[ca.SX], p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
     """(n,) ranges at which the walls, and the moving obstacles, would give an echo [m]."""
     walls: list[ca.SX] = []
     things: list[ca.SX] = []
     far = ca.DM([-1e3, 1e3, -1e3, 1e3])
     none = ca.SX(0, 3), ca.SX(0, 1)
     discs = (around.movers[:, :3], around.movers[:, 5])
-    for azimuth in array.azimuths:
+    for azimuth, apex, ((offset, half), *_) in zip(array.azimuths, apexes, array.cones, strict=True):
         for found, site, (round_ones, valid) in ((walls, p["walls"], none), (things, far, discs)):
             found.append(
                 expected_range(
-                    around.eta[:2],
+                    apex,
                     around.heading,
                     walls=ca.SX(site),
                     discs=round_ones,
                     valid=valid,
-                    azimuth=azimuth,
-                    hull_radius=p["hull"],
-                    half_angle=array.half_angle,
+                    azimuth=azimuth + offset,
+                    hull_radius=0.0,
+                    half_angle=half,
                     maximum=array.maximum,
                 )
             )

@@ -8,7 +8,7 @@ explain is not marked; every contact is as large as the doubt about it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil, cos, sin
 
@@ -109,7 +109,8 @@ class _Builder:
 
     @cached_property
     def _ranges(self) -> RangeTracker:
-        return RangeTracker(array=self.equipment.array, dt=self.dt)
+        array = replace(self.equipment.array, bias=0.0)  # `corrected` took it off
+        return RangeTracker(array=array, dt=self.dt)
 
     @cached_property
     def _own(self) -> OwnStateFilter | None:
@@ -187,7 +188,7 @@ class _Builder:
         edge = known["hull"] / CELLS_A_HULL
         axes, apexes, halves = beams(array, around, known["hull"])
         velocity = planar_rotation(around.eta[3]) @ around.nu[:2]
-        walls, things = expected(array, around, known)
+        walls, things = expected(array, around, apexes, known)
         ranging = self._ranges.update(
             x,
             corrected(array, given["samples"]),
@@ -233,7 +234,8 @@ class _Builder:
             seen["movers"] = around.movers
         outputs = {
             "small_next": self._small.join({**after, **ranging.state, "silent": ca.vertcat(*silent)}),
-            "place": ca.vertcat(around.eta[:2], known["hull"], edge),
+            # the place of a hull that does not know where it is is not free
+            "place": ca.vertcat(around.eta[:2], ca.if_else(around.placed, known["hull"], 0), edge),
             "readings": _listed(firings, chart.slots),
             "seen": self._seen.join(seen),
         }

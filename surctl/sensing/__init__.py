@@ -30,6 +30,7 @@ from surctl.sensing.faults import (
 )
 from surctl.sensing.filters import FilterUpdate, LmsStep, SensorFilter, gate, lms_step, weighted_average
 from surctl.sensing.local_map import LocalMap
+from surctl.sensing.local_map_numbers import map_step, map_view
 from surctl.sensing.movers import Movers, MoverTracker, mover_step
 from surctl.sensing.noise import NOISE_STATE, NoiseStream, draw_normals, draw_uniforms, noise_states
 from surctl.sensing.own_state import OwnEstimate, OwnStateFilter
@@ -113,6 +114,8 @@ __all__ = [
     "heard",
     "heard_samples",
     "lms_step",
+    "map_step",
+    "map_view",
     "mover_step",
     "noise_states",
     "own_state_step",

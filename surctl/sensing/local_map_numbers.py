@@ -1,0 +1,162 @@
+"""The local map in plain NumPy: the same numbers as `LocalMap.routine`, on whole arrays, and a view of it for plots."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError
+from surctl.sensing.local_map import (
+    _FAR,
+    _INSIDE,
+    _INSIDE_MORE,
+    _OF_A_MARK,
+    _OF_THE_UNKNOWN,
+    READING,
+    RING,
+    LocalMap,
+)
+
+__all__ = ["map_step", "map_view"]
+
+Vector: TypeAlias = NDArray[np.float64]
+
+_SIZE = sum(size for _, size, _ in READING)
+
+
+def map_step(
+    chart: LocalMap, cells: ArrayLike, corner: ArrayLike, place: ArrayLike, readings: ArrayLike
+) -> tuple[Vector, Vector, Vector, Vector]:
+    """One period of the map: (cells, corner, marked, unknown), as `LocalMap.routine` has them.
+
+    Args:
+        chart: the map.
+        cells: (N²,) block after block, as `LocalMap.ports` says.
+        corner: (2,) lowest cell of the window along x and y of {E}.
+        place: (4,) the robot's x, y in {E} [m], hull radius [m], edge of a cell [m].
+        readings: (slots · 10,) firings, see `READING`.
+
+    Raises:
+        InputError: an array of another size.
+    """
+    n, edge = chart.side, float(_sized("place", place, 4)[3])
+    old = _sized("corner", corner, 2)
+    here, hull = _sized("place", place, 4)[:2], float(_sized("place", place, 4)[2])
+    firings = [_reading(part) for part in np.split(_sized("readings", readings, chart.slots * _SIZE), chart.slots)]
+    window = np.floor(here / edge) - n // 2
+    was, now = (_world(n, low) for low in (old, window))
+    x, y = ((now[axis] + 0.5) * edge for axis in (0, 1))
+    stays = np.outer(was[1] == now[1], was[0] == now[0])
+    value = np.where(stays, _torus(chart, _sized("cells", cells, n * n)), 0.0)
+    value = value - np.clip(value, -chart.dt / chart.free_time, chart.dt / chart.mark_time)
+    beams = [_Beam(firing, x, y) for firing in firings]
+    explained = [
+        bool(np.any(beam.on_arc(edge) & (value >= -chart.known) & (beam.square <= beam.reach**2))) for beam in beams
+    ]
+    for beam, already in zip(beams, explained, strict=True):
+        free = beam.in_front(edge, value)
+        marked = beam.on_arc(edge) & ((value >= -chart.known) | (not already))
+        value = np.where(free, -1.0, np.where(marked, 1.0, value))
+    dx, dy = np.broadcast_arrays(x - here[0], (y - here[1])[:, None])
+    square = dx * dx + dy * dy
+    value = np.where(square < hull * hull, -1.0, value)
+    blank = (value >= -chart.known) & (value <= 0) & (square > (hull + RING * edge) ** 2)
+    marked, unknown = (_nearest(chart, which, dx, dy, square) for which in (value > 0, blank))
+    return _blocks(chart, value).reshape(-1), window, marked, unknown
+
+
+def map_view(
+    chart: LocalMap, cells: ArrayLike, corner: ArrayLike, *, edge: float = 1.0
+) -> tuple[Vector, Vector, Vector]:
+    """The map as it lies in {E}: values (N, N) by y, then x; x (N,) and y (N,) of the cells' centres.
+
+    Args:
+        chart: the map.
+        cells: (N²,) state.
+        corner: (2,) state.
+        edge: of a cell [m]; 1 gives the centres in cells.
+
+    Raises:
+        InputError: an array of another size.
+    """
+    n, low = chart.side, _sized("corner", corner, 2)
+    x, y = (low[axis] + np.arange(n) for axis in (0, 1))
+    torus = _torus(chart, _sized("cells", cells, n * n))
+    values = torus[np.ix_(np.mod(y, n).astype(int), np.mod(x, n).astype(int))]
+    return values, (x + 0.5) * edge, (y + 0.5) * edge
+
+
+class _Beam:
+    """One firing and every cell: the way along its axis, that across, and the squared range, (N, N) each."""
+
+    def __init__(self, firing: dict[str, Vector], x: Vector, y: Vector) -> None:
+        away_x, away_y = x - firing["apex"][0], (y - firing["apex"][1])[:, None]
+        ex, ey = firing["axis"]
+        self.cosine, self.sine = firing["half"]
+        self.clear, self.near, self.far, self.reach = (firing[k].item() for k in ("clear", "near", "far", "reach"))
+        self.along = away_x * ex + away_y * ey
+        self.across = np.abs(away_x * ey - away_y * ex)
+        self.square = away_x**2 + away_y**2
+
+    @property
+    def depth(self) -> Vector:
+        """Into the cone from its nearer edge [m]."""
+        return np.asarray(self.along * self.sine - self.across * self.cosine)
+
+    def on_arc(self, edge: float) -> NDArray[np.bool_]:
+        """Cells that may be what was heard."""
+        band = (self.square >= self.near**2) & (self.square <= self.far**2) & (self.far >= 0)
+        return np.asarray(band & (self.depth > -0.5 * edge))
+
+    def in_front(self, edge: float, value: Vector) -> NDArray[np.bool_]:
+        """Cells that are free: short of what was heard, and deep enough inside for what they are now."""
+        share = np.where(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN)
+        deep = np.minimum(_INSIDE * edge + _INSIDE_MORE, share * self.along * self.sine)
+        return np.asarray((self.depth > deep) & (self.square < self.clear**2))
+
+
+def _world(n: int, corner: Vector) -> Vector:
+    """(2, N): world cell along x and y that lives at each place of the torus."""
+    rank = np.arange(n)
+    return np.array([low + np.mod(rank - low, n) for low in corner])
+
+
+def _torus(chart: LocalMap, cells: Vector) -> Vector:
+    """(N, N) by y, then x, from block after block."""
+    many, size = chart.blocks, chart.block
+    return cells.reshape(many, many, size, size).swapaxes(1, 2).reshape(chart.side, chart.side)
+
+
+def _blocks(chart: LocalMap, torus: Vector) -> Vector:
+    """(blocks², block²) from (N, N)."""
+    many, size = chart.blocks, chart.block
+    return torus.reshape(many, size, many, size).swapaxes(1, 2).reshape(many * many, size * size)
+
+
+def _nearest(chart: LocalMap, which: NDArray[np.bool_], dx: Vector, dy: Vector, square: Vector) -> Vector:
+    """(sectors · 3,): of each block its nearest such cell, and of these the nearest in each direction."""
+    held = _blocks(chart, np.where(which & (square < _FAR), square, _FAR))
+    at = (np.arange(len(held)), np.argmin(held, axis=1))
+    x, y, far = _blocks(chart, dx)[at], _blocks(chart, dy)[at], held[at]
+    sector = np.mod(np.floor(np.arctan2(y, x) * chart.sectors / (2 * np.pi) + 0.5), chart.sectors)
+    rows = np.tile([0.0, 0.0, _FAR], (chart.sectors, 1))
+    for k in range(chart.sectors):
+        here = np.flatnonzero((sector == k) & (far < _FAR))
+        if len(here):
+            best = here[np.argmin(far[here])]
+            rows[k] = x[best], y[best], far[best]
+    return rows.reshape(-1)
+
+
+def _reading(part: Vector) -> dict[str, Vector]:
+    ends = np.cumsum([size for _, size, _ in READING])[:-1]
+    return {name: values for (name, _, _), values in zip(READING, np.split(part, ends), strict=True)}
+
+
+def _sized(name: str, values: ArrayLike, size: int) -> Vector:
+    array = np.asarray(values, dtype=float)
+    if array.shape != (size,):
+        raise InputError(f"has shape {array.shape}", key=name, remedy=f"give ({size},)")
+    return array

@@ -1,0 +1,380 @@
+"""The map: its twin, its window, what fades when, and what it says of a world that stands still."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from surctl.errors import InputError
+from surctl.ir import Layout, compile_block, replay
+from surctl.sensing import LocalMap, map_step, map_view
+from surctl.sensing.local_map import READING
+from surctl.world import Disc
+from tests.raycasting import heard_along
+from tests.sensing.mapped import EDGE, EMPTY, HULL, SPIN, directions, firing, journey
+from tests.tools import need_compiler
+
+DT, FAR = 0.05, 1e6
+CHARTS = {
+    "the law's": {},
+    "small": {"slots": 3, "blocks": 4, "block": 3, "sectors": 8, "mark_time": 2.0, "free_time": 1.0, "known": 0.6},
+    "blocks of one cell": {"slots": 1, "blocks": 11, "block": 1, "sectors": 4},
+    "one block": {"blocks": 1, "block": 7, "sectors": 12, "free_time": 0.12},
+}
+WIDE = (75.0, 120.0)
+
+
+def random_readings(rng, chart, place, heading):
+    """Firings of every kind: none, blind, without an echo, explained, short or long of what was there."""
+    told, kinds = [], []
+    for slot in range(chart.slots):
+        kind = rng.choice(["empty", "blind", "silent", "echo"])
+        half, axis = math.radians(rng.choice([15, 75, 120])) / 2, heading + math.pi * slot
+        apex = place + HULL * np.array([math.cos(axis), math.sin(axis)])
+        distance = {"blind": 0.1, "silent": 9.0}.get(kind, rng.uniform(0.2, 4.3))
+        told += EMPTY if kind == "empty" else firing(apex, axis, distance, half=half)
+        kinds.append(kind)
+    return told, kinds
+
+
+def flight(chart, steps, seed):
+    """Inputs of each step, and the twin's outputs, of a robot that wanders, turns, and jumps once."""
+    rng = np.random.default_rng(seed)
+    place, heading = np.array([1.0, -2.0]), 0.0
+    cells, corner = np.zeros(chart.side**2), np.full(2, 1e6)
+    given, made = [], []
+    for k in range(steps):
+        place, heading = place + rng.normal(0, 0.03, 2) + 20.0 * (k == steps // 2), heading + 0.3
+        told, _ = random_readings(rng, chart, place, heading)
+        given.append((cells, corner, np.array([*place, HULL, EDGE]), np.array(told, dtype=float)))
+        made.append(map_step(chart, *given[-1]))
+        cells, corner = made[-1][:2]
+    return given, made
+
+
+def same(chart, found, expected):
+    """Equal to 1e-12; of two cells at one distance either may be told."""
+    for a, b in zip(found[:2], expected[:2], strict=True):
+        assert np.abs(a - b).max() <= 1e-12
+    for a, b in zip(found[2:], expected[2:], strict=True):
+        left, right = np.reshape(a, (chart.sectors, 3)), np.reshape(b, (chart.sectors, 3))
+        assert np.abs(left[:, 2] - right[:, 2]).max() <= 1e-12
+        differ = np.abs(left - right).max(axis=1) > 1e-12
+        assert np.abs(np.sum(left[differ, :2] ** 2, axis=1) - right[differ, 2]).max(initial=0.0) <= 1e-12
+
+
+@pytest.mark.parametrize("name", CHARTS)
+def test_the_routine_and_the_numbers_agree(name):
+    need_compiler()
+    chart = LocalMap(dt=DT, **CHARTS[name])
+    given, made = flight(chart, 500, seed=3)
+    stacked = [np.array(column) for column in zip(*given, strict=True)]
+    for found, expected in zip(zip(*compile_block(chart.routine())(*stacked), strict=True), made, strict=True):
+        same(chart, found, expected)
+    few = slice(None, None, 10)
+    for found, expected in zip(
+        zip(*replay(chart.routine(), *(column[few] for column in stacked)), strict=True), made[few], strict=True
+    ):
+        same(chart, found, expected)
+    cells, nearest = np.array([m[0] for m in made]), np.array([m[2:] for m in made])[:, :, 2::3]
+    assert {-1.0, 1.0} <= set(np.unique(cells))
+    assert np.any((cells > 0) & (cells < 1)) and np.any((cells < 0) & (cells > -1))
+    if chart.side > 7:  # otherwise the hull is all of it
+        assert all(np.any(nearest[:, k] < FAR) and np.any(nearest[:, k] == FAR) for k in range(2))
+
+
+def test_of_two_cells_at_one_distance_one_is_told():
+    chart = LocalMap(dt=DT, slots=1)
+    given = np.zeros(chart.side**2), np.zeros(2), np.array([0.0, 0.0, HULL, EDGE]), np.array(EMPTY, dtype=float)
+    found, expected = replay(chart.routine(), *given), map_step(chart, *given)
+    assert np.unique(expected[3].reshape(-1, 3)[:, 2]).size < chart.sectors
+    same(chart, found, expected)
+
+
+def test_arrays_of_another_size_are_refused():
+    chart = LocalMap(dt=DT, slots=1)
+    good = [np.zeros(chart.side**2), np.zeros(2), np.ones(4), np.zeros(10)]
+    for k, name in enumerate(("cells", "corner", "place", "readings")):
+        bad = [part[:-1] if j == k else part for j, part in enumerate(good)]
+        with pytest.raises(InputError, match=name):
+            map_step(chart, *bad)
+
+
+@pytest.mark.parametrize(
+    ("key", "values"),
+    [
+        ("dt", {"dt": 0.0}),
+        ("mark_time", {"mark_time": math.nan}),
+        ("free_time", {"free_time": -1.0}),
+        ("slots", {"slots": 0}),
+        ("blocks", {"blocks": 1.5}),
+        ("block", {"block": 0}),
+        ("sectors", {"sectors": 6}),
+        ("sectors", {"sectors": 0}),
+        ("known", {"known": 1.0}),
+    ],
+)
+def test_mistakes_are_named(key, values):
+    with pytest.raises(InputError, match=rf"map\.{key}"):
+        LocalMap(**{"dt": DT, **values})
+
+
+# --- the window -----------------------------------------------------------------------------------------------------
+
+
+class Chart:
+    """The map with its state."""
+
+    def __init__(self, **values):
+        self.chart = LocalMap(dt=DT, slots=1, **values)
+        state = Layout(self.chart.ports("map_"))
+        self.cells, self.corner = state.unpack(state.pack()).values()
+
+    def __call__(self, place, reading=EMPTY):
+        given = self.cells, self.corner, [*place, HULL, EDGE], reading
+        self.cells, self.corner, self.marked, self.unknown = map_step(self.chart, *given)
+        return self
+
+    def at(self, x, y):
+        """Value of the cell that holds a place; None outside the window."""
+        values, xs, ys = map_view(self.chart, self.cells, self.corner, edge=EDGE)
+        i, j = (int(np.argmin(np.abs(c - v))) for c, v in ((xs, x), (ys, y)))
+        return values[j, i] if max(abs(xs[i] - x), abs(ys[j] - y)) <= 0.5 * EDGE + 1e-9 else None
+
+
+AHEAD = firing((HULL, 0.0), 0.0, 1.0, half=math.radians(5))
+
+
+def test_it_starts_unknown_but_for_the_place_of_the_hull():
+    chart = Chart()((0.3, -0.2))
+    values, x, y = map_view(chart.chart, chart.cells, chart.corner, edge=EDGE)
+    away = np.hypot(x - 0.3, (y + 0.2)[:, None])
+    assert values.shape == (48, 48) and np.all((values == -1) == (away < HULL)) and set(np.unique(values)) == {-1, 0}
+    assert abs(x.mean() - 0.3) <= EDGE and abs(y.mean() + 0.2) <= EDGE
+    assert np.allclose(np.diff(x), EDGE) and np.allclose(np.diff(y), EDGE)
+
+
+@pytest.mark.parametrize("axis", [0.0, 0.5 * math.pi, math.pi, -0.5 * math.pi])
+def test_the_view_shows_a_mark_where_it_was_heard(axis):
+    ahead, start = np.array([math.cos(axis), math.sin(axis)]), np.array([7.31, -3.77])
+    reading = firing(start + HULL * ahead, axis, 1.0, half=math.radians(5))
+    chart = Chart()(start, reading)
+    mark, short, beyond = (start + (HULL + away) * ahead for away in (1.0, 0.8, 1.2))
+    assert chart.at(*mark) == 1.0 and chart.at(*short) == -1.0 and chart.at(*beyond) == 0.0
+    row = chart.marked.reshape(-1, 3)[round(axis / (2 * np.pi) * 16) % 16]
+    assert np.abs(row[:2] - (mark - start)).max() < 2 * EDGE and row[2] == pytest.approx(row[0] ** 2 + row[1] ** 2)
+
+
+def test_what_stands_still_stays_where_it_is_while_the_window_moves():
+    chart = Chart()((0.0, 0.0), AHEAD)
+    for way in np.arange(0, 0.9, 0.02):
+        chart((way, -0.5 * way))
+        assert chart.at(HULL + 1.0, 0.0) > 0.9
+    assert math.hypot(*(chart.marked.reshape(-1, 3)[1:3, :2].min(axis=0))) < 0.8
+
+
+def test_a_cell_that_leaves_and_comes_back_is_unknown():
+    chart = Chart()((0.0, 0.0), AHEAD)
+    assert chart.at(HULL + 1.0, 0.0) == 1.0
+    there = [*np.arange(0, -1.0, -0.1), *np.arange(-1.0, 0.01, 0.1)]
+    values = [chart((x, 0.0)).at(HULL + 1.0, 0.0) for x in there]
+    assert None in values and values[-1] == 0.0
+    assert all(v > 0.9 for v in values[: values.index(None)])
+
+
+@pytest.mark.parametrize("jump", [(5.0, 0.0), (0.0, -5.0), (48 * EDGE, 0.0), (-100.0, 48 * EDGE), (1e5, 1e5)])
+def test_a_jump_of_the_pose_empties_it(jump):
+    chart = Chart()((0.01, 0.01), AHEAD)((0.01 + jump[0], 0.01 + jump[1]))
+    assert not np.any(chart.cells > 0)
+    assert np.sum(chart.cells < 0) == pytest.approx(math.pi * (HULL / EDGE) ** 2, abs=8)
+
+
+def test_neither_its_size_nor_what_it_holds_depends_on_the_site():
+    """A robot 10,000 cells away finds the same."""
+    rng, here, there = np.random.default_rng(5), Chart(), Chart()
+    offset = EDGE * np.array([10_000.0, -7_777.0])
+    place = np.zeros(2)
+    for k in range(60):
+        place = place + rng.uniform(-0.04, 0.04, 2)
+        at = place + HULL * np.array([math.cos(k), math.sin(k)])
+        reading = (rng.uniform(0.3, 2.0), math.radians(37.5))
+        near = firing(at, k, reading[0], half=reading[1])
+        here(place, near)
+        there(place + offset, firing(at + offset, k, reading[0], half=reading[1]))
+    views = [map_view(c.chart, c.cells, c.corner)[0] for c in (here, there)]
+    np.testing.assert_allclose(*views, atol=1e-9)
+    assert {port.size for port in here.chart.ports()} == {48**2, 2}
+
+
+# --- fading ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_mark_stands_for_its_time_and_then_is_unknown():
+    chart = Chart(mark_time=2.0)((0.0, 0.0), AHEAD)
+    ages = [chart((0.0, 0.0)).at(HULL + 1.0, 0.0) for _ in range(60)]
+    assert ages[0] == pytest.approx(1 - DT / 2.0) and np.all(np.diff(ages[:40]) < 0)
+    assert np.all(np.array(ages[:39]) > 0) and np.abs(ages[40:]).max() < 1e-12
+
+
+def test_what_was_free_is_unknown_again_after_its_time():
+    ahead = firing((HULL, 0.0), 0.0, 1.0, half=math.radians(37.5))
+    chart = Chart(free_time=2.0, known=0.3)((0.0, 0.0), ahead)
+    told, values = [], []
+    for _ in range(60):
+        chart((0.0, 0.0))
+        told.append(math.sqrt(chart.unknown.reshape(-1, 3)[0, 2]))
+        values.append(chart.at(HULL + 0.6, 0.0))
+    assert np.abs(np.array(values) + np.maximum(1 - DT / 2.0 * np.arange(1, 61), 0)).max() < 1e-12
+    near = np.array(told) < HULL + 0.8
+    first = int(np.argmax(near))
+    assert near[first:].all() and (first + 1) * DT == pytest.approx(0.7 * 2.0, abs=1.01 * DT)
+
+
+# --- a world that stands still ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("beam", [15.0, *WIDE])
+def test_what_one_reading_clears_lies_wholly_in_its_cone(beam):
+    """Beyond where the middle of a beam is narrower than a cell: 0.2 m from the apex at 75°, 1 m at 15°."""
+    rng, half = np.random.default_rng(1), math.radians(beam) / 2
+    narrow = (0.6 * EDGE + 0.01) / (0.4 * math.sin(half))
+    seen = 0
+    for _ in range(40):
+        axis, distance, place = rng.uniform(-3, 3), rng.uniform(0.5, 2.0), rng.uniform(-1, 1, 2)
+        ahead = np.array([math.cos(axis), math.sin(axis)])
+        apex = place + HULL * ahead
+        chart = Chart()(place, firing(apex, axis, distance, half=half))
+        values, x, y = map_view(chart.chart, chart.cells, chart.corner, edge=EDGE)
+        j, i = np.nonzero(values == -1)
+        for cx, cy in zip(x[i], y[j], strict=True):
+            far = (np.array([cx, cy]) - apex) @ ahead
+            if far < narrow or math.dist((cx, cy), place) < HULL:
+                continue
+            seen += 1
+            corners = np.array([[cx, cy]]) + 0.5 * EDGE * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]) - apex
+            assert np.all(np.hypot(*corners.T) < distance)
+            assert np.all(np.abs(np.arctan2(corners @ [-ahead[1], ahead[0]], corners @ ahead)) <= half)
+    assert seen > 300
+
+
+@pytest.mark.parametrize("beam", [15.0, *WIDE])
+def test_a_surface_that_was_heard_is_never_known_to_be_free(beam):
+    """Wide beams: never. Of 15°, whose middle clears cells that reach beyond its edge: 1 in 10,000 (25 worlds)."""
+    chart, looked, wrong = LocalMap(dt=DT), 0, 0
+    for seed in range(3):
+        heard = set()
+        for now in journey(seed, beam, chart=chart):
+            heard |= {(math.floor(x / EDGE), math.floor(y / EDGE)) for x, y in now.heard}
+            values, _, _ = map_view(chart, now.cells, now.corner)
+            at = np.array(sorted(heard)).reshape(-1, 2) - now.corner.astype(int)
+            at = at[np.all((at >= 0) & (at < chart.side), axis=1)]
+            looked += len(at)
+            wrong += int(np.sum(values[at[:, 1], at[:, 0]] < -chart.known))
+    assert looked > 50_000
+    assert wrong <= (0 if beam in WIDE else 0.001 * looked)
+
+
+class Around:
+    """Each second once every direction was swept: the true surface, the marks, and what is told of them."""
+
+    def __init__(self, beam, seeds):
+        self.chart = LocalMap(dt=DT)
+        rows, marks = [], []
+        for seed in seeds:
+            for k, now in enumerate(journey(seed, beam, chart=self.chart)):
+                if now.time * SPIN > 2 * np.pi and k % 20 == 0:
+                    rows += self._look(now)
+                    marks.append(self.offsets)
+        self.rows = np.array(rows)
+        self.away, self.mark, self.told, self.unknown = self.rows.T
+
+    def _look(self, now):
+        values, x, y = map_view(self.chart, now.cells, now.corner, edge=EDGE)
+        dx, dy = np.meshgrid(x - now.position[0], y - now.position[1])
+        self.offsets = dx[values > 0], dy[values > 0]
+        bearings = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+        ranges = heard_along(now.shapes, now.position, bearings)
+        rays = ranges * np.array([np.cos(bearings), np.sin(bearings)])
+        inside = np.abs(rays).max(axis=0) < (self.chart.side / 2 - 1) * EDGE
+        sector, marked = directions(self.chart, *rays), directions(self.chart, *self.offsets)
+        rows = []
+        for k in range(self.chart.sectors):
+            if np.any(mine := inside & (sector == k)):
+                mark = np.hypot(*self.offsets)[marked == k].min(initial=1e3)
+                rows.append((ranges[mine].min(), mark, math.sqrt(now.marked[k, 2]), math.sqrt(now.unknown[k, 2])))
+        nearest = np.hypot(*self.offsets).min()
+        assert math.sqrt(now.marked[:, 2].min()) == pytest.approx(nearest)
+        return rows
+
+
+@pytest.mark.parametrize("beam", WIDE)
+def test_once_swept_a_mark_stands_before_every_surface(beam):
+    """In each direction the nearest mark is at most 0.06 m beyond the surface: less than a cell."""
+    seen = Around(beam, range(3))
+    assert len(seen.rows) > 120
+    assert np.max(seen.mark - seen.away) < 0.06 < EDGE
+
+
+@pytest.mark.parametrize("beam", WIDE)
+def test_the_nearest_of_all_is_told_but_not_that_of_every_direction(beam):
+    """A block tells its nearest cell alone, so a direction that shares it may be told of one further off, or none.
+
+    Where a mark stands in a direction, one further by more than 5 cm is told in up to four of ten.
+    """
+    seen = Around(beam, range(3))
+    hidden = (seen.told - seen.mark > 0.05)[seen.mark < 1e3]
+    assert 0 < np.mean(hidden) < 0.4
+    assert np.all(seen.told >= seen.mark - 1e-9)
+
+
+def test_false_marks_vanish_around_one_thing_alone():
+    """One disc in open water, the robot turns once beside it: every mark lies within two cells of its surface."""
+    chart, disc = LocalMap(dt=DT), Disc((1.1, 0.2), 0.15)
+    most = {}
+    for beam in (15.0, *WIDE):
+        path = journey(0, beam, chart=chart, seconds=2.2 * np.pi / SPIN, speed=0.0, shapes=[disc], place=(0.0, 0.0))
+        for now in path:
+            values, x, y = map_view(chart, now.cells, now.corner, edge=EDGE)
+            off = np.abs(np.hypot(x - 1.1, (y - 0.2)[:, None]) - 0.15)[values > 0]
+            most[beam] = max(most.get(beam, 0.0), off.max(initial=0.0))
+        assert off.size
+        assert off.max() < 2 * EDGE, (beam, off.max())
+    assert min(most.values()) > 2 * EDGE  # there were others
+
+
+@pytest.mark.parametrize("beam", WIDE)
+def test_false_marks_before_a_near_surface_are_few(beam):
+    """In a room full of things: in nine of ten directions with a surface within 1.2 m at most two cells short of it."""
+    seen = Around(beam, range(3))
+    short = (seen.away - seen.mark)[seen.away < 1.2]
+    assert len(short) > 50
+    assert np.quantile(short, 0.9) < 2 * EDGE
+
+
+def test_what_went_away_is_cleared_and_what_came_is_marked():
+    """A reading that contradicts what is known to be free marks its whole arc."""
+    half = math.radians(37.5)
+    chart = Chart()((0.0, 0.0), firing((HULL, 0.0), 0.0, 1.0, half=half))
+    assert chart.at(HULL + 1.0, 0.0) == 1.0
+    for turn in (-0.4, 0.0, 0.4):  # its whole arc, with the edges
+        chart((0.0, 0.0), firing((HULL, 0.0), turn, 1.6, half=half))
+    assert chart.at(HULL + 1.0, 0.0) < -0.9
+    chart((0.0, 0.0), firing((HULL, 0.0), 0.0, 0.7, half=half))
+    assert all(chart.at(HULL + 0.7 * math.cos(a), 0.7 * math.sin(a)) == 1.0 for a in np.linspace(-0.6, 0.6, 9))
+
+
+def test_an_echo_that_a_mark_explains_marks_nothing_known_to_be_free():
+    half = math.radians(37.5)
+    chart = Chart()((0.0, 0.0), firing((HULL, 0.0), 0.0, 1.0, half=half))
+    # the edge of a beam that sees past it clears one side
+    chart((0.0, 0.0), firing((HULL, 0.0), half + 0.1, 1.5, half=half))
+    cleared = HULL + 1.0 * math.cos(0.45), 1.0 * math.sin(0.45)
+    assert chart.at(*cleared) == -1.0
+    chart((0.0, 0.0), firing((HULL, 0.0), 0.0, 1.0, half=half))
+    assert chart.at(*cleared) < -0.9 and chart.at(HULL + math.cos(0.3), -math.sin(0.3)) == 1.0
+
+
+def test_a_reading_has_the_numbers_that_it_says():
+    assert sum(size for _, size, _ in READING) == len(EMPTY) == len(AHEAD)
