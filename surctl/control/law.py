@@ -148,9 +148,7 @@ class Law:
         """
         x, u, p = self._vectors(x, u, p)
         if self.senses is not None:
-            sensed = self.senses.state.size
-            _, u = self._sense(x[-sensed:], u, p)
-            x = x[:-sensed]
+            x, u = x[: -self.senses.state.size], self.told(x, u, p)
         J, wanted, rows, *_ = (np.asarray(m, dtype=float).reshape(-1) for m in self.pre(x, u, p))
         # the bounds of a row may be absent: ±inf, but no NaN
         if not np.isfinite(J).all() or not np.isfinite(wanted).all() or np.isnan(rows).any():
@@ -166,6 +164,18 @@ class Law:
         ]
         # built by this class from finite numbers: the checks of build_problem were made once, at assembly
         return PriorityProblem(tuple(levels), tuple(limits))
+
+    def told(self, x: Vector, u: Vector, p: Vector) -> Vector:
+        """What the senses tell the decision in one tick, flat as `senses.told` packs it; u for a law without senses.
+
+        Raises:
+            InputError: a vector that has not the size of its layout.
+        """
+        x, u, p = self._vectors(x, u, p)
+        if self.senses is None:
+            return u
+        _, told = self._sense(x[-self.senses.state.size :], u, p)
+        return np.asarray(told, dtype=np.float64).reshape(-1)
 
     def explained(self, x: Vector, u: Vector, p: Vector) -> PrioritySolution:
         """The priority decision of one tick with names and words: what `step` does, solved again in NumPy."""

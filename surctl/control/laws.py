@@ -144,8 +144,10 @@ def guarded_law(
         velocity = _braked(velocity, over_ground, [*((sector.normal, sector.bound) for sector in still), *caution])
         for sector in sectors[-len(seen.walls) :]:  # whose normals are at right angles: one after the other is exact
             velocity -= ca.fmax(ca.dot(velocity, sector.normal) - sector.bound, 0) * sector.normal
-        velocity = ca.if_else(ca.logic_or(blind, ca.logic_not(scan.placed)), 0, velocity)
-        halted = ca.logic_and(ca.sumsqr(velocity) < _CRAWL**2, ca.sumsqr(choice.velocity) > (2 * _CRAWL) ** 2)
+        lost = ca.logic_or(blind, ca.logic_not(scan.placed))
+        velocity = ca.if_else(lost, 0, velocity)
+        kept = ca.logic_and(ca.sumsqr(velocity) < _CRAWL**2, ca.sumsqr(choice.velocity) > (2 * _CRAWL) ** 2)
+        halted = ca.logic_or(lost, kept)
         named += [(f"unknown_{k}", normal, bound) for k, (normal, bound) in enumerate(caution)]
         turning = ca.fmin(p["spin"], p["spin_limit"])
         depth = levels[0]._replace(reference=ca.if_else(scan.placed, levels[0].reference, 0))

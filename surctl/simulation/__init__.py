@@ -13,7 +13,8 @@ from surctl.simulation.batch import (
 )
 from surctl.simulation.explanation import Explanation, explain
 from surctl.simulation.fit import Finding, findings
-from surctl.simulation.metrics import METRICS, STOPS, Metrics, MetricSpec
+from surctl.simulation.halting import halt_reason
+from surctl.simulation.metrics import HALT, METRICS, STOPS, Metrics, MetricSpec
 from surctl.simulation.run import SENSING, Record, Run, Sensing, advance, law_numbers, simulate
 from surctl.simulation.scenario import LIBRARY, Obstacle, Scenario, load_scenario
 from surctl.simulation.sensors import Sensors
@@ -21,6 +22,7 @@ from surctl.simulation.world import Body, World, build_world
 
 __all__ = [
     "ENGINES",
+    "HALT",
     "LIBRARY",
     "METRICS",
     "SENSING",
@@ -47,6 +49,7 @@ __all__ = [
     "check_speeds",
     "explain",
     "findings",
+    "halt_reason",
     "knobs",
     "law_numbers",
     "load_scenario",

@@ -10,12 +10,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["METRICS", "STOPS", "MetricSpec", "Metrics", "path_error", "settled_avoidance"]
+__all__ = ["HALT", "METRICS", "STOPS", "MetricSpec", "Metrics", "path_error", "settled_avoidance"]
 
 TUBE = 0.10  # [m] |y_e| below which an avoidance interval has ended (*chosen*)
 NEAR_TARGET = 1.0  # [m] within which going past the target is overshoot (*chosen*)
 
-STOPS = ("time limit", "reached", "collision", "fault")
+HALT = 30.0
+"""[s] without a break in which a law with senses stands still for want of knowledge, before its run ends (*chosen*)."""
+
+STOPS = ("time limit", "reached", "collision", "fault", "halted")
 """Why a run can end; a batch gives the position in this tuple."""
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from surctl.control import CONTACT_SLOTS, NONFINITE, Gains, Law, build_law, law_parameters
 from surctl.errors import InputError, nearest
 from surctl.sensing import NoiseStream, OwnState, delayed, fault_state, faulty, true_range
-from surctl.simulation.metrics import NEAR_TARGET, Metrics, path_error, settled_avoidance
+from surctl.simulation.metrics import HALT, NEAR_TARGET, Metrics, path_error, settled_avoidance
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.sensors import FIRING, firing_plan
 from surctl.simulation.world import Body, World, build_world
@@ -139,8 +139,7 @@ def simulate(
     world = build_world(scenario, vehicle, seed=seed)
     p = law_numbers(scenario, gains, model or vehicle)
     loop = _Loop(world, vehicle, law, p, sensing, NoiseStream(seed))
-    reason = loop.fly()
-    record = loop.record()
+    reason, record = loop.fly(), loop.record()
     return Run(
         scenario, vehicle, gains, law, sensing, seed, _metrics(scenario, law, record, reason, loop.least), record
     )
@@ -205,7 +204,7 @@ class _Loop:
 
     def fly(self) -> str:
         """Run to the end; the reason why it stopped."""
-        scenario, dt = self.world.scenario, self.law.dt
+        scenario, dt, halted = self.world.scenario, self.law.dt, 0
         for tick in range(int(np.ceil(scenario.time_limit / dt))):
             time = tick * dt
             bodies = self.world.bodies(time)
@@ -223,6 +222,10 @@ class _Loop:
                 return "reached"
             if step.status == NONFINITE:
                 return "fault"
+            if self.law.senses is not None:
+                halted = halted + 1 if step.telemetry[self.law.telemetry_slice("halted")][0] > 0.5 else 0
+            if halted >= round(HALT / dt):
+                return "halted"
             self.law_state = step.x_next
             self._advance(time, step.tau, drawn)
         return "time limit"
