@@ -169,6 +169,18 @@ def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateT
     return Sensors(equipment, sonar.faults, sonar.chances)
 
 
+_KEYS = {
+    **{name: key for key, name in _NAMES.items()},
+    "azimuths": "azimuths_deg",
+    "beam_angle": "beam_deg",
+    "incidence_limit": "incidence_limit_deg",
+    "period": "period_s",
+    "latency": "latency_s",
+    "gaps": "gaps_s",
+}
+"""What a file calls a field of the array or of a delivery."""
+
+
 def _fits(delivery: Delivery) -> tuple[int, int]:
     return delivery.late(_PERIOD), delivery.every(_PERIOD)
 
@@ -177,8 +189,9 @@ def _in_table(table: str, make: Callable[[], T]) -> T:
     try:
         return make()
     except InputError as error:
-        key = (error.key or "").rpartition(".")[2]
-        raise InputError(error.problem, key=f"{table}.{key}", value=error.value, remedy=error.remedy) from None
+        key = (error.key or "").removeprefix("array.").removeprefix("delivery.")
+        named = ", ".join(_KEYS.get(part, part) for part in key.split(", "))
+        raise InputError(error.problem, key=f"{table}.{named}", value=error.value, remedy=error.remedy) from None
 
 
 def _array(table: SonarTable) -> SonarArray:
@@ -234,7 +247,7 @@ def firing_plan(array: SonarArray) -> FiringPlan:
         return FiringPlan(period, tuple(tuple(row) for row in rows))
     raise InputError(
         f"is no whole part or multiple of the loop's {FIRING:g} s",
-        key="sonar.firing_period_s",
+        key="firing_period",
         value=array.firing_period,
         remedy="use 0.025, 0.0125 or 0.05",
     )
