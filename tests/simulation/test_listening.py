@@ -1,0 +1,72 @@
+"""What the sensors of a run say is the same in the reference loop and in the compiled one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import pi
+
+import numpy as np
+import pytest
+
+from surctl.control import load_gains
+from surctl.sensing import BaseStation, Delivery, Equipment, Fault, FaultChances, OwnState, SonarArray
+from surctl.simulation import Case, Sensors, load_scenario, simulate, simulate_batch
+from surctl.vehicle import load_vehicle
+from tests.tools import need_compiler
+
+THREE = SonarArray(azimuths=(0.0, 2.1, 4.2), order=(0, 2, 1), beam_angle=1.0)
+SIX = SonarArray(azimuths=tuple(np.arange(6) * pi / 3), order=tuple(range(6)), firing_period=0.0125)
+SLOW = SonarArray(azimuths=(0.0, pi), order=(0, 1), firing_period=0.05)
+MOUNTED = SonarArray(
+    mounts=((0.3, 0.0), (0.1, 0.3), (-0.3, 0.0), (0.1, -0.3)),
+    incidence_limit=0.6,
+    temperature=8.0,
+    calibrated_for=1480.0,
+)
+LATE = Equipment(
+    station=BaseStation(messages=Delivery(loss=0.3)), own=OwnState(fixes=Delivery(loss=0.2, gaps=((3.0, 5.0),)))
+)
+KINDS = ("dead", "stuck", "zero", "maximum", "second_echo", "crosstalk", "dropout", "spike")
+SENSORS = {
+    "four": ("pool-static", Sensors()),
+    "three": ("pool-static", Sensors(Equipment(array=THREE))),
+    "six, two at a time": ("tank-moving", Sensors(Equipment(array=SIX))),
+    "two, every other instant": ("tank-moving", Sensors(Equipment(array=SLOW))),
+    "mounted beside the hull": ("tank-moving", Sensors(Equipment(array=MOUNTED))),
+    "late and lost messages": ("tank-moving", Sensors(LATE)),
+    "the truth about itself": ("tank-moving", Sensors(Equipment(own=None))),
+    "a delay and chances": (
+        "pool-static",
+        Sensors(
+            faults=(Fault(sensor=0, kind="delay", start_s=1.0, delay_s=0.3),),
+            chances=FaultChances(dropout=0.1, spike=0.05, zero=0.02, maximum=0.05, second_echo=0.05, crosstalk=0.05),
+        ),
+    ),
+    "every other fault": (
+        "pool-static",
+        Sensors(faults=tuple(Fault(sensor=k % 4, kind=kind, start_s=1.0 + k) for k, kind in enumerate(KINDS))),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_the_compiled_loop_hears_what_the_reference_hears(name: str) -> None:
+    need_compiler()
+    scenario, sensors = SENSORS[name]
+    flown = replace(load_scenario(scenario), sensors=sensors, time_limit=9.0)
+    case = Case(flown, load_vehicle(flown.vehicle), load_gains("default"), sensing="sonar")
+    run = simulate(flown, case.vehicle, gains=case.gains, sensing="sonar", seed=5)
+    table = simulate_batch(case, seeds=[5, 6]).table
+    np.testing.assert_allclose(table[0], run.metrics.row(), rtol=0, atol=1e-9)
+    if name != "the truth about itself":  # there the noise of ranges alone changes no decision so soon
+        assert not np.allclose(table[0], table[1], atol=1e-6, equal_nan=True)
+
+
+def test_chances_are_knobs() -> None:
+    need_compiler()
+    scenario = replace(load_scenario("pool-static"), time_limit=8.0)
+    case = Case(scenario, load_vehicle("sur400"), load_gains("default"), sensing="sonar")
+    by_knob = simulate_batch(case, {"sonar.dropout": 0.4}, seeds=3).table
+    by_file = replace(case, scenario=replace(scenario, sensors=Sensors(chances=FaultChances(dropout=0.4))))
+    np.testing.assert_array_equal(by_knob, simulate_batch(by_file, seeds=3).table)
+    assert not np.array_equal(by_knob, simulate_batch(case, seeds=3).table)
