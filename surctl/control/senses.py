@@ -204,6 +204,7 @@ class _Builder:
         axes, apexes, halves = self._beams(around, known["hull"])
         velocity = planar_rotation(around.eta[3]) @ around.nu[:2]
         walls, things = self._expected(around, apexes, known)
+        walls = ca.if_else(around.placed, walls, 2 * array.maximum)  # seen from nowhere, no echo is too long
         ranging = self._ranges.update(
             x,
             self._corrected(given["samples"]),
@@ -231,7 +232,7 @@ class _Builder:
             }
             listed = ca.vertcat(*(firing[name] for name, _, _ in READING))
             firings.append((ca.logic_and(arrived, around.placed), listed))
-        hears = ca.vertcat(*silent) <= _DEAF
+        hears = ca.vertcat(*silent) <= _DEAF + 0.5 * self.dt  # sums of dt are not exact
         heard = [
             ca.horzcat(ranging.range[i], ranging.bound[i], hears[i], ranging.age[i], axes[i].T)
             for i in range(array.size)
