@@ -260,7 +260,7 @@ class _Builder:
         what another one heard. One that jumps may: the map itself is cleared by three readings in a row only."""
         array, state = self.equipment.array, ranging.state
         reading, least = ranging.reading[sensor], array.lowest / array.scale
-        fine = ca.logic_and(reading >= least - 1.5 * array.resolution, state["sonar_late"][sensor] < 0.5)
+        fine: ca.SX = ca.logic_and(reading >= least - 1.5 * array.resolution, state["sonar_late"][sensor] < 0.5)
         fine = ca.logic_and(fine, state["sonar_distrust"][sensor] < 0.5)
         fine = ca.logic_and(fine, state["sonar_repeated"][sensor] < max(self._ranges.repeats, 1))
         tells = ca.logic_and(reading > least + array.resolution, reading < array.maximum - _SILENT)
@@ -273,7 +273,7 @@ class _Builder:
     def _around(
         self, x: Mapping[str, ca.SX], tau: ca.SX, u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]
     ) -> tuple[_Around, dict[str, ca.SX]]:
-        movers, after = ca.SX(0, 6), {}
+        movers, after = ca.SX(0, 6), dict[str, ca.SX]()
         if self._movers:
             told = self._movers.update(x, message=u["contacts"], message_fresh=u["contacts_fresh"], prefix="mover_")
             after |= told.state
@@ -311,7 +311,7 @@ class _Builder:
 
     def _expected(self, around: _Around, apexes: list[ca.SX], p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
         """(n,) ranges at which the walls, and the moving obstacles, would give an echo [m]."""
-        array, walls, things = self.equipment.array, [], []
+        array, (walls, things) = self.equipment.array, (list[ca.SX](), list[ca.SX]())
         far = ca.DM([-1e3, 1e3, -1e3, 1e3])
         none = ca.SX(0, 3), ca.SX(0, 1)
         discs = (around.movers[:, :3], around.movers[:, 5])

@@ -19,7 +19,7 @@ from math import cos, isfinite, pi, sin
 import casadi as ca
 
 from surctl.errors import InputError
-from surctl.ir import Call, Loop, Port, Program, Routine, lower
+from surctl.ir import Call, Loop, Port, Program, Routine, Step, lower
 
 __all__ = ["READING", "LocalMap"]
 
@@ -110,7 +110,7 @@ class LocalMap:
         none = (0.0, 0.0, _FAR) * self.sectors
         constants = _constants("constants", (0.0,), (1.0,), (0.0,) * self.slots, none, none)
         where = ("place", "slots", "corner", "corner_next")
-        steps = (
+        steps: tuple[Step, ...] = (
             Call(constants, (), ("is_columns", "is_rows", "found", "marked_none", "unknown_none")),
             Call(self._corner(), ("place",), ("corner_next",)),
             *(Loop(line, n, (), (span,), fixed=(f"is_{span}", *where), index=True) for span in spans),

@@ -63,8 +63,8 @@ def map_step(
     square = dx * dx + dy * dy
     value = np.where(square < hull * hull, -1.0, value)
     blank = (value >= -chart.known) & (value <= 0) & (square > (hull + RING * edge) ** 2)
-    marked, unknown = (_nearest(chart, which, dx, dy, square) for which in (value > 0, blank))
-    return _blocks(chart, value).reshape(-1), window, marked, unknown
+    marks, gaps = (_nearest(chart, which, dx, dy, square) for which in (value > 0, blank))
+    return _blocks(chart, value).reshape(-1), window, marks, gaps
 
 
 def map_view(

@@ -105,7 +105,7 @@ class Vehicle:
             return self[name] if known is None else known[which]
 
         moment, linear, quadratic = share * worst("Fr_max", 0), worst("Nr", 1), worst("Nrr", 1)
-        return 2 * moment / max(linear + np.sqrt(linear**2 + 4 * quadratic * moment), 1e-6)
+        return 2 * moment / max(linear + float(np.sqrt(linear**2 + 4 * quadratic * moment)), 1e-6)
 
     def with_values(self, values: Mapping[str, float]) -> Vehicle:
         """A copy with some values changed (their provenance says so); ranges are kept."""
