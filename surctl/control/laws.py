@@ -194,7 +194,9 @@ def _slowed(velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) -> ca.SX:
     """The same course, as slow as the bounds (not negative) ask."""
     share = ca.SX(1)
     for normal, bound in bounds:
-        share = ca.fmin(share, bound / ca.fmax(ca.dot(velocity, normal), 1e-6))
+        along = ca.dot(velocity, normal)
+        # a bound of 0 stops only what goes towards it
+        share = ca.if_else(along > 1e-6, ca.fmin(share, bound / ca.fmax(along, 1e-6)), share)
     return velocity * share
 
 

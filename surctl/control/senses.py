@@ -189,6 +189,7 @@ class _Builder:
         axes, apexes, halves = beams(array, around, known["hull"])
         velocity = planar_rotation(around.eta[3]) @ around.nu[:2]
         walls, things = expected(array, around, apexes, known)
+        walls = ca.if_else(around.placed, walls, 2 * array.maximum)  # seen from nowhere, no echo is too long
         ranging = self._ranges.update(
             x,
             corrected(array, given["samples"]),
