@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from surctl.cli.output import as_json, finish, out_folder, progress
+from surctl.cli.sensor_options import SensorOptions, sensor_options, sensors_told
 
 __all__ = ["simulate"]
 
@@ -20,6 +21,7 @@ __all__ = ["simulate"]
 @click.option("--avoidance", default="corrected", help="printed, consistent or corrected form of (20).")
 @click.option("--priority-mode", default="nsb", help="nsb, or one that keeps limits: filter, projected, lexicographic.")
 @click.option("--sensing", default="truth", help="truth, or through the sonar array: sonar.")
+@sensor_options
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="First seed.")
 @click.option("--runs", type=click.IntRange(min=1), default=1, help="Number of seeds, one after another.")
 @click.option("--explain", "explained", is_flag=True, help="Tell what each task gave up, and to which limit.")
@@ -33,26 +35,35 @@ def simulate(
     avoidance: str,
     priority_mode: str,
     sensing: str,
+    faults: tuple[str, ...],
+    chances: tuple[str, ...],
+    beam: float | None,
+    own_state: str | None,
     seed: int,
     runs: int,
     explained: bool,
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Fly scenarios in closed loop. Exit status 1 if a run collides or does not arrive.
+    """Fly scenarios in closed loop. Exit status 1 if a run collides, halts or does not arrive.
 
-    Examples: surctl simulate pool-static --sensing sonar --runs 5; surctl simulate tank-static --law paper --out plots
+    What is said of sensors takes the place of the scenario's own tables.
+
+    Examples: surctl simulate pool-static --sensing sonar --runs 5; surctl simulate tank-static --law paper --out plots;
+    surctl simulate tank-static --sensing sonar --fault stuck:0:5 --chance dropout=0.1
     """
-    from surctl.control import build_law, load_gains
+    from surctl.control import load_gains
     from surctl.files import prepare_folder
-    from surctl.simulation import explain, load_scenario
+    from surctl.simulation import explain, halt_reason, load_scenario
     from surctl.simulation import simulate as fly
     from surctl.vehicle import load_vehicle
 
     if out is not None:
         prepare_folder(out)
     chosen = load_gains(gains)
-    plans = [load_scenario(name) for name in scenarios]
+    sensors = SensorOptions(faults, chances, beam, own_state)
+    sensors.check(law=law, sensing=sensing)
+    plans = [sensors.over(load_scenario(name)) for name in scenarios]
     vehicles = [load_vehicle(vehicle or scenario.vehicle) for scenario in plans]
     laws = [  # takes a second, so a mistake is told before
         build_law(
@@ -69,6 +80,8 @@ def simulate(
         for k in range(seed, seed + runs):
             run = fly(scenario, flown, gains=chosen, law=built, sensing=sensing, seed=k)
             results.append(run.to_dict())
+            if sensing == "sonar":
+                results[-1]["sensors"] = sensors_told(scenario)
             m = run.metrics
             line = (
                 f"{scenario.name} by {flown.name}, {sensing}, seed {k}: {m.stopped_because} at {m.time_s:.2f} s, "
@@ -77,6 +90,9 @@ def simulate(
             lines.append(line)
             if as_json:
                 progress(line)
+            if m.stopped_because == "halted":
+                results[-1]["halted_because"] = halt_reason(run)
+                lines.append(f"  halted: {results[-1]['halted_because']}")
             if explained:
                 told = explain(run)
                 results[-1]["explanations"] = [asdict(one) for one in told]

@@ -11,7 +11,6 @@ from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
 from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, legend_below, new_axes, printable
-from surctl.sensing import SonarArray
 from surctl.simulation import Body, Run
 from surctl.simulation.scenario import Shape
 from surctl.world import Box, Disc, Wall
@@ -166,8 +165,8 @@ def _draw_hull(ax: Axes, run: Run, k: int) -> None:
 
 
 def _draw_beams(ax: Axes, run: Run, k: int) -> None:
-    """The four cones at one tick, as long as the filtered ranges; dashed where the sonar reads its maximum."""
-    array = SonarArray(hull_radius=run.vehicle["radius"])
+    """The sonars' cones at one tick, as long as the filtered ranges; dashed where the sonar reads its maximum."""
+    array = run.scenario.sensors.array_on(run.vehicle["radius"])
     x, y, _, heading = run.record.eta[k]
     ranges = run.telemetry("ranges")[k]
     length, width, _ = run.scenario.site
