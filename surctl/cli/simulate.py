@@ -52,7 +52,7 @@ def simulate(
     Examples: surctl simulate pool-static --sensing sonar --runs 5; surctl simulate tank-static --law paper --out plots;
     surctl simulate tank-static --sensing sonar --fault stuck:0:5 --chance dropout=0.1
     """
-    from surctl.control import load_gains
+    from surctl.control import build_law, load_gains
     from surctl.files import prepare_folder
     from surctl.simulation import explain, halt_reason, load_scenario
     from surctl.simulation import simulate as fly
