@@ -221,3 +221,13 @@ def test_a_bar_of_the_sonar_that_is_missed_ends_with_1(
         assert study["study"](strict, quick=True, out=None) == 1
     failed = [line for line in capsys.readouterr().out.splitlines() if line.endswith("**does not hold**")]
     assert len(failed) == 4
+
+
+def test_the_sonar_loop_touches_nothing_and_says_which_bar_it_misses() -> None:
+    done = run(Path("analysis/12_sonar_loop/run.py").resolve(), "--quick")
+    assert done.returncode == 1, done.stdout + done.stderr  # the memory bar
+    bars = [line for line in done.stdout.splitlines() if line.startswith("- ")]
+    assert [line.endswith(": holds") for line in bars] == [True, True, True, False]
+    assert "float32" in bars[-1] and bars[-1].endswith("**missed**")
+    flown = [row for row in table(done.stdout) if len(row) == 7 and row[0] != "sensors"]
+    assert len(flown) == 4 and all(row[3] == "0" for row in flown)

@@ -47,7 +47,7 @@ _GROPING = 0.5  # of the cruise speed: most towards where a sonar is not to be b
 _NO_BOUND = 10.0  # [m/s]
 _ONE_ENCOUNTER = 1e3  # [m]
 _BRAKE = 4.0  # times the excess speed that is taken off the command: the velocity loop alone is too slow
-_GIVE_WAY = 0.03  # [m/s] with which the robot backs off from a mark; half of what is marked near the hull is not there
+_GIVE_WAY = 0.05  # [m/s] with which the robot backs off from a mark; half of what is marked near the hull is not there
 _OVERTAKE = 0.02  # [m/s] by which the avoidance speed exceeds the obstacle's
 
 

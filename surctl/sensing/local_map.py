@@ -21,7 +21,7 @@ import casadi as ca
 from surctl.errors import InputError
 from surctl.ir import Call, Loop, Port, Program, Routine, Step, lower
 
-__all__ = ["READING", "LocalMap"]
+__all__ = ["MIDDLE", "READING", "LocalMap"]
 
 READING = (
     ("apex", 2, "m, x and y in {E}"),
@@ -41,6 +41,8 @@ _READING_SIZE = sum(size for _, size, _ in READING)
 _INSIDE, _INSIDE_MORE = 0.6, 0.01  # cells, and m: how deep inside a beam a cell must lie to be cleared
 # of half the beam's width, where the beam is narrower than that: its middle clears, its turn shows the rest
 _OF_THE_UNKNOWN, _OF_A_MARK = 0.4, 0.75
+MIDDLE = 1.0 - _OF_THE_UNKNOWN
+"""Share of a narrow beam's width that clears what is unknown."""
 _NOWHERE = 1e6  # cells; lowest corner of a window that has never been
 _FAR = 1e6  # m², of a block without such a cell
 
@@ -88,6 +90,11 @@ class LocalMap:
     def side(self) -> int:
         """Cells a side N."""
         return self.blocks * self.block
+
+    @property
+    def memory(self) -> float:
+        """Time [s] for which a cleared cell counts as known."""
+        return (1.0 - self.known) * self.free_time
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
         """The state: the cells, block after block (row by row, and so inside a block), and the window's corner."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import gcd, pi
 from typing import Annotated, TypeVar
 
@@ -111,9 +112,14 @@ class Sensors:
     chances: FaultChances = field(default_factory=FaultChances)
 
     def on(self, hull_radius: float) -> Equipment:
-        """The equipment on a hull [m]; a hull without mounts does not matter to it."""
-        array = self.equipment.array
-        return self.equipment if array.mounts is None else self._with(replace(array, hull_radius=hull_radius))
+        """The equipment on a hull [m]; without mounts the hull does not matter to it.
+
+        Raises:
+            InputError: a mount inside that hull, or one whose beam it hides; it names table and key.
+        """
+        if self.equipment.array.mounts is None:
+            return self.equipment
+        return _in_table("sonar", lambda: replace(self.equipment, array=self.array_on(hull_radius)))
 
     def array_on(self, hull_radius: float) -> SonarArray:
         """The sonars on a hull [m]."""
@@ -123,9 +129,6 @@ class Sensors:
     def may_fail(self) -> bool:
         """Whether anything ever goes wrong with a sonar."""
         return bool(self.faults) or any(self.chances.numbers)
-
-    def _with(self, array: SonarArray) -> Equipment:
-        return replace(self.equipment, array=array)
 
 
 _NAMES = {
@@ -142,6 +145,9 @@ _NAMES = {
     "temperature_c": "temperature",
     "calibrated_for_m_per_s": "calibrated_for",
 }
+_ANGLES = {"azimuths_deg": "azimuths", "beam_deg": "beam_angle", "incidence_limit_deg": "incidence_limit"}
+_TIMES = {"period_s": "period", "latency_s": "latency", "gaps_s": "gaps"}
+_KEYS = {name: key for key, name in (_NAMES | _ANGLES | _TIMES).items()}
 
 
 def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateTable) -> Sensors:
@@ -163,35 +169,22 @@ def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateT
         rate_sd=own.rate_sd_rad_per_s,
         fixes=_in_table("own_state", own.delivery),
     )
-    _in_table("base_station", lambda: _fits(told.messages))
-    _in_table("own_state", lambda: _fits(measured.fixes))
+    for table, delivery in (("base_station", told.messages), ("own_state", measured.fixes)):
+        for steps in (delivery.late, delivery.every):
+            _in_table(table, partial(steps, _PERIOD))
     equipment = Equipment(array=array, station=told, own=None if own.truth else measured)
     return Sensors(equipment, sonar.faults, sonar.chances)
-
-
-_KEYS = {
-    **{name: key for key, name in _NAMES.items()},
-    "azimuths": "azimuths_deg",
-    "beam_angle": "beam_deg",
-    "incidence_limit": "incidence_limit_deg",
-    "period": "period_s",
-    "latency": "latency_s",
-    "gaps": "gaps_s",
-}
-"""What a file calls a field of the array or of a delivery."""
-
-
-def _fits(delivery: Delivery) -> tuple[int, int]:
-    return delivery.late(_PERIOD), delivery.every(_PERIOD)
 
 
 def _in_table(table: str, make: Callable[[], T]) -> T:
     try:
         return make()
     except InputError as error:
-        key = (error.key or "").removeprefix("array.").removeprefix("delivery.")
-        named = ", ".join(_KEYS.get(part, part) for part in key.split(", "))
-        raise InputError(error.problem, key=f"{table}.{named}", value=error.value, remedy=error.remedy) from None
+        # the first of them, where several fields are named
+        name = (error.key or "").removeprefix("array.").removeprefix("delivery.").partition(",")[0]
+        raise InputError(
+            error.problem, key=f"{table}.{_KEYS.get(name, name)}", value=error.value, remedy=error.remedy
+        ) from None
 
 
 def _array(table: SonarTable) -> SonarArray:
@@ -203,6 +196,8 @@ def _array(table: SonarTable) -> SonarArray:
     if table.azimuths_deg is not None:
         given["azimuths"] = tuple(a * pi / 180.0 for a in table.azimuths_deg)
         given.setdefault("order", tuple(range(len(table.azimuths_deg))))
+    if table.mounts_m is not None:
+        given["hull_radius"] = 0.0  # the vehicle that is flown has one, see `Sensors.on`
     array = SonarArray(**given)
     if table.scale is not None:
         if table.calibrated_for_m_per_s is not None:

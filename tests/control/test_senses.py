@@ -308,7 +308,7 @@ def largest_stack(block):
 def test_it_fits_a_small_processor():
     """A Cortex-M4F of 168 MHz, two instructions an operation: two fifths of 50 ms. Its 64 kB beside the main memory
     hold the state and every array, in float32."""
-    law = build_law()
+    law = build_law(sonar=True)
     block = law.senses.block
     instructions = 2 * block.operations
     assert instructions * 20 < 0.4 * 168e6
@@ -319,7 +319,7 @@ def test_it_fits_a_small_processor():
 
 def test_the_count_of_operations_is_that_of_its_loops():
     """By hand: the map's two passes over its cells dominate."""
-    block = build_law().senses.block
+    block = build_law(sonar=True).senses.block
     chart = next(step.block for step in block.steps if step.block.name == "local_map")
     loops = {step.block.name: step for step in chart.steps if isinstance(step, Loop)}
     rows = [step.count * step.block.operations for step in loops.values()]
@@ -332,7 +332,7 @@ def test_the_count_of_operations_is_that_of_its_loops():
 
 
 def test_a_number_that_is_not_finite_stops_the_robot():
-    law, p = build_law(), parameters()
+    law, p = build_law(sonar=True), parameters()
     x, u = law.initial_state(), law.inputs.pack({"fix": (1, 1, -0.15), "fix_fresh": 1.0})
     assert law.step(x, u, p).status != NONFINITE
     vectors = {"x": (0, law.state), "u": (1, law.inputs), "p": (2, law.gains)}
@@ -347,7 +347,7 @@ def test_a_number_that_is_not_finite_stops_the_robot():
 
 
 def test_any_finite_numbers_give_finite_ones():
-    law, p = build_law(), parameters()
+    law, p = build_law(sonar=True), parameters()
     rng = np.random.default_rng(0)
     x = law.initial_state()
     for scale in (1.0, 1e3, 1e6) * 20:

@@ -1,0 +1,141 @@
+"""Study 12: the closed loop through the sonars, whole and with sensors that fail; speed and cost of the senses.
+
+    python analysis/12_sonar_loop/run.py [--quick]
+
+Prints Markdown. Status 0 when every bar holds, else 1; 2 for a bad option.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+import tomllib
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from surctl.control import build_law, load_gains
+from surctl.ir import Block, Gather, Routine
+from surctl.sensing import BaseStation, Delivery, Equipment, Fault, FaultChances, OwnState, SonarArray
+from surctl.simulation import STOPS, BatchResult, Case, Sensors, load_scenario, simulate_batch
+from surctl.vehicle import load_vehicle
+
+INSTRUCTIONS = 2  # of a Cortex-M4F for an operation: the rule that the cost rests on
+RATE, CLOCK = 20.0, 168e6  # steps a second, Hz
+HEAVY = {"plant.m11": 125.0, "plant.m22": 125.0, "plant.Fu_max": 4.25, "plant.Fv_max": 4.25}
+SLOW_TO_TURN = {"plant.Nr": 1.0, "plant.Nrr": 3.0, "plant.Fr_max": 0.425}
+WORST = HEAVY | SLOW_TO_TURN  # of sur540-flooded's ranges, unknown to its controller
+
+
+def conditions() -> dict[str, tuple[Sensors, bool]]:
+    """Sensors by name, and whether a bar is set on them."""
+    found: dict[str, tuple[Sensors, bool]] = {"nominal": (Sensors(), True)}
+    for k, where in enumerate(("front", "left", "rear", "right")):
+        found[f"{where} dead"] = (Sensors(faults=(Fault(sensor=k, kind="dead"),)), True)
+    found["10 % lost"] = (Sensors(chances=FaultChances(dropout=0.1)), True)
+    for degrees in (15, 120):
+        array = SonarArray(beam_angle=float(np.radians(degrees)))
+        found[f"beams of {degrees}°"] = (Sensors(Equipment(array=array)), True)
+    for kind in ("stuck", "zero", "maximum", "second_echo", "crosstalk"):
+        found[f"front {kind} from 5 s"] = (Sensors(faults=(Fault(sensor=0, kind=kind, start_s=5.0),)), False)
+    late = Fault(sensor=0, kind="delay", start_s=5.0, delay_s=0.4)
+    found["front late by 0.4 s from 5 s"] = (Sensors(faults=(late,)), False)
+    found["5 % spikes"] = (Sensors(chances=FaultChances(spike=0.05)), False)
+    deaf = Equipment(station=BaseStation(messages=Delivery(loss=0.3)))
+    found["30 % of messages lost"] = (Sensors(deaf), False)
+    lost = Equipment(own=OwnState(fixes=Delivery(gaps=((10.0, 15.0),))))
+    found["no fix from 10 to 15 s"] = (Sensors(lost), False)
+    return found
+
+
+def flown(name: str, sensors: Sensors, seeds: int, values: Mapping[str, float] | None = None) -> BatchResult:
+    """All seeds of a scenario with these sensors."""
+    scenario = replace(load_scenario(name), sensors=sensors)
+    case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
+    return simulate_batch(case, values or {}, seeds=np.arange(seeds), threads=2)
+
+
+def row(condition: str, name: str, runs: BatchResult) -> int:
+    """Print a line of the table; the number of collisions."""
+    stopped, took = runs.column("stopped").astype(int), runs.column("time_s")
+    counts = {reason: int(np.sum(stopped == k)) for k, reason in enumerate(STOPS)}
+    hit = [int(k) for k in np.flatnonzero(stopped == STOPS.index("collision"))]
+    others = ", ".join(f"{reason} {n}" for reason, n in counts.items() if n and reason not in ("reached", "collision"))
+    told = f"{len(hit)}" + (f" (seeds {hit})" if hit else "")
+    least = runs.column("min_clearance_m").min()
+    print(
+        f"| {condition} | `{name}` | {counts['reached']} | {told} | {others or '-'} | {np.median(took):.1f} "
+        f"| {least:.3f} |",
+        flush=True,
+    )
+    return len(hit)
+
+
+def speed(seeds: int) -> float:
+    """Simulated seconds a second of one core."""
+    scenario = load_scenario("tank-static")
+    case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
+    simulate_batch(case, seeds=0)  # compiled by now
+    start = time.process_time()
+    runs = simulate_batch(case, seeds=np.arange(max(seeds, 8)), threads=1)
+    return float(runs.column("time_s").sum() / (time.process_time() - start))
+
+
+def arrays(block: Block) -> int:
+    """Numbers that the arrays of a routine hold, and those of what it calls one after the other."""
+    if not isinstance(block, Routine):
+        return 0
+    given = {name for name, _ in block.inputs}
+    own = sum(size for name, size in block.sizes().items() if name not in given)
+    return own + max((arrays(step.block) for step in block.steps if not isinstance(step, Gather)), default=0)
+
+
+def main(words: list[str]) -> int:
+    """Run the study."""
+    parser = argparse.ArgumentParser(prog="run.py", description="Fly the scenarios through the sonars.")
+    parser.add_argument("--quick", action="store_true", help="few seeds, two scenarios, four conditions")
+    options = parser.parse_args(words)
+    config = tomllib.loads(Path(__file__).with_name("config.toml").read_text(encoding="utf-8"))
+    size, bars = config["quick" if options.quick else "full"], config["bars"]
+    names = ["tank-static", "pool-static"] if options.quick else config["scenarios"]
+    chosen = list(conditions().items())
+    collisions = 0
+    print(f"## {size['seeds']} seeds each\n")
+    print("| sensors | scenario | reached | collided | else | median time [s] | least clearance [m] |")
+    print("|---|---|---|---|---|---|---|")
+    for condition, (sensors, judged) in chosen[:2] if options.quick else chosen:
+        for name in names:
+            hit = row(condition, name, flown(name, sensors, size["seeds"]))
+            collisions += hit if judged and name in config["judged"] else 0
+    if not options.quick:
+        for name in ("tank-static", "tank-moving"):
+            row("vehicle at its worst", name, flown(name, Sensors(), size["seeds"], WORST))
+    held = [collisions <= bars["collisions"]]
+    print(f"\n- collisions where a bar is set: {collisions}, bar {bars['collisions']}: {_word(held[-1])}")
+    times = speed(size["seeds"])
+    held.append(times >= bars["real_time"])
+    print(f"- compiled loop, one thread: {times:.0f} times real time, bar {bars['real_time']}: {_word(held[-1])}")
+    law = build_law(sonar=True)
+    assert law.senses is not None
+    operations = law.senses.block.operations
+    share = operations * INSTRUCTIONS * RATE / CLOCK
+    held.append(share <= bars["cortex_share"])
+    print(
+        f"- senses: {operations} operations a step, at {INSTRUCTIONS} instructions each and {RATE:g} Hz "
+        f"{100 * share:.1f} % of a 168 MHz core, bar {100 * bars['cortex_share']:.0f} %: {_word(held[-1])}"
+    )
+    memory = 4 * (law.senses.state.size + arrays(law.senses.block)) / 1024
+    held.append(memory <= bars["cortex_kb"])
+    print(f"- their state and arrays in float32: {memory:.1f} kB, bar {bars['cortex_kb']} kB: {_word(held[-1])}")
+    return 0 if all(held) else 1
+
+
+def _word(held: bool) -> str:
+    return "holds" if held else "**missed**"
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,101 @@
+"""What a scenario's sonars cannot do, found before it is flown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import pi
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from surctl.control import load_gains
+from surctl.errors import InputError
+from surctl.sensing import Equipment, SonarArray
+from surctl.simulation import LIBRARY, findings, load_scenario, simulate
+from surctl.simulation.sensors import Sensors
+from surctl.vehicle import load_vehicle
+from tests.cli.process import surctl
+
+TANK, POOL = load_scenario("tank-static"), load_scenario("pool-static")
+
+
+def _found(scenario: Any = TANK, vehicle: str = "sur540-flooded", *, spin: float | None = None, **array: Any) -> Any:
+    sensors = Sensors(Equipment(array=SonarArray(**array)))
+    gains = None if spin is None else load_gains("default").with_values({"spin": spin})
+    every = findings(replace(scenario, sensors=sensors), load_vehicle(vehicle), gains=gains)
+    return [(f.level, f.key) for f in every if f.key.startswith("sonar")]
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in LIBRARY.glob("*.toml")))
+def test_nothing_is_found_in_the_built_in_scenarios(name: str) -> None:
+    scenario = load_scenario(name)
+    assert not [f for f in findings(scenario, load_vehicle(scenario.vehicle)) if f.key.startswith("sonar")]
+
+
+def test_a_beam_narrower_than_the_turn_between_two_firings() -> None:
+    # 0.218 rad/s · 0.1 s = 1.25°, and 0.6 of a narrow beam clears
+    assert _found(beam_angle=2.0 * pi / 180) == [("error", "sonar.beam_deg")]
+    assert _found(beam_angle=2.2 * pi / 180) == []
+    assert _found(POOL, "sur400", beam_angle=4.2 * pi / 180) == [("error", "sonar.beam_deg")]  # it turns at 0.45 rad/s
+    assert _found(POOL, "sur400", beam_angle=4.4 * pi / 180) == []
+    assert _found(POOL, "sur400", beam_angle=4.2 * pi / 180, spin=0.4) == []
+
+
+def test_an_array_whose_gap_is_shown_too_late() -> None:
+    one = {"azimuths": (0.0,), "order": (0,)}
+    assert _found(**one) == [("error", "sonar.azimuths_deg")]
+    assert _found(azimuths=(0.0, pi / 4), order=(0, 1)) == [("error", "sonar.azimuths_deg")]
+    assert _found(azimuths=(0.0, pi), order=(0, 1)) == []
+    assert _found(azimuths=(3 * pi, 0.0), order=(0, 1)) == []  # the same, a turn further
+    # of a turn 2π − 75° are 11.05 s at 0.45 rad/s, and 10.36 s at 0.48; 10.5 s are remembered
+    assert _found(POOL, "sur400", **one) == [("error", "sonar.azimuths_deg")]
+    assert _found(POOL, "sur400", spin=0.48, **one) == []
+
+
+def test_without_a_turn_every_direction_must_be_in_a_beam() -> None:
+    assert _found(spin=0.0) == [("error", "sonar.azimuths_deg")]
+    assert _found(spin=0.0, beam_angle=91 * pi / 180) == []
+
+
+def test_a_range_shorter_than_the_way_to_stop() -> None:
+    # 0.7 of the least thrust over the greatest mass: 0.0368 m/s²; (0.2 m/s)²/2a + 0.2 m/s · 0.5 s = 0.643 m
+    assert _found(maximum=0.64) == [("error", "sonar.maximum_m")]
+    assert _found(maximum=0.65) == []
+    assert _found(POOL, "sur400", maximum=0.25) == []
+
+
+def _file(tmp_path: Path, mounts: str) -> Path:
+    text = (LIBRARY / "pool-static.toml").read_text(encoding="utf-8")
+    text = text.replace("[0.25, 0.25]", "[0.5, 0.8]")  # where the larger hull fits too
+    path = tmp_path / "own.toml"
+    path.write_text(f"{text}\n[sonar]\nmounts_m = {mounts}\n", encoding="utf-8")
+    return path
+
+
+def test_a_mount_is_judged_by_the_vehicle_that_flies(tmp_path: Path) -> None:
+    path = _file(tmp_path, "[[0.2, 0.0], [0.0, 0.2], [-0.2, 0.0], [0.0, -0.2]]")
+    fine = surctl("lint", str(path), "--json", cwd=tmp_path)
+    assert not [f for f in fine.json["findings"] if f["key"].startswith("sonar")]
+    done = surctl("lint", str(path), "--vehicle", "sur540-flooded", "--json", cwd=tmp_path)
+    assert done.status == 1
+    (found,) = (f for f in done.json["findings"] if f["key"].startswith("sonar"))
+    assert found["level"] == "error" and found["key"] == "sonar.mounts_m"
+    assert "sur540-flooded" in found["text"] and "inside the hull of radius 0.27 m" in found["text"]
+    with pytest.raises(InputError, match=r"sonar\.mounts_m.*inside the hull"):
+        simulate(load_scenario(str(path)), load_vehicle("sur540-flooded"), gains=load_gains("default"), sensing="sonar")
+
+
+def test_a_beam_that_the_hull_cuts_in_two_is_found(tmp_path: Path) -> None:
+    path = _file(tmp_path, "[[-0.9, 0.0], [0.0, 0.2], [-0.2, 0.0], [0.0, -0.2]]")
+    done = surctl("lint", str(path), cwd=tmp_path)
+    assert done.status == 1
+    assert "error: sonar.mounts_m: on sur400 the hull cuts the beam of sensor 0 in two" in done.out
+
+
+def test_a_fault_of_a_sensor_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    path = _file(tmp_path, "[[0.2, 0.0], [0.0, 0.2], [-0.2, 0.0], [0.0, -0.2]]")
+    with path.open("a", encoding="utf-8") as file:
+        file.write('faults = [{ sensor = 4, kind = "dead" }]\n')
+    done = surctl("lint", str(path), cwd=tmp_path)
+    assert done.status == 2 and "no such sensor" in done.complaint and "0 to 3" in done.complaint
