@@ -186,6 +186,18 @@ def test_a_mark_bounds_the_speed_towards_it(bearing, clearance, row):
         assert towards < 0 and moving @ [math.cos(bearing), math.sin(bearing)] >= least - 1e-6
 
 
+def test_only_a_mover_that_comes_too_near_drives_it_into_the_unknown():
+    """A mark nearer than the margin does not."""
+    away = np.full(SECTORS, 100.0)
+    away[0] = 0.05
+    beside = 0.5, 2.0 + HULL + 0.054 + 0.03, 0.054, 0.0, 0.0
+    velocity, _, _ = decided(unknown=away, contacts={CONTACTS: beside})
+    assert velocity[0] <= stops_within(0.05) + 1e-6 and velocity[1] < 0
+    behind = 0.5 - HULL - 0.27 - 0.15, 2.0, 0.27, 0.2, 0.0
+    velocity, _, _ = decided(unknown=away, contacts={0: behind})
+    assert velocity[0] > 0.15
+
+
 def test_it_is_braked_more_where_it_is_faster_than_a_bound():
     away = np.full(SECTORS, 100.0)
     away[0] = 0.02
