@@ -224,7 +224,7 @@ def test_a_bar_of_the_sonar_that_is_missed_ends_with_1(
 
 
 def test_the_sonar_loop_touches_nothing_and_says_which_bar_it_misses() -> None:
-    done = run(Path("analysis/12_sonar_loop/run.py").resolve(), "--quick")
+    done = run(ANALYSIS / "12_sonar_loop" / "run.py", "--quick")
     assert done.returncode == 1, done.stdout + done.stderr  # the memory bar
     bars = [line for line in done.stdout.splitlines() if line.startswith("- ")]
     assert [line.endswith(": holds") for line in bars] == [True, True, True, False]
