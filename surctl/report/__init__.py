@@ -17,6 +17,7 @@ from surctl.report.goals import GoalBars, GoalView, goal_bars, goal_view, plot_f
 from surctl.report.heat_map import plot_heat_map
 from surctl.report.locus import plot_locus
 from surctl.report.loops import LoopResponse, loop_responses, plot_bode, plot_nyquist, plot_poles
+from surctl.report.map_view import MapView, map_view, plot_map, plot_maps
 from surctl.report.page import render_page, write_page
 from surctl.report.plan_view import plot_run
 from surctl.report.replay_plots import plot_replay_sensor, plot_sonar_replay
@@ -28,11 +29,13 @@ __all__ = [
     "GoalBars",
     "GoalView",
     "LoopResponse",
+    "MapView",
     "MarginSlice",
     "ReportData",
     "goal_bars",
     "goal_view",
     "loop_responses",
+    "map_view",
     "margin_slice",
     "plot_bode",
     "plot_calibration",
@@ -42,6 +45,8 @@ __all__ = [
     "plot_goal_view",
     "plot_heat_map",
     "plot_locus",
+    "plot_map",
+    "plot_maps",
     "plot_nyquist",
     "plot_parallel",
     "plot_poles",

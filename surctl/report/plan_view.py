@@ -15,7 +15,7 @@ from surctl.simulation import Body, Run
 from surctl.simulation.scenario import Shape
 from surctl.world import Box, Disc, Wall
 
-__all__ = ["describe", "plot_run"]
+__all__ = ["body_outline", "describe", "plot_run"]
 
 _SNAPSHOTS = 9  # hulls drawn along a run, at most
 _NICE = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)  # [s]
@@ -83,7 +83,8 @@ def _draw_site(ax: Axes, length: float, width: float) -> None:
     ax.add_patch(Rectangle((0, 0), length, width, fill=False, edgecolor=INK, linewidth=1.4, zorder=0.6))
 
 
-def _outline(shape: Shape) -> Patch:
+def body_outline(shape: Shape) -> Patch:
+    """A disc or box as a patch in data units, in {E} [m]; TypeError for a wall."""
     if isinstance(shape, Disc):
         return Circle((shape.center[0], shape.center[1]), shape.radius)
     if isinstance(shape, Box):
@@ -120,14 +121,14 @@ def _draw_obstacles(ax: Axes, run: Run, ticks: list[int]) -> None:
 
 
 def _draw_body(ax: Axes, body: Body, *, alpha: float, filled: bool) -> None:
-    patch = _outline(body.shape)
+    patch = body_outline(body.shape)
     patch.set(facecolor=OBSTACLE if filled else "none", edgecolor=INK, linewidth=0.8, alpha=alpha, zorder=2)
     ax.add_patch(patch)
 
 
 def _name(ax: Axes, run: Run, body: Body, name: str) -> None:
     """The obstacle's name beside it, towards the middle of the site."""
-    patch = _outline(body.shape).get_extents()  # in data units: the patch is in no axes yet
+    patch = body_outline(body.shape).get_extents()  # in data units: the patch is in no axes yet
     x, y = _middle(body)
     up = y < run.scenario.site[1] / 2
     at = (x, patch.y1 if up else patch.y0)
@@ -184,7 +185,7 @@ def _draw_beams(ax: Axes, run: Run, k: int) -> None:
     ax.add_patch(Circle((x, y), run.vehicle["radius"], fill=False, edgecolor=_INSTANT, linewidth=1.8, zorder=4.6))
     for body in run.record.obstacles[k]:
         if body.moving:
-            patch = _outline(body.shape)
+            patch = body_outline(body.shape)
             patch.set(facecolor="none", edgecolor=_INSTANT, linewidth=1.8, zorder=2.1)
             ax.add_patch(patch)
 

@@ -1,0 +1,161 @@
+"""The map of a law with senses at some instants of a run: the numbers, and the picture beside what is truly there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch, Rectangle
+from numpy.typing import NDArray
+
+from surctl.control.senses import CELLS_A_HULL
+from surctl.errors import InputError
+from surctl.report.plan_view import body_outline, describe
+from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, new_figure
+from surctl.sensing import LocalMap
+from surctl.simulation import Run
+
+__all__ = ["MapView", "map_view", "plot_map", "plot_maps", "world_order"]
+
+_COLOURS = {"unknown": "#DADCE0", "free": "#CDE7DD", "marked": AVOIDING}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MapView:
+    """The map after one control period, and where the robot was.
+
+    Attributes:
+        tick: number of the control period.
+        time: [s].
+        corner: (2,) x, y of the window's corner in {E} [m].
+        edge: of a cell [m].
+        kinds: (N, N) of each cell, row k the k-th along y: 0 unknown, 1 known to be free, 2 marked.
+        way: (k, 2) flown so far in {E} [m].
+        heading: ψ [rad].
+    """
+
+    tick: int
+    time: float
+    corner: NDArray[np.float64]
+    edge: float
+    kinds: NDArray[np.int_]
+    way: NDArray[np.float64]
+    heading: float
+
+
+def world_order(
+    cells: NDArray[np.float64], corner: NDArray[np.float64], *, blocks: int, block: int
+) -> NDArray[np.float64]:
+    """The cells of a `LocalMap` as they lie in {E}: (N, N), row k the k-th along y from the window's corner.
+
+    They are kept block after block on a torus: world cell i stands where i mod N falls.
+
+    Args:
+        cells: (N²,) as the map's state has them.
+        corner: (2,) lowest cell of the window along x and y, whole numbers.
+        blocks, block: blocks a side, and cells a side of a block; N is their product.
+    """
+    side = blocks * block
+    laid = np.asarray(cells).reshape(blocks, blocks, block, block).swapaxes(1, 2).reshape(side, side)
+    column, row = (int(np.floor(c)) % side for c in corner)
+    return np.roll(laid, (-row, -column), axis=(0, 1))
+
+
+def map_view(run: Run, tick: int) -> MapView:
+    """The map of a run after one control period.
+
+    Args:
+        run: flown by a law with senses.
+        tick: of its record; from 0 to one less than its last.
+
+    Raises:
+        InputError: a law without senses, or no such tick.
+    """
+    law, record = run.law, run.record
+    if law.senses is None:
+        raise InputError("keeps no map", key="law", value=law.name, remedy="fly law guarded with sensing sonar")
+    if not 0 <= tick < len(record.time) - 1:
+        raise InputError("is not in the record", key="tick", value=tick, remedy=f"give 0 to {len(record.time) - 2}")
+    after, known = record.law_state[tick + 1], LocalMap(dt=law.dt)
+    cells, corner = (after[law.state.slice(f"map_{name}")] for name in ("cells", "corner"))
+    values = world_order(cells, corner, blocks=known.blocks, block=known.block)
+    edge = float(record.law_parameters[law.gains.slice("hull")][0]) / CELLS_A_HULL
+    kinds = np.where(values > 0, 2, np.where(values < -known.known, 1, 0))
+    way, heading = record.eta[: tick + 1, :2], float(record.eta[tick, 3])
+    return MapView(
+        tick=tick, time=float(record.time[tick]), corner=corner * edge, edge=edge, kinds=kinds, way=way, heading=heading
+    )
+
+
+def plot_map(run: Run, view: MapView, ax: Axes | None = None) -> Axes:
+    """One map in {E} [m], equal scale: its cells, the true obstacles and walls, path, way and hull.
+
+    Args:
+        run: that the map is of.
+        view: of `map_view`.
+        ax: axes to draw in.
+    """
+    ax = dress(ax or new_figure(6.4, 5.6).add_subplot(), title=f"{view.time:.1f} s", x="x in {E} [m]", y="y in {E} [m]")
+    ax.grid(visible=False)
+    side = len(view.kinds)
+    x, y = (start + view.edge * np.arange(side + 1) for start in view.corner)
+    ax.pcolormesh(x, y, view.kinds, cmap=ListedColormap(list(_COLOURS.values())), vmin=0, vmax=2, zorder=1, alpha=0.75)
+    window = Rectangle((x[0], y[0]), x[-1] - x[0], y[-1] - y[0], fill=False, edgecolor=MUTED, linewidth=0.8, zorder=2)
+    ax.add_patch(window)
+    length, width, _ = run.scenario.site
+    ax.add_patch(Rectangle((0, 0), length, width, fill=False, edgecolor=INK, linewidth=1.6, zorder=3))
+    for body in run.record.obstacles[view.tick]:
+        patch = body_outline(body.shape)
+        patch.set(facecolor="none", edgecolor=OBSTACLE if body.moving else INK, linewidth=1.6, zorder=3)
+        if body.moving:
+            patch.set_linestyle("--")
+        ax.add_patch(patch)
+    points = run.scenario.path.waypoints
+    ax.plot(points[:, 0], points[:, 1], color=INK, linestyle=":", linewidth=1.0, zorder=2.5)
+    ax.plot(view.way[:, 0], view.way[:, 1], color=ROBOT, linewidth=1.6, zorder=4)
+    here, radius = view.way[-1], run.vehicle["radius"]
+    ax.add_patch(Circle((here[0], here[1]), radius, fill=False, edgecolor=ROBOT, linewidth=1.6, zorder=4))
+    nose = here + radius * np.array([[0.4], [1.0]]) * [np.cos(view.heading), np.sin(view.heading)]
+    ax.plot(nose[:, 0], nose[:, 1], color=ROBOT, linewidth=1.8, zorder=4)
+    ax.plot(*run.scenario.target, marker="*", color=GOOD, markersize=12, markeredgecolor="white", zorder=4.5)
+    rim = 0.04 * max(length, width)
+    ax.set_xlim(-rim, length + rim)
+    ax.set_ylim(-rim, width + rim)
+    ax.set_aspect("equal")
+    return ax
+
+
+def plot_maps(run: Run, views: Sequence[MapView]) -> Axes:
+    """Several maps of one run under one title, two a row, with a legend; the first one's axes.
+
+    Raises:
+        InputError: no map.
+    """
+    if not views:
+        raise InputError("is empty", key="views", remedy="give one map at least")
+    length, width, _ = run.scenario.site
+    columns = min(2, len(views))
+    rows = -(-len(views) // columns)
+    figure = new_figure(5.6 * columns, rows * (5.0 * width / length + 0.9) + 1.0)
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for ax, view in zip(axes, views, strict=False):
+        plot_map(run, view, ax)
+    for ax in axes[len(views) :]:
+        ax.set_axis_off()
+    handles: list[Patch | Line2D] = [
+        Patch(facecolor=colour, edgecolor=INK, alpha=0.75, linewidth=0.6, label=f"map: {name}")
+        for name, colour in _COLOURS.items()
+    ]
+    handles += [
+        Patch(facecolor="none", edgecolor=INK, linewidth=1.6, label="true obstacle, wall"),
+        Patch(facecolor="none", edgecolor=OBSTACLE, linestyle="--", linewidth=1.6, label="true moving obstacle"),
+        Line2D([], [], color=ROBOT, linewidth=1.6, label="way flown, hull"),
+    ]
+    figure.suptitle(describe(run), x=0.01, ha="left", fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=8.5, frameon=False)
+    first: Axes = axes[0]
+    return first
