@@ -26,6 +26,7 @@ Vector = NDArray[np.float64]
 TOLERANCE = 1e-12
 """Largest difference, relative or absolute (whichever is the milder), that passes."""
 
+_BLOCK = 256  # rows compared at once
 _JUMP = 1e-9  # a recorded state this far from the law's own next state was set from outside
 
 
@@ -212,15 +213,18 @@ def _telemetry_difference(c: Results, python: list[Step]) -> Difference:
 
 
 def _difference(have: Vector, rows: list[Vector]) -> Difference:
-    want = np.array(rows, dtype=float).reshape(have.shape)
-    if have.size == 0:
-        return Difference(0.0, 0.0, 0.0, None)
-    gap, mixed = _gap(have, want), _mixed(have, want)
-    size = np.abs(want)
-    relative = np.divide(gap, size, out=np.zeros_like(gap), where=size > 0.0)
-    worst = float(mixed.max())
-    step = int(np.argmax(mixed.max(axis=1))) if worst > 0.0 else None
-    return Difference(float(gap.max()), float(relative.max()), worst, step)
+    """Over all rows, `_BLOCK` at a time: a run of a law with a large state has many numbers."""
+    absolute = relative = worst = 0.0
+    step = None
+    for first in range(0, len(have) if have.size else 0, _BLOCK):
+        mine = have[first : first + _BLOCK]
+        want = np.array(rows[first : first + _BLOCK], dtype=float).reshape(mine.shape)
+        gap, mixed, size = _gap(mine, want), _mixed(mine, want), np.abs(want)
+        share = np.divide(gap, size, out=np.zeros_like(gap), where=size > 0.0)
+        absolute, relative = max(absolute, float(gap.max())), max(relative, float(share.max()))
+        if float(mixed.max()) > worst:
+            worst, step = float(mixed.max()), first + int(np.argmax(mixed.max(axis=1)))
+    return Difference(absolute, relative, worst, step)
 
 
 def _gap(have: Vector, want: Vector) -> Vector:
