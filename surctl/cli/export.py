@@ -64,7 +64,7 @@ def export(
     from surctl.errors import InputError, nearest
     from surctl.export import Records, build_bundle, build_controller, compare_runs, write_bundle
     from surctl.ir import find_compiler
-    from surctl.simulation import SENSING, load_scenario, simulate
+    from surctl.simulation import SENSING, law_numbers, load_scenario, simulate
     from surctl.vehicle import load_vehicle
 
     checked = (("--target", target, ("c99",)), ("--real", real, ("float64",)), ("--sensing", sensing, SENSING))
@@ -78,11 +78,13 @@ def export(
     flown = load_vehicle(vehicle or mission.vehicle)
     equipment = mission.sensors.on(flown["radius"])
     built = build_law(law, avoidance=avoidance, mode=priority_mode, sonar=sensing == "sonar", equipment=equipment)
-    progress(f"flying {mission.name}")
-    run = simulate(mission, flown, gains=load_gains(gains), law=built, sensing=sensing, seed=seed)
-    record, metrics = run.record, run.metrics
-    bundle = build_bundle(built, built.gains.unpack(record.law_parameters), name=name)
+    tuned = load_gains(gains)
+    # before the flight, so that a name or a folder that will not do is told at once
+    bundle = build_bundle(built, built.gains.unpack(law_numbers(mission, tuned, flown)), name=name)
     files = write_bundle(bundle, out)
+    progress(f"flying {mission.name}")
+    run = simulate(mission, flown, gains=tuned, law=built, sensing=sensing, seed=seed)
+    record, metrics = run.record, run.metrics
     progress("compiling and replaying")
     with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
         controller = build_controller(built, bundle, Path(scratch, bundle.name))

@@ -10,7 +10,6 @@ from surctl.control import build_law, load_gains
 from surctl.errors import InputError, ToolMissing
 from surctl.export import Records, software_in_the_loop
 from surctl.export.sil import _difference
-from surctl.sensing import Fault
 from surctl.simulation import load_scenario, simulate
 from surctl.vehicle import load_vehicle
 from tests.export.standin import StandIn, StandInStep, recorded, stand_in
@@ -188,28 +187,3 @@ def test_the_law_with_limits_ships_with_its_solver() -> None:
     assert report.tau.absolute == report.state.absolute == 0.0
     assert report.steps > 300
     assert report.fault_cases > 300 and not report.fault_failures
-
-
-def test_the_law_that_senses_ships_with_its_map(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A whole flight by sonar with faults, in the closed form and with limits: C as exported, against Python."""
-    need_compiler()
-    mission, gains = load_scenario("pool-static"), load_gains("default")
-    silent = Fault(kind="dropout", sensor=0, start_s=5.0, duration_s=3.0)
-    stuck = Fault(kind="stuck", sensor=1, start_s=10.0, duration_s=5.0)
-    scenario = replace(mission, sensors=replace(mission.sensors, faults=(silent, stuck)))
-    vehicle = load_vehicle(scenario.vehicle)
-    equipment = scenario.sensors.on(vehicle["radius"])
-    laws = [build_law(mode=mode, sonar=True, equipment=equipment) for mode in ("nsb", "projected")]
-    runs = [simulate(scenario, vehicle, gains=gains, law=law, sensing="sonar", seed=0) for law in laws]
-    monkeypatch.setenv("SURCTL_CFLAGS", "-O1")  # compiles in half the time
-    for law, run in zip(laws, runs, strict=True):
-        record = run.record
-        report = software_in_the_loop(law, Records(record.law_state, record.law_input, record.law_parameters))
-        assert report.conclusive, report.summary()
-        assert report.tau.absolute == report.state.absolute == report.telemetry.absolute == 0.0
-        assert report.steps > 500
-        assert report.fault_cases == 3 * (law.state.size + law.inputs.size + law.gains.size)
-        struck = (record.time > 5.0) & (record.time < 8.0)
-        assert np.ptp(run.telemetry("healthy")[struck, 0]) == 1.0  # the fault reached the law
-        cells = record.law_state[:, law.state.slice("map_cells")]
-        assert cells.shape[1] == 2304 and cells.min() == -1.0 and cells.max() == 1.0  # and the map was drawn on
