@@ -116,7 +116,8 @@ def conduct(
         command: the command line, for the report.
 
     Raises:
-        InputError: the folder cannot be written, or there is no compiler. Both are found before the long work.
+        InputError: the folder cannot be written, there is no compiler, or a scenario has sonars that the law cannot
+            listen to. All are found before the long work.
     """
     from surctl.report import ReportData, loop_responses, runs_section, write_page
 
