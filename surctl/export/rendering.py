@@ -1,9 +1,10 @@
-"""Fill the templates: C text of layouts, values and the instruction list."""
+"""Fill the templates: C text of layouts, values and the law's block."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,7 @@ def render_files(law: Exportable, gains: Vector, *, name: str, identity: str, te
     )
     environment.filters["comment"] = comment
     environment.filters["cell"] = cell
+    environment.filters["wrapped"] = wrapped
     templates = {
         f"{name}.h": "law.h.j2",
         f"{name}.c": "law.c.j2",
@@ -71,18 +73,18 @@ def _values(law: Exportable, gains: Vector, name: str, identity: str, tests: Sel
         "n_tau": n_tau,
         "n_telemetry": law.outputs.size - n_tau,
         "field": field,
-        "entries": entries,
-        "initial": [c_literal(float(v)) for v in law.initial_state()],
+        "transfers": transfers,
+        "initial": runs(law.initial_state()),
         "gain_values": [c_literal(float(v)) for v in gains],
         "gain_table": _gain_table(law.gains, gains),
-        "law": emit_block(law.block, symbol=f"{name}_law"),
+        "law": emit_block(law.block, symbol=f"{name}_law", folded=True),
         "operations": law.block.operations,
         "libm": sorted(law.block.libm),
         "tolerance": c_literal(TOLERANCE),
         "tests": len(tests.status),
         "test_inputs": _rows(tests.inputs),
         "test_tau": _rows(tests.tau),
-        "test_state": _rows(tests.state),
+        "test_state": [run for row in tests.state for run in runs(row, text=_decimal)],
         "test_status": ", ".join(str(s) for s in tests.status),
         "flags": " ".join(FLAGS),
     }
@@ -114,8 +116,58 @@ def entries(ports: Layout | Sequence[Port], base: int = 0) -> list[tuple[str, in
     return [(member, base + at) for at, member in enumerate(members)]
 
 
+def transfers(ports: Layout | Sequence[Port], base: int = 0) -> list[tuple[str, str, str]]:
+    """How to go through every number of the ports in layout order, a port an item.
+
+    Returns:
+        Loop headers (empty for a single number; they leave one brace open), C member access, and flat index in C,
+        counted from `base`.
+    """
+    items, at = [], base
+    for port in ports:
+        if port.size == 1:
+            items.append(("", port.name, str(at)))
+        elif port.size:
+            items.append(_walk(port, at))
+        at += port.size
+    return items
+
+
+def _walk(port: Port, at: int) -> tuple[str, str, str]:
+    names = [f"k{d}" if len(port.shape) > 1 else "k" for d in range(len(port.shape))]
+    loops = " ".join(f"for (int {k} = 0; {k} < {n}; ++{k})" for k, n in zip(names, port.shape, strict=True))
+    strides = [math.prod(port.shape[d + 1 :]) for d in range(len(port.shape))]
+    terms = [k if stride == 1 else f"{stride} * {k}" for k, stride in zip(names, strides, strict=True)]
+    member = port.name + "".join(f"[{k}]" for k in names)
+    return f"{loops} {{ ", member, " + ".join([str(at)] * bool(at) + terms)
+
+
+def runs(values: Vector, *, text: Callable[[float], str] = c_literal) -> list[str]:
+    """C initialisers {number, how often it stands in a row}; C has no empty arrays: one of a zero for no numbers."""
+    literals = [text(float(v)) for v in values]
+    found = [f"{{{number}, {len(list(same))}}}" for number, same in itertools.groupby(literals)]
+    return found or ["{0.0, 1}"]
+
+
+def wrapped(items: Sequence[str], width: int = 110) -> list[str]:
+    """The items with commas in between, as many a line as fit."""
+    lines: list[str] = []
+    for item in items:
+        if lines and len(lines[-1]) + len(item) + 3 <= width:
+            lines[-1] += f", {item}"
+        else:
+            lines.append(item)
+    return [f"{line}," for line in lines[:-1]] + lines[-1:]
+
+
 def _rows(table: Vector) -> list[str]:
-    return ["{" + ", ".join(c_literal(float(v)) for v in row) + "}" for row in table]
+    lines = (wrapped([_decimal(float(v)) for v in row]) for row in table)
+    return ["{" + "\n         ".join(row) + "}" for row in lines]
+
+
+def _decimal(value: float) -> str:
+    """A number of the self-test, which has twelve digits; the sign of a zero is not compared."""
+    return repr(value + 0.0)
 
 
 def _gain_table(layout: Layout, gains: Vector) -> list[tuple[Port, str]]:

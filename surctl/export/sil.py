@@ -19,13 +19,21 @@ from surctl.export.process import Controller, Results, build_controller
 from surctl.export.records import Records, as_records
 from surctl.ir import compiler_version
 
-__all__ = ["TOLERANCE", "Difference", "SilReport", "software_in_the_loop", "software_in_the_loop_runs"]
+__all__ = [
+    "TOLERANCE",
+    "Difference",
+    "SilReport",
+    "compare_runs",
+    "software_in_the_loop",
+    "software_in_the_loop_runs",
+]
 
 Vector = NDArray[np.float64]
 
 TOLERANCE = 1e-12
 """Largest difference, relative or absolute (whichever is the milder), that passes."""
 
+_BLOCK = 256  # rows compared at once
 _JUMP = 1e-9  # a recorded state this far from the law's own next state was set from outside
 
 
@@ -163,7 +171,19 @@ def software_in_the_loop_runs(
     with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
         folder = Path(scratch) / bundle.name if workdir is None else Path(workdir)
         controller = build_controller(law, bundle, folder)
-        return tuple(_compare(law, controller, run, name=bundle.name, identity=bundle.id) for run in recorded)
+        return compare_runs(controller, recorded)
+
+
+def compare_runs(
+    controller: Controller, runs: Sequence[Records | Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]]]
+) -> tuple[SilReport, ...]:
+    """As `software_in_the_loop_runs`, by a controller that is compiled already.
+
+    Raises:
+        SurctlError: the program crashes.
+        InputError: the records do not fit the law.
+    """
+    return tuple(_compare(controller, as_records(controller.law, run)) for run in runs)
 
 
 def _named_gains(law: Exportable, run: Records) -> dict[str, Vector]:
@@ -173,14 +193,15 @@ def _named_gains(law: Exportable, run: Records) -> dict[str, Vector]:
     return law.gains.unpack(run.P[0])
 
 
-def _compare(law: Exportable, controller: Controller, run: Records, *, name: str, identity: str) -> SilReport:
+def _compare(controller: Controller, run: Records) -> SilReport:
+    law = controller.law
     python = [law.step(x, u, p) for x, u, p in zip(run.X, run.U, run.P, strict=True)]
     load = _resets(run, python)
     c = controller.run(run, load=load)
     cases, failures = fault_failures(law, controller, run)
     return SilReport(
-        name=name,
-        id=identity,
+        name=controller.bundle.name,
+        id=controller.bundle.id,
         steps=len(run),
         resets=tuple(int(k) for k in np.flatnonzero(load) if k > 0),
         tau=_difference(c.tau, [s.tau for s in python]),
@@ -212,15 +233,18 @@ def _telemetry_difference(c: Results, python: list[Step]) -> Difference:
 
 
 def _difference(have: Vector, rows: list[Vector]) -> Difference:
-    want = np.array(rows, dtype=float).reshape(have.shape)
-    if have.size == 0:
-        return Difference(0.0, 0.0, 0.0, None)
-    gap, mixed = _gap(have, want), _mixed(have, want)
-    size = np.abs(want)
-    relative = np.divide(gap, size, out=np.zeros_like(gap), where=size > 0.0)
-    worst = float(mixed.max())
-    step = int(np.argmax(mixed.max(axis=1))) if worst > 0.0 else None
-    return Difference(float(gap.max()), float(relative.max()), worst, step)
+    """Over all rows, `_BLOCK` at a time: a run of a law with a large state has many numbers."""
+    absolute = relative = worst = 0.0
+    step = None
+    for first in range(0, len(have) if have.size else 0, _BLOCK):
+        mine = have[first : first + _BLOCK]
+        want = np.array(rows[first : first + _BLOCK], dtype=float).reshape(mine.shape)
+        gap, mixed, size = _gap(mine, want), _mixed(mine, want), np.abs(want)
+        share = np.divide(gap, size, out=np.zeros_like(gap), where=size > 0.0)
+        absolute, relative = max(absolute, float(gap.max())), max(relative, float(share.max()))
+        if float(mixed.max()) > worst:
+            worst, step = float(mixed.max()), first + int(np.argmax(mixed.max(axis=1)))
+    return Difference(absolute, relative, worst, step)
 
 
 def _gap(have: Vector, want: Vector) -> Vector:

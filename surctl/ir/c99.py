@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from types import MappingProxyType
 from typing import Literal, TypeAlias
@@ -12,10 +12,11 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from surctl.errors import InputError
+from surctl.ir.moves import Move, move_lines, remaining
 from surctl.ir.ops import OPERATIONS
 from surctl.ir.program import Instruction, Program
 
-__all__ = ["Real", "c_literal", "emit_c99", "expression", "identifier"]
+__all__ = ["Real", "c_literal", "emit_c99", "expression", "head", "identifier"]
 
 Real: TypeAlias = Literal["float64", "float32"]
 """Type of every number in the C text: double or float."""
@@ -76,7 +77,7 @@ def c_literal(value: float, real: Real = "float64") -> str:
     return value.hex() + tail
 
 
-def emit_c99(program: Program, *, symbol: str, real: Real = "float64") -> str:
+def emit_c99(program: Program, *, symbol: str, real: Real = "float64", moves: Sequence[Move] = ()) -> str:
     """`static void <symbol>(const double *in0, …, double *out0, …)`, one local a line.
 
     Only locals and exact literals; every output is computed before any is stored, so that outputs may alias
@@ -86,33 +87,32 @@ def emit_c99(program: Program, *, symbol: str, real: Real = "float64") -> str:
         program: the instruction list, without dead instructions (`lower` leaves none).
         symbol: name of the C function, checked by `identifier`.
         real: "float32" writes float for double, with literals and functions of that type.
+        moves: pieces to copy as a whole, see `handed_on`; no output may alias an input then.
 
     Raises:
         InputError: `symbol` is no identifier that C may use.
     """
-    lines = [*_head(program, identifier(symbol), C_TYPE[real]), "{"]
-    lines += [f"    (void)in{k};" for k in _idle_inputs(program)]
+    instructions, stores = remaining(program, moves)
+    read = {i.args[0] for i in instructions if i.op == "input"} | {m.input for m in moves}
+    lines = [*head(program, identifier(symbol), C_TYPE[real], apart=bool(moves)), "{"]
+    lines += [f"    (void)in{k};" for k in range(len(program.inputs)) if k not in read]
     lines += [f"    (void)out{k};" for k, refs in enumerate(program.output_refs) if not refs]
-    lines += [f"    const {C_TYPE[real]} v{at} = {expression(i, real)};" for at, i in enumerate(program.instructions)]
-    for k, refs in enumerate(program.output_refs):
-        lines += [f"    out{k}[{entry}] = v{ref};" for entry, ref in enumerate(refs)]
-    return "\n".join([*lines, "}"]) + "\n"
+    lines += [f"    const {C_TYPE[real]} v{at} = {expression(i, real)};" for at, i in enumerate(instructions)]
+    lines += [f"    out{k}[{entry}] = v{ref};" for k, entry, ref in stores]
+    return "\n".join([*lines, *move_lines(moves), "}"]) + "\n"
 
 
-def _head(program: Program, symbol: str, c_type: str) -> list[str]:
+def head(program: Program, symbol: str, c_type: str, *, apart: bool = False) -> list[str]:
+    """Comment and signature of a program's function; `apart`: its outputs are never its inputs."""
     arguments = [f"const {c_type} *in{k}" for k in range(len(program.inputs))]
     arguments += [f"{c_type} *out{k}" for k in range(len(program.outputs))]
     sizes = [f"in{k}: {size} numbers" for k, (_, size) in enumerate(program.inputs)]
     sizes += [f"out{k}: {size}" for k, (_, size) in enumerate(program.outputs)]
+    alias = "no output is an input" if apart else "outputs may alias inputs"
     return [
-        f"/* {program.operations} operations; {', '.join(sizes)}; outputs may alias inputs */",
+        f"/* {program.operations} operations; {', '.join(sizes)}; {alias} */",
         f"static void {symbol}({', '.join(arguments) or 'void'})",
     ]
-
-
-def _idle_inputs(program: Program) -> list[int]:
-    read = {i.args[0] for i in program.instructions if i.op == "input"}
-    return [k for k in range(len(program.inputs)) if k not in read]
 
 
 def expression(instruction: Instruction, real: Real = "float64", *, operand: str = "v{}") -> str:

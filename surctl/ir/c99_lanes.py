@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from surctl.ir.c99 import C_TYPE, Real, c_literal, emit_c99, expression, identifier
+from surctl.ir.c99_folded import folded_lines
 from surctl.ir.program import Instruction, Program
 
 __all__ = ["GUARD", "Feed", "chooses", "emit_lanes", "emit_straight"]
@@ -44,7 +45,15 @@ class Feed:
     kind: str = "lanes"
 
 
-def emit_lanes(program: Program, *, symbol: str, lanes: int, feeds: tuple[Feed, ...], real: Real = "float64") -> str:
+def emit_lanes(
+    program: Program,
+    *,
+    symbol: str,
+    lanes: int,
+    feeds: tuple[Feed, ...],
+    real: Real = "float64",
+    folded: bool = False,
+) -> str:
     """`static void <symbol>(const double *in0, …, double *out0, …)`: as `emit_c99`, `lanes` runs at once.
 
     Outputs stand entry by entry, one number a lane. Outputs may alias inputs of kind "lanes".
@@ -55,6 +64,7 @@ def emit_lanes(program: Program, *, symbol: str, lanes: int, feeds: tuple[Feed, 
         lanes: number of runs, a power of 2.
         feeds: one an input.
         real: type of the numbers.
+        folded: no vectors: a loop over the lanes, as `c99_folded` writes it.
 
     Raises:
         InputError: `symbol` is no identifier that C may use.
@@ -63,16 +73,15 @@ def emit_lanes(program: Program, *, symbol: str, lanes: int, feeds: tuple[Feed, 
     arguments = [f"const {kind} *in{k}" for k in range(len(program.inputs))]
     arguments += [f"{kind} *out{k}" for k in range(len(program.outputs))]
     read = {i.args[0] for i in program.instructions if i.op == "input"}
+    vectors = [] if folded else [f"#if {GUARD}", *_vectors(program, lanes, feeds, real), "#else"]
     lines = [
         f"/* {program.operations} operations in each of {lanes} lanes; outputs may alias inputs that are not shared */",
         f"static void {identifier(symbol)}({', '.join(arguments)})",
         "{",
         *(f"    (void)in{k};" for k in range(len(program.inputs)) if k not in read),
-        f"#if {GUARD}",
-        *_vectors(program, lanes, feeds, real),
-        "#else",
-        *_loop(program, lanes, feeds, real),
-        "#endif",
+        *vectors,
+        *(_folded_loop(program, lanes, feeds, real) if folded else _loop(program, lanes, feeds, real)),
+        *(["#endif"] if vectors else []),
         "}",
     ]
     return "\n".join(lines) + "\n"
@@ -121,6 +130,21 @@ def _loop(program: Program, lanes: int, feeds: tuple[Feed, ...], real: Real) -> 
     for k, refs in enumerate(program.output_refs):
         lines += [f"        out{k}[{entry * lanes} + lane] = v{ref};" for entry, ref in enumerate(refs)]
     return [*lines, "    }"]
+
+
+def _folded_loop(program: Program, lanes: int, feeds: tuple[Feed, ...], real: Real) -> list[str]:
+    lines = folded_lines(
+        program.instructions,
+        [
+            (f"out{k}[{entry * lanes} + lane]", ref)
+            for k, refs in enumerate(program.output_refs)
+            for entry, ref in enumerate(refs)
+        ],
+        address=lambda which, entry: _address(program, lanes, feeds[which], which, entry, "lane"),
+        real=real,
+        indent="        ",
+    )
+    return [f"    for (int lane = 0; lane < {lanes}; ++lane) {{", *lines, "    }"]
 
 
 def _vectors(program: Program, lanes: int, feeds: tuple[Feed, ...], real: Real, *, single: bool = False) -> list[str]:

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from surctl.ir.c99 import C_TYPE, Real, c_literal, emit_c99, identifier
+from surctl.ir.c99_folded import emit_folded, preamble
 from surctl.ir.c99_lanes import Feed, chooses, emit_lanes, emit_straight
+from surctl.ir.moves import handed_on
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 
 __all__ = ["emit_block"]
 
 
-def emit_block(block: Block, *, symbol: str, real: Real = "float64") -> str:
+def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: bool = False) -> str:
     """C99 of the block and of every block inside it, callees first.
 
     The last function is `static void <symbol>(const double *in0, …, double *out0, …)`; as in `emit_c99` outputs
@@ -23,13 +25,18 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64") -> str:
         block: program or routine.
         symbol: name of the last function, and beginning of the others' names.
         real: "float32" writes float for double.
+        folded: for readers and for any compiler: nested expressions (see `c99_folded`) and nothing beyond C99, a third
+            of the text; one such block a file. Without it, for speed: vectors where the compiler knows them.
 
     Raises:
         InputError: `symbol` is no identifier that C may use.
     """
     identifier(symbol)
-    writer = _Writer(symbol, real)
+    writer = _Writer(symbol, real, overlapping(block), folded)
     alone = run_alone(block)
+    if folded:
+        programs = [inner for inner in nested(block).values() if isinstance(inner, Program)]
+        writer.chunks.append(preamble(programs, real))
     for inner in nested(block).values():
         if isinstance(inner, Routine):
             for step in inner.steps:
@@ -47,11 +54,19 @@ def run_alone(block: Block) -> set[int]:
     return {id(step.block) for step in steps if isinstance(step, Call) or step.lanes == 1}
 
 
+def overlapping(block: Block) -> frozenset[str]:
+    """Digests of the blocks that a loop gives one array as input and output: what it carries."""
+    routines = [inner for inner in nested(block).values() if isinstance(inner, Routine)]
+    loops = [step for routine in routines for step in routine.steps if isinstance(step, Loop)]
+    return frozenset(loop.block.digest() for loop in loops if loop.carried)
+
+
 class _Writer:
     """The functions so far, and their names by what they are the text of."""
 
-    def __init__(self, symbol: str, real: Real) -> None:
+    def __init__(self, symbol: str, real: Real, overlapping: frozenset[str], folded: bool) -> None:
         self.symbol, self.real, self.kind = symbol, real, C_TYPE[real]
+        self.overlapping, self.folded = overlapping, folded
         self.named: dict[str, str] = {}
         self.chunks: list[str] = []
 
@@ -63,10 +78,18 @@ class _Writer:
         name = self.symbol if last else free_name(f"{self.symbol}_{block.name}", self.named)
         self.named[digest] = name
         if isinstance(block, Program):
-            emit = emit_straight if chooses(block) and not last else emit_c99
-            self.chunks.append(emit(block, symbol=name, real=self.real))
+            self.chunks.append(self._program(block, name, last=last))
         else:
             self.chunks.append(_routine(block, name, self))
+
+    def _program(self, program: Program, name: str, *, last: bool) -> str:
+        apart = not last and program.digest() not in self.overlapping
+        if self.folded:
+            moves = handed_on(program) if apart else ()
+            return emit_folded(program, symbol=name, real=self.real, moves=moves, apart=apart)
+        if chooses(program) and not last:
+            return emit_straight(program, symbol=name, real=self.real)
+        return emit_c99(program, symbol=name, real=self.real, moves=handed_on(program) if apart else ())
 
     def lanes(self, loop: Loop) -> None:
         """Write the body of a loop over lanes."""
@@ -75,7 +98,14 @@ class _Writer:
             return
         self.named[key] = free_name(f"{self.symbol}_{loop.block.name}_{loop.lanes}", self.named)
         self.chunks.append(
-            emit_lanes(loop.block, symbol=self.named[key], lanes=loop.lanes, feeds=_feeds(loop), real=self.real)
+            emit_lanes(
+                loop.block,
+                symbol=self.named[key],
+                lanes=loop.lanes,
+                feeds=_feeds(loop),
+                real=self.real,
+                folded=self.folded,
+            )
         )
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from surctl.ir.c99 import c_literal
-from surctl.ir.moves import Move, handed_on
-from surctl.ir.program import Instruction, Program, drop_dead
+from surctl.ir.moves import Move, handed_on, remaining
+from surctl.ir.program import Instruction, Program
 from surctl.ir.routine import Block
 
 __all__ = ["head", "program_text"]
@@ -81,10 +81,7 @@ def _text(
     after: Sequence[str],
 ) -> str:
     """The function; what is in `moves` is left to the lines `before` and `after`, which stand around the rest."""
-    moved = {(m.output, e) for m in moves for e in range(m.to, m.to + m.count)}
-    stored = [(k, e) for k, refs in enumerate(program.output_refs) for e in range(len(refs)) if (k, e) not in moved]
-    refs: list[tuple[int, ...]] = [(program.output_refs[k][e],) for k, e in stored]
-    instructions, kept = drop_dead(list(program.instructions), refs)
+    instructions, stored = remaining(program, moves)
     read = {i.args[0] for i in instructions if i.op == "input"} | {m.input for m in moves}
     lines = [
         f"/* {program.operations} operations; outputs may alias inputs */",
@@ -99,7 +96,7 @@ def _text(
         truths: set[int] = set()
         for at, instruction in enumerate(instructions):
             lines.append("        " + _assignment(instruction, at, truths, strides))
-        for (k, e), (ref,) in zip(stored, kept, strict=True):
+        for k, e, ref in stored:
             lines.append(f"        STORE(out{k}, {e * strides[len(program.inputs) + k]}, {_number(ref, truths)});")
         lines.append("    }")
     return "\n".join([*lines, *after, "}"]) + "\n"

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from surctl.ir.program import Program
+from surctl.ir.program import Instruction, Program, drop_dead
 
-__all__ = ["Move", "handed_on"]
+__all__ = ["Move", "handed_on", "move_lines", "remaining"]
 
 _LEAST = 32  # entries, from which on one call that copies is shorter than a line an entry
 
@@ -42,3 +42,24 @@ def _of(program: Program, output: int) -> Iterator[Move]:
             if count >= _LEAST:
                 yield Move(output, at, first.args[0], first.args[1], count)
         at += count
+
+
+def remaining(
+    program: Program, moves: Sequence[Move]
+) -> tuple[tuple[Instruction, ...], tuple[tuple[int, int, int], ...]]:
+    """What is left to do beside the moves: the instructions, and (output, entry, position of its value) in order."""
+    moved = {(m.output, e) for m in moves for e in range(m.to, m.to + m.count)}
+    stored = [(k, e) for k, refs in enumerate(program.output_refs) for e in range(len(refs)) if (k, e) not in moved]
+    refs: list[tuple[int, ...]] = [(program.output_refs[k][e],) for k, e in stored]
+    instructions, kept = drop_dead(list(program.instructions), refs)
+    return instructions, tuple((k, e, ref) for (k, e), (ref,) in zip(stored, kept, strict=True))
+
+
+def move_lines(moves: Sequence[Move]) -> list[str]:
+    """C99 of the moves, for outputs that are no inputs."""
+    return [f"    for (int k = 0; k < {m.count}; ++k) {{ {_copied(m)} }}" for m in moves]
+
+
+def _copied(m: Move) -> str:
+    to, source = (f"{first} + k" if first else "k" for first in (m.to, m.start))
+    return f"out{m.output}[{to}] = in{m.input}[{source}];"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import casadi as ca
@@ -12,7 +12,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from surctl.ir import Program, compile_program, emit_c99
+from surctl.ir import Block, compile_program, emit_c99
 
 Vector = NDArray[np.float64]
 Make = Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
@@ -90,18 +90,20 @@ def whole(makers: dict[str, Make]) -> ca.Function:
     return ca.Function("whole", [x], [ca.vertcat(*(make(x[0], x[1], x[2] * x[3]) for make in makers.values()))])
 
 
-def compiled(programs: list[Program], folder: Path) -> list[Callable[..., list[Vector]]]:
+def compiled(
+    programs: Sequence[Block], folder: Path, emit: Callable[..., str] = emit_c99, head: str = ""
+) -> list[Callable[..., list[Vector]]]:
     """The programs as native functions, all from one compilation."""
-    text = "#include <math.h>\n"
+    text = f"#include <math.h>\n{head}"
     for at, program in enumerate(programs):
-        text += emit_c99(program, symbol=f"f{at}") + _exported(program, at)
+        text += emit(program, symbol=f"f{at}") + _exported(program, at)
     source = folder / "programs.c"
     source.write_text(text)
     library = ctypes.CDLL(str(compile_program([source], folder / "programs.so", flags=("-shared", "-fPIC"))))
     return [_caller(getattr(library, f"run{at}"), program) for at, program in enumerate(programs)]
 
 
-def _exported(program: Program, at: int) -> str:
+def _exported(program: Block, at: int) -> str:
     count = len(program.inputs) + len(program.outputs)
     names = [f"a{k}" for k in range(count)]
     kinds = ["const double *"] * len(program.inputs) + ["double *"] * len(program.outputs)
@@ -109,7 +111,7 @@ def _exported(program: Program, at: int) -> str:
     return f"void run{at}({arguments});\nvoid run{at}({arguments}) {{ f{at}({', '.join(names)}); }}\n"
 
 
-def _caller(native: ctypes._CFuncPtr, program: Program) -> Callable[..., list[Vector]]:
+def _caller(native: ctypes._CFuncPtr, program: Block) -> Callable[..., list[Vector]]:
     def call(*inputs: Vector) -> list[Vector]:
         arrays = [np.ascontiguousarray(x, dtype=np.float64) for x in inputs]
         out = [np.empty(size) for _, size in program.outputs]

@@ -1,0 +1,230 @@
+"""Write an instruction list as C99 for readers and small files: nested expressions instead of one local an operation.
+
+What is used once stands where it is used, truth values are `int`, and several locals share a declaration. The numbers
+are those of `emit_c99`, operation by operation, where double is computed as double (FLT_EVAL_METHOD 0). A pragma of C99
+keeps a product and a sum two operations; GCC, which does not know it, has to be told `-ffp-contract=off`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from surctl.ir.c99 import C_TYPE, Real, c_literal, head, identifier
+from surctl.ir.moves import Move, move_lines, remaining
+from surctl.ir.ops import LEAVES
+from surctl.ir.program import Instruction, Program
+
+__all__ = ["emit_folded", "folded_lines", "preamble"]
+
+_COMPARE = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
+_LOGIC = {"and": "&&", "or": "||"}
+_BINARY = {"add": ("+", 6), "sub": ("-", 6), "mul": ("*", 7), "div": ("/", 7)}
+_HELPERS = {
+    "fmin": "min_of({0} a, {0} b) {{ return (b < a) ? b : a; }}",
+    "fmax": "max_of({0} a, {0} b) {{ return (a < b) ? b : a; }}",
+    "sq": "square_of({0} a) {{ return a * a; }}",
+}
+_PRAGMA = "#if !defined(__GNUC__) || defined(__clang__)\n#pragma STDC FP_CONTRACT OFF\n#endif"
+_CALLS = {"fmin": "min_of", "fmax": "max_of", "sq": "square_of"}
+
+_ATOM, _SIGNED, _TEST, _CHOICE = 9, 8, 5, 2
+_OPERAND = 6  # from here on, an operand of a comparison, a choice or a logical operation needs no parentheses
+_LONGEST = 90  # characters of what is put inside another expression
+_SHORT = 8  # characters of what is as short as a name: it may stand wherever it is used
+_LONG_LITERAL = 12  # characters from which on a constant that is used twice gets a name
+_WIDTH = 120
+
+
+@dataclass(frozen=True, slots=True)
+class _Text:
+    """An expression: `rank` says how tightly it binds, `truth` that it is 0 or 1 of type int."""
+
+    text: str
+    rank: int = _ATOM
+    truth: bool = False
+
+
+def preamble(programs: Iterable[Program], real: Real = "float64") -> str:
+    """What stands before the folded text of these programs: the pragma, and the small functions that they call."""
+    used = {i.op for program in programs for i in program.instructions}
+    kind = C_TYPE[real]
+    called = [f"static inline {kind} {text.format(kind)}" for op, text in _HELPERS.items() if op in used]
+    return "\n".join([_PRAGMA, *called]) + "\n"
+
+
+def emit_folded(
+    program: Program, *, symbol: str, real: Real = "float64", moves: Sequence[Move] = (), apart: bool = False
+) -> str:
+    """`static void <symbol>(const double *in0, …, double *out0, …)`; needs `preamble` before it.
+
+    Args:
+        program: the instruction list, without dead instructions.
+        symbol: name of the C function, checked by `identifier`.
+        real: type of the numbers.
+        moves: pieces to copy as a whole, see `handed_on`; only with `apart`.
+        apart: no output is ever an input too.
+
+    Raises:
+        InputError: `symbol` is no identifier that C may use.
+    """
+    lines = [*head(program, identifier(symbol), C_TYPE[real], apart=apart), "{"]
+    instructions, stores = remaining(program, moves)
+    read = {i.args[0] for i in instructions if i.op == "input"} | {m.input for m in moves}
+    lines += [f"    (void)in{k};" for k in range(len(program.inputs)) if k not in read]
+    lines += [f"    (void)out{k};" for k, refs in enumerate(program.output_refs) if not refs]
+    lines += folded_lines(
+        instructions,
+        [(f"out{k}[{entry}]", ref) for k, entry, ref in stores],
+        address=lambda which, entry: f"in{which}[{entry}]",
+        real=real,
+        apart=apart,
+    )
+    return "\n".join([*lines, *move_lines(moves), "}"]) + "\n"
+
+
+def folded_lines(
+    instructions: Sequence[Instruction],
+    stores: Sequence[tuple[str, int]],
+    *,
+    address: Callable[[int, int], str],
+    real: Real,
+    apart: bool = False,
+    indent: str = "    ",
+) -> list[str]:
+    """Declarations, then the stores.
+
+    Args:
+        instructions: the list.
+        stores: (left side, position of the value) in order.
+        address: C text of an entry of an input.
+        real: type of the numbers.
+        apart: whether a store may read inputs: none overwrites one.
+        indent: of every line.
+    """
+    folder = _Folder(instructions, stores, address, real, apart)
+    folder.fold()
+    lines = _declarations(folder.locals, C_TYPE[real], indent)
+    return [*lines, *(f"{indent}{to} = {folder.number(ref).text};" for to, ref in stores)]
+
+
+def _declarations(named: Sequence[tuple[bool, str]], kind: str, indent: str) -> list[str]:
+    """As many assignments a line as fit, as many lines a declaration as are of one type."""
+    lines: list[str] = []
+    last = None
+    for truth, text in named:
+        if truth == last and len(lines[-1]) + len(text) + 3 <= _WIDTH:
+            lines[-1] += f", {text}"
+        elif truth == last:
+            lines[-1] += ","
+            lines.append(f"{indent}    {text}")
+        else:
+            if lines:
+                lines[-1] += ";"
+            lines.append(f"{indent}const {'int' if truth else kind} {text}")
+        last = truth
+    return [*lines[:-1], f"{lines[-1]};"] if lines else []
+
+
+class _Folder:
+    """Text of every instruction, and the locals that are left."""
+
+    def __init__(
+        self,
+        instructions: Sequence[Instruction],
+        stores: Sequence[tuple[str, int]],
+        address: Callable[[int, int], str],
+        real: Real,
+        apart: bool,
+    ) -> None:
+        self.instructions, self.address, self.real = instructions, address, real
+        stored = [ref for _, ref in stores]
+        self.uses = Counter(stored)
+        self.uses.update(arg for i in instructions if i.op not in LEAVES for arg in i.args)
+        self.named = set() if apart else set(stored)  # all is computed before anything is stored
+        self.texts: list[_Text] = []
+        self.locals: list[tuple[bool, str]] = []  # (whether a truth value, "name = expression")
+
+    def fold(self) -> None:
+        """Go through the list."""
+        for at, instruction in enumerate(self.instructions):
+            text = self._expression(instruction)
+            if not self._stays(at, instruction, text):
+                name = f"{'t' if text.truth else 'v'}{len(self.locals)}"
+                self.locals.append((text.truth, f"{name} = {text.text}"))
+                text = _Text(name, truth=text.truth)
+            self.texts.append(text)
+
+    def _stays(self, at: int, instruction: Instruction, text: _Text) -> bool:
+        """Whether the expression may stand where it is used."""
+        if instruction.op == "const":
+            return self.uses[at] < 2 or len(text.text) <= _LONG_LITERAL
+        if at in self.named:
+            return False
+        if instruction.op == "input":
+            return True
+        if instruction.op == "neg" and len(text.text) <= _SHORT:
+            return True
+        if text.truth and len(text.text) <= 2 * _SHORT:
+            return self.uses[at] <= 2
+        return self.uses[at] == 1 and len(text.text) <= _LONGEST
+
+    def number(self, at: int) -> _Text:
+        """As a number."""
+        text = self.texts[at]
+        if not text.truth:
+            return text
+        one, none = c_literal(1.0, self.real), c_literal(0.0, self.real)
+        return _Text(f"({_within(text, _OPERAND)} ? {one} : {none})")
+
+    def _truth(self, at: int) -> _Text:
+        text, instruction = self.texts[at], self.instructions[at]
+        if text.truth:
+            return text
+        if instruction.op == "const":
+            return _Text(str(int(instruction.value != 0.0)), truth=True)
+        return _Text(f"{_within(text, _OPERAND)} != {c_literal(0.0, self.real)}", _TEST, truth=True)
+
+    def _expression(self, instruction: Instruction) -> _Text:
+        op, args = instruction.op, instruction.args
+        if op == "const":
+            literal = c_literal(float(instruction.value or 0.0), self.real)
+            return _Text(literal, _SIGNED if literal.startswith("-") else _ATOM)
+        if op == "input":
+            return _Text(self.address(*args))
+        if op in _LOGIC:
+            left, right = (_within(self._truth(a), _OPERAND) for a in args)
+            return _Text(f"{left} {_LOGIC[op]} {right}", 3, truth=True)
+        if op == "not":
+            return _Text(f"!{_within(self._truth(args[0]), _ATOM)}", _SIGNED, truth=True)
+        if op in ("select", "if_else_zero"):
+            return self._choice(*args)
+        return self._arithmetic(op, [self.number(a) for a in args])
+
+    def _choice(self, condition: int, then: int, otherwise: int | None = None) -> _Text:
+        one = self.number(then)
+        other = _Text(c_literal(0.0, self.real)) if otherwise is None else self.number(otherwise)
+        parts = (_within(part, _OPERAND) for part in (self._truth(condition), one, other))
+        return _Text("{} ? {} : {}".format(*parts), _CHOICE)
+
+    def _arithmetic(self, op: str, given: list[_Text]) -> _Text:
+        if op in _COMPARE:
+            left, right = (_within(g, _OPERAND) for g in given)
+            return _Text(f"{left} {_COMPARE[op]} {right}", _TEST, truth=True)
+        if op in _BINARY:
+            sign, rank = _BINARY[op]
+            text = f"{_within(given[0], rank)} {sign} {_within(given[1], rank + 1)}"
+            return _Text(text, rank)
+        if op in ("inv", "twice"):  # twice a number is exact, whatever it is then added to
+            left = c_literal(1.0, self.real) + " /" if op == "inv" else c_literal(2.0, self.real) + " *"
+            return _Text(f"{left} {_within(given[0], _SIGNED)}", 7)
+        if op == "neg":
+            return _Text(f"-{_within(given[0], _ATOM)}", _SIGNED)
+        name = _CALLS.get(op) or (op if self.real == "float64" else f"{op}f")
+        return _Text(f"{name}({', '.join(g.text for g in given)})")
+
+
+def _within(text: _Text, least: int) -> str:
+    """The expression, in parentheses where it binds less tightly than that."""
+    return text.text if text.rank >= least else f"({text.text})"
