@@ -51,13 +51,18 @@ class Obstacle(Strict):
         """Whether it stays where it is, but for its drift."""
         return self.shape != "moving"
 
+    @property
+    def rounding(self) -> float:
+        """Radius [m] of what stands still; 0 of a box, and of what takes the hull's."""
+        return 0.0 if self.size_m is not None else self.radius_m or 0.0
+
     def distance(self, point: Point) -> float:
         """Signed distance [m] from a point in {E} to its surface where the file puts it; without drift."""
         return _between(self, point, (0.0, 0.0), 0.0)
 
     def apart(self, other: Obstacle) -> float:
         """Signed distance [m] between the surfaces of two where the file puts them; negative when they overlap."""
-        return _between(self, other.centre_m, other.size_m or (0.0, 0.0), other.radius_m or 0.0)
+        return _between(self, other.centre_m, other.size_m or (0.0, 0.0), other.rounding)
 
 
 def _between(obstacle: Obstacle, centre: Point, size: tuple[float, float], radius: float) -> float:
@@ -65,4 +70,4 @@ def _between(obstacle: Obstacle, centre: Point, size: tuple[float, float], radiu
     own = obstacle.size_m or (0.0, 0.0)
     x, y = (abs(obstacle.centre_m[k] - centre[k]) - (own[k] + size[k]) / 2 for k in (0, 1))
     beyond = hypot(max(x, 0.0), max(y, 0.0)) if max(x, y) > 0 else max(x, y)
-    return beyond - (obstacle.radius_m or 0.0) - radius
+    return beyond - obstacle.rounding - radius

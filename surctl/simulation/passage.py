@@ -102,7 +102,7 @@ def _walls(length: float, width: float) -> list[_Still]:
 def _still(obstacle: Obstacle) -> _Still:
     size = obstacle.size_m or (0.0, 0.0)
     half = (size[0] / 2, size[1] / 2)
-    return _Still(f"{obstacle.name!r}", obstacle.centre_m, half, obstacle.radius_m or 0.0, obstacle.drift_m)
+    return _Still(f"{obstacle.name!r}", obstacle.centre_m, half, obstacle.rounding, obstacle.drift_m)
 
 
 def _apart(one: _Still, other: _Still) -> float:
