@@ -21,11 +21,30 @@ def room_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     found = _at_walls(scenario, vehicle)
     for obstacle in scenario.obstacles:
         found += _at_still(obstacle, scenario, vehicle) if obstacle.still else _at_moving(obstacle, scenario, vehicle)
-    return [*found, *_drifting_together(scenario), *_gap(scenario, vehicle), *_surface(scenario, vehicle)]
+    return [
+        *found,
+        *_drifting_together(scenario),
+        *_gap(scenario, vehicle),
+        *_launch(scenario, vehicle),
+        *_surface(scenario, vehicle),
+    ]
 
 
 def _ends(scenario: Scenario) -> tuple[tuple[str, NDArray[np.float64]], ...]:
     return ("start", scenario.start), ("target", scenario.target)
+
+
+def _launch(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    """What stands in the water that the mission says is free at the start: the law would not look before it moves."""
+    found = []
+    start = (float(scenario.start[0]), float(scenario.start[1]))
+    for obstacle in scenario.obstacles:
+        own = vehicle["radius"] if not obstacle.still and obstacle.radius_m is None else 0.0
+        room = obstacle.distance(start) - own - vehicle["radius"] - obstacle.drift_m
+        if scenario.launch > 0 and room < scenario.launch:
+            text = f"obstacle {obstacle.name!r} may come within {room:.3f} m of the hull of {vehicle.name} at the start"
+            found.append(Finding("error", "launch_m", f"{text}, where {scenario.launch:g} m are said to be free"))
+    return found
 
 
 def _at_walls(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:

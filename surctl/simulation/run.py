@@ -139,6 +139,7 @@ def law_numbers(scenario: Scenario, gains: Gains, model: Vehicle) -> NDArray[np.
         cruise=scenario.cruise,
         cap=scenario.cap,
         walls=(0.0, length, 0.0, width),
+        launch=scenario.launch,
     )
 
 

@@ -15,7 +15,7 @@ from surctl.errors import InputError
 from surctl.files import Strict, pick, read_toml, validate
 from surctl.guidance import Path
 from surctl.simulation.disturbance import Disturbance
-from surctl.simulation.obstacle import Obstacle, Point, Positive
+from surctl.simulation.obstacle import NotNegative, Obstacle, Point, Positive
 from surctl.simulation.paper_figure import PaperFigure
 from surctl.simulation.sensors import OwnStateTable, Sensors, SonarTable, StationTable, sensors_from_tables
 from surctl.world import Box, Disc, Wall, site_walls
@@ -45,6 +45,7 @@ class _ScenarioFile(Strict):
     cap_m_per_s: Positive
     reach_m: Positive = 0.10
     time_limit_s: Positive
+    launch_m: NotNegative = 0.0
     site: _Site
     obstacles: tuple[Obstacle, ...] = ()
     disturbance: Disturbance = Disturbance()
@@ -66,6 +67,7 @@ class Scenario:
         reach: distance to the target that counts as arrived [m].
         site: length along x, width along y, depth [m]; one corner of the floor plan is the origin.
         vehicle: name or path of the vehicle that flies it by default.
+        launch: water around the hull at the start that the mission says is free [m]; a law with sonars relies on it.
         sensors: sonars and their faults, base station, own state.
     """
 
@@ -85,6 +87,7 @@ class Scenario:
     paper: PaperFigure
     source: str = ""
     sensors: Sensors = field(default_factory=Sensors)
+    launch: float = 0.0
 
     @property
     def walls(self) -> tuple[Wall, ...]:
@@ -149,6 +152,7 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
         model.paper,
         source,
         sensors,
+        model.launch_m,
     )
     _check(scenario)
     return scenario

@@ -105,6 +105,22 @@ def test_drifting_obstacles_that_may_meet_are_told() -> None:
     assert _found(_with(posts[0], _box("b", 4.37, 1.0, 1.4, drift=0.06))) == {}
 
 
+@pytest.mark.parametrize(("launch", "level"), [(0.0, None), (0.13, None), (0.14, "error")])
+def test_water_that_is_not_as_free_at_the_launch_as_is_said(launch: float, level: str | None) -> None:
+    """The box is 0.45 m from the start less 0.27 m of hull, and drifts by 0.05 m: 0.13 m are left."""
+    text = _found(_with(_box("near", 1.1, 2.0, 3.0, drift=0.05), launch=max(launch - 1e-9, 0.0))).get(
+        ("error", "launch_m")
+    )
+    assert (text is not None) == (level == "error")
+    assert text is None or "'near' may come within 0.130 m" in text
+
+
+def test_something_that_moves_starts_in_water_said_to_be_free() -> None:
+    coming = Obstacle(name="OM", shape="moving", centre_m=(1.5, 2.5), to_m=(1.5, 4.0), speed_m_per_s=0.1)
+    assert "within 0.460 m" in _found(_with(coming, launch=0.5))["error", "launch_m"]
+    assert ("error", "launch_m") not in _found(_with(coming, launch=0.4))
+
+
 def test_a_target_too_close_to_what_stands_still() -> None:
     text = _found(_with(_box("post", 9.1, 2.3, 2.7)))["error", "obstacles.post"]  # its face is 0.25 m away
     assert "the target lies 0.020 m too close" in text
