@@ -19,14 +19,18 @@ from surctl.control.echoes import Perception
 from surctl.control.ports import SECTORS
 from surctl.control.reference import Wish
 from surctl.guidance import (
+    FAR,
     SAME_CONTACT,
     AvoidanceForm,
+    Cone,
     Contact,
     Sector,
     allowed_closing_speed,
     avoidance_course,
     choose_velocity,
+    collision_cone,
     encounter_side,
+    inside,
     nearest_in_quadrants,
 )
 from surctl.ir import Port
@@ -48,6 +52,13 @@ _NO_BOUND = 10.0  # [m/s]
 _ONE_ENCOUNTER = 1e3  # [m]
 _BRAKE = 4.0  # times the excess speed that is taken off the command: the velocity loop alone is too slow
 _GIVE_WAY = 0.05  # [m/s] with which the robot backs off from a mark; half of what is marked near the hull is not there
+_MOVES = 0.05  # [m/s] from which something moves: slower things are kept off by their braking distance
+_PASSING = 0.1  # [m] beyond the margin, at which something that moves is passed
+_HORIZON = 12.0  # [s] ahead for which it is
+_BEHIND = 0.7  # cosine from which something comes from behind: it is outrun
+_AFTER = 3.0  # [s] after the arrival for which it is
+_URGENT = 4.0  # [s] before it is met
+_DEEP = 0.01  # [m/s] in a cone at which the robot goes on where it would wait to look
 _OVERTAKE = 0.02  # [m/s] by which the avoidance speed exceeds the obstacle's
 
 
@@ -112,12 +123,17 @@ def guarded_law(
     """
     deceleration = _acceleration(p, p["brake"])
     marks = len(seen.known) - SECTORS if scan is not None else len(seen.all)
-    sectors = []
+    sectors, cones = [], []
     for k, c in enumerate(seen.all):
         bound = _closing_bound(c, deceleration, p)
+        point = eta[:2] + (c.clearance + p["hull"]) * c.normal
         if marks <= k < len(seen.known):
             bound = ca.fmax(bound, -_GIVE_WAY)
-        sectors.append(Sector(c.normal, bound, eta[:2] + (c.clearance + p["hull"]) * c.normal))
+        elif k < len(seen.known):
+            evaded = _evaded(c, wish)
+            bound = ca.if_else(ca.logic_and(evaded, c.clearance > p["margin"]), _NO_BOUND, bound)
+            cones.append(_cone(c, evaded, point, eta, p))
+        sectors.append(Sector(c.normal, bound, point))
     choice = choose_velocity(
         wish.velocity,
         sectors,
@@ -127,16 +143,20 @@ def guarded_law(
         cap=p["cap"],
         # of a wall the map knows points, so the blocker jumps: one encounter lasts as long as the wish is blocked
         same=SAME_CONTACT if scan is None else _ONE_ENCOUNTER,
+        cones=cones,
     )
     velocity, halted = choice.velocity, ca.SX(0)
     named = [(f"contact_{k}", sector.normal, sector.bound) for k, sector in enumerate(sectors)]
     levels = [Wanted.of(task) for task in _lower_tasks(eta, wish, p)]
     if scan is not None:
         caution = _cautious_bounds(scan, deceleration, p)
-        chased = ca.SX(0)
+        slowed, chased = _slowed(velocity, caution), ca.SX(0)
         for sector in sectors[:marks]:
             chased = ca.logic_or(chased, sector.bound < 0)
-        velocity = ca.if_else(chased, velocity, _slowed(velocity, caution))
+        for cone in cones:
+            soon = ca.dot(cone.ahead, slowed) - cone.closing > cone.room / _URGENT
+            chased = ca.logic_or(chased, ca.logic_and(soon, inside(slowed, cone) > _DEEP))
+        velocity = ca.if_else(chased, velocity, slowed)
         blind = ca.sum1(scan.heard[:, 2]) < 0.5
         over_ground = planar_rotation(eta[3]) @ nu[:2]
         moving, still = sectors[:marks], sectors[marks:]
@@ -232,6 +252,27 @@ def paper_law(
         avoiding,
         ca.SX(0),
         {"side": side, "blocker": x["blocker"], "last_velocity": velocity},
+    )
+
+
+def _evaded(contact: Contact, wish: Wish) -> ca.SX:
+    """Whether a contact moves and does not come from behind: then it is evaded sideways, else outrun."""
+    speed = ca.sqrt(ca.sumsqr(wish.velocity))
+    ahead = ca.dot(wish.velocity, contact.normal) > -_BEHIND * speed
+    moves = ca.logic_and(ca.sumsqr(contact.velocity) > _MOVES**2, contact.clearance < FAR)
+    return ca.logic_and(moves, ahead)
+
+
+def _cone(contact: Contact, evaded: ca.SX, point: ca.SX, eta: ca.SX, p: Mapping[str, ca.SX]) -> Cone:
+    """Velocities that meet the contact before the mission is over, or soon."""
+    left = ca.sqrt(ca.sumsqr(p["waypoints"][-1, :].T - eta[:2]))
+    return collision_cone(
+        contact,
+        apart=p["margin"] + _PASSING,
+        standoff=p["margin"],
+        horizon=ca.fmin(_HORIZON, _AFTER + left / p["cruise"]),
+        there=evaded,
+        point=point,
     )
 
 

@@ -142,6 +142,7 @@ _MISSION = (
     Port("cruise", (1,), "m/s", "speed of the path's target", 0.1),
     Port("cap", (1,), "m/s", "largest commanded horizontal speed", 0.1),
     Port("walls", (4,), "m", "x_min, x_max, y_min, y_max of the site in {E}"),
+    Port("launch", (1,), "m", "water around the hull that whoever launched it knows to be free"),
 )
 
 PARAMETERS = Layout(
@@ -158,6 +159,7 @@ def law_parameters(
     cruise: float,
     cap: float,
     walls: tuple[float, float, float, float],
+    launch: float = 0.0,
 ) -> NDArray[np.float64]:
     """The flat parameter vector: gains, the vehicle as the controller believes it, and the mission.
 
@@ -169,6 +171,7 @@ def law_parameters(
         cruise: U_d [m/s].
         cap: largest commanded horizontal speed [m/s].
         walls: x_min, x_max, y_min, y_max [m].
+        launch: water around the hull that is known to be free at the start [m].
     """
     values: Mapping[str, object] = {
         **gains.values,
@@ -183,5 +186,6 @@ def law_parameters(
         "cruise": cruise,
         "cap": cap,
         "walls": walls,
+        "launch": launch,
     }
     return PARAMETERS.pack(values)

@@ -38,6 +38,7 @@ _EXPLAINS = 0.5  # cells beyond the reading in which a mark still explains it
 _MARGIN_SD = 0.02 / 3  # [m] standard deviation of the own position that the law's margin has room for
 _DEAF = 0.3  # [s] without an honest firing after which a sonar is not to be believed
 _PLACED_SD = 0.2  # [m] standard deviation beyond which the robot does not know where it is
+_UNHEARD = 0.05  # [m] more around every mark while a sonar is silent: what drifts is looked at less often
 _FAR = 1e5  # [m²] above any squared distance in the map
 
 
@@ -147,7 +148,8 @@ class _Builder:
         movers = self._movers.ports("mover_") if self._movers else ()
         n = self.equipment.array.size
         silent = Port("silent", (n,), "s", "time since the last honest firing of each sonar", _DEAF + self.dt)
-        return Layout((*own, *movers, *self._ranges.ports("sonar_"), silent))
+        launched = Port("launched", (1,), "1", "1 once the water free at the launch is in the map")
+        return Layout((*own, *movers, *self._ranges.ports("sonar_"), silent, launched))
 
     @cached_property
     def state(self) -> Layout:
@@ -233,10 +235,18 @@ class _Builder:
         }
         if self._movers:
             seen["movers"] = around.movers
+        free = known["hull"] + ca.if_else(x["launched"], 0, known["launch"])
         outputs = {
-            "small_next": self._small.join({**after, **ranging.state, "silent": ca.vertcat(*silent)}),
+            "small_next": self._small.join(
+                {
+                    **after,
+                    **ranging.state,
+                    "silent": ca.vertcat(*silent),
+                    "launched": ca.logic_or(x["launched"], around.placed),
+                }
+            ),
             # the place of a hull that does not know where it is is not free
-            "place": ca.vertcat(around.eta[:2], ca.if_else(around.placed, known["hull"], 0), edge),
+            "place": ca.vertcat(around.eta[:2], ca.if_else(around.placed, free, 0), edge),
             "readings": _listed(firings, chart.slots),
             "seen": self._seen.join(seen),
         }
@@ -281,10 +291,12 @@ class _Builder:
                 ca.if_else(rows[k, 5] > 0.5, rows[k, :] + ca.horzcat(0, 0, seen["doubt"], 0, 0, 0), 0)
                 for k in range(rows.shape[0])
             ]
+        every = ca.sum1(seen["heard"][:, 2]) > self.equipment.array.size - 0.5
+        around = _AROUND_A_MARK * edge + seen["doubt"] + ca.if_else(every, 0, _UNHEARD)
         blank = []
         for k in range(chart.sectors):
             at = marked[3 * k : 3 * k + 3]
-            row = ca.horzcat((position + at[:2]).T, _AROUND_A_MARK * edge + seen["doubt"], 0, 0, 1)
+            row = ca.horzcat((position + at[:2]).T, around, 0, 0, 1)
             contacts.append(ca.if_else(at[2] < _FAR, row, ca.SX.zeros(1, 6)))
             at = unknown[3 * k : 3 * k + 3]
             there = at[2] < _FAR

@@ -1,6 +1,7 @@
 """Where the robot wants to go: path, tracking law (8)–(12), avoidance law (17)–(20), choice among contacts."""
 
 from surctl.guidance.avoidance import FORMS, AvoidanceForm, allowed_closing_speed, avoidance_course, encounter_side
+from surctl.guidance.cones import Cone, collision_cone, inside
 from surctl.guidance.contacts import FAR, Contact, disc_contact, nearest_in_quadrants, point_contact, wall_contacts
 from surctl.guidance.path import MAX_WAYPOINTS, Path, path_target
 from surctl.guidance.sectors import SAME_CONTACT, Choice, Sector, choose_velocity
@@ -13,6 +14,7 @@ __all__ = [
     "SAME_CONTACT",
     "AvoidanceForm",
     "Choice",
+    "Cone",
     "Contact",
     "Path",
     "Sector",
@@ -20,8 +22,10 @@ __all__ = [
     "along_command",
     "avoidance_course",
     "choose_velocity",
+    "collision_cone",
     "disc_contact",
     "encounter_side",
+    "inside",
     "nearest_in_quadrants",
     "path_error",
     "path_target",

@@ -12,6 +12,8 @@ from typing import NamedTuple
 
 import casadi as ca
 
+from surctl.guidance.cones import Cone, inside
+
 __all__ = ["Choice", "Sector", "choose_velocity"]
 
 _TOLERANCE = 1e-3  # [m/s] by which a course may miss a bound and still count as free
@@ -64,6 +66,7 @@ def choose_velocity(
     cruise: ca.SX,
     cap: ca.SX,
     same: float = SAME_CONTACT,
+    cones: Sequence[Cone] = (),
 ) -> Choice:
     """Velocity on the free course nearest to the wish's.
 
@@ -80,41 +83,46 @@ def choose_velocity(
         cruise: [m/s].
         cap: [m/s].
         same: [m] that the blocker may move between two steps and still be the same encounter.
+        cones: of what moves.
     """
     wished = ca.fmax(ca.sqrt(ca.sumsqr(wish)), 1e-3)
     ahead = wish / wished
     retreat = _retreat_speed(sectors, cap)
-    near = _violation(ahead, wished, sectors) > _TOLERANCE
+    near = _violation(ahead, wished, sectors, cones) > _TOLERANCE
     speed = ca.if_else(near, ca.fmin(wished, cruise), wished)
     speed = ca.fmax(speed, ca.if_else(retreat > 0, ca.fmin(retreat + _OVERTAKE, cap), 0))
 
-    now = _worst_blocker(ahead, speed, sectors)
+    now = _worst_blocker(ahead, speed, sectors, cones)
     latched = ca.if_else(ca.sumsqr(now - blocker) <= same * same, side, 0)
-    course, missed = ahead, _violation(ahead, speed, sectors)
+    course, missed = ahead, _violation(ahead, speed, sectors, cones)
     blocked = missed > _TOLERANCE
     least, taken = _missed_cost(missed), ca.SX(0)
     for sign in (1, -1):
-        for sector in sectors:
-            edge = _edge(sector, speed, sign)
-            edge_missed = _violation(edge, speed, sectors)
+        edges = [(sector.normal, sector.bound, sector.bound < speed) for sector in sectors]
+        edges += [
+            (cone.left, cone.left_bound, cone.there) if sign > 0 else (cone.right, cone.right_bound, cone.there)
+            for cone in cones
+        ]
+        for normal, bound, exists in edges:
+            edge = _edge(normal, bound, speed, sign)
+            edge_missed = _violation(edge, speed, sectors, cones)
             left = ca.if_else(ahead[0] * edge[1] - ahead[1] * edge[0] >= 0, 1, -1)
             cost = 1 - ca.dot(edge, ahead) + (0 if sign > 0 else _HEAD_ON) + _missed_cost(edge_missed)
             cost += ca.if_else(latched * left < -0.5, _TURN_BACK, 0)
-            cost += ca.if_else(sector.bound >= speed, 1e6, 0)  # blocks nothing, so it has no edge
+            cost += ca.if_else(exists, 0, 1e6)  # what blocks nothing has no edge
             better = cost < least
             course, missed = ca.if_else(better, edge, course), ca.if_else(better, edge_missed, missed)
             taken, least = ca.if_else(better, left, taken), ca.if_else(better, cost, least)
     velocity = ca.fmax(_free_speed(course, speed, sectors), retreat) * course
     # boxed in: where every way out is worse than standing still, stand still
-    worse = _excess(velocity, sectors) > _excess(ca.SX.zeros(2), sectors) + _TOLERANCE
+    worse = _excess(velocity, sectors, cones) > _excess(ca.SX.zeros(2), sectors, cones) + _TOLERANCE
     velocity = ca.if_else(ca.logic_and(missed > _TOLERANCE, worse), 0, velocity)
     return Choice(velocity, ca.if_else(blocked, taken, 0), blocked, ca.fmax(missed, 0), now)
 
 
-def _edge(sector: Sector, speed: ca.SX, sign: int) -> ca.SX:
+def _edge(n: ca.SX, bound: ca.SX, speed: ca.SX, sign: int) -> ca.SX:
     """Unit course n turned by ± arccos(bound/speed), left for +1."""
-    n = sector.normal
-    cosine = ca.fmin(ca.fmax(sector.bound / speed, -1), 1)
+    cosine = ca.fmin(ca.fmax(bound / speed, -1), 1)
     sine = sign * ca.sqrt(1 - cosine * cosine)
     return ca.vertcat(n[0] * cosine - n[1] * sine, n[1] * cosine + n[0] * sine)
 
@@ -123,24 +131,30 @@ def _missed_cost(violation: ca.SX) -> ca.SX:
     return ca.if_else(violation > _TOLERANCE, _MISSED + _MISSED_RATE * violation, 0)
 
 
-def _violation(course: ca.SX, speed: ca.SX, sectors: Sequence[Sector]) -> ca.SX:
-    return _excess(speed * course, sectors)
+def _violation(course: ca.SX, speed: ca.SX, sectors: Sequence[Sector], cones: Sequence[Cone]) -> ca.SX:
+    return _excess(speed * course, sectors, cones)
 
 
-def _excess(velocity: ca.SX, sectors: Sequence[Sector]) -> ca.SX:
+def _excess(velocity: ca.SX, sectors: Sequence[Sector], cones: Sequence[Cone]) -> ca.SX:
     """By how much a velocity (2, 1) misses the worst bound [m/s]; negative when it keeps them all."""
     worst = ca.SX(-10.0)
     for sector in sectors:
         worst = ca.fmax(worst, ca.dot(velocity, sector.normal) - sector.bound)
+    for cone in cones:
+        worst = ca.fmax(worst, inside(velocity, cone))
     return worst
 
 
-def _worst_blocker(course: ca.SX, speed: ca.SX, sectors: Sequence[Sector]) -> ca.SX:
+def _worst_blocker(course: ca.SX, speed: ca.SX, sectors: Sequence[Sector], cones: Sequence[Cone]) -> ca.SX:
     worst, where = ca.SX(-10.0), sectors[0].point
     for sector in sectors:
         violation = speed * ca.dot(course, sector.normal) - sector.bound
         where = ca.if_else(violation > worst, sector.point, where)
         worst = ca.fmax(worst, violation)
+    for cone in cones:
+        depth = inside(speed * course, cone)
+        where = ca.if_else(depth > worst, cone.point, where)
+        worst = ca.fmax(worst, depth)
     return where
 
 

@@ -43,6 +43,7 @@ _INSIDE, _INSIDE_MORE = 0.6, 0.01  # cells, and m: how deep inside a beam a cell
 _OF_THE_UNKNOWN, _OF_A_MARK = 0.4, 0.75
 MIDDLE = 1.0 - _OF_THE_UNKNOWN
 """Share of a narrow beam's width that clears what is unknown."""
+_HOLDS = 3  # cells of a block not known to be free, without which the middle of no disc two cells across lies in it
 _NOWHERE = 1e6  # cells; lowest corner of a window that has never been
 _FAR = 1e6  # m², of a block without such a cell
 
@@ -68,7 +69,7 @@ class LocalMap:
     block: int = 4
     sectors: int = 16
     mark_time: float = 60.0
-    free_time: float = 15.0
+    free_time: float = 60.0
     known: float = 0.3
 
     def __post_init__(self) -> None:
@@ -90,6 +91,15 @@ class LocalMap:
     def side(self) -> int:
         """Cells a side N."""
         return self.blocks * self.block
+
+    @property
+    def held(self) -> int:
+        """Fewest cells not known to be free with which a block's unknown cells count.
+
+        A disc two cells across touches the cell of its middle and the four beside it, three of them in one block at
+        the least: so nothing that large hides where less than that is unknown.
+        """
+        return min(_HOLDS, self.block * self.block)
 
     @property
     def memory(self) -> float:
@@ -199,7 +209,7 @@ class LocalMap:
         hull, edge = symbols["place"][2], symbols["place"][3]
         ring = hull + RING * edge
         inside, beyond = hull * hull, ring * ring
-        cells = []
+        cells, count = [], ca.SX(0)
         near = [ca.SX([0.0, 0.0, _FAR]), ca.SX([0.0, 0.0, _FAR])]
         for k, (value, line, slots) in enumerate(self._each(symbols)):
             dx, dy, square = self._offset(symbols, k)
@@ -210,11 +220,13 @@ class LocalMap:
                 value = ca.if_else(self._in_front(line[s], slot, edge, value), -1, ca.if_else(marked, 1, value))
             value = ca.if_else(square < inside, -1, value)
             cells.append(value)
+            count += value >= -self.known
             here = ca.vertcat(dx, dy, square)
             blank = ca.logic_and(ca.logic_and(value >= -self.known, value <= 0), square > beyond)
             for which, holds in enumerate((value > 0, blank)):
                 nearer = ca.logic_and(holds, square < near[which][2])
                 near[which] = ca.if_else(nearer, here, near[which])
+        near[1][2] = ca.if_else(count < self.held, _FAR, near[1][2])
         return _lowered("change", {**symbols, "found": found}, {"after": ca.vertcat(*cells), "near": ca.vertcat(*near)})
 
     def _block_symbols(self) -> dict[str, ca.SX]:

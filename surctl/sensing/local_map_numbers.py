@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,7 @@ from surctl.sensing.local_map import (
 __all__ = ["map_step", "map_view"]
 
 Vector: TypeAlias = NDArray[np.float64]
+T = TypeVar("T", bound=np.generic)
 
 _SIZE = sum(size for _, size, _ in READING)
 
@@ -63,6 +64,8 @@ def map_step(
     square = dx * dx + dy * dy
     value = np.where(square < hull * hull, -1.0, value)
     blank = (value >= -chart.known) & (value <= 0) & (square > (hull + RING * edge) ** 2)
+    many = _blocks(chart, value >= -chart.known).sum(axis=1, keepdims=True) >= chart.held
+    blank &= _torus(chart, np.repeat(many, chart.block**2, axis=1))
     marks, blanks = (_nearest(chart, which, dx, dy, square) for which in (value > 0, blank))
     return _blocks(chart, value).reshape(-1), window, marks, blanks
 
@@ -123,13 +126,13 @@ def _world(n: int, corner: Vector) -> Vector:
     return np.array([low + np.mod(rank - low, n) for low in corner])
 
 
-def _torus(chart: LocalMap, cells: Vector) -> Vector:
+def _torus(chart: LocalMap, cells: NDArray[T]) -> NDArray[T]:
     """(N, N) by y, then x, from block after block."""
     many, size = chart.blocks, chart.block
     return cells.reshape(many, many, size, size).swapaxes(1, 2).reshape(chart.side, chart.side)
 
 
-def _blocks(chart: LocalMap, torus: Vector) -> Vector:
+def _blocks(chart: LocalMap, torus: NDArray[T]) -> NDArray[T]:
     """(blocks², block²) from (N, N)."""
     many, size = chart.blocks, chart.block
     return torus.reshape(many, size, many, size).swapaxes(1, 2).reshape(many * many, size * size)

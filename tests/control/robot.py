@@ -37,7 +37,7 @@ def senses(equipment: Equipment) -> tuple[Senses, Native]:
     return made, compile_block(made.block)
 
 
-def parameters(walls: tuple[float, float, float, float] = SITE, **gains: float) -> Array:
+def parameters(walls: tuple[float, float, float, float] = SITE, *, launch: float = 0.0, **gains: float) -> Array:
     """Of the default vehicle on a straight path along x."""
     return law_parameters(
         load_gains("default").with_values(gains),
@@ -47,6 +47,7 @@ def parameters(walls: tuple[float, float, float, float] = SITE, **gains: float) 
         cruise=0.2,
         cap=0.22,
         walls=walls,
+        launch=launch,
     )
 
 
@@ -66,12 +67,13 @@ class Robot:
         shapes: Sequence[Shape] = (),
         walls: tuple[float, float, float, float] = SITE,
         seed: int = 0,
+        launch: float = 0.0,
     ) -> None:
         self.equipment, self.array, self.spin = equipment, equipment.array, spin
         self.made, self.run = senses(equipment)
         self.eta, self.nu = np.array(at, dtype=float), np.array([0.0, 0.0, 0.0, spin])
         self.shapes = [*site_walls(walls[3], walls[1]), *shapes]
-        self.p, self.rng, self.tick = parameters(walls), np.random.default_rng(seed), 0
+        self.p, self.rng, self.tick = parameters(walls, launch=launch), np.random.default_rng(seed), 0
         self.x = self.made.state.pack()
         self.samples = np.full((self.array.size, self.array.samples), self.array.maximum)
         self.wrong: dict[int, Wrong] = {}

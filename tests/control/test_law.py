@@ -211,14 +211,35 @@ def test_an_obstacle_ahead_is_passed_with_the_obstacle_on_the_right() -> None:
     assert step.x_next[law.state.slice("side")][0] == 1
 
 
-def test_what_approaches_is_given_its_way_during_the_reaction_and_its_speed() -> None:
-    law, v_o = build_law(), 0.1
+def test_what_drifts_nearer_is_given_its_way_during_the_reaction_and_its_speed() -> None:
+    law, v_o = build_law(), 0.04
     step = law.step(_started(law), _input(law, (*AHEAD[:3], -v_o, 0.0, 1.0)), _parameters())
     a, t = 0.7 * 5 / 95, load_gains("default")["reaction"]
     room = 0.46 - 0.05 - t * v_o
     bound = -a * t + np.sqrt((a * t) ** 2 + 2 * a * room) - v_o
     assert step.telemetry[0] == pytest.approx(bound, abs=1e-6)
     assert step.telemetry[1] > 0.1
+
+
+def test_what_comes_head_on_is_passed_sideways() -> None:
+    """No barrier on its range: at the wish's speed, on the edge of the cone that passes it at 0.05 + 0.1 m."""
+    law, offset, motion = build_law(), np.array([2.0, 0.0]), np.array([-0.2, 0.0])
+    step = law.step(_started(law), _input(law, (3.0, 0.0, 0.27, *motion, 1.0)), _parameters())
+    wanted = step.telemetry[:2]
+    relative = wanted - motion
+    miss = abs(offset[0] * relative[1] - offset[1] * relative[0]) / np.hypot(*relative)
+    assert np.hypot(*wanted) == pytest.approx(0.2, abs=1e-9)
+    assert miss == pytest.approx(0.54 + 0.15, abs=1e-9)
+    assert wanted[1] > 0  # it stays on the right
+
+
+def test_what_comes_from_behind_is_outrun() -> None:
+    law = build_law()
+    calm = law.step(_started(law), _input(law, nu=(0.2, 0, 0, 0)), _parameters()).telemetry[:2]
+    chased = (0.35, 0.0, 0.27, 0.2, 0.0, 1.0)  # 0.11 m off, as fast
+    wanted = law.step(_started(law), _input(law, chased, nu=(0.2, 0, 0, 0)), _parameters()).telemetry[:2]
+    np.testing.assert_allclose(calm, [0.2, 0], atol=1e-9)
+    assert wanted[0] > 0.2 and abs(wanted[1]) < 1e-6
 
 
 def test_an_obstacle_that_is_not_valid_is_ignored() -> None:

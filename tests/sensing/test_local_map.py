@@ -6,11 +6,13 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.ir import Layout, compile_block, replay
 from surctl.sensing import LocalMap, map_step, map_view
-from surctl.sensing.local_map import READING
+from surctl.sensing.local_map import READING, RING
 from surctl.world import Disc
 from tests.raycasting import heard_along
 from tests.sensing.mapped import EDGE, EMPTY, HULL, SPIN, directions, firing, journey
@@ -351,6 +353,41 @@ def test_false_marks_before_a_near_surface_are_few(beam):
     short = (seen.away - seen.mark)[seen.away < 1.2]
     assert len(short) > 50
     assert np.quantile(short, 0.9) < 2 * EDGE
+
+
+@pytest.mark.parametrize("unknown", range(1, 6))
+def test_unknown_cells_that_no_disc_two_cells_across_fits_in_are_not_told(unknown):
+    """One or two cells of a block, all around known to be free: nothing of that size hides there."""
+    chart = LocalMap(dt=DT)
+    place = np.array([0.0, 0.0, HULL, EDGE])
+    window = np.floor(place[:2] / EDGE) - chart.side // 2
+    cells = np.full((chart.blocks**2, chart.block**2), -1.0)
+    cells[8 * chart.blocks + 8, :unknown] = 0.0  # more than a metre from the robot
+    empty = np.tile(EMPTY, chart.slots)
+    *_, told = map_step(chart, cells.reshape(-1), window, place, empty)
+    assert np.any(told[2::3] < FAR) == (unknown >= 3)
+
+
+@settings(derandomize=True, deadline=None, max_examples=200)
+@given(st.floats(-1.2, 1.2), st.floats(-1.2, 1.2), st.floats(1.0, 3.0))
+def test_where_such_a_disc_hides_its_cells_are_told(x, y, radius):
+    """All cells that it touches are unknown, all others free: a cell of it is told."""
+    assume(np.hypot(x, y) > HULL + (RING + radius + 1.5) * EDGE)
+    chart = LocalMap(dt=DT)
+    place = np.array([0.0, 0.0, HULL, EDGE])
+    window = np.floor(place[:2] / EDGE) - chart.side // 2
+    _, xs, ys = map_view(chart, np.zeros(chart.side**2), window, edge=EDGE)
+    dx, dy = (np.maximum(np.abs(axis - at) - EDGE / 2, 0) for axis, at in ((xs, x), (ys, y)))
+    touched = np.hypot(dx, dy[:, None]) <= radius * EDGE
+    rolled = np.zeros((chart.side, chart.side))
+    rows, columns = (np.mod(np.floor(axis / EDGE), chart.side).astype(int) for axis in (ys, xs))
+    rolled[np.ix_(rows, columns)] = np.where(touched, 0.0, -1.0)
+    many, size = chart.blocks, chart.block
+    cells = rolled.reshape(many, size, many, size).swapaxes(1, 2).reshape(-1)
+    empty = np.tile(EMPTY, chart.slots)
+    *_, told = map_step(chart, cells, window, place, empty)
+    found = told.reshape(-1, 3)[told[2::3] < FAR]
+    assert len(found) and np.min(np.hypot(found[:, 0] - x, found[:, 1] - y)) <= (radius + 0.75) * EDGE
 
 
 def test_what_went_away_is_cleared_and_what_came_is_marked():

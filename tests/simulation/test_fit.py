@@ -44,13 +44,15 @@ def test_a_beam_narrower_than_the_turn_between_two_firings() -> None:
 
 def test_an_array_whose_gap_is_shown_too_late() -> None:
     one = {"azimuths": (0.0,), "order": (0,)}
-    assert _found(**one) == [("error", "sonar.azimuths_deg")]
-    assert _found(azimuths=(0.0, pi / 4), order=(0, 1)) == [("error", "sonar.azimuths_deg")]
-    assert _found(azimuths=(0.0, pi), order=(0, 1)) == []
-    assert _found(azimuths=(3 * pi, 0.0), order=(0, 1)) == []  # the same, a turn further
-    # of a turn 2π − 75° are 11.05 s at 0.45 rad/s, and 10.36 s at 0.48; 10.5 s are remembered
-    assert _found(POOL, "sur400", **one) == [("error", "sonar.azimuths_deg")]
-    assert _found(POOL, "sur400", spin=0.48, **one) == []
+    # of a turn 2π − 75° are 41.5 s at 0.12 rad/s, and 45.3 s at 0.11; 42 s are remembered
+    assert _found(spin=0.12, **one) == []
+    assert _found(spin=0.11, **one) == [("error", "sonar.azimuths_deg")]
+    two = {"azimuths": (0.0, pi / 4), "order": (0, 1)}
+    assert _found(spin=0.09, **two) == [("error", "sonar.azimuths_deg")]
+    assert _found(spin=0.09, azimuths=(0.0, pi), order=(0, 1)) == []
+    assert _found(spin=0.09, azimuths=(3 * pi, 0.0), order=(0, 1)) == []  # the same, a turn further
+    assert _found(POOL, "sur400", spin=0.11, **one) == [("error", "sonar.azimuths_deg")]
+    assert _found(POOL, "sur400", **one) == []
 
 
 def test_without_a_turn_every_direction_must_be_in_a_beam() -> None:

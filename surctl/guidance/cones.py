@@ -1,0 +1,81 @@
+"""Collision cones: which velocities lead into something that moves, within a time (Fiorini and Shiller 1998).
+
+A range barrier on what moves asks for retreat before it; here only the velocities that would hit it are closed, so
+that a sidestep stays open.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+
+from surctl.guidance.contacts import Contact
+
+__all__ = ["Cone", "collision_cone", "inside"]
+
+_NEVER = -10.0  # [m/s]
+
+
+class Cone(NamedTuple):
+    """Velocities v (2, 1) [m/s] in {E} with left·v, right·v and ahead·v all above their bounds lead into it.
+
+    Attributes:
+        left, right: (2, 1) unit normals of the cone's two sides, inwards.
+        ahead: (2, 1) unit vector robot → contact.
+        left_bound, right_bound: [m/s].
+        ahead_bound: [m/s], above which it is met within the horizon.
+        there: 1 where there is something to meet.
+        point: (2, 1) [m] in {E}, where it is.
+    """
+
+    left: ca.SX
+    right: ca.SX
+    ahead: ca.SX
+    left_bound: ca.SX
+    right_bound: ca.SX
+    ahead_bound: ca.SX
+    closing: ca.SX
+    room: ca.SX
+    there: ca.SX
+    point: ca.SX
+
+
+def collision_cone(
+    contact: Contact, *, apart: ca.SX, standoff: ca.SX, horizon: ca.SX, there: ca.SX, point: ca.SX
+) -> Cone:
+    """The cone of a contact.
+
+    Args:
+        contact: what moves.
+        apart: clearance at which it may be passed [m].
+        standoff: clearance at which it counts as met [m].
+        horizon: time ahead that counts [s].
+        there: 1 where it counts at all.
+        point: (2, 1) [m] in {E}, where it is.
+    """
+    n, across = contact.normal, ca.vertcat(-contact.normal[1], contact.normal[0])
+    distance = contact.clearance + contact.reach
+    sine = ca.fmin((contact.reach + apart) / ca.fmax(distance, 1e-6), 1)
+    cosine = ca.sqrt(1 - sine * sine)
+    left, right = sine * n - cosine * across, sine * n + cosine * across
+    motion = contact.velocity
+    return Cone(
+        left,
+        right,
+        n,
+        ca.dot(left, motion),
+        ca.dot(right, motion),
+        ca.dot(n, motion) + ca.fmax(contact.clearance - standoff, 0) / horizon,
+        ca.dot(n, motion),
+        ca.fmax(contact.clearance - standoff, 0),
+        there,
+        point,
+    )
+
+
+def inside(velocity: ca.SX, cone: Cone) -> ca.SX:
+    """How deep in the cone a velocity (2, 1) lies [m/s]; negative outside."""
+    depth = ca.fmin(ca.dot(cone.left, velocity) - cone.left_bound, ca.dot(cone.right, velocity) - cone.right_bound)
+    depth = ca.fmin(depth, ca.dot(cone.ahead, velocity) - cone.ahead_bound)
+    return ca.if_else(cone.there, depth, _NEVER)
