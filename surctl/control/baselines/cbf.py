@@ -21,8 +21,11 @@ from surctl.vehicle import planar_rotation
 
 __all__ = ["ALPHA", "FAN", "cbf_law", "nearest_velocity"]
 
-ALPHA = 0.3
-"""α [1/s] (tuned)."""
+ALPHA = 0.2
+"""α [1/s] (tuned from 0.03 to 1)."""
+
+EXTRA = 0.02
+"""[m] beyond the gains' margin (tuned from 0 to 0.15): the velocity lags behind the rows."""
 
 FAN = 24
 """Courses at full speed, beside standing still, among which the least bad is taken where no velocity keeps all rows."""
@@ -32,7 +35,9 @@ _KEPT = 1e-9  # [m/s] by which a row may be missed: rounding
 
 def cbf_law(s: Situation) -> Decision:
     """The velocity nearest to the wish that keeps every barrier; the same rows for the modes that take them."""
-    rows = [(c.normal, ALPHA * (c.clearance - s.p["margin"]) + ca.dot(c.velocity, c.normal)) for c in s.seen.all]
+    rows = [
+        (c.normal, ALPHA * (c.clearance - s.p["margin"] - EXTRA) + ca.dot(c.velocity, c.normal)) for c in s.seen.all
+    ]
     velocity, feasible = nearest_velocity(s.wish.velocity, rows, cap=s.p["cap"])
     to_body = planar_rotation(s.eta[3]).T
     planes = [
@@ -53,8 +58,7 @@ def nearest_velocity(wish: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], *, cap: c
     Returns:
         v (2, 1) and 1, or, where no v keeps all, the one of a fixed fan that misses its worst row least, and 0.
     """
-    wish = limited(wish, cap)
-    v, feasible = wish, ca.SX(1)
+    v, feasible = limited(wish, cap), ca.SX(1)
     for i, (normal, bound) in enumerate(rows):
         missed = ca.dot(normal, v) > bound + _KEPT
         along = ca.vertcat(-normal[1], normal[0])

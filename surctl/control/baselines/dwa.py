@@ -25,17 +25,20 @@ from surctl.control.laws import Decision
 
 __all__ = ["CLEARANCE", "GRID", "HEADING", "HORIZON", "REACH", "VELOCITY", "dwa_law"]
 
-HORIZON = 2.0
-"""[s] whose acceleration spans the window (tuned); one period changes the speed by 3 mm/s, too little to look at."""
+HORIZON = 0.5
+"""[s] whose acceleration spans the window (tuned from 0.5 to 3); one period of 0.05 s changes the speed by 3 mm/s."""
 
 GRID = 7
 """Candidates along each axis of the window."""
 
-REACH = 1.5
-"""[m] of way free ahead beyond which more is no better (tuned)."""
+REACH = 4.0
+"""[m] of way free ahead beyond which more is no better (tuned from 0.75 to 4)."""
 
-HEADING, CLEARANCE, VELOCITY = 2.0, 0.6, 1.0
-"""α, β, γ (tuned; Fox et al. have 2.0, 0.2, 0.2 after normalising)."""
+EXTRA = 0.0
+"""[m] beyond the gains' margin (tuned from 0 to 0.2): a window this small is followed closely."""
+
+HEADING, CLEARANCE, VELOCITY = 2.0, 2.0, 1.0
+"""α, β, γ (β tuned from 0.3 to 5 for the others as they are; Fox et al. have 2, 0.2, 0.2)."""
 
 
 def dwa_law(s: Situation) -> Decision:
@@ -64,9 +67,9 @@ def dwa_law(s: Situation) -> Decision:
 def _first(s: Situation, velocity: ca.SX) -> ca.SX:
     first = ca.SX(NEVER)
     for contact in [*s.seen.known, *s.seen.echoes]:
-        first = ca.fmin(first, time_to_contact(velocity, contact, margin=s.p["margin"]))
+        first = ca.fmin(first, time_to_contact(velocity, contact, margin=s.p["margin"] + EXTRA))
     for wall in s.seen.walls:
-        first = ca.fmin(first, time_to_contact(velocity, wall, margin=s.p["margin"], flat=True))
+        first = ca.fmin(first, time_to_contact(velocity, wall, margin=s.p["margin"] + EXTRA, flat=True))
     return first
 
 

@@ -18,11 +18,14 @@ from surctl.control.laws import Decision
 
 __all__ = ["COURSES", "HORIZON", "SAFETY", "SPEEDS", "vo_law"]
 
-HORIZON = 8.0
-"""[s] (tuned): twice the time that the heaviest vehicle needs from full speed to rest."""
+HORIZON = 4.0
+"""[s] (tuned from 2 to 30): what the heaviest vehicle needs from full speed to rest. A longer one closes the gaps."""
 
-SAFETY = 1.0
-"""w [m]: weight of 1 / t_c against the distance to the wish where every velocity is forbidden (RVO library: ~1)."""
+SAFETY = 0.1
+"""w [m]: weight of 1 / t_c against the distance to the wish where every velocity is forbidden (tuned from 0.1 to 5)."""
+
+EXTRA = 0.02
+"""[m] beyond the gains' margin (tuned from 0 to 0.2): the robot does not follow a velocity at once."""
 
 COURSES = tuple(np.radians([0, *(s * a for a in (8, 16, 24, 32, 45, 60, 75, 90, 110, 135) for s in (1, -1)), 180]))
 """[rad] from the wish; of two equals the first is taken, so that what is met head-on stays on the right (E10)."""
@@ -53,9 +56,9 @@ def vo_law(s: Situation) -> Decision:
 def _cost(s: Situation, velocity: ca.SX) -> ca.SX:
     first = ca.SX(NEVER)
     for contact in [*s.seen.known, *s.seen.echoes]:
-        first = ca.fmin(first, time_to_contact(velocity, contact, margin=s.p["margin"]))
+        first = ca.fmin(first, time_to_contact(velocity, contact, margin=s.p["margin"] + EXTRA))
     for wall in s.seen.walls:
-        first = ca.fmin(first, time_to_contact(velocity, wall, margin=s.p["margin"], flat=True))
+        first = ca.fmin(first, time_to_contact(velocity, wall, margin=s.p["margin"] + EXTRA, flat=True))
     forbidden = _FORBIDDEN + SAFETY / ca.fmax(first, 1e-2)
     return length(velocity - s.wish.velocity) + ca.if_else(first < HORIZON, forbidden, 0)
 
