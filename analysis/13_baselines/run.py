@@ -98,12 +98,12 @@ def draw(lines: Sequence[Line], laws: Sequence[LawName], sensing: Sequence[Sensi
                 for share, colour in zip((reached, collided, 1 - reached - collided), ENDS.values(), strict=True):
                     ax.bar(at, 100 * share, width * 0.9, bottom=bottom, color=colour)
                     bottom += 100 * share
-                ax.text(at, 2, law, rotation=90, ha="center", va="bottom", fontsize=6, color=INK)
+                back = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8}
+                ax.text(at, 2, law, rotation=90, ha="center", va="bottom", fontsize=6, color=INK, bbox=back)
         ax.set_xticks(range(len(scenarios)), scenarios, fontsize=7, color=MUTED)
         dress(ax, title=f"sensing: {kind}", y="share of the runs [%]")
         if panel == len(sensing) - 1:
             legend_below(ax, columns=3, handles=[Patch(color=colour, label=end) for end, colour in ENDS.items()])
-    figure.tight_layout()
     figure.savefig(file, dpi=150, bbox_inches="tight")
 
 
