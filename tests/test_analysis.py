@@ -231,3 +231,21 @@ def test_the_sonar_loop_touches_nothing_and_says_which_bar_it_misses() -> None:
     assert "float32" in bars[-1] and bars[-1].endswith("**missed**")
     flown = [row for row in table(done.stdout) if len(row) == 7 and row[0] != "sensors"]
     assert len(flown) == 4 and all(row[3] == "0" for row in flown)
+
+
+def test_every_law_is_compared_in_the_same_scenario(tmp_path: Path) -> None:
+    need_compiler()
+    out = tmp_path / "pictures"
+    done = run(ANALYSIS / "13_baselines" / "run.py", "--quick", "--out", str(out))
+    assert done.returncode == 0, done.stdout + done.stderr
+    flown = [row for row in table(done.stdout) if len(row) == 11][1:]
+    assert [row[2] for row in flown] == ["guarded", "paper", "apf", "dwa", "vo", "cbf"]
+    by_law = {row[2]: row for row in flown}
+    assert by_law["guarded"][4:6] == ["2", "0"] and by_law["paper"][4:6] == ["0", "2"]
+    for row in flown:
+        assert int(row[4]) + int(row[5]) <= int(row[3]) == 2
+        assert (row[6] == "-") == (row[4] == "0")
+    overall = {row[1]: row for row in table(done.stdout) if len(row) == 7}
+    for law, row in by_law.items():
+        assert overall[law][2] == f"{50 * int(row[4]):.1f} %" and overall[law][3] == f"{50 * int(row[5]):.1f} %"
+    assert (out / "baselines.png").stat().st_size > 10_000

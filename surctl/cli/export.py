@@ -16,7 +16,7 @@ __all__ = ["export"]
 @click.option("--gains", default="default", help="Gain file: name or path.")
 @click.option("--vehicle", help="Vehicle: name or file; default: the scenario's.")
 @click.option("--scenario", default="pool-static", help="Mission and sensors: of the defaults and of the check.")
-@click.option("--law", default="guarded", help="guarded or paper.")
+@click.option("--law", default="guarded", help="guarded; paper; a textbook law: apf, dwa, vo, cbf.")
 @click.option("--avoidance", default="corrected", help="Form of (20) in law paper.")
 @click.option("--priority-mode", default="nsb", help="nsb, or one that keeps limits: filter, projected, lexicographic.")
 @click.option(

@@ -17,7 +17,7 @@ __all__ = ["simulate"]
 @click.argument("scenarios", nargs=-1, required=True)
 @click.option("--vehicle", help="Vehicle: name or file; default: the scenario's.")
 @click.option("--gains", default="default", help="Gain file: name or path.")
-@click.option("--law", default="guarded", help="guarded, or the printed stack: paper.")
+@click.option("--law", default="guarded", help="guarded; the printed stack: paper; a textbook law: apf, dwa, vo, cbf.")
 @click.option("--avoidance", default="corrected", help="printed, consistent or corrected form of (20).")
 @click.option("--priority-mode", default="nsb", help="nsb, or one that keeps limits: filter, projected, lexicographic.")
 @click.option("--sensing", default="truth", help="truth, or through the sonar array: sonar.")

@@ -40,7 +40,7 @@ _TOLD = (  # columns printed for people
 @click.option("--vehicle", "vehicles", multiple=True, help="Vehicles: names or files; default: each scenario's.")
 @click.option("--sensing", default="truth", help="truth, or through the sonar array: sonar.")
 @click.option("--gains", default="default", help="All other gains: name or path.")
-@click.option("--law", default="guarded", help="guarded, or the printed stack: paper.")
+@click.option("--law", default="guarded", help="guarded; the printed stack: paper; a textbook law: apf, dwa, vo, cbf.")
 @click.option("--priority-mode", default="nsb", help="nsb, filter, projected or lexicographic.")
 @click.option("--design", default="grid", help="grid, or points that fill ranges: lhs, sobol.")
 @click.option("--points", type=click.IntRange(min=1), help="Number of points of lhs and sobol.")

@@ -1,6 +1,6 @@
 """The controller: gain files, velocity control, and the whole law as one object."""
 
-from surctl.control.build import LAW_NAMES, MODES, build_law
+from surctl.control.build import MODES, build_law
 from surctl.control.gains import GAINS, LIBRARY, Gains, load_gains, write_gains
 from surctl.control.law import (
     DEGRADED,
@@ -11,12 +11,14 @@ from surctl.control.law import (
     LawStep,
 )
 from surctl.control.ports import CONTACT_SLOTS, INPUTS, PARAMETERS, law_inputs, law_parameters
+from surctl.control.registry import LAW_NAMES, LAWS, LawName
 
 __all__ = [
     "CONTACT_SLOTS",
     "DEGRADED",
     "GAINS",
     "INPUTS",
+    "LAWS",
     "LAW_NAMES",
     "LIBRARY",
     "MODES",
@@ -26,6 +28,7 @@ __all__ = [
     "SWITCHED",
     "Gains",
     "Law",
+    "LawName",
     "LawStep",
     "build_law",
     "law_inputs",

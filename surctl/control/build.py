@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import casadi as ca
 
+from surctl.control.baselines import Situation
 from surctl.control.echoes import perceive, perception_ports
 from surctl.control.law import DEGRADED, SATURATED, SWITCHED, TELEMETRY, Law, scan_telemetry
-from surctl.control.laws import DECISION_PORTS, Decision, Scan, guarded_law, paper_law
+from surctl.control.laws import DECISION_PORTS, Decision, Scan
 from surctl.control.ports import (
     CONTACT_SLOTS,
     DEFAULT_ARRAY,
@@ -22,6 +23,7 @@ from surctl.control.ports import (
     sonar_inputs,
 )
 from surctl.control.reference import path_wish
+from surctl.control.registry import LAW_NAMES, LAWS, LawName
 from surctl.control.senses import Senses, build_senses
 from surctl.control.velocity import velocity_control
 from surctl.errors import InputError, nearest
@@ -32,11 +34,9 @@ from surctl.priority.solver.ladder import RELAXED
 from surctl.sensing import Equipment
 from surctl.tasks import LimitRow, VelocityBox
 
-__all__ = ["LAW_NAMES", "MODES", "build_law"]
+__all__ = ["MODES", "build_law"]
 
-LawName = Literal["guarded", "paper"]
 DEFAULT_EQUIPMENT = Equipment()
-LAW_NAMES: tuple[LawName, ...] = get_args(LawName)
 MODES: tuple[Mode, ...] = get_args(Mode)
 
 _CLIMB = 0.1  # [m/s] largest heave command
@@ -57,13 +57,13 @@ def build_law(
     """Assemble a law once; the gains stay symbols.
 
     Args:
-        law: `guarded`, or the printed stack `paper`.
-        avoidance: form of (20); `guarded` is built on `corrected` and takes no other.
+        law: `guarded`, the printed stack `paper`, or a textbook law: `apf`, `dwa`, `vo`, `cbf` (`control.baselines`).
+        avoidance: form of (20); all but `paper` take `corrected` alone.
         mode: `nsb`, which knows no limits, or one that keeps them: `filter`, `projected`, `lexicographic`.
         dt: control period [s].
         contacts: slots for known obstacles; a law with fewer does the same as long as they suffice.
         sonar: whether it listens to the sonars; without them it needs true positions.
-        equipment: what `guarded` with sonars believes it senses with; `paper` has the paper's four sonars.
+        equipment: what a law with sonars believes it senses with; `paper` has the paper's four sonars.
 
     Raises:
         InputError: an unknown name, or a form that the law does not take.
@@ -71,9 +71,9 @@ def build_law(
     for key, value, known in (("law", law, LAW_NAMES), ("avoidance", avoidance, FORMS), ("priority-mode", mode, MODES)):
         if value not in known:
             raise InputError("is not known", key=key, value=value, remedy=nearest(str(value), known))
-    if law == "guarded" and avoidance != "corrected":
+    if law != "paper" and avoidance != "corrected":
         raise InputError(
-            "law guarded is built on the corrected form",
+            f"law {law} takes the corrected form only",
             key="avoidance",
             value=avoidance,
             remedy="compare the forms with law paper",
@@ -120,11 +120,7 @@ def _decide(
     wish = path_wish(us["eta"], xs["progress"], ps, dt=dt)
     seen = perceive(xs, us, ps, dt=dt)
     scan = Scan(us["unknown"], us["heard"], us["placed"]) if scans else None
-    decision = (
-        guarded_law(wish, seen, xs, us["eta"], us["nu"], ps, scan=scan)
-        if law == "guarded"
-        else paper_law(avoidance, wish, seen, xs, us["eta"], ps, dt=dt)
-    )
+    decision = LAWS[law](Situation(avoidance, wish, seen, xs, us["eta"], us["nu"], ps, dt, scan))
     nearest_clearance = ca.SX(100)
     for contact in seen.all:
         nearest_clearance = ca.fmin(nearest_clearance, contact.clearance)

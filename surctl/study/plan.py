@@ -8,8 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from surctl.control import Gains, load_gains
-from surctl.control.build import LawName
+from surctl.control import Gains, LawName, load_gains
 from surctl.errors import InputError
 from surctl.files import Strict, pick, read_toml, validate
 from surctl.simulation import Case, Scenario, findings, load_scenario

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl import __version__
-from surctl.control import GAINS, Gains, build_law
-from surctl.control.build import LawName
+from surctl.control import GAINS, LAW_NAMES, Gains, LawName, build_law
 from surctl.errors import InputError, nearest
 from surctl.guidance import AvoidanceForm
 from surctl.ir import lower
@@ -167,7 +166,7 @@ def build_cases(
         InputError: an unknown law, mode or sensing.
     """
     for key, value, known in (
-        ("law", law, get_args(LawName)),
+        ("law", law, LAW_NAMES),
         ("priority-mode", mode, get_args(Mode)),
         ("sensing", sensing, get_args(Sensing)),
     ):

@@ -1,9 +1,11 @@
 import math
+import re
 import tomllib
 from pathlib import Path
 
 import pytest
 
+from surctl.control import LAW_NAMES
 from tests.cli.process import surctl
 from tests.tools import need_compiler
 
@@ -58,6 +60,18 @@ def test_a_collision_ends_with_status_1(tmp_path):
     done = surctl("simulate", "tank-speed-015", "--law", "paper", "--json", cwd=tmp_path)
     assert done.status == 1
     assert done.json["runs"][0]["stopped_because"] == "collision"
+
+
+@pytest.mark.parametrize("command", ["simulate", "sweep", "export"])
+def test_help_names_every_law(command, tmp_path):
+    told = surctl(command, "--help", cwd=tmp_path).out
+    for law in LAW_NAMES:
+        assert re.search(rf"\b{law}\b", told), law
+
+
+def test_a_textbook_law_is_flown_by_name(tmp_path):
+    run = surctl("simulate", "pool-behind", "--law", "vo", "--json", cwd=tmp_path).json["runs"][0]
+    assert run["law"] == "vo" and run["reached"]
 
 
 def test_simulate_draws_to_a_folder(tmp_path):

@@ -9,8 +9,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import GAINS, Gains, Law, build_law
-from surctl.control.build import LawName
+from surctl.control import GAINS, Gains, Law, LawName, build_law
 from surctl.errors import InputError, nearest
 from surctl.guidance import AvoidanceForm
 from surctl.priority import Mode

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from surctl.control import CONTACT_SLOTS
-from surctl.control.build import LawName
+from surctl.control import CONTACT_SLOTS, LawName
 from surctl.guidance import AvoidanceForm
 from surctl.priority import Mode
 from surctl.sensing import Equipment

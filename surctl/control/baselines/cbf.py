@@ -1,0 +1,91 @@
+"""Line-of-sight tracking behind a control barrier function (Ames, Xu, Grizzle and Tabuada, "Control barrier function
+based quadratic programs for safety critical systems", IEEE TAC 2017), on the kinematics.
+
+h_i = clearance − margin and ḣ_i ≥ −α h_i for every contact, whose own velocity is counted: n_i·v ≤ α h_i + n_i·v_i.
+The velocity nearest to the wish that keeps every row and the speed limit is found exactly, row after row: where a row
+is missed the next optimum lies on its line (Seidel 1991; de Berg et al., *Computational Geometry*, 4.4). No braking
+distance stands behind it: the rows speak of the velocity asked for, not of what the thrust can do about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from surctl.control.baselines.situation import Situation, decided, limited
+from surctl.control.laws import Decision
+from surctl.tasks import HalfPlane
+from surctl.vehicle import planar_rotation
+
+__all__ = ["ALPHA", "FAN", "cbf_law", "nearest_velocity"]
+
+ALPHA = 0.2
+"""α [1/s] (tuned from 0.03 to 1)."""
+
+EXTRA = 0.02
+"""[m] beyond the gains' margin (tuned from 0 to 0.15): the velocity lags behind the rows."""
+
+FAN = 24
+"""Courses at full speed, beside standing still, among which the least bad is taken where no velocity keeps all rows."""
+
+_KEPT = 1e-9  # [m/s] by which a row may be missed: rounding
+
+
+def cbf_law(s: Situation) -> Decision:
+    """The velocity nearest to the wish that keeps every barrier; the same rows for the modes that take them."""
+    rows = [
+        (c.normal, ALPHA * (c.clearance - s.p["margin"] - EXTRA) + ca.dot(c.velocity, c.normal)) for c in s.seen.all
+    ]
+    velocity, feasible = nearest_velocity(s.wish.velocity, rows, cap=s.p["cap"])
+    to_body = planar_rotation(s.eta[3]).T
+    planes = [
+        HalfPlane(f"contact_{k}", ca.horzcat((to_body @ normal).T, 0, 0), bound, kind="barrier")
+        for k, (normal, bound) in enumerate(rows)
+    ]
+    return decided(s, velocity, degraded=ca.logic_not(feasible), rows=planes)
+
+
+def nearest_velocity(wish: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], *, cap: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """argmin |v − wish| with n·v ≤ bound for every row and |v| ≤ cap, and whether there is such a v.
+
+    Args:
+        wish: (2, 1) [m/s].
+        rows: (n (2, 1) of length 1, bound [m/s]).
+        cap: [m/s].
+
+    Returns:
+        v (2, 1) and 1, or, where no v keeps all, the one of a fixed fan that misses its worst row least, and 0.
+    """
+    v, feasible = limited(wish, cap), ca.SX(1)
+    for i, (normal, bound) in enumerate(rows):
+        missed = ca.dot(normal, v) > bound + _KEPT
+        along = ca.vertcat(-normal[1], normal[0])
+        square = cap * cap - bound * bound
+        reach = ca.sqrt(ca.fmax(square, 0))
+        low, high, open_ = -reach, reach, square >= 0
+        for other, limit in rows[:i]:
+            slope, room = ca.dot(other, along), limit - bound * ca.dot(other, normal)
+            parallel = ca.fabs(slope) < 1e-9
+            at = room / ca.if_else(parallel, 1.0, slope)
+            high = ca.if_else(ca.logic_and(slope > 0, ca.logic_not(parallel)), ca.fmin(high, at), high)
+            low = ca.if_else(ca.logic_and(slope < 0, ca.logic_not(parallel)), ca.fmax(low, at), low)
+            open_ = ca.logic_and(open_, ca.logic_or(ca.logic_not(parallel), room >= -_KEPT))
+        open_ = ca.logic_and(open_, low <= high + _KEPT)
+        on_line = bound * normal + ca.fmin(ca.fmax(ca.dot(wish, along), low), high) * along
+        v = ca.if_else(missed, on_line, v)
+        feasible = ca.logic_and(feasible, ca.logic_or(ca.logic_not(missed), open_))
+    return ca.if_else(feasible, v, _least_bad(wish, rows, cap)), feasible
+
+
+def _least_bad(wish: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], cap: ca.SX) -> ca.SX:
+    angles = 2 * np.pi * np.arange(FAN) / FAN
+    best, least = wish, ca.SX(1e6)
+    for candidate in [ca.SX.zeros(2), *(cap * ca.SX([np.cos(a), np.sin(a)]) for a in angles)]:
+        worst = ca.SX(-1e6)
+        for normal, bound in rows:
+            worst = ca.fmax(worst, ca.dot(normal, candidate) - bound)
+        better = worst < least - 1e-9
+        best, least = ca.if_else(better, candidate, best), ca.fmin(worst, least)
+    return best

@@ -1,0 +1,83 @@
+"""Dynamic window (Fox, Burgard and Thrun, "The dynamic window approach to collision avoidance", IEEE RAM 1997).
+
+The robot is holonomic, so the window lies in the plane of its two velocities and the arcs are straight; a contact is
+moved at its own velocity. A velocity is admissible if the robot can brake before the contact that it meets first:
+|v| ≤ √(2 b s), s = |v| t_c the way until then, which is |v| ≤ 2 b t_c. Of the admissible ones the largest
+α·heading + β·clearance + γ·velocity is taken, each term from 0 to 1; without any, the robot brakes.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from surctl.control.baselines.situation import (
+    NEVER,
+    Situation,
+    acceleration,
+    decided,
+    length,
+    limited,
+    over_ground,
+    time_to_contact,
+)
+from surctl.control.laws import Decision
+
+__all__ = ["CLEARANCE", "GRID", "HEADING", "HORIZON", "REACH", "VELOCITY", "dwa_law"]
+
+HORIZON = 0.5
+"""[s] whose acceleration spans the window (tuned from 0.5 to 3); one period of 0.05 s changes the speed by 3 mm/s."""
+
+GRID = 7
+"""Candidates along each axis of the window."""
+
+REACH = 4.0
+"""[m] of way free ahead beyond which more is no better (tuned from 0.75 to 4)."""
+
+EXTRA = 0.0
+"""[m] beyond the gains' margin (tuned from 0 to 0.2): a window this small is followed closely."""
+
+HEADING, CLEARANCE, VELOCITY = 2.0, 2.0, 1.0
+"""α, β, γ (β tuned from 0.3 to 5 for the others as they are; Fox et al. have 2, 0.2, 0.2)."""
+
+
+def dwa_law(s: Situation) -> Decision:
+    """The best admissible velocity of the window around the present one, and of the wish itself if it lies there."""
+    now, brake = over_ground(s), s.p["brake"] * acceleration(s.p)
+    reach = acceleration(s.p) * HORIZON
+    aside = s.wish.velocity - now
+    # the wish, or the nearest to it that the window holds, so that the grid costs no accuracy where nothing is near
+    wished = now + ca.vertcat(*(ca.fmin(ca.fmax(aside[k], -reach), reach) for k in range(2)))
+    steps = np.linspace(-1, 1, GRID)
+    window = [wished, *(now + reach * ca.DM([a, b]) for a in steps for b in steps)]
+    best = now - limited(now, reach)  # to brake as hard as it can is what is left
+    most, found = ca.SX(-1.0), ca.SX(0)
+    for velocity in window:
+        velocity = limited(velocity, s.p["cap"])
+        first = _first(s, velocity)
+        speed = length(velocity)
+        admissible = speed <= 2 * brake * first
+        value = ca.if_else(admissible, _value(s, velocity, speed, first), -1.0)
+        better = value > most + 1e-9
+        best, most = ca.if_else(better, velocity, best), ca.fmax(value, most)
+        found = ca.logic_or(found, admissible)
+    return decided(s, best, degraded=ca.logic_not(found))
+
+
+def _first(s: Situation, velocity: ca.SX) -> ca.SX:
+    first = ca.SX(NEVER)
+    for contact in [*s.seen.known, *s.seen.echoes]:
+        first = ca.fmin(first, time_to_contact(velocity, contact, margin=s.p["margin"] + EXTRA))
+    for wall in s.seen.walls:
+        first = ca.fmin(first, time_to_contact(velocity, wall, margin=s.p["margin"] + EXTRA, flat=True))
+    return first
+
+
+def _value(s: Situation, velocity: ca.SX, speed: ca.SX, first: ca.SX) -> ca.SX:
+    wish = s.wish.velocity
+    wished = length(wish)
+    along = ca.dot(velocity, wish) / ca.fmax(speed * wished, 1e-6)
+    # the way is counted at the wished speed: to creep towards a thing is no clearance
+    free = ca.fmin(first * ca.fmax(speed, wished), REACH) / REACH
+    fast = 1 - ca.fmin(ca.fabs(speed - wished) / ca.fmax(wished, 1e-3), 1)
+    return HEADING * 0.5 * (1 + along) + CLEARANCE * free + VELOCITY * fast

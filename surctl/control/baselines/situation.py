@@ -1,0 +1,99 @@
+"""What a law is built from, and what every baseline shares: the levels below its velocity, and the time to contact."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import casadi as ca
+
+from surctl.control.echoes import Perception
+from surctl.control.laws import Decision, Scan, Wanted
+from surctl.control.reference import Wish
+from surctl.guidance import AvoidanceForm, Contact
+from surctl.tasks import HalfPlane, depth_task, heading_task, velocity_task
+from surctl.vehicle import planar_rotation
+
+__all__ = ["NEVER", "Situation", "acceleration", "decided", "length", "limited", "over_ground", "time_to_contact"]
+
+NEVER = 1e3
+"""[s] to a contact that is not met."""
+
+_CHANGED = 1e-3  # [m/s] from which a velocity is no longer the wish
+
+
+class Situation(NamedTuple):
+    """What a law decides on, symbolic: wish, contacts, own state, pose and velocity, gains and mission by name.
+
+    `form` of (20) and `dt` [s] are those of `build_law`; `scan` is None for a law without sonars.
+    """
+
+    form: AvoidanceForm
+    wish: Wish
+    seen: Perception
+    x: Mapping[str, ca.SX]
+    eta: ca.SX
+    nu: ca.SX
+    p: Mapping[str, ca.SX]
+    dt: float
+    scan: Scan | None
+
+
+def decided(s: Situation, velocity: ca.SX, *, degraded: ca.SX, rows: Sequence[HalfPlane] = ()) -> Decision:
+    """The decision for `velocity` (2, 1) [m/s] in {E}: below it depth, then the path's heading, or the spin of a law
+    with sonars, as in the guarded law."""
+    depth = Wanted.of(depth_task(s.eta, s.p["depth"], gain=s.p["k2"]))
+    last = Wanted.of(heading_task(s.eta, s.wish.heading, gain=s.p["k_psi"]))
+    if s.scan is not None:
+        depth = depth._replace(reference=ca.if_else(s.scan.placed, depth.reference, 0))
+        last = Wanted("scan", ca.SX([[0, 0, 0, 1]]), ca.fmin(s.p["spin"], s.p["spin_limit"]), "rad/s")
+    return Decision(
+        [Wanted.of(velocity_task(s.eta, velocity)), depth, last],
+        rows,
+        velocity,
+        length(velocity - s.wish.velocity) > _CHANGED,
+        degraded,
+        {"side": s.x["side"], "blocker": s.x["blocker"], "last_velocity": velocity},
+    )
+
+
+def length(vector: ca.SX) -> ca.SX:
+    """Euclidean norm."""
+    return ca.sqrt(ca.sumsqr(vector))
+
+
+def limited(vector: ca.SX, most: ca.SX) -> ca.SX:
+    """The vector, shortened to `most` where it is longer."""
+    return vector * ca.fmin(1, most / ca.fmax(length(vector), 1e-9))
+
+
+def acceleration(p: Mapping[str, ca.SX]) -> ca.SX:
+    """What the weaker horizontal thrust gives [m/s²]."""
+    return ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1]) / ca.fmax(p["mass"][0], p["mass"][1])
+
+
+def over_ground(s: Situation) -> ca.SX:
+    """Measured horizontal velocity (2, 1) [m/s] in {E}."""
+    return planar_rotation(s.eta[3]) @ s.nu[:2]
+
+
+def time_to_contact(velocity: ca.SX, contact: Contact, *, margin: ca.SX, flat: bool = False) -> ca.SX:
+    """When a robot at constant `velocity` (2, 1) [m/s] comes within `margin` of a contact that keeps its own [s].
+
+    The contact is a disc of radius `reach` + margin around its centre, or a straight wall if `flat`. 0 where the robot
+    is within the margin and comes nearer; `NEVER` where it meets nothing, or leaves.
+    """
+    gap = contact.clearance - margin
+    relative = velocity - contact.velocity
+    towards = ca.dot(relative, contact.normal)
+    nearing = towards > 1e-9
+    if flat:
+        return ca.if_else(nearing, ca.fmin(ca.fmax(gap, 0) / ca.fmax(towards, 1e-9), NEVER), NEVER)
+    # with d the centre's distance, R = d − gap: |w|² t² − 2 d (w·n) t + gap (d + R) = 0, its first root
+    d = contact.clearance + contact.reach
+    square, half, rest = ca.sumsqr(relative), d * towards, gap * (2 * d - gap)
+    disc = half * half - square * rest
+    # the stable form of (half − √disc) / square
+    first = ca.fmax(rest, 0) / ca.fmax(half + ca.sqrt(ca.fmax(disc, 0)), 1e-9)
+    first = ca.if_else(gap > 0, first, 0)
+    return ca.if_else(ca.logic_and(nearing, disc > 0), ca.fmin(first, NEVER), NEVER)

@@ -1,0 +1,31 @@
+"""Every law by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Literal, TypeAlias
+
+from surctl.control.baselines import Situation, apf_law, cbf_law, dwa_law, vo_law
+from surctl.control.laws import Decision, guarded_law, paper_law
+
+__all__ = ["LAWS", "LAW_NAMES", "LawBuilder", "LawName"]
+
+LawName = Literal["guarded", "paper", "apf", "dwa", "vo", "cbf"]
+LawBuilder: TypeAlias = Callable[[Situation], Decision]
+
+
+def _guarded(s: Situation) -> Decision:
+    return guarded_law(s.wish, s.seen, s.x, s.eta, s.nu, s.p, scan=s.scan)
+
+
+def _paper(s: Situation) -> Decision:
+    return paper_law(s.form, s.wish, s.seen, s.x, s.eta, s.p, dt=s.dt)
+
+
+LAWS: Mapping[LawName, LawBuilder] = MappingProxyType(
+    {"guarded": _guarded, "paper": _paper, "apf": apf_law, "dwa": dwa_law, "vo": vo_law, "cbf": cbf_law}
+)
+"""Name → what decides."""
+
+LAW_NAMES: tuple[LawName, ...] = tuple(LAWS)

@@ -1,0 +1,355 @@
+"""The textbook laws: what each does by itself, and that both loops fly the same."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from qpsolvers import solve_qp
+
+from surctl.control import (
+    CONTACT_SLOTS,
+    DEGRADED,
+    LAW_NAMES,
+    LAWS,
+    MODES,
+    Law,
+    LawStep,
+    build_law,
+    law_parameters,
+    load_gains,
+)
+from surctl.control.baselines import apf, cbf, dwa, vo
+from surctl.control.baselines.situation import NEVER, time_to_contact
+from surctl.errors import InputError
+from surctl.guidance import Path, disc_contact, wall_contacts
+from surctl.simulation import METRICS, Case, load_scenario, simulate, simulate_batch
+from surctl.vehicle import load_vehicle
+from tests.tools import need_compiler
+
+Array = NDArray[np.float64]
+BASELINES = ("apf", "dwa", "vo", "cbf")
+WISH = np.array([0.2, 0.0])
+HULL, MARGIN, CAP = 0.27, 0.05, 0.22
+
+
+def _parameters() -> Array:
+    return law_parameters(
+        load_gains("default"),
+        load_vehicle("sur540-flooded"),
+        path=Path(np.array([[0.0, 0.0], [10.0, 0.0]])),
+        depth=-0.15,
+        cruise=0.2,
+        cap=CAP,
+        walls=(-100, 100, -100, 100),
+    )
+
+
+def _step(law: Law, *contacts: tuple[float, ...], y: float = 0.0, speed: tuple[float, float] = (0.2, 0.0)) -> LawStep:
+    """One step on the path at x = 1, on its way."""
+    rows = np.zeros((CONTACT_SLOTS, 6))
+    for row, contact in zip(rows, contacts, strict=False):
+        row[:] = contact
+    u = law.inputs.pack({"eta": (1, y, -0.15, 0), "nu": (*speed, 0, 0), "contacts": rows})
+    return law.step(law.state.pack({"progress": 1.0}), u, _parameters())
+
+
+def _velocity(name: str, *contacts: tuple[float, ...], **more: Any) -> Array:
+    law = build_law(name)
+    step = _step(law, *contacts, **more)
+    return law.state.unpack(step.x_next)["last_velocity"]
+
+
+def _window() -> float:
+    """Half the width of the dynamic window [m/s]."""
+    vehicle = load_vehicle("sur540-flooded")
+    return float(dwa.HORIZON * vehicle.thrust_limit[0] / vehicle.mass[0])
+
+
+def _disc(x: float, y: float, radius: float = 0.3, vx: float = 0.0, vy: float = 0.0) -> tuple[float, ...]:
+    return (1 + x, y, radius, vx, vy, 1.0)
+
+
+# --- one registry -------------------------------------------------------------------------------------------------
+
+
+def test_every_law_of_the_registry_is_built_in_every_mode() -> None:
+    assert LAW_NAMES == tuple(LAWS) == ("guarded", "paper", *BASELINES)
+    for name in BASELINES:
+        for mode in MODES:
+            assert build_law(name, mode=mode).name == f"surctl_{name}"
+        assert build_law(name, sonar=True).senses is not None
+
+
+def test_a_misspelt_law_is_told_the_nearest_and_a_form_that_is_not_taken() -> None:
+    with pytest.raises(InputError, match="did you mean 'dwa'"):
+        build_law("dwaa")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="law cbf takes the corrected form only"):
+        build_law("cbf", avoidance="printed")
+
+
+# --- each law -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_without_a_contact_the_wish_is_flown(name: str) -> None:
+    law = build_law(name)
+    step = _step(law)
+    assert step.status & DEGRADED == 0
+    assert np.allclose(_velocity(name), WISH, atol=1e-12)
+    assert step.telemetry[law.telemetry_slice("avoiding")][0] == 0
+    assert np.allclose(step.telemetry[law.telemetry_slice("nu_wanted")][:2], WISH, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_behind_the_robot_and_leaving_changes_nothing(name: str) -> None:
+    assert np.allclose(_velocity(name, _disc(-3.5, 0.2, vx=-0.1)), WISH, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_what_stands_close_ahead_is_not_run_into(name: str) -> None:
+    law = build_law(name)
+    step = _step(law, _disc(0.70, 0.0))  # 0.13 m of clearance
+    velocity = law.state.unpack(step.x_next)["last_velocity"]
+    # the window is no wider than what half a second of thrust changes: it brakes as hard as that
+    most = 0.2 - 0.9 * _window() if name == "dwa" else 0.5 * WISH[0]
+    assert velocity[0] < most
+    assert step.telemetry[law.telemetry_slice("avoiding")][0] == 1
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_what_is_aside_is_passed_on_the_other_side_and_mirrored_alike(name: str) -> None:
+    left, right = (_velocity(name, _disc(0.75, side)) for side in (0.2, -0.2))
+    assert np.allclose(left, right * [1, -1], atol=1e-9)
+    assert left[1] < 1e-12
+    if name != "dwa":  # may brake straight on
+        assert left[1] < -1e-3
+
+
+@pytest.mark.parametrize("name", ["dwa", "vo", "cbf"])
+def test_an_approaching_contact_counts_more_than_one_that_stands(name: str) -> None:
+    still, coming = (np.linalg.norm(_velocity(name, _disc(1.7, 0.05, vx=v)) - WISH) for v in (0.0, -0.2))
+    assert coming > still + 1e-3
+
+
+def test_the_field_knows_no_velocity_of_a_contact() -> None:
+    near = _disc(0.7, 0.1)
+    assert np.array_equal(_velocity("apf", near), _velocity("apf", _disc(0.7, 0.1, vx=-0.2)))
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(
+    st.sampled_from(BASELINES),
+    st.lists(
+        st.tuples(
+            st.sampled_from([0.0, 1e-12, 0.1, -0.3, 0.57, 1.0, 5.0]),
+            st.sampled_from([0.0, -1e-9, 0.2, -0.6]),
+            st.sampled_from([0.0, 0.3, 2.0]),
+            st.sampled_from([0.0, 0.2, -0.2]),
+        ),
+        max_size=CONTACT_SLOTS,
+    ),
+    st.sampled_from([0.0, 0.2]),
+)
+def test_every_situation_has_a_finite_answer_within_the_cap(
+    name: str, contacts: list[tuple[float, float, float, float]], speed: float
+) -> None:
+    step = _step(build_law(name), *(_disc(x, y, r, v) for x, y, r, v in contacts), speed=(speed, 0.0))
+    assert step.status >= 0
+    velocity = build_law(name).state.unpack(step.x_next)["last_velocity"]
+    assert np.linalg.norm(velocity) <= CAP + 1e-9
+
+
+def test_the_field_s_push_is_firas() -> None:
+    distance = HULL + 0.3 + 0.25
+    rho, drift = 0.25, 0.03
+    push = apf.STRENGTH * (1 / rho - 1 / apf.RANGE) / rho**2
+    found = _velocity("apf", _disc(0.0, distance), speed=(0.2, drift))
+    wanted = WISH - [0, push + apf.DAMPING * drift]
+    wanted *= min(1.0, CAP / np.linalg.norm(wanted))
+    assert push > 0 and np.allclose(found, wanted, atol=1e-12)
+
+
+def test_the_window_holds_what_the_thrust_can_change() -> None:
+    reach = _window()
+    for contacts in ((), (_disc(1.0, 0.1),), (_disc(0.6, 0.0), _disc(0.0, 0.6))):
+        for now in ((0.2, 0.0), (0.0, 0.1)):
+            velocity = _velocity("dwa", *contacts, speed=now)
+            assert np.all(np.abs(velocity - now) <= reach + 1e-9)
+
+
+# --- time to contact ----------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(st.integers(0, 2**32 - 1))
+def test_the_time_to_contact_is_when_the_simulated_discs_touch(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    centre, moves, velocity = rng.uniform(-2, 2, 2), rng.uniform(-0.3, 0.3, 2), rng.uniform(-0.3, 0.3, 2)
+    radius, margin = rng.uniform(0, 0.5), rng.uniform(0, 0.2)
+    contact = disc_contact(ca.SX([0, 0]), ca.SX(HULL), ca.SX(centre), ca.SX(radius), ca.SX(moves), ca.SX(1))
+    found = float(ca.evalf(time_to_contact(ca.SX(velocity), contact, margin=ca.SX(margin))))
+    times = np.linspace(0, 40, 40001)
+    apart = np.linalg.norm(centre + np.outer(times, moves - velocity), axis=1) - HULL - radius - margin
+    inside = np.flatnonzero(apart <= 0)
+    if apart[0] <= 0:
+        assert found == (0.0 if np.dot(velocity - moves, centre) > 0 else NEVER)
+    elif inside.size:
+        assert found == pytest.approx(times[inside[0]], abs=2e-3)
+    elif apart.min() > 1e-6:
+        assert found > 39.9
+
+
+def test_the_time_to_a_wall() -> None:
+    walls = wall_contacts(ca.SX([1, 1]), ca.SX(HULL), ca.SX([0, 3, 0, 2]))
+    times = [float(ca.evalf(time_to_contact(ca.SX([0.1, 0.05]), w, margin=ca.SX(0.0), flat=True))) for w in walls]
+    assert times == pytest.approx([NEVER, (2 - HULL) / 0.1, NEVER, (1 - HULL) / 0.05])
+
+
+# --- velocity obstacle --------------------------------------------------------------------------------------------
+
+
+def _forbidden(velocity: Array, contacts: list[tuple[float, ...]], *, horizon: float) -> bool:
+    """Whether the discs come within the margin, by the distance of a segment from a point."""
+    for x, y, radius, vx, vy, _ in contacts:
+        offset, relative = np.array([x - 1, y]), velocity - [vx, vy]
+        span = relative * horizon
+        along = np.clip(offset @ span / max(span @ span, 1e-12), 0, 1)
+        if np.linalg.norm(offset - along * span) < HULL + radius + MARGIN + vo.EXTRA - 1e-9:
+            return True
+    return False
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.integers(0, 2**32 - 1))
+def test_the_velocity_lies_outside_every_cone_where_a_candidate_does(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    contacts = []
+    while len(contacts) < 3:
+        x, y = rng.uniform(-2.5, 2.5, 2)
+        if np.hypot(x, y) > HULL + 0.3 + MARGIN + vo.EXTRA + 0.01:
+            contacts.append(_disc(x, y, 0.3, *rng.uniform(-0.15, 0.15, 2)))
+    law = build_law("vo")
+    step = _step(law, *contacts)
+    found = law.state.unpack(step.x_next)["last_velocity"]
+    fan = [
+        speed * np.array([np.cos(a), np.sin(a)]) for speed in (*(s * 0.2 for s in vo.SPEEDS), CAP) for a in vo.COURSES
+    ]
+    free = [v for v in (*fan, np.zeros(2)) if not _forbidden(v, contacts, horizon=vo.HORIZON)]
+    assert bool(step.status & DEGRADED) == (not free)
+    if free:
+        assert not _forbidden(found, contacts, horizon=vo.HORIZON)
+
+        def cost(v: Array) -> float:
+            return float(np.linalg.norm(v - WISH))
+
+        # the cap ahead of the wish is no candidate
+        others = [v for v in free if not np.allclose(v, [CAP, 0])]
+        assert cost(found) <= min(map(cost, others)) + 1e-8
+
+
+# --- barrier function ---------------------------------------------------------------------------------------------
+
+
+def _nearest(wish: Array, rows: list[tuple[Array, float]], cap: float) -> tuple[Array, bool]:
+    given_rows = [(ca.SX(n), ca.SX(b)) for n, b in rows]
+    v, feasible = cbf.nearest_velocity(ca.SX(wish), given_rows, cap=ca.SX(cap))
+    return np.array(ca.evalf(v), dtype=float).reshape(-1), bool(ca.evalf(feasible))
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 12))
+def test_the_filtered_velocity_keeps_its_rows_and_is_the_nearest(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    angles = rng.uniform(-np.pi, np.pi, count)
+    rows = [(np.array([np.cos(a), np.sin(a)]), float(rng.uniform(-0.05, 0.2))) for a in angles]
+    wish = rng.uniform(-0.15, 0.15, 2)
+    v, feasible = _nearest(wish, rows, CAP)
+    best = _enumerated(wish, rows, CAP)
+    assert feasible == (best is not None)
+    assert np.linalg.norm(v) <= CAP + 1e-9
+    if best is not None:
+        assert all(n @ v <= bound + 1e-8 for n, bound in rows)
+        assert np.linalg.norm(v - wish) <= np.linalg.norm(best - wish) + 1e-8
+
+
+def _enumerated(wish: Array, rows: list[tuple[Array, float]], cap: float) -> Array | None:
+    """The nearest of all places where an optimum can lie: every foot, every corner, every crossing with the circle."""
+    places = [wish, wish * min(1.0, cap / np.linalg.norm(wish))]
+    for i, (n, bound) in enumerate(rows):
+        along = np.array([-n[1], n[0]])
+        places.append(bound * n + (along @ wish) * along)
+        if abs(bound) <= cap:
+            half = np.sqrt(cap**2 - bound**2)
+            places += [bound * n + half * along, bound * n - half * along]
+        places += [np.linalg.solve(np.array([n, m]), [bound, other]) for m, other in rows[:i]]
+    kept = [v for v in places if np.linalg.norm(v) <= cap + 1e-9 and all(n @ v <= bound + 1e-9 for n, bound in rows)]
+    return min(kept, key=lambda v: float(np.linalg.norm(v - wish)), default=None)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.integers(0, 2**32 - 1))
+def test_far_below_the_cap_it_is_the_answer_of_a_qp_solver(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    angles = rng.uniform(-np.pi, np.pi, 6)
+    rows = [(np.array([np.cos(a), np.sin(a)]), float(rng.uniform(0.0, 0.2))) for a in angles]  # 0 keeps them all
+    wish = rng.uniform(-0.3, 0.3, 2)
+    v, feasible = _nearest(wish, rows, 10.0)
+    wanted = solve_qp(np.eye(2), -wish, np.array([n for n, _ in rows]), np.array([b for _, b in rows]), solver="daqp")
+    assert feasible and wanted is not None and np.allclose(v, wanted, atol=1e-7)
+
+
+def test_parallel_rows_and_rows_that_contradict_each_other() -> None:
+    ahead = np.array([1.0, 0.0])
+    v, feasible = _nearest(np.array([0.2, 0.1]), [(ahead, 0.1), (ahead, 0.05), (-ahead, 0.0)], CAP)
+    assert feasible and np.allclose(v, [0.05, 0.1], atol=1e-12)
+    v, feasible = _nearest(np.array([0.2, 0.1]), [(ahead, -0.1), (-ahead, 0.05)], CAP)
+    assert not feasible and np.linalg.norm(v) <= CAP + 1e-12
+
+
+def test_the_barrier_s_rows_are_kept_by_the_law_s_velocity() -> None:
+    contacts = [_disc(0.75, 0.2), _disc(0.3, -0.8, vy=0.05), _disc(1.4, 0.0, vx=-0.1)]
+    law = build_law("cbf")
+    rows = np.zeros((CONTACT_SLOTS, 6))
+    rows[:3] = contacts
+    u = law.inputs.pack({"eta": (1, 0, -0.15, 0), "nu": (0.2, 0, 0, 0), "contacts": rows})
+    x = law.state.pack({"progress": 1.0})
+    problem = law.problem(x, u, _parameters())
+    velocity = law.state.unpack(law.step(x, u, _parameters()).x_next)["last_velocity"]
+    barriers = [row for row in problem.rows if row.kind == "barrier"]
+    assert len(barriers) == CONTACT_SLOTS + 4
+    for (cx, cy, radius, vx, vy, _), row in zip(contacts, barriers, strict=False):
+        offset = np.array([cx - 1, cy])
+        distance = np.linalg.norm(offset)
+        clearance = distance - radius - HULL - MARGIN - cbf.EXTRA
+        bound = cbf.ALPHA * clearance + np.dot([vx, vy], offset) / distance
+        assert row.upper == pytest.approx(bound, abs=1e-12)
+        assert np.dot(row.a[:2], velocity) <= row.upper + 1e-9
+
+
+# --- the two loops ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "scenario", "sensing", "seconds"),
+    [
+        ("apf", "pool-behind", "truth", 20.0),
+        ("dwa", "tank-static", "truth", 25.0),
+        ("vo", "pool-behind", "truth", 20.0),
+        ("cbf", "tank-speed-015", "sonar", 15.0),
+    ],
+)
+def test_a_run_of_the_batch_is_the_reference_run(name: str, scenario: str, sensing: Any, seconds: float) -> None:
+    need_compiler()
+    plan = replace(load_scenario(scenario), time_limit=seconds)
+    case = Case(plan, load_vehicle(plan.vehicle), load_gains("default"), law=name, sensing=sensing)  # type: ignore[arg-type]
+    run = simulate(plan, case.vehicle, gains=case.gains, law=case.build(), sensing=sensing, seed=2)
+    found = simulate_batch(case, seeds=2).table[0]
+    for metric, a, b in zip(METRICS, found, run.metrics.row(), strict=True):
+        assert a == b or abs(a - b) <= 1e-9 or (np.isnan(a) and np.isnan(b)), (metric, a, b)
