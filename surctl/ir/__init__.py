@@ -14,6 +14,7 @@ from surctl.ir.fusing import fused
 from surctl.ir.lowering import lower
 from surctl.ir.native import Native, Workspace, compile_block, runnable
 from surctl.ir.ops import LIBM, OPERATIONS, Operation
+from surctl.ir.places import memory
 from surctl.ir.ports import Layout, Port
 from surctl.ir.program import Instruction, Program
 from surctl.ir.replay import replay
@@ -55,6 +56,7 @@ __all__ = [
     "fused",
     "identifier",
     "lower",
+    "memory",
     "nearby_angles",
     "replay",
     "runnable",
