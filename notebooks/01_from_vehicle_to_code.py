@@ -330,7 +330,8 @@ def _(mo):
 
     The controller is one symbolic object. What was simulated is lowered to an instruction list and printed as C99:
     no heap, nothing but standard headers, a guard that turns any NaN into zero thrust and a negative status, and a
-    self-test.
+    self-test. What flew here is told all positions; `surctl export` ships the law that senses for itself, in the same
+    way, unless it is told `--sensing truth`.
     """)
     return
 
@@ -351,8 +352,8 @@ def _(Path, law, robot, scenario, simulate, swept, tempfile):
 def _(mo):
     mo.md(r"""
     Software in the loop: compile the C, load the first state, and let it step **on its own state** through the
-    whole recorded flight, against Python. Then put a NaN into every input, one after another. This cell needs a C
-    compiler.
+    whole recorded flight, against Python. Then put a NaN into every state, input and gain, one after another. This
+    cell needs a C compiler.
     """)
     return
 

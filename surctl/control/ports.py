@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import degrees
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,9 +56,11 @@ def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True) -> Layout:
 
 
 def _heard_ports(array: SonarArray) -> tuple[Port, ...]:
+    axes = ", ".join(f"{degrees(azimuth):.4g}" for azimuth in array.azimuths)
+    heard = f"raw ranges of each sonar's last firing, one sonar a row; axes at {axes} deg from x towards y of {{B}}"
     return (
-        Port("samples", (array.size, array.samples), "m", "raw samples of each sonar's last firing", array.maximum),
-        Port("fresh", (array.size,), "1", "1 where a firing of the sonar has arrived since the last step"),
+        Port("samples", (array.size, array.samples), "m", heard, array.maximum),
+        Port("fresh", (array.size,), "1", "1 where a firing of the sonar has arrived since the last step, else 0"),
     )
 
 
@@ -71,20 +74,29 @@ def sonar_inputs(equipment: Equipment, *, contacts: int = CONTACT_SLOTS) -> Layo
         equipment: what the robot senses with.
         contacts: number of moving obstacles that a message of the base station can hold, 0 or more.
     """
-    array = equipment.array
-    own: tuple[Port, ...] = _POSE
-    if equipment.own is not None:
-        own = (
-            Port("fix", (3,), "m", "position x, y, z in {E} as the base station measured it a latency ago"),
-            Port("fix_fresh", (1,), "1", "1 where a fix has arrived since the last step"),
-            Port("yaw", (1,), "rad", "measured heading psi"),
-            Port("yaw_rate", (1,), "rad/s", "measured yaw rate r"),
+    array, own = equipment.array, equipment.own
+    pose: tuple[Port, ...] = _POSE
+    if own is not None:
+        late = f"{own.fixes.latency:g} s before it arrives"
+        pose = (
+            Port("fix", (3,), "m", f"position x, y, z in {{E}} as the base station measured it {late}"),
+            Port("fix_fresh", (1,), "1", "1 where a fix has arrived since the last step, else 0"),
+            Port(
+                "yaw",
+                (1,),
+                "rad",
+                "heading psi of {B} in {E}, counter-clockwise, as the IMU measures it now, any number of turns",
+            ),
+            Port("yaw_rate", (1,), "rad/s", "yaw rate r in {B}, as the IMU measures it now"),
         )
-    known = (
-        Port("contacts", (contacts, 6), "m, m/s, 1", "message of the base station, as in law_inputs"),
-        Port("contacts_fresh", (1,), "1", "1 where a message has arrived since the last step"),
+    seen = (
+        f"obstacles that move, as the base station saw them {equipment.station.messages.latency:g} s before, in {{E}}"
     )
-    return Layout((*own, *(known if contacts else ()), *_heard_ports(array)))
+    known = (
+        Port("contacts", (contacts, 6), "m, m/s, 1", f"{seen}, one a row: x, y, radius, vx, vy, valid (0 or 1)"),
+        Port("contacts_fresh", (1,), "1", "1 where such a message has arrived since the last step, else 0"),
+    )
+    return Layout((*pose, *(known if contacts else ()), *_heard_ports(array)))
 
 
 def scan_inputs(contacts: int, *, sensors: int) -> Layout:

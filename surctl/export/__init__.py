@@ -2,18 +2,22 @@
 
 from surctl.export.bundle import Bundle, ExportedFile, build_bundle, write_bundle
 from surctl.export.contract import STATUS, Exportable
+from surctl.export.process import Controller, build_controller
 from surctl.export.records import Records
-from surctl.export.sil import Difference, SilReport, software_in_the_loop, software_in_the_loop_runs
+from surctl.export.sil import Difference, SilReport, compare_runs, software_in_the_loop, software_in_the_loop_runs
 
 __all__ = [
     "STATUS",
     "Bundle",
+    "Controller",
     "Difference",
     "Exportable",
     "ExportedFile",
     "Records",
     "SilReport",
     "build_bundle",
+    "build_controller",
+    "compare_runs",
     "software_in_the_loop",
     "software_in_the_loop_runs",
     "write_bundle",

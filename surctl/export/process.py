@@ -61,11 +61,13 @@ class Controller:
 
     Attributes:
         law: the law it was made from.
+        bundle: what was compiled.
         program: the executable.
         code_bytes: size of the controller's code and constants, None without the `size` tool.
     """
 
     law: Exportable
+    bundle: Bundle
     program: Path
     code_bytes: int | None
 
@@ -115,7 +117,7 @@ def build_controller(law: Exportable, bundle: Bundle, directory: Path) -> Contro
     code = directory / f"{bundle.name}.o"
     compile_program([directory / f"{bundle.name}.c"], code, flags=("-c",))
     program = compile_program([directory / "sil_main.c", code], directory / "sil")
-    return Controller(law, program, _code_bytes(code))
+    return Controller(law, bundle, program, _code_bytes(code))
 
 
 def _run(command: list[str], data: bytes) -> bytes:

@@ -19,7 +19,14 @@ from surctl.export.process import Controller, Results, build_controller
 from surctl.export.records import Records, as_records
 from surctl.ir import compiler_version
 
-__all__ = ["TOLERANCE", "Difference", "SilReport", "software_in_the_loop", "software_in_the_loop_runs"]
+__all__ = [
+    "TOLERANCE",
+    "Difference",
+    "SilReport",
+    "compare_runs",
+    "software_in_the_loop",
+    "software_in_the_loop_runs",
+]
 
 Vector = NDArray[np.float64]
 
@@ -164,7 +171,19 @@ def software_in_the_loop_runs(
     with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
         folder = Path(scratch) / bundle.name if workdir is None else Path(workdir)
         controller = build_controller(law, bundle, folder)
-        return tuple(_compare(law, controller, run, name=bundle.name, identity=bundle.id) for run in recorded)
+        return compare_runs(controller, recorded)
+
+
+def compare_runs(
+    controller: Controller, runs: Sequence[Records | Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]]]
+) -> tuple[SilReport, ...]:
+    """As `software_in_the_loop_runs`, by a controller that is compiled already.
+
+    Raises:
+        SurctlError: the program crashes.
+        InputError: the records do not fit the law.
+    """
+    return tuple(_compare(controller, as_records(controller.law, run)) for run in runs)
 
 
 def _named_gains(law: Exportable, run: Records) -> dict[str, Vector]:
@@ -174,14 +193,15 @@ def _named_gains(law: Exportable, run: Records) -> dict[str, Vector]:
     return law.gains.unpack(run.P[0])
 
 
-def _compare(law: Exportable, controller: Controller, run: Records, *, name: str, identity: str) -> SilReport:
+def _compare(controller: Controller, run: Records) -> SilReport:
+    law = controller.law
     python = [law.step(x, u, p) for x, u, p in zip(run.X, run.U, run.P, strict=True)]
     load = _resets(run, python)
     c = controller.run(run, load=load)
     cases, failures = fault_failures(law, controller, run)
     return SilReport(
-        name=name,
-        id=identity,
+        name=controller.bundle.name,
+        id=controller.bundle.id,
         steps=len(run),
         resets=tuple(int(k) for k in np.flatnonzero(load) if k > 0),
         tau=_difference(c.tau, [s.tau for s in python]),

@@ -3,6 +3,7 @@
 from surctl.report.calibration_plots import plot_calibration
 from surctl.report.data import ExportSummary, ReportData
 from surctl.report.evidence import MarginSlice, margin_slice, plot_counterexample, plot_replay, plot_slice
+from surctl.report.evidence_sections import runs_section
 from surctl.report.files import (
     save_calibrations,
     save_heat_map,
@@ -58,6 +59,7 @@ __all__ = [
     "plot_slice",
     "plot_sonar_replay",
     "render_page",
+    "runs_section",
     "save_calibrations",
     "save_heat_map",
     "save_locus",

@@ -24,8 +24,13 @@ __all__ = ["render_page", "write_page"]
 _TEMPLATES = Path(__file__).parent / "templates"
 
 
-def render_page(data: ReportData) -> str:
-    """The page as one HTML text: no network, no script, pictures and style inside, every text escaped."""
+def render_page(data: ReportData, *, runs: Section | None = None) -> str:
+    """The page as one HTML text: no network, no script, pictures and style inside, every text escaped.
+
+    Args:
+        data: what it tells.
+        runs: `runs_section` of the same runs, where it was drawn before.
+    """
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATES),
         autoescape=True,
@@ -35,10 +40,10 @@ def render_page(data: ReportData) -> str:
     )
     style = (_TEMPLATES / "page.css").read_text(encoding="utf-8")
     page = environment.get_template("page.html")
-    return page.render(data=data, style=style, sections=_sections(data), outcome=_outcome(data))
+    return page.render(data=data, style=style, sections=_sections(data, runs), outcome=_outcome(data))
 
 
-def _sections(data: ReportData) -> tuple[Section, ...]:
+def _sections(data: ReportData, runs: Section | None) -> tuple[Section, ...]:
     """The sections in reading order; one that has nothing to tell is left out."""
     found = [vehicle_section(data), gains_section(data)]
     if data.margins or data.loops or data.poles is not None:
@@ -48,7 +53,7 @@ def _sections(data: ReportData) -> tuple[Section, ...]:
     if data.verdicts:
         found.append(claims_section(data))
     if data.runs:
-        found.append(runs_section(data))
+        found.append(runs or runs_section(data))
     if data.export is not None:
         found.append(export_section(data.export))
     if data.seconds:
@@ -66,8 +71,8 @@ def _outcome(data: ReportData) -> tuple[str, str]:
     return "good", "✓ All checks that decide hold."
 
 
-def write_page(data: ReportData, path: Path | str) -> Path:
-    """Render and write the page; the file is replaced in one step or left as it was.
+def write_page(data: ReportData, path: Path | str, *, runs: Section | None = None) -> Path:
+    """Render (see `render_page`) and write the page; the file is replaced in one step or left as it was.
 
     Returns:
         The path written.
@@ -75,4 +80,4 @@ def write_page(data: ReportData, path: Path | str) -> Path:
     Raises:
         InputError: the folder cannot be written.
     """
-    return write_file(Path(path), render_page(data))
+    return write_file(Path(path), render_page(data, runs=runs))

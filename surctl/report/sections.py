@@ -266,7 +266,7 @@ def _checks(reports: Sequence[SilReport]) -> Table:
             )
         )
     heads = (
-        "run", "state loaded anew", "status differs", "NaN and infinity at every input", "self-test",
+        "run", "state loaded anew", "status differs", "NaN and infinity at every state, input and gain", "self-test",
         "code and constants [byte]", "compiler",
     )  # fmt: skip
     return Table("Other checks of the compiled controller", heads, tuple(rows))

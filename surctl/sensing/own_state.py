@@ -167,19 +167,20 @@ class OwnStateFilter:
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
         """The state; position, velocity, disturbance and covariance are those of `latency` ago, in {E}."""
-        ring = Port(f"{prefix}pushes", (self.late, 3), "m/s^2", "believed acceleration of the last steps, newest first")
+        believed = "believed acceleration in {E} in the last steps, newest first"
+        ring = Port(f"{prefix}pushes", (self.late, 3), "m/s^2", believed)
         return (
-            Port(f"{prefix}position", (3,), "m", "x, y, z"),
-            Port(f"{prefix}velocity", (3,), "m/s", "over ground"),
-            Port(f"{prefix}disturbance", (3,), "m/s^2", "acceleration that the believed vehicle does not explain"),
+            Port(f"{prefix}position", (3,), "m", f"x, y, z in {{E}}, {self.latency:g} s ago"),
+            Port(f"{prefix}velocity", (3,), "m/s", f"over ground in {{E}}, {self.latency:g} s ago"),
+            Port(f"{prefix}disturbance", (3,), "m/s^2", "acceleration in {E} that no model explains"),
             Port(f"{prefix}covariance", (6,), "SI", "of one axis: rows of the upper triangle"),
             *((ring,) if self.late else ()),
             Port(f"{prefix}thrust", (4,), "N, N m", "believed thrust after its lag, now, in {B}"),
-            Port(f"{prefix}turn", (2,), "rad, rad/s", "yaw and yaw rate, now"),
+            Port(f"{prefix}turn", (2,), "rad, rad/s", "yaw in {E} and yaw rate in {B}, now"),
             Port(f"{prefix}begun", (1,), "1", "1 after the first step"),
             Port(f"{prefix}found", (1,), "1", "1 after the first fix"),
             Port(f"{prefix}refused", (1,), "1", "refused fixes in a row that agree"),
-            Port(f"{prefix}offset", (3,), "m", "the last refused fix, from the estimate"),
+            Port(f"{prefix}offset", (3,), "m", "the last refused fix, from the estimate, in {E}"),
             Port(f"{prefix}age", (1,), "s", "since the moment that the last fix describes", LONGEST_AGE),
         )
 

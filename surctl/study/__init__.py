@@ -1,6 +1,7 @@
 """The main job: from a vehicle or study file to gains, verdicts, flights, exported C and a report."""
 
-from surctl.study.conduct import Note, Study, conduct
+from surctl.study.conduct import Study, conduct
+from surctl.study.notes import Note
 from surctl.study.plan import LIBRARY, Leg, Plan, load_plan
 
 __all__ = ["LIBRARY", "Leg", "Note", "Plan", "Study", "conduct", "load_plan"]

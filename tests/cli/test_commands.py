@@ -100,16 +100,44 @@ def test_sweep_tells_what_a_column_depends_on(tmp_path):
     assert (tmp_path / "surctl-out" / "sensitivity-disk_margin.png").exists()
 
 
-def test_export_checks_itself(tmp_path):
+def test_export_ships_the_law_that_senses_and_checks_it_over_its_flight(tmp_path):
     need_compiler()
-    done = surctl("export", "--out", "c", "--name", "pilot", "--json", cwd=tmp_path)
+    done = surctl(
+        *("export", "--scenario", "pool-behind", "--fault", "dropout:0:2:3", "--out", "c", "--name", "pilot", "--json"),
+        cwd=tmp_path,
+    )
     assert done.status == 0
     assert done.json["sil"]["passed"]
-    assert max(done.json["sil"][k] for k in ("tau", "state", "telemetry")) <= 1e-12
+    assert max(done.json["sil"][k] for k in ("tau", "state", "telemetry")) == 0.0
     assert done.json["sil"]["fault_failures"] == []
+    assert done.json["sil"]["fault_cases"] > 3 * 2304
+    flight = done.json["flight"]
+    assert (flight["scenario"], flight["sensing"], flight["law"]) == ("pool-behind", "sonar", "guarded")
+    assert flight["sensors"]["faults"][0]["kind"] == "dropout"
+    assert done.json["sil"]["steps"] > 200
+    header = (tmp_path / "c" / "pilot.h").read_text()
+    assert "double samples[4][5];" in header and "double map_cells[2304];" in header and "double eta" not in header
     assert {"pilot.h", "pilot.c", "manifest.json"} <= {p.name for p in (tmp_path / "c").iterdir()}
-    again = surctl("export", "--out", "d", "--name", "pilot", "--json", cwd=tmp_path)
+
+
+def test_export_of_the_law_on_true_positions(tmp_path):
+    need_compiler()
+    words = ("export", "--sensing", "truth", "--name", "pilot", "--json")
+    done = surctl(*words, "--out", "c", cwd=tmp_path)
+    assert done.status == 0 and done.json["sil"]["passed"]
+    assert done.json["flight"]["sensing"] == "truth" and "sensors" not in done.json["flight"]
+    header = (tmp_path / "c" / "pilot.h").read_text()
+    assert "double eta[4];" in header and "samples" not in header
+    again = surctl(*words, "--out", "d", cwd=tmp_path)
     assert again.json["sha256"] == done.json["sha256"]
+
+
+def test_export_believes_in_the_sensors_it_is_told_of(tmp_path):
+    need_compiler()
+    words = ("export", "--law", "paper", "--scenario", "pool-behind", "--own-state", "truth", "--out", "c", "--json")
+    done = surctl(*words, cwd=tmp_path)
+    assert done.status == 0 and done.json["flight"]["law"] == "paper"
+    assert done.json["flight"]["sensors"] != {}
 
 
 @pytest.mark.parametrize(("vehicle", "status"), [("sur400", 0), ("sur540-flooded", 1)])
@@ -135,7 +163,7 @@ def test_explanations_name_who_gave_up_what(tmp_path):
 
 def test_a_law_with_limits_is_exported_and_replayed(tmp_path):
     need_compiler()
-    done = surctl("export", "--priority-mode", "filter", "--out", "c", "--json", cwd=tmp_path)
+    done = surctl("export", "--priority-mode", "filter", "--sensing", "truth", "--out", "c", "--json", cwd=tmp_path)
     assert done.status == 0
     sil = done.json["sil"]
     assert sil["passed"] and sil["tau"] == sil["state"] == 0.0 and sil["steps"] > 300

@@ -12,10 +12,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from surctl.control import build_law
 from surctl.errors import InputError
 from surctl.export import Bundle, build_bundle, write_bundle
 from surctl.export.rendering import comment
 from surctl.ir import Layout, Port, compile_program, find_compiler
+from surctl.simulation import load_scenario
 from tests.export.standin import GAINS, StandIn, stand_in
 from tests.tools import need_compiler, need_make
 
@@ -196,3 +198,32 @@ def test_refused_operations_reach_the_user() -> None:
     worse = ca.Function("law", [x, u, p], [ca.sign(tau), x_next, status, telemetry])
     with pytest.raises(InputError, match="operation 'sign'"):
         build_bundle(replace(law, function=worse), {})
+
+
+def test_the_law_that_senses_is_readable_and_small() -> None:
+    scenario = load_scenario("pool-behind")
+    law = build_law(sonar=True, equipment=scenario.sensors.on(0.2))
+    files = build_bundle(law, {}).files
+    header, source = files["surctl_guarded.h"], files["surctl_guarded.c"]
+    assert "    double map_cells[2304]; /* [1] 1 marked" in header
+    assert len(header.splitlines()) < 200
+    assert sum(len(text.encode()) for text in files.values()) < 700_000
+    # no vector of the self-test is a whole state
+    assert len(source) - source.index("int surctl_guarded_selftest") < 20_000
+    fields = {
+        "fix[3]": "[m] position x, y, z in {E} as the base station measured it 0.1 s before it arrives",
+        "fix_fresh": "[1] 1 where a fix has arrived since the last step, else 0",
+        "yaw": "[rad] heading psi of {B} in {E}, counter-clockwise",
+        "yaw_rate": "[rad/s] yaw rate r in {B}",
+        "contacts[8][6]": "[m, m/s, 1] obstacles that move, as the base station saw them 0.1 s before, in {E}",
+        "contacts_fresh": "[1] 1 where such a message has arrived since the last step, else 0",
+        "samples[4][5]": "[m] raw ranges of each sonar's last firing, one sonar a row; axes at 0, 90, 180, -90 deg",
+        "fresh[4]": "[1] 1 where a firing of the sonar has arrived since the last step, else 0",
+    }
+    struct = header[header.index("/* what it is told in each step */") : header.index("} surctl_guarded_input_t;")]
+    assert struct.count("double ") == len(fields)
+    for field, meaning in fields.items():
+        assert f"    double {field}; /* {meaning}" in struct
+        unit, text = meaning[1:].split("] ", 1)
+        assert f"| input | `{field}` | {unit} | {text}" in files["README.md"]
+    assert all(f"| `{port.name}" in files["README.md"] for port in law.gains)

@@ -138,6 +138,15 @@ def test_laws_without_state_or_telemetry(state: bool, telemetry: bool) -> None:
     assert software_in_the_loop(law, recorded(law, steps=10)).passed
 
 
+def test_a_law_of_thrust_alone_is_clean_at_every_level(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compilers look further with -O3: into arrays that would be empty."""
+    need_compiler()
+    law = stand_in(state=(), telemetry=False)
+    for level in ("-O1", "-O3"):
+        monkeypatch.setenv("SURCTL_CFLAGS", level)
+        assert software_in_the_loop(law, recorded(law, steps=3)).passed
+
+
 def test_a_law_without_inputs() -> None:
     need_compiler()
     law = stand_in(inputs=())
@@ -161,6 +170,9 @@ def test_differences_are_honest_about_what_is_not_finite() -> None:
     assert _difference(have, want).mixed == 0.0
     worse = _difference(np.array([[1.0], [np.nan]]), [np.array([1.0]), np.array([2.0])])
     assert worse.mixed == np.inf and worse.step == 1
+    long = np.zeros((700, 2))
+    long[600, 1] = 0.5
+    assert _difference(long, [np.zeros(2)] * 700).step == 600
     small = _difference(np.array([[1e-3 + 1e-6]]), [np.array([1e-3])])
     assert small.mixed == pytest.approx(1e-6) and small.relative == pytest.approx(1e-3)
 

@@ -118,6 +118,19 @@ def test_long_pieces_are_copied_in_a_loop() -> None:
         assert text.count("in0[") < 10
 
 
+@pytest.mark.parametrize("emit", [emit_block, folded_block])
+def test_what_stands_beside_a_long_piece_is_stored_too(tmp_path: Path, emit: object) -> None:
+    need_compiler()
+    x = ca.SX.sym("x", 100)
+    parts = lower(ca.Function("parts", [x], [ca.vertcat(3 * x[0], x[5:90], 2 * x[:5], x[40:80], x[0])]))
+    routine = Routine("r", (("x", 100),), (Call(parts, ("x",), ("y",)),), ("y",))
+    (native,) = compiled([routine], tmp_path, emit)  # type: ignore[arg-type]
+    given = np.arange(1.0, 101.0)
+    want = np.concatenate([3 * given[:1], given[5:90], 2 * given[:5], given[40:80], given[:1]])
+    np.testing.assert_array_equal(native(given)[0], want)
+    assert emit(routine, symbol="f").count("for (int k") >= 2  # type: ignore[operator]
+
+
 def test_what_it_looks_like() -> None:
     x = ca.SX.sym("x", 4)
     y = ca.if_else(ca.logic_and(x[0] < x[1], x[2] > 0), x[0] * x[1] + 0.5, ca.fmax(x[2], x[3]))

@@ -11,7 +11,8 @@ import pytest
 
 from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.study import load_plan
+from surctl.simulation import LIBRARY as SCENARIOS
+from surctl.study import conduct, load_plan
 from surctl.vehicle import LIBRARY
 from tests.cli.process import surctl
 from tests.tools import PATIENCE, need_compiler
@@ -66,15 +67,25 @@ def test_runs_with_true_positions_decide_and_sonar_ones_are_shown(study):
             assert run["min_clearance_m"] > 0
 
 
-def test_c_equals_python_over_every_deciding_run(study):
-    reports = study.json["export"]["sil"]
+def test_the_exported_law_senses_and_c_equals_python_over_every_flight_by_sonar(study, folder):
+    data = study.json
+    reports = data["export"]["sil"]
+    assert data["export"]["sensing"] == "sonar"
+    flown = [run for run in data["runs"] if run["sensing"] == "sonar"]
+    assert [(r["scenario"], r["vehicle"]) for r in reports] == [(run["scenario"], run["vehicle"]) for run in flown]
     assert len(reports) == 4
-    for report in reports:
+    for report, run in zip(reports, flown, strict=True):
         assert report["passed"]
-        assert max(report["tau"], report["state"], report["telemetry"]) <= 1e-12
+        assert max(report["tau"], report["state"], report["telemetry"]) == 0.0
+        assert report["steps"] == pytest.approx(run["time_s"] / 0.05, abs=2)
         assert report["status_mismatches"] == 0
-        assert report["fault_cases"] > 0
+        assert report["fault_cases"] > 3 * 2304
         assert report["fault_failures"] == []
+    header = (folder / "surctl-out" / "export" / "surctl_guarded.h").read_text()
+    assert "double samples[4][5];" in header and "double map_cells[2304];" in header
+    steps = sum(report["steps"] for report in reports)
+    (line,) = [note["text"] for note in data["summary"] if note["text"].startswith("export")]
+    assert f"over {steps} steps of 4 flights by sonar" in line and "law with senses" in line
 
 
 def test_files_are_there_and_hash_as_told(study, folder):
@@ -92,8 +103,41 @@ def test_the_report_stands_alone(study, folder):
     assert len(images) > 20
     assert all('src="data:image/' in image and "alt=" in image for image in images)
     assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
+    assert "Replayed flights through the sonar, by run: 1: tank-static by sur540-flooded; 2: " in page
     for word in ("pool-static", "v1-printed", "delay margin", "sur400"):
         assert word in page
+
+
+def test_only_flights_by_the_exported_law_are_replayed(tmp_path):
+    need_compiler()
+    wide = (SCENARIOS / "pool-behind.toml").read_text() + "\n[sonar]\nbeam_deg = 25.0\n"
+    (tmp_path / "wide.toml").write_text(wide.replace('"pool-behind"', '"wide"'))
+    sweep = '[sweep]\nseeds = [0]\n[[sweep.axes]]\ngain = "k_v"\nvalues = [1.5]\n'
+    flights = "".join(
+        f'[[flights]]\nscenario = "{name}"\nvehicle = "sur400"\n' for name in ("pool-behind", "wide.toml")
+    )
+    head = 'kind = "study"\nname = "two"\nvehicle = "sur400"\nclaims = ["v1-printed"]\n'
+    (tmp_path / "two.toml").write_text(head + flights + sweep)
+    done = conduct(load_plan(str(tmp_path / "two.toml")), tmp_path / "out", workers=1)
+    assert [run.scenario.name for run in done.replayed] == ["pool-behind"]
+    assert len(done.runs) == 4 and len(done.sil) == 1 and done.sil[0].conclusive
+    (note,) = [note for note in done.notes if "other sensors" in note.text]
+    assert note.passed is None and note.text.startswith("wide by sur400, sonar")
+
+
+def test_sonars_that_the_law_cannot_hear_are_told_before_the_sweep(tmp_path):
+    need_compiler()
+    text = (
+        Path(load_plan().source)
+        .read_text()
+        .replace('vehicle = "sur540-flooded"', 'law = "paper"\nvehicle = "sur540-flooded"')
+    )
+    wide = (SCENARIOS / "pool-behind.toml").read_text() + "\n[sonar]\nbeam_deg = 25.0\n"
+    (tmp_path / "wide.toml").write_text(wide)
+    (tmp_path / "s.toml").write_text(text.replace('"pool-behind"', '"wide.toml"'))
+    with pytest.raises(InputError, match="four sonars of the paper"):
+        conduct(load_plan(str(tmp_path / "s.toml")), tmp_path / "out")
+    assert not (tmp_path / "out" / "sweep.nc").exists()
 
 
 def test_the_built_in_plan():

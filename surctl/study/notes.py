@@ -1,0 +1,83 @@
+"""The lines that sum a study up: what holds, what fails, and what decides nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from surctl.export import SilReport
+from surctl.simulation import Run
+from surctl.study.plan import Plan
+from surctl.tuning import SweepTable
+from surctl.verification import LoopMargins, Verdict
+
+__all__ = ["Note", "left_out", "summary"]
+
+
+@dataclass(frozen=True)
+class Note:
+    """One line of the study's summary; `passed` is None when it does not decide."""
+
+    passed: bool | None
+    text: str
+
+
+def summary(
+    plan: Plan,
+    swept: SweepTable,
+    margins: Sequence[LoopMargins],
+    verdicts: Sequence[Verdict],
+    runs: Sequence[tuple[Run, bool]],
+    sil: Sequence[SilReport],
+) -> tuple[Note, ...]:
+    """The notes of a study.
+
+    Args:
+        plan: the study.
+        swept: its sweep.
+        margins: of its loops.
+        verdicts: on its claims.
+        runs: each with whether it decides.
+        sil: one report for each flight that the exported law was replayed over.
+    """
+    notes = []
+    feasible = int((swept.column("feasible") > 0.5).sum())
+    points = swept.column("feasible").size
+    if swept.picked is None:
+        notes.append(Note(False, f"sweep: none of {points} points is feasible; the gains of the file are kept"))
+    else:
+        at = list(zip(swept.axes, swept.picked, strict=True))
+        chosen = ", ".join(f"{a.name} = {a.values[k]:g} {a.unit}" for a, k in at)
+        edges = [a.name for a, k in at if len(a.values) > 1 and k in (0, len(a.values) - 1)]
+        edge = f" (on the edge of the grid in {' and '.join(edges)}: a wider one may do better)" if edges else ""
+        notes.append(Note(True, f"sweep: {feasible} of {points} points are feasible; picked {chosen}{edge}"))
+    least = min(margins, key=lambda m: m.delay_margin_s)
+    stable = all(m.stable for m in margins)
+    told = f"margins: least delay margin {least.delay_margin_s:.2f} s ({least.name}), least disk margin "
+    notes.append(Note(stable, told + f"{min(m.disk_margin for m in margins):.2f}"))
+    unexpected = [v.claim.name for v in verdicts if not v.as_expected]
+    refuted = sum(v.verdict == "refuted" for v in verdicts)
+    text = f"claims: {refuted} refuted, {len(verdicts) - refuted} not refuted, "
+    notes.append(Note(not unexpected, text + ("all as expected" if not unexpected else f"unexpected: {unexpected}")))
+    for run, decides in runs:
+        m = run.metrics
+        good = m.reached and m.min_clearance_m > 0
+        line = f"{run.scenario.name} by {run.vehicle.name}, {run.sensing}: {m.stopped_because} at {m.time_s:.1f} s"
+        notes.append(Note(good if decides else None, f"{line}, least clearance {m.min_clearance_m:.3f} m"))
+    for leg in plan.legs:
+        if leg.obstacle_to_flying or leg.misfit:
+            reason = leg.obstacle_to_flying or leg.misfit
+            notes.append(Note(None, f"{leg.scenario.name} does not decide: {reason}"))
+    worst = max((max(r.tau.mixed, r.state.mixed, r.telemetry.mixed) for r in sil), default=0.0)
+    steps, cases = sum(r.steps for r in sil), sum(r.fault_cases for r in sil)
+    passed = bool(sil) and all(r.conclusive for r in sil)
+    flights = f"{len(sil)} flight{'s' * (len(sil) != 1)} by sonar"
+    text = f"export of the law with senses: C equals Python to {worst:.1e} over {steps} steps of {flights}; "
+    notes.append(Note(passed, text + f"{cases} NaNs and infinities tried"))
+    return tuple(notes)
+
+
+def left_out(runs: Sequence[Run]) -> tuple[Note, ...]:
+    """Flights with other senses than the exported law's: nobody replayed them."""
+    text = "was flown with other sensors than the exported law's, and is not replayed"
+    return tuple(Note(None, f"{run.scenario.name} by {run.vehicle.name}, sonar, {text}") for run in runs)
