@@ -15,6 +15,8 @@ from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 
 __all__ = ["emit_block"]
 
+_TARGET = re.compile(r"\b\w+\[[^\]]*\] = ")
+
 
 def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: bool = False) -> str:
     """C99 of the block and of every block inside it, callees first.
@@ -155,9 +157,11 @@ def _routine(routine: Routine, symbol: str, writer: _Writer) -> str:
     for k, name in enumerate(routine.results):
         source = f"held{k}" if k in places.held else local[name]
         body += [_copy(f"out{k}", source, sizes[name])] if source != f"out{k}" else []
-    used = set(re.findall(r"\w+", "\n".join([*body, *(base for base, _ in pointers)])))
-    declared = [*(f"in{k}" for k in range(len(routine.inputs))), *places.own, *pointers.values()]
-    lines += [f"    (void){name};" for name in declared if name not in used]
+    text = "\n".join([*body, *(base for base, _ in pointers)])
+    used, read = (set(re.findall(r"\w+", t)) for t in (text, _TARGET.sub("", text)))
+    lines += [f"    (void){name};" for name in places.own if name not in read]  # compilers warn of what is only set
+    others = [*(f"in{k}" for k in range(len(routine.inputs))), *pointers.values()]
+    lines += [f"    (void){name};" for name in others if name not in used]
     return "\n".join([*lines, *body, "}"]) + "\n"
 
 
