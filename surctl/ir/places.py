@@ -66,10 +66,10 @@ def taken_over(routine: Routine, root: Callable[[str], str] = str) -> dict[str, 
         if not isinstance(step, Loop):
             continue
         later = {root(name) for other in routine.steps[at + 1 :] for name in reads(other)}
-        later |= {root(name) for name in routine.results}
+        later |= set(routine.results)
         now = [root(name) for name in reads(step)]
         for name, result in zip(step.carried, step.results, strict=False):
-            if root(name) == name and now.count(name) == 1 and name not in later and name not in inputs:
+            if now.count(name) == 1 and name not in later and name not in inputs:
                 origin[result] = origin.get(name, name)
     return origin
 
@@ -145,9 +145,7 @@ class Places:
     def _parts(self) -> dict[str, tuple[str, int]]:
         """Array that is written where it is joined → (the joined array, first entry there)."""
         found: dict[str, tuple[str, int]] = {}
-        loops = [step for step in self.routine.steps if isinstance(step, Loop)]
-        taken = {name for name, _ in self.routine.inputs} | {name for loop in loops for name in loop.carried}
-        taken |= {*self.routine.results, *self._views}
+        taken = {*(name for name, _ in self.routine.inputs), *self.routine.results, *self._views}
         for step in self.routine.steps:
             for move in inlined(step):
                 assert isinstance(step, Call)
@@ -181,9 +179,7 @@ class Places:
         """Whether the result may be written over the input: nothing reads that later than the loop that carries it."""
         first = min(at for at, step in enumerate(self.routine.steps) if self._inside(result, step))
         steps = self.routine.steps[first:]
-        later = [self.root(name) for step in steps for name in reads(step)] + [
-            self.root(n) for n in self.routine.results
-        ]
+        later = [*(self.root(name) for step in steps for name in reads(step)), *self.routine.results]
         if given not in later:
             return True
         loop = steps[0]

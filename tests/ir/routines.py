@@ -26,6 +26,7 @@ def random_routine(seed: int) -> Routine:
 class _Maker:
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng, self.count = rng, 0
+        self.cut: set[str] = set()  # arrays out of which something was moved
 
     def fresh(self, word: str) -> str:
         self.count += 1
@@ -41,7 +42,7 @@ class _Maker:
             given = [int(self.rng.choice(SIZES)) for _ in range(self.rng.integers(1, 4))]
         inputs = tuple((self.fresh("in"), size) for size in given)
         sizes, steps = dict(inputs), list[Step]()
-        for _ in range(self.rng.integers(1, 6 if depth == 2 else 4)):
+        for _ in range(self.rng.integers(1, 9 if depth == 2 else 6)):
             steps.append(self.step(sizes, depth))
         results = []
         if wanted is None:
@@ -82,6 +83,7 @@ class _Maker:
     def moved(self, sizes: dict[str, int]) -> Call:
         """Split, join, exchange, or a mixture of pieces."""
         args = [self.one(list(sizes)) for _ in range(self.rng.integers(1, 4))]
+        self.cut |= set(args)
         x = [ca.SX.sym(f"x{k}", sizes[a]) for k, a in enumerate(args)]
         kind = self.rng.choice(["split", "join", "exchange", "mixture"])
         if kind == "split":
@@ -130,6 +132,9 @@ class _Maker:
         lanes = 2 if self.rng.random() < 0.15 else 1
         names = list(sizes)
         carried = [self.one(names) for _ in range(self.rng.integers(0, 3))]
+        cut = [name for name in names if name in self.cut]
+        if cut and self.rng.random() < 0.5:  # changed in place only if none of its pieces is read afterwards
+            carried = [self.one(cut), *carried[1:]]
         carried = [name for name in carried if sizes[name] % lanes == 0]
         parts = [name for name in names if sizes[name] % (count * lanes) == 0]
         sliced = [self.one(parts) for _ in range(self.rng.integers(0, 3))] if parts else []

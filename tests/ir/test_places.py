@@ -13,11 +13,12 @@ import pytest
 
 from surctl.errors import ToolMissing
 from surctl.ir import Call, Loop, Program, Real, Routine, emit_block, lower, memory, replay, stack_bytes
+from surctl.ir.routine import Step
 from tests.ir.expressions import compiled
 from tests.ir.routines import random_routine
 from tests.tools import need_compiler
 
-COUNT = 800
+COUNT = 500
 
 
 @pytest.mark.parametrize("folded", [False, True])
@@ -87,6 +88,22 @@ KEPT = {
         "y",
         0,
     ),
+    "an array of another name is written where that stands": (
+        3,
+        (Call(mixed("m", 3, 40), ("x",), ("p",)), Call(moved("copy", [40], lambda a: [a]), ("p",), ("y",))),
+        "y",
+        0,
+    ),
+    "what a loop starts from stands where it is joined": (
+        3,
+        (
+            Call(mixed("m", 3, 40, 60), ("x",), ("p", "q")),
+            Loop(TURN, 5, ("p",), ("r",)),
+            Call(moved("three", [40, 60, 40], lambda a, b, c: [ca.vertcat(a, b, c)]), ("p", "q", "r"), ("y",)),
+        ),
+        "y",
+        0,
+    ),
     "an array that is still read is not changed": (
         3,
         (
@@ -114,6 +131,15 @@ def test_what_a_loop_carries_is_its_result_in_one_array() -> None:
     """The body writes its result over what it was given, and keeps that only while it is read."""
     piece = Routine("body", (("a", 40),), (Loop(TURN, 3, ("a",), ("b",)),), ("b",))
     assert memory(Routine("r", (("x", 40),), (Loop(piece, 2, ("x",), ("y",)),), ("y",))) == 80
+    steps: tuple[Step, ...] = (
+        Call(SPLIT, ("s",), ("p", "q")),
+        Call(mixed("m", 100, 60), ("a",), ("t",)),
+        Call(mixed("n", 60, 60), ("t",), ("u",)),
+        Call(JOIN, ("p", "u"), ("c",)),
+    )
+    late = Routine("body", (("a", 100), ("s", 100)), steps, ("c",))
+    routine = Routine("r", (("x", 100), ("s", 100)), (Loop(late, 2, ("x",), ("y",), fixed=("s",)),), ("y",))
+    assert memory(routine) == 300 + 60
     add = moved("add", [40, 40], lambda a, b: [a[::-1] + b])
     steps = (Loop(TURN, 3, ("a",), ("b",)), Call(add, ("a", "b"), ("c",)))
     both = Routine("body", (("a", 40),), steps, ("c",))
@@ -138,3 +164,57 @@ def test_the_compiler_keeps_the_arrays_that_memory_counts_and_little_more(real: 
     except ToolMissing as missing:
         pytest.skip(str(missing))
     assert own > 3000 and own <= told <= own + 256
+
+
+def written_early() -> Routine:
+    """The state's memory is that of an array that is written before the state is read for the last time."""
+    add = moved("add", [40, 40], lambda a, b: [a[::-1] + b])
+    steps = (Call(mixed("m", 40, 40), ("s",), ("x",)), Call(add, ("a", "x"), ("c",)), Loop(TURN, 3, ("x",), ("z",)))
+    body = Routine("body", (("a", 40), ("s", 40)), steps, ("z", "c"))
+    loop = Loop(body, 2, ("x",), ("x_last", "c"), fixed=("s",))
+    return Routine("r", (("x", 40), ("s", 40)), (loop,), ("x_last", "c"))
+
+
+def one_body_twice(read: str, *, index_first: bool) -> Routine:
+    """The same body carries its first input in one loop, and its second in another; one is read after the result."""
+    less = moved("less", [1, 1], lambda p, q: [q - 3 * p])
+    steps = (Call(less, ("p", "q"), ("s",)), Call(mixed("m", 1, 1), ("s",), ("r",)), Call(less, (read, "s"), ("c",)))
+    body = Routine("body", (("p", 1), ("q", 1)), steps, ("r", "c"))
+    loops = (
+        Loop(body, 3, ("x",), ("y", "c"), index=True),
+        Loop(body, 3, ("x",), ("z", "d"), fixed=("f",)),
+    )
+    inputs = (("x", 1), ("f", 1))
+    return Routine("r", inputs, loops if index_first else loops[::-1], ("y", "c", "z", "d"))
+
+
+def views_outlive() -> Routine:
+    """An array is changed by a loop while pieces of it, and of what it is joined into, are still read."""
+    add = moved("add", [40, 40], lambda a, b: [a[::-1] + b])
+    steps = (
+        Call(mixed("m", 3, 100), ("x",), ("w",)),
+        Call(SPLIT, ("w",), ("p", "q")),
+        Loop(moved("turn_all", [100], lambda a: [2.5 * a[::-1]]), 3, ("w",), ("v",)),
+        Call(SPLIT, ("v",), ("s", "t")),
+        Call(add, ("p", "s"), ("y",)),
+        Call(mixed("n", 3, 40, 60), ("x",), ("g", "h")),
+        Call(JOIN, ("g", "h"), ("j",)),
+        Loop(moved("turn_all", [100], lambda a: [2.5 * a[::-1]]), 3, ("j",), ("k",), fixed=()),
+        Call(add, ("g", "y"), ("z",)),
+        Call(mixed("o", 3, 100), ("x",), ("e",)),
+        Call(SPLIT, ("e",), ("e_p", "e_q")),
+        Loop(moved("with", [100, 40], lambda a, b: [a[::-1] + b[0]]), 3, ("e",), ("e_last",), fixed=("e_p",)),
+    )
+    return Routine("r", (("x", 3),), steps, ("y", "z", "k", "e_last"))
+
+
+@pytest.mark.parametrize("folded", [False, True])
+def test_what_is_still_read_is_not_written_over(tmp_path: Path, folded: bool) -> None:
+    need_compiler()
+    routines = [written_early(), views_outlive()]
+    routines += [one_body_twice(read, index_first=first) for read in "pq" for first in (False, True)]
+    natives = compiled(routines, tmp_path, partial(emit_block, folded=folded), flags=("-O1",))
+    for routine, native in zip(routines, natives, strict=True):
+        inputs = [np.random.default_rng(3).normal(size=size) for _, size in routine.inputs]
+        for have, want in zip(native(*inputs), replay(routine, *inputs), strict=True):
+            np.testing.assert_array_equal(have, want, err_msg=routine.text())
