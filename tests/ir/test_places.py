@@ -178,7 +178,8 @@ def written_early() -> Routine:
 def one_body_twice(read: str, *, index_first: bool) -> Routine:
     """The same body carries its first input in one loop, and its second in another; one is read after the result."""
     less = moved("less", [1, 1], lambda p, q: [q - 3 * p])
-    steps = (Call(less, ("p", "q"), ("s",)), Call(mixed("m", 1, 1), ("s",), ("r",)), Call(less, (read, "s"), ("c",)))
+    more = moved("more", [1], lambda s: [2.5 * s])
+    steps = (Call(less, ("p", "q"), ("s",)), Call(more, ("s",), ("r",)), Call(less, (read, "s"), ("c",)))
     body = Routine("body", (("p", 1), ("q", 1)), steps, ("r", "c"))
     loops = (
         Loop(body, 3, ("x",), ("y", "c"), index=True),
