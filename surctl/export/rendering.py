@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from surctl import __version__
 from surctl.export.contract import STATUS, Exportable, telemetry_ports, thrust
 from surctl.export.vectors import TOLERANCE, SelfTest
-from surctl.ir import Layout, Port, c_literal, emit_block
+from surctl.ir import Layout, Port, c_literal, emit_block, memory
 from surctl.ir.compiler import FLAGS
 
 __all__ = ["render_files"]
@@ -73,6 +73,8 @@ def _values(law: Exportable, gains: Vector, name: str, identity: str, tests: Sel
         "n_tau": n_tau,
         "n_telemetry": law.outputs.size - n_tau,
         "field": field,
+        "starts": starts,
+        "ram": _ram(law),
         "transfers": transfers,
         "initial": runs(law.initial_state()),
         "gain_values": [c_literal(float(v)) for v in gains],
@@ -97,6 +99,18 @@ def _structs(law: Exportable) -> list[tuple[str, str, tuple[Port, ...]]]:
         ("gains", "tuned constants", law.gains.ports),
         ("output", "what it commands, then what it reports", law.outputs.ports),
     ]
+
+
+def _ram(law: Exportable) -> dict[str, int]:
+    """Bytes by what holds them, as far as the routine alone decides it."""
+    other = law.inputs.size + law.gains.size + law.outputs.size
+    held = {"state": 2 * law.state.size, "structs": other, "arrays": memory(law.block) - 2 * law.state.size}
+    return {what: 8 * count for what, count in held.items()}
+
+
+def starts(layout: Layout) -> list[tuple[Port, int]]:
+    """Ports that hold numbers, with their first entries in the flat vector."""
+    return [(port, layout.slice(port.name).start) for port in layout if port.size]
 
 
 def field(port: Port) -> str:

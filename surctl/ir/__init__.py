@@ -10,10 +10,12 @@ from surctl.ir.cache import CacheUnused, cache_folder, shared_library
 from surctl.ir.compiler import compile_program, compiler_version, find_compiler, tuned_flags
 from surctl.ir.divisors import shared_divisors
 from surctl.ir.elementary import without_libm
+from surctl.ir.frames import stack_bytes, stack_of
 from surctl.ir.fusing import fused
 from surctl.ir.lowering import lower
 from surctl.ir.native import Native, Workspace, compile_block, runnable
 from surctl.ir.ops import LIBM, OPERATIONS, Operation
+from surctl.ir.places import memory
 from surctl.ir.ports import Layout, Port
 from surctl.ir.program import Instruction, Program
 from surctl.ir.replay import replay
@@ -55,11 +57,14 @@ __all__ = [
     "fused",
     "identifier",
     "lower",
+    "memory",
     "nearby_angles",
     "replay",
     "runnable",
     "shared_divisors",
     "shared_library",
+    "stack_bytes",
+    "stack_of",
     "to_casadi",
     "tuned_flags",
     "without_libm",

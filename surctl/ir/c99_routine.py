@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 from surctl.ir.c99 import C_TYPE, Real, c_literal, emit_c99, identifier
 from surctl.ir.c99_folded import emit_folded, preamble
 from surctl.ir.c99_lanes import Feed, chooses, emit_lanes, emit_straight
 from surctl.ir.moves import handed_on
+from surctl.ir.places import Overlaps, Places, inlined, overlapping
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 
 __all__ = ["emit_block"]
 
+_TARGET = re.compile(r"\b\w+\[[^\]]*\] = ")
+
 
 def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: bool = False) -> str:
     """C99 of the block and of every block inside it, callees first.
 
-    The last function is `static void <symbol>(const double *in0, …, double *out0, …)`; as in `emit_c99` outputs
-    may alias inputs. Blocks of one text become one function. Largest stack: the local arrays along the deepest
-    chain of calls.
+    The last function is `static void <symbol>(const double *in0, …, double *out0, …)`. No output of a routine may
+    overlap an input or another output: it is written before the inputs are done with, so that nothing is copied
+    twice (a program alone reads first, see `emit_c99`). Blocks of one text become one function. Largest stack: the
+    local arrays along the deepest chain of calls, see `memory`.
 
     Args:
         block: program or routine.
@@ -33,7 +38,7 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: boo
     """
     identifier(symbol)
     writer = _Writer(symbol, real, overlapping(block), folded)
-    alone = run_alone(block)
+    alone = _with_function(block)
     if folded:
         programs = [inner for inner in nested(block).values() if isinstance(inner, Program)]
         writer.chunks.append(preamble(programs, real))
@@ -47,6 +52,15 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: boo
     return "\n".join(writer.chunks)
 
 
+def _with_function(block: Block) -> set[int]:
+    """Identities of the blocks that somebody calls by name."""
+    routines = [inner for inner in nested(block).values() if isinstance(inner, Routine)]
+    steps = [step for routine in routines for step in routine.steps if not isinstance(step, Gather)]
+    return {
+        id(s.block) for s in steps if (isinstance(s, Call) and not inlined(s)) or (isinstance(s, Loop) and s.lanes == 1)
+    }
+
+
 def run_alone(block: Block) -> set[int]:
     """Identities of the blocks that a step other than a loop over lanes runs."""
     routines = [inner for inner in nested(block).values() if isinstance(inner, Routine)]
@@ -54,17 +68,10 @@ def run_alone(block: Block) -> set[int]:
     return {id(step.block) for step in steps if isinstance(step, Call) or step.lanes == 1}
 
 
-def overlapping(block: Block) -> frozenset[str]:
-    """Digests of the blocks that a loop gives one array as input and output: what it carries."""
-    routines = [inner for inner in nested(block).values() if isinstance(inner, Routine)]
-    loops = [step for routine in routines for step in routine.steps if isinstance(step, Loop)]
-    return frozenset(loop.block.digest() for loop in loops if loop.carried)
-
-
 class _Writer:
     """The functions so far, and their names by what they are the text of."""
 
-    def __init__(self, symbol: str, real: Real, overlapping: frozenset[str], folded: bool) -> None:
+    def __init__(self, symbol: str, real: Real, overlapping: Overlaps, folded: bool) -> None:
         self.symbol, self.real, self.kind = symbol, real, C_TYPE[real]
         self.overlapping, self.folded = overlapping, folded
         self.named: dict[str, str] = {}
@@ -130,50 +137,56 @@ def free_name(wanted: str, named: Mapping[str, str]) -> str:
 def _routine(routine: Routine, symbol: str, writer: _Writer) -> str:
     arguments = [f"const {writer.kind} *in{k}" for k in range(len(routine.inputs))]
     arguments += [f"{writer.kind} *out{k}" for k in range(len(routine.results))]
+    overlaps = writer.overlapping.get(routine.digest(), frozenset())
+    places = Places(routine, overlaps)
     sizes = routine.sizes()
     # local arrays are numbered, so that no name from outside reaches the C text unchecked
-    local = {name: f"in{k}" for k, (name, _) in enumerate(routine.inputs)}
-    local |= {name: f"a{k}" for k, name in enumerate(sizes) if name not in local}
-    kept = taken_over(routine)
-    local |= {result: local[name] for result, name in kept.items()}
+    pointers = {place: f"a{k}" for k, place in reversed(list(enumerate(places.of.values()))) if place[1]}
+    local = {name: pointers.get(place, place[0]) for name, place in places.of.items()}
     meaning = ", ".join(f"{local[name]}: {identifier(name)} {size}" for name, size in sizes.items())
-    lines = [f"/* {meaning}; outputs may alias inputs */", f"static void {symbol}({', '.join(arguments)})", "{"]
-    own = list(sizes.items())[len(routine.inputs) :]
-    lines += [f"    {writer.kind} {local[name]}[{size}];" for name, size in own if name not in kept]
-    read = {name for step in routine.steps for name in reads(step)} | set(routine.results)
-    lines += [f"    (void){local[name]};" for name in local if name not in read and name not in kept]
+    alias = "".join(f"; out{k} may be in{j}" for k, j in sorted(overlaps))
+    lines = [f"/* {meaning}{alias} */", f"static void {symbol}({', '.join(arguments)})", "{"]
+    lines += [f"    {writer.kind} {array}[{size}];" for array, size in places.own.items()]
+    for (base, start), name in pointers.items():
+        kind = f"const {writer.kind}" if base.startswith("in") else writer.kind
+        lines.append(f"    {kind} *const {name} = {base} + {start};")
+    body: list[str] = []
     for step in routine.steps:
-        lines += _step(step, sizes, local, writer)
+        body += _moved(step, places) if inlined(step) else _step(step, sizes, local, writer)
+    body += [_copy(f"held{k}", local[routine.results[k]], sizes[routine.results[k]]) for k in places.held]
     for k, name in enumerate(routine.results):
-        lines.append(_copy(f"out{k}", local[name], sizes[name]))
-    return "\n".join([*lines, "}"]) + "\n"
+        source = f"held{k}" if k in places.held else local[name]
+        body += [_copy(f"out{k}", source, sizes[name])] if source != f"out{k}" else []
+    text = "\n".join([*body, *(base for base, _ in pointers)])
+    used, read = (set(re.findall(r"\w+", t)) for t in (text, _TARGET.sub("", text)))
+    lines += [f"    (void){name};" for name in places.own if name not in read]  # compilers warn of what is only set
+    others = [*(f"in{k}" for k in range(len(routine.inputs))), *pointers.values()]
+    lines += [f"    (void){name};" for name in others if name not in used]
+    return "\n".join([*lines, *body, "}"]) + "\n"
 
 
-def taken_over(routine: Routine) -> dict[str, str]:
-    """Last carried array → the array that held it before the loop, where nothing else reads that: no copy then."""
-    inputs = {name for name, _ in routine.inputs}
-    origin: dict[str, str] = {}
-    for at, step in enumerate(routine.steps):
-        if not isinstance(step, Loop):
-            continue
-        later = {name for other in routine.steps[at + 1 :] for name in reads(other)} | set(routine.results)
-        for name, result in zip(step.carried, step.results, strict=False):
-            alone = step.carried.count(name) == 1 and name not in (*step.sliced, *step.spread, *step.fixed)
-            if alone and name not in later and name not in inputs:
-                origin[result] = origin.get(name, name)
-    return origin
+def _moved(step: Step, places: Places) -> list[str]:
+    """What a call of nothing but moves leaves to copy: what does not stand there already."""
+    lines = []
+    for move in inlined(step):
+        assert isinstance(step, Call)
+        (to, first), (source, start) = places.of[step.results[move.output]], places.of[step.args[move.input]]
+        there, here = (to, first + move.to), (source, start + move.start)
+        if there != here:
+            lines.append(_copy(_entry(*there), _entry(*here), move.count))
+    return lines
 
 
-def reads(step: Step) -> tuple[str, ...]:
-    if isinstance(step, Gather):
-        return (step.source, step.index)
-    return step.args if isinstance(step, Call) else (*step.carried, *step.sliced, *step.spread, *step.fixed)
+def _entry(array: str, first: int) -> str:
+    return f"{array}[{first} + " if first else f"{array}["
 
 
 def _copy(to: str, source: str, size: int) -> str:
+    """Copy `size` numbers; an array, or the beginning of an entry of it."""
+    to, source = (text if "[" in text else f"{text}[" for text in (to, source))
     if size <= 8:  # a compiler keeps what it can name in registers
-        return "    " + " ".join(f"{to}[{k}] = {source}[{k}];" for k in range(size))
-    return f"    for (int k = 0; k < {size}; ++k) {{ {to}[k] = {source}[k]; }}"
+        return "    " + " ".join(f"{to}{k}] = {source}{k}];" for k in range(size))
+    return f"    for (int k = 0; k < {size}; ++k) {{ {to}k] = {source}k]; }}"
 
 
 def _step(step: Step, sizes: Mapping[str, int], local: Mapping[str, str], writer: _Writer) -> list[str]:

@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from surctl.ir.c99 import c_literal, identifier
-from surctl.ir.c99_routine import free_name, reads, run_alone, taken_over
+from surctl.ir.c99_routine import free_name, run_alone
 from surctl.ir.c99_wide_program import head, program_text
+from surctl.ir.places import reads, taken_over
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 from surctl.ir.split import split

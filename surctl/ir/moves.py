@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from surctl.ir.program import Instruction, Program, drop_dead
 
-__all__ = ["Move", "handed_on", "move_lines", "remaining"]
+__all__ = ["Move", "handed_on", "move_lines", "only_moves", "remaining"]
 
+_FEW = 8  # pieces up to which a program of nothing but moves is written where it is called
 _LEAST = 32  # entries, from which on one call that copies is shorter than a line an entry
 
 
@@ -28,7 +29,15 @@ def handed_on(program: Program) -> tuple[Move, ...]:
     return tuple(move for output in range(len(program.outputs)) for move in _of(program, output))
 
 
-def _of(program: Program, output: int) -> Iterator[Move]:
+def only_moves(program: Program) -> tuple[Move, ...]:
+    """All of it as a few pieces, in the order of the outputs; nothing if it does anything else, or if they are many."""
+    if any(i.op != "input" for i in program.instructions) or not all(program.output_refs):
+        return ()
+    moves = tuple(move for output in range(len(program.outputs)) for move in _of(program, output, 1))
+    return moves if len(moves) <= _FEW else ()
+
+
+def _of(program: Program, output: int, least: int = _LEAST) -> Iterator[Move]:
     refs, at = program.output_refs[output], 0
     while at < len(refs):
         count = 1
@@ -39,7 +48,7 @@ def _of(program: Program, output: int) -> Iterator[Move]:
                 if following.op != "input" or following.args != (first.args[0], first.args[1] + count):
                     break
                 count += 1
-            if count >= _LEAST:
+            if count >= least:
                 yield Move(output, at, first.args[0], first.args[1], count)
         at += count
 

@@ -123,7 +123,7 @@ class LocalMap:
         n, blocks = self.side, self.blocks
         line, spans, fixed = self._line(), ("columns", "rows"), ("place", "slots")
         look = self._row(self._look(), carried=("found",), made=("found_last",))
-        change = self._row(self._change(), carried=(), made=("cells_next", "near"))
+        change = self._sorted(self._row(self._change(), carried=(), made=("cells_next", "near")))
         none = (0.0, 0.0, _FAR) * self.sectors
         constants = _constants("constants", (0.0,), (1.0,), (0.0,) * self.slots, none, none)
         where = ("place", "slots", "corner", "corner_next")
@@ -135,13 +135,10 @@ class LocalMap:
             Loop(
                 change,
                 blocks,
-                (),
-                ("cells_next", "near"),
+                ("marked_none", "unknown_none"),
+                ("marked", "unknown", "cells_next"),
                 sliced=("cells", "rows"),
                 fixed=(*fixed, "found_last", "columns"),
-            ),
-            Loop(
-                self._sort(), blocks * blocks, ("marked_none", "unknown_none"), ("marked", "unknown"), sliced=("near",)
             ),
         )
         inputs = (("cells", n * n), ("corner", 2), ("place", 4), ("slots", self.slots * _READING_SIZE))
@@ -188,6 +185,13 @@ class LocalMap:
         wide = {k: given[k] * self.blocks for k in ("cells", "columns")}
         order = (*carried, "cells", "rows", *(k for k in fixed if k != "rows"), "columns")
         return Routine(f"{block.name}_row", tuple((k, wide.get(k, given[k])) for k in order), (loop,), made)
+
+    def _sorted(self, row: Routine) -> Routine:
+        """A row of blocks, whose nearest cells are sorted in at once: those of all rows need not be kept."""
+        best = ("marked_none", "unknown_none")
+        sort = Loop(self._sort(), self.blocks, best, ("marked", "unknown"), sliced=("near",))
+        inputs = (*((name, 3 * self.sectors) for name in best), *row.inputs)
+        return Routine(row.name, inputs, (*row.steps, sort), ("marked", "unknown", "cells_next"))
 
     def _look(self) -> Program:
         """Whether a cell on a firing's arc may hold what it heard: one that is not known to be free."""

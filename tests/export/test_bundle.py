@@ -3,6 +3,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -71,7 +72,7 @@ def test_files_and_manifest() -> None:
 
 def test_header_and_readme_say_unit_and_meaning() -> None:
     files = bundle_of(stand_in()).files
-    assert "double memory[2][3]; /* [m] last ranges, newest row first */" in files["standin.h"]
+    assert "    standin_at_memory = 5 /* memory[2][3] [m] last ranges, newest row first */" in files["standin.h"]
     assert "double fresh; /* [1] 1 when the ranges are new */" in files["standin.h"]
     assert "| `k_p[4]` | 1.0, 2.0, 0.1, 0.7 | 1/s | proportional gain |" in files["README.md"]
     assert "ranges by sensor */ ??/ \\| η |" in files["README.md"]
@@ -116,7 +117,7 @@ int main(void)
     int i;
     if (standin_initialize(NULL, &g) != -1 || standin_initialize(&s, NULL) != -1) { return 1; }
     if (standin_initialize(&s, &g) != STANDIN_STATUS_OK) { return 2; }
-    if (s.memory[1][2] != 1.5 || g.k_p[3] != 0.7) { return 2; }
+    if (s.x[standin_at_memory + 5] != 1.5 || g.k_p[3] != 0.7) { return 2; }
     for (i = 0; i < 4; ++i) { y.tau[i] = 9.0; }
     if (standin_step(&s, &g, NULL, &y) != STANDIN_STATUS_NULL) { return 3; }
     for (i = 0; i < 4; ++i) { if (y.tau[i] != 0.0) { return 4; } }
@@ -124,7 +125,7 @@ int main(void)
     if (standin_step(&s, &g, &u, NULL) != -1) { return 6; }
     standin_terminate(&s);
     standin_terminate(NULL);
-    return (s.memory[1][2] == 0.0) ? 0 : 7;
+    return (s.x[standin_at_memory + 5] == 0.0 && standin_selftest(NULL) > 0) ? 0 : 7;
 }
 """
     )
@@ -205,7 +206,8 @@ def test_the_law_that_senses_is_readable_and_small() -> None:
     law = build_law(sonar=True, equipment=scenario.sensors.on(0.2))
     files = build_bundle(law, {}).files
     header, source = files["surctl_guarded.h"], files["surctl_guarded.c"]
-    assert "    double map_cells[2304]; /* [1] 1 marked" in header
+    assert re.search(r"    surctl_guarded_at_map_cells = \d+, /\* map_cells\[2304\] \[1\] 1 marked", header)
+    assert header.count(f"[{law.state.size}];") == 2
     assert len(header.splitlines()) < 200
     assert sum(len(text.encode()) for text in files.values()) < 700_000
     # no vector of the self-test is a whole state

@@ -43,7 +43,7 @@ def test_every_entry_is_tried_with_every_bad_number() -> None:
 
 def test_an_unguarded_state_is_found_at_the_entry_that_nothing_else_stops(tmp_path: Path) -> None:
     need_compiler()
-    report = report_of("!standin_finite(x, 11) || ", "", tmp_path)
+    report = report_of("!standin_finite(state->x, 11) || ", "", tmp_path)
     assert not report.passed
     assert "x.memory[1][2] = inf (C)" in report.fault_failures  # pushed out by the new row, so the result is finite
     assert all(label.startswith("x.") for label in report.fault_failures)
@@ -51,11 +51,11 @@ def test_an_unguarded_state_is_found_at_the_entry_that_nothing_else_stops(tmp_pa
 
 def test_a_guard_that_stops_an_entry_short_is_found(tmp_path: Path) -> None:
     need_compiler()
-    report = report_of("!standin_finite(x, 11)", "!standin_finite(x, 10)", tmp_path)
+    report = report_of("!standin_finite(state->x, 11)", "!standin_finite(state->x, 10)", tmp_path)
     assert {label.split(" = ")[0] for label in report.fault_failures} == {"x.memory[1][2]"}
 
 
-@pytest.mark.parametrize("change", ["state->latch = 7.0;", "output->tau[2] = 1.0;"])
+@pytest.mark.parametrize("change", ["state->x[standin_at_latch] = 7.0;", "output->tau[2] = 1.0;"])
 def test_a_refusal_that_changes_state_or_thrusts_is_found(tmp_path: Path, change: str) -> None:
     need_compiler()
     guard = "finite(p, 5)) {\n"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -10,7 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from surctl.control import build_law, load_gains
+from surctl.errors import ToolMissing
 from surctl.export import Controller, Records, build_bundle, build_controller, compare_runs
+from surctl.ir import emit_block, memory, stack_of
 from surctl.sensing import Fault
 from surctl.simulation import Run, load_scenario, simulate
 from surctl.vehicle import load_vehicle
@@ -62,6 +65,35 @@ def test_single_steps_far_from_any_flight_agree_to_the_last_bit(flown: tuple[Run
     assert report.tau.absolute == report.state.absolute == report.telemetry.absolute == 0.0
     found = {run.law.step(x, u, p).status for x, u in zip(X, U, strict=True)}
     assert found >= {0, 1, 3, 5, 7}  # every bit: saturated, switched, degraded
+
+
+def in_float(text: str) -> str:
+    """The text around the law with float for double."""
+    text = re.sub(r"\bdouble\b", "float", text).replace("DBL_MAX", "FLT_MAX").replace("fabs(", "fabsf(")
+    return re.sub(r"(?<![\w.])(\d+\.\d+(?:e[-+]?\d+)?)(?![\w.])", r"\1f", text)
+
+
+def test_in_float_it_fits_a_microcontroller_with_32_kb_and_the_readme_counts_all_but_numbers_on_their_way(
+    flown: tuple[Run, Controller],
+) -> None:
+    """State struct, the caller's other structs, and the stack below a step as the compiler tells it."""
+    run, controller = flown
+    law, files, name = run.law, controller.bundle.files, controller.bundle.name
+    words = "bytes in the state", "in the caller's other structs", "in arrays"
+    counts = [int(n) for word in words for n in re.findall(rf"(\d+) {word}", files["README.md"])]
+    state, structs, arrays = (n // 8 for n in counts)
+    assert state == 2 * law.state.size and structs == law.inputs.size + law.gains.size + law.outputs.size
+    assert arrays == memory(law.block) - state
+    before, after = files[f"{name}.c"].split(emit_block(law.block, symbol=f"{name}_law", folded=True))
+    text = in_float(before.replace(f'#include "{name}.h"', files[f"{name}.h"]))
+    text += emit_block(law.block, symbol=f"{name}_law", folded=True, real="float32") + in_float(after)
+    assert "double" not in re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+    try:
+        stack = stack_of(text, f"{name}_step", flags=("-Os", "-Wno-error"))
+    except ToolMissing as missing:
+        pytest.skip(str(missing))
+    assert 4 * arrays <= stack <= 4 * arrays + 3072
+    assert 4 * (state + structs) + stack <= 32 * 1024
 
 
 def scattered_steps(run: Run, count: int) -> tuple[Vector, Vector, Vector]:

@@ -91,7 +91,12 @@ def whole(makers: dict[str, Make]) -> ca.Function:
 
 
 def compiled(
-    programs: Sequence[Block], folder: Path, emit: Callable[..., str] = emit_c99, head: str = ""
+    programs: Sequence[Block],
+    folder: Path,
+    emit: Callable[..., str] = emit_c99,
+    head: str = "",
+    *,
+    flags: Sequence[str] = (),
 ) -> list[Callable[..., list[Vector]]]:
     """The programs as native functions, all from one compilation."""
     text = f"#include <math.h>\n{head}"
@@ -99,7 +104,7 @@ def compiled(
         text += emit(program, symbol=f"f{at}") + _exported(program, at)
     source = folder / "programs.c"
     source.write_text(text)
-    library = ctypes.CDLL(str(compile_program([source], folder / "programs.so", flags=("-shared", "-fPIC"))))
+    library = ctypes.CDLL(str(compile_program([source], folder / "programs.so", flags=("-shared", "-fPIC", *flags))))
     return [_caller(getattr(library, f"run{at}"), program) for at, program in enumerate(programs)]
 
 

@@ -133,7 +133,7 @@ def test_derivatives_go_through_the_loop() -> None:
     assert float(slope(1.0)) == pytest.approx(1.5 ** (turns + 1), rel=1e-12)
 
 
-def test_outputs_may_alias_inputs() -> None:
+def test_an_input_may_be_a_result_beside_others() -> None:
     need_compiler()
     swap = program("swap", {"a": 2}, lambda a: [ca.vertcat(a[1], a[0])])
     routine = Routine("twice", (("a", 2), ("b", 2)), (Call(swap, ("a",), ("c",)),), ("b", "c"))

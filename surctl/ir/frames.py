@@ -1,0 +1,83 @@
+"""Stack that emitted C takes, as the compiler tells it: the frames along the deepest chain of calls."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from surctl.errors import SurctlError, ToolMissing
+from surctl.ir.c99 import C_TYPE, Real
+from surctl.ir.c99_routine import emit_block
+from surctl.ir.compiler import compile_program, compiler_version
+from surctl.ir.routine import Block
+
+__all__ = ["stack_bytes", "stack_of"]
+
+_FUNCTION = re.compile(r"^\w[\w *]*\b(\w+)\([^;{}]*\)\s*\{([^\n]*\}$|\n.*?^\}$)", re.MULTILINE | re.DOTALL)
+_CALL = re.compile(r"\b(\w+)\(")
+
+
+def stack_bytes(block: Block, *, real: Real = "float64", flags: Sequence[str] = ("-Os",)) -> int:
+    """Bytes of stack that the folded C of a block takes on this machine, its own frame and all below it.
+
+    Args:
+        block: program or routine.
+        real: type of the numbers.
+        flags: of the compiler, beside its usual ones.
+
+    Raises:
+        ToolMissing: there is no compiler, or it does not tell its frames (`-fstack-usage`).
+        SurctlError: the compiler refuses, or a frame has no fixed size.
+    """
+    kind, at, places = C_TYPE[real], 0, []
+    for _, size in (*block.inputs, *block.outputs):
+        places.append(f"memory + {at}")
+        at += size
+    text = emit_block(block, symbol="block", real=real, folded=True)
+    head = f"void surctl_run({kind} *memory)"
+    return stack_of(
+        f"#include <math.h>\n{text}\n{head};\n{head}\n{{\n    block({', '.join(places)});\n}}\n",
+        "surctl_run",
+        flags=flags,
+    )
+
+
+def stack_of(text: str, entry: str, *, flags: Sequence[str] = ("-Os",)) -> int:
+    """Bytes of stack below a function of a C text whose functions do not recur, itself included.
+
+    Functions of the mathematical library are not counted; one that the compiler put into its caller is in that frame.
+    """
+    with tempfile.TemporaryDirectory(prefix="surctl-") as name:
+        source, told = Path(name) / "text.c", Path(name) / "text.su"
+        source.write_text(text, encoding="utf-8")
+        try:
+            compile_program([source], Path(name) / "text.o", flags=("-c", *flags, "-fstack-usage"))
+            rows = [line.split("\t") for line in told.read_text(encoding="utf-8").splitlines()]
+        except (SurctlError, FileNotFoundError) as error:
+            if isinstance(error, SurctlError) and "stack-usage" not in str(error):
+                raise
+            raise ToolMissing("tells no frames (-fstack-usage)", key="CC", value=compiler_version()) from None
+    if any("dynamic" in row[2] and "bounded" not in row[2] for row in rows):
+        raise SurctlError("a frame has no fixed size")
+    # "text.c:12:3:name", or "name.part.0" for a piece that was cut out
+    frames: dict[str, int] = {}
+    for where, size, _ in rows:
+        function = where.rsplit(":", 1)[-1].split(".")[0]
+        frames[function] = frames.get(function, 0) + int(size)
+    return _deepest(entry, _callees(text), frames, {})
+
+
+def _callees(text: str) -> dict[str, set[str]]:
+    """Function → functions of the text that it calls."""
+    found = _FUNCTION.findall(text)
+    names = {name for name, _ in found}
+    return {name: set(_CALL.findall(body)) & names for name, body in found}
+
+
+def _deepest(function: str, callees: dict[str, set[str]], frames: dict[str, int], known: dict[str, int]) -> int:
+    if function not in known:
+        below = [_deepest(inner, callees, frames, known) for inner in callees[function]]
+        known[function] = frames.get(function, 0) + max(below, default=0)
+    return known[function]

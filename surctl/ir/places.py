@@ -1,0 +1,225 @@
+"""Where the arrays of a routine live: in its inputs, in its outputs, or in memory of its own.
+
+Every array is written once, by one step, so a copy is needed only where something else would be overwritten:
+
+- a piece that a program of nothing but moves takes out of an array is a pointer into it;
+- what such a program joins is written where it will stand;
+- a result of the routine is written into its output, from the first number on;
+- a loop changes what it carries in place when nothing reads the array, or a piece of it, afterwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from surctl.ir.moves import Move, only_moves
+from surctl.ir.program import Program
+from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
+
+__all__ = ["Places", "inlined", "memory", "overlapping", "reads", "taken_over"]
+
+Overlaps = Mapping[str, frozenset[tuple[int, int]]]
+"""Digest of a block → (output, input) that somebody passes as one array."""
+
+
+def reads(step: Step) -> tuple[str, ...]:
+    """Names of the arrays that a step reads."""
+    if isinstance(step, Gather):
+        return (step.source, step.index)
+    return step.args if isinstance(step, Call) else (*step.carried, *step.sliced, *step.spread, *step.fixed)
+
+
+def writes(step: Step) -> tuple[str, ...]:
+    return (step.result,) if isinstance(step, Gather) else step.results
+
+
+def inlined(step: Step) -> tuple[Move, ...]:
+    """The moves of a call that does nothing else, and so needs no function."""
+    if isinstance(step, Call) and isinstance(step.block, Program):
+        return only_moves(step.block)
+    return ()
+
+
+def overlapping(block: Block) -> Overlaps:
+    """What loops pass as one array: each carried array is an input of the body and an output."""
+    found: dict[str, frozenset[tuple[int, int]]] = {}
+    for inner in nested(block).values():
+        for step in inner.steps if isinstance(inner, Routine) else ():
+            if isinstance(step, Loop) and step.carried:
+                pairs = frozenset((k, step.index + k) for k in range(len(step.carried)))
+                found[step.block.digest()] = found.get(step.block.digest(), frozenset()) | pairs
+    return found
+
+
+def taken_over(routine: Routine, root: Callable[[str], str] = str) -> dict[str, str]:
+    """Last carried array → the array that held it before the loop, where nothing else reads that: no copy then.
+
+    Args:
+        routine: whose loops they are.
+        root: name of the array that another is a piece of; itself for a whole one.
+    """
+    inputs = {name for name, _ in routine.inputs}
+    origin: dict[str, str] = {}
+    for at, step in enumerate(routine.steps):
+        if not isinstance(step, Loop):
+            continue
+        later = {root(name) for other in routine.steps[at + 1 :] for name in reads(other)}
+        later |= set(routine.results)
+        now = [root(name) for name in reads(step)]
+        for name, result in zip(step.carried, step.results, strict=False):
+            if now.count(name) == 1 and name not in later and name not in inputs:
+                origin[result] = origin.get(name, name)
+    return origin
+
+
+@dataclass(frozen=True)
+class Places:
+    """Places of the arrays of one routine.
+
+    Attributes:
+        routine: the routine.
+        overlaps: its outputs and inputs that may be one array; all others are apart.
+    """
+
+    routine: Routine
+    overlaps: frozenset[tuple[int, int]] = frozenset()
+
+    @cached_property
+    def sizes(self) -> dict[str, int]:
+        """Numbers an array."""
+        return self.routine.sizes()
+
+    @cached_property
+    def of(self) -> dict[str, tuple[str, int]]:
+        """Name → (`in0` …, `out0` … or an array of its own, first entry there)."""
+        return {name: self._place(name) for name in self.sizes}
+
+    @cached_property
+    def own(self) -> dict[str, int]:
+        """Arrays of its own with their sizes."""
+        found = {self.of[name][0]: self.sizes[name] for name in self.sizes if self.of[name] == (self._own(name), 0)}
+        return found | {f"held{k}": self.sizes[self.routine.results[k]] for k in self.held}
+
+    @cached_property
+    def held(self) -> tuple[int, ...]:
+        """Outputs whose numbers stand in an input that another output may overwrite."""
+        if not self.overlaps:
+            return ()
+        return tuple(k for k, name in enumerate(self.routine.results) if self.of[name][0].startswith("in"))
+
+    def root(self, name: str) -> str:
+        """The array that it is a piece of."""
+        while name in self._views or name in self._parts:
+            name = (self._views.get(name) or self._parts[name])[0]
+        return name
+
+    def _own(self, name: str) -> str:
+        return f"a{list(self.sizes).index(self._kept.get(name, name))}"
+
+    def _place(self, name: str) -> tuple[str, int]:
+        names = [name for name, _ in self.routine.inputs]
+        if name in names:
+            return f"in{names.index(name)}", 0
+        final = self._final.get(self._kept.get(name, name), name)
+        inside = self._views.get(final) or self._parts.get(final)
+        if inside:
+            base, start = self._place(inside[0])
+            return base, start + inside[1]
+        return (f"out{self._direct[final]}" if final in self._direct else self._own(name)), 0
+
+    @cached_property
+    def _views(self) -> dict[str, tuple[str, int]]:
+        """Piece → (array, first entry)."""
+        found: dict[str, tuple[str, int]] = {}
+        for step in self.routine.steps:
+            for move in inlined(step):
+                assert isinstance(step, Call)
+                result = step.results[move.output]
+                if move.count == self.sizes[result] and result not in self.routine.results:
+                    found[result] = step.args[move.input], move.start
+        return found
+
+    @cached_property
+    def _parts(self) -> dict[str, tuple[str, int]]:
+        """Array that is written where it is joined → (the joined array, first entry there)."""
+        found: dict[str, tuple[str, int]] = {}
+        taken = {*(name for name, _ in self.routine.inputs), *self.routine.results, *self._views}
+        for step in self.routine.steps:
+            for move in inlined(step):
+                assert isinstance(step, Call)
+                name, whole = step.args[move.input], step.results[move.output]
+                if name not in taken and whole not in self._views and move.count == self.sizes[name]:
+                    found[name] = whole, move.to
+                    taken.add(name)
+        return found
+
+    @cached_property
+    def _kept(self) -> dict[str, str]:
+        return taken_over(self.routine, self.root)
+
+    @cached_property
+    def _final(self) -> dict[str, str]:
+        """Array that loops change in place → the last name of it."""
+        return {first: name for name, first in self._kept.items()}
+
+    @cached_property
+    def _direct(self) -> dict[str, int]:
+        """Result → the output that it is written into."""
+        results = self.routine.results
+        inputs = {name for name, _ in self.routine.inputs}
+        found = {name: results.index(name) for name in results if name not in inputs}
+        for k, j in self.overlaps:
+            if results[k] in found and not self._harmless(results[k], self.routine.inputs[j][0]):
+                del found[results[k]]
+        return found
+
+    def _harmless(self, result: str, given: str) -> bool:
+        """Whether the result may be written over the input: nothing reads that later than the loop that carries it."""
+        first = min(at for at, step in enumerate(self.routine.steps) if self._inside(result, step))
+        steps = self.routine.steps[first:]
+        later = [*(self.root(name) for step in steps for name in reads(step)), *self.routine.results]
+        if given not in later:
+            return True
+        loop = steps[0]
+        return (
+            isinstance(loop, Loop)
+            and later.count(given) == 1
+            and (given, result)
+            in zip(
+                loop.carried, (self._final.get(self._kept.get(name, name), name) for name in loop.results), strict=False
+            )
+        )
+
+    def _inside(self, result: str, step: Step) -> bool:
+        """Whether the step writes into the memory of that result."""
+        for name in writes(step):
+            while name != result:
+                final = self._final.get(self._kept.get(name, name), name)
+                after = self._parts[final][0] if final in self._parts else final
+                if after == name:
+                    break
+                name = after
+            if name == result:
+                return True
+        return False
+
+
+def memory(block: Block) -> int:
+    """Numbers in the arrays along the deepest chain of calls: inputs, outputs, and the routines' own arrays.
+
+    4 bytes each in float32. What a compiler keeps of a program's intermediate numbers on the stack is not in it.
+    """
+    known = overlapping(block)
+    given = sum(size for _, size in (*block.inputs, *block.outputs))
+    return given + _deepest(block, known)
+
+
+def _deepest(block: Block, overlaps: Overlaps) -> int:
+    if not isinstance(block, Routine):
+        return 0
+    own = sum(Places(block, overlaps.get(block.digest(), frozenset())).own.values())
+    turns = max((step.lanes for step in block.steps if isinstance(step, Loop) and step.index), default=0)
+    called = [step.block for step in block.steps if not isinstance(step, Gather)]
+    return own + turns + max((_deepest(inner, overlaps) for inner in called), default=0)
