@@ -1,0 +1,5 @@
+"""What many drawn flights of a scenario say together."""
+
+from surctl.simulation.campaign.share import Share
+
+__all__ = ["Share"]
