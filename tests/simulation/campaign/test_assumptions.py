@@ -58,3 +58,13 @@ def test_without_lag_the_way_is_that_of_constant_force():
     ways = [quick[m] * 0.2**2 / (2 * 0.85 * quick[f]) for m, f in (("m11", "Fu_max"), ("m22", "Fv_max"))]
     assert braking_distance(quick, speed=0.2) == pytest.approx(max(ways), rel=1e-12)
     assert braking_distance(VEHICLE, speed=0.2, obstacle=1e3) == float("inf")
+
+
+@pytest.mark.parametrize("obstacle", [0.0, 0.1])
+def test_lag_is_like_braking_from_the_speed_that_it_adds(obstacle):
+    ways = []
+    for m, linear, quadratic, f in (("m11", "Xu", "Xuu", "Fu_max"), ("m22", "Yv", "Yvv", "Fv_max")):
+        added = 1.85 * VEHICLE[f] * VEHICLE["thrust_lag"] / VEHICLE[m]
+        left = 0.85 * VEHICLE[f] - VEHICLE[linear] * obstacle - VEHICLE[quadratic] * obstacle**2
+        ways.append(VEHICLE[m] * (0.2 + obstacle + added) ** 2 / (2 * left))
+    assert braking_distance(VEHICLE, speed=0.2, obstacle=obstacle) == pytest.approx(max(ways), rel=1e-12)
