@@ -11,12 +11,16 @@ from surctl.simulation.batch import (
     knobs,
     simulate_batch,
 )
+from surctl.simulation.disturbance import Disturbance
 from surctl.simulation.explanation import Explanation, explain
 from surctl.simulation.fit import Finding, findings
 from surctl.simulation.halting import halt_reason
 from surctl.simulation.metrics import HALT, METRICS, STOPS, Metrics, MetricSpec
-from surctl.simulation.run import SENSING, Record, Run, Sensing, advance, law_numbers, simulate
-from surctl.simulation.scenario import LIBRARY, Obstacle, Scenario, load_scenario
+from surctl.simulation.obstacle import Obstacle
+from surctl.simulation.paper_figure import PaperFigure
+from surctl.simulation.record import Record
+from surctl.simulation.run import SENSING, Run, Sensing, advance, law_numbers, simulate
+from surctl.simulation.scenario import LIBRARY, Scenario, load_scenario
 from surctl.simulation.sensors import Sensors
 from surctl.simulation.world import Body, World, build_world
 
@@ -30,6 +34,7 @@ __all__ = [
     "BatchResult",
     "Body",
     "Case",
+    "Disturbance",
     "Engine",
     "Explanation",
     "Finding",
@@ -37,6 +42,7 @@ __all__ = [
     "MetricSpec",
     "Metrics",
     "Obstacle",
+    "PaperFigure",
     "Record",
     "Run",
     "Scenario",

@@ -14,36 +14,20 @@ from numpy.typing import NDArray
 from surctl.control import CONTACT_SLOTS, NONFINITE, Gains, Law, build_law, law_parameters
 from surctl.errors import InputError, nearest
 from surctl.sensing import NoiseStream, OwnState, delayed, fault_state, faulty, true_range
-from surctl.simulation.metrics import HALT, NEAR_TARGET, Metrics, path_error, settled_avoidance
+from surctl.simulation.metrics import HALT, Metrics
+from surctl.simulation.record import Record, measure
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.sensors import FIRING, firing_plan
 from surctl.simulation.world import Body, World, build_world
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, build_plant, plant_parameters
 from surctl.world import Disc
 
-__all__ = ["SENSING", "Record", "Run", "Sensing", "advance", "law_numbers", "simulate"]
+__all__ = ["SENSING", "Run", "Sensing", "advance", "law_numbers", "simulate"]
 
 Sensing = Literal["sonar", "truth"]
 SENSING: tuple[Sensing, ...] = get_args(Sensing)
 
 _RK4_STEPS = (0.010, 0.010, 0.005)
-
-
-@dataclass(frozen=True, eq=False)
-class Record:
-    """Everything that happened, one row a control tick; kept for plots and for checks of other lives of the law."""
-
-    time: NDArray[np.float64]
-    eta: NDArray[np.float64]
-    nu: NDArray[np.float64]
-    tau: NDArray[np.float64]
-    clearance: NDArray[np.float64]
-    law_state: NDArray[np.float64]
-    law_input: NDArray[np.float64]
-    law_parameters: NDArray[np.float64]
-    status: NDArray[np.int_]
-    telemetry: NDArray[np.float64]
-    obstacles: Sequence[Sequence[Body]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,9 +124,8 @@ def simulate(
     p = law_numbers(scenario, gains, model or vehicle)
     loop = _Loop(world, vehicle, law, p, sensing, NoiseStream(seed))
     reason, record = loop.fly(), loop.record()
-    return Run(
-        scenario, vehicle, gains, law, sensing, seed, _metrics(scenario, law, record, reason, loop.least), record
-    )
+    metrics = measure(scenario, law, record, reason=reason, least=loop.least)
+    return Run(scenario, vehicle, gains, law, sensing, seed, metrics, record)
 
 
 def law_numbers(scenario: Scenario, gains: Gains, model: Vehicle) -> NDArray[np.float64]:
@@ -183,7 +166,7 @@ class _Loop:
         noise: NoiseStream,
     ) -> None:
         self.world, self.law, self.p, self.sensing, self.noise = world, law, p, sensing, noise
-        self.plant = plant_parameters(vehicle)
+        self.plant, self.limit = plant_parameters(vehicle), vehicle.thrust_limit
         self.sensors = world.scenario.sensors
         self.station = self.sensors.equipment.station
         self.array = self.sensors.array_on(world.hull)
@@ -263,7 +246,7 @@ class _Loop:
         return _Drawn(samples, uniforms.reshape(instants, wide, 2), own, told, float(rest[6]))
 
     def _advance(self, time: float, tau: NDArray[np.float64], drawn: _Drawn) -> None:
-        half = round(self.law.dt / FIRING)
+        half, thrust = round(self.law.dt / FIRING), self.world.thrust(tau, self.limit)
         for k in range(half):
             d = PLANT_DISTURBANCE.pack(
                 {
@@ -271,7 +254,7 @@ class _Loop:
                     "force": self.world.force(time + k * FIRING),
                 }
             )
-            self.state = np.asarray(advance()(self.state, tau, d, self.plant)).reshape(-1)
+            self.state = np.asarray(advance()(self.state, thrust, d, self.plant)).reshape(-1)
             if k < half - 1:
                 between = time + (k + 1) * FIRING
                 bodies = self.world.bodies(between)
@@ -371,30 +354,3 @@ class _Loop:
         if isinstance(body.shape, Disc):
             return [*body.shape.center, body.shape.radius, *body.velocity, 1.0]
         return [*body.shape.nearest(self.state[:2])[1], 0.0, *body.velocity, 1.0]
-
-
-def _metrics(scenario: Scenario, law: Law, record: Record, reason: str, least: float) -> Metrics:
-    where, thrust = record.eta[:, :2], record.tau[:, :2]
-    away = scenario.path.distance(where)
-    excluded = settled_avoidance(record.telemetry[:, law.telemetry_slice("avoiding")].ravel(), away)
-    steps = np.linalg.norm(np.diff(where, axis=0), axis=1)
-    leg = scenario.target - scenario.path.waypoints[-2]
-    past = (where - scenario.target) @ (leg / np.linalg.norm(leg))
-    near = np.linalg.norm(where - scenario.target, axis=1) <= NEAR_TARGET
-    limit = record.law_parameters[law.gains.slice("thrust_limit")]
-    jumps = np.diff(thrust, axis=0)
-    return Metrics(
-        reached=reason == "reached",
-        time_s=round(float(record.time[-1]), 9),
-        min_clearance_m=float(least),
-        path_error_m=path_error(away, record.eta[:, 2] - scenario.depth, excluded),
-        deviation_m=float(np.sqrt(np.mean(away**2))),
-        length_m=float(steps.sum()),
-        effort_n=float(np.mean(np.hypot(thrust[:, 0], thrust[:, 1]))),
-        stopped_because=reason,
-        max_deviation_m=float(np.max(away)),
-        overshoot_m=float(np.max(past[near], initial=0.0)),
-        peak_thrust_share=float(np.max(np.abs(record.tau) / limit)),
-        saturated_share=float(np.mean(record.status % 2)),
-        thrust_rate_n_per_s=float(np.sqrt(np.mean(np.sum(jumps**2, axis=1))) / law.dt) if len(jumps) else 0.0,
-    )

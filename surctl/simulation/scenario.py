@@ -5,78 +5,32 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from surctl.errors import InputError
 from surctl.files import Strict, pick, read_toml, validate
 from surctl.guidance import Path
+from surctl.simulation.disturbance import Disturbance
+from surctl.simulation.obstacle import Obstacle, Point, Positive
+from surctl.simulation.paper_figure import PaperFigure
 from surctl.simulation.sensors import OwnStateTable, Sensors, SonarTable, StationTable, sensors_from_tables
 from surctl.world import Box, Disc, Wall, site_walls
 
-__all__ = ["LIBRARY", "Obstacle", "Scenario", "Shape", "load_scenario", "scenario_from_table"]
+__all__ = ["LIBRARY", "Scenario", "Shape", "load_scenario", "scenario_from_table"]
 
 LIBRARY = FilePath(__file__).parent / "library"
 
 Shape = Box | Disc | Wall
-Point = tuple[float, float]
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-
-
-class Obstacle(Strict):
-    """One obstacle; lengths in m, speeds in m/s, positions in {E} at the start.
-
-    A box or cylinder stands still but for its drift: a seeded sine of amplitude `drift_m` in a seeded direction. A
-    `moving` sphere goes in a straight line from `centre_m` to `to_m` and is taken out on arrival if `removed`.
-    """
-
-    name: str = Field(min_length=1)
-    shape: Literal["box", "cylinder", "moving"]
-    centre_m: Point
-    size_m: tuple[Positive, Positive] | None = None
-    radius_m: Positive | None = None
-    drift_m: NotNegative = 0.0
-    drift_period_s: Positive = 10.0
-    to_m: Point | None = None
-    speed_m_per_s: Positive | None = None
-    removed: bool = True
-
-    @model_validator(mode="after")
-    def _complete(self) -> Obstacle:
-        if self.shape == "box" and self.size_m is None:
-            raise ValueError("a box needs size_m; add size_m = [along x, along y]")
-        if self.shape == "cylinder" and self.radius_m is None:
-            raise ValueError("a cylinder needs radius_m; add radius_m")
-        if self.shape != "box" and self.size_m is not None:
-            raise ValueError(f'a {self.shape} obstacle takes no size_m; remove it or write shape = "box"')
-        if self.shape == "moving" and (self.to_m is None or self.speed_m_per_s is None):
-            raise ValueError("a moving obstacle needs to_m and speed_m_per_s; add both")
-        return self
 
 
 class _Site(Strict):
     length_m: Positive
     width_m: Positive
     depth_m: Positive
-
-
-class Disturbance(Strict):
-    """Waves as a seeded sinusoidal force in {E}, and a constant current."""
-
-    wave_force_n: NotNegative = 0.0
-    wave_period_s: Positive = 3.0
-    current_m_per_s: tuple[float, float] = (0.0, 0.0)
-
-
-class PaperFigure(Strict):
-    """What the paper reports of the scenario."""
-
-    result: str
-    time_s: Positive | None = None
 
 
 class _ScenarioFile(Strict):
@@ -146,7 +100,7 @@ class Scenario:
     @property
     def seeded(self) -> bool:
         """Whether a flight with true positions depends on the seed at all."""
-        return self.disturbance.wave_force_n > 0 or any(o.drift_m > 0 for o in self.obstacles)
+        return self.disturbance.seeded or any(o.drift_m > 0 for o in self.obstacles)
 
     @property
     def start(self) -> NDArray[np.float64]:
@@ -227,6 +181,7 @@ def _check(scenario: Scenario) -> None:
                 "lies outside the site", file=source, key=key, value=[x, y], remedy="correct the point or the site"
             )
     _unique([o.name for o in scenario.obstacles], source)
+    _apart([o for o in scenario.obstacles if o.still], scenario)
 
 
 def _unique(names: Sequence[str], source: str) -> None:
@@ -235,3 +190,26 @@ def _unique(names: Sequence[str], source: str) -> None:
             raise InputError(
                 "two obstacles have one name", file=source, key="obstacles.name", value=name, remedy="rename one"
             )
+
+
+def _apart(still: Sequence[Obstacle], scenario: Scenario) -> None:
+    """Bodies that stand still share no water, and none holds the target; drift is judged by `findings`."""
+    target = scenario.target.tolist()
+    for k, obstacle in enumerate(still):
+        if obstacle.distance((target[0], target[1])) <= 0:
+            raise InputError(
+                f"the target lies inside obstacle {obstacle.name!r}",
+                file=scenario.source,
+                key="path_m",
+                value=target,
+                remedy="move the target or the obstacle",
+            )
+        for other in still[k + 1 :]:
+            if (room := obstacle.apart(other)) < 0:
+                raise InputError(
+                    f"overlaps obstacle {obstacle.name!r} by {-room:.3f} m",
+                    file=scenario.source,
+                    key=f"obstacles.{other.name}.centre_m",
+                    value=list(other.centre_m),
+                    remedy="move one of them or make it smaller",
+                )

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.simulation.scenario import Obstacle, Scenario, Shape
+from surctl.simulation.obstacle import Obstacle
+from surctl.simulation.scenario import Scenario, Shape
 from surctl.vehicle import Vehicle
 from surctl.world import Box, Disc
 
@@ -36,6 +37,8 @@ class World:
         drift_direction: unit vectors (n, 2), one an obstacle.
         drift_phase: (n,) [rad].
         wave_direction, wave_phase: of the wave force.
+        push_direction, push_phase: of the slow force.
+        gain_error, bias: (4,) in [-1, 1], of the thrust along each axis, to be scaled by what the scenario states.
         hull: radius of the vehicle flown [m], also that of moving obstacles that name none.
     """
 
@@ -45,6 +48,10 @@ class World:
     drift_phase: NDArray[np.float64]
     wave_direction: NDArray[np.float64]
     wave_phase: float
+    push_direction: NDArray[np.float64]
+    push_phase: float
+    gain_error: NDArray[np.float64]
+    bias: NDArray[np.float64]
 
     def bodies(self, time: float) -> list[Body]:
         """The obstacles that are in the water at `time` [s]."""
@@ -55,7 +62,14 @@ class World:
         """Disturbance (4,) in {E} [N, N m]."""
         d = self.scenario.disturbance
         push = d.wave_force_n * np.sin(2 * np.pi * time / d.wave_period_s + self.wave_phase)
-        return np.array([*(push * self.wave_direction), 0.0, 0.0])
+        slow = d.drift_force_n * np.sin(2 * np.pi * time / d.drift_period_s + self.push_phase)
+        return np.array([*(push * self.wave_direction + slow * self.push_direction), 0.0, 0.0])
+
+    def thrust(self, command: NDArray[np.float64], limit: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What reaches the thrusters of a command (4,) in {B} [N, N m] with these limits; see `Disturbance`."""
+        d = self.scenario.disturbance
+        delivered: NDArray[np.float64] = command * (1 + d.thrust_error * self.gain_error)
+        return delivered + d.thrust_bias * self.bias * limit
 
     def clearance(self, position: NDArray[np.float64], bodies: Sequence[Body]) -> float:
         """Hull to the nearest of the bodies [m], negative when it touches; walls apart."""
@@ -95,6 +109,10 @@ class WorldDraw(NamedTuple):
     drift_phase: NDArray[np.float64]
     wave_direction: NDArray[np.float64]
     wave_phase: float
+    push_direction: NDArray[np.float64]
+    push_phase: float
+    gain_error: NDArray[np.float64]
+    bias: NDArray[np.float64]
 
 
 def draw_world(obstacles: int, *, seed: int) -> WorldDraw:
@@ -103,7 +121,19 @@ def draw_world(obstacles: int, *, seed: int) -> WorldDraw:
     drifts, wave, phases, wave_phase = turns[:obstacles], turns[obstacles], turns[obstacles + 1 : -1], turns[-1]
     # the library's sine: numpy's differs in the last digit with an array's length
     directions = np.array([(cos(angle), sin(angle)) for angle in (*drifts, wave)])
-    return WorldDraw(directions[:-1], np.array(phases), directions[-1], wave_phase)
+    slow, slow_phase, *errors = np.random.default_rng([seed, 2]).random(10).tolist()
+    push = np.array([cos(2 * np.pi * slow), sin(2 * np.pi * slow)])
+    shares = 2 * np.array(errors) - 1
+    return WorldDraw(
+        directions[:-1],
+        np.array(phases),
+        directions[-1],
+        wave_phase,
+        push,
+        2 * np.pi * slow_phase,
+        shares[:4],
+        shares[4:],
+    )
 
 
 def build_world(scenario: Scenario, vehicle: Vehicle, *, seed: int) -> World:

@@ -81,6 +81,14 @@ SCENARIO_MISTAKES = {
         SCENARIO.replace("cruise_m_per_s = 0.15", "cruise_m_per_s = -0.15"),
         ["cruise_m_per_s", "-0.15"],
     ),
+    "obstacles that overlap": (
+        SCENARIO.replace("centre_m = [1.2, 0.7]", "centre_m = [0.65, 0.35]"),
+        ["s.toml", "obstacles.Obstacle2.centre_m = [0.65, 0.35]", "overlaps obstacle 'Obstacle1' by 0.050 m", "move"],
+    ),
+    "target inside an obstacle": (
+        SCENARIO.replace("centre_m = [2.0, 1.0]", "centre_m = [2.75, 0.96]"),
+        ["s.toml", "path_m = [2.75, 1.0]", "inside obstacle 'Obstacle4'", "move the target or the obstacle"],
+    ),
     "unit in the key": (SCENARIO.replace("cruise_m_per_s", "cruise_km_per_h"), ["cruise_km_per_h", "'cruise_m_per_s'"]),
     "depth in the air": (SCENARIO.replace("depth_m = -0.15", "depth_m = 0.15"), ["depth_m", "0.15", "z is up"]),
     "a quote in a name": (

@@ -62,11 +62,24 @@ def _same(found: np.ndarray[Any, Any], wanted: np.ndarray[Any, Any]) -> None:
         (_case("tank-static", sensing="sonar"), 1),  # boxes that are only heard; it collides
         (_case("pool-behind", sensing="sonar", seconds=8.0), 4),
         (_case("tank-speed-015", law="paper", seconds=12.0), 0),
+        (_case("pool-ahead", seconds=9.0), 7),  # waves, slow drift and inexact thrust, to past the obstacle
+        (_case("pool-speed-025", sensing="sonar", seconds=5.0), 8),
+        (_case("tank-slalom", seconds=16.0), 0),  # six points of a path, through a box
+        (_case("tank-speed-025", seconds=4.0), 0),
     ],
     ids=lambda x: x.name if isinstance(x, Case) else str(x),
 )
 def test_a_run_of_the_batch_is_the_reference_run(case: Case, seed: int) -> None:
     _same(simulate_batch(case, seeds=seed).table[0], _reference(case, seed))
+
+
+def test_a_strong_error_of_the_thrust_is_the_same_in_both_loops() -> None:
+    base = _case("pool-static", seconds=8.0)
+    strong = {"thrust_error": 0.6, "thrust_bias": 0.2, "drift_force_n": 1.0, "drift_period_s": 5.0}
+    case = _with_waves(base, **strong)
+    found = simulate_batch(case, seeds=[3]).table[0]
+    _same(found, _reference(case, 3))
+    assert not np.allclose(found, simulate_batch(base, seeds=[3]).table[0], atol=1e-3, equal_nan=True)
 
 
 def test_a_mode_with_limits_flies_the_same() -> None:
@@ -153,6 +166,10 @@ _POOL, _TANK = _pool(), _case("tank-speed-015", seconds=25.0)
         (_POOL, "scenario.time_limit", 7.0, replace(_POOL, scenario=replace(_POOL.scenario, time_limit=7.0))),
         (_POOL, "scenario.wave_force", 0.6, _with_waves(_POOL, wave_force_n=0.6)),
         (_POOL, "scenario.wave_period", 2.0, _with_waves(_POOL, wave_period_s=2.0)),
+        (_POOL, "scenario.drift_force", 0.4, _with_waves(_POOL, drift_force_n=0.4)),
+        (_POOL, "scenario.drift_period", 9.0, _with_waves(_POOL, drift_period_s=9.0)),
+        (_POOL, "scenario.thrust_error", 0.2, _with_waves(_POOL, thrust_error=0.2)),
+        (_POOL, "scenario.thrust_bias", 0.1, _with_waves(_POOL, thrust_bias=0.1)),
         (_POOL, "scenario.current_y", 0.02, _with_waves(_POOL, current_m_per_s=(0.0, 0.02))),
         (
             _POOL,

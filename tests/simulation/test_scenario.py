@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.simulation import LIBRARY, Scenario, build_world, findings, load_scenario
+from surctl.simulation import LIBRARY, Obstacle, Scenario, build_world, findings, load_scenario
 from surctl.vehicle import load_vehicle
 
-NAMES = ("pool-behind", "pool-static", "tank-speed-015", "tank-static")
+GOLDEN = tomllib.loads((Path(__file__).parents[1] / "golden" / "scenarios.toml").read_text(encoding="utf-8"))
+NAMES = tuple(sorted(GOLDEN))
 TEXT = (LIBRARY / "pool-static.toml").read_text(encoding="utf-8")
 PATH = "path_m = [[0.25, 0.25], [2.75, 1.0]]"
 FIRST = "centre_m = [0.6, 0.35]\nradius_m = 0.05"
@@ -28,7 +30,7 @@ def _edited(old: str, new: str) -> str:
     return TEXT.replace(old, new, 1)
 
 
-# --- the four that come with the toolkit --------------------------------------------------------------------------
+# --- those that come with the toolkit -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -40,37 +42,55 @@ def test_built_in_scenarios_load_and_name_a_vehicle_that_fits(name: str) -> None
         build_world(scenario, load_vehicle(scenario.vehicle), seed=seed)
 
 
-def test_the_numbers_of_the_paper() -> None:
-    tank, pool, behind, speed = (
-        load_scenario(n) for n in ("tank-static", "pool-static", "pool-behind", "tank-speed-015")
-    )
-    assert [o.centre_m for o in tank.obstacles] == [(2.5, 1.2), (4.0, 3.8), (6.0, 1.2), (8.0, 2.5)]
-    assert {o.size_m for o in tank.obstacles} == {(0.3, 1.6)}
-    assert [o.centre_m for o in pool.obstacles] == [(0.6, 0.35), (1.2, 0.7), (1.2, 1.5), (2.0, 1.0)]
-    assert {(o.radius_m, o.drift_m) for o in pool.obstacles} == {(0.05, 0.05)}
-    np.testing.assert_array_equal(pool.path.waypoints, [[0.25, 0.25], [2.75, 1.0]])
-    np.testing.assert_array_equal(behind.path.waypoints, [[1.0, 0.8], [2.75, 1.75]])
-    np.testing.assert_array_equal(speed.path.waypoints, [[0.5, 2.5], [9.5, 2.5]])
-    (chaser,) = behind.obstacles
-    assert (chaser.centre_m, chaser.to_m, chaser.speed_m_per_s, chaser.removed) == (
-        (0.25, 0.25),
-        (2.75, 1.75),
-        0.2,
-        True,
-    )
-    (head_on,) = speed.obstacles
-    assert (head_on.centre_m, head_on.to_m, head_on.speed_m_per_s) == ((9.5, 2.5), (0.5, 2.5), 0.15)
-    assert [s.site for s in (tank, pool)] == [(10, 5, 5), (3, 2, 1)]
-    assert {s.depth for s in (tank, pool, behind, speed)} == {-0.15}
-    assert {s.reach for s in (tank, pool, behind, speed)} == {0.10}
-    assert [(s.cruise, s.cap) for s in (tank, pool, behind, speed)] == [
-        (0.2, 0.22),
-        (0.15, 0.22),
-        (0.15, 0.22),
-        (0.22, 0.22),
-    ]
-    assert [s.vehicle for s in (tank, pool, behind, speed)] == ["sur540-flooded", "sur400", "sur400", "sur540-flooded"]
-    assert (pool.paper.time_s, speed.paper.time_s) == (20.0, 44.5)
+def test_every_scenario_of_the_paper_is_there_and_no_other() -> None:
+    assert {path.stem for path in LIBRARY.glob("*.toml")} == set(NAMES)
+    assert len(NAMES) == 14
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_numbers_of_the_paper(name: str) -> None:
+    scenario, wanted = load_scenario(name), GOLDEN[name]
+    assert scenario.vehicle == wanted["vehicle"]
+    assert list(scenario.site) == wanted["site"]
+    np.testing.assert_array_equal(scenario.path.waypoints, wanted["path"])
+    assert [scenario.cruise, scenario.cap] == wanted["speeds"]
+    assert (scenario.depth, scenario.reach) == (-0.15, 0.10)
+    here: dict[str, list[Obstacle]] = {shape: [] for shape in ("box", "cylinder", "moving")}
+    for obstacle in scenario.obstacles:
+        here[obstacle.shape].append(obstacle)
+    assert [list(o.centre_m) for o in here["box"]] == wanted.get("boxes", [])
+    assert all(o.size_m == (0.3, 1.6) and o.drift_m == 0 for o in here["box"])
+    assert [list(o.centre_m) for o in here["cylinder"]] == wanted.get("cylinders", [])
+    assert all((o.radius_m, o.drift_m) == (0.05, 0.05) for o in here["cylinder"])
+    ways = [[*o.centre_m, *(o.to_m or ()), o.speed_m_per_s] for o in here["moving"]]
+    assert ways == wanted.get("movers", [])
+    assert all(o.removed and o.radius_m is None for o in here["moving"])  # of the robot's own size
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_the_paper_reports(name: str) -> None:
+    figure, wanted = load_scenario(name).paper, dict(GOLDEN[name]["paper"])
+    given = figure.model_dump(exclude={"result"}, exclude_none=True)
+    kinds = {"time_kind": "about", "time_of": "run"} | {
+        k: v for k, v in wanted.items() if k in ("time_kind", "time_of")
+    }
+    assert {"time_kind": given.pop("time_kind"), "time_of": given.pop("time_of")} == kinds
+    simulated = name.startswith("tank")  # about 4 cm in simulation, less than 8 cm in the pool, stated of them all
+    assert given.pop("position_error_kind") == ("about" if simulated else "less than")
+    assert given.pop("position_error_of") == "series"
+    given["transients_s"] = list(given["transients_s"])
+    assert given == {"transients_s": []} | {k: v for k, v in wanted.items() if k not in kinds}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_pool_has_waves_drift_and_inexact_thrust_and_the_tank_is_calm(name: str) -> None:
+    scenario = load_scenario(name)
+    d = scenario.disturbance
+    numbers = (d.wave_force_n, d.drift_force_n, d.thrust_error, d.thrust_bias)
+    assert numbers == ((0.3, 0.1, 0.05, 0.01) if name.startswith("pool") else (0, 0, 0, 0))
+    assert scenario.seeded == name.startswith("pool")
+    # what pushes is small beside what the thrusters give
+    assert sum(numbers[:2]) < 0.1 * load_vehicle(scenario.vehicle)["Fu_max"]
 
 
 def test_walls_enclose_the_site() -> None:
@@ -113,6 +133,28 @@ MISTAKES = {
     "typo below": (_edited("wave_force_n", "wave_force"), "disturbance.wave_force", "did you mean 'wave_force_n'?"),
     "no site": (_edited("length_m = 3.0\n", ""), "site.length_m", "is missing"),
     "negative drift": (_edited("drift_m = 0.05", "drift_m = -0.05"), "obstacles.0.drift_m", "0"),
+    "target in a cylinder": (
+        _edited("centre_m = [2.0, 1.0]", "centre_m = [2.72, 0.98]"),
+        "path_m = [2.75, 1.0]",
+        "the target lies inside obstacle 'Obstacle4'",
+    ),
+    "overlap": (
+        _edited("centre_m = [1.2, 0.7]", "centre_m = [0.65, 0.41]"),
+        "obstacles.Obstacle2.centre_m = [0.65, 0.41]",
+        "overlaps obstacle 'Obstacle1' by",
+    ),
+    "obstacle of negative speed": (
+        _edited('shape = "cylinder"', 'shape = "moving"\nto_m = [1.0, 1.0]\nspeed_m_per_s = -0.1'),
+        "obstacles.0.speed_m_per_s",
+        "greater than 0",
+    ),
+    "thrust off by all of it": (
+        _edited("thrust_error = 0.05", "thrust_error = 1.0"),
+        "disturbance.thrust_error",
+        "less than 1",
+    ),
+    "a kind of no time": (_edited("time_s = 20.0\n", ""), "paper", "time_kind speaks of time_s"),
+    "time of no kind": (_edited('time_kind = "about"', 'time_kind = "at most"'), "paper.time_kind", "'less than'"),
     "no time": (_edited("time_limit_s = 90.0", "time_limit_s = 0.0"), "time_limit_s", "greater than 0"),
     "another kind": (_edited('kind = "scenario"', 'kind = "vehicle"'), "kind", "'scenario'"),
 }

@@ -94,9 +94,14 @@ def test_clearance_by_hand() -> None:
     assert world.wall_clearance(np.array([1.0, 0.1])) == pytest.approx(0.1 - 0.27)
 
 
-def test_waves_push_in_one_direction_with_the_given_amplitude() -> None:
+def _pushed(**changes: float) -> World:
     world = _world("pool-static")
-    forces = np.array([world.force(t) for t in np.linspace(0, 3, 301)])
+    disturbance = world.scenario.disturbance.model_copy(update=changes)
+    return replace(world, scenario=replace(world.scenario, disturbance=disturbance))
+
+
+def test_waves_push_in_one_direction_with_the_given_amplitude() -> None:
+    forces = np.array([_pushed(drift_force_n=0.0).force(t) for t in np.linspace(0, 3, 301)])
     np.testing.assert_array_equal(forces[:, 2:], 0)
     assert np.linalg.norm(forces, axis=1).max() == pytest.approx(0.3, rel=1e-3)
     np.testing.assert_allclose(forces[0], forces[-1], atol=1e-12)  # period 3 s
@@ -113,3 +118,28 @@ def test_a_scenario_knows_whether_its_seed_matters(name: str, seeded: bool) -> N
     same_waves = np.array_equal(one.force(1.3), other.force(1.3))
     places = [[b.shape.nearest((0.0, 0.0))[0] for b in w.bodies(1.3)] for w in (one, other)]
     assert (same_waves and places[0] == places[1]) != seeded
+
+
+def test_the_drift_is_slow_and_has_a_direction_of_its_own() -> None:
+    forces = np.array([_pushed(wave_force_n=0.0).force(t) for t in np.linspace(0, 40, 401)])
+    assert np.linalg.norm(forces, axis=1).max() == pytest.approx(0.1, rel=1e-3)
+    np.testing.assert_allclose(forces[0], forces[-1], atol=1e-12)  # period 40 s
+    np.testing.assert_allclose(forces, -np.roll(forces[:-1], 200, axis=0)[[*range(400), 0]], atol=1e-12)
+    assert np.linalg.matrix_rank(forces, tol=1e-9) == 1
+    world = _world("pool-static")
+    assert abs(np.cross([*world.wave_direction, 0.0], [*world.push_direction, 0.0])[2]) > 1e-3
+
+
+def test_the_thrust_is_off_by_no_more_than_is_stated_and_differently_for_every_axis_and_seed() -> None:
+    limit, command = np.array([5.0, 5.0, 5.0, 0.5]), np.array([1.0, -2.0, 3.0, 0.1])
+    scenario, vehicle = load_scenario("pool-static"), load_vehicle("sur400")
+    worlds = [build_world(scenario, vehicle, seed=seed) for seed in range(400)]
+    biases = np.array([world.thrust(np.zeros(4), limit) for world in worlds]) / limit
+    gains = np.array([world.thrust(command, limit) - world.thrust(np.zeros(4), limit) for world in worlds]) / command
+    for errors, share in ((gains - 1, 0.05), (biases, 0.01)):
+        assert np.all(np.abs(errors) <= share)
+        assert np.all(np.abs(errors).max(axis=0) > 0.97 * share)
+        np.testing.assert_allclose(errors.mean(axis=0), 0, atol=4 * share / np.sqrt(3 * 400))
+        assert len(np.unique(errors.round(15))) == errors.size
+    exact = _world("tank-static")
+    np.testing.assert_array_equal(exact.thrust(command, limit), command)

@@ -25,13 +25,15 @@ def scene_of(scenario: Scenario, vehicle: Vehicle, *, sonar: bool, projected: bo
     """Everything but gains and chance; the members of `Scene` in hand/loop.c, in order."""
     if len(scenario.obstacles) > MOST_OBSTACLES:
         raise ValueError(f"{len(scenario.obstacles)} obstacles; the hand-written loop takes {MOST_OBSTACLES}")
+    d = scenario.disturbance
+    if any((d.drift_force_n, d.thrust_error, d.thrust_bias)):
+        raise ValueError("the hand-written loop knows neither a slow drift nor errors of the thrust")
     length, width, _ = scenario.site
     points = np.zeros((_WAYPOINTS, 2))
     count = len(scenario.path.waypoints)
     points[:count] = scenario.path.waypoints
     plant = plant_parameters(vehicle)
     hull = vehicle["radius"]
-    disturbance = scenario.disturbance
     obstacles = np.zeros((MOST_OBSTACLES, 11))
     for row, obstacle in zip(obstacles, scenario.obstacles, strict=False):
         row[:] = _obstacle(obstacle, hull)
@@ -44,7 +46,7 @@ def scene_of(scenario: Scenario, vehicle: Vehicle, *, sonar: bool, projected: bo
             plant,
             [hull],
             plant[:16],
-            [hull, *disturbance.current_m_per_s, disturbance.wave_force_n, disturbance.wave_period_s],
+            [hull, *d.current_m_per_s, d.wave_force_n, d.wave_period_s],
             [len(scenario.obstacles)],
             obstacles.reshape(-1),
         ]

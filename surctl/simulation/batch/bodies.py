@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.sensing import Solid, SolidBox, SolidDisc
-from surctl.simulation.scenario import Obstacle
+from surctl.simulation.obstacle import Obstacle
 
 __all__ = ["ABSENT", "Body", "BodyKind", "body_at", "body_columns", "body_size", "kind_of"]
 

@@ -14,8 +14,9 @@ from surctl.control.build import LawName
 from surctl.errors import InputError, nearest
 from surctl.guidance import AvoidanceForm
 from surctl.priority import Mode
+from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.run import Sensing
-from surctl.simulation.scenario import Obstacle, Scenario
+from surctl.simulation.scenario import Scenario
 from surctl.vehicle import PARAMETERS as VEHICLE_PARAMETERS
 from surctl.vehicle import Vehicle
 
@@ -137,6 +138,10 @@ def _scenario_knobs(scenario: Scenario) -> list[Knob]:
         Knob("scenario.current_y", "m/s", "current along y of {E}", d.current_m_per_s[1]),
         Knob("scenario.wave_force", "N", "amplitude of the wave force", d.wave_force_n, 0.0),
         Knob("scenario.wave_period", "s", "period of the waves", d.wave_period_s, 0.0, inf, True),
+        Knob("scenario.drift_force", "N", "amplitude of the slow force", d.drift_force_n, 0.0),
+        Knob("scenario.drift_period", "s", "period of the slow force", d.drift_period_s, 0.0, inf, True),
+        Knob("scenario.thrust_error", "1", "largest error of an axis' thrust, as a share", d.thrust_error, 0.0, 1.0),
+        Knob("scenario.thrust_bias", "1", "largest bias of it, as a share of its limit", d.thrust_bias, 0.0, 1.0),
     ]
 
 

@@ -148,7 +148,8 @@ class _Filler:
         plant["thrust_lag"] = [self.flown("thrust_lag")]
         leg = scenario.target - scenario.path.waypoints[-2]
         leg = leg / np.linalg.norm(leg)
-        force, hull = self.number("scenario.wave_force"), self.flown("radius")
+        force, slow = self.number("scenario.wave_force"), self.number("scenario.drift_force")
+        hull = self.flown("radius")
         found: dict[str, list[Columns]] = {
             "plant": [column for port in PLANT_PARAMETERS for column in plant[port.name]],
             "world_hull": [hull],
@@ -161,6 +162,17 @@ class _Filler:
                 force * drawn.wave_direction[:, 1],
                 2 * np.pi / self.number("scenario.wave_period"),
                 np.asarray(drawn.wave_phase),
+            ],
+            "drift": [
+                slow * drawn.push_direction[:, 0],
+                slow * drawn.push_direction[:, 1],
+                2 * np.pi / self.number("scenario.drift_period"),
+                np.asarray(drawn.push_phase),
+            ],
+            "thrust_gain": [1 + self.number("scenario.thrust_error") * drawn.gain_error[:, k] for k in range(4)],
+            "thrust_bias": [
+                self.number("scenario.thrust_bias") * drawn.bias[:, k] * self.flown(name)
+                for k, name in enumerate(_VECTORS["thrust_limit"])
             ],
         }
         structure = self.loop.structure

@@ -64,16 +64,17 @@ def build_loop(structure: Structure) -> Loop:
     )
     state, parameters = Layout(_state_ports(law, structure)), Layout(_parameter_ports(structure))
     builder = _Builder(structure, law, state, parameters)
-    sense, between, close = builder.sense(), builder.between(), builder.close()
+    sense, drive, between, close = builder.sense(), builder.drive(), builder.between(), builder.close()
     # the heading of a stage is near that at the beginning: within 25 ms the hull turns little
     move = shared_divisors(nearby_angles(lower(advance()), source=0, entry=_HEADING))
     made = [tuple(name for name, _ in program.outputs) for program in (sense, between, close)]
     steps = (
         Call(sense, ("s", "w"), made[0]),
         Call(law.block, ("x", "u", "p"), ("tau", "x_next", "status", "telemetry")),
-        Call(move, ("plant", "tau", "d0", "plant_p"), ("plant_between",)),
+        Call(drive, ("w", "tau"), ("thrust",)),
+        Call(move, ("plant", "thrust", "d0", "plant_p"), ("plant_between",)),
         Call(between, tuple(name for name, _ in between.inputs), made[1]),
-        Call(move, ("plant_between", "tau", "d1", "plant_p"), ("plant_next",)),
+        Call(move, ("plant_between", "thrust", "d1", "plant_p"), ("plant_next",)),
         Call(close, tuple(name for name, _ in close.inputs), made[2]),
     )
     size = (("s", state.size), ("w", parameters.size))
@@ -89,6 +90,9 @@ def _parameter_ports(structure: Structure) -> tuple[Port, ...]:
         Port("leg", (2,), "1", "unit direction of the path's last leg in {E}"),
         Port("current", (2,), "m/s", "current in {E}"),
         Port("wave", (4,), "N, rad/s, rad", "amplitude along x and y of {E}, rate, phase"),
+        Port("drift", (4,), "N, rad/s, rad", "the same of the slow force"),
+        Port("thrust_gain", (4,), "1", "delivered thrust by commanded, per axis"),
+        Port("thrust_bias", (4,), "N, N m", "what is delivered besides"),
     )
     bodies = (Port(f"body{k}", (body_size(kind),), "SI", kind) for k, kind in enumerate(structure.bodies))
     failing = (
@@ -157,6 +161,13 @@ class _Builder:
     @property
     def _late(self) -> Layout:
         return self.listening.late if self.sonar else Layout(())
+
+    def drive(self) -> Program:
+        """What the thrusters deliver of a command."""
+        w, given = self.parameters.symbols("w")
+        tau = ca.SX.sym("tau", 4)
+        thrust = tau * given["thrust_gain"] + given["thrust_bias"]
+        return _lowered("drive", {"w": w, "tau": tau}, {"thrust": thrust})
 
     def between(self) -> Program:
         """Second instant of firing and clearances, 25 ms after the tick."""
@@ -242,7 +253,8 @@ class _Builder:
 
     @staticmethod
     def _disturbance(w: Mapping[str, ca.SX], time: ca.SX) -> ca.SX:
-        push = ca.sin(w["wave"][2] * time + w["wave"][3]) * w["wave"][:2]
+        waves, slow = (ca.sin(w[name][2] * time + w[name][3]) * w[name][:2] for name in ("wave", "drift"))
+        push = waves + slow
         return PLANT_DISTURBANCE.join(
             {"current": ca.vertcat(w["current"], 0), "force": ca.vertcat(push, ca.SX.zeros(2))}
         )

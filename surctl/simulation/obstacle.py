@@ -1,0 +1,73 @@
+"""Obstacles as scenario files hold them."""
+
+from __future__ import annotations
+
+from math import hypot
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from surctl.files import Strict
+
+__all__ = ["NotNegative", "Obstacle", "Point", "Positive"]
+
+Point = tuple[float, float]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+
+
+class Obstacle(Strict):
+    """One obstacle; lengths in m, speeds in m/s, positions in {E} at the start.
+
+    A box or cylinder stands still but for its drift: a seeded sine of amplitude `drift_m` in a seeded direction. A
+    `moving` sphere goes in a straight line from `centre_m` to `to_m` and is taken out on arrival if `removed`.
+    """
+
+    name: str = Field(min_length=1)
+    shape: Literal["box", "cylinder", "moving"]
+    centre_m: Point
+    size_m: tuple[Positive, Positive] | None = None
+    radius_m: Positive | None = None
+    drift_m: NotNegative = 0.0
+    drift_period_s: Positive = 10.0
+    to_m: Point | None = None
+    speed_m_per_s: Positive | None = None
+    removed: bool = True
+
+    @model_validator(mode="after")
+    def _complete(self) -> Obstacle:
+        if self.shape == "box" and self.size_m is None:
+            raise ValueError("a box needs size_m; add size_m = [along x, along y]")
+        if self.shape == "cylinder" and self.radius_m is None:
+            raise ValueError("a cylinder needs radius_m; add radius_m")
+        if self.shape != "box" and self.size_m is not None:
+            raise ValueError(f'a {self.shape} obstacle takes no size_m; remove it or write shape = "box"')
+        if self.shape == "moving" and (self.to_m is None or self.speed_m_per_s is None):
+            raise ValueError("a moving obstacle needs to_m and speed_m_per_s; add both")
+        return self
+
+    @property
+    def still(self) -> bool:
+        """Whether it stays where it is, but for its drift."""
+        return self.shape != "moving"
+
+    @property
+    def rounding(self) -> float:
+        """Radius [m] of what stands still; 0 of a box, and of what takes the hull's."""
+        return 0.0 if self.size_m is not None else self.radius_m or 0.0
+
+    def distance(self, point: Point) -> float:
+        """Signed distance [m] from a point in {E} to its surface where the file puts it; without drift."""
+        return _between(self, point, (0.0, 0.0), 0.0)
+
+    def apart(self, other: Obstacle) -> float:
+        """Signed distance [m] between the surfaces of two where the file puts them; negative when they overlap."""
+        return _between(self, other.centre_m, other.size_m or (0.0, 0.0), other.rounding)
+
+
+def _between(obstacle: Obstacle, centre: Point, size: tuple[float, float], radius: float) -> float:
+    """A box is round with radius 0, a cylinder a box of size 0: then one formula serves every pair."""
+    own = obstacle.size_m or (0.0, 0.0)
+    x, y = (abs(obstacle.centre_m[k] - centre[k]) - (own[k] + size[k]) / 2 for k in (0, 1))
+    beyond = hypot(max(x, 0.0), max(y, 0.0)) if max(x, y) > 0 else max(x, y)
+    return beyond - obstacle.rounding - radius

@@ -1,0 +1,165 @@
+"""The tightest gap on the widest way from start to target, between bodies that stand still.
+
+A grid finds which gap that is: of all ways, the one whose least clearance is greatest (a shortest-path search whose
+length is the minimum instead of the sum; Pollack 1960, "The maximum capacity through a network"). Its width is then
+exact, from the two bodies alone. A drifting obstacle counts with its amplitude added to its size: what is left is the
+room that is always there.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.simulation.obstacle import Obstacle
+from surctl.simulation.scenario import Scenario
+
+__all__ = ["Gap", "tightest_gap"]
+
+_CELLS = 250  # along the site's diagonal: 45 mm in the tank, 14 mm in the pool
+
+Field = NDArray[np.float64]
+Cell = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Room between two bodies.
+
+    Attributes:
+        between: their names.
+        place: (x, y) [m] in {E}, where the way passes, to a grid cell.
+        width: where the file puts them [m], not positive when they touch.
+        drift: by how much it may narrow [m].
+    """
+
+    between: tuple[str, str]
+    place: tuple[float, float]
+    width: float
+    drift: float
+
+    @property
+    def always(self) -> float:
+        """The width that is left whatever the drift [m]."""
+        return self.width - self.drift
+
+
+@dataclass(frozen=True)
+class _Still:
+    name: str
+    centre: tuple[float, float]
+    half: tuple[float, float]
+    radius: float
+    drift: float
+
+    def distance(self, x: Field, y: Field) -> Field:
+        """To the surface [m], negative inside, at the end of its drift."""
+        beyond = np.abs(x - self.centre[0]) - self.half[0], np.abs(y - self.centre[1]) - self.half[1]
+        outside = np.hypot(np.maximum(beyond[0], 0), np.maximum(beyond[1], 0))
+        inside = np.minimum(np.maximum(*beyond), 0)
+        found: Field = outside + inside - self.radius - self.drift
+        return found
+
+
+def tightest_gap(scenario: Scenario, room: float) -> Gap | None:
+    """The tightest gap on the widest way from start to target; None where no way comes that close to two bodies.
+
+    Args:
+        scenario: what stands in the site; moving obstacles do not count.
+        room: half the width that is wanted [m]: where start or target have less, the way begins at the nearest place
+            that is no tighter than its surroundings.
+    """
+    length, width, _ = scenario.site
+    step = float(np.hypot(length, width)) / _CELLS
+    xs, ys = (np.linspace(0, edge, max(2, round(edge / step)) + 1) for edge in (length, width))
+    x, y = np.meshgrid(xs, ys, indexing="ij")
+    bodies = [*_walls(length, width), *(_still(o) for o in scenario.obstacles if o.still)]
+    clear, second = np.partition([body.distance(x, y) for body in bodies], 1, axis=0)[:2]
+    ends = [_uphill(clear, _cell(point, xs, ys), room) for point in (scenario.start, scenario.target)]
+    tightest = min(_widest_way(clear, ends[0], ends[1]), key=lambda cell: (clear[cell], second[cell]))
+    if clear[tightest] >= room + step:
+        return None
+    place = (float(xs[tightest[0]]), float(ys[tightest[1]]))
+    one, other = _pair(bodies, place, step)
+    return Gap((one.name, other.name), place, _apart(one, other), one.drift + other.drift)
+
+
+def _walls(length: float, width: float) -> list[_Still]:
+    """The walls as boxes, far thicker than the site is long."""
+    far = length + width
+    return [
+        _Still("the wall x = 0", (-far, 0.0), (far, 4 * far), 0.0, 0.0),
+        _Still(f"the wall x = {length:g}", (length + far, 0.0), (far, 4 * far), 0.0, 0.0),
+        _Still("the wall y = 0", (0.0, -far), (4 * far, far), 0.0, 0.0),
+        _Still(f"the wall y = {width:g}", (0.0, width + far), (4 * far, far), 0.0, 0.0),
+    ]
+
+
+def _still(obstacle: Obstacle) -> _Still:
+    size = obstacle.size_m or (0.0, 0.0)
+    half = (size[0] / 2, size[1] / 2)
+    return _Still(f"{obstacle.name!r}", obstacle.centre_m, half, obstacle.rounding, obstacle.drift_m)
+
+
+def _apart(one: _Still, other: _Still) -> float:
+    beyond = [abs(one.centre[k] - other.centre[k]) - one.half[k] - other.half[k] for k in (0, 1)]
+    outside = float(np.hypot(max(beyond[0], 0.0), max(beyond[1], 0.0)))
+    return outside + min(max(beyond), 0.0) - one.radius - other.radius
+
+
+def _pair(bodies: Sequence[_Still], place: tuple[float, float], step: float) -> tuple[_Still, _Still]:
+    """The nearest body, and the nearest on the other side of the place."""
+    slope = step / 16
+    away = []
+    for body in bodies:
+        here, right, up = body.distance(*(np.array(place) + np.array([[0, 0], [slope, 0], [0, slope]])).T)
+        away.append((float(here), float(right - here), float(up - here), body))
+    away.sort(key=lambda row: row[0])
+    first = away[0]
+    facing = [row for row in away[1:] if row[1] * first[1] + row[2] * first[2] < 0]
+    return first[3], (facing or away[1:])[0][3]
+
+
+def _cell(point: Field, xs: Field, ys: Field) -> Cell:
+    return int(np.argmin(np.abs(xs - point[0]))), int(np.argmin(np.abs(ys - point[1])))
+
+
+def _around(cell: Cell, shape: tuple[int, ...]) -> list[Cell]:
+    i, j = cell
+    near = [(i + a, j + b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
+    return [(a, b) for a, b in near if 0 <= a < shape[0] and 0 <= b < shape[1]]
+
+
+def _uphill(clear: Field, cell: Cell, room: float) -> Cell:
+    while clear[cell] < room:
+        best = max(_around(cell, clear.shape), key=_at(clear))
+        if clear[best] <= clear[cell]:
+            break
+        cell = best
+    return cell
+
+
+def _at(clear: Field) -> Callable[[Cell], float]:
+    return lambda cell: float(clear[cell])
+
+
+def _widest_way(clear: Field, start: Cell, target: Cell) -> list[Cell]:
+    came: dict[Cell, Cell] = {}
+    seen, front = {start}, [(-float(clear[start]), start)]
+    while front:
+        least, cell = heapq.heappop(front)
+        if cell == target:
+            break
+        for near in _around(cell, clear.shape):
+            if near not in seen:
+                seen.add(near)
+                came[near] = cell
+                heapq.heappush(front, (max(least, -float(clear[near])), near))
+    way = [target]
+    while way[-1] != start:
+        way.append(came[way[-1]])
+    return way

@@ -1,0 +1,61 @@
+"""What happened in a run of the reference loop, and its metrics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.control import Law
+from surctl.simulation.metrics import NEAR_TARGET, Metrics, path_error, settled_avoidance
+from surctl.simulation.scenario import Scenario
+from surctl.simulation.world import Body
+
+__all__ = ["Record", "measure"]
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Everything that happened, one row a control tick; kept for plots and for checks of other lives of the law."""
+
+    time: NDArray[np.float64]
+    eta: NDArray[np.float64]
+    nu: NDArray[np.float64]
+    tau: NDArray[np.float64]
+    clearance: NDArray[np.float64]
+    law_state: NDArray[np.float64]
+    law_input: NDArray[np.float64]
+    law_parameters: NDArray[np.float64]
+    status: NDArray[np.int_]
+    telemetry: NDArray[np.float64]
+    obstacles: Sequence[Sequence[Body]]
+
+
+def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least: float) -> Metrics:
+    """The metrics of a record; `reason` says why the run ended, `least` is its least clearance [m]."""
+    where, thrust = record.eta[:, :2], record.tau[:, :2]
+    away = scenario.path.distance(where)
+    excluded = settled_avoidance(record.telemetry[:, law.telemetry_slice("avoiding")].ravel(), away)
+    steps = np.linalg.norm(np.diff(where, axis=0), axis=1)
+    leg = scenario.target - scenario.path.waypoints[-2]
+    past = (where - scenario.target) @ (leg / np.linalg.norm(leg))
+    near = np.linalg.norm(where - scenario.target, axis=1) <= NEAR_TARGET
+    limit = record.law_parameters[law.gains.slice("thrust_limit")]
+    jumps = np.diff(thrust, axis=0)
+    return Metrics(
+        reached=reason == "reached",
+        time_s=round(float(record.time[-1]), 9),
+        min_clearance_m=float(least),
+        path_error_m=path_error(away, record.eta[:, 2] - scenario.depth, excluded),
+        deviation_m=float(np.sqrt(np.mean(away**2))),
+        length_m=float(steps.sum()),
+        effort_n=float(np.mean(np.hypot(thrust[:, 0], thrust[:, 1]))),
+        stopped_because=reason,
+        max_deviation_m=float(np.max(away)),
+        overshoot_m=float(np.max(past[near], initial=0.0)),
+        peak_thrust_share=float(np.max(np.abs(record.tau) / limit)),
+        saturated_share=float(np.mean(record.status % 2)),
+        thrust_rate_n_per_s=float(np.sqrt(np.mean(np.sum(jumps**2, axis=1))) / law.dt) if len(jumps) else 0.0,
+    )

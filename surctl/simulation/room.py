@@ -1,0 +1,116 @@
+"""Whether a hull has room: at the start, at the target, and on the way between."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.simulation.finding import Finding
+from surctl.simulation.obstacle import Obstacle
+from surctl.simulation.passage import tightest_gap
+from surctl.simulation.scenario import Scenario
+from surctl.vehicle import Vehicle
+
+__all__ = ["room_findings"]
+
+_ROOM = 0.02  # [m] two standard deviations of the base station's position: less room than that cannot be kept
+
+
+def room_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    """Walls, still obstacles with their drift, and moving ones at both ends; gaps; the surface."""
+    found = _at_walls(scenario, vehicle)
+    for obstacle in scenario.obstacles:
+        found += _at_still(obstacle, scenario, vehicle) if obstacle.still else _at_moving(obstacle, scenario, vehicle)
+    return [*found, *_drifting_together(scenario), *_gap(scenario, vehicle), *_surface(scenario, vehicle)]
+
+
+def _ends(scenario: Scenario) -> tuple[tuple[str, NDArray[np.float64]], ...]:
+    return ("start", scenario.start), ("target", scenario.target)
+
+
+def _at_walls(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    found = []
+    for name, point in _ends(scenario):
+        room = min(wall.nearest(point)[0] for wall in scenario.walls) - vehicle["radius"]
+        if room < _ROOM:
+            where = f"{-room:.3f} m inside a wall" if room < 0 else f"only {room:.3f} m off a wall"
+            text = f"the {vehicle['radius']:g} m hull of {vehicle.name} is {where} at the {name} (E15)"
+            found.append(Finding("error", "path_m", text))
+    return found
+
+
+def _at_still(obstacle: Obstacle, scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    found = []
+    for name, point in _ends(scenario):
+        room = obstacle.distance((float(point[0]), float(point[1]))) - vehicle["radius"]
+        if room - obstacle.drift_m > 0:
+            continue
+        if room <= 0:
+            text = (
+                f"the {name} lies {-room:.3f} m too close to obstacle {obstacle.name!r} for the hull of {vehicle.name}"
+            )
+        else:
+            text = (
+                f"at the {name} the hull of {vehicle.name} is {room:.3f} m off obstacle {obstacle.name!r}, which "
+                f"drifts by {obstacle.drift_m:g} m: it may touch (E15)"
+            )
+        found.append(Finding("error", f"obstacles.{obstacle.name}", text))
+    return found
+
+
+def _at_moving(obstacle: Obstacle, scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    key = f"obstacles.{obstacle.name}"
+    reach = vehicle["radius"] + (obstacle.radius_m or vehicle["radius"])
+    centre, end = np.array(obstacle.centre_m), np.array(obstacle.to_m)
+    room = float(np.linalg.norm(scenario.target - end)) - reach
+    if room > 0:
+        return []
+    speed = float(obstacle.speed_m_per_s or 0.0)
+    when = float(np.linalg.norm(end - centre)) / speed
+    if obstacle.removed:
+        text = (
+            f"it ends on the target and is taken out at {when:.1f} s; the robot at cruise speed is there at "
+            f"{scenario.path.length / scenario.cruise:.1f} s, and cannot arrive while the obstacle is near"
+        )
+        return [Finding("warning", f"{key}.to_m", text)]
+    text = f"it stays {-room:.3f} m too close to the target for the hull of {vehicle.name} from {when:.1f} s on"
+    return [Finding("error", f"{key}.to_m", text)]
+
+
+def _drifting_together(scenario: Scenario) -> list[Finding]:
+    still = [o for o in scenario.obstacles if o.still]
+    found = []
+    for k, one in enumerate(still):
+        for other in still[k + 1 :]:
+            room, drift = one.apart(other), one.drift_m + other.drift_m
+            if drift > 0 and room < drift:
+                text = f"obstacles {one.name!r} and {other.name!r} are {room:.3f} m apart and may drift into each other"
+                found.append(Finding("warning", f"obstacles.{other.name}.drift_m", text))
+    return found
+
+
+def _gap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    """A gap that the way must pass and the hull, with the error that is stated for its path, may not."""
+    error = scenario.paper.position_error_m or _ROOM
+    hull = 2 * vehicle["radius"]
+    gap = tightest_gap(scenario, hull / 2 + error)
+    if gap is None or gap.always >= hull + 2 * error:
+        return []
+    drifts = f", of which their drift leaves {max(gap.always, 0.0):.3f} m" if gap.drift else ""
+    text = (
+        f"the widest way to the target passes between {gap.between[0]} and {gap.between[1]} near "
+        f"({gap.place[0]:.2f}, {gap.place[1]:.2f}): {max(gap.width, 0.0):.3f} m wide{drifts}; the hull of "
+        f"{vehicle.name} takes {hull:.3f} m, {hull + 2 * error:.3f} m with an error of {error:g} m to either side"
+    )
+    if gap.always >= hull:
+        return [Finding("warning", "obstacles" if scenario.obstacles else "site", text)]
+    lost = "no way through is guaranteed (E15)" if gap.width >= hull else "there is no way through"
+    return [Finding("error", "obstacles" if scenario.obstacles else "site", f"{lost}: {text}")]
+
+
+def _surface(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    out = vehicle["radius"] + scenario.depth
+    if out <= 0:
+        return []
+    text = f"the hull stands {out:.2f} m out of the water at this depth; the model has no buoyancy (E16)"
+    return [Finding("warning", "depth_m", text)]
