@@ -18,6 +18,7 @@ from surctl.simulation.disturbance import Disturbance
 from surctl.simulation.obstacle import Obstacle, Point, Positive
 from surctl.simulation.paper_figure import PaperFigure
 from surctl.simulation.sensors import OwnStateTable, Sensors, SonarTable, StationTable, sensors_from_tables
+from surctl.simulation.uncertainty import Uncertainty
 from surctl.world import Box, Disc, Wall, site_walls
 
 __all__ = ["LIBRARY", "Scenario", "Shape", "load_scenario", "scenario_from_table"]
@@ -51,6 +52,7 @@ class _ScenarioFile(Strict):
     sonar: SonarTable = SonarTable()
     base_station: StationTable = StationTable()
     own_state: OwnStateTable = OwnStateTable()
+    uncertainty: Uncertainty = Uncertainty()
     paper: PaperFigure
 
 
@@ -67,6 +69,7 @@ class Scenario:
         site: length along x, width along y, depth [m]; one corner of the floor plan is the origin.
         vehicle: name or path of the vehicle that flies it by default.
         sensors: sonars and their faults, base station, own state.
+        uncertainty: what a Monte Carlo campaign draws.
     """
 
     name: str
@@ -85,6 +88,7 @@ class Scenario:
     paper: PaperFigure
     source: str = ""
     sensors: Sensors = field(default_factory=Sensors)
+    uncertainty: Uncertainty = field(default_factory=Uncertainty)
 
     @property
     def walls(self) -> tuple[Wall, ...]:
@@ -149,6 +153,7 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
         model.paper,
         source,
         sensors,
+        model.uncertainty,
     )
     _check(scenario)
     return scenario

@@ -27,7 +27,7 @@ from surctl.tuning.measure import (
     request_digest,
 )
 from surctl.tuning.netcdf import Column, provenance, request_of, write_netcdf
-from surctl.tuning.store import ChunkStore, cannot_write
+from surctl.simulation.store import ChunkStore, cannot_write
 from surctl.tuning.table import SweepTable, judged, load_sweep
 
 __all__ = ["TABLE", "Tell", "run_chunks", "sweep"]
