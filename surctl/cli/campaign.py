@@ -28,7 +28,9 @@ _OPTIONS = (
         "--random-worlds", "worlds", type=click.IntRange(1, 1_000_000), metavar="N", help="Fly N drawn worlds instead."
     ),
     click.option("--worst", type=click.IntRange(0, 1000), help="Worst runs kept as files in DIR/worst (5)."),
-    click.option("--threads", type=click.IntRange(1, 1024), help="Of a campaign (2); the result does not depend on them."),
+    click.option(
+        "--threads", type=click.IntRange(1, 1024), help="Of a campaign (2); the result does not depend on them."
+    ),
     click.option("--fresh", is_flag=True, help="Start a campaign again instead of continuing that of DIR."),
     click.option(
         "--from", "replayed", type=click.Path(path_type=Path), metavar="FILE", help="Fly a run of DIR/worst again."
@@ -67,7 +69,7 @@ class CampaignOptions:
         """Whether a campaign is asked for."""
         return self.monte_carlo or self.worlds is not None
 
-    def check(self, *, scenarios: tuple[str, ...], explained: bool, out: Path | None) -> None:
+    def check(self, *, scenarios: tuple[str, ...], runs: int, explained: bool, out: Path | None) -> None:
         """InputError for what does not go together."""
         from surctl.errors import InputError
 
@@ -77,13 +79,17 @@ class CampaignOptions:
                     remedy = "add --monte-carlo or --random-worlds N, or drop it"
                     raise InputError("is about a campaign", key=key, value=value, remedy=remedy)
         elif explained:
-            raise InputError("is about single runs", key="--explain", remedy="fly one of DIR/worst: --from FILE --explain")
+            raise InputError(
+                "is about single runs", key="--explain", remedy="fly one of DIR/worst: --from FILE --explain"
+            )
         elif out is None and (self.fresh or self.worst is not None):
             key = "--fresh" if self.fresh else "--worst"
             raise InputError("has no folder", key=key, remedy="name one with --out")
         if self.worlds is not None and scenarios:
             remedy = "drop one of them"
             raise InputError("draws its own scenarios", key="--random-worlds", value=scenarios[0], remedy=remedy)
+        if self.worlds is not None and runs != 1:
+            raise InputError("says how many already", key="--random-worlds", value=self.worlds, remedy="drop --runs")
         if self.worlds is None and not scenarios:
             raise InputError("needs a scenario", key="SCENARIOS", remedy="surctl list names them")
         if len(set(scenarios)) < len(scenarios) and self.any:
@@ -237,7 +243,7 @@ def fly_again(path: Path, *, explained: bool, out: Path | None, as_json: bool) -
 
 
 SAME = 1e-9
-"""Largest difference of a figure, in its unit, between the compiled loop and the reference loop."""
+"""Largest difference between the compiled loop and the reference loop, see `Replay.difference`."""
 
 
 def _given() -> dict[str, bool]:

@@ -67,7 +67,7 @@ def simulate(
     if replayed is not None:
         fly_again(replayed, explained=explained, out=out, as_json=as_json)
     campaign = CampaignOptions(monte_carlo, worlds, worst, threads, fresh)
-    campaign.check(scenarios=scenarios, explained=explained, out=out)
+    campaign.check(scenarios=scenarios, runs=runs, explained=explained, out=out)
     from surctl.control import build_law, load_gains
     from surctl.files import prepare_folder
     from surctl.simulation import explain, halt_reason, load_scenario
@@ -81,7 +81,15 @@ def simulate(
     sensors.check(law=law, sensing=sensing)
     if campaign.any:
         wanted = campaign.plans(
-            scenarios, vehicle, chosen, sensors, law=law, avoidance=avoidance, mode=priority_mode, sensing=sensing, seed=seed
+            scenarios,
+            vehicle,
+            chosen,
+            sensors,
+            law=law,
+            avoidance=avoidance,
+            mode=priority_mode,
+            sensing=sensing,
+            seed=seed,
         )
         campaign.fly(wanted, runs=worlds or runs, out=out, as_json=as_json)
     plans = [sensors.over(load_scenario(name)) for name in scenarios]

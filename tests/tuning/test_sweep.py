@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.simulation import METRICS
+from surctl.simulation.store import ChunkStore
 from surctl.tuning import (
     DISK_FLOOR,
     Axis,
@@ -32,7 +33,6 @@ from surctl.tuning import (
     sweep,
 )
 from surctl.tuning.executors import DaskExecutor
-from surctl.simulation.store import ChunkStore
 from surctl.tuning.sweep import run_chunks
 from surctl.tuning.table import judged
 from tests.tools import PATIENCE

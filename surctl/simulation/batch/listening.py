@@ -93,9 +93,7 @@ class Listening:
     def _wide(self) -> int:
         return len(self._plan.sensors[0])
 
-    def drawn(
-        self, noise: ca.SX, out: dict[str, ca.SX], *, movers: ca.SX | None = None
-    ) -> tuple[ca.SX, ca.SX, ca.SX]:
+    def drawn(self, noise: ca.SX, out: dict[str, ca.SX], *, movers: ca.SX | None = None) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Draw what a tick needs, see `run._Drawn`: for own state, message and its loss; for the firings into `out`.
 
         `movers` says how many moving obstacles the run has, where runs differ: it takes no number for one it has not.

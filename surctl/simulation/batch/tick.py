@@ -99,8 +99,8 @@ def _parameter_ports(structure: Structure) -> tuple[Port, ...]:
         Port("fault_slots", (structure.faults, SLOT), "SI", "told faults, see fault_slots"),
         Port("fault_chances", (len(FaultChances.kinds()),), "1", "per firing, see FaultChances"),
     )
-    optional = (Port("there", (len(structure.bodies),), "1", "1 where the obstacle is in the water"),)
-    optional = optional if structure.optional else ()
+    there = [Port("there", (len(structure.bodies),), "1", "1 where the obstacle is in the water")]
+    optional = there if structure.optional else []
     return (*PARAMETERS, *world, *bodies, *optional, *(port for port in failing if structure.may_fail and port.size))
 
 

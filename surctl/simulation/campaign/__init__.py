@@ -9,7 +9,6 @@ from surctl.simulation.campaign.replay import Replay, load_replay
 from surctl.simulation.campaign.share import Share
 from surctl.simulation.campaign.summary import Summary, summarise
 from surctl.simulation.campaign.table import RunTable
-
 from surctl.simulation.campaign.worlds import RandomWorlds, random_world, world_template
 
 __all__ = [

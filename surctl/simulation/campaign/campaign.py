@@ -22,7 +22,7 @@ from surctl.simulation.store import ChunkStore
 
 __all__ = ["CHUNK", "FASTEST", "Campaign", "fly_campaign"]
 
-CHUNK = 256
+CHUNK = 128
 """Runs that are flown, and kept, together."""
 
 FASTEST = 0.15

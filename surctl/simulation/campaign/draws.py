@@ -118,7 +118,7 @@ def _scaled(obstacle: Obstacle, vehicle: Vehicle, size: float, speed: float) -> 
 
 def obstacle_values(obstacles: Sequence[Obstacle]) -> dict[str, float]:
     """Size and speed of obstacles by knob name."""
-    found = {}
+    found: dict[str, float] = {}
     for o in obstacles:
         if o.size_m is not None:
             found |= {f"obstacle.{o.name}.size_x": o.size_m[0], f"obstacle.{o.name}.size_y": o.size_m[1]}

@@ -25,12 +25,13 @@ from surctl.vehicle import Vehicle
 
 __all__ = ["CampaignFolder"]
 
+
 @dataclass(frozen=True)
 class CampaignFolder:
     """Where campaigns are kept, so that a killed one continues and a finished one is not flown again.
 
-    `campaign.json` says what was asked; `chunks` has finished runs, `NAME.csv` all of them, `worst` files of the worst
-    for `load_replay`, `summary.json` the result. The number of runs is no part of the question: more may be asked for.
+    `campaign.json` says what was asked, `campaign.chunks` has finished runs, `NAME.csv` all of them, and `worst` files
+    of the worst for `load_replay`. The number of runs is no part of the question: more may be asked for.
 
     Attributes:
         path: the folder.
@@ -53,7 +54,7 @@ class CampaignFolder:
         note, asked = self.path / "campaign.json", [_asked(plan) for plan in self.plans]
         if fresh:
             note.unlink(missing_ok=True)
-            shutil.rmtree(self.path / "chunks", ignore_errors=True)
+            shutil.rmtree(self.path / "campaign.chunks", ignore_errors=True)
         if note.exists():
             _compare(note, asked)
         else:
@@ -69,7 +70,7 @@ class CampaignFolder:
         structure = structure_of(plan.case, plan.values(0, 1))
         digest = build_loop(structure).tick.digest()
         text = json.dumps([_asked(plan), digest, CHUNK], sort_keys=True)
-        store = ChunkStore(self.path / "chunks" / plan.name, hashlib.sha256(text.encode()).hexdigest())
+        store = ChunkStore(self.path / "campaign.chunks" / plan.name, hashlib.sha256(text.encode()).hexdigest())
         with store.open():
             yield store
 

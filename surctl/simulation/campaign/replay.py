@@ -50,7 +50,7 @@ class _RunFile(Strict):
     stopped_because: Literal["time limit", "reached", "collision", "fault", "halted"]
     broken_assumptions: tuple[str, ...] = ()
     figures: dict[str, float]
-    draw: dict[str, float] = {}
+    draw: dict[str, float] = Field(default_factory=dict)
     gains: _GainTable
     vehicle: dict[str, Any]
     model: dict[str, Any] | None = None
@@ -110,14 +110,19 @@ class Replay:
         return toml_text(table)
 
     def difference(self, run: Run) -> float:
-        """Largest difference of a figure between this and a run; inf when it ended for another reason."""
+        """Largest difference of a figure between this and a run, in its unit, or of one above 1 as a share of it.
+
+        inf when the run ended for another reason.
+        """
         m = run.metrics
         if m.stopped_because != self.stopped_because:
             return inf
         found = {name: float(getattr(m, name)) for name in _FIGURES}
         if {name for name, value in found.items() if isfinite(value)} != set(self.figures):
             return inf
-        return max((abs(found[name] - value) for name, value in self.figures.items()), default=0.0)
+        return max(
+            (abs(found[name] - value) / max(1.0, abs(value)) for name, value in self.figures.items()), default=0.0
+        )
 
 
 def replay_of(flight: Flight, row: Mapping[str, Any], *, campaign: str) -> Replay:

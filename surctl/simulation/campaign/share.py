@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scipy.stats import beta
-
 from surctl.errors import InputError
 
 __all__ = ["Share"]
@@ -46,4 +44,6 @@ class Share:
         """
         if not 0 < confidence < 1:
             raise InputError("must be between 0 and 1", key="confidence", value=confidence, remedy="such as 0.95")
+        from scipy.stats import beta  # takes half a second to load
+
         return 1.0 if self.count == self.runs else float(beta.ppf(confidence, self.count + 1, self.runs - self.count))

@@ -52,7 +52,9 @@ class Summary:
         told = []
         for reason in ("collision", "time limit", "halted", "fault"):
             s = self.stopped[reason]
-            told.append(f"  {reason:<11}{s.count:>7} of {s.runs}: {s.rate:.3%}, with 95 % confidence at most {s.at_most():.3%}")
+            told.append(
+                f"  {reason:<11}{s.count:>7} of {s.runs}: {s.rate:.3%}, with 95 % confidence at most {s.at_most():.3%}"
+            )
         reached = self.stopped["reached"]
         told.append(f"  {'reached':<11}{reached.count:>7} of {reached.runs}: {reached.rate:.3%}")
         for name, unit, found in (("time", "s", self.time_s), ("clearance", "m", self.clearance_m)):

@@ -56,7 +56,7 @@ class RunTable:
         """Run k as plain data: seed, why it ended, figures, broken assumptions, draws."""
         figures = {name: float(self.figures[k, j]) for j, name in enumerate(METRICS) if name != "stopped"}
         for name in _FIRST:
-            figures[name] = bool(figures[name])  # type: ignore[assignment]
+            figures[name] = bool(figures[name])
         told = {"seed": int(self.seeds[k]), "stopped_because": self.stopped(k), **figures}
         drawn = {name: float(column[k]) for name, column in self.values.items()}
         return {**told, "broken_assumptions": list(self.broken[k]), "drawn": drawn}

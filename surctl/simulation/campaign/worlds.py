@@ -93,7 +93,9 @@ def world_table(name: str, vehicle: Vehicle, obstacles: Sequence[Mapping[str, An
 
 def world_template(vehicle: Vehicle) -> Scenario:
     """A scenario with every obstacle that a random world may have, of any size: what is compiled for all of them."""
-    bodies = [{"name": f"box-{k + 1}", "shape": "box", "size_m": (1.0, 1.0)} for k in range(_BOXES)]
+    bodies: list[dict[str, Any]] = [
+        {"name": f"box-{k + 1}", "shape": "box", "size_m": (1.0, 1.0)} for k in range(_BOXES)
+    ]
     bodies += [{"name": f"cylinder-{k + 1}", "shape": "cylinder", "radius_m": 1.0} for k in range(_CYLINDERS)]
     bodies += [
         {"name": f"mover-{k + 1}", "shape": "moving", "radius_m": 1.0, "to_m": (1.0, 1.0), "speed_m_per_s": 0.1}
@@ -182,7 +184,8 @@ def _still(rng: np.random.Generator, count: int) -> list[dict[str, Any]]:
     for k in range(count):
         if k < boxes:
             size = rng.uniform(*_EDGES, 2)
-            room, shape = size / 2, {"name": f"box-{k + 1}", "shape": "box", "size_m": _millimetres(size)}
+            room = size / 2
+            shape: dict[str, Any] = {"name": f"box-{k + 1}", "shape": "box", "size_m": _millimetres(size)}
         else:
             radius = rng.uniform(*_RADII)
             room = np.array([radius, radius])
@@ -191,9 +194,7 @@ def _still(rng: np.random.Generator, count: int) -> list[dict[str, Any]]:
     return found
 
 
-def _moving(
-    rng: np.random.Generator, count: int, scenario: Scenario, vehicle: Vehicle
-) -> list[dict[str, Any]] | None:
+def _moving(rng: np.random.Generator, count: int, scenario: Scenario, vehicle: Vehicle) -> list[dict[str, Any]] | None:
     """So many moving obstacles between what stands still; None when there is no room for one."""
     found: list[dict[str, Any]] = []
     for k in range(count):
