@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import degrees, nextafter, pi
+from math import degrees, inf, nextafter, pi
 from typing import Any
 
 from surctl.errors import InputError
@@ -11,6 +11,8 @@ from surctl.simulation.scenario import Scenario
 from surctl.simulation.sensors import Sensors
 
 __all__ = ["scenario_table"]
+
+_BESIDE = 4  # numbers to either side that rounding may have turned into one angle
 
 
 def scenario_table(scenario: Scenario) -> dict[str, Any]:
@@ -96,10 +98,10 @@ def _delivery(delivery: Delivery) -> dict[str, Any]:
 
 
 def _degrees(angle: float) -> float:
-    """Degrees that a file's reader turns into this very angle [rad], short ones first."""
+    """Degrees that a file's reader turns into this very angle [rad], short ones first; into one beside it if none do."""
     exact = degrees(angle)
-    near = [exact, nextafter(exact, -400.0), nextafter(exact, 400.0)]
-    for candidate in (round(exact, 9), *near):
-        if candidate * pi / 180.0 == angle:
-            return candidate
-    return exact
+    near, low, high = [round(exact, 9), exact], exact, exact
+    for _ in range(_BESIDE):
+        low, high = nextafter(low, -inf), nextafter(high, inf)
+        near += [low, high]
+    return min(near, key=lambda candidate: abs(candidate * pi / 180.0 - angle))

@@ -110,15 +110,25 @@ class RandomWorlds:
     """Drawn worlds, all flown by one compiled loop; run k flies the world of seed `first` + k, with that seed.
 
     Attributes:
-        case: of `world_template`, with the sensors that all have.
+        case: of `world_template`, with the sensors, the time limit and so on that all have.
         first: seed of the first world, at least 0.
         plant: whether the vehicle that is flown is drawn too, see `draw_plant`.
+
+    Raises:
+        InputError: waves, whose draw depends on how many obstacles there are.
     """
 
     case: Case
     first: int = 0
     plant: bool = False
     _known: dict[int, Scenario] = field(default_factory=dict, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Check."""
+        if force := self.case.scenario.disturbance.wave_force_n:
+            raise InputError(
+                "random worlds have no waves", key="disturbance.wave_force_n", value=force, remedy="write 0"
+            )
 
     @property
     def name(self) -> str:
@@ -152,7 +162,7 @@ class RandomWorlds:
         """The scenario of run k; drawn once."""
         if k not in self._known:
             drawn = random_world(self.case.vehicle, seed=self.first + k)
-            self._known[k] = replace(drawn, sensors=self.case.scenario.sensors)
+            self._known[k] = replace(self.case.scenario, name=drawn.name, obstacles=drawn.obstacles)
         return self._known[k]
 
     def _draw(self, k: int) -> dict[str, float]:
