@@ -98,7 +98,7 @@ def _delivery(delivery: Delivery) -> dict[str, Any]:
 
 
 def _degrees(angle: float) -> float:
-    """Degrees that a file's reader turns into this very angle [rad], short ones first; into one beside it if none do."""
+    """Degrees that a file's reader turns into this very angle [rad], or into the next one if none do."""
     exact = degrees(angle)
     near, low, high = [round(exact, 9), exact], exact, exact
     for _ in range(_BESIDE):
