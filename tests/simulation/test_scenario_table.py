@@ -16,7 +16,7 @@ from surctl.simulation.toml_text import toml_text
 LATE = Delivery(period=0.2, latency=0.15, loss=0.1, gaps=((1.0, 2.5),))
 SENSORS = {
     "as the file has them": None,
-    "a wide beam": Sensors(Equipment(array=SonarArray(beam_angle=radians(33.3)))),
+    "a wide beam": Sensors(Equipment(array=SonarArray(beam_angle=radians(33.3), minimum=0.15))),
     "everything else": Sensors(
         Equipment(
             array=SonarArray(
@@ -27,6 +27,8 @@ SENSORS = {
                 incidence_limit=radians(22.5),
                 blind_time=3e-4,
                 calibrated_for=1500.0,
+                maximum=4.0,
+                firing_period=0.0125,
                 bits=10,
                 samples=3,
                 noise_sd=0.02,

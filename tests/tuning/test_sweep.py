@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.simulation import METRICS
+from surctl.simulation import METRICS, store
 from surctl.simulation.store import ChunkStore
 from surctl.tuning import (
     DISK_FLOOR,
@@ -29,7 +29,6 @@ from surctl.tuning import (
     saltelli,
     sensitivity,
     spread,
-    store,
     sweep,
 )
 from surctl.tuning.executors import DaskExecutor
