@@ -6,7 +6,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -53,12 +53,22 @@ class CampaignFolder:
         prepare_folder(self.path)
         note, asked = self.path / "campaign.json", [_asked(plan) for plan in self.plans]
         if fresh:
-            note.unlink(missing_ok=True)
-            shutil.rmtree(self.path / "campaign.chunks", ignore_errors=True)
+            self._clear(note)
         if note.exists():
             _compare(note, asked)
         else:
             write_file(note, json.dumps({"kind": "campaign", "campaigns": asked}, indent=1) + "\n")
+
+    def _clear(self, note: Path) -> None:
+        """Take away what campaigns left here, and nothing else."""
+        shutil.rmtree(self.path / "campaign.chunks", ignore_errors=True)
+        left = [note, self.path / "summary.json"] if note.exists() else []
+        with suppress(OSError, ValueError, KeyError, TypeError):  # a harmed note names nothing
+            for one in json.loads(note.read_text(encoding="utf-8"))["campaigns"]:
+                name = one["scenario"]["name"]
+                left += [self.path / f"{name}.csv", *(self.path / "worst").glob(f"{name}-worst-*.toml")]
+        for path in left:
+            path.unlink(missing_ok=True)
 
     @contextmanager
     def store(self, plan: Plan) -> Iterator[ChunkStore]:

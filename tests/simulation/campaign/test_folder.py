@@ -81,6 +81,15 @@ def test_another_question_is_refused_by_name(what, tmp_path):
     assert not (tmp_path / "campaign.chunks").exists()
 
 
+def test_starting_afresh_takes_away_what_a_campaign_left_and_nothing_else(tmp_path):
+    fly(tmp_path, DRAWN)
+    for mine in ("notes.csv", "worst/mine.toml"):
+        (tmp_path / mine).write_text("mine")
+    CampaignFolder(tmp_path, (OTHERS["another scenario"],)).prepare(fresh=True)
+    left = {str(path) for path in files(tmp_path)}
+    assert left == {"campaign.json", "notes.csv", "worst/mine.toml"}
+
+
 def test_more_campaigns_than_were_asked_are_refused(tmp_path):
     fly(tmp_path, DRAWN)
     with pytest.raises(InputError, match="holds 1 campaigns where 2"):
