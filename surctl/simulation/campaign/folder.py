@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -65,7 +66,7 @@ class CampaignFolder:
         left = [note, self.path / "summary.json"] if note.exists() else []
         with suppress(OSError, ValueError, KeyError, TypeError):  # a harmed note names nothing
             for one in json.loads(note.read_text(encoding="utf-8"))["campaigns"]:
-                name = one["scenario"]["name"]
+                name = _file_name(one["scenario"]["name"])
                 left += [self.path / f"{name}.csv", *(self.path / "worst").glob(f"{name}-worst-*.toml")]
         for path in left:
             path.unlink(missing_ok=True)
@@ -80,7 +81,9 @@ class CampaignFolder:
         structure = structure_of(plan.case, plan.values(0, 1))
         digest = build_loop(structure).tick.digest()
         text = json.dumps([_asked(plan), digest, CHUNK], sort_keys=True)
-        store = ChunkStore(self.path / "campaign.chunks" / plan.name, hashlib.sha256(text.encode()).hexdigest())
+        store = ChunkStore(
+            self.path / "campaign.chunks" / _file_name(plan.name), hashlib.sha256(text.encode()).hexdigest()
+        )
         with store.open():
             yield store
 
@@ -90,7 +93,7 @@ class CampaignFolder:
         Raises:
             InputError: there is no room.
         """
-        name, files = campaign.plan.name, self.path / "worst"
+        name, files = _file_name(campaign.plan.name), self.path / "worst"
         write_file(self.path / f"{name}.csv", campaign.table.to_csv())
         for old in files.glob(f"{name}-worst-*.toml"):
             try:
@@ -99,6 +102,12 @@ class CampaignFolder:
                 raise cannot_write(old, error) from None
         found = campaign.worst(worst)
         return [write_file(files / f"{name}-worst-{k}.toml", one.to_toml()) for k, one in enumerate(found, start=1)]
+
+
+def _file_name(name: str) -> str:
+    """A scenario's name without what means something in a path; one that has it is told apart by its digest."""
+    plain = re.sub(r"[^A-Za-z0-9_-]", "-", name)
+    return plain if plain == name else f"{plain}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
 
 def _asked(plan: Plan) -> dict[str, Any]:

@@ -110,6 +110,17 @@ def test_worst_files_of_before_do_not_stay(tmp_path):
     assert [p.name for p in (tmp_path / "worst").iterdir()] == ["tank-static-worst-1.toml"]
 
 
+@pytest.mark.parametrize("name", ["../out", "a/b", "*", "..", "two words"])
+def test_a_name_leads_to_no_other_folder(name, tmp_path):
+    inside = tmp_path / "inside"
+    scenario = replace(DRAWN.case.scenario, name=name)
+    fly(inside, changed(scenario=scenario), runs=2)
+    assert list(tmp_path.iterdir()) == [inside]
+    (inside / "other.csv").write_text("mine")
+    CampaignFolder(inside, (changed(scenario=scenario),)).prepare(fresh=True)
+    assert {str(path) for path in files(inside)} == {"campaign.json", "other.csv"}
+
+
 def test_a_harmed_chunk_is_flown_again(tmp_path, flown):
     fly(tmp_path, DRAWN)
     first = files(tmp_path)
