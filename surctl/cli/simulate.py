@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from surctl.cli.campaign import CampaignOptions, campaign_options, fly_again
 from surctl.cli.output import as_json, finish, out_folder, progress
 from surctl.cli.sensor_options import SensorOptions, sensor_options, sensors_told
 
@@ -14,7 +15,7 @@ __all__ = ["simulate"]
 
 
 @click.command
-@click.argument("scenarios", nargs=-1, required=True)
+@click.argument("scenarios", nargs=-1)
 @click.option("--vehicle", help="Vehicle: name or file; default: the scenario's.")
 @click.option("--gains", default="default", help="Gain file: name or path.")
 @click.option("--law", default="guarded", help="guarded; the printed stack: paper; a textbook law: apf, dwa, vo, cbf.")
@@ -25,6 +26,7 @@ __all__ = ["simulate"]
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="First seed.")
 @click.option("--runs", type=click.IntRange(min=1), default=1, help="Number of seeds, one after another.")
 @click.option("--explain", "explained", is_flag=True, help="Tell what each task gave up, and to which limit.")
+@campaign_options
 @out_folder
 @as_json
 def simulate(
@@ -42,16 +44,30 @@ def simulate(
     seed: int,
     runs: int,
     explained: bool,
+    monte_carlo: bool,
+    worlds: int | None,
+    worst: int | None,
+    threads: int | None,
+    fresh: bool,
+    replayed: Path | None,
     out: Path | None,
     as_json: bool,
 ) -> None:
     """Fly scenarios in closed loop. Exit status 1 if a run collides, halts or does not arrive.
 
-    What is said of sensors takes the place of the scenario's own tables.
+    What is said of sensors takes the place of the scenario's own tables. A campaign (--monte-carlo, --random-worlds)
+    draws what it flies, says how often it ends badly, at most, and keeps its runs in DIR; killed, the same command
+    continues. Its JSON has single runs up to 100 of them, DIR all as CSV.
 
     Examples: surctl simulate pool-static --sensing sonar --runs 5; surctl simulate tank-static --law paper --out plots;
-    surctl simulate tank-static --sensing sonar --fault stuck:0:5 --chance dropout=0.1
+    surctl simulate tank-static --sensing sonar --fault stuck:0:5 --chance dropout=0.1;
+    surctl simulate tank-static --runs 1000 --monte-carlo --out mc;
+    surctl simulate --from mc/worst/tank-static-worst-1.toml --out plots
     """
+    if replayed is not None:
+        fly_again(replayed, explained=explained, out=out, as_json=as_json)
+    campaign = CampaignOptions(monte_carlo, worlds, worst, threads, fresh)
+    campaign.check(scenarios=scenarios, runs=runs, explained=explained, out=out)
     from surctl.control import build_law, load_gains
     from surctl.files import prepare_folder
     from surctl.simulation import explain, halt_reason, load_scenario
@@ -63,6 +79,19 @@ def simulate(
     chosen = load_gains(gains)
     sensors = SensorOptions(faults, chances, beam, own_state)
     sensors.check(law=law, sensing=sensing)
+    if campaign.any:
+        wanted = campaign.plans(
+            scenarios,
+            vehicle,
+            chosen,
+            sensors,
+            law=law,
+            avoidance=avoidance,
+            mode=priority_mode,
+            sensing=sensing,
+            seed=seed,
+        )
+        campaign.fly(wanted, runs=worlds or runs, out=out, as_json=as_json)
     plans = [sensors.over(load_scenario(name)) for name in scenarios]
     vehicles = [load_vehicle(vehicle or scenario.vehicle) for scenario in plans]
     laws = [  # takes a second, so a mistake is told before

@@ -18,6 +18,7 @@ from surctl.simulation.disturbance import Disturbance
 from surctl.simulation.obstacle import NotNegative, Obstacle, Point, Positive
 from surctl.simulation.paper_figure import PaperFigure
 from surctl.simulation.sensors import OwnStateTable, Sensors, SonarTable, StationTable, sensors_from_tables
+from surctl.simulation.uncertainty import Uncertainty
 from surctl.world import Box, Disc, Wall, site_walls
 
 __all__ = ["LIBRARY", "Scenario", "Shape", "load_scenario", "scenario_from_table"]
@@ -52,6 +53,7 @@ class _ScenarioFile(Strict):
     sonar: SonarTable = SonarTable()
     base_station: StationTable = StationTable()
     own_state: OwnStateTable = OwnStateTable()
+    uncertainty: Uncertainty = Uncertainty()
     paper: PaperFigure
 
 
@@ -69,6 +71,7 @@ class Scenario:
         vehicle: name or path of the vehicle that flies it by default.
         launch: water around the hull at the start that the mission says is free [m]; a law with sonars relies on it.
         sensors: sonars and their faults, base station, own state.
+        uncertainty: what a Monte Carlo campaign draws.
     """
 
     name: str
@@ -88,6 +91,7 @@ class Scenario:
     source: str = ""
     sensors: Sensors = field(default_factory=Sensors)
     launch: float = 0.0
+    uncertainty: Uncertainty = field(default_factory=Uncertainty)
 
     @property
     def walls(self) -> tuple[Wall, ...]:
@@ -153,6 +157,7 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
         source,
         sensors,
         model.launch_m,
+        model.uncertainty,
     )
     _check(scenario)
     return scenario

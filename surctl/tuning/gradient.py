@@ -116,8 +116,11 @@ def prepare(case: Case, names: Sequence[str], *, ticks: int, seed: int = 0) -> D
         raise InputError(f"has more than {CONTACT_SLOTS} obstacles", file=scenario.source, key="obstacles")
     p = law_numbers(scenario, case.gains, case.model or case.vehicle)
     start = np.concatenate([PLANT_STATE.pack({"eta": scenario.start_pose}), law.initial_state()])
-    plant = np.array([*plant_parameters(case.vehicle), *scenario.disturbance.current_m_per_s, *scenario.target])
-    fixed = (start, _data(world, ticks=ticks, dt=law.dt).T, p, np.append(plant, case.vehicle["radius"]))
+    plant = [*plant_parameters(case.vehicle), *scenario.disturbance.current_m_per_s, *scenario.target]
+    limit = case.vehicle.thrust_limit
+    bias = world.thrust(np.zeros(4), limit)
+    drive = [*(world.thrust(np.ones(4), limit) - bias), *bias]
+    fixed = (start, _data(world, ticks=ticks, dt=law.dt).T, p, np.array([*plant, case.vehicle["radius"], *drive]))
     return DifferentiableRun(case, tuple(names), ticks, fixed, *_functions(law, tuple(names), ticks))
 
 
@@ -166,8 +169,8 @@ def _tick(law: Law) -> tuple[ca.Function, ca.Function]:
     state = ca.SX.sym("state", PLANT_STATE.size + law.state.size)
     data = ca.SX.sym("data", CONTACT_SLOTS * _ROW + 2 * _HALVES)
     p, world = ca.SX.sym("p", law.gains.size), ca.SX.sym("plant", len(_plant_names()))
-    plant, current, target, hull = ca.vertsplit(world, [0, world.numel() - 5, world.numel() - 3, world.numel() - 1,
-                                                        world.numel()])  # fmt: skip
+    sizes = np.cumsum([0, advance().size1_in(3), 2, 2, 1, 4, 4])
+    plant, current, target, hull, gain, bias = ca.vertsplit(world, sizes.tolist())
     body, memory = state[: PLANT_STATE.size], state[PLANT_STATE.size :]
     position = body[:2]
     contacts, clearances = [], []
@@ -187,10 +190,10 @@ def _tick(law: Law) -> tuple[ca.Function, ca.Function]:
         }
     )
     tau, memory_next, _, telemetry = law.function(memory, inputs, p)
-    after = body
+    after, delivered = body, gain * tau + bias
     for half in range(_HALVES):
         force = data[CONTACT_SLOTS * _ROW + 2 * half : CONTACT_SLOTS * _ROW + 2 * half + 2]
-        after = advance()(after, tau, PLANT_DISTURBANCE.join(_disturbance(current, force)), plant)
+        after = advance()(after, delivered, PLANT_DISTURBANCE.join(_disturbance(current, force)), plant)
     y_e = telemetry[law.telemetry_slice("path_error")][1]
     going = ca.sqrt(ca.sumsqr(position - target))
     told = ca.vertcat(y_e * y_e, ca.sumsqr(tau[:2]), going, *clearances)
@@ -206,8 +209,8 @@ def _disturbance(current: ca.SX, force: ca.SX) -> dict[str, ca.SX]:
 
 
 def _plant_names() -> range:
-    """Entries of the plant vector: parameters, current x, y, target x, y, hull radius."""
-    return range(advance().size1_in(3) + 5)
+    """Entries of the plant vector: parameters, current x, y, target x, y, hull radius, thrust's gains and biases."""
+    return range(advance().size1_in(3) + 13)
 
 
 def _with_slopes(program: Program) -> Program:

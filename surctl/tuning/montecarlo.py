@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.simulation import Case
+from surctl.simulation.campaign import draw_plant
 from surctl.tuning.evaluation import Condition, figures, scope, varied
 from surctl.tuning.goals import Goal
 
@@ -98,11 +99,9 @@ def fresh(cases: Sequence[Case], *, runs: int, first: int, tuning: int = 0) -> t
     found = []
     for k in range(runs):
         case, seed = cases[k % len(cases)], tuning * APART + first + k
-        rng = np.random.default_rng([seed, 3])
         nominal = k // len(cases) % 2 == 1 and varied(case)
-        known = {} if nominal else case.vehicle.parameters
-        ranges = {n: p.range for n, p in known.items() if p.range is not None}
-        found.append(Condition(case, seed, {f"plant.{n}": float(rng.uniform(*ends)) for n, ends in ranges.items()}))
+        plant = {} if nominal else draw_plant(case.vehicle, seed=seed)
+        found.append(Condition(case, seed, {f"plant.{name}": value for name, value in plant.items()}))
     return tuple(found)
 
 

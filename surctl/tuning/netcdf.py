@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from surctl import __version__
 from surctl.simulation import Case, knobs
+from surctl.simulation.store import cannot_write
 from surctl.tuning.axes import SEED, Axis, Span
 from surctl.tuning.design import Design
 from surctl.tuning.measure import Evaluation, Quantity, law_digest
-from surctl.tuning.store import cannot_write
 from surctl.tuning.table import netcdf_name
 
 __all__ = ["Column", "provenance", "request_of", "write_netcdf"]

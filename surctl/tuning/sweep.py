@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.simulation import Case
+from surctl.simulation.store import ChunkStore, cannot_write
 from surctl.tuning.design import Design
 from surctl.tuning.executors import Chunk, Evaluator, Executor, LocalExecutor
 from surctl.tuning.measure import (
@@ -27,7 +28,6 @@ from surctl.tuning.measure import (
     request_digest,
 )
 from surctl.tuning.netcdf import Column, provenance, request_of, write_netcdf
-from surctl.tuning.store import ChunkStore, cannot_write
 from surctl.tuning.table import SweepTable, judged, load_sweep
 
 __all__ = ["TABLE", "Tell", "run_chunks", "sweep"]

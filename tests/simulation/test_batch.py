@@ -89,6 +89,20 @@ def test_a_mode_with_limits_flies_the_same() -> None:
     assert np.array_equal(found.table[0], found.table[1], equal_nan=True)  # nothing in this case is drawn
 
 
+@pytest.mark.parametrize(("name", "seconds"), [("tank-moving", 60.0), ("tank-moving", 12.0)], ids=["truth", "sonar"])
+def test_an_obstacle_left_out_is_as_one_that_never_was(name: str, seconds: float) -> None:
+    case = _case(name, seconds=seconds, sensing="truth" if seconds > 50 else "sonar")
+    names = [o.name for o in case.scenario.obstacles]
+    there = np.array([[1.0, 1.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    values = {f"obstacle.{name}.there": there[:, k] for k, name in enumerate(names)}
+    found = simulate_batch(case, values, seeds=5).table
+    assert len({row.tobytes() for row in found}) > 1
+    for row, flags in zip(found, there, strict=True):
+        left = tuple(o for o, flag in zip(case.scenario.obstacles, flags, strict=True) if flag)
+        wanted = _reference(replace(case, scenario=replace(case.scenario, obstacles=left)), 5)
+        assert np.allclose(row, wanted, rtol=1e-9, atol=1e-9, equal_nan=True)
+
+
 def test_casadis_machine_gives_the_same_runs() -> None:
     case = _case("pool-static", seconds=6.0)
     values = {"k_v": [1.0, 2.0, 3.0]}

@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.simulation import METRICS
+from surctl.simulation import METRICS, store
+from surctl.simulation.store import ChunkStore
 from surctl.tuning import (
     DISK_FLOOR,
     Axis,
@@ -28,11 +29,9 @@ from surctl.tuning import (
     saltelli,
     sensitivity,
     spread,
-    store,
     sweep,
 )
 from surctl.tuning.executors import DaskExecutor
-from surctl.tuning.store import ChunkStore
 from surctl.tuning.sweep import run_chunks
 from surctl.tuning.table import judged
 from tests.tools import PATIENCE
@@ -317,7 +316,7 @@ def test_a_harmed_or_foreign_chunk_is_not_trusted(tmp_path):
             assert not shelf.has(3, (3, 2)), bad
         file.write_bytes(good)
         assert shelf.has(3, (3, 2))
-        with pytest.raises(InputError, match="another sweep"), kept(tmp_path).open():
+        with pytest.raises(InputError, match="another process"), kept(tmp_path).open():
             pass
 
 
@@ -397,7 +396,7 @@ KILLED = """
 import os, random, signal, sys, time
 from pathlib import Path
 from surctl.tuning.executors import LocalExecutor
-from surctl.tuning.store import ChunkStore
+from surctl.simulation.store import ChunkStore
 from surctl.tuning.sweep import run_chunks
 from tests.tuning.stub import slow_squares
 from tests.tuning.test_sweep import CHUNKS

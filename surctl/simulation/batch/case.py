@@ -154,6 +154,9 @@ def _obstacle_knobs(obstacle: Obstacle, vehicle: Vehicle) -> list[Knob]:
     found = [
         knob("x", "m", "centre at the start, x in {E}", obstacle.centre_m[0]),
         knob("y", "m", "centre at the start, y in {E}", obstacle.centre_m[1]),
+        Knob(
+            f"obstacle.{obstacle.name}.there", "1", "1 where it is in the water, 0 where it is left out", 1.0, 0.0, 1.0
+        ),
     ]
     if obstacle.size_m is not None:
         found += [

@@ -93,10 +93,20 @@ class Listening:
     def _wide(self) -> int:
         return len(self._plan.sensors[0])
 
-    def drawn(self, noise: ca.SX, out: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Draw what a tick needs, see `run._Drawn`: for own state, message and its loss; for the firings into `out`."""
+    def drawn(self, noise: ca.SX, out: dict[str, ca.SX], *, movers: ca.SX | None = None) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Draw what a tick needs, see `run._Drawn`: for own state, message and its loss; for the firings into `out`.
+
+        `movers` says how many moving obstacles the run has, where runs differ: it takes no number for one it has not.
+        """
         count = self.normals
-        drawn, after = draw_normals(noise, count + 8 + 4 * self.structure.slots)
+        if movers is None:
+            drawn, after = draw_normals(noise, count + 8 + 4 * self.structure.slots)
+        else:
+            drawn, after = draw_normals(noise, count + 8)
+            further = after
+            for k in range(self.structure.slots):
+                four, further = draw_normals(further, 4)
+                drawn, after = ca.vertcat(drawn, four), ca.if_else(movers > k, further, after)
         out["normals"], out["uniforms"] = drawn[:count], ca.SX(0)
         if self.structure.may_fail:
             out["uniforms"], after = draw_uniforms(after, self.uniforms)

@@ -51,8 +51,9 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
     for obstacle in case.scenario.obstacles:
         moved = values.get(f"obstacle.{obstacle.name}.drift", np.asarray(obstacle.drift_m))
         kinds.append(kind_of(obstacle, drifting=bool(np.any(moved > 0))))
+    optional = any(f"obstacle.{obstacle.name}.there" in values for obstacle in case.scenario.obstacles)
     if case.sensing == "truth":
-        return Structure(case.law, case.avoidance, case.mode, case.sensing, tuple(kinds))
+        return Structure(case.law, case.avoidance, case.mode, case.sensing, tuple(kinds), optional=optional)
     sensors = case.scenario.sensors
     struck = any(np.any(values.get(f"sonar.{kind}", chance) > 0) for kind, chance in _chances(case))
     return Structure(
@@ -65,6 +66,7 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         len(sensors.faults),
         struck,
         any(fault.kind == "delay" for fault in sensors.faults),
+        optional,
     )
 
 
@@ -181,6 +183,8 @@ class _Filler:
         if structure.faults:
             slots = fault_slots(structure.equipment.array, scenario.sensors.faults, structure.faults)
             found["fault_slots"] = [np.asarray(value) for value in slots.ravel()]
+        if structure.optional:
+            found["there"] = [self.number(f"obstacle.{o.name}.there") for o in scenario.obstacles]
         for k, (obstacle, kind) in enumerate(zip(scenario.obstacles, self.loop.structure.bodies, strict=True)):
             prefix = f"obstacle.{obstacle.name}."
             found[f"body{k}"] = body_columns(

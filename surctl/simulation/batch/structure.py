@@ -22,6 +22,7 @@ class Structure:
         equipment: what is sensed with; the sonars' hull counts only if they have mounts.
         faults: number of slots for told faults; `delays` if one of them may be a delay.
         chances: whether faults may strike by chance.
+        optional: whether a run may leave obstacles out.
     """
 
     law: LawName
@@ -33,6 +34,7 @@ class Structure:
     faults: int = 0
     chances: bool = False
     delays: bool = False
+    optional: bool = False
 
     @property
     def may_fail(self) -> bool:

@@ -7,7 +7,7 @@ or sent through CasADi's machine. The two are written independently and compared
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -99,7 +99,9 @@ def _parameter_ports(structure: Structure) -> tuple[Port, ...]:
         Port("fault_slots", (structure.faults, SLOT), "SI", "told faults, see fault_slots"),
         Port("fault_chances", (len(FaultChances.kinds()),), "1", "per firing, see FaultChances"),
     )
-    return (*PARAMETERS, *world, *bodies, *(port for port in failing if structure.may_fail and port.size))
+    there = [Port("there", (len(structure.bodies),), "1", "1 where the obstacle is in the water")]
+    optional = there if structure.optional else []
+    return (*PARAMETERS, *world, *bodies, *optional, *(port for port in failing if structure.may_fail and port.size))
 
 
 def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
@@ -138,7 +140,7 @@ class _Builder:
         out: dict[str, ca.SX] = {"x": state["law"], "p": w[: PARAMETERS.size]}
         inputs: dict[str, ca.SX] = {"eta": eta, "nu": nu}
         if self.sonar:
-            own, drawn, loss = self.listening.drawn(state["noise"], out)
+            own, drawn, loss = self.listening.drawn(state["noise"], out, movers=self._movers(given))
             heard, arrived = self.listening.instant(given, bodies, state["plant"], state, tick, out, instant=0)
             inputs = {"samples": heard["sonar_last"], "fresh": ca.fmax(state["fresh"], arrived)}
             out["heard"] = self.listening.heard.join(heard)
@@ -249,7 +251,17 @@ class _Builder:
         return {"halted": count}, ca.if_else(count >= round(HALT / self.law.dt), _code("halted"), 0)
 
     def _bodies(self, w: Mapping[str, ca.SX], time: ca.SX) -> list[Body]:
-        return [body_at(kind, w[f"body{k}"], time) for k, kind in enumerate(self.structure.bodies)]
+        found = [body_at(kind, w[f"body{k}"], time) for k, kind in enumerate(self.structure.bodies)]
+        if not self.structure.optional:
+            return found
+        return [replace(b, present=ca.logic_and(b.present, w["there"][k] > 0.5)) for k, b in enumerate(found)]
+
+    def _movers(self, w: Mapping[str, ca.SX]) -> ca.SX | None:
+        """How many moving obstacles a run has; None where all have the same."""
+        if not self.structure.optional:
+            return None
+        kinds = enumerate(self.structure.bodies)
+        return sum((w["there"][k] > 0.5 for k, kind in kinds if kind == "mover"), start=ca.SX(0))
 
     @staticmethod
     def _disturbance(w: Mapping[str, ca.SX], time: ca.SX) -> ca.SX:

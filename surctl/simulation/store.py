@@ -1,4 +1,4 @@
-"""Finished chunks of a sweep on disk, so that a killed one resumes with nothing lost but the chunks in flight."""
+"""Finished chunks of many runs on disk, so that a killed one resumes with nothing lost but the chunks in flight."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def _hold(lock: IO[str], folder: Path) -> None:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         raise InputError(
-            "another sweep of this request is running", file=folder, remedy="wait for it, or name another --out"
+            "another process with this request is running", file=folder, remedy="wait for it, or name another --out"
         ) from None
 
 

@@ -1,0 +1,253 @@
+"""The options of `surctl simulate` for many drawn runs, and for one of them flown again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from surctl.cli.output import finish, progress
+
+if TYPE_CHECKING:
+    from surctl.cli.sensor_options import SensorOptions
+    from surctl.control import Gains
+    from surctl.simulation.campaign import Campaign, Plan
+
+__all__ = ["CampaignOptions", "campaign_options", "fly_again"]
+
+MOST_ROWS = 100  # printed as JSON; DIR has them all
+WORLDS_VEHICLE = "sur540-flooded"
+
+_OPTIONS = (
+    click.option("--monte-carlo", is_flag=True, help="Draw plant and obstacles of every run, on the compiled loop."),
+    click.option(
+        "--random-worlds", "worlds", type=click.IntRange(1, 1_000_000), metavar="N", help="Fly N drawn worlds instead."
+    ),
+    click.option("--worst", type=click.IntRange(0, 1000), help="Worst runs kept as files in DIR/worst (5)."),
+    click.option(
+        "--threads", type=click.IntRange(1, 1024), help="Of a campaign (2); the result does not depend on them."
+    ),
+    click.option("--fresh", is_flag=True, help="Start a campaign again instead of continuing that of DIR."),
+    click.option(
+        "--from", "replayed", type=click.Path(path_type=Path), metavar="FILE", help="Fly a run of DIR/worst again."
+    ),
+)
+C = TypeVar("C", bound=Callable[..., Any])
+
+
+def campaign_options(command: C) -> C:
+    """Give a command the options; it takes them as `monte_carlo`, `worlds`, `worst`, `threads`, `fresh`, `replayed`."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
+@dataclass(frozen=True)
+class CampaignOptions:
+    """The options as they were typed.
+
+    Attributes:
+        monte_carlo: draw plant and obstacles.
+        worlds: number of drawn worlds, or None.
+        worst: how many of the worst runs are kept, or None.
+        threads: of the compiled loop, or None.
+        fresh: start again.
+    """
+
+    monte_carlo: bool = False
+    worlds: int | None = None
+    worst: int | None = None
+    threads: int | None = None
+    fresh: bool = False
+
+    @property
+    def any(self) -> bool:
+        """Whether a campaign is asked for."""
+        return self.monte_carlo or self.worlds is not None
+
+    def check(self, *, scenarios: tuple[str, ...], runs: int, explained: bool, out: Path | None) -> None:
+        """InputError for what does not go together."""
+        from surctl.errors import InputError
+
+        if not self.any:
+            for key, value in (("--worst", self.worst), ("--threads", self.threads), ("--fresh", self.fresh or None)):
+                if value is not None:
+                    remedy = "add --monte-carlo or --random-worlds N, or drop it"
+                    raise InputError("is about a campaign", key=key, value=value, remedy=remedy)
+        elif explained:
+            raise InputError(
+                "is about single runs", key="--explain", remedy="fly one of DIR/worst: --from FILE --explain"
+            )
+        elif out is None and (self.fresh or self.worst is not None):
+            key = "--fresh" if self.fresh else "--worst"
+            raise InputError("has no folder", key=key, remedy="name one with --out")
+        if self.worlds is not None and scenarios:
+            remedy = "drop one of them"
+            raise InputError("draws its own scenarios", key="--random-worlds", value=scenarios[0], remedy=remedy)
+        if self.worlds is not None and runs != 1:
+            raise InputError("says how many already", key="--random-worlds", value=self.worlds, remedy="drop --runs")
+        if self.worlds is None and not scenarios:
+            raise InputError("needs a scenario", key="SCENARIOS", remedy="surctl list names them")
+        if len(set(scenarios)) < len(scenarios) and self.any:
+            raise InputError("is named twice", key="SCENARIOS", value=" ".join(scenarios), remedy="name each once")
+
+    def plans(
+        self,
+        scenarios: tuple[str, ...],
+        vehicle: str | None,
+        gains: Gains,
+        sensors: SensorOptions,
+        *,
+        law: str,
+        avoidance: str,
+        mode: str,
+        sensing: str,
+        seed: int,
+    ) -> list[Plan]:
+        """The campaigns that are asked for.
+
+        Raises:
+            InputError: an unknown name, or what the law or the scenarios do not take.
+        """
+        from typing import cast
+
+        from surctl.guidance import AvoidanceForm
+        from surctl.simulation import load_scenario
+        from surctl.simulation.campaign import MonteCarlo, RandomWorlds, world_template
+        from surctl.tuning import build_cases
+        from surctl.vehicle import load_vehicle
+
+        flown = [] if vehicle is None else [load_vehicle(vehicle)]
+        if self.worlds is None:
+            missions = [sensors.over(load_scenario(name)) for name in scenarios]
+        else:
+            flown = flown or [load_vehicle(WORLDS_VEHICLE)]
+            missions = [sensors.over(world_template(flown[0]))]
+        cases = build_cases(missions, flown, gains=gains, law=law, mode=mode, sensing=sensing)
+        cases = tuple(replace(case, avoidance=cast(AvoidanceForm, avoidance)) for case in cases)
+        for case in cases[:1]:
+            case.build()  # so that a mistake is told before anything is written
+        if self.worlds is None:
+            return [MonteCarlo(case, seed) for case in cases]
+        return [RandomWorlds(case, seed, self.monte_carlo) for case in cases]
+
+    def fly(self, plans: list[Plan], *, runs: int, out: Path | None, as_json: bool) -> None:
+        """Fly the campaigns, keep them in `out`, print what they say, and end."""
+        from surctl.errors import InputError
+        from surctl.files import write_file
+        from surctl.simulation.campaign import CampaignFolder, fly_campaign
+
+        names = [plan.name for plan in plans]
+        if len(set(names)) < len(names):
+            raise InputError("two scenarios have one name", key="SCENARIOS", value=" ".join(names), remedy="rename one")
+        folder = None if out is None else CampaignFolder(out, tuple(plans))
+        if folder is not None:
+            folder.prepare(fresh=self.fresh)
+        told, lines, good = [], [], True
+        for plan in plans:
+            with nullcontext() if folder is None else folder.store(plan) as store:
+                flown = fly_campaign(plan, runs=runs, threads=self.threads or 2, store=store, progress=progress)
+            worst = 5 if self.worst is None else self.worst
+            files = [] if folder is None else folder.write(flown, worst=worst)
+            told.append(_told(flown, files, worst))
+            lines += _lines(flown, files, worst)
+            good = good and flown.summary.stopped["reached"].count == runs
+        if out is not None:
+            import json
+
+            from surctl.cli.output import finite
+
+            write_file(out / "summary.json", json.dumps(finite({"campaigns": told}), indent=1) + "\n")
+        finish({"campaigns": told}, lines, as_json=as_json, passed=good)
+
+
+def _told(flown: Campaign, files: list[Path], worst: int) -> dict[str, Any]:
+    case, table = flown.plan.case, flown.table
+    rows = [table.row(k) for k in table.worst(worst)]
+    for row, file in zip(rows, files, strict=False):
+        row["file"] = f"worst/{file.name}"
+    head = {
+        "campaign": flown.plan.name,
+        "scenario": case.scenario.name,
+        "vehicle": case.vehicle.name,
+        "law": case.law,
+        "avoidance": case.avoidance,
+        "priority_mode": case.mode,
+        "sensing": case.sensing,
+        "gains": case.gains.name,
+        "drawn": dict(flown.plan.told()),
+        "number_of_runs": len(table),
+    }
+    few = {"runs": [table.row(k) for k in range(len(table))]} if len(table) <= MOST_ROWS else {}
+    return {**head, **flown.summary.to_dict(), "worst": rows, **few}
+
+
+def _lines(flown: Campaign, files: list[Path], worst: int) -> list[str]:
+    case, table = flown.plan.case, flown.table
+    lines = [f"{flown.plan.name} by {case.vehicle.name}, law {case.law}, {case.sensing}, {len(table)} runs:"]
+    lines += flown.summary.lines()
+    for place, k in enumerate(table.worst(worst)):
+        time, clear = table.column("time_s")[k], table.column("min_clearance_m")[k]
+        broken = f", broken: {', '.join(table.broken[k])}" if table.broken[k] else ""
+        kept = f"  {files[place]}" if place < len(files) else ""
+        lines.append(
+            f"  worst {place + 1}: seed {table.seeds[k]}, {table.stopped(k)} at {time:.2f} s, "
+            f"clearance {clear:.4f} m{broken}{kept}"
+        )
+    return lines
+
+
+def fly_again(path: Path, *, explained: bool, out: Path | None, as_json: bool) -> None:
+    """Fly the run of a file in the reference loop, say whether it came to the same figures, and end.
+
+    Exit status 1 if it did not, or if the run does not arrive.
+    """
+    from dataclasses import asdict
+
+    from surctl.files import prepare_folder
+    from surctl.simulation import explain
+    from surctl.simulation.campaign import load_replay
+
+    for name, source in _given().items():
+        if name not in ("replayed", "explained", "out", "as_json") and source:
+            from surctl.errors import InputError
+
+            option = "--" + name.replace("_", "-")
+            raise InputError("is said by the file", key="--from", value=str(path), remedy=f"drop {option}, or edit it")
+    if out is not None:
+        prepare_folder(out)
+    replay = load_replay(path)
+    run = replay.flight.fly()
+    difference, m = replay.difference(run), run.metrics
+    same = difference <= SAME
+    result = run.to_dict() | {"campaign": replay.campaign, "same": same, "largest_difference": difference}
+    verdict = "as in the campaign" if same else f"NOT as in the campaign ({replay.stopped_because})"
+    lines = [
+        f"{run.scenario.name} by {run.vehicle.name}, {run.sensing}, seed {run.seed}: {m.stopped_because} at "
+        f"{m.time_s:.2f} s, least clearance {m.min_clearance_m:.3f} m, path error {m.path_error_m:.3f} m: {verdict}, "
+        f"largest difference {difference:.1g}"
+    ]
+    if explained:
+        told = explain(run)
+        result["explanations"] = [asdict(one) for one in told]
+        lines += [f"  {one.time_s:6.2f} s  {one.text}" for one in told]
+    if out is not None:
+        from surctl.report import save_run
+
+        lines.append(f"  {save_run(run, out)}")
+    finish({"runs": [result]}, lines, as_json=as_json, passed=same and m.reached)
+
+
+SAME = 1e-9
+"""Largest difference between the compiled loop and the reference loop, see `Replay.difference`."""
+
+
+def _given() -> dict[str, bool]:
+    """Which parameters of the command were typed."""
+    context = click.get_current_context()
+    default = (click.core.ParameterSource.DEFAULT, click.core.ParameterSource.DEFAULT_MAP)
+    return {name: context.get_parameter_source(name) not in default for name in context.params}

@@ -1,0 +1,115 @@
+"""Many drawn runs on the compiled loop, chunk by chunk."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.simulation.batch import simulate_batch
+from surctl.simulation.campaign.assumptions import assumptions
+from surctl.simulation.campaign.flight import Flight, Plan
+from surctl.simulation.campaign.replay import Replay, replay_of
+from surctl.simulation.campaign.summary import Summary, summarise
+from surctl.simulation.campaign.table import RunTable
+from surctl.simulation.metrics import METRICS
+from surctl.simulation.store import ChunkStore
+
+__all__ = ["CHUNK", "FASTEST", "Campaign", "fly_campaign"]
+
+CHUNK = 128
+"""Runs that are flown, and kept, together."""
+
+FASTEST = 0.15
+"""[m/s] of an obstacle up to which a collision counts against the law (*chosen*)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """What was flown, and what came of it."""
+
+    plan: Plan
+    table: RunTable
+    summary: Summary
+
+    def worst(self, count: int) -> list[Replay]:
+        """The worst runs as files have them, the worst first, see `RunTable.worst`."""
+        return [
+            replay_of(self.plan.flight(k), self.table.row(k), campaign=self.plan.name) for k in self.table.worst(count)
+        ]
+
+
+def fly_campaign(
+    plan: Plan,
+    *,
+    runs: int,
+    threads: int = 1,
+    chunk: int = CHUNK,
+    store: ChunkStore | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Campaign:
+    """Fly the first runs of a plan.
+
+    The result depends on neither threads, chunks, nor on what the store has already.
+
+    Args:
+        plan: which runs.
+        runs: how many, at least 1.
+        threads: of the compiled loop.
+        chunk: runs flown together.
+        store: an open one, of chunks of this size; finished ones are taken from it and others put there.
+        progress: told a line at a time.
+
+    Raises:
+        InputError: no run, a draw out of a number's bounds, or a chunk that cannot be written.
+    """
+    for key, value in (("runs", runs), ("chunk", chunk)):
+        if value < 1:
+            raise InputError("must be at least 1", key=key, value=value)
+    parts, start, flown = [], time.monotonic(), 0
+    for index, (first, count) in enumerate(_cut(runs, chunk)):
+        shape = (count, 1 + len(METRICS) + len(plan.names))
+        if store is not None and store.has(index, shape):
+            parts.append(np.column_stack([store.column(index, shape, k) for k in range(shape[1])]))
+        else:
+            parts.append(_flown(plan, first, count, threads))
+            flown += count
+            if store is not None:
+                store.write(index, parts[-1])
+        rate = flown / max(time.monotonic() - start, 1e-9)
+        progress(f"{plan.name}: {first + count}/{runs} runs" + (f", {rate:.3g} a second" if flown else ", kept"))
+    table = _table(plan, np.vstack(parts))
+    return Campaign(plan, table, summarise(table))
+
+
+def _cut(runs: int, chunk: int) -> Iterator[tuple[int, int]]:
+    return ((first, min(chunk, runs - first)) for first in range(0, runs, chunk))
+
+
+def _flown(plan: Plan, first: int, count: int, threads: int) -> NDArray[np.float64]:
+    """(count, …): seed, metrics, values."""
+    seeds, values = plan.seeds(first, count), plan.values(first, count)
+    batch = simulate_batch(plan.case, values, seeds=seeds, threads=threads)
+    return np.column_stack([seeds, batch.table, *(values[name] for name in plan.names)])
+
+
+def _table(plan: Plan, whole: NDArray[np.float64]) -> RunTable:
+    wide = 1 + len(METRICS)
+    figures = whole[:, 1:wide]
+    hit = figures[:, list(METRICS).index("collided")] > 0.5
+    broken = tuple(_broken(plan.flight(k)) if hit[k] else () for k in range(len(whole)))
+    values = {name: whole[:, wide + k] for k, name in enumerate(plan.names)}
+    return RunTable(whole[:, 0].astype(np.int64), figures, values, broken)
+
+
+def _broken(flight: Flight) -> tuple[str, ...]:
+    """Which assumptions do not hold; with true positions everything is seen at once."""
+    case = flight.case
+    sees = case.scenario.sensors.equipment.array.maximum if case.sensing == "sonar" else inf
+    believed = case.model or case.vehicle
+    return assumptions(case.scenario, believed, flight.draw, detection=sees, fastest=FASTEST)

@@ -1,0 +1,129 @@
+"""What a Monte Carlo campaign draws of a scenario: the vehicle that is flown, and its obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.simulation.batch import Case
+from surctl.simulation.campaign.flight import Flight
+from surctl.simulation.obstacle import Obstacle
+from surctl.simulation.world import build_world
+from surctl.vehicle import Vehicle
+
+__all__ = ["MonteCarlo", "draw_plant", "obstacle_values"]
+
+
+def draw_plant(vehicle: Vehicle, *, seed: int) -> dict[str, float]:
+    """A vehicle within its stated ranges, by parameter name: each drawn evenly, one without a range left out."""
+    rng = np.random.default_rng([seed, 3])
+    ranges = {name: p.range for name, p in vehicle.parameters.items() if p.range is not None}
+    return {name: float(rng.uniform(*ends)) for name, ends in ranges.items()}
+
+
+@dataclass(frozen=True)
+class MonteCarlo:
+    """Runs of one scenario with drawn plants, obstacles and seeds, see `Uncertainty`; run k flies seed `first` + k.
+
+    Attributes:
+        case: the scenario as its file has it.
+        first: seed of the first run, at least 0.
+
+    Raises:
+        InputError: obstacles that, as large as they may be drawn, cover the start.
+    """
+
+    case: Case
+    first: int = 0
+
+    def __post_init__(self) -> None:
+        """Check that every draw can be flown."""
+        u = self.case.scenario.uncertainty
+        grown = [_scaled(o, self.case.vehicle, 1 + u.obstacle_size, 1.0) for o in self.case.scenario.obstacles]
+        try:
+            build_world(replace(self.case.scenario, obstacles=tuple(grown)), self.case.vehicle, seed=self.first)
+        except InputError as error:
+            raise InputError(
+                f"obstacles as large as they may be drawn cannot be flown: {error.problem}",
+                file=self.case.scenario.source or self.case.scenario.name,
+                key="uncertainty.obstacle_size",
+                value=u.obstacle_size,
+                remedy="lower it",
+            ) from None
+
+    @property
+    def name(self) -> str:
+        """The scenario's."""
+        return self.case.scenario.name
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """See `Plan`."""
+        return tuple(self._row(0))
+
+    def seeds(self, first: int, count: int) -> NDArray[np.int64]:
+        """See `Plan`."""
+        return np.arange(self.first + first, self.first + first + count)
+
+    def values(self, first: int, count: int) -> Mapping[str, NDArray[np.float64]]:
+        """See `Plan`."""
+        rows = [self._row(k) for k in range(first, first + count)]
+        return {name: np.array([row[name] for row in rows]) for name in (rows[0] if rows else ())}
+
+    def flight(self, k: int) -> Flight:
+        """See `Plan`."""
+        scenario = replace(self.case.scenario, obstacles=tuple(self._obstacles(k)))
+        return Flight(replace(self.case, scenario=scenario), self.first + k, self._plant(k))
+
+    def told(self) -> Mapping[str, object]:
+        """See `Plan`."""
+        return {"first seed": self.first, "draws": "plant and obstacles"}
+
+    def _plant(self, k: int) -> dict[str, float]:
+        if not self.case.scenario.uncertainty.vehicle:
+            return {}
+        return draw_plant(self.case.vehicle, seed=self.first + k)
+
+    def _obstacles(self, k: int) -> list[Obstacle]:
+        """As run k has them; each takes two numbers, whatever it is."""
+        scenario, rng = self.case.scenario, np.random.default_rng([self.first + k, 4])
+        u, drawn = scenario.uncertainty, rng.uniform(-1, 1, (len(scenario.obstacles), 2)).tolist()
+        if not (u.obstacle_size or u.obstacle_speed):
+            return list(scenario.obstacles)
+        return [
+            _scaled(o, self.case.vehicle, 1 + u.obstacle_size * size, 1 + u.obstacle_speed * speed)
+            for o, (size, speed) in zip(scenario.obstacles, drawn, strict=True)
+        ]
+
+    def _row(self, k: int) -> dict[str, float]:
+        row = {f"plant.{name}": value for name, value in self._plant(k).items()}
+        return row | obstacle_values(self._obstacles(k))
+
+
+def _scaled(obstacle: Obstacle, vehicle: Vehicle, size: float, speed: float) -> Obstacle:
+    """So much larger and faster; a moving one that names no radius is drawn about the hull's."""
+    changes: dict[str, object] = {}
+    if obstacle.size_m is not None:
+        changes["size_m"] = (obstacle.size_m[0] * size, obstacle.size_m[1] * size)
+    else:
+        changes["radius_m"] = (obstacle.radius_m or vehicle["radius"]) * size
+    if obstacle.speed_m_per_s is not None:
+        changes["speed_m_per_s"] = obstacle.speed_m_per_s * speed
+    return obstacle.model_copy(update=changes)
+
+
+def obstacle_values(obstacles: Sequence[Obstacle]) -> dict[str, float]:
+    """Size and speed of obstacles by knob name."""
+    found: dict[str, float] = {}
+    for o in obstacles:
+        if o.size_m is not None:
+            found |= {f"obstacle.{o.name}.size_x": o.size_m[0], f"obstacle.{o.name}.size_y": o.size_m[1]}
+        elif o.radius_m is not None:
+            found[f"obstacle.{o.name}.radius"] = o.radius_m
+        if o.speed_m_per_s is not None:
+            found[f"obstacle.{o.name}.speed"] = o.speed_m_per_s
+    return found

@@ -1,0 +1,78 @@
+"""One run of a campaign, as the reference loop flies it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.simulation.batch import Case
+from surctl.simulation.run import Run, simulate
+
+__all__ = ["Flight", "Plan"]
+
+Columns = Mapping[str, NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A drawn run.
+
+    Attributes:
+        case: its own scenario, and the vehicle as the law believes it.
+        seed: of every random choice that is left.
+        draw: numbers of the vehicle that is flown, by name, where they differ from the case's, in its file's units.
+    """
+
+    case: Case
+    seed: int = 0
+    draw: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+    def fly(self) -> Run:
+        """Fly it in the reference loop.
+
+        Raises:
+            InputError: the hull starts inside an obstacle, or a number outside the range that its file states.
+        """
+        case = self.case
+        return simulate(
+            case.scenario,
+            case.vehicle.with_values(self.draw),
+            gains=case.gains,
+            law=case.build(),
+            sensing=case.sensing,
+            seed=self.seed,
+            model=case.model or case.vehicle,
+        )
+
+
+class Plan(Protocol):
+    """Which runs a campaign flies; run k depends on k alone."""
+
+    @property
+    def name(self) -> str:
+        """Of the campaign."""
+
+    @property
+    def case(self) -> Case:
+        """What is compiled: every run is this case with values of its own."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Knobs whose values it draws."""
+
+    def seeds(self, first: int, count: int) -> NDArray[np.int64]:
+        """(count,) seeds of the runs from `first` on."""
+
+    def values(self, first: int, count: int) -> Columns:
+        """Their values by knob name, (count,) each."""
+
+    def flight(self, k: int) -> Flight:
+        """Run k by itself."""
+
+    def told(self) -> Mapping[str, object]:
+        """What the runs depend on besides the case, as plain data."""

@@ -1,0 +1,175 @@
+"""One run as a file: everything that it takes to fly it again, and what it came to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import inf, isfinite
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from surctl import __version__
+from surctl.control import GAINS, Gains, load_gains
+from surctl.control.build import LawName
+from surctl.errors import InputError
+from surctl.files import Strict, read_toml, validate
+from surctl.guidance import AvoidanceForm
+from surctl.priority import Mode
+from surctl.simulation.batch import Case
+from surctl.simulation.campaign.flight import Flight
+from surctl.simulation.metrics import METRICS
+from surctl.simulation.run import Run, Sensing
+from surctl.simulation.scenario import scenario_from_table
+from surctl.simulation.scenario_table import scenario_table
+from surctl.simulation.toml_text import toml_text
+from surctl.vehicle import PARAMETERS, Vehicle
+from surctl.vehicle.parameters import vehicle_from_table
+
+__all__ = ["Replay", "load_replay", "replay_of"]
+
+_FIGURES = tuple(name for name in METRICS if name not in ("reached", "collided", "stopped"))
+
+
+class _GainTable(Strict):
+    name: str = Field(min_length=1)
+    provenance: str = Field(min_length=1)
+    values: dict[str, float]
+
+
+class _RunFile(Strict):
+    kind: Literal["run"]
+    campaign: str
+    version: str
+    seed: Annotated[int, Field(ge=0)]
+    law: LawName
+    avoidance: AvoidanceForm
+    priority_mode: Mode
+    sensing: Sensing
+    stopped_because: Literal["time limit", "reached", "collision", "fault", "halted"]
+    broken_assumptions: tuple[str, ...] = ()
+    figures: dict[str, float]
+    draw: dict[str, float] = Field(default_factory=dict)
+    gains: _GainTable
+    vehicle: dict[str, Any]
+    model: dict[str, Any] | None = None
+    scenario: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A run of a campaign, to be flown again.
+
+    Attributes:
+        flight: what was flown.
+        stopped_because: one of `STOPS`.
+        figures: metric → value, those that are finite.
+        campaign: that it is a run of.
+        broken: names of the assumptions that do not hold.
+        version: of the toolkit that flew it.
+    """
+
+    flight: Flight
+    stopped_because: str
+    figures: Mapping[str, float]
+    campaign: str
+    broken: tuple[str, ...] = ()
+    version: str = __version__
+
+    def to_toml(self) -> str:
+        """The file's text.
+
+        Raises:
+            InputError: sonars that no file can state.
+        """
+        flight, case = self.flight, self.flight.case
+        table: dict[str, Any] = {
+            "kind": "run",
+            "campaign": self.campaign,
+            "version": self.version,
+            "seed": flight.seed,
+            "law": case.law,
+            "avoidance": case.avoidance,
+            "priority_mode": case.mode,
+            "sensing": case.sensing,
+            "stopped_because": self.stopped_because,
+            "broken_assumptions": list(self.broken),
+            "figures": dict(self.figures),
+            "draw": dict(flight.draw),
+            "gains": {
+                "name": case.gains.name,
+                "provenance": case.gains.provenance,
+                "values": dict(case.gains.values),
+            },
+            "vehicle": _vehicle_table(case.vehicle),
+            "scenario": scenario_table(case.scenario),
+        }
+        if case.model is not None:
+            table["model"] = _vehicle_table(case.model)
+        return toml_text(table)
+
+    def difference(self, run: Run) -> float:
+        """Largest difference of a figure between this and a run, in its unit, or of one above 1 as a share of it.
+
+        inf when the run ended for another reason.
+        """
+        m = run.metrics
+        if m.stopped_because != self.stopped_because:
+            return inf
+        found = {name: float(getattr(m, name)) for name in _FIGURES}
+        if {name for name, value in found.items() if isfinite(value)} != set(self.figures):
+            return inf
+        return max(
+            (abs(found[name] - value) / max(1.0, abs(value)) for name, value in self.figures.items()), default=0.0
+        )
+
+
+def replay_of(flight: Flight, row: Mapping[str, Any], *, campaign: str) -> Replay:
+    """A run of a campaign from its flight and its row, see `RunTable.row`."""
+    figures = {name: row[name] for name in _FIGURES if isfinite(row[name])}
+    return Replay(flight, row["stopped_because"], figures, campaign, tuple(row["broken_assumptions"]))
+
+
+def load_replay(path: Path | str) -> Replay:
+    """Read the file of a run.
+
+    Raises:
+        InputError: no such file, or one that is no run that could be flown; it says what is wrong in one line.
+    """
+    path = Path(path)
+    file = validate(read_toml(path), _RunFile, file=path)
+    unknown = [name for name in file.figures if name not in _FIGURES]
+    if unknown:
+        raise InputError("no such figure", file=path, key=f"figures.{unknown[0]}", remedy="take it out")
+    scenario = scenario_from_table(file.scenario, source=str(path))
+    vehicle = vehicle_from_table(file.vehicle, source=str(path))
+    model = None if file.model is None else vehicle_from_table(file.model, source=str(path))
+    for name in file.draw:
+        if name not in PARAMETERS:
+            raise InputError("no such vehicle parameter", file=path, key=f"draw.{name}", remedy="take it out")
+    vehicle.with_values(file.draw)
+    case = Case(
+        scenario, vehicle, _gains(file.gains, path), file.law, file.priority_mode, file.sensing, model, file.avoidance
+    )
+    flight = Flight(case, file.seed, file.draw)
+    return Replay(flight, file.stopped_because, file.figures, file.campaign, file.broken_assumptions, file.version)
+
+
+def _gains(table: _GainTable, path: Path) -> Gains:
+    missing = [name for name in GAINS if name not in table.values]
+    if missing:
+        raise InputError("is missing", file=path, key=f"gains.values.{missing[0]}", remedy="add it")
+    base = replace(load_gains("default"), name=table.name, source=str(path))
+    return base.with_values(table.values, provenance=table.provenance)
+
+
+def _vehicle_table(vehicle: Vehicle) -> dict[str, Any]:
+    table: dict[str, Any] = {"kind": "vehicle", "name": vehicle.name, "note": vehicle.note}
+    for name, spec in PARAMETERS.items():
+        known = vehicle.parameters[name]
+        told: dict[str, Any] = {"value": float(known.value), "unit": known.unit, "provenance": known.provenance}
+        if known.range is not None:
+            told["range"] = list(known.range)
+        table.setdefault(spec.table, {})[name] = told
+    return table

@@ -1,0 +1,91 @@
+"""What a campaign says as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.simulation.campaign.share import Share
+from surctl.simulation.campaign.table import RunTable
+from surctl.simulation.metrics import STOPS
+
+__all__ = ["PERCENTILES", "Summary", "summarise"]
+
+PERCENTILES = (0, 5, 25, 50, 75, 95, 100)
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Shares and percentiles of n runs.
+
+    Attributes:
+        stopped: why runs ended → their share, for every reason of `STOPS`.
+        time_s: percentile → when the runs that arrived did [s]; empty when none did.
+        clearance_m: percentile → least clearance of all runs [m]; empty when there is nothing to be clear of.
+        broken: assumption → runs that collided and break it; `none` counts those that break none.
+    """
+
+    stopped: Mapping[str, Share]
+    time_s: Mapping[int, float]
+    clearance_m: Mapping[int, float]
+    broken: Mapping[str, int]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        shares = {
+            reason: {"count": s.count, "runs": s.runs, "rate": s.rate, "at_most_95": s.at_most()}
+            for reason, s in self.stopped.items()
+        }
+        return {
+            "stopped": shares,
+            "time_s": {f"p{p}": value for p, value in self.time_s.items()},
+            "min_clearance_m": {f"p{p}": value for p, value in self.clearance_m.items()},
+            "collisions_by_broken_assumption": dict(self.broken),
+        }
+
+    def lines(self) -> list[str]:
+        """For people."""
+        told = []
+        for reason in ("collision", "time limit", "halted", "fault"):
+            s = self.stopped[reason]
+            told.append(
+                f"  {reason:<11}{s.count:>7} of {s.runs}: {s.rate:.3%}, with 95 % confidence at most {s.at_most():.3%}"
+            )
+        reached = self.stopped["reached"]
+        told.append(f"  {'reached':<11}{reached.count:>7} of {reached.runs}: {reached.rate:.3%}")
+        for name, unit, found in (("time", "s", self.time_s), ("clearance", "m", self.clearance_m)):
+            if found:
+                values = ", ".join(f"{value:.4g} {unit} ({p} %)" for p, value in found.items())
+                told.append(f"  {name:<11}{values}")
+        if self.broken:
+            told.append("  collisions by broken assumption: " + ", ".join(f"{n} {k}" for k, n in self.broken.items()))
+        return told
+
+
+def summarise(table: RunTable) -> Summary:
+    """Count the runs of a table.
+
+    Raises:
+        InputError: a table without a run.
+    """
+    ended = np.round(table.column("stopped"))
+    stopped = {reason: Share(int(np.sum(ended == code)), len(table)) for code, reason in enumerate(STOPS)}
+    arrived = table.column("reached") > 0.5
+    broken: dict[str, int] = {}
+    for k in np.flatnonzero(table.column("collided") > 0.5):
+        for name in table.broken[int(k)] or ("none",):
+            broken[name] = broken.get(name, 0) + 1
+    clear = table.column("min_clearance_m")
+    return Summary(
+        stopped, _percentiles(table.column("time_s")[arrived]), _percentiles(clear[np.isfinite(clear)]), broken
+    )
+
+
+def _percentiles(values: NDArray[np.float64]) -> dict[int, float]:
+    if not len(values):
+        return {}
+    return {p: float(v) for p, v in zip(PERCENTILES, np.percentile(values, PERCENTILES), strict=True)}

@@ -1,0 +1,76 @@
+"""The runs of a campaign as a table."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.simulation.metrics import METRICS, STOPS
+
+__all__ = ["RunTable"]
+
+_FIRST = ("collided", "reached")  # said by why it stopped
+
+
+@dataclass(frozen=True, eq=False)
+class RunTable:
+    """n runs.
+
+    Attributes:
+        seeds: (n,).
+        figures: (n, len(METRICS)), in the order of `METRICS`.
+        values: (n,) by knob name: what was drawn.
+        broken: (n,) names of the assumptions that do not hold, of the runs that collided; else empty.
+    """
+
+    seeds: NDArray[np.int64]
+    figures: NDArray[np.float64]
+    values: Mapping[str, NDArray[np.float64]]
+    broken: tuple[tuple[str, ...], ...]
+
+    def __len__(self) -> int:
+        """Number of runs."""
+        return len(self.seeds)
+
+    def column(self, name: str) -> NDArray[np.float64]:
+        """One metric (n,)."""
+        return self.figures[:, list(METRICS).index(name)]
+
+    def stopped(self, k: int) -> str:
+        """Why run k ended, one of `STOPS`."""
+        return STOPS[round(float(self.column("stopped")[k]))]
+
+    def worst(self, count: int) -> list[int]:
+        """Indices of the worst runs, the worst first: collisions, then those that did not arrive, then by clearance."""
+        collided, reached = self.column("collided"), self.column("reached")
+        order = np.lexsort((self.seeds, self.column("min_clearance_m"), reached, -collided))
+        return [int(k) for k in order[:count]]
+
+    def row(self, k: int) -> dict[str, Any]:
+        """Run k as plain data: seed, why it ended, figures, broken assumptions, draws."""
+        figures = {name: float(self.figures[k, j]) for j, name in enumerate(METRICS) if name != "stopped"}
+        for name in _FIRST:
+            figures[name] = bool(figures[name])
+        told = {"seed": int(self.seeds[k]), "stopped_because": self.stopped(k), **figures}
+        drawn = {name: float(column[k]) for name, column in self.values.items()}
+        return {**told, "broken_assumptions": list(self.broken[k]), "drawn": drawn}
+
+    def to_csv(self) -> str:
+        """All runs, a line each, every number with all its digits."""
+        text = io.StringIO()
+        names = [name for name in METRICS if name != "stopped"]
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(["seed", "stopped_because", *names, "broken_assumptions", *self.values])
+        for k in range(len(self)):
+            row = self.row(k)
+            told = [int(row[name]) if name in _FIRST else repr(row[name]) for name in names]
+            drawn = [repr(value) for value in row["drawn"].values()]
+            broken = "; ".join(row["broken_assumptions"])
+            writer.writerow([row["seed"], row["stopped_because"], *told, broken, *drawn])
+        return text.getvalue()

@@ -1,0 +1,250 @@
+"""Random worlds: still and moving obstacles in the paper's tank, each a scenario of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import hypot
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, SurctlError
+from surctl.simulation.batch import Case
+from surctl.simulation.campaign.draws import draw_plant
+from surctl.simulation.campaign.flight import Flight
+from surctl.simulation.fit import findings
+from surctl.simulation.obstacle import Obstacle
+from surctl.simulation.scenario import Scenario, scenario_from_table
+from surctl.vehicle import Vehicle
+
+__all__ = ["FASTEST_MOVER", "SLOWEST", "RandomWorlds", "random_world", "world_template"]
+
+LENGTH, WIDTH = 10.0, 5.0  # [m] of the tank
+START, TARGET = (0.5, 2.5), (9.5, 2.5)
+
+FASTEST_MOVER = 0.15
+"""[m/s] of a moving obstacle."""
+
+SLOWEST = 0.03
+"""[m/s] of a moving obstacle (*chosen*)."""
+
+_BOXES, _CYLINDERS, _MOVERS = 2, 2, 4
+_EDGES = (0.2, 1.6)  # [m] of a box (*chosen*; the paper's are 0.3 by 1.6)
+_RADII = (0.1, 0.4)  # [m] of a cylinder (*chosen*)
+_BALLS = (0.15, 0.35)  # [m] of what moves (*chosen*; the paper's are as large as the robot)
+_NEAR = 1.0  # [m] between hull and what moves, at the start; the same at the target where it ends (*chosen*)
+_LEAST_WAY = 1.0  # [m] of what moves (*chosen*)
+_TRIES = 100_000
+
+
+def random_world(vehicle: Vehicle, *, seed: int) -> Scenario:
+    """One world: 1 to 8 obstacles, half of them moving, the odd one either way.
+
+    The path goes straight through the 10 x 5 m tank, as in the paper. What stands still lies inside the tank and apart
+    from the others; what moves goes in a straight line clear of it, begins and ends away from robot and target, and is
+    taken out at its end. `findings` has no error: the hull has room at both ends and in the tightest gap of its way.
+
+    Args:
+        vehicle: that must fit.
+        seed: of all choices.
+
+    Raises:
+        SurctlError: no world fits this vehicle.
+    """
+    rng = np.random.default_rng([seed, 5])
+    count = int(rng.integers(1, 9))
+    movers = (count + int(rng.integers(0, 2))) // 2
+    still = count - movers
+    for _ in range(_TRIES):
+        table = world_table(f"world-{seed}", vehicle, _still(rng, still))
+        found = _feasible(table, vehicle)
+        if found is None:
+            continue
+        moving = _moving(rng, movers, found, vehicle)
+        if moving is None:
+            continue
+        table["obstacles"] = [*table["obstacles"], *moving]
+        found = _feasible(table, vehicle)
+        if found is not None:
+            return found
+    raise SurctlError(f"{vehicle.name} fits no random world of seed {seed}")
+
+
+def world_table(name: str, vehicle: Vehicle, obstacles: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The tank with these obstacles, as a scenario file's table."""
+    return {
+        "kind": "scenario",
+        "name": name,
+        "title": "A random world",
+        "provenance": "drawn; site, path and speeds as the paper's tank",
+        "vehicle": vehicle.name,
+        "path_m": [list(START), list(TARGET)],
+        "depth_m": -0.15,
+        "cruise_m_per_s": 0.2,
+        "cap_m_per_s": 0.22,
+        "time_limit_s": 300.0,
+        "site": {"length_m": LENGTH, "width_m": WIDTH, "depth_m": 5.0},
+        "obstacles": [dict(o) for o in obstacles],
+        "paper": {"result": "none: drawn"},
+    }
+
+
+def world_template(vehicle: Vehicle) -> Scenario:
+    """A scenario with every obstacle that a random world may have, of any size: what is compiled for all of them."""
+    bodies: list[dict[str, Any]] = [
+        {"name": f"box-{k + 1}", "shape": "box", "size_m": (1.0, 1.0)} for k in range(_BOXES)
+    ]
+    bodies += [{"name": f"cylinder-{k + 1}", "shape": "cylinder", "radius_m": 1.0} for k in range(_CYLINDERS)]
+    bodies += [
+        {"name": f"mover-{k + 1}", "shape": "moving", "radius_m": 1.0, "to_m": (1.0, 1.0), "speed_m_per_s": 0.1}
+        for k in range(_MOVERS)
+    ]
+    empty = scenario_from_table(world_table("random-worlds", vehicle, []), source="")
+    return replace(empty, obstacles=tuple(Obstacle.model_validate({**b, "centre_m": (5.0, 2.5)}) for b in bodies))
+
+
+@dataclass(frozen=True)
+class RandomWorlds:
+    """Drawn worlds, all flown by one compiled loop; run k flies the world of seed `first` + k, with that seed.
+
+    Attributes:
+        case: of `world_template`, with the sensors, the time limit and so on that all have.
+        first: seed of the first world, at least 0.
+        plant: whether the vehicle that is flown is drawn too, see `draw_plant`.
+
+    Raises:
+        InputError: waves, whose draw depends on how many obstacles there are.
+    """
+
+    case: Case
+    first: int = 0
+    plant: bool = False
+    _known: dict[int, Scenario] = field(default_factory=dict, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Check."""
+        if force := self.case.scenario.disturbance.wave_force_n:
+            raise InputError(
+                "random worlds have no waves", key="disturbance.wave_force_n", value=force, remedy="write 0"
+            )
+
+    @property
+    def name(self) -> str:
+        """Of the campaign."""
+        return self.case.scenario.name
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """See `Plan`."""
+        drawn = [f"plant.{name}" for name in self._draw(0)]
+        return (*drawn, *(name for o in self.case.scenario.obstacles for name in _values(o, there=False)))
+
+    def seeds(self, first: int, count: int) -> NDArray[np.int64]:
+        """See `Plan`."""
+        return np.arange(self.first + first, self.first + first + count)
+
+    def values(self, first: int, count: int) -> Mapping[str, NDArray[np.float64]]:
+        """See `Plan`."""
+        rows = [self._row(k) for k in range(first, first + count)]
+        return {name: np.array([row[name] for row in rows]) for name in self.names}
+
+    def flight(self, k: int) -> Flight:
+        """See `Plan`."""
+        return Flight(replace(self.case, scenario=self.world(k)), self.first + k, self._draw(k))
+
+    def told(self) -> Mapping[str, object]:
+        """See `Plan`."""
+        return {"first seed": self.first, "draws": "worlds and plant" if self.plant else "worlds"}
+
+    def world(self, k: int) -> Scenario:
+        """The scenario of run k; drawn once."""
+        if k not in self._known:
+            drawn = random_world(self.case.vehicle, seed=self.first + k)
+            self._known[k] = replace(self.case.scenario, name=drawn.name, obstacles=drawn.obstacles)
+        return self._known[k]
+
+    def _draw(self, k: int) -> dict[str, float]:
+        return draw_plant(self.case.vehicle, seed=self.first + k) if self.plant else {}
+
+    def _row(self, k: int) -> dict[str, float]:
+        row = {f"plant.{name}": value for name, value in self._draw(k).items()}
+        there = {o.name: o for o in self.world(k).obstacles}
+        for slot in self.case.scenario.obstacles:
+            row |= _values(there.get(slot.name, slot), there=slot.name in there)
+        return row
+
+
+def _values(obstacle: Obstacle, *, there: bool) -> dict[str, float]:
+    """All numbers of an obstacle, and whether it is there, by knob name."""
+    found = {"there": float(there), "x": obstacle.centre_m[0], "y": obstacle.centre_m[1]}
+    if obstacle.size_m is not None:
+        found |= {"size_x": obstacle.size_m[0], "size_y": obstacle.size_m[1]}
+    else:
+        found["radius"] = float(obstacle.radius_m or 0.0)
+    if obstacle.to_m is not None:
+        found |= {"to_x": obstacle.to_m[0], "to_y": obstacle.to_m[1], "speed": float(obstacle.speed_m_per_s or 0.0)}
+    return {f"obstacle.{obstacle.name}.{name}": value for name, value in found.items()}
+
+
+def _still(rng: np.random.Generator, count: int) -> list[dict[str, Any]]:
+    boxes = (count + 1) // 2
+    found: list[dict[str, Any]] = []
+    for k in range(count):
+        if k < boxes:
+            size = rng.uniform(*_EDGES, 2)
+            room = size / 2
+            shape: dict[str, Any] = {"name": f"box-{k + 1}", "shape": "box", "size_m": _millimetres(size)}
+        else:
+            radius = rng.uniform(*_RADII)
+            room = np.array([radius, radius])
+            shape = {"name": f"cylinder-{k - boxes + 1}", "shape": "cylinder", "radius_m": round(float(radius), 3)}
+        found.append({**shape, "centre_m": _millimetres(rng.uniform(room, np.array([LENGTH, WIDTH]) - room))})
+    return found
+
+
+def _moving(rng: np.random.Generator, count: int, scenario: Scenario, vehicle: Vehicle) -> list[dict[str, Any]] | None:
+    """So many moving obstacles between what stands still; None when there is no room for one."""
+    found: list[dict[str, Any]] = []
+    for k in range(count):
+        for _ in range(200):
+            radius = round(float(rng.uniform(*_BALLS)), 3)
+            inside = (radius, LENGTH - radius), (radius, WIDTH - radius)
+            start, end = ([round(float(rng.uniform(*ends)), 3) for ends in inside] for _ in range(2))
+            speed = round(float(rng.uniform(SLOWEST, FASTEST_MOVER)), 4)
+            away = radius + vehicle["radius"] + _NEAR
+            if hypot(start[0] - START[0], start[1] - START[1]) < away:
+                continue
+            if hypot(end[0] - TARGET[0], end[1] - TARGET[1]) < away or hypot(*np.subtract(end, start)) < _LEAST_WAY:
+                continue
+            way = np.linspace(start, end, 100).tolist()
+            if all(o.distance((x, y)) > radius for o in scenario.obstacles for x, y in way):
+                break
+        else:
+            return None
+        found.append(
+            {
+                "name": f"mover-{k + 1}",
+                "shape": "moving",
+                "centre_m": start,
+                "to_m": end,
+                "radius_m": radius,
+                "speed_m_per_s": speed,
+            }
+        )
+    return found
+
+
+def _millimetres(vector: NDArray[np.float64]) -> list[float]:
+    return [round(float(value), 3) for value in vector]
+
+
+def _feasible(table: Mapping[str, Any], vehicle: Vehicle) -> Scenario | None:
+    """The scenario, if nothing in it is an error."""
+    try:
+        scenario = scenario_from_table(dict(table), source="")
+        found = findings(scenario, vehicle)
+    except InputError:
+        return None
+    return None if any(f.level == "error" for f in found) else scenario

@@ -1,0 +1,108 @@
+"""A scenario as the table of its file."""
+
+from __future__ import annotations
+
+from math import degrees, inf, nextafter, pi
+from typing import Any
+
+from surctl.errors import InputError
+from surctl.sensing import BaseStation, Delivery, OwnState, SonarArray
+from surctl.simulation.scenario import Scenario
+from surctl.simulation.sensors import Sensors
+
+__all__ = ["scenario_table"]
+
+_BESIDE = 4  # numbers to either side that rounding may have turned into one angle
+
+
+def scenario_table(scenario: Scenario) -> dict[str, Any]:
+    """What `scenario_from_table` makes the same scenario of, but for where it was read.
+
+    Raises:
+        InputError: sonars that no scenario file can state.
+    """
+    table: dict[str, Any] = {
+        "kind": "scenario",
+        "name": scenario.name,
+        "title": scenario.title,
+        "provenance": scenario.provenance,
+        "vehicle": scenario.vehicle,
+        "path_m": scenario.path.waypoints.tolist(),
+        "depth_m": scenario.depth,
+        "cruise_m_per_s": scenario.cruise,
+        "cap_m_per_s": scenario.cap,
+        "reach_m": scenario.reach,
+        "time_limit_s": scenario.time_limit,
+        "launch_m": scenario.launch,
+        "site": dict(zip(("length_m", "width_m", "depth_m"), scenario.site, strict=True)),
+        "obstacles": [o.model_dump(exclude_none=True) for o in scenario.obstacles],
+        "disturbance": scenario.disturbance.model_dump(),
+        **_sensors(scenario.sensors),
+        "uncertainty": scenario.uncertainty.model_dump(),
+        "paper": scenario.paper.model_dump(exclude_unset=True),
+    }
+    return table
+
+
+def _sensors(sensors: Sensors) -> dict[str, Any]:
+    equipment = sensors.equipment
+    sonar = _array(equipment.array) | {
+        "faults": [fault.model_dump(exclude_none=True) for fault in sensors.faults],
+        "chances": sensors.chances.model_dump(),
+    }
+    return {"sonar": sonar, "base_station": _station(equipment.station), "own_state": _own(equipment.own)}
+
+
+def _array(array: SonarArray) -> dict[str, Any]:
+    plain = SonarArray()
+    if (array.medium, array.cycle_limit) != (plain.medium, plain.cycle_limit):
+        raise InputError("has sonars that its file cannot state", key="sonar", value=array.medium)
+    table: dict[str, Any] = {
+        "azimuths_deg": [_degrees(angle) for angle in array.azimuths],
+        "order": list(array.order),
+        "beam_deg": _degrees(array.beam_angle),
+        "minimum_m": array.minimum,
+        "maximum_m": array.maximum,
+        "firing_period_s": array.firing_period,
+        "bits": array.bits,
+        "samples": array.samples,
+        "noise_sd_m": array.noise_sd,
+        "bias_m": array.bias,
+        "temperature_c": array.temperature,
+    }
+    if array.mounts is not None:
+        table["mounts_m"] = [list(mount) for mount in array.mounts]
+    if array.incidence_limit is not None:
+        table["incidence_limit_deg"] = _degrees(array.incidence_limit)
+    if array.blind_time is not None:
+        table["blind_time_s"] = array.blind_time
+    if array.calibrated_for is not None:
+        table["calibrated_for_m_per_s"] = array.calibrated_for
+    return table
+
+
+def _station(station: BaseStation) -> dict[str, Any]:
+    told = {"position_sd_m": station.position_sd, "velocity_sd_m_per_s": station.velocity_sd}
+    return told | _delivery(station.messages)
+
+
+def _own(own: OwnState | None) -> dict[str, Any]:
+    if own is None:
+        return {"truth": True}
+    told = {"position_sd_m": own.position_sd, "yaw_sd_rad": own.yaw_sd, "rate_sd_rad_per_s": own.rate_sd}
+    return told | _delivery(own.fixes)
+
+
+def _delivery(delivery: Delivery) -> dict[str, Any]:
+    told = {"period_s": delivery.period, "latency_s": delivery.latency, "loss": delivery.loss}
+    return told | {"gaps_s": [list(gap) for gap in delivery.gaps]}
+
+
+def _degrees(angle: float) -> float:
+    """Degrees that a file's reader turns into this very angle [rad], or into the next one if none do."""
+    exact = degrees(angle)
+    near, low, high = [round(exact, 9), exact], exact, exact
+    for _ in range(_BESIDE):
+        low, high = nextafter(low, -inf), nextafter(high, inf)
+        near += [low, high]
+    return min(near, key=lambda candidate: abs(candidate * pi / 180.0 - angle))

@@ -1,0 +1,57 @@
+"""Plain data as TOML text."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+__all__ = ["toml_text"]
+
+
+def toml_text(table: Mapping[str, Any]) -> str:
+    """A TOML document: values first, then tables; reading it gives the same data, every number to its last bit.
+
+    Args:
+        table: of texts, numbers, truth values, sequences of them, tables, and sequences of tables; no None.
+    """
+    return "\n".join(_lines(table, ())).strip("\n") + "\n"
+
+
+def _lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
+    inside = {name: value for name, value in table.items() if isinstance(value, Mapping) or _tables(value)}
+    found = [f"{_key(name)} = {_value(value)}" for name, value in table.items() if name not in inside]
+    for name, value in inside.items():
+        where = (*path, name)
+        head = ".".join(_key(part) for part in where)
+        if isinstance(value, Mapping):
+            found += ["", f"[{head}]", *_lines(value, where)]
+        else:
+            for one in value:
+                found += ["", f"[[{head}]]", *_lines(one, where)]
+    return found
+
+
+def _tables(value: object) -> bool:
+    return isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(v, Mapping) for v in value)
+
+
+def _key(name: str) -> str:
+    plain = name.isascii() and name.replace("_", "").replace("-", "").isalnum()
+    return name if plain else _text(name)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return _text(value)
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_key(name)} = {_value(one)}" for name, one in value.items()) + " }"
+    if isinstance(value, Sequence):
+        return "[" + ", ".join(_value(one) for one in value) + "]"
+    return repr(int(value)) if isinstance(value, int) else repr(float(value))
+
+
+def _text(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -1,0 +1,126 @@
+"""Campaigns from the command line."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.cli.process import surctl
+from tests.tools import PATIENCE, need_compiler
+
+MANY = ["simulate", "tank-moving", "--monte-carlo", "--out", "mc"]
+
+
+def kept(folder):
+    return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_a_campaign_is_told_and_its_worst_run_flown_again(tmp_path):
+    done = surctl(*MANY, "--runs", "30", "--worst", "2", "--json", cwd=tmp_path)
+    assert done.status == 1  # some collide
+    (told,) = done.json["campaigns"]
+    assert told == json.loads((tmp_path / "mc" / "summary.json").read_text())["campaigns"][0]
+    hit = told["stopped"]["collision"]
+    assert 0 < hit["count"] / 30 == hit["rate"] < hit["at_most_95"] < 1
+    with (tmp_path / "mc" / "tank-moving.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(told["runs"]) == 30 and sum(int(row["collided"]) for row in rows) == hit["count"]
+    worst = told["worst"][0]
+    assert worst["broken_assumptions"] == ["obstacle speed"] and len(told["worst"]) == 2
+    again = surctl("simulate", "--from", f"mc/{worst['file']}", "--out", "plots", "--json", cwd=tmp_path)
+    (run,) = again.json["runs"]
+    assert again.status == 1 and run["same"] and run["largest_difference"] <= 1e-9 and run["seed"] == worst["seed"]
+    assert run["min_clearance_m"] == pytest.approx(worst["min_clearance_m"], abs=1e-9)
+    assert len(list((tmp_path / "plots").glob("*.png"))) == 1
+
+
+def test_many_runs_are_not_printed_one_by_one(tmp_path):
+    done = surctl("simulate", "tank-speed-010", "--monte-carlo", "--runs", "101", "--json", cwd=tmp_path)
+    assert "runs" not in done.json["campaigns"][0] and done.json["campaigns"][0]["number_of_runs"] == 101
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_altered_figure_is_found_out(tmp_path):
+    surctl(*MANY, "--runs", "1", "--worst", "1", cwd=tmp_path)
+    (file,) = (tmp_path / "mc" / "worst").iterdir()
+    file.write_text(file.read_text().replace("\ntime_s = ", "\ntime_s = 1"))
+    done = surctl("simulate", "--from", str(file), cwd=tmp_path)
+    assert done.status == 1 and "NOT as in the campaign" in done.out
+
+
+def test_killed_halfway_the_same_command_ends_with_the_same_bytes(tmp_path):
+    need_compiler()
+    command = [*MANY, "--runs", "1500", "--threads", "1"]
+    surctl("simulate", "tank-moving", "--monte-carlo", "--runs", "1", cwd=tmp_path)  # compiled
+    root = str(Path(__file__).parents[2])
+    process = subprocess.Popen(
+        [sys.executable, "-m", "surctl", *command],
+        cwd=tmp_path, env=os.environ | {"PYTHONPATH": root}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    chunks, end = tmp_path / "mc" / "campaign.chunks" / "tank-moving", time.monotonic() + PATIENCE
+    while len(list(chunks.glob("*.chunk"))) < 2 and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.001)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    done = {p.name: p.stat().st_mtime_ns for p in chunks.glob("*.chunk")}
+    assert 2 <= len(done) < 12 and not (tmp_path / "mc" / "tank-moving.csv").exists()
+    again = surctl(*command[:-1], "2", cwd=tmp_path)
+    assert again.status == 1
+    assert all((chunks / name).stat().st_mtime_ns == made for name, made in done.items())
+    whole = surctl(*command[:3], "--out", "whole", *command[5:], cwd=tmp_path)
+    assert whole.out.replace("whole/", "mc/") == again.out
+    assert kept(tmp_path / "mc") == kept(tmp_path / "whole")
+
+
+def test_random_worlds_are_flown_and_kept(tmp_path):
+    done = surctl("simulate", "--random-worlds", "12", "--seed", "4", "--out", "w", "--json", cwd=tmp_path)
+    (told,) = done.json["campaigns"]
+    assert told["number_of_runs"] == 12 and [row["seed"] for row in told["runs"]] == list(range(4, 16))
+    for row in told["worst"]:
+        again = surctl("simulate", "--from", f"w/{row['file']}", "--json", cwd=tmp_path).json["runs"][0]
+        assert again["same"] and again["scenario"] == f"world-{row['seed']}"
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--monte-carlo"], "needs a scenario"),
+        ([], "needs a scenario"),
+        (["tank-static", "--fresh"], "--fresh = True: is about a campaign"),
+        (["tank-static", "--worst", "3"], "--worst = 3: is about a campaign"),
+        (["tank-static", "--threads", "3"], "--threads = 3: is about a campaign"),
+        (["tank-static", "--monte-carlo", "--explain"], "--explain: is about single runs"),
+        (["tank-static", "--monte-carlo", "--fresh"], "--fresh: has no folder"),
+        (["tank-static", "--monte-carlo", "--worst", "2"], "--worst: has no folder"),
+        (["tank-static", "tank-static", "--monte-carlo"], "is named twice"),
+        (["tank-static", "--random-worlds", "5"], "draws its own scenarios"),
+        (["--random-worlds", "5", "--runs", "6"], "says how many already"),
+        (["--random-worlds", "0"], "--random-worlds"),
+        (["tank-statik", "--monte-carlo"], "did you mean 'tank-static'"),
+        (["tank-static", "--monte-carlo", "--law", "papre"], "law = 'papre'"),
+        (["tank-static", "--monte-carlo", "--avoidance", "printed"], "built on the corrected form"),
+        (["tank-static", "--monte-carlo", "--chance", "dropout=0.1"], "has no effect with true positions"),
+        (["tank-static", "--monte-carlo", "--out", "/dev/null"], "--out"),
+        (["--from", "none.toml"], "none.toml: no such file"),
+        (["--from", "none.toml", "--law", "paper"], "drop --law"),
+        (["tank-static", "--from", "none.toml"], "is said by the file"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(words, complaint, tmp_path):
+    done = surctl("simulate", *words, cwd=tmp_path)
+    assert done.status == 2 and complaint in done.complaint and done.out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_file_of_another_kind_is_told(tmp_path):
+    (tmp_path / "s.toml").write_text(
+        (Path(__file__).parents[2] / "surctl/simulation/library/tank-static.toml").read_text()
+    )
+    done = surctl("simulate", "--from", "s.toml", cwd=tmp_path)
+    assert done.status == 2 and "kind = 'scenario'" in done.complaint

@@ -1,0 +1,93 @@
+"""Campaigns: the same whatever they are cut into, counted right, and judged by what was assumed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surctl.errors import InputError
+from surctl.simulation import METRICS, STOPS
+from surctl.simulation.campaign import RunTable, fly_campaign, summarise
+from tests.simulation.campaign.test_draws import plan
+
+
+def test_chunks_and_threads_change_no_byte():
+    drawn = plan("tank-moving", seconds=50.0)
+    whole = fly_campaign(drawn, runs=50)
+    for chunk, threads in ((7, 3), (50, 2), (1000, 1)):
+        other = fly_campaign(drawn, runs=50, chunk=chunk, threads=threads)
+        assert other.table.to_csv() == whole.table.to_csv()
+        assert [r.to_toml() for r in other.worst(4)] == [r.to_toml() for r in whole.worst(4)]
+    assert fly_campaign(drawn, runs=20).table.to_csv() == "\n".join(whole.table.to_csv().split("\n")[:21]) + "\n"
+
+
+def test_a_campaign_needs_runs():
+    with pytest.raises(InputError, match="runs = 0"):
+        fly_campaign(plan("tank-static"), runs=0)
+
+
+def table(*rows):
+    """Rows of (why it stopped, time, clearance, broken)."""
+    figures = np.zeros((len(rows), len(METRICS)))
+    for k, (reason, time, clearance, _) in enumerate(rows):
+        told = {
+            "reached": reason == "reached",
+            "collided": reason == "collision",
+            "time_s": time,
+            "min_clearance_m": clearance,
+            "stopped": STOPS.index(reason),
+        }
+        for name, value in told.items():
+            figures[k, list(METRICS).index(name)] = value
+    return RunTable(np.arange(len(rows)) + 10, figures, {}, tuple(row[3] for row in rows))
+
+
+MIXED = table(
+    ("reached", 50.0, 0.3, ()),
+    ("halted", 90.0, 0.2, ()),
+    ("collision", 20.0, -0.001, ("thrust", "range")),
+    ("reached", 60.0, 0.1, ()),
+    ("collision", 30.0, -0.002, ()),
+    ("time limit", 150.0, 0.05, ()),
+)
+
+
+def test_the_worst_come_first():
+    assert MIXED.worst(10) == [4, 2, 5, 1, 3, 0]
+    assert MIXED.worst(2) == [4, 2] and MIXED.worst(0) == []
+
+
+def test_a_summary_counts():
+    told = summarise(MIXED)
+    counts = {reason: share.count for reason, share in told.stopped.items()}
+    assert counts == {"time limit": 1, "reached": 2, "collision": 2, "fault": 0, "halted": 1}
+    assert told.time_s[0] == 50.0 and told.time_s[50] == 55.0 and told.time_s[100] == 60.0
+    assert told.clearance_m[0] == -0.002 and told.clearance_m[100] == 0.3
+    assert told.broken == {"thrust": 1, "range": 1, "none": 1}
+    assert told.to_dict()["stopped"]["collision"]["at_most_95"] == told.stopped["collision"].at_most() > 2 / 6
+
+
+def test_nothing_to_be_clear_of_has_no_percentiles():
+    free = summarise(table(("time limit", 9.0, np.inf, ())))
+    assert free.clearance_m == free.time_s == {}
+
+
+def test_a_row_tells_all_and_so_does_a_line():
+    row = MIXED.row(2)
+    assert (row["seed"], row["stopped_because"], row["collided"], row["reached"]) == (12, "collision", True, False)
+    assert row["broken_assumptions"] == ["thrust", "range"] and "stopped" not in row
+    head, *lines = MIXED.to_csv().splitlines()
+    told = dict(zip(head.split(","), lines[2].split(","), strict=True))
+    assert float(told["min_clearance_m"]) == -0.001 and told["broken_assumptions"] == "thrust; range"
+
+
+def test_a_collision_names_what_was_not_assumed():
+    quick = plan("tank-moving")  # a mover goes 0.25 m/s
+    flown = fly_campaign(quick, runs=40)
+    hit = flown.table.column("collided") > 0.5
+    assert 0 < hit.sum() < 40
+    for k in range(40):
+        assert ("obstacle speed" in flown.table.broken[k]) == bool(hit[k])
+    slow = replace(quick.case.scenario, obstacles=quick.case.scenario.obstacles[:1])
+    still = replace(quick, case=replace(quick.case, scenario=slow))
+    assert not any(fly_campaign(still, runs=5).table.broken)

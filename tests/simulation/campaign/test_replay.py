@@ -1,0 +1,101 @@
+"""Runs as files: flown again they come to the same, and nonsense is told in one line."""
+
+import re
+from dataclasses import replace
+from math import inf
+
+import pytest
+
+from surctl.errors import InputError
+from surctl.simulation.campaign import fly_campaign, load_replay
+from tests.simulation.campaign.test_draws import GAINS, plan
+from tests.simulation.campaign.test_worlds import worlds
+
+
+@pytest.mark.parametrize(
+    "drawn",
+    [
+        plan("tank-moving", first=3),
+        plan("tank-speed-015", law="paper", mode="nsb", avoidance="printed", seconds=20.0),
+        plan("tank-static", seconds=15.0, sensing="sonar"),
+        worlds(seconds=60.0, plant=True),
+    ],
+    ids=["moving", "paper", "sonar", "worlds"],
+)
+def test_a_worst_run_flown_again_equals_its_row(drawn, tmp_path):
+    gains = GAINS.with_values({"k_v": 1.7})
+    drawn = replace(drawn, case=replace(drawn.case, gains=gains))
+    flown = fly_campaign(drawn, runs=12)
+    for kept, k in zip(flown.worst(2), flown.table.worst(2), strict=True):
+        file = tmp_path / "run.toml"
+        file.write_text(kept.to_toml())
+        read = load_replay(file)
+        assert read.to_toml() == kept.to_toml()
+        row, run = flown.table.row(k), read.flight.fly()
+        assert run.metrics.stopped_because == row["stopped_because"] and run.seed == row["seed"]
+        for name in ("time_s", "min_clearance_m", "deviation_m", "length_m", "effort_n", "max_deviation_m"):
+            assert getattr(run.metrics, name) == pytest.approx(row[name], rel=1e-9, abs=1e-9)
+        assert read.difference(run) <= 1e-9
+        assert run.gains.values == gains.values and run.law.mode == drawn.case.mode
+
+
+@pytest.fixture(scope="module")
+def text():
+    return fly_campaign(plan("tank-moving", seconds=3.0), runs=3).worst(1)[0].to_toml()
+
+
+def test_another_run_is_told_apart(text, tmp_path):
+    (tmp_path / "a.toml").write_text(text)
+    kept = load_replay(tmp_path / "a.toml")
+    run = kept.flight.fly()
+    assert kept.difference(run) <= 1e-9
+    assert replace(kept, stopped_because="halted").difference(run) == inf
+    off = kept.figures | {"length_m": kept.figures["length_m"] + 1e-6}
+    assert replace(kept, figures=off).difference(run) == pytest.approx(1e-6, rel=1e-3)
+    fewer = {name: value for name, value in kept.figures.items() if name != "length_m"}
+    assert replace(kept, figures=fewer).difference(run) == inf
+    heavier = replace(kept.flight, draw=kept.flight.draw | {"m11": 60.0})
+    assert kept.difference(heavier.fly()) > 1e-6
+
+
+@pytest.mark.parametrize(
+    ("pattern", "put", "words"),
+    [
+        (r'kind = "run"', 'kind = "scenario"', "kind = 'scenario'"),
+        (r"seed = \d+", "seed = -1", "seed = -1"),
+        (r"seed = \d+", 'seed = "one"', "seed = 'one'"),
+        (r'law = "guarded"', 'law = "gaurded"', "law = 'gaurded'"),
+        (r'sensing = "truth"', 'sensing = "touch"', "sensing = 'touch'"),
+        (r'priority_mode = "nsb"', "priority_mode = 3", "priority_mode = 3"),
+        (r"m11 = [\d.]+", "m11 = 1e9", "lies outside its own range"),
+        (r"m11 = [\d.]+", "m11 = nan", "draw.m11 = nan"),
+        (r"m11 = [\d.]+", "m111 = 60.0", "draw.m111: no such vehicle parameter"),
+        (r"length_m = [\d.]+\n", "width = 3.0\n", "figures.width: no such figure"),
+        (r"k_v = [\d.]+", "k_v = -1.0", "gains.k_v = -1.0"),
+        (r"k_v = [\d.]+\n", "", "gains.values.k_v: is missing"),
+        (r"k_v = [\d.]+\n", "k_v = 1.0\nk_w = 1.0\n", "gains.k_w: no such gain"),
+        (r"cruise_m_per_s = [\d.]+", "cruise_m_per_s = 9.0", "is above cap_m_per_s"),
+        (r"radius_m = [\d.]+", "radius_m = -0.3", "radius_m = -0.3"),
+        (r"\[vehicle.hull.radius\]\nvalue = [\d.]+", "[vehicle.hull.radius]\nvalue = 0.0", "hull.radius = 0.0"),
+        (r"\[scenario\]", "[scenery]", "scenery: unknown key"),
+        (r"(?s).*", "kind = 'run'", "is missing"),
+        (r"(?s).*", "]", "not valid TOML"),
+    ],
+)
+def test_nonsense_is_told_in_one_line(text, pattern, put, words, tmp_path):
+    file = tmp_path / "altered.toml"
+    altered = re.sub(pattern, lambda _: put, text, count=1)
+    assert altered != text
+    file.write_text(altered)
+    with pytest.raises(InputError, match=re.escape(words)) as told:
+        load_replay(file)
+    assert str(told.value).startswith(str(file)) and "\n" not in str(told.value)
+
+
+def test_a_start_inside_an_obstacle_is_told_when_it_is_flown(text, tmp_path):
+    file = tmp_path / "altered.toml"
+    file.write_text(
+        re.sub(r"size_m = \[.*\]", "size_m = [0.3, 9.0]", text.replace("[8.0, 1.2]", "[0.6, 2.5]"), count=1)
+    )
+    with pytest.raises(InputError, match="inside obstacle"):
+        load_replay(file).flight.fly()

@@ -1,0 +1,80 @@
+"""Random worlds: seeded, feasible, half of them moving, and all flown by one compiled loop."""
+
+from dataclasses import replace
+from math import hypot
+
+import numpy as np
+import pytest
+
+from surctl.control import load_gains
+from surctl.errors import InputError
+from surctl.simulation import Case, findings, simulate_batch
+from surctl.simulation.batch.pack import structure_of
+from surctl.simulation.campaign import RandomWorlds, random_world, world_template
+from surctl.simulation.scenario_table import scenario_table
+from surctl.vehicle import load_vehicle
+
+VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default")
+WORLDS = [random_world(VEHICLE, seed=seed) for seed in range(60)]
+
+
+def worlds(sensing="truth", *, seconds=None, plant=False, first=0):
+    template = world_template(VEHICLE)
+    case = Case(template if seconds is None else replace(template, time_limit=seconds), VEHICLE, GAINS, sensing=sensing)
+    return RandomWorlds(case, first, plant)
+
+
+def test_a_seed_is_a_world():
+    assert scenario_table(random_world(VEHICLE, seed=7)) == scenario_table(WORLDS[7])
+    assert len({str(scenario_table(world)["obstacles"]) for world in WORLDS}) == len(WORLDS)
+    assert scenario_table(worlds(first=5).world(2)) == scenario_table(WORLDS[7])
+
+
+def test_one_to_eight_obstacles_half_of_them_moving():
+    counts = [len(world.obstacles) for world in WORLDS]
+    assert set(counts) == set(range(1, 9))
+    for world in WORLDS:
+        movers = sum(not o.still for o in world.obstacles)
+        assert abs(2 * movers - len(world.obstacles)) <= 1
+    template = {o.name for o in world_template(VEHICLE).obstacles}
+    assert {o.name for world in WORLDS for o in world.obstacles} == template and len(template) == 8
+
+
+@pytest.mark.parametrize("world", WORLDS, ids=lambda w: w.name)
+def test_each_can_be_flown(world):
+    assert not [f for f in findings(world, VEHICLE) if f.level == "error"]
+    still = [o for o in world.obstacles if o.still]
+    for o in world.obstacles:
+        if o.still:
+            continue
+        away = VEHICLE["radius"] + o.radius_m + 1.0
+        assert 0 < o.speed_m_per_s <= 0.15
+        assert hypot(*(world.start - o.centre_m)) >= away and hypot(*(world.target - o.to_m)) >= away
+        for x, y in np.linspace(o.centre_m, o.to_m, 37).tolist():
+            assert all(other.distance((x, y)) > o.radius_m - 1e-2 for other in still)
+
+
+@pytest.mark.parametrize(("sensing", "seconds"), [("truth", None), ("sonar", 15.0)])
+def test_one_compiled_loop_flies_each_as_the_reference_loop_does(sensing, seconds):
+    drawn = worlds(sensing, seconds=seconds, plant=True)
+    values = drawn.values(0, 12)
+    assert set(values) == set(drawn.names)
+    found = simulate_batch(drawn.case, values, seeds=drawn.seeds(0, 12)).table
+    movers = [sum(not o.still for o in drawn.world(k).obstacles) for k in range(12)]
+    assert len(set(movers)) >= 4
+    chosen = sorted({movers.index(count) for count in movers})
+    for k in chosen:
+        np.testing.assert_allclose(found[k], drawn.flight(k).fly().metrics.row(), rtol=1e-9, atol=1e-9, err_msg=str(k))
+
+
+def test_waves_are_refused():
+    case = worlds().case
+    wavy = case.scenario.disturbance.model_copy(update={"wave_force_n": 0.5})
+    with pytest.raises(InputError, match="no waves"):
+        RandomWorlds(replace(case, scenario=replace(case.scenario, disturbance=wavy)))
+
+
+def test_all_worlds_share_one_structure():
+    drawn = worlds("sonar")
+    one = structure_of(drawn.case, drawn.values(0, 1))
+    assert one == structure_of(drawn.case, drawn.values(3, 9)) and one.optional and len(one.bodies) == 8
