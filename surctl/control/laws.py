@@ -32,6 +32,8 @@ from surctl.guidance import (
     encounter_side,
     inside,
     nearest_in_quadrants,
+    round_unknown,
+    slowed,
 )
 from surctl.ir import Port
 from surctl.tasks import HalfPlane, Task, depth_task, heading_task, velocity_task
@@ -150,13 +152,16 @@ def guarded_law(
     levels = [Wanted.of(task) for task in _lower_tasks(eta, wish, p)]
     if scan is not None:
         caution = _cautious_bounds(scan, deceleration, p)
-        slowed, chased = _slowed(velocity, caution), ca.SX(0)
+        chased = ca.SX(0)
         for sector in sectors[:marks]:
             chased = ca.logic_or(chased, sector.bound < 0)
+        # beside what blocks the wish, a way past the unknown would leave the side that is latched
+        past = round_unknown(velocity, caution[: scan.unknown.shape[0]], sectors, cones=cones)
+        cautious = slowed(ca.if_else(choice.blocked, velocity, past), caution)
         for cone in cones:
-            soon = ca.dot(cone.ahead, slowed) - cone.closing > cone.room / _URGENT
-            chased = ca.logic_or(chased, ca.logic_and(soon, inside(slowed, cone) > _DEEP))
-        velocity = ca.if_else(chased, velocity, slowed)
+            soon = ca.dot(cone.ahead, cautious) - cone.closing > cone.room / _URGENT
+            chased = ca.logic_or(chased, ca.logic_and(soon, inside(cautious, cone) > _DEEP))
+        velocity = ca.if_else(chased, velocity, cautious)
         blind = ca.sum1(scan.heard[:, 2]) < 0.5
         over_ground = planar_rotation(eta[3]) @ nu[:2]
         moving, still = sectors[:marks], sectors[marks:]
@@ -208,16 +213,6 @@ def _braked(velocity: ca.SX, now: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) 
         normal = ca.if_else(over > excess, n, normal)
         excess = ca.fmax(excess, over)
     return velocity - _BRAKE * excess * normal
-
-
-def _slowed(velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) -> ca.SX:
-    """The same course, as slow as the bounds (not negative) ask."""
-    share = ca.SX(1)
-    for normal, bound in bounds:
-        along = ca.dot(velocity, normal)
-        # a bound of 0 stops only what goes towards it
-        share = ca.if_else(along > 1e-6, ca.fmin(share, bound / ca.fmax(along, 1e-6)), share)
-    return velocity * share
 
 
 def paper_law(

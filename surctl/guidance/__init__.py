@@ -4,7 +4,7 @@ from surctl.guidance.avoidance import FORMS, AvoidanceForm, allowed_closing_spee
 from surctl.guidance.cones import Cone, collision_cone, inside
 from surctl.guidance.contacts import FAR, Contact, disc_contact, nearest_in_quadrants, point_contact, wall_contacts
 from surctl.guidance.path import MAX_WAYPOINTS, Path, path_target
-from surctl.guidance.sectors import SAME_CONTACT, Choice, Sector, choose_velocity
+from surctl.guidance.sectors import SAME_CONTACT, Choice, Sector, choose_velocity, round_unknown, slowed
 from surctl.guidance.tracking import along_command, path_error, progress_rate, tracking_velocity
 
 __all__ = [
@@ -31,6 +31,8 @@ __all__ = [
     "path_target",
     "point_contact",
     "progress_rate",
+    "round_unknown",
+    "slowed",
     "tracking_velocity",
     "wall_contacts",
 ]

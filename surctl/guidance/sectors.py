@@ -14,13 +14,14 @@ import casadi as ca
 
 from surctl.guidance.cones import Cone, inside
 
-__all__ = ["Choice", "Sector", "choose_velocity"]
+__all__ = ["Choice", "Sector", "choose_velocity", "round_unknown", "slowed"]
 
 _TOLERANCE = 1e-3  # [m/s] by which a course may miss a bound and still count as free
 _HEAD_ON = 1e-4  # cost of −1 between two equal edges: head-on the obstacle stays on the right (E10)
 _MISSED, _MISSED_RATE = 10.0, 100.0  # cost of a course that is not free, and of each m/s by which it is not
 _TURN_BACK = 8.0  # cost of leaving the latched side: more than any free course (0 … 2), less than a missed bound
 SAME_CONTACT = 0.3  # [m] that the blocker may move between two steps and still be the same encounter
+_WORTH_IT = 0.1  # share of the speed that a way past the unknown must gain
 _OVERTAKE = 0.05  # [m/s] by which the robot outruns what comes from behind
 
 
@@ -118,6 +119,49 @@ def choose_velocity(
     worse = _excess(velocity, sectors, cones) > _excess(ca.SX.zeros(2), sectors, cones) + _TOLERANCE
     velocity = ca.if_else(ca.logic_and(missed > _TOLERANCE, worse), 0, velocity)
     return Choice(velocity, ca.if_else(blocked, taken, 0), blocked, ca.fmax(missed, 0), now)
+
+
+def slowed(velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) -> ca.SX:
+    """The same course (2, 1) [m/s], as slow as the bounds (normal, largest speed along it, not negative) ask."""
+    share = ca.SX(1)
+    for normal, bound in bounds:
+        along = ca.dot(velocity, normal)
+        # a bound of 0 stops only what goes towards it
+        share = ca.if_else(along > 1e-6, ca.fmin(share, bound / ca.fmax(along, 1e-6)), share)
+    return velocity * share
+
+
+def round_unknown(
+    velocity: ca.SX,
+    bounds: Sequence[tuple[ca.SX, ca.SX]],
+    sectors: Sequence[Sector],
+    *,
+    cones: Sequence[Cone] = (),
+) -> ca.SX:
+    """The chosen velocity, or the free course beside what is unknown on which the robot gets on sooner.
+
+    A place that nobody has seen need not be waited for where there is a way past it. Candidates are the edges of the
+    unknown places' sectors, at the speed chosen; the one with the most speed left along the chosen course is taken,
+    if it is free and gains enough.
+
+    Args:
+        velocity: (2, 1) [m/s] in {E}, as chosen.
+        bounds: (normal, largest speed along it, not negative) of each place that is unknown.
+        sectors: what is in the way.
+        cones: of what moves.
+    """
+    speed = ca.fmax(ca.sqrt(ca.sumsqr(velocity)), 1e-3)
+    ahead = velocity / speed
+    taken, most = velocity, ca.dot(slowed(velocity, bounds), ahead) + _WORTH_IT * speed
+    kept = ca.fmax(_excess(velocity, sectors, cones), 0) + _TOLERANCE
+    for normal, bound in bounds:
+        for sign in (1, -1):
+            course = speed * _edge(normal, bound, speed, sign)
+            gain = ca.dot(slowed(course, bounds), ahead)
+            gain = ca.if_else(_excess(course, sectors, cones) <= kept, gain, 0)
+            better = ca.logic_and(bound < speed, gain > most)
+            taken, most = ca.if_else(better, course, taken), ca.if_else(better, gain, most)
+    return taken
 
 
 def _edge(n: ca.SX, bound: ca.SX, speed: ca.SX, sign: int) -> ca.SX:
