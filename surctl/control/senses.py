@@ -210,12 +210,13 @@ class _Builder:
             silent.append(ca.if_else(arrived, 0.0, ca.fmin(x["silent"][i] + self.dt, _DEAF + self.dt)))
             echo = ca.logic_and(reading < array.maximum - SILENT, reading < ca.fmin(walls[i], things[i]) - _TOLERANCE)
             blind = reading <= array.lowest / array.scale + array.resolution
+            clear = ca.fmax(_least(recent) - _READING - _DIAGONAL * edge, 0)
             firing = {
                 "apex": apexes[i],
                 "axis": axes[i],
                 "half": ca.DM([cos(halves[i]), sin(halves[i])]),
-                "clear": ca.fmax(_least(recent) - _READING - _DIAGONAL * edge, 0),
-                "near": ca.if_else(blind, 0, ca.fmax(reading - _READING - 0.5 * edge, 0)),
+                "clear": ca.if_else(blind, -ca.fmax(clear, 1e-3), clear),
+                "near": ca.fmax(reading - _READING - 0.5 * edge, 0),
                 "far": ca.if_else(echo, reading + _READING + 0.5 * edge, -1),
                 "reach": reading + _EXPLAINS * edge + 0.01,
             }

@@ -27,12 +27,15 @@ READING = (
     ("apex", 2, "m, x and y in {E}"),
     ("axis", 2, "unit vector of the beam in {E}"),
     ("half", 2, "cosine and sine of half the beam's angle"),
-    ("clear", 1, "m, range short of which the cone is free; 0: none"),
+    ("clear", 1, "m, range short of which the cone is free; 0: none; below 0: blind, it leaves what was ranged"),
     ("near", 1, "m, where the marked band begins"),
     ("far", 1, "m, where it ends; below `near`: nothing is marked"),
     ("reach", 1, "m, range beyond which a cell does not explain the echo"),
 )
 """One firing: name, numbers, meaning."""
+
+BLIND = 0.25
+"""A mark of a firing that only said that something is nearer than its blind range."""
 
 RING = 1.5
 """Cells beside the hull that no beam sees whole: what is unknown there does not count, so none may come in unknown."""
@@ -221,7 +224,8 @@ class LocalMap:
                 marked = ca.logic_and(
                     self._on_arc(line[s], slot, edge), ca.logic_or(value >= -self.known, ca.logic_not(found[s]))
                 )
-                value = ca.if_else(self._in_front(line[s], slot, edge, value), -1, ca.if_else(marked, 1, value))
+                mark = ca.if_else(slot["clear"] >= 0, 1, ca.fmax(value, BLIND))
+                value = ca.if_else(self._in_front(line[s], slot, edge, value), -1, ca.if_else(marked, mark, value))
             value = ca.if_else(square < inside, -1, value)
             cells.append(value)
             count += value >= -self.known
@@ -273,7 +277,8 @@ class LocalMap:
         """Whether the whole cell is free: half a cell inside the cone, short of what was heard."""
         whole, beam = _INSIDE * edge + _INSIDE_MORE, line[0] * slot["half"][1]
         deep = ca.fmin(whole, ca.if_else(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN) * beam)
-        return ca.logic_and(self._inside(line, slot) > deep, line[2] < slot["clear"] * slot["clear"])
+        short = ca.logic_and(line[2] < slot["clear"] * slot["clear"], ca.logic_or(slot["clear"] > 0, value <= BLIND))
+        return ca.logic_and(self._inside(line, slot) > deep, short)
 
     def _on_arc(self, line: ca.SX, slot: dict[str, ca.SX], edge: ca.SX) -> ca.SX:
         """Whether any of the cell may be what was heard."""

@@ -14,6 +14,7 @@ from surctl.sensing.local_map import (
     _INSIDE_MORE,
     _OF_A_MARK,
     _OF_THE_UNKNOWN,
+    BLIND,
     READING,
     RING,
     LocalMap,
@@ -59,7 +60,8 @@ def map_step(
     for beam, already in zip(beams, explained, strict=True):
         free = beam.in_front(edge, value)
         marked = beam.on_arc(edge) & ((value >= -chart.known) | (not already))
-        value = np.where(free, -1.0, np.where(marked, 1.0, value))
+        mark = 1.0 if beam.clear >= 0 else np.maximum(value, BLIND)
+        value = np.where(free, -1.0, np.where(marked, mark, value))
     dx, dy = np.broadcast_arrays(x - here[0], (y - here[1])[:, None])
     square = dx * dx + dy * dy
     value = np.where(square < hull * hull, -1.0, value)
@@ -117,7 +119,7 @@ class _Beam:
         """Cells that are free: short of what was heard, and deep enough inside for what they are now."""
         share = np.where(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN)
         deep = np.minimum(_INSIDE * edge + _INSIDE_MORE, share * self.along * self.sine)
-        return np.asarray((self.depth > deep) & (self.square < self.clear**2))
+        return np.asarray((self.depth > deep) & (self.square < self.clear**2) & ((self.clear > 0) | (value <= BLIND)))
 
 
 def _world(n: int, corner: Vector) -> Vector:
