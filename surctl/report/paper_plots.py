@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from surctl.errors import InputError
-from surctl.report.theme import BAD, INK, curve, dress, legend_above, new_axes, new_figure, printable
+from surctl.report.theme import BAD, INK, curve, dress, legend_above, legend_below, new_axes, new_figure, printable
 from surctl.simulation import Run
 
 __all__ = ["plot_coordinates", "plot_position_errors", "plot_series"]
@@ -70,7 +70,7 @@ def plot_series(runs: Sequence[Run], *, title: str) -> Axes:
     ax.set_xlim(0, length)
     ax.set_ylim(0, width)
     ax.set_aspect("equal")
-    legend_above(ax, columns=2)
+    legend_below(ax, columns=2, handles=ax.get_lines())
     return ax
 
 

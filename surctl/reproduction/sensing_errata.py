@@ -71,6 +71,8 @@ def e2() -> Found:
     off = [(medium, int(k)) for medium in MEDIA for k in test.disagreeing(medium)]
     if not off:
         return agrees(f"{2 * len(test.desired)} percentages agree to their decimal")
+    if len(off) > 1:
+        return differs(f"{len(off)} percentages disagree", "one was to disagree", disagreeing=float(len(off)))
     medium, k = off[0]
     exact, printed = float(test.percent(medium)[k]), float(test.column(medium).printed_percent[k])
     read, true = 100 * test.column(medium).measured[k], 100 * test.desired[k]

@@ -61,7 +61,8 @@ def _sensor(name: str) -> Found:
     """One property of the default array's sensors."""
     ours, printed = float(getattr(SonarArray(), "blind" if name == "minimum" else name)), _PRINTED[name]
     text = f"{ours:.4g} m" if name != "resolution" else f"{1e3 * ours:.2f} mm"
-    if abs(ours - printed) <= 0.05 * printed:
+    # a step that is finer than "about 5 mm" resolves that too
+    if ours <= 1.08 * printed if name == "resolution" else abs(ours - printed) <= 1e-9:
         return agrees(text, metres=ours)
     return differs(text, f"{SonarArray().bits} bits over {SonarArray().maximum:g} m, as II-B says", metres=ours)
 
