@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 
 from surctl.reproduction.row import Found, Item, agrees, wrong_in_print
 from surctl.verification import Claim, claims, falsify
 
-__all__ = ["claim_items"]
+__all__ = ["FULL", "claim_items"]
 
 
-def claim_items(*, samples: int) -> list[Item]:
-    """Rows of all claims for the default setting; `samples` of the falsifier each."""
+FULL = 4096
+"""Samples of the falsifier that `surctl verify` takes."""
+
+
+def claim_items(gains: Mapping[str, float], *, samples: int = FULL) -> list[Item]:
+    """Rows of all claims for these gains, `samples` of the falsifier each."""
     return [
         Item(
             claim.name,
@@ -20,9 +25,9 @@ def claim_items(*, samples: int) -> list[Item]:
             "; ".join([claim.equation, *claim.errata]),
             "wrong in print" if claim.expected == "refuted" else "agrees",
             partial(judged, claim, samples),
-            f"surctl verify {claim.name}",
+            f"surctl verify {claim.name}" if samples == FULL else f"surctl reproduce {claim.name} --quick",
         )
-        for claim in claims()
+        for claim in claims(gains)
     ]
 
 

@@ -33,7 +33,7 @@ class Flights:
     seeds: int = 20
     threads: int = 2
     gains: Gains = field(default_factory=lambda: load_gains("default"), repr=False)
-    _batches: dict[tuple[str, Sensing], BatchResult] = field(default_factory=dict, repr=False, compare=False)
+    _batches: dict[tuple[str, Sensing, str], BatchResult] = field(default_factory=dict, repr=False, compare=False)
     _runs: dict[tuple[str, Sensing], Run] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -44,12 +44,12 @@ class Flights:
         """The scenario of that name."""
         return load_scenario(name)
 
-    def batch(self, name: str, sensing: Sensing) -> BatchResult:
-        """Metrics of all seeds."""
-        key = (name, sensing)
+    def batch(self, name: str, sensing: Sensing, vehicle: str = "") -> BatchResult:
+        """Metrics of all seeds; flown by the scenario's own vehicle, or by another."""
+        key = (name, sensing, vehicle)
         if key not in self._batches:
             scenario = self.scenario(name)
-            case = Case(scenario, load_vehicle(scenario.vehicle), self.gains, sensing=sensing)
+            case = Case(scenario, load_vehicle(vehicle or scenario.vehicle), self.gains, sensing=sensing)
             self._batches[key] = simulate_batch(case, seeds=np.arange(self.seeds), threads=self.threads)
         return self._batches[key]
 

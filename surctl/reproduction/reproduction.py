@@ -7,20 +7,20 @@ from dataclasses import dataclass
 from typing import Any
 
 from surctl.errors import InputError, nearest
-from surctl.reproduction.claims import claim_items
+from surctl.reproduction.claims import FULL, claim_items
 from surctl.reproduction.errata import errata_items
 from surctl.reproduction.flights import Flights, scenario_names
 from surctl.reproduction.instants import instant_items
 from surctl.reproduction.row import Item, Row
-from surctl.reproduction.scenarios import position_items, scenario_items
+from surctl.reproduction.scenarios import hull_items, position_items, scenario_items
 from surctl.reproduction.tables import table_items
 from surctl.sensing.table2 import MEDIA, table_ii
 from surctl.verification import claims
 
-__all__ = ["QUICK_SAMPLES", "QUICK_SEEDS", "SAMPLES", "SEEDS", "Reproduction", "items", "reproduce", "required"]
+__all__ = ["QUICK_SAMPLES", "QUICK_SEEDS", "SEEDS", "Reproduction", "items", "reproduce", "required"]
 
 SEEDS, QUICK_SEEDS = 20, 3
-SAMPLES, QUICK_SAMPLES = 4096, 512
+QUICK_SAMPLES = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +55,14 @@ class Reproduction:
         }
 
 
-def items(flights: Flights, *, samples: int = SAMPLES) -> list[Item]:
+def items(flights: Flights, *, samples: int = FULL) -> list[Item]:
     """Every row before it is computed: claims, tables, errata, scenarios, position errors."""
     return [
-        *claim_items(samples=samples),
+        *claim_items(flights.gains.values, samples=samples),
         *table_items(),
         *errata_items(),
         *scenario_items(flights),
+        *hull_items(flights),
         *instant_items(flights),
         *position_items(flights),
     ]
@@ -99,7 +100,7 @@ def reproduce(
         InputError: an unknown id, with the nearest known one; fewer than one seed.
     """
     flights = Flights(seeds if seeds is not None else QUICK_SEEDS if quick else SEEDS)
-    known = {item.id: item for item in items(flights, samples=QUICK_SAMPLES if quick else SAMPLES)}
+    known = {item.id: item for item in items(flights, samples=QUICK_SAMPLES if quick else FULL)}
     for name in names:
         if name not in known:
             raise InputError("no such row", key="row", value=name, remedy=nearest(name, known))

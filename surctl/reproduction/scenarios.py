@@ -13,9 +13,10 @@ import numpy as np
 
 from surctl.reproduction.flights import Flights, scenario_names
 from surctl.reproduction.row import Found, Item, agrees, differs
+from surctl.reproduction.scenario_errata import PRINTED_HULL
 from surctl.simulation import Sensing
 
-__all__ = ["ABOUT", "position_items", "scenario_items", "time_verdict"]
+__all__ = ["ABOUT", "hull_items", "position_items", "scenario_items", "time_verdict"]
 
 ABOUT = 0.08
 """Share by which a figure that the paper gives as "about" may be off."""
@@ -41,6 +42,23 @@ def scenario_items(flights: Flights) -> list[Item]:
         )
         for sensing, ending, words in _SENSINGS
         for name in scenario_names()
+    ]
+
+
+def hull_items(flights: Flights) -> list[Item]:
+    """The pool with the hull of the paper's size, reported as it comes out: no way through is guaranteed (E15)."""
+    return [
+        Item(
+            f"{name}-printed-hull",
+            "scenarios",
+            f"{flights.scenario(name).title}, true positions, by {PRINTED_HULL}",
+            flights.scenario(name).paper.result,
+            None,
+            partial(_hull, flights, name),
+            f"surctl reproduce {name}-printed-hull --seeds {flights.seeds}",
+        )
+        for name in scenario_names()
+        if flights.scenario(name).vehicle != PRINTED_HULL
     ]
 
 
@@ -102,6 +120,20 @@ def _flown(flights: Flights, name: str, sensing: Sensing) -> Found:
         f"takes {straight / scenario.cruise:.1f} s at the cruise speed of {scenario.cruise:g} m/s"
     )
     return Found(told, "differs", why, numbers, safe=True)
+
+
+def _hull(flights: Flights, name: str) -> Found:
+    """Decides nothing: `safe` is left open."""
+    flown = flights.batch(name, "truth", PRINTED_HULL)
+    reached, collided, runs = int(flown.column("reached").sum()), int(flown.column("collided").sum()), flown.runs
+    told = f"{reached} of {runs} arrived, {collided} collided"
+    numbers = {"runs": float(runs), "reached": float(reached), "collided": float(collided)}
+    if reached == runs:
+        return agrees(told, **numbers)
+    least = float(flown.column("min_clearance_m").min())
+    lost = f"{collided} of {runs} runs collided and {runs - reached - collided} did not arrive"
+    why = f"{lost}, least clearance {least:.3f} m"
+    return differs(told, why, **numbers)
 
 
 def _judged_time(flights: Flights, name: str, sensing: Sensing) -> float:

@@ -45,6 +45,11 @@ def test_the_commands_name_rows_and_claims_that_exist() -> None:
         assert rest in ([], ["--seeds", "1"])
 
 
+def test_a_quick_row_is_computed_by_a_quick_command() -> None:
+    quick = [item for item in items(Flights(3), samples=512) if item.group == "claims"]
+    assert {item.command for item in quick} == {f"surctl reproduce {item.id} --quick" for item in quick}
+
+
 def test_a_percentage_that_is_recomputed_otherwise_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [item.row() for item in table_items()]
     assert all(row.as_expected for row in rows)
@@ -61,7 +66,7 @@ def test_a_sensor_with_more_bits_is_noticed(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_a_claim_that_comes_out_otherwise_is_noticed() -> None:
-    item = next(item for item in claim_items(samples=256) if item.id == "course-corrected")
+    item = next(item for item in claim_items({}, samples=256) if item.id == "course-corrected")
     assert item.row().as_expected
     claim = claims(names=["course-corrected"])[0]
     wrong = replace(item, compute=partial(judged, replace(claim, left=-claim.left), 256))
@@ -87,8 +92,8 @@ def test_a_verdict_has_its_reason() -> None:
 def test_chosen_rows_in_their_order_and_the_nearest_to_a_wrong_one() -> None:
     done = reproduce(["E21", "E2"])
     assert [row.item.id for row in done.rows] == ["E21", "E2"] and done.passed and done.missing == ()
-    with pytest.raises(InputError, match="did you mean 'table-ii-water-085'"):
-        reproduce(["table-ii-water-85"])
+    with pytest.raises(InputError, match="did you mean 'course-printed'"):
+        reproduce(["course-printd"])
 
 
 def test_the_whole_as_json(quick: tuple[Outcome, Path]) -> None:
@@ -121,3 +126,11 @@ def test_rows_as_a_process(tmp_path: Path) -> None:
     assert done.status == 0
     assert "residual × -1.000" in done.out and "3 of 3 rows as expected" in done.out
     assert surctl("reproduce", "E22", cwd=tmp_path).status == 2
+
+
+def test_verify_gives_the_figures_of_a_claims_row(tmp_path: Path) -> None:
+    row = reproduce(["v1-speed-cap"]).rows[0]
+    assert row.item.command == "surctl verify v1-speed-cap"
+    verdict = surctl("verify", "v1-speed-cap", "--json", cwd=tmp_path).json["claims"][0]
+    assert verdict["counterexample"]["margin"] == row.found.numbers["margin"]
+    assert verdict["fraction"] == row.found.numbers["fraction"]

@@ -11,7 +11,7 @@ from surctl.errors import InputError
 from surctl.reproduction import Flights, Row
 from surctl.reproduction.flights import scenario_names
 from surctl.reproduction.instants import avoidances, instant_items
-from surctl.reproduction.scenarios import position_items, scenario_items, time_verdict
+from surctl.reproduction.scenarios import hull_items, position_items, scenario_items, time_verdict
 from surctl.simulation import METRICS, BatchResult
 
 
@@ -29,7 +29,7 @@ def flights(**batches: BatchResult) -> Flights:
     made = Flights(4)
     for name in scenario_names():
         for sensing in ("truth", "sonar"):
-            made._batches[name, sensing] = batches.get(name.replace("-", "_"), batch())
+            made._batches[name, sensing, ""] = batches.get(name.replace("-", "_"), batch())
     return made
 
 
@@ -105,6 +105,16 @@ def test_an_avoidance_ends_with_a_second_without() -> None:
 def test_every_instant_of_the_library_has_a_row() -> None:
     ids = {item.id for item in instant_items(Flights(1))}
     assert ids == {"pool-ahead-detected", "pool-behind-detected", "tank-moving-passed", "tank-static-transients"}
+
+
+def test_the_printed_hull_in_the_pool_is_reported_and_decides_nothing() -> None:
+    made = Flights(4)
+    assert len(hull_items(made)) == 7
+    item = next(item for item in hull_items(made) if item.id == "pool-static-printed-hull")
+    made._batches["pool-static", "truth", "sur540-flooded"] = batch(reached=[1, 0], collided=[0, 1])
+    assert item.row().as_expected and item.row().found.verdict.startswith("differs: 1 of 2 runs collided and 0")
+    made._batches["pool-static", "truth", "sur540-flooded"] = batch()
+    assert item.row().found.verdict == "agrees"
 
 
 def test_no_seeds_is_a_mistake() -> None:
