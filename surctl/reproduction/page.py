@@ -19,7 +19,7 @@ _SERIES = ("tank-speed", "pool-speed")
 
 
 def write_reproduction(done: Reproduction, path: Path, *, command: str) -> Path:
-    """Write the page: a table a group, then the figures of one flight a scenario (true positions, seed 0).
+    """Write the page: a table a group, then, if a row flies, one flight a scenario (true positions, seed 0) as figures.
 
     Args:
         done: the rows.
@@ -36,8 +36,9 @@ def write_reproduction(done: Reproduction, path: Path, *, command: str) -> Path:
     )
     groups = list(dict.fromkeys(row.item.group for row in done.rows))
     sections = [_table(group, [row for row in done.rows if row.item.group == group]) for group in groups]
-    runs = [done.flights.run(name) for name in scenario_names()]
-    sections += [_ways(runs), _series(runs), _errors(runs)]
+    if {"scenarios", "position errors"} & set(groups):
+        runs = [done.flights.run(name) for name in scenario_names()]
+        sections += [_ways(runs), _series(runs), _errors(runs)]
     counts = [
         (
             all(row.as_expected for row in rows),
