@@ -12,6 +12,7 @@ from surctl.cli.calibrate import calibrate
 from surctl.cli.export import export
 from surctl.cli.lint import lint
 from surctl.cli.listing import listing
+from surctl.cli.reproduce import reproduce
 from surctl.cli.simulate import simulate
 from surctl.cli.sonar_replay import sonar_replay
 from surctl.cli.study import study
@@ -32,7 +33,7 @@ def app() -> None:
     """
 
 
-for _command in (study, simulate, sweep, tune, verify, export, calibrate, sonar_replay, lint, listing):
+for _command in (study, reproduce, simulate, sweep, tune, verify, export, calibrate, sonar_replay, lint, listing):
     app.add_command(_command)
 
 

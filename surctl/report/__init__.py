@@ -19,7 +19,8 @@ from surctl.report.heat_map import plot_heat_map
 from surctl.report.locus import plot_locus
 from surctl.report.loops import LoopResponse, loop_responses, plot_bode, plot_nyquist, plot_poles
 from surctl.report.map_view import MapView, map_view, plot_map, plot_maps
-from surctl.report.page import render_page, write_page
+from surctl.report.page import render_page, render_sections, write_page
+from surctl.report.paper_plots import plot_coordinates, plot_position_errors, plot_series
 from surctl.report.plan_view import plot_run
 from surctl.report.replay_plots import plot_replay_sensor, plot_sonar_replay
 from surctl.report.signals import plot_run_signals
@@ -40,6 +41,7 @@ __all__ = [
     "margin_slice",
     "plot_bode",
     "plot_calibration",
+    "plot_coordinates",
     "plot_counterexample",
     "plot_front",
     "plot_goal_bars",
@@ -51,14 +53,17 @@ __all__ = [
     "plot_nyquist",
     "plot_parallel",
     "plot_poles",
+    "plot_position_errors",
     "plot_replay",
     "plot_replay_sensor",
     "plot_run",
     "plot_run_signals",
     "plot_sensitivity",
+    "plot_series",
     "plot_slice",
     "plot_sonar_replay",
     "render_page",
+    "render_sections",
     "runs_section",
     "save_calibrations",
     "save_heat_map",

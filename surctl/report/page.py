@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -19,7 +20,7 @@ from surctl.report.sections import (
     vehicle_section,
 )
 
-__all__ = ["render_page", "write_page"]
+__all__ = ["render_page", "render_sections", "write_page"]
 
 _TEMPLATES = Path(__file__).parent / "templates"
 
@@ -31,6 +32,38 @@ def render_page(data: ReportData, *, runs: Section | None = None) -> str:
         data: what it tells.
         runs: `runs_section` of the same runs, where it was drawn before.
     """
+    return render_sections(
+        title=data.title,
+        subject=f"Vehicle {data.vehicle.name}, gains {data.gains.name}.",
+        version=data.version,
+        command=data.command,
+        outcome=_outcome(data),
+        summary=data.summary,
+        sections=_sections(data, runs),
+    )
+
+
+def render_sections(
+    *,
+    title: str,
+    subject: str,
+    version: str,
+    command: str,
+    outcome: tuple[str, str],
+    summary: Sequence[tuple[bool | None, str]],
+    sections: Sequence[Section],
+) -> str:
+    """A page of any sections, as `render_page` makes it.
+
+    Args:
+        title: heading.
+        subject: sentence under it: what the page is about.
+        version: of this package.
+        command: the command line that made it; may be empty.
+        outcome: class (`good`, `bad` or `note`) and words of the first line.
+        summary: lines of the outcome: holds, fails, or None for a note that decides nothing.
+        sections: in reading order.
+    """
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATES),
         autoescape=True,
@@ -40,7 +73,16 @@ def render_page(data: ReportData, *, runs: Section | None = None) -> str:
     )
     style = (_TEMPLATES / "page.css").read_text(encoding="utf-8")
     page = environment.get_template("page.html")
-    return page.render(data=data, style=style, sections=_sections(data, runs), outcome=_outcome(data))
+    return page.render(
+        title=title,
+        subject=subject,
+        version=version,
+        command=command,
+        summary=summary,
+        style=style,
+        sections=sections,
+        outcome=outcome,
+    )
 
 
 def _sections(data: ReportData, runs: Section | None) -> tuple[Section, ...]:

@@ -28,7 +28,19 @@ RUN_KEYS = {
 def test_help_names_every_command(tmp_path):
     done = surctl("--help", cwd=tmp_path)
     assert done.status == 0
-    for command in ("study", "simulate", "sweep", "verify", "export", "calibrate", "sonar-replay", "lint", "list"):
+    commands = (
+        "study",
+        "reproduce",
+        "simulate",
+        "sweep",
+        "verify",
+        "export",
+        "calibrate",
+        "sonar-replay",
+        "lint",
+        "list",
+    )
+    for command in commands:
         assert command in done.out
         assert surctl(command, "--help", cwd=tmp_path).status == 0
 

@@ -1,0 +1,61 @@
+"""`surctl reproduce`: the paper side by side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from surctl.cli.output import as_json, finish, out_folder, progress
+
+if TYPE_CHECKING:
+    from surctl.reproduction import Row
+
+__all__ = ["reproduce", "row_lines"]
+
+
+@click.command
+@click.argument("rows", nargs=-1)
+@click.option("--quick", is_flag=True, help="3 seeds and fewer samples.")
+@click.option("--seeds", type=click.IntRange(min=1), help="Seeds of each scenario; default 20.")
+@out_folder
+@as_json
+def reproduce(rows: tuple[str, ...], quick: bool, seeds: int | None, out: Path | None, as_json: bool) -> None:
+    """Compute what the paper prints and say where it agrees, row by row; all rows, or those of the ids given.
+
+    Exit status 1 when a row is missing, a verdict is not the one recorded with the row, or a flight collides or does
+    not arrive. A time that differs is told with its reason. With --out a page with the paper's figures redrawn.
+
+    Examples: surctl reproduce --quick; surctl reproduce E5 v1-printed tank-static; surctl reproduce --out paper
+    """
+    from surctl.files import prepare_folder
+    from surctl.reproduction import reproduce as compute
+
+    if out is not None:
+        prepare_folder(out)
+    done = compute(rows, quick=quick, seeds=seeds, progress=progress)
+    lines = [line for row in done.rows for line in row_lines(row)]
+    lines += [f"FAIL {name}: the row is missing" for name in done.missing]
+    good = sum(row.as_expected for row in done.rows)
+    lines.append(f"{good} of {len(done.rows)} rows as expected, {sum(row.seconds for row in done.rows):.1f} s")
+    result = done.to_dict()
+    if out is not None:
+        from surctl.reproduction.page import write_reproduction
+
+        words = ["surctl reproduce", *rows, *(["--quick"] if quick else []), *([f"--seeds {seeds}"] if seeds else [])]
+        page = write_reproduction(done, out / "reproduction.html", command=" ".join([*words, f"--out {out}"]))
+        lines.append(f"page {page}")
+        result["page"] = str(page)
+    finish(result, lines, as_json=as_json, passed=done.passed)
+
+
+def row_lines(row: Row) -> list[str]:
+    """One row: print and computation side by side, then the verdict and the command."""
+    item, mark = row.item, "ok  " if row.as_expected else "FAIL"
+    return [
+        f"{mark} {item.id:<26} {item.what}",
+        f"       paper   {item.paper}",
+        f"       ours    {row.found.ours}",
+        f"       verdict {row.found.verdict}   [{item.command}, {row.seconds:.2f} s]",
+    ]

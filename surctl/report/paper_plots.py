@@ -1,0 +1,83 @@
+"""The paper's figures redrawn: X, Y, Z over time, position error, and a series of ways and times."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from surctl.errors import InputError
+from surctl.report.theme import BAD, INK, curve, dress, legend_above, legend_below, new_axes, new_figure, printable
+from surctl.simulation import Run
+
+__all__ = ["plot_coordinates", "plot_position_errors", "plot_series"]
+
+
+def plot_coordinates(runs: Sequence[Run], *, title: str) -> Figure:
+    """x, y and z in {E} [m] of each run over time [s]; z of all runs is close to the depth.
+
+    Raises:
+        InputError: no runs.
+    """
+    _some(runs)
+    figure = new_figure(9.0, 5.6)
+    figure.suptitle(printable(title), fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+    for k, (ax, name) in enumerate(zip(figure.subplots(3, 1, sharex=True), "xyz", strict=True)):
+        dress(ax, x="time [s]" if k == 2 else "", y=f"{name} [m]")
+        for j, run in enumerate(runs):
+            curve(ax, run.record.time, run.record.eta[:, k], label=_name(run), k=j)
+        if k == 0:
+            legend_above(ax, columns=4)
+    return figure
+
+
+def plot_position_errors(runs: Sequence[Run], *, title: str, bound: float | None = None) -> Axes:
+    """Distance to the path in three axes, √(Δx² + Δy² + Δz²) [m], over time [s]; avoidance included.
+
+    Args:
+        runs: what was flown.
+        title: of the plot.
+        bound: the paper's figure [m], drawn as a line.
+
+    Raises:
+        InputError: no runs.
+    """
+    _some(runs)
+    ax = dress(new_axes(9.0, 3.8), title=title, x="time [s]", y="distance to the path [m]")
+    for k, run in enumerate(runs):
+        away = run.scenario.path.distance(run.record.eta[:, :2])
+        curve(ax, run.record.time, np.hypot(away, run.record.eta[:, 2] - run.scenario.depth), label=_name(run), k=k)
+    if bound is not None:
+        ax.axhline(bound, color=BAD, linewidth=1.2, linestyle="--", label="the paper's E_p")
+    legend_above(ax, columns=4)
+    return ax
+
+
+def plot_series(runs: Sequence[Run], *, title: str) -> Axes:
+    """Ways of several runs of one site in {E} [m], with the time of arrival in the legend.
+
+    Raises:
+        InputError: no runs.
+    """
+    _some(runs)
+    length, width, _ = runs[0].scenario.site
+    ax = dress(new_axes(9.0, float(np.clip(8.0 * width / length + 1.0, 3.6, 7.0))), title=title, x="x [m]", y="y [m]")
+    for k, run in enumerate(runs):
+        ended = f"{_name(run)}: {run.metrics.stopped_because} at {run.metrics.time_s:.1f} s"
+        curve(ax, run.record.eta[:, 0], run.record.eta[:, 1], label=ended, k=k)
+    ax.set_xlim(0, length)
+    ax.set_ylim(0, width)
+    ax.set_aspect("equal")
+    legend_below(ax, columns=2, handles=ax.get_lines())
+    return ax
+
+
+def _name(run: Run) -> str:
+    return printable(run.scenario.name)
+
+
+def _some(runs: Sequence[Run]) -> None:
+    if not runs:
+        raise InputError("must not be empty", key="runs", remedy="give at least one run to draw")

@@ -1,0 +1,172 @@
+"""Errata of sections III-C and III-D: angles, sides, the window and V2 (E1, E10–E13, E17)."""
+
+from __future__ import annotations
+
+from math import cos, pi, sin, sqrt
+
+import casadi as ca
+import numpy as np
+
+from surctl.guidance.avoidance import avoidance_course, clearance_rate, encounter_side, printed_side
+from surctl.reproduction.motion import Vector, flown, numeric, value
+from surctl.reproduction.row import Found, agrees, unreadable, wrong_in_print
+from surctl.vehicle import load_vehicle
+from surctl.vehicle.kinematics import planar_rotation
+from surctl.verification import claims, evaluate
+from surctl.verification.avoidance_claims import settling_intrusion
+from surctl.verification.setting import Setting
+
+__all__ = ["e1", "e10", "e11", "e12", "e13", "e17"]
+
+
+def printed_obstacle_rate(speed: float, psi: float) -> tuple[float, float]:
+    """(17) as printed: ẋ_OB, ẏ_OB [m/s]."""
+    return speed * cos(psi), -speed * sin(psi)
+
+
+def printed_turn(acceleration: float, radius: float, time: float) -> float:
+    """σ_0 of (19) as the copy reads, √((a/R)·t)."""
+    return sqrt(acceleration / radius * time)
+
+
+def mended_turn(acceleration: float, radius: float, time: float) -> float:
+    """σ_0 = √(a/R)·t [rad]."""
+    return sqrt(acceleration / radius) * time
+
+
+def course(e2: ca.SX, phi: ca.SX, setting: Setting, *, delta: float = 0.0) -> ca.SX:
+    """ψ_dm [rad] of (20), counter-clockwise, side λ2 = +1, at the printed speed."""
+    return avoidance_course(
+        "consistent",
+        phi,
+        e2,
+        radius=ca.SX(setting.radius),
+        side=ca.SX(1),
+        delta=ca.SX(delta),
+        k3=ca.SX(setting.k3),
+        speed=ca.SX(setting.avoidance_speed),
+        closing=ca.SX(0),
+        kappa=ca.SX(setting.kappa),
+        standoff=ca.SX(setting.standoff),
+    )
+
+
+def settled(start: float, setting: Setting, *, delta: float = 0.0, closing: float = 0.0) -> float:
+    """e2 [m] after 120 s of (20) from e2 = `start`, the obstacle closing at −`closing` [m/s] along the bearing."""
+    e2 = ca.SX.sym("e2")
+    turned = course(e2, ca.SX(0), setting, delta=delta)
+    rate = clearance_rate(turned, ca.SX(0), speed=ca.SX(setting.avoidance_speed), closing=ca.SX(closing))
+    f = ca.Function("rate", [e2], [rate])
+    return float(flown(numeric(f), np.array([start]), duration=120.0)[-1, 0])
+
+
+def pushed(start: Vector, setting: Setting, acceleration: float) -> Vector:
+    """States (k, 4), position and velocity, of a mass that follows (20) about the origin with |v̇| ≤ `acceleration`."""
+    x = ca.SX.sym("x", 4)
+    away = ca.sqrt(ca.sumsqr(x[:2]))
+    turned = course(away - setting.radius, ca.atan2(-x[1], -x[0]), setting)
+    wanted = setting.avoidance_speed * ca.vertcat(ca.cos(turned), ca.sin(turned))
+    pull = (wanted - x[2:]) / 0.1  # [1/s] a velocity loop much faster than the thrust allows
+    held = pull * ca.fmin(1, acceleration / ca.fmax(ca.sqrt(ca.sumsqr(pull)), 1e-9))
+    f = ca.Function("rate", [x], [ca.vertcat(x[2:], held)])
+    return flown(numeric(f), start, duration=120.0)
+
+
+def e1() -> Found:
+    """ẏ of (17) and of (2) at the same speed and angle."""
+    speed, psi = 0.15, pi / 4
+    ours_y = value((planar_rotation(ca.SX(psi)) @ ca.vertcat(speed, 0.0))[1])
+    printed_y = printed_obstacle_rate(speed, psi)[1]
+    ours = f"ẏ = {ours_y:+.4f} m/s by (2), {printed_y:+.4f} by (17), at 45° and {speed} m/s"
+    if abs(ours_y - printed_y) < 1e-9:
+        return agrees(ours)
+    claim = claims(names=["v2-clockwise"])[0]
+    margin, _ = evaluate(claim, claim.witnesses[0])
+    if margin <= 0:
+        return agrees(ours, margin=margin)
+    return wrong_in_print(
+        ours,
+        f"(17), (22) count clockwise, (2) does not: (20) with that angle has V̇2 = {margin:+.4f} m²/s at a bearing of "
+        f"{np.degrees(claim.witnesses[0]['phi']):.0f}°",
+        by_2=ours_y,
+        by_17=printed_y,
+        margin=margin,
+    )
+
+
+def e10() -> Found:
+    """λ2 of one encounter, turned about: the printed rule's sides, and those of the relative velocity."""
+    rule, mended = set(), set()
+    for k in range(360):
+        phi = np.radians(k + 0.5)
+        normal = ca.SX([cos(phi), sin(phi)])
+        # the robot flies 20° left of the bearing, whatever the bearing
+        velocity = 0.2 * ca.SX([cos(phi + pi / 9), sin(phi + pi / 9)])
+        rule.add(int(value(printed_side(ca.SX(phi)))))
+        mended.add(int(value(encounter_side(velocity, normal))))
+    told = ", ".join(f"{side:+d}" for side in sorted(rule))
+    right = ", ".join(f"{side:+d}" for side in sorted(mended))
+    ours = f"printed rule: {told}; by the relative velocity: {right}"
+    if len(rule) == 1 or mended != {1}:
+        return agrees(ours)
+    return wrong_in_print(
+        ours, f"the same encounter in a tank turned by 180° gets the other side: {told}", sides=float(len(rule))
+    )
+
+
+def e11() -> Found:
+    """V̇2 for −δ < e2 < 0, and where (20) with δ > 0 lets the robot settle."""
+    s = Setting()
+    claim = claims(names=["v2-printed"])[0]
+    margin, inside = evaluate(claim, claim.witnesses[0])
+    end = settled(0.5, s, delta=s.delta)
+    ours = (
+        f"V̇2 = {margin:+.5f} m²/s at e2 = {claim.witnesses[0]['e2']:.3g} m; e2 settles at {end:.4f} m for δ = {s.delta}"
+    )
+    if margin <= 0 or not inside or end > -1e-3:
+        return agrees(ours, margin=margin, settles_m=end)
+    return wrong_in_print(ours, f"e2 settles at {end:.3f} m = −δ", margin=margin, settles_m=end)
+
+
+def e12() -> Found:
+    """Where (20) settles before an obstacle that comes head-on slower than the robot."""
+    s = Setting()
+    end, formula = settled(0.5, s, closing=-s.obstacle_speed), settling_intrusion(s)
+    ours = f"e2 settles at {end:.4f} m; −k3 R c/√(1 − c²) = {formula:.4f} m"
+    if end > -1e-3 or abs(end - formula) > 1e-3:
+        return agrees(ours, settles_m=end)
+    told = f"u_OB = {s.obstacle_speed}, u_dm = {s.avoidance_speed} m/s, R_OB = {s.radius} m"
+    return wrong_in_print(ours, f"with {told} the robot settles {-end:.3f} m inside", settles_m=end, formula_m=formula)
+
+
+def e13() -> Found:
+    """(20) with δ = 0 about an obstacle at rest, ideal and with the default vehicle's inertia."""
+    s, vehicle = Setting(), load_vehicle("sur540-flooded")
+    acceleration = float(np.min(vehicle.thrust_limit[:2]) / np.max(vehicle.mass[:2]))
+    begins = 0.3  # [m] less than the 0.46 m that it takes to stop
+    ideal = settled(begins, s)
+    way = pushed(np.array([-(s.radius + begins), -1e-3, s.avoidance_speed, 0.0]), s, acceleration)
+    clearance = np.hypot(way[:, 0], way[:, 1]) - s.radius
+    least, end = float(clearance.min()), float(clearance[-1])
+    ours = f"V2 → 0: e2 → {abs(ideal):.4f} m; with {acceleration:.3f} m/s² from {begins} m e2 falls to {least:.3f} m"
+    if abs(ideal) > 1e-3 or least > -1e-3:
+        return agrees(ours, ideal_m=ideal, least_m=least)
+    return wrong_in_print(
+        ours,
+        f"V2 → 0 leads to the circle, it does not keep out: {vehicle.name} meets it {begins} m ahead at "
+        f"{s.avoidance_speed} m/s and crosses it by {-least:.3f} m",
+        ideal_m=ideal,
+        least_m=least,
+        end_m=end,
+    )
+
+
+def e17() -> Found:
+    """σ_0 of (19) in seconds and in minutes: an angle does not depend on the unit of time."""
+    a, radius, t, minute = 0.05, 0.5, 2.0, 60.0
+    read = printed_turn(a * minute**2, radius, t / minute) / printed_turn(a, radius, t)
+    mended = mended_turn(a * minute**2, radius, t / minute) / mended_turn(a, radius, t)
+    ours = f"counted in minutes σ_0 is {read:.3f} times as large; √(a/R_OB)·t is {mended:.3f} times"
+    if abs(read - 1) < 1e-9 or abs(mended - 1) > 1e-9:
+        return agrees(ours)
+    return unreadable(ours, as_read=read, mended=mended)

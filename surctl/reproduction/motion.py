@@ -1,0 +1,40 @@
+"""Small computations that several rows share: an expression's value, and a loop of two or three states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Vector", "flown", "numeric", "value"]
+
+Vector = NDArray[np.float64]
+
+
+def value(expression: ca.SX) -> float:
+    """The number that an SX expression without symbols is."""
+    return float(ca.evalf(expression))
+
+
+def numeric(function: ca.Function) -> Callable[[Vector], Vector]:
+    """A CasADi function of one vector as a function of arrays (n,)."""
+
+    def call(x: Vector) -> Vector:
+        return np.asarray(function(x), dtype=float).ravel()
+
+    return call
+
+
+def flown(rate: Callable[[Vector], Vector], start: Vector, *, duration: float, step: float = 0.05) -> Vector:
+    """States (k + 1, n) of ẋ = rate(x) by RK4 from `start` (n,), k = duration/step steps of `step` [s]."""
+    states = [np.asarray(start, dtype=float)]
+    for _ in range(round(duration / step)):
+        x = states[-1]
+        k1 = rate(x)
+        k2 = rate(x + step / 2 * k1)
+        k3 = rate(x + step / 2 * k2)
+        k4 = rate(x + step * k3)
+        states.append(x + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+    return np.array(states)

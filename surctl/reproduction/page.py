@@ -1,0 +1,137 @@
+"""The rows as a self-contained HTML page, with the paper's figures redrawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from surctl import __version__
+from surctl.files import write_file
+from surctl.report import plot_coordinates, plot_position_errors, plot_run, plot_series, render_sections
+from surctl.report.document import Block, Cell, Pictures, Section, Table, outcome_cell, picture
+from surctl.reproduction.flights import scenario_names
+from surctl.reproduction.reproduction import Reproduction
+from surctl.reproduction.row import Row
+from surctl.simulation import Run
+
+__all__ = ["write_reproduction"]
+
+_SERIES = ("tank-speed", "pool-speed")
+
+
+def write_reproduction(done: Reproduction, path: Path, *, command: str) -> Path:
+    """Write the page: a table a group, then, if a row flies, one flight a scenario (true positions, seed 0) as figures.
+
+    Args:
+        done: the rows.
+        path: of the page.
+        command: the command line that made it.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    failing = [row.item.id for row in done.rows if not row.as_expected]
+    failing += [f"{name} (missing)" for name in done.missing]
+    outcome = (
+        ("bad", f"✗ Not as expected: {', '.join(failing)}.") if failing else ("good", "✓ Every row is as expected.")
+    )
+    groups = list(dict.fromkeys(row.item.group for row in done.rows))
+    sections = [_table(group, [row for row in done.rows if row.item.group == group]) for group in groups]
+    if {"scenarios", "position errors"} & set(groups):
+        runs = [done.flights.run(name) for name in scenario_names()]
+        sections += [_ways(runs), _series(runs), _errors(runs)]
+    counts = [
+        (
+            all(row.as_expected for row in rows),
+            f"{group}: {sum(r.as_expected for r in rows)} of {len(rows)} as expected",
+        )
+        for group in groups
+        for rows in [[row for row in done.rows if row.item.group == group]]
+    ]
+    text = render_sections(
+        title="The paper side by side",
+        subject=f"Scenarios with {done.seeds} seeds, gains {done.flights.gains.name}.",
+        version=__version__,
+        command=command,
+        outcome=outcome,
+        summary=counts,
+        sections=sections,
+    )
+    return write_file(path, text)
+
+
+def _table(group: str, rows: list[Row]) -> Section:
+    heads = ("row", "what", "paper", "ours", "verdict", "as expected", "command", "time [s]")
+    cells = tuple(
+        (
+            Cell(row.item.id, code=True),
+            row.item.what,
+            row.item.paper,
+            row.found.ours,
+            Cell(row.found.verdict, "good" if row.found.word == "agrees" else "note"),
+            outcome_cell(row.as_expected, "yes", "NO"),
+            Cell(row.item.command, code=True),
+            Cell(f"{row.seconds:.2f}", number=True),
+        )
+        for row in rows
+    )
+    return Section(group.replace(" ", "-"), group.capitalize(), (Table(group.capitalize(), heads, cells),))
+
+
+def _ways(runs: list[Run]) -> Section:
+    """Plan view and coordinates of every scenario: Figs. 6, 8, 11, 13, 15."""
+    blocks: list[Block] = []
+    for run in runs:
+        name, m = run.scenario.name, run.metrics
+        told = f"{m.stopped_because} after {m.time_s:.1f} s, least clearance {m.min_clearance_m:.3f} m"
+        command = f"surctl simulate {name}"
+        plan = picture(plot_run(run), alt=f"Plan view of {name}: {told}", caption=f"{name}: {told}.", command=command)
+        over_time = picture(
+            plot_coordinates([run], title=f"{name}: coordinates over time"),
+            alt=f"x, y and z of {name} over time",
+            caption="x, y and z in m over time in s.",
+            command=command,
+        )
+        blocks.append(Pictures((plan, over_time)))
+    return Section("ways", "Trajectories and coordinates", tuple(blocks))
+
+
+def _series(runs: list[Run]) -> Section:
+    """The four speeds of the moving obstacle: Figs. 17 and 19."""
+    blocks: list[Block] = []
+    for series in _SERIES:
+        chosen = [run for run in runs if run.scenario.name.startswith(series)]
+        command = "surctl simulate " + " ".join(run.scenario.name for run in chosen)
+        ways = picture(
+            plot_series(chosen, title=f"{series}: ways"),
+            alt=f"Ways of {series} at four speeds of the obstacle",
+            caption="Ways at four speeds of the obstacle.",
+            command=command,
+        )
+        over_time = picture(
+            plot_coordinates(chosen, title=f"{series}: coordinates over time"),
+            alt=f"x, y and z of {series} over time",
+            caption="x, y and z in m over time in s.",
+            command=command,
+        )
+        blocks.append(Pictures((ways, over_time)))
+    return Section("series", "Four speeds of the moving obstacle", tuple(blocks))
+
+
+def _errors(runs: list[Run]) -> Section:
+    """Position errors of the three simulations and of the pool: Fig. 20."""
+    drawn = []
+    for where, names in (
+        ("simulation", ("tank-static", "tank-moving", "tank-speed-015")),
+        ("pool", ("pool-static", "pool-ahead", "pool-behind")),
+    ):
+        chosen = [run for run in runs if run.scenario.name in names]
+        bound = chosen[0].scenario.paper.position_error_m
+        drawn.append(
+            picture(
+                plot_position_errors(chosen, title=f"position error, {where}", bound=bound),
+                alt=f"Distance to the path over time, {where}",
+                caption="Distance to the path, avoidance included; E_p leaves the avoidance out.",
+                command="surctl simulate " + " ".join(names),
+            )
+        )
+    return Section("errors", "Position errors over time", (Pictures(tuple(drawn)),))

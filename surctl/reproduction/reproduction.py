@@ -1,0 +1,112 @@
+"""All rows: chosen, computed, and whether one is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from surctl.errors import InputError, nearest
+from surctl.reproduction.claims import FULL, claim_items
+from surctl.reproduction.errata import errata_items
+from surctl.reproduction.flights import Flights, scenario_names
+from surctl.reproduction.instants import instant_items
+from surctl.reproduction.row import Item, Row
+from surctl.reproduction.scenarios import hull_items, position_items, scenario_items
+from surctl.reproduction.tables import table_items
+from surctl.sensing.table2 import MEDIA, table_ii
+from surctl.verification import claims
+
+__all__ = ["QUICK_SAMPLES", "QUICK_SEEDS", "SEEDS", "Reproduction", "items", "reproduce", "required"]
+
+SEEDS, QUICK_SEEDS = 20, 3
+QUICK_SAMPLES = 512
+
+
+@dataclass(frozen=True, eq=False)
+class Reproduction:
+    """The paper side by side.
+
+    Attributes:
+        rows: computed, in order.
+        missing: ids of rows that the paper asks for and nothing computes; empty for a chosen part.
+        seeds: flown of each scenario.
+        flights: what was flown.
+    """
+
+    rows: tuple[Row, ...]
+    missing: tuple[str, ...]
+    seeds: int
+    flights: Flights
+
+    @property
+    def passed(self) -> bool:
+        """No row is missing and every one is as expected."""
+        return not self.missing and all(row.as_expected for row in self.rows)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON; numbers that are not finite are left to the writer."""
+        return {
+            "passed": self.passed,
+            "seeds": self.seeds,
+            "missing": list(self.missing),
+            "seconds": round(sum(row.seconds for row in self.rows), 3),
+            "rows": [row.to_dict() for row in self.rows],
+        }
+
+
+def items(flights: Flights, *, samples: int = FULL) -> list[Item]:
+    """Every row before it is computed: claims, tables, errata, scenarios, position errors."""
+    return [
+        *claim_items(flights.gains.values, samples=samples),
+        *table_items(),
+        *errata_items(),
+        *scenario_items(flights),
+        *hull_items(flights),
+        *instant_items(flights),
+        *position_items(flights),
+    ]
+
+
+def required() -> list[str]:
+    """Ids that must be there: every claim, percentage, erratum, scenario, and the position errors."""
+    percentages = [f"table-ii-{medium}-{round(100 * d):03d}" for medium in MEDIA for d in table_ii().desired]
+    return [
+        *(claim.name for claim in claims()),
+        *percentages,
+        *(f"E{k}" for k in range(1, 22)),
+        *scenario_names(),
+        "position-error-tank",
+        "position-error-pool",
+    ]
+
+
+def reproduce(
+    names: Sequence[str] = (),
+    *,
+    quick: bool = False,
+    seeds: int | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Reproduction:
+    """Compute the rows of those ids, or all.
+
+    Args:
+        names: ids; none takes all.
+        quick: fewer seeds and samples.
+        seeds: of the compiled loop for each scenario; default 20, or 3 when quick.
+        progress: told each row's id before it is computed.
+
+    Raises:
+        InputError: an unknown id, with the nearest known one; fewer than one seed.
+    """
+    flights = Flights(seeds if seeds is not None else QUICK_SEEDS if quick else SEEDS)
+    known = {item.id: item for item in items(flights, samples=QUICK_SAMPLES if quick else FULL)}
+    for name in names:
+        if name not in known:
+            raise InputError("no such row", key="row", value=name, remedy=nearest(name, known))
+    rows = []
+    for name in names or known:
+        progress(name)
+        rows.append(known[name].row())
+    missing = () if names else tuple(name for name in required() if name not in known)
+    return Reproduction(tuple(rows), missing, flights.seeds, flights)

@@ -1,0 +1,81 @@
+"""Rows of the paper's tables: Table I where the model has the quantity, and the 36 percentages of Table II."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from surctl.reproduction.row import Found, Item, Word, agrees, differs, wrong_in_print
+from surctl.sensing import SonarArray
+from surctl.sensing.table2 import MEDIA, Medium, table_ii
+
+__all__ = ["table_items"]
+
+
+def table_items() -> list[Item]:
+    """Table I (range and resolution; size, supply and frequency enter no model) and Table II."""
+    items = [
+        Item(
+            f"table-i-{name}",
+            "tables",
+            what,
+            f"Table I: {paper}",
+            word,
+            partial(_sensor, name),
+            _own(f"table-i-{name}"),
+        )
+        for name, what, paper, word in _SENSOR
+    ]
+    test = table_ii()
+    for medium in MEDIA:
+        for k, desired in enumerate(test.desired):
+            name = f"table-ii-{medium}-{round(100 * desired):03d}"
+            printed, wrong = float(test.column(medium).printed_percent[k]), (medium, round(100 * desired)) == _E2
+            items.append(
+                Item(
+                    name,
+                    "tables",
+                    f"error at {100 * desired:.0f} cm in {medium}",
+                    f"Table II: {printed:.1f} %",
+                    "wrong in print" if wrong else "agrees",
+                    partial(_percentage, medium, k),
+                    _own(name),
+                )
+            )
+    return items
+
+
+_SENSOR: tuple[tuple[str, str, str, Word], ...] = (
+    ("minimum", "least distance of the sensor", "0.2 m", "agrees"),
+    ("maximum", "largest distance of the sensor", "4.5 m", "agrees"),
+    ("resolution", "resolution of the sensor", "about 5 mm", "differs"),
+)
+_E2 = ("water", 85)  # the row whose percentage is printed wrongly
+_PRINTED = {"minimum": 0.2, "maximum": 4.5, "resolution": 0.005}  # [m]
+
+
+def _own(name: str) -> str:
+    return f"surctl reproduce {name}"
+
+
+def _sensor(name: str) -> Found:
+    """One property of the default array's sensors."""
+    ours, printed = float(getattr(SonarArray(), "blind" if name == "minimum" else name)), _PRINTED[name]
+    text = f"{ours:.4g} m" if name != "resolution" else f"{1e3 * ours:.2f} mm"
+    # a step that is finer than "about 5 mm" resolves that too
+    if ours <= 1.08 * printed if name == "resolution" else abs(ours - printed) <= 1e-9:
+        return agrees(text, metres=ours)
+    return differs(text, f"{SonarArray().bits} bits over {SonarArray().maximum:g} m, as II-B says", metres=ours)
+
+
+def _percentage(medium: Medium, k: int) -> Found:
+    """Recomputed from the reading; agrees when it rounds to the printed decimal."""
+    test = table_ii()
+    ours, column = float(test.percent(medium)[k]), test.column(medium)
+    printed = float(column.printed_percent[k])
+    text = f"{ours:.3f} %"
+    if k not in test.disagreeing(medium):
+        return agrees(text, percent=ours)
+    read, true = 100 * column.measured[k], 100 * test.desired[k]
+    return wrong_in_print(
+        text, f"{read:.0f} cm read for {true:.0f} cm is {ours:.1f} %, not {printed:.1f} %", percent=ours
+    )

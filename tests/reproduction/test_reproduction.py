@@ -1,0 +1,136 @@
+"""All rows together: none missing, each computed, and the command line as a process."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surctl.cli.app import app
+from surctl.errors import InputError
+from surctl.reproduction import WORDS, Flights, Found, Item, items, reproduce, required
+from surctl.reproduction import tables as tables_module
+from surctl.reproduction.claims import claim_items, judged
+from surctl.reproduction.tables import table_items
+from surctl.sensing.table2 import RangeTest
+from surctl.verification import claims
+from tests.cli.process import Outcome, surctl
+from tests.report.reader import Reader
+
+KEYS = {"id", "group", "what", "paper", "ours", "verdict", "expected", "as_expected", "numbers", "command", "seconds"}
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path]:
+    out = tmp_path_factory.mktemp("reproduce")
+    return surctl("reproduce", "--quick", "--json", "--out", "paper", cwd=out), out / "paper" / "reproduction.html"
+
+
+def test_no_row_is_missing_and_no_id_is_used_twice() -> None:
+    ids = [item.id for item in items(Flights(1))]
+    assert len(set(ids)) == len(ids)
+    assert set(required()) <= set(ids)
+    assert len(required()) == 14 + 36 + 21 + 14 + 2
+
+
+def test_the_commands_name_rows_and_claims_that_exist() -> None:
+    known = {item.id for item in items(Flights(1))} | {claim.name for claim in claims()}
+    for item in items(Flights(1)):
+        program, command, name, *rest = item.command.split()
+        assert program == "surctl" and command in app.commands and name == item.id and name in known
+        assert rest in ([], ["--seeds", "1"])
+
+
+def test_a_quick_row_is_computed_by_a_quick_command() -> None:
+    quick = [item for item in items(Flights(3), samples=512) if item.group == "claims"]
+    assert {item.command for item in quick} == {f"surctl reproduce {item.id} --quick" for item in quick}
+
+
+def test_a_percentage_that_is_recomputed_otherwise_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = [item.row() for item in table_items()]
+    assert all(row.as_expected for row in rows)
+    assert [row.item.id for row in rows if row.found.word == "wrong in print"] == ["table-ii-water-085"]
+    other = lambda self, medium: 100 * np.abs(self.errors(medium)) / self.column(medium).measured  # noqa: E731
+    monkeypatch.setattr(RangeTest, "percent", other)
+    assert sum(not item.row().as_expected for item in table_items()) > 5
+
+
+def test_a_sensor_with_more_bits_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tables_module, "SonarArray", partial(tables_module.SonarArray, bits=10))
+    failing = [row.item.id for row in (item.row() for item in table_items()) if not row.as_expected]
+    assert failing == ["table-i-resolution"]
+
+
+def test_a_claim_that_comes_out_otherwise_is_noticed() -> None:
+    item = next(item for item in claim_items({}, samples=256) if item.id == "course-corrected")
+    assert item.row().as_expected
+    claim = claims(names=["course-corrected"])[0]
+    wrong = replace(item, compute=partial(judged, replace(claim, left=-claim.left), 256))
+    assert not wrong.row().as_expected
+
+
+def test_a_row_that_cannot_be_computed_fails_and_says_why() -> None:
+    def broken() -> Found:
+        raise InputError("is broken", key="it")
+
+    row = Item("x", "errata", "", "", None, broken, "surctl reproduce x").row()
+    assert not row.as_expected and "is broken" in row.found.verdict
+
+
+def test_a_verdict_has_its_reason() -> None:
+    for word in ("differs", "wrong in print"):
+        with pytest.raises(InputError, match="needs its reason"):
+            Found("1", word)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="is no verdict"):
+        Found("1", "perhaps")  # type: ignore[arg-type]
+
+
+def test_chosen_rows_in_their_order_and_the_nearest_to_a_wrong_one() -> None:
+    done = reproduce(["E21", "E2"])
+    assert [row.item.id for row in done.rows] == ["E21", "E2"] and done.passed and done.missing == ()
+    with pytest.raises(InputError, match="did you mean 'course-printed'"):
+        reproduce(["course-printd"])
+
+
+def test_the_whole_as_json(quick: tuple[Outcome, Path]) -> None:
+    done = quick[0].json
+    assert quick[0].status == (0 if done["passed"] else 1)
+    assert done["seeds"] == 3 and done["missing"] == []
+    assert set(required()) <= {row["id"] for row in done["rows"]}
+    for row in done["rows"]:
+        assert set(row) == KEYS
+        assert row["verdict"].split(":")[0] in WORDS
+        assert row["ours"] and row["paper"] and row["command"].startswith("surctl ") and row["seconds"] >= 0
+        assert row["expected"] in (None, row["verdict"].split(":")[0]) or not row["as_expected"]
+        if row["expected"] is not None:
+            assert row["as_expected"], row
+    assert done["passed"] == all(row["as_expected"] for row in done["rows"])
+
+
+def test_the_page_holds_every_row_and_figure(quick: tuple[Outcome, Path]) -> None:
+    text = quick[1].read_text(encoding="utf-8")
+    read = Reader(text)
+    assert read.mistakes == []
+    told = " ".join(read.texts)
+    assert all(name in told for name in required())
+    assert len(read.all("img")) == 14 * 2 + 4 + 2  # plan and coordinates, two series, two position errors
+    assert not re.search(r"(https?:)?//[a-z]", re.sub(r'"data:[^"]*"', "", text))
+
+
+def test_rows_as_a_process(tmp_path: Path) -> None:
+    done = surctl("reproduce", "E2", "E5", "course-printed", cwd=tmp_path)
+    assert done.status == 0
+    assert "residual × -1.000" in done.out and "3 of 3 rows as expected" in done.out
+    assert surctl("reproduce", "E22", cwd=tmp_path).status == 2
+
+
+def test_verify_gives_the_figures_of_a_claims_row(tmp_path: Path) -> None:
+    row = reproduce(["v1-speed-cap"]).rows[0]
+    assert row.item.command == "surctl verify v1-speed-cap"
+    verdict = surctl("verify", "v1-speed-cap", "--json", cwd=tmp_path).json["claims"][0]
+    assert verdict["counterexample"]["margin"] == row.found.numbers["margin"]
+    assert verdict["fraction"] == row.found.numbers["fraction"]

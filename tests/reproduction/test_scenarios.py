@@ -1,0 +1,122 @@
+"""The verdicts of flights come from the numbers: here the numbers are made up."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from surctl.errors import InputError
+from surctl.reproduction import Flights, Row
+from surctl.reproduction.flights import scenario_names
+from surctl.reproduction.instants import avoidances, instant_items
+from surctl.reproduction.scenarios import hull_items, position_items, scenario_items, time_verdict
+from surctl.simulation import METRICS, BatchResult
+
+
+def batch(**columns: float | list[float]) -> BatchResult:
+    """Runs of 45 s that all arrive, with these columns instead."""
+    usual = {"reached": 1.0, "time_s": 45.0, "min_clearance_m": 0.1, "path_error_m": 0.02, "length_m": 9.2}
+    values = {**dict.fromkeys(METRICS, 0.0), **usual, **columns}
+    return BatchResult(
+        np.column_stack(np.broadcast_arrays(*(np.array([values[name]]).ravel() for name in METRICS))), "c"
+    )
+
+
+def flights(**batches: BatchResult) -> Flights:
+    """Flights of every scenario, those named as given."""
+    made = Flights(4)
+    for name in scenario_names():
+        for sensing in ("truth", "sonar"):
+            made._batches[name, sensing, ""] = batches.get(name.replace("-", "_"), batch())
+    return made
+
+
+def row(name: str, **batches: BatchResult) -> Row:
+    made = flights(**batches)
+    return next(i for i in [*scenario_items(made), *position_items(made)] if i.id == name).row()
+
+
+def test_every_scenario_has_a_row_for_each_way_of_sensing() -> None:
+    ids = {item.id for item in scenario_items(Flights(1))}
+    assert ids == {name + ending for name in scenario_names() for ending in ("", "-sonar")}
+    assert len(scenario_names()) == 14
+    assert {item.expected for item in scenario_items(Flights(1))} == {None}
+
+
+def test_about_is_eight_percent_and_less_than_is_strict() -> None:
+    assert time_verdict(44.5 * 1.079, 44.5, "about")[0] and time_verdict(44.5 * 0.921, 44.5, "about")[0]
+    assert not time_verdict(44.5 * 1.081, 44.5, "about")[0] and not time_verdict(44.5 * 0.919, 44.5, "about")[0]
+    assert time_verdict(44.99, 45.0, "less than")[0] and not time_verdict(45.0, 45.0, "less than")[0]
+    assert "10.0 % below" in time_verdict(40.5, 45.0, "about")[1]
+
+
+def test_a_collision_or_a_run_that_does_not_arrive_is_not_as_expected() -> None:
+    for columns in ({"reached": [1.0, 0.0], "collided": [0.0, 1.0]}, {"reached": [1.0, 0.0]}):
+        found = row("tank-static", tank_static=batch(**columns))
+        assert not found.as_expected and found.found.word == "differs"
+    assert (
+        "1 of 2 runs collided" in row("tank-static", tank_static=batch(reached=[1, 0], collided=[0, 1])).found.verdict
+    )
+    assert row("tank-static").as_expected
+
+
+def test_a_time_that_differs_is_told_with_its_reason_and_does_not_count() -> None:
+    slow = row("tank-speed-015", tank_speed_015=batch(time_s=[60.0, 62.0]))
+    assert slow.as_expected
+    assert slow.found.verdict.startswith("differs: 61.00 s is 37.1 % above 44.5 s: it flew 9.20 m at 0.151 m/s")
+    assert "61.00 ± 1.00 s" in slow.found.ours
+    assert row("tank-speed-015", tank_speed_015=batch(time_s=46.0)).found.verdict == "agrees"
+
+
+def test_the_time_is_the_one_that_the_paper_speaks_of() -> None:
+    # of every run of the series
+    assert row("tank-speed-010", tank_speed_010=batch(time_s=[40.0, 44.9])).found.word == "agrees"
+    assert row("tank-speed-010", tank_speed_010=batch(time_s=[40.0, 45.1])).found.word == "differs"
+    # the mean of the two speeds below 0.20 m/s
+    fast, slow = batch(time_s=14.0), batch(time_s=17.0)
+    assert row("pool-speed-015", pool_speed_010=fast, pool_speed_015=slow).found.word == "agrees"
+    assert row("pool-speed-015", pool_speed_010=batch(time_s=15.5), pool_speed_015=slow).found.word == "differs"
+    # a run that does not arrive has no time
+    assert (
+        row("tank-speed-010", tank_speed_010=batch(time_s=[40.0, 1.0], reached=[1, 0])).found.numbers["time_s"] == 40.0
+    )
+
+
+def test_the_position_error_is_that_of_every_run_that_arrived() -> None:
+    assert row("position-error-pool").found.word == "agrees"
+    assert row("position-error-pool", pool_ahead=batch(path_error_m=[0.01, 0.081])).found.word == "differs"
+    assert "pool-ahead" in row("position-error-pool", pool_ahead=batch(path_error_m=[0.01, 0.081])).found.verdict
+    lost = batch(path_error_m=[0.01, 0.9], reached=[1.0, 0.0])
+    assert row("position-error-pool", pool_ahead=lost).found.word == "agrees"
+    assert row("position-error-pool", pool_ahead=batch(path_error_m=[np.nan, 0.01])).found.word == "agrees"
+    assert row("position-error-tank", tank_moving=batch(path_error_m=0.043)).found.word == "agrees"  # about 0.04
+    assert row("position-error-tank", tank_moving=batch(path_error_m=0.044)).found.word == "differs"
+
+
+def test_an_avoidance_ends_with_a_second_without() -> None:
+    time = np.arange(0, 10, 0.05)
+    avoiding = ((time > 2) & (time < 3)) | ((time > 3.4) & (time < 4)) | (time > 6)
+    run = SimpleNamespace(record=SimpleNamespace(time=time), telemetry=lambda name: avoiding.astype(float)[:, None])
+    assert avoidances(run) == pytest.approx([2.05, 6.05])
+
+
+def test_every_instant_of_the_library_has_a_row() -> None:
+    ids = {item.id for item in instant_items(Flights(1))}
+    assert ids == {"pool-ahead-detected", "pool-behind-detected", "tank-moving-passed", "tank-static-transients"}
+
+
+def test_the_printed_hull_in_the_pool_is_reported_and_decides_nothing() -> None:
+    made = Flights(4)
+    assert len(hull_items(made)) == 7
+    item = next(item for item in hull_items(made) if item.id == "pool-static-printed-hull")
+    made._batches["pool-static", "truth", "sur540-flooded"] = batch(reached=[1, 0], collided=[0, 1])
+    assert item.row().as_expected and item.row().found.verdict.startswith("differs: 1 of 2 runs collided and 0")
+    made._batches["pool-static", "truth", "sur540-flooded"] = batch()
+    assert item.row().found.verdict == "agrees"
+
+
+def test_no_seeds_is_a_mistake() -> None:
+    with pytest.raises(InputError, match="at least 1"):
+        Flights(0)
