@@ -150,7 +150,10 @@ def guarded_law(
     velocity, halted = choice.velocity, ca.SX(0)
     named = [(f"contact_{k}", sector.normal, sector.bound) for k, sector in enumerate(sectors)]
     levels = [Wanted.of(task) for task in _lower_tasks(eta, wish, p)]
-    if scan is not None:
+    over_ground = planar_rotation(eta[3]) @ nu[:2]
+    if scan is None:
+        velocity = _braked(velocity, over_ground, [(sector.normal, sector.bound) for sector in sectors])
+    else:
         caution = _cautious_bounds(scan, deceleration, p)
         chased = ca.SX(0)
         for sector in sectors[:marks]:
@@ -163,7 +166,6 @@ def guarded_law(
             chased = ca.logic_or(chased, ca.logic_and(soon, inside(cautious, cone) > _DEEP))
         velocity = ca.if_else(chased, velocity, cautious)
         blind = ca.sum1(scan.heard[:, 2]) < 0.5
-        over_ground = planar_rotation(eta[3]) @ nu[:2]
         moving, still = sectors[:marks], sectors[marks:]
         velocity = _braked(velocity, over_ground, [(sector.normal, sector.bound) for sector in moving])
         velocity = _braked(velocity, over_ground, [*((sector.normal, sector.bound) for sector in still), *caution])

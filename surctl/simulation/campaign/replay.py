@@ -11,8 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from surctl import __version__
-from surctl.control import GAINS, Gains, load_gains
-from surctl.control.build import LawName
+from surctl.control import GAINS, Gains, LawName, load_gains
 from surctl.errors import InputError
 from surctl.files import Strict, read_toml, validate
 from surctl.guidance import AvoidanceForm
