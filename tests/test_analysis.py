@@ -49,13 +49,13 @@ def test_the_sweep_holds_what_its_readme_says(swept: tuple[subprocess.CompletedP
     assert done.returncode == 0, done.stdout + done.stderr
     said = {row[0]: row[2] for row in table(done.stdout) if len(row) == 3}
     assert said.pop("statement") == ""
-    assert sorted(said.values()) == ["holds"] * 7 + ["not asked"] * 2
+    assert sorted(said.values()) == ["holds"] * 6 + ["not asked"]
 
 
 def test_the_sweep_s_table(swept: tuple[subprocess.CompletedProcess[str], Path]) -> None:
     rows = [row for row in table(swept[0].stdout) if len(row) == 10][1:]
     assert [row[:2] for row in rows] == [[a, b] for a in ("0.6", "1.2") for b in ("0.5", "2", "3")]
-    assert [row[-1] for row in rows if row[1] == "0.5"] == ["touches"] * 2
+    assert "touches" not in {row[-1] for row in rows}
     assert sum(row[-1] == "**picked**" for row in rows) == 1
 
 
@@ -181,7 +181,7 @@ def test_the_study_of_tuning_compares_where_the_hand_gains_arrive(
     little = config.quick.model_copy(update={"seeds": 1, "trials": 32, "fresh": 8})
     status = study["study"](config.model_copy(update={"rounds": 1, "workers": 1}), little, tmp_path)
     printed = capsys.readouterr().out
-    assert "The hand gains do not arrive in 1 of them." in printed and "- tank-static/" in printed
+    assert "The hand gains do not arrive in none of them." in printed and "- tank-static/" in printed
     rows = [row for row in table(printed) if len(row) == 9 and row[0] != "goal"]
     assert [row[0] for row in rows[:7]] == [row[0] for row in rows[7:]] and len(rows) == 14
     by_hand = [float(row[4]) for row in rows]

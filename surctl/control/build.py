@@ -53,6 +53,7 @@ def build_law(
     contacts: int = CONTACT_SLOTS,
     sonar: bool = False,
     equipment: Equipment = DEFAULT_EQUIPMENT,
+    moving: bool = True,
 ) -> Law:
     """Assemble a law once; the gains stay symbols.
 
@@ -64,6 +65,7 @@ def build_law(
         contacts: slots for known obstacles; a law with fewer does the same as long as they suffice.
         sonar: whether it listens to the sonars; without them it needs true positions.
         equipment: what a law with sonars believes it senses with; `paper` has the paper's four sonars.
+        moving: whether a known obstacle may move; without that it does the same as long as none does.
 
     Raises:
         InputError: an unknown name, or a form that the law does not take.
@@ -81,7 +83,7 @@ def build_law(
     if law == "paper" and sonar and equipment.array != DEFAULT_ARRAY:
         raise InputError("law paper has the four sonars of the paper", key="array", remedy="fly law guarded")
     if law == "paper" or not sonar:
-        return _decide(law, avoidance, mode, dt, law_inputs(contacts, sonar=sonar), sonar=sonar)
+        return _decide(law, avoidance, mode, dt, law_inputs(contacts, sonar=sonar), sonar=sonar, moving=moving)
     told = scan_inputs(contacts + SECTORS, sensors=equipment.array.size)
     decide = _decide(law, avoidance, mode, dt, told)
     return _with_senses(decide, build_senses(equipment, sonar_inputs(equipment, contacts=contacts), told, dt=dt))
@@ -108,7 +110,14 @@ def _with_senses(decide: Law, senses: Senses) -> Law:
 
 
 def _decide(
-    law: LawName, avoidance: AvoidanceForm, mode: Mode, dt: float, inputs: Layout, *, sonar: bool = False
+    law: LawName,
+    avoidance: AvoidanceForm,
+    mode: Mode,
+    dt: float,
+    inputs: Layout,
+    *,
+    sonar: bool = False,
+    moving: bool = True,
 ) -> Law:
     """The law, or what of it comes after the senses."""
     scans = "unknown" in inputs
@@ -120,7 +129,7 @@ def _decide(
     wish = path_wish(us["eta"], xs["progress"], ps, dt=dt)
     seen = perceive(xs, us, ps, dt=dt)
     scan = Scan(us["unknown"], us["heard"], us["placed"]) if scans else None
-    decision = LAWS[law](Situation(avoidance, wish, seen, xs, us["eta"], us["nu"], ps, dt, scan))
+    decision = LAWS[law](Situation(avoidance, wish, seen, xs, us["eta"], us["nu"], ps, dt, scan, moving))
     nearest_clearance = ca.SX(100)
     for contact in seen.all:
         nearest_clearance = ca.fmin(nearest_clearance, contact.clearance)

@@ -118,6 +118,7 @@ def guarded_law(
     p: Mapping[str, ca.SX],
     *,
     scan: Scan | None = None,
+    moving: bool = True,
 ) -> Decision:
     """Path wish on the free course nearest to it; every contact bounds the closing speed by its braking distance.
 
@@ -131,7 +132,7 @@ def guarded_law(
         point = eta[:2] + (c.clearance + p["hull"]) * c.normal
         if marks <= k < len(seen.known):
             bound = ca.fmax(bound, -_GIVE_WAY)
-        elif k < len(seen.known):
+        elif moving and k < len(seen.known):
             evaded = _evaded(c, wish)
             bound = ca.if_else(ca.logic_and(evaded, c.clearance > p["margin"]), _NO_BOUND, bound)
             cones.append(_cone(c, evaded, point, eta, p))
@@ -166,8 +167,8 @@ def guarded_law(
             chased = ca.logic_or(chased, ca.logic_and(soon, inside(cautious, cone) > _DEEP))
         velocity = ca.if_else(chased, velocity, cautious)
         blind = ca.sum1(scan.heard[:, 2]) < 0.5
-        moving, still = sectors[:marks], sectors[marks:]
-        velocity = _braked(velocity, over_ground, [(sector.normal, sector.bound) for sector in moving])
+        told, still = sectors[:marks], sectors[marks:]
+        velocity = _braked(velocity, over_ground, [(sector.normal, sector.bound) for sector in told])
         velocity = _braked(velocity, over_ground, [*((sector.normal, sector.bound) for sector in still), *caution])
         for sector in sectors[-len(seen.walls) :]:  # whose normals are at right angles: one after the other is exact
             velocity -= ca.fmax(ca.dot(velocity, sector.normal) - sector.bound, 0) * sector.normal

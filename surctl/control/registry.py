@@ -16,7 +16,7 @@ LawBuilder: TypeAlias = Callable[[Situation], Decision]
 
 
 def _guarded(s: Situation) -> Decision:
-    return guarded_law(s.wish, s.seen, s.x, s.eta, s.nu, s.p, scan=s.scan)
+    return guarded_law(s.wish, s.seen, s.x, s.eta, s.nu, s.p, scan=s.scan, moving=s.moving)
 
 
 def _paper(s: Situation) -> Decision:

@@ -298,6 +298,17 @@ static double excess(double vx, double vy, const Sector *sector, int count)
     return worst;
 }
 
+/* more than the velocity loop alone would brake, where the robot is faster than a bound */
+static void brake_beyond(double vx, double vy, const Sector *sector, int count, double velocity[2])
+{
+    double over = 0, nx = 0, ny = 0;
+    for (int k = 0; k < count; k++) {
+        double excess = vx * sector[k].nx + vy * sector[k].ny - sector[k].bound;
+        if (excess > over) over = excess, nx = sector[k].nx, ny = sector[k].ny;
+    }
+    velocity[0] -= 4 * over * nx, velocity[1] -= 4 * over * ny;
+}
+
 typedef struct { double side, blocker[2]; } Latch;
 
 static int choose(const Scene *s, const double wish[2], const Sector *sector, int count, Latch *latch, double out[2])
@@ -629,6 +640,7 @@ static void fly(const Scene *s, const Gains *g, const Luck *luck, Jump *step, ui
         /* priority: velocity, then depth, then heading */
         double velocity[2];
         int avoiding = choose(s, wish, sector, sectors, &latch, velocity);
+        brake_beyond(c * x[4] - sn * x[5], sn * x[4] + c * x[5], sector, sectors, velocity);
         wanted[0] = c * velocity[0] + sn * velocity[1], wanted[1] = -sn * velocity[0] + c * velocity[1];
         double off = heading - eta[3];
         wanted[2] = g->k2 * (s->depth - eta[2]);

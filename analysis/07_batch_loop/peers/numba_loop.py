@@ -273,6 +273,18 @@ def excess(vx, vy, sector, count):
 
 
 @jit
+def brake_beyond(vx, vy, sector, count, velocity):
+    """More than the velocity loop alone would brake, where the robot is faster than a bound."""
+    over, nx, ny = 0.0, 0.0, 0.0
+    for k in range(count):
+        excess = vx * sector[k, 0] + vy * sector[k, 1] - sector[k, 2]
+        if excess > over:
+            over, nx, ny = excess, sector[k, 0], sector[k, 1]
+    velocity[0] -= 4 * over * nx
+    velocity[1] -= 4 * over * ny
+
+
+@jit
 def choose(s, wx, wy, sector, count, latch, out):
     wished = max(length2(wx, wy), 1e-3)
     ax, ay, retreat = wx / wished, wy / wished, 0.0
@@ -639,6 +651,7 @@ def fly(s, g, luck, random, out):
             sec[2] = bound_of(distance - hull - g[MARGIN], at, brake, g[REACTION])
 
         avoiding = choose(s, wish_x, wish_y, sector, sectors, latch, velocity)
+        brake_beyond(c * x[4] - sn * x[5], sn * x[4] + c * x[5], sector, sectors, velocity)
         wanted[0], wanted[1] = c * velocity[0] + sn * velocity[1], c * velocity[1] - sn * velocity[0]
         off = heading - eta[3]
         wanted[2] = g[K2] * (s[DEPTH] - eta[2])

@@ -25,7 +25,8 @@ _CHANGED = 1e-3  # [m/s] from which a velocity is no longer the wish
 class Situation(NamedTuple):
     """What a law decides on, symbolic: wish, contacts, own state, pose and velocity, gains and mission by name.
 
-    `form` of (20) and `dt` [s] are those of `build_law`; `scan` is None for a law without sonars.
+    `form` of (20) and `dt` [s] are those of `build_law`; `scan` is None for a law without sonars;
+    `moving` says whether a contact may move.
     """
 
     form: AvoidanceForm
@@ -37,6 +38,7 @@ class Situation(NamedTuple):
     p: Mapping[str, ca.SX]
     dt: float
     scan: Scan | None
+    moving: bool = True
 
 
 def decided(s: Situation, velocity: ca.SX, *, degraded: ca.SX, rows: Sequence[HalfPlane] = ()) -> Decision:

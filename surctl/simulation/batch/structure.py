@@ -42,6 +42,11 @@ class Structure:
         return self.faults > 0 or self.chances
 
     @property
+    def moving(self) -> bool:
+        """Whether what the law is told of may move."""
+        return self.sensing == "sonar" or any(kind not in ("box", "disc") for kind in self.bodies)
+
+    @property
     def movers(self) -> int:
         """Number of moving obstacles."""
         return self.bodies.count("mover")

@@ -61,6 +61,7 @@ def build_loop(structure: Structure) -> Loop:
         contacts=structure.contacts,
         sonar=structure.sensing == "sonar",
         equipment=structure.equipment,
+        moving=structure.moving,
     )
     state, parameters = Layout(_state_ports(law, structure)), Layout(_parameter_ports(structure))
     builder = _Builder(structure, law, state, parameters)

@@ -1,7 +1,5 @@
 """Campaigns: the same whatever they are cut into, counted right, and judged by what was assumed."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -82,12 +80,10 @@ def test_a_row_tells_all_and_so_does_a_line():
 
 
 def test_a_collision_names_what_was_not_assumed():
-    quick = plan("tank-moving")  # a mover goes 0.25 m/s
+    quick = plan("pool-behind")  # the overtaker goes 0.2 m/s, and more in some draws
     flown = fly_campaign(quick, runs=40)
     hit = flown.table.column("collided") > 0.5
     assert 0 < hit.sum() < 40
     for k in range(40):
         assert ("obstacle speed" in flown.table.broken[k]) == bool(hit[k])
-    slow = replace(quick.case.scenario, obstacles=quick.case.scenario.obstacles[:1])
-    still = replace(quick, case=replace(quick.case, scenario=slow))
-    assert not any(fly_campaign(still, runs=5).table.broken)
+    assert not any(fly_campaign(plan("tank-static"), runs=5).table.broken)  # nothing moves
