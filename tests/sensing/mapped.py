@@ -35,13 +35,14 @@ def firing(apex, axis, distance, *, half, edge=EDGE, array=SonarArray()):  # noq
     """What a range [m] says to the map."""
     blind, reading = distance <= array.minimum, min(max(distance, array.minimum), array.maximum)
     echo = reading < array.maximum - 0.1
+    clear = max(reading - READING_ERROR - DIAGONAL * edge, 0.0)
     return (
         *apex,
         math.cos(axis),
         math.sin(axis),
         math.cos(half),
         math.sin(half),
-        0.0 if blind else max(reading - READING_ERROR - DIAGONAL * edge, 0.0),
+        -max(clear, 1e-3) if blind else clear,
         0.0 if blind else max(reading - READING_ERROR - 0.5 * edge, 0.0),
         reading + READING_ERROR + 0.5 * edge if echo else -1.0,
         reading + EXPLAINS * edge + 0.01,

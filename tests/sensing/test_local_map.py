@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from surctl.errors import InputError
 from surctl.ir import Layout, compile_block, replay
 from surctl.sensing import LocalMap, map_step, map_view
-from surctl.sensing.local_map import READING, RING
+from surctl.sensing.local_map import BLIND, READING, RING
 from surctl.world import Disc
 from tests.raycasting import heard_along
 from tests.sensing.mapped import EDGE, EMPTY, HULL, SPIN, directions, firing, journey
@@ -81,7 +81,7 @@ def test_the_routine_and_the_numbers_agree(name):
     ):
         same(chart, found, expected)
     cells, nearest = np.array([m[0] for m in made]), np.array([m[2:] for m in made])[:, :, 2::3]
-    assert {-1.0, 1.0} <= set(np.unique(cells))
+    assert cells.min() == -1.0 and cells.max() in (BLIND, 1.0)  # the smallest holds what is blind alone
     assert np.any((cells > 0) & (cells < 1)) and np.any((cells < 0) & (cells > -1))
     if chart.side > 7:  # otherwise the hull is all of it
         assert all(np.any(nearest[:, k] < FAR) and np.any(nearest[:, k] == FAR) for k in range(2))
@@ -411,6 +411,20 @@ def test_an_echo_that_a_mark_explains_marks_nothing_known_to_be_free():
     assert chart.at(*cleared) == -1.0
     chart((0.0, 0.0), firing((HULL, 0.0), 0.0, 1.0, half=half))
     assert chart.at(*cleared) < -0.9 and chart.at(HULL + math.cos(0.3), -math.sin(0.3)) == 1.0
+
+
+def test_a_blind_firing_leaves_what_was_ranged_and_clears_what_it_marked_itself():
+    """Nearer than its blind range a sonar says no more than that: it must not wipe out what it came near to."""
+    half, ahead, axis = math.radians(37.5), 10.5 * EDGE, 0.5 * EDGE  # along the middle of a row of cells
+    chart = Chart()((0.0, axis), firing((HULL, axis), 0.0, ahead - HULL, half=half))
+    assert chart.at(ahead, axis) == 1.0
+    near, blind = ahead - 0.1 - HULL, firing((ahead - 0.1, axis), 0.0, 0.1, half=half)
+    chart((near, axis), blind)
+    assert chart.at(ahead, axis) > 0.99
+    wrong = (*blind[:6], -blind[6], *blind[7:])  # as if it had been ranged
+    assert chart((near, axis), wrong).at(ahead, axis) == -1.0
+    fresh = Chart()((near, axis), blind)
+    assert fresh.at(ahead, axis) == -1.0 and fresh.at(ahead + 2 * EDGE, axis) == BLIND
 
 
 def test_a_reading_has_the_numbers_that_it_says():
