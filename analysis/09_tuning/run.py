@@ -82,7 +82,8 @@ def study(config: Config, size: Size, out: Path) -> int:
     cases = [Case(leg.scenario, leg.vehicle, plan.gains, law=plan.law) for leg in plan.deciding]
     flown = conditions(cases, seeds=range(size.seeds))
     hand = Hand.flown(plan.goals, flown, plan.gains)
-    print(f"{len(flown)} runs a gain set. The hand gains do not arrive in {len(hand.lost) or 'none'} of them.\n")
+    arrive = f"do not arrive in {len(hand.lost)}" if hand.lost else "arrive in all"
+    print(f"{len(flown)} runs a gain set. The hand gains {arrive} of them.\n")
     for one in hand.lost:
         print(f"- {one.label}")
     space, found = gain_ranges(plan.gains, TUNED), []
