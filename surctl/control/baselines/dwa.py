@@ -12,14 +12,13 @@ import casadi as ca
 import numpy as np
 
 from surctl.control.baselines.situation import (
-    NEVER,
     Situation,
     acceleration,
     decided,
+    first_contact,
     length,
     limited,
     over_ground,
-    time_to_contact,
 )
 from surctl.control.laws import Decision
 
@@ -54,7 +53,7 @@ def dwa_law(s: Situation) -> Decision:
     most, found = ca.SX(-1.0), ca.SX(0)
     for velocity in window:
         velocity = limited(velocity, s.p["cap"])
-        first = _first(s, velocity)
+        first = first_contact(s, velocity, extra=EXTRA)
         speed = length(velocity)
         admissible = speed <= 2 * brake * first
         value = ca.if_else(admissible, _value(s, velocity, speed, first), -1.0)
@@ -62,15 +61,6 @@ def dwa_law(s: Situation) -> Decision:
         best, most = ca.if_else(better, velocity, best), ca.fmax(value, most)
         found = ca.logic_or(found, admissible)
     return decided(s, best, degraded=ca.logic_not(found))
-
-
-def _first(s: Situation, velocity: ca.SX) -> ca.SX:
-    first = ca.SX(NEVER)
-    for contact in [*s.seen.known, *s.seen.echoes]:
-        first = ca.fmin(first, time_to_contact(velocity, contact, margin=s.p["margin"] + EXTRA))
-    for wall in s.seen.walls:
-        first = ca.fmin(first, time_to_contact(velocity, wall, margin=s.p["margin"] + EXTRA, flat=True))
-    return first
 
 
 def _value(s: Situation, velocity: ca.SX, speed: ca.SX, first: ca.SX) -> ca.SX:

@@ -14,7 +14,17 @@ from surctl.guidance import AvoidanceForm, Contact
 from surctl.tasks import HalfPlane, depth_task, heading_task, velocity_task
 from surctl.vehicle import planar_rotation
 
-__all__ = ["NEVER", "Situation", "acceleration", "decided", "length", "limited", "over_ground", "time_to_contact"]
+__all__ = [
+    "NEVER",
+    "Situation",
+    "acceleration",
+    "decided",
+    "first_contact",
+    "length",
+    "limited",
+    "over_ground",
+    "time_to_contact",
+]
 
 NEVER = 1e3
 """[s] to a contact that is not met."""
@@ -99,3 +109,19 @@ def time_to_contact(velocity: ca.SX, contact: Contact, *, margin: ca.SX, flat: b
     first = ca.fmax(rest, 0) / ca.fmax(half + ca.sqrt(ca.fmax(disc, 0)), 1e-9)
     first = ca.if_else(gap > 0, first, 0)
     return ca.if_else(ca.logic_and(nearing, disc > 0), ca.fmin(first, NEVER), NEVER)
+
+
+def first_contact(s: Situation, velocity: ca.SX, *, extra: float) -> ca.SX:
+    """Time [s] until a velocity (2, 1) [m/s] in {E} meets the first contact or wall; `NEVER` at the most.
+
+    Args:
+        s: what is around.
+        velocity: kept all the time.
+        extra: clearance beyond the margin at which a thing counts as met [m].
+    """
+    margin, first = s.p["margin"] + extra, ca.SX(NEVER)
+    for contact in [*s.seen.known, *s.seen.echoes]:
+        first = ca.fmin(first, time_to_contact(velocity, contact, margin=margin))
+    for wall in s.seen.walls:
+        first = ca.fmin(first, time_to_contact(velocity, wall, margin=margin, flat=True))
+    return first

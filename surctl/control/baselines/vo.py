@@ -13,7 +13,7 @@ from math import cos, sin
 import casadi as ca
 import numpy as np
 
-from surctl.control.baselines.situation import NEVER, Situation, decided, length, time_to_contact
+from surctl.control.baselines.situation import Situation, decided, first_contact, length
 from surctl.control.laws import Decision
 
 __all__ = ["COURSES", "HORIZON", "SAFETY", "SPEEDS", "vo_law"]
@@ -54,11 +54,7 @@ def vo_law(s: Situation) -> Decision:
 
 
 def _cost(s: Situation, velocity: ca.SX) -> ca.SX:
-    first = ca.SX(NEVER)
-    for contact in [*s.seen.known, *s.seen.echoes]:
-        first = ca.fmin(first, time_to_contact(velocity, contact, margin=s.p["margin"] + EXTRA))
-    for wall in s.seen.walls:
-        first = ca.fmin(first, time_to_contact(velocity, wall, margin=s.p["margin"] + EXTRA, flat=True))
+    first = first_contact(s, velocity, extra=EXTRA)
     forbidden = _FORBIDDEN + SAFETY / ca.fmax(first, 1e-2)
     return length(velocity - s.wish.velocity) + ca.if_else(first < HORIZON, forbidden, 0)
 
