@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import finish, progress
+from surctl.cli.output import finish, progress, together
+from surctl.cli.single_run import explained_and_drawn, run_line
 
 if TYPE_CHECKING:
     from surctl.cli.sensor_options import SensorOptions
@@ -22,7 +22,7 @@ __all__ = ["CampaignOptions", "campaign_options", "fly_again"]
 MOST_ROWS = 100  # printed as JSON; DIR has them all
 WORLDS_VEHICLE = "sur540-flooded"
 
-_OPTIONS = (
+campaign_options = together(
     click.option("--monte-carlo", is_flag=True, help="Draw plant and obstacles of every run, on the compiled loop."),
     click.option(
         "--random-worlds", "worlds", type=click.IntRange(1, 1_000_000), metavar="N", help="Fly N drawn worlds instead."
@@ -36,14 +36,7 @@ _OPTIONS = (
         "--from", "replayed", type=click.Path(path_type=Path), metavar="FILE", help="Fly a run of DIR/worst again."
     ),
 )
-C = TypeVar("C", bound=Callable[..., Any])
-
-
-def campaign_options(command: C) -> C:
-    """Give a command the options; it takes them as `monte_carlo`, `worlds`, `worst`, `threads`, `fresh`, `replayed`."""
-    for option in reversed(_OPTIONS):
-        command = option(command)
-    return command
+"""Give a command the options; it takes them as `monte_carlo`, `worlds`, `worst`, `threads`, `fresh`, `replayed`."""
 
 
 @dataclass(frozen=True)
@@ -206,10 +199,7 @@ def fly_again(path: Path, *, explained: bool, out: Path | None, as_json: bool) -
 
     Exit status 1 if it did not, or if the run does not arrive.
     """
-    from dataclasses import asdict
-
     from surctl.files import prepare_folder
-    from surctl.simulation import explain
     from surctl.simulation.campaign import load_replay
 
     for name, source in _given().items():
@@ -222,24 +212,13 @@ def fly_again(path: Path, *, explained: bool, out: Path | None, as_json: bool) -
         prepare_folder(out)
     replay = load_replay(path)
     run = replay.flight.fly()
-    difference, m = replay.difference(run), run.metrics
+    difference = replay.difference(run)
     same = difference <= SAME
     result = run.to_dict() | {"campaign": replay.campaign, "same": same, "largest_difference": difference}
     verdict = "as in the campaign" if same else f"NOT as in the campaign ({replay.stopped_because})"
-    lines = [
-        f"{run.scenario.name} by {run.vehicle.name}, {run.sensing}, seed {run.seed}: {m.stopped_because} at "
-        f"{m.time_s:.2f} s, least clearance {m.min_clearance_m:.3f} m, path error {m.path_error_m:.3f} m: {verdict}, "
-        f"largest difference {difference:.1g}"
-    ]
-    if explained:
-        told = explain(run)
-        result["explanations"] = [asdict(one) for one in told]
-        lines += [f"  {one.time_s:6.2f} s  {one.text}" for one in told]
-    if out is not None:
-        from surctl.report import save_run
-
-        lines.append(f"  {save_run(run, out)}")
-    finish({"runs": [result]}, lines, as_json=as_json, passed=same and m.reached)
+    lines = [f"{run_line(run)}: {verdict}, largest difference {difference:.1g}"]
+    lines += explained_and_drawn(run, result, explained=explained, out=out)
+    finish({"runs": [result]}, lines, as_json=as_json, passed=same and run.metrics.reached)
 
 
 SAME = 1e-9

@@ -5,13 +5,27 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 
-__all__ = ["as_json", "finish", "finite", "out_folder", "progress"]
+__all__ = ["as_json", "finish", "finite", "out_folder", "progress", "together"]
+
+C = TypeVar("C", bound=Callable[..., Any])
+
+
+def together(*options: Callable[[C], C]) -> Callable[[C], C]:
+    """Several options as one decorator; the help has them in this order."""
+
+    def decorate(command: C) -> C:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorate
+
 
 as_json = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else there."

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import degrees, isfinite, radians
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
+
+from surctl.cli.output import together
 
 if TYPE_CHECKING:
     from surctl.sensing import Fault, FaultChances, SonarArray
@@ -25,7 +27,7 @@ _PARTS = {
     "duration_s": ("duration", "give s, greater than 0"),
     "delay_s": ("delay", "give 0.1 to 0.8 s"),
 }
-_OPTIONS = (
+sensor_options = together(
     click.option(
         "--fault",
         "faults",
@@ -43,14 +45,7 @@ _OPTIONS = (
     click.option("--beam", type=float, metavar="DEGREES", help="Full opening angle of the sonars' beams."),
     click.option("--own-state", help="What the law knows of itself: measured, or the truth."),
 )
-C = TypeVar("C", bound=Callable[..., Any])
-
-
-def sensor_options(command: C) -> C:
-    """Give a command the options; it takes them as `faults`, `chances`, `beam`, `own_state`."""
-    for option in reversed(_OPTIONS):
-        command = option(command)
-    return command
+"""Give a command the options; it takes them as `faults`, `chances`, `beam`, `own_state`."""
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 
 import click
@@ -10,6 +9,7 @@ import click
 from surctl.cli.campaign import CampaignOptions, campaign_options, fly_again
 from surctl.cli.output import as_json, finish, out_folder, progress
 from surctl.cli.sensor_options import SensorOptions, sensor_options, sensors_told
+from surctl.cli.single_run import explained_and_drawn, run_line
 
 __all__ = ["simulate"]
 
@@ -70,7 +70,7 @@ def simulate(
     campaign.check(scenarios=scenarios, runs=runs, explained=explained, out=out)
     from surctl.control import build_law, load_gains
     from surctl.files import prepare_folder
-    from surctl.simulation import explain, halt_reason, load_scenario
+    from surctl.simulation import halt_reason, load_scenario
     from surctl.simulation import simulate as fly
     from surctl.vehicle import load_vehicle
 
@@ -111,30 +111,12 @@ def simulate(
             results.append(run.to_dict())
             if sensing == "sonar":
                 results[-1]["sensors"] = sensors_told(scenario)
-            m = run.metrics
-            line = (
-                f"{scenario.name} by {flown.name}, {sensing}, seed {k}: {m.stopped_because} at {m.time_s:.2f} s, "
-                f"least clearance {m.min_clearance_m:.3f} m, path error {m.path_error_m:.3f} m"
-            )
-            lines.append(line)
+            lines.append(run_line(run))
             if as_json:
-                progress(line)
-            if m.stopped_because == "halted":
+                progress(lines[-1])
+            if run.metrics.stopped_because == "halted":
                 results[-1]["halted_because"] = halt_reason(run)
                 lines.append(f"  halted: {results[-1]['halted_because']}")
-            if explained:
-                told = explain(run)
-                results[-1]["explanations"] = [asdict(one) for one in told]
-                lines += [f"  {one.time_s:6.2f} s  {one.text}" for one in told]
-            if out is not None:
-                lines.append(f"  {_plot(run, out)}")
+            lines += explained_and_drawn(run, results[-1], explained=explained, out=out)
     good = all(r["reached"] and r["min_clearance_m"] > 0 for r in results)
     finish({"runs": results}, lines, as_json=as_json, passed=good)
-
-
-def _plot(run: object, out: Path) -> Path:
-    from surctl.report import save_run
-    from surctl.simulation import Run
-
-    assert isinstance(run, Run)
-    return save_run(run, out)

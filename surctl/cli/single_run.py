@@ -1,0 +1,37 @@
+"""What a command prints of one closed-loop run."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from surctl.simulation import Run
+
+__all__ = ["explained_and_drawn", "run_line"]
+
+
+def run_line(run: Run) -> str:
+    """Who flew what, and how it ended."""
+    m = run.metrics
+    return (
+        f"{run.scenario.name} by {run.vehicle.name}, {run.sensing}, seed {run.seed}: {m.stopped_because} at "
+        f"{m.time_s:.2f} s, least clearance {m.min_clearance_m:.3f} m, path error {m.path_error_m:.3f} m"
+    )
+
+
+def explained_and_drawn(run: Run, result: dict[str, Any], *, explained: bool, out: Path | None) -> list[str]:
+    """Further lines: explanations, which go into `result` too, and the plot in the folder `out`."""
+    lines = []
+    if explained:
+        from surctl.simulation import explain
+
+        told = explain(run)
+        result["explanations"] = [asdict(one) for one in told]
+        lines += [f"  {one.time_s:6.2f} s  {one.text}" for one in told]
+    if out is not None:
+        from surctl.report import save_run
+
+        lines.append(f"  {save_run(run, out)}")
+    return lines
