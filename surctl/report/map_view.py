@@ -17,9 +17,10 @@ from surctl.errors import InputError
 from surctl.report.plan_view import body_outline, describe
 from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, new_figure
 from surctl.sensing import LocalMap
+from surctl.sensing import map_view as map_values
 from surctl.simulation import Run
 
-__all__ = ["MapView", "map_view", "plot_map", "plot_maps", "world_order"]
+__all__ = ["MapView", "map_view", "plot_map", "plot_maps"]
 
 _COLOURS = {"unknown": "#DADCE0", "free": "#CDE7DD", "marked": AVOIDING}
 
@@ -47,24 +48,6 @@ class MapView:
     heading: float
 
 
-def world_order(
-    cells: NDArray[np.float64], corner: NDArray[np.float64], *, blocks: int, block: int
-) -> NDArray[np.float64]:
-    """The cells of a `LocalMap` as they lie in {E}: (N, N), row k the k-th along y from the window's corner.
-
-    They are kept block after block on a torus: world cell i stands where i mod N falls.
-
-    Args:
-        cells: (N²,) as the map's state has them.
-        corner: (2,) lowest cell of the window along x and y, whole numbers.
-        blocks, block: blocks a side, and cells a side of a block; N is their product.
-    """
-    side = blocks * block
-    laid = np.asarray(cells).reshape(blocks, blocks, block, block).swapaxes(1, 2).reshape(side, side)
-    column, row = (int(np.floor(c)) % side for c in corner)
-    return np.roll(laid, (-row, -column), axis=(0, 1))
-
-
 def map_view(run: Run, tick: int) -> MapView:
     """The map of a run after one control period.
 
@@ -82,7 +65,7 @@ def map_view(run: Run, tick: int) -> MapView:
         raise InputError("is not in the record", key="tick", value=tick, remedy=f"give 0 to {len(record.time) - 2}")
     after, known = record.law_state[tick + 1], LocalMap(dt=law.dt)
     cells, corner = (after[law.state.slice(f"map_{name}")] for name in ("cells", "corner"))
-    values = world_order(cells, corner, blocks=known.blocks, block=known.block)
+    values, _, _ = map_values(known, cells, corner)
     edge = float(record.law_parameters[law.gains.slice("hull")][0]) / CELLS_A_HULL
     kinds = np.where(values > 0, 2, np.where(values < -known.known, 1, 0))
     way, heading = record.eta[: tick + 1, :2], float(record.eta[tick, 3])

@@ -16,7 +16,8 @@ from matplotlib.collections import QuadMesh
 from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.report import map_view, plot_map, plot_maps
-from surctl.report.map_view import world_order
+from surctl.sensing import LocalMap
+from surctl.sensing import map_view as map_values
 from surctl.simulation import Run, Sensing, load_scenario, simulate
 from surctl.vehicle import load_vehicle
 
@@ -40,7 +41,7 @@ def drawn(ax: Axes) -> Axes:
 def test_a_cell_is_found_where_it_lies(blocks: int, block: int, corner: tuple[int, int], seed: int) -> None:
     side = blocks * block
     cells = np.random.default_rng(seed).random(side * side)
-    laid = world_order(cells, np.array(corner, dtype=float), blocks=blocks, block=block)
+    laid, _, _ = map_values(LocalMap(dt=0.05, blocks=blocks, block=block), cells, np.array(corner, dtype=float))
     for row in range(side):
         for column in range(side):
             x, y = (corner[0] + column) % side, (corner[1] + row) % side  # where on the torus
