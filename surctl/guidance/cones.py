@@ -25,6 +25,8 @@ class Cone(NamedTuple):
         ahead: (2, 1) unit vector robot → contact.
         left_bound, right_bound: [m/s].
         ahead_bound: [m/s], above which it is met within the horizon.
+        closing: velocity of the contact along `ahead` [m/s], negative when it comes nearer.
+        room: clearance that is left before the stand-off [m], not negative.
         there: 1 where there is something to meet.
         point: (2, 1) [m] in {E}, where it is.
     """

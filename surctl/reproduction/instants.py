@@ -8,7 +8,7 @@ import numpy as np
 
 from surctl.reproduction.flights import Flights, scenario_names
 from surctl.reproduction.row import Found, Item, agrees, differs
-from surctl.reproduction.scenarios import time_verdict
+from surctl.reproduction.scenarios import ABOUT, time_verdict
 from surctl.simulation import Run
 from surctl.world import Box, Disc
 
@@ -64,7 +64,7 @@ def _transients(flights: Flights, name: str) -> Found:
     told = f"avoidance begins at {', '.join(f'{t:.1f}' for t in ours) or 'no time'} s"
     numbers = {f"begins_{k}_s": t for k, t in enumerate(ours)}
     off = [min((abs(t - t0) / t0 for t in ours), default=np.inf) for t0 in paper]
-    if len(ours) == len(paper) and max(off) <= 0.08:
+    if len(ours) == len(paper) and max(off) <= ABOUT:
         return agrees(told, **numbers)
     scenario, radius = flights.scenario(name), flights.run(name).vehicle["radius"]
     path = [(float(x), float(y)) for x, y in np.linspace(scenario.start, scenario.target, 200)]

@@ -96,16 +96,15 @@ def _flown(flights: Flights, name: str, sensing: Sensing) -> Found:
     flown, scenario = flights.batch(name, sensing), flights.scenario(name)
     times, collided = flights.arrived(name, sensing, "time_s"), int(flown.column("collided").sum())
     reached, runs = len(times), flown.runs
+    told, lost = _ended(reached, collided, runs)
     error = _mean(flights.arrived(name, sensing, "path_error_m"))
     numbers = {"runs": float(runs), "reached": float(reached), "collided": float(collided), "path_error_m": error}
     numbers["min_clearance_m"] = float(flown.column("min_clearance_m").min())
-    told = f"{reached} of {runs} arrived, {collided} collided"
     if reached:
         numbers |= {"time_s": float(times.mean()), "time_sd_s": float(times.std())}
         told += f", {times.mean():.2f} ± {times.std():.2f} s, E_p {error:.3f} m"
     if collided or reached < runs:
-        why = f"{collided} of {runs} runs collided and {runs - reached - collided} did not arrive"
-        return Found(told, "differs", why, numbers, safe=False)
+        return Found(told, "differs", lost, numbers, safe=False)
     paper = scenario.paper
     if paper.time_s is None:
         return Found(told, "agrees", numbers=numbers, safe=True)
@@ -126,14 +125,18 @@ def _hull(flights: Flights, name: str) -> Found:
     """Decides nothing: `safe` is left open."""
     flown = flights.batch(name, "truth", PRINTED_HULL)
     reached, collided, runs = int(flown.column("reached").sum()), int(flown.column("collided").sum()), flown.runs
-    told = f"{reached} of {runs} arrived, {collided} collided"
+    told, lost = _ended(reached, collided, runs)
     numbers = {"runs": float(runs), "reached": float(reached), "collided": float(collided)}
     if reached == runs:
         return agrees(told, **numbers)
     least = float(flown.column("min_clearance_m").min())
-    lost = f"{collided} of {runs} runs collided and {runs - reached - collided} did not arrive"
-    why = f"{lost}, least clearance {least:.3f} m"
-    return differs(told, why, **numbers)
+    return differs(told, f"{lost}, least clearance {least:.3f} m", **numbers)
+
+
+def _ended(reached: int, collided: int, runs: int) -> tuple[str, str]:
+    """How many runs ended well, and how many did not, in words."""
+    told = f"{reached} of {runs} arrived, {collided} collided"
+    return told, f"{collided} of {runs} runs collided and {runs - reached - collided} did not arrive"
 
 
 def _judged_time(flights: Flights, name: str, sensing: Sensing) -> float:

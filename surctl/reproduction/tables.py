@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from surctl.reproduction.row import Found, Item, Word, agrees, differs, wrong_in_print
+from surctl.reproduction.scenarios import ABOUT
 from surctl.sensing import SonarArray
 from surctl.sensing.table2 import MEDIA, Medium, table_ii
 
@@ -62,7 +63,7 @@ def _sensor(name: str) -> Found:
     ours, printed = float(getattr(SonarArray(), "blind" if name == "minimum" else name)), _PRINTED[name]
     text = f"{ours:.4g} m" if name != "resolution" else f"{1e3 * ours:.2f} mm"
     # a step that is finer than "about 5 mm" resolves that too
-    if ours <= 1.08 * printed if name == "resolution" else abs(ours - printed) <= 1e-9:
+    if ours <= (1 + ABOUT) * printed if name == "resolution" else abs(ours - printed) <= 1e-9:
         return agrees(text, metres=ours)
     return differs(text, f"{SonarArray().bits} bits over {SonarArray().maximum:g} m, as II-B says", metres=ours)
 

@@ -168,9 +168,10 @@ def _tick(law: Law) -> tuple[ca.Function, ca.Function]:
     """(state, data, p, plant) → (next state, y_e², thrust², distance to go, clearances); and → its branches."""
     state = ca.SX.sym("state", PLANT_STATE.size + law.state.size)
     data = ca.SX.sym("data", CONTACT_SLOTS * _ROW + 2 * _HALVES)
-    p, world = ca.SX.sym("p", law.gains.size), ca.SX.sym("plant", len(_plant_names()))
-    sizes = np.cumsum([0, advance().size1_in(3), 2, 2, 1, 4, 4])
-    plant, current, target, hull, gain, bias = ca.vertsplit(world, sizes.tolist())
+    # the plant's parameters, current x, y, target x, y, hull radius, the thrust's gains and biases
+    ends = np.cumsum([0, advance().size1_in(3), 2, 2, 1, 4, 4]).tolist()
+    p, world = ca.SX.sym("p", law.gains.size), ca.SX.sym("plant", ends[-1])
+    plant, current, target, hull, gain, bias = ca.vertsplit(world, ends)
     body, memory = state[: PLANT_STATE.size], state[PLANT_STATE.size :]
     position = body[:2]
     contacts, clearances = [], []
@@ -206,11 +207,6 @@ def _tick(law: Law) -> tuple[ca.Function, ca.Function]:
 
 def _disturbance(current: ca.SX, force: ca.SX) -> dict[str, ca.SX]:
     return {"current": ca.vertcat(current, 0), "force": ca.vertcat(force, 0, 0)}
-
-
-def _plant_names() -> range:
-    """Entries of the plant vector: parameters, current x, y, target x, y, hull radius, thrust's gains and biases."""
-    return range(advance().size1_in(3) + 13)
 
 
 def _with_slopes(program: Program) -> Program:
