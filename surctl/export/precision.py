@@ -18,7 +18,8 @@ Vector = NDArray[np.float64]
 REALS: tuple[Real, ...] = ("float64", "float32")
 
 _NONFINITE = -2
-_BATCH = 64  # steps that are replayed at once: every intermediate number of them is in memory
+_IN_MEMORY = 20_000_000  # intermediate numbers that are in memory at once
+_NUMPY: dict[Real, type[np.float64] | type[np.float32]] = {"float64": np.float64, "float32": np.float32}
 
 
 class Rows(NamedTuple):
@@ -46,16 +47,18 @@ class _Step(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Rounded:
-    """An exportable law in float32: what the same instructions give when every number is a float.
+    """An exportable law replayed instruction by instruction, every number rounded to `real`.
 
     The reference semantics of the exported C in that precision: IEEE 754 defines each operation to the last bit.
-    All vectors are arrays of doubles that hold floats.
+    All vectors are arrays of doubles, which hold floats for float32.
 
     Attributes:
         law: the law; its block must not use the mathematical library, whose last bits no standard defines.
+        real: the precision.
     """
 
     law: Exportable
+    real: Real = "float32"
 
     @property
     def name(self) -> str:
@@ -94,7 +97,7 @@ class Rounded:
 
     def initial_state(self) -> Vector:
         """State before the first step (nx,)."""
-        return rounded(self.law.initial_state())
+        return rounded(self.law.initial_state(), self.real)
 
     def step(self, x: Vector, u: Vector, p: Vector) -> _Step:
         """One guarded step: anything non-finite gives tau = 0, x_next = x, status NONFINITE."""
@@ -103,7 +106,10 @@ class Rounded:
 
     def steps(self, X: Vector, U: Vector, P: Vector) -> Rows:
         """One step from each row of X (T, nx), U (T, nu), P (T, np)."""
-        parts = [self._batch(*(rounded(v[at : at + _BATCH]) for v in (X, U, P))) for at in range(0, len(X), _BATCH)]
+        some = max(1, _IN_MEMORY // max(1, self.law.block.operations))
+        parts = [
+            self._batch(*(rounded(v[at : at + some], self.real) for v in (X, U, P))) for at in range(0, len(X), some)
+        ]
         return Rows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def _batch(self, X: Vector, U: Vector, P: Vector) -> Rows:
@@ -118,7 +124,7 @@ class Rounded:
         if not taken.size:
             return safe
         given = X[taken], U[taken], P[taken]
-        made = [np.asarray(y, dtype=np.float64) for y in replay(self.law.block, *given, real=np.float32)]
+        made = [np.asarray(y, dtype=np.float64) for y in replay(self.law.block, *given, real=_NUMPY[self.real])]
         told = made[2][:, 0]
         fine = np.isfinite(np.hstack(made)).all(axis=1) & (told >= 0.0) & (told <= 32767.0)
         done = taken[fine]
@@ -148,7 +154,7 @@ def evaluated(law: Exportable, X: Vector, U: Vector, P: Vector) -> Rows:
     )
 
 
-def rounded(values: Vector) -> Vector:
-    """The nearest floats, as doubles."""
+def rounded(values: Vector, real: Real = "float32") -> Vector:
+    """The nearest numbers of that precision, as doubles."""
     with np.errstate(over="ignore"):
-        return np.asarray(values, dtype=np.float32).astype(np.float64)
+        return np.asarray(values, dtype=_NUMPY[real]).astype(np.float64)

@@ -52,6 +52,8 @@ def render_files(
         f"{name}.c": "law.c.j2",
         "sil_main.c": "sil_main.c.j2",
         "Makefile": "Makefile.j2",
+        "target_start.c": "target_start.c.j2",
+        "target.ld": "target.ld.j2",
         "README.md": "README.md.j2",
     }
     return {file: environment.get_template(t).render(values) for file, t in templates.items()}
