@@ -24,7 +24,10 @@ from surctl.export.targets import Target
 from surctl.export.trial import trial_steps
 from surctl.ir import compile_program, compiler_version, stack_of
 
-__all__ = ["BuildReport", "CheckReport", "Instructions", "check_builds"]
+__all__ = ["STEPS", "BuildReport", "CheckReport", "Instructions", "check_builds"]
+
+STEPS = 100_000
+"""Single steps that are tried beside the flights."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class BuildReport:
         differing: those whose bytes are not those of Python.
         first: the first of them, None if there is none.
         code_bytes: code and constants of the controller, None when unknown.
-        stack_bytes: stack below a step, None where the compiler does not tell.
+        stack_bytes: stack below a step, on emulated processors.
         instructions: of a step, on emulated processors.
         failure: why it could not be built or run, None if it was.
     """
@@ -146,7 +149,7 @@ def check_builds(
     runs: Sequence[Records],
     targets: Sequence[Target],
     *,
-    steps: int = 100_000,
+    steps: int = STEPS,
     untried: Mapping[str, tuple[str, ...]] | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> CheckReport:
@@ -289,7 +292,7 @@ def _instructions(
 
 
 def _stack(bundle: Bundle, target: Target) -> int | None:
-    if target.compiler == "clang":  # tells its frames otherwise
+    if target.machine is None:  # of no interest where memory is plenty
         return None
     header = bundle.files[f"{bundle.name}.h"]
     text = bundle.files[f"{bundle.name}.c"].replace(f'#include "{bundle.name}.h"', header)

@@ -18,7 +18,7 @@ from surctl.export.vectors import TOLERANCE, SelfTest
 from surctl.ir import C_TYPE, Layout, Port, Real, c_literal, emit_block, memory
 from surctl.ir.compiler import FLAGS
 
-__all__ = ["render_files"]
+__all__ = ["render_files", "render_unit"]
 
 Vector = NDArray[np.float64]
 
@@ -37,6 +37,37 @@ def render_files(
         real: precision of every number.
     """
     values = _values(law, gains, name, identity, tests, real)
+    templates = {
+        f"{name}.h": "law.h.j2",
+        f"{name}.c": "law.c.j2",
+        "sil_main.c": "sil_main.c.j2",
+        "Makefile": "Makefile.j2",
+        "target_start.c": "target_start.c.j2",
+        "target.ld": "target.ld.j2",
+        "README.md": "README.md.j2",
+    }
+    environment = _environment()
+    return {file: environment.get_template(t).render(values) for file, t in templates.items()}
+
+
+def render_unit(law: Exportable, *, name: str, identity: str, real: Real) -> str:
+    """Text of the C around the bundle that makes it a functional mock-up unit."""
+    values = {
+        "name": name,
+        "id": identity,
+        "period": repr(float(law.dt)),
+        "dt": repr(float(law.dt)),
+        "inputs": law.inputs,
+        "gains": law.gains,
+        "outputs": law.outputs,
+        "input_starts": [(k, repr(float(v))) for k, v in enumerate(law.inputs.pack()) if v],
+        "transfers": transfers,
+        **_words(real),
+    }
+    return _environment().get_template("fmu.c.j2").render(values)
+
+
+def _environment() -> Environment:
     environment = Environment(
         loader=PackageLoader("surctl.export"),
         undefined=StrictUndefined,
@@ -47,16 +78,18 @@ def render_files(
     environment.filters["comment"] = comment
     environment.filters["cell"] = cell
     environment.filters["wrapped"] = wrapped
-    templates = {
-        f"{name}.h": "law.h.j2",
-        f"{name}.c": "law.c.j2",
-        "sil_main.c": "sil_main.c.j2",
-        "Makefile": "Makefile.j2",
-        "target_start.c": "target_start.c.j2",
-        "target.ld": "target.ld.j2",
-        "README.md": "README.md.j2",
+    return environment
+
+
+def _words(real: Real) -> dict[str, Any]:
+    """What C calls things in that precision."""
+    double = real == "float64"
+    return {
+        "real": C_TYPE[real],
+        "precision": real,
+        "largest": "DBL_MAX" if double else "FLT_MAX",
+        "absolute": "fabs" if double else "fabsf",
     }
-    return {file: environment.get_template(t).render(values) for file, t in templates.items()}
 
 
 def _values(law: Exportable, gains: Vector, name: str, identity: str, tests: SelfTest, real: Real) -> dict[str, Any]:
@@ -68,12 +101,8 @@ def _values(law: Exportable, gains: Vector, name: str, identity: str, tests: Sel
         "NAME": name.upper(),
         "id": identity,
         "version": __version__,
-        "real": C_TYPE[real],
-        "precision": real,
-        "bytes": np.dtype(real).itemsize,
+        **_words(real),
         "f": lambda text: literal(float(text)),
-        "largest": "DBL_MAX" if real == "float64" else "FLT_MAX",
-        "absolute": "fabs" if real == "float64" else "fabsf",
         "dt": literal(float(law.dt)),
         "period": repr(float(law.dt)),
         "status": STATUS,
