@@ -160,7 +160,7 @@ WORDS = {
     "sonars that law paper has not": (["export", "--law", "paper", "--beam", "40"], ["--beam", "paper"]),
     "unknown target": (["export", "--target", "c98"], ["--target", "'c99'"]),
     "unknown precision": (["export", "--real", "float16"], ["--real", "'float64'"]),
-    "unknown processor": (["export", "--check", "--targets", "cortex-m5"], ["targets", "'cortex-m3'"]),
+    "unknown processor": (["export", "--check", "--targets", "cortex-m5"], ["targets", "'cortex-m7'"]),
     "targets without a check": (["export", "--targets", "gcc-O2"], ["--targets", "add --check"]),
     "steps without a check": (["export", "--steps", "10"], ["--steps", "add --check"]),
     "nothing of that name": (["list", "--show", "sur41"], ["sur400"]),
