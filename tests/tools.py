@@ -22,12 +22,17 @@ def need_compiler() -> str:
         raise
 
 
+def need(tool: str) -> str:
+    """A program, on the same terms."""
+    found = which(tool)
+    if found is None:
+        _without(f"{tool} is not installed")
+    return str(found)
+
+
 def need_make() -> str:
     """`make`, on the same terms."""
-    found = which("make")
-    if found is None:
-        _without("make is not installed")
-    return str(found)
+    return need("make")
 
 
 def _without(reason: str) -> None:

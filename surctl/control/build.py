@@ -28,7 +28,7 @@ from surctl.control.senses import Senses, build_senses
 from surctl.control.velocity import velocity_control
 from surctl.errors import InputError, nearest
 from surctl.guidance import FORMS, AvoidanceForm
-from surctl.ir import Block, Call, Layout, Port, Routine, lower
+from surctl.ir import Block, Call, Layout, Port, Routine, lower, without_libm
 from surctl.priority import LevelShape, Mode, nsb_symbolic, priority_tick
 from surctl.priority.solver.ladder import RELAXED
 from surctl.sensing import Equipment
@@ -171,7 +171,10 @@ def _decide(
         inputs=inputs,
         gains=PARAMETERS,
         outputs=outputs,
-        block=lower(function) if mode == "nsb" else _routine(mode, pre, post, levels=levels, rows=len(rows)),
+        # the same bytes from every compiler on every processor
+        block=without_libm(
+            lower(function) if mode == "nsb" else _routine(mode, pre, post, levels=levels, rows=len(rows))
+        ),
         function=function,
         pre=pre,
         post=post,

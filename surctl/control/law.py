@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from surctl.control.senses import Senses
 from surctl.errors import InputError
 from surctl.guidance import AvoidanceForm
-from surctl.ir import Block, Layout, Port, runnable
+from surctl.ir import Block, Layout, Port, runnable, to_casadi
 from surctl.priority import Level, Mode, PriorityProblem, PrioritySolution, Row, solve
 
 __all__ = ["DEGRADED", "NONFINITE", "SATURATED", "SWITCHED", "TELEMETRY", "Law", "LawStep"]
@@ -77,7 +77,8 @@ class Law:
         dt: control period [s].
         state, inputs, gains, outputs: layouts of the flat vectors.
         block: (x, u, p) → (tau, x_next, status, telemetry): `function` lowered in mode nsb; otherwise `pre`, the
-            priority tick and `post` as one routine.
+            priority tick and `post` as one routine. Without the mathematical library: sin, cos and atan2 are written
+            out in exact operations.
         function: the same in closed form (16), whatever the mode.
         pre: (x, u, p) → (J row by row, references, rows of the priority tick, velocity box (8,)), and what else is
             known before the priority decision: next state but for the integral, telemetry after the wish, flags.
@@ -127,7 +128,7 @@ class Law:
     def _run(self) -> Callable[[Vector, Vector, Vector], list[Vector]]:
         """CasADi's machine for the closed form; C for a block with loops, or its replay: the same numbers, slower."""
         closed = self.mode == "nsb" and self.senses is None
-        run: Callable[..., Any] = self.function if closed else runnable(self.block)
+        run: Callable[..., Any] = to_casadi(self.block) if closed else runnable(self.block)
         return lambda x, u, p: [np.asarray(r, dtype=np.float64).reshape(-1) for r in run(x, u, p)]
 
     @cached_property

@@ -17,7 +17,7 @@ import casadi as ca
 from surctl.control.beams import SILENT, Around, beams, corrected, expected, honest
 from surctl.control.ports import PARAMETERS, SECTORS
 from surctl.errors import InputError
-from surctl.ir import Block, Call, Layout, Port, Program, Routine, lower
+from surctl.ir import Block, Call, Layout, Port, Program, Routine, lower, without_libm
 from surctl.sensing import Equipment, LocalMap, MoverTracker, OwnStateFilter, RangeTracker
 from surctl.sensing.local_map import READING, RING
 from surctl.vehicle import planar_rotation
@@ -100,7 +100,8 @@ class _Builder:
             Call(self._join(), ("small_next", "map_cells_next", "map_corner_next"), ("x_next",)),
         )
         sizes = (("x", self.state.size), ("u", self.inputs.size), ("p", PARAMETERS.size))
-        return Senses(self.state, self.inputs, self.told, Routine("senses", sizes, steps, ("x_next", "told")))
+        block = without_libm(Routine("senses", sizes, steps, ("x_next", "told")))
+        return Senses(self.state, self.inputs, self.told, block)
 
     @cached_property
     def _map(self) -> LocalMap:

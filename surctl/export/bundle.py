@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from surctl import __version__
 from surctl.errors import InputError
 from surctl.export.contract import Exportable, checked_name
+from surctl.export.precision import in_precision
 from surctl.export.rendering import render_files
 from surctl.export.vectors import self_test_vectors
-from surctl.ir import Layout
+from surctl.ir import Layout, Real
 
 __all__ = ["Bundle", "ExportedFile", "build_bundle", "gain_vector", "law_id", "write_bundle"]
 
@@ -34,11 +35,13 @@ class Bundle:
         name: prefix of files and C symbols.
         id: SHA-256 of what the controller computes (see `law_id`).
         files: text by file name, in the order of writing; the manifest is last.
+        real: precision of every number in it.
     """
 
     name: str
     id: str
     files: Mapping[str, str]
+    real: Real = "float64"
 
 
 @dataclass(frozen=True)
@@ -49,23 +52,34 @@ class ExportedFile:
     sha256: str
 
 
-def build_bundle(law: Exportable, gains: Mapping[str, NDArray[np.float64]], *, name: str | None = None) -> Bundle:
+def build_bundle(
+    law: Exportable, gains: Mapping[str, NDArray[np.float64]], *, name: str | None = None, real: Real = "float64"
+) -> Bundle:
     """The bundle of a law with tuned gains.
 
     Args:
         law: the control law.
         gains: values by gain port; what is not named takes the port's default.
         name: prefix of files and C symbols instead of the law's own name.
+        real: "float32" for a processor whose floating-point unit is single; every number is a float then.
 
     Raises:
-        InputError: a name that C cannot use, an unknown or non-finite gain, a law unlike its layouts.
+        InputError: a name that C cannot use, an unknown or non-finite gain, a law unlike its layouts; in float32 also
+            a law that uses the mathematical library.
     """
     prefix = checked_name(law, name)
+    if real == "float32" and law.block.libm:
+        raise InputError(
+            f"uses {', '.join(sorted(law.block.libm))} of the mathematical library, whose floats differ by machine",
+            key=f"{prefix}.block",
+            remedy="write it with exact operations (surctl.ir.without_libm)",
+        )
     p = gain_vector(law.gains, gains)
-    identity = law_id(law, p)
-    files = render_files(law, p, name=prefix, identity=identity, tests=self_test_vectors(law, p))
-    files["manifest.json"] = _manifest(law, prefix, identity, files)
-    return Bundle(prefix, identity, MappingProxyType(files))
+    identity = law_id(law, p, real=real)
+    tests = self_test_vectors(in_precision(law, real), p)
+    files = render_files(law, p, name=prefix, identity=identity, tests=tests, real=real)
+    files["manifest.json"] = _manifest(law, prefix, identity, files, real)
+    return Bundle(prefix, identity, MappingProxyType(files), real)
 
 
 def gain_vector(layout: Layout, gains: Mapping[str, NDArray[np.float64]]) -> Vector:
@@ -77,20 +91,20 @@ def gain_vector(layout: Layout, gains: Mapping[str, NDArray[np.float64]]) -> Vec
     return p
 
 
-def law_id(law: Exportable, gains: Vector) -> str:
-    """SHA-256 of the instruction list, gains, initial state and period, all to the last bit."""
-    lines = [law.block.text(), float(law.dt).hex()]
+def law_id(law: Exportable, gains: Vector, *, real: Real = "float64") -> str:
+    """SHA-256 of the instruction list, gains, initial state, period, and precision, all to the last bit."""
+    lines = [law.block.text(), float(law.dt).hex(), real]
     lines += [float(v).hex() for v in (*gains, *law.initial_state())]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
-def _manifest(law: Exportable, name: str, identity: str, files: Mapping[str, str]) -> str:
+def _manifest(law: Exportable, name: str, identity: str, files: Mapping[str, str], real: Real) -> str:
     table = {
         "name": name,
         "id": identity,
         "surctl": __version__,
         "dt_s": float(law.dt),
-        "real": "float64",
+        "real": real,
         "sha256": {file: _sha256(text) for file, text in files.items()},
     }
     return json.dumps(table, indent=2, sort_keys=True) + "\n"

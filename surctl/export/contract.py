@@ -101,7 +101,7 @@ def checked_name(law: Exportable, name: str | None = None) -> str:
             positive, or the block's sizes are not those of the layouts.
     """
     chosen = identifier(law.name if name is None else name)
-    if chosen == "sil_main":
+    if chosen in ("sil_main", "target_start"):
         raise InputError("is taken by a file of the bundle", key="name", value=chosen, remedy="choose another")
     for layout in (law.state, law.inputs, law.gains, law.outputs):
         for port in layout:

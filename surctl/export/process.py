@@ -6,6 +6,7 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import which
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,31 +14,15 @@ from numpy.typing import NDArray
 from surctl.errors import SurctlError
 from surctl.export.bundle import Bundle, write_bundle
 from surctl.export.contract import Exportable, thrust
+from surctl.export.precision import Rows, in_precision
 from surctl.export.records import Records
 from surctl.ir import compile_program
 
-__all__ = ["Controller", "FaultResults", "Results", "build_controller"]
+__all__ = ["Controller", "FaultResults", "build_controller"]
 
 Vector = NDArray[np.float64]
 
 _TIMEOUT = 600.0  # s, for any run of the compiled program
-
-
-@dataclass(frozen=True)
-class Results:
-    """What the compiled controller returned, row by row.
-
-    Attributes:
-        status: (T,).
-        tau: (T, n_tau) [N, N m].
-        state: state after each step (T, nx).
-        telemetry: (T, k).
-    """
-
-    status: NDArray[np.int64]
-    tau: Vector
-    state: Vector
-    telemetry: Vector
 
 
 @dataclass(frozen=True)
@@ -60,46 +45,74 @@ class Controller:
     """A compiled bundle.
 
     Attributes:
-        law: the law it was made from.
+        law: the law in Python, in the bundle's precision.
         bundle: what was compiled.
-        program: the executable.
+        command: what runs it.
         code_bytes: size of the controller's code and constants, None without the `size` tool.
     """
 
     law: Exportable
     bundle: Bundle
-    program: Path
+    command: tuple[str, ...]
     code_bytes: int | None
 
-    def run(self, records: Records, *, load: NDArray[np.bool_]) -> Results:
+    def run(self, records: Records, *, load: NDArray[np.bool_]) -> Rows:
         """Step through the records; where `load` (T,) is set, the state is taken from the record."""
-        rest = np.column_stack([load.astype(float), records.U, records.P]).astype(np.float64)
-        loaded = [(row[:1], x, row[1:]) if at else (row,) for at, x, row in zip(load, records.X, rest, strict=True)]
-        given = b"".join(np.asarray(part, dtype=np.float64).tobytes() for row in loaded for part in row)
-        sizes = (1, thrust(self.law).size, self.law.state.size, self.law.outputs.size - thrust(self.law).size)
-        rows = self._answer([], given, len(records), sum(sizes))
-        status, tau, state, telemetry = np.split(rows, np.cumsum(sizes)[:-1], axis=1)
-        return Results(status[:, 0].astype(np.int64), tau, state, telemetry)
+        return self.parsed(self.raw(records, load=load), len(records))
+
+    def raw(self, records: Records, *, load: NDArray[np.bool_]) -> bytes:
+        """As `run`, the bytes of the program's answer."""
+        fresh = np.ones(len(records), dtype=bool)  # gains that are those of the row before are not sent again
+        fresh[1:] = (records.P[1:] != records.P[:-1]).any(axis=1)
+        parts: list[NDArray[np.float64]] = []
+        for k, (with_state, with_gains) in enumerate(zip(load, fresh, strict=True)):
+            parts.append(np.array([with_state + 2.0 * with_gains]))
+            parts += [records.X[k]] * bool(with_state) + [records.U[k]] + [records.P[k]] * bool(with_gains)
+        return self._answer([], np.concatenate(parts), len(records), sum(self._widths))
+
+    def parsed(self, raw: bytes, count: int) -> Rows:
+        """The rows that the bytes hold."""
+        rows = self._rows(raw, count, sum(self._widths))
+        status, tau, state, telemetry = np.split(rows, np.cumsum(self._widths)[:-1], axis=1)
+        return Rows(status[:, 0].astype(np.int64), tau, state, telemetry)
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of one row of `raw`."""
+        return sum(self._widths) * self._dtype.itemsize
+
+    @property
+    def _widths(self) -> tuple[int, int, int, int]:
+        n_tau = thrust(self.law).size
+        return 1, n_tau, self.law.state.size, self.law.outputs.size - n_tau
+
+    @property
+    def _dtype(self) -> np.dtype[np.floating[Any]]:
+        return np.dtype(self.bundle.real)
 
     def run_faults(self, record: Vector, at: Vector, values: Vector) -> FaultResults:
         """A step from `record` (state, input, gains end to end) for each entry `at` (K,), with `values` (K,) there."""
-        given = np.concatenate([record, np.column_stack([at, values]).ravel()]).astype(np.float64)
+        given = np.concatenate([record, np.column_stack([at, values]).ravel()])
         n_tau = thrust(self.law).size
-        rows = self._answer(["--faults"], given.tobytes(), len(at), 2 + n_tau)
+        rows = self._rows(self._answer(["--faults"], given, len(at), 2 + n_tau), len(at), 2 + n_tau)
         status, changed = rows[:, 0].astype(np.int64), rows[:, 1 + n_tau].astype(np.int64)
         return FaultResults(status, rows[:, 1 : 1 + n_tau], changed)
 
-    def _answer(self, options: list[str], given: bytes, count: int, width: int) -> Vector:
-        """`count` rows of `width` numbers from the program."""
-        raw = _run([str(self.program), *options], given)
-        if len(raw) != 8 * count * width:
-            raise SurctlError(f"{self.program.name} returned {len(raw)} bytes for {count} records")
-        return np.frombuffer(raw, dtype=np.float64).reshape(count, width)
+    def _answer(self, options: list[str], given: Vector, count: int, width: int) -> bytes:
+        """The program's answer: `count` rows of `width` numbers."""
+        with np.errstate(over="ignore"):
+            raw = _run([*self.command, *options], given.astype(self._dtype).tobytes())
+        if len(raw) != self._dtype.itemsize * count * width:
+            raise SurctlError(f"{Path(self.command[0]).name} returned {len(raw)} bytes for {count} records")
+        return raw
+
+    def _rows(self, raw: bytes, count: int, width: int) -> Vector:
+        return np.frombuffer(raw, dtype=self._dtype).astype(np.float64).reshape(count, width)
 
     def self_test(self) -> bool:
         """Whether the built-in vectors pass."""
         # captured: the caller's stdout may have to hold one JSON object and nothing else
-        command = [str(self.program), "--selftest"]
+        command = [*self.command, "--selftest"]
         done = subprocess.run(command, capture_output=True, check=False, timeout=_TIMEOUT)
         return done.returncode == 0
 
@@ -117,7 +130,7 @@ def build_controller(law: Exportable, bundle: Bundle, directory: Path) -> Contro
     code = directory / f"{bundle.name}.o"
     compile_program([directory / f"{bundle.name}.c"], code, flags=("-c",))
     program = compile_program([directory / "sil_main.c", code], directory / "sil")
-    return Controller(law, bundle, program, _code_bytes(code))
+    return Controller(in_precision(law, bundle.real), bundle, (str(program),), code_bytes(code))
 
 
 def _run(command: list[str], data: bytes) -> bytes:
@@ -132,10 +145,9 @@ def _run(command: list[str], data: bytes) -> bytes:
     return done.stdout
 
 
-def _code_bytes(code: Path) -> int | None:
-    """The `text` column (code and constants) of the `size` tool."""
-    tool = which("size")
-    if tool is None:
+def code_bytes(code: Path, tool: str = "size") -> int | None:
+    """The `text` column (code and constants) of the `size` tool, or of its namesake for another processor."""
+    if which(tool) is None:
         return None
     done = subprocess.run([tool, str(code)], capture_output=True, text=True, check=False, timeout=_TIMEOUT)
     lines = done.stdout.splitlines()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,15 +15,17 @@ from numpy.typing import NDArray
 from surctl import __version__
 from surctl.export.contract import STATUS, Exportable, telemetry_ports, thrust
 from surctl.export.vectors import TOLERANCE, SelfTest
-from surctl.ir import Layout, Port, c_literal, emit_block, memory
+from surctl.ir import C_TYPE, Layout, Port, Real, c_literal, emit_block, memory
 from surctl.ir.compiler import FLAGS
 
-__all__ = ["render_files"]
+__all__ = ["render_files", "render_unit"]
 
 Vector = NDArray[np.float64]
 
 
-def render_files(law: Exportable, gains: Vector, *, name: str, identity: str, tests: SelfTest) -> dict[str, str]:
+def render_files(
+    law: Exportable, gains: Vector, *, name: str, identity: str, tests: SelfTest, real: Real = "float64"
+) -> dict[str, str]:
     """Text of every file but the manifest, by file name.
 
     Args:
@@ -31,8 +34,40 @@ def render_files(law: Exportable, gains: Vector, *, name: str, identity: str, te
         name: prefix of files and symbols.
         identity: the law's id.
         tests: vectors of the built-in self-test.
+        real: precision of every number.
     """
-    values = _values(law, gains, name, identity, tests)
+    values = _values(law, gains, name, identity, tests, real)
+    templates = {
+        f"{name}.h": "law.h.j2",
+        f"{name}.c": "law.c.j2",
+        "sil_main.c": "sil_main.c.j2",
+        "Makefile": "Makefile.j2",
+        "target_start.c": "target_start.c.j2",
+        "target.ld": "target.ld.j2",
+        "README.md": "README.md.j2",
+    }
+    environment = _environment()
+    return {file: environment.get_template(t).render(values) for file, t in templates.items()}
+
+
+def render_unit(law: Exportable, *, name: str, identity: str, real: Real) -> str:
+    """Text of the C around the bundle that makes it a functional mock-up unit."""
+    values = {
+        "name": name,
+        "id": identity,
+        "period": repr(float(law.dt)),
+        "dt": repr(float(law.dt)),
+        "inputs": law.inputs,
+        "gains": law.gains,
+        "outputs": law.outputs,
+        "input_starts": [(k, repr(float(v))) for k, v in enumerate(law.inputs.pack()) if v],
+        "transfers": transfers,
+        **_words(real),
+    }
+    return _environment().get_template("fmu.c.j2").render(values)
+
+
+def _environment() -> Environment:
     environment = Environment(
         loader=PackageLoader("surctl.export"),
         undefined=StrictUndefined,
@@ -43,25 +78,32 @@ def render_files(law: Exportable, gains: Vector, *, name: str, identity: str, te
     environment.filters["comment"] = comment
     environment.filters["cell"] = cell
     environment.filters["wrapped"] = wrapped
-    templates = {
-        f"{name}.h": "law.h.j2",
-        f"{name}.c": "law.c.j2",
-        "sil_main.c": "sil_main.c.j2",
-        "Makefile": "Makefile.j2",
-        "README.md": "README.md.j2",
+    return environment
+
+
+def _words(real: Real) -> dict[str, Any]:
+    """What C calls things in that precision."""
+    double = real == "float64"
+    return {
+        "real": C_TYPE[real],
+        "precision": real,
+        "largest": "DBL_MAX" if double else "FLT_MAX",
+        "absolute": "fabs" if double else "fabsf",
     }
-    return {file: environment.get_template(t).render(values) for file, t in templates.items()}
 
 
-def _values(law: Exportable, gains: Vector, name: str, identity: str, tests: SelfTest) -> dict[str, Any]:
+def _values(law: Exportable, gains: Vector, name: str, identity: str, tests: SelfTest, real: Real) -> dict[str, Any]:
     """What the templates know."""
     n_tau = thrust(law).size
+    literal = partial(c_literal, real=real)
     return {
         "name": name,
         "NAME": name.upper(),
         "id": identity,
         "version": __version__,
-        "dt": c_literal(float(law.dt)),
+        **_words(real),
+        "f": lambda text: literal(float(text)),
+        "dt": literal(float(law.dt)),
         "period": repr(float(law.dt)),
         "status": STATUS,
         "structs": _structs(law),
@@ -74,19 +116,19 @@ def _values(law: Exportable, gains: Vector, name: str, identity: str, tests: Sel
         "n_telemetry": law.outputs.size - n_tau,
         "field": field,
         "starts": starts,
-        "ram": _ram(law),
+        "ram": _ram(law, np.dtype(real).itemsize),
         "transfers": transfers,
-        "initial": runs(law.initial_state()),
-        "gain_values": [c_literal(float(v)) for v in gains],
+        "initial": runs(law.initial_state(), text=literal),
+        "gain_values": [literal(float(v)) for v in gains],
         "gain_table": _gain_table(law.gains, gains),
-        "law": emit_block(law.block, symbol=f"{name}_law", folded=True),
+        "law": emit_block(law.block, symbol=f"{name}_law", folded=True, real=real),
         "operations": law.block.operations,
         "libm": sorted(law.block.libm),
-        "tolerance": c_literal(TOLERANCE),
+        "tolerance": literal(TOLERANCE[real]),
         "tests": len(tests.status),
-        "test_inputs": _rows(tests.inputs),
-        "test_tau": _rows(tests.tau),
-        "test_state": [run for row in tests.state for run in runs(row, text=_decimal)],
+        "test_inputs": _rows(tests.inputs, real),
+        "test_tau": _rows(tests.tau, real),
+        "test_state": [run for row in tests.state for run in runs(row, text=partial(_decimal, real=real))],
         "test_status": ", ".join(str(s) for s in tests.status),
         "flags": " ".join(FLAGS),
     }
@@ -101,11 +143,11 @@ def _structs(law: Exportable) -> list[tuple[str, str, tuple[Port, ...]]]:
     ]
 
 
-def _ram(law: Exportable) -> dict[str, int]:
-    """Bytes by what holds them, as far as the routine alone decides it."""
+def _ram(law: Exportable, width: int) -> dict[str, int]:
+    """Bytes by what holds them, as far as the routine alone decides it; `width` bytes a number."""
     other = law.inputs.size + law.gains.size + law.outputs.size
     held = {"state": 2 * law.state.size, "structs": other, "arrays": memory(law.block) - 2 * law.state.size}
-    return {what: 8 * count for what, count in held.items()}
+    return {what: width * count for what, count in held.items()}
 
 
 def starts(layout: Layout) -> list[tuple[Port, int]]:
@@ -174,14 +216,14 @@ def wrapped(items: Sequence[str], width: int = 110) -> list[str]:
     return [f"{line}," for line in lines[:-1]] + lines[-1:]
 
 
-def _rows(table: Vector) -> list[str]:
-    lines = (wrapped([_decimal(float(v)) for v in row]) for row in table)
+def _rows(table: Vector, real: Real) -> list[str]:
+    lines = (wrapped([_decimal(float(v), real) for v in row]) for row in table)
     return ["{" + "\n         ".join(row) + "}" for row in lines]
 
 
-def _decimal(value: float) -> str:
-    """A number of the self-test, which has twelve digits; the sign of a zero is not compared."""
-    return repr(value + 0.0)
+def _decimal(value: float, real: Real) -> str:
+    """A number of the self-test; the sign of a zero is not compared. A double has twelve digits, a float all of its."""
+    return repr(value + 0.0) if real == "float64" else c_literal(value + 0.0, real)
 
 
 def _gain_table(layout: Layout, gains: Vector) -> list[tuple[Port, str]]:

@@ -13,11 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.export.bundle import build_bundle
-from surctl.export.contract import Exportable, Step
+from surctl.export.contract import Exportable
 from surctl.export.faults import fault_failures
-from surctl.export.process import Controller, Results, build_controller
+from surctl.export.precision import Rows, evaluated, rounded
+from surctl.export.process import Controller, build_controller
 from surctl.export.records import Records, as_records
-from surctl.ir import compiler_version
+from surctl.ir import Real, compiler_version
 
 __all__ = [
     "TOLERANCE",
@@ -134,6 +135,7 @@ def software_in_the_loop(
     records: Records | Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]],
     *,
     workdir: Path | str | None = None,
+    real: Real = "float64",
 ) -> SilReport:
     """Export the law, compile it, and compare it with Python over a recorded run.
 
@@ -145,13 +147,14 @@ def software_in_the_loop(
         law: the control law.
         records: (x, u, p) of each step, or `Records`.
         workdir: folder that keeps the bundle and the program; a temporary one otherwise.
+        real: precision of the bundle; Python is then rounded to it at every operation.
 
     Raises:
         ToolMissing: there is no compiler.
         SurctlError: the compiler refuses the bundle, or the program crashes.
         InputError: the records do not fit the law.
     """
-    return software_in_the_loop_runs(law, [records], workdir=workdir)[0]
+    return software_in_the_loop_runs(law, [records], workdir=workdir, real=real)[0]
 
 
 def software_in_the_loop_runs(
@@ -159,6 +162,7 @@ def software_in_the_loop_runs(
     runs: Sequence[Records | Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]]],
     *,
     workdir: Path | str | None = None,
+    real: Real = "float64",
 ) -> tuple[SilReport, ...]:
     """One report a recorded run, all through one compiled bundle (with the gains of the first run's first record).
 
@@ -167,7 +171,7 @@ def software_in_the_loop_runs(
     recorded = [as_records(law, run) for run in runs]
     if not recorded:
         raise InputError("holds no run", key="records", remedy="record at least one run of the law")
-    bundle = build_bundle(law, _named_gains(law, recorded[0]))
+    bundle = build_bundle(law, _named_gains(law, recorded[0]), real=real)
     with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
         folder = Path(scratch) / bundle.name if workdir is None else Path(workdir)
         controller = build_controller(law, bundle, folder)
@@ -195,19 +199,22 @@ def _named_gains(law: Exportable, run: Records) -> dict[str, Vector]:
 
 def _compare(controller: Controller, run: Records) -> SilReport:
     law = controller.law
-    python = [law.step(x, u, p) for x, u, p in zip(run.X, run.U, run.P, strict=True)]
+    if controller.bundle.real != "float64":
+        run = _on_its_own(controller, run)
+    python = evaluated(law, run.X, run.U, run.P)
     load = _resets(run, python)
     c = controller.run(run, load=load)
     cases, failures = fault_failures(law, controller, run)
+    done = python.status >= 0  # a refused step reports nothing
     return SilReport(
         name=controller.bundle.name,
         id=controller.bundle.id,
         steps=len(run),
         resets=tuple(int(k) for k in np.flatnonzero(load) if k > 0),
-        tau=_difference(c.tau, [s.tau for s in python]),
-        state=_difference(c.state, [s.x_next for s in python]),
-        telemetry=_telemetry_difference(c, python),
-        status_mismatches=sum(int(s.status) != int(k) for s, k in zip(python, c.status, strict=True)),
+        tau=_difference(c.tau, python.tau),
+        state=_difference(c.state, python.state),
+        telemetry=_difference(c.telemetry[done], python.telemetry[done]),
+        status_mismatches=int(np.sum(python.status != c.status)),
         fault_cases=cases,
         fault_failures=failures,
         self_test=controller.self_test(),
@@ -216,30 +223,33 @@ def _compare(controller: Controller, run: Records) -> SilReport:
     )
 
 
-def _resets(run: Records, python: list[Step]) -> NDArray[np.bool_]:
+def _on_its_own(controller: Controller, run: Records) -> Records:
+    """The record's inputs, with the states that C comes through: those of a law in double are not those of floats.
+
+    Python steps from each of these states, so that one wrong step of C shows, and with it none the chain is Python's.
+    """
+    first = np.zeros(len(run), dtype=bool)
+    first[0] = True
+    states = controller.run(run, load=first).state
+    return Records(*(rounded(v) for v in (np.vstack([run.X[:1], states[:-1]]), run.U, run.P)))
+
+
+def _resets(run: Records, python: Rows) -> NDArray[np.bool_]:
     """Steps (T,) at which C must be loaded: the first, and each that does not follow from the one before."""
     load = np.zeros(len(run), dtype=bool)
     load[0] = True
     for k in range(1, len(run)):
-        gap = _mixed(run.X[k], python[k - 1].x_next)
-        load[k] = not bool(np.all(gap <= _JUMP))
+        load[k] = not bool(np.all(_mixed(run.X[k], python.state[k - 1]) <= _JUMP))
     return load
 
 
-def _telemetry_difference(c: Results, python: list[Step]) -> Difference:
-    """Telemetry of the steps that were carried out: a refused step reports nothing."""
-    done = [k for k, step in enumerate(python) if step.status >= 0]
-    return _difference(c.telemetry[done], [python[k].telemetry for k in done])
-
-
-def _difference(have: Vector, rows: list[Vector]) -> Difference:
+def _difference(mine: Vector, theirs: Vector) -> Difference:
     """Over all rows, `_BLOCK` at a time: a run of a law with a large state has many numbers."""
     absolute = relative = worst = 0.0
     step = None
-    for first in range(0, len(have) if have.size else 0, _BLOCK):
-        mine = have[first : first + _BLOCK]
-        want = np.array(rows[first : first + _BLOCK], dtype=float).reshape(mine.shape)
-        gap, mixed, size = _gap(mine, want), _mixed(mine, want), np.abs(want)
+    for first in range(0, len(mine) if mine.size else 0, _BLOCK):
+        have, want = mine[first : first + _BLOCK], theirs[first : first + _BLOCK]
+        gap, mixed, size = _gap(have, want), _mixed(have, want), np.abs(want)
         share = np.divide(gap, size, out=np.zeros_like(gap), where=size > 0.0)
         absolute, relative = max(absolute, float(gap.max())), max(relative, float(share.max()))
         if float(mixed.max()) > worst:

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.export.contract import Exportable
+from surctl.ir import Real
 
 __all__ = ["TOLERANCE", "SelfTest", "self_test_vectors"]
 
 Vector = NDArray[np.float64]
 
-TOLERANCE = 1e-9
-"""Largest difference, relative or absolute, that the exported self-test accepts: twelve digits are stored."""
+TOLERANCE: Mapping[Real, float] = MappingProxyType({"float64": 1e-9, "float32": 1e-5})
+"""Largest difference, relative or absolute, that the exported self-test accepts, by precision.
+
+Doubles are stored with twelve digits; floats exactly, but a processor that computes wider than float may differ.
+"""
 
 _SPREADS = (0.0, 0.1, 0.5, 1.0, 1.0, 2.0)  # of each step; the wide ones turn flags on
 _GOLDEN = 0.6180339887498949

@@ -2,7 +2,7 @@
 
 from surctl.ir.angles import nearby_angles
 from surctl.ir.batch import Batch, compile_batch
-from surctl.ir.c99 import Real, c_literal, emit_c99, identifier
+from surctl.ir.c99 import C_TYPE, Real, c_literal, emit_c99, identifier
 from surctl.ir.c99_lanes import Feed, emit_lanes
 from surctl.ir.c99_routine import emit_block
 from surctl.ir.c99_wide import Wide, emit_wide
@@ -23,6 +23,7 @@ from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step
 from surctl.ir.symbolic import to_casadi
 
 __all__ = [
+    "C_TYPE",
     "LIBM",
     "OPERATIONS",
     "Batch",

@@ -106,13 +106,16 @@ def _refuse(flags: Sequence[str], *, key: str = "flags") -> None:
             )
 
 
-def compile_program(sources: Sequence[Path], output: Path, *, flags: Sequence[str] = ()) -> Path:
+def compile_program(
+    sources: Sequence[Path], output: Path, *, flags: Sequence[str] = (), compiler: str | None = None
+) -> Path:
     """Compile and link `sources` to `output` (with "-c" in `flags`: compile one source to an object).
 
     Args:
         sources: C sources or objects.
         output: the file to make.
         flags: more flags, after `FLAGS` and `further_flags`.
+        compiler: another compiler's command, instead of `find_compiler`'s.
 
     Returns:
         `output`.
@@ -125,7 +128,8 @@ def compile_program(sources: Sequence[Path], output: Path, *, flags: Sequence[st
     _refuse(flags)
     link = [] if "-c" in flags else ["-lm"]
     files = [str(s) for s in sources]
-    command = [*_words(find_compiler()), *FLAGS, *further_flags(), *flags, "-o", str(output), *files, *link]
+    used = _words(find_compiler()) if compiler is None else [compiler]
+    command = [*used, *FLAGS, *further_flags(), *flags, "-o", str(output), *files, *link]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_TIMEOUT)
     except subprocess.TimeoutExpired:
@@ -142,8 +146,8 @@ def _first_error(text: str) -> str:
     return next((line for line in lines if "error" in line), lines[0] if lines else "no message")
 
 
-def compiler_version() -> str:
-    """First line of the compiler's --version."""
-    command = [*_words(find_compiler()), "--version"]
+def compiler_version(compiler: str | None = None) -> str:
+    """First line of the compiler's --version; of `find_compiler`'s if no command is given."""
+    command = [*(_words(find_compiler()) if compiler is None else [compiler]), "--version"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_TIMEOUT)
     return (done.stdout or done.stderr or command[0]).splitlines()[0].strip()

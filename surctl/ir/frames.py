@@ -44,7 +44,7 @@ def stack_bytes(block: Block, *, real: Real = "float64", flags: Sequence[str] = 
     )
 
 
-def stack_of(text: str, entry: str, *, flags: Sequence[str] = ("-Os",)) -> int:
+def stack_of(text: str, entry: str, *, flags: Sequence[str] = ("-Os",), compiler: str | None = None) -> int:
     """Bytes of stack below a function of a C text whose functions do not recur, itself included.
 
     Functions of the mathematical library are not counted; one that the compiler put into its caller is in that frame.
@@ -53,12 +53,12 @@ def stack_of(text: str, entry: str, *, flags: Sequence[str] = ("-Os",)) -> int:
         source, told = Path(name) / "text.c", Path(name) / "text.su"
         source.write_text(text, encoding="utf-8")
         try:
-            compile_program([source], Path(name) / "text.o", flags=("-c", *flags, "-fstack-usage"))
+            compile_program([source], Path(name) / "text.o", flags=("-c", *flags, "-fstack-usage"), compiler=compiler)
             rows = [line.split("\t") for line in told.read_text(encoding="utf-8").splitlines()]
         except (SurctlError, FileNotFoundError) as error:
             if isinstance(error, SurctlError) and "stack-usage" not in str(error):
                 raise
-            raise ToolMissing("tells no frames (-fstack-usage)", key="CC", value=compiler_version()) from None
+            raise ToolMissing("tells no frames (-fstack-usage)", key="CC", value=compiler_version(compiler)) from None
     if any("dynamic" in row[2] and "bounded" not in row[2] for row in rows):
         raise SurctlError("a frame has no fixed size")
     # "text.c:12:3:name", or "name.part.0" for a piece that was cut out

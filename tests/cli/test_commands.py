@@ -7,7 +7,7 @@ import pytest
 
 from surctl.control import LAW_NAMES
 from tests.cli.process import surctl
-from tests.tools import need_compiler
+from tests.tools import need, need_compiler
 
 RUN_KEYS = {
     "scenario",
@@ -161,6 +161,26 @@ def test_export_of_the_law_on_true_positions(tmp_path):
     assert "double eta[4];" in header and "samples" not in header
     again = surctl(*words, "--out", "d", cwd=tmp_path)
     assert again.json["sha256"] == done.json["sha256"]
+
+
+def test_export_in_float_is_checked_on_other_builds(tmp_path):
+    need("gcc")
+    words = ("export", "--sensing", "truth", "--real", "float32", "--check", "--targets", "gcc-O0", "--steps", "500")
+    done = surctl(*words, "--out", "c", "--json", cwd=tmp_path)
+    assert done.status == 0, done.err
+    told = done.json
+    assert told["real"] == "float32" and told["sil"]["tau"] == 0.0 and told["check"]["passed"]
+    (build,) = told["check"]["builds"]
+    assert build["target"] == "gcc-O0" and build["steps"] == told["sil"]["steps"] + 500 and build["differing"] == 0
+    assert "float x[" in (tmp_path / "c" / "surctl_guarded.h").read_text()
+
+
+def test_export_as_a_functional_mock_up_unit(tmp_path):
+    need_compiler()
+    words = ("export", "--sensing", "truth", "--target", "fmu", "--name", "pilot", "--out", "c", "--json")
+    done = surctl(*words, cwd=tmp_path)
+    assert done.status == 0, done.err
+    assert "pilot.fmu" in done.json["sha256"] and (tmp_path / "c" / "pilot.fmu").exists()
 
 
 def test_export_believes_in_the_sensors_it_is_told_of(tmp_path):

@@ -62,7 +62,8 @@ def test_the_id_follows_what_is_computed_and_not_the_name() -> None:
 
 def test_files_and_manifest() -> None:
     bundle = bundle_of(stand_in())
-    assert list(bundle.files) == [*("standin.h", "standin.c", "sil_main.c", "Makefile", "README.md", "manifest.json")]
+    code, emulated = ["standin.h", "standin.c", "sil_main.c", "Makefile"], ["target_start.c", "target.ld"]
+    assert list(bundle.files) == [*code, *emulated, "README.md", "manifest.json"]
     manifest = json.loads(bundle.files["manifest.json"])
     assert manifest["id"] == bundle.id and manifest["dt_s"] == 0.05
     for name, digest in manifest["sha256"].items():

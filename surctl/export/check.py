@@ -1,0 +1,302 @@
+"""The same bytes from every compiler and processor, or the first step that differs."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import SurctlError, ToolMissing
+from surctl.export.bundle import Bundle, write_bundle
+from surctl.export.contract import Exportable
+from surctl.export.precision import Rounded, Rows
+from surctl.export.process import Controller, code_bytes
+from surctl.export.records import Records, as_records
+from surctl.export.targets import Target
+from surctl.export.trial import trial_steps
+from surctl.ir import compile_program, compiler_version, stack_of
+
+__all__ = ["STEPS", "BuildReport", "CheckReport", "Instructions", "check_builds"]
+
+STEPS = 100_000
+"""Single steps that are tried beside the flights."""
+
+
+@dataclass(frozen=True)
+class Instructions:
+    """Instructions of one step on an emulated processor, over all steps that were tried."""
+
+    least: int
+    mean: float
+    most: int
+
+
+@dataclass(frozen=True)
+class BuildReport:
+    """What one build answered.
+
+    Attributes:
+        target: its name.
+        compiler: the compiler's version line.
+        steps: steps tried.
+        differing: those whose bytes are not those of Python.
+        first: the first of them, None if there is none.
+        code_bytes: code and constants of the controller, None when unknown.
+        stack_bytes: stack below a step, on emulated processors.
+        instructions: of a step, on emulated processors.
+        failure: why it could not be built or run, None if it was.
+    """
+
+    target: str
+    compiler: str
+    steps: int = 0
+    differing: int = 0
+    first: int | None = None
+    code_bytes: int | None = None
+    stack_bytes: int | None = None
+    instructions: Instructions | None = None
+    failure: str | None = None
+
+    @property
+    def same(self) -> bool:
+        """Whether every byte is the same."""
+        return self.failure is None and self.steps > 0 and self.differing == 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        counted = self.instructions
+        return {
+            "target": self.target,
+            "compiler": self.compiler,
+            "same": self.same,
+            "steps": self.steps,
+            "differing": self.differing,
+            "first": self.first,
+            "code_bytes": self.code_bytes,
+            "stack_bytes": self.stack_bytes,
+            "instructions": None if counted is None else [counted.least, counted.mean, counted.most],
+            "failure": self.failure,
+        }
+
+    def line(self) -> str:
+        """One line for people."""
+        if self.failure is not None:
+            return f"  {self.target:12} FAILED: {self.failure}"
+        verdict = "same bytes" if self.same else f"{self.differing} steps DIFFER, first {self.first}"
+        parts = [f"{self.steps} steps, {verdict}"]
+        if self.code_bytes is not None:
+            parts.append(f"{self.code_bytes} B code and constants")
+        if self.stack_bytes is not None:
+            parts.append(f"{self.stack_bytes} B stack")
+        if self.instructions is not None:
+            i = self.instructions
+            parts.append(f"{i.least}/{i.mean:.0f}/{i.most} instructions a step (min/mean/max)")
+        return f"  {self.target:12} {'; '.join(parts)}"
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """Every build against Python.
+
+    Attributes:
+        real: precision.
+        flown: steps of closed loops among those tried.
+        tried: single steps beside them.
+        builds: one a target.
+        untried: targets whose tools are missing, with these.
+    """
+
+    real: str
+    flown: int
+    tried: int
+    builds: tuple[BuildReport, ...]
+    untried: dict[str, tuple[str, ...]]
+
+    @property
+    def passed(self) -> bool:
+        """Whether at least one build was tried, and every one gave the bytes of Python."""
+        return bool(self.builds) and all(build.same for build in self.builds)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {
+            "passed": self.passed,
+            "real": self.real,
+            "flown_steps": self.flown,
+            "single_steps": self.tried,
+            "builds": [build.to_dict() for build in self.builds],
+            "untried": {name: list(tools) for name, tools in self.untried.items()},
+        }
+
+    def summary(self) -> str:
+        """A table for people."""
+        head = f"check in {self.real}: {self.flown} steps of closed loops, {self.tried} single steps, against Python"
+        lines = [head, *(build.line() for build in self.builds)]
+        lines += [f"  {name:12} not tried: {' and '.join(tools)} missing" for name, tools in self.untried.items()]
+        return "\n".join(lines)
+
+
+def check_builds(
+    controller: Controller,
+    runs: Sequence[Records],
+    targets: Sequence[Target],
+    *,
+    steps: int = STEPS,
+    untried: Mapping[str, tuple[str, ...]] | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> CheckReport:
+    """Build the bundle for each target, and compare what it answers with the law's replay in Python, byte by byte.
+
+    The recorded inputs are fed in their order, the controller carrying its own state, as it does on the robot; then
+    single steps around, at the switches of, and far from these flights (`trial_steps`). Python replays each step from
+    the state that `controller` came to: if all steps agree, so do the chains, by induction from the first.
+
+    Args:
+        controller: the bundle, compiled on this machine.
+        runs: recorded closed loops of its law.
+        targets: where to try it.
+        steps: single steps, at most.
+        untried: targets that lack tools, for the report.
+        tell: is given one line before each piece of work.
+
+    Raises:
+        InputError: no run, or one that does not fit the law; a law that uses the mathematical library.
+    """
+    law = Rounded(_plain(controller.law), controller.bundle.real)
+    flights = [as_records(law, run) for run in runs]
+    alone = trial_steps(law, flights, steps, real=law.real)
+    given = Records(*(np.concatenate(part) for part in zip(*((r.X, r.U, r.P) for r in (*flights, alone)), strict=True)))
+    load = np.ones(len(given), dtype=bool)
+    at = 0
+    for run in flights:
+        load[at + 1 : at + len(run)] = False
+        at += len(run)
+    tell(f"replaying {len(given)} steps in Python")
+    came = controller.run(given, load=load).state
+    states = np.where(load[:, None], given.X, np.vstack([given.X[:1], came[:-1]]))
+    want = _bytes(law.steps(states, given.U, given.P), np.dtype(law.real))
+    reports = []
+    for target in targets:
+        tell(f"building and running {target.name}")
+        with tempfile.TemporaryDirectory(prefix="surctl-check-") as scratch:
+            reports.append(_tried(controller, target, Path(scratch), given, load, want))
+    return CheckReport(law.real, at, len(alone), tuple(reports), dict(untried or {}))
+
+
+def _plain(law: Exportable) -> Exportable:
+    return law.law if isinstance(law, Rounded) else law
+
+
+def _bytes(rows: Rows, dtype: np.dtype[Any]) -> NDArray[np.uint8]:
+    flat = np.hstack([rows.status[:, None].astype(np.float64), rows.tau, rows.state, rows.telemetry])
+    with np.errstate(over="ignore"):
+        exact = np.ascontiguousarray(flat.astype(dtype))
+    return exact.view(np.uint8).reshape(len(flat), -1)
+
+
+def _tried(
+    host: Controller,
+    target: Target,
+    folder: Path,
+    given: Records,
+    load: NDArray[np.bool_],
+    want: NDArray[np.uint8],
+) -> BuildReport:
+    bundle, told = host.bundle, compiler_version(target.compiler)
+    try:
+        controller, counts = _built(host, target, folder)
+        raw = controller.raw(given, load=load)
+    except SurctlError as failure:
+        return BuildReport(target.name, told, failure=str(failure))
+    have = np.frombuffer(raw, dtype=np.uint8).reshape(len(want), -1)
+    wrong = np.flatnonzero(~_same(have, want, np.dtype(bundle.real)))
+    return BuildReport(
+        target.name,
+        told,
+        len(want),
+        len(wrong),
+        int(wrong[0]) if len(wrong) else None,
+        controller.code_bytes,
+        _stack(bundle, target),
+        _instructions(counts, controller, given, load),
+    )
+
+
+def _same(have: NDArray[np.uint8], want: NDArray[np.uint8], dtype: np.dtype[Any]) -> NDArray[np.bool_]:
+    """Rows (T,) with the same bytes; a number that both refused may be any NaN, as IEEE 754 leaves its bits open."""
+    equal = have == want
+    rows: NDArray[np.bool_] = equal.all(axis=1)
+    for k in np.flatnonzero(~rows):
+        a, b = have[k].view(dtype), want[k].view(dtype)
+        bits = f"u{dtype.itemsize}"
+        rows[k] = bool(np.all((a.view(bits) == b.view(bits)) | (np.isnan(a) & np.isnan(b))))
+    return rows
+
+
+def _built(host: Controller, target: Target, folder: Path) -> tuple[Controller, Path | None]:
+    """The compiled bundle, and where its instruction counts come to lie."""
+    law, bundle = host.law, host.bundle
+    write_bundle(bundle, folder / "bundle")
+    source, code = folder / "bundle" / f"{bundle.name}.c", folder / "law.o"
+    compile_program([source], code, flags=("-c", *target.flags), compiler=target.compiler)
+    size = code_bytes(code, target.size_tool)
+    main, program = folder / "bundle" / "sil_main.c", folder / "sil"
+    if target.machine is None:
+        compile_program([main, code], program, flags=target.flags, compiler=target.compiler)
+        return Controller(law, bundle, (str(program),), size), None
+    link = ("--specs=rdimon.specs", "-nostartfiles", f"-T{folder / 'bundle' / 'target.ld'}", "-DSURCTL_COUNTED")
+    start = folder / "bundle" / "target_start.c"
+    compile_program([start, main, code], program, flags=(*target.flags, *link), compiler=target.compiler)
+    counts = folder / "counts"
+    plugin = _plugin(folder, program, f"{bundle.name}_step", counts)
+    return Controller(law, bundle, (*target.board(str(program)), *plugin), size), counts if plugin else None
+
+
+def _plugin(folder: Path, program: Path, step: str, counts: Path) -> tuple[str, ...]:
+    """Options of the emulator that count instructions; none where they cannot be counted."""
+    if shutil.which("arm-none-eabi-nm") is None:
+        return ()
+    source = Path(str(files("surctl.export").joinpath("templates", "count_steps.c")))
+    library = folder / "count_steps.so"
+    try:
+        compile_program([source], library, flags=("-shared", "-fPIC", "-Wno-pedantic"))
+    except (SurctlError, ToolMissing):
+        return ()
+    listed = subprocess.run(["arm-none-eabi-nm", str(program)], capture_output=True, text=True, check=False).stdout
+    at = {words[2]: words[0] for words in map(str.split, listed.splitlines()) if len(words) == 3}
+    if step not in at or "stepped" not in at:
+        return ()
+    return ("-plugin", f"{library},from=0x{at[step]},to=0x{at['stepped']},out={counts}")
+
+
+def _instructions(
+    counts: Path | None, controller: Controller, given: Records, load: NDArray[np.bool_]
+) -> Instructions | None:
+    """Over the steps that were carried out: a refused one is shorter."""
+    if counts is None or not counts.exists():
+        return None
+    taken = np.array([int(line) for line in counts.read_text(encoding="ascii").split()])
+    accepted = np.isfinite(given.X).all(axis=1) & np.isfinite(given.U).all(axis=1)
+    if len(taken) != len(given):
+        return None
+    kept = taken[accepted]
+    return Instructions(int(kept.min()), float(kept.mean()), int(kept.max()))
+
+
+def _stack(bundle: Bundle, target: Target) -> int | None:
+    if target.machine is None:  # of no interest where memory is plenty
+        return None
+    header = bundle.files[f"{bundle.name}.h"]
+    text = bundle.files[f"{bundle.name}.c"].replace(f'#include "{bundle.name}.h"', header)
+    try:
+        return stack_of(text, f"{bundle.name}_step", flags=target.flags, compiler=target.compiler)
+    except SurctlError:
+        return None

@@ -1,0 +1,87 @@
+"""Single steps to try on every build: around recorded flights, at their switches, far from them, and broken."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.export.contract import Exportable
+from surctl.export.precision import rounded
+from surctl.export.records import Records
+from surctl.ir import Real
+
+__all__ = ["MOST_NUMBERS", "trial_steps"]
+
+Vector = NDArray[np.float64]
+
+MOST_NUMBERS = 20_000_000
+"""Numbers that all the steps together may hold: a law with a large state is tried in fewer steps."""
+
+_SMALL, _WIDE = 1e-3, 2.0
+_BROKEN = (np.nan, np.inf, -np.inf)
+_TURNS = 256  # steps that share their gains
+
+
+def trial_steps(
+    law: Exportable, runs: Sequence[Records], count: int, *, real: Real = "float64", seed: int = 0
+) -> Records:
+    """Up to `count` steps (as many as `MOST_NUMBERS` allows), from rows of the runs, in eight kinds by turns.
+
+    As recorded; every number one step of the precision up or down, at rows where something switches (two kinds: all
+    numbers, one number); shaken a little; shaken widely; some numbers swapped for 0, 1 or their opposite; shaken with
+    gains 10 % off; one number not finite. Gains change every few hundred steps only.
+
+    Args:
+        law: the law.
+        runs: recorded flights of it.
+        count: how many steps.
+        real: precision of the target, whose neighbouring numbers count.
+        seed: of the draws.
+    """
+    rng = np.random.default_rng(seed)
+    X = np.concatenate([run.X for run in runs])
+    U = np.concatenate([run.U for run in runs])
+    switches = np.flatnonzero(np.concatenate([_switches(run) for run in runs]))
+    size = X.shape[1] + U.shape[1]
+    count = min(count, max(1, MOST_NUMBERS // (size + runs[0].P.shape[1])))
+    at = rng.integers(0, len(X), count)
+    kind = np.arange(count) % 8
+    if switches.size:
+        edge = np.isin(kind, (1, 2))
+        at[edge] = rng.choice(switches, int(edge.sum()))
+    rows = rounded(np.hstack([X[at], U[at]]), real)
+    _shift(rows, np.flatnonzero(kind == 1), rng, real, share=1.0)
+    _shift(rows, np.flatnonzero(kind == 2), rng, real, share=1.0 / size)
+    for which, spread in ((3, _SMALL), (4, _WIDE), (6, _SMALL)):
+        chosen = kind == which
+        part = rows[chosen]
+        rows[chosen] = part + spread * (1.0 + np.abs(part)) * rng.uniform(-1.0, 1.0, part.shape)
+    part = rows[kind == 5]
+    swapped = rng.choice(3, part.shape)
+    part = np.where(rng.random(part.shape) < 0.1, np.where(swapped < 2, swapped, -part), part)
+    rows[kind == 5] = part
+    broken = np.flatnonzero(kind == 7)
+    rows[broken, rng.integers(0, size, len(broken))] = rng.choice(_BROKEN, len(broken))
+    gains = np.repeat(runs[0].P[:1], count, axis=0)
+    factors = rng.uniform(0.9, 1.1, (count // _TURNS + 1, gains.shape[1]))
+    factors[::2] = 1.0
+    gains *= np.repeat(factors, _TURNS, axis=0)[:count]
+    return Records(rows[:, : X.shape[1]], rows[:, X.shape[1] :], gains)
+
+
+def _switches(run: Records) -> NDArray[np.bool_]:
+    """Rows (T,) at whose ends a whole number of the state or the input becomes another: something was decided."""
+    rows = np.hstack([run.X, run.U])
+    whole = np.all(rows == np.floor(rows), axis=0)
+    flips = (rows[1:, whole] != rows[:-1, whole]).any(axis=1)
+    return np.append(flips, False)
+
+
+def _shift(rows: Vector, at: NDArray[np.intp], rng: np.random.Generator, real: Real, *, share: float) -> None:
+    """Each number of these rows, or a share of them, to a neighbour in that precision."""
+    part = rows[at].astype(np.float64 if real == "float64" else np.float32)
+    up = rng.random(part.shape) < 0.5
+    near = np.nextafter(part, np.where(up, np.inf, -np.inf).astype(part.dtype))
+    rows[at] = np.where(rng.random(part.shape) <= share, near, part)
