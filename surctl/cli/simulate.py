@@ -20,6 +20,7 @@ __all__ = ["simulate"]
 @click.option("--gains", default="default", help="Gain file: name or path.")
 @click.option("--law", default="guarded", help="guarded; the printed stack: paper; a textbook law: apf, dwa, vo, cbf.")
 @click.option("--avoidance", default="corrected", help="printed, consistent or corrected form of (20).")
+@click.option("--guidance", default="los", help="los; with memory against a steady push: ilos or alos.")
 @click.option("--priority-mode", default="nsb", help="nsb, or one that keeps limits: filter, projected, lexicographic.")
 @click.option("--sensing", default="truth", help="truth, or through the sonar array: sonar.")
 @sensor_options
@@ -35,6 +36,7 @@ def simulate(
     gains: str,
     law: str,
     avoidance: str,
+    guidance: str,
     priority_mode: str,
     sensing: str,
     faults: tuple[str, ...],
@@ -87,6 +89,7 @@ def simulate(
             sensors,
             law=law,
             avoidance=avoidance,
+            guidance=guidance,
             mode=priority_mode,
             sensing=sensing,
             seed=seed,
@@ -101,6 +104,7 @@ def simulate(
             mode=priority_mode,
             sonar=sensing == "sonar",
             equipment=scenario.sensors.on(flown["radius"]),
+            guidance=guidance,
         )
         for scenario, flown in zip(plans, vehicles, strict=True)
     ]

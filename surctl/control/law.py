@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from surctl.control.senses import Senses
 from surctl.errors import InputError
-from surctl.guidance import AvoidanceForm
+from surctl.guidance import AvoidanceForm, Guidance
 from surctl.ir import Block, Layout, Port, runnable
 from surctl.priority import Level, Mode, PriorityProblem, PrioritySolution, Row, solve
 
@@ -86,6 +86,7 @@ class Law:
         rows: names of the rows: box, then barriers.
         senses: what runs before the decision, or None; `function`, `pre` and `post` then take the decision's own state
             and what the senses tell as x and u.
+        guidance: how the path is followed.
     """
 
     name: str
@@ -103,6 +104,7 @@ class Law:
     levels: tuple[tuple[str, int, str], ...]
     rows: tuple[str, ...]
     senses: Senses | None = None
+    guidance: Guidance = "los"
 
     def initial_state(self) -> Vector:
         """State before the first step."""

@@ -54,6 +54,7 @@ class Run:
             "vehicle": self.vehicle.name,
             "law": self.law.name.removeprefix("surctl_"),
             "avoidance": self.law.avoidance,
+            "guidance": self.law.guidance,
             "sensing": self.sensing,
             "priority_mode": self.law.mode,
             "seed": self.seed,

@@ -62,6 +62,7 @@ def build_loop(structure: Structure) -> Loop:
         sonar=structure.sensing == "sonar",
         equipment=structure.equipment,
         moving=structure.moving,
+        guidance=structure.guidance,
     )
     state, parameters = Layout(_state_ports(law, structure)), Layout(_parameter_ports(structure))
     builder = _Builder(structure, law, state, parameters)
