@@ -9,6 +9,7 @@ import casadi as ca
 
 from surctl.guidance import (
     Guidance,
+    allowed_closing_speed,
     along_command,
     crosstrack_next,
     crosstrack_shift,
@@ -63,7 +64,8 @@ def path_wish(
     Args:
         eta: (4, 1) measured pose in {E}.
         progress: arc length of the path's target [m].
-        p: gains `k1`, `lookahead`, `wait`, `k_v` and mission `waypoints`, `cruise`, `cap`.
+        p: gains `k1`, `lookahead`, `wait`, `k_v`, `brake`, `reaction`, the model and mission `waypoints`,
+            `cruise`, `cap`.
         dt: control period [s].
         guidance: see `guidance.crosstrack`.
         memory: what it has learnt, of all but `los`.
@@ -78,7 +80,13 @@ def path_wish(
     # past the end U_d is 0 and (12) no longer stabilises y_e: close in on the point itself
     offset = point - eta[:2]
     distance = ca.sqrt(ca.sumsqr(offset))
-    closing = offset * ca.fmin(p["k_v"] / _SEPARATION, p["cruise"] / ca.fmax(distance, 1e-3))
+    # a robot that is heavy for its thrusters would otherwise shoot past what it comes to from the side
+    acceleration = (
+        p["brake"] * ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1]) / ca.fmax(p["mass"][0], p["mass"][1])
+    )
+    fastest = allowed_closing_speed(distance, deceleration=acceleration, reaction=p["reaction"])
+    fastest = ca.fmin(p["cruise"], fastest)
+    closing = offset * ca.fmin(p["k_v"] / _SEPARATION, fastest / ca.fmax(distance, 1e-3))
     arriving = progress >= length
     velocity = ca.if_else(arriving, closing, following)
     rate = progress_rate(x_e, speed=p["cruise"], wait=p["wait"])
