@@ -55,7 +55,8 @@ def simulate(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Fly scenarios in closed loop. Exit status 1 if a run collides, halts or does not arrive.
+    """Fly scenarios in closed loop. Exit status 1 if a run collides, halts, gives up in a dead
+    end or does not arrive.
 
     What is said of sensors takes the place of the scenario's own tables. A campaign (--monte-carlo, --random-worlds)
     draws what it flies, says how often it ends badly, at most, and keeps its runs in DIR; killed, the same command
@@ -118,9 +119,9 @@ def simulate(
             lines.append(run_line(run))
             if as_json:
                 progress(lines[-1])
-            if run.metrics.stopped_because == "halted":
+            if run.metrics.stopped_because in ("halted", "dead end"):
                 results[-1]["halted_because"] = halt_reason(run)
-                lines.append(f"  halted: {results[-1]['halted_because']}")
+                lines.append(f"  {run.metrics.stopped_because}: {results[-1]['halted_because']}")
             lines += explained_and_drawn(run, results[-1], explained=explained, out=out)
     good = all(r["reached"] and r["min_clearance_m"] > 0 for r in results)
     finish({"runs": results}, lines, as_json=as_json, passed=good)

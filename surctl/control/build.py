@@ -10,7 +10,7 @@ import casadi as ca
 
 from surctl.control.baselines import Situation
 from surctl.control.echoes import perceive, perception_ports
-from surctl.control.law import DEGRADED, SATURATED, SWITCHED, TELEMETRY, Law, scan_telemetry
+from surctl.control.law import DEGRADED, SATURATED, SWITCHED, TELEMETRY, TRAPPED, TRAPPED_PORT, Law, scan_telemetry
 from surctl.control.laws import DECISION_PORTS, Decision, Scan
 from surctl.control.ports import (
     CONTACT_SLOTS,
@@ -25,6 +25,7 @@ from surctl.control.ports import (
 from surctl.control.reference import learnt, path_wish
 from surctl.control.registry import LAW_NAMES, LAWS, LawName
 from surctl.control.senses import Senses, build_senses
+from surctl.control.trap import TRAP_PORTS, standing, trap_next
 from surctl.control.velocity import velocity_control
 from surctl.errors import InputError, nearest
 from surctl.guidance import FORMS, AvoidanceForm, Guidance, check_guidance
@@ -128,12 +129,15 @@ def _decide(
 ) -> Law:
     """The law, or what of it comes after the senses."""
     scans = "unknown" in inputs
-    state = _state_layout(dt, guidance, sonar=sonar)
-    outputs = Layout(scan_telemetry(inputs.port("heard").shape[0]) if scans else TELEMETRY)
+    state = _state_layout(dt, guidance, gives_up=law == "guarded", sonar=sonar)
+    listed = scan_telemetry(inputs.port("heard").shape[0]) if scans else TELEMETRY
+    outputs = Layout((*listed, *((TRAPPED_PORT,) if "trapped" in state else ())))
     x, xs = state.symbols("x")
     u, us = inputs.symbols("u")
     p, ps = PARAMETERS.symbols("p")
     wish = path_wish(us["eta"], xs["progress"], ps, dt=dt, guidance=guidance, memory=xs.get("drift"))
+    if "trapped" in xs:
+        wish = standing(wish, xs, us["eta"], ps)
     seen = perceive(xs, us, ps, dt=dt)
     scan = Scan(us["unknown"], us["heard"], us["placed"]) if scans else None
     decision = LAWS[law](Situation(avoidance, wish, seen, xs, us["eta"], us["nu"], ps, dt, scan, moving))
@@ -153,7 +157,12 @@ def _decide(
     carried = {**seen.state, **decision.state, "progress": wish.progress, "integral": xs["integral"]}
     if "drift" in xs:
         carried["drift"] = learnt(guidance, wish, xs["drift"], us["eta"], us["nu"], decision.avoiding, ps, dt=dt)
+    if "trapped" in xs:
+        trap = trap_next(wish, seen.known if moving else (), xs, us["eta"], decision.halted, ps, dt=dt)
+        carried |= trap
+        told["trapped"] = trap["trapped"]
     flags = SWITCHED * ca.logic_not(decision.state["side"] == xs["side"]) + DEGRADED * decision.degraded
+    flags += TRAPPED * told.get("trapped", 0)
     memory = _Memory(state.join(carried), outputs.join({**unknown, **told})[8:], flags)
 
     rows = _rows(decision, ps)
@@ -227,7 +236,7 @@ def _tick_inputs(decision: Decision, rows: list[LimitRow], p: dict[str, ca.SX]) 
     return [ca.densify(output) for output in outputs]
 
 
-def _state_layout(dt: float, guidance: Guidance, *, sonar: bool) -> Layout:
+def _state_layout(dt: float, guidance: Guidance, *, gives_up: bool, sonar: bool) -> Layout:
     unit = {"ilos": "s", "alos": "1"}.get(guidance, "")
     memory = (Port("drift", (1,), unit, f"what guidance {guidance} has learnt of a steady push"),) if unit else ()
     return Layout(
@@ -235,10 +244,16 @@ def _state_layout(dt: float, guidance: Guidance, *, sonar: bool) -> Layout:
             Port("progress", (1,), "m", "arc length of the path's target"),
             Port("integral", (4,), "m/s^2, rad/s^2", "integral action of the velocity loops"),
             *memory,
+            *(TRAP_PORTS if gives_up else ()),
             *DECISION_PORTS,
             *perception_ports(dt, sonar=sonar),
         )
     )
+
+
+def _has_degraded(flags: ca.SX) -> ca.SX:
+    """Whether the bit `DEGRADED` is set; only `TRAPPED` is above it."""
+    return flags - TRAPPED * (flags >= TRAPPED) >= DEGRADED
 
 
 def _yaw_limit(p: dict[str, ca.SX]) -> ca.SX:
@@ -287,7 +302,7 @@ class _Closing:
         """tau, x_next, status, telemetry of a wanted velocity; rung of the priority tick, 0 if there was none."""
         carried = self.state.split(memory.carried)
         tau, integral, saturated, clamped = self._thrust(nu_wanted, carried["integral"])
-        opened = ca.logic_and(rung >= RELAXED, memory.flags < DEGRADED)
+        opened = ca.logic_and(rung >= RELAXED, ca.logic_not(_has_degraded(memory.flags)))
         status = memory.flags + SATURATED * saturated + DEGRADED * opened
         return [tau, self.state.join({**carried, "integral": integral}), status, ca.vertcat(clamped, memory.told)]
 

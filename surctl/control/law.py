@@ -22,11 +22,11 @@ from surctl.guidance import AvoidanceForm, Guidance
 from surctl.ir import Block, Layout, Port, runnable
 from surctl.priority import Level, Mode, PriorityProblem, PrioritySolution, Row, solve
 
-__all__ = ["DEGRADED", "NONFINITE", "SATURATED", "SWITCHED", "TELEMETRY", "Law", "LawStep"]
+__all__ = ["DEGRADED", "NONFINITE", "SATURATED", "SWITCHED", "TELEMETRY", "TRAPPED", "Law", "LawStep"]
 
 Vector: TypeAlias = NDArray[np.float64]
 
-SATURATED, SWITCHED, DEGRADED = 1, 2, 4
+SATURATED, SWITCHED, DEGRADED, TRAPPED = 1, 2, 4, 8
 NONFINITE = -2
 
 TELEMETRY = (
@@ -36,6 +36,10 @@ TELEMETRY = (
     Port("avoiding", (1,), "1", "1 while a contact changes the wish"),
     Port("nearest", (1,), "m", "smallest clearance that the law knows of"),
     Port("ranges", (4,), "m", "filtered sonar ranges"),
+)
+
+TRAPPED_PORT = Port(
+    "trapped", (1,), "1", "1 from when it gave up in a dead end: it stands, and gives way to what moves"
 )
 
 
@@ -56,7 +60,8 @@ class LawStep(NamedTuple):
     Attributes:
         tau: (4,) [N, N m] in {B}.
         x_next: next state, flat.
-        status: 0, bits `SATURATED`, `SWITCHED`, `DEGRADED`, or `NONFINITE` (then tau is 0 and the state stays).
+        status: 0, bits `SATURATED`, `SWITCHED`, `DEGRADED`, `TRAPPED`, or `NONFINITE` (then tau is 0, the state
+            stays).
         telemetry: flat, the ports of `Law.outputs` after tau.
     """
 

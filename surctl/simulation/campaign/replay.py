@@ -47,7 +47,7 @@ class _RunFile(Strict):
     guidance: Guidance = "los"
     priority_mode: Mode
     sensing: Sensing
-    stopped_because: Literal["time limit", "reached", "collision", "fault", "halted"]
+    stopped_because: Literal["time limit", "reached", "collision", "fault", "halted", "dead end"]
     broken_assumptions: tuple[str, ...] = ()
     figures: dict[str, float]
     draw: dict[str, float] = Field(default_factory=dict)
