@@ -37,7 +37,7 @@ GAINS: Mapping[str, GainSpec] = {
     "ilos_sigma": GainSpec("m/s", "integral gain sigma of guidance ilos", default=0.05),
     "alos_gamma": GainSpec("1/m^2", "adaptation gain gamma of guidance alos", default=0.4),
     "wait": GainSpec("m", "the path's target stops when the robot is this far behind it"),
-    "patience": GainSpec("s", "time without getting on after which it is a dead end; 0 for never", True, default=30.0),
+    "patience": GainSpec("s", "time without getting on after which it is a dead end; 0 for never", True, default=60.0),
     "k_psi": GainSpec("1/s", "heading gain"),
     "spin": GainSpec("rad/s", "yaw rate at which a law with sonars looks around", zero_allowed=True),
     "k_v": GainSpec("1/s", "bandwidth of the velocity loops surge, sway, heave"),

@@ -15,7 +15,7 @@ from surctl.errors import InputError
 
 TEXT = (LIBRARY / "default.toml").read_text(encoding="utf-8")
 BOUNDED = {"brake": 1.0, "lms_step": 1.0, "beta_max": 0.5}
-MAY_BE_ZERO = {"k_i", "delta", "lambda1", "beta_max", "spin"}
+MAY_BE_ZERO = {"k_i", "delta", "lambda1", "beta_max", "spin", "patience"}
 
 
 def _load(folder: Path, text: str) -> Gains:
