@@ -97,6 +97,7 @@ class CampaignOptions:
         *,
         law: str,
         avoidance: str,
+        guidance: str,
         mode: str,
         sensing: str,
         seed: int,
@@ -108,7 +109,7 @@ class CampaignOptions:
         """
         from typing import cast
 
-        from surctl.guidance import AvoidanceForm
+        from surctl.guidance import AvoidanceForm, Guidance
         from surctl.simulation import load_scenario
         from surctl.simulation.campaign import MonteCarlo, RandomWorlds, world_template
         from surctl.tuning import build_cases
@@ -121,7 +122,8 @@ class CampaignOptions:
             flown = flown or [load_vehicle(WORLDS_VEHICLE)]
             missions = [sensors.over(world_template(flown[0]))]
         cases = build_cases(missions, flown, gains=gains, law=law, mode=mode, sensing=sensing)
-        cases = tuple(replace(case, avoidance=cast(AvoidanceForm, avoidance)) for case in cases)
+        form, followed = cast(AvoidanceForm, avoidance), cast(Guidance, guidance)
+        cases = tuple(replace(case, avoidance=form, guidance=followed) for case in cases)
         for case in cases[:1]:
             case.build()  # so that a mistake is told before anything is written
         if self.worlds is None:
@@ -169,6 +171,7 @@ def _told(flown: Campaign, files: list[Path], worst: int) -> dict[str, Any]:
         "vehicle": case.vehicle.name,
         "law": case.law,
         "avoidance": case.avoidance,
+        "guidance": case.guidance,
         "priority_mode": case.mode,
         "sensing": case.sensing,
         "gains": case.gains.name,

@@ -18,6 +18,7 @@ __all__ = ["export"]
 @click.option("--scenario", default="pool-static", help="Mission and sensors: of the defaults and of the check.")
 @click.option("--law", default="guarded", help="guarded; paper; a textbook law: apf, dwa, vo, cbf.")
 @click.option("--avoidance", default="corrected", help="Form of (20) in law paper.")
+@click.option("--guidance", default="los", help="los; with memory against a steady push: ilos or alos.")
 @click.option("--priority-mode", default="nsb", help="nsb, or one that keeps limits: filter, projected, lexicographic.")
 @click.option(
     "--sensing", default="sonar", help="sonar: the law that senses for itself; truth: it is told all positions."
@@ -42,6 +43,7 @@ def export(
     scenario: str,
     law: str,
     avoidance: str,
+    guidance: str,
     priority_mode: str,
     sensing: str,
     faults: tuple[str, ...],
@@ -104,7 +106,14 @@ def export(
     mission = sensors.over(load_scenario(scenario))
     flown = load_vehicle(vehicle or mission.vehicle)
     equipment = mission.sensors.on(flown["radius"])
-    built = build_law(law, avoidance=avoidance, mode=priority_mode, sonar=sensing == "sonar", equipment=equipment)
+    built = build_law(
+        law,
+        avoidance=avoidance,
+        mode=priority_mode,
+        sonar=sensing == "sonar",
+        equipment=equipment,
+        guidance=guidance,
+    )
     tuned = load_gains(gains)
     # before the flight, so that a name or a folder that will not do is told at once
     bundle = build_bundle(built, built.gains.unpack(law_numbers(mission, tuned, flown)), name=name, real=precision)

@@ -20,6 +20,7 @@ __all__ = ["simulate"]
 @click.option("--gains", default="default", help="Gain file: name or path.")
 @click.option("--law", default="guarded", help="guarded; the printed stack: paper; a textbook law: apf, dwa, vo, cbf.")
 @click.option("--avoidance", default="corrected", help="printed, consistent or corrected form of (20).")
+@click.option("--guidance", default="los", help="los; with memory against a steady push: ilos or alos.")
 @click.option("--priority-mode", default="nsb", help="nsb, or one that keeps limits: filter, projected, lexicographic.")
 @click.option("--sensing", default="truth", help="truth, or through the sonar array: sonar.")
 @sensor_options
@@ -35,6 +36,7 @@ def simulate(
     gains: str,
     law: str,
     avoidance: str,
+    guidance: str,
     priority_mode: str,
     sensing: str,
     faults: tuple[str, ...],
@@ -53,7 +55,8 @@ def simulate(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Fly scenarios in closed loop. Exit status 1 if a run collides, halts or does not arrive.
+    """Fly scenarios in closed loop. Exit status 1 if a run collides, halts, gives up in a dead
+    end or does not arrive.
 
     What is said of sensors takes the place of the scenario's own tables. A campaign (--monte-carlo, --random-worlds)
     draws what it flies, says how often it ends badly, at most, and keeps its runs in DIR; killed, the same command
@@ -87,6 +90,7 @@ def simulate(
             sensors,
             law=law,
             avoidance=avoidance,
+            guidance=guidance,
             mode=priority_mode,
             sensing=sensing,
             seed=seed,
@@ -101,6 +105,7 @@ def simulate(
             mode=priority_mode,
             sonar=sensing == "sonar",
             equipment=scenario.sensors.on(flown["radius"]),
+            guidance=guidance,
         )
         for scenario, flown in zip(plans, vehicles, strict=True)
     ]
@@ -114,9 +119,9 @@ def simulate(
             lines.append(run_line(run))
             if as_json:
                 progress(lines[-1])
-            if run.metrics.stopped_because == "halted":
+            if run.metrics.stopped_because in ("halted", "dead end"):
                 results[-1]["halted_because"] = halt_reason(run)
-                lines.append(f"  halted: {results[-1]['halted_because']}")
+                lines.append(f"  {run.metrics.stopped_because}: {results[-1]['halted_because']}")
             lines += explained_and_drawn(run, results[-1], explained=explained, out=out)
     good = all(r["reached"] and r["min_clearance_m"] > 0 for r in results)
     finish({"runs": results}, lines, as_json=as_json, passed=good)

@@ -7,6 +7,7 @@ from surctl.control.law import (
     NONFINITE,
     SATURATED,
     SWITCHED,
+    TRAPPED,
     Law,
     LawStep,
 )
@@ -26,6 +27,7 @@ __all__ = [
     "PARAMETERS",
     "SATURATED",
     "SWITCHED",
+    "TRAPPED",
     "Gains",
     "Law",
     "LawName",

@@ -10,7 +10,7 @@ import casadi as ca
 
 from surctl.control.baselines import Situation
 from surctl.control.echoes import perceive, perception_ports
-from surctl.control.law import DEGRADED, SATURATED, SWITCHED, TELEMETRY, Law, scan_telemetry
+from surctl.control.law import DEGRADED, SATURATED, SWITCHED, TELEMETRY, TRAPPED, TRAPPED_PORT, Law, scan_telemetry
 from surctl.control.laws import DECISION_PORTS, Decision, Scan
 from surctl.control.ports import (
     CONTACT_SLOTS,
@@ -22,12 +22,13 @@ from surctl.control.ports import (
     scan_inputs,
     sonar_inputs,
 )
-from surctl.control.reference import path_wish
+from surctl.control.reference import learnt, path_wish
 from surctl.control.registry import LAW_NAMES, LAWS, LawName
 from surctl.control.senses import Senses, build_senses
+from surctl.control.trap import TRAP_PORTS, standing, trap_next
 from surctl.control.velocity import velocity_control
 from surctl.errors import InputError, nearest
-from surctl.guidance import FORMS, AvoidanceForm
+from surctl.guidance import FORMS, AvoidanceForm, Guidance, check_guidance
 from surctl.ir import Block, Call, Layout, Port, Routine, lower, without_libm
 from surctl.priority import LevelShape, Mode, nsb_symbolic, priority_tick
 from surctl.priority.solver.ladder import RELAXED
@@ -54,6 +55,7 @@ def build_law(
     sonar: bool = False,
     equipment: Equipment = DEFAULT_EQUIPMENT,
     moving: bool = True,
+    guidance: Guidance = "los",
 ) -> Law:
     """Assemble a law once; the gains stay symbols.
 
@@ -66,6 +68,8 @@ def build_law(
         sonar: whether it listens to the sonars; without them it needs true positions.
         equipment: what a law with sonars believes it senses with; `paper` has the paper's four sonars.
         moving: whether a known obstacle may move; without that it does the same as long as none does.
+        guidance: how the path is followed: `los`, or with memory against a steady push, `ilos` or `alos`, see
+            `guidance.crosstrack`.
 
     Raises:
         InputError: an unknown name, or a form that the law does not take.
@@ -73,6 +77,7 @@ def build_law(
     for key, value, known in (("law", law, LAW_NAMES), ("avoidance", avoidance, FORMS), ("priority-mode", mode, MODES)):
         if value not in known:
             raise InputError("is not known", key=key, value=value, remedy=nearest(str(value), known))
+    check_guidance(guidance)
     if law != "paper" and avoidance != "corrected":
         raise InputError(
             f"law {law} takes the corrected form only",
@@ -83,9 +88,11 @@ def build_law(
     if law == "paper" and sonar and equipment.array != DEFAULT_ARRAY:
         raise InputError("law paper has the four sonars of the paper", key="array", remedy="fly law guarded")
     if law == "paper" or not sonar:
-        return _decide(law, avoidance, mode, dt, law_inputs(contacts, sonar=sonar), sonar=sonar, moving=moving)
+        return _decide(
+            law, avoidance, mode, dt, law_inputs(contacts, sonar=sonar), guidance, sonar=sonar, moving=moving
+        )
     told = scan_inputs(contacts + SECTORS, sensors=equipment.array.size)
-    decide = _decide(law, avoidance, mode, dt, told)
+    decide = _decide(law, avoidance, mode, dt, told, guidance)
     return _with_senses(decide, build_senses(equipment, sonar_inputs(equipment, contacts=contacts), told, dt=dt))
 
 
@@ -115,18 +122,22 @@ def _decide(
     mode: Mode,
     dt: float,
     inputs: Layout,
+    guidance: Guidance,
     *,
     sonar: bool = False,
     moving: bool = True,
 ) -> Law:
     """The law, or what of it comes after the senses."""
     scans = "unknown" in inputs
-    state = _state_layout(dt, sonar=sonar)
-    outputs = Layout(scan_telemetry(inputs.port("heard").shape[0]) if scans else TELEMETRY)
+    state = _state_layout(dt, guidance, gives_up=law == "guarded", sonar=sonar)
+    listed = scan_telemetry(inputs.port("heard").shape[0]) if scans else TELEMETRY
+    outputs = Layout((*listed, *((TRAPPED_PORT,) if "trapped" in state else ())))
     x, xs = state.symbols("x")
     u, us = inputs.symbols("u")
     p, ps = PARAMETERS.symbols("p")
-    wish = path_wish(us["eta"], xs["progress"], ps, dt=dt)
+    wish = path_wish(us["eta"], xs["progress"], ps, dt=dt, guidance=guidance, memory=xs.get("drift"))
+    if "trapped" in xs:
+        wish = standing(wish, xs, us["eta"], ps)
     seen = perceive(xs, us, ps, dt=dt)
     scan = Scan(us["unknown"], us["heard"], us["placed"]) if scans else None
     decision = LAWS[law](Situation(avoidance, wish, seen, xs, us["eta"], us["nu"], ps, dt, scan, moving))
@@ -144,7 +155,14 @@ def _decide(
         heard = us["heard"]
         told |= {"ranges": heard[:, 0], "bounds": heard[:, 1], "healthy": heard[:, 2], "halted": decision.halted}
     carried = {**seen.state, **decision.state, "progress": wish.progress, "integral": xs["integral"]}
+    if "drift" in xs:
+        carried["drift"] = learnt(guidance, wish, xs["drift"], us["eta"], us["nu"], decision.avoiding, ps, dt=dt)
+    if "trapped" in xs:
+        trap = trap_next(wish, seen.known if moving else (), xs, us["eta"], decision.halted, ps, dt=dt)
+        carried |= trap
+        told["trapped"] = trap["trapped"]
     flags = SWITCHED * ca.logic_not(decision.state["side"] == xs["side"]) + DEGRADED * decision.degraded
+    flags += TRAPPED * told.get("trapped", 0)
     memory = _Memory(state.join(carried), outputs.join({**unknown, **told})[8:], flags)
 
     rows = _rows(decision, ps)
@@ -180,6 +198,7 @@ def _decide(
         post=post,
         levels=levels,
         rows=tuple(row.name for row in rows),
+        guidance=guidance,
     )
 
 
@@ -220,15 +239,24 @@ def _tick_inputs(decision: Decision, rows: list[LimitRow], p: dict[str, ca.SX]) 
     return [ca.densify(output) for output in outputs]
 
 
-def _state_layout(dt: float, *, sonar: bool) -> Layout:
+def _state_layout(dt: float, guidance: Guidance, *, gives_up: bool, sonar: bool) -> Layout:
+    unit = {"ilos": "s", "alos": "1"}.get(guidance, "")
+    memory = (Port("drift", (1,), unit, f"what guidance {guidance} has learnt of a steady push"),) if unit else ()
     return Layout(
         (
             Port("progress", (1,), "m", "arc length of the path's target"),
             Port("integral", (4,), "m/s^2, rad/s^2", "integral action of the velocity loops"),
+            *memory,
+            *(TRAP_PORTS if gives_up else ()),
             *DECISION_PORTS,
             *perception_ports(dt, sonar=sonar),
         )
     )
+
+
+def _has_degraded(flags: ca.SX) -> ca.SX:
+    """Whether the bit `DEGRADED` is set; only `TRAPPED` is above it."""
+    return flags - TRAPPED * (flags >= TRAPPED) >= DEGRADED
 
 
 def _yaw_limit(p: dict[str, ca.SX]) -> ca.SX:
@@ -277,7 +305,7 @@ class _Closing:
         """tau, x_next, status, telemetry of a wanted velocity; rung of the priority tick, 0 if there was none."""
         carried = self.state.split(memory.carried)
         tau, integral, saturated, clamped = self._thrust(nu_wanted, carried["integral"])
-        opened = ca.logic_and(rung >= RELAXED, memory.flags < DEGRADED)
+        opened = ca.logic_and(rung >= RELAXED, ca.logic_not(_has_degraded(memory.flags)))
         status = memory.flags + SATURATED * saturated + DEGRADED * opened
         return [tau, self.state.join({**carried, "integral": integral}), status, ca.vertcat(clamped, memory.told)]
 

@@ -21,19 +21,23 @@ LIBRARY = Path(__file__).parent / "library"
 
 @dataclass(frozen=True)
 class GainSpec:
-    """Unit, meaning, and whether 0 switches the feature off (every other gain must be > 0)."""
+    """Unit, meaning, whether 0 switches the feature off (else it must be > 0), and the value a file may leave out."""
 
     unit: str
     meaning: str
     zero_allowed: bool = False
     below: float = float("inf")
+    default: float | None = None
 
 
 GAINS: Mapping[str, GainSpec] = {
     "k1": GainSpec("1/s", "along-track gain of (12)"),
     "k2": GainSpec("1/s", "depth gain of (12)"),
     "lookahead": GainSpec("m", "look-ahead distance Delta_h of the LOS law"),
+    "ilos_sigma": GainSpec("m/s", "integral gain sigma of guidance ilos", default=0.05),
+    "alos_gamma": GainSpec("1/m^2", "adaptation gain gamma of guidance alos", default=0.4),
     "wait": GainSpec("m", "the path's target stops when the robot is this far behind it"),
+    "patience": GainSpec("s", "time without getting on after which it is a dead end; 0 for never", True, default=60.0),
     "k_psi": GainSpec("1/s", "heading gain"),
     "spin": GainSpec("rad/s", "yaw rate at which a law with sonars looks around", zero_allowed=True),
     "k_v": GainSpec("1/s", "bandwidth of the velocity loops surge, sway, heave"),
@@ -105,7 +109,7 @@ def check_value(name: str, value: float, source: object) -> None:
 
 
 def load_gains(name_or_path: str) -> Gains:
-    """A built-in gain file by name, or a gain file by path; every gain must be in it.
+    """A built-in gain file by name, or a gain file by path; every gain without a default must be in it.
 
     Raises:
         InputError: unreadable file, unknown or missing gain, wrong unit, or a value out of its bounds.
@@ -124,14 +128,15 @@ def load_gains(name_or_path: str) -> Gains:
             )
         check_value(name, quantity.value, path)
     for name, spec in GAINS.items():
-        if name not in model.gains:
+        if name not in model.gains and spec.default is None:
             raise InputError(
                 "is missing",
                 file=path,
                 key=f"gains.{name}",
                 remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
             )
-    return Gains(model.name, {n: model.gains[n].value for n in GAINS}, model.provenance, str(path))
+    values = {n: model.gains[n].value if n in model.gains else spec.default or 0.0 for n, spec in GAINS.items()}
+    return Gains(model.name, values, model.provenance, str(path))
 
 
 def write_gains(gains: Gains) -> str:

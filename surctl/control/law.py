@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 
 from surctl.control.senses import Senses
 from surctl.errors import InputError
-from surctl.guidance import AvoidanceForm
+from surctl.guidance import AvoidanceForm, Guidance
 from surctl.ir import Block, Layout, Port, runnable, to_casadi
 from surctl.priority import Level, Mode, PriorityProblem, PrioritySolution, Row, solve
 
-__all__ = ["DEGRADED", "NONFINITE", "SATURATED", "SWITCHED", "TELEMETRY", "Law", "LawStep"]
+__all__ = ["DEGRADED", "NONFINITE", "SATURATED", "SWITCHED", "TELEMETRY", "TRAPPED", "Law", "LawStep"]
 
 Vector: TypeAlias = NDArray[np.float64]
 
-SATURATED, SWITCHED, DEGRADED = 1, 2, 4
+SATURATED, SWITCHED, DEGRADED, TRAPPED = 1, 2, 4, 8
 NONFINITE = -2
 
 TELEMETRY = (
@@ -36,6 +36,10 @@ TELEMETRY = (
     Port("avoiding", (1,), "1", "1 while a contact changes the wish"),
     Port("nearest", (1,), "m", "smallest clearance that the law knows of"),
     Port("ranges", (4,), "m", "filtered sonar ranges"),
+)
+
+TRAPPED_PORT = Port(
+    "trapped", (1,), "1", "1 from when it gave up in a dead end: it stands, and gives way to what moves"
 )
 
 
@@ -56,7 +60,8 @@ class LawStep(NamedTuple):
     Attributes:
         tau: (4,) [N, N m] in {B}.
         x_next: next state, flat.
-        status: 0, bits `SATURATED`, `SWITCHED`, `DEGRADED`, or `NONFINITE` (then tau is 0 and the state stays).
+        status: 0, bits `SATURATED`, `SWITCHED`, `DEGRADED`, `TRAPPED`, or `NONFINITE` (then tau is 0, the state
+            stays).
         telemetry: flat, the ports of `Law.outputs` after tau.
     """
 
@@ -87,6 +92,7 @@ class Law:
         rows: names of the rows: box, then barriers.
         senses: what runs before the decision, or None; `function`, `pre` and `post` then take the decision's own state
             and what the senses tell as x and u.
+        guidance: how the path is followed.
     """
 
     name: str
@@ -104,6 +110,7 @@ class Law:
     levels: tuple[tuple[str, int, str], ...]
     rows: tuple[str, ...]
     senses: Senses | None = None
+    guidance: Guidance = "los"
 
     def initial_state(self) -> Vector:
         """State before the first step."""

@@ -61,6 +61,7 @@ _BEHIND = 0.7  # cosine from which something comes from behind: it is outrun
 _AFTER = 3.0  # [s] after the arrival for which it is
 _URGENT = 4.0  # [s] before it is met
 _DEEP = 0.01  # [m/s] in a cone at which the robot goes on where it would wait to look
+_BESIDE = 0.03  # [m] off the path from which a way past the unknown must not lead further off
 _OVERTAKE = 0.02  # [m/s] by which the avoidance speed exceeds the obstacle's
 
 
@@ -161,7 +162,8 @@ def guarded_law(
             chased = ca.logic_or(chased, sector.bound < 0)
         # beside what blocks the wish, a way past the unknown would leave the side that is latched
         past = round_unknown(velocity, caution[: scan.unknown.shape[0]], sectors, cones=cones)
-        cautious = slowed(ca.if_else(choice.blocked, velocity, past), caution)
+        past = ca.if_else(ca.logic_or(choice.blocked, _strays(wish, past)), velocity, past)
+        cautious = slowed(past, caution)
         for cone in cones:
             soon = ca.dot(cone.ahead, cautious) - cone.closing > cone.room / _URGENT
             chased = ca.logic_or(chased, ca.logic_and(soon, inside(cautious, cone) > _DEEP))
@@ -193,6 +195,12 @@ def guarded_law(
         {"side": choice.side, "blocker": choice.blocker, "last_velocity": velocity},
         halted,
     )
+
+
+def _strays(wish: Wish, velocity: ca.SX) -> ca.SX:
+    """Whether a velocity leads off the path, where the robot already is beside it."""
+    across = wish.tangent[0] * velocity[1] - wish.tangent[1] * velocity[0]
+    return ca.logic_and(ca.fabs(wish.y_e) > _BESIDE, across * wish.y_e > 0)
 
 
 def _cautious_bounds(scan: Scan, deceleration: ca.SX, p: Mapping[str, ca.SX]) -> list[tuple[ca.SX, ca.SX]]:

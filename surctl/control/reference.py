@@ -7,11 +7,23 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from surctl.guidance import along_command, path_error, path_target, progress_rate, tracking_velocity
+from surctl.guidance import (
+    Guidance,
+    allowed_closing_speed,
+    along_command,
+    crosstrack_next,
+    crosstrack_shift,
+    path_error,
+    path_target,
+    progress_rate,
+    tracking_velocity,
+)
+from surctl.vehicle import planar_rotation
 
+_RETURNS = 0.5  # of the speed across the path that LOS asks for
 _SEPARATION = 3.0  # the position loop is this much slower than the velocity loop
 
-__all__ = ["Wish", "path_wish"]
+__all__ = ["Wish", "learnt", "path_wish"]
 
 
 @dataclass(frozen=True)
@@ -23,6 +35,9 @@ class Wish:
         heading: ψ_d [rad], the path's direction.
         progress: next arc length of the path's target [m].
         x_e, y_e: path errors of (8) [m].
+        along: commanded speed along the path [m/s].
+        tangent: (2, 1) of the path, in {E}.
+        arriving: 1 past the path's end, where the target itself is closed in on.
     """
 
     velocity: ca.SX
@@ -30,25 +45,93 @@ class Wish:
     progress: ca.SX
     x_e: ca.SX
     y_e: ca.SX
+    along: ca.SX
+    tangent: ca.SX
+    arriving: ca.SX
 
 
-def path_wish(eta: ca.SX, progress: ca.SX, p: Mapping[str, ca.SX], *, dt: float) -> Wish:
+def path_wish(
+    eta: ca.SX,
+    progress: ca.SX,
+    p: Mapping[str, ca.SX],
+    *,
+    dt: float,
+    guidance: Guidance = "los",
+    memory: ca.SX | None = None,
+) -> Wish:
     """Tracking law (8)–(12) on the path; at its end, proportional approach to the target.
 
     Args:
         eta: (4, 1) measured pose in {E}.
         progress: arc length of the path's target [m].
-        p: gains `k1`, `lookahead`, `wait`, `k_v` and mission `waypoints`, `cruise`, `cap`.
+        p: gains `k1`, `lookahead`, `wait`, `k_v`, `brake`, `reaction`, the model and mission `waypoints`,
+            `cruise`, `cap`.
         dt: control period [s].
+        guidance: see `guidance.crosstrack`.
+        memory: what it has learnt, of all but `los`.
     """
     point, tangent, length = path_target(p["waypoints"], progress)
     x_e, y_e = path_error(eta[:2], point, tangent)
-    along = along_command(x_e, y_e, speed=p["cruise"], k1=p["k1"], lookahead=p["lookahead"], maximum=p["cap"])
-    following = tracking_velocity(along, y_e, tangent, p["lookahead"])
+    shift = crosstrack_shift(
+        guidance, ca.SX(0) if memory is None else memory, lookahead=p["lookahead"], sigma=p["ilos_sigma"]
+    )
+    along = along_command(x_e, y_e + shift, speed=p["cruise"], k1=p["k1"], lookahead=p["lookahead"], maximum=p["cap"])
+    following = tracking_velocity(along, y_e + shift, tangent, p["lookahead"])
     # past the end U_d is 0 and (12) no longer stabilises y_e: close in on the point itself
     offset = point - eta[:2]
     distance = ca.sqrt(ca.sumsqr(offset))
-    closing = offset * ca.fmin(p["k_v"] / _SEPARATION, p["cruise"] / ca.fmax(distance, 1e-3))
-    velocity = ca.if_else(progress >= length, closing, following)
+    # a robot that is heavy for its thrusters would otherwise shoot past what it comes to from the side
+    acceleration = (
+        p["brake"] * ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1]) / ca.fmax(p["mass"][0], p["mass"][1])
+    )
+    fastest = allowed_closing_speed(distance, deceleration=acceleration, reaction=p["reaction"])
+    fastest = ca.fmin(p["cruise"], fastest)
+    closing = offset * ca.fmin(p["k_v"] / _SEPARATION, fastest / ca.fmax(distance, 1e-3))
+    arriving = progress >= length
+    velocity = ca.if_else(arriving, closing, following)
     rate = progress_rate(x_e, speed=p["cruise"], wait=p["wait"])
-    return Wish(velocity, ca.atan2(tangent[1], tangent[0]), ca.fmin(progress + dt * rate, length), x_e, y_e)
+    heading, ahead = ca.atan2(tangent[1], tangent[0]), ca.fmin(progress + dt * rate, length)
+    return Wish(velocity, heading, ahead, x_e, y_e, along, tangent, arriving)
+
+
+def learnt(
+    guidance: Guidance,
+    wish: Wish,
+    memory: ca.SX,
+    eta: ca.SX,
+    nu: ca.SX,
+    avoiding: ca.SX,
+    p: Mapping[str, ca.SX],
+    *,
+    dt: float,
+) -> ca.SX:
+    """What `ilos` or `alos` knows one period later.
+
+    Nothing is learnt while the robot avoids, is behind the path's target, arrives, or already returns to the path at
+    half the speed that is asked for or more: that error is no push's, and would lead to overshoot.
+
+    Args:
+        guidance: `ilos` or `alos`.
+        wish: of this step.
+        memory: see `guidance.crosstrack`.
+        eta, nu: (4, 1) pose in {E} and velocity in {B}.
+        avoiding: 1 while a contact changes the wish.
+        p: as `path_wish`.
+        dt: control period [s].
+    """
+    over_ground = planar_rotation(eta[3]) @ nu[:2]
+    across = wish.tangent[0] * over_ground[1] - wish.tangent[1] * over_ground[0]
+    returning = -across * wish.y_e > _RETURNS * wish.along * wish.y_e * wish.y_e / p["lookahead"]
+    behind = wish.x_e < -p["wait"] / 2
+    held = ca.logic_or(ca.logic_or(avoiding, wish.arriving), ca.logic_or(behind, returning))
+    return crosstrack_next(
+        guidance,
+        memory,
+        wish.y_e,
+        along=wish.along,
+        lookahead=p["lookahead"],
+        sigma=p["ilos_sigma"],
+        gamma=p["alos_gamma"],
+        held=held,
+        dt=dt,
+    )

@@ -19,6 +19,7 @@ STATUS: tuple[tuple[str, int, str], ...] = (
     ("SATURATED", 1, "bit: a thrust limit was reached"),
     ("SWITCHED", 2, "bit: the passing side changed in this step"),
     ("DEGRADED", 4, "bit: no course kept every bound, the least violation was taken"),
+    ("TRAPPED", 8, "bit: a dead end: it gave up, stands, and gives way to what moves; until reset"),
     ("NULL", -1, "a pointer was NULL; thrust is zero, state is unchanged"),
     ("NONFINITE", -2, "a number was not finite; thrust is zero, state is unchanged"),
 )

@@ -3,6 +3,7 @@
 from surctl.guidance.avoidance import FORMS, AvoidanceForm, allowed_closing_speed, avoidance_course, encounter_side
 from surctl.guidance.cones import Cone, collision_cone, inside
 from surctl.guidance.contacts import FAR, Contact, disc_contact, nearest_in_quadrants, point_contact, wall_contacts
+from surctl.guidance.crosstrack import GUIDANCE, Guidance, check_guidance, crosstrack_next, crosstrack_shift
 from surctl.guidance.path import MAX_WAYPOINTS, Path, path_target
 from surctl.guidance.sectors import SAME_CONTACT, Choice, Sector, choose_velocity, round_unknown, slowed
 from surctl.guidance.tracking import along_command, path_error, progress_rate, tracking_velocity
@@ -10,19 +11,24 @@ from surctl.guidance.tracking import along_command, path_error, progress_rate, t
 __all__ = [
     "FAR",
     "FORMS",
+    "GUIDANCE",
     "MAX_WAYPOINTS",
     "SAME_CONTACT",
     "AvoidanceForm",
     "Choice",
     "Cone",
     "Contact",
+    "Guidance",
     "Path",
     "Sector",
     "allowed_closing_speed",
     "along_command",
     "avoidance_course",
+    "check_guidance",
     "choose_velocity",
     "collision_cone",
+    "crosstrack_next",
+    "crosstrack_shift",
     "disc_contact",
     "encounter_side",
     "inside",

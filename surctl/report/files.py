@@ -49,7 +49,8 @@ def save_run(run: Run, folder: Path | str) -> Path:
     plot_run(run, figure.add_subfigure(halves[0]).add_subplot())
     plot_run_signals(run, figure.add_subfigure(halves[1]).subplots(3, 2, sharex=True).ravel().tolist())
     law = run.law.name.removeprefix("surctl_")
-    what = (run.scenario.name, run.vehicle.name, law, run.law.avoidance, run.law.mode, run.sensing, f"seed{run.seed}")
+    how = (law, run.law.avoidance, *(() if run.law.guidance == "los" else (run.law.guidance,)), run.law.mode)
+    what = (run.scenario.name, run.vehicle.name, *how, run.sensing, f"seed{run.seed}")
     return _save(figure, Path(folder), what)
 
 

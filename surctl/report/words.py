@@ -53,6 +53,7 @@ def simulate_command(run: Run, gains: str | None) -> str | None:
         return None
     words = ["surctl", "simulate", _short(run.scenario.source, SCENARIO_LIBRARY) or run.scenario.name]
     words += ["--vehicle", vehicle, "--gains", gains, "--law", law, "--avoidance", run.law.avoidance]
+    words += [] if run.law.guidance == "los" else ["--guidance", run.law.guidance]
     words += ["--priority-mode", run.law.mode]
     words += ["--sensing", run.sensing, "--seed", str(run.seed), "--out", "plots"]
     return shlex.join(words)

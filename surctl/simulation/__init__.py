@@ -15,7 +15,7 @@ from surctl.simulation.disturbance import Disturbance
 from surctl.simulation.explanation import Explanation, explain
 from surctl.simulation.fit import Finding, findings
 from surctl.simulation.halting import halt_reason
-from surctl.simulation.metrics import HALT, METRICS, STOPS, Metrics, MetricSpec
+from surctl.simulation.metrics import HALT, METRICS, STOOD, STOPS, Metrics, MetricSpec
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.paper_figure import PaperFigure
 from surctl.simulation.record import Record
@@ -30,6 +30,7 @@ __all__ = [
     "LIBRARY",
     "METRICS",
     "SENSING",
+    "STOOD",
     "STOPS",
     "BatchResult",
     "Body",

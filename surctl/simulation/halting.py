@@ -1,4 +1,4 @@
-"""Why a law with senses stood still until its run was ended, in words."""
+"""Why a law stood still until its run was ended, in words."""
 
 from __future__ import annotations
 
@@ -11,12 +11,16 @@ __all__ = ["halt_reason"]
 
 
 def halt_reason(run: Run) -> str:
-    """What the law did not know at the end of a run that ended as `halted`: one sentence without a full stop.
+    """Why a run ended as `halted` or `dead end`: one sentence without a full stop.
+
+    What the law did not know, or where it gave up and for how long it had not got on.
 
     Raises:
         InputError: the run ended otherwise.
     """
     law, record, why = run.law, run.record, run.metrics.stopped_because
+    if why == "dead end":
+        return _given_up(run)
     if why != "halted" or law.senses is None:
         raise InputError("is no run that halted", key="run", value=why)
     told = law.told(record.law_state[-1], record.law_input[-1], record.law_parameters)
@@ -28,6 +32,20 @@ def halt_reason(run: Run) -> str:
     if not silent:
         return "places ahead stay unknown, though every sonar is believed"
     return f"places ahead stay unknown; {_named(silent)} not believed"
+
+
+def _given_up(run: Run) -> str:
+    """Where the law found no way on, and how far along the path that is."""
+    law, record = run.law, run.record
+    first = int(np.argmax(run.telemetry("trapped").ravel() > 0.5))
+    x, y = record.eta[first, :2]
+    state = record.law_state[first]
+    furthest, stalled = (float(state[law.state.slice(name)][0]) for name in ("furthest", "stalled"))
+    length = run.scenario.path.length
+    return (
+        f"no way on for {stalled:.0f} s, given up at ({x:.2f}, {y:.2f}) m after "
+        f"{record.time[first]:.0f} s; it came {furthest:.1f} m along a path of {length:.1f} m"
+    )
 
 
 def _named(sensors: list[int]) -> str:

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["HALT", "METRICS", "STOPS", "MetricSpec", "Metrics", "path_error", "settled_avoidance"]
+__all__ = ["HALT", "METRICS", "STOOD", "STOPS", "MetricSpec", "Metrics", "path_error", "settled_avoidance"]
 
 TUBE = 0.10  # [m] |y_e| below which an avoidance interval has ended (*chosen*)
 NEAR_TARGET = 1.0  # [m] within which going past the target is overshoot (*chosen*)
@@ -18,7 +18,10 @@ NEAR_TARGET = 1.0  # [m] within which going past the target is overshoot (*chose
 HALT = 30.0
 """[s] without a break in which a law with senses stands still for want of knowledge, before its run ends (*chosen*)."""
 
-STOPS = ("time limit", "reached", "collision", "fault", "halted")
+STOOD = 10.0
+"""[s] for which a law that gave up in a dead end is watched standing, before its run ends (*chosen*)."""
+
+STOPS = ("time limit", "reached", "collision", "fault", "halted", "dead end")
 """Why a run can end; a batch gives the position in this tuple."""
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from surctl.control import CONTACT_SLOTS, NONFINITE, Gains, Law, build_law, law_parameters
 from surctl.errors import InputError, nearest
 from surctl.sensing import NoiseStream, OwnState, delayed, fault_state, faulty, true_range
-from surctl.simulation.metrics import HALT, Metrics
+from surctl.simulation.metrics import HALT, STOOD, Metrics
 from surctl.simulation.record import Record, measure
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.sensors import FIRING, firing_plan
@@ -54,6 +54,7 @@ class Run:
             "vehicle": self.vehicle.name,
             "law": self.law.name.removeprefix("surctl_"),
             "avoidance": self.law.avoidance,
+            "guidance": self.law.guidance,
             "sensing": self.sensing,
             "priority_mode": self.law.mode,
             "seed": self.seed,
@@ -188,7 +189,7 @@ class _Loop:
 
     def fly(self) -> str:
         """Run to the end; the reason why it stopped."""
-        scenario, dt, halted = self.world.scenario, self.law.dt, 0
+        scenario, dt, halted, stood = self.world.scenario, self.law.dt, 0, 0
         for tick in range(int(np.ceil(scenario.time_limit / dt))):
             time = tick * dt
             bodies = self.world.bodies(time)
@@ -210,6 +211,10 @@ class _Loop:
                 halted = halted + 1 if step.telemetry[self.law.telemetry_slice("halted")][0] > 0.5 else 0
             if halted >= round(HALT / dt):
                 return "halted"
+            if "trapped" in self.law.outputs:
+                stood += int(step.telemetry[self.law.telemetry_slice("trapped")][0] > 0.5)
+            if stood >= round(STOOD / dt):
+                return "dead end"
             self.law_state = step.x_next
             self._advance(time, step.tau, drawn)
         return "time limit"

@@ -115,6 +115,7 @@ WORDS = {
     "unknown law": (["simulate", "tank-static", "--law", "papr"], ["law", "'paper'"]),
     "unknown textbook law": (["simulate", "tank-static", "--law", "cfb"], ["law", "'cbf'"]),
     "unknown form": (["simulate", "tank-static", "--law", "paper", "--avoidance", "print"], ["avoidance", "'printed'"]),
+    "unknown guidance": (["simulate", "tank-static", "--guidance", "iloss"], ["guidance", "'iloss'", "ilos"]),
     "form that the law does not take": (
         ["simulate", "tank-static", "--avoidance", "printed"],
         ["guarded", "corrected"],

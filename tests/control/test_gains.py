@@ -15,7 +15,7 @@ from surctl.errors import InputError
 
 TEXT = (LIBRARY / "default.toml").read_text(encoding="utf-8")
 BOUNDED = {"brake": 1.0, "lms_step": 1.0, "beta_max": 0.5}
-MAY_BE_ZERO = {"k_i", "delta", "lambda1", "beta_max", "spin"}
+MAY_BE_ZERO = {"k_i", "delta", "lambda1", "beta_max", "spin", "patience"}
 
 
 def _load(folder: Path, text: str) -> Gains:
@@ -63,8 +63,14 @@ def test_upper_bounds(tmp_path: Path, name: str, most: float) -> None:
         _load(tmp_path, _with(name, str(most + 0.01)))
 
 
-@pytest.mark.parametrize("name", GAINS)
-def test_every_gain_must_be_there(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize("name", [name for name, spec in GAINS.items() if spec.default is not None])
+def test_a_gain_with_a_default_may_be_left_out(tmp_path: Path, name: str) -> None:
+    loaded = _load(tmp_path, re.sub(rf"^{name} = .*\n", "", TEXT, flags=re.M))
+    assert loaded[name] == GAINS[name].default == load_gains("default")[name]
+
+
+@pytest.mark.parametrize("name", [name for name, spec in GAINS.items() if spec.default is None])
+def test_every_other_gain_must_be_there(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match=rf"gains\.{name}: is missing; add {name} = "):
         _load(tmp_path, re.sub(rf"^{name} = .*\n", "", TEXT, flags=re.M))
 

@@ -219,3 +219,19 @@ def test_boxed_in_it_says_so() -> None:
     assert found.blocked
     assert found.violation > 0.1
     assert np.linalg.norm(found.velocity) <= CAP
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(st.integers(0, 10**6))
+def test_a_trembling_wish_does_not_change_the_side(seed: int) -> None:
+    """One contact, ahead of a wish that trembles about it: whatever side is taken first is kept."""
+    rng = np.random.default_rng(seed)
+    bearing, bound = rng.uniform(-np.pi, np.pi), rng.uniform(0, 0.5 * CRUISE)
+    side, blocker, taken = 0, np.array([50.0, 50.0]), []
+    for turn in rng.normal(0, 0.1, 40):
+        wish = CRUISE * np.array([np.cos(bearing + turn), np.sin(bearing + turn)])
+        place = np.array([[np.cos(bearing), np.sin(bearing)]]) + rng.normal(0, 0.02, (1, 2))
+        chosen = _choose(wish, [bearing], [bound], points=place, side=side, blocker=blocker)
+        side, blocker = chosen.side, chosen.blocker
+        taken.append(side)
+    assert set(taken) in ({1}, {-1})

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from surctl.control import GAINS, Gains, Law, LawName, build_law
 from surctl.errors import InputError, nearest
-from surctl.guidance import AvoidanceForm
+from surctl.guidance import AvoidanceForm, Guidance
 from surctl.priority import Mode
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.run import Sensing
@@ -32,7 +32,7 @@ class Case:
         scenario: the mission.
         vehicle: what is flown.
         gains: the law's gains.
-        law, avoidance, mode: as `build_law`.
+        law, avoidance, mode, guidance: as `build_law`.
         sensing: `truth` or `sonar`.
         model: what the controller believes it flies; None: the vehicle itself.
     """
@@ -45,6 +45,7 @@ class Case:
     sensing: Sensing = "truth"
     model: Vehicle | None = None
     avoidance: AvoidanceForm = "corrected"
+    guidance: Guidance = "los"
 
     @property
     def name(self) -> str:
@@ -60,6 +61,7 @@ class Case:
             mode=self.mode,
             sonar=sonar,
             equipment=self.scenario.sensors.on(self.vehicle["radius"]),
+            guidance=self.guidance,
         )
 
 

@@ -53,7 +53,15 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         kinds.append(kind_of(obstacle, drifting=bool(np.any(moved > 0))))
     optional = any(f"obstacle.{obstacle.name}.there" in values for obstacle in case.scenario.obstacles)
     if case.sensing == "truth":
-        return Structure(case.law, case.avoidance, case.mode, case.sensing, tuple(kinds), optional=optional)
+        return Structure(
+            case.law,
+            case.avoidance,
+            case.mode,
+            case.sensing,
+            tuple(kinds),
+            optional=optional,
+            guidance=case.guidance,
+        )
     sensors = case.scenario.sensors
     struck = any(np.any(values.get(f"sonar.{kind}", chance) > 0) for kind, chance in _chances(case))
     return Structure(
@@ -67,6 +75,7 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         struck,
         any(fault.kind == "delay" for fault in sensors.faults),
         optional,
+        case.guidance,
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from surctl.control import CONTACT_SLOTS, LawName
-from surctl.guidance import AvoidanceForm
+from surctl.guidance import AvoidanceForm, Guidance
 from surctl.priority import Mode
 from surctl.sensing import Equipment
 from surctl.simulation.batch.bodies import BodyKind
@@ -35,6 +35,7 @@ class Structure:
     chances: bool = False
     delays: bool = False
     optional: bool = False
+    guidance: Guidance = "los"
 
     @property
     def may_fail(self) -> bool:

@@ -21,7 +21,7 @@ from surctl.simulation.batch.bodies import ABSENT, Body, body_at, body_size
 from surctl.simulation.batch.counting import SUMS, counted
 from surctl.simulation.batch.listening import Listening, flat, slots
 from surctl.simulation.batch.structure import Structure
-from surctl.simulation.metrics import HALT, STOPS
+from surctl.simulation.metrics import HALT, STOOD, STOPS
 from surctl.simulation.run import advance
 from surctl.simulation.sensors import FIRING
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE
@@ -62,6 +62,7 @@ def build_loop(structure: Structure) -> Loop:
         sonar=structure.sensing == "sonar",
         equipment=structure.equipment,
         moving=structure.moving,
+        guidance=structure.guidance,
     )
     state, parameters = Layout(_state_ports(law, structure)), Layout(_parameter_ports(structure))
     builder = _Builder(structure, law, state, parameters)
@@ -115,6 +116,7 @@ def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
         Port("clear", (1,), "1", "1 once the hull was clear of the walls"),
         Port("least", (1,), "m", "least clearance", ABSENT),
         *((Port("halted", (1,), "1", "control periods for which the law has stood halted"),) if law.senses else ()),
+        *((Port("stood", (1,), "1", "control periods since it gave up"),) if "trapped" in law.outputs else ()),
         Port("stop", (1,), "1", "why the run ended, see STOPS"),
         Port("away", (1,), "1", "1 during an avoidance interval"),
         Port("last_place", (2,), "m", "x, y at the last tick"),
@@ -237,19 +239,24 @@ class _Builder:
         }
         if sonar:
             new |= {**self.listening.heard.split(v["heard_next"]), "fresh": v["fresh_next"], "noise": v["noise_next"]}
-            new |= self._late.split(v["late"]) | standing
+            new |= self._late.split(v["late"])
+        new |= standing
         tau, status = ca.if_else(broken, 0, v["tau"]), ca.if_else(broken, 0, v["status"])
         avoiding = v["telemetry"][law.telemetry_slice("avoiding")] > 0.5
         new |= counted(old, given, tau, status, ca.if_else(broken, 0, avoiding), to_target, gap)
         return _lowered("close", {"s": s, "w": w, **v}, {"s_next": self.state.join(new)})
 
     def _standing(self, old: Mapping[str, ca.SX], telemetry: ca.SX) -> tuple[dict[str, ca.SX], ca.SX]:
-        """For how long the law has halted, if it ever does, and the code of `halted` once that is too long."""
-        if self.law.senses is None:
-            return {}, ca.SX(0)
-        now = telemetry[self.law.telemetry_slice("halted")] > 0.5
-        count = ca.if_else(now, old["halted"] + 1, 0)
-        return {"halted": count}, ca.if_else(count >= round(HALT / self.law.dt), _code("halted"), 0)
+        """For how long the law has halted and given up, if it ever does, and the code once that is too long."""
+        law, counts, stop = self.law, {}, ca.SX(0)
+        if "trapped" in law.outputs:
+            counts["stood"] = old["stood"] + (telemetry[law.telemetry_slice("trapped")] > 0.5)
+            stop = ca.if_else(counts["stood"] >= round(STOOD / law.dt), _code("dead end"), stop)
+        if law.senses is not None:
+            now = telemetry[law.telemetry_slice("halted")] > 0.5
+            counts["halted"] = ca.if_else(now, old["halted"] + 1, 0)
+            stop = ca.if_else(counts["halted"] >= round(HALT / law.dt), _code("halted"), stop)
+        return counts, stop
 
     def _bodies(self, w: Mapping[str, ca.SX], time: ca.SX) -> list[Body]:
         found = [body_at(kind, w[f"body{k}"], time) for k, kind in enumerate(self.structure.bodies)]

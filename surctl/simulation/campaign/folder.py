@@ -118,6 +118,7 @@ def _asked(plan: Plan) -> dict[str, Any]:
         "model": None if case.model is None else _entry(case.model.name, _numbers(case.model)),
         "law": case.law,
         "avoidance": case.avoidance,
+        "guidance": case.guidance,
         "priority mode": case.mode,
         "gains": _entry(case.gains.name, repr(sorted(case.gains.values.items()))),
         "sensing": case.sensing,

@@ -14,7 +14,7 @@ from surctl import __version__
 from surctl.control import GAINS, Gains, LawName, load_gains
 from surctl.errors import InputError
 from surctl.files import Strict, read_toml, validate
-from surctl.guidance import AvoidanceForm
+from surctl.guidance import AvoidanceForm, Guidance
 from surctl.priority import Mode
 from surctl.simulation.batch import Case
 from surctl.simulation.campaign.flight import Flight
@@ -44,9 +44,10 @@ class _RunFile(Strict):
     seed: Annotated[int, Field(ge=0)]
     law: LawName
     avoidance: AvoidanceForm
+    guidance: Guidance = "los"
     priority_mode: Mode
     sensing: Sensing
-    stopped_because: Literal["time limit", "reached", "collision", "fault", "halted"]
+    stopped_because: Literal["time limit", "reached", "collision", "fault", "halted", "dead end"]
     broken_assumptions: tuple[str, ...] = ()
     figures: dict[str, float]
     draw: dict[str, float] = Field(default_factory=dict)
@@ -90,6 +91,7 @@ class Replay:
             "seed": flight.seed,
             "law": case.law,
             "avoidance": case.avoidance,
+            "guidance": case.guidance,
             "priority_mode": case.mode,
             "sensing": case.sensing,
             "stopped_because": self.stopped_because,
@@ -149,7 +151,15 @@ def load_replay(path: Path | str) -> Replay:
             raise InputError("no such vehicle parameter", file=path, key=f"draw.{name}", remedy="take it out")
     vehicle.with_values(file.draw)
     case = Case(
-        scenario, vehicle, _gains(file.gains, path), file.law, file.priority_mode, file.sensing, model, file.avoidance
+        scenario,
+        vehicle,
+        _gains(file.gains, path),
+        file.law,
+        file.priority_mode,
+        file.sensing,
+        model,
+        file.avoidance,
+        file.guidance,
     )
     flight = Flight(case, file.seed, file.draw)
     return Replay(flight, file.stopped_because, file.figures, file.campaign, file.broken_assumptions, file.version)

@@ -50,7 +50,7 @@ class Summary:
     def lines(self) -> list[str]:
         """For people."""
         told = []
-        for reason in ("collision", "time limit", "halted", "fault"):
+        for reason in ("collision", "time limit", "halted", "dead end", "fault"):
             s = self.stopped[reason]
             told.append(
                 f"  {reason:<11}{s.count:>7} of {s.runs}: {s.rate:.3%}, with 95 % confidence at most {s.at_most():.3%}"

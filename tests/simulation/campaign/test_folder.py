@@ -59,6 +59,7 @@ def changed(**more):
 OTHERS = {
     "another law": changed(law="paper"),
     "another avoidance": changed(avoidance="printed"),
+    "another guidance": changed(guidance="ilos"),
     "another priority mode": changed(mode="filter"),
     "another sensing": changed(sensing="sonar"),
     "another gains": changed(gains=replace(GAINS, name="mine")),

@@ -1,0 +1,97 @@
+"""Dead ends: where the robot gets on neither along its path nor into new water, it says so and stands.
+
+Getting on is one of two things: the projection on the path comes further than ever, or the box around all places since
+then grows. A search that goes to and fro between the arms of a U does neither. The time without both is counted, but
+not while something that moves is near, at the path's end, or while the law halts for want of knowledge, which it
+reports by itself; after `patience` the robot is trapped, for good: it stays where it is, and still gives way to what
+moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import casadi as ca
+
+from surctl.control.reference import Wish
+from surctl.guidance import Contact
+from surctl.ir import Port
+
+__all__ = ["TRAP_PORTS", "standing", "trap_next"]
+
+_NEW = 0.1  # [m] by which the robot must get on; several times what its position is uncertain by
+_NEAR = 1.5  # [m] clearance within which something that moves is waited for
+_MOVES = 0.05  # [m/s] from which it does
+_ARRIVED = 0.2  # [m] from the path's end within which there is nowhere to get on to
+_HOLD = 0.5  # [1/s] gain with which the place is kept
+
+TRAP_PORTS = (
+    Port("furthest", (1,), "m", "arc length of the path that was reached at most", -100.0),
+    Port("searched", (4,), "m", "x_min, x_max, y_min, y_max of the places since then; once trapped, the place to keep"),
+    Port("stalled", (1,), "s", "time without getting on"),
+    Port("trapped", (1,), "1", "1 from when the law gave up"),
+)
+
+
+def standing(wish: Wish, x: Mapping[str, ca.SX], eta: ca.SX, p: Mapping[str, ca.SX]) -> Wish:
+    """The wish, or to stay where the robot gave up.
+
+    Args:
+        wish: what it would do.
+        x: state, `TRAP_PORTS` among it.
+        eta: (4, 1) pose in {E}.
+        p: `cruise`.
+    """
+    offset = ca.vertcat(x["searched"][0], x["searched"][2]) - eta[:2]
+    distance = ca.sqrt(ca.sumsqr(offset))
+    kept = offset * ca.fmin(_HOLD, p["cruise"] / ca.fmax(distance, 1e-3))
+    return replace(wish, velocity=ca.if_else(x["trapped"] > 0.5, kept, wish.velocity))
+
+
+def trap_next(
+    wish: Wish,
+    contacts: Sequence[Contact],
+    x: Mapping[str, ca.SX],
+    eta: ca.SX,
+    halted: ca.SX,
+    p: Mapping[str, ca.SX],
+    *,
+    dt: float,
+) -> dict[str, ca.SX]:
+    """`TRAP_PORTS` one control period later.
+
+    Args:
+        wish: of this step.
+        contacts: known ones that may move.
+        x: state.
+        eta: (4, 1) pose in {E}.
+        halted: 1 while the law stands for want of knowledge.
+        p: `patience`, 0 for never, and `waypoints`.
+        dt: control period [s].
+    """
+    here = ca.vertcat(eta[0], eta[0], eta[1], eta[1])
+    signs = ca.DM([-1, 1, -1, 1])
+    grown = signs * (here - x["searched"])
+    reached = x["progress"] + wish.x_e
+    further = reached > x["furthest"] + _NEW
+    new = ca.logic_or(further, ca.mmax(grown) > _NEW)
+    near = ca.SX(0)
+    for contact in contacts:
+        moves = ca.sumsqr(contact.velocity) > _MOVES**2
+        near = ca.logic_or(near, ca.logic_and(moves, contact.clearance < _NEAR))
+    left = ca.sumsqr(p["waypoints"][-1, :].T - eta[:2])
+    waits = ca.logic_or(ca.logic_or(near, halted), left < _ARRIVED**2)
+    stalled = ca.if_else(new, 0, x["stalled"] + ca.if_else(waits, 0, dt))
+    was = x["trapped"] > 0.5
+    now = ca.logic_or(was, ca.logic_and(p["patience"] > 0, stalled >= p["patience"]))
+    # in steps, so that a slow drift of the estimate is no progress, and a slow robot's is
+    box = ca.if_else(grown > _NEW, here, x["searched"])
+    box = ca.if_else(further, here, box)
+    box = ca.if_else(ca.logic_and(now, ca.logic_not(was)), here, ca.if_else(was, x["searched"], box))
+    return {
+        "furthest": ca.if_else(further, reached, x["furthest"]),
+        "searched": box,
+        "stalled": stalled,
+        "trapped": now,
+    }

@@ -1,0 +1,101 @@
+"""Line of sight with memory: what a steady push leaves of the path error of (10), and how it is taken away.
+
+LOS steers with the slope −y_e/Δ; a push that the velocity loop answers with a steady error d across the path then
+leaves y_e = Δ d/U. Both laws here add what they have learnt to y_e, as a `shift` [m], so that the command still needs
+no trigonometric function:
+
+`ilos` (Børhaug, Pavlov, Pettersen 2008): shift σ y_int with y_int' = Δ y_e/(Δ² + (y_e + σ y_int)²);
+`alos` (Fossen, Pettersen, Galeazzi 2015): shift Δ b with b' = γ U Δ y_e/√(Δ² + (y_e + Δ b)²), b the slope of the drift.
+With U = U_∥ √(Δ² + (y_e + Δ b)²)/Δ, U_∥ along the path, that is b' = γ U_∥ y_e: V = y_e²/2 + (b − b*)²/(2 γ) of the
+kinematic loop y_e' = −U_∥ (y_e/Δ + b − b*) falls with −U_∥ y_e²/Δ.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import casadi as ca
+
+from surctl.errors import InputError, nearest
+
+__all__ = ["GUIDANCE", "Guidance", "check_guidance", "crosstrack_next", "crosstrack_shift", "numeric_crosstrack_next"]
+
+Guidance = Literal["los", "ilos", "alos"]
+GUIDANCE: tuple[Guidance, ...] = get_args(Guidance)
+
+_STEEPEST = 1.0  # slope of the course that is learnt at most: 45°
+_LEAST_GAIN = 1e-9  # m/s
+
+
+def check_guidance(name: str) -> None:
+    """InputError with the nearest known name unless it is one of `GUIDANCE`."""
+    if name not in GUIDANCE:
+        raise InputError("is not known", key="guidance", value=name, remedy=nearest(str(name), GUIDANCE))
+
+
+def crosstrack_shift(method: Guidance, memory: ca.SX, *, lookahead: ca.SX, sigma: ca.SX) -> ca.SX:
+    """What is added to y_e [m]: σ y_int, Δ b, or nothing.
+
+    Args:
+        method: one of `GUIDANCE`.
+        memory: y_int [s] of `ilos`, b [1] of `alos`.
+        lookahead: Δ_h [m].
+        sigma: σ of `ilos` [m/s].
+    """
+    return {"los": 0 * memory, "ilos": sigma * memory, "alos": lookahead * memory}[method]
+
+
+def crosstrack_next(
+    method: Guidance,
+    memory: ca.SX,
+    y_e: ca.SX,
+    *,
+    along: ca.SX,
+    lookahead: ca.SX,
+    sigma: ca.SX,
+    gamma: ca.SX,
+    held: ca.SX,
+    dt: float,
+) -> ca.SX:
+    """The memory one control period later, of a slope of at most 45° (anti-windup).
+
+    Args:
+        method: one of `GUIDANCE`.
+        memory: y_int [s] of `ilos`, b [1] of `alos`.
+        y_e: cross-track error [m].
+        along: U_∥ [m/s], commanded along the path.
+        lookahead: Δ_h > 0 [m].
+        sigma: σ of `ilos` [m/s].
+        gamma: γ of `alos` [1/m²].
+        held: 1 while the error is not the push's: nothing is learnt.
+        dt: control period [s].
+    """
+    shifted = y_e + crosstrack_shift(method, memory, lookahead=lookahead, sigma=sigma)
+    rate = {
+        "los": 0 * memory,
+        "ilos": lookahead * y_e / (lookahead * lookahead + shifted * shifted),
+        "alos": gamma * along * y_e,
+    }[method]
+    most = _STEEPEST if method == "alos" else _STEEPEST * lookahead / ca.fmax(sigma, _LEAST_GAIN)
+    return ca.fmin(ca.fmax(memory + ca.if_else(held, 0, dt * rate), -most), most)
+
+
+def numeric_crosstrack_next(
+    method: Guidance,
+    memory: float,
+    y_e: float,
+    *,
+    along: float,
+    lookahead: float,
+    sigma: float,
+    gamma: float,
+    held: bool,
+    dt: float,
+) -> tuple[float, float]:
+    """Twin of `crosstrack_next` in plain numbers: the memory one period later [s or 1], and the shift now [m]."""
+    shift = {"los": 0.0, "ilos": sigma * memory, "alos": lookahead * memory}[method]
+    if method == "los":
+        return 0.0, shift
+    rate = gamma * along * y_e if method == "alos" else lookahead * y_e / (lookahead**2 + (y_e + shift) ** 2)
+    most = _STEEPEST if method == "alos" else _STEEPEST * lookahead / max(sigma, _LEAST_GAIN)
+    return min(max(memory + (0.0 if held else dt * rate), -most), most), shift

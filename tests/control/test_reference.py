@@ -1,0 +1,64 @@
+"""The wish at the path's end, and what counts as straying from it."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from surctl.control import PARAMETERS, law_parameters, load_gains
+from surctl.control.laws import _strays
+from surctl.control.reference import path_wish
+from surctl.guidance import Path
+from surctl.vehicle import load_vehicle
+
+DT = 0.05
+
+
+@cache
+def _function() -> ca.Function:
+    p, ps = PARAMETERS.symbols("p")
+    eta, progress, velocity = ca.SX.sym("eta", 4), ca.SX.sym("progress"), ca.SX.sym("velocity", 2)
+    wish = path_wish(eta, progress, ps, dt=DT)
+    return ca.Function("wish", [eta, progress, velocity, p], [wish.velocity, _strays(wish, velocity), wish.arriving])
+
+
+@cache
+def _parameters(vehicle: str) -> tuple[float, ...]:
+    made = law_parameters(
+        load_gains("default"),
+        load_vehicle(vehicle),
+        path=Path(np.array([[0.0, 0.0], [9.0, 0.0]])),
+        depth=-0.15,
+        cruise=0.2,
+        cap=0.22,
+        walls=(-50.0, 50.0, -50.0, 50.0),
+    )
+    return tuple(made.tolist())
+
+
+@settings(derandomize=True, deadline=None)
+@given(st.floats(-1, 1), st.floats(-1, 1), st.sampled_from(["sur400", "sur540-flooded"]))
+def test_the_target_is_closed_in_on_no_faster_than_the_thrusters_stop(x: float, y: float, name: str) -> None:
+    """s²/(2a) + s t ≤ d, with the share of the thrust that the braking distance counts on."""
+    vehicle, gains = load_vehicle(name), load_gains("default")
+    found = np.asarray(_function()([9 + x, y, -0.15, 0], 9.0, [0, 0], _parameters(name))[0]).ravel()
+    speed, distance = float(np.hypot(*found)), float(np.hypot(x, y))
+    a = gains["brake"] * min(vehicle.thrust_limit[:2]) / max(vehicle.mass[:2])
+    assert speed**2 / (2 * a) + speed * gains["reaction"] <= distance + 1e-9
+    assert speed <= 0.2 + 1e-12
+    assert found @ [-x, -y] == pytest.approx(speed * distance, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("y", "across", "strays"),
+    [(0.0, 0.1, 0), (0.02, 0.1, 0), (0.05, 0.1, 1), (0.05, -0.1, 0), (-0.05, -0.1, 1), (-0.05, 0.1, 0), (0.05, 0.0, 0)],
+)
+def test_straying_is_further_off_where_it_is_off(y: float, across: float, strays: int) -> None:
+    found = _function()([4.0, y, -0.15, 0], 4.2, [0.1, across], _parameters("sur400"))
+    assert float(found[1]) == strays
+    assert float(found[2]) == 0

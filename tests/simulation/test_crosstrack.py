@@ -1,0 +1,101 @@
+"""Guidance with memory in closed loop: a steady push, the return to the path, and how often a side is changed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from surctl.control import Law, build_law, load_gains
+from surctl.guidance import GUIDANCE, Guidance, Path
+from surctl.simulation import Run, Scenario, load_scenario, simulate
+from surctl.vehicle import load_vehicle
+
+FREE = Path(np.array([[0.5, 2.5], [28.0, 2.5]]))
+PUSHES = ((0.05, 0.0), (0.1, 0.0), (0.0, 1.0))  # current across the path [m/s], slow force [N]
+
+
+@cache
+def _law(guidance: Guidance) -> Law:
+    return build_law(guidance=guidance)
+
+
+def _pushed(name: str, *, current: float = 0.0, force: float = 0.0, obstacles: bool = False) -> Scenario:
+    """The scenario's vehicle and speed on 27.5 m of straight path, pushed all the way."""
+    base = load_scenario(name)
+    steady = {
+        "current_m_per_s": (0.0, current),
+        "drift_force_n": force,
+        "drift_period_s": 1e6,  # as good as constant
+        "wave_force_n": 0.0,
+        "thrust_error": 0.0,
+        "thrust_bias": 0.0,
+    }
+    return replace(
+        base,
+        path=FREE,
+        site=(30.0, 5.0, 5.0),
+        obstacles=load_scenario("tank-static").obstacles[3:] if obstacles else (),
+        disturbance=base.disturbance.model_copy(update=steady),
+        time_limit=90.0,
+    )
+
+
+@cache
+def _flown(scenario: str, guidance: Guidance, current: float, force: float, obstacles: bool = False) -> Run:
+    mission = _pushed(scenario, current=current, force=force, obstacles=obstacles)
+    return simulate(mission, load_vehicle(mission.vehicle), gains=load_gains("default"), law=_law(guidance))
+
+
+def _y(run: Run) -> np.ndarray:
+    return run.record.eta[:, 1] - 2.5
+
+
+@pytest.mark.parametrize(("current", "force"), PUSHES)
+@pytest.mark.parametrize("name", ["tank-static", "pool-static"])
+def test_a_steady_push_is_learnt(name: str, current: float, force: float) -> None:
+    """Without integral action LOS is pushed off by more than 5 mm; `ilos` and `alos` are not."""
+    late = slice(1200, 1790)
+    off = {guidance: float(np.abs(_y(_flown(name, guidance, current, force))[late]).max()) for guidance in GUIDANCE}
+    assert off["los"] > 0.0065
+    assert off["ilos"] < 0.005
+    assert off["alos"] < 0.005
+
+
+@pytest.mark.parametrize("current", [-0.1, 0.0, 0.1])
+@pytest.mark.parametrize("guidance", ["ilos", "alos"])
+def test_after_an_avoidance_the_path_is_not_crossed_further_than_by_los(guidance: Guidance, current: float) -> None:
+    """The largest error on the other side of the path after the box is passed, over what LOS has there."""
+    beyond = {}
+    for kind in ("los", guidance):
+        run = _flown("tank-static", kind, current, 0.0, True)
+        avoiding = np.flatnonzero(run.telemetry("avoiding").ravel() > 0.5)
+        box = avoiding[run.record.eta[avoiding, 0] < 12]
+        assert len(box) > 20
+        y = _y(run)[box[-1] :]
+        beyond[kind] = float(np.max(-np.sign(y[0]) * y, initial=0.0))
+    assert beyond[guidance] <= beyond["los"] + 0.01
+
+
+def test_los_has_no_memory_and_the_others_keep_theirs_finite() -> None:
+    assert "drift" not in _law("los").state
+    for guidance in ("ilos", "alos"):
+        run = _flown("pool-static", guidance, 0.1, 0.0)
+        assert np.isfinite(run.record.law_state[:, run.law.state.slice("drift")]).all()
+        assert run.law.guidance == guidance
+
+
+@pytest.mark.parametrize("name", ["tank-static", "tank-moving", "pool-speed-010", "pool-speed-025"])
+def test_the_side_of_an_encounter_is_latched(name: str) -> None:
+    """From 0 to a side and back is one encounter; within it the side turns over at most twice, and never in a tick."""
+    scenario = load_scenario(name)
+    for seed in range(3):
+        run = simulate(
+            scenario, load_vehicle(scenario.vehicle), gains=load_gains("default"), law=_law("los"), seed=seed
+        )
+        side = run.record.law_state[:, run.law.state.slice("side")].ravel()
+        bounds = np.flatnonzero(np.diff(np.concatenate([[0], (side != 0).astype(int), [0]])))
+        for begin, end in zip(bounds[::2], bounds[1::2], strict=True):
+            assert np.count_nonzero(np.diff(side[begin:end])) <= 2
