@@ -98,6 +98,8 @@ class CampaignOptions:
         law: str,
         avoidance: str,
         mode: str,
+        barrier: str,
+        movers: str,
         sensing: str,
         seed: int,
     ) -> list[Plan]:
@@ -106,9 +108,6 @@ class CampaignOptions:
         Raises:
             InputError: an unknown name, or what the law or the scenarios do not take.
         """
-        from typing import cast
-
-        from surctl.guidance import AvoidanceForm
         from surctl.simulation import load_scenario
         from surctl.simulation.campaign import MonteCarlo, RandomWorlds, world_template
         from surctl.tuning import build_cases
@@ -121,7 +120,8 @@ class CampaignOptions:
             flown = flown or [load_vehicle(WORLDS_VEHICLE)]
             missions = [sensors.over(world_template(flown[0]))]
         cases = build_cases(missions, flown, gains=gains, law=law, mode=mode, sensing=sensing)
-        cases = tuple(replace(case, avoidance=cast(AvoidanceForm, avoidance)) for case in cases)
+        told: dict[str, Any] = {"avoidance": avoidance, "barrier": barrier, "movers": movers}
+        cases = tuple(replace(case, **told) for case in cases)
         for case in cases[:1]:
             case.build()  # so that a mistake is told before anything is written
         if self.worlds is None:
@@ -170,6 +170,8 @@ def _told(flown: Campaign, files: list[Path], worst: int) -> dict[str, Any]:
         "law": case.law,
         "avoidance": case.avoidance,
         "priority_mode": case.mode,
+        "barrier": case.barrier,
+        "movers": case.movers,
         "sensing": case.sensing,
         "gains": case.gains.name,
         "drawn": dict(flown.plan.told()),

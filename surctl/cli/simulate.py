@@ -7,11 +7,20 @@ from pathlib import Path
 import click
 
 from surctl.cli.campaign import CampaignOptions, campaign_options, fly_again
-from surctl.cli.output import as_json, finish, out_folder, progress
+from surctl.cli.output import as_json, finish, out_folder, progress, together
 from surctl.cli.sensor_options import SensorOptions, sensor_options, sensors_told
 from surctl.cli.single_run import explained_and_drawn, run_line
 
 __all__ = ["simulate"]
+
+barrier_options = together(
+    click.option(
+        "--barrier",
+        default="simple",
+        help="How law guarded bounds its approach: simple, s^2/(2a) + s t, or inertia, for the worst of the ranges.",
+    ),
+    click.option("--movers", default="predict", help="What moves is evaded (predict), or braked for (barrier)."),
+)
 
 
 @click.command
@@ -22,6 +31,7 @@ __all__ = ["simulate"]
 @click.option("--avoidance", default="corrected", help="printed, consistent or corrected form of (20).")
 @click.option("--priority-mode", default="nsb", help="nsb, or one that keeps limits: filter, projected, lexicographic.")
 @click.option("--sensing", default="truth", help="truth, or through the sonar array: sonar.")
+@barrier_options
 @sensor_options
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="First seed.")
 @click.option("--runs", type=click.IntRange(min=1), default=1, help="Number of seeds, one after another.")
@@ -36,6 +46,8 @@ def simulate(
     law: str,
     avoidance: str,
     priority_mode: str,
+    barrier: str,
+    movers: str,
     sensing: str,
     faults: tuple[str, ...],
     chances: tuple[str, ...],
@@ -88,6 +100,8 @@ def simulate(
             law=law,
             avoidance=avoidance,
             mode=priority_mode,
+            barrier=barrier,
+            movers=movers,
             sensing=sensing,
             seed=seed,
         )
@@ -101,6 +115,8 @@ def simulate(
             mode=priority_mode,
             sonar=sensing == "sonar",
             equipment=scenario.sensors.on(flown["radius"]),
+            barrier=barrier,
+            movers=movers,
         )
         for scenario, flown in zip(plans, vehicles, strict=True)
     ]

@@ -54,6 +54,8 @@ def simulate_command(run: Run, gains: str | None) -> str | None:
     words = ["surctl", "simulate", _short(run.scenario.source, SCENARIO_LIBRARY) or run.scenario.name]
     words += ["--vehicle", vehicle, "--gains", gains, "--law", law, "--avoidance", run.law.avoidance]
     words += ["--priority-mode", run.law.mode]
+    if (run.law.barrier, run.law.movers) != ("simple", "predict"):
+        words += ["--barrier", run.law.barrier, "--movers", run.law.movers]
     words += ["--sensing", run.sensing, "--seed", str(run.seed), "--out", "plots"]
     return shlex.join(words)
 

@@ -56,6 +56,8 @@ class Run:
             "avoidance": self.law.avoidance,
             "sensing": self.sensing,
             "priority_mode": self.law.mode,
+            "barrier": self.law.barrier,
+            "movers": self.law.movers,
             "seed": self.seed,
             **asdict(self.metrics),
             "paper_time_s": self.scenario.paper.time_s,

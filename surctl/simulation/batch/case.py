@@ -9,7 +9,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import GAINS, Gains, Law, LawName, build_law
+from surctl.control import GAINS, Barrier, Gains, Law, LawName, Movers, build_law
 from surctl.errors import InputError, nearest
 from surctl.guidance import AvoidanceForm
 from surctl.priority import Mode
@@ -32,7 +32,7 @@ class Case:
         scenario: the mission.
         vehicle: what is flown.
         gains: the law's gains.
-        law, avoidance, mode: as `build_law`.
+        law, avoidance, mode, barrier, movers: as `build_law`.
         sensing: `truth` or `sonar`.
         model: what the controller believes it flies; None: the vehicle itself.
     """
@@ -45,6 +45,8 @@ class Case:
     sensing: Sensing = "truth"
     model: Vehicle | None = None
     avoidance: AvoidanceForm = "corrected"
+    barrier: Barrier = "simple"
+    movers: Movers = "predict"
 
     @property
     def name(self) -> str:
@@ -60,6 +62,8 @@ class Case:
             mode=self.mode,
             sonar=sonar,
             equipment=self.scenario.sensors.on(self.vehicle["radius"]),
+            barrier=self.barrier,
+            movers=self.movers,
         )
 
 

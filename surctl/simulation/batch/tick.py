@@ -62,6 +62,8 @@ def build_loop(structure: Structure) -> Loop:
         sonar=structure.sensing == "sonar",
         equipment=structure.equipment,
         moving=structure.moving,
+        barrier=structure.barrier,
+        movers=structure.treats,
     )
     state, parameters = Layout(_state_ports(law, structure)), Layout(_parameter_ports(structure))
     builder = _Builder(structure, law, state, parameters)

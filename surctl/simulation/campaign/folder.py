@@ -119,6 +119,8 @@ def _asked(plan: Plan) -> dict[str, Any]:
         "law": case.law,
         "avoidance": case.avoidance,
         "priority mode": case.mode,
+        "barrier": case.barrier,
+        "movers": case.movers,
         "gains": _entry(case.gains.name, repr(sorted(case.gains.values.items()))),
         "sensing": case.sensing,
         **plan.told(),

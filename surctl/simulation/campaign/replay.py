@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from surctl import __version__
-from surctl.control import GAINS, Gains, LawName, load_gains
+from surctl.control import GAINS, Barrier, Gains, LawName, Movers, load_gains
 from surctl.errors import InputError
 from surctl.files import Strict, read_toml, validate
 from surctl.guidance import AvoidanceForm
@@ -45,6 +45,8 @@ class _RunFile(Strict):
     law: LawName
     avoidance: AvoidanceForm
     priority_mode: Mode
+    barrier: Barrier = "simple"
+    movers: Movers = "predict"
     sensing: Sensing
     stopped_because: Literal["time limit", "reached", "collision", "fault", "halted"]
     broken_assumptions: tuple[str, ...] = ()
@@ -91,6 +93,8 @@ class Replay:
             "law": case.law,
             "avoidance": case.avoidance,
             "priority_mode": case.mode,
+            "barrier": case.barrier,
+            "movers": case.movers,
             "sensing": case.sensing,
             "stopped_because": self.stopped_because,
             "broken_assumptions": list(self.broken),
@@ -149,7 +153,16 @@ def load_replay(path: Path | str) -> Replay:
             raise InputError("no such vehicle parameter", file=path, key=f"draw.{name}", remedy="take it out")
     vehicle.with_values(file.draw)
     case = Case(
-        scenario, vehicle, _gains(file.gains, path), file.law, file.priority_mode, file.sensing, model, file.avoidance
+        scenario,
+        vehicle,
+        _gains(file.gains, path),
+        file.law,
+        file.priority_mode,
+        file.sensing,
+        model,
+        file.avoidance,
+        file.barrier,
+        file.movers,
     )
     flight = Flight(case, file.seed, file.draw)
     return Replay(flight, file.stopped_because, file.figures, file.campaign, file.broken_assumptions, file.version)
