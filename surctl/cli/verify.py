@@ -37,8 +37,8 @@ def verify(
     from surctl.verification import falsify, worst_margins
 
     values = load_gains(gains).values
-    chosen = library(values, claims or None)
     flown = load_vehicle(vehicle)
+    chosen = library(values, claims or None, vehicle=flown)
     margins = worst_margins(flown, values, uncertainty=uncertainty, cruise=cruise, dt=build_law().dt)
     verdicts = []
     for claim in chosen:

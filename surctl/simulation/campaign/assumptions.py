@@ -19,10 +19,10 @@ def assumptions(
 ) -> tuple[str, ...]:
     """Names of what does not hold, in a fixed order; empty when all that can be judged holds.
 
-    `obstacle speed`: an obstacle, its drift included, goes faster than `fastest`. `detection`: from the cap, at
-    the worst of the vehicle's ranges, it needs more than the detection range to stop before that obstacle. `thrust`: the draw has less than 85 % of a stated limit.
-    `range`: a number of the draw is outside its stated range. `hull`: by `findings` the hull fits not at
-    the start or the target; whether it fits between is not judged.
+    `obstacle speed`: an obstacle, its drift included, goes faster than `fastest`. `detection`: from the cap, at the
+    worst of the vehicle's ranges, it needs more than the detection range to stop before that obstacle. `thrust`: the
+    draw has less than 85 % of a stated limit. `range`: a number of the draw is outside its stated range. `hull`: by
+    `findings` the hull fits not at the start or the target; whether it fits between is not judged.
 
     Args:
         scenario: as flown.
