@@ -15,6 +15,7 @@ from surctl.cli.single_run import explained_and_drawn, run_line
 if TYPE_CHECKING:
     from surctl.cli.sensor_options import SensorOptions
     from surctl.control import Gains
+    from surctl.simulation import Case, SafetyClaim
     from surctl.simulation.campaign import Campaign, Plan
 
 __all__ = ["CampaignOptions", "campaign_options", "fly_again"]
@@ -177,8 +178,21 @@ def _told(flown: Campaign, files: list[Path], worst: int) -> dict[str, Any]:
         "drawn": dict(flown.plan.told()),
         "number_of_runs": len(table),
     }
+    if case.law == "guarded":
+        head["claim"] = _claim(case).to_dict()
     few = {"runs": [table.row(k) for k in range(len(table))]} if len(table) <= MOST_ROWS else {}
     return {**head, **flown.summary.to_dict(), "worst": rows, **few}
+
+
+def _claim(case: Case) -> SafetyClaim:
+    """What the law's barrier guarantees of the scenario as its file has it, by the vehicle's ranges."""
+    from math import inf
+
+    from surctl.simulation import safety_claim
+
+    sees = case.scenario.sensors.equipment.array.maximum if case.sensing == "sonar" else inf
+    believed = case.model or case.vehicle
+    return safety_claim(case.scenario, believed, case.gains, barrier=case.barrier, movers=case.movers, detection=sees)
 
 
 def _lines(flown: Campaign, files: list[Path], worst: int) -> list[str]:

@@ -6,21 +6,13 @@ from pathlib import Path
 
 import click
 
+from surctl.cli.barrier_options import barrier_options
 from surctl.cli.campaign import CampaignOptions, campaign_options, fly_again
-from surctl.cli.output import as_json, finish, out_folder, progress, together
+from surctl.cli.output import as_json, finish, out_folder, progress
 from surctl.cli.sensor_options import SensorOptions, sensor_options, sensors_told
 from surctl.cli.single_run import explained_and_drawn, run_line
 
 __all__ = ["simulate"]
-
-barrier_options = together(
-    click.option(
-        "--barrier",
-        default="simple",
-        help="How law guarded bounds its approach: simple, s^2/(2a) + s t, or inertia, for the worst of the ranges.",
-    ),
-    click.option("--movers", default="predict", help="What moves is evaded (predict), or braked for (barrier)."),
-)
 
 
 @click.command

@@ -28,6 +28,7 @@ from surctl.vehicle import Vehicle
 __all__ = ["Figure", "SafetyClaim", "safety_claim"]
 
 _STEP = 0.002  # [m/s] between the speeds that are looked at
+_NEAR = 0.95  # of the fastest obstacle: nearer to it the range that is needed grows without end
 _FINEST = 1e-4  # [m/s] to which the largest obstacle speed is told
 
 
@@ -186,7 +187,7 @@ class _Bound:
 
     def limit(self, detection: float) -> float:
         """Largest speed [m/s] of an obstacle that range and margin suffice for; 0 if not even for one at rest."""
-        low, high = 0.0, min(fastest_obstacle(self.brakes), 10.0)
+        low, high = 0.0, min(_NEAR * fastest_obstacle(self.brakes), 10.0)
         if not self.suffices(0.0, detection):
             return 0.0
         while high - low > _FINEST:
