@@ -1,10 +1,10 @@
-"""The library of claims: what the paper says of V1, V2 and the course, as printed and as corrected."""
+"""The library of claims: what the paper says of V1, V2 and the course, as printed and as corrected; braking."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from surctl.control import load_gains
+from surctl.control import Gains, load_gains
 from surctl.errors import InputError, nearest
 from surctl.vehicle import Vehicle, load_vehicle
 from surctl.verification import avoidance_claims as avoidance
@@ -33,7 +33,11 @@ _BUILDERS: tuple[Callable[[Setting], Claim], ...] = (
     avoidance.clearance_corrected,
 )
 
-_BRAKING = (braking.braking_keeps, braking.braking_range, braking.braking_bound)
+_BRAKING: Mapping[str, Callable[[Vehicle, Gains], Claim]] = {
+    "braking-keeps": braking.braking_keeps,
+    "braking-range": braking.braking_range,
+    "braking-bound": braking.braking_bound,
+}
 _BRAKING_GAINS = ("margin", "reaction", "brake")
 VEHICLE = "sur540-flooded"
 
@@ -53,12 +57,12 @@ def claims(
     """
     setting = setting_from(gains)
     everything = {claim.name: claim for claim in (build(setting) for build in _BUILDERS)}
-    usual = load_gains("default")
-    law = usual.with_values({name: value for name, value in (gains or {}).items() if name in _BRAKING_GAINS})
-    for build in _BRAKING:
-        claim = build(vehicle or load_vehicle(VEHICLE), law)
-        everything[claim.name] = claim
+    wanted = [*everything, *_BRAKING] if names is None else names
+    if any(name in _BRAKING for name in wanted):
+        told = {name: value for name, value in (gains or {}).items() if name in _BRAKING_GAINS}
+        law, braked = load_gains("default").with_values(told), vehicle or load_vehicle(VEHICLE)
+        everything |= {name: build(braked, law) for name, build in _BRAKING.items()}
     for name in names or ():
         if name not in everything:
-            raise InputError("unknown claim", key="claim", value=name, remedy=nearest(name, everything))
-    return tuple(everything[name] for name in (everything if names is None else names))
+            raise InputError("unknown claim", key="claim", value=name, remedy=nearest(name, [*everything, *_BRAKING]))
+    return tuple(everything[name] for name in wanted)
