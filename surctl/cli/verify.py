@@ -55,6 +55,9 @@ def verify(
     values = load_gains(gains).values
     flown = load_vehicle(vehicle)
     chosen = library(values, claims or None, vehicle=flown)
+    told = None
+    if scenario is not None:
+        told = _safety(scenario, flown, gains, barrier=barrier, movers=movers, spread=uncertainty or None)
     margins = worst_margins(flown, values, uncertainty=uncertainty, cruise=cruise, dt=build_law().dt)
     verdicts = []
     for claim in chosen:
@@ -72,8 +75,7 @@ def verify(
         "margins": [m.to_dict() for m in margins],
     }
     good = stable and all(v.as_expected for v in verdicts)
-    if scenario is not None:
-        told = _safety(scenario, flown, gains, barrier=barrier, movers=movers, spread=uncertainty or None)
+    if told is not None:
         lines += told.lines()
         result["safety"] = told.to_dict()
         good = good and told.holds
