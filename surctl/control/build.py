@@ -71,6 +71,7 @@ def build_law(
         moving: whether a known obstacle may move; without that it does the same as long as none does.
         barrier: of `guarded`, how fast it lets itself come nearer: `simple`, s²/(2a) + s t, or `inertia`, the closed
             form of `guidance.braking` at the worst of the vehicle's ranges.
+            With sonars `inertia` does not get through the pool, where there are centimetres only.
         movers: what `guarded` does about what moves: `predict` its way and sidestep, or keep the `barrier` to it too.
 
     Raises:

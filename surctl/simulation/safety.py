@@ -108,7 +108,8 @@ def safety_claim(
 
     The margin must be what a vehicle needs beyond the law's bound, at the worst of its ranges, if it brakes with the
     least thrust once it is faster than the bound by what the velocity loop takes to ask for that (step 4 of
-    `guidance.braking`, with that excess as a further speed error, and the help of drag).
+    `guidance.braking`, with that excess as a further speed error, and the help of drag). Not covered: thrust is clipped
+    axis by axis, so that a large command sideways at the same time may take from the force against it.
 
     Args:
         scenario: the mission: cap, current, forces.
