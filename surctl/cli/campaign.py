@@ -15,6 +15,7 @@ from surctl.cli.single_run import explained_and_drawn, run_line
 if TYPE_CHECKING:
     from surctl.cli.sensor_options import SensorOptions
     from surctl.control import Gains
+    from surctl.simulation import Case, SafetyClaim
     from surctl.simulation.campaign import Campaign, Plan
 
 __all__ = ["CampaignOptions", "campaign_options", "fly_again"]
@@ -99,6 +100,8 @@ class CampaignOptions:
         avoidance: str,
         guidance: str,
         mode: str,
+        barrier: str,
+        movers: str,
         sensing: str,
         seed: int,
     ) -> list[Plan]:
@@ -107,9 +110,6 @@ class CampaignOptions:
         Raises:
             InputError: an unknown name, or what the law or the scenarios do not take.
         """
-        from typing import cast
-
-        from surctl.guidance import AvoidanceForm, Guidance
         from surctl.simulation import load_scenario
         from surctl.simulation.campaign import MonteCarlo, RandomWorlds, world_template
         from surctl.tuning import build_cases
@@ -122,8 +122,8 @@ class CampaignOptions:
             flown = flown or [load_vehicle(WORLDS_VEHICLE)]
             missions = [sensors.over(world_template(flown[0]))]
         cases = build_cases(missions, flown, gains=gains, law=law, mode=mode, sensing=sensing)
-        form, followed = cast(AvoidanceForm, avoidance), cast(Guidance, guidance)
-        cases = tuple(replace(case, avoidance=form, guidance=followed) for case in cases)
+        told: dict[str, Any] = {"avoidance": avoidance, "guidance": guidance, "barrier": barrier, "movers": movers}
+        cases = tuple(replace(case, **told) for case in cases)
         for case in cases[:1]:
             case.build()  # so that a mistake is told before anything is written
         if self.worlds is None:
@@ -173,13 +173,28 @@ def _told(flown: Campaign, files: list[Path], worst: int) -> dict[str, Any]:
         "avoidance": case.avoidance,
         "guidance": case.guidance,
         "priority_mode": case.mode,
+        "barrier": case.barrier,
+        "movers": case.movers,
         "sensing": case.sensing,
         "gains": case.gains.name,
         "drawn": dict(flown.plan.told()),
         "number_of_runs": len(table),
     }
+    if case.law == "guarded":
+        head["claim"] = _claim(case).to_dict()
     few = {"runs": [table.row(k) for k in range(len(table))]} if len(table) <= MOST_ROWS else {}
     return {**head, **flown.summary.to_dict(), "worst": rows, **few}
+
+
+def _claim(case: Case) -> SafetyClaim:
+    """What the law's barrier guarantees of the scenario as its file has it, by the vehicle's ranges."""
+    from math import inf
+
+    from surctl.simulation import safety_claim
+
+    sees = case.scenario.sensors.equipment.array.maximum if case.sensing == "sonar" else inf
+    believed = case.model or case.vehicle
+    return safety_claim(case.scenario, believed, case.gains, barrier=case.barrier, movers=case.movers, detection=sees)
 
 
 def _lines(flown: Campaign, files: list[Path], worst: int) -> list[str]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from surctl.cli.barrier_options import barrier_options
 from surctl.cli.campaign import CampaignOptions, campaign_options, fly_again
 from surctl.cli.output import as_json, finish, out_folder, progress
 from surctl.cli.sensor_options import SensorOptions, sensor_options, sensors_told
@@ -23,6 +24,7 @@ __all__ = ["simulate"]
 @click.option("--guidance", default="los", help="los; with memory against a steady push: ilos or alos.")
 @click.option("--priority-mode", default="nsb", help="nsb, or one that keeps limits: filter, projected, lexicographic.")
 @click.option("--sensing", default="truth", help="truth, or through the sonar array: sonar.")
+@barrier_options
 @sensor_options
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="First seed.")
 @click.option("--runs", type=click.IntRange(min=1), default=1, help="Number of seeds, one after another.")
@@ -38,6 +40,8 @@ def simulate(
     avoidance: str,
     guidance: str,
     priority_mode: str,
+    barrier: str,
+    movers: str,
     sensing: str,
     faults: tuple[str, ...],
     chances: tuple[str, ...],
@@ -92,6 +96,8 @@ def simulate(
             avoidance=avoidance,
             guidance=guidance,
             mode=priority_mode,
+            barrier=barrier,
+            movers=movers,
             sensing=sensing,
             seed=seed,
         )
@@ -106,6 +112,8 @@ def simulate(
             sonar=sensing == "sonar",
             equipment=scenario.sensors.on(flown["radius"]),
             guidance=guidance,
+            barrier=barrier,
+            movers=movers,
         )
         for scenario, flown in zip(plans, vehicles, strict=True)
     ]

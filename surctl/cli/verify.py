@@ -6,9 +6,12 @@ from typing import TYPE_CHECKING
 
 import click
 
+from surctl.cli.barrier_options import barrier_options
 from surctl.cli.output import as_json, finish, progress
 
 if TYPE_CHECKING:
+    from surctl.simulation import SafetyClaim
+    from surctl.vehicle import Vehicle
     from surctl.verification import Verdict
 
 __all__ = ["claim_line", "verify"]
@@ -20,14 +23,27 @@ __all__ = ["claim_line", "verify"]
 @click.option("--gains", default="default", help="Gain file: name or path.")
 @click.option("--uncertainty", type=float, default=0.0, help="Share by which mass and drag may be off, e.g. 0.2.")
 @click.option("--cruise", type=float, default=0.20, help="Speed in m/s about which the margins are taken.")
+@click.option("--scenario", help="Tell the safety claim of the guarded law in this scenario too: name or file.")
+@barrier_options
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of the falsifier.")
 @as_json
 def verify(
-    claims: tuple[str, ...], vehicle: str, gains: str, uncertainty: float, cruise: float, seed: int, as_json: bool
+    claims: tuple[str, ...],
+    vehicle: str,
+    gains: str,
+    uncertainty: float,
+    cruise: float,
+    scenario: str | None,
+    barrier: str,
+    movers: str,
+    seed: int,
+    as_json: bool,
 ) -> None:
     """Try to refute the paper's claims, printed and corrected, and print the loop margins.
 
-    The claims are about the kinematic loop; vehicle and uncertainty enter the margins only.
+    The paper's claims are about the kinematic loop; the vehicle enters the margins and the claims about braking, those
+    at the worst of its ranges. With --scenario, the safety claim: what the law's barrier guarantees there, with every
+    assumption as a number (--uncertainty then takes the place of the vehicle's ranges).
     A claim that is not refuted is not proved. Exit status 0 when every verdict is the one the claim ships with.
     Examples: surctl verify; surctl verify v1-printed v1-corrected --gains my-gains.toml
     """
@@ -37,8 +53,11 @@ def verify(
     from surctl.verification import falsify, worst_margins
 
     values = load_gains(gains).values
-    chosen = library(values, claims or None)
     flown = load_vehicle(vehicle)
+    chosen = library(values, claims or None, vehicle=flown)
+    told = None
+    if scenario is not None:
+        told = _safety(scenario, flown, gains, barrier=barrier, movers=movers, spread=uncertainty or None)
     margins = worst_margins(flown, values, uncertainty=uncertainty, cruise=cruise, dt=build_law().dt)
     verdicts = []
     for claim in chosen:
@@ -55,7 +74,30 @@ def verify(
         "uncertainty": uncertainty,
         "margins": [m.to_dict() for m in margins],
     }
-    finish(result, lines, as_json=as_json, passed=stable and all(v.as_expected for v in verdicts))
+    good = stable and all(v.as_expected for v in verdicts)
+    if told is not None:
+        lines += told.lines()
+        result["safety"] = told.to_dict()
+        good = good and told.holds
+    finish(result, lines, as_json=as_json, passed=good)
+
+
+def _safety(
+    scenario: str, vehicle: Vehicle, gains: str, *, barrier: str, movers: str, spread: float | None
+) -> SafetyClaim:
+    from typing import Any
+
+    from surctl.control import BARRIER_NAMES, MOVERS, load_gains
+    from surctl.errors import InputError, nearest
+    from surctl.simulation import load_scenario, safety_claim
+
+    for key, value, known in (("barrier", barrier, BARRIER_NAMES), ("movers", movers, MOVERS)):
+        if value not in known:
+            raise InputError("is not known", key=key, value=value, remedy=nearest(value, known))
+    mission = load_scenario(scenario)
+    sight = mission.sensors.equipment.array.maximum
+    kind: dict[str, Any] = {"barrier": barrier, "movers": movers}
+    return safety_claim(mission, vehicle, load_gains(gains), **kind, detection=sight, spread=spread)
 
 
 def claim_line(verdict: Verdict) -> str:

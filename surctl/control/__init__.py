@@ -13,8 +13,10 @@ from surctl.control.law import (
 )
 from surctl.control.ports import CONTACT_SLOTS, INPUTS, PARAMETERS, law_inputs, law_parameters
 from surctl.control.registry import LAW_NAMES, LAWS, LawName
+from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
 
 __all__ = [
+    "BARRIER_NAMES",
     "CONTACT_SLOTS",
     "DEGRADED",
     "GAINS",
@@ -23,15 +25,18 @@ __all__ = [
     "LAW_NAMES",
     "LIBRARY",
     "MODES",
+    "MOVERS",
     "NONFINITE",
     "PARAMETERS",
     "SATURATED",
     "SWITCHED",
     "TRAPPED",
+    "Barrier",
     "Gains",
     "Law",
     "LawName",
     "LawStep",
+    "Movers",
     "build_law",
     "law_inputs",
     "law_parameters",

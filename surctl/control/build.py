@@ -25,6 +25,7 @@ from surctl.control.ports import (
 from surctl.control.reference import learnt, path_wish
 from surctl.control.registry import LAW_NAMES, LAWS, LawName
 from surctl.control.senses import Senses, build_senses
+from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
 from surctl.control.trap import TRAP_PORTS, standing, trap_next
 from surctl.control.velocity import velocity_control
 from surctl.errors import InputError, nearest
@@ -56,6 +57,8 @@ def build_law(
     equipment: Equipment = DEFAULT_EQUIPMENT,
     moving: bool = True,
     guidance: Guidance = "los",
+    barrier: Barrier = "simple",
+    movers: Movers = "predict",
 ) -> Law:
     """Assemble a law once; the gains stay symbols.
 
@@ -70,13 +73,26 @@ def build_law(
         moving: whether a known obstacle may move; without that it does the same as long as none does.
         guidance: how the path is followed: `los`, or with memory against a steady push, `ilos` or `alos`, see
             `guidance.crosstrack`.
+        barrier: of `guarded`, how fast it lets itself come nearer: `simple`, s²/(2a) + s t, or `inertia`, the closed
+            form of `guidance.braking` at the worst of the vehicle's ranges.
+            With sonars `inertia` does not get through the pool, where there are centimetres only.
+        movers: what `guarded` does about what moves: `predict` its way and sidestep, or keep the `barrier` to it too.
 
     Raises:
         InputError: an unknown name, or a form that the law does not take.
     """
-    for key, value, known in (("law", law, LAW_NAMES), ("avoidance", avoidance, FORMS), ("priority-mode", mode, MODES)):
+    names: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+        ("law", law, LAW_NAMES),
+        ("avoidance", avoidance, FORMS),
+        ("priority-mode", mode, MODES),
+        ("barrier", barrier, BARRIER_NAMES),
+        ("movers", movers, MOVERS),
+    )
+    for key, value, known in names:
         if value not in known:
             raise InputError("is not known", key=key, value=value, remedy=nearest(str(value), known))
+        if key in ("barrier", "movers") and law != "guarded" and value != known[0]:
+            raise InputError(f"law {law} has none", key=key, value=value, remedy="fly law guarded")
     check_guidance(guidance)
     if law != "paper" and avoidance != "corrected":
         raise InputError(
@@ -88,11 +104,12 @@ def build_law(
     if law == "paper" and sonar and equipment.array != DEFAULT_ARRAY:
         raise InputError("law paper has the four sonars of the paper", key="array", remedy="fly law guarded")
     if law == "paper" or not sonar:
+        told = law_inputs(contacts, sonar=sonar)
         return _decide(
-            law, avoidance, mode, dt, law_inputs(contacts, sonar=sonar), guidance, sonar=sonar, moving=moving
+            law, avoidance, mode, dt, told, guidance, sonar=sonar, moving=moving, barrier=barrier, movers=movers
         )
     told = scan_inputs(contacts + SECTORS, sensors=equipment.array.size)
-    decide = _decide(law, avoidance, mode, dt, told, guidance)
+    decide = _decide(law, avoidance, mode, dt, told, guidance, barrier=barrier, movers=movers)
     return _with_senses(decide, build_senses(equipment, sonar_inputs(equipment, contacts=contacts), told, dt=dt))
 
 
@@ -126,6 +143,8 @@ def _decide(
     *,
     sonar: bool = False,
     moving: bool = True,
+    barrier: Barrier = "simple",
+    movers: Movers = "predict",
 ) -> Law:
     """The law, or what of it comes after the senses."""
     scans = "unknown" in inputs
@@ -140,7 +159,9 @@ def _decide(
         wish = standing(wish, xs, us["eta"], ps)
     seen = perceive(xs, us, ps, dt=dt)
     scan = Scan(us["unknown"], us["heard"], us["placed"]) if scans else None
-    decision = LAWS[law](Situation(avoidance, wish, seen, xs, us["eta"], us["nu"], ps, dt, scan, moving))
+    decision = LAWS[law](
+        Situation(avoidance, wish, seen, xs, us["eta"], us["nu"], ps, dt, scan, moving, barrier, movers)
+    )
     nearest_clearance = ca.SX(100)
     for contact in seen.all:
         nearest_clearance = ca.fmin(nearest_clearance, contact.clearance)
@@ -199,6 +220,8 @@ def _decide(
         levels=levels,
         rows=tuple(row.name for row in rows),
         guidance=guidance,
+        barrier=barrier,
+        movers=movers,
     )
 
 

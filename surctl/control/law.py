@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control.senses import Senses
+from surctl.control.stopping import Barrier, Movers
 from surctl.errors import InputError
 from surctl.guidance import AvoidanceForm, Guidance
 from surctl.ir import Block, Layout, Port, runnable, to_casadi
@@ -90,6 +91,7 @@ class Law:
         post: (u, p, those three, nu_wanted, rung of the priority tick) → as `function`.
         levels: (name, rows, unit) of each priority level, highest first.
         rows: names of the rows: box, then barriers.
+        barrier, movers: as `build_law` has them.
         senses: what runs before the decision, or None; `function`, `pre` and `post` then take the decision's own state
             and what the senses tell as x and u.
         guidance: how the path is followed.
@@ -111,6 +113,8 @@ class Law:
     rows: tuple[str, ...]
     senses: Senses | None = None
     guidance: Guidance = "los"
+    barrier: Barrier = "simple"
+    movers: Movers = "predict"
 
     def initial_state(self) -> Vector:
         """State before the first step."""

@@ -18,6 +18,7 @@ import numpy as np
 from surctl.control.echoes import Perception
 from surctl.control.ports import SECTORS
 from surctl.control.reference import Wish
+from surctl.control.stopping import BRAKE, Stop
 from surctl.guidance import (
     FAR,
     SAME_CONTACT,
@@ -25,7 +26,6 @@ from surctl.guidance import (
     Cone,
     Contact,
     Sector,
-    allowed_closing_speed,
     avoidance_course,
     choose_velocity,
     collision_cone,
@@ -52,7 +52,6 @@ _CRAWL = 0.01  # [m/s] below which it stands
 _GROPING = 0.5  # of the cruise speed: most towards where a sonar is not to be believed
 _NO_BOUND = 10.0  # [m/s]
 _ONE_ENCOUNTER = 1e3  # [m]
-_BRAKE = 4.0  # times the excess speed that is taken off the command: the velocity loop alone is too slow
 _GIVE_WAY = 0.05  # [m/s] with which the robot backs off from a mark; half of what is marked near the hull is not there
 _MOVES = 0.05  # [m/s] from which something moves: slower things are kept off by their braking distance
 _PASSING = 0.1  # [m] beyond the margin, at which something that moves is passed
@@ -118,6 +117,7 @@ def guarded_law(
     nu: ca.SX,
     p: Mapping[str, ca.SX],
     *,
+    stop: Stop,
     scan: Scan | None = None,
     moving: bool = True,
 ) -> Decision:
@@ -125,11 +125,10 @@ def guarded_law(
 
     With sonars it turns all the time, and goes only where it can stop before the first place it knows nothing of.
     """
-    deceleration = _acceleration(p, p["brake"])
     marks = len(seen.known) - SECTORS if scan is not None else len(seen.all)
     sectors, cones = [], []
     for k, c in enumerate(seen.all):
-        bound = _closing_bound(c, deceleration, p)
+        bound = stop(c.clearance - p["margin"], c.closing)
         point = eta[:2] + (c.clearance + p["hull"]) * c.normal
         if marks <= k < len(seen.known):
             bound = ca.fmax(bound, -_GIVE_WAY)
@@ -156,7 +155,7 @@ def guarded_law(
     if scan is None:
         velocity = _braked(velocity, over_ground, [(sector.normal, sector.bound) for sector in sectors])
     else:
-        caution = _cautious_bounds(scan, deceleration, p)
+        caution = _cautious_bounds(scan, stop, p)
         chased = ca.SX(0)
         for sector in sectors[:marks]:
             chased = ca.logic_or(chased, sector.bound < 0)
@@ -203,13 +202,12 @@ def _strays(wish: Wish, velocity: ca.SX) -> ca.SX:
     return ca.logic_and(ca.fabs(wish.y_e) > _BESIDE, across * wish.y_e > 0)
 
 
-def _cautious_bounds(scan: Scan, deceleration: ca.SX, p: Mapping[str, ca.SX]) -> list[tuple[ca.SX, ca.SX]]:
+def _cautious_bounds(scan: Scan, stop: Stop, p: Mapping[str, ca.SX]) -> list[tuple[ca.SX, ca.SX]]:
     """(normal, largest speed along it): stop before what is unknown, slow where a sonar is not to be trusted."""
     bounds = []
     for k in range(scan.unknown.shape[0]):
         normal, clearance = scan.unknown[k, :2].T, scan.unknown[k, 2]
-        allowed = allowed_closing_speed(ca.fmax(clearance, 0), deceleration=deceleration, reaction=p["reaction"])
-        bounds.append((normal, allowed))
+        bounds.append((normal, ca.fmax(stop(ca.fmax(clearance, 0), ca.SX(0)), 0)))
     for k in range(scan.heard.shape[0]):
         slow = ca.if_else(scan.heard[k, 2] > 0.5, _NO_BOUND, _GROPING * p["cruise"])
         bounds.append((scan.heard[k, 4:6].T, slow))
@@ -223,7 +221,7 @@ def _braked(velocity: ca.SX, now: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) 
         over = ca.dot(now, n) - bound
         normal = ca.if_else(over > excess, n, normal)
         excess = ca.fmax(excess, over)
-    return velocity - _BRAKE * excess * normal
+    return velocity - BRAKE * excess * normal
 
 
 def paper_law(
@@ -282,13 +280,6 @@ def _cone(contact: Contact, evaded: ca.SX, point: ca.SX, eta: ca.SX, p: Mapping[
     )
 
 
-def _closing_bound(contact: Contact, deceleration: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
-    """Largest n·v [m/s]; what approaches is given the way it makes during the reaction time as further stand-off."""
-    standoff = p["margin"] + p["reaction"] * ca.fmax(-contact.closing, 0)
-    allowed = allowed_closing_speed(contact.clearance - standoff, deceleration=deceleration, reaction=p["reaction"])
-    return allowed + contact.closing
-
-
 def _lower_tasks(eta: ca.SX, wish: Wish, p: Mapping[str, ca.SX]) -> tuple[Task, Task]:
     return (
         depth_task(eta, p["depth"], gain=p["k2"]),
@@ -296,9 +287,9 @@ def _lower_tasks(eta: ca.SX, wish: Wish, p: Mapping[str, ca.SX]) -> tuple[Task, 
     )
 
 
-def _acceleration(p: Mapping[str, ca.SX], share: ca.SX | float = 1) -> ca.SX:
-    """What a share of the horizontal thrust gives at the least [m/s²]."""
-    return share * ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1]) / ca.fmax(p["mass"][0], p["mass"][1])
+def _acceleration(p: Mapping[str, ca.SX]) -> ca.SX:
+    """What the horizontal thrust gives at the least [m/s²]."""
+    return ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1]) / ca.fmax(p["mass"][0], p["mass"][1])
 
 
 def _sub_task_speed(contact: Contact, p: Mapping[str, ca.SX]) -> ca.SX:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from surctl.control.gains import GAINS, Gains
 from surctl.guidance import FAR, MAX_WAYPOINTS, Path
+from surctl.guidance.braking import brakes_of
 from surctl.ir import Layout, Port
 from surctl.sensing import Equipment, SonarArray
 from surctl.vehicle import Vehicle
@@ -134,6 +135,13 @@ _MODEL = (
     Port("quadratic_drag", (4,), "N s^2/m^2, N m s^2", "Xuu, Yvv, Zww, Nrr"),
     Port("thrust_limit", (4,), "N, N m", "largest thrust per axis, both signs", 1.0),
     Port("hull", (1,), "m", "hull radius", 0.1),
+    Port(
+        "stopping",
+        (6,),
+        "kg, N, s, N s/m, N s^2/m^2",
+        "worst of the ranges: least and largest mass, largest thrust, thrust lag, largest linear and quadratic drag",
+        1.0,
+    ),
     Port("spin_limit", (1,), "rad/s", "yaw rate that 85 % of the yaw thrust holds at the worst of the ranges", 0.1),
 )
 _MISSION = (
@@ -173,6 +181,7 @@ def law_parameters(
         walls: x_min, x_max, y_min, y_max [m].
         launch: water around the hull that is known to be free at the start [m].
     """
+    brakes = brakes_of(vehicle)
     values: Mapping[str, object] = {
         **gains.values,
         "mass": vehicle.mass,
@@ -180,6 +189,7 @@ def law_parameters(
         "quadratic_drag": vehicle.quadratic_drag,
         "thrust_limit": vehicle.thrust_limit,
         "hull": vehicle["radius"],
+        "stopping": (*brakes.masses, brakes.most, brakes.lag, brakes.linear[1], brakes.quadratic[1]),
         "spin_limit": vehicle.steady_yaw(YAW_SHARE),
         "waypoints": path.slots,
         "depth": depth,

@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 
 from surctl.control.baselines import Situation, apf_law, cbf_law, dwa_law, vo_law
 from surctl.control.laws import Decision, guarded_law, paper_law
+from surctl.control.stopping import BARRIERS
 
 __all__ = ["LAWS", "LAW_NAMES", "LawBuilder", "LawName"]
 
@@ -16,7 +17,9 @@ LawBuilder: TypeAlias = Callable[[Situation], Decision]
 
 
 def _guarded(s: Situation) -> Decision:
-    return guarded_law(s.wish, s.seen, s.x, s.eta, s.nu, s.p, scan=s.scan, moving=s.moving)
+    stop = BARRIERS[s.barrier](s.p, s.dt)
+    moving = s.moving and s.movers == "predict"
+    return guarded_law(s.wish, s.seen, s.x, s.eta, s.nu, s.p, stop=stop, scan=s.scan, moving=moving)
 
 
 def _paper(s: Situation) -> Decision:

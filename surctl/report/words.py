@@ -55,6 +55,8 @@ def simulate_command(run: Run, gains: str | None) -> str | None:
     words += ["--vehicle", vehicle, "--gains", gains, "--law", law, "--avoidance", run.law.avoidance]
     words += [] if run.law.guidance == "los" else ["--guidance", run.law.guidance]
     words += ["--priority-mode", run.law.mode]
+    if (run.law.barrier, run.law.movers) != ("simple", "predict"):
+        words += ["--barrier", run.law.barrier, "--movers", run.law.movers]
     words += ["--sensing", run.sensing, "--seed", str(run.seed), "--out", "plots"]
     return shlex.join(words)
 

@@ -1,4 +1,4 @@
-"""A row for every claim of the library: what the paper says of V1, V2 and the course, as printed and as corrected."""
+"""A row for every claim of the paper: what it says of V1, V2 and the course, as printed and as corrected."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ def claim_items(gains: Mapping[str, float], *, samples: int = FULL) -> list[Item
             f"surctl verify {claim.name}" if samples == FULL else f"surctl reproduce {claim.name} --quick",
         )
         for claim in claims(gains)
+        if claim.paper
     ]
 
 

@@ -72,7 +72,7 @@ def required() -> list[str]:
     """Ids that must be there: every claim, percentage, erratum, scenario, and the position errors."""
     percentages = [f"table-ii-{medium}-{round(100 * d):03d}" for medium in MEDIA for d in table_ii().desired]
     return [
-        *(claim.name for claim in claims()),
+        *(claim.name for claim in claims() if claim.paper),
         *percentages,
         *(f"E{k}" for k in range(1, 22)),
         *scenario_names(),

@@ -20,6 +20,7 @@ from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.paper_figure import PaperFigure
 from surctl.simulation.record import Record
 from surctl.simulation.run import SENSING, Run, Sensing, advance, law_numbers, simulate
+from surctl.simulation.safety import SafetyClaim, safety_claim
 from surctl.simulation.scenario import LIBRARY, Scenario, load_scenario
 from surctl.simulation.sensors import Sensors
 from surctl.simulation.world import Body, World, build_world
@@ -46,6 +47,7 @@ __all__ = [
     "PaperFigure",
     "Record",
     "Run",
+    "SafetyClaim",
     "Scenario",
     "Sensing",
     "Sensors",
@@ -60,6 +62,7 @@ __all__ = [
     "knobs",
     "law_numbers",
     "load_scenario",
+    "safety_claim",
     "simulate",
     "simulate_batch",
 ]

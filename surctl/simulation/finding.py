@@ -10,9 +10,9 @@ __all__ = ["Finding"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that cannot work (`error`) or that a reader should know (`warning`)."""
+    """One thing that cannot work (`error`), that a reader should know (`warning`), or may like to (`info`)."""
 
-    level: Literal["error", "warning"]
+    level: Literal["error", "warning", "info"]
     key: str
     text: str
 

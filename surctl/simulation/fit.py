@@ -22,7 +22,7 @@ __all__ = ["Finding", "findings"]
 
 
 def findings(scenario: Scenario, vehicle: Vehicle, *, gains: Gains | None = None) -> list[Finding]:
-    """Everything found, errors first.
+    """Everything found, errors first, then warnings.
 
     Args:
         scenario: the mission.
@@ -35,7 +35,7 @@ def findings(scenario: Scenario, vehicle: Vehicle, *, gains: Gains | None = None
     build_world(scenario, vehicle, seed=0)
     found = [*room_findings(scenario, vehicle), *motion_findings(scenario, vehicle)]
     found += _sonars(scenario, vehicle, gains or load_gains("default"))
-    return sorted(found, key=lambda f: f.level != "error")
+    return sorted(found, key=lambda f: ("error", "warning", "info").index(f.level))
 
 
 def _sonars(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:

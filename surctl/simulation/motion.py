@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from surctl.guidance.braking import Watch, brakes_of, fastest_obstacle, range_needed, stopping_way
 from surctl.simulation.finding import Finding
 from surctl.simulation.scenario import Scenario
 from surctl.vehicle import Vehicle
@@ -15,6 +16,7 @@ def motion_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     """Obstacles and currents too fast, thrust too small, time too short."""
     return [
         *_obstacle_speeds(scenario),
+        *_braking(scenario, vehicle),
         *_current(scenario),
         *_thrust(scenario, vehicle),
         *_time(scenario),
@@ -32,6 +34,23 @@ def _obstacle_speeds(scenario: Scenario) -> list[Finding]:
         for o in scenario.obstacles
         if o.speed_m_per_s is not None and o.speed_m_per_s > scenario.cap
     ]
+
+
+def _braking(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    """Obstacles that are only evaded: braking, at the worst of the vehicle's ranges, does not keep them off."""
+    brakes, found = brakes_of(vehicle), []
+    most, sight = fastest_obstacle(brakes), scenario.sensors.equipment.array.maximum
+    for o in scenario.obstacles:
+        speed = o.speed_m_per_s or 0.0
+        needed = range_needed(brakes, Watch(), scenario.cap, obstacle=speed, way=stopping_way)
+        if speed <= 0 or needed <= sight:
+            continue
+        why = f"it takes {needed:.2f} m to stop from the cap before it, and the sonars reach {sight:g} m"
+        if speed >= most:
+            why = f"braking guarantees nothing before obstacles faster than {most:.3f} m/s"
+        text = f"obstacle {o.name!r} at {speed:g} m/s is evaded sideways, not braked for: with {vehicle.name} {why}"
+        found.append(Finding("info", f"obstacles.{o.name}.speed_m_per_s", text))
+    return found
 
 
 def _current(scenario: Scenario) -> list[Finding]:

@@ -57,6 +57,8 @@ class Run:
             "guidance": self.law.guidance,
             "sensing": self.sensing,
             "priority_mode": self.law.mode,
+            "barrier": self.law.barrier,
+            "movers": self.law.movers,
             "seed": self.seed,
             **asdict(self.metrics),
             "paper_time_s": self.scenario.paper.time_s,

@@ -77,6 +77,7 @@ class Claim:
         constraints: SX column g; the domain is the part of the box with g ≤ 0.
         witnesses: points known to matter, each a value for every variable.
         motion: the loop to replay a counterexample on, if the claim bounds a rate.
+        paper: whether the paper says it, as printed or corrected.
         tolerance: a point refutes when left − right exceeds this times the largest of |left|, |right| seen.
     """
 
@@ -93,6 +94,7 @@ class Claim:
     witnesses: tuple[Mapping[str, float], ...] = ()
     motion: Motion | None = None
     tolerance: float = 1e-9
+    paper: bool = True
 
     def __post_init__(self) -> None:
         """Raise InputError for a claim that cannot be checked, naming it."""

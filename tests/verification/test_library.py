@@ -9,8 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
+from surctl.vehicle import load_vehicle
 from surctl.verification import (
     avoidance_claims,
+    braking_claims,
     claims,
     course_claims,
     evaluate,
@@ -164,9 +166,28 @@ def one_sided(law: Any) -> Any:
     return lambda form, phi, clearance, **k: law(form, phi, clearance, **k) - ca.fmin(k["side"], 0) * 0.01
 
 
+def deaf_to_drag(brakes_of: Any) -> Any:
+    return lambda vehicle, **k: replace(brakes_of(vehicle, **k), quadratic=(0.0, 0.0))
+
+
+def weaker(brakes_of: Any) -> Any:
+    return lambda vehicle, **k: brakes_of(vehicle, **{**k, "share": 0.6})
+
+
+class Overconfident(braking_claims._Box):
+    """A box that leaves more braking force over than there is."""
+
+    def left(self, obstacle: Any, **k: Any) -> Any:
+        return 1.05 * super().left(obstacle, **k)
+
+
 @pytest.mark.parametrize(
     ("name", "mutate"),
     [
+        ("braking-keeps", lambda patch: patch.setattr(braking_claims, "_Box", Overconfident)),
+        ("braking-range", lambda patch: patch.setattr(braking_claims, "_Box", Overconfident)),
+        ("braking-bound", patched(braking_claims, "brakes_of", deaf_to_drag)),
+        ("braking-bound", patched(braking_claims, "brakes_of", weaker)),
         ("v1-corrected", patched(tracking_claims, "along_command", unrepaired)),
         ("v1-corrected", patched(tracking_claims, "along_command", slower)),
         ("v1-corrected", patched(tracking_claims, "tracking_rate", pushed)),
@@ -182,6 +203,19 @@ def one_sided(law: Any) -> Any:
 def test_a_wrong_law_is_refuted(name: str, mutate: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     mutate(monkeypatch)
     assert falsify(one(name)).verdict == "refuted"
+
+
+@pytest.mark.parametrize("name", ["sur400", "sur540-light"])
+@pytest.mark.parametrize("claim", ["braking-keeps", "braking-range", "braking-bound"])
+def test_braking_holds_of_other_vehicles(name: str, claim: str) -> None:
+    vehicle = load_vehicle(name)
+    assert falsify(claims(names=[claim], vehicle=vehicle)[0], samples=1024, starts=16).as_expected
+
+
+def test_less_margin_is_not_enough_for_the_law_s_bound() -> None:
+    found = falsify(one("braking-bound", {"margin": 0.02}))
+    assert found.counterexample is not None and found.counterexample.margin < 0.02
+    assert falsify(one("braking-bound", {"margin": 0.04})).verdict == "not refuted"
 
 
 # ---- users' mistakes

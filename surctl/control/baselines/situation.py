@@ -10,6 +10,7 @@ import casadi as ca
 from surctl.control.echoes import Perception
 from surctl.control.laws import Decision, Scan, Wanted
 from surctl.control.reference import Wish
+from surctl.control.stopping import Barrier, Movers
 from surctl.guidance import AvoidanceForm, Contact
 from surctl.tasks import HalfPlane, depth_task, heading_task, velocity_task
 from surctl.vehicle import planar_rotation
@@ -36,7 +37,7 @@ class Situation(NamedTuple):
     """What a law decides on, symbolic: wish, contacts, own state, pose and velocity, gains and mission by name.
 
     `form` of (20) and `dt` [s] are those of `build_law`; `scan` is None for a law without sonars;
-    `moving` says whether a contact may move.
+    `moving` says whether a contact may move; `barrier` and `movers` are those of `build_law`.
     """
 
     form: AvoidanceForm
@@ -49,6 +50,8 @@ class Situation(NamedTuple):
     dt: float
     scan: Scan | None
     moving: bool = True
+    barrier: Barrier = "simple"
+    movers: Movers = "predict"
 
 
 def decided(s: Situation, velocity: ca.SX, *, degraded: ca.SX, rows: Sequence[HalfPlane] = ()) -> Decision:

@@ -9,7 +9,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import GAINS, Gains, Law, LawName, build_law
+from surctl.control import GAINS, Barrier, Gains, Law, LawName, Movers, build_law
 from surctl.errors import InputError, nearest
 from surctl.guidance import AvoidanceForm, Guidance
 from surctl.priority import Mode
@@ -32,7 +32,7 @@ class Case:
         scenario: the mission.
         vehicle: what is flown.
         gains: the law's gains.
-        law, avoidance, mode, guidance: as `build_law`.
+        law, avoidance, mode, guidance, barrier, movers: as `build_law`.
         sensing: `truth` or `sonar`.
         model: what the controller believes it flies; None: the vehicle itself.
     """
@@ -46,6 +46,8 @@ class Case:
     model: Vehicle | None = None
     avoidance: AvoidanceForm = "corrected"
     guidance: Guidance = "los"
+    barrier: Barrier = "simple"
+    movers: Movers = "predict"
 
     @property
     def name(self) -> str:
@@ -62,6 +64,8 @@ class Case:
             sonar=sonar,
             equipment=self.scenario.sensors.on(self.vehicle["radius"]),
             guidance=self.guidance,
+            barrier=self.barrier,
+            movers=self.movers,
         )
 
 

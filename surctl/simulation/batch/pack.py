@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,16 +53,14 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         moved = values.get(f"obstacle.{obstacle.name}.drift", np.asarray(obstacle.drift_m))
         kinds.append(kind_of(obstacle, drifting=bool(np.any(moved > 0))))
     optional = any(f"obstacle.{obstacle.name}.there" in values for obstacle in case.scenario.obstacles)
+    kept: dict[str, Any] = {
+        "optional": optional,
+        "guidance": case.guidance,
+        "barrier": case.barrier,
+        "treats": case.movers,
+    }
     if case.sensing == "truth":
-        return Structure(
-            case.law,
-            case.avoidance,
-            case.mode,
-            case.sensing,
-            tuple(kinds),
-            optional=optional,
-            guidance=case.guidance,
-        )
+        return Structure(case.law, case.avoidance, case.mode, case.sensing, tuple(kinds), **kept)
     sensors = case.scenario.sensors
     struck = any(np.any(values.get(f"sonar.{kind}", chance) > 0) for kind, chance in _chances(case))
     return Structure(
@@ -74,8 +73,7 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         len(sensors.faults),
         struck,
         any(fault.kind == "delay" for fault in sensors.faults),
-        optional,
-        case.guidance,
+        **kept,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from surctl.control import CONTACT_SLOTS, LawName
+from surctl.control import CONTACT_SLOTS, Barrier, LawName, Movers
 from surctl.guidance import AvoidanceForm, Guidance
 from surctl.priority import Mode
 from surctl.sensing import Equipment
@@ -23,6 +23,7 @@ class Structure:
         faults: number of slots for told faults; `delays` if one of them may be a delay.
         chances: whether faults may strike by chance.
         optional: whether a run may leave obstacles out.
+        barrier, treats: of the law, `barrier` and `movers` of `build_law`.
     """
 
     law: LawName
@@ -36,6 +37,8 @@ class Structure:
     delays: bool = False
     optional: bool = False
     guidance: Guidance = "los"
+    barrier: Barrier = "simple"
+    treats: Movers = "predict"
 
     @property
     def may_fail(self) -> bool:

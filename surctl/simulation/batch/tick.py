@@ -63,6 +63,8 @@ def build_loop(structure: Structure) -> Loop:
         equipment=structure.equipment,
         moving=structure.moving,
         guidance=structure.guidance,
+        barrier=structure.barrier,
+        movers=structure.treats,
     )
     state, parameters = Layout(_state_ports(law, structure)), Layout(_parameter_ports(structure))
     builder = _Builder(structure, law, state, parameters)

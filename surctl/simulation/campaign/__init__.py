@@ -1,6 +1,6 @@
 """What many drawn flights of a scenario say together."""
 
-from surctl.simulation.campaign.assumptions import assumptions, braking_distance
+from surctl.simulation.campaign.assumptions import assumptions
 from surctl.simulation.campaign.campaign import CHUNK, FASTEST, Campaign, fly_campaign
 from surctl.simulation.campaign.draws import MonteCarlo, draw_plant
 from surctl.simulation.campaign.flight import Flight, Plan
@@ -25,7 +25,6 @@ __all__ = [
     "Share",
     "Summary",
     "assumptions",
-    "braking_distance",
     "draw_plant",
     "fly_campaign",
     "load_replay",

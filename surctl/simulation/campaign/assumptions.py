@@ -3,40 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import inf, pi
+from math import pi
 
 from surctl.errors import InputError
+from surctl.guidance.braking import LEAST_THRUST, Watch, brakes_of, range_needed, stopping_way
 from surctl.simulation.fit import findings
 from surctl.simulation.scenario import Scenario
 from surctl.vehicle import Vehicle
 
-__all__ = ["LEAST_THRUST", "assumptions", "braking_distance"]
-
-LEAST_THRUST = 0.85
-"""Share of the stated thrust that the claim counts on."""
-
-
-def braking_distance(vehicle: Vehicle, *, speed: float, obstacle: float = 0.0) -> float:
-    """Way to a stop relative to an obstacle that comes on [m]; inf when its drag eats up the thrust.
-
-    S = m s²/(2 F') + s τ (F0 + F)/F' + (F0 + F)² τ²/(2 F' m), with s = speed + obstacle, F = 0.85 F_max,
-    F' = F − D(obstacle), D(v) = X_u v + X_uu v². F0, what pushes when braking begins, is F_max: the worst.
-    Surge and sway alike, the longer of both.
-
-    Args:
-        vehicle: whose stated numbers count.
-        speed: of the vehicle towards the obstacle, at least 0 [m/s].
-        obstacle: of the obstacle towards the vehicle, at least 0 [m/s].
-    """
-    lag, closing, found = vehicle["thrust_lag"], speed + obstacle, 0.0
-    for mass, linear, quadratic, most in (("m11", "Xu", "Xuu", "Fu_max"), ("m22", "Yv", "Yvv", "Fv_max")):
-        m, brake = vehicle[mass], LEAST_THRUST * vehicle[most]
-        left = brake - vehicle[linear] * obstacle - vehicle[quadratic] * obstacle**2
-        if left <= 0:
-            return inf
-        swing = (vehicle[most] + brake) * lag
-        found = max(found, (m * closing**2 / 2 + closing * swing + swing**2 / (2 * m)) / left)
-    return found
+__all__ = ["assumptions"]
 
 
 def assumptions(
@@ -44,10 +19,10 @@ def assumptions(
 ) -> tuple[str, ...]:
     """Names of what does not hold, in a fixed order; empty when all that can be judged holds.
 
-    `obstacle speed`: an obstacle, its drift included, goes faster than `fastest`. `detection`: the braking distance
-    from the cap is longer than the detection range. `thrust`: the draw has less than 85 % of a stated limit.
-    `range`: a number of the draw is outside its stated range. `hull`: by `findings` the hull fits not at
-    the start or the target; whether it fits between is not judged.
+    `obstacle speed`: an obstacle, its drift included, goes faster than `fastest`. `detection`: from the cap, at the
+    worst of the vehicle's ranges, it needs more than the detection range to stop before that obstacle. `thrust`: the
+    draw has less than 85 % of a stated limit. `range`: a number of the draw is outside its stated range. `hull`: by
+    `findings` the hull fits not at the start or the target; whether it fits between is not judged.
 
     Args:
         scenario: as flown.
@@ -70,7 +45,8 @@ def assumptions(
     limits = ("Fu_max", "Fv_max", "Fw_max", "Fr_max")
     broken = {
         "obstacle speed": speed > fastest,
-        "detection": braking_distance(vehicle, speed=scenario.cap, obstacle=speed) > detection,
+        "detection": range_needed(brakes_of(vehicle), Watch(), scenario.cap, obstacle=speed, way=stopping_way)
+        > detection,
         "thrust": any(draw.get(n, vehicle[n]) < LEAST_THRUST * vehicle[n] * (1 - 1e-12) for n in limits),
         "range": any(p.range is not None and not p.range[0] <= draw[n] <= p.range[1] for n, p in stated.items()),
         "hull": not _fits(scenario, vehicle),

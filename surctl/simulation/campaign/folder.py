@@ -120,6 +120,8 @@ def _asked(plan: Plan) -> dict[str, Any]:
         "avoidance": case.avoidance,
         "guidance": case.guidance,
         "priority mode": case.mode,
+        "barrier": case.barrier,
+        "movers": case.movers,
         "gains": _entry(case.gains.name, repr(sorted(case.gains.values.items()))),
         "sensing": case.sensing,
         **plan.told(),

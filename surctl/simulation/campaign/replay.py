@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from surctl import __version__
-from surctl.control import GAINS, Gains, LawName, load_gains
+from surctl.control import GAINS, Barrier, Gains, LawName, Movers, load_gains
 from surctl.errors import InputError
 from surctl.files import Strict, read_toml, validate
 from surctl.guidance import AvoidanceForm, Guidance
@@ -46,6 +46,8 @@ class _RunFile(Strict):
     avoidance: AvoidanceForm
     guidance: Guidance = "los"
     priority_mode: Mode
+    barrier: Barrier = "simple"
+    movers: Movers = "predict"
     sensing: Sensing
     stopped_because: Literal["time limit", "reached", "collision", "fault", "halted", "dead end"]
     broken_assumptions: tuple[str, ...] = ()
@@ -93,6 +95,8 @@ class Replay:
             "avoidance": case.avoidance,
             "guidance": case.guidance,
             "priority_mode": case.mode,
+            "barrier": case.barrier,
+            "movers": case.movers,
             "sensing": case.sensing,
             "stopped_because": self.stopped_because,
             "broken_assumptions": list(self.broken),
@@ -160,6 +164,8 @@ def load_replay(path: Path | str) -> Replay:
         model,
         file.avoidance,
         file.guidance,
+        file.barrier,
+        file.movers,
     )
     flight = Flight(case, file.seed, file.draw)
     return Replay(flight, file.stopped_because, file.figures, file.campaign, file.broken_assumptions, file.version)

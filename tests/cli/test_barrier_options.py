@@ -1,0 +1,22 @@
+"""`--barrier` and `--movers`, and the safety claim that `verify --scenario` prints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tests.cli.process import surctl
+
+
+def test_verify_prints_the_safety_claim_and_fails_where_it_does_not_hold(tmp_path: Path) -> None:
+    common = ("verify", "braking-range", "--scenario", "tank-static")
+    near = surctl(*common, "--uncertainty", "0.2", "--json", cwd=tmp_path)
+    assert near.status == 0 and near.json["safety"]["holds"] is True
+    assert {row["name"] for row in near.json["safety"]["assumptions"]} >= {"thrust lag", "obstacle speed"}
+    wide = surctl(*common, cwd=tmp_path)
+    assert wide.status == 1 and "DOES NOT HOLD" in wide.out
+
+
+def test_mistakes_are_named(tmp_path: Path) -> None:
+    for command in (("simulate", "tank-static"), ("verify", "braking-range", "--scenario", "tank-static")):
+        done = surctl(*command, "--barrier", "inertial", cwd=tmp_path)
+        assert done.status != 0 and "did you mean 'inertia'" in done.complaint

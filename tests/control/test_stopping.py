@@ -1,0 +1,78 @@
+"""The two barriers of the guarded law."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from surctl.control import PARAMETERS, build_law, law_parameters, load_gains
+from surctl.control.stopping import BARRIERS, Barrier
+from surctl.errors import InputError
+from surctl.guidance import Path
+from surctl.guidance.braking import Watch, allowed_speed, brakes_of
+from surctl.simulation import Case, load_scenario, simulate_batch
+from surctl.vehicle import load_vehicle
+
+VEHICLE, GAINS, DT = load_vehicle("sur540-flooded"), load_gains("default"), 0.05
+
+
+@cache
+def bound(barrier: Barrier) -> Any:
+    p, named = PARAMETERS.symbols("p")
+    d, closing = ca.SX.sym("d"), ca.SX.sym("closing")
+    function = ca.Function("bound", [p, d, closing], [BARRIERS[barrier](named, DT)(d, closing)])
+    numbers = law_parameters(
+        GAINS, VEHICLE, path=Path(np.array([[0, 0], [1, 0]])), depth=-0.2, cruise=0.2, cap=0.22, walls=(0, 5, 0, 5)
+    )
+    return lambda d, closing=0.0: float(function(numbers, d, closing))
+
+
+def test_the_simple_one_is_braking_from_the_speed_with_reaction_and_for_what_comes_its_way_in_that_time() -> None:
+    a, t = GAINS["brake"] * VEHICLE["Fu_max"] / VEHICLE["m11"], GAINS["reaction"]
+    for d, closing in ((0.4, 0.0), (0.4, -0.1), (0.4, 0.1), (1.0, -0.05)):
+        s = bound("simple")(d, closing) - closing
+        assert s**2 / (2 * a) + s * t == pytest.approx(d - t * max(-closing, 0), rel=1e-12)
+
+
+def test_that_with_inertia_is_the_closed_form_at_the_worst_of_the_ranges() -> None:
+    brakes = brakes_of(VEHICLE, share=GAINS["brake"])
+    for d in (-0.1, 0.0, 0.02, 0.3, 2.0):
+        for v_o in (0.0, 0.05, 0.12):
+            wanted = allowed_speed(brakes, Watch(period=DT), d, obstacle=v_o)
+            assert bound("inertia")(d, -v_o) == pytest.approx(wanted, abs=1e-12)
+        assert bound("inertia")(d, 0.1) == pytest.approx(bound("inertia")(d) + 0.1)
+    assert bound("inertia")(0.5) < bound("simple")(0.5)
+
+
+@pytest.mark.parametrize("key", ["barrier", "movers"])
+def test_only_the_guarded_law_has_a_choice(key: str) -> None:
+    with pytest.raises(InputError, match="did you mean") as caught:
+        build_law(**{key: {"barrier": "inertial", "movers": "predicts"}[key]})
+    assert caught.value.key == key
+    with pytest.raises(InputError, match="law paper has none"):
+        build_law("paper", **{key: {"barrier": "inertia", "movers": "barrier"}[key]})
+
+
+def test_the_worst_plant_hits_nothing_that_stands_and_keeps_more_room() -> None:
+    scenario = load_scenario("tank-static")
+    plant = {"plant.m11": 125.0, "plant.m22": 125.0, "plant.Fu_max": 4.25, "plant.Fv_max": 4.25}
+    values = {name: np.array([value]) for name, value in plant.items()}
+    least = {}
+    for barrier in ("simple", "inertia"):
+        flown = simulate_batch(Case(scenario, VEHICLE, GAINS, barrier=barrier), values, seeds=np.array([0]))
+        assert flown.column("reached")[0] == 1
+        least[barrier] = flown.column("min_clearance_m")[0]
+    assert 0 < least["simple"] < least["inertia"]
+
+
+def test_movers_are_braked_for_instead_of_evaded() -> None:
+    scenario, least = load_scenario("tank-speed-010"), {}
+    for movers in ("predict", "barrier"):
+        flown = simulate_batch(Case(scenario, VEHICLE, GAINS, movers=movers), seeds=np.array([0]))
+        assert flown.column("reached")[0] == 1
+        least[movers] = flown.column("min_clearance_m")[0]
+    assert least["barrier"] > 1.2 * least["predict"]
