@@ -147,6 +147,7 @@ def guarded_law(
         # of a wall the map knows points, so the blocker jumps: one encounter lasts as long as the wish is blocked
         same=SAME_CONTACT if scan is None else _ONE_ENCOUNTER,
         cones=cones,
+        walls=seen.walls,
     )
     velocity, halted = choice.velocity, ca.SX(0)
     named = [(f"contact_{k}", sector.normal, sector.bound) for k, sector in enumerate(sectors)]

@@ -90,10 +90,10 @@ class _Builder:
         split, feel, tell = self._split(), self._feel(), self._tell()
         steps = (
             Call(split, ("x",), tuple(name for name, _ in split.outputs)),
-            Call(feel, ("small", "u", "p"), ("small_next", "place", "readings", "seen")),
+            Call(feel, ("small", "u", "p"), ("small_next", "place", "walls", "readings", "seen")),
             Call(
                 self._map.routine(),
-                ("map_cells", "map_corner", "place", "readings"),
+                ("map_cells", "map_corner", "place", "walls", "readings"),
                 ("map_cells_next", "map_corner_next", "marked", "unknown"),
             ),
             Call(tell, ("p", "seen", "marked", "unknown"), ("told",)),
@@ -249,6 +249,7 @@ class _Builder:
             ),
             # the place of a hull that does not know where it is is not free
             "place": ca.vertcat(around.eta[:2], ca.if_else(around.placed, free, 0), edge),
+            "walls": known["walls"],
             "readings": _listed(firings, chart.slots),
             "seen": self._seen.join(seen),
         }

@@ -27,6 +27,9 @@ class Cone(NamedTuple):
         ahead_bound: [m/s], above which it is met within the horizon.
         closing: velocity of the contact along `ahead` [m/s], negative when it comes nearer.
         room: clearance that is left before the stand-off [m], not negative.
+        distance: between the centres [m].
+        offset: between the centres when it is passed [m].
+        crossing: velocity of the contact across `ahead`, to the left [m/s].
         there: 1 where there is something to meet.
         point: (2, 1) [m] in {E}, where it is.
     """
@@ -39,6 +42,9 @@ class Cone(NamedTuple):
     ahead_bound: ca.SX
     closing: ca.SX
     room: ca.SX
+    distance: ca.SX
+    offset: ca.SX
+    crossing: ca.SX
     there: ca.SX
     point: ca.SX
 
@@ -71,6 +77,9 @@ def collision_cone(
         ca.dot(n, motion) + ca.fmax(contact.clearance - standoff, 0) / horizon,
         ca.dot(n, motion),
         ca.fmax(contact.clearance - standoff, 0),
+        distance,
+        contact.reach + apart,
+        ca.dot(across, motion),
         there,
         point,
     )

@@ -13,6 +13,8 @@ from typing import NamedTuple
 import casadi as ca
 
 from surctl.guidance.cones import Cone, inside
+from surctl.guidance.contacts import Contact
+from surctl.guidance.sides import passes_left, side_costs
 
 __all__ = ["Choice", "Sector", "choose_velocity", "round_unknown", "slowed"]
 
@@ -68,6 +70,7 @@ def choose_velocity(
     cap: ca.SX,
     same: float = SAME_CONTACT,
     cones: Sequence[Cone] = (),
+    walls: Sequence[Contact] = (),
 ) -> Choice:
     """Velocity on the free course nearest to the wish's.
 
@@ -85,6 +88,7 @@ def choose_velocity(
         cap: [m/s].
         same: [m] that the blocker may move between two steps and still be the same encounter.
         cones: of what moves.
+        walls: of the site, for the side on which what comes head-on is passed, see `sides`.
     """
     wished = ca.fmax(ca.sqrt(ca.sumsqr(wish)), 1e-3)
     ahead = wish / wished
@@ -98,6 +102,8 @@ def choose_velocity(
     course, missed = ahead, _violation(ahead, speed, sectors, cones)
     blocked = missed > _TOLERANCE
     least, taken = _missed_cost(missed), ca.SX(0)
+    met = [inside(speed * ahead, cone) > _TOLERANCE for cone in cones]
+    sides = [side_costs(cone, wish, walls) for cone in cones]
     for sign in (1, -1):
         edges = [(sector.normal, sector.bound, sector.bound < speed) for sector in sectors]
         edges += [
@@ -109,6 +115,8 @@ def choose_velocity(
             edge_missed = _violation(edge, speed, sectors, cones)
             left = ca.if_else(ahead[0] * edge[1] - ahead[1] * edge[0] >= 0, 1, -1)
             cost = 1 - ca.dot(edge, ahead) + (0 if sign > 0 else _HEAD_ON) + _missed_cost(edge_missed)
+            for cone, meets, (on_left, on_right) in zip(cones, met, sides, strict=True):
+                cost += ca.if_else(meets, ca.if_else(passes_left(speed * edge, cone), on_left, on_right), 0)
             cost += ca.if_else(latched * left < -0.5, _TURN_BACK, 0)
             cost += ca.if_else(exists, 0, 1e6)  # what blocks nothing has no edge
             better = cost < least

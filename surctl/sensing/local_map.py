@@ -8,6 +8,9 @@ resolution maps from wide angle sonar").
 
 The map is a torus: world cell (I, J) lives at (I mod N, J mod N), the window moves with the robot, and a cell that
 comes in at one side takes the place of the one that leaves at the other. So its size does not depend on the site.
+Where it would reach beyond the site's walls it stays inside: nothing is to be known there, and it holds more of what is
+before the robot. Nor does it matter what is unknown in the two cells beside a wall, which few beams see between wall
+and range error: anything more than two cells across that stands there also stands in the third.
 A cell holds one number: 1 just marked, fading to 0 in `mark_time`; −1 just cleared, fading to 0 in `free_time`.
 """
 
@@ -47,6 +50,9 @@ _OF_THE_UNKNOWN, _OF_A_MARK = 0.4, 0.75
 MIDDLE = 1.0 - _OF_THE_UNKNOWN
 """Share of a narrow beam's width that clears what is unknown."""
 _HOLDS = 3  # cells of a block not known to be free, without which the middle of no disc two cells across lies in it
+_AT_A_WALL = 2  # cells beside a wall that count for nothing: what is larger than that shows in the next one
+_SLACK = 1e-3  # cells by which a wall may miss the grid
+_LINE = 4  # numbers of a column or row beside those of each firing
 _NOWHERE = 1e6  # cells; lowest corner of a window that has never been
 _FAR = 1e6  # m², of a block without such a cell
 
@@ -117,11 +123,12 @@ class LocalMap:
         )
 
     def routine(self) -> Routine:
-        """(cells, corner, place, slots) → (cells, corner, marked, unknown).
+        """(cells, corner, place, walls, slots) → (cells, corner, marked, unknown).
 
-        `place` (4,): the robot's x, y in {E} [m], hull radius [m], edge of a cell [m]. `slots` (slots · 10,): one
-        firing after the other, see `READING`. `marked` and `unknown` (sectors · 3,): for each direction the offset x, y
-        from the robot's centre to the nearest such cell [m] and its squared distance [m²], 1e6 when there is none.
+        `place` (4,): the robot's x, y in {E} [m], hull radius [m], edge of a cell [m]. `walls` (4,): x_min, x_max,
+        y_min, y_max of the site in {E} [m]; far away where there are none. `slots` (slots · 10,): one firing after the
+        other, see `READING`. `marked` and `unknown` (sectors · 3,): for each direction the offset x, y from the robot's
+        centre to the nearest such cell [m] and its squared distance [m²], 1e6 when there is none.
         """
         n, blocks = self.side, self.blocks
         line, spans, fixed = self._line(), ("columns", "rows"), ("place", "slots")
@@ -129,10 +136,10 @@ class LocalMap:
         change = self._sorted(self._row(self._change(), carried=(), made=("cells_next", "near")))
         none = (0.0, 0.0, _FAR) * self.sectors
         constants = _constants("constants", (0.0,), (1.0,), (0.0,) * self.slots, none, none)
-        where = ("place", "slots", "corner", "corner_next")
+        where = ("place", "walls", "slots", "corner", "corner_next")
         steps: tuple[Step, ...] = (
             Call(constants, (), ("is_columns", "is_rows", "found", "marked_none", "unknown_none")),
-            Call(self._corner(), ("place",), ("corner_next",)),
+            Call(self._corner(), ("place", "walls"), ("corner_next",)),
             *(Loop(line, n, (), (span,), fixed=(f"is_{span}", *where), index=True) for span in spans),
             Loop(look, blocks, ("found",), ("found_last",), sliced=("cells", "rows"), fixed=(*fixed, "columns")),
             Loop(
@@ -144,22 +151,29 @@ class LocalMap:
                 fixed=(*fixed, "found_last", "columns"),
             ),
         )
-        inputs = (("cells", n * n), ("corner", 2), ("place", 4), ("slots", self.slots * _READING_SIZE))
+        inputs = (("cells", n * n), ("corner", 2), ("place", 4), ("walls", 4), ("slots", self.slots * _READING_SIZE))
         return Routine("local_map", inputs, steps, ("cells_next", "corner_next", "marked", "unknown"))
 
     @property
     def _line_size(self) -> int:
-        return 3 + 3 * self.slots
+        return _LINE + 3 * self.slots
 
     def _corner(self) -> Program:
-        place = ca.SX.sym("place", 4)
-        return _lowered("corner", {"place": place}, {"corner": ca.floor(place[:2] / place[3]) - self.side // 2})
+        """The window's lowest cell: the robot is in its middle, but where it would reach beyond the site."""
+        place, walls = ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
+        lowest = ca.floor(walls[[0, 2]] / place[3] + _SLACK)
+        end = -ca.floor(_SLACK - walls[[1, 3]] / place[3])
+        middle = ca.floor(place[:2] / place[3]) - self.side // 2
+        corner = ca.fmax(ca.fmin(middle, end - self.side), lowest)
+        return _lowered("corner", {"place": place, "walls": walls}, {"corner": corner})
 
     def _line(self) -> Program:
-        """One column or row: offset of its centres from the robot, its square, whether it was there before; and for
-        each firing its share of the way along the beam, of that across, and of the squared distance."""
+        """One column or row: offset of its centres from the robot, its square, whether it was there before, whether
+        it counts; and for each firing its share of the way along the beam, of that across, and of the squared distance.
+        """
         at, span = ca.SX.sym("at"), ca.SX.sym("span")
-        place, slots = ca.SX.sym("place", 4), ca.SX.sym("slots", self.slots * _READING_SIZE)
+        place, walls = ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
+        slots = ca.SX.sym("slots", self.slots * _READING_SIZE)
         old, new = ca.SX.sym("old", 2), ca.SX.sym("new", 2)
         n, second = self.side, span > 0.5
 
@@ -172,12 +186,14 @@ class LocalMap:
         cell = world(of(new))
         centre = (cell + 0.5) * place[3]
         offset = centre - of(place)
-        parts = [offset, offset * offset, world(of(old)) == cell]
+        beside = _AT_A_WALL * place[3]
+        counts = ca.logic_and(centre > of(walls[[0, 2]]) + beside, centre < of(walls[[1, 3]]) - beside)
+        parts = [offset, offset * offset, world(of(old)) == cell, counts]
         for slot in self._split(slots):
             away, ex, ey = centre - of(slot["apex"]), slot["axis"][0], slot["axis"][1]
             # across = dx·ey − dy·ex: a row's share has the other sign
             parts += [away * of(slot["axis"]), ca.if_else(second, -away * ex, away * ey), away * away]
-        inputs = {"at": at, "span": span, "place": place, "slots": slots, "old": old, "new": new}
+        inputs = {"at": at, "span": span, "place": place, "walls": walls, "slots": slots, "old": old, "new": new}
         return _lowered("line", inputs, {"line": ca.vertcat(*parts)})
 
     def _row(self, block: Program, *, carried: tuple[str, ...], made: tuple[str, ...]) -> Routine:
@@ -219,7 +235,7 @@ class LocalMap:
         cells, count = [], ca.SX(0)
         near = [ca.SX([0.0, 0.0, _FAR]), ca.SX([0.0, 0.0, _FAR])]
         for k, (value, line, slots) in enumerate(self._each(symbols)):
-            dx, dy, square = self._offset(symbols, k)
+            dx, dy, square, inner = self._offset(symbols, k)
             for s, slot in enumerate(slots):
                 marked = ca.logic_and(
                     self._on_arc(line[s], slot, edge), ca.logic_or(value >= -self.known, ca.logic_not(found[s]))
@@ -230,7 +246,7 @@ class LocalMap:
             cells.append(value)
             count += value >= -self.known
             here = ca.vertcat(dx, dy, square)
-            blank = ca.logic_and(ca.logic_and(value >= -self.known, value <= 0), square > beyond)
+            blank = ca.logic_and(ca.logic_and(value >= -self.known, value <= 0), ca.logic_and(square > beyond, inner))
             for which, holds in enumerate((value > 0, blank)):
                 nearer = ca.logic_and(holds, square < near[which][2])
                 near[which] = ca.if_else(nearer, here, near[which])
@@ -247,10 +263,11 @@ class LocalMap:
             "slots": ca.SX.sym("slots", self.slots * _READING_SIZE),
         }
 
-    def _offset(self, symbols: dict[str, ca.SX], k: int) -> tuple[ca.SX, ca.SX, ca.SX]:
+    def _offset(self, symbols: dict[str, ca.SX], k: int) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """x, y, squared distance from the robot, and whether the cell counts."""
         size = self._line_size
         row, column = symbols["rows"][(k // self.block) * size :], symbols["columns"][(k % self.block) * size :]
-        return column[0], row[0], column[1] + row[1]
+        return column[0], row[0], column[1] + row[1], ca.logic_and(column[3], row[3])
 
     def _each(self, symbols: dict[str, ca.SX]) -> list[tuple[ca.SX, list[ca.SX], list[dict[str, ca.SX]]]]:
         """For each cell of a block: its faded value, (along, |across|, squared range) for each firing, the firings."""
@@ -263,7 +280,7 @@ class LocalMap:
             faded = old - ca.fmin(ca.fmax(old, -self.dt / self.free_time), self.dt / self.mark_time)
             lines = []
             for s in range(self.slots):
-                a, b = row[3 + 3 * s : 6 + 3 * s], column[3 + 3 * s : 6 + 3 * s]
+                a, b = (part[_LINE + 3 * s : _LINE + 3 + 3 * s] for part in (row, column))
                 lines.append(ca.vertcat(a[0] + b[0], ca.fabs(a[1] + b[1]), a[2] + b[2]))
             out.append((faded, lines, slots))
         return out

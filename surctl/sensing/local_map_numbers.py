@@ -9,11 +9,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.sensing.local_map import (
+    _AT_A_WALL,
     _FAR,
     _INSIDE,
     _INSIDE_MORE,
     _OF_A_MARK,
     _OF_THE_UNKNOWN,
+    _SLACK,
     BLIND,
     READING,
     RING,
@@ -29,7 +31,7 @@ _SIZE = sum(size for _, size, _ in READING)
 
 
 def map_step(
-    chart: LocalMap, cells: ArrayLike, corner: ArrayLike, place: ArrayLike, readings: ArrayLike
+    chart: LocalMap, cells: ArrayLike, corner: ArrayLike, place: ArrayLike, walls: ArrayLike, readings: ArrayLike
 ) -> tuple[Vector, Vector, Vector, Vector]:
     """One period of the map: (cells, corner, marked, unknown), as `LocalMap.routine` has them.
 
@@ -38,6 +40,7 @@ def map_step(
         cells: (N²,) block after block, as `LocalMap.ports` says.
         corner: (2,) lowest cell of the window along x and y of {E}.
         place: (4,) the robot's x, y in {E} [m], hull radius [m], edge of a cell [m].
+        walls: (4,) x_min, x_max, y_min, y_max of the site in {E} [m].
         readings: (slots · 10,) firings, see `READING`.
 
     Raises:
@@ -47,7 +50,8 @@ def map_step(
     old = _sized("corner", corner, 2)
     here, hull = _sized("place", place, 4)[:2], float(_sized("place", place, 4)[2])
     firings = [_reading(part) for part in np.split(_sized("readings", readings, chart.slots * _SIZE), chart.slots)]
-    window = np.floor(here / edge) - n // 2
+    ends = _sized("walls", walls, 4).reshape(2, 2).T
+    window = _window(n, here / edge, ends / edge)
     was, now = (_world(n, low) for low in (old, window))
     x, y = ((now[axis] + 0.5) * edge for axis in (0, 1))
     stays = np.outer(was[1] == now[1], was[0] == now[0])
@@ -65,7 +69,11 @@ def map_step(
     dx, dy = np.broadcast_arrays(x - here[0], (y - here[1])[:, None])
     square = dx * dx + dy * dy
     value = np.where(square < hull * hull, -1.0, value)
-    blank = (value >= -chart.known) & (value <= 0) & (square > (hull + RING * edge) ** 2)
+    across, along = (
+        (low + _AT_A_WALL * edge < centres) & (centres < high - _AT_A_WALL * edge)
+        for centres, low, high in zip((x, y), *ends, strict=True)
+    )
+    blank = (value >= -chart.known) & (value <= 0) & (square > (hull + RING * edge) ** 2) & np.outer(along, across)
     many = _blocks(chart, value >= -chart.known).sum(axis=1, keepdims=True) >= chart.held
     blank &= _torus(chart, np.repeat(many, chart.block**2, axis=1))
     marks, blanks = (_nearest(chart, which, dx, dy, square) for which in (value > 0, blank))
@@ -120,6 +128,12 @@ class _Beam:
         share = np.where(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN)
         deep = np.minimum(_INSIDE * edge + _INSIDE_MORE, share * self.along * self.sine)
         return np.asarray((self.depth > deep) & (self.square < self.clear**2) & ((self.clear > 0) | (value <= BLIND)))
+
+
+def _window(n: int, here: Vector, ends: Vector) -> Vector:
+    """(2,) lowest cell along x and y, of the robot's place and the walls (2, 2), lower ones first, in cells."""
+    lowest, end = np.floor(ends[0] + _SLACK), np.ceil(ends[1] - _SLACK)
+    return np.asarray(np.maximum(np.minimum(np.floor(here) - n // 2, end - n), lowest))
 
 
 def _world(n: int, corner: Vector) -> Vector:

@@ -41,6 +41,8 @@ def _launch(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     for obstacle in scenario.obstacles:
         own = vehicle["radius"] if not obstacle.still and obstacle.radius_m is None else 0.0
         room = obstacle.distance(start) - own - vehicle["radius"] - obstacle.drift_m
+        if room <= 0 and obstacle.still:
+            continue  # told by `_at_still`
         if scenario.launch > 0 and room < scenario.launch:
             text = f"obstacle {obstacle.name!r} may come within {room:.3f} m of the hull of {vehicle.name} at the start"
             found.append(Finding("error", "launch_m", f"{text}, where {scenario.launch:g} m are said to be free"))

@@ -69,7 +69,8 @@ class Scenario:
         reach: distance to the target that counts as arrived [m].
         site: length along x, width along y, depth [m]; one corner of the floor plan is the origin.
         vehicle: name or path of the vehicle that flies it by default.
-        launch: water around the hull at the start that the mission says is free [m]; a law with sonars relies on it.
+        launch: water around the hull at the start that whoever launches it sees to be free [m]: a law with sonars
+            relies on it, and what is nearer is an error. The library's missions say 0.5 m, or what there is.
         sensors: sonars and their faults, base station, own state.
         uncertainty: what a Monte Carlo campaign draws.
     """

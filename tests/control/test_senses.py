@@ -175,17 +175,26 @@ def test_a_faulty_sonar_is_told_and_changes_no_map(fault, spin, start):
 
 
 def test_what_lies_beyond_a_wall_is_never_cleared():
-    """All four read 0.8 m too much: nothing past the walls becomes free."""
-    robot = Robot(TRUTH, at=OFF_CENTRE)
+    """All four read 0.8 m too much: nothing past the walls becomes free. The site is narrower than the window."""
+    site = (0.0, 2.9, 0.0, 2.9)
+    robot = Robot(TRUTH, at=OFF_CENTRE, walls=site)
     robot.wrong = {k: FAULTS["beyond a wall"][0]() for k in range(4)}
     told = robot.steps(25.0)
     values, x, y = around(robot)
-    outside = (np.minimum(x, 4.0 - x) < -EDGE) | (np.minimum(y, 4.0 - y) < -EDGE)[:, None]
+    outside = (np.minimum(x, 2.9 - x) < -EDGE) | (np.minimum(y, 2.9 - y) < -EDGE)[:, None]
     assert outside.sum() > 100 and not np.any(values[outside] < 0) and not told["heard"][:, 2].any()
-    honest = Robot(TRUTH, at=OFF_CENTRE)
+    honest = Robot(TRUTH, at=OFF_CENTRE, walls=site)
     honest.steps(25.0)
     values, x, y = around(honest)
-    assert np.mean(values[((x > 0.2) & (x < 2.5)) & ((y > 0.3) & (y < 2.9))[:, None]] < FREE) > 0.95
+    assert np.mean(values[((x > 0.2) & (x < 2.5)) & ((y > 0.3) & (y < 2.7))[:, None]] < FREE) > 0.95
+
+
+@pytest.mark.parametrize(("at", "lowest"), [((0.5, 0.5), (0, 0)), ((3.5, 2.0), (12, 5)), ((2.0, 3.7), (5, 12))])
+def test_the_map_stays_inside_the_site(at, lowest):
+    """4 m are 60 cells of 6.75 cm, the map has 48 a side."""
+    robot = Robot(TRUTH, at=(*at, -0.15, 0.0))
+    robot.step()
+    assert robot.state("map_corner").tolist() == list(lowest)
 
 
 def test_what_two_sonars_read_alike_to_the_last_code_is_not_believed():

@@ -13,6 +13,7 @@ from surctl.world import Box, Disc, Wall
 
 HULL = 0.27
 EDGE = HULL / 4
+OPEN = (-1e7, 1e7, -1e7, 1e7)  # no wall anywhere
 EMPTY = (0.0,) * 8 + (-1.0, 0.0)
 SPEED, SPIN = 0.15, 0.27
 READING_ERROR, DIAGONAL, EXPLAINS = 0.03, 0.71, 0.5  # m, cells, cells: what the law allows for
@@ -104,7 +105,7 @@ def journey(seed, beam, *, chart, seconds=30.0, speed=SPEED, shapes=None, place=
             told += firing((x, y), axis, away, half=array.half_angle)
             if array.minimum < away < array.maximum - 0.1:
                 points += echoes(shapes, (x, y), axis, array.half_angle, away)
-        cells, corner, marked, unknown = map_step(chart, cells, corner, [*place, HULL, EDGE], told)
+        cells, corner, marked, unknown = map_step(chart, cells, corner, [*place, HULL, EDGE], OPEN, told)
         yield Moment(
             tick * chart.dt,
             place,

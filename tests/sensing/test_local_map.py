@@ -15,7 +15,7 @@ from surctl.sensing import LocalMap, map_step, map_view
 from surctl.sensing.local_map import BLIND, READING, RING
 from surctl.world import Disc
 from tests.raycasting import heard_along
-from tests.sensing.mapped import EDGE, EMPTY, HULL, SPIN, directions, firing, journey
+from tests.sensing.mapped import EDGE, EMPTY, HULL, OPEN, SPIN, directions, firing, journey
 from tests.tools import need_compiler
 
 DT, FAR = 0.05, 1e6
@@ -41,7 +41,7 @@ def random_readings(rng, chart, place, heading):
     return told, kinds
 
 
-def flight(chart, steps, seed):
+def flight(chart, steps, seed, walls):
     """Inputs of each step, and the twin's outputs, of a robot that wanders, turns, and jumps once."""
     rng = np.random.default_rng(seed)
     place, heading = np.array([1.0, -2.0]), 0.0
@@ -50,7 +50,7 @@ def flight(chart, steps, seed):
     for k in range(steps):
         place, heading = place + rng.normal(0, 0.03, 2) + 20.0 * (k == steps // 2), heading + 0.3
         told, _ = random_readings(rng, chart, place, heading)
-        given.append((cells, corner, np.array([*place, HULL, EDGE]), np.array(told, dtype=float)))
+        given.append((cells, corner, np.array([*place, HULL, EDGE]), np.array(walls), np.array(told, dtype=float)))
         made.append(map_step(chart, *given[-1]))
         cells, corner = made[-1][:2]
     return given, made
@@ -67,11 +67,12 @@ def same(chart, found, expected):
         assert np.abs(np.sum(left[differ, :2] ** 2, axis=1) - right[differ, 2]).max(initial=0.0) <= 1e-12
 
 
+@pytest.mark.parametrize("walls", [OPEN, (0.1, 2.9, -2.75, 30.0)], ids=["open", "in a site"])
 @pytest.mark.parametrize("name", CHARTS)
-def test_the_routine_and_the_numbers_agree(name):
+def test_the_routine_and_the_numbers_agree(name, walls):
     need_compiler()
     chart = LocalMap(dt=DT, **CHARTS[name])
-    given, made = flight(chart, 500, seed=3)
+    given, made = flight(chart, 500, seed=3, walls=walls)
     stacked = [np.array(column) for column in zip(*given, strict=True)]
     for found, expected in zip(zip(*compile_block(chart.routine())(*stacked), strict=True), made, strict=True):
         same(chart, found, expected)
@@ -83,13 +84,13 @@ def test_the_routine_and_the_numbers_agree(name):
     cells, nearest = np.array([m[0] for m in made]), np.array([m[2:] for m in made])[:, :, 2::3]
     assert cells.min() == -1.0 and cells.max() in (BLIND, 1.0)  # the smallest holds what is blind alone
     assert np.any((cells > 0) & (cells < 1)) and np.any((cells < 0) & (cells > -1))
-    if chart.side > 7:  # otherwise the hull is all of it
+    if chart.side > 7 and walls == OPEN:  # otherwise the hull is all of it
         assert all(np.any(nearest[:, k] < FAR) and np.any(nearest[:, k] == FAR) for k in range(2))
 
 
 def test_of_two_cells_at_one_distance_one_is_told():
     chart = LocalMap(dt=DT, slots=1)
-    given = np.zeros(chart.side**2), np.zeros(2), np.array([0.0, 0.0, HULL, EDGE]), np.array(EMPTY, dtype=float)
+    given = np.zeros(chart.side**2), np.zeros(2), np.array([0.0, 0.0, HULL, EDGE]), np.array(OPEN), np.array(EMPTY)
     found, expected = replay(chart.routine(), *given), map_step(chart, *given)
     assert np.unique(expected[3].reshape(-1, 3)[:, 2]).size < chart.sectors
     same(chart, found, expected)
@@ -97,8 +98,8 @@ def test_of_two_cells_at_one_distance_one_is_told():
 
 def test_arrays_of_another_size_are_refused():
     chart = LocalMap(dt=DT, slots=1)
-    good = [np.zeros(chart.side**2), np.zeros(2), np.ones(4), np.zeros(10)]
-    for k, name in enumerate(("cells", "corner", "place", "readings")):
+    good = [np.zeros(chart.side**2), np.zeros(2), np.ones(4), np.ones(4), np.zeros(10)]
+    for k, name in enumerate(("cells", "corner", "place", "walls", "readings")):
         bad = [part[:-1] if j == k else part for j, part in enumerate(good)]
         with pytest.raises(InputError, match=name):
             map_step(chart, *bad)
@@ -129,13 +130,13 @@ def test_mistakes_are_named(key, values):
 class Chart:
     """The map with its state."""
 
-    def __init__(self, **values):
-        self.chart = LocalMap(dt=DT, slots=1, **values)
+    def __init__(self, walls=OPEN, **values):
+        self.chart, self.walls = LocalMap(dt=DT, slots=1, **values), walls
         state = Layout(self.chart.ports("map_"))
         self.cells, self.corner = state.unpack(state.pack()).values()
 
     def __call__(self, place, reading=EMPTY):
-        given = self.cells, self.corner, [*place, HULL, EDGE], reading
+        given = self.cells, self.corner, [*place, HULL, EDGE], self.walls, reading
         self.cells, self.corner, self.marked, self.unknown = map_step(self.chart, *given)
         return self
 
@@ -208,6 +209,66 @@ def test_neither_its_size_nor_what_it_holds_depends_on_the_site():
     views = [map_view(c.chart, c.cells, c.corner)[0] for c in (here, there)]
     np.testing.assert_allclose(*views, atol=1e-9)
     assert {port.size for port in here.chart.ports()} == {48**2, 2}
+
+
+# --- walls ----------------------------------------------------------------------------------------------------------
+
+ROOM = (0.0, 64 * EDGE, -20 * EDGE, 20 * EDGE)  # longer than the window, and narrower
+
+
+@pytest.mark.parametrize(
+    ("x", "lowest"), [(0.3, 0), (32 * EDGE - 0.01, 7), (64 * EDGE - 0.3, 16), (-0.5, 0), (64 * EDGE + 9.0, 16)]
+)
+def test_the_window_stays_inside_the_walls(x, lowest):
+    """It ends at the nearer wall; across, where the site is narrower than it, it begins at the lower wall."""
+    assert Chart(ROOM)((x, 0.1)).corner.tolist() == [lowest, -20]
+
+
+def test_near_a_wall_more_of_what_is_ahead_is_kept():
+    """A mark 2.2 m away, beyond the half of a window in whose middle the robot is."""
+    far = firing((0.3 + HULL, 0.0), 0.0, 2.2, half=math.radians(5))
+    for walls, held in ((ROOM, 1.0), (OPEN, None)):
+        chart = Chart(walls)((0.3, 0.0), far)
+        assert chart.at(0.3 + HULL + 2.2, 0.0) == held
+
+
+def known_but_for(chart, low, hidden):
+    """All the window from `low` on (2,) [m] is known to be free, but the cells of which `hidden`, of their middles."""
+    chart.corner = np.array(low) / EDGE
+    _, x, y = map_view(chart.chart, chart.cells, chart.corner, edge=EDGE)
+    many, size, side = chart.chart.blocks, chart.chart.block, chart.chart.side
+    torus = np.empty((side, side))
+    rows, columns = (np.mod(np.floor(axis / EDGE), side).astype(int) for axis in (y, x))
+    torus[np.ix_(rows, columns)] = np.where(hidden(x, y[:, None]), 0.0, -1.0)
+    chart.cells = torus.reshape(many, size, many, size).swapaxes(1, 2).reshape(-1)
+    return chart
+
+
+@pytest.mark.parametrize("cells", [2, 3])
+@pytest.mark.parametrize("wall", range(4))
+def test_what_is_unknown_in_the_two_cells_beside_a_wall_does_not_count(wall, cells):
+    axis, sign = wall // 2, 1 - 2 * (wall % 2)
+    from_wall = [lambda x, y: sign * (x - ROOM[wall]) + 0 * y, lambda x, y: sign * (y - ROOM[wall]) + 0 * x][axis]
+    at, low = ((50 * EDGE, 0.0), 16 * EDGE) if wall == 1 else ((15 * EDGE, 0.0), 0.0)
+    chart = known_but_for(Chart(ROOM), (low, ROOM[2]), lambda x, y: from_wall(x, y) < cells * EDGE)(at)
+    assert bool(np.any(chart.unknown.reshape(-1, 3)[:, 2] < FAR)) == (cells > 2)
+
+
+@settings(derandomize=True, deadline=None, max_examples=200)
+@given(st.floats(2.01, 6.0), st.floats(5.0, 40.0), st.sampled_from([-1.0, 1.0]))
+def test_nothing_larger_than_two_cells_hides_at_a_wall(across, x, side):
+    """A disc that touches the wall: the cells that it touches and those beyond the wall are unknown; one is told."""
+    radius, wall = 0.5 * across * EDGE, 20 * EDGE
+    middle = np.array([x * EDGE, side * (wall - radius)])
+
+    def hidden(cx, cy):
+        dx, dy = np.maximum(np.abs(cx - middle[0]) - EDGE / 2, 0), np.maximum(np.abs(cy - middle[1]) - EDGE / 2, 0)
+        return (np.hypot(dx, dy) <= radius) | (np.abs(cy) > wall)
+
+    chart = known_but_for(Chart(ROOM), (0.0, ROOM[2]), hidden)((22 * EDGE, 0.0))
+    told = chart.unknown.reshape(-1, 3)
+    found = told[told[:, 2] < FAR, :2] + [22 * EDGE, 0.0]
+    assert len(found) and np.min(np.hypot(*(found - middle).T)) < radius + EDGE
 
 
 # --- fading ---------------------------------------------------------------------------------------------------------
@@ -364,7 +425,7 @@ def test_unknown_cells_that_no_disc_two_cells_across_fits_in_are_not_told(unknow
     cells = np.full((chart.blocks**2, chart.block**2), -1.0)
     cells[8 * chart.blocks + 8, :unknown] = 0.0  # more than a metre from the robot
     empty = np.tile(EMPTY, chart.slots)
-    *_, told = map_step(chart, cells.reshape(-1), window, place, empty)
+    *_, told = map_step(chart, cells.reshape(-1), window, place, OPEN, empty)
     assert np.any(told[2::3] < FAR) == (unknown >= 3)
 
 

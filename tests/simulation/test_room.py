@@ -115,6 +115,19 @@ def test_water_that_is_not_as_free_at_the_launch_as_is_said(launch: float, level
     assert text is None or "'near' may come within 0.130 m" in text
 
 
+@pytest.mark.parametrize("name", sorted(path.stem for path in LIBRARY.glob("*.toml")))
+def test_every_mission_says_of_the_launch_what_is_so_up_to_half_a_metre(name: str) -> None:
+    """One rule for all: 0.5 m, and less, to a centimetre, only where something stands nearer."""
+    scenario = load_scenario(name)
+    vehicle = load_vehicle(scenario.vehicle)
+
+    def errors(launch: float) -> int:
+        return sum(f.key == "launch_m" for f in findings(replace(scenario, launch=launch), vehicle))
+
+    assert errors(scenario.launch) == 0
+    assert scenario.launch == 0.5 or (scenario.launch < 0.5 and errors(scenario.launch + 0.01) > 0)
+
+
 def test_something_that_moves_starts_in_water_said_to_be_free() -> None:
     coming = Obstacle(name="OM", shape="moving", centre_m=(1.5, 2.5), to_m=(1.5, 4.0), speed_m_per_s=0.1)
     assert "within 0.460 m" in _found(_with(coming, launch=0.5))["error", "launch_m"]
