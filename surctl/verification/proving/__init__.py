@@ -1,0 +1,5 @@
+"""The prover: cases, exact rewriting, interval branch and bound; what it proves it writes as a certificate."""
+
+from surctl.verification.proving.prove import Proof, prove
+
+__all__ = ["Proof", "prove"]
