@@ -29,7 +29,9 @@ FUNCTIONS = ("abs", "acos", "atan", "atan2", "cos", "max", "min", "select", "sin
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
 LONGEST = 60_000
 """Most characters of one expression."""
-_TOKEN = re.compile(r"\s*(?:(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)|([A-Za-z_]\w*)|(\*\*|[-+*/^(),])|(\S))")
+_TOKEN = re.compile(
+    r"\s*(?:(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)|([A-Za-z_]\w*)|(\*\*|[-+*/^(),])|(\S))"
+)
 _LARGEST_POWER, _LARGEST_EXPONENT, _MOST_DIGITS = 64, 320, 400
 
 

@@ -284,4 +284,6 @@ class Algebra:
 def _square_root(value: Fraction) -> Fraction:
     """√value where that is rational, else 1."""
     over, under = isqrt(value.numerator), isqrt(value.denominator)
-    return Fraction(over, under) if over * over == value.numerator and under * under == value.denominator else Fraction(1)
+    return (
+        Fraction(over, under) if over * over == value.numerator and under * under == value.denominator else Fraction(1)
+    )

@@ -102,9 +102,7 @@ def _signed(ratio: Ratio, signs: dict[int, int]) -> Poly:
     return {m: -c for m, c in ratio.over.items()} if flips % 2 else dict(ratio.over)
 
 
-def _multiplier(
-    written: Written, taken: Poly, guard: Ratio | None, margin: Ratio, factors: dict[int, Node]
-) -> Node:
+def _multiplier(written: Written, taken: Poly, guard: Ratio | None, margin: Ratio, factors: dict[int, Node]) -> Node:
     """taken · (the constraint's denominator) / (the margin's)."""
     if guard is None or not taken:
         return number(0)
@@ -142,9 +140,7 @@ class _Sizes:
         return total if np.isfinite(total) else float("inf")
 
 
-def _reduced(
-    algebra: Algebra, over: Poly, guards: Sequence[Ratio | None], sizes: _Sizes
-) -> tuple[Poly, list[Poly]]:
+def _reduced(algebra: Algebra, over: Poly, guards: Sequence[Ratio | None], sizes: _Sizes) -> tuple[Poly, list[Poly]]:
     """Numerator less nonnegative monomials times constraints, as long as its bound falls; and those multipliers."""
     taken: list[Poly] = [{} for _ in guards]
     rest, bound = over, sizes.worst(over)
@@ -181,5 +177,3 @@ def _candidates(rest: Poly, guard: Poly, sizes: _Sizes) -> Iterator[Poly]:
                 continue
             seen.add((quotient, c / d))
             yield {quotient: c / d}
-
-

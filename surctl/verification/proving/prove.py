@@ -19,9 +19,9 @@ from surctl.verification.proving.search import DIMENSIONS, Found, Task, corners,
 from surctl.verification.proving.statement import Case, Statement, cases_of, settled, statement_of
 from surctl.verification.proving.tape import Tape, build_tape
 
-__all__ = ["Proof", "prove"]
+__all__ = ["Proof", "certain_excess", "prove"]
 
-_ROUNDS = ((100, 0.0), (400, 1.0), (10_000, 1.0), (10_000_000, 1.0))
+_ROUNDS = ((100, 0.0), (400, 1e-4), (2_000, 1.0), (20_000, 1.0), (10_000_000, 1.0))
 """Most boxes of a search, and the share of the slack: exactly if that is cheap; every form gets its chance before one
 gets all the time."""
 
@@ -71,9 +71,9 @@ def prove(
         return _open(f"more than {len(DIMENSIONS)} variables", 0, began)
     try:
         statement = statement_of(claim)
+        texts = [text_of(part) for part in statement.parts]
         parts = settled(statement)
         cases = cases_of(parts)
-        texts = [text_of(part) for part in statement.parts]
     except InputError as error:  # an expression that the grammar does not carry, or that is too long
         return _open(error.problem, 0, began)
     shown: list[dict[str, Any]] = []
@@ -89,6 +89,26 @@ def prove(
         shown.append(_written(case, form, found))
     certificate = _certificate(claim, statement, texts, needed, shown)
     return Proof(certificate, needed, "", (), boxes, time.perf_counter() - began)
+
+
+def certain_excess(claim: Claim, point: NDArray[np.float64]) -> float | None:
+    """By how much left exceeds right at a point at least; None where it is not certain that the domain holds it.
+
+    Args:
+        claim: the claim.
+        point: (n,) in the variables' units.
+
+    Raises:
+        InputError: an operation that the claim grammar does not have.
+    """
+    statement = statement_of(claim)
+    if not np.all((statement.lower <= point) & (point <= statement.upper)):
+        return None
+    read = build_tape(statement.names, [statement.left - statement.right, *statement.constraints]).run(
+        (point[:, None], point[:, None])
+    )
+    inside = all(jet.value[1][0] <= 0 for jet in read.jets[1:])
+    return float(read.jets[0].value[0][0]) if inside and all(fine[0] for fine in read.defined) else None
 
 
 def _show(
@@ -184,9 +204,7 @@ def _open(reason: str, boxes: int, began: float) -> Proof:
     return Proof(None, 0.0, reason, (), boxes, time.perf_counter() - began)
 
 
-def _left_open(
-    statement: Statement, written: Tape, case: Case, found: Found, boxes: int, began: float
-) -> Proof:
+def _left_open(statement: Statement, written: Tape, case: Case, found: Found, boxes: int, began: float) -> Proof:
     some = corners(found.remaining, statement.names)
     count = found.remaining[0].shape[1]
     where = ", ".join(f"{k} in [{low:.4g}, {high:.4g}]" for k, (low, high) in some[0].items()) if some else ""

@@ -184,6 +184,4 @@ def corners(boxes: Ends, names: Sequence[str], most: int = 3) -> list[dict[str, 
     """The largest open boxes as plain data."""
     volume = np.prod(np.maximum(boxes[1] - boxes[0], 1e-300), axis=0)
     order = np.argsort(-volume, kind="stable")[:most]
-    return [
-        {name: [float(boxes[0][i, k]), float(boxes[1][i, k])] for i, name in enumerate(names)} for k in order
-    ]
+    return [{name: [float(boxes[0][i, k]), float(boxes[1][i, k])] for i, name in enumerate(names)} for k in order]

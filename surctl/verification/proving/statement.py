@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.verification.claim import Claim
-from surctl.verification.formula import Node, from_casadi, number, rebuilt
+from surctl.verification.formula import Node, from_casadi, number, parse, rebuilt, text_of, variable
 from surctl.verification.formula.node import BRANCHING
 
 __all__ = ["Case", "Statement", "cases_of", "statement_of"]
@@ -71,6 +71,9 @@ def statement_of(claim: Claim) -> Statement:
     names = tuple(v.name for v in claim.variables)
     rows = [claim.constraints[k] for k in range(claim.constraints.numel())]
     nodes = from_casadi(claim.symbols, names, [claim.left, claim.right, *rows])
+    # as a reader of the text sees them: what is one expression there is one here
+    known = {name: variable(name) for name in names}
+    nodes = [parse(text_of(node), known) for node in nodes]
     return Statement(names, claim.lower, claim.upper, nodes[0], nodes[1], tuple(nodes[2:]))
 
 

@@ -174,5 +174,3 @@ def _enclosed(node: Node) -> tuple[float, float]:
 
 def _short(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
-
-
