@@ -14,7 +14,19 @@ from mpmath import libmp
 
 from surctl.certcheck.sheet import Sheet
 
-__all__ = ["Interval", "Jet", "Undefined", "above", "enclose", "exact", "greatest", "least", "rational", "span"]
+__all__ = [
+    "Interval",
+    "Jet",
+    "Undefined",
+    "above",
+    "enclose",
+    "exact",
+    "greatest",
+    "is_zero",
+    "least",
+    "rational",
+    "span",
+]
 
 Interval = Any
 """(lower, upper), raw numbers of mpmath."""
@@ -60,6 +72,11 @@ def rational(x: Fraction) -> Interval:
 def above(a: Interval, bound: Any = libmp.fzero) -> bool:
     """Whether all of a is greater than the bound."""
     return bool(libmp.mpf_gt(a[0], bound))
+
+
+def is_zero(a: Interval) -> bool:
+    """Whether a is 0 and nothing else."""
+    return bool(a == _ZERO)
 
 
 def least(a: Interval, b: Interval) -> Interval:
@@ -308,9 +325,8 @@ def _chosen(a: Interval, b: Interval, x: Jet, y: Jet, value: Interval | None) ->
     if x.slope is None or y.slope is None:
         return Jet(both)
     n = len(x.slope)
-    if value is None:
-        slope = [_LINE] * n
-    else:
+    slope: Slopes = [_LINE] * n
+    if value is not None:
         slope = [None if p is None and q is None else _hull(p or _ZERO, q or _ZERO) for p, q in _pairs(x, y)]
     return Jet(both, slope, None if x.bend is None else [[_LINE] * n for _ in range(n)])
 

@@ -25,6 +25,7 @@ from surctl.certcheck.enclosure import (
     enclose,
     exact,
     greatest,
+    is_zero,
     mul,
     over,
     plus,
@@ -303,7 +304,8 @@ class _CaseOf:
 
 def _bends_down(bend: list[list[Interval]], free: list[bool]) -> bool:
     """Whether every symmetric matrix within −bend is positive definite on the free variables but for zero rows."""
-    keep = [k for k, is_free in enumerate(free) if is_free and any(bend[k][j] is not None for j in range(len(free)))]
+    among = [k for k, is_free in enumerate(free) if is_free]
+    keep = [k for k in among if not all(bend[k][j] is None or is_zero(bend[k][j]) for j in among)]
     m = [[None if bend[i][j] is None else libmp.mpi_neg(bend[i][j]) for j in keep] for i in keep]
     for k in range(len(keep)):
         pivot = m[k][k]

@@ -3,6 +3,7 @@
 from surctl.verification.avoidance_claims import settling_intrusion
 from surctl.verification.cascade import CASCADE_GAINS, Cascade, build_cascade
 from surctl.verification.claim import Claim, Motion, Variable, VerdictWord
+from surctl.verification.claim_file import load_claim, write_claim
 from surctl.verification.counterexample import Counterexample, Replay, evaluate, replay
 from surctl.verification.falsifier import falsify
 from surctl.verification.library import claims
@@ -36,6 +37,7 @@ __all__ = [
     "evaluate",
     "falsify",
     "linear_table",
+    "load_claim",
     "loop_margins",
     "margins_of",
     "prove",
@@ -45,4 +47,5 @@ __all__ = [
     "settling_intrusion",
     "sweep_locus",
     "worst_margins",
+    "write_claim",
 ]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
+from itertools import combinations_with_replacement
 from types import MappingProxyType
 
 import casadi as ca
@@ -24,6 +25,11 @@ _PLAIN = MappingProxyType(
     {"add": "add", "sub": "sub", "mul": "mul", "div": "div", "neg": "neg", "sqrt": "sqrt", "fabs": "abs",
      "fmin": "min", "fmax": "max", "sin": "sin", "cos": "cos", "atan2": "atan2", "acos": "acos"}
 )  # fmt: skip
+_CASADI: Mapping[str, Callable[..., ca.SX]] = MappingProxyType(
+    {"sqrt": ca.sqrt, "sin": ca.sin, "cos": ca.cos, "atan2": ca.atan2, "acos": ca.acos, "abs": ca.fabs,
+     "min": ca.fmin, "max": ca.fmax}
+)  # fmt: skip
+_LONG = 15  # digits of a number that rounding must have made
 _ORDERED = frozenset({"lt", "le"})
 
 
@@ -31,8 +37,8 @@ def from_casadi(symbols: ca.SX, names: Sequence[str], expressions: Sequence[ca.S
     """Scalar SX expressions in the symbols as expressions of the grammar.
 
     A number is the shortest decimal that reads back as CasADi's double. CasADi folds constants before anybody sees
-    them: one that is a share of π in double precision is read as that share of π, and one that is the rounded square
-    of another constant as its square.
+    them: one that is a share of π in double precision is read as that share of π, and one of fifteen digits or more
+    that is the rounded product of two other constants as that product.
 
     Args:
         symbols: (n, 1) column.
@@ -91,13 +97,18 @@ def _given(made: Sequence[Node | None], at: int, op: str) -> Node:
     return node
 
 
-def _constant(value: float, others: Iterable[float]) -> Node:
+def _constant(value: float, others: Sequence[float]) -> Node:
     share = _PI_PARTS.get(value)
     if share is not None:
         return PI if share == 1 else number(share) * PI
     exact = Fraction(repr(value))
-    root = next((b for b in others if b > 0 and b != 1 and b * b == value and Fraction(repr(b)) ** 2 != exact), None)
-    return number(exact) if root is None else power(number(Fraction(repr(root))), 2)
+    if sum(c.isdigit() for c in repr(value).split("e")[0].lstrip("-0.")) < _LONG:
+        return number(exact)
+    for b, c in combinations_with_replacement([x for x in others if x > 0 and x not in (1.0, abs(value))], 2):
+        if b * c == abs(value):
+            product = power(_constant(b, ()), 2) if b == c else _constant(b, ()) * _constant(c, ())
+            return product if value > 0 else -product
+    return number(exact)
 
 
 def to_casadi(root: Node, symbols: Mapping[str, ca.SX]) -> ca.SX:
@@ -132,10 +143,8 @@ def _symbolic(node: Node, args: list[ca.SX], symbols: Mapping[str, ca.SX]) -> ca
             return ca.atan2(args[0], 1)  # the instruction list has no atan
         case "select":
             return ca.if_else(args[0] <= args[1], args[2], args[3])
-        case "abs" | "min" | "max":
-            return {"abs": ca.fabs, "min": ca.fmin, "max": ca.fmax}[node.op](*args)
         case _:
-            return getattr(ca, node.op)(*args)
+            return ca.SX(_CASADI[node.op](*args))
 
 
 def _multiplied(base: ca.SX, exponent: int) -> ca.SX:

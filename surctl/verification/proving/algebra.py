@@ -195,7 +195,8 @@ class Algebra:
 
     def _reduced(self, a: Poly) -> Poly:
         """sqrt(p)² → p and sin² → 1 − cos² until neither is left."""
-        pending, total = dict(a), {}
+        pending: Poly = dict(a)
+        total: Poly = {}
         while pending:
             monomial, coefficient = pending.popitem()
             square = next((k for k, e in monomial if e >= 2 and self.atoms[k][0] in ("sqrt", "sin")), None)

@@ -18,7 +18,7 @@ from surctl.verification.proving.tape import build_tape
 
 __all__ = ["Form", "forms_of"]
 
-_STEPS = 4
+_STEPS, _TRIALS = 4, 12
 _MOST_TERMS = 60
 
 
@@ -115,9 +115,10 @@ def _multiplier(written: Written, taken: Poly, guard: Ratio | None, margin: Rati
 
 
 class _Sizes:
-    """Ranges of monomials on the root box, in plain floating point: a guide for the search, no proof."""
+    """Ranges on the root box: a guide for the search, no proof."""
 
     def __init__(self, algebra: Algebra, written: Written, names: Sequence[str], box: Ends) -> None:
+        self._written, self._names, self._box = written, names, box
         nodes = [written.atom(at) for at in range(len(algebra.atoms))]
         read = build_tape(names, nodes).run(box) if nodes else None
         self._ends = [(float(j.value[0][0]), float(j.value[1][0])) for j in read.jets] if read else []
@@ -132,8 +133,13 @@ class _Sizes:
             low, high = min(products), max(products)
         return low, high
 
+    def bound(self, poly: Poly) -> float:
+        """A bound of the polynomial as it is nested."""
+        high = float(build_tape(self._names, [self._written.poly(poly)]).run(self._box).jets[0].value[1][0])
+        return high if np.isfinite(high) else float("inf")
+
     def worst(self, poly: Poly) -> float:
-        """A bound of the polynomial, term by term."""
+        """A coarser and quicker bound, term by term."""
         total = 0.0
         for monomial, coefficient in poly.items():
             total += max(float(coefficient) * end for end in self.of(monomial))
@@ -143,22 +149,24 @@ class _Sizes:
 def _reduced(algebra: Algebra, over: Poly, guards: Sequence[Ratio | None], sizes: _Sizes) -> tuple[Poly, list[Poly]]:
     """Numerator less nonnegative monomials times constraints, as long as its bound falls; and those multipliers."""
     taken: list[Poly] = [{} for _ in guards]
-    rest, bound = over, sizes.worst(over)
+    rest, bound = over, sizes.bound(over)
     for _ in range(_STEPS):
         if bound <= 0:
             break
-        best: tuple[float, int, int, Poly, Poly] | None = None
-        for j, guard in enumerate(guards):
-            if guard is None:
-                continue
-            for factor in _candidates(rest, guard.over, sizes):
-                trial = added(rest, algebra.product(factor, guard.over), -1)
-                rank = (sizes.worst(trial), len(trial), j)
-                if (rank[0] < bound * (1 - 1e-9)) and (best is None or rank[:2] < best[:2]):
-                    best = (*rank, trial, factor)
-        if best is None:
+        trials = [
+            (added(rest, algebra.product(factor, guard.over), -1), j, factor)
+            for j, guard in enumerate(guards)
+            if guard is not None
+            for factor in _candidates(rest, guard.over, sizes)
+        ]
+        trials = sorted(trials, key=lambda trial: (sizes.worst(trial[0]), len(trial[0])))[:_TRIALS]
+        if not trials:
             break
-        bound, _, j, rest, factor = best
+        least, k = min((sizes.bound(trial), k) for k, (trial, _, _) in enumerate(trials))
+        if least >= bound * (1 - 1e-9):
+            break
+        bound = least
+        rest, j, factor = trials[k]
         taken[j] = added(taken[j], factor)
     return rest, taken
 

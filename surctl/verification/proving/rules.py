@@ -194,7 +194,8 @@ def _bends_down(bend: Ends, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
             ratio = iv.divide(column, (pivot[0][None], pivot[1][None]))
             taken = iv.multiply((ratio[0][:, None], ratio[1][:, None]), (column[0][None], column[1][None]))
             m = iv.subtract(m, taken)
-    return good & np.all(np.isfinite(bend[0]) & np.isfinite(bend[1]) | ~both, axis=(0, 1))
+    bounded: NDArray[np.bool_] = np.all(np.isfinite(bend[0]) & np.isfinite(bend[1]) | ~both, axis=(0, 1))
+    return good & bounded
 
 
 def _tangent(bound: Tape, face: Ends, at: Array) -> Array:
