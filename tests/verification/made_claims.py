@@ -35,7 +35,7 @@ def _hill(rng):
     weights = [float(np.round(rng.uniform(0.3, 3), 2)) for _ in names]
     parts = [f"{w!r}*({v} - ({float(t)!r}))^2" for v, w, t in zip(names, weights, top, strict=True)]
     height = float(np.round(rng.uniform(-1, 1), 2))
-    return {v: (-1.0, 1.0) for v in names}, f"{text(height)} - " + " - ".join(parts), text(height), ()
+    return dict.fromkeys(names, (-1.0, 1.0)), f"{text(height)} - " + " - ".join(parts), text(height), ()
 
 
 def _waves(rng):
@@ -61,9 +61,12 @@ def _roof(rng):
 
 def _corner(rng):
     a, b = (float(np.round(rng.uniform(0.5, 2), 2)) for _ in range(2))
-    return {"x": (0.1, a), "y": (0.2, b)}, "sqrt(x^2 + y^2)*x - acos(y/4)/10", (
-        f"sqrt({a!r}^2 + {b!r}^2)*{a!r} - acos({b!r}/4)/10"
-    ), ()
+    return (
+        {"x": (0.1, a), "y": (0.2, b)},
+        "sqrt(x^2 + y^2)*x - acos(y/4)/10",
+        (f"sqrt({a!r}^2 + {b!r}^2)*{a!r} - acos({b!r}/4)/10"),
+        (),
+    )
 
 
 def _saddle(rng):
