@@ -56,9 +56,8 @@ def settle(
         sure = _confirmed(claim, found.counterexample)
         if sure is not None:
             return replace(found, counterexample=sure, seconds=time.perf_counter() - began)
-        told = f"a point that exceeds by {found.counterexample.margin:.3g} lies on the edge of the domain to rounding"
-        open_ = replace(found, verdict="unknown", counterexample=None, open_ends=told)
-        return replace(open_, seconds=time.perf_counter() - began)
+        # by rounding alone, or outside by rounding: it does not count, and the claim may still be true
+        found = replace(found, verdict="not refuted", counterexample=None)
     proof = prove(claim, time_limit=time_limit, slack=found.threshold, progress=progress)
     reason = proof.remaining
     if proof.certificate is not None:

@@ -66,6 +66,12 @@ def test_equality_at_a_point_is_proved_exactly() -> None:
     assert verdict.certificate["claim"]["slack"] == 0.0
 
 
+def test_rounding_alone_refutes_nothing() -> None:
+    # both sides are 0 but for rounding, so that any threshold relative to them is below it
+    zero = claim_from("zero", {"x": (-3.0, 3.0), "y": (0.1, 3.0)}, "x - sqrt(x^2 + y^2)*sin(atan2(x, y))", "0")
+    assert settle(zero).verdict == "proved"
+
+
 def test_an_identity_is_proved_exactly() -> None:
     plain = settle(claim_from("plain", {"x": (-3.0, 3.0), "y": (0.1, 3.0)}, "x", "sqrt(x^2 + y^2)*sin(atan2(x, y))"))
     assert plain.certificate is not None
