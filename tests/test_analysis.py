@@ -38,6 +38,13 @@ def test_the_study_of_the_claims() -> None:
     assert verdicts["clearance-printed"] == "refuted" and verdicts["clearance-corrected"] == "proved"
 
 
+def test_the_study_of_the_prover() -> None:
+    done = run(ANALYSIS / "14_claim_prover" / "run.py", "--quick")
+    assert done.returncode == 0, done.stderr
+    rows = [row for row in table(done.stdout) if len(row) == 7][2:]
+    assert len(rows) >= 10 and all(row[2] != "**not proved**" for row in rows)
+
+
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.CompletedProcess[str], Path]:
     out = tmp_path_factory.mktemp("sweep") / "new"

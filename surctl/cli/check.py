@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -22,7 +24,20 @@ def check(certificate: Path, as_json: bool) -> None:
     from surctl.certcheck import check_file
 
     found = check_file(certificate)
-    told = found.claim.get("statement") or found.claim.get("name") or ""
     word = "accepted" if found.accepted else f"rejected: {found.reason}"
-    lines = [f"{word} ({found.kind or 'unknown kind'}, {found.seconds:.2f} s)", *([str(told)] if told else [])]
+    lines = [f"{word} ({found.kind or 'unknown kind'}, {found.seconds:.2f} s)"]
+    if found.accepted:
+        lines += _shown(found.claim)
     finish(found.to_dict(), lines, as_json=as_json, passed=found.accepted)
+
+
+def _shown(claim: Mapping[str, Any]) -> list[str]:
+    """What was checked, entry by entry: the words of a statement are nobody's proof."""
+    lines = []
+    for key, value in claim.items():
+        if key == "variables" and isinstance(value, list):
+            ends = (f"{v['name']} in [{v['lower']:g}, {v['upper']:g}] {v['unit']}" for v in value)
+            lines.append(f"  {key}: {', '.join(ends)}")
+        elif key != "statement" and value not in ([], "", 0.0):
+            lines.append(f"  {key}: {', '.join(map(str, value)) if isinstance(value, list) else value}")
+    return lines
