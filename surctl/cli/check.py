@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -35,9 +36,15 @@ def _shown(claim: Mapping[str, Any]) -> list[str]:
     """What was checked, entry by entry: the words of a statement are nobody's proof."""
     lines = []
     for key, value in claim.items():
-        if key == "variables" and isinstance(value, list):
-            ends = (f"{v['name']} in [{v['lower']:g}, {v['upper']:g}] {v['unit']}" for v in value)
-            lines.append(f"  {key}: {', '.join(ends)}")
-        elif key != "statement" and value not in ([], "", 0.0):
-            lines.append(f"  {key}: {', '.join(map(str, value)) if isinstance(value, list) else value}")
+        if key == "statement" or value in ([], "", 0.0):
+            continue
+        entries = value if isinstance(value, list) else [value]
+        lines.append(f"  {key}: {', '.join(_entry(entry) for entry in entries)}")
     return lines
+
+
+def _entry(value: Any) -> str:
+    """A variable with its ends, or whatever else a kind of certificate claims."""
+    if isinstance(value, dict) and {"name", "lower", "upper", "unit"} <= set(value):
+        return f"{value['name']} in [{value['lower']}, {value['upper']}] {value['unit']}"
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

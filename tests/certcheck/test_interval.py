@@ -200,6 +200,69 @@ def test_identities_of_paper_and_pencil_are_accepted(left, right) -> None:
     assert found.accepted, found.reason
 
 
+def forged(
+    left: str, right: str, box: list[tuple[float, float]], *, constraints: tuple[str, ...] = (), **case: Any
+) -> str:
+    """The checker's reason for a certificate made up by hand, in x and y; empty if it is accepted."""
+    variables = [
+        {"name": n, "unit": "1", "lower": low, "upper": high} for n, (low, high) in zip("xy", box, strict=False)
+    ]
+    claim = {
+        "name": "x", "statement": "", "unit": "1", "left": left, "right": right, "constraints": list(constraints),
+        "slack": 0.0, "variables": variables,
+    }  # fmt: skip
+    rest = {"choice": "", "denominators": [], "multipliers": ["0"] * len(constraints), "points": []}
+    whole = {"numerator": f"({left}) - ({right})", **rest, **case}
+    found = check_document(seal("interval", claim, {"cases": [whole]}))
+    assert found.accepted != bool(found.reason)
+    return found.reason
+
+
+def test_every_rule_refuses_what_it_does_not_show() -> None:
+    one = [(-1.0, 1.0)]
+    # convex: the tangent at the bottom says nothing of the ends
+    assert "'c'" in forged("x^2", "0.5", one, tree="c", points=[[0.0]])
+    assert forged("-x^2", "0", one, tree="c", points=[[0.0]]) == ""
+    # touching elsewhere than at the top
+    assert "'c'" in forged("0.2 - x^2", "0.25", one, tree="c", points=[[0.9]])
+    # a kink is not concave, and an angle that jumps has no slope
+    assert "'c'" in forged("abs(x)", "0.5", one, tree="c", points=[[0.0]])
+    assert "'m'" in forged("atan2(y, x)", "1.6", [(-2.0, -1.0), (-1.0, 1.0)], tree="m")
+    assert "'m'" in forged("select(x, 0, 1, -1)", "0.5", one, tree="m")
+    assert "'i'" in forged("x", "0", one, constraints=("x - 0.5",), tree="i")
+    assert "'j'" in forged("x", "0", one, constraints=("x - 0.5",), tree="j")
+    assert forged("x", "0.5", one, constraints=("x - 0.5",), tree="0n0ni") != ""
+    assert forged("x", "0.5", one, constraints=("x - 0.49",), tree="0n0ni") == ""
+
+
+def test_a_rewriting_does_not_widen_the_domain_of_what_is_claimed() -> None:
+    assert "not defined" in forged("-sqrt(x)*sqrt(x)", "1", [(-1.0, 1.0)], numerator="-x - 1", tree="n")
+    assert "not defined" in forged("x/x", "1", [(-1.0, 1.0)], numerator="0", tree="n")
+    assert "not defined" in forged("cos(acos(x))", "2", [(-1.5, 1.0)], numerator="x - 2", tree="n")
+    assert forged("cos(acos(x))", "2", [(-1.0, 1.0)], numerator="x - 2", tree="n") == ""
+    # sqrt(x/y) is sqrt(x y)/|y|, and y is negative
+    box = [(-2.0, -1.0), (-2.0, -1.0)]
+    assert "unknown sign" in forged("sqrt(x/y)", "sqrt(x*y)/y", box, numerator="0", tree="n")
+
+
+def test_case_by_case_a_choice_holds_only_under_its_condition() -> None:
+    first = {"denominators": [], "multipliers": ["0"], "points": [], "tree": "n"}
+    claim = {
+        "name": "x", "statement": "", "unit": "1", "left": "max(x, -x)", "right": "0.5", "constraints": [],
+        "slack": 0.0, "variables": [{"name": "x", "unit": "1", "lower": -1.0, "upper": 0.25}],
+    }  # fmt: skip
+    cases = [
+        {"choice": "0", "numerator": "x - 0.5", **first},
+        {"choice": "1", "numerator": "-x - 0.5", **first},
+    ]
+    assert "does not settle" in check_document(seal("interval", claim, {"cases": cases})).reason
+    claim["variables"][0]["lower"] = -0.5
+    assert check_document(seal("interval", claim, {"cases": cases})).accepted
+    # its condition read the wrong way round would exclude what is to be shown
+    cases[1]["tree"] = "i"
+    assert not check_document(seal("interval", claim, {"cases": cases})).accepted
+
+
 MALFORMED = [
     {"cases": 3}, {"cases": [3]}, {"cases": [{}]}, {"extra": 1}, {"claim": {}}, {"claim": {"variables": []}},
 ]  # fmt: skip
