@@ -146,6 +146,9 @@ def _wave(a: Ends, function: np.ufunc, crest: float) -> Ends:
     low, high = np.where(wild, 0.0, low), np.where(wild, 0.0, high)
     at_low, at_high = function(low), function(high)
     bottom, top = widened((np.minimum(at_low, at_high), np.maximum(at_low, at_high)))
+    # beyond a radian the reduction of the argument bounds the error of a small result by that of a large one only
+    reduced = np.where(np.maximum(np.abs(low), np.abs(high)) > 1.0, _LIBM_STEPS * 2.0**-52, 0.0)
+    bottom, top = bottom - reduced, top + reduced
     # in turns, with room for the rounding of the division: a crest too many only widens
     room = 1e-15 * (1.0 + np.abs(low) + np.abs(high))
     first, last = low / (2 * np.pi) - room, high / (2 * np.pi) + room
