@@ -9,6 +9,7 @@ import click
 
 from surctl import __version__
 from surctl.cli.calibrate import calibrate
+from surctl.cli.check import check
 from surctl.cli.export import export
 from surctl.cli.lint import lint
 from surctl.cli.listing import listing
@@ -33,7 +34,10 @@ def app() -> None:
     """
 
 
-for _command in (study, reproduce, simulate, sweep, tune, verify, export, calibrate, sonar_replay, lint, listing):
+_COMMANDS = (
+    study, reproduce, simulate, sweep, tune, verify, check, export, calibrate, sonar_replay, lint, listing,
+)  # fmt: skip
+for _command in _COMMANDS:
     app.add_command(_command)
 
 

@@ -31,8 +31,9 @@ _BUDGET = 3_600_000  # [byte] of run pictures, about: the page stays below 6 MB
 def claims_section(data: ReportData) -> Section:
     """All verdicts in one table, then each claim with its counterexample or what is left open."""
     text = (
-        "A claim is an inequality left ≤ right on a domain. A refuted claim comes with a point where it fails; one "
-        "that is not refuted is not proved. Claims as printed in the paper may be expected to be refuted."
+        "A claim is an inequality left ≤ right on a domain. A refuted one comes with a point where it fails, a proved "
+        "one with a certificate that an independent checker accepts; an unknown one says what is left open. Claims as "
+        "printed in the paper may be expected to be refuted."
     )
     rows = tuple(_verdict_row(v) for v in data.verdicts)
     heads = (

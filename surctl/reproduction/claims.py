@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 
-from surctl.reproduction.row import Found, Item, agrees, wrong_in_print
-from surctl.verification import Claim, claims, falsify
+from surctl.reproduction.row import Found, Item, agrees, differs, wrong_in_print
+from surctl.verification import Claim, claims, settle
 
 __all__ = ["FULL", "claim_items"]
 
@@ -33,12 +33,15 @@ def claim_items(gains: Mapping[str, float], *, samples: int = FULL) -> list[Item
 
 
 def judged(claim: Claim, samples: int) -> Found:
-    """The falsifier's verdict; a claim that is not refuted is not proved."""
-    verdict = falsify(claim, samples=samples)
+    """The verdict: refuted at a point, proved with a certificate that the checker accepts, or left open."""
+    verdict = settle(claim, samples=samples)
     found, unit = verdict.counterexample, claim.unit
+    if verdict.certificate is not None:
+        slack = verdict.certificate["claim"]["slack"]
+        ours = f"proved{f' to within {slack:.1g} {unit}' if slack else ''}, by a certificate that the checker accepts"
+        return agrees(ours, worst_margin=verdict.worst_margin, slack=slack)
     if found is None:
-        ours = f"not refuted: largest left − right {verdict.worst_margin:.3g} {unit} of {verdict.samples} samples"
-        return agrees(ours, worst_margin=verdict.worst_margin, samples=float(verdict.samples))
+        return differs("unknown", verdict.remaining or "", worst_margin=verdict.worst_margin)
     where = ", ".join(f"{name} = {number:.4g}" for name, number in found.values.items())
     ours = f"refuted: exceeded by {found.margin:.3g} {unit}, in {100 * verdict.fraction:.2g} % of the samples"
     return wrong_in_print(ours, f"at {where}", margin=found.margin, fraction=verdict.fraction)

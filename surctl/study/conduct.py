@@ -19,7 +19,7 @@ from surctl.study.notes import Note, left_out, summary
 from surctl.study.plan import Leg, Plan
 from surctl.study.shipping import Shipment, shipping, with_senses
 from surctl.tuning import LocalExecutor, SweepTable, grid, sweep
-from surctl.verification import LoopMargins, Verdict, claims, closed_loop_poles, falsify, loop_margins
+from surctl.verification import LoopMargins, Verdict, claims, closed_loop_poles, loop_margins, settle
 
 if TYPE_CHECKING:
     from surctl.report import ExportSummary
@@ -138,7 +138,7 @@ def conduct(
             margins = loop_margins(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt)
             poles = closed_loop_poles(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt)
         with clock("claims"):
-            verdicts = tuple(falsify(claim) for claim in claims(swept.gains.values, plan.claims))
+            verdicts = tuple(settle(claim) for claim in claims(swept.gains.values, plan.claims))
         with clock("flights"):
             flights = _fly(plan, legs, (law, senses), swept, progress)
         runs = tuple(run for _, run in flights)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -56,8 +57,8 @@ def summary(
     told = f"margins: least delay margin {least.delay_margin_s:.2f} s ({least.name}), least disk margin "
     notes.append(Note(stable, told + f"{min(m.disk_margin for m in margins):.2f}"))
     unexpected = [v.claim.name for v in verdicts if not v.as_expected]
-    refuted = sum(v.verdict == "refuted" for v in verdicts)
-    text = f"claims: {refuted} refuted, {len(verdicts) - refuted} not refuted, "
+    counts = Counter(v.verdict for v in verdicts)
+    text = f"claims: {', '.join(f'{n} {word}' for word, n in sorted(counts.items()))}, "
     notes.append(Note(not unexpected, text + ("all as expected" if not unexpected else f"unexpected: {unexpected}")))
     for run, decides in runs:
         m = run.metrics

@@ -1,15 +1,18 @@
-"""Claims as data, a falsifier that looks for counterexamples and replays them, and linear margins."""
+"""Claims as data that are proved with a certificate, refuted with a counterexample or left open; linear margins."""
 
 from surctl.verification.avoidance_claims import settling_intrusion
 from surctl.verification.cascade import CASCADE_GAINS, Cascade, build_cascade
 from surctl.verification.claim import Claim, Motion, Variable, VerdictWord
+from surctl.verification.claim_file import load_claim, write_claim
 from surctl.verification.counterexample import Counterexample, Replay, evaluate, replay
 from surctl.verification.falsifier import falsify
 from surctl.verification.library import claims
 from surctl.verification.linear_table import LINEAR_KNOBS, LINEAR_METRICS, linear_table
 from surctl.verification.locus import Locus, sweep_locus
 from surctl.verification.margins import LoopMargins, closed_loop_poles, loop_margins, margins_of, worst_margins
+from surctl.verification.proving import Proof, prove
 from surctl.verification.setting import Setting, setting_from
+from surctl.verification.settle import settle
 from surctl.verification.verdict import Verdict
 
 __all__ = [
@@ -22,6 +25,7 @@ __all__ = [
     "Locus",
     "LoopMargins",
     "Motion",
+    "Proof",
     "Replay",
     "Setting",
     "Variable",
@@ -33,11 +37,15 @@ __all__ = [
     "evaluate",
     "falsify",
     "linear_table",
+    "load_claim",
     "loop_margins",
     "margins_of",
+    "prove",
     "replay",
     "setting_from",
+    "settle",
     "settling_intrusion",
     "sweep_locus",
     "worst_margins",
+    "write_claim",
 ]

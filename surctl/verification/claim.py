@@ -14,7 +14,9 @@ from surctl.errors import InputError, nearest
 
 __all__ = ["Claim", "Motion", "Variable", "VerdictWord"]
 
-VerdictWord = Literal["proved", "refuted", "not refuted"]
+VerdictWord = Literal["proved", "refuted", "unknown", "not refuted"]
+"""`proved` with a certificate, `refuted` with a counterexample, `unknown` with what is left open; `not refuted` is what
+the falsifier alone can say."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ def _course(setting: Setting, *, corrected: bool) -> Claim:
         ),
         equation="(9), (12)",
         errata=("E7",),
-        expected="not refuted" if corrected else "refuted",
+        expected="proved" if corrected else "refuted",
         variables=(
             Variable("y_e", y_e, "m", -half, half, "cross-track error, left positive"),
             Variable("u", u, "m/s", setting.speed / 3, setting.speed_max, "surge in {B}"),

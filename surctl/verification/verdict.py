@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +18,8 @@ class Verdict:
 
     Attributes:
         claim: the claim.
-        verdict: `refuted`, with a counterexample, or `not refuted`: a vain search proves nothing.
+        verdict: `proved`, with a certificate; `refuted`, with a counterexample; `unknown`, with what is left open; or,
+            of the falsifier alone, `not refuted`: a vain search proves nothing.
         counterexample: a point where the claim fails.
         worst_margin: largest left − right found in the domain, in the claim's unit.
         threshold: margins up to this count as rounding.
@@ -26,6 +28,8 @@ class Verdict:
         searches: number of local searches.
         witnesses: the claim's own points with the margin found there.
         seconds: time it took [s].
+        certificate: what `surctl.certcheck` accepts as a proof.
+        open_ends: what an attempt at a proof left open, in words.
     """
 
     claim: Claim
@@ -38,19 +42,28 @@ class Verdict:
     searches: int
     witnesses: tuple[Counterexample, ...] = ()
     seconds: float = field(default=0.0, compare=False)
+    certificate: Mapping[str, Any] | None = field(default=None, repr=False)
+    open_ends: str = ""
 
     @property
     def as_expected(self) -> bool:
-        """Whether the verdict is the one the claim ships with."""
-        return self.verdict == self.claim.expected
+        """Whether the verdict is the one the claim ships with.
+
+        The falsifier alone cannot prove: from it, "not refuted" is what is expected of a claim that can be proved. A
+        claim that ships as "not refuted" expects no more than that there is no counterexample.
+        """
+        if self.claim.expected == "not refuted":
+            return self.verdict != "refuted"
+        return self.verdict == self.claim.expected or (self.verdict, self.claim.expected) == ("not refuted", "proved")
 
     @property
     def remaining(self) -> str | None:
         """What is left open; None when the claim is settled."""
-        if self.verdict != "not refuted":
+        if self.verdict not in ("not refuted", "unknown"):
             return None
+        stopped = f"{self.open_ends}; " if self.open_ends else ""
         return (
-            f"not proved: {self.samples} samples and {self.searches} local searches found nothing worse than "
+            f"not proved: {stopped}{self.samples} samples and {self.searches} local searches found nothing worse than "
             f"{self.worst_margin:.3g} {self.claim.unit}"
         )
 
@@ -64,6 +77,7 @@ class Verdict:
             "errata": list(self.claim.errata),
             "expected": self.claim.expected,
             "verdict": self.verdict,
+            "certificate": self._proof(),
             "counterexample": None if found is None else found.to_dict(),
             "remaining": self.remaining,
             "worst_margin": self.worst_margin,
@@ -73,3 +87,10 @@ class Verdict:
             "witnesses": [w.to_dict() for w in self.witnesses],
             "seconds": self.seconds,
         }
+
+    def _proof(self) -> dict[str, Any] | None:
+        """What is told of the certificate: its hash, and by how much left may exceed right."""
+        if self.certificate is None:
+            return None
+        slack = self.certificate["claim"]["slack"]
+        return {"kind": self.certificate["kind"], "sha256": self.certificate["sha256"], "slack": slack}

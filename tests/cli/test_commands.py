@@ -99,8 +99,49 @@ def test_verify_tells_expected_verdicts(tmp_path):
     printed, corrected = done.json["claims"]
     assert printed["verdict"] == printed["expected"] == "refuted"
     assert printed["counterexample"]["values"]
-    assert corrected["verdict"] == "not refuted"
-    assert "not proved" in corrected["remaining"]
+    assert corrected["verdict"] == corrected["expected"] == "proved"
+    assert corrected["certificate"]["kind"] == "interval" and corrected["remaining"] is None
+
+
+CLAIM = """
+kind = "claim"
+name = "sway"
+left = "y_e*u*sin(-atan2(y_e, ahead)) + u*y_e^2/sqrt(y_e^2 + ahead^2)"
+unit = "m^2/s"
+[constants]
+ahead = 0.5
+[variables]
+y_e = { lower = -2, upper = 2, unit = "m" }
+u = { lower = 0.05, upper = 0.25, unit = "m/s" }
+"""
+
+
+def test_verify_proves_a_file_and_check_accepts_what_it_writes(tmp_path):
+    (tmp_path / "mine.toml").write_text(CLAIM, encoding="utf-8")
+    done = surctl("verify", "mine.toml", "--out", "proofs", "--json", cwd=tmp_path)
+    assert done.status == 0
+    (claim,) = done.json["claims"]
+    assert claim["verdict"] == "proved" and claim["certificate"]["file"] == "proofs/sway.json"
+    checked = surctl("check", "proofs/sway.json", "--json", cwd=tmp_path)
+    assert checked.status == 0 and checked.json["accepted"] and checked.json["claim"]["name"] == "sway"
+    path = tmp_path / "proofs" / "sway.json"
+    path.write_text(path.read_text(encoding="utf-8").replace('"upper": 2.0', '"upper": 3.0'), encoding="utf-8")
+    spoilt = surctl("check", "proofs/sway.json", cwd=tmp_path)
+    assert spoilt.status == 1 and spoilt.out.startswith("rejected: the hash")
+    assert surctl("check", "mine.toml", cwd=tmp_path).status == 2
+
+
+def test_verify_shows_claims_as_files(tmp_path):
+    done = surctl("verify", "v2-static", "--show", cwd=tmp_path)
+    assert done.status == 0 and done.out.startswith('kind = "claim"\nname = "v2-static"')
+
+
+def test_verify_tells_what_it_cannot_settle(tmp_path):
+    text = CLAIM.replace('left = "', 'left = "-1/y_e^2 + ')
+    (tmp_path / "open.toml").write_text(text, encoding="utf-8")
+    done = surctl("verify", "open.toml", "--time-limit", 1, cwd=tmp_path)
+    assert done.status == 1
+    assert "FAIL sway" in done.out and "unknown" in done.out and "division by an interval that holds 0" in done.out
 
 
 def test_sweep_finishes_picks_and_does_not_depend_on_workers(tmp_path):

@@ -17,14 +17,16 @@ from surctl.verification import (
     course_claims,
     evaluate,
     falsify,
+    prove,
     setting_from,
+    settle,
     settling_intrusion,
     tracking_claims,
 )
 
 ALL = [claim.name for claim in claims()]
 PRINTED = [claim.name for claim in claims() if claim.expected == "refuted"]
-CORRECTED = [claim.name for claim in claims() if claim.expected == "not refuted"]
+CORRECTED = [claim.name for claim in claims() if claim.expected == "proved"]
 
 
 def one(name: str, gains: dict[str, float] | None = None) -> Any:
@@ -33,9 +35,40 @@ def one(name: str, gains: dict[str, float] | None = None) -> Any:
 
 @pytest.mark.parametrize("name", ALL)
 def test_every_claim_comes_out_as_expected(name: str) -> None:
-    verdict = falsify(one(name))
-    assert verdict.as_expected, verdict.to_dict()
+    verdict = settle(one(name))
+    assert verdict.verdict == verdict.claim.expected, verdict.to_dict()
     assert (verdict.counterexample is not None) == (name in PRINTED)
+    assert (verdict.certificate is not None) == (name in CORRECTED)
+
+
+@pytest.mark.parametrize("name", [n for n in CORRECTED if n != "v1-speed-cap-region"])
+def test_corrected_claims_are_proved_exactly(name: str) -> None:
+    proof = prove(one(name))
+    assert proof.certificate is not None and proof.slack == 0.0, proof.remaining
+
+
+def test_the_speed_cap_region_ends_where_equality_is_met_so_that_rounding_decides() -> None:
+    # its end, -5 m, is a rounded number: either it or its neighbour is beyond the closed form
+    proof = prove(one("v1-speed-cap-region"), slack=1e-9)
+    assert proof.certificate is not None and 0 < proof.slack <= 1e-12
+
+
+def test_inequality_24_is_proved_within_a_tenth_of_a_second() -> None:
+    claim = one("v2-static")
+    assert min(prove(claim).seconds for _ in range(5)) < 0.1
+
+
+GAINS = [
+    {"k1": 0.37, "k2": 0.61, "lookahead": 0.83, "kappa": 0.31, "k3": 1.37},
+    {"k1": 1.9, "k2": 0.11, "lookahead": 0.21, "kappa": 0.2072333577977318, "margin": 0.09256033756048328},
+]
+
+
+@pytest.mark.parametrize("gains", GAINS)
+@pytest.mark.parametrize("name", CORRECTED)
+def test_corrected_claims_are_proved_for_other_gains(name: str, gains: dict[str, float]) -> None:
+    verdict = settle(one(name, gains), samples=512, starts=4)
+    assert verdict.verdict == "proved", verdict.to_dict()
 
 
 @pytest.mark.parametrize("seed", (1, 2))
@@ -131,7 +164,7 @@ def test_settling_intrusion_is_the_root_of_the_clearance_rate() -> None:
 def test_a_flipped_inequality_is_refuted(name: str) -> None:
     claim = one(name)
     flipped = replace(claim, left=claim.right, right=claim.left)
-    assert falsify(flipped, samples=256).verdict == "refuted"
+    assert settle(flipped, samples=256).verdict == "refuted"
 
 
 def patched(module: Any, name: str, change: Callable[[Any], Any]) -> Callable[[pytest.MonkeyPatch], None]:
@@ -203,6 +236,7 @@ class Overconfident(braking_claims._Box):
 def test_a_wrong_law_is_refuted(name: str, mutate: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     mutate(monkeypatch)
     assert falsify(one(name)).verdict == "refuted"
+    assert prove(one(name), time_limit=1.0, slack=1e-9).certificate is None
 
 
 @pytest.mark.parametrize("name", ["sur400", "sur540-light"])

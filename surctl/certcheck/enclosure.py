@@ -1,0 +1,340 @@
+"""The checker's own interval arithmetic: 60-bit ends by mpmath's directed rounding, with first and second derivatives.
+
+An interval is mpmath's pair of raw numbers. None stands for [0, 0] among derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+from mpmath import libmp
+
+from surctl.certcheck.sheet import Sheet
+
+__all__ = [
+    "Interval",
+    "Jet",
+    "Undefined",
+    "above",
+    "enclose",
+    "exact",
+    "greatest",
+    "is_zero",
+    "least",
+    "rational",
+    "span",
+]
+
+Interval = Any
+"""(lower, upper), raw numbers of mpmath."""
+Slopes = list[Any]
+"""A derivative for each variable, None where it is 0."""
+
+_BITS = 60
+_ZERO = (libmp.fzero, libmp.fzero)
+_ONE = (libmp.fone, libmp.fone)
+_LINE = (libmp.fninf, libmp.finf)
+
+
+class Undefined(Exception):
+    """An operation met a number at which it is not defined."""
+
+
+@dataclass(frozen=True)
+class Jet:
+    """Range of a value, of its gradient (n) and of its Hessian (n × n, symmetric); None where not asked for."""
+
+    value: Interval
+    slope: Slopes | None = None
+    bend: list[Slopes] | None = None
+
+
+def exact(x: float) -> Interval:
+    """The double itself."""
+    raw = libmp.from_float(x)
+    return raw, raw
+
+
+def span(low: float, high: float) -> Interval:
+    """[low, high]."""
+    return libmp.from_float(low), libmp.from_float(high)
+
+
+def rational(x: Fraction) -> Interval:
+    """A narrow interval about an exact number."""
+    p, q = x.numerator, x.denominator
+    return libmp.from_rational(p, q, _BITS, "f"), libmp.from_rational(p, q, _BITS, "c")
+
+
+def above(a: Interval, bound: Any = libmp.fzero) -> bool:
+    """Whether all of a is greater than the bound."""
+    return bool(libmp.mpf_gt(a[0], bound))
+
+
+def is_zero(a: Interval) -> bool:
+    """Whether a is 0 and nothing else."""
+    return bool(a == _ZERO)
+
+
+def least(a: Interval, b: Interval) -> Interval:
+    """min(a, b)."""
+    return tuple(x if libmp.mpf_le(x, y) else y for x, y in zip(a, b, strict=True))
+
+
+def greatest(a: Interval, b: Interval) -> Interval:
+    """max(a, b)."""
+    return tuple(x if libmp.mpf_ge(x, y) else y for x, y in zip(a, b, strict=True))
+
+
+def plus(a: Interval, b: Interval) -> Interval:
+    """a + b; None is 0."""
+    return b if a is None else a if b is None else libmp.mpi_add(a, b, _BITS)
+
+
+def minus(a: Interval) -> Interval:
+    """−a; None is 0."""
+    return None if a is None else libmp.mpi_neg(a)
+
+
+def mul(a: Interval, b: Interval) -> Interval:
+    """a b; None is 0, and 0 times the whole line is 0."""
+    if a is None or b is None:
+        return None
+    if a == _ZERO or b == _ZERO:
+        return _ZERO
+    if libmp.finf in (*a, *b) or libmp.fninf in (*a, *b):
+        return _LINE
+    return libmp.mpi_mul(a, b, _BITS)
+
+
+def over(a: Interval, b: Interval) -> Interval:
+    """a / b; the whole line where b holds 0 or is not bounded."""
+    if a is None:
+        return None
+    if not (above(b) or libmp.mpf_lt(b[1], libmp.fzero)) or libmp.finf in (*a, *b) or libmp.fninf in (*a, *b):
+        return _LINE
+    return libmp.mpi_div(a, b, _BITS)
+
+
+def enclose(sheet: Sheet, roots: Sequence[int], box: Sequence[Interval], *, order: int = 0) -> list[Jet]:
+    """Ranges of expressions on a box.
+
+    Raises:
+        Undefined: an operation in one of them is not defined on the whole box.
+    """
+    made: dict[int, Jet] = {}
+    for at in sheet.needed(roots):
+        entry = sheet.entries[at]
+        made[at] = _step(entry.op, entry.value, [made[a] for a in entry.args], entry.args, box, order)
+    return [made[r] for r in roots]
+
+
+def _step(op: str, value: Fraction, args: list[Jet], at: tuple[int, ...], box: Sequence[Interval], order: int) -> Jet:
+    n = len(box)
+    match op:
+        case "num":
+            return _flat(rational(value), n, order)
+        case "pi":
+            return _flat((libmp.mpf_pi(_BITS, "f"), libmp.mpf_pi(_BITS, "c")), n, order)
+        case "var":
+            jet = _flat(box[value.numerator], n, order)
+            if jet.slope is not None:
+                jet.slope[value.numerator] = _ONE
+            return jet
+        case "add":
+            return _sum(args[0], args[1])
+        case "sub":
+            return _sum(args[0], _chain(args[1], libmp.mpi_neg(args[1].value), (minus(_ONE), None)))
+        case "neg":
+            return _chain(args[0], libmp.mpi_neg(args[0].value), (minus(_ONE), None))
+        case "mul":
+            return _power(args[0], 2) if at[0] == at[1] else _product(args[0], args[1])
+        case "div":
+            return _product(args[0], _reciprocal(args[1]))
+        case "pow":
+            jet = _power(args[0], abs(value.numerator))
+            return jet if value >= 0 else _reciprocal(jet)
+        case "atan2":
+            return _angle(args[0], args[1])
+        case "atan":
+            return _angle(args[0], _flat(_ONE, n, order))
+        case "abs":
+            return _chosen(rational(Fraction(0)), args[0].value, args[0], _negative(args[0]), abs_of(args[0].value))
+        case "min":
+            return _chosen(args[0].value, args[1].value, args[0], args[1], least(args[0].value, args[1].value))
+        case "max":
+            return _chosen(args[1].value, args[0].value, args[0], args[1], greatest(args[0].value, args[1].value))
+        case "select":
+            return _chosen(args[0].value, args[1].value, args[2], args[3], None)
+        case _:
+            return _unary(op, args[0])
+
+
+def abs_of(a: Interval) -> Interval:
+    """|a|."""
+    return libmp.mpi_abs(a, _BITS)
+
+
+def _flat(value: Interval, n: int, order: int) -> Jet:
+    return Jet(value, [None] * n if order else None, [[None] * n for _ in range(n)] if order > 1 else None)
+
+
+def _negative(a: Jet) -> Jet:
+    return _chain(a, libmp.mpi_neg(a.value), (minus(_ONE), None))
+
+
+def _sum(a: Jet, b: Jet) -> Jet:
+    value = plus(a.value, b.value)
+    if a.slope is None or b.slope is None:
+        return Jet(value)
+    slope = [plus(x, y) for x, y in zip(a.slope, b.slope, strict=True)]
+    if a.bend is None or b.bend is None:
+        return Jet(value, slope)
+    rows = zip(a.bend, b.bend, strict=True)
+    return Jet(value, slope, [[plus(x, y) for x, y in zip(p, q, strict=True)] for p, q in rows])
+
+
+def _product(a: Jet, b: Jet) -> Jet:
+    value = mul(a.value, b.value)
+    if a.slope is None or b.slope is None:
+        return Jet(value)
+    p, q, n = a.slope, b.slope, len(a.slope)
+    slope = [plus(mul(p[i], b.value), mul(q[i], a.value)) for i in range(n)]
+    if a.bend is None or b.bend is None:
+        return Jet(value, slope)
+    bend: list[Slopes] = [[None] * n for _ in range(n)]
+    for i in range(n):
+        for j in range(i + 1):
+            own = plus(mul(a.bend[i][j], b.value), mul(b.bend[i][j], a.value))
+            bend[i][j] = bend[j][i] = plus(own, plus(mul(p[i], q[j]), mul(p[j], q[i])))
+    return Jet(value, slope, bend)
+
+
+def _chain(a: Jet, value: Interval, derivatives: tuple[Interval, Interval]) -> Jet:
+    """A function of a with given value and derivatives."""
+    if a.slope is None:
+        return Jet(value)
+    first, second = derivatives
+    slope = [mul(s, first) for s in a.slope]
+    if a.bend is None:
+        return Jet(value, slope)
+    n = len(slope)
+    bend: list[Slopes] = [[None] * n for _ in range(n)]
+    for i in range(n):
+        for j in range(i + 1):
+            outer = square(a.slope[i]) if i == j else mul(a.slope[i], a.slope[j])
+            bend[i][j] = bend[j][i] = plus(mul(a.bend[i][j], first), mul(outer, second))
+    return Jet(value, slope, bend)
+
+
+def square(a: Interval) -> Interval:
+    """a²; None is 0."""
+    return None if a is None else (_LINE if a == _LINE else libmp.mpi_pow_int(a, 2, _BITS))
+
+
+def _power(a: Jet, n: int) -> Jet:
+    def to(e: int) -> Interval:
+        return _ONE if e <= 0 else libmp.mpi_pow_int(a.value, e, _BITS)
+
+    first = mul(rational(Fraction(n)), to(n - 1))
+    second = mul(rational(Fraction(n * (n - 1))), to(n - 2))
+    return _chain(a, to(n), (first, second))
+
+
+def _reciprocal(a: Jet) -> Jet:
+    if not (above(a.value) or libmp.mpf_lt(a.value[1], libmp.fzero)):
+        raise Undefined("a division by an interval that holds 0")
+    value = libmp.mpi_div(_ONE, a.value, _BITS)
+    squared = libmp.mpi_pow_int(value, 2, _BITS)
+    return _chain(a, value, (minus(squared), mul(rational(Fraction(2)), mul(squared, value))))
+
+
+def _unary(op: str, a: Jet) -> Jet:
+    x = a.value
+    if op in ("sin", "cos"):
+        cosine, sine = libmp.mpi_cos_sin(x, _BITS)
+        if op == "sin":
+            return _chain(a, sine, (cosine, minus(sine)))
+        return _chain(a, cosine, (minus(sine), minus(cosine)))
+    if op == "sqrt":
+        if libmp.mpf_lt(x[0], libmp.fzero):
+            raise Undefined("a root of an interval that is negative in part")
+        value = libmp.mpi_sqrt(x, _BITS)
+        first = over(rational(Fraction(1, 2)), value)
+        second = minus(over(mul(rational(Fraction(1, 2)), first), x))
+        return _chain(a, value, (first, second))
+    if op == "acos":
+        if libmp.mpf_lt(x[0], libmp.fnone) or libmp.mpf_gt(x[1], libmp.fone):
+            raise Undefined("an arccos of an interval beyond [-1, 1]")
+        rest = libmp.mpi_sub(_ONE, libmp.mpi_pow_int(x, 2, _BITS), _BITS)
+        rest = greatest(rest, _ZERO)
+        root = libmp.mpi_sqrt(rest, _BITS)
+        second = mul(x, minus(over(_ONE, mul(rest, root))))
+        return _chain(a, _arccos(x), (minus(over(_ONE, root)), second))
+    raise Undefined(f"{op} is not known")
+
+
+def _arccos(x: Interval) -> Interval:
+    """Arccos falls: each end comes from the other end of x, as the angle of (x, √(1 − x²))."""
+    ends = []
+    for raw in (x[1], x[0]):
+        at = (raw, raw)
+        height = greatest(libmp.mpi_sub(_ONE, libmp.mpi_mul(at, at, 2 * _BITS + 8), 2 * _BITS + 8), _ZERO)
+        ends.append(libmp.mpi_atan2(libmp.mpi_sqrt(height, _BITS + 8), at, _BITS))
+    return ends[0][0], ends[1][1]
+
+
+def _angle(y: Jet, x: Jet) -> Jet:
+    holds = [not (above(v) or libmp.mpf_lt(v[1], libmp.fzero)) for v in (x.value, y.value)]
+    if all(holds):
+        raise Undefined("an atan2 of a box that holds (0, 0)")
+    jumps = holds[1] and not above(x.value)
+    value = libmp.mpi_atan2(y.value, x.value, _BITS)
+    if jumps:
+        top = libmp.mpf_pi(_BITS, "c")
+        value = libmp.mpf_neg(top), top
+    if x.slope is None or y.slope is None:
+        return Jet(value)
+    n = len(x.slope)
+    if jumps:
+        return Jet(value, [_LINE] * n, None if x.bend is None else [[_LINE] * n for _ in range(n)])
+    length = plus(square(x.value), square(y.value))
+    slope = [over(plus(mul(y.slope[i], x.value), minus(mul(x.slope[i], y.value))), length) for i in range(n)]
+    if x.bend is None or y.bend is None:
+        return Jet(value, slope)
+    bend: list[Slopes] = [[None] * n for _ in range(n)]
+    growth = [mul(rational(Fraction(2)), plus(mul(x.slope[j], x.value), mul(y.slope[j], y.value))) for j in range(n)]
+    for i in range(n):
+        for j in range(n):
+            turn = plus(mul(y.bend[i][j], x.value), minus(mul(x.bend[i][j], y.value)))
+            crossed = plus(mul(y.slope[i], x.slope[j]), minus(mul(x.slope[i], y.slope[j])))
+            bend[i][j] = over(plus(plus(turn, crossed), minus(mul(slope[i], growth[j]))), length)
+    return Jet(value, slope, bend)
+
+
+def _chosen(a: Interval, b: Interval, x: Jet, y: Jet, value: Interval | None) -> Jet:
+    """x where a ≤ b, y elsewhere; `value` is given where the function is continuous."""
+    if libmp.mpf_le(a[1], b[0]):
+        return x
+    if libmp.mpf_gt(a[0], b[1]):
+        return y
+    both = _hull(x.value, y.value) if value is None else value
+    if x.slope is None or y.slope is None:
+        return Jet(both)
+    n = len(x.slope)
+    slope: Slopes = [_LINE] * n
+    if value is not None:
+        slope = [None if p is None and q is None else _hull(p or _ZERO, q or _ZERO) for p, q in _pairs(x, y)]
+    return Jet(both, slope, None if x.bend is None else [[_LINE] * n for _ in range(n)])
+
+
+def _pairs(x: Jet, y: Jet) -> list[tuple[Interval, Interval]]:
+    return list(zip(x.slope or [], y.slope or [], strict=True))
+
+
+def _hull(a: Interval, b: Interval) -> Interval:
+    low = a[0] if libmp.mpf_le(a[0], b[0]) else b[0]
+    return low, a[1] if libmp.mpf_ge(a[1], b[1]) else b[1]

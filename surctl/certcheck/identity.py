@@ -1,0 +1,230 @@
+"""Exact identities between expressions: two are equal if the difference of their fractions is the polynomial 0.
+
+Every angle is taken apart down to single terms, so that sines and cosines of sums need no rule of their own beyond
+the product of unit complex numbers; used besides are sqrt(p)² = p, sin² = 1 − cos², and the sides of the triangle
+behind atan2 and acos. An identity holds wherever both sides are defined, given the positive quantities that
+`Exact.assumed` lists.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+from math import isqrt, lcm
+
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.sheet import Sheet
+
+__all__ = ["Exact", "Fraction_"]
+
+Term = tuple[tuple[str, int], ...]
+Sum = dict[Term, Fraction]
+Fraction_ = tuple[Sum, Sum]
+"""(over, under)."""
+
+_MOST = 3000
+_ONE: Sum = {(): Fraction(1)}
+
+
+class Exact:
+    """Expressions of one sheet as fractions of polynomials in named atoms.
+
+    Attributes:
+        assumed: polynomials that must be positive for what was concluded.
+    """
+
+    def __init__(self, sheet: Sheet) -> None:
+        self._sheet = sheet
+        self._made: dict[int, Fraction_] = {}
+        self._inside: dict[str, Sum] = {}  # what stands under a root
+        self._angles: dict[str, tuple[Fraction_, Fraction_]] = {}  # cosine and sine of inverse angles
+        self.assumed: list[Sum] = []
+
+    def equal(self, a: int, b: Callable[[Exact], Fraction_]) -> bool:
+        """Whether the expression at `a` equals what `b` builds."""
+        p, q = self.of(a), b(self)
+        return not self.plus(self.mul(p[0], q[1]), self.mul(q[0], p[1]), -1)
+
+    def under_root(self, atom: str) -> Sum:
+        """What stands under the root that an atom names."""
+        return self._inside[atom]
+
+    # ---- polynomials
+
+    @staticmethod
+    def plus(a: Sum, b: Sum, factor: Fraction | int = 1) -> Sum:
+        """a + factor b."""
+        out = dict(a)
+        for term, number in b.items():
+            out[term] = out.get(term, Fraction(0)) + factor * number
+            if not out[term]:
+                del out[term]
+        return out
+
+    def mul(self, a: Sum, b: Sum) -> Sum:
+        """a b, roots and sines to the first power at most."""
+        if len(a) * len(b) > _MOST * 4:
+            raise Rejected("an identity is too large to be checked")
+        out: Sum = {}
+        for s, x in a.items():
+            for t, y in b.items():
+                powers = dict(s)
+                for atom, e in t:
+                    powers[atom] = powers.get(atom, 0) + e
+                term = tuple(sorted(powers.items()))
+                out[term] = out.get(term, Fraction(0)) + x * y
+        return self._simple({t: x for t, x in out.items() if x})
+
+    def _simple(self, a: Sum) -> Sum:
+        for term, number in a.items():
+            for atom, e in term:
+                if e >= 2 and atom[:5] in ("sqrt{", "sine{"):
+                    rest = tuple((k, n - 2 * (k == atom)) for k, n in term if n > 2 * (k == atom))
+                    others = {t: x for t, x in a.items() if t != term}
+                    by = self._inside[atom] if atom[:5] == "sqrt{" else self._sine_square(atom)
+                    return self.plus(self._simple(others), self.mul({rest: number}, by))
+        if len(a) > _MOST:
+            raise Rejected("an identity is too large to be checked")
+        return a
+
+    @staticmethod
+    def _sine_square(atom: str) -> Sum:
+        return {(): Fraction(1), (("cosi{" + atom[5:], 2),): Fraction(-1)}
+
+    # ---- fractions
+
+    def add(self, a: Fraction_, b: Fraction_, factor: int = 1) -> Fraction_:
+        """a + factor b."""
+        if a[1] == b[1]:
+            return self.plus(a[0], b[0], factor), a[1]
+        return self.plus(self.mul(a[0], b[1]), self.mul(b[0], a[1]), factor), self.mul(a[1], b[1])
+
+    def times(self, a: Fraction_, b: Fraction_) -> Fraction_:
+        """a b."""
+        return self.mul(a[0], b[0]), self.mul(a[1], b[1])
+
+    def of(self, root: int) -> Fraction_:
+        """The fraction of an expression."""
+        for at in self._sheet.needed([root]):
+            if at not in self._made:
+                self._made[at] = self._step(at)
+        return self._made[root]
+
+    def _step(self, at: int) -> Fraction_:
+        entry = self._sheet.entries[at]
+        args = [self._made[a] for a in entry.args]
+        match entry.op:
+            case "num":
+                return ({(): entry.value} if entry.value else {}), _ONE
+            case "pi":
+                return {(("pi", 1),): Fraction(1)}, _ONE
+            case "var":
+                return {((f"v{entry.value.numerator}", 1),): Fraction(1)}, _ONE
+            case "add":
+                return self.add(args[0], args[1])
+            case "sub":
+                return self.add(args[0], args[1], -1)
+            case "neg":
+                return self.plus({}, args[0][0], -1), args[0][1]
+            case "mul":
+                return self.times(args[0], args[1])
+            case "div":
+                return self.times(args[0], self._flipped(args[1]))
+            case "pow":
+                base = args[0] if entry.value >= 0 else self._flipped(args[0])
+                out: Fraction_ = (_ONE, _ONE)
+                for _ in range(abs(entry.value.numerator)):
+                    out = self.times(out, base)
+                return out
+            case "sqrt":
+                return self._root(args[0])
+            case "cos":
+                return self._circle(args[0])[0]
+            case "sin":
+                return self._circle(args[0])[1]
+            case "atan":
+                return self._inverse_angle("atan2", args[0], (_ONE, _ONE))
+            case "atan2" | "acos":
+                return self._inverse_angle(entry.op, *args)
+            case _:  # a branch that was not chosen is an unknown of its own
+                return {((f"b{at}", 1),): Fraction(1)}, _ONE
+
+    @staticmethod
+    def _flipped(a: Fraction_) -> Fraction_:
+        if not a[0]:
+            raise Rejected("a division by what is identically 0")
+        return a[1], a[0]
+
+    def _root(self, a: Fraction_) -> Fraction_:
+        """√(p/q) = √(p q)/q for q > 0, without the square of a number."""
+        if not a[0]:
+            return a
+        inside = self.mul(a[0], a[1])
+        if set(a[1]) != {()}:
+            self.assumed.append(a[1])
+        elif a[1][()] < 0:
+            raise Rejected("a root over a negative number")
+        lead = abs(inside[max(inside, key=lambda t: (sum(e for _, e in t), t))])
+        p, q = isqrt(lead.numerator), isqrt(lead.denominator)
+        scale = Fraction(p, q) if p * p == lead.numerator and q * q == lead.denominator else Fraction(1)
+        inside = {t: x / scale**2 for t, x in inside.items()}
+        if inside == _ONE:
+            return {(): scale}, a[1]
+        atom = "sqrt{" + _spelled(inside) + "}"
+        self._inside[atom] = inside
+        return {((atom, 1),): scale}, a[1]
+
+    # ---- angles
+
+    def _inverse_angle(self, op: str, *args: Fraction_) -> Fraction_:
+        atom = op + "{" + ";".join(_spelled(a[0]) + " over " + _spelled(a[1]) for a in args) + "}"
+        if atom not in self._angles:
+            if op == "acos":
+                square = self.times(args[0], args[0])
+                self._angles[atom] = args[0], self._root(self.add((_ONE, _ONE), square, -1))
+            else:
+                y, x = args
+                length = self._root(self.add(self.times(x, x), self.times(y, y)))
+                flipped = self._flipped(length)
+                self._angles[atom] = self.times(x, flipped), self.times(y, flipped)
+        return {((atom, 1),): Fraction(1)}, _ONE
+
+    def _circle(self, angle: Fraction_) -> tuple[Fraction_, Fraction_]:
+        """(cos, sin) by multiplying the unit numbers of the angle's terms."""
+        over, under = angle
+        if set(under) != {()}:
+            return self._unit(_spelled(over) + " over " + _spelled(under), 1)
+        total: tuple[Fraction_, Fraction_] = ((_ONE, _ONE), ({}, _ONE))
+        for term, number in over.items():
+            total = self._turned(total, self._one_term(term, number / under[()]))
+        return total
+
+    def _one_term(self, term: Term, number: Fraction) -> tuple[Fraction_, Fraction_]:
+        if term == (("pi", 1),) and lcm(number.denominator, 2) == 2:
+            cosine, sine = ((1, 0), (0, 1), (-1, 0), (0, -1))[int(2 * number) % 4]
+            return ({(): Fraction(cosine)} if cosine else {}, _ONE), ({(): Fraction(sine)} if sine else {}, _ONE)
+        times = abs(number.numerator)
+        if len(term) == 1 and term[0][1] == 1 and term[0][0] in self._angles and number.denominator == 1 and times < 9:
+            one = self._angles[term[0][0]]
+        elif times < 9:
+            one, times = self._unit(_spelled({term: Fraction(1, number.denominator)}), 1), times
+        else:
+            one, times = self._unit(_spelled({term: abs(number)}), 1), 1
+        total = one
+        for _ in range(times - 1):
+            total = self._turned(total, one)
+        return (total[0], (self.plus({}, total[1][0], -1), total[1][1])) if number < 0 else total
+
+    @staticmethod
+    def _unit(key: str, power: int) -> tuple[Fraction_, Fraction_]:
+        cosine, sine = "cosi{" + key + "}", "sine{" + key + "}"
+        return ({((cosine, power),): Fraction(1)}, _ONE), ({((sine, power),): Fraction(1)}, _ONE)
+
+    def _turned(self, a: tuple[Fraction_, Fraction_], b: tuple[Fraction_, Fraction_]) -> tuple[Fraction_, Fraction_]:
+        cosine = self.add(self.times(a[0], b[0]), self.times(a[1], b[1]), -1)
+        return cosine, self.add(self.times(a[1], b[0]), self.times(a[0], b[1]))
+
+
+def _spelled(a: Sum) -> str:
+    """One text for equal polynomials."""
+    return "+".join(f"{x}" + "".join(f"*{k}^{e}" for k, e in t) for t, x in sorted(a.items()))

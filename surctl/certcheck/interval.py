@@ -1,0 +1,360 @@
+"""Checks a certificate of kind `interval`: an inequality left ≤ right + slack on a box, by cases and halved boxes.
+
+Keys beside the frame: `cases`, each with `choice` (which of its two expressions every abs, max, min, select is),
+`numerator`, `denominators`, `multipliers` (margin = numerator / Π denominators + Σ multiplier · constraint),
+`tree` (preorder; a capital or digit halves in that variable, at 0 where 0 lies inside; a small letter names the rule
+that settles the box) and `points` (where the tangents of the rule `c` touch). All choices must be there, and a tree
+is complete or rejected, so that what is covered needs no trust. The statement in words is not checked.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from typing import Any
+
+from mpmath import libmp
+
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.enclosure import (
+    Interval,
+    Jet,
+    Undefined,
+    above,
+    enclose,
+    exact,
+    greatest,
+    is_zero,
+    mul,
+    over,
+    plus,
+    rational,
+    span,
+)  # fmt: skip
+from surctl.certcheck.identity import Exact, Fraction_, Sum
+from surctl.certcheck.sheet import BRANCHES, Sheet
+
+__all__ = ["check"]
+
+_CLAIM = {"name", "statement", "unit", "variables", "left", "right", "constraints", "slack"}
+_CASE = {"choice", "numerator", "denominators", "multipliers", "tree", "points"}
+_DIMENSIONS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+_MOST_BRANCHES = 12
+
+Box = list[tuple[float, float]]
+
+
+def check(document: Mapping[str, Any]) -> None:
+    """Raise Rejected unless the certificate proves its claim."""
+    try:
+        _Claim(document).check()
+    except Undefined as reason:
+        raise Rejected(f"an expression is not defined where it must be: {reason}") from None
+    except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError) as error:
+        raise Rejected(f"the certificate is malformed: {type(error).__name__}: {error}") from None
+
+
+class _Claim:
+    def __init__(self, document: Mapping[str, Any]) -> None:
+        claim = document["claim"]
+        if set(claim) != _CLAIM or set(document) != {"format", "version", "kind", "claim", "cases", "sha256"}:
+            raise Rejected("keys are missing or unknown")
+        variables = claim["variables"]
+        names = [v["name"] for v in variables]
+        if not names or len(set(names)) < len(names) or len(names) > len(_DIMENSIONS):
+            raise Rejected("the variables are none, too many, or not different")
+        if any(set(v) != {"name", "unit", "lower", "upper"} for v in variables):
+            raise Rejected("a variable has keys that are missing or unknown")
+        self.box: Box = [(_number(v["lower"]), _number(v["upper"])) for v in variables]
+        if any(low > high for low, high in self.box):
+            raise Rejected("a variable's lower end lies above its upper end")
+        self.slack = _number(claim["slack"])
+        if self.slack < 0:
+            raise Rejected("the slack is negative")
+        self.sheet = Sheet(names)
+        texts = [claim["left"], claim["right"], *_listed(claim["constraints"])]
+        self.parts = self._settled([self.sheet.read(t) for t in texts])
+        self.cases = _listed(document["cases"])
+        self.everywhere = self._defined(self.box)
+
+    def _settled(self, roots: Sequence[int]) -> list[int]:
+        """A variable of no width is the decimal number that it is."""
+
+        def change(at: int, _: tuple[int, ...]) -> int | None:
+            entry = self.sheet.entries[at]
+            if entry.op != "var":
+                return None
+            low, high = self.box[entry.value.numerator]
+            return self.sheet.put("num", value=Fraction(repr(low))) if low == high else None
+
+        return self.sheet.rewritten(roots, change)
+
+    def _defined(self, box: Box) -> bool:
+        """Whether the claim as it is written is defined on a box."""
+        try:
+            enclose(self.sheet, self.parts, [span(*ends) for ends in box])
+        except Undefined:
+            return False
+        return True
+
+    def check(self) -> None:
+        """All choices, each once; each case."""
+        branches = self._branches()
+        choices = [case["choice"] for case in self.cases]
+        if choices != [""]:
+            if len(branches) > _MOST_BRANCHES:
+                raise Rejected("too many cases")
+            wanted = {format(k, f"0{len(branches)}b") for k in range(2 ** len(branches))} if branches else {""}
+            if set(choices) != wanted or len(choices) != len(wanted):
+                raise Rejected("the cases are not all choices, each once")
+        for case in self.cases:
+            if set(case) != _CASE:
+                raise Rejected("a case has keys that are missing or unknown")
+            picked = dict(zip(branches, case["choice"], strict=True)) if case["choice"] else {}
+            _CaseOf(self, case, picked).check()
+
+    def _branches(self) -> list[int]:
+        """Distinct abs, max, min and select in the order of reading left, right and the constraints."""
+        met, seen, waiting = list[int](), set[int](), list(reversed(self.parts))
+        while waiting:
+            at = waiting.pop()
+            if at not in seen:
+                seen.add(at)
+                entry = self.sheet.entries[at]
+                if entry.op in BRANCHES:
+                    met.append(at)
+                waiting += reversed(entry.args)
+        return met
+
+
+class _CaseOf:
+    def __init__(self, claim: _Claim, case: Mapping[str, Any], picked: Mapping[int, str]) -> None:
+        self.claim, self.sheet = claim, claim.sheet
+        chosen, conditions = self._chosen(picked)
+        self.margin = self.sheet.put("sub", chosen[0], chosen[1])
+        self.constraints = [*chosen[2:], *conditions]
+        self.numerator = self.sheet.read(case["numerator"])
+        self.denominators = [self.sheet.read(t) for t in _listed(case["denominators"])]
+        self.multipliers = [self.sheet.read(t) for t in _listed(case["multipliers"])]
+        self.tree, self.points = case["tree"], list(reversed(_listed(case["points"])))
+        if not isinstance(self.tree, str):
+            raise Rejected("the tree is not a text")
+
+    def _chosen(self, picked: Mapping[int, str]) -> tuple[list[int], list[int]]:
+        """The claim's parts with every branch chosen, and the conditions (≤ 0) of the choices."""
+        put, conditions = self.sheet.put, dict[int, int]()
+
+        def change(at: int, args: tuple[int, ...]) -> int | None:
+            if at not in picked:
+                return None
+            entry, second = self.sheet.entries[at], picked[at] == "1"
+            if entry.op == "abs":
+                conditions[at] = args[0] if second else put("neg", args[0])
+                return put("neg", args[0]) if second else args[0]
+            a, b = args[:2]
+            first_is_less = entry.op != "max"
+            conditions[at] = put("sub", b, a) if second == first_is_less else put("sub", a, b)
+            return args[len(args) // 2 + second] if entry.op == "select" else args[int(second)]
+
+        chosen = self.sheet.rewritten(self.claim.parts, change)
+        return chosen, [conditions[at] for at in picked]
+
+    def check(self) -> None:
+        """Signs, identity, and every leaf of the tree."""
+        root = [span(*ends) for ends in self.claim.box]
+        for jet in enclose(self.sheet, self.denominators, root):
+            if not above(jet.value):
+                raise Rejected("a denominator is not positive on the whole box")
+        for jet in enclose(self.sheet, self.multipliers, root):
+            if libmp.mpf_lt(jet.value[0], libmp.fzero):
+                raise Rejected("a multiplier may be negative")
+        self._identity()
+        self._leaves()
+        if self.points:
+            raise Rejected("points are left over")
+
+    def _identity(self) -> None:
+        """margin = numerator / Π denominators + Σ multiplier · constraint."""
+        if len(self.multipliers) != len(self.constraints):
+            raise Rejected("there is not one multiplier for each constraint")
+        pairs = [(m, c) for m, c in zip(self.multipliers, self.constraints, strict=True) if not self._is_zero(m)]
+        if not pairs and not self.denominators and self.numerator == self.margin:
+            return
+        exactly = Exact(self.sheet)
+
+        def built(e: Exact) -> Fraction_:
+            total = e.of(self.numerator)
+            for d in self.denominators:
+                over_, under = e.of(d)
+                total = e.times(total, (under, over_))
+            for m, c in pairs:
+                total = e.add(total, e.times(e.of(m), e.of(c)))
+            return total
+
+        if not exactly.equal(self.margin, built):
+            raise Rejected("numerator, denominators and multipliers do not make up the claim")
+        for poly in exactly.assumed:
+            if not above(_range(poly, exactly, self.claim.box)):
+                raise Rejected("what stands under a root has a denominator of unknown sign")
+
+    def _is_zero(self, at: int) -> bool:
+        entry = self.sheet.entries[at]
+        return entry.op == "num" and entry.value == 0
+
+    def _leaves(self) -> None:
+        """Walk the tree; its text must end exactly where its last leaf does."""
+        waiting: list[Box] = [list(self.claim.box)]
+        for letter in self.tree:
+            if not waiting:
+                raise Rejected("the tree goes on after its last leaf")
+            box = waiting.pop()
+            at = _DIMENSIONS.find(letter)
+            if at < 0:
+                self._leaf(letter, box)
+                continue
+            if at >= len(box):
+                raise Rejected(f"the tree halves in variable {at}, which is not there")
+            low, high = box[at]
+            cut = 0.0 if low < 0 < high else (low + high) / 2
+            if not low <= cut <= high:
+                raise Rejected("a box cannot be halved")
+            waiting += [[*box[:at], (cut, high), *box[at + 1 :]], [*box[:at], (low, cut), *box[at + 1 :]]]
+        if waiting:
+            raise Rejected("the tree does not cover the box")
+
+    def _leaf(self, rule: str, box: Box) -> None:
+        wide = [span(*ends) for ends in box]
+        if rule == "i":
+            good = any(self._excluded(c, wide, None) for c in self.constraints)
+        elif rule == "j":
+            good = any(self._excluded(c, wide, box) for c in self.constraints)
+        elif rule in ("n", "m", "c"):
+            if not (self.claim.everywhere or self.claim._defined(box)):
+                raise Rejected(f"the claim is not defined on the whole of a box: {_told(box)}")
+            good = {"n": self._natural, "m": self._mean, "c": self._tangent}[rule](box, wide)
+        else:
+            raise Rejected(f"{rule!r} is not a rule")
+        if not good:
+            raise Rejected(f"rule {rule!r} does not settle a box: {_told(box)}")
+
+    def _excluded(self, constraint: int, wide: list[Interval], box: Box | None) -> bool:
+        """Whether a constraint is positive on the whole box, by its value or by its mean-value form."""
+        try:
+            jet = enclose(self.sheet, [constraint], wide, order=0 if box is None else 1)[0]
+            if box is None:
+                return above(jet.value)
+            centre = [(low + high) / 2 for low, high in box]
+            return above(self._linear(constraint, jet, box, centre))
+        except Undefined:
+            return False
+
+    def _linear(self, at: int, jet: Jet, box: Box, centre: Sequence[float]) -> Interval:
+        """Value at a point plus slopes times offsets."""
+        total = enclose(self.sheet, [at], [exact(c) for c in centre])[0].value
+        for slope, (low, high), c in zip(jet.slope or [], box, centre, strict=True):
+            if slope is not None:
+                total = plus(total, mul(slope, libmp.mpi_sub(span(low, high), exact(c), 60)))
+        return total
+
+    def _small(self, value: Interval, wide: list[Interval]) -> bool:
+        """Whether value ≤ slack · Π denominators."""
+        bound = exact(self.claim.slack)
+        if self.claim.slack:
+            for jet in enclose(self.sheet, self.denominators, wide):
+                bound = mul(bound, jet.value)
+        return bool(libmp.mpf_le(value[1], bound[0]))
+
+    def _natural(self, _: Box, wide: list[Interval]) -> bool:
+        return self._small(enclose(self.sheet, [self.numerator], wide)[0].value, wide)
+
+    def _face(self, box: Box, wide: list[Interval]) -> tuple[Jet, Box, list[bool]]:
+        """Slopes on the box, and its part where every variable of monotone influence is at its worse end."""
+        jet = enclose(self.sheet, [self.numerator], wide, order=1)[0]
+        face, free = Box(), []
+        for slope, (low, high) in zip(jet.slope or [], box, strict=True):
+            if slope is None or libmp.mpf_ge(slope[0], libmp.fzero):
+                face.append((high, high))
+            elif libmp.mpf_le(slope[1], libmp.fzero):
+                face.append((low, low))
+            else:
+                face.append((low, high))
+            free.append(face[-1][0] < face[-1][1])
+        return jet, face, free
+
+    def _mean(self, box: Box, wide: list[Interval]) -> bool:
+        jet, face, _ = self._face(box, wide)
+        if self._small(enclose(self.sheet, [self.numerator], [span(*e) for e in face])[0].value, wide):
+            return True
+        centre = [(low + high) / 2 for low, high in face]
+        return self._small(self._linear(self.numerator, jet, face, centre), wide)
+
+    def _tangent(self, box: Box, wide: list[Interval]) -> bool:
+        """Concave on the face, and the tangent at a point of the face is small enough on it."""
+        _, face, free = self._face(box, wide)
+        point = [_number(x) for x in _listed(self.points.pop())]
+        if len(point) != len(face) or any(not low <= x <= high for x, (low, high) in zip(point, face, strict=True)):
+            raise Rejected("a tangent does not touch in its box")
+        bend = enclose(self.sheet, [self.numerator], [span(*e) for e in face], order=2)[0].bend
+        if not _bends_down(bend or [], free):
+            return False
+        at = enclose(self.sheet, [self.numerator], [exact(x) for x in point], order=1)[0]
+        return self._small(self._linear(self.numerator, at, face, point), wide)
+
+
+def _bends_down(bend: list[list[Interval]], free: list[bool]) -> bool:
+    """Whether every symmetric matrix within −bend is positive definite on the free variables but for zero rows."""
+    among = [k for k, is_free in enumerate(free) if is_free]
+    keep = [k for k in among if not all(bend[k][j] is None or is_zero(bend[k][j]) for j in among)]
+    m = [[None if bend[i][j] is None else libmp.mpi_neg(bend[i][j]) for j in keep] for i in keep]
+    for k in range(len(keep)):
+        pivot = m[k][k]
+        if pivot is None or not above(pivot) or libmp.finf in pivot:
+            return False
+        for i in range(k + 1, len(keep)):
+            for j in range(k + 1, len(keep)):
+                taken = mul(over(m[i][k], pivot), m[k][j])
+                m[i][j] = m[i][j] if taken is None else plus(m[i][j], libmp.mpi_neg(taken))
+    return True
+
+
+def _range(poly: Sum, exactly: Exact, box: Box) -> Interval:
+    """A coarse range of a polynomial in the atoms of an identity."""
+    total = rational(Fraction(0))
+    for term, number in poly.items():
+        product = rational(number)
+        for atom, e in term:
+            product = mul(product, libmp.mpi_pow_int(_atom_range(atom, exactly, box), e, 60))
+        total = plus(total, product)
+    return total
+
+
+def _atom_range(atom: str, exactly: Exact, box: Box) -> Interval:
+    if atom[0] == "v":
+        return span(*box[int(atom[1:])])
+    if atom == "pi":
+        return libmp.mpf_pi(60, "f"), libmp.mpf_pi(60, "c")
+    if atom.startswith("sqrt{"):
+        inside = _range(exactly.under_root(atom), exactly, box)
+        return libmp.mpi_sqrt(greatest(inside, rational(Fraction(0))), 60)
+    if atom[:5] in ("cosi{", "sine{"):
+        return span(-1.0, 1.0)
+    if atom[:5] in ("acos{", "atan2"):
+        return span(-3.2, 3.2)
+    raise Rejected("a sign cannot be checked")
+
+
+def _listed(value: object) -> list[Any]:
+    if not isinstance(value, list):
+        raise Rejected("a list is missing")
+    return value
+
+
+def _number(value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise Rejected(f"{value!r} is not a finite number")
+    return float(value)
+
+
+def _told(box: Box) -> str:
+    return ", ".join(f"[{low:.6g}, {high:.6g}]" for low, high in box)

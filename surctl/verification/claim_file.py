@@ -1,0 +1,213 @@
+"""Claims as TOML: a user's own inequality in, any claim of the library out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from fractions import Fraction
+from pathlib import Path
+from typing import Literal
+
+import casadi as ca
+from pydantic import Field, StrictFloat, StrictStr
+
+from surctl.errors import InputError
+from surctl.files import Strict, load_model
+from surctl.verification.claim import Claim, Motion, Variable
+from surctl.verification.formula import (
+    FUNCTIONS,
+    IDENTIFIER,
+    Node,
+    from_casadi,
+    number,
+    parse,
+    text_of,
+    to_casadi,
+    variable,
+)
+from surctl.verification.proving import statement_of
+
+__all__ = ["load_claim", "write_claim"]
+
+_RELATIONS = ("<=", ">=")
+
+
+class _VariableTable(Strict):
+    lower: StrictFloat
+    upper: StrictFloat
+    unit: StrictStr = "1"
+    meaning: StrictStr = ""
+
+
+class _MotionTable(Strict):
+    watched: StrictStr
+    name: StrictStr
+    unit: StrictStr
+    duration: StrictFloat = 0.5
+    rates: dict[str, StrictStr]
+
+
+class _ClaimTable(Strict):
+    kind: Literal["claim"]
+    name: StrictStr = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,59}$")
+    statement: StrictStr = ""
+    equation: StrictStr = ""
+    errata: tuple[StrictStr, ...] = ()
+    expected: Literal["proved", "refuted"] = "proved"
+    unit: StrictStr = "1"
+    left: StrictStr
+    right: StrictStr = "0"
+    constraints: tuple[StrictStr, ...] = ()
+    tolerance: StrictFloat = Field(default=1e-9, ge=0.0, le=1e-3)
+    constants: dict[str, StrictFloat] = Field(default_factory=dict)
+    variables: dict[str, _VariableTable]
+    witnesses: tuple[dict[str, StrictFloat], ...] = ()
+    motion: _MotionTable | None = None
+
+
+def load_claim(path: Path) -> Claim:
+    """A claim from a TOML file.
+
+    ::
+
+        kind = "claim"
+        name = "sway"
+        left = "y_e*u*sin(atan2(-y_e, ahead))"
+        right = "0"                               # default; left <= right is claimed
+        unit = "m^2/s"
+        constraints = ["y_e^2 <= 4*ahead^2"]      # where it is claimed; each with one <= or >=
+        expected = "proved"                       # default; or "refuted"
+        [constants]
+        ahead = 0.5
+        [variables]
+        y_e = { lower = -2, upper = 2, unit = "m", meaning = "cross-track error" }
+        u = { lower = 0.05, upper = 0.25, unit = "m/s" }
+
+    Also `statement`, `equation`, `errata`, `tolerance` (share of the larger side that counts as rounding, 1e-9),
+    `witnesses` (points, each a value for every variable) and `[motion]` (`rates` by variable, `watched`, `name`,
+    `unit`, `duration`): the loop on which a counterexample is replayed. Units are told, not converted: write SI.
+
+    Raises:
+        InputError: naming file, key, token and column, and the remedy.
+    """
+    table = load_model(path, _ClaimTable)
+    names = _checked_names(table, path)
+    known: dict[str, Node] = {name: variable(name) for name in names}
+    known |= {name: number(Fraction(repr(value))) for name, value in table.constants.items()}
+    symbols = {name: ca.SX.sym(name) for name in names}
+
+    def read(text: str, key: str) -> ca.SX:
+        return to_casadi(parse(text, known, file=path, key=key), symbols)
+
+    def row(text: str, key: str) -> ca.SX:
+        sign = [r for r in _RELATIONS if r in text]
+        if len(sign) != 1 or text.count(sign[0]) != 1:
+            raise InputError("needs one <= or >=", file=path, key=key, value=text, remedy='write e.g. "x^2 <= 4"')
+        at = text.index(sign[0])
+        # blanks keep the columns of what stands behind the sign
+        first, second = read(text[:at], key), read(" " * (at + 2) + text[at + 2 :], key)
+        return first - second if sign[0] == "<=" else second - first
+
+    rows = [row(text, f"constraints.{k}") for k, text in enumerate(table.constraints)]
+    told = table.statement or f"{table.left} <= {table.right}"
+    try:
+        claim = Claim(
+            table.name, told, table.equation, table.errata, table.expected,
+            tuple(_variable(name, symbols[name], entry) for name, entry in table.variables.items()),
+            read(table.left, "left"), read(table.right, "right"), table.unit,
+            ca.vertcat(ca.SX(0, 1), *rows), tuple(table.witnesses), _motion(table, read), table.tolerance,
+        )  # fmt: skip
+    except InputError as error:
+        raise (error if error.file else error.inside(path)) from None
+    return claim
+
+
+def _variable(name: str, symbol: ca.SX, entry: _VariableTable) -> Variable:
+    return Variable(name, symbol, entry.unit, entry.lower, entry.upper, entry.meaning)
+
+
+def _checked_names(table: _ClaimTable, path: Path) -> list[str]:
+    """The variables' names; InputError for one that the grammar could not read."""
+    if not table.variables:
+        raise InputError("is empty", file=path, key="variables", remedy="give at least one variable with bounds")
+    for kind, group in (("variables", table.variables), ("constants", table.constants)):
+        for name in group:
+            if not IDENTIFIER.fullmatch(name) or name in (*FUNCTIONS, "pi"):
+                remedy = "use letters, digits and _, beginning with a letter, and no name of the grammar"
+                raise InputError("is not a name for an expression", file=path, key=f"{kind}.{name}", remedy=remedy)
+    both = sorted(set(table.variables) & set(table.constants))
+    if both:
+        raise InputError("is a variable too", file=path, key=f"constants.{both[0]}", remedy="rename one of them")
+    for name, entry in table.variables.items():
+        if entry.lower > entry.upper:
+            raise InputError(
+                "has its lower bound above the upper one",
+                file=path, key=f"variables.{name}", value=[entry.lower, entry.upper], remedy="exchange them",
+            )  # fmt: skip
+    return list(table.variables)
+
+
+def _motion(table: _ClaimTable, read: Callable[[str, str], ca.SX]) -> Motion | None:
+    if table.motion is None:
+        return None
+    m = table.motion
+    rates = {name: read(text, f"motion.rates.{name}") for name, text in m.rates.items()}
+    return Motion(rates, read(m.watched, "motion.watched"), m.name, m.unit, m.duration)
+
+
+def write_claim(claim: Claim) -> str:
+    """The claim as the text of such a file; `load_claim` reads it back as the same claim.
+
+    Raises:
+        UnsupportedOperation: an operation that the claim grammar does not have.
+        InputError: a name that the grammar cannot read.
+    """
+    for v in claim.variables:
+        if not IDENTIFIER.fullmatch(v.name) or v.name in (*FUNCTIONS, "pi"):
+            raise InputError("is not a name for an expression", key=f"{claim.name}.{v.name}", remedy="rename it")
+    said = statement_of(claim)
+    lines = [
+        'kind = "claim"',
+        f"name = {_quoted(claim.name)}",
+        f"statement = {_quoted(claim.statement)}",
+        f"equation = {_quoted(claim.equation)}",
+        f"errata = [{', '.join(_quoted(e) for e in claim.errata)}]",
+        f"expected = {_quoted(claim.expected)}",
+        f"unit = {_quoted(claim.unit)}",
+        f"left = {_quoted(text_of(said.left))}",
+        f"right = {_quoted(text_of(said.right))}",
+        f"constraints = [{', '.join(_quoted(text_of(g) + ' <= 0') for g in said.constraints)}]",
+        f"tolerance = {claim.tolerance!r}",
+        f"witnesses = [{', '.join(_inline({k: repr(float(x)) for k, x in w.items()}) for w in claim.witnesses)}]",
+        "",
+        "[variables]",
+        *(_variable_line(v) for v in claim.variables),
+    ]
+    if claim.motion is not None:
+        lines += ["", *_motion_lines(claim, claim.motion)]
+    return "\n".join(lines) + "\n"
+
+
+def _variable_line(v: Variable) -> str:
+    entries = {"lower": repr(float(v.lower)), "upper": repr(float(v.upper)), "unit": _quoted(v.unit)}
+    return f"{v.name} = {_inline(entries | {'meaning': _quoted(v.meaning)})}"
+
+
+def _motion_lines(claim: Claim, motion: Motion) -> Iterable[str]:
+    names = [v.name for v in claim.variables]
+    watched, *rates = (text_of(n) for n in from_casadi(claim.symbols, names, [motion.watched, *motion.rates.values()]))
+    yield "[motion]"
+    yield f"watched = {_quoted(watched)}"
+    yield f"name = {_quoted(motion.name)}"
+    yield f"unit = {_quoted(motion.unit)}"
+    yield f"duration = {float(motion.duration)!r}"
+    yield f"rates = {_inline(dict(zip(motion.rates, map(_quoted, rates), strict=True)))}"
+
+
+def _inline(entries: Mapping[str, str]) -> str:
+    return "{ " + ", ".join(f"{k} = {v}" for k, v in entries.items()) + " }"
+
+
+def _quoted(text: str) -> str:
+    """A basic string of TOML: JSON's escapes are among TOML's."""
+    return json.dumps(text, ensure_ascii=False)

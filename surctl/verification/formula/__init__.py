@@ -1,0 +1,21 @@
+"""The language of claims: text, expression with exact numbers, CasADi, and back."""
+
+from surctl.verification.formula.node import Node, number, ordered, power, rebuilt, variable
+from surctl.verification.formula.parser import FUNCTIONS, IDENTIFIER, parse
+from surctl.verification.formula.symbolic import from_casadi, to_casadi
+from surctl.verification.formula.text import text_of
+
+__all__ = [
+    "FUNCTIONS",
+    "IDENTIFIER",
+    "Node",
+    "from_casadi",
+    "number",
+    "ordered",
+    "parse",
+    "power",
+    "rebuilt",
+    "text_of",
+    "to_casadi",
+    "variable",
+]

@@ -1,0 +1,115 @@
+"""Expressions as plain data: exact numbers, names and the operations of the claim grammar."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+
+from surctl.errors import InputError
+
+__all__ = ["ARITY", "BRANCHING", "DEEPEST", "PI", "Node", "number", "ordered", "power", "rebuilt", "variable"]
+
+ARITY: Mapping[str, int] = {
+    "add": 2, "sub": 2, "mul": 2, "div": 2, "neg": 1, "pow": 1, "sqrt": 1, "sin": 1, "cos": 1, "atan": 1,
+    "atan2": 2, "acos": 1, "abs": 1, "min": 2, "max": 2, "select": 4,
+}  # fmt: skip
+"""Operands of each operation; `select(a, b, x, y)` is x where a ≤ b, and y elsewhere."""
+
+BRANCHING = frozenset({"abs", "min", "max", "select"})
+"""Operations that are one of two expressions, depending on where one is."""
+
+DEEPEST = 300
+"""Most operations that may stand inside one another."""
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """One operation, number or name; compared by what it says.
+
+    Attributes:
+        op: `num`, `pi`, `var`, or a key of `ARITY`.
+        args: the operands.
+        value: the exact number of a `num`, the integer exponent of a `pow`.
+        name: the name of a `var`.
+    """
+
+    op: str
+    args: tuple[Node, ...] = ()
+    value: Fraction = Fraction(0)
+    name: str = ""
+    depth: int = field(init=False)
+    _hash: int = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Refuse what no later step could walk through."""
+        depth = 1 + max((a.depth for a in self.args), default=0)
+        if depth > DEEPEST:
+            raise InputError(f"is nested more than {DEEPEST} deep", key="expression", remedy="write it flatter")
+        object.__setattr__(self, "depth", depth)
+        object.__setattr__(self, "_hash", hash((self.op, self.args, self.value, self.name)))
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def __eq__(self, other: object) -> bool:
+        if self is other:
+            return True
+        if not isinstance(other, Node) or self._hash != other._hash:
+            return False
+        return (self.op, self.value, self.name, self.args) == (other.op, other.value, other.name, other.args)
+
+    def __add__(self, other: Node) -> Node:
+        return Node("add", (self, other))
+
+    def __sub__(self, other: Node) -> Node:
+        return Node("sub", (self, other))
+
+    def __mul__(self, other: Node) -> Node:
+        return Node("mul", (self, other))
+
+    def __truediv__(self, other: Node) -> Node:
+        return Node("div", (self, other))
+
+    def __neg__(self) -> Node:
+        return Node("neg", (self,))
+
+
+PI = Node("pi")
+
+
+def number(value: int | Fraction) -> Node:
+    """An exact number."""
+    return Node("num", value=Fraction(value))
+
+
+def variable(name: str) -> Node:
+    """A name."""
+    return Node("var", name=name)
+
+
+def power(base: Node, exponent: int) -> Node:
+    """An integer power."""
+    return base if exponent == 1 else Node("pow", (base,), Fraction(exponent))
+
+
+def ordered(*roots: Node) -> Iterator[Node]:
+    """Every distinct node below the roots, operands before their use."""
+    seen: set[Node] = set()
+    stack = [(root, False) for root in reversed(roots)]
+    while stack:
+        node, expanded = stack.pop()
+        if expanded:
+            yield node
+        elif node not in seen:
+            seen.add(node)
+            stack.append((node, True))
+            stack.extend((a, False) for a in reversed(node.args))
+
+
+def rebuilt(root: Node, change: Callable[[Node, tuple[Node, ...]], Node]) -> Node:
+    """The expression with every node replaced by change(node, operands as already replaced)."""
+    made: dict[Node, Node] = {}
+    for node in ordered(root):
+        made[node] = change(node, tuple(made[a] for a in node.args))
+    return made[root]

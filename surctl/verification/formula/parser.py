@@ -1,0 +1,201 @@
+"""Text to expression by recursive descent; nothing of what a file says is ever executed.
+
+::
+
+    sum     = product { ("+" | "-") product }
+    product = signed { ("*" | "/") signed }
+    signed  = ("-" | "+") signed | power
+    power   = atom [ "^" ["-"] integer ]
+    atom    = number | name | function "(" sum { "," sum } ")" | "(" sum ")"
+
+A number is the decimal as it is written, exactly; `pi` is π itself.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+
+from surctl.errors import InputError, nearest
+from surctl.verification.formula.node import ARITY, DEEPEST, PI, Node, number
+
+__all__ = ["FUNCTIONS", "IDENTIFIER", "LONGEST", "decimal", "parse"]
+
+FUNCTIONS = ("abs", "acos", "atan", "atan2", "cos", "max", "min", "select", "sin", "sqrt")
+"""Functions of the grammar; `select(a, b, x, y)` is x where a ≤ b, and y elsewhere."""
+
+IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
+LONGEST = 60_000
+"""Most characters of one expression."""
+_TOKEN = re.compile(
+    r"\s*(?:(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)|([A-Za-z_]\w*)|(\*\*|[-+*/^(),])|(\S))"
+)
+_LARGEST_POWER, _LARGEST_EXPONENT, _MOST_DIGITS = 64, 320, 400
+
+
+def parse(text: str, known: Mapping[str, Node], *, file: object = None, key: str | None = None) -> Node:
+    """The expression that the text says.
+
+    Args:
+        text: an expression of the grammar above.
+        known: what each name stands for: a variable or a number.
+        file: where the text stands, for the errors.
+        key: under which key.
+
+    Raises:
+        InputError: with file, key, token and column, and the remedy; an unknown name with the nearest known one.
+    """
+    if not isinstance(text, str):
+        raise InputError("must be an expression in quotes", file=file, key=key, value=text, remedy='write e.g. "x^2"')
+    if len(text) > LONGEST:
+        raise InputError(f"is longer than {LONGEST} characters", file=file, key=key, remedy="split the claim")
+    return _Parser(text, known, file, key).whole()
+
+
+def decimal(text: str) -> Fraction:
+    """The exact value of a decimal number such as 1.5e-3."""
+    return Fraction(text)
+
+
+@dataclass(frozen=True)
+class _Token:
+    kind: str
+    text: str
+    column: int
+
+
+class _Parser:
+    def __init__(self, text: str, known: Mapping[str, Node], file: object, key: str | None) -> None:
+        self._known, self._file, self._key, self._depth = known, file, key, 0
+        self._tokens = self._split(text)
+        self._at = 0
+
+    def whole(self) -> Node:
+        tree = self._sum()
+        if self._next.kind != "end":
+            remedy = "write * between factors" if self._next.kind in ("name", "number") else "remove it"
+            raise self._mistake("is not expected here", self._next, remedy)
+        return tree
+
+    def _split(self, text: str) -> list[_Token]:
+        tokens, at, end = [], 0, len(text.rstrip())
+        while at < end:
+            found = _TOKEN.match(text, at)
+            assert found is not None  # the last group takes any character
+            kind = ("number", "name", "sign", "other")[(found.lastindex or 1) - 1]
+            token = _Token(kind, found[found.lastindex or 1], found.start(found.lastindex or 1) + 1)
+            if kind == "other":
+                raise self._mistake("is not of the grammar", token, "use + - * / ^ ( ) , numbers and names")
+            if token.text == "**":
+                raise self._mistake("is not of the grammar", token, "write ^ for a power")
+            tokens.append(token)
+            at = found.end()
+        tokens.append(_Token("end", "end of text", end + 1))
+        return tokens
+
+    @property
+    def _next(self) -> _Token:
+        return self._tokens[self._at]
+
+    def _take(self) -> _Token:
+        token = self._next
+        self._at += 1
+        return token
+
+    def _takes(self, *signs: str) -> str:
+        if self._next.kind == "sign" and self._next.text in signs:
+            return self._take().text
+        return ""
+
+    def _expect(self, sign: str) -> None:
+        if not self._takes(sign):
+            raise self._mistake(f"stands where {sign!r} should", self._next, f"write {sign}")
+
+    def _sum(self) -> Node:
+        self._depth += 1
+        if self._depth > DEEPEST // 4:
+            raise self._mistake("is nested too deeply", self._next, "write it flatter")
+        tree = self._product()
+        while sign := self._takes("+", "-"):
+            right = self._product()
+            tree = self._joined(tree + right if sign == "+" else tree - right)
+        self._depth -= 1
+        return tree
+
+    def _product(self) -> Node:
+        tree = self._signed()
+        while sign := self._takes("*", "/"):
+            right = self._signed()
+            tree = self._joined(tree * right if sign == "*" else tree / right)
+        return tree
+
+    def _joined(self, tree: Node) -> Node:
+        if tree.depth >= DEEPEST - 1:
+            raise self._mistake("makes the expression too long", self._next, "put parts of it in parentheses")
+        return tree
+
+    def _signed(self) -> Node:
+        negative = False
+        while sign := self._takes("+", "-"):
+            negative ^= sign == "-"
+        tree = self._power()
+        if negative and tree.op == "num":
+            return number(-tree.value)
+        return -tree if negative else tree
+
+    def _power(self) -> Node:
+        base = self._atom()
+        if not self._takes("^"):
+            return base
+        sign = -1 if self._takes("-") else 1
+        token = self._take()
+        if not (token.kind == "number" and token.text.isdigit() and int(token.text[:9]) <= _LARGEST_POWER):
+            raise self._mistake("is not an exponent", token, f"write an integer up to {_LARGEST_POWER}, or use sqrt")
+        if self._next.text == "^":
+            raise self._mistake("has no order here", self._next, "write parentheses")
+        return Node("pow", (base,), Fraction(sign * int(token.text)))
+
+    def _atom(self) -> Node:
+        token = self._take()
+        if token.kind == "number":
+            exponent = re.split("[eE]", token.text)[1:]
+            if len(token.text) > _MOST_DIGITS or (exponent and abs(int(exponent[0][:9])) > _LARGEST_EXPONENT):
+                raise self._mistake("is out of range", token, "scale the claim")
+            return number(decimal(token.text))
+        if token.kind == "name":
+            return self._called(token) if self._next.text == "(" else self._named(token)
+        if token.text == "(":
+            tree = self._sum()
+            self._expect(")")
+            return tree
+        raise self._mistake("stands where a number, a name or ( should", token, "complete the expression")
+
+    def _named(self, token: _Token) -> Node:
+        if token.text in FUNCTIONS:
+            raise self._mistake("is a function", token, f"write {token.text}( … )")
+        if token.text == "pi":
+            return PI
+        if token.text not in self._known:
+            raise self._mistake("is not known", token, nearest(token.text, {*self._known, "pi"}))
+        return self._known[token.text]
+
+    def _called(self, token: _Token) -> Node:
+        if token.text not in FUNCTIONS:
+            remedy = "write * before (" if token.text in self._known else nearest(token.text, FUNCTIONS)
+            raise self._mistake("is not a function", token, remedy)
+        self._expect("(")
+        args = [self._sum()]
+        while self._takes(","):
+            args.append(self._sum())
+        self._expect(")")
+        if len(args) != ARITY[token.text]:
+            takes = f"give it {ARITY[token.text]}"
+            raise self._mistake(f"has {len(args)} argument{'s' * (len(args) != 1)}", token, takes)
+        return Node(token.text, tuple(args))
+
+    def _mistake(self, problem: str, token: _Token, remedy: str) -> InputError:
+        shown = token.text if len(token.text) <= 40 else token.text[:37] + "..."
+        told = f"{shown!r} at column {token.column} {problem}"
+        return InputError(told, file=self._file, key=self._key or "expression", remedy=remedy)

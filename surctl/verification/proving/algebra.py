@@ -1,0 +1,290 @@
+"""Exact normal forms: what cancels on paper cancels here.
+
+An expression becomes numerator over denominators, polynomials in atoms: variables, π, square roots, sines and cosines
+of what no inverse function is in, and inverse angles. Used are: sqrt(p)² = p, sin² = 1 − cos², the sums of angles,
+and sine and cosine of atan2 and acos. A rewriting may enlarge the domain; whoever uses one proves separately that the
+expression is defined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from math import isqrt
+
+from surctl.verification.formula import Node, number, ordered, power
+from surctl.verification.proving.polynomial import (
+    Monomial,
+    Poly,
+    TooLarge,
+    added,
+    constant,
+    key_of,
+    leading,
+    multiplied,
+    scaled,
+    single,
+)
+
+__all__ = ["Algebra", "Ratio", "TooLarge"]
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """over / Π factor^exponent; the factors are numbers of `Algebra.factors`."""
+
+    over: Poly
+    under: tuple[tuple[int, int], ...] = ()
+
+
+class Algebra:
+    """The atoms and denominators met so far, and the arithmetic on them.
+
+    Attributes:
+        atoms: what each atom is: a kind and, of functions, the arguments.
+        factors: the polynomials that divide, each with leading coefficient 1.
+        positive: numbers of factors that were taken to be positive on the way.
+        words: how an atom was written where it was first met: multiplied out, an interval through it is wider.
+        factor_words: the same for a factor.
+    """
+
+    def __init__(self) -> None:
+        self.atoms: list[tuple[str, tuple[Ratio | str, ...]]] = []
+        self.factors: list[Poly] = []
+        self.positive: set[int] = set()
+        self.words: dict[int, Node] = {}
+        self.factor_words: dict[int, Node] = {}
+        self._atom_at: dict[Hashable, int] = {}
+        self._factor_at: dict[Hashable, int] = {}
+        self._known: dict[Node, Ratio] = {}
+
+    # ---- from expressions
+
+    def of(self, root: Node) -> Ratio:
+        """Normal form of an expression without min, max, abs and select.
+
+        Raises:
+            TooLarge: too many terms, or an operation that has no normal form.
+        """
+        for node in ordered(root):
+            if node not in self._known:
+                self._known[node] = self._apply(node, [self._known[a] for a in node.args])
+        return self._known[root]
+
+    def _apply(self, node: Node, args: list[Ratio]) -> Ratio:
+        match node.op:
+            case "num":
+                return Ratio(constant(node.value))
+            case "pi":
+                return Ratio(single(self._atom("pi")))
+            case "var":
+                return Ratio(single(self._atom("var", node.name)))
+            case "add" | "sub":
+                return self.plus(args[0], args[1], 1 if node.op == "add" else -1)
+            case "mul":
+                return self.times(args[0], args[1])
+            case "div":
+                return self.times(args[0], self.inverse(args[1], words=node.args[1]))
+            case "neg":
+                return Ratio(scaled(args[0].over, -1), args[0].under)
+            case "pow":
+                return self._power(args[0], node.value.numerator, node.args[0])
+            case "sqrt":
+                return self.root(args[0], words=node.args[0])
+            case "sin" | "cos":
+                return self._turned(args[0])[node.op == "sin"]
+            case "atan":
+                return self._inverse_angle(Node("atan2", (*node.args, number(1))), [*args, Ratio(constant(1))])
+            case "atan2" | "acos":
+                return self._inverse_angle(node, args)
+        raise TooLarge
+
+    def _inverse_angle(self, node: Node, args: list[Ratio]) -> Ratio:
+        at = self._atom(node.op, *args)
+        self.words.setdefault(at, node)
+        return Ratio(single(at))
+
+    # ---- arithmetic
+
+    def plus(self, a: Ratio, b: Ratio, factor: int = 1) -> Ratio:
+        """a + factor b."""
+        under = dict(a.under)
+        for at, exponent in b.under:
+            under[at] = max(under.get(at, 0), exponent)
+        over = added(self._over(a, under), self._over(b, under), factor)
+        return self._lowest(over, under)
+
+    def times(self, a: Ratio, b: Ratio) -> Ratio:
+        """a b."""
+        under = dict(a.under)
+        for at, exponent in b.under:
+            under[at] = under.get(at, 0) + exponent
+        return self._lowest(self.product(a.over, b.over), under)
+
+    def inverse(self, a: Ratio, *, words: Node | None = None) -> Ratio:
+        """1 / a, whose numerator becomes a denominator; `words` is how a was written."""
+        if not a.over:
+            raise TooLarge
+        monomial, coefficient = leading(a.over)
+        over = constant(1 / coefficient)
+        for at, exponent in a.under:
+            for _ in range(exponent):
+                over = self.product(over, self.factors[at])
+        if len(a.over) == 1:
+            under = {self._factor(single(atom)): exponent for atom, exponent in monomial}
+        else:
+            at = self._factor(scaled(a.over, 1 / coefficient))
+            under = {at: 1}
+            if words is not None and not a.under:
+                self.factor_words.setdefault(at, words if coefficient == 1 else number(1 / coefficient) * words)
+        return self._lowest(over, under)
+
+    def product(self, a: Poly, b: Poly) -> Poly:
+        """a b with the relations between atoms used."""
+        return self._reduced(multiplied(a, b))
+
+    def root(self, a: Ratio, *, words: Node | None = None) -> Ratio:
+        """√a; denominators are taken to be positive; `words` is how a was written."""
+        if not a.over:
+            return a
+        over, under = a.over, {at: (exponent + 1) // 2 for at, exponent in a.under}
+        for at, exponent in a.under:
+            self.positive.add(at)
+            if exponent % 2:
+                over = self.product(over, self.factors[at])
+        _, coefficient = leading(over)
+        content = _square_root(abs(coefficient))
+        over = scaled(over, 1 / content**2)
+        if over == constant(1):
+            return self._lowest(constant(content), under)
+        at = self._atom("sqrt", Ratio(over))
+        root = single(at)
+        if words is not None and not a.under:
+            inside = words if content == 1 else number(1 / content**2) * words
+            self.words.setdefault(at, Node("sqrt", (inside,)))
+        return self._lowest(scaled(root, content), under)
+
+    def _power(self, a: Ratio, exponent: int, words: Node) -> Ratio:
+        if exponent < 0:
+            return self._power(self.inverse(a, words=words), -exponent, words)
+        result = Ratio(constant(1))
+        for _ in range(exponent):
+            result = self.times(result, a)
+        return result
+
+    def _over(self, a: Ratio, under: Mapping[int, int]) -> Poly:
+        """Numerator of a over a multiple of its denominator."""
+        own, over = dict(a.under), a.over
+        for at, exponent in under.items():
+            for _ in range(exponent - own.get(at, 0)):
+                over = self.product(over, self.factors[at])
+        return over
+
+    def _lowest(self, over: Poly, under: Mapping[int, int]) -> Ratio:
+        """The fraction without the powers of single atoms that both sides hold."""
+        left = {}
+        for at, exponent in under.items():
+            factor = self.factors[at]
+            (atom, _), *more = leading(factor)[0]
+            while exponent and over and len(factor) == 1 and not more and all(atom in dict(m) for m in over):
+                over = {tuple((k, e - (k == atom)) for k, e in m if e > (k == atom)): c for m, c in over.items()}
+                exponent -= 1
+            left[at] = exponent
+        return Ratio(over, tuple(sorted((at, e) for at, e in left.items() if e)) if over else ())
+
+    def _reduced(self, a: Poly) -> Poly:
+        """sqrt(p)² → p and sin² → 1 − cos² until neither is left."""
+        pending: Poly = dict(a)
+        total: Poly = {}
+        while pending:
+            monomial, coefficient = pending.popitem()
+            square = next((k for k, e in monomial if e >= 2 and self.atoms[k][0] in ("sqrt", "sin")), None)
+            if square is None:
+                total = added(total, {monomial: coefficient})
+                continue
+            kind, args = self.atoms[square]
+            assert isinstance(args[0], Ratio)
+            rest = tuple((k, e - 2 * (k == square)) for k, e in monomial if e > 2 * (k == square))
+            by = args[0].over
+            if kind == "sin":
+                by = {(): Fraction(1), ((self._atom("cos", args[0]), 2),): Fraction(-1)}
+            pending = added(pending, multiplied({rest: coefficient}, by))
+        return total
+
+    # ---- angles
+
+    def _turned(self, angle: Ratio) -> tuple[Ratio, Ratio]:
+        """(cos, sin) of an angle: inverse functions and quarter turns are taken out of it."""
+        if angle.under:
+            return self._leaf_angle(angle)
+        rest: Poly = {}
+        total = (Ratio(constant(1)), Ratio({}))
+        for monomial, coefficient in angle.over.items():
+            known = self._known_turn(monomial, coefficient)
+            if known is None:
+                rest[monomial] = coefficient
+            else:
+                total = self._sum_of_turns(total, known)
+        return self._sum_of_turns(total, self._leaf_angle(Ratio(rest))) if rest else total
+
+    def _known_turn(self, monomial: Monomial, coefficient: Fraction) -> tuple[Ratio, Ratio] | None:
+        if len(monomial) != 1 or monomial[0][1] != 1:
+            return None
+        kind, args = self.atoms[monomial[0][0]]
+        if kind == "pi" and coefficient.denominator <= 2:
+            quarter = int(2 * coefficient) % 4
+            cosine, sine = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarter]
+            return Ratio(constant(cosine)), Ratio(constant(sine))
+        if kind not in ("atan2", "acos") or coefficient.denominator != 1 or abs(coefficient) > 4:
+            return None
+        ratios, inside = [a for a in args if isinstance(a, Ratio)], self.words[monomial[0][0]].args
+        if kind == "atan2":
+            y, x = ratios
+            words = power(inside[1], 2) + power(inside[0], 2)
+            length = self.inverse(self.root(self.plus(self.times(x, x), self.times(y, y)), words=words))
+            one = (self.times(x, length), self.times(y, length))
+        else:
+            square = self.times(ratios[0], ratios[0])
+            words = number(1) - power(inside[0], 2)
+            one = (ratios[0], self.root(self.plus(Ratio(constant(1)), square, -1), words=words))
+        if coefficient < 0:
+            one = (one[0], Ratio(scaled(one[1].over, -1), one[1].under))
+        total = one
+        for _ in range(abs(int(coefficient)) - 1):
+            total = self._sum_of_turns(total, one)
+        return total
+
+    def _sum_of_turns(self, a: tuple[Ratio, Ratio], b: tuple[Ratio, Ratio]) -> tuple[Ratio, Ratio]:
+        cosine = self.plus(self.times(a[0], b[0]), self.times(a[1], b[1]), -1)
+        return cosine, self.plus(self.times(a[1], b[0]), self.times(a[0], b[1]))
+
+    def _leaf_angle(self, angle: Ratio) -> tuple[Ratio, Ratio]:
+        sign = 1 if leading(angle.over)[1] > 0 else -1
+        upright = Ratio(scaled(angle.over, sign), angle.under)
+        sine = scaled(single(self._atom("sin", upright)), sign)
+        return Ratio(single(self._atom("cos", upright))), Ratio(sine)
+
+    # ---- tables
+
+    def _atom(self, kind: str, *args: Ratio | str) -> int:
+        key = (kind, *((key_of(a.over), a.under) if isinstance(a, Ratio) else a for a in args))
+        if key not in self._atom_at:
+            self._atom_at[key] = len(self.atoms)
+            self.atoms.append((kind, args))
+        return self._atom_at[key]
+
+    def _factor(self, poly: Poly) -> int:
+        key = key_of(poly)
+        if key not in self._factor_at:
+            self._factor_at[key] = len(self.factors)
+            self.factors.append(poly)
+        return self._factor_at[key]
+
+
+def _square_root(value: Fraction) -> Fraction:
+    """√value where that is rational, else 1."""
+    over, under = isqrt(value.numerator), isqrt(value.denominator)
+    return (
+        Fraction(over, under) if over * over == value.numerator and under * under == value.denominator else Fraction(1)
+    )

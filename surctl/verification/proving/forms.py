@@ -1,0 +1,187 @@
+"""Ways to show one case: as written, or as the exact normal form less nonnegative multiples of the constraints."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from surctl.verification.formula import Node, number, power
+from surctl.verification.proving.algebra import Algebra, Ratio, TooLarge
+from surctl.verification.proving.horner import Written
+from surctl.verification.proving.intervals import Ends
+from surctl.verification.proving.polynomial import Monomial, Poly, added
+from surctl.verification.proving.statement import Case
+from surctl.verification.proving.tape import build_tape
+
+__all__ = ["Form", "forms_of"]
+
+_STEPS, _TRIALS = 4, 12
+_MOST_TERMS = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """margin = numerator / Π denominators + Σ multiplier · constraint, multipliers ≥ 0, denominators > 0.
+
+    Attributes:
+        numerator: what is left to be shown not positive.
+        denominators: positive expressions, one for each power.
+        multipliers: one for each constraint.
+    """
+
+    numerator: Node
+    denominators: tuple[Node, ...]
+    multipliers: tuple[Node, ...]
+
+
+def forms_of(case: Case, names: Sequence[str], box: Ends) -> list[Form]:
+    """What is worth trying, the most promising first; the case as written is always among them.
+
+    Args:
+        case: the case.
+        names: variables.
+        box: (n, 1) the root box.
+    """
+    plain = Form(case.margin, (), (number(0),) * len(case.constraints))
+    try:
+        return [*_rewritten(case, names, box), plain]
+    except TooLarge:
+        return [plain]
+
+
+def _rewritten(case: Case, names: Sequence[str], box: Ends) -> Iterator[Form]:
+    algebra = Algebra()
+    margin = algebra.of(case.margin)
+    guards = [_guard(algebra, c) for c in case.constraints]
+    if len(margin.over) > _MOST_TERMS:
+        return
+    written = Written(algebra)
+    signs = _signs(algebra, written, names, box)
+    if signs is None:
+        return
+    over = _signed(margin, signs)
+    ratios = [None if g is None else Ratio(_signed(g, signs), g.under) for g in guards]
+    sizes = _Sizes(algebra, written, names, box)
+    rest, taken = _reduced(algebra, over, ratios, sizes)
+    factors = {at: written.factor(at) if sign > 0 else -written.factor(at) for at, sign in signs.items()}
+    under = tuple(itertools.chain.from_iterable((factors[at],) * e for at, e in margin.under))
+    if any(taken):
+        multipliers = [
+            _multiplier(written, poly, ratio, margin, factors) for poly, ratio in zip(taken, ratios, strict=True)
+        ]
+        yield Form(written.poly(rest), under, tuple(multipliers))
+    yield Form(written.poly(over), under, (number(0),) * len(guards))
+
+
+def _guard(algebra: Algebra, constraint: Node) -> Ratio | None:
+    try:
+        return algebra.of(constraint)
+    except TooLarge:
+        return None
+
+
+def _signs(algebra: Algebra, written: Written, names: Sequence[str], box: Ends) -> dict[int, int] | None:
+    """The sign of every denominator on the box; None where one is not known, or not as it was taken to be."""
+    signs: dict[int, int] = {}
+    if not algebra.factors:
+        return signs
+    read = build_tape(names, [written.factor(at) for at in range(len(algebra.factors))]).run(box)
+    for at, (jet, fine) in enumerate(zip(read.jets, read.defined, strict=True)):
+        positive, negative = bool(jet.value[0][0] > 0), bool(jet.value[1][0] < 0)
+        if not fine[0] or not (positive or negative) or (negative and at in algebra.positive):
+            return None
+        signs[at] = 1 if positive else -1
+    return signs
+
+
+def _signed(ratio: Ratio, signs: dict[int, int]) -> Poly:
+    flips = sum(e for at, e in ratio.under if signs[at] < 0)
+    return {m: -c for m, c in ratio.over.items()} if flips % 2 else dict(ratio.over)
+
+
+def _multiplier(written: Written, taken: Poly, guard: Ratio | None, margin: Ratio, factors: dict[int, Node]) -> Node:
+    """taken · (the constraint's denominator) / (the margin's)."""
+    if guard is None or not taken:
+        return number(0)
+    tree = written.poly(taken)
+    for at, exponent in guard.under:
+        tree = tree * power(factors[at], exponent)
+    for at, exponent in margin.under:
+        tree = tree / power(factors[at], exponent)
+    return tree
+
+
+class _Sizes:
+    """Ranges on the root box: a guide for the search, no proof."""
+
+    def __init__(self, algebra: Algebra, written: Written, names: Sequence[str], box: Ends) -> None:
+        self._written, self._names, self._box = written, names, box
+        nodes = [written.atom(at) for at in range(len(algebra.atoms))]
+        read = build_tape(names, nodes).run(box) if nodes else None
+        self._ends = [(float(j.value[0][0]), float(j.value[1][0])) for j in read.jets] if read else []
+
+    def of(self, monomial: Monomial) -> tuple[float, float]:
+        """(least, largest) value."""
+        low, high = 1.0, 1.0
+        for at, exponent in monomial:
+            a, b = self._ends[at]
+            ends = [a**exponent, b**exponent] + [0.0] * (a < 0 < b and exponent % 2 == 0)
+            products = [x * y for x in (low, high) for y in (min(ends), max(ends))]
+            low, high = min(products), max(products)
+        return low, high
+
+    def bound(self, poly: Poly) -> float:
+        """A bound of the polynomial as it is nested."""
+        high = float(build_tape(self._names, [self._written.poly(poly)]).run(self._box).jets[0].value[1][0])
+        return high if np.isfinite(high) else float("inf")
+
+    def worst(self, poly: Poly) -> float:
+        """A coarser and quicker bound, term by term."""
+        total = 0.0
+        for monomial, coefficient in poly.items():
+            total += max(float(coefficient) * end for end in self.of(monomial))
+        return total if np.isfinite(total) else float("inf")
+
+
+def _reduced(algebra: Algebra, over: Poly, guards: Sequence[Ratio | None], sizes: _Sizes) -> tuple[Poly, list[Poly]]:
+    """Numerator less nonnegative monomials times constraints, as long as its bound falls; and those multipliers."""
+    taken: list[Poly] = [{} for _ in guards]
+    rest, bound = over, sizes.bound(over)
+    for _ in range(_STEPS):
+        if bound <= 0:
+            break
+        trials = [
+            (added(rest, algebra.product(factor, guard.over), -1), j, factor)
+            for j, guard in enumerate(guards)
+            if guard is not None
+            for factor in _candidates(rest, guard.over, sizes)
+        ]
+        trials = sorted(trials, key=lambda trial: (sizes.worst(trial[0]), len(trial[0])))[:_TRIALS]
+        if not trials:
+            break
+        least, k = min((sizes.bound(trial), k) for k, (trial, _, _) in enumerate(trials))
+        if least >= bound * (1 - 1e-9):
+            break
+        bound = least
+        rest, j, factor = trials[k]
+        taken[j] = added(taken[j], factor)
+    return rest, taken
+
+
+def _candidates(rest: Poly, guard: Poly, sizes: _Sizes) -> Iterator[Poly]:
+    """Nonnegative monomials that would cancel a term of the rest by one of the constraint."""
+    seen: set[tuple[Monomial, object]] = set()
+    for m, c in rest.items():
+        powers = dict(m)
+        for g, d in guard.items():
+            if c / d <= 0 or any(powers.get(at, 0) < e for at, e in g):
+                continue
+            less = dict(g)
+            quotient = tuple((at, e - less.get(at, 0)) for at, e in m if e > less.get(at, 0))
+            if (quotient, c / d) in seen or sizes.of(quotient)[0] < 0:
+                continue
+            seen.add((quotient, c / d))
+            yield {quotient: c / d}

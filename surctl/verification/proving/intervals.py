@@ -1,0 +1,191 @@
+"""Interval arithmetic on arrays with outward rounding: every result holds every value of the operation.
+
++ − are rounded by the exact error of the sum, × ÷ √ by one step of the last place (IEEE 754 rounds them to the
+nearest), sin cos atan2 acos by `_LIBM_STEPS` steps: NumPy states 4 units in the last place for its vector routines,
+the C libraries 1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "Ends", "acos", "add", "atan2", "divide", "hull_max", "hull_min", "magnitude", "multiply", "negate", "point",
+    "sine_cosine", "square", "squared_root", "subtract", "to_power", "widened",
+]  # fmt: skip
+
+Array = NDArray[np.float64]
+Ends = tuple[Array, Array]
+"""(lower, upper), of one shape; the whole line is (−inf, inf)."""
+
+_LIBM_STEPS = 8  # twice the 4 units in the last place that NumPy allows its vector routines
+_LARGEST_ANGLE = 1e5  # beyond it the reduction of an argument is not worth bounding
+_TINY = 5e-324
+
+
+def point(x: Array) -> Ends:
+    """Intervals of one number each."""
+    return x, x
+
+
+def _down(x: Array) -> Array:
+    return np.nextafter(x, -np.inf)
+
+
+def _up(x: Array) -> Array:
+    return np.nextafter(x, np.inf)
+
+
+def widened(a: Ends, steps: int = _LIBM_STEPS) -> Ends:
+    """Both ends moved outwards by so many units in the last place."""
+    lower, upper = a
+    # one unit is at most 2^-52 of the size; the tiny term serves where the result is subnormal
+    slack_low, slack_high = steps * 2.0**-52 * np.abs(lower), steps * 2.0**-52 * np.abs(upper)
+    return _down(lower - slack_low - steps * _TINY), _up(upper + slack_high + steps * _TINY)
+
+
+def _sum_ends(a: Array, b: Array) -> tuple[Array, Array]:
+    """(a + b, its rounding error), the error exact where nothing overflows."""
+    total = a + b
+    part = total - a
+    error = (a - (total - part)) + (b - part)
+    return total, error
+
+
+def add(a: Ends, b: Ends) -> Ends:
+    """a + b."""
+    low, error_low = _sum_ends(a[0], b[0])
+    high, error_high = _sum_ends(a[1], b[1])
+    # "not ≥" also holds where the error is not a number: then the step is taken
+    low = np.where(error_low >= 0, low, _down(low))
+    high = np.where(error_high <= 0, high, _up(high))
+    return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
+
+
+def negate(a: Ends) -> Ends:
+    """−a."""
+    return -a[1], -a[0]
+
+
+def subtract(a: Ends, b: Ends) -> Ends:
+    """a − b."""
+    return add(a, negate(b))
+
+
+def multiply(a: Ends, b: Ends) -> Ends:
+    """a b; an infinite end times 0 is 0."""
+    products = [_product(x, y) for x in a for y in b]
+    low = np.minimum(np.minimum(products[0][0], products[1][0]), np.minimum(products[2][0], products[3][0]))
+    high = np.maximum(np.maximum(products[0][1], products[1][1]), np.maximum(products[2][1], products[3][1]))
+    return low, high
+
+
+def _product(x: Array, y: Array) -> Ends:
+    exact = (x == 0) | (y == 0)
+    p = np.where(exact, 0.0, x * y)
+    return np.where(exact, p, _down(p)), np.where(exact, p, _up(p))
+
+
+def square(a: Ends) -> Ends:
+    """a²."""
+    return to_power(a, 2)
+
+
+def to_power(a: Ends, exponent: int) -> Ends:
+    """a^exponent, exponent ≥ 0: even powers are not negative."""
+    if exponent == 0:
+        return np.ones_like(a[0]), np.ones_like(a[1])
+    if exponent % 2:
+        low, high = _repeated(a[0], exponent), _repeated(a[1], exponent)
+        return low[0], high[1]
+    small = np.where((a[0] <= 0) & (a[1] >= 0), 0.0, np.minimum(np.abs(a[0]), np.abs(a[1])))
+    large = np.maximum(np.abs(a[0]), np.abs(a[1]))
+    return np.maximum(_repeated(small, exponent)[0], 0.0), _repeated(large, exponent)[1]
+
+
+def _repeated(x: Array, exponent: int) -> Ends:
+    result = point(x)
+    for _ in range(exponent - 1):
+        result = multiply(result, point(x))
+    return result
+
+
+def divide(a: Ends, b: Ends) -> Ends:
+    """a / b; the whole line where b holds 0."""
+    unsafe = (b[0] <= 0) & (b[1] >= 0)
+    under = np.where(unsafe, 1.0, b[0]), np.where(unsafe, 1.0, b[1])
+    quotients = [_quotient(x, y) for x in a for y in under]
+    low = np.minimum(np.minimum(quotients[0][0], quotients[1][0]), np.minimum(quotients[2][0], quotients[3][0]))
+    high = np.maximum(np.maximum(quotients[0][1], quotients[1][1]), np.maximum(quotients[2][1], quotients[3][1]))
+    low, high = np.where(unsafe, -np.inf, low), np.where(unsafe, np.inf, high)
+    return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
+
+
+def _quotient(x: Array, y: Array) -> Ends:
+    exact = x == 0
+    q = np.where(exact, 0.0, x / y)
+    return np.where(exact, q, _down(q)), np.where(exact, q, _up(q))
+
+
+def squared_root(a: Ends) -> Ends:
+    """√a of what is not negative in a."""
+    low, high = np.sqrt(np.maximum(a[0], 0.0)), np.sqrt(np.maximum(a[1], 0.0))
+    return np.where(low > 0, np.maximum(_down(low), 0.0), 0.0), np.where(high > 0, _up(high), 0.0)
+
+
+def sine_cosine(a: Ends) -> tuple[Ends, Ends]:
+    """(sin a, cos a)."""
+    return _wave(a, np.sin, 0.25), _wave(a, np.cos, 0.0)
+
+
+def _wave(a: Ends, function: np.ufunc, crest: float) -> Ends:
+    """A wave with crests at (k + crest) 2π and troughs half a turn later."""
+    low, high = a
+    wild = ~(np.maximum(np.abs(low), np.abs(high)) < _LARGEST_ANGLE)
+    low, high = np.where(wild, 0.0, low), np.where(wild, 0.0, high)
+    at_low, at_high = function(low), function(high)
+    bottom, top = widened((np.minimum(at_low, at_high), np.maximum(at_low, at_high)))
+    # beyond a radian the reduction of the argument bounds the error of a small result by that of a large one only
+    reduced = np.where(np.maximum(np.abs(low), np.abs(high)) > 1.0, _LIBM_STEPS * 2.0**-52, 0.0)
+    bottom, top = bottom - reduced, top + reduced
+    # in turns, with room for the rounding of the division: a crest too many only widens
+    room = 1e-15 * (1.0 + np.abs(low) + np.abs(high))
+    first, last = low / (2 * np.pi) - room, high / (2 * np.pi) + room
+    has_crest = np.floor(last - crest) >= np.ceil(first - crest)
+    has_trough = np.floor(last - crest - 0.5) >= np.ceil(first - crest - 0.5)
+    bottom = np.where(wild | has_trough, -1.0, np.maximum(bottom, -1.0))
+    return bottom, np.where(wild | has_crest, 1.0, np.minimum(top, 1.0))
+
+
+def atan2(y: Ends, x: Ends) -> Ends:
+    """The angle of (x, y); (−π, π] where the box meets the negative x axis or the origin."""
+    corners = [np.arctan2(b, a) for a in x for b in y]
+    low, high = widened((np.minimum.reduce(corners), np.maximum.reduce(corners)))
+    cut = (x[0] <= 0) & (y[0] <= 0) & (y[1] >= 0)
+    whole = _up(np.full_like(low, np.pi))
+    return np.where(cut, -whole, low), np.where(cut, whole, high)
+
+
+def acos(a: Ends) -> Ends:
+    """arccos of what lies in [−1, 1] of a."""
+    low, high = np.clip(a[0], -1.0, 1.0), np.clip(a[1], -1.0, 1.0)
+    bottom, top = widened((np.arccos(high), np.arccos(low)))
+    return np.maximum(bottom, 0.0), np.where(low >= 1.0, 0.0, top)
+
+
+def hull_min(a: Ends, b: Ends) -> Ends:
+    """min(a, b)."""
+    return np.minimum(a[0], b[0]), np.minimum(a[1], b[1])
+
+
+def hull_max(a: Ends, b: Ends) -> Ends:
+    """max(a, b)."""
+    return np.maximum(a[0], b[0]), np.maximum(a[1], b[1])
+
+
+def magnitude(a: Ends) -> Ends:
+    """|a|."""
+    holds = (a[0] <= 0) & (a[1] >= 0)
+    ends = np.abs(a[0]), np.abs(a[1])
+    return np.where(holds, 0.0, np.minimum(*ends)), np.maximum(*ends)

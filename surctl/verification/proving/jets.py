@@ -1,0 +1,201 @@
+"""Enclosures of value, gradient and Hessian together, by forward differentiation over intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from surctl.verification.proving import intervals as iv
+from surctl.verification.proving.intervals import Ends
+
+__all__ = ["Jet"]
+
+
+@dataclass(frozen=True, eq=False)
+class Jet:
+    """What is known of one quantity on B boxes of n variables.
+
+    Attributes:
+        value: (B,) its range.
+        slope: (n, B) ranges of its gradient; None if not asked for. Of a kink: of every slope there is nearby.
+        bend: (n, n, B) ranges of its Hessian; None if not asked for.
+    """
+
+    value: Ends
+    slope: Ends | None = None
+    bend: Ends | None = None
+
+    def __add__(self, other: Jet) -> Jet:
+        return self._linear(other, iv.add)
+
+    def __sub__(self, other: Jet) -> Jet:
+        return self._linear(other, iv.subtract)
+
+    def __neg__(self) -> Jet:
+        slope, bend = (None if part is None else iv.negate(part) for part in (self.slope, self.bend))
+        return Jet(iv.negate(self.value), slope, bend)
+
+    def __mul__(self, other: Jet) -> Jet:
+        value = iv.multiply(self.value, other.value)
+        if self.slope is None or other.slope is None:
+            return Jet(value)
+        slope = iv.add(iv.multiply(self.slope, other.value), iv.multiply(other.slope, self.value))
+        if self.bend is None or other.bend is None:
+            return Jet(value, slope)
+        crossed = iv.multiply(_column(self.slope), _row(other.slope))
+        turned = iv.multiply(_row(self.slope), _column(other.slope))
+        own = iv.add(iv.multiply(self.bend, other.value), iv.multiply(other.bend, self.value))
+        return Jet(value, slope, iv.add(own, iv.add(crossed, turned)))
+
+    def through(self, value: Ends, first: Callable[[], Ends], second: Callable[[], Ends]) -> Jet:
+        """A function of this, of which value, first and second derivative (B,) are given."""
+        if self.slope is None:
+            return Jet(value)
+        slope = first()
+        moved = iv.multiply(self.slope, slope)
+        if self.bend is None:
+            return Jet(value, moved)
+        return Jet(value, moved, iv.add(iv.multiply(self.bend, slope), iv.multiply(self._outer(), second())))
+
+    def power(self, exponent: int) -> Jet:
+        """An integer power, exponent ≥ 0."""
+        n, x = exponent, self.value
+        return self.through(
+            iv.to_power(x, n),
+            lambda: _times(n, iv.to_power(x, max(n - 1, 0))),
+            lambda: _times(n * (n - 1), iv.to_power(x, max(n - 2, 0))),
+        )
+
+    def inverse(self) -> Jet:
+        """1 / this."""
+        one = np.ones_like(self.value[0])
+        value = iv.divide(iv.point(one), self.value)
+        squared = iv.square(value)
+        return self.through(value, lambda: iv.negate(squared), lambda: _times(2, iv.multiply(squared, value)))
+
+    def root(self) -> Jet:
+        """√ of this."""
+        value = iv.squared_root(self.value)
+        half = iv.point(np.full_like(value[0], 0.5))
+
+        def first() -> Ends:
+            return _not_negative(iv.divide(half, value))
+
+        def second() -> Ends:
+            return iv.negate(_not_negative(iv.divide(_times(0.5, first()), _not_negative(self.value))))
+
+        return self.through(value, first, second)
+
+    def sine(self) -> Jet:
+        """Sine of this."""
+        sine, cosine = iv.sine_cosine(self.value)
+        return self.through(sine, lambda: cosine, lambda: iv.negate(sine))
+
+    def cosine(self) -> Jet:
+        """Cosine of this."""
+        sine, cosine = iv.sine_cosine(self.value)
+        return self.through(cosine, lambda: iv.negate(sine), lambda: iv.negate(cosine))
+
+    def arccosine(self) -> Jet:
+        """Arccos of this: slope −1/√(1 − x²), bend −x/(1 − x²)^1.5."""
+        x = self.value
+        one = iv.point(np.ones_like(x[0]))
+        rest = _not_negative(iv.subtract(one, iv.square(x)))
+
+        def first() -> Ends:
+            return iv.negate(_not_negative(iv.divide(one, iv.squared_root(rest))))
+
+        def second() -> Ends:
+            return iv.multiply(x, iv.negate(_not_negative(iv.divide(one, iv.multiply(rest, iv.squared_root(rest))))))
+
+        return self.through(iv.acos(x), first, second)
+
+    def angle(self, x: Jet) -> Jet:
+        """Atan2(this, x)."""
+        value = iv.atan2(self.value, x.value)
+        if self.slope is None or x.slope is None:
+            return Jet(value)
+        length = iv.add(iv.square(x.value), iv.square(self.value))
+        turn = iv.subtract(iv.multiply(self.slope, x.value), iv.multiply(x.slope, self.value))
+        slope = iv.divide(turn, length)
+        # across the negative axis the angle jumps
+        jump = (x.value[0] <= 0) & (self.value[0] <= 0) & (self.value[1] >= 0)
+        slope = np.where(jump, -np.inf, slope[0]), np.where(jump, np.inf, slope[1])
+        if self.bend is None or x.bend is None:
+            return Jet(value, slope)
+        crossed = iv.subtract(
+            iv.multiply(_column(self.slope), _row(x.slope)), iv.multiply(_column(x.slope), _row(self.slope))
+        )
+        own = iv.subtract(iv.multiply(self.bend, x.value), iv.multiply(x.bend, self.value))
+        growth = iv.add(iv.multiply(x.slope, x.value), iv.multiply(self.slope, self.value))
+        loss = iv.multiply(_column(slope), _times(2, _row(growth)))
+        return Jet(value, slope, iv.divide(iv.subtract(iv.add(own, crossed), loss), length))
+
+    def magnitude(self) -> Jet:
+        """|this|."""
+        low, high = self.value
+        zero = np.zeros_like(low)
+        return choose((low, high), iv.point(zero), -self, self, iv.magnitude(self.value))
+
+    def larger(self, other: Jet) -> Jet:
+        """Max of the two."""
+        return choose(self.value, other.value, other, self, iv.hull_max(self.value, other.value))
+
+    def smaller(self, other: Jet) -> Jet:
+        """Min of the two."""
+        return choose(self.value, other.value, self, other, iv.hull_min(self.value, other.value))
+
+    def _linear(self, other: Jet, rule: Callable[[Ends, Ends], Ends]) -> Jet:
+        slope = None if self.slope is None or other.slope is None else rule(self.slope, other.slope)
+        bend = None if self.bend is None or other.bend is None else rule(self.bend, other.bend)
+        return Jet(rule(self.value, other.value), slope, bend)
+
+    def _outer(self) -> Ends:
+        """(n, n, B): slope times slope, not negative on the diagonal."""
+        assert self.slope is not None
+        outer = iv.multiply(_column(self.slope), _row(self.slope))
+        squares = iv.square(self.slope)
+        diagonal = np.eye(len(squares[0]), dtype=bool)[:, :, None]
+        return np.where(diagonal, squares[0][None], outer[0]), np.where(diagonal, squares[1][None], outer[1])
+
+
+def choose(a: Ends, b: Ends, x: Jet, y: Jet, value: Ends | None = None) -> Jet:
+    """x where a ≤ b, y elsewhere; where both occur, everything between them.
+
+    With `value` the function is continuous there, so that its slopes lie between those of x and y; its bend, and the
+    slope where it may jump, are not bounded.
+    """
+    first, second = a[1] <= b[0], a[0] > b[1]
+    jumps = value is None
+
+    def joined(p: Ends, q: Ends, *, wild: bool) -> Ends:
+        low = np.where(first, p[0], np.where(second, q[0], -np.inf if wild else np.minimum(p[0], q[0])))
+        high = np.where(first, p[1], np.where(second, q[1], np.inf if wild else np.maximum(p[1], q[1])))
+        return low, high
+
+    decided = joined(x.value, y.value, wild=False) if value is None else value
+    if x.slope is None or y.slope is None:
+        return Jet(decided)
+    slope = joined(x.slope, y.slope, wild=jumps)
+    if x.bend is None or y.bend is None:
+        return Jet(decided, slope)
+    return Jet(decided, slope, joined(x.bend, y.bend, wild=True))
+
+
+def _column(a: Ends) -> Ends:
+    return a[0][:, None], a[1][:, None]
+
+
+def _row(a: Ends) -> Ends:
+    return a[0][None], a[1][None]
+
+
+def _times(factor: float, a: Ends) -> Ends:
+    return iv.multiply(iv.point(np.full_like(a[0], factor)), a)
+
+
+def _not_negative(a: Ends) -> Ends:
+    """What of a is not negative; what is not bounded above stays so."""
+    return np.maximum(a[0], 0.0), a[1]

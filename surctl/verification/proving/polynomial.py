@@ -1,0 +1,85 @@
+"""Polynomials with exact rational coefficients in numbered atoms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from fractions import Fraction
+
+__all__ = ["Monomial", "Poly", "TooLarge", "added", "constant", "key_of", "leading", "multiplied", "scaled", "single"]
+
+Monomial = tuple[tuple[int, int], ...]
+"""(atom, exponent ≥ 1) pairs in the order of the atoms."""
+Poly = dict[Monomial, Fraction]
+"""Coefficient by monomial; none is 0."""
+
+_MOST = 400
+_KEY = frozenset
+
+
+class TooLarge(Exception):
+    """The algebra grew past what is worth carrying."""
+
+
+def constant(value: Fraction | int) -> Poly:
+    """A number."""
+    return {(): Fraction(value)} if value else {}
+
+
+def single(atom: int, exponent: int = 1) -> Poly:
+    """A power of one atom."""
+    return {((atom, exponent),): Fraction(1)}
+
+
+def added(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction], factor: Fraction | int = 1) -> Poly:
+    """a + factor b."""
+    total = dict(a)
+    for monomial, coefficient in b.items():
+        value = total.get(monomial, Fraction(0)) + factor * coefficient
+        if value:
+            total[monomial] = value
+        else:
+            total.pop(monomial, None)
+    return total
+
+
+def scaled(a: Mapping[Monomial, Fraction], factor: Fraction | int) -> Poly:
+    """factor a."""
+    return {m: c * factor for m, c in a.items()} if factor else {}
+
+
+def multiplied(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction]) -> Poly:
+    """a b, before any relation between atoms is used."""
+    if len(a) * len(b) > _MOST * 10:
+        raise TooLarge
+    total: Poly = {}
+    for m, c in a.items():
+        for n, d in b.items():
+            product = _joined(m, n)
+            value = total.get(product, Fraction(0)) + c * d
+            if value:
+                total[product] = value
+            else:
+                total.pop(product, None)
+    if len(total) > _MOST:
+        raise TooLarge
+    return total
+
+
+def leading(a: Mapping[Monomial, Fraction]) -> tuple[Monomial, Fraction]:
+    """A monomial that equal polynomials agree upon, with its coefficient."""
+    first = max(a, key=lambda m: (sum(e for _, e in m), m))
+    return first, a[first]
+
+
+def key_of(a: Mapping[Monomial, Fraction]) -> frozenset[tuple[Monomial, Fraction]]:
+    """Something hashable that equal polynomials share."""
+    return _KEY(a.items())
+
+
+def _joined(m: Monomial, n: Monomial) -> Monomial:
+    if not m or not n:
+        return m or n
+    powers = dict(m)
+    for atom, exponent in n:
+        powers[atom] = powers.get(atom, 0) + exponent
+    return tuple(sorted(powers.items()))

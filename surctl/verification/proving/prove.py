@@ -1,0 +1,218 @@
+"""Prove a claim by cases, exact rewriting and interval branch and bound, and write the certificate."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.certcheck import seal
+from surctl.errors import InputError
+from surctl.verification.claim import Claim
+from surctl.verification.formula import text_of
+from surctl.verification.proving.forms import Form, forms_of
+from surctl.verification.proving.search import DIMENSIONS, Found, Task, corners, search
+from surctl.verification.proving.statement import Case, Statement, cases_of, settled, statement_of
+from surctl.verification.proving.tape import Tape, build_tape
+
+__all__ = ["Proof", "certain_excess", "prove"]
+
+_ROUNDS = ((100, 0.0), (400, 1e-4), (2_000, 1.0), (20_000, 1.0), (10_000_000, 1.0))
+"""Most boxes of a search, and the share of the slack: exactly if that is cheap; every form gets its chance before one
+gets all the time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Proof:
+    """What a proof came to.
+
+    Attributes:
+        certificate: what `surctl.certcheck` accepts; None when something is open.
+        slack: how far left may exceed right by the certificate, in the claim's unit; 0 where it was shown exactly.
+        remaining: what is left open, in words; empty when nothing is.
+        open_boxes: some of the boxes that are open, (lower, upper) by variable.
+        boxes: number of boxes looked at.
+        seconds: time it took [s].
+    """
+
+    certificate: dict[str, Any] | None
+    slack: float
+    remaining: str
+    open_boxes: tuple[dict[str, list[float]], ...]
+    boxes: int
+    seconds: float
+
+
+def prove(
+    claim: Claim, *, time_limit: float = 20.0, slack: float = 0.0, progress: Callable[[str], None] | None = None
+) -> Proof:
+    """Try to prove left ≤ right on the claim's whole domain.
+
+    The numbers of the claim are read as the decimals they are written as, shares of π as shares of π. First equality
+    is demanded exactly; where that does not close, left may exceed right by `slack`, and the certificate says so.
+
+    Args:
+        claim: the claim.
+        time_limit: after how long to stop [s].
+        slack: largest excess that counts as rounding, in the claim's unit.
+        progress: told a line now and then.
+
+    Raises:
+        InputError: nonsensical numbers.
+    """
+    began = time.perf_counter()
+    if not (time_limit > 0 and slack >= 0 and np.isfinite(slack)):
+        raise InputError("needs a time above 0 and a slack of at least 0", key=claim.name, value=(time_limit, slack))
+    if len(claim.variables) > len(DIMENSIONS):
+        return _open(f"more than {len(DIMENSIONS)} variables", 0, began)
+    try:
+        statement = statement_of(claim)
+        texts = [text_of(part) for part in statement.parts]
+        parts = settled(statement)
+        cases = cases_of(parts)
+    except InputError as error:  # an expression that the grammar does not carry, or that is too long
+        return _open(error.problem, 0, began)
+    shown: list[dict[str, Any]] = []
+    needed, boxes = 0.0, 0
+    for number, case in enumerate(cases):
+        share = (time_limit - (time.perf_counter() - began)) / (len(cases) - number)
+        told = f"{claim.name}, case {number + 1} of {len(cases)}"
+        form, found, used = _show(case, statement, build_tape(statement.names, parts), slack, share, told, progress)
+        boxes += found.boxes
+        if not found.closed:
+            return _left_open(statement, build_tape(statement.names, parts), case, found, boxes, began)
+        needed = max(needed, used)
+        shown.append(_written(case, form, found))
+    certificate = _certificate(claim, statement, texts, needed, shown)
+    return Proof(certificate, needed, "", (), boxes, time.perf_counter() - began)
+
+
+def certain_excess(claim: Claim, point: NDArray[np.float64]) -> float | None:
+    """By how much left exceeds right at a point at least; None where it is not certain that the domain holds it.
+
+    Args:
+        claim: the claim.
+        point: (n,) in the variables' units.
+
+    Raises:
+        InputError: an operation that the claim grammar does not have.
+    """
+    statement = statement_of(claim)
+    if not np.all((statement.lower <= point) & (point <= statement.upper)):
+        return None
+    read = build_tape(statement.names, [statement.left - statement.right, *statement.constraints]).run(
+        (point[:, None], point[:, None])
+    )
+    inside = all(jet.value[1][0] <= 0 for jet in read.jets[1:])
+    return float(read.jets[0].value[0][0]) if inside and all(fine[0] for fine in read.defined) else None
+
+
+def _show(
+    case: Case,
+    statement: Statement,
+    written: Tape,
+    slack: float,
+    seconds: float,
+    told: str,
+    progress: Callable[[str], None] | None,
+) -> tuple[Form, Found, float]:
+    """The first form and slack by which the case closes; else the attempt that leaves the least open."""
+    began = time.perf_counter()
+    names = statement.names
+    root = statement.lower[:, None], statement.upper[:, None]
+    constraints = build_tape(names, case.constraints)
+    best: tuple[Form, Found, float] | None = None
+    usable = [form for form in forms_of(case, names, root) if _usable(form, names, root)]
+    for most, part in _ROUNDS:
+        for k, form in enumerate(usable):
+            task = Task(
+                build_tape(names, [form.numerator, *form.denominators]),
+                constraints, written, (statement.lower, statement.upper), part * slack,
+            )  # fmt: skip
+            rest = max(seconds - (time.perf_counter() - began), 0.0)
+            # the last round shares what is left among the forms
+            share = rest / (len(usable) - k) if most == _ROUNDS[-1][0] else rest / 4
+            found = search(task, deadline=time.perf_counter() + share, most=most, progress=_teller(told, progress))
+            if found.closed:
+                return form, found, task.slack
+            if best is None or _volume(found) <= _volume(best[1]):
+                best = form, found, task.slack
+    assert best is not None  # the form as written is always usable
+    return best
+
+
+def _teller(told: str, progress: Callable[[str], None] | None) -> Callable[[int, int], None] | None:
+    if progress is None:
+        return None
+    last = [time.perf_counter()]
+
+    def tell(looked: int, left: int) -> None:
+        if time.perf_counter() - last[0] > 1.0:
+            last[0] = time.perf_counter()
+            progress(f"{told}: {looked} boxes, {left} open")
+
+    return tell
+
+
+def _usable(form: Form, names: tuple[str, ...], root: tuple[NDArray[np.float64], NDArray[np.float64]]) -> bool:
+    """Whether multipliers and denominators have the sign they need on the whole box."""
+    read = build_tape(names, [*form.denominators, *form.multipliers]).run(root)
+    count = len(form.denominators)
+    positive = all(jet.value[0][0] > 0 for jet in read.jets[:count])
+    not_negative = all(jet.value[0][0] >= 0 for jet in read.jets[count:])
+    return bool(positive and not_negative and all(fine[0] for fine in read.defined))
+
+
+def _volume(found: Found) -> float:
+    return float(np.sum(np.prod(np.maximum(found.remaining[1] - found.remaining[0], 1e-12), axis=0)))
+
+
+def _written(case: Case, form: Form, found: Found) -> dict[str, Any]:
+    return {
+        "choice": case.choice,
+        "numerator": text_of(form.numerator),
+        "denominators": [text_of(d) for d in form.denominators],
+        "multipliers": [text_of(m) for m in form.multipliers],
+        "tree": found.tree,
+        "points": [list(p) for p in found.points],
+    }
+
+
+def _certificate(
+    claim: Claim, statement: Statement, texts: list[str], slack: float, cases: list[dict[str, Any]]
+) -> dict[str, Any]:
+    told = {
+        "name": claim.name,
+        "statement": claim.statement,
+        "unit": claim.unit,
+        "variables": [
+            {"name": v.name, "unit": v.unit, "lower": float(v.lower), "upper": float(v.upper)} for v in claim.variables
+        ],
+        "left": texts[0],
+        "right": texts[1],
+        "constraints": texts[2:],
+        "slack": slack,
+    }
+    return seal("interval", told, {"cases": cases})
+
+
+def _open(reason: str, boxes: int, began: float) -> Proof:
+    return Proof(None, 0.0, reason, (), boxes, time.perf_counter() - began)
+
+
+def _left_open(statement: Statement, written: Tape, case: Case, found: Found, boxes: int, began: float) -> Proof:
+    some = corners(found.remaining, statement.names)
+    count = found.remaining[0].shape[1]
+    where = ", ".join(f"{k} in [{low:.4g}, {high:.4g}]" for k, (low, high) in some[0].items()) if some else ""
+    text = f"{found.reason}: {count} box{'es' * (count != 1)} open of {found.boxes}"
+    if case.choice:
+        text += f" in case {case.choice}"
+    if some:
+        box = np.array([[low, high] for low, high in some[0].values()])
+        trouble = written.trouble((box[:, :1], box[:, 1:]))
+        text += f", one at {where}" + (f"; {trouble}" if trouble else "")
+    return Proof(None, 0.0, text, tuple(some), boxes, time.perf_counter() - began)

@@ -1,0 +1,187 @@
+"""Branch and bound: boxes are halved until a rule settles each, and the tree of halvings is the proof."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.verification.proving.intervals import Ends
+from surctl.verification.proving.rules import apply_rules, middle
+from surctl.verification.proving.tape import Tape
+
+__all__ = ["DIMENSIONS", "Found", "Task", "corners", "search"]
+
+Array = NDArray[np.float64]
+
+DIMENSIONS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+"""Letter of the variable that a box is halved in; rules are lower case."""
+
+_CHUNK = 2048
+_NARROWEST = 1e-12  # of the root box: no halving goes on below
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What is to be shown on a box.
+
+    Attributes:
+        bound: tape of the function that is not positive and of its denominator's factors.
+        constraints: tape of the constraints.
+        written: tape of the claim as it was written, for where it is defined.
+        box: (n,) each, lower and upper corner.
+        slack: how far the function over its denominator may exceed 0.
+    """
+
+    bound: Tape
+    constraints: Tape
+    written: Tape
+    box: tuple[Array, Array]
+    slack: float
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What came of it.
+
+    Attributes:
+        tree: the halvings in preorder, a letter each: of `DIMENSIONS` for a halved box, a rule for a settled one.
+        points: the tangent points of the rules `c`, in that order.
+        remaining: (n, k) lower and upper ends of boxes that are open.
+        boxes: number of boxes looked at.
+        reason: what stopped it; empty when nothing is open.
+    """
+
+    tree: str
+    points: tuple[tuple[float, ...], ...]
+    remaining: Ends
+    boxes: int
+    reason: str
+
+    @property
+    def closed(self) -> bool:
+        """Whether every box is settled."""
+        return not self.reason
+
+
+class _Tree:
+    """Boxes by number: the letter of each, its first child, its tangent point."""
+
+    def __init__(self) -> None:
+        self.letters = [""]
+        self.children: dict[int, int] = {}
+        self.points: dict[int, tuple[float, ...]] = {}
+
+    def split(self, box: int, dimension: int) -> int:
+        first = len(self.letters)
+        self.letters[box] = DIMENSIONS[dimension]
+        self.children[box] = first
+        self.letters += ["", ""]
+        return first
+
+    def text(self) -> tuple[str, tuple[tuple[float, ...], ...]]:
+        letters, points, stack = [], [], [0]
+        while stack:
+            box = stack.pop()
+            letters.append(self.letters[box])
+            if box in self.points:
+                points.append(self.points[box])
+            if box in self.children:
+                first = self.children[box]
+                stack += [first + 1, first]
+        return "".join(letters), tuple(points)
+
+
+def search(
+    task: Task, *, deadline: float, most: int = 200_000, progress: Callable[[int, int], None] | None = None
+) -> Found:
+    """Halve until all is settled, the clock (`time.perf_counter`) reaches `deadline`, or `most` boxes were looked at.
+
+    A box that holds 0 inside is halved there, since claims touch equality there; others in the middle.
+
+    Args:
+        task: what is to be shown.
+        deadline: reading of the clock.
+        most: boxes.
+        progress: told (boxes looked at, boxes open) after each round.
+    """
+    lower, upper = task.box
+    tree = _Tree()
+    low, high, numbers = lower[:, None], upper[:, None], np.zeros(1, dtype=int)
+    looked, reason, stuck = 0, "", []
+    everywhere = all(task.written.run((low, high)).defined)
+    while numbers.size and not reason:
+        parts = []
+        for begin in range(0, numbers.size, _CHUNK):
+            rows = slice(begin, begin + _CHUNK)
+            box, ids = (low[:, rows], high[:, rows]), numbers[rows]
+            if time.perf_counter() > deadline or looked >= most:
+                reason = "the time was up" if looked < most else f"{most} boxes were not enough"
+                parts.append((box[0], box[1], ids))
+                continue
+            looked += ids.size
+            halves, narrow = _settle(task, box, ids, tree, everywhere)
+            parts.append(halves)
+            stuck.append(narrow)
+        low, high = (np.hstack([part[k] for part in parts]) for k in (0, 1))
+        numbers = np.concatenate([part[2] for part in parts])
+        if progress:
+            progress(looked, numbers.size)
+    left = [np.hstack([end, *(s[k] for s in stuck)]) for k, end in enumerate((low, high))]
+    if not reason and left[0].shape[1]:
+        reason = "boxes became too small to halve"
+    if reason:
+        return Found("", (), (left[0], left[1]), looked, reason)
+    text, points = tree.text()
+    return Found(text, points, (left[0], left[1]), looked, "")
+
+
+def _settle(
+    task: Task, box: Ends, ids: NDArray[np.int_], tree: _Tree, everywhere: bool
+) -> tuple[tuple[Array, Array, NDArray[np.int_]], Ends]:
+    """Write the settled boxes into the tree; the halves of the others, and those too narrow to halve."""
+    count = ids.size
+    defined = np.ones(count, dtype=bool)
+    if not everywhere:
+        defined = np.logical_and.reduce(task.written.run(box).defined)
+    verdicts = apply_rules(task.bound, task.constraints, box, task.slack, defined)
+    for k in np.flatnonzero(verdicts.rule != ""):
+        tree.letters[ids[k]] = str(verdicts.rule[k])
+        if verdicts.rule[k] == "c":
+            tree.points[int(ids[k])] = tuple(float(x) for x in verdicts.points[:, k])
+    at = np.flatnonzero(verdicts.rule == "")
+    low, high, smear = box[0][:, at], box[1][:, at], verdicts.smear[:, at]
+    dimension = _dimension(task, low, high, smear)
+    narrow = dimension < 0
+    left = low[:, narrow], high[:, narrow]
+    low, high, dimension, own = low[:, ~narrow], high[:, ~narrow], dimension[~narrow], ids[at][~narrow]
+    columns = np.arange(own.size)
+    a, b = low[dimension, columns], high[dimension, columns]
+    where = np.where((a < 0) & (b > 0), 0.0, middle(a, b))
+    first_high, second_low = high.copy(), low.copy()
+    first_high[dimension, columns] = where
+    second_low[dimension, columns] = where
+    first = np.array([tree.split(int(k), int(d)) for k, d in zip(own, dimension, strict=True)], dtype=int)
+    halves = np.hstack([low, second_low]), np.hstack([first_high, high]), np.concatenate([first, first + 1])
+    return halves, left
+
+
+def _dimension(task: Task, low: Array, high: Array, smear: Array) -> NDArray[np.int_]:
+    """Which variable to halve each box in; −1 where none is wide enough."""
+    width = task.box[1] - task.box[0]
+    share = (high - low) / np.where(width > 0, width, 1.0)[:, None]
+    wide = share > _NARROWEST
+    # the derivatives may overlook a variable while they are infinite: width has a say
+    score = np.where(wide, smear + 1e-3 * share, -1.0)
+    found: NDArray[np.int_] = np.where(wide.any(axis=0), np.argmax(score, axis=0), -1)
+    return found
+
+
+def corners(boxes: Ends, names: Sequence[str], most: int = 3) -> list[dict[str, list[float]]]:
+    """The largest open boxes as plain data."""
+    volume = np.prod(np.maximum(boxes[1] - boxes[0], 1e-300), axis=0)
+    order = np.argsort(-volume, kind="stable")[:most]
+    return [{name: [float(boxes[0][i, k]), float(boxes[1][i, k])] for i, name in enumerate(names)} for k in order]

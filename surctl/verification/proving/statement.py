@@ -1,0 +1,140 @@
+"""A claim as exact expressions, and its cases: each min, max, abs and select is one of two expressions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.verification.claim import Claim
+from surctl.verification.formula import Node, from_casadi, number, parse, rebuilt, text_of, variable
+from surctl.verification.formula.node import BRANCHING
+
+__all__ = ["Case", "Statement", "cases_of", "statement_of"]
+
+MOST_BRANCHES = 5
+"""Most min, max, abs and select in a claim that is split into cases."""
+
+
+@dataclass(frozen=True, eq=False)
+class Statement:
+    """left ≤ right on a box where no constraint is positive.
+
+    Attributes:
+        names: the variables.
+        lower: (n,) lower ends.
+        upper: (n,) upper ends.
+        left: expression.
+        right: expression.
+        constraints: expressions.
+    """
+
+    names: tuple[str, ...]
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+    left: Node
+    right: Node
+    constraints: tuple[Node, ...]
+
+    @property
+    def parts(self) -> tuple[Node, ...]:
+        """Left, right and the constraints."""
+        return (self.left, self.right, *self.constraints)
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A statement with every branch chosen.
+
+    Attributes:
+        choice: "0" or "1" for each branching expression, in the order in which they are met reading left, right and
+            the constraints from the left; empty when nothing is chosen.
+        margin: left − right.
+        constraints: the statement's, then one for each choice.
+    """
+
+    choice: str
+    margin: Node
+    constraints: tuple[Node, ...]
+
+
+def statement_of(claim: Claim) -> Statement:
+    """The claim's expressions with exact numbers; a variable of no width is a number.
+
+    Raises:
+        UnsupportedOperation: an operation that the claim grammar does not have.
+        InputError: an expression that is too long to write out.
+    """
+    names = tuple(v.name for v in claim.variables)
+    rows = [claim.constraints[k] for k in range(claim.constraints.numel())]
+    nodes = from_casadi(claim.symbols, names, [claim.left, claim.right, *rows])
+    # as a reader of the text sees them: what is one expression there is one here
+    known = {name: variable(name) for name in names}
+    nodes = [parse(text_of(node), known) for node in nodes]
+    return Statement(names, claim.lower, claim.upper, nodes[0], nodes[1], tuple(nodes[2:]))
+
+
+def settled(statement: Statement) -> tuple[Node, ...]:
+    """The statement's parts with every variable of no width as the decimal number that it is."""
+    ends = zip(statement.names, statement.lower, statement.upper, strict=True)
+    fixed = {name: number(Fraction(repr(float(low)))) for name, low, high in ends if low == high}
+
+    def change(node: Node, args: tuple[Node, ...]) -> Node:
+        return fixed.get(node.name, node) if node.op == "var" else Node(node.op, args, node.value, node.name)
+
+    return tuple(rebuilt(part, change) for part in statement.parts)
+
+
+def cases_of(parts: Sequence[Node]) -> list[Case]:
+    """Every choice of branches; one case that chooses nothing where there are too many."""
+    branches = _branches(parts)
+    left, right, *constraints = parts
+    if len(branches) > MOST_BRANCHES:
+        return [Case("", left - right, tuple(constraints))]
+    found = []
+    for bits in range(2 ** len(branches)):
+        choice = format(bits, f"0{len(branches)}b") if branches else ""
+        chosen, conditions = _chosen(parts, dict(zip(branches, choice, strict=True)))
+        found.append(Case(choice, chosen[0] - chosen[1], (*chosen[2:], *conditions)))
+    return found
+
+
+def _branches(parts: Iterable[Node]) -> list[Node]:
+    """Distinct branching expressions in the order of reading."""
+    met: dict[Node, None] = {}
+    seen: set[Node] = set()
+    stack = list(reversed(list(parts)))
+    while stack:
+        node = stack.pop()
+        if node in seen:
+            continue
+        seen.add(node)
+        if node.op in BRANCHING:
+            met[node] = None
+        stack.extend(reversed(node.args))
+    return list(met)
+
+
+def _chosen(parts: Sequence[Node], choice: dict[Node, str]) -> tuple[list[Node], list[Node]]:
+    """The parts with the branches chosen, and under which conditions (≤ 0) that is right."""
+    conditions: dict[Node, Node] = {}
+
+    def change(node: Node, args: tuple[Node, ...]) -> Node:
+        if node not in choice:
+            return node if not args else Node(node.op, args, node.value, node.name)
+        second = choice[node] == "1"
+        if node.op == "abs":
+            conditions[node] = args[0] if second else -args[0]
+            return -args[0] if second else args[0]
+        if node.op == "select":
+            conditions[node] = args[1] - args[0] if second else args[0] - args[1]
+            return args[3] if second else args[2]
+        smaller_first = node.op == "min"
+        conditions[node] = args[0] - args[1] if second != smaller_first else args[1] - args[0]
+        return args[1] if second else args[0]
+
+    chosen = [rebuilt(part, change) for part in parts]
+    return chosen, [conditions[node] for node in choice]

@@ -1,0 +1,176 @@
+"""Expressions as a list of operations that runs over many boxes at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.verification.formula import Node, ordered, text_of
+from surctl.verification.proving import intervals as iv
+from surctl.verification.proving.intervals import Ends
+from surctl.verification.proving.jets import Jet, choose
+
+__all__ = ["Read", "Tape", "build_tape"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Read:
+    """What a tape gives on B boxes.
+
+    Attributes:
+        jets: one for each expression.
+        defined: for each expression (B,): no operation in it met a number it is not defined at.
+    """
+
+    jets: tuple[Jet, ...]
+    defined: tuple[NDArray[np.bool_], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Tape:
+    """Expressions in evaluation order.
+
+    Attributes:
+        names: variables, in the order of the boxes' rows.
+        steps: every distinct node with the positions of its operands.
+        roots: positions of the expressions.
+    """
+
+    names: tuple[str, ...]
+    steps: tuple[tuple[Node, tuple[int, ...]], ...]
+    roots: tuple[int, ...]
+
+    def run(self, box: Ends, *, order: int = 0) -> Read:
+        """Enclosures on boxes (n, B); derivatives up to `order` ≤ 2."""
+        count = box[0].shape[1]
+        made: list[Jet] = []
+        defined: list[NDArray[np.bool_]] = []
+        with np.errstate(all="ignore"):
+            for node, args in self.steps:
+                operands = [made[a] for a in args]
+                made.append(self._step(node, operands, box, order))
+                fine = ~_undefined(node, operands, count)
+                for a in args:
+                    fine = fine & defined[a]
+                defined.append(fine)
+        return Read(tuple(made[r] for r in self.roots), tuple(defined[r] for r in self.roots))
+
+    def trouble(self, box: Ends) -> str:
+        """The first operation that is not defined on a box (n, 1), in words; empty if there is none."""
+        made: list[Jet] = []
+        with np.errstate(all="ignore"):
+            for node, args in self.steps:
+                operands = [made[a] for a in args]
+                made.append(self._step(node, operands, box, 0))
+                if _undefined(node, operands, 1)[0]:
+                    low, high = (float(end[0]) for end in operands[-1].value)
+                    return f"{_TROUBLES[node.op]} [{low:.3g}, {high:.3g}] in {_short(text_of(node))}"
+        return ""
+
+    def _step(self, node: Node, args: list[Jet], box: Ends, order: int) -> Jet:
+        n, count = box[0].shape
+        match node.op:
+            case "var":
+                at = self.names.index(node.name)
+                unit = np.zeros((n, count))
+                unit[at] = 1.0
+                return _jet((box[0][at], box[1][at]), iv.point(unit), n, order)
+            case "num" | "pi":
+                low, high = _enclosed(node)
+                return _jet((np.full(count, low), np.full(count, high)), iv.point(np.zeros((n, count))), n, order)
+            case "add":
+                return args[0] + args[1]
+            case "sub":
+                return args[0] - args[1]
+            case "mul":
+                # the same factor twice is a square
+                return args[0].power(2) if node.args[0] == node.args[1] else args[0] * args[1]
+            case "div":
+                return args[0] * args[1].inverse()
+            case "neg":
+                return -args[0]
+            case "pow":
+                exponent = node.value.numerator
+                return args[0].power(exponent) if exponent >= 0 else args[0].power(-exponent).inverse()
+            case "sqrt":
+                return args[0].root()
+            case "sin":
+                return args[0].sine()
+            case "cos":
+                return args[0].cosine()
+            case "acos":
+                return args[0].arccosine()
+            case "atan":
+                one = iv.point(np.ones(count))
+                return args[0].angle(_jet(one, iv.point(np.zeros((n, count))), n, order))
+            case "atan2":
+                return args[0].angle(args[1])
+            case "abs":
+                return args[0].magnitude()
+            case "min":
+                return args[0].smaller(args[1])
+            case "max":
+                return args[0].larger(args[1])
+            case _:
+                return choose(args[0].value, args[1].value, args[2], args[3])
+
+
+def build_tape(names: Sequence[str], roots: Sequence[Node]) -> Tape:
+    """The tape of several expressions; what they share is computed once."""
+    nodes = list(ordered(*roots))
+    at = {node: k for k, node in enumerate(nodes)}
+    steps = tuple((node, tuple(at[a] for a in node.args)) for node in nodes)
+    return Tape(tuple(names), steps, tuple(at[r] for r in roots))
+
+
+_TROUBLES = {
+    "div": "division by an interval that holds 0:",
+    "pow": "division by an interval that holds 0:",
+    "sqrt": "square root of an interval that is negative in part:",
+    "acos": "arccos of an interval beyond [-1, 1]:",
+    "atan2": "atan2 of a box that holds (0, 0): x in",
+}
+
+
+def _undefined(node: Node, args: list[Jet], count: int) -> NDArray[np.bool_]:
+    """(B,): whether the operation meets a number at which it is not defined."""
+    if node.op == "sqrt":
+        return ~(args[0].value[0] >= 0)
+    if node.op == "div" or (node.op == "pow" and node.value < 0):
+        low, high = args[-1].value
+        return ~((low > 0) | (high < 0))
+    if node.op == "acos":
+        low, high = args[0].value
+        return ~((low >= -1) & (high <= 1))
+    if node.op == "atan2":
+        away = np.zeros(count, dtype=bool)
+        for low, high in (a.value for a in args):
+            away = away | (low > 0) | (high < 0)
+        return ~away
+    return np.zeros(count, dtype=bool)
+
+
+def _jet(value: Ends, slope: Ends, n: int, order: int) -> Jet:
+    flat = np.zeros((n, n, value[0].size))
+    return Jet(value, slope if order else None, iv.point(flat) if order > 1 else None)
+
+
+def _enclosed(node: Node) -> tuple[float, float]:
+    """Doubles about an exact number, or π."""
+    if node.op == "pi":
+        return float(np.pi), float(np.nextafter(np.pi, 4.0))  # the double lies below π
+    near = float(node.value)
+    exact = Fraction(near)
+    low = near if exact <= node.value else float(np.nextafter(near, -np.inf))
+    high = near if exact >= node.value else float(np.nextafter(near, np.inf))
+    return low, high
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 60 else text[:57] + "..."

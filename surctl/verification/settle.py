@@ -1,0 +1,103 @@
+"""Proved, refuted or unknown: the falsifier first, then the prover, and the checker has the last word."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.certcheck import check_document
+from surctl.errors import InputError
+from surctl.verification.claim import Claim
+from surctl.verification.counterexample import Counterexample
+from surctl.verification.falsifier import falsify
+from surctl.verification.oracle import Oracle, build_oracle
+from surctl.verification.proving import certain_excess, prove
+from surctl.verification.verdict import Verdict
+
+__all__ = ["settle"]
+
+_INSIDE = 1e-9  # how far a point is moved into the domain at first, in a constraint's own unit
+_MOVES = 6
+
+
+def settle(
+    claim: Claim,
+    *,
+    samples: int = 4096,
+    starts: int = 16,
+    seed: int = 0,
+    time_limit: float = 20.0,
+    progress: Callable[[str], None] | None = None,
+) -> Verdict:
+    """Prove or refute a claim, or say what is left open.
+
+    `refuted`: at the counterexample, by interval arithmetic, left exceeds right and the point lies in the domain.
+    `proved`: `surctl.certcheck` accepts the certificate; left may exceed right by the slack that the certificate
+    names: 0, or what counts as rounding by the claim's tolerance.
+
+    Args:
+        claim: the claim.
+        samples: of the falsifier.
+        starts: local searches of the falsifier.
+        seed: of the falsifier.
+        time_limit: of the prover [s].
+        progress: told a line now and then.
+
+    Raises:
+        InputError: as `falsify`.
+    """
+    began = time.perf_counter()
+    found = falsify(claim, samples=samples, starts=starts, seed=seed)
+    if found.counterexample is not None:
+        sure = _confirmed(claim, found.counterexample)
+        if sure is not None:
+            return replace(found, counterexample=sure, seconds=time.perf_counter() - began)
+        # by rounding alone, or outside by rounding: it does not count, and the claim may still be true
+        found = replace(found, verdict="not refuted", counterexample=None)
+    proof = prove(claim, time_limit=time_limit, slack=found.threshold, progress=progress)
+    reason = proof.remaining
+    if proof.certificate is not None:
+        checked = check_document(proof.certificate)
+        if checked.accepted:
+            return replace(found, verdict="proved", certificate=proof.certificate, seconds=time.perf_counter() - began)
+        reason = f"the checker rejects the proof: {checked.reason}"
+    return replace(found, verdict="unknown", open_ends=reason, seconds=time.perf_counter() - began)
+
+
+def _confirmed(claim: Claim, found: Counterexample) -> Counterexample | None:
+    """The counterexample where intervals confirm it, moved into the domain by a hair if need be."""
+    try:
+        point = claim.point(found.values)
+        excess = certain_excess(claim, point)
+    except InputError:  # operations that the claim grammar does not have: the numbers stand as they are
+        return found
+    if excess is not None and excess > 0:
+        return found
+    oracle = build_oracle(claim)
+    for k in range(_MOVES):
+        inner = _moved(oracle, point, _INSIDE * 10.0**k)
+        excess = certain_excess(claim, inner)
+        if excess is not None and excess > 0:
+            return replace(found, values=claim.values(inner), margin=excess)
+    return None
+
+
+def _moved(oracle: Oracle, point: NDArray[np.float64], by: float) -> NDArray[np.float64]:
+    """The point moved into the box and against every constraint that is not met by `by`."""
+    claim = oracle.claim
+    at = np.clip(point, claim.lower, claim.upper)
+    for _ in range(_MOVES):
+        values, slopes = np.asarray(oracle.sides(at)[2]).reshape(-1), np.asarray(oracle.slopes(at)[1])
+        short = np.flatnonzero(values > -by)
+        if not short.size:
+            break
+        rows = slopes[short]
+        if not np.all(np.isfinite(rows)):
+            break
+        step = np.linalg.lstsq(rows, -by - values[short], rcond=None)[0]
+        at = np.clip(at + step, claim.lower, claim.upper)
+    return at

@@ -1,0 +1,98 @@
+from fractions import Fraction
+
+import casadi as ca
+import pytest
+from hypothesis import given, settings
+from mpmath import mp, mpf
+
+from surctl.errors import InputError, UnsupportedOperation
+from surctl.verification.formula import from_casadi, number, parse, text_of, to_casadi, variable
+from surctl.verification.formula.node import PI
+from surctl.verification.proving.algebra import Algebra, TooLarge
+from surctl.verification.proving.horner import Written
+from tests.verification.expressions import NAMES, NoValue, TooClose, expressions, worth
+
+KNOWN = {n: variable(n) for n in NAMES}
+POINT = {"x": mpf("0.37"), "y": mpf("-1.3"), "z": mpf("0.81")}
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(expressions())
+def test_text_reads_back_as_what_was_written(root) -> None:
+    again = parse(text_of(root), KNOWN)
+    assert parse(text_of(again), KNOWN) == again
+    try:
+        value = worth(root, POINT)
+    except (NoValue, TooClose):
+        return
+    assert abs(value - worth(again, POINT)) <= abs(value) * mpf(10) ** -40
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(expressions())
+def test_casadi_computes_what_the_text_says(root) -> None:
+    try:
+        value = float(worth(root, POINT))
+    except (NoValue, TooClose, OverflowError):
+        return
+    if not 1e-3 < abs(value) < 1e6:
+        return  # what cancels in doubles is not compared
+    symbols = {n: ca.SX.sym(n) for n in NAMES}
+    f = ca.Function("f", [*symbols.values()], [to_casadi(root, symbols)])
+    found = float(f(*(float(POINT[n]) for n in NAMES)))
+    assert found == pytest.approx(value, rel=1e-6)
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(expressions(branching=False))
+def test_the_normal_form_has_the_value_of_the_expression(root) -> None:
+    algebra = Algebra()
+    try:
+        value = worth(root, POINT)
+        ratio = algebra.of(root)
+        written = Written(algebra)
+        same = worth(written.ratio(ratio), POINT)
+        signs = [worth(written.factor(at), POINT) for at in algebra.positive]
+    except (NoValue, TooClose, TooLarge):
+        return
+    if any(s <= 0 for s in signs):
+        return  # the form is only claimed for positive ones
+    with mp.workdps(60):
+        assert abs(value - same) <= (abs(value) + 1) * mpf(10) ** -30, text_of(root)
+
+
+def test_casadi_comes_back_with_readable_numbers() -> None:
+    x = ca.SX.sym("x", 2)
+    nodes = from_casadi(x, ["a", "b"], [ca.fmax(x[0], 0.1) * ca.pi / 2, ca.sqrt(x[1] ** 2 + 0.3**2) + 0.3])
+    assert text_of(nodes[0]) == "pi*max(a, 0.1)/2"
+    assert text_of(nodes[1]) == "sqrt(b^2 + 0.09) + 0.3"
+
+
+def test_a_product_that_casadi_folded_is_seen_again() -> None:
+    x = ca.SX.sym("x")
+    (node,) = from_casadi(x, ["x"], [(x + 0.8) * 0.3 + 0.8**2 + 0.3 * 0.7777777])
+    assert (0.8**2 != 0.64 and "0.8^2" in text_of(node)) or "0.64" in text_of(node)
+    (node,) = from_casadi(x, ["x"], [ca.sqrt(x * x + 0.8**2) + 0.8 * x])
+    assert "0.8^2" in text_of(node)
+
+
+def test_pi_is_itself() -> None:
+    assert parse("pi", {}) is PI
+    x = ca.SX.sym("x")
+    assert text_of(from_casadi(x, ["x"], [x + ca.pi])[0]) == "x + pi"
+
+
+def test_what_the_grammar_does_not_have_is_named() -> None:
+    x = ca.SX.sym("x")
+    for expression in (ca.floor(x), ca.if_else(ca.logic_and(x > 0, x < 1), 1, 2), x > 0):
+        with pytest.raises(UnsupportedOperation, match="grammar"):
+            from_casadi(x, ["x"], [expression])
+
+
+def test_a_very_long_sum_is_an_error_and_no_crash() -> None:
+    with pytest.raises(InputError, match=r"too long|deep"):
+        parse(" + ".join(["x"] * 2000), KNOWN)
+
+
+def test_numbers_are_exact() -> None:
+    assert parse("0.1", {}) == number(Fraction(1, 10))

@@ -1,0 +1,154 @@
+import numpy as np
+import pytest
+from mpmath import mp, mpf
+
+from surctl.certcheck.enclosure import enclose, exact, span
+from surctl.certcheck.sheet import Sheet
+from surctl.verification.formula import parse, variable
+from surctl.verification.proving import intervals as iv
+from surctl.verification.proving.tape import build_tape
+from tests.verification.expressions import worth
+
+COUNT = 4000
+
+
+def drawn(seed: int, scale: float = 8.0) -> tuple[np.ndarray, np.ndarray]:
+    """Intervals of all widths, some of them points, some with an end at 0."""
+    rng = np.random.default_rng(seed)
+    low = rng.uniform(-scale, scale, COUNT)
+    low[:200] = 0.0
+    width = 10.0 ** rng.uniform(-6, 1, COUNT) * (rng.uniform(size=COUNT) > 0.1)
+    return low, low + width
+
+
+def inside(a: tuple[np.ndarray, np.ndarray], seed: int) -> np.ndarray:
+    """(40, COUNT): points of each interval, its ends among them."""
+    share = np.random.default_rng(seed).uniform(size=(40, COUNT))
+    share[0], share[1] = 0.0, 1.0
+    return np.clip(a[0] + share * (a[1] - a[0]), *a)
+
+
+def holds(ends: tuple[np.ndarray, np.ndarray], values: np.ndarray) -> None:
+    # NumPy's own values are off by some units in the last place
+    room = 1e-15 * np.abs(values)
+    assert np.all((ends[0] - room <= values) & (values <= ends[1] + room))
+
+
+@pytest.mark.parametrize("scale", [1.0, 8.0, 1000.0])
+def test_sine_and_cosine_keep_their_crests_and_troughs(scale: float) -> None:
+    a = drawn(1, scale)
+    sine, cosine = iv.sine_cosine(a)
+    x = inside(a, 2)
+    holds(sine, np.sin(x))
+    holds(cosine, np.cos(x))
+    narrow = a[1] - a[0] < 1e-3
+    assert np.all((sine[1] - sine[0])[narrow] < 2e-3), "an interval without a crest does not reach it"
+
+
+def test_the_angle_of_a_box_keeps_all_directions() -> None:
+    y, x = drawn(3, 2.0), drawn(4, 2.0)
+    holds(iv.atan2(y, x), np.arctan2(inside(y, 5), inside(x, 6)))
+    ahead = (x[0] > 0) & (x[1] - x[0] < 1e-3) & (y[1] - y[0] < 1e-3) & (x[0] > 0.1)
+    low, high = iv.atan2(y, x)
+    assert ahead.any() and np.all((high - low)[ahead] < 0.1)
+
+
+@pytest.mark.parametrize("exponent", [0, 1, 2, 3, 4, 5])
+def test_powers(exponent: int) -> None:
+    a = drawn(7, 2.0)
+    holds(iv.to_power(a, exponent), inside(a, 8) ** exponent)
+    if exponent % 2 == 0:
+        assert np.all(iv.to_power(a, exponent)[0] >= 0)
+
+
+@pytest.mark.parametrize("name", ["add", "subtract", "multiply", "divide", "hull_min", "hull_max"])
+def test_two_intervals(name: str) -> None:
+    a, b = drawn(9), drawn(10)
+    with np.errstate(all="ignore"):
+        ends = getattr(iv, name)(a, b)
+        x, y = inside(a, 11), inside(b, 12)
+        plain = {
+            "add": x + y, "subtract": x - y, "multiply": x * y, "divide": x / y,
+            "hull_min": np.minimum(x, y), "hull_max": np.maximum(x, y),
+        }[name]  # fmt: skip
+    holds(ends, np.where(np.isnan(plain), 0.0, plain))
+
+
+def test_sums_that_are_exact_are_not_widened_and_others_are() -> None:
+    low, high = iv.add(iv.point(np.array([0.5, 0.1, 1e300])), iv.point(np.array([0.25, 0.2, 1.0])))
+    assert low[0] == high[0] == 0.75
+    assert low[1] < high[1] == 0.1 + 0.2, "0.1 + 0.2 was rounded up, so only the lower end moves"
+    assert low[2] == 1e300 < high[2]
+
+
+def test_nothing_times_the_whole_line_is_nothing() -> None:
+    with np.errstate(all="ignore"):
+        low, high = iv.multiply(iv.point(np.zeros(1)), (np.array([-np.inf]), np.array([np.inf])))
+    assert low[0] == high[0] == 0.0
+
+
+TEXTS = (
+    "x^3", "x^-2", "1/x", "sqrt(x)", "sin(x)", "cos(x)", "acos(x/3)", "atan(x)", "atan2(x, y)", "atan2(y, x)*y",
+    "x*y", "x*x", "(x + y)^2/x", "abs(-x)*y", "max(x, -y)*x", "min(x, 9)*sin(y)", "select(x, 9, x*y, y)",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_first_and_second_derivatives_at_a_point_are_those_of_sixty_digits(text: str) -> None:
+    at = {"x": 0.75, "y": 0.4375}
+    root = parse(text, {n: variable(n) for n in at})
+    sheet = Sheet(tuple(at))
+    place = sheet.read(text)
+    (checked,) = enclose(sheet, [place], [exact(v) for v in at.values()], order=2)
+    point = np.array([[v] for v in at.values()])
+    jet = build_tape(tuple(at), [root]).run((point, point), order=2).jets[0]
+    with mp.workdps(60):
+        h = mpf(10) ** -15
+
+        def value(*steps):
+            return worth(root, {n: mpf(at[n]) + k * h for n, k in zip("xy", steps, strict=True)})
+
+        centre = value(0, 0)
+        ahead, behind = (value(1, 0), value(0, 1)), (value(-1, 0), value(0, -1))
+        for i in (0, 1):
+            first = (ahead[i] - behind[i]) / (2 * h)
+            near(checked.slope[i], first)
+            near((jet.slope[0][i, 0], jet.slope[1][i, 0]), first)
+            second = (ahead[i] - 2 * centre + behind[i]) / h**2
+            near(checked.bend[i][i], second)
+            near((jet.bend[0][i, i, 0], jet.bend[1][i, i, 0]), second)
+        mixed = (value(1, 1) - value(1, -1) - value(-1, 1) + value(-1, -1)) / (4 * h**2)
+        near(checked.bend[0][1], mixed)
+        near((jet.bend[0][0, 1, 0], jet.bend[1][0, 1, 0]), mixed)
+
+
+def near(ends, value) -> None:
+    """The value lies in a narrow interval."""
+    if ends is None:
+        ends = (0.0, 0.0)
+    low, high = (mp.make_mpf(e) if isinstance(e, tuple) else mpf(float(e)) for e in ends)
+    assert low - mpf(10) ** -12 <= value <= high + mpf(10) ** -12
+    assert high - low < 1e-10
+
+
+def test_slopes_over_a_box_hold_those_at_its_points() -> None:
+    rng = np.random.default_rng(13)
+    known = {n: variable(n) for n in "xy"}
+    for text in TEXTS:
+        sheet = Sheet(("x", "y"))
+        place = sheet.read(text)
+        tape = build_tape(("x", "y"), [parse(text, known)])
+        low = rng.uniform(0.3, 0.6, (2, 30))
+        high = low + rng.uniform(0, 0.4, (2, 30))
+        wide = tape.run((low, high), order=2).jets[0]
+        at = low + (high - low) * rng.uniform(size=low.shape)
+        narrow = tape.run((at, at), order=2).jets[0]
+        for outer, inner in ((wide.slope, narrow.slope), (wide.bend, narrow.bend)):
+            room = 1e-12 * (1 + np.abs(inner[0]))
+            assert np.all(outer[0] - room <= inner[1]) and np.all(inner[0] <= outer[1] + room), text
+        # the checker's ranges are those of the prover, but for rounding: what one proves, the other accepts
+        for k in range(5):
+            (jet,) = enclose(sheet, [place], [span(*e) for e in zip(low[:, k], high[:, k], strict=True)], order=1)
+            for i, shown in enumerate(jet.slope):
+                ends = (0.0, 0.0) if shown is None else tuple(float(mp.make_mpf(e)) for e in shown)
+                assert ends == pytest.approx((wide.slope[0][i, k], wide.slope[1][i, k]), rel=1e-9, abs=1e-12), text
