@@ -1,0 +1,54 @@
+"""Search over the starts of the synthesis: limits of the region, floor, how much of the rate disturbances take."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from surctl.verification.region.claim import RegionClaim
+from surctl.verification.region.loop import Steady
+from surctl.verification.region.synthesis import Candidate, Start, synthesise
+
+__all__ = ["search"]
+
+_STARTS = tuple((share, floor, growth) for growth in (0.05, 0.02) for share in (0.5, 1.0, 0.3) for floor in (0.1, 0.3))
+
+
+def search(claim: RegionClaim, steady: Steady, *, seconds: float, seed: int) -> Iterator[Candidate]:
+    """Candidates, the largest first, found within that time [s]."""
+    until, found = time.perf_counter() + seconds, []
+    draw = np.random.default_rng(seed)
+    cruise, cap, ahead = claim.cruise, claim.cap, claim.gains["lookahead"]
+    wide = ahead * np.sqrt(max((cap / (cruise + steady.omega[1])) ** 2 - 1, 1e-6))
+    best: tuple[float, Start] | None = None
+
+    def attempt(start: Start) -> None:
+        nonlocal best
+        candidate = synthesise(claim, steady, start)
+        if candidate is None:
+            return
+        found.append(candidate)
+        if best is None or candidate.offset > best[0]:
+            best = candidate.offset, start
+
+    for share, floor, growth in _STARTS:
+        if time.perf_counter() > until - seconds / 2 and best is not None:
+            break
+        attempt(Start(0.2 * cruise / claim.gains["k1"], 0.6 * wide, share, floor, growth))
+    while best is not None and time.perf_counter() < until:
+        kept = best[1]
+        factors = np.exp(draw.normal(scale=(0.2, 0.15, 0.15, 0.3, 0.3)))
+        attempt(
+            replace(
+                kept,
+                x=kept.x * factors[0],
+                y=min(kept.y * factors[1], 0.98 * wide),
+                share=min(kept.share * factors[2], 1.0),
+                floor=min(kept.floor * factors[3], 0.5),
+                growth=kept.growth * factors[4],
+            )
+        )
+    yield from sorted(found, key=lambda one: -one.offset)[:5]
