@@ -15,13 +15,13 @@ from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any
 
+from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_bounds import shell
 from surctl.certcheck.region_claim import CruiseClaim, number, read_claim, record
 from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite, quadratic, root_up, scaled
 from surctl.certcheck.region_inclusion import MULTIPLIERS, rate_matrix, vertices
 from surctl.certcheck.region_law import check_identity
 from surctl.certcheck.region_trim import Trim, trim
-from surctl.certcheck.document import Rejected
 
 __all__ = ["check"]
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise, product
 
+from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_claim import CruiseClaim
 from surctl.certcheck.region_exact import (
     Matrix,
@@ -18,15 +19,15 @@ from surctl.certcheck.region_exact import (
     largest_eigenvalue,
     root_down,
     root_up,
+    rounded_up,
     scaled,
     zeros,
 )
 from surctl.certcheck.region_trim import Trim, quarter
-from surctl.certcheck.document import Rejected
 
 __all__ = ["Shell", "force_rows", "force_state", "shell", "velocity", "wish"]
 
-_ARCS = 12
+_ARCS = 64
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ def shell(claim: CruiseClaim, steady: Trim, covariance: Matrix, low: Fraction, h
     reach = root_up(high) * earlier
     x, y = (root_up(covariance[k][k]) * reach for k in (0, 1))
     steer, catch, slant = _commanded(claim, steady, x, y)
-    corners = list(product(steer, catch))
+    corners = sorted(set(product(steer, catch)))
 
     def gain(rows: Matrix) -> Fraction:
         return root_up(largest_eigenvalue(congruence(rows, covariance)))
@@ -173,7 +174,11 @@ def _thrust_share(
     """
     share = Fraction(1)
     size = len(covariance)
-    grams = [congruence(force_rows(size, claim, slope, s, k), covariance) for slope in model_drag for s, k in corners]
+    grams = [
+        rounded_up(congruence(force_rows(size, claim, slope, s, k), covariance))
+        for slope in model_drag
+        for s, k in corners
+    ]
     points = quarter(_ARCS)
     for flip in (1, -1):
         for (c1, s1), (c2, s2) in pairwise(points):

@@ -18,6 +18,7 @@ __all__ = [
     "quadratic",
     "root_down",
     "root_up",
+    "rounded_up",
     "scaled",
     "transpose",
     "zeros",
@@ -119,3 +120,10 @@ def largest_eigenvalue(g: Matrix) -> Fraction:
     """An upper bound on the largest eigenvalue of a symmetric 2 × 2 matrix."""
     half = (g[0][0] + g[1][1]) / 2
     return half + root_up(((g[0][0] - g[1][1]) / 2) ** 2 + g[0][1] ** 2)
+
+
+def rounded_up(g: Matrix) -> Matrix:
+    """A symmetric 2 × 2 matrix of few digits, ⪰ g: what rounding may take off the diagonal pays for the rest."""
+    down = [[Fraction(int(entry * _DIGITS), _DIGITS) for entry in row] for row in g]
+    # every entry is off by less than 1/_DIGITS: the error lies above −2/_DIGITS I
+    return [[entry + Fraction(2 * (i == j), _DIGITS) for j, entry in enumerate(row)] for i, row in enumerate(down)]

@@ -21,7 +21,7 @@ __all__ = ["MEAN_SHARE", "Trim", "axis_pairs", "offset_speed", "quarter", "trim"
 MEAN_SHARE = Fraction(17, 20)
 """Share of quadratic drag that is counted on along the path, between 1 at ψ = 0 and 0.71 at ψ = 45°."""
 
-_ARCS = 48
+_ARCS = 96
 
 
 @dataclass(frozen=True)

@@ -74,7 +74,7 @@ def steady_cruise(claim: RegionClaim) -> Steady:
     bend = quadratic * max(low * low, high * high)
     return Steady(
         (low, high),
-        1.01 * total + bend,
+        1.012 * total + bend,
         1.02 * commanded,
         1.02 * needed + bend,
         push * high + linear * (v + high),
@@ -172,7 +172,7 @@ def gains_of(claim: RegionClaim, steady: Steady, P: Array, at: Bounds) -> Gains:
             rows = force_gain(claim, slope, s, k)[1]
             n = np.stack([np.cos(_DIRECTIONS), np.sin(_DIRECTIONS)])
             deviation = np.sqrt(np.einsum("in,ij,jn->n", n, rows @ covariance @ rows.T, n))
-            share = min(share, float(np.min((claim.thrust - steady.along(np.abs(n[0]))) / deviation)) * 0.985)
+            share = min(share, float(np.min((claim.thrust - steady.along(np.abs(n[0]))) / deviation)) * 0.98)
     return Gains(
         np.sqrt(covariance[0, 0]),
         np.sqrt(covariance[1, 1]),
@@ -186,12 +186,18 @@ def gains_of(claim: RegionClaim, steady: Steady, P: Array, at: Bounds) -> Gains:
 
 @dataclass(frozen=True)
 class Loop:
-    """One vertex: A (n, n), inputs B (n, 2 q) in the order of `wind`, δW and the commanded force (2, n)."""
+    """One vertex: A (n, n), inputs B (n, q k) in the order of `wind`; δW, commanded force and δU (q, n).
+
+    With P that has no entry between x and y, the two decouple unless the thrust lags and the vehicle turns:
+    then q = 1 and a loop is one of the two, else q = 2.
+    """
 
     A: Array
     B: Array
     wish: Array
     force: Array
+    speed: Array
+    states: NDArray[np.intp]
     wind: tuple[int, ...]
 
 
@@ -199,11 +205,12 @@ def loops(claim: RegionClaim, at: Bounds) -> Iterator[Loop]:
     """The vertices of a shell's inclusion."""
     size, lag, eye = claim.size, claim.lag[1] > 0, np.eye(claim.size)
     share, quarter = (1 + at.share) / 2, np.array([[0.0, -1.0], [1.0, 0.0]])
+    seen: set[tuple[float, ...]] = set()
     wind = tuple(j for j in (1, 2, 3, 5, 6) if (j != 2 or at.share < 1) and (j != 6 or lag))
     for m, s, k, r, t in product(
         sorted(set(claim.mass)), at.steer, sorted(set(at.catch)),
-        (-claim.yaw_rate, claim.yaw_rate) if lag else (0.0,), sorted(set(claim.lag)),
-    ):  # fmt: skip
+        (claim.yaw_rate if lag else 0.0,), sorted(set(claim.lag)),
+    ):  # fmt: skip  # turning the other way is the mirror image
         wish, force = force_gain(claim, sum(at.model_drag) / 2, s, k)
         A = np.zeros((size, size))
         A[:2, 2:4] = np.eye(2)
@@ -216,4 +223,14 @@ def loops(claim: RegionClaim, at: Bounds) -> Iterator[Loop]:
             A[2:4] += share * force / m
             inner, gain = eye[:, 2:4], 1 / m
         entry = {1: gain * share * inner, 2: gain * inner, 3: -eye[:, 2:4] / m, 5: gain * inner, 6: eye[:, 2:4] / m}
-        yield Loop(A, np.hstack([entry[j] for j in wind]), wish, force, wind)
+        B, every = np.hstack([entry[j] for j in wind]), np.arange(size)
+        if lag and claim.yaw_rate:
+            yield Loop(A, B, wish, force, eye[2:4], every, wind)
+            continue
+        for axis, name in ((0, k), (1, s)):
+            if (axis, name, m, t) in seen:
+                continue
+            seen.add((axis, name, m, t))
+            own = every[axis::2]
+            rows = [given[axis : axis + 1, own] for given in (wish, force, eye[2:4])]
+            yield Loop(A[np.ix_(own, own)], B[own][:, axis::2], *rows, own, wind)

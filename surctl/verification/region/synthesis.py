@@ -60,23 +60,23 @@ def levels_of(floor: float, count: int) -> tuple[float, ...]:
     return tuple(float(f"{level:.6g}") for level in np.geomspace(floor, 1.0, count + 1))
 
 
-def structured(claim: RegionClaim, at: Bounds, loop: Loop) -> dict[int, Array]:
+def structured(at: Bounds, loop: Loop) -> dict[int, Array]:
     """∂M/∂λ_j (N, N) of w_1, w_2, w_3; of w_5 and w_6 without the term in P."""
-    size, total = claim.size, claim.size + loop.B.shape[1]
-    start = {j: size + 2 * k for k, j in enumerate(loop.wind)}
+    size, total, q = len(loop.A), len(loop.A) + loop.B.shape[1], len(loop.wish)
+    start = {j: size + q * k for k, j in enumerate(loop.wind)}
     found = {}
     for j in _WINDS:
         slope = np.zeros((total, total))
         if j in start:
-            slope[start[j] : start[j] + 2, start[j] : start[j] + 2] = -np.eye(2)
+            slope[start[j] : start[j] + q, start[j] : start[j] + q] = -np.eye(q)
             if j == 2:
-                whole = np.zeros((2, total))
+                whole = np.zeros((q, total))
                 whole[:, :size] = loop.force
-                whole[:, start[1] : start[1] + 2] = np.eye(2)
+                whole[:, start[1] : start[1] + q] = np.eye(q)
                 slope += ((1 - at.share) / 2) ** 2 * whole.T @ whole
             elif j in (1, 3):
                 low, high = at.model_drag if j == 1 else at.drag
-                rows = loop.wish if j == 1 else np.eye(size)[2:4]
+                rows = loop.wish if j == 1 else loop.speed
                 slope[:size, :size] += ((high - low) / 2) ** 2 * rows.T @ rows
         found[j] = slope
     return found
@@ -84,29 +84,30 @@ def structured(claim: RegionClaim, at: Bounds, loop: Loop) -> dict[int, Array]:
 
 def lyapunov(loop: Loop, P: Array, growth: float) -> Array:
     """[[AᵀP + PA + growth P, PB], [BᵀP, 0]]."""
+    P = P[np.ix_(loop.states, loop.states)]
     half, side = P @ loop.A, P @ loop.B
     return np.block([[half + half.T + growth * P, side], [side.T, np.zeros((side.shape[1],) * 2)]])
 
 
 def multipliers_of(claim: RegionClaim, at: Bounds, P: Array) -> tuple[Array, float] | None:
     """λ (5,) of a shell with the largest further rate [1/s] that is left, in units in which P is I."""
-    root = np.linalg.inv(np.linalg.cholesky(P)).T  # rootᵀ P root = I
-    constants, slopes = [], []
+    matrices: dict[int, tuple[list[Array], list[Array]]] = {}
     for loop in loops(claim, at):
-        size, total = claim.size, claim.size + loop.B.shape[1]
-        change = np.eye(total)
-        change[:size, :size] = root
-        inner = np.zeros((total, total))
-        inner[:size, :size] = P
-        given = structured(claim, at, loop)
+        size, total = len(loop.A), len(loop.A) + loop.B.shape[1]
+        own = P[np.ix_(loop.states, loop.states)]
+        change, inner = np.eye(total), np.zeros((total, total))
+        change[:size, :size] = np.linalg.inv(np.linalg.cholesky(own)).T  # changeᵀ P change = I
+        inner[:size, :size] = own
+        given = structured(at, loop)
         given[5] = given[5] + at.held**2 * inner
         given[6] = given[6] + at.stirred**2 * inner
         parts = [given[j] for j in _WINDS] + [inner]
-        constants.append(-change.T @ lyapunov(loop, P, claim.rate) @ change)
-        slopes.append([-change.T @ part @ change for part in parts])
+        pair = matrices.setdefault(total, ([], []))
+        pair[0].append(-change.T @ lyapunov(loop, P, claim.rate) @ change)
+        pair[1].append(np.array([-change.T @ part @ change for part in parts]))
     positive: Inequality = (np.zeros((5, 1, 1)), np.eye(6)[:5, :, None, None])
     bounded: Inequality = (np.full((5, 1, 1), 1e6), -np.eye(6)[:5, :, None, None])
-    x = minimise(-np.eye(6)[5], [(np.array(constants), np.array(slopes)), positive, bounded])
+    x = minimise(-np.eye(6)[5], [*((np.array(a), np.array(b)) for a, b in matrices.values()), positive, bounded])
     return None if x is None else (np.maximum(x[:5], 0), float(x[5]))
 
 
@@ -115,13 +116,15 @@ def shape(
 ) -> Array | None:
     """P with the least P_yy for these bounds; growth (k, 2): what w_5 and w_6 take of each shell's rate."""
     basis = symmetric_basis(claim.size)
+    # a region that is no mirror image of itself can be averaged with its image: x and y need no common entry
+    basis = basis[[not np.any(one[::2, 1::2]) for one in basis]]
     count = len(basis)
     unknowns = count + _FREE * len(shells)
     matrices: dict[int, tuple[list[Array], list[Array]]] = {}
     for k, at in enumerate(shells):
         for loop in loops(claim, at):
-            given = structured(claim, at, loop)
-            total = claim.size + loop.B.shape[1]
+            given = structured(at, loop)
+            total = len(loop.A) + loop.B.shape[1]
             slopes = np.zeros((unknowns, total, total))
             rate = claim.rate + growth[k].sum()
             slopes[:count] = [-lyapunov(loop, one, rate) for one in basis]
@@ -151,7 +154,7 @@ def _rows(claim: RegionClaim, steady: Steady, gains: Gains, at: Bounds) -> list[
     """Rows c with |c ξ| ≤ 1 on V ≤ 1: place, and thrust in every direction."""
     eye, rows = np.eye(claim.size), []
     rows += [eye[0] / gains.x, eye[1] / gains.y]
-    for angle in np.linspace(0, np.pi, 17)[:-1]:
+    for angle in np.linspace(0, np.pi / 2, 9):
         n = np.array([np.cos(angle), np.sin(angle)])
         left = float(claim.thrust - steady.along(np.abs(n[:1]))[0]) * 0.98
         for slope in at.model_drag:
