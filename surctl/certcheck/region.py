@@ -2,11 +2,11 @@
 
 The claim: whatever the constant true parameters in their ranges, there is a steady cruise ξ*, with x_e* = −ω/k1;
 V = (ξ − ξ*)ᵀ P (ξ − ξ*); along every motion that is at a control instant in V ≤ 1,
-V(t) ≤ max(e^(−a t), floor). The levels floor = ℓ_0 < ℓ_1 < … < 1 cut the region into shells, and in each V̇ < −a V is
+V(t) ≤ max(e^(−a t) V(0), floor). The levels floor = ℓ_0 < ℓ_1 < … < 1 cut the region into shells, and in each V̇ < −a V is
 proved by one negative definite matrix a vertex of the loop. All of it in exact rational numbers.
 
-Held commands: as long as V(τ) ≤ e^(a (t − τ)) V(t) for the held past τ (Razumikhin), what was measured differs from
-what is by a bounded share of √V(t); a first time at which V exceeds its envelope would have such a past.
+With commands that are held, the same of a functional W ≥ V that equals V at the control instants: see
+`region_inclusion`.
 """
 
 from __future__ import annotations
@@ -35,11 +35,12 @@ def check(document: Mapping[str, Any]) -> None:
         Rejected: with the first thing that is not proved.
     """
     claim = read_claim(document.get("claim"))
-    proof = record(document.get("proof"), ("P", "floor", "shells"), "proof")
+    proof = record(document.get("proof"), ("P", "floor", "hold", "shells"), "proof")
     p = _matrix(proof["P"], 6 if claim.lag[1] else 4)
     if not is_positive_definite(p):
         raise Rejected("P is not positive definite")
     levels, multipliers = _shells(proof)
+    hold = number(proof["hold"], "proof.hold")
     covariance, steady = inverse(p), trim(claim)
     _check_offset(claim, p, steady)
     _check_settled(claim, covariance, steady, levels[0])
@@ -47,7 +48,7 @@ def check(document: Mapping[str, Any]) -> None:
         low, high = levels[k], levels[k + 1]
         at = shell(claim, steady, covariance, low, high)
         for j, loop in enumerate(vertices(claim, at, len(p))):
-            m = rate_matrix(claim, at, p, loop, factors)
+            m = rate_matrix(claim, at, p, loop, factors, hold)
             if not is_positive_definite(scaled(Fraction(-1), m)):
                 raise Rejected(f"V does not decay at the rate between levels {float(low):g} and {float(high):g}, "
                                f"vertex {j}")  # fmt: skip

@@ -41,6 +41,7 @@ class Shell:
         thrust_share: φ: what is left of a command's deviation after the thrust limit lies in [φ, 1] times it.
         held: κ_5: force that is not the command of this instant, |w_5| ≤ κ_5 √V [N].
         stirred: κ_6: with lag, drag that the heading stirs, |w_6| ≤ κ_6 √V [N]; else 0.
+        wish_rate: |d/dt of the commanded force by the place alone| ≤ this |δU| [N s/m/s].
     """
 
     steer: tuple[Fraction, Fraction]
@@ -50,6 +51,7 @@ class Shell:
     thrust_share: Fraction
     held: Fraction
     stirred: Fraction
+    wish_rate: Fraction
 
 
 def wish(size: int, claim: CruiseClaim, steer: Fraction, catch: Fraction) -> Matrix:
@@ -93,12 +95,7 @@ def shell(claim: CruiseClaim, steady: Trim, covariance: Matrix, low: Fraction, h
             point from which the target waits; or the steady cruise itself needs more thrust than there is.
     """
     size = len(covariance)
-    # what was measured one period ago may have lain a little higher: V(τ) ≤ e^(a h) V(t) ≤ (1 + a h) V(t), a h ≤ 1
-    drift = claim.rate * claim.period
-    if drift > 1:
-        raise Rejected("the rate is too fast for the period")
-    earlier = 1 + drift  # e^(a h/2) ≤ 1 + a h for a h ≤ 1
-    reach = root_up(high) * earlier
+    reach = root_up(high)
     x, y = (root_up(covariance[k][k]) * reach for k in (0, 1))
     steer, catch, slant = _commanded(claim, steady, x, y)
     corners = sorted(set(product(steer, catch)))
@@ -112,31 +109,26 @@ def shell(claim: CruiseClaim, steady: Trim, covariance: Matrix, low: Fraction, h
     spread = claim.quadratic_model * (steady.command[1] + min(claim.cap, steady.command[1] + e_wish * reach))
     model_drag = (model_low, model_low + spread)
     drag = (claim.linear[0], claim.linear[1] + claim.quadratic[1] * (2 * claim.cruise + e_velocity * reach))
-    middle = sum(model_drag) / 2
-    e_force = max(gain(force_rows(size, claim, middle, s, k)) for s, k in corners)
-    e_force += (model_drag[1] - model_drag[0]) / 2 * e_wish
-
     push, turn = claim.mass_model * claim.k_v, claim.yaw_rate * claim.period
     floor = root_down(low)
     if floor <= 0:
         raise Rejected("a shell begins at level 0")
+    # the trim turns with {B} while it is held; with lag it also trails behind
+    still = turn * steady.turning
     if claim.lag[1]:
-        still = steady.commanded + (claim.lag[1] * claim.yaw_rate) * steady.force + turn * steady.turning
-        driving = gain(force_state(size)) + steady.needed / floor
+        still += steady.commanded + claim.lag[1] * claim.yaw_rate * steady.force
     else:
-        still = steady.total + turn * steady.turning
-        driving = (1 + turn) * e_force + still / floor
-    acceleration = (driving + drag[1] * e_velocity) / claim.mass[0]
+        still += steady.total
     steepest = claim.linear_model + 2 * claim.quadratic_model * claim.cap
-    late = claim.period * (push * acceleration + (push + steepest) * slant * e_velocity) + turn * e_force
     return Shell(
         steer,
         catch,
         model_drag,
         drag,
         _thrust_share(claim, steady, covariance, corners, model_drag, reach),
-        still / floor + earlier * late,
+        still / floor,
         steady.needed / floor if claim.lag[1] else Fraction(0),
+        (push + steepest) * slant,
     )
 
 

@@ -207,7 +207,10 @@ def _compare(
         raise Rejected("a force exceeds its bound at a sampled place")
     told = [_dot(row, xi) for row in loop.A]
     for j, rows in loop.B.items():
-        told = [value + row[0] * w[j][0] + row[1] * w[j][1] for value, row in zip(told, rows, strict=True)]
+        told = [
+            value + row[0] * w[j][0] + row[1] * w[j][1] if j in w else value
+            for value, row in zip(told, rows, strict=True)
+        ]
     if told != rate:
         raise Rejected("the inclusion is not the loop at a sampled place")
 

@@ -107,14 +107,14 @@ class Bounds:
     share: float
     held: float
     stirred: float
+    wish_rate: float
 
 
 def bounds(claim: RegionClaim, steady: Steady, gains: Gains, low: float, high: float) -> Bounds | None:
     """Bounds of the shell low ≤ V ≤ high; None where the law is another one there."""
     mass, linear, quadratic = claim.model
     k1, ahead, v, cap = claim.gains["k1"], claim.gains["lookahead"], claim.cruise, claim.cap
-    earlier = 1 + claim.rate * claim.period
-    reach, floor = _SLACK * earlier * np.sqrt(high), np.sqrt(low)
+    reach, floor = _SLACK * np.sqrt(high), np.sqrt(low)
     x, y = gains.x * reach, gains.y * reach
     fast, slow = v + steady.omega[1], v + steady.omega[0]
     most = cap * ahead / np.hypot(ahead, y) * 0.9999
@@ -127,26 +127,22 @@ def bounds(claim: RegionClaim, steady: Steady, gains: Gains, low: float, high: f
     drag = (claim.linear[0], claim.linear[1] + claim.quadratic[1] * (2 * v + gains.velocity * reach))
     push, turn = mass * claim.gains["k_v"], claim.yaw_rate * claim.period
     turning = abs(steady.linear) + 1.5 * steady.quadratic
-    command = gains.command + (model_drag[1] - model_drag[0]) / 2 * gains.wish
+    still = turn * turning
     if claim.lag[1]:
-        still = steady.commanded + claim.lag[1] * claim.yaw_rate * (abs(steady.linear) + steady.quadratic)
-        still += turn * turning
-        driving = gains.thrust + steady.needed / floor
+        still += steady.commanded + claim.lag[1] * claim.yaw_rate * (abs(steady.linear) + steady.quadratic)
     else:
-        still = steady.total + turn * turning
-        driving = (1 + turn) * command + still / floor
-    acceleration = (driving + drag[1] * gains.velocity) / claim.mass[0]
+        still += steady.total
     slant = max(np.sqrt(k1 * k1 * (1 + (y / ahead) ** 2) + (steer[1] / ahead) ** 2), cap / ahead)
     steepest = linear + 2 * quadratic * cap
-    late = claim.period * (push * acceleration + (push + steepest) * slant * gains.velocity) + turn * command
     return Bounds(
         steer,
         catch,
         model_drag,
         drag,
         min(1.0, gains.share / reach),
-        _SLACK * (still / floor + earlier * late),
+        _SLACK * still / floor,
         _SLACK * steady.needed / floor if claim.lag[1] else 0.0,
+        (push + steepest) * slant,
     )
 
 
@@ -186,7 +182,7 @@ def gains_of(claim: RegionClaim, steady: Steady, P: Array, at: Bounds) -> Gains:
 
 @dataclass(frozen=True)
 class Loop:
-    """One vertex: A (n, n), inputs B (n, q k) in the order of `wind`; δW, commanded force and δU (q, n).
+    """One vertex: A (n, n), inputs B (n, q k) in the order of `wind`; δW, commanded force and δU (q, n), U̇ (q, n + q k).
 
     With P that has no entry between x and y, the two decouple unless the thrust lags and the vehicle turns:
     then q = 1 and a loop is one of the two, else q = 2.
@@ -198,6 +194,7 @@ class Loop:
     force: Array
     speed: Array
     states: NDArray[np.intp]
+    braking: Array
     wind: tuple[int, ...]
 
 
@@ -206,7 +203,9 @@ def loops(claim: RegionClaim, at: Bounds) -> Iterator[Loop]:
     size, lag, eye = claim.size, claim.lag[1] > 0, np.eye(claim.size)
     share, quarter = (1 + at.share) / 2, np.array([[0.0, -1.0], [1.0, 0.0]])
     seen: set[tuple[float, ...]] = set()
-    wind = tuple(j for j in (1, 2, 3, 5, 6) if (j != 2 or at.share < 1) and (j != 6 or lag))
+    wind = tuple(
+        j for j in (1, 2, 3, 4, 5, 6) if (j != 2 or at.share < 1) and (j != 4 or claim.period) and (j != 6 or lag)
+    )
     for m, s, k, r, t in product(
         sorted(set(claim.mass)), at.steer, sorted(set(at.catch)),
         (claim.yaw_rate if lag else 0.0,), sorted(set(claim.lag)),
@@ -222,10 +221,17 @@ def loops(claim: RegionClaim, at: Bounds) -> Iterator[Loop]:
         else:
             A[2:4] += share * force / m
             inner, gain = eye[:, 2:4], 1 / m
-        entry = {1: gain * share * inner, 2: gain * inner, 3: -eye[:, 2:4] / m, 5: gain * inner, 6: eye[:, 2:4] / m}
+        entry = {
+            1: gain * share * inner,
+            2: gain * inner,
+            3: -eye[:, 2:4] / m,
+            4: gain * inner,
+            5: gain * inner,
+            6: eye[:, 2:4] / m,
+        }
         B, every = np.hstack([entry[j] for j in wind]), np.arange(size)
         if lag and claim.yaw_rate:
-            yield Loop(A, B, wish, force, eye[2:4], every, wind)
+            yield Loop(A, B, wish, force, eye[2:4], every, np.hstack([A, B])[2:4], wind)
             continue
         for axis, name in ((0, k), (1, s)):
             if (axis, name, m, t) in seen:
@@ -233,4 +239,5 @@ def loops(claim: RegionClaim, at: Bounds) -> Iterator[Loop]:
             seen.add((axis, name, m, t))
             own = every[axis::2]
             rows = [given[axis : axis + 1, own] for given in (wish, force, eye[2:4])]
-            yield Loop(A[np.ix_(own, own)], B[own][:, axis::2], *rows, own, wind)
+            part = np.hstack([A[:, own], B[:, axis::2]])[2 + axis : 3 + axis]
+            yield Loop(A[np.ix_(own, own)], B[own][:, axis::2], *rows, own, part, wind)

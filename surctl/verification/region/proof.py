@@ -111,6 +111,7 @@ def certificate_of(claim: RegionClaim, steady: Steady, candidate: Candidate) -> 
     proof = {
         "P": [[float(P[i, j]) for j in range(i + 1)] for i in range(len(P))],
         "floor": candidate.levels[0],
+        "hold": _short(max(candidate.hold, 0.0)) if claim.period else 0.0,
         "shells": [
             {"level": level, "multipliers": [_short(factor, 5) for factor in factors]}
             for level, factors in zip(candidate.levels[1:], candidate.multipliers, strict=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -14,12 +15,13 @@ from surctl.verification.region.synthesis import Candidate, Start, synthesise
 
 __all__ = ["search"]
 
-_STARTS = tuple((share, floor, growth) for growth in (0.05, 0.02) for share in (0.5, 1.0, 0.3) for floor in (0.1, 0.3))
+_STARTS = tuple(product((0.5, 1.0, 0.3), (0.02, 0.06), (0.28, 0.15, 0.08), (0.1, 0.3)))
+_COARSE, _FINE = 3, 6  # shells
 
 
 def search(claim: RegionClaim, steady: Steady, *, seconds: float, seed: int) -> Iterator[Candidate]:
     """Candidates, the largest first, found within that time [s]."""
-    until, found = time.perf_counter() + seconds, []
+    until, found = time.perf_counter() + 0.85 * seconds, []
     draw = np.random.default_rng(seed)
     cruise, cap, ahead = claim.cruise, claim.cap, claim.gains["lookahead"]
     wide = ahead * np.sqrt(max((cap / (cruise + steady.omega[1])) ** 2 - 1, 1e-6))
@@ -27,17 +29,17 @@ def search(claim: RegionClaim, steady: Steady, *, seconds: float, seed: int) -> 
 
     def attempt(start: Start) -> None:
         nonlocal best
-        candidate = synthesise(claim, steady, start)
+        candidate = synthesise(claim, steady, start, shells=_COARSE, rounds=2)
         if candidate is None:
             return
         found.append(candidate)
         if best is None or candidate.offset > best[0]:
             best = candidate.offset, start
 
-    for share, floor, growth in _STARTS:
+    for share, growth, far, floor in _STARTS:
         if time.perf_counter() > until - seconds / 2 and best is not None:
             break
-        attempt(Start(0.2 * cruise / claim.gains["k1"], 0.6 * wide, share, floor, growth))
+        attempt(Start(far * cruise / claim.gains["k1"], 0.46 * wide, share, floor, growth))
     while best is not None and time.perf_counter() < until:
         kept = best[1]
         factors = np.exp(draw.normal(scale=(0.2, 0.15, 0.15, 0.3, 0.3)))
@@ -51,4 +53,9 @@ def search(claim: RegionClaim, steady: Steady, *, seconds: float, seed: int) -> 
                 growth=kept.growth * factors[4],
             )
         )
+    if best is not None:
+        for floor in (best[1].floor / 4, best[1].floor / 2, best[1].floor):
+            fine = synthesise(claim, steady, replace(best[1], floor=floor), shells=_FINE, rounds=4)
+            if fine is not None and fine.offset > 0.98 * best[0]:
+                yield fine
     yield from sorted(found, key=lambda one: -one.offset)[:5]

@@ -26,6 +26,8 @@ __all__ = ["Candidate", "Start", "multipliers_of", "synthesise"]
 Array = NDArray[np.float64]
 
 _WINDS = (1, 2, 3, 5, 6)
+_SPLIT, _TURN_SPLIT = 1 / 3, 1 / 5  # as the checker splits squares of sums
+_GROWTH = 0.4  # 1/s: most that disturbances take of the rate
 _FREE = 3  # multipliers of structured w_j; those of w_5, w_6 come with P
 
 
@@ -43,11 +45,12 @@ class Start:
 
 @dataclass(frozen=True)
 class Candidate:
-    """P (n, n), levels (k + 1,) from the floor to 1, multipliers (k, 5); not yet checked."""
+    """P (n, n), levels (k + 1,) from the floor to 1, multipliers (k, 5), ρ of what is held; not yet checked."""
 
     P: Array
     levels: tuple[float, ...]
     multipliers: Array
+    hold: float
 
     @property
     def offset(self) -> float:
@@ -82,6 +85,25 @@ def structured(at: Bounds, loop: Loop) -> dict[int, Array]:
     return found
 
 
+def held(claim: RegionClaim, at: Bounds, loop: Loop) -> Array:
+    """∂M/∂ρ: what a command that is held costs, and what it owes to |w_4|²."""
+    size, total, q = len(loop.A), len(loop.A) + loop.B.shape[1], len(loop.wish)
+    slope = np.zeros((total, total))
+    if 4 not in loop.wind:
+        return slope
+    start = {j: size + q * k for k, j in enumerate(loop.wind)}
+    h, turn, push = claim.period, claim.yaw_rate * claim.period, claim.model[0] * claim.gains["k_v"]
+    slope += h * (1 + _SPLIT) * push**2 * loop.braking.T @ loop.braking
+    slope[:size, :size] += h * (1 + 1 / _SPLIT) * at.wish_rate**2 * loop.speed.T @ loop.speed
+    owed = (1 - h * (claim.rate + _GROWTH)) / (h * (1 + _TURN_SPLIT) * (1 + turn) ** 2)
+    whole = np.zeros((q, total))
+    whole[:, :size] = loop.force
+    whole[:, start[1] : start[1] + q] = np.eye(q)
+    slope += owed * (1 + 1 / _TURN_SPLIT) * turn**2 * whole.T @ whole
+    slope[start[4] : start[4] + q, start[4] : start[4] + q] -= owed * np.eye(q)
+    return slope
+
+
 def lyapunov(loop: Loop, P: Array, growth: float) -> Array:
     """[[AᵀP + PA + growth P, PB], [BᵀP, 0]]."""
     P = P[np.ix_(loop.states, loop.states)]
@@ -89,7 +111,7 @@ def lyapunov(loop: Loop, P: Array, growth: float) -> Array:
     return np.block([[half + half.T + growth * P, side], [side.T, np.zeros((side.shape[1],) * 2)]])
 
 
-def multipliers_of(claim: RegionClaim, at: Bounds, P: Array) -> tuple[Array, float] | None:
+def multipliers_of(claim: RegionClaim, at: Bounds, P: Array, hold: float) -> tuple[Array, float] | None:
     """λ (5,) of a shell with the largest further rate [1/s] that is left, in units in which P is I."""
     matrices: dict[int, tuple[list[Array], list[Array]]] = {}
     for loop in loops(claim, at):
@@ -103,7 +125,7 @@ def multipliers_of(claim: RegionClaim, at: Bounds, P: Array) -> tuple[Array, flo
         given[6] = given[6] + at.stirred**2 * inner
         parts = [given[j] for j in _WINDS] + [inner]
         pair = matrices.setdefault(total, ([], []))
-        pair[0].append(-change.T @ lyapunov(loop, P, claim.rate) @ change)
+        pair[0].append(-change.T @ (lyapunov(loop, P, claim.rate) + hold * held(claim, at, loop)) @ change)
         pair[1].append(np.array([-change.T @ part @ change for part in parts]))
     positive: Inequality = (np.zeros((5, 1, 1)), np.eye(6)[:5, :, None, None])
     bounded: Inequality = (np.full((5, 1, 1), 1e6), -np.eye(6)[:5, :, None, None])
@@ -113,13 +135,13 @@ def multipliers_of(claim: RegionClaim, at: Bounds, P: Array) -> tuple[Array, flo
 
 def shape(
     claim: RegionClaim, steady: Steady, gains: Gains, shells: list[Bounds], growth: Array, *, spread: float
-) -> Array | None:
+) -> tuple[Array, float] | None:
     """P with the least P_yy for these bounds; growth (k, 2): what w_5 and w_6 take of each shell's rate."""
     basis = symmetric_basis(claim.size)
     # a region that is no mirror image of itself can be averaged with its image: x and y need no common entry
     basis = basis[[not np.any(one[::2, 1::2]) for one in basis]]
     count = len(basis)
-    unknowns = count + _FREE * len(shells)
+    unknowns = count + _FREE * len(shells) + 1
     matrices: dict[int, tuple[list[Array], list[Array]]] = {}
     for k, at in enumerate(shells):
         for loop in loops(claim, at):
@@ -130,6 +152,7 @@ def shape(
             slopes[:count] = [-lyapunov(loop, one, rate) for one in basis]
             for j in range(_FREE):
                 slopes[count + _FREE * k + j] = -given[_WINDS[j]]
+            slopes[-1] = -held(claim, at, loop)
             fixed = growth[k, 0] / at.held**2 * given[5]
             if 6 in loop.wind:
                 fixed = fixed + growth[k, 1] / at.stirred**2 * given[6]
@@ -142,12 +165,14 @@ def shape(
         slopes = np.zeros((len(rows), unknowns, claim.size, claim.size))
         slopes[:, :count] = basis
         inequalities.append((-np.array([row.T @ row for row in rows]), slopes))
+    last = np.eye(unknowns)[-1:, :, None, None]
+    inequalities.append((np.zeros((1, 1, 1)), last))
     cost = np.zeros(unknowns)
     weight = spread * np.eye(claim.size)
     weight[1, 1] += 1
     cost[:count] = np.einsum("kij,ij->k", basis, weight)
     x = minimise(cost, inequalities)
-    return None if x is None else np.einsum("k,kij->ij", x[:count], basis)
+    return None if x is None else (np.einsum("k,kij->ij", x[:count], basis), float(x[-1]))
 
 
 def _rows(claim: RegionClaim, steady: Steady, gains: Gains, at: Bounds) -> list[Array]:
@@ -191,10 +216,10 @@ def synthesise(
         known = [one for one in found if one is not None]
         if len(known) < len(found):
             return best
-        P = shape(claim, steady, gains, known, growth, spread=spread)
-        if P is None:
+        shaped = shape(claim, steady, gains, known, growth, spread=spread)
+        if shaped is None:
             return best
-        candidate, fitted, told = _finished(claim, steady, P, gains, levels)
+        candidate, fitted, told = _finished(claim, steady, *shaped, gains, levels)
         if candidate is not None and (best is None or candidate.offset > best.offset):
             best = candidate
         gains = replace(
@@ -208,7 +233,7 @@ def synthesise(
 
 
 def _finished(
-    claim: RegionClaim, steady: Steady, P: Array, gains: Gains, levels: tuple[float, ...]
+    claim: RegionClaim, steady: Steady, P: Array, hold: float, gains: Gains, levels: tuple[float, ...]
 ) -> tuple[Candidate | None, Gains, Array | None]:
     """The candidate with its multipliers, if every shell has some; its gains; what w_5, w_6 took of the rate."""
     outer = bounds(claim, steady, gains, levels[-2], levels[-1])
@@ -219,11 +244,11 @@ def _finished(
         at = bounds(claim, steady, fitted, low, high)
         if at is None:
             return None, fitted, None
-        found = multipliers_of(claim, at, P)
+        found = multipliers_of(claim, at, P, hold)
         if found is None:
             return None, fitted, None
         factor, left = found
         fine = fine and left > 1e-6
         factors.append(factor)
         growth.append([max(factor[3] * at.held**2, 1e-3), max(factor[4] * at.stirred**2, 1e-3)])
-    return Candidate(P, levels, np.array(factors)) if fine else None, fitted, np.array(growth)
+    return Candidate(P, levels, np.array(factors), hold) if fine else None, fitted, np.array(growth)
