@@ -1,6 +1,7 @@
 """What may happen within one shell of the region: gains of the secants, share of the thrust, forces held too long.
 
-Path frame, deviations from the steady cruise: ξ = (x, y, U_x, U_y) and, with thrust lag, the force (F_x, F_y).
+Path frame, deviations from the steady cruise: ξ = (x, y, U_x, U_y) and, with thrust lag, the force (F_x, F_y)
+less the trim force of the heading at hand.
 On V = ξᵀPξ ≤ ℓ every linear C ξ obeys |C ξ|² ≤ ℓ λ_max(C P⁻¹ Cᵀ).
 """
 
@@ -40,7 +41,7 @@ class Shell:
         model_drag, drag: least and largest secant slope of the drag that is fed forward, and of the true one [N s/m].
         thrust_share: φ: what is left of a command's deviation after the thrust limit lies in [φ, 1] times it.
         held: κ_5: force that is not the command of this instant, |w_5| ≤ κ_5 √V [N].
-        stirred: κ_6: with lag, drag that the heading stirs, |w_6| ≤ κ_6 √V [N]; else 0.
+        stirred: κ_6: with lag, the trim force's lack, |w_6| ≤ κ_6 √V [N]; else 0.
         wish_rate: |d/dt of the commanded force by the place alone| ≤ this |δU| [N s/m/s].
     """
 
@@ -109,16 +110,15 @@ def shell(claim: CruiseClaim, steady: Trim, covariance: Matrix, low: Fraction, h
     spread = claim.quadratic_model * (steady.command[1] + min(claim.cap, steady.command[1] + e_wish * reach))
     model_drag = (model_low, model_low + spread)
     drag = (claim.linear[0], claim.linear[1] + claim.quadratic[1] * (2 * claim.cruise + e_velocity * reach))
-    push, turn = claim.mass_model * claim.k_v, claim.yaw_rate * claim.period
+    push = claim.mass_model * claim.k_v
     floor = root_down(low)
     if floor <= 0:
         raise Rejected("a shell begins at level 0")
-    # the trim turns with {B} while it is held; with lag it also trails behind
-    still = turn * steady.turning
-    if claim.lag[1]:
-        still += steady.commanded + claim.lag[1] * claim.yaw_rate * steady.force
-    else:
-        still += steady.total
+    # the trim turns with {B}: the held one trails behind, and with lag the delivered one too
+    late = claim.period + claim.lag[1]
+    still = claim.yaw_rate * late * steady.turning
+    stirred = steady.total if claim.lag[1] else Fraction(0)
+    still += steady.total - stirred
     steepest = claim.linear_model + 2 * claim.quadratic_model * claim.cap
     return Shell(
         steer,
@@ -127,7 +127,7 @@ def shell(claim: CruiseClaim, steady: Trim, covariance: Matrix, low: Fraction, h
         drag,
         _thrust_share(claim, steady, covariance, corners, model_drag, reach),
         still / floor,
-        steady.needed / floor if claim.lag[1] else Fraction(0),
+        stirred / floor,
         (push + steepest) * slant,
     )
 

@@ -3,7 +3,8 @@
 ξ̇ = A ξ + Σ B_j w_j, each w_j (2,) in the path frame [N], and their bounds:
 w_1, drag fed forward: |w_1| ≤ r_1 |δW|; w_2, the thrust limit: |w_2| ≤ r_2 |δF_c|, δF_c = C ξ + w_1 the deviation of
 the commanded force; w_3, true drag: |w_3| ≤ r_3 |δU|; w_4, what is held since the last control instant; w_5, force
-that the heading stirs: |w_5| ≤ κ_5 √V; w_6, with lag, drag that it stirs: |w_6| ≤ κ_6 √V. A heading that turns freely is in them: R diag(σ) Rᵀ with σ in
+that the heading stirs: |w_5| ≤ κ_5 √V; w_6, with lag, the lack of the
+trim force: |w_6| ≤ κ_6 √V. A heading that turns freely is in them: R diag(σ) Rᵀ with σ in
 [low, high] is the middle plus something of norm (high − low)/2.
 
 M = V̇ + a V + Σ λ_j (bound_j − |w_j|²) in (ξ, w). Where M < 0, V̇ < −a V for every w in its bounds. M is affine in

@@ -17,7 +17,7 @@ from surctl.certcheck.region_bounds import Shell
 from surctl.certcheck.region_claim import CruiseClaim
 from surctl.certcheck.region_exact import Matrix, inverse, quadratic, root_down, root_up
 from surctl.certcheck.region_inclusion import vertex
-from surctl.certcheck.region_trim import MEAN_SHARE, Trim, axis_pairs, offset_speed, quarter
+from surctl.certcheck.region_trim import Trim, axis_pairs, offset_speed, quarter
 
 __all__ = ["Vehicle", "check_identity", "commanded_thrust", "commanded_velocity", "true_rate"]
 
@@ -160,10 +160,7 @@ def _compare(
     v, push = claim.cruise, claim.mass_model * claim.k_v
     hat = (claim.linear_model,) * 2, (claim.quadratic_model,) * 2
     steady_speed, steady_wish = (v, Fraction(0)), (v + omega, Fraction(0))
-    mean = push * omega + claim.linear_model * (v + omega) + MEAN_SHARE * claim.quadratic_model * (v + omega) ** 2
     x_e, y_e, speed = xi[0] - omega / claim.k1, xi[1], (v + xi[2], xi[3])
-    state = [x_e, y_e, *speed, *((mean + xi[4], xi[5]) if boat.lag else ())]
-    rate = true_rate(claim, boat, heading, state, slant)
 
     def along_path(rule: Callable[[Pair], Pair], vector: Pair) -> Pair:
         return turned(heading, rule(_back(heading, vector)))
@@ -174,6 +171,11 @@ def _compare(
     def dragged(vector: Pair) -> Pair:
         return along_path(lambda n: _drag(boat.linear, boat.square, n), vector)
 
+    trimmed = along_path(
+        lambda n: _plus(_drag(*hat, n), (push * omega * heading[0], -push * omega * heading[1])), steady_wish
+    )
+    state = [x_e, y_e, *speed, *(_plus(trimmed, (xi[4], xi[5])) if boat.lag else ())]
+    rate = true_rate(claim, boat, heading, state, slant)
     wanted = commanded_velocity(claim, x_e, y_e, slant)
     s = wanted[0]
     catch = (v + omega - s) / xi[0] if xi[0] else claim.k1
@@ -184,9 +186,6 @@ def _compare(
     d_wish, d_speed = _minus(wanted, steady_wish), (xi[2], xi[3])
     w1 = _minus(_minus(fed_forward(wanted), fed_forward(steady_wish)), _scaled(sum(at.model_drag) / 2, d_wish))
     deviation = _plus((_dot(loop.force[0], xi), _dot(loop.force[1], xi)), w1)
-    trimmed = along_path(
-        lambda n: _plus(_drag(*hat, n), (push * omega * heading[0], -push * omega * heading[1])), steady_wish
-    )
     body = commanded_thrust(claim, _back(heading, wanted), _back(heading, speed))
     command = turned(heading, body)
     w2 = _minus(_minus(command, trimmed), _scaled((1 + at.thrust_share) / 2, deviation))
@@ -196,13 +195,17 @@ def _compare(
             (w3, (at.drag[1] - at.drag[0]) / 2, d_speed)]  # fmt: skip
     w = {1: w1, 2: w2, 3: w3}
     one = (Fraction(1), Fraction(0))
+    lacking = _minus(trimmed, needed)
+    held.append((lacking, steady.total, one))
     if boat.lag:
-        stirred = _minus((mean, Fraction(0)), needed)
-        w |= {5: _plus(_minus(trimmed, (mean, Fraction(0))), (Fraction(0), boat.lag * boat.turn * mean)), 6: stirred}
-        held += [(_minus(trimmed, (mean, Fraction(0))), steady.commanded, one), (stirred, steady.needed, one)]
+        # the trim force in {B} moves with the heading, and what is delivered trails behind
+        moving = _trim_slope(claim, omega, heading)
+        held.append((moving, steady.turning, one))
+        w |= {5: _scaled(-boat.lag * boat.turn, turned(heading, moving)), 6: lacking}
+        trim_rate = _scaled(boat.turn, _plus((-trimmed[1], trimmed[0]), turned(heading, moving)))
+        rate = [*rate[:4], *_minus((rate[4], rate[5]), trim_rate)]
     else:
-        w[5] = _minus(trimmed, needed)
-        held += [(w[5], steady.total, one)]
+        w[5] = lacking
     if any(_square(vector) > gain * gain * _square(of) for vector, gain, of in held):
         raise Rejected("a force exceeds its bound at a sampled place")
     told = [_dot(row, xi) for row in loop.A]
@@ -213,6 +216,15 @@ def _compare(
         ]
     if told != rate:
         raise Rejected("the inclusion is not the loop at a sampled place")
+
+
+def _trim_slope(claim: CruiseClaim, omega: Fraction, heading: Pair) -> Pair:
+    """Derivative of the trim force in {B} with the heading [N/rad]."""
+    c, s = heading
+    speed = claim.cruise + omega
+    a = claim.mass_model * claim.k_v * omega + claim.linear_model * speed
+    b = 2 * claim.quadratic_model * speed**2
+    return -s * (a + b * abs(c)), -c * (a + b * abs(s))
 
 
 def _minus(a: Pair, b: Pair) -> Pair:

@@ -34,8 +34,6 @@ class Trim:
         linear, quadratic: of the command's trim force, linear c + quadratic c² per axis, at the largest ω [N].
         backward: the same at the least ω if it points backwards, else 0 [N].
         total: largest |commanded − needed| force [N].
-        commanded: largest |commanded − mean| force [N].
-        needed: largest |needed − mean| force [N].
     """
 
     omega: tuple[Fraction, Fraction]
@@ -44,17 +42,10 @@ class Trim:
     quadratic: Fraction
     backward: Fraction
     total: Fraction
-    commanded: Fraction
-    needed: Fraction
 
     def along(self, c: Fraction) -> Fraction:
         """Largest |trim force| on an axis at direction cosine ≤ c from the path [N]."""
         return max(self.linear * c + self.quadratic * c * c, self.backward)
-
-    @property
-    def force(self) -> Fraction:
-        """Largest norm of the trim force [N]: √(c⁴ + s⁴) ≤ 1."""
-        return abs(self.linear) + self.quadratic
 
     @property
     def turning(self) -> Fraction:
@@ -127,14 +118,6 @@ def trim(claim: CruiseClaim) -> Trim:
             first, second = ((slope - x * v, square_hat - xx * v * v) for x, xx in zip(pair, square, strict=True))
             yield first, second
 
-    def about_mean() -> Iterator[tuple[tuple[Fraction, Fraction], tuple[Fraction, Fraction]]]:
-        for (pair, square), omega in zip(vertices, omegas, strict=True):
-            mean = push * omega + linear_hat * (v + omega) + MEAN_SHARE * quadratic_hat * (v * v + 2 * v * omega)
-            first, second = ((mean - x * v, -xx * v * v) for x, xx in zip(pair, square, strict=True))
-            yield first, second
-
-    top = quadratic_hat * max(command[0] ** 2, command[1] ** 2)
-    shape = (-MEAN_SHARE, Fraction(1))
     backward = -(push * low + linear_hat * command[0])
     return Trim(
         omega=(low, high),
@@ -143,6 +126,4 @@ def trim(claim: CruiseClaim) -> Trim:
         quadratic=quadratic_hat * command[1] ** 2,
         backward=max(backward, Fraction(0)),
         total=_largest(unbalanced()) + bend,
-        commanded=top * _largest(iter([(shape, shape)])),
-        needed=_largest(about_mean()) + MEAN_SHARE * bend,
     )

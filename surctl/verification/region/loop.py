@@ -27,12 +27,10 @@ _DIRECTIONS = np.linspace(0, np.pi, 33)[:-1]
 
 @dataclass(frozen=True)
 class Steady:
-    """ω range, force residuals (total, commanded, needed) [N], trim force per heading, its norm and its turning."""
+    """ω range, largest lack of the trim force [N], and that force per axis: linear c + quadratic c²."""
 
     omega: tuple[float, float]
     total: float
-    commanded: float
-    needed: float
     linear: float
     quadratic: float
     backward: float
@@ -54,7 +52,7 @@ def steady_cruise(claim: RegionClaim) -> Steady:
     v, push = claim.cruise, mass * claim.gains["k_v"]
     stiffness = push + linear + 2 * _SHARE * quadratic * v
     c, s = np.cos(_HEADINGS), np.sin(_HEADINGS)
-    omegas, total, commanded, needed = [], 0.0, 0.0, 0.0
+    omegas, total = [], 0.0
     corners = product(
         _pairs(*claim.linear, claim.asymmetry), _pairs(*claim.quadratic, claim.asymmetry), (1, -1), (1, -1)
     )
@@ -63,20 +61,15 @@ def steady_cruise(claim: RegionClaim) -> Steady:
         q1, q2 = b[::flop]
         omega = (((x1 + x2) / 2 - linear) * v + _SHARE * ((q1 + q2) / 2 - quadratic) * v * v) / stiffness
         w = v + omega
-        mean = push * omega + linear * w + _SHARE * quadratic * w * w
         command = [push * omega * n + linear * w * n + quadratic * w * w * n * n for n in (c, s)]
         drag = [x * v * n + q * v * v * n * n for x, q, n in ((x1, q1, c), (x2, q2, s))]
         total = max(total, np.max(np.hypot(command[0] - drag[0], command[1] - drag[1])))
-        commanded = max(commanded, np.max(np.hypot(command[0] - mean * c, command[1] - mean * s)))
-        needed = max(needed, np.max(np.hypot(mean * c - drag[0], mean * s - drag[1])))
         omegas.append(omega)
     low, high = min(omegas), max(omegas)
     bend = quadratic * max(low * low, high * high)
     return Steady(
         (low, high),
         1.012 * total + bend,
-        1.02 * commanded,
-        1.02 * needed + bend,
         push * high + linear * (v + high),
         quadratic * (v + high) ** 2,
         max(0.0, -(push * low + linear * (v + low))),
@@ -125,13 +118,11 @@ def bounds(claim: RegionClaim, steady: Steady, gains: Gains, low: float, high: f
     catch = (min(k1, (most - fast) / x), k1)
     model_drag = (linear, linear + quadratic * (fast + min(cap, fast + gains.wish * reach)))
     drag = (claim.linear[0], claim.linear[1] + claim.quadratic[1] * (2 * v + gains.velocity * reach))
-    push, turn = mass * claim.gains["k_v"], claim.yaw_rate * claim.period
+    push = mass * claim.gains["k_v"]
     turning = abs(steady.linear) + 1.5 * steady.quadratic
-    still = turn * turning
-    if claim.lag[1]:
-        still += steady.commanded + claim.lag[1] * claim.yaw_rate * (abs(steady.linear) + steady.quadratic)
-    else:
-        still += steady.total
+    still = claim.yaw_rate * (claim.period + claim.lag[1]) * turning
+    stirred = steady.total if claim.lag[1] else 0.0
+    still += steady.total - stirred
     slant = max(np.sqrt(k1 * k1 * (1 + (y / ahead) ** 2) + (steer[1] / ahead) ** 2), cap / ahead)
     steepest = linear + 2 * quadratic * cap
     return Bounds(
@@ -140,8 +131,8 @@ def bounds(claim: RegionClaim, steady: Steady, gains: Gains, low: float, high: f
         model_drag,
         drag,
         min(1.0, gains.share / reach),
-        _SLACK * still / floor,
-        _SLACK * steady.needed / floor if claim.lag[1] else 0.0,
+        max(_SLACK * still, 1e-3) / floor,
+        max(_SLACK * stirred, 1e-3) / floor,
         (push + steepest) * slant,
     )
 
