@@ -2,8 +2,8 @@
 
 The claim: whatever the constant true parameters in their ranges, there is a steady cruise ξ*, with x_e* = −ω/k1;
 V = (ξ − ξ*)ᵀ P (ξ − ξ*); along every motion that is at a control instant in V ≤ 1,
-V(t) ≤ max(e^(−a t) V(0), floor). The levels floor = ℓ_0 < ℓ_1 < … < 1 cut the region into shells, and in each V̇ < −a V is
-proved by one negative definite matrix a vertex of the loop. All of it in exact rational numbers.
+V(t) ≤ max(e^(−a t) V(0), floor). The levels floor = ℓ_0 < ℓ_1 < … < 1 cut the region into shells, and in each
+V̇ < −a V is proved by one negative definite matrix a vertex of the loop. All of it in exact rational numbers.
 
 With commands that are held, the same of a functional W ≥ V that equals V at the control instants: see
 `region_inclusion`.

@@ -14,6 +14,7 @@ __all__ = [
     "inverse",
     "is_positive_definite",
     "largest_eigenvalue",
+    "middle",
     "product",
     "quadratic",
     "root_down",
@@ -66,6 +67,11 @@ def scaled(factor: Fraction, a: Matrix) -> Matrix:
 def congruence(a: Matrix, b: Matrix) -> Matrix:
     """A B Aᵀ."""
     return product(product(a, b), transpose(a))
+
+
+def middle(pair: Sequence[Fraction]) -> Fraction:
+    """Mean of two numbers."""
+    return (pair[0] + pair[1]) / 2
 
 
 def quadratic(p: Matrix, x: Sequence[Fraction]) -> Fraction:

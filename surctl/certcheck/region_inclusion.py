@@ -26,7 +26,7 @@ from itertools import product as combinations
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_bounds import Shell, force_rows, force_state, velocity, wish
 from surctl.certcheck.region_claim import CruiseClaim
-from surctl.certcheck.region_exact import Matrix, add, product, scaled, transpose, zeros
+from surctl.certcheck.region_exact import Matrix, add, middle, product, scaled, transpose, zeros
 
 __all__ = ["Vertex", "rate_matrix", "vertices"]
 
@@ -77,9 +77,9 @@ def vertex(
 ) -> Vertex:
     """The loop at 1/m, 1/T, r, s and κ."""
     share = (1 + at.thrust_share) / 2
-    force = force_rows(size, claim, sum(at.model_drag) / 2, steer, catch)
+    force = force_rows(size, claim, middle(at.model_drag), steer, catch)
     speed = velocity(size)
-    drag = scaled(sum(at.drag) / 2, speed)
+    drag = scaled(middle(at.drag), speed)
     place, push = zeros(size, 2), zeros(size, 2)
     place[0][0] = place[1][1] = push[2][0] = push[3][1] = Fraction(1)
     A = product(place, speed)

@@ -15,7 +15,7 @@ from fractions import Fraction
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_bounds import Shell
 from surctl.certcheck.region_claim import CruiseClaim
-from surctl.certcheck.region_exact import Matrix, inverse, quadratic, root_down, root_up
+from surctl.certcheck.region_exact import Matrix, inverse, middle, quadratic, root_down, root_up
 from surctl.certcheck.region_inclusion import vertex
 from surctl.certcheck.region_trim import Trim, axis_pairs, offset_speed, quarter
 
@@ -105,7 +105,7 @@ def check_identity(claim: CruiseClaim, at: Shell, steady: Trim, covariance: Matr
     draw, p = random.Random(f"{size}/{level}"), inverse(covariance)
     for _ in range(_SAMPLES):
         boat = _boat(claim, draw)
-        omega = offset_speed(claim, sum(boat.linear) / 2, sum(boat.square) / 2)
+        omega = offset_speed(claim, middle(boat.linear), middle(boat.square))
         xi, slant = _place(claim, p, level, draw)
         c, s = draw.choice(quarter(12))
         heading = (draw.choice((c, -c)), draw.choice((s, -s)))
@@ -184,12 +184,12 @@ def _compare(
     loop = vertex(claim, at, len(xi), per_mass=1 / boat.mass, per_lag=1 / boat.lag if boat.lag else Fraction(0),
                   turn=boat.turn if boat.lag else Fraction(0), steer=s, catch=catch)  # fmt: skip
     d_wish, d_speed = _minus(wanted, steady_wish), (xi[2], xi[3])
-    w1 = _minus(_minus(fed_forward(wanted), fed_forward(steady_wish)), _scaled(sum(at.model_drag) / 2, d_wish))
+    w1 = _minus(_minus(fed_forward(wanted), fed_forward(steady_wish)), _scaled(middle(at.model_drag), d_wish))
     deviation = _plus((_dot(loop.force[0], xi), _dot(loop.force[1], xi)), w1)
     body = commanded_thrust(claim, _back(heading, wanted), _back(heading, speed))
     command = turned(heading, body)
     w2 = _minus(_minus(command, trimmed), _scaled((1 + at.thrust_share) / 2, deviation))
-    w3 = _minus(_minus(dragged(speed), dragged(steady_speed)), _scaled(sum(at.drag) / 2, d_speed))
+    w3 = _minus(_minus(dragged(speed), dragged(steady_speed)), _scaled(middle(at.drag), d_speed))
     needed = dragged(steady_speed)
     held = [(w1, (at.model_drag[1] - at.model_drag[0]) / 2, d_wish), (w2, (1 - at.thrust_share) / 2, deviation),
             (w3, (at.drag[1] - at.drag[0]) / 2, d_speed)]  # fmt: skip

@@ -14,7 +14,7 @@ from fractions import Fraction
 from itertools import pairwise, product
 
 from surctl.certcheck.region_claim import CruiseClaim
-from surctl.certcheck.region_exact import root_up
+from surctl.certcheck.region_exact import middle, root_up
 
 __all__ = ["MEAN_SHARE", "Trim", "axis_pairs", "offset_speed", "quarter", "trim"]
 
@@ -106,7 +106,7 @@ def trim(claim: CruiseClaim) -> Trim:
             axis_pairs(*claim.quadratic, claim.asymmetry),
         )
     )
-    omegas = [offset_speed(claim, sum(pair) / 2, sum(square) / 2) for pair, square in vertices]
+    omegas = [offset_speed(claim, middle(pair), middle(square)) for pair, square in vertices]
     low, high = min(omegas), max(omegas)
     command = (v + low, v + high)
     bend = quadratic_hat * max(low * low, high * high)  # the term in ω², left out of what is affine

@@ -31,31 +31,35 @@ def verify(
     A claim that is not refuted is not proved. Exit status 0 when every verdict is the one the claim ships with.
     Examples: surctl verify; surctl verify v1-printed v1-corrected --gains my-gains.toml
     """
+    from surctl.cli.regions import is_region, prove_regions
     from surctl.control import build_law, load_gains
     from surctl.vehicle import load_vehicle
     from surctl.verification import claims as library
     from surctl.verification import falsify, worst_margins
 
     values = load_gains(gains).values
-    chosen = library(values, claims or None)
+    named = [name for name in claims if not is_region(name)]
+    regions = prove_regions([name for name in claims if is_region(name)], vehicle=vehicle, gains=gains, seed=seed)
+    chosen = library(values, named if claims else None)
     flown = load_vehicle(vehicle)
     margins = worst_margins(flown, values, uncertainty=uncertainty, cruise=cruise, dt=build_law().dt)
     verdicts = []
     for claim in chosen:
         progress(claim.name)
         verdicts.append(falsify(claim, seed=seed))
-    lines = [claim_line(v) for v in verdicts]
+    lines = [*(claim_line(v) for v in verdicts), *regions.lines]
     least = min(margins, key=lambda m: m.delay_margin_s)
     off = f" with mass and drag off by ±{uncertainty:.0%}" if uncertainty else ""
     stable = all(m.stable for m in margins)
     word = "stable" if stable else "UNSTABLE"
     lines.append(f"margins of {flown.name}{off}: {word}, least delay {least.delay_margin_s:.2f} s ({least.name})")
     result = {
-        "claims": [v.to_dict() for v in verdicts],
+        "claims": [*(v.to_dict() for v in verdicts), *regions.claims],
         "uncertainty": uncertainty,
         "margins": [m.to_dict() for m in margins],
     }
-    finish(result, lines, as_json=as_json, passed=stable and all(v.as_expected for v in verdicts))
+    passed = stable and regions.passed and all(v.as_expected for v in verdicts)
+    finish(result, lines, as_json=as_json, passed=passed)
 
 
 def claim_line(verdict: Verdict) -> str:

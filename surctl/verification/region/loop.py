@@ -173,7 +173,7 @@ def gains_of(claim: RegionClaim, steady: Steady, P: Array, at: Bounds) -> Gains:
 
 @dataclass(frozen=True)
 class Loop:
-    """One vertex: A (n, n), inputs B (n, q k) in the order of `wind`; δW, commanded force and δU (q, n), U̇ (q, n + q k).
+    """One vertex: A (n, n), inputs B (n, q k) in the order of `wind`; δW, commanded force and δU (q, n); U̇.
 
     With P that has no entry between x and y, the two decouple unless the thrust lags and the vehicle turns:
     then q = 1 and a loop is one of the two, else q = 2.
@@ -229,6 +229,6 @@ def loops(claim: RegionClaim, at: Bounds) -> Iterator[Loop]:
                 continue
             seen.add((axis, name, m, t))
             own = every[axis::2]
-            rows = [given[axis : axis + 1, own] for given in (wish, force, eye[2:4])]
+            row = np.ix_(every[axis : axis + 1], own)
             part = np.hstack([A[:, own], B[:, axis::2]])[2 + axis : 3 + axis]
-            yield Loop(A[np.ix_(own, own)], B[own][:, axis::2], *rows, own, part, wind)
+            yield Loop(A[np.ix_(own, own)], B[own][:, axis::2], wish[row], force[row], eye[2:4][row], own, part, wind)

@@ -58,6 +58,17 @@ class RegionProof:
         """Write the certificate's file."""
         path.write_text(self.text(), encoding="utf-8")
 
+    @property
+    def sentence(self) -> str:
+        """The verdict in one line."""
+        if self.verdict != "proved":
+            return f"unknown: {self.reason}"
+        x, y = self.settled
+        return (
+            f"proved: from {self.offset:.3g} m beside the path it decays at {self.claim.rate:g}/s "
+            f"to within {x:.3g} m along and {y:.3g} m across; checked in {self.check_seconds:.2f} s"
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
         return {
