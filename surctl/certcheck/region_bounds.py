@@ -172,7 +172,8 @@ def _thrust_share(
         for s, k in corners
     ]
     points = quarter(_ARCS)
-    for flip in (1, -1):
+    mirrored = all(g[0][1] == 0 for g in grams)
+    for flip in (1,) if mirrored else (1, -1):
         for (c1, s1), (c2, s2) in pairwise(points):
             meet = 1 + c1 * c2 + s1 * s2
             ends = [(c1, flip * s1), (c2, flip * s2), ((c1 + c2) / meet, flip * (s1 + s2) / meet)]

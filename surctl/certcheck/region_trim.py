@@ -102,7 +102,7 @@ def trim(claim: CruiseClaim) -> Trim:
     linear_hat, quadratic_hat = claim.linear_model, claim.quadratic_model
     vertices = list(
         product(
-            axis_pairs(*claim.linear, claim.asymmetry),
+            [(a, b) for a, b in axis_pairs(*claim.linear, claim.asymmetry) if a <= b],  # surge and sway may be swapped
             axis_pairs(*claim.quadratic, claim.asymmetry),
         )
     )

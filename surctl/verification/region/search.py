@@ -16,7 +16,7 @@ from surctl.verification.region.synthesis import Candidate, Start, synthesise
 __all__ = ["search"]
 
 _STARTS = tuple(product((0.5, 1.0, 0.3), (0.02, 0.06), (0.28, 0.15, 0.08), (0.1, 0.3)))
-_COARSE, _FINE = 3, 6  # shells
+_COARSE, _FINE = 2, 6  # shells
 
 
 def search(claim: RegionClaim, steady: Steady, *, seconds: float, seed: int) -> Iterator[Candidate]:
@@ -29,7 +29,7 @@ def search(claim: RegionClaim, steady: Steady, *, seconds: float, seed: int) -> 
 
     def attempt(start: Start) -> None:
         nonlocal best
-        candidate = synthesise(claim, steady, start, shells=_COARSE, rounds=2)
+        candidate = synthesise(claim, steady, start, shells=_COARSE, rounds=1)
         if candidate is None:
             return
         found.append(candidate)
@@ -37,7 +37,7 @@ def search(claim: RegionClaim, steady: Steady, *, seconds: float, seed: int) -> 
             best = candidate.offset, start
 
     for share, growth, far, floor in _STARTS:
-        if time.perf_counter() > until - seconds / 2 and best is not None:
+        if time.perf_counter() > until - 0.5 * seconds and best is not None:
             break
         attempt(Start(far * cruise / claim.gains["k1"], 0.46 * wide, share, floor, growth))
     while best is not None and time.perf_counter() < until:
