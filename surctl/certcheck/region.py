@@ -34,6 +34,7 @@ def check(document: Mapping[str, Any]) -> None:
     Raises:
         Rejected: with the first thing that is not proved.
     """
+    record(document, ("format", "version", "kind", "claim", "proof", "sha256"), "the certificate")
     claim = read_claim(document.get("claim"))
     proof = record(document.get("proof"), ("P", "floor", "hold", "shells"), "proof")
     p = _matrix(proof["P"], 6 if claim.lag[1] else 4)
@@ -44,10 +45,12 @@ def check(document: Mapping[str, Any]) -> None:
     covariance, steady = inverse(p), trim(claim)
     _check_offset(claim, p, steady)
     _check_settled(claim, covariance, steady, levels[0])
+    # y, U_y, F_y → −y, −U_y, −F_y leaves such a V, and turns r round
+    mirrored = not any(p[i][j] for i in range(0, len(p), 2) for j in range(1, len(p), 2))
     for k, factors in enumerate(multipliers):
         low, high = levels[k], levels[k + 1]
         at = shell(claim, steady, covariance, low, high)
-        for j, loop in enumerate(vertices(claim, at, len(p))):
+        for j, loop in enumerate(vertices(claim, at, len(p), mirrored=mirrored)):
             m = rate_matrix(claim, at, p, loop, factors, hold)
             if not is_positive_definite(scaled(Fraction(-1), m)):
                 raise Rejected(f"V does not decay at the rate between levels {float(low):g} and {float(high):g}, "

@@ -13,6 +13,8 @@ from surctl.certcheck.document import Rejected
 
 __all__ = ["EXCLUDES", "CruiseClaim", "number", "read_claim", "record"]
 
+_LARGEST = 10**9
+
 EXCLUDES = (
     "straight leg of the path, the target moving along it at the cruise speed",
     "surge and sway have the same mass; their drag differs by no more than the asymmetry",
@@ -76,12 +78,13 @@ def record(value: Any, keys: tuple[str, ...], where: str) -> Mapping[str, Any]:
 
 def number(value: Any, where: str, *, least: Fraction | int = 0, above: bool = False) -> Fraction:
     """The decimal as it is printed, ≥ least (> least with `above`)."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise Rejected(f"{where} must be a finite number, not {value!r}")
+    whole = type(value) is int and abs(value) <= _LARGEST
+    if not whole and not (type(value) is float and math.isfinite(value)):
+        raise Rejected(f"{where} must be a finite number of at most {_LARGEST}")
     exact = Fraction(repr(value))
     if exact < least or (above and exact == least):
         raise Rejected(f"{where} must be {'above' if above else 'at least'} {least}, not {value!r}")
-    if abs(exact) > 10**9 or (exact and abs(exact) < Fraction(1, 10**18)):
+    if abs(exact) > _LARGEST or (exact and abs(exact) < Fraction(1, 10**18)):
         raise Rejected(f"{where} is out of all proportion: {value!r}")
     return exact
 

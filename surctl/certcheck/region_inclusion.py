@@ -52,12 +52,12 @@ class Vertex:
     force: Matrix
 
 
-def vertices(claim: CruiseClaim, at: Shell, size: int) -> Iterator[Vertex]:
-    """All extreme loops of a shell."""
+def vertices(claim: CruiseClaim, at: Shell, size: int, *, mirrored: bool) -> Iterator[Vertex]:
+    """All extreme loops of a shell; for a V that is its own mirror image in the path, of each two images one."""
     lag = claim.lag[1] > 0
     masses = [1 / m for m in sorted(set(claim.mass))]
     lags = [1 / t for t in sorted(set(claim.lag))] if lag else [Fraction(0)]
-    turns = sorted({-claim.yaw_rate, claim.yaw_rate}) if lag else [Fraction(0)]
+    turns = sorted({claim.yaw_rate if mirrored else -claim.yaw_rate, claim.yaw_rate}) if lag else [Fraction(0)]
     for per_mass, per_lag, turn, steer, catch in combinations(
         masses, lags, turns, sorted(set(at.steer)), sorted(set(at.catch))
     ):

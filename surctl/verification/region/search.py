@@ -15,7 +15,7 @@ from surctl.verification.region.synthesis import Candidate, Start, synthesise
 
 __all__ = ["search"]
 
-_STARTS = tuple(product((0.5, 1.0, 0.3), (0.02, 0.06), (0.28, 0.15, 0.08), (0.1, 0.3)))
+_STARTS = tuple(product((0.5, 1.0, 0.3), (0.02, 0.06), (0.28, 0.15, 0.08), (0.1, 0.3, 0.7)))
 _COARSE, _FINE = 2, 6  # shells
 
 
@@ -49,7 +49,7 @@ def search(claim: RegionClaim, steady: Steady, *, seconds: float, seed: int) -> 
                 x=kept.x * factors[0],
                 y=min(kept.y * factors[1], 0.98 * wide),
                 share=min(kept.share * factors[2], 1.0),
-                floor=min(kept.floor * factors[3], 0.5),
+                floor=min(kept.floor * factors[3], 0.8),
                 growth=kept.growth * factors[4],
             )
         )
