@@ -39,7 +39,7 @@ def prove_regions(names: Sequence[str], *, vehicle: str, gains: str, seed: int =
     proofs = []
     for claim in claims:
         progress(claim.name)
-        proof = prove_region(claim, seconds=REGION_CLAIMS[claim.name].seconds, seed=seed)
+        proof = prove_region(claim, attempts=REGION_CLAIMS[claim.name].attempts, seed=seed)
         proofs.append(proof)
         if out is not None and proof.verdict == "proved":
             out.mkdir(parents=True, exist_ok=True)

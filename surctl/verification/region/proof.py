@@ -85,18 +85,18 @@ class RegionProof:
         }
 
 
-def prove_region(claim: RegionClaim, *, seconds: float = 8.0, seed: int = 0) -> RegionProof:
+def prove_region(claim: RegionClaim, *, attempts: int = 80, seed: int = 0) -> RegionProof:
     """Look for the largest region of the claim and have it checked.
 
     Args:
         claim: whose loop, over which ranges, at which rate.
-        seconds: time for the search [s]; a region that was found is kept.
+        attempts: starts of the search; about eight a second.
         seed: of the search.
     """
     began = time.perf_counter()
     steady = steady_cruise(claim)
     reason = "the search found no quadratic V of this rate"
-    for candidate in search(claim, steady, seconds=seconds, seed=seed):
+    for candidate in search(claim, steady, attempts=attempts, seed=seed):
         document = certificate_of(claim, steady, candidate)
         checked = check_document(document)
         if checked.accepted:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
@@ -19,9 +18,9 @@ _STARTS = tuple(product((0.5, 1.0, 0.3), (0.02, 0.06), (0.28, 0.15, 0.08), (0.1,
 _COARSE, _FINE = 2, 6  # shells
 
 
-def search(claim: RegionClaim, steady: Steady, *, seconds: float, seed: int) -> Iterator[Candidate]:
-    """Candidates, the largest first, found within that time [s]."""
-    until, found = time.perf_counter() + 0.85 * seconds, []
+def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> Iterator[Candidate]:
+    """Candidates, the largest first, of that many attempts; the same for the same seed."""
+    found: list[Candidate] = []
     draw = np.random.default_rng(seed)
     cruise, cap, ahead = claim.cruise, claim.cap, claim.gains["lookahead"]
     wide = ahead * np.sqrt(max((cap / (cruise + steady.omega[1])) ** 2 - 1, 1e-6))
@@ -36,11 +35,11 @@ def search(claim: RegionClaim, steady: Steady, *, seconds: float, seed: int) -> 
         if best is None or candidate.offset > best[0]:
             best = candidate.offset, start
 
-    for share, growth, far, floor in _STARTS:
-        if time.perf_counter() > until - 0.5 * seconds and best is not None:
-            break
+    for share, growth, far, floor in _STARTS[: max(attempts // 2, 1)]:
         attempt(Start(far * cruise / claim.gains["k1"], 0.46 * wide, share, floor, growth))
-    while best is not None and time.perf_counter() < until:
+    for _ in range(attempts - len(_STARTS[: max(attempts // 2, 1)])):
+        if best is None:
+            break
         kept = best[1]
         factors = np.exp(draw.normal(scale=(0.2, 0.15, 0.15, 0.3, 0.3)))
         attempt(

@@ -24,7 +24,7 @@ def claimed(**changes: Any) -> RegionClaim:
 
 
 def test_a_region_is_proved_and_its_certificate_stands_alone(tmp_path: Path) -> None:
-    proof = prove_region(claimed(), seconds=1.5)
+    proof = prove_region(claimed(), attempts=12)
     assert proof.verdict == "proved", proof.reason
     assert proof.offset > 0.15 and proof.settled[1] < proof.offset
     proof.write(tmp_path / "c.json")
@@ -35,7 +35,7 @@ def test_a_region_is_proved_and_its_certificate_stands_alone(tmp_path: Path) -> 
 
 
 def test_what_cannot_be_is_unknown_and_says_so() -> None:
-    proof = prove_region(claimed(rate=5.0), seconds=1.0)
+    proof = prove_region(claimed(rate=5.0), attempts=6)
     assert proof.verdict == "unknown" and not proof.certificate()
     assert "found no" in proof.to_dict()["remaining"] and "unknown" in proof.sentence
 
