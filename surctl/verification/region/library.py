@@ -44,9 +44,9 @@ def _ranges(name: str, vehicle: Vehicle, gains: Gains) -> RegionClaim:
 
 
 REGION_CLAIMS: Mapping[str, RegionEntry] = {
-    "region-cruise-20": RegionEntry("mass and drag off by ±20 %, any heading, saturated thrust", _twenty, 80),
+    "region-cruise-20": RegionEntry("mass and drag off by ±20 %, any heading, saturated thrust", _twenty, 100),
     "region-cruise-20-soft": RegionEntry("the same with k1 0.15, look-ahead 1.2 m, k_v 0.35", _soft, 80),
-    "region-cruise-20-sampled": RegionEntry("the same as region-cruise-20, commands held for a period", _sampled, 80),
+    "region-cruise-20-sampled": RegionEntry("the same as region-cruise-20, commands held for a period", _sampled, 100),
     "region-cruise-20-lag": RegionEntry(
         "that with the thrust's lag too, the heading turning at 0.1 rad/s at most", _lagged, 60
     ),

@@ -35,9 +35,11 @@ def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> I
         if best is None or candidate.offset > best[0]:
             best = candidate.offset, start
 
-    for share, growth, far, floor in _STARTS[: max(attempts // 2, 1)]:
+    for share, growth, far, floor in _STARTS:  # what is out of reach is found out soon
         attempt(Start(far * cruise / claim.gains["k1"], 0.46 * wide, share, floor, growth))
-    for _ in range(attempts - len(_STARTS[: max(attempts // 2, 1)])):
+        if len(found) >= max(attempts // 3, 1):
+            break
+    for _ in range(attempts - len(found)):
         if best is None:
             break
         kept = best[1]
@@ -53,8 +55,8 @@ def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> I
             )
         )
     if best is not None:
-        for floor in (best[1].floor / 4, best[1].floor / 2, best[1].floor):
-            fine = synthesise(claim, steady, replace(best[1], floor=floor), shells=_FINE, rounds=4)
-            if fine is not None and fine.offset > 0.98 * best[0]:
+        for share in (8, 4, 2, 1):  # a lower floor settles nearer to the path: worth a little of the offset
+            fine = synthesise(claim, steady, replace(best[1], floor=best[1].floor / share), shells=_FINE, rounds=4)
+            if fine is not None and fine.offset > 0.95 * best[0]:
                 yield fine
     yield from sorted(found, key=lambda one: -one.offset)[:5]
