@@ -50,7 +50,7 @@ class Trim:
     @property
     def turning(self) -> Fraction:
         """Largest derivative of the trim force in {B} with the heading [N/rad]: 2 √2 c s ≤ 3/2."""
-        return abs(self.linear) + self.quadratic * Fraction(3, 2)
+        return max(abs(self.linear), self.backward) + self.quadratic * Fraction(3, 2)
 
 
 def quarter(arcs: int) -> list[tuple[Fraction, Fraction]]:

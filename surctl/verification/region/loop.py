@@ -119,7 +119,7 @@ def bounds(claim: RegionClaim, steady: Steady, gains: Gains, low: float, high: f
     model_drag = (linear, linear + quadratic * (fast + min(cap, fast + gains.wish * reach)))
     drag = (claim.linear[0], claim.linear[1] + claim.quadratic[1] * (2 * v + gains.velocity * reach))
     push = mass * claim.gains["k_v"]
-    turning = abs(steady.linear) + 1.5 * steady.quadratic
+    turning = max(abs(steady.linear), steady.backward) + 1.5 * steady.quadratic
     still = claim.yaw_rate * (claim.period + claim.lag[1]) * turning
     stirred = steady.total if claim.lag[1] else 0.0
     still += steady.total - stirred
