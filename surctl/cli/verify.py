@@ -29,7 +29,9 @@ def verify(
 
     The claims are about the kinematic loop; vehicle and uncertainty enter the margins only.
     A claim that is not refuted is not proved. Exit status 0 when every verdict is the one the claim ships with.
-    Examples: surctl verify; surctl verify v1-printed v1-corrected --gains my-gains.toml
+    Region claims are about the whole loop and are proved only when they are named: see surctl list.
+    Examples: surctl verify; surctl verify v1-printed v1-corrected --gains my-gains.toml;
+    surctl verify region-cruise-20
     """
     from surctl.cli.regions import is_region, prove_regions
     from surctl.control import build_law, load_gains
