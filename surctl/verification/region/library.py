@@ -39,6 +39,10 @@ def _lagged(name: str, vehicle: Vehicle, gains: Gains) -> RegionClaim:
     return region_claim(name, vehicle, gains, sampled=True, lagged=True, yaw_rate=0.1)
 
 
+def _spinning(name: str, vehicle: Vehicle, gains: Gains) -> RegionClaim:
+    return region_claim(name, vehicle, gains, sampled=True, lagged=True, yaw_rate=gains["spin"])
+
+
 def _ranges(name: str, vehicle: Vehicle, gains: Gains) -> RegionClaim:
     return region_claim(name, vehicle, gains, share=None, thrust_share=0.15, rate=0.01)
 
@@ -49,6 +53,9 @@ REGION_CLAIMS: Mapping[str, RegionEntry] = {
     "region-cruise-20-sampled": RegionEntry("the same as region-cruise-20, commands held for a period", _sampled, 100),
     "region-cruise-20-lag": RegionEntry(
         "that with the thrust's lag too, the heading turning at 0.1 rad/s at most", _lagged, 60
+    ),
+    "region-cruise-20-spin": RegionEntry(
+        "the same while it looks around, turning no faster than the gain spin", _spinning, 60
     ),
     "region-cruise-ranges": RegionEntry("the ranges of the vehicle file, thrust lower by 15 %", _ranges, 120),
 }
