@@ -15,13 +15,14 @@ __all__ = ["listing"]
 @click.option("--show", metavar="NAME", help="Print the built-in file of that name instead.")
 @as_json
 def listing(show: str | None, as_json: bool) -> None:
-    """List built-in vehicles, gain files, scenarios, studies, goals and claims.
+    """List built-in vehicles, gain files, scenarios, studies, goals, claims and region claims.
 
     Example: surctl list --show sur540-flooded > my-vehicle.toml
     """
     from surctl import control, simulation, study, tuning, vehicle
     from surctl.errors import InputError, nearest
     from surctl.verification import claims
+    from surctl.verification.region import REGION_CLAIMS
 
     libraries = {
         "vehicles": vehicle.LIBRARY,
@@ -42,6 +43,7 @@ def listing(show: str | None, as_json: bool) -> None:
             raise InputError("is not unique", key="--show", value=show, remedy=f"name one of {both}")
         sys.stdout.write(hits[0].read_text(encoding="utf-8"))
         return
-    names = {kind: list(group) for kind, group in files.items()} | {"claims": [c.name for c in claims()]}
+    names = {kind: list(group) for kind, group in files.items()}
+    names |= {"claims": [c.name for c in claims()], "regions": list(REGION_CLAIMS)}
     lines = [f"{kind}: {', '.join(group)}" for kind, group in names.items()]
     finish(names, lines, as_json=as_json, passed=True)

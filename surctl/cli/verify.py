@@ -57,10 +57,12 @@ def verify(
     (with what is left open). The paper's claims are about the kinematic loop; the vehicle enters the margins and the
     claims about braking, those at the worst of its ranges. With --scenario, the safety claim: what the law's barrier
     guarantees there, with every assumption as a number (--uncertainty then takes the place of the vehicle's ranges).
+    Region claims are about the whole loop and are proved only when they are named: see surctl list.
     Exit status 0 when every verdict is the one the claim ships with.
-    Examples: surctl verify --out proofs; surctl verify v1-printed my-claim.toml --gains my-gains.toml;
-    surctl verify braking-keeps --scenario tank-static --uncertainty 0.2
+    Examples: surctl verify --out proofs; surctl verify region-cruise-20; surctl verify v1-printed my-claim.toml --gains
+    my-gains.toml; surctl verify braking-keeps --scenario tank-static --uncertainty 0.2
     """
+    from surctl.cli.regions import is_region, prove_regions
     from surctl.control import build_law, load_gains
     from surctl.files import prepare_folder
     from surctl.vehicle import load_vehicle
@@ -68,13 +70,16 @@ def verify(
 
     values = load_gains(gains).values
     flown = load_vehicle(vehicle)
-    chosen = _chosen(claims, values, flown)
+    named = [name for name in claims if not is_region(name)]
+    chosen = _chosen(named, values, flown) if named or not claims else []
     if show:
         texts = {claim.name: write_claim(claim) for claim in chosen}
         finish({"claims": texts}, ["\n".join(texts.values())], as_json=as_json, passed=True)
         return
     if out is not None:
         prepare_folder(out)
+    wanted = [name for name in claims if is_region(name)]
+    regions = prove_regions(wanted, vehicle=vehicle, gains=gains, seed=seed, out=out)
     told = None
     if scenario is not None:
         told = _safety(scenario, flown, gains, barrier=barrier, movers=movers, spread=uncertainty or None)
@@ -84,7 +89,7 @@ def verify(
         progress(claim.name)
         verdicts.append(settle(claim, seed=seed, time_limit=time_limit, progress=progress))
     files = _write_certificates(verdicts, out)
-    lines = [claim_line(v) for v in verdicts]
+    lines = [*(claim_line(v) for v in verdicts), *regions.lines]
     lines += [f"certificates: {len(files)} in {out}; surctl check FILE"] if files else []
     least = min(margins, key=lambda m: m.delay_margin_s)
     off = f" with mass and drag off by ±{uncertainty:.0%}" if uncertainty else ""
@@ -92,11 +97,11 @@ def verify(
     word = "stable" if stable else "UNSTABLE"
     lines.append(f"margins of {flown.name}{off}: {word}, least delay {least.delay_margin_s:.2f} s ({least.name})")
     result = {
-        "claims": [_told(v, files) for v in verdicts],
+        "claims": [*(_told(v, files) for v in verdicts), *regions.claims],
         "uncertainty": uncertainty,
         "margins": [m.to_dict() for m in margins],
     }
-    good = stable and all(v.as_expected for v in verdicts)
+    good = stable and regions.passed and all(v.as_expected for v in verdicts)
     if told is not None:
         lines += told.lines()
         result["safety"] = told.to_dict()

@@ -1,0 +1,163 @@
+"""What a region certificate claims, read strictly: every number a plain decimal, nothing missing, nothing more."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+from surctl.certcheck.document import Rejected
+
+__all__ = ["EXCLUDES", "CruiseClaim", "number", "read_claim", "record"]
+
+_LARGEST = 10**9
+
+EXCLUDES = (
+    "straight leg of the path, the target moving along it at the cruise speed",
+    "surge and sway have the same mass; their drag differs by no more than the asymmetry",
+    "no obstacle, wall or unknown place bounds the velocity; no row of the priority problem is active",
+    "pose and velocity as measured are the true ones",
+    "depth and heading loops: the heading may be any motion no faster than yaw_rate_rad_per_s",
+    "water at rest, no waves, no thrust bias",
+)
+"""What the claim leaves out, word for word."""
+
+
+@dataclass(frozen=True)
+class CruiseClaim:
+    """The claim about the cruise; SI units, pairs are (least, largest).
+
+    Attributes:
+        mass: true m11 = m22 [kg].
+        linear, quadratic: true drag of surge and of sway, each by itself [N s/m, N s²/m²].
+        asymmetry: largest |surge − sway| / mean of either drag coefficient.
+        thrust: least limit of a horizontal thrust axis, the plant's or the law's [N].
+        lag: thrust lag [s]; (0, 0) for none.
+        mass_model, linear_model, quadratic_model: what the law believes.
+        k1, lookahead, k_v, wait: gains [1/s, m, 1/s, m].
+        cruise, cap: speed of the path's target and largest commanded speed [m/s].
+        period: time for which a command is held [s]; 0 for none.
+        yaw_rate: largest |r| [rad/s].
+        rate: a of V̇ ≤ −a V [1/s].
+        offset: |y_e| [m] that lies in the region with x_e = 0 and the target's velocity.
+        settled: largest |x_e|, |y_e| [m] in the set that is reached and kept.
+    """
+
+    mass: tuple[Fraction, Fraction]
+    linear: tuple[Fraction, Fraction]
+    quadratic: tuple[Fraction, Fraction]
+    asymmetry: Fraction
+    thrust: Fraction
+    lag: tuple[Fraction, Fraction]
+    mass_model: Fraction
+    linear_model: Fraction
+    quadratic_model: Fraction
+    k1: Fraction
+    lookahead: Fraction
+    k_v: Fraction
+    wait: Fraction
+    cruise: Fraction
+    cap: Fraction
+    period: Fraction
+    yaw_rate: Fraction
+    rate: Fraction
+    offset: Fraction
+    settled: tuple[Fraction, Fraction]
+
+
+def record(value: Any, keys: tuple[str, ...], where: str) -> Mapping[str, Any]:
+    """The object, if it has exactly these keys."""
+    if not isinstance(value, dict) or set(value) != set(keys):
+        found = sorted(value) if isinstance(value, dict) else type(value).__name__
+        raise Rejected(f"{where} must have exactly the keys {', '.join(sorted(keys))}, not {found}")
+    return value
+
+
+def number(value: Any, where: str, *, least: Fraction | int = 0, above: bool = False) -> Fraction:
+    """The decimal as it is printed, ≥ least (> least with `above`)."""
+    whole = type(value) is int and abs(value) <= _LARGEST
+    if not whole and not (type(value) is float and math.isfinite(value)):
+        raise Rejected(f"{where} must be a finite number of at most {_LARGEST}")
+    exact = Fraction(repr(value))
+    if exact < least or (above and exact == least):
+        raise Rejected(f"{where} must be {'above' if above else 'at least'} {least}, not {value!r}")
+    if abs(exact) > _LARGEST or (exact and abs(exact) < Fraction(1, 10**18)):
+        raise Rejected(f"{where} is out of all proportion: {value!r}")
+    return exact
+
+
+def _pair(value: Any, where: str, *, above: bool = False) -> tuple[Fraction, Fraction]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise Rejected(f"{where} must be [least, largest]")
+    low, high = (number(entry, where, above=above) for entry in value)
+    if low > high:
+        raise Rejected(f"{where}: the least exceeds the largest")
+    return low, high
+
+
+def read_claim(claim: Any) -> CruiseClaim:
+    """The claim of a certificate.
+
+    Raises:
+        Rejected: a key is missing or unknown, a number is of the wrong kind or sign, or the exclusions differ.
+    """
+    top = record(claim, ("system", "excludes", "vehicle", "law", "motion", "sha256_vehicle", "sha256_law"), "claim")
+    if top["system"] != "cruise":
+        raise Rejected(f"claim.system {top['system']!r} is not known; known: cruise")
+    if top["excludes"] != list(EXCLUDES):
+        raise Rejected("claim.excludes is not what this claim leaves out")
+    for key in ("sha256_vehicle", "sha256_law"):
+        if not isinstance(top[key], str) or not re.fullmatch("[0-9a-f]{64}", top[key]):
+            raise Rejected(f"claim.{key} is no SHA-256")
+    vehicle = record(
+        top["vehicle"],
+        ("mass_kg", "linear_drag", "quadratic_drag", "asymmetry", "thrust_n", "lag_s", "yaw_rate_rad_per_s"),
+        "claim.vehicle",
+    )
+    law = record(
+        top["law"],
+        ("mass_kg", "linear_drag", "quadratic_drag", "k1", "lookahead", "k_v", "k_i", "wait", "cruise", "cap",
+         "period_s"),
+        "claim.law",
+    )  # fmt: skip
+    motion = record(top["motion"], ("rate_per_s", "offset_m", "settled_m"), "claim.motion")
+    if number(law["k_i"], "claim.law.k_i"):
+        raise Rejected("claim.law.k_i: integral action is not part of the loop that is certified")
+    lag = _pair(vehicle["lag_s"], "claim.vehicle.lag_s")
+    if lag[0] == 0 and lag[1] > 0:
+        raise Rejected("claim.vehicle.lag_s: a lag from 0 upwards is two claims")
+    settled = motion["settled_m"]
+    if not isinstance(settled, list) or len(settled) != 2:
+        raise Rejected("claim.motion.settled_m must be [x_e, y_e]")
+
+    def positive(name: str) -> Fraction:
+        return number(law[name], f"claim.law.{name}", above=True)
+
+    return CruiseClaim(
+        mass=_pair(vehicle["mass_kg"], "claim.vehicle.mass_kg", above=True),
+        linear=_pair(vehicle["linear_drag"], "claim.vehicle.linear_drag"),
+        quadratic=_pair(vehicle["quadratic_drag"], "claim.vehicle.quadratic_drag"),
+        asymmetry=number(vehicle["asymmetry"], "claim.vehicle.asymmetry"),
+        thrust=number(vehicle["thrust_n"], "claim.vehicle.thrust_n", above=True),
+        lag=lag,
+        mass_model=positive("mass_kg"),
+        linear_model=number(law["linear_drag"], "claim.law.linear_drag"),
+        quadratic_model=number(law["quadratic_drag"], "claim.law.quadratic_drag"),
+        k1=positive("k1"),
+        lookahead=positive("lookahead"),
+        k_v=positive("k_v"),
+        wait=positive("wait"),
+        cruise=positive("cruise"),
+        cap=positive("cap"),
+        period=number(law["period_s"], "claim.law.period_s"),
+        yaw_rate=number(vehicle["yaw_rate_rad_per_s"], "claim.vehicle.yaw_rate_rad_per_s"),
+        rate=number(motion["rate_per_s"], "claim.motion.rate_per_s", above=True),
+        offset=number(motion["offset_m"], "claim.motion.offset_m", above=True),
+        settled=(
+            number(settled[0], "claim.motion.settled_m", above=True),
+            number(settled[1], "claim.motion.settled_m", above=True),
+        ),
+    )

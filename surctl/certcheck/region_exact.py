@@ -1,0 +1,135 @@
+"""Linear algebra in exact rational numbers: nothing here rounds but the square roots, and they say which way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from math import isqrt, lcm
+
+__all__ = [
+    "Matrix",
+    "add",
+    "congruence",
+    "identity",
+    "inverse",
+    "is_positive_definite",
+    "largest_eigenvalue",
+    "middle",
+    "product",
+    "quadratic",
+    "root_down",
+    "root_up",
+    "rounded_up",
+    "scaled",
+    "transpose",
+    "zeros",
+]
+
+Matrix = list[list[Fraction]]
+
+_DIGITS = 10**9  # square roots are rounded to the ninth decimal
+
+
+def zeros(rows: int, columns: int) -> Matrix:
+    """A matrix of zeros."""
+    return [[Fraction(0)] * columns for _ in range(rows)]
+
+
+def identity(size: int) -> Matrix:
+    """I (size, size)."""
+    return [[Fraction(i == j) for j in range(size)] for i in range(size)]
+
+
+def transpose(a: Matrix) -> Matrix:
+    """Aᵀ."""
+    return [list(row) for row in zip(*a, strict=True)]
+
+
+def product(a: Matrix, b: Matrix) -> Matrix:
+    """A B."""
+    columns = transpose(b)
+    return [
+        [sum((x * y for x, y in zip(row, column, strict=True) if x and y), Fraction(0)) for column in columns]
+        for row in a
+    ]
+
+
+def add(*terms: Matrix) -> Matrix:
+    """Sum of matrices of one shape."""
+    return [[sum(entries, Fraction(0)) for entries in zip(*rows, strict=True)] for rows in zip(*terms, strict=True)]
+
+
+def scaled(factor: Fraction, a: Matrix) -> Matrix:
+    """factor A."""
+    return [[factor * entry for entry in row] for row in a]
+
+
+def congruence(a: Matrix, b: Matrix) -> Matrix:
+    """A B Aᵀ."""
+    return product(product(a, b), transpose(a))
+
+
+def middle(pair: Sequence[Fraction]) -> Fraction:
+    """Mean of two numbers."""
+    return (pair[0] + pair[1]) / 2
+
+
+def quadratic(p: Matrix, x: Sequence[Fraction]) -> Fraction:
+    """xᵀ P x."""
+    return sum((x[i] * p[i][j] * x[j] for i in range(len(x)) for j in range(len(x))), Fraction(0))
+
+
+def inverse(a: Matrix) -> Matrix:
+    """A⁻¹ by Gauss and Jordan; ZeroDivisionError if there is none. No pivoting: for positive definite A."""
+    n = len(a)
+    rows = [list(row) + unit for row, unit in zip(a, identity(n), strict=True)]
+    for k in range(n):
+        pivot = rows[k][k]
+        rows[k] = [entry / pivot for entry in rows[k]]
+        for i in range(n):
+            if i != k and rows[i][k]:
+                factor = rows[i][k]
+                rows[i] = [x - factor * y for x, y in zip(rows[i], rows[k], strict=True)]
+    return [row[n:] for row in rows]
+
+
+def is_positive_definite(a: Matrix) -> bool:
+    """Whether a symmetric matrix is positive definite: all leading minors > 0, by Bareiss in whole numbers."""
+    n = len(a)
+    if any(a[i][j] != a[j][i] for i in range(n) for j in range(i)):
+        return False
+    common = lcm(*(entry.denominator for row in a for entry in row))
+    whole = [[int(entry * common) for entry in row] for row in a]
+    previous = 1
+    for k in range(n):
+        pivot = whole[k][k]  # the leading minor of order k + 1
+        if pivot <= 0:
+            return False
+        for i in range(k + 1, n):
+            for j in range(i, n):
+                whole[i][j] = whole[j][i] = (whole[i][j] * pivot - whole[i][k] * whole[k][j]) // previous
+        previous = pivot
+    return True
+
+
+def root_up(value: Fraction) -> Fraction:
+    """A number ≥ √value, at most 2e-9 above it."""
+    return Fraction(isqrt(-(-value.numerator * _DIGITS**2 // value.denominator)) + 1, _DIGITS)
+
+
+def root_down(value: Fraction) -> Fraction:
+    """A number ≤ √value, at most 2e-9 below it, and ≥ 0."""
+    return Fraction(isqrt(value.numerator * _DIGITS**2 // value.denominator), _DIGITS)
+
+
+def largest_eigenvalue(g: Matrix) -> Fraction:
+    """An upper bound on the largest eigenvalue of a symmetric 2 × 2 matrix."""
+    half = (g[0][0] + g[1][1]) / 2
+    return half + root_up(((g[0][0] - g[1][1]) / 2) ** 2 + g[0][1] ** 2)
+
+
+def rounded_up(g: Matrix) -> Matrix:
+    """A symmetric 2 × 2 matrix of few digits, ⪰ g: what rounding may take off the diagonal pays for the rest."""
+    down = [[Fraction(int(entry * _DIGITS), _DIGITS) for entry in row] for row in g]
+    # every entry is off by less than 1/_DIGITS: the error lies above −2/_DIGITS I
+    return [[entry + Fraction(2 * (i == j), _DIGITS) for j, entry in enumerate(row)] for i, row in enumerate(down)]

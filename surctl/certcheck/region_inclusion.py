@@ -1,0 +1,158 @@
+"""The closed loop of a shell as a linear inclusion, and the matrix whose negativity gives V̇ ≤ −a V.
+
+ξ̇ = A ξ + Σ B_j w_j, each w_j (2,) in the path frame [N], and their bounds:
+w_1, drag fed forward: |w_1| ≤ r_1 |δW|; w_2, the thrust limit: |w_2| ≤ r_2 |δF_c|, δF_c = C ξ + w_1 the deviation of
+the commanded force; w_3, true drag: |w_3| ≤ r_3 |δU|; w_4, what is held since the last control instant; w_5, force
+that the heading stirs: |w_5| ≤ κ_5 √V; w_6, with lag, the lack of the
+trim force: |w_6| ≤ κ_6 √V. A heading that turns freely is in them: R diag(σ) Rᵀ with σ in
+[low, high] is the middle plus something of norm (high − low)/2.
+
+M = V̇ + a V + Σ λ_j (bound_j − |w_j|²) in (ξ, w). Where M < 0, V̇ < −a V for every w in its bounds. M is affine in
+1/m, 1/T, r and convex in (s, κ), or convex in each of them: its vertices decide.
+
+Held commands: W = V + (h − τ) ρ ∫ |ḟ|² over the τ seconds since the last instant, f = δF_c as it would be commanded
+in the held heading (Fridman 2010). W = V at the instants, W ≥ V, and e = f(then) − f(now) obeys |e|² ≤ τ ∫ |ḟ|². So
+Ẇ + g W ≤ V̇ + g V + h ρ |ḟ|² − (1 − g h) (ρ/h) |e|². With ḟ = −m k_v U̇ + (what the place alone does, ≤ c |δU|) and
+|w_4| ≤ (1 + r h)|e| + r h |δF_c|, each square of a sum is split by fixed weights. The shells are levels of W.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import product as combinations
+
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.region_bounds import Shell, force_rows, force_state, velocity, wish
+from surctl.certcheck.region_claim import CruiseClaim
+from surctl.certcheck.region_exact import Matrix, add, middle, product, scaled, transpose, zeros
+
+__all__ = ["Vertex", "rate_matrix", "vertices"]
+
+MULTIPLIERS = 5
+_SPLIT = Fraction(1, 3)  # weights of squares of sums: (a + b)² ≤ (1 + k) a² + (1 + 1/k) b²
+_TURN_SPLIT = Fraction(1, 5)
+
+
+@dataclass(frozen=True)
+class Vertex:
+    """One extreme loop.
+
+    Attributes:
+        A: (n, n).
+        B: the inputs w_j by number, each (n, 2).
+        wish: δW = this ξ.
+        force: C, δF_c = C ξ + w_1.
+    """
+
+    A: Matrix
+    B: dict[int, Matrix]
+    wish: Matrix
+    force: Matrix
+
+
+def vertices(claim: CruiseClaim, at: Shell, size: int, *, mirrored: bool) -> Iterator[Vertex]:
+    """All extreme loops of a shell; for a V that is its own mirror image in the path, of each two images one."""
+    lag = claim.lag[1] > 0
+    masses = [1 / m for m in sorted(set(claim.mass))]
+    lags = [1 / t for t in sorted(set(claim.lag))] if lag else [Fraction(0)]
+    turns = sorted({claim.yaw_rate if mirrored else -claim.yaw_rate, claim.yaw_rate}) if lag else [Fraction(0)]
+    for per_mass, per_lag, turn, steer, catch in combinations(
+        masses, lags, turns, sorted(set(at.steer)), sorted(set(at.catch))
+    ):
+        yield vertex(claim, at, size, per_mass=per_mass, per_lag=per_lag, turn=turn, steer=steer, catch=catch)
+
+
+def vertex(
+    claim: CruiseClaim,
+    at: Shell,
+    size: int,
+    *,
+    per_mass: Fraction,
+    per_lag: Fraction,
+    turn: Fraction,
+    steer: Fraction,
+    catch: Fraction,
+) -> Vertex:
+    """The loop at 1/m, 1/T, r, s and κ."""
+    share = (1 + at.thrust_share) / 2
+    force = force_rows(size, claim, middle(at.model_drag), steer, catch)
+    speed = velocity(size)
+    drag = scaled(middle(at.drag), speed)
+    place, push = zeros(size, 2), zeros(size, 2)
+    place[0][0] = place[1][1] = push[2][0] = push[3][1] = Fraction(1)
+    A = product(place, speed)
+    if claim.lag[1]:
+        thrust, entry = force_state(size), zeros(size, 2)
+        entry[4][0] = entry[5][1] = Fraction(1)
+        turned = [[-entry_ for entry_ in thrust[1]], thrust[0]]  # J δF
+        A = add(
+            A,
+            scaled(per_mass, product(push, add(thrust, scaled(Fraction(-1), drag)))),
+            scaled(per_lag, product(entry, add(scaled(share, force), scaled(Fraction(-1), thrust)))),
+            scaled(turn, product(entry, turned)),
+        )
+        inner, gain = entry, per_lag
+    else:
+        A = add(A, scaled(per_mass, product(push, add(scaled(share, force), scaled(Fraction(-1), drag)))))
+        inner, gain = push, per_mass
+    B = {1: scaled(gain * share, inner), 3: scaled(-per_mass, push), 5: scaled(gain, inner)}
+    if at.thrust_share < 1:
+        B[2] = scaled(gain, inner)
+    if claim.period:
+        B[4] = scaled(gain, inner)
+    if claim.lag[1]:
+        B[6] = scaled(per_mass, push)
+    return Vertex(A, B, wish(size, claim, steer, catch), force)
+
+
+def rate_matrix(
+    claim: CruiseClaim, at: Shell, p: Matrix, loop: Vertex, multipliers: Sequence[Fraction], hold: Fraction
+) -> Matrix:
+    """M (n + 2 inputs, same), symmetric; multipliers λ_1, λ_2, λ_3, λ_5, λ_6, and ρ of what is held."""
+    size, inputs = len(p), sorted(loop.B)
+    factor = dict(zip((1, 2, 3, 5, 6), multipliers, strict=True))
+    total = size + 2 * len(inputs)
+    start = {j: size + 2 * k for k, j in enumerate(inputs)}
+    growth = claim.rate + factor[5] * at.held**2 + (factor[6] * at.stirred**2 if 6 in start else 0)
+    if 4 in start:
+        left, turn = 1 - growth * claim.period, claim.yaw_rate * claim.period
+        if left <= 0 or hold <= 0:
+            raise Rejected("the command is held for too long at this rate")
+        factor[4] = left * hold / (claim.period * (1 + _TURN_SPLIT) * (1 + turn) ** 2)
+    half = product(p, loop.A)
+    m = zeros(total, total)
+    corner = add(half, transpose(half), scaled(growth, p))
+    _place(m, corner, 0, 0)
+    for j in inputs:
+        block = product(p, loop.B[j])
+        _place(m, block, 0, start[j])
+        _place(m, transpose(block), start[j], 0)
+        for k in (0, 1):
+            m[start[j] + k][start[j] + k] -= factor[j]
+    r1 = (at.model_drag[1] - at.model_drag[0]) / 2
+    r3 = (at.drag[1] - at.drag[0]) / 2
+    speed = velocity(size)
+    _place(m, scaled(factor[1] * r1 * r1, product(transpose(loop.wish), loop.wish)), 0, 0)
+    _place(m, scaled(factor[3] * r3 * r3, product(transpose(speed), speed)), 0, 0)
+    whole = [row + [Fraction(0)] * (total - size) for row in loop.force]  # δF_c
+    whole[0][start[1]] = whole[1][start[1] + 1] = Fraction(1)
+    weight = Fraction(0)
+    if 2 in start:
+        weight += factor[2] * ((1 - at.thrust_share) / 2) ** 2
+    if 4 in start:
+        weight += factor[4] * (1 + 1 / _TURN_SPLIT) * turn * turn
+        push = claim.mass_model * claim.k_v
+        braking = [loop.A[k] + [entry for j in inputs for entry in loop.B[j][k]] for k in (2, 3)]  # U̇
+        own, others = (1 + _SPLIT) * push * push, (1 + 1 / _SPLIT) * at.wish_rate**2
+        _place(m, scaled(claim.period * hold * own, product(transpose(braking), braking)), 0, 0)
+        _place(m, scaled(claim.period * hold * others, product(transpose(speed), speed)), 0, 0)
+    _place(m, scaled(weight, product(transpose(whole), whole)), 0, 0)
+    return m
+
+
+def _place(m: Matrix, block: Matrix, row: int, column: int) -> None:
+    for i, entries in enumerate(block):
+        for j, entry in enumerate(entries):
+            m[row + i][column + j] += entry

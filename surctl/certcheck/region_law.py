@@ -1,0 +1,247 @@
+"""The flown law and the vehicle written out once more, in rational numbers, against the inclusion that is proved.
+
+At sampled places, parameters and headings (rational points of the unit circle, places whose slant is rational) the
+true derivative must be exactly A ξ + Σ B_j w_j with every w_j within its bound. It does not replace the derivation;
+a slip of sign, frame or factor in it shows here.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.region_bounds import Shell
+from surctl.certcheck.region_claim import CruiseClaim
+from surctl.certcheck.region_exact import Matrix, inverse, middle, quadratic, root_down, root_up
+from surctl.certcheck.region_inclusion import vertex
+from surctl.certcheck.region_trim import Trim, axis_pairs, offset_speed, quarter
+
+__all__ = ["Vehicle", "check_identity", "commanded_thrust", "commanded_velocity", "true_rate"]
+
+Pair = tuple[Fraction, Fraction]
+
+_SAMPLES = 4
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """One true vehicle: mass [kg], drag of surge and sway, lag [s] (0 for none), yaw rate r [rad/s]."""
+
+    mass: Fraction
+    linear: Pair
+    square: Pair
+    lag: Fraction
+    turn: Fraction
+
+
+def turned(heading: Pair, vector: Pair) -> Pair:
+    """R(ψ) vector, with heading = (cos ψ, sin ψ)."""
+    c, s = heading
+    return c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]
+
+
+def _back(heading: Pair, vector: Pair) -> Pair:
+    return turned((heading[0], -heading[1]), vector)
+
+
+def _drag(linear: Pair, square: Pair, v: Pair) -> Pair:
+    first, second = (a * x + b * x * abs(x) for a, b, x in zip(linear, square, v, strict=True))
+    return first, second
+
+
+def commanded_velocity(claim: CruiseClaim, x_e: Fraction, y_e: Fraction, slant: Fraction) -> Pair:
+    """(8)–(12) with the course in place of the heading, U ≥ 0 and the cap, in the path frame; slant = √(y² + Δ²)/Δ."""
+    along = min(max(claim.cruise - claim.k1 * x_e, Fraction(0)), claim.cap / slant)
+    return along, -along * y_e / claim.lookahead
+
+
+def commanded_thrust(claim: CruiseClaim, wanted: Pair, nu: Pair) -> Pair:
+    """τ = D(ν_d)ν_d + m k_v (ν_d − ν) in {B}, each axis within its limit."""
+    hat = _drag((claim.linear_model,) * 2, (claim.quadratic_model,) * 2, wanted)
+    free = (d + claim.mass_model * claim.k_v * (w - v) for d, w, v in zip(hat, wanted, nu, strict=True))
+    first, second = (min(max(f, -claim.thrust), claim.thrust) for f in free)
+    return first, second
+
+
+def true_rate(
+    claim: CruiseClaim, boat: Vehicle, heading: Pair, state: list[Fraction], slant: Fraction
+) -> list[Fraction]:
+    """d/dt of (x_e, y_e, U_x, U_y[, F_x, F_y]) by (2), (3) in {B}, nothing held, for m11 = m22.
+
+    Args:
+        claim: the law.
+        boat: what it flies.
+        heading: (cos ψ, sin ψ) from the path.
+        state: not deviations: U is the ground velocity, F the thrust, both in the path frame.
+        slant: √(y_e² + Δ²)/Δ.
+    """
+    x_e, y_e, speed = state[0], state[1], (state[2], state[3])
+    nu = _back(heading, speed)
+    wanted = _back(heading, commanded_velocity(claim, x_e, y_e, slant))
+    command = commanded_thrust(claim, wanted, nu)
+    thrust = _back(heading, (state[4], state[5])) if boat.lag else command
+    m, r = boat.mass, boat.turn
+    coriolis = (-m * nu[1] * r, m * nu[0] * r)
+    drag = _drag(boat.linear, boat.square, nu)
+    nu_rate = [(t - c - d) / m for t, c, d in zip(thrust, coriolis, drag, strict=True)]
+    # U = R ν: U̇ = R (ν̇ + r S ν), S the quarter turn
+    rate = [speed[0] - claim.cruise, speed[1]]
+    rate += turned(heading, (nu_rate[0] - r * nu[1], nu_rate[1] + r * nu[0]))
+    if boat.lag:
+        own = [(c - t) / boat.lag for c, t in zip(command, thrust, strict=True)]
+        rate += turned(heading, (own[0] - r * thrust[1], own[1] + r * thrust[0]))
+    return rate
+
+
+def check_identity(claim: CruiseClaim, at: Shell, steady: Trim, covariance: Matrix, level: Fraction, size: int) -> None:
+    """Compare the law with the inclusion at sampled points of V ≤ level.
+
+    Raises:
+        Rejected: they differ, or something exceeds its bound.
+    """
+    draw, p = random.Random(f"{size}/{level}"), inverse(covariance)
+    for _ in range(_SAMPLES):
+        boat = _boat(claim, draw)
+        omega = offset_speed(claim, middle(boat.linear), middle(boat.square))
+        xi, slant = _place(claim, p, level, draw)
+        c, s = draw.choice(quarter(12))
+        heading = (draw.choice((c, -c)), draw.choice((s, -s)))
+        _compare(claim, at, steady, boat, omega=omega, xi=xi, slant=slant, heading=heading)
+
+
+def _between(draw: random.Random, low: Fraction, high: Fraction) -> Fraction:
+    return low + (high - low) * Fraction(draw.randint(0, 16), 16)
+
+
+def _boat(claim: CruiseClaim, draw: random.Random) -> Vehicle:
+    def drag(pair: Pair) -> Pair:
+        first, second = (draw.choice(axis_pairs(*pair, claim.asymmetry)) for _ in range(2))
+        share = Fraction(draw.randint(0, 8), 8)
+        a, b = (x + share * (y - x) for x, y in zip(first, second, strict=True))
+        return a, b
+
+    turn = _between(draw, -claim.yaw_rate, claim.yaw_rate)
+    return Vehicle(_between(draw, *claim.mass), drag(claim.linear), drag(claim.quadratic),
+                   _between(draw, *claim.lag), turn)  # fmt: skip
+
+
+def _place(claim: CruiseClaim, p: Matrix, level: Fraction, draw: random.Random) -> tuple[list[Fraction], Fraction]:
+    """A deviation with V ≤ level whose slant is rational."""
+    raw = [Fraction(draw.randint(-1000, 1000), 1000) * 1000 / root_up(p[k][k] * 10**6) for k in range(len(p))]
+    if draw.random() < 0.5:
+        raw = [entry if k == 1 else entry / 50 for k, entry in enumerate(raw)]
+    share = root_down(level / max(quadratic(p, raw), Fraction(1, 10**9))) * Fraction(draw.randint(300, 990), 1000)
+    xi = [entry * share for entry in raw]
+    z = xi[1] / claim.lookahead
+    # y/Δ = 2t/(1 − t²) makes √(1 + (y/Δ)²) = (1 + t²)/(1 − t²)
+    t = Fraction(int((root_up(1 + z * z) - 1) / z * 10**7), 10**7) if z else Fraction(0)
+    xi[1] = claim.lookahead * 2 * t / (1 - t * t)
+    if quadratic(p, xi) > level:
+        xi = [entry / 2 if k != 1 else entry for k, entry in enumerate(xi)]
+        if quadratic(p, xi) > level:
+            return [Fraction(0)] * len(xi), Fraction(1)
+    return xi, (1 + t * t) / (1 - t * t)
+
+
+def _compare(
+    claim: CruiseClaim,
+    at: Shell,
+    steady: Trim,
+    boat: Vehicle,
+    *,
+    omega: Fraction,
+    xi: list[Fraction],
+    slant: Fraction,
+    heading: Pair,
+) -> None:
+    v, push = claim.cruise, claim.mass_model * claim.k_v
+    hat = (claim.linear_model,) * 2, (claim.quadratic_model,) * 2
+    steady_speed, steady_wish = (v, Fraction(0)), (v + omega, Fraction(0))
+    x_e, y_e, speed = xi[0] - omega / claim.k1, xi[1], (v + xi[2], xi[3])
+
+    def along_path(rule: Callable[[Pair], Pair], vector: Pair) -> Pair:
+        return turned(heading, rule(_back(heading, vector)))
+
+    def fed_forward(vector: Pair) -> Pair:
+        return along_path(lambda n: _drag(*hat, n), vector)
+
+    def dragged(vector: Pair) -> Pair:
+        return along_path(lambda n: _drag(boat.linear, boat.square, n), vector)
+
+    trimmed = along_path(
+        lambda n: _plus(_drag(*hat, n), (push * omega * heading[0], -push * omega * heading[1])), steady_wish
+    )
+    state = [x_e, y_e, *speed, *(_plus(trimmed, (xi[4], xi[5])) if boat.lag else ())]
+    rate = true_rate(claim, boat, heading, state, slant)
+    wanted = commanded_velocity(claim, x_e, y_e, slant)
+    s = wanted[0]
+    catch = (v + omega - s) / xi[0] if xi[0] else claim.k1
+    if not (at.steer[0] <= s <= at.steer[1] and at.catch[0] <= catch <= at.catch[1]):
+        raise Rejected("the commanded velocity leaves its bounds at a sampled place")
+    loop = vertex(claim, at, len(xi), per_mass=1 / boat.mass, per_lag=1 / boat.lag if boat.lag else Fraction(0),
+                  turn=boat.turn if boat.lag else Fraction(0), steer=s, catch=catch)  # fmt: skip
+    d_wish, d_speed = _minus(wanted, steady_wish), (xi[2], xi[3])
+    w1 = _minus(_minus(fed_forward(wanted), fed_forward(steady_wish)), _scaled(middle(at.model_drag), d_wish))
+    deviation = _plus((_dot(loop.force[0], xi), _dot(loop.force[1], xi)), w1)
+    body = commanded_thrust(claim, _back(heading, wanted), _back(heading, speed))
+    command = turned(heading, body)
+    w2 = _minus(_minus(command, trimmed), _scaled((1 + at.thrust_share) / 2, deviation))
+    w3 = _minus(_minus(dragged(speed), dragged(steady_speed)), _scaled(middle(at.drag), d_speed))
+    needed = dragged(steady_speed)
+    held = [(w1, (at.model_drag[1] - at.model_drag[0]) / 2, d_wish), (w2, (1 - at.thrust_share) / 2, deviation),
+            (w3, (at.drag[1] - at.drag[0]) / 2, d_speed)]  # fmt: skip
+    w = {1: w1, 2: w2, 3: w3}
+    one = (Fraction(1), Fraction(0))
+    lacking = _minus(trimmed, needed)
+    held.append((lacking, steady.total, one))
+    if boat.lag:
+        # the trim force in {B} moves with the heading, and what is delivered trails behind
+        moving = _trim_slope(claim, omega, heading)
+        held.append((moving, steady.turning, one))
+        w |= {5: _scaled(-boat.lag * boat.turn, turned(heading, moving)), 6: lacking}
+        trim_rate = _scaled(boat.turn, _plus((-trimmed[1], trimmed[0]), turned(heading, moving)))
+        rate = [*rate[:4], *_minus((rate[4], rate[5]), trim_rate)]
+    else:
+        w[5] = lacking
+    if any(_square(vector) > gain * gain * _square(of) for vector, gain, of in held):
+        raise Rejected("a force exceeds its bound at a sampled place")
+    told = [_dot(row, xi) for row in loop.A]
+    for j, rows in loop.B.items():
+        told = [
+            value + row[0] * w[j][0] + row[1] * w[j][1] if j in w else value
+            for value, row in zip(told, rows, strict=True)
+        ]
+    if told != rate:
+        raise Rejected("the inclusion is not the loop at a sampled place")
+
+
+def _trim_slope(claim: CruiseClaim, omega: Fraction, heading: Pair) -> Pair:
+    """Derivative of the trim force in {B} with the heading [N/rad]."""
+    c, s = heading
+    speed = claim.cruise + omega
+    a = claim.mass_model * claim.k_v * omega + claim.linear_model * speed
+    b = 2 * claim.quadratic_model * speed**2
+    return -s * (a + b * abs(c)), -c * (a + b * abs(s))
+
+
+def _minus(a: Pair, b: Pair) -> Pair:
+    return a[0] - b[0], a[1] - b[1]
+
+
+def _plus(a: Pair, b: Pair) -> Pair:
+    return a[0] + b[0], a[1] + b[1]
+
+
+def _scaled(factor: Fraction, a: Pair) -> Pair:
+    return factor * a[0], factor * a[1]
+
+
+def _dot(a: list[Fraction], b: list[Fraction]) -> Fraction:
+    return sum((x * y for x, y in zip(a, b, strict=True)), Fraction(0))
+
+
+def _square(a: Pair) -> Fraction:
+    return a[0] * a[0] + a[1] * a[1]

@@ -1,0 +1,173 @@
+"""The claim of a region certificate: whose loop, over which ranges, how fast, how far."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from surctl.certcheck.region_claim import EXCLUDES
+from surctl.control import Gains, build_law
+from surctl.errors import InputError
+from surctl.vehicle import Vehicle
+
+__all__ = ["RegionClaim", "region_claim"]
+
+Range = tuple[float, float]
+
+_AXES = {"mass_kg": ("m11", "m22"), "linear_drag": ("Xu", "Yv"), "quadratic_drag": ("Xuu", "Yvv")}
+
+
+@dataclass(frozen=True)
+class RegionClaim:
+    """The cruise of the law that flies, robust over a vehicle's ranges; SI units, pairs are (least, largest).
+
+    Attributes:
+        name: of the claim.
+        mass, linear, quadratic: true mass and drag of surge and sway [kg, N s/m, N s²/m²].
+        asymmetry: largest |surge − sway| / mean of a drag coefficient; 2 leaves them independent.
+        thrust: least limit of a horizontal thrust axis, the plant's or the law's [N].
+        lag: thrust lag [s]; (0, 0) claims nothing about a lag.
+        yaw_rate: largest |r| [rad/s]; any heading motion below it.
+        model: mass, linear and quadratic drag as the law believes them.
+        gains: k1, lookahead, k_v, k_i, wait.
+        cruise, cap: speed of the path's target and largest commanded speed [m/s].
+        period: control period [s]; 0 claims nothing about sampling.
+        rate: a of V̇ ≤ −a V [1/s].
+        digests: SHA-256 of the vehicle's numbers and of the law's text.
+    """
+
+    name: str
+    mass: Range
+    linear: Range
+    quadratic: Range
+    asymmetry: float
+    thrust: float
+    lag: Range
+    yaw_rate: float
+    model: tuple[float, float, float]
+    gains: Mapping[str, float]
+    cruise: float
+    cap: float
+    period: float
+    rate: float
+    digests: tuple[str, str] = ("0" * 64, "0" * 64)
+
+    def __post_init__(self) -> None:
+        """Raise InputError for an empty range, or integral action, which the claim does not know."""
+        for key in ("mass", "linear", "quadratic", "lag"):
+            low, high = getattr(self, key)
+            if not 0 <= low <= high or (key == "mass" and low == 0):
+                raise InputError("is not a range", key=key, value=(low, high), remedy="give (least, largest)")
+        for key in ("thrust", "cruise", "cap", "rate"):
+            if not getattr(self, key) > 0:
+                raise InputError("must be greater than 0", key=key, value=getattr(self, key), remedy="correct it")
+        if self.gains["k_i"]:
+            raise InputError(
+                "is not part of the loop that is certified", key="k_i", value=self.gains["k_i"], remedy="set it to 0"
+            )
+        if self.cruise >= self.cap:
+            raise InputError("must be below the cap", key="cruise", value=self.cruise, remedy="raise the cap")
+
+    @property
+    def size(self) -> int:
+        """Number of states: place and velocity in the path frame, and with lag the thrust."""
+        return 6 if self.lag[1] > 0 else 4
+
+    def document(self, *, offset: float, settled: tuple[float, float]) -> dict[str, Any]:
+        """The claim as a certificate states it, with the offset [m] it holds and where it settles [m]."""
+        mass, linear, quadratic = self.model
+        return {
+            "system": "cruise",
+            "excludes": list(EXCLUDES),
+            "vehicle": {
+                "mass_kg": list(self.mass),
+                "linear_drag": list(self.linear),
+                "quadratic_drag": list(self.quadratic),
+                "asymmetry": self.asymmetry,
+                "thrust_n": self.thrust,
+                "lag_s": list(self.lag),
+                "yaw_rate_rad_per_s": self.yaw_rate,
+            },
+            "law": {
+                "mass_kg": mass,
+                "linear_drag": linear,
+                "quadratic_drag": quadratic,
+                **{key: self.gains[key] for key in ("k1", "lookahead", "k_v", "k_i", "wait")},
+                "cruise": self.cruise,
+                "cap": self.cap,
+                "period_s": self.period,
+            },
+            "motion": {"rate_per_s": self.rate, "offset_m": offset, "settled_m": list(settled)},
+            "sha256_vehicle": self.digests[0],
+            "sha256_law": self.digests[1],
+        }
+
+
+def region_claim(
+    name: str,
+    vehicle: Vehicle,
+    gains: Gains,
+    *,
+    share: float | None = 0.2,
+    thrust_share: float = 0.0,
+    asymmetry: float = 0.05,
+    sampled: bool = False,
+    lagged: bool = False,
+    yaw_rate: float = 0.5,
+    cruise: float = 0.15,
+    cap: float = 0.22,
+    rate: float = 0.05,
+) -> RegionClaim:
+    """The claim about a vehicle flown with these gains.
+
+    Args:
+        name: of the claim.
+        vehicle: what the law believes; its surge and sway must be alike.
+        gains: of the law.
+        share: mass and drag may be off by this share; None takes the ranges of the vehicle file.
+        thrust_share: the thrust limit may be lower by this share.
+        asymmetry: of the true drag of surge and sway.
+        sampled, lagged: whether the control period and the vehicle's thrust lag are in the claim.
+        yaw_rate: largest |r| [rad/s].
+        cruise, cap: [m/s].
+        rate: [1/s].
+
+    Raises:
+        InputError: surge and sway differ, or integral action is on.
+    """
+    ranges, model = {}, []
+    for key, (surge, sway) in _AXES.items():
+        if vehicle[surge] != vehicle[sway]:
+            raise InputError(
+                "differs from that of surge: the claim needs a vehicle that is alike in surge and sway",
+                key=sway, value=vehicle[sway], remedy=f"use {vehicle[surge]:g}",
+            )  # fmt: skip
+        value, known = vehicle[surge], vehicle.parameters[surge].range
+        model.append(value)
+        ranges[key] = (value, value) if known is None else (float(known[0]), float(known[1]))
+        if share is not None:
+            ranges[key] = (round(value * (1 - share), 9), round(value * (1 + share), 9))
+    limit = min(vehicle["Fu_max"], vehicle["Fv_max"])
+    lag = vehicle["thrust_lag"] if lagged else 0.0
+    numbers = json.dumps({key: p.value for key, p in vehicle.parameters.items()}, sort_keys=True)
+    law = build_law()
+    return RegionClaim(
+        name=name,
+        mass=ranges["mass_kg"],
+        linear=ranges["linear_drag"],
+        quadratic=ranges["quadratic_drag"],
+        asymmetry=asymmetry,
+        thrust=round(limit * (1 - thrust_share), 9),
+        lag=(lag, lag),
+        yaw_rate=yaw_rate,
+        model=(model[0], model[1], model[2]),
+        gains={key: gains[key] for key in ("k1", "lookahead", "k_v", "k_i", "wait")},
+        cruise=cruise,
+        cap=cap,
+        period=law.dt if sampled else 0.0,
+        rate=rate,
+        digests=(hashlib.sha256(numbers.encode()).hexdigest(), law.block.digest()),
+    )

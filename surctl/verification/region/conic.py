@@ -1,0 +1,54 @@
+"""Linear matrix inequalities by Clarabel: F0 + Σ x_i F_i ⪰ 0, many of one size at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Inequality", "minimise", "symmetric_basis"]
+
+Array = NDArray[np.float64]
+Inequality = tuple[Array, Array]
+"""F0 (k, n, n) and F (k, m, n, n): k inequalities in m unknowns."""
+
+
+def symmetric_basis(size: int) -> Array:
+    """Symmetric matrices (size (size + 1)/2, size, size) with one entry and its mirror, lower triangle by rows."""
+    rows, columns = np.tril_indices(size)
+    basis = np.zeros((len(rows), size, size))
+    basis[np.arange(len(rows)), rows, columns] = basis[np.arange(len(rows)), columns, rows] = 1
+    return basis
+
+
+def minimise(cost: Array, inequalities: Sequence[Inequality], *, tolerance: float = 1e-8) -> Array | None:
+    """x (m,) that minimises cost·x under the inequalities; None where the solver finds none.
+
+    What comes out is a proposal: whoever uses it checks it.
+    """
+    import clarabel
+    from scipy import sparse
+
+    rows, sides, cones = [], [], []
+    for constant, slopes in inequalities:
+        size = constant.shape[-1]
+        # upper triangle by columns, off the diagonal times √2
+        upper = np.tril_indices(size)
+        weight = np.where(upper[0] == upper[1], 1.0, np.sqrt(2))
+        sides.append((constant[:, upper[1], upper[0]] * weight).reshape(-1))
+        flat = slopes[:, :, upper[1], upper[0]] * weight
+        rows.append(sparse.csr_matrix(-flat.transpose(0, 2, 1).reshape(-1, len(cost))))
+        cones += [clarabel.PSDTriangleConeT(size)] * len(constant)
+    settings: Any = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_iter = 60
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+    quadratic = sparse.csc_matrix((len(cost), len(cost)))
+    found = clarabel.DefaultSolver(
+        quadratic, cost, sparse.vstack(rows, format="csc"), np.concatenate(sides), cones, settings
+    ).solve()
+    if str(found.status) not in ("Solved", "AlmostSolved"):
+        return None
+    return np.asarray(found.x, dtype=float)

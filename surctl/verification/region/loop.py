@@ -1,0 +1,234 @@
+"""The cruise as a linear inclusion in floating point: what the synthesis works on (the checker has its own).
+
+Path frame, deviations from the steady cruise ξ = (x, y, U_x, U_y[, F_x, F_y]). A level shell ℓ_low ≤ V ≤ ℓ_high has
+its own bounds, so that a saturated thrust counts only far out, and what the heading stirs only close by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.verification.region.claim import RegionClaim
+
+__all__ = ["Bounds", "Gains", "Loop", "Steady", "bounds", "force_gain", "gains_of", "loops", "steady_cruise"]
+
+Array = NDArray[np.float64]
+
+_SHARE = 0.85  # of quadratic drag along the path, the mean over the heading
+_SLACK = 1.005  # on what is sampled here and bounded by the checker
+_HEADINGS = np.linspace(0, np.pi / 2, 181)
+_DIRECTIONS = np.linspace(0, np.pi, 33)[:-1]
+
+
+@dataclass(frozen=True)
+class Steady:
+    """ω range, largest lack of the trim force [N], and that force per axis: linear c + quadratic c²."""
+
+    omega: tuple[float, float]
+    total: float
+    linear: float
+    quadratic: float
+    backward: float
+
+    def along(self, c: Array) -> Array:
+        """Largest trim force on an axis at cosine c."""
+        return np.maximum(self.linear * c + self.quadratic * c * c, self.backward)
+
+
+def _pairs(low: float, high: float, asymmetry: float) -> list[tuple[float, float]]:
+    ratio = np.inf if asymmetry >= 2 else (2 + asymmetry) / (2 - asymmetry)
+    return [(low, low), (high, high), (low, min(low * ratio, high) if low else high if ratio == np.inf else 0.0),
+            (max(high / ratio, low), high)]  # fmt: skip
+
+
+def steady_cruise(claim: RegionClaim) -> Steady:
+    """Where the cruise settles, over all true parameters and headings."""
+    mass, linear, quadratic = claim.model
+    v, push = claim.cruise, mass * claim.gains["k_v"]
+    stiffness = push + linear + 2 * _SHARE * quadratic * v
+    c, s = np.cos(_HEADINGS), np.sin(_HEADINGS)
+    omegas, total = [], 0.0
+    corners = product(
+        _pairs(*claim.linear, claim.asymmetry), _pairs(*claim.quadratic, claim.asymmetry), (1, -1), (1, -1)
+    )
+    for a, b, flip, flop in corners:
+        x1, x2 = a[::flip]
+        q1, q2 = b[::flop]
+        omega = (((x1 + x2) / 2 - linear) * v + _SHARE * ((q1 + q2) / 2 - quadratic) * v * v) / stiffness
+        w = v + omega
+        command = [push * omega * n + linear * w * n + quadratic * w * w * n * n for n in (c, s)]
+        drag = [x * v * n + q * v * v * n * n for x, q, n in ((x1, q1, c), (x2, q2, s))]
+        total = max(total, np.max(np.hypot(command[0] - drag[0], command[1] - drag[1])))
+        omegas.append(omega)
+    low, high = min(omegas), max(omegas)
+    bend = quadratic * max(low * low, high * high)
+    return Steady(
+        (low, high),
+        1.012 * total + bend,
+        push * high + linear * (v + high),
+        quadratic * (v + high) ** 2,
+        max(0.0, -(push * low + linear * (v + low))),
+    )
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Largest |C ξ| on V ≤ 1: of place, velocity, commanded velocity, commanded and delivered force; least φ."""
+
+    x: float
+    y: float
+    velocity: float
+    wish: float
+    command: float
+    thrust: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What holds in one shell; the names are those of the inclusion."""
+
+    steer: tuple[float, float]
+    catch: tuple[float, float]
+    model_drag: tuple[float, float]
+    drag: tuple[float, float]
+    share: float
+    held: float
+    stirred: float
+    wish_rate: float
+
+
+def bounds(claim: RegionClaim, steady: Steady, gains: Gains, low: float, high: float) -> Bounds | None:
+    """Bounds of the shell low ≤ V ≤ high; None where the law is another one there."""
+    mass, linear, quadratic = claim.model
+    k1, ahead, v, cap = claim.gains["k1"], claim.gains["lookahead"], claim.cruise, claim.cap
+    reach, floor = _SLACK * np.sqrt(high), np.sqrt(low)
+    x, y = gains.x * reach, gains.y * reach
+    fast, slow = v + steady.omega[1], v + steady.omega[0]
+    most = cap * ahead / np.hypot(ahead, y) * 0.9999
+    away = max(map(abs, steady.omega)) / k1
+    if most <= fast or k1 * x >= slow or x + away >= claim.gains["wait"] / 2:
+        return None
+    steer = (slow - k1 * x, min(fast + k1 * x, cap))
+    catch = (min(k1, (most - fast) / x), k1)
+    model_drag = (linear, linear + quadratic * (fast + min(cap, fast + gains.wish * reach)))
+    drag = (claim.linear[0], claim.linear[1] + claim.quadratic[1] * (2 * v + gains.velocity * reach))
+    push = mass * claim.gains["k_v"]
+    turning = max(abs(steady.linear), steady.backward) + 1.5 * steady.quadratic
+    still = claim.yaw_rate * (claim.period + claim.lag[1]) * turning
+    stirred = steady.total if claim.lag[1] else 0.0
+    still += steady.total - stirred
+    slant = max(np.sqrt(k1 * k1 * (1 + (y / ahead) ** 2) + (steer[1] / ahead) ** 2), cap / ahead)
+    steepest = linear + 2 * quadratic * cap
+    return Bounds(
+        steer,
+        catch,
+        model_drag,
+        drag,
+        min(1.0, gains.share / reach),
+        max(_SLACK * still, 1e-3) / floor,
+        max(_SLACK * stirred, 1e-3) / floor,
+        (push + steepest) * slant,
+    )
+
+
+def force_gain(claim: RegionClaim, slope: float, steer: float, catch: float) -> tuple[Array, Array]:
+    """δW (2, n) and the commanded force's deviation (2, n), of ξ."""
+    wish, push = np.zeros((2, claim.size)), claim.model[0] * claim.gains["k_v"]
+    wish[0, 0], wish[1, 1] = -catch, -steer / claim.gains["lookahead"]
+    return wish, (push + slope) * wish - push * np.eye(claim.size)[2:4]
+
+
+def gains_of(claim: RegionClaim, steady: Steady, P: Array, at: Bounds) -> Gains:
+    """What P gives, with the secants of its outermost shell."""
+    covariance, eye = np.linalg.inv(P), np.eye(claim.size)
+
+    def largest(rows: Array) -> float:
+        return float(np.sqrt(np.linalg.eigvalsh(rows @ covariance @ rows.T)[-1]))
+
+    corners = list(product(at.steer, at.catch))
+    middle = sum(at.model_drag) / 2
+    share = np.inf
+    for slope in at.model_drag:
+        for s, k in corners:
+            rows = force_gain(claim, slope, s, k)[1]
+            n = np.stack([np.cos(_DIRECTIONS), np.sin(_DIRECTIONS)])
+            deviation = np.sqrt(np.einsum("in,ij,jn->n", n, rows @ covariance @ rows.T, n))
+            share = min(share, float(np.min((claim.thrust - steady.along(np.abs(n[0]))) / deviation)) * 0.98)
+    return Gains(
+        np.sqrt(covariance[0, 0]),
+        np.sqrt(covariance[1, 1]),
+        largest(eye[2:4]),
+        max(largest(force_gain(claim, middle, s, k)[0]) for s, k in corners),
+        max(largest(force_gain(claim, middle, s, k)[1]) for s, k in corners),
+        largest(eye[4:6]) if claim.size == 6 else 0.0,
+        share,
+    )
+
+
+@dataclass(frozen=True)
+class Loop:
+    """One vertex: A (n, n), inputs B (n, q k) in the order of `wind`; δW, commanded force and δU (q, n); U̇.
+
+    With P that has no entry between x and y, the two decouple unless the thrust lags and the vehicle turns:
+    then q = 1 and a loop is one of the two, else q = 2.
+    """
+
+    A: Array
+    B: Array
+    wish: Array
+    force: Array
+    speed: Array
+    states: NDArray[np.intp]
+    braking: Array
+    wind: tuple[int, ...]
+
+
+def loops(claim: RegionClaim, at: Bounds) -> Iterator[Loop]:
+    """The vertices of a shell's inclusion."""
+    size, lag, eye = claim.size, claim.lag[1] > 0, np.eye(claim.size)
+    share, quarter = (1 + at.share) / 2, np.array([[0.0, -1.0], [1.0, 0.0]])
+    seen: set[tuple[float, ...]] = set()
+    wind = tuple(
+        j for j in (1, 2, 3, 4, 5, 6) if (j != 2 or at.share < 1) and (j != 4 or claim.period) and (j != 6 or lag)
+    )
+    for m, s, k, r, t in product(
+        sorted(set(claim.mass)), at.steer, sorted(set(at.catch)),
+        (claim.yaw_rate if lag else 0.0,), sorted(set(claim.lag)),
+    ):  # fmt: skip  # turning the other way is the mirror image
+        wish, force = force_gain(claim, sum(at.model_drag) / 2, s, k)
+        A = np.zeros((size, size))
+        A[:2, 2:4] = np.eye(2)
+        A[2:4] -= sum(at.drag) / 2 / m * eye[2:4]
+        if lag:
+            A[2:4] += eye[4:6] / m
+            A[4:6] += (share * force - eye[4:6]) / t + r * quarter @ eye[4:6]
+            inner, gain = eye[:, 4:6], 1 / t
+        else:
+            A[2:4] += share * force / m
+            inner, gain = eye[:, 2:4], 1 / m
+        entry = {
+            1: gain * share * inner,
+            2: gain * inner,
+            3: -eye[:, 2:4] / m,
+            4: gain * inner,
+            5: gain * inner,
+            6: eye[:, 2:4] / m,
+        }
+        B, every = np.hstack([entry[j] for j in wind]), np.arange(size)
+        if lag and claim.yaw_rate:
+            yield Loop(A, B, wish, force, eye[2:4], every, np.hstack([A, B])[2:4], wind)
+            continue
+        for axis, name in ((0, k), (1, s)):
+            if (axis, name, m, t) in seen:
+                continue
+            seen.add((axis, name, m, t))
+            own = every[axis::2]
+            row = np.ix_(every[axis : axis + 1], own)
+            part = np.hstack([A[:, own], B[:, axis::2]])[2 + axis : 3 + axis]
+            yield Loop(A[np.ix_(own, own)], B[own][:, axis::2], wish[row], force[row], eye[2:4][row], own, part, wind)

@@ -1,0 +1,146 @@
+"""From a claim to a certificate: search, round, and let the independent checker decide."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.certcheck import check_document, seal
+from surctl.verification.region.claim import RegionClaim
+from surctl.verification.region.loop import Steady, steady_cruise
+from surctl.verification.region.search import search
+from surctl.verification.region.synthesis import Candidate
+
+__all__ = ["RegionProof", "prove_region"]
+
+_DIGITS = 7
+
+
+@dataclass(frozen=True)
+class RegionProof:
+    """What an attempt to prove a region came to.
+
+    Attributes:
+        claim: what was claimed.
+        verdict: `proved` if the checker accepted, else `unknown`.
+        document: the certificate; empty when unknown.
+        reason: why the checker did not accept; empty when proved.
+        offset: |y_e| [m] from which the cruise is certified, at x_e = 0 and the target's velocity; 0 when unknown.
+        settled: |x_e|, |y_e| [m] within which it ends.
+        seconds: time it took [s].
+        check_seconds: the checker's share of it [s].
+    """
+
+    claim: RegionClaim
+    verdict: Literal["proved", "unknown"]
+    document: dict[str, Any]
+    reason: str
+    offset: float
+    settled: tuple[float, float]
+    seconds: float
+    check_seconds: float
+
+    def certificate(self) -> dict[str, Any]:
+        """The certificate as plain data, ready for JSON; empty when nothing was proved."""
+        return self.document
+
+    def text(self) -> str:
+        """The certificate's file."""
+        return json.dumps(self.document, separators=(",", ":")) + "\n"
+
+    def write(self, path: Path) -> None:
+        """Write the certificate's file."""
+        path.write_text(self.text(), encoding="utf-8")
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in one line."""
+        if self.verdict != "proved":
+            return f"unknown: {self.reason}"
+        x, y = self.settled
+        return (
+            f"proved: from {self.offset:.3g} m beside the path it decays at {self.claim.rate:g}/s "
+            f"to within {x:.3g} m along and {y:.3g} m across; checked in {self.check_seconds:.2f} s"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {
+            "claim": self.claim.name,
+            "expected": "proved",
+            "verdict": self.verdict,
+            "certificate": self.document or None,
+            "remaining": self.reason or None,
+            "offset_m": self.offset,
+            "settled_m": list(self.settled),
+            "rate_per_s": self.claim.rate,
+            "seconds": self.seconds,
+            "check_seconds": self.check_seconds,
+        }
+
+
+def prove_region(claim: RegionClaim, *, attempts: int = 80, seed: int = 0) -> RegionProof:
+    """Look for the largest region of the claim and have it checked.
+
+    Args:
+        claim: whose loop, over which ranges, at which rate.
+        attempts: starts of the search; about eight a second.
+        seed: of the search.
+    """
+    began = time.perf_counter()
+    steady = steady_cruise(claim)
+    reason = "the search found no quadratic V of this rate"
+    for candidate in search(claim, steady, attempts=attempts, seed=seed):
+        document = certificate_of(claim, steady, candidate)
+        checked = check_document(document)
+        if checked.accepted:
+            motion = document["claim"]["motion"]
+            x, y = motion["settled_m"]
+            took = time.perf_counter() - began
+            return RegionProof(claim, "proved", document, "", motion["offset_m"], (x, y), took, checked.seconds)
+        reason = checked.reason
+    return RegionProof(claim, "unknown", {}, reason, 0.0, (0.0, 0.0), time.perf_counter() - began, 0.0)
+
+
+def certificate_of(claim: RegionClaim, steady: Steady, candidate: Candidate) -> dict[str, Any]:
+    """The certificate of a candidate: everything in a few decimals, what it states rounded to the safe side."""
+    scale = np.max(np.abs(candidate.P))
+    P = np.round(candidate.P / scale, _DIGITS + 2) * scale
+    P = np.array([[_short(entry) for entry in row] for row in P])
+    away = max(map(abs, steady.omega)) / claim.gains["k1"]
+    offset = _offset(P, steady, claim)
+    covariance = np.linalg.inv(P) * candidate.levels[0]
+    settled = tuple(
+        float(np.ceil(1e4 * (np.sqrt(covariance[k, k]) * 1.0001 + (away if k == 0 else 0))) / 1e4) for k in (0, 1)
+    )
+    proof = {
+        "P": [[float(P[i, j]) for j in range(i + 1)] for i in range(len(P))],
+        "floor": candidate.levels[0],
+        "hold": _short(max(candidate.hold, 0.0)) if claim.period else 0.0,
+        "shells": [
+            {"level": level, "multipliers": [_short(factor, 5) for factor in factors]}
+            for level, factors in zip(candidate.levels[1:], candidate.multipliers, strict=True)
+        ],
+    }
+    stated = claim.document(offset=offset, settled=(settled[0], settled[1]))
+    return seal("region", stated, {"proof": proof})
+
+
+def _short(value: float, digits: int = _DIGITS + 1) -> float:
+    return float(f"{value:.{digits}g}")
+
+
+def _offset(P: NDArray[np.float64], steady: Steady, claim: RegionClaim) -> float:
+    """Largest y with V ≤ 1 at x_e = 0 and the target's velocity, whatever ω is, rounded down."""
+    found = []
+    for omega in steady.omega:
+        x = omega / claim.gains["k1"]
+        a, b, c = P[1, 1], -abs(P[0, 1] * x), P[0, 0] * x * x - 1  # the worse side
+        found.append((b + np.sqrt(b * b - a * c)) / a if c < 0 else 0.0)
+    return float(np.floor(1e4 * min(found) * 0.9999) / 1e4)

@@ -1,0 +1,254 @@
+"""Search for V = ξᵀPξ: linear matrix inequalities in P for fixed bounds, then multipliers for fixed P, in turn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.verification.region.claim import RegionClaim
+from surctl.verification.region.conic import Inequality, minimise, symmetric_basis
+from surctl.verification.region.loop import (
+    Bounds,
+    Gains,
+    Loop,
+    Steady,
+    bounds,
+    force_gain,
+    gains_of,
+    loops,
+)
+
+__all__ = ["Candidate", "Start", "multipliers_of", "synthesise"]
+
+Array = NDArray[np.float64]
+
+_WINDS = (1, 2, 3, 5, 6)
+_SPLIT, _TURN_SPLIT = 1 / 3, 1 / 5  # as the checker splits squares of sums
+_GROWTH = 0.4  # 1/s: most that disturbances take of the rate
+_FREE = 3  # multipliers of structured w_j; those of w_5, w_6 come with P
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where the search begins: |x| and |y| on V ≤ 1 at most [m], least φ, floor, share of the rate that w_5 takes."""
+
+    x: float
+    y: float
+    share: float
+    floor: float
+    growth: float
+    velocity: float = 0.2
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """P (n, n), levels (k + 1,) from the floor to 1, multipliers (k, 5), ρ of what is held; not yet checked."""
+
+    P: Array
+    levels: tuple[float, ...]
+    multipliers: Array
+    hold: float
+
+    @property
+    def offset(self) -> float:
+        """|y_e| [m] on V ≤ 1 with every other deviation 0."""
+        return float(1 / np.sqrt(self.P[1, 1]))
+
+
+def levels_of(floor: float, count: int) -> tuple[float, ...]:
+    """Levels from the floor to 1 in equal ratios."""
+    return tuple(float(f"{level:.6g}") for level in np.geomspace(floor, 1.0, count + 1))
+
+
+def structured(at: Bounds, loop: Loop) -> dict[int, Array]:
+    """∂M/∂λ_j (N, N) of w_1, w_2, w_3; of w_5 and w_6 without the term in P."""
+    size, total, q = len(loop.A), len(loop.A) + loop.B.shape[1], len(loop.wish)
+    start = {j: size + q * k for k, j in enumerate(loop.wind)}
+    found = {}
+    for j in _WINDS:
+        slope = np.zeros((total, total))
+        if j in start:
+            slope[start[j] : start[j] + q, start[j] : start[j] + q] = -np.eye(q)
+            if j == 2:
+                whole = np.zeros((q, total))
+                whole[:, :size] = loop.force
+                whole[:, start[1] : start[1] + q] = np.eye(q)
+                slope += ((1 - at.share) / 2) ** 2 * whole.T @ whole
+            elif j in (1, 3):
+                low, high = at.model_drag if j == 1 else at.drag
+                rows = loop.wish if j == 1 else loop.speed
+                slope[:size, :size] += ((high - low) / 2) ** 2 * rows.T @ rows
+        found[j] = slope
+    return found
+
+
+def held(claim: RegionClaim, at: Bounds, loop: Loop) -> Array:
+    """∂M/∂ρ: what a command that is held costs, and what it owes to |w_4|²."""
+    size, total, q = len(loop.A), len(loop.A) + loop.B.shape[1], len(loop.wish)
+    slope = np.zeros((total, total))
+    if 4 not in loop.wind:
+        return slope
+    start = {j: size + q * k for k, j in enumerate(loop.wind)}
+    h, turn, push = claim.period, claim.yaw_rate * claim.period, claim.model[0] * claim.gains["k_v"]
+    slope += h * (1 + _SPLIT) * push**2 * loop.braking.T @ loop.braking
+    slope[:size, :size] += h * (1 + 1 / _SPLIT) * at.wish_rate**2 * loop.speed.T @ loop.speed
+    owed = (1 - h * (claim.rate + _GROWTH)) / (h * (1 + _TURN_SPLIT) * (1 + turn) ** 2)
+    whole = np.zeros((q, total))
+    whole[:, :size] = loop.force
+    whole[:, start[1] : start[1] + q] = np.eye(q)
+    slope += owed * (1 + 1 / _TURN_SPLIT) * turn**2 * whole.T @ whole
+    slope[start[4] : start[4] + q, start[4] : start[4] + q] -= owed * np.eye(q)
+    return slope
+
+
+def lyapunov(loop: Loop, P: Array, growth: float) -> Array:
+    """[[AᵀP + PA + growth P, PB], [BᵀP, 0]]."""
+    P = P[np.ix_(loop.states, loop.states)]
+    half, side = P @ loop.A, P @ loop.B
+    return np.block([[half + half.T + growth * P, side], [side.T, np.zeros((side.shape[1],) * 2)]])
+
+
+def multipliers_of(claim: RegionClaim, at: Bounds, P: Array, hold: float) -> tuple[Array, float] | None:
+    """λ (5,) of a shell with the largest further rate [1/s] that is left, in units in which P is I."""
+    matrices: dict[int, tuple[list[Array], list[Array]]] = {}
+    for loop in loops(claim, at):
+        size, total = len(loop.A), len(loop.A) + loop.B.shape[1]
+        own = P[np.ix_(loop.states, loop.states)]
+        change, inner = np.eye(total), np.zeros((total, total))
+        change[:size, :size] = np.linalg.inv(np.linalg.cholesky(own)).T  # changeᵀ P change = I
+        inner[:size, :size] = own
+        given = structured(at, loop)
+        given[5] = given[5] + at.held**2 * inner
+        given[6] = given[6] + at.stirred**2 * inner
+        parts = [given[j] for j in _WINDS] + [inner]
+        pair = matrices.setdefault(total, ([], []))
+        pair[0].append(-change.T @ (lyapunov(loop, P, claim.rate) + hold * held(claim, at, loop)) @ change)
+        pair[1].append(np.array([-change.T @ part @ change for part in parts]))
+    positive: Inequality = (np.zeros((5, 1, 1)), np.eye(6)[:5, :, None, None])
+    bounded: Inequality = (np.full((5, 1, 1), 1e6), -np.eye(6)[:5, :, None, None])
+    x = minimise(-np.eye(6)[5], [*((np.array(a), np.array(b)) for a, b in matrices.values()), positive, bounded])
+    return None if x is None else (np.maximum(x[:5], 0), float(x[5]))
+
+
+def shape(
+    claim: RegionClaim, steady: Steady, gains: Gains, shells: list[Bounds], growth: Array, *, spread: float
+) -> tuple[Array, float] | None:
+    """P with the least P_yy for these bounds; growth (k, 2): what w_5 and w_6 take of each shell's rate."""
+    basis = symmetric_basis(claim.size)
+    # a region that is no mirror image of itself can be averaged with its image: x and y need no common entry
+    basis = basis[[not np.any(one[::2, 1::2]) for one in basis]]
+    count = len(basis)
+    unknowns = count + _FREE * len(shells) + 1
+    matrices: dict[int, tuple[list[Array], list[Array]]] = {}
+    for k, at in enumerate(shells):
+        for loop in loops(claim, at):
+            given = structured(at, loop)
+            total = len(loop.A) + loop.B.shape[1]
+            slopes = np.zeros((unknowns, total, total))
+            rate = claim.rate + growth[k].sum()
+            slopes[:count] = [-lyapunov(loop, one, rate) for one in basis]
+            for j in range(_FREE):
+                slopes[count + _FREE * k + j] = -given[_WINDS[j]]
+            slopes[-1] = -held(claim, at, loop)
+            fixed = growth[k, 0] / at.held**2 * given[5]
+            if 6 in loop.wind:
+                fixed = fixed + growth[k, 1] / at.stirred**2 * given[6]
+            pair = matrices.setdefault(total, ([], []))
+            pair[0].append(-fixed)
+            pair[1].append(slopes)
+    inequalities: list[Inequality] = [(np.array(a), np.array(b)) for a, b in matrices.values()]
+    limited = _rows(claim, steady, gains, shells[-1])
+    for rows in ([row[None] for row in limited], _pairs_of(claim, gains, shells[-1])):
+        slopes = np.zeros((len(rows), unknowns, claim.size, claim.size))
+        slopes[:, :count] = basis
+        inequalities.append((-np.array([row.T @ row for row in rows]), slopes))
+    last = np.eye(unknowns)[-1:, :, None, None]
+    inequalities.append((np.zeros((1, 1, 1)), last))
+    cost = np.zeros(unknowns)
+    weight = spread * np.eye(claim.size)
+    weight[1, 1] += 1
+    cost[:count] = np.einsum("kij,ij->k", basis, weight)
+    x = minimise(cost, inequalities)
+    return None if x is None else (np.einsum("k,kij->ij", x[:count], basis), float(x[-1]))
+
+
+def _rows(claim: RegionClaim, steady: Steady, gains: Gains, at: Bounds) -> list[Array]:
+    """Rows c with |c ξ| ≤ 1 on V ≤ 1: place, and thrust in every direction."""
+    eye, rows = np.eye(claim.size), []
+    rows += [eye[0] / gains.x, eye[1] / gains.y]
+    for angle in np.linspace(0, np.pi / 2, 9):
+        n = np.array([np.cos(angle), np.sin(angle)])
+        left = float(claim.thrust - steady.along(np.abs(n[:1]))[0]) * 0.98
+        for slope in at.model_drag:
+            for s in at.steer:
+                for k in sorted(set(at.catch)):
+                    rows.append(gains.share * (n @ force_gain(claim, slope, s, k)[1]) / left)
+    return rows
+
+
+def _pairs_of(claim: RegionClaim, gains: Gains, at: Bounds) -> list[Array]:
+    """Rows C (2, n) with |C ξ| ≤ 1 on V ≤ 1: velocity, wish, force."""
+    eye, middle = np.eye(claim.size), sum(at.model_drag) / 2
+    rows = [eye[2:4] / gains.velocity]
+    for s in at.steer:
+        for k in sorted(set(at.catch)):
+            wish, force = force_gain(claim, middle, s, k)
+            rows += [wish / gains.wish, force / gains.command]
+    if claim.size == 6:
+        rows.append(eye[4:6] / gains.thrust)
+    return rows
+
+
+def synthesise(
+    claim: RegionClaim, steady: Steady, start: Start, *, shells: int = 5, rounds: int = 3, spread: float = 1e-3
+) -> Candidate | None:
+    """P, levels and multipliers that should be accepted; None where nothing was found from this start."""
+    levels = levels_of(start.floor, shells)
+    push = claim.model[0] * claim.gains["k_v"]
+    gains = Gains(start.x, start.y, start.velocity, 0.2, 0.3 * push, 0.3 * push, start.share)
+    growth = np.full((shells, 2), start.growth)
+    best: Candidate | None = None
+    for _ in range(rounds):
+        found = [bounds(claim, steady, gains, low, high) for low, high in pairwise(levels)]
+        known = [one for one in found if one is not None]
+        if len(known) < len(found):
+            return best
+        shaped = shape(claim, steady, gains, known, growth, spread=spread)
+        if shaped is None:
+            return best
+        candidate, fitted, told = _finished(claim, steady, *shaped, gains, levels)
+        if candidate is not None and (best is None or candidate.offset > best.offset):
+            best = candidate
+        gains = replace(
+            fitted, x=gains.x, y=gains.y, share=gains.share,
+            velocity=1.03 * fitted.velocity, wish=1.03 * fitted.wish, command=1.03 * fitted.command,
+            thrust=1.03 * fitted.thrust,
+        )  # fmt: skip
+        if told is not None:
+            growth = told
+    return best
+
+
+def _finished(
+    claim: RegionClaim, steady: Steady, P: Array, hold: float, gains: Gains, levels: tuple[float, ...]
+) -> tuple[Candidate | None, Gains, Array | None]:
+    """The candidate with its multipliers, if every shell has some; its gains; what w_5, w_6 took of the rate."""
+    outer = bounds(claim, steady, gains, levels[-2], levels[-1])
+    assert outer is not None
+    fitted = gains_of(claim, steady, P, outer)
+    factors, growth, fine = [], [], True
+    for low, high in pairwise(levels):
+        at = bounds(claim, steady, fitted, low, high)
+        if at is None:
+            return None, fitted, None
+        found = multipliers_of(claim, at, P, hold)
+        if found is None:
+            return None, fitted, None
+        factor, left = found
+        fine = fine and left > 1e-6
+        factors.append(factor)
+        growth.append([max(factor[3] * at.held**2, 1e-3), max(factor[4] * at.stirred**2, 1e-3)])
+    return Candidate(P, levels, np.array(factors), hold) if fine else None, fitted, np.array(growth)

@@ -1,0 +1,289 @@
+import copy
+import json
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from surctl.certcheck import Rejected, check_document, seal
+from surctl.certcheck.region_claim import read_claim
+from surctl.certcheck.region_exact import inverse, is_positive_definite, product, root_down, root_up, rounded_up
+from surctl.certcheck.region_law import Vehicle, commanded_thrust, commanded_velocity, true_rate, turned
+from surctl.certcheck.region_trim import axis_pairs, trim
+from surctl.control import build_law, law_parameters, load_gains
+from surctl.guidance import Path as Route
+from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant, load_vehicle
+from tests.certcheck.cruise import boats, matrix, omega, rate, worst
+
+HERE = Path(__file__).parent
+FILES = sorted(HERE.glob("region-*.json"))
+
+
+def document(name: str = "region-cruise-20") -> dict[str, Any]:
+    return json.loads((HERE / f"{name}.json").read_text())
+
+
+def sealed(changed: dict[str, Any]) -> dict[str, Any]:
+    """The altered document with the hash mended."""
+    rest = {k: v for k, v in changed.items() if k not in ("format", "version", "kind", "claim", "sha256")}
+    return seal("region", changed["claim"], rest)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)
+def test_the_kept_certificates_are_accepted_and_small(path: Path) -> None:
+    found = check_document(json.loads(path.read_text()))
+    assert found.accepted, found.reason
+    assert len(path.read_text()) < 10_000
+
+
+def test_there_are_certificates_of_every_kind_of_loop() -> None:
+    claims = [json.loads(path.read_text())["claim"] for path in FILES]
+    assert {(c["law"]["period_s"] > 0, c["vehicle"]["lag_s"][1] > 0) for c in claims} >= {(False, False), (True, True)}
+
+
+# what may be changed, and a change that asks for more than was proved
+STRONGER: dict[str, Callable[[dict[str, Any], float], None]] = {
+    "rate": lambda d, f: d["claim"]["motion"].update(rate_per_s=0.4 * (1 + f)),
+    "offset": lambda d, f: d["claim"]["motion"].update(offset_m=d["claim"]["motion"]["offset_m"] * (1.001 + f)),
+    "settled": lambda d, f: d["claim"]["motion"].update(
+        settled_m=[x / (1.02 + f) for x in d["claim"]["motion"]["settled_m"]]
+    ),
+    "mass": lambda d, f: d["claim"]["vehicle"].update(mass_kg=[76.0, 114 * (3 + 5 * f)]),
+    "thrust": lambda d, f: d["claim"]["vehicle"].update(thrust_n=2.4 * (1 - f)),
+    "drag": lambda d, f: d["claim"]["vehicle"].update(quadratic_drag=[48.0, 72 * (4 + f)]),
+    "linear": lambda d, f: d["claim"]["vehicle"].update(linear_drag=[1.6, 25 * (1 + f)]),
+    "gain k1": lambda d, f: d["claim"]["law"].update(k1=0.01 * (1 - f)),
+    "gain k_v": lambda d, f: d["claim"]["law"].update(k_v=0.2 * (1 - f)),
+    "lookahead": lambda d, f: d["claim"]["law"].update(lookahead=0.25 * (1 - f / 2)),
+    "cap": lambda d, f: d["claim"]["law"].update(cap=0.15 * (1 - f / 2)),
+    "wait": lambda d, f: d["claim"]["law"].update(wait=0.1 * (1 - f / 2)),
+    "believed mass": lambda d, f: d["claim"]["law"].update(mass_kg=10.0 * (1.1 - f)),
+    "integral": lambda d, f: d["claim"]["law"].update(k_i=0.01 + f),
+    "floor": lambda d, f: d["proof"].update(floor=d["proof"]["floor"] * 0.01 * (1.01 - f)),
+    "last level": lambda d, f: d["proof"]["shells"][-1].update(level=1.01 + f),
+    "multiplier": lambda d, f: d["proof"]["shells"][-1].update(multipliers=[f * 1e-4] * 5),
+    "sign of P": lambda d, f: d["proof"]["P"][1].__setitem__(1, -d["proof"]["P"][1][1] * (0.1 + f)),
+    "size of P": lambda d, f: d["proof"].update(P=[[e * (1e-3 + 0.1 * f) for e in row] for row in d["proof"]["P"]]),
+}
+
+
+@pytest.mark.parametrize("kind", STRONGER)
+def test_what_asks_for_more_is_rejected_however_it_is_sealed(kind: str) -> None:
+    rng = np.random.default_rng(len(kind))
+    for share in rng.uniform(size=8):
+        changed = document()
+        STRONGER[kind](changed, float(share))
+        assert not check_document(sealed(changed)).accepted, (kind, share)
+
+
+@pytest.mark.parametrize(
+    ("where", "value"),
+    [
+        (("claim", "system"), "other"),
+        (("claim", "excludes"), []),
+        (("claim", "sha256_law"), "0"),
+        (("claim", "more"), 1),
+        (("proof", "more"), 1),
+        (("more",), 1),
+        (("proof", "P"), [[1.0]]),
+        (("proof", "shells"), []),
+        (("proof", "floor"), True),
+        (("claim", "motion", "rate_per_s"), "0.05"),
+        (("claim", "vehicle", "lag_s"), [0, 0.3]),
+        (("claim", "vehicle", "mass_kg"), [114.0, 76.0]),
+        (("claim", "law", "k1"), None),
+        pytest.param(("claim", "law", "k1"), 10**400, id="huge"),
+    ],
+)
+def test_what_is_malformed_is_rejected(where: tuple[str, ...], value: Any) -> None:
+    changed = document()
+    place = changed
+    for key in where[:-1]:
+        place = place[key]
+    place[where[-1]] = value
+    assert not check_document(sealed(changed)).accepted
+
+
+def _numbers(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    if isinstance(value, dict):
+        return [p for key, entry in value.items() for p in _numbers(entry, (*path, key))]
+    if isinstance(value, list):
+        return [p for key, entry in enumerate(value) for p in _numbers(entry, (*path, key))]
+    return [path] if isinstance(value, int | float) and not isinstance(value, bool) else []
+
+
+def altered(whole: dict[str, Any], rng: np.random.Generator) -> tuple[tuple[Any, ...], dict[str, Any]]:
+    """One number changed: a little, a lot, or in its sign."""
+    changed = copy.deepcopy(whole)
+    paths = [(part, *path) for part in ("claim", "proof") for path in _numbers(changed[part])]
+    path = paths[rng.integers(len(paths))]
+    place: Any = changed
+    for key in path[:-1]:
+        place = place[key]
+    factor = rng.choice([np.exp(rng.normal(scale=0.1)), np.exp(rng.normal(scale=1.5)), -1.0])
+    place[path[-1]] = float(place[path[-1]] * factor) if place[path[-1]] else float(rng.uniform(0, 1))
+    return path, sealed(changed)
+
+
+def refuted(changed: dict[str, Any]) -> bool:
+    """Whether plain sampling shows an altered certificate to be false."""
+    P, proof, motion = matrix(changed), changed["proof"], changed["claim"]["motion"]
+    if np.linalg.eigvalsh(P)[0] <= 0 or proof["shells"][-1]["level"] != 1:
+        return True
+    covariance = np.linalg.inv(P)
+    if P[1, 1] * motion["offset_m"] ** 2 > 1 + 1e-9:
+        return True
+    if np.sqrt(covariance[1, 1] * proof["floor"]) > motion["settled_m"][1] * (1 + 1e-9):
+        return True
+    return worst(changed, low=proof["floor"], high=1.0, count=4000) > 1e-9
+
+
+def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
+    whole, rng = document(), np.random.default_rng(5)
+    false, accepted = 0, 0
+    for _ in range(60):
+        path, changed = altered(whole, rng)
+        found = check_document(changed)
+        accepted += found.accepted
+        if found.accepted:
+            assert not refuted(changed), path
+        else:
+            false += 1
+    assert false > 20 and accepted > 0  # neither everything nor nothing passes
+
+
+def test_sampling_finds_no_slower_decay_inside_and_finds_it_far_outside() -> None:
+    whole = document()
+    assert worst(whole, low=whole["proof"]["floor"], high=1.0) < 0
+    assert worst(whole, low=10.0, high=40.0) > 0
+
+
+# the law and the vehicle of the checker are those of the toolkit
+
+
+def _flown() -> tuple[dict[str, Any], Any]:
+    claim = document()["claim"]
+    return claim, read_claim(claim)
+
+
+def test_the_checkers_law_is_the_law_that_flies() -> None:
+    claim, exact = _flown()
+    vehicle, gains, law = load_vehicle("sur540-flooded"), load_gains("default"), build_law()
+    p = law_parameters(
+        gains, vehicle, path=Route(np.array([[0.0, 0.0], [90.0, 0.0]])), depth=-1.0, cruise=claim["law"]["cruise"],
+        cap=claim["law"]["cap"], walls=(-1e3, 1e3, -1e3, 1e3),
+    )  # fmt: skip
+    rng, far = np.random.default_rng(2), 30.0
+    for _ in range(20):
+        psi, x_e, y_e = rng.uniform(-3, 3), rng.uniform(-0.3, 0.3), rng.uniform(-0.6, 0.6)
+        nu = np.array([*rng.uniform(-0.2, 0.2, size=2), 0.0, 0.0])
+        x = law.state.pack({"progress": [far]})
+        u = law.inputs.pack({"eta": [far + x_e, y_e, -1.0, psi], "nu": nu})
+        told = law.step(x, u, p).tau[:2]
+        heading = Fraction(float(np.cos(psi))), Fraction(float(np.sin(psi)))
+        slant = Fraction(float(np.hypot(1, y_e / claim["law"]["lookahead"])))
+        wish = commanded_velocity(exact, Fraction(float(x_e)), Fraction(float(y_e)), slant)
+        wanted = turned((heading[0], -heading[1]), wish)
+        own = commanded_thrust(exact, wanted, (Fraction(float(nu[0])), Fraction(float(nu[1]))))
+        assert np.allclose(told, [float(f) for f in own], atol=1e-9)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.3])
+def test_the_checkers_vehicle_is_the_vehicle_that_flies(lag: float) -> None:
+    claim, _ = _flown()
+    claim["vehicle"]["lag_s"] = [lag, lag]
+    exact, rng = read_claim(claim), np.random.default_rng(3)
+    for _ in range(20):
+        psi, r = rng.uniform(-3, 3), rng.uniform(-0.5, 0.5)
+        state = np.array([rng.uniform(-0.2, 0.2), rng.uniform(-0.5, 0.5), *rng.uniform(-0.2, 0.2, 2)])
+        force = rng.uniform(-3, 3, 2) if lag else np.zeros(2)  # in the path frame
+        c, s = np.cos(psi), np.sin(psi)
+        turn = np.array([[c, -s], [s, c]])
+        boat = Vehicle(Fraction(80), (Fraction(2), Fraction(3)), (Fraction(50), Fraction(70)), Fraction(str(lag)),
+                       Fraction(float(r)))  # fmt: skip
+        slant = Fraction(float(np.hypot(1, state[1] / 0.8)))
+        whole = [Fraction(float(v)) for v in (*state, *(force if lag else ()))]
+        told = true_rate(exact, boat, (Fraction(float(c)), Fraction(float(s))), whole, slant)
+        nu = np.array([*(turn.T @ state[2:4]), 0.0, r])
+        wish = commanded_velocity(exact, whole[0], whole[1], slant)
+        wanted = turned((Fraction(float(c)), Fraction(float(-s))), wish)
+        command = commanded_thrust(exact, wanted, (Fraction(float(nu[0])), Fraction(float(nu[1]))))
+        plant = PLANT_PARAMETERS.pack(
+            {
+                "mass": [80, 80, 80, 2], "linear_drag": [2, 3, 1, 1], "quadratic_drag": [50, 70, 1, 1],
+                "thrust_limit": [9, 9, 9, 9], "thrust_lag": lag,
+            }
+        )  # fmt: skip
+        body = turn.T @ force
+        x = PLANT_STATE.pack({"eta": [0, 0, 0, psi], "nu": nu, "tau": [*body, 0, 0]})
+        out = np.asarray(build_plant().ode(x, ca.vertcat(*map(float, command), 0, 0), PLANT_DISTURBANCE.pack(), plant))
+        eta, nu_rate, tau_rate = out[:2, 0], out[4:6, 0], out[8:10, 0]
+        own = [eta[0] - claim["law"]["cruise"], eta[1]]
+        own += list(turn @ (nu_rate + r * np.array([-nu[1], nu[0]])))
+        if lag:
+            own += list(turn @ (tau_rate + r * np.array([-body[1], body[0]])))
+        assert np.allclose([float(v) for v in told], own, atol=1e-9)
+
+
+def test_the_trim_is_bounded_by_what_sampling_finds() -> None:
+    claim, exact = _flown()
+    rng, n = np.random.default_rng(4), 20_000
+    boat = boats(claim, n, rng)
+    w, psi = omega(claim, boat), rng.uniform(0, 2 * np.pi, size=n)
+    bound = trim(exact)
+    assert float(bound.omega[0]) <= w.min() and w.max() <= float(bound.omega[1])
+    # at the steady place and velocity what is left over is the lack of the trim force
+    state = np.zeros((n, 4))
+    state[:, 0], state[:, 2] = -w / claim["law"]["k1"], claim["law"]["cruise"]
+    lack = np.hypot(*rate(claim, boat, state, psi)[:, 2:].T) * boat["mass"]
+    assert 0.9 * float(bound.total) < lack.max() <= float(bound.total)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.integers(1, 6), st.integers(0, 10**6))
+def test_definiteness_is_that_of_the_eigenvalues(size: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    root = rng.integers(-9, 10, size=(size, size))
+    whole = root @ root.T + int(rng.integers(-20, 20)) * np.eye(size, dtype=int)
+    least = np.linalg.eigvalsh(whole.astype(float))[0]
+    exact = [[Fraction(int(entry)) for entry in row] for row in whole]
+    if abs(least) > 1e-6:
+        assert is_positive_definite(exact) == (least > 0)
+    if least > 1e-6:
+        unit = product(exact, inverse(exact))
+        assert all(unit[i][j] == (i == j) for i in range(size) for j in range(size))
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(st.fractions(0, 10**6))
+def test_roots_are_on_their_side(value: Fraction) -> None:
+    assert root_down(value) ** 2 <= value <= root_up(value) ** 2
+    assert root_up(value) - root_down(value) <= Fraction(3, 10**9)
+
+
+def test_rounding_up_keeps_a_form_above() -> None:
+    rng = np.random.default_rng(6)
+    for _ in range(50):
+        a, b, c = (Fraction(float(v)) for v in rng.normal(size=3))
+        up = rounded_up([[a, b], [b, c]])
+        assert is_positive_definite([[up[0][0] - a, up[0][1] - b], [up[1][0] - b, up[1][1] - c]])
+
+
+def test_pairs_of_drag_keep_their_asymmetry() -> None:
+    pairs = axis_pairs(Fraction(1), Fraction(2), Fraction(1, 10))
+    assert all(abs(a - b) <= Fraction(1, 20) * (a + b) for a, b in pairs)
+    assert axis_pairs(Fraction(1), Fraction(2), Fraction(2)) == [(1, 1), (1, 2), (2, 1), (2, 2)]
+
+
+def test_the_reason_names_what_fails() -> None:
+    changed = document()
+    changed["claim"]["motion"]["offset_m"] = 3.0
+    assert "3 m is not in the region" in check_document(sealed(changed)).reason
+    with pytest.raises(Rejected, match="exactly the keys"):
+        read_claim({})

@@ -1,0 +1,148 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surctl.certcheck import check_document, check_file
+from surctl.control import load_gains
+from surctl.errors import InputError
+from surctl.vehicle import load_vehicle
+from surctl.verification.region import REGION_CLAIMS, RegionClaim, prove_region, region_claim, region_claim_named
+from surctl.verification.region.conic import minimise, symmetric_basis
+from surctl.verification.region.loop import steady_cruise
+from tests.certcheck.cruise import boats, matrix, omega, rate, thrust
+
+KEPT = Path(__file__).parents[2] / "certcheck"
+
+
+def claimed(**changes: Any) -> RegionClaim:
+    claim = region_claim("test", load_vehicle("sur540-flooded"), load_gains("default"))
+    return replace(claim, **changes)
+
+
+def test_a_region_is_proved_and_its_certificate_stands_alone(tmp_path: Path) -> None:
+    proof = prove_region(claimed(), attempts=12)
+    assert proof.verdict == "proved", proof.reason
+    assert proof.offset > 0.15 and proof.settled[1] < proof.offset
+    proof.write(tmp_path / "c.json")
+    found = check_file(tmp_path / "c.json")
+    assert found.accepted and json.loads((tmp_path / "c.json").read_text()) == proof.certificate()
+    assert proof.to_dict()["certificate"]["claim"]["motion"]["rate_per_s"] == 0.05
+    assert f"{proof.offset:.3g} m" in proof.sentence
+
+
+def test_what_cannot_be_is_unknown_and_says_so() -> None:
+    proof = prove_region(claimed(rate=5.0), attempts=6)
+    assert proof.verdict == "unknown" and not proof.certificate()
+    assert "found no" in proof.to_dict()["remaining"] and "unknown" in proof.sentence
+
+
+def test_claims_that_do_not_fit_are_the_users_mistake() -> None:
+    vehicle, gains = load_vehicle("sur540-flooded"), load_gains("default")
+    with pytest.raises(InputError, match="k_i"):
+        region_claim("test", vehicle, gains.with_values({"k_i": 0.1}))
+    with pytest.raises(InputError, match="m22"):
+        region_claim("test", vehicle.with_values({"m22": 80.0}), gains)
+    with pytest.raises(InputError, match="cap"):
+        claimed(cruise=0.3)
+    with pytest.raises(InputError, match="range"):
+        claimed(mass=(2.0, 1.0))
+    with pytest.raises(InputError, match="region-cruise-20"):
+        region_claim_named("region-cruise-21", vehicle, gains)
+
+
+@pytest.mark.parametrize("name", REGION_CLAIMS)
+def test_the_library_builds_what_it_says(name: str) -> None:
+    vehicle = load_vehicle("sur540-flooded")
+    claim = region_claim_named(name, vehicle, load_gains("default"))
+    assert claim.name == name
+    assert claim.mass == ((50, 125) if name == "region-cruise-ranges" else (76, 114))
+    assert (claim.period > 0, claim.lag[1] > 0) == (
+        name[17:] in ("sampled", "lag", "spin"),
+        name[17:] in ("lag", "spin"),
+    )
+    kept = KEPT / f"{name}.json"
+    if kept.exists():  # a certificate of another vehicle, law or claim proves nothing about this one
+        stated = json.loads(kept.read_text())["claim"]
+        own = claim.document(offset=stated["motion"]["offset_m"], settled=tuple(stated["motion"]["settled_m"]))
+        assert {k: v for k, v in stated.items() if k != "sha256_law"} == {
+            k: v for k, v in json.loads(json.dumps(own)).items() if k != "sha256_law"
+        }
+
+
+@pytest.mark.parametrize(
+    "name", ["region-cruise-20", "region-cruise-20-sampled", "region-cruise-20-lag", "region-cruise-20-spin"]
+)
+def test_flights_from_the_edge_stay_below_the_envelope(name: str) -> None:
+    whole = json.loads((KEPT / f"{name}.json").read_text())
+    claim, P, floor = whole["claim"], matrix(whole), whole["proof"]["floor"]
+    n, steps, rng = 400, 10, np.random.default_rng(1)
+    boat = boats(claim, n, rng)
+    vehicle, law, a = claim["vehicle"], claim["law"], claim["motion"]["rate_per_s"]
+    rest = omega(claim, boat)
+    xi = rng.normal(size=(n, len(P))) @ np.linalg.inv(np.linalg.cholesky(P))
+    xi /= np.sqrt(np.einsum("ni,ij,nj->n", xi, P, xi))[:, None]
+    psi = rng.uniform(0, 2 * np.pi, size=n)
+    turn = rng.uniform(-1, 1, size=n) * vehicle["yaw_rate_rad_per_s"]
+    h = law["period_s"] or 0.05
+
+    def trim() -> np.ndarray:
+        mean = np.zeros((n, 4))
+        mean[:, 0], mean[:, 2] = -rest / law["k1"], law["cruise"]
+        return thrust(claim, mean, psi)
+
+    def body(vector: np.ndarray, back: int) -> np.ndarray:
+        c, s = np.cos(psi), back * np.sin(psi)
+        return np.stack([c * vector[:, 0] + s * vector[:, 1], -s * vector[:, 0] + c * vector[:, 1]], axis=1)
+
+    state = xi[:, :4].copy()
+    state[:, 0] -= rest / law["k1"]
+    state[:, 2] += law["cruise"]
+    if len(P) == 6:
+        state = np.hstack([state, trim() + body(xi[:, 4:], 1)])
+    for k in range(int(40 / h)):
+        command = thrust(claim, state, psi) if law["period_s"] else None
+        for _ in range(steps):
+            middle = state + h / steps / 2 * rate(claim, boat, state, psi, command)
+            psi = psi + turn * h / steps
+            state = state + h / steps * rate(claim, boat, middle, psi - turn * h / steps / 2, command)
+        xi[:, :4] = state[:, :4]
+        xi[:, 0] += rest / law["k1"]
+        xi[:, 2] -= law["cruise"]
+        if len(P) == 6:
+            xi[:, 4:] = body(state[:, 4:] - trim(), -1)
+        value = np.einsum("ni,ij,nj->n", xi, P, xi)
+        assert np.all(value <= np.maximum(np.exp(-a * (k + 1) * h), floor) + 1e-9)
+        turn = np.where(rng.uniform(size=n) < 0.05, -turn, turn)
+    assert value.max() < floor
+
+
+def test_the_steady_cruise_is_that_of_the_checker() -> None:
+    from surctl.certcheck.region_claim import read_claim
+    from surctl.certcheck.region_trim import trim
+
+    claim = claimed()
+    own, exact = steady_cruise(claim), trim(read_claim(claim.document(offset=0.1, settled=(0.1, 0.1))))
+    assert np.allclose(own.omega, [float(w) for w in exact.omega], rtol=1e-12)
+    assert float(exact.total) <= own.total * 1.005 and own.total <= 1.02 * float(exact.total)
+
+
+def test_the_conic_solver_finds_the_largest_eigenvalue() -> None:
+    rng = np.random.default_rng(0)
+    for size in (1, 3, 5):
+        root = rng.normal(size=(size, size))
+        whole = root + root.T
+        # least t with t I − A ⪰ 0
+        x = minimise(np.ones(1), [(-whole[None], np.eye(size)[None, None])])
+        assert x is not None and np.isclose(x[0], np.linalg.eigvalsh(whole)[-1], atol=1e-6)
+    assert minimise(np.ones(1), [(-np.eye(2)[None], np.zeros((1, 1, 2, 2)))]) is None
+    assert len(symmetric_basis(4)) == 10
+
+
+def test_a_certificate_of_these_numbers_is_not_one_of_others() -> None:
+    whole = json.loads((KEPT / "region-cruise-20.json").read_text())
+    whole["claim"]["law"]["cruise"] = 0.16
+    assert "altered" in check_document(whole).reason
