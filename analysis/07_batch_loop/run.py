@@ -137,8 +137,9 @@ def drawn(gains: Gains, runs: int) -> dict[str, Array]:
 
 
 def gain_table(gains: Gains, values: dict[str, Array], runs: int) -> Array:
-    """(runs, 17) in the order of `GAINS`; the loops by hand have no sonars, so no spin."""
-    return np.column_stack([values.get(name, np.full(runs, gains[name])) for name in GAINS if name != "spin"])
+    """(runs, 17) in the order of `GAINS`; the loops by hand have no sonars, follow by LOS and never give up."""
+    kept = [name for name in GAINS if name not in ("spin", "ilos_sigma", "alos_gamma", "patience")]
+    return np.column_stack([values.get(name, np.full(runs, gains[name])) for name in kept])
 
 
 def agree(case: Case, hand: dict[str, HandLoop], config: Config, *, numba: bool) -> bool:

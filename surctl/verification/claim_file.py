@@ -53,7 +53,7 @@ class _ClaimTable(Strict):
     statement: StrictStr = ""
     equation: StrictStr = ""
     errata: tuple[StrictStr, ...] = ()
-    expected: Literal["proved", "refuted"] = "proved"
+    expected: Literal["proved", "refuted", "not refuted"] = "proved"
     unit: StrictStr = "1"
     left: StrictStr
     right: StrictStr = "0"
@@ -76,7 +76,7 @@ def load_claim(path: Path) -> Claim:
         right = "0"                               # default; left <= right is claimed
         unit = "m^2/s"
         constraints = ["y_e^2 <= 4*ahead^2"]      # where it is claimed; each with one <= or >=
-        expected = "proved"                       # default; or "refuted"
+        expected = "proved"                       # default; or "refuted"; or "not refuted": no counterexample
         [constants]
         ahead = 0.5
         [variables]

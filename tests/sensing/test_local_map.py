@@ -446,7 +446,7 @@ def test_where_such_a_disc_hides_its_cells_are_told(x, y, radius):
     many, size = chart.blocks, chart.block
     cells = rolled.reshape(many, size, many, size).swapaxes(1, 2).reshape(-1)
     empty = np.tile(EMPTY, chart.slots)
-    *_, told = map_step(chart, cells, window, place, empty)
+    *_, told = map_step(chart, cells, window, place, OPEN, empty)
     found = told.reshape(-1, 3)[told[2::3] < FAR]
     assert len(found) and np.min(np.hypot(found[:, 0] - x, found[:, 1] - y)) <= (radius + 0.75) * EDGE
 

@@ -35,10 +35,12 @@ def one(name: str, gains: dict[str, float] | None = None) -> Any:
 
 @pytest.mark.parametrize("name", ALL)
 def test_every_claim_comes_out_as_expected(name: str) -> None:
-    verdict = settle(one(name))
-    assert verdict.verdict == verdict.claim.expected, verdict.to_dict()
+    open_ended = name not in PRINTED + CORRECTED  # expects no counterexample, and no more
+    verdict = settle(one(name), time_limit=2.0 if open_ended else 20.0)
+    assert verdict.as_expected, verdict.to_dict()
+    assert open_ended or verdict.verdict == verdict.claim.expected, verdict.to_dict()
     assert (verdict.counterexample is not None) == (name in PRINTED)
-    assert (verdict.certificate is not None) == (name in CORRECTED)
+    assert open_ended or (verdict.certificate is not None) == (name in CORRECTED)
 
 
 @pytest.mark.parametrize("name", [n for n in CORRECTED if n != "v1-speed-cap-region"])

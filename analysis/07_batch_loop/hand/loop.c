@@ -581,7 +581,8 @@ static void fly(const Scene *s, const Gains *g, const Luck *luck, Jump *step, ui
         double gx = s->way[k][0] + along * tx[k], gy = s->way[k][1] + along * ty[k], ox = eta[0] - gx, oy = eta[1] - gy;
         double x_e = ox * tx[k] + oy * ty[k], y_e = tx[k] * oy - ty[k] * ox;
         if (progress >= path) {
-            double gain = least(g->k_v / 3, s->cruise / most(length2(ox, oy), 1e-3));
+            double far = length2(ox, oy), fastest = least(s->cruise, sqrt(at * at + 2 * brake * far) - at);
+            double gain = least(g->k_v / 3, fastest / most(far, 1e-3));
             wish[0] = -ox * gain, wish[1] = -oy * gain;
         } else {
             double slant = sqrt(y_e * y_e + g->lookahead * g->lookahead) / g->lookahead;

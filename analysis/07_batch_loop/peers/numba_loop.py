@@ -607,7 +607,9 @@ def fly(s, g, luck, random, out):
         oy = eta[1] - s[WAY + 2 * k + 1] - along * ty[k]
         x_e, y_e = ox * tx[k] + oy * ty[k], tx[k] * oy - ty[k] * ox
         if progress >= path:
-            gain = min(g[K_V] / 3, s[CRUISE] / max(length2(ox, oy), 1e-3))
+            far = length2(ox, oy)
+            fastest = min(s[CRUISE], sqrt(at * at + 2 * brake * far) - at)
+            gain = min(g[K_V] / 3, fastest / max(far, 1e-3))
             wish_x, wish_y = -ox * gain, -oy * gain
         else:
             slant = sqrt(y_e * y_e + g[LOOK] * g[LOOK]) / g[LOOK]
