@@ -79,7 +79,7 @@ def test_what_it_takes_in_float_and_that_the_readme_counts_all_but_numbers_on_th
 ) -> None:
     """State struct, the caller's other structs, and the stack below a step as the compiler tells it.
 
-    32 kB hold all of it; of the projected mode, whose solver has arrays of its own, all but one kB.
+    32 kB hold all of it; the projected mode, whose solver has arrays of its own, takes two more.
     """
     run, controller = flown
     law, files, name = run.law, controller.bundle.files, controller.bundle.name
@@ -97,7 +97,7 @@ def test_what_it_takes_in_float_and_that_the_readme_counts_all_but_numbers_on_th
     except ToolMissing as missing:
         pytest.skip(str(missing))
     assert 4 * arrays <= stack <= 4 * arrays + 4096
-    assert 4 * (state + structs) + stack <= 1024 * (33 if law.mode == "projected" else 32)
+    assert 4 * (state + structs) + stack <= 1024 * (34 if law.mode == "projected" else 32)
 
 
 def scattered_steps(run: Run, count: int) -> tuple[Vector, Vector, Vector]:
