@@ -56,7 +56,8 @@ def test_the_window_lies_around_the_robot_and_its_hull_is_free() -> None:
         side = len(view.kinds)
         at = run.record.eta[tick, :2]
         # in the middle of it, but where it would look beyond a wall
-        low = np.clip(at - view.edge * side / 2, 0.0, np.maximum(np.array(run.scenario.site[:2]) - view.edge * side, 0.0))
+        room = np.maximum(np.array(run.scenario.site[:2]) - view.edge * side, 0.0)
+        low = np.clip(at - view.edge * side / 2, 0.0, room)
         np.testing.assert_allclose(view.corner, low, atol=view.edge + 0.05)
         assert view.edge == pytest.approx(run.vehicle["radius"] / 4)
         x, y = (view.corner[k] + view.edge * (np.arange(side) + 0.5) for k in (0, 1))
