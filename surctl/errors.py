@@ -87,7 +87,15 @@ class SelfTestError(SurctlError):
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Remedy text that names the known name nearest to `name`, or lists what there is."""
+    """Remedy text that names the known name nearest to `name`, or lists what there is.
+
+    Examples:
+        >>> from surctl.errors import nearest
+        >>> nearest("sur4000", ["sur400", "bluerov2-wu"])
+        "did you mean 'sur400'?"
+        >>> nearest("k_v", ["lookahead", "brake"])
+        'known: brake, lookahead'
+    """
     names = sorted(known)
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     return f"did you mean {close[0]!r}?" if close else "known: " + ", ".join(names)

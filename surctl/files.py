@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import tomllib
 from collections.abc import Sequence
@@ -9,14 +10,25 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, StrictFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, StrictFloat, ValidationError, model_validator
 
 from surctl.errors import InputError, nearest
+from surctl.units import in_unit, number_and_unit, told_by_suffix
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
-__all__ = ["Quantity", "Strict", "load_model", "pick", "prepare_folder", "read_toml", "validate", "write_file"]
+__all__ = [
+    "Quantity",
+    "Strict",
+    "load_model",
+    "pick",
+    "prepare_folder",
+    "quoted",
+    "read_toml",
+    "validate",
+    "write_file",
+]
 
 
 class Strict(BaseModel):
@@ -26,19 +38,52 @@ class Strict(BaseModel):
 
 
 class Quantity(Strict):
-    """A number with its unit, and what is known of it."""
+    """A number with its unit, and what is known of it; a file may write it short, as "0.54 m"."""
 
     value: StrictFloat
     unit: str
     range: tuple[float, float] | None = None
     provenance: str | None = None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _short(cls, given: object) -> object:
+        if not isinstance(given, str):
+            return given
+        try:
+            value, unit = number_and_unit(given)
+        except InputError as error:
+            raise ValueError(f"{error.problem}; {error.remedy}") from None
+        return {"value": value, "unit": unit}
+
+    def within(self, unit: str) -> Quantity:
+        """The same in another unit, its range too; itself if it is in that unit.
+
+        Raises:
+            InputError: an unknown unit, or one of another dimension.
+        """
+        if self.unit == unit:
+            return self
+        bounds = None if self.range is None else tuple(in_unit(end, self.unit, unit) for end in self.range)
+        return self.model_copy(update={"value": in_unit(self.value, self.unit, unit), "unit": unit, "range": bounds})
+
 
 M = TypeVar("M", bound=BaseModel)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The file's table. InputError for a missing, unreadable, empty, binary or malformed file."""
+    """The file's table; a text like "15 cm" under a key like `depth_m` comes as a number in the key's unit.
+
+    Raises:
+        InputError: a missing, unreadable, empty, binary or malformed file, or a length in seconds.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.files import read_toml
+        >>> _ = Path("site.toml").write_text('[site]\\ndepth_m = "150 cm"')
+        >>> read_toml(Path("site.toml"))
+        {'site': {'depth_m': 1.5}}
+    """
     try:
         raw = path.read_bytes()
     except FileNotFoundError:
@@ -57,31 +102,61 @@ def read_toml(path: Path) -> dict[str, Any]:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"is not valid TOML: {error}", file=path, remedy="mend that line") from None
+    except RecursionError:
+        raise InputError("is not valid TOML: nested too deep", file=path, remedy="give a TOML file") from None
     if not table:
         raise InputError("is empty", file=path, remedy="start from a built-in file: surctl list --show NAME")
-    return table
+    try:
+        return dict(told_by_suffix(table))
+    except InputError as error:
+        raise error.inside(path) from None
 
 
 def load_model(path: Path, model: type[M]) -> M:
-    """Read a TOML file and validate it against `model`."""
+    """Read a TOML file and validate it against `model`.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from pydantic import BaseModel
+        >>> from surctl.files import load_model
+        >>> class Tank(BaseModel):
+        ...     length_m: float
+        >>> _ = Path("tank.toml").write_text('length_m = "640 cm"')
+        >>> load_model(Path("tank.toml"), Tank)
+        Tank(length_m=6.4)
+    """
     return validate(read_toml(path), model, file=path)
 
 
 def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
-    """Validate a table against `model`; the first mistake becomes an InputError, the rest are counted."""
+    """Validate a table against `model`; the first mistake becomes an InputError, the rest are counted.
+
+    Example:
+        >>> from pydantic import BaseModel
+        >>> from surctl.files import validate
+        >>> class Tank(BaseModel):
+        ...     length_m: float
+        >>> validate({"length_m": 6.4}, Tank, file="tank.toml")
+        Tank(length_m=6.4)
+        >>> validate({"length_m": "long"}, Tank, file="tank.toml")
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: tank.toml: length_m = 'long': input should be a valid number, ...; correct the value
+    """
     try:
         return model.model_validate(table)
     except ValidationError as error:
         # of a union "quantity or text" only the quantity is of use to the reader
-        problems = [p for p in error.errors(include_url=False) if p["loc"][-1] != "str"]
+        problems = [p for p in error.errors(include_url=False) if p["loc"][-1:] != ("str",)]
         # a list counts as too short by the members that are wrong
         problems = [p for p in problems if p["type"] != "too_short" or not _inside(p["loc"], problems)]
         # another kind of file explains everything else; an unknown key the missing one beside it
         first = min(problems, key=lambda p: (p["loc"] != ("kind",), p["type"] != "extra_forbidden"))
         # a union's member types stand in the path like keys
-        key = ".".join(str(part) for part in first["loc"] if part not in ("Quantity", "str"))
+        key = ".".join(str(part) for part in first["loc"] if part not in ("Quantity", "str")) or None
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        value = None if first["type"] == "missing" else first["input"]
+        # of the whole file no value is told
+        value = None if first["type"] == "missing" or key is None else first["input"]
         if first["type"] == "extra_forbidden":
             known = _fields_at(model, first["loc"][:-1])
             problem, remedy = "unknown key", nearest(str(first["loc"][-1]), known)
@@ -127,11 +202,23 @@ def _model_in(annotation: Any) -> Any:
     return None
 
 
-def prepare_folder(folder: Path) -> Path:
-    """Make the output folder, or say in one line why that cannot be.
+def prepare_folder(folder: Path, *, key: str = "--out") -> Path:
+    """Make the output folder, or say in one line why that cannot be; `key` is the option that names it.
 
     Raises:
         InputError: it is a file, or cannot be written.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.errors import InputError
+        >>> from surctl.files import prepare_folder
+        >>> prepare_folder(Path("results") / "first").is_dir()
+        True
+        >>> _ = Path("taken").write_text("a file")
+        >>> prepare_folder(Path("taken"))
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: --out = 'taken': cannot be written (File exists); name another folder
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -140,7 +227,7 @@ def prepare_folder(folder: Path) -> Path:
         probe.unlink()
     except OSError as error:
         raise InputError(
-            f"cannot be written ({error.strerror})", key="--out", value=str(folder), remedy="name another folder"
+            f"cannot be written ({error.strerror})", key=key, value=str(folder), remedy="name another folder"
         ) from None
     return folder
 
@@ -149,6 +236,17 @@ def pick(name_or_path: str, library: Path, *, what: str) -> Path:
     """The built-in file of that name, or the user's file at that path.
 
     A bare name (no suffix, no separator) is looked up in `library`; anything else is a path.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.files import pick
+        >>> from surctl.vehicle import LIBRARY
+        >>> pick("sur400", LIBRARY, what="vehicle").name
+        'sur400.toml'
+        >>> pick("sur4000", LIBRARY, what="vehicle")
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: vehicle = 'sur4000': unknown vehicle; did you mean 'sur400'?
     """
     known = {p.stem: p for p in sorted(library.glob("*.toml"))}
     if name_or_path in known:
@@ -159,11 +257,28 @@ def pick(name_or_path: str, library: Path, *, what: str) -> Path:
     raise InputError(f"unknown {what}", key=what, value=name_or_path, remedy=nearest(name_or_path, known))
 
 
+def quoted(text: str) -> str:
+    """A TOML basic string: JSON's escapes, and DEL, which JSON leaves bare.
+
+    Example:
+        >>> from surctl.files import quoted
+        >>> print(quoted('a "clear" pool'))
+        "a \\"clear\\" pool"
+    """
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
 def write_file(target: Path, content: str | bytes) -> Path:
     """Write a file by way of a temporary one beside it, so that it is there as a whole or as it was; the path.
 
     Raises:
         InputError: there is no room, or the folder cannot be written.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.files import write_file
+        >>> write_file(Path("gains.toml"), 'kind = "gains"').read_text()
+        'kind = "gains"'
     """
     staging = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     try:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from surctl.errors import InputError
 from surctl.files import Quantity, Strict, load_model, pick, read_toml, validate, write_file
@@ -102,6 +102,22 @@ def test_a_list_of_one_wrong_member_is_one_mistake() -> None:
     assert (caught.value.key, caught.value.problem) == ("things.0.part.mass_kg", "is missing")
     with pytest.raises(InputError, match="at least 1 item"):
         validate({"things": []}, Shelf, file="a.toml")
+
+
+def test_a_mistake_of_the_whole_file_has_no_key() -> None:
+    class Pair(Strict):
+        low: float
+        high: float
+
+        @model_validator(mode="after")
+        def _ordered(self) -> Pair:
+            if self.low > self.high:
+                raise ValueError("low is above high; swap them")
+            return self
+
+    with pytest.raises(InputError) as caught:
+        validate({"low": 2.0, "high": 1.0}, Pair, file="a.toml")
+    assert str(caught.value) == "a.toml: low is above high; swap them"
 
 
 @pytest.mark.parametrize("value", [-1.0, 0.0, float("nan"), float("inf"), "heavy", [1.0]])

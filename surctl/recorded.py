@@ -1,0 +1,195 @@
+"""A recorded CSV file: a header, then rows; every mistake is told with its file and line."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, nearest
+
+__all__ = ["Recorded", "read_recorded", "shown"]
+
+_MISSING = {"", "na", "n/a", "null", "none"}  # cells that stand for "no number" beside nan
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recorded:
+    """The rows of a file, as text.
+
+    Attributes:
+        path: the file.
+        columns: header, in the file's order, to its cells.
+        lines: (n,) line of each row in the file, from 1.
+        about: the comments above the header, without their #.
+    """
+
+    path: Path
+    columns: dict[str, list[str]]
+    lines: NDArray[np.int64]
+    about: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """The file's path as one printable line."""
+        return shown(self.path)
+
+    def need(self, names: Iterable[str]) -> None:
+        """InputError, with the nearest column that is there, when one of the names is no column."""
+        for name in names:
+            if name not in self.columns:
+                raise InputError(f"column {name!r} is missing", file=self.name, remedy=nearest(name, self.columns))
+
+    def numbers(self, column: str) -> NDArray[np.float64]:
+        """(n,) the column's numbers; NaN where a cell is empty, NaN or infinite.
+
+        Raises:
+            InputError: a cell that is no number, with its line.
+        """
+        cells = self.columns[column]
+        try:
+            if any("_" in cell for cell in cells):  # Python reads 1_5 as 15
+                raise ValueError
+            values = np.array([float(cell) for cell in cells])
+        except ValueError:
+            values = np.array([self._number(column, k) for k in range(len(cells))])
+        return np.where(np.isfinite(values), values, np.nan)
+
+    def at(self, row: int) -> str:
+        """The row's place: file and line."""
+        return f"{self.name}:{self.lines[row]}"
+
+    def _number(self, column: str, row: int) -> float:
+        cell = self.columns[column][row].strip()
+        if cell.lower() in _MISSING:
+            return float("nan")
+        try:
+            if "_" in cell:
+                raise ValueError
+            return float(cell)
+        except ValueError:
+            remedy = "write a decimal point" if "," in cell else "write a number, or leave the cell empty"
+            raise InputError("is not a number", file=self.at(row), key=column, value=cell, remedy=remedy) from None
+
+
+def shown(path: object) -> str:
+    """A path or name as one line that any terminal and UTF-8 file takes: other characters become '?'.
+
+    Example:
+        >>> from surctl.recorded import shown
+        >>> shown("a\\nb.csv")
+        'a?b.csv'
+    """
+    text = str(path).encode("utf-8", "replace").decode("utf-8")
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
+def read_recorded(path: Path) -> Recorded:
+    """Read a comma-separated file with a header; blank lines, and lines with # above the header, are left out.
+
+    Raises:
+        InputError: no such file, not UTF-8 text, no header, no rows, a row of another length, a column twice.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.recorded import read_recorded
+        >>> _ = Path("log.csv").write_text("# frame=ned\\nt_s,x_m\\n0,1.5\\n0.1,1.6\\n")
+        >>> log = read_recorded(Path("log.csv"))
+        >>> log.columns, log.about
+        ({'t_s': ['0', '0.1'], 'x_m': ['1.5', '1.6']}, ('frame=ned',))
+    """
+    about, text = _comments(_text(path))
+    skipped = len(about)
+    _check_separator(f"{shown(path)}:{skipped + 1}", text)
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    rows: list[list[str]] = []
+    lines: list[int] = []
+    header: list[str] = []
+    try:
+        for row in reader:
+            if not any(cell.strip() for cell in row):
+                continue
+            if not header:
+                header = _checked_header(f"{shown(path)}:{skipped + reader.line_num}", row)
+                continue
+            if len(row) != len(header):
+                raise InputError(
+                    f"has {len(row)} cells where the header has {len(header)}",
+                    file=f"{shown(path)}:{skipped + reader.line_num}",
+                    remedy="mend that row",
+                )
+            rows.append(row)
+            lines.append(skipped + reader.line_num)
+    except csv.Error as error:
+        raise InputError(
+            f"is not CSV: {error}", file=f"{shown(path)}:{skipped + reader.line_num}", remedy="mend the quotes there"
+        ) from None
+    if not rows:
+        raise InputError("has a header and no rows", file=shown(path), remedy="add rows")
+    columns = dict(zip(header, (list(cells) for cells in zip(*rows, strict=True)), strict=True))
+    return Recorded(path=path, columns=columns, lines=np.array(lines), about=about)
+
+
+def _text(path: Path) -> str:
+    try:
+        raw = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError("no such file", file=shown(path), remedy="check the path") from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(
+            f"cannot be read ({reason})", file=shown(path), remedy="check the path and its permissions"
+        ) from None
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise InputError("is not text (UTF-8)", file=f"{shown(path)}:{line}", remedy="save it as UTF-8") from None
+    if "\0" in text:
+        raise InputError("is not text (it holds a NUL byte)", file=shown(path), remedy="give a CSV file")
+    if not text.strip():
+        raise InputError("is empty", file=shown(path), remedy="give a CSV file with a header and rows")
+    return text
+
+
+def _comments(text: str) -> tuple[tuple[str, ...], str]:
+    """The lines with # that stand first, and the rest."""
+    about = []
+    while text.startswith("#"):
+        line, _, text = text.partition("\n")
+        about.append(line.lstrip("#").strip())
+    return tuple(about), text
+
+
+def _check_separator(place: str, text: str) -> None:
+    header = text.lstrip().partition("\n")[0]
+    for mark, name in ((";", "semicolons"), ("\t", "tabs")):
+        if mark in header and "," not in header:
+            raise InputError(
+                f"is separated by {name}",
+                file=place,
+                remedy="save it with commas between cells and points in numbers",
+            )
+
+
+def _checked_header(place: str, row: list[str]) -> list[str]:
+    header = [cell.strip() for cell in row]
+    if all(_is_number(cell) for cell in header):
+        raise InputError("has no header", file=place, remedy="name the columns in the first line")
+    twice = sorted({name for name in header if header.count(name) > 1})
+    if twice:
+        raise InputError(f"column {twice[0]!r} stands there twice", file=place, remedy="leave one of them")
+    return header
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,105 @@
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from surctl.control import load_gains
+from surctl.errors import InputError
+from surctl.files import Quantity, read_toml
+from surctl.simulation import LIBRARY, load_scenario
+from surctl.units import in_unit, number_and_unit, told_by_suffix
+from surctl.vehicle import load_vehicle
+from surctl.vehicle.parameters import LIBRARY as VEHICLES
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "si"),
+    [
+        ("54 cm", "m", 0.54),
+        ("15cm", "m", 0.15),
+        ("12 kgf", "N", 117.6798),
+        ("20 deg/s", "rad/s", 0.3490658503988659),
+        ("2 min", "s", 120.0),
+        ("-1.5e-1 m", "m", -0.15),
+        ("1 knot", "m/s", 0.514444444444444444),
+        ("60 N*s**2/m**2", "N s^2/m^2", 60.0),
+        ("2000 g", "kg", 2.0),
+    ],
+)
+def test_text_in_another_unit(text: str, unit: str, si: float) -> None:
+    assert in_unit(*number_and_unit(text), unit) == pytest.approx(si, rel=1e-15)
+
+
+@given(st.integers(-(10**6), 10**6))
+def test_centimetres_are_the_nearest_number_of_metres(count: int) -> None:
+    assert in_unit(float(count), "cm", "m") == float(Fraction(count, 100))
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_the_same_unit_changes_no_bit(value: float) -> None:
+    assert in_unit(value, "N s^2/m^2", "N s^2/m^2") == value
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("0.54", "is no unit"),
+        ("0.54 s", "wrong unit"),
+        ("0.54 furlings", "is no unit"),
+        ("half a metre", "is no number"),
+        ("nan m", "is no number"),
+        ("inf m", "is no number"),
+        ("1 __import__('os')", "is no unit"),
+        ("1 m" + "*m" * 40, "is no unit"),
+        ("1 9**9**9**9 m", "is no unit"),
+        ("", "is no number"),
+    ],
+)
+def test_what_is_no_length_is_named(text: str, problem: str) -> None:
+    with pytest.raises(InputError, match=problem) as told:
+        told_by_suffix({"site": {"depth_m": text}})
+    assert told.value.key == "site.depth_m"
+    assert told.value.remedy
+
+
+def test_only_keys_with_a_unit_are_read_so() -> None:
+    table = {"name": "5 m", "path_m": [["1 m", 200.0], ["30 cm", "1e3 mm"]], "speeds": ["1 m"], "depth_m": -1}
+    read = {"name": "5 m", "path_m": [[1.0, 200.0], [0.3, 1.0]], "speeds": ["1 m"], "depth_m": -1}
+    assert told_by_suffix(table) == read
+
+
+def test_a_vehicle_in_the_units_of_its_data_sheets(tmp_path: Path) -> None:
+    text = (VEHICLES / "sur540-flooded.toml").read_text()
+    text = text.replace('radius = { value = 0.27, unit = "m" }', 'radius = "27 cm"')
+    text = text.replace(
+        'Fu_max = { value = 5.0, unit = "N", range = [4.25, 5.75] }',
+        'Fu_max = { value = 500.0, unit = "gf", range = [425, 575] }',
+    )
+    file = tmp_path / "mine.toml"
+    file.write_text(text)
+    vehicle = load_vehicle(str(file))
+    assert vehicle["radius"] == 0.27
+    thrust = vehicle.parameters["Fu_max"]
+    assert (thrust.value, thrust.unit) == (pytest.approx(4.903325), "N")
+    assert thrust.range == pytest.approx((4.16782625, 5.63882375))
+
+
+def test_gains_and_scenarios_too(tmp_path: Path) -> None:
+    source = Path(load_gains("default").source).read_text()
+    file = tmp_path / "gains.toml"
+    file.write_text(source.replace('lookahead = { value = 0.8, unit = "m" }', 'lookahead = "80 cm"'))
+    assert load_gains(str(file)).values == load_gains("default").values
+    text = (LIBRARY / "tank-moving.toml").read_text()
+    file = tmp_path / "tank.toml"
+    file.write_text(text.replace("depth_m = -0.15", 'depth_m = "-15 cm"').replace("150.0", '"2.5 min"'))
+    assert load_scenario(str(file)).depth == load_scenario("tank-moving").depth
+    assert load_scenario(str(file)).time_limit == 150.0
+    assert read_toml(file)["time_limit_s"] == 150.0
+
+
+def test_a_quantity_keeps_what_is_known_of_it() -> None:
+    long = Quantity(value=50.0, unit="cm", range=(40.0, 60.0), provenance="tape")
+    assert long.within("m") == Quantity(value=0.5, unit="m", range=(0.4, 0.6), provenance="tape")
+    assert long.within("cm") is long
