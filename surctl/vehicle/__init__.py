@@ -10,26 +10,48 @@ from surctl.vehicle.dynamics import (
     steady_speed,
     trim_thrust,
 )
+from surctl.vehicle.frames import FRAME_TEXT, FRAMES, Frame, check_frame, swap_body, swap_pose
+from surctl.vehicle.geometry import sphere
+from surctl.vehicle.identify import FITTED, Identified, identify
+from surctl.vehicle.iosystem import plant_system
 from surctl.vehicle.kinematics import jacobian, planar_rotation
 from surctl.vehicle.linearise import linearise, plant_jacobians
+from surctl.vehicle.motion_log import LOG_MOTION, LOG_THRUST, MotionLog, read_motion_log
 from surctl.vehicle.parameters import LIBRARY, PARAMETERS, Parameter, Vehicle, load_vehicle
+from surctl.vehicle.vehicle_file import write_vehicle
 
 __all__ = [
+    "FITTED",
+    "FRAMES",
+    "FRAME_TEXT",
     "LIBRARY",
+    "LOG_MOTION",
+    "LOG_THRUST",
     "PARAMETERS",
     "PLANT_DISTURBANCE",
     "PLANT_PARAMETERS",
     "PLANT_STATE",
+    "Frame",
+    "Identified",
+    "MotionLog",
     "Parameter",
     "Plant",
     "Vehicle",
     "build_plant",
+    "check_frame",
+    "identify",
     "jacobian",
     "linearise",
     "load_vehicle",
     "planar_rotation",
     "plant_jacobians",
     "plant_parameters",
+    "plant_system",
+    "read_motion_log",
+    "sphere",
     "steady_speed",
+    "swap_body",
+    "swap_pose",
     "trim_thrust",
+    "write_vehicle",
 ]

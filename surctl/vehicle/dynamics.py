@@ -53,7 +53,14 @@ PLANT_PARAMETERS = Layout(
 
 
 def plant_parameters(vehicle: Vehicle) -> NDArray[np.float64]:
-    """The vehicle as the flat vector `PLANT_PARAMETERS` describes, (17,)."""
+    """The vehicle as the flat vector `PLANT_PARAMETERS` describes, (17,).
+
+    Example:
+        >>> from surctl.vehicle import PLANT_PARAMETERS, load_vehicle, plant_parameters
+        >>> numbers = plant_parameters(load_vehicle("sur400"))
+        >>> numbers.size, PLANT_PARAMETERS.split(numbers)["mass"].tolist()
+        (17, [50.0, 50.0, 50.0, 0.6])
+    """
     return PLANT_PARAMETERS.pack(
         {
             "mass": vehicle.mass,
@@ -126,7 +133,14 @@ def build_plant() -> Plant:
 
 
 def trim_thrust(vehicle: Vehicle, nu: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Thrust (4,) [N, N m] that holds the body velocity ν (4,) in still water: τ = C(ν)ν + D(ν)ν."""
+    """Thrust (4,) [N, N m] that holds the body velocity ν (4,) in still water: τ = C(ν)ν + D(ν)ν.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.vehicle import load_vehicle, trim_thrust
+        >>> trim_thrust(load_vehicle("sur400"), np.array([0.15, 0.0, 0.0, 0.2])).round(3).tolist()
+        [0.964, 1.5, 0.0, 0.064]
+    """
     return np.asarray(trim_function()(nu, plant_parameters(vehicle))).reshape(4)
 
 
@@ -141,7 +155,14 @@ def trim_function() -> ca.Function:
 
 
 def steady_speed(force: float, linear: float, quadratic: float) -> float:
-    """Speed [m/s] at which drag X u + X₂ u² equals a force ≥ 0 [N]: (−X + √(X² + 4 X₂ F)) / (2 X₂)."""
+    """Speed [m/s] at which drag X u + X₂ u² equals a force ≥ 0 [N]: (−X + √(X² + 4 X₂ F)) / (2 X₂).
+
+    Example:
+        >>> from surctl.vehicle import load_vehicle, steady_speed
+        >>> boat = load_vehicle("sur400")
+        >>> round(steady_speed(boat["Fu_max"], boat["Xu"], boat["Xuu"]), 3)  # m/s at full thrust
+        0.379
+    """
     if quadratic == 0:
         return force / linear if linear > 0 else float("inf")
     return float((-linear + np.sqrt(linear**2 + 4 * quadratic * force)) / (2 * quadratic))

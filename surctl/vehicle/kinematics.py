@@ -8,11 +8,25 @@ __all__ = ["jacobian", "planar_rotation"]
 
 
 def planar_rotation(psi: ca.SX) -> ca.SX:
-    """R(ψ), 2×2: body-frame horizontal vectors to {E}; ψ [rad] counter-clockwise from x."""
+    """R(ψ), 2×2: body-frame horizontal vectors to {E}; ψ [rad] counter-clockwise from x.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.vehicle import planar_rotation
+        >>> ca.DM(planar_rotation(ca.SX(ca.pi / 2)) @ ca.DM([0.2, 0.0])).full().round(3).ravel().tolist()
+        [0.0, 0.2]
+    """
     c, s = ca.cos(psi), ca.sin(psi)
     return ca.vertcat(ca.horzcat(c, -s), ca.horzcat(s, c))
 
 
 def jacobian(psi: ca.SX) -> ca.SX:
-    """J(ψ) of (2), 4×4: ν = (u, v, w, r) in {B} [m/s, rad/s] to η̇ in {E}."""
+    """J(ψ) of (2), 4×4: ν = (u, v, w, r) in {B} [m/s, rad/s] to η̇ in {E}.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.vehicle import jacobian
+        >>> ca.DM(jacobian(ca.SX(ca.pi / 2)) @ ca.DM([0.2, 0.0, 0.0, 0.1])).full().round(3).ravel().tolist()
+        [0.0, 0.2, 0.0, 0.1]
+    """
     return ca.diagcat(planar_rotation(psi), ca.SX.eye(2))

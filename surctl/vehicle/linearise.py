@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,26 +18,42 @@ from surctl.vehicle.dynamics import (
 )
 from surctl.vehicle.parameters import Vehicle
 
-__all__ = ["STATE_NAMES", "THRUST_NAMES", "linearise", "plant_jacobians"]
+__all__ = ["SIGNAL_UNITS", "STATE_NAMES", "THRUST_NAMES", "labelled", "linearise", "plant_jacobians"]
 
 STATE_NAMES = ("x", "y", "z", "psi", "u", "v", "w", "r", "Fu", "Fv", "Fw", "Fr")
 THRUST_NAMES = ("Fu_cmd", "Fv_cmd", "Fw_cmd", "Fr_cmd")
+SIGNAL_UNITS = dict(
+    zip(
+        (*STATE_NAMES, *THRUST_NAMES),
+        ("m", "m", "m", "rad", "m/s", "m/s", "m/s", "rad/s", *2 * ("N", "N", "N", "N m")),
+        strict=True,
+    )
+)
+"""Unit of each signal."""
 
 
-def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0) -> Any:
+def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0, *, units: bool = False) -> Any:
     """`control.StateSpace` from thrust command to the whole plant state, about trimmed motion.
 
     Args:
         vehicle: the vehicle; its trim thrust must lie strictly inside the thrust limits.
         nu: body velocity (4,) [m/s, rad/s] of the operating point, still water.
         psi: heading [rad].
+        units: signals are named with their units, "u [m/s]", as plots show them.
 
     Returns:
-        StateSpace with states and outputs `STATE_NAMES` and inputs `THRUST_NAMES`. With `thrust_lag` 0 the four
-        thrust states are removed, not kept as integrators.
+        StateSpace with states and outputs `STATE_NAMES` and inputs `THRUST_NAMES`, in `SIGNAL_UNITS`. With `thrust_lag`
+        0 the four thrust states are removed, not kept as integrators.
 
     Raises:
         InputError: the operating point needs more thrust than the vehicle has.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.vehicle import linearise, load_vehicle
+        >>> plant = linearise(load_vehicle("sur400"), np.array([0.15, 0.0, 0.0, 0.0]))
+        >>> plant.input_labels[0], plant.state_labels[4], round(float(plant.A[4, 4]), 4)
+        ('Fu_cmd', 'u', -0.217)
     """
     import control  # seconds to import: only when asked for
 
@@ -51,7 +68,7 @@ def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0) -> An
         )
     (a,), (b,), _ = plant_jacobians(plant_parameters(vehicle)[None], nu[None], psi=psi)
     keep = len(STATE_NAMES) if vehicle["thrust_lag"] > 0 else 8
-    names = list(STATE_NAMES[:keep])
+    names = labelled(STATE_NAMES[:keep], units=units)
     return control.ss(
         a[:keep, :keep],
         b[:keep],
@@ -59,9 +76,14 @@ def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0) -> An
         np.zeros((keep, 4)),
         states=names,
         outputs=names,
-        inputs=list(THRUST_NAMES),
+        inputs=labelled(THRUST_NAMES, units=units),
         name=vehicle.name,
     )
+
+
+def labelled(names: Sequence[str], *, units: bool = True) -> list[str]:
+    """The names, each with its unit if it has one: "u [m/s]"."""
+    return [f"{name} [{SIGNAL_UNITS[name]}]" if units and name in SIGNAL_UNITS else name for name in names]
 
 
 def plant_jacobians(
@@ -77,6 +99,14 @@ def plant_jacobians(
     Returns:
         A (n, 12, 12), B (n, 12, 4) in the order of `STATE_NAMES` and `THRUST_NAMES`, and the trim thrust (n, 4)
         [N, N m]. Where the trim is beyond a thrust limit, B is not the slope of anything that can be flown.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.vehicle import load_vehicle, plant_jacobians, plant_parameters
+        >>> pair = np.array([plant_parameters(load_vehicle(name)) for name in ("sur400", "sur540-flooded")])
+        >>> a, b, tau = plant_jacobians(pair, np.tile([0.15, 0.0, 0.0, 0.0], (2, 1)))
+        >>> a.shape, a[:, 4, 4].round(4).tolist()
+        ((2, 12, 12), [-0.217, -0.2105])
     """
     count = len(nu)
     tau = np.asarray(trim_function()(nu.T, parameters.T)).T

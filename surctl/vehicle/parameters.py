@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from surctl.errors import InputError, nearest
 from surctl.files import Quantity, Strict, pick, read_toml, validate
@@ -107,6 +109,11 @@ class Vehicle:
         moment, linear, quadratic = share * worst("Fr_max", 0), worst("Nr", 1), worst("Nrr", 1)
         return float(2 * moment / max(linear + np.sqrt(linear**2 + 4 * quadratic * moment), 1e-6))
 
+    def digest(self) -> str:
+        """SHA-256 of every parameter's value by its name; provenance and ranges are left out."""
+        numbers = json.dumps({name: p.value for name, p in self.parameters.items()}, sort_keys=True)
+        return hashlib.sha256(numbers.encode()).hexdigest()
+
     def with_values(self, values: Mapping[str, float]) -> Vehicle:
         """A copy with some values changed (their provenance says so); ranges are kept."""
         changed = dict(self.parameters)
@@ -132,6 +139,12 @@ def load_vehicle(name_or_path: str) -> Vehicle:
     Raises:
         InputError: unknown name, unreadable file, missing or unknown key, wrong unit or sign, value outside
             its own range, or a table without provenance.
+
+    Example:
+        >>> from surctl.vehicle import load_vehicle
+        >>> boat = load_vehicle("sur400")
+        >>> boat["m11"], boat.parameters["m11"].unit, boat["radius"]
+        (50.0, 'kg', 0.2)
     """
     path = pick(str(name_or_path), LIBRARY, what="vehicle")
     return vehicle_from_table(read_toml(path), source=str(path))
@@ -175,14 +188,7 @@ def _read_section(section: str, table: Mapping[str, Quantity | str], source: str
         key = f"{section}.{name}"
         if name not in known:
             raise InputError("unknown key", file=source, key=key, remedy=nearest(name, [*known, "provenance"]))
-        if isinstance(entry, str):
-            raise InputError(
-                "must be a value with its unit",
-                file=source,
-                key=key,
-                value=entry,
-                remedy=f'write {{ value = ..., unit = "{PARAMETERS[name].unit}" }}',
-            )
+        entry = _in_own_unit(name, entry, file=source)
         provenance = entry.provenance or shared
         if not isinstance(provenance, str):
             raise InputError(
@@ -195,14 +201,27 @@ def _read_section(section: str, table: Mapping[str, Quantity | str], source: str
     return found
 
 
+def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:
+    """What the file says of a parameter, short or long, in the parameter's SI unit."""
+    spec = PARAMETERS[name]
+    try:
+        return (Quantity.model_validate(entry) if isinstance(entry, str) else entry).within(spec.unit)
+    except ValidationError:
+        raise InputError(
+            "must be a value with its unit",
+            file=file,
+            key=f"{spec.table}.{name}",
+            value=entry,
+            remedy=f'write {{ value = ..., unit = "{spec.unit}" }}',
+        ) from None
+    except InputError as error:
+        raise error.inside(file, f"{spec.table}.{name}.unit") from None
+
+
 def _checked(name: str, parameter: Parameter, *, file: str) -> Parameter:
-    """The parameter, if unit, sign and range hold."""
+    """The parameter, if sign and range hold."""
     spec = PARAMETERS[name]
     key, value = f"{spec.table}.{name}", parameter.value
-    if parameter.unit != spec.unit:
-        raise InputError(
-            "wrong unit", file=file, key=f"{key}.unit", value=parameter.unit, remedy=f"give it in {spec.unit}"
-        )
     if not np.isfinite(value) or value < 0 or (value == 0 and not spec.zero_allowed):
         bound = "must be at least 0" if spec.zero_allowed else "must be greater than 0"
         raise InputError(bound, file=file, key=key, value=value, remedy=f"{spec.meaning}, in {spec.unit}")

@@ -1,6 +1,18 @@
-"""Shapes, distances and cones, planar at the robot's depth; shared by sensing and simulation."""
+"""Shapes, distances and cones, planar at the robot's depth, and upright solids; for sensing and simulation."""
 
 from surctl.world.echoes import nearest_echo
+from surctl.world.prism import WHOLE, Heights, Prism
 from surctl.world.shapes import Box, Disc, Shape, Vector2, Wall, site_walls
 
-__all__ = ["Box", "Disc", "Shape", "Vector2", "Wall", "nearest_echo", "site_walls"]
+__all__ = [
+    "WHOLE",
+    "Box",
+    "Disc",
+    "Heights",
+    "Prism",
+    "Shape",
+    "Vector2",
+    "Wall",
+    "nearest_echo",
+    "site_walls",
+]

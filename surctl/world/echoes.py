@@ -42,6 +42,15 @@ def nearest_echo(
 
     Raises:
         InputError: an angle out of range, or apex or axis not finite.
+
+    Example:
+        >>> import math
+        >>> from surctl.world import Disc, nearest_echo
+        >>> pillar = Disc((3.0, 0.0), 0.5)
+        >>> nearest_echo([pillar], (0.0, 0.0), 0.0, half_angle=math.radians(10))
+        2.5
+        >>> nearest_echo([pillar], (0.0, 0.0), math.pi / 2, half_angle=math.radians(10))
+        inf
     """
     if incidence_limit is None:
         return min((shape.nearest_in_cone(apex, axis, half_angle=half_angle) for shape in shapes), default=inf)

@@ -1,7 +1,7 @@
 """Convex shapes and their exact distances, in the horizontal plane at the robot's depth.
 
-Everything here is planar: a shape is the cut of a body by the plane z = robot's depth; that a body reaches
-this depth at all is the scenario's business. World frame {E}, x along the tank, y to the left, metres and
+Everything here is planar: a shape is the cut of a body by the plane z = robot's depth; whether a body reaches
+this depth at all is said by `prism.Heights`. World frame {E}, x along the tank, y to the left, metres and
 radians.
 
 One fact serves every cone query. Let K be convex and p the point of K nearest to the apex. If p lies in the
@@ -285,6 +285,12 @@ def site_walls(width: float, length: float) -> tuple[Wall, Wall, Wall, Wall]:
 
     Raises:
         InputError: a side that is not greater than 0 and finite.
+
+    Example:
+        >>> from surctl.world import nearest_echo, site_walls
+        >>> walls = site_walls(3.0, 8.0)
+        >>> nearest_echo(walls, (1.0, 1.0), 0.0, half_angle=0.1)
+        7.0
     """
     across, along = _positive("site.width", width), _positive("site.length", length)
     return (

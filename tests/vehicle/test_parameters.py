@@ -118,9 +118,9 @@ def _edited(old: str, new: str) -> str:
 
 MISTAKES = {
     "missing key": (_edited(RADIUS, ""), "hull.radius", "is missing"),
-    "wrong unit": (_edited(RADIUS, 'radius = { value = 27.0, unit = "cm" }'), "hull.radius.unit", "give it in m"),
+    "wrong unit": (_edited(RADIUS, 'radius = { value = 27.0, unit = "s" }'), "hull.radius.unit", "give it in m"),
     "no unit": (_edited(RADIUS, "radius = { value = 0.27 }"), "hull.radius", "unit"),
-    "text for a number": (_edited(RADIUS, 'radius = "0.27 m"'), "hull.radius", "must be a value with its unit"),
+    "text for a number": (_edited(RADIUS, 'radius = "a foot"'), "hull.radius", "must be a value with its unit"),
     "bare number": (_edited(RADIUS, "radius = 0.27"), "hull.radius", "0.27"),
     "true for a number": (_edited(RADIUS, 'radius = { value = true, unit = "m" }'), "hull.radius", "True"),
     "negative mass": (_edited(M11, 'm11 = { value = -95.0, unit = "kg" }'), "inertia.m11", "greater than 0"),

@@ -1,0 +1,65 @@
+"""The plant (1)–(3) as a nonlinear system of python-control."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError
+from surctl.vehicle.dynamics import PLANT_DISTURBANCE, build_plant, plant_parameters
+from surctl.vehicle.linearise import STATE_NAMES, THRUST_NAMES, labelled
+from surctl.vehicle.parameters import Vehicle
+
+__all__ = ["plant_system"]
+
+
+def plant_system(vehicle: Vehicle, *, current: ArrayLike = (0.0, 0.0, 0.0), units: bool = True) -> Any:
+    """`control.NonlinearIOSystem` from thrust command to the whole plant state, continuous in time.
+
+    `control.input_output_response` interpolates inputs between its times, where the simulation here holds them, and may
+    step over a short one: give its times on both sides of a step, and `solve_ivp_kwargs={"max_step": ...}`. With
+    "rtol" and "atol" of 1e-12 it agrees with the simulation's fixed steps (`surctl.simulation.advance`) to 1e-8 in SI
+    units. `control.linearize` about trimmed motion gives `linearise`.
+
+    Args:
+        vehicle: what moves; its thrust limits and thrust lag are in the system.
+        current: (3,) [m/s] in {E}, ENU, steady.
+        units: signals are named with their units, "u [m/s]".
+
+    Returns:
+        System with inputs `THRUST_NAMES`, states and outputs `STATE_NAMES`; without thrust lag the first 8 of them.
+
+    Raises:
+        InputError: a current that is not three finite numbers.
+
+    Example:
+        >>> import control
+        >>> import numpy as np
+        >>> from surctl.vehicle import load_vehicle, plant_system
+        >>> system, t = plant_system(load_vehicle("sur400")), np.linspace(0, 60, 301)
+        >>> ahead = np.outer([5.0, 0.0, 0.0, 0.0], np.ones(301))  # N
+        >>> answer = control.input_output_response(system, t, ahead)
+        >>> round(float(answer.states[4, -1]), 2)  # m/s after a minute
+        0.38
+    """
+    import control  # seconds to import: only when asked for
+
+    flow = np.asarray(current, dtype=float)
+    if flow.shape != (3,) or not np.isfinite(flow).all():
+        raise InputError("must be three finite numbers", key="current", value=current, remedy="give x, y, z in m/s")
+    ode, p, d = build_plant().ode, plant_parameters(vehicle), PLANT_DISTURBANCE.pack({"current": flow})
+    size = len(STATE_NAMES) if vehicle["thrust_lag"] > 0 else 8
+    whole = np.zeros(len(STATE_NAMES))
+
+    def rate(t: float, x: NDArray[np.float64], u: NDArray[np.float64], params: Mapping[str, Any]) -> Any:
+        state = whole.copy()
+        state[:size] = x
+        return np.asarray(ode(state, u, d, p)).reshape(-1)[:size]
+
+    names = labelled(STATE_NAMES[:size], units=units)
+    return control.nlsys(
+        rate, None, inputs=labelled(THRUST_NAMES, units=units), outputs=names, states=names, name=vehicle.name
+    )

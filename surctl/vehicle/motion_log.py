@@ -1,0 +1,114 @@
+"""A log of motion and thrust as a CSV file, which a vehicle can be fitted to."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.recorded import Recorded, read_recorded
+from surctl.vehicle.frames import Frame, check_frame, swap_body, swap_pose
+
+__all__ = ["LOG_MOTION", "LOG_THRUST", "MotionLog", "read_motion_log"]
+
+LOG_MOTION = ("x_m", "y_m", "z_m", "psi_rad", "u_m_per_s", "v_m_per_s", "w_m_per_s", "r_rad_per_s")
+"""Columns of η and ν; a log has some of them, a cell may be empty."""
+LOG_THRUST = ("Fu_N", "Fv_N", "Fw_N", "Fr_N_m")
+"""Columns of the commanded thrust, held from one row to the next."""
+
+_LEAST = 50  # rows
+
+
+@dataclass(frozen=True, eq=False)
+class MotionLog:
+    """Motion and thrust over time.
+
+    Attributes:
+        time: (n,) [s], increasing.
+        motion: (n, 8) η in {E} and ground velocity ν in {B}; NaN where nothing was measured; ψ without jumps.
+        thrust: (n, 4) commanded thrust in {B} [N, N m], held until the next row.
+        source: the file.
+    """
+
+    time: NDArray[np.float64]
+    motion: NDArray[np.float64]
+    thrust: NDArray[np.float64]
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        if len(self.time) < _LEAST:
+            raise InputError(f"has {len(self.time)} rows", file=self.source, remedy=f"give at least {_LEAST}")
+        back = np.flatnonzero(~(np.diff(self.time) > 0))
+        if len(back):
+            at = float(self.time[back[0] + 1])
+            raise InputError("does not increase", file=self.source, key="t_s", value=at, remedy="sort the rows by time")
+        if not np.isfinite(self.thrust).all():
+            row, column = np.argwhere(~np.isfinite(self.thrust))[0]
+            raise InputError(
+                f"has no number at {self.time[row]:g} s",
+                file=self.source,
+                key=LOG_THRUST[column],
+                remedy="thrust has to be known all the time: fill it in or cut the log",
+            )
+        if not np.isfinite(self.motion).any():
+            raise InputError("holds no motion", file=self.source, remedy=f"give columns of {', '.join(LOG_MOTION)}")
+
+
+def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLog:
+    """Read a log: `t_s`, the thrust, and any of the columns of motion; others are left alone.
+
+    Args:
+        path: the file.
+        frame: in which it is written; default: what its first line says (`# frame=ned`), else enu. The log that is
+            returned is in enu.
+
+    Raises:
+        InputError: a file that cannot be read, a missing column, a cell that is no number, time that stands still; a
+            frame that is unknown, or another one than the file says.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.vehicle import read_motion_log
+        >>> rows = "".join(f"{0.1 * k:g},{0.01 * k:g},1,0,0,0\\n" for k in range(60))
+        >>> _ = Path("log.csv").write_text("t_s,u_m_per_s,Fu_N,Fv_N,Fw_N,Fr_N_m\\n" + rows)
+        >>> log = read_motion_log(Path("log.csv"))
+        >>> log.motion.shape, round(float(log.motion[-1, 4]), 2)
+        ((60, 8), 0.59)
+    """
+    table = read_recorded(path)
+    written = _frame(table, frame)
+    table.need(("t_s", *LOG_THRUST))
+    time = table.numbers("t_s")
+    if not np.isfinite(time).all():
+        row = int(np.flatnonzero(~np.isfinite(time))[0])
+        raise InputError("is no time", file=table.at(row), key="t_s", remedy="fill it in or leave out the row")
+    nothing = np.full(len(time), np.nan)
+    motion = np.column_stack([table.numbers(c) if c in table.columns else nothing for c in LOG_MOTION])
+    heading = motion[:, 3]
+    known = np.isfinite(heading)
+    heading[known] = np.unwrap(heading[known])
+    thrust = np.column_stack([table.numbers(c) for c in LOG_THRUST])
+    if written == "ned":
+        motion, thrust = np.hstack([swap_pose(motion[:, :4]), swap_body(motion[:, 4:])]), swap_body(thrust)
+    return MotionLog(time, motion, thrust, table.name)
+
+
+def _frame(table: Recorded, given: Frame | str | None) -> Frame:
+    wanted = None if given is None else check_frame(given)
+    said = next((m[1] for line in table.about if (m := re.search(r"\bframe=(\w+)", line))), None)
+    if said is None:
+        return wanted or "enu"
+    told = check_frame(said, key=f"frame of {table.name}")
+    if wanted not in (None, told):
+        raise InputError(
+            f"is not what the file says ({told})",
+            file=table.name,
+            key="frame",
+            value=given,
+            remedy="leave --frame away",
+        )
+    return told

@@ -1,0 +1,35 @@
+"""A vehicle as the text of its file."""
+
+from __future__ import annotations
+
+from surctl.files import quoted
+from surctl.vehicle.parameters import PARAMETERS, Vehicle
+
+__all__ = ["write_vehicle"]
+
+
+def write_vehicle(vehicle: Vehicle) -> str:
+    """The vehicle file's text; reading it gives the same numbers, ranges and provenances back.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.vehicle import load_vehicle, write_vehicle
+        >>> heavier = load_vehicle("sur400").with_values({"m11": 60.0})
+        >>> _ = Path("heavier.toml").write_text(write_vehicle(heavier))
+        >>> load_vehicle("heavier.toml")["m11"]
+        60.0
+    """
+    lines = ['kind = "vehicle"', f"name = {quoted(vehicle.name)}", f"note = {quoted(vehicle.note)}"]
+    for table in dict.fromkeys(spec.table for spec in PARAMETERS.values()):
+        lines += ["", f"[{table}]"]
+        for name, spec in PARAMETERS.items():
+            if spec.table != table:
+                continue
+            known = vehicle.parameters[name]
+            bounds = f", range = [{known.range[0]!r}, {known.range[1]!r}]" if known.range is not None else ""
+            lines += [
+                f"# {spec.meaning}",
+                f'{name} = {{ value = {known.value!r}, unit = "{known.unit}"{bounds}, '
+                f"provenance = {quoted(known.provenance)} }}",
+            ]
+    return "\n".join(lines) + "\n"
