@@ -10,6 +10,7 @@ from surctl.ir.cache import CacheUnused, cache_folder, shared_library
 from surctl.ir.compiler import compile_program, compiler_version, find_compiler, tuned_flags
 from surctl.ir.divisors import shared_divisors
 from surctl.ir.elementary import without_libm
+from surctl.ir.folding import with_constants
 from surctl.ir.frames import stack_bytes, stack_of
 from surctl.ir.fusing import fused
 from surctl.ir.lowering import lower
@@ -68,5 +69,6 @@ __all__ = [
     "stack_of",
     "to_casadi",
     "tuned_flags",
+    "with_constants",
     "without_libm",
 ]

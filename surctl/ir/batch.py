@@ -156,6 +156,15 @@ def compile_batch(
         InputError: a block of other inputs and outputs, another number of lanes, a flag that changes results.
         ToolMissing: there is no compiler, or no folder to load from.
         SurctlError: the compiler refuses.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import compile_batch, lower
+        >>> x, p = ca.SX.sym("x", 2), ca.SX.sym("p")  # stopped, speed; drag
+        >>> speed = x[1] - 0.05 * p * x[1]
+        >>> batch = compile_batch(lower(ca.Function("coast", [x, p], [ca.vertcat(speed < 0.1, speed)])))
+        >>> batch.run([[0.0, 1.0], [0.0, 1.0]], [[0.5], [2.0]], steps=60).round(4).tolist()
+        [[0.0, 0.2189], [1.0, 0.0985]]
     """
     sizes = [size for _, size in tick.inputs]
     made = [size for _, size in tick.outputs]

@@ -49,6 +49,15 @@ def identifier(name: str) -> str:
     Raises:
         InputError: not a C identifier (ASCII letters, digits and underscores, a letter first, at most 63), a
             keyword of C or C++, or a word that the standard headers define.
+
+    Example:
+        >>> from surctl.ir import identifier
+        >>> identifier("depth_gain")
+        'depth_gain'
+        >>> identifier("double")
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: name = 'double': is a reserved word in C or C++; choose another name
     """
     if not _IDENTIFIER.fullmatch(name) or "__" in name:
         raise InputError(
@@ -63,7 +72,13 @@ def identifier(name: str) -> str:
 
 
 def c_literal(value: float, real: Real = "float64") -> str:
-    """C99 text of exactly this number (rounded to `real`): decimal where that is exact and short, else hexadecimal."""
+    """C99 text of exactly this number (rounded to `real`): decimal where that is exact and short, else hexadecimal.
+
+    Example:
+        >>> from surctl.ir import c_literal
+        >>> c_literal(0.25), c_literal(0.1), c_literal(0.1, "float32")
+        ('0.25', '0x1.999999999999ap-4', '0x1.99999a0000000p-4f')
+    """
     if math.isnan(value):
         raise InputError("NaN has no C literal", remedy="find the expression that has no value")
     with np.errstate(over="ignore"):
@@ -91,6 +106,23 @@ def emit_c99(program: Program, *, symbol: str, real: Real = "float64", moves: Se
 
     Raises:
         InputError: `symbol` is no identifier that C may use.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import emit_c99, lower
+        >>> v = ca.SX.sym("v", 2)
+        >>> print(emit_c99(lower(ca.Function("speed", [v], [ca.norm_2(v)])), symbol="speed"), end="")
+        /* 4 operations; in0: 2 numbers, out0: 1; outputs may alias inputs */
+        static void speed(const double *in0, double *out0)
+        {
+            const double v0 = in0[0];
+            const double v1 = v0 * v0;
+            const double v2 = in0[1];
+            const double v3 = v2 * v2;
+            const double v4 = v1 + v3;
+            const double v5 = sqrt(v4);
+            out0[0] = v5;
+        }
     """
     instructions, stores = remaining(program, moves)
     read = {i.args[0] for i in instructions if i.op == "input"} | {m.input for m in moves}

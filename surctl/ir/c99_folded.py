@@ -26,6 +26,17 @@ _HELPERS = {
     "fmax": "max_of({0} a, {0} b) {{ return (a < b) ? b : a; }}",
     "sq": "square_of({0} a) {{ return a * a; }}",
 }
+# a processor without an instruction for it has a long function; bytes are floor's, the sign of a zero too
+_FLOOR = """#if defined(__GNUC__)
+__attribute__((noinline)) /* or its text stands wherever it is used */
+#endif
+static float floor_of(float a)
+{
+    float whole;
+    if (!(fabsf(a) < 8388608.0f)) { return a; } /* no fraction, or no number */
+    whole = (float)(int)a;
+    return (whole == a) ? a : ((whole > a) ? whole - 1.0f : whole);
+}"""
 _PRAGMA = "#if !defined(__GNUC__) || defined(__clang__)\n#pragma STDC FP_CONTRACT OFF\n#endif"
 _CALLS = {"fmin": "min_of", "fmax": "max_of", "sq": "square_of"}
 
@@ -51,7 +62,8 @@ def preamble(programs: Iterable[Program], real: Real = "float64") -> str:
     used = {i.op for program in programs for i in program.instructions}
     kind = C_TYPE[real]
     called = [f"static inline {kind} {text.format(kind)}" for op, text in _HELPERS.items() if op in used]
-    return "\n".join([_PRAGMA, *called]) + "\n"
+    floor = [_FLOOR] if real == "float32" and "floor" in used else []
+    return "\n".join([_PRAGMA, *called, *floor]) + "\n"
 
 
 def emit_folded(
@@ -221,7 +233,11 @@ class _Folder:
             return _Text(f"{left} {_within(given[0], _SIGNED)}", 7)
         if op == "neg":
             return _Text(f"-{_within(given[0], _ATOM)}", _SIGNED)
-        name = _CALLS.get(op) or (op if self.real == "float64" else f"{op}f")
+        name = (
+            "floor_of"
+            if op == "floor" and self.real == "float32"
+            else _CALLS.get(op) or (op if self.real == "float64" else f"{op}f")
+        )
         return _Text(f"{name}({', '.join(g.text for g in given)})")
 
 

@@ -35,6 +35,34 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: boo
 
     Raises:
         InputError: `symbol` is no identifier that C may use.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import Loop, Routine, emit_block, lower
+        >>> depth, rate = ca.SX.sym("depth"), ca.SX.sym("rate")
+        >>> sink = lower(ca.Function("sink", [depth, rate], [depth + 0.1 * rate]))
+        >>> sinking = Loop(sink, 5, ("depth",), ("last",), fixed=("rate",))
+        >>> dive = Routine("dive", (("depth", 1), ("rate", 1)), (sinking,), ("last",))
+        >>> print(emit_block(dive, symbol="dive", folded=True), end="")
+        #if !defined(__GNUC__) || defined(__clang__)
+        #pragma STDC FP_CONTRACT OFF
+        #endif
+        <BLANKLINE>
+        /* 2 operations; in0: 1 numbers, in1: 1 numbers, out0: 1; outputs may alias inputs */
+        static void dive_sink(const double *in0, const double *in1, double *out0)
+        {
+            const double v0 = in0[0] + 0x1.999999999999ap-4 * in1[0];
+            out0[0] = v0;
+        }
+        <BLANKLINE>
+        /* in0: depth 1, in1: rate 1, out0: last 1 */
+        static void dive(const double *in0, const double *in1, double *out0)
+        {
+            out0[0] = in0[0];
+            for (int i = 0; (i < 5); ++i) {
+                dive_sink(out0, in1, out0);
+            }
+        }
     """
     identifier(symbol)
     writer = _Writer(symbol, real, overlapping(block), folded)

@@ -173,10 +173,13 @@ typedef double loose __attribute__((vector_size(8 * WIDTH), aligned(8), may_alia
 #endif
 #endif
 
+/* what a block may need: clang warns of a static function that it does not */
+#define HELPER static inline __attribute__((unused))
+
 #define ALL_LANES ((1U << LANES) - 1U)
 
 /* the lanes whose flag is down, as bits */
-static inline unsigned running(const double *flag)
+HELPER unsigned running(const double *flag)
 {
     unsigned run = 0U;
     EACH_LANE { run |= BITS(EQ(LOAD(flag, 0), SET(0.0))) << lane; }
@@ -184,23 +187,23 @@ static inline unsigned running(const double *flag)
 }
 
 /* the piece that an index means: rounded down, the nearest there is, 0 for what is no number */
-static inline int piece(double index, double last)
+HELPER int piece(double index, double last)
 {
     return (int)((index >= 1.0) ? ((index < last) ? index : last) : 0.0);
 }
 
-static inline void copy(double *to, const double *from, int size)
+HELPER void copy(double *to, const double *from, int size)
 {
     memmove(to, from, (size_t)size * LANES * sizeof *to);
 }
 
-static inline void fill(double *to, double value)
+HELPER void fill(double *to, double value)
 {
     for (int lane = 0; lane < LANES; ++lane) { to[lane] = value; }
 }
 
 /* fresh numbers for the lanes whose flag is down */
-static inline void keep(double *to, const double *fresh, const double *flag, int size)
+HELPER void keep(double *to, const double *fresh, const double *flag, int size)
 {
     EACH_LANE {
         const truth run = EQ(LOAD(flag, 0), SET(0.0));

@@ -28,7 +28,16 @@ class CacheUnused(UserWarning):
 
 
 def cache_folder() -> Path:
-    """$SURCTL_CACHE, else $XDG_CACHE_HOME/surctl, else ~/.cache/surctl (XDG Base Directory Specification)."""
+    """$SURCTL_CACHE, else $XDG_CACHE_HOME/surctl, else ~/.cache/surctl (XDG Base Directory Specification).
+
+    Example:
+        >>> import os
+        >>> from unittest.mock import patch
+        >>> from surctl.ir import cache_folder
+        >>> with patch.dict(os.environ, SURCTL_CACHE="compiled"):
+        ...     print(cache_folder())
+        compiled
+    """
     own = os.environ.get("SURCTL_CACHE")
     if own:
         return Path(own)
@@ -37,7 +46,7 @@ def cache_folder() -> Path:
 
 
 def shared_library(source: str, *, flags: Sequence[str] = (), folder: Path | None = None, wide: bool = False) -> bytes:
-    """The shared library compiled from one C source.
+    r"""The shared library compiled from one C source.
 
     Args:
         source: the C text.
@@ -51,6 +60,15 @@ def shared_library(source: str, *, flags: Sequence[str] = (), folder: Path | Non
 
     Raises:
         ToolMissing, InputError, SurctlError: as `compile_program`.
+
+    Example:
+        >>> import ctypes
+        >>> from pathlib import Path
+        >>> from surctl.ir import shared_library
+        >>> text = "int twice(int x); int twice(int x) { return 2 * x; }\n"
+        >>> _ = Path("twice.so").write_bytes(shared_library(text))
+        >>> ctypes.CDLL("./twice.so").twice(21)
+        42
     """
     tuned = tuned_flags(wide=wide)
     key = _key(source, (*tuned, *flags))

@@ -16,6 +16,14 @@ def shared_divisors(program: Program) -> Program:
     A division takes a vector unit as long as thirty products. A quotient changes by two units in the last place at
     most where 1 / d is a normal number, so not by `lower`, which changes no bit; CasADi itself writes x · (1 / d) back
     as x / d.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import lower, shared_divisors
+        >>> x = ca.SX.sym("x", 3)
+        >>> program = lower(ca.Function("unit", [x], [x[:2] / x[2]]))
+        >>> [[i.op for i in block.instructions if i.op != "input"] for block in (program, shared_divisors(program))]
+        [['div', 'div'], ['inv', 'mul', 'mul']]
     """
     divisors = Counter(i.args[-1] for i in program.instructions if i.op in ("div", "inv"))
     text, moved = Numbering(), list[int]()

@@ -3,7 +3,8 @@
 The arguments are reduced as Cody and Waite (1980) do, to |r| ≤ π/4 for sin and cos and to |t| ≤ tan(π/8) for atan2.
 The polynomials in the square of the reduced argument interpolate, at Chebyshev's nodes, (sin r / r − 1) / r²,
 (cos r − 1 + r²/2) / r⁴ and (atan t / t − 1) / t²; they were computed with 60 digits and rounded to double, and are off
-by less than 3e-17, 2e-18 and 4e-17.
+by less than 3e-17, 2e-18 and 4e-17. For floats there are shorter ones, off by less than 1e-8, 1e-9 and 1e-9, and three
+parts of π/2: half the work, and the same errors to the digits stated below.
 
 Errors, in double: sin and cos 2e-16 for |x| ≤ 1e6, atan2 and acos 5e-16, which is two to three units in the last place
 near 1. In float: 1.5e-7 for sin and cos with |x| ≤ 3000 (beyond, half a unit in the last place of x), 4e-7 for the
@@ -18,8 +19,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from types import MappingProxyType
+from typing import NamedTuple
 
+from surctl.ir.c99 import Real
 from surctl.ir.numbering import Numbering
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, rebuilt
@@ -47,21 +51,62 @@ _ATAN = (
 )
 
 
-def without_libm(block: Block) -> Block:
+class _Series(NamedTuple):
+    """Coefficients, and parts of π/2, that are enough for a precision."""
+
+    sin: tuple[float, ...]
+    cos: tuple[float, ...]
+    atan: tuple[float, ...]
+    half_pi: tuple[float, ...]
+    within: float = 0.0  # what |r| is held to, for proofs in a precision whose largest number is soon reached
+
+
+_SERIES: Mapping[Real, _Series] = MappingProxyType(
+    {
+        "float64": _Series(_SIN, _COS, _ATAN, _HALF_PI),
+        "float32": _Series(
+            (-0.1666666466231438, 0.008332748270629749, -0.00019587890880412386),
+            (0.04166666465950221, -0.0013888303035894866, 2.4547942085071572e-05),
+            (
+                *(-0.3333333176116852, 0.19999540483648964, -0.1426395559798464),
+                0.10743731490791084,
+                -0.06451928208121749,
+            ),
+            _HALF_PI[:3],
+            1.0,
+        ),
+    }
+)
+
+
+def without_libm(block: Block, real: Real = "float64") -> Block:
     """The block with sin, cos, atan2 and acos written out; one without them comes back as it is.
 
     See the module's text for the errors and for what happens at zeros, infinities and NaN. What two of them share, as
     the reduction of one angle, is computed once.
+
+    Args:
+        block: program or routine.
+        real: "float32" where nothing but floats will compute it.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import lower, replay, without_libm
+        >>> psi = ca.SX.sym("psi")
+        >>> program = lower(ca.Function("ahead", [psi], [ca.cos(psi)]))
+        >>> own = without_libm(program)
+        >>> [(sorted(block.libm), replay(block, [1.0])[0].round(6).tolist()) for block in (program, own)]
+        [(['cos'], [0.540302]), ([], [0.540302])]
     """
     if not block.libm:
         return block
-    return rebuilt(block, _program)
+    return rebuilt(block, partial(_program, series=_SERIES[real]))
 
 
-def _program(program: Program) -> Program:
+def _program(program: Program, *, series: _Series) -> Program:
     if not program.libm:
         return program
-    text, moved = _Formulas(), list[int]()
+    text, moved = _Formulas(series), list[int]()
     for instruction in program.instructions:
         if instruction.op in _WRITTEN_OUT:
             moved.append(_WRITTEN_OUT[instruction.op](text, *(moved[a] for a in instruction.args)))
@@ -72,6 +117,10 @@ def _program(program: Program) -> Program:
 
 class _Formulas(Numbering):
     """The list under construction; numbers stand for constants, positions for what is computed."""
+
+    def __init__(self, series: _Series) -> None:
+        super().__init__()
+        self.series = series
 
     def do(self, op: str, *args: int | float) -> int:
         """One operation; a float operand is a constant."""
@@ -90,16 +139,20 @@ class _Formulas(Numbering):
         x = self.do("select", inside, x, math.inf)
         k = self.do("floor", self.do("add", self.do("mul", x, _TWO_BY_PI), 0.5))
         r = x
-        for part in _HALF_PI:
+        for part in self.series.half_pi:
             r = self.do("sub", r, self.do("mul", k, part))
+        if self.series.within:  # changes nothing (and keeps a NaN), but who reasons by intervals sees no more than that
+            r = self.do("fmin", self.do("fmax", r, -self.series.within), self.series.within)
         return k, r
 
     def wave(self, x: int) -> tuple[int, int, int]:
         """(quadrant 0 to 3, ± sin x, ± cos x), the last two by magnitude."""
         k, r = self.reduced(x)
         z = self.do("sq", r)
-        sine = self.do("mul", r, self.do("add", self.do("mul", z, self.polynomial(z, _SIN)), 1.0))
-        half = self.do("sub", self.do("mul", z, 0.5), self.do("mul", self.do("sq", z), self.polynomial(z, _COS)))
+        sine = self.do("mul", r, self.do("add", self.do("mul", z, self.polynomial(z, self.series.sin)), 1.0))
+        half = self.do(
+            "sub", self.do("mul", z, 0.5), self.do("mul", self.do("sq", z), self.polynomial(z, self.series.cos))
+        )
         cosine = self.do("sub", 1.0, half)
         quadrant = self.do("sub", k, self.do("mul", self.do("floor", self.do("mul", k, 0.25)), 4.0))
         pair = self.do("mul", k, 0.5)
@@ -125,7 +178,7 @@ class _Formulas(Numbering):
         under = self.do("select", cut, self.do("add", small, large), large)
         t = self.do("div", over, self.do("select", self.do("eq", under, 0.0), 1.0, under))
         z = self.do("sq", t)
-        angle = self.do("add", t, self.do("mul", self.do("mul", t, z), self.polynomial(z, _ATAN)))
+        angle = self.do("add", t, self.do("mul", self.do("mul", t, z), self.polynomial(z, self.series.atan)))
         angle = self.do("select", cut, self.do("add", angle, math.pi / 4), angle)
         return self.do("select", steep, self.do("sub", math.pi / 2, angle), angle)
 

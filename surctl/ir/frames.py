@@ -30,6 +30,16 @@ def stack_bytes(block: Block, *, real: Real = "float64", flags: Sequence[str] = 
     Raises:
         ToolMissing: there is no compiler, or it does not tell its frames (`-fstack-usage`).
         SurctlError: the compiler refuses, or a frame has no fixed size.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import Loop, Routine, lower, stack_bytes
+        >>> x = ca.SX.sym("x", 200)
+        >>> sums = Loop(lower(ca.Function("sums", [x], [ca.cumsum(x)])), 9, ("x",), ("last",))
+        >>> block = Routine("mix", (("x", 200),), (sums,), ("last",))
+        >>> double, single = (stack_bytes(block, real=real) for real in ("float64", "float32"))
+        >>> single < double < 4096  # 624 and 1360, for one
+        True
     """
     kind, at, places = C_TYPE[real], 0, []
     for _, size in (*block.inputs, *block.outputs):
@@ -45,9 +55,16 @@ def stack_bytes(block: Block, *, real: Real = "float64", flags: Sequence[str] = 
 
 
 def stack_of(text: str, entry: str, *, flags: Sequence[str] = ("-Os",), compiler: str | None = None) -> int:
-    """Bytes of stack below a function of a C text whose functions do not recur, itself included.
+    r"""Bytes of stack below a function of a C text whose functions do not recur, itself included.
 
-    Functions of the mathematical library are not counted; one that the compiler put into its caller is in that frame.
+    Every function begins on a line of its own. Those of the mathematical library are not counted; one that the compiler
+    put into its caller is in that frame.
+
+    Example:
+        >>> from surctl.ir import stack_of
+        >>> text = "void fill(float *x);\nfloat mean(void) { float x[1000]; fill(x); return x[9]; }\n"
+        >>> round(stack_of(text, "mean"), -3)  # 1000 floats
+        4000
     """
     with tempfile.TemporaryDirectory(prefix="surctl-") as name:
         source, told = Path(name) / "text.c", Path(name) / "text.su"

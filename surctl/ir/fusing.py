@@ -14,6 +14,14 @@ def fused(block: Block) -> Block:
 
     A result changes by its rounding, so not by `lower`; it has the same bytes on every machine, since `fma` is exact. A
     machine without the instruction takes its library's, which is slow.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import fused, lower
+        >>> x = ca.SX.sym("x", 3)
+        >>> program = lower(ca.Function("f", [x], [x[0] * x[1] + x[2]]))
+        >>> [[i.op for i in block.instructions if i.op != "input"] for block in (program, fused(program))]
+        [['mul', 'add'], ['fma']]
     """
     return rebuilt(block, _program)
 

@@ -35,6 +35,21 @@ def lower(function: ca.Function, *, reciprocals: bool = False) -> Program:
     Raises:
         UnsupportedOperation: an operation outside `surctl.ir.ops.OPERATIONS`, named with its substitute.
         InputError: an input that is not a dense column vector.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import lower
+        >>> v = ca.SX.sym("v", 2)
+        >>> print(lower(ca.Function("speed", [v], [ca.norm_2(v)])).text(), end="")
+        program speed
+        in0 i0 2
+        v0 = in0[0]
+        v1 = sq v0
+        v2 = in0[1]
+        v3 = sq v2
+        v4 = add v1 v3
+        v5 = sqrt v4
+        out0 o0 v5
     """
     sx = _expanded(function)
     inputs = tuple((str(sx.name_in(k)), _dense_size(sx, k)) for k in range(sx.n_in()))

@@ -125,12 +125,29 @@ def compile_block(
         ToolMissing: there is no compiler, or no folder to load from; `replay` runs the same block.
         InputError: a flag that changes results.
         SurctlError: the compiler refuses.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import compile_block, lower
+        >>> v = ca.SX.sym("v", 2)
+        >>> speed = compile_block(lower(ca.Function("speed", [v], [ca.norm_2(v)])))
+        >>> speed([[0.3, 0.4], [0.0, 0.2]])[0].tolist()  # one run a row
+        [[0.5], [0.2]]
     """
     return Native(block, shared_library(_source(block, real), flags=flags, folder=folder), real=real)
 
 
 def runnable(block: Block) -> Callable[..., list[Array]]:
-    """The block compiled; its replay where there is no compiler: the same numbers, slower."""
+    """The block compiled; its replay where there is no compiler: the same numbers, slower.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import lower, runnable
+        >>> v = ca.SX.sym("v", 2)
+        >>> speed = runnable(lower(ca.Function("speed", [v], [ca.norm_2(v)])))
+        >>> speed([0.3, 0.4])
+        [array([0.5])]
+    """
     try:
         return compile_block(block)
     except ToolMissing:

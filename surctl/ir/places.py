@@ -210,6 +210,15 @@ def memory(block: Block) -> int:
     """Numbers in the arrays along the deepest chain of calls: inputs, outputs, and the routines' own arrays.
 
     4 bytes each in float32. What a compiler keeps of a program's intermediate numbers on the stack is not in it.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import Call, Routine, lower, memory
+        >>> x = ca.SX.sym("x", 100)
+        >>> half, total = lower(ca.Function("half", [x], [x / 2])), lower(ca.Function("total", [x], [ca.sum1(x)]))
+        >>> steps = (Call(half, ("x",), ("halves",)), Call(total, ("halves",), ("sum",)))
+        >>> memory(total), memory(Routine("mean", (("x", 100),), steps, ("sum",)))  # the latter keeps 100 halves
+        (101, 201)
     """
     known = overlapping(block)
     given = sum(size for _, size in (*block.inputs, *block.outputs))

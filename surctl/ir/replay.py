@@ -33,6 +33,15 @@ def replay(program: Block, *inputs: ArrayLike, real: Real = np.float64) -> list[
 
     Raises:
         InputError: a wrong number of inputs, or an input of the wrong size.
+
+    Example:
+        >>> import casadi as ca
+        >>> import numpy as np
+        >>> from surctl.ir import lower, replay
+        >>> x = ca.SX.sym("x", 2)
+        >>> program = lower(ca.Function("total", [x], [x[0] + x[1]]))
+        >>> [replay(program, [0.1, 0.2], real=real)[0].tolist() for real in (np.float64, np.float32)]
+        [[0.30000000000000004], [0.30000001192092896]]
     """
     arrays = _checked(program, inputs, real)
     batch = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))

@@ -53,6 +53,17 @@ def to_casadi(block: Block) -> ca.Function:
 
     Same numbers as the replay, but for the sign of a zero (`if_else` of CasADi turns −0 into +0). Every loop runs
     all its turns; one that has ended keeps its state, so derivatives are those of the turns that counted.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import Loop, Routine, lower, to_casadi
+        >>> v, drag = ca.SX.sym("v"), ca.SX.sym("drag")
+        >>> coast = lower(ca.Function("coast", [v, drag], [v - 0.1 * drag * v]))
+        >>> loop = Loop(coast, 10, ("v",), ("last",), fixed=("drag",))
+        >>> speed = to_casadi(Routine("speed", (("v", 1), ("drag", 1)), (loop,), ("last",)))
+        >>> start = ca.MX.sym("start")
+        >>> speed(1.0, 0.5), ca.Function("slope", [start], [ca.jacobian(speed(start, 0.5), start)])(1.0)
+        (DM(0.598737), DM(0.598737))
     """
     made: dict[int, ca.Function] = {}
     for key, inner in nested(block).items():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 import time
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -15,7 +16,7 @@ from surctl.errors import InputError, ToolMissing
 from surctl.ir import Block, Call, Loop, Program, Routine, compile_batch, lower, replay, without_libm
 from tests.ir.expressions import EXACT, whole
 from tests.ir.test_routine import program
-from tests.tools import PATIENCE, need_compiler
+from tests.tools import PATIENCE, need, need_compiler
 
 Array = NDArray[np.float64]
 SIDE = 96
@@ -200,3 +201,9 @@ def test_nonsense_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.raises(ToolMissing):
         compile_batch(counter())
+
+
+def test_clang_takes_the_same_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", need("clang"))
+    monkeypatch.setenv("SURCTL_CACHE", str(tmp_path))
+    test_a_flag_that_is_up_means_no_tick_and_what_is_no_number_stays_in_its_run()

@@ -1,0 +1,229 @@
+"""Numbers that are known before the first step, put into the program: what follows from them is computed once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from surctl.errors import InputError
+from surctl.ir.numbering import Numbering
+from surctl.ir.ops import LEAVES, OPERATIONS
+from surctl.ir.program import Program
+
+__all__ = ["with_constants"]
+
+
+def with_constants(program: Program, source: int, values: Sequence[float]) -> Program:
+    """The program with an input's entries as constants, and everything that follows from constants computed.
+
+    The input stays in the signature, unread. For finite numbers the results are those of the program with that input,
+    but for the sign of a zero: x + 0 becomes x, 0 · x becomes 0. Constants are folded in double, and rounded once
+    where the program is evaluated in another precision.
+
+    Args:
+        program: the instruction list, without functions of the mathematical library.
+        source: which input.
+        values: one number an entry.
+
+    Raises:
+        InputError: another number of values than the input has entries, a value that is not finite, or a program with
+            functions of the mathematical library, whose last bits differ by machine.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import lower, replay, with_constants
+        >>> error, gains = ca.SX.sym("error", 2), ca.SX.sym("gains", 2)
+        >>> program = lower(ca.Function("pd", [error, gains], [gains[0] * error[0] + gains[1] * error[1]]))
+        >>> tuned = with_constants(program, 1, [1.0, 0.0])
+        >>> program.operations, tuned.operations, replay(tuned, [0.3, 0.1], [1.0, 0.0])[0].tolist()
+        (3, 0, [0.3])
+    """
+    name, size = program.inputs[source]
+    if len(values) != size or not all(math.isfinite(v) for v in values):
+        raise InputError(f"needs {size} finite numbers", key=f"{program.name}.{name}")
+    if program.libm:
+        raise InputError("uses the mathematical library", key=program.name, remedy="surctl.ir.without_libm first")
+    text, moved = _Folding(), list[int]()
+    for instruction in program.instructions:
+        if instruction.op == "input" and instruction.args[0] == source:
+            moved.append(text.constant(float(values[instruction.args[1]])))
+        elif instruction.op in LEAVES:
+            moved.append(text.copy(instruction, moved))
+        else:
+            moved.append(text.folded(instruction.op, tuple(moved[a] for a in instruction.args)))
+    return text.rewritten(program, moved)
+
+
+class _Folding(Numbering):
+    """A list in which nothing is computed from constants alone."""
+
+    def value(self, at: int) -> float | None:
+        """The number that stands there, None for what is computed."""
+        return self.instructions[at].value
+
+    def folded(self, op: str, args: tuple[int, ...]) -> int:
+        """Position of the result."""
+        known = [self.value(a) for a in args]
+        if all(v is not None for v in known):
+            with np.errstate(all="ignore"):
+                return self.constant(float(OPERATIONS[op].numpy(*(np.float64(v) for v in known))))
+        rule = _RULES.get(op)
+        found = rule(self, args) if rule else None
+        return self.add(op, args) if found is None else found
+
+    def is_truth(self, at: int) -> bool:
+        """Whether it is 0 or 1."""
+        return self.instructions[at].op in _TRUTHS
+
+    def op(self, at: int) -> str:
+        """What computes it."""
+        return self.instructions[at].op
+
+    def args(self, at: int) -> tuple[int, ...]:
+        """From what."""
+        return self.instructions[at].args
+
+    def is_true(self, at: int) -> int:
+        """The number as 0 or 1."""
+        return at if self.is_truth(at) else self.folded("ne", (at, self.constant(0.0)))
+
+
+_TRUTHS = frozenset({"lt", "le", "eq", "ne", "and", "or", "not"})
+_POSITIVE = frozenset({"fabs", "sq", "sqrt"}) | _TRUTHS
+
+
+def _sum(text: _Folding, args: tuple[int, ...]) -> int | None:
+    for one, other in (args, args[::-1]):
+        if text.value(one) == 0.0:
+            return other
+        if text.op(other) == "neg":  # x + (-y)
+            return text.folded("sub", (one, text.args(other)[0]))
+        if text.op(other) == "if_else_zero" and text.op(text.args(other)[1]) == "neg":
+            condition, then = text.args(other)
+            return text.folded("sub", (one, text.folded("if_else_zero", (condition, text.args(then)[0]))))
+    return _one_condition(text, "add", args)
+
+
+def _difference(text: _Folding, args: tuple[int, ...]) -> int | None:
+    if text.value(args[1]) == 0.0:
+        return args[0]
+    if text.value(args[0]) == 0.0:
+        return text.folded("neg", args[1:])
+    if text.op(args[1]) == "neg":
+        return text.folded("add", (args[0], text.args(args[1])[0]))
+    return _one_condition(text, "sub", args)
+
+
+def _one_condition(text: _Folding, op: str, args: tuple[int, ...]) -> int | None:
+    """Two numbers that are 0 unless the same holds."""
+    if all(text.op(a) == "if_else_zero" for a in args) and text.args(args[0])[0] == text.args(args[1])[0]:
+        inner = text.folded(op, tuple(text.args(a)[1] for a in args))
+        return text.folded("if_else_zero", (text.args(args[0])[0], inner))
+    return None
+
+
+def _product(text: _Folding, args: tuple[int, ...]) -> int | None:
+    for one, other in (args, args[::-1]):
+        factor = text.value(one)
+        if factor == 0.0:
+            return text.constant(0.0)
+        if factor == 1.0:
+            return other
+        if factor == -1.0:
+            return text.folded("neg", (other,))
+        if factor is not None and text.is_truth(other):
+            return text.folded("if_else_zero", (other, one))
+    if all(text.op(a) == "neg" for a in args):
+        return text.folded("mul", tuple(text.args(a)[0] for a in args))
+    return None
+
+
+def _quotient(text: _Folding, args: tuple[int, ...]) -> int | None:
+    return args[0] if text.value(args[1]) == 1.0 else None
+
+
+def _negated(text: _Folding, args: tuple[int, ...]) -> int | None:
+    inner = args[0]
+    return text.args(inner)[0] if text.op(inner) == "neg" else None
+
+
+def _squared(text: _Folding, args: tuple[int, ...]) -> int | None:
+    return text.folded("sq", text.args(args[0])) if text.op(args[0]) in ("neg", "fabs") else None
+
+
+def _size(text: _Folding, args: tuple[int, ...]) -> int | None:
+    if text.op(args[0]) == "neg":
+        return text.folded("fabs", text.args(args[0]))
+    return args[0] if text.op(args[0]) in _POSITIVE else None
+
+
+def _larger(text: _Folding, args: tuple[int, ...]) -> int | None:
+    if all(text.is_truth(a) for a in args):
+        return text.folded("or", args)
+    value = text.value(args[1])
+    return args[0] if value is not None and value <= 0.0 and text.op(args[0]) in _POSITIVE else None
+
+
+def _smaller(text: _Folding, args: tuple[int, ...]) -> int | None:
+    return text.folded("and", args) if all(text.is_truth(a) for a in args) else None
+
+
+def _both(text: _Folding, args: tuple[int, ...]) -> int | None:
+    for one, other in (args, args[::-1]):
+        value = text.value(one)
+        if value is not None:
+            return text.is_true(other) if value else text.constant(0.0)
+    return text.is_true(args[0]) if args[0] == args[1] else None
+
+
+def _either(text: _Folding, args: tuple[int, ...]) -> int | None:
+    for one, other in (args, args[::-1]):
+        value = text.value(one)
+        if value is not None:
+            return text.constant(1.0) if value else text.is_true(other)
+    return text.is_true(args[0]) if args[0] == args[1] else None
+
+
+def _select(text: _Folding, args: tuple[int, ...]) -> int | None:
+    condition, then, otherwise = args
+    value = text.value(condition)
+    if value is not None:
+        return then if value else otherwise
+    if then == otherwise:
+        return then
+    if text.op(condition) == "not":
+        return text.folded("select", (text.args(condition)[0], otherwise, then))
+    if text.op(then) in ("select", "if_else_zero") and text.args(then)[0] == condition:
+        return text.folded("select", (condition, text.args(then)[1], otherwise))
+    return text.folded("if_else_zero", (condition, then)) if text.value(otherwise) == 0.0 else None
+
+
+def _only_if(text: _Folding, args: tuple[int, ...]) -> int | None:
+    condition, then = args
+    value = text.value(condition)
+    if value is not None:
+        return then if value else text.constant(0.0)
+    if text.value(then) == 0.0:
+        return then
+    if text.op(then) in ("select", "if_else_zero") and text.args(then)[0] == condition:
+        return text.folded("if_else_zero", (condition, text.args(then)[1]))
+    return condition if text.value(then) == 1.0 and text.is_truth(condition) else None
+
+
+_RULES: dict[str, Callable[[_Folding, tuple[int, ...]], int | None]] = {
+    "add": _sum,
+    "sub": _difference,
+    "mul": _product,
+    "div": _quotient,
+    "neg": _negated,
+    "sq": _squared,
+    "fabs": _size,
+    "fmax": _larger,
+    "fmin": _smaller,
+    "and": _both,
+    "or": _either,
+    "select": _select,
+    "if_else_zero": _only_if,
+}
