@@ -58,6 +58,16 @@ def avoidance_course(
         closing: v_o·n, the obstacle's velocity along n (robot → obstacle) [m/s]; only `corrected` uses it.
         kappa: κ [1/s].
         standoff: d_s ≥ 0 [m].
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import avoidance_course
+        >>> def course(clearance):
+        ...     known = dict(radius=0.3, side=1, delta=0, k3=1, speed=0.15, closing=0, kappa=0.3, standoff=0.05)
+        ...     known = {name: ca.SX(value) for name, value in known.items()}
+        ...     return round(float(avoidance_course("corrected", ca.SX(0), ca.SX(clearance), **known)), 2)
+        >>> course(1.0), course(0.1), course(0.0)  # rad, obstacle dead ahead
+        (0.0, 1.47, 1.67)
     """
     if form == "corrected":
         ratio = (closing + kappa * (clearance - standoff)) / speed
@@ -82,6 +92,13 @@ def encounter_side(relative_velocity: ca.SX, normal: ca.SX, *, deadband: float =
         relative_velocity: robot minus obstacle (2, 1) in {E} [m/s].
         normal: unit vector robot → obstacle (2, 1) in {E}.
         deadband: cross component [m/s] below which the encounter is head-on, and the side +1.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import encounter_side
+        >>> ahead = ca.SX([1, 0])
+        >>> float(encounter_side(ca.SX([0.1, 0.05]), ahead)), float(encounter_side(ca.SX([0.1, -0.05]), ahead))
+        (1.0, -1.0)
     """
     cross = normal[0] * relative_velocity[1] - normal[1] * relative_velocity[0]
     return ca.if_else(cross <= -deadband, -1, 1)
@@ -102,6 +119,13 @@ def allowed_closing_speed(distance: ca.SX, *, deceleration: ca.SX, reaction: ca.
         distance: clearance less the stand-off [m], any sign.
         deceleration: a > 0 [m/s²], what the thrust gives at the heaviest.
         reaction: t > 0 [s], thrust lag, control period and velocity loop together.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import allowed_closing_speed
+        >>> speed = allowed_closing_speed(ca.SX(0.5), deceleration=ca.SX(0.05), reaction=ca.SX(0.8))
+        >>> round(float(speed), 3)  # m/s, half a metre off
+        0.187
     """
     at = deceleration * reaction
     inside = ca.sqrt(at * at + 2 * deceleration * ca.fmax(distance, 0)) - at

@@ -9,7 +9,9 @@ else pushes. With v_o the most that the obstacle comes on, s = v + v_o, and z = 
 2. S = m z²/(2F') then has Ṡ = m z ż/F' ≤ −z ≤ −s, and the clearance l̇ ≥ −s: l − S does not fall. While s < 0 it
    grows, as F falls, if s = 0 is put in S. So braking keeps l ≥ S ≥ 0. This is `stopping_distance`:
    m s²/(2F') + s τ(F + F_b)/F' + τ²(F + F_b)²/(2F' m), convex in m, so that the two ends of the mass range are the
-   worst; it rises with s and F.
+   worst; it rises with s and F. (Nor need s = 0 be put in: for s = −r < 0 < z, drag of the retreat pushes with
+   D(v_o + c + r), and l − S does not fall as long as z (D(v_o + c + r) + f − F_b) ≤ r F'; where z ≤ 0, S is 0. A
+   shorter lag changes nothing: then z falls faster.)
 3. Drag helps: B with B'(z) = max over v ≤ z of m(v + v_o)/(F_b − f + D(v − c)) (least drag ahead, largest astern) keeps
    l ≥ B just so: Ḃ ≤ −(v + v_o). B = m G(v_0 + τ(F + F_b)/m), G convex: a perspective, convex in m. This is
    `stopping_way`, by an upper sum; 1.1 to 2.2 times less than S.
@@ -17,11 +19,20 @@ else pushes. With v_o the most that the obstacle comes on, s = v + v_o, and z = 
    d − ε − (V + v_o) age − (v + e_v + v_o) T − a⁺T²/2 ≥ S(v + e_v + a⁺T, F⁺), V the largest own speed since the echo and
    a⁺ = (F⁺ + f + D(v_o + c))/m_min, then l ≥ S at the next decision too. Else full brake along n, until the test
    passes again; l ≥ S all the while, by 2. So it never hits what it has once been far enough from.
-5. Distance to a convex body is convex in the position: what is true along the latched n is true of the clearance.
+5. Distance to a convex body is convex in the position: what is true along the n of the last decision that did not
+   brake is true of the clearance.
+6. A law that brakes as soon as v exceeds its own bound b(d) by x(b), what its velocity loop needs to ask for F_b, keeps
+   l ≥ S (or B) as well, if wherever it does not, d − ε is at least the range of step 4 at v = b + x, down to d = 0.
 
 Assumed: one obstacle at a time (braking before one does not lead into another), |v_o| bounded for ever, m11 = m22.
-Sideways speed w at the start of braking adds `sideways_force`, since drag by axis is not along the velocity. A hull
-that turns at r rad/s while it brakes has F_b/(1 + (rτ)²).
+Sideways speed w at the start of braking adds `sideways_force`, since drag by axis is not along the velocity; ahead, at
+a, it helps with (X a + X2 a²/√2) less that force at least, whatever the heading. Along the velocity, drag is pushed up
+by X2 w min(v_o + c, w/2) at most. A hull that turns at r rad/s while it brakes, nothing being
+asked across, turns what the lag still delivers: z = s + (τ max(F + F_b, 0) + rτ²|F_across|)/m obeys step 1 with (rτ)²F
+as further push. Each axis is limited by itself: on a diagonal, the largest thrust is √2 that of one axis.
+
+The steps are claims of `surctl verify` (`braking-keeps`, `-retreat`, `-mass`); step 3 as a table that is checked cell
+by cell, steps 4 to 6 for a vehicle, a watch and a law are certificates (`surctl.verification.braking`).
 """
 
 from __future__ import annotations
@@ -29,8 +40,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import inf, isfinite, sqrt
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.vehicle import Vehicle
@@ -48,6 +61,7 @@ __all__ = [
     "sideways_force",
     "stopping_distance",
     "stopping_way",
+    "tabled_way",
 ]
 
 LEAST_THRUST = 0.85
@@ -207,19 +221,58 @@ def stopping_way(brakes: Brakes, speed: float, *, obstacle: float = 0.0, thrust:
     return max(_upper_sum(brakes, m, own + swing / m, obstacle) for m in brakes.masses)
 
 
+def tabled_way(brakes: Brakes, fastest: float, *, obstacle: float = 0.0) -> Callable[..., float]:
+    """`stopping_way` for many speeds before one obstacle, from a table; up to 1 % longer, never shorter.
+
+    Args:
+        brakes: what stops, with the most thrust still pushing.
+        fastest: largest own speed that will be asked for [m/s].
+        obstacle: v_o ≥ 0 [m/s].
+    """
+    swing, left = _swing(brakes, None), brakes.left(obstacle)
+    tables = []
+    for mass in brakes.masses if left > 0 else ():
+        above = _above(brakes, mass, fastest + swing / mass, obstacle)
+        # B is convex, so that between two places of an upper sum the chord lies above it
+        tables.append((mass, above, np.concatenate([[0.0], np.cumsum(above.step * above.integrand)])))
+
+    def way(brakes: Brakes, speed: float, *, obstacle: float, thrust: float | None = None) -> float:
+        closing = max(speed, -obstacle) + obstacle
+        return max(
+            (float(np.interp(closing + swing / mass, above.places, total)) for mass, above, total in tables),
+            default=inf,
+        )
+
+    return way
+
+
 def _swing(brakes: Brakes, thrust: float | None) -> float:
     """τ(F + F_b) [N s], what the lag leaves of the thrust that pushes."""
     return brakes.lag * max((brakes.most if thrust is None else thrust) + brakes.least, 0.0)
 
 
-def _upper_sum(brakes: Brakes, mass: float, top: float, obstacle: float) -> float:
+class _Above(NamedTuple):
+    """B' at most over each step, and where the steps end, the first place 0."""
+
+    step: float
+    places: NDArray[np.float64]
+    integrand: NDArray[np.float64]
+
+
+def _above(brakes: Brakes, mass: float, top: float, obstacle: float) -> _Above:
     step = (top + obstacle) / _SUMMANDS
     v = -obstacle + step * np.arange(1, _SUMMANDS + 1)
     through = v - brakes.current
     linear = np.where(through > 0, *brakes.linear)
     quadratic = np.where(through > 0, *brakes.quadratic)
     force = brakes.least - brakes.push + through * (linear + quadratic * abs(through))
-    return float(step * np.sum(np.maximum.accumulate(mass * (v + obstacle) / force)))
+    places = np.asarray(step * np.arange(_SUMMANDS + 1), dtype=np.float64)
+    return _Above(step, places, np.maximum.accumulate(mass * (v + obstacle) / force))
+
+
+def _upper_sum(brakes: Brakes, mass: float, top: float, obstacle: float) -> float:
+    above = _above(brakes, mass, top, obstacle)
+    return float(above.step * np.sum(above.integrand))
 
 
 def range_needed(

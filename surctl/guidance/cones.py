@@ -61,6 +61,17 @@ def collision_cone(
         horizon: time ahead that counts [s].
         there: 1 where it counts at all.
         point: (2, 1) [m] in {E}, where it is.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import collision_cone, disc_contact
+        >>> here, hull, centre, motion = ca.DM([0, 0]), ca.DM(0.2), ca.DM([2, 0]), ca.DM([-0.1, 0])
+        >>> contact = disc_contact(here, hull, centre, ca.DM(0.3), motion, ca.DM(1))  # comes on at 0.1 m/s
+        >>> known = dict(apart=0.05, standoff=0.0, horizon=10.0, there=1)
+        >>> known = {name: ca.DM(value) for name, value in known.items()}
+        >>> cone = collision_cone(contact, point=centre, **known)
+        >>> float(cone.closing), round(float(cone.room), 2), float(cone.distance)
+        (-0.1, 1.5, 2.0)
     """
     n, across = contact.normal, ca.vertcat(-contact.normal[1], contact.normal[0])
     distance = contact.clearance + contact.reach
@@ -86,7 +97,19 @@ def collision_cone(
 
 
 def inside(velocity: ca.SX, cone: Cone) -> ca.SX:
-    """How deep in the cone a velocity (2, 1) lies [m/s]; negative outside."""
+    """How deep in the cone a velocity (2, 1) lies [m/s]; negative outside.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import collision_cone, disc_contact, inside
+        >>> here, hull, centre, motion = ca.DM([0, 0]), ca.DM(0.2), ca.DM([2, 0]), ca.DM([-0.1, 0])
+        >>> contact = disc_contact(here, hull, centre, ca.DM(0.3), motion, ca.DM(1))  # comes on at 0.1 m/s
+        >>> known = dict(apart=0.05, standoff=0.0, horizon=10.0, there=1)
+        >>> known = {name: ca.DM(value) for name, value in known.items()}
+        >>> cone = collision_cone(contact, point=centre, **known)
+        >>> [round(float(inside(ca.DM(v), cone)), 3) for v in ([0.15, 0.0], [0.1, 0.15])]  # into it, past it
+        [0.069, -0.089]
+    """
     depth = ca.fmin(ca.dot(cone.left, velocity) - cone.left_bound, ca.dot(cone.right, velocity) - cone.right_bound)
     depth = ca.fmin(depth, ca.dot(cone.ahead, velocity) - cone.ahead_bound)
     return ca.if_else(cone.there, depth, _NEVER)

@@ -35,7 +35,16 @@ class Contact:
 
 
 def disc_contact(position: ca.SX, hull: ca.SX, centre: ca.SX, radius: ca.SX, velocity: ca.SX, valid: ca.SX) -> Contact:
-    """Contact with a disc of the given radius [m] that moves with `velocity` (2, 1) [m/s]; a point has radius 0."""
+    """Contact with a disc of the given radius [m] that moves with `velocity` (2, 1) [m/s]; a point has radius 0.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import disc_contact
+        >>> here, centre, still = ca.DM([0, 0]), ca.DM([2, 0]), ca.DM([0, 0])
+        >>> contact = disc_contact(here, ca.DM(0.2), centre, ca.DM(0.5), still, ca.DM(1))
+        >>> float(contact.clearance)  # m, from hull to rim
+        1.3
+    """
     offset = centre - position
     distance = ca.sqrt(ca.sumsqr(offset))
     apart = distance > 1e-6
@@ -45,12 +54,28 @@ def disc_contact(position: ca.SX, hull: ca.SX, centre: ca.SX, radius: ca.SX, vel
 
 
 def point_contact(position: ca.SX, hull: ca.SX, point: ca.SX, valid: ca.SX) -> Contact:
-    """Contact with a point that stands still, for example an echo."""
+    """Contact with a point that stands still, for example an echo.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import point_contact
+        >>> contact = point_contact(ca.DM([0, 0]), ca.DM(0.2), ca.DM([0, 1]), ca.DM(1))
+        >>> round(float(contact.clearance), 3), ca.DM(contact.normal).full().ravel().tolist()
+        (0.8, [0.0, 1.0])
+    """
     return disc_contact(position, hull, point, ca.SX(0), ca.SX.zeros(2), valid)
 
 
 def wall_contacts(position: ca.SX, hull: ca.SX, walls: ca.SX) -> list[Contact]:
-    """Four contacts with the walls x_min, x_max, y_min, y_max [m] of a rectangular site."""
+    """Four contacts with the walls x_min, x_max, y_min, y_max [m] of a rectangular site.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import wall_contacts
+        >>> tank = ca.DM([0, 8, 0, 3])  # x_min, x_max, y_min, y_max
+        >>> [round(float(c.clearance), 2) for c in wall_contacts(ca.DM([1.0, 1.5]), ca.DM(0.27), tank)]
+        [0.73, 6.73, 1.23, 1.23]
+    """
     x, y = position[0], position[1]
     sides = [
         (ca.SX([-1, 0]), x - walls[0]),
@@ -62,7 +87,16 @@ def wall_contacts(position: ca.SX, hull: ca.SX, walls: ca.SX) -> list[Contact]:
 
 
 def nearest_in_quadrants(contacts: Sequence[Contact], axes: Sequence[ca.SX]) -> list[Contact]:
-    """For each axis (2, 1), the nearest contact within ±45° of it: what a sensor on that axis stands for."""
+    """For each axis (2, 1), the nearest contact within ±45° of it: what a sensor on that axis stands for.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import nearest_in_quadrants, point_contact
+        >>> hull, yes = ca.DM(0.2), ca.DM(1)
+        >>> seen = [point_contact(ca.DM([0, 0]), hull, ca.DM(p), yes) for p in ([2, 0.1], [1, 0], [0, 3])]
+        >>> [float(c.clearance) for c in nearest_in_quadrants(seen, [ca.DM([1, 0]), ca.DM([0, 1])])]
+        [0.8, 2.8]
+    """
     chosen = []
     for axis in axes:
         best = Contact(axis, ca.SX(FAR), ca.SX.zeros(2), ca.SX(0.5))

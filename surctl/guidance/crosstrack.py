@@ -28,7 +28,16 @@ _LEAST_GAIN = 1e-9  # m/s
 
 
 def check_guidance(name: str) -> None:
-    """InputError with the nearest known name unless it is one of `GUIDANCE`."""
+    """InputError with the nearest known name unless it is one of `GUIDANCE`.
+
+    Example:
+        >>> from surctl.guidance import check_guidance
+        >>> check_guidance("alos")
+        >>> check_guidance("elos")
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: guidance = 'elos': is not known; did you mean 'los'?
+    """
     if name not in GUIDANCE:
         raise InputError("is not known", key="guidance", value=name, remedy=nearest(str(name), GUIDANCE))
 
@@ -41,6 +50,12 @@ def crosstrack_shift(method: Guidance, memory: ca.SX, *, lookahead: ca.SX, sigma
         memory: y_int [s] of `ilos`, b [1] of `alos`.
         lookahead: Δ_h [m].
         sigma: σ of `ilos` [m/s].
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import crosstrack_shift
+        >>> float(crosstrack_shift("ilos", ca.SX(2.0), lookahead=ca.SX(0.8), sigma=ca.SX(0.05)))  # m added to y_e
+        0.1
     """
     return {"los": 0 * memory, "ilos": sigma * memory, "alos": lookahead * memory}[method]
 
@@ -69,6 +84,17 @@ def crosstrack_next(
         gamma: γ of `alos` [1/m²].
         held: 1 while the error is not the push's: nothing is learnt.
         dt: control period [s].
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import crosstrack_next
+        >>> known = dict(along=0.15, lookahead=0.8, sigma=0.05, gamma=0.4, held=0)
+        >>> known = {name: ca.SX(value) for name, value in known.items()}
+        >>> memory = ca.SX(0)
+        >>> for _ in range(100):  # 5 s beside the path
+        ...     memory = crosstrack_next("ilos", memory, ca.SX(0.1), dt=0.05, **known)
+        >>> round(float(memory), 3)
+        0.612
     """
     shifted = y_e + crosstrack_shift(method, memory, lookahead=lookahead, sigma=sigma)
     rate = {

@@ -75,6 +75,14 @@ def path_target(waypoints: ca.SX, s: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
     Returns:
         point (2, 1) [m], unit tangent (2, 1) of the segment that holds s, total length [m].
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import path_target
+        >>> corner = ca.SX([[0, 0], [2, 0], [2, 3]])
+        >>> point, tangent, length = path_target(corner, ca.SX(2.5))
+        >>> ca.DM(point).full().ravel().tolist(), ca.DM(tangent).full().ravel().tolist()
+        ([2.0, 0.5], [0.0, 1.0])
     """
     travelled = ca.SX(0)
     point, tangent = waypoints[0, :].T, ca.SX([1, 0])
@@ -83,7 +91,8 @@ def path_target(waypoints: ca.SX, s: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         length = ca.sqrt(ca.sumsqr(chord))
         real = length > 1e-6
         direction = chord / ca.fmax(length, 1e-6)
-        here = ca.logic_and(real, s >= travelled)
+        # before its start the first segment is clipped to its start
+        here = real if k == 0 else ca.logic_and(real, s >= travelled)
         along = ca.fmin(ca.fmax(s - travelled, 0), length)
         point = ca.if_else(here, waypoints[k, :].T + along * direction, point)
         tangent = ca.if_else(ca.logic_or(here, k == 0), direction, tangent)

@@ -89,6 +89,15 @@ def choose_velocity(
         same: [m] that the blocker may move between two steps and still be the same encounter.
         cones: of what moves.
         walls: of the site, for the side on which what comes head-on is passed, see `sides`.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import Sector, choose_velocity
+        >>> wall = Sector(ca.SX([1, 0]), ca.SX(0.05), ca.SX([1, 0]))  # no faster than 0.05 m/s in x
+        >>> known = dict(side=ca.SX(0), blocker=ca.SX([0, 0]), cruise=ca.SX(0.15), cap=ca.SX(0.22))
+        >>> choice = choose_velocity(ca.SX([0.15, 0.01]), [wall], **known)
+        >>> ca.DM(choice.velocity).full().ravel().round(3).tolist(), float(choice.side)  # left round it
+        ([0.05, 0.141], 1.0)
     """
     wished = ca.fmax(ca.sqrt(ca.sumsqr(wish)), 1e-3)
     ahead = wish / wished
@@ -130,7 +139,15 @@ def choose_velocity(
 
 
 def slowed(velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) -> ca.SX:
-    """The same course (2, 1) [m/s], as slow as the bounds (normal, largest speed along it, not negative) ask."""
+    """The same course (2, 1) [m/s], as slow as the bounds (normal, largest speed along it, not negative) ask.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import slowed
+        >>> wall = (ca.DM([1, 0]), ca.DM(0.05))  # no faster than 0.05 m/s in x
+        >>> ca.DM(slowed(ca.DM([0.2, 0.1]), [wall])).full().ravel().round(3).tolist()
+        [0.05, 0.025]
+    """
     share = ca.SX(1)
     for normal, bound in bounds:
         along = ca.dot(velocity, normal)
@@ -157,6 +174,14 @@ def round_unknown(
         bounds: (normal, largest speed along it, not negative) of each place that is unknown.
         sectors: what is in the way.
         cones: of what moves.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import round_unknown
+        >>> unknown = (ca.SX([1, 0]), ca.SX(0.02))  # nothing is known ahead: 0.02 m/s at most
+        >>> beside = round_unknown(ca.SX([0.15, 0.02]), [unknown], [])
+        >>> ca.DM(beside).full().ravel().round(3).tolist()
+        [0.02, 0.15]
     """
     speed = ca.fmax(ca.sqrt(ca.sumsqr(velocity)), 1e-3)
     ahead = velocity / speed

@@ -12,7 +12,15 @@ __all__ = ["along_command", "path_error", "progress_rate", "tracking_rate", "tra
 
 
 def path_error(position: ca.SX, target: ca.SX, tangent: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """(8): along-track x_e and cross-track y_e [m], left of the path positive; all vectors (2, 1) in {E}."""
+    """(8): along-track x_e and cross-track y_e [m], left of the path positive; all vectors (2, 1) in {E}.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import path_error
+        >>> x_e, y_e = path_error(ca.DM([1.0, 0.3]), ca.DM([1.2, 0.0]), ca.DM([1, 0]))
+        >>> round(float(x_e), 2), round(float(y_e), 2)  # 0.2 m behind, 0.3 m to the left
+        (-0.2, 0.3)
+    """
     offset = position - target
     x_e = ca.dot(offset, tangent)
     y_e = tangent[0] * offset[1] - tangent[1] * offset[0]
@@ -32,6 +40,13 @@ def along_command(
         lookahead: Δ_h [m].
         maximum: largest speed U_h [m/s]; None leaves it free, as the paper does.
         repaired: clip at U_h ≥ 0; the printed law lets U_h change sign, and with it the sign of the y_e term (E9).
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import along_command
+        >>> known = dict(speed=ca.SX(0.15), k1=ca.SX(0.3), lookahead=ca.SX(0.8), maximum=ca.SX(0.22))
+        >>> [round(float(along_command(ca.SX(x_e), ca.SX(0), **known)), 3) for x_e in (-0.5, 0.0, 0.3)]
+        [0.22, 0.15, 0.06]
     """
     along = speed - k1 * x_e
     if repaired:
@@ -45,7 +60,14 @@ def along_command(
 
 
 def tracking_velocity(along: ca.SX, y_e: ca.SX, tangent: ca.SX, lookahead: ca.SX) -> ca.SX:
-    """Commanded horizontal velocity (2, 1) in {E} [m/s] from the along-track command."""
+    """Commanded horizontal velocity (2, 1) in {E} [m/s] from the along-track command.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import tracking_velocity
+        >>> tracking_velocity(ca.DM(0.15), ca.DM(0.4), ca.DM([1, 0]), ca.DM(0.8)).full().ravel().round(3).tolist()
+        [0.15, -0.075]
+    """
     across = -along * y_e / lookahead
     return ca.vertcat(along * tangent[0] - across * tangent[1], along * tangent[1] + across * tangent[0])
 
@@ -69,5 +91,12 @@ def progress_rate(x_e: ca.SX, *, speed: ca.SX, wait: ca.SX) -> ca.SX:
     """Speed of the path's target [m/s]: U_d, falling to 0 while the robot is `wait`/2 … `wait` [m] behind it.
 
     A detour must not let the target run away: the catch-up would otherwise cut corners at full speed.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import progress_rate
+        >>> known = dict(speed=ca.SX(0.15), wait=ca.SX(0.8))
+        >>> [round(float(progress_rate(ca.SX(x_e), **known)), 3) for x_e in (0.0, -0.6, -0.8)]
+        [0.15, 0.075, 0.0]
     """
     return speed * ca.fmin(ca.fmax(2 * (1 + x_e / wait), 0), 1)

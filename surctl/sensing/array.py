@@ -1,7 +1,7 @@
 """The ultrasonic array (II-B, Table I): geometry, firing order, and the echo model in the simulated world.
 
 The water's surface and the vertical opening of a beam are not modelled: cones are planar at the robot's
-depth.
+depth. What of an obstacle's height a beam meets is said by who asks; in the closed loop, by `simulation.column`.
 
 A firing is one ping: its samples are conversions of one echo (*chosen*: five pings over 4.5 m, one after another,
 would take 30 ms in water, longer than ΔT).
@@ -180,6 +180,14 @@ def true_range(array: SonarArray, sensor: int, *, position: Vector2, heading: fl
 
     Raises:
         InputError: no such sensor, or position or heading not finite.
+
+    Example:
+        >>> from surctl.sensing import SonarArray, true_range
+        >>> from surctl.world import Disc
+        >>> pipe = Disc((3.0, 1.0), 0.2)
+        >>> place = {"position": (1.0, 1.0), "heading": 0.0}
+        >>> [true_range(SonarArray(), sensor, shapes=[pipe], **place) for sensor in (0, 2)]  # ahead, astern
+        [1.53, inf]
     """
     x, y, axis = array.apex(sensor, position=position, heading=heading)
     if not isfinite(x + y):
@@ -212,6 +220,14 @@ def fire(
 
     Raises:
         InputError: as `true_range`, or noise of another shape.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.sensing import NoiseStream, SonarArray, fire
+        >>> from surctl.world import Disc
+        >>> noise, pipe = NoiseStream(0).normals(6)[:5], Disc((3.0, 1.0), 0.2)
+        >>> fire(SonarArray(), 0, position=(1.0, 1.0), heading=0.0, shapes=[pipe], noise=noise).round(3).tolist()
+        [1.518, 1.553, 1.535, 1.518, 1.5]
     """
     return heard(array, true_range(array, sensor, position=position, heading=heading, shapes=shapes), noise=noise)
 
@@ -230,6 +246,12 @@ def heard(array: SonarArray, distance: float, *, noise: NDArray[np.float64]) -> 
 
     Raises:
         InputError: noise of another shape.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.sensing import SonarArray, heard
+        >>> [heard(SonarArray(), distance, noise=np.zeros(5))[0].round(3).tolist() for distance in (0.05, 1.53, np.inf)]
+        [0.194, 1.535, 4.5]
     """
     if np.shape(noise) != (array.samples,):
         raise InputError(f"has shape {np.shape(noise)}", key="noise", remedy=f"give ({array.samples},)")

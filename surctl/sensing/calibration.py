@@ -159,6 +159,14 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
     Raises:
         InputError: fewer than `LEAST_ROWS` rows or `LEAST_DISTANCES` distinct distances, a number that is not finite
             or below 0, or distances of another unit than the readings (a median ratio outside 1/3 to 3).
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.sensing import calibrate
+        >>> true = np.linspace(0.5, 3.0, 11)
+        >>> found = calibrate(true, 1.02 * true + 0.03 + 0.002 * np.cos(9 * true))
+        >>> [[round(x, 3) for x in estimate.to_list()] for estimate in (found.bias, found.scale, found.noise_sd)]
+        [[0.03, 0.028, 0.033], [1.02, 1.019, 1.021], [0.002, 0.001, 0.003]]
     """
     x, y = np.asarray(true, dtype=float), np.asarray(measured, dtype=float)
     _check(x, y)

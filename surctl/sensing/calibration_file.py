@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
+from surctl.recorded import Recorded, read_recorded, shown
 from surctl.sensing.calibration import Calibration, Estimate, calibrate
-from surctl.sensing.recorded import Recorded, read_recorded, shown
 from surctl.sensing.table2 import MEDIA, table_ii
 
 __all__ = [
@@ -106,6 +107,17 @@ def calibrate_file(path: Path) -> list[SensorCalibration]:
 
     Raises:
         InputError: as `read_recorded` and `calibrate`, a missing column or two units, with file and line.
+
+    Example:
+        >>> from pathlib import Path
+        >>> import numpy as np
+        >>> from surctl.sensing import calibrate_file
+        >>> true = np.linspace(50, 300, 11)
+        >>> rows = np.column_stack((true, 1.02 * true + 3))
+        >>> np.savetxt("tank.csv", rows, delimiter=",", header="true_cm,measured_cm", comments="")
+        >>> (one,) = calibrate_file(Path("tank.csv"))
+        >>> round(one.found.scale.value, 3), round(one.found.bias.value, 3)  # bias in m
+        (1.02, 0.03)
     """
     table = read_recorded(path)
     true_column, measured_column, factor = _columns(table)
@@ -140,7 +152,15 @@ def calibrate_file(path: Path) -> list[SensorCalibration]:
 
 
 def calibrate_table_ii() -> list[SensorCalibration]:
-    """The calibrations that Table II gives, in air and in water."""
+    """The calibrations that Table II gives, in air and in water.
+
+    Example:
+        >>> from surctl.sensing import calibrate_table_ii
+        >>> for one in calibrate_table_ii():
+        ...     print(f"{one.title}: {100 * one.found.bias.value:.2f} cm, sd {100 * one.found.noise_sd.value:.2f} cm")
+        sensor U1, air: -0.19 cm, sd 1.24 cm
+        sensor U1, water: -0.80 cm, sd 1.63 cm
+    """
     table = table_ii()
     results = []
     for medium in MEDIA:
@@ -155,7 +175,17 @@ def calibrate_table_ii() -> list[SensorCalibration]:
 
 
 def sonar_fragment(one: SensorCalibration) -> str:
-    """TOML text to paste into a scenario: `[sonar]` with bias_m, scale, noise_sd_m, the intervals as comments."""
+    """TOML text to paste into a scenario: `[sonar]` with bias_m, scale, noise_sd_m, the intervals as comments.
+
+    Example:
+        >>> from surctl.sensing import calibrate_table_ii, sonar_fragment
+        >>> for line in sonar_fragment(calibrate_table_ii()[1]).splitlines()[2:6]:  # of water
+        ...     print(line)
+        [sonar]
+        bias_m = -0.00797042  # -0.0270552 to 0.0111144
+        scale = 1.00826  # 0.992564 to 1.02395
+        noise_sd_m = 0.0162933  # 0.0121348 to 0.0247972
+    """
     f = one.found
     head = [
         f"# {shown(one.title)}: {len(f.true)} rows from {shown(one.source)}",
@@ -179,7 +209,16 @@ def sonar_fragment(one: SensorCalibration) -> str:
 
 
 def calibration_rows(results: Sequence[SensorCalibration]) -> str:
-    """Every row as CSV text: where it came from, its error, residual, and whether it is marked as an outlier."""
+    """Every row as CSV text: where it came from, its error, residual, and whether it is marked as an outlier.
+
+    Example:
+        >>> from surctl.sensing import calibrate_table_ii, calibration_rows
+        >>> for line in calibration_rows(calibrate_table_ii()).splitlines()[:3]:
+        ...     print(line)
+        sensor,medium,line,true_m,measured_m,error_m,residual_m,studentised,outlier
+        U1,air,0,0.25,0.25,0,0.000935...,0.0822...,0
+        U1,air,0,0.35,0.36,0.01,0.010564...,0.935...,0
+    """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     head = ("sensor", "medium", "line", "true_m", "measured_m", "error_m", "residual_m", "studentised", "outlier")
@@ -245,7 +284,13 @@ def _span(estimate: Estimate) -> str:
 
 
 def file_stems(results: Sequence[SensorCalibration]) -> list[str]:
-    """A file name part for each result, distinct: "-sensor-medium", or "" for a single unnamed one."""
+    """A file name part for each result, distinct: "-sensor-medium", or "" for a single unnamed one.
+
+    Example:
+        >>> from surctl.sensing import calibrate_table_ii, file_stems
+        >>> [f"calibration{stem}.svg" for stem in file_stems(calibrate_table_ii())]
+        ['calibration-U1-air.svg', 'calibration-U1-water.svg']
+    """
     stems: list[str] = []
     for k, one in enumerate(results):
         parts = [re.sub(r"[^A-Za-z0-9_.]+", "-", part).strip("-.")[:40] for part in (one.sensor, one.medium)]
@@ -261,10 +306,15 @@ def pick_calibration(name: str) -> list[SensorCalibration]:
 
     Raises:
         InputError: no such file, or as `calibrate_file`.
+
+    Example:
+        >>> from surctl.sensing import pick_calibration
+        >>> [(one.title, round(one.found.scale.value, 4)) for one in pick_calibration("table-ii")]
+        [('sensor U1, air', 1.0037), ('sensor U1, water', 1.0083)]
     """
     if name == BUILT_IN:
         return calibrate_table_ii()
     path = Path(name)
-    if not path.suffix and len(path.parts) == 1 and not path.exists():
+    if not path.suffix and len(path.parts) == 1 and not os.path.exists(path):  # noqa: PTH110  # Path.exists raises for a long name
         raise InputError("no such file", file=shown(name), remedy=nearest(name, [BUILT_IN]))
     return calibrate_file(path)

@@ -115,12 +115,28 @@ def delayed(ring: NDArray[np.float64], now: NDArray[np.float64]) -> tuple[NDArra
     Args:
         ring: (k, n) the last k values, newest first; k is the number of steps, 0 for none.
         now: (n,) this step's.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.sensing import delayed
+        >>> ring = np.array([[0.2], [0.1]])  # the last two depths, newest first
+        >>> then, ring = delayed(ring, np.array([0.3]))
+        >>> then.tolist(), ring.tolist()
+        ([0.1], [[0.3], [0.2]])
     """
     known = np.vstack([np.reshape(now, (1, -1)), ring])
     return known[-1], known[:-1]
 
 
 def delayed_symbols(ring: ca.SX, now: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """`delayed` in symbols: (n, 1) and (k, n)."""
+    """`delayed` in symbols: (n, 1) and (k, n).
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.sensing import delayed_symbols
+        >>> ring, now = ca.SX.sym("ring", 2, 1), ca.SX.sym("now")
+        >>> delayed_symbols(ring, now)
+        (SX(ring_1), SX([now, ring_0]))
+    """
     known = ca.vertcat(now.T, ring)
     return known[-1, :].T, known[:-1, :]

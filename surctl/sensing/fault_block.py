@@ -49,6 +49,12 @@ def fault_slots(array: SonarArray, faults: Sequence[Fault], count: int) -> NDArr
 
     Raises:
         InputError: more faults than that, or one that the array cannot have.
+
+    Example:
+        >>> from surctl.sensing import Fault, SonarArray, fault_slots
+        >>> fault = Fault(sensor=1, kind="dropout", start_s=2.0, duration_s=0.5)
+        >>> fault_slots(SonarArray(), [fault], 2).tolist()  # kind, sensor, start, end, delay; room for two
+        [[1.0, 1.0, 2.0, 2.5, 0.0], [0.0, 0.0, 0.0, 0.0, 0.0]]
     """
     if len(faults) > count:
         raise InputError(f"there are {len(faults)}, more than {count}", key="faults", remedy="name fewer")
@@ -64,6 +70,11 @@ def fault_ports(array: SonarArray, *, delays: bool, prefix: str = "") -> tuple[P
     """The state: what arrived last (the same as a loop's newest samples), and with `delays` what was heard before.
 
     A row of the history holds `LONGEST_DELAY` firings end to end, newest first.
+
+    Example:
+        >>> from surctl.sensing import SonarArray, fault_ports
+        >>> [(port.name, port.shape) for port in fault_ports(SonarArray(), delays=True)]  # 5 samples of 8 firings
+        [('last', (4, 5)), ('heard', (4, 40))]
     """
     n, samples, far = array.size, array.samples, array.maximum
     last = Port(f"{prefix}last", (n, samples), "m", "what arrived last from each sonar", far)
@@ -101,6 +112,21 @@ def faulty_samples(
         uniforms: (2, 1) in (0, 1).
         delays: whether the state holds what was heard before; without it no slot may be a delay.
         prefix: of the state's names.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import Layout
+        >>> from surctl.sensing import Fault, SonarArray, fault_ports, fault_slots, faulty_samples
+        >>> array, time = SonarArray(samples=1), ca.SX.sym("time")
+        >>> layout = Layout(fault_ports(array, delays=False))
+        >>> slots = ca.SX(fault_slots(array, [Fault(sensor=0, kind="zero", start_s=1.0)], 1))
+        >>> drawn = {"noise": ca.SX(0.0), "chances": ca.SX.zeros(6), "uniforms": ca.SX([0.5, 0.5])}
+        >>> flat, state = layout.symbols()
+        >>> one = {"distance": ca.SX(1.0), "slots": slots, "delays": False}
+        >>> told = faulty_samples(array, state, ca.SX(0), time=time, **one, **drawn)
+        >>> heard = ca.Function("heard", [flat, time], [told.samples])
+        >>> heard(layout.pack(), 0.5), heard(layout.pack(), 1.5)
+        (DM(1.00588), DM(0))
     """
     own = heard_samples(array, distance, noise=noise)
     last = state[f"{prefix}last"]

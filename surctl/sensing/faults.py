@@ -128,13 +128,28 @@ class FaultState:
 
 
 def fault_state(array: SonarArray) -> FaultState:
-    """The state before the first firing."""
+    """The state before the first firing.
+
+    Example:
+        >>> from surctl.sensing import SonarArray, fault_state
+        >>> state = fault_state(SonarArray())
+        >>> state.last.shape, state.history.shape, float(state.last.min())  # m: as if nothing were in range
+        ((4, 5), (4, 8, 5), 4.5)
+    """
     n, samples = array.size, array.samples
     return FaultState(np.full((n, samples), array.maximum), np.full((n, LONGEST_DELAY, samples), array.maximum))
 
 
 def check_faults(array: SonarArray, faults: Sequence[Fault], chances: FaultChances | None = None) -> None:
-    """InputError for a fault that this array cannot have: an unknown sensor, too long a delay, crosstalk of one."""
+    """InputError for a fault that this array cannot have: an unknown sensor, too long a delay, crosstalk of one.
+
+    Example:
+        >>> from surctl.sensing import Fault, SonarArray, check_faults
+        >>> check_faults(SonarArray(), [Fault(sensor=4, kind="dead")])
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: faults.0.sensor = 4: no such sensor; give 0 to 3
+    """
     if chances is not None and chances.crosstalk > 0 and array.size == 1:
         raise InputError("a single sensor hears no other", key="chances.crosstalk", value=chances.crosstalk)
     for k, fault in enumerate(faults):
@@ -193,6 +208,17 @@ def faulty(
 
     Raises:
         InputError: noise of another shape.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.sensing import Fault, SonarArray, fault_state, faulty
+        >>> array, faults = SonarArray(), [Fault(sensor=0, kind="second_echo", start_s=1.0)]
+        >>> for time in (0.5, 1.5):
+        ...     firing = {"time": time, "distance": 1.0, "noise": np.zeros(5)}
+        ...     samples, _ = faulty(array, fault_state(array), 0, faults=faults, **firing)
+        ...     print(samples.round(3).tolist())
+        [1.006, 1.006, 1.006, 1.006, 1.006]
+        [1.994, 1.994, 1.994, 1.994, 1.994]
     """
     own = heard(array, distance, noise=noise)
     told = next((f for f in faults if f.sensor == sensor and _acts(array, f, time)), None)

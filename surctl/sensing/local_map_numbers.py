@@ -45,6 +45,18 @@ def map_step(
 
     Raises:
         InputError: an array of another size.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.sensing import LocalMap, map_step
+        >>> chart = LocalMap(dt=0.05, slots=1)
+        >>> cells, corner = np.zeros(chart.side**2), np.full(2, 1e6)
+        >>> place, walls = [2.0, 1.0, 0.2, 0.05], [-9.0, 9.0, -9.0, 9.0]  # hull 0.2 m, cells 5 cm
+        >>> beam = [2.2, 1.0, 1.0, 0.0, np.cos(0.1), np.sin(0.1)]  # from the hull, ahead, 0.2 rad wide
+        >>> echo = [0.9, 0.95, 1.05, 1.05]  # free up to 0.9 m, a surface within 0.95 to 1.05 m
+        >>> cells, corner, marked, unknown = map_step(chart, cells, corner, place, walls, [*beam, *echo])
+        >>> marked[:2].round(3).tolist(), int((cells < 0).sum())  # the nearest mark, and cells known to be free
+        ([1.175, -0.025], 72)
     """
     n, edge = chart.side, float(_sized("place", place, 4)[3])
     old = _sized("corner", corner, 2)
@@ -93,6 +105,13 @@ def map_view(
 
     Raises:
         InputError: an array of another size.
+
+    Example:
+        >>> from surctl.sensing import LocalMap, map_view
+        >>> chart = LocalMap(dt=0.05, blocks=1, block=3, sectors=4)
+        >>> values, x, y = map_view(chart, [0, 0, 1, -1, -1, 0, -1, -1, 0], [0, 0], edge=0.1)
+        >>> values.tolist(), x.round(2).tolist()
+        ([[0.0, 0.0, 1.0], [-1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]], [0.05, 0.15, 0.25])
     """
     n, low = chart.side, _sized("corner", corner, 2)
     x, y = (low[axis] + np.arange(n) for axis in (0, 1))

@@ -141,7 +141,19 @@ def mover_step(
     message_fresh: float,
     prefix: str = "",
 ) -> Movers[NDArray[np.float64]]:
-    """`MoverTracker.update` in plain NumPy: arrays of the ports' shapes, left as they are."""
+    """`MoverTracker.update` in plain NumPy: arrays of the ports' shapes, left as they are.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.ir import Layout
+        >>> from surctl.sensing import MoverTracker, mover_step
+        >>> tracker = MoverTracker(dt=0.05, slots=1)
+        >>> layout = Layout(tracker.ports())
+        >>> drifting = np.array([[1.0, 0.5, 0.2, 0.1, 0.0, 1.0]])  # x, y, radius, vx, vy, valid
+        >>> told = mover_step(tracker, layout.unpack(layout.pack()), message=drifting, message_fresh=1.0)
+        >>> told.rows.round(3).tolist(), told.bound.round(4).tolist()  # 0.1 s later
+        ([[1.01, 0.5, 0.2, 0.1, 0.0, 1.0]], [0.0335])
+    """
     told = np.array(state[f"{prefix}told"], dtype=float)
     age = np.array(state[f"{prefix}age"], dtype=float) + tracker.dt
     heard = np.asarray(message, dtype=float)

@@ -40,6 +40,11 @@ def noise_states(seeds: ArrayLike) -> NDArray[np.float64]:
 
     Raises:
         InputError: a seed that is no such number.
+
+    Example:
+        >>> from surctl.sensing import noise_states
+        >>> noise_states([7, 8])[:, :3].tolist()  # a row a seed, of six numbers each
+        [[3281794178.0, 2616230133.0, 1457051261.0], [3777646647.0, 1837464056.0, 4204654757.0]]
     """
     given = np.atleast_1d(np.asarray(seeds))
     if given.dtype.kind == "f" and not np.all(given == np.floor(given)):
@@ -116,6 +121,13 @@ def draw_normals(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
 
     Raises:
         InputError: an odd count.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.sensing import NoiseStream, draw_normals, noise_states
+        >>> numbers, _ = draw_normals(ca.SX(noise_states([7])[0]), 2)
+        >>> ca.evalf(numbers).full().ravel().round(4).tolist(), NoiseStream(7).normals(2).round(4).tolist()
+        ([-0.3605, -0.5043], [-0.3605, -0.5043])
     """
     if count % 2:
         raise InputError("must be even", key="count", value=count)
@@ -130,7 +142,15 @@ def draw_normals(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
 
 
 def draw_uniforms(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
-    """Numbers in (0, 1), (count, 1), and the next state (6, 1): `NoiseStream.uniforms` in symbols."""
+    """Numbers in (0, 1), (count, 1), and the next state (6, 1): `NoiseStream.uniforms` in symbols.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.sensing import NoiseStream, draw_uniforms, noise_states
+        >>> numbers, _ = draw_uniforms(ca.SX(noise_states([7])[0]), 2)
+        >>> ca.evalf(numbers).full().ravel().round(4).tolist(), NoiseStream(7).uniforms(2).round(4).tolist()
+        ([0.8252, 0.6512], [0.8252, 0.6512])
+    """
     one, two = [state[k] for k in range(3)], [state[k] for k in range(3, 6)]
     out = []
     for _ in range(count):

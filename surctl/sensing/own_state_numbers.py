@@ -39,6 +39,22 @@ def own_state_step(
         tau: (4,) [N, N m].
         model: `mass`, `linear_drag`, `quadratic_drag`, `thrust_limit`, (4,) each.
         prefix: of the names of the state.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.ir import Layout
+        >>> from surctl.sensing import OwnStateFilter, own_state_step
+        >>> from surctl.vehicle import load_vehicle
+        >>> own, vehicle = OwnStateFilter(dt=0.05), load_vehicle("sur400")
+        >>> names = ("mass", "linear_drag", "quadratic_drag", "thrust_limit")
+        >>> model = {name: np.array(getattr(vehicle, name)) for name in names}
+        >>> layout = Layout(own.ports())
+        >>> state, still = layout.unpack(layout.pack()), {"yaw": 0.1, "yaw_rate": 0.0, "tau": np.zeros(4)}
+        >>> for tick in range(40):  # 2 s, a fix every 0.1 s
+        ...     told = own_state_step(own, state, fix=[1.0, 2.0, -0.5], fix_fresh=tick % 2, model=model, **still)
+        ...     state = told.state
+        >>> told.eta.round(3).tolist(), told.position_sd.round(4).tolist()
+        ([1.0, 2.0, -0.5, 0.1], [0.0051])
     """
     old = {port.name.removeprefix(prefix): np.array(state[port.name], dtype=float) for port in own.ports(prefix)}
     begun = bool(old["begun"][0])

@@ -21,7 +21,14 @@ Array = NDArray[np.float64]
 
 
 def plain_average(samples: Array) -> Array:
-    """`weighted_average` of samples (..., k) [m], oldest first: (...)."""
+    """`weighted_average` of samples (..., k) [m], oldest first: (...).
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.sensing import plain_average
+        >>> plain_average(np.array([1.0, 1.0, 1.0, 1.0, 1.3])).round(3).tolist()
+        1.1
+    """
     weights = np.arange(1.0, samples.shape[-1] + 1.0)
     mean: Array = samples @ weights / weights.sum()
     return mean
@@ -38,6 +45,15 @@ def plain_gate(window: Array, value: Array, *, lambda1: ArrayLike, resolution: f
 
     Returns:
         gated value (...) [m], accepted (...) as 0 or 1, next window (..., n).
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.sensing import plain_gate
+        >>> window = np.array([2.0, 2.02, 1.98, 2.0])
+        >>> for value in (2.03, 3.5):
+        ...     print([float(x) for x in plain_gate(window, np.array(value), lambda1=3.0, resolution=0.0176)[:2]])
+        [2.03, 1.0]
+        [2.0, 0.0]
     """
     mean = window.mean(axis=-1)
     variance = np.mean(window * window, axis=-1) - mean * mean
@@ -88,6 +104,15 @@ def plain_lms_step(
 
     Raises:
         InputError: unknown `step`.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.sensing import plain_lms_step
+        >>> x, half, zero = np.array([1.98, 2.0]), np.full(2, 0.5), np.array(0.0)  # closing by 2 cm a firing
+        >>> now = {"X": x, "x_n": np.array(1.96), "errors": np.zeros(4), "mean_error": zero}
+        >>> step = plain_lms_step(half, half, relaxation=1.0, beta_max=0.0, **now)
+        >>> round(float(step.residual), 3), round(float(step.theta @ x), 3)
+        (-0.03, 1.96)
     """
     if step not in get_args(StepRule):
         raise InputError("unknown LMS step", key="step", value=step, remedy=nearest(step, get_args(StepRule)))
@@ -137,6 +162,19 @@ def plain_filter(
         fresh: (..., n) 1 for a sensor that fired, else 0.
         gains: by port name, scalars.
         prefix: of the names of state and gains.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.ir import Layout
+        >>> from surctl.sensing import SensorFilter, plain_filter
+        >>> sonar = SensorFilter()
+        >>> layouts = Layout(sonar.ports()), Layout(sonar.gain_ports())
+        >>> state, gains = (layout.unpack(layout.pack()) for layout in layouts)
+        >>> for _ in range(20):
+        ...     told = plain_filter(sonar, state, np.full((4, 5), 2.0), fresh=np.array([1, 0, 0, 0]), gains=gains)
+        ...     state = told.state
+        >>> told.range_hat.round(3).tolist(), told.healthy.tolist()  # only the first sensor fired
+        ([2.0, 4.5, 4.5, 4.5], [1.0, 0.0, 0.0, 0.0])
     """
     old = {port.name.removeprefix(prefix): state[port.name] for port in filter_.ports(prefix)}
     new = _fired(filter_, old, samples, {name: float(np.asarray(gains[prefix + name]).item()) for name in _GAINS})

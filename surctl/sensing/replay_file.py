@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
+from surctl.recorded import Recorded, read_recorded
 from surctl.sensing.array import SonarArray
 from surctl.sensing.pacing import on_steps, usual_cycle
-from surctl.sensing.recorded import Recorded, read_recorded
 from surctl.sensing.replay import Readings, Replay
 
 __all__ = ["Recording", "filtered_rows", "read_readings", "sonar_array"]
@@ -70,7 +70,14 @@ class Recording:
 
 
 def sonar_array(sensors: int, **numbers: float | int) -> SonarArray:
-    """An array of evenly spaced sensors that fire one after another; `numbers` as `SonarArray` names them."""
+    """An array of evenly spaced sensors that fire one after another; `numbers` as `SonarArray` names them.
+
+    Example:
+        >>> from surctl.sensing import sonar_array
+        >>> array = sonar_array(6, maximum=3.0)
+        >>> [round(angle, 3) for angle in array.azimuths], round(array.firing_period, 4), array.maximum
+        ([0.0, 1.047, 2.094, 3.142, 4.189, 5.236], 0.0167, 3.0)
+    """
     return replace(
         SonarArray(
             azimuths=tuple(2.0 * pi * i / sensors for i in range(sensors)),
@@ -97,6 +104,17 @@ def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recor
     Raises:
         InputError: as `read_recorded`; a missing column, a sensor that is not there, a sample below 0, time that goes
             back in more than a twentieth of the rows, too few rows, or a pace that no sonar has.
+
+    Example:
+        >>> from pathlib import Path
+        >>> import numpy as np
+        >>> from surctl.sensing import read_readings, sonar_array
+        >>> k = np.arange(40)
+        >>> rows = np.column_stack((0.1 * k, 0 * k, 2.0 - 0.01 * k))
+        >>> np.savetxt("log.csv", rows, delimiter=",", header="time_s,sensor,range_m", comments="")
+        >>> found = read_readings(Path("log.csv"), sonar_array(1))
+        >>> found.rows, round(found.cycle, 3), found.notes
+        (40, 0.1, ['no column closing_m_per_s: taken for 0', 'no column turn_rad_per_s: taken for 0'])
     """
     table = read_recorded(path)
     heard = _sample_columns(table)
@@ -149,7 +167,21 @@ def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recor
 
 
 def filtered_rows(replayed: Replay) -> str:
-    """Every step of every sensor that sent anything, as CSV text; `reading_m` only where one arrived."""
+    """Every step of every sensor that sent anything, as CSV text; `reading_m` only where one arrived.
+
+    Example:
+        >>> from pathlib import Path
+        >>> import numpy as np
+        >>> from surctl.sensing import filtered_rows, read_readings, replay_readings, sonar_array
+        >>> k = np.arange(40)
+        >>> rows = np.column_stack((0.1 * k, 0 * k, 2.0 - 0.01 * k))  # closing at 0.1 m/s
+        >>> np.savetxt("log.csv", rows, delimiter=",", header="time_s,sensor,range_m", comments="")
+        >>> lines = filtered_rows(replay_readings(read_readings(Path("log.csv"), sonar_array(1)).readings)).splitlines()
+        >>> for line in (lines[0], lines[-1]):
+        ...     print(line)
+        time_s,sensor,reading_m,range_m,bound_m,healthy,age_s
+        3.900000,0,1.60890,1.60890,0.05054,1,0.00000
+    """
     r = replayed.readings
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")

@@ -23,6 +23,11 @@ def speed_of_sound(temperature: float, medium: Medium = "water") -> float:
 
     Raises:
         InputError: unknown medium, or a temperature outside the formula's range.
+
+    Example:
+        >>> from surctl.sensing import speed_of_sound
+        >>> round(speed_of_sound(20.0), 2), round(speed_of_sound(20.0, "air"), 2)
+        (1482.38, 343.21)
     """
     if medium not in get_args(Medium):
         raise InputError("is not known", key="medium", value=medium, remedy=nearest(str(medium), get_args(Medium)))

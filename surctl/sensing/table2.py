@@ -92,6 +92,12 @@ def table_ii() -> RangeTest:
 
     Raises:
         InputError: the shipped file is damaged.
+
+    Example:
+        >>> from surctl.sensing import table_ii
+        >>> table = table_ii()
+        >>> len(table.desired), table.errors("water")[:3].round(3).tolist(), table.disagreeing("water").tolist()
+        (18, [0.01, -0.01, 0.02], [6])
     """
     path = Path(__file__).with_name("table2.toml")
     model = load_model(path, _File)
