@@ -104,6 +104,14 @@ def solve_least_distance(
 
     Raises:
         InputError: unknown backend.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.priority import solve_least_distance
+        >>> wall = {"A": np.array([[1.0, 0.0]]), "lower": np.array([-np.inf]), "upper": np.array([0.1])}
+        >>> found = solve_least_distance(np.array([0.3, 0.4]), **wall)
+        >>> found.status, found.x.round(3).tolist(), found.multipliers.round(3).tolist()
+        ('optimal', [0.1, 0.4], [0.2])
     """
     kernel = check_backend(backend)
     answer = _nearest(target, A, lower, upper, A_eq, b_eq, kernel)

@@ -20,6 +20,14 @@ def nsb(problem: PriorityProblem, *, cutoff: float = CUTOFF) -> NDArray[np.float
 
     Raises:
         InputError: a set-based level, which the printed law does not have.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.priority import Level, build_problem, nsb
+        >>> away = Level("away", np.array([[1.0, 0.0]]), np.array([0.0]))
+        >>> goal = Level("goal", np.eye(2), np.array([0.3, 0.4]))
+        >>> [nsb(build_problem(order)).round(3).tolist() for order in ([away, goal], [goal, away])]
+        [[0.0, 0.4], [0.3, 0.4]]
     """
     v = np.zeros(problem.width)
     for level in reversed(problem.levels):

@@ -171,6 +171,15 @@ def build_problem(levels: Sequence[Level], rows: Sequence[Row] = ()) -> Priority
         InputError: no level, widths that disagree, what is no number or not finite, bounds that cross, an unknown
             kind, a name that is empty, not of one line or used twice; it names the task (and the row inside it) or
             the limit.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.priority import Level, Row, build_problem
+        >>> ahead, slow = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.15])
+        >>> print(build_problem([Level("cruise", ahead[None], slow)], [Row("wall", "barrier", ahead, -np.inf, 0.1)]))
+        priority  name                 row · v
+        1         cruise               [ 1  0  0  0] -> 0.15
+        barrier   wall                 [ 1  0  0  0] in [-inf, 0.1]
     """
     if not levels:
         raise InputError("has no level", key="problem", remedy="give at least one task")

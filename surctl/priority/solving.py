@@ -52,6 +52,14 @@ def solve(
 
     Raises:
         InputError: unknown mode or backend, a setting out of range.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.priority import Level, Row, build_problem, solve
+        >>> goal, wall = Level("goal", np.eye(2), np.array([0.3, 0.4]), unit="m/s"), np.array([1.0, 0.0])
+        >>> found = solve(build_problem([goal], [Row("wall", "barrier", wall, -np.inf, 0.1)]))
+        >>> found.v.round(3).tolist(), found.explain()
+        ([0.1, 0.4], 'Task `goal` gave up 0.2 m/s because `wall` binds.')
     """
     settings = Settings(mode, sweeps, damping, cutoff)
     check_backend(backend)

@@ -30,6 +30,15 @@ def nsb_sweep(levels: Sequence[Level], *, start: Array, settings: Settings = _PL
     w_{k+1} = start; w_i = argmin ‖z − w_{i+1}‖ over argmin ‖J_i z − x_i‖; v = w_1. From 0 this is (16), because
     J_i⁺x_i + N_i w is that projection. A set-based task leaves w alone where it is kept. Of `settings` the damping
     and the cut-off count here.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.priority import Level, Settings, nsb_sweep
+        >>> away = Level("away", np.array([[1.0, 0.0]]), np.array([0.0]))
+        >>> goal = Level("goal", np.eye(2), np.array([0.3, 0.4]))
+        >>> damped = Settings(damping=0.5)
+        >>> [nsb_sweep([away, goal], start=np.zeros(2), settings=s).round(3).tolist() for s in (Settings(), damped)]
+        [[0.0, 0.4], [0.048, 0.32]]
     """
     w = start
     for level in reversed(levels):

@@ -30,6 +30,15 @@ def nsb_symbolic(levels: Sequence[tuple[ca.SX, ca.SX]], *, damping: float = 0.0)
 
     Raises:
         InputError: no level, shapes that disagree, negative damping.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.priority import nsb_symbolic
+        >>> bearing, goal = ca.SX.sym("bearing"), ca.SX.sym("goal", 2)
+        >>> away = ca.horzcat(ca.cos(bearing), ca.sin(bearing))
+        >>> law = ca.Function("law", [bearing, goal], [nsb_symbolic([(away, ca.SX(0)), (ca.SX.eye(2), goal)])])
+        >>> law(0.0, [0.3, 0.4])  # nothing towards the obstacle ahead
+        DM([0, 0.4])
     """
     _check(levels, damping)
     w = ca.SX.zeros(levels[0][0].shape[1], 1)
@@ -46,7 +55,7 @@ def projection(w: ca.SX, J: ca.SX, x: ca.SX, *, damping: float = 0.0) -> ca.SX:
 def _solve_gram(J: ca.SX, rhs: ca.SX, damping: float) -> ca.SX:
     """y (k, 1) with (J Jᵀ + λ²I) y = rhs, by LDLᵀ; dependent and zero rows get y = 0."""
     G = ca.densify(J @ J.T + damping**2 * ca.SX.eye(J.shape[0]))
-    L, inverse = _factorise(G)
+    L, inverse = _factorise(G, damping**2)
     k = G.shape[0]
     y = [rhs[i] for i in range(k)]
     for i in range(k):
@@ -59,8 +68,11 @@ def _solve_gram(J: ca.SX, rhs: ca.SX, damping: float) -> ca.SX:
     return ca.vertcat(*y)
 
 
-def _factorise(G: ca.SX) -> tuple[list[list[ca.SX]], list[ca.SX]]:
-    """L (unit lower triangle, by rows) and the inverse pivots, 0 where the pivot vanishes."""
+def _factorise(G: ca.SX, least: float) -> tuple[list[list[ca.SX]], list[ca.SX]]:
+    """L (unit lower triangle, by rows) and the inverse pivots, 0 where the pivot vanishes.
+
+    With damping none does: no pivot is below λ², `least`, but for rounding; that it is said is what a proof needs.
+    """
     k = G.shape[0]
     L: list[list[ca.SX]] = [[ca.SX(0)] * k for _ in range(k)]
     pivots: list[ca.SX] = []
@@ -69,9 +81,13 @@ def _factorise(G: ca.SX) -> tuple[list[list[ca.SX]], list[ca.SX]]:
         pivot = G[j, j]
         for m in range(j):
             pivot = pivot - L[j][m] * L[j][m] * pivots[m]
-        alive = pivot > _DEPENDENT * G[j, j] + _ZERO_SQUARE
-        # both arms are finite, so the arm not taken cannot poison the result
-        inverse.append(ca.if_else(alive, 1.0 / ca.if_else(alive, pivot, 1.0), 0.0))
+        if least > 0.0:
+            pivot = ca.fmax(pivot, least) if j else pivot  # the first is a sum of squares and λ²
+            inverse.append(1.0 / pivot)
+        else:
+            alive = pivot > _DEPENDENT * G[j, j] + _ZERO_SQUARE
+            # both arms are finite, so the arm not taken cannot poison the result
+            inverse.append(ca.if_else(alive, 1.0 / ca.if_else(alive, pivot, 1.0), 0.0))
         pivots.append(pivot)
         for i in range(j + 1, k):
             entry = G[i, j]

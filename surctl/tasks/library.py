@@ -23,7 +23,17 @@ _NEAR = 1e-6
 def position_task(
     eta: ca.SX, target: Expression, *, rate: Expression = 0.0, gain: Expression = 1.0, name: str = "position"
 ) -> Task:
-    """σ = (x, y) or (x, y, z) [m] in {E}, as many as `target` has; `rate` [m/s], `gain` [1/s]."""
+    """σ = (x, y) or (x, y, z) [m] in {E}, as many as `target` has; `rate` [m/s], `gain` [1/s].
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.tasks import position_task
+        >>> eta = ca.SX.sym("eta", 4)
+        >>> task = position_task(eta, [3.0, 0.0], gain=0.5)
+        >>> rate = ca.Function("rate", [eta], [task.reference()])
+        >>> rate([1.0, 0.5, 0, 0]).full().ravel().round(3).tolist()  # m/s in {E}
+        [1.0, -0.25]
+    """
     wanted = _vector(name, "target", target, (2, 3))
     return Task(name=name, eta=eta, sigma=eta[: wanted.numel()], target=wanted, rate=rate, gain=gain, unit="m")
 
@@ -31,19 +41,49 @@ def position_task(
 def depth_task(
     eta: ca.SX, z_d: Expression, *, rate: Expression = 0.0, gain: Expression = 1.0, name: str = "depth"
 ) -> Task:
-    """σ = z [m] in {E}, upwards: 0.15 m deep is z_d = −0.15."""
+    """σ = z [m] in {E}, upwards: 0.15 m deep is z_d = −0.15.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.tasks import depth_task
+        >>> eta = ca.SX.sym("eta", 4)
+        >>> task = depth_task(eta, -0.15, gain=0.5)
+        >>> rate = ca.Function("rate", [eta], [task.reference()])
+        >>> rate([0, 0, -0.35, 0]).full().ravel().round(3).tolist()  # m/s, upwards
+        [0.1]
+    """
     return Task(name=name, eta=eta, sigma=eta[2], target=z_d, rate=rate, gain=gain, unit="m")
 
 
 def heading_task(
     eta: ca.SX, psi_d: Expression, *, rate: Expression = 0.0, gain: Expression = 1.0, name: str = "heading"
 ) -> Task:
-    """σ = ψ [rad], counter-clockwise from x; turns the short way round."""
+    """σ = ψ [rad], counter-clockwise from x; turns the short way round.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.tasks import heading_task
+        >>> eta = ca.SX.sym("eta", 4)
+        >>> task = heading_task(eta, 3.0, gain=0.5)
+        >>> rate = ca.Function("rate", [eta], [task.reference()])
+        >>> rate([0, 0, 0, -3.0]).full().ravel().round(3).tolist()  # rad/s, the short way round
+        [-0.142]
+    """
     return Task(name=name, eta=eta, sigma=eta[3], target=psi_d, rate=rate, gain=gain, angular=True, unit="rad")
 
 
 def velocity_task(eta: ca.SX, v_world: Expression, *, name: str = "velocity") -> Task:
-    """σ = (x, y) with σ̃ = 0: only its rate `v_world` (2,) [m/s] in {E} counts."""
+    """σ = (x, y) with σ̃ = 0: only its rate `v_world` (2,) [m/s] in {E} counts.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.tasks import velocity_task
+        >>> eta = ca.SX.sym("eta", 4)
+        >>> task = velocity_task(eta, [0.1, 0.05])
+        >>> rate = ca.Function("rate", [eta], [task.reference()])
+        >>> rate([1.0, 0.5, 0, 0]).full().ravel().round(3).tolist()
+        [0.1, 0.05]
+    """
     return Task(
         name=name, eta=eta, sigma=eta[:2], target=eta[:2], rate=_vector(name, "v_world", v_world, (2,)), unit="m"
     )
@@ -56,6 +96,15 @@ def clearance_task(
 
     J = [−cos(φ − ψ), −sin(φ − ψ), 0, 0], φ the bearing of the echo (2,) [m] in {E}. `margin` [m] is the
     anti-collision radius.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.tasks import clearance_task
+        >>> eta = ca.SX.sym("eta", 4)
+        >>> task = clearance_task(eta, [1.0, 0.0], margin=0.5, gain=0.4)
+        >>> rate = ca.Function("rate", [eta], [task.reference()])
+        >>> rate([0.8, 0, 0, 0]).full().ravel().round(3).tolist()  # m/s, away from the echo
+        [0.12]
     """
     sigma = _distance(eta, _vector(name, "echo_point", echo_point, (2,))) - _scalar(name, "margin", margin)
     return Task(name=name, eta=eta, sigma=sigma, gain=gain, unit="m")
@@ -64,7 +113,17 @@ def clearance_task(
 def distance_task(
     eta: ca.SX, point: Expression, *, distance: Expression, gain: Expression = 1.0, name: str = "distance"
 ) -> Task:
-    """σ = horizontal distance to `point` (2,) [m] in {E}, to be held at `distance` [m]."""
+    """σ = horizontal distance to `point` (2,) [m] in {E}, to be held at `distance` [m].
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.tasks import distance_task
+        >>> eta = ca.SX.sym("eta", 4)
+        >>> task = distance_task(eta, [2.0, 0.0], distance=1.0, gain=0.5)
+        >>> rate = ca.Function("rate", [eta], [task.reference()])
+        >>> rate([0, 0, 0, 0]).full().ravel().round(3).tolist()  # m/s, towards it
+        [-0.5]
+    """
     sigma = _distance(eta, _vector(name, "point", point, (2,)))
     return Task(name=name, eta=eta, sigma=sigma, target=_scalar(name, "distance", distance), gain=gain, unit="m")
 
@@ -73,6 +132,15 @@ def line_of_sight_task(eta: ca.SX, point: Expression, *, gain: Expression = 1.0,
     """σ = bearing of `point` (2,) [m] in {E} seen from the bow [rad], to be 0: look at the point.
 
     On the point itself, where no bearing exists, it is taken as the direction of x.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.tasks import line_of_sight_task
+        >>> eta = ca.SX.sym("eta", 4)
+        >>> task = line_of_sight_task(eta, [1.0, 1.0], gain=0.6)
+        >>> rate = ca.Function("rate", [eta], [task.reference()])
+        >>> rate([0, 0, 0, 0]).full().ravel().round(3).tolist()  # rad/s of the bearing
+        [-0.471]
     """
     offset = _vector(name, "point", point, (2,)) - eta[:2]
     near = ca.sumsqr(offset) < _NEAR**2

@@ -162,6 +162,18 @@ def assemble(stack: Stack, limits: Sequence[Limit] = (), *, inputs: Mapping[str,
     Raises:
         InputError: an input that is no symbol or stands twice; a symbol of a task or a limit that is no input, by
             name; a limit of the wrong width; two rows with one name.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.priority import assemble, solve
+        >>> from surctl.tasks import Stack, VelocityBox, depth_task, heading_task
+        >>> eta = ca.SX.sym("eta", 4)  # x, y, z, heading
+        >>> stack = Stack((depth_task(eta, -0.5), heading_task(eta, 0.0)))
+        >>> box = VelocityBox([-0.2, -0.2, -0.1, -0.5], [0.2, 0.2, 0.1, 0.5])
+        >>> assembly = assemble(stack, [box], inputs={"eta": eta})
+        >>> found = solve(assembly.problem({"eta": [1.0, 0.5, -0.2, 0.1]}))
+        >>> found.v.round(3).tolist(), found.explain()
+        ([0.0, 0.0, -0.1, -0.1], 'Task `depth` gave up 0.2 m/s because `velocity.w` binds.')
     """
     for name, symbol in inputs.items():
         if not (isinstance(symbol, ca.SX) and symbol.shape[1] == 1 and symbol.numel() and symbol.is_valid_input()):

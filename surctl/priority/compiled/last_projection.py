@@ -22,24 +22,28 @@ from surctl.priority.compiled.tangent import holding, largest, merged
 from surctl.priority.rowspace import ZERO_ROW
 from surctl.priority.solver.elimination import as_matrix
 from surctl.priority.solver.ladder import CLAMPED, LIMITED, MET, RELAXED, safe_tick
+from surctl.priority.solver.precision import FLOAT64, Precision
 
 __all__ = ["last_projection"]
 
+_PLAIN = 1e-4  # in squares of lengths and of a sine: far above every cut-off, in floats too
+
 _ANSWER = ("v", "active", "multipliers", "opening", "status", "count")
-_ROUNDING = 1e-12
 
 
-def last_projection(shape: StackShape, rows: int, *, damping: float) -> Routine:
+def last_projection(
+    shape: StackShape, rows: int, *, damping: float, precision: Precision = FLOAT64, named: bool = True
+) -> Routine:
     """(w (n,), count (1,), J, lower, upper, rows, box) → v, active, multipliers, opening, status, count."""
     n = shape.n
     given = (("w", n), ("before", 1), *shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n))
     steps: tuple[Step, ...]
     if damping > 0.0:
-        steps = _damped(shape, rows, damping)
+        steps = _damped(shape, rows, damping, precision)
     elif shape.levels[0].is_set:
-        steps = _slab(shape, rows)
+        steps = _slab(shape, rows, precision, named=named)
     else:
-        steps = _value(shape, rows)
+        steps = _value(shape, rows, precision, named=named)
     found = tuple(f"{name}_found" for name in _ANSWER)
     add = Call(_sum(), ("before", found[-1]), ("total",))
     return Routine("last_projection", given, (*steps, add), (*found[:-1], "total"))
@@ -48,6 +52,35 @@ def last_projection(shape: StackShape, rows: int, *, damping: float) -> Routine:
 def _sum() -> Program:
     a, b = ca.SX.sym("a"), ca.SX.sym("b")
     return lower(ca.Function("sum", [a, b], [a + b]))
+
+
+def _task(shape: StackShape) -> tuple[Step, ...]:
+    """J, lower, upper → J_1, and the x_1 that it can reach; two rows that are plainly independent reach any."""
+    k, stack = shape.levels[0].rows, ("J", "lower", "upper")
+    if k != 2:
+        return (Call(_first(shape), stack, ("J_1", "x_1")),)
+    one = lower(ca.Function("done", [ca.SX.sym("plain")], [ca.SX.ones(1)]))
+    state = (("J_1", k * shape.n), ("x_1", k), ("plain", 1))
+    turn = Routine(
+        "reachable",
+        (*state, *shape.inputs),
+        (Call(_first(shape), stack, ("J_next", "x_next")), Call(one, ("plain",), ("done",))),
+        ("J_next", "x_next", "done"),
+    )
+    return (
+        Call(_plain(shape), stack, ("J_asked", "x_asked", "plain")),
+        Loop(turn, 1, ("J_asked", "x_asked", "plain"), ("J_1", "x_1", "known"), fixed=stack, until=2),
+    )
+
+
+def _plain(shape: StackShape) -> Program:
+    """(J, lower, upper) → J_1, x_1 of two rows, and whether they are of like length and no near-parallels."""
+    flat, levels = shape.symbols()
+    J = levels[0].J
+    a, b, both = ca.sumsqr(J[0, :]), ca.sumsqr(J[1, :]), ca.dot(J[0, :].T, J[1, :].T)
+    plain = ca.logic_and(a > _PLAIN * b, b > _PLAIN * a)
+    plain = ca.logic_and(plain, ca.logic_and(a > _PLAIN**3, a * b - both * both > _PLAIN * (a * b)))
+    return lower(ca.Function("plain", flat, [ca.densify(ca.vec(J.T)), ca.densify(levels[0].lower), plain]))
 
 
 def _first(shape: StackShape) -> Program:
@@ -64,17 +97,17 @@ def _first(shape: StackShape) -> Program:
     return lower(ca.Function("first", flat, [ca.densify(ca.vec(J.T)), ca.densify(x)]))
 
 
-def _value(shape: StackShape, rows: int) -> tuple[Step, ...]:
+def _value(shape: StackShape, rows: int, precision: Precision, *, named: bool) -> tuple[Step, ...]:
     raw, found = tuple(f"{name}_tick" for name in _ANSWER), tuple(f"{name}_found" for name in _ANSWER)
-    k = shape.levels[0].rows
+    k, given = shape.levels[0].rows, ("w", "J_1", "x_1", "rows", "box")
     return (
-        Call(_first(shape), ("J", "lower", "upper"), ("J_1", "x_1")),
-        Call(safe_tick(shape.n, k, rows), ("w", "J_1", "x_1", "rows", "box"), raw),
-        Call(_named(shape.n, k, rows), ("J_1", "x_1", "rows", *raw), found),
+        *_task(shape),
+        Call(safe_tick(shape.n, k, rows, precision=precision), given, raw if named else found),
+        *([Call(_named(shape.n, k, rows, precision), ("J_1", "x_1", "rows", *raw), found)] if named else []),
     )
 
 
-def _named(n: int, k: int, rows: int) -> Routine:
+def _named(n: int, k: int, rows: int, precision: Precision) -> Routine:
     """(J_1, x_1, rows, the answer) → the answer, and first among its rows those that hold task 1 back."""
     answer = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1))
     fixed = (("rows", rows * (n + 3)), ("v", n), ("opening", 1), ("pull", n), ("Z", n * n))
@@ -82,7 +115,11 @@ def _named(n: int, k: int, rows: int) -> Routine:
         "add_holding",
         (("met", 1), *answer[1:3], ("count", 1), *fixed),
         (
-            Call(holding(n, rows), ("rows", "opening", "v", "pull", "Z"), ("numbers", "push", "rest", "spent")),
+            Call(
+                holding(n, rows, precision),
+                ("rows", "opening", "v", "pull", "Z"),
+                ("numbers", "push", "rest", "spent"),
+            ),
             Call(merged(n), ("numbers", "push", "active", "multipliers"), ("active_next", "multipliers_next")),
             Call(_sum(), ("count", "spent"), ("total",)),
         ),
@@ -106,7 +143,7 @@ def _pull(n: int, k: int) -> Program:
     return lower(ca.Function("pull_1", [J, x, v, status], list(map(ca.densify, outputs))))
 
 
-def _slab(shape: StackShape, rows: int) -> tuple[Step, ...]:
+def _slab(shape: StackShape, rows: int, precision: Precision, *, named: bool) -> tuple[Step, ...]:
     n = shape.n
     answer = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1))
     task = (("J_1", n), ("x_1", 1))
@@ -118,23 +155,24 @@ def _slab(shape: StackShape, rows: int) -> tuple[Step, ...]:
         "side",
         (*task, *answer, ("done", 1), *fixed),
         (
-            Call(safe_tick(n, 1, rows), ("w", "J_1", "x_1", "rows", "box"), raw),
-            Call(_side(shape), ("J", "lower", "upper", *state[2:8], *raw), after),
+            Call(safe_tick(n, 1, rows, precision=precision), ("w", "J_1", "x_1", "rows", "box"), raw),
+            Call(_side(shape, precision), ("J", "lower", "upper", *state[2:8], *raw), after),
         ),
         after,
     )
     start = ("no_J", "no_x", "no_v", "no_active", "no_multipliers", "no_opening", "no_status", "no_count", "not_done")
-    last = ("J_last", "x_last", *(f"{name}_slab" for name in _ANSWER), "done_last")
+    found = tuple(f"{name}_found" for name in _ANSWER)
+    last = ("J_last", "x_last", *((f"{name}_slab" for name in _ANSWER) if named else found), "done_last")
     empty = [ca.SX.zeros(size) for size in (n, 1, n, n, n, 1, 1, 1, 1)]
     w = ca.SX.sym("w", n)
     return (
         Call(lower(ca.Function("empty", [w], empty)), ("w",), start),
         Loop(side, 2, start, last, fixed=tuple(name for name, _ in fixed), until=8),
-        Call(_named(n, 1, rows), ("J_last", "x_last", "rows", *last[2:8]), tuple(f"{name}_found" for name in _ANSWER)),
+        *([Call(_named(n, 1, rows, precision), ("J_last", "x_last", "rows", *last[2:8]), found)] if named else []),
     )
 
 
-def _side(shape: StackShape) -> Program:
+def _side(shape: StackShape, precision: Precision) -> Program:
     """(J, lower, upper, the last answer, the new one) → the task for the next turn, the better answer, done."""
     n, (flat, levels) = shape.n, shape.symbols()
     sizes = (n, n, n, 1, 1, 1)
@@ -142,7 +180,7 @@ def _side(shape: StackShape) -> Program:
     new = [ca.SX.sym(f"{name}_new", size) for name, size in zip(_ANSWER, sizes, strict=True)]
     J, v = levels[0].J, new[0]
     value, wanted = J @ v, levels[0].wanted(v)
-    kept = ca.fabs(value - wanted) <= _ROUNDING * largest(J.T) * (1 + largest(v))
+    kept = ca.fabs(value - wanted) <= precision.priced * largest(J.T) * (1 + largest(v))
     inside = ca.logic_or(kept, ca.logic_not(largest(J.T) > ZERO_ROW))
     second = old[4] != 0
     # numbers that ran away in the second turn leave the answer of the first, which keeps the rows
@@ -155,7 +193,7 @@ def _side(shape: StackShape) -> Program:
     return lower(ca.Function("choose_side", [*flat, *old, *new], list(map(ca.densify, outputs))))
 
 
-def _damped(shape: StackShape, rows: int, damping: float) -> tuple[Step, ...]:
+def _damped(shape: StackShape, rows: int, damping: float, precision: Precision) -> tuple[Step, ...]:
     """The safe tick without a task, which opens rows where it must; then, in these rows, the one over (v, s)."""
     n, level = shape.n, shape.levels[0]
     q, wide = level.rows, shape.n + level.rows
@@ -165,7 +203,7 @@ def _damped(shape: StackShape, rows: int, damping: float) -> tuple[Step, ...]:
     no_task = lower(ca.Function("no_task", [w], [ca.SX.zeros(n), ca.SX.zeros(1)]))
     return (
         Call(no_task, ("w",), ("no_J", "no_x")),
-        Call(safe_tick(n, 1, rows), ("w", "no_J", "no_x", "rows", "box"), plain),
+        Call(safe_tick(n, 1, rows, precision=precision), ("w", "no_J", "no_x", "rows", "box"), plain),
         Loop(opened_row(n), rows, (), ("rows_open",), sliced=("rows",), fixed=("opening_plain", "v_plain")),
         Loop(longer_row(n, q), rows, (), ("rows_longer",), sliced=("rows_open",)),
         Call(
@@ -173,7 +211,7 @@ def _damped(shape: StackShape, rows: int, damping: float) -> tuple[Step, ...]:
             ("w", "J", "lower", "upper", "rows_longer", "box"),
             ("w_wide", "J_wide", "x_wide", "rows_wide", "box_wide"),
         ),
-        Call(safe_tick(wide, p, m), ("w_wide", "J_wide", "x_wide", "rows_wide", "box_wide"), raw),
+        Call(safe_tick(wide, p, m, precision=precision), ("w_wide", "J_wide", "x_wide", "rows_wide", "box_wide"), raw),
         Call(_narrow(n, wide, rows, damping), (*plain, *raw), tuple(f"{name}_found" for name in _ANSWER)),
     )
 

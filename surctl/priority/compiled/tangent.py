@@ -14,25 +14,24 @@ from surctl.priority.compiled.sweep import HUGE
 from surctl.priority.rowspace import ZERO_ROW
 from surctl.priority.solver.dual_step import OPTIMAL, Space
 from surctl.priority.solver.kernel import kernel, row_by_row
+from surctl.priority.solver.precision import FLOAT64, Precision
 
 __all__ = ["holding", "largest", "merged"]
 
-_TOUCHES = 1e-9  # distance from the bound, relative to 1 + max |v|
-_STILL = 1e-12  # a pull no larger than this counts as none
 
-
-def holding(n: int, m: int) -> Routine:
+def holding(n: int, m: int, precision: Precision = FLOAT64) -> Routine:
     """(rows (m·(n + 3),), opening (1,), v (n,), pull (n,), Z (n·n,)) → numbers, multipliers, rest, count.
 
     numbers (n,): signed, from 1, of the rows that hold the pull back (+ at the upper bound), 0 for none; multipliers
     (n,) for rows of length 1; rest (n,): what they leave of the pull inside the range of the projector Z; count (1,)
     of iterations. Soft rows have opened by `opening`.
     """
+    space = Space(n, n, precision=precision)
     steps = (
-        Call(_unit_pull(n), ("pull",), ("base", "size", "go")),
-        Loop(_touching(n), m, (), ("cone",), sliced=("rows",), fixed=("opening", "v")),
+        Call(_unit_pull(n, precision), ("pull",), ("base", "size", "go")),
+        Loop(_touching(n, precision), m, (), ("cone",), sliced=("rows",), fixed=("opening", "v")),
         Call(
-            row_by_row(kernel(Space(n, n), m), m),
+            row_by_row(kernel(space, m), m, precision),
             ("cone", "base", "go", "Z"),
             ("point", "found", "push", "end", "count"),
         ),
@@ -54,21 +53,21 @@ def largest(vector: ca.SX) -> ca.SX:
     return size
 
 
-def _unit_pull(n: int) -> Program:
+def _unit_pull(n: int, precision: Precision) -> Program:
     """The pull with largest entry 1 and no opening, its size, and whether there is nothing to do."""
     pull = ca.SX.sym("pull", n)
     size = largest(pull)
-    none = ca.logic_not(size > _STILL)
+    none = ca.logic_not(size > precision.priced)
     unit = pull * ca.if_else(none, 0, 1 / ca.if_else(none, 1, size))
     return lower(ca.Function("unit_pull", [pull], [ca.vertcat(unit, 0), ca.if_else(none, 0, size), none]))
 
 
-def _touching(n: int) -> Program:
+def _touching(n: int, precision: Precision) -> Program:
     """A row as a bound of directions: 0 on the side that v touches, none on the other."""
     row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
     length = ca.sqrt(ca.sumsqr(row[:n]))
     inverse = 1 / ca.if_else(length <= ZERO_ROW, 1, length)
-    value, room = ca.dot(row[:n], v) * inverse, row[n + 2] * opening - _TOUCHES * (1 + largest(v))
+    value, room = ca.dot(row[:n], v) * inverse, row[n + 2] * opening - precision.kept * (1 + largest(v))
     below = ca.if_else(value <= row[n] * inverse - room, 0, -HUGE)
     above = ca.if_else(value >= row[n + 1] * inverse + room, 0, HUGE)
     return lower(ca.Function("touching", [row, opening, v], [ca.vertcat(row[:n] * inverse, below, above, 0)]))

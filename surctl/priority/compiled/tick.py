@@ -9,6 +9,7 @@ lexicographic strict priority inside the rows (`compiled_cascade`).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import casadi as ca
@@ -22,6 +23,7 @@ from surctl.priority.compiled.level_shape import LevelShape, StackShape
 from surctl.priority.compiled.sweep import HUGE, gate, into, sweep, swept
 from surctl.priority.settings import Mode, Settings
 from surctl.priority.solver.ladder import CLAMPED, MET, safe_tick
+from surctl.priority.solver.precision import FLOAT64, Precision
 
 __all__ = ["OUTPUTS", "priority_tick"]
 
@@ -35,7 +37,15 @@ _STACK = ("J", "lower", "upper")
 
 
 def priority_tick(
-    mode: Mode, *, n: int, levels: tuple[LevelShape, ...], rows: int, sweeps: int = 1, damping: float = 0.0
+    mode: Mode,
+    *,
+    n: int,
+    levels: tuple[LevelShape, ...],
+    rows: int,
+    sweeps: int = 1,
+    damping: float = 0.0,
+    precision: Precision = FLOAT64,
+    named: bool = True,
 ) -> Routine:
     """(J (K·n,), lower (K,), upper (K,), rows (m·(n + 3),), box (2n,)) → the tick's answer; K rows in all levels.
 
@@ -65,11 +75,24 @@ def priority_tick(
         rows: m, at least 1.
         sweeps: how often the sweep is made, each from the last result; 1 in mode lexicographic.
         damping: λ [unit of J]; 0 in mode lexicographic.
+        precision: tolerances of the least-distance problems in modes filter and projected, those of the type of numbers
+            that the routine is run with; the other modes have those of double.
+        named: False in mode projected leaves out of `active` what holds task 1 back: v and status take less then.
 
     Raises:
         InputError: an unknown mode, a size or a number out of range; it names the level.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.ir import replay
+        >>> from surctl.priority import LevelShape, priority_tick
+        >>> tick = priority_tick("projected", n=2, levels=(LevelShape(2),), rows=1)
+        >>> wall, box = [1.0, 0.0, -np.inf, 0.1, 1.0], [-1.0, -1.0, 1.0, 1.0]
+        >>> v, active, *_ = replay(tick, [1.0, 0.0, 0.0, 1.0], [0.3, 0.4], [0.3, 0.4], wall, box)
+        >>> v.round(3).tolist(), active.tolist()  # held back by row 1 at its upper bound
+        ([0.1, 0.4], [1.0, 0.0])
     """
-    shape, settings = StackShape(n, levels), Settings(mode, sweeps, damping)
+    shape, settings = StackShape(n, levels), _Settings(mode, sweeps, damping, precision=precision, named=named)
     if mode == "projected" and 0.0 < damping < _LEAST_DAMPING:
         raise InputError(
             "is too small for a compiled projection",
@@ -86,31 +109,40 @@ def priority_tick(
     return Routine(f"{mode}_tick", inputs, (start, *steps, end), OUTPUTS)
 
 
-def _nsb(shape: StackShape, rows: int, settings: Settings) -> tuple[Step, ...]:
+@dataclass(frozen=True)
+class _Settings(Settings):
+    """With what a compiled tick has beside: see `priority_tick`."""
+
+    precision: Precision = FLOAT64
+    named: bool = True
+
+
+def _nsb(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ...]:
     return (*swept(shape, settings), Call(_unlimited(shape.n), ("swept",), _RAW))
 
 
-def _filter(shape: StackShape, rows: int, settings: Settings) -> tuple[Step, ...]:
+def _filter(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ...]:
     given = ("swept", "zero", "none", "rows", "box")
     last = Call(_with_target(shape.n), ("swept",), (_RAW[-1],))
     return (
         *swept(shape, settings),
-        Call(safe_tick(shape.n, 1, rows), given, _RAW[:-1]),
+        Call(safe_tick(shape.n, 1, rows, precision=settings.precision), given, _RAW[:-1]),
         last,
     )
 
 
-def _projected(shape: StackShape, rows: int, settings: Settings) -> tuple[Step, ...]:
+def _projected(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ...]:
     """Turns of: the sweep of the lower levels from the last v, then the last projection."""
     n, damping, fixed = shape.n, settings.damping, (*_STACK, "rows", "box")
     given = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1), ("target", n))
     after = tuple(f"{name}_next" for name in OUTPUTS)
+    last = last_projection(shape, rows, damping=damping, precision=settings.precision, named=settings.named)
     turn = Routine(
         "sweep_within",
         (*given, *shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n)),
         (
             Call(sweep(shape, damping=damping, highest=1), ("v", *_STACK), (after[-1],)),
-            Call(last_projection(shape, rows, damping=damping), (after[-1], "count", *fixed), after[:-1]),
+            Call(last, (after[-1], "count", *fixed), after[:-1]),
         ),
         after,
     )
@@ -120,11 +152,11 @@ def _projected(shape: StackShape, rows: int, settings: Settings) -> tuple[Step, 
     return (Loop(turn, settings.sweeps, state, _RAW, fixed=fixed),)
 
 
-def _lexicographic(shape: StackShape, rows: int, settings: Settings) -> tuple[Step, ...]:
+def _lexicographic(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ...]:
     return (Call(cascade(shape, rows), (*_STACK, "rows", "box", "sound"), _RAW),)
 
 
-_MODES: Mapping[Mode, Callable[[StackShape, int, Settings], tuple[Step, ...]]] = MappingProxyType(
+_MODES: Mapping[Mode, Callable[[StackShape, int, _Settings], tuple[Step, ...]]] = MappingProxyType(
     {"nsb": _nsb, "filter": _filter, "projected": _projected, "lexicographic": _lexicographic}
 )
 

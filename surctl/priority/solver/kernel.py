@@ -1,7 +1,7 @@
 """The least-distance solver as a routine: the iteration of `dual_step` in a bounded loop.
 
 Rows stand in blocks of as many as there are lanes, entry by entry (`surctl.ir.Loop`), so that one instruction prices
-several.
+several. Which of equals wins does not depend on the lanes: the answers are the same numbers with one as with four.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from surctl.priority.solver.dual_step import (
     which,
 )
 from surctl.priority.solver.elimination import as_matrix
+from surctl.priority.solver.precision import FLOAT64, Precision
 
 __all__ = ["CAP", "OPEN_CAP", "certificate", "in_blocks", "kernel", "lanes_of", "reduced_kernel", "row_by_row"]
 
@@ -35,23 +36,23 @@ CAP = 40
 OPEN_CAP = 80
 """The same where the opening is free: γ makes every soft row a candidate."""
 
-_LANES = 4
 
-
-def lanes_of(rows: int) -> int:
-    """Rows a block: the largest of 4, 2, 1 that leaves no rest."""
-    return math.gcd(rows, _LANES)
+def lanes_of(rows: int, precision: Precision = FLOAT64) -> int:
+    """Rows a block: the largest part of the precision's lanes (4, 2, 1) that leaves no rest."""
+    return math.gcd(rows, precision.lanes)
 
 
 def in_blocks(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(…, rows, width) → (…, rows·width), as the routines here take them."""
+    """(…, rows, width) → (…, rows·width), as the routines here take them in double."""
     *batch, count, width = rows.shape
     lanes = lanes_of(count)
     return np.swapaxes(rows.reshape(*batch, count // lanes, lanes, width), -1, -2).reshape(*batch, count * width)
 
 
-def row_by_row(routine: Routine, rows: int) -> Routine:
-    """The same routine with its first input, `rows` rows, row by row instead of in blocks."""
+def row_by_row(routine: Routine, rows: int, precision: Precision = FLOAT64) -> Routine:
+    """The same routine with its first input, `rows` rows, row by row instead of in the blocks of that precision."""
+    if lanes_of(rows, precision) == 1:
+        return routine
     (name, size), *others = routine.inputs
     table = ca.SX.sym(name, size)
     order = in_blocks(np.arange(size, dtype=np.float64).reshape(rows, size // rows)).astype(int).tolist()
@@ -97,7 +98,7 @@ def reduced_kernel(space: Space, rows: int) -> Routine:
     of the size of the answer, or the rows' bounds lose digits; start may be far away. The point has t = 0.
     """
     n, d = space.n, space.d
-    lanes = lanes_of(rows)
+    lanes = lanes_of(rows, space.precision)
     small = Space(d, d, mapped=False, precision=space.precision)
     origin, Z, y = ca.SX.sym("origin", n), ca.SX.sym("Z", n * d), ca.SX.sym("y", d)
     lift = lower(ca.Function("lift", [origin, Z, y], [ca.vertcat(origin + as_matrix(Z, d) @ y, 0)]))
@@ -173,7 +174,7 @@ def _start(space: Space) -> Program:
 
 def _price(space: Space, rows: int, tag: str) -> tuple[Step, ...]:
     """The most violated row at point{tag}: of each lane, then of half as many lanes, until one is left."""
-    lanes = lanes_of(rows)
+    lanes = lanes_of(rows, space.precision)
     names = [f"best{tag}" if left == 1 else f"best{tag}_of_{left}" for left in (8, 4, 2, 1) if left <= lanes]
     halves: list[Step] = []
     for full, half in itertools.pairwise(names):
@@ -191,7 +192,7 @@ def _price(space: Space, rows: int, tag: str) -> tuple[Step, ...]:
 
 def _turn(space: Space, rows: int) -> Routine:
     """One step with the row that the last pricing found, or with the pending one; then all rows are priced."""
-    state, lanes = _state(space), lanes_of(rows)
+    state, lanes = _state(space), lanes_of(rows, space.precision)
     free = (("M", space.n * space.d),) if space.mapped else ()
     given = tuple(name for name, _ in state[:-2])
     steps = (
@@ -213,7 +214,7 @@ def certificate(space: Space, rows: int) -> Routine:
 
     Written as what holds, not as what is violated: a NaN keeps nothing.
     """
-    n, lanes = space.n, lanes_of(rows)
+    n, lanes = space.n, lanes_of(rows, space.precision)
     full = Space(n, space.d, space.opening, precision=space.precision)
     kept, row, point = ca.SX.sym("kept"), ca.SX.sym("row", n + 3), ca.SX.sym("point", n + 1)
     size = ca.SX.sym("size")

@@ -38,6 +38,16 @@ def safe_tick(n: int, p: int, m: int, *, precision: Precision = FLOAT64) -> Rout
         p: rows of the task, at least 1 (a row of zeros with x = 0 is no task).
         m: rows, at least 1 (a row of zeros between infinite bounds is none); fastest if a multiple of 8.
         precision: tolerances; those of the type of numbers that the routine is run with.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.ir import replay
+        >>> from surctl.priority import safe_tick
+        >>> tick = safe_tick(2, 1, 1)
+        >>> wall, box = [1.0, 0.0, -np.inf, 0.1, 1.0], [-1.0, -1.0, 1.0, 1.0]
+        >>> v, active, force, *_ = replay(tick, [0.3, 0.4], [0.0, 0.0], [0.0], wall, box)
+        >>> v.round(3).tolist(), active.tolist(), force.round(3).tolist()
+        ([0.1, 0.4], [1.0, 0.0], [0.2, 0.0])
     """
     sizes = Sizes(n, p, m, precision)
     carried = ("point", "active", "multipliers", "status", "count", "none")

@@ -1,4 +1,4 @@
-"""The solver's tolerances for one type of numbers."""
+"""The solver's tolerances for one type of numbers, and how many of those its processors work on at once."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ class Precision:
         sign, noise: what may be left of a multiplier's sign there: relative to the task's rest, to 1 + max |v|.
         pull, growth, gap: of the proximal steps of rung 3.
         margin: room that an opening gets beyond the least one.
+        lanes: rows that are worked on side by side, 1, 2 or 4: floats are for processors without vectors.
     """
 
     priced: float
@@ -48,6 +49,7 @@ class Precision:
     growth: float
     gap: float
     margin: float
+    lanes: int
 
 
 FLOAT64 = Precision(
@@ -69,6 +71,7 @@ FLOAT64 = Precision(
     growth=10.0,
     gap=1e-13,
     margin=1e-11,
+    lanes=4,
 )
 """Of double."""
 
@@ -91,5 +94,6 @@ FLOAT32 = Precision(
     growth=4.0,
     gap=1e-6,
     margin=1e-5,
+    lanes=1,
 )
 """Of float."""

@@ -29,7 +29,7 @@ class Sizes:
         self.fast = Space(n, n - p, precision=precision) if p < n else None
         self.opening = Space(n, n + 1, opening=True, precision=precision)
         self.rows = m * (n + 3)
-        self.lanes = lanes_of(m)
+        self.lanes = lanes_of(m, precision)
         self.blocks = m // self.lanes
         self.general_kernel = kernel(self.general, m)
         self.opening_kernel = kernel(self.opening, m)

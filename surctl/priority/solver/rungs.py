@@ -82,10 +82,9 @@ def _otherwise(sizes: Sizes) -> Routine:
     sizes_of = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("ends", 1))
     fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("skip", 1))
     fresh = tuple(f"{name}_next" for name, _ in sizes_of[:-1])
-    one = lower(ca.Function("done", [ca.SX.sym("ends")], [ca.SX.ones(1)]))
     steps = (
         Call(_dependent(sizes), tuple(name for name, _ in fixed), fresh),
-        Call(one, ("ends",), ("ends_next",)),
+        Call(_done("ends"), ("ends",), ("ends_next",)),
     )
     return Routine("otherwise", (*sizes_of, *fixed), steps, (*fresh, "ends_next"))
 
@@ -124,10 +123,15 @@ def lower_rungs(sizes: Sizes) -> Routine:
         ),
         Call(_opening(n), ("point",), ("opening",)),
         Call(served(sizes), ("open", "near", "opening", "J", "x"), first),
-        Call(_value(sizes), ("point_served", "end_served", "J"), ("held", "no", "yes")),
-        Call(exact_rung(sizes), ("open", "target", "J", "held", "no"), again),
-        Call(sizes.certificate, ("open", "point_again"), ("kept_again",)),
-        Call(opened(sizes), ("unit", "near", "point", "yes"), ("wide", "found", "kept_wide", "count_opened")),
+        Call(_value(sizes), ("point_served", "end_served", "J"), ("held", "no", "yes", "none")),
+        Loop(
+            _again(sizes), 1, carried=(*first[:3], "none", "none", "none", "no"),
+            results=(*again, "kept_again", "over_again"), fixed=("open", "target", "J", "held"), until=6,
+        ),
+        Loop(
+            _opening_turn(sizes), 1, carried=("point", "none", "none", "none", "yes"),
+            results=("wide", "found", "kept_wide", "count_opened", "over_opened"), fixed=("unit", "near"), until=4,
+        ),
         Call(
             _outcome(sizes),
             (
@@ -138,6 +142,39 @@ def lower_rungs(sizes: Sizes) -> Routine:
         ),
     )  # fmt: skip
     return Routine("down", (*state, *fixed), steps, tuple(f"{name}_next" for name, _ in state))
+
+
+def _again(sizes: Sizes) -> Routine:
+    """The one turn of a loop that runs where the task was served: rung 1 with its value, and whether it keeps rows."""
+    n, p = sizes.n, sizes.p
+    state = (
+        ("point", n + 1), ("active", n), ("multipliers", n), ("end", 1), ("count", 1), ("kept", 1), ("no", 1),
+    )  # fmt: skip
+    fixed = (("open", sizes.rows), ("target", n), ("J", p * n), ("held", p))
+    after = tuple(f"{name}_next" for name, _ in state)
+    steps = (
+        Call(exact_rung(sizes), ("open", "target", "J", "held", "no"), after[:5]),
+        Call(sizes.certificate, ("open", "point_next"), ("kept_next",)),
+        Call(_done("no"), ("no",), ("no_next",)),
+    )
+    return Routine("again", (*state, *fixed), steps, after)
+
+
+def _opening_turn(sizes: Sizes) -> Routine:
+    """The one turn of a loop that runs where it was not: the least opening."""
+    n = sizes.n
+    state = (("point", n + 1), ("found", 1), ("kept", 1), ("count", 1), ("yes", 1))
+    after = tuple(f"{name}_next" for name, _ in state)
+    steps = (
+        Call(opened(sizes), ("unit", "near", "point", "yes"), after[:4]),
+        Call(_done("yes"), ("yes",), ("yes_next",)),
+    )
+    return Routine("opening", (*state, ("unit", sizes.rows), ("near", n)), steps, after)
+
+
+def _done(flag: str) -> Program:
+    """That the one turn was made."""
+    return lower(ca.Function("done", [ca.SX.sym(flag)], [ca.SX.ones(1)]))
 
 
 def _opening(n: int) -> Program:
@@ -156,11 +193,12 @@ def _open_row(sizes: Sizes) -> Program:
 
 
 def _value(sizes: Sizes) -> Program:
-    """(served point, end, J) → the task's value there, and whether there is none, one."""
+    """(served point, end, J) → the task's value there, and whether there is none, one; 0."""
     n, p = sizes.n, sizes.p
     point, end, J = ca.SX.sym("point", n + 1), ca.SX.sym("end"), ca.SX.sym("J", p * n)
     good = ca.eq(end, OPTIMAL)
-    return lower(ca.Function("value", [point, end, J], [as_matrix(J, n) @ point[:n], ca.logic_not(good), good]))
+    outputs = [as_matrix(J, n) @ point[:n], ca.logic_not(good), good, ca.SX.zeros(1)]
+    return lower(ca.Function("value", [point, end, J], outputs))
 
 
 def _outcome(sizes: Sizes) -> Program:

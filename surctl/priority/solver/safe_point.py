@@ -89,6 +89,13 @@ def least_distance(
     Raises:
         InputError: shapes that disagree, a number that is not finite, or above 1e140 in A or J, bounds that cross; it
             names the row.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.priority import least_distance
+        >>> found = least_distance([0.3, 0.4], A=[[1.0, 0.0]], lower=[-np.inf], upper=[0.1], names=("wall",))
+        >>> found.v.round(3).tolist(), found.rung, [(name, round(force, 3)) for name, force in found.binding]
+        ([0.1, 0.4], 'met', [('wall', 0.2)])
     """
     goal = _array("target", target, (None,))
     n = goal.size

@@ -61,21 +61,44 @@ def _turn(sizes: Sizes) -> Routine:
     n, p = sizes.n, sizes.p
     state = (("point", n + 1), ("active", n), ("delta", 1), ("status", 1), ("count", 1))
     fixed = (("open", sizes.rows), ("matrix", p * n), ("pull", p))
-    rows = tuple(f"row{j}" for j in range(n))
-    steps: tuple[Step, ...] = (
+    steps = (
         Call(_weigh(sizes), ("point", "delta", "matrix", "pull"), ("base", "rest", "go")),
         Call(sizes.general_kernel, ("open", "base", "go", "rest"), ("found", "numbers", "u", "end", "spent")),
-        Call(_indices(n), ("numbers",), tuple(f"at{j}" for j in range(n))),
-        *(Gather("open", f"at{j}", n + 3, rows[j], lanes=sizes.lanes) for j in range(n)),
-        Call(_direct(sizes), ("found", "numbers", "matrix", "pull", *rows), ("direct", "good")),
-        Call(sizes.certificate, ("open", "direct"), ("kept",)),
+        Call(_unsolved(), ("end",), ("none", "stop")),
+        Loop(
+            _polish(sizes), 1, carried=("found", "none", "none", "stop"), results=("direct", "good", "kept", "over"),
+            fixed=("open", "matrix", "pull", "numbers"), until=3,
+        ),
         Call(
             _decide(sizes),
             (*(name for name, _ in state), "found", "numbers", "end", "spent", "direct", "good", "kept"),
             tuple(f"{name}_next" for name, _ in state),
         ),
-    )
+    )  # fmt: skip
     return Routine("serve", (*state, *fixed), steps, tuple(f"{name}_next" for name, _ in state))
+
+
+def _unsolved() -> Program:
+    """status of the kernel → 0, whether it found no point."""
+    end = ca.SX.sym("end")
+    return lower(ca.Function("unsolved", [end], [ca.SX.zeros(1), ca.logic_not(ca.eq(end, OPTIMAL))]))
+
+
+def _polish(sizes: Sizes) -> Routine:
+    """The one turn of a loop that runs where the kernel found a point: the direct one on its active rows."""
+    n, p = sizes.n, sizes.p
+    state = (("found", n + 1), ("good", 1), ("kept", 1), ("stop", 1))
+    fixed = (("open", sizes.rows), ("matrix", p * n), ("pull", p), ("numbers", n))
+    rows = tuple(f"row{j}" for j in range(n))
+    one = lower(ca.Function("done", [ca.SX.sym("ends")], [ca.SX.ones(1)]))
+    steps: tuple[Step, ...] = (
+        Call(_indices(n), ("numbers",), tuple(f"at{j}" for j in range(n))),
+        *(Gather("open", f"at{j}", n + 3, rows[j], lanes=sizes.lanes) for j in range(n)),
+        Call(_direct(sizes), ("found", "numbers", "matrix", "pull", *rows), ("direct", "good_next")),
+        Call(sizes.certificate, ("open", "direct"), ("kept_next",)),
+        Call(one, ("stop",), ("stop_next",)),
+    )
+    return Routine("polish", (*state, *fixed), steps, ("direct", "good_next", "kept_next", "stop_next"))
 
 
 def _weigh(sizes: Sizes) -> Program:

@@ -175,6 +175,19 @@ def test_the_opening_is_the_least() -> None:
     assert compared > 30
 
 
+@pytest.mark.parametrize(("angle", "length"), [(0.0, 1.0), (1e-12, 1.0), (1e-3, 1.0), (0.5, 1.0), (0.5, 1e-12)])
+def test_a_first_task_whose_rows_are_nearly_or_wholly_dependent_is_met_as_in_numpy(angle: float, length: float) -> None:
+    rows = [[1.0, 0.0, 0.0, 0.0], [length * np.cos(angle), length * np.sin(angle), 0.0, 0.0]]
+    asked = np.array([0.3, length * 0.1])
+    problem = build_problem([Level("first", rows, asked), Level("second", E[2:3], [0.2])], box(0.5))
+    tick = tick_for(VALUES, Settings("projected"))
+    tick.load(problem)
+    tick.solve()
+    want = solve(problem)
+    assert STATUS[tick.rung] == want.status
+    assert np.abs(tick.v - want.v).max() <= 2e-8 * size(want.v)
+
+
 def test_the_rows_that_hold_the_first_task_back_balance_its_pull() -> None:
     tick, rng, checked = tick_for(VALUES, Settings("projected")), np.random.default_rng(8), 0
     for _ in range(200):
