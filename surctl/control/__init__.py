@@ -13,6 +13,7 @@ from surctl.control.law import (
 )
 from surctl.control.ports import CONTACT_SLOTS, INPUTS, PARAMETERS, law_inputs, law_parameters
 from surctl.control.registry import LAW_NAMES, LAWS, LawName
+from surctl.control.routines import in_real
 from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "LawStep",
     "Movers",
     "build_law",
+    "in_real",
     "law_inputs",
     "law_parameters",
     "load_gains",

@@ -10,8 +10,20 @@ import casadi as ca
 
 from surctl.control.baselines import Situation
 from surctl.control.echoes import perceive, perception_ports
-from surctl.control.law import DEGRADED, SATURATED, SWITCHED, TELEMETRY, TRAPPED, TRAPPED_PORT, Law, scan_telemetry
+from surctl.control.law import (
+    DEGRADED,
+    DEPTH_PORT,
+    SATURATED,
+    SWITCHED,
+    TELEMETRY,
+    TRAPPED,
+    TRAPPED_PORT,
+    Law,
+    scan_telemetry,
+)
 from surctl.control.laws import DECISION_PORTS, Decision, Scan
+from surctl.control.layers import LAYER_PORTS, aimed_depth
+from surctl.control.lean import DAMPING, LEAN_PORTS, told_obstacle
 from surctl.control.ports import (
     CONTACT_SLOTS,
     DEFAULT_ARRAY,
@@ -24,14 +36,15 @@ from surctl.control.ports import (
 )
 from surctl.control.reference import learnt, path_wish
 from surctl.control.registry import LAW_NAMES, LAWS, LawName
+from surctl.control.routines import limited, sensing
 from surctl.control.senses import Senses, build_senses
 from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
 from surctl.control.trap import TRAP_PORTS, standing, trap_next
 from surctl.control.velocity import velocity_control
 from surctl.errors import InputError, nearest
 from surctl.guidance import FORMS, AvoidanceForm, Guidance, check_guidance
-from surctl.ir import Block, Call, Layout, Port, Routine, lower, without_libm
-from surctl.priority import LevelShape, Mode, nsb_symbolic, priority_tick
+from surctl.ir import Layout, Port, lower, without_libm
+from surctl.priority import Mode, nsb_symbolic
 from surctl.priority.solver.ladder import RELAXED
 from surctl.sensing import Equipment
 from surctl.tasks import LimitRow, VelocityBox
@@ -59,6 +72,7 @@ def build_law(
     guidance: Guidance = "los",
     barrier: Barrier = "simple",
     movers: Movers = "predict",
+    depths: bool = False,
 ) -> Law:
     """Assemble a law once; the gains stay symbols.
 
@@ -77,6 +91,9 @@ def build_law(
             form of `guidance.braking` at the worst of the vehicle's ranges.
             With sonars `inertia` does not get through the pool, where there are centimetres only.
         movers: what `guarded` does about what moves: `predict` its way and sidestep, or keep the `barrier` to it too.
+
+        depths: whether `guarded` may leave a dead end by another depth; it is then told of the water above and below
+            (`column`, see `control.layers`). Other laws keep to the path's depth.
 
     Raises:
         InputError: an unknown name, or a form that the law does not take.
@@ -103,33 +120,30 @@ def build_law(
         )
     if law == "paper" and sonar and equipment.array != DEFAULT_ARRAY:
         raise InputError("law paper has the four sonars of the paper", key="array", remedy="fly law guarded")
+    depths = depths and law == "guarded"
+    if law == "lean":
+        if sonar or mode != "nsb":
+            raise InputError(
+                "law lean senses nothing, and keeps no limits",
+                key="sensing" if sonar else "priority-mode",
+                remedy="--sensing truth, --priority-mode nsb",
+            )
+        contacts = 1
     if law == "paper" or not sonar:
-        told = law_inputs(contacts, sonar=sonar)
+        told = law_inputs(contacts, sonar=sonar, depths=depths)
         return _decide(
             law, avoidance, mode, dt, told, guidance, sonar=sonar, moving=moving, barrier=barrier, movers=movers
         )
-    told = scan_inputs(contacts + SECTORS, sensors=equipment.array.size)
+    told = scan_inputs(contacts + SECTORS, sensors=equipment.array.size, depths=depths)
     decide = _decide(law, avoidance, mode, dt, told, guidance, barrier=barrier, movers=movers)
-    return _with_senses(decide, build_senses(equipment, sonar_inputs(equipment, contacts=contacts), told, dt=dt))
+    given = sonar_inputs(equipment, contacts=contacts, depths=depths)
+    return _with_senses(decide, build_senses(equipment, given, told, dt=dt))
 
 
 def _with_senses(decide: Law, senses: Senses) -> Law:
     """The whole law: what the senses tell, decided on."""
     state = Layout((*decide.state.ports, *senses.state.ports))
-    x = ca.SX.sym("x", state.size)
-    own = decide.state.size
-    apart = lower(ca.Function("apart", [x], [x[:own], x[own:]], ["x"], ["decided", "sensed"]))
-    names = ("decided", "tau", "sensed")
-    parts = [ca.SX.sym(name, size) for name, size in zip(names, (own, 4, senses.state.size - 4), strict=True)]
-    together = lower(ca.Function("together", parts, [ca.vertcat(*parts)], names, ["x_next"]))
-    steps = (
-        Call(apart, ("x",), ("decided", "sensed")),
-        Call(senses.block, ("sensed", "u", "p"), ("sensed_next", "told")),
-        Call(decide.block, ("decided", "told", "p"), ("tau", "decided_next", "status", "telemetry")),
-        Call(together, ("decided_next", "tau", "sensed_next"), ("x_next",)),
-    )
-    sizes = (("x", state.size), ("u", senses.inputs.size), ("p", PARAMETERS.size))
-    block = Routine("law", sizes, steps, ("tau", "x_next", "status", "telemetry"))
+    block = sensing(decide.block, decide.state, senses)
     return replace(decide, state=state, inputs=senses.inputs, block=block, senses=senses)
 
 
@@ -148,19 +162,25 @@ def _decide(
 ) -> Law:
     """The law, or what of it comes after the senses."""
     scans = "unknown" in inputs
-    state = _state_layout(dt, guidance, gives_up=law == "guarded", sonar=sonar)
+    depths, lean = "column" in inputs, law == "lean"
+    decided = LEAN_PORTS if lean else DECISION_PORTS
+    state = _state_layout(dt, guidance, gives_up=law == "guarded", sonar=sonar, depths=depths, decided=decided)
     listed = scan_telemetry(inputs.port("heard").shape[0]) if scans else TELEMETRY
-    outputs = Layout((*listed, *((TRAPPED_PORT,) if "trapped" in state else ())))
+    outputs = Layout((*listed, *((TRAPPED_PORT,) if "trapped" in state else ()), *((DEPTH_PORT,) if depths else ())))
     x, xs = state.symbols("x")
     u, us = inputs.symbols("u")
     p, ps = PARAMETERS.symbols("p")
     wish = path_wish(us["eta"], xs["progress"], ps, dt=dt, guidance=guidance, memory=xs.get("drift"))
     if "trapped" in xs:
         wish = standing(wish, xs, us["eta"], ps)
-    seen = perceive(xs, us, ps, dt=dt)
+    asked, layer_depth = ps, ps["depth"]
+    if depths:
+        layer_depth, aimed = aimed_depth(xs, us["eta"], us["nu"], us["column"], ps)
+        asked = {**ps, "depth": aimed}
+    seen = told_obstacle(us, ps) if lean else perceive(xs, us, ps, dt=dt)
     scan = Scan(us["unknown"], us["heard"], us["placed"]) if scans else None
     decision = LAWS[law](
-        Situation(avoidance, wish, seen, xs, us["eta"], us["nu"], ps, dt, scan, moving, barrier, movers)
+        Situation(avoidance, wish, seen, xs, us["eta"], us["nu"], asked, dt, scan, moving, barrier, movers)
     )
     nearest_clearance = ca.SX(100)
     for contact in seen.all:
@@ -179,16 +199,21 @@ def _decide(
     if "drift" in xs:
         carried["drift"] = learnt(guidance, wish, xs["drift"], us["eta"], us["nu"], decision.avoiding, ps, dt=dt)
     if "trapped" in xs:
-        trap = trap_next(wish, seen.known if moving else (), xs, us["eta"], decision.halted, ps, dt=dt)
+        told_of = us["nu"], us.get("column")
+        trap = trap_next(wish, seen.known if moving else (), xs, us["eta"], decision.halted, ps, *told_of, dt=dt)
         carried |= trap
         told["trapped"] = trap["trapped"]
+    if depths:
+        told["wanted_depth"] = layer_depth
+        # as beside the path: what is flown there is no error of following it
+        told["avoiding"] = ca.logic_or(told["avoiding"], ca.fabs(xs["layer"]) > 0)
     flags = SWITCHED * ca.logic_not(decision.state["side"] == xs["side"]) + DEGRADED * decision.degraded
     flags += TRAPPED * told.get("trapped", 0)
     memory = _Memory(state.join(carried), outputs.join({**unknown, **told})[8:], flags)
 
     rows = _rows(decision, ps)
     levels = tuple((level.name, int(level.J.shape[0]), level.unit) for level in decision.levels)
-    nsb = nsb_symbolic([(level.J, level.reference) for level in decision.levels])
+    nsb = nsb_symbolic([(level.J, level.reference) for level in decision.levels], damping=DAMPING if lean else 0.0)
     close = _Closing(state, outputs, u, us, p, ps, dt)
     given, found, options = ["x", "u", "p"], ["tau", "x_next", "status", "telemetry"], {"cse": True}
     function = ca.Function("law", [x, u, p], close.outputs_of(memory, nsb, ca.SX(0)), given, found, options)
@@ -212,7 +237,7 @@ def _decide(
         outputs=outputs,
         # the same bytes from every compiler on every processor
         block=without_libm(
-            lower(function) if mode == "nsb" else _routine(mode, pre, post, levels=levels, rows=len(rows))
+            lower(function) if mode == "nsb" else limited(mode, pre, post, levels=levels, rows=len(rows))
         ),
         function=function,
         pre=pre,
@@ -223,23 +248,6 @@ def _decide(
         barrier=barrier,
         movers=movers,
     )
-
-
-def _routine(
-    mode: Mode, pre: ca.Function, post: ca.Function, *, levels: tuple[tuple[str, int, str], ...], rows: int
-) -> Block:
-    """`pre`, the priority tick, and `post`."""
-    shapes = tuple(LevelShape(count) for _, count, _ in levels)
-    tick = priority_tick(mode, n=4, levels=shapes, rows=rows)
-    before, after = lower(pre), lower(post)
-    answer = tuple(f"tick_{name}" for name, _ in tick.outputs)
-    results = tuple(name for name, _ in after.outputs)
-    steps = (
-        Call(before, ("x", "u", "p"), (*_TICK_INPUTS, *_Memory._fields)),
-        Call(tick, ("J", "wanted", "wanted", "rows", "box"), answer),
-        Call(after, ("u", "p", *_Memory._fields, "tick_v", "tick_status"), results),
-    )
-    return Routine("law", before.inputs, steps, results)
 
 
 def _rows(decision: Decision, p: dict[str, ca.SX]) -> list[LimitRow]:
@@ -262,7 +270,9 @@ def _tick_inputs(decision: Decision, rows: list[LimitRow], p: dict[str, ca.SX]) 
     return [ca.densify(output) for output in outputs]
 
 
-def _state_layout(dt: float, guidance: Guidance, *, gives_up: bool, sonar: bool) -> Layout:
+def _state_layout(
+    dt: float, guidance: Guidance, *, gives_up: bool, sonar: bool, depths: bool, decided: tuple[Port, ...]
+) -> Layout:
     unit = {"ilos": "s", "alos": "1"}.get(guidance, "")
     memory = (Port("drift", (1,), unit, f"what guidance {guidance} has learnt of a steady push"),) if unit else ()
     return Layout(
@@ -271,7 +281,8 @@ def _state_layout(dt: float, guidance: Guidance, *, gives_up: bool, sonar: bool)
             Port("integral", (4,), "m/s^2, rad/s^2", "integral action of the velocity loops"),
             *memory,
             *(TRAP_PORTS if gives_up else ()),
-            *DECISION_PORTS,
+            *(LAYER_PORTS if depths else ()),
+            *decided,
             *perception_ports(dt, sonar=sonar),
         )
     )

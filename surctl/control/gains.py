@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -12,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from surctl.errors import InputError, nearest
-from surctl.files import Quantity, Strict, load_model, pick
+from surctl.files import Quantity, Strict, load_model, pick, quoted
 
 __all__ = ["GAINS", "LIBRARY", "GainSpec", "Gains", "load_gains", "write_gains"]
 
@@ -65,12 +64,13 @@ class _GainFile(Strict):
 
 @dataclass(frozen=True)
 class Gains:
-    """A named, complete set of gains (SI units); values by name."""
+    """A named, complete set of gains (SI units); values by name, and the ranges that the file states."""
 
     name: str
     values: Mapping[str, float]
     provenance: str
     source: str = ""
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> float:
         """Value of the gain; InputError with the nearest known name."""
@@ -113,38 +113,64 @@ def load_gains(name_or_path: str) -> Gains:
 
     Raises:
         InputError: unreadable file, unknown or missing gain, wrong unit, or a value out of its bounds.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> gains = load_gains("default")
+        >>> gains["k_v"], gains["lookahead"], gains.provenance
+        (1.5, 0.8, 'chosen by hand: the paper prints no gain')
     """
     path = pick(str(name_or_path), LIBRARY, what="gains")
     model = load_model(path, _GainFile)
+    given: dict[str, float] = {}
+    ranges: dict[str, tuple[float, float]] = {}
     for name, quantity in model.gains.items():
         check_name(name, path)
-        if quantity.unit != GAINS[name].unit:
-            raise InputError(
-                "wrong unit",
-                file=path,
-                key=f"gains.{name}.unit",
-                value=quantity.unit,
-                remedy=f"give it in {GAINS[name].unit}",
-            )
-        check_value(name, quantity.value, path)
+        try:
+            stated = quantity.within(GAINS[name].unit)
+        except InputError as error:
+            raise error.inside(path, f"gains.{name}.unit") from None
+        check_value(name, stated.value, path)
+        given[name] = stated.value
+        if stated.range is not None:
+            for bound in stated.range:
+                check_value(name, bound, path)
+            if not stated.range[0] <= stated.value <= stated.range[1]:
+                raise InputError(
+                    "is outside its own range",
+                    file=path,
+                    key=f"gains.{name}",
+                    value=stated.value,
+                    remedy=f"{stated.range[0]:g} to {stated.range[1]:g} is stated",
+                )
+            ranges[name] = stated.range
     for name, spec in GAINS.items():
-        if name not in model.gains and spec.default is None:
+        if name not in given and spec.default is None:
             raise InputError(
                 "is missing",
                 file=path,
                 key=f"gains.{name}",
                 remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
             )
-    values = {n: model.gains[n].value if n in model.gains else spec.default or 0.0 for n, spec in GAINS.items()}
-    return Gains(model.name, values, model.provenance, str(path))
+    values = {n: given.get(n, spec.default or 0.0) for n, spec in GAINS.items()}
+    return Gains(model.name, values, model.provenance, str(path), ranges)
 
 
 def write_gains(gains: Gains) -> str:
-    """The gain file's text; reading it gives the same numbers back."""
+    """The gain file's text; reading it gives the same values back. Stated ranges are not written.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.control import load_gains, write_gains
+        >>> tuned = load_gains("default").with_values({"k_v": 2.5}, provenance="tried by hand")
+        >>> _ = Path("brisk.toml").write_text(write_gains(tuned))
+        >>> load_gains("brisk.toml")["k_v"], load_gains("brisk.toml").provenance
+        (2.5, 'tried by hand')
+    """
     lines = [
         'kind = "gains"',
-        f"name = {_quoted(gains.name)}",
-        f"provenance = {_quoted(gains.provenance)}",
+        f"name = {quoted(gains.name)}",
+        f"provenance = {quoted(gains.provenance)}",
         "",
         "[gains]",
     ]
@@ -153,8 +179,3 @@ def write_gains(gains: Gains) -> str:
         for name, value in gains.values.items()
     ]
     return "\n".join(lines) + "\n"
-
-
-def _quoted(text: str) -> str:
-    """A TOML basic string: JSON's escapes, and DEL, which JSON leaves bare."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

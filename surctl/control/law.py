@@ -43,6 +43,10 @@ TRAPPED_PORT = Port(
     "trapped", (1,), "1", "1 from when it gave up in a dead end: it stands, and gives way to what moves"
 )
 
+DEPTH_PORT = Port(
+    "wanted_depth", (1,), "m", "z in {E} that it flies at or changes to; not the path's while it passes a dead end"
+)
+
 
 def scan_telemetry(sensors: int) -> tuple[Port, ...]:
     """The telemetry of a law that scans with so many sonars."""
@@ -186,7 +190,8 @@ class Law:
         x, u, p = self._vectors(x, u, p)
         if self.senses is None:
             return u
-        _, told = self._sense(x[-self.senses.state.size :], u, p)
+        anew = [x[self.state.slice("changing")] < -0.5] if "changing" in self.state else []
+        _, told = self._sense(x[-self.senses.state.size :], u, p, *anew)
         return np.asarray(told, dtype=np.float64).reshape(-1)
 
     def explained(self, x: Vector, u: Vector, p: Vector) -> PrioritySolution:

@@ -18,7 +18,7 @@ import numpy as np
 from surctl.control.echoes import Perception
 from surctl.control.ports import SECTORS
 from surctl.control.reference import Wish
-from surctl.control.stopping import BRAKE, Stop
+from surctl.control.stopping import Stop, braked
 from surctl.guidance import (
     FAR,
     SAME_CONTACT,
@@ -150,11 +150,12 @@ def guarded_law(
         walls=seen.walls,
     )
     velocity, halted = choice.velocity, ca.SX(0)
-    named = [(f"contact_{k}", sector.normal, sector.bound) for k, sector in enumerate(sectors)]
-    levels = [Wanted.of(task) for task in _lower_tasks(eta, wish, p)]
+    bounds = [(sector.normal, sector.bound) for sector in sectors]
+    named = [(f"contact_{k}", *bound) for k, bound in enumerate(bounds)]
+    levels = [Wanted.of(task) for task in lower_tasks(eta, wish, p)]
     over_ground = planar_rotation(eta[3]) @ nu[:2]
     if scan is None:
-        velocity = _braked(velocity, over_ground, [(sector.normal, sector.bound) for sector in sectors])
+        velocity = braked(velocity, over_ground, bounds)
     else:
         caution = _cautious_bounds(scan, stop, p)
         chased = ca.SX(0)
@@ -169,9 +170,9 @@ def guarded_law(
             chased = ca.logic_or(chased, ca.logic_and(soon, inside(cautious, cone) > _DEEP))
         velocity = ca.if_else(chased, velocity, cautious)
         blind = ca.sum1(scan.heard[:, 2]) < 0.5
-        told, still = sectors[:marks], sectors[marks:]
-        velocity = _braked(velocity, over_ground, [(sector.normal, sector.bound) for sector in told])
-        velocity = _braked(velocity, over_ground, [*((sector.normal, sector.bound) for sector in still), *caution])
+        calm = ca.logic_not(chased)
+        velocity = braked(velocity, over_ground, bounds[:marks], calm=calm)
+        velocity = braked(velocity, over_ground, [*bounds[marks:], *caution], calm=calm)
         for sector in sectors[-len(seen.walls) :]:  # whose normals are at right angles: one after the other is exact
             velocity -= ca.fmax(ca.dot(velocity, sector.normal) - sector.bound, 0) * sector.normal
         lost = ca.logic_or(blind, ca.logic_not(scan.placed))
@@ -215,16 +216,6 @@ def _cautious_bounds(scan: Scan, stop: Stop, p: Mapping[str, ca.SX]) -> list[tup
     return bounds
 
 
-def _braked(velocity: ca.SX, now: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) -> ca.SX:
-    """More than the velocity loop alone would brake, where the robot is faster than a bound."""
-    excess, normal = ca.SX(0), ca.SX.zeros(2)
-    for n, bound in bounds:
-        over = ca.dot(now, n) - bound
-        normal = ca.if_else(over > excess, n, normal)
-        excess = ca.fmax(excess, over)
-    return velocity - BRAKE * excess * normal
-
-
 def paper_law(
     form: AvoidanceForm,
     wish: Wish,
@@ -249,7 +240,7 @@ def paper_law(
         avoiding = ca.logic_or(avoiding, other)
     velocity, side = _avoidance_velocity(form, wish, _most_urgent(sensed, threat, wish), avoiding, x, p, dt=dt)
     levels = _by_urgency(sensed, closing, velocity, eta, p)
-    lower = (velocity_task(eta, velocity), *_lower_tasks(eta, wish, p))
+    lower = (velocity_task(eta, velocity), *lower_tasks(eta, wish, p))
     return Decision(
         [*levels, *(Wanted.of(task) for task in lower)],
         [],
@@ -281,7 +272,7 @@ def _cone(contact: Contact, evaded: ca.SX, point: ca.SX, eta: ca.SX, p: Mapping[
     )
 
 
-def _lower_tasks(eta: ca.SX, wish: Wish, p: Mapping[str, ca.SX]) -> tuple[Task, Task]:
+def lower_tasks(eta: ca.SX, wish: Wish, p: Mapping[str, ca.SX]) -> tuple[Task, Task]:
     return (
         depth_task(eta, p["depth"], gain=p["k2"]),
         heading_task(eta, wish.heading, gain=p["k_psi"]),

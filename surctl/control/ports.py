@@ -40,12 +40,29 @@ _POSE = (
 )
 
 
-def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True) -> Layout:
+_COLUMN = Port(
+    "column",
+    (2,),
+    "m",
+    "free water above and below the hull that the mission allows, of echo sounders up and down; 0 where not known",
+)
+
+
+def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True, depths: bool = False) -> Layout:
     """What a law is given each tick.
 
     Args:
         contacts: number of slots for known obstacles, 0 or more.
         sonar: whether it listens to the sonars.
+        depths: whether it may escape by depth, and so has echo sounders up and down.
+
+    Example:
+        >>> from surctl.control import law_inputs
+        >>> told = law_inputs(3, sonar=False)
+        >>> [port.name for port in told.ports], told.port("contacts").shape
+        (['eta', 'nu', 'contacts'], (3, 6))
+        >>> [port.name for port in law_inputs(3, depths=True).ports]
+        ['eta', 'nu', 'contacts', 'samples', 'fresh', 'column']
     """
     known = Port(
         "contacts",
@@ -53,7 +70,8 @@ def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True) -> Layout:
         "m, m/s, 1",
         "known obstacles in {E}, one a row: x, y, radius, vx, vy, valid (0 or 1)",
     )
-    return Layout((*_POSE, *((known,) if contacts else ()), *(_heard_ports(DEFAULT_ARRAY) if sonar else ())))
+    heard = _heard_ports(DEFAULT_ARRAY) if sonar else ()
+    return Layout((*_POSE, *((known,) if contacts else ()), *heard, *((_COLUMN,) if depths else ())))
 
 
 def _heard_ports(array: SonarArray) -> tuple[Port, ...]:
@@ -68,12 +86,13 @@ def _heard_ports(array: SonarArray) -> tuple[Port, ...]:
 INPUTS = law_inputs()
 
 
-def sonar_inputs(equipment: Equipment, *, contacts: int = CONTACT_SLOTS) -> Layout:
+def sonar_inputs(equipment: Equipment, *, contacts: int = CONTACT_SLOTS, depths: bool = False) -> Layout:
     """What a law that scans is given each tick.
 
     Args:
         equipment: what the robot senses with.
         contacts: number of moving obstacles that a message of the base station can hold, 0 or more.
+        depths: see `law_inputs`.
     """
     array, own = equipment.array, equipment.own
     pose: tuple[Port, ...] = _POSE
@@ -97,15 +116,16 @@ def sonar_inputs(equipment: Equipment, *, contacts: int = CONTACT_SLOTS) -> Layo
         Port("contacts", (contacts, 6), "m, m/s, 1", f"{seen}, one a row: x, y, radius, vx, vy, valid (0 or 1)"),
         Port("contacts_fresh", (1,), "1", "1 where such a message has arrived since the last step, else 0"),
     )
-    return Layout((*pose, *(known if contacts else ()), *_heard_ports(array)))
+    return Layout((*pose, *(known if contacts else ()), *_heard_ports(array), *((_COLUMN,) if depths else ())))
 
 
-def scan_inputs(contacts: int, *, sensors: int) -> Layout:
+def scan_inputs(contacts: int, *, sensors: int, depths: bool = False) -> Layout:
     """What the senses tell the decision of a law that scans.
 
     Args:
         contacts: number of contacts, those of the base station and those of the map.
         sensors: number of sonars.
+        depths: see `law_inputs`.
     """
     return Layout(
         (
@@ -125,6 +145,7 @@ def scan_inputs(contacts: int, *, sensors: int) -> Layout:
                 "each sonar: range, bound, healthy (0 or 1), age, axis x and y in {E}",
             ),
             Port("placed", (1,), "1", "1 while the robot knows where it is", 1.0),
+            *((_COLUMN,) if depths else ()),
         )
     )
 
@@ -180,6 +201,22 @@ def law_parameters(
         cap: largest commanded horizontal speed [m/s].
         walls: x_min, x_max, y_min, y_max [m].
         launch: water around the hull that is known to be free at the start [m].
+
+    Example:
+        >>> from surctl.control import PARAMETERS, law_parameters, load_gains
+        >>> from surctl.guidance import Path
+        >>> from surctl.vehicle import load_vehicle
+        >>> p = law_parameters(
+        ...     load_gains("default"),
+        ...     load_vehicle("sur400"),
+        ...     path=Path([[0.5, 1.0], [2.5, 1.0]]),
+        ...     depth=-0.3,
+        ...     cruise=0.15,
+        ...     cap=0.2,
+        ...     walls=(0.0, 3.0, 0.0, 2.0),
+        ... )
+        >>> p.shape, p[PARAMETERS.slice("thrust_limit")].tolist(), p[PARAMETERS.slice("walls")].tolist()
+        ((69,), [5.0, 5.0, 5.0, 0.5], [0.0, 3.0, 0.0, 2.0])
     """
     brakes = brakes_of(vehicle)
     values: Mapping[str, object] = {

@@ -8,11 +8,12 @@ from typing import Literal, TypeAlias
 
 from surctl.control.baselines import Situation, apf_law, cbf_law, dwa_law, vo_law
 from surctl.control.laws import Decision, guarded_law, paper_law
+from surctl.control.lean import lean_law
 from surctl.control.stopping import BARRIERS
 
 __all__ = ["LAWS", "LAW_NAMES", "LawBuilder", "LawName"]
 
-LawName = Literal["guarded", "paper", "apf", "dwa", "vo", "cbf"]
+LawName = Literal["guarded", "paper", "lean", "apf", "dwa", "vo", "cbf"]
 LawBuilder: TypeAlias = Callable[[Situation], Decision]
 
 
@@ -26,8 +27,12 @@ def _paper(s: Situation) -> Decision:
     return paper_law(s.form, s.wish, s.seen, s.x, s.eta, s.p, dt=s.dt)
 
 
+def _lean(s: Situation) -> Decision:
+    return lean_law(s.wish, s.seen, s.x, s.eta, s.p)
+
+
 LAWS: Mapping[LawName, LawBuilder] = MappingProxyType(
-    {"guarded": _guarded, "paper": _paper, "apf": apf_law, "dwa": dwa_law, "vo": vo_law, "cbf": cbf_law}
+    {"guarded": _guarded, "paper": _paper, "lean": _lean, "apf": apf_law, "dwa": dwa_law, "vo": vo_law, "cbf": cbf_law}
 )
 """Name → what decides."""
 

@@ -50,7 +50,8 @@ class Senses:
         state: layout of its state, `LAST_THRUST` first.
         inputs: layout of what it is given.
         told: layout of what it tells the decision.
-        block: (state, inputs, parameters) → (next state without the thrust, told).
+        block: (state, inputs, parameters) → (next state without the thrust, told); where other depths are allowed, a
+            fourth input is 1 in a step in which the map starts anew.
     """
 
     state: Layout
@@ -88,18 +89,21 @@ class _Builder:
                 "the hull cuts a beam in two, and the map knows one cone a sonar", key="array.mounts", remedy="move it"
             )
         split, feel, tell = self._split(), self._feel(), self._tell()
+        # of a law that changes its depth: what was heard at the last one is of no use
+        anew, corner = (("anew",), "corner") if "column" in self.told else ((), "map_corner")
         steps = (
             Call(split, ("x",), tuple(name for name, _ in split.outputs)),
             Call(feel, ("small", "u", "p"), ("small_next", "place", "walls", "readings", "seen")),
+            *(Call(self._anew(), ("map_corner", name), (corner,)) for name in anew),
             Call(
                 self._map.routine(),
-                ("map_cells", "map_corner", "place", "walls", "readings"),
+                ("map_cells", corner, "place", "walls", "readings"),
                 ("map_cells_next", "map_corner_next", "marked", "unknown"),
             ),
             Call(tell, ("p", "seen", "marked", "unknown"), ("told",)),
             Call(self._join(), ("small_next", "map_cells_next", "map_corner_next"), ("x_next",)),
         )
-        sizes = (("x", self.state.size), ("u", self.inputs.size), ("p", PARAMETERS.size))
+        sizes = (("x", self.state.size), ("u", self.inputs.size), ("p", PARAMETERS.size), *((n, 1) for n in anew))
         block = without_libm(Routine("senses", sizes, steps, ("x_next", "told")))
         return Senses(self.state, self.inputs, self.told, block)
 
@@ -164,8 +168,9 @@ class _Builder:
         slots = self._movers.slots if self._movers else 0
         known = (Port("movers", (slots, 6), "m, m/s, 1", "moving obstacles now"),) if slots else ()
         pose = tuple(self.told.port(name) for name in ("eta", "nu"))
+        column = (self.told.port("column"),) if "column" in self.told else ()
         doubt = Port("doubt", (1,), "m", "doubt about the own position beyond what the margin has room for")
-        return Layout((*pose, doubt, self.told.port("placed"), *known, heard))
+        return Layout((*pose, doubt, self.told.port("placed"), *known, heard, *column))
 
     def _split(self) -> Program:
         """The thrust and small states as one array, then the map's two."""
@@ -173,6 +178,12 @@ class _Builder:
         parts = {name: x[self.state.slice(f"map_{name}")] for name in ("cells", "corner")}
         small = x[: LAST_THRUST.size + self._small.size]
         return _lowered("split", {"x": x}, {"small": small, **{f"map_{k}": v for k, v in parts.items()}})
+
+    def _anew(self) -> Program:
+        """The map's corner; nowhere if the map is to start anew."""
+        corner, anew = ca.SX.sym("corner", 2), ca.SX.sym("anew")
+        nowhere = self.state.port("map_corner").default
+        return _lowered("anew", {"corner": corner, "anew": anew}, {"at": ca.if_else(anew > 0.5, nowhere, corner)})
 
     def _join(self) -> Program:
         parts = {
@@ -237,6 +248,8 @@ class _Builder:
         }
         if self._movers:
             seen["movers"] = around.movers
+        if "column" in self.told:
+            seen["column"] = given["column"]
         free = known["hull"] + ca.if_else(x["launched"], 0, known["launch"])
         outputs = {
             "small_next": self._small.join(
@@ -314,6 +327,8 @@ class _Builder:
             "heard": seen["heard"],
             "placed": seen["placed"],
         }
+        if "column" in seen:
+            values["column"] = seen["column"]
         inputs = {"p": p, "seen": flat, "marked": marked, "unknown": unknown}
         return _lowered("tell", inputs, {"told": self.told.join(values)})
 

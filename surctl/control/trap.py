@@ -4,7 +4,7 @@ Getting on is one of two things: the projection on the path comes further than e
 then grows. A search that goes to and fro between the arms of a U does neither. The time without both is counted, but
 not while something that moves is near, at the path's end, or while the law halts for want of knowledge, which it
 reports by itself; after `patience` the robot is trapped, for good: it stays where it is, and still gives way to what
-moves.
+moves. Where other depths are allowed they are tried before (`control.layers`).
 """
 
 from __future__ import annotations
@@ -14,17 +14,18 @@ from dataclasses import replace
 
 import casadi as ca
 
+from surctl.control.layers import layers_next
 from surctl.control.reference import Wish
 from surctl.guidance import Contact
 from surctl.ir import Port
 
 __all__ = ["TRAP_PORTS", "standing", "trap_next"]
 
-_NEW = 0.1  # [m] by which the robot must get on; several times what its position is uncertain by
-_NEAR = 1.5  # [m] clearance within which something that moves is waited for
-_MOVES = 0.05  # [m/s] from which it does
-_ARRIVED = 0.2  # [m] from the path's end within which there is nowhere to get on to
-_HOLD = 0.5  # [1/s] gain with which the place is kept
+NEW = 0.1  # [m] by which the robot must get on; several times what its position is uncertain by
+NEAR = 1.5  # [m] clearance within which something that moves is waited for
+MOVES = 0.05  # [m/s] from which it does
+ARRIVED = 0.2  # [m] from the path's end within which there is nowhere to get on to
+HOLD = 0.5  # [1/s] gain with which the place is kept
 
 TRAP_PORTS = (
     Port("furthest", (1,), "m", "arc length of the path that was reached at most", -100.0),
@@ -35,18 +36,19 @@ TRAP_PORTS = (
 
 
 def standing(wish: Wish, x: Mapping[str, ca.SX], eta: ca.SX, p: Mapping[str, ca.SX]) -> Wish:
-    """The wish, or to stay where the robot gave up.
+    """The wish, or to stay where the robot gave up, or where it changes its depth.
 
     Args:
         wish: what it would do.
-        x: state, `TRAP_PORTS` among it.
+        x: state, `TRAP_PORTS` among it, and `LAYER_PORTS` where other depths are allowed.
         eta: (4, 1) pose in {E}.
         p: `cruise`.
     """
     offset = ca.vertcat(x["searched"][0], x["searched"][2]) - eta[:2]
     distance = ca.sqrt(ca.sumsqr(offset))
-    kept = offset * ca.fmin(_HOLD, p["cruise"] / ca.fmax(distance, 1e-3))
-    return replace(wish, velocity=ca.if_else(x["trapped"] > 0.5, kept, wish.velocity))
+    kept = offset * ca.fmin(HOLD, p["cruise"] / ca.fmax(distance, 1e-3))
+    stands = ca.fmax(x["trapped"], x["changing"]) if "changing" in x else x["trapped"]
+    return replace(wish, velocity=ca.if_else(stands > 0.5, kept, wish.velocity))
 
 
 def trap_next(
@@ -56,10 +58,12 @@ def trap_next(
     eta: ca.SX,
     halted: ca.SX,
     p: Mapping[str, ca.SX],
+    nu: ca.SX | None = None,
+    column: ca.SX | None = None,
     *,
     dt: float,
 ) -> dict[str, ca.SX]:
-    """`TRAP_PORTS` one control period later.
+    """`TRAP_PORTS` one control period later, and `LAYER_PORTS` where other depths are allowed.
 
     Args:
         wish: of this step.
@@ -67,31 +71,37 @@ def trap_next(
         x: state.
         eta: (4, 1) pose in {E}.
         halted: 1 while the law stands for want of knowledge.
-        p: `patience`, 0 for never, and `waypoints`.
+        p: `patience`, 0 for never, and `waypoints`; for other depths what `layers.aimed_depth` needs.
+        nu: (4, 1) velocity in {B}, for other depths.
+        column: (2, 1) free water above and below the hull [m]; None: the path's depth alone.
         dt: control period [s].
     """
     here = ca.vertcat(eta[0], eta[0], eta[1], eta[1])
     signs = ca.DM([-1, 1, -1, 1])
     grown = signs * (here - x["searched"])
     reached = x["progress"] + wish.x_e
-    further = reached > x["furthest"] + _NEW
-    new = ca.logic_or(further, ca.mmax(grown) > _NEW)
+    further = reached > x["furthest"] + NEW
+    new = ca.logic_or(further, ca.mmax(grown) > NEW)
     near = ca.SX(0)
     for contact in contacts:
-        moves = ca.sumsqr(contact.velocity) > _MOVES**2
-        near = ca.logic_or(near, ca.logic_and(moves, contact.clearance < _NEAR))
+        moves = ca.sumsqr(contact.velocity) > MOVES**2
+        near = ca.logic_or(near, ca.logic_and(moves, contact.clearance < NEAR))
     left = ca.sumsqr(p["waypoints"][-1, :].T - eta[:2])
-    waits = ca.logic_or(ca.logic_or(near, halted), left < _ARRIVED**2)
+    ended = left < ARRIVED**2
+    waits = ca.logic_or(ca.logic_or(near, halted), ended)
     stalled = ca.if_else(new, 0, x["stalled"] + ca.if_else(waits, 0, dt))
     was = x["trapped"] > 0.5
     now = ca.logic_or(was, ca.logic_and(p["patience"] > 0, stalled >= p["patience"]))
     # in steps, so that a slow drift of the estimate is no progress, and a slow robot's is
-    box = ca.if_else(grown > _NEW, here, x["searched"])
+    box = ca.if_else(grown > NEW, here, x["searched"])
     box = ca.if_else(further, here, box)
     box = ca.if_else(ca.logic_and(now, ca.logic_not(was)), here, ca.if_else(was, x["searched"], box))
-    return {
+    after = {
         "furthest": ca.if_else(further, reached, x["furthest"]),
         "searched": box,
         "stalled": stalled,
         "trapped": now,
     }
+    if column is None or nu is None:
+        return after
+    return layers_next(after, x, eta, nu, column, p, reached=reached, ended=ended)

@@ -79,7 +79,7 @@ def test_every_other_gain_must_be_there(tmp_path: Path, name: str) -> None:
     ("old", "new", "fragment"),
     [
         ("lookahead =", "lokahead =", "gains.lokahead: no such gain; did you mean 'lookahead'?"),
-        ('lookahead = { value = 0.8, unit = "m" }', 'lookahead = { value = 0.8, unit = "cm" }', "give it in m"),
+        ('lookahead = { value = 0.8, unit = "m" }', 'lookahead = { value = 0.8, unit = "s" }', "give it in m"),
         ("lookahead = { value = 0.8", "lookahead = { valeu = 0.8", "did you mean 'value'?"),
         ('kind = "gains"', 'kind = "vehicle"', "kind = 'vehicle'"),
         ("[gains]", "[gain]", "did you mean 'gains'?"),

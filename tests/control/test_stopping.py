@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from surctl.control import PARAMETERS, build_law, law_parameters, load_gains
-from surctl.control.stopping import BARRIERS, Barrier
+from surctl.control.stopping import BARRIERS, BRAKE, HARD, Barrier, braked
 from surctl.errors import InputError
 from surctl.guidance import Path
 from surctl.guidance.braking import Watch, allowed_speed, brakes_of
@@ -46,6 +46,39 @@ def test_that_with_inertia_is_the_closed_form_at_the_worst_of_the_ranges() -> No
             assert bound("inertia")(d, -v_o) == pytest.approx(wanted, abs=1e-12)
         assert bound("inertia")(d, 0.1) == pytest.approx(bound("inertia")(d) + 0.1)
     assert bound("inertia")(0.5) < bound("simple")(0.5)
+
+
+def braking(now: Any, wanted: Any, bounds: Any, *, calm: float = 1.0) -> np.ndarray:
+    """`braked` in numbers; the bounds as rows of normal and speed."""
+    rows = [(ca.DM(row[:2]), ca.DM(row[2])) for row in bounds]
+    v, w = ca.SX.sym("v", 2), ca.SX.sym("w", 2)
+    return np.array(ca.Function("braked", [v, w], [braked(w, v, rows, calm=calm)])(now, wanted)).ravel()
+
+
+WALL, BESIDE, FREE = (1.0, 0.0, 0.05), (0.0, 1.0, 0.08), (-1.0, 0.0, 1.0)
+
+
+def test_below_every_bound_the_wish_is_untouched() -> None:
+    assert braking((0.05, 0.2), (0.04, -0.2), [WALL, FREE]) == pytest.approx((0.04, -0.2), abs=1e-15)
+
+
+def test_the_faster_it_is_the_less_is_asked_for_sideways() -> None:
+    for share in (0.25, 0.5, 1.0, 3.0):
+        now = (0.05 + share * HARD, 0.02)
+        asked = braking(now, (0.05, -0.2), [FREE, WALL])
+        assert asked[0] == pytest.approx(0.05 - BRAKE * share * HARD)
+        assert asked[1] == pytest.approx(-0.2 + min(share, 1.0) * 0.22)
+
+
+def test_what_it_keeps_sideways_stays_within_the_next_bound() -> None:
+    asked = braking((0.2, 0.1), (0.05, 0.0), [WALL, BESIDE])
+    assert asked == pytest.approx((0.05 - BRAKE * 0.15, 0.08))
+    assert braking((0.2, 0.1), (0.05, 0.0), [WALL])[1] == pytest.approx(0.1)
+
+
+def test_what_must_be_evaded_is_evaded_while_it_brakes() -> None:
+    asked = braking((0.2, 0.1), (0.05, -0.2), [WALL, BESIDE], calm=0.0)
+    assert asked == pytest.approx((0.05 - BRAKE * 0.15, -0.2))
 
 
 @pytest.mark.parametrize("key", ["barrier", "movers"])

@@ -1,0 +1,96 @@
+"""The law as one routine: before the priority tick, the tick, after it; and the senses before all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+
+from surctl.control.law import Law
+from surctl.control.layers import forgetting
+from surctl.control.ports import PARAMETERS
+from surctl.control.senses import Senses
+from surctl.ir import Block, Call, Layout, Real, Routine, lower, without_libm
+from surctl.priority import LevelShape, Mode, priority_tick
+from surctl.priority.solver.precision import FLOAT32, FLOAT64
+
+__all__ = ["in_real", "limited", "sensing"]
+
+_MEMORY = ("carried", "told", "flags")
+_PRECISIONS = {"float64": FLOAT64, "float32": FLOAT32}
+
+
+def limited(
+    mode: Mode,
+    pre: ca.Function,
+    post: ca.Function,
+    *,
+    levels: tuple[tuple[str, int, str], ...],
+    rows: int,
+    real: Real = "float64",
+) -> Block:
+    """`pre`, the priority tick with the tolerances of these numbers, and `post`."""
+    shapes = tuple(LevelShape(count) for _, count, _ in levels)
+    # which rows hold task 1 back nobody asks for here
+    tick = priority_tick(mode, n=4, levels=shapes, rows=rows, precision=_PRECISIONS[real], named=False)
+    before, after = lower(pre), lower(post)
+    answer = tuple(f"tick_{name}" for name, _ in tick.outputs)
+    results = tuple(name for name, _ in after.outputs)
+    steps = (
+        Call(before, ("x", "u", "p"), ("J", "wanted", "rows", "box", *_MEMORY)),
+        Call(tick, ("J", "wanted", "wanted", "rows", "box"), answer),
+        Call(after, ("u", "p", *_MEMORY, "tick_v", "tick_status"), results),
+    )
+    return Routine("law", before.inputs, steps, results)
+
+
+def sensing(decide: Block, state: Layout, senses: Senses) -> Routine:
+    """What the senses tell, decided on; `state` is that of the decision alone."""
+    whole = Layout((*state.ports, *senses.state.ports))
+    x = ca.SX.sym("x", whole.size)
+    own = state.size
+    apart = lower(ca.Function("apart", [x], [x[:own], x[own:]], ["x"], ["decided", "sensed"]))
+    names = ("decided", "tau", "sensed")
+    parts = [ca.SX.sym(name, size) for name, size in zip(names, (own, 4, senses.state.size - 4), strict=True)]
+    together = lower(ca.Function("together", parts, [ca.vertcat(*parts)], names, ["x_next"]))
+    anew = ("anew",) if "changing" in state else ()
+    steps = (
+        Call(apart, ("x",), ("decided", "sensed")),
+        *(Call(forgetting(state), ("decided",), (name,)) for name in anew),
+        Call(senses.block, ("sensed", "u", "p", *anew), ("sensed_next", "told")),
+        Call(decide, ("decided", "told", "p"), ("tau", "decided_next", "status", "telemetry")),
+        Call(together, ("decided_next", "tau", "sensed_next"), ("x_next",)),
+    )
+    sizes = (("x", whole.size), ("u", senses.inputs.size), ("p", PARAMETERS.size))
+    return Routine("law", sizes, steps, ("tau", "x_next", "status", "telemetry"))
+
+
+def in_real(law: Law, real: Real) -> Law:
+    """The law whose priority tick has the tolerances of these numbers, and which has the polynomials for them.
+
+    With those of double a search in float never ends, for rounding alone is more than it allows. A law in closed form,
+    and one in mode lexicographic, whose tick has no others, come back as they are.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.control import build_law, in_real, load_gains
+        >>> from surctl.ir import replay
+        >>> from surctl.simulation import law_numbers, load_scenario
+        >>> from surctl.vehicle import load_vehicle
+        >>> law = build_law("paper", mode="projected", contacts=1)
+        >>> p = law_numbers(load_scenario("pool-behind"), load_gains("default"), load_vehicle("sur400"))
+        >>> tick = [v[None] for v in (law.initial_state(), law.inputs.pack({"eta": [1.2, 0.8, -0.15, 0.5]}), p)]
+        >>> for made, real in ((law, np.float64), (in_real(law, "float32"), np.float32)):
+        ...     tau = replay(made.block, *tick, real=real)[0]
+        ...     print(tau.dtype, [round(float(f), 2) for f in tau[0, [0, 1]]])
+        float64 [5.0, 0.88]
+        float32 [5.0, 0.88]
+    """
+    if real == "float64" or law.mode not in ("filter", "projected"):
+        return law
+    made = limited(law.mode, law.pre, law.post, levels=law.levels, rows=len(law.rows), real=real)
+    decide = without_libm(made, real)
+    if law.senses is None:
+        return replace(law, block=decide)
+    own = Layout(law.state.ports[: -len(law.senses.state.ports)])
+    return replace(law, block=sensing(decide, own, law.senses))

@@ -1,0 +1,61 @@
+"""The law's routine for another type of numbers: a search that ends in floats, and the same decisions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from surctl.control import DEGRADED, Law, build_law, in_real, load_gains
+from surctl.ir import replay
+from surctl.priority.solver.ladder import RELAXED
+from surctl.simulation import law_numbers, load_scenario
+from surctl.vehicle import load_vehicle
+
+
+@cache
+def tried() -> tuple[Law, list[np.ndarray]]:
+    """The law that keeps limits, and steps with a contact beside it."""
+    mission, law, count = load_scenario("pool-static"), build_law(mode="projected", contacts=1), 40
+    rng = np.random.default_rng(7)
+    p = law_numbers(mission, load_gains("default"), load_vehicle(mission.vehicle))
+    contacts = np.tile([0.0, 0.0, 0.2, 0.0, 0.0, 1.0], (count, 1))
+    contacts[:, :2] = rng.uniform(0, 3, (count, 2))
+    U = np.hstack([rng.uniform(0.5, 2.5, (count, 2)), rng.uniform(-0.5, 0.5, (count, 6)), contacts])
+    return law, [np.repeat(law.initial_state()[None], count, axis=0), U, np.repeat(p[None], count, axis=0)]
+
+
+def test_in_floats_it_decides_as_in_doubles() -> None:
+    law, given = tried()
+    want, have = replay(law.block, *given), replay(in_real(law, "float32").block, *given, real=np.float32)
+    np.testing.assert_array_equal(have[2], want[2])
+    at = law.telemetry_slice("nu_wanted")
+    off = np.abs(have[3][:, at] - want[3][:, at]).max(axis=1)
+    opened = want[2][:, 0] % (2 * DEGRADED) >= DEGRADED
+    # an opening has a margin, in which the task may give way: by it divided by the sine between the rows
+    assert 0 < opened.sum() < len(opened) and off[~opened].max() < 2e-6 and off.max() < 1e-3
+    double = replay(law.block, *given, real=np.float32)[3]
+    assert np.abs(double[:, at] - want[3][:, at]).max() > 1e-2  # with the tolerances of doubles
+
+
+def test_with_the_tolerances_of_doubles_a_search_in_floats_goes_down_the_ladder() -> None:
+    law, given = tried()
+    made = [law.pre(*row) for row in zip(*given, strict=True)]
+    J, wanted, rows, box = (np.array([np.asarray(one[k]).ravel() for one in made], dtype=np.float32) for k in range(4))
+    ticks = [
+        next(step.block for step in made.block.steps if step.block.name == "projected_tick")
+        for made in (law, in_real(law, "float32"))
+    ]
+    coarse, fine = (replay(tick, J, wanted, wanted, rows, box, real=np.float32) for tick in ticks)
+    assert coarse[5].mean() > 2 * max(1.0, fine[5].mean())  # iterations
+    held = replay(ticks[0], *(part.astype(float) for part in (J, wanted, wanted, rows, box)))[4] < RELAXED
+    assert held.mean() > 0.5 and (fine[4][held] < RELAXED).all()
+
+
+def test_a_law_that_has_no_other_tolerances_comes_back_as_it_is() -> None:
+    law = build_law(mode="projected", contacts=1)
+    assert in_real(law, "float64") is law
+    for mode in ("nsb", "lexicographic"):
+        other = replace(law, mode=mode)  # type: ignore[arg-type]
+        assert in_real(other, "float32") is other
