@@ -11,15 +11,21 @@ from surctl.simulation.batch import (
     knobs,
     simulate_batch,
 )
+from surctl.simulation.depth_change import DepthChange, depth_changes
 from surctl.simulation.disturbance import Disturbance
 from surctl.simulation.explanation import Explanation, explain
 from surctl.simulation.fit import Finding, findings
 from surctl.simulation.halting import halt_reason
-from surctl.simulation.metrics import HALT, METRICS, STOOD, STOPS, Metrics, MetricSpec
+from surctl.simulation.iosystem import FlightSystem, flight_system
+from surctl.simulation.margin import margin_needed, turn_rate
+from surctl.simulation.metrics import GONE, HALT, LATE, LINK_LOST, METRICS, STOOD, STOPS, Metrics, MetricSpec
+from surctl.simulation.numbers import law_numbers
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.paper_figure import PaperFigure
+from surctl.simulation.priority_timeline import PriorityTimeline, priority_timeline
 from surctl.simulation.record import Record
-from surctl.simulation.run import SENSING, Run, Sensing, advance, law_numbers, simulate
+from surctl.simulation.record_file import RECORD_FORMATS, RecordFormat, record_columns, save_record
+from surctl.simulation.run import SENSING, Run, Sensing, Stepper, advance, simulate
 from surctl.simulation.safety import SafetyClaim, safety_claim
 from surctl.simulation.scenario import LIBRARY, Scenario, load_scenario
 from surctl.simulation.sensors import Sensors
@@ -27,42 +33,58 @@ from surctl.simulation.world import Body, World, build_world
 
 __all__ = [
     "ENGINES",
+    "GONE",
     "HALT",
+    "LATE",
     "LIBRARY",
+    "LINK_LOST",
     "METRICS",
+    "RECORD_FORMATS",
     "SENSING",
     "STOOD",
     "STOPS",
     "BatchResult",
     "Body",
     "Case",
+    "DepthChange",
     "Disturbance",
     "Engine",
     "Explanation",
     "Finding",
+    "FlightSystem",
     "Knob",
     "MetricSpec",
     "Metrics",
     "Obstacle",
     "PaperFigure",
+    "PriorityTimeline",
     "Record",
+    "RecordFormat",
     "Run",
     "SafetyClaim",
     "Scenario",
     "Sensing",
     "Sensors",
     "SlowerEngine",
+    "Stepper",
     "World",
     "advance",
     "build_world",
     "check_speeds",
+    "depth_changes",
     "explain",
     "findings",
+    "flight_system",
     "halt_reason",
     "knobs",
     "law_numbers",
     "load_scenario",
+    "margin_needed",
+    "priority_timeline",
+    "record_columns",
     "safety_claim",
+    "save_record",
     "simulate",
     "simulate_batch",
+    "turn_rate",
 ]

@@ -24,6 +24,18 @@ def explain(run: Run) -> list[Explanation]:
 
     The ticks are solved again with names on every row; for mode nsb, which knows no rows, the relaxed ones are those
     that it missed. Ticks that the law refused (`NONFINITE`) are left out.
+
+    Example:
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.simulation import explain, load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> law = build_law(mode="filter", contacts=1)
+        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=load_gains("default"), law=law)
+        >>> first, second, *_ = explain(run)
+        >>> print(first.text)
+        No limit binds: v is the null-space-based law.
+        >>> print(f"{second.time_s:.2f} s: {second.text}")
+        10.15 s: Task `velocity` gave up 0.0017 m/s because `contact_0` binds.
     """
     record, found = run.record, list[Explanation]()
     for k, status in enumerate(record.status):

@@ -31,10 +31,18 @@ def findings(scenario: Scenario, vehicle: Vehicle, *, gains: Gains | None = None
 
     Raises:
         InputError: the hull starts inside an obstacle, or one that moves starts on it.
+
+    Example:
+        >>> from surctl.simulation import findings, load_scenario
+        >>> from surctl.vehicle import load_vehicle
+        >>> first, *_ = findings(load_scenario("pool-behind"), load_vehicle("sur540-flooded"))
+        >>> print(f"{first.level}, {first.key}: {first.text}")
+        error, path_m: the 0.27 m hull of sur540-flooded is 0.020 m inside a wall at the target (E15)
     """
     build_world(scenario, vehicle, seed=0)
-    found = [*room_findings(scenario, vehicle), *motion_findings(scenario, vehicle)]
-    found += _sonars(scenario, vehicle, gains or load_gains("default"))
+    gains = gains or load_gains("default")
+    found = [*room_findings(scenario, vehicle, gains), *motion_findings(scenario, vehicle)]
+    found += _sonars(scenario, vehicle, gains)
     return sorted(found, key=lambda f: ("error", "warning", "info").index(f.level))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from surctl.errors import InputError
+from surctl.simulation.depth_change import depth_changes
 from surctl.simulation.run import Run
 
 __all__ = ["halt_reason"]
@@ -17,6 +18,17 @@ def halt_reason(run: Run) -> str:
 
     Raises:
         InputError: the run ended otherwise.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import Obstacle, halt_reason, load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> wall = Obstacle(name="wall", shape="box", centre_m=(2.0, 1.0), size_m=(0.2, 2.0))
+        >>> mission = replace(load_scenario("pool-behind"), obstacles=(wall,))
+        >>> run = simulate(mission, load_vehicle("sur400"), gains=load_gains("default").with_values({"patience": 5.0}))
+        >>> print(f"{run.metrics.stopped_because}: {halt_reason(run)}")
+        dead end: no way on for 5 s, given up at (1.65, 0.79) m after 28 s; it came 0.9 m along a path of 2.0 m
     """
     law, record, why = run.law, run.record, run.metrics.stopped_because
     if why == "dead end":
@@ -42,9 +54,11 @@ def _given_up(run: Run) -> str:
     state = record.law_state[first]
     furthest, stalled = (float(state[law.state.slice(name)][0]) for name in ("furthest", "stalled"))
     length = run.scenario.path.length
+    tried = [f"{change.to_m:.2f}" for change in depth_changes(run) if not change.back]
+    depths = f"; depths tried besides the path's, z in m: {', '.join(tried)}" if tried else ""
     return (
         f"no way on for {stalled:.0f} s, given up at ({x:.2f}, {y:.2f}) m after "
-        f"{record.time[first]:.0f} s; it came {furthest:.1f} m along a path of {length:.1f} m"
+        f"{record.time[first]:.0f} s; it came {furthest:.1f} m along a path of {length:.1f} m{depths}"
     )
 
 

@@ -10,7 +10,19 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["HALT", "METRICS", "STOOD", "STOPS", "MetricSpec", "Metrics", "path_error", "settled_avoidance"]
+__all__ = [
+    "GONE",
+    "HALT",
+    "LATE",
+    "LINK_LOST",
+    "METRICS",
+    "STOOD",
+    "STOPS",
+    "MetricSpec",
+    "Metrics",
+    "path_error",
+    "settled_avoidance",
+]
 
 TUBE = 0.10  # [m] |y_e| below which an avoidance interval has ended (*chosen*)
 NEAR_TARGET = 1.0  # [m] within which going past the target is overshoot (*chosen*)
@@ -23,6 +35,13 @@ STOOD = 10.0
 
 STOPS = ("time limit", "reached", "collision", "fault", "halted", "dead end")
 """Why a run can end; a batch gives the position in this tuple."""
+
+
+LATE, GONE = -10, -11
+"""Status of a tick in which a controller outside this process had no command there in time, or is gone for good."""
+
+LINK_LOST = "link lost"
+"""Why a run ends whose controller is gone: not among `STOPS`, as no batch has such a controller."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +89,7 @@ class Metrics:
         deviation_m: rms horizontal distance to the reference path over the whole run, avoidance included.
         length_m: length of the way flown.
         effort_n: mean of |horizontal thrust|.
-        stopped_because: one of `STOPS`.
+        stopped_because: one of `STOPS`, or `LINK_LOST`.
         max_deviation_m, overshoot_m, peak_thrust_share, saturated_share, thrust_rate_n_per_s: see `METRICS`.
     """
 

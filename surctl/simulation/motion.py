@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from itertools import combinations, pairwise
+from math import inf
+
 import numpy as np
+from numpy.typing import NDArray
 
 from surctl.guidance.braking import Watch, brakes_of, fastest_obstacle, range_needed, stopping_way
 from surctl.simulation.finding import Finding
+from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.scenario import Scenario
 from surctl.vehicle import Vehicle
 
-__all__ = ["motion_findings"]
+__all__ = ["closest", "motion_findings"]
 
 
 def motion_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """Obstacles and currents too fast, thrust too small, time too short."""
+    """Obstacles that run into each other, obstacles and currents too fast, thrust too small, time too short."""
     return [
         *_obstacle_speeds(scenario),
+        *_meetings(scenario, vehicle),
         *_braking(scenario, vehicle),
         *_current(scenario),
         *_thrust(scenario, vehicle),
@@ -34,6 +40,46 @@ def _obstacle_speeds(scenario: Scenario) -> list[Finding]:
         for o in scenario.obstacles
         if o.speed_m_per_s is not None and o.speed_m_per_s > scenario.cap
     ]
+
+
+def _meetings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    """Moving obstacles that are in one place at one time."""
+    found = []
+    for a, b in combinations([o for o in scenario.obstacles if o.shape == "moving"], 2):
+        apart = closest(a, b, until=scenario.time_limit) - sum(o.radius_m or vehicle["radius"] for o in (a, b))
+        if apart < 0:
+            text = f"obstacles {a.name!r} and {b.name!r} run into each other: they overlap by {-apart:.2f} m"
+            found.append(Finding("error", f"obstacles.{b.name}.to_m", text))
+    return found
+
+
+def closest(a: Obstacle, b: Obstacle, *, until: float) -> float:
+    """Least distance [m] between the centres of two moving obstacles up to a time [s]; inf if never both are there.
+
+    Each goes straight at its speed, then stands at its end or, if it is `removed`, is there no more.
+    """
+    ends = [_arrival(o) for o in (a, b)]
+    last = min([until, *(end for end, o in zip(ends, (a, b), strict=True) if o.removed)])
+    times = sorted({0.0, last, *(end for end in ends if end < last)})
+    least = inf
+    for start, end in pairwise(times):
+        first, then = (_at(a, t) - _at(b, t) for t in (start, end))
+        step = then - first
+        share = float(np.clip(-float(first @ step) / max(float(step @ step), 1e-12), 0, 1))
+        least = min(least, float(np.hypot(*(first + share * step))))
+    return least
+
+
+def _arrival(obstacle: Obstacle) -> float:
+    """When it is at its end [s]."""
+    way = float(np.hypot(*np.subtract(obstacle.to_m or obstacle.centre_m, obstacle.centre_m)))
+    return way / obstacle.speed_m_per_s if obstacle.speed_m_per_s else inf
+
+
+def _at(obstacle: Obstacle, time: float) -> NDArray[np.float64]:
+    start, end = (np.asarray(place) for place in (obstacle.centre_m, obstacle.to_m or obstacle.centre_m))
+    arrival = _arrival(obstacle)
+    return np.asarray(start + (end - start) * (min(time / arrival, 1.0) if 0 < arrival < inf else 0.0))
 
 
 def _braking(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:

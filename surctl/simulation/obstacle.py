@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from math import hypot
+from math import hypot, inf
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from surctl.files import Strict
+from surctl.world import Heights
 
 __all__ = ["NotNegative", "Obstacle", "Point", "Positive"]
 
@@ -21,6 +22,8 @@ class Obstacle(Strict):
 
     A box or cylinder stands still but for its drift: a seeded sine of amplitude `drift_m` in a seeded direction. A
     `moving` sphere goes in a straight line from `centre_m` to `to_m` and is taken out on arrival if `removed`.
+    `bottom_m` and `top_m` are z of its ends, negative below the surface like the path's `depth_m`; left out, it reaches
+    through the floor or the surface. A moving one is taken for an upright cylinder.
     """
 
     name: str = Field(min_length=1)
@@ -33,6 +36,8 @@ class Obstacle(Strict):
     to_m: Point | None = None
     speed_m_per_s: Positive | None = None
     removed: bool = True
+    bottom_m: float | None = None
+    top_m: float | None = None
 
     @model_validator(mode="after")
     def _complete(self) -> Obstacle:
@@ -44,12 +49,20 @@ class Obstacle(Strict):
             raise ValueError(f'a {self.shape} obstacle takes no size_m; remove it or write shape = "box"')
         if self.shape == "moving" and (self.to_m is None or self.speed_m_per_s is None):
             raise ValueError("a moving obstacle needs to_m and speed_m_per_s; add both")
+        if self.bottom_m is not None and self.top_m is not None and self.bottom_m >= self.top_m:
+            raise ValueError("bottom_m is not below top_m; write z of both ends, negative below the surface")
         return self
 
     @property
     def still(self) -> bool:
         """Whether it stays where it is, but for its drift."""
         return self.shape != "moving"
+
+    @property
+    def heights(self) -> Heights:
+        """From which z to which z it reaches [m]."""
+        bottom, top = self.bottom_m, self.top_m
+        return Heights(-inf if bottom is None else bottom, inf if top is None else top)
 
     @property
     def rounding(self) -> float:

@@ -65,19 +65,23 @@ class _Still:
         return found
 
 
-def tightest_gap(scenario: Scenario, room: float) -> Gap | None:
+def tightest_gap(scenario: Scenario, room: float, *, depth: float | None = None) -> Gap | None:
     """The tightest gap on the widest way from start to target; None where no way comes that close to two bodies.
 
     Args:
         scenario: what stands in the site; moving obstacles do not count.
         room: half the width that is wanted [m]: where start or target have less, the way begins at the nearest place
             that is no tighter than its surroundings.
+        depth: z [m] at which the way is gone; default: the path's. What lies more than `room` above or below it is no
+            obstacle.
     """
     length, width, _ = scenario.site
     step = float(np.hypot(length, width)) / _CELLS
     xs, ys = (np.linspace(0, edge, max(2, round(edge / step)) + 1) for edge in (length, width))
     x, y = np.meshgrid(xs, ys, indexing="ij")
-    bodies = [*_walls(length, width), *(_still(o) for o in scenario.obstacles if o.still)]
+    z = scenario.depth if depth is None else depth
+    beside = [o for o in scenario.obstacles if o.still and o.heights.crosses(z, room)]
+    bodies = [*_walls(length, width), *(_still(o) for o in beside)]
     clear, second = np.partition([body.distance(x, y) for body in bodies], 1, axis=0)[:2]
     ends = [_uphill(clear, _cell(point, xs, ys), room) for point in (scenario.start, scenario.target)]
     tightest = min(_widest_way(clear, ends[0], ends[1]), key=lambda cell: (clear[cell], second[cell]))

@@ -2,32 +2,48 @@
 
 from __future__ import annotations
 
+from math import floor
+
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.control import Gains
+from surctl.control.layers import SLACK
+from surctl.simulation.column import BAND
 from surctl.simulation.finding import Finding
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.passage import tightest_gap
 from surctl.simulation.scenario import Scenario
 from surctl.vehicle import Vehicle
 
-__all__ = ["room_findings"]
+__all__ = ["end_findings", "layers", "room_findings"]
 
 _ROOM = 0.02  # [m] two standard deviations of the base station's position: less room than that cannot be kept
 
 
-def room_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+def room_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
     """Walls, still obstacles with their drift, and moving ones at both ends; gaps; the surface."""
-    found = _at_walls(scenario, vehicle)
-    for obstacle in scenario.obstacles:
-        found += _at_still(obstacle, scenario, vehicle) if obstacle.still else _at_moving(obstacle, scenario, vehicle)
     return [
-        *found,
+        *end_findings(scenario, vehicle),
         *_drifting_together(scenario),
-        *_gap(scenario, vehicle),
+        *_gap(scenario, vehicle, gains),
         *_launch(scenario, vehicle),
         *_surface(scenario, vehicle),
     ]
+
+
+def _met(scenario: Scenario, vehicle: Vehicle) -> list[Obstacle]:
+    """The obstacles that a hull at the path's depth meets, or whose ends it passes within `_ROOM`."""
+    reach = vehicle["radius"] + _ROOM
+    return [o for o in scenario.obstacles if o.heights.crosses(scenario.depth, reach)]
+
+
+def end_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    """Those at start and target alone, without what takes time to find: the gaps between."""
+    found = _at_walls(scenario, vehicle)
+    for obstacle in _met(scenario, vehicle):
+        found += _at_still(obstacle, scenario, vehicle) if obstacle.still else _at_moving(obstacle, scenario, vehicle)
+    return found
 
 
 def _ends(scenario: Scenario) -> tuple[tuple[str, NDArray[np.float64]], ...]:
@@ -38,7 +54,7 @@ def _launch(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     """What stands in the water that the mission says is free at the start: the law would not look before it moves."""
     found = []
     start = (float(scenario.start[0]), float(scenario.start[1]))
-    for obstacle in scenario.obstacles:
+    for obstacle in _met(scenario, vehicle):
         own = vehicle["radius"] if not obstacle.still and obstacle.radius_m is None else 0.0
         room = obstacle.distance(start) - own - vehicle["radius"] - obstacle.drift_m
         if room <= 0 and obstacle.still:
@@ -104,14 +120,17 @@ def _drifting_together(scenario: Scenario) -> list[Finding]:
     for k, one in enumerate(still):
         for other in still[k + 1 :]:
             room, drift = one.apart(other), one.drift_m + other.drift_m
-            if drift > 0 and room < drift:
+            if drift > 0 and room < drift and one.heights.shares(other.heights):
                 text = f"obstacles {one.name!r} and {other.name!r} are {room:.3f} m apart and may drift into each other"
                 found.append(Finding("warning", f"obstacles.{other.name}.drift_m", text))
     return found
 
 
-def _gap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """A gap that the way must pass and the hull, with the error that is stated for its path, may not."""
+def _gap(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
+    """A gap that the way must pass and the hull, with the error that is stated for its path, may not.
+
+    Where another depth has a way on, that is told instead of an error.
+    """
     error = scenario.paper.position_error_m or _ROOM
     hull = 2 * vehicle["radius"]
     gap = tightest_gap(scenario, hull / 2 + error)
@@ -126,7 +145,37 @@ def _gap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     if gap.always >= hull:
         return [Finding("warning", "obstacles" if scenario.obstacles else "site", text)]
     lost = "no way through is guaranteed (E15)" if gap.width >= hull else "there is no way through"
-    return [Finding("error", "obstacles" if scenario.obstacles else "site", f"{lost}: {text}")]
+    if scenario.depths is None:
+        return [Finding("error", "obstacles" if scenario.obstacles else "site", f"{lost}: {text}")]
+    tried = layers(scenario, vehicle, gains)
+    ways = [z for z in tried if _passes(scenario, hull / 2 + max(error, BAND), z, hull=hull)]
+    if ways:
+        told = f"only another depth leads on, z = {ways[0]:.2f} m is the first that is tried and free"
+        return [Finding("warning", "depths_m", f"{told}; at the path's depth {lost}: {text}")]
+    listed = ", ".join(f"{z:.2f}" for z in tried) or "none has room"
+    told = f"neither at the path's depth nor at another (z in m: {listed}) is there a way through"
+    return [Finding("error", "depths_m", f"{told}: {text}")]
+
+
+def _passes(scenario: Scenario, room: float, z: float, *, hull: float) -> bool:
+    gap = tightest_gap(scenario, room, depth=z)
+    return gap is None or gap.always >= hull
+
+
+def layers(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[float]:
+    """z of the depths [m] that the law tries in turn besides the path's, see `control.layers`; none without `depths`.
+
+    Those above come first, nearest first; what its echo sounders find in the way there is not known here.
+    """
+    if scenario.depths is None:
+        return []
+    lowest, highest = scenario.depths
+    keep, pitch = vehicle["radius"] + gains["margin"], 2 * vehicle["radius"] + gains["margin"]
+    above, below = (
+        max(0, floor((way + SLACK) / pitch))
+        for way in (highest - keep - scenario.depth, scenario.depth - keep - lowest)
+    )
+    return [scenario.depth + k * pitch for k in (*range(1, above + 1), *range(-1, -below - 1, -1))]
 
 
 def _surface(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:

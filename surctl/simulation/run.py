@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import CONTACT_SLOTS, NONFINITE, Gains, Law, build_law, law_parameters
+from surctl.control import CONTACT_SLOTS, NONFINITE, Gains, Law, LawStep, build_law
 from surctl.errors import InputError, nearest
 from surctl.sensing import NoiseStream, OwnState, delayed, fault_state, faulty, true_range
-from surctl.simulation.metrics import HALT, STOOD, Metrics
+from surctl.simulation.column import beside, column
+from surctl.simulation.depth_change import depth_changes
+from surctl.simulation.metrics import GONE, HALT, LINK_LOST, STOOD, Metrics
+from surctl.simulation.numbers import law_numbers
 from surctl.simulation.record import Record, measure
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.sensors import FIRING, firing_plan
@@ -22,10 +25,13 @@ from surctl.simulation.world import Body, World, build_world
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, build_plant, plant_parameters
 from surctl.world import Disc
 
-__all__ = ["SENSING", "Run", "Sensing", "advance", "law_numbers", "simulate"]
+__all__ = ["SENSING", "Run", "Sensing", "Stepper", "advance", "simulate"]
 
 Sensing = Literal["sonar", "truth"]
 SENSING: tuple[Sensing, ...] = get_args(Sensing)
+
+Vector: TypeAlias = NDArray[np.float64]
+Stepper: TypeAlias = Callable[[Vector, Vector, Vector], LawStep]
 
 _RK4_STEPS = (0.010, 0.010, 0.005)
 
@@ -62,7 +68,7 @@ class Run:
             "seed": self.seed,
             **asdict(self.metrics),
             "paper_time_s": self.scenario.paper.time_s,
-        }
+        } | ({"depth_changes": [d.to_dict() for d in depth_changes(self)]} if self.scenario.depths else {})
 
 
 @cache
@@ -89,6 +95,7 @@ def simulate(
     sensing: Sensing | str = "truth",
     seed: int = 0,
     model: Vehicle | None = None,
+    stepper: Stepper | None = None,
 ) -> Run:
     """Fly one scenario.
 
@@ -101,14 +108,25 @@ def simulate(
             the base station tells it the moving obstacles and its own pose, with noise.
         seed: of every random choice.
         model: what the controller believes it flies; default the vehicle itself.
+        stepper: (x, u, p) → what the law commands, in the law's place: another precision of it, or another process.
 
     Raises:
         InputError: unknown sensing, or a scenario that starts inside an obstacle.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=load_gains("default"))
+        >>> run.metrics.stopped_because, round(run.metrics.time_s, 2), round(run.metrics.min_clearance_m, 2)
+        ('reached', 11.35, 0.08)
     """
     if sensing not in SENSING:
         raise InputError("is not known", key="sensing", value=sensing, remedy=nearest(str(sensing), SENSING))
     sonar = sensing == "sonar"
-    law = law or build_law(sonar=sonar, equipment=scenario.sensors.on(vehicle["radius"]))
+    law = law or build_law(
+        sonar=sonar, equipment=scenario.sensors.on(vehicle["radius"]), depths=scenario.depths is not None
+    )
     if sonar != ("samples" in law.inputs):
         raise InputError(
             "does not go with a law that listens to " + ("no sonars" if sonar else "the sonars"),
@@ -125,25 +143,10 @@ def simulate(
         )
     world = build_world(scenario, vehicle, seed=seed)
     p = law_numbers(scenario, gains, model or vehicle)
-    loop = _Loop(world, vehicle, law, p, sensing, NoiseStream(seed))
+    loop = Loop(world, vehicle, law, p, sensing, NoiseStream(seed), stepper or law.step)
     reason, record = loop.fly(), loop.record()
     metrics = measure(scenario, law, record, reason=reason, least=loop.least)
     return Run(scenario, vehicle, gains, law, sensing, seed, metrics, record)
-
-
-def law_numbers(scenario: Scenario, gains: Gains, model: Vehicle) -> NDArray[np.float64]:
-    """The law's parameters, as `PARAMETERS` packs them: of a scenario, gains, and the vehicle that is believed in."""
-    length, width, _ = scenario.site
-    return law_parameters(
-        gains,
-        model,
-        path=scenario.path,
-        depth=scenario.depth,
-        cruise=scenario.cruise,
-        cap=scenario.cap,
-        walls=(0.0, length, 0.0, width),
-        launch=scenario.launch,
-    )
 
 
 class _Drawn(NamedTuple):
@@ -157,7 +160,7 @@ class _Drawn(NamedTuple):
     loss: float
 
 
-class _Loop:
+class Loop:
     """State of a run while it is flown."""
 
     def __init__(
@@ -168,7 +171,9 @@ class _Loop:
         p: NDArray[np.float64],
         sensing: Sensing,
         noise: NoiseStream,
+        stepper: Stepper,
     ) -> None:
+        self.stepper = stepper
         self.world, self.law, self.p, self.sensing, self.noise = world, law, p, sensing, noise
         self.plant, self.limit = plant_parameters(vehicle), vehicle.thrust_limit
         self.sensors = world.scenario.sensors
@@ -191,7 +196,7 @@ class _Loop:
 
     def fly(self) -> str:
         """Run to the end; the reason why it stopped."""
-        scenario, dt, halted, stood = self.world.scenario, self.law.dt, 0, 0
+        scenario, dt, halted, stood, gone = self.world.scenario, self.law.dt, 0, 0, 0
         for tick in range(int(np.ceil(scenario.time_limit / dt))):
             time = tick * dt
             bodies = self.world.bodies(time)
@@ -199,16 +204,19 @@ class _Loop:
             self._listen(bodies, drawn, 0)
             clearance = self._clearance(bodies)
             u = self._inputs(bodies, drawn, tick)
-            step = self.law.step(self.law_state, u, self.p)
+            step = self.stepper(self.law_state, u, self.p)
             self.rows.append(
                 (time, self.state, step.tau, clearance, self.law_state, u, step.status, step.telemetry, bodies)
             )
             if clearance <= 0:
                 return "collision"
-            if np.hypot(*(self.state[:2] - scenario.target)) <= scenario.reach:
+            if self._left() <= scenario.reach:
                 return "reached"
             if step.status == NONFINITE:
                 return "fault"
+            gone += step.status == GONE
+            if gone >= round(HALT / dt):
+                return LINK_LOST
             if self.law.senses is not None:
                 halted = halted + 1 if step.telemetry[self.law.telemetry_slice("halted")][0] > 0.5 else 0
             if halted >= round(HALT / dt):
@@ -219,7 +227,15 @@ class _Loop:
                 return "dead end"
             self.law_state = step.x_next
             self._advance(time, step.tau, drawn)
-        return "time limit"
+        return LINK_LOST if gone else "time limit"
+
+    def step_from(self, state: Vector, law_state: Vector, tick: int, *, added: Vector) -> tuple[LawStep, Vector]:
+        """What the law commands in a state, and the plant's next one with thrust added; for `truth`, which keeps no
+        state of sensors."""
+        self.state, time, drawn = state, tick * self.law.dt, self._draw()
+        step = self.stepper(law_state, self._inputs(self.world.bodies(time), drawn, tick), self.p)
+        self._advance(time, step.tau + added, drawn)
+        return step, self.state
 
     def record(self) -> Record:
         """The rows as arrays."""
@@ -273,7 +289,8 @@ class _Loop:
         if self.sensing == "truth":
             return
         time = self.instant * FIRING
-        shapes = [*(b.shape for b in bodies), *self.world.scenario.walls]
+        heard = beside(bodies, float(self.state[2]), self.world.hull)
+        shapes = [*(b.shape for b in heard), *self.world.scenario.walls]
         for k, sensor in enumerate(self.firings.at(self.instant)):
             heading = float(self.state[3])
             given, self.faults = faulty(
@@ -291,8 +308,14 @@ class _Loop:
                 self.fresh[sensor] = 1.0
         self.instant += 1
 
+    def _left(self) -> float:
+        """Distance to the target [m]; from above, where the mission knows one depth only."""
+        scenario = self.world.scenario
+        level = float(np.hypot(*(self.state[:2] - scenario.target)))
+        return level if scenario.depths is None else float(np.hypot(level, self.state[2] - scenario.depth))
+
     def _clearance(self, bodies: Sequence[Body]) -> float:
-        clearance = self.world.clearance(self.state[:2], bodies)
+        clearance = self.world.clearance(self.state[:3], bodies)
         wall = self.world.wall_clearance(self.state[:2])
         self.clear_of_walls = self.clear_of_walls or wall > 0
         if self.clear_of_walls:
@@ -304,9 +327,10 @@ class _Loop:
         eta, nu = self.state[:4], self.state[4:8]
         given: dict[str, object] = {"samples": self.faults.last, "fresh": self.fresh}
         if self.sensing == "truth":
-            given |= {"eta": eta, "nu": nu, "contacts": self._all_contacts(bodies)}
+            given |= {"eta": eta, "nu": nu, "contacts": self._all_contacts(beside(bodies, eta[2], self.world.hull))}
         else:
             given |= self._told(self._mover_rows(bodies), drawn, tick)
+        given["column"] = column(self.world.scenario, bodies, eta[:3], self.world.hull)
         self.fresh = np.zeros(self.array.size)
         return self.law.inputs.pack({name: value for name, value in given.items() if name in self.law.inputs})
 
@@ -349,10 +373,11 @@ class _Loop:
         return rows
 
     def _all_contacts(self, bodies: Sequence[Body]) -> NDArray[np.float64]:
-        contacts, told = np.zeros((CONTACT_SLOTS, 6)), list(bodies)
-        if len(told) > CONTACT_SLOTS:
+        slots = self.law.inputs.port("contacts").shape[0] if "contacts" in self.law.inputs else 0
+        contacts, told = np.zeros((slots, 6)), list(bodies)
+        if len(told) > slots:
             by_distance = sorted(told, key=lambda b: b.shape.nearest(self.state[:2])[0])
-            kept = {b.name for b in by_distance[:CONTACT_SLOTS]}
+            kept = {b.name for b in by_distance[:slots]}
             told = [b for b in told if b.name in kept]
         for row, body in zip(contacts, told, strict=False):
             row[:] = self._contact(body)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from math import inf, isfinite
 from typing import Any
@@ -10,10 +9,8 @@ from typing import Any
 import numpy as np
 
 from surctl.control import Barrier, Gains, Movers
-from surctl.control.stopping import BRAKE
 from surctl.guidance.braking import (
     LEAST_THRUST,
-    Brakes,
     Watch,
     beside,
     brakes_of,
@@ -21,15 +18,13 @@ from surctl.guidance.braking import (
     range_needed,
     stopping_way,
 )
+from surctl.simulation.column import BAND, FOOTPRINT
+from surctl.simulation.margin import Bound, munk, turned
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.toml_text import toml_text
 from surctl.vehicle import Vehicle
 
 __all__ = ["Figure", "SafetyClaim", "safety_claim"]
-
-_STEP = 0.002  # [m/s] between the speeds that are looked at
-_NEAR = 0.95  # of the fastest obstacle: nearer to it the range that is needed grows without end
-_FINEST = 1e-4  # [m/s] to which the largest obstacle speed is told
 
 
 @dataclass(frozen=True)
@@ -103,13 +98,19 @@ def safety_claim(
     detection: float = inf,
     sideways: float = 0.0,
     spread: float | None = None,
+    turning: float = 0.0,
+    difference: float = 0.0,
 ) -> SafetyClaim:
     """The claim about the guarded law.
 
     The margin must be what a vehicle needs beyond the law's bound, at the worst of its ranges, if it brakes with the
     least thrust once it is faster than the bound by what the velocity loop takes to ask for that (step 4 of
     `guidance.braking`, with that excess as a further speed error, and the help of drag). Not covered: thrust is clipped
-    axis by axis, so that a large command sideways at the same time may take from the force against it.
+    axis by axis, so that a large command sideways at the same time may take from the force against it; the law asks for
+    nothing sideways once it is 0.02 m/s too fast.
+
+    A change of depth rests on two assumptions more: that the echo sounders hear all that stands over or under the hull
+    (the sonars that look ahead say nothing of that water), and that depth is kept within the sonars' fan.
 
     Args:
         scenario: the mission: cap, current, forces.
@@ -120,6 +121,19 @@ def safety_claim(
         detection: range at which an obstacle is surely seen [m].
         sideways: largest sideways speed when braking begins [m/s]; drag by axis then pushes.
         spread: see `brakes_of`.
+        turning: rate at which the hull turns while it brakes [rad/s], see `turn_rate`.
+        difference: largest |m11 - m22| [kg]; turning, it pushes, and the claim tells how much of it is covered.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario, safety_claim
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> for barrier in ("simple", "inertia"):
+        ...     claim = safety_claim(mission, vehicle, gains, barrier=barrier)
+        ...     print(f"{barrier}: {claim.holds}, needs {claim['margin needed']:.3f} m, has {claim['margin']} m")
+        simple: False, needs 0.053 m, has 0.05 m
+        inertia: True, needs 0.019 m, has 0.05 m
     """
     watch, share = watch or Watch(), LEAST_THRUST if barrier == "simple" else gains["brake"]
     d = scenario.disturbance
@@ -130,13 +144,14 @@ def safety_claim(
         push=d.drift_force_n + d.wave_force_n,
         current=float(np.hypot(*d.current_m_per_s)),
     )
-    brakes = beside(brakes, sideways)
-    bound = _Bound(brakes, watch, vehicle, gains, barrier, scenario.cap)
+    level = beside(turned(brakes, turning), sideways)
+    brakes = replace(level, push=level.push + munk(difference, turning, scenario.cap))
+    bound = Bound(brakes, watch, vehicle, gains, barrier, scenario.cap)
     covered = bound.limit(detection) if movers == "barrier" else 0.0
     needed = bound.margins(covered)
     short = [speed for speed, margin in needed.items() if margin > gains["margin"]]
     reach = range_needed(brakes, watch, scenario.cap, obstacle=covered, way=stopping_way)
-    assumptions = (
+    assumptions: tuple[Figure, ...] = (
         Figure("obstacle speed", covered, "m/s", "largest towards the vehicle, for ever, and as the law is told"),
         Figure("detection range", detection, "m", "from the hull, at which an obstacle is surely seen"),
         Figure("least thrust", brakes.least, "N", f"against the motion: {share:.0%} of the stated"),
@@ -148,6 +163,8 @@ def safety_claim(
         Figure("largest quadratic drag", brakes.quadratic[1], "N s^2/m^2", "surge and sway, astern"),
         Figure("push", brakes.push, "N", "towards the obstacle, of waves, drift and drag of sideways motion"),
         Figure("current", brakes.current, "m/s", "towards the obstacle"),
+        Figure("turn rate", turning, "rad/s", "of the hull while it brakes"),
+        Figure("mass difference", difference, "kg", "largest |m11 - m22|; turning, it pushes by speed and turn rate"),
         Figure("sideways speed", sideways, "m/s", "largest when braking begins"),
         Figure("speed cap", scenario.cap, "m/s", "largest own speed"),
         Figure("sampling time", watch.period, "s", "between two decisions"),
@@ -155,11 +172,21 @@ def safety_claim(
         Figure("range age", watch.age, "s", "largest when it is used"),
         Figure("speed error", watch.speed_error, "m/s", "largest"),
     )
+    if scenario.depths is not None:
+        heard = "wider than the hull: all that stands over or under that disc is heard by the echo sounders"
+        fan = "beyond the hull, above and below: what ends further off is passed over or under"
+        assumptions += (Figure("sounder footprint", FOOTPRINT, "m", heard), Figure("sonar fan", BAND, "m", fan))
     derived = (
         Figure("range needed", reach, "m", "to be read at the cap before that obstacle"),
         Figure("margin needed", max(needed.values()), "m", "beyond the law's bound, at the worst speed"),
         Figure("margin", gains["margin"], "m", "the gains have"),
         Figure("covered speed", min(short, default=scenario.cap), "m/s", "up to which that margin is enough"),
+        Figure(
+            "covered difference",
+            replace(bound, brakes=level).difference(covered, turning),
+            "kg",
+            "of the masses up to which that margin is enough",
+        ),
         Figure(
             "excess",
             bound.excess(scenario.cap),
@@ -173,54 +200,3 @@ def safety_claim(
     return SafetyClaim(
         scenario.name, vehicle.name, barrier, movers, statement, assumptions, derived, not short and reach <= detection
     )
-
-
-@dataclass(frozen=True)
-class _Bound:
-    """The law's bound, and what it must be compared with."""
-
-    brakes: Brakes
-    watch: Watch
-    vehicle: Vehicle
-    gains: Gains
-    barrier: Barrier
-    cap: float
-
-    def limit(self, detection: float) -> float:
-        """Largest speed [m/s] of an obstacle that range and margin suffice for; 0 if not even for one at rest."""
-        low, high = 0.0, min(_NEAR * fastest_obstacle(self.brakes), 10.0)
-        if not self.suffices(0.0, detection):
-            return 0.0
-        while high - low > _FINEST:
-            middle = (low + high) / 2
-            low, high = (middle, high) if self.suffices(middle, detection) else (low, middle)
-        return low
-
-    def suffices(self, obstacle: float, detection: float) -> bool:
-        """Whether range and margin do, before an obstacle of that speed [m/s]."""
-        reach = range_needed(self.brakes, self.watch, self.cap, obstacle=obstacle, way=stopping_way)
-        return reach <= detection and max(self.margins(obstacle).values()) <= self.gains["margin"]
-
-    def margins(self, obstacle: float) -> Mapping[float, float]:
-        """Own speed up to the cap → margin [m] that is needed beyond the bound."""
-        found = {}
-        for speed in np.linspace(-obstacle, self.cap, round((self.cap + obstacle) / _STEP) + 1).tolist():
-            late = replace(self.watch, speed_error=self.watch.speed_error + self.excess(speed))
-            needed = range_needed(self.brakes, late, speed, obstacle=obstacle, way=stopping_way)
-            found[speed] = needed - self.kept(speed, obstacle)
-        return found
-
-    def kept(self, speed: float, obstacle: float) -> float:
-        """What the law keeps beside its margin when it goes as fast as it lets itself [m]."""
-        if self.barrier == "inertia":
-            own = brakes_of(self.vehicle, share=self.gains["brake"])
-            return range_needed(own, Watch(self.watch.period), speed, obstacle=obstacle)
-        weakest, heaviest = float(min(self.vehicle.thrust_limit[:2])), float(max(self.vehicle.mass[:2]))
-        closing, reaction = speed + obstacle, self.gains["reaction"]
-        return closing**2 * heaviest / (2 * self.gains["brake"] * weakest) + (closing + obstacle) * reaction
-
-    def excess(self, speed: float) -> float:
-        """Speed above the bound at which the velocity loop, which feeds drag forward, asks for the least thrust."""
-        v, pairs = max(speed, 0.0), (("Xu", "Xuu"), ("Yv", "Yvv"))
-        drag = max(self.vehicle[a] * v + self.vehicle[b] * v**2 for a, b in pairs)
-        return (self.brakes.least + drag) / (self.gains["k_v"] * (1 + BRAKE) * float(min(self.vehicle.mass[:2])))

@@ -47,6 +47,7 @@ class _ScenarioFile(Strict):
     reach_m: Positive = 0.10
     time_limit_s: Positive
     launch_m: NotNegative = 0.0
+    depths_m: tuple[float, float] | None = None
     site: _Site
     obstacles: tuple[Obstacle, ...] = ()
     disturbance: Disturbance = Disturbance()
@@ -63,7 +64,7 @@ class Scenario:
 
     Attributes:
         path: horizontal reference path in {E}.
-        depth: z of path and obstacles [m], negative below the surface.
+        depth: z of the path [m], negative below the surface.
         cruise: U_d [m/s].
         cap: largest commanded horizontal speed [m/s].
         reach: distance to the target that counts as arrived [m].
@@ -73,6 +74,8 @@ class Scenario:
             relies on it, and what is nearer is an error. The library's missions say 0.5 m, or what there is.
         sensors: sonars and their faults, base station, own state.
         uncertainty: what a Monte Carlo campaign draws.
+        depths: lowest and highest z [m] that the hull may take up where only another depth leads on, or None: the
+            robot keeps to the path's depth. With them it carries an echo sounder upwards and one downwards.
     """
 
     name: str
@@ -93,6 +96,7 @@ class Scenario:
     sensors: Sensors = field(default_factory=Sensors)
     launch: float = 0.0
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
+    depths: tuple[float, float] | None = None
 
     @property
     def walls(self) -> tuple[Wall, ...]:
@@ -124,7 +128,14 @@ class Scenario:
 
 
 def load_scenario(name_or_path: str) -> Scenario:
-    """A built-in scenario by name, or a scenario file by path; InputError when it cannot be flown at all."""
+    """A built-in scenario by name, or a scenario file by path; InputError when it cannot be flown at all.
+
+    Example:
+        >>> from surctl.simulation import load_scenario
+        >>> scenario = load_scenario("pool-static")
+        >>> scenario.title, scenario.cruise, scenario.site, len(scenario.obstacles)
+        ('Four drifting cylinders in the pool', 0.15, (3.0, 2.0, 1.0), 4)
+    """
     path = pick(str(name_or_path), LIBRARY, what="scenario")
     return scenario_from_table(read_toml(path), source=str(path))
 
@@ -159,6 +170,7 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
         sensors,
         model.launch_m,
         model.uncertainty,
+        model.depths_m,
     )
     _check(scenario)
     return scenario
@@ -174,6 +186,16 @@ def _check(scenario: Scenario) -> None:
             key="depth_m",
             value=scenario.depth,
             remedy=f"z is up: write a value between {-scenario.site[2]:g} and 0",
+        )
+    if scenario.depths is not None and not (
+        -scenario.site[2] <= scenario.depths[0] < scenario.depth < scenario.depths[1] <= 0
+    ):
+        raise InputError(
+            f"does not hold the path's depth of {scenario.depth:g} between two places in the water",
+            file=source,
+            key="depths_m",
+            value=list(scenario.depths),
+            remedy=f"z is up: write [lowest, highest] between {-scenario.site[2]:g} and 0",
         )
     if scenario.cruise > scenario.cap:
         raise InputError(
@@ -206,7 +228,8 @@ def _apart(still: Sequence[Obstacle], scenario: Scenario) -> None:
     """Bodies that stand still share no water, and none holds the target; drift is judged by `findings`."""
     target = scenario.target.tolist()
     for k, obstacle in enumerate(still):
-        if obstacle.distance((target[0], target[1])) <= 0:
+        here = obstacle.heights.crosses(scenario.depth, 0.0)
+        if here and obstacle.distance((target[0], target[1])) <= 0:
             raise InputError(
                 f"the target lies inside obstacle {obstacle.name!r}",
                 file=scenario.source,
@@ -215,7 +238,7 @@ def _apart(still: Sequence[Obstacle], scenario: Scenario) -> None:
                 remedy="move the target or the obstacle",
             )
         for other in still[k + 1 :]:
-            if (room := obstacle.apart(other)) < 0:
+            if obstacle.heights.shares(other.heights) and (room := obstacle.apart(other)) < 0:
                 raise InputError(
                     f"overlaps obstacle {obstacle.name!r} by {-room:.3f} m",
                     file=scenario.source,

@@ -14,19 +14,23 @@ from surctl.errors import InputError
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.scenario import Scenario, Shape
 from surctl.vehicle import Vehicle
-from surctl.world import Box, Disc
+from surctl.world import WHOLE, Box, Disc, Heights, Prism
 
 __all__ = ["Body", "World", "WorldDraw", "build_world", "draw_world"]
 
 
 @dataclass(frozen=True)
 class Body:
-    """An obstacle at one instant: shape in {E}, velocity (2,) [m/s], and whether the base station follows it."""
+    """An obstacle at one instant: shape in {E}, velocity (2,) [m/s], and whether the base station follows it.
+
+    `heights` says from which z to which it reaches.
+    """
 
     name: str
     shape: Shape
     velocity: NDArray[np.float64]
     moving: bool
+    heights: Heights = WHOLE
 
 
 @dataclass(frozen=True)
@@ -71,9 +75,10 @@ class World:
         delivered: NDArray[np.float64] = command * (1 + d.thrust_error * self.gain_error)
         return delivered + d.thrust_bias * self.bias * limit
 
-    def clearance(self, position: NDArray[np.float64], bodies: Sequence[Body]) -> float:
-        """Hull to the nearest of the bodies [m], negative when it touches; walls apart."""
-        return min((b.shape.nearest(position)[0] - self.hull for b in bodies), default=float("inf"))
+    def clearance(self, place: NDArray[np.float64], bodies: Sequence[Body]) -> float:
+        """Hull at (3,) [m] to the nearest of the bodies [m], negative when it touches; walls apart."""
+        x, y, z = place.tolist()
+        return min((Prism(b.shape, b.heights).distance(x, y, z) - self.hull for b in bodies), default=float("inf"))
 
     def wall_clearance(self, position: NDArray[np.float64]) -> float:
         """Hull to nearest wall [m]."""
@@ -88,8 +93,10 @@ class World:
         centre = centre + obstacle.drift_m * np.sin(angle) * self.drift_direction[k]
         velocity = obstacle.drift_m * rate * np.cos(angle) * self.drift_direction[k]
         if obstacle.size_m is not None:
-            return Body(obstacle.name, Box(centre, np.array(obstacle.size_m)), velocity, moving=False)
-        return Body(obstacle.name, Disc(centre, float(obstacle.radius_m or 0)), velocity, moving=False)
+            box = Box(centre, np.array(obstacle.size_m))
+            return Body(obstacle.name, box, velocity, moving=False, heights=obstacle.heights)
+        disc = Disc(centre, float(obstacle.radius_m or 0))
+        return Body(obstacle.name, disc, velocity, moving=False, heights=obstacle.heights)
 
     def _moving(self, obstacle: Obstacle, centre: NDArray[np.float64], time: float) -> Body | None:
         way = np.array(obstacle.to_m) - centre
@@ -97,9 +104,15 @@ class World:
         radius = obstacle.radius_m or self.hull
         if speed * time >= distance:
             here = Disc(centre + way, radius)
-            return None if obstacle.removed else Body(obstacle.name, here, np.zeros(2), moving=True)
+            return (
+                None
+                if obstacle.removed
+                else Body(obstacle.name, here, np.zeros(2), moving=True, heights=obstacle.heights)
+            )
         velocity = speed * way / distance
-        return Body(obstacle.name, Disc(centre + velocity * time, radius), velocity, moving=True)
+        return Body(
+            obstacle.name, Disc(centre + velocity * time, radius), velocity, moving=True, heights=obstacle.heights
+        )
 
 
 class WorldDraw(NamedTuple):
@@ -141,6 +154,14 @@ def build_world(scenario: Scenario, vehicle: Vehicle, *, seed: int) -> World:
 
     Raises:
         InputError: the hull starts inside an obstacle (walls are judged once the hull is clear of them).
+
+    Example:
+        >>> from surctl.simulation import build_world, load_scenario
+        >>> from surctl.vehicle import load_vehicle
+        >>> world = build_world(load_scenario("pool-behind"), load_vehicle("sur400"), seed=0)
+        >>> [body] = world.bodies(5.0)  # 5 s after the start
+        >>> body.name, [round(x, 2) for x in body.shape.center], body.velocity.round(2).tolist()
+        ('OM1', [1.11, 0.76], [0.17, 0.1])
     """
     world = World(scenario, vehicle["radius"], *draw_world(len(scenario.obstacles), seed=seed))
     _check_start(world, vehicle, world.bodies(0.0))
@@ -150,7 +171,7 @@ def build_world(scenario: Scenario, vehicle: Vehicle, *, seed: int) -> World:
 def _check_start(world: World, vehicle: Vehicle, bodies: Sequence[Body]) -> None:
     scenario = world.scenario
     for body in bodies:
-        clearance = body.shape.nearest(scenario.start)[0] - world.hull
+        clearance = world.clearance(scenario.start_pose[:3], [body])
         if clearance <= 0:
             raise InputError(
                 f"the {world.hull:g} m hull of {vehicle.name} starts {-clearance:.3f} m inside obstacle {body.name!r}",

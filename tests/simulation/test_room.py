@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from surctl.control import load_gains
 from surctl.guidance import Path
 from surctl.simulation import LIBRARY, Disturbance, Obstacle, Scenario, findings, load_scenario
 from surctl.simulation.passage import tightest_gap
+from surctl.simulation.room import layers
 from surctl.vehicle import load_vehicle
 
 TANK, POOL = load_scenario("tank-static"), load_scenario("pool-static")
@@ -182,3 +184,49 @@ def test_a_run_shorter_than_its_path() -> None:
     assert _found(_with(time_limit=45.0)) == {}
     text = _found(_with(time_limit=44.0))["error", "time_limit_s"]
     assert "9.00 m" in text and "45.0 s" in text and "44 s" in text
+
+
+# --- heights ----------------------------------------------------------------------------------------------------------
+
+
+def _sill(top: float | None = -1.8, bottom: float | None = None, **changes: Any) -> Scenario:
+    wall = _box("sill", 5.0, 0.0, 5.0).model_copy(update={"top_m": top, "bottom_m": bottom})
+    return _with(wall, **{"depth": -2.0, "depths": (-3.5, -0.4), **changes})
+
+
+def test_a_sill_leaves_another_depth_alone_and_the_first_that_is_free_is_told() -> None:
+    ((level, key), text), *rest = _found(_sill()).items()
+    assert (level, key) == ("warning", "depths_m") and not rest
+    assert "only another depth leads on, z = -1.41 m" in text and "no way through" in text
+    assert "z = -0.82 m" in _found(_sill(top=-1.2))["warning", "depths_m"]
+    assert "z = -2.59 m" in _found(_sill(top=None, bottom=-2.2))["warning", "depths_m"]
+
+
+def test_a_gate_too_narrow_is_an_error_at_one_depth_and_a_warning_where_it_ends() -> None:
+    gate = tuple(o.model_copy(update={"top_m": -1.8}) for o in _gate(0.4).obstacles)
+    assert ("error", "obstacles") in _found(_with(*gate, depth=-2.0))
+    assert ("warning", "depths_m") in _found(_with(*gate, depth=-2.0, depths=(-3.0, -0.4)))
+
+
+@pytest.mark.parametrize(("top", "depths"), [(None, (-3.5, -0.4)), (-0.9, (-3.5, -0.4)), (-1.8, (-3.5, -1.2))])
+def test_where_no_depth_is_free_it_is_an_error(top: float | None, depths: tuple[float, float]) -> None:
+    text = _found(_sill(top=top, depths=depths))["error", "depths_m"]
+    assert "neither at the path's depth nor at another" in text
+    assert ("-1.41, -0.82, -2.59, -3.18" if depths[1] == -0.4 else "-2.59, -3.18") in text
+
+
+def test_what_the_hull_passes_over_or_under_is_no_obstacle() -> None:
+    assert ("error", "obstacles") in _found(_sill(depths=None))
+    assert ("error", "obstacles") in _found(_sill(top=-2.0 - HULL["radius"] - 0.019, depths=None))
+    assert not _found(_sill(top=-2.0 - HULL["radius"] - 0.06, depths=None))
+    under_start = Obstacle(name="block", shape="box", centre_m=(0.5, 2.5), size_m=(0.3, 0.3), top_m=-2.4)
+    assert not _found(_with(under_start, depth=-2.0))
+    beside = under_start.model_copy(update={"centre_m": (1.2, 2.5), "top_m": -1.0})
+    assert ("error", "launch_m") in _found(_with(beside, depth=-2.0))
+
+
+def test_the_layers_are_those_that_the_mission_has_room_for() -> None:
+    gains = load_gains("default")
+    assert layers(_sill(), HULL, gains) == pytest.approx([-1.41, -0.82, -2.59, -3.18])
+    assert layers(_sill(depths=(-2.95, -1.2)), HULL, gains) == pytest.approx([-2.59])
+    assert layers(_sill(depths=(-2.5, -1.5)), HULL, gains) == [] == layers(_sill(depths=None), HULL, gains)

@@ -143,6 +143,21 @@ MISTAKES = {
         "obstacles.Obstacle2.centre_m = [0.65, 0.41]",
         "overlaps obstacle 'Obstacle1' by",
     ),
+    "ends the wrong way round": (
+        _edited(FIRST, FIRST + "\nbottom_m = -0.2\ntop_m = -0.3"),
+        "obstacles.0",
+        "bottom_m is not below top_m; write z of both ends",
+    ),
+    "depths without the path's": (
+        _edited("depth_m = -0.15", "depth_m = -0.15\ndepths_m = [-0.9, -0.3]"),
+        "depths_m = [-0.9, -0.3]",
+        "does not hold the path's depth of -0.15",
+    ),
+    "depths out of the water": (
+        _edited("depth_m = -0.15", "depth_m = -0.15\ndepths_m = [-0.9, 0.1]"),
+        "depths_m",
+        "write [lowest, highest] between -1 and 0",
+    ),
     "obstacle of negative speed": (
         _edited('shape = "cylinder"', 'shape = "moving"\nto_m = [1.0, 1.0]\nspeed_m_per_s = -0.1'),
         "obstacles.0.speed_m_per_s",
@@ -213,3 +228,16 @@ def test_findings_before_flight() -> None:
     small = findings(pool, load_vehicle("sur400"))
     assert not [f for f in small if f.level == "error"]
     assert any("out of the water" in f.text for f in small)  # E16
+
+
+def test_what_ends_above_or_below_shares_no_water(tmp_path: Path) -> None:
+    """One obstacle over the other, and one under the target: nothing overlaps where the heights do not."""
+    over = _edited("centre_m = [1.2, 0.7]", "centre_m = [0.65, 0.41]\nbottom_m = -0.4")
+    under = over.replace(FIRST, FIRST + "\ntop_m = -0.4")
+    assert under != over
+    first, second, *_ = _load(tmp_path, under).obstacles
+    assert first.heights.top == second.heights.bottom == -0.4 and first.distance(second.centre_m) < second.radius_m
+    with pytest.raises(InputError, match="overlaps obstacle"):
+        _load(tmp_path, over)
+    below = _edited("centre_m = [2.0, 1.0]", "centre_m = [2.72, 0.98]\ntop_m = -0.5")
+    assert _load(tmp_path, below).obstacles[3].heights.crosses(-0.5, 1e-9)

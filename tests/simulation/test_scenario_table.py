@@ -67,3 +67,13 @@ def test_what_no_file_can_state_is_refused():
     air = Sensors(Equipment(array=SonarArray(medium="air", maximum=4.0)))
     with pytest.raises(InputError, match="cannot state"):
         scenario_table(replace(load_scenario("tank-static"), sensors=air))
+
+
+def test_heights_and_depths_are_kept():
+    scenario = load_scenario("tank-static")
+    ends = ({"top_m": -1.0}, {"bottom_m": -2.0}, {"bottom_m": -2.0, "top_m": -1.0}, {})
+    obstacles = tuple(o.model_copy(update=end) for o, end in zip(scenario.obstacles, ends, strict=True))
+    other = replace(scenario, obstacles=obstacles, depths=(-1.0, 0.0))
+    again = scenario_from_table(tomllib.loads(toml_text(scenario_table(other))), source="")
+    assert (again.obstacles, again.depths) == (other.obstacles, (-1.0, 0.0))
+    assert "depths_m" not in scenario_table(scenario)

@@ -66,7 +66,7 @@ def test_a_mover_goes_straight_to_its_goal_and_is_lifted_out() -> None:
         assert body.shape.radius == 0.2  # that of the vehicle flown
         assert body.moving
     assert world.bodies(arrival + 1e-6) == []
-    assert world.clearance(goal, world.bodies(arrival + 1)) == np.inf
+    assert world.clearance(np.array([*goal, -0.15]), world.bodies(arrival + 1)) == np.inf
 
 
 def test_a_mover_that_is_not_removed_stands_at_its_goal() -> None:
@@ -88,9 +88,9 @@ def test_a_mover_without_a_radius_has_that_of_the_vehicle() -> None:
 
 def test_clearance_by_hand() -> None:
     world = _world("tank-static")
-    point = np.array([8.0 - 0.15 - 0.5, 2.5])  # 0.5 m before the last box
+    point = np.array([8.0 - 0.15 - 0.5, 2.5, -0.15])  # 0.5 m before the last box
     assert world.clearance(point, world.bodies(0.0)) == pytest.approx(0.5 - 0.27)
-    assert world.clearance(np.array([2.5, 1.2]), world.bodies(0.0)) < 0
+    assert world.clearance(np.array([2.5, 1.2, -0.15]), world.bodies(0.0)) < 0
     assert world.wall_clearance(np.array([1.0, 0.1])) == pytest.approx(0.1 - 0.27)
 
 

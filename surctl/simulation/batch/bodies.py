@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import casadi as ca
@@ -11,14 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.sensing import Solid, SolidBox, SolidDisc
+from surctl.simulation.column import BAND, FOOTPRINT, LONGEST
 from surctl.simulation.obstacle import Obstacle
 
-__all__ = ["ABSENT", "Body", "BodyKind", "body_at", "body_columns", "body_size", "kind_of"]
+__all__ = ["ABSENT", "NO_END", "Body", "BodyKind", "body_at", "body_columns", "body_size", "kind_of"]
 
 Columns: TypeAlias = NDArray[np.float64]
 BodyKind = Literal["box", "disc", "drifting box", "drifting disc", "mover"]
 
 ABSENT = 1e30  # [m] clearance of what is not there
+NO_END = 1e6  # [m] of a height: beyond floor and surface
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,7 @@ class Body:
         velocity: (2, 1) [m/s] in {E}.
         present: 0 when it has been taken out of the water.
         moving: whether the base station follows it.
+        heights: (2, 1) z of its bottom and top [m], or None: the whole water column.
     """
 
     centre: ca.SX
@@ -38,6 +41,7 @@ class Body:
     velocity: ca.SX
     present: ca.SX
     moving: bool
+    heights: ca.SX | None = None
 
     @property
     def boxed(self) -> bool:
@@ -45,7 +49,38 @@ class Body:
         return bool(self.size.numel() == 2)
 
     def clearance(self, position: ca.SX) -> ca.SX:
-        """Signed distance [m] from a point (2, 1) to the surface; `ABSENT` when it is not there."""
+        """Signed distance [m] from a point to the surface; `ABSENT` when it is not there.
+
+        The point is (2, 1), and then planar as the distance, or (3, 1): that counts for what has `heights`.
+        """
+        distance = self._planar(position[:2])
+        if self.heights is not None and position.numel() == 3:
+            along = self._gap(position[2])
+            apart = ca.sqrt(ca.fmax(distance, 0) ** 2 + ca.fmax(along, 0) ** 2)
+            distance = ca.if_else(apart > 0, apart, ca.fmax(distance, along))
+        return ca.if_else(self.present, distance, ABSENT)
+
+    def beside(self, z: ca.SX, hull: ca.SX) -> Body:
+        """The same, there only while a hull of that radius [m] at z meets it, see `simulation.column`."""
+        if self.heights is None:
+            return self
+        return replace(self, present=ca.logic_and(self.present, self._gap(z) < hull + BAND))
+
+    def over_and_under(self, place: ca.SX, hull: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Free water above and below a hull at a place (3, 1) that this one leaves [m], `LONGEST` at most."""
+        if self.heights is None:
+            return ca.SX(LONGEST), ca.SX(LONGEST)
+        bottom, top, z = self.heights[0], self.heights[1], place[2]
+        near = ca.logic_and(self.present, self._planar(place[:2]) < hull + FOOTPRINT)
+        above = ca.if_else(ca.logic_and(near, bottom > z), bottom - z - hull, LONGEST)
+        below = ca.if_else(ca.logic_and(near, top < z), z - hull - top, LONGEST)
+        return above, below
+
+    def _gap(self, z: ca.SX) -> ca.SX:
+        assert self.heights is not None
+        return ca.fmax(self.heights[0] - z, z - self.heights[1])
+
+    def _planar(self, position: ca.SX) -> ca.SX:
         offset = position - self.centre
         if self.boxed:
             beyond = ca.fabs(offset) - 0.5 * self.size
@@ -53,7 +88,7 @@ class Body:
             distance = ca.if_else(outside > 0, outside, ca.fmax(beyond[0], beyond[1]))
         else:
             distance = ca.sqrt(ca.sumsqr(offset)) - self.size
-        return ca.if_else(self.present, distance, ABSENT)
+        return distance
 
     def contact(self, position: ca.SX) -> ca.SX:
         """Row (1, 6) of the law's contacts: x, y, radius, vx, vy, valid; of a box its point nearest to `position`."""

@@ -66,6 +66,7 @@ class Case:
             guidance=self.guidance,
             barrier=self.barrier,
             movers=self.movers,
+            depths=self.scenario.depths is not None,
         )
 
 
@@ -109,7 +110,16 @@ class Knob:
 
 
 def knobs(case: Case) -> Mapping[str, Knob]:
-    """Every number of the case that a batch may change, by name."""
+    """Every number of the case that a batch may change, by name.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import Case, knobs, load_scenario
+        >>> from surctl.vehicle import load_vehicle
+        >>> found = knobs(Case(load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")))
+        >>> [(name, found[name].value, found[name].unit) for name in ("k_v", "vehicle.m11", "obstacle.OM1.speed")]
+        [('k_v', 1.5, '1/s'), ('vehicle.m11', 50.0, 'kg'), ('obstacle.OM1.speed', 0.2, 'm/s')]
+    """
     found = [
         Knob(name, spec.unit, spec.meaning, case.gains.values[name], 0.0, spec.below, not spec.zero_allowed)
         for name, spec in GAINS.items()
@@ -198,7 +208,18 @@ def check_values(case: Case, values: Mapping[str, Vector]) -> None:
 
 
 def check_speeds(case: Case, values: Mapping[str, Vector]) -> None:
-    """InputError where the cruise speed is above the cap."""
+    """InputError where the cruise speed is above the cap.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import Case, check_speeds, load_scenario
+        >>> from surctl.vehicle import load_vehicle
+        >>> case = Case(load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default"))
+        >>> check_speeds(case, {"scenario.cruise": [0.1, 0.3]})
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: scenario.cruise = 0.3: goes above scenario.cap; lower it
+    """
     at = {name: values.get(f"scenario.{name}", getattr(case.scenario, name)) for name in ("cruise", "cap")}
     if np.any(np.greater(at["cruise"], at["cap"])):
         raise InputError(

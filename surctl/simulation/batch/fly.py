@@ -81,6 +81,15 @@ def simulate_batch(
     Raises:
         InputError: an unknown knob or engine, a value out of its bounds, a negative seed, shapes that do not fit.
         ToolMissing: `c` without a compiler.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import Case, load_scenario, simulate_batch
+        >>> from surctl.vehicle import load_vehicle
+        >>> case = Case(load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default"), law="lean")
+        >>> runs = simulate_batch(case, {"k_v": [1.0, 1.5, 2.0]}, seeds=7, engine="vm")
+        >>> runs.column("time_s").round(2).tolist(), runs.column("min_clearance_m").round(3).tolist()
+        ([21.3, 20.35, 20.05], [0.093, 0.096, 0.097])
     """
     if engine not in ENGINES:
         raise InputError("is not known", key="engine", value=engine, remedy=nearest(str(engine), ENGINES))

@@ -1,6 +1,6 @@
 """What a closed loop hears and is told, in symbols: sonars instant by instant, fixes and messages that come late.
 
-The counterpart of `run._Loop`'s `_listen` and `_told`.
+The counterpart of `run.Loop`'s `_listen` and `_told`.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ class Listening:
         loss: ca.SX,
         out: dict[str, ca.SX],
     ) -> dict[str, ca.SX]:
-        """What camera, IMU and base station tell, as `run._Loop._told`."""
+        """What camera, IMU and base station tell, as `run.Loop._told`."""
         equipment, dt, tick = self.structure.equipment, self.law.dt, state["tick"]
         own, station = equipment.own, equipment.station
         if self.law.senses is None:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from surctl.control import GAINS
 from surctl.sensing import FaultChances, fault_slots, noise_states
-from surctl.simulation.batch.bodies import body_columns, kind_of
+from surctl.simulation.batch.bodies import NO_END, body_columns, kind_of
 from surctl.simulation.batch.case import Case, knobs
 from surctl.simulation.batch.tick import Loop, Structure
-from surctl.simulation.run import law_numbers
+from surctl.simulation.numbers import law_numbers
 from surctl.simulation.world import WorldDraw, draw_world
 from surctl.vehicle import PLANT_PARAMETERS
 
@@ -58,6 +58,8 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         "guidance": case.guidance,
         "barrier": case.barrier,
         "treats": case.movers,
+        "heights": any(not obstacle.heights.whole for obstacle in case.scenario.obstacles),
+        "depths": case.scenario.depths is not None,
     }
     if case.sensing == "truth":
         return Structure(case.law, case.avoidance, case.mode, case.sensing, tuple(kinds), **kept)
@@ -192,6 +194,11 @@ class _Filler:
             found["fault_slots"] = [np.asarray(value) for value in slots.ravel()]
         if structure.optional:
             found["there"] = [self.number(f"obstacle.{o.name}.there") for o in scenario.obstacles]
+        if structure.heights:
+            ends = [(o.heights.bottom, o.heights.top) for o in scenario.obstacles]
+            found["heights"] = [np.asarray(z) for z in np.clip(np.ravel(ends), -NO_END, NO_END)]
+        if structure.depths:
+            found["depths"] = [np.asarray(z) for z in scenario.depths or ()]
         for k, (obstacle, kind) in enumerate(zip(scenario.obstacles, self.loop.structure.bodies, strict=True)):
             prefix = f"obstacle.{obstacle.name}."
             found[f"body{k}"] = body_columns(

@@ -23,6 +23,8 @@ class Structure:
         faults: number of slots for told faults; `delays` if one of them may be a delay.
         chances: whether faults may strike by chance.
         optional: whether a run may leave obstacles out.
+        heights: whether an obstacle ends above the floor or below the surface.
+        depths: whether the mission allows other depths than the path's.
         barrier, treats: of the law, `barrier` and `movers` of `build_law`.
     """
 
@@ -39,6 +41,8 @@ class Structure:
     guidance: Guidance = "los"
     barrier: Barrier = "simple"
     treats: Movers = "predict"
+    heights: bool = False
+    depths: bool = False
 
     @property
     def may_fail(self) -> bool:

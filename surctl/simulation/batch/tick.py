@@ -21,6 +21,7 @@ from surctl.simulation.batch.bodies import ABSENT, Body, body_at, body_size
 from surctl.simulation.batch.counting import SUMS, counted
 from surctl.simulation.batch.listening import Listening, flat, slots
 from surctl.simulation.batch.structure import Structure
+from surctl.simulation.column import LONGEST
 from surctl.simulation.metrics import HALT, STOOD, STOPS
 from surctl.simulation.run import advance
 from surctl.simulation.sensors import FIRING
@@ -65,6 +66,7 @@ def build_loop(structure: Structure) -> Loop:
         guidance=structure.guidance,
         barrier=structure.barrier,
         movers=structure.treats,
+        depths=structure.depths,
     )
     state, parameters = Layout(_state_ports(law, structure)), Layout(_parameter_ports(structure))
     builder = _Builder(structure, law, state, parameters)
@@ -103,9 +105,19 @@ def _parameter_ports(structure: Structure) -> tuple[Port, ...]:
         Port("fault_slots", (structure.faults, SLOT), "SI", "told faults, see fault_slots"),
         Port("fault_chances", (len(FaultChances.kinds()),), "1", "per firing, see FaultChances"),
     )
+    heights = Port("heights", (len(structure.bodies), 2), "m", "z of each obstacle's bottom and top")
+    mission = Port("depths", (2,), "m", "lowest and highest z that the hull may take up")
+    upright = (*((heights,) if structure.heights else ()), *((mission,) if structure.depths else ()))
     there = [Port("there", (len(structure.bodies),), "1", "1 where the obstacle is in the water")]
     optional = there if structure.optional else []
-    return (*PARAMETERS, *world, *bodies, *optional, *(port for port in failing if structure.may_fail and port.size))
+    return (
+        *PARAMETERS,
+        *world,
+        *bodies,
+        *optional,
+        *upright,
+        *(port for port in failing if structure.may_fail and port.size),
+    )
 
 
 def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
@@ -146,7 +158,8 @@ class _Builder:
         inputs: dict[str, ca.SX] = {"eta": eta, "nu": nu}
         if self.sonar:
             own, drawn, loss = self.listening.drawn(state["noise"], out, movers=self._movers(given))
-            heard, arrived = self.listening.instant(given, bodies, state["plant"], state, tick, out, instant=0)
+            near = self._beside(given, bodies, eta)
+            heard, arrived = self.listening.instant(given, near, state["plant"], state, tick, out, instant=0)
             inputs = {"samples": heard["sonar_last"], "fresh": ca.fmax(state["fresh"], arrived)}
             out["heard"] = self.listening.heard.join(heard)
             movers = [b for b in bodies if b.moving]
@@ -155,13 +168,16 @@ class _Builder:
             inputs |= self.listening.told(state, eta, nu, rows, own, noise, loss, out)
         else:
             out |= {name: ca.SX(0) for name in ("noise_next", "normals", "uniforms", "heard")}
-            if bodies:
-                inputs["contacts"] = slots([b.contact(eta[:2]) for b in bodies], [b.clearance(eta[:2]) for b in bodies])
+            near = self._beside(given, bodies, eta)
+            if near:
+                inputs["contacts"] = slots([b.contact(eta[:2]) for b in near], [b.clearance(eta[:2]) for b in near])
+        if "column" in self.law.inputs:
+            inputs["column"] = _column(bodies, given, eta)
         out["u"] = self.law.inputs.join(inputs)
         out["plant"], out["plant_p"] = state["plant"], given["plant"]
         out["d0"], out["d1"] = self._disturbance(given, time), self._disturbance(given, time + FIRING)
         out["tick"] = tick
-        out["clearance"] = _clearances(bodies, given, eta[:2])
+        out["clearance"] = _clearances(bodies, given, eta[:3])
         out["late"] = ca.vertcat(ca.SX(0, 1), *(flat(out.pop(port.name)) for port in self._late if port.name in out))
         return _lowered("sense", {"s": s, "w": w}, out)
 
@@ -189,9 +205,10 @@ class _Builder:
         heard, fresh = v["heard"], ca.SX(0)
         if self.sonar:
             before = self.listening.heard.split(heard)
-            after, fresh = self.listening.instant(given, bodies, plant, before, v["tick"], v, instant=1)
+            audible = self._beside(given, bodies, plant)
+            after, fresh = self.listening.instant(given, audible, plant, before, v["tick"], v, instant=1)
             heard = self.listening.heard.join(after)
-        near = _clearances(bodies, given, plant[:2])
+        near = _clearances(bodies, given, plant[:3])
         return _lowered("between", {"w": w, **v}, {"heard_next": heard, "fresh_next": fresh, "clearance_between": near})
 
     def close(self) -> Program:
@@ -218,8 +235,9 @@ class _Builder:
         total = ca.sum1(v["tau"]) + ca.sum1(v["x_next"]) + v["status"] + ca.sum1(v["telemetry"])
         to_target = place - given["waypoints"][MAX_WAYPOINTS - 1, :].T
         gap = ca.sqrt(ca.sumsqr(to_target))
+        left = ca.sqrt(gap**2 + (old["plant"][2] - given["depth"]) ** 2) if self.structure.depths else gap
         collided = clearance <= 0
-        reached = ca.logic_and(ca.logic_not(collided), gap <= given["reach"])
+        reached = ca.logic_and(ca.logic_not(collided), left <= given["reach"])
         broken = ca.logic_not(ca.fabs(total) <= _FINITE)
         standing, stop = self._standing(old, v["telemetry"])
         stop = ca.if_else(broken, _code("fault"), stop)
@@ -262,9 +280,15 @@ class _Builder:
 
     def _bodies(self, w: Mapping[str, ca.SX], time: ca.SX) -> list[Body]:
         found = [body_at(kind, w[f"body{k}"], time) for k, kind in enumerate(self.structure.bodies)]
+        if self.structure.heights:
+            found = [replace(b, heights=w["heights"][k, :].T) for k, b in enumerate(found)]
         if not self.structure.optional:
             return found
         return [replace(b, present=ca.logic_and(b.present, w["there"][k] > 0.5)) for k, b in enumerate(found)]
+
+    @staticmethod
+    def _beside(w: Mapping[str, ca.SX], bodies: Sequence[Body], plant: ca.SX) -> list[Body]:
+        return [body.beside(plant[2], w["world_hull"]) for body in bodies]
 
     def _movers(self, w: Mapping[str, ca.SX]) -> ca.SX | None:
         """How many moving obstacles a run has; None where all have the same."""
@@ -290,6 +314,17 @@ def _clearances(bodies: Sequence[Body], w: Mapping[str, ca.SX], position: ca.SX)
     walls = w["walls"]
     across = ca.fmin(ca.fmin(position[0] - walls[0], walls[1] - position[0]), position[1] - walls[2])
     return ca.vertcat(nearest, ca.fmin(across, walls[3] - position[1]) - w["world_hull"])
+
+
+def _column(bodies: Sequence[Body], w: Mapping[str, ca.SX], place: ca.SX) -> ca.SX:
+    """(2, 1) as `simulation.column.column`."""
+    above = below = ca.SX(LONGEST)
+    for body in bodies:
+        over, under = body.over_and_under(place[:3], w["world_hull"])
+        above, below = ca.fmin(above, over), ca.fmin(below, under)
+    top, bottom = place[2] + w["world_hull"], place[2] - w["world_hull"]
+    allowed = ca.vertcat(ca.fmin(above, w["depths"][1] - top), ca.fmin(below, bottom - w["depths"][0]))
+    return ca.fmax(allowed, 0)
 
 
 def _with_walls(clear: ca.SX, clearances: ca.SX) -> tuple[ca.SX, ca.SX]:

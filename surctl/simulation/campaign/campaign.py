@@ -101,8 +101,7 @@ def _flown(plan: Plan, first: int, count: int, threads: int) -> NDArray[np.float
 def _table(plan: Plan, whole: NDArray[np.float64]) -> RunTable:
     wide = 1 + len(METRICS)
     figures = whole[:, 1:wide]
-    hit = figures[:, list(METRICS).index("collided")] > 0.5
-    broken = tuple(_broken(plan.flight(k)) if hit[k] else () for k in range(len(whole)))
+    broken = tuple(_broken(plan.flight(k)) for k in range(len(whole)))
     values = {name: whole[:, wide + k] for k, name in enumerate(plan.names)}
     return RunTable(whole[:, 0].astype(np.int64), figures, values, broken)
 
@@ -111,5 +110,4 @@ def _broken(flight: Flight) -> tuple[str, ...]:
     """Which assumptions do not hold; with true positions everything is seen at once."""
     case = flight.case
     sees = case.scenario.sensors.equipment.array.maximum if case.sensing == "sonar" else inf
-    believed = case.model or case.vehicle
-    return assumptions(case.scenario, believed, flight.draw, detection=sees, fastest=FASTEST)
+    return assumptions(case, flight.draw, detection=sees, fastest=FASTEST)

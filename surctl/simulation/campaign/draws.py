@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.simulation.batch import Case
-from surctl.simulation.campaign.flight import Flight
+from surctl.simulation.campaign.flight import Drawn, Flight
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.world import build_world
 from surctl.vehicle import Vehicle
@@ -26,19 +25,12 @@ def draw_plant(vehicle: Vehicle, *, seed: int) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class MonteCarlo:
-    """Runs of one scenario with drawn plants, obstacles and seeds, see `Uncertainty`; run k flies seed `first` + k.
-
-    Attributes:
-        case: the scenario as its file has it.
-        first: seed of the first run, at least 0.
+class MonteCarlo(Drawn):
+    """Runs of the scenario as its file has it, with drawn plants, obstacles and seeds, see `Uncertainty`.
 
     Raises:
         InputError: obstacles that, as large as they may be drawn, cover the start.
     """
-
-    case: Case
-    first: int = 0
 
     def __post_init__(self) -> None:
         """Check that every draw can be flown."""
@@ -56,18 +48,9 @@ class MonteCarlo:
             ) from None
 
     @property
-    def name(self) -> str:
-        """The scenario's."""
-        return self.case.scenario.name
-
-    @property
     def names(self) -> tuple[str, ...]:
         """See `Plan`."""
         return tuple(self._row(0))
-
-    def seeds(self, first: int, count: int) -> NDArray[np.int64]:
-        """See `Plan`."""
-        return np.arange(self.first + first, self.first + first + count)
 
     def values(self, first: int, count: int) -> Mapping[str, NDArray[np.float64]]:
         """See `Plan`."""

@@ -1,4 +1,4 @@
-"""One run of a campaign, as the reference loop flies it."""
+"""One run of a campaign, as the reference loop flies it, and what plans of many runs are."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from surctl.simulation.batch import Case
 from surctl.simulation.run import Run, simulate
 
-__all__ = ["Flight", "Plan"]
+__all__ = ["Drawn", "Flight", "Plan"]
 
 Columns = Mapping[str, NDArray[np.float64]]
 
@@ -48,6 +48,28 @@ class Flight:
             seed=self.seed,
             model=case.model or case.vehicle,
         )
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What all plans are that draw each run from a seed; run k flies seed `first` + k.
+
+    Attributes:
+        case: what is compiled, and what every run is but for its draws.
+        first: seed of the first run, at least 0.
+    """
+
+    case: Case
+    first: int = 0
+
+    @property
+    def name(self) -> str:
+        """The scenario's."""
+        return self.case.scenario.name
+
+    def seeds(self, first: int, count: int) -> NDArray[np.int64]:
+        """See `Plan`."""
+        return np.arange(self.first + first, self.first + first + count)
 
 
 class Plan(Protocol):

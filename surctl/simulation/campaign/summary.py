@@ -27,21 +27,20 @@ class Summary:
         time_s: percentile → when the runs that arrived did [s]; empty when none did.
         clearance_m: percentile → least clearance of all runs [m]; empty when there is nothing to be clear of.
         broken: assumption → runs that collided and break it; `none` counts those that break none.
+        inside: collisions among the runs that break none; None when there is none.
     """
 
     stopped: Mapping[str, Share]
     time_s: Mapping[int, float]
     clearance_m: Mapping[int, float]
     broken: Mapping[str, int]
+    inside: Share | None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
-        shares = {
-            reason: {"count": s.count, "runs": s.runs, "rate": s.rate, "at_most_95": s.at_most()}
-            for reason, s in self.stopped.items()
-        }
         return {
-            "stopped": shares,
+            "stopped": {reason: _told(share) for reason, share in self.stopped.items()},
+            "collisions_within_assumptions": None if self.inside is None else _told(self.inside),
             "time_s": {f"p{p}": value for p, value in self.time_s.items()},
             "min_clearance_m": {f"p{p}": value for p, value in self.clearance_m.items()},
             "collisions_by_broken_assumption": dict(self.broken),
@@ -63,6 +62,14 @@ class Summary:
                 told.append(f"  {name:<11}{values}")
         if self.broken:
             told.append("  collisions by broken assumption: " + ", ".join(f"{n} {k}" for k, n in self.broken.items()))
+        if self.inside is None:
+            told.append("  every run breaks an assumption of the claim")
+        else:
+            s = self.inside
+            told.append(
+                f"  within the claim's assumptions: {s.count} of {s.runs} collided, "
+                f"with 95 % confidence at most {s.at_most():.3%}"
+            )
         return told
 
 
@@ -76,13 +83,20 @@ def summarise(table: RunTable) -> Summary:
     stopped = {reason: Share(int(np.sum(ended == code)), len(table)) for code, reason in enumerate(STOPS)}
     arrived = table.column("reached") > 0.5
     broken: dict[str, int] = {}
-    for k in np.flatnonzero(table.column("collided") > 0.5):
+    collided = table.column("collided") > 0.5
+    holds = np.array([not names for names in table.broken])
+    inside = Share(int(np.sum(collided & holds)), int(np.sum(holds))) if holds.any() else None
+    for k in np.flatnonzero(collided):
         for name in table.broken[int(k)] or ("none",):
             broken[name] = broken.get(name, 0) + 1
     clear = table.column("min_clearance_m")
     return Summary(
-        stopped, _percentiles(table.column("time_s")[arrived]), _percentiles(clear[np.isfinite(clear)]), broken
+        stopped, _percentiles(table.column("time_s")[arrived]), _percentiles(clear[np.isfinite(clear)]), broken, inside
     )
+
+
+def _told(share: Share) -> dict[str, float]:
+    return {"count": share.count, "runs": share.runs, "rate": share.rate, "at_most_95": share.at_most()}
 
 
 def _percentiles(values: NDArray[np.float64]) -> dict[int, float]:

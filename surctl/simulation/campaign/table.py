@@ -26,7 +26,7 @@ class RunTable:
         seeds: (n,).
         figures: (n, len(METRICS)), in the order of `METRICS`.
         values: (n,) by knob name: what was drawn.
-        broken: (n,) names of the assumptions that do not hold, of the runs that collided; else empty.
+        broken: (n,) names of the assumptions that do not hold.
     """
 
     seeds: NDArray[np.int64]

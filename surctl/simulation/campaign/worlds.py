@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError
-from surctl.simulation.batch import Case
 from surctl.simulation.campaign.draws import draw_plant
-from surctl.simulation.campaign.flight import Flight
+from surctl.simulation.campaign.flight import Drawn, Flight
 from surctl.simulation.fit import findings
+from surctl.simulation.motion import closest
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.scenario import Scenario, scenario_from_table
 from surctl.vehicle import Vehicle
@@ -35,6 +35,7 @@ _EDGES = (0.2, 1.6)  # [m] of a box (*chosen*; the paper's are 0.3 by 1.6)
 _RADII = (0.1, 0.4)  # [m] of a cylinder (*chosen*)
 _BALLS = (0.15, 0.35)  # [m] of what moves (*chosen*; the paper's are as large as the robot)
 _NEAR = 1.0  # [m] between hull and what moves, at the start; the same at the target where it ends (*chosen*)
+_BETWEEN = 0.1  # [m] beside a hull between two that move (*chosen*)
 _LEAST_WAY = 1.0  # [m] of what moves (*chosen*)
 _TRIES = 100_000
 
@@ -43,8 +44,10 @@ def random_world(vehicle: Vehicle, *, seed: int) -> Scenario:
     """One world: 1 to 8 obstacles, half of them moving, the odd one either way.
 
     The path goes straight through the 10 x 5 m tank, as in the paper. What stands still lies inside the tank and apart
-    from the others; what moves goes in a straight line clear of it, begins and ends away from robot and target, and is
-    taken out at its end. `findings` has no error: the hull has room at both ends and in the tightest gap of its way.
+    from the others; what moves goes in a straight line clear of it, begins and ends away from robot and target, leaves
+    a hull between it and whatever else moves 0.1 m of water at all times, and is taken out at its end. It may press a
+    hull against a wall or against what stands. `findings` has no error: the hull has room at both ends and in the
+    tightest gap of its way.
 
     Args:
         vehicle: that must fit.
@@ -106,20 +109,18 @@ def world_template(vehicle: Vehicle) -> Scenario:
 
 
 @dataclass(frozen=True)
-class RandomWorlds:
-    """Drawn worlds, all flown by one compiled loop; run k flies the world of seed `first` + k, with that seed.
+class RandomWorlds(Drawn):
+    """Drawn worlds, all flown by one compiled loop; run k flies the world of its seed.
+
+    The case is of `world_template`, with the sensors, the time limit and so on that all have.
 
     Attributes:
-        case: of `world_template`, with the sensors, the time limit and so on that all have.
-        first: seed of the first world, at least 0.
         plant: whether the vehicle that is flown is drawn too, see `draw_plant`.
 
     Raises:
         InputError: waves, whose draw depends on how many obstacles there are.
     """
 
-    case: Case
-    first: int = 0
     plant: bool = False
     _known: dict[int, Scenario] = field(default_factory=dict, repr=False, compare=False)
 
@@ -131,19 +132,10 @@ class RandomWorlds:
             )
 
     @property
-    def name(self) -> str:
-        """Of the campaign."""
-        return self.case.scenario.name
-
-    @property
     def names(self) -> tuple[str, ...]:
         """See `Plan`."""
         drawn = [f"plant.{name}" for name in self._draw(0)]
         return (*drawn, *(name for o in self.case.scenario.obstacles for name in _values(o, there=False)))
-
-    def seeds(self, first: int, count: int) -> NDArray[np.int64]:
-        """See `Plan`."""
-        return np.arange(self.first + first, self.first + first + count)
 
     def values(self, first: int, count: int) -> Mapping[str, NDArray[np.float64]]:
         """See `Plan`."""
@@ -206,7 +198,7 @@ def _still(rng: np.random.Generator, count: int) -> list[dict[str, Any]]:
 
 def _moving(rng: np.random.Generator, count: int, scenario: Scenario, vehicle: Vehicle) -> list[dict[str, Any]] | None:
     """So many moving obstacles between what stands still; None when there is no room for one."""
-    found: list[dict[str, Any]] = []
+    found: list[Obstacle] = []
     for k in range(count):
         for _ in range(200):
             radius = round(float(rng.uniform(*_BALLS)), 3)
@@ -219,21 +211,22 @@ def _moving(rng: np.random.Generator, count: int, scenario: Scenario, vehicle: V
             if hypot(end[0] - TARGET[0], end[1] - TARGET[1]) < away or hypot(*np.subtract(end, start)) < _LEAST_WAY:
                 continue
             way = np.linspace(start, end, 100).tolist()
-            if all(o.distance((x, y)) > radius for o in scenario.obstacles for x, y in way):
+            if any(o.distance((x, y)) <= radius for o in scenario.obstacles for x, y in way):
+                continue
+            told = {"centre_m": start, "to_m": end, "radius_m": radius, "speed_m_per_s": speed}
+            one = Obstacle.model_validate({"name": f"mover-{k + 1}", "shape": "moving", **told})
+            if all(_leaves_room(one, other, scenario, vehicle) for other in found):
                 break
         else:
             return None
-        found.append(
-            {
-                "name": f"mover-{k + 1}",
-                "shape": "moving",
-                "centre_m": start,
-                "to_m": end,
-                "radius_m": radius,
-                "speed_m_per_s": speed,
-            }
-        )
-    return found
+        found.append(one)
+    return [o.model_dump(exclude_unset=True) for o in found]
+
+
+def _leaves_room(one: Obstacle, other: Obstacle, scenario: Scenario, vehicle: Vehicle) -> bool:
+    """Whether a hull fits between two that move, all the time that both are there."""
+    wide = (one.radius_m or 0.0) + (other.radius_m or 0.0) + 2 * vehicle["radius"] + _BETWEEN
+    return closest(one, other, until=scenario.time_limit) >= wide
 
 
 def _millimetres(vector: NDArray[np.float64]) -> list[float]:

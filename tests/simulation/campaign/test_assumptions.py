@@ -3,9 +3,10 @@ from types import MappingProxyType
 
 import pytest
 
+from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.guidance.braking import Watch, brakes_of, range_needed, stopping_way
-from surctl.simulation import Obstacle, load_scenario
+from surctl.simulation import Case, Obstacle, load_scenario
 from surctl.simulation.campaign import assumptions
 from surctl.vehicle import load_vehicle
 
@@ -13,8 +14,11 @@ SCENARIO = load_scenario("tank-static")
 VEHICLE = load_vehicle(SCENARIO.vehicle)
 
 
-def told(draw=MappingProxyType({}), *, scenario=SCENARIO, detection=1e3, fastest=10.0):
-    return assumptions(scenario, VEHICLE, draw, detection=detection, fastest=fastest)
+CASE = Case(SCENARIO, VEHICLE, load_gains("default"), sensing="sonar")
+
+
+def told(draw=MappingProxyType({}), *, scenario=SCENARIO, detection=1e3, fastest=10.0, **kind):
+    return assumptions(replace(CASE, scenario=scenario, **kind), draw, detection=detection, fastest=fastest)
 
 
 def test_what_holds_is_not_told():
@@ -27,9 +31,9 @@ def test_weak_thrust_is_told():
 
 
 def test_a_plant_beyond_its_range_is_told():
-    most = VEHICLE.parameters["m11"].range[1]
-    assert told({"m11": most}) == ()
-    assert told({"m11": 1.01 * most}) == ("range",)
+    most = VEHICLE.parameters["Nr"].range[1]
+    assert told({"Nr": most}) == ()
+    assert told({"Nr": 1.01 * most}) == ("range",)
     with pytest.raises(InputError):
         told({"m12": 1.0})
 
@@ -57,3 +61,11 @@ def test_short_sight_is_told():
 def test_what_is_too_fast_to_be_braked_for_is_seen_too_late_from_any_range():
     one = Obstacle(name="b", shape="moving", centre_m=(9, 3), to_m=(8, 3), speed_m_per_s=0.2)
     assert told(scenario=replace(SCENARIO, obstacles=(one,))) == ("detection",)
+
+
+def test_masses_that_differ_are_told_where_the_hull_turns():
+    one, two = {"m11": 100.0, "m22": 90.0}, {"m11": 125.0, "m22": 75.0}
+    assert told(one) == () and told(two) == ("margin",)
+    assert told(two, sensing="truth") == ()  # a straight path is flown without turning
+    assert told(two, law="vo") == ()  # makes no such claim
+    assert told(two, gains=CASE.gains.with_values({"margin": 2.0})) == ()

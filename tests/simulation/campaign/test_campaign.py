@@ -62,6 +62,9 @@ def test_a_summary_counts():
     assert told.time_s[0] == 50.0 and told.time_s[50] == 55.0 and told.time_s[100] == 60.0
     assert told.clearance_m[0] == -0.002 and told.clearance_m[100] == 0.3
     assert told.broken == {"thrust": 1, "range": 1, "none": 1}
+    assert (told.inside.count, told.inside.runs) == (1, 5)
+    assert told.to_dict()["collisions_within_assumptions"]["at_most_95"] == told.inside.at_most()
+    assert any("1 of 5 collided" in line for line in told.lines())
     assert told.to_dict()["stopped"]["collision"]["at_most_95"] == told.stopped["collision"].at_most() > 2 / 6
 
 
@@ -84,6 +87,13 @@ def test_a_collision_names_what_was_not_assumed():
     flown = fly_campaign(quick, runs=40)
     hit = flown.table.column("collided") > 0.5
     assert 0 < hit.sum() < 40
-    for k in range(40):
-        assert ("obstacle speed" in flown.table.broken[k]) == bool(hit[k])
-    assert not any(fly_campaign(plan("tank-static"), runs=5).table.broken)  # nothing moves
+    assert all("obstacle speed" in names for names, is_hit in zip(flown.table.broken, hit, strict=True) if is_hit)
+    assert flown.summary.broken["obstacle speed"] == hit.sum()
+    still = fly_campaign(plan("tank-static"), runs=5).table.broken
+    assert {name for names in still for name in names} <= {"margin"}  # nothing moves
+
+
+def test_where_every_run_breaks_something_nothing_is_said_of_the_rest():
+    told = summarise(table(("reached", 9.0, 0.1, ("margin",))))
+    assert told.inside is None and told.to_dict()["collisions_within_assumptions"] is None
+    assert any("every run breaks" in line for line in told.lines())

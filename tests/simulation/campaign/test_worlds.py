@@ -1,6 +1,7 @@
 """Random worlds: seeded, feasible, half of them moving, and all flown by one compiled loop."""
 
 from dataclasses import replace
+from itertools import combinations
 from math import hypot
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.simulation import Case, findings, simulate_batch
+from surctl.simulation import Case, build_world, findings, simulate_batch
 from surctl.simulation.batch.pack import structure_of
 from surctl.simulation.campaign import RandomWorlds, random_world, world_template
 from surctl.simulation.scenario_table import scenario_table
@@ -52,6 +53,20 @@ def test_each_can_be_flown(world):
         assert hypot(*(world.start - o.centre_m)) >= away and hypot(*(world.target - o.to_m)) >= away
         for x, y in np.linspace(o.centre_m, o.to_m, 37).tolist():
             assert all(other.distance((x, y)) > o.radius_m - 1e-2 for other in still)
+
+
+def test_a_hull_fits_between_two_that_move():
+    apart = []
+    for world in WORLDS:
+        for a, b in combinations([o for o in world.obstacles if not o.still], 2):
+            bodies = [build_world(replace(world, obstacles=(o,)), VEHICLE, seed=0) for o in (a, b)]
+            for time in np.arange(0.0, world.time_limit, 2.0):
+                one, two = (made.bodies(time) for made in bodies)
+                if one and two:
+                    apart.append(
+                        hypot(*np.subtract(one[0].shape.center, two[0].shape.center)) - a.radius_m - b.radius_m
+                    )
+    assert 2 * VEHICLE["radius"] + 0.1 - 1e-9 <= min(apart) < 1.0
 
 
 @pytest.mark.parametrize(("sensing", "seconds"), [("truth", None), ("sonar", 15.0)])

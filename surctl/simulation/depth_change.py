@@ -1,0 +1,70 @@
+"""When and where a run left the depth it flew at."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from surctl.simulation.run import Run
+
+__all__ = ["DepthChange", "depth_changes"]
+
+
+@dataclass(frozen=True)
+class DepthChange:
+    """From `time_s` [s] on it changes its depth in place.
+
+    Attributes:
+        place_m: (x, y) in {E} [m].
+        from_m, to_m: z of the two depths [m].
+        back: whether that is the path's depth again.
+    """
+
+    time_s: float
+    place_m: tuple[float, float]
+    from_m: float
+    to_m: float
+    back: bool
+
+    def __str__(self) -> str:
+        """One line without a full stop."""
+        what = "back to the path's depth" if self.back else "a way is looked for at another depth"
+        x, y = self.place_m
+        return f"{self.time_s:6.2f} s  at ({x:.2f}, {y:.2f}) m from z {self.from_m:.2f} to {self.to_m:.2f} m: {what}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return asdict(self)
+
+
+def depth_changes(run: Run) -> list[DepthChange]:
+    """All of a run, in their order; none of a law that keeps to the path's depth.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import Obstacle, depth_changes, load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> sill = Obstacle(name="sill", shape="box", centre_m=(2.0, 1.0), size_m=(0.2, 2.0), top_m=-1.0)
+        >>> mission = replace(load_scenario("pool-behind"), obstacles=(sill,), depth=-1.1, depths=(-2.0, -0.2))
+        >>> run = simulate(mission, load_vehicle("sur400"), gains=load_gains("default").with_values({"patience": 2.0}))
+        >>> [(round(change.from_m, 2), round(change.to_m, 2), change.back) for change in depth_changes(run)]
+        [(-1.1, -0.65, False), (-0.65, -1.1, True)]
+    """
+    if "wanted_depth" not in run.law.outputs:
+        return []
+    wanted, record = run.telemetry("wanted_depth").ravel(), run.record
+    given_up = run.telemetry("trapped").ravel() > 0.5
+    found, last = list[DepthChange](), run.scenario.depth
+    turns = (np.flatnonzero(np.diff(wanted) != 0) + 1).tolist()
+    for k, until in zip(turns, [*turns[1:], len(wanted) + 1], strict=True):
+        # a depth that is out of reach is turned down in the next step; once it gave up, it stays where it has come to
+        if until - k < 2 or given_up[k]:
+            continue
+        x, y, to = float(record.eta[k, 0]), float(record.eta[k, 1]), float(wanted[k])
+        found.append(DepthChange(float(record.time[k]), (x, y), last, to, to == run.scenario.depth))
+        last = to
+    return found

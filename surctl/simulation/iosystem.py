@@ -1,0 +1,104 @@
+"""The closed loop of a scenario as a nonlinear system of python-control, in discrete time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.control import Gains, Law, build_law
+from surctl.errors import InputError
+from surctl.sensing import NoiseStream
+from surctl.simulation.numbers import law_numbers
+from surctl.simulation.run import Loop
+from surctl.simulation.scenario import Scenario
+from surctl.simulation.world import build_world
+from surctl.vehicle import PLANT_STATE, Vehicle
+from surctl.vehicle.linearise import STATE_NAMES, THRUST_NAMES, labelled
+
+__all__ = ["FlightSystem", "flight_system"]
+
+
+class FlightSystem(NamedTuple):
+    """A closed loop for `control.input_output_response(system, times, inputs, initial)`.
+
+    Attributes:
+        system: `control.NonlinearIOSystem` with `dt` the control period.
+        initial: its state at the scenario's start.
+    """
+
+    system: Any
+    initial: NDArray[np.float64]
+
+
+def flight_system(
+    scenario: Scenario,
+    vehicle: Vehicle,
+    *,
+    gains: Gains,
+    law: Law | None = None,
+    seed: int = 0,
+    model: Vehicle | None = None,
+) -> FlightSystem:
+    """The loop that `simulate` flies with true positions; with zero input, the same numbers to the last bit.
+
+    One step is a control period: the law decides, the plant moves with the thrust held. It goes on where a run would
+    end: at the target, in a collision. The world (obstacles, waves, the seed's draws) is a function of time, so times
+    must begin at a multiple of the period.
+
+    Args:
+        scenario, vehicle, gains, seed, model: as `simulate`.
+        law: default: `build_law`; one that listens to no sonars.
+
+    Returns:
+        System with inputs `Fu_cmd` … `Fr_cmd` [N, N m], added to what the law commands; states the plant's 12, then the
+        law's; outputs pose (4), body velocity (4), and the law's command (4). And the state at the start.
+
+    Raises:
+        InputError: a law with sonars, whose sensors keep a state of their own; a scenario that starts inside an
+            obstacle.
+
+    Example:
+        >>> import control
+        >>> import numpy as np
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.simulation import flight_system, load_scenario
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, vehicle = load_scenario("pool-behind"), load_vehicle("sur400")
+        >>> flight = flight_system(mission, vehicle, gains=load_gains("default"), law=build_law("lean"))
+        >>> t, added = np.arange(100) * 0.05, np.zeros((4, 100))
+        >>> answer = control.input_output_response(flight.system, t, added, flight.initial)
+        >>> flight.system.output_labels[:2], answer.outputs[:2, -1].round(2).tolist()
+        (['x [m]', 'y [m]'], [1.6, 1.12])
+    """
+    import control  # seconds to import: only when asked for
+
+    chosen = law or build_law(depths=scenario.depths is not None)
+    if "samples" in chosen.inputs:
+        raise InputError("listens to sonars", key="law", value=chosen.name, remedy="build the law with sonar=False")
+    world, p = build_world(scenario, vehicle, seed=seed), law_numbers(scenario, gains, model or vehicle)
+    loop = Loop(world, vehicle, chosen, p, "truth", NoiseStream(seed), chosen.step)
+    start = np.concatenate([loop.state, chosen.initial_state()])
+    plant = PLANT_STATE.size
+
+    def moved(t: float, x: NDArray[np.float64], u: NDArray[np.float64], params: Mapping[str, Any]) -> Any:
+        step, state = loop.step_from(x[:plant], x[plant:], round(t / chosen.dt), added=u)
+        return np.concatenate([state, step.x_next])
+
+    def seen(t: float, x: NDArray[np.float64], u: NDArray[np.float64], params: Mapping[str, Any]) -> Any:
+        step, _ = loop.step_from(x[:plant], x[plant:], round(t / chosen.dt), added=u)
+        return np.concatenate([x[:8], step.tau])
+
+    thrust = labelled(THRUST_NAMES)
+    system = control.nlsys(
+        moved,
+        seen,
+        inputs=[f"{name} added" for name in thrust],
+        outputs=[*labelled(STATE_NAMES[:8]), *thrust],
+        states=[*labelled(STATE_NAMES), *(f"law_{k}" for k in range(len(start) - plant))],
+        dt=chosen.dt,
+        name=scenario.name,
+    )
+    return FlightSystem(system, start)

@@ -1,0 +1,36 @@
+"""A mission, gains and a vehicle as the numbers that a law is given."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.control import Gains, law_parameters
+from surctl.simulation.scenario import Scenario
+from surctl.vehicle import Vehicle
+
+__all__ = ["law_numbers"]
+
+
+def law_numbers(scenario: Scenario, gains: Gains, model: Vehicle) -> NDArray[np.float64]:
+    """The law's parameters, as `PARAMETERS` packs them: of a scenario, gains, and the vehicle that is believed in.
+
+    Example:
+        >>> from surctl.control import PARAMETERS, load_gains
+        >>> from surctl.simulation import law_numbers, load_scenario
+        >>> from surctl.vehicle import load_vehicle
+        >>> p = law_numbers(load_scenario("pool-behind"), load_gains("default"), load_vehicle("sur400"))
+        >>> [p[PARAMETERS.slice(name)].tolist() for name in ("cruise", "depth", "walls")]
+        [[0.15], [-0.15], [0.0, 3.0, 0.0, 2.0]]
+    """
+    length, width, _ = scenario.site
+    return law_parameters(
+        gains,
+        model,
+        path=scenario.path,
+        depth=scenario.depth,
+        cruise=scenario.cruise,
+        cap=scenario.cap,
+        walls=(0.0, length, 0.0, width),
+        launch=scenario.launch,
+    )

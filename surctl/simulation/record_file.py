@@ -1,0 +1,145 @@
+"""A run as a file for other programs: CSV, MATLAB's .mat, netCDF; one row a control step."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.files import write_file
+from surctl.recorded import shown
+from surctl.simulation.run import Run
+from surctl.vehicle import FRAME_TEXT, LOG_MOTION, LOG_THRUST, Frame, check_frame, swap_body, swap_pose
+
+__all__ = ["RECORD_FORMATS", "RecordFormat", "record_columns", "save_record"]
+
+RecordFormat = Literal["csv", "mat", "nc"]
+RECORD_FORMATS: tuple[RecordFormat, ...] = get_args(RecordFormat)
+
+_UNITS = {
+    "t_s": "s",
+    **dict(zip(LOG_MOTION, ("m", "m", "m", "rad", "m/s", "m/s", "m/s", "rad/s"), strict=True)),
+    **dict(zip(LOG_THRUST, ("N", "N", "N", "N m"), strict=True)),
+    "clearance_m": "m",
+    "status": "1",
+}
+_MEANING = {
+    "t_s": "time",
+    **dict(zip(LOG_MOTION[:4], ("x in {E}", "y in {E}", "z in {E}", "heading, from x to y"), strict=True)),
+    **dict(zip(LOG_MOTION[4:], ("surge in {B}", "sway in {B}", "heave in {B}", "yaw rate"), strict=True)),
+    **dict(zip(LOG_THRUST, (f"commanded {axis}" for axis in ("surge", "sway", "heave", "yaw")), strict=True)),
+    "clearance_m": "hull to the nearest obstacle or wall",
+    "status": "bits of the law's status",
+}
+
+
+def record_columns(run: Run, *, frame: Frame | str = "enu") -> dict[str, NDArray[np.float64]]:
+    """Columns (n,) by name, SI units: time, η, ν, commanded thrust, clearance, status; `from-log` reads the same.
+
+    Raises:
+        InputError: an unknown frame.
+
+    Example:
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.simulation import load_scenario, record_columns, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> law, gains = build_law("lean"), load_gains("default")
+        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
+        >>> list(record_columns(run))[:5]
+        ['t_s', 'x_m', 'y_m', 'z_m', 'psi_rad']
+        >>> [round(float(record_columns(run, frame=frame)["z_m"][-1]), 2) for frame in ("enu", "ned")]
+        [-0.15, 0.15]
+    """
+    r = run.record
+    eta, nu, tau = r.eta, r.nu, r.tau
+    if check_frame(frame, key="--frame") == "ned":
+        eta, nu, tau = swap_pose(eta), swap_body(nu), swap_body(tau)
+    found = {"t_s": r.time}
+    found |= dict(zip(LOG_MOTION, np.column_stack([eta, nu]).T, strict=True))
+    found |= dict(zip(LOG_THRUST, tau.T, strict=True))
+    return {
+        k: np.asarray(v, dtype=float) for k, v in (found | {"clearance_m": r.clearance, "status": r.status}).items()
+    }
+
+
+def save_record(run: Run, folder: Path, *, kind: RecordFormat | str, frame: Frame | str = "enu") -> Path:
+    """Write the run to `SCENARIO-SEED.KIND` in the folder; the path.
+
+    The same run gives the same numbers in each format, to the last bit. CSV: as many digits as bring each number back,
+    below a comment that says frame and run. .mat: one column vector a name, texts `frame` and `about`, structs `units`
+    and `meaning` with a field a name. netCDF-4: along dimension `time`, with `units` and `long_name` of each variable,
+    and `frame` of the file.
+
+    Args:
+        run: the run.
+        folder: it must be there.
+        kind: csv, mat or nc.
+        frame: enu (ENU/FLU), or ned (NED/FRD).
+
+    Raises:
+        InputError: an unknown format or frame, or a folder that cannot be written.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.simulation import load_scenario, save_record, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> law, gains = build_law("lean"), load_gains("default")
+        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
+        >>> saved = save_record(run, Path(), kind="csv", frame="ned")
+        >>> print(saved, saved.read_text().splitlines()[1][:23])
+        pool-behind-0.csv t_s,x_m,y_m,z_m,psi_rad
+    """
+    if kind not in RECORD_FORMATS:
+        raise InputError("is not known", key="--save", value=kind, remedy=nearest(str(kind), RECORD_FORMATS))
+    path = folder / f"{run.scenario.name}-{run.seed}.{kind}"
+    columns = record_columns(run, frame=frame)
+    told = FRAME_TEXT[check_frame(frame)]
+    about = " ".join(f"{k}={v}" for k, v in run.to_dict().items() if isinstance(v, str | int | float))
+    if kind == "csv":
+        above = f"# frame={frame} ({told}); SI units, radians; {shown(about)}"
+        rows = [above, ",".join(columns), *(",".join(map(_plain, row)) for row in zip(*columns.values(), strict=True))]
+        return write_file(path, "\n".join(rows) + "\n")
+    if kind == "mat":
+        from scipy.io import savemat
+
+        held = io.BytesIO()
+        texts = {"frame": told, "about": about, "units": _UNITS, "meaning": _MEANING}
+        savemat(held, {**{k: v[:, None] for k, v in columns.items()}, **texts}, oned_as="column")
+        text = b"MATLAB 5.0 MAT-file, a run of surctl".ljust(116)  # scipy writes the date there
+        return write_file(path, text + held.getvalue()[116:])
+    return _netcdf(path, columns, about, told)
+
+
+def _plain(value: float) -> str:
+    # a clearance is inf where there is nothing to touch
+    return repr(int(value)) if abs(value) < 1e15 and value == int(value) else repr(float(value))
+
+
+def _netcdf(path: Path, columns: Mapping[str, NDArray[np.float64]], about: str, frame: str) -> Path:
+    import netCDF4
+
+    part = path.with_suffix(f".{os.getpid()}.tmp")
+    try:
+        with netCDF4.Dataset(part, "w", format="NETCDF4") as file:
+            file.setncatts({"Conventions": "CF-1.11", "title": about, "frame": frame})
+            file.createDimension("time", len(columns["t_s"]))
+            for name, values in columns.items():
+                made = file.createVariable(name, "f8", ("time",))
+                made.setncatts({"units": _UNITS[name], "long_name": _MEANING[name]})
+                made[:] = values
+        part.replace(path)
+    except (OSError, RuntimeError) as error:  # netCDF tells a full disk as a RuntimeError
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        reason = getattr(error, "strerror", None) or str(error)
+        remedy = "make room or name another folder"
+        raise InputError(f"cannot be written ({reason})", file=path, remedy=remedy) from None
+    return path

@@ -1,0 +1,182 @@
+"""Escape by depth: over a sill and under a curtain, by truth and by sonar; a dead end where no depth leads on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path as FilePath
+
+import numpy as np
+import pytest
+
+from surctl.cli.single_run import explained_and_drawn
+from surctl.control import load_gains
+from surctl.guidance import Path
+from surctl.simulation import (
+    METRICS,
+    STOPS,
+    Case,
+    Obstacle,
+    Run,
+    Scenario,
+    Sensing,
+    depth_changes,
+    halt_reason,
+    load_scenario,
+    simulate,
+    simulate_batch,
+)
+from surctl.vehicle import load_vehicle
+from tests.tools import need_compiler
+
+SILL = load_scenario(str(FilePath(__file__).parent / "scenarios" / "tank-sill.toml"))
+HULL, MARGIN = load_vehicle(SILL.vehicle)["radius"], load_gains("default")["margin"]
+PITCH = 2 * HULL + MARGIN
+
+
+def _across(name: str, **ends: float) -> Obstacle:
+    return Obstacle(name=name, shape="box", centre_m=(5.0, 2.5), size_m=(0.3, 5.0), **ends)  # type: ignore[arg-type]
+
+
+def _box(name: str, centre: tuple[float, float], size: tuple[float, float], **ends: float) -> Obstacle:
+    return Obstacle(name=name, shape="box", centre_m=centre, size_m=size, **ends)  # type: ignore[arg-type]
+
+
+def _u(**ends: float) -> tuple[Obstacle, ...]:
+    arms = (_box("right", (3.9, 0.9), (1.8, 0.3), **ends), _box("left", (3.9, 4.1), (1.8, 0.3), **ends))
+    return (_across("back", **ends), *arms)
+
+
+SCENES = {
+    "a sill": (_across("sill", top_m=-1.8),),
+    "a curtain": (_across("curtain", bottom_m=-2.2),),
+    "a low U": _u(top_m=-1.8),
+}
+BLOCKED = {"a wall": (_across("wall"),), "a wall with a hole too small": (_across("wall", top_m=-0.9),)}
+
+
+def _scenario(obstacles: tuple[Obstacle, ...]) -> Scenario:
+    return replace(SILL, obstacles=obstacles, time_limit=1000.0)
+
+
+def _case(obstacles: tuple[Obstacle, ...], sensing: Sensing = "truth", patience: float = 10.0) -> Case:
+    scenario, gains = _scenario(obstacles), load_gains("default").with_values({"patience": patience})
+    return Case(scenario, load_vehicle(scenario.vehicle), gains, sensing=sensing)
+
+
+def _flown(case: Case, seed: int = 0) -> Run:
+    return simulate(case.scenario, case.vehicle, gains=case.gains, law=case.build(), sensing=case.sensing, seed=seed)
+
+
+@cache
+def _run(scene: str) -> Run:
+    return _flown(_case((SCENES | BLOCKED)[scene]))
+
+
+@pytest.mark.parametrize(
+    ("scene", "layers"),
+    [("a sill", [1, 0]), ("a curtain", [1, 2, -1, 0]), ("a low U", [1, 0])],
+)
+def test_where_only_another_depth_leads_on_it_is_found_and_left_again(scene: str, layers: list[int]) -> None:
+    run = _run(scene)
+    assert run.metrics.reached and run.metrics.min_clearance_m > 0.04
+    assert [change.to_m for change in depth_changes(run)] == pytest.approx([-2.0 + k * PITCH for k in layers])
+    assert [change.back for change in depth_changes(run)] == [k == 0 for k in layers]
+    assert run.record.eta[-1, 2] == pytest.approx(-2.0, abs=0.1)
+    told = run.to_dict()["depth_changes"]
+    assert [change["to_m"] for change in told] == [change.to_m for change in depth_changes(run)]
+    first, *_, last = explained_and_drawn(run, {}, explained=False, out=None)
+    assert "m from z -2.00 to -1.41 m: a way is looked for at another depth" in first
+    assert last.endswith("to -2.00 m: back to the path's depth")
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_it_changes_its_depth_in_place_and_within_the_water_that_is_allowed(scene: str) -> None:
+    run = _run(scene)
+    z, changing = run.record.eta[:, 2], _state(run, "changing") > 0.5
+    assert SILL.depths is not None
+    lowest, highest = SILL.depths
+    assert np.all(z - HULL >= lowest + MARGIN - 0.01) and np.all(z + HULL <= highest - MARGIN + 0.01)
+    speed, rising = np.hypot(*run.record.nu[:, :2].T), np.abs(run.record.nu[:, 2])
+    assert np.all(rising[~changing] < 0.03) and rising[changing].max() > 0.08
+    assert speed[changing & (rising > 0.03)].max() < 0.06
+    depth = z + 2.0
+    at_a_layer = np.abs(depth - PITCH * np.round(depth / PITCH)) < 0.05
+    assert np.all(at_a_layer | changing)
+
+
+def _state(run: Run, name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    return np.asarray(run.record.law_state[:, run.law.state.slice(name)][:, 0])
+
+
+@pytest.mark.parametrize("scene", BLOCKED)
+def test_where_no_depth_leads_on_it_is_a_dead_end_after_all_were_tried(scene: str) -> None:
+    run = _run(scene)
+    assert run.metrics.stopped_because == "dead end" and run.metrics.min_clearance_m > 0.04
+    tried = [change.to_m for change in depth_changes(run)]
+    assert tried == pytest.approx([-2.0 + k * PITCH for k in (1, 2, -1, -2)])
+    assert halt_reason(run).endswith("depths tried besides the path's, z in m: -1.41, -0.82, -2.59, -3.18")
+    assert np.ptp(run.record.eta[-100:, 2]) < 0.02
+
+
+def test_without_other_depths_the_sill_is_a_dead_end_as_ever() -> None:
+    case = _case(SCENES["a sill"])
+    run = _flown(replace(case, scenario=replace(case.scenario, depths=None)))
+    assert run.metrics.stopped_because == "dead end" and depth_changes(run) == []
+    assert "depth_changes" not in run.to_dict() and "column" not in run.law.inputs
+    assert np.ptp(run.record.eta[:, 2]) < 1e-6
+
+
+def test_over_the_target_at_another_depth_it_has_not_arrived() -> None:
+    """The target lies just behind the sill: both loops end the run at the path's depth only."""
+    need_compiler()
+    case = _case(SCENES["a sill"])
+    short = replace(case, scenario=replace(case.scenario, path=Path(np.array([[3.5, 2.5], [5.5, 2.5]]))))
+    run = _flown(short)
+    over = np.hypot(*(run.record.eta[:, :2] - [5.5, 2.5]).T) < short.scenario.reach
+    assert run.metrics.reached and np.any(over & (run.record.eta[:, 2] > -1.5))
+    assert run.record.eta[-1, 2] == pytest.approx(-2.0, abs=0.1)
+    (row,) = simulate_batch(short, seeds=[0]).table
+    np.testing.assert_allclose(row, run.metrics.row(), rtol=0, atol=1e-6)
+
+
+def test_a_second_dead_end_further_on_is_left_as_the_first() -> None:
+    first, second = _box("sill", (4.0, 2.5), (0.3, 5.0), top_m=-1.8), _box("bar", (7.0, 2.5), (0.3, 5.0), top_m=-1.8)
+    run = _flown(_case((first, second)))
+    assert run.metrics.reached and run.metrics.min_clearance_m > 0.04
+    assert [change.back for change in depth_changes(run)] == [False, True, False, True]
+
+
+@pytest.mark.parametrize("scene", ["a curtain"])
+def test_the_compiled_loop_flies_the_same(scene: str) -> None:
+    need_compiler()
+    (row,) = simulate_batch(_case((SCENES | BLOCKED)[scene]), seeds=[0]).table
+    np.testing.assert_allclose(row, _run(scene).metrics.row(), rtol=0, atol=1e-6)
+
+
+def test_by_sonar_twenty_seeds_arrive_over_and_under_and_none_collides() -> None:
+    need_compiler()
+    for scene in ("a sill", "a curtain"):
+        table = simulate_batch(_case(SCENES[scene], "sonar"), seeds=np.arange(20)).table
+        stopped, least = (table[:, list(METRICS).index(name)] for name in ("stopped", "min_clearance_m"))
+        assert np.all(stopped == STOPS.index("reached")) and least.min() > 0.05, scene
+
+
+def test_by_sonar_no_depth_leads_on_through_a_wall() -> None:
+    need_compiler()
+    wall = (_across("wall", bottom_m=-5.0),)  # the floor: the same compiled loop
+    table = simulate_batch(_case(wall, "sonar"), seeds=np.arange(5)).table
+    assert np.all(table[:, list(METRICS).index("stopped")] == STOPS.index("dead end"))
+    assert table[:, list(METRICS).index("min_clearance_m")].min() > 0.05
+
+
+def test_both_loops_hear_what_crosses_the_fan_and_nothing_else() -> None:
+    """A sill that is heard, one that is passed over, and a curtain passed under; at one depth."""
+    need_compiler()
+    heard, low = _box("heard", (2.2, 2.5), (0.3, 1.0), top_m=-2.25), _box("low", (1.6, 2.5), (0.3, 1.0), top_m=-2.4)
+    case = _case((heard, low, _box("high", (1.6, 1.0), (0.3, 0.3), bottom_m=-1.6)), "sonar")
+    short = replace(case, scenario=replace(case.scenario, depths=None, time_limit=2.5))
+    run = _flown(short, 2)
+    assert run.telemetry("ranges")[-1].min() < 1.7
+    (row,) = simulate_batch(short, seeds=[2]).table
+    np.testing.assert_allclose(row, run.metrics.row(), rtol=0, atol=1e-9)
