@@ -3,6 +3,10 @@
 A certificate is one JSON file: `format`, `version`, `kind`, `claim`, the kind's own keys, and `sha256`, the hash of
 the canonical JSON (sorted keys, no spaces, UTF-8, floats as `repr`) without that key. Each kind is a module of this
 package with `check(document) -> None`, which raises `Rejected(reason)`.
+
+A certificate that was altered is rejected by its hash. With the hash mended it is another certificate, of another
+claim: it is rejected unless the mathematics proves that claim. A false claim is never accepted; one that is altered
+and still true may be.
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ from surctl.certcheck.document import Rejected, canonical, read, seal, verify_fr
 
 __all__ = ["KINDS", "Checked", "Rejected", "canonical", "check_document", "check_file", "seal"]
 
-KINDS = ("interval", "region")
+KINDS = ("braking", "heading", "interval", "region")
 """Kinds of certificate, each a module of this package."""
 
 
@@ -55,6 +59,17 @@ def check_file(path: str | Path) -> Checked:
 
     Raises:
         InputError: the file cannot be read, or is no certificate at all.
+
+    Example:
+        >>> import json
+        >>> from pathlib import Path
+        >>> from surctl.certcheck import check_file
+        >>> from surctl.verification import claims, prove
+        >>> [claim] = claims(names=["m-norm-corrected"])
+        >>> _ = Path("m-norm.json").write_text(json.dumps(prove(claim).certificate))
+        >>> checked = check_file("m-norm.json")
+        >>> checked.accepted, checked.kind, checked.claim["name"]
+        (True, 'interval', 'm-norm-corrected')
     """
     began = time.perf_counter()
     try:
@@ -65,7 +80,18 @@ def check_file(path: str | Path) -> Checked:
 
 
 def check_document(document: Mapping[str, Any], *, began: float | None = None) -> Checked:
-    """The same for a document in memory; `began` is the clock's reading (perf_counter) that `seconds` counts from."""
+    """As `check_file`, of a document in memory; `seconds` counts from `began`, a reading of perf_counter.
+
+    Example:
+        >>> from surctl.certcheck import check_document
+        >>> from surctl.verification import claims, prove
+        >>> [claim] = claims(names=["m-norm-corrected"])
+        >>> certificate = prove(claim).certificate
+        >>> check_document(certificate).accepted
+        True
+        >>> check_document(certificate | {"claim": {}}).reason
+        'the hash is not that of the content: the file was altered'
+    """
     began = time.perf_counter() if began is None else began
     kind, claim = document.get("kind"), document.get("claim")
     kind = kind if isinstance(kind, str) else ""

@@ -27,6 +27,11 @@ def canonical(document: Mapping[str, Any]) -> bytes:
 
     Raises:
         ValueError: a number that JSON does not know (NaN, infinity).
+
+    Example:
+        >>> from surctl.certcheck import canonical
+        >>> canonical({"kind": "interval", "bound": 0.1, "sha256": "left out"})
+        b'{"bound":0.1,"kind":"interval"}'
     """
     body = {key: value for key, value in document.items() if key != "sha256"}
     text = json.dumps(body, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
@@ -43,6 +48,18 @@ def seal(kind: str, claim: Mapping[str, Any], evidence: Mapping[str, Any]) -> di
 
     Raises:
         ValueError: evidence that bears a name of the frame, or a number that JSON does not know.
+
+    Example:
+        >>> from surctl.certcheck import check_document, seal
+        >>> from surctl.verification import claims, prove
+        >>> [claim] = claims(names=["m-norm-corrected"])
+        >>> proved = prove(claim).certificate
+        >>> evidence = {key: proved[key] for key in proved.keys() - {"format", "version", "kind", "claim", "sha256"}}
+        >>> check_document(seal("interval", proved["claim"], evidence)).accepted
+        True
+        >>> bolder = seal("interval", proved["claim"] | {"right": "-1"}, evidence)  # another claim, the same evidence
+        >>> check_document(bolder).reason
+        'the cases are not all choices, each once'
     """
     frame = {"format": FORMAT, "version": VERSION, "kind": kind, "claim": dict(claim)}
     taken = sorted(set(evidence) & {*frame, "sha256"})

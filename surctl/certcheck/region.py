@@ -1,7 +1,7 @@
 """Check of a region certificate: every motion that starts in V ≤ 1 decays at the claimed rate to V ≤ floor.
 
-The claim: whatever the constant true parameters in their ranges, there is a steady cruise ξ*, with x_e* = −ω/k1;
-V = (ξ − ξ*)ᵀ P (ξ − ξ*); along every motion that is at a control instant in V ≤ 1,
+The claim: whatever the constant true parameters in their ranges, there is a steady cruise ξ*, with x_e* = −ω/k1
+and, in a current, beside the path; V = (ξ − ξ*)ᵀ P (ξ − ξ*); along every motion that is at a control instant in V ≤ 1,
 V(t) ≤ max(e^(−a t) V(0), floor). The levels floor = ℓ_0 < ℓ_1 < … < 1 cut the region into shells, and in each
 V̇ < −a V is proved by one negative definite matrix a vertex of the loop. All of it in exact rational numbers.
 
@@ -19,9 +19,10 @@ from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_bounds import shell
 from surctl.certcheck.region_claim import CruiseClaim, number, read_claim, record
 from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite, quadratic, root_up, scaled
+from surctl.certcheck.region_flow import steady_trim
 from surctl.certcheck.region_inclusion import MULTIPLIERS, rate_matrix, vertices
 from surctl.certcheck.region_law import check_identity
-from surctl.certcheck.region_trim import Trim, trim
+from surctl.certcheck.region_trim import Trim
 
 __all__ = ["check"]
 
@@ -42,7 +43,7 @@ def check(document: Mapping[str, Any]) -> None:
         raise Rejected("P is not positive definite")
     levels, multipliers = _shells(proof)
     hold = number(proof["hold"], "proof.hold")
-    covariance, steady = inverse(p), trim(claim)
+    covariance, steady = inverse(p), steady_trim(claim)
     _check_offset(claim, p, steady)
     _check_settled(claim, covariance, steady, levels[0])
     # y, U_y, F_y → −y, −U_y, −F_y leaves such a V, and turns r round
@@ -50,7 +51,7 @@ def check(document: Mapping[str, Any]) -> None:
     for k, factors in enumerate(multipliers):
         low, high = levels[k], levels[k + 1]
         at = shell(claim, steady, covariance, low, high)
-        for j, loop in enumerate(vertices(claim, at, len(p), mirrored=mirrored)):
+        for j, loop in enumerate(vertices(claim, at, len(p), aside=steady.aside, mirrored=mirrored)):
             m = rate_matrix(claim, at, p, loop, factors, hold)
             if not is_positive_definite(scaled(Fraction(-1), m)):
                 raise Rejected(f"V does not decay at the rate between levels {float(low):g} and {float(high):g}, "
@@ -93,7 +94,8 @@ def _check_offset(claim: CruiseClaim, p: Matrix, steady: Trim) -> None:
     """x_e = 0, |y_e| = offset, at the target's velocity: in the region whatever ω is."""
     for omega in steady.omega:
         for side in (1, -1):
-            start = [omega / claim.k1, side * claim.offset, *[Fraction(0)] * (len(p) - 2)]
+            away = side * (claim.offset + steady.aside)
+            start = [omega / claim.k1, away, *[Fraction(0)] * (len(p) - 2)]
             if quadratic(p, start) > 1:
                 raise Rejected(f"a cross-track offset of {float(claim.offset):g} m is not in the region")
 
@@ -102,5 +104,5 @@ def _check_settled(claim: CruiseClaim, covariance: Matrix, steady: Trim, floor: 
     """|x_e| and |y_e| on V ≤ floor."""
     away = max(abs(omega) for omega in steady.omega) / claim.k1
     x, y = (root_up(covariance[k][k] * floor) for k in (0, 1))
-    if x + away > claim.settled[0] or y > claim.settled[1]:
-        raise Rejected(f"it settles within {float(x + away):.4g} and {float(y):.4g} m only")
+    if x + away > claim.settled[0] or y + steady.aside > claim.settled[1]:
+        raise Rejected(f"it settles within {float(x + away):.4g} and {float(y + steady.aside):.4g} m only")

@@ -40,8 +40,8 @@ class Shell:
         catch: values of κ, the slope of that speed in −x_e [1/s].
         model_drag, drag: least and largest secant slope of the drag that is fed forward, and of the true one [N s/m].
         thrust_share: φ: what is left of a command's deviation after the thrust limit lies in [φ, 1] times it.
-        held: κ_5: force that is not the command of this instant, |w_5| ≤ κ_5 √V [N].
-        stirred: κ_6: with lag, the trim force's lack, |w_6| ≤ κ_6 √V [N]; else 0.
+        held: κ_5: force that is not the command of this instant, |w_5| ≤ κ_5 √V [N]; without lag, w_6 with it.
+        stirred: κ_6: with lag, the trim force's lack and what pushes from outside, |w_6| ≤ κ_6 √V [N]; else 0.
         wish_rate: |d/dt of the commanded force by the place alone| ≤ this |δU| [N s/m/s].
     """
 
@@ -55,10 +55,11 @@ class Shell:
     wish_rate: Fraction
 
 
-def wish(size: int, claim: CruiseClaim, steer: Fraction, catch: Fraction) -> Matrix:
-    """δW = this ξ (2, n): the commanded velocity."""
+def wish(size: int, claim: CruiseClaim, steer: Fraction, catch: Fraction, aside: Fraction) -> Matrix:
+    """δW = this ξ (2, n): the commanded velocity, about a y* of `aside`."""
     rows = zeros(2, size)
     rows[0][0], rows[1][1] = -catch, -steer / claim.lookahead
+    rows[1][0] = catch * aside / claim.lookahead
     return rows
 
 
@@ -76,10 +77,12 @@ def force_state(size: int) -> Matrix:
     return rows
 
 
-def force_rows(size: int, claim: CruiseClaim, slope: Fraction, steer: Fraction, catch: Fraction) -> Matrix:
+def force_rows(
+    size: int, claim: CruiseClaim, slope: Fraction, steer: Fraction, catch: Fraction, aside: Fraction
+) -> Matrix:
     """Deviation of the commanded force (2, n) [N], with this secant slope of the drag that is fed forward."""
     push = claim.mass_model * claim.k_v
-    return add(scaled(push + slope, wish(size, claim, steer, catch)), scaled(-push, velocity(size)))
+    return add(scaled(push + slope, wish(size, claim, steer, catch, aside)), scaled(-push, velocity(size)))
 
 
 def shell(claim: CruiseClaim, steady: Trim, covariance: Matrix, low: Fraction, high: Fraction) -> Shell:
@@ -99,17 +102,21 @@ def shell(claim: CruiseClaim, steady: Trim, covariance: Matrix, low: Fraction, h
     reach = root_up(high)
     x, y = (root_up(covariance[k][k]) * reach for k in (0, 1))
     steer, catch, slant = _commanded(claim, steady, x, y)
-    corners = sorted(set(product(steer, catch)))
+    corners = sorted(set(product(steer, catch, (steady.aside, -steady.aside))))
 
     def gain(rows: Matrix) -> Fraction:
         return root_up(largest_eigenvalue(congruence(rows, covariance)))
 
-    e_wish = max(gain(wish(size, claim, s, k)) for s, k in corners)
+    e_wish = max(gain(wish(size, claim, s, k, b)) for s, k, b in corners)
     e_velocity = gain(velocity(size))
     model_low = claim.linear_model
-    spread = claim.quadratic_model * (steady.command[1] + min(claim.cap, steady.command[1] + e_wish * reach))
+    wished = steady.command[1] + steady.drift
+    spread = claim.quadratic_model * (wished + min(claim.cap, wished + e_wish * reach))
     model_drag = (model_low, model_low + spread)
-    drag = (claim.linear[0], claim.linear[1] + claim.quadratic[1] * (2 * claim.cruise + e_velocity * reach))
+    drag = (
+        claim.linear[0],
+        claim.linear[1] + claim.quadratic[1] * (2 * (claim.cruise + claim.current) + e_velocity * reach),
+    )
     push = claim.mass_model * claim.k_v
     floor = root_down(low)
     if floor <= 0:
@@ -117,9 +124,11 @@ def shell(claim: CruiseClaim, steady: Trim, covariance: Matrix, low: Fraction, h
     # the trim turns with {B}: the held one trails behind, and with lag the delivered one too
     late = claim.period + claim.lag[1]
     still = claim.yaw_rate * late * steady.turning
-    stirred = steady.total if claim.lag[1] else Fraction(0)
-    still += steady.total - stirred
+    outside = steady.total + claim.force
+    stirred = outside if claim.lag[1] else Fraction(0)
+    still += outside - stirred
     steepest = claim.linear_model + 2 * claim.quadratic_model * claim.cap
+    still += _misled(claim, steady, root_up(covariance[1][1]), push + steepest)
     return Shell(
         steer,
         catch,
@@ -138,24 +147,36 @@ def _commanded(
     """Speeds s, slopes κ, and the largest slope of the commanded velocity with the place, for |x|, |y| ≤ these."""
     k1, ahead = claim.k1, claim.lookahead
     # the cap bounds s q/Δ, q = √(y² + Δ²): the speed along the path stays above the steady one
-    most = claim.cap * ahead / root_up(ahead * ahead + y * y)
+    wide = y + steady.aside
+    most = claim.cap * ahead / root_up(ahead * ahead + wide * wide)
     if most < steady.command[1]:
         raise Rejected("the region reaches where the speed cap is below the steady command")
     if k1 * x > steady.command[0]:
         raise Rejected("the region reaches where the law would go backwards")
-    if x + max(abs(w) for w in steady.omega) / k1 > claim.wait / 2:
+    if x + max(abs(w) for w in steady.omega) / k1 + claim.place_error > claim.wait / 2:
         raise Rejected("the region reaches where the path's target waits")
     steer = (steady.command[0] - k1 * x, min(steady.command[1] + k1 * x, claim.cap))
     catch = (min(k1, (most - steady.command[1]) / x), k1)
-    free = root_up(k1 * k1 * (1 + (y / ahead) ** 2) + (steer[1] / ahead) ** 2)
+    free = root_up(k1 * k1 * (1 + (wide / ahead) ** 2) + (steer[1] / ahead) ** 2)
     return steer, catch, max(free, claim.cap / ahead)
+
+
+def _misled(claim: CruiseClaim, steady: Trim, y: Fraction, slope: Fraction) -> Fraction:
+    """Largest change [N] of the thrust by the errors of what is measured, within |y| of V ≤ 1.
+
+    Thrust limits do not enlarge a change. The commanded velocity changes with the place by k1 (1, y_e/Δ) along and by
+    less than cap/Δ across, in the free law, under the cap and at rest alike; an earlier instant's is no larger.
+    """
+    wide = (y + steady.aside + claim.place_error) / claim.lookahead
+    slant = root_up(claim.k1**2 * (1 + wide**2) + (claim.cap / claim.lookahead) ** 2)
+    return slope * slant * claim.place_error + claim.mass_model * claim.k_v * claim.velocity_error
 
 
 def _thrust_share(
     claim: CruiseClaim,
     steady: Trim,
     covariance: Matrix,
-    corners: list[tuple[Fraction, Fraction]],
+    corners: list[tuple[Fraction, Fraction, Fraction]],
     model_drag: tuple[Fraction, Fraction],
     reach: Fraction,
 ) -> Fraction:
@@ -167,9 +188,9 @@ def _thrust_share(
     share = Fraction(1)
     size = len(covariance)
     grams = [
-        rounded_up(congruence(force_rows(size, claim, slope, s, k), covariance))
+        rounded_up(congruence(force_rows(size, claim, slope, s, k, b), covariance))
         for slope in model_drag
-        for s, k in corners
+        for s, k, b in corners
     ]
     points = quarter(_ARCS)
     mirrored = all(g[0][1] == 0 for g in grams)
@@ -177,7 +198,7 @@ def _thrust_share(
         for (c1, s1), (c2, s2) in pairwise(points):
             meet = 1 + c1 * c2 + s1 * s2
             ends = [(c1, flip * s1), (c2, flip * s2), ((c1 + c2) / meet, flip * (s1 + s2) / meet)]
-            left = claim.thrust - steady.along(c1)
+            left = claim.thrust - steady.along(c1, s2)
             if left <= 0:
                 raise Rejected("the steady cruise needs all the thrust")
             worst = max(c * c * g[0][0] + 2 * c * s * g[0][1] + s * s * g[1][1] for g in grams for c, s in ends)

@@ -19,9 +19,10 @@ EXCLUDES = (
     "straight leg of the path, the target moving along it at the cruise speed",
     "surge and sway have the same mass; their drag differs by no more than the asymmetry",
     "no obstacle, wall or unknown place bounds the velocity; no row of the priority problem is active",
-    "pose and velocity as measured are the true ones",
+    "place and velocity as measured are off by at most place_error_m and velocity_error_m_per_s; the heading is exact",
     "depth and heading loops: the heading may be any motion no faster than yaw_rate_rad_per_s",
-    "water at rest, no waves, no thrust bias",
+    "waves and what the thrust is off by are a horizontal force of at most force_n; the water moves no faster than "
+    "current_m_per_s, steadily and alike everywhere",
 )
 """What the claim leaves out, word for word."""
 
@@ -41,6 +42,9 @@ class CruiseClaim:
         cruise, cap: speed of the path's target and largest commanded speed [m/s].
         period: time for which a command is held [s]; 0 for none.
         yaw_rate: largest |r| [rad/s].
+        current: largest speed of a current that never changes, of any direction [m/s].
+        force: largest horizontal force, changing as it likes, beside the thrust that the claim counts on [N].
+        place_error, velocity_error: largest error of the measured place [m] and velocity [m/s], changing as they like.
         rate: a of V̇ ≤ −a V [1/s].
         offset: |y_e| [m] that lies in the region with x_e = 0 and the target's velocity.
         settled: largest |x_e|, |y_e| [m] in the set that is reached and kept.
@@ -63,6 +67,10 @@ class CruiseClaim:
     cap: Fraction
     period: Fraction
     yaw_rate: Fraction
+    current: Fraction
+    force: Fraction
+    place_error: Fraction
+    velocity_error: Fraction
     rate: Fraction
     offset: Fraction
     settled: tuple[Fraction, Fraction]
@@ -114,7 +122,19 @@ def read_claim(claim: Any) -> CruiseClaim:
             raise Rejected(f"claim.{key} is no SHA-256")
     vehicle = record(
         top["vehicle"],
-        ("mass_kg", "linear_drag", "quadratic_drag", "asymmetry", "thrust_n", "lag_s", "yaw_rate_rad_per_s"),
+        (
+            "mass_kg",
+            "linear_drag",
+            "quadratic_drag",
+            "asymmetry",
+            "thrust_n",
+            "lag_s",
+            "yaw_rate_rad_per_s",
+            "current_m_per_s",
+            "force_n",
+            "place_error_m",
+            "velocity_error_m_per_s",
+        ),
         "claim.vehicle",
     )
     law = record(
@@ -129,6 +149,9 @@ def read_claim(claim: Any) -> CruiseClaim:
     lag = _pair(vehicle["lag_s"], "claim.vehicle.lag_s")
     if lag[0] == 0 and lag[1] > 0:
         raise Rejected("claim.vehicle.lag_s: a lag from 0 upwards is two claims")
+    current = number(vehicle["current_m_per_s"], "claim.vehicle.current_m_per_s")
+    if current and (lag[1] or number(law["period_s"], "claim.law.period_s")):
+        raise Rejected("claim.vehicle.current_m_per_s: a current together with lag or held commands is not known here")
     settled = motion["settled_m"]
     if not isinstance(settled, list) or len(settled) != 2:
         raise Rejected("claim.motion.settled_m must be [x_e, y_e]")
@@ -154,6 +177,10 @@ def read_claim(claim: Any) -> CruiseClaim:
         cap=positive("cap"),
         period=number(law["period_s"], "claim.law.period_s"),
         yaw_rate=number(vehicle["yaw_rate_rad_per_s"], "claim.vehicle.yaw_rate_rad_per_s"),
+        current=current,
+        force=number(vehicle["force_n"], "claim.vehicle.force_n"),
+        place_error=number(vehicle["place_error_m"], "claim.vehicle.place_error_m"),
+        velocity_error=number(vehicle["velocity_error_m_per_s"], "claim.vehicle.velocity_error_m_per_s"),
         rate=number(motion["rate_per_s"], "claim.motion.rate_per_s", above=True),
         offset=number(motion["offset_m"], "claim.motion.offset_m", above=True),
         settled=(

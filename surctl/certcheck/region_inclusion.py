@@ -8,7 +8,7 @@ trim force: |w_6| ≤ κ_6 √V. A heading that turns freely is in them: R diag(
 [low, high] is the middle plus something of norm (high − low)/2.
 
 M = V̇ + a V + Σ λ_j (bound_j − |w_j|²) in (ξ, w). Where M < 0, V̇ < −a V for every w in its bounds. M is affine in
-1/m, 1/T, r and convex in (s, κ), or convex in each of them: its vertices decide.
+1/m, 1/T, r and convex in (s, κ, κ y*), or convex in each of them: its vertices decide.
 
 Held commands: W = V + (h − τ) ρ ∫ |ḟ|² over the τ seconds since the last instant, f = δF_c as it would be commanded
 in the held heading (Fridman 2010). W = V at the instants, W ≥ V, and e = f(then) − f(now) obeys |e|² ≤ τ ∫ |ḟ|². So
@@ -52,16 +52,19 @@ class Vertex:
     force: Matrix
 
 
-def vertices(claim: CruiseClaim, at: Shell, size: int, *, mirrored: bool) -> Iterator[Vertex]:
+def vertices(claim: CruiseClaim, at: Shell, size: int, *, aside: Fraction, mirrored: bool) -> Iterator[Vertex]:
     """All extreme loops of a shell; for a V that is its own mirror image in the path, of each two images one."""
     lag = claim.lag[1] > 0
     masses = [1 / m for m in sorted(set(claim.mass))]
     lags = [1 / t for t in sorted(set(claim.lag))] if lag else [Fraction(0)]
     turns = sorted({claim.yaw_rate if mirrored else -claim.yaw_rate, claim.yaw_rate}) if lag else [Fraction(0)]
-    for per_mass, per_lag, turn, steer, catch in combinations(
-        masses, lags, turns, sorted(set(at.steer)), sorted(set(at.catch))
+    asides = sorted({aside if mirrored else -aside, aside})
+    for per_mass, per_lag, turn, steer, catch, beside in combinations(
+        masses, lags, turns, sorted(set(at.steer)), sorted(set(at.catch)), asides
     ):
-        yield vertex(claim, at, size, per_mass=per_mass, per_lag=per_lag, turn=turn, steer=steer, catch=catch)
+        yield vertex(
+            claim, at, size, per_mass=per_mass, per_lag=per_lag, turn=turn, steer=steer, catch=catch, aside=beside
+        )
 
 
 def vertex(
@@ -74,10 +77,11 @@ def vertex(
     turn: Fraction,
     steer: Fraction,
     catch: Fraction,
+    aside: Fraction,
 ) -> Vertex:
-    """The loop at 1/m, 1/T, r, s and κ."""
+    """The loop at 1/m, 1/T, r, s, κ and y*."""
     share = (1 + at.thrust_share) / 2
-    force = force_rows(size, claim, middle(at.model_drag), steer, catch)
+    force = force_rows(size, claim, middle(at.model_drag), steer, catch, aside)
     speed = velocity(size)
     drag = scaled(middle(at.drag), speed)
     place, push = zeros(size, 2), zeros(size, 2)
@@ -104,7 +108,7 @@ def vertex(
         B[4] = scaled(gain, inner)
     if claim.lag[1]:
         B[6] = scaled(per_mass, push)
-    return Vertex(A, B, wish(size, claim, steer, catch), force)
+    return Vertex(A, B, wish(size, claim, steer, catch, aside), force)
 
 
 def rate_matrix(

@@ -17,7 +17,7 @@ from surctl.certcheck.region_bounds import Shell
 from surctl.certcheck.region_claim import CruiseClaim
 from surctl.certcheck.region_exact import Matrix, inverse, middle, quadratic, root_down, root_up
 from surctl.certcheck.region_inclusion import vertex
-from surctl.certcheck.region_trim import Trim, axis_pairs, offset_speed, quarter
+from surctl.certcheck.region_trim import Trim, axis_pairs, drift_speed, offset_speed, quarter
 
 __all__ = ["Vehicle", "check_identity", "commanded_thrust", "commanded_velocity", "true_rate"]
 
@@ -28,13 +28,14 @@ _SAMPLES = 4
 
 @dataclass(frozen=True)
 class Vehicle:
-    """One true vehicle: mass [kg], drag of surge and sway, lag [s] (0 for none), yaw rate r [rad/s]."""
+    """One true vehicle: mass [kg], drag of surge and sway, lag [s] (0 for none), yaw rate r [rad/s], current [m/s]."""
 
     mass: Fraction
     linear: Pair
     square: Pair
     lag: Fraction
     turn: Fraction
+    current: Pair = (Fraction(0), Fraction(0))
 
 
 def turned(heading: Pair, vector: Pair) -> Pair:
@@ -85,7 +86,7 @@ def true_rate(
     thrust = _back(heading, (state[4], state[5])) if boat.lag else command
     m, r = boat.mass, boat.turn
     coriolis = (-m * nu[1] * r, m * nu[0] * r)
-    drag = _drag(boat.linear, boat.square, nu)
+    drag = _drag(boat.linear, boat.square, _back(heading, _minus(speed, boat.current)))
     nu_rate = [(t - c - d) / m for t, c, d in zip(thrust, coriolis, drag, strict=True)]
     # U = R ν: U̇ = R (ν̇ + r S ν), S the quarter turn
     rate = [speed[0] - claim.cruise, speed[1]]
@@ -105,8 +106,14 @@ def check_identity(claim: CruiseClaim, at: Shell, steady: Trim, covariance: Matr
     draw, p = random.Random(f"{size}/{level}"), inverse(covariance)
     for _ in range(_SAMPLES):
         boat = _boat(claim, draw)
-        omega = offset_speed(claim, middle(boat.linear), middle(boat.square))
-        xi, slant = _place(claim, p, level, draw)
+        flow = _minus((claim.cruise, Fraction(0)), boat.current)
+        means = middle(boat.linear), middle(boat.square)
+        omega = (
+            drift_speed(claim, *means, flow, _norm(flow))
+            if claim.current
+            else (offset_speed(claim, *means), Fraction(0))
+        )
+        xi, slant = _place(claim, p, level, draw, -omega[1] * claim.lookahead / (claim.cruise + omega[0]))
         c, s = draw.choice(quarter(12))
         heading = (draw.choice((c, -c)), draw.choice((s, -s)))
         _compare(claim, at, steady, boat, omega=omega, xi=xi, slant=slant, heading=heading)
@@ -124,25 +131,35 @@ def _boat(claim: CruiseClaim, draw: random.Random) -> Vehicle:
         return a, b
 
     turn = _between(draw, -claim.yaw_rate, claim.yaw_rate)
+    c, s = draw.choice(quarter(12))
+    size = claim.current * Fraction(draw.randint(0, 8), 8)
+    current = draw.choice((c, -c)) * size, draw.choice((s, -s)) * size
     return Vehicle(_between(draw, *claim.mass), drag(claim.linear), drag(claim.quadratic),
-                   _between(draw, *claim.lag), turn)  # fmt: skip
+                   _between(draw, *claim.lag), turn, current)  # fmt: skip
 
 
-def _place(claim: CruiseClaim, p: Matrix, level: Fraction, draw: random.Random) -> tuple[list[Fraction], Fraction]:
-    """A deviation with V ≤ level whose slant is rational."""
+def _norm(vector: Pair) -> Fraction:
+    """|vector| to a part in 10^9; what it is off by is in the bounds' margin."""
+    return root_up(_square(vector))
+
+
+def _place(
+    claim: CruiseClaim, p: Matrix, level: Fraction, draw: random.Random, aside: Fraction
+) -> tuple[list[Fraction], Fraction]:
+    """A deviation with V ≤ level for which the slant of y_e = aside + y is rational."""
     raw = [Fraction(draw.randint(-1000, 1000), 1000) * 1000 / root_up(p[k][k] * 10**6) for k in range(len(p))]
     if draw.random() < 0.5:
         raw = [entry if k == 1 else entry / 50 for k, entry in enumerate(raw)]
     share = root_down(level / max(quadratic(p, raw), Fraction(1, 10**9))) * Fraction(draw.randint(300, 990), 1000)
     xi = [entry * share for entry in raw]
-    z = xi[1] / claim.lookahead
+    z = (xi[1] + aside) / claim.lookahead
     # y/Δ = 2t/(1 − t²) makes √(1 + (y/Δ)²) = (1 + t²)/(1 − t²)
     t = Fraction(int((root_up(1 + z * z) - 1) / z * 10**7), 10**7) if z else Fraction(0)
-    xi[1] = claim.lookahead * 2 * t / (1 - t * t)
+    xi[1] = claim.lookahead * 2 * t / (1 - t * t) - aside
     if quadratic(p, xi) > level:
         xi = [entry / 2 if k != 1 else entry for k, entry in enumerate(xi)]
         if quadratic(p, xi) > level:
-            return [Fraction(0)] * len(xi), Fraction(1)
+            return [Fraction(0)] * len(xi), Fraction(1)  # the cap is far from the steady command
     return xi, (1 + t * t) / (1 - t * t)
 
 
@@ -152,15 +169,16 @@ def _compare(
     steady: Trim,
     boat: Vehicle,
     *,
-    omega: Fraction,
+    omega: Pair,
     xi: list[Fraction],
     slant: Fraction,
     heading: Pair,
 ) -> None:
     v, push = claim.cruise, claim.mass_model * claim.k_v
     hat = (claim.linear_model,) * 2, (claim.quadratic_model,) * 2
-    steady_speed, steady_wish = (v, Fraction(0)), (v + omega, Fraction(0))
-    x_e, y_e, speed = xi[0] - omega / claim.k1, xi[1], (v + xi[2], xi[3])
+    steady_speed, steady_wish = (v, Fraction(0)), (v + omega[0], omega[1])
+    aside = -omega[1] * claim.lookahead / steady_wish[0]
+    x_e, y_e, speed = xi[0] - omega[0] / claim.k1, xi[1] + aside, (v + xi[2], xi[3])
 
     def along_path(rule: Callable[[Pair], Pair], vector: Pair) -> Pair:
         return turned(heading, rule(_back(heading, vector)))
@@ -169,20 +187,20 @@ def _compare(
         return along_path(lambda n: _drag(*hat, n), vector)
 
     def dragged(vector: Pair) -> Pair:
-        return along_path(lambda n: _drag(boat.linear, boat.square, n), vector)
+        return along_path(lambda n: _drag(boat.linear, boat.square, n), _minus(vector, boat.current))
 
-    trimmed = along_path(
-        lambda n: _plus(_drag(*hat, n), (push * omega * heading[0], -push * omega * heading[1])), steady_wish
-    )
+    trimmed = along_path(lambda n: _plus(_drag(*hat, n), _scaled(push, _back(heading, omega))), steady_wish)
     state = [x_e, y_e, *speed, *(_plus(trimmed, (xi[4], xi[5])) if boat.lag else ())]
     rate = true_rate(claim, boat, heading, state, slant)
     wanted = commanded_velocity(claim, x_e, y_e, slant)
+    if abs(aside) > steady.aside:
+        raise Rejected("the current takes it further aside at a sampled place")
     s = wanted[0]
-    catch = (v + omega - s) / xi[0] if xi[0] else claim.k1
+    catch = (v + omega[0] - s) / xi[0] if xi[0] else claim.k1
     if not (at.steer[0] <= s <= at.steer[1] and at.catch[0] <= catch <= at.catch[1]):
         raise Rejected("the commanded velocity leaves its bounds at a sampled place")
     loop = vertex(claim, at, len(xi), per_mass=1 / boat.mass, per_lag=1 / boat.lag if boat.lag else Fraction(0),
-                  turn=boat.turn if boat.lag else Fraction(0), steer=s, catch=catch)  # fmt: skip
+                  turn=boat.turn if boat.lag else Fraction(0), steer=s, catch=catch, aside=aside)  # fmt: skip
     d_wish, d_speed = _minus(wanted, steady_wish), (xi[2], xi[3])
     w1 = _minus(_minus(fed_forward(wanted), fed_forward(steady_wish)), _scaled(middle(at.model_drag), d_wish))
     deviation = _plus((_dot(loop.force[0], xi), _dot(loop.force[1], xi)), w1)
@@ -199,7 +217,7 @@ def _compare(
     held.append((lacking, steady.total, one))
     if boat.lag:
         # the trim force in {B} moves with the heading, and what is delivered trails behind
-        moving = _trim_slope(claim, omega, heading)
+        moving = _trim_slope(claim, omega[0], heading)
         held.append((moving, steady.turning, one))
         w |= {5: _scaled(-boat.lag * boat.turn, turned(heading, moving)), 6: lacking}
         trim_rate = _scaled(boat.turn, _plus((-trimmed[1], trimmed[0]), turned(heading, moving)))

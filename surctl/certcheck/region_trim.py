@@ -16,7 +16,7 @@ from itertools import pairwise, product
 from surctl.certcheck.region_claim import CruiseClaim
 from surctl.certcheck.region_exact import middle, root_up
 
-__all__ = ["MEAN_SHARE", "Trim", "axis_pairs", "offset_speed", "quarter", "trim"]
+__all__ = ["MEAN_SHARE", "Trim", "axis_pairs", "drift_speed", "offset_speed", "quarter", "trim"]
 
 MEAN_SHARE = Fraction(17, 20)
 """Share of quadratic drag that is counted on along the path, between 1 at ψ = 0 and 0.71 at ψ = 45°."""
@@ -34,6 +34,10 @@ class Trim:
         linear, quadratic: of the command's trim force, linear c + quadratic c² per axis, at the largest ω [N].
         backward: the same at the least ω if it points backwards, else 0 [N].
         total: largest |commanded − needed| force [N].
+        drift: largest |ω_y| [m/s], what the command steers against a current.
+        aside: largest |y*| [m] that this takes.
+        across: what it adds to the trim force of an axis across the path [N].
+        tilt: |ω_y| over the commanded speed along.
     """
 
     omega: tuple[Fraction, Fraction]
@@ -42,10 +46,14 @@ class Trim:
     quadratic: Fraction
     backward: Fraction
     total: Fraction
+    drift: Fraction = Fraction(0)
+    aside: Fraction = Fraction(0)
+    across: Fraction = Fraction(0)
+    tilt: Fraction = Fraction(0)
 
-    def along(self, c: Fraction) -> Fraction:
-        """Largest |trim force| on an axis at direction cosine ≤ c from the path [N]."""
-        return max(self.linear * c + self.quadratic * c * c, self.backward)
+    def along(self, c: Fraction, s: Fraction) -> Fraction:
+        """Largest |trim force| on an axis at direction cosine ≤ c from the path and ≤ s from across it [N]."""
+        return max(self.linear * c + self.quadratic * (c + self.tilt * s) ** 2, self.backward) + self.across * s
 
     @property
     def turning(self) -> Fraction:
@@ -79,6 +87,20 @@ def offset_speed(claim: CruiseClaim, linear: Fraction, quadratic: Fraction) -> F
     return missing / stiffness
 
 
+def drift_speed(
+    claim: CruiseClaim, linear: Fraction, quadratic: Fraction, flow: tuple[Fraction, Fraction], speed: Fraction
+) -> tuple[Fraction, Fraction]:
+    """(ω_x, ω_y) [m/s] where the water passes with `flow` = (v − c_x, −c_y), of this (rational) speed."""
+    v, push = claim.cruise, claim.mass_model * claim.k_v
+    pull = linear + MEAN_SHARE * quadratic * speed
+    fed = claim.linear_model + MEAN_SHARE * claim.quadratic_model * v
+    stiff = push + claim.linear_model
+    return (
+        (pull * flow[0] - fed * v) / (stiff + 2 * MEAN_SHARE * claim.quadratic_model * v),
+        pull * flow[1] / (stiff + MEAN_SHARE * claim.quadratic_model * v),
+    )
+
+
 def _parabola(slope: Fraction, bend: Fraction, low: Fraction, high: Fraction) -> Fraction:
     """Largest |slope x + bend x²| on [low, high]."""
     candidates = [low, high]
@@ -97,7 +119,7 @@ def _largest(axes: Iterator[tuple[tuple[Fraction, Fraction], tuple[Fraction, Fra
 
 
 def trim(claim: CruiseClaim) -> Trim:
-    """Bounds of the steady cruise over everything that the claim leaves open."""
+    """Bounds of the steady cruise over everything that the claim leaves open, in still water."""
     v, push = claim.cruise, claim.mass_model * claim.k_v
     linear_hat, quadratic_hat = claim.linear_model, claim.quadratic_model
     vertices = list(

@@ -12,17 +12,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.certcheck import Rejected, check_document, seal
+from surctl.certcheck.region_bounds import _misled
 from surctl.certcheck.region_claim import read_claim
 from surctl.certcheck.region_exact import inverse, is_positive_definite, product, root_down, root_up, rounded_up
+from surctl.certcheck.region_flow import steady_trim
 from surctl.certcheck.region_law import Vehicle, commanded_thrust, commanded_velocity, true_rate, turned
-from surctl.certcheck.region_trim import axis_pairs, trim
+from surctl.certcheck.region_trim import axis_pairs
 from surctl.control import build_law, law_parameters, load_gains
 from surctl.guidance import Path as Route
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant, load_vehicle
-from tests.certcheck.cruise import boats, matrix, omega, rate, worst
+from tests.certcheck.cruise import boats, matrix, omega, rate, rest, thrust, worst
 
 HERE = Path(__file__).parent
-FILES = sorted(HERE.glob("region-*.json"))
+FILES = sorted(HERE.glob("region-cruise-*.json"))
 
 
 def document(name: str = "region-cruise-20") -> dict[str, Any]:
@@ -231,18 +233,89 @@ def test_the_checkers_vehicle_is_the_vehicle_that_flies(lag: float) -> None:
         assert np.allclose([float(v) for v in told], own, atol=1e-9)
 
 
-def test_the_trim_is_bounded_by_what_sampling_finds() -> None:
-    claim, exact = _flown()
-    rng, n = np.random.default_rng(4), 20_000
+@pytest.mark.parametrize("name", ["region-cruise-20", "region-cruise-current"])
+def test_the_trim_is_bounded_by_what_sampling_finds(name: str) -> None:
+    claim = document(name)["claim"]
+    exact = read_claim(claim)
+    rng, n = np.random.default_rng(4), 40_000
     boat = boats(claim, n, rng)
     w, psi = omega(claim, boat), rng.uniform(0, 2 * np.pi, size=n)
-    bound = trim(exact)
-    assert float(bound.omega[0]) <= w.min() and w.max() <= float(bound.omega[1])
+    bound = steady_trim(exact)
+    assert float(bound.omega[0]) <= w[:, 0].min() + 1e-15 and w[:, 0].max() <= float(bound.omega[1]) + 1e-15
+    assert np.abs(w[:, 1]).max() <= float(bound.drift) and np.abs(rest(claim, boat)[:, 1]).max() <= float(bound.aside)
     # at the steady place and velocity what is left over is the lack of the trim force
     state = np.zeros((n, 4))
-    state[:, 0], state[:, 2] = -w / claim["law"]["k1"], claim["law"]["cruise"]
+    state[:, :2], state[:, 2] = rest(claim, boat), claim["law"]["cruise"]
     lack = np.hypot(*rate(claim, boat, state, psi)[:, 2:].T) * boat["mass"]
-    assert 0.9 * float(bound.total) < lack.max() <= float(bound.total)
+    assert 0.85 * float(bound.total) < lack.max() <= float(bound.total)
+
+
+def test_in_a_current_it_settles_as_close_as_is_said() -> None:
+    whole = document("region-cruise-current")
+    claim, P, rng, n, h = whole["claim"], matrix(whole), np.random.default_rng(6), 400, 0.05
+    assert claim["vehicle"]["current_m_per_s"] == 0.05 and max(claim["motion"]["settled_m"]) <= 0.06
+    assert worst(whole, low=whole["proof"]["floor"], high=1.0) < 0
+    boat = boats(claim, n, rng)
+    xi = rng.normal(size=(n, 4)) @ np.linalg.inv(np.linalg.cholesky(P))
+    state = xi / np.sqrt(np.einsum("ni,ij,nj->n", xi, P, xi))[:, None]
+    state[:, :2] += rest(claim, boat)
+    state[:, 2] += claim["law"]["cruise"]
+    psi = rng.uniform(0, 2 * np.pi, size=n)
+    for k in range(1200):
+        state = state + h * rate(claim, boat, state, psi)
+        psi = psi + h * rng.choice([-0.5, 0.5], size=n) * (k % 40 > 0)
+    assert np.all(np.abs(state[:, :2]).max(axis=0) <= claim["motion"]["settled_m"])
+    assert np.abs(state[:, 1]).max() > 0.3 * claim["motion"]["settled_m"][1]  # it is not for want of a current
+    claim["law"]["period_s"] = 0.05
+    assert "current" in check_document(sealed(whole)).reason
+
+
+@pytest.mark.parametrize("name", ["region-cruise-20-force", "region-cruise-20-noise"])
+def test_pushed_and_misled_it_settles_as_close_as_is_said(name: str) -> None:
+    whole = document(name)
+    claim, P, rng, n, h = whole["claim"], matrix(whole), np.random.default_rng(8), 400, 0.05
+    floor = whole["proof"]["floor"]
+    assert worst(whole, low=floor, high=1.0) < 0
+    boat = boats(claim, n, rng)
+    ends = rng.normal(size=(n, 4)) @ np.linalg.inv(np.linalg.cholesky(P))
+    state = ends / np.sqrt(np.einsum("ni,ij,nj->n", ends, P, ends))[:, None]
+    state[:, :2] += rest(claim, boat)
+    state[:, 2] += claim["law"]["cruise"]
+    psi, most = rng.uniform(0, 2 * np.pi, size=n), 0.0
+    for k in range(2400):
+        if k % 100 == 0:  # it pushes and misleads another way for 5 s
+            other = boats(claim, n, rng)
+            boat |= {key: other[key] for key in ("push", "place", "speed")}
+        state = state + h * rate(claim, boat, state, psi)
+        psi = psi + h * rng.choice([-0.5, 0.5], size=n)
+        if k > 1800:
+            most = max(most, *(np.abs(state[:, :2]).max(axis=0) / claim["motion"]["settled_m"]))
+    assert 0.1 < most <= 1
+    for key in ("force_n", "place_error_m", "velocity_error_m_per_s"):
+        if claim["vehicle"][key]:
+            claim["vehicle"][key] *= 3
+            assert not check_document(sealed(whole)).accepted
+            claim["vehicle"][key] /= 3
+
+
+def test_errors_of_what_is_measured_change_the_thrust_by_no_more_than_is_counted() -> None:
+    claim = document("region-cruise-20-noise")["claim"]
+    exact, rng, n = read_claim(claim), np.random.default_rng(9), 40_000
+    y = 0.4
+    state = np.stack(
+        [rng.uniform(-0.7, 0.7, n), rng.uniform(-y, y, n), rng.uniform(0, 0.3, n), rng.uniform(-0.1, 0.1, n)], axis=1
+    )
+    angle, boat, psi = rng.uniform(0, 2 * np.pi, (2, n)), boats(claim, n, rng), rng.uniform(0, 2 * np.pi, n)
+    for size, key in (
+        (claim["vehicle"]["place_error_m"], "place"),
+        (claim["vehicle"]["velocity_error_m_per_s"], "speed"),
+    ):
+        boat[key] = size * np.stack([np.cos(angle[0]), np.sin(angle[0])], axis=1)
+    measured = state + np.hstack([boat["place"], boat["speed"]])
+    change = np.hypot(*(thrust(claim, measured, psi) - thrust(claim, state, psi)).T)
+    slope = exact.mass_model * exact.k_v + exact.linear_model + 2 * exact.quadratic_model * exact.cap
+    counted = float(_misled(exact, steady_trim(exact), Fraction(y), slope))
+    assert 0.5 * counted < change.max() <= counted
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)

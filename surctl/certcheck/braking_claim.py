@@ -1,0 +1,236 @@
+"""What a braking certificate claims, read strictly: every number a plain decimal, nothing missing, nothing more."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.region_claim import number, record
+
+__all__ = ["ASSUMES", "DRAGS", "LEMMAS", "BrakingClaim", "GuardedLaw", "read_claim"]
+
+ASSUMES = (
+    "one obstacle or wall at a time, convex, that comes on no faster than stated, for ever, and does not turn",
+    "surge and sway have one mass; drag is along the velocity, or axis by axis at any heading, as stated",
+    "thrust follows its command with a first-order lag of at most lag_s, and never exceeds most_n",
+    "what is asked against the motion is delivered up to brake_n, along the direction latched at the last decision "
+    "that did not brake; meanwhile the hull turns no faster than stated and nothing is asked across",
+    "range and own speed are known with the age and the errors stated; a decision holds for one period",
+    "own speed is at most fastest_m_per_s; across the direction, flown or asked for, at most sideways_m_per_s",
+    "law: it is told that what it meets comes on as fast as stated; a velocity exists that keeps every bound, and "
+    "only its own loop stands between it and the thrust: no axis is clipped in favour of another, and the retreat is "
+    "not cut as that from a sonar's mark is",
+    "at the start the clearance is at least the braking way",
+)
+"""What the claim rests on, word for word."""
+
+LEMMAS = (
+    "way: G' >= z/(F_b - f + D(z - v_o)), rising: while it brakes, clearance - m G(z) does not fall",
+    "retreat: the same where it goes back faster than the obstacle comes on",
+    "mass: m G(s + q/m) is convex in m, so that the ends of the range are the worst",
+    "period: whatever the thrust does for a period, the range needed is enough for it and the way after it",
+    "law: wherever the law does not brake with brake_n, the clearance is at least the range needed",
+    "plane: distance to a convex body is convex in the place, so that the latched direction decides",
+)
+"""What the claim is put together of, word for word; the proofs stand in `surctl.guidance.braking`."""
+
+DRAGS = ("along", "axes")
+_BARRIERS = ("inertia", "simple")
+
+Pair = tuple[Fraction, Fraction]
+
+
+@dataclass(frozen=True)
+class GuardedLaw:
+    """The law's own bound, and how its velocity loop answers when it is exceeded; SI units.
+
+    Attributes:
+        barrier: `inertia` or `simple`.
+        margin, reaction: [m, s].
+        brake, limit: share of the thrust limit [N] that the bound counts on.
+        k_v, gain: bandwidth [1/s], and times the excess that is taken off the command.
+        mass, linear, quadratic: of surge and of sway, as the law believes.
+        stopping: lightest, heaviest, most, lag, linear, quadratic of the bound `inertia`.
+    """
+
+    barrier: str
+    margin: Fraction
+    reaction: Fraction
+    brake: Fraction
+    limit: Fraction
+    k_v: Fraction
+    gain: Fraction
+    mass: Fraction
+    linear: Fraction
+    quadratic: Fraction
+    stopping: tuple[Fraction, ...]
+
+
+@dataclass(frozen=True)
+class BrakingClaim:
+    """The claim; SI units, pairs are (least, largest).
+
+    Attributes:
+        mass, linear, quadratic: true mass and drag.
+        drag: `along` the velocity, or by `axes`.
+        brake, most, side: F_b; largest thrust towards the obstacle, and across it.
+        lag: largest τ.
+        obstacles: v_o, rising.
+        current, push: of the water, and other force, towards the obstacle.
+        sideways, turn, fastest: largest sideways speed, yaw rate while it brakes, own speed.
+        period, age, range_error, speed_error: of the watch.
+        law: None for the bare rule: brake, unless the range needed is there.
+        speeds: rows of the table.
+        closed, way, needed: figures by speed and obstacle [m].
+        limit: speed of an obstacle up to which braking guarantees anything.
+    """
+
+    mass: Pair
+    linear: Pair
+    quadratic: Pair
+    drag: str
+    brake: Fraction
+    most: Fraction
+    side: Fraction
+    lag: Fraction
+    obstacles: tuple[Fraction, ...]
+    current: Fraction
+    push: Fraction
+    sideways: Fraction
+    turn: Fraction
+    fastest: Fraction
+    period: Fraction
+    age: Fraction
+    range_error: Fraction
+    speed_error: Fraction
+    law: GuardedLaw | None
+    speeds: tuple[Fraction, ...]
+    closed: tuple[tuple[Fraction, ...], ...]
+    way: tuple[tuple[Fraction, ...], ...]
+    needed: tuple[tuple[Fraction, ...], ...]
+    limit: Fraction
+
+
+def read_claim(claim: Any) -> BrakingClaim:
+    """The claim of a certificate.
+
+    Raises:
+        Rejected: a key is missing or unknown, a number is of the wrong kind or sign, or the words differ.
+    """
+    keys = ("system", "assumes", "lemmas", "vehicle", "encounter", "watch", "law", "table", "limit_obstacle_m_per_s",
+            "sha256_vehicle", "sha256_law")  # fmt: skip
+    top = record(claim, keys, "claim")
+    if top["system"] != "braking":
+        raise Rejected(f"claim.system {top['system']!r} is not known; known: braking")
+    if top["assumes"] != list(ASSUMES) or top["lemmas"] != list(LEMMAS):
+        raise Rejected("claim.assumes or claim.lemmas is not what this claim rests on")
+    for key in ("sha256_vehicle", "sha256_law"):
+        if not isinstance(top[key], str) or not re.fullmatch("[0-9a-f]{64}", top[key]):
+            raise Rejected(f"claim.{key} is no SHA-256")
+    names = ("mass_kg", "linear_drag", "quadratic_drag", "drag", "brake_n", "most_n", "side_n", "lag_s")
+    vehicle = record(top["vehicle"], names, "claim.vehicle")
+    if vehicle["drag"] not in DRAGS:
+        raise Rejected(f"claim.vehicle.drag must be one of {', '.join(DRAGS)}")
+    met = record(
+        top["encounter"],
+        ("obstacles_m_per_s", "current_m_per_s", "push_n", "sideways_m_per_s", "turn_rad_per_s", "fastest_m_per_s"),
+        "claim.encounter",
+    )
+    watch = record(top["watch"], ("period_s", "age_s", "range_error_m", "speed_error_m_per_s"), "claim.watch")
+    table = record(top["table"], ("speeds_m_per_s", "closed_m", "way_m", "needed_m"), "claim.table")
+    obstacles, speeds = _row(met["obstacles_m_per_s"], "obstacles"), _row(table["speeds_m_per_s"], "speeds")
+    if list(obstacles) != sorted(set(obstacles)):
+        raise Rejected("the obstacles' speeds do not rise")
+
+    def grid(name: str) -> tuple[tuple[Fraction, ...], ...]:
+        rows = table[name]
+        if not isinstance(rows, list) or len(rows) != len(speeds):
+            raise Rejected(f"claim.table.{name} must have a row for each speed")
+        found = tuple(_row(row, name) for row in rows)
+        if any(len(row) != len(obstacles) for row in found):
+            raise Rejected(f"claim.table.{name} must have a column for each obstacle")
+        return found
+
+    def plain(part: Mapping[str, Any], name: str, *, above: bool = False) -> Fraction:
+        return number(part[name], f"claim: {name}", above=above)
+
+    return BrakingClaim(
+        mass=_pair(vehicle["mass_kg"], "mass_kg", above=True),
+        linear=_pair(vehicle["linear_drag"], "linear_drag"),
+        quadratic=_pair(vehicle["quadratic_drag"], "quadratic_drag"),
+        drag=vehicle["drag"],
+        brake=plain(vehicle, "brake_n", above=True),
+        most=plain(vehicle, "most_n", above=True),
+        side=plain(vehicle, "side_n"),
+        lag=plain(vehicle, "lag_s"),
+        obstacles=obstacles,
+        current=plain(met, "current_m_per_s"),
+        push=plain(met, "push_n"),
+        sideways=plain(met, "sideways_m_per_s"),
+        turn=plain(met, "turn_rad_per_s"),
+        fastest=plain(met, "fastest_m_per_s", above=True),
+        period=plain(watch, "period_s", above=True),
+        age=plain(watch, "age_s"),
+        range_error=plain(watch, "range_error_m"),
+        speed_error=plain(watch, "speed_error_m_per_s"),
+        law=None if top["law"] is None else _law(top["law"]),
+        speeds=speeds,
+        closed=grid("closed_m"),
+        way=grid("way_m"),
+        needed=grid("needed_m"),
+        limit=plain(top, "limit_obstacle_m_per_s"),
+    )
+
+
+def _law(value: Any) -> GuardedLaw:
+    law = record(
+        value,
+        ("barrier", "margin_m", "reaction_s", "brake", "limit_n", "k_v_per_s", "k_i_per_s2", "gain", "mass_kg",
+         "linear_drag", "quadratic_drag", "stopping"),
+        "claim.law",
+    )  # fmt: skip
+    if number(law["k_i_per_s2"], "claim.law.k_i_per_s2"):
+        raise Rejected("claim.law.k_i_per_s2: integral action is not part of the loop that is certified")
+    if law["barrier"] not in _BARRIERS:
+        raise Rejected(f"claim.law.barrier must be one of {', '.join(_BARRIERS)}")
+    names = ("lightest_kg", "heaviest_kg", "most_n", "lag_s", "linear_drag", "quadratic_drag")
+    stopping = record(law["stopping"], names, "claim.law.stopping")
+
+    def positive(name: str) -> Fraction:
+        return number(law[name], f"claim.law.{name}", above=True)
+
+    bound = tuple(number(stopping[n], f"claim.law.stopping.{n}", above=n.endswith("_kg")) for n in names)
+    if bound[0] > bound[1]:
+        raise Rejected("claim.law.stopping: the lightest exceeds the heaviest")
+    return GuardedLaw(
+        law["barrier"],
+        number(law["margin_m"], "claim.law.margin_m"),
+        positive("reaction_s"),
+        positive("brake"),
+        positive("limit_n"),
+        positive("k_v_per_s"),
+        number(law["gain"], "claim.law.gain"),
+        positive("mass_kg"),
+        number(law["linear_drag"], "claim.law.linear_drag"),
+        number(law["quadratic_drag"], "claim.law.quadratic_drag"),
+        bound,
+    )
+
+
+def _row(value: Any, where: str) -> tuple[Fraction, ...]:
+    if not isinstance(value, list) or not 1 <= len(value) <= 12:
+        raise Rejected(f"claim: {where} must be a list of 1 to 12 numbers")
+    return tuple(number(entry, f"claim: {where}") for entry in value)
+
+
+def _pair(value: Any, where: str, *, above: bool = False) -> Pair:
+    if not isinstance(value, list) or len(value) != 2:
+        raise Rejected(f"claim: {where} must be [least, largest]")
+    low, high = (number(entry, f"claim: {where}", above=above) for entry in value)
+    if low > high:
+        raise Rejected(f"claim: {where}: the least exceeds the largest")
+    return low, high

@@ -1,0 +1,97 @@
+"""Check of a certificate of the heading-steered loop: 8 states, V̇ ≤ −a V on a whole level set, its centre included.
+
+The claim: whatever the constant true numbers in their ranges, x* = (v − u_c*)/k1 is where the vehicle comes to rest
+beside its moving target; V = ξᵀ P ξ of the horizontal deviations (x, y, ψ, U_x, U_y, r) and V_z of (z, w); along
+every motion that starts in V ≤ 1, V_z ≤ 1 both decay as e^(−a t). Thrust limits are in it, as sectors φ ∈ [φ_min, 1]
+of each cell. Heave does not touch the other six. P > 0 and heave are checked in exact numbers, the cells in double
+precision with every rounding on the safe side.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Mapping
+from fractions import Fraction
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.heading_cells import check_cells
+from surctl.certcheck.heading_claim import HeadingClaim, read_claim
+from surctl.certcheck.heading_law import check_identity
+from surctl.certcheck.region_claim import number, record
+from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite, quadratic, root_up
+
+__all__ = ["check"]
+
+_MIRRORED = {(i, j) for i in (0, 3) for j in (1, 2, 4, 5)}  # y, ψ, U_y, r change sign
+
+
+def check(document: Mapping[str, Any]) -> None:
+    """Check a certificate whose format and hash are in order.
+
+    Raises:
+        Rejected: with the first thing that is not proved.
+    """
+    record(document, ("format", "version", "kind", "claim", "proof", "sha256"), "the certificate")
+    claim = read_claim(document.get("claim"))
+    proof = record(document.get("proof"), ("P", "P_z"), "proof")
+    p, p_z = _matrix(proof["P"], 6, "proof.P"), _matrix(proof["P_z"], 2, "proof.P_z")
+    for name, m in (("P", p), ("P_z", p_z)):
+        if not is_positive_definite(m):
+            raise Rejected(f"{name} is not positive definite")
+    if any(p[i][j] for i, j in _MIRRORED):
+        raise Rejected("P is not its own mirror image in the path")
+    _check_reach(claim, p, p_z)
+    _check_heave(claim, p_z)
+    check_identity(claim, random.Random(6))
+    check_cells(claim, np.array([[float(entry) for entry in row] for row in p]))
+
+
+def _matrix(rows: Any, size: int, where: str) -> Matrix:
+    shaped = isinstance(rows, list) and all(isinstance(row, list) for row in rows)
+    if not shaped or [len(row) for row in rows] != list(range(1, size + 1)):
+        raise Rejected(f"{where} must be the lower triangle of {size} rows")
+    lower = [[number(entry, where, least=-(10**9)) for entry in row] for row in rows]
+    return [[lower[max(i, j)][min(i, j)] for j in range(size)] for i in range(size)]
+
+
+def _check_reach(claim: HeadingClaim, p: Matrix, p_z: Matrix) -> None:
+    """Offset and depth lie in the region, the reach is that of some point, and it rests within `settled`."""
+    v, k1 = claim.law["cruise"], claim.law["k1"]
+    for command in claim.command:
+        if command <= 0:
+            raise Rejected("at rest beside its target it would have to go backwards")
+        away = (v - command) / k1
+        if abs(away) > claim.settled:
+            raise Rejected(f"it settles within {float(abs(away)):.4g} m only")
+        start = [-away, claim.offset, *[Fraction(0)] * 4]
+        if quadratic(p, start) > 1 or quadratic(p, [-away, -claim.offset, *[Fraction(0)] * 4]) > 1:
+            raise Rejected(f"a cross-track offset of {float(claim.offset):g} m is not in the region")
+    if p[1][1] * claim.beside**2 > 1:
+        raise Rejected(f"{float(claim.beside):g} m beside the point of rest is not in the region")
+    covariance = inverse(p)
+    for k, name in enumerate(("x_e", "y_e", "psi")):
+        if claim.reach[k] ** 2 > covariance[k][k]:
+            raise Rejected(f"no point of the region has {name} = {float(claim.reach[k]):g}")
+    if p_z[0][0] * claim.depth**2 > 1:
+        raise Rejected(f"a depth error of {float(claim.depth):g} m is not in the region")
+
+
+def _check_heave(claim: HeadingClaim, p: Matrix) -> None:
+    """(z, w): ż = w, m33 ẇ = −φ m̂33 k (w + k_z z) − σ w, in exact numbers."""
+    covariance = inverse(p)
+    push, k_z = claim.law["heave_mass_kg"] * claim.law["k"], claim.law["k_z"]
+    linear, square = claim.ranges["heave_linear"], claim.ranges["heave_quadratic"]
+    drags = (linear[0], linear[1] + square[1] * root_up(covariance[1][1]))
+    force = push * root_up(quadratic(covariance, [k_z, Fraction(1)]))
+    share = min(Fraction(1), claim.limits["heave_n"] / force)
+    for mass, drag, part in product(claim.ranges["heave_mass_kg"], drags, {share, Fraction(1)}):
+        a = [[Fraction(0), Fraction(1)], [-part * push * k_z / mass, -(part * push + drag) / mass]]
+        half = [[sum((p[i][k] * a[k][j] for k in (0, 1)), Fraction(0)) for j in (0, 1)] for i in (0, 1)]
+        if not is_positive_definite(
+            [[-half[i][j] - half[j][i] - claim.rate * p[i][j] for j in (0, 1)] for i in (0, 1)]
+        ):
+            raise Rejected("V_z does not decay at the rate")

@@ -1,0 +1,213 @@
+"""V̇ < −a V over cells of (ψ, y_e): the thrust that is left and the drag's secants of each cell, then its vertices.
+
+Cells that fail are cut in four. Matrices are midpoints with radii, and a Cholesky factorisation in double precision
+decides after the radii's norm and a bound on all rounding are taken off the diagonal (Rump 2006).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.heading_claim import HeadingClaim
+from surctl.certcheck.heading_loop import Plane, constant, rows
+
+__all__ = ["check_cells"]
+
+Array = NDArray[np.float64]
+
+_MOST, _DEPTH, _CHUNK = 6_000, 5, 512
+_UP = 1 + 1e-9  # on bounds that were rounded
+_ROUNDING = 1e-11  # of a 6 × 6 product and its factorisation, per size of its terms
+
+
+@dataclass(frozen=True)
+class _Form:
+    """P, a T with T P Tᵀ ≈ I, P⁻¹, and of (ψ, y): P⁻¹'s part inverse S, and what it tells of the rest."""
+
+    p: Array
+    change: Array
+    covariance: Array
+    shape: Array
+    told: Array
+    rest: Array
+
+
+def _form(p: Array) -> _Form:
+    covariance = np.asarray(np.linalg.inv(p), dtype=np.float64)
+    change = np.linalg.inv(np.linalg.cholesky(p))
+    terms = np.abs(change) @ np.abs(p) @ np.abs(change).T  # what rounding is a part of, in `_part`
+    if np.abs(p @ covariance - np.eye(6)).max() > 1e-10 or terms.max() > 1e3 or not np.all(np.diag(change) > 0):
+        raise Rejected("P is too ill-conditioned for double precision")
+    two = np.ix_((2, 1), (2, 1))
+    shape = np.asarray(np.linalg.inv(covariance[two]), dtype=np.float64)
+    told = covariance[:, (2, 1)] @ shape
+    rest = covariance - told @ covariance[(2, 1), :]
+    return _Form(p, np.tril(change), covariance, shape, told, (rest + rest.T) / 2)
+
+
+def _inside(form: _Form, psi: Array, y: Array, half: Array) -> Array:
+    """A lower bound on the least (ψ, y) S (ψ, y)ᵀ in each cell."""
+    s = form.shape
+    at = s[0, 0] * psi**2 + 2 * s[0, 1] * psi * y + s[1, 1] * y**2
+    slack = half[0] * np.sqrt(s[0, 0]) + half[1] * np.sqrt(s[1, 1])
+    return np.asarray(np.maximum(np.sqrt(np.maximum(at, 0)) / _UP - slack * _UP - 1e-9, 0) ** 2)
+
+
+def _largest(form: _Form, row: Plane, psi: Array, y: Array, half: Array, least: Array) -> Array:
+    """Largest |row ξ| (n,) on V ≤ 1 with (ψ, y) in the cell."""
+    mean = np.einsum("nk,kj->nj", row.mid, form.told)
+    centre = np.abs(mean[:, 0] * psi + mean[:, 1] * y)
+    moved = np.abs(mean[:, 0]) * half[0] + np.abs(mean[:, 1]) * half[1]
+    own = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", row.mid, form.rest, row.mid), 0) + 1e-12)
+    spread = row.spread @ np.sqrt(np.diag(form.covariance))
+    return np.asarray((centre + moved + own * np.sqrt(np.maximum(1 - least, 0)) + spread) * _UP + 1e-9)
+
+
+def _pair(share: Array) -> list[Array]:
+    """φ and 1; only 1 where the limit is nowhere reached."""
+    return [np.ones_like(share)] if np.all(share >= 1) else [share, np.ones_like(share)]
+
+
+def _share(left: float, most: Array) -> Array:
+    return np.minimum(1.0, left / most / _UP)
+
+
+def check_cells(claim: HeadingClaim, matrix: Array, *, most: int = _MOST) -> int:
+    """Prove V̇ < −a V on V ≤ 1 for P (6, 6) with at most so many cells; returns their number.
+
+    Raises:
+        Rejected: a cell that cannot be cut further fails, or the steady cruise needs all the thrust.
+    """
+    form = _form(matrix)
+    law = {key: float(value) for key, value in claim.law.items()}
+    reach = np.sqrt(np.diag(form.covariance)) * _UP + 1e-9
+    if reach[2] > 1.5:
+        raise Rejected("the region reaches beyond a heading of 1.5 rad")
+    psi_edges, y_edges = np.linspace(-reach[2], reach[2], 17), np.linspace(0, reach[1], 9)
+    cells = [g.ravel() for g in np.meshgrid(
+        (psi_edges[1:] + psi_edges[:-1]) / 2, (y_edges[1:] + y_edges[:-1]) / 2)]  # fmt: skip
+    psi, y = cells
+    # neighbours overlap a little: edges are rounded
+    half = np.array([(psi_edges[1] - psi_edges[0]) / 2, (y_edges[1] - y_edges[0]) / 2]) * _UP + 1e-12
+    count = 0
+    for depth in range(_DEPTH + 1):
+        least = _inside(form, psi, y, half)
+        kept = least <= 1
+        psi, y, least = psi[kept], y[kept], least[kept]
+        count += len(psi)
+        if count > most:
+            break
+        chunks = [slice(k, k + _CHUNK) for k in range(0, len(psi), _CHUNK)]
+        failed = [_fails(claim, law, form, psi[k], y[k], half, least[k]) for k in chunks]
+        if not np.any(np.concatenate([[False], *failed])):
+            return count
+        psi, y = psi[np.concatenate(failed)], y[np.concatenate(failed)]
+        if depth < _DEPTH:
+            half = half / 2 * _UP + 1e-12
+            psi = np.concatenate([psi + i * half[0] for i in (-1, 1) for _ in (0, 1)])
+            y = np.concatenate([y + j * half[1] for _ in (0, 1) for j in (-1, 1)])
+    raise Rejected(f"V does not decay at the rate near psi = {psi[0]:.4g}, y_e = {y[0]:.4g}")
+
+
+def _fails(
+    claim: HeadingClaim, law: dict[str, float], form: _Form, psi: Array, y: Array, half: Array, least: Array
+) -> Array:
+    """Which cells have a vertex whose V̇ + a V is not shown to be negative."""
+    ranges = {key: (float(low), float(high)) for key, (low, high) in claim.ranges.items()}
+    limits = {key: float(value) for key, value in claim.limits.items()}
+    v, push = law["cruise"], float(claim.push)
+    low, high = claim.command
+    at = rows(law, (float(low), float(high)), psi, y, half)
+
+    def most(row: Plane) -> Array:
+        return _largest(form, row, psi, y, half, least)
+
+    own = constant(np.eye(6)[5] + 0 * at.yaw.mid)  # r
+    fast, side, turn = most(at.surge), most(at.sway), most(own)
+    left = limits["surge_n"] - float(claim.trim[1])
+    if left <= 0:
+        raise Rejected("the steady cruise needs all the thrust")
+    surge = [p + at.surge.times(-1.0) for p in at.place]
+    share_u = _share(left, push * np.maximum(most(surge[0]), most(surge[1])))
+    share_v, share_r = _share(limits["sway_n"], push * side), _share(limits["yaw_nm"], most(at.yaw))
+    bound = 2 * (share_u < 1) + (share_r < 1)
+    if np.any(bound != bound[0]):  # cells without saturation have fewer vertices: apart
+        split = np.empty(len(psi), dtype=bool)
+        for kind in np.unique(bound):
+            k = bound == kind
+            split[k] = _fails(claim, law, form, psi[k], y[k], half, least[k])
+        return split
+    # secants of |u| u from v: at least 0.828 v wherever u is, at least 2 v − |δu|
+    slow = ranges["surge_linear"][0] + ranges["surge_quadratic"][0] * np.maximum(0.828 * v, 2 * v - fast) / _UP
+    quick = (ranges["surge_linear"][1] + ranges["surge_quadratic"][1] * (2 * v + fast)) * _UP
+    sway = [ranges["sway_linear"][0] + 0 * side, (ranges["sway_linear"][1] + ranges["sway_quadratic"][1] * side) * _UP]
+    spin = [ranges["yaw_linear"][0] + 0 * turn, (ranges["yaw_linear"][1] + ranges["yaw_quadratic"][1] * turn) * _UP]
+    turns = [
+        _part(form, _product(own.times(1 / inertia), at.yaw.times(p[:, None]) + own.times(-d[:, None])))
+        for inertia, p, d in product(sorted(set(ranges["yaw_inertia_kg_m2"])), _pair(share_r), spin)
+    ]
+    still = _part(form, constant(np.broadcast_to(_KINEMATIC, (len(psi), 6, 6))))
+    own_rate = float(claim.rate) * (form.change @ form.p @ form.change.T)
+    failed = np.zeros(len(psi), dtype=bool)
+    # sway's thrust and drag are one number: (φ_v m k + σ_v) v
+    abeam = [push * share_v + sway[0], push + sway[1]]
+    moves = product(sorted(set(ranges["mass_kg"])), at.place, _pair(share_u), (slow, quick), abeam)
+    for mass, place, pu, du, held in moves:
+        k = np.flatnonzero(~failed)
+        ahead = place.at(k).times((push * pu)[k, None]) + at.surge.at(k).times(-(push * pu + du)[k, None])
+        pushed = _product(at.ahead.at(k).times(1 / mass), ahead)
+        moved = _part(form, pushed + _product(at.abeam.at(k).times(1 / mass), at.sway.at(k).times(-held[k, None])))
+        for turned in turns:
+            mid, tilt, tip = (-(still[n][k] + moved[n] + turned[n][k]) for n in range(3))
+            off = still[3][k] + moved[3] + turned[3][k] + _ROUNDING * float(claim.rate)
+            mid -= own_rate + off[:, None, None] * np.eye(6)
+            # affine over the cell: its corners decide
+            for i, j in product((1, -1), (1, -1)):
+                failed[k] |= ~_positive(mid + i * tilt + j * tip)
+    return failed
+
+
+def _product(column: Plane, row: Plane) -> Plane:
+    """column rowᵀ (n, 6, 6)."""
+    return column.at(np.s_[:, :, None]) * row.at(np.s_[:, None, :])
+
+
+_KINEMATIC = np.zeros((6, 6))
+_KINEMATIC[0, 3] = _KINEMATIC[1, 4] = _KINEMATIC[2, 5] = 1
+
+
+def _part(form: _Form, loop: Plane) -> tuple[Array, Array, Array, Array]:
+    """T (P A + Aᵀ P) Tᵀ (n, 6, 6): middle and both slopes over the cell, and its error in the spectral norm (n,)."""
+    t = form.change
+    found = []
+    for part in (loop.mid, loop.psi, loop.y):
+        half = (t @ form.p) @ part @ t.T
+        found.append(half + half.transpose(0, 2, 1))
+    weight, side = np.abs(t) @ np.abs(form.p), np.abs(t).T
+    spread = weight @ (loop.radius + _ROUNDING * (np.abs(loop.mid) + loop.spread)) @ side
+    # |X + Xᵀ| is at most the sum of X's largest row and largest column
+    off = spread.sum(axis=2).max(axis=1) + spread.sum(axis=1).max(axis=1)
+    return found[0], found[1], found[2], off * _UP + 1e-12
+
+
+def _positive(m: Array) -> NDArray[np.bool_]:
+    """Whether Cholesky's pivots (n, k, k) are all above 0."""
+    # entries first, cells last: every step runs over whole rows of memory
+    n = m.shape[1]
+    a = {(i, j): m[:, i, j] for i in range(n) for j in range(i + 1)}
+    good = np.ones(len(m), dtype=bool)
+    for k in range(n):
+        good &= a[k, k] > 0
+        if not good.any():
+            break
+        inverse = 1 / np.where(good, a[k, k], 1.0)
+        for i in range(k + 1, n):
+            factor = a[i, k] * inverse
+            for j in range(k + 1, i + 1):
+                a[i, j] = a[i, j] - factor * a[j, k]
+    return good

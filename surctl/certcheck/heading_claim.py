@@ -1,0 +1,131 @@
+"""What a certificate of the heading-steered loop claims, read strictly."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.region_claim import number, record
+
+__all__ = ["EXCLUDES", "HeadingClaim", "read_claim"]
+
+Pair = tuple[Fraction, Fraction]
+
+EXCLUDES = (
+    "straight leg of the path, the target moving along it at the cruise speed",
+    "surge and sway have the same mass; no coupling of heave, roll or pitch",
+    "the surge command (11) as printed: of either sign, without a speed cap",
+    "the law is the paper's, steered by heading; the law that is exported steers by velocity",
+    "no obstacle, wall or unknown place; no row of the priority problem is active",
+    "pose and velocity as measured are the true ones; thrust without lag, commands not held",
+    "water at rest, no waves, no thrust bias",
+)
+"""What the claim leaves out, word for word."""
+
+_RANGES = (
+    "mass_kg", "heave_mass_kg", "yaw_inertia_kg_m2", "surge_linear", "surge_quadratic", "sway_linear",
+    "sway_quadratic", "heave_linear", "heave_quadratic", "yaw_linear", "yaw_quadratic",
+)  # fmt: skip
+_LIMITS = ("surge_n", "sway_n", "heave_n", "yaw_nm")
+_LAW = (
+    "mass_kg", "heave_mass_kg", "yaw_inertia_kg_m2", "linear_drag", "quadratic_drag", "k1", "k_z", "lookahead", "k",
+    "k_psi", "k_r", "cruise",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class HeadingClaim:
+    """The claim; SI units.
+
+    Attributes:
+        ranges: (least, largest) of each true number of the vehicle, by the name in the certificate.
+        limits: least thrust limit of each axis.
+        law: what the law believes, and its gains.
+        rate: a of V̇ ≤ −a V [1/s].
+        offset: |y_e| [m] in the region with x_e = 0, the heading along the path and the target's velocity.
+        beside: the same |y_e| at the place x* along the path where it comes to rest.
+        reach: |x|, |y| [m] and |ψ| [rad] that some point of the region has.
+        depth: |z_e| [m] in the region with no heave velocity.
+        settled: largest |x_e| [m] where it comes to rest; y_e, z_e and ψ go to 0.
+    """
+
+    ranges: Mapping[str, Pair]
+    limits: Mapping[str, Fraction]
+    law: Mapping[str, Fraction]
+    rate: Fraction
+    offset: Fraction
+    beside: Fraction
+    reach: tuple[Fraction, Fraction, Fraction]
+    depth: Fraction
+    settled: Fraction
+
+    @property
+    def push(self) -> Fraction:
+        """m k of the law [N s/m]."""
+        return self.law["mass_kg"] * self.law["k"]
+
+    @property
+    def trim(self) -> Pair:
+        """Least and largest surge drag at the cruise speed [N]."""
+        v = self.law["cruise"]
+        low, high = (self.ranges["surge_linear"][i] * v + self.ranges["surge_quadratic"][i] * v * v for i in (0, 1))
+        return low, high
+
+    @property
+    def command(self) -> Pair:
+        """Least and largest surge command at rest in the moving frame [m/s]."""
+        v = self.law["cruise"]
+        fed = self.law["linear_drag"] * v + self.law["quadratic_drag"] * v * v
+        low, high = (v + (trim - fed) / self.push for trim in self.trim)
+        return low, high
+
+
+def read_claim(claim: Any) -> HeadingClaim:
+    """The claim of a certificate.
+
+    Raises:
+        Rejected: a key is missing or unknown, a number is of the wrong kind or sign, or the exclusions differ.
+    """
+    top = record(claim, ("system", "excludes", "vehicle", "law", "motion", "sha256_vehicle"), "claim")
+    if top["system"] != "heading":
+        raise Rejected(f"claim.system {top['system']!r} is not known; known: heading")
+    if top["excludes"] != list(EXCLUDES):
+        raise Rejected("claim.excludes is not what this claim leaves out")
+    if not isinstance(top["sha256_vehicle"], str) or not re.fullmatch("[0-9a-f]{64}", top["sha256_vehicle"]):
+        raise Rejected("claim.sha256_vehicle is no SHA-256")
+    vehicle = record(top["vehicle"], (*_RANGES, "limits"), "claim.vehicle")
+    limits = record(vehicle["limits"], _LIMITS, "claim.vehicle.limits")
+    law = record(top["law"], _LAW, "claim.law")
+    motion = record(
+        top["motion"], ("rate_per_s", "offset_m", "beside_m", "reach", "depth_m", "settled_m"), "claim.motion"
+    )
+    ranges = {}
+    for key in _RANGES:
+        pair = vehicle[key]
+        if not isinstance(pair, list) or len(pair) != 2:
+            raise Rejected(f"claim.vehicle.{key} must be [least, largest]")
+        inertial = key.endswith(("_kg", "_m2"))
+        low, high = (number(entry, f"claim.vehicle.{key}", above=inertial) for entry in pair)
+        if low > high:
+            raise Rejected(f"claim.vehicle.{key}: the least exceeds the largest")
+        ranges[key] = (low, high)
+    reach = motion["reach"]
+    if not isinstance(reach, list) or len(reach) != 3:
+        raise Rejected("claim.motion.reach must be [x, y, psi]")
+    x, y, psi = (number(entry, "claim.motion.reach", above=True) for entry in reach)
+    drag = ("linear_drag", "quadratic_drag")
+    return HeadingClaim(
+        ranges=ranges,
+        limits={key: number(limits[key], f"claim.vehicle.limits.{key}", above=True) for key in _LIMITS},
+        law={key: number(law[key], f"claim.law.{key}", above=key not in drag) for key in _LAW},
+        rate=number(motion["rate_per_s"], "claim.motion.rate_per_s", above=True),
+        offset=number(motion["offset_m"], "claim.motion.offset_m", above=True),
+        beside=number(motion["beside_m"], "claim.motion.beside_m", above=True),
+        reach=(x, y, psi),
+        depth=number(motion["depth_m"], "claim.motion.depth_m", above=True),
+        settled=number(motion["settled_m"], "claim.motion.settled_m"),
+    )

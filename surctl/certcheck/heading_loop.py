@@ -1,0 +1,133 @@
+"""The heading-steered loop over cells of (ψ, y_e): rows as planes over the cell with radii, in double precision.
+
+With m11 = m22 the Coriolis force vanishes in the path frame, ξ = (x − x*, y, ψ, U_x − v, U_y, r), and
+    m U̇ = e1(ψ) (φ_u f_u − σ_u δu) + e2(ψ) (φ_v f_v − σ_v v),   m44 ṙ = φ_r f_r − σ_r r,
+    δu = cos ψ δU_x + sin ψ U_y − v κ ψ,  v = −sin ψ δU_x + cos ψ U_y − v sinc ψ ψ,   κ = (1 − cos ψ)/ψ,
+    f_u = m̂ k (−k1 (q/Δ) x + u_c* y²/(Δ (q + Δ)) − δu),  f_v = −m̂ k v,  f_r = −m̂44 k_r (r + k_ψ (ψ + atan(y/Δ))),
+exactly: the trim force T* cancels, and only u_c* = v + (T* − T̂)/(m̂ k) still knows it. σ are secants of the drag, φ
+what the thrust limits leave. Every coefficient of ξ is a smooth function of ψ or of y: its tangent and a bound on its
+second derivative hold it over a cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Plane", "Rows", "constant", "rows"]
+
+Array = NDArray[np.float64]
+
+_TINY = 1e-12  # more than any rounding of an entry of order 1, relative
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Functions over a cell, entry by entry: mid + a psi + b y for a, b in [−1, 1], and no further off than radius."""
+
+    mid: Array
+    psi: Array
+    y: Array
+    radius: Array
+
+    @property
+    def spread(self) -> Array:
+        """Largest distance from `mid`."""
+        return np.asarray((np.abs(self.psi) + np.abs(self.y) + self.radius) * (1 + _TINY))
+
+    def __add__(self, other: Plane) -> Plane:
+        mid = self.mid + other.mid
+        radius = self.radius + other.radius + _TINY * (np.abs(self.mid) + np.abs(other.mid))
+        return Plane(mid, self.psi + other.psi, self.y + other.y, radius)
+
+    def __mul__(self, other: Plane) -> Plane:
+        a, b = np.abs(self.mid), np.abs(other.mid)
+        radius = (
+            a * other.radius
+            + b * self.radius
+            + self.spread * other.spread
+            + _TINY * (a + self.spread) * (b + other.spread)
+        )
+        return Plane(
+            self.mid * other.mid,
+            self.mid * other.psi + other.mid * self.psi,
+            self.mid * other.y + other.mid * self.y,
+            radius,
+        )
+
+    def times(self, factor: float | Array) -> Plane:
+        """The product with exact numbers."""
+        mid = self.mid * factor
+        return Plane(mid, self.psi * factor, self.y * factor, self.radius * np.abs(factor) + _TINY * np.abs(mid))
+
+    def at(self, index: Any) -> Plane:
+        """The entries of an index."""
+        return Plane(self.mid[index], self.psi[index], self.y[index], self.radius[index])
+
+
+def constant(value: Array) -> Plane:
+    """The same everywhere."""
+    return Plane(value, 0 * value, 0 * value, 0 * value)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows (n cells, 6) of δu, v, f_u/(m̂ k) + δu (for either end of u_c*), f_r; e1, e2 as columns of the rate."""
+
+    surge: Plane
+    sway: Plane
+    place: tuple[Plane, Plane]
+    yaw: Plane
+    ahead: Plane
+    abeam: Plane
+
+
+def rows(law: Mapping[str, float], commands: tuple[float, float], psi: Array, y: Array, half: Array) -> Rows:
+    """The rows over cells psi ± half[0], y ± half[1] with middles (n,), |ψ| ≤ π/2."""
+    n, ahead, v = len(psi), law["lookahead"], law["cruise"]
+    zero = np.zeros(n)
+
+    def turning(value: Array, slope: Array, bend: float) -> Plane:
+        return Plane(value, slope * half[0], zero, bend / 2 * half[0] ** 2 + _TINY * (1 + np.abs(value)))
+
+    def beside(value: Array, slope: Array, bend: float) -> Plane:
+        return Plane(value, zero, slope * half[1], bend / 2 * half[1] ** 2 + _TINY * (1 + np.abs(value)))
+
+    c, s = np.cos(psi), np.sin(psi)
+    cos, sin = turning(c, -s, 1.0), turning(s, c, 1.0)
+    # ∫ cos(tψ) dt and ∫ sin(tψ) dt over t in [0, 1]: second derivatives ≤ 1/3; by their series where ψ is small
+    flat = np.abs(psi) < 1e-4
+    by = np.where(flat, 1.0, psi)
+    mean = np.where(flat, 1 - psi * psi / 6, s / by)
+    lift = np.where(flat, psi / 2, 2 * np.sin(by / 2) ** 2 / by)
+    sinc = turning(mean, np.where(flat, -psi / 3, (c - mean) / by), 1 / 3)
+    kappa = turning(lift, np.where(flat, 0.5 - psi * psi / 8, (s - lift) / by), 1 / 3)
+    q = np.hypot(y, ahead)
+    stretch = beside(q / ahead, y / (q * ahead), 1 / ahead**2)
+    bend = beside(y / (ahead * (q + ahead)), 1 / (q * (q + ahead)), 0.75 / ahead**3)
+    # ∫ dt/(1 + t² z²), z = y/Δ: second derivative ≤ 2/3
+    z = y / ahead
+    near = np.abs(z) < 1e-4
+    by = np.where(near, 1.0, z)
+    angle = np.where(near, 1 - z * z / 3, np.arctan(z) / by)
+    slope = np.where(near, -2 * z / 3, (1 / (1 + z * z) - angle) / by)
+    lead = beside(angle / ahead, slope / ahead**2, 2 / 3 / ahead**3)
+
+    def row(entries: Mapping[int, Plane]) -> Plane:
+        parts = [entries.get(k, constant(zero)) for k in range(6)]
+        return Plane(*(np.stack([getattr(p, name) for p in parts], 1) for name in ("mid", "psi", "y", "radius")))
+
+    pull, one = law["yaw_inertia_kg_m2"] * law["k_r"], constant(np.ones(n))
+    first, second = (row({0: stretch.times(-law["k1"]), 1: bend.times(command)}) for command in commands)
+    return Rows(
+        surge=row({2: kappa.times(-v), 3: cos, 4: sin}),
+        sway=row({2: sinc.times(-v), 3: sin.times(-1.0), 4: cos}),
+        place=(first, second),
+        yaw=row({1: lead.times(-pull * law["k_psi"]), 2: one.times(-pull * law["k_psi"]), 5: one.times(-pull)}),
+        ahead=row({3: cos, 4: sin}),
+        abeam=row({3: sin.times(-1.0), 4: cos}),
+    )

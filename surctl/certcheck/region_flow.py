@@ -1,0 +1,104 @@
+"""What a steady current does to the steady cruise: bounds over all currents, headings and true vehicles.
+
+The commanded force less the needed one, at the steady cruise, is a function of the current (c_x, c_y) and the heading
+ψ with bounded second derivatives, and all but affine in the true drag. On a grid, the largest norm at the corners of
+a cell bounds that of the multilinear interpolation; what the function differs from it by is Σ M_i h_i²/8.
+In double precision, with a margin far above its rounding.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.region_claim import CruiseClaim
+from surctl.certcheck.region_trim import MEAN_SHARE, Trim, axis_pairs, trim
+
+__all__ = ["steady_trim"]
+
+Array = NDArray[np.float64]
+
+_SIDE, _HEADINGS = 24, 180
+_MARGIN = 1 + 1e-9
+_SHARE = float(MEAN_SHARE)
+
+
+def _flow_bounds(claim: CruiseClaim) -> tuple[Fraction, Fraction, Fraction, Fraction]:
+    """Least and largest ω_x, largest |ω_y| [m/s], largest lack of the trim force [N]."""
+    v, push = float(claim.cruise), float(claim.mass_model * claim.k_v)
+    hat, hat2, most = float(claim.linear_model), float(claim.quadratic_model), float(claim.current)
+    x, y = np.meshgrid(np.linspace(-most, most, 2 * _SIDE + 1), np.linspace(0, most, _SIDE + 1))  # ± c_y are images
+    step = most / _SIDE * _MARGIN
+    near = np.hypot(x, y) <= most + 1.5 * step  # every cell that meets the disc, with all its corners
+    flow = np.stack([v - x[near], -y[near]])
+    speed = np.hypot(*flow)
+    psi = np.linspace(0, np.pi, _HEADINGS + 1)  # {B} turned by π is the same vehicle
+    c, s = np.cos(psi), np.sin(psi)
+    stiff = np.array([push + hat + 2 * _SHARE * hat2 * v, push + hat + _SHARE * hat2 * v])
+    low, high, drift, total, wide = np.inf, -np.inf, 0.0, 0.0, 0.0
+    ranges = [[(float(a), float(b)) for a, b in axis_pairs(*pair, claim.asymmetry)]
+              for pair in (claim.linear, claim.quadratic)]  # fmt: skip
+    ends = []
+    for (x1, x2), (q1, q2) in product(*ranges):
+        needed = ((x1 + x2) / 2 + _SHARE * (q1 + q2) / 2 * speed) * flow
+        omega = (needed - np.array([[(hat + _SHARE * hat2 * v) * v], [0.0]])) / stiff[:, None]
+        ends.append(omega)
+        low, high, drift = min(low, omega[0].min()), max(high, omega[0].max()), max(drift, np.abs(omega[1]).max())
+        wish = omega + np.array([[v], [0.0]])
+        lack = []
+        for (a, b), xx, qq in (((c, s), x1, q1), ((-s, c), x2, q2)):
+            w, n, o = (np.outer(z[0], a) + np.outer(z[1], b) for z in (wish, flow, omega))
+            lack.append(push * o + hat * w + hat2 * w * np.abs(w) - xx * n - qq * n * np.abs(n))
+        total = max(total, float(np.hypot(*lack).max()))
+    wide = max(float(np.hypot(*(a - b)).max()) for a in ends for b in ends)
+    drag, square = float(claim.linear[1]), float(claim.quadratic[1])
+    fast = v + most + 2 * step
+    reach = float(v + max(abs(low), abs(high)) + drift)
+    # second derivatives in a current: of ω, of the forces; and in ψ: of turned forces n |n| and of linear ones
+    bend = 4 * _SHARE * square / stiff[1]
+    slope = (drag + 2 * _SHARE * square * fast) / stiff[1]
+    turn = push + hat + 2 * hat2 * reach
+    by_current = turn * bend + 2 * hat2 * slope**2 + 2 * square
+    force = push * max(abs(low), abs(high), drift) * 2 + hat * reach + drag * fast
+    by_heading = np.sqrt(2) * (4 * force + 9 * (hat2 * reach**2 + square * fast**2))
+    # ω, in (c_x, c_y), is off its interpolation too
+    curved = 2 * bend * step**2 / 8
+    total += 2 * by_current * step**2 / 8 + by_heading * (np.pi / _HEADINGS) ** 2 / 8
+    total += hat2 * wide**2  # all but affine in the true drag
+    up, down = (Fraction(int(value * 10**9) + k, 10**9) for value, k in ((high + curved, 2), (low - curved, -2)))
+    return down, up, _up(drift + curved), _up(total)
+
+
+def _up(value: float) -> Fraction:
+    return Fraction(int(value * _MARGIN * 10**9) + 2, 10**9)
+
+
+def steady_trim(claim: CruiseClaim) -> Trim:
+    """Bounds of the steady cruise over everything that the claim leaves open.
+
+    Raises:
+        Rejected: the steady command would point backwards.
+    """
+    if not claim.current:
+        return trim(claim)
+    low, high, drift, total = _flow_bounds(claim)
+    v, push = claim.cruise, claim.mass_model * claim.k_v
+    hat, hat2 = claim.linear_model, claim.quadratic_model
+    if v + low <= 0:
+        raise Rejected("against the current it would have to go backwards")
+    return Trim(
+        omega=(low, high),
+        command=(v + low, v + high),
+        linear=push * high + hat * (v + high),
+        quadratic=hat2 * (v + high) ** 2,
+        backward=max(-(push * low + hat * (v + low)), Fraction(0)),
+        total=total,
+        drift=drift,
+        aside=drift * claim.lookahead / (v + low),
+        across=(push + hat) * drift,
+        tilt=drift / (v + high),
+    )

@@ -1,0 +1,383 @@
+import copy
+import json
+import time
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from surctl.certcheck import braking as checker
+from surctl.certcheck import check_document, seal
+from surctl.certcheck.braking_claim import read_claim
+from surctl.certcheck.braking_way import forces, pushed, read_way
+from surctl.control import load_gains
+from surctl.control.stopping import BARRIERS, BRAKE
+from surctl.control.velocity import velocity_control
+from surctl.guidance.braking import brakes_of
+from surctl.vehicle import load_vehicle
+from tests.certcheck import encounters
+
+HERE = Path(__file__).parent
+FILES = sorted(HERE.glob("braking-*.json"))
+NAMES = [path.stem for path in FILES]
+
+Change = Callable[[dict[str, Any], float], None]
+
+
+def document(name: str) -> dict[str, Any]:
+    return json.loads((HERE / f"{name}.json").read_text())
+
+
+def sealed(changed: dict[str, Any]) -> dict[str, Any]:
+    """The altered document with the hash mended."""
+    rest = {k: v for k, v in changed.items() if k not in ("format", "version", "kind", "claim", "sha256")}
+    return seal("braking", changed["claim"], rest)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_kept_certificates_are_accepted_quickly_and_are_small(name: str) -> None:
+    began = time.process_time()
+    found = check_document(document(name))
+    assert found.accepted, found.reason
+    assert time.process_time() - began < 1
+    assert len((HERE / f"{name}.json").read_text()) < 10_000
+
+
+def test_there_are_certificates_of_the_rule_and_of_both_barriers() -> None:
+    claims = [document(name)["claim"] for name in NAMES]
+    assert {c["law"]["barrier"] if c["law"] else "rule" for c in claims} == {"rule", "inertia", "simple"}
+    assert {c["vehicle"]["drag"] for c in claims} == {"along", "axes"}
+
+
+# what may be changed, and a change that asks for more than was proved
+STRONGER: dict[str, Change] = {
+    "lag": lambda d, f: d["claim"]["vehicle"].update(lag_s=0.5 + f),
+    "mass": lambda d, f: d["claim"]["vehicle"]["mass_kg"].__setitem__(1, 300 * (1 + f)),
+    "lighter": lambda d, f: d["claim"]["vehicle"]["mass_kg"].__setitem__(0, 10 * (1 - f / 2)),
+    "least drag": lambda d, f: d["claim"]["vehicle"]["quadratic_drag"].__setitem__(0, 10 * (1 - f)),
+    "brake": lambda d, f: d["claim"]["vehicle"].update(brake_n=2.5 * (1 - f / 2)),
+    "most": lambda d, f: d["claim"]["vehicle"].update(most_n=12 * (1 + f)),
+    "push": lambda d, f: d["claim"]["encounter"].update(push_n=1.0 + f),
+    "sideways": lambda d, f: d["claim"]["encounter"].update(sideways_m_per_s=2 * (1 + f)),
+    "turn": lambda d, f: d["claim"]["encounter"].update(turn_rad_per_s=2 * (1 + f)),
+    "period": lambda d, f: d["claim"]["watch"].update(period_s=0.5 * (1 + f)),
+    "age": lambda d, f: d["claim"]["watch"].update(age_s=0.5 * (1 + f)),
+    "range error": lambda d, f: d["claim"]["watch"].update(range_error_m=0.06 + f),
+    "speed error": lambda d, f: d["claim"]["watch"].update(speed_error_m_per_s=0.1 * (1 + f)),
+    "limit": lambda d, f: d["claim"].update(limit_obstacle_m_per_s=d["claim"]["limit_obstacle_m_per_s"] + 0.001 + f),
+    "closed": lambda d, f: d["claim"]["table"]["closed_m"][1].__setitem__(0, 0.3 * (1 - f)),
+    "way": lambda d, f: d["claim"]["table"]["way_m"][2].__setitem__(0, 0.3 * (1 - f)),
+    "needed": lambda d, f: d["claim"]["table"]["needed_m"][2].__setitem__(0, 0.3 * (1 - f)),
+    "slope": lambda d, f: d["proof"]["ways"][0].update(
+        slopes=[g * (0.999 - f) for g in d["proof"]["ways"][0]["slopes"]]
+    ),
+    "one slope": lambda d, f: d["proof"]["ways"][0]["slopes"].__setitem__(5, 0.9 * (1 - f) * 0.01),
+    "short": lambda d, f: d["proof"]["ways"][0].update(
+        knots=d["proof"]["ways"][0]["knots"][: 6 + int(9 * f)], slopes=d["proof"]["ways"][0]["slopes"][: 6 + int(9 * f)]
+    ),
+}
+OF_THE_LAW: dict[str, Change] = {
+    "margin": lambda d, f: d["claim"]["law"].update(margin_m=0.0),
+    "counts on more": lambda d, f: d["claim"]["law"].update(brake=1.6 + f),
+    "slow loop": lambda d, f: d["claim"]["law"].update(k_v_per_s=0.1 * (1 - f / 2)),
+    "no gain": lambda d, f: d["claim"]["law"].update(gain=0.0, k_v_per_s=0.4),
+    "believed lag": lambda d, f: d["claim"]["law"].update(
+        reaction_s=0.1 * (1 - f / 2), stopping={**d["claim"]["law"]["stopping"], "lag_s": 0.0}
+    ),
+    "integral": lambda d, f: d["claim"]["law"].update(k_i_per_s2=0.01 + f),
+    "weak": lambda d, f: d["claim"]["law"].update(limit_n=2.0 * (1 - f / 2)),
+    "faster": lambda d, f: d["claim"]["encounter"].update(fastest_m_per_s=0.9 + f),
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [(k, n) for n in ("braking-rule-20", "braking-inertia-ranges") for k in STRONGER]
+    + [(k, n) for n in ("braking-inertia-ranges", "braking-simple-20") for k in OF_THE_LAW],
+)
+def test_what_asks_for_more_is_rejected_however_it_is_sealed(kind: str, name: str) -> None:
+    change = {**STRONGER, **OF_THE_LAW}[kind]
+    for share in np.random.default_rng(len(kind)).uniform(size=3):
+        changed = document(name)
+        change(changed, float(share))
+        assert not check_document(changed).accepted
+        assert not check_document(sealed(changed)).accepted, (kind, share)
+
+
+@pytest.mark.parametrize(
+    ("where", "value"),
+    [
+        (("claim", "system"), "other"),
+        (("claim", "assumes"), []),
+        (("claim", "lemmas"), []),
+        (("claim", "sha256_law"), "0"),
+        (("claim", "more"), 1),
+        (("claim", "law"), {}),
+        (("claim", "law", "barrier"), "other"),
+        (("claim", "vehicle", "drag"), "none"),
+        (("claim", "vehicle", "mass_kg"), [125.0, 50.0]),
+        (("claim", "vehicle", "mass_kg"), [0.0, 50.0]),
+        (("claim", "vehicle", "brake_n"), "3.5"),
+        (("claim", "encounter", "obstacles_m_per_s"), []),
+        (("claim", "encounter", "obstacles_m_per_s"), [0.0, 0.0]),
+        (("claim", "encounter", "obstacles_m_per_s"), [5.0]),
+        (("claim", "table", "way_m"), [[0.1]]),
+        (("claim", "table", "speeds_m_per_s"), [0.1]),
+        (("claim", "watch", "period_s"), 0),
+        (("proof", "more"), 1),
+        (("proof", "ways"), []),
+        (("proof", "ways"), [{"knots": [0.0], "slopes": [0.0]}]),
+        (("proof", "ways"), [{"knots": [0.0, 0.0], "slopes": [0.0, 1.0]}]),
+        (("proof", "ways"), [{"knots": [0.0, 1.0], "slopes": [1.0]}]),
+        (("more",), 1),
+        pytest.param(("claim", "watch", "period_s"), 10**400, id="huge"),
+    ],
+)
+def test_what_is_malformed_is_rejected(where: tuple[str, ...], value: Any) -> None:
+    changed = document("braking-inertia-ranges")
+    place = changed
+    for key in where[:-1]:
+        place = place[key]
+    place[where[-1]] = value
+    assert not check_document(sealed(changed)).accepted
+
+
+# ---- a few hundred alterations of one number
+
+
+def _numbers(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    if isinstance(value, dict):
+        return [p for key, entry in value.items() for p in _numbers(entry, (*path, key))]
+    if isinstance(value, list):
+        return [p for key, entry in enumerate(value) for p in _numbers(entry, (*path, key))]
+    return [path] if isinstance(value, int | float) and not isinstance(value, bool) else []
+
+
+def altered(whole: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
+    """One number changed: a little, a lot, or in its sign."""
+    changed = copy.deepcopy(whole)
+    part = "claim" if rng.uniform() < 0.7 else "proof"
+    paths = [(part, *path) for path in _numbers(changed[part])]
+    path = paths[rng.integers(len(paths))]
+    place: Any = changed
+    for key in path[:-1]:
+        place = place[key]
+    factor = rng.choice([np.exp(rng.normal(scale=0.02)), np.exp(rng.normal(scale=0.3)), np.exp(rng.normal()), -1.0])
+    place[path[-1]] = float(place[path[-1]] * factor) if place[path[-1]] else float(rng.uniform(0, 1))
+    return changed
+
+
+def refuted(changed: dict[str, Any]) -> bool:
+    """Whether sums and grids in floating point show an altered certificate to be false."""
+    claim = changed["claim"]
+    vehicle, met, table = claim["vehicle"], claim["encounter"], claim["table"]
+    if any(n < 0 for n in (value_of(claim, p) for p in _numbers(claim))):
+        return True
+    if any(vehicle[key][0] > vehicle[key][1] for key in ("mass_kg", "linear_drag", "quadratic_drag")):
+        return True
+    for column, obstacle in enumerate(met["obstacles_m_per_s"]):
+        for row, speed in enumerate(table["speeds_m_per_s"]):
+            told = [table[key][row][column] for key in ("way_m", "needed_m")]
+            least = encounters.way(changed, speed + obstacle, obstacle), encounters.needed(
+                changed, speed, obstacle, since=speed
+            )  # fmt: skip
+            if any(a < b * (1 - 1e-5) for a, b in zip(told, least, strict=True)):
+                return True
+        if claim["law"] is not None and encounters.lacking(changed, obstacle) > 1e-4:
+            return True
+        ways, through = changed["proof"]["ways"][column], obstacle + met["current_m_per_s"]
+        knots, slopes = np.array(ways["knots"]), np.array(ways["slopes"])
+        z = np.linspace(knots[0], knots[-1], 3000)
+        left = vehicle["brake_n"] - encounters.pushed(changed, through) + encounters.drag(changed, z - through)
+        if np.any(np.diff(knots) <= 0) or np.any(np.interp(z, knots, slopes) * left < z * (1 - 1e-6)):
+            return True
+    return False
+
+
+def value_of(claim: Any, path: tuple[Any, ...]) -> float:
+    for key in path:
+        claim = claim[key]
+    return float(claim)
+
+
+def test_no_altered_certificate_that_brute_force_refutes_is_accepted() -> None:
+    rng, false, accepted = np.random.default_rng(5), 0, 0
+    for k in range(300):
+        name = NAMES[k % len(NAMES)]
+        changed = altered(document(name), rng)
+        if changed == document(name):
+            continue
+        assert not check_document(changed).accepted
+        good = check_document(sealed(changed)).accepted
+        accepted += good
+        if good:
+            assert not refuted(changed), name
+        elif k % 5 == 0:
+            false += refuted(changed)
+    assert accepted > 10 and false > 15
+
+
+def test_brute_force_refutes_none_of_the_kept_ones() -> None:
+    assert not any(refuted(document(name)) for name in NAMES)
+
+
+# ---- the law that flies is the one that is claimed
+
+
+@pytest.mark.parametrize("barrier", ["inertia", "simple"])
+@pytest.mark.parametrize("obstacle", [0.0, 0.07])
+def test_what_the_law_keeps_is_the_inverse_of_its_own_bound(barrier: Any, obstacle: float) -> None:
+    name = {"inertia": "braking-inertia-ranges", "simple": "braking-simple-20"}[barrier]
+    whole = document(name)
+    whole["claim"]["encounter"]["obstacles_m_per_s"] = [obstacle]
+    claim = read_claim(whole["claim"])
+    assert claim.law is not None
+    gains, vehicle = load_gains("default"), load_vehicle("sur540-flooded")
+    own = brakes_of(vehicle)
+    stopping = (*own.masses, own.most, own.lag, own.linear[1], own.quadratic[1])
+    p = {
+        **{key: ca.SX(gains[key]) for key in ("brake", "reaction")},
+        "thrust_limit": ca.SX(list(vehicle.thrust_limit)),
+        "mass": ca.SX(list(vehicle.mass)),
+        "stopping": ca.SX(list(stopping)),
+    }
+    d = ca.SX.sym("d")
+    period = float(claim.period)
+    law = ca.Function("law", [d], [BARRIERS[barrier](p, period)(d, ca.SX(-obstacle))])
+    at = forces(claim, claim.obstacles[0])
+    for distance in np.linspace(-0.05, 2.0, 40).tolist():
+        bound = float(law(distance))
+        back = checker._kept(claim.law, at, claim.period, Fraction(bound))
+        assert float(back) == pytest.approx(distance, abs=1e-9)
+
+
+def test_beyond_the_excess_the_velocity_loop_asks_for_the_braking_force() -> None:
+    claim = read_claim(document("braking-inertia-20-axes")["claim"])
+    assert claim.law is not None and float(claim.law.gain) == BRAKE
+    vehicle, gains, rng = load_vehicle("sur540-flooded"), load_gains("default"), np.random.default_rng(3)
+    wanted, nu = ca.SX.sym("w", 4), ca.SX.sym("n", 4)
+    model = {
+        "mass": ca.SX(list(vehicle.mass)),
+        "linear_drag": ca.SX(list(vehicle.linear_drag)),
+        "quadratic_drag": ca.SX(list(vehicle.quadratic_drag)),
+        "thrust_limit": ca.SX([100.0] * 4),  # what is clipped is a matter of its own
+    }
+    knobs = {"k_v": ca.SX(gains["k_v"]), "k_r": ca.SX(gains["k_r"]), "k_i": ca.SX(0), "dt": 0.05}
+    loop = ca.Function("loop", [wanted, nu], [velocity_control(wanted, nu, ca.SX.zeros(4), model, **knobs)[0]])
+    tight = np.inf
+    for _ in range(2000):
+        bound, side = rng.uniform(-0.1, 0.25), rng.choice([-1, 0.5, 1]) * float(claim.sideways)
+        angle = rng.uniform(-np.pi, np.pi)
+        n, t = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+        over = float(checker._excess(claim, claim.law, Fraction(bound))) * rng.choice([1.0, 1.5])
+        slower = rng.choice([0.0, 0.05])  # the wish may be below the bound
+        asked = (bound - slower - BRAKE * over) * n + side * t
+        flown = (bound + over) * n + side * t
+        thrust = np.array(loop([*asked, 0, 0], [*flown, 0, 0])).reshape(-1)[:2]
+        tight = min(tight, -float(thrust @ n) - float(claim.brake))
+    assert 0 <= tight < 0.3
+
+
+# ---- drag axis by axis
+
+
+def test_drag_by_axis_never_pushes_more_nor_helps_less_than_stated() -> None:
+    whole = document("braking-inertia-20-axes")
+    rng, n = np.random.default_rng(7), 200_000
+    whole["claim"]["encounter"]["sideways_m_per_s"] = 0.2
+    claim, from_float = read_claim(whole["claim"]), whole["claim"]["vehicle"]
+    w = rng.uniform(-0.2, 0.2, n)
+    along, angle = rng.uniform(-0.15, 0.4, n), rng.uniform(-np.pi, np.pi, n)
+    one, two = (np.where(rng.uniform(size=(2, n)) < 0.5, *from_float[k]) for k in ("linear_drag", "quadratic_drag"))
+    c, s = np.cos(angle), np.sin(angle)
+    u, v = along * c - w * s, along * s + w * c
+    force = c * (one[0] + two[0] * abs(u)) * u + s * (one[1] + two[1] * abs(v)) * v
+    push = float(pushed(claim, claim.obstacles[0]))
+    turned = (whole["claim"]["encounter"]["turn_rad_per_s"] * from_float["lag_s"]) ** 2 * from_float["most_n"]
+    ahead = along >= 0
+    helps = encounters.drag(whole, along)
+    assert np.all(force[ahead] >= helps[ahead] - (push - turned) - 1e-9)
+    astern = ~ahead
+    most = np.array([float(pushed(claim, Fraction(float(-a)))) - turned for a in along[astern][:20_000]])
+    assert np.all(-force[astern][:20_000] <= -helps[astern][:20_000] + most + 1e-9)
+    still = astern.nonzero()[0][:20_000]
+    assert np.max((-force[still] + helps[still]) / most) > 0.5  # not far too much either
+
+
+# ---- the table of the way
+
+
+def test_the_table_is_never_below_the_way_and_hardly_above() -> None:
+    for name in NAMES:
+        whole = document(name)
+        claim = read_claim(whole["claim"])
+        for column, obstacle in enumerate(claim.obstacles):
+            at = forces(claim, obstacle)
+            table = read_way(claim, at, whole["proof"]["ways"][column])
+            for speed in (0.1, 0.2):
+                closing = Fraction(str(speed)) + obstacle
+                found = float(table.worst(claim, at, closing, at.swing))
+                least = encounters.way(whole, float(closing), float(obstacle))
+                assert least * (1 - 1e-6) <= found <= least * 1.04 + 1e-3, (name, speed)
+
+
+def force(whole: dict[str, Any], z: np.ndarray) -> np.ndarray:
+    return whole["claim"]["vehicle"]["brake_n"] + encounters.drag(whole, z)
+
+
+def reason(whole: dict[str, Any], **ways: list[float]) -> str:
+    """Why a certificate of the rule, cut down to what stands and changed, is rejected."""
+    met, table = whole["claim"]["encounter"], whole["claim"]["table"]
+    met["obstacles_m_per_s"] = met["obstacles_m_per_s"][:1]
+    for name in ("closed_m", "way_m", "needed_m"):
+        table[name] = [row[:1] for row in table[name]]
+    whole["proof"]["ways"] = [{**whole["proof"]["ways"][0], **ways}]
+    return check_document(sealed(whole)).reason
+
+
+def test_cut_down_it_is_accepted() -> None:
+    assert reason(document("braking-rule-20")) == ""
+
+
+def test_a_table_that_holds_at_its_knots_alone_is_rejected() -> None:
+    whole = document("braking-rule-20")
+    knots = np.array([0.0, 0.05, 0.25, 0.6])
+    slopes = np.maximum.accumulate(knots / force(whole, knots)) * (1 + 1e-6)
+    slopes[1] = knots[1] / force(whole, np.zeros(1))[0] * (1 + 1e-6)
+    assert np.all(np.diff(slopes) >= 0)
+    middle = (knots[1:] + knots[:-1]) / 2
+    assert np.any(np.interp(middle, knots, slopes) < middle / force(whole, middle))
+    assert "too short: its slope" in reason(whole, knots=knots.tolist(), slopes=slopes.tolist())
+
+
+def test_a_way_that_is_not_convex_is_rejected_though_it_is_long_enough() -> None:
+    whole = document("braking-rule-20")
+    slopes = list(whole["proof"]["ways"][0]["slopes"])
+    slopes[20:] = [max(slopes)] * len(slopes[20:])
+    slopes[25] = 2 * max(slopes)
+    assert "not convex" in reason(whole, slopes=slopes)
+
+
+def test_drag_by_axis_helps_less_than_drag_along_the_velocity() -> None:
+    whole = document("braking-rule-20")
+    whole["claim"]["vehicle"]["drag"] = "axes"
+    assert "too short: its slope" in reason(whole)
+
+
+def test_a_retreat_against_much_drag_is_not_counted_on() -> None:
+    whole = document("braking-rule-20")
+    whole["claim"]["vehicle"]["lag_s"] = 6.0
+    ways = whole["proof"]["ways"][0]
+    top, last = 2.0, ways["slopes"][-1]
+    longer = [*ways["knots"], top], [*ways["slopes"], last + top / 4]
+    assert "retreat" in reason(whole, knots=longer[0], slopes=longer[1])
+
+
+def test_a_period_in_which_drag_turns_everything_round_is_rejected() -> None:
+    whole = document("braking-rule-20")
+    whole["claim"]["watch"]["period_s"] = 3.0
+    assert "period is too long" in reason(whole)

@@ -1,0 +1,220 @@
+"""Whether a certificate and an exported controller belong together: what may differ, and what is left out."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surctl.certcheck import seal
+from surctl.certcheck.bundle import Manifest, compare, read_bundle, read_manifest
+from surctl.certcheck.document import read
+from surctl.control import build_law, load_gains
+from surctl.errors import InputError
+from surctl.export import Bundle, Origin, build_bundle, load_certificates, write_bundle
+from surctl.export.bundle import law_id
+from surctl.export.origin import made_of
+from surctl.simulation import law_numbers, load_scenario
+from surctl.vehicle import load_vehicle
+from surctl.verification import claims, prove
+
+REGION = Path(__file__).with_name("region-cruise-20.json")
+MISSION = load_scenario("pool-behind")  # at the cruise of the certificate
+VEHICLE = load_vehicle("sur540-flooded")
+LAW = build_law()
+P = law_numbers(MISSION, load_gains("default"), VEHICLE)
+
+
+def region(change: Callable[[dict[str, Any]], None] = lambda _: None, law: str | None = None) -> dict[str, Any]:
+    """A region certificate of the law as it is now, its claim changed."""
+    document = read(REGION)
+    claim = json.loads(json.dumps(document["claim"]))
+    claim["sha256_law"] = law or LAW.block.digest()
+    change(claim)
+    return seal("region", claim, {"proof": document["proof"]})
+
+
+def bundle_of(certificates: Mapping[str, Any] | None = None, **gains: Any) -> Bundle:
+    return build_bundle(LAW, {**LAW.gains.unpack(P), **gains}, origin=Origin(VEHICLE, LAW, certificates))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_bundle(bundle_of(), tmp_path / "bundle")
+    return tmp_path / "bundle"
+
+
+def manifest_of(bundle: Bundle, folder: Path) -> Manifest:
+    write_bundle(bundle, folder)
+    return read_bundle(folder)
+
+
+def test_the_cruise_of_the_same_law_vehicle_and_gains_belongs(folder: Path) -> None:
+    manifest = read_bundle(folder)
+    assert manifest.wrong == () and manifest.id == law_id(LAW, P) and manifest.vehicle == VEHICLE.digest()
+    told = compare(region(), manifest)
+    assert told.belongs, told.differs
+    assert told.excludes[:6] == tuple(region()["claim"]["excludes"])
+    assert [text.split(":")[0] for text in told.excludes[6:]] == ["rounding", "sampling", "lag of the thrusters"]
+    held = compare(region(lambda claim: claim["law"].update(period_s=0.05)), manifest)
+    assert held.belongs and not any("sampling" in text for text in held.excludes)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda c: c.update(sha256_law="0" * 64), "law: 000000000000 certified"),
+        (lambda c: c.update(sha256_vehicle="0" * 64), "vehicle: 000000000000 certified"),
+        (lambda c: c["law"].update(k1=0.31), "k1[0]: 0.31 certified, 0.3 exported"),
+        (lambda c: c["law"].update(lookahead=0.9), "lookahead[0]"),
+        (lambda c: c["law"].update(k_v=1.4), "k_v[0]"),
+        (lambda c: c["law"].update(wait=1.0), "wait[0]"),
+        (lambda c: c["law"].update(cruise=0.2), "cruise[0]: 0.2 certified, 0.15 exported"),
+        (lambda c: c["law"].update(cap=0.23), "cap[0]"),
+        (lambda c: c["law"].update(mass_kg=96.0), "mass[0]: 96.0 certified, 95.0 exported"),
+        (lambda c: c["law"].update(linear_drag=3.0), "linear_drag[0]"),
+        (lambda c: c["law"].update(quadratic_drag=61.0), "quadratic_drag[1]"),
+        (lambda c: c["law"].update(period_s=0.1), "period: 0.1 s certified, 0.05 s exported"),
+        (lambda c: c["vehicle"].update(thrust_n=6.0), "thrust_limit: at least 6.0 N certified"),
+    ],
+)
+def test_what_differs_is_named(folder: Path, change: Callable[[dict[str, Any]], None], told: str) -> None:
+    found = compare(region(change), read_bundle(folder))
+    assert not found.belongs and any(text.startswith(told) for text in found.differs), found.differs
+
+
+def test_unlike_surge_and_sway_of_the_exported_model_differ(tmp_path: Path) -> None:
+    mass = np.array(LAW.gains.unpack(P)["mass"])
+    mass[1] += 1.0
+    found = compare(region(), manifest_of(bundle_of(mass=mass), tmp_path / "b"))
+    assert found.differs == ("mass[1]: 95.0 certified, 96.0 exported",)
+
+
+def test_a_law_that_senses_for_itself_says_so() -> None:
+    sensing = build_law(sonar=True, equipment=MISSION.sensors.on(VEHICLE["radius"]))
+    frame = {"name": "n", "id": law_id(sensing, P), "dt_s": sensing.dt, "real": "float64", "sha256": {}}
+    manifest = read_manifest(frame | made_of(sensing, P, Origin(VEHICLE, LAW)))
+    found = compare(region(), manifest)
+    assert found.belongs and any(text.startswith("senses:") for text in found.excludes)
+    own = compare(region(law=sensing.block.digest()), manifest)
+    assert own.belongs and not any(text.startswith("senses:") for text in own.excludes)
+
+
+def altered(folder: Path, change: Callable[[dict[str, Any]], None]) -> tuple[str, ...]:
+    path = folder / "manifest.json"
+    table = json.loads(path.read_text())
+    change(table)
+    path.write_text(json.dumps(table))
+    found = compare(region(), read_bundle(folder))
+    assert not found.belongs
+    return found.differs
+
+
+def test_hashes_are_worked_out_anew(folder: Path) -> None:
+    """Who changes a number has to change hashes that the C source bears, too."""
+
+    def faster(table: dict[str, Any]) -> None:
+        row = next(row for row in table["gains"]["values"] if row["name"] == "k_r")
+        row["values"] = [row["values"][0] * 2]
+
+    differs = altered(folder, faster)
+    assert "the hash of the gains is not theirs" in differs
+    assert any("the id is not that of law" in text for text in differs)
+
+
+def test_an_id_that_the_source_does_not_return_is_found(folder: Path) -> None:
+    other = hashlib.sha256(b"other").hexdigest()
+
+    def renamed(table: dict[str, Any]) -> None:
+        table["id"] = other
+
+    assert any("returns another id" in text for text in altered(folder, renamed))
+
+
+@pytest.mark.parametrize("name", ["surctl_guarded.c", "link.c", "README.md"])
+def test_an_altered_or_missing_file_is_found(folder: Path, name: str) -> None:
+    path = folder / name
+    path.write_text(path.read_text() + " ")
+    assert compare(region(), read_bundle(folder)).differs == (f"{name} was altered",)
+    path.unlink()
+    assert compare(region(), read_bundle(folder)).differs == (f"{name} is missing",)
+
+
+def test_a_vehicle_whose_numbers_were_changed_is_found(folder: Path) -> None:
+    def lighter(table: dict[str, Any]) -> None:
+        table["vehicle"]["values"]["m11"] = 1.0
+
+    assert altered(folder, lighter) == ("the hash of the vehicle is not that of its numbers",)
+
+
+@pytest.mark.parametrize("text", ["{", "[]", "{}", '{"law": 1, "sha256": {}}', "\xff"])
+def test_what_is_no_manifest(folder: Path, text: str) -> None:
+    (folder / "manifest.json").write_bytes(text.encode("latin-1"))
+    with pytest.raises(InputError, match=r"manifest\.json: is (not JSON|no manifest)"):
+        read_bundle(folder)
+
+
+def test_no_folder_and_a_file_name_that_leads_out(folder: Path) -> None:
+    with pytest.raises(InputError, match="cannot be read"):
+        read_bundle(folder / "nowhere")
+    table = json.loads((folder / "manifest.json").read_text())
+    table["sha256"]["../secret"] = "0" * 64
+    (folder / "manifest.json").write_text(json.dumps(table))
+    with pytest.raises(InputError, match="is no manifest"):
+        read_bundle(folder)
+
+
+@pytest.fixture(scope="module")
+def tracking() -> dict[str, Any]:
+    """A certificate of an inequality, for these gains."""
+    (claim,) = claims(load_gains("default").values, ["v1-corrected"])
+    document = prove(claim).certificate
+    assert document is not None
+    return dict(document)
+
+
+def test_an_inequality_belongs_if_it_is_stated_for_these_gains(
+    tracking: dict[str, Any], folder: Path, tmp_path: Path
+) -> None:
+    told = compare(tracking, read_bundle(folder))
+    assert told.belongs and told.excludes[0].startswith("dynamics")
+    for gains in ({"k1": np.array([0.31])}, {"cruise": np.array([0.16])}):
+        found = compare(tracking, manifest_of(bundle_of(**gains), tmp_path / "other"))
+        assert found.differs == ("claim 'v1-corrected' for the bundle's gains, vehicle and cruise is another one",)
+
+
+def test_an_inequality_about_a_part_that_the_law_has_not(tracking: dict[str, Any], tmp_path: Path) -> None:
+    manifest = manifest_of(bundle_of(), tmp_path / "b")
+    assert "v1-corrected" in manifest.claims and not {"v2-static", "braking-keeps"} & set(manifest.claims)
+    claim = {**tracking["claim"], "name": "v2-static"}
+    found = compare(seal("interval", claim, {"cases": tracking["cases"]}), manifest)
+    assert "is about no part of the exported law" in found.differs[0]
+    paper = build_law("paper", avoidance="corrected")
+    other = build_bundle(paper, paper.gains.unpack(P), origin=Origin(VEHICLE, paper))
+    named = manifest_of(other, tmp_path / "paper").claims
+    assert "clearance-corrected" in named and "clearance-printed" not in named
+
+
+def test_certificates_travel_and_those_of_another_controller_do_not(
+    tracking: dict[str, Any], folder: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "v1 corrected.json"
+    path.write_text(json.dumps(tracking))
+    loaded = load_certificates([path])
+    bundle = bundle_of(loaded)
+    assert json.loads(bundle.files["certificate-v1-corrected.json"]) == tracking
+    assert "certificate-v1-corrected.json" in json.loads(bundle.files["manifest.json"])["sha256"]
+    with pytest.raises(InputError, match="is not about this controller: claim 'v1-corrected'"):
+        bundle_of(loaded, k1=np.array([0.4]))
+    with pytest.raises(InputError, match="the name of another"):
+        load_certificates([path, path])
+    path.write_text(json.dumps({**tracking, "cases": []}))
+    with pytest.raises(InputError, match="is rejected: the hash"):
+        load_certificates([path])
+    with pytest.raises(InputError, match="is not of format"):
+        load_certificates([folder / "manifest.json"])
