@@ -173,6 +173,11 @@ def settling_intrusion(setting: Setting) -> float:
     """e2* [m] < 0 where the law (20) settles before an obstacle that approaches head-on at u_OB < u_dm (E12).
 
     e2* = −k3 R_OB c/√(1 − c²), c = u_OB/u_dm, for δ = 0.
+
+    Example:
+        >>> from surctl.verification import Setting, settling_intrusion
+        >>> round(settling_intrusion(Setting(radius=0.5, avoidance_speed=0.22, obstacle_speed=0.15)), 3)  # m inside
+        -0.466
     """
     c = setting.obstacle_speed / setting.avoidance_speed
     return float(-setting.k3 * setting.radius * c / np.sqrt(1 - c**2))

@@ -1,4 +1,7 @@
-"""Claims about the barrier with inertia, over the whole box of a vehicle's ranges (`surctl.guidance.braking`)."""
+"""The steps of the barrier's proof as claims over a vehicle's whole box of ranges (`surctl.guidance.braking`).
+
+What follows of them for numbers, laws and sampled data is a certificate of its own: `surctl.verification.braking`.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,11 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from surctl.control import Gains
-from surctl.guidance.braking import Brakes, Watch, brakes_of, fastest_obstacle
+from surctl.guidance.braking import Brakes, brakes_of, fastest_obstacle
 from surctl.vehicle import Vehicle
 from surctl.verification.claim import Claim, Variable
 
-__all__ = ["braking_bound", "braking_keeps", "braking_range"]
+__all__ = ["braking_keeps", "braking_mass", "braking_retreat"]
 
 _OBSTACLE, _SPEED = 0.15, 0.25  # [m/s] largest of the claims
 
@@ -22,117 +24,102 @@ class _Box:
 
     brakes: Brakes
 
+    @property
+    def swing(self) -> float:
+        """Largest τ(F + F_b) [N s]."""
+        return self.brakes.lag * (self.brakes.most + self.brakes.least)
+
     def mass(self) -> Variable:
         return Variable("m", ca.SX.sym("m"), "kg", *self.brakes.masses, "mass, surge and sway")
-
-    def linear(self) -> Variable:
-        return Variable("X", ca.SX.sym("X"), "N s/m", *self.brakes.linear, "linear drag")
-
-    def quadratic(self) -> Variable:
-        return Variable("X2", ca.SX.sym("X2"), "N s^2/m^2", *self.brakes.quadratic, "quadratic drag")
-
-    def brake(self) -> Variable:
-        most = max(self.brakes.most, self.brakes.least)
-        return Variable("F_b", ca.SX.sym("F_b"), "N", self.brakes.least, most, "thrust against the motion")
-
-    def thrust(self, least: float) -> Variable:
-        return Variable("F", ca.SX.sym("F"), "N", least, self.brakes.most, "thrust now, positive towards the obstacle")
 
     def obstacle(self) -> Variable:
         most = min(_OBSTACLE, 0.95 * fastest_obstacle(self.brakes))
         return Variable("v_o", ca.SX.sym("v_o"), "m/s", 0.0, most, "speed of the obstacle towards the vehicle")
 
-    def left(self, obstacle: ca.SX, *, linear: ca.SX | float, quadratic: ca.SX | float) -> ca.SX:
-        return self.brakes.least - linear * obstacle - quadratic * obstacle * obstacle
+    def closing(self) -> Variable:
+        return Variable("s", ca.SX.sym("s"), "m/s", 0.0, _SPEED + _OBSTACLE, "closing speed")
+
+    def left(self, obstacle: ca.SX) -> ca.SX:
+        """F' [N]."""
+        return self.brakes.least - self.most_drag(obstacle)
+
+    def most_drag(self, speed: ca.SX) -> ca.SX:
+        return self.brakes.linear[1] * speed + self.brakes.quadratic[1] * speed * speed
 
 
-def braking_keeps(vehicle: Vehicle, gains: Gains) -> Claim:
-    """While it brakes, the clearance beyond S does not fall: step 2 of the proof, multiplied by F'."""
-    del gains
+def braking_keeps(vehicle: Vehicle) -> Claim:
+    """While it brakes and comes nearer, the clearance beyond S does not fall: step 2 of the proof, times F'.
+
+    In the worse half of the cases: it goes astern at g, the obstacle comes on at v_o = g + s. Ahead, drag helps.
+    """
     box = _Box(brakes_of(vehicle))
-    m, x, x2, b, f, vo = (
-        box.mass(),
-        box.linear(),
-        box.quadratic(),
-        box.brake(),
-        box.thrust(-box.brakes.least),
-        box.obstacle(),
-    )
-    v = Variable("v", ca.SX.sym("v"), "m/s", -vo.upper, _SPEED, "own speed towards the obstacle")
-    closing = v.symbol + vo.symbol
-    left = box.left(vo.symbol, linear=box.brakes.linear[1], quadratic=box.brakes.quadratic[1])
-    z = closing + box.brakes.lag * (f.symbol + box.brakes.least) / m.symbol
-    drag = x.symbol * v.symbol + x2.symbol * v.symbol * ca.fabs(v.symbol)
+    b = box.brakes
+    m, half = box.mass(), _OBSTACLE / 2
+    s = Variable("s", ca.SX.sym("s"), "m/s", 0.0, half, "closing speed")
+    g = Variable("g", ca.SX.sym("g"), "m/s", 0.0, half, "own speed astern")
+    x = Variable("X", ca.SX.sym("X"), "N s/m", *b.linear, "linear drag")
+    x2 = Variable("X2", ca.SX.sym("X2"), "N s^2/m^2", *b.quadratic, "quadratic drag")
+    more = Variable("more", ca.SX.sym("more"), "N", 0.0, max(b.most - b.least, 0.0), "brake beyond F_b")
+    pushes = Variable("lags", ca.SX.sym("lags"), "N", 0.0, b.most + b.least, "F + F_b, what the lag has yet to turn")
+    z = s.symbol + b.lag * pushes.symbol / m.symbol
+    drag = x.symbol * g.symbol + x2.symbol * g.symbol * g.symbol
     return Claim(
         name="braking-keeps",
-        statement="d/dt (l - S) >= 0 while it brakes with F_b or more and s >= 0, times F': s F' <= z (F_b + D(v))",
+        statement="d/dt (l - S) >= 0 while it brakes with F_b or more and s >= 0, times F': s F' <= z (F_b - D(g)), "
+        "astern at g before what comes on at g + s",
         equation="guidance.braking, step 2",
         errata=(),
-        expected="not refuted",
+        expected="proved",
         paper=False,
-        variables=(m, x, x2, b, f, v, vo),
-        left=closing * left,
-        right=z * (b.symbol + drag),
+        variables=(m, x, x2, more, pushes, s, g),
+        left=s.symbol * box.left(g.symbol + s.symbol),
+        right=z * (b.least + more.symbol - drag),
         unit="N m/s",
-        constraints=-closing,
     )
 
 
-def braking_range(vehicle: Vehicle, gains: Gains) -> Claim:
-    """No vehicle in the box needs more than the closed form at the worst of its ranges."""
-    del gains
+def braking_retreat(vehicle: Vehicle) -> Claim:
+    """The same where it goes back at r beyond v_o, and z is still positive: drag then pushes more than D(v_o)."""
     box = _Box(brakes_of(vehicle))
-    m, x, x2, b, f, vo = box.mass(), box.linear(), box.quadratic(), box.brake(), box.thrust(0.0), box.obstacle()
-    s = Variable("s", ca.SX.sym("s"), "m/s", 0.0, _SPEED + vo.upper, "closing speed")
-    brakes = box.brakes
-    left = b.symbol - x.symbol * vo.symbol - x2.symbol * vo.symbol * vo.symbol
-    needed = m.symbol * (s.symbol + brakes.lag * (f.symbol + b.symbol) / m.symbol) ** 2 / (2 * left)
-    least = box.left(vo.symbol, linear=brakes.linear[1], quadratic=brakes.quadratic[1])
-    swing, worst = brakes.lag * (brakes.most + brakes.least), ca.SX(0)
-    for mass in brakes.masses:
-        worst = ca.fmax(worst, mass * (s.symbol + swing / mass) ** 2 / (2 * least))
+    m, vo = box.mass(), box.obstacle()
+    lightest = box.brakes.masses[0]
+    r = Variable("r", ca.SX.sym("r"), "m/s", 0.0, box.swing / lightest, "speed at which the clearance opens")
     return Claim(
-        name="braking-range",
-        statement="the way to a stop, anywhere in the vehicle's ranges, is at most S at their worst",
+        name="braking-retreat",
+        statement="d/dt (l - S) >= 0 while it brakes and s = -r < 0 < z, times F': z (D(v_o + r) - F_b) <= r F'",
         equation="guidance.braking, step 2",
         errata=(),
-        expected="not refuted",
+        expected="proved",
         paper=False,
-        variables=(m, x, x2, b, f, s, vo),
-        left=needed,
-        right=worst,
-        unit="m",
+        variables=(m, r, vo),
+        left=(box.swing / m.symbol - r.symbol) * (box.most_drag(vo.symbol + r.symbol) - box.brakes.least),
+        right=r.symbol * box.left(vo.symbol),
+        unit="N m/s",
     )
 
 
-def braking_bound(vehicle: Vehicle, gains: Gains) -> Claim:
-    """The law's bound s^2/(2a) + s t and its margin are enough before what stands.
+def braking_mass(vehicle: Vehicle) -> Claim:
+    """No mass between two needs a longer way than the chord between them, so that an end of the range is the worst."""
+    box = _Box(brakes_of(vehicle))
+    s = box.closing()
+    q = Variable("q", ca.SX.sym("q"), "N s", 0.0, box.swing, "what the lag leaves of the thrust that pushes")
+    lightest, heaviest = box.brakes.masses
+    above = Variable("above", ca.SX.sym("above"), "kg", 0.0, heaviest - lightest, "mass less the lighter one")
+    below = Variable("below", ca.SX.sym("below"), "kg", 0.0, heaviest - lightest, "the heavier one less the mass")
+    a, b, m = above.symbol, below.symbol, lightest + above.symbol
 
-    The way with drag, step 3, for an obstacle at rest: the integral of m z/(F_b + D(z)) up to z, at most
-    m z^2 (6 F_b + D)/(2 F_b (6 F_b + 4 D)) with D = X z + min(X2 z^2, F_b): D(z) is above its chord z^2/z_0^2, and
-    ln(1 + x) <= x (6 + x)/(6 + 4 x).
-    """
-    box, watch = _Box(brakes_of(vehicle)), Watch()
-    brakes = box.brakes
-    m, x, x2, b, f = box.mass(), box.linear(), box.quadratic(), box.brake(), box.thrust(0.0)
-    v = Variable("v", ca.SX.sym("v"), "m/s", 0.0, _SPEED, "own speed towards the obstacle, at the law's bound")
-    gain = f.symbol / m.symbol
-    z = v.symbol + gain * watch.period + brakes.lag * (f.symbol + b.symbol) / m.symbol
-    drag = x.symbol * z + ca.fmin(x2.symbol * z * z, b.symbol)
-    way = m.symbol * z * z / (2 * b.symbol) * (6 * b.symbol + drag) / (6 * b.symbol + 4 * drag)
-    needed = v.symbol * watch.period + gain * watch.period**2 / 2 + way
-    weakest, heaviest = float(min(vehicle.thrust_limit[:2])), float(max(vehicle.mass[:2]))
-    kept = v.symbol**2 * heaviest / (2 * gains["brake"] * weakest) + v.symbol * gains["reaction"] + gains["margin"]
+    def way(mass: ca.SX) -> ca.SX:
+        return mass * (s.symbol + q.symbol / mass) ** 2
+
     return Claim(
-        name="braking-bound",
-        statement="what the law keeps, s^2/(2a) + s t + margin, is enough to stop before what stands, true ranges read "
-        "every 0.05 s, full thrust as soon as it is faster than its bound, anywhere in the vehicle's ranges",
-        equation="guidance.braking, steps 3 and 4",
+        name="braking-mass",
+        statement="m z^2, z = s + q/m, is below its chord between two masses, times what these differ by",
+        equation="guidance.braking, step 2",
         errata=(),
-        expected="not refuted",
+        expected="proved",
         paper=False,
-        variables=(m, x, x2, b, f, v),
-        left=needed,
-        right=kept,
-        unit="m",
+        variables=(s, q, above, below),
+        left=way(m) * (a + b),
+        right=b * way(ca.SX(lightest)) + a * way(m + b),
+        unit="kg^2 m^2/s^2",
     )

@@ -77,7 +77,13 @@ class Cascade:
 
 
 def build_cascade(
-    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle | None = None
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    *,
+    cruise: float,
+    dt: float,
+    model: Vehicle | None = None,
+    delay: float | None = None,
 ) -> Cascade:
     """Linearise the plant at cruise speed and close the cascade around it.
 
@@ -87,9 +93,18 @@ def build_cascade(
         cruise: U [m/s], > 0.
         dt: control period [s], > 0; the loop delay is 1.5 dt: one to compute, half of one for the hold.
         model: what the controller believes the vehicle to be; default the vehicle itself.
+        delay: another loop delay [s]; 0 leaves it out, for those who sample the loop themselves.
 
     Raises:
         InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.verification import build_cascade
+        >>> cascade = build_cascade(load_vehicle("sur400"), load_gains("default").values, cruise=0.15, dt=0.05)
+        >>> cascade.stable, cascade.A.shape, round(float(cascade.poles.real.max()), 2)
+        (True, (24, 24), -0.22)
     """
     check_positive({"cruise": np.atleast_1d(cruise)})
     linearise(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))  # says whether it can cruise at that speed
@@ -99,6 +114,7 @@ def build_cascade(
         cruise=np.atleast_1d(cruise),
         dt=dt,
         model=plant_parameters(model or vehicle)[None],
+        delay=delay,
     )
     return Cascade(many.A[0], many.B[0], many.C[0], many.K[0])
 
@@ -110,6 +126,7 @@ def build_cascades(
     cruise: NDArray[np.float64],
     dt: float,
     model: NDArray[np.float64],
+    delay: float | None = None,
 ) -> Cascade:
     """`build_cascade` of n points at once, all with thrust lag or none, all with integral action or none.
 
@@ -119,6 +136,7 @@ def build_cascades(
         cruise: U (n,) [m/s].
         dt: control period [s].
         model: what the controller believes, as plant.
+        delay: as `build_cascade`.
 
     Raises:
         InputError: a gain is missing or not positive, or the points are of different orders.
@@ -141,7 +159,9 @@ def build_cascades(
     # states of the plant are its outputs; without lag the thrust states are none
     keep = A.shape[-1] if lag[0] > 0 else _OUTPUTS
     C = np.broadcast_to(np.eye(_OUTPUTS, keep), (len(nu), _OUTPUTS, keep))
-    A, B, C = _delayed(A[:, :keep, :keep], B[:, :keep], C, 1.5 * dt)
+    A, B = A[:, :keep, :keep], B[:, :keep]
+    if delay != 0:
+        A, B, C = _delayed(A, B, C, 1.5 * dt if delay is None else delay)
     drawn = {name: _columns(model, PLANT_PARAMETERS, name) for name in ("mass", "linear_drag", "quadratic_drag")}
     proportional = Cascade(A, B, C, _controller(drawn, k, nu))
     return _with_integral(proportional, drawn["mass"], k, k_i) if k_i[0] > 0 else proportional

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Mapping
 from fractions import Fraction
 from pathlib import Path
@@ -12,7 +11,7 @@ import casadi as ca
 from pydantic import Field, StrictFloat, StrictStr
 
 from surctl.errors import InputError
-from surctl.files import Strict, load_model
+from surctl.files import Strict, load_model, quoted
 from surctl.verification.claim import Claim, Motion, Variable
 from surctl.verification.formula import (
     FUNCTIONS,
@@ -89,6 +88,21 @@ def load_claim(path: Path) -> Claim:
 
     Raises:
         InputError: naming file, key, token and column, and the remedy.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.verification import load_claim, settle
+        >>> _ = Path("drag.toml").write_text('''
+        ... kind = "claim"
+        ... name = "drag"
+        ... left = "-(2*abs(u) + 8)*u^2"
+        ... unit = "W"
+        ... [variables]
+        ... u = { lower = -0.3, upper = 0.3, unit = "m/s" }
+        ... ''')
+        >>> claim = load_claim(Path("drag.toml"))
+        >>> claim.statement, settle(claim).verdict
+        ('-(2*abs(u) + 8)*u^2 <= 0', 'proved')
     """
     table = load_model(path, _ClaimTable)
     names = _checked_names(table, path)
@@ -156,11 +170,20 @@ def _motion(table: _ClaimTable, read: Callable[[str, str], ca.SX]) -> Motion | N
 
 
 def write_claim(claim: Claim) -> str:
-    """The claim as the text of such a file; `load_claim` reads it back as the same claim.
+    r"""The claim as the text of such a file; `load_claim` reads it back as the same claim.
 
     Raises:
         UnsupportedOperation: an operation that the claim grammar does not have.
         InputError: a name that the grammar cannot read.
+
+    Example:
+        >>> from surctl.verification import claims, write_claim
+        >>> [claim] = claims(names=["m-norm-corrected"])
+        >>> print(*write_claim(claim).splitlines()[1:5], sep="\n")
+        name = "m-norm-corrected"
+        statement = "V̇1 ≤ −λ_min(M)‖e‖² ≤ 0 where U_h ≥ 0"
+        equation = "(12)"
+        errata = ["E8", "E9"]
     """
     for v in claim.variables:
         if not IDENTIFIER.fullmatch(v.name) or v.name in (*FUNCTIONS, "pi"):
@@ -168,15 +191,15 @@ def write_claim(claim: Claim) -> str:
     said = statement_of(claim)
     lines = [
         'kind = "claim"',
-        f"name = {_quoted(claim.name)}",
-        f"statement = {_quoted(claim.statement)}",
-        f"equation = {_quoted(claim.equation)}",
-        f"errata = [{', '.join(_quoted(e) for e in claim.errata)}]",
-        f"expected = {_quoted(claim.expected)}",
-        f"unit = {_quoted(claim.unit)}",
-        f"left = {_quoted(text_of(said.left))}",
-        f"right = {_quoted(text_of(said.right))}",
-        f"constraints = [{', '.join(_quoted(text_of(g) + ' <= 0') for g in said.constraints)}]",
+        f"name = {quoted(claim.name)}",
+        f"statement = {quoted(claim.statement)}",
+        f"equation = {quoted(claim.equation)}",
+        f"errata = [{', '.join(quoted(e) for e in claim.errata)}]",
+        f"expected = {quoted(claim.expected)}",
+        f"unit = {quoted(claim.unit)}",
+        f"left = {quoted(text_of(said.left))}",
+        f"right = {quoted(text_of(said.right))}",
+        f"constraints = [{', '.join(quoted(text_of(g) + ' <= 0') for g in said.constraints)}]",
         f"tolerance = {claim.tolerance!r}",
         f"witnesses = [{', '.join(_inline({k: repr(float(x)) for k, x in w.items()}) for w in claim.witnesses)}]",
         "",
@@ -189,25 +212,20 @@ def write_claim(claim: Claim) -> str:
 
 
 def _variable_line(v: Variable) -> str:
-    entries = {"lower": repr(float(v.lower)), "upper": repr(float(v.upper)), "unit": _quoted(v.unit)}
-    return f"{v.name} = {_inline(entries | {'meaning': _quoted(v.meaning)})}"
+    entries = {"lower": repr(float(v.lower)), "upper": repr(float(v.upper)), "unit": quoted(v.unit)}
+    return f"{v.name} = {_inline(entries | {'meaning': quoted(v.meaning)})}"
 
 
 def _motion_lines(claim: Claim, motion: Motion) -> Iterable[str]:
     names = [v.name for v in claim.variables]
     watched, *rates = (text_of(n) for n in from_casadi(claim.symbols, names, [motion.watched, *motion.rates.values()]))
     yield "[motion]"
-    yield f"watched = {_quoted(watched)}"
-    yield f"name = {_quoted(motion.name)}"
-    yield f"unit = {_quoted(motion.unit)}"
+    yield f"watched = {quoted(watched)}"
+    yield f"name = {quoted(motion.name)}"
+    yield f"unit = {quoted(motion.unit)}"
     yield f"duration = {float(motion.duration)!r}"
-    yield f"rates = {_inline(dict(zip(motion.rates, map(_quoted, rates), strict=True)))}"
+    yield f"rates = {_inline(dict(zip(motion.rates, map(quoted, rates), strict=True)))}"
 
 
 def _inline(entries: Mapping[str, str]) -> str:
     return "{ " + ", ".join(f"{k} = {v}" for k, v in entries.items()) + " }"
-
-
-def _quoted(text: str) -> str:
-    """A basic string of TOML: JSON's escapes are among TOML's."""
-    return json.dumps(text, ensure_ascii=False)

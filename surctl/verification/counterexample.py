@@ -92,7 +92,15 @@ class Replay:
 
 
 def evaluate(claim: Claim, values: Mapping[str, float]) -> tuple[float, bool]:
-    """Margin at named values, and whether they lie in the claim's domain. InputError for a wrong name."""
+    """Margin at named values, and whether they lie in the claim's domain. InputError for a wrong name.
+
+    Example:
+        >>> from surctl.verification import claims, evaluate
+        >>> [claim] = claims(names=["v1-printed"])
+        >>> margin, inside = evaluate(claim, {"x_e": 2.0, "y_e": -2.0, "z_e": 0.0, "turn": 0.4})
+        >>> round(margin, 3), claim.unit, inside  # V1 grows there: the claim fails
+        (4.8, 'm^2/s', True)
+    """
     margin, _, inside = build_oracle(claim).evaluate(claim.point(values)[:, None])
     return float(margin[0]), bool(inside[0])
 
@@ -110,6 +118,13 @@ def replay(claim: Claim, counterexample: Counterexample, *, points: int = 101) -
     Raises:
         InputError: the counterexample does not name the claim's variables.
         SolverError: the integration failed.
+
+    Example:
+        >>> from surctl.verification import claims, falsify, replay
+        >>> [claim] = claims(names=["v1-printed"])
+        >>> flown = replay(claim, falsify(claim, samples=256, starts=2).counterexample)
+        >>> print(f"{flown.name} [{flown.unit}]: {flown.watched[0]:.1f} to {flown.watched[-1]:.1f}")
+        V1 [m^2]: 4.0 to 8.9
     """
     margin, inside = evaluate(claim, counterexample.values)
     if claim.motion is None:

@@ -32,6 +32,13 @@ def falsify(claim: Claim, *, samples: int = 4096, starts: int = 16, seed: int = 
 
     Raises:
         InputError: nonsensical numbers, an empty domain, or a margin that is not finite inside the domain.
+
+    Example:
+        >>> from surctl.verification import claims, falsify
+        >>> [claim] = claims(names=["v1-printed"])
+        >>> found = falsify(claim, samples=256, starts=2)
+        >>> found.verdict, round(found.counterexample.margin, 3), found.counterexample.unit
+        ('refuted', 4.8, 'm^2/s')
     """
     began = time.perf_counter()
     if samples < 2 or starts < 1:
@@ -164,6 +171,6 @@ def _shorten(oracle: Oracle, point: NDArray[np.float64]) -> Counterexample:
     for decimals in range(1, 8):
         rounded = np.round(point, decimals) + 0.0  # + 0.0: no negative zeros
         margin, _, inside = oracle.evaluate(rounded[:, None])
-        if inside[0] and margin[0] >= 0.9 * full:
+        if inside[0] and np.isfinite(margin[0]) and margin[0] >= 0.9 * full:
             return Counterexample(claim.values(rounded), float(margin[0]), claim.unit)
     return Counterexample(claim.values(point), full, claim.unit)

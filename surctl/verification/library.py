@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from surctl.control import Gains, load_gains
 from surctl.errors import InputError, nearest
 from surctl.vehicle import Vehicle, load_vehicle
 from surctl.verification import avoidance_claims as avoidance
@@ -33,12 +32,11 @@ _BUILDERS: tuple[Callable[[Setting], Claim], ...] = (
     avoidance.clearance_corrected,
 )
 
-_BRAKING: Mapping[str, Callable[[Vehicle, Gains], Claim]] = {
+_BRAKING: Mapping[str, Callable[[Vehicle], Claim]] = {
     "braking-keeps": braking.braking_keeps,
-    "braking-range": braking.braking_range,
-    "braking-bound": braking.braking_bound,
+    "braking-retreat": braking.braking_retreat,
+    "braking-mass": braking.braking_mass,
 }
-_BRAKING_GAINS = ("margin", "reaction", "brake")
 VEHICLE = "sur540-flooded"
 
 
@@ -54,14 +52,21 @@ def claims(
 
     Raises:
         InputError: an unknown claim, with the nearest known name; a gain that is not positive.
+
+    Example:
+        >>> from surctl.verification import claims
+        >>> [claim.name for claim in claims()][:4]
+        ['v1-printed', 'v1-corrected', 'v1-speed-cap', 'v1-speed-cap-region']
+        >>> [claim] = claims({"k1": 0.3, "lookahead": 0.8}, ["m-norm-corrected"])
+        >>> print(claim.statement, claim.equation, claim.errata, claim.expected)
+        V̇1 ≤ −λ_min(M)‖e‖² ≤ 0 where U_h ≥ 0 (12) ('E8', 'E9') proved
     """
     setting = setting_from(gains)
     everything = {claim.name: claim for claim in (build(setting) for build in _BUILDERS)}
     wanted = [*everything, *_BRAKING] if names is None else names
     if any(name in _BRAKING for name in wanted):
-        told = {name: value for name, value in (gains or {}).items() if name in _BRAKING_GAINS}
-        law, braked = load_gains("default").with_values(told), vehicle or load_vehicle(VEHICLE)
-        everything |= {name: build(braked, law) for name, build in _BRAKING.items()}
+        braked = vehicle or load_vehicle(VEHICLE)
+        everything |= {name: build(braked) for name, build in _BRAKING.items()}
     for name in names or ():
         if name not in everything:
             raise InputError("unknown claim", key="claim", value=name, remedy=nearest(name, [*everything, *_BRAKING]))

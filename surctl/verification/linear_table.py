@@ -99,6 +99,15 @@ def linear_table(
     Raises:
         InputError: an unknown column, a gain is missing or out of its bounds, a vehicle parameter of the wrong sign,
             or shapes that disagree.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.verification import linear_table
+        >>> gains = load_gains("default").values
+        >>> table = linear_table(load_vehicle("sur400"), {"k_v": [1.0, 2.0, 4.0]}, base=gains, cruise=0.15, dt=0.05)
+        >>> table["disk_margin"].round(2).tolist(), table["delay_margin_s"].round(2).tolist()
+        ([0.81, 0.76, 0.48], [0.54, 0.44, 0.17])
     """
     for name in columns:
         if name not in LINEAR_METRICS:

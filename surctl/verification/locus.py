@@ -71,6 +71,15 @@ def sweep_locus(
     Raises:
         InputError: a knob without influence on any pole, values out of order or bounds, a cruise that the vehicle
             cannot hold, or values that change the number of poles (0 and others of k_i or thrust_lag).
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.verification import sweep_locus
+        >>> gains = load_gains("default").values
+        >>> locus = sweep_locus(load_vehicle("sur400"), gains, "k_psi", [0.2, 0.4, 0.8, 1.6, 3.2], cruise=0.15, dt=0.05)
+        >>> locus.poles.shape, locus.poles.real.max(axis=1).round(2).tolist()
+        ((5, 24), [-0.22, -0.22, -0.22, -0.22, 0.12])
     """
     if knob not in LINEAR_KNOBS:
         raise InputError("moves no pole", key="locus", value=knob, remedy=nearest(knob, LINEAR_KNOBS))

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError
 from surctl.vehicle import Vehicle
 from surctl.verification.cascade import Cascade, build_cascade
+from surctl.verification.linear.corners import corners
 from surctl.verification.loops import LOOP_NAMES, Crossings, Loop, broken_loops, crossings_of
 
-__all__ = ["LoopMargins", "closed_loop_poles", "loop_margins", "margins_of", "worst_margins"]
+__all__ = ["LoopMargins", "closed_loop_poles", "least_margins", "loop_margins", "margins_of", "worst_margins"]
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,16 @@ def loop_margins(
 
     Raises:
         InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.verification import loop_margins
+        >>> for loop in loop_margins(load_vehicle("sur400"), load_gains("default").values, cruise=0.15, dt=0.05)[:3]:
+        ...     print(f"{loop.name}: {loop.phase_margin_deg:.0f} deg, {loop.delay_margin_s:.2f} s")
+        surge: 56 deg, 0.70 s
+        sway: 55 deg, 0.69 s
+        heave: 49 deg, 0.61 s
     """
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model)
     highest = np.pi / dt  # beyond the Nyquist frequency a sampled controller has no loop
@@ -91,25 +101,26 @@ def worst_margins(
 
     Raises:
         InputError: as `loop_margins`, or an uncertainty out of range.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.verification import worst_margins
+        >>> vehicle, gains = load_vehicle("sur400"), load_gains("default").values
+        >>> for share in (0.0, 0.2):
+        ...     worst = worst_margins(vehicle, gains, uncertainty=share, cruise=0.15, dt=0.05)
+        ...     print(share, round(min(loop.disk_margin for loop in worst), 2))
+        0.0 0.81
+        0.2 0.74
     """
-    if not 0 <= uncertainty < 1:
-        raise InputError(
-            "must be at least 0 and less than 1", key="uncertainty", value=uncertainty, remedy="write 0.2 for ±20 %"
-        )
-    factors = (1 - uncertainty, 1 + uncertainty) if uncertainty > 0 else ()
-    corners = [vehicle, *(_scaled(vehicle, m, d) for m in factors for d in factors)]
-    found = [loop_margins(corner, gains, cruise=cruise, dt=dt, model=vehicle) for corner in corners]
+    tried = corners(vehicle, uncertainty).vehicles
+    found = [loop_margins(corner, gains, cruise=cruise, dt=dt, model=vehicle) for corner in tried]
+    return least_margins(found)
+
+
+def least_margins(found: Sequence[tuple[LoopMargins, ...]]) -> tuple[LoopMargins, ...]:
+    """The least of each loop over several vehicles."""
     return tuple(_least(same) for same in zip(*found, strict=True))
-
-
-def _scaled(vehicle: Vehicle, mass: float, drag: float) -> Vehicle:
-    named = dict.fromkeys(("m11", "m22", "m33", "m44"), mass)
-    named |= dict.fromkeys(("Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr"), drag)
-    changed = {
-        name: replace(parameter, value=parameter.value * named.get(name, 1.0), range=None)
-        for name, parameter in vehicle.parameters.items()
-    }
-    return replace(vehicle, parameters=changed)
 
 
 def _least(loops: Sequence[LoopMargins]) -> LoopMargins:
@@ -127,7 +138,16 @@ def _least(loops: Sequence[LoopMargins]) -> LoopMargins:
 def closed_loop_poles(
     vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float
 ) -> NDArray[np.complex128]:
-    """Poles (n,) [rad/s] of the whole cascade, slowest first; the arguments of `loop_margins`."""
+    """Poles (n,) [rad/s] of the whole cascade, slowest first; the arguments of `loop_margins`.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.verification import closed_loop_poles
+        >>> poles = closed_loop_poles(load_vehicle("sur400"), load_gains("default").values, cruise=0.15, dt=0.05)
+        >>> poles.real[:3].round(2).tolist(), len(poles)
+        ([-0.22, -0.38, -0.38], 24)
+    """
     return build_cascade(vehicle, gains, cruise=cruise, dt=dt).poles
 
 
@@ -142,6 +162,14 @@ def margins_of(
         b: (n, 1).
         c: (1, n).
         highest: highest frequency looked at [rad/s].
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.verification import margins_of
+        >>> A, b, c = np.array([[0.0, 1.0], [0.0, -2.0]]), np.array([[0.0], [1.0]]), np.array([[3.0, 0.0]])
+        >>> loop = margins_of("3 / (s (s + 2))", A, b, c, highest=100.0)
+        >>> round(loop.phase_margin_deg, 1), loop.gain_margin, round(loop.crossover_rad_s, 2)
+        (57.6, inf, 1.27)
     """
     loop = Loop(np.linalg.eigvals(A - b @ c)[None].astype(complex), np.linalg.eigvals(A)[None].astype(complex))
     return _only(name, crossings_of(loop, highest=highest))

@@ -75,6 +75,12 @@ def setting_from(gains: Mapping[str, float] | None) -> Setting:
 
     Raises:
         InputError: a gain that is not one finite number greater than 0.
+
+    Example:
+        >>> from surctl.verification import setting_from
+        >>> setting = setting_from({"k1": 0.3, "margin": 0.05, "k_v": 1.5})  # k_v enters no claim
+        >>> setting.k1, setting.standoff, setting.lookahead
+        (0.3, 0.05, 0.5)
     """
     known = {entry.name for entry in fields(Setting)}
     named = {_ALIASES.get(name, name): (name, value) for name, value in (gains or {}).items()}

@@ -49,6 +49,13 @@ def settle(
 
     Raises:
         InputError: as `falsify`.
+
+    Example:
+        >>> from surctl.verification import claims, settle
+        >>> for claim in claims(names=["v1-printed", "v1-corrected"]):
+        ...     print(claim.name, settle(claim, samples=256, starts=2).verdict)
+        v1-printed refuted
+        v1-corrected proved
     """
     began = time.perf_counter()
     found = falsify(claim, samples=samples, starts=starts, seed=seed)
@@ -65,7 +72,8 @@ def settle(
         if checked.accepted:
             return replace(found, verdict="proved", certificate=proof.certificate, seconds=time.perf_counter() - began)
         reason = f"the checker rejects the proof: {checked.reason}"
-    return replace(found, verdict="unknown", open_ends=reason, seconds=time.perf_counter() - began)
+    seconds = time.perf_counter() - began
+    return replace(found, verdict="unknown", open_ends=reason, open_boxes=proof.open_boxes, seconds=seconds)
 
 
 def _confirmed(claim: Claim, found: Counterexample) -> Counterexample | None:

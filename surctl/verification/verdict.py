@@ -30,6 +30,7 @@ class Verdict:
         seconds: time it took [s].
         certificate: what `surctl.certcheck` accepts as a proof.
         open_ends: what an attempt at a proof left open, in words.
+        open_boxes: the largest boxes of it, (lower, upper) by variable.
     """
 
     claim: Claim
@@ -44,6 +45,7 @@ class Verdict:
     seconds: float = field(default=0.0, compare=False)
     certificate: Mapping[str, Any] | None = field(default=None, repr=False)
     open_ends: str = ""
+    open_boxes: tuple[Mapping[str, list[float]], ...] = field(default=(), repr=False)
 
     @property
     def as_expected(self) -> bool:

@@ -113,3 +113,9 @@ def test_gradients_are_exact_and_survive_a_saturated_arccos() -> None:
     saturated = build_oracle(claim_of(flat + x[0] + x[1] - 3.5, x))
     assert saturated.gradient(np.array([0.02, 0.5])) == pytest.approx([2.0, 2.0], abs=1e-6)
     assert falsify(saturated.claim, samples=64).worst_margin == pytest.approx(np.pi - 3.0, abs=1e-5)  # on a kink
+
+
+def test_a_counterexample_beside_a_pole_is_not_rounded_onto_it() -> None:
+    x = ca.SX.sym("x", 1)
+    found = falsify(claim_of(1 / x, x)).counterexample
+    assert found is not None and np.isfinite(found.margin) and found.values["x0"] > 0

@@ -27,6 +27,7 @@ from surctl.verification import (
 ALL = [claim.name for claim in claims()]
 PRINTED = [claim.name for claim in claims() if claim.expected == "refuted"]
 CORRECTED = [claim.name for claim in claims() if claim.expected == "proved"]
+OF_GAINS = [claim.name for claim in claims() if claim.name in CORRECTED and claim.paper]
 
 
 def one(name: str, gains: dict[str, float] | None = None) -> Any:
@@ -35,12 +36,10 @@ def one(name: str, gains: dict[str, float] | None = None) -> Any:
 
 @pytest.mark.parametrize("name", ALL)
 def test_every_claim_comes_out_as_expected(name: str) -> None:
-    open_ended = name not in PRINTED + CORRECTED  # expects no counterexample, and no more
-    verdict = settle(one(name), time_limit=2.0 if open_ended else 20.0)
-    assert verdict.as_expected, verdict.to_dict()
-    assert open_ended or verdict.verdict == verdict.claim.expected, verdict.to_dict()
+    verdict = settle(one(name))
+    assert verdict.as_expected and verdict.verdict == verdict.claim.expected, verdict.to_dict()
     assert (verdict.counterexample is not None) == (name in PRINTED)
-    assert open_ended or (verdict.certificate is not None) == (name in CORRECTED)
+    assert (verdict.certificate is not None) == (name in CORRECTED)
 
 
 @pytest.mark.parametrize("name", [n for n in CORRECTED if n != "v1-speed-cap-region"])
@@ -67,7 +66,7 @@ GAINS = [
 
 
 @pytest.mark.parametrize("gains", GAINS)
-@pytest.mark.parametrize("name", CORRECTED)
+@pytest.mark.parametrize("name", OF_GAINS)
 def test_corrected_claims_are_proved_for_other_gains(name: str, gains: dict[str, float]) -> None:
     verdict = settle(one(name, gains), samples=512, starts=4)
     assert verdict.verdict == "proved", verdict.to_dict()
@@ -201,28 +200,22 @@ def one_sided(law: Any) -> Any:
     return lambda form, phi, clearance, **k: law(form, phi, clearance, **k) - ca.fmin(k["side"], 0) * 0.01
 
 
-def deaf_to_drag(brakes_of: Any) -> Any:
-    return lambda vehicle, **k: replace(brakes_of(vehicle, **k), quadratic=(0.0, 0.0))
-
-
-def weaker(brakes_of: Any) -> Any:
-    return lambda vehicle, **k: brakes_of(vehicle, **{**k, "share": 0.6})
+def sluggish(brakes_of: Any) -> Any:
+    return lambda vehicle, **k: replace(brakes_of(vehicle, **k), lag=3.0)
 
 
 class Overconfident(braking_claims._Box):
     """A box that leaves more braking force over than there is."""
 
-    def left(self, obstacle: Any, **k: Any) -> Any:
-        return 1.05 * super().left(obstacle, **k)
+    def left(self, obstacle: Any) -> Any:
+        return 1.05 * super().left(obstacle)
 
 
 @pytest.mark.parametrize(
     ("name", "mutate"),
     [
         ("braking-keeps", lambda patch: patch.setattr(braking_claims, "_Box", Overconfident)),
-        ("braking-range", lambda patch: patch.setattr(braking_claims, "_Box", Overconfident)),
-        ("braking-bound", patched(braking_claims, "brakes_of", deaf_to_drag)),
-        ("braking-bound", patched(braking_claims, "brakes_of", weaker)),
+        ("braking-retreat", patched(braking_claims, "brakes_of", sluggish)),
         ("v1-corrected", patched(tracking_claims, "along_command", unrepaired)),
         ("v1-corrected", patched(tracking_claims, "along_command", slower)),
         ("v1-corrected", patched(tracking_claims, "tracking_rate", pushed)),
@@ -242,16 +235,10 @@ def test_a_wrong_law_is_refuted(name: str, mutate: Any, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("name", ["sur400", "sur540-light"])
-@pytest.mark.parametrize("claim", ["braking-keeps", "braking-range", "braking-bound"])
+@pytest.mark.parametrize("claim", ["braking-keeps", "braking-retreat", "braking-mass"])
 def test_braking_holds_of_other_vehicles(name: str, claim: str) -> None:
     vehicle = load_vehicle(name)
-    assert falsify(claims(names=[claim], vehicle=vehicle)[0], samples=1024, starts=16).as_expected
-
-
-def test_less_margin_is_not_enough_for_the_law_s_bound() -> None:
-    found = falsify(one("braking-bound", {"margin": 0.02}))
-    assert found.counterexample is not None and found.counterexample.margin < 0.02
-    assert falsify(one("braking-bound", {"margin": 0.04})).verdict == "not refuted"
+    assert settle(claims(names=[claim], vehicle=vehicle)[0], samples=1024).verdict == "proved"
 
 
 # ---- users' mistakes

@@ -98,7 +98,7 @@ class _Tree:
 def search(
     task: Task, *, deadline: float, most: int = 200_000, progress: Callable[[int, int], None] | None = None
 ) -> Found:
-    """Halve until all is settled, the clock (`time.perf_counter`) reaches `deadline`, or `most` boxes were looked at.
+    """Halve until all is settled, `time.process_time` reaches `deadline`, or `most` boxes were looked at.
 
     A box that holds 0 inside is halved there, since claims touch equality there; others in the middle.
 
@@ -118,7 +118,7 @@ def search(
         for begin in range(0, numbers.size, _CHUNK):
             rows = slice(begin, begin + _CHUNK)
             box, ids = (low[:, rows], high[:, rows]), numbers[rows]
-            if time.perf_counter() > deadline or looked >= most:
+            if time.process_time() > deadline or looked >= most:
                 reason = "the time was up" if looked < most else f"{most} boxes were not enough"
                 parts.append((box[0], box[1], ids))
                 continue

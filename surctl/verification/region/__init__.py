@@ -1,15 +1,24 @@
 """Regions of attraction with a rate, robust over the vehicle's ranges, as certificates that a checker accepts."""
 
 from surctl.verification.region.claim import RegionClaim, region_claim
-from surctl.verification.region.library import REGION_CLAIMS, RegionEntry, region_claim_named
+from surctl.verification.region.heading import HeadingClaim, heading_claim
+from surctl.verification.region.heading_proof import prove_heading
+from surctl.verification.region.library import REGION_CLAIMS, prove_statement, region_statement
 from surctl.verification.region.proof import RegionProof, prove_region
+from surctl.verification.region.statement import RegionStatement, load_region, write_region
 
 __all__ = [
     "REGION_CLAIMS",
+    "HeadingClaim",
     "RegionClaim",
-    "RegionEntry",
     "RegionProof",
+    "RegionStatement",
+    "heading_claim",
+    "load_region",
+    "prove_heading",
     "prove_region",
+    "prove_statement",
     "region_claim",
-    "region_claim_named",
+    "region_statement",
+    "write_region",
 ]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -31,6 +29,9 @@ class RegionClaim:
         thrust: least limit of a horizontal thrust axis, the plant's or the law's [N].
         lag: thrust lag [s]; (0, 0) claims nothing about a lag.
         yaw_rate: largest |r| [rad/s]; any heading motion below it.
+        current: largest speed of a current that never changes [m/s]; without lag and held commands only.
+        force: largest horizontal force beside the thrust, changing as it likes [N].
+        place_error, velocity_error: largest error of the measured place [m] and velocity [m/s], changing as they like.
         model: mass, linear and quadratic drag as the law believes them.
         gains: k1, lookahead, k_v, k_i, wait.
         cruise, cap: speed of the path's target and largest commanded speed [m/s].
@@ -54,6 +55,10 @@ class RegionClaim:
     period: float
     rate: float
     digests: tuple[str, str] = ("0" * 64, "0" * 64)
+    current: float = 0.0
+    force: float = 0.0
+    place_error: float = 0.0
+    velocity_error: float = 0.0
 
     def __post_init__(self) -> None:
         """Raise InputError for an empty range, or integral action, which the claim does not know."""
@@ -61,6 +66,9 @@ class RegionClaim:
             low, high = getattr(self, key)
             if not 0 <= low <= high or (key == "mass" and low == 0):
                 raise InputError("is not a range", key=key, value=(low, high), remedy="give (least, largest)")
+        for key in ("force", "place_error", "velocity_error"):
+            if not getattr(self, key) >= 0:
+                raise InputError("must be at least 0", key=key, value=getattr(self, key), remedy="correct it")
         for key in ("thrust", "cruise", "cap", "rate"):
             if not getattr(self, key) > 0:
                 raise InputError("must be greater than 0", key=key, value=getattr(self, key), remedy="correct it")
@@ -68,6 +76,11 @@ class RegionClaim:
             raise InputError(
                 "is not part of the loop that is certified", key="k_i", value=self.gains["k_i"], remedy="set it to 0"
             )
+        if self.current and (self.period or self.lag[1]):
+            raise InputError(
+                "is not known together with lag or held commands", key="current", value=self.current,
+                remedy="leave sampled and lagged out",
+            )  # fmt: skip
         if self.cruise >= self.cap:
             raise InputError("must be below the cap", key="cruise", value=self.cruise, remedy="raise the cap")
 
@@ -90,6 +103,10 @@ class RegionClaim:
                 "thrust_n": self.thrust,
                 "lag_s": list(self.lag),
                 "yaw_rate_rad_per_s": self.yaw_rate,
+                "current_m_per_s": self.current,
+                "force_n": self.force,
+                "place_error_m": self.place_error,
+                "velocity_error_m_per_s": self.velocity_error,
             },
             "law": {
                 "mass_kg": mass,
@@ -120,6 +137,10 @@ def region_claim(
     cruise: float = 0.15,
     cap: float = 0.22,
     rate: float = 0.05,
+    current: float = 0.0,
+    force: float = 0.0,
+    place_error: float = 0.0,
+    velocity_error: float = 0.0,
 ) -> RegionClaim:
     """The claim about a vehicle flown with these gains.
 
@@ -134,6 +155,9 @@ def region_claim(
         yaw_rate: largest |r| [rad/s].
         cruise, cap: [m/s].
         rate: [1/s].
+        current: largest speed of a steady current [m/s].
+        force: largest force of waves and of what the thrust is off by [N].
+        place_error, velocity_error: of what is measured [m, m/s].
 
     Raises:
         InputError: surge and sway differ, or integral action is on.
@@ -152,7 +176,6 @@ def region_claim(
             ranges[key] = (round(value * (1 - share), 9), round(value * (1 + share), 9))
     limit = min(vehicle["Fu_max"], vehicle["Fv_max"])
     lag = vehicle["thrust_lag"] if lagged else 0.0
-    numbers = json.dumps({key: p.value for key, p in vehicle.parameters.items()}, sort_keys=True)
     law = build_law()
     return RegionClaim(
         name=name,
@@ -169,5 +192,9 @@ def region_claim(
         cap=cap,
         period=law.dt if sampled else 0.0,
         rate=rate,
-        digests=(hashlib.sha256(numbers.encode()).hexdigest(), law.block.digest()),
+        current=current,
+        force=force,
+        place_error=place_error,
+        velocity_error=velocity_error,
+        digests=(vehicle.digest(), law.block.digest()),
     )

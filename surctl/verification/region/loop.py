@@ -13,6 +13,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.certcheck.region_claim import read_claim
+from surctl.certcheck.region_flow import steady_trim
 from surctl.verification.region.claim import RegionClaim
 
 __all__ = ["Bounds", "Gains", "Loop", "Steady", "bounds", "force_gain", "gains_of", "loops", "steady_cruise"]
@@ -27,17 +29,24 @@ _DIRECTIONS = np.linspace(0, np.pi, 33)[:-1]
 
 @dataclass(frozen=True)
 class Steady:
-    """ω range, largest lack of the trim force [N], and that force per axis: linear c + quadratic c²."""
+    """ω range, largest lack of the trim force [N], and that force per axis: linear c + quadratic c².
+
+    In a current, also the largest |ω_y|, |y*| and what they add to the force.
+    """
 
     omega: tuple[float, float]
     total: float
     linear: float
     quadratic: float
     backward: float
+    drift: float = 0.0
+    aside: float = 0.0
+    across: float = 0.0
+    tilt: float = 0.0
 
-    def along(self, c: Array) -> Array:
-        """Largest trim force on an axis at cosine c."""
-        return np.maximum(self.linear * c + self.quadratic * c * c, self.backward)
+    def along(self, c: Array, s: Array) -> Array:
+        """Largest trim force on an axis at cosine c from the path and s from across it."""
+        return np.maximum(self.linear * c + self.quadratic * (c + self.tilt * s) ** 2, self.backward) + self.across * s
 
 
 def _pairs(low: float, high: float, asymmetry: float) -> list[tuple[float, float]]:
@@ -47,7 +56,14 @@ def _pairs(low: float, high: float, asymmetry: float) -> list[tuple[float, float
 
 
 def steady_cruise(claim: RegionClaim) -> Steady:
-    """Where the cruise settles, over all true parameters and headings."""
+    """Where the cruise settles, over all true parameters and headings; in a current, as the checker finds it."""
+    if claim.current:
+        told = steady_trim(read_claim(claim.document(offset=1.0, settled=(1.0, 1.0))))
+        return Steady(
+            (float(told.omega[0]), float(told.omega[1])),
+            *(float(n) for n in (told.total, told.linear, told.quadratic, told.backward)),
+            *(float(n) for n in (told.drift, told.aside, told.across, told.tilt)),
+        )
     mass, linear, quadratic = claim.model
     v, push = claim.cruise, mass * claim.gains["k_v"]
     stiffness = push + linear + 2 * _SHARE * quadratic * v
@@ -101,6 +117,7 @@ class Bounds:
     held: float
     stirred: float
     wish_rate: float
+    aside: float = 0.0
 
 
 def bounds(claim: RegionClaim, steady: Steady, gains: Gains, low: float, high: float) -> Bounds | None:
@@ -110,21 +127,27 @@ def bounds(claim: RegionClaim, steady: Steady, gains: Gains, low: float, high: f
     reach, floor = _SLACK * np.sqrt(high), np.sqrt(low)
     x, y = gains.x * reach, gains.y * reach
     fast, slow = v + steady.omega[1], v + steady.omega[0]
-    most = cap * ahead / np.hypot(ahead, y) * 0.9999
+    wide = y + steady.aside
+    most = cap * ahead / np.hypot(ahead, wide) * 0.9999
     away = max(map(abs, steady.omega)) / k1
-    if most <= fast or k1 * x >= slow or x + away >= claim.gains["wait"] / 2:
+    if most <= fast or k1 * x >= slow or x + away + claim.place_error >= claim.gains["wait"] / 2:
         return None
     steer = (slow - k1 * x, min(fast + k1 * x, cap))
     catch = (min(k1, (most - fast) / x), k1)
-    model_drag = (linear, linear + quadratic * (fast + min(cap, fast + gains.wish * reach)))
-    drag = (claim.linear[0], claim.linear[1] + claim.quadratic[1] * (2 * v + gains.velocity * reach))
+    wished = fast + steady.drift
+    model_drag = (linear, linear + quadratic * (wished + min(cap, wished + gains.wish * reach)))
+    drag = (claim.linear[0], claim.linear[1] + claim.quadratic[1] * (2 * (v + claim.current) + gains.velocity * reach))
     push = mass * claim.gains["k_v"]
     turning = max(abs(steady.linear), steady.backward) + 1.5 * steady.quadratic
     still = claim.yaw_rate * (claim.period + claim.lag[1]) * turning
-    stirred = steady.total if claim.lag[1] else 0.0
-    still += steady.total - stirred
-    slant = max(np.sqrt(k1 * k1 * (1 + (y / ahead) ** 2) + (steer[1] / ahead) ** 2), cap / ahead)
+    outside = steady.total + claim.force
+    stirred = outside if claim.lag[1] else 0.0
+    still += outside - stirred
+    slant = max(np.sqrt(k1 * k1 * (1 + (wide / ahead) ** 2) + (steer[1] / ahead) ** 2), cap / ahead)
     steepest = linear + 2 * quadratic * cap
+    far = (_SLACK * gains.y + steady.aside + claim.place_error) / ahead  # V ≤ 1: what is held is of an earlier instant
+    still += (push + steepest) * np.sqrt(k1**2 * (1 + far**2) + (cap / ahead) ** 2) * claim.place_error
+    still += push * claim.velocity_error
     return Bounds(
         steer,
         catch,
@@ -134,13 +157,15 @@ def bounds(claim: RegionClaim, steady: Steady, gains: Gains, low: float, high: f
         max(_SLACK * still, 1e-3) / floor,
         max(_SLACK * stirred, 1e-3) / floor,
         (push + steepest) * slant,
+        steady.aside,
     )
 
 
-def force_gain(claim: RegionClaim, slope: float, steer: float, catch: float) -> tuple[Array, Array]:
+def force_gain(claim: RegionClaim, slope: float, steer: float, catch: float, aside: float = 0.0) -> tuple[Array, Array]:
     """δW (2, n) and the commanded force's deviation (2, n), of ξ."""
     wish, push = np.zeros((2, claim.size)), claim.model[0] * claim.gains["k_v"]
     wish[0, 0], wish[1, 1] = -catch, -steer / claim.gains["lookahead"]
+    wish[1, 0] = catch * aside / claim.gains["lookahead"]
     return wish, (push + slope) * wish - push * np.eye(claim.size)[2:4]
 
 
@@ -156,16 +181,16 @@ def gains_of(claim: RegionClaim, steady: Steady, P: Array, at: Bounds) -> Gains:
     share = np.inf
     for slope in at.model_drag:
         for s, k in corners:
-            rows = force_gain(claim, slope, s, k)[1]
+            rows = force_gain(claim, slope, s, k, at.aside)[1]
             n = np.stack([np.cos(_DIRECTIONS), np.sin(_DIRECTIONS)])
             deviation = np.sqrt(np.einsum("in,ij,jn->n", n, rows @ covariance @ rows.T, n))
-            share = min(share, float(np.min((claim.thrust - steady.along(np.abs(n[0]))) / deviation)) * 0.98)
+            share = min(share, float(np.min((claim.thrust - steady.along(*np.abs(n))) / deviation)) * 0.99)
     return Gains(
         np.sqrt(covariance[0, 0]),
         np.sqrt(covariance[1, 1]),
         largest(eye[2:4]),
-        max(largest(force_gain(claim, middle, s, k)[0]) for s, k in corners),
-        max(largest(force_gain(claim, middle, s, k)[1]) for s, k in corners),
+        max(largest(force_gain(claim, middle, s, k, at.aside)[0]) for s, k in corners),
+        max(largest(force_gain(claim, middle, s, k, at.aside)[1]) for s, k in corners),
         largest(eye[4:6]) if claim.size == 6 else 0.0,
         share,
     )
@@ -175,8 +200,8 @@ def gains_of(claim: RegionClaim, steady: Steady, P: Array, at: Bounds) -> Gains:
 class Loop:
     """One vertex: A (n, n), inputs B (n, q k) in the order of `wind`; δW, commanded force and δU (q, n); U̇.
 
-    With P that has no entry between x and y, the two decouple unless the thrust lags and the vehicle turns:
-    then q = 1 and a loop is one of the two, else q = 2.
+    With P that has no entry between x and y, the two decouple unless the thrust lags and the vehicle turns,
+    or a current sets it aside: then q = 2, else q = 1 and a loop is one of the two.
     """
 
     A: Array
@@ -201,7 +226,7 @@ def loops(claim: RegionClaim, at: Bounds) -> Iterator[Loop]:
         sorted(set(claim.mass)), at.steer, sorted(set(at.catch)),
         (claim.yaw_rate if lag else 0.0,), sorted(set(claim.lag)),
     ):  # fmt: skip  # turning the other way is the mirror image
-        wish, force = force_gain(claim, sum(at.model_drag) / 2, s, k)
+        wish, force = force_gain(claim, sum(at.model_drag) / 2, s, k, at.aside)
         A = np.zeros((size, size))
         A[:2, 2:4] = np.eye(2)
         A[2:4] -= sum(at.drag) / 2 / m * eye[2:4]
@@ -221,7 +246,7 @@ def loops(claim: RegionClaim, at: Bounds) -> Iterator[Loop]:
             6: eye[:, 2:4] / m,
         }
         B, every = np.hstack([entry[j] for j in wind]), np.arange(size)
-        if lag and claim.yaw_rate:
+        if (lag and claim.yaw_rate) or at.aside:
             yield Loop(A, B, wish, force, eye[2:4], every, np.hstack([A, B])[2:4], wind)
             continue
         for axis, name in ((0, k), (1, s)):

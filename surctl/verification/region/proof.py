@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 
 from surctl.certcheck import check_document, seal
 from surctl.verification.region.claim import RegionClaim
+from surctl.verification.region.heading import HeadingClaim
 from surctl.verification.region.loop import Steady, steady_cruise
+from surctl.verification.region.rates import cruise_loop
+from surctl.verification.region.ratio import LevelRatios, level_ratios
 from surctl.verification.region.search import search
 from surctl.verification.region.synthesis import Candidate
 
@@ -35,9 +38,11 @@ class RegionProof:
         settled: |x_e|, |y_e| [m] within which it ends.
         seconds: time it took [s].
         check_seconds: the checker's share of it [s].
+        reach: largest |y_e| [m] of any point of the region.
+        ratios: certified level over what the falsifier and the thrust limit allow; None where it has no model.
     """
 
-    claim: RegionClaim
+    claim: RegionClaim | HeadingClaim
     verdict: Literal["proved", "unknown"]
     document: dict[str, Any]
     reason: str
@@ -45,6 +50,8 @@ class RegionProof:
     settled: tuple[float, float]
     seconds: float
     check_seconds: float
+    reach: float = 0.0
+    ratios: LevelRatios | None = None
 
     def certificate(self) -> dict[str, Any]:
         """The certificate as plain data, ready for JSON; empty when nothing was proved."""
@@ -67,6 +74,7 @@ class RegionProof:
         return (
             f"proved: from {self.offset:.3g} m beside the path it decays at {self.claim.rate:g}/s "
             f"to within {x:.3g} m along and {y:.3g} m across; checked in {self.check_seconds:.2f} s"
+            + ("" if self.ratios is None else f"; {self.ratios.sentence}")
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -79,6 +87,8 @@ class RegionProof:
             "remaining": self.reason or None,
             "offset_m": self.offset,
             "settled_m": list(self.settled),
+            "reach_m": self.reach,
+            "level_ratios": None if self.ratios is None else self.ratios._asdict(),
             "rate_per_s": self.claim.rate,
             "seconds": self.seconds,
             "check_seconds": self.check_seconds,
@@ -103,7 +113,15 @@ def prove_region(claim: RegionClaim, *, attempts: int = 80, seed: int = 0) -> Re
             motion = document["claim"]["motion"]
             x, y = motion["settled_m"]
             took = time.perf_counter() - began
-            return RegionProof(claim, "proved", document, "", motion["offset_m"], (x, y), took, checked.seconds)
+            P = candidate.P
+            plain = claim.size == 4 and not any(
+                (claim.period, claim.current, claim.force, claim.place_error, claim.velocity_error)
+            )
+            ratios = level_ratios(cruise_loop(claim), P, claim.rate) if plain else None
+            return RegionProof(
+                claim, "proved", document, "", motion["offset_m"], (x, y), took, checked.seconds,
+                float(np.sqrt(np.linalg.inv(P)[1, 1])), ratios,
+            )  # fmt: skip
         reason = checked.reason
     return RegionProof(claim, "unknown", {}, reason, 0.0, (0.0, 0.0), time.perf_counter() - began, 0.0)
 
@@ -117,7 +135,8 @@ def certificate_of(claim: RegionClaim, steady: Steady, candidate: Candidate) -> 
     offset = _offset(P, steady, claim)
     covariance = np.linalg.inv(P) * candidate.levels[0]
     settled = tuple(
-        float(np.ceil(1e4 * (np.sqrt(covariance[k, k]) * 1.0001 + (away if k == 0 else 0))) / 1e4) for k in (0, 1)
+        float(np.ceil(1e4 * (np.sqrt(covariance[k, k]) * 1.0001 + shift)) / 1e4)
+        for k, shift in enumerate((away, steady.aside))
     )
     proof = {
         "P": [[float(P[i, j]) for j in range(i + 1)] for i in range(len(P))],
@@ -143,4 +162,4 @@ def _offset(P: NDArray[np.float64], steady: Steady, claim: RegionClaim) -> float
         x = omega / claim.gains["k1"]
         a, b, c = P[1, 1], -abs(P[0, 1] * x), P[0, 0] * x * x - 1  # the worse side
         found.append((b + np.sqrt(b * b - a * c)) / a if c < 0 else 0.0)
-    return float(np.floor(1e4 * min(found) * 0.9999) / 1e4)
+    return float(np.floor(1e4 * max(min(found) - steady.aside, 0.0) * 0.9999) / 1e4)

@@ -10,16 +10,23 @@ import numpy as np
 
 from surctl.verification.region.claim import RegionClaim
 from surctl.verification.region.loop import Steady
-from surctl.verification.region.synthesis import Candidate, Start, synthesise
+from surctl.verification.region.synthesis import Candidate, Start, levels_of, synthesise, widened
 
 __all__ = ["search"]
 
 _STARTS = tuple(product((0.5, 1.0, 0.3), (0.02, 0.06), (0.28, 0.15, 0.08), (0.1, 0.3, 0.7)))
 _COARSE, _FINE = 2, 6  # shells
+_KEPT = 0.95  # floor of a region that does no more than keep itself
 
 
 def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> Iterator[Candidate]:
-    """Candidates, the largest first, of that many attempts; the same for the same seed."""
+    """Candidates, the largest first, of that many attempts; the same for the same seed.
+
+    In a current, the one that settles closest to the path first: there the attempts are the library's.
+    """
+    if claim.current:
+        yield from _holding(claim, steady)
+        return
     found: list[Candidate] = []
     draw = np.random.default_rng(seed)
     cruise, cap, ahead = claim.cruise, claim.cap, claim.gains["lookahead"]
@@ -60,3 +67,27 @@ def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> I
             if fine is not None and fine.offset > 0.95 * best[0]:
                 yield fine
     yield from sorted(found, key=lambda one: -one.offset)[:5]
+
+
+def _holding(claim: RegionClaim, steady: Steady) -> Iterator[Candidate]:
+    """Regions that hold the vehicle close to the path in a current, the closest first.
+
+    P comes from the smallest region that keeps itself, a few times what the unsteady force moves it by if it stands;
+    then levels further out are tried with the same P.
+    """
+    push = claim.model[0] * claim.gains["k_v"]
+    x, y = steady.total / (push * claim.gains["k1"]), steady.total * claim.gains["lookahead"] / (push * claim.cruise)
+    found: list[tuple[float, Candidate]] = []
+    for wide, far, growth in product((2.0, 2.3, 2.8), (2.3, 2.6, 3.0), (0.08, 0.1)):
+        close = synthesise(claim, steady, Start(far * x, wide * y, 1.0, _KEPT, growth, 0.05), shells=1, rounds=2)
+        if close is None:
+            continue
+        along, across = np.sqrt(np.diag(np.linalg.inv(close.P))[:2] * _KEPT)
+        away = max(map(abs, steady.omega)) / claim.gains["k1"]
+        extent = np.ceil(100 * max(along + away, across + steady.aside))  # of one centimetre the widest region
+        for level in (2.0, 3.0, 4.0, 6.0, 9.0):
+            wider = widened(claim, steady, close.P / level, levels_of(_KEPT / level, _FINE))
+            if wider is None:
+                break
+            found.append((float(extent - wider.offset), wider))
+    yield from (one for _, one in sorted(found, key=lambda pair: pair[0]))

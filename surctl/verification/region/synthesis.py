@@ -21,7 +21,7 @@ from surctl.verification.region.loop import (
     loops,
 )
 
-__all__ = ["Candidate", "Start", "multipliers_of", "synthesise"]
+__all__ = ["Candidate", "Start", "levels_of", "multipliers_of", "synthesise", "widened"]
 
 Array = NDArray[np.float64]
 
@@ -181,11 +181,11 @@ def _rows(claim: RegionClaim, steady: Steady, gains: Gains, at: Bounds) -> list[
     rows += [eye[0] / gains.x, eye[1] / gains.y]
     for angle in np.linspace(0, np.pi / 2, 9):
         n = np.array([np.cos(angle), np.sin(angle)])
-        left = float(claim.thrust - steady.along(np.abs(n[:1]))[0]) * 0.98
+        left = float(claim.thrust - steady.along(*np.abs(n[:, None]))[0]) * 0.99
         for slope in at.model_drag:
             for s in at.steer:
                 for k in sorted(set(at.catch)):
-                    rows.append(gains.share * (n @ force_gain(claim, slope, s, k)[1]) / left)
+                    rows.append(gains.share * (n @ force_gain(claim, slope, s, k, at.aside)[1]) / left)
     return rows
 
 
@@ -195,7 +195,7 @@ def _pairs_of(claim: RegionClaim, gains: Gains, at: Bounds) -> list[Array]:
     rows = [eye[2:4] / gains.velocity]
     for s in at.steer:
         for k in sorted(set(at.catch)):
-            wish, force = force_gain(claim, middle, s, k)
+            wish, force = force_gain(claim, middle, s, k, at.aside)
             rows += [wish / gains.wish, force / gains.command]
     if claim.size == 6:
         rows.append(eye[4:6] / gains.thrust)
@@ -230,6 +230,16 @@ def synthesise(
         if told is not None:
             growth = told
     return best
+
+
+def widened(claim: RegionClaim, steady: Steady, P: Array, levels: tuple[float, ...]) -> Candidate | None:
+    """The candidate of a given P and levels, with no command held, if every shell has multipliers."""
+    reach = np.sqrt(np.diag(np.linalg.inv(P)))
+    push = claim.model[0] * claim.gains["k_v"]
+    gains = Gains(reach[0], reach[1], float(np.hypot(*reach[2:4])), claim.cap, 0.5 * push, 0.5 * push, 0.5)
+    if bounds(claim, steady, gains, levels[-2], levels[-1]) is None:
+        return None
+    return _finished(claim, steady, P, 0.0, gains, levels)[0]
 
 
 def _finished(

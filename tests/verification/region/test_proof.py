@@ -10,10 +10,20 @@ from surctl.certcheck import check_document, check_file
 from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.vehicle import load_vehicle
-from surctl.verification.region import REGION_CLAIMS, RegionClaim, prove_region, region_claim, region_claim_named
+from surctl.verification.region import (
+    REGION_CLAIMS,
+    HeadingClaim,
+    RegionClaim,
+    heading_claim,
+    prove_heading,
+    prove_region,
+    region_claim,
+    region_statement,
+)
 from surctl.verification.region.conic import minimise, symmetric_basis
 from surctl.verification.region.loop import steady_cruise
-from tests.certcheck.cruise import boats, matrix, omega, rate, thrust
+from surctl.verification.region.ratio import level_ratios
+from tests.certcheck.cruise import boats, matrix, rate, rest, thrust
 
 KEPT = Path(__file__).parents[2] / "certcheck"
 
@@ -48,29 +58,58 @@ def test_claims_that_do_not_fit_are_the_users_mistake() -> None:
         region_claim("test", vehicle.with_values({"m22": 80.0}), gains)
     with pytest.raises(InputError, match="cap"):
         claimed(cruise=0.3)
+    with pytest.raises(InputError, match="current"):
+        claimed(current=0.05, period=0.05)
     with pytest.raises(InputError, match="range"):
         claimed(mass=(2.0, 1.0))
     with pytest.raises(InputError, match="region-cruise-20"):
-        region_claim_named("region-cruise-21", vehicle, gains)
+        region_statement("region-cruise-21")
 
 
 @pytest.mark.parametrize("name", REGION_CLAIMS)
 def test_the_library_builds_what_it_says(name: str) -> None:
     vehicle = load_vehicle("sur540-flooded")
-    claim = region_claim_named(name, vehicle, load_gains("default"))
+    claim = REGION_CLAIMS[name].claim(vehicle, load_gains("default"))
     assert claim.name == name
-    assert claim.mass == ((50, 125) if name == "region-cruise-ranges" else (76, 114))
-    assert (claim.period > 0, claim.lag[1] > 0) == (
-        name[17:] in ("sampled", "lag", "spin"),
-        name[17:] in ("lag", "spin"),
-    )
     kept = KEPT / f"{name}.json"
-    if kept.exists():  # a certificate of another vehicle, law or claim proves nothing about this one
-        stated = json.loads(kept.read_text())["claim"]
-        own = claim.document(offset=stated["motion"]["offset_m"], settled=tuple(stated["motion"]["settled_m"]))
-        assert {k: v for k, v in stated.items() if k != "sha256_law"} == {
-            k: v for k, v in json.loads(json.dumps(own)).items() if k != "sha256_law"
-        }
+    stated = json.loads(kept.read_text())["claim"]  # of another vehicle, law or claim it proves nothing about this one
+    motion = stated["motion"]
+    if isinstance(claim, HeadingClaim):
+        assert claim.ranges["mass_kg"] == ((50, 125) if name == "region-heading-ranges" else (76, 114))
+        own = claim.document(
+            offset=motion["offset_m"], beside=motion["beside_m"], reach=tuple(motion["reach"]),
+            depth=motion["depth_m"], settled=motion["settled_m"],
+        )  # fmt: skip
+    else:
+        assert claim.mass == ((50, 125) if name == "region-cruise-ranges" else (76, 114))
+        assert (claim.period > 0, claim.lag[1] > 0) == (
+            name[17:] in ("sampled", "lag", "spin"),
+            name[17:] in ("lag", "spin"),
+        )
+        own = claim.document(offset=motion["offset_m"], settled=tuple(motion["settled_m"]))
+    own = json.loads(json.dumps(own))
+    assert {k: v for k, v in stated.items() if k != "sha256_law"} == {k: v for k, v in own.items() if k != "sha256_law"}
+
+
+def test_the_heading_steered_loop_is_proved_and_compared_with_what_can_be() -> None:
+    claim = heading_claim("test", load_vehicle("sur540-flooded"))
+    proof = prove_heading(claim, rounds=1, cells=300)
+    assert proof.verdict == "proved", proof.reason
+    assert proof.offset > 0.2 and proof.settled[0] < 0.07 and proof.ratios is not None
+    assert proof.ratios.falsifier < 1 < proof.ratios.thrust  # beyond where thrust binds, and not beyond what holds
+    assert "falsifier" in proof.sentence and proof.to_dict()["level_ratios"]["thrust"] == proof.ratios.thrust
+    found = prove_heading(replace(claim, rate=2.0), rounds=1, cells=300)
+    assert found.verdict == "unknown" and "found no" in found.reason
+    with pytest.raises(InputError, match="m22"):
+        heading_claim("test", load_vehicle("sur540-flooded").with_values({"m22": 80.0}))
+
+
+def test_the_ratio_to_the_falsifier_is_that_of_a_loop_with_a_known_level() -> None:
+    def loop(xi: np.ndarray, draws: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return -xi * (1 - xi**2 / 9), np.abs(xi).max(axis=1) / 2  # V̇ < 0 on |x| < 3, thrust binds at |x| = 2
+
+    told = level_ratios(loop, np.eye(2), 1e-9)
+    assert np.isclose(told.falsifier, 1 / 9, rtol=0.1) and np.isclose(told.thrust, 1 / 4, rtol=0.1)
 
 
 @pytest.mark.parametrize(
@@ -82,7 +121,7 @@ def test_flights_from_the_edge_stay_below_the_envelope(name: str) -> None:
     n, steps, rng = 400, 10, np.random.default_rng(1)
     boat = boats(claim, n, rng)
     vehicle, law, a = claim["vehicle"], claim["law"], claim["motion"]["rate_per_s"]
-    rest = omega(claim, boat)
+    settled = rest(claim, boat)
     xi = rng.normal(size=(n, len(P))) @ np.linalg.inv(np.linalg.cholesky(P))
     xi /= np.sqrt(np.einsum("ni,ij,nj->n", xi, P, xi))[:, None]
     psi = rng.uniform(0, 2 * np.pi, size=n)
@@ -91,7 +130,7 @@ def test_flights_from_the_edge_stay_below_the_envelope(name: str) -> None:
 
     def trim() -> np.ndarray:
         mean = np.zeros((n, 4))
-        mean[:, 0], mean[:, 2] = -rest / law["k1"], law["cruise"]
+        mean[:, :2], mean[:, 2] = settled, law["cruise"]
         return thrust(claim, mean, psi)
 
     def body(vector: np.ndarray, back: int) -> np.ndarray:
@@ -99,7 +138,7 @@ def test_flights_from_the_edge_stay_below_the_envelope(name: str) -> None:
         return np.stack([c * vector[:, 0] + s * vector[:, 1], -s * vector[:, 0] + c * vector[:, 1]], axis=1)
 
     state = xi[:, :4].copy()
-    state[:, 0] -= rest / law["k1"]
+    state[:, :2] += settled
     state[:, 2] += law["cruise"]
     if len(P) == 6:
         state = np.hstack([state, trim() + body(xi[:, 4:], 1)])
@@ -110,7 +149,7 @@ def test_flights_from_the_edge_stay_below_the_envelope(name: str) -> None:
             psi = psi + turn * h / steps
             state = state + h / steps * rate(claim, boat, middle, psi - turn * h / steps / 2, command)
         xi[:, :4] = state[:, :4]
-        xi[:, 0] += rest / law["k1"]
+        xi[:, :2] -= settled
         xi[:, 2] -= law["cruise"]
         if len(P) == 6:
             xi[:, 4:] = body(state[:, 4:] - trim(), -1)

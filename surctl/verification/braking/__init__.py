@@ -1,0 +1,16 @@
+"""The barrier with inertia as certificates: the bare rule with its tables, and the law's own bound."""
+
+from surctl.verification.braking.claim import BrakingClaim, LawNumbers, law_numbers
+from surctl.verification.braking.library import BRAKING_CLAIMS, BrakingEntry, braking_claim_named
+from surctl.verification.braking.proof import BrakingProof, prove_braking
+
+__all__ = [
+    "BRAKING_CLAIMS",
+    "BrakingClaim",
+    "BrakingEntry",
+    "BrakingProof",
+    "LawNumbers",
+    "braking_claim_named",
+    "law_numbers",
+    "prove_braking",
+]

@@ -1,0 +1,236 @@
+"""Many flights of the worst kind inside a claim's assumptions: nothing may be touched in any of them.
+
+In two dimensions, the vehicle pushes towards the obstacle with all it has, or anywhere, whenever the rule lets it; it
+brakes along the direction of the last decision that did not brake. Half of the flights are head-on with everything at
+its worst end; the others draw mass, lag, drag, braking force, errors and motion anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.guidance.braking import Watch, allowed_speed
+from surctl.verification.braking.claim import BrakingClaim, LawNumbers
+from surctl.verification.braking.way import WayTable, figures_needed, way_table
+
+__all__ = ["Flights", "Rule", "fly", "rule_of"]
+
+_STEP = 0.005  # [s]
+_NEAR = 0.1  # [m]
+_AGAINST = 40.0  # [N s/m] against a sideways speed that is near the claim's largest
+_RANGES = 4.0  # [m] up to which a law's bound is tabulated
+
+Vector = NDArray[np.float64]
+Rule = Callable[[Vector, Vector, Vector], NDArray[np.bool_]]
+"""(range read [m], own speed along the direction as measured [m/s], the largest since the echo) → whether it brakes."""
+
+
+@dataclass(frozen=True)
+class Flights:
+    """What came of many flights.
+
+    Attributes:
+        runs: number of flights.
+        hits: flights in which the clearance was negative.
+        least: least clearance of all [m].
+        near: share of the flights that came within 0.1 m.
+        braked: share in which it had to brake.
+    """
+
+    runs: int
+    hits: int
+    least: float
+    near: float
+    braked: float
+
+
+def rule_of(claim: BrakingClaim, *, obstacle: float, table: WayTable | None = None) -> Rule:
+    """When the claim's vehicle brakes before an obstacle of that speed [m/s].
+
+    The bare rule: unless the range needed is there; `table` is the way it goes by, by default that of the proof. The
+    law: as soon as its own speed exceeds the bound by what its velocity loop needs to ask for the force counted on.
+    """
+    if claim.law is not None:
+        return _law_rule(claim, claim.law, obstacle)
+    way = way_table(claim, obstacle) if table is None else table
+    grid = np.linspace(-1.0, claim.fastest + claim.watch.speed_error, 2001)
+    still = np.array([figures_needed(claim, way, float(v), since=-np.inf) for v in grid])
+
+    def brakes(read: Vector, speed: Vector, since: Vector) -> NDArray[np.bool_]:
+        late = np.maximum(np.maximum(since, speed) + claim.watch.speed_error + obstacle, 0.0) * claim.watch.age
+        return np.asarray(read < np.interp(speed, grid, still) + late)
+
+    return brakes
+
+
+def _law_rule(claim: BrakingClaim, law: LawNumbers, obstacle: float) -> Rule:
+    ranges = np.linspace(-1.0, _RANGES, 20_001)
+    bound = np.array([_bound(law, Watch(period=claim.watch.period), float(d) - law.margin, obstacle) for d in ranges])
+    loop = law.mass * law.k_v * (1 + law.document()["gain"])
+
+    def brakes(read: Vector, speed: Vector, since: Vector) -> NDArray[np.bool_]:
+        del since
+        allowed = np.interp(read, ranges, bound)
+        forward, w = np.maximum(allowed, 0.0), claim.sideways
+        # drag is fed forward axis by axis: what is asked for across the direction pushes along it too
+        drag = law.linear * forward + law.quadratic * (forward**2 + 0.385 * forward * w + 0.7072 * w**2)
+        return np.asarray(speed > allowed + (claim.brakes.least + drag) / loop)
+
+    return brakes
+
+
+def _bound(law: LawNumbers, watch: Watch, distance: float, obstacle: float) -> float:
+    if law.barrier == "inertia":
+        return allowed_speed(law.own, watch, distance, obstacle=obstacle)
+    a, t = law.brake * law.limit / law.mass, law.reaction
+    h = distance - t * obstacle
+    return (h / t if h < 0 else float(np.sqrt((a * t) ** 2 + 2 * a * h)) - a * t) - obstacle
+
+
+def fly(
+    claim: BrakingClaim,
+    *,
+    obstacle: float,
+    runs: int = 10_000,
+    seconds: float = 20.0,
+    seed: int = 0,
+    rule: Rule | None = None,
+) -> Flights:
+    """Fly inside the assumptions.
+
+    Args:
+        claim: whose assumptions, and whose rule.
+        obstacle: v_o [m/s].
+        runs: number of flights.
+        seconds: length of a flight [s].
+        seed: of everything that is drawn.
+        rule: another rule than the claim's own, to see it fail.
+    """
+    world = _World(claim, obstacle, runs, np.random.default_rng(seed))
+    decide = rule_of(claim, obstacle=obstacle) if rule is None else rule
+    each = max(round(claim.watch.period / _STEP), 1)
+    least, braked = np.full(runs, np.inf), np.zeros(runs, dtype=bool)
+    for k in range(round(seconds / _STEP)):
+        least = np.minimum(least, world.look())
+        if k % each == 0:
+            braked |= world.decide(decide)
+        world.step()
+    return Flights(
+        runs, int(np.sum(least < 0)), float(least.min()), float(np.mean(least < _NEAR)), float(braked.mean())
+    )
+
+
+class _World:
+    """Vehicle and obstacle of every flight; arrays (runs,) or (runs, 2)."""
+
+    def __init__(self, claim: BrakingClaim, obstacle: float, runs: int, rng: np.random.Generator) -> None:
+        b, self.claim, self.fastest_obstacle, self.rng, self.runs = claim.brakes, claim, obstacle, rng, runs
+        self.worst = rng.uniform(size=runs) < 0.5
+        worst = self.worst
+        self.mass = np.where(worst, rng.choice(b.masses, runs), rng.uniform(*b.masses, runs))
+        self.lag = b.lag * np.where(worst, 1.0, rng.uniform(0.2, 1.0, runs))
+        shape = (runs, 2)
+        self.linear = np.where(worst[:, None], b.linear[0], rng.uniform(*b.linear, shape))
+        self.quadratic = np.where(worst[:, None], b.quadratic[0], rng.uniform(*b.quadratic, shape))
+        self.brake = np.where(worst, b.least, rng.uniform(b.least, max(b.least, b.most), runs))
+        self.heading = rng.uniform(-np.pi, np.pi, runs)
+        self.turn = claim.turn * rng.choice((-1.0, 0.0, 1.0), runs)
+        bearing = rng.uniform(-np.pi, np.pi, runs)
+        self.latched = _unit(bearing)
+        # discs, and every fourth a wall
+        self.radius = np.where(rng.uniform(size=runs) < 0.25, 1e4, rng.uniform(0.02, 1.0, runs))
+        away = rng.uniform(1.0, 2.5, runs) + 4.0 * obstacle
+        self.gap = self.latched * (away + self.radius)[:, None]  # vehicle → centre of the obstacle
+        self.normal: Vector = self.latched
+        self.clearance: Vector = away
+        self.velocity = self.latched * rng.uniform(0.0, 0.1, runs)[:, None]
+        self.thrust, self.braking = np.zeros(shape), np.zeros(runs, dtype=bool)
+        self.mood = np.where(worst, 0.0, rng.uniform(size=runs))
+        self.past: list[tuple[Vector, Vector]] = []
+        self.asked, self.came = np.zeros(shape), np.zeros(shape)
+        self.sign = np.ones((2, runs))
+
+    def look(self) -> Vector:
+        """Clearance [m]; it is remembered."""
+        distance = np.linalg.norm(self.gap, axis=1)
+        self.normal, self.clearance = self.gap / distance[:, None], distance - self.radius
+        late = round(self.claim.watch.age / _STEP)
+        along = np.sum(self.velocity * self.normal, axis=1)
+        self.past = [*self.past, (self.clearance, along)][-late - 1 :]
+        return self.clearance
+
+    def decide(self, rule: Rule) -> NDArray[np.bool_]:
+        """What is asked for until the next decision; tells who brakes."""
+        w, rng = self.claim.watch, self.rng
+        fresh = rng.uniform(size=self.runs) < 0.05
+        self.mood = np.where(fresh & ~self.worst, rng.uniform(size=self.runs), self.mood)
+        self.sign = np.where(self.worst, 1.0, rng.choice((-1.0, 1.0), (2, self.runs)))
+        speed = np.sum(self.velocity * self.normal, axis=1) - w.speed_error * self.sign[1]
+        since = np.max([v for _, v in self.past], axis=0) - w.speed_error
+        self.braking = rule(self.past[0][0] + w.range_error * self.sign[0], speed, since)
+        self.latched = np.where(self.braking[:, None], self.latched, self.normal)
+        across = np.column_stack([-self.latched[:, 1], self.latched[:, 0]])
+        self.asked = np.where(self.braking[:, None], -self.brake[:, None] * self.latched, self._free(across))
+        self.came = self.fastest_obstacle * self._obstacle(across)
+        return self.braking
+
+    def _free(self, across: Vector) -> Vector:
+        """Thrust of those that need not brake: on, most of the time; sideways too, up to the claim's speed."""
+        b, claim, mood = self.claim.brakes, self.claim, self.mood
+        towards = np.sum(self.velocity * self.normal, axis=1)
+        aside = np.sum(self.velocity * across, axis=1)
+        ahead = np.where(towards < claim.fastest - 0.01, b.most, 0.0)
+        slanted = np.where(mood < 0.3, 0.0, (2 * mood - 1.0) * b.most * 0.7)
+        room = np.abs(aside) + b.most * self.claim.watch.period / b.masses[0] + 0.02 < claim.sideways
+        sideways = np.where(
+            room | (slanted * aside < 0), slanted, -np.sign(aside) * np.minimum(abs(aside) * 40, b.most)
+        )
+        sideways = np.where(self.worst, 0.0, sideways)
+        forward = np.sqrt(np.maximum(b.most**2 - sideways**2, 0.0)) * np.where(ahead > 0, 1.0, 0.0)
+        forward = np.where(mood > 0.9, -forward, forward)
+        return np.asarray(forward[:, None] * self.latched + sideways[:, None] * across)
+
+    def _obstacle(self, across: Vector) -> Vector:
+        """Direction of the obstacle's motion: it comes on, mostly."""
+        mood = self.mood[:, None]
+        on = -self.latched
+        slant = (on + 0.5 * across) / np.sqrt(1.25)
+        return np.where(mood < 0.5, on, np.where(mood < 0.7, slant, np.where(mood < 0.85, across, -on)))
+
+    def step(self) -> None:
+        """One step of the plant: thrust with lag turns with the hull; drag at its worst along the direction."""
+        b, h = self.claim.brakes, _STEP
+        force = self.thrust + (b.push * self.latched if b.push else 0.0) - self._drag()
+        rate = force / self.mass[:, None]
+        self.gap = self.gap + h * (self.came - self.velocity - h / 2 * rate)
+        self.velocity = self.velocity + h * rate
+        share = 1 - np.exp(-h / np.maximum(self.lag, 1e-6))
+        turned = _turned(self.thrust, self.turn * h)  # what was delivered goes round with the hull
+        self.thrust = turned + share[:, None] * (self.asked - turned)
+        self.heading = self.heading + self.turn * h
+
+    def _drag(self) -> Vector:
+        b = self.claim.brakes
+        v = self.velocity - b.current * self.latched
+        back = np.sum(v * self.latched, axis=1) < 0
+        bad = (self.worst & back)[:, None]
+        linear = np.where(bad, b.linear[1], self.linear)
+        quadratic = np.where(bad, b.quadratic[1], self.quadratic)
+        if self.claim.drag == "along":
+            size = np.linalg.norm(v, axis=1)[:, None]
+            return np.asarray((linear[:, :1] + quadratic[:, :1] * size) * v)
+        own = _turned(v, -self.heading)
+        return _turned((linear + quadratic * np.abs(own)) * own, self.heading)
+
+
+def _unit(angle: Vector) -> Vector:
+    return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def _turned(vector: Vector, angle: Vector) -> Vector:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.column_stack([c * vector[:, 0] - s * vector[:, 1], s * vector[:, 0] + c * vector[:, 1]])

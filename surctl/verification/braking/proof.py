@@ -1,0 +1,99 @@
+"""From a claim about braking to a certificate: make the table, and let the independent checker decide."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from surctl.certcheck import check_document, seal
+from surctl.verification.braking.claim import BrakingClaim
+from surctl.verification.braking.way import figures, largest_obstacle, way_table
+
+__all__ = ["BrakingProof", "prove_braking"]
+
+
+@dataclass(frozen=True)
+class BrakingProof:
+    """What an attempt to prove a claim about braking came to.
+
+    Attributes:
+        claim: what was claimed.
+        verdict: `proved` if the checker accepted, else `unknown`.
+        document: the certificate; empty when unknown.
+        reason: why the checker did not accept; empty when proved.
+        reach: range needed at the highest speed of the table before the quickest obstacle [m].
+        seconds: time it took [s].
+        check_seconds: the checker's share of it [s].
+    """
+
+    claim: BrakingClaim
+    verdict: Literal["proved", "unknown"]
+    document: dict[str, Any]
+    reason: str
+    reach: float
+    seconds: float
+    check_seconds: float
+
+    def certificate(self) -> dict[str, Any]:
+        """The certificate as plain data, ready for JSON; empty when nothing was proved."""
+        return self.document
+
+    def text(self) -> str:
+        """The certificate's file."""
+        return json.dumps(self.document, separators=(",", ":")) + "\n"
+
+    def write(self, path: Path) -> None:
+        """Write the certificate's file."""
+        path.write_text(self.text(), encoding="utf-8")
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in one line."""
+        if self.verdict != "proved":
+            return f"unknown: {self.reason}"
+        claim, quickest = self.claim, max(self.claim.obstacles)
+        what = f"what comes on with at most {quickest:g} m/s" if quickest else "what stands"
+        return (
+            f"proved: never touches {what}, of which {self.reach:.2f} m must be read at {max(claim.speeds):g} m/s; "
+            f"checked in {self.check_seconds:.2f} s"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {
+            "claim": self.claim.name,
+            "expected": "proved",
+            "verdict": self.verdict,
+            "certificate": self.document or None,
+            "remaining": self.reason or None,
+            "range_needed_m": self.reach,
+            "seconds": self.seconds,
+            "check_seconds": self.check_seconds,
+        }
+
+
+def prove_braking(claim: BrakingClaim) -> BrakingProof:
+    """Make the tables of the claim and have them checked."""
+    began = time.perf_counter()
+    limit = largest_obstacle(claim)
+    if max(claim.obstacles) >= limit:
+        reason = f"braking guarantees nothing before an obstacle of {limit:.4g} m/s or more"
+        return BrakingProof(claim, "unknown", {}, reason, 0.0, time.perf_counter() - began, 0.0)
+    tables = [way_table(claim, obstacle) for obstacle in claim.obstacles]
+    told = figures(claim, tables)
+    ways = [{"knots": t.knots.tolist(), "slopes": t.slopes.tolist()} for t in tables]
+    document = seal("braking", claim.document(told, limit), {"proof": {"ways": ways}})
+    checked = check_document(document)
+    good = checked.accepted
+    return BrakingProof(
+        claim,
+        "proved" if good else "unknown",
+        document if good else {},
+        checked.reason,
+        told["needed_m"][-1][-1] if good else 0.0,
+        time.perf_counter() - began,
+        checked.seconds,
+    )

@@ -1,0 +1,32 @@
+"""The whole loop as a linear system: margins of all loops at once, poles, and the loop as it is sampled."""
+
+from surctl.verification.linear.corners import Corners, corners
+from surctl.verification.linear.disk import DiskMargin, disk_margin, disk_profile, structured_bounds
+from surctl.verification.linear.interop import closed_system, loop_system, open_system, sampled_loop_system
+from surctl.verification.linear.places import DISK_PLACES, OpenLoop, open_loop
+from surctl.verification.linear.sampled import SampledLimits, largest_period, sampled_limits, sampled_poles
+from surctl.verification.linear.side import LinearSide, Pole, linear_side, worst_linear_side
+
+__all__ = [
+    "DISK_PLACES",
+    "Corners",
+    "DiskMargin",
+    "LinearSide",
+    "OpenLoop",
+    "Pole",
+    "SampledLimits",
+    "closed_system",
+    "corners",
+    "disk_margin",
+    "disk_profile",
+    "largest_period",
+    "linear_side",
+    "loop_system",
+    "open_loop",
+    "open_system",
+    "sampled_limits",
+    "sampled_loop_system",
+    "sampled_poles",
+    "structured_bounds",
+    "worst_linear_side",
+]

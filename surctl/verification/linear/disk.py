@@ -1,0 +1,298 @@
+"""Disk margin of many loops at once: how far every gain and phase may be off, all of them, in any combination.
+
+Channel k is multiplied by (2 + δ_k)/(2 − δ_k), δ_k any stable complex dynamics with |δ_k| < α (Seiler, Packard and
+Gahinet 2020, balanced). The largest α is 1/sup_ω μ(M(jω)), M = (S − T)/2 and μ the structured singular value for a
+diagonal of complex numbers (Doyle 1982). μ lies between
+
+- min over D of σ_max(D M D⁻¹), D diagonal and positive: no perturbation smaller than its inverse destabilises, and
+- max over U of ρ(U M), U diagonal and unitary: the perturbation U/ρ does.
+
+Peaks are looked for on a grid of frequencies. That no peak hides between its points is shown without a grid: with D
+held, σ_max(D M(jω) D⁻¹) reaches the level γ only where a Hamiltonian matrix has an eigenvalue jω (Boyd and
+Balakrishnan 1990), so that one D covers all frequencies up to the next such ω, and the next D goes on from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.verification.linear.places import OpenLoop
+
+__all__ = ["DiskMargin", "disk_margin", "disk_profile", "screened_peak", "structured_bounds"]
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_LOWEST, _HIGHEST = 1e-4, 1e3  # [rad/s]
+_POINTS = 240
+_SCREENED, _SCREEN_POINTS = (1e-2, 1e2), 60
+_PEAKS = 3  # of the grid that are looked at closely
+_LOW_PEAK = 0.9  # of the highest
+_SHRINKS = 24
+_GOLDEN = (np.sqrt(5) - 1) / 2
+_ROOM = 2e-3  # the level that is covered lies above the peak that was found by this share
+_ROUNDS = 40
+_STEPS = 400
+_ON_AXIS = 1e-7  # eigenvalues this near to the imaginary axis, in parts of their size, count as on it
+_WIDEST = 1e8  # of the ratio of two scalings
+
+
+@dataclass(frozen=True)
+class DiskMargin:
+    """Balanced disk margin of several loops together.
+
+    Attributes:
+        place: where the loops are opened.
+        stable: whether the closed loop is stable at all; if not, the rest is 0, (1, 1) and 0.
+        guaranteed: α that is borne at every frequency (floating point; no grid is trusted), at most 2.
+        reached: α of a perturbation that was found to destabilise; not below `guaranteed`.
+        frequency_rad_s: where that one does.
+        gain: factors on all gains at once that are borne, by `guaranteed`.
+        phase_deg: phases of all loops at once that are borne.
+    """
+
+    place: str
+    stable: bool
+    guaranteed: float
+    reached: float
+    frequency_rad_s: float
+    gain: tuple[float, float]
+    phase_deg: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return {**asdict(self), "gain": list(self.gain)}
+
+
+def disk_margin(loop: OpenLoop, place: str = "") -> DiskMargin:
+    """The margin of a loop under unit negative feedback.
+
+    Args:
+        loop: opened at q places.
+        place: name for the result.
+
+    Raises:
+        InputError: no level could be covered: the loop is too badly scaled for this computation.
+    """
+    closed = loop.complementary()
+    if not np.all(np.linalg.eigvals(closed.A).real < -1e-9):
+        return DiskMargin(place, False, 0.0, 0.0, 0.0, (1.0, 1.0), 0.0)
+    grid = np.concatenate([[0.0], np.geomspace(_LOWEST, _HIGHEST, _POINTS)])
+    coarse = _balanced(_sensitivity(closed, grid))[1]
+    least, where = 0.5, np.inf  # M → ½ I for ω → ∞, but for what scaling takes away
+    level = 0.5
+    open_ends = [_refined(closed, grid, at) for at in _local_peaks(coarse)]
+    for _ in range(_ROUNDS):
+        for omega in open_ends:
+            upper, lower, _ = structured_bounds(_sensitivity(closed, np.array([omega]))[0])
+            level = max(level, upper * (1 + _ROOM), 0.5 * (1 + _ROOM))
+            if lower > least:
+                least, where = lower, omega
+        higher = _uncovered(closed, level)
+        if higher is None:
+            alpha = 1 / level
+            gain = (2 - alpha) / (2 + alpha)
+            phase = float(np.rad2deg(2 * np.arctan(alpha / 2)))
+            return DiskMargin(place, True, alpha, 1 / least, where, (gain, 1 / gain), phase)
+        open_ends = [higher]
+        level *= 1 + _ROOM / 4  # it may lie so near below the peak that rounding decides
+    raise InputError("no level covers all frequencies", key=f"disk margin {place}", remedy="check the vehicle's units")
+
+
+def disk_profile(loop: OpenLoop, omega: Array) -> Array:
+    """α (k,) that is borne at each ω (k,) [rad/s] alone, from below; at most 2 by more than scaling leaves."""
+    profile: Array = 1 / _balanced(_sensitivity(loop.complementary(), np.asarray(omega, dtype=float)))[1]
+    return profile
+
+
+def screened_peak(loop: OpenLoop) -> float:
+    """About sup_ω μ on a coarse grid: which of many loops is worst, quickly; inf for an unstable one."""
+    closed = loop.complementary()
+    if not np.all(np.linalg.eigvals(closed.A).real < -1e-9):
+        return float("inf")
+    grid = np.geomspace(_SCREENED[0], _SCREENED[1], _SCREEN_POINTS)
+    return float(_balanced(_sensitivity(closed, grid))[1].max())
+
+
+def structured_bounds(M: Complex) -> tuple[float, float, Complex]:
+    """Upper and lower bound of μ(M), M (q, q), for q independent complex numbers, and δ (q,) of the lower one.
+
+    det(I − diag(δ) M) = 0 with all |δ_k| = 1/lower. The bounds meet for q ≤ 3 (Packard and Doyle 1993) and mostly
+    beyond. Where M has no structured singular value, δ is inf.
+    """
+    scale = _scaling(M)
+    _, s, vh = np.linalg.svd(scale[:, None] * M / scale[None])
+    upper = float(s[0])
+    # Δ w σ = v of the top pair holds by phases alone where the scaling balances the two
+    v = vh[0].conj()
+    w = (scale[:, None] * M / scale[None]) @ v
+    lower, phases = _ascended(M, np.angle(v) - np.angle(w))
+    if lower <= 0:
+        return upper, 0.0, np.full(len(M), np.inf + 0j)
+    turned = np.exp(1j * phases)
+    values = np.linalg.eigvals(turned[:, None] * M)
+    top = values[np.argmax(np.abs(values))]
+    return max(upper, lower), lower, turned / top
+
+
+def _sensitivity(closed: OpenLoop, omega: Array) -> Complex:
+    """M = ½ I − T at ω (k,), (k, q, q)."""
+    found: Complex = 0.5 * np.eye(len(closed.D)) - closed.response(omega)
+    return found
+
+
+def _balanced(M: Complex) -> tuple[Array, Array]:
+    """Osborne's scaling (k, q) of many M (k, q, q), and σ_max with it (k,): near the least, and never below it."""
+    size = np.abs(M) ** 2
+    size[:, np.arange(M.shape[1]), np.arange(M.shape[1])] = 0.0
+    d = np.ones(M.shape[:2])
+    for _ in range(12):
+        for k in range(M.shape[1]):
+            row = np.einsum("nj,nj->n", size[:, k], 1 / d**2)
+            column = np.einsum("nj,nj->n", size[:, :, k], d**2)
+            # a channel that only acts, or is only acted on, is scaled as far as the widest ratio
+            floor = 1e-300
+            d[:, k] = np.clip(((column + floor) / (row + floor)) ** 0.25, 1 / _WIDEST, _WIDEST)
+    scaled = d[:, :, None] * M / d[:, None]
+    return d, np.linalg.norm(scaled, 2, axis=(1, 2))
+
+
+def _scaling(M: Complex) -> Array:
+    """D (q,) that minimises σ_max(D M D⁻¹), convex in log D: from Osborne's by a quasi-Newton method."""
+    from scipy.optimize import minimize
+
+    start = np.log(_balanced(M[None])[0][0])
+    if len(start) == 1:
+        return np.ones(1)
+
+    def value(log: Array) -> tuple[float, Array]:
+        d = np.exp(log - log.mean())
+        u, s, vh = np.linalg.svd(d[:, None] * M / d[None])
+        slope = s[0] * (np.abs(u[:, 0]) ** 2 - np.abs(vh[0]) ** 2)
+        return float(s[0]), slope
+
+    # no gradient where two singular values meet: restarts with a simplex finish what BFGS leaves
+    best = start
+    for method in ("BFGS", "Nelder-Mead"):
+        jac = method == "BFGS"
+        run = minimize(value if jac else lambda x: value(x)[0], best, jac=jac or None, method=method)
+        if value(run.x)[0] < value(best)[0]:
+            best = run.x
+    scale: Array = np.exp(best - best.mean())
+    return scale
+
+
+def _ascended(M: Complex, phases: Array) -> tuple[float, Array]:
+    """A local maximum of ρ(diag(e^{jφ}) M) from these phases: (ρ, φ)."""
+    from scipy.optimize import minimize
+
+    def radius(free: Array) -> float:
+        turned = np.exp(1j * np.concatenate([[0.0], free]))
+        return -float(np.max(np.abs(np.linalg.eigvals(turned[:, None] * M))))
+
+    start = phases[1:] - phases[0]  # a common phase changes nothing
+    best, found = start, radius(start)
+    if start.size:
+        for begin in (start, np.zeros_like(start)):
+            run = minimize(radius, begin, method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-10})
+            if run.fun < found:
+                best, found = run.x, float(run.fun)
+    return -found, np.concatenate([[0.0], best])
+
+
+def _local_peaks(values: Array) -> list[int]:
+    """Indices of the highest local maxima: at most `_PEAKS`, none much lower than the highest."""
+    padded = np.concatenate([[-np.inf], values, [-np.inf]])
+    tops = np.flatnonzero(
+        (padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]) & (values >= _LOW_PEAK * values.max())
+    )
+    return [int(k) for k in tops[np.argsort(-values[tops], kind="stable")][:_PEAKS]]
+
+
+def _refined(closed: OpenLoop, grid: Array, at: int) -> float:
+    """The frequency of a peak between its neighbours on the grid, by golden section."""
+    low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
+
+    def height(omega: float) -> float:
+        return float(_balanced(_sensitivity(closed, np.array([omega])))[1][0])
+
+    best = (height(grid[at]), grid[at])
+    for _ in range(_SHRINKS):
+        one, other = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+        first, second = height(one), height(other)
+        best = max(best, (first, one), (second, other))
+        low, high = (low, other) if first > second else (one, high)
+    return float(best[1])
+
+
+def _uncovered(closed: OpenLoop, level: float) -> float | None:
+    """None where some D each has σ_max(D M D⁻¹) < level at every frequency; else a frequency that no D covers."""
+    omega = 0.0
+    for _ in range(_STEPS):
+        ends = (_covered(closed, scale, omega, level) for scale in _candidates(closed, omega))
+        end = next((end for end in ends if end is not None), None)
+        if end is None:
+            return omega if omega > 0 else _LOWEST
+        if not np.isfinite(end):
+            return None
+        beyond = _inner(end, _next(closed, _scaling(_sensitivity(closed, np.array([end]))[0]), end, level))
+        if _height(closed, _scaling(_sensitivity(closed, np.array([beyond]))[0]), beyond) >= level:
+            return beyond  # the peak that begins where the last D ended
+        omega = end
+    raise InputError("takes too many steps", key="disk margin", value=level, remedy="check the vehicle's units")
+
+
+def _candidates(closed: OpenLoop, omega: float) -> Iterator[Array]:
+    """Scalings to go on from ω with: where channels are all but apart, the best one there reaches nowhere else."""
+    for at in (omega, 1.02 * omega + 1e-3, 1.2 * omega + 1e-2, 2 * omega + 0.1):
+        yield _balanced(_sensitivity(closed, np.array([at])))[0][0]
+    for at in (omega, 1.02 * omega + 1e-3):
+        yield _scaling(_sensitivity(closed, np.array([at]))[0])
+
+
+def _covered(closed: OpenLoop, scale: Array, omega: float, level: float) -> float | None:
+    """The frequency up to which D stays below the level from ω on; None where it does not.
+
+    Between two crossings it lies on one side of the level, so one point between them tells which: at a crossing
+    itself rounding would decide.
+    """
+    end = _next(closed, scale, omega, level)
+    inside = _height(closed, scale, _inner(omega, end)) < level and _height(closed, scale, omega) < level * (1 + 1e-9)
+    return end if inside else None
+
+
+def _next(closed: OpenLoop, scale: Array, omega: float, level: float) -> float:
+    """The first crossing after ω; inf where there is none."""
+    crossings = _crossings(closed, scale, level)
+    ahead = crossings[crossings > omega * (1 + 1e-12) + 1e-12]
+    return float(ahead[0]) if ahead.size else float("inf")
+
+
+def _inner(begin: float, end: float) -> float:
+    """A frequency between the two."""
+    return (begin + end) / 2 if np.isfinite(end) else 2 * begin + 1.0
+
+
+def _height(closed: OpenLoop, scale: Array, omega: float) -> float:
+    M = _sensitivity(closed, np.array([omega]))[0]
+    return float(np.linalg.norm(scale[:, None] * M / scale[None], 2))
+
+
+def _crossings(closed: OpenLoop, scale: Array, level: float) -> Array:
+    """Frequencies, ascending, at which a singular value of D M D⁻¹ may equal the level; inf² counts as none."""
+    B, C = closed.B / scale, -scale[:, None] * closed.C
+    D = scale[:, None] * (0.5 * np.eye(len(scale)) - closed.D) / scale
+    inverse = np.linalg.inv(level**2 * np.eye(len(scale)) - D.T @ D)
+    inner = closed.A + B @ inverse @ D.T @ C
+    hamiltonian = np.block(
+        [[inner, B @ inverse @ B.T], [-C.T @ (np.eye(len(scale)) + D @ inverse @ D.T) @ C, -inner.T]]
+    )
+    found = np.linalg.eigvals(hamiltonian)
+    near = np.abs(found.real) <= _ON_AXIS * np.maximum(np.abs(found), 1.0)
+    return np.sort(found.imag[near & (found.imag > 0)])

@@ -1,0 +1,221 @@
+"""The loops as python-control systems, for `control.bode_plot`, `margin`, `root_locus`, `disk_margins` and the rest.
+
+They are the very matrices that `surctl verify` judges, so the same numbers come out. Signals carry their names with
+units. Root loci and margins of one loop need nothing more; `control.disk_margins` of several loops at once needs slycot
+(GPL), which is not installed with surctl: `disk_margin` of this room is for that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.vehicle import Vehicle
+from surctl.vehicle.linearise import STATE_NAMES, THRUST_NAMES, labelled
+from surctl.verification.cascade import Cascade, build_cascade
+from surctl.verification.linear.places import open_loop
+from surctl.verification.linear.sampled import check_delay, open_transition
+from surctl.verification.loops import LOOP_NAMES, state_blocks
+
+__all__ = ["closed_system", "loop_system", "open_system", "sampled_loop_system"]
+
+_AXES = 4
+_AT = (*THRUST_NAMES, *STATE_NAMES[:_AXES])
+"""The signal at which each loop of `LOOP_NAMES` is broken."""
+
+
+def loop_system(
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    loop: str,
+    *,
+    cruise: float,
+    dt: float,
+    model: Vehicle | None = None,
+    delay: float | None = None,
+) -> Any:
+    """`control.StateSpace` of one loop L(s) under negative feedback, all other loops closed; `loop_margins` judges it.
+
+    `control.margin(L)`, `control.disk_margins(L, omega)` and `control.root_locus(L)` work on it. Its Padé delay makes
+    it meaningless beyond the Nyquist frequency π/dt, where `surctl verify` does not look.
+
+    Args:
+        vehicle: the plant.
+        gains: as `build_cascade`.
+        loop: one of `LOOP_NAMES`: surge, sway, heave, yaw are broken at the thrust command; along_track, cross_track,
+            depth, heading at the measured x_e, y_e, z_e [m], ψ [rad].
+        cruise: U [m/s].
+        dt: control period [s].
+        model: what the controller believes the vehicle to be; default the vehicle itself.
+        delay: loop delay [s], third-order Padé; default 1.5 dt, 0 for none.
+
+    Returns:
+        One input, the signal that enters behind the break, and one output, what comes back, in the same unit. Its
+        states are those that the loop touches: surge and heave are apart from sway and yaw.
+
+    Raises:
+        InputError: an unknown loop, or as `build_cascade`.
+    """
+    at = _place(loop)
+    cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=delay)
+    A, b, c = cascade.at_thrust(at) if at < _AXES else cascade.at_output(at - _AXES)
+    return _only_loop(A, b, c, _states(vehicle, cascade), at)
+
+
+def open_system(
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    place: str,
+    *,
+    cruise: float,
+    dt: float,
+    model: Vehicle | None = None,
+    delay: float | None = None,
+) -> Any:
+    """`control.StateSpace` L(s) of all loops opened at once under negative feedback; `disk_margin` judges it.
+
+    Args:
+        vehicle, gains, cruise, dt, model, delay: as `loop_system`.
+        place: one of `DISK_PLACES`: thrust (4 channels), measurement (4), both (8).
+
+    Raises:
+        InputError: an unknown place, or as `build_cascade`.
+    """
+    cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=delay)
+    found = open_loop(cascade, place)
+    places = {"thrust": range(4), "measurement": range(4, 8), "both": range(8)}[place]
+    return _system(found.A, found.B, found.C, found.D, _states(vehicle, cascade), _broken(places), name=place)
+
+
+def closed_system(
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    *,
+    cruise: float,
+    dt: float,
+    model: Vehicle | None = None,
+    delay: float | None = None,
+) -> Any:
+    """`control.StateSpace` of the closed loop about straight cruise.
+
+    Its inputs are a wanted pose x_ref, y_ref, z_ref [m], psi_ref [rad], read where the pose is measured, and a
+    disturbance Fu_dist, Fv_dist, Fw_dist [N], Fr_dist [N m] that joins the thrust command. Its outputs are the
+    deviations from the cruise: x, y, z [m], psi [rad], u, v, w [m/s], r [rad/s]. The other arguments are those of
+    `loop_system`.
+
+    Raises:
+        InputError: as `build_cascade`.
+    """
+    import control  # seconds to import: only when asked for
+
+    cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=delay)
+    enter = np.hstack([cascade.B @ cascade.K[:, :_AXES], cascade.B[:, :_AXES]])
+    pose = [f"{name}_ref [{unit}]" for name, unit in zip(STATE_NAMES[:4], ("m", "m", "m", "rad"), strict=True)]
+    push = [f"{name}_dist [{unit}]" for name, unit in zip(STATE_NAMES[8:], ("N", "N", "N", "N m"), strict=True)]
+    return control.ss(
+        cascade.closed,
+        enter,
+        cascade.C[:8],
+        np.zeros((8, 8)),
+        states=_states(vehicle, cascade),
+        inputs=pose + push,
+        outputs=labelled(STATE_NAMES[:8]),
+        name=f"{vehicle.name} closed",
+    )
+
+
+def sampled_loop_system(
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    loop: str,
+    *,
+    cruise: float,
+    period: float,
+    delay: int = 0,
+    model: Vehicle | None = None,
+) -> Any:
+    """Discrete-time `control.StateSpace` L(z) of one loop as it is sampled, exact; see `sampled_poles`.
+
+    Thrust is held over a period and acts `delay` whole periods after the measurement. All other loops are closed.
+
+    Args:
+        vehicle, gains, loop, cruise, model: as `loop_system`.
+        period: T [s]; the system's `dt`.
+        delay: whole periods, at least 0.
+
+    Raises:
+        InputError: an unknown loop, a delay that is no whole number, or as `build_cascade`.
+    """
+    at = _place(loop)
+    check_delay(delay)
+    cascade = build_cascade(vehicle, gains, cruise=cruise, dt=period, model=model, delay=0.0)
+    rest, enter, law = open_transition(cascade, period, delay)
+    states = _states(vehicle, cascade) + [f"{n}_{k}" for k in range(1, delay + 1) for n in labelled(THRUST_NAMES)]
+    if at < _AXES:
+        b, c = enter[:, [at]], -law[[at]]
+        A = rest + enter @ law + b @ c
+    else:
+        c = np.zeros((1, len(rest)))
+        c[:, : cascade.C.shape[1]] = cascade.C[at - _AXES]
+        deaf = cascade.K.copy()
+        deaf[:, at - _AXES] = 0.0
+        rest_deaf, _, law_deaf = open_transition(replace(cascade, K=deaf), period, delay)
+        A = rest_deaf + enter @ law_deaf
+        b = (A - rest - enter @ law) @ c.T  # the measurement is one of the states
+    return _only_loop(A, b, c, states, at, dt=period)
+
+
+def _place(loop: str) -> int:
+    if loop not in LOOP_NAMES:
+        raise InputError("no such loop", key="loop", value=loop, remedy=nearest(loop, LOOP_NAMES))
+    return LOOP_NAMES.index(loop)
+
+
+def _broken(places: Sequence[int]) -> list[str]:
+    return labelled([_AT[k] for k in places])
+
+
+def _states(vehicle: Vehicle, cascade: Cascade) -> list[str]:
+    """Plant, delay states, ξ."""
+    plant = labelled(STATE_NAMES[: 12 if vehicle["thrust_lag"] > 0 else 8])
+    inner = [f"xi_{name}" for name in LOOP_NAMES[: cascade.K.shape[0] - _AXES]]
+    lags = cascade.A.shape[0] - len(plant) - len(inner)
+    late = [f"{name}_delay_{k}" for name in THRUST_NAMES for k in range(1, lags // _AXES + 1)]
+    return plant + late + inner
+
+
+def _only_loop(
+    A: NDArray[np.float64],
+    b: NDArray[np.float64],
+    c: NDArray[np.float64],
+    states: list[str],
+    at: int,
+    *,
+    dt: float = 0.0,
+) -> Any:
+    """One loop on the states that it touches: those of other axes would only cancel, and cost accuracy."""
+    block = next(k for k in state_blocks((A - b @ c)[None]) if np.any(b[k] != 0))
+    A, b, c = A[np.ix_(block, block)], b[block], c[:, block]
+    return _system(A, b, c, np.zeros((1, 1)), [states[k] for k in block], _broken([at]), name=LOOP_NAMES[at], dt=dt)
+
+
+def _system(
+    A: NDArray[np.float64],
+    B: NDArray[np.float64],
+    C: NDArray[np.float64],
+    D: NDArray[np.float64],
+    states: list[str],
+    broken: list[str],
+    *,
+    name: str,
+    dt: float = 0.0,
+) -> Any:
+    import control  # seconds to import: only when asked for
+
+    back = [f"{signal} back" for signal in broken]
+    return control.ss(A, B, C, D, dt, states=states, inputs=broken, outputs=back, name=f"loop {name}")

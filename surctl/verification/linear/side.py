@@ -1,0 +1,176 @@
+"""The linear side of a verification in one object: what a report, a table and JSON show beside the nonlinear claims."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.vehicle import Vehicle
+from surctl.vehicle.dynamics import trim_thrust
+from surctl.verification.cascade import Cascade, build_cascade
+from surctl.verification.linear.corners import Corners
+from surctl.verification.linear.disk import DiskMargin, disk_margin, screened_peak
+from surctl.verification.linear.places import DISK_PLACES, open_loop
+from surctl.verification.linear.sampled import SampledLimits, sampled_limits
+
+__all__ = ["LinearSide", "Pole", "linear_side", "worst_linear_side"]
+
+
+@dataclass(frozen=True)
+class Pole:
+    """One closed-loop pole of the loop with its delay; of a pair, the one above.
+
+    Attributes:
+        real, imaginary: [rad/s].
+        natural_rad_s: |s|.
+        damping: −real/|s|.
+    """
+
+    real: float
+    imaginary: float
+    natural_rad_s: float
+    damping: float
+
+
+@dataclass(frozen=True)
+class LinearSide:
+    """Loops together, poles and sampling about straight cruise.
+
+    Attributes:
+        of: which vehicles: the nominal one, or the worst of corners.
+        disks: disk margins at `DISK_PLACES`; over corners, the least of each.
+        poles: of the nominal vehicle, slowest first; poles of the approximated delay are among them.
+        slowest_per_s: largest real part of a pole [1/s]; over corners, the largest.
+        least_damping: least damping ratio of the poles; over corners, the least.
+        sampled: the loop as it is sampled; over corners, the least of each entry and the largest radius.
+    """
+
+    of: str
+    disks: tuple[DiskMargin, ...]
+    poles: tuple[Pole, ...]
+    slowest_per_s: float
+    least_damping: float
+    sampled: SampledLimits
+
+    @property
+    def stable(self) -> bool:
+        """Whether all vehicles are, with the approximated delay and as sampled with one period of delay."""
+        return all(d.stable for d in self.disks) and self.sampled.radius < 1
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data; infinite periods stay inf."""
+        return {
+            "of": self.of,
+            "stable": self.stable,
+            "disk_margins": [d.to_dict() for d in self.disks],
+            "poles": [vars(p) for p in self.poles],
+            "slowest_per_s": self.slowest_per_s,
+            "least_damping": self.least_damping,
+            "sampled": self.sampled.to_dict(),
+        }
+
+    def lines(self) -> list[str]:
+        """What to print."""
+        if not self.stable:
+            return [f"linear, {self.of}: UNSTABLE"]
+        disks = ", ".join(f"{d.guaranteed:.2f} ({d.place})" for d in self.disks)
+        none, one, two = (_seconds(t) for t in self.sampled.largest_period_s)
+        return [
+            f"linear, {self.of}:",
+            f"  disk margin of all loops at once: {disks}; slowest pole {self.slowest_per_s:.3g} 1/s, least damping "
+            f"{self.least_damping:.2f}",
+            f"  sampled: stable up to a period of {none}, {one} with one period of delay, {two} with two; "
+            f"{self.sampled.delay_periods} periods of delay are borne at {self.sampled.period_s:g} s",
+        ]
+
+
+def linear_side(
+    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle | None = None
+) -> LinearSide:
+    """The linear side of one vehicle; the arguments of `loop_margins`.
+
+    Raises:
+        InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed.
+    """
+    delayed, plain = (_built(vehicle, gains, cruise, dt, model, delay) for delay in (None, 0.0))
+    poles = _poles(delayed.poles)
+    return LinearSide(
+        of=f"{vehicle.name} as stated",
+        disks=tuple(disk_margin(open_loop(delayed, place), place) for place in DISK_PLACES),
+        poles=poles,
+        slowest_per_s=float(delayed.poles[0].real),
+        least_damping=min(p.damping for p in poles),
+        sampled=sampled_limits(plain, dt),
+    )
+
+
+def worst_linear_side(
+    tried: Corners, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle | None = None
+) -> LinearSide:
+    """The worst of each figure over several vehicles, while the controller believes the first one (or `model`).
+
+    Which one has the least disk margin is judged on a coarse grid of frequencies. Vehicles that cannot hold the
+    cruise speed have no straight cruise to linearise about: they are counted in `of` and left out.
+
+    Raises:
+        InputError: as `linear_side`, or none of the vehicles can cruise at that speed.
+    """
+    believed = model or tried.vehicles[0]
+    able = [v for v in tried.vehicles if _can_cruise(v, cruise)]
+    unable = len(tried.vehicles) - len(able)
+    if not able:
+        raise InputError("is beyond the thrust of every one", key="cruise", value=cruise, remedy="go slower")
+    flown = [(_built(v, gains, cruise, dt, believed, None), _built(v, gains, cruise, dt, believed, 0.0)) for v in able]
+    disks = []
+    for place in DISK_PLACES:
+        peaks = [screened_peak(open_loop(delayed, place)) for delayed, _ in flown]
+        disks.append(disk_margin(open_loop(flown[int(np.argmax(peaks))][0], place), place))
+    every = [_poles(delayed.poles) for delayed, _ in flown]
+    beyond = f"; {unable} of them cannot hold {cruise:g} m/s with their thrust" if unable else ""
+    return LinearSide(
+        of=f"{believed.name}, worst of {tried.text}{beyond}",
+        disks=tuple(disks),
+        poles=every[0],
+        slowest_per_s=max(float(delayed.poles[0].real) for delayed, _ in flown),
+        least_damping=min(p.damping for poles in every for p in poles),
+        sampled=_least_sampled([sampled_limits(plain, dt) for _, plain in flown]),
+    )
+
+
+def _built(
+    vehicle: Vehicle, gains: Mapping[str, float], cruise: float, dt: float, model: Vehicle | None, delay: float | None
+) -> Cascade:
+    return build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=delay)
+
+
+def _can_cruise(vehicle: Vehicle, cruise: float) -> bool:
+    tau = trim_thrust(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
+    return bool(np.all(np.abs(tau) < vehicle.thrust_limit))
+
+
+def _least_sampled(limits: Sequence[SampledLimits]) -> SampledLimits:
+    one, two, three = (min(s.largest_period_s[k] for s in limits) for k in range(3))
+    return SampledLimits(
+        limits[0].period_s,
+        max(s.radius for s in limits),
+        (one, two, three),
+        min(s.delay_periods for s in limits),
+    )
+
+
+def _poles(found: NDArray[np.complex128]) -> tuple[Pole, ...]:
+    """One of each pair."""
+    return tuple(
+        Pole(float(s.real), float(s.imag), float(abs(s)), float(-s.real / abs(s)) if s != 0 else 1.0)
+        for s in found
+        if s.imag >= 0
+    )
+
+
+def _seconds(period: float) -> str:
+    return f"{period:.2f} s" if np.isfinite(period) else "20 s and more"

@@ -1,0 +1,83 @@
+"""How much of what can be certified is certified: the falsifier's level and the one at which a thrust limit binds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.verification.region.rates import DRAWS, Loop
+
+__all__ = ["LevelRatios", "level_ratios"]
+
+Array = NDArray[np.float64]
+
+_LEVELS = np.geomspace(0.01, 100, 120)
+_DRAWN, _KEPT, _STEPS, _HALVINGS = 10_000, 300, 40, 10
+
+
+class LevelRatios(NamedTuple):
+    """Certified level over the least level at which V̇ > −a V was found, and over that at which thrust binds."""
+
+    falsifier: float
+    thrust: float
+
+    @property
+    def sentence(self) -> str:
+        """Both in words."""
+        return f"level {self.falsifier:.2f} of the falsifier's, {self.thrust:.2f} of where thrust first binds"
+
+
+def level_ratios(loop: Loop, P: Array, wanted: float, *, seed: int = 0) -> LevelRatios:
+    """The ratios of V ≤ 1 for V = ξᵀPξ and the rate a = wanted, as far as a search of chance steps finds them.
+
+    The search can miss: the ratio to the falsifier is at least what it says.
+    """
+
+    def lost(at: Array, draws: Array, level: Array) -> Array:
+        return np.asarray(2 * np.einsum("ni,ij,nj->n", at, P, loop(at, draws)[0]) > -wanted * level)
+
+    def bound(at: Array, draws: Array, level: Array) -> Array:
+        return np.asarray(loop(at, draws)[1] > 1)
+
+    # a certified region is lost nowhere inside
+    return LevelRatios(*(1 / _least(test, P, low, seed) for test, low in ((lost, 1.0), (bound, 0.0))))
+
+
+def _least(test: Callable[[Array, Array, Array], Array], P: Array, low: float, seed: int) -> float:
+    """The least level above `low` at which the test is met: drawn directions and vehicles, the best improved."""
+    draw, size = np.random.default_rng(seed), len(P)
+    root, levels = np.linalg.inv(np.linalg.cholesky(P)), np.array([level for level in _LEVELS if level >= low])
+
+    def least(unit: Array, draws: Array) -> Array:
+        xi, found = unit / np.linalg.norm(unit, axis=1, keepdims=True) @ root, np.full(len(unit), np.inf)
+        for level in levels[::-1]:
+            met = test(xi * np.sqrt(level), draws, np.full(len(xi), level))
+            found = np.where(met, level, found)
+        return found
+
+    unit, draws = draw.normal(size=(_DRAWN, size)), draw.uniform(size=(_DRAWN, DRAWS))
+    draws = np.where(draw.uniform(size=draws.shape) < 0.6, np.round(draws), draws)
+    draws[:, 5] = draw.uniform(size=len(draws))  # a heading has no ends
+    level = least(unit, draws)
+    kept = np.argsort(level)[:_KEPT]
+    unit, draws, level = unit[kept], draws[kept], level[kept]
+    for step in np.geomspace(0.3, 0.01, _STEPS):
+        unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+        moved = unit + draw.normal(scale=step, size=unit.shape)
+        other = np.where(draw.uniform(size=draws.shape) < 0.1, np.round(draw.uniform(size=draws.shape)), draws)
+        other[:, 5] = (draws[:, 5] + draw.normal(scale=step / 5, size=len(draws))) % 1
+        now = least(moved, other)
+        better = now <= level
+        unit[better], draws[better], level[better] = moved[better], other[better], now[better]
+    if not np.isfinite(level).any():
+        return np.inf
+    unit, draws, level = (each[np.isfinite(level)] for each in (unit, draws, level))
+    below = level * _LEVELS[0] / _LEVELS[1]
+    for _ in range(_HALVINGS):  # the grid is too coarse for a ratio to two digits
+        middle = np.sqrt(np.maximum(below, low) * level)
+        met = test(unit / np.linalg.norm(unit, axis=1, keepdims=True) @ root * np.sqrt(middle)[:, None], draws, middle)
+        below, level = np.where(met, below, middle), np.where(met, middle, level)
+    return float(level.min())

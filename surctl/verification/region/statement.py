@@ -1,0 +1,144 @@
+"""Region claims as TOML: which loop, what is uncertain, how fast; the vehicle and the gains come when it is proved."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, StrictBool, StrictFloat, StrictInt, StrictStr
+
+from surctl.control import Gains
+from surctl.errors import InputError
+from surctl.files import Strict, load_model, quoted
+from surctl.vehicle import Vehicle
+from surctl.verification.region.claim import RegionClaim, region_claim
+from surctl.verification.region.heading import HEADING_GAINS, HeadingClaim, heading_claim
+
+__all__ = ["RegionStatement", "load_region", "write_region"]
+
+_HEADING_KNOWS = frozenset(
+    {"kind", "name", "statement", "loop", "share", "ranges", "thrust_share", "rate_per_s", "gains", "attempts", "cells"}
+)
+
+
+class RegionStatement(Strict):
+    """A region claim without its vehicle and gains; SI units.
+
+    Attributes:
+        kind: of the file.
+        name: of the claim.
+        statement: in words.
+        loop: `cruise`, the law that flies, or `heading`, the loop of 8 states with gains of its own.
+        share: by which mass and drag (`heading`: every number) may be off.
+        ranges: whether the ranges of the vehicle file take the place of `share`.
+        thrust_share: by which the thrust limits may be lower.
+        asymmetry: largest difference of surge's and sway's true drag, as a share.
+        sampled, lagged: whether the control period, and the vehicle's thrust lag, are in the claim.
+        yaw_rate_rad_per_s: largest turn rate.
+        spinning: whether the gain `spin` takes the place of `yaw_rate_rad_per_s`.
+        cruise_m_per_s, cap_m_per_s: speed of the path's target, largest commanded speed.
+        rate_per_s: a of V̇ ≤ −a V.
+        current_m_per_s: largest steady current.
+        force_n: largest force of waves and thrust errors, changing as it likes.
+        place_error_m, velocity_error_m_per_s: of what is measured, changing as they like.
+        gains: in the place of the gain file's.
+        attempts: effort of the search: starts (`heading`: rounds).
+        cells: of `heading`, most cells of a proof.
+    """
+
+    kind: Literal["region"] = "region"
+    name: StrictStr = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,59}$")
+    statement: StrictStr = ""
+    loop: Literal["cruise", "heading"] = "cruise"
+    share: StrictFloat = Field(default=0.2, ge=0, lt=1)
+    ranges: StrictBool = False
+    thrust_share: StrictFloat = Field(default=0.0, ge=0, lt=1)
+    asymmetry: StrictFloat = Field(default=0.05, ge=0, le=2)
+    sampled: StrictBool = False
+    lagged: StrictBool = False
+    yaw_rate_rad_per_s: StrictFloat = Field(default=0.5, ge=0)
+    spinning: StrictBool = False
+    cruise_m_per_s: StrictFloat = Field(default=0.15, gt=0)
+    cap_m_per_s: StrictFloat = Field(default=0.22, gt=0)
+    rate_per_s: StrictFloat = Field(default=0.05, gt=0)
+    current_m_per_s: StrictFloat = Field(default=0.0, ge=0)
+    force_n: StrictFloat = Field(default=0.0, ge=0)
+    place_error_m: StrictFloat = Field(default=0.0, ge=0)
+    velocity_error_m_per_s: StrictFloat = Field(default=0.0, ge=0)
+    gains: dict[str, StrictFloat] = Field(default_factory=dict)
+    attempts: StrictInt = Field(default=80, ge=1)
+    cells: StrictInt = Field(default=1500, ge=1)
+
+    def claim(self, vehicle: Vehicle, gains: Gains) -> RegionClaim | HeadingClaim:
+        """The claim about this vehicle and these gains.
+
+        Raises:
+            InputError: a vehicle or gain that it does not fit, or a key that the heading-steered loop does not know.
+        """
+        share = None if self.ranges else self.share
+        if self.loop == "heading":
+            return self._heading(vehicle, share)
+        flown = replace(gains, source="").with_values(self.gains)  # a wrong one is not the gain file's
+        turn = flown["spin"] if self.spinning else self.yaw_rate_rad_per_s
+        return region_claim(
+            self.name, vehicle, flown, share=share, thrust_share=self.thrust_share, asymmetry=self.asymmetry,
+            sampled=self.sampled, lagged=self.lagged, yaw_rate=turn, cruise=self.cruise_m_per_s, cap=self.cap_m_per_s,
+            rate=self.rate_per_s, current=self.current_m_per_s, force=self.force_n, place_error=self.place_error_m,
+            velocity_error=self.velocity_error_m_per_s,
+        )  # fmt: skip
+
+    def _heading(self, vehicle: Vehicle, share: float | None) -> HeadingClaim:
+        for key in sorted(self.model_fields_set - _HEADING_KNOWS):
+            if getattr(self, key) != type(self).model_fields[key].default:
+                raise InputError(
+                    "is not known of the heading-steered loop", key=key, value=getattr(self, key), remedy="leave it out"
+                )
+        for key in sorted(set(self.gains) - set(HEADING_GAINS)):
+            remedy = f"known: {', '.join(HEADING_GAINS)}"
+            raise InputError("is no gain of the heading-steered loop", key=f"gains.{key}", remedy=remedy)
+        for key, value in self.gains.items():
+            if not value > 0:
+                raise InputError("must be greater than 0", key=f"gains.{key}", value=value, remedy="correct it")
+        own = {**HEADING_GAINS, **self.gains}
+        return heading_claim(
+            self.name, vehicle, share=share, thrust_share=self.thrust_share, rate=self.rate_per_s, gains=own
+        )
+
+
+def load_region(path: Path) -> RegionStatement:
+    """A region claim from a TOML file.
+
+    ::
+
+        kind = "region"
+        name = "my-region"
+        share = 0.3                # mass and drag may be off by ±30 %; or ranges = true, those of the vehicle file
+        force_n = 0.2              # of waves and thrust errors
+        rate_per_s = 0.01
+        [gains]                    # in the place of the gain file's
+        k_v = 0.5
+
+    Every key is an attribute of `RegionStatement`; what is left out is as stated there.
+
+    Raises:
+        InputError: naming file, key, value and the remedy.
+    """
+    return load_model(path, RegionStatement)
+
+
+def write_region(statement: RegionStatement) -> str:
+    """The statement as the text of such a file, every key; `load_region` reads it back as the same."""
+
+    def told(value: object) -> str:
+        if isinstance(value, bool):
+            return str(value).lower()
+        return quoted(value) if isinstance(value, str) else repr(value)
+
+    plain = {key: value for key, value in statement.model_dump().items() if key != "gains"}
+    if statement.loop == "heading":
+        plain = {key: value for key, value in plain.items() if key in _HEADING_KNOWS}
+    lines = [f"{key} = {told(value)}" for key, value in plain.items()]
+    if statement.gains:
+        lines += ["", "[gains]", *(f"{key} = {value!r}" for key, value in statement.gains.items())]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,114 @@
+"""The blocks M_ij = J_i N_1 ⋯ N_{j−1} J_j⁺ of a stack's error dynamics over a region, from samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.priority.diagnosis.angles import outside_sines, projector_above
+from surctl.priority.diagnosis.commutator import directions
+from surctl.priority.diagnosis.field import build_field
+from surctl.priority.diagnosis.region import Region
+from surctl.priority.diagnosis.structure import commuting_levels, orthogonal_pairs
+from surctl.tasks import Stack
+
+__all__ = ["Coupling", "comparison_converges", "couplings"]
+
+Array = NDArray[np.float64]
+
+_ZERO = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """How the tasks of a stack act on each other's errors.
+
+    Attributes:
+        own: (n,) least eigenvalue of the symmetric part of M_ii over the samples.
+        sine: (n,) least product of sines between a task and all above it together.
+        worst: states of that.
+        most: (n, n) largest ‖M_ij‖ off the diagonal.
+        commuting: levels whose projector commutes as an expression.
+        orthogonal: pairs (i, j), i < j, that are orthogonal as expressions.
+    """
+
+    own: tuple[float, ...]
+    sine: tuple[float, ...]
+    worst: tuple[dict[str, float], ...]
+    most: Array
+    commuting: tuple[bool, ...]
+    orthogonal: frozenset[tuple[int, int]]
+
+    @property
+    def exact(self) -> bool:
+        """Whether no lower task disturbs a higher one by identity."""
+        return all(self.commuting)
+
+    @property
+    def triangular(self) -> bool:
+        """Whether none does, on the samples at least."""
+        return not any(self.from_below(i) for i in range(len(self.own)))
+
+    @property
+    def small_gain(self) -> bool:
+        """Whether the comparison matrix is a non-singular M-matrix."""
+        return comparison_converges(np.array(self.own), self.most)
+
+    def from_below(self, i: int) -> dict[int, float]:
+        """Lower tasks that disturb task i, with the size of it."""
+        if self.exact:
+            return {}
+        return {j: float(self.most[i, j]) for j in range(i + 1, len(self.own)) if self.most[i, j] > _ZERO}
+
+    def untouched_below(self, i: int) -> bool:
+        """Whether by identity no lower task disturbs task i: all projectors commute, or all below it are orthogonal
+        to everything before them; nothing disturbs the first."""
+        apart = ((a, b) in self.orthogonal for b in range(i + 1, len(self.own)) for a in range(b))
+        return self.exact or i == 0 or all(apart)
+
+    def commuting_above(self, i: int) -> bool:
+        """Whether N_1 ⋯ N_{i−1} is one projector by identity: then M_ii has the squared sines as eigenvalues."""
+        return all(self.commuting[:i])
+
+
+def comparison_converges(own: Array, most: Array) -> bool:
+    """Whether diag(own) − most (off the diagonal) is a non-singular M-matrix: all leading minors positive."""
+    matrix = np.diag(own) - most * (1 - np.eye(len(own)))
+    return all(np.linalg.det(matrix[:k, :k]) > 1e-12 for k in range(1, len(own) + 1))
+
+
+def couplings(stack: Stack, region: Region, *, samples: int, seed: int) -> Coupling:
+    """The coupling of a stack over a region.
+
+    Args:
+        stack: tasks with one reference each.
+        region: made for it.
+        samples: number of samples.
+        seed: of the samples.
+    """
+    field = build_field(stack, region)
+    points = region.place(region.sample(samples, seed))
+    values = field.at(points)
+    J, count = values.jacobians, len(stack.tasks)
+    plus = [np.linalg.pinv(j, rcond=1e-9) for j in J]
+    reach = np.tile(np.eye(4), (len(points), 1, 1))  # N_1 ⋯ N_{j−1}
+    own, most = np.zeros(count), np.zeros((count, count))
+    sine, worst = [], []
+    for j in range(count):
+        arm = reach @ plus[j]
+        for i in range(count):
+            block = J[i] @ arm
+            if i == j:
+                own[i] = np.linalg.eigvalsh((block + block.swapaxes(1, 2)) / 2).min()
+            else:
+                most[i, j] = np.linalg.norm(block, 2, axis=(1, 2)).max()
+        product = outside_sines(directions(J[j]), projector_above(values, j))[:, : stack.tasks[j].size].prod(axis=1)
+        sine.append(float(product.min()))
+        worst.append(region.pose(points[int(product.argmin())]))
+        reach = reach @ (np.eye(4) - plus[j] @ J[j])
+    return Coupling(
+        tuple(map(float, own)), tuple(sine), tuple(worst), most, commuting_levels(stack),
+        frozenset(orthogonal_pairs(stack)),
+    )  # fmt: skip

@@ -1,0 +1,59 @@
+"""The stacks that the shipped laws solve, with everything that they are told as parameters of a region."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+
+from surctl.errors import InputError, nearest
+from surctl.priority.diagnosis.region import Bounds, Parameter
+from surctl.tasks import Stack, clearance_task, depth_task, heading_task, velocity_task
+
+__all__ = ["SHIPPED_STACKS", "ShippedStack", "shipped_stack"]
+
+SHIPPED_STACKS: Mapping[str, str] = {
+    "guarded": "velocity, depth, heading; obstacles and walls are rows of the priority problem, not tasks",
+    "paper": "four sensor sub-tasks (17) by urgency, velocity, depth, heading",
+}
+
+_REGION: Bounds = ([-0.2, -0.2, -1.0, -3.1], [0.2, 0.2, 0.0, 3.1])
+_ECHOES = {
+    "ahead": ([1.0, -1.0], [3.0, 1.0]),
+    "left": ([-1.0, 1.0], [1.0, 3.0]),
+    "behind": ([-3.0, -1.0], [-1.0, 1.0]),
+    "right": ([-1.0, -3.0], [1.0, -1.0]),
+}
+"""Where the echo of each quadrant lies [m]: on its own side of the robot, up to 3 m away."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShippedStack:
+    """A stack with the region of η and the parameters that it is looked at over."""
+
+    stack: Stack
+    region: Bounds
+    parameters: tuple[Parameter, ...]
+
+
+def shipped_stack(name: str) -> ShippedStack:
+    """The stack of a shipped law, by the law's name.
+
+    Gains and targets do not touch the Jacobians: they are 1 and within the region. The robot is near the origin, with
+    one echo in each quadrant; by urgency they may come in any order, which pairs do not depend on.
+
+    Raises:
+        InputError: an unknown name.
+    """
+    if name not in SHIPPED_STACKS:
+        raise InputError("has no such stack", key="stack", value=name, remedy=nearest(name, SHIPPED_STACKS))
+    eta, wish = ca.SX.sym("eta", 4), ca.SX.sym("wish", 2)
+    lower = (velocity_task(eta, wish), depth_task(eta, -0.5), heading_task(eta, 0.0))
+    parameters: list[Parameter] = [(wish, -0.25, 0.25)]
+    above = []
+    for side, (low, high) in _ECHOES.items() if name == "paper" else ():
+        echo = ca.SX.sym(f"echo_{side}", 2)
+        above.append(clearance_task(eta, echo, margin=0.3, name=side))
+        parameters.append((echo, low, high))
+    return ShippedStack(Stack((*above, *lower)), _REGION, tuple(parameters))

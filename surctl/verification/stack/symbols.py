@@ -1,0 +1,43 @@
+"""What the expressions of a task say without numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import casadi as ca
+
+from surctl.priority.diagnosis.region import Region
+from surctl.priority.diagnosis.structure import world_jacobians
+from surctl.tasks import SetTask, Stack, Task
+
+if TYPE_CHECKING:
+    from surctl.verification.stack.conditions import PairCondition
+
+__all__ = ["gains_are_equal", "gram_is_constant", "names_in", "orthogonal_above"]
+
+
+def names_in(region: Region, task: Task | SetTask) -> set[str]:
+    """Variables of the region that the task's σ depends on."""
+    return {name for k, name in enumerate(region.names) if ca.depends_on(task.sigma, region.symbols[k])}
+
+
+def orthogonal_above(above: Sequence[PairCondition]) -> bool:
+    """Whether a task is orthogonal to every one above it, given its pairs with them."""
+    return all(pair.kind == "orthogonal" for pair in above)
+
+
+def gram_is_constant(stack: Stack, i: int) -> bool:
+    """Whether J_i J_iᵀ is a number, or one number: then V = σ̃ᵀ(JJᵀ)⁻¹σ̃ falls where the eigenvalues say."""
+    A = world_jacobians(stack)[i]
+    return bool(A.shape[0] == 1 or ca.simplify(A @ A.T).is_constant())
+
+
+def gains_are_equal(stack: Stack, i: int) -> bool:
+    """Whether the task has one gain for all its rows, which does not depend on the state."""
+    task = stack.tasks[i]
+    if not isinstance(task, Task):
+        return False
+    gain = ca.SX(task.gain)
+    same = all(ca.is_equal(gain[k], gain[0], 4) for k in range(gain.numel()))
+    return bool(same and not ca.depends_on(gain, stack.eta))

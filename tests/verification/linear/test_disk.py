@@ -1,0 +1,127 @@
+import control
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.vehicle import load_vehicle
+from surctl.verification import build_cascade, loop_margins
+from surctl.verification.linear import DISK_PLACES, OpenLoop, disk_margin, open_loop, structured_bounds
+
+GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
+VEHICLE = load_vehicle("sur540-flooded")
+CASCADE = build_cascade(VEHICLE, GAINS, cruise=0.15, dt=0.05)
+
+
+def of(system: control.StateSpace) -> OpenLoop:
+    return OpenLoop(*(np.asarray(m, dtype=float) for m in (system.A, system.B, system.C, system.D)))
+
+
+def satellite() -> OpenLoop:
+    # Packard, Doyle: the spinning satellite, plant and controller; every single loop has the margin of an integrator
+    plant = control.ss([[0, 10], [-10, 0]], np.eye(2), [[1, 10], [-10, 1]], np.zeros((2, 2)))
+    return of(plant * control.ss([], [], [], [[1, -2], [0, 1]]))
+
+
+def random_matrix(q: int, seed: int) -> NDArray[np.complex128]:
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(q, q)) + 1j * rng.normal(size=(q, q))
+
+
+def test_one_channel_has_the_margin_of_python_control() -> None:
+    loop = control.tf([4.0], [1.0, 3.0, 3.0, 1.0])
+    found = disk_margin(of(control.ss(loop)))
+    expected, gain, phase = control.disk_margins(loop, np.geomspace(1e-2, 1e2, 20_001))
+    assert found.reached == pytest.approx(expected, rel=1e-4)
+    assert found.guaranteed == pytest.approx(expected, rel=3e-3) and found.guaranteed < expected
+    assert found.phase_deg == pytest.approx(phase, rel=3e-3)
+    assert 20 * np.log10(found.gain[1]) == pytest.approx(gain, rel=3e-3)
+
+
+def test_loops_that_do_not_touch_have_the_least_of_theirs() -> None:
+    one, other = (control.ss(control.tf([k], [1.0, 3.0, 3.0, 1.0])) for k in (2.0, 5.0))
+    both = disk_margin(of(control.append(one, other)))
+    assert both.reached == pytest.approx(disk_margin(of(other)).reached, rel=1e-6)
+
+
+def test_the_satellite_bears_far_less_in_all_loops_than_in_each() -> None:
+    loop = satellite()
+    together = disk_margin(loop)
+    each = []
+    for k in range(2):
+        rest = [j for j in range(2) if j != k]
+        inner = loop.A - loop.B[:, rest] @ loop.C[rest]
+        each.append(disk_margin(OpenLoop(inner, loop.B[:, [k]], loop.C[[k]], np.zeros((1, 1)))).reached)
+    assert together.reached < 0.5 * min(each)
+
+
+@pytest.mark.parametrize("place", DISK_PLACES)
+def test_the_perturbation_that_is_found_destabilises_and_none_smaller_by_the_bound_does(place: str) -> None:
+    loop = open_loop(CASCADE, place)
+    found = disk_margin(loop, place)
+    q = len(loop.D)
+    assert found.stable and found.guaranteed <= found.reached <= 1.01 * found.guaranteed
+    L = loop.response(np.array([found.frequency_rad_s]))[0]
+    S, T = np.linalg.inv(np.eye(q) + L), L @ np.linalg.inv(np.eye(q) + L)
+    delta = structured_bounds((S - T) / 2)[2]
+    assert np.max(np.abs(delta)) == pytest.approx(found.reached, rel=1e-6)
+    factors = np.diag((2 + delta) / (2 - delta))
+    assert np.min(np.linalg.svd(np.eye(q) + factors @ L)[1]) < 1e-6  # a pole on the axis
+
+
+def test_no_gains_inside_the_margin_destabilise() -> None:
+    low, high = disk_margin(open_loop(CASCADE, "both"), "both").gain
+    rng = np.random.default_rng(5)
+    loop = open_loop(CASCADE, "both")
+    draws = np.exp(rng.uniform(np.log(low), np.log(high), size=(200, 8)))
+    draws[:100] = np.where(rng.uniform(size=(100, 8)) < 0.5, low, high)
+    for factors in draws:
+        scaled = OpenLoop(loop.A, loop.B, factors[:, None] * loop.C, factors[:, None] * loop.D)
+        assert np.linalg.eigvals(scaled.complementary().A).real.max() < 0
+
+
+def test_all_thrusts_at_once_bear_no_more_than_the_worst_of_them() -> None:
+    margins = loop_margins(VEHICLE, GAINS, cruise=0.15, dt=0.05)
+    for place, names in (("thrust", margins[:4]), ("measurement", margins[4:])):
+        assert disk_margin(open_loop(CASCADE, place), place).guaranteed <= min(m.disk_margin for m in names)
+
+
+def test_a_peak_between_the_points_of_the_grid_is_not_missed() -> None:
+    # a resonance of 1e-6 relative width, far below the spacing of any grid, right where the loop is small
+    narrow = control.tf([2e-6 * 7.3, 0], [1, 2e-6 * 7.3, 7.3**2])
+    loop = control.ss(control.tf([0.2], [1, 1])) - 0.8 * control.ss(narrow)
+    found = disk_margin(of(loop))
+    exact, _, _ = control.disk_margins(loop, np.linspace(7.3 * (1 - 5e-6), 7.3 * (1 + 5e-6), 4001))
+    assert found.guaranteed <= exact * (1 + 1e-6)
+    assert found.guaranteed == pytest.approx(exact, rel=0.02)
+
+
+@pytest.mark.parametrize(("q", "seed"), [(2, 1), (3, 2), (3, 3)])
+def test_the_bounds_meet_up_to_three_channels(q: int, seed: int) -> None:
+    upper, lower, delta = structured_bounds(random_matrix(q, seed))
+    assert lower <= upper <= lower * (1 + 1e-4)
+    assert abs(np.linalg.det(np.eye(q) - np.diag(delta) @ random_matrix(q, seed))) < 1e-8
+
+
+SLICOT = (3.246844503377368, 3.5397540520025426, 3.828678051097516, 4.787720240803036)
+"""ab13md of slycot 0.7.1: `ab13md(random_matrix(4, seed), ones(4), 2 * ones(4))[0]` for seeds 0 to 3."""
+
+
+def test_the_upper_bound_is_that_of_slicot() -> None:
+    for seed, theirs in enumerate(SLICOT):
+        assert structured_bounds(random_matrix(4, seed))[0] == pytest.approx(theirs, rel=1e-5)
+
+
+def test_integral_action_stays_closed_when_the_thrust_is_opened() -> None:
+    cascade = build_cascade(VEHICLE, {**GAINS, "k_i": 0.2}, cruise=0.15, dt=0.05)
+    for place in DISK_PLACES:
+        closed = np.linalg.eigvals(open_loop(cascade, place).complementary().A)
+        assert np.sort(closed.real) == pytest.approx(np.sort(cascade.poles.real), abs=1e-5)
+
+
+def test_an_unstable_loop_has_nothing_left_and_a_wrong_place_is_named() -> None:
+    bad = build_cascade(VEHICLE, {**GAINS, "k_psi": 60.0}, cruise=0.15, dt=0.05)
+    found = disk_margin(open_loop(bad, "thrust"), "thrust")
+    assert not found.stable and (found.guaranteed, found.gain) == (0.0, (1.0, 1.0))
+    with pytest.raises(InputError, match=r"place = .*thrust"):
+        open_loop(CASCADE, "thrusts")

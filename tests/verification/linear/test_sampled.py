@@ -1,0 +1,111 @@
+import numpy as np
+import pytest
+
+from surctl.control import load_gains
+from surctl.errors import InputError
+from surctl.vehicle import load_vehicle
+from surctl.verification import Cascade, build_cascade, closed_loop_poles
+from surctl.verification.linear import (
+    corners,
+    largest_period,
+    linear_side,
+    sampled_limits,
+    sampled_poles,
+    worst_linear_side,
+)
+
+VEHICLE = load_vehicle("sur540-flooded")
+GAINS = load_gains("default").values
+ABOUT = {"cruise": 0.15}
+
+
+def integrators(gain: float) -> Cascade:
+    eye = np.eye(4)
+    return Cascade(np.zeros((4, 4)), eye, eye, gain * eye)
+
+
+def test_integrators_are_lost_where_algebra_says() -> None:
+    # z − 1 + kT, z² − z + kT, z³ − z² + kT: kT below 2, 1 and the golden section
+    found = sampled_limits(integrators(2.0), 0.1)
+    assert found.largest_period_s == pytest.approx((1.0, 0.5, (np.sqrt(5) - 1) / 4), rel=1e-5)
+    # d periods of delay bear kT < 2 sin(π/(4d + 2))
+    borne = max(d for d in range(50) if 2 * np.sin(np.pi / (4 * d + 2)) > 0.2)
+    assert found.delay_periods == borne
+    assert found.radius == pytest.approx(np.max(np.abs(np.roots([1, -1, 0.2]))))
+
+
+def test_a_loop_that_no_period_saves_has_none() -> None:
+    found = sampled_limits(integrators(-1.0), 0.1)
+    assert found.largest_period_s == (0.0, 0.0, 0.0) and found.delay_periods == -1
+
+
+@pytest.mark.parametrize("k_i", [0.0, 0.2])
+def test_short_periods_have_the_poles_of_the_loop_without_delay(k_i: float) -> None:
+    gains, period = {**GAINS, "k_i": k_i}, 1e-4
+    z = sampled_poles(VEHICLE, gains, period=period, **ABOUT)
+    s = build_cascade(VEHICLE, gains, dt=period, delay=0.0, **ABOUT).poles
+    assert np.sort(np.log(z).real / period) == pytest.approx(np.sort(s.real), rel=2e-2, abs=1e-3)
+
+
+@pytest.mark.parametrize(("delay", "k_i"), [(0, 0.0), (1, 0.0), (1, 0.2), (2, 0.0)])
+def test_the_loop_flown_step_by_step_decays_below_the_largest_period_and_grows_above(delay: int, k_i: float) -> None:
+    gains = {**GAINS, "k_i": k_i}
+    limit = largest_period(VEHICLE, gains, delay=delay, **ABOUT)
+    for factor, decays in ((0.97, True), (1.03, False)):
+        assert (flown(gains, factor * limit, delay) < 1.0) is decays
+
+
+def flown(gains: dict[str, float], period: float, delay: int) -> float:
+    """How a deviation grows over the last half of a long flight, by small steps of the plant and a held thrust."""
+    cascade = build_cascade(VEHICLE, gains, dt=period, delay=0.0, **ABOUT)
+    A, B, C, K = cascade.A, cascade.B, cascade.C, cascade.K
+    steps = int(np.ceil(period / 0.04))
+    h, x, sizes = period / steps, np.random.default_rng(1).normal(size=len(A)), []
+    waiting = [np.zeros(4)] * delay
+    for _ in range(600):
+        f = -K @ C @ x
+        waiting.append(f[:4])
+        held = np.concatenate([waiting.pop(0), f[4:]])
+        for _ in range(steps):
+            rates = [A @ x + B @ held]
+            for share in (0.5, 0.5, 1.0):
+                rates.append(A @ (x + share * h * rates[-1]) + B @ held)
+            x = x + h / 6 * (rates[0] + 2 * rates[1] + 2 * rates[2] + rates[3])
+        sizes.append(np.linalg.norm(x))
+    return float(max(sizes[550:]) / max(sizes[250:300]))
+
+
+def test_the_sides_of_corners_are_the_least_of_each() -> None:
+    tried = corners(VEHICLE, 0.2)
+    assert len(tried.vehicles) == 5
+    sides = [linear_side(v, GAINS, dt=0.05, model=VEHICLE, **ABOUT) for v in tried.vehicles]
+    worst = worst_linear_side(tried, GAINS, dt=0.05, **ABOUT)
+    for k, disk in enumerate(worst.disks):
+        assert disk.guaranteed == pytest.approx(min(s.disks[k].guaranteed for s in sides), rel=2e-3)
+    assert worst.least_damping == min(s.least_damping for s in sides)
+    assert worst.sampled.largest_period_s[1] == min(s.sampled.largest_period_s[1] for s in sides)
+    assert worst.stable and "±20%" in worst.lines()[0]
+    assert sides[0].slowest_per_s == pytest.approx(closed_loop_poles(VEHICLE, GAINS, dt=0.05, **ABOUT)[0].real)
+
+
+def test_masses_of_surge_and_sway_that_differ_may_turn_it_broadside() -> None:
+    together, apart = corners(VEHICLE), corners(VEHICLE, alike=False)
+    assert (len(together.vehicles), len(apart.vehicles)) == (33, 65)
+    assert all(v["m11"] == v["m22"] for v in together.vehicles)
+    assert len(corners(load_vehicle("sur400")).vehicles) == 1  # its file states no ranges
+    found = worst_linear_side(apart, GAINS, dt=0.05, **ABOUT)
+    assert not found.stable and "UNSTABLE" in found.lines()[0]
+
+
+def test_corners_that_cannot_cruise_are_counted() -> None:
+    told = worst_linear_side(corners(VEHICLE), GAINS, dt=0.05, cruise=0.2).of
+    assert "16 of them cannot hold 0.2 m/s" in told
+    with pytest.raises(InputError, match=r"cruise = 0\.9"):
+        worst_linear_side(corners(VEHICLE, 0.2), GAINS, dt=0.05, cruise=0.9)
+
+
+def test_bad_numbers_are_named() -> None:
+    with pytest.raises(InputError, match="delay = -1"):
+        sampled_poles(VEHICLE, GAINS, period=0.05, delay=-1, **ABOUT)
+    with pytest.raises(InputError, match="uncertainty = 1"):
+        corners(VEHICLE, 1.0)
