@@ -97,6 +97,13 @@ def parse_axis(text: str) -> Axis | Span:
 
     Raises:
         InputError: the text is none of these, or the values are not good.
+
+    Example:
+        >>> from surctl.tuning import parse_axis
+        >>> parse_axis("k_v=0.5..4:4:log")
+        Axis(name='k_v', values=(0.5, 1.0, 2.0, 4.0))
+        >>> parse_axis("lookahead=0.3..1.2")
+        Span(name='lookahead', low=0.3, high=1.2, log=False)
     """
     name, equals, given = (part.strip() for part in text.partition("="))
     if not (name and equals and given):

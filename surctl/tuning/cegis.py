@@ -92,6 +92,17 @@ def tune(
 
     Raises:
         InputError: nonsensical numbers, one case twice, a value out of bounds, or a folder that cannot be used.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
+        >>> tuning = tune(request, trials=32, rounds=1, runs=0)
+        >>> tuning.result.feasible, round(tuning.result.score, 2), tuning.result.gains["k_v"] > 1.5
+        (True, 0.99, True)
     """
     _check(request, trials, rounds, runs)
     request = replace(request, begun="descent" if descend else "")  # its trials are not those of one without

@@ -52,6 +52,12 @@ def grid(axes: Sequence[Axis]) -> Design:
 
     Raises:
         InputError: no axis, or one twice.
+
+    Example:
+        >>> from surctl.tuning import grid, parse_axis
+        >>> design = grid([parse_axis("k_v=1,2"), parse_axis("lookahead=0.4..0.8:3")])
+        >>> design.points.round(3).tolist()
+        [[1.0, 0.4], [1.0, 0.6], [1.0, 0.8], [2.0, 0.4], [2.0, 0.6], [2.0, 0.8]]
     """
     axes = tuple(axes)
     _check_names(axes)
@@ -77,6 +83,12 @@ def spread(kind: Literal["lhs", "sobol"], spans: Sequence[Span], *, count: int, 
 
     Raises:
         InputError: no axis, one twice, or no point.
+
+    Example:
+        >>> from surctl.tuning import Span, spread
+        >>> design = spread("lhs", [Span("k_v", 0.5, 3.0), Span("lookahead", 0.3, 1.2)], count=5, seed=2)
+        >>> sorted(((design.points[:, 0] - 0.5) // 0.5).tolist())  # one point in each fifth of a range
+        [0.0, 1.0, 2.0, 3.0, 4.0]
     """
     spans = _spans(spans, kind)
     if count < 1:
@@ -104,6 +116,13 @@ def saltelli(axes: Sequence[Axis | Span], *, base: int, seed: int = 0) -> Design
 
     Raises:
         InputError: fewer than two axes, one twice, one of values, or a base that is no power of two.
+
+    Example:
+        >>> from surctl.tuning import parse_axis, saltelli
+        >>> design = saltelli([parse_axis("k_v=0.5..3"), parse_axis("lookahead=0.3..1.2")], base=4)
+        >>> a, b, a_with_b, _ = design.points.reshape(4, 4, 2)
+        >>> bool((a_with_b[:, 0] == b[:, 0]).all()), bool((a_with_b[:, 1] == a[:, 1]).all())
+        (True, True)
     """
     spans = _spans(axes, "sensitivity")
     if len(spans) < 2:
@@ -132,6 +151,12 @@ def make_design(
 
     Raises:
         InputError: as the designs, values where a range is needed or the reverse, or no number of points.
+
+    Example:
+        >>> from surctl.tuning import make_design, parse_axis
+        >>> design = make_design("sobol", [parse_axis("k_v=0.5..3"), parse_axis("lookahead=0.3..1.2")], count=8, seed=1)
+        >>> design.kind, design.names, design.points.shape
+        ('sobol', ('k_v', 'lookahead'), (8, 2))
     """
     if kind not in DESIGNS:
         raise InputError("is not known", key="design", value=kind, remedy=nearest(kind, DESIGNS))

@@ -94,6 +94,13 @@ def corners(vehicle: Vehicle) -> tuple[dict[str, float], ...]:
 
     All masses go to one end together, so do all drag coefficients and all thrust limits: up to eight corners. A
     parameter without a range stays where it is.
+
+    Example:
+        >>> from surctl.tuning import corners
+        >>> from surctl.vehicle import load_vehicle
+        >>> nominal, first, *others = corners(load_vehicle("sur540-flooded"))
+        >>> nominal, len(others) + 1, first["plant.m11"], first["plant.Xuu"], first["plant.Fu_max"]
+        ({}, 8, 50.0, 45.0, 4.25)
     """
     ends = []
     for group in _GROUPS:
@@ -109,6 +116,15 @@ def conditions(cases: Sequence[Case], *, seeds: Sequence[int], with_corners: boo
     """Every case under every seed with the nominal plant, and at its corners under the first seed.
 
     A case that no seed changes is flown under the first one alone.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import build_cases, conditions
+        >>> cases = build_cases([load_scenario("tank-static")], gains=load_gains("default"))
+        >>> flown = conditions(cases, seeds=[0])
+        >>> len(flown), flown[0].label
+        (9, 'tank-static/sur540-flooded/truth, seed 0')
     """
     found = []
     for case in cases:
@@ -137,6 +153,16 @@ def scope(goal: Goal, flown: Sequence[Condition]) -> list[int]:
 
     Raises:
         InputError: the goal names a case that is not flown.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import Goal, build_cases, conditions, scope
+        >>> missions = [load_scenario("pool-behind"), load_scenario("pool-static")]
+        >>> cases = build_cases(missions, gains=load_gains("default"))
+        >>> flown = conditions(cases, seeds=[0, 1])
+        >>> len(flown), scope(Goal("soon", "time_s", "s", 20.0, cases=("pool-static",)), flown)
+        (4, [2, 3])
     """
     names = {name for c in flown for name in (c.case.name, c.case.scenario.name)}
     for name in goal.cases:
@@ -162,6 +188,16 @@ def evaluate(goals: Sequence[Goal], flown: Sequence[Condition], sets: Sets, *, t
 
     Raises:
         InputError: a value out of a gain's bounds, or a goal about a case that is not flown.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import Goal, build_cases, conditions, evaluate
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> goals = [Goal("soon", "time_s", "s", 20.3), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard")]
+        >>> found = evaluate(goals, conditions(cases, seeds=[0]), {"k_v": [1.0, 1.5, 2.0]})
+        >>> found.normalised.round(2).tolist(), found.feasible.tolist()
+        ([[1.05, 0.84], [1.01, 0.82], [0.99, 0.81]], [True, True, True])
     """
     return judged(goals, flown, figures(goals, flown, sets, threads=threads))
 
@@ -192,6 +228,15 @@ def figures(
     """Metric → (n, conditions) for the goals' metrics and the effort.
 
     NaN where a run did not arrive, and for a linear metric where no goal asks for it.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import Goal, build_cases, conditions, figures
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> goals, runs = [Goal("soon", "time_s", "s", 20.5)], conditions(cases, seeds=[0, 1])
+        >>> figures(goals, runs, {"k_v": [1.0, 1.5, 2.0]})["time_s"].round(2).tolist()  # a row a gain set
+        [[21.4, 21.4], [20.45, 20.35], [20.15, 20.05]]
     """
     count = len(next(iter(sets.values())))
     looped = {"effort_n", *(g.metric for g in goals if not g.linear)}

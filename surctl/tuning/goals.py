@@ -136,13 +136,26 @@ def load_goals(name_or_path: str = "default") -> tuple[Goal, ...]:
 
     Raises:
         InputError: unreadable file, or a goal that is wrong; the message names file, key and remedy.
+
+    Example:
+        >>> from surctl.tuning import load_goals
+        >>> [(goal.metric, goal.sense, goal.limit, goal.unit) for goal in load_goals("default") if goal.kind == "soft"]
+        [('deviation_m', 'at most', 0.5, 'm'), ('time_s', 'at most', 53.0, 's'), ('effort_n', 'at most', 4.2, 'N')]
     """
     path = pick(str(name_or_path), LIBRARY, what="goals")
     return goals_from_tables(load_model(path, _GoalsFile).goals, file=path)
 
 
 def goals_from_tables(tables: Sequence[GoalTable], *, file: object) -> tuple[Goal, ...]:
-    """Goals from the tables of a file; InputError names it."""
+    """Goals from the tables of a file; InputError names it.
+
+    Example:
+        >>> from surctl.tuning import GoalTable, goals_from_tables
+        >>> table = GoalTable(name="soon", metric="time_s", at_most={"value": 20.0, "unit": "s"}, kind="hard")
+        >>> [goal] = goals_from_tables([table], file="my-study.toml")
+        >>> goal.metric, goal.sense, goal.limit, goal.kind
+        ('time_s', 'at most', 20.0, 'hard')
+    """
     found: dict[str, Goal] = {}
     try:
         for table in tables:
@@ -164,5 +177,11 @@ def _goal(table: GoalTable) -> Goal:
             remedy='write at_most = { value = ..., unit = "..." }, or at_least',
         )
     sense, bound = given[0]
+    spec = {**METRICS, **LINEAR_METRICS}.get(table.metric)
+    if spec is not None:  # else the goal itself says so
+        try:
+            bound = bound.within(spec.unit)
+        except InputError as error:
+            raise error.inside(None, f"goals.{table.name}.{sense.replace(' ', '_')}.unit") from None
     about = (table.kind, table.over, table.cases, table.plants)
     return Goal(table.name, table.metric, bound.unit, bound.value, sense, *about)

@@ -94,13 +94,25 @@ def prepare(case: Case, names: Sequence[str], *, ticks: int, seed: int = 0) -> D
     """Make a case ready for gradients.
 
     Args:
-        case: closed form (mode nsb), true positions.
+        case: closed form (mode nsb), true positions; of a law that has `CONTACT_SLOTS` slots, as all but `lean`.
         names: gains to differentiate by.
         ticks: length of the run, at least 1; a run that arrives earlier stays at the target.
         seed: of drift and waves.
 
     Raises:
         InputError: another mode or sensing, an unknown gain, or a scenario that starts inside an obstacle.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import build_cases, prepare
+        >>> [case] = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="paper")
+        >>> run = prepare(case, ["k_v", "k1"], ticks=60)
+        >>> round(run.surrogates(np.array([1.5, 0.3]))["effort"], 2)  # N^2
+        19.19
+        >>> run.gradient(np.array([1.5, 0.3]), {"effort": 1.0}).round(2).tolist()
+        [1.25, 17.21]
     """
     for key, value, only in (("mode", case.mode, "nsb"), ("sensing", case.sensing, "truth")):
         if value != only:

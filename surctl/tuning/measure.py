@@ -6,15 +6,15 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import cast, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl import __version__
-from surctl.control import GAINS, LAW_NAMES, Gains, LawName, build_law
+from surctl.control import GAINS, LAW_NAMES, Barrier, Gains, LawName, Movers, build_law
 from surctl.errors import InputError, nearest
-from surctl.guidance import AvoidanceForm
+from surctl.guidance import AvoidanceForm, Guidance, check_guidance
 from surctl.ir import lower
 from surctl.priority import Mode
 from surctl.simulation import METRICS, Case, Scenario, Sensing, check_speeds, knobs, simulate_batch
@@ -159,12 +159,22 @@ def build_cases(
     law: str = "guarded",
     mode: str = "nsb",
     sensing: str = "truth",
+    guidance: str = "los",
 ) -> tuple[Case, ...]:
     """Every scenario by every vehicle; by its own one if there are none.
 
     Raises:
-        InputError: an unknown law, mode or sensing.
+        InputError: an unknown law, mode, sensing or guidance.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import build_cases
+        >>> missions = [load_scenario("pool-behind"), load_scenario("tank-static")]
+        >>> [case.name for case in build_cases(missions, gains=load_gains("default"))]
+        ['pool-behind/sur400/truth', 'tank-static/sur540-flooded/truth']
     """
+    check_guidance(guidance)
     for key, value, known in (
         ("law", law, LAW_NAMES),
         ("priority-mode", mode, get_args(Mode)),
@@ -172,15 +182,25 @@ def build_cases(
     ):
         if value not in known:
             raise InputError("is not known", key=key, value=value, remedy=nearest(value, known))
+    kind: dict[str, Any] = {"law": law, "mode": mode, "sensing": sensing, "guidance": guidance}
     return tuple(
-        Case(scenario, vehicle, gains, cast(LawName, law), cast(Mode, mode), cast(Sensing, sensing))
+        Case(scenario, vehicle, gains, **kind)
         for scenario in scenarios
         for vehicle in vehicles or (load_vehicle(scenario.vehicle),)
     )
 
 
 def check_column(name: str) -> None:
-    """InputError with the nearest known name unless a sweep with linear metrics has that column."""
+    """InputError with the nearest known name unless a sweep with linear metrics has that column.
+
+    Example:
+        >>> from surctl.tuning import check_column
+        >>> check_column("min_clearance_m_worst")
+        >>> check_column("min_clearance")
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: column = 'min_clearance': no such column; did you mean 'min_clearance_m'?
+    """
     known = (*FLOWN_COLUMNS, *LINEAR_COLUMNS, "score", "feasible")
     if name not in known:
         raise InputError("no such column", key="column", value=name, remedy=nearest(name, known))
@@ -238,12 +258,13 @@ def request_digest(evaluation: Evaluation, design: Design, *, linear: bool, chun
 
 def law_digest(case: Case) -> str:
     """Digest of the law's instruction list, without the priority mode's solver."""
-    return _law_digest(case.law, case.avoidance)
+    return _law_digest(case.law, case.avoidance, case.guidance, case.barrier, case.movers)
 
 
 @cache
-def _law_digest(law: LawName, avoidance: AvoidanceForm) -> str:
-    return lower(build_law(law, avoidance=avoidance).function).digest()
+def _law_digest(law: LawName, avoidance: AvoidanceForm, guidance: Guidance, barrier: Barrier, movers: Movers) -> str:
+    built = build_law(law, avoidance=avoidance, guidance=guidance, barrier=barrier, movers=movers)
+    return lower(built.function).digest()
 
 
 def _numbers(vehicle: Vehicle) -> str:

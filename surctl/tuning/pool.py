@@ -64,12 +64,12 @@ class Request:
             f"base {dict(self.base.values)!r}",
             f"claims {[(p.name, sorted(p.values.items())) for p in self.claims]}",
         ]
-        laws = {(c.law, c.avoidance, c.mode): c for c in self.cases}
+        laws = {_kind(c): c for c in self.cases}
         lines += [f"law {which} {law_digest(c)}" for which, c in laws.items()]
         for case in self.cases:
             model = None if case.model is None else dict(case.model.parameters)
             lines.append(f"case {case.name} {case.scenario!r} {dict(case.vehicle.parameters)!r} {model!r}")
-            lines.append(f"law {(case.law, case.avoidance, case.mode)} {dict(case.gains.values)!r}")
+            lines.append(f"law {_kind(case)} {dict(case.gains.values)!r}")
         lines += [f"begun {self.begun}"] * bool(self.begun)
         lines += [f"run {c.label} {sorted(c.plant.items())!r} {c.goals}" for c in self.flown]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
@@ -174,3 +174,8 @@ def joined(pools: Sequence[Pool]) -> Pool:
         np.concatenate([x.effort for x in e]),
     )
     return Pool(sets, whole, np.concatenate([p.claims for p in pools]))
+
+
+def _kind(case: Case) -> tuple[str, ...]:
+    """What chooses the law of a case, but the senses."""
+    return case.law, case.avoidance, case.mode, case.guidance, case.barrier, case.movers

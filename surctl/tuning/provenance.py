@@ -12,7 +12,22 @@ __all__ = ["goal_rows", "summary", "tuned_gains", "tuning_dict"]
 
 
 def tuned_gains(tuning: Tuning) -> Gains:
-    """The start gains with the tuned values; the provenance says goals, seeds, version, digest, rounds and outcome."""
+    """The start gains with the tuned values; the provenance says goals, seeds, version, digest, rounds and outcome.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune, tuned_gains
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
+        >>> tuning = tune(request, trials=32, rounds=1, runs=0)
+        >>> found = tuned_gains(tuning)
+        >>> found["k_v"] > gains["k_v"], found["lookahead"] == gains["lookahead"]
+        (True, True)
+        >>> print(found.provenance)
+        chosen by hand: the paper prints no gain; tuned by surctl ...goals: soon: ...; not verified by fresh runs
+    """
     request = tuning.request
     bounds = "; ".join(
         f"{g.name}: {g.over} {g.metric} {g.sense} {g.limit:g} {g.unit} ({g.kind})" for g in request.goals
@@ -43,7 +58,20 @@ def _outcome(tuning: Tuning) -> str:
 
 
 def goal_rows(tuning: Tuning) -> list[dict[str, Any]]:
-    """One row a goal: its bound, figure and normalised value with the start gains and with the tuned ones."""
+    """One row a goal: its bound, figure and normalised value with the start gains and with the tuned ones.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, goal_rows, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
+        >>> tuning = tune(request, trials=32, rounds=1, runs=0)
+        >>> [row] = goal_rows(tuning)
+        >>> row["name"], row["limit"], row["unit"], round(row["hand"], 2), round(row["tuned"], 1), row["met"]
+        ('soon', 20.0, 's', 20.45, 19.9, True)
+    """
     hand, tuned = tuning.hand.evaluation, tuning.tuned.evaluation
     return [
         goal.to_dict()
@@ -60,7 +88,22 @@ def goal_rows(tuning: Tuning) -> list[dict[str, Any]]:
 
 
 def summary(tuning: Tuning) -> list[str]:
-    """The table of goals for people, and the outcome."""
+    """The table of goals for people, and the outcome.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, summary, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
+        >>> tuning = tune(request, trials=32, rounds=1, runs=0)
+        >>> lines = summary(tuning)
+        >>> print(lines[1])
+        soon                    soft  s             ≤ 20       20.45        19.9     1.022 → 0.995
+        >>> print(lines[-1])
+        after 1 round(s): not verified by fresh runs
+    """
     lines = [f"{'goal':<24}{'kind':<6}{'unit':<6}{'limit':>12}{'hand gains':>12}{'tuned':>12}{'normalised':>18}"]
     for one in goal_rows(tuning):
         sign = "≤" if one["sense"] == "at most" else "≥"
@@ -77,7 +120,20 @@ def summary(tuning: Tuning) -> list[str]:
 
 
 def tuning_dict(tuning: Tuning) -> dict[str, Any]:
-    """Plain data for `tuning.json`; numbers that are not finite are left to the writer."""
+    """Plain data for `tuning.json`; numbers that are not finite are left to the writer.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune, tuning_dict
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
+        >>> tuning = tune(request, trials=32, rounds=1, runs=0)
+        >>> table = tuning_dict(tuning)
+        >>> table["space"], table["goals"][0]["met"], table["best"]["feasible"], table["conflict"]
+        ({'k_v': [0.375, 6.0]}, True, True, [])
+    """
     request, front, best = tuning.request, tuning.front, tuning.result
     start = tuning.hand.evaluation.normalised[0]
     scores = front.score(start)

@@ -60,7 +60,7 @@ def refine(
     is their sum.
 
     Args:
-        cases: closed form, true positions; their own gains are replaced.
+        cases: as `prepare`; their own gains are replaced.
         gains: the first start, and every gain that is not in `ranges`.
         ranges: gain → (low, high), 0 < low < high; a start outside is put on its bound.
         weights: by name of `SURROGATES`; a missing one counts 0.
@@ -72,6 +72,16 @@ def refine(
 
     Raises:
         InputError: no case, a range that is none, an unknown gain or weight, or a case that has no gradient.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import build_cases, refine
+        >>> gains = load_gains("default")
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=gains, law="paper")
+        >>> found = refine(cases, gains, {"k_v": (0.8, 4.0)}, ticks=60, iterations=2)
+        >>> round(found.gains["k_v"], 2), round(found.history[0][0], 3), round(found.cost, 3)
+        (0.8, 1.026, 1.02)
     """
     from scipy.optimize import minimize
 

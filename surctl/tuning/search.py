@@ -45,6 +45,19 @@ def search(
         first: gain sets to try before any other, after the start gains: what an earlier search found.
         journal: keeps the trials; a search of the same request resumes from it, and ends where it would have ended.
         progress: told one line a batch.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, search
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
+        >>> pool = search(request, trials=32)
+        >>> pool.gains(0), pool.evaluation.normalised[0].round(2).tolist()  # what it starts from
+        ({'k_v': 1.5}, [1.02])
+        >>> pool.evaluation.normalised.min().round(2).item()  # at most 1: the goal is met
+        0.99
     """
     shelf, name = journal or Journal(None), request.digest
     done = shelf.trials(name)

@@ -57,6 +57,16 @@ def sensitivity(table: SweepTable, column: str, *, seed: int = 0) -> Sensitivity
 
     Raises:
         InputError: another design, an unknown column, or one that is not finite everywhere.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import build_cases, parse_axis, saltelli, sensitivity, sweep
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> design = saltelli([parse_axis("scenario.cruise=0.1..0.2"), parse_axis("k_v=1.2..3")], base=64)
+        >>> found = sensitivity(sweep(cases, design, linear=False), "time_s")
+        >>> found.axes, [round(share, 2) for share in found.total]
+        (('scenario.cruise', 'k_v'), [0.99, 0.0])
     """
     values = table.column(column)
     if table.dataset.attrs["design"] != "saltelli":

@@ -68,6 +68,14 @@ def gain_ranges(
 
     Raises:
         InputError: no gain, an unknown one, a range that is none, or a gain of 0 without a range.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.tuning import gain_ranges
+        >>> for gain in gain_ranges(load_gains("default"), {"k_v": None, "lookahead": (0.4, 1.2)}):
+        ...     print(gain.name, gain.low, gain.high)
+        k_v 0.375 6.0
+        lookahead 0.4 1.2
     """
     table = given if isinstance(given, Mapping) else dict.fromkeys(given)
     if not table:

@@ -80,6 +80,13 @@ def lqr_start(
 
     Raises:
         InputError: weights of the wrong shape or sign, a cruise that the vehicle cannot hold, or no such gains.
+
+    Example:
+        >>> from surctl.tuning import lqr_start
+        >>> from surctl.vehicle import load_vehicle
+        >>> gains = lqr_start(load_vehicle("sur400"), cruise=0.15, dt=0.05)
+        >>> {name: round(value, 2) for name, value in gains.items()}
+        {'k1': 0.14, 'k2': 0.19, 'k_psi': 0.41, 'k_r': 2.26, 'k_v': 0.61, 'lookahead': 0.85}
     """
     import control  # seconds to import: only when asked for
 

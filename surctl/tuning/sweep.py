@@ -65,6 +65,17 @@ def sweep(
 
     Raises:
         InputError: see `check_request`; the folder cannot be written, or the disk is full: then what is finished stays.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import build_cases, grid, parse_axis, sweep
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> table = sweep(cases, grid([parse_axis("k_v=1,2"), parse_axis("lookahead=0.4,0.8,1.2")]))
+        >>> table.shape, table.column("disk_margin").round(2).tolist()
+        ((2, 3), [[0.81, 0.81, 0.81], [0.74, 0.76, 0.76]])
+        >>> table.column("time_s").round(1).tolist()
+        [[21.4, 21.4, 21.6], [20.0, 20.2, 20.4]]
     """
     cases, seeds = tuple(cases), tuple(int(s) for s in seeds)
     check_request(cases, design, seeds)

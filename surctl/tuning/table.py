@@ -161,6 +161,17 @@ def load_sweep(path: Path | str) -> SweepTable:
 
     Raises:
         InputError: no such file, or it is not one of a sweep.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import build_cases, grid, load_sweep, parse_axis, sweep
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> _ = sweep(cases, grid([parse_axis("k_v=1,1.5,2")]), linear=False, out=Path("swept"))
+        >>> table = load_sweep("swept/sweep.nc")
+        >>> table.axes[0].values.tolist(), table.column("time_s").round(2).tolist(), table.units["time_s"]
+        ([1.0, 1.5, 2.0], [21.4, 20.45, 20.15], 's')
     """
     import xarray as xr  # seconds to import
 

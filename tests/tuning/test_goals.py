@@ -36,7 +36,7 @@ def test_normalised_by_hand():
 
 WRONG = {
     "unknown metric": ('metric = "deviation"\nat_most = { value = 1.0, unit = "m" }', "deviation_m"),
-    "wrong unit": ('metric = "deviation_m"\nat_most = { value = 1.0, unit = "cm" }', "give it in m"),
+    "wrong unit": ('metric = "deviation_m"\nat_most = { value = 1.0, unit = "s" }', "give it in m"),
     "no unit": ('metric = "deviation_m"\nat_most = { value = 1.0 }', "unit"),
     "a bare number": ('metric = "deviation_m"\nat_most = 1.0', "value with its unit|dictionary|at_most"),
     "no bound": ('metric = "deviation_m"', "needs one bound"),

@@ -13,14 +13,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.simulation import METRICS, store
+from surctl.simulation import METRICS, load_scenario, store
 from surctl.simulation.store import ChunkStore
 from surctl.tuning import (
     DISK_FLOOR,
     Axis,
     LocalExecutor,
     Span,
+    build_cases,
     grid,
     load_sweep,
     make_design,
@@ -535,3 +537,15 @@ def test_a_silent_scheduler_is_told_soon():
     with pytest.raises(InputError, match="no scheduler answers") as caught:
         list(DaskExecutor("tcp://127.0.0.1:9").map_chunks(stub.slow_squares, CHUNKS))
     assert "\n" not in str(caught.value)
+
+
+# --- guidance
+
+
+def test_guidance_is_part_of_a_case_and_of_the_request_that_a_folder_keeps():
+    scenario, gains = load_scenario("pool-behind"), load_gains("default")
+    los, ilos = (build_cases([scenario], gains=gains, guidance=name) for name in ("los", "ilos"))
+    assert (los[0].guidance, ilos[0].guidance) == ("los", "ilos")
+    assert measure.law_digest(los[0]) != measure.law_digest(ilos[0])
+    with pytest.raises(InputError, match="did you mean 'ilos'"):
+        build_cases([scenario], gains=gains, guidance="ilo")
