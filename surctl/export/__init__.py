@@ -2,10 +2,18 @@
 
 from surctl.export.bundle import Bundle, ExportedFile, build_bundle, write_bundle
 from surctl.export.check import STEPS, BuildReport, CheckReport, check_builds
+from surctl.export.closed import ClosedForm, closed_form
 from surctl.export.contract import STATUS, Exportable
+from surctl.export.emulated import EmulatedLine, emulated, emulated_target
+from surctl.export.envelope import Envelope, Rate
+from surctl.export.flight_envelope import flight_envelope
 from surctl.export.fmu import write_fmu
+from surctl.export.link import Answer, Line, LineDown, connect
+from surctl.export.linked import LinkedLaw, LinkFaults, LinkReport
+from surctl.export.origin import Origin, load_certificates, origin_of
 from surctl.export.precision import REALS
 from surctl.export.process import Controller, build_controller
+from surctl.export.prove import Alarm, ProofReport, gain_box, prove_bundle, with_proof
 from surctl.export.records import Records, as_records
 from surctl.export.sil import Difference, SilReport, compare_runs, software_in_the_loop, software_in_the_loop_runs
 from surctl.export.targets import TARGETS, Target, chosen_targets
@@ -15,13 +23,26 @@ __all__ = [
     "STATUS",
     "STEPS",
     "TARGETS",
+    "Alarm",
+    "Answer",
     "BuildReport",
     "Bundle",
     "CheckReport",
+    "ClosedForm",
     "Controller",
     "Difference",
+    "EmulatedLine",
+    "Envelope",
     "Exportable",
     "ExportedFile",
+    "Line",
+    "LineDown",
+    "LinkFaults",
+    "LinkReport",
+    "LinkedLaw",
+    "Origin",
+    "ProofReport",
+    "Rate",
     "Records",
     "SilReport",
     "Target",
@@ -30,9 +51,19 @@ __all__ = [
     "build_controller",
     "check_builds",
     "chosen_targets",
+    "closed_form",
     "compare_runs",
+    "connect",
+    "emulated",
+    "emulated_target",
+    "flight_envelope",
+    "gain_box",
+    "load_certificates",
+    "origin_of",
+    "prove_bundle",
     "software_in_the_loop",
     "software_in_the_loop_runs",
+    "with_proof",
     "write_bundle",
     "write_fmu",
 ]

@@ -10,19 +10,24 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl import __version__
+from surctl.certcheck.bundle import numbers_sha256
 from surctl.errors import InputError
 from surctl.export.contract import Exportable, checked_name
-from surctl.export.precision import in_precision
+from surctl.export.envelope import Envelope, anywhere
+from surctl.export.guard_text import told_range
+from surctl.export.origin import Origin, check_belonging, made_of
+from surctl.export.precision import in_precision, rounded
 from surctl.export.rendering import render_files
 from surctl.export.vectors import self_test_vectors
 from surctl.ir import Layout, Real
 
-__all__ = ["Bundle", "ExportedFile", "build_bundle", "gain_vector", "law_id", "write_bundle"]
+__all__ = ["Bundle", "ExportedFile", "build_bundle", "gain_vector", "law_id", "manifest_with", "write_bundle"]
 
 Vector = NDArray[np.float64]
 
@@ -36,12 +41,14 @@ class Bundle:
         id: SHA-256 of what the controller computes (see `law_id`).
         files: text by file name, in the order of writing; the manifest is last.
         real: precision of every number in it.
+        envelope: what its guard lets in.
     """
 
     name: str
     id: str
     files: Mapping[str, str]
     real: Real = "float64"
+    envelope: Envelope | None = None
 
 
 @dataclass(frozen=True)
@@ -53,7 +60,13 @@ class ExportedFile:
 
 
 def build_bundle(
-    law: Exportable, gains: Mapping[str, NDArray[np.float64]], *, name: str | None = None, real: Real = "float64"
+    law: Exportable,
+    gains: Mapping[str, NDArray[np.float64]],
+    *,
+    name: str | None = None,
+    real: Real = "float64",
+    envelope: Envelope | None = None,
+    origin: Origin | None = None,
 ) -> Bundle:
     """The bundle of a law with tuned gains.
 
@@ -62,10 +75,23 @@ def build_bundle(
         gains: values by gain port; what is not named takes the port's default.
         name: prefix of files and C symbols instead of the law's own name.
         real: "float32" for a processor whose floating-point unit is single; every number is a float then.
+        envelope: what the guard lets in; None for any finite number.
+        origin: vehicle and certificates that go with it.
 
     Raises:
-        InputError: a name that C cannot use, an unknown or non-finite gain, a law unlike its layouts; in float32 also
-            a law that uses the mathematical library.
+        InputError: a name that C cannot use, an unknown or non-finite gain, a law unlike its layouts, a certificate
+            of another controller; in float32 also a law that uses the mathematical library.
+
+    Example:
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.export import build_bundle
+        >>> from surctl.simulation import law_numbers, load_scenario
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> bundle = build_bundle(law, law.gains.unpack(p), real="float32")
+        >>> bundle.name, bundle.real, [name for name in sorted(bundle.files) if "lean" in name]
+        ('surctl_lean', 'float32', ['surctl_lean.c', 'surctl_lean.h'])
     """
     prefix = checked_name(law, name)
     if real == "float32" and law.block.libm:
@@ -75,11 +101,16 @@ def build_bundle(
             remedy="write it with exact operations (surctl.ir.without_libm)",
         )
     p = gain_vector(law.gains, gains)
+    within = (envelope or anywhere(law)).fitted(law, real)
     identity = law_id(law, p, real=real)
-    tests = self_test_vectors(in_precision(law, real), p)
-    files = render_files(law, p, name=prefix, identity=identity, tests=tests, real=real)
-    files["manifest.json"] = _manifest(law, prefix, identity, files, real)
-    return Bundle(prefix, identity, MappingProxyType(files), real)
+    tests = self_test_vectors(in_precision(law, real, within), rounded(p, real), within)
+    files = render_files(law, p, within, name=prefix, identity=identity, tests=tests, real=real)
+    files |= {} if origin is None else origin.files
+    table = _manifest(law, prefix, identity, real, within) | made_of(law, p, origin)
+    if origin is not None:
+        check_belonging(table | {"sha256": {}, "proof": {}}, origin)
+    files["manifest.json"] = manifest_with(table, files, proof={"status": "not tried"})
+    return Bundle(prefix, identity, MappingProxyType(files), real, within)
 
 
 def gain_vector(layout: Layout, gains: Mapping[str, NDArray[np.float64]]) -> Vector:
@@ -92,22 +123,38 @@ def gain_vector(layout: Layout, gains: Mapping[str, NDArray[np.float64]]) -> Vec
 
 
 def law_id(law: Exportable, gains: Vector, *, real: Real = "float64") -> str:
-    """SHA-256 of the instruction list, gains, initial state, period, and precision, all to the last bit."""
-    lines = [law.block.text(), float(law.dt).hex(), real]
-    lines += [float(v).hex() for v in (*gains, *law.initial_state())]
+    """SHA-256 of the instruction list, period, precision, gains and initial state, all to the last bit.
+
+    Of hashes of its parts, so that whoever has these can tell which part another controller does not share.
+    """
+    parts = (numbers_sha256(numbers.tolist()) for numbers in (gains, law.initial_state()))
+    lines = [law.block.digest(), float(law.dt).hex(), real, *parts]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
-def _manifest(law: Exportable, name: str, identity: str, files: Mapping[str, str], real: Real) -> str:
-    table = {
+def _manifest(law: Exportable, name: str, identity: str, real: Real, within: Envelope) -> dict[str, Any]:
+    boxes = {
+        "state": (law.state, within.state),
+        "input": (law.inputs, within.inputs),
+        "gains": (law.gains, within.gains),
+    }
+    return {
         "name": name,
         "id": identity,
         "surctl": __version__,
         "dt_s": float(law.dt),
         "real": real,
-        "sha256": {file: _sha256(text) for file, text in files.items()},
+        "ranges": {
+            struct: {port.name: told_range(box[layout.slice(port.name)]) for port in layout if port.size}
+            for struct, (layout, box) in boxes.items()
+        },
     }
-    return json.dumps(table, indent=2, sort_keys=True) + "\n"
+
+
+def manifest_with(table: Mapping[str, object], files: Mapping[str, str], *, proof: Mapping[str, object]) -> str:
+    """Text of a manifest with these files' hashes, and what came of the proof."""
+    full = {**table, "proof": proof, "sha256": {file: _sha256(text) for file, text in files.items()}}
+    return json.dumps(full, indent=2, sort_keys=True) + "\n"
 
 
 def _sha256(text: str) -> str:
@@ -122,6 +169,17 @@ def write_bundle(bundle: Bundle, directory: Path | str) -> list[ExportedFile]:
 
     Raises:
         InputError: the folder cannot be written.
+
+    Example:
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.export import build_bundle, write_bundle
+        >>> from surctl.simulation import law_numbers, load_scenario
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> written = write_bundle(build_bundle(law, law.gains.unpack(p)), "lean")
+        >>> sorted(file.path.name for file in written)[:4], len(written[0].sha256)
+        (['Makefile', 'README.md', 'controller.c', 'link.c'], 64)
     """
     target = Path(directory)
     staging = target.parent / f".{target.name}.{os.getpid()}.tmp"

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -16,18 +18,20 @@ from numpy.typing import NDArray
 
 from surctl.errors import SurctlError, ToolMissing
 from surctl.export.bundle import Bundle, write_bundle
-from surctl.export.contract import Exportable
-from surctl.export.precision import Rounded, Rows
+from surctl.export.precision import Guarded, Rounded, plain, replayed
 from surctl.export.process import Controller, code_bytes
 from surctl.export.records import Records, as_records
+from surctl.export.rows import Rows
 from surctl.export.targets import Target
 from surctl.export.trial import trial_steps
 from surctl.ir import compile_program, compiler_version, stack_of
 
-__all__ = ["STEPS", "BuildReport", "CheckReport", "Instructions", "check_builds"]
+__all__ = ["STEPS", "BuildReport", "CheckReport", "Instructions", "built_for", "check_builds", "instructions"]
 
 STEPS = 100_000
 """Single steps that are tried beside the flights."""
+
+_AT_ONCE = 4  # targets; each holds its answers in memory
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,7 @@ class BuildReport:
         differing: those whose bytes are not those of Python.
         first: the first of them, None if there is none.
         code_bytes: code and constants of the controller, None when unknown.
+        flight_bytes: the same without the self-test.
         stack_bytes: stack below a step, on emulated processors.
         instructions: of a step, on emulated processors.
         failure: why it could not be built or run, None if it was.
@@ -61,6 +66,7 @@ class BuildReport:
     differing: int = 0
     first: int | None = None
     code_bytes: int | None = None
+    flight_bytes: int | None = None
     stack_bytes: int | None = None
     instructions: Instructions | None = None
     failure: str | None = None
@@ -81,6 +87,7 @@ class BuildReport:
             "differing": self.differing,
             "first": self.first,
             "code_bytes": self.code_bytes,
+            "flight_bytes": self.flight_bytes,
             "stack_bytes": self.stack_bytes,
             "instructions": None if counted is None else [counted.least, counted.mean, counted.most],
             "failure": self.failure,
@@ -93,7 +100,7 @@ class BuildReport:
         verdict = "same bytes" if self.same else f"{self.differing} steps DIFFER, first {self.first}"
         parts = [f"{self.steps} steps, {verdict}"]
         if self.code_bytes is not None:
-            parts.append(f"{self.code_bytes} B code and constants")
+            parts.append(f"{self.code_bytes} B code and constants, {self.flight_bytes} B without self-test")
         if self.stack_bytes is not None:
             parts.append(f"{self.stack_bytes} B stack")
         if self.instructions is not None:
@@ -169,10 +176,26 @@ def check_builds(
 
     Raises:
         InputError: no run, or one that does not fit the law; a law that uses the mathematical library.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.export import TARGETS, Records, build_bundle, build_controller, check_builds
+        >>> from surctl.simulation import law_numbers, load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> run = simulate(mission, vehicle, gains=gains, law=law)
+        >>> flight = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
+        >>> controller = build_controller(law, build_bundle(law, law.gains.unpack(p)), Path("lean"))
+        >>> report = check_builds(controller, [flight], [TARGETS["gcc-O0"], TARGETS["gcc-O2"]], steps=200)
+        >>> [(build.target, build.differing) for build in report.builds]
+        [('gcc-O0', 0), ('gcc-O2', 0)]
     """
-    law = Rounded(_plain(controller.law), controller.bundle.real)
+    law, within = Rounded(plain(controller.law), controller.bundle.real), controller.bundle.envelope
+    guarded = law if within is None else Guarded(law, within, law.real)
     flights = [as_records(law, run) for run in runs]
-    alone = trial_steps(law, flights, steps, real=law.real)
+    alone = trial_steps(law, flights, steps, real=law.real, within=within)
     given = Records(*(np.concatenate(part) for part in zip(*((r.X, r.U, r.P) for r in (*flights, alone)), strict=True)))
     load = np.ones(len(given), dtype=bool)
     at = 0
@@ -182,17 +205,19 @@ def check_builds(
     tell(f"replaying {len(given)} steps in Python")
     came = controller.run(given, load=load).state
     states = np.where(load[:, None], given.X, np.vstack([given.X[:1], came[:-1]]))
-    want = _bytes(law.steps(states, given.U, given.P), np.dtype(law.real))
-    reports = []
-    for target in targets:
+    rows = replayed(guarded, Records(states, given.U, given.P), load)
+    want, accepted = _bytes(rows, np.dtype(law.real)), rows.status >= 0
+    stream = controller.stream(given, load=load)
+
+    def tried(target: Target) -> BuildReport:
         tell(f"building and running {target.name}")
         with tempfile.TemporaryDirectory(prefix="surctl-check-") as scratch:
-            reports.append(_tried(controller, target, Path(scratch), given, load, want))
+            return _tried(controller, target, Path(scratch), stream, want, accepted)
+
+    # compilers and emulators are processes: they keep as many cores busy
+    with ThreadPoolExecutor(min(_AT_ONCE, os.cpu_count() or 1)) as pool:
+        reports = list(pool.map(tried, targets))
     return CheckReport(law.real, at, len(alone), tuple(reports), dict(untried or {}))
-
-
-def _plain(law: Exportable) -> Exportable:
-    return law.law if isinstance(law, Rounded) else law
 
 
 def _bytes(rows: Rows, dtype: np.dtype[Any]) -> NDArray[np.uint8]:
@@ -206,14 +231,14 @@ def _tried(
     host: Controller,
     target: Target,
     folder: Path,
-    given: Records,
-    load: NDArray[np.bool_],
+    stream: bytes,
     want: NDArray[np.uint8],
+    accepted: NDArray[np.bool_],
 ) -> BuildReport:
     bundle, told = host.bundle, compiler_version(target.compiler)
     try:
-        controller, counts = _built(host, target, folder)
-        raw = controller.raw(given, load=load)
+        controller, counts = built_for(host, target, folder)
+        raw = controller.answered(stream, len(want))
     except SurctlError as failure:
         return BuildReport(target.name, told, failure=str(failure))
     have = np.frombuffer(raw, dtype=np.uint8).reshape(len(want), -1)
@@ -225,8 +250,9 @@ def _tried(
         len(wrong),
         int(wrong[0]) if len(wrong) else None,
         controller.code_bytes,
+        _flight_bytes(bundle, target, folder),
         _stack(bundle, target),
-        _instructions(counts, controller, given, load),
+        instructions(counts, accepted),
     )
 
 
@@ -241,8 +267,17 @@ def _same(have: NDArray[np.uint8], want: NDArray[np.uint8], dtype: np.dtype[Any]
     return rows
 
 
-def _built(host: Controller, target: Target, folder: Path) -> tuple[Controller, Path | None]:
-    """The compiled bundle, and where its instruction counts come to lie."""
+def built_for(host: Controller, target: Target, folder: Path) -> tuple[Controller, Path | None]:
+    """The bundle compiled for a target, and where its instruction counts come to lie, a line a step.
+
+    Args:
+        host: the law and its bundle.
+        target: where it is to run.
+        folder: scratch.
+
+    Raises:
+        SurctlError: a compiler refuses.
+    """
     law, bundle = host.law, host.bundle
     write_bundle(bundle, folder / "bundle")
     source, code = folder / "bundle" / f"{bundle.name}.c", folder / "law.o"
@@ -252,12 +287,20 @@ def _built(host: Controller, target: Target, folder: Path) -> tuple[Controller, 
     if target.machine is None:
         compile_program([main, code], program, flags=target.flags, compiler=target.compiler)
         return Controller(law, bundle, (str(program),), size), None
-    link = ("--specs=rdimon.specs", "-nostartfiles", f"-T{folder / 'bundle' / 'target.ld'}", "-DSURCTL_COUNTED")
+    bare = (*target.bare(folder / "bundle"), "-DSURCTL_COUNTED")
     start = folder / "bundle" / "target_start.c"
-    compile_program([start, main, code], program, flags=(*target.flags, *link), compiler=target.compiler)
+    compile_program([start, main, code], program, flags=bare, compiler=target.compiler)
     counts = folder / "counts"
     plugin = _plugin(folder, program, f"{bundle.name}_step", counts)
     return Controller(law, bundle, (*target.board(str(program)), *plugin), size), counts if plugin else None
+
+
+def _flight_bytes(bundle: Bundle, target: Target, folder: Path) -> int | None:
+    """Code and constants without the self-test, in a folder where the bundle was built."""
+    code = folder / "flight.o"
+    flags = ("-c", f"-D{bundle.name.upper()}_NO_SELFTEST", *target.flags)
+    compile_program([folder / "bundle" / f"{bundle.name}.c"], code, flags=flags, compiler=target.compiler)
+    return code_bytes(code, target.size_tool)
 
 
 def _plugin(folder: Path, program: Path, step: str, counts: Path) -> tuple[str, ...]:
@@ -277,15 +320,12 @@ def _plugin(folder: Path, program: Path, step: str, counts: Path) -> tuple[str, 
     return ("-plugin", f"{library},from=0x{at[step]},to=0x{at['stepped']},out={counts}")
 
 
-def _instructions(
-    counts: Path | None, controller: Controller, given: Records, load: NDArray[np.bool_]
-) -> Instructions | None:
+def instructions(counts: Path | None, accepted: NDArray[np.bool_]) -> Instructions | None:
     """Over the steps that were carried out: a refused one is shorter."""
-    if counts is None or not counts.exists():
+    if counts is None or not counts.exists() or not accepted.any():
         return None
     taken = np.array([int(line) for line in counts.read_text(encoding="ascii").split()])
-    accepted = np.isfinite(given.X).all(axis=1) & np.isfinite(given.U).all(axis=1)
-    if len(taken) != len(given):
+    if len(taken) != len(accepted):
         return None
     kept = taken[accepted]
     return Instructions(int(kept.min()), float(kept.mean()), int(kept.max()))

@@ -22,8 +22,13 @@ STATUS: tuple[tuple[str, int, str], ...] = (
     ("TRAPPED", 8, "bit: a dead end: it gave up, stands, and gives way to what moves; until reset"),
     ("NULL", -1, "a pointer was NULL; thrust is zero, state is unchanged"),
     ("NONFINITE", -2, "a number was not finite; thrust is zero, state is unchanged"),
+    ("RANGE", -3, "a number out of its range, or further from the last one than it can move; thrust is zero"),
+    ("STALE", -4, "the sample is not newer than the last accepted one; thrust is zero, state is unchanged"),
+    ("ITER", -5, "the law says that an iteration of it did not end; thrust is zero, state is unchanged"),
 )
 """(name, code, meaning) of what a step returns: positive codes are bits, negative ones mean fail-safe."""
+
+_FILES = ("sil_main", "link", "controller", "target_start", "target_link")
 
 
 class Step(Protocol):
@@ -102,7 +107,7 @@ def checked_name(law: Exportable, name: str | None = None) -> str:
             positive, or the block's sizes are not those of the layouts.
     """
     chosen = identifier(law.name if name is None else name)
-    if chosen in ("sil_main", "target_start"):
+    if chosen in _FILES:
         raise InputError("is taken by a file of the bundle", key="name", value=chosen, remedy="choose another")
     for layout in (law.state, law.inputs, law.gains, law.outputs):
         for port in layout:

@@ -1,59 +1,124 @@
-"""Non-finite numbers at every entry of the law: both lives must answer with zero thrust."""
+"""Bad inputs at every entry of the law: both lives must answer with zero thrust and a negative status."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.export.contract import Exportable
+from surctl.export.envelope import NULL, STALE, Envelope, anywhere
+from surctl.export.fields import entries
+from surctl.export.precision import Guarded, replayed
 from surctl.export.process import Controller
 from surctl.export.records import Records
-from surctl.export.rendering import entries
+from surctl.ir import Real
 
-__all__ = ["fault_cases", "fault_failures"]
+__all__ = ["Fault", "fault_cases", "fault_failures"]
 
 Vector = NDArray[np.float64]
 
 _BAD = (np.nan, np.inf, -np.inf)
+_AFTER = (  # of a good step, as the SIL program knows them
+    ("the same sample again", STALE),
+    ("an older sample", STALE),
+    *((f"{what} = NULL", NULL) for what in ("state", "gains", "input", "output")),
+)
 
 
-def fault_cases(law: Exportable) -> tuple[list[str], Vector, Vector]:
-    """Each entry of state, input and gains in turn NaN, +inf and −inf.
+class Fault(NamedTuple):
+    """One bad input.
 
-    Returns:
-        Labels such as "u.clearance[2] = nan"; for each the entry of (state, input, gains) end to end, and the number.
+    Attributes:
+        label: such as "u.clearance[2] = nan".
+        at: entry of (state, input, gains) end to end; beyond them what happens after a good step.
+        value: what is put there.
+        status: what has to come of it, None where Python says.
     """
+
+    label: str
+    at: int
+    value: float
+    status: int | None = None
+
+
+def fault_cases(law: Exportable, within: Envelope | None = None, *, real: Real = "float64") -> list[Fault]:
+    """Each entry of state, input and gains in turn NaN, +inf and −inf; just below and above its range, if it has one.
+
+    Then, after a good step: a repeated and an older sample, no state, gains, input or output, and every watched input
+    further away than it can have moved.
+    """
+    within = within or anywhere(law).fitted(law, real)
     layouts = (("x", law.state), ("u", law.inputs), ("p", law.gains))
     members = [f"{letter}.{member}" for letter, layout in layouts for member, _ in entries(layout)]
-    labels = [f"{member} = {bad}" for member in members for bad in _BAD]
-    return labels, np.repeat(np.arange(len(members), dtype=float), len(_BAD)), np.tile(_BAD, len(members))
+    box = np.vstack([within.state, within.inputs, within.gains])
+    cases = [Fault(f"{member} = {bad}", at, bad) for at, member in enumerate(members) for bad in _BAD]
+    number, largest = np.dtype(real).type, float(np.finfo(real).max)
+    for at, (member, (low, high)) in enumerate(zip(members, box, strict=True)):
+        for bound, beyond in ((low, -np.inf), (high, np.inf)):
+            if abs(bound) < largest:
+                value = float(np.nextafter(number(bound), number(beyond)))
+                cases.append(Fault(f"{member} = {value!r}, out of its range", at, value))
+    size = len(members)
+    cases += [Fault(label, size + k, 0.0, status) for k, (label, status) in enumerate(_AFTER)]
+    return cases
+
+
+def _jumps(law: Exportable, within: Envelope, u: Vector) -> Iterator[Fault]:
+    """Every watched input further away than it can have moved, within its range if there is room."""
+    first = law.state.size + law.inputs.size + law.gains.size + len(_AFTER)
+    members = [member for member, _ in entries(law.inputs)]
+    for rate in within.rates:
+        step = 1.01 * (rate.at_once + rate.per_second * law.dt) + 1e-6
+        low, high = within.inputs[rate.entry]
+        value = float(u[rate.entry])
+        for sign in (1.0, -1.0):
+            to = value + sign * step
+            if low <= to <= high:
+                yield Fault(f"u.{members[rate.entry]} jumps to {to!r}", first + rate.entry, to)
 
 
 def fault_failures(law: Exportable, controller: Controller, records: Records) -> tuple[int, tuple[str, ...]]:
-    """(number of cases, the failed ones), all on the first record.
+    """(number of cases, the failed ones), all on the record in the middle, where something moves.
 
     A case passes with a negative status, zero thrust and an untouched state in both Python and C, and the
     same status in both.
     """
-    labels, at, values = fault_cases(law)
-    record = np.concatenate([records.X[0], records.U[0], records.P[0]])
-    c = controller.run_faults(record, at, values)
-    ends = np.cumsum([law.state.size, law.inputs.size])
+    real = controller.bundle.real
+    within = controller.bundle.envelope or anywhere(law).fitted(law, real)
+    middle = len(records) // 2
+    x, u, p = records.X[middle], records.U[middle], records.P[middle]
+    cases = [*fault_cases(law, within, real=real), *_jumps(law, within, u)]
+    record = np.concatenate([x, u, p])
+    c = controller.run_faults(record, np.array([f.at for f in cases], float), np.array([f.value for f in cases]))
     failed = []
-    for k, label in enumerate(labels):
-        faulty = record.copy()
-        faulty[int(at[k])] = values[k]
+    for k, fault in enumerate(cases):
+        status, safe = _in_python(law, within, record, fault)
+        sides = (
+            ("Python", safe),
+            ("C", int(c.status[k]) < 0 and bool(np.all(c.tau[k] == 0.0)) and c.changed[k] == 0),
+            (f"status {status} in Python, {c.status[k]} in C", status == c.status[k]),
+        )
+        failed += [f"{fault.label} ({side})" for side, passes in sides if not passes]
+    return len(cases), tuple(failed)
+
+
+def _in_python(law: Exportable, within: Envelope, record: Vector, fault: Fault) -> tuple[int, bool]:
+    """(status, whether it is refused with zero thrust and the state as it was)."""
+    if fault.status is not None:
+        return fault.status, True
+    faulty, ends = record.copy(), np.cumsum([law.state.size, law.inputs.size])
+    if fault.at < record.size:
+        faulty[fault.at] = fault.value
         x, u, p = np.split(faulty, ends)
         step = law.step(x, u, p)
         kept = np.array_equal(step.x_next, x, equal_nan=True)
-        sides = (
-            ("Python", _safe(step.status, step.tau) and kept),
-            ("C", _safe(int(c.status[k]), c.tau[k]) and c.changed[k] == 0),
-            (f"status {step.status} in Python, {c.status[k]} in C", step.status == c.status[k]),
-        )
-        failed += [f"{label} ({side})" for side, passes in sides if not passes]
-    return len(labels), tuple(failed)
-
-
-def _safe(status: int, tau: Vector) -> bool:
-    return status < 0 and bool(np.all(tau == 0.0))
+        return step.status, step.status < 0 and bool(np.all(step.tau == 0.0)) and kept
+    entry = fault.at - record.size - len(_AFTER)
+    faulty[law.state.size + entry] = fault.value
+    X, U, P = (np.vstack([a, b]) for a, b in zip(np.split(record, ends), np.split(faulty, ends), strict=True))
+    assert isinstance(law, Guarded)
+    rows = replayed(law, Records(X[[0, 0]], U, P), np.array([True, False]))
+    return int(rows.status[1]), rows.status[1] < 0 and bool(np.all(rows.tau[1] == 0.0))

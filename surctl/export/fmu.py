@@ -54,6 +54,18 @@ def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | 
     Raises:
         ToolMissing: there is no compiler.
         InputError: a machine that FMI 2.0 has no name for, or a folder that cannot be written.
+
+    Example:
+        >>> from zipfile import ZipFile
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.export import build_bundle, write_fmu
+        >>> from surctl.simulation import law_numbers, load_scenario
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> file = write_fmu(law, build_bundle(law, law.gains.unpack(p)), p, "fmu")
+        >>> file.path.name, ZipFile(file.path).namelist()[0]
+        ('surctl_lean.fmu', 'modelDescription.xml')
     """
     machine = (platform.system(), platform.machine())
     if machine not in _PLATFORMS:

@@ -9,33 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.export.contract import Exportable, thrust
+from surctl.export.envelope import ITER, NONFINITE, RANGE, Envelope
+from surctl.export.records import Records
+from surctl.export.rows import Rows
 from surctl.ir import Block, Layout, Real, replay
 
-__all__ = ["REALS", "Rounded", "Rows", "evaluated", "in_precision", "rounded"]
+__all__ = ["REALS", "Guarded", "Rounded", "Rows", "evaluated", "in_precision", "plain", "replayed", "rounded"]
 
 Vector = NDArray[np.float64]
 
 REALS: tuple[Real, ...] = ("float64", "float32")
 
-_NONFINITE = -2
 _IN_MEMORY = 20_000_000  # intermediate numbers that are in memory at once
 _NUMPY: dict[Real, type[np.float64] | type[np.float32]] = {"float64": np.float64, "float32": np.float32}
-
-
-class Rows(NamedTuple):
-    """Steps, row by row, as a compiled controller answers them.
-
-    Attributes:
-        status: (T,).
-        tau: (T, n_tau) [N, N m].
-        state: state after each step (T, nx).
-        telemetry: (T, k).
-    """
-
-    status: NDArray[np.int64]
-    tau: Vector
-    state: Vector
-    telemetry: Vector
 
 
 class _Step(NamedTuple):
@@ -46,19 +32,10 @@ class _Step(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Rounded:
-    """An exportable law replayed instruction by instruction, every number rounded to `real`.
-
-    The reference semantics of the exported C in that precision: IEEE 754 defines each operation to the last bit.
-    All vectors are arrays of doubles, which hold floats for float32.
-
-    Attributes:
-        law: the law; its block must not use the mathematical library, whose last bits no standard defines.
-        real: the precision.
-    """
+class _Around:
+    """A law around another one, with its layouts."""
 
     law: Exportable
-    real: Real = "float32"
 
     @property
     def name(self) -> str:
@@ -95,6 +72,21 @@ class Rounded:
         """The law's own instructions."""
         return self.law.block
 
+
+@dataclass(frozen=True, eq=False)
+class Rounded(_Around):
+    """An exportable law replayed instruction by instruction, every number rounded to `real`.
+
+    The reference semantics of the exported C in that precision: IEEE 754 defines each operation to the last bit.
+    All vectors are arrays of doubles, which hold floats for float32.
+
+    Attributes:
+        law: the law; its block must not use the mathematical library, whose last bits no standard defines.
+        real: the precision.
+    """
+
+    real: Real = "float32"
+
     def initial_state(self) -> Vector:
         """State before the first step (nx,)."""
         return rounded(self.law.initial_state(), self.real)
@@ -115,7 +107,7 @@ class Rounded:
     def _batch(self, X: Vector, U: Vector, P: Vector) -> Rows:
         n_tau = thrust(self.law).size
         safe = Rows(
-            np.full(len(X), _NONFINITE),
+            np.full(len(X), NONFINITE),
             np.zeros((len(X), n_tau)),
             X.copy(),
             np.zeros((len(X), self.law.outputs.size - n_tau)),
@@ -126,7 +118,9 @@ class Rounded:
         given = X[taken], U[taken], P[taken]
         made = [np.asarray(y, dtype=np.float64) for y in replay(self.law.block, *given, real=_NUMPY[self.real])]
         told = made[2][:, 0]
-        fine = np.isfinite(np.hstack(made)).all(axis=1) & (told >= 0.0) & (told <= 32767.0)
+        number = np.isfinite(np.hstack(made)).all(axis=1)
+        safe.status[taken[number & (told < 0.0)]] = ITER
+        fine = number & (told >= 0.0) & (told <= 32767.0)
         done = taken[fine]
         for mine, fresh in zip(
             (safe.tau, safe.state, safe.status, safe.telemetry), (*made[:2], told, made[3]), strict=True
@@ -135,13 +129,50 @@ class Rounded:
         return safe
 
 
-def in_precision(law: Exportable, real: Real) -> Exportable:
-    """The law itself for float64, `Rounded` for float32."""
-    return law if real == "float64" else Rounded(law)
+@dataclass(frozen=True, eq=False)
+class Guarded(_Around):
+    """A law behind the guard that its C has.
+
+    Attributes:
+        envelope: what the guard lets in, in the law's precision.
+        real: that precision.
+    """
+
+    envelope: Envelope
+    real: Real = "float64"
+
+    def initial_state(self) -> Vector:
+        """State before the first step (nx,)."""
+        return self.law.initial_state()
+
+    def step(self, x: Vector, u: Vector, p: Vector) -> _Step:
+        """One step that follows no other: a number outside its box gives tau = 0, x_next = x, a negative status."""
+        x, u, p = (rounded(np.asarray(v, dtype=float), self.real) for v in (x, u, p))
+        refused = int(self.envelope.refusals(Records(*(v[None] for v in (x, u, p))))[0])
+        if refused == RANGE:  # what is not finite the law refuses itself
+            size = thrust(self.law).size
+            return _Step(np.zeros(size), np.array(x, dtype=float), refused, np.zeros(self.outputs.size - size))
+        step = self.law.step(x, u, p)
+        return _Step(step.tau, step.x_next, step.status, step.telemetry)
+
+
+def in_precision(law: Exportable, real: Real, envelope: Envelope | None = None) -> Exportable:
+    """The law as a target computes it: `Rounded` for float32, behind a guard if there is an envelope."""
+    inner = law if real == "float64" else Rounded(law)
+    return inner if envelope is None else Guarded(inner, envelope, real)
+
+
+def plain(law: Exportable) -> Exportable:
+    """The law itself."""
+    while isinstance(law, _Around):
+        law = law.law
+    return law
 
 
 def evaluated(law: Exportable, X: Vector, U: Vector, P: Vector) -> Rows:
-    """One step of the law in Python from each row."""
+    """One step of the law in Python from each row, none of which follows another."""
+    if isinstance(law, Guarded):
+        return _let_in(law, Records(*(rounded(v, law.real) for v in (X, U, P))))
     if isinstance(law, Rounded):
         return law.steps(X, U, P)
     steps = [law.step(x, u, p) for x, u, p in zip(X, U, P, strict=True)]
@@ -152,6 +183,35 @@ def evaluated(law: Exportable, X: Vector, U: Vector, P: Vector) -> Rows:
         np.array([s.x_next for s in steps], dtype=float).reshape(len(steps), law.state.size),
         np.array([s.telemetry for s in steps], dtype=float).reshape(len(steps), width),
     )
+
+
+def _let_in(law: Guarded, given: Records) -> Rows:
+    status = law.envelope.refusals(given)
+    size = thrust(law).size
+    out = Rows(
+        status,
+        np.zeros((len(given), size)),
+        np.array(given.X, dtype=float),
+        np.zeros((len(given), law.outputs.size - size)),
+    )
+    taken = np.flatnonzero(status != RANGE)  # what is not finite the law refuses itself
+    if taken.size:
+        for mine, fresh in zip(out, evaluated(law.law, given.X[taken], given.U[taken], given.P[taken]), strict=True):
+            mine[taken] = fresh
+    return out
+
+
+def replayed(
+    law: Exportable, given: Records, load: NDArray[np.bool_], *, counts: NDArray[np.int64] | None = None
+) -> Rows:
+    """As `evaluated`, but each row follows the one before unless `load` (T,) is set there: nothing may have jumped.
+
+    `counts` (T,) numbers the rows' samples, for those that some are missing of.
+    """
+    rows = evaluated(law, given.X, given.U, given.P)
+    if not isinstance(law, Guarded):
+        return rows
+    return law.envelope.chained(rows, given, load, dt=law.dt, real=law.real, counts=counts)
 
 
 def rounded(values: Vector, real: Real = "float32") -> Vector:

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from surctl.errors import SurctlError
 from surctl.export.bundle import Bundle, write_bundle
 from surctl.export.contract import Exportable, thrust
-from surctl.export.precision import Rows, in_precision
+from surctl.export.precision import in_precision
 from surctl.export.records import Records
+from surctl.export.rows import Rows
 from surctl.ir import compile_program
 
 __all__ = ["Controller", "FaultResults", "build_controller"]
@@ -58,17 +59,22 @@ class Controller:
 
     def run(self, records: Records, *, load: NDArray[np.bool_]) -> Rows:
         """Step through the records; where `load` (T,) is set, the state is taken from the record."""
-        return self.parsed(self.raw(records, load=load), len(records))
+        return self.parsed(self.answered(self.stream(records, load=load), len(records)), len(records))
 
-    def raw(self, records: Records, *, load: NDArray[np.bool_]) -> bytes:
-        """As `run`, the bytes of the program's answer."""
+    def stream(self, records: Records, *, load: NDArray[np.bool_]) -> bytes:
+        """The records as the program of this precision reads them, whatever it was compiled for."""
         fresh = np.ones(len(records), dtype=bool)  # gains that are those of the row before are not sent again
         fresh[1:] = (records.P[1:] != records.P[:-1]).any(axis=1)
         parts: list[NDArray[np.float64]] = []
         for k, (with_state, with_gains) in enumerate(zip(load, fresh, strict=True)):
             parts.append(np.array([with_state + 2.0 * with_gains]))
             parts += [records.X[k]] * bool(with_state) + [records.U[k]] + [records.P[k]] * bool(with_gains)
-        return self._answer([], np.concatenate(parts), len(records), sum(self._widths))
+        with np.errstate(over="ignore"):
+            return np.concatenate(parts).astype(self._dtype).tobytes()
+
+    def answered(self, stream: bytes, count: int) -> bytes:
+        """The program's answer to the records of a stream."""
+        return self._answer([], stream, count, sum(self._widths))
 
     def parsed(self, raw: bytes, count: int) -> Rows:
         """The rows that the bytes hold."""
@@ -78,7 +84,7 @@ class Controller:
 
     @property
     def row_bytes(self) -> int:
-        """Bytes of one row of `raw`."""
+        """Bytes of one row of an answer."""
         return sum(self._widths) * self._dtype.itemsize
 
     @property
@@ -94,14 +100,15 @@ class Controller:
         """A step from `record` (state, input, gains end to end) for each entry `at` (K,), with `values` (K,) there."""
         given = np.concatenate([record, np.column_stack([at, values]).ravel()])
         n_tau = thrust(self.law).size
-        rows = self._rows(self._answer(["--faults"], given, len(at), 2 + n_tau), len(at), 2 + n_tau)
+        with np.errstate(over="ignore"):
+            sent = given.astype(self._dtype).tobytes()
+        rows = self._rows(self._answer(["--faults"], sent, len(at), 2 + n_tau), len(at), 2 + n_tau)
         status, changed = rows[:, 0].astype(np.int64), rows[:, 1 + n_tau].astype(np.int64)
         return FaultResults(status, rows[:, 1 : 1 + n_tau], changed)
 
-    def _answer(self, options: list[str], given: Vector, count: int, width: int) -> bytes:
+    def _answer(self, options: list[str], sent: bytes, count: int, width: int) -> bytes:
         """The program's answer: `count` rows of `width` numbers."""
-        with np.errstate(over="ignore"):
-            raw = _run([*self.command, *options], given.astype(self._dtype).tobytes())
+        raw = _run([*self.command, *options], sent)
         if len(raw) != self._dtype.itemsize * count * width:
             raise SurctlError(f"{Path(self.command[0]).name} returned {len(raw)} bytes for {count} records")
         return raw
@@ -124,13 +131,25 @@ def build_controller(law: Exportable, bundle: Bundle, directory: Path) -> Contro
         ToolMissing: there is no compiler.
         SurctlError: the compiler refuses the bundle.
         InputError: the folder cannot be written.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.export import build_bundle, build_controller
+        >>> from surctl.simulation import law_numbers, load_scenario
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> controller = build_controller(law, build_bundle(law, law.gains.unpack(p)), Path("lean"))
+        >>> controller.bundle.name, [Path(word).name for word in controller.command]
+        ('surctl_lean', ['sil'])
     """
     write_bundle(bundle, directory)
     directory = directory.resolve()
     code = directory / f"{bundle.name}.o"
     compile_program([directory / f"{bundle.name}.c"], code, flags=("-c",))
     program = compile_program([directory / "sil_main.c", code], directory / "sil")
-    return Controller(in_precision(law, bundle.real), bundle, (str(program),), code_bytes(code))
+    return Controller(in_precision(law, bundle.real, bundle.envelope), bundle, (str(program),), code_bytes(code))
 
 
 def _run(command: list[str], data: bytes) -> bytes:

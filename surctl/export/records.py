@@ -41,6 +41,19 @@ def as_records(law: Exportable, records: Records | Sequence[Triple]) -> Records:
 
     Raises:
         InputError: no step, or arrays that do not fit the law's layouts.
+
+    Example:
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.export import Records, as_records
+        >>> from surctl.simulation import law_numbers, load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> run = simulate(mission, vehicle, gains=gains, law=law)
+        >>> flight = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
+        >>> records = as_records(law, flight)  # one vector of gains becomes a row a step
+        >>> flight.P.shape, records.P.shape == (len(flight.X), law.gains.size)
+        ((69,), True)
     """
     if not isinstance(records, Records):
         rows = list(records)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -14,8 +13,12 @@ from numpy.typing import NDArray
 
 from surctl import __version__
 from surctl.export.contract import STATUS, Exportable, telemetry_ports, thrust
+from surctl.export.direct import changing, direct_law, results
+from surctl.export.envelope import Envelope
+from surctl.export.fields import entries, field, starts, transfers
+from surctl.export.guard_text import ANY_NUMBER, box_lines, jump_lines, keep_lines, number_calls, told_range
 from surctl.export.vectors import TOLERANCE, SelfTest
-from surctl.ir import C_TYPE, Layout, Port, Real, c_literal, emit_block, memory
+from surctl.ir import C_TYPE, Layout, Port, Program, Real, c_literal, emit_block, memory
 from surctl.ir.compiler import FLAGS
 
 __all__ = ["render_files", "render_unit"]
@@ -24,25 +27,37 @@ Vector = NDArray[np.float64]
 
 
 def render_files(
-    law: Exportable, gains: Vector, *, name: str, identity: str, tests: SelfTest, real: Real = "float64"
+    law: Exportable,
+    gains: Vector,
+    within: Envelope,
+    *,
+    name: str,
+    identity: str,
+    tests: SelfTest,
+    real: Real = "float64",
 ) -> dict[str, str]:
     """Text of every file but the manifest, by file name.
 
     Args:
         law: the law, its names already checked.
         gains: tuned gains (np,).
+        within: what the guard lets in, in this precision.
         name: prefix of files and symbols.
         identity: the law's id.
         tests: vectors of the built-in self-test.
         real: precision of every number.
     """
-    values = _values(law, gains, name, identity, tests, real)
+    values = _values(law, gains, within, name, identity, tests, real)
     templates = {
         f"{name}.h": "law.h.j2",
         f"{name}.c": "law.c.j2",
         "sil_main.c": "sil_main.c.j2",
         "Makefile": "Makefile.j2",
+        "link.h": "link.h.j2",
+        "link.c": "link.c.j2",
+        "controller.c": "controller.c.j2",
         "target_start.c": "target_start.c.j2",
+        "target_link.c": "target_link.c.j2",
         "target.ld": "target.ld.j2",
         "README.md": "README.md.j2",
     }
@@ -92,7 +107,9 @@ def _words(real: Real) -> dict[str, Any]:
     }
 
 
-def _values(law: Exportable, gains: Vector, name: str, identity: str, tests: SelfTest, real: Real) -> dict[str, Any]:
+def _values(
+    law: Exportable, gains: Vector, within: Envelope, name: str, identity: str, tests: SelfTest, real: Real
+) -> dict[str, Any]:
     """What the templates know."""
     n_tau = thrust(law).size
     literal = partial(c_literal, real=real)
@@ -116,12 +133,21 @@ def _values(law: Exportable, gains: Vector, name: str, identity: str, tests: Sel
         "n_telemetry": law.outputs.size - n_tau,
         "field": field,
         "starts": starts,
-        "ram": _ram(law, np.dtype(real).itemsize),
+        "ram": _ram(law, within, np.dtype(real).itemsize),
+        **_guard(law, within, name, real),
+        "constants": [
+            (port, ", ".join(repr(float(v)) for v in value)) for port, value in getattr(law, "constant_table", ())
+        ],
         "transfers": transfers,
         "initial": runs(law.initial_state(), text=literal),
         "gain_values": [literal(float(v)) for v in gains],
         "gain_table": _gain_table(law.gains, gains),
-        "law": emit_block(law.block, symbol=f"{name}_law", folded=True, real=real),
+        "direct": isinstance(law.block, Program),
+        "changing": changing(law.block) if isinstance(law.block, Program) else [],
+        "results": results(law, law.block) if isinstance(law.block, Program) else [],
+        "law": direct_law(law, law.block, name, real)
+        if isinstance(law.block, Program)
+        else emit_block(law.block, symbol=f"{name}_law", folded=True, real=real),
         "operations": law.block.operations,
         "libm": sorted(law.block.libm),
         "tolerance": literal(TOLERANCE[real]),
@@ -143,59 +169,51 @@ def _structs(law: Exportable) -> list[tuple[str, str, tuple[Port, ...]]]:
     ]
 
 
-def _ram(law: Exportable, width: int) -> dict[str, int]:
+def _guard(law: Exportable, within: Envelope, name: str, real: Real) -> dict[str, Any]:
+    """What the templates know of the guard."""
+    boxes = ((law.state, within.state), (law.inputs, within.inputs), (law.gains, within.gains))
+    access: tuple[Callable[[str, str], str], ...] = (
+        lambda _, at: f"state->x[{at}]",
+        lambda part, _: f"input->{part}",
+        lambda part, _: f"gains->{part}",
+    )
+    told = {
+        port.name: told_range(box[layout.slice(port.name)]) for layout, box in boxes for port in layout if port.size
+    }
+    inputs = entries(law.inputs)
+    return {
+        "box": [box_lines(layout, box, member, real) for (layout, box), member in zip(boxes, access, strict=True)],
+        "numbers": [
+            call
+            for (layout, _), struct in zip(boxes, ("state", "input", "gains"), strict=True)
+            for call in number_calls(layout, struct, name)
+        ],
+        "kept": keep_lines(law.inputs, within),
+        "jumps": jump_lines(law.inputs, within, law.dt, real),
+        "watched": [(k, inputs[rate.entry][0], rate) for k, rate in enumerate(within.rates)],
+        "allowed": lambda port: told.get(port.name, ""),
+        "bounded": lambda port: f"; {told[port.name]}" if told.get(port.name, ANY_NUMBER) != ANY_NUMBER else "",
+        "reasons": dict(within.reasons),
+        "outside": _outside(law, within),
+    }
+
+
+def _outside(law: Exportable, within: Envelope) -> tuple[int, float] | None:
+    """An input, and a number out of its box, for the self-test."""
+    largest = 1e38
+    for at, (_, high) in enumerate(within.inputs):
+        if high < largest:
+            return at, 2.0 * abs(float(high)) + 1.0
+    return None
+
+
+def _ram(law: Exportable, within: Envelope, width: int) -> dict[str, int]:
     """Bytes by what holds them, as far as the routine alone decides it; `width` bytes a number."""
     other = law.inputs.size + law.gains.size + law.outputs.size
-    held = {"state": 2 * law.state.size, "structs": other, "arrays": memory(law.block) - 2 * law.state.size}
-    return {what: width * count for what, count in held.items()}
-
-
-def starts(layout: Layout) -> list[tuple[Port, int]]:
-    """Ports that hold numbers, with their first entries in the flat vector."""
-    return [(port, layout.slice(port.name).start) for port in layout if port.size]
-
-
-def field(port: Port) -> str:
-    """C declarator: a scalar for one entry, else an array of the port's shape, rows first."""
-    return port.name if port.size == 1 else port.name + "".join(f"[{n}]" for n in port.shape)
-
-
-def entries(ports: Layout | Sequence[Port], base: int = 0) -> list[tuple[str, int]]:
-    """(C member access, flat index) of every number, in layout order, counted from `base`."""
-    members: list[str] = []
-    for port in ports:
-        if port.size == 1:
-            members.append(port.name)
-            continue
-        indices = itertools.product(*(range(n) for n in port.shape))
-        members += [port.name + "".join(f"[{i}]" for i in index) for index in indices]
-    return [(member, base + at) for at, member in enumerate(members)]
-
-
-def transfers(ports: Layout | Sequence[Port], base: int = 0) -> list[tuple[str, str, str]]:
-    """How to go through every number of the ports in layout order, a port an item.
-
-    Returns:
-        Loop headers (empty for a single number; they leave one brace open), C member access, and flat index in C,
-        counted from `base`.
-    """
-    items, at = [], base
-    for port in ports:
-        if port.size == 1:
-            items.append(("", port.name, str(at)))
-        elif port.size:
-            items.append(_walk(port, at))
-        at += port.size
-    return items
-
-
-def _walk(port: Port, at: int) -> tuple[str, str, str]:
-    names = [f"k{d}" if len(port.shape) > 1 else "k" for d in range(len(port.shape))]
-    loops = " ".join(f"for (int {k} = 0; {k} < {n}; ++{k})" for k, n in zip(names, port.shape, strict=True))
-    strides = [math.prod(port.shape[d + 1 :]) for d in range(len(port.shape))]
-    terms = [k if stride == 1 else f"{stride} * {k}" for k, stride in zip(names, strides, strict=True)]
-    member = port.name + "".join(f"[{k}]" for k in names)
-    return f"{loops} {{ ", member, " + ".join([str(at)] * bool(at) + terms)
+    arrays = 0 if isinstance(law.block, Program) else memory(law.block) - 2 * law.state.size
+    held = {"state": 2 * law.state.size + len(within.rates), "structs": other, "arrays": arrays}
+    # beside the numbers: the sample's count in the input; in the state the last one's, and whether there was one
+    return {what: width * count + {"state": 8, "structs": 4}.get(what, 0) for what, count in held.items()}
 
 
 def runs(values: Vector, *, text: Callable[[float], str] = c_literal) -> list[str]:

@@ -15,9 +15,10 @@ from surctl.errors import InputError
 from surctl.export.bundle import build_bundle
 from surctl.export.contract import Exportable
 from surctl.export.faults import fault_failures
-from surctl.export.precision import Rows, evaluated, rounded
+from surctl.export.precision import evaluated, replayed, rounded
 from surctl.export.process import Controller, build_controller
 from surctl.export.records import Records, as_records
+from surctl.export.rows import Rows
 from surctl.ir import Real, compiler_version
 
 __all__ = [
@@ -66,7 +67,7 @@ class SilReport:
         resets: steps at which the record's state is not the law's own, and C was loaded with it.
         tau, state, telemetry: largest differences.
         status_mismatches: number of steps with another status.
-        fault_cases: number of non-finite cases tried on each side.
+        fault_cases: number of bad inputs tried on each side, see `faults`.
         fault_failures: those that did not give zero thrust, a negative status and an untouched state.
         self_test: whether the exported self-test passes.
         compiler: the compiler's version line.
@@ -123,7 +124,7 @@ class SilReport:
             f"state {self.state.mixed:.1e}, telemetry {self.telemetry.mixed:.1e}",
             f"  status: {self.status_mismatches} of {self.steps} steps differ; "
             f"self-test {'ok' if self.self_test else 'FAILED'}",
-            f"  non-finite numbers: {self.fault_cases} cases, {len(self.fault_failures)} failures",
+            f"  bad inputs: {self.fault_cases} cases, {len(self.fault_failures)} failures",
             f"  {self.compiler}{size}",
         ]
         lines += [f"  failed: {label}" for label in self.fault_failures[:5]]
@@ -153,6 +154,19 @@ def software_in_the_loop(
         ToolMissing: there is no compiler.
         SurctlError: the compiler refuses the bundle, or the program crashes.
         InputError: the records do not fit the law.
+
+    Example:
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.export import Records, software_in_the_loop
+        >>> from surctl.simulation import law_numbers, load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> run = simulate(mission, vehicle, gains=gains, law=law)
+        >>> flight = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
+        >>> report = software_in_the_loop(law, flight)
+        >>> report.passed, report.tau.mixed, len(report.fault_failures)
+        (True, 0.0, 0)
     """
     return software_in_the_loop_runs(law, [records], workdir=workdir, real=real)[0]
 
@@ -167,6 +181,18 @@ def software_in_the_loop_runs(
     """One report a recorded run, all through one compiled bundle (with the gains of the first run's first record).
 
     Arguments and errors as `software_in_the_loop`; InputError also when there is no run.
+
+    Example:
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.export import Records, software_in_the_loop_runs
+        >>> from surctl.simulation import law_numbers, load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> runs = [simulate(mission, vehicle, gains=gains, law=law, seed=seed).record for seed in (0, 1)]
+        >>> flights = [Records(run.law_state, run.law_input, run.law_parameters) for run in runs]
+        >>> [(report.passed, report.tau.mixed) for report in software_in_the_loop_runs(law, flights)]
+        [(True, 0.0), (True, 0.0)]
     """
     recorded = [as_records(law, run) for run in runs]
     if not recorded:
@@ -186,6 +212,21 @@ def compare_runs(
     Raises:
         SurctlError: the program crashes.
         InputError: the records do not fit the law.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.export import Records, build_bundle, build_controller, compare_runs
+        >>> from surctl.simulation import law_numbers, load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> run = simulate(mission, vehicle, gains=gains, law=law)
+        >>> flight = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
+        >>> controller = build_controller(law, build_bundle(law, law.gains.unpack(p)), Path("lean"))
+        >>> [report] = compare_runs(controller, [flight])
+        >>> report.passed, report.steps, report.tau.mixed
+        (True, 410, 0.0)
     """
     return tuple(_compare(controller, as_records(controller.law, run)) for run in runs)
 
@@ -201,8 +242,8 @@ def _compare(controller: Controller, run: Records) -> SilReport:
     law = controller.law
     if controller.bundle.real != "float64":
         run = _on_its_own(controller, run)
-    python = evaluated(law, run.X, run.U, run.P)
-    load = _resets(run, python)
+    load = _resets(run, evaluated(law, run.X, run.U, run.P))
+    python = replayed(law, run, load)
     c = controller.run(run, load=load)
     cases, failures = fault_failures(law, controller, run)
     done = python.status >= 0  # a refused step reports nothing

@@ -6,6 +6,7 @@ import platform
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from surctl.errors import InputError, ToolMissing, nearest
 
@@ -49,6 +50,10 @@ class Target:
         """What runs the program on the emulated board."""
         return ("qemu-system-arm", "-M", self.machine or "", *_BOARD, "-kernel", program)
 
+    def bare(self, folder: Path) -> tuple[str, ...]:
+        """Flags that link a program for the board, with the bundle's start and memory map in `folder`."""
+        return (*self.flags, "--specs=rdimon.specs", "-nostartfiles", f"-T{folder / 'target.ld'}")
+
 
 def _here() -> list[Target]:
     native = ("-O3", "-march=native") if platform.machine().lower() in ("x86_64", "amd64") else ("-O3",)
@@ -56,14 +61,18 @@ def _here() -> list[Target]:
     return [*made, *(Target(f"{c}-native", c, native) for c in ("gcc", "clang"))]
 
 
-def _emulated(name: str, board: str, *flags: str) -> Target:
-    return Target(name, "arm-none-eabi-gcc", ("-O2", "-mthumb", *flags), board)
+def _emulated(name: str, board: str, *flags: str, level: str = "-O2") -> Target:
+    return Target(name, "arm-none-eabi-gcc", (level, "-mthumb", *flags), board)
+
+
+_M4F = ("mps2-an386", "-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard")
 
 
 _MADE = (
     *_here(),
     _emulated("cortex-m3", "mps2-an385", "-mcpu=cortex-m3", "-mfloat-abi=soft"),
-    _emulated("cortex-m4f", "mps2-an386", "-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"),
+    _emulated("cortex-m4f", *_M4F),
+    _emulated("cortex-m4f-Os", *_M4F, level="-Os"),
     _emulated("cortex-m7", "mps2-an500", "-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-mfloat-abi=hard"),
 )
 
@@ -80,6 +89,12 @@ def chosen_targets(names: Sequence[str] = ()) -> tuple[list[Target], dict[str, t
     Raises:
         InputError: an unknown name.
         ToolMissing: a target that was asked for has not its tools here.
+
+    Example:
+        >>> from surctl.export import chosen_targets
+        >>> targets, lacking = chosen_targets(["gcc-O0", "gcc-O2"])
+        >>> [target.flags for target in targets], lacking
+        ([('-O0',), ('-O2',)], {})
     """
     for name in names:
         if name not in TARGETS:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.export.contract import Exportable
+from surctl.export.envelope import Envelope
 from surctl.export.precision import rounded
 from surctl.export.records import Records
 from surctl.ir import Real
@@ -25,7 +26,13 @@ _TURNS = 256  # steps that share their gains
 
 
 def trial_steps(
-    law: Exportable, runs: Sequence[Records], count: int, *, real: Real = "float64", seed: int = 0
+    law: Exportable,
+    runs: Sequence[Records],
+    count: int,
+    *,
+    real: Real = "float64",
+    seed: int = 0,
+    within: Envelope | None = None,
 ) -> Records:
     """Up to `count` steps (as many as `MOST_NUMBERS` allows), from rows of the runs, in eight kinds by turns.
 
@@ -39,6 +46,8 @@ def trial_steps(
         count: how many steps.
         real: precision of the target, whose neighbouring numbers count.
         seed: of the draws.
+        within: what the guard lets in: what is shaken stays inside, and what is shaken widely is anywhere in it, so
+            that the law is tried and not the guard alone.
     """
     rng = np.random.default_rng(seed)
     X = np.concatenate([run.X for run in runs])
@@ -58,6 +67,11 @@ def trial_steps(
         chosen = kind == which
         part = rows[chosen]
         rows[chosen] = part + spread * (1.0 + np.abs(part)) * rng.uniform(-1.0, 1.0, part.shape)
+    if within is not None:
+        box = np.vstack([within.state, within.inputs])
+        shaken = np.isin(kind, (3, 4, 6))
+        rows[shaken] = np.clip(rows[shaken], box[:, 0], box[:, 1])
+        _anywhere(rows, np.flatnonzero(kind == 4), box, rng)
     part = rows[kind == 5]
     swapped = rng.choice(3, part.shape)
     part = np.where(rng.random(part.shape) < 0.1, np.where(swapped < 2, swapped, -part), part)
@@ -69,6 +83,15 @@ def trial_steps(
     factors[::2] = 1.0
     gains *= np.repeat(factors, _TURNS, axis=0)[:count]
     return Records(rows[:, : X.shape[1]], rows[:, X.shape[1] :], gains)
+
+
+def _anywhere(rows: Vector, at: NDArray[np.intp], box: Vector, rng: np.random.Generator) -> None:
+    """Numbers of these rows whose range has ends are drawn from it, more often near what they were."""
+    bounded = np.flatnonzero(np.abs(box).max(axis=1) < 1e30)
+    low, high = box[bounded].T
+    part = np.clip(rows[np.ix_(at, bounded)], low, high)
+    far = rng.uniform(-1.0, 1.0, part.shape) ** 3
+    rows[np.ix_(at, bounded)] = np.clip(part + np.where(far > 0, (high - part) * far, (part - low) * far), low, high)
 
 
 def _switches(run: Records) -> NDArray[np.bool_]:

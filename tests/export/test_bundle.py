@@ -62,8 +62,9 @@ def test_the_id_follows_what_is_computed_and_not_the_name() -> None:
 
 def test_files_and_manifest() -> None:
     bundle = bundle_of(stand_in())
-    code, emulated = ["standin.h", "standin.c", "sil_main.c", "Makefile"], ["target_start.c", "target.ld"]
-    assert list(bundle.files) == [*code, *emulated, "README.md", "manifest.json"]
+    code, link = ["standin.h", "standin.c", "sil_main.c", "Makefile"], ["link.h", "link.c", "controller.c"]
+    emulated = ["target_start.c", "target_link.c", "target.ld"]
+    assert list(bundle.files) == [*code, *link, *emulated, "README.md", "manifest.json"]
     manifest = json.loads(bundle.files["manifest.json"])
     assert manifest["id"] == bundle.id and manifest["dt_s"] == 0.05
     for name, digest in manifest["sha256"].items():
@@ -114,7 +115,7 @@ def test_null_pointers_give_null_and_zero_thrust(tmp_path: Path) -> None:
 #include <stddef.h>
 int main(void)
 {
-    standin_state_t s; standin_gains_t g; standin_input_t u = {{0.0}, {{0.0}}, 0.0}; standin_output_t y;
+    standin_state_t s; standin_gains_t g; standin_input_t u = {{0.0}, {{0.0}}, 0.0, 1U}; standin_output_t y;
     int i;
     if (standin_initialize(NULL, &g) != -1 || standin_initialize(&s, NULL) != -1) { return 1; }
     if (standin_initialize(&s, &g) != STANDIN_STATUS_OK) { return 2; }

@@ -36,7 +36,7 @@ from surctl.vehicle import load_vehicle
 from tests.export.standin import StandIn, recorded, stand_in
 from tests.tools import need, need_compiler
 
-EMULATED = ("cortex-m3", "cortex-m4f", "cortex-m7")
+EMULATED = ("cortex-m3", "cortex-m4f", "cortex-m4f-Os", "cortex-m7")
 
 
 class Exact(StandIn):
@@ -120,6 +120,21 @@ def test_contraction_is_refused(tmp_path: Path) -> None:
     fused = replace(TARGETS["gcc-native"], name="fused", flags=("-O2", "-mfma", "-ffp-contract=fast"))
     report = check_builds(compiled(law, run, tmp_path, "float64"), [run], [fused], steps=20)
     assert not report.passed and "-ffp-contract=fast" in report.summary()
+
+
+def test_the_vectoriser_fuses_nothing(tmp_path: Path) -> None:
+    """Products with a sum and a difference in turn: gcc 12 makes vfmaddsub of them on processors that have it."""
+    need("gcc")
+    u, p = ca.SX.sym("u", 12), ca.SX.sym("p", 1)
+    tau = ca.vertcat(*(u[k] * u[k + 4] + (-1) ** k * u[k + 8] for k in range(4)))
+    function = ca.Function("law", [ca.SX(0, 1), u, p], [tau, ca.SX(0, 1), ca.SX(0), ca.SX(0, 1)])
+    inputs, gains = Layout((Port("u", (12,), "1", "wish"),)), Layout((Port("p", (1,), "1", "gain"),))
+    law = Exact("fused", 0.1, Layout(()), inputs, gains, Layout((Port("tau", (4,), "N", "thrust"),)), function)
+    U = np.random.default_rng(0).normal(size=(50, 12))
+    run = as_records(law, Records(np.zeros((50, 0)), U, np.zeros(1)))
+    natives = [TARGETS["gcc-native"], TARGETS["gcc-O3"]]
+    report = check_builds(compiled(law, run, tmp_path, "float64"), [run], natives, steps=200)
+    assert report.passed, report.summary()
 
 
 def test_a_build_that_fails_is_reported(tmp_path: Path) -> None:

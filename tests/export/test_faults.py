@@ -6,7 +6,6 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from surctl.export import Bundle, SilReport, build_bundle, build_controller, compare_runs
@@ -30,20 +29,26 @@ def report_of(old: str, new: str, folder: Path) -> SilReport:
 
 def test_every_entry_is_tried_with_every_bad_number() -> None:
     law = stand_in()
-    labels, at, values = fault_cases(law)
+    cases = fault_cases(law)
     size = law.state.size + law.inputs.size + law.gains.size
-    assert len(set(labels)) == len(labels) == 3 * size
-    assert sorted(zip(at, map(str, values), strict=True)) == sorted(
+    entries, after = cases[: 3 * size], cases[3 * size :]
+    assert len({case.label for case in cases}) == len(cases) == 3 * size + 6
+    assert sorted((case.at, str(case.value)) for case in entries) == sorted(
         (k, bad) for k in range(size) for bad in ("nan", "inf", "-inf")
     )
     flat = [*(f"x.{n}" for n in ("integral[0]", "integral[1]", "integral[2]", "integral[3]", "latch"))]
-    assert [label.split(" = ")[0] for label in labels[:15:3]] == flat
-    assert labels[-1] == "p.limit = -inf" and at[-1] == size - 1 and values[-1] == -np.inf
+    assert [case.label.split(" = ")[0] for case in entries[:15:3]] == flat
+    assert entries[-1].label == "p.limit = -inf" and entries[-1].at == size - 1
+    assert [case.status for case in after] == [-4, -4, -1, -1, -1, -1]
+
+
+REFUSED = "input)) {\n        return standin_refuse("
+MEMORY = "for (int k0 = 0; k0 < 2; ++k0) for (int k1 = 0; k1 < 3; ++k1) { if (!(fabs(state->x["
 
 
 def test_an_unguarded_state_is_found_at_the_entry_that_nothing_else_stops(tmp_path: Path) -> None:
     need_compiler()
-    report = report_of("!standin_finite(state->x, 11) || ", "", tmp_path)
+    report = report_of(MEMORY, MEMORY.replace("k0 < 2", "k0 < 0"), tmp_path)
     assert not report.passed
     assert "x.memory[1][2] = inf (C)" in report.fault_failures  # pushed out by the new row, so the result is finite
     assert all(label.startswith("x.") for label in report.fault_failures)
@@ -51,22 +56,28 @@ def test_an_unguarded_state_is_found_at_the_entry_that_nothing_else_stops(tmp_pa
 
 def test_a_guard_that_stops_an_entry_short_is_found(tmp_path: Path) -> None:
     need_compiler()
-    report = report_of("!standin_finite(state->x, 11)", "!standin_finite(state->x, 10)", tmp_path)
+    report = report_of(MEMORY, MEMORY.replace("k1 < 3", "k1 < 2"), tmp_path)
     assert {label.split(" = ")[0] for label in report.fault_failures} == {"x.memory[1][2]"}
 
 
-@pytest.mark.parametrize("change", ["state->x[standin_at_latch] = 7.0;", "output->tau[2] = 1.0;"])
-def test_a_refusal_that_changes_state_or_thrusts_is_found(tmp_path: Path, change: str) -> None:
+@pytest.mark.parametrize(
+    ("old", "new", "missed"),
+    [
+        # the stale samples and NULL are refused elsewhere
+        (REFUSED, REFUSED.replace("\n", "\n        state->x[standin_at_latch] = 7.0;\n"), 6),
+        ("to->tau[k] = 0.0;", "to->tau[k] = 1.0;", 1),  # without an output nobody sees it
+    ],
+)
+def test_a_refusal_that_changes_state_or_thrusts_is_found(tmp_path: Path, old: str, new: str, missed: int) -> None:
     need_compiler()
-    guard = "finite(p, 5)) {\n"
-    report = report_of(guard, f"{guard}        {change}\n", tmp_path)
-    assert len([label for label in report.fault_failures if label.endswith("(C)")]) == report.fault_cases
+    report = report_of(old, new, tmp_path)
+    assert len([label for label in report.fault_failures if label.endswith("(C)")]) == report.fault_cases - missed
 
 
 def test_a_flipped_sign_is_found(tmp_path: Path) -> None:
     need_compiler()
     text = build_bundle(stand_in(), {}).files["standin.c"]
-    (found,) = re.findall(r"in0\[1\] \* \w+ \+ in1\[1\]", text)  # the integral's leak and what it takes in
+    (found,) = re.findall(r"state->x\[1\] \* \w+ \+ input->eta\[1\]", text)  # the integral's leak and what it takes in
     report = report_of(found, found.replace("+", "-"), tmp_path)
     assert not report.passed and report.state.mixed > 0.1 and not report.fault_failures
     assert not report.self_test

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surctl.control import DEGRADED, SATURATED, SWITCHED, build_law, load_gains
+from surctl.control import DEGRADED, SATURATED, SWITCHED, build_law, in_real, load_gains
 from surctl.errors import ToolMissing
 from surctl.export import Controller, Records, build_bundle, build_controller, compare_runs
-from surctl.ir import emit_block, memory, stack_of
+from surctl.ir import Call, Routine, emit_block, memory, stack_of
 from surctl.sensing import Fault
 from surctl.simulation import Run, load_scenario, simulate
 from surctl.vehicle import load_vehicle
@@ -49,11 +49,24 @@ def test_a_flight_with_faults_agrees_to_the_last_bit(flown: tuple[Run, Controlle
     assert report.conclusive, report.summary()
     assert report.tau.absolute == report.state.absolute == report.telemetry.absolute == 0.0
     assert report.steps > 500
-    assert report.fault_cases == 3 * (law.state.size + law.inputs.size + law.gains.size)
+    # each number NaN and infinite; a repeated and an older sample; no state, gains, input, output
+    assert report.fault_cases == 3 * (law.state.size + law.inputs.size + law.gains.size) + 6
     struck = (record.time > 5.0) & (record.time < 8.0)
     assert np.ptp(run.telemetry("healthy")[struck, 0]) == 1.0  # the fault reached the law
     cells = record.law_state[:, law.state.slice("map_cells")]
     assert cells.shape[1] == 2304 and cells.min() == -1.0 and cells.max() == 1.0  # and the map was drawn on
+
+
+def test_in_floats_it_keeps_its_senses_and_gets_another_tick(flown: tuple[Run, Controller]) -> None:
+    law = flown[0].law
+    single = in_real(law, "float32")
+    assert (single is law) == (law.mode == "nsb")
+    assert single.senses is law.senses and single.block.inputs == law.block.inputs
+    assert isinstance(single.block, Routine) and isinstance(law.block, Routine)
+    for mine, other in zip(single.block.steps, law.block.steps, strict=True):
+        assert isinstance(mine, Call) and isinstance(other, Call) and mine.args == other.args
+        same = law.mode == "nsb" or "telemetry" not in mine.results
+        assert (mine.block.digest() == other.block.digest()) == same
 
 
 def test_single_steps_far_from_any_flight_agree_to_the_last_bit(flown: tuple[Run, Controller]) -> None:
@@ -86,8 +99,9 @@ def test_what_it_takes_in_float_and_that_the_readme_counts_all_but_numbers_on_th
     words = "bytes in the state", "in the caller's other structs", "in arrays"
     counts = [int(n) for word in words for n in re.findall(rf"(\d+) {word}", files["README.md"])]
     state, structs, arrays = (n // 8 for n in counts)
-    assert state == 2 * law.state.size and structs == law.inputs.size + law.gains.size + law.outputs.size
-    assert arrays == memory(law.block) - state
+    assert state == 2 * law.state.size + 1  # two counters of samples
+    assert structs == law.inputs.size + law.gains.size + law.outputs.size
+    assert arrays == memory(law.block) - 2 * law.state.size
     before, after = files[f"{name}.c"].split(emit_block(law.block, symbol=f"{name}_law", folded=True))
     text = in_float(before.replace(f'#include "{name}.h"', files[f"{name}.h"]))
     text += emit_block(law.block, symbol=f"{name}_law", folded=True, real="float32") + in_float(after)

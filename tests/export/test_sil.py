@@ -24,7 +24,7 @@ def test_a_closed_run_agrees(tmp_path: Path) -> None:
     assert report.passed, report.summary()
     assert report.resets == () and report.steps == 200
     assert report.tau.mixed <= 1e-12 and report.state.mixed == 0.0
-    assert report.fault_cases == 3 * (law.state.size + law.inputs.size + law.gains.size)
+    assert report.fault_cases == 3 * (law.state.size + law.inputs.size + law.gains.size) + 6  # samples, NULL
     statuses = {law.step(x, u, run.P).status for x, u in zip(run.X, run.U, strict=True)}
     assert statuses >= {0, 1, 2, 3}  # the run must reach every branch, or it shows little
     assert (tmp_path / "sil" / "manifest.json").exists()

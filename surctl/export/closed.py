@@ -1,0 +1,156 @@
+"""A law as the target needs it: polynomials and tolerances for its precision, and gains as constants if wanted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.control import Law, in_real
+from surctl.errors import InputError
+from surctl.export.contract import Exportable
+from surctl.ir import Block, Call, Layout, Port, Program, Real, Step, lower, replay, with_constants, without_libm
+
+__all__ = ["ClosedForm", "closed_form"]
+
+Vector = NDArray[np.float64]
+
+_NONFINITE = -2
+
+
+class _Step(NamedTuple):
+    tau: Vector
+    x_next: Vector
+    status: int
+    telemetry: Vector
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedForm:
+    """A law without senses, rewritten for a target.
+
+    Attributes:
+        law: what it was.
+        block: (x, u, p) → (tau, x_next, status, telemetry); an instruction list for a law in closed form.
+        gains: layout of p; empty if its numbers became constants.
+        constants: those numbers (np,) as the law's own gains pack them, None if they stayed inputs.
+    """
+
+    law: Law
+    block: Block
+    gains: Layout
+    constants: Vector | None = None
+
+    @property
+    def name(self) -> str:
+        """C identifier."""
+        return self.law.name
+
+    @property
+    def dt(self) -> float:
+        """Control period [s]."""
+        return self.law.dt
+
+    @property
+    def state(self) -> Layout:
+        """Layout of x (nx,)."""
+        return self.law.state
+
+    @property
+    def inputs(self) -> Layout:
+        """Layout of u (nu,)."""
+        return self.law.inputs
+
+    @property
+    def outputs(self) -> Layout:
+        """Layout of tau (4,), then of the telemetry (k,)."""
+        return self.law.outputs
+
+    @cached_property
+    def constant_table(self) -> tuple[tuple[Port, Vector], ...]:
+        """Port and values of every constant."""
+        if self.constants is None:
+            return ()
+        return tuple((port, self.constants[self.law.gains.slice(port.name)]) for port in self.law.gains)
+
+    def initial_state(self) -> Vector:
+        """State before the first step (nx,)."""
+        return self.law.initial_state()
+
+    def step(self, x: Vector, u: Vector, p: Vector) -> _Step:
+        """One guarded step: anything non-finite gives tau = 0, x_next = x, status NONFINITE."""
+        if all(np.isfinite(v).all() for v in (x, u, p)):
+            parts = [np.asarray(part, dtype=np.float64) for part in replay(self.block, x, u, p)]
+            if all(np.isfinite(part).all() for part in parts):
+                return _Step(parts[0], parts[1], int(parts[2][0]), parts[3])
+        return _Step(np.zeros(4), np.array(x, dtype=float), _NONFINITE, np.zeros(self.outputs.size - 4))
+
+
+def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = None) -> Exportable:
+    """The law with what its target needs; the law itself where nothing is to be done.
+
+    One that is no closed form gets the solver's tolerances for that precision, see `in_real`.
+
+    Args:
+        law: the law.
+        real: precision; in float32 sin, cos and atan2 are shorter polynomials, as exact as floats are.
+        constants: gains (np,) that become constants of the code; what follows from them is computed once. None leaves
+            them inputs.
+
+    Raises:
+        InputError: constants for a law that senses, or gains of another size.
+
+    Example:
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.export import closed_form
+        >>> from surctl.simulation import law_numbers, load_scenario
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> shipped = closed_form(law, real="float32", constants=p)
+        >>> law.gains.size, shipped.gains.size, shipped.block.operations < law.block.operations
+        (69, 0, True)
+    """
+    closed = law.mode == "nsb" and law.senses is None
+    if law.senses is not None and constants is not None:
+        raise InputError(
+            "are for laws that sense nothing", key="constant-gains", remedy="take --sensing truth, or leave them inputs"
+        )
+    if not closed:
+        single = in_real(law, real)
+        if constants is None:
+            return single
+        return ClosedForm(law, _without_gains(single.block, constants), Layout(()), np.array(constants, dtype=float))
+    if real == "float64" and constants is None:
+        return law
+    block = without_libm(lower(law.function), real)
+    if constants is None:
+        return ClosedForm(law, block, law.gains)
+    return ClosedForm(law, _without_gains(block, constants), Layout(()), np.array(constants, dtype=float))
+
+
+def _without_gains(block: Block, constants: Vector) -> Block:
+    """The law's block with these numbers as its third input, which has no entry any more; loops keep what they take."""
+    p = block.inputs[2][0]
+    inputs = (*block.inputs[:2], (p, 0))
+    if isinstance(block, Program):
+        return replace(with_constants(block, 2, [float(v) for v in constants]), inputs=inputs)
+    return replace(block, inputs=inputs, steps=tuple(_step_without(step, p, constants) for step in block.steps))
+
+
+def _step_without(step: Step, p: str, constants: Vector) -> Step:
+    if not isinstance(step, Call) or p not in step.args:
+        return step
+    assert isinstance(step.block, Program)
+    at = step.args.index(p)
+    folded = with_constants(step.block, at, [float(v) for v in constants])
+    kept = [k for k in range(len(step.args)) if k != at]
+    place = {k: new for new, k in enumerate(kept)}
+    instructions = tuple(
+        replace(i, args=(place[i.args[0]], i.args[1])) if i.op == "input" else i for i in folded.instructions
+    )
+    program = replace(folded, inputs=tuple(folded.inputs[k] for k in kept), instructions=instructions)
+    return replace(step, block=program, args=tuple(step.args[k] for k in kept))

@@ -1,0 +1,81 @@
+"""A law without loops as C that reads and writes the caller's structs where they are: nothing is copied."""
+
+from __future__ import annotations
+
+from surctl.export.contract import Exportable, telemetry_ports, thrust
+from surctl.export.fields import entries
+from surctl.ir import C_TYPE, Program, Real
+from surctl.ir.c99_folded import folded_lines, preamble
+
+__all__ = ["changing", "direct_law", "results"]
+
+_TRUTHS = frozenset({"lt", "le", "eq", "ne", "and", "or", "not"})
+
+
+def direct_law(law: Exportable, block: Program, name: str, real: Real) -> str:
+    """`<name>_law(state, gains, input, next, status, output)`.
+
+    Reads state->x, *gains and *input; writes next, *status and *output, none of which it reads.
+    """
+    members = [
+        [f"state->x[{k}]" for k in range(law.state.size)],
+        [f"input->{member}" for member, _ in entries(law.inputs)],
+        [f"gains->{member}" for member, _ in entries(law.gains)],
+    ]
+    left = [
+        [f"output->{member}" for member, _ in entries([thrust(law)])],
+        [f"next[{k}]" for k in range(law.state.size)],
+        ["*status"],
+        [f"output->{member}" for member, _ in entries(telemetry_ports(law))],
+    ]
+    stays = {f"next[{k}]" for k in range(law.state.size)} - {f"next[{k}]" for k in changing(block)}
+    stores = [
+        (to, ref)
+        for place, refs in zip(left, block.output_refs, strict=True)
+        for to, ref in zip(place, refs, strict=True)
+        if to not in stays
+    ]
+    read = {i.args[0] for i in block.instructions if i.op == "input"}
+    kind = C_TYPE[real]
+    lines = [
+        f"/* {block.operations} operations */",
+        "#if defined(__GNUC__)",
+        "__attribute__((noinline)) /* smaller than with the guard in one function */",
+        "#endif",
+        f"static void {name}_law(const {name}_state_t *state, const {name}_gains_t *gains,",
+        f"    const {name}_input_t *input, {kind} *next, {kind} *status, {name}_output_t *output)",
+        "{",
+        *(f"    (void){word};" for k, word in enumerate(("state", "input", "gains")) if k not in read),
+        *([] if changing(block) else ["    (void)next;"]),
+        *folded_lines(block.instructions, stores, address=lambda which, at: members[which][at], real=real, apart=True),
+        "}",
+    ]
+    return preamble([block], real) + "\n" + "\n".join(lines) + "\n"
+
+
+def changing(block: Program) -> list[int]:
+    """Entries of the state that a step may change."""
+    refs = block.output_refs[1]
+    moved = [(k, block.instructions[ref]) for k, ref in enumerate(refs)]
+    return [k for k, i in moved if i.op != "input" or i.args != (0, k)]
+
+
+def results(law: Exportable, block: Program) -> list[str]:
+    """Left sides of the results that may fail to be a number: no constant, no input as it is, no truth value."""
+    left = [
+        [f"output->{member}" for member, _ in entries([thrust(law)])],
+        [f"state->next[{k}]" for k in range(law.state.size)],
+        [],
+        [f"output->{member}" for member, _ in entries(telemetry_ports(law))],
+    ]
+    seen, found = set[int](), list[str]()
+    for place, refs in zip(left, block.output_refs, strict=True):
+        for to, ref in zip(place, refs, strict=False):
+            if (
+                ref not in seen
+                and block.instructions[ref].op not in ("const", "input")
+                and block.instructions[ref].op not in _TRUTHS
+            ):
+                seen.add(ref)
+                found.append(to)
+    return found

@@ -1,0 +1,159 @@
+"""C text of the guard: every number in its box, and no jump from the last accepted input."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.export.envelope import Envelope, Rate
+from surctl.export.fields import entries, transfers
+from surctl.ir import Layout, Port, Real, c_literal
+
+__all__ = ["ANY_NUMBER", "box_lines", "jump_lines", "keep_lines", "number_calls", "told_range"]
+
+Vector = NDArray[np.float64]
+
+ANY_NUMBER = "any finite number"
+
+_FEW = 4  # numbers up to which each has a line
+_REFUSE = "return 0;"
+
+
+def told_range(box: Vector) -> str:
+    """For people: "0 to 1", or a list where entries differ; (n, 2)."""
+    told = [_told(low, high) for low, high in box]
+    if len(set(told)) == 1:
+        return told[0]
+    for period in range(2, len(told)):
+        if len(told) % period == 0 and told == told[:period] * (len(told) // period):
+            told = told[:period]
+            break
+    return "; ".join(told)
+
+
+def _told(low: float, high: float) -> str:
+    if min(-low, high) > 1e38:
+        return ANY_NUMBER
+    return f"{low:.6g} to {high:.6g}"
+
+
+def box_lines(layout: Layout, box: Vector, member: Callable[[str, str], str], real: Real) -> list[str]:
+    """Lines that return 0 from the function they stand in unless every number is in its box; NaN is in none.
+
+    Args:
+        layout: of the numbers.
+        box: (n, 2).
+        member: C text of a number from (its member access, its flat index).
+        real: precision.
+    """
+    lines: list[str] = []
+    for port in layout:
+        if port.size:
+            first = layout.slice(port.name).start
+            lines += _port_lines(port, first, box[layout.slice(port.name)], member, real)
+    return lines
+
+
+def _port_lines(port: Port, first: int, box: Vector, member: Callable[[str, str], str], real: Real) -> list[str]:
+    alike = (box == box[0]).all()
+    if alike and port.size > _FEW:
+        ((each, access, at),) = transfers([port], first)
+        return [f"{each}{_test(member(access, at), box[0], real)} }}"]
+    if len(port.shape) == 2 and port.shape[0] > 2:
+        rows = box.reshape(*port.shape, 2)
+        if (rows == rows[0]).all():
+            tests = [
+                _test(member(f"{port.name}[k][{c}]", f"{first + c} + {port.shape[1]} * k"), rows[0, c], real)
+                for c in range(port.shape[1])
+            ]
+            return [f"for (int k = 0; k < {port.shape[0]}; ++k) {{", *(f"    {t}" for t in tests), "}"]
+    flat = entries([port], first)
+    return [_test(member(access, str(at)), bounds, real) for (access, at), bounds in zip(flat, box, strict=True)]
+
+
+def _test(text: str, bounds: Vector, real: Real) -> str:
+    low, high = (_bound(float(b), real) for b in bounds)
+    if low == f"-{high}":
+        return f"if (!({'fabs' if real == 'float64' else 'fabsf'}({text}) <= {high})) {{ {_REFUSE} }}"
+    return f"if (!(({text} >= {low}) && ({text} <= {high}))) {{ {_REFUSE} }}"
+
+
+def _bound(value: float, real: Real) -> str:
+    largest = float(np.finfo(real).max)
+    name = "DBL_MAX" if real == "float64" else "FLT_MAX"
+    if abs(value) >= largest:
+        return name if value > 0 else f"-{name}"
+    # the shortest decimal that is this number: for readers, and for checkers that do not read hexadecimal
+    short = np.format_float_positional(np.dtype(real).type(value), trim="0")
+    return short + ("f" if real == "float32" else "")
+
+
+def number_calls(layout: Layout, struct: str, name: str) -> list[str]:
+    """Calls that say whether each port of a struct holds finite numbers only; of the state whether x does."""
+    if struct == "state":
+        return [f"{name}_numbers(state->x, {layout.size}U)"] if layout.size else []
+    calls = []
+    for port in layout:
+        if port.size:
+            first = f"&{struct}->{port.name}" + ("" if port.size == 1 else "".join("[0]" for _ in port.shape))
+            calls.append(f"{name}_numbers({first}, {port.size}U)")
+    return calls
+
+
+def jump_lines(layout: Layout, envelope: Envelope, dt: float, real: Real) -> list[str]:
+    """Lines that return 1 when an input is further from `state->last` than `count` samples can take it."""
+    size, floor = ("fabs", "floor") if real == "float64" else ("fabsf", "floorf")
+    lines = []
+    for rate, first, members in _alike(layout, envelope):
+        lines.append(f"most = {c_literal(rate.at_once, real)} + {c_literal(rate.per_second * dt, real)} * count;")
+        turn = c_literal(2.0 * np.pi, real)
+        whole = f"moved -= {turn} * {floor}(moved / {turn} + {c_literal(0.5, real)});"
+        for k, member in _each(members, first):
+            lines += [k] * bool(k) + [member.replace("@", "moved = input->") + (f" {whole}" if rate.turn else "")]
+            lines.append(f"if (!({size}(moved) <= most)) {{ return 1; }}" + " }" * bool(k))
+    return lines
+
+
+def keep_lines(layout: Layout, envelope: Envelope) -> list[str]:
+    """Lines that put the watched inputs into `state->last`."""
+    lines = []
+    for _, first, members in _alike(layout, envelope):
+        if len(members) >= _LOOP:
+            stem, at = members[0].rstrip("]").rsplit("[", 1)
+            lines.append(
+                f"for (int k = 0; k < {len(members)}; ++k) {{ state->last[k + {first}] = input->{stem}[k + {at}]; }}"
+            )
+        else:
+            lines += [f"state->last[{first + k}] = input->{member};" for k, member in enumerate(members)]
+    return lines
+
+
+_LOOP = 4  # watched inputs alike, from which on a loop is shorter
+
+
+def _alike(layout: Layout, envelope: Envelope) -> list[tuple[Rate, int, list[str]]]:
+    """Rates with how the inputs are reached, those of one kind that follow one another together."""
+    members = [member for member, _ in entries(layout)]
+    groups: list[tuple[Rate, int, list[str]]] = []
+    for k, rate in enumerate(envelope.rates):
+        last = groups[-1] if groups else None
+        if last and replace(last[0], entry=0) == replace(rate, entry=0) and not rate.turn:
+            follows = last[0].entry + len(last[2]) == rate.entry
+            if follows and members[rate.entry].split("[")[0] == last[2][0].split("[")[0]:
+                last[2].append(members[rate.entry])
+                continue
+        groups.append((rate, k, [members[rate.entry]]))
+    return groups
+
+
+def _each(members: list[str], first: int) -> list[tuple[str, str]]:
+    """(loop header, statement that takes the difference, @ for its beginning) of a group."""
+    if len(members) < _LOOP:
+        return [("", f"@{member} - state->last[{first + k}];") for k, member in enumerate(members)]
+    stem, at = members[0].rstrip("]").rsplit("[", 1)
+    return [
+        (f"for (int k = 0; k < {len(members)}; ++k) {{", f"@{stem}[k + {at}] - state->last[k + {first}];"),
+    ]

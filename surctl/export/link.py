@@ -1,0 +1,233 @@
+"""The line to a controller that is a process of its own: its messages, as the bundle's README has them."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import time
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+from urllib.parse import urlsplit
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, SurctlError
+
+__all__ = ["VERSION", "Answer", "Identity", "Line", "LineDown", "connect"]
+
+Vector = NDArray[np.float64]
+
+VERSION = 1
+"""Of the messages; a controller that speaks another one is refused by name."""
+
+_MAGIC = b"SURL"
+_HEAD = struct.Struct("<4sHHII")
+_ASK, _TOLD, _START, _STARTED, _STEP, _STEPPED, _REFUSED = range(1, 8)
+_SIZES = struct.Struct("<64s5I")
+_MOST = 1_000_000  # numbers of a kind that a controller may say it has
+_REFUSALS = {
+    1: "takes what it is sent for no message of this link",
+    2: f"does not speak version {VERSION} of the link",
+    3: "does not know this kind of message",
+    4: "takes inputs of another size",
+    5: "runs another controller",
+    6: "has not been started",
+    7: "has had a later step already",
+}
+
+
+class LineDown(SurctlError):
+    """The line ended, kept silent for too long, or carries something else; the text says which."""
+
+
+class Identity(NamedTuple):
+    """What a controller says of itself.
+
+    Attributes:
+        id: hash of what it computes.
+        real: "float64" or "float32".
+        inputs, thrusts, states, telemetry: counts of numbers.
+    """
+
+    id: str
+    real: str
+    inputs: int
+    thrusts: int
+    states: int
+    telemetry: int
+
+
+class Answer(NamedTuple):
+    """One step, and the bytes that said it.
+
+    Attributes:
+        status: code of the step.
+        tau: (n_tau,) [N, N m].
+        state: after the step (nx,).
+        telemetry: (k,).
+        raw: thrust, state and telemetry as they came.
+    """
+
+    status: int
+    tau: Vector
+    state: Vector
+    telemetry: Vector
+    raw: bytes
+
+
+@dataclass
+class Line:
+    """One end of the line; `close` it, or use it as a context.
+
+    Attributes:
+        wire: a connected stream.
+        name: of the other end, for messages.
+        patience: longest silence that is waited for [s].
+    """
+
+    wire: socket.socket
+    name: str
+    patience: float = 5.0
+    identity: Identity | None = None
+
+    def __enter__(self) -> Line:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Hang up."""
+        self.wire.close()
+
+    def ask(self) -> Identity:
+        """Who is at the other end.
+
+        Raises:
+            LineDown: nobody that speaks this link.
+        """
+        body = self._exchange(_ASK, 0, b"", _TOLD, _SIZES.size)
+        name, width, *counts = _SIZES.unpack(body)
+        if width not in (4, 8) or any(count > _MOST for count in counts) or not name.isalnum():
+            raise LineDown(f"{self.name} says of itself what cannot be")
+        self.identity = Identity(name.decode("ascii"), "float64" if width == 8 else "float32", *counts)
+        return self.identity
+
+    def start(self, identity: str) -> None:
+        """Set the initial state and the tuned gains.
+
+        Raises:
+            LineDown: it is another controller, or the line is down.
+        """
+        self._exchange(_START, 0, identity.encode("ascii"), _STARTED, 0)
+
+    def step(self, sequence: int, inputs: Vector) -> Answer:
+        """One step; `ask` comes first, and `start`.
+
+        Args:
+            sequence: above that of every step since the start, from 1.
+            inputs: u (nu,), rounded to the controller's precision.
+
+        Raises:
+            LineDown: no answer.
+        """
+        who = self.identity
+        assert who is not None
+        kind: np.dtype[Any] = np.dtype(who.real).newbyteorder("<")
+        with np.errstate(over="ignore"):
+            sent = np.asarray(inputs, dtype=kind).tobytes()
+        ends = np.cumsum([who.thrusts, who.states, who.telemetry])
+        body = self._exchange(_STEP, sequence, sent, _STEPPED, 4 + kind.itemsize * int(ends[-1]))
+        numbers = np.frombuffer(body, dtype=kind, offset=4).astype(np.float64)
+        tau, state, telemetry = np.split(numbers, ends[:-1])
+        return Answer(struct.unpack_from("<i", body)[0], tau, state, telemetry, body[4:])
+
+    def _exchange(self, kind: int, sequence: int, body: bytes, wanted: int, length: int) -> bytes:
+        """Send one message, and the payload of the answer, which must be of that kind and length."""
+        deadline = time.monotonic() + self.patience
+        try:
+            self.wire.settimeout(self.patience)
+            self.wire.sendall(_HEAD.pack(_MAGIC, VERSION, kind, sequence, len(body)) + body)
+            magic, version, got, echoed, size = _HEAD.unpack(self._received(_HEAD.size, deadline))
+            if magic != _MAGIC:
+                raise LineDown(f"{self.name} is no controller of this kind: its answer is no message of the link")
+            if version != VERSION:
+                raise LineDown(f"{self.name} speaks version {version} of the link, this is version {VERSION}")
+            if got == _REFUSED and size == 4:
+                (why,) = struct.unpack("<I", self._received(4, deadline))
+                raise LineDown(f"{self.name} {_REFUSALS.get(why, f'refuses, with code {why}')}")
+            if (got, echoed, size) != (wanted, sequence, length):
+                raise LineDown(f"{self.name} answers something else than it was asked")
+            return self._received(length, deadline)
+        except TimeoutError:
+            raise LineDown(f"{self.name} was silent for {self.patience:g} s") from None
+        except OSError as error:
+            raise LineDown(f"{self.name} hung up ({error.strerror})") from None
+
+    def _received(self, count: int, deadline: float) -> bytes:
+        parts = []
+        while count > 0:
+            left = deadline - time.monotonic()
+            if left <= 0:
+                raise TimeoutError
+            self.wire.settimeout(left)
+            part = self.wire.recv(min(count, 1 << 16))
+            if not part:
+                raise LineDown(f"{self.name} hung up")
+            parts.append(part)
+            count -= len(part)
+        return b"".join(parts)
+
+
+def connect(address: str, *, patience: float = 5.0) -> Line:
+    """A line to tcp://HOST:PORT; HOST is a name, an IPv4 address, or an IPv6 address in brackets.
+
+    Raises:
+        InputError: no such address, or nobody listens there.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from subprocess import PIPE, Popen
+        >>> from surctl.control import build_law
+        >>> from surctl.export import build_bundle, connect, write_bundle
+        >>> from surctl.ir import compile_program
+        >>> law, folder = build_law("lean"), Path("lean")
+        >>> _ = write_bundle(build_bundle(law, {}), folder)
+        >>> code = [folder / name for name in ("controller.c", "link.c", "surctl_lean.c")]
+        >>> controller = Popen([compile_program(code, folder / "controller"), "0"], stdout=PIPE, text=True)  # any port
+        >>> with connect(controller.stdout.readline().split()[-1]) as line:
+        ...     line.ask().real, line.identity.inputs == law.inputs.size
+        ('float64', True)
+        >>> _ = controller.kill(), controller.communicate()
+    """
+    host, port = _taken_apart(address)
+    try:
+        wire = socket.create_connection((host, port), timeout=patience)
+    except (OSError, UnicodeError) as error:
+        why = "no answer" if isinstance(error, TimeoutError) else getattr(error, "strerror", None) or str(error)
+        raise InputError(
+            f"nobody listens there ({why})",
+            key="controller",
+            value=address,
+            remedy="start the exported one: make controller && ./controller PORT",
+        ) from None
+    wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return Line(wire, address, patience)
+
+
+def _taken_apart(address: str) -> tuple[str, int]:
+    try:
+        parts = urlsplit(address)
+        port = parts.port
+    except ValueError:
+        parts, port = urlsplit(""), None
+    rest = parts.path or parts.query or parts.fragment or parts.username or parts.password
+    if parts.scheme != "tcp" or not parts.hostname or not port or rest:
+        raise InputError(
+            "is no address of a controller",
+            key="controller",
+            value=address,
+            remedy="use tcp://HOST:PORT, e.g. tcp://127.0.0.1:5555 or tcp://[::1]:5555",
+        )
+    return parts.hostname, port

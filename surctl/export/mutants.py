@@ -1,0 +1,138 @@
+"""Wrong versions of the exported C, to see that the checks notice: a sign, a gain, an operator, a guard taken out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import SurctlError
+from surctl.export.bundle import Bundle
+from surctl.export.check import check_builds
+from surctl.export.contract import Exportable
+from surctl.export.process import build_controller
+from surctl.export.prove import prove_bundle
+from surctl.export.records import Records
+from surctl.export.sil import compare_runs
+from surctl.export.targets import TARGETS
+
+__all__ = ["Mutant", "caught_by", "mutants"]
+
+_TRIALS = 40_000
+_LEAST = 2e-3  # gains below are floors of quotients: one per cent of them is nothing
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A bundle with one change to its C.
+
+    Attributes:
+        kind: sign, operator, gain, guard or memory.
+        line: of the C file, from 1.
+        old, new: what was changed there.
+        bundle: the changed bundle.
+    """
+
+    kind: str
+    line: int
+    old: str
+    new: str
+    bundle: Bundle
+
+
+def mutants(bundle: Bundle, *, each: int = 6) -> tuple[Mutant, ...]:
+    """Up to `each` mutants of each kind, spread evenly over the text; the same for the same bundle."""
+    by_kind: dict[str, list[Mutant]] = {}
+    for mutant in _all(bundle):
+        by_kind.setdefault(mutant.kind, []).append(mutant)
+    chosen: list[Mutant] = []
+    for found in by_kind.values():
+        picks = np.unique(np.linspace(0, len(found) - 1, min(each, len(found))).round().astype(int))
+        chosen += [found[k] for k in picks]
+    return tuple(chosen)
+
+
+_LAW: Sequence[tuple[str, str, str]] = (
+    ("sign", r" \+ (?!\d+;)", " - "),
+    ("sign", r"(?<=\w) - ", " + "),
+    ("operator", r"min_of\(", "max_of("),
+    ("operator", r"max_of\(", "min_of("),
+    ("operator", r" / ", " * "),
+    ("operator", r" < ", " >= "),
+)
+_GUARD: Sequence[tuple[str, str, str]] = (
+    ("guard", r"if \(!\(.*\)\) \{ return 0; \}", ""),
+    ("guard", r"if \(!\(.*\)\) \{ return 1; \}", ""),
+    ("guard", r"\(gap == 0U\) \|\| ", ""),
+    ("guard", r"\(gap == 0U\) \|\| \(gap > 0x7fffffffU\)", "gap == 0U"),
+    ("guard", r" \|\| \(output == NULL\)", ""),
+    ("guard", r"\(state == NULL\) \|\| ", ""),
+    ("guard", r"to->tau\[k\] = 0\.0f?;", ""),
+    ("memory", r"state->x\[\d+\] = state->next\[\d+\];", ""),
+    ("memory", r"state->last\[.*?\] = input->.*?;", ";"),
+    ("memory", r"state->sample = input->sample;", ""),
+    ("memory", r"state->counted = 1U;", ""),
+)
+
+
+def _all(bundle: Bundle) -> Iterator[Mutant]:
+    lines = bundle.files[f"{bundle.name}.c"].split("\n")
+    inside = ""
+    for at, line in enumerate(lines):
+        opened = re.match(rf"(?:static )?\w+ {bundle.name}_(\w+)\(", line)
+        inside = opened.group(1) if opened else ("" if line == "}" else inside)
+        if opened or line.lstrip().startswith(("*", "/*", "#")):
+            continue
+        rules = _LAW if inside == "law" else (_GUARD if inside in ("inside", "jumped", "step", "refuse") else ())
+        for kind, pattern, new in rules:
+            for found in re.finditer(pattern, line):
+                yield _mutant(bundle, lines, kind, at, found, new)
+        if inside == "law":
+            for found in re.finditer(r"(?<![\w.])0x1\.[0-9a-f]+p[+-]\d+f?(?![\w.])", line):
+                if float.fromhex(found.group(0).rstrip("f")) >= _LEAST:
+                    yield _mutant(bundle, lines, "gain", at, found, f"({found.group(0)} * 1.01{_tail(bundle)})")
+
+
+def _tail(bundle: Bundle) -> str:
+    return "" if bundle.real == "float64" else "f"
+
+
+def _mutant(bundle: Bundle, lines: list[str], kind: str, at: int, found: re.Match[str], new: str) -> Mutant:
+    changed = lines[at][: found.start()] + new + lines[at][found.end() :]
+    text = "\n".join([*lines[:at], changed, *lines[at + 1 :]])
+    files = MappingProxyType({**bundle.files, f"{bundle.name}.c": text})
+    return Mutant(kind, at + 1, found.group(0), new, replace(bundle, files=files))
+
+
+def caught_by(
+    law: Exportable, mutant: Mutant, flight: Records, folder: Path, *, limit: NDArray[np.float64] | None = None
+) -> str | None:
+    """Which check notices the mutant first: "compiler", "SIL", "single steps" or "proof"; None if nothing does.
+
+    Args:
+        law: what the bundle was made of.
+        mutant: the changed bundle.
+        flight: a recorded run.
+        folder: scratch, of this mutant alone.
+        limit: largest thrust (n_tau,), for the proof; None leaves it out.
+    """
+    try:
+        controller = build_controller(law, mutant.bundle, folder)
+    except SurctlError:
+        return "compiler"
+    try:
+        (report,) = compare_runs(controller, [flight])
+    except SurctlError:  # it crashes, or ends early
+        return "SIL"
+    if not report.conclusive:
+        return "SIL"
+    if not check_builds(controller, [flight], [TARGETS["gcc-O1"]], steps=_TRIALS).passed:
+        return "single steps"
+    if limit is not None and not prove_bundle(law, mutant.bundle, limit).proved:
+        return "proof"
+    return None

@@ -1,0 +1,197 @@
+"""What a bundle was made of, for its manifest: vehicle, gains, law, the claims about them, and certificates."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.certcheck import check_document
+from surctl.certcheck.bundle import compare, numbers_sha256, read_manifest, stated_sha256
+from surctl.certcheck.document import Rejected, read
+from surctl.control import Law, LawName, build_law
+from surctl.errors import InputError, UnsupportedOperation
+from surctl.export.contract import Exportable
+from surctl.guidance import AvoidanceForm
+from surctl.vehicle import Vehicle
+from surctl.verification import Claim, claims
+from surctl.verification.formula import text_of
+from surctl.verification.proving import statement_of
+
+__all__ = ["Origin", "check_belonging", "load_certificates", "made_of", "origin_of"]
+
+Vector = NDArray[np.float64]
+
+_AVOIDANCE: Mapping[str, AvoidanceForm] = {
+    "v2-printed": "consistent",
+    "v2-static": "consistent",
+    "v2-obstacle": "consistent",
+    "v2-clockwise": "printed",
+    "clearance-printed": "printed",
+    "clearance-corrected": "corrected",
+}
+"""Claims about a form of (20): law `paper` alone is made of it."""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where an exported controller comes from.
+
+    Attributes:
+        vehicle: what it believes it flies.
+        told_truth: the same law without senses, which the certificates are about.
+        certificates: by file name in the bundle.
+    """
+
+    vehicle: Vehicle
+    told_truth: Law
+    certificates: Mapping[str, Mapping[str, Any]] | None = None
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Text of the certificates by file name."""
+        return {
+            name: json.dumps(document, ensure_ascii=False, indent=1) + "\n"
+            for name, document in sorted((self.certificates or {}).items())
+        }
+
+
+def origin_of(law: Law, vehicle: Vehicle, certificates: Mapping[str, Mapping[str, Any]] | None = None) -> Origin:
+    """The origin of a law that flies a vehicle.
+
+    Example:
+        >>> import json
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.export import build_bundle, origin_of
+        >>> from surctl.simulation import law_numbers, load_scenario
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> bundle = build_bundle(law, law.gains.unpack(p), origin=origin_of(law, vehicle))
+        >>> manifest = json.loads(bundle.files["manifest.json"])
+        >>> manifest["vehicle"]["name"], manifest["vehicle"]["values"]["m11"], sorted(manifest["claims"])[:2]
+        ('sur400', 50.0, ['course-corrected', 'course-printed'])
+    """
+    told = law
+    if "samples" in law.inputs:
+        name = cast("LawName", law.name.removeprefix("surctl_"))
+        told = build_law(
+            name,
+            avoidance=law.avoidance,
+            mode=law.mode,
+            dt=law.dt,
+            guidance=law.guidance,
+            barrier=law.barrier,
+            movers=law.movers,
+        )
+    return Origin(vehicle, told, certificates)
+
+
+def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
+    """Certificates by the file name that they get in a bundle.
+
+    Raises:
+        InputError: a file that is none, one that the checker rejects, or two of one name.
+
+    Example:
+        >>> import json
+        >>> from pathlib import Path
+        >>> from surctl.export import load_certificates
+        >>> from surctl.verification import claims, prove
+        >>> [claim] = claims(names=["m-norm-corrected"])
+        >>> _ = Path("m-norm.json").write_text(json.dumps(prove(claim).certificate))
+        >>> found = load_certificates([Path("m-norm.json")])
+        >>> {name: document["claim"]["name"] for name, document in found.items()}
+        {'certificate-m-norm.json': 'm-norm-corrected'}
+    """
+    found: dict[str, Mapping[str, Any]] = {}
+    for path in paths:
+        try:
+            document = read(path)
+        except Rejected as reason:
+            raise InputError(f"is rejected: {reason}", file=path, remedy="prove it again: surctl verify") from None
+        checked = check_document(document)
+        if not checked.accepted:
+            raise InputError(f"is rejected: {checked.reason}", file=path, remedy="prove it again: surctl verify")
+        name = f"certificate-{re.sub(r'[^A-Za-z0-9_-]', '-', path.stem)}.json"
+        if name in found:
+            raise InputError("has the name of another certificate", file=path, remedy="rename one of them")
+        found[name] = document
+    return found
+
+
+def made_of(law: Exportable, p: Vector, origin: Origin | None) -> dict[str, Any]:
+    """Entries of the manifest: gains, law, and where known vehicle and claims."""
+    own = law.block.digest()
+    told = own if origin is None else origin.told_truth.block.digest()
+    rows = [{"name": port.name, "values": p[law.gains.slice(port.name)].tolist()} for port in law.gains]
+    entries: dict[str, Any] = {
+        "law": {
+            "sha256": own,
+            "told_truth_sha256": told,
+            "initial_state_sha256": numbers_sha256(law.initial_state().tolist()),
+        },
+        "gains": {"values": rows, "sha256": numbers_sha256(p.tolist())},
+    }
+    if origin is not None:
+        vehicle = origin.vehicle
+        values = {name: parameter.value for name, parameter in vehicle.parameters.items()}
+        entries["vehicle"] = {"name": vehicle.name, "values": values, "sha256": vehicle.digest()}
+        entries["claims"] = _claims(rows, origin)
+    return entries
+
+
+def check_belonging(manifest: Mapping[str, Any], origin: Origin) -> None:
+    """Raise InputError, naming what differs, unless every certificate is about the controller of the manifest."""
+    read_back = read_manifest(manifest)
+    for name, document in (origin.certificates or {}).items():
+        found = compare(document, read_back)
+        if not found.belongs:
+            raise InputError(
+                f"is not about this controller: {'; '.join(found.differs)}",
+                key=name.removeprefix("certificate-"),
+                remedy="prove it for these gains and this vehicle: surctl verify --gains FILE --vehicle FILE",
+            )
+
+
+def _claims(rows: Sequence[Mapping[str, Any]], origin: Origin) -> dict[str, str]:
+    """Hashes of the library's claims about parts of this law, for these gains, the target as fast as it is flown."""
+    values = {row["name"]: row["values"][0] for row in rows if len(row["values"]) == 1}
+    if "cruise" in values:
+        values["speed"] = values["cruise"]
+    told: dict[str, str] = {}
+    try:
+        library = claims(values, vehicle=origin.vehicle)
+    except InputError:  # gains that the claims cannot be about
+        return told
+    for claim in library:
+        if not _has_part(origin.told_truth, claim.name):
+            continue
+        with contextlib.suppress(InputError, UnsupportedOperation):
+            told[claim.name] = stated_sha256(_stated(claim))
+    return told
+
+
+def _has_part(law: Law, claim: str) -> bool:
+    """Whether what a claim of the library is about is a part of the law."""
+    if claim in _AVOIDANCE:
+        return law.name == "surctl_paper" and law.avoidance == _AVOIDANCE[claim]
+    if claim.startswith("braking-"):
+        return law.name == "surctl_guarded" and law.barrier == "inertia"
+    return law.guidance == "los"
+
+
+def _stated(claim: Claim) -> dict[str, Any]:
+    """What a certificate of that claim states."""
+    left, right, *constraints = (text_of(part) for part in statement_of(claim).parts)
+    ranges = [
+        {"name": v.name, "unit": v.unit, "lower": float(v.lower), "upper": float(v.upper)} for v in claim.variables
+    ]
+    return {"variables": ranges, "left": left, "right": right, "constraints": constraints}

@@ -1,0 +1,283 @@
+"""No run-time error, by abstract interpretation: Frama-C's Eva over everything that the guard lets in.
+
+The program that is analysed (`proof.c`) puts any number of its range into every state, input and gain, any last
+accepted input and any sample into the guard, and calls the step once. 0 alarms mean: no NaN or infinity is ever made,
+nothing is divided by zero, no array is left, no conversion overflows, and each thrust is within its limit, for every
+such step.
+Ranges are those of the guard, so what flies is what was proved: anything else is refused before the law sees it.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, SurctlError, ToolMissing
+from surctl.export.bundle import Bundle, manifest_with
+from surctl.export.contract import Exportable, thrust
+from surctl.export.envelope import anywhere
+from surctl.export.fields import entries
+from surctl.ir import Real, c_literal
+
+__all__ = ["Alarm", "ProofReport", "gain_box", "prove_bundle", "with_proof"]
+
+Vector = NDArray[np.float64]
+
+_TOOL = "frama-c"
+_OPTIONS = (
+    *("-eva", "-eva-precision", "3", "-warn-special-float", "non-finite"),
+    *("-eva-no-show-progress", "-eva-msg-key=-final-states", "-main", "proof"),
+)
+_PROVED = ("Valid", "Considered valid", "Dead")
+_LIMIT = 600.0  # s
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """What could not be proved.
+
+    Attributes:
+        file, line: where it stands.
+        kind: such as "division_by_zero", or "user assertion" for a thrust beyond its limit.
+        text: the property, in ACSL.
+    """
+
+    file: str
+    line: int
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True)
+class ProofReport:
+    """Outcome of one analysis.
+
+    Attributes:
+        alarms: what could not be proved, in order of place.
+        properties: number of properties that the analysis looked at.
+        seconds: it took.
+        tool: the analyser's version.
+        log: what it printed.
+        source: the program that was analysed.
+    """
+
+    alarms: tuple[Alarm, ...]
+    properties: int
+    seconds: float
+    tool: str
+    log: str
+    source: str
+
+    @property
+    def proved(self) -> bool:
+        """Whether nothing was left open."""
+        return not self.alarms and self.properties > 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON, without the time, which no two runs share."""
+        return {
+            "status": "proved" if self.proved else "open",
+            "tool": self.tool,
+            "properties": self.properties,
+            "alarms": [{"file": a.file, "line": a.line, "kind": a.kind, "property": a.text} for a in self.alarms],
+        }
+
+    def summary(self) -> str:
+        """Lines for people."""
+        verdict = "proved" if self.proved else f"OPEN, {len(self.alarms)} alarms"
+        spent = f"{self.properties} properties, {self.seconds:.1f} s, {self.tool}"
+        head = f"proof of no run-time error and of thrust limits: {verdict}; {spent}"
+        return "\n".join([head, *(f"  {a.file}:{a.line}: {a.kind}: {a.text}" for a in self.alarms)])
+
+
+def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector) -> ProofReport:
+    """Analyse the bundle's C.
+
+    Args:
+        law: what it was made of.
+        bundle: the bundle; the ranges are those of its guard.
+        limit: largest thrust (n_tau,) of each axis, both signs [N, N m].
+
+    Raises:
+        ToolMissing: there is no Frama-C.
+        SurctlError: it refuses the program, or does not end in time.
+
+    Example:
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.export import build_bundle, closed_form, flight_envelope, prove_bundle
+        >>> from surctl.simulation import law_numbers, load_scenario
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> shipped = closed_form(law, real="float32", constants=p)
+        >>> within = flight_envelope(law, mission, vehicle, shipped.gains)
+        >>> bundle = build_bundle(shipped, {}, real="float32", envelope=within)
+        >>> report = prove_bundle(shipped, bundle, vehicle.thrust_limit)
+        >>> report.proved, report.alarms
+        (True, ())
+    """
+    if shutil.which(_TOOL) is None:
+        raise ToolMissing(
+            "is not installed", key=_TOOL, remedy="install it (Debian: frama-c-base), or export without --prove"
+        )
+    source = _program(law, bundle, limit)
+    with tempfile.TemporaryDirectory(prefix="surctl-proof-") as scratch:
+        folder = Path(scratch).resolve()
+        for file in (f"{bundle.name}.c", f"{bundle.name}.h"):
+            (folder / file).write_bytes(bundle.files[file].encode())
+        (folder / "proof.c").write_bytes(source.encode())
+        begin = time.perf_counter()
+        log = _run(folder, f"-I. -D{bundle.name.upper()}_NO_SELFTEST")
+        spent = time.perf_counter() - begin
+        table = folder / "out.csv"
+        if not table.exists():
+            raise SurctlError(f"{_TOOL} did not analyse the program: {_first_error(log)}")
+        rows = list(csv.DictReader(io.StringIO(table.read_text(encoding="utf-8")), delimiter="\t"))
+    rows = [row for row in rows if row["file"] in ("proof.c", f"{bundle.name}.c")]
+    alarms = [
+        Alarm(row["file"], int(row["line"]), row["property kind"], row["property"])
+        for row in rows
+        if row["status"] not in _PROVED
+    ]
+    version = subprocess.run([_TOOL, "-version"], capture_output=True, text=True, check=False).stdout.split()
+    ordered = tuple(sorted(alarms, key=lambda a: (a.file, a.line, a.kind, a.text)))
+    return ProofReport(ordered, len(rows), spent, f"Frama-C {version[0] if version else '?'}", log, source)
+
+
+def _run(folder: Path, options: str) -> str:
+    command = [_TOOL, *_OPTIONS, f"-cpp-extra-args={options}", "proof.c", "-then", "-report-csv", "out.csv"]
+    try:
+        done = subprocess.run(
+            command,
+            cwd=folder,
+            env={**os.environ, "PWD": str(folder)},  # it believes PWD, not where it is
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=_LIMIT,
+        )
+    except subprocess.TimeoutExpired:
+        raise SurctlError(f"{_TOOL} did not end within {_LIMIT:.0f} s: the law is too large for it") from None
+    return done.stdout + done.stderr
+
+
+def _first_error(log: str) -> str:
+    found = re.search(r"^.*(?:error|Error).*$", log, re.MULTILINE)
+    return found.group(0).strip() if found else "no reason given"
+
+
+def _program(law: Exportable, bundle: Bundle, limit: Vector) -> str:
+    """proof.c."""
+    name, real = bundle.name, bundle.real
+    within = bundle.envelope or anywhere(law).fitted(law, real)
+    lines = [f"state.x[{k}] = {_any(bounds, real)};" for k, bounds in enumerate(within.state)]
+    for struct, layout, box in (("input", law.inputs, within.inputs), ("gains", law.gains, within.gains)):
+        pairs = zip(entries(layout), box, strict=True)
+        lines += [f"{struct}.{member} = {_any(bounds, real)};" for (member, _), bounds in pairs]
+    lines += [f"state.last[{k}] = {_any(within.inputs[rate.entry], real)};" for k, rate in enumerate(within.rates)]
+    if not law.gains.size:
+        lines.append(f"gains.reserved = {c_literal(0.0, real)};")
+    bounds = [Decimal(float(np.dtype(real).type(most))) for most in limit]
+    taus = [member for member, _ in entries([thrust(law)])]
+    claims = [f"/*@ assert limit: -{b} <= output.{tau} <= {b}; */" for tau, b in zip(taus, bounds, strict=True)]
+    body = [
+        *("state.sample = any_count(0U, 4294967295U);", "input.sample = any_count(0U, 4294967295U);"),
+        *("state.counted = any_count(0U, 1U);", *lines),
+        f"(void){name}_step(&state, &gains, &input, &output);",
+        *claims,
+    ]
+    return "\n".join(
+        [
+            f"/* What is analysed: one step of {name}, from every state, input and gain that its guard lets in. */",
+            f'#include "{name}.c"',
+            '#include "__fc_builtin.h"',
+            "",
+            "#define any_count Frama_C_unsigned_int_interval",
+            f"#define any_number Frama_C_{'double' if real == 'float64' else 'float'}_interval",
+            "",
+            "void proof(void);",
+            "void proof(void)",
+            "{",
+            *(f"    static {name}_{struct}_t {struct};" for struct in ("state", "gains", "input", "output")),
+            *(f"    {line}" for line in body),
+            "}",
+            "",
+        ]
+    )
+
+
+def _any(bounds: Vector, real: Real) -> str:
+    return f"any_number({', '.join(c_literal(float(bound), real) for bound in bounds)})"
+
+
+def with_proof(bundle: Bundle, report: ProofReport) -> Bundle:
+    """The bundle with the program that was analysed, the log, and the outcome in the manifest.
+
+    Example:
+        >>> import json
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.export import build_bundle, closed_form, flight_envelope, prove_bundle, with_proof
+        >>> from surctl.simulation import law_numbers, load_scenario
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> shipped = closed_form(law, real="float32", constants=p)
+        >>> within = flight_envelope(law, mission, vehicle, shipped.gains)
+        >>> bundle = build_bundle(shipped, {}, real="float32", envelope=within)
+        >>> report = prove_bundle(shipped, bundle, vehicle.thrust_limit)
+        >>> proved = with_proof(bundle, report)
+        >>> json.loads(proved.files["manifest.json"])["proof"]["status"], sorted(set(proved.files) - set(bundle.files))
+        ('proved', ['proof.c', 'proof.log'])
+    """
+    files = {name: text for name, text in bundle.files.items() if name != "manifest.json"}
+    files |= {"proof.c": report.source, "proof.log": report.log}
+    manifest = manifest_with(json.loads(bundle.files["manifest.json"]), files, proof=report.to_dict())
+    return replace(bundle, files=MappingProxyType({**files, "manifest.json": manifest}))
+
+
+def gain_box(law: Exportable, values: Vector, ranges: Mapping[str, tuple[float, float]]) -> Vector:
+    """(np, 2) box of the gains that is to be proved: the ranges that a gain file states, else the values themselves.
+
+    Raises:
+        InputError: a value outside its range, by name.
+
+    Example:
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.export import gain_box
+        >>> from surctl.simulation import law_numbers, load_scenario
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> box = gain_box(law, p, {"k_v": (1.0, 2.0)})
+        >>> box[law.gains.slice("k_v")].tolist(), box[law.gains.slice("lookahead")].tolist()
+        ([[1.0, 2.0]], [[0.8, 0.8]])
+    """
+    box = np.repeat(np.asarray(values, dtype=float)[:, None], 2, axis=1)
+    for name, (low, high) in ranges.items():
+        if name in law.gains:
+            part = law.gains.slice(name)
+            if not ((low <= box[part]) & (box[part] <= high)).all():
+                raise InputError(
+                    f"is outside the range that is to be proved, {low:g} to {high:g}",
+                    key=name,
+                    value=float(values[part][0]),
+                    remedy="widen its range in the gain file, or change the value",
+                )
+            box[part] = (low, high)
+    return box

@@ -1,0 +1,90 @@
+"""The proof of the exported C, and that it finds what is wrong."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+
+from surctl.control import build_law, load_gains
+from surctl.errors import InputError, ToolMissing
+from surctl.export import Bundle, gain_box, prove_bundle, with_proof
+from surctl.export.mutants import caught_by, mutants
+from surctl.simulation import law_numbers, load_scenario
+from tests.export.lean import exported, vehicle
+from tests.tools import need, need_compiler
+
+
+def altered(bundle: Bundle, pattern: str, new: str) -> Bundle:
+    text, count = re.subn(pattern, new, bundle.files["surctl_lean.c"], count=1)
+    assert count == 1
+    return replace(bundle, files=MappingProxyType({**bundle.files, "surctl_lean.c": text}))
+
+
+def test_nothing_is_left_open_and_the_outcome_travels_with_the_bundle() -> None:
+    need("frama-c")
+    law, bundle, _ = exported("float32")
+    report = prove_bundle(law, bundle, vehicle().thrust_limit)
+    assert report.proved and not report.alarms and report.properties > 50, report.summary()
+    shipped = with_proof(bundle, report)
+    manifest = json.loads(shipped.files["manifest.json"])
+    assert manifest["proof"]["status"] == "proved" and {"proof.c", "proof.log"} < set(manifest["sha256"])
+    assert json.loads(bundle.files["manifest.json"])["proof"] == {"status": "not tried"}
+    assert "0 alarms" in shipped.files["proof.log"] and "/tmp" not in shipped.files["proof.log"]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "new", "kind"),
+    [
+        (r"max_of\((v\d+), v\d+\)", r"\1", "division_by_zero|is_nan_or_infinite"),  # a quotient's floor
+        (r"min_of\(max_of\((v\d+), -5\.0f\), 5\.0f\)", r"max_of(\1, -5.0f)", "assertion"),  # a limit of the thrust
+        (r"if \(!\(fabsf\(input->eta\[3\]\) <= 1000\.0f\)\) \{ return 0; \}", "", "is_nan_or_infinite|overflow"),
+    ],
+)
+def test_what_is_wrong_is_told_with_its_place(pattern: str, new: str, kind: str) -> None:
+    need("frama-c")
+    law, bundle, _ = exported("float32")
+    broken = altered(bundle, pattern, new)
+    if "eta" in pattern:  # the proof assumes no more than the guard ensures: take the number from anywhere
+        assert bundle.envelope is not None
+        box = bundle.envelope.inputs.copy()
+        box[3] = (-3.4e38, 3.4e38)
+        broken = replace(broken, envelope=replace(bundle.envelope, inputs=box))
+    report = prove_bundle(law, broken, vehicle().thrust_limit)
+    assert not report.proved and any(re.search(kind, alarm.kind) for alarm in report.alarms), report.summary()
+    assert all(alarm.line > 0 and alarm.file in ("surctl_lean.c", "proof.c") for alarm in report.alarms)
+    assert report.to_dict()["status"] == "open" and report.alarms[0].file in report.summary()
+
+
+def test_a_missing_tool_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    law, bundle, _ = exported("float32")
+    monkeypatch.setattr(shutil, "which", lambda _: None)
+    with pytest.raises(ToolMissing, match="frama-c"):
+        prove_bundle(law, bundle, vehicle().thrust_limit)
+
+
+def test_a_gain_outside_the_box_is_named() -> None:
+    law, mission = build_law("lean"), load_scenario("pool-ahead")
+    numbers = law_numbers(mission, load_gains("default"), vehicle())
+    box = gain_box(law, numbers, {"k_v": (1.0, 2.0)})
+    at = law.gains.slice("k_v").start
+    assert tuple(box[at]) == (1.0, 2.0) and np.array_equal(np.delete(box, at, 0)[:, 0], np.delete(numbers, at))
+    with pytest.raises(InputError, match="outside the range that is to be proved") as caught:
+        gain_box(law, numbers, {"k_v": (2.0, 3.0)})
+    assert "k_v" in str(caught.value)
+
+
+def test_one_mutant_of_each_kind_is_caught(tmp_path: Path) -> None:
+    need_compiler()
+    law, bundle, flight = exported("float32")
+    tried = mutants(bundle, each=1)
+    assert {m.kind for m in tried} == {"sign", "operator", "gain", "guard", "memory"}
+    assert all(m.bundle.files["surctl_lean.c"] != bundle.files["surctl_lean.c"] for m in tried)
+    for k, mutant in enumerate(tried):
+        assert caught_by(law, mutant, flight, tmp_path / str(k)), f"{mutant.kind} at line {mutant.line}: {mutant.old}"
