@@ -1,7 +1,9 @@
 """Pictures, and the self-contained HTML page."""
 
+from surctl.report.animation import check_animation, save_animation
 from surctl.report.calibration_plots import plot_calibration
 from surctl.report.data import ExportSummary, ReportData
+from surctl.report.document import Check
 from surctl.report.evidence import MarginSlice, margin_slice, plot_counterexample, plot_replay, plot_slice
 from surctl.report.evidence_sections import runs_section
 from surctl.report.files import (
@@ -9,6 +11,7 @@ from surctl.report.files import (
     save_heat_map,
     save_locus,
     save_parallel,
+    save_priority,
     save_run,
     save_sensitivity,
     save_sonar_replay,
@@ -22,11 +25,15 @@ from surctl.report.map_view import MapView, map_view, plot_map, plot_maps
 from surctl.report.page import render_page, render_sections, write_page
 from surctl.report.paper_plots import plot_coordinates, plot_position_errors, plot_series
 from surctl.report.plan_view import plot_run
+from surctl.report.priority_plot import plot_priority
+from surctl.report.region_plots import plot_region
 from surctl.report.replay_plots import plot_replay_sensor, plot_sonar_replay
 from surctl.report.signals import plot_run_signals
 from surctl.report.sweep_plots import plot_parallel, plot_sensitivity
+from surctl.report.verify_files import save_margins, save_regions, save_verdicts
 
 __all__ = [
+    "Check",
     "ExportSummary",
     "GoalBars",
     "GoalView",
@@ -34,6 +41,7 @@ __all__ = [
     "MapView",
     "MarginSlice",
     "ReportData",
+    "check_animation",
     "goal_bars",
     "goal_view",
     "loop_responses",
@@ -54,6 +62,8 @@ __all__ = [
     "plot_parallel",
     "plot_poles",
     "plot_position_errors",
+    "plot_priority",
+    "plot_region",
     "plot_replay",
     "plot_replay_sensor",
     "plot_run",
@@ -65,13 +75,18 @@ __all__ = [
     "render_page",
     "render_sections",
     "runs_section",
+    "save_animation",
     "save_calibrations",
     "save_heat_map",
     "save_locus",
+    "save_margins",
     "save_parallel",
+    "save_priority",
+    "save_regions",
     "save_run",
     "save_sensitivity",
     "save_sonar_replay",
     "save_tuning",
+    "save_verdicts",
     "write_page",
 ]

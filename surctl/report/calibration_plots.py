@@ -27,6 +27,13 @@ def plot_calibration(one: SensorCalibration, ax: Sequence[Axes] | None = None) -
 
     Returns:
         The figure that holds the axes.
+
+    Example:
+        >>> from surctl.report import plot_calibration
+        >>> from surctl.sensing import calibrate_table_ii
+        >>> air, water = calibrate_table_ii()
+        >>> [ax.get_ylabel() for ax in plot_calibration(water).axes]
+        ['measured − true [mm]', 'studentised residual [1]']
     """
     if ax is None:
         figure = new_figure(8.0, 6.4)

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from surctl.control import Gains
 from surctl.errors import InputError
 from surctl.export import ExportedFile, SilReport
+from surctl.report.document import Check
 from surctl.report.loops import LoopResponse
 from surctl.simulation import Run
 from surctl.tuning import SweepTable
 from surctl.vehicle import Vehicle
 from surctl.verification import LoopMargins, Verdict
+from surctl.verification.linear import LinearSide
 
 __all__ = ["ExportSummary", "ReportData"]
 
@@ -55,6 +57,7 @@ class ReportData:
         vehicle: what the gains and margins are for.
         gains: the gains that were flown.
         margins: of the eight loops.
+        linear: loops together, poles and sampling: of the vehicle, of the worst of its ranges.
         poles: closed-loop poles [rad/s], or None.
         loops: frequency responses of the loops; without them no Bode plot is drawn.
         verdicts: of the claims.
@@ -63,7 +66,7 @@ class ReportData:
         sweep: the sweep that picked the gains, or None.
         export: the exported controller, or None.
         seconds: time taken [s] by stage.
-        summary: lines of the outcome: holds, fails, or None for a note that decides nothing.
+        summary: lines of the outcome: holds, fails, or None for a note that decides nothing; see `Check`.
         gains_file: the gain file that `--gains` takes to get these gains; empty when there is none.
 
     Raises:
@@ -76,6 +79,7 @@ class ReportData:
     vehicle: Vehicle
     gains: Gains
     margins: tuple[LoopMargins, ...] = ()
+    linear: tuple[LinearSide, ...] = ()
     poles: NDArray[np.complex128] | None = None
     loops: tuple[LoopResponse, ...] = ()
     verdicts: tuple[Verdict, ...] = ()
@@ -84,7 +88,7 @@ class ReportData:
     sweep: SweepTable | None = None
     export: ExportSummary | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
-    summary: tuple[tuple[bool | None, str], ...] = ()
+    summary: tuple[Check | tuple[bool | None, str], ...] = ()
     gains_file: str = ""
 
     def __post_init__(self) -> None:
@@ -105,5 +109,5 @@ class ReportData:
     @property
     def passed(self) -> bool | None:
         """False when a line of the summary fails, True when one holds and none fails, None when none decides."""
-        outcomes = [good for good, _ in self.summary if good is not None]
+        outcomes = [line[0] for line in self.summary if line[0] is not None]
         return all(outcomes) if outcomes else None

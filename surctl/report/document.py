@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 from dataclasses import dataclass
 from io import BytesIO
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -13,10 +13,12 @@ from matplotlib.figure import Figure
 __all__ = [
     "Block",
     "Cell",
+    "Check",
     "Heading",
     "Paragraph",
     "Picture",
     "Pictures",
+    "Player",
     "Section",
     "Table",
     "outcome_cell",
@@ -24,6 +26,20 @@ __all__ = [
 ]
 
 Mark = Literal["", "good", "bad", "note"]
+
+
+class Check(NamedTuple):
+    """A line of the summary.
+
+    Attributes:
+        good: it holds, fails, or, with None, decides nothing.
+        text: what it says.
+        anchor: of the section or heading that tells more; empty for none.
+    """
+
+    good: bool | None
+    text: str
+    anchor: str = ""
 
 
 @dataclass(frozen=True)
@@ -75,9 +91,10 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class Heading:
-    """A heading inside a section."""
+    """A heading inside a section; one with an anchor (an HTML id) stands in the table of contents."""
 
     text: str
+    anchor: str = ""
     kind: ClassVar[str] = "heading"
 
 
@@ -109,7 +126,28 @@ class Pictures:
     kind: ClassVar[str] = "pictures"
 
 
-Block = Table | Paragraph | Heading | Pictures
+@dataclass(frozen=True)
+class Player:
+    """A run to be played and scrubbed; without a script, and on paper, its still picture.
+
+    Attributes:
+        frames: what `player.js` plays, as JSON without any `<`.
+        still: the whole run in one picture.
+        label: what is played, for those who do not see it.
+    """
+
+    frames: str
+    still: Picture
+    label: str
+    kind: ClassVar[str] = "player"
+
+    @property
+    def pictures(self) -> tuple[Picture, ...]:
+        """The still picture."""
+        return (self.still,)
+
+
+Block = Table | Paragraph | Heading | Pictures | Player
 
 
 @dataclass(frozen=True)
@@ -119,6 +157,11 @@ class Section:
     anchor: str
     title: str
     blocks: tuple[Block, ...]
+
+    @property
+    def headings(self) -> tuple[Heading, ...]:
+        """Those with an anchor."""
+        return tuple(block for block in self.blocks if isinstance(block, Heading) and block.anchor)
 
 
 def picture(drawn: Axes | Figure, *, alt: str, caption: str, command: str) -> Picture:

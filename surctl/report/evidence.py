@@ -50,6 +50,15 @@ def margin_slice(verdict: Verdict) -> MarginSlice:
 
     Raises:
         InputError: the verdict has no counterexample, or fewer than two variables can vary.
+
+    Example:
+        >>> from surctl.report import margin_slice
+        >>> from surctl.verification import claims, falsify
+        >>> [claim] = claims(names=["v1-printed"])
+        >>> verdict = falsify(claim, samples=256, starts=2)
+        >>> cut = margin_slice(verdict)
+        >>> cut.one.name, cut.other.name, cut.margin.shape, round(float(cut.margin.max()), 1)
+        ('x_e', 'y_e', (121, 121), 4.8)
     """
     claim, point = verdict.claim, _counterexample(verdict)
     oracle = build_oracle(claim)
@@ -96,6 +105,15 @@ def plot_counterexample(verdict: Verdict, ax: Axes | None = None) -> Axes:
 
     Raises:
         InputError: the verdict has no counterexample.
+
+    Example:
+        >>> from surctl.report import plot_counterexample
+        >>> from surctl.verification import claims, falsify
+        >>> [claim] = claims(names=["v1-printed"])
+        >>> verdict = falsify(claim, samples=256, starts=2)
+        >>> ax = plot_counterexample(verdict)
+        >>> ax.get_xlabel(), ax.get_ylabel(), [text.get_text() for text in ax.get_legend().get_texts()]
+        ('time from the counterexample [s]', 'V1 [m^2]', ['most that the claim allows', 'V1, replayed'])
     """
     point = _counterexample(verdict)
     if verdict.claim.motion is None:
@@ -108,6 +126,15 @@ def plot_replay(verdict: Verdict, flown: Replay, ax: Axes | None = None) -> Axes
 
     Raises:
         InputError: the verdict has no counterexample, or the replay no motion.
+
+    Example:
+        >>> from surctl.report import plot_replay
+        >>> from surctl.verification import claims, falsify, replay
+        >>> [claim] = claims(names=["v1-printed"])
+        >>> verdict = falsify(claim, samples=256, starts=2)
+        >>> ax = plot_replay(verdict, replay(claim, verdict.counterexample))
+        >>> ax.get_xlabel(), ax.get_ylabel(), len(ax.lines)
+        ('time from the counterexample [s]', 'V1 [m^2]', 2)
     """
     claim, point = verdict.claim, _counterexample(verdict)
     if flown.time.size == 0:
@@ -143,7 +170,17 @@ def _sense(claim: Claim, here: NDArray[np.float64]) -> int:
 
 
 def plot_slice(cut: MarginSlice, ax: Axes | None = None) -> Axes:
-    """Where the claim fails on the slice, how badly, and the counterexample; white lies outside the domain."""
+    """Where the claim fails on the slice, how badly, and the counterexample; white lies outside the domain.
+
+    Example:
+        >>> from surctl.report import margin_slice, plot_slice
+        >>> from surctl.verification import claims, falsify
+        >>> [claim] = claims(names=["v1-printed"])
+        >>> verdict = falsify(claim, samples=256, starts=2)
+        >>> ax = plot_slice(margin_slice(verdict))
+        >>> ax.get_xlabel(), ax.get_ylabel()
+        ('x_e [m]', 'y_e [m]')
+    """
     ax = dress(ax or new_axes(5.1, 3.7), x=_title(cut.one), y=_title(cut.other))
     ax.grid(visible=False)
     known = cut.margin[np.isfinite(cut.margin)]

@@ -18,9 +18,11 @@ from surctl.report.document import (
 )
 from surctl.report.evidence import margin_slice, plot_counterexample, plot_slice
 from surctl.report.plan_view import describe, plot_run
+from surctl.report.player import player
+from surctl.report.priority_plot import given_up, plot_priority
 from surctl.report.signals import plot_run_signals
 from surctl.report.words import gains_argument, number, simulate_command, verify_command
-from surctl.simulation import Run
+from surctl.simulation import Run, priority_timeline
 from surctl.verification import Counterexample, Verdict
 
 __all__ = ["claims_section", "runs_section"]
@@ -65,7 +67,7 @@ def _verdict_row(v: Verdict) -> tuple[Cell | str, ...]:
 def _claim_blocks(v: Verdict, command: str) -> list[Block]:
     outcome = f"{v.verdict[0].upper()}{v.verdict[1:]}, {'as expected' if v.as_expected else 'which was NOT expected'}."
     blocks: list[Block] = [
-        Heading(v.claim.name),
+        Heading(v.claim.name, f"claims-{v.claim.name}"),
         Paragraph(f"Claim {v.claim.equation}: {v.claim.statement}."),
         Paragraph(outcome, "good" if v.as_expected else "bad"),
     ]
@@ -119,7 +121,20 @@ def _counterexample_pictures(v: Verdict, command: str) -> tuple[Picture, ...]:
 
 
 def runs_section(data: ReportData) -> Section:
-    """All runs in one table, then plan view and signals of each kind of run."""
+    """All runs in one table, then plan view and signals of each kind of run.
+
+    Example:
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.report import ReportData, runs_section
+        >>> from surctl.simulation import load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> vehicle, gains = load_vehicle("sur400"), load_gains("default")
+        >>> run = simulate(load_scenario("pool-behind"), vehicle, gains=gains, law=build_law("lean"))
+        >>> data = ReportData(title="Pool", command="", version="1.0", vehicle=vehicle, gains=gains, runs=(run,))
+        >>> section = runs_section(data)
+        >>> section.title, [type(block).__name__ for block in section.blocks]
+        ('Closed-loop runs', ['Paragraph', 'Table', 'Paragraph', 'Heading', 'Paragraph', 'Player', 'Pictures'])
+    """
     rows = tuple(_run_row(run, decides) for run, decides in zip(data.runs, data.decides, strict=True))
     heads = (
         "scenario", "vehicle", "law", "sensing", "seed", "reached", "stopped because", "decides",
@@ -131,16 +146,20 @@ def runs_section(data: ReportData) -> Section:
     )
     blocks: list[Block] = [Paragraph(text), Table("Closed-loop runs", heads, rows), *_surface_notes(data)]
     chosen, used, left = _to_draw(data), 0, 0
+    played = _to_play(chosen)
     gains = gains_argument(data.gains, data.gains_file)
-    for run, decides in chosen:
+    for place, run, decides in chosen:
         if used > _BUDGET:
             left += 1
             continue
         same = run.gains.values == data.gains.values
         command = simulate_command(run, gains if same else gains_argument(run.gains, "")) or data.command
         pictures = _run_pictures(run, command)
-        used += sum(len(shown.uri) for shown in pictures)
-        blocks += [Heading(describe(run)), *_outcome(run, decides), Pictures(pictures)]
+        used += sum(len(one.uri) for one in pictures)
+        shown: list[Block] = [Pictures(pictures)]
+        if run is played:
+            shown = [player(run, pictures[0]), Pictures((pictures[1], *_priority_picture(run, command)))]
+        blocks += [Heading(describe(run), f"runs-{place}"), *_outcome(run, decides), *shown]
     left += len(data.runs) - len(chosen)
     if left:
         blocks.append(Paragraph(f"{left} more runs are in the table only.", "note"))
@@ -183,15 +202,38 @@ def _surface_notes(data: ReportData) -> list[Block]:
     ]
 
 
-def _to_draw(data: ReportData) -> list[tuple[Run, bool]]:
-    """The first run of each kind and every run that does not arrive, in order; with each, whether it decides."""
+def _to_draw(data: ReportData) -> list[tuple[int, Run, bool]]:
+    """The first run of each kind and every run that does not arrive: its place from 1, it, whether it decides."""
     seen, chosen = set(), []
-    for run, decides in zip(data.runs, data.decides, strict=True):
+    for place, (run, decides) in enumerate(zip(data.runs, data.decides, strict=True), start=1):
         kind = (run.scenario.name, run.vehicle.name, run.law.name, run.law.mode, run.sensing)
         if kind not in seen or not run.metrics.reached:
-            chosen.append((run, decides))
+            chosen.append((place, run, decides))
         seen.add(kind)
     return chosen
+
+
+def _to_play(chosen: list[tuple[int, Run, bool]]) -> Run | None:
+    """The run to be played: of those that decide the first that does not arrive, else the first; None without any."""
+    deciding = [run for _, run, decides in chosen if decides]
+    return min(deciding, key=lambda run: run.metrics.reached, default=None)
+
+
+def _priority_picture(run: Run, command: str) -> tuple[Picture, ...]:
+    """What each level gave up, where any did."""
+    found = priority_timeline(run)
+    if not found.eventful:
+        return ()
+    told = given_up(found)
+    explained = f"{command} --explain" if command.startswith("surctl simulate") else command
+    return (
+        picture(
+            plot_priority(run, found),
+            alt=f"What each level of priority gave up over time in {describe(run)}: {told}",
+            caption=f"Priorities, highest first, and the rows that held them back. {told[0].upper()}{told[1:]}.",
+            command=explained,
+        ),
+    )
 
 
 def _outcome(run: Run, decides: bool) -> list[Block]:

@@ -15,20 +15,23 @@ from surctl.report.goals import goal_bars, goal_view, plot_front, plot_goal_bars
 from surctl.report.heat_map import plot_heat_map
 from surctl.report.locus import plot_locus
 from surctl.report.plan_view import plot_run
+from surctl.report.priority_plot import plot_priority
 from surctl.report.replay_plots import plot_sonar_replay
 from surctl.report.signals import plot_run_signals
 from surctl.report.sweep_plots import plot_parallel, plot_sensitivity
 from surctl.report.theme import new_figure
 from surctl.sensing import Replay, SensorCalibration, file_stems
-from surctl.simulation import Run
+from surctl.simulation import Run, priority_timeline
 from surctl.tuning import Sensitivity, SweepTable, Tuning
 from surctl.verification import Locus
 
 __all__ = [
     "save_calibrations",
+    "save_figure",
     "save_heat_map",
     "save_locus",
     "save_parallel",
+    "save_priority",
     "save_run",
     "save_sensitivity",
     "save_sonar_replay",
@@ -41,6 +44,16 @@ def save_run(run: Run, folder: Path | str) -> Path:
 
     Raises:
         InputError: the folder cannot be written.
+
+    Example:
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.report import save_run
+        >>> from surctl.simulation import load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> law, gains = build_law("lean"), load_gains("default")
+        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
+        >>> print(save_run(run, "pictures").name)
+        pool-behind-sur400-lean-corrected-nsb-truth-seed0.png
     """
     length, width, _ = run.scenario.site
     plan_height = min(max(8.2 * width / length + 1.5, 3.6), 7.6)
@@ -48,10 +61,32 @@ def save_run(run: Run, folder: Path | str) -> Path:
     halves = figure.add_gridspec(2, 1, height_ratios=[plan_height, 7.0])
     plot_run(run, figure.add_subfigure(halves[0]).add_subplot())
     plot_run_signals(run, figure.add_subfigure(halves[1]).subplots(3, 2, sharex=True).ravel().tolist())
+    return save_figure(figure, Path(folder), _flown(run))
+
+
+def save_priority(run: Run, folder: Path | str) -> Path:
+    """What each level of priority gave up over a run, as a PNG; the path written.
+
+    Raises:
+        InputError: the folder cannot be written.
+
+    Example:
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.report import save_priority
+        >>> from surctl.simulation import load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> law, gains = build_law(mode="filter", contacts=1), load_gains("default")
+        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
+        >>> print(save_priority(run, "pictures").name)
+        pool-behind-sur400-guarded-corrected-filter-truth-seed0-priority.png
+    """
+    return save_figure(plot_priority(run, priority_timeline(run)), Path(folder), (*_flown(run), "priority"))
+
+
+def _flown(run: Run) -> tuple[str, ...]:
     law = run.law.name.removeprefix("surctl_")
     how = (law, run.law.avoidance, *(() if run.law.guidance == "los" else (run.law.guidance,)), run.law.mode)
-    what = (run.scenario.name, run.vehicle.name, *how, run.sensing, f"seed{run.seed}")
-    return _save(figure, Path(folder), what)
+    return (run.scenario.name, run.vehicle.name, *how, run.sensing, f"seed{run.seed}")
 
 
 def save_heat_map(table: SweepTable, column: str, folder: Path | str, *, over: tuple[str, str] | None = None) -> Path:
@@ -59,20 +94,53 @@ def save_heat_map(table: SweepTable, column: str, folder: Path | str, *, over: t
 
     Raises:
         InputError: as `plot_heat_map`, or the folder cannot be written.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import save_heat_map
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import build_cases, grid, parse_axis, sweep
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> table = sweep(cases, grid([parse_axis("k_v=1,2"), parse_axis("lookahead=0.4,0.8,1.2")]))
+        >>> save_heat_map(table, "disk_margin", "pictures").name
+        'sweep-k_v-lookahead-disk_margin.png'
     """
     across, up = over or (table.axes[0].name, table.axes[1].name if len(table.axes) > 1 else "")
     figure = plot_heat_map(table, column, over=over).figure.figure
-    return _save(figure, Path(folder), ("sweep", across, up, column))
+    return save_figure(figure, Path(folder), ("sweep", across, up, column))
 
 
 def save_parallel(table: SweepTable, folder: Path | str) -> Path:
-    """Parallel coordinates of a sweep as a PNG; the path written. InputError if the folder cannot be written."""
-    return _save(plot_parallel(table).figure.figure, Path(folder), ("sweep", "parallel"))
+    """Parallel coordinates of a sweep as a PNG; the path written. InputError if the folder cannot be written.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import save_parallel
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import build_cases, grid, parse_axis, sweep
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> table = sweep(cases, grid([parse_axis("k_v=1,2"), parse_axis("lookahead=0.4,0.8,1.2")]))
+        >>> save_parallel(table, "pictures").name
+        'sweep-parallel.png'
+    """
+    return save_figure(plot_parallel(table).figure.figure, Path(folder), ("sweep", "parallel"))
 
 
 def save_sensitivity(found: Sensitivity, folder: Path | str) -> Path:
-    """Sobol' indices as a PNG; the path written. InputError if the folder cannot be written."""
-    return _save(plot_sensitivity(found).figure.figure, Path(folder), ("sensitivity", found.column))
+    """Sobol' indices as a PNG; the path written. InputError if the folder cannot be written.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import save_sensitivity
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import build_cases, parse_axis, saltelli, sensitivity, sweep
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> design = saltelli([parse_axis("scenario.cruise=0.1..0.2"), parse_axis("k_v=1.2..3")], base=16)
+        >>> found = sensitivity(sweep(cases, design, linear=False), "time_s")
+        >>> print(save_sensitivity(found, "pictures").name)
+        sensitivity-time_s.png
+    """
+    return save_figure(plot_sensitivity(found).figure.figure, Path(folder), ("sensitivity", found.column))
 
 
 def save_locus(data: Locus, folder: Path | str, *, unit: str = "", picked: float | None = None) -> Path:
@@ -80,8 +148,18 @@ def save_locus(data: Locus, folder: Path | str, *, unit: str = "", picked: float
 
     Raises:
         InputError: the folder cannot be written.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import save_locus
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.verification import sweep_locus
+        >>> gains = load_gains("default").values
+        >>> locus = sweep_locus(load_vehicle("sur400"), gains, "k_psi", [0.2, 0.4, 0.8, 1.6, 3.2], cruise=0.15, dt=0.05)
+        >>> save_locus(locus, "pictures", unit="1/s").name
+        'locus-k_psi.png'
     """
-    return _save(plot_locus(data, unit=unit, picked=picked).figure.figure, Path(folder), ("locus", data.knob))
+    return save_figure(plot_locus(data, unit=unit, picked=picked).figure.figure, Path(folder), ("locus", data.knob))
 
 
 def save_tuning(tuning: Tuning, folder: Path | str) -> list[Path]:
@@ -89,13 +167,25 @@ def save_tuning(tuning: Tuning, folder: Path | str) -> list[Path]:
 
     Raises:
         InputError: the folder cannot be written.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import save_tuning
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=32, rounds=1, runs=0)
+        >>> [path.name for path in save_tuning(tuning, "pictures")]
+        ['tuning-goals.png', 'tuning-front.png', 'tuning-soon.png', 'tuning-clear.png']
     """
     drawn = {"goals": plot_goal_bars(goal_bars(tuning)), "front": plot_front(tuning)}
     for goal in tuning.request.goals:
         view = goal_view(tuning, goal)
         if view is not None:
             drawn[goal.name] = plot_goal_view(view)
-    return [_save(ax.figure.figure, Path(folder), ("tuning", name)) for name, ax in drawn.items()]
+    return [save_figure(ax.figure.figure, Path(folder), ("tuning", name)) for name, ax in drawn.items()]
 
 
 def save_calibrations(results: Sequence[SensorCalibration], folder: Path | str) -> list[Path]:
@@ -103,22 +193,40 @@ def save_calibrations(results: Sequence[SensorCalibration], folder: Path | str) 
 
     Raises:
         InputError: the folder cannot be written.
+
+    Example:
+        >>> from surctl.report import save_calibrations
+        >>> from surctl.sensing import calibrate_table_ii
+        >>> [path.name for path in save_calibrations(calibrate_table_ii(), "pictures")]
+        ['calibration-U1-air.png', 'calibration-U1-water.png']
     """
     stems = file_stems(results)
     return [
-        _save(plot_calibration(one), Path(folder), (f"calibration{stem}",))
+        save_figure(plot_calibration(one), Path(folder), (f"calibration{stem}",))
         for one, stem in zip(results, stems, strict=True)
     ]
 
 
 def save_sonar_replay(replayed: Replay, folder: Path | str, *, title: str = "") -> Path:
-    """Raw and filtered ranges of a recording as a PNG; the path written. InputError if the folder cannot be written."""
-    return _save(plot_sonar_replay(replayed, title=title), Path(folder), ("sonar-replay",))
+    r"""Raw and filtered ranges of a recording as a PNG; the path written. InputError if the folder cannot be written.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.report import save_sonar_replay
+        >>> from surctl.sensing import read_readings, replay_readings, sonar_array
+        >>> rows = ["time_s,sensor,range_m", *(f"{0.1 * k:.1f},0,{2.0 - 0.01 * k:.2f}" for k in range(60))]
+        >>> _ = Path("readings.csv").write_text("\n".join(rows))
+        >>> replayed = replay_readings(read_readings(Path("readings.csv"), sonar_array(1)).readings)
+        >>> save_sonar_replay(replayed, "pictures", title="in the tank").name
+        'sonar-replay.png'
+    """
+    return save_figure(plot_sonar_replay(replayed, title=title), Path(folder), ("sonar-replay",))
 
 
-def _save(figure: Figure, folder: Path, what: tuple[str, ...]) -> Path:
+def save_figure(figure: Figure, folder: Path | str, what: tuple[str, ...]) -> Path:
+    """A figure as a PNG in the folder, named after what it shows; the path written."""
     # names come from files: whatever could leave the folder is replaced
     name = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "-", part).strip("-.") or "x" for part in what)
     buffer = BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
-    return write_file(folder / f"{name}.png", buffer.getvalue())
+    return write_file(Path(folder) / f"{name}.png", buffer.getvalue())

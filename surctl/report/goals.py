@@ -51,7 +51,21 @@ class GoalBars:
 
 
 def goal_bars(tuning: Tuning) -> GoalBars:
-    """The goals of a tuning, hard ones first."""
+    """The goals of a tuning, hard ones first.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import goal_bars
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=32, rounds=1, runs=0)
+        >>> data = goal_bars(tuning)
+        >>> data.names, data.hard, data.hand.round(2).tolist(), data.tuned.round(2).tolist()
+        (('clear', 'soon'), (True, False), [0.82, 1.02], [0.79, 0.99])
+    """
     goals = tuning.request.goals
     order = sorted(range(len(goals)), key=lambda j: goals[j].kind != "hard")
     hand, tuned = tuning.hand.evaluation.normalised[0], tuning.tuned.evaluation.normalised[0]
@@ -60,7 +74,21 @@ def goal_bars(tuning: Tuning) -> GoalBars:
 
 
 def plot_goal_bars(data: GoalBars, ax: Axes | None = None) -> Axes:
-    """A pair of bars a goal, with the line at 1 that they must not pass."""
+    """A pair of bars a goal, with the line at 1 that they must not pass.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import goal_bars, plot_goal_bars
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=32, rounds=1, runs=0)
+        >>> ax = plot_goal_bars(goal_bars(tuning))
+        >>> ax.get_title("left"), [label.get_text() for label in ax.get_yticklabels()]
+        ('normalised goals: at most 1 is met', ['clear (hard)', 'soon (soft)'])
+    """
     count = len(data.names)
     ax = ax or new_axes(7.0, 1.7 + 0.52 * count)
     dress(ax, title="normalised goals: at most 1 is met", x="normalised value [1]")
@@ -99,7 +127,21 @@ def _largest(data: GoalBars) -> float:
 
 
 def plot_front(tuning: Tuning, ax: Axes | None = None) -> Axes:
-    """The undominated gain sets: score against mean thrust, with the start and the tuned gains marked."""
+    """The undominated gain sets: score against mean thrust, with the start and the tuned gains marked.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import plot_front
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=32, rounds=1, runs=0)
+        >>> ax = plot_front(tuning)
+        >>> ax.get_title("left"), ax.get_xlabel(), ax.get_ylabel()
+        ('what the tuning found', 'score [1]', 'mean thrust [N]')
+    """
     ax = dress(ax or new_axes(5.6, 4.2), title="what the tuning found", x="score [1]", y="mean thrust [N]")
     start = tuning.hand.evaluation.normalised[0]
     front = tuning.front
@@ -148,6 +190,19 @@ def goal_view(tuning: Tuning, goal: Goal) -> GoalView | None:
     """The figure behind a goal over time, hand gains and tuned ones, in the tuned gains' worst run.
 
     The run is flown again by the reference loop. None where the figure has no course over time.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import goal_view
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=32, rounds=1, runs=0)
+        >>> view = goal_view(tuning, goals[1])
+        >>> view.label, view.course, round(float(view.values["tuned"].min()), 2)
+        ('pool-behind/sur400/truth, seed 0', 'clearance [m]', 0.1)
     """
     if goal.metric not in _OVER_TIME:
         return None
@@ -192,7 +247,21 @@ def _flown(vehicle: Vehicle, condition: Condition) -> Vehicle:
 
 
 def plot_goal_view(data: GoalView, ax: Axes | None = None) -> Axes:
-    """The figure over time; the side of the bound that misses the goal is shaded."""
+    """The figure over time; the side of the bound that misses the goal is shaded.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import goal_view, plot_goal_view
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=32, rounds=1, runs=0)
+        >>> ax = plot_goal_view(goal_view(tuning, goals[1]))
+        >>> ax.get_title("left"), ax.get_ylabel()
+        ('clear', 'clearance [m]')
+    """
     goal = data.goal
     ax = ax or new_axes(6.4, 3.9)
     dress(ax, title=goal.name, x="time [s]", y=data.course)

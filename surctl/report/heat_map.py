@@ -43,6 +43,17 @@ def plot_heat_map(
 
     Raises:
         InputError: the sweep has no such column or axis, or no grid of two axes.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import plot_heat_map
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import build_cases, grid, parse_axis, sweep
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> table = sweep(cases, grid([parse_axis("k_v=1,2"), parse_axis("lookahead=0.4,0.8,1.2")]))
+        >>> ax = plot_heat_map(table, "disk_margin")
+        >>> ax.get_title("left"), ax.get_xlabel(), ax.get_ylabel()
+        ('least disk margin (high is good)', 'k_v [1/s]', 'lookahead [m]')
     """
     names = [axis.name for axis in table.axes]
     if not table.is_grid or len(names) < 2:

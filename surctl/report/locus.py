@@ -32,6 +32,17 @@ def plot_locus(
         picked: value whose poles are marked (the nearest one that was computed).
         reach: largest |pole| shown [rad/s]; default: that below the topmost gap of a factor of 3, which leaves out
             the poles of the delay.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import plot_locus
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.verification import sweep_locus
+        >>> gains = load_gains("default").values
+        >>> locus = sweep_locus(load_vehicle("sur400"), gains, "k_psi", [0.2, 0.4, 0.8, 1.6, 3.2], cruise=0.15, dt=0.05)
+        >>> ax = plot_locus(locus, unit="1/s", picked=0.8)
+        >>> ax.get_xlabel(), ax.get_ylabel(), [line.get_label() for line in ax.lines][-3:]
+        ('real part [1/s]', 'imaginary part [rad/s]', ['start: 0.2', 'picked: 0.8', 'stability boundary'])
     """
     ax = dress(ax or new_axes(6.4, 4.9), x="real part [1/s]", y="imaginary part [rad/s]")
     edge = reach or 1.15 * _below_the_gap(np.sort(np.abs(data.poles).max(axis=0)))

@@ -54,6 +54,18 @@ def loop_responses(
 
     Raises:
         InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import loop_responses
+        >>> from surctl.vehicle import load_vehicle
+        >>> gains = load_gains("default").values
+        >>> loops = loop_responses(load_vehicle("sur400"), gains, cruise=0.15, dt=0.05)
+        >>> [(loop.name, loop.at) for loop in loops][::4]
+        [('surge', 'thrust'), ('along_track', 'measurement')]
+        >>> omega = loops[0].omega  # up to the Nyquist frequency
+        >>> omega.shape, omega[[0, -1]].round(2).tolist()
+        ((400,), [0.01, 62.83])
     """
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt)
     omega = np.geomspace(_SLOWEST, np.pi / dt, _POINTS)
@@ -72,7 +84,18 @@ def _frequency_response(
 
 
 def plot_bode(loops: Sequence[LoopResponse], ax: tuple[Axes, Axes] | None = None) -> Figure:
-    """Gain [dB] over phase [deg]; dots mark where a gain crosses 1. `ax`: axes of gain and phase, or None."""
+    """Gain [dB] over phase [deg]; dots mark where a gain crosses 1. `ax`: axes of gain and phase, or None.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import loop_responses, plot_bode
+        >>> from surctl.vehicle import load_vehicle
+        >>> gains = load_gains("default").values
+        >>> loops = loop_responses(load_vehicle("sur400"), gains, cruise=0.15, dt=0.05)
+        >>> gain, phase = plot_bode(loops).axes[:2]
+        >>> gain.get_ylabel(), phase.get_ylabel(), phase.get_xlabel()
+        ('gain |L| [dB]', 'phase of L [deg]', 'frequency [rad/s]')
+    """
     if ax is None:
         ax = new_figure(5.1, 4.5).subplots(2, 1, sharex=True)
     upper, lower = ax
@@ -110,6 +133,16 @@ def plot_nyquist(loops: Sequence[LoopResponse], ax: Axes | None = None, *, disk_
         loops: the loops.
         ax: axes to draw in.
         disk_margin: α of the balanced disk margin; its forbidden disk (Seiler, Packard and Gahinet 2020) is drawn.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import loop_responses, plot_nyquist
+        >>> from surctl.vehicle import load_vehicle
+        >>> gains = load_gains("default").values
+        >>> loops = loop_responses(load_vehicle("sur400"), gains, cruise=0.15, dt=0.05)
+        >>> ax = plot_nyquist(loops[:4], disk_margin=0.6)
+        >>> ax.get_xlabel(), ax.get_ylabel(), [text.get_text() for text in ax.get_legend().get_texts()]
+        ('real part of L', 'imaginary part of L', ['disk margin 0.60', 'surge', 'sway', 'heave', 'yaw'])
     """
     ax = dress(ax or new_figure(5.1, 4.5).add_subplot(), x="real part of L", y="imaginary part of L")
     ax.add_patch(Circle((0, 0), 1, fill=False, edgecolor=MUTED, linestyle=":", linewidth=1.0))
@@ -129,7 +162,18 @@ def plot_nyquist(loops: Sequence[LoopResponse], ax: Axes | None = None, *, disk_
 
 
 def plot_poles(poles: NDArray[np.complex128], ax: Axes | None = None) -> Axes:
-    """Closed-loop poles [rad/s]; the fast ones that only the delay brings are counted, not shown."""
+    """Closed-loop poles [rad/s]; the fast ones that only the delay brings are counted, not shown.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import plot_poles
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.verification import closed_loop_poles
+        >>> poles = closed_loop_poles(load_vehicle("sur400"), load_gains("default").values, cruise=0.15, dt=0.05)
+        >>> ax = plot_poles(poles)
+        >>> ax.get_xlabel(), ax.get_ylabel()
+        ('real part [1/s]', 'imaginary part [rad/s]')
+    """
     ax = dress(ax or new_figure(5.1, 4.5).add_subplot(), x="real part [1/s]", y="imaginary part [rad/s]")
     found = np.asarray(poles, dtype=complex)
     shown = _slow(found)

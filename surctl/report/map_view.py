@@ -19,6 +19,7 @@ from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, OBSTACLE, ROBOT, dre
 from surctl.sensing import LocalMap
 from surctl.sensing import map_view as map_values
 from surctl.simulation import Run
+from surctl.simulation.column import beside
 
 __all__ = ["MapView", "map_view", "plot_map", "plot_maps"]
 
@@ -57,6 +58,20 @@ def map_view(run: Run, tick: int) -> MapView:
 
     Raises:
         InputError: a law without senses, or no such tick.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import map_view
+        >>> from surctl.simulation import load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission = replace(load_scenario("pool-behind"), time_limit=3.0)
+        >>> run = simulate(mission, load_vehicle("sur400"), gains=load_gains("default"), sensing="sonar")
+        >>> view = map_view(run, 40)
+        >>> view.time, view.kinds.shape, round(view.edge, 3)
+        (2.0, (48, 48), 0.05)
+        >>> round(float((view.kinds == 1).sum()) * view.edge**2, 1)  # m^2 of water that it knows to be free
+        3.1
     """
     law, record = run.law, run.record
     if law.senses is None:
@@ -81,8 +96,22 @@ def plot_map(run: Run, view: MapView, ax: Axes | None = None) -> Axes:
         run: that the map is of.
         view: of `map_view`.
         ax: axes to draw in.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import map_view, plot_map
+        >>> from surctl.simulation import load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission = replace(load_scenario("pool-behind"), time_limit=3.0)
+        >>> run = simulate(mission, load_vehicle("sur400"), gains=load_gains("default"), sensing="sonar")
+        >>> ax = plot_map(run, map_view(run, 40))
+        >>> ax.get_title("left"), ax.get_xlabel()
+        ('2.0 s', 'x in {E} [m]')
     """
-    ax = dress(ax or new_figure(6.4, 5.6).add_subplot(), title=f"{view.time:.1f} s", x="x in {E} [m]", y="y in {E} [m]")
+    z, radius = float(run.record.eta[view.tick, 2]), run.vehicle["radius"]
+    title = f"{view.time:.1f} s" + (f", z {z:.2f} m" if run.scenario.depths else "")
+    ax = dress(ax or new_figure(6.4, 5.6).add_subplot(), title=title, x="x in {E} [m]", y="y in {E} [m]")
     ax.grid(visible=False)
     side = len(view.kinds)
     x, y = (start + view.edge * np.arange(side + 1) for start in view.corner)
@@ -96,11 +125,13 @@ def plot_map(run: Run, view: MapView, ax: Axes | None = None) -> Axes:
         patch.set(facecolor="none", edgecolor=OBSTACLE if body.moving else INK, linewidth=1.6, zorder=3)
         if body.moving:
             patch.set_linestyle("--")
+        elif not beside([body], z, radius):
+            patch.set_linestyle(":")
         ax.add_patch(patch)
     points = run.scenario.path.waypoints
     ax.plot(points[:, 0], points[:, 1], color=INK, linestyle=":", linewidth=1.0, zorder=2.5)
     ax.plot(view.way[:, 0], view.way[:, 1], color=ROBOT, linewidth=1.6, zorder=4)
-    here, radius = view.way[-1], run.vehicle["radius"]
+    here = view.way[-1]
     ax.add_patch(Circle((here[0], here[1]), radius, fill=False, edgecolor=ROBOT, linewidth=1.6, zorder=4))
     nose = here + radius * np.array([[0.4], [1.0]]) * [np.cos(view.heading), np.sin(view.heading)]
     ax.plot(nose[:, 0], nose[:, 1], color=ROBOT, linewidth=1.8, zorder=4)
@@ -117,6 +148,18 @@ def plot_maps(run: Run, views: Sequence[MapView]) -> Axes:
 
     Raises:
         InputError: no map.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import map_view, plot_maps
+        >>> from surctl.simulation import load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission = replace(load_scenario("pool-behind"), time_limit=3.0)
+        >>> run = simulate(mission, load_vehicle("sur400"), gains=load_gains("default"), sensing="sonar")
+        >>> first = plot_maps(run, [map_view(run, 10), map_view(run, 50)])
+        >>> [ax.get_title("left") for ax in first.figure.axes]
+        ['0.5 s', '2.5 s']
     """
     if not views:
         raise InputError("is empty", key="views", remedy="give one map at least")
@@ -138,6 +181,9 @@ def plot_maps(run: Run, views: Sequence[MapView]) -> Axes:
         Patch(facecolor="none", edgecolor=OBSTACLE, linestyle="--", linewidth=1.6, label="true moving obstacle"),
         Line2D([], [], color=ROBOT, linewidth=1.6, label="way flown, hull"),
     ]
+    if any(not body.heights.whole for body in run.record.obstacles[views[0].tick]):
+        passed = Patch(facecolor="none", edgecolor=INK, linestyle=":", linewidth=1.6, label="passed above or below")
+        handles.append(passed)
     figure.suptitle(describe(run), x=0.01, ha="left", fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=8.5, frameon=False)
     first: Axes = axes[0]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,7 +11,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from surctl.files import write_file
 from surctl.report.data import ReportData
-from surctl.report.document import Section
+from surctl.report.document import Check, Section
 from surctl.report.evidence_sections import claims_section, runs_section
 from surctl.report.sections import (
     export_section,
@@ -26,11 +28,27 @@ _TEMPLATES = Path(__file__).parent / "templates"
 
 
 def render_page(data: ReportData, *, runs: Section | None = None) -> str:
-    """The page as one HTML text: no network, no script, pictures and style inside, every text escaped.
+    """The page as one HTML text: no network, pictures, style and player inside, every text escaped.
 
     Args:
         data: what it tells.
         runs: `runs_section` of the same runs, where it was drawn before.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import ReportData, render_page
+        >>> from surctl.vehicle import load_vehicle
+        >>> data = ReportData(
+        ...     title="Pool",
+        ...     command="",
+        ...     version="1.0",
+        ...     vehicle=load_vehicle("sur400"),
+        ...     gains=load_gains("default"),
+        ...     summary=((True, "margins suffice"),),
+        ... )
+        >>> page = render_page(data)
+        >>> "margins suffice" in page, "https://" in page
+        (True, False)
     """
     return render_sections(
         title=data.title,
@@ -50,7 +68,7 @@ def render_sections(
     version: str,
     command: str,
     outcome: tuple[str, str],
-    summary: Sequence[tuple[bool | None, str]],
+    summary: Sequence[Check | tuple[bool | None, str]],
     sections: Sequence[Section],
 ) -> str:
     """A page of any sections, as `render_page` makes it.
@@ -61,8 +79,22 @@ def render_sections(
         version: of this package.
         command: the command line that made it; may be empty.
         outcome: class (`good`, `bad` or `note`) and words of the first line.
-        summary: lines of the outcome: holds, fails, or None for a note that decides nothing.
+        summary: lines of the outcome, see `Check`; those that fail are shown first, those that decide nothing last.
         sections: in reading order.
+
+    Example:
+        >>> from surctl.report import Check, render_sections
+        >>> page = render_sections(
+        ...     title="Pool",
+        ...     subject="One hull, one pool.",
+        ...     version="1.0",
+        ...     command="",
+        ...     outcome=("good", "All holds."),
+        ...     summary=[Check(True, "margins suffice")],
+        ...     sections=[],
+        ... )
+        >>> page[:15], [words in page for words in ("One hull, one pool.", "margins suffice")]
+        ('<!DOCTYPE html>', [True, True])
     """
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATES),
@@ -72,17 +104,33 @@ def render_sections(
         keep_trailing_newline=True,
     )
     style = (_TEMPLATES / "page.css").read_text(encoding="utf-8")
+    plays = any(block.kind == "player" for section in sections for block in section.blocks)
+    script = (_TEMPLATES / "player.js").read_text(encoding="utf-8") if plays else ""
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     page = environment.get_template("page.html")
     return page.render(
         title=title,
         subject=subject,
         version=version,
         command=command,
-        summary=summary,
+        summary=_linked(summary, sections),
         style=style,
+        script=script,
+        digest=digest,
         sections=sections,
         outcome=outcome,
     )
+
+
+def _linked(summary: Sequence[Check | tuple[bool | None, str]], sections: Sequence[Section]) -> list[Check]:
+    """The lines in the order in which they matter, each with the nearest anchor that the page has."""
+    there = {section.anchor for section in sections} | {h.anchor for section in sections for h in section.headings}
+    found = []
+    for line in summary:
+        good, text, anchor = Check(*line)
+        whole = anchor.partition("-")[0]  # of a part that is not told, the section
+        found.append(Check(good, text, anchor if anchor in there else whole if whole in there else ""))
+    return sorted(found, key=lambda check: (check.good is None, check.good))
 
 
 def _sections(data: ReportData, runs: Section | None) -> tuple[Section, ...]:
@@ -105,7 +153,7 @@ def _sections(data: ReportData, runs: Section | None) -> tuple[Section, ...]:
 
 def _outcome(data: ReportData) -> tuple[str, str]:
     """Class and words of the first line."""
-    failed = sum(good is False for good, _ in data.summary)
+    failed = sum(line[0] is False for line in data.summary)
     if failed:
         return "bad", f"✗ {failed} of the checks that decide {'fails' if failed == 1 else 'fail'}."
     if data.passed is None:
@@ -121,5 +169,22 @@ def write_page(data: ReportData, path: Path | str, *, runs: Section | None = Non
 
     Raises:
         InputError: the folder cannot be written.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import ReportData, write_page
+        >>> from surctl.vehicle import load_vehicle
+        >>> data = ReportData(
+        ...     title="Pool",
+        ...     command="",
+        ...     version="1.0",
+        ...     vehicle=load_vehicle("sur400"),
+        ...     gains=load_gains("default"),
+        ...     summary=((True, "margins suffice"),),
+        ... )
+        >>> _ = write_page(data, "report.html")
+        >>> "margins suffice" in Path("report.html").read_text(encoding="utf-8")
+        True
     """
     return write_file(Path(path), render_page(data, runs=runs))

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+from math import isinf
+
 import numpy as np
+from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Patch, PathPatch, Polygon, Rectangle, Wedge
+from matplotlib.patches import Circle, Patch, PathPatch, Polygon, Rectangle
 from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
+from surctl.report.beams import INSTANT, beam_patch, beams_at
 from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, legend_below, new_axes, printable
-from surctl.simulation import Body, Run
+from surctl.simulation import Body, Run, depth_changes
 from surctl.simulation.scenario import Shape
-from surctl.world import Box, Disc, Wall
+from surctl.world import Box, Disc, Heights, Wall
 
-__all__ = ["body_outline", "describe", "plot_run"]
+__all__ = ["body_middle", "body_outline", "box_corners", "describe", "draw_ends", "draw_site", "plot_run"]
 
 _SNAPSHOTS = 9  # hulls drawn along a run, at most
 _NICE = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)  # [s]
 _STILL = 1e-3  # [m] an obstacle that moves less is drawn once
-_INSTANT = "#6D28D9"  # the instant at which the sonar is shown
 
 
 def describe(run: Run) -> str:
@@ -30,13 +33,25 @@ def describe(run: Run) -> str:
 
 
 def plot_run(run: Run, ax: Axes | None = None) -> Axes:
-    """Plan view in {E}, x and y in m, equal scale; the numbers in hulls and moving obstacles are times in s."""
+    """Plan view in {E}, x and y in m, equal scale; the numbers in hulls and moving obstacles are times in s.
+
+    Example:
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.report import plot_run
+        >>> from surctl.simulation import load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> law, gains = build_law("lean"), load_gains("default")
+        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
+        >>> ax = plot_run(run)
+        >>> ax.get_title("left"), ax.get_xlabel(), ax.get_ylabel()
+        ('pool-behind: sur400, law lean (nsb), truth, seed 0', 'x in {E} [m]', 'y in {E} [m]')
+    """
     length, width, _ = run.scenario.site
     if ax is None:
         height = float(np.clip(7.6 * width / length + 1.5, 3.6, 7.6))
         ax = new_axes(9.0, height)
     dress(ax, title=describe(run), x="x in {E} [m]", y="y in {E} [m]")
-    _draw_site(ax, length, width)
+    draw_site(ax, length, width)
     ticks = _snapshots(run)
     _draw_obstacles(ax, run, ticks)
     if run.sensing == "sonar":
@@ -44,7 +59,7 @@ def plot_run(run: Run, ax: Axes | None = None) -> Axes:
     _draw_way(ax, run)
     for k in ticks:
         _draw_hull(ax, run, k)
-    _draw_ends(ax, run)
+    draw_ends(ax, run)
     _add_legend(ax, run)
     ax.set_aspect("equal")
     rim = 0.03 * max(length, width)
@@ -73,7 +88,8 @@ def _closest(run: Run) -> int:
     return int(np.argmin(nearest))
 
 
-def _draw_site(ax: Axes, length: float, width: float) -> None:
+def draw_site(ax: Axes, length: float, width: float) -> None:
+    """The water of a site, length × width [m], and solid ground about it."""
     rim = 0.03 * max(length, width)
     frame = [(-rim, -rim), (length + rim, -rim), (length + rim, width + rim), (-rim, width + rim), (-rim, -rim)]
     water = [(0, 0), (0, width), (length, width), (length, 0), (0, 0)]
@@ -88,13 +104,19 @@ def body_outline(shape: Shape) -> Patch:
     if isinstance(shape, Disc):
         return Circle((shape.center[0], shape.center[1]), shape.radius)
     if isinstance(shape, Box):
-        c, s = np.cos(shape.angle), np.sin(shape.angle)
-        half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(shape.size) / 2
-        return Polygon(half @ np.array([[c, s], [-s, c]]) + np.array(shape.center))
+        return Polygon(box_corners(shape) + np.array(shape.center))
     raise TypeError(f"a {type(shape).__name__} is no body in the water")
 
 
-def _middle(body: Body) -> NDArray[np.float64]:
+def box_corners(box: Box) -> NDArray[np.float64]:
+    """(4, 2) from its centre, in {E} [m]."""
+    c, s = np.cos(box.angle), np.sin(box.angle)
+    half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(box.size) / 2
+    return np.asarray(half @ np.array([[c, s], [-s, c]]))
+
+
+def body_middle(body: Body) -> NDArray[np.float64]:
+    """(2,) in {E} [m]; TypeError for a wall."""
     if isinstance(body.shape, Wall):
         raise TypeError("a wall is no body in the water")
     return np.asarray(body.shape.center, dtype=float)
@@ -104,7 +126,7 @@ def _draw_obstacles(ax: Axes, run: Run, ticks: list[int]) -> None:
     """Each obstacle at the hulls' instants: one that moves fainter the earlier, one that drifts as outlines."""
     for name in dict.fromkeys(body.name for bodies in run.record.obstacles for body in bodies):
         seen = {k: b for k, bodies in enumerate(run.record.obstacles) for b in bodies if b.name == name}
-        middles = np.array([_middle(body) for body in seen.values()])
+        middles = np.array([body_middle(body) for body in seen.values()])
         travels = next(iter(seen.values())).moving
         shown = [k for k in ticks if k in seen] or [max(seen)]
         if np.ptp(middles, axis=0).max() < _STILL:
@@ -114,10 +136,18 @@ def _draw_obstacles(ax: Axes, run: Run, ticks: list[int]) -> None:
             alpha = 0.2 + 0.55 * share if travels else 0.75
             _draw_body(ax, seen[k], alpha=alpha, filled=travels or k == shown[-1])
             if travels:
-                _label(ax, _middle(seen[k]), f"{run.record.time[k]:.3g}", "white", OBSTACLE)
+                _label(ax, body_middle(seen[k]), f"{run.record.time[k]:.3g}", "white", OBSTACLE)
         if travels:
             ax.plot(middles[:, 0], middles[:, 1], color=OBSTACLE, linestyle=":", linewidth=1.2, zorder=1.5)
-        _name(ax, run, seen[shown[0]], name)
+        body = seen[shown[0]]
+        _name(ax, run, body, name if body.heights.whole else f"{name}, {_told(body.heights)}")
+
+
+def _told(heights: Heights) -> str:
+    """From which z to which, in words."""
+    if isinf(heights.bottom):
+        return f"below z {heights.top:g} m"
+    return f"above z {heights.bottom:g} m" if isinf(heights.top) else f"z {heights.bottom:g} to {heights.top:g} m"
 
 
 def _draw_body(ax: Axes, body: Body, *, alpha: float, filled: bool) -> None:
@@ -129,7 +159,7 @@ def _draw_body(ax: Axes, body: Body, *, alpha: float, filled: bool) -> None:
 def _name(ax: Axes, run: Run, body: Body, name: str) -> None:
     """The obstacle's name beside it, towards the middle of the site."""
     patch = body_outline(body.shape).get_extents()  # in data units: the patch is in no axes yet
-    x, y = _middle(body)
+    x, y = body_middle(body)
     up = y < run.scenario.site[1] / 2
     at = (x, patch.y1 if up else patch.y0)
     ax.annotate(
@@ -153,6 +183,14 @@ def _draw_way(ax: Axes, run: Run) -> None:
     avoiding = run.telemetry("avoiding")[:-1, 0] > 0.5
     ax.add_collection(LineCollection(list(steps[~avoiding]), colors=ROBOT, linewidths=1.8, zorder=4))
     ax.add_collection(LineCollection(list(steps[avoiding]), colors=AVOIDING, linewidths=3.4, zorder=4))
+    changes = depth_changes(run)
+    if not changes:
+        return
+    elsewhere = run.telemetry("wanted_depth")[:-1, 0] != run.scenario.depth
+    ax.add_collection(LineCollection(list(steps[elsewhere]), colors="white", linewidths=1.2, zorder=4.2))
+    for change in changes:
+        below = np.array(change.place_m) - [0.0, 1.4 * run.vehicle["radius"]]
+        _label(ax, below, f"to z {change.to_m:.2f}", INK, "white")
 
 
 def _draw_hull(ax: Axes, run: Run, k: int) -> None:
@@ -166,31 +204,23 @@ def _draw_hull(ax: Axes, run: Run, k: int) -> None:
 
 
 def _draw_beams(ax: Axes, run: Run, k: int) -> None:
-    """The sonars' cones at one tick, as long as the filtered ranges; dashed where the sonar reads its maximum."""
-    array = run.scenario.sensors.array_on(run.vehicle["radius"])
-    x, y, _, heading = run.record.eta[k]
-    ranges = run.telemetry("ranges")[k]
+    """The sonars' cones at one tick, and what moved by then."""
+    x, y = run.record.eta[k, :2]
     length, width, _ = run.scenario.site
     water = Rectangle((0, 0), length, width, transform=ax.transData)
-    half = np.rad2deg(array.half_angle)
-    for sensor in range(array.size):
-        ax_x, ax_y, axis = array.apex(sensor, position=(x, y), heading=heading)
-        echo = bool(ranges[sensor] < array.maximum - array.resolution)
-        middle = np.rad2deg(axis)
-        beam = Wedge((ax_x, ax_y), float(ranges[sensor]), middle - half, middle + half)
-        beam.set(facecolor=_INSTANT if echo else "none", edgecolor=_INSTANT, linestyle="-" if echo else "--")
-        beam.set(alpha=0.22 if echo else 0.45, linewidth=0.9, zorder=1.8)
+    for beam in map(beam_patch, beams_at(run, k)):
         ax.add_patch(beam)
         beam.set_clip_path(water)
-    ax.add_patch(Circle((x, y), run.vehicle["radius"], fill=False, edgecolor=_INSTANT, linewidth=1.8, zorder=4.6))
+    ax.add_patch(Circle((x, y), run.vehicle["radius"], fill=False, edgecolor=INSTANT, linewidth=1.8, zorder=4.6))
     for body in run.record.obstacles[k]:
         if body.moving:
             patch = body_outline(body.shape)
-            patch.set(facecolor="none", edgecolor=_INSTANT, linewidth=1.8, zorder=2.1)
+            patch.set(facecolor="none", edgecolor=INSTANT, linewidth=1.8, zorder=2.1)
             ax.add_patch(patch)
 
 
-def _draw_ends(ax: Axes, run: Run) -> None:
+def draw_ends(ax: Axes, run: Run) -> None:
+    """Start, target, and where a run stopped that did not arrive."""
     x, y = run.scenario.start
     ax.plot(x, y, marker="s", color=INK, markersize=6, markerfacecolor="white", zorder=5.5, linestyle="none")
     x, y = run.scenario.target
@@ -210,9 +240,12 @@ def _add_legend(ax: Axes, run: Run) -> None:
         Line2D([], [], color=ROBOT, marker="o", markerfacecolor="none", markersize=9, linestyle="none", label="hull"),
         Patch(facecolor=OBSTACLE, edgecolor=INK, alpha=0.75, label="obstacle"),
     ]
+    if depth_changes(run):
+        edges = [patheffects.withStroke(linewidth=3.4, foreground=AVOIDING)]
+        handles.append(Line2D([], [], color="white", linewidth=1.2, path_effects=edges, label="at another depth"))
     if run.sensing == "sonar":
         instant = run.record.time[_closest(run)]
-        handles.append(Patch(facecolor=_INSTANT, alpha=0.35, label=f"sonar beams at {instant:g} s"))
+        handles.append(Patch(facecolor=INSTANT, alpha=0.35, label=f"sonar beams at {instant:g} s"))
     if not run.metrics.reached:
         why = f"stopped: {run.metrics.stopped_because}"
         handles.append(Line2D([], [], color=AVOIDING, marker="X", markersize=9, linestyle="none", label=why))

@@ -24,6 +24,7 @@ from surctl.report.document import (
     picture,
 )
 from surctl.report.heat_map import COLUMN_TITLES, axis_title, plot_heat_map
+from surctl.report.linear_section import linear_blocks
 from surctl.report.loops import LoopResponse, plot_bode, plot_nyquist, plot_poles
 from surctl.report.sweep_plots import plot_parallel
 from surctl.report.words import file_size, number
@@ -103,7 +104,7 @@ def margins_section(data: ReportData) -> Section:
         "Each loop is broken at one place while all others stay closed, about straight cruise: surge, sway, heave and "
         "yaw at the thrust command; along_track, cross_track, depth and heading at the measurement."
     )
-    blocks: list[Block] = [Paragraph(text), Table("Margins about cruise", heads, rows)]
+    blocks: list[Block] = [Paragraph(text), Table("Margins about cruise", heads, rows), *linear_blocks(data.linear)]
     pictures = _loop_pictures(data)
     if data.poles is not None:
         slowest = float(np.max(np.real(data.poles)))

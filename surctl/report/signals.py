@@ -22,6 +22,7 @@ __all__ = [
     "plot_run_signals",
     "plot_velocity",
     "plot_yaw_rate",
+    "spans",
 ]
 
 _UNKNOWN = 50.0  # [m] what the law calls its nearest contact beyond this is "none"
@@ -36,6 +37,16 @@ def plot_run_signals(run: Run, ax: Sequence[Axes] | None = None) -> Figure:
 
     Returns:
         The figure that holds the axes.
+
+    Example:
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.report import plot_run_signals
+        >>> from surctl.simulation import load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> law, gains = build_law("lean"), load_gains("default")
+        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
+        >>> [ax.get_ylabel() for ax in plot_run_signals(run).axes][:4]
+        ['clearance [m]', 'path error [m]', 'velocity in {B} [m/s]', 'yaw rate [rad/s]']
     """
     if ax is None:
         figure = new_figure(9.5, 7.6)
@@ -131,12 +142,12 @@ def _axes(run: Run, ax: Axes | None, *, title: str, unit: str) -> Axes:
     away = run.scenario.path.distance(run.record.eta[:, :2])
     returning = settled_avoidance(avoiding, away) & (avoiding <= 0.5)
     for mask, strength in ((avoiding > 0.5, 0.20), (returning, 0.07)):
-        for begin, end in _spans(time, mask):
+        for begin, end in spans(time, mask):
             ax.axvspan(begin, end, color=AVOIDING, alpha=strength, linewidth=0.0, zorder=0)
     return ax
 
 
-def _spans(time: NDArray[np.float64], mask: NDArray[np.bool_]) -> list[tuple[float, float]]:
+def spans(time: NDArray[np.float64], mask: NDArray[np.bool_]) -> list[tuple[float, float]]:
     """Begin and end of each stretch of ticks that are true; a tick lasts until the next one."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(int)))
     ends = np.append(time, time[-1])

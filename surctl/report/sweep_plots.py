@@ -33,6 +33,17 @@ def plot_parallel(table: SweepTable, columns: Sequence[str] | None = None, ax: A
 
     Raises:
         InputError: the sweep has no such column.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import plot_parallel
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import build_cases, grid, parse_axis, sweep
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> table = sweep(cases, grid([parse_axis("k_v=1,2"), parse_axis("lookahead=0.4,0.8,1.2")]))
+        >>> ax = plot_parallel(table, ["time_s", "disk_margin"])
+        >>> ax.get_title("left"), [label.get_text() for label in ax.get_xticklabels()[:2]]
+        ('6 points, 6 feasible', ['k_v [1/s]', 'lookahead [m]'])
     """
     names = [name for name in _SHOWN if name in table.columns] if columns is None else list(columns)
     scales, titles = [], []
@@ -72,6 +83,18 @@ def plot_sensitivity(found: Sensitivity, ax: Axes | None = None) -> Axes:
     Args:
         found: the indices.
         ax: axes to draw in.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import plot_sensitivity
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import build_cases, parse_axis, saltelli, sensitivity, sweep
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> design = saltelli([parse_axis("scenario.cruise=0.1..0.2"), parse_axis("k_v=1.2..3")], base=16)
+        >>> found = sensitivity(sweep(cases, design, linear=False), "time_s")
+        >>> ax = plot_sensitivity(found)
+        >>> ax.get_title("left"), ax.get_xlabel(), [label.get_text() for label in ax.get_yticklabels()]
+        ('What time_s depends on', 'share of the variance [1]', ['scenario.cruise', 'k_v'])
     """
     ax = ax or new_axes(6.4, 1.5 + 0.55 * len(found.axes))
     title = f"What {found.column} depends on"

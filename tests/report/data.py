@@ -17,6 +17,7 @@ from surctl.simulation import Run, load_scenario, simulate
 from surctl.tuning import SweepTable
 from surctl.vehicle import Vehicle, load_vehicle
 from surctl.verification import Verdict, claims, closed_loop_poles, falsify, loop_margins
+from surctl.verification.linear import linear_side
 
 COLUMNS = {
     "deviation_m": "m",
@@ -90,6 +91,7 @@ def report() -> ReportData:
         vehicle=vehicle(),
         gains=GAINS,
         margins=loop_margins(vehicle(), GAINS.values, **ABOUT),
+        linear=(linear_side(vehicle(), GAINS.values, **ABOUT),),
         poles=closed_loop_poles(vehicle(), GAINS.values, **ABOUT),
         loops=loop_responses(vehicle(), GAINS.values, **ABOUT),
         verdicts=(verdict("v1-printed"), verdict("m-norm-printed"), verdict("v1-corrected")),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -20,6 +21,8 @@ from surctl.sensing import LocalMap
 from surctl.sensing import map_view as map_values
 from surctl.simulation import Run, Sensing, load_scenario, simulate
 from surctl.vehicle import load_vehicle
+from surctl.world import Heights
+from tests.tools import need_compiler
 
 
 @cache
@@ -112,3 +115,24 @@ def test_what_has_no_map_is_refused() -> None:
     for tick in (-1, len(run.record.time) - 1):
         with pytest.raises(InputError, match="tick"):
             map_view(run, tick)
+
+
+def test_what_is_passed_over_is_dotted_and_told() -> None:
+    need_compiler()
+    flown = _run()
+    low = [[replace(b, moving=False, heights=Heights(top=-1.0)) for b in bodies] for bodies in flown.record.obstacles]
+    over = replace(
+        flown,
+        record=replace(flown.record, obstacles=low),
+        scenario=replace(flown.scenario, depths=(-0.9, 0.0)),
+    )
+    views = [map_view(flown, 40)]
+    ax = drawn(plot_maps(over, views))
+    assert {p.get_linestyle() for p in ax.patches} >= {":"} and f"z {flown.record.eta[40, 2]:.2f} m" in ax.get_title(
+        loc="left"
+    )
+    told = [text.get_text() for text in ax.figure.figure.legends[0].get_texts()]
+    assert "passed above or below" in told
+    plain = drawn(plot_maps(flown, views))
+    assert ":" not in {p.get_linestyle() for p in plain.patches}
+    assert "passed above or below" not in [text.get_text() for text in plain.figure.figure.legends[0].get_texts()]

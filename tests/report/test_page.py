@@ -12,7 +12,8 @@ import pytest
 from surctl.control import write_gains
 from surctl.errors import InputError
 from surctl.export import Difference, ExportedFile, SilReport
-from surctl.report import ExportSummary, ReportData, render_page, runs_section, write_page
+from surctl.report import Check, ExportSummary, ReportData, render_page, render_sections, runs_section, write_page
+from surctl.report.document import Heading, Section
 from tests.report.data import GAINS, report, run, sweep, vehicle
 from tests.report.reader import Reader
 
@@ -40,7 +41,9 @@ def test_the_page_is_balanced_and_its_anchors_meet(page: str) -> None:
     ids = [a["id"] for _, a in read.elements if "id" in a]
     assert len(set(ids)) == len(ids)
     targets = {(a["href"] or "").removeprefix("#") for a in read.all("a")}
-    assert targets <= set(ids) and len(targets) == 8  # the summary and seven sections
+    sections = {"vehicle", "gains", "margins", "sweep", "claims", "runs", "time"}
+    parts = {"claims-v1-printed", "claims-m-norm-printed", "claims-v1-corrected", "runs-1", "runs-2"}
+    assert targets == {"summary", *sections, *parts} and targets <= set(ids)
     labels = {a["aria-labelledby"] for _, a in read.elements if "aria-labelledby" in a}
     assert labels <= set(ids)
 
@@ -48,15 +51,16 @@ def test_the_page_is_balanced_and_its_anchors_meet(page: str) -> None:
 def test_nothing_is_fetched_from_anywhere(page: str) -> None:
     assert not re.search(r"(https?:)?//[a-z]", re.sub(r'"data:[^"]*"', "", page))
     read = Reader(page)
-    assert not read.all("script") and not read.all("link") and not read.all("iframe")
+    assert [a.get("type") for a in read.all("script")] == ["application/json", None]  # frames, and what plays them
+    assert not read.all("link") and not read.all("iframe")
     assert "@import" not in page and "url(" not in page
     assert "default-src 'none'" in str(read.all("meta"))
 
 
 def test_every_picture_is_inside_and_told_in_words(page: str) -> None:
     images = Reader(page).all("img")
-    # margins 4 + poles, heat maps 7, claims 2 + 1, runs 2 × 2
-    assert len(images) == 4 + 1 + 8 + 3 + 4
+    # margins 4 + poles, heat maps 7, claims 2 + 1, runs 2 × 2, priorities of the run that decides
+    assert len(images) == 4 + 1 + 8 + 3 + 4 + 1
     for image in images:
         kind, _, content = (image["src"] or "").partition(",")
         assert kind == "data:image/png;base64"
@@ -98,7 +102,7 @@ def test_names_are_escaped_and_never_run() -> None:
     )  # fmt: skip
     page = render_page(data)
     read = Reader(page)
-    assert read.mistakes == [] and not read.all("script") and "<script" not in page
+    assert read.mistakes == [] and page.count("<script") == len(read.all("script")) == 2  # the player's
     assert "<script>alert('1')</script>\"$x_{&amp;}$ 潜" in read.text
     assert all("onerror" not in a and "onload" not in a for _, a in read.elements)
 
@@ -126,6 +130,27 @@ def test_the_outcome_stands_first(summary: tuple[tuple[bool | None, str], ...], 
     text = Reader(render_page(data)).text
     assert said in text and text.index(said) < text.index("Parameters of sur540-flooded")
     assert data.passed is {"✓": True, "✗": False, "•": None}[said[0]]
+
+
+def test_what_fails_comes_first_and_leads_to_where_more_is_told() -> None:
+    lines = (
+        Check(None, "sonar does not decide", "runs-2"),
+        Check(True, "margins suffice", "margins"),
+        Check(False, "run 9 is not drawn", "runs-9"),
+        Check(False, "nothing tells of it", "nowhere"),
+        (True, "no link"),
+    )
+    told = render_sections(
+        title="t", subject="s", version="0", command="", outcome=("bad", "x"), summary=lines,
+        sections=(Section("margins", "Margins", ()), Section("runs", "Runs", (Heading("two", "runs-2"), Heading("x")))),
+    )  # fmt: skip
+    (items,) = re.findall(r'<ul class="checks">(.*?)</ul>', told, re.DOTALL)
+    words = ["run 9", "nothing tells", "margins suffice", "no link", "sonar does not"]
+    assert sorted(words, key=items.index) == words
+    assert re.findall(r'href="#([^"]*)"', items) == ["runs", "margins", "runs-2"]
+    assert told.index("run 9 is not drawn") < told.index('id="contents"') < told.index('id="margins"')
+    (contents,) = re.findall(r"<nav.*?</nav>", told, re.DOTALL)
+    assert re.findall(r'href="#([^"]*)"', contents) == ["margins", "runs", "runs-2"]
 
 
 def test_every_parameter_and_gain_is_listed_with_its_provenance(page: str) -> None:
@@ -246,9 +271,24 @@ def luminance(colour: str) -> float:
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
+def contrast(one: float, other: float) -> float:
+    return (max(one, other) + 0.05) / (min(one, other) + 0.05)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("name", ["good", "bad", "note", "ink", "soft", "link"])
-def test_text_contrast_reaches_wcag_aa(page: str, name: str) -> None:
-    colours = dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{6})", page))
-    for ground in {colours.get(f"{name}-ground", "#ffffff"), "#ffffff"}:
-        light, dark = sorted((luminance(colours[name]), luminance(ground)), reverse=True)
-        assert (light + 0.05) / (dark + 0.05) >= 4.5
+def test_text_contrast_reaches_wcag_aa(page: str, name: str, scheme: str) -> None:
+    light, dark = re.findall(r":root \{.*?\}", page, re.DOTALL)
+    colours = dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{6})", {"light": light, "dark": dark}[scheme]))
+    for ground in {colours.get(f"{name}-ground", colours["ground"]), colours["ground"], colours["page"]}:
+        assert contrast(luminance(colours[name]), luminance(ground)) >= 4.5
+
+
+def test_the_linear_side_stands_beside_the_margins(page: str) -> None:
+    (side,) = report().linear
+    text = Reader(page).text
+    assert "Disk margins of all loops at once" in text and side.of in text
+    for disk in side.disks:
+        assert f"{disk.guaranteed:.3g}" in text and f"{disk.phase_deg:.3g}" in text
+    assert f"{side.sampled.largest_period_s[1]:.3g}" in text
+    assert "Disk margins" not in render_page(bare(margins=report().margins))

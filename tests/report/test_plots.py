@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle, Wedge
 
 from surctl.errors import InputError
+from surctl.guidance import Path as Route
 from surctl.report import (
     loop_responses,
     margin_slice,
@@ -32,7 +33,7 @@ from surctl.report import (
     save_run,
 )
 from surctl.report.evidence import _sense
-from surctl.report.signals import _spans
+from surctl.report.signals import spans
 from surctl.report.theme import printable
 from surctl.simulation import Run, load_scenario, simulate
 from surctl.tuning import Sensitivity, SweepTable
@@ -90,6 +91,21 @@ def test_the_plan_view_holds_what_was_flown() -> None:
     assert len(way) == 2 * (len(flown.record.time) - 1)
 
 
+def test_the_plan_view_says_where_the_depth_was_changed() -> None:
+    scenario = load_scenario(str(Path(__file__).parents[1] / "simulation" / "scenarios" / "tank-sill.toml"))
+    near = replace(scenario, path=Route(np.array([[4.0, 2.5], [9.5, 2.5]])), time_limit=80.0)
+    flown = simulate(near, vehicle(), gains=GAINS.with_values({"patience": 5.0}))
+    ax = plot_run(flown)
+    drawn(ax)
+    texts = {text.get_text() for text in ax.texts}
+    assert {"to z -1.41", "to z -2.00", "sill, below z -1.8 m"} <= texts
+    legend = ax.get_legend()
+    assert legend is not None and "at another depth" in {text.get_text() for text in legend.get_texts()}
+    white = [c for c in ax.collections if isinstance(c, LineCollection) and np.all(c.get_colors() == 1.0)]
+    level = np.abs(flown.telemetry("wanted_depth")[:-1, 0] + 2.0) > 1e-9
+    assert [len(c.get_segments()) for c in white] == [np.count_nonzero(level)]
+
+
 def test_given_axes_are_used_and_nothing_global_is_touched() -> None:
     before = dict(mpl.rcParams)
     figure = Figure()
@@ -111,9 +127,9 @@ def test_the_signals_show_limits_and_avoidance() -> None:
 
 def test_spans_last_until_the_next_tick() -> None:
     time = np.array([0.0, 1.0, 2.0, 3.0])
-    assert _spans(time, np.array([True, False, True, True])) == [(0.0, 1.0), (2.0, 3.0)]
-    assert _spans(time, np.zeros(4, dtype=bool)) == []
-    assert _spans(time, np.ones(4, dtype=bool)) == [(0.0, 3.0)]
+    assert spans(time, np.array([True, False, True, True])) == [(0.0, 1.0), (2.0, 3.0)]
+    assert spans(time, np.zeros(4, dtype=bool)) == []
+    assert spans(time, np.ones(4, dtype=bool)) == [(0.0, 3.0)]
 
 
 def test_what_the_font_lacks_is_replaced() -> None:

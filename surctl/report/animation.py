@@ -1,0 +1,243 @@
+"""A run as a moving picture: path, hull, heading, obstacles, sonar beams, clearance."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator
+from io import BytesIO
+from itertools import chain
+from pathlib import Path
+from shutil import which
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch, Rectangle
+from matplotlib.text import Text
+from numpy.typing import NDArray
+from PIL import Image
+
+from surctl.errors import InputError, ToolMissing
+from surctl.files import write_file
+from surctl.report.beams import INSTANT, beam_patch, beams_at
+from surctl.report.plan_view import body_outline, describe, draw_ends, draw_site
+from surctl.report.theme import BAD, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, finite, new_figure
+from surctl.report.words import number
+from surctl.simulation import Run
+
+__all__ = ["RATE", "check_animation", "frame_ticks", "frames", "save_animation"]
+
+RATE = 10
+"""Frames a second."""
+_SUFFIXES = (".gif", ".mp4")
+_SPEEDS = (1, 2, 5, 10, 20, 50, 100)  # times real time
+_MOST = 150  # frames, about: 15 s to watch
+_COLOURS = 128  # of a GIF's one palette
+
+
+def check_animation(path: Path | str) -> Path:
+    """The path, if a moving picture can be written there.
+
+    Raises:
+        InputError: its name does not end in .gif or .mp4, or is that of a folder; `ToolMissing`: MP4 without ffmpeg.
+
+    Example:
+        >>> from surctl.report import check_animation
+        >>> check_animation("run.avi")
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: --animate = 'run.avi': is no moving picture; end the name in .gif or .mp4
+    """
+    path = Path(path)
+    if path.suffix.lower() not in _SUFFIXES:
+        remedy = "end the name in .gif or .mp4"
+        raise InputError("is no moving picture", key="--animate", value=str(path), remedy=remedy)
+    if path.is_dir():
+        raise InputError("is a folder", key="--animate", value=str(path), remedy="name a file")
+    if path.suffix.lower() == ".mp4" and which("ffmpeg") is None:
+        remedy = "install ffmpeg, or end the name in .gif"
+        raise ToolMissing("ffmpeg is not installed", key="--animate", value=str(path), remedy=remedy)
+    return path
+
+
+def frame_ticks(run: Run, *, apart: float) -> list[int]:
+    """Ticks of a run that are `apart` [s] or a little more from each other, from the first one, and the last one."""
+    last = len(run.record.time) - 1
+    step = max(1, int(np.ceil(apart / run.law.dt - 1e-9)))
+    return [*range(0, last, step), last]
+
+
+def save_animation(run: Run, path: Path | str) -> Path:
+    """Write a run as GIF or, by ffmpeg, as MP4, as the name ends; the path written.
+
+    It plays at `RATE` frames a second, as many times faster than the run as keeps it short; the picture says so.
+    The same run gives the same bytes of a GIF.
+
+    Raises:
+        InputError: as `check_animation`, or the file cannot be written.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.report import save_animation
+        >>> from surctl.simulation import load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, gains = replace(load_scenario("pool-behind"), time_limit=1.0), load_gains("default")
+        >>> run = simulate(mission, load_vehicle("sur400"), gains=gains, law=build_law("lean"))
+        >>> path = save_animation(run, "run.gif")
+        >>> path.name, path.read_bytes()[:6]
+        ('run.gif', b'GIF89a')
+    """
+    path = check_animation(path)
+    pictures = frames(run)
+    return write_file(path, _gif(pictures) if path.suffix.lower() == ".gif" else _mp4(pictures))
+
+
+def frames(run: Run) -> Iterator[NDArray[np.uint8]]:
+    """The pictures (height, width, 3) one after another; both sides are even, as video wants them."""
+    duration = float(run.record.time[-1])
+    speed = next((s for s in _SPEEDS if duration * RATE / s <= _MOST), _SPEEDS[-1])
+    length, width, _ = run.scenario.site
+    figure = new_figure(7.2, float(np.clip(6.6 * width / length + 2.9, 4.4, 8.4)))
+    figure.set_dpi(100)
+    plan, strip = figure.subplots(2, 1, height_ratios=[figure.get_figheight() - 2.3, 1.0])
+    _draw_plan(plan, run)
+    _draw_strip(strip, run)
+    figure.legend(handles=_handles(run), loc="outside lower center", ncols=6, fontsize=8, frameon=False)
+    heading = strip.set_title(" ", loc="left", fontsize=9.5, color=INK, parse_math=False)
+    canvas: Any = FigureCanvasAgg(figure)  # its methods have no types
+    canvas.draw()
+    figure.set_layout_engine("none")  # nothing may move from here on
+    ground = canvas.copy_from_bbox(figure.bbox)
+    for tick in frame_ticks(run, apart=speed / RATE):
+        canvas.restore_region(ground)
+        for ax, artist in _moving(run, tick, plan, strip, heading, speed):
+            ax.draw_artist(artist)
+            if artist is not heading:
+                artist.remove()
+        picture = np.array(canvas.buffer_rgba())[..., :3]
+        yield picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
+
+
+def _draw_plan(ax: Axes, run: Run) -> None:
+    length, width, _ = run.scenario.site
+    dress(ax, title=describe(run), x="x in {E} [m]", y="y in {E} [m]")
+    draw_site(ax, length, width)
+    points, way = run.scenario.path.waypoints, run.record.eta[:, :2]
+    ax.plot(points[:, 0], points[:, 1], color=INK, linestyle="--", linewidth=1.1, zorder=3)
+    ax.plot(way[:, 0], way[:, 1], color=ROBOT, linewidth=0.8, alpha=0.35, zorder=3)
+    draw_ends(ax, run)
+    rim = 0.03 * max(length, width)
+    ax.set(aspect="equal", xlim=(-rim, length + rim), ylim=(-rim, width + rim))
+
+
+def _draw_strip(ax: Axes, run: Run) -> None:
+    """Clearance over the whole run, over which a cursor moves."""
+    dress(ax, x="time [s]", y="clearance [m]")
+    time = run.record.time
+    ax.plot(time, finite(run.record.clearance), color=ROBOT, linewidth=1.2)
+    ax.axhline(0.0, color=BAD, linewidth=1.4)
+    ax.axhline(run.gains["margin"], color=MUTED, linewidth=1.0, linestyle="--")
+    ax.set_xlim(0.0, max(float(time[-1]), run.law.dt))
+
+
+def _moving(run: Run, tick: int, plan: Axes, strip: Axes, heading: Text, speed: int) -> Iterator[tuple[Axes, Artist]]:
+    """What one frame draws on the still ground, bottom first."""
+    record, radius = run.record, run.vehicle["radius"]
+    length, width, _ = run.scenario.site
+    water = Rectangle((0, 0), length, width, transform=plan.transData)
+    for beam in beams_at(run, tick):
+        yield plan, _clipped(plan, beam_patch(beam), water)
+    for body in record.obstacles[tick]:
+        patch = body_outline(body.shape)
+        patch.set(facecolor=OBSTACLE, edgecolor=INK, linewidth=0.8, alpha=0.85)
+        yield plan, _clipped(plan, patch, None)
+    (trail,) = plan.plot(*record.eta[: tick + 1, :2].T, color=ROBOT, linewidth=2.0)
+    yield plan, trail
+    x, y, _, psi = record.eta[tick]
+    hull = Circle((x, y), radius, facecolor="white", edgecolor=ROBOT, linewidth=2.0)
+    yield plan, _clipped(plan, hull, None)
+    nose = np.array([[x, y], [x, y]]) + radius * np.array([[0.0], [1.0]]) * [np.cos(psi), np.sin(psi)]
+    (line,) = plan.plot(*nose.T, color=ROBOT, linewidth=2.4)
+    yield plan, line
+    time, clearance = float(record.time[tick]), float(record.clearance[tick])
+    (cursor,) = strip.plot([time], finite(np.array([clearance])), color=ROBOT, marker="o", markersize=7)
+    yield strip, cursor
+    fast = "" if speed == 1 else f"   ({speed} times real time)"
+    heading.set_text(f"{time:.1f} s   clearance {number(clearance, digits=3)} m{fast}")
+    heading.set_color(BAD if clearance <= 0 else INK)
+    yield strip, heading
+
+
+def _clipped(ax: Axes, patch: Patch, to: Rectangle | None) -> Patch:
+    ax.add_patch(patch)
+    if to is not None:
+        patch.set_clip_path(to)
+    return patch
+
+
+def _handles(run: Run) -> list[Line2D | Patch]:
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], color=INK, linestyle="--", linewidth=1.1, label="path"),
+        Line2D([], [], color=ROBOT, linewidth=2.0, label="way flown"),
+        Line2D([], [], color=ROBOT, marker="o", markerfacecolor="white", linestyle="none", label="hull"),
+        Line2D([], [], color=GOOD, marker="*", markersize=11, linestyle="none", label="target"),
+        Patch(facecolor=OBSTACLE, edgecolor=INK, alpha=0.85, label="obstacle"),
+    ]
+    if run.sensing == "sonar":
+        handles.append(Patch(facecolor=INSTANT, alpha=0.35, label="sonar beam with echo"))
+    return handles
+
+
+def _gif(pictures: Iterator[NDArray[np.uint8]]) -> bytes:
+    """All in the palette of the first picture, which has every colour; only what changed between two is kept."""
+    begun = next(pictures)
+    nearest, colours = _palette(begun)
+    first, *rest = (_indexed(nearest[_cells(p)], colours) for p in chain([begun], pictures))
+    out = BytesIO()
+    duration = [1000 // RATE] * len(rest) + [2000]  # the end stays to be looked at
+    first.save(out, "GIF", save_all=True, append_images=rest, duration=duration, loop=0, optimize=False)
+    return out.getvalue()
+
+
+def _cells(picture: NDArray[np.uint8]) -> NDArray[np.int_]:
+    """Number of each pixel's colour among 32³ of them."""
+    fine = picture.astype(int) >> 3
+    cells: NDArray[np.int_] = (fine[..., 0] << 10) | (fine[..., 1] << 5) | fine[..., 2]
+    return cells
+
+
+def _palette(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """The most frequent colours (k, 3) of a picture, and which of them is nearest to each of the 32³."""
+    # Pillow's own mapping to a palette turns white into grey
+    parts = np.stack(np.unravel_index(np.arange(1 << 15), (32, 32, 32)), axis=1)
+    every = (parts << 3) | (parts >> 2)
+    count = np.bincount(_cells(picture).ravel(), minlength=len(every))
+    colours = every[np.argsort(-count, kind="stable")[: min(_COLOURS, np.count_nonzero(count))]]
+    squares = (every**2).sum(axis=1)[:, None] - 2 * every @ colours.T + (colours**2).sum(axis=1)
+    return squares.argmin(axis=1).astype(np.uint8), colours.astype(np.uint8)
+
+
+def _indexed(indices: NDArray[np.uint8], colours: NDArray[np.uint8]) -> Image.Image:
+    found = Image.fromarray(indices)
+    found.putpalette(colours.tobytes())  # makes it an image of indices
+    return found
+
+
+def _mp4(pictures: Iterator[NDArray[np.uint8]]) -> bytes:
+    first = next(pictures)
+    size = f"{first.shape[1]}x{first.shape[0]}"
+    raw = ["-f", "rawvideo", "-pixel_format", "rgb24", "-video_size", size, "-framerate", str(RATE), "-i", "-"]
+    with TemporaryDirectory() as folder:
+        target = Path(folder) / "run.mp4"
+        command = ["ffmpeg", "-loglevel", "error", *raw, "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(target)]
+        sent = b"".join([first.tobytes(), *(p.tobytes() for p in pictures)])
+        done = subprocess.run(command, input=sent, capture_output=True, check=False)
+        if done.returncode or not target.exists():
+            said = done.stderr.decode(errors="replace").strip().splitlines() or ["nothing said"]
+            raise InputError(f"ffmpeg failed ({said[-1]})", key="--animate", remedy="end the name in .gif")
+        return target.read_bytes()

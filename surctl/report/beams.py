@@ -1,0 +1,65 @@
+"""The sonars' beams of a run at one tick, as numbers and as patches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.patches import Wedge
+
+from surctl.simulation import Run
+
+__all__ = ["INSTANT", "Beam", "beam_patch", "beams_at"]
+
+INSTANT = "#6D28D9"
+"""Colour of an instant at which the sonar is shown."""
+
+
+@dataclass(frozen=True)
+class Beam:
+    """A cone in {E}, as long as the filtered range.
+
+    Attributes:
+        apex: (x, y) [m].
+        axis: direction [rad].
+        half_angle: of the cone [rad].
+        length: filtered range [m].
+        echo: False where the sonar reads its maximum.
+    """
+
+    apex: tuple[float, float]
+    axis: float
+    half_angle: float
+    length: float
+    echo: bool
+
+
+def beams_at(run: Run, tick: int) -> tuple[Beam, ...]:
+    """The beams of all sonars at a tick; none of a run that is told its obstacles."""
+    if run.sensing != "sonar":
+        return ()
+    array = run.scenario.sensors.array_on(run.vehicle["radius"])
+    x, y, _, heading = run.record.eta[tick]
+    found = []
+    for sensor, length in enumerate(run.record.telemetry[tick, run.law.telemetry_slice("ranges")].tolist()):
+        at_x, at_y, axis = array.apex(sensor, position=(x, y), heading=heading)
+        echo = length < array.maximum - array.resolution
+        found.append(Beam((float(at_x), float(at_y)), float(axis), array.half_angle, length, echo))
+    return tuple(found)
+
+
+def beam_patch(beam: Beam) -> Wedge:
+    """Filled where there is an echo, dashed where the sonar reads its maximum; in {E} [m]."""
+    middle, half = np.rad2deg(beam.axis), np.rad2deg(beam.half_angle)
+    return Wedge(
+        beam.apex,
+        beam.length,
+        middle - half,
+        middle + half,
+        facecolor=INSTANT if beam.echo else "none",
+        edgecolor=INSTANT,
+        linestyle="-" if beam.echo else "--",
+        alpha=0.22 if beam.echo else 0.45,
+        linewidth=0.9,
+        zorder=1.8,
+    )

@@ -1,0 +1,207 @@
+"""What the tuning page shows for a set of gains: pure functions of a bench and its gains, with nothing of the page.
+
+The page is in the package, not among the notebooks, because an installed `surctl` has to be able to serve it; and in
+the report, because only the report draws and may import tuning, verification and simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from surctl.control import GAINS, Gains, load_gains, write_gains
+from surctl.errors import InputError
+from surctl.files import write_file
+from surctl.report.locus import plot_locus
+from surctl.report.loops import loop_responses, plot_bode
+from surctl.report.plan_view import plot_run
+from surctl.report.theme import BAD, curve, dress, legend_above, new_axes, new_figure
+from surctl.simulation import Case, Run, Scenario, simulate
+from surctl.tuning import TUNED, Evaluation, GainRange, Goal, conditions, evaluate, gain_ranges
+from surctl.vehicle import Vehicle
+from surctl.verification import (
+    LINEAR_KNOBS,
+    LINEAR_METRICS,
+    Verdict,
+    build_cascade,
+    claims,
+    linear_table,
+    settle,
+    sweep_locus,
+)
+from surctl.verification.steps import STEP_NAMES, step_system
+
+__all__ = ["Bench", "Steps", "plot_steps", "save_gains", "slider_steps", "step_responses"]
+
+_STOPS = 40  # places of a slider on either side of the value that it starts from
+_SAMPLES = 400
+_LOCUS = 41
+_SMOOTH = 0.05  # share of its modulus that a pole goes from one value of the locus to the next
+_PATIENCE = 10.0  # [s] a proof
+_DIGITS = 4  # of a slider's values; the one that it starts from is kept whole
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Responses to unit steps in what is wanted, each loop closed.
+
+    Attributes:
+        time: by name of the step, (n,) [s].
+        value: by name, (n,), share of the step.
+    """
+
+    time: Mapping[str, NDArray[np.float64]]
+    value: Mapping[str, NDArray[np.float64]]
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """One vehicle in one scenario with true positions, judged by goals; the gains come with each question.
+
+    Attributes:
+        vehicle: what is flown, and what the controller believes.
+        scenario: the mission.
+        gains: what the page starts from.
+        goals: what a set of gains is judged by.
+    """
+
+    vehicle: Vehicle
+    scenario: Scenario
+    gains: Gains
+    goals: tuple[Goal, ...]
+
+    @property
+    def case(self) -> Case:
+        """What is flown."""
+        return Case(self.scenario, self.vehicle, self.gains)
+
+    @property
+    def dt(self) -> float:
+        """Control period [s]."""
+        return self.case.build().dt
+
+    def ranges(self, gains: Gains) -> tuple[GainRange, ...]:
+        """The gains that have a slider, with its ends: the gain file's range, else a quarter to four times."""
+        return gain_ranges(gains, {name: gains.ranges.get(name) for name in TUNED})
+
+    def fly(self, gains: Gains) -> Run:
+        """The closed loop, seed 0; the law is compiled once, its gains are numbers that it reads."""
+        return simulate(self.scenario, self.vehicle, gains=gains, law=self.case.build())
+
+    def judge(self, gains: Gains) -> Evaluation:
+        """The goals over this scenario: nominal plant, and the corners of the vehicle's ranges."""
+        flown = conditions([self.case], seeds=[0])
+        return evaluate(self.goals, flown, {name: np.array([value]) for name, value in gains.values.items()})
+
+    def linear(self, gains: Gains) -> dict[str, float]:
+        """`LINEAR_METRICS` about the scenario's cruise speed."""
+        table = linear_table(
+            self.vehicle, {}, base=gains.values, columns=tuple(LINEAR_METRICS), cruise=self.scenario.cruise, dt=self.dt
+        )
+        return {name: float(values[0]) for name, values in table.items()}
+
+    def bode(self, gains: Gains) -> Figure:
+        """The eight loops."""
+        figure = new_figure(6.4, 5.2)
+        upper, lower = figure.subplots(2, 1, sharex=True)
+        return plot_bode(
+            loop_responses(self.vehicle, gains.values, cruise=self.scenario.cruise, dt=self.dt), (upper, lower)
+        )
+
+    def steps(self, gains: Gains) -> Axes:
+        """Step responses drawn."""
+        return plot_steps(step_responses(self.vehicle, gains.values, cruise=self.scenario.cruise, dt=self.dt))
+
+    def locus(self, gains: Gains, knob: str) -> Axes:
+        """Closed-loop poles over the range of one gain, those of its value marked."""
+        ends = next(r for r in self.ranges(self.gains) if r.name == knob)
+        low, high = min(ends.low, gains[knob]), max(ends.high, gains[knob])
+        values = np.union1d(np.linspace(low, high, _LOCUS), [gains[knob]])
+        found = sweep_locus(
+            self.vehicle, gains.values, knob, values, smooth=_SMOOTH, cruise=self.scenario.cruise, dt=self.dt
+        )
+        return plot_locus(found, unit=GAINS[knob].unit, picked=gains[knob])
+
+    @property
+    def locus_knobs(self) -> tuple[str, ...]:
+        """Gains with a slider that move a pole."""
+        return tuple(r.name for r in self.ranges(self.gains) if r.name in LINEAR_KNOBS)
+
+    def plan(self, run: Run) -> Axes:
+        """The way flown, from above."""
+        return plot_run(run)
+
+    def verdicts(self, gains: Gains) -> tuple[Verdict, ...]:
+        """Every claim of the library for these gains, the ones about braking for this vehicle."""
+        return tuple(settle(c, time_limit=_PATIENCE) for c in claims(gains.values, vehicle=self.vehicle))
+
+
+def slider_steps(about: GainRange, value: float) -> list[float]:
+    """Places of a slider, ascending, even in the logarithm; the value itself and both ends are among them.
+
+    A value outside the range widens it.
+    """
+    low, high = min(about.low, value), max(about.high, value)
+    grid = np.concatenate([np.geomspace(low, value, _STOPS + 1), np.geomspace(value, high, _STOPS + 1)])
+    inner = {float(f"{x:.{_DIGITS}g}") for x in grid}
+    return sorted({low, value, high} | {x for x in inner if low < x < high})
+
+
+def step_responses(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float) -> Steps:
+    """Unit steps in the wanted surge speed, heading and cross-track place, as `LINEAR_METRICS` counts them.
+
+    Args:
+        vehicle: the vehicle.
+        gains: values by name.
+        cruise: U [m/s].
+        dt: control period [s].
+
+    Raises:
+        InputError: a gain is missing or not positive, the vehicle cannot cruise at that speed, or the loop is
+            unstable: then there is nothing to settle.
+    """
+    from control import ss, step_response
+
+    cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt)
+    if not cascade.stable:
+        raise InputError("the closed loop is unstable", key="gains", remedy="lower the bandwidths k_v and k_r")
+    time, value = {}, {}
+    for name in STEP_NAMES:
+        A, b, c = step_system(cascade, name)
+        final = float((c @ -np.linalg.solve(A, b))[0, 0])
+        metric = linear_table(vehicle, {}, base=gains, cruise=cruise, dt=dt, columns=(f"settling_time_s.{name}",))
+        end = 1.6 * float(next(iter(metric.values()))[0])
+        time[name] = np.linspace(0, end, _SAMPLES)
+        value[name] = np.asarray(step_response(ss(A, b, c, 0), time[name]).outputs, dtype=float) / final
+    return Steps(time, value)
+
+
+def plot_steps(data: Steps, ax: Axes | None = None) -> Axes:
+    """Responses over time, with the band of 2 % within which one has settled."""
+    ax = dress(ax or new_axes(6.4, 4.2), x="time [s], logarithmic", y="share of the step")
+    for k, (name, value) in enumerate(data.value.items()):
+        curve(ax, data.time[name][1:], value[1:], label=name.replace("_", " "), k=k)
+    ax.axhspan(0.98, 1.02, color=BAD, alpha=0.13, linewidth=0)
+    ax.set_xscale("log")
+    legend_above(ax, columns=3)
+    return ax
+
+
+def save_gains(gains: Gains, file: str) -> Path:
+    """Write a gain file that `load_gains` reads back; the path.
+
+    Raises:
+        InputError: no name, another suffix than .toml, or the folder cannot be written.
+    """
+    path = Path(file.strip()).expanduser()
+    if path.suffix != ".toml":
+        raise InputError("is no gain file's name", key="save", value=file, remedy="write a path that ends in .toml")
+    write_file(path, write_gains(gains))
+    load_gains(str(path))
+    return path

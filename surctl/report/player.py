@@ -1,0 +1,105 @@
+"""A run as frames for the page's player: what moves, as JSON that stands inside the page."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from math import isfinite
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.report.animation import frame_ticks
+from surctl.report.document import Picture, Player
+from surctl.report.plan_view import body_middle, box_corners
+from surctl.simulation import Body, Run
+from surctl.world import Box
+
+__all__ = ["player", "player_frames"]
+
+_APART = 0.1  # [s] between two frames, at least
+_LARGEST = 150_000  # [byte] of frames
+_STILL = 5e-4  # [m] an obstacle that moves less is given one place
+
+
+def player(run: Run, still: Picture) -> Player:
+    """The run as a block of the page; `still` is what is there on paper, and without a script."""
+    apart, frames = _APART, player_frames(run)
+    while len(frames) > _LARGEST:
+        apart *= 1.05 * len(frames) / _LARGEST
+        frames = player_frames(run, apart=apart)
+    grid = _grid(run)
+    words = f"Played over a grid of {grid:g} m, and under it the clearance over time; the arrow keys move its slider."
+    return Player(frames, replace(still, caption=f"{still.caption} {words}"), f"Animation. {still.alt}")
+
+
+def _grid(run: Run) -> float:
+    return 1.0 if max(run.scenario.site[:2]) <= 25 else 10.0
+
+
+def player_frames(run: Run, *, apart: float = _APART) -> str:
+    """The frames, `apart` [s] from each other or more, as one JSON text without any `<`.
+
+    Lengths are in m, in {E} unless said, angles in rad, times in s; what is not finite is null. `length` of a beam is
+    negative where the sonar reads its maximum.
+    """
+    record, scenario, ticks = run.record, run.scenario, frame_ticks(run, apart=apart)
+    frames = {
+        "site": [float(side) for side in scenario.site[:2]],
+        "grid": _grid(run),
+        "radius": run.vehicle["radius"],
+        "path": _rounded(scenario.path.waypoints, 3),
+        "time": _rounded(record.time[ticks], 2),
+        "place": _rounded(record.eta[ticks, :2], 3),
+        "heading": _rounded(record.eta[ticks, 3], 3),
+        "speed": _rounded(np.hypot(record.nu[ticks, 0], record.nu[ticks, 1]), 3),
+        "clearance": _rounded(record.clearance[ticks], 3),
+        "avoiding": [int(a) for a in run.telemetry("avoiding")[ticks, 0] > 0.5],
+        "closest": int(np.argmin(record.clearance[ticks])),
+        "obstacles": _obstacles([record.obstacles[k] for k in ticks]),
+        "beams": _beams(run, ticks),
+    }
+    # inside a script element nothing else ends it
+    return json.dumps(frames, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def _obstacles(frames: Sequence[Sequence[Body]]) -> list[dict[str, object]]:
+    """Name and outline of each obstacle, and its centre in each frame; one centre where it stays in place."""
+    found: list[dict[str, object]] = []
+    for name in dict.fromkeys(body.name for bodies in frames for body in bodies):
+        seen = [next((body for body in bodies if body.name == name), None) for bodies in frames]
+        first = next(body for body in seen if body is not None)
+        outline: dict[str, object]
+        if isinstance(first.shape, Box):
+            outline = {"corners": _rounded(box_corners(first.shape), 3)}
+        else:
+            outline = {"radius": float(getattr(first.shape, "radius", 0.0))}
+        places = [None if body is None else _rounded(body_middle(body), 3) for body in seen]
+        middles = np.array([body_middle(body) for body in seen if body is not None])
+        still = len(middles) == len(seen) and float(np.ptp(middles, axis=0).max()) < _STILL
+        found.append({"name": name, **outline, "at": places[:1] if still else places})
+    return found
+
+
+def _beams(run: Run, ticks: Sequence[int]) -> list[dict[str, object]]:
+    """Apex and axis in {B} of each sonar, and its filtered ranges."""
+    if run.sensing != "sonar":
+        return []
+    array, ranges = run.scenario.sensors.array_on(run.vehicle["radius"]), run.telemetry("ranges")[ticks]
+    signed = np.where(ranges < array.maximum - array.resolution, ranges, -ranges)
+    found: list[dict[str, object]] = []
+    for sensor in range(array.size):
+        x, y, axis = array.apex(sensor, position=np.zeros(2), heading=0.0)
+        where = {"apex": _rounded(np.array([x, y]), 3), "axis": round(axis, 4), "half": round(array.half_angle, 4)}
+        found.append({**where, "length": _rounded(signed[:, sensor], 2)})
+    return found
+
+
+def _rounded(values: NDArray[np.float64], digits: int) -> list[object]:
+    def told(value: object) -> object:
+        if isinstance(value, list):
+            return [told(one) for one in value]
+        return round(float(value), digits) if isinstance(value, float) and isfinite(value) else None
+
+    return [told(value) for value in np.asarray(values, dtype=float).tolist()]

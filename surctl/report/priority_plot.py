@@ -1,0 +1,122 @@
+"""Priorities over time: which level gave up what, and to which row."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from surctl.report.plan_view import describe
+from surctl.report.signals import spans
+from surctl.report.theme import AVOIDING, BAD, INK, MUTED, ROBOT, dress, new_figure, printable
+from surctl.report.words import number
+from surctl.simulation import Run
+from surctl.simulation.priority_timeline import NOTICEABLE, PriorityTimeline
+
+__all__ = ["given_up", "plot_priority"]
+
+_MOST = 8  # rows drawn: those that hold back or are missed longest
+
+
+def plot_priority(run: Run, found: PriorityTimeline) -> Figure:
+    """One lane a level, highest priority first, with what it gave up; under them one lane a row.
+
+    Args:
+        run: what was flown.
+        found: `priority_timeline` of it.
+
+    Example:
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.report import plot_priority
+        >>> from surctl.simulation import load_scenario, priority_timeline, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> law, gains = build_law(mode="filter", contacts=1), load_gains("default")
+        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
+        >>> figure = plot_priority(run, priority_timeline(run))
+        >>> [ax.get_ylabel() for ax in figure.axes]
+        ['1 velocity [m/s]', '2 depth [m/s]', '3 heading [rad/s]', '']
+    """
+    rows = _longest(found)
+    quiet: list[bool] = np.all(found.to_levels + found.to_rows <= NOTICEABLE, axis=0).tolist()
+    heights = [0.3 if one else 0.95 for one in quiet] + [0.26 * max(len(rows), 1) + 0.2]
+    figure = new_figure(9.5, 1.4 + sum(heights) + 0.1 * len(heights))
+    axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False).ravel().tolist()
+    figure.suptitle(printable(describe(run)), fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+    for level, ax in enumerate(axes[:-1]):
+        _draw_level(ax, found, level)
+    _draw_rows(axes[-1], found, rows)
+    end = float(found.time[-1]) if found.time.size else 0.0
+    axes[-1].set_xlim(0.0, end or run.law.dt)
+    handles = [
+        Patch(facecolor=ROBOT, alpha=0.55, label="given up to levels above"),
+        Patch(facecolor=AVOIDING, label="given up to rows"),
+        Line2D([], [], color=INK, linewidth=5, label="row holds back"),
+        Line2D([], [], color=BAD, linewidth=5, alpha=0.45, label="row is missed"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8.5, frameon=False)
+    return figure
+
+
+def given_up(found: PriorityTimeline) -> str:
+    """In words: the most that each level gave up, for how long and to which rows; rows that were missed."""
+    told = []
+    step = float(np.median(np.diff(found.time))) if len(found.time) > 1 else 0.0
+    for level, (name, unit) in enumerate(zip(found.levels, found.units, strict=True)):
+        for lost, guilty in ((found.to_rows, True), (found.to_levels, False)):
+            seen = lost[:, level] > NOTICEABLE
+            if not seen.any():
+                continue
+            rows = [row for k, row in enumerate(found.rows) if found.blame[:, level, k].any()]
+            to = _listed(rows) if guilty else "the levels above it"
+            most = f"{number(float(lost[:, level].max()), digits=2)} {unit}".strip()
+            told.append(f"{name} gave up at most {most} to {to}, in {number(step * int(seen.sum()), digits=3)} s")
+    missed = [row for k, row in enumerate(found.rows) if (found.missed[:, k] > NOTICEABLE).any()]
+    if missed:
+        told.append(f"the wish missed {_listed(missed)}, by {number(float(found.missed.max()), digits=2)} at most")
+    return "; ".join(told) or "no level gave anything up"
+
+
+def _listed(rows: list[str]) -> str:
+    return f"{', '.join(rows[:4])} and {len(rows) - 4} more rows" if len(rows) > 5 else ", ".join(rows) or "the limits"
+
+
+def _longest(found: PriorityTimeline) -> list[int]:
+    """Rows to draw, in the law's order."""
+    ticks = (found.binding | (found.missed > NOTICEABLE)).sum(axis=0)
+    return sorted(np.argsort(-ticks, kind="stable")[:_MOST].tolist())
+
+
+def _draw_level(ax: Axes, found: PriorityTimeline, level: int) -> None:
+    dress(ax, y=f"{level + 1} {found.levels[level]} [{found.units[level] or '1'}]")
+    above, rows = found.to_levels[:, level], found.to_rows[:, level]
+    ax.fill_between(found.time, 0.0, above, color=ROBOT, alpha=0.55, linewidth=0.0)
+    ax.fill_between(found.time, above, above + rows, color=AVOIDING, linewidth=0.0)
+    most = float(np.max(above + rows, initial=0.0))
+    if most <= NOTICEABLE:
+        ax.set(ylim=(0.0, 1.0), yticks=[])
+        ax.text(
+            0.5, 0.5, "gave nothing up", transform=ax.transAxes, ha="center", va="center", fontsize=8.5, color=MUTED
+        )
+    else:
+        ax.set_ylim(0.0, 1.15 * most)
+    ax.yaxis.label.set(rotation=0, horizontalalignment="right", verticalalignment="center", fontsize=8.5)
+
+
+def _draw_rows(ax: Axes, found: PriorityTimeline, rows: list[int]) -> None:
+    dress(ax, x="time [s]")
+    ax.set_yticks(range(len(rows)), [printable(found.rows[row]) for row in rows])
+    ax.set_ylim(max(len(rows), 1) - 0.5, -0.5)
+    for place, row in enumerate(rows):
+        _bars(ax, found.time, found.missed[:, row] > NOTICEABLE, place, BAD, 0.45)
+        _bars(ax, found.time, found.binding[:, row], place, INK, 1.0)
+    left = len(found.rows) - len(rows)
+    text = f"{left} more rows" if left else "" if rows else "no row held back, none was missed"
+    ax.text(0.99, 0.06, text, transform=ax.transAxes, ha="right", fontsize=8, color=MUTED)
+
+
+def _bars(ax: Axes, time: NDArray[np.float64], on: NDArray[np.bool_], place: int, colour: str, alpha: float) -> None:
+    found = [(begin, max(end - begin, 1e-3)) for begin, end in spans(time, on)]
+    ax.broken_barh(found, (place - 0.32, 0.64), facecolors=colour, alpha=alpha, linewidth=0.0, zorder=2)

@@ -1,0 +1,87 @@
+"""Region certificates: level sets, the flow, and where the certified rate was found to fail."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, ROBOT, dress, legend_below, new_axes, new_figure
+from surctl.verification.portrait import Portrait, portrait
+
+__all__ = ["plot_portrait", "plot_region"]
+
+_LABELS = {
+    "along": ("along the path, x_e from its rest [m]", "velocity along it [m/s]"),
+    "across": ("across the path, y_e [m]", "velocity across it [m/s]"),
+    "place": ("along the path, x_e from its rest [m]", "across the path, y_e [m]"),
+}
+_ARROWS = 15  # to a side
+
+
+def plot_region(document: Mapping[str, Any]) -> Figure:
+    """All planes of a region certificate side by side.
+
+    Raises:
+        InputError: a certificate of another kind.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import plot_region
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.verification.region import prove_statement, region_statement
+        >>> statement = region_statement("region-cruise-20-soft").model_copy(update={"attempts": 8})
+        >>> proof = prove_statement(statement, load_vehicle("sur540-flooded"), load_gains("default"))
+        >>> figure = plot_region(proof.certificate())
+        >>> [ax.get_ylabel() for ax in figure.axes]
+        ['velocity along it [m/s]', 'velocity across it [m/s]', 'across the path, y_e [m]']
+    """
+    figure = new_figure(13.2, 4.9)
+    seen = [portrait(document, plane) for plane in _LABELS]
+    for ax, one in zip(figure.subplots(1, len(seen)), seen, strict=True):
+        plot_portrait(one, ax, legend=one.plane == "across")
+    return figure
+
+
+def plot_portrait(one: Portrait, ax: Axes | None = None, *, legend: bool = True) -> Axes:
+    """One plane: certified (inside V = 1, outside the floor), refuted by the rate, and the flow."""
+    ax = dress(ax or new_axes(5.1, 4.9), x=_LABELS[one.plane][0], y=_LABELS[one.plane][1])
+    ax.grid(visible=False)
+    ax.locator_params(nbins=6)
+    step = max(1, len(one.x) // _ARROWS)
+    pick = slice(step // 2, None, step)
+    handles: list[Any] = []
+    if one.lagged:
+        handles.append(Line2D([], [], linestyle="none", label="flow and failures: without the lag, not shown"))
+    else:
+        fails = np.where(one.level > one.levels[0], one.excess, -np.inf) > 0
+        ax.contourf(one.x, one.y, fails.astype(float), levels=[0.5, 1.5], colors=[AVOIDING], alpha=0.28)
+        handles.append(Patch(facecolor=AVOIDING, alpha=0.28, label="rate fails for some vehicle and heading"))
+        if one.plane != "place":
+            u, v = one.flow[:, pick, pick]
+            size = np.maximum(np.hypot(u / np.ptp(one.x), v / np.ptp(one.y)), 1e-12)
+            ax.quiver(
+                one.x[pick], one.y[pick], u / np.ptp(one.x) / size, v / np.ptp(one.y) / size, angles="uv", pivot="mid",
+                color=MUTED, scale=26, width=0.0045, zorder=2,
+            )  # fmt: skip
+            handles.append(Line2D([], [], color=MUTED, marker=r"$\rightarrow$", linestyle="none", markersize=11,
+                                  label="direction of the nominal flow"))  # fmt: skip
+    ax.contourf(one.x, one.y, one.level, levels=[one.levels[0], 1.0], colors=[GOOD], alpha=0.16)
+    ax.contour(one.x, one.y, one.level, levels=[1.0], colors=[GOOD], linewidths=2.0)
+    if len(one.levels) > 2:
+        ax.contour(one.x, one.y, one.level, levels=list(one.levels[1:-1]), colors=[GOOD], linewidths=0.7)
+    ax.contour(one.x, one.y, one.level, levels=[one.levels[0]], colors=[ROBOT], linewidths=1.4, linestyles="--")
+    handles = [
+        Line2D([], [], color=GOOD, linewidth=2.0, label="certified: V = 1, and its shells"),
+        Line2D([], [], color=ROBOT, linewidth=1.4, linestyle="--", label="where it ends: floor of V"),
+        *handles,
+    ]
+    ax.plot(0, 0, marker="+", color=INK, markersize=9)
+    if legend:
+        legend_below(ax, columns=2, handles=handles)
+    return ax

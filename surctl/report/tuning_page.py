@@ -1,0 +1,137 @@
+# /// script
+# [tool.marimo.display]
+# theme = "system"
+# ///
+"""The tuning page, a marimo app that `surctl tune --page` serves; what it shows is computed in `bench`."""
+
+import marimo
+
+app = marimo.App(width="full", app_title="surctl: tune")
+
+
+@app.cell
+def _():
+    import marimo as mo
+
+    from surctl.control import GAINS, load_gains
+    from surctl.errors import SurctlError
+    from surctl.report import page_parts as parts
+    from surctl.report.bench import save_gains, slider_steps
+    from surctl.report.serve import served
+
+    bench = served()
+    return GAINS, SurctlError, bench, load_gains, mo, parts, save_gains, slider_steps
+
+
+@app.cell
+def _(bench, mo, parts):
+    get_base, set_base = mo.state(bench.gains)
+    get_told, set_told = mo.state("")
+    mo.Html(parts.head(bench))
+    return get_base, get_told, set_base, set_told
+
+
+@app.cell
+def _(GAINS, bench, get_base, mo, slider_steps):
+    base = get_base()
+    sliders = mo.ui.dictionary(
+        {
+            r.name: mo.ui.slider(
+                steps=slider_steps(r, base[r.name]),
+                value=base[r.name],
+                debounce=True,
+                show_value=True,
+                full_width=True,
+                label=f"{r.name} [{GAINS[r.name].unit}]: {GAINS[r.name].meaning}",
+            )
+            for r in bench.ranges(base)
+        }
+    )
+    return base, sliders
+
+
+@app.cell
+def _(SurctlError, base, load_gains, mo, save_gains, set_base, set_told, sliders):
+    name_box = mo.ui.text(value="gains.toml", label="gain file", full_width=True)
+
+    def _load(_):
+        try:
+            set_base(load_gains(name_box.value))
+            set_told(f"loaded {name_box.value}")
+        except SurctlError as error:
+            set_told(f"error: {error}")
+
+    def _save(_):
+        try:
+            tuned = base.with_values(sliders.value, provenance=f"tuning page, from {base.name}: {base.provenance}")
+            set_told(f"saved {save_gains(tuned, name_box.value)}")
+        except SurctlError as error:
+            set_told(f"error: {error}")
+
+    save_button = mo.ui.button(label="Save", on_click=_save)
+    load_button = mo.ui.button(label="Load", on_click=_load)
+    return load_button, name_box, save_button
+
+
+@app.cell
+def _(base, bench, sliders):
+    gains = base.with_values(sliders.value)
+    run = bench.fly(gains)
+    linear = bench.linear(gains)
+    return gains, linear, run
+
+
+@app.cell
+def _(bench, gains, mo):
+    verdict_button = mo.ui.run_button(label="Check the claims for these gains")
+    locus_knob = mo.ui.dropdown(list(bench.locus_knobs), value=bench.locus_knobs[0], label="locus over")
+    _ = gains
+    return locus_knob, verdict_button
+
+
+@app.cell
+def _(get_told, load_button, mo, name_box, parts, save_button, sliders, verdict_button):
+    mo.vstack(
+        [
+            mo.Html(parts.sliders(sliders.elements.values())),
+            name_box,
+            mo.hstack([save_button, load_button, verdict_button], justify="start", wrap=True),
+            mo.Html(parts.told(get_told())),
+        ]
+    )
+    return
+
+
+@app.cell
+def _(bench, gains, linear, mo, parts, run):
+    _told = parts.figures(run, linear)
+    _judged = parts.goals(bench.judge(gains))
+    mo.Html(parts.pair(_told, _judged) + parts.picture(bench.plan(run).figure, parts.run_text(run)))
+    return
+
+
+@app.cell
+def _(bench, gains, mo, parts):
+    _steps = "Step responses of surge speed, heading and cross-track"
+    _left = parts.attempt(lambda: parts.picture(bench.steps(gains).figure, _steps))
+    _right = parts.attempt(lambda: parts.picture(bench.bode(gains), "Bode plot of the eight loops"))
+    mo.Html(parts.pair(_left, _right))
+    return
+
+
+@app.cell
+def _(bench, gains, locus_knob, mo, parts):
+    _what = f"Closed-loop poles over {locus_knob.value}"
+    _drawn = parts.attempt(lambda: parts.picture(bench.locus(gains, locus_knob.value).figure, _what))
+    mo.vstack([locus_knob, mo.Html(_drawn)])
+    return
+
+
+@app.cell
+def _(bench, gains, mo, parts, verdict_button):
+    mo.Html(parts.attempt(lambda: parts.verdicts(bench.verdicts(gains) if verdict_button.value else None)))
+    return
+
+
+if __name__ == "__main__":
+    app.run()

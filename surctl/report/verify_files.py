@@ -1,0 +1,122 @@
+"""The pictures of `surctl verify --out`: margins, refuted claims, boxes, regions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from surctl.errors import InputError
+from surctl.report.cell_plots import plot_cells, plot_open_boxes
+from surctl.report.evidence import margin_slice, plot_counterexample, plot_slice
+from surctl.report.files import save_figure
+from surctl.report.loops import loop_responses, plot_nyquist
+from surctl.report.margin_plots import plot_disk_margins, plot_marked_bode
+from surctl.report.region_plots import plot_region
+from surctl.vehicle import Vehicle
+from surctl.verification import Verdict, build_cascade, loop_margins
+from surctl.verification.linear import DISK_PLACES, disk_margin, open_loop
+
+__all__ = ["save_margins", "save_regions", "save_verdicts"]
+
+
+def save_margins(
+    vehicle: Vehicle, gains: Mapping[str, float], folder: Path | str, *, cruise: float, dt: float
+) -> list[Path]:
+    r"""Bode plots of the tightest loops with margins marked, Nyquist plots with the disk, disk margins; the paths.
+
+    Nothing is drawn of a loop that is not stable.
+
+    Raises:
+        InputError: as `loop_margins`, or the folder cannot be written.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import save_margins
+        >>> from surctl.vehicle import load_vehicle
+        >>> gains = load_gains("default").values
+        >>> paths = save_margins(load_vehicle("sur400"), gains, "pictures", cruise=0.15, dt=0.05)
+        >>> print(*(path.name for path in paths), sep="\n")
+        margins-sur400-bode-yaw.png
+        margins-sur400-nyquist-thrust.png
+        margins-sur400-bode-heading.png
+        margins-sur400-nyquist-measurement.png
+        margins-sur400-disk.png
+    """
+    margins = loop_margins(vehicle, gains, cruise=cruise, dt=dt)
+    loops = loop_responses(vehicle, gains, cruise=cruise, dt=dt)
+    if not all(m.stable for m in margins):
+        return []
+    drawn: dict[str, Figure] = {}
+    for at in ("thrust", "measurement"):
+        group = [(loop, m) for loop, m in zip(loops, margins, strict=True) if loop.at == at]
+        tightest = min(group, key=lambda pair: pair[1].delay_margin_s)
+        drawn[f"bode-{tightest[0].name}"] = plot_marked_bode(*tightest)
+        least = min(m.disk_margin for _, m in group)
+        drawn[f"nyquist-{at}"] = plot_nyquist([loop for loop, _ in group], disk_margin=least).figure.figure
+    cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt)
+    opened = [open_loop(cascade, place) for place in DISK_PLACES]
+    pairs = [(loop, disk_margin(loop, place)) for loop, place in zip(opened, DISK_PLACES, strict=True)]
+    drawn["disk"] = plot_disk_margins(pairs, highest=np.pi / dt)
+    return [save_figure(figure, folder, ("margins", vehicle.name, name)) for name, figure in drawn.items()]
+
+
+def save_verdicts(verdicts: Sequence[Verdict], folder: Path | str) -> list[Path]:
+    """Of each claim what there is to see: counterexample and slice, boxes of the proof, boxes left open; the paths.
+
+    Raises:
+        InputError: the folder cannot be written.
+
+    Example:
+        >>> from surctl.report import save_verdicts
+        >>> from surctl.verification import claims, settle
+        >>> chosen = claims(names=["v1-printed", "v1-corrected"])
+        >>> verdicts = [settle(claim, samples=256, starts=2) for claim in chosen]
+        >>> [path.name for path in save_verdicts(verdicts, "pictures")]
+        ['v1-printed-replay.png', 'v1-printed-slice.png', 'v1-corrected-cells.png']
+    """
+    saved = []
+    for verdict in verdicts:
+        for name, figure in _pictures(verdict).items():
+            saved.append(save_figure(figure, folder, (verdict.claim.name, name)))
+    return saved
+
+
+def save_regions(documents: Mapping[str, Mapping[str, Any]], folder: Path | str) -> list[Path]:
+    """Level sets, flow and failures of region certificates by name; the paths.
+
+    Raises:
+        InputError: a certificate of another kind, or the folder cannot be written.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.report import save_regions
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.verification.region import prove_statement, region_statement
+        >>> statement = region_statement("region-cruise-20-soft").model_copy(update={"attempts": 8})
+        >>> proof = prove_statement(statement, load_vehicle("sur540-flooded"), load_gains("default"))
+        >>> [path.name for path in save_regions({"soft": proof.certificate()}, "pictures")]
+        ['soft-levels.png']
+    """
+    return [save_figure(plot_region(document), folder, (name, "levels")) for name, document in documents.items()]
+
+
+def _pictures(verdict: Verdict) -> dict[str, Figure]:
+    drawn: dict[str, Figure] = {}
+    varying = sum(v.upper > v.lower for v in verdict.claim.variables)
+    if verdict.counterexample is not None:
+        if verdict.claim.motion is not None:
+            drawn["replay"] = plot_counterexample(verdict).figure.figure
+        if varying >= 2:
+            drawn["slice"] = plot_slice(margin_slice(verdict)).figure.figure
+    elif varying >= 2 and verdict.certificate is not None:
+        try:
+            drawn["cells"] = plot_cells(verdict).figure.figure
+        except InputError:  # a certificate of a kind that has no cells
+            return drawn
+    elif varying >= 2 and verdict.open_boxes:
+        drawn["open"] = plot_open_boxes(verdict).figure.figure
+    return drawn

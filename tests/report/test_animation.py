@@ -1,0 +1,175 @@
+"""The moving picture of a run, read back picture by picture."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from functools import cache
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from PIL import Image
+
+from surctl.cli.animate_option import check_animate
+from surctl.cli.simulate import simulate
+from surctl.errors import InputError, ToolMissing
+from surctl.report import check_animation, save_animation
+from surctl.report.animation import _gif, frame_ticks, frames
+from surctl.report.beams import INSTANT, beams_at
+from surctl.report.theme import ROBOT
+from surctl.simulation import Run
+from tests.report.data import run
+from tests.report.test_plots import first_tick
+
+
+def flight(sensing: str = "truth") -> Run:
+    """The first seconds of a run."""
+    return run(sensing=sensing, limit=4.0)
+
+
+@cache
+def pictures() -> list[np.ndarray]:
+    return list(frames(flight()))
+
+
+def middle_of(picture: np.ndarray, colour: str, most: float = 12.0) -> tuple[np.ndarray, int]:
+    """Mean (column, row) of the pixels of about that colour, and how many there are."""
+    rows, columns = np.nonzero(np.abs(picture.astype(float) - 255 * np.array(to_rgb(colour))).max(axis=-1) < most)
+    return np.array([columns.mean(), rows.mean()]) if len(rows) else np.full(2, np.nan), len(rows)
+
+
+def test_ticks_are_evenly_apart_and_end_with_the_run() -> None:
+    time = flight().record.time
+    for apart in (0.05, 0.1, 0.23, 1.0, 1e3):
+        ticks = frame_ticks(flight(), apart=apart)
+        assert ticks[0] == 0 and ticks[-1] == len(time) - 1 and len(set(ticks)) == len(ticks)
+        assert all(b - a >= apart - 1e-9 for a, b in zip(time[ticks[:-2]], time[ticks[1:-1]], strict=True))
+    assert frame_ticks(first_tick(flight()), apart=0.1) == [0]
+
+
+def test_the_hull_moves_as_it_was_flown_and_the_file_has_every_picture(tmp_path: Path) -> None:
+    flown = flight()
+    path = save_animation(flown, tmp_path / "new" / "run.gif")
+    assert path.read_bytes() == _gif(iter(pictures()))
+    ticks = frame_ticks(flown, apart=0.1)
+    drawn = pictures()
+    still = (np.max(drawn, axis=0) == np.min(drawn, axis=0)).all(axis=-1)
+    assert still.mean() > 0.5  # the ground does not flicker
+    with Image.open(path) as read:
+        assert read.n_frames == len(ticks) == len(drawn)
+        assert read.info["loop"] == 0 and read.info["duration"] == 100
+        for k in (0, len(ticks) // 2, len(ticks) - 1):
+            read.seek(k)
+            shown = np.asarray(read.convert("RGB"), dtype=float)
+            assert np.abs(shown - drawn[k]).mean() < 1.0 and (shown[0, 0] == 255).all()
+    # what is new in a picture, without the strip below, is about the hull, and goes as far as it went
+    blue = [np.where(still[..., None], 255, p)[:480] for p in (drawn[0], drawn[-1])]
+    (first, few), (last, more) = (middle_of(p, ROBOT) for p in blue)
+    assert 300 < few < more < 1.6 * few  # one hull and its way: nothing of an earlier picture is left
+    way = flown.record.eta[[0, -1], :2] @ np.diag([1, -1])
+    moved, flew = last - first, way[1] - way[0]
+    assert moved @ flew > 0.9 * np.hypot(*moved) * np.hypot(*flew)
+
+
+def test_beams_are_drawn_where_sensing_is_sonar() -> None:
+    heard, told = flight("sonar"), flight()
+    assert beams_at(told, 5) == ()
+    ranges = heard.telemetry("ranges")[5]
+    assert [beam.length for beam in beams_at(heard, 5)] == ranges.tolist()
+    (_, of_sonar), (_, of_truth) = (
+        middle_of(next(iter(frames(flown)))[:480], _over_white(INSTANT, 0.22)) for flown in (heard, told)
+    )
+    assert of_sonar > 1000 and of_truth < 50
+
+
+def _over_white(colour: str, alpha: float) -> tuple[float, ...]:
+    return tuple(1 - alpha + alpha * c for c in to_rgb(colour))
+
+
+def test_a_run_of_one_tick_is_one_picture(tmp_path: Path) -> None:
+    with Image.open(save_animation(first_tick(flight()), tmp_path / "short.gif")) as read:
+        assert getattr(read, "n_frames", 1) == 1
+
+
+def test_a_long_run_is_played_faster() -> None:
+    flown = flight()
+    longer = replace(flown.record, time=flown.record.time * 20)
+    slow = replace(flown.law, dt=flown.law.dt * 20)
+    assert 15 < len(list(frames(replace(flown, record=longer, law=slow)))) <= 152
+
+
+@pytest.mark.parametrize("name", ["run.webm", "run", "folder.gif"])
+def test_a_name_that_is_no_moving_picture_is_told(tmp_path: Path, name: str) -> None:
+    (tmp_path / "folder.gif").mkdir()
+    with pytest.raises(InputError, match="--animate"):
+        check_animation(tmp_path / name)
+
+
+def test_mp4_without_ffmpeg_is_told_with_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(ToolMissing, match=r"ffmpeg is not installed; .*\.gif"):
+        check_animation("run.mp4")
+
+
+def put_ffmpeg(folder: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> None:
+    (folder / "ffmpeg").write_text(f"#!/bin/sh\n{script}\n")
+    (folder / "ffmpeg").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{folder}{os.pathsep}{os.environ['PATH']}")
+
+
+def test_ffmpeg_is_given_every_picture_of_the_size_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    put_ffmpeg(tmp_path, monkeypatch, 'for last; do :; done; { echo "$@"; cat; } > "$last"')
+    head, raw = save_animation(flight(), tmp_path / "run.mp4").read_bytes().split(b"\n", 1)
+    height, width, _ = pictures()[0].shape
+    assert height % 2 == width % 2 == 0
+    assert f"-pixel_format rgb24 -video_size {width}x{height} -framerate 10" in head.decode()
+    assert raw == b"".join(p.tobytes() for p in pictures())
+
+
+def test_what_ffmpeg_complains_of_is_told_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    put_ffmpeg(tmp_path, monkeypatch, "cat > /dev/null; echo no encoder >&2; exit 1")
+    with pytest.raises(InputError, match=r"ffmpeg failed \(no encoder\)"):
+        save_animation(first_tick(flight()), tmp_path / "run.mp4")
+    assert not (tmp_path / "run.mp4").exists()
+
+
+def test_several_runs_and_campaigns_are_refused_before_anything_is_made(tmp_path: Path) -> None:
+    target = tmp_path / "new" / "run.gif"
+    for flights, campaign in ((2, False), (1, True)):
+        with pytest.raises(InputError, match="shows one run, not"):
+            check_animate(target, flights=flights, campaign=campaign)
+    assert not target.parent.exists()
+    check_animate(target, flights=1, campaign=False)
+    assert target.parent.is_dir() and not target.exists()
+
+
+def test_the_command_writes_the_file_and_refuses_before_it_flies(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def command(*words: str) -> int:
+        return int(simulate.main(["pool-behind", *words], standalone_mode=False))
+
+    target = tmp_path / "run.gif"
+    assert command("--animate", str(target), "--json") == 0
+    assert json.loads(capsys.readouterr().out)["runs"][0]["animation"] == str(target)
+    assert target.read_bytes().startswith(b"GIF89a")
+    with pytest.raises(InputError, match="--animate"):
+        command("--runs", "2", "--animate", str(tmp_path / "two.gif"))
+    with pytest.raises(InputError, match="--animate"):
+        command("--monte-carlo", "--animate", str(tmp_path / "many.gif"))
+    assert capsys.readouterr().out == "" and list(tmp_path.iterdir()) == [target]
+
+
+def test_white_stays_white_and_a_colour_that_comes_later_is_shown_in_the_nearest() -> None:
+    ground = np.full((8, 8, 3), 255, np.uint8)
+    ground[0, 0] = 200, 0, 0
+    later = ground.copy()
+    later[4:, 4:] = 190, 10, 10
+    with Image.open(BytesIO(_gif(iter([ground, later])))) as read:
+        read.seek(1)
+        shown = np.asarray(read.convert("RGB")).astype(int)
+    assert (shown[1:4] == 255).all() and np.abs(shown[4:, 4:] - ground[0, 0]).max() < 8

@@ -1,0 +1,110 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surctl.control import load_gains
+from surctl.errors import InputError
+from surctl.report.cell_plots import plot_cells, plot_open_boxes
+from surctl.report.loops import loop_responses
+from surctl.report.margin_plots import _rim, plot_marked_bode
+from surctl.report.region_plots import plot_region
+from surctl.report.verify_files import save_margins, save_regions, save_verdicts
+from surctl.vehicle import load_vehicle
+from surctl.verification import claims, falsify, loop_margins, prove, settle
+from surctl.verification.portrait import portrait
+from surctl.verification.proving.cells import cells_of
+from tests.certcheck import cruise
+
+CERTIFICATES = Path(__file__).parents[1] / "certcheck"
+VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default").values
+ABOUT: dict[str, float] = {"cruise": 0.2, "dt": 0.05}
+
+
+def certificate(name: str) -> dict[str, Any]:
+    return json.loads((CERTIFICATES / f"{name}.json").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("plane", ["along", "across", "place"])
+def test_nothing_fails_where_the_certificate_holds(plane: str) -> None:
+    seen = portrait(certificate("region-cruise-20"), plane)
+    inside = (seen.level <= 1.0) & (seen.level >= seen.levels[0])
+    assert inside.sum() > 200 and seen.excess[inside].max() < 0
+    assert seen.excess.max() > 0 or plane == "place"  # and far out it does fail
+
+
+def test_the_flow_is_that_of_the_loop_written_for_the_checkers_tests() -> None:
+    document = certificate("region-cruise-20")
+    seen, claim = portrait(document, "across"), document["claim"]
+    y, velocity = (grid.ravel() for grid in np.meshgrid(seen.x, seen.y))
+    law = claim["law"]
+    state = np.stack([0 * y, y, 0 * y + law["cruise"], velocity], axis=1)
+    drag = {k: np.full((len(y), 2), law[f"{k}_drag"]) for k in ("linear", "quadratic")}
+    still = dict.fromkeys(("current", "push", "place", "speed"), np.zeros((len(y), 2)))
+    boat = {"mass": np.full(len(y), law["mass_kg"]), **still, **drag}
+    rates = cruise.rate(claim, boat, state, np.zeros(len(y)))
+    assert seen.flow[0].ravel() == pytest.approx(rates[:, 1], abs=1e-12)
+    assert seen.flow[1].ravel() == pytest.approx(rates[:, 3], abs=1e-12)
+
+
+def test_a_portrait_needs_a_region(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="level sets"):
+        portrait({"kind": "interval", "claim": {}}, "along")
+    with pytest.raises(InputError, match="across"):
+        portrait(certificate("region-cruise-20"), "acros")
+    (path,) = save_regions({"region-cruise-20-lag": certificate("region-cruise-20-lag")}, tmp_path)
+    assert path.name == "region-cruise-20-lag-levels.png" and path.read_bytes().startswith(b"\x89PNG")
+    assert len(plot_region(certificate("region-cruise-20")).axes) == 3
+
+
+def test_the_boxes_of_a_proof_fill_the_domain_without_overlap() -> None:
+    (claim,) = claims(GAINS, ["v1-speed-cap-region"])
+    document = prove(claim, slack=1e-9).certificate
+    assert document is not None
+    for cells in cells_of(document):
+        size = cells.upper - cells.lower
+        assert np.all(size >= 0) and len(cells.rules) == size.shape[1]
+        whole = np.prod(claim.upper - claim.lower)
+        assert np.prod(size, axis=0).sum() == pytest.approx(whole, rel=1e-12)
+        for k in np.flatnonzero((claim.lower < 0) & (claim.upper > 0)):
+            assert 0.0 in cells.lower[k] or len(set(cells.lower[k])) == 1  # halved at 0 first
+        assert np.all(cells.lower.min(axis=1) == claim.lower) and np.all(cells.upper.max(axis=1) == claim.upper)
+
+
+def test_claims_leave_pictures_of_what_came_of_them(tmp_path: Path) -> None:
+    refuted, proved = claims(GAINS, ["v1-printed", "v1-corrected"])
+    settled = settle(proved)
+    box = {v.name: [v.lower, (v.lower + v.upper) / 2] for v in proved.variables}
+    left = replace(falsify(proved), verdict="unknown", open_boxes=(box,))
+    names = {p.name for p in save_verdicts([falsify(refuted), settled, left], tmp_path)}
+    assert names == {
+        "v1-printed-replay.png", "v1-printed-slice.png", "v1-corrected-cells.png", "v1-corrected-open.png",
+    }  # fmt: skip
+    with pytest.raises(InputError, match="is not proved"):
+        plot_cells(left)
+    with pytest.raises(InputError, match="no open boxes"):
+        plot_open_boxes(settled)
+
+
+def test_margins_are_marked_where_they_are(tmp_path: Path) -> None:
+    margins = loop_margins(VEHICLE, GAINS, **ABOUT)
+    loops = loop_responses(VEHICLE, GAINS, **ABOUT)
+    for loop, margin in ((loops[3], margins[3]), (loops[7], margins[7])):
+        upper, lower = plot_marked_bode(loop, margin).axes
+        (depth,) = (a.xyann[1] for a in upper.texts if hasattr(a, "xyann"))
+        assert depth == pytest.approx(-20 * np.log10(margin.gain_margin))
+        (arrow,) = (a for a in lower.texts if hasattr(a, "xyann"))
+        assert arrow.xyann[0] == pytest.approx(margin.crossover_rad_s, rel=1e-2)
+        assert arrow.xyann[1] - arrow.xy[1] == pytest.approx(margin.phase_margin_deg, abs=0.5)
+    saved = {p.name for p in save_margins(VEHICLE, GAINS, tmp_path, **ABOUT)}
+    assert saved >= {f"margins-sur540-flooded-{n}.png" for n in ("bode-yaw", "nyquist-thrust", "disk")}
+    assert save_margins(VEHICLE, {**GAINS, "k_psi": 60.0}, tmp_path, **ABOUT) == []
+
+
+def test_the_rim_of_gains_and_phases_ends_where_the_disk_margin_says() -> None:
+    gain, phase = _rim(0.8)
+    assert gain.max() == pytest.approx(2.8 / 1.2) and gain.min() == pytest.approx(1.2 / 2.8)
+    assert phase[np.argmin(np.abs(gain - 1))] == pytest.approx(np.rad2deg(2 * np.arctan(0.4)))
