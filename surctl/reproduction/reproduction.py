@@ -56,7 +56,14 @@ class Reproduction:
 
 
 def items(flights: Flights, *, samples: int = FULL) -> list[Item]:
-    """Every row before it is computed: claims, tables, errata, scenarios, position errors."""
+    """Every row before it is computed: claims, tables, errata, scenarios, position errors.
+
+    Example:
+        >>> from surctl.reproduction import Flights, items
+        >>> [item] = [item for item in items(Flights(3)) if item.id == "E12"]
+        >>> print(item.what, "|", item.paper, "|", item.expected)
+        the obstacle's own velocity in V̇2 | (24): dropped | wrong in print
+    """
     return [
         *claim_items(flights.gains.values, samples=samples),
         *table_items(),
@@ -69,7 +76,14 @@ def items(flights: Flights, *, samples: int = FULL) -> list[Item]:
 
 
 def required() -> list[str]:
-    """Ids that must be there: every claim, percentage, erratum, scenario, and the position errors."""
+    """Ids that must be there: every claim, percentage, erratum, scenario, and the position errors.
+
+    Example:
+        >>> from surctl.reproduction import required
+        >>> ids = required()
+        >>> ids[0], ids[-1], [name for name in ids if name.startswith("tank-s")][:2]
+        ('v1-printed', 'position-error-pool', ['tank-slalom', 'tank-speed-010'])
+    """
     percentages = [f"table-ii-{medium}-{round(100 * d):03d}" for medium in MEDIA for d in table_ii().desired]
     return [
         *(claim.name for claim in claims() if claim.paper),
@@ -87,6 +101,7 @@ def reproduce(
     quick: bool = False,
     seeds: int | None = None,
     progress: Callable[[str], None] = lambda _: None,
+    done: Callable[[Row], None] = lambda _: None,
 ) -> Reproduction:
     """Compute the rows of those ids, or all.
 
@@ -95,9 +110,16 @@ def reproduce(
         quick: fewer seeds and samples.
         seeds: of the compiled loop for each scenario; default 20, or 3 when quick.
         progress: told each row's id before it is computed.
+        done: given each row as soon as it is there.
 
     Raises:
         InputError: an unknown id, with the nearest known one; fewer than one seed.
+
+    Example:
+        >>> from surctl.reproduction import reproduce
+        >>> [row] = reproduce(["E3"]).rows
+        >>> print(row.item.paper, "|", row.found.ours, "|", row.found.word)
+        II-C: less than 4.5 cm | largest error 3.0 cm | differs
     """
     flights = Flights(seeds if seeds is not None else QUICK_SEEDS if quick else SEEDS)
     known = {item.id: item for item in items(flights, samples=QUICK_SAMPLES if quick else FULL)}
@@ -108,5 +130,6 @@ def reproduce(
     for name in names or known:
         progress(name)
         rows.append(known[name].row())
+        done(rows[-1])
     missing = () if names else tuple(name for name in required() if name not in known)
     return Reproduction(tuple(rows), missing, flights.seeds, flights)

@@ -20,6 +20,7 @@ from surctl.study.plan import Leg, Plan
 from surctl.study.shipping import Shipment, shipping, with_senses
 from surctl.tuning import LocalExecutor, SweepTable, grid, sweep
 from surctl.verification import LoopMargins, Verdict, claims, closed_loop_poles, loop_margins, settle
+from surctl.verification.linear import LinearSide, corners, linear_side, worst_linear_side
 
 if TYPE_CHECKING:
     from surctl.report import ExportSummary
@@ -39,12 +40,14 @@ class Study:
         runs: flights with true positions and through the sonar, in the plan's order.
         deciding: for each run, whether it decides.
         replayed: the runs through the sonar that the exported C replayed: those of deciding legs with the exported law.
+        linear: the linear side of the vehicle as stated, and the worst of the corners of its ranges.
         sil: one report for each of them.
     """
 
     plan: Plan
     sweep: SweepTable
     margins: tuple[LoopMargins, ...]
+    linear: tuple[LinearSide, LinearSide]
     verdicts: tuple[Verdict, ...]
     runs: tuple[Run, ...]
     deciding: tuple[bool, ...]
@@ -82,6 +85,7 @@ class Study:
                 "columns": {name: self.sweep.column(name).tolist() for name in self.sweep.columns},
             },
             "margins": [m.to_dict() for m in self.margins],
+            "linear": {"nominal": self.linear[0].to_dict(), "worst": self.linear[1].to_dict()},
             "verdicts": [v.to_dict() for v in self.verdicts],
             "runs": [run.to_dict() | {"decides": d} for run, d in zip(self.runs, self.deciding, strict=True)],
             "not_flown": [
@@ -118,12 +122,32 @@ def conduct(
     Raises:
         InputError: the folder cannot be written, there is no compiler, or a scenario has sonars that the law cannot
             listen to. All are found before the long work.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.study import conduct, load_plan
+        >>> _ = Path("mine.toml").write_text('''
+        ... kind = "study"
+        ... name = "mine"
+        ... vehicle = "sur400"
+        ... law = "paper"
+        ... claims = ["m-norm-corrected"]
+        ... [[flights]]
+        ... scenario = "pool-speed-010"
+        ... [sweep]
+        ... axes = [{ gain = "k_v", values = [1.5, 2.0] }]
+        ... ''')
+        >>> study = conduct(load_plan("mine.toml"), Path("out"), workers=1)
+        >>> sorted(path.name for path in Path("out").iterdir())
+        ['export', 'gains.toml', 'report.html', 'sweep.nc']
+        >>> study.verdicts[0].verdict, study.runs[0].metrics.stopped_because, study.sil[0].passed
+        ('proved', 'reached', True)
     """
-    from surctl.report import ReportData, loop_responses, runs_section, write_page
+    from surctl.report import Check, ReportData, loop_responses, runs_section, write_page
 
     prepare_folder(out)
     find_compiler()
-    law, clock = build_law(plan.law), _Clock(progress)
+    law, clock = build_law(plan.law, guidance=plan.guidance), _Clock(progress)
     legs = tuple(leg for leg in plan.legs if not leg.obstacle_to_flying)
     senses = tuple(with_senses(plan, leg) for leg in legs)  # a law that cannot be is told before the long work
     first = next(k for k, leg in enumerate(legs) if leg.misfit is None)
@@ -137,6 +161,10 @@ def conduct(
             cruise = max(leg.scenario.cruise for leg in plan.deciding)
             margins = loop_margins(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt)
             poles = closed_loop_poles(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt)
+            linear = (
+                linear_side(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt),
+                worst_linear_side(corners(plan.vehicle), swept.gains.values, cruise=cruise, dt=law.dt),
+            )
         with clock("claims"):
             # those about braking take a minute to be left open: they are checked where they are named
             chosen = [c for c in claims(swept.gains.values, plan.claims) if plan.claims or c.paper]
@@ -155,6 +183,7 @@ def conduct(
                 vehicle=plan.vehicle,
                 gains=swept.gains,
                 margins=margins,
+                linear=linear,
                 poles=poles,
                 loops=loop_responses(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt),
                 gains_file=str(gain_file),
@@ -173,7 +202,7 @@ def conduct(
             data,
             export=_export_summary(shipment, replayed, sil),
             seconds=dict(clock.seconds),
-            summary=tuple((note.passed, note.text) for note in notes),
+            summary=tuple(Check(note.passed, note.text, note.about) for note in notes),
         )
         report = write_page(data, out / "report.html", runs=drawn)
     seconds = dict(clock.seconds)
@@ -181,6 +210,7 @@ def conduct(
         plan,
         swept,
         margins,
+        linear,
         verdicts,
         runs,
         deciding,

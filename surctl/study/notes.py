@@ -17,10 +17,11 @@ __all__ = ["Note", "left_out", "summary"]
 
 @dataclass(frozen=True)
 class Note:
-    """One line of the study's summary; `passed` is None when it does not decide."""
+    """One line of the study's summary; `passed` is None when it does not decide, `about` names a part of the report."""
 
     passed: bool | None
     text: str
+    about: str = ""
 
 
 def summary(
@@ -45,26 +46,30 @@ def summary(
     feasible = int((swept.column("feasible") > 0.5).sum())
     points = swept.column("feasible").size
     if swept.picked is None:
-        notes.append(Note(False, f"sweep: none of {points} points is feasible; the gains of the file are kept"))
+        notes.append(
+            Note(False, f"sweep: none of {points} points is feasible; the gains of the file are kept", "sweep")
+        )
     else:
         at = list(zip(swept.axes, swept.picked, strict=True))
         chosen = ", ".join(f"{a.name} = {a.values[k]:g} {a.unit}" for a, k in at)
         edges = [a.name for a, k in at if len(a.values) > 1 and k in (0, len(a.values) - 1)]
         edge = f" (on the edge of the grid in {' and '.join(edges)}: a wider one may do better)" if edges else ""
-        notes.append(Note(True, f"sweep: {feasible} of {points} points are feasible; picked {chosen}{edge}"))
+        notes.append(Note(True, f"sweep: {feasible} of {points} points are feasible; picked {chosen}{edge}", "sweep"))
     least = min(margins, key=lambda m: m.delay_margin_s)
     stable = all(m.stable for m in margins)
     told = f"margins: least delay margin {least.delay_margin_s:.2f} s ({least.name}), least disk margin "
-    notes.append(Note(stable, told + f"{min(m.disk_margin for m in margins):.2f}"))
+    notes.append(Note(stable, told + f"{min(m.disk_margin for m in margins):.2f}", "margins"))
     unexpected = [v.claim.name for v in verdicts if not v.as_expected]
     counts = Counter(v.verdict for v in verdicts)
     text = f"claims: {', '.join(f'{n} {word}' for word, n in sorted(counts.items()))}, "
-    notes.append(Note(not unexpected, text + ("all as expected" if not unexpected else f"unexpected: {unexpected}")))
-    for run, decides in runs:
+    text += "all as expected" if not unexpected else f"unexpected: {unexpected}"
+    notes.append(Note(not unexpected, text, f"claims-{unexpected[0]}" if unexpected else "claims"))
+    for place, (run, decides) in enumerate(runs, start=1):
         m = run.metrics
         good = m.reached and m.min_clearance_m > 0
         line = f"{run.scenario.name} by {run.vehicle.name}, {run.sensing}: {m.stopped_because} at {m.time_s:.1f} s"
-        notes.append(Note(good if decides else None, f"{line}, least clearance {m.min_clearance_m:.3f} m"))
+        line += f", least clearance {m.min_clearance_m:.3f} m"
+        notes.append(Note(good if decides else None, line, f"runs-{place}"))
     for leg in plan.legs:
         if leg.obstacle_to_flying or leg.misfit:
             reason = leg.obstacle_to_flying or leg.misfit
@@ -74,11 +79,11 @@ def summary(
     passed = bool(sil) and all(r.conclusive for r in sil)
     flights = f"{len(sil)} flight{'s' * (len(sil) != 1)} by sonar"
     text = f"export of the law with senses: C equals Python to {worst:.1e} over {steps} steps of {flights}; "
-    notes.append(Note(passed, text + f"{cases} NaNs and infinities tried"))
+    notes.append(Note(passed, text + f"{cases} NaNs and infinities tried", "export"))
     return tuple(notes)
 
 
 def left_out(runs: Sequence[Run]) -> tuple[Note, ...]:
     """Flights with other senses than the exported law's: nobody replayed them."""
     text = "was flown with other sensors than the exported law's, and is not replayed"
-    return tuple(Note(None, f"{run.scenario.name} by {run.vehicle.name}, sonar, {text}") for run in runs)
+    return tuple(Note(None, f"{run.scenario.name} by {run.vehicle.name}, sonar, {text}", "export") for run in runs)

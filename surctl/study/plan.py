@@ -11,6 +11,7 @@ from pydantic import Field
 from surctl.control import Gains, LawName, load_gains
 from surctl.errors import InputError
 from surctl.files import Strict, pick, read_toml, validate
+from surctl.guidance import Guidance
 from surctl.simulation import Case, Scenario, findings, load_scenario
 from surctl.tuning import Axis, Goal, GoalTable, goals_from_tables, load_goals
 from surctl.vehicle import Vehicle, load_vehicle
@@ -45,6 +46,7 @@ class _StudyFile(Strict):
     vehicle: str
     gains: str = "default"
     law: LawName = "guarded"
+    guidance: Guidance = "los"
     seed: Seed = 0
     flights: tuple[_Flight, ...] = Field(min_length=1)
     sweep: _Sweep
@@ -77,6 +79,7 @@ class Plan:
     vehicle: Vehicle
     gains: Gains
     law: LawName
+    guidance: Guidance
     seed: int
     legs: tuple[Leg, ...]
     axes: tuple[Axis, ...]
@@ -92,7 +95,9 @@ class Plan:
     @property
     def sweep_cases(self) -> tuple[Case, ...]:
         """What every point of the sweep flies."""
-        return tuple(Case(leg.scenario, leg.vehicle, self.gains, self.law) for leg in self.deciding)
+        return tuple(
+            Case(leg.scenario, leg.vehicle, self.gains, self.law, guidance=self.guidance) for leg in self.deciding
+        )
 
 
 def load_plan(file: str | None = None) -> Plan:
@@ -102,6 +107,14 @@ def load_plan(file: str | None = None) -> Plan:
 
     Raises:
         InputError: a file, key or value that is wrong; no scenario is left that the vehicle can fly.
+
+    Example:
+        >>> from surctl.study import load_plan
+        >>> plan = load_plan()
+        >>> plan.vehicle.name, [leg.scenario.name for leg in plan.legs]
+        ('sur540-flooded', ['tank-static', 'tank-speed-015', 'pool-static', 'pool-behind'])
+        >>> [(axis.name, axis.values) for axis in plan.axes]
+        [('lookahead', (0.3, 0.5, 0.8, 1.2)), ('k_v', (1.0, 1.5, 2.0, 2.5))]
     """
     if file is None:
         path = LIBRARY / "default.toml"
@@ -153,6 +166,7 @@ def _plan(study: _StudyFile, path: Path, *, lenient: bool = False) -> Plan:
         vehicle,
         gains,
         study.law,
+        study.guidance,
         study.seed,
         tuple(legs),
         axes,

@@ -19,6 +19,7 @@ from surctl.export import (
     build_bundle,
     build_controller,
     compare_runs,
+    origin_of,
     write_bundle,
 )
 from surctl.simulation import Run, law_numbers
@@ -33,7 +34,11 @@ def with_senses(plan: Plan, leg: Leg) -> Law:
     Raises:
         InputError: sonars that the law cannot listen to.
     """
-    return build_law(plan.law, sonar=True, equipment=leg.scenario.sensors.on(leg.vehicle["radius"]))
+    mission = leg.scenario
+    equipment = mission.sensors.on(leg.vehicle["radius"])
+    return build_law(
+        plan.law, sonar=True, equipment=equipment, guidance=plan.guidance, depths=mission.depths is not None
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +85,7 @@ def shipping(law: Law, gains: Gains, leg: Leg, out: Path) -> Iterator[Shipment]:
         InputError: the folder cannot be written.
     """
     numbers = law_numbers(leg.scenario, gains, leg.vehicle)
-    bundle = build_bundle(law, law.gains.unpack(numbers))
+    bundle = build_bundle(law, law.gains.unpack(numbers), origin=origin_of(law, leg.vehicle))
     files = tuple(write_bundle(bundle, out))
     with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch, ThreadPoolExecutor(1) as beside:
         yield Shipment(law, bundle, files, beside.submit(build_controller, law, bundle, Path(scratch, bundle.name)))

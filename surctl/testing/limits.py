@@ -77,6 +77,20 @@ def check_limit(
     Raises:
         CheckFailed: the first finding; it names the row.
         InputError: a symbol has no range, or two; no samples; a velocity that is not positive.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.tasks import Barrier
+        >>> from surctl.testing import check_limit
+        >>> eta = ca.SX.sym("eta", 4)
+        >>> wall = Barrier("wall", eta, h=2.0 - eta[0], alpha=0.5)  # stay at x <= 2 m
+        >>> ranges = [(eta, [-3, -3, -1, -3], [3, 3, 0, 3])]
+        >>> check_limit(wall, parameters=ranges).samples
+        66
+        >>> check_limit(wall, parameters=ranges, holds=lambda v, eta: v[0] <= 0.2)  # that is not what it does
+        Traceback (most recent call last):
+            ...
+        surctl.testing.finding.CheckFailed: limit row 'wall': refuses v = [...], but holds() says otherwise, ...
     """
     checked_count("samples", samples)
     if not 0.0 < velocity < math.inf:

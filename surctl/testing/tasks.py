@@ -79,6 +79,18 @@ def check_task(
         CheckFailed: the first finding.
         InputError: the task is refused by its own class, or is none; a symbol has no range, or two; no samples; a
             pose in `near` that is no four numbers.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.tasks import Task, heading_task
+        >>> from surctl.testing import check_task
+        >>> report = check_task(lambda eta: heading_task(eta, 0.4))
+        >>> report.name, report.size, report.samples
+        ('heading', 1, 50)
+        >>> check_task(lambda eta: Task(name="yaw", eta=eta, sigma=eta[3], target=0.4))  # angular=True is left out
+        Traceback (most recent call last):
+            ...
+        surctl.testing.finding.CheckFailed: ...the reference changes when the vehicle makes a full turn ...
     """
     checked_count("samples", samples)
     poses = [_pose(place, pose) for place, pose in enumerate(near)]

@@ -12,7 +12,9 @@ import pytest
 from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.simulation import LIBRARY as SCENARIOS
+from surctl.study import LIBRARY as STUDIES
 from surctl.study import conduct, load_plan
+from surctl.study.shipping import with_senses
 from surctl.vehicle import LIBRARY
 from tests.cli.process import surctl
 from tests.tools import PATIENCE, need_compiler
@@ -104,6 +106,10 @@ def test_the_report_stands_alone(study, folder):
     assert all('src="data:image/' in image and "alt=" in image for image in images)
     assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
     assert "Replayed flights through the sonar, by run: 1: tank-static by sur540-flooded; 2: " in page
+    links = re.findall(r'href="#([^"]*)"', re.findall(r'<ul class="checks">(.*?)</ul>', page, re.DOTALL)[0])
+    assert {"sweep", "margins", "claims", "runs-1", "runs-2", "export"} <= set(links)
+    assert all(f'id="{link}"' in page for link in links)
+    assert page.count(" data-player>") == 1
     for word in ("pool-static", "v1-printed", "delay margin", "sur400"):
         assert word in page
 
@@ -154,6 +160,16 @@ def test_the_built_in_plan():
         "pool-static/sur400/truth",
         "pool-behind/sur400/truth",
     ]
+
+
+def test_a_study_names_its_guidance_and_all_that_it_flies_and_ships_has_it(tmp_path):
+    text = (STUDIES / "default.toml").read_text()
+    (tmp_path / "s.toml").write_text('guidance = "alos"\n' + text)
+    plan = load_plan(str(tmp_path / "s.toml"))
+    assert plan.guidance == "alos" and {case.guidance for case in plan.sweep_cases} == {"alos"}
+    shipped = with_senses(plan, plan.deciding[0])
+    assert shipped.guidance == "alos" and "drift" in {port.name for port in shipped.state.ports}
+    assert load_plan().guidance == "los"
 
 
 def own_vehicle(tmp_path, source="sur540-light"):
