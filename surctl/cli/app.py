@@ -10,15 +10,19 @@ import click
 from surctl import __version__
 from surctl.cli.calibrate import calibrate
 from surctl.cli.check import check
+from surctl.cli.completion import completion
 from surctl.cli.export import export
 from surctl.cli.lint import lint
 from surctl.cli.listing import listing
+from surctl.cli.new import new
+from surctl.cli.output import Stopped
 from surctl.cli.reproduce import reproduce
 from surctl.cli.simulate import simulate
 from surctl.cli.sonar_replay import sonar_replay
 from surctl.cli.study import study
 from surctl.cli.sweep import sweep
 from surctl.cli.tune import tune
+from surctl.cli.vehicle import vehicle
 from surctl.cli.verify import verify
 from surctl.errors import SurctlError
 
@@ -30,19 +34,37 @@ __all__ = ["app", "main"]
 def app() -> None:
     """Design, tune, verify and export the controller of a small underwater robot.
 
+    Examples: surctl new vehicle my-robot; surctl study my-robot.toml; surctl simulate tank-static --out plots
+
     Exit status: 0 done and as expected, 1 done and something came out otherwise, 2 bad input.
     """
 
 
 _COMMANDS = (
-    study, reproduce, simulate, sweep, tune, verify, check, export, calibrate, sonar_replay, lint, listing,
+    study, reproduce, simulate, sweep, tune, verify, check, export, vehicle, calibrate, sonar_replay,
+    new, lint, listing, completion,
 )  # fmt: skip
 for _command in _COMMANDS:
     app.add_command(_command)
 
 
 def main() -> None:
-    """Run the command line and exit."""
+    """Run the command line on `sys.argv` and exit with its status.
+
+    Raises:
+        SystemExit: Always; 0 done, 1 a claim, goal or run failed, 2 a mistake of the user's, 130 stopped.
+
+    Examples:
+        >>> import sys
+        >>> from surctl.cli import main
+        >>> sys.argv = ["surctl", "--version"]
+        >>> try:
+        ...     main()
+        ... except SystemExit as end:
+        ...     print("status", end.code)
+        surctl, version ...
+        status 0
+    """
     warnings.showwarning = lambda message, *_: _tell(str(message))
     try:
         status = app(prog_name="surctl", standalone_mode=False)
@@ -56,8 +78,11 @@ def main() -> None:
     except SurctlError as error:
         _tell(str(error))
         status = error.exit_status
+    except Stopped as stop:
+        _tell(f"stopped; {stop}")
+        status = 130
     except (KeyboardInterrupt, click.Abort):
-        _tell("stopped; what was finished is kept")
+        _tell("stopped before anything was finished")
         status = 130
     sys.exit(status if isinstance(status, int) else 0)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import finish, progress, together
+from surctl.cli.output import finish, progress, same_command, stoppable, together
 from surctl.cli.single_run import explained_and_drawn, run_line
 
 if TYPE_CHECKING:
@@ -121,8 +121,8 @@ class CampaignOptions:
         else:
             flown = flown or [load_vehicle(WORLDS_VEHICLE)]
             missions = [sensors.over(world_template(flown[0]))]
-        cases = build_cases(missions, flown, gains=gains, law=law, mode=mode, sensing=sensing)
-        told: dict[str, Any] = {"avoidance": avoidance, "guidance": guidance, "barrier": barrier, "movers": movers}
+        cases = build_cases(missions, flown, gains=gains, law=law, mode=mode, sensing=sensing, guidance=guidance)
+        told: dict[str, Any] = {"avoidance": avoidance, "barrier": barrier, "movers": movers}
         cases = tuple(replace(case, **told) for case in cases)
         for case in cases[:1]:
             case.build()  # so that a mistake is told before anything is written
@@ -142,9 +142,14 @@ class CampaignOptions:
         folder = None if out is None else CampaignFolder(out, tuple(plans))
         if folder is not None:
             folder.prepare(fresh=self.fresh)
-        told, lines, good = [], [], True
+        told, lines, good = [], list[str](), True
+        nothing = "nothing is kept; with --out DIR the same command would go on"
+        kept = nothing if out is None else f"the runs that were flown are in {out}; to go on: {same_command()}"
         for plan in plans:
-            with nullcontext() if folder is None else folder.store(plan) as store:
+            with (
+                stoppable(kept, lines, as_json=as_json),
+                nullcontext() if folder is None else folder.store(plan) as store,
+            ):
                 flown = fly_campaign(plan, runs=runs, threads=self.threads or 2, store=store, progress=progress)
             worst = 5 if self.worst is None else self.worst
             files = [] if folder is None else folder.write(flown, worst=worst)
@@ -190,11 +195,13 @@ def _claim(case: Case) -> SafetyClaim:
     """What the law's barrier guarantees of the scenario as its file has it, by the vehicle's ranges."""
     from math import inf
 
-    from surctl.simulation import safety_claim
+    from surctl.simulation import safety_claim, turn_rate
 
     sees = case.scenario.sensors.equipment.array.maximum if case.sensing == "sonar" else inf
     believed = case.model or case.vehicle
-    return safety_claim(case.scenario, believed, case.gains, barrier=case.barrier, movers=case.movers, detection=sees)
+    turning = turn_rate(case.scenario, believed, case.gains, sonar=case.sensing == "sonar")
+    kind: dict[str, Any] = {"barrier": case.barrier, "movers": case.movers}
+    return safety_claim(case.scenario, believed, case.gains, **kind, detection=sees, turning=turning)
 
 
 def _lines(flown: Campaign, files: list[Path], worst: int) -> list[str]:
@@ -212,7 +219,7 @@ def _lines(flown: Campaign, files: list[Path], worst: int) -> list[str]:
     return lines
 
 
-def fly_again(path: Path, *, explained: bool, out: Path | None, as_json: bool) -> None:
+def fly_again(path: Path, *, explained: bool, out: Path | None, animate: Path | None, as_json: bool) -> None:
     """Fly the run of a file in the reference loop, say whether it came to the same figures, and end.
 
     Exit status 1 if it did not, or if the run does not arrive.
@@ -221,11 +228,12 @@ def fly_again(path: Path, *, explained: bool, out: Path | None, as_json: bool) -
     from surctl.simulation.campaign import load_replay
 
     for name, source in _given().items():
-        if name not in ("replayed", "explained", "out", "as_json") and source:
+        if name not in ("replayed", "explained", "out", "animate", "as_json") and source:
             from surctl.errors import InputError
 
-            option = "--" + name.replace("_", "-")
-            raise InputError("is said by the file", key="--from", value=str(path), remedy=f"drop {option}, or edit it")
+            known = {param.name: param for param in click.get_current_context().command.params}
+            what = known[name].opts[0] if isinstance(known[name], click.Option) else f"the {name}"
+            raise InputError("is said by the file", key="--from", value=str(path), remedy=f"drop {what}, or edit it")
     if out is not None:
         prepare_folder(out)
     replay = load_replay(path)
@@ -235,7 +243,7 @@ def fly_again(path: Path, *, explained: bool, out: Path | None, as_json: bool) -
     result = run.to_dict() | {"campaign": replay.campaign, "same": same, "largest_difference": difference}
     verdict = "as in the campaign" if same else f"NOT as in the campaign ({replay.stopped_because})"
     lines = [f"{run_line(run)}: {verdict}, largest difference {difference:.1g}"]
-    lines += explained_and_drawn(run, result, explained=explained, out=out)
+    lines += explained_and_drawn(run, result, explained=explained, out=out, animate=animate)
     finish({"runs": [result]}, lines, as_json=as_json, passed=same and run.metrics.reached)
 
 

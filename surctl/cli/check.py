@@ -16,20 +16,37 @@ __all__ = ["check"]
 
 @click.command
 @click.argument("certificate", type=click.Path(path_type=Path))
+@click.option("--bundle", type=click.Path(path_type=Path), metavar="DIR", help="Is it about this exported controller?")
 @as_json
-def check(certificate: Path, as_json: bool) -> None:
+def check(certificate: Path, bundle: Path | None, as_json: bool) -> None:
     """Check a certificate without trusting the prover that wrote it.
 
-    Exit status 0 accepted, 1 rejected, 2 no certificate. Example: surctl check proofs/v2-static.json
+    With --bundle also whether it is about that exported controller: its law, vehicle and gains, which are hashed anew;
+    what the certificate leaves out is named. Exit status 0 accepted (and belongs), 1 rejected, or of another
+    controller, 2 no certificate or bundle.
+    Examples: surctl check proofs/v2-static.json; surctl check firmware/certificate-v2-static.json --bundle firmware
     """
     from surctl.certcheck import check_file
+    from surctl.certcheck.bundle import compare, read_bundle
+    from surctl.certcheck.document import read
 
     found = check_file(certificate)
     word = "accepted" if found.accepted else f"rejected: {found.reason}"
     lines = [f"{word} ({found.kind or 'unknown kind'}, {found.seconds:.2f} s)"]
     if found.accepted:
         lines += _shown(found.claim)
-    finish(found.to_dict(), lines, as_json=as_json, passed=found.accepted)
+    if bundle is None:
+        finish(found.to_dict(), lines, as_json=as_json, passed=found.accepted)
+        return
+    manifest = read_bundle(bundle)
+    result = {**found.to_dict(), "bundle": {"id": manifest.id, "belongs": False, "differs": [], "excludes": []}}
+    if found.accepted:
+        told = compare(read(certificate), manifest)
+        result["bundle"] = {"id": manifest.id, **told.to_dict()}
+        word = "belongs to" if told.belongs else "DOES NOT belong to"
+        lines.append(f"{word} the controller {manifest.id[:12]} in {bundle}")
+        lines += [f"  differs: {text}" for text in told.differs] + [f"  not covered: {text}" for text in told.excludes]
+    finish(result, lines, as_json=as_json, passed=bool(result["bundle"]["belongs"]))
 
 
 def _shown(claim: Mapping[str, Any]) -> list[str]:
@@ -39,6 +56,9 @@ def _shown(claim: Mapping[str, Any]) -> list[str]:
         if key == "statement" or value in ([], "", 0.0):
             continue
         entries = value if isinstance(value, list) else [value]
+        if len(entries) > 1 and all(isinstance(entry, str) for entry in entries):
+            lines += [f"  {key}:", *(f"    - {entry}" for entry in entries)]
+            continue
         lines.append(f"  {key}: {', '.join(_entry(entry) for entry in entries)}")
     return lines
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import click
+from click.core import ParameterSource
 
 from surctl.cli.output import as_json, finish, progress
 from surctl.cli.sensor_options import SensorOptions, sensor_options, sensors_told
@@ -16,7 +18,11 @@ __all__ = ["export"]
 @click.option("--gains", default="default", help="Gain file: name or path.")
 @click.option("--vehicle", help="Vehicle: name or file; default: the scenario's.")
 @click.option("--scenario", default="pool-static", help="Mission and sensors: of the defaults and of the check.")
-@click.option("--law", default="guarded", help="guarded; paper; a textbook law: apf, dwa, vo, cbf.")
+@click.option(
+    "--law",
+    default="guarded",
+    help="guarded; paper; lean, which is told one obstacle; a textbook law: apf, dwa, vo, cbf.",
+)
 @click.option("--avoidance", default="corrected", help="Form of (20) in law paper.")
 @click.option("--guidance", default="los", help="los; with memory against a steady push: ilos or alos.")
 @click.option("--priority-mode", default="nsb", help="nsb, or one that keeps limits: filter, projected, lexicographic.")
@@ -28,7 +34,26 @@ __all__ = ["export"]
 @click.option("--target", default="c99", help="c99; fmu: beside it a functional mock-up unit (FMI 2.0) of the same C.")
 @click.option("--real", default="float64", help="float64; float32 for a single-precision floating-point unit.")
 @click.option(
+    "--constant-gains",
+    is_flag=True,
+    help="Gains, model and mission become constants of the code: smaller and faster; with --sensing truth only.",
+)
+@click.option(
+    "--certificate",
+    "certificates",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Certificate that travels with the bundle, once it is seen to be about it; may be repeated.",
+)
+@click.option(
     "--check", is_flag=True, help="Also compare the bytes of every compiler and emulated processor with Python's."
+)
+@click.option(
+    "--prove",
+    is_flag=True,
+    help="Also prove that the C has no run-time error and keeps the thrust limits (Frama-C's Eva); proof and log are "
+    "in the bundle. Gains that are no constants may be in the ranges of the gain file only.",
 )
 @click.option("--targets", help="With --check: which, with commas; default: all whose tools are here.")
 @click.option("--steps", type=click.IntRange(min=1), help="With --check: single steps beside the flight [100000].")
@@ -53,7 +78,10 @@ def export(
     name: str | None,
     target: str,
     real: str,
+    constant_gains: bool,
+    certificates: tuple[Path, ...],
     check: bool,
+    prove: bool,
     targets: str | None,
     steps: int | None,
     out: Path,
@@ -67,11 +95,19 @@ def export(
     and clang at -O0 to -O3 and QEMU's Cortex-M3, -M4F and -M7: each byte has to be that of Python, and the sizes and
     instructions of a step are told. Exit status 1 when C and Python differ, however the flight ends.
 
+    The bundle holds its link, too: `make controller` builds the process that `surctl simulate --controller` flies
+    through. Its manifest names law, vehicle and gains, so that `surctl check CERTIFICATE --bundle DIR` can tell whether
+    they belong together.
+
     Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --priority-mode projected;
     surctl export --scenario tank-static --fault stuck:0:5; surctl export --sensing truth --real float32 --check;
-    surctl export --check --targets gcc-O0,clang-O3,cortex-m4f --steps 1000
+    surctl export --check --targets gcc-O0,clang-O3,cortex-m4f --steps 1000; surctl export --law lean --sensing truth
+    --scenario pool-ahead --real float32 --constant-gains --check
     """
     import tempfile
+    from dataclasses import replace
+
+    import numpy as np
 
     from surctl.control import build_law, load_gains
     from surctl.errors import InputError, nearest
@@ -84,7 +120,14 @@ def export(
         build_controller,
         check_builds,
         chosen_targets,
+        closed_form,
         compare_runs,
+        flight_envelope,
+        gain_box,
+        load_certificates,
+        origin_of,
+        prove_bundle,
+        with_proof,
         write_bundle,
         write_fmu,
     )
@@ -104,7 +147,7 @@ def export(
     sensors = SensorOptions(faults, chances, beam, own_state)
     sensors.check(law=law, sensing=sensing)
     mission = sensors.over(load_scenario(scenario))
-    flown = load_vehicle(vehicle or mission.vehicle)
+    flown = load_vehicle(mission.vehicle if vehicle is None else vehicle)
     equipment = mission.sensors.on(flown["radius"])
     built = build_law(
         law,
@@ -113,21 +156,41 @@ def export(
         sonar=sensing == "sonar",
         equipment=equipment,
         guidance=guidance,
+        depths=mission.depths is not None,
     )
     tuned = load_gains(gains)
+    numbers = law_numbers(mission, tuned, flown)
+    shipped = closed_form(built, real=precision, constants=numbers if constant_gains else None)
+    within = flight_envelope(built, mission, flown, shipped.gains)
+    if prove and not constant_gains:
+        within = replace(within, gains=gain_box(built, numbers, tuned.ranges))
+    fixed = {} if constant_gains else built.gains.unpack(numbers)
+    origin = origin_of(built, flown, load_certificates(certificates))
     # before the flight, so that a name or a folder that will not do is told at once
-    bundle = build_bundle(built, built.gains.unpack(law_numbers(mission, tuned, flown)), name=name, real=precision)
+    bundle = build_bundle(shipped, fixed, name=name, real=precision, envelope=within, origin=origin)
+    proof = None
+    if prove:
+        progress("proving")
+        proof = prove_bundle(shipped, bundle, flown.thrust_limit)
+        bundle = with_proof(bundle, proof)
     files = write_bundle(bundle, out)
     if target == "fmu":
         progress("compiling the functional mock-up unit")
-        files.append(write_fmu(built, bundle, law_numbers(mission, tuned, flown), out))
+        files.append(write_fmu(shipped, bundle, shipped.gains.pack(fixed), out))
     progress(f"flying {mission.name}")
     run = simulate(mission, flown, gains=tuned, law=built, sensing=sensing, seed=seed)
     record, metrics = run.record, run.metrics
     progress("compiling and replaying")
     with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
-        controller = build_controller(built, bundle, Path(scratch, bundle.name))
-        flight = as_records(built, Records(record.law_state, record.law_input, record.law_parameters))
+        controller = build_controller(shipped, bundle, Path(scratch, bundle.name))
+        flight = as_records(
+            shipped,
+            Records(
+                record.law_state,
+                record.law_input,
+                np.zeros((len(record.law_state), 0)) if constant_gains else record.law_parameters,
+            ),
+        )
         (sil,) = compare_runs(controller, [flight])
         report = (
             check_builds(controller, [flight], tried, steps=steps or STEPS, untried=untried, tell=progress)
@@ -143,9 +206,41 @@ def export(
         "real": real,
         "sil": sil.to_dict(),
     }
+    if proof is not None:
+        result["proof"] = proof.to_dict()
+    started = _how_to_start(out, click.get_current_context())
     if report is not None:
         result["check"] = report.to_dict()
     told = f"replayed: {mission.name} by {flown.name}, {sensing}, seed {seed}: {metrics.stopped_because} at "
     lines = [*(f"{f.sha256[:12]}  {f.path}" for f in files), "", f"{told}{metrics.time_s:.2f} s", sil.summary()]
+    lines += [] if proof is None else ["", proof.summary()]
     lines += [] if report is None else ["", report.summary()]
-    finish(result, lines, as_json=as_json, passed=sil.conclusive and (report is None or report.passed))
+    belong = [shlex.join(["surctl", "check", str(file), "--bundle", str(out)]) for file in certificates[:1]]
+    finish(
+        result,
+        lines,
+        as_json=as_json,
+        passed=sil.conclusive and (report is None or report.passed) and (proof is None or proof.proved),
+        then=[*belong, *started],
+    )
+
+
+_FLOWN = (
+    *("vehicle", "gains", "law", "avoidance", "guidance", "priority_mode", "sensing"),
+    *("faults", "chances", "beam", "own_state", "seed"),
+)
+
+
+def _how_to_start(out: Path, context: click.Context) -> tuple[str, str]:
+    """What starts the exported controller as a process, and what flies the same mission through it."""
+    words = [context.params["scenario"]]
+    options = {parameter.name: parameter.opts[0] for parameter in context.command.params}
+    for name in _FLOWN:
+        given = context.params[name]
+        said = context.get_parameter_source(name) != ParameterSource.DEFAULT
+        if given != "truth" if name == "sensing" else said:  # simulate has another default for that
+            values = given if isinstance(given, tuple) else (given,)
+            words += [word for value in values for word in (options[name], str(value))]
+    port = 5555
+    run = f"make -C {shlex.quote(str(out))} controller && {shlex.quote(str(out / 'controller'))} {port}"
+    return run, f"surctl simulate {shlex.join(words)} --controller tcp://127.0.0.1:{port}"

@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
 import click
 
 from surctl.cli.output import as_json, finish
 
 __all__ = ["lint"]
+
+_NEXT = {
+    "vehicle": ("tune --vehicle {} --out tuned", "study {}"),
+    "gains": ("verify --gains {}", "simulate pool-static --gains {}"),
+    "goals": ("tune --goals {}",),
+    "claim": ("verify {}",),
+    "region": ("verify {}",),
+    "scenario": ("simulate {}",),
+    "study": ("study {}", "tune {}"),
+}
 
 
 @click.command
@@ -25,30 +39,34 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
     from surctl.study import load_plan
     from surctl.tuning import load_goals
     from surctl.vehicle import load_vehicle
+    from surctl.verification import load_claim
+    from surctl.verification.region import load_region
 
     path = str(pick(file, LIBRARY, what="scenario"))
     kind = read_toml(pick(file, LIBRARY, what="scenario")).get("kind")
     found = []
-    if kind == "vehicle":
-        load_vehicle(path)
-    elif kind == "gains":
-        load_gains(path)
-    elif kind == "goals":
-        load_goals(path)
-    elif kind == "scenario":
+    plain: dict[str, Callable[[str], object]] = {
+        "vehicle": load_vehicle,
+        "gains": load_gains,
+        "goals": load_goals,
+        "claim": lambda file: load_claim(Path(file)),
+        "region": lambda file: load_region(Path(file)),
+    }
+    if kind == "scenario":
         scenario = load_scenario(path)
-        found = findings(scenario, load_vehicle(vehicle or scenario.vehicle))
+        found = findings(scenario, load_vehicle(scenario.vehicle if vehicle is None else vehicle))
     elif kind == "study":
         for leg in load_plan(path).legs:
             found += findings(leg.scenario, leg.vehicle)
+    elif kind in plain:
+        plain[kind](path)
     else:
-        raise InputError(
-            "is not a kind of file",
-            file=path,
-            key="kind",
-            value=kind,
-            remedy='write kind = "vehicle", "gains", "goals", "scenario" or "study"',
-        )
+        known = ", ".join(f'"{name}"' for name in sorted([*plain, "scenario"]))
+        remedy = f'write kind = {known} or "study"'
+        raise InputError("is not a kind of file", file=path, key="kind", value=kind, remedy=remedy)
     lines = [f"{f.level}: {f.key}: {f.text}" for f in found] or [f"{path}: nothing found"]
     result = {"file": path, "kind": kind, "findings": [f.to_dict() for f in found]}
-    finish(result, lines, as_json=as_json, passed=all(f.level != "error" for f in found))
+    works = all(f.level != "error" for f in found)
+    flying = "" if vehicle is None else f" --vehicle {shlex.quote(vehicle)}"
+    then = [f"surctl {words.format(shlex.quote(file))}{flying}" for words in _NEXT[kind]] if works else []
+    finish(result, lines, as_json=as_json, passed=works, then=then)

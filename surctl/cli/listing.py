@@ -15,13 +15,14 @@ __all__ = ["listing"]
 @click.option("--show", metavar="NAME", help="Print the built-in file of that name instead.")
 @as_json
 def listing(show: str | None, as_json: bool) -> None:
-    """List built-in vehicles, gain files, scenarios, studies, goals, claims and region claims.
+    """List built-in vehicles, gain files, scenarios, studies, goals, claims, region claims and braking claims.
 
     Example: surctl list --show sur540-flooded > my-vehicle.toml
     """
     from surctl import control, simulation, study, tuning, vehicle
     from surctl.errors import InputError, nearest
     from surctl.verification import claims
+    from surctl.verification.braking import BRAKING_CLAIMS
     from surctl.verification.region import REGION_CLAIMS
 
     libraries = {
@@ -44,6 +45,6 @@ def listing(show: str | None, as_json: bool) -> None:
         sys.stdout.write(hits[0].read_text(encoding="utf-8"))
         return
     names = {kind: list(group) for kind, group in files.items()}
-    names |= {"claims": [c.name for c in claims()], "regions": list(REGION_CLAIMS)}
+    names |= {"claims": [c.name for c in claims()], "regions": list(REGION_CLAIMS), "braking": list(BRAKING_CLAIMS)}
     lines = [f"{kind}: {', '.join(group)}" for kind, group in names.items()]
     finish(names, lines, as_json=as_json, passed=True)

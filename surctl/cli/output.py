@@ -4,14 +4,26 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
-__all__ = ["as_json", "finish", "finite", "out_folder", "progress", "together"]
+__all__ = [
+    "Stopped",
+    "as_json",
+    "finish",
+    "finite",
+    "out_folder",
+    "progress",
+    "same_command",
+    "stoppable",
+    "together",
+]
 
 C = TypeVar("C", bound=Callable[..., Any])
 
@@ -46,12 +58,37 @@ def finite(value: Any) -> Any:
     return value
 
 
-def finish(result: Mapping[str, Any], lines: Sequence[str], *, as_json: bool, passed: bool) -> None:
-    """Print the result and end with status 0 if `passed`, else 1."""
-    text = json.dumps(finite(result), ensure_ascii=False) if as_json else "\n".join(lines)
+def finish(
+    result: Mapping[str, Any], lines: Sequence[str], *, as_json: bool, passed: bool, then: Sequence[str] = ()
+) -> None:
+    """Print the result, with the commands that one would give next, and end with status 0 if `passed`, else 1."""
+    told = [*lines, "next", *(f"  {command}" for command in then)] if then else lines
+    said = {**result, "next": list(then)} if then else result
+    text = json.dumps(finite(said), ensure_ascii=False) if as_json else "\n".join(told)
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
     click.get_current_context().exit(0 if passed else 1)
+
+
+class Stopped(click.Abort):
+    """The user stopped the command; the message says what is kept, and how to go on."""
+
+
+@contextmanager
+def stoppable(kept: str, lines: Sequence[str] = (), *, as_json: bool = False) -> Iterator[None]:
+    """Ctrl-C inside prints the lines that there are by then, unless JSON is asked for, and becomes `Stopped`."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if lines and not as_json:
+            sys.stdout.write("\n".join(lines) + "\n")
+            sys.stdout.flush()
+        raise Stopped(kept) from None
+
+
+def same_command() -> str:
+    """What was typed, for a shell."""
+    return shlex.join(["surctl", *sys.argv[1:]])
 
 
 def progress(text: str) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.output import as_json, finish, out_folder, progress
+from surctl.cli.output import as_json, finish, out_folder, progress, stoppable
 
 if TYPE_CHECKING:
     from surctl.reproduction import Row
@@ -34,8 +34,9 @@ def reproduce(rows: tuple[str, ...], quick: bool, seeds: int | None, out: Path |
 
     if out is not None:
         prepare_folder(out)
-    done = compute(rows, quick=quick, seeds=seeds, progress=progress)
-    lines = [line for row in done.rows for line in row_lines(row)]
+    lines = list[str]()
+    with stoppable("the rows above are done; name the others: surctl reproduce ROW", lines, as_json=as_json):
+        done = compute(rows, quick=quick, seeds=seeds, progress=progress, done=lambda row: lines.extend(row_lines(row)))
     lines += [f"FAIL {name}: the row is missing" for name in done.missing]
     good = sum(row.as_expected for row in done.rows)
     lines.append(f"{good} of {len(done.rows)} rows as expected, {sum(row.seconds for row in done.rows):.1f} s")

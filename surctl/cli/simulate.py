@@ -6,9 +6,11 @@ from pathlib import Path
 
 import click
 
+from surctl.cli.animate_option import animate_option, check_animate
 from surctl.cli.barrier_options import barrier_options
 from surctl.cli.campaign import CampaignOptions, campaign_options, fly_again
-from surctl.cli.output import as_json, finish, out_folder, progress
+from surctl.cli.controller_options import ControllerOptions, controller_options
+from surctl.cli.output import as_json, finish, out_folder, progress, stoppable
 from surctl.cli.sensor_options import SensorOptions, sensor_options, sensors_told
 from surctl.cli.single_run import explained_and_drawn, run_line
 
@@ -19,16 +21,24 @@ __all__ = ["simulate"]
 @click.argument("scenarios", nargs=-1)
 @click.option("--vehicle", help="Vehicle: name or file; default: the scenario's.")
 @click.option("--gains", default="default", help="Gain file: name or path.")
-@click.option("--law", default="guarded", help="guarded; the printed stack: paper; a textbook law: apf, dwa, vo, cbf.")
+@click.option(
+    "--law",
+    default="guarded",
+    help="guarded; the printed stack: paper; lean, which is told one obstacle; a textbook law: apf, dwa, vo, cbf.",
+)
 @click.option("--avoidance", default="corrected", help="printed, consistent or corrected form of (20).")
 @click.option("--guidance", default="los", help="los; with memory against a steady push: ilos or alos.")
 @click.option("--priority-mode", default="nsb", help="nsb, or one that keeps limits: filter, projected, lexicographic.")
 @click.option("--sensing", default="truth", help="truth, or through the sonar array: sonar.")
 @barrier_options
 @sensor_options
+@controller_options
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="First seed.")
 @click.option("--runs", type=click.IntRange(min=1), default=1, help="Number of seeds, one after another.")
 @click.option("--explain", "explained", is_flag=True, help="Tell what each task gave up, and to which limit.")
+@animate_option
+@click.option("--save", metavar="FORMAT", help="Also write each run to DIR as csv, mat (MATLAB) or nc (netCDF).")
+@click.option("--frame", help="Of what --save writes: enu (ENU/FLU, the default) or ned (NED/FRD).")
 @campaign_options
 @out_folder
 @as_json
@@ -47,9 +57,17 @@ def simulate(
     chances: tuple[str, ...],
     beam: float | None,
     own_state: str | None,
+    controller: str | None,
+    link_loss: float | None,
+    link_delay: float | None,
+    link_deadline: float | None,
+    link_timeout: float | None,
     seed: int,
     runs: int,
     explained: bool,
+    animate: Path | None,
+    save: str | None,
+    frame: str | None,
     monte_carlo: bool,
     worlds: int | None,
     worst: int | None,
@@ -66,21 +84,33 @@ def simulate(
     draws what it flies, says how often it ends badly, at most, and keeps its runs in DIR; killed, the same command
     continues. Its JSON has single runs up to 100 of them, DIR all as CSV.
 
+    With --controller the law is stepped elsewhere: by the process that an export's `make controller` builds, or by its
+    C on an emulated processor. Every answer is compared with Python's, to the last bit. Loss and delay of the line are
+    played by the seed; without a command in time, or a controller that is gone, the thrusters get zero.
+
     Examples: surctl simulate pool-static --sensing sonar --runs 5; surctl simulate tank-static --law paper --out plots;
     surctl simulate tank-static --sensing sonar --fault stuck:0:5 --chance dropout=0.1;
     surctl simulate tank-static --runs 1000 --monte-carlo --out mc;
+    surctl simulate tank-moving --save csv --frame ned --out log;
+    surctl simulate tank-moving --sensing sonar --animate run.gif;
+    surctl simulate pool-static --controller tcp://127.0.0.1:5555 --link-loss 0.1;
     surctl simulate --from mc/worst/tank-static-worst-1.toml --out plots
     """
-    if replayed is not None:
-        fly_again(replayed, explained=explained, out=out, as_json=as_json)
     campaign = CampaignOptions(monte_carlo, worlds, worst, threads, fresh)
+    link = ControllerOptions(controller, link_loss, link_delay, link_deadline, link_timeout)
+    link.check(campaign=campaign.any or replayed is not None)
+    flights = 1 if replayed is not None else runs * len(scenarios)
+    check_animate(animate, flights=flights, campaign=campaign.any and replayed is None)
+    if replayed is not None:
+        fly_again(replayed, explained=explained, out=out, animate=animate, as_json=as_json)
     campaign.check(scenarios=scenarios, runs=runs, explained=explained, out=out)
     from surctl.control import build_law, load_gains
     from surctl.files import prepare_folder
-    from surctl.simulation import halt_reason, load_scenario
+    from surctl.simulation import halt_reason, law_numbers, load_scenario, save_record
     from surctl.simulation import simulate as fly
     from surctl.vehicle import load_vehicle
 
+    _check_save(save, frame, out=out, campaign=campaign.any)
     if out is not None:
         prepare_folder(out)
     chosen = load_gains(gains)
@@ -103,7 +133,7 @@ def simulate(
         )
         campaign.fly(wanted, runs=worlds or runs, out=out, as_json=as_json)
     plans = [sensors.over(load_scenario(name)) for name in scenarios]
-    vehicles = [load_vehicle(vehicle or scenario.vehicle) for scenario in plans]
+    vehicles = [load_vehicle(scenario.vehicle if vehicle is None else vehicle) for scenario in plans]
     laws = [  # takes a second, so a mistake is told before
         build_law(
             law,
@@ -114,22 +144,58 @@ def simulate(
             guidance=guidance,
             barrier=barrier,
             movers=movers,
+            depths=scenario.depths is not None,
         )
         for scenario, flown in zip(plans, vehicles, strict=True)
     ]
-    results, lines = [], []
-    for scenario, flown, built in zip(plans, vehicles, laws, strict=True):
-        for k in range(seed, seed + runs):
-            run = fly(scenario, flown, gains=chosen, law=built, sensing=sensing, seed=k)
-            results.append(run.to_dict())
-            if sensing == "sonar":
-                results[-1]["sensors"] = sensors_told(scenario)
-            lines.append(run_line(run))
-            if as_json:
-                progress(lines[-1])
-            if run.metrics.stopped_because in ("halted", "dead end"):
-                results[-1]["halted_because"] = halt_reason(run)
-                lines.append(f"  {run.metrics.stopped_because}: {results[-1]['halted_because']}")
-            lines += explained_and_drawn(run, results[-1], explained=explained, out=out)
+    results, lines = [], list[str]()
+    kept = "the runs above are done" + (f", files in {out}" if out else "") + "; --seed K begins with another one"
+    with stoppable(kept if runs * len(plans) > 1 else "the run was not finished", lines, as_json=as_json):
+        for scenario, flown, built in zip(plans, vehicles, laws, strict=True):
+            p = law_numbers(scenario, chosen, flown)
+            with link.opened(built, p, scenario, flown) as line:
+                for k in range(seed, seed + runs):
+                    linked = link.linked(built, p, line, scenario, flown, seed=k)
+                    run = fly(scenario, flown, gains=chosen, law=built, sensing=sensing, seed=k, stepper=linked)
+                    results.append(run.to_dict())
+                    if sensing == "sonar":
+                        results[-1]["sensors"] = sensors_told(scenario)
+                    lines.append(run_line(run))
+                    if as_json:
+                        progress(lines[-1])
+                    if run.metrics.stopped_because in ("halted", "dead end"):
+                        results[-1]["halted_because"] = halt_reason(run)
+                        lines.append(f"  {run.metrics.stopped_because}: {results[-1]['halted_because']}")
+                    lines += explained_and_drawn(run, results[-1], explained=explained, out=out, animate=animate)
+                    if save is not None and out is not None:
+                        results[-1]["file"] = str(save_record(run, out, kind=save, frame=frame or "enu"))
+                        lines.append(f"  {results[-1]['file']}")
+                    if linked is not None:
+                        told = linked.report()
+                        results[-1]["link"] = told.to_dict()
+                        lines.append(f"  {told.line()}")
+                        if told.gone_s is not None:
+                            break
     good = all(r["reached"] and r["min_clearance_m"] > 0 for r in results)
+    good = good and not any("link" in r and r["link"]["differing"] for r in results)
     finish({"runs": results}, lines, as_json=as_json, passed=good)
+
+
+def _check_save(save: str | None, frame: str | None, *, out: Path | None, campaign: bool) -> None:
+    if save is None and frame is None:
+        return
+    from surctl.errors import InputError, nearest
+    from surctl.simulation import RECORD_FORMATS
+    from surctl.vehicle import check_frame
+
+    if frame is not None:
+        check_frame(frame, key="--frame")
+    if save is None:
+        raise InputError("says of what?", key="--frame", value=frame, remedy="add --save csv, mat or nc")
+
+    if save not in RECORD_FORMATS:
+        raise InputError("is not known", key="--save", value=save, remedy=nearest(save, RECORD_FORMATS))
+    if campaign:
+        raise InputError("does not go with a campaign", key="--save", remedy="its runs are in runs.csv")
+    if out is None:
+        raise InputError("needs a folder", key="--save", remedy="add --out DIR")

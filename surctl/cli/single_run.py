@@ -21,9 +21,14 @@ def run_line(run: Run) -> str:
     )
 
 
-def explained_and_drawn(run: Run, result: dict[str, Any], *, explained: bool, out: Path | None) -> list[str]:
-    """Further lines: explanations, which go into `result` too, and the plot in the folder `out`."""
-    lines = []
+def explained_and_drawn(
+    run: Run, result: dict[str, Any], *, explained: bool, out: Path | None, animate: Path | None = None
+) -> list[str]:
+    """Further lines: changes of depth, explanations and moving picture, which go into `result` too, and the plots in
+    the folder `out`."""
+    from surctl.simulation import depth_changes
+
+    lines = [f"  {change}" for change in depth_changes(run)]
     if explained:
         from surctl.simulation import explain
 
@@ -34,4 +39,13 @@ def explained_and_drawn(run: Run, result: dict[str, Any], *, explained: bool, ou
         from surctl.report import save_run
 
         lines.append(f"  {save_run(run, out)}")
+        if explained:
+            from surctl.report import save_priority
+
+            lines.append(f"  {save_priority(run, out)}")
+    if animate is not None:
+        from surctl.report import save_animation
+
+        result["animation"] = str(save_animation(run, animate))
+        lines.append(f"  {result['animation']}")
     return lines

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import click
 
-from surctl.cli.output import as_json, finish, progress
+from surctl.cli.output import as_json, finish, progress, same_command, stoppable
 from surctl.cli.verify import claim_line
 
 __all__ = ["study"]
@@ -27,7 +28,9 @@ def study(file: str | None, out: Path, workers: int, as_json: bool) -> None:
     from surctl.study import conduct, load_plan
 
     command = " ".join(["surctl study", *([file] if file else []), f"--out {out}"])
-    result = conduct(load_plan(file), out, workers=workers, progress=progress, command=command)
+    plan = load_plan(file)
+    with stoppable(f"the points that were swept are in {out}; to go on: {same_command()}"):
+        result = conduct(plan, out, workers=workers, progress=progress, command=command)
     lines = [f"study {result.plan.name}: {'passed' if result.passed else 'NOT passed'}"]
     marks = {True: "ok  ", False: "FAIL", None: "    "}
     lines += [f"{marks[note.passed]} {note.text}" for note in result.notes]
@@ -37,4 +40,11 @@ def study(file: str | None, out: Path, workers: int, as_json: bool) -> None:
         lines.append(f"{m.name:<12} {numbers}")
     lines += ["", *(claim_line(v) for v in result.verdicts)]
     lines += ["", f"gains  {result.gain_file}", f"code   {out / 'export'}", f"report {result.report}"]
-    finish(result.to_dict(), lines, as_json=as_json, passed=result.passed)
+    then = [
+        shlex.join(words)
+        for words in (
+            ["surctl", "tune", *([file] if file else [])],
+            ["surctl", "verify", "--gains", str(result.gain_file)],
+        )
+    ]
+    finish(result.to_dict(), lines, as_json=as_json, passed=result.passed, then=then)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.output import as_json, finish, progress
+from surctl.cli.output import as_json, finish, progress, same_command, stoppable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -40,8 +41,15 @@ _TOLD = (  # columns printed for people
 @click.option("--vehicle", "vehicles", multiple=True, help="Vehicles: names or files; default: each scenario's.")
 @click.option("--sensing", default="truth", help="truth, or through the sonar array: sonar.")
 @click.option("--gains", default="default", help="All other gains: name or path.")
-@click.option("--law", default="guarded", help="guarded; the printed stack: paper; a textbook law: apf, dwa, vo, cbf.")
+@click.option(
+    "--law",
+    default="guarded",
+    help="guarded; the printed stack: paper; lean, which is told one obstacle; a textbook law: apf, dwa, vo, cbf.",
+)
 @click.option("--priority-mode", default="nsb", help="nsb, filter, projected or lexicographic.")
+@click.option(
+    "--guidance", default="los", help="los, ilos or alos; loop margins and --locus are those of los in any case."
+)
 @click.option("--design", default="grid", help="grid, or points that fill ranges: lhs, sobol.")
 @click.option("--points", type=click.IntRange(min=1), help="Number of points of lhs and sobol.")
 @click.option("--sensitivity", metavar="COLUMN", help="Sobol' indices of a column; takes N(axes + 2) points, N = 64.")
@@ -64,6 +72,7 @@ def sweep(
     gains: str,
     law: str,
     priority_mode: str,
+    guidance: str,
     design: str,
     points: int | None,
     sensitivity: str | None,
@@ -112,14 +121,15 @@ def sweep(
     cases = build_cases(
         [load_scenario(name) for name in scenarios],
         [load_vehicle(name) for name in vehicles],
-        gains=base, law=law, mode=priority_mode, sensing=sensing,
+        gains=base, law=law, mode=priority_mode, sensing=sensing, guidance=guidance,
     )  # fmt: skip
     executor = _executor(workers, dask)
     if locus is not None:  # what is wrong with it is told now, not after the flights
         swept = chosen.points[:, chosen.names.index(locus)]
         _locus(cases, base, locus, swept, {})
     prepare_folder(out)
-    table = run_sweep(cases, chosen, seeds=range(seeds), executor=executor, out=out, progress=progress)
+    with stoppable(f"the points that were flown are in {out}; to go on: {same_command()}"):
+        table = run_sweep(cases, chosen, seeds=range(seeds), executor=executor, out=out, progress=progress)
     found = None if sensitivity is None else indices(table, sensitivity)
     picked = table.picked
     gains_path = write_file(out / "gains.toml", write_gains(table.gains))
@@ -135,6 +145,8 @@ def sweep(
     where = table.gains.provenance if picked else "no point is feasible"
     lines += ["", where, f"gains {gains_path}", f"table {table.path}"]
     lines += [f"plot  {picture}" for picture in pictures]
+    about = shlex.join([*(("--vehicle", vehicles[0]) if vehicles else ()), "--gains", str(gains_path)])
+    then = [f"surctl verify {about}"] if picked is not None else []
     data = {
         "axes": {axis.name: axis.values.tolist() for axis in table.axes},
         "units": {axis.name: axis.unit for axis in table.axes} | dict(table.units),
@@ -144,7 +156,7 @@ def sweep(
         "sensitivity": None if found is None else found.to_dict(),
         "table": str(table.path),
     }
-    finish(data, lines, as_json=as_json, passed=picked is not None)
+    finish(data, lines, as_json=as_json, passed=picked is not None, then=then)
 
 
 def _executor(workers: int | None, dask: str | None) -> Executor:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from surctl.cli.output import as_json, finish, finite, progress
+from surctl.cli.output import as_json, finish, finite, progress, same_command, stoppable
 
 __all__ = ["tune"]
 
@@ -22,6 +22,7 @@ __all__ = ["tune"]
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of the search and of the fresh runs.")
 @click.option("--seeds", type=click.IntRange(1, 1_000_000), default=4, help="Seeds 0 to N-1 of every scenario.")
 @click.option("--vehicle", "vehicles", multiple=True, help="Flies every scenario: name or file; default: the study's.")
+@click.option("--guidance", help="los, ilos or alos; default: the study's. Loop margins are those of los in any case.")
 @click.option("--rounds", type=click.IntRange(min=1), default=3, help="Most rounds of tuning and verifying.")
 @click.option(
     "--monte-carlo",
@@ -35,6 +36,11 @@ __all__ = ["tune"]
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("surctl-out"), help="Folder; a killed one resumes."
 )
+@click.option("--page", is_flag=True, help="Serve a page with sliders on this machine instead; needs marimo.")
+@click.option("--scenario", help="Of the page; default: the study's first.")
+@click.option("--gains", "gains_file", help="Of the page, gain file: name or path; default: the study's.")
+@click.option("--port", type=click.IntRange(1, 65535), help="Of the page; default: a free one.")
+@click.option("--no-browser", is_flag=True, help="Print the page's address and open nothing.")
 @as_json
 def tune(
     file: str | None,
@@ -44,11 +50,17 @@ def tune(
     seed: int,
     seeds: int,
     vehicles: tuple[str, ...],
+    guidance: str | None,
     rounds: int,
     runs: int,
     descend: bool,
     workers: int,
     out: Path,
+    page: bool,
+    scenario: str | None,
+    gains_file: str | None,
+    port: int | None,
+    no_browser: bool,
     as_json: bool,
 ) -> None:
     """Tune gains to goals, and tune again with the runs that refute them.
@@ -56,13 +68,30 @@ def tune(
     Hard goals must be met over every scenario, seed and corner of the vehicle's ranges; soft goals are brought low.
     Fresh runs and the claims then try to refute the result. Exit status 1 when a hard goal is not met or does not hold.
 
-    Examples: surctl tune; surctl tune my-study.toml --gain k_v=0.5..3 --gain lookahead --goals my-goals.toml
+    Examples: surctl tune; surctl tune my-study.toml --gain k_v=0.5..3 --gain lookahead --goals my-goals.toml;
+    surctl tune --page --scenario pool-behind --gains my-gains.toml
     """
+    if page:
+        from surctl.cli.tuning_page import serve_page
+
+        serve_page(file, goals_file, vehicles, scenario=scenario, gains=gains_file, port=port, browser=not no_browser)
+        return
+    if scenario or gains_file or port or no_browser:
+        raise click.UsageError("--scenario, --gains, --port and --no-browser are of --page")
     from surctl.control import write_gains
     from surctl.files import prepare_folder, write_file
-    from surctl.simulation import Case
     from surctl.study import load_plan
-    from surctl.tuning import TUNED, Request, conditions, gain_ranges, load_goals, summary, tuned_gains, tuning_dict
+    from surctl.tuning import (
+        TUNED,
+        Request,
+        build_cases,
+        conditions,
+        gain_ranges,
+        load_goals,
+        summary,
+        tuned_gains,
+        tuning_dict,
+    )
     from surctl.tuning import tune as run_tuning
     from surctl.vehicle import load_vehicle
 
@@ -75,7 +104,8 @@ def tune(
     if vehicles:
         scenarios = {s.name: s for s, _ in flown}.values()
         flown = [(s, v) for v in map(load_vehicle, vehicles) for s in scenarios]
-    cases = [Case(scenario, vehicle, plan.gains, law=plan.law) for scenario, vehicle in flown]
+    kind = {"law": plan.law, "guidance": plan.guidance if guidance is None else guidance}
+    cases = [build_cases([scenario], [vehicle], gains=plan.gains, **kind)[0] for scenario, vehicle in flown]
     prepare_folder(out)
     request = Request(
         goals,
@@ -85,9 +115,10 @@ def tune(
         seed=seed,
         threads=workers,
     )
-    tuning = run_tuning(
-        request, trials=trials, rounds=rounds, runs=runs, descend=descend, folder=out, progress=progress
-    )
+    with stoppable(f"the trials that were flown are in {out}; to go on: {same_command()}"):
+        tuning = run_tuning(
+            request, trials=trials, rounds=rounds, runs=runs, descend=descend, folder=out, progress=progress
+        )
     gains_path = write_file(out / "gains.toml", write_gains(tuned_gains(tuning)))
     result = tuning_dict(tuning)
     everything = write_file(out / "tuning.json", json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n")
@@ -96,11 +127,16 @@ def tune(
     pictures = save_tuning(tuning, out)
     lines = [*summary(tuning), "", f"gains {gains_path}", f"all   {everything}"]
     lines += [f"plot  {path}" for path in pictures]
-    lines += ["next", *(f"  surctl {what} --gains {shlex.quote(str(gains_path))}" for what in ("verify", "export"))]
+    about = shlex.join([*(("--vehicle", vehicles[0]) if vehicles else ()), "--gains", str(gains_path)])
+    then = [
+        f"surctl verify region-cruise-20 {about} --out {shlex.quote(str(out / 'proofs'))}",
+        f"surctl export {about}",
+    ]
     if not tuning.kept:
         again = shlex.join([*sys.argv[1:], "--trials", str(2 * trials), "--rounds", str(rounds + 2)])
-        lines.append(f"  surctl {again}  (or relax a goal)")
-    finish(result, lines, as_json=as_json, passed=tuning.kept)
+        then = [f"surctl {again}"]
+        lines.append("not met: search longer, or relax a goal")
+    finish(result, lines, as_json=as_json, passed=tuning.kept, then=then)
 
 
 def _gain(text: str) -> tuple[str, tuple[float, float] | None]:

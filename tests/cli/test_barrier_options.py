@@ -8,7 +8,7 @@ from tests.cli.process import surctl
 
 
 def test_verify_prints_the_safety_claim_and_fails_where_it_does_not_hold(tmp_path: Path) -> None:
-    common = ("verify", "braking-range", "--scenario", "tank-static")
+    common = ("verify", "braking-mass", "--scenario", "tank-static")
     near = surctl(*common, "--uncertainty", "0.2", "--json", cwd=tmp_path)
     assert near.status == 0 and near.json["safety"]["holds"] is True
     assert {row["name"] for row in near.json["safety"]["assumptions"]} >= {"thrust lag", "obstacle speed"}
@@ -17,6 +17,6 @@ def test_verify_prints_the_safety_claim_and_fails_where_it_does_not_hold(tmp_pat
 
 
 def test_mistakes_are_named(tmp_path: Path) -> None:
-    for command in (("simulate", "tank-static"), ("verify", "braking-range", "--scenario", "tank-static")):
+    for command in (("simulate", "tank-static"), ("verify", "braking-mass", "--scenario", "tank-static")):
         done = surctl(*command, "--barrier", "inertial", cwd=tmp_path)
         assert done.status != 0 and "did you mean 'inertia'" in done.complaint

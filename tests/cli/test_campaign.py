@@ -110,7 +110,8 @@ def test_random_worlds_are_flown_and_kept(tmp_path):
         (["tank-static", "--monte-carlo", "--out", "/dev/null"], "--out"),
         (["--from", "none.toml"], "none.toml: no such file"),
         (["--from", "none.toml", "--law", "paper"], "drop --law"),
-        (["tank-static", "--from", "none.toml"], "is said by the file"),
+        (["tank-static", "--from", "none.toml"], "is said by the file; drop the scenarios, or edit it"),
+        (["--from", "none.toml", "--random-worlds", "3"], "drop --random-worlds, or edit it"),
     ],
 )
 def test_mistakes_are_told_in_one_line(words, complaint, tmp_path):

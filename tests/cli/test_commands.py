@@ -94,8 +94,13 @@ def test_simulate_draws_to_a_folder(tmp_path):
 
 
 def test_verify_tells_expected_verdicts(tmp_path):
-    done = surctl("verify", "v1-printed", "v1-corrected", "--json", cwd=tmp_path)
+    done = surctl("verify", "v1-printed", "v1-corrected", "--stack", "guarded", "--json", cwd=tmp_path)
     assert done.status == 0
+    nominal, worst = (done.json["linear"][k] for k in ("nominal", "worst"))
+    for mild, bad in zip(nominal["disk_margins"], worst["disk_margins"], strict=True):
+        assert 0 < bad["guaranteed"] < mild["guaranteed"] <= mild["reached"]
+    assert worst["sampled"]["largest_period_s"]["1"] < nominal["sampled"]["largest_period_s"]["1"]
+    assert [level["outcome"] for level in done.json["stacks"]["guarded"]["levels"]] == ["converges"] * 3
     printed, corrected = done.json["claims"]
     assert printed["verdict"] == printed["expected"] == "refuted"
     assert printed["counterexample"]["values"]
@@ -122,6 +127,8 @@ def test_verify_proves_a_file_and_check_accepts_what_it_writes(tmp_path):
     assert done.status == 0
     (claim,) = done.json["claims"]
     assert claim["verdict"] == "proved" and claim["certificate"]["file"] == "proofs/sway.json"
+    assert {f"proofs/{p.name}" for p in (tmp_path / "proofs").glob("*.png")} == set(done.json["pictures"])
+    assert "proofs/sway-cells.png" in done.json["pictures"]
     checked = surctl("check", "proofs/sway.json", "--json", cwd=tmp_path)
     assert checked.status == 0 and checked.json["accepted"] and checked.json["claim"]["name"] == "sway"
     path = tmp_path / "proofs" / "sway.json"
@@ -185,6 +192,8 @@ def test_export_ships_the_law_that_senses_and_checks_it_over_its_flight(tmp_path
     assert (flight["scenario"], flight["sensing"], flight["law"]) == ("pool-behind", "sonar", "guarded")
     assert flight["sensors"]["faults"][0]["kind"] == "dropout"
     assert done.json["sil"]["steps"] > 200
+    flown = "surctl simulate pool-behind --sensing sonar --fault dropout:0:2:3 --controller tcp://127.0.0.1:5555"
+    assert done.json["next"] == ["make -C c controller && c/controller 5555", flown]
     header = (tmp_path / "c" / "pilot.h").read_text()
     assert (
         "double samples[4][5];" in header and re.search(r"_at_map_cells = \d+", header) and "double eta" not in header
@@ -198,8 +207,9 @@ def test_export_of_the_law_on_true_positions(tmp_path):
     done = surctl(*words, "--out", "c", cwd=tmp_path)
     assert done.status == 0 and done.json["sil"]["passed"]
     assert done.json["flight"]["sensing"] == "truth" and "sensors" not in done.json["flight"]
+    assert done.json["next"][1] == "surctl simulate pool-static --controller tcp://127.0.0.1:5555"
     header = (tmp_path / "c" / "pilot.h").read_text()
-    assert "double eta[4];" in header and "samples" not in header
+    assert "double eta[4];" in header and "double samples" not in header
     again = surctl(*words, "--out", "d", cwd=tmp_path)
     assert again.json["sha256"] == done.json["sha256"]
 

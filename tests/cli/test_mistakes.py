@@ -13,7 +13,7 @@ STUDY = (LIBRARY / "study" / "library" / "default.toml").read_text()
 
 FILES = {
     "missing key": (VEHICLE.replace("m33 =", "# m33 ="), ["m.toml", "inertia.m33", "is missing", "kg"]),
-    "wrong unit": (VEHICLE.replace('unit = "kg m^2"', 'unit = "g m^2"'), ["inertia.m44.unit", "'g m^2'", "kg m^2"]),
+    "wrong unit": (VEHICLE.replace('unit = "kg m^2"', 'unit = "kg m"'), ["inertia.m44.unit", "'kg m'", "kg m^2"]),
     "wrong sign": (VEHICLE.replace("value = 50.0", "value = -50.0", 1), ["inertia.m11", "-50.0", "greater than 0"]),
     "not a number": (VEHICLE.replace("value = 50.0", "value = nan", 1), ["inertia.m11", "nan"]),
     "text for a number": (VEHICLE.replace("value = 50.0", 'value = "50 kg"', 1), ["inertia.m11.value", "50 kg"]),
@@ -24,6 +24,7 @@ FILES = {
     "another kind": ('kind = "boat"\n', ["kind", "boat", "vehicle"]),
     "a study without a vehicle": (STUDY.replace("vehicle =", "# vehicle =", 1), ["vehicle", "is missing"]),
     "a study of unknown claims": ('claims = ["v1-printd"]\n' + STUDY, ["v1-printed"]),
+    "an unknown guidance": ('guidance = "ilo"\n' + STUDY, ["guidance", "'ilo'", "'ilos'"]),
     "a sweep of an unknown gain": (STUDY.replace('gain = "k_v"', 'gain = "kv"'), ["kv", "'k_v'"]),
     "a sweep of a value twice": (
         re.sub(r"(k_v.*\nvalues = )\[.*\]", r"\1[1.0, 1.0]", STUDY),
@@ -128,6 +129,7 @@ WORDS = {
     "no axis": (["sweep", "lookahead", "k_v=1,2"], ["lookahead", "KNOB="]),
     "axis twice": (["sweep", "k_v=1,2", "k_v=1,2"], ["k_v", "twice"]),
     "axis of zero": (["sweep", "k_v=0,1", "lookahead=1,2"], ["k_v", "greater than 0"]),
+    "a sweep of unknown guidance": (["sweep", "k_v=1,2", "--guidance", "ilo"], ["guidance", "'ilos'"]),
     "no such knob": (["sweep", "kv=1,2"], ["kv", "'k_v'"]),
     "reversed range": (["sweep", "k_v=3..1:4"], ["k_v", "reversed"]),
     "range without a count": (["sweep", "k_v=1..3"], ["k_v=1..3:COUNT"]),

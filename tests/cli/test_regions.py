@@ -1,9 +1,11 @@
 import json
-from dataclasses import replace
+
+import pytest
 
 from surctl.certcheck import check_file
 from surctl.cli import regions
-from surctl.verification.region import REGION_CLAIMS
+from surctl.verification.region import REGION_CLAIMS, load_region
+from tests.cli.process import surctl
 
 
 def test_names_of_regions_are_told_apart() -> None:
@@ -13,7 +15,7 @@ def test_names_of_regions_are_told_apart() -> None:
 
 def test_a_proved_region_leaves_a_certificate_that_is_accepted(tmp_path, monkeypatch) -> None:
     name = "region-cruise-20-soft"
-    monkeypatch.setitem(REGION_CLAIMS, name, REGION_CLAIMS[name]._replace(attempts=12))
+    monkeypatch.setitem(REGION_CLAIMS, name, REGION_CLAIMS[name].model_copy(update={"attempts": 12}))
     found = regions.prove_regions([name], vehicle="sur540-flooded", gains="default", out=tmp_path / "proofs")
     assert found.passed and found.lines[0].startswith("ok   region-cruise-20-soft")
     assert check_file(tmp_path / "proofs" / f"{name}.json").accepted
@@ -22,9 +24,63 @@ def test_a_proved_region_leaves_a_certificate_that_is_accepted(tmp_path, monkeyp
 
 def test_a_region_that_is_not_proved_fails_and_leaves_nothing(tmp_path, monkeypatch) -> None:
     name = "region-cruise-20"
-    entry = REGION_CLAIMS[name]
-    fast = entry._replace(attempts=2, build=lambda *given: replace(entry.build(*given), rate=5.0))
+    fast = REGION_CLAIMS[name].model_copy(update={"attempts": 2, "rate_per_s": 5.0})
     monkeypatch.setitem(REGION_CLAIMS, name, fast)
     found = regions.prove_regions([name], vehicle="sur540-flooded", gains="default", out=tmp_path)
     assert not found.passed and found.claims[0]["verdict"] == "unknown" and "FAIL" in found.lines[0]
     assert not list(tmp_path.iterdir())
+
+
+def test_what_show_prints_is_the_claim_again(tmp_path) -> None:
+    for name, statement in REGION_CLAIMS.items():
+        done = surctl("verify", name, "--show", cwd=tmp_path)
+        assert done.status == 0, done.err
+        file = tmp_path / f"{name}.toml"
+        file.write_text(done.out)
+        assert load_region(file) == statement
+    assert "nothing found" in surctl("lint", file.name, cwd=tmp_path).out
+
+
+def test_a_region_claim_of_ones_own_is_proved(tmp_path) -> None:
+    (tmp_path / "mine.toml").write_text(
+        'kind = "region"\nname = "mine"\nshare = 0.1\nforce_n = 0.1\nattempts = 12\n[gains]\nk_v = 1.2\n'
+    )
+    done = surctl("verify", "mine.toml", "--out", "proofs", "--json", cwd=tmp_path)
+    assert done.status == 0, done.err
+    (told,) = done.json["claims"]
+    assert told["claim"] == "mine" and told["verdict"] == "proved"
+    stated = json.loads((tmp_path / "proofs" / "mine.json").read_text())["claim"]
+    assert stated["vehicle"]["mass_kg"] == [85.5, 104.5] and stated["vehicle"]["force_n"] == 0.1
+    assert stated["law"]["k_v"] == 1.2
+    assert surctl("check", "proofs/mine.json", cwd=tmp_path).status == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("share = 1.5", "share = 1.5"),
+        ("shar = 0.1", "did you mean 'share'"),
+        ("force_n = nan", "force_n"),
+        ('loop = "heading"\nsampled = true', "sampled = True: is not known of the heading-steered loop"),
+        ('loop = "heading"\n[gains]\nk_v = 1.0', "gains.k_v: is no gain of the heading-steered loop"),
+        ('loop = "heading"\n[gains]\nk1 = -1.0', "gains.k1 = -1"),
+        ("[gains]\nk_w = 1.0", "gains.k_w: no such gain"),
+        ("current_m_per_s = 0.05\nsampled = true", "current = 0.05"),
+        ("cruise_m_per_s = 0.3", "cruise = 0.3"),
+    ],
+)
+def test_a_region_claim_with_a_mistake_is_told_in_one_line(tmp_path, text: str, complaint: str) -> None:
+    (tmp_path / "mine.toml").write_text(f'kind = "region"\nname = "mine"\n{text}\n')
+    done = surctl("verify", "mine.toml", cwd=tmp_path)
+    assert done.status == 2 and "mine.toml" in done.complaint and complaint in done.complaint, done.err
+
+
+def test_lint_reads_claims_and_names_the_kinds(tmp_path) -> None:
+    (tmp_path / "claim.toml").write_text(surctl("verify", "v1-printed", "--show", cwd=tmp_path).out)
+    assert surctl("lint", "claim.toml", cwd=tmp_path).status == 0
+    (tmp_path / "other.toml").write_text('kind = "regin"\n')
+    assert '"region"' in surctl("lint", "other.toml", cwd=tmp_path).complaint
+
+
+def test_a_braking_claim_has_no_file(tmp_path) -> None:
+    assert "has no claim file" in surctl("verify", "braking-rule-20", "--show", cwd=tmp_path).complaint

@@ -37,7 +37,10 @@ def test_tune_writes_gains_with_provenance_and_all_else(tmp_path):
     assert set(done.json) >= {"best", "front", "goals", "rounds", "counterexamples", "conflict"}
     assert "ETA" in done.err and "fresh runs" in done.err
     assert 0.8 <= done.json["best"]["gains"]["k_v"] <= 3
-    assert json.loads((tmp_path / "out" / "tuning.json").read_text()) == done.json
+    # the file holds the result; what to type next belongs to the screen
+    kept = {key: value for key, value in done.json.items() if key != "next"}
+    assert json.loads((tmp_path / "out" / "tuning.json").read_text()) == kept
+    assert all("--gains out/gains.toml" in command for command in done.json["next"])
     lint = surctl("lint", "out/gains.toml", cwd=tmp_path)
     assert lint.status == 0
     assert "fresh runs" in (tmp_path / "out" / "gains.toml").read_text()
@@ -64,6 +67,7 @@ MISTAKES = {
     "the same gain twice": (("--gain", "k_v", "--gain", "k_v"), "twice"),
     "goals that are not there": (("--goals", "none.toml"), "no such file"),
     "another kind of file": (("--goals", "small.toml"), "kind"),
+    "an unknown guidance": (("--guidance", "ilo"), "'ilos'"),
     "no trials": (("--trials", "0"), "--trials"),
     "a study without one": (("none.toml",), "no such file"),
 }

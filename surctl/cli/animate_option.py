@@ -1,0 +1,31 @@
+"""The option of `surctl simulate` for a moving picture of a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+__all__ = ["animate_option", "check_animate"]
+
+animate_option = click.option(
+    "--animate", type=click.Path(path_type=Path), metavar="FILE", help="Write the run as FILE.gif or, by ffmpeg, .mp4."
+)
+
+
+def check_animate(path: Path | None, *, flights: int, campaign: bool) -> None:
+    """InputError for what cannot be animated, before anything is flown; the file's folder is made."""
+    if path is None:
+        return
+    from surctl.errors import InputError
+    from surctl.files import prepare_folder
+    from surctl.report import check_animation
+
+    if campaign:
+        remedy = "fly one of DIR/worst: --from FILE --animate"
+        raise InputError("shows one run, not a campaign", key="--animate", value=str(path), remedy=remedy)
+    if flights != 1:
+        raise InputError(
+            f"shows one run, not {flights}", key="--animate", value=str(path), remedy="name one scenario, drop --runs"
+        )
+    prepare_folder(check_animation(path).parent, key="--animate")

@@ -1,0 +1,53 @@
+"""Braking claims of `surctl verify`: what the barrier with inertia guarantees, as certificates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from surctl.cli.output import progress
+
+__all__ = ["Braking", "is_braking", "prove_all"]
+
+_KINDS = ("braking-rule", "braking-inertia", "braking-simple")
+
+
+class Braking(NamedTuple):
+    """What the braking claims came to: plain data, lines to print, certificates, whether all were proved."""
+
+    claims: list[dict[str, Any]]
+    lines: list[str]
+    files: list[Path]
+    passed: bool
+
+
+def is_braking(name: str) -> bool:
+    """Whether a claim's name is that of a braking claim, rather than of a step of its proof."""
+    return name.startswith(_KINDS)
+
+
+def prove_all(names: Sequence[str], *, vehicle: str, gains: str, out: Path | None = None) -> Braking:
+    """Prove braking claims by name, for a vehicle and a gain file; the certificates go to `out` as NAME.json.
+
+    Raises:
+        InputError: an unknown claim, vehicle or gain file, or a vehicle that the claim does not fit.
+    """
+    if not names:
+        return Braking([], [], [], True)
+    from surctl.control import load_gains
+    from surctl.vehicle import load_vehicle
+    from surctl.verification.braking import braking_claim_named, prove_braking
+
+    flown, values = load_vehicle(vehicle), load_gains(gains)
+    proofs, files = [], []
+    for claim in [braking_claim_named(name, flown, values) for name in names]:
+        progress(claim.name)
+        proof = prove_braking(claim)
+        proofs.append(proof)
+        if out is not None and proof.verdict == "proved":
+            out.mkdir(parents=True, exist_ok=True)
+            files.append(out / f"{claim.name}.json")
+            proof.write(files[-1])
+    lines = [f"{'ok  ' if p.verdict == 'proved' else 'FAIL'} {p.claim.name:<22} {p.sentence}" for p in proofs]
+    return Braking([p.to_dict() for p in proofs], lines, files, all(p.verdict == "proved" for p in proofs))

@@ -1,0 +1,125 @@
+"""Options of `surctl simulate` for a controller that is a process, or a processor, of its own."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from surctl.cli.output import progress, together
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from surctl.control import Law
+    from surctl.export import Line, LinkedLaw, LinkFaults
+    from surctl.simulation import Scenario
+    from surctl.vehicle import Vehicle
+
+__all__ = ["ControllerOptions", "controller_options"]
+
+controller_options = together(
+    click.option(
+        "--controller",
+        metavar="ADDRESS",
+        help="Fly the exported controller: tcp://HOST:PORT where it listens, or qemu:cortex-m4f, in float, emulated.",
+    ),
+    click.option("--link-loss", type=float, help="With --controller: chance that a message is lost, each way."),
+    click.option("--link-delay", type=float, metavar="S", help="With --controller: how late an answer arrives."),
+    click.option("--link-deadline", type=float, metavar="S", help="Age of a command that is too old: 0.25 s."),
+    click.option("--link-timeout", type=float, metavar="S", help="Silence after which it is gone: 5 s of this clock."),
+)
+
+
+@dataclass(frozen=True)
+class ControllerOptions:
+    """What was said of the controller and its line; None: nothing."""
+
+    controller: str | None
+    loss: float | None
+    delay: float | None
+    deadline: float | None
+    timeout: float | None
+
+    def check(self, *, campaign: bool) -> None:
+        """Raise InputError for options that do not go together."""
+        from surctl.errors import InputError
+
+        said = {"loss": self.loss, "delay": self.delay, "deadline": self.deadline, "timeout": self.timeout}
+        alone = [f"--link-{name}" for name, value in said.items() if value is not None]
+        if self.controller is None:
+            if alone:
+                raise InputError("is for --controller", key=alone[0], remedy="add --controller tcp://127.0.0.1:PORT")
+            return
+        if campaign:
+            raise InputError(
+                "flies single runs", key="--controller", remedy="leave --monte-carlo, --random-worlds and --from out"
+            )
+        if self.timeout is not None and not 0.0 < self.timeout <= 3600.0:
+            raise InputError("is no time", key="link-timeout", value=self.timeout, remedy="give seconds, above 0")
+        if not self.controller.startswith(("tcp://", "qemu:")):
+            raise InputError(
+                "is no address of a controller",
+                key="controller",
+                value=self.controller,
+                remedy="use tcp://HOST:PORT or qemu:cortex-m4f",
+            )
+        self._faults(seed=0)
+
+    @contextmanager
+    def opened(self, law: Law, p: NDArray[np.float64], mission: Scenario, flown: Vehicle) -> Iterator[Line | None]:
+        """The line to the controller of this law with these numbers; None if the law itself is to fly.
+
+        Raises:
+            InputError: nobody listens there, or there is no such processor.
+        """
+        if self.controller is None:
+            yield None
+            return
+        from surctl.export import build_bundle, closed_form, connect, emulated, emulated_target, flight_envelope
+
+        if self.controller.startswith("tcp://"):
+            with connect(self.controller, **({} if self.timeout is None else {"patience": self.timeout})) as line:
+                yield line
+            return
+        target = emulated_target(self.controller.removeprefix("qemu:"))
+        shipped, within = closed_form(law, real="float32"), flight_envelope(law, mission, flown, law.gains)
+        bundle = build_bundle(shipped, law.gains.unpack(p), real="float32", envelope=within)
+        progress(f"compiling for {target.name}")
+        with (
+            tempfile.TemporaryDirectory(prefix="surctl-pil-") as scratch,
+            emulated(bundle, target, Path(scratch)) as line,
+        ):
+            line.patience = line.patience if self.timeout is None else self.timeout
+            yield line
+
+    def linked(
+        self, law: Law, p: NDArray[np.float64], line: Line | None, mission: Scenario, flown: Vehicle, *, seed: int
+    ) -> LinkedLaw | None:
+        """A run's stepper over an open line.
+
+        Raises:
+            InputError: another controller than the one for this run is at the other end.
+        """
+        if line is None:
+            return None
+        from surctl.export import LinkedLaw, flight_envelope
+
+        return LinkedLaw(law, p, line, self._faults(seed=seed), flight_envelope(law, mission, flown, law.gains))
+
+    def _faults(self, *, seed: int) -> LinkFaults:
+        from surctl.export import LinkFaults
+
+        usual = LinkFaults()
+        said = (self.loss, self.delay, self.deadline)
+        loss, delay, deadline = (
+            value if value is not None else other
+            for value, other in zip(said, (usual.loss, usual.delay, usual.deadline), strict=True)
+        )
+        return LinkFaults(loss, delay, deadline, seed)

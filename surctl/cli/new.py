@@ -1,0 +1,79 @@
+"""`surctl new`: a commented file to start from."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import click
+
+from surctl.cli.output import as_json, finish
+
+__all__ = ["new", "path_of", "write_new"]
+
+_TEMPLATES = Path(__file__).parent / "templates"
+_NEXT = {
+    "vehicle": ("surctl lint {}", "surctl tune --vehicle {} --out tuned"),
+    "scenario": ("surctl lint {}", "surctl simulate {}"),
+    "study": ("surctl lint {}", "surctl study {}"),
+    "task": ("python {}",),
+}
+
+
+@click.command
+@click.argument("kind", type=click.Choice(list(_NEXT)))
+@click.argument("name")
+@click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="Where to; default: NAME.toml, NAME.py.")
+@click.option("--force", is_flag=True, help="Write over a file that is there.")
+@as_json
+def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> None:
+    """Write a commented file to start from: a vehicle, scenario, study, or a task in Python.
+
+    It works as it is. Examples: surctl new vehicle my-robot; surctl new scenario harbour --out sites/harbour.toml
+    """
+    from surctl.errors import InputError
+    from surctl.files import quoted
+
+    template = next(_TEMPLATES.glob(f"{kind}.*"))
+    identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
+    if kind == "task" and not identifier.isidentifier():
+        raise InputError("is no name of a task", key="name", value=name, remedy="begin with a letter")
+    text = template.read_text(encoding="utf-8").replace("@NAME@", quoted(name)).replace("@IDENTIFIER@", identifier)
+    suffix = ".py" if kind == "task" else ".toml"
+    target = write_new(out or path_of(name, suffix), text, force=force)
+    shown = shlex.quote(str(target))
+    then = [command.format(shown) for command in _NEXT[kind]]
+    told = {"kind": kind, "name": name, "file": str(target)}
+    finish(told, [f"wrote {target}"], as_json=as_json, passed=True, then=then)
+
+
+def path_of(name: str, suffix: str) -> Path:
+    """The file in this folder that is named after what it holds.
+
+    Raises:
+        InputError: a name that is empty, leads to another folder or holds what does not print.
+    """
+    from surctl.errors import InputError
+
+    if not name.strip() or Path(name).name != name or not name.isprintable():
+        raise InputError("cannot be a file's name", key="name", value=name, remedy="say where to with --out FILE")
+    return Path(f"{name}{suffix}")
+
+
+def write_new(target: Path, text: str, *, force: bool) -> Path:
+    """Write a file that is not there yet.
+
+    Raises:
+        InputError: it is there, and not `force`; or it cannot be written.
+    """
+    from surctl.errors import InputError
+    from surctl.files import write_file
+
+    try:
+        there = target.exists()
+    except OSError as error:  # a name too long
+        raise InputError(f"cannot be written ({error.strerror})", file=target, remedy="choose another --out") from None
+    if there and not force:
+        raise InputError("is there already", file=target, remedy="choose another --out, or give --force")
+    return write_file(target, text)

@@ -1,0 +1,64 @@
+"""`surctl tune --page`: the page with sliders."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+import click
+
+from surctl.cli.output import progress
+
+__all__ = ["serve_page"]
+
+
+def serve_page(
+    study: str | None,
+    goals: str | None,
+    vehicles: Sequence[str],
+    *,
+    scenario: str | None,
+    gains: str | None,
+    port: int | None,
+    browser: bool,
+) -> None:
+    """Serve the page until Ctrl-C; what is not named is the study's."""
+    from importlib.util import find_spec
+
+    from surctl.control import load_gains
+    from surctl.errors import ToolMissing
+    from surctl.report.bench import Bench
+    from surctl.report.serve import serve
+    from surctl.simulation import load_scenario
+    from surctl.study import load_plan
+    from surctl.tuning import load_goals
+    from surctl.vehicle import load_vehicle
+
+    if find_spec("marimo") is None:  # told now, not after the compilation
+        remedy = 'pip install "surctl[notebooks]"'
+        raise ToolMissing("the tuning page needs marimo, which is not installed", remedy=remedy)
+    if len(vehicles) > 1:
+        raise click.BadParameter("the page flies one vehicle", param_hint="--vehicle")
+    plan = load_plan(study)
+    first = plan.deciding[0]
+    mission = first.scenario if scenario is None else load_scenario(scenario)
+    own = {leg.scenario.name: leg.vehicle for leg in plan.legs}
+    vehicle = load_vehicle(vehicles[0]) if vehicles else own.get(mission.name) or load_vehicle(mission.vehicle)
+    start = plan.gains if gains is None else load_gains(gains)
+    bench = Bench(vehicle, mission, start, plan.goals if goals is None else load_goals(goals))
+    progress("compiling the closed loop; once, it is kept")
+    bench.fly(start)
+    bench.judge(start)
+
+    def ready(address: str) -> None:
+        click.echo(f"{address}  (Ctrl-C ends it)")
+        if browser:
+            click.launch(address)
+
+    try:
+        serve(bench, port=port, ready=ready)
+    except KeyboardInterrupt:
+        click.echo("surctl: stopped; what was saved is kept", err=True)
+        sys.stdout.flush()
+        os._exit(130)  # an open page's threads wait for its next move, and the interpreter for them; files are whole

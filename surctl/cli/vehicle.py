@@ -1,0 +1,164 @@
+"""`surctl vehicle`: a vehicle file from what can be measured."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from surctl.cli.output import as_json, finish
+
+if TYPE_CHECKING:
+    from surctl.vehicle import Identified, Vehicle
+
+__all__ = ["vehicle"]
+
+
+class _Measured(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
+    """A number with its unit, "54 cm"; without one it counts in the unit that the help names."""
+
+    def __init__(self, unit: str) -> None:
+        self.unit, self.name = unit, unit
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        from surctl.errors import InputError
+        from surctl.units import in_unit, number_and_unit
+
+        if isinstance(value, float):
+            return value
+        try:
+            number, unit = number_and_unit(str(value))
+            return in_unit(number, unit or self.unit, self.unit)
+        except InputError as error:
+            key = param.opts[0] if param is not None else None
+            raise InputError(error.problem, key=key, value=value, remedy=error.remedy) from None
+
+
+_out = click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="Vehicle file; default: NAME.toml.")
+_over = click.option("--force", is_flag=True, help="Write over a file that is there.")
+_name = click.option("--name", default="my-vehicle", help="Name of the vehicle.")
+
+
+@click.group()
+def vehicle() -> None:
+    """Make a vehicle file: from-geometry, or from-log with intervals from a CSV of motion and thrust.
+
+    Examples: surctl vehicle from-geometry --help; surctl vehicle from-log --help
+    """
+
+
+@vehicle.command("from-geometry")
+@_name
+@click.option("--diameter", type=_Measured("m"), required=True, help='Of the sphere: m, or "54 cm".')
+@click.option("--mass", type=_Measured("kg"), required=True, help="In air, drained: kg.")
+@click.option("--flooded", type=float, default=0.75, help="Fraction of the water inside that moves along [0.75].")
+@click.option("--cd", type=float, default=0.52, help="Drag coefficient of the frontal area [0.52].")
+@click.option("--thrust", type=_Measured("N"), required=True, help="Largest force along each axis: N, kgf, lbf.")
+@click.option("--yaw-thrust", type=_Measured("N m"), required=True, help="Largest moment about the vertical: N m.")
+@click.option("--thrust-lag", type=_Measured("s"), default=0.3, help="First-order lag of the thrust: s [0.3].")
+@click.option("--density", type=_Measured("kg/m^3"), default=1000.0, help="Of the water: kg/m^3 [1000].")
+@_out
+@_over
+@as_json
+def from_geometry(
+    name: str,
+    diameter: float,
+    mass: float,
+    flooded: float,
+    cd: float,
+    thrust: float,
+    yaw_thrust: float,
+    thrust_lag: float,
+    density: float,
+    out: Path | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Derive a spherical vehicle's numbers, each with a range and where it comes from.
+
+    Example: surctl vehicle from-geometry --name mine --diameter "40 cm" --mass "6 kg" --thrust 0.5kgf
+    --yaw-thrust "0.4 N m"
+    """
+    from surctl.vehicle import sphere
+
+    made = sphere(
+        name,
+        diameter=diameter,
+        dry_mass=mass,
+        thrust=thrust,
+        yaw_thrust=yaw_thrust,
+        flooded=flooded,
+        drag_coefficient=cd,
+        thrust_lag=thrust_lag,
+        density=density,
+    )
+    lines = [f"{made.name}: {made.note}"]
+    for key, p in made.parameters.items():
+        bounds = "" if p.range is None else f"  {p.range[0]:.4g} to {p.range[1]:.4g}"
+        lines.append(f"  {key:<10} {p.value:>9.4g} {p.unit:<10}{bounds}")
+    _write(made, out, force, lines, {"vehicle": made.name, "parameters": _numbers(made)}, as_json=as_json)
+
+
+@vehicle.command("from-log")
+@click.argument("log", type=click.Path(path_type=Path))
+@click.option("--start", default="sur540-flooded", help="Vehicle to begin with: name or file; gives hull and limits.")
+@click.option(
+    "--frame", help="Of the log: enu (ENU/FLU) or ned (NED/FRD); default: what its first line says, else enu."
+)
+@_name
+@_out
+@_over
+@as_json
+def from_log(log: Path, start: str, frame: str | None, name: str, out: Path | None, force: bool, as_json: bool) -> None:
+    """Fit masses, drag and thrust lag to a CSV of motion and thrust, with 95 % intervals.
+
+    Columns t_s, Fu_N, Fv_N, Fw_N, Fr_N_m (commands, held from row to row), and of x_m, y_m, z_m, psi_rad, u_m_per_s,
+    v_m_per_s, w_m_per_s, r_rad_per_s those that were measured: x forward, y left, z up, or with --frame ned x north,
+    y east, z down, v to the right, w down. What the log cannot tell keeps the number of --start, and the file says so.
+    Runs can be written as such logs: surctl simulate --save csv.
+
+    Example: surctl vehicle from-log trial.csv --start my-vehicle.toml --name fitted
+    """
+    from surctl.vehicle import identify, load_vehicle, read_motion_log
+
+    found = identify(read_motion_log(log, frame=frame), load_vehicle(start), name=name)
+    result = {
+        "vehicle": name,
+        "start": found.start.name,
+        "estimates": {
+            key: {"value": value, "half_interval": half, "told": key in found.told, "start": found.start[key]}
+            for key, (value, half) in found.estimates.items()
+        },
+        "noise": dict(found.noise),
+        "notes": list(found.notes),
+        "parameters": _numbers(found.vehicle),
+    }
+    _write(found.vehicle, out, force, _fit_lines(found), result, as_json=as_json)
+
+
+def _fit_lines(found: Identified) -> list[str]:
+    lines = [f"{found.vehicle.name}: {found.vehicle.note}", f"  {'':<10} {'estimate':>9}   95 % interval   start"]
+    for key, (value, half) in found.estimates.items():
+        unit = found.vehicle.parameters[key].unit
+        told = f"{value:>9.4g} ± {half:<9.3g}" if key in found.told else f"{'':>9}   the log cannot tell"
+        lines.append(f"  {key:<10} {told:<23} {found.start[key]:>8.4g} {unit}")
+    lines += [f"  noise of {column}: {level:.3g}" for column, level in found.noise.items()]
+    return lines + [f"  note: {note}" for note in found.notes]
+
+
+def _numbers(made: Vehicle) -> dict[str, Any]:
+    return {k: {"value": p.value, "unit": p.unit, "range": p.range} for k, p in made.parameters.items()}
+
+
+def _write(
+    made: Vehicle, out: Path | None, force: bool, lines: list[str], result: dict[str, Any], *, as_json: bool
+) -> None:
+    from surctl.cli.new import path_of, write_new
+    from surctl.vehicle import write_vehicle
+
+    target = write_new(out or path_of(made.name, ".toml"), write_vehicle(made), force=force)
+    shown = shlex.quote(str(target))
+    then = [f"surctl lint {shown}", f"surctl tune --vehicle {shown} --out tuned"]
+    finish({**result, "file": str(target)}, [*lines, f"wrote {target}"], as_json=as_json, passed=True, then=then)

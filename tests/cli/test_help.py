@@ -1,0 +1,86 @@
+"""Every command's help has examples; each is taken by the command line, and those that are quick are run."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+
+import click
+import pytest
+
+from surctl.cli.app import app
+from tests.cli.process import surctl
+
+
+def _commands(command: click.Command, words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], click.Command]]:
+    yield words, command
+    if isinstance(command, click.Group):
+        for name, inner in command.commands.items():
+            yield from _commands(inner, (*words, name))
+
+
+def _examples(command: click.Command) -> list[str]:
+    """What stands after "Example:" up to the end of its paragraph, cut at semicolons."""
+    found = []
+    for paragraph in (command.help or "").split("\n\n"):
+        _, mark, text = " ".join(paragraph.split()).replace("Example: ", "Examples: ").partition("Examples: ")
+        if mark:
+            found += [piece.strip() for piece in text.split("; ")]
+    return found
+
+
+COMMANDS = dict(_commands(app))
+EXAMPLES = [example for command in COMMANDS.values() for example in _examples(command)]
+
+QUICK = (
+    "surctl list --show sur540-flooded > my-vehicle.toml",
+    "surctl new vehicle my-robot",
+    "surctl new scenario harbour --out sites/harbour.toml",
+    "surctl lint my-vehicle.toml",
+    "surctl lint pool-static --vehicle sur540-flooded",
+    "surctl calibrate table-ii",
+    "surctl completion bash",
+    "surctl vehicle from-log --help",
+    'surctl vehicle from-geometry --name mine --diameter "40 cm" --mass "6 kg" --thrust 0.5kgf --yaw-thrust "0.4 N m"',
+)
+"""In this order: the second but one reads what the first writes."""
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_each_help_has_examples(words: tuple[str, ...]) -> None:
+    examples = _examples(COMMANDS[words])
+    assert examples
+    start = shlex.join(["surctl", *words])
+    assert all(example.startswith(start) for example in examples), examples
+
+
+@pytest.mark.parametrize("example", EXAMPLES)
+def test_each_example_is_taken(example: str) -> None:
+    program, *words = shlex.split(example.partition(" > ")[0])
+    assert program == "surctl"
+    command: click.Command = app
+    context = click.Context(app, info_name="surctl")
+    while isinstance(command, click.Group):
+        name, command, words = command.resolve_command(context, words)
+        assert command is not None
+        context = click.Context(command, info_name=name, parent=context)
+    try:
+        command.make_context(context.info_name, list(words), parent=context.parent).close()
+    except click.exceptions.Exit as end:  # --help
+        assert end.exit_code == 0
+
+
+def test_an_example_that_no_longer_fits_is_noticed() -> None:
+    with pytest.raises(click.UsageError, match="--fast"):
+        test_each_example_is_taken("surctl study --fast")
+
+
+def test_the_quick_ones_run(tmp_path) -> None:
+    assert set(QUICK) <= set(EXAMPLES)
+    for example in QUICK:
+        line, _, target = example.partition(" > ")
+        done = surctl(*shlex.split(line)[1:], cwd=tmp_path)
+        assert done.status == (1 if "pool-static" in example else 0), (example, done)  # its hull is too wide for it
+        assert "\x1b" not in done.out + done.err, "no colours into a pipe"
+        if target:
+            (tmp_path / target).write_text(done.out)

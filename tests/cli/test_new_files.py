@@ -1,0 +1,88 @@
+"""Files to start from: new, vehicle, completion, and runs as files."""
+
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.io import loadmat
+
+from tests.cli.process import surctl
+from tests.processes import run_python
+
+
+@pytest.mark.parametrize("kind", ["vehicle", "scenario", "study"])
+def test_a_new_file_is_one_that_works(tmp_path: Path, kind: str) -> None:
+    done = surctl("new", kind, 'my "own"', "--out", "mine.toml", cwd=tmp_path)
+    assert done.status == 0 and "next\n  surctl lint mine.toml" in done.out
+    checked = surctl("lint", "mine.toml", "--json", cwd=tmp_path)
+    assert checked.status == 0, checked.err
+    assert checked.json["kind"] == kind
+    again = surctl("new", kind, "other", "--out", "mine.toml", cwd=tmp_path)
+    assert again.status == 2 and "is there already" in again.complaint
+    assert surctl("new", kind, "other", "--out", "mine.toml", "--force", cwd=tmp_path).status == 0
+
+
+def test_a_new_task_passes_its_check(tmp_path: Path) -> None:
+    assert surctl("new", "task", "stay-near", cwd=tmp_path).status == 0
+    done = run_python(["stay-near.py"], cwd=tmp_path)
+    assert done.returncode == 0 and "name='stay_near'" in done.stdout, done.stderr
+    for name, fragment in (("../x", "cannot be a file's name"), ("7", "is no name of a task")):
+        wrong = surctl("new", "task", name, cwd=tmp_path)
+        assert wrong.status == 2 and fragment in wrong.complaint
+
+
+def test_a_vehicle_from_its_geometry(tmp_path: Path) -> None:
+    words = ["--diameter", "40 cm", "--mass", "6 kg", "--thrust", "0.5 kgf", "--yaw-thrust", "0.4 N m"]
+    done = surctl("vehicle", "from-geometry", "--name", "mine", *words, "--json", cwd=tmp_path)
+    assert done.status == 0, done.err
+    assert done.json["parameters"]["Fu_max"]["value"] == pytest.approx(4.903325)
+    assert surctl("lint", "mine.toml", cwd=tmp_path).status == 0
+    words[-1] = "0.4 N"
+    wrong = surctl("vehicle", "from-geometry", "--name", "other", *words, cwd=tmp_path)
+    assert wrong.status == 2
+    assert wrong.complaint == "surctl: --yaw-thrust = '0.4 N': wrong unit; give it in N m"
+    assert not (tmp_path / "other.toml").exists()
+
+
+def test_a_run_as_a_log_gives_the_vehicle_back(tmp_path: Path) -> None:
+    for kind in ("csv", "mat", "nc"):
+        done = surctl("simulate", "tank-speed-025", "--save", kind, "--out", "log", cwd=tmp_path)
+        assert done.status == 0, done.err
+    rows = np.genfromtxt(tmp_path / "log" / "tank-speed-025-0.csv", delimiter=",", names=True, skip_header=1)
+    matlab = loadmat(tmp_path / "log" / "tank-speed-025-0.mat")
+    with xr.open_dataset(tmp_path / "log" / "tank-speed-025-0.nc") as data:
+        for name in rows.dtype.names:
+            np.testing.assert_array_equal(rows[name], data[name])
+            np.testing.assert_array_equal(rows[name], matlab[name][:, 0])
+    log = (tmp_path / "log" / "tank-speed-025-0.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "log.csv").write_text("".join(log[:300]))  # 15 s
+    done = surctl("vehicle", "from-log", "log.csv", "--start", "sur400", "--json", cwd=tmp_path)
+    assert done.status == 0, done.err
+    found = done.json["estimates"]
+    for name, value in {"m11": 95.0, "Xuu": 60.0, "Xu": 2.0, "thrust_lag": 0.3}.items():
+        assert found[name]["told"] and found[name]["value"] == pytest.approx(value, rel=1e-4)
+    assert not found["m33"]["told"]
+    assert surctl("lint", "my-vehicle.toml", cwd=tmp_path).status == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "fragment"),
+    [
+        (["--save", "cvs", "--out", "x"], "did you mean 'csv'"),
+        (["--save", "csv"], "add --out DIR"),
+        (["--save", "csv", "--monte-carlo", "--out", "x"], "does not go with a campaign"),
+    ],
+)
+def test_a_run_that_cannot_be_saved(tmp_path: Path, words: list[str], fragment: str) -> None:
+    done = surctl("simulate", "tank-speed-025", *words, cwd=tmp_path)
+    assert done.status == 2 and fragment in done.complaint
+
+
+def test_a_shell_completes(tmp_path: Path) -> None:
+    script = surctl("completion", "bash", cwd=tmp_path)
+    assert script.status == 0
+    assert subprocess.run(["bash", "-n"], input=script.out, text=True).returncode == 0
+    asked = surctl(cwd=tmp_path, _SURCTL_COMPLETE="bash_complete", COMP_WORDS="surctl vehi", COMP_CWORD="1")
+    assert asked.out.split() == ["plain,vehicle"]

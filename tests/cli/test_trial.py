@@ -1,0 +1,69 @@
+"""As a new user with a vehicle of one's own: from a tape measure to C, by the commands that each output names."""
+
+from __future__ import annotations
+
+import shlex
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.cli.process import Outcome, surctl
+from tests.tools import need_compiler
+
+FIRST = (
+    *("surctl", "vehicle", "from-geometry", "--name", "mine", "--diameter", "30 cm"),
+    *("--mass", "4 kg", "--thrust", "0.8 kgf", "--yaw-thrust", "0.6 N m"),
+)
+
+
+class Shell:
+    """Gives a command with --json, and knows the commands that its answer says are next."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.next = folder, [shlex.join(FIRST)]
+
+    def follow(self, beginning: str, *words: str) -> Outcome:
+        """The next command that begins so, with a few more words."""
+        (command,) = {line for line in self.next if line.startswith(beginning)}
+        program, *rest = shlex.split(command)
+        assert program == "surctl"
+        done = surctl(*rest, *words, "--json", cwd=self.folder, SURCTL_CFLAGS="-O0")
+        assert done.status == 0, done.err
+        self.next = done.json.get("next", [])
+        return done
+
+
+def test_from_a_tape_measure_to_code(tmp_path: Path) -> None:
+    need_compiler()
+    shell = Shell(tmp_path)
+    shell.follow("surctl vehicle from-geometry")
+    shell.follow("surctl lint")
+    tuned = shell.follow("surctl tune", "--trials", "6", "--seeds", "1", "--monte-carlo", "20").json
+    assert tuned["kept"] and "--vehicle mine.toml --gains tuned/gains.toml" in shell.next[-1]
+    (claim,) = shell.follow("surctl verify").json["claims"]
+    assert (claim["claim"], claim["verdict"]) == ("region-cruise-20", "proved")
+    export = [line for line in shell.next if line.startswith("surctl export")]
+    assert shell.follow("surctl check").json["accepted"]
+    shell.next = export
+    made = shell.follow("surctl export", "--target", "fmu", "--out", "code").json
+    assert made["sil"]["passed"] and made["flight"]["vehicle"] == "mine"
+    assert shell.next[1:3] == [
+        "make -C code controller && code/controller 5555",
+        "surctl simulate pool-static --vehicle mine.toml --gains tuned/gains.toml --sensing sonar"
+        " --controller tcp://127.0.0.1:5555",
+    ]
+    belongs = shell.follow("surctl check").json
+    assert belongs["accepted"] and belongs["bundle"]["belongs"]
+    with zipfile.ZipFile(tmp_path / "code" / "surctl_guarded.fmu") as unit:
+        assert "modelDescription.xml" in unit.namelist()
+    assert (tmp_path / "code" / "surctl_guarded.c").stat().st_size > 100_000
+
+
+@pytest.mark.parametrize("kind", ["vehicle", "scenario", "study"])
+def test_what_lint_accepts_has_a_next_step(kind: str, tmp_path: Path) -> None:
+    shell = Shell(tmp_path)
+    shell.next = [f"surctl new {kind} mine"]
+    shell.follow("surctl new")
+    shell.follow("surctl lint")
+    assert shell.next and all("mine.toml" in command for command in shell.next)
