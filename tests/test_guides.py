@@ -1,0 +1,102 @@
+"""The guides: each command runs in the order of the page and prints what the page shows, each example in Python, too.
+
+A `console` block holds commands after `$ ` and lines of their output; `...` stands for lines left out, `…` for the rest
+of a line. A `toml` block whose first line is `# FILE` is that file. A `pycon` block is a doctest; the blocks of a page
+share their names.
+"""
+
+from __future__ import annotations
+
+import doctest
+import os
+import re
+import shlex
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from tests.processes import run_python
+from tests.tools import PATIENCE, need_compiler
+
+ROOT = Path(__file__).parents[1]
+GUIDES = sorted((ROOT / "notebooks" / "guides").glob("*.md"))
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
+NAMES = {"add-a-task", "add-a-vehicle", "architecture", "design", "export", "tune", "verify", "what-is-proved"}
+
+
+def commands(text: str) -> list[tuple[str, list[str]]]:
+    """Each command with the lines it is said to print."""
+    found: list[tuple[str, list[str]]] = []
+    for line in text.splitlines():
+        if line.startswith("$ "):
+            found.append((line[2:], []))
+        elif line.strip() not in ("...", ""):
+            found[-1][1].append(line.rstrip())
+    return found
+
+
+def missing(said: list[str], printed: str) -> list[str]:
+    """Lines of the page that the output does not have, in its order."""
+    lines, at = [line.rstrip() for line in printed.splitlines()], 0
+    for k, line in enumerate(said):
+        start, cut, _ = line.partition("…")
+        same = [i for i in range(at, len(lines)) if (lines[i].startswith(start) if cut else lines[i] == line)]
+        if not same:
+            return said[k:]
+        at = same[0] + 1
+    return []
+
+
+def run(command: str, folder: Path) -> str:
+    """What the command prints on both streams, without progress."""
+    program, *words = shlex.split(command)
+    if program in ("surctl", "python"):
+        words = ["-m", "surctl", *words] if program == "surctl" else words
+        done = run_python(words, cwd=folder, environment={**os.environ, "MPLBACKEND": "agg"})
+    else:
+        done = subprocess.run(
+            [program, *words], cwd=folder, capture_output=True, text=True, timeout=PATIENCE, check=False
+        )
+    assert "Traceback" not in done.stderr, done.stderr
+    return done.stdout + "".join(f"{line}\n" for line in done.stderr.splitlines() if not line.startswith("  "))
+
+
+def test_there_is_a_guide_for_each_job() -> None:
+    assert {guide.stem for guide in GUIDES} == NAMES
+
+
+@pytest.mark.parametrize("guide", GUIDES, ids=lambda path: path.stem)
+def test_it_does_what_it_says(guide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    need_compiler()
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    for kind, text in BLOCK.findall(guide.read_text(encoding="utf-8")):
+        if kind == "console":
+            for command, said in commands(text):
+                printed = run(command, tmp_path)
+                assert missing(said, printed) == [], f"$ {command}\n{printed}"
+        elif kind == "toml" and (named := re.match(r"# ([\w.-]+\.toml)\n", text)):
+            (tmp_path / named[1]).write_text(text, encoding="utf-8")
+        elif kind == "pycon":
+            test = doctest.DocTestParser().get_doctest(text, names, guide.stem, str(guide), 0)
+            wrong: list[str] = []
+            runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
+            runner.run(test, out=wrong.append, clear_globs=False)
+            assert wrong == [], "".join(wrong)
+            names = test.globs
+
+
+@pytest.mark.parametrize("guide", GUIDES, ids=lambda path: path.stem)
+def test_its_links_lead_somewhere(guide: Path) -> None:
+    for link in re.findall(r"\]\(([^)#]+)[^)]*\)", guide.read_text(encoding="utf-8")):
+        assert link.startswith("https://") or (guide.parent / link).exists(), link
+
+
+def test_the_architecture_has_the_rooms_in_their_order() -> None:
+    config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
+    (layers,) = [contract["layers"] for contract in config if contract["type"] == "layers"]
+    page = (ROOT / "notebooks" / "guides" / "architecture.md").read_text(encoding="utf-8")
+    rows = [re.findall(r"`(\w+)`", line.split("|")[1]) for line in page.splitlines() if line.startswith("| `")]
+    assert rows == [[room.strip().removeprefix("surctl.") for room in layer.split("|")] for layer in layers]
