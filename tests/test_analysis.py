@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
+from surctl.vehicle import FITTED
 from tests.processes import run_python
-from tests.tools import need_compiler
+from tests.tools import need, need_compiler
 
 ANALYSIS = Path(__file__).parents[1] / "analysis"
 SWEEP = ANALYSIS / "02_gain_sweep" / "run.py"
@@ -43,6 +44,50 @@ def test_the_study_of_the_prover() -> None:
     assert done.returncode == 0, done.stderr
     rows = [row for row in table(done.stdout) if len(row) == 7][2:]
     assert len(rows) >= 10 and all(row[2] != "**not proved**" for row in rows)
+
+
+def test_the_study_of_fitted_vehicles() -> None:
+    done = run(ANALYSIS / "20_identification" / "run.py", "--quick", "--workers", "1")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert [row[0] for row in table(done.stdout) if len(row) == 5] == ["parameter", *FITTED]
+
+
+def test_the_study_of_import_times() -> None:
+    done = run(ANALYSIS / "21_import_time" / "run.py", "--quick")
+    rows = {row[0].strip("`"): row[4].strip("| ") for row in table(done.stdout) if len(row) == 5}
+    assert rows["import surctl"] == rows["surctl --help"] == "none" and rows["surctl list"] == "casadi", done.stderr
+
+
+def test_the_study_of_the_processor_in_the_loop() -> None:
+    for tool in ("arm-none-eabi-gcc", "qemu-system-arm"):
+        need(tool)
+    done = run(ANALYSIS / "19_processor_in_the_loop" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    (flight,) = [row for row in table(done.stdout) if len(row) == 10][1:]
+    assert flight[1:6] == ["qemu:cortex-m4f", "float32", "20", "20", "0"]
+    assert [row[1] for row in table(done.stdout) if len(row) == 2] == ["", *["holds"] * 5]
+
+
+def test_the_study_of_the_regions() -> None:
+    done = run(ANALYSIS / "16_cruise_regions" / "run.py", "--quick")
+    row = next(row for row in table(done.stdout) if row[0] == "`region-heading-20`")
+    assert float(row[2].split()[0]) >= 0.34 and int(row[10].split()[0]) < 10_000, done.stderr
+    assert "codac" in done.stdout
+
+
+def test_the_study_of_the_braking_barrier(capsys: pytest.CaptureFixture[str]) -> None:
+    study = runpy.run_path(str(ANALYSIS / "15_braking_barrier" / "run.py"))
+    assert study["proofs"]() and "**" not in capsys.readouterr().out
+    assert study["main"](["--fast"]) == 2
+
+
+def test_the_study_of_the_pool_s_limits() -> None:
+    need_compiler()
+    done = run(ANALYSIS / "17_pool_static_limits" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = {row[0]: [float(cell) for cell in row[1:]] for row in table(done.stdout)[1:] if len(row) == 8}
+    truth, sonar = rows["true positions"], rows["nothing: by sonar"]
+    assert truth[0] == 8 and sonar[4] > 1.5 * truth[4] and sonar[5] > truth[5]  # what takes longer is a longer way
 
 
 @pytest.fixture(scope="module")

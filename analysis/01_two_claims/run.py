@@ -7,12 +7,14 @@ Prints Markdown. Ends with 0 when every verdict is the expected one and every fi
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 from surctl.errors import InputError
 from surctl.files import Strict, load_model
+from surctl.reproduction.tracking_errata import e18
 from surctl.verification import (
     Claim,
     Verdict,
@@ -24,6 +26,7 @@ from surctl.verification import (
     settle,
     settling_intrusion,
 )
+from surctl.verification.setting import Setting
 
 CONFIG = Path(__file__).with_name("config.toml")
 
@@ -64,12 +67,15 @@ def study(config: Config, *, quick: bool) -> int:
 
 
 def expected_figures(config: Config) -> dict[str, float]:
-    """The figures of config.toml, and the two that a formula gives: −δ (E11) and e2* (E12)."""
-    setting = setting_from(config.gains)
+    """The figures of config.toml, and those that a formula gives: −δ (E11), e2* (E12), the lines of (12) (E18)."""
+    setting, printed = setting_from(config.gains), Setting()
+    x, y = 0.1, 0.4
+    apart = (printed.speed - printed.k1 * x) / printed.lookahead * y * (math.hypot(y, printed.lookahead) - y)
     return {
         **config.figures,
         "intrusion_delta": -setting.delta,
         "intrusion_obstacle": settling_intrusion(setting),
+        "lines_of_12": -apart,
     }
 
 
@@ -119,6 +125,7 @@ def tracking_figures(verdicts: dict[str, Verdict], config: Config) -> dict[str, 
             "|y_e| that sway 0.05 m/s at u = 0.15 m/s leaves [m]",
             sway_offset(verdicts["course-printed"].claim, config.seed),
         ),
+        "lines_of_12": ("line 1 less line 2 of (12) at (0.1, 0.4, 0.2), default gains [m²/s]", lines_of_12()),
     }
 
 
@@ -147,6 +154,12 @@ def avoidance_figures(verdicts: dict[str, Verdict], config: Config) -> dict[str,
             settles(obstacle.claim, dict(approaching.values), least),
         ),
     }
+
+
+def lines_of_12() -> float:
+    """First less second line of (12) (E18) [m²/s], each as printed."""
+    found = e18().numbers
+    return found["line_1"] - found["line_2"]
 
 
 def first_violation_under_cap(claim: Claim, seed: int) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Study 13: the guarded law, the printed stack and four textbook laws, in every scenario of the library.
+"""Study 13: the guarded law, the printed stack and four textbook laws, in every scenario and in random worlds.
 
     python analysis/13_baselines/run.py [--quick] [--out DIR]
 
@@ -11,7 +11,7 @@ import argparse
 import sys
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 
@@ -23,11 +23,13 @@ from surctl.errors import InputError
 from surctl.files import prepare_folder
 from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, dress, legend_below, new_figure
 from surctl.simulation import BatchResult, Case, load_scenario, simulate_batch
+from surctl.simulation.campaign import RandomWorlds, world_template
 from surctl.simulation.run import Sensing
 from surctl.simulation.scenario import LIBRARY
 from surctl.vehicle import load_vehicle
 
 ENDS = {"reached": GOOD, "collided": AVOIDING, "neither": "#D5D8DC"}
+WORLDS = "random-worlds"
 CONSTANTS = {
     "apf": ("RANGE", "STRENGTH", "NEAREST", "DAMPING"),
     "dwa": ("HORIZON", "GRID", "EXTRA", "REACH", "HEADING", "CLEARANCE", "VELOCITY"),
@@ -71,6 +73,13 @@ def flown(scenario: str, sensing: Sensing, law: LawName, *, gains: str, seeds: i
     case = Case(mission, load_vehicle(mission.vehicle), load_gains(gains), law=law, sensing=sensing)
     drawn = seeds if sensing == "sonar" or mission.seeded else 1
     return Line(scenario, sensing, law, simulate_batch(case, seeds=np.arange(drawn), threads=2))
+
+
+def flown_worlds(plan: RandomWorlds, sensing: Sensing, law: LawName, *, worlds: int) -> Line:
+    """The first random worlds, the same for every law."""
+    case = replace(plan.case, law=law, sensing=sensing)
+    runs = simulate_batch(case, plan.values(0, worlds), seeds=plan.seeds(0, worlds), threads=2)
+    return Line(WORLDS, sensing, law, runs)
 
 
 def summary(lines: Sequence[Line], sensing: Sensing, law: LawName) -> str:
@@ -130,6 +139,9 @@ def main(words: list[str]) -> int:
         print(error.inside("--out"), file=sys.stderr)
         return error.exit_status
     names = config["scenarios"] or sorted(path.stem for path in LIBRARY.glob("*.toml"))
+    names += [WORLDS] if config["worlds"] else []
+    flies = load_vehicle(config["vehicle"])
+    plan = RandomWorlds(Case(world_template(flies), flies, load_gains(config["gains"])))
     print(f"Constants: {parameters()}.\n")
     print("## Every law in every scenario\n")
     print(
@@ -145,7 +157,10 @@ def main(words: list[str]) -> int:
     for name in names:
         for sensing in config["sensing"]:
             for law in config["laws"]:
-                lines.append(flown(name, sensing, law, gains=config["gains"], seeds=config["seeds"]))
+                if name == WORLDS:
+                    lines.append(flown_worlds(plan, sensing, law, worlds=config["worlds"]))
+                else:
+                    lines.append(flown(name, sensing, law, gains=config["gains"], seeds=config["seeds"]))
                 print(lines[-1].row(), flush=True)
     print("\n## Over all scenarios, each with the same weight\n")
     print("| sensing | law | reached | collided | scenarios always reached | without a collision | of |")

@@ -298,15 +298,27 @@ static double excess(double vx, double vy, const Sector *sector, int count)
     return worst;
 }
 
-/* more than the velocity loop alone would brake, where the robot is faster than a bound */
-static void brake_beyond(double vx, double vy, const Sector *sector, int count, double velocity[2])
+/* the largest excess over a bound, 0 for none, and that bound's normal */
+static double worst_bound(double vx, double vy, const Sector *sector, int count, double normal[2])
 {
-    double over = 0, nx = 0, ny = 0;
+    double over = 0;
+    normal[0] = normal[1] = 0;
     for (int k = 0; k < count; k++) {
         double excess = vx * sector[k].nx + vy * sector[k].ny - sector[k].bound;
-        if (excess > over) over = excess, nx = sector[k].nx, ny = sector[k].ny;
+        if (excess > over) over = excess, normal[0] = sector[k].nx, normal[1] = sector[k].ny;
     }
-    velocity[0] -= 4 * over * nx, velocity[1] -= 4 * over * ny;
+    return over;
+}
+
+/* more than the velocity loop alone would brake, where the robot is faster than a bound, and nothing sideways */
+static void brake_beyond(double vx, double vy, const Sector *sector, int count, double velocity[2])
+{
+    double n[2], other[2], over = worst_bound(vx, vy, sector, count, n);
+    double along = (velocity[0] - vx) * n[0] + (velocity[1] - vy) * n[1];
+    double sx = vx + along * n[0], sy = vy + along * n[1], beyond = worst_bound(sx, sy, sector, count, other);
+    double share = least(over / 0.02, 1);
+    velocity[0] += share * (sx - beyond * other[0] - velocity[0]) - 4 * over * n[0];
+    velocity[1] += share * (sy - beyond * other[1] - velocity[1]) - 4 * over * n[1];
 }
 
 typedef struct { double side, blocker[2]; } Latch;

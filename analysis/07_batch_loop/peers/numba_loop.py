@@ -273,15 +273,27 @@ def excess(vx, vy, sector, count):
 
 
 @jit
-def brake_beyond(vx, vy, sector, count, velocity):
-    """More than the velocity loop alone would brake, where the robot is faster than a bound."""
-    over, nx, ny = 0.0, 0.0, 0.0
+def worst_bound(vx, vy, sector, count, normal):
+    """The largest excess over a bound, 0 for none, and that bound's normal."""
+    over, normal[0], normal[1] = 0.0, 0.0, 0.0
     for k in range(count):
         excess = vx * sector[k, 0] + vy * sector[k, 1] - sector[k, 2]
         if excess > over:
-            over, nx, ny = excess, sector[k, 0], sector[k, 1]
-    velocity[0] -= 4 * over * nx
-    velocity[1] -= 4 * over * ny
+            over, normal[0], normal[1] = excess, sector[k, 0], sector[k, 1]
+    return over
+
+
+@jit
+def brake_beyond(vx, vy, sector, count, velocity):
+    """More than the velocity loop would brake, where the robot is faster than a bound, and nothing sideways."""
+    n, other = np.zeros(2), np.zeros(2)
+    over = worst_bound(vx, vy, sector, count, n)
+    along = (velocity[0] - vx) * n[0] + (velocity[1] - vy) * n[1]
+    sx, sy = vx + along * n[0], vy + along * n[1]
+    beyond = worst_bound(sx, sy, sector, count, other)
+    share = min(over / 0.02, 1.0)
+    velocity[0] += share * (sx - beyond * other[0] - velocity[0]) - 4 * over * n[0]
+    velocity[1] += share * (sy - beyond * other[1] - velocity[1]) - 4 * over * n[1]
 
 
 @jit

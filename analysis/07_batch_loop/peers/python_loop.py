@@ -85,7 +85,7 @@ def control_step(rtol: float) -> Step:
 @contextmanager
 def flown_by(step: Step) -> Iterator[None]:
     """`surctl.simulation.simulate` with its plant integrated by `step`."""
-    with patch.object(reference._Loop, "_advance", _stepped(step)):
+    with patch.object(reference.Loop, "_advance", _stepped(step)):
         yield
 
 

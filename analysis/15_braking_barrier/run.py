@@ -1,0 +1,158 @@
+"""Study 15: the braking barrier proved, its tables certified, and flown against inside its assumptions.
+
+    python analysis/15_braking_barrier/run.py [--quick]
+
+Prints Markdown. Ends with 0 when every claim that should be proved is, no flight inside the assumptions touches
+anything, and every rule that keeps less than it should does touch; else with 1; with 2 for a bad option.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from surctl.control import load_gains
+from surctl.guidance.braking import Watch
+from surctl.vehicle import load_vehicle
+from surctl.verification.braking import BRAKING_CLAIMS, BrakingClaim, braking_claim_named, prove_braking
+from surctl.verification.braking.episodes import Rule, fly, rule_of
+from surctl.verification.braking.way import way_table
+
+VEHICLES = ("sur540-flooded", "sur400")
+NOT_PROVED = {("sur400", "braking-inertia-20-axes"), ("sur400", "braking-simple-20")}
+"""Its file states no ranges, so that its law believes it is exact: a margin of 0.05 m is too small for ±20 %."""
+HIGHEST, FINEST = 0.2, 1e-3  # [m] of the margins that are tried
+RUNS, QUICK = 10_000, 300
+SEED = 7
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """A rule that keeps less than it should: what is wrong with it, of which claim, before which obstacle [m/s]."""
+
+    what: str
+    claim: str
+    obstacle: float
+
+
+WRONG = (
+    Wrong("a way shorter by a tenth", "braking-rule-20", 0.10),
+    Wrong("no lag", "braking-rule-20", 0.10),
+    Wrong("age and errors forgotten", "braking-rule-20", 0.10),
+    Wrong("no margin", "braking-simple-20", 0.0),
+    Wrong("counts on half as much thrust again", "braking-inertia-ranges", 0.0),
+)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the study and print it; the exit status."""
+    unknown = [a for a in arguments if a != "--quick"]
+    if unknown:
+        print(f"{unknown[0]}: unknown option; the only one is --quick", file=sys.stderr)
+        return 2
+    runs = QUICK if "--quick" in arguments else RUNS
+    good = proofs()
+    margins()
+    return 0 if all([good, flights(runs), wrong(runs)]) else 1
+
+
+def claims() -> Iterator[tuple[str, BrakingClaim]]:
+    """Every claim of the library, for every vehicle."""
+    gains = load_gains("default")
+    for name in VEHICLES:
+        for claim in BRAKING_CLAIMS:
+            yield name, braking_claim_named(claim, load_vehicle(name), gains)
+
+
+def proofs() -> bool:
+    """Verdicts, times and sizes, then the certified ranges."""
+    print("| vehicle | claim | verdict | proof and check | check | certificate |\n|---|---|---|---|---|---|")
+    good, tables = True, []
+    for vehicle, claim in claims():
+        proof = prove_braking(claim)
+        expected = "unknown" if (vehicle, claim.name) in NOT_PROVED else "proved"
+        good &= proof.verdict == expected
+        told = proof.verdict if proof.verdict == expected else f"**{proof.verdict}**"
+        times = f"{1e3 * proof.seconds:.0f} ms | {1e3 * proof.check_seconds:.0f} ms"
+        print(f"| {vehicle} | `{claim.name}` | {told} | {times} | {len(proof.text())} B |")
+        if claim.law is None and proof.document:
+            tables.append((vehicle, claim, proof.document["claim"]))
+    heads = " | ".join(f"{o:.2f}" for o in tables[0][1].obstacles)
+    print(f"\nRange needed in m before an obstacle at … m/s:\n\n| vehicle | claim | own speed | {heads} | limit |")
+    print("|---|---|---|---|---|---|---|---|")
+    for vehicle, claim, told in tables:
+        for speed, row in zip(claim.speeds, told["table"]["needed_m"], strict=True):
+            cells = " | ".join(f"{x:.3f}" for x in row)
+            limit = told["limit_obstacle_m_per_s"]
+            print(f"| {vehicle} | `{claim.name}` | {speed:.2f} | {cells} | {limit:.3f} |")
+    return good
+
+
+def margins() -> None:
+    """The least margin with which each claim about a law is proved."""
+    print("\nLeast margin with which a claim about a law is proved:\n")
+    print("| vehicle | claim | margin needed | of the gains |\n|---|---|---|---|")
+    for vehicle, claim in claims():
+        if claim.law is None:
+            continue
+        low, high = 0.0, HIGHEST
+        while high - low > FINEST:
+            middle = round((low + high) / 2, 4)
+            tried = replace(claim, law=replace(claim.law, margin=middle))
+            low, high = (low, middle) if prove_braking(tried).verdict == "proved" else (middle, high)
+        print(f"| {vehicle} | `{claim.name}` | {high:.3f} m | {claim.law.margin:g} m |")
+
+
+def flights(runs: int) -> bool:
+    """`runs` flights of every claim that is proved, shared among its obstacles."""
+    print(f"\n{runs} flights a claim:\n\n| vehicle | claim | touched | least clearance | within 0.1 m | braked |")
+    print("|---|---|---|---|---|---|")
+    hits = 0
+    for vehicle, claim in claims():
+        if (vehicle, claim.name) in NOT_PROVED:
+            continue
+        began = time.perf_counter()
+        each = runs // len(claim.obstacles)
+        found = [fly(claim, obstacle=o, runs=each, seed=SEED + k) for k, o in enumerate(claim.obstacles)]
+        touched, least = sum(f.hits for f in found), min(f.least for f in found)
+        near, braked = (sum(x) / len(found) for x in ([f.near for f in found], [f.braked for f in found]))
+        hits += touched
+        told = f"**{touched}**" if touched else "0"
+        print(f"| {vehicle} | `{claim.name}` | {told} | {least:.3f} m | {near:.0%} | {braked:.0%} |", flush=True)
+        print(f"{claim.name}: {time.perf_counter() - began:.0f} s", file=sys.stderr)
+    return hits == 0
+
+
+def wrong(runs: int) -> bool:
+    """Rules that keep less: all must touch something."""
+    print("\n| rule that keeps less | of | before | touched | least clearance |\n|---|---|---|---|---|")
+    good, gains, vehicle = True, load_gains("default"), load_vehicle(VEHICLES[0])
+    for case in WRONG:
+        claim = braking_claim_named(case.claim, vehicle, gains)
+        found = fly(claim, obstacle=case.obstacle, runs=runs, seed=SEED, rule=spoiled(case, claim))
+        good &= found.hits > 0
+        touched = str(found.hits) if found.hits else "**0**"
+        print(f"| {case.what} | `{case.claim}` | {case.obstacle:g} m/s | {touched} | {found.least:.3f} m |", flush=True)
+    return good
+
+
+def spoiled(case: Wrong, claim: BrakingClaim) -> Rule:
+    """The wrong rule."""
+    at = case.obstacle
+    if claim.law is not None:
+        more = 1.5 * claim.law.brake
+        own = replace(claim.law.own, least=1.5 * claim.law.own.least)
+        law = replace(claim.law, margin=0.0) if case.what == "no margin" else replace(claim.law, brake=more, own=own)
+        return rule_of(replace(claim, law=law), obstacle=at)
+    if case.what == "age and errors forgotten":
+        return rule_of(replace(claim, watch=Watch(period=claim.watch.period)), obstacle=at)
+    if case.what == "no lag":
+        return rule_of(replace(claim, brakes=replace(claim.brakes, lag=0.0)), obstacle=at)
+    table = way_table(claim, at)
+    return rule_of(claim, obstacle=at, table=replace(table, slopes=0.9 * table.slopes))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,99 @@
+"""Study 17: what the pool's four cylinders cost a robot that flies by its sonars, one cause taken away at a time.
+
+    python analysis/17_pool_static_limits/run.py [--quick]
+
+Prints Markdown. Status 0 when nothing collides with the equipment and the vehicle as they are, else 1; 2 for a bad
+option.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from math import pi, radians
+
+import numpy as np
+
+from surctl.control import load_gains
+from surctl.sensing import Equipment, SonarArray
+from surctl.simulation import STOPS, Case, Sensing, Sensors, load_scenario, simulate_batch
+from surctl.vehicle import Vehicle, load_vehicle
+
+NAME = "pool-static"
+EXACT = {"noise_sd": 1e-4, "bias": 0.0, "bits": 14}
+
+
+def eight(degrees: float) -> SonarArray:
+    """Eight sonars, all fired within the cycle of four."""
+    azimuths = tuple(k * pi / 4 for k in range(8))
+    return SonarArray(azimuths=azimuths, order=tuple(range(8)), firing_period=0.0125, beam_angle=radians(degrees))
+
+
+def sensors() -> dict[str, Sensors]:
+    """Equipment by what is changed of it."""
+    found = {
+        "own position exact": Equipment(own=None),
+        "ranges exact": Equipment(array=SonarArray(**EXACT)),
+        "position and ranges exact": Equipment(own=None, array=SonarArray(**EXACT)),
+        "blind below 0.05 m": Equipment(array=SonarArray(minimum=0.05)),
+    }
+    found |= {f"beams of {d}°": Equipment(array=SonarArray(beam_angle=radians(d))) for d in (45, 15)}
+    found |= {f"eight sonars, beams of {d}°": Equipment(array=eight(d)) for d in (75, 15)}
+    return {name: Sensors(equipment) for name, equipment in found.items()}
+
+
+def vehicles(vehicle: Vehicle) -> dict[str, Vehicle]:
+    """Vehicles by what is changed of them; the controller knows."""
+
+    def changed(**values: float) -> Vehicle:
+        return vehicle.with_values(values)
+
+    return {
+        "thrust doubled": changed(Fu_max=2 * vehicle["Fu_max"], Fv_max=2 * vehicle["Fv_max"]),
+        "mass halved": changed(m11=0.5 * vehicle["m11"], m22=0.5 * vehicle["m22"]),
+        **{f"hull of {radius:g} m": changed(radius=radius) for radius in (0.18, 0.16, 0.14)},
+    }
+
+
+def row(label: str, seeds: int, *, sensing: Sensing, vehicle: Vehicle, told: Sensors | None = None) -> int:
+    """Print a line of the table; the number of collisions."""
+    scenario = load_scenario(NAME)
+    scenario = scenario if told is None else replace(scenario, sensors=told)
+    runs = simulate_batch(
+        Case(scenario, vehicle, load_gains("default"), sensing=sensing), seeds=np.arange(seeds), threads=2
+    )
+    stopped, took = runs.column("stopped").astype(int), runs.column("time_s")
+    counts = {reason: int(np.sum(stopped == k)) for k, reason in enumerate(STOPS)}
+    print(
+        f"| {label} | {counts['reached']} | {counts['collision']} | {seeds - counts['reached'] - counts['collision']} "
+        f"| {np.median(took):.1f} | {took.mean():.1f} | {runs.column('length_m').mean():.2f} "
+        f"| {runs.column('min_clearance_m').min():.3f} |",
+        flush=True,
+    )
+    return counts["collision"]
+
+
+def main(words: list[str]) -> int:
+    """Run the study."""
+    parser = argparse.ArgumentParser(prog="run.py", description="Take the causes of a slow flight away.")
+    parser.add_argument("--quick", action="store_true", help="few seeds, nothing changed")
+    options = parser.parse_args(words)
+    seeds = 8 if options.quick else 200
+    scenario = load_scenario(NAME)
+    vehicle = load_vehicle(scenario.vehicle)
+    print(f"## `{NAME}`, {seeds} seeds each\n")
+    print("| changed | reached | collided | else | median time [s] | mean [s] | mean way [m] | least clearance [m] |")
+    print("|---|---|---|---|---|---|---|---|")
+    hit = row("true positions", seeds, sensing="truth", vehicle=vehicle)
+    hit += row("nothing: by sonar", seeds, sensing="sonar", vehicle=vehicle)
+    if not options.quick:
+        for label, other in vehicles(vehicle).items():
+            row(label, seeds, sensing="sonar", vehicle=other)
+        for label, told in sensors().items():
+            row(label, seeds, sensing="sonar", vehicle=vehicle, told=told)
+    return 0 if hit == 0 else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,91 @@
+"""The same controller as C from several generators, in the frame of one bundle, so that one harness runs them all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.control import Law, build_law, load_gains
+from surctl.export import Bundle, Exportable, Records, build_bundle, closed_form, flight_envelope
+from surctl.ir import Real
+from surctl.simulation import law_numbers, load_scenario, simulate
+from surctl.vehicle import Vehicle, load_vehicle
+
+SCENARIO = "pool-ahead"
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One way to C.
+
+    Attributes:
+        name: as the table has it.
+        law: what is computed.
+        bundle: its files.
+        guarded: whether bad inputs are refused in it.
+    """
+
+    name: str
+    law: Exportable
+    bundle: Bundle
+    guarded: bool
+
+
+def controller() -> tuple[Law, Vehicle, NDArray[np.float64], Records]:
+    """The law, what flies it, its numbers, and a flight."""
+    mission, law, gains = load_scenario(SCENARIO), build_law("lean"), load_gains("default")
+    vehicle = load_vehicle(mission.vehicle)
+    record = simulate(mission, vehicle, gains=gains, law=law, sensing="truth", seed=0).record
+    flight = Records(record.law_state, record.law_input, np.zeros((len(record.law_state), 0)))
+    return law, vehicle, law_numbers(mission, gains, vehicle), flight
+
+
+def ours(law: Law, vehicle: Vehicle, numbers: NDArray[np.float64], real: Real) -> Contender:
+    """surctl export --constant-gains."""
+    shipped = closed_form(law, real=real, constants=numbers)
+    within = flight_envelope(law, load_scenario(SCENARIO), vehicle, shipped.gains)
+    bundle = build_bundle(shipped, {}, real=real, envelope=within)
+    return Contender(f"surctl, {real}", shipped, bundle, True)
+
+
+def casadi_c(law: Law, base: Contender, numbers: NDArray[np.float64], *, shim: bool = False) -> Contender:
+    """CasADi's generated C of the same expressions with the same constants; `shim`: its sin is sinf, and so on."""
+    real = base.bundle.real
+    x, u = ca.SX.sym("x", law.state.size), ca.SX.sym("u", law.inputs.size)
+    function = ca.Function("generated", [x, u], law.function.call([x, u, ca.DM(numbers)]), {"cse": True})
+    kind = "double" if real == "float64" else "float"
+    generator = ca.CodeGenerator("generated", {"casadi_real": kind, "casadi_int": "int"})
+    generator.add(function)
+    words = ("sin", "cos", "sqrt", "fabs", "floor", "fmin", "fmax", "atan2")
+    macros = "".join(f"#define {word} {word}f\n" for word in words) if shim else ""
+    text = f"#include <math.h>\n{macros}{generator.dump()}\n{_frame(base.bundle.name, kind, function)}"
+    files = MappingProxyType({**base.bundle.files, f"{base.bundle.name}.c": text})
+    told = f"CasADi, {real}" + (" with sinf and the like" if shim else "")
+    return Contender(told, base.law, replace(base.bundle, files=files, envelope=None), False)
+
+
+def _frame(name: str, kind: str, function: ca.Function) -> str:
+    """The bundle's functions around the generated one; the structs' fields follow one another as the vectors do."""
+    return f"""
+#include "{name}.h"
+#include <stddef.h>
+int {name}_initialize({name}_state_t *s, {name}_gains_t *g) {{ (void)g; s->x[0] = 0; return 0; }}
+void {name}_terminate({name}_state_t *s) {{ (void)s; }}
+const char *{name}_id(void) {{ return ""; }}
+int {name}_selftest({name}_state_t *s) {{ (void)s; return 0; }}
+int {name}_step({name}_state_t *s, const {name}_gains_t *g, const {name}_input_t *in, {name}_output_t *out)
+{{
+    const {kind} *arg[{function.sz_arg()}] = {{ s->x, in->eta }};
+    {kind} status, w[{function.sz_w() + 1}];
+    {kind} *res[{function.sz_res()}] = {{ out->tau, s->next, &status, out->nu_wanted }};
+    int iw[{function.sz_iw() + 1}];
+    (void)g;
+    if (generated(arg, res, iw, w, 0) != 0) {{ return -2; }}
+    for (int k = 0; k < {function.size1_in(0)}; ++k) {{ s->x[k] = s->next[k]; }}
+    return (int)status;
+}}
+"""

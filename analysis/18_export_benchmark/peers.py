@@ -1,0 +1,126 @@
+"""The least-distance problem that the tick solves, by what OSQP and CasADi generate, on the emulated Cortex-M4F."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import osqp
+from alone import counted, counted_c
+from numpy.typing import NDArray
+from scipy import sparse
+
+from surctl.ir import compile_block
+from surctl.priority import safe_tick
+from surctl.priority.solver.ladder import MET
+from surctl.priority.solver.precision import FLOAT32
+from surctl.priority.solver.trials import Trials, draw_trials
+
+__all__ = ["PROBLEM", "race"]
+
+PROBLEM = "4 velocities, 2 equalities, 24 rows, all of which can be kept; solved is what is right to 1e-3"
+
+Array = NDArray[np.float64]
+
+_N, _P, _M = 4, 2, 24
+_RIGHT = 1e-3  # of 1 + max |v|: an answer further off is none
+_FLOATS = "".join(f"#define {word} {word}f\n" for word in ("sqrt", "fabs", "fmin", "fmax"))
+
+
+def race(*, quick: bool) -> tuple[list[str], NDArray[np.int64]]:
+    """Lines of the README, and the instructions of the safe tick."""
+    trials, exact = _met(40 if quick else 200)
+    outputs, counts = counted(safe_tick(_N, _P, _M, precision=FLOAT32), trials.arrays)
+    lines = [
+        "| solver | instructions, min / mean / max | solved | error of 95 % of those |",
+        "|---|---|---|---|",
+        _line("surctl, the safe tick with its ladder", outputs[0], counts, exact),
+        *(
+            _line(f"OSQP {osqp.__version__}, generated, tolerance {eps:g}", *_osqp(trials, eps), exact)
+            for eps in (1e-3, 1e-5)
+        ),
+        _line("CasADi qrqp, generated, tolerance 1e-5", *_qrqp(trials), exact),
+    ]
+    return lines, counts
+
+
+def _line(name: str, v: NDArray[np.float32], counts: NDArray[np.int64], exact: Array) -> str:
+    off = np.abs(v - exact).max(axis=1) / (1 + np.abs(exact).max(axis=1))
+    right = off <= _RIGHT  # not for a NaN
+    error = f"{np.quantile(off[right], 0.95):.0e}" if right.any() else ""
+    return f"| {name} | {counts.min()} / {counts.mean():.0f} / {counts.max()} | {right.mean():.1%} | {error} |"
+
+
+def _met(count: int) -> tuple[Trials, Array]:
+    """Random problems whose task and rows can be kept, and the answers in double."""
+    trials = draw_trials(3 * count + 50, n=_N, p=_P, m=_M, seed=0, mixed=False)
+    v, *_, status, _ = compile_block(safe_tick(_N, _P, _M))(*trials.arrays)
+    chosen = np.flatnonzero(status[:, 0] == MET)[:count]
+    return trials[chosen], v[chosen]
+
+
+def _bounds(trials: Trials) -> tuple[Array, Array, Array]:
+    """A (count, m + p, n), lower and upper, the equalities last."""
+    rows = trials.rows.reshape(len(trials.rows), _M, _N + 3)
+    A = np.concatenate([rows[..., :_N], trials.J.reshape(-1, _P, _N)], axis=1)
+    lower, upper = (np.concatenate([rows[..., k], trials.x], axis=1) for k in (_N, _N + 1))
+    return A, np.maximum(lower, -1e30), np.minimum(upper, 1e30)
+
+
+def _osqp(trials: Trials, eps: float) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    A, lower, upper = _bounds(trials)
+    pattern = sparse.csc_matrix(np.ones(A.shape[1:]))
+    settings = {"eps_abs": eps, "eps_rel": eps, "scaling": 0, "warm_starting": False, "verbose": False}
+    solver = osqp.OSQP()
+    solver.setup(sparse.eye(_N, format="csc"), -trials.target[0], pattern, lower[0], upper[0], **settings)
+    text = f"""
+#include <math.h>
+#include "osqp.h"
+#include "workspace.h"
+static void one(const float *record, float *answer)
+{{
+    const float *l = record + {_N}, *u = l + {_M + _P}, *values = u + {_M + _P};
+    const int bad = osqp_update_data_vec(&solver, record, l, u)
+        || osqp_update_data_mat(&solver, 0, 0, 0, values, 0, {pattern.nnz}) || osqp_solve(&solver);
+    const int solved = !bad && solver.info->status_val == OSQP_SOLVED;
+    for (int i = 0; i < {_N}; ++i) {{ answer[i] = solved ? solver.solution->x[i] : NAN; }}
+}}
+"""
+    records = np.hstack([-trials.target, lower, upper, np.swapaxes(A, 1, 2).reshape(len(A), -1)])
+    with tempfile.TemporaryDirectory() as scratch:
+        place = Path(scratch, "osqp")
+        solver.codegen(str(place), parameters="matrices", extension_name=None, force_rewrite=True, use_float=True)
+        sources = [*sorted((place / "src").glob("*.c")), *place.glob("*workspace.c")]
+        include = [f"-I{place / part}" for part in ("inc/public", "inc/private", ".")]
+        return counted_c(text, records, _N, sources=sources, flags=include)
+
+
+def _qrqp(trials: Trials) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    A, lower, upper = _bounds(trials)
+    rows = _M - _N + _P
+    # in floats it seldom ends where it has not ended soon: not its default of 1000
+    options = {"constr_viol_tol": 1e-5, "dual_inf_tol": 1e-5, "max_iter": 100, "error_on_fail": False}
+    options |= {f"print_{what}": False for what in ("iter", "header", "info")}
+    function = ca.conic("generated", "qrqp", {"h": ca.Sparsity.diag(_N), "a": ca.Sparsity.dense(rows, _N)}, options)
+    generator = ca.CodeGenerator("generated", {"casadi_real": "float", "casadi_int": "int"})
+    generator.add(function)
+    places = np.cumsum([0, _N, rows * _N, rows, rows, _N, _N])
+    given = ", ".join(f"record + {at}" for at in places[:-1])
+    text = f"""
+#include <math.h>
+{_FLOATS}{generator.dump()}
+static void one(const float *record, float *answer)
+{{
+    static const float ones[{_N}] = {{ {", ".join(["1"] * _N)} }};
+    static int iw[{function.sz_iw() + 1}];
+    static float w[{function.sz_w() + 1}];
+    const float *arg[{function.sz_arg() + 1}] = {{ ones, {given} }};
+    float *res[{function.sz_res() + 1}] = {{ answer }};
+    if (generated(arg, res, iw, w, 0)) {{ answer[0] = NAN; }}
+}}
+"""
+    a = np.swapaxes(A[:, _N:], 1, 2).reshape(len(A), -1)
+    records = np.hstack([-trials.target, a, lower[:, _N:], upper[:, _N:], lower[:, :_N], upper[:, :_N]])
+    return counted_c(text, records, _N)

@@ -1,0 +1,212 @@
+"""Study 18: the same controller as C, ours and CasADi's, on an emulated Cortex-M4F; and wrong versions of ours.
+
+    python analysis/18_export_benchmark/run.py [--quick] [--write]
+
+Prints Markdown; --write makes the README of it. Status 1 when a bar does not hold, 2 for a bad option.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from contenders import Contender, casadi_c, controller, ours
+from limits import USUAL, WORST, laws, ticks
+from numpy.typing import NDArray
+from peers import PROBLEM, race
+
+from surctl.errors import SurctlError
+from surctl.export import TARGETS, Controller, Records, prove_bundle
+from surctl.export.check import Instructions, built_for, instructions
+from surctl.export.mutants import caught_by, mutants
+from surctl.export.process import code_bytes
+from surctl.export.trial import trial_steps
+from surctl.ir import Program, compile_program, replay
+
+_DECIDED = 0.01  # [N] from which a step of the law in floats was decided otherwise than in doubles
+BUILDS = ("gcc-O0", "gcc-O3", "gcc-native", "clang-O2", "cortex-m4f", "cortex-m7")
+QUICK = ("gcc-O0", "cortex-m4f")
+MOST_INSTRUCTIONS, SPREAD, MOST_BYTES, LEAST_MUTANTS = 1200, 1.10, 4500, 20
+
+
+@dataclass(frozen=True)
+class Line:
+    """What one contender showed on the M4F."""
+
+    contender: Contender
+    level: str
+    counted: Instructions
+    size: int
+    error: tuple[float, float]
+    same: int
+    builds: int
+
+    def row(self) -> str:
+        """Its line of the table."""
+        i = self.counted
+        cells = [
+            self.contender.name,
+            "yes" if self.contender.guarded else "no",
+            self.level,
+            f"{i.least} / {i.mean:.0f} / {i.most}",
+            f"{i.most / i.least:.2f}",
+            str(self.size),
+            f"{self.error[0]:.1e}",
+            f"{self.error[1]:.2%}",
+            f"{self.same} of {self.builds}",
+        ]
+        return f"| {' | '.join(cells)} |"
+
+
+def vectors(base: Contender, flight: Records, steps: int) -> Records:
+    """The flight, then single steps around it that the guard lets in: inside its box, so that doubles are in theirs."""
+    within = base.bundle.envelope
+    assert within is not None
+    alone = trial_steps(base.law, [flight], steps, real=base.bundle.real, within=within)
+    box = np.vstack([within.state, within.inputs])
+    rows = np.hstack([alone.X, alone.U])
+    kept = np.isfinite(rows).all(axis=1) & (rows > box[:, 0]).all(axis=1) & (rows < box[:, 1]).all(axis=1)
+    pairs = zip((flight.X, flight.U, flight.P), (part[kept] for part in (alone.X, alone.U, alone.P)), strict=True)
+    return Records(*(np.concatenate(pair) for pair in pairs))
+
+
+def measure(contender: Contender, reference: Contender, given: Records, names: tuple[str, ...], level: str) -> Line:
+    """Build it everywhere, and compare with each other and with the reference in double."""
+    real = contender.bundle.real
+    host = Controller(contender.law, contender.bundle, (), None)
+    load = np.ones(len(given), dtype=bool)
+    rounded = Records(*(part.astype(real).astype(float) for part in (given.X, given.U, given.P)))
+    answers: list[NDArray[np.float64]] = []
+    counted = size = None
+    for name in names:
+        flags = tuple(level if f == "-O2" and name.startswith("cortex") else f for f in TARGETS[name].flags)
+        target = replace(TARGETS[name], flags=(*flags, "-w"))  # other generators' C does not compile without warnings
+        with tempfile.TemporaryDirectory() as scratch:
+            built, counts = built_for(host, target, Path(scratch))
+            rows = built.run(rounded, load=load)
+            answers.append(np.hstack([rows.tau, rows.state]))
+            if name == "cortex-m4f":
+                counted = instructions(counts, rows.status >= 0)
+                code = compile_program(
+                    [Path(scratch, "bundle", f"{contender.bundle.name}.c")],
+                    Path(scratch, "flight.o"),
+                    flags=("-c", f"-D{contender.bundle.name.upper()}_NO_SELFTEST", *target.flags),
+                    compiler=target.compiler,
+                )
+                size = code_bytes(code, target.size_tool)
+    assert counted is not None and size is not None
+    assert isinstance(reference.law.block, Program)
+    exact = replay(reference.law.block, rounded.X, rounded.U, rounded.P)[0]
+    off = np.abs(answers[names.index("cortex-m4f")][:, :4] - exact).max(axis=1)
+    error = (float(np.quantile(off, 0.95)), float(np.mean(off > _DECIDED)))
+    same = max(sum(np.array_equal(a, b) for b in answers) for a in answers)
+    return Line(contender, level, counted, size, error, same, len(names))
+
+
+def wrong_versions(
+    base: Contender, flight: Records, limit: NDArray[np.float64], each: int
+) -> tuple[list[str], int, int]:
+    """(lines, how many were tried, how many nothing caught)."""
+    counts: dict[tuple[str, str], int] = {}
+    missed = []
+    tried = mutants(base.bundle, each=each)
+    for mutant in tried:
+        with tempfile.TemporaryDirectory() as scratch:
+            by = caught_by(base.law, mutant, flight, Path(scratch, "b"), limit=limit)
+        counts[mutant.kind, by or "nothing"] = counts.get((mutant.kind, by or "nothing"), 0) + 1
+        if by is None:
+            missed.append(f"line {mutant.line}: `{mutant.old}` → `{mutant.new}`")
+    lines = ["| kind | caught by | mutants |", "|---|---|---|"]
+    lines += [f"| {kind} | {by} | {count} |" for (kind, by), count in sorted(counts.items())]
+    return [*lines, *(["", *(f"- not caught: {m}" for m in missed)] if missed else [])], len(tried), len(missed)
+
+
+def main() -> int:
+    """Print the study."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="fewer steps, builds and wrong versions")
+    parser.add_argument("--write", action="store_true", help="write README.md beside this file")
+    options = parser.parse_args()
+    text, held = study(quick=options.quick)
+    print(text)
+    if options.write:
+        folder = Path(__file__).parent
+        folder.joinpath("README.md").write_text(f"{folder.joinpath('about.md').read_text()}\n{text}\n")
+    return 0 if held else 1
+
+
+def study(*, quick: bool) -> tuple[str, bool]:
+    """(Markdown, whether every bar holds)."""
+    law, vehicle, numbers, flight = controller()
+    single, double = ours(law, vehicle, numbers, "float32"), ours(law, vehicle, numbers, "float64")
+    names, steps = (QUICK, 500) if quick else (BUILDS, 4_000)
+    contenders = [
+        (single, "-O2"),
+        (single, "-Os"),
+        (double, "-O2"),
+        (casadi_c(law, single, numbers, shim=True), "-O2"),
+        (casadi_c(law, single, numbers), "-O2"),
+        (casadi_c(law, double, numbers), "-O2"),
+    ]
+    given = vectors(single, flight, steps)
+    out = [
+        f"{len(given)} steps, of which {len(flight)} are a flight of `pool-ahead`; errors against the law in double.",
+        "",
+        "| C | guard | M4F | instructions, min / mean / max | max/min | code, B | error of τ, 95 % of steps, N "
+        "| decided otherwise | same bytes in |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    lines = []
+    for contender, level in contenders:
+        try:
+            lines.append(measure(contender, double, given, names, level))
+            out.append(lines[-1].row())
+        except SurctlError as failure:
+            out.append(f"| {contender.name} | | {level} | {failure} | | | | | |")
+    proof = prove_bundle(single.law, single.bundle, vehicle.thrust_limit)
+    out += ["", f"{proof.summary().splitlines()[0]}."]
+    told, tried, missed = wrong_versions(single, flight, vehicle.thrust_limit, 1 if quick else 10)
+    out += ["", f"{tried} wrong versions of ours in float32, {missed} not caught:", "", *told]
+    kept, alone = laws(quick=quick), ticks(quick=quick)
+    out += [
+        "",
+        "## With limits: mode projected",
+        "",
+        *kept.lines,
+        "",
+        f"The tick alone, {alone.title}:",
+        "",
+        *alone.lines,
+    ]
+    others, apart = race(quick=quick)
+    out += ["", f"Other solvers, {PROBLEM}:", "", *others]
+    best, worst = lines[1], max(kept.most, alone.most)
+    usual = lines[0].counted.mean + alone.mean
+    held = [
+        (f"at most {MOST_INSTRUCTIONS} instructions a step with -Os", best.counted.most <= MOST_INSTRUCTIONS),
+        (f"max/min at most {SPREAD:.2f}", best.counted.most <= SPREAD * best.counted.least),
+        (f"at most {MOST_BYTES} B of code", best.size <= MOST_BYTES),
+        ("our bytes are the same in every build", all(line.same == line.builds for line in lines[:3])),
+        ("no alarm in 60 s", proof.proved and proof.seconds <= 60.0),
+        (f"at least {LEAST_MUTANTS} wrong versions caught", quick or tried - missed >= LEAST_MUTANTS),
+    ]
+    held += [
+        (f"with limits, in flight, one obstacle that stands: at most {USUAL} in the mean", kept.mean <= USUAL),
+        (f"closed form and a tick of 24 rows that hold: at most {USUAL} in the mean ({usual:.0f})", usual <= USUAL),
+        (
+            f"24 rows and 2 equalities that can be kept: at most {USUAL} in the mean, {WORST} at worst",
+            apart.mean() <= USUAL and apart.max() <= WORST,
+        ),
+        (f"with limits, rows that contradict each other among them: at most {WORST} ({worst})", worst <= WORST),
+        ("with limits: the bytes of Python", kept.same and alone.same),
+    ]
+    out += ["", *(f"- {what}: {'holds' if holds else '**does not hold**'}" for what, holds in held)]
+    return "\n".join(out), all(holds for _, holds in held)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

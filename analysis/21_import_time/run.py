@@ -1,0 +1,83 @@
+"""Study 21: what `import surctl` and `surctl --help` cost, against `import numpy`.
+
+    python analysis/21_import_time/run.py            # some seconds
+    python analysis/21_import_time/run.py --quick    # 3 processes of each
+
+Prints Markdown. Processor time of whole processes, less that of a bare interpreter, taken in turns. Ends with 0 when
+every bar is met, else with 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import statistics
+import subprocess
+import sys
+
+RUNS, QUICK = 21, 3
+MOST = 4.0  # times `import numpy`
+SECONDS = 0.5
+HEAVY = ("casadi", "scipy", "matplotlib", "control", "pandas", "xarray", "qpsolvers", "osqp", "marimo")
+
+WORDS = {
+    "bare interpreter": ["-c", ""],
+    "import numpy": ["-c", "import numpy"],
+    "import surctl": ["-c", "import surctl"],
+    "surctl --help": ["-m", "surctl", "--help"],
+    "surctl simulate --help": ["-m", "surctl", "simulate", "--help"],
+    "surctl list": ["-m", "surctl", "list"],
+}
+BARRED = ("import surctl", "surctl --help")
+
+
+def cost(words: list[str]) -> float:
+    """User and system time [s] of one process."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    environment = {**os.environ, "PYTHONHASHSEED": "0"}
+    subprocess.run([sys.executable, *words], check=True, stdout=subprocess.DEVNULL, env=environment)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def heavy(words: list[str]) -> list[str]:
+    """The heavy packages that these words import on the way."""
+    done = subprocess.run([sys.executable, "-X", "importtime", *words], check=True, capture_output=True, text=True)
+    found = {line.rsplit("|", 1)[-1].strip().partition(".")[0] for line in done.stderr.splitlines() if "|" in line}
+    return sorted(found & set(HEAVY))
+
+
+def main() -> int:
+    """Print the tables; 1 when a bar is missed."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help=f"{QUICK} processes of each instead of {RUNS}")
+    given = parser.parse_args()
+    runs = QUICK if given.quick else RUNS
+    taken: dict[str, list[float]] = {name: [] for name in WORDS}
+    for _ in range(runs + 1):  # the first round fills the file system's cache
+        for name, words in WORDS.items():
+            taken[name].append(cost(words))
+    median = {name: statistics.median(times[1:]) for name, times in taken.items()}
+    bare = median["bare interpreter"]
+    numpy = median["import numpy"] - bare
+    print(f"Median of {runs} processes of each, in turns.\n")
+    print("| process | processor time | less the interpreter | times `import numpy` | heavy packages |")
+    print("|---|---|---|---|---|")
+    good = True
+    for name, words in WORDS.items():
+        own = median[name] - bare
+        loaded = heavy(words) if name.startswith(("import surctl", "surctl")) else []
+        told = ", ".join(loaded) or "none"
+        print(f"| `{name}` | {median[name]:.3f} s | {own:.3f} s | {own / numpy:.2f} | {told} |")
+        if name in BARRED:
+            good = good and median[name] <= SECONDS and own / numpy <= MOST and not loaded
+    print(
+        f"\n{' and '.join(f'`{name}`' for name in BARRED)}: at most {SECONDS:g} s each, {MOST:g} times `import numpy`,"
+    )
+    print(f"nothing heavy on the way: {'met' if good else '**missed**'}.")
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
