@@ -13,11 +13,14 @@ from surctl.cli.sensor_options import SensorOptions, sensor_options, sensors_tol
 
 __all__ = ["export"]
 
+MISSION = "pool-static"
+"""Scenario of an export that names none."""
+
 
 @click.command
 @click.option("--gains", default="default", help="Gain file: name or path.")
 @click.option("--vehicle", help="Vehicle: name or file; default: the scenario's.")
-@click.option("--scenario", default="pool-static", help="Mission and sensors: of the defaults and of the check.")
+@click.option("--scenario", default=MISSION, help="Mission and sensors: of the defaults and of the check.")
 @click.option(
     "--law",
     default="guarded",

@@ -16,6 +16,7 @@ from surctl.cli.output import as_json, finish, progress, same_command, stoppable
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from surctl.control import Law
     from surctl.simulation import SafetyClaim
     from surctl.vehicle import Vehicle
     from surctl.verification import Claim, Verdict
@@ -110,7 +111,8 @@ def verify(
     told = None
     if scenario is not None:
         told = _safety(scenario, flown, gains, barrier=barrier, movers=movers, spread=uncertainty or None)
-    dt = build_law().dt
+    law = build_law()
+    dt = law.dt
     margins = worst_margins(flown, values, uncertainty=uncertainty, cruise=cruise, dt=dt)
     linear = linear_side(flown, values, cruise=cruise, dt=dt)
     tried = corners(flown, uncertainty or None)
@@ -151,16 +153,30 @@ def verify(
         result["safety"] = told.to_dict()
         good = good and told.holds
     proved = any(claim["verdict"] == "proved" for claim in result["claims"])
-    then = _then(gains, vehicle, certificates, lost=proved and out is None)
+    travel = _travelling(certificates, law, flown, gains)
+    then = _then(gains, vehicle, certificates, travel, lost=proved and out is None)
     finish(result, lines, as_json=as_json, passed=good, then=then)
 
 
-def _then(gains: str, vehicle: str, kept: Sequence[Path], *, lost: bool) -> list[str]:
+def _travelling(kept: Sequence[Path], law: Law, vehicle: Vehicle, gains: str) -> list[Path]:
+    """Certificates that an export with these gains takes along: not of the paper's loop, nor of gains of their own."""
+    if not kept:
+        return []
+    from surctl.cli.export import MISSION
+    from surctl.control import load_gains
+    from surctl.export import fitting_certificates
+    from surctl.simulation import law_numbers, load_scenario
+
+    numbers = law_numbers(load_scenario(MISSION), load_gains(gains), vehicle)
+    return fitting_certificates(kept, law, vehicle, numbers)
+
+
+def _then(gains: str, vehicle: str, kept: Sequence[Path], travel: Sequence[Path], *, lost: bool) -> list[str]:
     """The certificates are checked, and travel with the code; without a folder they are lost."""
     if lost:
         return [f"{same_command()} --out proofs"]
     export = ["surctl", "export", "--vehicle", vehicle, "--gains", gains]
-    carried = [word for file in kept for word in ("--certificate", str(file))]
+    carried = [word for file in travel for word in ("--certificate", str(file))]
     return [*(shlex.join(["surctl", "check", str(file)]) for file in kept[:1]), shlex.join([*export, *carried])]
 
 
@@ -194,9 +210,10 @@ def _draw(
     dt: float,
 ) -> list[str]:
     from surctl.report import save_margins, save_regions, save_verdicts
+    from surctl.verification.portrait import has_levels
 
     progress("pictures")
-    proved = {told["claim"]: told["certificate"] for told in regions if told["certificate"]}
+    proved = {t["claim"]: t["certificate"] for t in regions if t["certificate"] and has_levels(t["certificate"])}
     drawn = [*save_margins(vehicle, gains, out, cruise=cruise, dt=dt), *save_verdicts(verdicts, out)]
     return [str(path) for path in [*drawn, *save_regions(proved, out)]]
 

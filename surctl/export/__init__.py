@@ -10,7 +10,7 @@ from surctl.export.flight_envelope import flight_envelope
 from surctl.export.fmu import write_fmu
 from surctl.export.link import Answer, Line, LineDown, connect
 from surctl.export.linked import LinkedLaw, LinkFaults, LinkReport
-from surctl.export.origin import Origin, load_certificates, origin_of
+from surctl.export.origin import Origin, fitting_certificates, load_certificates, origin_of
 from surctl.export.precision import REALS
 from surctl.export.process import Controller, build_controller
 from surctl.export.prove import Alarm, ProofReport, gain_box, prove_bundle, with_proof
@@ -56,6 +56,7 @@ __all__ = [
     "connect",
     "emulated",
     "emulated_target",
+    "fitting_certificates",
     "flight_envelope",
     "gain_box",
     "load_certificates",

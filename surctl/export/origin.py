@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck import check_document
-from surctl.certcheck.bundle import compare, numbers_sha256, read_manifest, stated_sha256
+from surctl.certcheck.bundle import Manifest, compare, numbers_sha256, read_manifest, stated_sha256
 from surctl.certcheck.document import Rejected, read
 from surctl.control import Law, LawName, build_law
 from surctl.errors import InputError, UnsupportedOperation
@@ -25,7 +25,7 @@ from surctl.verification import Claim, claims
 from surctl.verification.formula import text_of
 from surctl.verification.proving import statement_of
 
-__all__ = ["Origin", "check_belonging", "load_certificates", "made_of", "origin_of"]
+__all__ = ["Origin", "check_belonging", "fitting_certificates", "load_certificates", "made_of", "origin_of"]
 
 Vector = NDArray[np.float64]
 
@@ -159,6 +159,42 @@ def check_belonging(manifest: Mapping[str, Any], origin: Origin) -> None:
                 key=name.removeprefix("certificate-"),
                 remedy="prove it for these gains and this vehicle: surctl verify --gains FILE --vehicle FILE",
             )
+
+
+def fitting_certificates(paths: Sequence[Path], law: Law, vehicle: Vehicle, p: Vector) -> list[Path]:
+    """Those of the certificates that are about a law with these parameters, and would travel with its export.
+
+    Args:
+        paths: certificate files.
+        law: told true positions, or with senses.
+        vehicle: what it flies.
+        p: parameters of the law, as `law_numbers` gives them.
+
+    Raises:
+        InputError: as `load_certificates`.
+
+    Example:
+        >>> import json
+        >>> from pathlib import Path
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.export import fitting_certificates
+        >>> from surctl.simulation import law_numbers, load_scenario
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.verification import claims, prove
+        >>> vehicle, gains, law = load_vehicle("sur400"), load_gains("default"), build_law()
+        >>> for k1 in (0.3, 0.2):
+        ...     [claim] = claims(gains.values | {"k1": k1}, names=["v1-corrected"], vehicle=vehicle)
+        ...     _ = Path(f"k1-{k1}.json").write_text(json.dumps(prove(claim).certificate))
+        >>> p = law_numbers(load_scenario("pool-static"), gains, vehicle)
+        >>> [path.name for path in fitting_certificates([Path("k1-0.3.json"), Path("k1-0.2.json")], law, vehicle, p)]
+        ['k1-0.3.json']
+    """
+    origin = origin_of(law, vehicle)
+    made = made_of(law, p, origin)
+    laws = (made["law"]["sha256"], made["law"]["told_truth_sha256"])
+    gains = {row["name"]: tuple(row["values"]) for row in made["gains"]["values"]}
+    manifest = Manifest("", "float64", law.dt, laws, gains, vehicle.digest(), made["claims"], ())
+    return [path for path in paths if all(compare(d, manifest).belongs for d in load_certificates([path]).values())]
 
 
 def _claims(rows: Sequence[Mapping[str, Any]], origin: Origin) -> dict[str, str]:

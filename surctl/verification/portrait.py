@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 
-__all__ = ["PLANES", "Plane", "Portrait", "portrait"]
+__all__ = ["PLANES", "Plane", "Portrait", "has_levels", "portrait"]
 
 Array = NDArray[np.float64]
 Plane = Literal["along", "across", "place"]
@@ -53,6 +53,11 @@ class Portrait:
     lagged: bool
 
 
+def has_levels(document: Mapping[str, Any]) -> bool:
+    """Whether `portrait` can draw a certificate: regions of the cruise, not of the loop that steers by heading."""
+    return document.get("kind") == "region" and document["claim"].get("system") == "cruise"
+
+
 def portrait(document: Mapping[str, Any], plane: str, *, reach: float = 1.9, points: int = 61) -> Portrait:
     """The portrait of a region certificate.
 
@@ -65,7 +70,7 @@ def portrait(document: Mapping[str, Any], plane: str, *, reach: float = 1.9, poi
     Raises:
         InputError: another kind of certificate, or an unknown plane.
     """
-    if document.get("kind") != "region" or document["claim"].get("system") != "cruise":
+    if not has_levels(document):
         raise InputError("has no level sets", key="certificate", value=document.get("kind"), remedy="give a region one")
     if plane not in PLANES:
         raise InputError("is not known", key="plane", value=plane, remedy=nearest(plane, PLANES))
