@@ -145,8 +145,8 @@ def conduct(
     """
     from surctl.report import Check, ReportData, loop_responses, runs_section, write_page
 
-    prepare_folder(out)
     find_compiler()
+    prepare_folder(out)
     law, clock = build_law(plan.law, guidance=plan.guidance), _Clock(progress)
     legs = tuple(leg for leg in plan.legs if not leg.obstacle_to_flying)
     senses = tuple(with_senses(plan, leg) for leg in legs)  # a law that cannot be is told before the long work

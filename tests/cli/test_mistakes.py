@@ -186,7 +186,7 @@ def test_no_compiler(tmp_path):
     for words in (["study"], ["export"]):
         done = surctl(*words, cwd=tmp_path, CC="no-such-compiler")
         assert done.status == 2
-        assert "no-such-compiler" in done.complaint
+        assert "no-such-compiler" in done.complaint and not list(tmp_path.iterdir())
         assert "CC" in done.complaint
 
 
