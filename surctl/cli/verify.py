@@ -210,10 +210,9 @@ def _draw(
     dt: float,
 ) -> list[str]:
     from surctl.report import save_margins, save_regions, save_verdicts
-    from surctl.verification.portrait import has_levels
 
     progress("pictures")
-    proved = {t["claim"]: t["certificate"] for t in regions if t["certificate"] and has_levels(t["certificate"])}
+    proved = {told["claim"]: told["certificate"] for told in regions if told["certificate"]}
     drawn = [*save_margins(vehicle, gains, out, cruise=cruise, dt=dt), *save_verdicts(verdicts, out)]
     return [str(path) for path in [*drawn, *save_regions(proved, out)]]
 

@@ -6,13 +6,14 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, ROBOT, dress, legend_below, new_axes, new_figure
-from surctl.verification.portrait import Portrait, portrait
+from surctl.verification.portrait import Portrait, planes_of, portrait
 
 __all__ = ["plot_portrait", "plot_region"]
 
@@ -20,7 +21,10 @@ _LABELS = {
     "along": ("along the path, x_e from its rest [m]", "velocity along it [m/s]"),
     "across": ("across the path, y_e [m]", "velocity across it [m/s]"),
     "place": ("along the path, x_e from its rest [m]", "across the path, y_e [m]"),
+    "turning": ("heading against the path, ψ [rad]", "yaw rate [rad/s]"),
+    "steering": ("across the path, y_e [m]", "heading against the path, ψ [rad]"),
 }
+_STILL = ("place", "steering")  # planes of places, where nothing moves while the velocities are 0
 _ARROWS = 15  # to a side
 
 
@@ -41,47 +45,53 @@ def plot_region(document: Mapping[str, Any]) -> Figure:
         >>> [ax.get_ylabel() for ax in figure.axes]
         ['velocity along it [m/s]', 'velocity across it [m/s]', 'across the path, y_e [m]']
     """
-    figure = new_figure(13.2, 4.9)
-    seen = [portrait(document, plane) for plane in _LABELS]
+    seen = [portrait(document, plane) for plane in planes_of(document)]
+    figure = new_figure(4.4 * len(seen), 4.9)
     for ax, one in zip(figure.subplots(1, len(seen)), seen, strict=True):
-        plot_portrait(one, ax, legend=one.plane == "across")
+        plot_portrait(one, ax)
+    figure.legend(handles=_handles(seen[0]), loc="outside lower center", ncols=4, fontsize=8.5, frameon=False)
     return figure
 
 
-def plot_portrait(one: Portrait, ax: Axes | None = None, *, legend: bool = True) -> Axes:
-    """One plane: certified (inside V = 1, outside the floor), refuted by the rate, and the flow."""
+def plot_portrait(one: Portrait, ax: Axes | None = None) -> Axes:
+    """One plane: certified (inside V = 1, outside the floor), refuted by the rate, and the flow; a legend if alone."""
+    alone = ax is None
     ax = dress(ax or new_axes(5.1, 4.9), x=_LABELS[one.plane][0], y=_LABELS[one.plane][1])
     ax.grid(visible=False)
     ax.locator_params(nbins=6)
-    step = max(1, len(one.x) // _ARROWS)
-    pick = slice(step // 2, None, step)
-    handles: list[Any] = []
-    if one.lagged:
-        handles.append(Line2D([], [], linestyle="none", label="flow and failures: without the lag, not shown"))
-    else:
+    if not one.lagged:
         fails = np.where(one.level > one.levels[0], one.excess, -np.inf) > 0
         ax.contourf(one.x, one.y, fails.astype(float), levels=[0.5, 1.5], colors=[AVOIDING], alpha=0.28)
-        handles.append(Patch(facecolor=AVOIDING, alpha=0.28, label="rate fails for some vehicle and heading"))
-        if one.plane != "place":
+        if one.plane not in _STILL:
+            step = max(1, len(one.x) // _ARROWS)
+            pick = slice(step // 2, None, step)
             u, v = one.flow[:, pick, pick]
             size = np.maximum(np.hypot(u / np.ptp(one.x), v / np.ptp(one.y)), 1e-12)
             ax.quiver(
                 one.x[pick], one.y[pick], u / np.ptp(one.x) / size, v / np.ptp(one.y) / size, angles="uv", pivot="mid",
                 color=MUTED, scale=26, width=0.0045, zorder=2,
             )  # fmt: skip
-            handles.append(Line2D([], [], color=MUTED, marker=r"$\rightarrow$", linestyle="none", markersize=11,
-                                  label="direction of the nominal flow"))  # fmt: skip
     ax.contourf(one.x, one.y, one.level, levels=[one.levels[0], 1.0], colors=[GOOD], alpha=0.16)
     ax.contour(one.x, one.y, one.level, levels=[1.0], colors=[GOOD], linewidths=2.0)
     if len(one.levels) > 2:
         ax.contour(one.x, one.y, one.level, levels=list(one.levels[1:-1]), colors=[GOOD], linewidths=0.7)
-    ax.contour(one.x, one.y, one.level, levels=[one.levels[0]], colors=[ROBOT], linewidths=1.4, linestyles="--")
-    handles = [
-        Line2D([], [], color=GOOD, linewidth=2.0, label="certified: V = 1, and its shells"),
-        Line2D([], [], color=ROBOT, linewidth=1.4, linestyle="--", label="where it ends: floor of V"),
-        *handles,
-    ]
+    if one.levels[0] > 0:
+        ax.contour(one.x, one.y, one.level, levels=[one.levels[0]], colors=[ROBOT], linewidths=1.4, linestyles="--")
     ax.plot(0, 0, marker="+", color=INK, markersize=9)
-    if legend:
-        legend_below(ax, columns=2, handles=handles)
+    if alone:
+        legend_below(ax, columns=2, handles=_handles(one))
     return ax
+
+
+def _handles(one: Portrait) -> list[Artist]:
+    shells = ", and its shells" if len(one.levels) > 2 else ""
+    told: list[Artist] = [Line2D([], [], color=GOOD, linewidth=2.0, label=f"certified: V = 1{shells}")]
+    if one.levels[0] > 0:
+        told.append(Line2D([], [], color=ROBOT, linewidth=1.4, linestyle="--", label="where it ends: floor of V"))
+    if one.lagged:
+        return [*told, Line2D([], [], linestyle="none", label="flow and failures: without the lag, not shown")]
+    told.append(Patch(facecolor=AVOIDING, alpha=0.28, label="rate fails for some vehicle and heading"))
+    if one.plane not in _STILL:
+        told.append(Line2D([], [], color=MUTED, marker=r"$\rightarrow$", linestyle="none", markersize=11,
+                           label=f"direction of the {one.whose} flow"))  # fmt: skip
+    return told

@@ -1,29 +1,37 @@
 """What a region certificate looks like: its level sets in a plane of states, the flow there, and where V̇ ≤ −aV fails.
 
-The flow is the cruise as the certificate states it, without thrust lag and sampling: place in the path frame, velocity
-over ground in it, thrust limited per body axis, drag per body axis. Failure is searched for over corners of the
-vehicle's ranges and over headings, so that white is no proof; the certificate is.
+The flow is the loop that steers by heading, or the cruise as the certificate states it, without thrust lag and
+sampling: place in the path frame, velocity over ground in it, thrust limited per body axis, drag per body axis. Failure
+is searched for over corners of the vehicle's ranges and over headings, so that white is no proof; the certificate is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
+from surctl.verification.region.heading import HeadingClaim
+from surctl.verification.region.rates import heading_loop
 
-__all__ = ["PLANES", "Plane", "Portrait", "has_levels", "portrait"]
+__all__ = ["CRUISE_PLANES", "HEADING_PLANES", "Portrait", "planes_of", "portrait"]
 
 Array = NDArray[np.float64]
-Plane = Literal["along", "across", "place"]
+Rates = Callable[[Array], Array]
+"""ξ̇ (n, k) of ξ (n, k)."""
 
-PLANES: Mapping[str, tuple[int, int]] = {"along": (0, 2), "across": (1, 3), "place": (0, 1)}
+CRUISE_PLANES: Mapping[str, tuple[int, int]] = {"along": (0, 2), "across": (1, 3), "place": (0, 1)}
 """Planes of states, all other deviations 0: x_e with its velocity, y_e with its velocity, x_e with y_e."""
+
+HEADING_PLANES: Mapping[str, tuple[int, int]] = {
+    "along": (0, 3), "across": (1, 4), "turning": (2, 5), "steering": (1, 2),
+}  # fmt: skip
+"""Planes of states, all other deviations 0: x_e, y_e and ψ each with its rate, y_e with ψ."""
 
 _SHARE = 0.85  # of quadratic drag along the path, the mean over the heading: where the cruise settles
 _HEADINGS = np.linspace(0, 2 * np.pi, 16, endpoint=False)
@@ -34,12 +42,13 @@ class Portrait:
     """A plane of deviations ξ from the steady cruise.
 
     Attributes:
-        plane: one of `PLANES`.
-        x, y: (m,), (k,) values of the two deviations [m, m/s].
-        flow: (2, k, m) their rates for the nominal vehicle heading along the path.
+        plane: one of `planes_of`.
+        x, y: (m,), (k,) values of the two deviations [m, m/s, rad, rad/s].
+        flow: (2, k, m) their rates for one vehicle; in a cruise it heads along the path.
+        whose: what vehicle the flow is that of.
         level: (k, m) V.
         excess: (k, m) largest V̇/V + a [1/s] that was found over vehicles and headings; above 0 the rate fails there.
-        levels: V of the innermost shell, of the others, and 1.
+        levels: V of the innermost shell, of the others, and 1; 0 first where it decays to the place of rest.
         lagged: the certificate has thrust lag, which the flow here has not.
     """
 
@@ -47,57 +56,114 @@ class Portrait:
     x: Array
     y: Array
     flow: Array
+    whose: str
     level: Array
     excess: Array
     levels: tuple[float, ...]
     lagged: bool
 
 
-def has_levels(document: Mapping[str, Any]) -> bool:
-    """Whether `portrait` can draw a certificate: regions of the cruise, not of the loop that steers by heading."""
-    return document.get("kind") == "region" and document["claim"].get("system") == "cruise"
+@dataclass(frozen=True, eq=False)
+class _Loop:
+    """What a portrait is drawn of: V = ξᵀPξ, and rates of vehicles, the shown one first."""
+
+    P: Array
+    shown: Rates
+    whose: str
+    tried: Iterator[Rates]
+    levels: tuple[float, ...]
+    lagged: bool
+
+
+def planes_of(document: Mapping[str, Any]) -> Mapping[str, tuple[int, int]]:
+    """The planes that a certificate can be drawn in, by name: the two states of each.
+
+    Raises:
+        InputError: a certificate that has no level sets.
+    """
+    if document.get("kind") == "heading":
+        return HEADING_PLANES
+    if document.get("kind") == "region" and document["claim"].get("system") == "cruise":
+        return CRUISE_PLANES
+    raise InputError("has no level sets", key="certificate", value=document.get("kind"), remedy="give a region one")
 
 
 def portrait(document: Mapping[str, Any], plane: str, *, reach: float = 1.9, points: int = 61) -> Portrait:
-    """The portrait of a region certificate.
+    """The portrait of a certificate of a region.
 
     Args:
-        document: of kind `region`.
-        plane: one of `PLANES`.
+        document: of kind `region` or `heading`.
+        plane: one of `planes_of`.
         reach: half-width of the plane in half-axes of V = 1.
         points: of each axis.
 
     Raises:
         InputError: another kind of certificate, or an unknown plane.
     """
-    if not has_levels(document):
-        raise InputError("has no level sets", key="certificate", value=document.get("kind"), remedy="give a region one")
-    if plane not in PLANES:
-        raise InputError("is not known", key="plane", value=plane, remedy=nearest(plane, PLANES))
-    claim, P = document["claim"], _matrix(document["proof"]["P"])
-    first, second = PLANES[plane]
+    planes = planes_of(document)
+    if plane not in planes:
+        raise InputError("is not known", key="plane", value=plane, remedy=nearest(plane, planes))
+    loop = _heading(document) if document["kind"] == "heading" else _cruise(document)
+    first, second = planes[plane]
     # of the section through 0, not of the projection
-    section = np.linalg.inv(P[np.ix_((first, second), (first, second))])
+    section = np.linalg.inv(loop.P[np.ix_((first, second), (first, second))])
     half = reach * np.sqrt(np.diag(section))
     x, y = (np.linspace(-h, h, points) for h in half)
-    xi = np.zeros((points * points, 4))
+    xi = np.zeros((points * points, len(loop.P)))
     xi[:, first], xi[:, second] = (grid.ravel() for grid in np.meshgrid(x, y))
-    value = np.einsum("ni,ij,nj->n", xi, P[:4, :4], xi)
-    excess = np.full(len(xi), -np.inf)
-    for boat in _boats(claim):
-        for psi in _HEADINGS:
-            rate = _rate(claim, boat, _state(claim, boat, xi), psi)
-            growth = 2 * np.einsum("ni,ij,nj->n", xi, P[:4, :4], rate) / np.maximum(value, 1e-12)
-            excess = np.maximum(excess, growth + claim["motion"]["rate_per_s"])
-    law = claim["law"]
-    nominal = (law["mass_kg"], (law["linear_drag"],) * 2, (law["quadratic_drag"],) * 2)
-    flow = _rate(claim, nominal, _state(claim, nominal, xi), 0.0)[:, [first, second]]
+    value = np.einsum("ni,ij,nj->n", xi, loop.P, xi)
+    growth = np.full(len(xi), -np.inf)
+    for rates in loop.tried:
+        growth = np.maximum(growth, 2 * np.einsum("ni,ij,nj->n", xi, loop.P, rates(xi)) / np.maximum(value, 1e-12))
+    excess = growth + document["claim"]["motion"]["rate_per_s"]
+    flow = loop.shown(xi)[:, [first, second]]
     shape = (points, points)
-    levels = (document["proof"]["floor"], *(shell["level"] for shell in document["proof"]["shells"]))
     return Portrait(
-        plane, x, y, flow.T.reshape(2, *shape), value.reshape(shape), excess.reshape(shape), tuple(levels),
-        claim["vehicle"]["lag_s"][1] > 0,
+        plane, x, y, flow.T.reshape(2, *shape), loop.whose, value.reshape(shape), excess.reshape(shape), loop.levels,
+        loop.lagged,
     )  # fmt: skip
+
+
+def _cruise(document: Mapping[str, Any]) -> _Loop:
+    claim, proof = document["claim"], document["proof"]
+    law = claim["law"]
+
+    def rates(boat: Boat, psi: float) -> Rates:
+        return lambda xi: _rate(claim, boat, _state(claim, boat, xi), psi)
+
+    nominal = (law["mass_kg"], (law["linear_drag"],) * 2, (law["quadratic_drag"],) * 2)
+    return _Loop(
+        P=_matrix(proof["P"])[:4, :4],
+        shown=rates(nominal, 0.0),
+        whose="nominal",
+        tried=(rates(boat, psi) for boat in _boats(claim) for psi in _HEADINGS),
+        levels=(proof["floor"], *(shell["level"] for shell in proof["shells"])),
+        lagged=claim["vehicle"]["lag_s"][1] > 0,
+    )
+
+
+def _heading(document: Mapping[str, Any]) -> _Loop:
+    stated = document["claim"]
+    ranges = {key: (pair[0], pair[1]) for key, pair in stated["vehicle"].items() if key != "limits"}
+    claim = HeadingClaim(
+        name="", ranges=ranges, limits=stated["vehicle"]["limits"], law=stated["law"],
+        rate=stated["motion"]["rate_per_s"], digest=stated["sha256_vehicle"],
+    )  # fmt: skip
+    flown = heading_loop(claim)
+
+    def rates(share: Sequence[float]) -> Rates:
+        return lambda xi: flown(xi, np.tile(share, (len(xi), 1)))[0]
+
+    varying = sum(not key.startswith("heave") for key in ranges)
+    corners = product((0.0, 1.0), repeat=varying)
+    return _Loop(
+        P=_matrix(document["proof"]["P"]),
+        shown=rates([0.5] * varying),
+        whose="mid-range",
+        tried=(rates(corner) for corner in corners),
+        levels=(0.0, 1.0),
+        lagged=False,
+    )
 
 
 Boat = tuple[float, tuple[float, ...], tuple[float, ...]]

@@ -55,13 +55,15 @@ def test_a_region_claim_of_ones_own_is_proved(tmp_path) -> None:
     assert surctl("check", "proofs/mine.json", cwd=tmp_path).status == 0
 
 
-def test_a_region_of_the_loop_steered_by_heading_has_no_picture_and_stays_here(tmp_path) -> None:
+def test_a_region_of_the_loop_steered_by_heading_is_drawn_and_does_not_travel(tmp_path) -> None:
     done = surctl("verify", "region-heading-20", "region-cruise-20-soft", "--out", "proofs", "--json", cwd=tmp_path)
     assert done.status == 0, done.err
     assert {path.name for path in (tmp_path / "proofs").glob("*.json")} == {
         "region-heading-20.json", "region-cruise-20-soft.json",
     }  # fmt: skip
-    assert [p.name for p in (tmp_path / "proofs").glob("region*.png")] == ["region-cruise-20-soft-levels.png"]
+    assert {path.name for path in (tmp_path / "proofs").glob("region*.png")} == {
+        "region-heading-20-levels.png", "region-cruise-20-soft-levels.png",
+    }  # fmt: skip
     # neither is about the law with the gains that are exported: one is the paper's, the other has gains of its own
     check, export = done.json["next"]
     assert check == "surctl check proofs/region-heading-20.json" and "--certificate" not in export

@@ -15,9 +15,10 @@ from surctl.report.region_plots import plot_region
 from surctl.report.verify_files import save_margins, save_regions, save_verdicts
 from surctl.vehicle import load_vehicle
 from surctl.verification import claims, falsify, loop_margins, prove, settle
-from surctl.verification.portrait import portrait
+from surctl.verification.portrait import CRUISE_PLANES, HEADING_PLANES, portrait
 from surctl.verification.proving.cells import cells_of
 from tests.certcheck import cruise
+from tests.certcheck.test_heading import RANGES, rate
 
 CERTIFICATES = Path(__file__).parents[1] / "certcheck"
 VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default").values
@@ -28,7 +29,28 @@ def certificate(name: str) -> dict[str, Any]:
     return json.loads((CERTIFICATES / f"{name}.json").read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("plane", ["along", "across", "place"])
+@pytest.mark.parametrize("plane", HEADING_PLANES)
+def test_nothing_fails_where_the_loop_steered_by_heading_is_certified(plane: str) -> None:
+    seen = portrait(certificate("region-heading-20"), plane, reach=3.0)
+    inside = (seen.level <= 1.0) & (seen.level > 1e-9)
+    assert inside.sum() > 200 and seen.excess[inside].max() < 0
+    assert seen.excess.max() > 0 or plane == "across"  # and far out it does fail
+
+
+@pytest.mark.parametrize("plane", ["along", "across", "turning"])
+def test_the_flow_of_the_heading_loop_is_that_written_for_the_checkers_tests(plane: str) -> None:
+    document = certificate("region-heading-20")
+    seen, claim = portrait(document, plane), document["claim"]
+    xi = np.zeros((seen.level.size, 6))
+    pair = list(HEADING_PLANES[plane])
+    xi[:, pair] = np.stack([grid.ravel() for grid in np.meshgrid(seen.x, seen.y)], axis=1)
+    middle = {key: np.full(len(xi), sum(claim["vehicle"][key]) / 2) for key in RANGES}
+    rates = rate(claim, middle, xi)[:, pair]
+    assert np.abs(rates[:, 1]).max() > 0.01
+    np.testing.assert_allclose(seen.flow.reshape(2, -1).T, rates, atol=1e-12)
+
+
+@pytest.mark.parametrize("plane", CRUISE_PLANES)
 def test_nothing_fails_where_the_certificate_holds(plane: str) -> None:
     seen = portrait(certificate("region-cruise-20"), plane)
     inside = (seen.level <= 1.0) & (seen.level >= seen.levels[0])
@@ -58,6 +80,7 @@ def test_a_portrait_needs_a_region(tmp_path: Path) -> None:
     (path,) = save_regions({"region-cruise-20-lag": certificate("region-cruise-20-lag")}, tmp_path)
     assert path.name == "region-cruise-20-lag-levels.png" and path.read_bytes().startswith(b"\x89PNG")
     assert len(plot_region(certificate("region-cruise-20")).axes) == 3
+    assert len(plot_region(certificate("region-heading-20")).axes) == 4
 
 
 def test_the_boxes_of_a_proof_fill_the_domain_without_overlap() -> None:
