@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from surctl.ir.c99 import C_TYPE, Real, c_literal, emit_c99, identifier
 from surctl.ir.c99_folded import emit_folded, preamble
 from surctl.ir.c99_lanes import Feed, chooses, emit_lanes, emit_straight
 from surctl.ir.moves import handed_on
-from surctl.ir.places import Overlaps, Places, inlined, overlapping
+from surctl.ir.places import Overlaps, Places, inlined, overlapping, reads
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 
 __all__ = ["emit_block"]
 
+_FEW = 8  # numbers that a compiler keeps in registers
 _TARGET = re.compile(r"\b\w+\[[^\]]*\] = ")
 
 
@@ -180,7 +181,9 @@ def _routine(routine: Routine, symbol: str, writer: _Writer) -> str:
         lines.append(f"    {kind} *const {name} = {base} + {start};")
     body: list[str] = []
     for step in routine.steps:
-        body += _moved(step, places) if inlined(step) else _step(step, sizes, local, writer)
+        body += (
+            _moved(step, places) if inlined(step) else _step(step, sizes, local, writer, _stays(step, places, overlaps))
+        )
     body += [_copy(f"held{k}", local[routine.results[k]], sizes[routine.results[k]]) for k in places.held]
     for k, name in enumerate(routine.results):
         source = f"held{k}" if k in places.held else local[name]
@@ -212,18 +215,44 @@ def _entry(array: str, first: int) -> str:
 def _copy(to: str, source: str, size: int) -> str:
     """Copy `size` numbers; an array, or the beginning of an entry of it."""
     to, source = (text if "[" in text else f"{text}[" for text in (to, source))
-    if size <= 8:  # a compiler keeps what it can name in registers
+    if size <= _FEW:
         return "    " + " ".join(f"{to}{k}] = {source}{k}];" for k in range(size))
-    return f"    for (int k = 0; k < {size}; ++k) {{ {to}k] = {source}k]; }}"
+    # the comment is for Frama-C: an array that a loop fills is filled for it once the loop is unrolled
+    return f"    /*@ loop unroll {size}; */\n    for (int k = 0; k < {size}; ++k) {{ {to}k] = {source}k]; }}"
 
 
-def _step(step: Step, sizes: Mapping[str, int], local: Mapping[str, str], writer: _Writer) -> list[str]:
+def _stays(step: Step, places: Places, overlaps: Collection[tuple[int, int]]) -> dict[str, str]:
+    """Inputs that a loop of one turn at most, where it is not run, leaves as what they are: nothing is copied then.
+
+    By the result's name the input's; that result is a local array of its own, since others would have to move with it.
+    """
+    if not isinstance(step, Loop) or step.count > 1 or step.until is None:
+        return {}
+    taken = [place[0] for place in places.of.values()]
+    # a call of nothing but moves copies from where an array stands, and knows no pointer
+    moved = {name for other in places.routine.steps if inlined(other) for name in reads(other)}
+    read = {name for other in places.routine.steps for name in reads(other)}
+    safe = {f"in{k}" for k in range(len(places.routine.inputs))} - {f"in{j}" for _, j in overlaps}
+    return {
+        result: name
+        for k, (name, result) in enumerate(zip(step.carried, step.results, strict=False))
+        if k != step.until
+        and places.of[name][0] in safe
+        and result in read - moved
+        and places.own.get(places.of[result][0], 0) > _FEW
+        and taken.count(places.of[result][0]) == 1
+    }
+
+
+def _step(
+    step: Step, sizes: Mapping[str, int], local: dict[str, str], writer: _Writer, stays: Mapping[str, str]
+) -> list[str]:
     if isinstance(step, Gather):
         return _gather(step, sizes[step.source] // step.width, local, writer)
     if isinstance(step, Call):
         function = writer.named[step.block.digest()]
         return [f"    {function}({', '.join(local[name] for name in (*step.args, *step.results))});"]
-    return _loop(step, sizes, local, writer)
+    return _loop(step, sizes, local, writer, stays)
 
 
 def _gather(step: Gather, count: int, local: Mapping[str, str], writer: _Writer) -> list[str]:
@@ -244,24 +273,40 @@ def _gather(step: Gather, count: int, local: Mapping[str, str], writer: _Writer)
     return [*lines, f"        {' '.join(parts)}", "    }"]
 
 
-def _loop(loop: Loop, sizes: Mapping[str, int], local: Mapping[str, str], writer: _Writer) -> list[str]:
+def _loop(
+    loop: Loop, sizes: Mapping[str, int], local: dict[str, str], writer: _Writer, stays: Mapping[str, str]
+) -> list[str]:
+    """The lines; what `stays` is read through a pointer from here on, which `local` is told."""
     state = len(loop.carried)
     function = writer.named[_lanes_key(loop) if loop.lanes > 1 else loop.block.digest()]
     results = [local[name] for name in loop.results]
-    pairs = zip(loop.carried, results[:state], strict=True)
+    begun = [
+        local[name] if result in stays else at
+        for name, result, at in zip(loop.carried, loop.results, results, strict=False)
+    ]
+    pairs = zip(loop.carried, begun, strict=True)
     lines = [_copy(result, local[name], sizes[name]) for name, result in pairs if result != local[name]]
-    running = "" if loop.until is None else f" && ({results[loop.until]}[0] == {c_literal(0.0, writer.real)})"
-    lines.append(f"    for (int i = 0; (i < {loop.count}){running}; ++i) {{")
+    now = {result: f"{local[result]}_now" for result in stays}
+    lines += [f"    const {writer.kind} *{now[result]} = {local[name]};" for result, name in stays.items()]
+    runs = "" if loop.until is None else f"({results[loop.until]}[0] == {c_literal(0.0, writer.real)})"
+    if stays:  # Frama-C takes the two cases apart: the array that the pointer leaves is not filled
+        chosen = f"{next(iter(now.values()))}_runs"
+        lines += [f"    const int {chosen} = {runs};", f"    /*@ split {chosen}; */"]
+        runs = chosen
+    lines.append(f"    for (int i = 0; (i < {loop.count}){f' && {runs}' if runs else ''}; ++i) {{")
     if loop.index:
         first = f"({writer.kind})i" if loop.lanes == 1 else f"({writer.kind})({loop.lanes} * i)"
         ranks = [first if k == 0 else f"{first} + {c_literal(float(k), writer.real)}" for k in range(loop.lanes)]
         lines.append(f"        const {writer.kind} turn[{loop.lanes}] = {{{', '.join(ranks)}}};")
-    arguments = ["turn"] * loop.index + results[:state]
+    arguments = ["turn"] * loop.index + begun
     arguments += [_part(local[name], sizes[name] // loop.count) for name in (*loop.sliced, *loop.spread)]
     arguments += [local[name] for name in loop.fixed]
     arguments += results[:state]
     arguments += [_part(local[name], sizes[name] // loop.count) for name in loop.results[state:]]
-    return [*lines, f"        {function}({', '.join(arguments)});", "    }"]
+    lines.append(f"        {function}({', '.join(arguments)});")
+    lines += [f"        {now[result]} = {local[result]};" for result in stays]
+    local |= now
+    return [*lines, "    }"]
 
 
 def _part(array: str, width: int) -> str:

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from surctl.errors import ToolMissing
-from surctl.ir import Call, Loop, Program, Real, Routine, emit_block, lower, memory, replay, stack_bytes
-from surctl.ir.routine import Step
+from surctl.ir import Call, Loop, Program, Real, Routine, c99_routine, emit_block, lower, memory, replay, stack_bytes
+from surctl.ir.routine import Gather, Step
 from tests.ir.expressions import compiled
 from tests.ir.routines import random_routine
 from tests.tools import need_compiler
@@ -21,9 +21,12 @@ from tests.tools import need_compiler
 COUNT = 500
 
 
-@pytest.mark.parametrize("folded", [False, True])
-def test_random_routines_bit_for_bit_and_their_inputs_stay(tmp_path: Path, folded: bool) -> None:
+@pytest.mark.parametrize(("folded", "few"), [(False, 8), (True, 8), (True, 0)])
+def test_random_routines_bit_for_bit_and_their_inputs_stay(
+    tmp_path: Path, folded: bool, few: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     need_compiler()
+    monkeypatch.setattr(c99_routine, "_FEW", few)  # 0: no array is so small that what a loop leaves is copied
     wrong = []
     routines = [random_routine(seed) for seed in range(COUNT)]
     natives = []
@@ -55,6 +58,8 @@ def moved(name: str, sizes: Sequence[int], make: Callable[..., list[ca.SX]]) -> 
 
 
 SPLIT = moved("split", [100], lambda x: [x[:40], x[40:]])
+HEAD = moved("head", [40], lambda x: [x[:30]])
+ENDS = moved("ends", [40], lambda a: [a[0] + a[-1]])
 JOIN = moved("join", [40, 60], lambda a, b: [ca.vertcat(a, b)])
 SUM = moved("sum", [300, 300], lambda a, b: [a + b])
 TURN = moved("turn", [40], lambda a: [2.5 * a])
@@ -164,6 +169,51 @@ def test_the_compiler_keeps_the_arrays_that_memory_counts_and_little_more(real: 
     except ToolMissing as missing:
         pytest.skip(str(missing))
     assert own > 3000 and own <= told <= own + 256
+
+
+def stays(how: str) -> Routine:
+    """A loop of one turn at most, with a flag, over an input; what comes out is read in every way that there is."""
+    done = ca.SX.sym("done")
+    double = moved("double", [40], lambda a: [2.5 * a[::-1]])
+    raised = lower(ca.Function("raised", [done], [ca.SX.ones(1)]))
+    turn = Routine(
+        "turn",
+        (("a", 40), ("done", 1)),
+        (Call(double, ("a",), ("b",)), Call(raised, ("done",), ("yes",))),
+        ("b", "yes"),
+    )
+    plus = moved("plus", [1, 10, 40], lambda s, a, b: [s + a[3] - b[7]])
+    again = Loop(TURN, 2, ("now",), ("turned",))
+    steps: tuple[Step, ...] = (
+        Loop(turn, 1, ("x", "flag"), ("now", "known"), until=1),
+        *([] if how == "changed in place" else [again]),
+        Call(ENDS, ("now",), ("s",)),
+        Loop(plus, 4, ("s",), ("sum",), sliced=("now",), fixed=("now",)),
+        Gather("now", "sum", 5, "piece"),
+        *([again] if how == "changed in place" else []),
+        *([Call(HEAD, ("now",), ("p",))] if how == "cut" else []),
+        Call(ENDS, ("turned",), ("t",)),
+    )
+    results = ("sum", "piece", "t", *(("p",) if how == "cut" else ()))
+    return Routine("r", (("x", 40), ("flag", 1)), steps, results)
+
+
+@pytest.mark.parametrize("how", ["read", "cut", "changed in place"])
+@pytest.mark.parametrize("folded", [False, True])
+def test_an_input_that_a_flagged_loop_leaves_is_only_read_where_it_stands(
+    tmp_path: Path, folded: bool, how: str
+) -> None:
+    need_compiler()
+    routine = stays(how)
+    (native,) = compiled([routine], tmp_path, partial(emit_block, folded=folded), flags=("-O1",))
+    x = np.random.default_rng(3).normal(size=40)
+    for flag in (0.0, 1.0, np.nan):
+        kept = x.copy()
+        want, have = replay(routine, x, np.array([flag])), native(x, np.array([flag]))
+        assert all(a.tobytes() == b.tobytes() for a, b in zip(have, want, strict=True))
+        assert x.tobytes() == kept.tobytes()
+    text = emit_block(routine, symbol="f", folded=folded).split("static void f(")[1]
+    assert ("_now = in0;" in text) is (how == "read")  # it is copied where others have to find it, or change it
 
 
 def written_early() -> Routine:

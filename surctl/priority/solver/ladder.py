@@ -53,7 +53,7 @@ def safe_tick(n: int, p: int, m: int, *, precision: Precision = FLOAT64) -> Rout
     carried = ("point", "active", "multipliers", "status", "count", "none")
     after = tuple(f"{name}_down" for name in carried)
     steps = (
-        Call(unit_rows(sizes), ("rows",), ("unit",)),
+        *unit_rows(sizes),
         Call(_zero(), (), ("none",)),
         Call(
             exact_rung(sizes), ("unit", "target", "J", "x", "none"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from surctl.ir import Call, Loop, Program, Routine, lower
+from surctl.ir import Call, Loop, Program, Routine, Step, lower
 from surctl.priority.solver.dual_step import Space
 from surctl.priority.solver.kernel import certificate, kernel, lanes_of
 from surctl.priority.solver.precision import FLOAT64, Precision
@@ -37,33 +37,49 @@ class Sizes:
         self.opening_certificate = certificate(self.opening, m)
 
 
-def unit_rows(sizes: Sizes) -> Routine:
-    """rows (m·(n + 3),), row by row → the same in blocks, scaled to length 1; nothing is scaled if none needs it.
+def unit_rows(sizes: Sizes) -> tuple[Step, ...]:
+    """From rows (m·(n + 3),), row by row, to unit, the same in blocks and scaled to length 1, where one has another.
 
     A row of zeros keeps its bounds: it is met always or never. One whose squared length is above `huge` is never met.
+    With one lane a block is a row: rows that are as they should be are only looked at.
     """
-    width = sizes.n + 3
-    steps = (
-        Loop(_all_unit(), 1, (), ("one",), lanes=sizes.lanes),
-        Loop(
-            _load(sizes), sizes.blocks, ("one",), ("each", "loaded"), spread=("rows",), lanes=sizes.lanes
-        ),
-        Call(_every(sizes.lanes), ("each",), ("done",)),
-        Loop(_scaling(sizes), 1, ("loaded", "done"), ("unit", "scaled"), until=1),
-    )  # fmt: skip
-    return Routine("unit_rows", (("rows", sizes.m * width),), steps, ("unit",))
+    if sizes.lanes == 1:
+        look: tuple[Step, ...] = (
+            Call(_one(), (), ("unit_so_far",)),
+            Loop(_look(sizes), sizes.m, ("unit_so_far",), ("all_unit",), sliced=("rows",)),
+        )
+        begun = "rows"
+    else:
+        look = (
+            Loop(_one(), 1, (), ("unit_so_far",), lanes=sizes.lanes),
+            Loop(
+                _load(sizes), sizes.blocks, ("unit_so_far",), ("each", "loaded"), spread=("rows",), lanes=sizes.lanes
+            ),
+            Call(_every(sizes.lanes), ("each",), ("all_unit",)),
+        )  # fmt: skip
+        begun = "loaded"
+    return (*look, Loop(_scaling(sizes), 1, (begun, "all_unit"), ("unit", "scaled"), until=1))
 
 
-def _all_unit() -> Program:
-    return lower(ca.Function("all_unit", [], [ca.SX.ones(1)]))
+def _one() -> Program:
+    return lower(ca.Function("one", [], [ca.SX.ones(1)]))
 
 
 def _load(sizes: Sizes) -> Program:
     """(all rows of this lane are of length 1 or 0, row) → the same with this row; the row."""
     yes, row = ca.SX.sym("yes"), ca.SX.sym("row", sizes.n + 3)
+    return lower(ca.Function("load", [yes, row], [ca.if_else(_is_unit(sizes, row), yes, 0), row]))
+
+
+def _look(sizes: Sizes) -> Program:
+    """(all rows so far are of length 1 or 0, row) → the same with this row."""
+    yes, row = ca.SX.sym("yes"), ca.SX.sym("row", sizes.n + 3)
+    return lower(ca.Function("look", [yes, row], [ca.if_else(_is_unit(sizes, row), yes, 0)]))
+
+
+def _is_unit(sizes: Sizes, row: ca.SX) -> ca.SX:
     square = ca.sumsqr(row[: sizes.n])
-    good = ca.logic_or(ca.fabs(square - 1) <= sizes.precision.unit, ca.eq(square, 0))
-    return lower(ca.Function("load", [yes, row], [ca.if_else(good, yes, 0), row]))
+    return ca.logic_or(ca.fabs(square - 1) <= sizes.precision.unit, ca.eq(square, 0))
 
 
 def _every(lanes: int) -> Program:
