@@ -1,9 +1,11 @@
 """No run-time error, by abstract interpretation: Frama-C's Eva over everything that the guard lets in.
 
 The program that is analysed (`proof.c`) puts any number of its range into every state, input and gain, any last
-accepted input and any sample into the guard, and calls the step once. 0 alarms mean: no NaN or infinity is ever made,
-nothing is divided by zero, no array is left, no conversion overflows, and each thrust is within its limit, for every
-such step.
+accepted input and any sample into the guard, and calls the step once. 0 alarms mean: nothing uninitialised is read, no
+array is left, no conversion overflows, and each thrust is a number within its limit, for every such step; and of a law
+in closed form all of whose numbers are bounded: no NaN or infinity is ever made, nothing is divided by zero.
+A law that searches (loops over rows whose bounds may be infinite) or remembers numbers of any size is not asked the
+latter: IEEE 754 says what it does with them, and what leaves it is looked at.
 Ranges are those of the guard, so what flies is what was proved: anything else is refused before the law sees it.
 """
 
@@ -18,7 +20,7 @@ import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
@@ -33,18 +35,25 @@ from surctl.export.bundle import Bundle, manifest_with
 from surctl.export.contract import Exportable, thrust
 from surctl.export.envelope import anywhere
 from surctl.export.fields import entries
-from surctl.ir import Real, c_literal
+from surctl.ir import Block, Loop, Program, Real, Routine, c_literal
+from surctl.ir.routine import nested
 
 __all__ = ["Alarm", "ProofReport", "gain_box", "prove_bundle", "with_proof"]
 
 Vector = NDArray[np.float64]
 
 _TOOL = "frama-c"
-_OPTIONS = (
-    *("-eva", "-eva-precision", "3", "-warn-special-float", "non-finite"),
-    *("-eva-no-show-progress", "-eva-msg-key=-final-states", "-main", "proof"),
-)
+_OPTIONS = ("-eva", "-eva-no-show-progress", "-eva-msg-key=-final-states", "-main", "proof")
+_BOUNDED = ("-eva-precision", "3", "-warn-special-float", "non-finite")
+# Precision 0: there is nothing to gain from more, and more does not end. Loops over rows are unrolled, or Eva takes
+# the rows that a first loop filled for rows that a second finds empty.
+_UNBOUNDED = ("-eva-precision", "0", "-warn-special-float", "none", "-eva-auto-loop-unroll")
+_LEAST_UNROLLED = 24
+_INSIDE = "every number inside finite, no divisor zero"
+_OUTSIDE = "what overflows inside, or is no number, is refused before it leaves"
 _PROVED = ("Valid", "Considered valid", "Dead")
+_OF_SHOWING = ("assigns clause", "from clause")  # of the function that prints; the C has no contracts
+_ANY = 1e38  # bounds beyond that are none
 _LIMIT = 600.0  # s
 
 
@@ -75,6 +84,7 @@ class ProofReport:
         tool: the analyser's version.
         log: what it printed.
         source: the program that was analysed.
+        inside: whether it also holds inside the law that every number is finite and no divisor is zero.
     """
 
     alarms: tuple[Alarm, ...]
@@ -83,17 +93,31 @@ class ProofReport:
     tool: str
     log: str
     source: str
+    inside: bool = True
 
     @property
     def proved(self) -> bool:
         """Whether nothing was left open."""
-        return not self.alarms and self.properties > 0
+        return not self.alarms and self.properties > 0 and self.accepts
+
+    @property
+    def accepts(self) -> bool:
+        """Whether the law was analysed at all: a guard that refuses everything would prove anything."""
+        told = re.search(r"show_each_status: (.*)", self.log)
+        return told is not None and any(not number.startswith("-") for number in re.findall(r"-?\d+", told.group(1)))
+
+    @property
+    def claim(self) -> str:
+        """What holds if it is proved."""
+        common = "nothing uninitialised read, no array left, no conversion overflows, each thrust within its limit"
+        return f"{common}; {_INSIDE if self.inside else _OUTSIDE}"
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON, without the time, which no two runs share."""
         return {
             "status": "proved" if self.proved else "open",
             "tool": self.tool,
+            "claim": self.claim,
             "properties": self.properties,
             "alarms": [{"file": a.file, "line": a.line, "kind": a.kind, "property": a.text} for a in self.alarms],
         }
@@ -101,9 +125,10 @@ class ProofReport:
     def summary(self) -> str:
         """Lines for people."""
         verdict = "proved" if self.proved else f"OPEN, {len(self.alarms)} alarms"
+        verdict += "" if self.accepts else ", and no step that the guard accepts"
         spent = f"{self.properties} properties, {self.seconds:.1f} s, {self.tool}"
         head = f"proof of no run-time error and of thrust limits: {verdict}; {spent}"
-        return "\n".join([head, *(f"  {a.file}:{a.line}: {a.kind}: {a.text}" for a in self.alarms)])
+        return "\n".join([head, f"  {self.claim}", *(f"  {a.file}:{a.line}: {a.kind}: {a.text}" for a in self.alarms)])
 
 
 def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector) -> ProofReport:
@@ -136,20 +161,21 @@ def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector) -> ProofReport:
         raise ToolMissing(
             "is not installed", key=_TOOL, remedy="install it (Debian: frama-c-base), or export without --prove"
         )
-    source = _program(law, bundle, limit)
+    source, options = _program(law, bundle, limit), _options(law, bundle)
     with tempfile.TemporaryDirectory(prefix="surctl-proof-") as scratch:
         folder = Path(scratch).resolve()
         for file in (f"{bundle.name}.c", f"{bundle.name}.h"):
             (folder / file).write_bytes(bundle.files[file].encode())
         (folder / "proof.c").write_bytes(source.encode())
         begin = time.perf_counter()
-        log = _run(folder, f"-I. -D{bundle.name.upper()}_NO_SELFTEST")
+        log = _run(folder, [*options, f"-cpp-extra-args=-I. -D{bundle.name.upper()}_NO_SELFTEST"])
         spent = time.perf_counter() - begin
         table = folder / "out.csv"
         if not table.exists():
             raise SurctlError(f"{_TOOL} did not analyse the program: {_first_error(log)}")
         rows = list(csv.DictReader(io.StringIO(table.read_text(encoding="utf-8")), delimiter="\t"))
-    rows = [row for row in rows if row["file"] in ("proof.c", f"{bundle.name}.c")]
+    files = ("proof.c", f"{bundle.name}.c")
+    rows = [row for row in rows if row["file"] in files and row["property kind"] not in _OF_SHOWING]
     alarms = [
         Alarm(row["file"], int(row["line"]), row["property kind"], row["property"])
         for row in rows
@@ -157,11 +183,28 @@ def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector) -> ProofReport:
     ]
     version = subprocess.run([_TOOL, "-version"], capture_output=True, text=True, check=False).stdout.split()
     ordered = tuple(sorted(alarms, key=lambda a: (a.file, a.line, a.kind, a.text)))
-    return ProofReport(ordered, len(rows), spent, f"Frama-C {version[0] if version else '?'}", log, source)
+    told = f"Frama-C {version[0] if version else '?'}"
+    return ProofReport(ordered, len(rows), spent, told, log, source, inside=options == _BOUNDED)
 
 
-def _run(folder: Path, options: str) -> str:
-    command = [_TOOL, *_OPTIONS, f"-cpp-extra-args={options}", "proof.c", "-then", "-report-csv", "out.csv"]
+def _options(law: Exportable, bundle: Bundle) -> tuple[str, ...]:
+    """How to analyse it: see the head of this file."""
+    within = bundle.envelope or anywhere(law)
+    bounded = all((np.abs(box) < _ANY).all() for box in (within.state, within.inputs, within.gains))
+    if bounded and isinstance(law.block, Program):
+        return _BOUNDED
+    turns = [loop.count for loop in _loops(law.block) if loop.until is None]  # others fill nothing
+    return (*_UNBOUNDED, str(max(_LEAST_UNROLLED, *turns, 0)))
+
+
+def _loops(block: Block) -> Iterator[Loop]:
+    for inner in nested(block).values():
+        if isinstance(inner, Routine):
+            yield from (step for step in inner.steps if isinstance(step, Loop))
+
+
+def _run(folder: Path, options: Sequence[str]) -> str:
+    command = [_TOOL, *_OPTIONS, *options, "proof.c", "-then", "-report-csv", "out.csv"]
     try:
         done = subprocess.run(
             command,
@@ -199,7 +242,7 @@ def _program(law: Exportable, bundle: Bundle, limit: Vector) -> str:
     body = [
         *("state.sample = any_count(0U, 4294967295U);", "input.sample = any_count(0U, 4294967295U);"),
         *("state.counted = any_count(0U, 1U);", *lines),
-        f"(void){name}_step(&state, &gains, &input, &output);",
+        f"Frama_C_show_each_status({name}_step(&state, &gains, &input, &output));",
         *claims,
     ]
     return "\n".join(

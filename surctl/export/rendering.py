@@ -145,6 +145,9 @@ def _values(
         "direct": isinstance(law.block, Program),
         "changing": changing(law.block) if isinstance(law.block, Program) else [],
         "results": results(law, law.block) if isinstance(law.block, Program) else [],
+        "thrusts": [f"output->{member}" for member, _ in entries([thrust(law)])]
+        if isinstance(law.block, Program)
+        else [f"tau[{k}]" for k in range(n_tau)],
         "law": direct_law(law, law.block, name, real)
         if isinstance(law.block, Program)
         else emit_block(law.block, symbol=f"{name}_law", folded=True, real=real),

@@ -1,4 +1,4 @@
-"""The smallest law, a flight of it, and its bundles: shared by the tests of guard, proof and mutants."""
+"""The smallest laws, a flight of one, and their bundles: shared by the tests of guard, proof and mutants."""
 
 from __future__ import annotations
 
@@ -32,3 +32,13 @@ def exported(real: Real = "float32") -> tuple[Exportable, Bundle, Records]:
     record = simulate(mission, vehicle(), gains=gains, law=law, sensing="truth", seed=0).record
     flight = Records(record.law_state, record.law_input, np.zeros((len(record.law_state), 0)))
     return shipped, bundle, as_records(shipped, flight)
+
+
+@cache
+def searching() -> tuple[Exportable, Bundle]:
+    """A law that searches and remembers: mode projected, told one obstacle that stands."""
+    mission, law = load_scenario(SCENARIO), build_law("guarded", mode="projected", contacts=1, moving=False)
+    gains = load_gains("default")
+    shipped = closed_form(law, real="float32", constants=law_numbers(mission, gains, vehicle()))
+    within = flight_envelope(law, mission, vehicle(), shipped.gains)
+    return shipped, build_bundle(shipped, {}, real="float32", envelope=within)

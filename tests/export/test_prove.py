@@ -16,15 +16,17 @@ from surctl.control import build_law, load_gains
 from surctl.errors import InputError, ToolMissing
 from surctl.export import Bundle, gain_box, prove_bundle, with_proof
 from surctl.export.mutants import caught_by, mutants
+from surctl.ir import Program
 from surctl.simulation import law_numbers, load_scenario
-from tests.export.lean import exported, vehicle
+from tests.export.lean import exported, searching, vehicle
 from tests.tools import need, need_compiler
 
 
 def altered(bundle: Bundle, pattern: str, new: str) -> Bundle:
-    text, count = re.subn(pattern, new, bundle.files["surctl_lean.c"], count=1)
+    file = f"{bundle.name}.c"
+    text, count = re.subn(pattern, new, bundle.files[file], count=1)
     assert count == 1
-    return replace(bundle, files=MappingProxyType({**bundle.files, "surctl_lean.c": text}))
+    return replace(bundle, files=MappingProxyType({**bundle.files, file: text}))
 
 
 def test_nothing_is_left_open_and_the_outcome_travels_with_the_bundle() -> None:
@@ -60,6 +62,41 @@ def test_what_is_wrong_is_told_with_its_place(pattern: str, new: str, kind: str)
     assert not report.proved and any(re.search(kind, alarm.kind) for alarm in report.alarms), report.summary()
     assert all(alarm.line > 0 and alarm.file in ("surctl_lean.c", "proof.c") for alarm in report.alarms)
     assert report.to_dict()["status"] == "open" and report.alarms[0].file in report.summary()
+
+
+def test_a_law_that_searches_and_remembers_is_proved_as_a_whole() -> None:
+    need("frama-c")
+    law, bundle = searching()
+    assert "next" in bundle.files[f"{bundle.name}.c"] and not isinstance(law.block, Program)
+    report = prove_bundle(law, bundle, vehicle().thrust_limit)
+    assert report.proved and report.accepts and not report.inside, report.summary()
+    assert "refused before it leaves" in report.summary() and report.to_dict()["claim"] == report.claim
+    assert sum("limit" in line for line in report.source.splitlines()) == 4
+
+
+@pytest.mark.parametrize(
+    ("pattern", "new", "kind"),
+    [
+        (r" \|\| !\(tau\[0\] == tau\[0\]\)", "", "assertion"),  # a thrust that is no number gets out
+        (r"min_of\(max_of\((v\d+), -5\.0f\), 5\.0f\)", r"max_of(\1, -5.0f)", "assertion"),
+        (r"piece = (in\d+) \+ 4U \* at;", r"piece = \1 + 4U * (at + 1U);", "mem_access"),  # a row beyond the last
+        (r"for \(int i = 0; \(i < 9\); \+\+i\) \{", "for (int i = 0; (i < 8); ++i) {", "initialization"),
+    ],
+)
+def test_what_is_wrong_in_a_law_that_searches_is_told(pattern: str, new: str, kind: str) -> None:
+    need("frama-c")
+    law, bundle = searching()
+    report = prove_bundle(law, altered(bundle, pattern, new), vehicle().thrust_limit)
+    assert not report.proved and any(re.search(kind, alarm.kind) for alarm in report.alarms), report.summary()
+
+
+def test_a_guard_that_lets_nothing_in_proves_nothing() -> None:
+    need("frama-c")
+    law, bundle, _ = exported("float32")
+    shut = altered(bundle, r"(static int surctl_lean_inside\([^{]*\{)", r"\1\n    return 0;")
+    report = prove_bundle(law, shut, vehicle().thrust_limit)
+    assert not report.alarms and not report.accepts and not report.proved
+    assert "no step that the guard accepts" in report.summary()
 
 
 def test_a_missing_tool_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
