@@ -18,6 +18,7 @@ from contenders import Contender, casadi_c, controller, ours
 from limits import USUAL, WORST, laws, ticks
 from numpy.typing import NDArray
 from peers import PROBLEM, race
+from proofs import whole_laws
 
 from surctl.errors import SurctlError
 from surctl.export import TARGETS, Controller, Records, prove_bundle
@@ -184,6 +185,8 @@ def study(*, quick: bool) -> tuple[str, bool]:
     ]
     others, apart = race(quick=quick)
     out += ["", f"Other solvers, {PROBLEM}:", "", *others]
+    proofs, whole = whole_laws(quick=quick)
+    out += ["", "## Proof of whole laws", "", *proofs, "", "## Bars", ""]
     best, worst = lines[1], max(kept.most, alone.most)
     usual = lines[0].counted.mean + alone.mean
     held = [
@@ -192,6 +195,7 @@ def study(*, quick: bool) -> tuple[str, bool]:
         (f"at most {MOST_BYTES} B of code", best.size <= MOST_BYTES),
         ("our bytes are the same in every build", all(line.same == line.builds for line in lines[:3])),
         ("no alarm in 60 s", proof.proved and proof.seconds <= 60.0),
+        ("no alarm in whole laws", whole),
         (f"at least {LEAST_MUTANTS} wrong versions caught", quick or tried - missed >= LEAST_MUTANTS),
     ]
     held += [
@@ -204,7 +208,7 @@ def study(*, quick: bool) -> tuple[str, bool]:
         (f"with limits, rows that contradict each other among them: at most {WORST} ({worst})", worst <= WORST),
         ("with limits: the bytes of Python", kept.same and alone.same),
     ]
-    out += ["", *(f"- {what}: {'holds' if holds else '**does not hold**'}" for what, holds in held)]
+    out += [*(f"- {what}: {'holds' if holds else '**does not hold**'}" for what, holds in held)]
     return "\n".join(out), all(holds for _, holds in held)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping
 from surctl.ir.c99 import C_TYPE, Real, c_literal, emit_c99, identifier
 from surctl.ir.c99_folded import emit_folded, preamble
 from surctl.ir.c99_lanes import Feed, chooses, emit_lanes, emit_straight
-from surctl.ir.moves import handed_on
+from surctl.ir.moves import copy_loop, entry, handed_on
 from surctl.ir.places import Overlaps, Places, inlined, overlapping, reads
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
@@ -204,12 +204,8 @@ def _moved(step: Step, places: Places) -> list[str]:
         (to, first), (source, start) = places.of[step.results[move.output]], places.of[step.args[move.input]]
         there, here = (to, first + move.to), (source, start + move.start)
         if there != here:
-            lines.append(_copy(_entry(*there), _entry(*here), move.count))
+            lines.append(_copy(entry(*there), entry(*here), move.count))
     return lines
-
-
-def _entry(array: str, first: int) -> str:
-    return f"{array}[{first} + " if first else f"{array}["
 
 
 def _copy(to: str, source: str, size: int) -> str:
@@ -217,8 +213,7 @@ def _copy(to: str, source: str, size: int) -> str:
     to, source = (text if "[" in text else f"{text}[" for text in (to, source))
     if size <= _FEW:
         return "    " + " ".join(f"{to}{k}] = {source}{k}];" for k in range(size))
-    # the comment is for Frama-C: an array that a loop fills is filled for it once the loop is unrolled
-    return f"    /*@ loop unroll {size}; */\n    for (int k = 0; k < {size}; ++k) {{ {to}k] = {source}k]; }}"
+    return copy_loop(to, source, size)
 
 
 def _stays(step: Step, places: Places, overlaps: Collection[tuple[int, int]]) -> dict[str, str]:

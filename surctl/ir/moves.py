@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from surctl.ir.program import Instruction, Program, drop_dead
 
-__all__ = ["Move", "handed_on", "move_lines", "only_moves", "remaining"]
+__all__ = ["Move", "copy_loop", "entry", "handed_on", "move_lines", "only_moves", "remaining"]
 
 _FEW = 8  # pieces up to which a program of nothing but moves is written where it is called
 _LEAST = 32  # entries, from which on one call that copies is shorter than a line an entry
@@ -66,9 +66,17 @@ def remaining(
 
 def move_lines(moves: Sequence[Move]) -> list[str]:
     """C99 of the moves, for outputs that are no inputs."""
-    return [f"    for (int k = 0; k < {m.count}; ++k) {{ {_copied(m)} }}" for m in moves]
+    return [copy_loop(entry(f"out{m.output}", m.to), entry(f"in{m.input}", m.start), m.count) for m in moves]
 
 
-def _copied(m: Move) -> str:
-    to, source = (f"{first} + k" if first else "k" for first in (m.to, m.start))
-    return f"out{m.output}[{to}] = in{m.input}[{source}];"
+def entry(array: str, first: int) -> str:
+    """C text of an entry's beginning, to which the counter and ] are added."""
+    return f"{array}[{first} + " if first else f"{array}["
+
+
+def copy_loop(to: str, source: str, count: int) -> str:
+    """C99 that copies `count` numbers from one `entry` on to another.
+
+    The comment is for Frama-C: to it an array that a loop fills is filled once the loop is unrolled.
+    """
+    return f"    /*@ loop unroll {count}; */\n    for (int k = 0; k < {count}; ++k) {{ {to}k] = {source}k]; }}"
