@@ -44,13 +44,13 @@ GAINS: Mapping[str, GainSpec] = {
     "k_i": GainSpec("1/s^2", "integral action of the velocity loops, 0 for none", zero_allowed=True),
     "margin": GainSpec("m", "stand-off d_s added to every clearance"),
     "reaction": GainSpec("s", "reaction time in the braking distance: lag, sampling and velocity loop"),
-    "brake": GainSpec("1", "share of the thrust that the braking distance counts on", below=1.0 + 1e-12),
+    "brake": GainSpec("1", "share of the thrust that the braking distance counts on", below=1.0),
     "kappa": GainSpec("1/s", "gain of the sensor sub-tasks and of the corrected avoidance form"),
     "k3": GainSpec("1", "convergence coefficient of (20)"),
     "delta": GainSpec("m", "offset delta of (20); a positive one lets the robot in (E11)", zero_allowed=True),
     "lambda1": GainSpec("1", "gate width of (5) in standard deviations; 0 always takes the mean", zero_allowed=True),
-    "lms_step": GainSpec("1", "share of the optimal LMS step", below=1.0 + 1e-12),
-    "beta_max": GainSpec("1", "largest historical-memory factor of (6)", zero_allowed=True, below=0.5 + 1e-12),
+    "lms_step": GainSpec("1", "share of the optimal LMS step", below=1.0),
+    "beta_max": GainSpec("1", "largest historical-memory factor of (6)", zero_allowed=True, below=0.5),
 }
 
 
@@ -157,7 +157,7 @@ def load_gains(name_or_path: str) -> Gains:
 
 
 def write_gains(gains: Gains) -> str:
-    """The gain file's text; reading it gives the same values back. Stated ranges are not written.
+    """The gain file's text; reading it gives the same values back, and the ranges that they are inside of.
 
     Example:
         >>> from pathlib import Path
@@ -174,8 +174,10 @@ def write_gains(gains: Gains) -> str:
         "",
         "[gains]",
     ]
-    lines += [
-        f'{name} = {{ value = {float(value)!r}, unit = "{GAINS[name].unit}" }} # {GAINS[name].meaning}'
-        for name, value in gains.values.items()
-    ]
+    for name, value in gains.values.items():
+        low, high = gains.ranges.get(name, (np.inf, -np.inf))  # a value that was moved out of its range has none
+        stated = f", range = [{low!r}, {high!r}]" if low <= value <= high else ""
+        lines.append(
+            f'{name} = {{ value = {float(value)!r}, unit = "{GAINS[name].unit}"{stated} }} # {GAINS[name].meaning}'
+        )
     return "\n".join(lines) + "\n"

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from surctl.errors import SurctlError, ToolMissing
+from surctl.errors import InputError, SurctlError, ToolMissing, nearest
 from surctl.ir.c99 import C_TYPE, Real
 from surctl.ir.c99_routine import emit_block
 from surctl.ir.compiler import compile_program, compiler_version
@@ -83,7 +83,10 @@ def stack_of(text: str, entry: str, *, flags: Sequence[str] = ("-Os",), compiler
     for where, size, _ in rows:
         function = where.rsplit(":", 1)[-1].split(".")[0]
         frames[function] = frames.get(function, 0) + int(size)
-    return _deepest(entry, _callees(text), frames, {})
+    callees = _callees(text)
+    if entry not in callees:
+        raise InputError("is no function of the text", key="entry", value=entry, remedy=nearest(entry, callees))
+    return _deepest(entry, callees, frames, {})
 
 
 def _callees(text: str) -> dict[str, set[str]]:

@@ -100,7 +100,7 @@ def prepare(case: Case, names: Sequence[str], *, ticks: int, seed: int = 0) -> D
         seed: of drift and waves.
 
     Raises:
-        InputError: another mode or sensing, an unknown gain, or a scenario that starts inside an obstacle.
+        InputError: another mode, sensing or law, an unknown gain, or a scenario that starts inside an obstacle.
 
     Example:
         >>> import numpy as np
@@ -122,6 +122,10 @@ def prepare(case: Case, names: Sequence[str], *, ticks: int, seed: int = 0) -> D
     for name in names:
         case.gains[name]  # says what is unknown
     law = case.build()
+    slots = [port.shape[0] for port in law.inputs if port.name == "contacts"]
+    if slots != [CONTACT_SLOTS]:
+        remedy = f"use a law that is told {CONTACT_SLOTS} obstacles"
+        raise InputError("has no gradient", key="law", value=case.law, remedy=remedy)
     scenario = case.scenario
     world = build_world(scenario, case.vehicle, seed=seed)
     if len(scenario.obstacles) > CONTACT_SLOTS:

@@ -116,6 +116,12 @@ def test_what_is_written_reads_back_exactly(
     assert (back.name, back.provenance) == ("swept", provenance)
 
 
+def test_ranges_are_written_as_long_as_the_value_is_inside(tmp_path: Path) -> None:
+    gains = replace(load_gains("default"), ranges={"k_v": (1.0, 2.0), "k1": (0.1, 0.3)})
+    back = _load(tmp_path, write_gains(gains.with_values({"k_v": 2.5})))
+    assert back["k_v"] == 2.5 and back.ranges == {"k1": (0.1, 0.3)}
+
+
 def test_with_values_checks_and_leaves_the_original() -> None:
     gains = load_gains("default")
     changed = gains.with_values({"k1": 0.5}, provenance="swept")

@@ -91,7 +91,7 @@ def test_refining_poor_gains_lowers_the_true_metrics() -> None:
 
 @pytest.mark.parametrize(
     ("change", "key"),
-    [({"mode": "projected"}, "mode"), ({"sensing": "sonar"}, "sensing")],
+    [({"mode": "projected"}, "mode"), ({"sensing": "sonar"}, "sensing"), ({"law": "lean"}, "law = .lean.: has no")],
 )
 def test_what_has_no_gradient_is_refused(change: dict[str, str], key: str) -> None:
     flown = case("pool-static")
