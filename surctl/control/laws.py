@@ -18,7 +18,7 @@ import numpy as np
 from surctl.control.echoes import Perception
 from surctl.control.ports import SECTORS
 from surctl.control.reference import Wish
-from surctl.control.stopping import Stop, braked
+from surctl.control.stopping import Bounds, Stop, braked
 from surctl.guidance import (
     FAR,
     SAME_CONTACT,
@@ -60,6 +60,7 @@ _BEHIND = 0.7  # cosine from which something comes from behind: it is outrun
 _AFTER = 3.0  # [s] after the arrival for which it is
 _URGENT = 4.0  # [s] before it is met
 _DEEP = 0.01  # [m/s] in a cone at which the robot goes on where it would wait to look
+_WAITING = 0.5  # share of its speed below which it waits for what is unknown
 _BESIDE = 0.03  # [m] off the path from which a way past the unknown must not lead further off
 _OVERTAKE = 0.02  # [m/s] by which the avoidance speed exceeds the obstacle's
 
@@ -163,8 +164,10 @@ def guarded_law(
             chased = ca.logic_or(chased, sector.bound < 0)
         # beside what blocks the wish, a way past the unknown would leave the side that is latched
         past = round_unknown(velocity, caution[: scan.unknown.shape[0]], sectors, cones=cones)
-        past = ca.if_else(ca.logic_or(choice.blocked, _strays(wish, past)), velocity, past)
+        past = ca.if_else(ca.logic_or(choice.blocked, _strays(wish, past, stop)), velocity, past)
         cautious = slowed(past, caution)
+        waits = ca.logic_and(ca.logic_not(choice.blocked), ca.sumsqr(cautious) < _WAITING**2 * ca.sumsqr(past))
+        cautious = ca.if_else(waits, _back_first(wish, past, caution, bounds), cautious)
         for cone in cones:
             soon = ca.dot(cone.ahead, cautious) - cone.closing > cone.room / _URGENT
             chased = ca.logic_or(chased, ca.logic_and(soon, inside(cautious, cone) > _DEEP))
@@ -198,10 +201,23 @@ def guarded_law(
     )
 
 
-def _strays(wish: Wish, velocity: ca.SX) -> ca.SX:
-    """Whether a velocity leads off the path, where the robot already is beside it."""
+def _back_first(wish: Wish, velocity: ca.SX, caution: Bounds, bounds: Bounds) -> ca.SX:
+    """As slow as caution asks, but what leads back to the path last: that need not wait for what is unknown ahead.
+
+    The course turns by that, and keeps the other bounds once more.
+    """
+    sideways = ca.vertcat(-wish.tangent[1], wish.tangent[0])
+    across = ca.dot(sideways, velocity)
+    back = slowed(ca.if_else(across * wish.y_e < 0, across, 0) * sideways, caution)
+    ahead = slowed(velocity - back, [(n, ca.fmax(bound - ca.dot(n, back), 0)) for n, bound in caution])
+    return slowed(back + ahead, [(n, ca.fmax(bound, 0)) for n, bound in bounds])
+
+
+def _strays(wish: Wish, velocity: ca.SX, stop: Stop) -> ca.SX:
+    """Whether a velocity leads off the path, where the robot already is beside it or could not stop before it is."""
     across = wish.tangent[0] * velocity[1] - wish.tangent[1] * velocity[0]
-    return ca.logic_and(ca.fabs(wish.y_e) > _BESIDE, across * wish.y_e > 0)
+    room = _BESIDE - ca.if_else(across < 0, -wish.y_e, wish.y_e)
+    return ca.fabs(across) > ca.fmax(stop(room, ca.SX(0)), 0)
 
 
 def _cautious_bounds(scan: Scan, stop: Stop, p: Mapping[str, ca.SX]) -> list[tuple[ca.SX, ca.SX]]:

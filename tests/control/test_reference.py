@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.control import PARAMETERS, law_parameters, load_gains
-from surctl.control.laws import _strays
+from surctl.control.laws import _back_first, _strays
 from surctl.control.reference import path_wish
+from surctl.control.stopping import BARRIERS
 from surctl.guidance import Path
 from surctl.vehicle import load_vehicle
 
@@ -24,7 +25,8 @@ def _function() -> ca.Function:
     p, ps = PARAMETERS.symbols("p")
     eta, progress, velocity = ca.SX.sym("eta", 4), ca.SX.sym("progress"), ca.SX.sym("velocity", 2)
     wish = path_wish(eta, progress, ps, dt=DT)
-    return ca.Function("wish", [eta, progress, velocity, p], [wish.velocity, _strays(wish, velocity), wish.arriving])
+    strays = _strays(wish, velocity, BARRIERS["simple"](ps, DT))
+    return ca.Function("wish", [eta, progress, velocity, p], [wish.velocity, strays, wish.arriving])
 
 
 @cache
@@ -56,9 +58,34 @@ def test_the_target_is_closed_in_on_no_faster_than_the_thrusters_stop(x: float, 
 
 @pytest.mark.parametrize(
     ("y", "across", "strays"),
-    [(0.0, 0.1, 0), (0.02, 0.1, 0), (0.05, 0.1, 1), (0.05, -0.1, 0), (-0.05, -0.1, 1), (-0.05, 0.1, 0), (0.05, 0.0, 0)],
+    [
+        *((0.0, 0.03, 0), (0.0, 0.1, 1), (0.0, -0.1, 1), (0.02, -0.03, 0), (0.5, -0.1, 0), (0.05, -0.1, 1)),
+        *((0.05, 0.01, 1), (-0.05, -0.01, 1), (-0.05, 0.05, 0), (0.05, 0.0, 0)),
+    ],
 )
-def test_straying_is_further_off_where_it_is_off(y: float, across: float, strays: int) -> None:
+def test_straying_is_further_off_where_it_is_off_or_cannot_stop_before(y: float, across: float, strays: int) -> None:
+    """On the path 0.03 m/s across are stopped within 0.03 m, and 0.1 m/s from half a metre off."""
     found = _function()([4.0, y, -0.15, 0], 4.2, [0.1, across], _parameters("sur400"))
     assert float(found[1]) == strays
     assert float(found[2]) == 0
+
+
+@cache
+def _waiting() -> ca.Function:
+    """(eta, progress, velocity, bound straight ahead, bound to the left, p) → the velocity that is left."""
+    p, ps = PARAMETERS.symbols("p")
+    eta, progress, velocity = ca.SX.sym("eta", 4), ca.SX.sym("progress"), ca.SX.sym("velocity", 2)
+    unknown, wall = ca.SX.sym("unknown"), ca.SX.sym("wall")
+    wish = path_wish(eta, progress, ps, dt=DT)
+    found = _back_first(wish, velocity, [(ca.SX([1, 0]), unknown)], [(ca.SX([0, 1]), wall)])
+    return ca.Function("waiting", [eta, progress, velocity, unknown, wall, p], [found])
+
+
+@pytest.mark.parametrize(
+    ("y", "wall", "found"),
+    [(-0.1, 10.0, (0.02, 0.03)), (0.1, 10.0, (0.02, 0.003)), (-0.1, 0.015, (0.01, 0.015)), (-0.1, 0.0, (0.0, 0.0))],
+)
+def test_who_waits_goes_back_to_the_path_meanwhile(y: float, wall: float, found: tuple[float, float]) -> None:
+    """0.2 m/s ahead, where 0.02 are allowed, and 0.03 to the left: back to the path, or off it; and beside a wall."""
+    made = _waiting()([4.0, y, -0.15, 0], 4.2, [0.2, 0.03], 0.02, wall, _parameters("sur400"))
+    assert np.asarray(made).ravel().tolist() == pytest.approx(found, abs=1e-12)
