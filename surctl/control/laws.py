@@ -138,6 +138,7 @@ def guarded_law(
             bound = ca.if_else(ca.logic_and(evaded, c.clearance > p["margin"]), _NO_BOUND, bound)
             cones.append(_cone(c, evaded, point, eta, p))
         sectors.append(Sector(c.normal, bound, point))
+    over_ground = planar_rotation(eta[3]) @ nu[:2]
     choice = choose_velocity(
         wish.velocity,
         sectors,
@@ -149,12 +150,13 @@ def guarded_law(
         same=SAME_CONTACT if scan is None else _ONE_ENCOUNTER,
         cones=cones,
         walls=seen.walls,
+        now=over_ground,
+        acceleration=p["brake"] * _acceleration(p),
     )
     velocity, halted = choice.velocity, ca.SX(0)
     bounds = [(sector.normal, sector.bound) for sector in sectors]
     named = [(f"contact_{k}", *bound) for k, bound in enumerate(bounds)]
     levels = [Wanted.of(task) for task in lower_tasks(eta, wish, p)]
-    over_ground = planar_rotation(eta[3]) @ nu[:2]
     if scan is None:
         velocity = braked(velocity, over_ground, bounds)
     else:

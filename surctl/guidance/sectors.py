@@ -14,16 +14,18 @@ import casadi as ca
 
 from surctl.guidance.cones import Cone, inside
 from surctl.guidance.contacts import Contact
-from surctl.guidance.sides import passes_left, side_costs
+from surctl.guidance.sides import MISSED, MISSED_RATE, passes_left, side_costs, swap_costs
 
 __all__ = ["Choice", "Sector", "choose_velocity", "round_unknown", "slowed"]
 
 _TOLERANCE = 1e-3  # [m/s] by which a course may miss a bound and still count as free
 _HEAD_ON = 1e-4  # cost of −1 between two equal edges: head-on the obstacle stays on the right (E10)
-_MISSED, _MISSED_RATE = 10.0, 100.0  # cost of a course that is not free, and of each m/s by which it is not
 _TURN_BACK = 8.0  # cost of leaving the latched side: more than any free course (0 … 2), less than a missed bound
 SAME_CONTACT = 0.3  # [m] that the blocker may move between two steps and still be the same encounter
 _WORTH_IT = 0.1  # share of the speed that a way past the unknown must gain
+_WAIT = 0.5  # cost of going slower than the wish, beside what of the way is lost
+_AWAITED = 12.0  # [s] within which what moves comes near if it is to be waited for
+_ANY = 1e3  # [m/s²] of a robot that turns its velocity at once
 _OVERTAKE = 0.05  # [m/s] by which the robot outruns what comes from behind
 
 
@@ -71,12 +73,15 @@ def choose_velocity(
     same: float = SAME_CONTACT,
     cones: Sequence[Cone] = (),
     walls: Sequence[Contact] = (),
+    now: ca.SX | None = None,
+    acceleration: ca.SX | None = None,
 ) -> Choice:
     """Velocity on the free course nearest to the wish's.
 
-    Candidates are the wish and both edges of every sector. If none is free, the one that misses its bounds least is
-    taken. The speed is the wish's; no more than `cruise` while the wish is blocked (no catching up between
-    obstacles); more, up to `cap`, while a bound asks for a retreat; and reduced as far as the other bounds ask.
+    Candidates are the wish and both edges of every sector; and, while something that moves comes nearer, the wish as
+    slow as the sectors ask, and standing still. If none is free, the one that misses its bounds least is taken. The
+    speed is the wish's; no more than `cruise` while the wish is blocked (no catching up between obstacles); more, up
+    to `cap`, while a bound asks for a retreat; and reduced as far as the other bounds ask.
     Boxed in, the robot stands still if that misses the bounds less than any course.
 
     Args:
@@ -89,6 +94,8 @@ def choose_velocity(
         same: [m] that the blocker may move between two steps and still be the same encounter.
         cones: of what moves.
         walls: of the site, for the side on which what comes head-on is passed, see `sides`.
+        now: velocity over ground (2, 1) [m/s] in {E}, by which what moves is already passed on a side; 0 unless given.
+        acceleration: [m/s²] that turns it; any unless given.
 
     Example:
         >>> import casadi as ca
@@ -106,13 +113,34 @@ def choose_velocity(
     speed = ca.if_else(near, ca.fmin(wished, cruise), wished)
     speed = ca.fmax(speed, ca.if_else(retreat > 0, ca.fmin(retreat + _OVERTAKE, cap), 0))
 
-    now = _worst_blocker(ahead, speed, sectors, cones)
-    latched = ca.if_else(ca.sumsqr(now - blocker) <= same * same, side, 0)
+    own = ca.SX.zeros(2) if now is None else now
+    force = ca.SX(_ANY) if acceleration is None else acceleration
+    sides, crosses = [], []
+    for cone in cones:
+        met = inside(speed * ahead, cone) > _TOLERANCE
+        head_on, swap = side_costs(cone, wish, walls), swap_costs(cone, own, speed, force)
+        sides.append([ca.if_else(met, a, 0) + b for a, b in zip(head_on, swap, strict=True)])
+        crosses.append(swap[0] + swap[1] > 0)
+    worst, crossed = _worst_blocker(ahead, speed, sectors, cones, crosses)
+    held = ca.sumsqr(worst - blocker) <= same * same
+    # the side is one of the wish: of what crosses it says nothing, there `swap_costs` holds on to the way round
+    latched = ca.if_else(ca.logic_and(held, ca.logic_not(crossed)), side, 0)
     course, missed = ahead, _violation(ahead, speed, sectors, cones)
     blocked = missed > _TOLERANCE
     least, taken = _missed_cost(missed), ca.SX(0)
-    met = [inside(speed * ahead, cone) > _TOLERANCE for cone in cones]
-    sides = [side_costs(cone, wish, walls) for cone in cones]
+    # what moves comes nearer, and goes by itself: waiting comes to an end
+    pace, waits = speed, ca.SX(0)
+    for cone in cones:
+        waits = ca.logic_or(waits, ca.logic_and(cone.there, cone.room < -_AWAITED * cone.closing))
+    waits = ca.logic_and(waits, retreat <= 0)
+    for slow in (_free_speed(ahead, speed, sectors), ca.SX(0)):
+        slow_missed = _excess(slow * ahead, sectors, cones)
+        cost = 1 - slow / speed + _WAIT + _missed_cost(slow_missed)
+        for cone, (on_left, on_right) in zip(cones, sides, strict=True):
+            cost += ca.if_else(passes_left(slow * ahead, cone), on_left, on_right)
+        better = ca.logic_and(waits, cost < least)
+        missed, pace = ca.if_else(better, slow_missed, missed), ca.if_else(better, slow, pace)
+        taken, least = ca.if_else(better, latched, taken), ca.if_else(better, cost, least)
     for sign in (1, -1):
         edges = [(sector.normal, sector.bound, sector.bound < speed) for sector in sectors]
         edges += [
@@ -124,18 +152,19 @@ def choose_velocity(
             edge_missed = _violation(edge, speed, sectors, cones)
             left = ca.if_else(ahead[0] * edge[1] - ahead[1] * edge[0] >= 0, 1, -1)
             cost = 1 - ca.dot(edge, ahead) + (0 if sign > 0 else _HEAD_ON) + _missed_cost(edge_missed)
-            for cone, meets, (on_left, on_right) in zip(cones, met, sides, strict=True):
-                cost += ca.if_else(meets, ca.if_else(passes_left(speed * edge, cone), on_left, on_right), 0)
+            for cone, (on_left, on_right) in zip(cones, sides, strict=True):
+                cost += ca.if_else(passes_left(speed * edge, cone), on_left, on_right)
             cost += ca.if_else(latched * left < -0.5, _TURN_BACK, 0)
             cost += ca.if_else(exists, 0, 1e6)  # what blocks nothing has no edge
             better = cost < least
             course, missed = ca.if_else(better, edge, course), ca.if_else(better, edge_missed, missed)
             taken, least = ca.if_else(better, left, taken), ca.if_else(better, cost, least)
-    velocity = ca.fmax(_free_speed(course, speed, sectors), retreat) * course
+            pace = ca.if_else(better, speed, pace)
+    velocity = ca.fmax(ca.fmin(_free_speed(course, speed, sectors), pace), retreat) * course
     # boxed in: where every way out is worse than standing still, stand still
     worse = _excess(velocity, sectors, cones) > _excess(ca.SX.zeros(2), sectors, cones) + _TOLERANCE
     velocity = ca.if_else(ca.logic_and(missed > _TOLERANCE, worse), 0, velocity)
-    return Choice(velocity, ca.if_else(blocked, taken, 0), blocked, ca.fmax(missed, 0), now)
+    return Choice(velocity, ca.if_else(blocked, taken, 0), blocked, ca.fmax(missed, 0), worst)
 
 
 def slowed(velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) -> ca.SX:
@@ -205,7 +234,7 @@ def _edge(n: ca.SX, bound: ca.SX, speed: ca.SX, sign: int) -> ca.SX:
 
 
 def _missed_cost(violation: ca.SX) -> ca.SX:
-    return ca.if_else(violation > _TOLERANCE, _MISSED + _MISSED_RATE * violation, 0)
+    return ca.if_else(violation > _TOLERANCE, MISSED + MISSED_RATE * violation, 0)
 
 
 def _violation(course: ca.SX, speed: ca.SX, sectors: Sequence[Sector], cones: Sequence[Cone]) -> ca.SX:
@@ -222,17 +251,20 @@ def _excess(velocity: ca.SX, sectors: Sequence[Sector], cones: Sequence[Cone]) -
     return worst
 
 
-def _worst_blocker(course: ca.SX, speed: ca.SX, sectors: Sequence[Sector], cones: Sequence[Cone]) -> ca.SX:
-    worst, where = ca.SX(-10.0), sectors[0].point
+def _worst_blocker(
+    course: ca.SX, speed: ca.SX, sectors: Sequence[Sector], cones: Sequence[Cone], crosses: Sequence[ca.SX]
+) -> tuple[ca.SX, ca.SX]:
+    """Where what blocks a course most is, and whether it is a cone whose contact crosses."""
+    worst, where, crossed = ca.SX(-10.0), sectors[0].point, ca.SX(0)
     for sector in sectors:
         violation = speed * ca.dot(course, sector.normal) - sector.bound
         where = ca.if_else(violation > worst, sector.point, where)
         worst = ca.fmax(worst, violation)
-    for cone in cones:
+    for cone, crossing in zip(cones, crosses, strict=True):
         depth = inside(speed * course, cone)
-        where = ca.if_else(depth > worst, cone.point, where)
+        where, crossed = ca.if_else(depth > worst, cone.point, where), ca.if_else(depth > worst, crossing, crossed)
         worst = ca.fmax(worst, depth)
-    return where
+    return where, crossed
 
 
 def _retreat_speed(sectors: Sequence[Sector], cap: ca.SX) -> ca.SX:

@@ -12,12 +12,19 @@ import casadi as ca
 from surctl.guidance.cones import Cone
 from surctl.guidance.contacts import FAR, Contact
 
-__all__ = ["passes_left", "side_costs"]
+__all__ = ["MISSED", "MISSED_RATE", "passes_left", "side_costs", "swap_costs"]
+
+MISSED, MISSED_RATE = 10.0, 100.0
+"""Cost of a course that is not free, and of each m/s by which it is not."""
 
 _HEAD_ON = 0.03  # [m/s] across, below which an encounter is head-on: three standard deviations of what is told
 _RIGHT = 0.15  # cost of having it on the left then; what noise makes of the two courses differs by 0.05
 _ROOM = ((0.5, 0.3), (1.0, 0.05))  # share of the way to where it is passed, and clearance there that is enough [m]
 _CRAMPED = 5.0  # cost of each metre less
+_SWAP = 2.0  # cost of changing sides, by the share of the speed that must be turned round
+_AHEAD = 12.0  # [s] before it is met, within which that counts
+_REACHED = 0.5  # of the time until it is met, in which the velocity across must have turned
+_STANDS = 1e-3  # [m/s] that it nears at the least
 _SLOW = 0.05  # [m/s] at which the two come nearer at the least
 
 
@@ -38,6 +45,29 @@ def side_costs(cone: Cone, wish: ca.SX, walls: Sequence[Contact]) -> tuple[ca.SX
     left, right = (_cramped(way * n + sign * cone.offset * across, walls) for sign in (1, -1))
     head_on = ca.fabs(ca.dot(across, wish) - cone.crossing) < _HEAD_ON
     return ca.if_else(head_on, left, 0), ca.if_else(head_on, right + _RIGHT, 0)
+
+
+def swap_costs(cone: Cone, now: ca.SX, speed: ca.SX, acceleration: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """What it costs to pass a cone's contact on the left, and on the right, for the velocity across that must turn.
+
+    At rest that is the velocity of the contact across: it is passed behind rather than before. What has been begun is
+    carried on; and a way that the thrust does not reach in half the time until it is met misses its bound by the rest.
+    Nothing while the encounter is head-on: noise is to choose no side.
+
+    Args:
+        cone: of what moves.
+        now: velocity over ground (2, 1) [m/s] in {E}.
+        speed: that is asked for [m/s].
+        acceleration: that the thrust gives [m/s²].
+    """
+    across = ca.dot(_left_of(cone.ahead), now) - cone.crossing
+    nearing = ca.fmax(ca.dot(cone.ahead, now) - cone.closing, _STANDS)
+    turn, time = ca.fabs(across), cone.room / nearing
+    late = turn - _REACHED * acceleration * time
+    cost = _SWAP * turn / speed + ca.if_else(late > 0, MISSED + MISSED_RATE * late, 0)
+    counts = ca.logic_and(turn > _HEAD_ON, ca.logic_and(cone.there, time < _AHEAD))
+    cost = ca.if_else(counts, cost, 0)
+    return ca.if_else(across < 0, cost, 0), ca.if_else(across > 0, cost, 0)
 
 
 def passes_left(velocity: ca.SX, cone: Cone) -> ca.SX:

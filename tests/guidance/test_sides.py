@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from surctl.guidance import Sector, choose_velocity, collision_cone, disc_contact, inside, wall_contacts
-from surctl.guidance.sides import passes_left, side_costs
+from surctl.guidance.sides import passes_left, side_costs, swap_costs
 
 Array = NDArray[np.float64]
 HULL, RADIUS, CRUISE = 0.2, 0.2, 0.2
@@ -139,3 +139,60 @@ def test_what_crosses_is_passed_on_the_nearer_side() -> None:
     """Though it is the right, and though that way lies along the wall."""
     assert _side([0.3, 0.4], [CRUISE, 0], [2.0, 0.4], [-0.1, 0.04], POOL) == -1
     assert _side([0.3, 1.6], [CRUISE, 0], [2.0, 1.6], [-0.1, -0.04], POOL) == 1
+
+
+@cache
+def _moving() -> ca.Function:
+    """(wish, other, motion, now, acceleration) from (0, 0), no walls near → swap costs, velocity."""
+    wish, other, motion, now = (ca.SX.sym(name, 2) for name in ("wish", "other", "motion", "now"))
+    acceleration = ca.SX.sym("acceleration")
+    contact = disc_contact(ca.SX.zeros(2), ca.SX(HULL), other, ca.SX(RADIUS), motion, ca.SX(1))
+    cone = collision_cone(
+        contact, apart=ca.SX(0.15), standoff=ca.SX(0.05), horizon=ca.SX(12), there=ca.SX(1), point=other
+    )
+    chosen = choose_velocity(
+        wish,
+        [Sector(ca.SX([1, 0]), ca.SX(10.0), ca.SX([9, 0]))],
+        side=ca.SX(0),
+        blocker=ca.SX.zeros(2),
+        cruise=ca.SX(CRUISE),
+        cap=ca.SX(0.22),
+        cones=[cone],
+        now=now,
+        acceleration=acceleration,
+    )
+    costs = swap_costs(cone, now, ca.SX(CRUISE), acceleration)
+    return ca.Function("moving", [wish, other, motion, now, acceleration], [*costs, chosen.velocity])
+
+
+@settings(derandomize=True, deadline=None)
+@given(st.floats(-3.1, 3.1), st.floats(-0.1, 0.1), st.floats(0.8, 1.5))
+def test_at_rest_what_crosses_is_passed_behind(bearing: float, crossing: float, away: float) -> None:
+    """To its left if it goes right: that costs nothing, the way before it does; and nothing if it comes head-on."""
+    n, left = _unit(bearing), _unit(bearing + np.pi / 2)
+    found = _moving()([0.2, 0], away * n, -0.1 * n + crossing * left, [0, 0], 100.0)
+    on_left, on_right = (float(cost) for cost in found[:2])
+    turn = abs(crossing) if abs(crossing) > HEAD_ON else 0.0
+    assert (on_left if crossing > 0 else on_right) == pytest.approx(2.0 * turn / CRUISE, abs=1e-9)
+    assert (on_right if crossing > 0 else on_left) == 0.0
+
+
+def test_a_side_that_the_thrust_does_not_reach_in_time_counts_as_missed() -> None:
+    """0.1 m/s to the left, 0.4 m of room at 0.2 m/s: 2 s, of which 1 s counts."""
+    place, motion, now = [0.85, 0], [-0.1, 0], [0.1, 0.1]
+    slow, quick = (float(_moving()([0.2, 0], place, motion, now, a)[1]) for a in (0.02, 0.2))
+    assert quick == pytest.approx(2.0 * 0.1 / CRUISE)
+    assert slow == pytest.approx(quick + 10 + 100 * (0.1 - 0.02))
+
+
+def test_what_has_been_begun_is_carried_on() -> None:
+    """The same wish and the same contact: it is passed on the side to which the robot already goes."""
+    for sign in (1.0, -1.0):
+        velocity = np.asarray(_moving()([0.2, 0], [1.2, 0], [-0.1, 0], [0.1, 0.12 * sign], 0.05)[2]).ravel()
+        assert velocity[1] * sign > 0.05
+
+
+def test_what_crosses_soon_is_waited_for_where_every_way_round_leads_back() -> None:
+    """It goes from left to right, near and broad before the robot, which stands clear of its way."""
+    velocity = np.asarray(_moving()([0.2, 0], [0.6, 0.1], [0.0, -0.1], [0, 0], 0.05)[2]).ravel()
+    assert velocity[0] < 0.2 * 0.95
