@@ -26,14 +26,15 @@ _HELPERS = {
     "fmax": "max_of({0} a, {0} b) {{ return (a < b) ? b : a; }}",
     "sq": "square_of({0} a) {{ return a * a; }}",
 }
-# a processor without an instruction for it has a long function; bytes are floor's, the sign of a zero too
+# a processor without an instruction for it has a long function; bytes are floor's, the sign of a zero too; what has no
+# int is kept from the cast by comparisons, which Frama-C follows
 _FLOOR = """#if defined(__GNUC__)
 __attribute__((noinline)) /* or its text stands wherever it is used */
 #endif
 static float floor_of(float a)
 {
     float whole;
-    if (!(fabsf(a) < 8388608.0f)) { return a; } /* no fraction, or no number */
+    if (!(a == a) || (a <= -8388608.0f) || (8388608.0f <= a)) { return a; } /* no number, or no fraction */
     whole = (float)(int)a;
     return (whole == a) ? a : ((whole > a) ? whole - 1.0f : whole);
 }"""
