@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from math import pi, radians
 
@@ -21,6 +22,8 @@ from surctl.simulation import STOPS, Case, Sensing, Sensors, load_scenario, simu
 from surctl.vehicle import Vehicle, load_vehicle
 
 NAME = "pool-static"
+MARGINS = (0.05, 0.04, 0.03, 0.02)
+MANY = 1000  # seeds that a margin is judged by: 200 would show no collision
 EXACT = {"noise_sd": 1e-4, "bias": 0.0, "bits": 14}
 
 
@@ -56,13 +59,20 @@ def vehicles(vehicle: Vehicle) -> dict[str, Vehicle]:
     }
 
 
-def row(label: str, seeds: int, *, sensing: Sensing, vehicle: Vehicle, told: Sensors | None = None) -> int:
-    """Print a line of the table; the number of collisions."""
+def row(
+    label: str,
+    seeds: int,
+    *,
+    sensing: Sensing,
+    vehicle: Vehicle,
+    told: Sensors | None = None,
+    changed: Mapping[str, float] | None = None,
+) -> int:
+    """Print a line of the table, with some gains changed; the number of collisions."""
     scenario = load_scenario(NAME)
     scenario = scenario if told is None else replace(scenario, sensors=told)
-    runs = simulate_batch(
-        Case(scenario, vehicle, load_gains("default"), sensing=sensing), seeds=np.arange(seeds), threads=2
-    )
+    gains = load_gains("default").with_values(changed or {})
+    runs = simulate_batch(Case(scenario, vehicle, gains, sensing=sensing), seeds=np.arange(seeds), threads=2)
     stopped, took = runs.column("stopped").astype(int), runs.column("time_s")
     counts = {reason: int(np.sum(stopped == k)) for k, reason in enumerate(STOPS)}
     print(
@@ -92,6 +102,8 @@ def main(words: list[str]) -> int:
             row(label, seeds, sensing="sonar", vehicle=other)
         for label, told in sensors().items():
             row(label, seeds, sensing="sonar", vehicle=vehicle, told=told)
+        for margin in MARGINS:
+            row(f"margin of {margin:g} m", MANY, sensing="sonar", vehicle=vehicle, changed={"margin": margin})
     return 0 if hit == 0 else 1
 
 

@@ -55,8 +55,8 @@ MISSION = "pool-static"
 @click.option(
     "--prove",
     is_flag=True,
-    help="Also prove that the C has no run-time error and keeps the thrust limits (Frama-C's Eva); proof and log are "
-    "in the bundle. Gains that are no constants may be in the ranges of the gain file only.",
+    help="Also prove that the C has no run-time error and keeps the thrust limits (Frama-C's Eva; with sonars it takes "
+    "minutes); proof and log are in the bundle. Gains that are no constants may be in the gain file's ranges only.",
 )
 @click.option("--targets", help="With --check: which, with commas; default: all whose tools are here.")
 @click.option("--steps", type=click.IntRange(min=1), help="With --check: single steps beside the flight [100000].")
