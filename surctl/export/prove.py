@@ -3,7 +3,7 @@
 The program that is analysed (`proof.c`) puts any number of its range into every state, input and gain, any last
 accepted input and any sample into the guard, and calls the step once. 0 alarms mean: nothing uninitialised is read, no
 array is left, no conversion overflows, and each thrust is a number within its limit, for every such step; and of a law
-in closed form all of whose numbers are bounded: no NaN or infinity is ever made, nothing is divided by zero.
+in closed form whose memory is bounded: no NaN or infinity is ever made, nothing is divided by zero.
 A law that searches (loops over rows whose bounds may be infinite) or remembers numbers of any size is not asked the
 latter: IEEE 754 says what it does with them, and what leaves it is looked at.
 Ranges are those of the guard, so what flies is what was proved: anything else is refused before the law sees it.
@@ -190,8 +190,7 @@ def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector) -> ProofReport:
 def _options(law: Exportable, bundle: Bundle) -> tuple[str, ...]:
     """How to analyse it: see the head of this file."""
     within = bundle.envelope or anywhere(law)
-    bounded = all((np.abs(box) < _ANY).all() for box in (within.state, within.inputs, within.gains))
-    if bounded and isinstance(law.block, Program):
+    if (np.abs(within.state) < _ANY).all() and isinstance(law.block, Program):
         return _BOUNDED
     turns = [loop.count for loop in _loops(law.block) if loop.until is None]  # others fill nothing
     return (*_UNBOUNDED, str(max(_LEAST_UNROLLED, *turns, 0)))
