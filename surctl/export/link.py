@@ -25,6 +25,7 @@ _MAGIC = b"SURL"
 _HEAD = struct.Struct("<4sHHII")
 _ASK, _TOLD, _START, _STARTED, _STEP, _STEPPED, _REFUSED = range(1, 8)
 _SIZES = struct.Struct("<64s5I")
+_GLANCE = 0.25  # s: a Ctrl-C between two system calls wakes neither, and is seen at the next one
 _MOST = 1_000_000  # numbers of a kind that a controller may say it has
 _REFUSALS = {
     1: "takes what it is sent for no message of this link",
@@ -171,8 +172,11 @@ class Line:
             left = deadline - time.monotonic()
             if left <= 0:
                 raise TimeoutError
-            self.wire.settimeout(left)
-            part = self.wire.recv(min(count, 1 << 16))
+            self.wire.settimeout(min(left, _GLANCE))
+            try:
+                part = self.wire.recv(min(count, 1 << 16))
+            except TimeoutError:
+                continue
             if not part:
                 raise LineDown(f"{self.name} hung up")
             parts.append(part)

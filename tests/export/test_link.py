@@ -6,6 +6,7 @@ import re
 import socket
 import struct
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -198,6 +199,31 @@ def test_whatever_is_at_the_other_end_is_told_in_one_line(sent: bytes | None, to
         with pytest.raises(InputError, match=told) as caught:
             LinkedLaw(law, law.gains.pack(), opened)
         assert caught.value.exit_status == 2 and "\n" not in str(caught.value)
+
+
+INTERRUPTED = """
+import signal, socket, threading, time
+from surctl.export import connect
+
+silent = socket.create_server(("127.0.0.1", 0))
+
+def interrupt():
+    time.sleep(0.5)
+    signal.pthread_kill(threading.get_ident(), signal.SIGINT)  # wakes this thread, not the one that waits
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+threading.Thread(target=interrupt).start()
+try:
+    connect(f"tcp://127.0.0.1:{silent.getsockname()[1]}", patience=60).ask()
+except KeyboardInterrupt:
+    print("stopped")
+"""
+
+
+def test_ctrl_c_is_seen_even_where_it_wakes_no_system_call() -> None:
+    # as one does that comes after Python's last look and before the call
+    done = subprocess.run([sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, timeout=30, check=False)
+    assert done.stdout == "stopped\n", done.stderr
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1", "tcp://[::1:5", "tcp://a:70000", "http://a:1", "tcp://:5", "x"])
