@@ -11,11 +11,15 @@ import numpy as np
 from surctl.errors import InputError, nearest
 from surctl.priority.rowspace import CUTOFF
 
-__all__ = ["Mode", "Settings"]
+__all__ = ["Ladder", "Mode", "Settings"]
 
 Mode: TypeAlias = Literal["nsb", "filter", "projected", "lexicographic"]
 """nsb: the printed law (16), which knows no rows. filter: the point of the rows nearest to it. projected: (16) with
 its last projection, that of the first task, kept inside the rows. lexicographic: strict priority inside the rows."""
+
+Ladder: TypeAlias = Literal["exact", "bounded"]
+"""How a compiled tick answers where task and rows cannot all be kept. exact: the best answer, whatever it takes.
+bounded: one of constant cost, never worse in rows than the target in the box or standing still."""
 
 _LEAST_DAMPING = 1e-6
 

@@ -20,6 +20,7 @@ from surctl.priority.compiled.level_shape import StackShape
 from surctl.priority.compiled.rows import longer_row, opened_row
 from surctl.priority.compiled.tangent import holding, largest, merged
 from surctl.priority.rowspace import ZERO_ROW
+from surctl.priority.settings import Ladder
 from surctl.priority.solver.elimination import as_matrix
 from surctl.priority.solver.ladder import CLAMPED, LIMITED, MET, RELAXED, safe_tick
 from surctl.priority.solver.precision import FLOAT64, Precision
@@ -32,18 +33,24 @@ _ANSWER = ("v", "active", "multipliers", "opening", "status", "count")
 
 
 def last_projection(
-    shape: StackShape, rows: int, *, damping: float, precision: Precision = FLOAT64, named: bool = True
+    shape: StackShape,
+    rows: int,
+    *,
+    damping: float,
+    precision: Precision = FLOAT64,
+    named: bool = True,
+    ladder: Ladder = "exact",
 ) -> Routine:
     """(w (n,), count (1,), J, lower, upper, rows, box) → v, active, multipliers, opening, status, count."""
-    n = shape.n
+    n, named = shape.n, named and ladder == "exact"  # a bounded ladder does not say what holds a task back
     given = (("w", n), ("before", 1), *shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n))
     steps: tuple[Step, ...]
     if damping > 0.0:
         steps = _damped(shape, rows, damping, precision)
     elif shape.levels[0].is_set:
-        steps = _slab(shape, rows, precision, named=named)
+        steps = _slab(shape, rows, precision, named=named, ladder=ladder)
     else:
-        steps = _value(shape, rows, precision, named=named)
+        steps = _value(shape, rows, precision, named=named, ladder=ladder)
     found = tuple(f"{name}_found" for name in _ANSWER)
     add = Call(_sum(), ("before", found[-1]), ("total",))
     return Routine("last_projection", given, (*steps, add), (*found[:-1], "total"))
@@ -97,12 +104,12 @@ def _first(shape: StackShape) -> Program:
     return lower(ca.Function("first", flat, [ca.densify(ca.vec(J.T)), ca.densify(x)]))
 
 
-def _value(shape: StackShape, rows: int, precision: Precision, *, named: bool) -> tuple[Step, ...]:
+def _value(shape: StackShape, rows: int, precision: Precision, *, named: bool, ladder: Ladder) -> tuple[Step, ...]:
     raw, found = tuple(f"{name}_tick" for name in _ANSWER), tuple(f"{name}_found" for name in _ANSWER)
     k, given = shape.levels[0].rows, ("w", "J_1", "x_1", "rows", "box")
     return (
         *_task(shape),
-        Call(safe_tick(shape.n, k, rows, precision=precision), given, raw if named else found),
+        Call(safe_tick(shape.n, k, rows, precision=precision, ladder=ladder), given, raw if named else found),
         *([Call(_named(shape.n, k, rows, precision), ("J_1", "x_1", "rows", *raw), found)] if named else []),
     )
 
@@ -143,7 +150,7 @@ def _pull(n: int, k: int) -> Program:
     return lower(ca.Function("pull_1", [J, x, v, status], list(map(ca.densify, outputs))))
 
 
-def _slab(shape: StackShape, rows: int, precision: Precision, *, named: bool) -> tuple[Step, ...]:
+def _slab(shape: StackShape, rows: int, precision: Precision, *, named: bool, ladder: Ladder) -> tuple[Step, ...]:
     n = shape.n
     answer = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1))
     task = (("J_1", n), ("x_1", 1))
@@ -155,7 +162,7 @@ def _slab(shape: StackShape, rows: int, precision: Precision, *, named: bool) ->
         "side",
         (*task, *answer, ("done", 1), *fixed),
         (
-            Call(safe_tick(n, 1, rows, precision=precision), ("w", "J_1", "x_1", "rows", "box"), raw),
+            Call(safe_tick(n, 1, rows, precision=precision, ladder=ladder), ("w", "J_1", "x_1", "rows", "box"), raw),
             Call(_side(shape, precision), ("J", "lower", "upper", *state[2:8], *raw), after),
         ),
         after,

@@ -11,17 +11,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import get_args
 
 import casadi as ca
 import numpy as np
 
-from surctl.errors import InputError
+from surctl.errors import InputError, nearest
 from surctl.ir import Call, Loop, Program, Routine, Step, lower
 from surctl.priority.compiled.cascade import cascade
 from surctl.priority.compiled.last_projection import last_projection
 from surctl.priority.compiled.level_shape import LevelShape, StackShape
 from surctl.priority.compiled.sweep import HUGE, gate, into, sweep, swept
-from surctl.priority.settings import Mode, Settings
+from surctl.priority.settings import Ladder, Mode, Settings
 from surctl.priority.solver.ladder import CLAMPED, MET, safe_tick
 from surctl.priority.solver.precision import FLOAT64, Precision
 
@@ -46,6 +47,7 @@ def priority_tick(
     damping: float = 0.0,
     precision: Precision = FLOAT64,
     named: bool = True,
+    ladder: Ladder = "exact",
 ) -> Routine:
     """(J (K·n,), lower (K,), upper (K,), rows (m·(n + 3),), box (2n,)) → the tick's answer; K rows in all levels.
 
@@ -56,8 +58,8 @@ def priority_tick(
     Outputs: v (n,); active (n,), signed row numbers from 1 (+ at the upper bound, − at the lower, 0 none), first
     those that hold a task back, with multipliers (n,) of ½‖J v − x‖² for these and of ½‖v − target‖² for the others,
     for rows of length 1; opening (1,) of the soft rows; status (1,): MET (level 1 is met as well as its Jacobian
-    can), LIMITED (as well as the rows allow), RELAXED (soft rows opened), CLAMPED (only moved into the box); count
-    (1,), iterations; target (n,), the point from which the last projection started.
+    can), LIMITED (as well as the rows allow), RELAXED (soft rows opened), CLAMPED (only moved into the box), BOUNDED (what
+    a bounded ladder has in place of the three before; `active` is empty); count (1,), iterations; target (n,), the point from which the last projection started.
 
     A set-based level keeps w where it is inside its bounds and moves it to the nearest bound otherwise: no switch, no
     jump. In mode lexicographic one that is met is row m + 1, m + 2, … of those that bind (in the order of the levels).
@@ -78,6 +80,8 @@ def priority_tick(
         precision: tolerances of the least-distance problems in modes filter and projected, those of the type of numbers
             that the routine is run with; the other modes have those of double.
         named: False in mode projected leaves out of `active` what holds task 1 back: v and status take less then.
+        ladder: exact, or for modes filter and projected without damping, bounded: where rows and task 1 cannot all be
+            kept, or not within 4 iterations, an answer of constant cost, see `solver.bounded`.
 
     Raises:
         InputError: an unknown mode, a size or a number out of range; it names the level.
@@ -92,7 +96,9 @@ def priority_tick(
         >>> v.round(3).tolist(), active.tolist()  # held back by row 1 at its upper bound
         ([0.1, 0.4], [1.0, 0.0])
     """
-    shape, settings = StackShape(n, levels), _Settings(mode, sweeps, damping, precision=precision, named=named)
+    shape, settings = StackShape(n, levels), _Settings(
+        mode, sweeps, damping, precision=precision, named=named, ladder=ladder
+    )
     if mode == "projected" and 0.0 < damping < _LEAST_DAMPING:
         raise InputError(
             "is too small for a compiled projection",
@@ -115,6 +121,22 @@ class _Settings(Settings):
 
     precision: Precision = FLOAT64
     named: bool = True
+    ladder: Ladder = "exact"
+
+    def __post_init__(self) -> None:
+        """Check also that there is such a ladder."""
+        super().__post_init__()
+        if self.ladder not in get_args(Ladder):
+            raise InputError(
+                "no such ladder", key="ladder", value=self.ladder, remedy=nearest(str(self.ladder), get_args(Ladder))
+            )
+        if self.ladder != "exact" and (self.mode not in ("filter", "projected") or self.damping != 0.0):
+            raise InputError(
+                "is for the modes filter and projected, without damping",
+                key="ladder",
+                value=self.ladder,
+                remedy="take mode projected, or the exact ladder",
+            )
 
 
 def _nsb(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ...]:
@@ -126,7 +148,9 @@ def _filter(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ..
     last = Call(_with_target(shape.n), ("swept",), (_RAW[-1],))
     return (
         *swept(shape, settings),
-        Call(safe_tick(shape.n, 1, rows, precision=settings.precision), given, _RAW[:-1]),
+        Call(
+            safe_tick(shape.n, 1, rows, precision=settings.precision, ladder=settings.ladder), given, _RAW[:-1]
+        ),
         last,
     )
 
@@ -136,7 +160,9 @@ def _projected(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step,
     n, damping, fixed = shape.n, settings.damping, (*_STACK, "rows", "box")
     given = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1), ("target", n))
     after = tuple(f"{name}_next" for name in OUTPUTS)
-    last = last_projection(shape, rows, damping=damping, precision=settings.precision, named=settings.named)
+    last = last_projection(
+        shape, rows, damping=damping, precision=settings.precision, named=settings.named, ladder=settings.ladder
+    )
     turn = Routine(
         "sweep_within",
         (*given, *shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n)),

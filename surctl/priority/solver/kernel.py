@@ -62,14 +62,14 @@ def row_by_row(routine: Routine, rows: int, precision: Precision = FLOAT64) -> R
     return Routine(f"{routine.name}_row_by_row", routine.inputs, steps, results)
 
 
-def kernel(space: Space, rows: int) -> Routine:
+def kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
     """(rows, base, skip[, Z]) → (point, numbers, multipliers, status, count).
 
     The point nearest to the base, in y, that keeps all rows.
 
     rows: (rows·(n + 3),) in blocks, each a (of length 1, or 0), lower, upper, soft. base: (n + 1,), v and t. skip: not
     0 gives the base with status `SKIPPED`. Z: (n·d,), row by row, orthonormal columns (or an orthogonal projector);
-    absent if the opening is free. status: 0 when `CAP` (`OPEN_CAP`) was reached; the point is then of no use.
+    absent if the opening is free. status: 0 when `cap` (`CAP`, or `OPEN_CAP`) was reached; the point then misses rows.
     """
     n, d = space.n, space.d
     free = () if space.opening else (("Z", n * d),)
@@ -77,7 +77,7 @@ def kernel(space: Space, rows: int) -> Routine:
     take = lower(ca.Function(f"take_{space.point}", [base], [base[: space.point]]))
     full = x if space.opening else ca.vertcat(x, base[n])
     give = lower(ca.Function(f"give_{space.point}", [x, base], [full]))
-    search = _search(space, rows)
+    search = _search(space, rows, cap)
     steps = (
         Call(take, ("base",), ("start",)),
         Call(
@@ -91,7 +91,7 @@ def kernel(space: Space, rows: int) -> Routine:
     return Routine(f"nearest_{d}", inputs, steps, ("point", "numbers", "multipliers", "status", "count"))
 
 
-def reduced_kernel(space: Space, rows: int) -> Routine:
+def reduced_kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
     """(rows, origin, start, skip, Z) → (point, numbers, multipliers, status, count): as `kernel`, in d < n variables.
 
     The point is origin + Z y, with y (d,) nearest to start; the rows are reduced to y once. The origin (n,) should be
@@ -106,7 +106,7 @@ def reduced_kernel(space: Space, rows: int) -> Routine:
         Loop(
             _reduce(space), rows // lanes, (), ("table",), sliced=("rows",), fixed=("origin", "Z"), lanes=lanes
         ),
-        Call(_search(small, rows), ("table", "start", "skip"), ("y", "numbers", "multipliers", "status", "count")),
+        Call(_search(small, rows, cap), ("table", "start", "skip"), ("y", "numbers", "multipliers", "status", "count")),
         Call(lift, ("origin", "Z", "y"), ("point",)),
     )  # fmt: skip
     inputs = (("rows", rows * (n + 3)), ("origin", n), ("start", d), ("skip", 1), ("Z", n * d))
@@ -122,21 +122,21 @@ def _reduce(space: Space) -> Program:
     return lower(ca.Function("reduce", [row, origin, Z], [reduced]))
 
 
-def _search(space: Space, rows: int) -> Routine:
+def _search(space: Space, rows: int, cap: int | None) -> Routine:
     """(rows, start, skip[, M]) → (point, numbers, multipliers, status, count)."""
     free = (("M", space.n * space.d),) if space.mapped and not space.opening else ()
     space = space if free else Space(space.n, space.d, space.opening, mapped=False, precision=space.precision)
     width = space.row
     names = tuple(name for name, _ in free)
     state = tuple(name for name, _ in _state(space))
-    cap = OPEN_CAP if space.opening else CAP
+    most = (OPEN_CAP if space.opening else CAP) if cap is None else cap
     steps = (
         Call(_start(space), ("base", "skip"), tuple(f"{name}_first" for name in state[:-2])),
         *_price(space, rows, "_first"),
         Call(close(), ("best_first", "pending_first", "began_first"), ("status_first",)),
         Loop(
             _turn(space, rows),
-            cap,
+            most,
             carried=tuple(f"{name}_first" for name in state),
             results=tuple(f"{name}_last" for name in state),
             fixed=("rows", *names),

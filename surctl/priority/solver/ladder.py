@@ -6,26 +6,30 @@
 4. If the hard rows contradict each other: the target in the box.
 
 Whatever came out is moved into the box, and checked. How 1 to 3 are found is told in `rungs`.
+
+The bounded ladder tries 1 within a few iterations and then has one rung of constant cost, told in `bounded`.
 """
 
 from __future__ import annotations
 
 import casadi as ca
 
-from surctl.ir import Call, Loop, Program, Routine, lower
+from surctl.ir import Call, Loop, Program, Routine, Step, lower
+from surctl.priority.settings import Ladder
+from surctl.priority.solver.bounded import BOUNDED, CAP, eased
 from surctl.priority.solver.dual_step import OPTIMAL
 from surctl.priority.solver.elimination import as_matrix
 from surctl.priority.solver.precision import FLOAT64, Precision
-from surctl.priority.solver.rows import Sizes, unit_rows
+from surctl.priority.solver.rows import Sizes, into, unit_rows
 from surctl.priority.solver.rungs import LIMITED, RELAXED, exact_rung, lower_rungs
 
-__all__ = ["CLAMPED", "LIMITED", "MET", "RELAXED", "safe_tick"]
+__all__ = ["BOUNDED", "CLAMPED", "LIMITED", "MET", "RELAXED", "safe_tick"]
 
 MET, CLAMPED = 1, 4
-"""Status, beside `LIMITED` and `RELAXED` of the rungs between: task met; only kept in the box."""
+"""Status, beside `LIMITED` and `RELAXED` of the rungs between, and `BOUNDED`: task met; only kept in the box."""
 
 
-def safe_tick(n: int, p: int, m: int, *, precision: Precision = FLOAT64) -> Routine:
+def safe_tick(n: int, p: int, m: int, *, precision: Precision = FLOAT64, ladder: Ladder = "exact") -> Routine:
     """(target (n,), J (p·n,), x (p,), rows (m·(n + 3),), box (2n,)) → the answer, always finite.
 
     rows: a (n,), lower, upper, soft (1: may open, 0: may not), of any length. box: lower (n,), upper (n,).
@@ -38,6 +42,8 @@ def safe_tick(n: int, p: int, m: int, *, precision: Precision = FLOAT64) -> Rout
         p: rows of the task, at least 1 (a row of zeros with x = 0 is no task).
         m: rows, at least 1 (a row of zeros between infinite bounds is none); fastest if a multiple of 8.
         precision: tolerances; those of the type of numbers that the routine is run with.
+        ladder: exact, or bounded: where rung 1 finds an answer in `bounded.CAP` iterations it is the same, to the last
+            bit. Dependent rows of a task of several it does not look into.
 
     Example:
         >>> import numpy as np
@@ -49,9 +55,9 @@ def safe_tick(n: int, p: int, m: int, *, precision: Precision = FLOAT64) -> Rout
         >>> v.round(3).tolist(), active.tolist(), force.round(3).tolist()
         ([0.1, 0.4], [1.0, 0.0], [0.2, 0.0])
     """
-    sizes = Sizes(n, p, m, precision)
-    carried = ("point", "active", "multipliers", "status", "count", "none")
-    after = tuple(f"{name}_down" for name in carried)
+    exact = ladder == "exact"
+    sizes = Sizes(n, p, m, precision, cap=None if exact else CAP)
+    down = _exact_rungs(sizes) if exact else _bounded_rungs(sizes)
     steps = (
         *unit_rows(sizes),
         Call(_zero(), (), ("none",)),
@@ -59,11 +65,9 @@ def safe_tick(n: int, p: int, m: int, *, precision: Precision = FLOAT64) -> Rout
             exact_rung(sizes), ("unit", "target", "J", "x", "none"),
             ("point", "active", "multipliers", "end", "count"),
         ),
-        Call(sizes.certificate, ("unit", "point"), ("kept",)),
-        Call(_judge(sizes), ("point", "end", "kept", "J", "x"), ("status",)),
-        Loop(_down(sizes), 1, carried=carried, results=after, fixed=("unit", "target", "J", "x", "box"), until=3),
+        *down,
         Call(
-            _finish(sizes), ("point_down", "status_down", "none_down", "target", "J", "x", "box"),
+            _finish(sizes), ("point_down", "status_down", "none_down" if exact else "none", "target", "J", "x", "box"),
             ("v", "opening", "outcome"),
         ),
     )  # fmt: skip
@@ -73,6 +77,38 @@ def safe_tick(n: int, p: int, m: int, *, precision: Precision = FLOAT64) -> Rout
         inputs,
         steps,
         ("v", "active_down", "multipliers_down", "opening", "outcome", "count_down"),
+    )
+
+
+def _exact_rungs(sizes: Sizes) -> tuple[Step, ...]:
+    """Whether rung 1 holds, and the lower ones where it does not."""
+    carried = ("point", "active", "multipliers", "status", "count", "none")
+    after = tuple(f"{name}_down" for name in carried)
+    return (
+        Call(sizes.certificate, ("unit", "point"), ("kept",)),
+        Call(_judge(sizes), ("point", "end", "kept", "J", "x"), ("status",)),
+        Loop(_down(sizes), 1, carried=carried, results=after, fixed=("unit", "target", "J", "x", "box"), until=3),
+    )
+
+
+def _bounded_rungs(sizes: Sizes) -> tuple[Step, ...]:
+    """The same with the rung of constant cost; the rows are looked at again only where the search found a point."""
+    end = ca.SX.sym("end")
+    failed = lower(ca.Function("failed", [end], [ca.logic_not(ca.eq(end, OPTIMAL))]))
+    one = lower(ca.Function("done", [ca.SX.sym("failed")], [ca.SX.ones(1)]))
+    look = Routine(
+        "look_again",
+        (("kept", 1), ("failed", 1), ("unit", sizes.rows), ("point", sizes.n + 1)),
+        (Call(sizes.certificate, ("unit", "point"), ("kept_next",)), Call(one, ("failed",), ("done",))),
+        ("kept_next", "done"),
+    )
+    carried = ("point", "active", "multipliers", "status", "count", "end")
+    after = tuple(f"{name}_down" for name in carried)
+    return (
+        Call(failed, ("end",), ("failed",)),
+        Loop(look, 1, carried=("none", "failed"), results=("kept", "looked"), fixed=("unit", "point"), until=1),
+        Call(_judge(sizes), ("point", "end", "kept", "J", "x"), ("status",)),
+        Loop(eased(sizes), 1, carried=carried, results=after, fixed=("unit", "target", "box"), until=3),
     )
 
 
@@ -100,7 +136,7 @@ def _down(sizes: Sizes) -> Routine:
 def _near(n: int) -> Program:
     """The target moved into the box: where rungs 2 and 3 start, as small numbers are exact ones; the same, t = 0."""
     target, box = ca.SX.sym("target", n), ca.SX.sym("box", 2 * n)
-    near = ca.vertcat(*(_into(target[i], box[i], box[n + i]) for i in range(n)))
+    near = ca.vertcat(*(into(target[i], box[i], box[n + i]) for i in range(n)))
     return lower(ca.Function("near", [target, box], [near, ca.densify(ca.vertcat(near, 0))]))
 
 
@@ -137,16 +173,10 @@ def _finish(sizes: Sizes) -> Program:
     for i in range(n):
         size = ca.fmax(size, ca.fabs(point[i]))
     for i in range(n):
-        inside = _into(point[i], box[i], box[n + i])
+        inside = into(point[i], box[i], box[n + i])
         finite = ca.if_else(ca.fabs(inside) <= huge, inside, 0)
         good = ca.logic_and(good, ca.fabs(finite - point[i]) <= sizes.precision.kept * size)
         v.append(finite)
     opening = ca.if_else(good, point[n], 0)
     outputs = [ca.vertcat(*v), opening, ca.if_else(good, reached, CLAMPED)]
     return lower(ca.Function("finish", [point, status, safe, target, J, x, box], outputs))
-
-
-def _into(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
-    """The value moved between the bounds; a NaN goes to the lower one."""
-    above = ca.if_else(low <= value, value, low)
-    return ca.if_else(above <= high, above, high)

@@ -9,7 +9,7 @@ from surctl.priority.solver.dual_step import Space
 from surctl.priority.solver.kernel import certificate, kernel, lanes_of
 from surctl.priority.solver.precision import FLOAT64, Precision
 
-__all__ = ["Sizes", "unit_rows"]
+__all__ = ["Sizes", "into", "unit_rows"]
 
 
 class Sizes:
@@ -17,21 +17,24 @@ class Sizes:
 
     Attributes:
         precision: tolerances.
+        cap: largest number of iterations of a search for v; None: that of `kernel`.
         general: v free in n directions. fast: in n − p, after p independent task rows (None if p ≥ n). opening: v and
             the opening free.
         rows: entries of all rows. lanes, blocks: rows a block, and how many of those.
         general_kernel, opening_kernel, certificate, opening_certificate: of `kernel`.
     """
 
-    def __init__(self, n: int, p: int, m: int, precision: Precision = FLOAT64) -> None:
-        self.n, self.p, self.m, self.precision = n, p, m, precision
+    def __init__(
+        self, n: int, p: int, m: int, precision: Precision = FLOAT64, *, cap: int | None = None
+    ) -> None:
+        self.n, self.p, self.m, self.precision, self.cap = n, p, m, precision, cap
         self.general = Space(n, n, precision=precision)
         self.fast = Space(n, n - p, precision=precision) if p < n else None
         self.opening = Space(n, n + 1, opening=True, precision=precision)
         self.rows = m * (n + 3)
         self.lanes = lanes_of(m, precision)
         self.blocks = m // self.lanes
-        self.general_kernel = kernel(self.general, m)
+        self.general_kernel = kernel(self.general, m, cap)
         self.opening_kernel = kernel(self.opening, m)
         self.certificate = certificate(self.general, m)
         self.opening_certificate = certificate(self.opening, m)
@@ -107,3 +110,9 @@ def _scaling(sizes: Sizes) -> Routine:
         Call(one, (), ("yes",)),
     )
     return Routine("scale", (("rows", sizes.rows), ("done", 1)), steps, ("unit", "yes"))
+
+
+def into(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
+    """The value moved between the bounds; a NaN goes to the lower one."""
+    above = ca.if_else(low <= value, value, low)
+    return ca.if_else(above <= high, above, high)

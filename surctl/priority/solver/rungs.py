@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from surctl.ir import Call, Loop, Program, Routine, lower
+from surctl.ir import Call, Loop, Program, Routine, Step, lower
 from surctl.priority.solver.dual_step import OPTIMAL
 from surctl.priority.solver.elimination import as_matrix, eliminate, flat, reflect
 from surctl.priority.solver.kernel import reduced_kernel
@@ -29,7 +29,8 @@ LIMITED, RELAXED = 2, 3
 def exact_rung(sizes: Sizes) -> Routine:
     """(unit, target, J, x, skip) → (point, active, multipliers, status, count), the task exact; the point's t is 0.
 
-    With independent task rows in n − p unknowns, otherwise in n.
+    With independent task rows in n − p unknowns, otherwise in n; a bounded search over a task of several rows does
+    not look into dependent ones, and ends as `SKIPPED`.
     """
     n, p, fast = sizes.n, sizes.p, sizes.fast
     outputs = ("point", "active", "multipliers", "status", "count")
@@ -38,19 +39,18 @@ def exact_rung(sizes: Sizes) -> Routine:
     if fast is None:
         return Routine("hard", fixed, (Call(_dependent(sizes), given, outputs),), outputs)
     state = (*outputs, "full")
-    steps = (
+    begun = ("point_fast", "active_wide", "multipliers_wide", "status_fast", "count_fast", "ends")
+    steps: tuple[Step, ...] = (
         Call(_reflected(sizes, fast.d), given[1:], ("origin", "start", "free", "ends", "idle")),
         Call(
-            reduced_kernel(fast, sizes.m), ("unit", "origin", "start", "idle", "free"),
+            reduced_kernel(fast, sizes.m, sizes.cap), ("unit", "origin", "start", "idle", "free"),
             tuple(f"{name}_fast" for name in outputs),
         ),
         Call(_padded(n, fast.d), ("active_fast", "multipliers_fast"), ("active_wide", "multipliers_wide")),
-        Loop(
-            _otherwise(sizes), 1,
-            carried=("point_fast", "active_wide", "multipliers_wide", "status_fast", "count_fast", "ends"),
-            results=state, fixed=given, until=5,
-        ),
     )  # fmt: skip
+    if sizes.cap is not None and p > 1:
+        return Routine("hard", fixed, steps, begun[:-1])
+    steps += (Loop(_otherwise(sizes), 1, carried=begun, results=state, fixed=given, until=5),)
     return Routine("hard", fixed, steps, outputs)
 
 

@@ -21,9 +21,9 @@ __all__ = ["Rung", "SafePoint", "idle_row", "least_distance", "nearest_to_zero",
 
 Array: TypeAlias = NDArray[np.float64]
 Runner: TypeAlias = Callable[..., list[Array]]
-Rung: TypeAlias = Literal["met", "limited", "relaxed", "clamped"]
+Rung: TypeAlias = Literal["met", "limited", "relaxed", "clamped", "bounded"]
 """met: task and rows hold; limited: the task as well as the rows allow; relaxed: soft rows opened; clamped: only
-kept in the box."""
+kept in the box; bounded: what a bounded ladder answers where it cannot have both, see `bounded`."""
 
 _RUNGS: tuple[Rung, ...] = get_args(Rung)
 _BUCKET = 8  # rows are padded to a multiple of this, so that few sizes are compiled

@@ -1,0 +1,216 @@
+"""The bounded ladder's last rung: an answer of constant cost, in place of rungs 2 to 4 of the exact ladder.
+
+It rests on a safe point: the target in the box or standing still, whichever keeps the hard rows and misses the soft
+ones by less. From where rung 1 stopped it projects on one missed row after the other, in a few sweeps over all rows
+(Agmon 1954; Motzkin and Schoenberg 1954), in the last not the whole way: rows may contradict each other. Then it goes
+from the safe point towards where that led, as far as no hard row is missed and no soft one by more than there.
+
+So it is never worse than the safe point, but it is not the best: a point that keeps all rows may be overlooked, and
+the task is met as rung 1 and the projections left it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TypeAlias
+
+import casadi as ca
+
+from surctl.ir import Call, Loop, Program, Routine, lower
+from surctl.priority.solver.dual_step import SKIPPED
+from surctl.priority.solver.rows import Sizes, into
+
+__all__ = ["BOUNDED", "CAP", "eased"]
+
+CAP = 4
+"""Largest number of iterations of rung 1 in a bounded ladder."""
+
+BOUNDED = 5
+"""Status: an answer of constant cost; its opening tells by how much a soft row is missed, at most."""
+
+_SWEEPS = (1.0, 0.75)  # parts of the way to a missed row
+_TOGETHER = 4  # rows that a turn of a loop takes, so that a point stays in registers
+
+_Body: TypeAlias = Callable[[list[ca.SX], ca.SX, list[ca.SX]], list[ca.SX]]
+"""(state, row, fixed) → the next state."""
+
+
+def eased(sizes: Sizes) -> Routine:
+    """The one turn of a loop that runs where rung 1 does not hold.
+
+    (point (n + 1,), active, multipliers (n,), status, count, end, unit, target, box) → the first six; end is the status
+    of rung 1's search. status: `BOUNDED`, or 0 if neither safe point keeps the hard rows; the point is the target in
+    the box then.
+    """
+    n = sizes.n
+    state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("end", 1))
+    fixed = (("unit", sizes.rows), ("target", n), ("box", 2 * n))
+    swept = ("first", *(f"swept_{k}" for k in range(len(_SWEEPS))))
+    steps = (
+        Call(_start(sizes), ("point", "end", "target", "box"), ("near", "limits", "worst", "hard", "stands", "first")),
+        _over_rows(sizes, "compare", _compare, (("worst", 2), ("hard", 2)), (("near", n),)),
+        Call(
+            _choose(sizes), ("near", "limits", "stands", "worst_all", "hard_all"),
+            ("safe", "room", "sound", "part", "missed"),
+        ),
+        *(
+            _over_rows(sizes, f"sweep_{k}", _sweep(part), ((swept[k], n),), (), results=(swept[k + 1],))
+            for k, part in enumerate(_SWEEPS)
+        ),
+        Call(_inside(sizes), (swept[-1], "near", "box"), ("goal",)),
+        _over_rows(
+            sizes, "reach", _reach, (("part", 1), ("missed", 1)), (("safe", n), ("goal", n), ("room", 2)),
+        ),
+        Call(
+            _end(sizes), ("near", "safe", "goal", "room", "sound", "part_all", "missed_all"),
+            ("point_next", "none", "status_next"),
+        ),
+    )  # fmt: skip
+    after = ("point_next", "none", "none", "status_next", "count", "end")
+    return Routine("eased", (*state, *fixed), steps, after)
+
+
+def _over_rows(
+    sizes: Sizes,
+    name: str,
+    body: _Body,
+    state: tuple[tuple[str, int], ...],
+    fixed: tuple[tuple[str, int], ...],
+    *,
+    results: tuple[str, ...] | None = None,
+) -> Loop:
+    """A loop over all rows, one after the other whatever the lanes; results are named `…_all` if not given."""
+    width, lanes = sizes.n + 3, sizes.lanes
+    together = lanes if lanes > 1 else math.gcd(sizes.m, _TOGETHER)
+    block = ca.SX.sym("rows", together * width)
+    begun = [ca.SX.sym(key, size) for key, size in state]
+    given = [ca.SX.sym(key, size) for key, size in fixed]
+    carried = begun
+    for j in range(together):
+        row = block[j::lanes] if lanes > 1 else block[j * width : (j + 1) * width]
+        carried = body(carried, row, given)
+    one = lower(ca.Function(name, [*begun, block, *given], list(map(ca.densify, carried))))
+    names = tuple(key for key, _ in state)
+    ends = tuple(f"{key}_all" for key in names) if results is None else results
+    return Loop(one, sizes.m // together, names, ends, sliced=("unit",), fixed=tuple(key for key, _ in fixed))
+
+
+def _start(sizes: Sizes) -> Program:
+    """(point, end, target, box) → near, limits (2,), worst (2,), hard (2,), stands, first.
+
+    near: the target in the box. limits: by how much it, and standing still, may miss a hard row. worst, hard: 0.
+    stands: whether the box holds 0. first: where the projections start, in the box.
+    """
+    n, precision = sizes.n, sizes.precision
+    point, end = ca.SX.sym("point", n + 1), ca.SX.sym("end")
+    target, box = ca.SX.sym("target", n), ca.SX.sym("box", 2 * n)
+    near = [into(target[i], box[i], box[n + i]) for i in range(n)]
+    stands, size, searched = ca.SX(1), ca.SX(1), end != SKIPPED
+    for i in range(n):
+        stands = ca.logic_and(stands, ca.logic_and(box[i] <= 0, box[n + i] >= 0))
+        size = ca.fmax(size, ca.fabs(near[i]))
+        searched = ca.logic_and(searched, ca.fabs(point[i]) <= precision.huge)
+    first = [ca.if_else(searched, into(point[i], box[i], box[n + i]), near[i]) for i in range(n)]
+    outputs = [
+        ca.vertcat(*near),
+        ca.vertcat(precision.kept * size, precision.kept),
+        ca.SX.zeros(2),
+        ca.SX.zeros(2),
+        stands,
+        ca.vertcat(*first),
+    ]
+    return lower(ca.Function("ease", [point, end, target, box], list(map(ca.densify, outputs))))
+
+
+def _misses(row: ca.SX, value: ca.SX) -> tuple[ca.SX, ca.SX]:
+    n = row.numel() - 3
+    return value - row[n + 1], row[n] - value
+
+
+def _dot(row: ca.SX, v: ca.SX) -> ca.SX:
+    terms = [row[i] * v[i] for i in range(v.numel())]
+    while len(terms) > 1:  # in pairs, as rows are priced: one value has one rounding
+        terms = [a + b for a, b in zip(terms[::2], terms[1::2], strict=False)] + terms[len(terms) // 2 * 2 :]
+    return terms[0]
+
+
+def _compare(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
+    """By how much near, and standing still, miss any row, and a hard one."""
+    (worst, hard), (near,) = state, fixed
+    after: list[tuple[ca.SX, ca.SX]] = []
+    for k, (above, below) in enumerate((_misses(row, _dot(row, near)), (-row[-2], row[-3]))):
+        missed = ca.fmax(above, below)
+        after.append((ca.fmax(worst[k], missed), ca.fmax(hard[k], (1 - row[-1]) * missed)))
+    return [ca.vertcat(*(entry[k] for entry in after)) for k in range(2)]
+
+
+def _choose(sizes: Sizes) -> Program:
+    """(near, limits, stands, worst, hard) → safe, room (2,), sound; 1, 0.
+
+    room: by how much a soft and a hard row may be missed from there on, as at the safe point and for rounding. sound:
+    whether it keeps the hard rows.
+    """
+    near, limits, stands = ca.SX.sym("near", sizes.n), ca.SX.sym("limits", 2), ca.SX.sym("stands")
+    worst, hard = ca.SX.sym("worst", 2), ca.SX.sym("hard", 2)
+    kept = hard[0] <= limits[0]
+    still = ca.logic_and(ca.logic_and(stands, hard[1] <= limits[1]), ca.logic_not(ca.logic_and(kept, worst[0] < worst[1])))
+    least = ca.if_else(still, worst[1], worst[0])
+    outputs = [
+        ca.if_else(still, 0, near),
+        ca.vertcat(least + sizes.precision.priced / sizes.precision.kept * limits[0], limits[0]),
+        ca.logic_or(kept, still),
+        ca.SX(1),
+        ca.SX.zeros(1),
+    ]
+    return lower(ca.Function("choose_safe", [near, limits, stands, worst, hard], list(map(ca.densify, outputs))))
+
+
+def _sweep(part: float) -> _Body:
+    """The point moved by a part of what it misses the row by."""
+
+    def body(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
+        value = _dot(row, state[0])
+        missed = value - ca.fmin(ca.fmax(value, row[-3]), row[-2])
+        return [state[0] - (part * missed) * row[:-3]]
+
+    return body
+
+
+def _inside(sizes: Sizes) -> Program:
+    """(point (n,), near, box) → the point in the box; near where it is no number."""
+    n = sizes.n
+    point, near, box = ca.SX.sym("point", n), ca.SX.sym("near", n), ca.SX.sym("box", 2 * n)
+    finite = ca.SX(1)
+    for i in range(n):
+        finite = ca.logic_and(finite, ca.fabs(point[i]) <= sizes.precision.huge)
+    goal = [ca.if_else(finite, into(point[i], box[i], box[n + i]), near[i]) for i in range(n)]
+    return lower(ca.Function("goal", [point, near, box], [ca.vertcat(*goal)]))
+
+
+def _reach(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
+    """The part of the way from safe to goal that leaves the row its room; by how much the goal misses any row."""
+    (part, missed), (safe, goal, room) = state, fixed
+    from_, to = _dot(row, safe), _dot(row, goal)
+    above, below = _misses(row, from_)
+    way = to - from_
+    left = ca.if_else(row[-1] != 0, room[0], room[1]) - ca.if_else(way > 0, above, below)
+    size = ca.fabs(way)
+    sooner = left < part * size
+    above, below = _misses(row, to)
+    return [ca.if_else(sooner, left / ca.if_else(sooner, size, 1), part), ca.fmax(ca.fmax(missed, above), below)]
+
+
+def _end(sizes: Sizes) -> Program:
+    """(near, safe, goal, room, sound, part, missed) → point (n + 1,), no active rows, status."""
+    n = sizes.n
+    near, safe, goal = (ca.SX.sym(name, n) for name in ("near", "safe", "goal"))
+    room, sound, part, missed = ca.SX.sym("room", 2), ca.SX.sym("sound"), ca.SX.sym("part"), ca.SX.sym("missed")
+    share = ca.if_else(part > 0, part, 0)
+    v = ca.if_else(sound, safe + share * (goal - safe), near)
+    # the worst miss is convex along the way: never more than between those at its ends
+    opening = room[0] + share * (missed - room[0])
+    opening = ca.if_else(ca.logic_and(sound, opening > room[1]), opening, 0)
+    outputs = [ca.vertcat(v, opening), ca.SX.zeros(n), ca.if_else(sound, BOUNDED, 0)]
+    inputs = [near, safe, goal, room, sound, part, missed]
+    return lower(ca.Function("eased_end", inputs, list(map(ca.densify, outputs))))
