@@ -9,6 +9,7 @@ import click
 from click.core import ParameterSource
 
 from surctl.cli.output import as_json, finish, progress
+from surctl.cli.priority_options import priority_options
 from surctl.cli.sensor_options import SensorOptions, sensor_options, sensors_told
 
 __all__ = ["export"]
@@ -28,7 +29,7 @@ MISSION = "pool-static"
 )
 @click.option("--avoidance", default="corrected", help="Form of (20) in law paper.")
 @click.option("--guidance", default="los", help="los; with memory against a steady push: ilos or alos.")
-@click.option("--priority-mode", default="nsb", help="nsb, or one that keeps limits: filter, projected, lexicographic.")
+@priority_options
 @click.option(
     "--sensing", default="sonar", help="sonar: the law that senses for itself; truth: it is told all positions."
 )
@@ -73,6 +74,7 @@ def export(
     avoidance: str,
     guidance: str,
     priority_mode: str,
+    ladder: str,
     sensing: str,
     faults: tuple[str, ...],
     chances: tuple[str, ...],
@@ -103,6 +105,7 @@ def export(
     they belong together.
 
     Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --priority-mode projected;
+    surctl export --priority-mode projected --ladder bounded --real float32;
     surctl export --scenario tank-static --fault stuck:0:5; surctl export --sensing truth --real float32 --check;
     surctl export --check --targets gcc-O0,clang-O3,cortex-m4f --steps 1000; surctl export --law lean --sensing truth
     --scenario pool-ahead --real float32 --constant-gains --check
@@ -159,6 +162,7 @@ def export(
         sonar=sensing == "sonar",
         equipment=equipment,
         guidance=guidance,
+        ladder=ladder,
         depths=mission.depths is not None,
     )
     tuned = load_gains(gains)
@@ -229,7 +233,7 @@ def export(
 
 
 _FLOWN = (
-    *("vehicle", "gains", "law", "avoidance", "guidance", "priority_mode", "sensing"),
+    *("vehicle", "gains", "law", "avoidance", "guidance", "priority_mode", "ladder", "sensing"),
     *("faults", "chances", "beam", "own_state", "seed"),
 )
 

@@ -11,6 +11,7 @@ from surctl.cli.barrier_options import barrier_options
 from surctl.cli.campaign import CampaignOptions, campaign_options, fly_again
 from surctl.cli.controller_options import ControllerOptions, controller_options
 from surctl.cli.output import as_json, finish, out_folder, progress, stoppable
+from surctl.cli.priority_options import priority_options
 from surctl.cli.sensor_options import SensorOptions, sensor_options, sensors_told
 from surctl.cli.single_run import explained_and_drawn, run_line
 
@@ -28,7 +29,7 @@ __all__ = ["simulate"]
 )
 @click.option("--avoidance", default="corrected", help="printed, consistent or corrected form of (20).")
 @click.option("--guidance", default="los", help="los; with memory against a steady push: ilos or alos.")
-@click.option("--priority-mode", default="nsb", help="nsb, or one that keeps limits: filter, projected, lexicographic.")
+@priority_options
 @click.option("--sensing", default="truth", help="truth, or through the sonar array: sonar.")
 @barrier_options
 @sensor_options
@@ -50,6 +51,7 @@ def simulate(
     avoidance: str,
     guidance: str,
     priority_mode: str,
+    ladder: str,
     barrier: str,
     movers: str,
     sensing: str,
@@ -104,6 +106,7 @@ def simulate(
     if replayed is not None:
         fly_again(replayed, explained=explained, out=out, animate=animate, as_json=as_json)
     campaign.check(scenarios=scenarios, runs=runs, explained=explained, out=out)
+    _check_ladder(ladder, mode=priority_mode, explained=explained, campaign=campaign.any)
     from surctl.control import build_law, load_gains
     from surctl.files import prepare_folder
     from surctl.simulation import halt_reason, law_numbers, load_scenario, save_record
@@ -144,6 +147,7 @@ def simulate(
             guidance=guidance,
             barrier=barrier,
             movers=movers,
+            ladder=ladder,
             depths=scenario.depths is not None,
         )
         for scenario, flown in zip(plans, vehicles, strict=True)
@@ -179,6 +183,19 @@ def simulate(
     good = all(r["reached"] and r["min_clearance_m"] > 0 for r in results)
     good = good and not any("link" in r and r["link"]["differing"] for r in results)
     finish({"runs": results}, lines, as_json=as_json, passed=good)
+
+
+def _check_ladder(ladder: str, *, mode: str, explained: bool, campaign: bool) -> None:
+    if ladder == "exact":
+        return
+    from surctl.errors import InputError
+    from surctl.priority import check_ladder
+
+    check_ladder(ladder, mode=mode)
+    if campaign:
+        raise InputError("flies single runs", key="--ladder", value=ladder, remedy="leave --monte-carlo out")
+    if explained:
+        raise InputError("is not explained", key="--ladder", value=ladder, remedy="leave --explain out")
 
 
 def _check_save(save: str | None, frame: str | None, *, out: Path | None, campaign: bool) -> None:

@@ -44,7 +44,7 @@ from surctl.control.velocity import velocity_control
 from surctl.errors import InputError, nearest
 from surctl.guidance import FORMS, AvoidanceForm, Guidance, check_guidance
 from surctl.ir import Layout, Port, lower, without_libm
-from surctl.priority import Mode, nsb_symbolic
+from surctl.priority import Ladder, Mode, check_ladder, nsb_symbolic
 from surctl.priority.solver.ladder import RELAXED
 from surctl.sensing import Equipment
 from surctl.tasks import LimitRow, VelocityBox
@@ -73,6 +73,7 @@ def build_law(
     barrier: Barrier = "simple",
     movers: Movers = "predict",
     depths: bool = False,
+    ladder: Ladder = "exact",
 ) -> Law:
     """Assemble a law once; the gains stay symbols.
 
@@ -91,9 +92,10 @@ def build_law(
             form of `guidance.braking` at the worst of the vehicle's ranges.
             With sonars `inertia` does not get through the pool, where there are centimetres only.
         movers: what `guarded` does about what moves: `predict` its way and sidestep, or keep the `barrier` to it too.
-
         depths: whether `guarded` may leave a dead end by another depth; it is then told of the water above and below
             (`column`, see `control.layers`). Other laws keep to the path's depth.
+        ladder: of modes `filter` and `projected`, where limits and task 1 cannot all be kept: `exact`, or `bounded`,
+            with a safe answer within a fixed number of operations; the status has `DEGRADED` then.
 
     Raises:
         InputError: an unknown name, or a form that the law does not take.
@@ -111,6 +113,7 @@ def build_law(
         if key in ("barrier", "movers") and law != "guarded" and value != known[0]:
             raise InputError(f"law {law} has none", key=key, value=value, remedy="fly law guarded")
     check_guidance(guidance)
+    check_ladder(ladder, mode=mode)
     if law != "paper" and avoidance != "corrected":
         raise InputError(
             f"law {law} takes the corrected form only",
@@ -132,10 +135,20 @@ def build_law(
     if law == "paper" or not sonar:
         told = law_inputs(contacts, sonar=sonar, depths=depths)
         return _decide(
-            law, avoidance, mode, dt, told, guidance, sonar=sonar, moving=moving, barrier=barrier, movers=movers
+            law,
+            avoidance,
+            mode,
+            dt,
+            told,
+            guidance,
+            sonar=sonar,
+            moving=moving,
+            barrier=barrier,
+            movers=movers,
+            ladder=ladder,
         )
     told = scan_inputs(contacts + SECTORS, sensors=equipment.array.size, depths=depths)
-    decide = _decide(law, avoidance, mode, dt, told, guidance, barrier=barrier, movers=movers)
+    decide = _decide(law, avoidance, mode, dt, told, guidance, barrier=barrier, movers=movers, ladder=ladder)
     given = sonar_inputs(equipment, contacts=contacts, depths=depths)
     return _with_senses(decide, build_senses(equipment, given, told, dt=dt))
 
@@ -159,6 +172,7 @@ def _decide(
     moving: bool = True,
     barrier: Barrier = "simple",
     movers: Movers = "predict",
+    ladder: Ladder = "exact",
 ) -> Law:
     """The law, or what of it comes after the senses."""
     scans = "unknown" in inputs
@@ -237,7 +251,7 @@ def _decide(
         outputs=outputs,
         # the same bytes from every compiler on every processor
         block=without_libm(
-            lower(function) if mode == "nsb" else limited(mode, pre, post, levels=levels, rows=len(rows))
+            lower(function) if mode == "nsb" else limited(mode, pre, post, levels=levels, rows=len(rows), ladder=ladder)
         ),
         function=function,
         pre=pre,
@@ -247,6 +261,7 @@ def _decide(
         guidance=guidance,
         barrier=barrier,
         movers=movers,
+        ladder=ladder,
     )
 
 

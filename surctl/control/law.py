@@ -21,7 +21,7 @@ from surctl.control.stopping import Barrier, Movers
 from surctl.errors import InputError
 from surctl.guidance import AvoidanceForm, Guidance
 from surctl.ir import Block, Layout, Port, runnable, to_casadi
-from surctl.priority import Level, Mode, PriorityProblem, PrioritySolution, Row, solve
+from surctl.priority import Ladder, Level, Mode, PriorityProblem, PrioritySolution, Row, solve
 
 __all__ = ["DEGRADED", "NONFINITE", "SATURATED", "SWITCHED", "TELEMETRY", "TRAPPED", "Law", "LawStep"]
 
@@ -95,7 +95,7 @@ class Law:
         post: (u, p, those three, nu_wanted, rung of the priority tick) → as `function`.
         levels: (name, rows, unit) of each priority level, highest first.
         rows: names of the rows: box, then barriers.
-        barrier, movers: as `build_law` has them.
+        barrier, movers, ladder: as `build_law` has them.
         senses: what runs before the decision, or None; `function`, `pre` and `post` then take the decision's own state
             and what the senses tell as x and u.
         guidance: how the path is followed.
@@ -119,6 +119,7 @@ class Law:
     guidance: Guidance = "los"
     barrier: Barrier = "simple"
     movers: Movers = "predict"
+    ladder: Ladder = "exact"
 
     def initial_state(self) -> Vector:
         """State before the first step."""
@@ -195,7 +196,13 @@ class Law:
         return np.asarray(told, dtype=np.float64).reshape(-1)
 
     def explained(self, x: Vector, u: Vector, p: Vector) -> PrioritySolution:
-        """The priority decision of one tick with names and words: what `step` does, solved again in NumPy."""
+        """The priority decision of one tick with names and words: what `step` does, solved again in NumPy.
+
+        Raises:
+            InputError: a law with a bounded ladder, whose answers are not those of `solve` wherever it counts.
+        """
+        if self.ladder != "exact":
+            raise InputError("is not explained", key="ladder", value=self.ladder, remedy="fly the exact one")
         return solve(self.problem(x, u, p), mode=self.mode)
 
     def _vectors(self, *vectors: Vector) -> list[Vector]:

@@ -11,7 +11,7 @@ from surctl.control.layers import forgetting
 from surctl.control.ports import PARAMETERS
 from surctl.control.senses import Senses
 from surctl.ir import Block, Call, Layout, Real, Routine, lower, without_libm
-from surctl.priority import LevelShape, Mode, priority_tick
+from surctl.priority import Ladder, LevelShape, Mode, priority_tick
 from surctl.priority.solver.precision import FLOAT32, FLOAT64
 
 __all__ = ["in_real", "limited", "sensing"]
@@ -27,12 +27,13 @@ def limited(
     *,
     levels: tuple[tuple[str, int, str], ...],
     rows: int,
+    ladder: Ladder = "exact",
     real: Real = "float64",
 ) -> Block:
     """`pre`, the priority tick with the tolerances of these numbers, and `post`."""
     shapes = tuple(LevelShape(count) for _, count, _ in levels)
     # which rows hold task 1 back nobody asks for here
-    tick = priority_tick(mode, n=4, levels=shapes, rows=rows, precision=_PRECISIONS[real], named=False)
+    tick = priority_tick(mode, n=4, levels=shapes, rows=rows, precision=_PRECISIONS[real], named=False, ladder=ladder)
     before, after = lower(pre), lower(post)
     answer = tuple(f"tick_{name}" for name, _ in tick.outputs)
     results = tuple(name for name, _ in after.outputs)
@@ -88,7 +89,7 @@ def in_real(law: Law, real: Real) -> Law:
     """
     if real == "float64" or law.mode not in ("filter", "projected"):
         return law
-    made = limited(law.mode, law.pre, law.post, levels=law.levels, rows=len(law.rows), real=real)
+    made = limited(law.mode, law.pre, law.post, levels=law.levels, rows=len(law.rows), ladder=law.ladder, real=real)
     decide = without_libm(made, real)
     if law.senses is None:
         return replace(law, block=decide)

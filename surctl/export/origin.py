@@ -90,6 +90,7 @@ def origin_of(law: Law, vehicle: Vehicle, certificates: Mapping[str, Mapping[str
             guidance=law.guidance,
             barrier=law.barrier,
             movers=law.movers,
+            ladder=law.ladder,
         )
     return Origin(vehicle, told, certificates)
 

@@ -10,7 +10,7 @@ from surctl.priority.compiled.tick import priority_tick
 from surctl.priority.kept import KeptDaqp, KeptOsqp
 from surctl.priority.nsb import nsb
 from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
-from surctl.priority.settings import Mode, Settings
+from surctl.priority.settings import Ladder, Mode, Settings, check_ladder
 from surctl.priority.solution import PrioritySolution
 from surctl.priority.solver.ladder import safe_tick
 from surctl.priority.solver.safe_point import SafePoint, least_distance
@@ -25,6 +25,7 @@ __all__ = [
     "Backend",
     "KeptDaqp",
     "KeptOsqp",
+    "Ladder",
     "LeastDistance",
     "Level",
     "LevelShape",
@@ -37,6 +38,7 @@ __all__ = [
     "Settings",
     "assemble",
     "build_problem",
+    "check_ladder",
     "least_distance",
     "nsb",
     "nsb_sweep",

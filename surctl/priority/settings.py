@@ -11,7 +11,7 @@ import numpy as np
 from surctl.errors import InputError, nearest
 from surctl.priority.rowspace import CUTOFF
 
-__all__ = ["Ladder", "Mode", "Settings"]
+__all__ = ["Ladder", "Mode", "Settings", "check_ladder"]
 
 Mode: TypeAlias = Literal["nsb", "filter", "projected", "lexicographic"]
 """nsb: the printed law (16), which knows no rows. filter: the point of the rows nearest to it. projected: (16) with
@@ -20,6 +20,8 @@ its last projection, that of the first task, kept inside the rows. lexicographic
 Ladder: TypeAlias = Literal["exact", "bounded"]
 """How a compiled tick answers where task and rows cannot all be kept. exact: the best answer, whatever it takes.
 bounded: one of constant cost, never worse in rows than the target in the box or standing still."""
+
+_BOUNDED: tuple[Mode, ...] = ("filter", "projected")
 
 _LEAST_DAMPING = 1e-6
 
@@ -70,3 +72,17 @@ class Settings:
                 value=self.sweeps if self.sweeps != 1 else self.damping,
                 remedy="leave it out, or take mode projected",
             )
+
+
+def check_ladder(ladder: str, *, mode: str, damping: float = 0.0) -> None:
+    """Raise InputError for an unknown ladder, or one that the mode has not."""
+    known = get_args(Ladder)
+    if ladder not in known:
+        raise InputError("is not known", key="ladder", value=ladder, remedy=nearest(str(ladder), known))
+    if ladder != "exact" and (mode not in _BOUNDED or damping != 0.0):
+        raise InputError(
+            f"mode {mode} has none" if mode not in _BOUNDED else "goes with no damping",
+            key="ladder",
+            value=ladder,
+            remedy=f"take mode {' or '.join(_BOUNDED)}" if mode not in _BOUNDED else "leave the damping out",
+        )

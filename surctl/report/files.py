@@ -86,6 +86,7 @@ def save_priority(run: Run, folder: Path | str) -> Path:
 def _flown(run: Run) -> tuple[str, ...]:
     law = run.law.name.removeprefix("surctl_")
     how = (law, run.law.avoidance, *(() if run.law.guidance == "los" else (run.law.guidance,)), run.law.mode)
+    how += () if run.law.ladder == "exact" else (run.law.ladder,)
     return (run.scenario.name, run.vehicle.name, *how, run.sensing, f"seed{run.seed}")
 
 

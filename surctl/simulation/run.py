@@ -63,6 +63,7 @@ class Run:
             "guidance": self.law.guidance,
             "sensing": self.sensing,
             "priority_mode": self.law.mode,
+            "ladder": self.law.ladder,
             "barrier": self.law.barrier,
             "movers": self.law.movers,
             "seed": self.seed,

@@ -17,7 +17,7 @@ from surctl.priority.compiled.level_shape import LevelShape
 from surctl.priority.compiled.runner import PriorityTick, bound
 from surctl.priority.compiled.tick import priority_tick
 from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
-from surctl.priority.settings import Mode
+from surctl.priority.settings import Ladder, Mode
 from surctl.tasks import Kind, Limit, LimitRow, SetTask, Stack
 
 __all__ = ["AssembledTick", "Assembly", "assemble"]
@@ -69,13 +69,15 @@ class Assembly:
         ]
         return build_problem(levels, limits)
 
-    def tick(self, mode: Mode = "projected", *, sweeps: int = 1, damping: float = 0.0) -> AssembledTick:
+    def tick(
+        self, mode: Mode = "projected", *, sweeps: int = 1, damping: float = 0.0, ladder: Ladder = "exact"
+    ) -> AssembledTick:
         """A compiled tick with buffers of its own, fed by this assembly.
 
         Raises:
             InputError: a set-based task of more than one row; see `priority_tick` for the others.
         """
-        return AssembledTick(self, mode, sweeps=sweeps, damping=damping)
+        return AssembledTick(self, mode, sweeps=sweeps, damping=damping, ladder=ladder)
 
     @property
     def shapes(self) -> tuple[LevelShape, ...]:
@@ -112,7 +114,9 @@ class AssembledTick(PriorityTick):
 
     inputs: Mapping[str, Array]
 
-    def __init__(self, assembly: Assembly, mode: Mode, *, sweeps: int = 1, damping: float = 0.0) -> None:
+    def __init__(
+        self, assembly: Assembly, mode: Mode, *, sweeps: int = 1, damping: float = 0.0, ladder: Ladder = "exact"
+    ) -> None:
         """See `Assembly.tick`."""
         for task in assembly.stack.tasks:
             if isinstance(task, SetTask) and task.size > 1:
@@ -122,7 +126,9 @@ class AssembledTick(PriorityTick):
                     remedy="put its split() into the stack",
                 )
         places = max(1, len(assembly.limits))
-        tick = priority_tick(mode, n=_N, levels=assembly.shapes, rows=places, sweeps=sweeps, damping=damping)
+        tick = priority_tick(
+            mode, n=_N, levels=assembly.shapes, rows=places, sweeps=sweeps, damping=damping, ladder=ladder
+        )
         inputs, outputs, self.solve, self.compiled = bound(_fused(lower(assembly.function), tick))
         self._take(mode, _N, assembly.shapes, outputs[: len(tick.inputs)], outputs[len(tick.inputs) :])
         self.level_names = assembly.stack.names

@@ -15,7 +15,7 @@ from surctl.priority.compiled.tick import OUTPUTS, priority_tick
 from surctl.priority.polyhedron import polyhedron_of
 from surctl.priority.problem import PriorityProblem
 from surctl.priority.rowspace import ZERO_ROW
-from surctl.priority.settings import Mode
+from surctl.priority.settings import Ladder, Mode
 from surctl.priority.solver.safe_point import Rung, idle_row
 
 __all__ = ["PriorityTick", "bound", "level_shapes"]
@@ -63,11 +63,19 @@ class PriorityTick:
     solve: Callable[[], None]
 
     def __init__(
-        self, mode: Mode, *, n: int, levels: Sequence[LevelShape], rows: int, sweeps: int = 1, damping: float = 0.0
+        self,
+        mode: Mode,
+        *,
+        n: int,
+        levels: Sequence[LevelShape],
+        rows: int,
+        sweeps: int = 1,
+        damping: float = 0.0,
+        ladder: Ladder = "exact",
     ) -> None:
         """As `priority_tick`, which raises the errors. All rows are idle and the box is open until they are written."""
         shapes = tuple(levels)
-        routine = priority_tick(mode, n=n, levels=shapes, rows=rows, sweeps=sweeps, damping=damping)
+        routine = priority_tick(mode, n=n, levels=shapes, rows=rows, sweeps=sweeps, damping=damping, ladder=ladder)
         inputs, outputs, self.solve, self.compiled = bound(routine)
         self._take(mode, n, shapes, inputs, outputs)
         self.rows[:] = idle_row(n)
@@ -98,11 +106,18 @@ class PriorityTick:
         rows: int | None = None,
         sweeps: int = 1,
         damping: float = 0.0,
+        ladder: Ladder = "exact",
     ) -> PriorityTick:
         """A tick for problems of this one's shape, loaded with it; `rows` places, as many as it has if None."""
         places = max(1, len(problem.rows)) if rows is None else rows
         tick = PriorityTick(
-            mode, n=problem.width, levels=level_shapes(problem), rows=places, sweeps=sweeps, damping=damping
+            mode,
+            n=problem.width,
+            levels=level_shapes(problem),
+            rows=places,
+            sweeps=sweeps,
+            damping=damping,
+            ladder=ladder,
         )
         tick.load(problem)
         return tick

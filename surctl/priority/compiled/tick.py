@@ -11,18 +11,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import get_args
 
 import casadi as ca
 import numpy as np
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError
 from surctl.ir import Call, Loop, Program, Routine, Step, lower
 from surctl.priority.compiled.cascade import cascade
 from surctl.priority.compiled.last_projection import last_projection
 from surctl.priority.compiled.level_shape import LevelShape, StackShape
 from surctl.priority.compiled.sweep import HUGE, gate, into, sweep, swept
-from surctl.priority.settings import Ladder, Mode, Settings
+from surctl.priority.settings import Ladder, Mode, Settings, check_ladder
 from surctl.priority.solver.ladder import CLAMPED, MET, safe_tick
 from surctl.priority.solver.precision import FLOAT64, Precision
 
@@ -58,8 +57,9 @@ def priority_tick(
     Outputs: v (n,); active (n,), signed row numbers from 1 (+ at the upper bound, − at the lower, 0 none), first
     those that hold a task back, with multipliers (n,) of ½‖J v − x‖² for these and of ½‖v − target‖² for the others,
     for rows of length 1; opening (1,) of the soft rows; status (1,): MET (level 1 is met as well as its Jacobian
-    can), LIMITED (as well as the rows allow), RELAXED (soft rows opened), CLAMPED (only moved into the box), BOUNDED (what
-    a bounded ladder has in place of the three before; `active` is empty); count (1,), iterations; target (n,), the point from which the last projection started.
+    can), LIMITED (as well as the rows allow), RELAXED (soft rows opened), CLAMPED (only moved into the box), or BOUNDED
+    (what a bounded ladder has in place of the two before that, without active rows); count (1,), iterations; target
+    (n,), the point from which the last projection started.
 
     A set-based level keeps w where it is inside its bounds and moves it to the nearest bound otherwise: no switch, no
     jump. In mode lexicographic one that is met is row m + 1, m + 2, … of those that bind (in the order of the levels).
@@ -96,8 +96,9 @@ def priority_tick(
         >>> v.round(3).tolist(), active.tolist()  # held back by row 1 at its upper bound
         ([0.1, 0.4], [1.0, 0.0])
     """
-    shape, settings = StackShape(n, levels), _Settings(
-        mode, sweeps, damping, precision=precision, named=named, ladder=ladder
+    shape, settings = (
+        StackShape(n, levels),
+        _Settings(mode, sweeps, damping, precision=precision, named=named, ladder=ladder),
     )
     if mode == "projected" and 0.0 < damping < _LEAST_DAMPING:
         raise InputError(
@@ -126,17 +127,7 @@ class _Settings(Settings):
     def __post_init__(self) -> None:
         """Check also that there is such a ladder."""
         super().__post_init__()
-        if self.ladder not in get_args(Ladder):
-            raise InputError(
-                "no such ladder", key="ladder", value=self.ladder, remedy=nearest(str(self.ladder), get_args(Ladder))
-            )
-        if self.ladder != "exact" and (self.mode not in ("filter", "projected") or self.damping != 0.0):
-            raise InputError(
-                "is for the modes filter and projected, without damping",
-                key="ladder",
-                value=self.ladder,
-                remedy="take mode projected, or the exact ladder",
-            )
+        check_ladder(self.ladder, mode=self.mode, damping=self.damping)
 
 
 def _nsb(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ...]:
@@ -148,9 +139,7 @@ def _filter(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ..
     last = Call(_with_target(shape.n), ("swept",), (_RAW[-1],))
     return (
         *swept(shape, settings),
-        Call(
-            safe_tick(shape.n, 1, rows, precision=settings.precision, ladder=settings.ladder), given, _RAW[:-1]
-        ),
+        Call(safe_tick(shape.n, 1, rows, precision=settings.precision, ladder=settings.ladder), given, _RAW[:-1]),
         last,
     )
 

@@ -17,8 +17,8 @@ from typing import TypeAlias
 
 import casadi as ca
 
-from surctl.ir import Call, Loop, Program, Routine, lower
-from surctl.priority.solver.dual_step import SKIPPED
+from surctl.ir import Call, Loop, Program, Routine, Step, lower
+from surctl.priority.solver.dual_step import SKIPPED, dot
 from surctl.priority.solver.rows import Sizes, into
 
 __all__ = ["BOUNDED", "CAP", "eased"]
@@ -30,7 +30,7 @@ BOUNDED = 5
 """Status: an answer of constant cost; its opening tells by how much a soft row is missed, at most."""
 
 _SWEEPS = (1.0, 0.75)  # parts of the way to a missed row
-_TOGETHER = 4  # rows that a turn of a loop takes, so that a point stays in registers
+_TOGETHER = 4  # rows that a turn of a loop takes: a point stays in registers meanwhile
 
 _Body: TypeAlias = Callable[[list[ca.SX], ca.SX, list[ca.SX]], list[ca.SX]]
 """(state, row, fixed) → the next state."""
@@ -47,7 +47,7 @@ def eased(sizes: Sizes) -> Routine:
     state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("end", 1))
     fixed = (("unit", sizes.rows), ("target", n), ("box", 2 * n))
     swept = ("first", *(f"swept_{k}" for k in range(len(_SWEEPS))))
-    steps = (
+    steps: tuple[Step, ...] = (
         Call(_start(sizes), ("point", "end", "target", "box"), ("near", "limits", "worst", "hard", "stands", "first")),
         _over_rows(sizes, "compare", _compare, (("worst", 2), ("hard", 2)), (("near", n),)),
         Call(
@@ -124,22 +124,15 @@ def _start(sizes: Sizes) -> Program:
 
 
 def _misses(row: ca.SX, value: ca.SX) -> tuple[ca.SX, ca.SX]:
-    n = row.numel() - 3
-    return value - row[n + 1], row[n] - value
-
-
-def _dot(row: ca.SX, v: ca.SX) -> ca.SX:
-    terms = [row[i] * v[i] for i in range(v.numel())]
-    while len(terms) > 1:  # in pairs, as rows are priced: one value has one rounding
-        terms = [a + b for a, b in zip(terms[::2], terms[1::2], strict=False)] + terms[len(terms) // 2 * 2 :]
-    return terms[0]
+    """By how much the row's value is above its upper and below its lower bound."""
+    return value - row[-2], row[-3] - value
 
 
 def _compare(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
     """By how much near, and standing still, miss any row, and a hard one."""
     (worst, hard), (near,) = state, fixed
     after: list[tuple[ca.SX, ca.SX]] = []
-    for k, (above, below) in enumerate((_misses(row, _dot(row, near)), (-row[-2], row[-3]))):
+    for k, (above, below) in enumerate((_misses(row, dot(row[:-3], near)), (-row[-2], row[-3]))):
         missed = ca.fmax(above, below)
         after.append((ca.fmax(worst[k], missed), ca.fmax(hard[k], (1 - row[-1]) * missed)))
     return [ca.vertcat(*(entry[k] for entry in after)) for k in range(2)]
@@ -154,7 +147,8 @@ def _choose(sizes: Sizes) -> Program:
     near, limits, stands = ca.SX.sym("near", sizes.n), ca.SX.sym("limits", 2), ca.SX.sym("stands")
     worst, hard = ca.SX.sym("worst", 2), ca.SX.sym("hard", 2)
     kept = hard[0] <= limits[0]
-    still = ca.logic_and(ca.logic_and(stands, hard[1] <= limits[1]), ca.logic_not(ca.logic_and(kept, worst[0] < worst[1])))
+    nearer = ca.logic_and(kept, worst[0] < worst[1])
+    still = ca.logic_and(ca.logic_and(stands, hard[1] <= limits[1]), ca.logic_not(nearer))
     least = ca.if_else(still, worst[1], worst[0])
     outputs = [
         ca.if_else(still, 0, near),
@@ -170,7 +164,7 @@ def _sweep(part: float) -> _Body:
     """The point moved by a part of what it misses the row by."""
 
     def body(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-        value = _dot(row, state[0])
+        value = dot(row[:-3], state[0])
         missed = value - ca.fmin(ca.fmax(value, row[-3]), row[-2])
         return [state[0] - (part * missed) * row[:-3]]
 
@@ -191,7 +185,7 @@ def _inside(sizes: Sizes) -> Program:
 def _reach(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
     """The part of the way from safe to goal that leaves the row its room; by how much the goal misses any row."""
     (part, missed), (safe, goal, room) = state, fixed
-    from_, to = _dot(row, safe), _dot(row, goal)
+    from_, to = dot(row[:-3], safe), dot(row[:-3], goal)
     above, below = _misses(row, from_)
     way = to - from_
     left = ca.if_else(row[-1] != 0, room[0], room[1]) - ca.if_else(way > 0, above, below)

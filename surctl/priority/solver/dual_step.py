@@ -28,6 +28,7 @@ __all__ = [
     "STUCK",
     "Space",
     "close",
+    "dot",
     "halve",
     "iteration",
     "misses",
@@ -102,7 +103,8 @@ def _sum(terms: list[ca.SX]) -> ca.SX:
     return terms[0]
 
 
-def _dot(a: ca.SX, b: ca.SX) -> ca.SX:
+def dot(a: ca.SX, b: ca.SX) -> ca.SX:
+    """a · b, summed in pairs."""
     return _sum([a[i] * b[i] for i in range(a.numel())])
 
 
@@ -173,10 +175,10 @@ class _Triangle:
         for j, normal in enumerate(slots.normals):
             q = normal
             for i in range(j):
-                R[i][j] = _dot(Q[i], q) * inverse[i]
+                R[i][j] = dot(Q[i], q) * inverse[i]
                 q = q - R[i][j] * Q[i]
             used = slots.numbers[j] != 0
-            inverse.append(ca.if_else(used, 1 / ca.if_else(used, _dot(q, q), 1), 0))
+            inverse.append(ca.if_else(used, 1 / ca.if_else(used, dot(q, q), 1), 0))
             Q.append(q)
         return _Triangle(Q, R, inverse)
 
@@ -188,10 +190,10 @@ class _Triangle:
         outside, inside = normal, [ca.SX(0)] * len(self.Q)
         for _ in range(2):
             for j, q in enumerate(self.Q[:-1]):
-                part = _dot(q, outside) * self.inverse[j]
+                part = dot(q, outside) * self.inverse[j]
                 outside = outside - part * q
                 inside[j] = inside[j] + part
-        inside[-1] = _dot(self.Q[-1], outside) * self.inverse[-1]
+        inside[-1] = dot(self.Q[-1], outside) * self.inverse[-1]
         return outside, inside
 
     def solve(self, rhs: list[ca.SX]) -> list[ca.SX]:
@@ -217,7 +219,7 @@ class _Entering:
         at_lower = number < 0
         a = ca.if_else(at_lower, -row[: space.n], row[: space.n])
         if M is not None:
-            a = ca.vertcat(*(_dot(M[:, j], a) for j in range(space.d)))
+            a = ca.vertcat(*(dot(M[:, j], a) for j in range(space.d)))
         normal = ca.vertcat(a, -row[space.n + 2]) if space.opening else a
         return _Entering(number, normal, ca.if_else(at_lower, below, above))
 
@@ -248,7 +250,7 @@ class _Place:
             return _Place(outside, missed * at.whole, missed * at.full, at.rate, at.r, at.ratios)
         triangle = _Triangle.of(slots)
         rest, inside = triangle.split(entering.normal)
-        square = _dot(rest, rest)
+        square = dot(rest, rest)
         outside = square > precision.parallel
         whole = missed / ca.if_else(outside, square, 1)
         r = triangle.solve(inside)
@@ -308,7 +310,7 @@ def iteration(space: Space) -> Program:
     place = _Place.of(slots, entering, space.precision)
     step = _Step.of(slots, entering, place, _size(point[:n]), space.precision)
     r, way = place.r, step.way
-    lifted = way if map_ is None else ca.vertcat(*(_dot(map_[i, :], way) for i in range(n)))
+    lifted = way if map_ is None else ca.vertcat(*(dot(map_[i, :], way) for i in range(n)))
     multiplier = pending[1] + step.length
     after = _exchange(slots, step, r, entering, multiplier)
     stays = ca.logic_and(ca.eq(step.status, 0), ca.logic_not(step.full))

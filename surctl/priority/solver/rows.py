@@ -24,9 +24,7 @@ class Sizes:
         general_kernel, opening_kernel, certificate, opening_certificate: of `kernel`.
     """
 
-    def __init__(
-        self, n: int, p: int, m: int, precision: Precision = FLOAT64, *, cap: int | None = None
-    ) -> None:
+    def __init__(self, n: int, p: int, m: int, precision: Precision = FLOAT64, *, cap: int | None = None) -> None:
         self.n, self.p, self.m, self.precision, self.cap = n, p, m, precision, cap
         self.general = Space(n, n, precision=precision)
         self.fast = Space(n, n - p, precision=precision) if p < n else None
