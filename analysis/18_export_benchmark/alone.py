@@ -5,16 +5,18 @@ from __future__ import annotations
 import subprocess
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.export import TARGETS
-from surctl.ir import Routine, compile_program, emit_block
+from surctl.ir import Block, Call, Gather, Loop, Program, Routine, Step, compile_program, emit_block, lower
 
-__all__ = ["counted", "counted_c"]
+__all__ = ["at_bounds", "counted", "counted_c"]
 
 _NAME = "alone"
 _MAIN = """
@@ -50,6 +52,48 @@ static void one(const float *record, float *answer) {{ law({given}); }}
 """
     rows, counts = counted_c(text, np.hstack(arrays), sum(made), target=target, level=level)
     return np.split(rows, ends[1:], axis=1), counts
+
+
+def at_bounds(routine: Routine) -> Routine:
+    """The same with one more input, `never` (1,): with 0 there, which no compiler knows, every loop runs to its bound.
+
+    What it answers is of no use: the flags that end loops are lost.
+    """
+    product = ca.SX.sym("flag"), ca.SX.sym("never")
+    held = lower(ca.Function("held", list(product), [product[0] * product[1]]))
+    steps: list[Step] = []
+    for at, step in enumerate(routine.steps):
+        if isinstance(step, Gather) or (isinstance(step.block, Program) and isinstance(step, Call)):
+            steps.append(step)
+        elif isinstance(step, Call):
+            steps.append(replace(step, block=at_bounds(step.block), args=(*step.args, "never")))
+        else:
+            steps += _loop_at_bounds(step, held, f"held_{at}")
+    return replace(routine, inputs=(*routine.inputs, ("never", 1)), steps=tuple(steps))
+
+
+def _loop_at_bounds(loop: Loop, held: Program, name: str) -> list[Step]:
+    body: Block = loop.block if isinstance(loop.block, Program) else at_bounds(loop.block)
+    extra = () if isinstance(body, Program) else ("never",)
+    if loop.until is None:
+        return [replace(loop, block=body, fixed=(*loop.fixed, *extra))]
+    inputs = body.inputs if extra else (*body.inputs, ("never", 1))
+    given, made = tuple(key for key, _ in body.inputs), [f"made_{k}" for k, _ in enumerate(body.outputs)]
+    inner = (
+        Call(body, given, tuple(made)),
+        Call(held, (made[loop.until], "never"), ("flag_made",)),
+    )
+    made[loop.until] = "flag_made"
+    carried = [name if k == loop.until else key for k, key in enumerate(loop.carried)]
+    return [
+        Call(held, (loop.carried[loop.until], "never"), (name,)),
+        replace(
+            loop,
+            block=Routine(f"{body.name}_on", inputs, inner, tuple(made)),
+            carried=tuple(carried),
+            fixed=(*loop.fixed, "never"),
+        ),
+    ]
 
 
 def counted_c(

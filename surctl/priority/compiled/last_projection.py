@@ -29,6 +29,8 @@ __all__ = ["last_projection"]
 
 _PLAIN = 1e-4  # in squares of lengths and of a sine: far above every cut-off, in floats too
 
+_APART, _SHORT = 1e-14, 1e-18  # squares again: with _PLAIN no row that `decompose` would pass over
+
 _ANSWER = ("v", "active", "multipliers", "opening", "status", "count")
 
 
@@ -61,11 +63,16 @@ def _sum() -> Program:
     return lower(ca.Function("sum", [a, b], [a + b]))
 
 
-def _task(shape: StackShape) -> tuple[Step, ...]:
-    """J, lower, upper → J_1, and the x_1 that it can reach; two rows that are plainly independent reach any."""
+def _task(shape: StackShape, ladder: Ladder) -> tuple[Step, ...]:
+    """J, lower, upper → J_1, and the x_1 that it can reach; two rows that are plainly independent reach any.
+
+    A bounded ladder takes two others for no task: what they can reach is dear to know.
+    """
     k, stack = shape.levels[0].rows, ("J", "lower", "upper")
     if k != 2:
         return (Call(_first(shape), stack, ("J_1", "x_1")),)
+    if ladder != "exact":
+        return (Call(_independent(shape), stack, ("J_1", "x_1")),)
     one = lower(ca.Function("done", [ca.SX.sym("plain")], [ca.SX.ones(1)]))
     state = (("J_1", k * shape.n), ("x_1", k), ("plain", 1))
     turn = Routine(
@@ -90,6 +97,17 @@ def _plain(shape: StackShape) -> Program:
     return lower(ca.Function("plain", flat, [ca.densify(ca.vec(J.T)), ca.densify(levels[0].lower), plain]))
 
 
+def _independent(shape: StackShape) -> Program:
+    """(J, lower, upper) → J_1, x_1 of two rows, or zeros where they are near-parallel or of very different length."""
+    flat, levels = shape.symbols()
+    J, x = levels[0].J, levels[0].lower
+    a, b, both = ca.sumsqr(J[0, :]), ca.sumsqr(J[1, :]), ca.dot(J[0, :].T, J[1, :].T)
+    fine = ca.logic_and(a > _APART * b, b > _APART * a)
+    fine = ca.logic_and(fine, ca.logic_and(a > _SHORT, a * b - both * both > _PLAIN * (a * b)))
+    outputs = [ca.if_else(fine, ca.vec(J.T), 0), ca.if_else(fine, x, 0)]
+    return lower(ca.Function("independent", flat, list(map(ca.densify, outputs))))
+
+
 def _first(shape: StackShape) -> Program:
     """(J, lower, upper) → J_1, and the x_1 that it can reach: what no v can change of the miss is left out."""
     flat, levels = shape.symbols()
@@ -108,7 +126,7 @@ def _value(shape: StackShape, rows: int, precision: Precision, *, named: bool, l
     raw, found = tuple(f"{name}_tick" for name in _ANSWER), tuple(f"{name}_found" for name in _ANSWER)
     k, given = shape.levels[0].rows, ("w", "J_1", "x_1", "rows", "box")
     return (
-        *_task(shape),
+        *_task(shape, ladder),
         Call(safe_tick(shape.n, k, rows, precision=precision, ladder=ladder), given, raw if named else found),
         *([Call(_named(shape.n, k, rows, precision), ("J_1", "x_1", "rows", *raw), found)] if named else []),
     )

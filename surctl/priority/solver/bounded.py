@@ -46,19 +46,15 @@ def eased(sizes: Sizes) -> Routine:
     n = sizes.n
     state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("end", 1))
     fixed = (("unit", sizes.rows), ("target", n), ("box", 2 * n))
-    swept = ("first", *(f"swept_{k}" for k in range(len(_SWEEPS))))
     steps: tuple[Step, ...] = (
         Call(_start(sizes), ("point", "end", "target", "box"), ("near", "limits", "worst", "hard", "stands", "first")),
-        _over_rows(sizes, "compare", _compare, (("worst", 2), ("hard", 2)), (("near", n),)),
+        _over_rows(sizes, "compare", _compare, (("first", n), ("worst", 2), ("hard", 2)), (("near", n),)),
         Call(
             _choose(sizes), ("near", "limits", "stands", "worst_all", "hard_all"),
             ("safe", "room", "sound", "part", "missed"),
         ),
-        *(
-            _over_rows(sizes, f"sweep_{k}", _sweep(part), ((swept[k], n),), (), results=(swept[k + 1],))
-            for k, part in enumerate(_SWEEPS)
-        ),
-        Call(_inside(sizes), (swept[-1], "near", "box"), ("goal",)),
+        _over_rows(sizes, "sweep", _sweep, (("first_all", n),), ()),
+        Call(_inside(sizes), ("first_all_all", "near", "box"), ("goal",)),
         _over_rows(
             sizes, "reach", _reach, (("part", 1), ("missed", 1)), (("safe", n), ("goal", n), ("room", 2)),
         ),
@@ -129,13 +125,13 @@ def _misses(row: ca.SX, value: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _compare(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-    """By how much near, and standing still, miss any row, and a hard one."""
-    (worst, hard), (near,) = state, fixed
+    """The first sweep; and by how much near, and standing still, miss any row, and a hard one."""
+    (point, worst, hard), (near,) = state, fixed
     after: list[tuple[ca.SX, ca.SX]] = []
     for k, (above, below) in enumerate((_misses(row, dot(row[:-3], near)), (-row[-2], row[-3]))):
         missed = ca.fmax(above, below)
         after.append((ca.fmax(worst[k], missed), ca.fmax(hard[k], (1 - row[-1]) * missed)))
-    return [ca.vertcat(*(entry[k] for entry in after)) for k in range(2)]
+    return [_moved(point, row, _SWEEPS[0]), *(ca.vertcat(*(entry[k] for entry in after)) for k in range(2))]
 
 
 def _choose(sizes: Sizes) -> Program:
@@ -160,15 +156,16 @@ def _choose(sizes: Sizes) -> Program:
     return lower(ca.Function("choose_safe", [near, limits, stands, worst, hard], list(map(ca.densify, outputs))))
 
 
-def _sweep(part: float) -> _Body:
+def _sweep(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
+    """The second sweep."""
+    return [_moved(state[0], row, _SWEEPS[1])]
+
+
+def _moved(point: ca.SX, row: ca.SX, part: float) -> ca.SX:
     """The point moved by a part of what it misses the row by."""
-
-    def body(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-        value = dot(row[:-3], state[0])
-        missed = value - ca.fmin(ca.fmax(value, row[-3]), row[-2])
-        return [state[0] - (part * missed) * row[:-3]]
-
-    return body
+    value = dot(row[:-3], point)
+    missed = value - ca.fmin(ca.fmax(value, row[-3]), row[-2])
+    return point - (part * missed) * row[:-3]
 
 
 def _inside(sizes: Sizes) -> Program:
