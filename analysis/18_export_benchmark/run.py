@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from bounded import flights, quality
 from contenders import Contender, casadi_c, controller, ours
 from limits import USUAL, WORST, laws, ticks
 from numpy.typing import NDArray
@@ -183,12 +184,29 @@ def study(*, quick: bool) -> tuple[str, bool]:
         "",
         *alone.lines,
     ]
-    others, apart = race(quick=quick)
+    bounded_laws, bounded = laws(quick=quick, ladder="bounded"), ticks(quick=quick, ladder="bounded")
+    out += [
+        "",
+        "## With limits and the bounded ladder",
+        "",
+        *bounded_laws.lines,
+        "",
+        f"The tick alone, {bounded.title}:",
+        "",
+        *bounded.lines,
+        "",
+        "In double, where it had no answer of its own (rows of length 1, the task's longest too):",
+        "",
+        *quality(quick=quick),
+        "",
+        *flights(quick=quick),
+    ]
+    others, apart, cut = race(quick=quick)
     out += ["", f"Other solvers, {PROBLEM}:", "", *others]
     proofs, whole = whole_laws(quick=quick)
     out += ["", "## Proof of whole laws", "", *proofs, "", "## Bars", ""]
     best, worst = lines[1], max(kept.most, alone.most)
-    usual = lines[0].counted.mean + alone.mean
+    usual, usual_bounded = lines[0].counted.mean + alone.mean, lines[0].counted.mean + bounded.mean
     held = [
         (f"at most {MOST_INSTRUCTIONS} instructions a step with -Os", best.counted.most <= MOST_INSTRUCTIONS),
         (f"max/min at most {SPREAD:.2f}", best.counted.most <= SPREAD * best.counted.least),
@@ -206,7 +224,22 @@ def study(*, quick: bool) -> tuple[str, bool]:
             apart.mean() <= USUAL and apart.max() <= WORST,
         ),
         (f"with limits, rows that contradict each other among them: at most {WORST} ({worst})", worst <= WORST),
-        ("with limits: the bytes of Python", kept.same and alone.same),
+        (f"bounded ladder, the same: at most {WORST} ({bounded.most})", bounded.most <= WORST),
+        (f"bounded ladder, every loop of the tick at its bound: at most {WORST}", bounded.bound <= WORST),
+        (
+            f"bounded ladder, law with one obstacle that stands, single steps: at most {WORST} ({bounded_laws.most})",
+            bounded_laws.most <= WORST,
+        ),
+        (
+            f"bounded ladder, closed form and a tick of 24 rows that hold: at most {USUAL} in the mean "
+            f"({usual_bounded:.0f})",
+            usual_bounded <= USUAL,
+        ),
+        (
+            f"bounded ladder, 24 rows and 2 equalities that can be kept: at most {USUAL} in the mean, {WORST} at worst",
+            cut.mean() <= USUAL and cut.max() <= WORST,
+        ),
+        ("with limits: the bytes of Python", all(told.same for told in (kept, alone, bounded_laws, bounded))),
     ]
     out += [*(f"- {what}: {'holds' if holds else '**does not hold**'}" for what, holds in held)]
     return "\n".join(out), all(holds for _, holds in held)
