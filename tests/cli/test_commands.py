@@ -15,6 +15,7 @@ RUN_KEYS = {
     "law",
     "sensing",
     "priority_mode",
+    "ladder",
     "seed",
     "reached",
     "time_s",
@@ -87,9 +88,10 @@ def test_a_textbook_law_is_flown_by_name(tmp_path):
 
 
 def test_simulate_draws_to_a_folder(tmp_path):
-    done = surctl("simulate", "pool-behind", "--priority-mode", "projected", "--out", "plots", cwd=tmp_path)
+    mode = ("--priority-mode", "projected", "--ladder", "bounded")
+    done = surctl("simulate", "pool-behind", *mode, "--out", "plots", cwd=tmp_path)
     assert done.status == 0
-    (picture,) = (tmp_path / "plots").glob("*.png")
+    (picture,) = (tmp_path / "plots").glob("*-projected-bounded-*.png")
     assert picture.stat().st_size > 10_000
 
 

@@ -122,6 +122,19 @@ WORDS = {
         ["guarded", "corrected"],
     ),
     "unknown mode": (["simulate", "tank-static", "--priority-mode", "nbs"], ["priority-mode", "'nsb'"]),
+    "unknown ladder": (
+        ["simulate", "tank-static", "--priority-mode", "projected", "--ladder", "bounde"],
+        ["ladder", "'bounded'"],
+    ),
+    "a ladder without limits": (["export", "--ladder", "bounded"], ["ladder", "mode nsb has none", "projected"]),
+    "a ladder that is not explained": (
+        ["simulate", "tank-static", "--priority-mode", "projected", "--ladder", "bounded", "--explain"],
+        ["--ladder", "not explained"],
+    ),
+    "a ladder in a campaign": (
+        ["simulate", "tank-static", "--priority-mode", "filter", "--ladder", "bounded", "--monte-carlo"],
+        ["--ladder", "single runs"],
+    ),
     "unknown sensing": (["simulate", "tank-static", "--sensing", "sonr"], ["sensing", "'sonar'"]),
     "negative seed": (["simulate", "tank-static", "--seed", "-1"], ["--seed"]),
     "unknown claim": (["verify", "v1-print"], ["claim", "'v1-printed'"]),

@@ -6,8 +6,11 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pytest
 
 from surctl.control import DEGRADED, Law, build_law, in_real, load_gains
+from surctl.errors import InputError
+from surctl.export import origin_of
 from surctl.ir import replay
 from surctl.priority.solver.ladder import RELAXED
 from surctl.simulation import law_numbers, load_scenario
@@ -59,3 +62,19 @@ def test_a_law_that_has_no_other_tolerances_comes_back_as_it_is() -> None:
     for mode in ("nsb", "lexicographic"):
         other = replace(law, mode=mode)  # type: ignore[arg-type]
         assert in_real(other, "float32") is other
+
+
+def test_a_bounded_ladder_is_the_same_law_until_rows_or_task_have_to_give_way() -> None:
+    law, given = tried()
+    bounded = build_law(mode="projected", contacts=1, ladder="bounded")
+    want, have = replay(law.block, *given), replay(bounded.block, *given)
+    opened, eased = (out[2][:, 0] % (2 * DEGRADED) >= DEGRADED for out in (want, have))
+    assert eased[opened].all() and 0 < opened.sum() <= eased.sum() < len(eased)
+    for a, b in zip(want, have, strict=True):
+        assert a[~eased].tobytes() == b[~eased].tobytes()
+    floats = replay(in_real(bounded, "float32").block, *given, real=np.float32)
+    np.testing.assert_array_equal(floats[2], have[2])
+    assert np.abs(floats[3] - have[3])[:, law.telemetry_slice("nu_wanted")].max() < 1e-3
+    with pytest.raises(InputError, match=r"not explained.*exact"):
+        bounded.explained(*(vector[0] for vector in given))
+    assert origin_of(bounded, load_vehicle("sur400")).told_truth is bounded
