@@ -102,9 +102,9 @@ def ticks(*, quick: bool, ladder: Ladder = "exact") -> Told:
     tick = priority_tick("projected", n=4, levels=levels, rows=_ROWS, precision=FLOAT32, named=False, ladder=ladder)
     arrays = _inputs(draw_trials(300 if quick else 4_000, n=4, p=2, m=_ROWS, seed=0))
     outputs, counts = counted(tick, arrays)
-    some = [array[:100].astype(np.float32) for array in arrays]
+    first = [array[:100].astype(np.float32) for array in arrays]
     fine = all(
-        a.tobytes() == b[:100].tobytes() for a, b in zip(replay(tick, *some, real=np.float32), outputs, strict=True)
+        a.tobytes() == b[:100].tobytes() for a, b in zip(replay(tick, *first, real=np.float32), outputs, strict=True)
     )
     status, iterations = outputs[4][:, 0], outputs[5][:, 0]
     lines = [
@@ -122,8 +122,8 @@ def ticks(*, quick: bool, ladder: Ladder = "exact") -> Told:
                 f"| {told} | {chosen.sum()} | {c.min()} / {c.mean():.0f} / {np.quantile(c, 0.9):.0f} / {c.max()} "
                 f"| {k.mean():.1f} / {k.max():.0f} |"
             )
-    few = [*(array[: 200 if ladder == "bounded" else 3] for array in arrays)]
-    _, longest = counted(at_bounds(tick), (*few, np.zeros((len(few[0]), 1))))
+    some = [array if ladder == "bounded" else array[:10] for array in arrays]
+    _, longest = counted(at_bounds(tick), (*some, np.zeros((len(some[0]), 1))))
     lines += [
         "",
         f"With every loop at its bound {tick.operations} operations, {longest.max()} instructions when all run to it.",

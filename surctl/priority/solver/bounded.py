@@ -48,15 +48,19 @@ def eased(sizes: Sizes) -> Routine:
     fixed = (("unit", sizes.rows), ("target", n), ("box", 2 * n))
     steps: tuple[Step, ...] = (
         Call(_start(sizes), ("point", "end", "target", "box"), ("near", "limits", "worst", "hard", "stands", "first")),
-        _over_rows(sizes, "compare", _compare, (("first", n), ("worst", 2), ("hard", 2)), (("near", n),)),
+        _over_rows(
+            sizes, _compare, (("first", n), ("worst", 2), ("hard", 2)), (("near", n),),
+            results=("once", "worst_all", "hard_all"),
+        ),
         Call(
             _choose(sizes), ("near", "limits", "stands", "worst_all", "hard_all"),
             ("safe", "room", "sound", "part", "missed"),
         ),
-        _over_rows(sizes, "sweep", _sweep, (("first_all", n),), ()),
-        Call(_inside(sizes), ("first_all_all", "near", "box"), ("goal",)),
+        _over_rows(sizes, _sweep_again, (("once", n),), (), results=("twice",)),
+        Call(_inside(sizes), ("twice", "near", "box"), ("goal",)),
         _over_rows(
-            sizes, "reach", _reach, (("part", 1), ("missed", 1)), (("safe", n), ("goal", n), ("room", 2)),
+            sizes, _reach, (("part", 1), ("missed", 1)), (("safe", n), ("goal", n), ("room", 2)),
+            results=("part_all", "missed_all"),
         ),
         Call(
             _end(sizes), ("near", "safe", "goal", "room", "sound", "part_all", "missed_all"),
@@ -69,14 +73,13 @@ def eased(sizes: Sizes) -> Routine:
 
 def _over_rows(
     sizes: Sizes,
-    name: str,
     body: _Body,
     state: tuple[tuple[str, int], ...],
     fixed: tuple[tuple[str, int], ...],
     *,
-    results: tuple[str, ...] | None = None,
+    results: tuple[str, ...],
 ) -> Loop:
-    """A loop over all rows, one after the other whatever the lanes; results are named `…_all` if not given."""
+    """A loop over all rows, one after the other whatever the lanes."""
     width, lanes = sizes.n + 3, sizes.lanes
     together = lanes if lanes > 1 else math.gcd(sizes.m, _TOGETHER)
     block = ca.SX.sym("rows", together * width)
@@ -86,10 +89,10 @@ def _over_rows(
     for j in range(together):
         row = block[j::lanes] if lanes > 1 else block[j * width : (j + 1) * width]
         carried = body(carried, row, given)
+    name = f"{body.__name__.strip('_')}_rows"
     one = lower(ca.Function(name, [*begun, block, *given], list(map(ca.densify, carried))))
-    names = tuple(key for key, _ in state)
-    ends = tuple(f"{key}_all" for key in names) if results is None else results
-    return Loop(one, sizes.m // together, names, ends, sliced=("unit",), fixed=tuple(key for key, _ in fixed))
+    names, others = (tuple(key for key, _ in ports) for ports in (state, fixed))
+    return Loop(one, sizes.m // together, names, results, sliced=("unit",), fixed=others)
 
 
 def _start(sizes: Sizes) -> Program:
@@ -156,7 +159,7 @@ def _choose(sizes: Sizes) -> Program:
     return lower(ca.Function("choose_safe", [near, limits, stands, worst, hard], list(map(ca.densify, outputs))))
 
 
-def _sweep(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
+def _sweep_again(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
     """The second sweep."""
     return [_moved(state[0], row, _SWEEPS[1])]
 
