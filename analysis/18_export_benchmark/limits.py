@@ -62,7 +62,7 @@ class Told:
 
 
 def laws(*, quick: bool, ladder: Ladder = "exact") -> Told:
-    """Law guarded in mode projected, over a flight and over single steps; most: of the first alone if bounded."""
+    """Law guarded in mode projected, over a flight and over single steps; most: if bounded, of what stands."""
     lines = [
         "| law guarded, mode projected, which knows | rows | flight, min / mean / max | single steps, mean / max "
         "| code, B | bytes of Python |",
@@ -86,7 +86,7 @@ def laws(*, quick: bool, ladder: Ladder = "exact") -> Told:
         alone, both = (report.builds[1].instructions for report in (flown, tried))
         assert alone is not None and both is not None
         fine = flown.passed and tried.passed
-        same, most = same and fine, max(most, both.most) if ladder == "exact" or not means else most
+        same, most = same and fine, max(most, both.most) if ladder == "exact" or constant else most
         means.append(alone.mean)
         code = tried.builds[1].flight_bytes
         lines.append(

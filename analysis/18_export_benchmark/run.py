@@ -224,10 +224,13 @@ def study(*, quick: bool) -> tuple[str, bool]:
             apart.mean() <= USUAL and apart.max() <= WORST,
         ),
         (f"with limits, rows that contradict each other among them: at most {WORST} ({worst})", worst <= WORST),
-        (f"bounded ladder, the same: at most {WORST} ({bounded.most})", bounded.most <= WORST),
+        (
+            f"bounded ladder, the tick, rows that contradict each other among them: at most {WORST} ({bounded.most})",
+            bounded.most <= WORST,
+        ),
         (f"bounded ladder, every loop of the tick at its bound: at most {WORST}", bounded.bound <= WORST),
         (
-            f"bounded ladder, law with one obstacle that stands, single steps: at most {WORST} ({bounded_laws.most})",
+            f"bounded ladder, laws with obstacles that stand, single steps: at most {WORST} ({bounded_laws.most})",
             bounded_laws.most <= WORST,
         ),
         (
