@@ -52,6 +52,7 @@ _CRAWL = 0.01  # [m/s] below which it stands
 _GROPING = 0.5  # of the cruise speed: most towards where a sonar is not to be believed
 _NO_BOUND = 10.0  # [m/s]
 _ONE_ENCOUNTER = 1e3  # [m]
+_LAUNCHED = 0.3  # [m] from the start within which what stood in the sonars' blind range was perhaps never ranged
 _GIVE_WAY = 0.05  # [m/s] with which the robot backs off from a mark; half of what is marked near the hull is not there
 _MOVES = 0.05  # [m/s] from which something moves: slower things are kept off by their braking distance
 _PASSING = 0.1  # [m] beyond the margin, at which something that moves is passed
@@ -139,6 +140,10 @@ def guarded_law(
             cones.append(_cone(c, evaded, point, eta, p))
         sectors.append(Sector(c.normal, bound, point))
     over_ground = planar_rotation(eta[3]) @ nu[:2]
+    slower = None
+    if scan is not None:  # what drifts beside the start unheard is passed with the room that the whole speed asks for
+        away = ca.sumsqr(eta[:2] - p["waypoints"][0, :].T) > _LAUNCHED**2
+        slower = ca.logic_and(scan.placed, away)
     choice = choose_velocity(
         wish.velocity,
         sectors,
@@ -152,6 +157,7 @@ def guarded_law(
         walls=seen.walls,
         now=over_ground,
         acceleration=p["brake"] * _acceleration(p),
+        slower=slower,
     )
     velocity, halted = choice.velocity, ca.SX(0)
     bounds = [(sector.normal, sector.bound) for sector in sectors]

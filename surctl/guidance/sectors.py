@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import cos, radians, sin
 from typing import NamedTuple
 
 import casadi as ca
@@ -25,6 +26,10 @@ SAME_CONTACT = 0.3  # [m] that the blocker may move between two steps and still 
 _WORTH_IT = 0.1  # share of the speed that a way past the unknown must gain
 _WAIT = 0.5  # cost of going slower than the wish, beside what of the way is lost
 _AWAITED = 12.0  # [s] within which what moves comes near if it is to be waited for
+_FAN = tuple(radians(12.0 * k) for k in range(1, 9))  # off the wish to either side: courses that may be flown slower
+_LEADS_BACK = 1.6  # cost above which a course takes back more than it gains: more than 120° off the wish, or not free
+_SLOWER = 1.0  # cost of going slower there, by the share of the speed that is lost
+_SLOWEST = 0.35  # share of the speed; with less of it left a course leads up to something, not past it
 _ANY = 1e3  # [m/s²] of a robot that turns its velocity at once
 _OVERTAKE = 0.05  # [m/s] by which the robot outruns what comes from behind
 
@@ -75,13 +80,16 @@ def choose_velocity(
     walls: Sequence[Contact] = (),
     now: ca.SX | None = None,
     acceleration: ca.SX | None = None,
+    slower: ca.SX | None = None,
 ) -> Choice:
     """Velocity on the free course nearest to the wish's.
 
     Candidates are the wish and both edges of every sector; and, while something that moves comes nearer, the wish as
-    slow as the sectors ask, and standing still. If none is free, the one that misses its bounds least is taken. The
-    speed is the wish's; no more than `cruise` while the wish is blocked (no catching up between obstacles); more, up
-    to `cap`, while a bound asks for a retreat; and reduced as far as the other bounds ask.
+    slow as the sectors ask, and standing still. Where all of these lead back, `slower` allows it and nothing moves,
+    courses to either side of the wish too, each as slow as the sectors ask: between two contacts, each of which bounds
+    the speed towards it, often none is free at the whole speed. If none is free, the one that misses its bounds least
+    is taken. The speed is the wish's; no more than `cruise` while the wish is blocked (no catching up between
+    obstacles); more, up to `cap`, while a bound asks for a retreat; and reduced as far as the other bounds ask.
     Boxed in, the robot stands still if that misses the bounds less than any course.
 
     Args:
@@ -96,6 +104,7 @@ def choose_velocity(
         walls: of the site, for the side on which what comes head-on is passed, see `sides`.
         now: velocity over ground (2, 1) [m/s] in {E}, by which what moves is already passed on a side; 0 unless given.
         acceleration: [m/s²] that turns it; any unless given.
+        slower: 1 where a slower course may be taken between what stands; never unless given.
 
     Example:
         >>> import casadi as ca
@@ -160,6 +169,21 @@ def choose_velocity(
             course, missed = ca.if_else(better, edge, course), ca.if_else(better, edge_missed, missed)
             taken, least = ca.if_else(better, left, taken), ca.if_else(better, cost, least)
             pace = ca.if_else(better, speed, pace)
+    if slower is not None:
+        slower = ca.logic_and(slower, least > _LEADS_BACK)
+        for cone in cones:
+            slower = ca.logic_and(slower, ca.logic_not(cone.there))
+        for sign in (1, -1):
+            for angle in _FAN:
+                turned = _turned(ahead, cos(angle), sign * sin(angle))
+                free = _free_speed(turned, speed, sectors)
+                free_missed = _violation(turned, free, sectors, cones)
+                cost = 1 - cos(angle) + (0 if sign > 0 else _HEAD_ON) + _missed_cost(free_missed)
+                cost += _SLOWER * (1 - free / speed) + ca.if_else(latched * sign < -0.5, _TURN_BACK, 0)
+                better = ca.logic_and(ca.logic_and(slower, free > _SLOWEST * speed), cost < least)
+                course, missed = ca.if_else(better, turned, course), ca.if_else(better, free_missed, missed)
+                taken, least = ca.if_else(better, sign, taken), ca.if_else(better, cost, least)
+                pace = ca.if_else(better, free, pace)
     velocity = ca.fmax(ca.fmin(_free_speed(course, speed, sectors), pace), retreat) * course
     # boxed in: where every way out is worse than standing still, stand still
     worse = _excess(velocity, sectors, cones) > _excess(ca.SX.zeros(2), sectors, cones) + _TOLERANCE
@@ -229,7 +253,11 @@ def round_unknown(
 def _edge(n: ca.SX, bound: ca.SX, speed: ca.SX, sign: int) -> ca.SX:
     """Unit course n turned by ± arccos(bound/speed), left for +1."""
     cosine = ca.fmin(ca.fmax(bound / speed, -1), 1)
-    sine = sign * ca.sqrt(1 - cosine * cosine)
+    return _turned(n, cosine, sign * ca.sqrt(1 - cosine * cosine))
+
+
+def _turned(n: ca.SX, cosine: ca.SX | float, sine: ca.SX | float) -> ca.SX:
+    """A vector (2, 1) turned to the left by the angle of this cosine and sine."""
     return ca.vertcat(n[0] * cosine - n[1] * sine, n[1] * cosine + n[0] * sine)
 
 
