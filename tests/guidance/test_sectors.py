@@ -28,14 +28,16 @@ class _Chosen(NamedTuple):
 
 
 @cache
-def _choice(count: int) -> ca.Function:
+def _choice(count: int, *, fan: bool) -> ca.Function:
     wish, side, blocker = ca.SX.sym("wish", 2), ca.SX.sym("side"), ca.SX.sym("blocker", 2)
     normals, bounds, points = ca.SX.sym("n", 2, count), ca.SX.sym("b", count), ca.SX.sym("p", 2, count)
     sectors = [Sector(normals[:, k], bounds[k], points[:, k]) for k in range(count)]
-    c = choose_velocity(wish, sectors, side=side, blocker=blocker, cruise=ca.SX(CRUISE), cap=ca.SX(CAP))
+    slower = ca.SX.sym("slower")
+    known = {"side": side, "blocker": blocker, "cruise": ca.SX(CRUISE), "cap": ca.SX(CAP)}
+    c = choose_velocity(wish, sectors, **known, slower=slower if fan else None)
     return ca.Function(
         "choice",
-        [wish, normals, bounds, points, side, blocker],
+        [wish, normals, bounds, points, side, blocker, slower],
         [c.velocity, c.side, c.blocked, c.violation, c.blocker],
     )
 
@@ -48,11 +50,13 @@ def _choose(
     points: ArrayLike | None = None,
     side: float = 0.0,
     blocker: ArrayLike = (50.0, 50.0),
+    slower: float | None = None,
 ) -> _Chosen:
     b = np.atleast_1d(np.asarray(bearings, dtype=float))
     normals = np.vstack([np.cos(b), np.sin(b)])
     where = normals if points is None else np.asarray(points, dtype=float).T
-    found = _choice(b.size)(np.asarray(wish), normals, np.atleast_1d(bounds), where, side, np.asarray(blocker))
+    numbers = (np.asarray(wish), normals, np.atleast_1d(bounds), where, side, np.asarray(blocker), slower or 0.0)
+    found = _choice(b.size, fan=slower is not None)(*numbers)
     velocity, chosen_side, blocked, violation, now = (np.asarray(m).reshape(-1) for m in found)
     return _Chosen(velocity, int(chosen_side[0]), bool(blocked[0]), float(violation[0]), now)
 
@@ -189,12 +193,12 @@ def test_all_bounds_hold_whenever_some_course_is_free(seed: int, side: float, lo
 
 
 @settings(derandomize=True, deadline=None, max_examples=200)
-@given(st.integers(0, 10**9))
-def test_bounds_that_ask_for_no_retreat_hold_always(seed: int) -> None:
+@given(st.integers(0, 10**9), st.sampled_from([None, 1.0]))
+def test_bounds_that_ask_for_no_retreat_hold_always(seed: int, slower: float | None) -> None:
     """Free or not: the speed is reduced as far as they ask."""
     wish, bearings, bounds = _random(seed, lowest=0.0)
     bounds[:3] *= 0.1
-    found = _choose(wish, bearings, bounds)
+    found = _choose(wish, bearings, bounds, slower=slower)
     normals = np.column_stack([np.cos(bearings), np.sin(bearings)])
     assert np.all(normals @ found.velocity <= bounds + 2e-4)
 
@@ -206,6 +210,33 @@ def test_the_speed_never_exceeds_the_cap(seed: int, side: float) -> None:
     found = _choose(wish, bearings, bounds, side=side, blocker=_unit(bearings[0]))
     assert np.isfinite(found.velocity).all()
     assert np.linalg.norm(found.velocity) <= CAP + 1e-12
+
+
+# a gap ahead between two contacts: at the whole speed each blocks the courses in which the other is passed
+_GAP = np.array([1.1, -1.1]), np.array([0.06, 0.06])
+
+
+def test_through_a_gap_it_goes_slower_where_it_may() -> None:
+    """Straight on 0.06/cos(1.1) = 0.13 m/s are free; what is free at the whole speed leads back."""
+    back, through = (_choose([CRUISE, 0.0], *_GAP, slower=may) for may in (0.0, 1.0))
+    assert back.velocity[0] < -0.1
+    normals = np.column_stack([np.cos(_GAP[0]), np.sin(_GAP[0])])
+    assert np.all(normals @ through.velocity <= _GAP[1] + 1e-9)
+    assert through.velocity[0] > 0.09
+
+
+@settings(derandomize=True, deadline=None, max_examples=200)
+@given(st.integers(0, 10**9), st.sampled_from([-1.0, 0.0, 1.0]))
+def test_slower_courses_only_where_the_others_lead_back(seed: int, side: float) -> None:
+    """And never into what the choice without them keeps off."""
+    wish, bearings, bounds = _random(seed, lowest=0.0)
+    asked = {"side": side, "blocker": _unit(bearings[seed % 6])}
+    plain, may = (_choose(wish, bearings, bounds, **asked, slower=slower) for slower in (0.0, 1.0))
+    assert may.violation <= max(plain.violation, TOLERANCE)
+    toward = plain.velocity @ wish / (np.linalg.norm(plain.velocity) * np.linalg.norm(wish) + 1e-12)
+    if plain.violation <= TOLERANCE and toward > -0.5:
+        # but where the latched side has nothing free, and changing it costs more than going slower
+        assert np.array_equal(plain.velocity, may.velocity) or (may.side == side != plain.side)
 
 
 def test_what_comes_from_ahead_asks_for_a_retreat() -> None:
