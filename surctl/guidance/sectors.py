@@ -29,7 +29,7 @@ _AWAITED = 12.0  # [s] within which what moves comes near if it is to be waited 
 _FAN = tuple(radians(12.0 * k) for k in range(1, 9))  # off the wish to either side: courses that may be flown slower
 _LEADS_BACK = 1.6  # cost above which a course takes back more than it gains: more than 120° off the wish, or not free
 _SLOWER = 1.0  # cost of going slower there, by the share of the speed that is lost
-_SLOWEST = 0.35  # share of the speed; with less of it left a course leads up to something, not past it
+_SLOWEST = 0.5  # share of the speed; with less of it left a course leads up to something, not past it
 _ANY = 1e3  # [m/s²] of a robot that turns its velocity at once
 _OVERTAKE = 0.05  # [m/s] by which the robot outruns what comes from behind
 
@@ -85,9 +85,9 @@ def choose_velocity(
     """Velocity on the free course nearest to the wish's.
 
     Candidates are the wish and both edges of every sector; and, while something that moves comes nearer, the wish as
-    slow as the sectors ask, and standing still. Where all of these lead back, `slower` allows it and nothing moves,
-    courses to either side of the wish too, each as slow as the sectors ask: between two contacts, each of which bounds
-    the speed towards it, often none is free at the whole speed. If none is free, the one that misses its bounds least
+    slow as the sectors ask, and standing still. Where all of these lead back, `slower` allows it, nothing moves
+    and nothing asks for a retreat, courses to either side of the wish too, each as slow as the sectors ask: between two
+    contacts, each of which bounds the speed towards it, often none is free at the whole speed. If none is free, the one that misses its bounds least
     is taken. The speed is the wish's; no more than `cruise` while the wish is blocked (no catching up between
     obstacles); more, up to `cap`, while a bound asks for a retreat; and reduced as far as the other bounds ask.
     Boxed in, the robot stands still if that misses the bounds less than any course.
@@ -170,7 +170,7 @@ def choose_velocity(
             taken, least = ca.if_else(better, left, taken), ca.if_else(better, cost, least)
             pace = ca.if_else(better, speed, pace)
     if slower is not None:
-        slower = ca.logic_and(slower, least > _LEADS_BACK)
+        slower = ca.logic_and(ca.logic_and(slower, retreat <= 0), least > _LEADS_BACK)
         for cone in cones:
             slower = ca.logic_and(slower, ca.logic_not(cone.there))
         for sign in (1, -1):
