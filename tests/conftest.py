@@ -1,6 +1,8 @@
 """Randomness has a seed: Hypothesis draws the same examples in every run, and no deadline on noisy machines.
 
-Blocks are compiled sooner than with -O2, to the same bytes; the tests of those name their own -O.
+Blocks are compiled sooner than with -O2, to the same bytes; the tests of those name their own -O. Linear algebra runs
+in one thread: the matrices are small, and on a busy machine OpenBLAS's threads wait for each other in loops, which took
+ten times the work.
 """
 
 import os
@@ -10,16 +12,38 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy and SciPy are loaded, here and in what is started
+
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
 
-MANY_RUNS = ("cli", "tuning")  # elsewhere compiling is what takes the time
+HERE = Path(__file__).parent
+
+# files and rooms; elsewhere compiling is what takes the time
+MANY_RUNS = ("cli/test_tune.py", "simulation/test_closed_loop.py", "simulation/test_depth_escape.py", "tuning")
+
+LONG = (
+    *("test_guides.py", "test_analysis.py", "simulation/test_closed_loop.py", "cli/test_commands.py"),
+    *("export/test_check.py", "export/test_sensing_law.py", "export/test_prove.py", "study/test_study.py"),
+    *("simulation/test_record_file.py", "test_notebooks.py", "cli/test_sensor_options.py", "test_examples.py"),
+    *("cli/test_regions.py", "reproduction/test_reproduction.py", "simulation/test_depth_escape.py"),
+    *("verification/linear/test_sampled.py", "control/test_baselines.py", "simulation/test_batch.py"),
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The files that take longest are begun first, so that no process is left alone with one at the end."""
+    first = {HERE / name: rank for rank, name in enumerate(LONG)}
+    missing = [str(path) for path in first if not path.is_file()]
+    assert not missing, f"LONG names files that are not there: {missing}"
+    items.sort(key=lambda item: first.get(item.path, len(first)))
 
 
 @pytest.fixture(autouse=True, scope="module")
 def _compiled_soon(request: pytest.FixtureRequest) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         if "SURCTL_CFLAGS" not in os.environ:
-            room = request.path.relative_to(Path(__file__).parent).parts[0]
-            patch.setenv("SURCTL_CFLAGS", "-O1" if room in MANY_RUNS else "-O0")
+            file = request.path.relative_to(HERE)
+            many = not {file.as_posix(), file.parts[0]}.isdisjoint(MANY_RUNS)
+            patch.setenv("SURCTL_CFLAGS", "-O1" if many else "-O0")
         yield

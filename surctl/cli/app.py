@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 
@@ -65,6 +66,8 @@ def main() -> None:
         surctl, version ...
         status 0
     """
+    # before NumPy is loaded; the matrices are small, and OpenBLAS's threads wait for each other in loops
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     warnings.showwarning = lambda message, *_: _tell(str(message))
     try:
         status = app(prog_name="surctl", standalone_mode=False)

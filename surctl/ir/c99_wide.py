@@ -14,12 +14,9 @@ from surctl.ir.c99_wide_program import head, program_text
 from surctl.ir.places import reads, taken_over
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
-from surctl.ir.split import split
+from surctl.ir.split import shortened
 
 __all__ = ["Wide", "emit_wide"]
-
-_LONGEST = 1200
-"""Operations in one C function; gcc's time for a function of n operations grows faster than n."""
 
 
 class Wide:
@@ -67,7 +64,7 @@ def emit_wide(block: Block, *, symbol: str) -> Wide:
         }
     """
     writer = _Writer(identifier(symbol))
-    short = _shortened(block)
+    short = shortened(block)
     alone = run_alone(short)
     writer.see(short)
     for inner in nested(short).values():
@@ -79,26 +76,6 @@ def emit_wide(block: Block, *, symbol: str) -> Wide:
         elif inner is short or id(inner) in alone:
             writer.program(inner, (), last=inner is short)
     return Wide("\n".join(writer.chunks), writer.work[short.digest()])
-
-
-def _shortened(block: Block) -> Block:
-    """The block with its long programs split."""
-    made: dict[int, Block] = {}
-    for key, inner in nested(block).items():
-        if isinstance(inner, Program):
-            made[key] = split(inner, _LONGEST)
-            continue
-        steps: list[Step] = []
-        for step in inner.steps:
-            if isinstance(step, Call):
-                steps.append(Call(made[id(step.block)], step.args, step.results))
-            elif isinstance(step, Loop) and step.lanes == 1:
-                whole = {name: getattr(step, name) for name in Loop.__slots__}
-                steps.append(Loop(**{**whole, "block": made[id(step.block)]}))
-            else:
-                steps.append(step)
-        made[key] = Routine(inner.name, inner.inputs, tuple(steps), inner.results)
-    return made[id(block)]
 
 
 def _strides(loop: Loop) -> tuple[int, ...]:

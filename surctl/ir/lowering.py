@@ -116,9 +116,10 @@ def _walk(function: ca.Function, builder: _Builder) -> dict[tuple[int, int], int
     """Feed every instruction to the builder; returns the position stored in (output, nonzero)."""
     slot: dict[int, int] = {}  # CasADi reuses work slots: each write gives the slot a new meaning
     stored: dict[tuple[int, int], int] = {}
+    identity, operands, results = function.instruction_id, function.instruction_input, function.instruction_output
     for k in range(function.n_instructions()):
-        op = _NAMES.get(int(function.instruction_id(k)), "unknown")
-        args, result = function.instruction_input(k), function.instruction_output(k)
+        op = _NAMES.get(identity(k), "unknown")
+        args, result = operands(k), results(k)
         if op == "output":
             stored[int(result[0]), int(result[1])] = slot[args[0]]
         elif op == "input":
@@ -126,7 +127,7 @@ def _walk(function: ca.Function, builder: _Builder) -> dict[tuple[int, int], int
         elif op == "const":
             slot[result[0]] = builder.constant(float(function.instruction_constant(k)))
         elif op in OPERATIONS:
-            slot[result[0]] = builder.add(op, tuple(slot[a] for a in args))
+            slot[result[0]] = builder.add(op, tuple([slot[a] for a in args]))
         else:
             raise UnsupportedOperation(
                 f"operation {op!r} is not carried by the instruction list",

@@ -19,6 +19,7 @@ from surctl.ir.c99_routine import emit_block
 from surctl.ir.cache import shared_library
 from surctl.ir.replay import replay
 from surctl.ir.routine import Block
+from surctl.ir.split import shortened
 
 __all__ = ["Native", "Workspace", "compile_block", "runnable"]
 
@@ -165,7 +166,7 @@ def _source(block: Block, real: Real) -> str:
     many = ", ".join(f"x{k} + {size} * i" for k, size in enumerate(sizes))
     return f"""#include <math.h>
 
-{emit_block(block, symbol=_SYMBOL, real=real)}
+{emit_block(shortened(block), symbol=_SYMBOL, real=real)}
 void surctl_run({kind} *memory);
 void surctl_run({kind} *memory)
 {{

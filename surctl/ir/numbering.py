@@ -17,17 +17,22 @@ class Numbering:
 
     def __init__(self) -> None:
         self.instructions: list[Instruction] = []
-        self._known: dict[tuple[str, tuple[int, ...], str], int] = {}
+        self._known: dict[tuple[str, tuple[int, ...] | str], int] = {}
 
     def constant(self, value: float) -> int:
         """Position of a constant; -0.0 and 0.0 are two constants."""
-        return self._append(Instruction("const", (), value))
+        # keyed by its bits: 0.0 == -0.0 as numbers
+        key = ("const", value.hex())
+        at = self._known.get(key)
+        return self._append(key, Instruction("const", (), value)) if at is None else at
 
     def add(self, op: str, args: tuple[int, ...]) -> int:
         """Position of an operation on earlier positions, or of a load."""
         if op not in LEAVES and OPERATIONS[op].commutative:
             args = tuple(sorted(args))
-        return self._append(Instruction(op, args))
+        key = (op, args)
+        at = self._known.get(key)
+        return self._append(key, Instruction(op, args)) if at is None else at
 
     def copy(self, instruction: Instruction, moved: list[int]) -> int:
         """Position of an instruction of another list, whose operands are at `moved` here."""
@@ -43,11 +48,7 @@ class Numbering:
         instructions, output_refs = drop_dead(self.instructions, refs)
         return Program(program.name, program.inputs, program.outputs, instructions, output_refs)
 
-    def _append(self, instruction: Instruction) -> int:
-        # the value is keyed by its bits: 0.0 == -0.0 as numbers
-        bits = "" if instruction.value is None else instruction.value.hex()
-        key = (instruction.op, instruction.args, bits)
-        if key not in self._known:
-            self._known[key] = len(self.instructions)
-            self.instructions.append(instruction)
-        return self._known[key]
+    def _append(self, key: tuple[str, tuple[int, ...] | str], instruction: Instruction) -> int:
+        at = self._known[key] = len(self.instructions)
+        self.instructions.append(instruction)
+        return at

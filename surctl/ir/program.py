@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,6 +11,8 @@ from surctl.errors import InputError
 from surctl.ir.ops import LEAVES, LIBM, OPERATIONS
 
 __all__ = ["Instruction", "Program"]
+
+_ARITY = {name: operation.arity for name, operation in OPERATIONS.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +55,10 @@ class Program:
     def __post_init__(self) -> None:
         """Refuse a list that a back end could not run."""
         for at, instruction in enumerate(self.instructions):
+            args = instruction.args
+            # nearly all are operations on what stands before them
+            if len(args) == _ARITY.get(instruction.op) and min(args) >= 0 and max(args) < at:
+                continue
             problem = self._problem(at, instruction)
             if problem:
                 raise InputError(problem, key=f"{self.name}[{at}]", value=instruction.op)
@@ -75,18 +81,22 @@ class Program:
             return f"takes {OPERATIONS[op].arity} operands, has {len(args)}"
         return "" if all(0 <= a < at for a in args) else "an operand is not computed before its use"
 
-    @property
+    @cached_property
     def libm(self) -> frozenset[str]:
         """Names of the operations used whose last bits depend on the mathematical library."""
         return frozenset(i.op for i in self.instructions) & LIBM
 
-    @property
+    @cached_property
     def operations(self) -> int:
         """Number of instructions that compute something (neither constants nor loads)."""
         return sum(1 for i in self.instructions if i.op not in LEAVES)
 
     def text(self) -> str:
         """The whole program as text; equal texts are equal programs, on any machine."""
+        return self._text
+
+    @cached_property
+    def _text(self) -> str:  # kept: the digest of every routine around it is made of it
         lines = [f"program {self.name}"]
         lines += [f"in{k} {name} {size}" for k, (name, size) in enumerate(self.inputs)]
         lines += [f"v{at} = {_right_side(i)}" for at, i in enumerate(self.instructions)]
@@ -104,11 +114,14 @@ class Program:
 
 
 def _right_side(instruction: Instruction) -> str:
-    if instruction.op == "const":
+    op, args = instruction.op, instruction.args
+    if op == "const":
         return f"const {float(instruction.value or 0.0).hex()}"
-    if instruction.op == "input":
-        return "in{}[{}]".format(*instruction.args)
-    return " ".join([instruction.op, *(f"v{a}" for a in instruction.args)])
+    if op == "input":
+        return f"in{args[0]}[{args[1]}]"
+    if len(args) == 2:
+        return f"{op} v{args[0]} v{args[1]}"
+    return " ".join([op, *[f"v{a}" for a in args]])
 
 
 def drop_dead(
@@ -116,18 +129,23 @@ def drop_dead(
 ) -> tuple[tuple[Instruction, ...], tuple[tuple[int, ...], ...]]:
     """Keep what an output needs, in the old order, renumbered. Returns (instructions, output_refs)."""
     live = bytearray(len(instructions))
-    for ref in (r for group in refs for r in group):
-        live[ref] = 1
+    for group in refs:
+        for ref in group:
+            live[ref] = 1
     for at in range(len(instructions) - 1, -1, -1):
         if live[at] and instructions[at].op not in LEAVES:
             for arg in instructions[at].args:
                 live[arg] = 1
-    new = {old: k for k, old in enumerate(at for at in range(len(instructions)) if live[at])}
-    kept = tuple(_renumber(instructions[old], new.__getitem__) for old in new)
-    return kept, tuple(tuple(new[r] for r in group) for group in refs)
+    kept: list[Instruction] = []
+    new = [0] * len(instructions)
+    for at, instruction in enumerate(instructions):
+        if live[at]:
+            new[at] = len(kept)
+            # before the first that is dropped no number changes
+            moved = new[at] != at and instruction.op not in LEAVES
+            kept.append(_renumbered(instruction, new) if moved else instruction)
+    return tuple(kept), tuple(tuple([new[r] for r in group]) for group in refs)
 
 
-def _renumber(instruction: Instruction, new: Callable[[int], int]) -> Instruction:
-    if instruction.op in LEAVES:
-        return instruction
-    return Instruction(instruction.op, tuple(new(a) for a in instruction.args), instruction.value)
+def _renumbered(instruction: Instruction, new: Sequence[int]) -> Instruction:
+    return Instruction(instruction.op, tuple([new[a] for a in instruction.args]), instruction.value)

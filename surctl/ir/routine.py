@@ -101,12 +101,15 @@ class Routine:
 
     def __post_init__(self) -> None:
         """Refuse what a back end could not run."""
-        sizes = self.sizes()
         for name in self.results:
-            _size(sizes, name, self.name)
+            _size(self._sizes, name, self.name)
 
     def sizes(self) -> dict[str, int]:
         """Number of entries of every array, inputs first, then in the order of writing."""
+        return dict(self._sizes)
+
+    @cached_property
+    def _sizes(self) -> dict[str, int]:
         sizes: dict[str, int] = {}
         for name, size in self.inputs:
             _write(sizes, name, size, self.name)
@@ -119,18 +122,17 @@ class Routine:
     @property
     def outputs(self) -> tuple[tuple[str, int], ...]:
         """(name, number of entries) of each output array."""
-        sizes = self.sizes()
-        return tuple((name, sizes[name]) for name in self.results)
+        return tuple((name, self._sizes[name]) for name in self.results)
 
-    @property
+    @cached_property
     def operations(self) -> int:
         """Operations when every loop runs to its bound: the worst case, not the usual one."""
         return sum(_turns(step) * step.block.operations for step in self.steps if not isinstance(step, Gather))
 
-    @property
+    @cached_property
     def libm(self) -> frozenset[str]:
         """Names of the operations used whose last bits depend on the mathematical library."""
-        return frozenset().union(*(block.libm for block in nested(self).values() if block is not self))
+        return frozenset().union(*(block.libm for block in nested(self).values() if isinstance(block, Program)))
 
     def text(self) -> str:
         """The routine and all that it calls as text; equal texts are equal routines, on any machine."""

@@ -5,9 +5,32 @@ from __future__ import annotations
 from surctl.ir.numbering import Numbering
 from surctl.ir.ops import LEAVES
 from surctl.ir.program import Instruction, Program, drop_dead
-from surctl.ir.routine import Block, Call, Routine
+from surctl.ir.routine import Block, Call, Loop, Routine, Step, nested
 
-__all__ = ["split"]
+__all__ = ["shortened", "split"]
+
+_LONGEST = 1200
+"""Operations in one C function; gcc's time for a function of n operations grows faster than n."""
+
+
+def shortened(block: Block) -> Block:
+    """The block with its long programs split; those that lanes run side by side stay whole."""
+    made: dict[int, Block] = {}
+    for key, inner in nested(block).items():
+        if isinstance(inner, Program):
+            made[key] = split(inner, _LONGEST)
+            continue
+        steps: list[Step] = []
+        for step in inner.steps:
+            if isinstance(step, Call):
+                steps.append(Call(made[id(step.block)], step.args, step.results))
+            elif isinstance(step, Loop) and step.lanes == 1:
+                whole = {name: getattr(step, name) for name in Loop.__slots__}
+                steps.append(Loop(**{**whole, "block": made[id(step.block)]}))
+            else:
+                steps.append(step)
+        made[key] = Routine(inner.name, inner.inputs, tuple(steps), inner.results)
+    return made[id(block)]
 
 
 def split(program: Program, size: int) -> Block:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shlex
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import click
@@ -84,3 +87,21 @@ def test_the_quick_ones_run(tmp_path) -> None:
         assert "\x1b" not in done.out + done.err, "no colours into a pipe"
         if target:
             (tmp_path / target).write_text(done.out)
+
+
+@pytest.mark.parametrize("wanted", [None, "3"])
+def test_linear_algebra_runs_in_one_thread_unless_told_otherwise(wanted) -> None:
+    """It is told before NumPy is loaded, which asks but once."""
+    name = "OPENBLAS_NUM_THREADS"
+    lines = [
+        "import os, sys",
+        "from surctl.cli import main",
+        "print('numpy' in sys.modules)",
+        "sys.argv = ['surctl', '--version']",
+        "try: main()",
+        f"finally: print(os.environ['{name}'])",
+    ]
+    environment = {key: value for key, value in os.environ.items() if key != name} | ({name: wanted} if wanted else {})
+    command = [sys.executable, "-c", "\n".join(lines)]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=True)
+    assert done.stdout.split("\n")[::2][:2] == ["False", wanted or "1"]

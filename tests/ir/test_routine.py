@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.ir import Call, Gather, Loop, Program, Routine, compile_block, emit_block, lower, replay, to_casadi
+from surctl.ir import Block, Call, Gather, Loop, Program, Routine, compile_block, emit_block, lower, replay, to_casadi
 from tests.ir.expressions import EXACT, grown, picks
 from tests.tools import need_compiler
 
@@ -193,3 +195,32 @@ def test_wrong_inputs_of_a_compiled_block_are_refused() -> None:
         native(1.0)
     with pytest.raises(InputError, match=r"expected \(…, 6\)"):
         native([1.0], [0.0], [1.0], [1.0])
+
+
+def test_a_block_that_many_run_is_looked_at_once() -> None:
+    """Each level runs the one below twice: there are 17 blocks, and 2¹⁷ ways to them."""
+    calls = 0
+
+    def count(*_: object) -> None:
+        nonlocal calls
+        calls += 1
+
+    block: Block = program("waves", {"x": 1}, lambda x: [sum(ca.sin(k * x) for k in range(1, 201))])
+    own, before = block.operations, sys.getprofile()
+    sys.setprofile(count)
+    try:
+        for level in range(16):
+            steps = (Call(block, ("x",), ("once",)), Call(block, ("once",), ("twice",)))
+            block = Routine(f"level{level}", (("x", 1),), steps, ("twice",))
+            block.digest()
+        found = block.operations, block.libm, block.outputs
+    finally:
+        sys.setprofile(before)
+    assert found == (own << 16, {"sin"}, (("twice", 1),))
+    assert calls < 30_000
+
+
+def test_the_sizes_that_a_routine_tells_are_no_handle_on_it() -> None:
+    routine = growth()
+    routine.sizes().clear()
+    assert routine.outputs == (("x_last", 1), ("over_last", 1), ("piece", 2))
