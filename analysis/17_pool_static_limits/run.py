@@ -17,13 +17,13 @@ from math import pi, radians
 import numpy as np
 
 from surctl.control import load_gains
-from surctl.sensing import Equipment, SonarArray
+from surctl.sensing import Equipment, FaultChances, SonarArray
 from surctl.simulation import STOPS, Case, Sensing, Sensors, load_scenario, simulate_batch
 from surctl.vehicle import Vehicle, load_vehicle
 
 NAME = "pool-static"
-MARGINS = (0.05, 0.04, 0.03, 0.02)
-MANY = 1000  # seeds that a margin is judged by: 200 would show no collision
+MARGINS = (0.04, 0.03, 0.02)
+MANY = 1000  # seeds that a margin and sensors in trouble are judged by: 200 would show no collision
 EXACT = {"noise_sd": 1e-4, "bias": 0.0, "bits": 14}
 
 
@@ -44,6 +44,15 @@ def sensors() -> dict[str, Sensors]:
     found |= {f"beams of {d}°": Equipment(array=SonarArray(beam_angle=radians(d))) for d in (45, 15)}
     found |= {f"eight sonars, beams of {d}°": Equipment(array=eight(d)) for d in (75, 15)}
     return {name: Sensors(equipment) for name, equipment in found.items()}
+
+
+def trouble() -> dict[str, Sensors | None]:
+    """The sensors as they are, and three ways in which they may be worse."""
+    return {
+        "whole": None,
+        **{f"beams of {d}°": Sensors(Equipment(array=SonarArray(beam_angle=radians(d)))) for d in (15, 120)},
+        "a tenth of the firings lost": Sensors(chances=FaultChances(dropout=0.1)),
+    }
 
 
 def vehicles(vehicle: Vehicle) -> dict[str, Vehicle]:
@@ -104,6 +113,8 @@ def main(words: list[str]) -> int:
             row(label, seeds, sensing="sonar", vehicle=vehicle, told=told)
         for margin in MARGINS:
             row(f"margin of {margin:g} m", MANY, sensing="sonar", vehicle=vehicle, changed={"margin": margin})
+        for label, told in trouble().items():
+            row(f"{label}, {MANY} seeds", MANY, sensing="sonar", vehicle=vehicle, told=told)
     return 0 if hit == 0 else 1
 
 
