@@ -24,7 +24,7 @@ from surctl.export.records import Records, as_records
 from surctl.export.rows import Rows
 from surctl.export.targets import Target
 from surctl.export.trial import trial_steps
-from surctl.ir import compile_program, compiler_version, stack_of
+from surctl.ir import compile_program, compiler_version, stack_told
 
 __all__ = ["STEPS", "BuildReport", "CheckReport", "Instructions", "built_for", "check_builds", "instructions"]
 
@@ -251,7 +251,7 @@ def _tried(
         int(wrong[0]) if len(wrong) else None,
         controller.code_bytes,
         _flight_bytes(bundle, target, folder),
-        _stack(bundle, target),
+        _stack(bundle, target, folder),
         instructions(counts, accepted),
     )
 
@@ -281,7 +281,9 @@ def built_for(host: Controller, target: Target, folder: Path) -> tuple[Controlle
     law, bundle = host.law, host.bundle
     write_bundle(bundle, folder / "bundle")
     source, code = folder / "bundle" / f"{bundle.name}.c", folder / "law.o"
-    compile_program([source], code, flags=("-c", *target.flags), compiler=target.compiler)
+    # where memory is little, the compiler tells the frames, too: nothing of the code changes
+    told = () if target.machine is None else ("-fstack-usage",)
+    compile_program([source], code, flags=("-c", *target.flags, *told), compiler=target.compiler)
     size = code_bytes(code, target.size_tool)
     main, program = folder / "bundle" / "sil_main.c", folder / "sil"
     if target.machine is None:
@@ -331,12 +333,13 @@ def instructions(counts: Path | None, accepted: NDArray[np.bool_]) -> Instructio
     return Instructions(int(kept.min()), float(kept.mean()), int(kept.max()))
 
 
-def _stack(bundle: Bundle, target: Target) -> int | None:
+def _stack(bundle: Bundle, target: Target, folder: Path) -> int | None:
+    """Below a step, in a folder where the bundle was built."""
     if target.machine is None:  # of no interest where memory is plenty
         return None
     header = bundle.files[f"{bundle.name}.h"]
     text = bundle.files[f"{bundle.name}.c"].replace(f'#include "{bundle.name}.h"', header)
     try:
-        return stack_of(text, f"{bundle.name}_step", flags=target.flags, compiler=target.compiler)
-    except SurctlError:
+        return stack_told((folder / "law.su").read_text(encoding="utf-8"), text, f"{bundle.name}_step")
+    except (SurctlError, FileNotFoundError):
         return None

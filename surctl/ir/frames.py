@@ -13,7 +13,7 @@ from surctl.ir.c99_routine import emit_block
 from surctl.ir.compiler import compile_program, compiler_version
 from surctl.ir.routine import Block
 
-__all__ = ["stack_bytes", "stack_of"]
+__all__ = ["stack_bytes", "stack_of", "stack_told"]
 
 _FUNCTION = re.compile(r"^\w[\w *]*\b(\w+)\([^;{}]*\)\s*\{([^\n]*\}$|\n.*?^\}$)", re.MULTILINE | re.DOTALL)
 _CALL = re.compile(r"\b(\w+)\(")
@@ -71,11 +71,34 @@ def stack_of(text: str, entry: str, *, flags: Sequence[str] = ("-Os",), compiler
         source.write_text(text, encoding="utf-8")
         try:
             compile_program([source], Path(name) / "text.o", flags=("-c", *flags, "-fstack-usage"), compiler=compiler)
-            rows = [line.split("\t") for line in told.read_text(encoding="utf-8").splitlines()]
+            rows = told.read_text(encoding="utf-8")
         except (SurctlError, FileNotFoundError) as error:
             if isinstance(error, SurctlError) and "stack-usage" not in str(error):
                 raise
             raise ToolMissing("tells no frames (-fstack-usage)", key="CC", value=compiler_version(compiler)) from None
+    return stack_told(rows, text, entry)
+
+
+def stack_told(told: str, text: str, entry: str) -> int:
+    r"""As `stack_of`, of a text that was compiled with `-fstack-usage` already.
+
+    Args:
+        told: what the compiler wrote beside the object.
+        text: the C text, with all that it includes of its own.
+        entry: the function.
+
+    Raises:
+        InputError: the text has no such function.
+        SurctlError: a frame has no fixed size.
+
+    Example:
+        >>> from surctl.ir import stack_told
+        >>> told = "text.c:1:7:half\t32\tstatic\ntext.c:2:7:mean\t96\tstatic\n"
+        >>> text = "float half(float x) { return x / 2; }\nfloat mean(float x) { return half(x + 1); }\n"
+        >>> stack_told(told, text, "mean")
+        128
+    """
+    rows = [line.split("\t") for line in told.splitlines()]
     if any("dynamic" in row[2] and "bounded" not in row[2] for row in rows):
         raise SurctlError("a frame has no fixed size")
     # "text.c:12:3:name", or "name.part.0" for a piece that was cut out

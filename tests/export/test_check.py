@@ -30,7 +30,7 @@ from surctl.export import (
 )
 from surctl.export.precision import Rounded
 from surctl.export.trial import trial_steps
-from surctl.ir import Block, Layout, Port, lower, without_libm
+from surctl.ir import Block, Layout, Port, lower, stack_of, without_libm
 from surctl.simulation import load_scenario, simulate
 from surctl.vehicle import load_vehicle
 from tests.export.standin import StandIn, recorded, stand_in
@@ -96,6 +96,17 @@ def test_every_compiler_and_processor_gives_the_bytes_of_python(
     if real == "float32":  # without a floating-point unit each operation is a subroutine
         assert counted["cortex-m3"].mean > 5 * counted["cortex-m4f"].mean
     assert json.loads(json.dumps(report.to_dict()))["passed"] is True
+
+
+def test_the_stack_is_that_of_the_code_that_runs(tmp_path: Path) -> None:
+    for tool in ("arm-none-eabi-gcc", "qemu-system-arm"):
+        need(tool)
+    law, run, target = exact(), recorded(exact(), steps=5), TARGETS["cortex-m3"]
+    controller = compiled(law, run, tmp_path, "float32")
+    (build,) = check_builds(controller, [run], [target], steps=20).builds
+    header, code = (controller.bundle.files[f"standin.{end}"] for end in "hc")
+    text = code.replace('#include "standin.h"', header)
+    assert build.stack_bytes == stack_of(text, "standin_step", flags=target.flags, compiler=target.compiler) > 0
 
 
 @pytest.mark.parametrize("real", ["float64", "float32"])
