@@ -178,11 +178,11 @@ def choose_velocity(
             for angle in _FAN:
                 turned = _turned(ahead, cos(angle), sign * sin(angle))
                 free = _free_speed(turned, speed, sectors)
-                free_missed = _violation(turned, free, sectors, cones)
-                cost = 1 - cos(angle) + (0 if sign > 0 else _HEAD_ON) + _missed_cost(free_missed)
-                cost += _SLOWER * (1 - free / speed) + ca.if_else(latched * sign < -0.5, _TURN_BACK, 0)
+                # missed is nothing: no bound is negative here, and no cone is there
+                cost = 1 - cos(angle) + (0 if sign > 0 else _HEAD_ON) + _SLOWER * (1 - free / speed)
+                cost += ca.if_else(latched * sign < -0.5, _TURN_BACK, 0)
                 better = ca.logic_and(ca.logic_and(slower, free > _SLOWEST * speed), cost < least)
-                course, missed = ca.if_else(better, turned, course), ca.if_else(better, free_missed, missed)
+                course, missed = ca.if_else(better, turned, course), ca.if_else(better, 0, missed)
                 taken, least = ca.if_else(better, sign, taken), ca.if_else(better, cost, least)
                 pace = ca.if_else(better, free, pace)
     velocity = ca.fmax(ca.fmin(_free_speed(course, speed, sectors), pace), retreat) * course
