@@ -75,7 +75,16 @@ class Settings:
 
 
 def check_ladder(ladder: str, *, mode: str, damping: float = 0.0) -> None:
-    """Raise InputError for an unknown ladder, or one that the mode has not."""
+    """Raise InputError for an unknown ladder, or one that the mode has not.
+
+    Example:
+        >>> from surctl.priority import check_ladder
+        >>> check_ladder("bounded", mode="projected")  # nothing to say
+        >>> check_ladder("bounded", mode="nsb")
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: ladder = 'bounded': mode nsb has none; take mode filter or projected
+    """
     known = get_args(Ladder)
     if ladder not in known:
         raise InputError("is not known", key="ladder", value=ladder, remedy=nearest(str(ladder), known))
