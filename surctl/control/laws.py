@@ -53,7 +53,7 @@ _GROPING = 0.5  # of the cruise speed: most towards where a sonar is not to be b
 _NO_BOUND = 10.0  # [m/s]
 _ONE_ENCOUNTER = 1e3  # [m]
 _LAUNCHED = 0.3  # [m] from the start within which what stood in the sonars' blind range was perhaps never ranged
-_STALLED = 15.0  # [s] without getting on, after which no slower course is tried any more
+_STALLED = 15.0  # [s] without getting on; then no slower course: creeping about a dead end would look like getting on
 _GIVE_WAY = 0.05  # [m/s] with which the robot backs off from a mark; half of what is marked near the hull is not there
 _MOVES = 0.05  # [m/s] from which something moves: slower things are kept off by their braking distance
 _PASSING = 0.1  # [m] beyond the margin, at which something that moves is passed
@@ -144,9 +144,7 @@ def guarded_law(
     slower = None
     if scan is not None:  # what drifts beside the start unheard is passed with the room that the whole speed asks for
         away = ca.sumsqr(eta[:2] - p["waypoints"][0, :].T) > _LAUNCHED**2
-        slower = ca.logic_and(scan.placed, away)
-        if "stalled" in x:  # creeping about a dead end would look like getting on
-            slower = ca.logic_and(slower, x["stalled"] < _STALLED)
+        slower = ca.logic_and(ca.logic_and(scan.placed, away), x["stalled"] < _STALLED)
     choice = choose_velocity(
         wish.velocity,
         sectors,
