@@ -13,6 +13,7 @@ from surctl.guidance import (
     along_command,
     crosstrack_next,
     crosstrack_shift,
+    next_leg,
     path_error,
     path_target,
     progress_rate,
@@ -90,7 +91,8 @@ def path_wish(
     arriving = progress >= length
     velocity = ca.if_else(arriving, closing, following)
     rate = progress_rate(x_e, speed=p["cruise"], wait=p["wait"])
-    heading, ahead = ca.atan2(tangent[1], tangent[0]), ca.fmin(progress + dt * rate, length)
+    ahead = next_leg(p["waypoints"], ca.fmin(progress + dt * rate, length), eta[:2], near=p["wait"])
+    heading = ca.atan2(tangent[1], tangent[0])
     return Wish(velocity, heading, ahead, x_e, y_e, along, tangent, arriving)
 
 

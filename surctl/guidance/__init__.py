@@ -4,7 +4,7 @@ from surctl.guidance.avoidance import FORMS, AvoidanceForm, allowed_closing_spee
 from surctl.guidance.cones import Cone, collision_cone, inside
 from surctl.guidance.contacts import FAR, Contact, disc_contact, nearest_in_quadrants, point_contact, wall_contacts
 from surctl.guidance.crosstrack import GUIDANCE, Guidance, check_guidance, crosstrack_next, crosstrack_shift
-from surctl.guidance.path import MAX_WAYPOINTS, Path, path_target
+from surctl.guidance.path import MAX_WAYPOINTS, Path, next_leg, path_target
 from surctl.guidance.sectors import SAME_CONTACT, Choice, Sector, choose_velocity, round_unknown, slowed
 from surctl.guidance.tracking import along_command, path_error, progress_rate, tracking_velocity
 
@@ -33,6 +33,7 @@ __all__ = [
     "encounter_side",
     "inside",
     "nearest_in_quadrants",
+    "next_leg",
     "path_error",
     "path_target",
     "point_contact",

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 
-__all__ = ["MAX_WAYPOINTS", "Path", "path_target"]
+__all__ = ["MAX_WAYPOINTS", "Path", "next_leg", "path_target"]
 
 MAX_WAYPOINTS = 8
+
+_ON_LEG = 0.1  # [m] from a leg within which it is flown to its end; several times what the position is uncertain by
 
 
 @dataclass(frozen=True)
@@ -98,3 +100,42 @@ def path_target(waypoints: ca.SX, s: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         tangent = ca.if_else(ca.logic_or(here, k == 0), direction, tangent)
         travelled = travelled + length
     return point, tangent, travelled
+
+
+def next_leg(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, near: ca.SX) -> ca.SX:
+    """Arc length [m] abreast of a robot that a detour has brought nearer to the next leg than to that of its target.
+
+    Such a robot would else go back for the corner, come to the next leg across it at full speed, and shoot past it.
+
+    Args:
+        waypoints: as `path_target`.
+        s: arc length of the path's target [m].
+        here: (2, 1) the robot [m] in {E}.
+        near: distance of the target to the corner [m] within which the rest of a leg may be left out.
+
+    Returns:
+        Where the robot's projection on the next leg is, as arc length; `s` where the robot is nearer to the target's
+        leg or within 0.1 m of it, the corner is further, or there is no next leg.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import next_leg
+        >>> corner = ca.SX([[0, 0], [2, 0], [2, 3]])
+        >>> [float(next_leg(corner, ca.SX(1.6), ca.SX(p), near=ca.SX(0.8))) for p in ((1.2, 0.2), (1.8, 0.5))]
+        [1.6, 2.5]
+    """
+    travelled, abreast = ca.SX(0), s
+    legs = [(waypoints[k, :].T, (waypoints[k + 1, :] - waypoints[k, :]).T) for k in range(waypoints.shape[0] - 1)]
+    lengths = [ca.sqrt(ca.sumsqr(chord)) for _, chord in legs]
+    away = []
+    for (start, chord), length in zip(legs, lengths, strict=True):
+        along = ca.fmin(ca.fmax(ca.dot(here - start, chord) / ca.fmax(length, 1e-6), 0), length)
+        offset = here - start - along * chord / ca.fmax(length, 1e-6)
+        away.append((along, ca.sumsqr(offset)))
+    for k, length in enumerate(lengths[:-1]):
+        corner = travelled + length
+        follows = ca.logic_and(lengths[k + 1] > 1e-6, ca.logic_and(s >= travelled, s < corner))
+        left = ca.logic_and(s > corner - near, ca.fmax(away[k + 1][1], _ON_LEG**2) < away[k][1])
+        abreast = ca.if_else(ca.logic_and(follows, left), corner + away[k + 1][0], abreast)
+        travelled = corner
+    return abreast

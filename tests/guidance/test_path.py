@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.guidance import MAX_WAYPOINTS, Path, path_target
+from surctl.guidance import MAX_WAYPOINTS, Path, next_leg, path_target
 
 Array = NDArray[np.float64]
 coordinates = st.integers(-60, 60).map(lambda k: k / 10)
@@ -117,3 +117,48 @@ def test_waypoints_cannot_be_changed() -> None:
 def test_what_is_no_path(points: list[list[float]], problem: str) -> None:
     with pytest.raises(InputError, match=problem):
         Path(np.array(points))
+
+
+@cache
+def _next_leg() -> ca.Function:
+    w, s, here = ca.SX.sym("w", MAX_WAYPOINTS, 2), ca.SX.sym("s"), ca.SX.sym("here", 2)
+    near = ca.SX.sym("near")
+    return ca.Function("leg", [w, s, here, near], [next_leg(w, s, here, near=near)])
+
+
+def _distance(path: Path, k: int, here: Array) -> float:
+    return float(Path(path.waypoints[k : k + 2]).distance(here[None])[0])
+
+
+@settings(derandomize=True, deadline=None)
+@given(polylines, st.floats(0.0, 0.999), st.tuples(coordinates, coordinates), st.floats(0.1, 5.0))
+def test_what_is_left_out_of_a_leg_ends_abreast_of_a_robot_nearer_to_the_next(
+    points: list[tuple[float, float]], share: float, place: tuple[float, float], near: float
+) -> None:
+    path, here = _path(points), np.array(place)
+    s = share * path.length
+    marks = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(path.waypoints, axis=0), axis=1))])
+    k = int(np.searchsorted(marks, s, side="right")) - 1
+    assume(np.min(np.abs(marks[1:] - s)) > 1e-6)
+    answer = float(_next_leg()(path.slots, s, here, near))
+    wanted = s
+    if k + 2 < len(path.waypoints) and s > marks[k + 1] - near:
+        now, after = _distance(path, k, here), max(_distance(path, k + 1, here), 0.1)
+        assume(abs(now - after) > 1e-9)
+        if after < now:
+            chord = path.waypoints[k + 2] - path.waypoints[k + 1]
+            length = float(np.linalg.norm(chord))
+            wanted = marks[k + 1] + float(np.clip((here - path.waypoints[k + 1]) @ chord / length, 0, length))
+    assert answer == pytest.approx(wanted, abs=1e-9)
+
+
+@settings(derandomize=True, deadline=None)
+@given(polylines, st.floats(0.0, 0.999), st.floats(0.1, 5.0), st.floats(-0.07, 0.07))
+def test_nothing_is_left_out_by_a_robot_on_its_leg(
+    points: list[tuple[float, float]], share: float, near: float, off: float
+) -> None:
+    """Not even where the path leads back along it, and the position is noisy."""
+    path = _path(points)
+    s = share * path.length
+    here = _by_interpolation(path, s) + off
+    assert float(_next_leg()(path.slots, s, here, near)) == s
