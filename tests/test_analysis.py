@@ -323,3 +323,12 @@ def test_every_law_is_compared_in_the_same_scenario(tmp_path: Path) -> None:
     for law, row in by_law.items():
         assert overall[law][2] == f"{50 * int(row[4]):.1f} %" and overall[law][3] == f"{50 * int(row[5]):.1f} %"
     assert (out / "baselines.png").stat().st_size > 10_000
+
+
+def test_the_study_of_every_scenario() -> None:
+    need_compiler()
+    done = run(ANALYSIS / "22_every_scenario" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = [row for row in table(done.stdout) if row[0].startswith("`pool-behind`")]
+    assert [row[1:3] for row in rows] == [["10", "0"], ["19", "1"]], done.stdout
+    assert rows[1][4] == "obstacle speed 1"  # what a collision breaks is named

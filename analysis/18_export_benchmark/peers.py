@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import osqp
 from alone import counted, counted_c
+from cvxpygen_c import INSTALLED, by_cvxpygen
 from numpy.typing import NDArray
 from scipy import sparse
 
@@ -43,9 +44,20 @@ def race(*, quick: bool) -> tuple[list[str], NDArray[np.int64], NDArray[np.int64
             _line(f"OSQP {osqp.__version__}, generated, tolerance {eps:g}", *_osqp(trials, eps), exact)
             for eps in (1e-3, 1e-5)
         ),
+        *_cvxpygen(trials, exact),
         _line("CasADi qrqp, generated, tolerance 1e-5", *_qrqp(trials), exact),
     ]
     return lines, counts, fewer
+
+
+def _cvxpygen(trials: Trials, exact: Array) -> list[str]:
+    names = {
+        True: "CVXPYgen with OSQP, tolerance 0.001, made float",
+        False: "CVXPYgen with OSQP, tolerance 0.001, double",
+    }
+    if not INSTALLED:
+        return [f"| {name} | not installed (pip install cvxpygen) | | |" for name in names.values()]
+    return [_line(name, *by_cvxpygen(trials, 1e-3, _N, _P, _M, floats=floats), exact) for floats, name in names.items()]
 
 
 def _line(name: str, v: NDArray[np.float32], counts: NDArray[np.int64], exact: Array) -> str:

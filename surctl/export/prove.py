@@ -54,7 +54,7 @@ _OUTSIDE = "what overflows inside, or is no number, is refused before it leaves"
 _PROVED = ("Valid", "Considered valid", "Dead")
 _OF_SHOWING = ("assigns clause", "from clause")  # of the function that prints; the C has no contracts
 _ANY = 1e38  # bounds beyond that are none
-_LIMIT = 3600.0  # s; a law with sonars takes eight minutes
+_LIMIT = 3600.0  # s; a law with sonars takes thirteen minutes
 
 
 @dataclass(frozen=True)
