@@ -13,7 +13,10 @@ from surctl.simulation import BatchResult, Case, Run, Scenario, Sensing, load_sc
 from surctl.simulation.scenario import LIBRARY
 from surctl.vehicle import load_vehicle
 
-__all__ = ["Flights", "scenario_names"]
+__all__ = ["Factors", "Flights", "scenario_names"]
+
+Factors = tuple[tuple[str, float], ...]
+"""Numbers of a vehicle, and what each is multiplied with."""
 
 
 def scenario_names() -> list[str]:
@@ -33,7 +36,9 @@ class Flights:
     seeds: int = 20
     threads: int = 2
     gains: Gains = field(default_factory=lambda: load_gains("default"), repr=False)
-    _batches: dict[tuple[str, Sensing, str], BatchResult] = field(default_factory=dict, repr=False, compare=False)
+    _batches: dict[tuple[str, Sensing, str, Factors], BatchResult] = field(
+        default_factory=dict, repr=False, compare=False
+    )
     _runs: dict[tuple[str, Sensing], Run] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -44,12 +49,14 @@ class Flights:
         """The scenario of that name."""
         return load_scenario(name)
 
-    def batch(self, name: str, sensing: Sensing, vehicle: str = "") -> BatchResult:
-        """Metrics of all seeds; flown by the scenario's own vehicle, or by another."""
-        key = (name, sensing, vehicle)
+    def batch(self, name: str, sensing: Sensing, vehicle: str = "", factors: Factors = ()) -> BatchResult:
+        """Metrics of all seeds; by the scenario's own vehicle or another, with numbers of it times these factors."""
+        key = (name, sensing, vehicle, factors)
         if key not in self._batches:
             scenario = self.scenario(name)
-            case = Case(scenario, load_vehicle(vehicle or scenario.vehicle), self.gains, sensing=sensing)
+            flown = load_vehicle(vehicle or scenario.vehicle)
+            flown = flown.with_values({number: factor * flown[number] for number, factor in factors})
+            case = Case(scenario, flown, self.gains, sensing=sensing)
             self._batches[key] = simulate_batch(case, seeds=np.arange(self.seeds), threads=self.threads)
         return self._batches[key]
 

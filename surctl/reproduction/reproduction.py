@@ -12,7 +12,7 @@ from surctl.reproduction.errata import errata_items
 from surctl.reproduction.flights import Flights, scenario_names
 from surctl.reproduction.instants import instant_items
 from surctl.reproduction.row import Item, Row
-from surctl.reproduction.scenarios import hull_items, position_items, scenario_items
+from surctl.reproduction.scenarios import hull_items, limit_items, position_items, scenario_items
 from surctl.reproduction.tables import table_items
 from surctl.sensing.table2 import MEDIA, table_ii
 from surctl.verification import claims
@@ -70,6 +70,7 @@ def items(flights: Flights, *, samples: int = FULL) -> list[Item]:
         *errata_items(),
         *scenario_items(flights),
         *hull_items(flights),
+        *limit_items(flights),
         *instant_items(flights),
         *position_items(flights),
     ]

@@ -11,12 +11,12 @@ from functools import partial
 
 import numpy as np
 
-from surctl.reproduction.flights import Flights, scenario_names
+from surctl.reproduction.flights import Factors, Flights, scenario_names
 from surctl.reproduction.row import Found, Item, agrees, differs
 from surctl.reproduction.scenario_errata import PRINTED_HULL
 from surctl.simulation import Sensing
 
-__all__ = ["ABOUT", "hull_items", "position_items", "scenario_items", "time_verdict"]
+__all__ = ["ABOUT", "hull_items", "limit_items", "position_items", "scenario_items", "time_verdict"]
 
 ABOUT = 0.08
 """Share by which a figure that the paper gives as "about" may be off."""
@@ -26,6 +26,14 @@ _SENSINGS: tuple[tuple[Sensing, str, str], ...] = (
     ("sonar", "-sonar", "through the sonars"),
 )
 _SERIES = (("tank", "simulation"), ("pool", "experiments"))
+
+_LIMITED = "pool-static"
+_LIMITS: tuple[tuple[str, Factors], ...] = (
+    ("a hull of 0.7 its radius", (("radius", 0.7),)),
+    ("twice the thrust", (("Fu_max", 2.0), ("Fv_max", 2.0))),
+    ("half the mass", (("m11", 0.5), ("m22", 0.5))),
+    ("half the drag", (("Xu", 0.5), ("Yv", 0.5), ("Xuu", 0.5), ("Yvv", 0.5))),
+)
 
 
 def scenario_items(flights: Flights) -> list[Item]:
@@ -59,6 +67,22 @@ def hull_items(flights: Flights) -> list[Item]:
         )
         for name in scenario_names()
         if flights.scenario(name).vehicle != PRINTED_HULL
+    ]
+
+
+def limit_items(flights: Flights) -> list[Item]:
+    """Which number of the vehicle decides how long the slowest scenario takes through the sonars."""
+    scenario, name = flights.scenario(_LIMITED), f"{_LIMITED}-sonar-limit"
+    return [
+        Item(
+            name,
+            "scenarios",
+            f"{scenario.title}, through the sonars: what decides the time",
+            scenario.paper.result,
+            None,
+            partial(_limit, flights),
+            f"surctl reproduce {name} --seeds {flights.seeds}",
+        )
     ]
 
 
@@ -131,6 +155,22 @@ def _hull(flights: Flights, name: str) -> Found:
         return agrees(told, **numbers)
     least = float(flown.column("min_clearance_m").min())
     return differs(told, f"{lost}, least clearance {least:.3f} m", **numbers)
+
+
+def _limit(flights: Flights) -> Found:
+    """Decides nothing: `safe` is left open."""
+    took = {}
+    for what, factors in (("the vehicle as it is", ()), *_LIMITS):
+        flown = flights.batch(_LIMITED, "sonar", factors=factors)
+        took[what] = _mean(flown.column("time_s")[flown.column("reached") > 0.5])
+    usual, *changed = took
+    best = min(changed, key=lambda what: took[what])
+    told = "; ".join(f"{what} {seconds:.1f} s" for what, seconds in took.items())
+    return differs(
+        told,
+        f"of the vehicle's numbers one decides: with {best} it takes {took[usual] - took[best]:.1f} s less",
+        **{f"{what.replace(' ', '_')}_s": seconds for what, seconds in took.items()},
+    )
 
 
 def _ended(reached: int, collided: int, runs: int) -> tuple[str, str]:

@@ -11,7 +11,7 @@ from surctl.errors import InputError
 from surctl.reproduction import Flights, Row
 from surctl.reproduction.flights import scenario_names
 from surctl.reproduction.instants import avoidances, instant_items
-from surctl.reproduction.scenarios import hull_items, position_items, scenario_items, time_verdict
+from surctl.reproduction.scenarios import hull_items, limit_items, position_items, scenario_items, time_verdict
 from surctl.simulation import METRICS, BatchResult
 
 
@@ -29,7 +29,7 @@ def flights(**batches: BatchResult) -> Flights:
     made = Flights(4)
     for name in scenario_names():
         for sensing in ("truth", "sonar"):
-            made._batches[name, sensing, ""] = batches.get(name.replace("-", "_"), batch())
+            made._batches[name, sensing, "", ()] = batches.get(name.replace("-", "_"), batch())
     return made
 
 
@@ -111,10 +111,28 @@ def test_the_printed_hull_in_the_pool_is_reported_and_decides_nothing() -> None:
     made = Flights(4)
     assert len(hull_items(made)) == 7
     item = next(item for item in hull_items(made) if item.id == "pool-static-printed-hull")
-    made._batches["pool-static", "truth", "sur540-flooded"] = batch(reached=[1, 0], collided=[0, 1])
+    made._batches["pool-static", "truth", "sur540-flooded", ()] = batch(reached=[1, 0], collided=[0, 1])
     assert item.row().as_expected and item.row().found.verdict.startswith("differs: 1 of 2 runs collided and 0")
-    made._batches["pool-static", "truth", "sur540-flooded"] = batch()
+    made._batches["pool-static", "truth", "sur540-flooded", ()] = batch()
     assert item.row().found.verdict == "agrees"
+
+
+def test_what_decides_the_time_is_what_shortens_it_most() -> None:
+    made = Flights(4)
+    for factors, seconds in (((), 40.0), ((("radius", 0.7),), 33.0), ((("m11", 0.5), ("m22", 0.5)), 30.0)):
+        made._batches["pool-static", "sonar", "", factors] = batch(time_s=seconds)
+    for name in ("Fu_max", "Xu"):
+        known = {"Fu_max": 2.0, "Fv_max": 2.0} if name == "Fu_max" else dict.fromkeys(("Xu", "Yv", "Xuu", "Yvv"), 0.5)
+        made._batches["pool-static", "sonar", "", tuple(known.items())] = batch(time_s=41.0)
+    found = limit_items(made)[0].row().found
+    assert found.verdict.endswith("with half the mass it takes 10.0 s less") and found.safe is None
+    assert found.numbers["a_hull_of_0.7_its_radius_s"] == 33.0
+
+
+def test_a_changed_vehicle_is_flown_as_one() -> None:
+    made = Flights(2)
+    usual, narrow = made.batch("pool-behind", "truth"), made.batch("pool-behind", "truth", "", (("radius", 0.7),))
+    assert np.all(narrow.column("min_clearance_m") > usual.column("min_clearance_m"))
 
 
 def test_no_seeds_is_a_mistake() -> None:
