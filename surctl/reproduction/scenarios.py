@@ -164,7 +164,7 @@ def _limit(flights: Flights) -> Found:
         flown = flights.batch(_LIMITED, "sonar", factors=factors)
         took[what] = _mean(flown.column("time_s")[flown.column("reached") > 0.5])
     usual, *changed = took
-    best = min(changed, key=lambda what: took[what])
+    best = min(changed, key=lambda what: np.nan_to_num(took[what], nan=np.inf))  # NaN: none arrived
     told = "; ".join(f"{what} {seconds:.1f} s" for what, seconds in took.items())
     return differs(
         told,
