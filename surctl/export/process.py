@@ -24,6 +24,7 @@ __all__ = ["Controller", "FaultResults", "build_controller"]
 Vector = NDArray[np.float64]
 
 _TIMEOUT = 600.0  # s, for any run of the compiled program
+_STEP = 0.05  # s more for each step: a law with sonars, its floating point emulated, on an emulated processor
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ class Controller:
 
     def _answer(self, options: list[str], sent: bytes, count: int, width: int) -> bytes:
         """The program's answer: `count` rows of `width` numbers."""
-        raw = _run([*self.command, *options], sent)
+        raw = _run([*self.command, *options], sent, count)
         if len(raw) != self._dtype.itemsize * count * width:
             raise SurctlError(f"{Path(self.command[0]).name} returned {len(raw)} bytes for {count} records")
         return raw
@@ -152,11 +153,12 @@ def build_controller(law: Exportable, bundle: Bundle, directory: Path) -> Contro
     return Controller(in_precision(law, bundle.real, bundle.envelope), bundle, (str(program),), code_bytes(code))
 
 
-def _run(command: list[str], data: bytes) -> bytes:
+def _run(command: list[str], data: bytes, steps: int) -> bytes:
+    limit = _TIMEOUT + _STEP * steps
     try:
-        done = subprocess.run(command, input=data, capture_output=True, check=False, timeout=_TIMEOUT)
+        done = subprocess.run(command, input=data, capture_output=True, check=False, timeout=limit)
     except subprocess.TimeoutExpired:
-        raise SurctlError(f"{Path(command[0]).name} did not end within {_TIMEOUT:.0f} s") from None
+        raise SurctlError(f"{Path(command[0]).name} did not end within {limit:.0f} s") from None
     except OSError as error:
         raise SurctlError(f"{command[0]} cannot be run ({error.strerror})") from None
     if done.returncode != 0:
