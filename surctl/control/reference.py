@@ -91,7 +91,7 @@ def path_wish(
     arriving = progress >= length
     velocity = ca.if_else(arriving, closing, following)
     rate = progress_rate(x_e, speed=p["cruise"], wait=p["wait"])
-    ahead = next_leg(p["waypoints"], ca.fmin(progress + dt * rate, length), eta[:2], near=p["wait"])
+    ahead = ca.fmax(ca.fmin(progress + dt * rate, length), next_leg(p["waypoints"], progress, eta[:2], near=p["wait"]))
     heading = ca.atan2(tangent[1], tangent[0])
     return Wish(velocity, heading, ahead, x_e, y_e, along, tangent, arriving)
 

@@ -115,7 +115,7 @@ def next_leg(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, near: ca.SX) -> ca.SX:
 
     Returns:
         Where the robot's projection on the next leg is, as arc length; `s` where the robot is nearer to the target's
-        leg or within 0.1 m of it, the corner is further, or there is no next leg.
+        leg, prolonged backwards, or within 0.1 m of it, the corner is further, or there is no next leg.
 
     Example:
         >>> import casadi as ca
@@ -124,18 +124,21 @@ def next_leg(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, near: ca.SX) -> ca.SX:
         >>> [float(next_leg(corner, ca.SX(1.6), ca.SX(p), near=ca.SX(0.8))) for p in ((1.2, 0.2), (1.8, 0.5))]
         [1.6, 2.5]
     """
-    travelled, abreast = ca.SX(0), s
-    legs = [(waypoints[k, :].T, (waypoints[k + 1, :] - waypoints[k, :]).T) for k in range(waypoints.shape[0] - 1)]
-    lengths = [ca.sqrt(ca.sumsqr(chord)) for _, chord in legs]
-    away = []
-    for (start, chord), length in zip(legs, lengths, strict=True):
-        along = ca.fmin(ca.fmax(ca.dot(here - start, chord) / ca.fmax(length, 1e-6), 0), length)
-        offset = here - start - along * chord / ca.fmax(length, 1e-6)
-        away.append((along, ca.sumsqr(offset)))
-    for k, length in enumerate(lengths[:-1]):
-        corner = travelled + length
-        follows = ca.logic_and(lengths[k + 1] > 1e-6, ca.logic_and(s >= travelled, s < corner))
-        left = ca.logic_and(s > corner - near, ca.fmax(away[k + 1][1], _ON_LEG**2) < away[k][1])
-        abreast = ca.if_else(ca.logic_and(follows, left), corner + away[k + 1][0], abreast)
-        travelled = corner
-    return abreast
+    _, tangent, _ = path_target(waypoints, s)
+    travelled, ends, corner, after = ca.SX(0), ca.SX(0), waypoints[1, :].T, waypoints[1, :].T
+    for k in range(waypoints.shape[0] - 2):
+        # points alone are chosen, for they lie in memory: what is computed for every leg would have to be remembered
+        holds = ca.SX(1) if k == 0 else s >= travelled
+        travelled = travelled + ca.sqrt(ca.sumsqr(waypoints[k + 1, :] - waypoints[k, :]))
+        ends = ca.if_else(holds, travelled, ends)
+        corner = ca.if_else(holds, waypoints[k + 1, :].T, corner)
+        after = ca.if_else(holds, waypoints[k + 2, :].T, after)
+    chord, offset = after - corner, here - corner
+    length = ca.sqrt(ca.sumsqr(chord))
+    ahead = chord / ca.fmax(length, 1e-6)
+    before = ca.fmin(ca.dot(offset, tangent), 0)
+    beyond = ca.fmin(ca.fmax(ca.dot(offset, ahead), 0), length)
+    now, then = ca.sumsqr(offset - before * tangent), ca.sumsqr(offset - beyond * ahead)
+    left = ca.logic_and(s > ends - near, ca.fmax(then, _ON_LEG**2) < now)
+    follows = ca.logic_and(length > 1e-6, s < ends)
+    return ca.if_else(ca.logic_and(follows, left), ends + beyond, s)

@@ -126,8 +126,11 @@ def _next_leg() -> ca.Function:
     return ca.Function("leg", [w, s, here, near], [next_leg(w, s, here, near=near)])
 
 
-def _distance(path: Path, k: int, here: Array) -> float:
-    return float(Path(path.waypoints[k : k + 2]).distance(here[None])[0])
+def _distance(path: Path, k: int, here: Array, *, backwards: float = 0.0) -> float:
+    """To leg k, prolonged before its start by so much [m]."""
+    start, end = path.waypoints[k : k + 2]
+    start = start - backwards * (end - start) / np.linalg.norm(end - start)
+    return float(Path(np.array([start, end])).distance(here[None])[0])
 
 
 @settings(derandomize=True, deadline=None)
@@ -143,7 +146,7 @@ def test_what_is_left_out_of_a_leg_ends_abreast_of_a_robot_nearer_to_the_next(
     answer = float(_next_leg()(path.slots, s, here, near))
     wanted = s
     if k + 2 < len(path.waypoints) and s > marks[k + 1] - near:
-        now, after = _distance(path, k, here), max(_distance(path, k + 1, here), 0.1)
+        now, after = _distance(path, k, here, backwards=100.0), max(_distance(path, k + 1, here), 0.1)
         assume(abs(now - after) > 1e-9)
         if after < now:
             chord = path.waypoints[k + 2] - path.waypoints[k + 1]
