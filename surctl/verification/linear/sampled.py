@@ -37,6 +37,9 @@ _MOST = 400  # periods of delay
 _EDGE = 1e-9  # a pole this near to the unit circle counts as on it
 DELAYS = (0, 1, 2)
 
+_Held = dict[float, tuple[Array, Array]]
+"""(Φ, Γ) by period [s]."""
+
 
 @dataclass(frozen=True)
 class SampledLimits:
@@ -115,18 +118,27 @@ def sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
         if radius_of(undelayed, period, delay) >= 1 - _EDGE:
             break
         borne = delay
-    one, two, three = (_largest(undelayed, delay) for delay in DELAYS)
+    known: _Held = {}  # the same periods are tried with each delay, and matrix exponentials are what takes the time
+    one, two, three = (_largest(undelayed, delay, known) for delay in DELAYS)
     return SampledLimits(period, radius_of(undelayed, period, 1), (one, two, three), borne)
 
 
 def radius_of(undelayed: Cascade, period: float, delay: int) -> float:
     """Largest |z| of the sampled loop."""
-    return float(np.max(np.abs(np.linalg.eigvals(_transition(undelayed, period, delay)))))
+    return _radius(_transition(undelayed, period, delay))
 
 
-def _largest(undelayed: Cascade, delay: int) -> float:
+def _radius(transition: Array) -> float:
+    return float(np.max(np.abs(np.linalg.eigvals(transition))))
+
+
+def _largest(undelayed: Cascade, delay: int, known: _Held | None = None) -> float:
+    found = {} if known is None else known
+
     def stable(period: float) -> bool:
-        return radius_of(undelayed, period, delay) < 1 - _EDGE * period
+        if period not in found:
+            found[period] = _held(undelayed, period)
+        return _radius(_transition(undelayed, period, delay, found[period])) < 1 - _EDGE * period
 
     good = 0.0
     bad = _SHORTEST
@@ -142,28 +154,35 @@ def _largest(undelayed: Cascade, delay: int) -> float:
     return good
 
 
-def _transition(cascade: Cascade, period: float, delay: int) -> Array:
+def _transition(cascade: Cascade, period: float, delay: int, held: tuple[Array, Array] | None = None) -> Array:
     """The matrix of one period, of plant, ξ and the thrusts that are on their way."""
-    rest, enter, thrust = open_transition(cascade, period, delay)
+    rest, enter, thrust = open_transition(cascade, period, delay, held)
     found: Array = rest + enter @ thrust
     return found
 
 
-def open_transition(cascade: Cascade, period: float, delay: int) -> tuple[Array, Array, Array]:
+def _held(cascade: Cascade, period: float) -> tuple[Array, Array]:
+    """(Φ, Γ) of a period in which the inputs are held."""
+    from scipy.linalg import expm
+
+    n, m = cascade.B.shape
+    both = np.zeros((n + m, n + m))
+    both[:n, :n], both[:n, n:] = cascade.A, cascade.B
+    grown = expm(both * period)
+    return grown[:n, :n], grown[:n, n:]
+
+
+def open_transition(
+    cascade: Cascade, period: float, delay: int, held: tuple[Array, Array] | None = None
+) -> tuple[Array, Array, Array]:
     """(M, E, F) of a cascade built with `delay=0`: x⁺ = M x + E f with f = F x what the law commands, closed.
 
     x is the plant and ξ, (n,), then for each period of delay the thrusts (4,) that are on their way, the next to act
-    first. What is integrated in the controller is closed in M.
+    first. What is integrated in the controller is closed in M. `held`: (Φ, Γ) of that period, where they are known.
     """
-    from scipy.linalg import expm
-
-    A, B, K, C = cascade.A, cascade.B, cascade.K, cascade.C
-    n, m = B.shape
-    both = np.zeros((n + m, n + m))
-    both[:n, :n], both[:n, n:] = A, B
-    grown = expm(both * period)
-    phi, gamma = grown[:n, :n], grown[:n, n:]
-    law = -K @ C
+    phi, gamma = _held(cascade, period) if held is None else held
+    n = len(phi)
+    law = -cascade.K @ cascade.C
     # ξ̇ is written behind the thrusts, and comes at once
     now = phi + gamma[:, _AXES:] @ law[_AXES:]
     thrust, enter = law[:_AXES], gamma[:, :_AXES]
