@@ -16,9 +16,18 @@ from pathlib import Path
 import numpy as np
 
 from surctl.control import load_gains
+from surctl.reproduction.flights import scenario_names
 from surctl.sensing import FaultChances
-from surctl.simulation import LIBRARY, Case, Sensors, load_scenario, simulate_batch
-from surctl.simulation.campaign import Campaign, MonteCarlo, Plan, RandomWorlds, Summary, fly_campaign, world_template
+from surctl.simulation import Case, Sensors, load_scenario, simulate_batch
+from surctl.simulation.campaign import (
+    WORLDS_VEHICLE,
+    Campaign,
+    MonteCarlo,
+    Plan,
+    RandomWorlds,
+    fly_campaign,
+    world_template,
+)
 from surctl.vehicle import load_vehicle
 
 SEEDS, RUNS, WORLDS = 200, 2000, 500
@@ -26,7 +35,6 @@ MOST_ERROR = {"tank": 0.04, "pool": 0.08}  # [m] rms of a series
 MOST_LATE = 0.005  # share of a scenario's runs that reach no target in time
 LEAST_REACHED = 0.95  # of the drawn worlds
 LOST = FaultChances(dropout=0.05)
-WORLDS_VEHICLE = "sur540-flooded"
 
 
 def case_of(name: str, sensors: Sensors) -> Case:
@@ -78,7 +86,7 @@ def flown(plan: Plan, runs: int) -> Campaign:
 
 def campaign_row(flight: Campaign) -> str:
     """Its line of the table."""
-    s: Summary = flight.summary
+    s = flight.summary
     stopped = s.stopped
     bound = (
         f"{s.inside.count} of {s.inside.runs}, ≤ {s.inside.at_most():.2%}" if s.inside is not None else "no such run"
@@ -107,7 +115,7 @@ HEAD = [
 
 def study(*, quick: bool) -> tuple[str, bool]:
     """(Markdown, whether every bar holds)."""
-    names = ["pool-behind"] if quick else sorted(file.stem for file in LIBRARY.glob("*.toml"))
+    names = ["pool-behind"] if quick else scenario_names()
     seeds, runs, worlds = (10, 20, 20) if quick else (SEEDS, RUNS, WORLDS)
     lines, bars = nominal(names, seeds)
     out = [f"## As they are: seeds 0-{seeds - 1} of each", "", *lines]

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 __all__ = ["CampaignOptions", "campaign_options", "fly_again"]
 
 MOST_ROWS = 100  # printed as JSON; DIR has them all
-WORLDS_VEHICLE = "sur540-flooded"
 
 campaign_options = together(
     click.option("--monte-carlo", is_flag=True, help="Draw plant and obstacles of every run, on the compiled loop."),
@@ -111,7 +110,7 @@ class CampaignOptions:
             InputError: an unknown name, or what the law or the scenarios do not take.
         """
         from surctl.simulation import load_scenario
-        from surctl.simulation.campaign import MonteCarlo, RandomWorlds, world_template
+        from surctl.simulation.campaign import WORLDS_VEHICLE, MonteCarlo, RandomWorlds, world_template
         from surctl.tuning import build_cases
         from surctl.vehicle import load_vehicle
 

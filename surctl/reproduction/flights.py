@@ -69,8 +69,8 @@ class Flights:
             self._runs[key] = simulate(scenario, vehicle, gains=self.gains, sensing=sensing)
         return self._runs[key]
 
-    def arrived(self, name: str, sensing: Sensing, metric: str) -> Vector:
+    def arrived(self, name: str, sensing: Sensing, metric: str, factors: Factors = ()) -> Vector:
         """A metric (k,) of the runs that arrived."""
-        flown = self.batch(name, sensing)
+        flown = self.batch(name, sensing, factors=factors)
         values: Vector = flown.column(metric)[flown.column("reached") > 0.5]
         return values

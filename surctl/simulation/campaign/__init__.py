@@ -9,11 +9,12 @@ from surctl.simulation.campaign.replay import Replay, load_replay
 from surctl.simulation.campaign.share import Share
 from surctl.simulation.campaign.summary import Summary, summarise
 from surctl.simulation.campaign.table import RunTable
-from surctl.simulation.campaign.worlds import RandomWorlds, random_world, world_template
+from surctl.simulation.campaign.worlds import WORLDS_VEHICLE, RandomWorlds, random_world, world_template
 
 __all__ = [
     "CHUNK",
     "FASTEST",
+    "WORLDS_VEHICLE",
     "Campaign",
     "CampaignFolder",
     "Flight",

@@ -19,10 +19,13 @@ from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.scenario import Scenario, scenario_from_table
 from surctl.vehicle import Vehicle
 
-__all__ = ["FASTEST_MOVER", "SLOWEST", "RandomWorlds", "random_world", "world_template"]
+__all__ = ["FASTEST_MOVER", "SLOWEST", "WORLDS_VEHICLE", "RandomWorlds", "random_world", "world_template"]
 
 LENGTH, WIDTH = 10.0, 5.0  # [m] of the tank
 START, TARGET = (0.5, 2.5), (9.5, 2.5)
+
+WORLDS_VEHICLE = "sur540-flooded"
+"""Who flies in them where nobody is named."""
 
 FASTEST_MOVER = 0.15
 """[m/s] of a moving obstacle."""

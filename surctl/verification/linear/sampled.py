@@ -6,8 +6,9 @@ inside the controller (ξ) is not delayed: it is the controller's own.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -37,8 +38,7 @@ _MOST = 400  # periods of delay
 _EDGE = 1e-9  # a pole this near to the unit circle counts as on it
 DELAYS = (0, 1, 2)
 
-_Held = dict[float, tuple[Array, Array]]
-"""(Φ, Γ) by period [s]."""
+_Held = tuple[Array, Array]
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def sampled_poles(
     """
     check_delay(delay)
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=period, model=model, delay=0.0)
-    found = np.linalg.eigvals(_transition(cascade, period, delay)).astype(complex)
+    found = np.linalg.eigvals(_transition(cascade, delay, _held(cascade, period))).astype(complex)
     return found[np.argsort(-np.abs(found), kind="stable")]
 
 
@@ -108,37 +108,34 @@ def largest_period(
         InputError: as `sampled_poles`.
     """
     check_delay(delay)
-    return _largest(build_cascade(vehicle, gains, cruise=cruise, dt=_SHORTEST, model=model, delay=0.0), delay)
+    undelayed = build_cascade(vehicle, gains, cruise=cruise, dt=_SHORTEST, model=model, delay=0.0)
+    return _largest(undelayed, delay, partial(_held, undelayed))
 
 
 def sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
     """The limits of a cascade that was built with `delay=0`; period [s] is the one it runs at."""
+    held = cache(partial(_held, undelayed))  # each delay tries the same periods
     borne = -1
     for delay in range(_MOST + 1):
-        if radius_of(undelayed, period, delay) >= 1 - _EDGE:
+        if _radius(undelayed, delay, held(period)) >= 1 - _EDGE:
             break
         borne = delay
-    known: _Held = {}  # the same periods are tried with each delay, and matrix exponentials are what takes the time
-    one, two, three = (_largest(undelayed, delay, known) for delay in DELAYS)
-    return SampledLimits(period, radius_of(undelayed, period, 1), (one, two, three), borne)
+    one, two, three = (_largest(undelayed, delay, held) for delay in DELAYS)
+    return SampledLimits(period, _radius(undelayed, 1, held(period)), (one, two, three), borne)
 
 
 def radius_of(undelayed: Cascade, period: float, delay: int) -> float:
     """Largest |z| of the sampled loop."""
-    return _radius(_transition(undelayed, period, delay))
+    return _radius(undelayed, delay, _held(undelayed, period))
 
 
-def _radius(transition: Array) -> float:
-    return float(np.max(np.abs(np.linalg.eigvals(transition))))
+def _radius(undelayed: Cascade, delay: int, held: _Held) -> float:
+    return float(np.max(np.abs(np.linalg.eigvals(_transition(undelayed, delay, held)))))
 
 
-def _largest(undelayed: Cascade, delay: int, known: _Held | None = None) -> float:
-    found = {} if known is None else known
-
+def _largest(undelayed: Cascade, delay: int, held: Callable[[float], _Held]) -> float:
     def stable(period: float) -> bool:
-        if period not in found:
-            found[period] = _held(undelayed, period)
-        return _radius(_transition(undelayed, period, delay, found[period])) < 1 - _EDGE * period
+        return _radius(undelayed, delay, held(period)) < 1 - _EDGE * period
 
     good = 0.0
     bad = _SHORTEST
@@ -154,14 +151,14 @@ def _largest(undelayed: Cascade, delay: int, known: _Held | None = None) -> floa
     return good
 
 
-def _transition(cascade: Cascade, period: float, delay: int, held: tuple[Array, Array] | None = None) -> Array:
+def _transition(cascade: Cascade, delay: int, held: _Held) -> Array:
     """The matrix of one period, of plant, ξ and the thrusts that are on their way."""
-    rest, enter, thrust = open_transition(cascade, period, delay, held)
+    rest, enter, thrust = _open_transition(cascade, delay, held)
     found: Array = rest + enter @ thrust
     return found
 
 
-def _held(cascade: Cascade, period: float) -> tuple[Array, Array]:
+def _held(cascade: Cascade, period: float) -> _Held:
     """(Φ, Γ) of a period in which the inputs are held."""
     from scipy.linalg import expm
 
@@ -172,15 +169,17 @@ def _held(cascade: Cascade, period: float) -> tuple[Array, Array]:
     return grown[:n, :n], grown[:n, n:]
 
 
-def open_transition(
-    cascade: Cascade, period: float, delay: int, held: tuple[Array, Array] | None = None
-) -> tuple[Array, Array, Array]:
+def open_transition(cascade: Cascade, period: float, delay: int) -> tuple[Array, Array, Array]:
     """(M, E, F) of a cascade built with `delay=0`: x⁺ = M x + E f with f = F x what the law commands, closed.
 
     x is the plant and ξ, (n,), then for each period of delay the thrusts (4,) that are on their way, the next to act
-    first. What is integrated in the controller is closed in M. `held`: (Φ, Γ) of that period, where they are known.
+    first. What is integrated in the controller is closed in M.
     """
-    phi, gamma = _held(cascade, period) if held is None else held
+    return _open_transition(cascade, delay, _held(cascade, period))
+
+
+def _open_transition(cascade: Cascade, delay: int, held: _Held) -> tuple[Array, Array, Array]:
+    phi, gamma = held
     n = len(phi)
     law = -cascade.K @ cascade.C
     # ξ̇ is written behind the thrusts, and comes at once
