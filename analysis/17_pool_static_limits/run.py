@@ -17,8 +17,9 @@ from math import pi, radians
 import numpy as np
 
 from surctl.control import load_gains
+from surctl.guidance import Path
 from surctl.sensing import Equipment, FaultChances, SonarArray
-from surctl.simulation import STOPS, Case, Sensing, Sensors, load_scenario, simulate_batch
+from surctl.simulation import STOPS, Case, Scenario, Sensing, Sensors, load_scenario, simulate_batch
 from surctl.vehicle import Vehicle, load_vehicle
 
 NAME = "pool-static"
@@ -55,16 +56,33 @@ def trouble() -> dict[str, Sensors | None]:
     }
 
 
+def mirrored(scenario: Scenario) -> Scenario:
+    """The same pool with left and right exchanged; waves, noise and drift keep their seeds, and are not mirrored."""
+    width = scenario.site[1]
+
+    def across(point: tuple[float, float]) -> tuple[float, float]:
+        return point[0], width - point[1]
+
+    return replace(
+        scenario,
+        path=Path(scenario.path.waypoints * [1, -1] + [0, width]),
+        obstacles=tuple(o.model_copy(update={"centre_m": across(o.centre_m)}) for o in scenario.obstacles),
+    )
+
+
 def vehicles(vehicle: Vehicle) -> dict[str, Vehicle]:
     """Vehicles by what is changed of them; the controller knows."""
 
     def changed(**values: float) -> Vehicle:
         return vehicle.with_values(values)
 
+    lighter = {name: 0.8 * vehicle[name] for name in ("radius", "m11", "m22", "m33", "m44")}
+    stronger = {name: 1.2 * vehicle[name] for name in ("Fu_max", "Fv_max", "Fr_max")}
     return {
         "thrust doubled": changed(Fu_max=2 * vehicle["Fu_max"], Fv_max=2 * vehicle["Fv_max"]),
         "mass halved": changed(m11=0.5 * vehicle["m11"], m22=0.5 * vehicle["m22"]),
-        **{f"hull of {radius:g} m": changed(radius=radius) for radius in (0.18, 0.16, 0.14)},
+        **{f"hull of {radius:g} m": changed(radius=radius) for radius in (0.18, 0.16, 0.14, 0.12, 0.1)},
+        "hull and masses less by a fifth, thrust more by a fifth": changed(**lighter, **stronger),
     }
 
 
@@ -76,9 +94,10 @@ def row(
     vehicle: Vehicle,
     told: Sensors | None = None,
     changed: Mapping[str, float] | None = None,
+    scenario: Scenario | None = None,
 ) -> int:
     """Print a line of the table, with some gains changed; the number of collisions."""
-    scenario = load_scenario(NAME)
+    scenario = scenario or load_scenario(NAME)
     scenario = scenario if told is None else replace(scenario, sensors=told)
     gains = load_gains("default").with_values(changed or {})
     runs = simulate_batch(Case(scenario, vehicle, gains, sensing=sensing), seeds=np.arange(seeds), threads=2)
@@ -115,6 +134,7 @@ def main(words: list[str]) -> int:
             row(f"margin of {margin:g} m", MANY, sensing="sonar", vehicle=vehicle, changed={"margin": margin})
         for label, told in trouble().items():
             row(f"{label}, {MANY} seeds", MANY, sensing="sonar", vehicle=vehicle, told=told)
+        row(f"pool mirrored, {MANY} seeds", MANY, sensing="sonar", vehicle=vehicle, scenario=mirrored(scenario))
     return 0 if hit == 0 else 1
 
 
