@@ -37,17 +37,12 @@ def senses(equipment: Equipment) -> tuple[Senses, Native]:
     return made, compile_block(made.block)
 
 
-PATH = Path(np.array([[0.5, 2.0], [3.5, 2.0]]))
-
-
-def parameters(
-    walls: tuple[float, float, float, float] = SITE, *, launch: float = 0.0, path: Path = PATH, **gains: float
-) -> Array:
-    """Of the default vehicle, on a straight path along x unless told."""
+def parameters(walls: tuple[float, float, float, float] = SITE, *, launch: float = 0.0, **gains: float) -> Array:
+    """Of the default vehicle on a straight path along x."""
     return law_parameters(
         load_gains("default").with_values(gains),
         load_vehicle("sur540-flooded"),
-        path=path,
+        path=Path(np.array([[0.5, 2.0], [3.5, 2.0]])),
         depth=-0.15,
         cruise=0.2,
         cap=0.22,
