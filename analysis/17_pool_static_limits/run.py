@@ -47,10 +47,9 @@ def sensors() -> dict[str, Sensors]:
     return {name: Sensors(equipment) for name, equipment in found.items()}
 
 
-def trouble() -> dict[str, Sensors | None]:
-    """The sensors as they are, and three ways in which they may be worse."""
+def trouble() -> dict[str, Sensors]:
+    """Ways in which the sensors may be worse."""
     return {
-        "whole": None,
         **{f"beams of {d}°": Sensors(Equipment(array=SonarArray(beam_angle=radians(d)))) for d in (15, 120)},
         "a tenth of the firings lost": Sensors(chances=FaultChances(dropout=0.1)),
     }
@@ -58,15 +57,11 @@ def trouble() -> dict[str, Sensors | None]:
 
 def mirrored(scenario: Scenario) -> Scenario:
     """The same pool with left and right exchanged; waves, noise and drift keep their seeds, and are not mirrored."""
-    width = scenario.site[1]
-
-    def across(point: tuple[float, float]) -> tuple[float, float]:
-        return point[0], width - point[1]
-
+    width, standing = scenario.site[1], scenario.obstacles
     return replace(
         scenario,
         path=Path(scenario.path.waypoints * [1, -1] + [0, width]),
-        obstacles=tuple(o.model_copy(update={"centre_m": across(o.centre_m)}) for o in scenario.obstacles),
+        obstacles=tuple(o.model_copy(update={"centre_m": (o.centre_m[0], width - o.centre_m[1])}) for o in standing),
     )
 
 
@@ -89,16 +84,13 @@ def vehicles(vehicle: Vehicle) -> dict[str, Vehicle]:
 def row(
     label: str,
     seeds: int,
+    scenario: Scenario,
     *,
-    sensing: Sensing,
+    sensing: Sensing = "sonar",
     vehicle: Vehicle,
-    told: Sensors | None = None,
     changed: Mapping[str, float] | None = None,
-    scenario: Scenario | None = None,
 ) -> int:
     """Print a line of the table, with some gains changed; the number of collisions."""
-    scenario = scenario or load_scenario(NAME)
-    scenario = scenario if told is None else replace(scenario, sensors=told)
     gains = load_gains("default").with_values(changed or {})
     runs = simulate_batch(Case(scenario, vehicle, gains, sensing=sensing), seeds=np.arange(seeds), threads=2)
     stopped, took = runs.column("stopped").astype(int), runs.column("time_s")
@@ -123,18 +115,18 @@ def main(words: list[str]) -> int:
     print(f"## `{NAME}`, {seeds} seeds each\n")
     print("| changed | reached | collided | else | median time [s] | mean [s] | mean way [m] | least clearance [m] |")
     print("|---|---|---|---|---|---|---|---|")
-    hit = row("true positions", seeds, sensing="truth", vehicle=vehicle)
-    hit += row("nothing: by sonar", seeds, sensing="sonar", vehicle=vehicle)
+    hit = row("true positions", seeds, scenario, sensing="truth", vehicle=vehicle)
+    hit += row("nothing: by sonar", seeds, scenario, vehicle=vehicle)
     if not options.quick:
         for label, other in vehicles(vehicle).items():
-            row(label, seeds, sensing="sonar", vehicle=other)
+            row(label, seeds, scenario, vehicle=other)
         for label, told in sensors().items():
-            row(label, seeds, sensing="sonar", vehicle=vehicle, told=told)
+            row(label, seeds, replace(scenario, sensors=told), vehicle=vehicle)
         for margin in MARGINS:
-            row(f"margin of {margin:g} m", MANY, sensing="sonar", vehicle=vehicle, changed={"margin": margin})
-        for label, told in trouble().items():
-            row(f"{label}, {MANY} seeds", MANY, sensing="sonar", vehicle=vehicle, told=told)
-        row(f"pool mirrored, {MANY} seeds", MANY, sensing="sonar", vehicle=vehicle, scenario=mirrored(scenario))
+            row(f"margin of {margin:g} m", MANY, scenario, vehicle=vehicle, changed={"margin": margin})
+        many = {"whole": scenario, **{label: replace(scenario, sensors=told) for label, told in trouble().items()}}
+        for label, mission in (many | {"pool mirrored": mirrored(scenario)}).items():
+            row(f"{label}, {MANY} seeds", MANY, mission, vehicle=vehicle)
     return 0 if hit == 0 else 1
 
 
