@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from shutil import which
 
 import pytest
@@ -33,6 +34,15 @@ def need(tool: str) -> str:
 def need_make() -> str:
     """`make`, on the same terms."""
     return need("make")
+
+
+def widest_vectors() -> tuple[str, ...]:
+    """Flags that undo `tuned_flags`' leaving out of AVX-512; none where the processor would end on its instructions."""
+    try:
+        told = Path("/proc/cpuinfo").read_text()
+    except OSError:
+        return ()
+    return ("-mavx512f",) if "avx512f" in told.split() else ()
 
 
 def _without(reason: str) -> None:

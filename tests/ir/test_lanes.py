@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from surctl.errors import InputError
 from surctl.ir import Gather, Loop, Program, Real, Routine, compile_block, emit_block, lower, replay, to_casadi
 from tests.ir.expressions import EXACT, LIBM_MAKERS, grown, picks, whole
-from tests.tools import need_compiler
+from tests.tools import need_compiler, widest_vectors
 
 # -mno-avx takes the scalar text; without it, the vectors
-TEXTS = [("-O2",), ("-mno-avx",), ("-O3", "-mavx512f"), ("-O0",)]
+TEXTS = [("-O2",), ("-mno-avx",), ("-O3", *widest_vectors()), ("-O0",)]
 
 
 def bench(body: ca.Function, entries: int, *, lanes: int, turns: int = 3) -> Routine:
