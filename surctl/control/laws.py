@@ -39,7 +39,7 @@ from surctl.ir import Port
 from surctl.tasks import HalfPlane, Task, depth_task, heading_task, velocity_task
 from surctl.vehicle import planar_rotation
 
-__all__ = ["DECISION_PORTS", "Decision", "Scan", "guarded_law", "paper_law"]
+__all__ = ["DECISION_PORTS", "Decision", "Scan", "guarded_law", "look_around", "paper_law"]
 
 DECISION_PORTS = (
     Port("side", (1,), "1", "latched passing side: 0 none, +1 obstacle on the right, -1 on the left"),
@@ -110,6 +110,11 @@ class Scan(NamedTuple):
     unknown: ca.SX
     heard: ca.SX
     placed: ca.SX
+
+
+def look_around(p: Mapping[str, ca.SX]) -> Wanted:
+    """The lowest level of a law with sonars: to turn all the time, with `spin` or as fast as the yaw thrust holds."""
+    return Wanted("scan", ca.SX([[0, 0, 0, 1]]), ca.fmin(ca.fmax(p["spin_limit"], -p["spin"]), p["spin"]), "rad/s")
 
 
 def guarded_law(
@@ -192,9 +197,8 @@ def guarded_law(
         kept = ca.logic_and(ca.sumsqr(velocity) < _CRAWL**2, ca.sumsqr(choice.velocity) > (2 * _CRAWL) ** 2)
         halted = ca.logic_or(lost, kept)
         named += [(f"unknown_{k}", normal, bound) for k, (normal, bound) in enumerate(caution)]
-        turning = ca.fmin(p["spin"], p["spin_limit"])
         depth = levels[0]._replace(reference=ca.if_else(scan.placed, levels[0].reference, 0))
-        levels = [depth, Wanted("scan", ca.SX([[0, 0, 0, 1]]), turning, "rad/s")]
+        levels = [depth, look_around(p)]
     to_body = planar_rotation(eta[3]).T
     rows = [
         HalfPlane(name, ca.horzcat((to_body @ normal).T, 0, 0), bound, kind="barrier") for name, normal, bound in named

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import degrees
+from math import degrees, hypot
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,8 @@ CONTACT_SLOTS = 8
 DEFAULT_ARRAY = SonarArray()
 YAW_SHARE = 0.85
 """Share of the yaw thrust that turning may plan with."""
+
+_MORE_ROOM = 0.1  # [m] that the site's middle lies beside the path's first leg, for one side to have more room
 
 SECTORS = 16
 """Directions in which a scanning law knows the nearest marked and unknown place."""
@@ -163,7 +165,13 @@ _MODEL = (
         "worst of the ranges: least and largest mass, largest thrust, thrust lag, largest linear and quadratic drag",
         1.0,
     ),
-    Port("spin_limit", (1,), "rad/s", "yaw rate that 85 % of the yaw thrust holds at the worst of the ranges", 0.1),
+    Port(
+        "spin_limit",
+        (1,),
+        "rad/s",
+        "yaw rate that 85 % of the yaw thrust holds at the worst of the ranges; below 0: it turns to the right",
+        0.1,
+    ),
 )
 _MISSION = (
     Port("waypoints", (MAX_WAYPOINTS, 2), "m", "path in {E}; unused rows repeat the last point"),
@@ -177,6 +185,22 @@ _MISSION = (
 PARAMETERS = Layout(
     tuple(Port(name, (1,), spec.unit, spec.meaning, 1.0) for name, spec in GAINS.items()) + _MODEL + _MISSION
 )
+
+
+def _spin_side(path: Path, walls: tuple[float, float, float, float]) -> int:
+    """Side to which a law with sonars turns: +1 left, −1 right.
+
+    The one on which the site has more room beside the path's first leg: there the robot may have to pass what stands
+    in its way at the start, and there the beams' edges then pass first. Left where neither has.
+
+    Args:
+        path: reference path in {E}.
+        walls: x_min, x_max, y_min, y_max of the site in {E} [m].
+    """
+    start, leg = path.waypoints[0], path.waypoints[1] - path.waypoints[0]
+    x, y = (walls[0] + walls[1]) / 2 - start[0], (walls[2] + walls[3]) / 2 - start[1]
+    to_the_left = (leg[0] * y - leg[1] * x) / hypot(*leg)
+    return -1 if to_the_left < -_MORE_ROOM else 1
 
 
 def law_parameters(
@@ -227,7 +251,7 @@ def law_parameters(
         "thrust_limit": vehicle.thrust_limit,
         "hull": vehicle["radius"],
         "stopping": (*brakes.masses, brakes.most, brakes.lag, brakes.linear[1], brakes.quadratic[1]),
-        "spin_limit": vehicle.steady_yaw(YAW_SHARE),
+        "spin_limit": _spin_side(path, walls) * vehicle.steady_yaw(YAW_SHARE),
         "waypoints": path.slots,
         "depth": depth,
         "cruise": cruise,

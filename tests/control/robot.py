@@ -37,12 +37,17 @@ def senses(equipment: Equipment) -> tuple[Senses, Native]:
     return made, compile_block(made.block)
 
 
-def parameters(walls: tuple[float, float, float, float] = SITE, *, launch: float = 0.0, **gains: float) -> Array:
-    """Of the default vehicle on a straight path along x."""
+PATH = Path(np.array([[0.5, 2.0], [3.5, 2.0]]))
+
+
+def parameters(
+    walls: tuple[float, float, float, float] = SITE, *, launch: float = 0.0, path: Path = PATH, **gains: float
+) -> Array:
+    """Of the default vehicle, on a straight path along x unless told."""
     return law_parameters(
         load_gains("default").with_values(gains),
         load_vehicle("sur540-flooded"),
-        path=Path(np.array([[0.5, 2.0], [3.5, 2.0]])),
+        path=path,
         depth=-0.15,
         cruise=0.2,
         cap=0.22,

@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from surctl.control import build_law, load_gains
 from surctl.control.ports import PARAMETERS, SECTORS, YAW_SHARE
+from surctl.guidance import Path
 from surctl.ir import Layout
 from surctl.sensing import Equipment
 from surctl.vehicle import LIBRARY, Parameter, load_vehicle
@@ -19,7 +20,7 @@ from surctl.world import Disc
 from tests.control.robot import CONTACTS, DT, HULL, Robot, parameters
 from tests.tools import need_compiler
 
-WIDE_OPEN = (-50.0, 50.0, -50.0, 50.0)
+WIDE_OPEN = (-50.0, 50.0, -48.0, 52.0)  # the path in its middle
 BEARINGS = 2 * np.pi * np.arange(SECTORS) / SECTORS
 CRUISE = 0.2
 
@@ -223,6 +224,38 @@ def test_it_turns_as_fast_as_the_gain_says_and_the_thrust_holds(spin):
     limit = load_vehicle("sur540-flooded").steady_yaw(YAW_SHARE)
     assert parameters()[PARAMETERS.slice("spin_limit")] == pytest.approx(limit)
     assert decided(spin=spin)[1] == pytest.approx(min(spin, limit))
+
+
+@pytest.mark.parametrize(
+    ("floor", "ceiling", "side"), [(1.0, 4.0, 1), (1.0, 3.0, 1), (0.9, 3.0, 1), (0.0, 3.0, -1), (-46.0, 3.0, -1)]
+)
+@pytest.mark.parametrize("spin", [0.1, 2.0])
+def test_it_turns_to_the_side_where_the_site_has_more_room(floor, ceiling, side, spin):
+    """The path lies at y = 2 m; both senses as fast, whether gain or thrust decides."""
+    limit = load_vehicle("sur540-flooded").steady_yaw(YAW_SHARE)
+    walls = (0.0, 4.0, floor, ceiling)
+    assert parameters(walls)[PARAMETERS.slice("spin_limit")] == pytest.approx(side * limit)
+    assert decided(walls=walls, spin=spin)[1] == pytest.approx(side * min(spin, limit))
+
+
+@given(st.floats(-3.0, 3.0), st.floats(-np.pi, np.pi), st.floats(-0.9, 0.9))
+def test_in_a_mirrored_site_it_turns_the_other_way(across, turn, beside):
+    """Whichever way the path points, unless it goes through the middle."""
+    assume(abs(beside) > 0.11)
+    leg = np.array([np.cos(turn), np.sin(turn)])
+    aside = np.array([-leg[1], leg[0]])
+    middle = np.array([across, 1.0])
+    start = middle - beside * aside - 0.5 * leg
+    walls = (middle[0] - 2.0, middle[0] + 2.0, middle[1] - 3.0, middle[1] + 3.0)
+    mirror = np.array([1.0, -1.0])
+    sides = [
+        np.sign(parameters(site, path=Path(np.array([at, at + way])))[PARAMETERS.slice("spin_limit")][0])
+        for site, at, way in (
+            (walls, start, leg),
+            ((*walls[:2], -walls[3], -walls[2]), mirror * start, mirror * leg),
+        )
+    ]
+    assert sides == [np.sign(beside), -np.sign(beside)]
 
 
 ENDS = st.floats(0.0, 1.0)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from surctl.control.echoes import Perception
-from surctl.control.laws import Decision, Scan, Wanted
+from surctl.control.laws import Decision, Scan, Wanted, look_around
 from surctl.control.reference import Wish
 from surctl.control.stopping import Barrier, Movers
 from surctl.guidance import AvoidanceForm, Contact
@@ -61,7 +61,7 @@ def decided(s: Situation, velocity: ca.SX, *, degraded: ca.SX, rows: Sequence[Ha
     last = Wanted.of(heading_task(s.eta, s.wish.heading, gain=s.p["k_psi"]))
     if s.scan is not None:
         depth = depth._replace(reference=ca.if_else(s.scan.placed, depth.reference, 0))
-        last = Wanted("scan", ca.SX([[0, 0, 0, 1]]), ca.fmin(s.p["spin"], s.p["spin_limit"]), "rad/s")
+        last = look_around(s.p)
     return Decision(
         [Wanted.of(velocity_task(s.eta, velocity)), depth, last],
         rows,
