@@ -9,6 +9,7 @@ from typing import NamedTuple, get_args
 import casadi as ca
 
 from surctl.control.baselines import Situation
+from surctl.control.decision import DECISION_PORTS, Decision, Scan
 from surctl.control.echoes import perceive, perception_ports
 from surctl.control.law import (
     DEGRADED,
@@ -21,7 +22,6 @@ from surctl.control.law import (
     Law,
     scan_telemetry,
 )
-from surctl.control.laws import DECISION_PORTS, Decision, Scan
 from surctl.control.layers import LAYER_PORTS, aimed_depth
 from surctl.control.lean import DAMPING, LEAN_PORTS, told_obstacle
 from surctl.control.ports import (

@@ -12,8 +12,8 @@ from collections.abc import Mapping
 
 import casadi as ca
 
+from surctl.control.decision import DECISION_PORTS, Decision, Wanted, lower_tasks
 from surctl.control.echoes import Perception
-from surctl.control.laws import DECISION_PORTS, Decision, Wanted, lower_tasks
 from surctl.control.ports import DEFAULT_ARRAY
 from surctl.control.reference import Wish
 from surctl.errors import InputError

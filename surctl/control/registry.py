@@ -7,8 +7,10 @@ from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 from surctl.control.baselines import Situation, apf_law, cbf_law, dwa_law, vo_law
-from surctl.control.laws import Decision, guarded_law, paper_law
+from surctl.control.decision import Decision
+from surctl.control.guarded import guarded_law
 from surctl.control.lean import lean_law
+from surctl.control.paper import paper_law
 from surctl.control.stopping import BARRIERS
 
 __all__ = ["LAWS", "LAW_NAMES", "LawBuilder", "LawName"]

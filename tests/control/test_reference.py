@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.control import PARAMETERS, law_parameters, load_gains
-from surctl.control.laws import _back_first, _strays
+from surctl.control.guarded import _back_first, _strays
 from surctl.control.reference import path_wish
 from surctl.control.stopping import BARRIERS
 from surctl.guidance import Path

@@ -11,7 +11,7 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.control.baselines.situation import Situation, decided, limited, over_ground
-from surctl.control.laws import Decision
+from surctl.control.decision import Decision
 
 __all__ = ["DAMPING", "NEAREST", "RANGE", "STRENGTH", "apf_law"]
 

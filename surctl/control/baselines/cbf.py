@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from surctl.control.baselines.situation import Situation, decided, limited
-from surctl.control.laws import Decision
+from surctl.control.decision import Decision
 from surctl.tasks import HalfPlane
 from surctl.vehicle import planar_rotation
 

@@ -20,7 +20,7 @@ from surctl.control.baselines.situation import (
     limited,
     over_ground,
 )
-from surctl.control.laws import Decision
+from surctl.control.decision import Decision
 
 __all__ = ["CLEARANCE", "GRID", "HEADING", "HORIZON", "REACH", "VELOCITY", "dwa_law"]
 

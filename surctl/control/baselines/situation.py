@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import casadi as ca
 
+from surctl.control.decision import Decision, Scan, Wanted, look_around
 from surctl.control.echoes import Perception
-from surctl.control.laws import Decision, Scan, Wanted, look_around
 from surctl.control.reference import Wish
 from surctl.control.stopping import Barrier, Movers
 from surctl.guidance import AvoidanceForm, Contact

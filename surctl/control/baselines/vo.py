@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from surctl.control.baselines.situation import Situation, decided, first_contact, length
-from surctl.control.laws import Decision
+from surctl.control.decision import Decision
 
 __all__ = ["COURSES", "HORIZON", "SAFETY", "SPEEDS", "vo_law"]
 

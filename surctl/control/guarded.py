@@ -1,0 +1,199 @@
+"""The guarded law: the path's wish, bent around every contact by the braking barrier, then depth, then heading.
+
+The same barriers stand as rows for the priority modes that take inequalities. With sonars it turns, in place of a
+heading, and stops before what it knows nothing of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from surctl.control.decision import Decision, Scan, Wanted, look_around, lower_tasks, weakest_acceleration
+from surctl.control.echoes import Perception
+from surctl.control.ports import SECTORS
+from surctl.control.reference import Wish
+from surctl.control.stopping import Bounds, Stop, braked
+from surctl.guidance import (
+    FAR,
+    SAME_CONTACT,
+    Cone,
+    Contact,
+    Sector,
+    choose_velocity,
+    collision_cone,
+    inside,
+    round_unknown,
+    slowed,
+)
+from surctl.tasks import HalfPlane, velocity_task
+from surctl.vehicle import planar_rotation
+
+__all__ = ["guarded_law"]
+
+_CRAWL = 0.01  # [m/s] below which it stands
+_GROPING = 0.5  # of the cruise speed: most towards where a sonar is not to be believed
+_NO_BOUND = 10.0  # [m/s]
+_ONE_ENCOUNTER = 1e3  # [m]
+_LAUNCHED = 0.3  # [m] from the start within which what stood in the sonars' blind range was perhaps never ranged
+_STALLED = 15.0  # [s] without getting on; then no slower course: creeping about a dead end would look like getting on
+_GIVE_WAY = 0.05  # [m/s] with which the robot backs off from a mark; half of what is marked near the hull is not there
+_MOVES = 0.05  # [m/s] from which something moves: slower things are kept off by their braking distance
+_PASSING = 0.1  # [m] beyond the margin, at which something that moves is passed
+_HORIZON = 12.0  # [s] ahead for which it is
+_BEHIND = 0.7  # cosine from which something comes from behind: it is outrun
+_AFTER = 3.0  # [s] after the arrival for which it is
+_URGENT = 4.0  # [s] before it is met
+_DEEP = 0.01  # [m/s] in a cone at which the robot goes on where it would wait to look
+_WAITING = 0.5  # share of its speed below which it waits for what is unknown
+_BESIDE = 0.03  # [m] off the path from which a way past the unknown must not lead further off
+
+
+def guarded_law(
+    wish: Wish,
+    seen: Perception,
+    x: Mapping[str, ca.SX],
+    eta: ca.SX,
+    nu: ca.SX,
+    p: Mapping[str, ca.SX],
+    *,
+    stop: Stop,
+    scan: Scan | None = None,
+    moving: bool = True,
+) -> Decision:
+    """Path wish on the free course nearest to it; every contact bounds the closing speed by its braking distance.
+
+    With sonars it turns all the time, and goes only where it can stop before the first place it knows nothing of.
+    """
+    marks = len(seen.known) - SECTORS if scan is not None else len(seen.all)
+    sectors, cones = [], []
+    for k, c in enumerate(seen.all):
+        bound = stop(c.clearance - p["margin"], c.closing)
+        point = eta[:2] + (c.clearance + p["hull"]) * c.normal
+        if marks <= k < len(seen.known):
+            bound = ca.fmax(bound, -_GIVE_WAY)
+        elif moving and k < len(seen.known):
+            evaded = _evaded(c, wish)
+            bound = ca.if_else(ca.logic_and(evaded, c.clearance > p["margin"]), _NO_BOUND, bound)
+            cones.append(_cone(c, evaded, point, eta, p))
+        sectors.append(Sector(c.normal, bound, point))
+    over_ground = planar_rotation(eta[3]) @ nu[:2]
+    slower = None
+    if scan is not None:  # what drifts beside the start unheard is passed with the room that the whole speed asks for
+        away = ca.sumsqr(eta[:2] - p["waypoints"][0, :].T) > _LAUNCHED**2
+        slower = ca.logic_and(ca.logic_and(scan.placed, away), x["stalled"] < _STALLED)
+    choice = choose_velocity(
+        wish.velocity,
+        sectors,
+        side=x["side"],
+        blocker=x["blocker"],
+        cruise=p["cruise"],
+        cap=p["cap"],
+        # of a wall the map knows points, so the blocker jumps: one encounter lasts as long as the wish is blocked
+        same=SAME_CONTACT if scan is None else _ONE_ENCOUNTER,
+        cones=cones,
+        walls=seen.walls,
+        now=over_ground,
+        acceleration=p["brake"] * weakest_acceleration(p),
+        slower=slower,
+    )
+    velocity, halted = choice.velocity, ca.SX(0)
+    bounds = [(sector.normal, sector.bound) for sector in sectors]
+    named = [(f"contact_{k}", *bound) for k, bound in enumerate(bounds)]
+    levels = [Wanted.of(task) for task in lower_tasks(eta, wish, p)]
+    if scan is None:
+        velocity = braked(velocity, over_ground, bounds)
+    else:
+        caution = _cautious_bounds(scan, stop, p)
+        chased = ca.SX(0)
+        for sector in sectors[:marks]:
+            chased = ca.logic_or(chased, sector.bound < 0)
+        # beside what blocks the wish, a way past the unknown would leave the side that is latched
+        past = round_unknown(velocity, caution[: scan.unknown.shape[0]], sectors, cones=cones)
+        past = ca.if_else(ca.logic_or(choice.blocked, _strays(wish, past, stop)), velocity, past)
+        cautious = slowed(past, caution)
+        waits = ca.logic_and(ca.logic_not(choice.blocked), ca.sumsqr(cautious) < _WAITING**2 * ca.sumsqr(past))
+        cautious = ca.if_else(waits, _back_first(wish, past, caution, bounds), cautious)
+        for cone in cones:
+            soon = ca.dot(cone.ahead, cautious) - cone.closing > cone.room / _URGENT
+            chased = ca.logic_or(chased, ca.logic_and(soon, inside(cautious, cone) > _DEEP))
+        velocity = ca.if_else(chased, velocity, cautious)
+        blind = ca.sum1(scan.heard[:, 2]) < 0.5
+        calm = ca.logic_not(chased)
+        velocity = braked(velocity, over_ground, bounds[:marks], calm=calm)
+        velocity = braked(velocity, over_ground, [*bounds[marks:], *caution], calm=calm)
+        for sector in sectors[-len(seen.walls) :]:  # whose normals are at right angles: one after the other is exact
+            velocity -= ca.fmax(ca.dot(velocity, sector.normal) - sector.bound, 0) * sector.normal
+        lost = ca.logic_or(blind, ca.logic_not(scan.placed))
+        velocity = ca.if_else(lost, 0, velocity)
+        kept = ca.logic_and(ca.sumsqr(velocity) < _CRAWL**2, ca.sumsqr(choice.velocity) > (2 * _CRAWL) ** 2)
+        halted = ca.logic_or(lost, kept)
+        named += [(f"unknown_{k}", normal, bound) for k, (normal, bound) in enumerate(caution)]
+        depth = levels[0]._replace(reference=ca.if_else(scan.placed, levels[0].reference, 0))
+        levels = [depth, look_around(p)]
+    to_body = planar_rotation(eta[3]).T
+    rows = [
+        HalfPlane(name, ca.horzcat((to_body @ normal).T, 0, 0), bound, kind="barrier") for name, normal, bound in named
+    ]
+    return Decision(
+        [Wanted.of(velocity_task(eta, velocity)), *levels],
+        rows,
+        velocity,
+        choice.blocked,
+        choice.violation > 0.02,
+        {"side": choice.side, "blocker": choice.blocker, "last_velocity": velocity},
+        halted,
+    )
+
+
+def _back_first(wish: Wish, velocity: ca.SX, caution: Bounds, bounds: Bounds) -> ca.SX:
+    """As slow as caution asks, but what leads back to the path last: that need not wait for what is unknown ahead.
+
+    The course turns by that, and keeps the other bounds once more.
+    """
+    sideways = ca.vertcat(-wish.tangent[1], wish.tangent[0])
+    across = ca.dot(sideways, velocity)
+    back = slowed(ca.if_else(across * wish.y_e < 0, across, 0) * sideways, caution)
+    ahead = slowed(velocity - back, [(n, ca.fmax(bound - ca.dot(n, back), 0)) for n, bound in caution])
+    return slowed(back + ahead, [(n, ca.fmax(bound, 0)) for n, bound in bounds])
+
+
+def _strays(wish: Wish, velocity: ca.SX, stop: Stop) -> ca.SX:
+    """Whether a velocity leads off the path, where the robot already is beside it or could not stop before it is."""
+    across = wish.tangent[0] * velocity[1] - wish.tangent[1] * velocity[0]
+    room = _BESIDE - ca.if_else(across < 0, -wish.y_e, wish.y_e)
+    return ca.fabs(across) > ca.fmax(stop(room, ca.SX(0)), 0)
+
+
+def _cautious_bounds(scan: Scan, stop: Stop, p: Mapping[str, ca.SX]) -> list[tuple[ca.SX, ca.SX]]:
+    """(normal, largest speed along it): stop before what is unknown, slow where a sonar is not to be trusted."""
+    bounds = []
+    for k in range(scan.unknown.shape[0]):
+        normal, clearance = scan.unknown[k, :2].T, scan.unknown[k, 2]
+        bounds.append((normal, ca.fmax(stop(ca.fmax(clearance, 0), ca.SX(0)), 0)))
+    for k in range(scan.heard.shape[0]):
+        slow = ca.if_else(scan.heard[k, 2] > 0.5, _NO_BOUND, _GROPING * p["cruise"])
+        bounds.append((scan.heard[k, 4:6].T, slow))
+    return bounds
+
+
+def _evaded(contact: Contact, wish: Wish) -> ca.SX:
+    """Whether a contact moves and does not come from behind: then it is evaded sideways, else outrun."""
+    speed = ca.sqrt(ca.sumsqr(wish.velocity))
+    ahead = ca.dot(wish.velocity, contact.normal) > -_BEHIND * speed
+    moves = ca.logic_and(ca.sumsqr(contact.velocity) > _MOVES**2, contact.clearance < FAR)
+    return ca.logic_and(moves, ahead)
+
+
+def _cone(contact: Contact, evaded: ca.SX, point: ca.SX, eta: ca.SX, p: Mapping[str, ca.SX]) -> Cone:
+    """Velocities that meet the contact before the mission is over, or soon."""
+    left = ca.sqrt(ca.sumsqr(p["waypoints"][-1, :].T - eta[:2]))
+    return collision_cone(
+        contact,
+        apart=p["margin"] + _PASSING,
+        standoff=p["margin"],
+        horizon=ca.fmin(_HORIZON, _AFTER + left / p["cruise"]),
+        there=evaded,
+        point=point,
+    )

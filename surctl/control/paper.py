@@ -1,0 +1,149 @@
+"""The paper's law: each sensor a sub-task σ_i = l_dm,i in order of urgency, below them velocity, depth and heading.
+
+The velocity is the avoidance velocity (20) or the cruise velocity (III-B to III-D).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import casadi as ca
+import numpy as np
+
+from surctl.control.decision import Decision, Wanted, lower_tasks, weakest_acceleration
+from surctl.control.echoes import Perception
+from surctl.control.reference import Wish
+from surctl.guidance import AvoidanceForm, Contact, avoidance_course, encounter_side, nearest_in_quadrants
+from surctl.tasks import velocity_task
+from surctl.vehicle import planar_rotation
+
+__all__ = ["paper_law"]
+
+_SENSE_RANGE = 1.0  # [m] below which a sensor sub-task may act
+_OVERTAKE = 0.02  # [m/s] by which the avoidance speed exceeds the obstacle's
+
+
+def paper_law(
+    form: AvoidanceForm,
+    wish: Wish,
+    seen: Perception,
+    x: Mapping[str, ca.SX],
+    eta: ca.SX,
+    p: Mapping[str, ca.SX],
+    *,
+    dt: float,
+) -> Decision:
+    """The printed stack, made definite: sensor sub-tasks by urgency, (20) or cruise, depth, heading."""
+    heading = ca.vertcat(ca.cos(eta[3]), ca.sin(eta[3]))
+    left = ca.vertcat(-heading[1], heading[0])
+    sensed = nearest_in_quadrants(seen.all, [heading, left, -heading, -left])
+    closing = [_sub_task_speed(c, p) for c in sensed]
+    threat = [
+        ca.logic_and(c.clearance - p["margin"] < _SENSE_RANGE, ca.dot(wish.velocity, c.normal) > v)
+        for c, v in zip(sensed, closing, strict=True)
+    ]
+    avoiding = threat[0]
+    for other in threat[1:]:
+        avoiding = ca.logic_or(avoiding, other)
+    velocity, side = _avoidance_velocity(form, wish, _most_urgent(sensed, threat, wish), avoiding, x, p, dt=dt)
+    levels = _by_urgency(sensed, closing, velocity, eta, p)
+    lower = (velocity_task(eta, velocity), *lower_tasks(eta, wish, p))
+    return Decision(
+        [*levels, *(Wanted.of(task) for task in lower)],
+        [],
+        velocity,
+        avoiding,
+        ca.SX(0),
+        {"side": side, "blocker": x["blocker"], "last_velocity": velocity},
+    )
+
+
+def _sub_task_speed(contact: Contact, p: Mapping[str, ca.SX]) -> ca.SX:
+    """Speed towards the contact that σ̇ = −κ σ asks for [m/s]."""
+    return p["kappa"] * (contact.clearance - p["margin"])
+
+
+def _urgency(contact: Contact, speed: ca.SX) -> ca.SX:
+    """Time to contact [s], smallest first; a contact that is not approached is never urgent."""
+    rate = ca.fmax(speed - contact.closing, 1e-3)
+    return ca.fmax(contact.clearance, 0) / rate
+
+
+def _most_urgent(sensed: Sequence[Contact], threat: Sequence[ca.SX], wish: Wish) -> Contact:
+    best, least = sensed[0], ca.SX(1e6)
+    for contact, active in zip(sensed, threat, strict=True):
+        time = ca.if_else(active, _urgency(contact, ca.dot(wish.velocity, contact.normal)), 1e6)
+        take = time < least
+        best = Contact(*(ca.if_else(take, a, b) for a, b in zip(_fields(contact), _fields(best), strict=True)))
+        least = ca.fmin(time, least)
+    return best
+
+
+def _fields(contact: Contact) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    return contact.normal, contact.clearance, contact.velocity, contact.reach
+
+
+def _avoidance_velocity(
+    form: AvoidanceForm,
+    wish: Wish,
+    contact: Contact,
+    avoiding: ca.SX,
+    x: Mapping[str, ca.SX],
+    p: Mapping[str, ca.SX],
+    *,
+    dt: float,
+) -> tuple[ca.SX, ca.SX]:
+    """(20) with λ2 latched for the encounter, inside the window (19); and the next λ2."""
+    met = encounter_side(wish.velocity - contact.velocity, contact.normal)
+    side = ca.if_else(ca.fabs(x["side"]) > 0.5, x["side"], met)
+    speed = ca.fmin(p["cap"], ca.fmax(p["cruise"], ca.sqrt(ca.sumsqr(contact.velocity)) + _OVERTAKE))
+    course = avoidance_course(
+        form,
+        ca.atan2(contact.normal[1], contact.normal[0]),
+        contact.clearance - p["margin"],
+        radius=contact.reach + p["margin"],
+        side=side,
+        delta=p["delta"],
+        k3=p["k3"],
+        speed=speed,
+        closing=contact.closing,
+        kappa=p["kappa"],
+        standoff=ca.SX(0),
+    )
+    velocity = _window(speed, course, x["last_velocity"], contact.reach + p["margin"], p, dt=dt)
+    return ca.if_else(avoiding, velocity, wish.velocity), ca.if_else(avoiding, side, 0)
+
+
+def _window(speed: ca.SX, course: ca.SX, last: ca.SX, radius: ca.SX, p: Mapping[str, ca.SX], *, dt: float) -> ca.SX:
+    """The window (19): speed within a·t, course within √(a/R_OB)·t (E17) of the last command."""
+    acceleration = weakest_acceleration(p)
+    previous = ca.sqrt(ca.sumsqr(last))
+    step = acceleration * dt
+    allowed = ca.fmin(ca.fmax(speed, previous - step), previous + step)
+    turn = course - ca.atan2(last[1], last[0])
+    turn = turn - 2 * np.pi * ca.floor((turn + np.pi) / (2 * np.pi))
+    widest = ca.sqrt(acceleration / radius) * dt
+    # a robot that hardly moves has no course to stay near
+    turn = ca.if_else(previous > 0.02, ca.fmin(ca.fmax(turn, -widest), widest), turn)
+    course = ca.atan2(last[1], last[0]) + turn
+    return allowed * ca.vertcat(ca.cos(course), ca.sin(course))
+
+
+def _by_urgency(
+    sensed: Sequence[Contact], closing: Sequence[ca.SX], lower: ca.SX, eta: ca.SX, p: Mapping[str, ca.SX]
+) -> list[Wanted]:
+    """Sensor sub-tasks sorted by time to contact (ties: front, left, rear, right); inactive ones are zero rows."""
+    to_body = planar_rotation(eta[3]).T
+    entries = []
+    for contact, wanted in zip(sensed, closing, strict=True):
+        near = contact.clearance - p["margin"] < _SENSE_RANGE
+        active = ca.logic_and(near, ca.dot(lower, contact.normal) > wanted)
+        row = ca.horzcat(-(to_body @ contact.normal).T, 0, 0)
+        time = ca.if_else(active, _urgency(contact, ca.dot(lower, contact.normal)), 1e6)
+        entries.append([time, ca.if_else(active, row, ca.SX.zeros(1, 4)), ca.if_else(active, -wanted, 0)])
+    for i, j in ((0, 1), (2, 3), (0, 2), (1, 3), (1, 2)):  # sorting network for four
+        swap = entries[j][0] < entries[i][0]
+        first = [ca.if_else(swap, b, a) for a, b in zip(entries[i], entries[j], strict=True)]
+        second = [ca.if_else(swap, a, b) for a, b in zip(entries[i], entries[j], strict=True)]
+        entries[i], entries[j] = first, second
+    return [Wanted(f"sensor_{k + 1}", row, reference, "m/s") for k, (_, row, reference) in enumerate(entries)]
