@@ -259,8 +259,8 @@ class _Problem:
         )
         self.lag = start["thrust_lag"]
         self.present = np.isfinite(log.motion)
-        self.step, slope = _stepper(int(np.ceil(np.diff(log.time).max() / _STEP)), lagged)
-        self.slopes = slope.map(len(log.time) - 1)
+        step, slope = _stepper(int(np.ceil(np.diff(log.time).max() / _STEP)), lagged)
+        self.steps, self.slopes = step.mapaccum(len(log.time) - 1), slope.map(len(log.time) - 1)
         began = [log.motion[p, k][0] if p.any() else 0.0 for k, p in enumerate(self.present.T)]
         self.first = np.concatenate([np.zeros(len(self.names)), began, log.thrust[0]])
         self.thrust = start.thrust_limit
@@ -276,11 +276,9 @@ class _Problem:
         n = len(self.names)
         p = np.zeros(13)
         p[:n] = self.start + self.scale * theta[:n]
-        x = np.empty((12, len(self.log.time)))
-        x[:, 0] = theta[n:]
-        for k, dt in enumerate(np.diff(self.log.time)):
-            x[:, k + 1] = np.asarray(self.step(x[:, k], self.log.thrust[k], p, dt)).ravel()
-        return x, p
+        begin, dt = theta[n:], np.diff(self.log.time)
+        after = self.steps(begin, self.log.thrust[:-1].T, np.tile(p[:, None], len(dt)), dt[None, :])
+        return np.column_stack([begin, np.asarray(after)]), p
 
     def velocities(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
         """(4, n) u, v, w, r as simulated."""
