@@ -12,7 +12,7 @@ from surctl.control.reference import Wish
 from surctl.ir import Port
 from surctl.tasks import HalfPlane, Task, depth_task, heading_task
 
-__all__ = ["DECISION_PORTS", "Decision", "Scan", "Wanted", "look_around", "lower_tasks", "weakest_acceleration"]
+__all__ = ["DECISION_PORTS", "Decision", "Scan", "Wanted", "lower_levels", "weakest_acceleration"]
 
 DECISION_PORTS = (
     Port("side", (1,), "1", "latched passing side: 0 none, +1 obstacle on the right, -1 on the left"),
@@ -66,17 +66,18 @@ class Scan(NamedTuple):
     placed: ca.SX
 
 
-def look_around(p: Mapping[str, ca.SX]) -> Wanted:
-    """The lowest level of a law with sonars: to turn all the time, with `spin` or as fast as the yaw thrust holds."""
-    return Wanted("scan", ca.SX([[0, 0, 0, 1]]), ca.fmin(ca.fmax(p["spin_limit"], -p["spin"]), p["spin"]), "rad/s")
+def lower_levels(eta: ca.SX, wish: Wish, p: Mapping[str, ca.SX], scan: Scan | None = None) -> tuple[Wanted, Wanted]:
+    """Below the velocity: depth, then heading.
 
-
-def lower_tasks(eta: ca.SX, wish: Wish, p: Mapping[str, ca.SX]) -> tuple[Task, Task]:
-    """Depth, then heading: below the velocity in every law that does not look around."""
-    return (
-        depth_task(eta, p["depth"], gain=p["k2"]),
-        heading_task(eta, wish.heading, gain=p["k_psi"]),
-    )
+    A law with sonars turns all the time in place of the heading, with `spin` or as fast as the yaw thrust holds, and
+    keeps its depth rate at 0 while it does not know where it is.
+    """
+    depth = Wanted.of(depth_task(eta, p["depth"], gain=p["k2"]))
+    if scan is None:
+        return depth, Wanted.of(heading_task(eta, wish.heading, gain=p["k_psi"]))
+    turning = ca.fmin(ca.fmax(p["spin_limit"], -p["spin"]), p["spin"])
+    depth = depth._replace(reference=ca.if_else(scan.placed, depth.reference, 0))
+    return depth, Wanted("scan", ca.SX([[0, 0, 0, 1]]), turning, "rad/s")
 
 
 def weakest_acceleration(p: Mapping[str, ca.SX]) -> ca.SX:

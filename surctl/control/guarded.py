@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from surctl.control.decision import Decision, Scan, Wanted, look_around, lower_tasks, weakest_acceleration
+from surctl.control.decision import Decision, Scan, Wanted, lower_levels, weakest_acceleration
 from surctl.control.echoes import Perception
 from surctl.control.ports import SECTORS
 from surctl.control.reference import Wish
@@ -101,7 +101,6 @@ def guarded_law(
     velocity, halted = choice.velocity, ca.SX(0)
     bounds = [(sector.normal, sector.bound) for sector in sectors]
     named = [(f"contact_{k}", *bound) for k, bound in enumerate(bounds)]
-    levels = [Wanted.of(task) for task in lower_tasks(eta, wish, p)]
     if scan is None:
         velocity = braked(velocity, over_ground, bounds)
     else:
@@ -130,14 +129,12 @@ def guarded_law(
         kept = ca.logic_and(ca.sumsqr(velocity) < _CRAWL**2, ca.sumsqr(choice.velocity) > (2 * _CRAWL) ** 2)
         halted = ca.logic_or(lost, kept)
         named += [(f"unknown_{k}", normal, bound) for k, (normal, bound) in enumerate(caution)]
-        depth = levels[0]._replace(reference=ca.if_else(scan.placed, levels[0].reference, 0))
-        levels = [depth, look_around(p)]
     to_body = planar_rotation(eta[3]).T
     rows = [
         HalfPlane(name, ca.horzcat((to_body @ normal).T, 0, 0), bound, kind="barrier") for name, normal, bound in named
     ]
     return Decision(
-        [Wanted.of(velocity_task(eta, velocity)), *levels],
+        [Wanted.of(velocity_task(eta, velocity)), *lower_levels(eta, wish, p, scan)],
         rows,
         velocity,
         choice.blocked,

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from surctl.control.decision import DECISION_PORTS, Decision, Wanted, lower_tasks
+from surctl.control.decision import DECISION_PORTS, Decision, Wanted, lower_levels
 from surctl.control.echoes import Perception
 from surctl.control.ports import DEFAULT_ARRAY
 from surctl.control.reference import Wish
@@ -77,6 +77,6 @@ def lean_law(wish: Wish, seen: Perception, x: Mapping[str, ca.SX], eta: ca.SX, p
     levels = [
         Wanted("sensor", ca.horzcat(row.T, 0, 0), ca.if_else(avoiding, -wanted, 0), "m/s"),
         ahead,
-        *(Wanted.of(task) for task in lower_tasks(eta, wish, p)),
+        *lower_levels(eta, wish, p),
     ]
     return Decision(levels, [], chosen, avoiding, ca.SX(0), {"side": ca.if_else(avoiding, side, 0)})

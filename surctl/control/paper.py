@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import casadi as ca
 import numpy as np
 
-from surctl.control.decision import Decision, Wanted, lower_tasks, weakest_acceleration
+from surctl.control.decision import Decision, Wanted, lower_levels, weakest_acceleration
 from surctl.control.echoes import Perception
 from surctl.control.reference import Wish
 from surctl.guidance import AvoidanceForm, Contact, avoidance_course, encounter_side, nearest_in_quadrants
@@ -47,9 +47,8 @@ def paper_law(
         avoiding = ca.logic_or(avoiding, other)
     velocity, side = _avoidance_velocity(form, wish, _most_urgent(sensed, threat, wish), avoiding, x, p, dt=dt)
     levels = _by_urgency(sensed, closing, velocity, eta, p)
-    lower = (velocity_task(eta, velocity), *lower_tasks(eta, wish, p))
     return Decision(
-        [*levels, *(Wanted.of(task) for task in lower)],
+        [*levels, Wanted.of(velocity_task(eta, velocity)), *lower_levels(eta, wish, p)],
         [],
         velocity,
         avoiding,

@@ -13,14 +13,13 @@ import numpy as np
 
 from surctl.control.baselines.situation import (
     Situation,
-    acceleration,
     decided,
     first_contact,
     length,
     limited,
     over_ground,
 )
-from surctl.control.decision import Decision
+from surctl.control.decision import Decision, weakest_acceleration
 
 __all__ = ["CLEARANCE", "GRID", "HEADING", "HORIZON", "REACH", "VELOCITY", "dwa_law"]
 
@@ -42,8 +41,8 @@ HEADING, CLEARANCE, VELOCITY = 2.0, 2.0, 1.0
 
 def dwa_law(s: Situation) -> Decision:
     """The best admissible velocity of the window around the present one, and of the wish itself if it lies there."""
-    now, brake = over_ground(s), s.p["brake"] * acceleration(s.p)
-    reach = acceleration(s.p) * HORIZON
+    now, brake = over_ground(s), s.p["brake"] * weakest_acceleration(s.p)
+    reach = weakest_acceleration(s.p) * HORIZON
     aside = s.wish.velocity - now
     # the wish, or the nearest to it that the window holds, so that the grid costs no accuracy where nothing is near
     wished = now + ca.vertcat(*(ca.fmin(ca.fmax(aside[k], -reach), reach) for k in range(2)))

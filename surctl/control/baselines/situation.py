@@ -7,18 +7,17 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from surctl.control.decision import Decision, Scan, Wanted, look_around
+from surctl.control.decision import Decision, Scan, Wanted, lower_levels
 from surctl.control.echoes import Perception
 from surctl.control.reference import Wish
 from surctl.control.stopping import Barrier, Movers
 from surctl.guidance import AvoidanceForm, Contact
-from surctl.tasks import HalfPlane, depth_task, heading_task, velocity_task
+from surctl.tasks import HalfPlane, velocity_task
 from surctl.vehicle import planar_rotation
 
 __all__ = [
     "NEVER",
     "Situation",
-    "acceleration",
     "decided",
     "first_contact",
     "length",
@@ -57,13 +56,8 @@ class Situation(NamedTuple):
 def decided(s: Situation, velocity: ca.SX, *, degraded: ca.SX, rows: Sequence[HalfPlane] = ()) -> Decision:
     """The decision for `velocity` (2, 1) [m/s] in {E}: below it depth, then the path's heading, or the spin of a law
     with sonars, as in the guarded law."""
-    depth = Wanted.of(depth_task(s.eta, s.p["depth"], gain=s.p["k2"]))
-    last = Wanted.of(heading_task(s.eta, s.wish.heading, gain=s.p["k_psi"]))
-    if s.scan is not None:
-        depth = depth._replace(reference=ca.if_else(s.scan.placed, depth.reference, 0))
-        last = look_around(s.p)
     return Decision(
-        [Wanted.of(velocity_task(s.eta, velocity)), depth, last],
+        [Wanted.of(velocity_task(s.eta, velocity)), *lower_levels(s.eta, s.wish, s.p, s.scan)],
         rows,
         velocity,
         length(velocity - s.wish.velocity) > _CHANGED,
@@ -80,11 +74,6 @@ def length(vector: ca.SX) -> ca.SX:
 def limited(vector: ca.SX, most: ca.SX) -> ca.SX:
     """The vector, shortened to `most` where it is longer."""
     return vector * ca.fmin(1, most / ca.fmax(length(vector), 1e-9))
-
-
-def acceleration(p: Mapping[str, ca.SX]) -> ca.SX:
-    """What the weaker horizontal thrust gives [m/s²]."""
-    return ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1]) / ca.fmax(p["mass"][0], p["mass"][1])
 
 
 def over_ground(s: Situation) -> ca.SX:
