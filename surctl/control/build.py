@@ -43,7 +43,7 @@ from surctl.control.trap import TRAP_PORTS, standing, trap_next
 from surctl.control.velocity import velocity_control
 from surctl.errors import InputError, nearest
 from surctl.guidance import FORMS, AvoidanceForm, Guidance, check_guidance
-from surctl.ir import Layout, Port, lower, without_libm
+from surctl.ir import Block, Layout, Port, Recording, fold, tabulated, without_libm
 from surctl.priority import Ladder, Mode, check_ladder, nsb_symbolic
 from surctl.priority.solver.ladder import RELAXED
 from surctl.sensing import Equipment
@@ -184,62 +184,56 @@ def _decide(
     x, xs = state.symbols("x")
     u, us = inputs.symbols("u")
     p, ps = PARAMETERS.symbols("p")
-    wish = path_wish(us["eta"], xs["progress"], ps, dt=dt, guidance=guidance, memory=xs.get("drift"))
-    if "trapped" in xs:
-        wish = standing(wish, xs, us["eta"], ps)
-    asked, layer_depth = ps, ps["depth"]
-    if depths:
-        layer_depth, aimed = aimed_depth(xs, us["eta"], us["nu"], us["column"], ps)
-        asked = {**ps, "depth": aimed}
-    seen = told_obstacle(us, ps) if lean else perceive(xs, us, ps, dt=dt)
-    scan = Scan(us["unknown"], us["heard"], us["placed"]) if scans else None
-    decision = LAWS[law](
-        Situation(avoidance, wish, seen, xs, us["eta"], us["nu"], asked, dt, scan, moving, barrier, movers)
-    )
-    nearest_clearance = ca.SX(100)
-    for contact in seen.all:
-        nearest_clearance = ca.fmin(nearest_clearance, contact.clearance)
-    unknown = {"tau": ca.SX.zeros(4), "nu_wanted": ca.SX.zeros(4)}
-    told = {
-        "path_error": ca.vertcat(wish.x_e, wish.y_e),
-        "avoiding": decision.avoiding,
-        "nearest": nearest_clearance,
-        "ranges": seen.ranges,
-    }
-    if scans:
-        heard = us["heard"]
-        told |= {"ranges": heard[:, 0], "bounds": heard[:, 1], "healthy": heard[:, 2], "halted": decision.halted}
-    carried = {**seen.state, **decision.state, "progress": wish.progress, "integral": xs["integral"]}
-    if "drift" in xs:
-        carried["drift"] = learnt(guidance, wish, xs["drift"], us["eta"], us["nu"], decision.avoiding, ps, dt=dt)
-    if "trapped" in xs:
-        told_of = us["nu"], us.get("column")
-        trap = trap_next(wish, seen.known if moving else (), xs, us["eta"], decision.halted, ps, *told_of, dt=dt)
-        carried |= trap
-        told["trapped"] = trap["trapped"]
-    if depths:
-        told["wanted_depth"] = layer_depth
-        # as beside the path: what is flown there is no error of following it
-        told["avoiding"] = ca.logic_or(told["avoiding"], ca.fabs(xs["layer"]) > 0)
-    flags = SWITCHED * ca.logic_not(decision.state["side"] == xs["side"]) + DEGRADED * decision.degraded
-    flags += TRAPPED * told.get("trapped", 0)
-    memory = _Memory(state.join(carried), outputs.join({**unknown, **told})[8:], flags)
+    with Recording() as recording:
+        wish = path_wish(us["eta"], xs["progress"], ps, dt=dt, guidance=guidance, memory=xs.get("drift"))
+        if "trapped" in xs:
+            wish = standing(wish, xs, us["eta"], ps)
+        asked, layer_depth = ps, ps["depth"]
+        if depths:
+            layer_depth, aimed = aimed_depth(xs, us["eta"], us["nu"], us["column"], ps)
+            asked = {**ps, "depth": aimed}
+        seen = told_obstacle(us, ps) if lean else perceive(xs, us, ps, dt=dt)
+        scan = Scan(us["unknown"], us["heard"], us["placed"]) if scans else None
+        decision = LAWS[law](
+            Situation(avoidance, wish, seen, xs, us["eta"], us["nu"], asked, dt, scan, moving, barrier, movers)
+        )
+        clearances = tabulated([[contact.clearance] for contact in seen.all], 1)
+        nearest_clearance = fold("nearest", ca.fmin, ca.SX(100), clearances)
+        unknown = {"tau": ca.SX.zeros(4), "nu_wanted": ca.SX.zeros(4)}
+        told = {
+            "path_error": ca.vertcat(wish.x_e, wish.y_e),
+            "avoiding": decision.avoiding,
+            "nearest": nearest_clearance,
+            "ranges": seen.ranges,
+        }
+        if scans:
+            heard = us["heard"]
+            told |= {"ranges": heard[:, 0], "bounds": heard[:, 1], "healthy": heard[:, 2], "halted": decision.halted}
+        carried = {**seen.state, **decision.state, "progress": wish.progress, "integral": xs["integral"]}
+        if "drift" in xs:
+            carried["drift"] = learnt(guidance, wish, xs["drift"], us["eta"], us["nu"], decision.avoiding, ps, dt=dt)
+        if "trapped" in xs:
+            told_of = us["nu"], us.get("column")
+            trap = trap_next(wish, seen.known if moving else (), xs, us["eta"], decision.halted, ps, *told_of, dt=dt)
+            carried |= trap
+            told["trapped"] = trap["trapped"]
+        if depths:
+            told["wanted_depth"] = layer_depth
+            # as beside the path: what is flown there is no error of following it
+            told["avoiding"] = ca.logic_or(told["avoiding"], ca.fabs(xs["layer"]) > 0)
+        flags = SWITCHED * ca.logic_not(decision.state["side"] == xs["side"]) + DEGRADED * decision.degraded
+        flags += TRAPPED * told.get("trapped", 0)
+        memory = _Memory(state.join(carried), outputs.join({**unknown, **told})[8:], flags)
 
     rows = _rows(decision, ps)
     levels = tuple((level.name, int(level.J.shape[0]), level.unit) for level in decision.levels)
     nsb = nsb_symbolic([(level.J, level.reference) for level in decision.levels], damping=DAMPING if lean else 0.0)
     close = _Closing(state, outputs, u, us, p, ps, dt)
-    given, found, options = ["x", "u", "p"], ["tau", "x_next", "status", "telemetry"], {"cse": True}
-    function = ca.Function("law", [x, u, p], close.outputs_of(memory, nsb, ca.SX(0)), given, found, options)
-    pre = ca.Function(
-        "pre",
-        [x, u, p],
-        [*_tick_inputs(decision, rows, ps), *memory],
-        given,
-        [*_TICK_INPUTS, *_Memory._fields],
-        options,
-    )
-    post = close.function()
+    given = {"x": x, "u": u, "p": p}
+    closed = recording.block("law", given, close.outputs_of(memory, nsb, ca.SX(0)))
+    tick = dict(zip(_TICK_INPUTS, _tick_inputs(decision, rows, ps), strict=True))
+    pre = recording.block("pre", given, {**tick, **memory._asdict()})
+    post = close.block()
     return Law(
         name=f"surctl_{law}",
         avoidance=avoidance,
@@ -251,9 +245,9 @@ def _decide(
         outputs=outputs,
         # the same bytes from every compiler on every processor
         block=without_libm(
-            lower(function) if mode == "nsb" else limited(mode, pre, post, levels=levels, rows=len(rows), ladder=ladder)
+            closed if mode == "nsb" else limited(mode, pre, post, levels=levels, rows=len(rows), ladder=ladder)
         ),
-        function=function,
+        closed=closed,
         pre=pre,
         post=post,
         levels=levels,
@@ -336,27 +330,26 @@ class _Closing:
     p: dict[str, ca.SX]
     dt: float
 
-    def function(self) -> ca.Function:
+    def block(self) -> Block:
         """(u, p, carried, told, flags, nu_wanted, rung) → (tau, x_next, status, telemetry)."""
         sizes = (self.state.size, self.outputs.size - 8, 1)
         memory = _Memory(*(ca.SX.sym(name, size) for name, size in zip(_Memory._fields, sizes, strict=True)))
         wanted, rung = ca.SX.sym("nu_wanted", 4), ca.SX.sym("rung")
-        return ca.Function(
-            "post",
-            [self.flat_u, self.flat_p, *memory, wanted, rung],
-            self.outputs_of(memory, wanted, rung),
-            ["u", "p", *_Memory._fields, "nu_wanted", "rung"],
-            ["tau", "x_next", "status", "telemetry"],
-            {"cse": True},
-        )
+        given = {"u": self.flat_u, "p": self.flat_p, **memory._asdict(), "nu_wanted": wanted, "rung": rung}
+        return Recording().block("post", given, self.outputs_of(memory, wanted, rung))
 
-    def outputs_of(self, memory: _Memory, nu_wanted: ca.SX, rung: ca.SX) -> list[ca.SX]:
+    def outputs_of(self, memory: _Memory, nu_wanted: ca.SX, rung: ca.SX) -> dict[str, ca.SX]:
         """tau, x_next, status, telemetry of a wanted velocity; rung of the priority tick, 0 if there was none."""
         carried = self.state.split(memory.carried)
         tau, integral, saturated, clamped = self._thrust(nu_wanted, carried["integral"])
         opened = ca.logic_and(rung >= RELAXED, ca.logic_not(_has_degraded(memory.flags)))
         status = memory.flags + SATURATED * saturated + DEGRADED * opened
-        return [tau, self.state.join({**carried, "integral": integral}), status, ca.vertcat(clamped, memory.told)]
+        return {
+            "tau": tau,
+            "x_next": self.state.join({**carried, "integral": integral}),
+            "status": status,
+            "telemetry": ca.vertcat(clamped, memory.told),
+        }
 
     def _thrust(self, wanted: ca.SX, integral: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         p = self.p

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from surctl.guidance import Contact, disc_contact, point_contact, wall_contacts
+from surctl.guidance import Contact, disc_contacts, point_contact, wall_contacts
 from surctl.ir import Port
 from surctl.sensing import ContactMemory, SensorFilter, SonarArray, expected_range, sonar_contacts
 
@@ -60,10 +60,7 @@ def perceive(x: Mapping[str, ca.SX], u: Mapping[str, ca.SX], p: Mapping[str, ca.
         dt: control period [s].
     """
     position, hull, rows = u["eta"][:2], p["hull"], u.get("contacts", ca.SX.zeros(0, 6))
-    known = [
-        disc_contact(position, hull, rows[k, :2].T, rows[k, 2], rows[k, 3:5].T, rows[k, 5])
-        for k in range(rows.shape[0])
-    ]
+    known = disc_contacts(position, hull, rows)
     walls = wall_contacts(position, hull, p["walls"])
     if "samples" not in u:
         return Perception(known, [], walls, ca.SX.ones(_ARRAY.size) * _ARRAY.maximum, {})

@@ -6,7 +6,7 @@ heading, and stops before what it knows nothing of.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import casadi as ca
 
@@ -27,6 +27,7 @@ from surctl.guidance import (
     round_unknown,
     slowed,
 )
+from surctl.ir import each, fold, tabulated
 from surctl.tasks import HalfPlane, velocity_task
 from surctl.vehicle import planar_rotation
 
@@ -67,17 +68,14 @@ def guarded_law(
     With sonars it turns all the time, and goes only where it can stop before the first place it knows nothing of.
     """
     marks = len(seen.known) - SECTORS if scan is not None else len(seen.all)
-    sectors, cones = [], []
-    for k, c in enumerate(seen.all):
-        bound = stop(c.clearance - p["margin"], c.closing)
-        point = eta[:2] + (c.clearance + p["hull"]) * c.normal
-        if marks <= k < len(seen.known):
-            bound = ca.fmax(bound, -_GIVE_WAY)
-        elif moving and k < len(seen.known):
-            evaded = _evaded(c, wish)
-            bound = ca.if_else(ca.logic_and(evaded, c.clearance > p["margin"]), _NO_BOUND, bound)
-            cones.append(_cone(c, evaded, point, eta, p))
-        sectors.append(Sector(c.normal, bound, point))
+    movers = min(marks, len(seen.known)) if moving else 0
+    sectors, cones = _movers(seen.known[:movers], wish, eta, p, stop)
+    for retreat, contacts in (
+        (_NO_BOUND, seen.all[movers:marks]),
+        (_GIVE_WAY, seen.all[marks : len(seen.known)]),
+        (_NO_BOUND, seen.all[max(marks, len(seen.known)) :]),
+    ):
+        sectors += _standing(contacts, eta, p, stop, retreat=retreat)
     over_ground = planar_rotation(eta[3]) @ nu[:2]
     slower = None
     if scan is not None:  # what drifts beside the start unheard is passed with the room that the whole speed asks for
@@ -105,18 +103,20 @@ def guarded_law(
         velocity = braked(velocity, over_ground, bounds)
     else:
         caution = _cautious_bounds(scan, stop, p)
-        chased = ca.SX(0)
-        for sector in sectors[:marks]:
-            chased = ca.logic_or(chased, sector.bound < 0)
+        chased = fold("chased", lambda other, row: ca.logic_or(other, row[2] < 0), ca.SX(0), tabulated(sectors[:marks], 5))
         # beside what blocks the wish, a way past the unknown would leave the side that is latched
         past = round_unknown(velocity, caution[: scan.unknown.shape[0]], sectors, cones=cones)
         past = ca.if_else(ca.logic_or(choice.blocked, _strays(wish, past, stop)), velocity, past)
         cautious = slowed(past, caution)
         waits = ca.logic_and(ca.logic_not(choice.blocked), ca.sumsqr(cautious) < _WAITING**2 * ca.sumsqr(past))
         cautious = ca.if_else(waits, _back_first(wish, past, caution, bounds), cautious)
-        for cone in cones:
+
+        def met(chased: ca.SX, row: ca.SX) -> ca.SX:
+            cone = Cone.of(row)
             soon = ca.dot(cone.ahead, cautious) - cone.closing > cone.room / _URGENT
-            chased = ca.logic_or(chased, ca.logic_and(soon, inside(cautious, cone) > _DEEP))
+            return ca.logic_or(chased, ca.logic_and(soon, inside(cautious, cone) > _DEEP))
+
+        chased = fold("met_soon", met, chased, tabulated(cones, 17))
         velocity = ca.if_else(chased, velocity, cautious)
         blind = ca.sum1(scan.heard[:, 2]) < 0.5
         calm = ca.logic_not(chased)
@@ -165,14 +165,55 @@ def _strays(wish: Wish, velocity: ca.SX, stop: Stop) -> ca.SX:
 
 def _cautious_bounds(scan: Scan, stop: Stop, p: Mapping[str, ca.SX]) -> list[tuple[ca.SX, ca.SX]]:
     """(normal, largest speed along it): stop before what is unknown, slow where a sonar is not to be trusted."""
-    bounds = []
-    for k in range(scan.unknown.shape[0]):
-        normal, clearance = scan.unknown[k, :2].T, scan.unknown[k, 2]
-        bounds.append((normal, ca.fmax(stop(ca.fmax(clearance, 0), ca.SX(0)), 0)))
+
+    def before(row: ca.SX) -> tuple[ca.SX]:
+        return (ca.vertcat(row[:2], ca.fmax(stop(ca.fmax(row[2], 0), ca.SX(0)), 0)),)
+
+    (table,) = each("unknown_bound", before, scan.unknown)
+    bounds = [(table[k, :2].T, table[k, 2]) for k in range(table.shape[0])]
     for k in range(scan.heard.shape[0]):
         slow = ca.if_else(scan.heard[k, 2] > 0.5, _NO_BOUND, _GROPING * p["cruise"])
         bounds.append((scan.heard[k, 4:6].T, slow))
     return bounds
+
+
+def _movers(
+    contacts: Sequence[Contact], wish: Wish, eta: ca.SX, p: Mapping[str, ca.SX], stop: Stop
+) -> tuple[list[Sector], list[Cone]]:
+    """What may move: evaded by its cone, or kept off by its braking distance."""
+
+    def both(row: ca.SX) -> tuple[ca.SX, ca.SX]:
+        contact = Contact.of(row)
+        normal, bound, point = _sector(contact, eta, p, stop)
+        evaded = _evaded(contact, wish)
+        bound = ca.if_else(ca.logic_and(evaded, contact.clearance > p["margin"]), _NO_BOUND, bound)
+        return ca.vertcat(normal, bound, point), ca.vertcat(*_cone(contact, evaded, point, eta, p))
+
+    if not contacts:
+        return [], []
+    sectors, cones = each("mover", both, tabulated(contact.row for contact in contacts))
+    count = range(len(contacts))
+    return [Sector.of(sectors[k, :].T) for k in count], [Cone.of(cones[k, :].T) for k in count]
+
+
+def _standing(
+    contacts: Sequence[Contact], eta: ca.SX, p: Mapping[str, ca.SX], stop: Stop, *, retreat: float
+) -> list[Sector]:
+    """What stands: kept off by its braking distance; from too near the robot backs off with `retreat` [m/s] at most."""
+
+    def one(row: ca.SX) -> tuple[ca.SX]:
+        normal, bound, point = _sector(Contact.of(row), eta, p, stop)
+        return (ca.vertcat(normal, bound if retreat >= _NO_BOUND else ca.fmax(bound, -retreat), point),)
+
+    if not contacts:
+        return []
+    (table,) = each("contact", one, tabulated(contact.row for contact in contacts))
+    return [Sector.of(table[k, :].T) for k in range(len(contacts))]
+
+
+def _sector(contact: Contact, eta: ca.SX, p: Mapping[str, ca.SX], stop: Stop) -> Sector:
+    point = eta[:2] + (contact.clearance + p["hull"]) * contact.normal
+    return Sector(contact.normal, stop(contact.clearance - p["margin"], contact.closing), point)
 
 
 def _evaded(contact: Contact, wish: Wish) -> ca.SX:

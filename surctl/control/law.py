@@ -1,8 +1,8 @@
 """The law: filter, guidance, tasks, priority and velocity control as one object with explicit state.
 
-`function` is the closed form (16). In the modes that keep limits the law is cut open at the priority solver: `pre`
+`closed` is the closed form (16). In the modes that keep limits the law is cut open at the priority solver: `pre`
 before it, the solver as a routine with bounded loops, `post` after it. `block` is what runs and what is generated as
-C, in every mode. Python, C, verification and tuning all see these expressions and no others.
+C, in every mode. Python, C, verification and tuning all see these instructions and no others.
 """
 
 from __future__ import annotations
@@ -86,17 +86,17 @@ class Law:
         mode: priority mode.
         dt: control period [s].
         state, inputs, gains, outputs: layouts of the flat vectors.
-        block: (x, u, p) → (tau, x_next, status, telemetry): `function` lowered in mode nsb; otherwise `pre`, the
+        block: (x, u, p) → (tau, x_next, status, telemetry): `closed` in mode nsb; otherwise `pre`, the
             priority tick and `post` as one routine. Without the mathematical library: sin, cos and atan2 are written
             out in exact operations.
-        function: the same in closed form (16), whatever the mode.
+        closed: the same in closed form (16), whatever the mode, with the mathematical library.
         pre: (x, u, p) → (J row by row, references, rows of the priority tick, velocity box (8,)), and what else is
             known before the priority decision: next state but for the integral, telemetry after the wish, flags.
-        post: (u, p, those three, nu_wanted, rung of the priority tick) → as `function`.
+        post: (u, p, those three, nu_wanted, rung of the priority tick) → as `closed`.
         levels: (name, rows, unit) of each priority level, highest first.
         rows: names of the rows: box, then barriers.
         barrier, movers, ladder: as `build_law` has them.
-        senses: what runs before the decision, or None; `function`, `pre` and `post` then take the decision's own state
+        senses: what runs before the decision, or None; `closed`, `pre` and `post` then take the decision's own state
             and what the senses tell as x and u.
         guidance: how the path is followed.
     """
@@ -110,9 +110,9 @@ class Law:
     gains: Layout
     outputs: Layout
     block: Block = field(repr=False)
-    function: ca.Function
-    pre: ca.Function
-    post: ca.Function
+    closed: Block = field(repr=False)
+    pre: Block = field(repr=False)
+    post: Block = field(repr=False)
     levels: tuple[tuple[str, int, str], ...]
     rows: tuple[str, ...]
     senses: Senses | None = None
@@ -120,6 +120,11 @@ class Law:
     barrier: Barrier = "simple"
     movers: Movers = "predict"
     ladder: Ladder = "exact"
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """`closed` for CasADi: expressions, derivatives, numbers."""
+        return to_casadi(self.closed)
 
     def initial_state(self) -> Vector:
         """State before the first step."""
@@ -144,8 +149,13 @@ class Law:
     def _run(self) -> Callable[[Vector, Vector, Vector], list[Vector]]:
         """CasADi's machine for the closed form; C for a block with loops, or its replay: the same numbers, slower."""
         closed = self.mode == "nsb" and self.senses is None
-        run: Callable[..., Any] = to_casadi(self.block) if closed else runnable(self.block)
+        run: Callable[..., Any] = to_casadi(self.block).expand() if closed else runnable(self.block)
         return lambda x, u, p: [np.asarray(r, dtype=np.float64).reshape(-1) for r in run(x, u, p)]
+
+    @cached_property
+    def _before(self) -> Callable[..., Any]:
+        """`pre` in CasADi's machine."""
+        return to_casadi(self.pre).expand()
 
     @cached_property
     def _sense(self) -> Callable[..., list[Vector]]:
@@ -166,7 +176,7 @@ class Law:
         x, u, p = self._vectors(x, u, p)
         if self.senses is not None:
             x, u = x[: -self.senses.state.size], self.told(x, u, p)
-        J, wanted, rows, *_ = (np.asarray(m, dtype=float).reshape(-1) for m in self.pre(x, u, p))
+        J, wanted, rows, *_ = (np.asarray(m, dtype=float).reshape(-1) for m in self._before(x, u, p))
         # the bounds of a row may be absent: ±inf, but no NaN
         if not np.isfinite(J).all() or not np.isfinite(wanted).all() or np.isnan(rows).any():
             raise InputError("is not finite", key=f"{self.name}.problem", remedy="`step` refuses such a tick")

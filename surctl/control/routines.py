@@ -22,8 +22,8 @@ _PRECISIONS = {"float64": FLOAT64, "float32": FLOAT32}
 
 def limited(
     mode: Mode,
-    pre: ca.Function,
-    post: ca.Function,
+    pre: Block,
+    post: Block,
     *,
     levels: tuple[tuple[str, int, str], ...],
     rows: int,
@@ -34,15 +34,14 @@ def limited(
     shapes = tuple(LevelShape(count) for _, count, _ in levels)
     # which rows hold task 1 back nobody asks for here
     tick = priority_tick(mode, n=4, levels=shapes, rows=rows, precision=_PRECISIONS[real], named=False, ladder=ladder)
-    before, after = lower(pre), lower(post)
     answer = tuple(f"tick_{name}" for name, _ in tick.outputs)
-    results = tuple(name for name, _ in after.outputs)
+    results = tuple(name for name, _ in post.outputs)
     steps = (
-        Call(before, ("x", "u", "p"), ("J", "wanted", "rows", "box", *_MEMORY)),
+        Call(pre, ("x", "u", "p"), ("J", "wanted", "rows", "box", *_MEMORY)),
         Call(tick, ("J", "wanted", "wanted", "rows", "box"), answer),
-        Call(after, ("u", "p", *_MEMORY, "tick_v", "tick_status"), results),
+        Call(post, ("u", "p", *_MEMORY, "tick_v", "tick_status"), results),
     )
-    return Routine("law", before.inputs, steps, results)
+    return Routine("law", pre.inputs, steps, results)
 
 
 def sensing(decide: Block, state: Layout, senses: Senses) -> Routine:

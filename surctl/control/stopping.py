@@ -10,6 +10,7 @@ import casadi as ca
 
 from surctl.guidance import allowed_closing_speed
 from surctl.guidance.braking_symbols import BrakeSymbols, closing_bound
+from surctl.ir import fold, tabulated
 
 __all__ = ["BARRIERS", "BARRIER_NAMES", "BRAKE", "HARD", "MOVERS", "Barrier", "Bounds", "Movers", "Stop", "braked"]
 
@@ -85,9 +86,10 @@ def braked(velocity: ca.SX, now: ca.SX, bounds: Bounds, *, calm: ca.SX | float =
 
 def _worst(velocity: ca.SX, bounds: Bounds) -> tuple[ca.SX, ca.SX]:
     """By how much a velocity exceeds a bound at most [m/s], and that bound's normal; 0 and the zero vector if none."""
-    excess, normal = ca.SX(0), ca.SX.zeros(2)
-    for n, bound in bounds:
-        over = ca.dot(velocity, n) - bound
-        normal = ca.if_else(over > excess, n, normal)
-        excess = ca.fmax(excess, over)
+
+    def further(excess: ca.SX, normal: ca.SX, row: ca.SX) -> list[ca.SX]:
+        over = ca.dot(velocity, row[:2]) - row[2]
+        return [ca.fmax(excess, over), ca.if_else(over > excess, row[:2], normal)]
+
+    excess, normal = fold("overspeed", further, [ca.SX(0), ca.SX.zeros(2)], tabulated(bounds, 3))
     return excess, normal

@@ -126,7 +126,7 @@ def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = 
         return ClosedForm(law, _without_gains(single.block, constants), Layout(()), np.array(constants, dtype=float))
     if real == "float64" and constants is None:
         return law
-    block = without_libm(lower(law.function), real)
+    block = without_libm(law.closed, real)
     if constants is None:
         return ClosedForm(law, block, law.gains)
     return ClosedForm(law, _without_gains(block, constants), Layout(()), np.array(constants, dtype=float))

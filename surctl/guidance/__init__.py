@@ -2,7 +2,15 @@
 
 from surctl.guidance.avoidance import FORMS, AvoidanceForm, allowed_closing_speed, avoidance_course, encounter_side
 from surctl.guidance.cones import Cone, collision_cone, inside
-from surctl.guidance.contacts import FAR, Contact, disc_contact, nearest_in_quadrants, point_contact, wall_contacts
+from surctl.guidance.contacts import (
+    FAR,
+    Contact,
+    disc_contact,
+    disc_contacts,
+    nearest_in_quadrants,
+    point_contact,
+    wall_contacts,
+)
 from surctl.guidance.crosstrack import GUIDANCE, Guidance, check_guidance, crosstrack_next, crosstrack_shift
 from surctl.guidance.path import MAX_WAYPOINTS, Path, next_leg, path_target
 from surctl.guidance.sectors import SAME_CONTACT, Choice, Sector, choose_velocity, round_unknown, slowed
@@ -30,6 +38,7 @@ __all__ = [
     "crosstrack_next",
     "crosstrack_shift",
     "disc_contact",
+    "disc_contacts",
     "encounter_side",
     "inside",
     "nearest_in_quadrants",

@@ -48,6 +48,12 @@ class Cone(NamedTuple):
     there: ca.SX
     point: ca.SX
 
+    @staticmethod
+    def of(row: ca.SX) -> Cone:
+        """The cone in a row of a table of cones."""
+        vectors = [row[k : k + 2] for k in (0, 2, 4)]
+        return Cone(*vectors, *(row[k] for k in range(6, 15)), row[15:17])
+
 
 def collision_cone(
     contact: Contact, *, apart: ca.SX, standoff: ca.SX, horizon: ca.SX, there: ca.SX, point: ca.SX

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-__all__ = ["FAR", "Contact", "disc_contact", "nearest_in_quadrants", "point_contact", "wall_contacts"]
+from surctl.ir import each, fold, tabulated
+
+__all__ = ["FAR", "Contact", "disc_contact", "disc_contacts", "nearest_in_quadrants", "point_contact", "wall_contacts"]
 
 FAR = 100.0  # clearance [m] of a contact that is not there
 
@@ -33,6 +35,16 @@ class Contact:
         """v_o·n [m/s]; negative when the contact approaches."""
         return ca.dot(self.velocity, self.normal)
 
+    @staticmethod
+    def of(row: ca.SX) -> Contact:
+        """The contact in a row of a table, see `row`."""
+        return Contact(row[:2], row[2], row[3:5], row[5])
+
+    @property
+    def row(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Its fields, for a table of contacts."""
+        return self.normal, self.clearance, self.velocity, self.reach
+
 
 def disc_contact(position: ca.SX, hull: ca.SX, centre: ca.SX, radius: ca.SX, velocity: ca.SX, valid: ca.SX) -> Contact:
     """Contact with a disc of the given radius [m] that moves with `velocity` (2, 1) [m/s]; a point has radius 0.
@@ -51,6 +63,26 @@ def disc_contact(position: ca.SX, hull: ca.SX, centre: ca.SX, radius: ca.SX, vel
     normal = ca.if_else(apart, offset / ca.fmax(distance, 1e-6), ca.SX([1, 0]))
     clearance = ca.if_else(valid > 0.5, distance - radius - hull, FAR)
     return Contact(normal, clearance, velocity, hull + radius)
+
+
+def disc_contacts(position: ca.SX, hull: ca.SX, discs: ca.SX) -> list[Contact]:
+    """`disc_contact` of each row x, y, radius, vx, vy, valid of a table (n, 6).
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import disc_contacts
+        >>> discs = ca.SX([[2, 0, 0.5, 0, 0, 1], [0, 3, 0.5, 0, 0, 1]])
+        >>> [float(contact.clearance) for contact in disc_contacts(ca.SX([0, 0]), ca.SX(0.2), discs)]
+        [1.3, 2.3]
+    """
+
+    def contact(disc: ca.SX) -> tuple[ca.SX, ...]:
+        return (ca.vertcat(*disc_contact(position, hull, disc[:2], disc[2], disc[3:5], disc[5]).row),)
+
+    if discs.shape[0] == 0:
+        return []
+    (table,) = each("disc_contact", contact, discs)
+    return [Contact.of(table[k, :].T) for k in range(table.shape[0])]
 
 
 def point_contact(position: ca.SX, hull: ca.SX, point: ca.SX, valid: ca.SX) -> Contact:

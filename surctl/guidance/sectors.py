@@ -7,7 +7,7 @@ braking distance in place of κ(l − R_OB − d_s): n·v ≤ a(l) + v_o·n. No 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import cos, radians, sin
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ import casadi as ca
 from surctl.guidance.cones import Cone, inside
 from surctl.guidance.contacts import Contact
 from surctl.guidance.sides import MISSED, MISSED_RATE, passes_left, side_costs, swap_costs
+from surctl.ir import each, fold, only_if, tabulated
 
 __all__ = ["Choice", "Sector", "choose_velocity", "round_unknown", "slowed"]
 
@@ -31,6 +32,7 @@ _LEADS_BACK = 1.6  # cost above which a course takes back more than it gains: mo
 _SLOWER = 1.0  # cost of going slower there, by the share of the speed that is lost
 _SLOWEST = 0.5  # share of the speed; with less of it left a course leads up to something, not past it
 _ANY = 1e3  # [m/s²] of a robot that turns its velocity at once
+_NEVER = 1e6  # cost of what is no candidate
 _OVERTAKE = 0.05  # [m/s] by which the robot outruns what comes from behind
 
 
@@ -46,6 +48,11 @@ class Sector(NamedTuple):
     normal: ca.SX
     bound: ca.SX
     point: ca.SX
+
+    @staticmethod
+    def of(row: ca.SX) -> Sector:
+        """The sector in a row of a table of sectors."""
+        return Sector(row[:2], row[2], row[3:5])
 
 
 @dataclass(frozen=True)
@@ -118,78 +125,203 @@ def choose_velocity(
     """
     wished = ca.fmax(ca.sqrt(ca.sumsqr(wish)), 1e-3)
     ahead = wish / wished
-    retreat = _retreat_speed(sectors, cap)
-    near = _violation(ahead, wished, sectors, cones) > _TOLERANCE
+    around = _Around(tabulated(sectors, 5), tabulated(cones, 17))
+    retreat = fold("retreat", lambda most, row: ca.fmax(most, ca.fmin(-row[2], cap)), ca.SX(0), around.sectors)
+    near = around.excess(wished * ahead) > _TOLERANCE
     speed = ca.if_else(near, ca.fmin(wished, cruise), wished)
     speed = ca.fmax(speed, ca.if_else(retreat > 0, ca.fmin(retreat + _OVERTAKE, cap), 0))
 
     own = ca.SX.zeros(2) if now is None else now
     force = ca.SX(_ANY) if acceleration is None else acceleration
-    sides, crosses = [], []
-    for cone in cones:
-        met = inside(speed * ahead, cone) > _TOLERANCE
-        head_on, swap = side_costs(cone, wish, walls), swap_costs(cone, own, speed, force)
-        sides.append([ca.if_else(met, a, 0) + b for a, b in zip(head_on, swap, strict=True)])
-        crosses.append(swap[0] + swap[1] > 0)
-    worst, crossed = _worst_blocker(ahead, speed, sectors, cones, crosses)
+    around = around.with_sides(wish, speed, speed * ahead, own, force, walls)
+    worst, crossed = around.worst_blocker(ahead, speed)
     held = ca.sumsqr(worst - blocker) <= same * same
     # the side is one of the wish: of what crosses it says nothing, there `swap_costs` holds on to the way round
     latched = ca.if_else(ca.logic_and(held, ca.logic_not(crossed)), side, 0)
-    course, missed = ahead, _violation(ahead, speed, sectors, cones)
+    missed = around.excess(speed * ahead)
     blocked = missed > _TOLERANCE
-    least, taken = _missed_cost(missed), ca.SX(0)
-    # what moves comes nearer, and goes by itself: waiting comes to an end
-    pace, waits = speed, ca.SX(0)
-    for cone in cones:
-        waits = ca.logic_or(waits, ca.logic_and(cone.there, cone.room < -_AWAITED * cone.closing))
-    waits = ca.logic_and(waits, retreat <= 0)
-    for slow in (_free_speed(ahead, speed, sectors), ca.SX(0)):
-        slow_missed = _excess(slow * ahead, sectors, cones)
-        cost = 1 - slow / speed + _WAIT + _missed_cost(slow_missed)
-        for cone, (on_left, on_right) in zip(cones, sides, strict=True):
-            cost += ca.if_else(passes_left(slow * ahead, cone), on_left, on_right)
-        better = ca.logic_and(waits, cost < least)
-        missed, pace = ca.if_else(better, slow_missed, missed), ca.if_else(better, slow, pace)
-        taken, least = ca.if_else(better, latched, taken), ca.if_else(better, cost, least)
-    for sign in (1, -1):
-        edges = [(sector.normal, sector.bound, sector.bound < speed) for sector in sectors]
-        edges += [
-            (cone.left, cone.left_bound, cone.there) if sign > 0 else (cone.right, cone.right_bound, cone.there)
-            for cone in cones
-        ]
-        for normal, bound, exists in edges:
-            edge = _edge(normal, bound, speed, sign)
-            edge_missed = _violation(edge, speed, sectors, cones)
-            left = ca.if_else(ahead[0] * edge[1] - ahead[1] * edge[0] >= 0, 1, -1)
-            cost = 1 - ca.dot(edge, ahead) + (0 if sign > 0 else _HEAD_ON) + _missed_cost(edge_missed)
-            for cone, (on_left, on_right) in zip(cones, sides, strict=True):
-                cost += ca.if_else(passes_left(speed * edge, cone), on_left, on_right)
-            cost += ca.if_else(latched * left < -0.5, _TURN_BACK, 0)
-            cost += ca.if_else(exists, 0, 1e6)  # what blocks nothing has no edge
-            better = cost < least
-            course, missed = ca.if_else(better, edge, course), ca.if_else(better, edge_missed, missed)
-            taken, least = ca.if_else(better, left, taken), ca.if_else(better, cost, least)
-            pace = ca.if_else(better, speed, pace)
+    best = _Best(ahead, missed, ca.SX(0), _missed_cost(missed), speed)
+    search = _Search(around, ahead, speed, latched)
+    best = only_if("waiting", ca.logic_and(around.waits(), retreat <= 0), lambda: search.waiting(best), best)
+    best = search.edges(_Best(*best))
     if slower is not None:
-        slower = ca.logic_and(ca.logic_and(slower, retreat <= 0), least > _LEADS_BACK)
-        for cone in cones:
-            slower = ca.logic_and(slower, ca.logic_not(cone.there))
-        for sign in (1, -1):
-            for angle in _FAN:
-                turned = _turned(ahead, cos(angle), sign * sin(angle))
-                free = _free_speed(turned, speed, sectors)
-                # missed is nothing: no bound is negative here, and no cone is there
-                cost = 1 - cos(angle) + (0 if sign > 0 else _HEAD_ON) + _SLOWER * (1 - free / speed)
-                cost += ca.if_else(latched * sign < -0.5, _TURN_BACK, 0)
-                better = ca.logic_and(ca.logic_and(slower, free > _SLOWEST * speed), cost < least)
-                course, missed = ca.if_else(better, turned, course), ca.if_else(better, 0, missed)
-                taken, least = ca.if_else(better, sign, taken), ca.if_else(better, cost, least)
-                pace = ca.if_else(better, free, pace)
-    velocity = ca.fmax(ca.fmin(_free_speed(course, speed, sectors), pace), retreat) * course
+        slower = ca.logic_and(ca.logic_and(slower, retreat <= 0), best.least > _LEADS_BACK)
+        slower = ca.logic_and(slower, ca.logic_not(around.any_there()))
+        found = best
+        best = _Best(*only_if("slower", slower, lambda: search.slower(found), found))
+    velocity = ca.fmax(ca.fmin(around.free_speed(best.course, speed), best.pace), retreat) * best.course
     # boxed in: where every way out is worse than standing still, stand still
-    worse = _excess(velocity, sectors, cones) > _excess(ca.SX.zeros(2), sectors, cones) + _TOLERANCE
-    velocity = ca.if_else(ca.logic_and(missed > _TOLERANCE, worse), 0, velocity)
-    return Choice(velocity, ca.if_else(blocked, taken, 0), blocked, ca.fmax(missed, 0), worst)
+    worse = around.excess(velocity) > around.excess(ca.SX.zeros(2)) + _TOLERANCE
+    velocity = ca.if_else(ca.logic_and(best.missed > _TOLERANCE, worse), 0, velocity)
+    return Choice(velocity, ca.if_else(blocked, best.side, 0), blocked, ca.fmax(best.missed, 0), worst)
+
+
+class _Best(NamedTuple):
+    """The candidate so far: course (2, 1), by how much it misses the bounds, its side, its cost, its speed."""
+
+    course: ca.SX
+    missed: ca.SX
+    side: ca.SX
+    least: ca.SX
+    pace: ca.SX
+
+    def or_else(self, course: ca.SX, missed: ca.SX, side: ca.SX, cost: ca.SX, pace: ca.SX) -> _Best:
+        """The other one where it costs less."""
+        other = _Best(course, missed, side, cost, pace)
+        return _Best(*(ca.if_else(cost < self.least, b, a) for a, b in zip(self, other, strict=True)))
+
+
+@dataclass(frozen=True)
+class _Around:
+    """Everything in the way as tables: sectors (n, 5), cones (m, 17); and what it costs to pass a cone's contact on
+    the left, on the right, and whether it crosses (m, 3)."""
+
+    sectors: ca.SX
+    cones: ca.SX
+    sides: ca.SX | None = None
+
+    def with_sides(
+        self, wish: ca.SX, speed: ca.SX, velocity: ca.SX, now: ca.SX, acceleration: ca.SX, walls: Sequence[Contact]
+    ) -> _Around:
+        """The same with the table of sides."""
+
+        def sides(row: ca.SX) -> tuple[ca.SX]:
+            cone = Cone.of(row)
+            met = inside(velocity, cone) > _TOLERANCE
+            head_on, swap = side_costs(cone, wish, walls), swap_costs(cone, now, speed, acceleration)
+            costs = [ca.if_else(met, a, 0) + b for a, b in zip(head_on, swap, strict=True)]
+            return (ca.vertcat(*costs, swap[0] + swap[1] > 0),)
+
+        return replace(self, sides=each("sides", sides, self.cones)[0]) if self.cones.shape[0] else self
+
+    def excess(self, velocity: ca.SX) -> ca.SX:
+        """By how much a velocity (2, 1) misses the worst bound [m/s]; negative when it keeps them all."""
+
+        def missed(worst: ca.SX, row: ca.SX) -> ca.SX:
+            return ca.fmax(worst, ca.dot(velocity, row[:2]) - row[2])
+
+        worst = fold("excess", missed, ca.SX(-10.0), self.sectors)
+        return fold("depth", lambda worst, row: ca.fmax(worst, inside(velocity, Cone.of(row))), worst, self.cones)
+
+    def free_speed(self, course: ca.SX, speed: ca.SX) -> ca.SX:
+        """Largest speed up to `speed` on this course that no non-negative bound forbids."""
+
+        def limited(free: ca.SX, row: ca.SX) -> ca.SX:
+            along = ca.dot(course, row[:2])
+            limit = ca.fmax(row[2], 0) / ca.fmax(along, 1e-3)
+            return ca.if_else(along > 1e-3, ca.fmin(free, limit), free)
+
+        return fold("free_speed", limited, speed, self.sectors)
+
+    def passing(self, velocity: ca.SX, cost: ca.SX) -> ca.SX:
+        """A cost, and that of the sides on which a velocity passes what moves."""
+
+        def passed(cost: ca.SX, row: ca.SX, sides: ca.SX) -> ca.SX:
+            return cost + ca.if_else(passes_left(velocity, Cone.of(row)), sides[0], sides[1])
+
+        return cost if self.sides is None else fold("passing", passed, cost, self.cones, self.sides)
+
+    def waits(self) -> ca.SX:
+        """Whether what moves comes nearer, and goes by itself: waiting comes to an end."""
+
+        def soon(any_other: ca.SX, row: ca.SX) -> ca.SX:
+            cone = Cone.of(row)
+            return ca.logic_or(any_other, ca.logic_and(cone.there, cone.room < -_AWAITED * cone.closing))
+
+        return fold("waits", soon, ca.SX(0), self.cones)
+
+    def any_there(self) -> ca.SX:
+        """Whether anything moves."""
+        return fold("there", lambda other, row: ca.logic_or(other, Cone.of(row).there), ca.SX(0), self.cones)
+
+    def worst_blocker(self, course: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Where what blocks a course most is, and whether it is a cone whose contact crosses."""
+
+        def by_sector(worst: ca.SX, where: ca.SX, row: ca.SX) -> list[ca.SX]:
+            violation = speed * ca.dot(course, row[:2]) - row[2]
+            return [ca.fmax(worst, violation), ca.if_else(violation > worst, row[3:5], where)]
+
+        def by_cone(worst: ca.SX, where: ca.SX, crossed: ca.SX, row: ca.SX, sides: ca.SX) -> list[ca.SX]:
+            depth = inside(speed * course, Cone.of(row))
+            new = (ca.fmax(worst, depth), *(ca.if_else(depth > worst, a, b) for a, b in zip((row[15:17], sides[2]), (where, crossed), strict=True)))
+            return list(new)
+
+        worst, where = fold("worst_sector", by_sector, [ca.SX(-10.0), self.sectors[0, 3:5].T], self.sectors)
+        if self.sides is None:
+            return where, ca.SX(0)
+        _, where, crossed = fold("worst_cone", by_cone, [worst, where, ca.SX(0)], self.cones, self.sides)
+        return where, crossed
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The candidates, in their order: of two that cost the same the first is taken."""
+
+    around: _Around
+    ahead: ca.SX
+    speed: ca.SX
+    latched: ca.SX
+
+    def waiting(self, best: _Best) -> _Best:
+        """The wish as slow as the sectors ask, and standing still."""
+        for slow in (self.around.free_speed(self.ahead, self.speed), ca.SX(0)):
+            missed = self.around.excess(slow * self.ahead)
+            cost = 1 - slow / self.speed + _WAIT + _missed_cost(missed)
+            cost = self.around.passing(slow * self.ahead, cost)
+            best = best.or_else(best.course, missed, self.latched, cost, slow)
+        return best
+
+    def edges(self, best: _Best) -> _Best:
+        """Both edges of every sector and cone: all left ones, then all right ones."""
+
+        def on_one_side(*given: ca.SX) -> list[ca.SX]:
+            *held, row = given
+            sign, dearer = row[0], row[1]
+
+            def sector(*given: ca.SX) -> list[ca.SX]:
+                *held, row = given
+                edge = lambda: self._edge(_Best(*held), row[:2], row[2], sign, dearer)  # noqa: E731
+                return only_if("sector_edge", row[2] < self.speed, edge, held)
+
+            def cone(*given: ca.SX) -> list[ca.SX]:
+                *held, row = given
+                c, left = Cone.of(row), sign > 0
+                normal, bound = ca.if_else(left, c.left, c.right), ca.if_else(left, c.left_bound, c.right_bound)
+                return only_if("cone_edge", c.there, lambda: self._edge(_Best(*held), normal, bound, sign, dearer), held)
+
+            held = fold("sector_edges", sector, held, self.around.sectors)
+            return fold("cone_edges", cone, held, self.around.cones)
+
+        return _Best(*fold("both_sides", on_one_side, best, ca.SX([[1, 0], [-1, _HEAD_ON]])))
+
+    def _edge(self, best: _Best, normal: ca.SX, bound: ca.SX, sign: ca.SX, dearer: ca.SX) -> _Best:
+        course, ahead = _edge(normal, bound, self.speed, sign), self.ahead
+        missed = self.around.excess(self.speed * course)
+        left = ca.if_else(ahead[0] * course[1] - ahead[1] * course[0] >= 0, 1, -1)
+        cost = 1 - ca.dot(course, ahead) + dearer + _missed_cost(missed)
+        cost = self.around.passing(self.speed * course, cost)
+        cost += ca.if_else(self.latched * left < -0.5, _TURN_BACK, 0)
+        return best.or_else(course, missed, left, cost, self.speed)
+
+    def slower(self, best: _Best) -> _Best:
+        """Courses to either side of the wish, each as slow as the sectors ask."""
+        fan = [
+            (cos(angle), sign * sin(angle), sign, 1 - cos(angle) + (0 if sign > 0 else _HEAD_ON))
+            for sign in (1, -1)
+            for angle in _FAN
+        ]
+
+        def course(*given: ca.SX) -> _Best:
+            *held, row = given
+            turned, sign, off = _turned(self.ahead, row[0], row[1]), row[2], row[3]
+            free = self.around.free_speed(turned, self.speed)
+            # missed is nothing: no bound is negative here, and no cone is there
+            cost = off + _SLOWER * (1 - free / self.speed)
+            cost += ca.if_else(self.latched * sign < -0.5, _TURN_BACK, 0)
+            cost = ca.if_else(free > _SLOWEST * self.speed, cost, _NEVER)
+            return _Best(*held).or_else(turned, ca.SX(0), sign, cost, free)
+
+        return _Best(*fold("slower_course", course, best, ca.SX(fan)))
 
 
 def slowed(velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) -> ca.SX:
@@ -202,12 +334,13 @@ def slowed(velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) -> ca.SX:
         >>> ca.DM(slowed(ca.DM([0.2, 0.1]), [wall])).full().ravel().round(3).tolist()
         [0.05, 0.025]
     """
-    share = ca.SX(1)
-    for normal, bound in bounds:
-        along = ca.dot(velocity, normal)
+
+    def slowest(share: ca.SX, row: ca.SX) -> ca.SX:
+        along = ca.dot(velocity, row[:2])
         # a bound of 0 stops only what goes towards it
-        share = ca.if_else(along > 1e-6, ca.fmin(share, bound / ca.fmax(along, 1e-6)), share)
-    return velocity * share
+        return ca.if_else(along > 1e-6, ca.fmin(share, row[2] / ca.fmax(along, 1e-6)), share)
+
+    return velocity * fold("slowed", slowest, ca.SX(1), tabulated(bounds, 3))
 
 
 def round_unknown(
@@ -239,19 +372,27 @@ def round_unknown(
     """
     speed = ca.fmax(ca.sqrt(ca.sumsqr(velocity)), 1e-3)
     ahead = velocity / speed
-    taken, most = velocity, ca.dot(slowed(velocity, bounds), ahead) + _WORTH_IT * speed
-    kept = ca.fmax(_excess(velocity, sectors, cones), 0) + _TOLERANCE
-    for normal, bound in bounds:
-        for sign in (1, -1):
-            course = speed * _edge(normal, bound, speed, sign)
+    around = _Around(tabulated(sectors, 5), tabulated(cones, 17))
+    kept = ca.fmax(around.excess(velocity), 0) + _TOLERANCE
+
+    def beside(taken: ca.SX, most: ca.SX, row: ca.SX) -> list[ca.SX]:
+        def one_side(taken: ca.SX, most: ca.SX, sign: ca.SX) -> list[ca.SX]:
+            course = speed * _edge(row[:2], row[2], speed, sign)
             gain = ca.dot(slowed(course, bounds), ahead)
-            gain = ca.if_else(_excess(course, sectors, cones) <= kept, gain, 0)
-            better = ca.logic_and(bound < speed, gain > most)
-            taken, most = ca.if_else(better, course, taken), ca.if_else(better, gain, most)
-    return taken
+            gain = ca.if_else(around.excess(course) <= kept, gain, 0)
+            return [ca.if_else(gain > most, course, taken), ca.if_else(gain > most, gain, most)]
+
+        def both() -> list[ca.SX]:
+            found: list[ca.SX] = fold("one_side", one_side, [taken, most], ca.SX([1, -1]))
+            return found
+
+        return only_if("beside", row[2] < speed, both, [taken, most])
+
+    most = ca.dot(slowed(velocity, bounds), ahead) + _WORTH_IT * speed
+    return fold("past_unknown", beside, [velocity, most], tabulated(bounds, 3))[0]
 
 
-def _edge(n: ca.SX, bound: ca.SX, speed: ca.SX, sign: int) -> ca.SX:
+def _edge(n: ca.SX, bound: ca.SX, speed: ca.SX, sign: ca.SX) -> ca.SX:
     """Unit course n turned by ± arccos(bound/speed), left for +1."""
     cosine = ca.fmin(ca.fmax(bound / speed, -1), 1)
     return _turned(n, cosine, sign * ca.sqrt(1 - cosine * cosine))
@@ -264,50 +405,3 @@ def _turned(n: ca.SX, cosine: ca.SX | float, sine: ca.SX | float) -> ca.SX:
 
 def _missed_cost(violation: ca.SX) -> ca.SX:
     return ca.if_else(violation > _TOLERANCE, MISSED + MISSED_RATE * violation, 0)
-
-
-def _violation(course: ca.SX, speed: ca.SX, sectors: Sequence[Sector], cones: Sequence[Cone]) -> ca.SX:
-    return _excess(speed * course, sectors, cones)
-
-
-def _excess(velocity: ca.SX, sectors: Sequence[Sector], cones: Sequence[Cone]) -> ca.SX:
-    """By how much a velocity (2, 1) misses the worst bound [m/s]; negative when it keeps them all."""
-    worst = ca.SX(-10.0)
-    for sector in sectors:
-        worst = ca.fmax(worst, ca.dot(velocity, sector.normal) - sector.bound)
-    for cone in cones:
-        worst = ca.fmax(worst, inside(velocity, cone))
-    return worst
-
-
-def _worst_blocker(
-    course: ca.SX, speed: ca.SX, sectors: Sequence[Sector], cones: Sequence[Cone], crosses: Sequence[ca.SX]
-) -> tuple[ca.SX, ca.SX]:
-    """Where what blocks a course most is, and whether it is a cone whose contact crosses."""
-    worst, where, crossed = ca.SX(-10.0), sectors[0].point, ca.SX(0)
-    for sector in sectors:
-        violation = speed * ca.dot(course, sector.normal) - sector.bound
-        where = ca.if_else(violation > worst, sector.point, where)
-        worst = ca.fmax(worst, violation)
-    for cone, crossing in zip(cones, crosses, strict=True):
-        depth = inside(speed * course, cone)
-        where, crossed = ca.if_else(depth > worst, cone.point, where), ca.if_else(depth > worst, crossing, crossed)
-        worst = ca.fmax(worst, depth)
-    return where, crossed
-
-
-def _retreat_speed(sectors: Sequence[Sector], cap: ca.SX) -> ca.SX:
-    retreat = ca.SX(0)
-    for sector in sectors:
-        retreat = ca.fmax(retreat, ca.fmin(-sector.bound, cap))
-    return retreat
-
-
-def _free_speed(course: ca.SX, speed: ca.SX, sectors: Sequence[Sector]) -> ca.SX:
-    """Largest speed up to `speed` on this course that no non-negative bound forbids."""
-    free = speed
-    for sector in sectors:
-        along = ca.dot(course, sector.normal)
-        limit = ca.fmax(sector.bound, 0) / ca.fmax(along, 1e-3)
-        free = ca.if_else(along > 1e-3, ca.fmin(free, limit), free)
-    return free

@@ -22,6 +22,7 @@ from surctl.ir.program import Instruction, Program
 from surctl.ir.replay import replay
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step
 from surctl.ir.symbolic import to_casadi
+from surctl.ir.tracing import Recording, each, fold, only_if, repeat, tabulated
 
 __all__ = [
     "C_TYPE",
@@ -41,6 +42,7 @@ __all__ = [
     "Port",
     "Program",
     "Real",
+    "Recording",
     "Routine",
     "Step",
     "Wide",
@@ -51,16 +53,20 @@ __all__ = [
     "compile_block",
     "compile_program",
     "compiler_version",
+    "each",
     "emit_block",
     "emit_c99",
     "emit_lanes",
     "emit_wide",
     "find_compiler",
+    "fold",
     "fused",
     "identifier",
     "lower",
     "memory",
     "nearby_angles",
+    "only_if",
+    "repeat",
     "replay",
     "runnable",
     "shared_divisors",
@@ -68,6 +74,7 @@ __all__ = [
     "stack_bytes",
     "stack_of",
     "stack_told",
+    "tabulated",
     "to_casadi",
     "tuned_flags",
     "with_constants",

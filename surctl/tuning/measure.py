@@ -264,7 +264,7 @@ def law_digest(case: Case) -> str:
 @cache
 def _law_digest(law: LawName, avoidance: AvoidanceForm, guidance: Guidance, barrier: Barrier, movers: Movers) -> str:
     built = build_law(law, avoidance=avoidance, guidance=guidance, barrier=barrier, movers=movers)
-    return lower(built.function).digest()
+    return built.closed.digest()
 
 
 def _numbers(vehicle: Vehicle) -> str:

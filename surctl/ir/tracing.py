@@ -1,0 +1,296 @@
+"""Loops in symbolic functions: write the body once, over rows of a table, and lower it as a bounded loop.
+
+CasADi's SX has no loops: a Python loop that builds expressions is unrolled, and its code grows with what it runs over.
+`repeat`, `fold`, `each` and `only_if` call the body once, on fresh symbols, while a `Recording` is open, and give
+symbols for what the loop computes. `Recording.block` lowers expressions over such symbols to a routine. Without a
+recording they unroll, so that the same text can be evaluated or differentiated directly.
+
+Bodies are closures: they may use any expression from outside. What does not depend on a loop's own rows or state is
+computed before it, once; what only a condition (`only_if`) needs is computed inside it; equal expressions are computed
+once wherever they stand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextvars import ContextVar, Token
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, TypeAlias
+
+import casadi as ca
+
+from surctl.errors import InputError
+from surctl.ir.lowering import lower
+from surctl.ir.regions import Traced, routine
+from surctl.ir.routine import Block
+
+__all__ = ["Recording", "each", "fold", "only_if", "repeat", "tabulated"]
+
+Vectors: TypeAlias = Sequence[ca.SX]
+
+_open: ContextVar[Recording | None] = ContextVar("recording", default=None)
+
+
+@dataclass(frozen=True)
+class _Loop:
+    """One loop in symbols, as `regions.Traced` has it in positions; tables are row by row."""
+
+    name: str
+    depth: int
+    count: int
+    own: tuple[ca.SX, ...]
+    results: tuple[ca.SX, ...]
+    state: tuple[ca.SX, ...]
+    tables: tuple[ca.SX, ...]
+    next: tuple[ca.SX, ...]
+    rows: tuple[ca.SX, ...]
+    until: int | None
+
+    @property
+    def expressions(self) -> tuple[ca.SX, ...]:
+        """All that the loop is computed from."""
+        return (*self.state, *self.tables, *self.next, *self.rows)
+
+
+class Recording:
+    """Loops that are traced while it is open (`with`), and what expressions over their results are lowered to.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import Recording, fold, replay
+        >>> points, here = ca.SX.sym("points", 5, 2), ca.SX.sym("here", 2)
+        >>> with Recording() as recording:
+        ...     nearest = fold(
+        ...         "nearest", lambda least, point: ca.fmin(least, ca.norm_2(point - here)), ca.SX(100), points
+        ...     )
+        >>> block = recording.block("watch", {"points": ca.vec(points.T), "here": here}, {"nearest": nearest})
+        >>> print(block.text().splitlines()[0], "…", block.operations)
+        program watch_before_nearest … 30
+        >>> [float(replay(block, [3, 4, 1, 0, 2, 0, 0, 3, 9, 9], at)[0][0]) for at in ([0, 0], [2, 1])]
+        [1.0, 1.0]
+    """
+
+    def __init__(self) -> None:
+        self._loops: list[_Loop] = []
+        self._depth = 0
+        self._token: Token[Recording | None] | None = None
+
+    def __enter__(self) -> Recording:
+        self._token = _open.set(self)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        assert self._token is not None
+        _open.reset(self._token)
+
+    def block(self, name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX]) -> Block:
+        """The outputs as a block: a program, or a routine where loops are needed.
+
+        Args:
+            name: of the block; what it calls has a name that begins with it, or the name of a loop.
+            inputs: symbols (n, 1) by name.
+            outputs: expressions by name; column by column in the block.
+
+        Raises:
+            InputError, UnsupportedOperation: as `lower`; a symbol that is neither an input nor a loop's.
+        """
+        made = [ca.densify(ca.SX(value)) for value in outputs.values()]
+        loops = self._reached(made)
+        arguments = [*inputs.values(), *(s for loop in loops for s in (*loop.own, *loop.results))]
+        results = [*made, *(e for loop in loops for e in loop.expressions)]
+        names = [*inputs, *(f"loop{k}" for k in range(len(arguments) - len(inputs)))]
+        try:
+            function = ca.Function(name, arguments, results, names, [f"o{k}" for k in range(len(results))])
+        except RuntimeError as error:
+            reason = next((line for line in str(error).splitlines() if "free" in line), "a symbol is no input")
+            raise InputError(f"cannot be lowered ({reason.strip()})", key=name, remedy="name it among the inputs") from None
+        program = lower(function)
+        if not loops:
+            renamed = tuple((out, size) for out, (_, size) in zip(outputs, program.outputs, strict=True))
+            return type(program)(name, program.inputs, renamed, program.instructions, program.output_refs)
+        traced, argument, result = [], len(inputs), len(made)
+        for loop in loops:
+            sizes = [len(loop.own), len(loop.results)]
+            ends = [len(part) for part in (loop.state, loop.tables, loop.next, loop.rows)]
+            groups, at = [], result
+            for size in ends:
+                groups.append(tuple(program.output_refs[at : at + size]))
+                at += size
+            own = tuple(range(argument, argument + sizes[0]))
+            made_here = tuple(range(argument + sizes[0], argument + sum(sizes)))
+            traced.append(Traced(loop.name, loop.depth, loop.count, own, made_here, *groups, until=loop.until))
+            argument, result = argument + sum(sizes), at
+        refs = {out: program.output_refs[k] for k, out in enumerate(outputs)}
+        return routine(name, program, len(inputs), refs, traced)
+
+    def trace(
+        self,
+        name: str,
+        body: Callable[..., tuple[Vectors, Vectors]],
+        state: Vectors,
+        tables: Vectors,
+        count: int,
+        until: int | None,
+    ) -> tuple[list[ca.SX], list[ca.SX]]:
+        """Call the body on fresh symbols, once."""
+        self._depth += 1
+        held = [ca.SX.sym("s", part.numel()) for part in state]
+        rows = [ca.SX.sym("t", table.shape[1]) for table in tables]
+        after, made = body(*held, *rows)
+        self._depth -= 1
+        after, made = _columns(after), _columns(made)
+        _check(name, state, after, made, until)
+        results = [ca.SX.sym("r", part.numel()) for part in state]
+        stacked = [ca.SX.sym("r", count * part.numel()) for part in made]
+        loop = _Loop(
+            name,
+            self._depth + 1,
+            count,
+            (*held, *rows),
+            (*results, *stacked),
+            tuple(state),
+            tuple(ca.vec(table.T) for table in tables),
+            tuple(after),
+            tuple(made),
+            until,
+        )
+        self._loops.append(loop)
+        return results, [ca.reshape(s, part.numel(), count).T for s, part in zip(stacked, made, strict=True)]
+
+    def _reached(self, outputs: Vectors) -> list[_Loop]:
+        """The loops that the outputs need, in the order in which they were traced."""
+        of = {s.element_hash(): k for k, loop in enumerate(self._loops) for r in loop.results for s in ca.symvar(r)}
+        reached: set[int] = set()
+        todo = list(outputs)
+        while todo:
+            found = {of[h] for e in todo for s in ca.symvar(e) if (h := s.element_hash()) in of} - reached
+            reached |= found
+            todo = [e for k in found for e in self._loops[k].expressions]
+        return [self._loops[k] for k in sorted(reached)]
+
+
+def repeat(
+    name: str,
+    body: Callable[..., tuple[Vectors, Vectors]],
+    state: Vectors,
+    tables: Vectors = (),
+    *,
+    count: int | None = None,
+    until: int | None = None,
+) -> tuple[list[ca.SX], list[ca.SX]]:
+    """Run a body over the rows of tables.
+
+    Args:
+        name: C identifier of the loop's body.
+        body: (state parts, rows) → (next state parts, rows of what is stacked), all as columns.
+        state: columns before the first turn.
+        tables: (turns, width) each; every turn gets one row of each, as a column.
+        count: turns where there is no table.
+        until: position in `state` of a flag (1, 1): no further turn once it is not 0. Nothing can be stacked then.
+
+    Returns:
+        The state after the last turn, and the tables (turns, width) of what was stacked.
+
+    Raises:
+        InputError: tables of different length, a state that changes its size, or nothing to run over.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import repeat
+        >>> table = ca.DM([[1, 2], [3, 4]])
+        >>> (total,), (products,) = repeat(
+        ...     "sums", lambda total, row: ((total + row[0],), (row[0] * row[1],)), [ca.SX(0)], [ca.SX(table)]
+        ... )
+        >>> float(total), ca.DM(products).full().ravel().tolist()  # without a recording it is unrolled
+        (4.0, [2.0, 12.0])
+    """
+    state, tables = _columns(state), [ca.densify(ca.SX(table)) for table in tables]
+    lengths = {int(table.shape[0]) for table in tables} | ({count} if count is not None else set())
+    if len(lengths) != 1:
+        raise InputError(f"runs over tables of {sorted(lengths)} rows", key=name, remedy="give them the same length")
+    turns = lengths.pop()
+    recording = _open.get()
+    if recording is not None and turns and (turns > 1 or until is not None):
+        return recording.trace(name, body, state, tables, turns, until)
+    stacked: list[list[ca.SX]] = []
+    for turn in range(turns):
+        after, made = body(*state, *(table[turn, :].T for table in tables))
+        after, made = _columns(after), _columns(made)
+        _check(name, state, after, made, until)
+        if until is not None:
+            runs = state[until] == 0
+            after = [ca.if_else(runs, new, old) for new, old in zip(after, state, strict=True)]
+        state = after
+        stacked.append(made)
+    return list(state), [ca.vertcat(*(part.T for part in parts)) for parts in zip(*stacked, strict=True)]
+
+
+def fold(name: str, body: Callable[..., Any], state: ca.SX | Vectors, *tables: ca.SX) -> Any:
+    """The state after a body has run over the rows of tables; one column, or a list of columns as `state` is.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import fold
+        >>> float(fold("sum", lambda total, row: total + ca.sumsqr(row), ca.SX(0), ca.SX([[1, 2], [3, 4]])))
+        30.0
+    """
+    if isinstance(state, ca.SX):
+        return repeat(name, lambda *given: ((body(*given),), ()), [state], tables)[0][0]
+    return repeat(name, lambda *given: (body(*given), ()), state, tables)[0]
+
+
+def each(name: str, body: Callable[..., Vectors], *tables: ca.SX) -> list[ca.SX]:
+    """Tables (turns, width) of what a body gives for each row of tables.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import each
+        >>> (squares,) = each("square", lambda row: [row * row], ca.SX([[1, 2], [3, 4]]))
+        >>> ca.DM(squares).full().tolist()
+        [[1.0, 4.0], [9.0, 16.0]]
+    """
+    return repeat(name, lambda *given: ((), body(*given)), [], tables)[1]
+
+
+def only_if(name: str, condition: ca.SX, body: Callable[[], Vectors], otherwise: Vectors) -> list[ca.SX]:
+    """What a body gives where a condition holds, else other values; the body is run only where it holds.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import only_if
+        >>> [float(v) for c in (1, 0) for v in only_if("root", ca.SX(c), lambda: [ca.sqrt(ca.SX(4))], [ca.SX(-1)])]
+        [2.0, -1.0]
+    """
+    given = _columns(otherwise)
+    (_, *values), _ = repeat(
+        name, lambda *_: ((ca.SX(1), *body()), ()), [ca.logic_not(condition), *given], count=1, until=0
+    )
+    return values
+
+
+def tabulated(rows: Iterable[Iterable[ca.SX | float]], width: int = 0) -> ca.SX:
+    """A table with a row for each group of columns or numbers; (0, width) without one.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import tabulated
+        >>> tabulated([(ca.SX([1, 2]), 3.0), (ca.SX([4, 5]), 6.0)])
+        SX(
+        [[1, 2, 3], 
+         [4, 5, 6]])
+    """
+    listed = [ca.vertcat(*(ca.vec(ca.SX(part)) for part in row)).T for row in rows]
+    return ca.densify(ca.vertcat(*listed)) if listed else ca.SX.zeros(0, width)
+
+
+def _columns(values: Vectors) -> list[ca.SX]:
+    return [ca.densify(ca.vec(ca.SX(value))) for value in values]
+
+
+def _check(name: str, state: Vectors, after: Vectors, made: Vectors, until: int | None) -> None:
+    before, behind = [part.numel() for part in state], [part.numel() for part in after]
+    if before != behind:
+        raise InputError(f"has a state of {before} numbers, and then of {behind}", key=name)
+    if until is not None and (before[until] != 1 or made):
+        raise InputError("ends by a flag of one number, and stacks nothing", key=name)
