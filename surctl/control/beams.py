@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
+from itertools import groupby
 from typing import NamedTuple
 
 import casadi as ca
 
+from surctl.ir import each, tabulated
 from surctl.sensing import Ranging, SonarArray, expected_range
 from surctl.sensing.estimate import turned
 from surctl.vehicle import planar_rotation
@@ -49,27 +52,32 @@ def beams(array: SonarArray, around: Around, hull: ca.SX) -> tuple[list[ca.SX], 
 
 def expected(array: SonarArray, around: Around, apexes: Sequence[ca.SX], p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
     """(n,) ranges at which the walls, and the moving obstacles, would give an echo [m]."""
-    walls: list[ca.SX] = []
-    things: list[ca.SX] = []
-    far = ca.DM([-1e3, 1e3, -1e3, 1e3])
+    far = ca.SX([-1e3, 1e3, -1e3, 1e3])
     none = ca.SX(0, 3), ca.SX(0, 1)
     discs = (around.movers[:, :3], around.movers[:, 5])
-    for azimuth, apex, ((offset, half), *_) in zip(array.azimuths, apexes, array.cones, strict=True):
-        for found, site, (round_ones, valid) in ((walls, p["walls"], none), (things, far, discs)):
-            found.append(
-                expected_range(
-                    apex,
-                    around.heading,
-                    walls=ca.SX(site),
-                    discs=round_ones,
-                    valid=valid,
-                    azimuth=azimuth + offset,
-                    hull_radius=0.0,
-                    half_angle=half,
-                    maximum=array.maximum,
-                )
-            )
-    return ca.vertcat(*walls), ca.vertcat(*things)
+
+    def ranges(half: float, axis: ca.SX, apex: ca.SX) -> tuple[ca.SX]:
+        beam = {"azimuth": 0.0, "hull_radius": 0.0, "half_angle": half, "maximum": array.maximum}
+        found = [
+            expected_range(apex, axis, walls=site, discs=round_ones, valid=valid, **beam)
+            for site, (round_ones, valid) in ((p["walls"], none), (far, discs))
+        ]
+        return (ca.vertcat(*found),)
+
+    axes = [turned(around.heading, a + cones[0][0]) for a, cones in zip(array.azimuths, array.cones, strict=True)]
+    halves = [cones[0][1] for cones in array.cones]
+    found: list[ca.SX] = []
+    for half, same in groupby(zip(halves, axes, apexes, strict=True), key=lambda beam: beam[0]):
+        beams_alike = list(same)
+        table = each(
+            "beam_ranges",
+            partial(ranges, half),
+            tabulated([axis] for _, axis, _ in beams_alike),
+            tabulated([apex] for _, _, apex in beams_alike),
+        )[0]
+        found.append(table)
+    both = ca.vertcat(*found)
+    return both[:, 0], both[:, 1]
 
 
 def corrected(array: SonarArray, samples: ca.SX) -> ca.SX:

@@ -17,7 +17,7 @@ import casadi as ca
 from surctl.control.beams import SILENT, Around, beams, corrected, expected, honest
 from surctl.control.ports import PARAMETERS, SECTORS
 from surctl.errors import InputError
-from surctl.ir import Block, Call, Layout, Port, Program, Routine, lower, without_libm
+from surctl.ir import Block, Call, Layout, Port, Program, Recording, Routine, lower, without_libm
 from surctl.sensing import Equipment, LocalMap, MoverTracker, OwnStateFilter, RangeTracker
 from surctl.sensing.local_map import READING, RING
 from surctl.vehicle import planar_rotation
@@ -192,7 +192,14 @@ class _Builder:
         }
         return _lowered("join", parts, {"x_next": ca.vertcat(*parts.values())})
 
-    def _feel(self) -> Program:
+    def _feel(self) -> Block:
+        recording = Recording()
+        with recording:
+            given, outputs = self._felt()
+        return recording.block("feel", given, outputs)
+
+    def _felt(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
+        """Inputs and outputs of `_feel`."""
         array, chart = self.equipment.array, self._map
         small = ca.SX.sym("small", LAST_THRUST.size + self._small.size)
         x = self._small.split(small[LAST_THRUST.size :])
@@ -266,7 +273,7 @@ class _Builder:
             "readings": _listed(firings, chart.slots),
             "seen": self._seen.join(seen),
         }
-        return _lowered("feel", {"small": small, "u": u, "p": p}, outputs)
+        return {"small": small, "u": u, "p": p}, outputs
 
     def _around(
         self, x: Mapping[str, ca.SX], tau: ca.SX, u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from surctl.errors import InputError
-from surctl.ir import Port
+from surctl.ir import Port, fold
 from surctl.sensing.array import SonarArray
 
 __all__ = ["ContactMemory", "Contacts", "expected_range", "sonar_contacts"]
@@ -75,10 +75,13 @@ def expected_range(
         ((0.0, -1.0), apex[1] - walls[2]),
     ):
         found = ca.fmin(found, wall_range(axis, normal, distance=distance, half_angle=half_angle, nothing=nothing))
-    for k in range(discs.shape[0]):
-        hit = disc_range(axis, discs[k, :2].T - apex, radius=discs[k, 2], half_angle=half_angle, nothing=nothing)
-        found = ca.fmin(found, ca.if_else(valid[k] > 0.5, hit, nothing))
-    return found
+
+    def nearer(found: ca.SX, disc: ca.SX) -> ca.SX:
+        hit = disc_range(axis, disc[:2] - apex, radius=disc[2], half_angle=half_angle, nothing=nothing)
+        return ca.fmin(found, ca.if_else(disc[3] > 0.5, hit, nothing))
+
+    nearest: ca.SX = fold("disc_range", nearer, found, ca.horzcat(discs, valid))
+    return nearest
 
 
 class Contacts(NamedTuple):

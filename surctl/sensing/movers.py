@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.ir import Port
+from surctl.ir import Port, each
 
 __all__ = ["MoverTracker", "Movers", "mover_step"]
 
@@ -105,18 +105,22 @@ class MoverTracker:
             message_fresh: 1 when one has arrived since the last step, else 0.
             prefix: of the names of the state.
         """
-        fresh, old = message_fresh > 0.5, state[f"{prefix}age"]
-        heard = ca.logic_and(fresh, message[:, 5] > 0.5)
-        cleared = ca.logic_and(fresh, ca.logic_not(heard))
-        age = ca.if_else(heard, self.latency, ca.if_else(cleared, self._empty, ca.fmin(old + self.dt, self._empty)))
-        slots = range(self.slots)
-        told = ca.vertcat(*(ca.if_else(heard[i], message[i, :5], state[f"{prefix}told"][i, :]) for i in slots))
-        # half a step of slack: sums of dt are not exact
-        valid = age <= self.forget + 0.5 * self.dt
-        now = ca.horzcat(told[:, :2] + age * told[:, 3:5], told[:, 2:], ca.SX.ones(self.slots))
-        rows = ca.vertcat(*(ca.if_else(valid[i], now[i, :], 0.0) for i in slots))
-        bound = self.sigmas * (self.position_sd + self.velocity_sd * age) + 0.5 * self.acceleration * age * age
-        return Movers({f"{prefix}told": told, f"{prefix}age": age}, rows, ca.if_else(valid, bound, 0.0), age)
+        fresh = message_fresh > 0.5
+
+        def slot(last: ca.SX, old: ca.SX, message: ca.SX) -> tuple[ca.SX, ...]:
+            heard = ca.logic_and(fresh, message[5] > 0.5)
+            cleared = ca.logic_and(fresh, ca.logic_not(heard))
+            older = ca.if_else(cleared, self._empty, ca.fmin(old + self.dt, self._empty))
+            age = ca.if_else(heard, self.latency, older)
+            told = ca.if_else(heard, message[:5], last)
+            # half a step of slack: sums of dt are not exact
+            valid = age <= self.forget + 0.5 * self.dt
+            now = ca.vertcat(told[:2] + age * told[3:5], told[2:], 1)
+            bound = self.sigmas * (self.position_sd + self.velocity_sd * age) + 0.5 * self.acceleration * age * age
+            return told, age, ca.if_else(valid, now, 0), ca.if_else(valid, bound, 0)
+
+        told, age, rows, bound = each("mover_message", slot, state[f"{prefix}told"], state[f"{prefix}age"], message)
+        return Movers({f"{prefix}told": told, f"{prefix}age": age}, rows, bound, age)
 
     @property
     def _empty(self) -> float:

@@ -9,7 +9,7 @@ exported law, and on NumPy arrays, for recorded readings and for many runs at on
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from math import ceil, erf, isfinite, log, sqrt
 from typing import Any, NamedTuple
@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.ir import Port
+from surctl.ir import Layout, Port, each
 from surctl.sensing.array import SonarArray
 from surctl.sensing.elementwise import NUMBERS, SYMBOLS
 from surctl.sensing.ranging_rules import tick
-from surctl.sensing.ranging_scene import Rules, Seen
+from surctl.sensing.ranging_scene import Rules, Seen, others
 
 __all__ = ["RangeTracker", "Ranging"]
 
@@ -177,16 +177,37 @@ class RangeTracker:
             turn: yaw rate [rad/s].
             prefix: of the names of the state.
         """
-        old = {
-            port.name.removeprefix(prefix): (
-                [state[port.name][:, j] for j in range(port.shape[1])] if len(port.shape) == 2 else state[port.name]
+        ports, taken = self.ports(), self.array.samples
+        old = {p.name: state[prefix + p.name] for p in ports}
+        columns = {n: [v[:, j] for j in range(v.shape[1])] if v.shape[1] > 1 else v for n, v in old.items()}
+        beside = others(SYMBOLS, self.rules(), columns, [samples[:, j] for j in range(taken)], fresh)
+
+        def sensor(before: ca.SX, given: ca.SX, around: ca.SX) -> tuple[ca.SX, ca.SX]:
+            own = Layout(tuple(replace(p, shape=p.shape[1:] or (1,)) for p in ports)).split(before)
+            kept = {n: ca.vertsplit(v) if v.numel() > 1 else v for n, v in own.items()}
+            seen = Seen(
+                ca.vertsplit(given[:taken]),
+                *(given[taken + k] for k in range(3)),
+                turn,
+                [tuple(around[3 * k + i] for i in range(3)) for k in range(len(beside))],
             )
-            for port in self.ports(prefix)
-        }
-        seen = Seen([samples[:, j] for j in range(self.array.samples)], fresh, closing, expected, turn)
-        after, found = tick(SYMBOLS, self.rules(), old, seen)
-        new = {prefix + name: ca.horzcat(*v) if isinstance(v, list) else v for name, v in after.items()}
-        return Ranging(new, *found)
+            after, found = tick(SYMBOLS, self.rules(), kept, seen)
+            flat = [ca.vertcat(*v) if isinstance(v, list) else v for v in (after[p.name] for p in ports)]
+            return ca.vertcat(*flat), ca.vertcat(*found)
+
+        after, found = each(
+            "range_track",
+            sensor,
+            ca.horzcat(*old.values()),
+            ca.horzcat(samples, fresh, closing, expected),
+            ca.horzcat(ca.SX.zeros(self.array.size, 0), *(value for one in beside for value in one)),
+        )
+        new, at = {}, 0
+        for port in ports:
+            width = port.shape[1] if len(port.shape) == 2 else 1
+            new[prefix + port.name] = after[:, at : at + width]
+            at += width
+        return Ranging(new, *(found[:, k] for k in range(found.shape[1])))
 
     def step(
         self,
@@ -218,7 +239,8 @@ class RangeTracker:
         }
         columns = [samples[..., j] for j in range(self.array.samples)]
         fired, own, walls, beside = (np.asarray(v, dtype=float) for v in (fresh, closing, expected, turn))
-        after, found = tick(NUMBERS, self.rules(), old, Seen(columns, fired, own, walls, beside[..., None]))
+        compared = others(NUMBERS, self.rules(), old, columns, fired)
+        after, found = tick(NUMBERS, self.rules(), old, Seen(columns, fired, own, walls, beside[..., None], compared))
         lead = samples.shape[:-1]
         new = {
             prefix + name: np.stack([np.broadcast_to(c, lead) for c in v], axis=-1)

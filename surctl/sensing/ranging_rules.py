@@ -55,7 +55,7 @@ def tick(
         seen: inputs.
     """
     step = opened(op, rules, old, seen)
-    reading = robust(step)
+    reading = robust(op, rules, seen.samples)
     fine = sound(step, reading)
     late = lateness(step, fine, reading)
     believed = _believed(step, late, fine, reading)
@@ -80,7 +80,7 @@ def _compared(step: Step, late: Late, fine: Value, reading: Value) -> _Compared:
     there = op.both(known, op.either(state["turned"] <= _STALE, op.both(agrees, state["distrust"] < 0.5)))
     # a stream of a rival that happens to cross the track does not become true by it
     crossing = op.both(state["votes"] > 0.5, op.size(taken - state["rival"]) <= _SAME)
-    crosstalk = _crosstalk(step, op.where(scene.fired, reading, state["heard"]), taken)
+    crosstalk = _crosstalk(step, taken)
     foreign = op.both(crosstalk, scene.turning, op.no(agrees))
     within = op.size(innovation) <= op.where(late.judging, rules.maximum, gate)
     near = op.both(fine, there, op.no(crossing), op.no(foreign), within)
@@ -142,14 +142,13 @@ def _rival(step: Step, new: _Compared, other: Value) -> Value:
     return won
 
 
-def _crosstalk(step: Step, newest: Value, taken: Value) -> Value:
+def _crosstalk(step: Step, taken: Value) -> Value:
     """Whether the value is what another sensor heard; all may see nothing."""
-    op, rules, state = step.op, step.rules, step.state
+    op, rules = step.op, step.rules
     found = op.size(taken) < 0.0  # of none
-    for k in range(1, rules.sensors):
-        reach = _CROSS + op.size(op.turned(state["rate"], k)) * rules.due
-        for heard in (newest, state["heard"]):
-            theirs = op.turned(heard, k)
+    for rate, newest, before in step.seen.others:
+        reach = _CROSS + op.size(rate) * rules.due
+        for theirs in (newest, before):
             echo = theirs < rules.maximum - rules.resolution
             found = op.either(found, op.both(echo, op.size(taken - theirs) <= reach))
     return found

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from surctl.sensing.elementwise import Elementwise, Value
 
-__all__ = ["Rules", "Scene", "Seen", "Step", "opened", "robust", "sound"]
+__all__ = ["Rules", "Scene", "Seen", "Step", "opened", "others", "robust", "sound"]
 
 _TURNING = 0.05  # rad/s; below it the beam counts as still
 _SLIDING = 0.04  # m in a cycle, above the noise of an expected range
@@ -58,6 +58,8 @@ class Seen(NamedTuple):
     closing: Value
     expected: Value
     turn: Value
+    others: list[tuple[Value, Value, Value]]
+    """Of each other sensor: rate of its track [m/s], its newest reading and the one before [m]; see `others`."""
 
 
 class Scene(NamedTuple):
@@ -158,9 +160,17 @@ def _moved(op: Elementwise, rules: Rules, old: Mapping[str, Value], seen: Seen, 
     return state
 
 
-def robust(step: Step) -> Value:
+def others(
+    op: Elementwise, rules: Rules, old: Mapping[str, Value], samples: list[Value], fresh: Value
+) -> list[tuple[Value, Value, Value]]:
+    """What each sensor is compared with, `Seen.others`: the sensors one place round, two places round, ..."""
+    newest = op.where(fresh > 0.5, robust(op, rules, samples), old["heard"])
+    compared = old["rate"], newest, old["heard"]
+    return [tuple(op.turned(value, k) for value in compared) for k in range(1, rules.sensors)]
+
+
+def robust(op: Elementwise, rules: Rules, samples: list[Value]) -> Value:
     """Mean of a firing without its smallest and its largest sample [m]; the maximum where all read it."""
-    op, rules, samples = step.op, step.rules, step.seen.samples
     total = samples[0]
     for value in samples[1:]:
         total = total + value

@@ -12,6 +12,8 @@ import casadi as ca
 
 from surctl.control.baselines.situation import Situation, decided, limited, over_ground
 from surctl.control.decision import Decision
+from surctl.guidance import Contact
+from surctl.ir import fold, tabulated
 
 __all__ = ["DAMPING", "NEAREST", "RANGE", "STRENGTH", "apf_law"]
 
@@ -30,10 +32,14 @@ DAMPING = 1.0
 
 def apf_law(s: Situation) -> Decision:
     """Attraction of the wish, and η (1/ρ − 1/ρ_0) / ρ² away from each contact within ρ_0."""
-    push, now = ca.SX.zeros(2), over_ground(s)
-    for contact in s.seen.all:
+    now = over_ground(s)
+
+    def pushed(push: ca.SX, row: ca.SX) -> ca.SX:
+        contact = Contact.of(row)
         near = ca.fmin(ca.fmax(contact.clearance, NEAREST), RANGE)
-        push -= STRENGTH * (1 / near - 1 / RANGE) / (near * near) * contact.normal
+        push = push - STRENGTH * (1 / near - 1 / RANGE) / (near * near) * contact.normal
         speed = ca.dot(now, contact.normal)
-        push -= ca.if_else(contact.clearance < RANGE, DAMPING * speed, 0) * contact.normal
+        return push - ca.if_else(contact.clearance < RANGE, DAMPING * speed, 0) * contact.normal
+
+    push = fold("repulsion", pushed, ca.SX.zeros(2), tabulated((contact.row for contact in s.seen.all), 6))
     return decided(s, limited(s.wish.velocity + push, s.p["cap"]), degraded=ca.SX(0))

@@ -16,6 +16,7 @@ import numpy as np
 
 from surctl.control.baselines.situation import Situation, decided, limited
 from surctl.control.decision import Decision
+from surctl.ir import fold, tabulated
 from surctl.tasks import HalfPlane
 from surctl.vehicle import planar_rotation
 
@@ -81,11 +82,15 @@ def nearest_velocity(wish: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], *, cap: c
 
 def _least_bad(wish: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], cap: ca.SX) -> ca.SX:
     angles = 2 * np.pi * np.arange(FAN) / FAN
-    best, least = wish, ca.SX(1e6)
-    for candidate in [ca.SX.zeros(2), *(cap * ca.SX([np.cos(a), np.sin(a)]) for a in angles)]:
-        worst = ca.SX(-1e6)
-        for normal, bound in rows:
-            worst = ca.fmax(worst, ca.dot(normal, candidate) - bound)
-        better = worst < least - 1e-9
-        best, least = ca.if_else(better, candidate, best), ca.fmin(worst, least)
+    table = tabulated(rows, 3)
+
+    def judged(best: ca.SX, least: ca.SX, candidate: ca.SX) -> list[ca.SX]:
+        def missed(worst: ca.SX, row: ca.SX) -> ca.SX:
+            return ca.fmax(worst, ca.dot(row[:2], candidate) - row[2])
+
+        worst = fold("missed", missed, ca.SX(-1e6), table)
+        return [ca.if_else(worst < least - 1e-9, candidate, best), ca.fmin(worst, least)]
+
+    fan = [ca.SX.zeros(2), *(cap * ca.SX([np.cos(a), np.sin(a)]) for a in angles)]
+    best: ca.SX = fold("fan", judged, [wish, ca.SX(1e6)], tabulated([candidate] for candidate in fan))[0]
     return best

@@ -20,6 +20,7 @@ from surctl.control.baselines.situation import (
     over_ground,
 )
 from surctl.control.decision import Decision, weakest_acceleration
+from surctl.ir import fold, tabulated
 
 __all__ = ["CLEARANCE", "GRID", "HEADING", "HORIZON", "REACH", "VELOCITY", "dwa_law"]
 
@@ -48,17 +49,19 @@ def dwa_law(s: Situation) -> Decision:
     wished = now + ca.vertcat(*(ca.fmin(ca.fmax(aside[k], -reach), reach) for k in range(2)))
     steps = np.linspace(-1, 1, GRID)
     window = [wished, *(now + reach * ca.DM([a, b]) for a in steps for b in steps)]
-    best = now - limited(now, reach)  # to brake as hard as it can is what is left
-    most, found = ca.SX(-1.0), ca.SX(0)
-    for velocity in window:
+
+    def judged(best: ca.SX, most: ca.SX, found: ca.SX, velocity: ca.SX) -> list[ca.SX]:
         velocity = limited(velocity, s.p["cap"])
         first = first_contact(s, velocity, extra=EXTRA)
         speed = length(velocity)
         admissible = speed <= 2 * brake * first
         value = ca.if_else(admissible, _value(s, velocity, speed, first), -1.0)
         better = value > most + 1e-9
-        best, most = ca.if_else(better, velocity, best), ca.fmax(value, most)
-        found = ca.logic_or(found, admissible)
+        return [ca.if_else(better, velocity, best), ca.fmax(value, most), ca.logic_or(found, admissible)]
+
+    # to brake as hard as it can is what is left
+    start = [now - limited(now, reach), ca.SX(-1.0), ca.SX(0)]
+    best, _, found = fold("window", judged, start, tabulated([velocity] for velocity in window))
     return decided(s, best, degraded=ca.logic_not(found))
 
 

@@ -12,6 +12,7 @@ from surctl.control.echoes import Perception
 from surctl.control.reference import Wish
 from surctl.control.stopping import Barrier, Movers
 from surctl.guidance import AvoidanceForm, Contact
+from surctl.ir import fold, tabulated
 from surctl.tasks import HalfPlane, velocity_task
 from surctl.vehicle import planar_rotation
 
@@ -112,8 +113,11 @@ def first_contact(s: Situation, velocity: ca.SX, *, extra: float) -> ca.SX:
         extra: clearance beyond the margin at which a thing counts as met [m].
     """
     margin, first = s.p["margin"] + extra, ca.SX(NEVER)
-    for contact in [*s.seen.known, *s.seen.echoes]:
-        first = ca.fmin(first, time_to_contact(velocity, contact, margin=margin))
-    for wall in s.seen.walls:
-        first = ca.fmin(first, time_to_contact(velocity, wall, margin=margin, flat=True))
+    for flat, contacts in ((False, [*s.seen.known, *s.seen.echoes]), (True, s.seen.walls)):
+
+        def sooner(first: ca.SX, row: ca.SX, flat: bool = flat) -> ca.SX:
+            return ca.fmin(first, time_to_contact(velocity, Contact.of(row), margin=margin, flat=flat))
+
+        table = tabulated((contact.row for contact in contacts), 6)
+        first = fold("wall_time" if flat else "contact_time", sooner, first, table)
     return first

@@ -15,6 +15,7 @@ import numpy as np
 
 from surctl.control.baselines.situation import Situation, decided, first_contact, length
 from surctl.control.decision import Decision
+from surctl.ir import fold, tabulated
 
 __all__ = ["COURSES", "HORIZON", "SAFETY", "SPEEDS", "vo_law"]
 
@@ -46,10 +47,12 @@ def vo_law(s: Situation) -> Decision:
         share * speed * _turned(ahead, course) for share in SPEEDS for course in COURSES if (share, course) != (1.0, 0)
     ]
     candidates += [ca.SX.zeros(2), *(s.p["cap"] * _turned(ahead, course) for course in COURSES[1:])]
-    for candidate in candidates:
+
+    def judged(best: ca.SX, taken: ca.SX, candidate: ca.SX) -> list[ca.SX]:
         cost = _cost(s, candidate)
-        better = cost < taken - 1e-9
-        best, taken = ca.if_else(better, candidate, best), ca.fmin(cost, taken)
+        return [ca.if_else(cost < taken - 1e-9, candidate, best), ca.fmin(cost, taken)]
+
+    best, taken = fold("fan", judged, [best, taken], tabulated([candidate] for candidate in candidates))
     return decided(s, best, degraded=taken > _FORBIDDEN)
 
 
