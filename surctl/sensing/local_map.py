@@ -41,6 +41,7 @@ __all__ = ["BLIND", "MIDDLE", "READING", "RING", "LocalMap"]
 _HOLDS = 3  # cells of a block not known to be free, without which the middle of no disc two cells across lies in it
 _NOWHERE = 1e6  # cells; lowest corner of a window that has never been
 _WIDEST = 8  # cells side by side
+_WHERE = ("is_row", "place", "walls", "slots", "corner", "corner_next")  # what a column or row follows from
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,24 +153,30 @@ class _Steps:
         """All of it."""
         chart, n, blocks, none = self.chart, self.chart.side, self.chart.blocks, NONE * self.chart.sectors
         constants = _constants("constants", (0.0,), (1.0,), (0.0,) * self.lanes, NONE, none, none)
-        names = ("is_columns", "is_rows", "zeros", "none", "marked_none", "unknown_none")
-        where = ("place", "walls", "slots", "corner", "corner_next")
-        line, count = self.programs.line(), n // self.lanes
-        shared = (*self.limits, *self.columns, "column_bounds")
+        names = ("first", "is_row", "zeros", "none", "marked_none", "unknown_none")
+        shared = (*_WHERE, *self.limits, *self.columns, "column_bounds")
         steps: tuple[Step, ...] = (
             Call(constants, (), names),
             Call(self.programs.corner(), ("place", "walls"), ("corner_next",)),
             Call(self.programs.prepare(), ("place", "slots"), (*self.limits, "hull", "settled", *self.found)),
-            Loop(line, count, (), self.columns, fixed=("is_columns", *where), index=True, lanes=self.lanes),
-            Loop(line, n, (), self.rows, fixed=("is_rows", *where), index=True),
+            Loop(
+                self.programs.line(),
+                n // self.lanes,
+                (),
+                self.columns,
+                fixed=("first", "first", *_WHERE[1:]),
+                index=True,
+                lanes=self.lanes,
+            ),
             Loop(self.programs.bounds(columns=True), blocks, (), ("column_bounds",), sliced=self.columns),
             Loop(
                 self._seek_row(),
                 blocks,
                 ("settled", *self.found),
                 ("settled_next", *self.found_next),
-                sliced=("cells", *self.rows),
+                sliced=("cells",),
                 fixed=("zeros", *shared),
+                index=True,
                 until=0,
             ),
             Loop(
@@ -177,12 +184,21 @@ class _Steps:
                 blocks,
                 ("marked_none", "unknown_none"),
                 ("marked", "unknown", "cells_next"),
-                sliced=("cells", *self.rows),
+                sliced=("cells",),
                 fixed=("zeros", "none", "hull", *self.found_next, *shared),
+                index=True,
             ),
         )
         inputs = (("cells", n * n), ("corner", 2), ("place", 4), ("walls", 4), ("slots", chart.slots * READING_SIZE))
         return Routine("local_map", inputs, steps, ("cells_next", "corner_next", "marked", "unknown"))
+
+    def _rows(self) -> tuple[Step, ...]:
+        """The rows of a row of blocks, which are not worth keeping for the second pass, and their bounds."""
+        fixed = ("group", *_WHERE)
+        return (
+            Loop(self.programs.line(), self.block, (), self.rows, fixed=fixed, index=True),
+            Call(self.programs.bounds(columns=False), self.rows, ("row_bounds",)),
+        )
 
     # --- whether a cell explains what a firing heard ------------------------------------------------------------------
 
@@ -192,7 +208,7 @@ class _Steps:
         fixed, pieces = ("zeros", *self.limits), (*self.columns, "column_bounds")
         last = ("settled_next", *self.found_next)
         steps = (
-            Call(self.programs.bounds(columns=False), self.rows, ("row_bounds",)),
+            *self._rows(),
             Loop(
                 self._seek_block(),
                 blocks,
@@ -203,7 +219,8 @@ class _Steps:
                 until=0,
             ),
         )
-        inputs = self._sized(*state, ("cells", blocks), *self.rows, *fixed, *((name, blocks) for name in pieces))
+        given = ("group", *state, ("cells", blocks), "zeros", *_WHERE, *self.limits)
+        inputs = self._sized(*given, *((name, blocks) for name in pieces))
         return Routine("seek_row", inputs, steps, last)
 
     def _seek_block(self) -> Routine:
@@ -236,7 +253,7 @@ class _Steps:
         fixed, pieces = ("zeros", "none", "hull", *self.found, *self.limits), (*self.columns, "column_bounds")
         last = ("marked_next", "unknown_next", "cells_next")
         steps = (
-            Call(self.programs.bounds(columns=False), self.rows, ("row_bounds",)),
+            *self._rows(),
             Loop(
                 self._change_block(),
                 blocks,
@@ -246,7 +263,8 @@ class _Steps:
                 fixed=(*fixed, *self.rows, "row_bounds"),
             ),
         )
-        inputs = self._sized(*best, ("cells", blocks), *self.rows, *fixed, *((name, blocks) for name in pieces))
+        given = ("group", *best, ("cells", blocks), "zeros", "none", "hull", *self.found, *_WHERE, *self.limits)
+        inputs = self._sized(*given, *((name, blocks) for name in pieces))
         return Routine("change_row", inputs, steps, last)
 
     def _change_block(self) -> Routine:
@@ -327,6 +345,7 @@ class _Steps:
         b, sectors = self.block, len(NONE) * self.chart.sectors
         sizes = {"cells": b * b, "column": b * BASE, "row": b * BASE, "zeros": self.lanes, "none": len(NONE), "hull": 2}
         sizes |= dict.fromkeys(("marked", "unknown", "best"), sectors)
+        sizes |= {"place": 4, "walls": 4, "slots": self.chart.slots * READING_SIZE, "corner": 2, "corner_next": 2}
         sizes |= dict.fromkeys(("column_beam", "row_beam", *self.columns[1:], *self.rows[1:]), b * BEAM)
         sizes |= dict.fromkeys(("column_bounds", "row_bounds"), self.programs.bounds_size)
         sizes |= dict.fromkeys(("limits", *self.limits), LIMITS)

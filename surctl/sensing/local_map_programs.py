@@ -126,18 +126,18 @@ class MapPrograms:
         return _lowered("prepare", {"place": place, "slots": slots}, outputs)
 
     def line(self) -> Program:
-        """One column or row: its base, and its beam for each firing."""
-        at, span = ca.SX.sym("at"), ca.SX.sym("span")
+        """Column or row `at` of a group of as many as a block has: its base, and its beam for each firing."""
+        at, group, span = ca.SX.sym("at"), ca.SX.sym("group"), ca.SX.sym("span")
         place, walls = ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
         slots = ca.SX.sym("slots", self.slots * READING_SIZE)
         old, new = ca.SX.sym("old", 2), ca.SX.sym("new", 2)
-        n, second = self.side, span > 0.5
+        n, number, second = self.side, self.block * group + at, span > 0.5
 
         def of(pair: ca.SX) -> ca.SX:
             return ca.if_else(second, pair[1], pair[0])
 
         def world(corner: ca.SX) -> ca.SX:
-            return at + n * ca.floor((corner + (n - 1) - at) / n)
+            return number + n * ca.floor((corner + (n - 1) - number) / n)
 
         cell = world(of(new))
         centre = (cell + 0.5) * place[3]
@@ -151,7 +151,10 @@ class MapPrograms:
             # across = dx·ey − dy·ex: a row's share has the other sign
             across = ca.if_else(second, -away * ex, away * ey)
             outputs[f"beam_{s}"] = ca.vertcat(away * of(slot["axis"]), across, away * away)
-        inputs = {"at": at, "span": span, "place": place, "walls": walls, "slots": slots, "old": old, "new": new}
+        inputs = {
+            **{"at": at, "group": group, "span": span, "place": place, "walls": walls},
+            **{"slots": slots, "old": old, "new": new},
+        }
         return _lowered("line", inputs, outputs)
 
     # --- which blocks a firing, or the hull, touches ------------------------------------------------------------------
