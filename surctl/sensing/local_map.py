@@ -17,44 +17,31 @@ A cell holds one number: 1 just marked, fading to 0 in `mark_time`; −1 just cl
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, isfinite, pi, sin
+from math import isfinite
 
 import casadi as ca
 
 from surctl.errors import InputError
-from surctl.ir import Call, Loop, Port, Program, Routine, Step, lower
-
-__all__ = ["MIDDLE", "READING", "LocalMap"]
-
-READING = (
-    ("apex", 2, "m, x and y in {E}"),
-    ("axis", 2, "unit vector of the beam in {E}"),
-    ("half", 2, "cosine and sine of half the beam's angle"),
-    ("clear", 1, "m, range short of which the cone is free; 0: none; below 0: blind, it leaves what was ranged"),
-    ("near", 1, "m, where the marked band begins"),
-    ("far", 1, "m, where it ends; below `near`: nothing is marked"),
-    ("reach", 1, "m, range beyond which a cell does not explain the echo"),
+from surctl.ir import Call, Loop, Gather, Port, Program, Routine, Step, lower
+from surctl.sensing.local_map_programs import (
+    BASE,
+    BEAM,
+    BLIND,
+    LIMITS,
+    MIDDLE,
+    NONE,
+    READING,
+    READING_SIZE,
+    RING,
+    MapPrograms,
 )
-"""One firing: name, numbers, meaning."""
 
-BLIND = 0.25
-"""A mark of a firing that only said that something is nearer than its blind range."""
+__all__ = ["BLIND", "MIDDLE", "READING", "RING", "LocalMap"]
 
-RING = 1.5
-"""Cells beside the hull that no beam sees whole: what is unknown there does not count, so none may come in unknown."""
-
-_READING_SIZE = sum(size for _, size, _ in READING)
-_INSIDE, _INSIDE_MORE = 0.6, 0.01  # cells, and m: how deep inside a beam a cell must lie to be cleared
-# of half the beam's width, where the beam is narrower than that: its middle clears, its turn shows the rest
-_OF_THE_UNKNOWN, _OF_A_MARK = 0.4, 0.75
-MIDDLE = 1.0 - _OF_THE_UNKNOWN
-"""Share of a narrow beam's width that clears what is unknown."""
 _HOLDS = 3  # cells of a block not known to be free, without which the middle of no disc two cells across lies in it
-_AT_A_WALL = 2  # cells beside a wall that count for nothing: what is larger than that shows in the next one
-_SLACK = 1e-3  # cells by which a wall may miss the grid
-_LINE = 4  # numbers of a column or row beside those of each firing
 _NOWHERE = 1e6  # cells; lowest corner of a window that has never been
-_FAR = 1e6  # m², of a block without such a cell
+_WIDEST = 8  # cells side by side
+_WHERE = ("is_row", "place", "walls", "slots", "corner", "corner_next")  # what a column or row follows from
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,216 +117,242 @@ class LocalMap:
         other, see `READING`. `marked` and `unknown` (sectors · 3,): for each direction the offset x, y from the robot's
         centre to the nearest such cell [m] and its squared distance [m²], 1e6 when there is none.
         """
-        n, blocks = self.side, self.blocks
-        line, spans, fixed = self._line(), ("columns", "rows"), ("place", "slots")
-        look = self._row(self._look(), carried=("found",), made=("found_last",))
-        change = self._sorted(self._row(self._change(), carried=(), made=("cells_next", "near")))
-        none = (0.0, 0.0, _FAR) * self.sectors
-        constants = _constants("constants", (0.0,), (1.0,), (0.0,) * self.slots, none, none)
-        where = ("place", "walls", "slots", "corner", "corner_next")
+        return _Steps(self).routine()
+
+
+class _Steps:
+    """The loops around the programs.
+
+    A block of cells is left alone by what does not touch it: a loop of one turn whose flag is up at the start does
+    nothing, and the flag comes from the bounds of the block's columns and rows.
+    """
+
+    def __init__(self, chart: LocalMap) -> None:
+        self.chart, self.block, self.lanes = chart, chart.block, 1
+        while self.lanes < _WIDEST and self.block % (2 * self.lanes) == 0:
+            self.lanes *= 2
+        self.programs = MapPrograms(
+            slots=chart.slots,
+            side=chart.side,
+            block=self.block,
+            lanes=self.lanes,
+            sectors=chart.sectors,
+            fades=(chart.dt / chart.mark_time, chart.dt / chart.free_time),
+            known=chart.known,
+            held=chart.held,
+        )
+        self.limits, self.found, self.found_next, self.idle = (
+            tuple(f"{name}_{s}" for s in range(chart.slots)) for name in ("limits", "found", "found_next", "idle")
+        )
+        # of a column or row: its base, then its beam for each firing
+        self.columns, self.rows = (
+            (name, *(f"{name}_beam_{s}" for s in range(chart.slots))) for name in ("column", "row")
+        )
+
+    def routine(self) -> Routine:
+        """All of it."""
+        chart, n, blocks, none = self.chart, self.chart.side, self.chart.blocks, NONE * self.chart.sectors
+        constants = _constants("constants", (0.0,), (1.0,), (0.0,) * self.lanes, NONE, none, none)
+        names = ("first", "is_row", "zeros", "none", "marked_none", "unknown_none")
+        shared = (*_WHERE, *self.limits, *self.columns, "column_bounds")
         steps: tuple[Step, ...] = (
-            Call(constants, (), ("is_columns", "is_rows", "found", "marked_none", "unknown_none")),
-            Call(self._corner(), ("place", "walls"), ("corner_next",)),
-            *(Loop(line, n, (), (span,), fixed=(f"is_{span}", *where), index=True) for span in spans),
-            Loop(look, blocks, ("found",), ("found_last",), sliced=("cells", "rows"), fixed=(*fixed, "columns")),
+            Call(constants, (), names),
+            Call(self.programs.corner(), ("place", "walls"), ("corner_next",)),
+            Call(self.programs.prepare(), ("place", "slots"), (*self.limits, "hull", "settled", *self.found)),
             Loop(
-                change,
+                self.programs.line(),
+                n // self.lanes,
+                (),
+                self.columns,
+                fixed=("first", "first", *_WHERE[1:]),
+                index=True,
+                lanes=self.lanes,
+            ),
+            Loop(self.programs.bounds(columns=True), blocks, (), ("column_bounds",), sliced=self.columns),
+            Loop(
+                self._seek_row(),
+                blocks,
+                ("settled", *self.found),
+                ("settled_next", *self.found_next),
+                sliced=("cells",),
+                fixed=("zeros", *shared),
+                index=True,
+                until=0,
+            ),
+            Loop(
+                self._change_row(),
                 blocks,
                 ("marked_none", "unknown_none"),
                 ("marked", "unknown", "cells_next"),
-                sliced=("cells", "rows"),
-                fixed=(*fixed, "found_last", "columns"),
+                sliced=("cells",),
+                fixed=("zeros", "none", "hull", *self.found_next, *shared),
+                index=True,
             ),
         )
-        inputs = (("cells", n * n), ("corner", 2), ("place", 4), ("walls", 4), ("slots", self.slots * _READING_SIZE))
+        inputs = (("cells", n * n), ("corner", 2), ("place", 4), ("walls", 4), ("slots", chart.slots * READING_SIZE))
         return Routine("local_map", inputs, steps, ("cells_next", "corner_next", "marked", "unknown"))
 
-    @property
-    def _line_size(self) -> int:
-        return _LINE + 3 * self.slots
+    def _rows(self) -> tuple[Step, ...]:
+        """The rows of a row of blocks, which are not worth keeping for the second pass, and their bounds."""
+        fixed = ("group", *_WHERE)
+        return (
+            Loop(self.programs.line(), self.block, (), self.rows, fixed=fixed, index=True),
+            Call(self.programs.bounds(columns=False), self.rows, ("row_bounds",)),
+        )
 
-    def _corner(self) -> Program:
-        """The window's lowest cell: the robot is in its middle, but where it would reach beyond the site."""
-        place, walls = ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
-        lowest = ca.floor(walls[[0, 2]] / place[3] + _SLACK)
-        end = -ca.floor(_SLACK - walls[[1, 3]] / place[3])
-        middle = ca.floor(place[:2] / place[3]) - self.side // 2
-        corner = ca.fmax(ca.fmin(middle, end - self.side), lowest)
-        return _lowered("corner", {"place": place, "walls": walls}, {"corner": corner})
+    # --- whether a cell explains what a firing heard ------------------------------------------------------------------
 
-    def _line(self) -> Program:
-        """One column or row: offset of its centres from the robot, its square, whether it was there before, whether
-        it counts; and for each firing its share of the way along the beam, of that across, and of the squared distance.
-        """
-        at, span = ca.SX.sym("at"), ca.SX.sym("span")
-        place, walls = ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
-        slots = ca.SX.sym("slots", self.slots * _READING_SIZE)
-        old, new = ca.SX.sym("old", 2), ca.SX.sym("new", 2)
-        n, second = self.side, span > 0.5
+    def _seek_row(self) -> Routine:
+        """A row of blocks: which firings a cell explains; over once each of them has one."""
+        blocks, state = self.chart.blocks, ("settled", *self.found)
+        fixed, pieces = ("zeros", *self.limits), (*self.columns, "column_bounds")
+        last = ("settled_next", *self.found_next)
+        steps = (
+            *self._rows(),
+            Loop(
+                self._seek_block(),
+                blocks,
+                state,
+                last,
+                sliced=("cells", *pieces),
+                fixed=(*fixed, *self.rows, "row_bounds"),
+                until=0,
+            ),
+        )
+        given = ("group", *state, ("cells", blocks), "zeros", *_WHERE, *self.limits)
+        inputs = self._sized(*given, *((name, blocks) for name in pieces))
+        return Routine("seek_row", inputs, steps, last)
 
-        def of(pair: ca.SX) -> ca.SX:
-            return ca.if_else(second, pair[1], pair[0])
+    def _seek_block(self) -> Routine:
+        seek, blank = self._seek_cells(), tuple(f"blank_{s}" for s in range(self.chart.slots))
+        bounds, last = ("row_bounds", "column_bounds"), ("settled_next", *self.found_next)
+        steps: list[Step] = [Call(self.programs.blank_arc(), (*bounds, *self.limits, *self.found), blank)]
+        for s, found in enumerate(self.found):
+            fixed = ("cells", "row", f"row_beam_{s}", "column", f"column_beam_{s}", self.limits[s], "zeros")
+            results = (f"sought_{s}", self.found_next[s])
+            steps.append(Loop(seek, 1, (blank[s], found), results, fixed=fixed, until=0))
+        steps.append(Call(self.programs.all_found(), self.found_next, last[:1]))
+        given = ("settled", *self.found, "cells", *self.columns, "column_bounds", "zeros", *self.limits, *self.rows)
+        return Routine("seek_block", self._sized(*given, "row_bounds"), tuple(steps), last)
 
-        def world(corner: ca.SX) -> ca.SX:
-            return at + n * ca.floor((corner + (n - 1) - at) / n)
+    def _seek_cells(self) -> Routine:
+        """The cells of one block, for one firing."""
+        row = self._over_row(self.programs.seek(), carried=("hits",))
+        lines, fixed = ("cells", "row", "row_beam"), ("column", "column_beam", "limits")
+        steps = (
+            Loop(row, self.block, ("zeros",), ("hits",), sliced=lines, fixed=fixed),
+            Call(self.programs.any_hit(), ("hits",), ("found_next",)),
+        )
+        return Routine("seek_cells", self._sized("flag", "found", *lines, *fixed, "zeros"), steps, ("flag", "found_next"))
 
-        cell = world(of(new))
-        centre = (cell + 0.5) * place[3]
-        offset = centre - of(place)
-        beside = _AT_A_WALL * place[3]
-        counts = ca.logic_and(centre > of(walls[[0, 2]]) + beside, centre < of(walls[[1, 3]]) - beside)
-        parts = [offset, offset * offset, world(of(old)) == cell, counts]
-        for slot in self._split(slots):
-            away, ex, ey = centre - of(slot["apex"]), slot["axis"][0], slot["axis"][1]
-            # across = dx·ey − dy·ex: a row's share has the other sign
-            parts += [away * of(slot["axis"]), ca.if_else(second, -away * ex, away * ey), away * away]
-        inputs = {"at": at, "span": span, "place": place, "walls": walls, "slots": slots, "old": old, "new": new}
-        return _lowered("line", inputs, {"line": ca.vertcat(*parts)})
+    # --- what the firings change --------------------------------------------------------------------------------------
 
-    def _row(self, block: Program, *, carried: tuple[str, ...], made: tuple[str, ...]) -> Routine:
-        """A row of blocks."""
-        given = dict(block.inputs)
-        fixed = tuple(k for k in given if k not in (*carried, "cells", "columns"))
-        loop = Loop(block, self.blocks, carried, made, sliced=("cells", "columns"), fixed=fixed)
-        wide = {k: given[k] * self.blocks for k in ("cells", "columns")}
-        order = (*carried, "cells", "rows", *(k for k in fixed if k != "rows"), "columns")
-        return Routine(f"{block.name}_row", tuple((k, wide.get(k, given[k])) for k in order), (loop,), made)
+    def _change_row(self) -> Routine:
+        """A row of blocks: its cells after this period, and the nearest with them."""
+        blocks, best = self.chart.blocks, ("marked", "unknown")
+        fixed, pieces = ("zeros", "none", "hull", *self.found, *self.limits), (*self.columns, "column_bounds")
+        last = ("marked_next", "unknown_next", "cells_next")
+        steps = (
+            *self._rows(),
+            Loop(
+                self._change_block(),
+                blocks,
+                best,
+                last,
+                sliced=("cells", *pieces),
+                fixed=(*fixed, *self.rows, "row_bounds"),
+            ),
+        )
+        given = ("group", *best, ("cells", blocks), "zeros", "none", "hull", *self.found, *_WHERE, *self.limits)
+        inputs = self._sized(*given, *((name, blocks) for name in pieces))
+        return Routine("change_row", inputs, steps, last)
 
-    def _sorted(self, row: Routine) -> Routine:
-        """A row of blocks, whose nearest cells are sorted in at once: those of all rows need not be kept."""
-        best = ("marked_none", "unknown_none")
-        sort = Loop(self._sort(), self.blocks, best, ("marked", "unknown"), sliced=("near",))
-        inputs = (*((name, 3 * self.sectors) for name in best), *row.inputs)
-        return Routine(row.name, inputs, (*row.steps, sort), ("marked", "unknown", "cells_next"))
+    def _change_block(self) -> Routine:
+        last, bounds = ("marked_next", "unknown_next", "cells_next"), ("row_bounds", "column_bounds")
+        touched = [f"cells_{k}" for k in range(self.chart.slots + 1)]
+        fade, hear, cover = self.programs.fade(), self.programs.hear(), self.programs.cover()
+        idle = Call(self.programs.idle(), (*bounds, *self.limits, "hull"), (*self.idle, "idle_hull"))
+        rows = Loop(self._over_row(fade), self.block, (), ("cells_0",), sliced=("cells", "row"), fixed=("column",))
+        steps: list[Step] = [rows, idle]
+        hear_block = self._over_block(hear)
+        for s, found in enumerate(self.found):
+            fixed = (f"row_beam_{s}", f"column_beam_{s}", self.limits[s], found)
+            results = (f"heard_{s}", touched[s + 1])
+            steps.append(Loop(hear_block, 1, (self.idle[s], touched[s]), results, fixed=fixed, until=0))
+        fixed, count = ("row", "column", "hull"), self.block * self.block // self.lanes
+        tally = self.programs.tally()
+        steps += [
+            Loop(
+                self._over_block(cover), 1, ("idle_hull", touched[-1]), ("covered", last[-1]), fixed=fixed, until=0
+            ),
+            Loop(tally, count, ("zeros", "zeros"), ("largest", "count"), sliced=last[-1:], lanes=self.lanes),
+            Call(self.programs.without(), ("largest", "count"), ("no_marked", "no_unknown")),
+        ]
+        for which in ("marked", "unknown"):
+            results = (f"entered_{which}", f"{which}_next")
+            block = self._enter(which)
+            steps.append(Loop(block, 1, (f"no_{which}", which), results, fixed=(last[-1], *fixed, "none"), until=0))
+        given = ("marked", "unknown", "cells", *self.columns, "column_bounds", "zeros", "none", "hull", *self.found)
+        return Routine("change_block", self._sized(*given, *self.limits, *self.rows, "row_bounds"), tuple(steps), last)
 
-    def _look(self) -> Program:
-        """Whether a cell on a firing's arc may hold what it heard: one that is not known to be free."""
-        found = ca.SX.sym("found", self.slots)
-        symbols = self._block_symbols()
-        after = ca.SX(found)
-        for value, line, slots in self._each(symbols):
-            maybe = value >= -self.known
-            for s, slot in enumerate(slots):
-                near = ca.logic_and(maybe, line[s][2] <= slot["reach"] * slot["reach"])
-                here = ca.logic_and(self._on_arc(line[s], slot, symbols["place"][3]), near)
-                after[s] = ca.logic_or(after[s], here)
-        return _lowered("look", {"found": found, **symbols}, {"found_last": after})
+    def _enter(self, which: str) -> Routine:
+        """The nearest cell of one block, if it is the nearest so far in its direction."""
+        nearest = self.programs.nearest(unknown=which == "unknown")
+        steps = (
+            Loop(nearest, self.block, ("none",), ("near",), sliced=("cells", "row"), fixed=("column", "hull")),
+            Call(self.programs.sector(), ("near",), ("sector",)),
+            Gather("best", "sector", len(NONE), "so_far"),
+            Call(self.programs.farther(), ("near", "so_far"), ("farther",)),
+            Loop(
+                self.programs.enter(),
+                1,
+                ("farther", "best"),
+                ("done", "best_next"),
+                fixed=("near", "sector"),
+                until=0,
+            ),
+        )
+        inputs = self._sized("flag", "best", "cells", "row", "column", "hull", "none")
+        return Routine(f"enter_{which}", inputs, steps, ("done", "best_next"))
 
-    def _change(self) -> Program:
-        """The cells after this period's firings, and the nearest marked and unknown one of the block."""
-        found = ca.SX.sym("found", self.slots)
-        symbols = self._block_symbols()
-        hull, edge = symbols["place"][2], symbols["place"][3]
-        ring = hull + RING * edge
-        inside, beyond = hull * hull, ring * ring
-        cells, count = [], ca.SX(0)
-        near = [ca.SX([0.0, 0.0, _FAR]), ca.SX([0.0, 0.0, _FAR])]
-        for k, (value, line, slots) in enumerate(self._each(symbols)):
-            dx, dy, square, inner = self._offset(symbols, k)
-            for s, slot in enumerate(slots):
-                marked = ca.logic_and(
-                    self._on_arc(line[s], slot, edge), ca.logic_or(value >= -self.known, ca.logic_not(found[s]))
-                )
-                mark = ca.if_else(slot["clear"] >= 0, 1, ca.fmax(value, BLIND))
-                value = ca.if_else(self._in_front(line[s], slot, edge, value), -1, ca.if_else(marked, mark, value))
-            value = ca.if_else(square < inside, -1, value)
-            cells.append(value)
-            count += value >= -self.known
-            here = ca.vertcat(dx, dy, square)
-            blank = ca.logic_and(ca.logic_and(value >= -self.known, value <= 0), ca.logic_and(square > beyond, inner))
-            for which, holds in enumerate((value > 0, blank)):
-                nearer = ca.logic_and(holds, square < near[which][2])
-                near[which] = ca.if_else(nearer, here, near[which])
-        near[1][2] = ca.if_else(count < self.held, _FAR, near[1][2])
-        return _lowered("change", {**symbols, "found": found}, {"after": ca.vertcat(*cells), "near": ca.vertcat(*near)})
+    # --- from one cell to a row of a block, and to a block ------------------------------------------------------------
 
-    def _block_symbols(self) -> dict[str, ca.SX]:
-        b, size = self.block, self._line_size
-        return {
-            "cells": ca.SX.sym("cells", b * b),
-            "columns": ca.SX.sym("columns", b * size),
-            "rows": ca.SX.sym("rows", b * size),
-            "place": ca.SX.sym("place", 4),
-            "slots": ca.SX.sym("slots", self.slots * _READING_SIZE),
-        }
+    def _over_row(self, program: Program, *, carried: tuple[str, ...] = ()) -> Routine:
+        """A program of one cell over a row of a block: the state of the lanes, the cells, the row, the columns, more."""
+        sizes = dict(program.inputs)
+        renamed = dict(zip(sizes, carried, strict=False))
+        own = tuple(name for name in sizes if name in ("cells", "column", "column_beam"))
+        rest = tuple(name for name in sizes if name not in (*renamed, *own))
+        made = tuple(f"{name}_next" for name in carried) or ("after",)
+        loop = Loop(program, self.block // self.lanes, carried, made, sliced=own, fixed=rest, lanes=self.lanes)
+        wide = {**{name: self.block * sizes[name] for name in own}, **{name: sizes[name] for name in rest}}
+        wide |= {name: self.lanes * sizes[old] for old, name in renamed.items()}
+        lines = tuple(name for name in rest if name in ("row", "row_beam"))
+        order = (*carried, *own[:1], *lines, *own[1:], *(name for name in rest if name not in lines))
+        return Routine(f"{program.name}_row", tuple((name, wide[name]) for name in order), (loop,), made)
 
-    def _offset(self, symbols: dict[str, ca.SX], k: int) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """x, y, squared distance from the robot, and whether the cell counts."""
-        size = self._line_size
-        row, column = symbols["rows"][(k // self.block) * size :], symbols["columns"][(k % self.block) * size :]
-        return column[0], row[0], column[1] + row[1], ca.logic_and(column[3], row[3])
+    def _over_block(self, program: Program) -> Routine:
+        """The same over a block, for a loop of one turn."""
+        row = self._over_row(program)
+        names = tuple(name for name, _ in row.inputs)
+        lines = tuple(name for name in names if name in ("cells", "row", "row_beam"))
+        fixed = tuple(name for name in names if name not in lines)
+        steps = (Loop(row, self.block, (), ("after",), sliced=lines, fixed=fixed),)
+        return Routine(f"{program.name}_block", self._sized("flag", *names), steps, ("flag", "after"))
 
-    def _each(self, symbols: dict[str, ca.SX]) -> list[tuple[ca.SX, list[ca.SX], list[dict[str, ca.SX]]]]:
-        """For each cell of a block: its faded value, (along, |across|, squared range) for each firing, the firings."""
-        size, slots = self._line_size, self._split(symbols["slots"])
-        out = []
-        for k in range(self.block * self.block):
-            row = symbols["rows"][(k // self.block) * size : (k // self.block + 1) * size]
-            column = symbols["columns"][(k % self.block) * size : (k % self.block + 1) * size]
-            old = symbols["cells"][k] * (row[2] * column[2])
-            faded = old - ca.fmin(ca.fmax(old, -self.dt / self.free_time), self.dt / self.mark_time)
-            lines = []
-            for s in range(self.slots):
-                a, b = (part[_LINE + 3 * s : _LINE + 3 + 3 * s] for part in (row, column))
-                lines.append(ca.vertcat(a[0] + b[0], ca.fabs(a[1] + b[1]), a[2] + b[2]))
-            out.append((faded, lines, slots))
-        return out
-
-    @staticmethod
-    def _inside(line: ca.SX, slot: dict[str, ca.SX]) -> ca.SX:
-        """Distance into the cone from its nearer edge [m]."""
-        return line[0] * slot["half"][1] - line[1] * slot["half"][0]
-
-    def _in_front(self, line: ca.SX, slot: dict[str, ca.SX], edge: ca.SX, value: ca.SX) -> ca.SX:
-        """Whether the whole cell is free: half a cell inside the cone, short of what was heard."""
-        whole, beam = _INSIDE * edge + _INSIDE_MORE, line[0] * slot["half"][1]
-        deep = ca.fmin(whole, ca.if_else(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN) * beam)
-        short = ca.logic_and(line[2] < slot["clear"] * slot["clear"], ca.logic_or(slot["clear"] > 0, value <= BLIND))
-        return ca.logic_and(self._inside(line, slot) > deep, short)
-
-    def _on_arc(self, line: ca.SX, slot: dict[str, ca.SX], edge: ca.SX) -> ca.SX:
-        """Whether any of the cell may be what was heard."""
-        band = ca.logic_and(line[2] >= slot["near"] * slot["near"], line[2] <= slot["far"] * ca.fabs(slot["far"]))
-        return ca.logic_and(self._inside(line, slot) > -0.5 * edge, band)
-
-    def _split(self, slots: ca.SX) -> list[dict[str, ca.SX]]:
-        out = []
-        for s in range(self.slots):
-            at, one = s * _READING_SIZE, {}
-            for name, size, _ in READING:
-                one[name] = slots[at : at + size]
-                at += size
-            out.append(one)
-        return out
-
-    def _sort(self) -> Program:
-        """Nearest of all blocks so far in each direction."""
-        best = [ca.SX.sym("marked", 3 * self.sectors), ca.SX.sym("unknown", 3 * self.sectors)]
-        near = ca.SX.sym("near", 6)
-        after = []
-        for which in range(2):
-            here = near[3 * which : 3 * which + 3]
-            # the side of each line through the robot that parts two directions
-            sides = []
-            for k in range(self.sectors // 2):
-                angle = 2 * pi * (k - 0.5) / self.sectors
-                sides.append(here[1] * cos(angle) - here[0] * sin(angle) >= 0)
-            sides += [ca.logic_not(side) for side in sides]
-            rows = []
-            for k in range(self.sectors):
-                inside = ca.logic_and(sides[k], ca.logic_not(sides[(k + 1) % self.sectors]))
-                old = best[which][3 * k : 3 * k + 3]
-                rows.append(ca.if_else(ca.logic_and(inside, here[2] < old[2]), here, old))
-            after.append(ca.vertcat(*rows))
-        inputs = {"marked_none": best[0], "unknown_none": best[1], "near": near}
-        return _lowered("sort", inputs, {"marked": after[0], "unknown": after[1]})
+    def _sized(self, *names: str | tuple[str, int]) -> tuple[tuple[str, int], ...]:
+        """Input arrays with their sizes, of one block unless a number of blocks stands beside the name."""
+        b, sectors = self.block, len(NONE) * self.chart.sectors
+        sizes = {"cells": b * b, "column": b * BASE, "row": b * BASE, "zeros": self.lanes, "none": len(NONE), "hull": 2}
+        sizes |= dict.fromkeys(("marked", "unknown", "best"), sectors)
+        sizes |= {"place": 4, "walls": 4, "slots": self.chart.slots * READING_SIZE, "corner": 2, "corner_next": 2}
+        sizes |= dict.fromkeys(("column_beam", "row_beam", *self.columns[1:], *self.rows[1:]), b * BEAM)
+        sizes |= dict.fromkeys(("column_bounds", "row_bounds"), self.programs.bounds_size)
+        sizes |= dict.fromkeys(("limits", *self.limits), LIMITS)
+        listed = [(name, 1) if isinstance(name, str) else name for name in names]
+        return tuple((name, count * sizes.get(name, 1)) for name, count in listed)
 
 
 def _constants(name: str, *values: tuple[float, ...]) -> Program:
     made = [ca.DM(list(v)) for v in values]
     return lower(ca.Function(name, [], [ca.SX(m) for m in made], [], [f"c{k}" for k in range(len(made))]))
-
-
-def _lowered(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> Program:
-    made = [ca.densify(ca.SX(value)) for value in outputs.values()]
-    return lower(ca.Function(name, list(inputs.values()), made, list(inputs), list(outputs), {"cse": True}))

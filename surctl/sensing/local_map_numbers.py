@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.sensing.local_map import (
+from surctl.sensing.local_map import LocalMap
+from surctl.sensing.local_map_programs import (
     _AT_A_WALL,
     _FAR,
     _INSIDE,
@@ -19,7 +20,6 @@ from surctl.sensing.local_map import (
     BLIND,
     READING,
     RING,
-    LocalMap,
 )
 
 __all__ = ["map_step", "map_view"]

@@ -1,0 +1,421 @@
+"""The programs of the local map: what happens to one cell, one row of a block, one block.
+
+`LocalMap.routine` puts them into loops. A column or a row of cells has two kinds of numbers: its base (offset from the
+robot [m], square of it [m²], whether it was in the window before, square for unknown cells, which is 1e6 where nothing
+counts), and for each firing its beam (share of the way along the axis [m], of the way across [m], of the squared
+range [m²]). A cell's numbers are the sums of its column's and its row's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import cos, pi, sin
+
+import casadi as ca
+
+from surctl.ir import Program, lower
+
+__all__ = ["BASE", "BEAM", "BLIND", "LIMITS", "MIDDLE", "NONE", "READING", "READING_SIZE", "RING", "MapPrograms"]
+
+READING = (
+    ("apex", 2, "m, x and y in {E}"),
+    ("axis", 2, "unit vector of the beam in {E}"),
+    ("half", 2, "cosine and sine of half the beam's angle"),
+    ("clear", 1, "m, range short of which the cone is free; 0: none; below 0: blind, it leaves what was ranged"),
+    ("near", 1, "m, where the marked band begins"),
+    ("far", 1, "m, where it ends; below `near`: nothing is marked"),
+    ("reach", 1, "m, range beyond which a cell does not explain the echo"),
+)
+"""One firing: name, numbers, meaning."""
+
+BLIND = 0.25
+"""A mark of a firing that only said that something is nearer than its blind range."""
+
+RING = 1.5
+"""Cells beside the hull that no beam sees whole: what is unknown there does not count, so none may come in unknown."""
+
+READING_SIZE = sum(size for _, size, _ in READING)
+BASE, BEAM = 4, 3
+"""Numbers of a column or row: its own, and those for each firing."""
+BOUNDS = 5  # of a block's columns or rows for each firing: along, across from, to, squared range from, to
+
+_INSIDE, _INSIDE_MORE = 0.6, 0.01  # cells, and m: how deep inside a beam a cell must lie to be cleared
+# of half the beam's width, where the beam is narrower than that: its middle clears, its turn shows the rest
+_OF_THE_UNKNOWN, _OF_A_MARK = 0.4, 0.75
+MIDDLE = 1.0 - _OF_THE_UNKNOWN
+"""Share of a narrow beam's width that clears what is unknown."""
+_AT_A_WALL = 2  # cells beside a wall that count for nothing: what is larger than that shows in the next one
+_SLACK = 1e-3  # cells by which a wall may miss the grid
+_FAR = 1e6  # m², of a block without such a cell
+_TOUCHED = 0.55  # cells outside a cone at which a block is left alone; a cell on the arc is at most half a cell outside
+NONE = (0.0, 0.0, _FAR)
+"""Offset x, y and squared distance of a nearest cell that there is not."""
+
+_LIMITS = ("cosine", "sine", "near", "far", "reach", "clear", "whole", "outside", "clears", "ranged", "regular")
+LIMITS = len(_LIMITS)
+"""Numbers of a firing that all cells share: ranges squared [m²], `whole` and `outside` in m, the last three 0 or 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapPrograms:
+    """The programs of a map of these sizes.
+
+    Attributes:
+        slots: most firings in one period.
+        side: cells a side of the window.
+        block: cells a side of a block.
+        lanes: cells of a row side by side; columns stand in groups of so many, entry by entry.
+        sectors: directions.
+        fades: by how much a marked and a cleared cell fade in one period.
+        known: least part of `free_time` that a cell must have left to count as known to be free.
+        held: fewest cells not known to be free with which a block's unknown cells count.
+    """
+
+    slots: int
+    side: int
+    block: int
+    lanes: int
+    sectors: int
+    fades: tuple[float, float]
+    known: float
+    held: int
+
+    @cached_property
+    def bounds_size(self) -> int:
+        """Numbers that bound a block's columns or rows."""
+        return 1 + BOUNDS * self.slots
+
+    def corner(self) -> Program:
+        """The window's lowest cell: the robot is in its middle, but where it would reach beyond the site."""
+        place, walls = ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
+        lowest = ca.floor(walls[[0, 2]] / place[3] + _SLACK)
+        end = -ca.floor(_SLACK - walls[[1, 3]] / place[3])
+        middle = ca.floor(place[:2] / place[3]) - self.side // 2
+        corner = ca.fmax(ca.fmin(middle, end - self.side), lowest)
+        return _lowered("corner", {"place": place, "walls": walls}, {"corner": corner})
+
+    def prepare(self) -> Program:
+        """What all cells share: limits of each firing, whether its look is over before it begins, and of the hull."""
+        place, slots = ca.SX.sym("place", 4), ca.SX.sym("slots", self.slots * READING_SIZE)
+        hull, edge = place[2], place[3]
+        limits, settled = {}, {}
+        for s, slot in enumerate(self._split(slots)):
+            cosine, sine = slot["half"][0], slot["half"][1]
+            values = {
+                "cosine": cosine,
+                "sine": sine,
+                "near": slot["near"] * slot["near"],
+                "far": slot["far"] * ca.fabs(slot["far"]),
+                "reach": slot["reach"] * slot["reach"],
+                "clear": slot["clear"] * slot["clear"],
+                "whole": _INSIDE * edge + _INSIDE_MORE,
+                "outside": -0.5 * edge,
+                "clears": slot["clear"] > 0,
+                "ranged": slot["clear"] >= 0,
+                # the bounds of a block hold for these alone
+                "regular": ca.logic_and(ca.logic_and(cosine >= 0, sine >= 0), edge > 0),
+            }
+            limits[f"limits_{s}"] = ca.vertcat(*(values[name] for name in _LIMITS))
+            settled[f"found_{s}"] = values["far"] < values["near"]  # no cell is on such an arc
+        ring = hull + RING * edge
+        everything = settled["found_0"]
+        for s in range(1, self.slots):
+            everything = ca.logic_and(everything, settled[f"found_{s}"])
+        outputs = {**limits, "hull": ca.vertcat(hull * hull, ring * ring), "settled": everything, **settled}
+        return _lowered("prepare", {"place": place, "slots": slots}, outputs)
+
+    def line(self) -> Program:
+        """Column or row `at` of a group of as many as a block has: its base, and its beam for each firing."""
+        at, group, span = ca.SX.sym("at"), ca.SX.sym("group"), ca.SX.sym("span")
+        place, walls = ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
+        slots = ca.SX.sym("slots", self.slots * READING_SIZE)
+        old, new = ca.SX.sym("old", 2), ca.SX.sym("new", 2)
+        n, number, second = self.side, self.block * group + at, span > 0.5
+
+        def of(pair: ca.SX) -> ca.SX:
+            return ca.if_else(second, pair[1], pair[0])
+
+        def world(corner: ca.SX) -> ca.SX:
+            return number + n * ca.floor((corner + (n - 1) - number) / n)
+
+        cell = world(of(new))
+        centre = (cell + 0.5) * place[3]
+        offset = centre - of(place)
+        beside = _AT_A_WALL * place[3]
+        counts = ca.logic_and(centre > of(walls[[0, 2]]) + beside, centre < of(walls[[1, 3]]) - beside)
+        square = offset * offset
+        outputs = {"base": ca.vertcat(offset, square, world(of(old)) == cell, ca.if_else(counts, square, _FAR))}
+        for s, slot in enumerate(self._split(slots)):
+            away, ex, ey = centre - of(slot["apex"]), slot["axis"][0], slot["axis"][1]
+            # across = dx·ey − dy·ex: a row's share has the other sign
+            across = ca.if_else(second, -away * ex, away * ey)
+            outputs[f"beam_{s}"] = ca.vertcat(away * of(slot["axis"]), across, away * away)
+        inputs = {
+            **{"at": at, "group": group, "span": span, "place": place, "walls": walls},
+            **{"slots": slots, "old": old, "new": new},
+        }
+        return _lowered("line", inputs, outputs)
+
+    # --- which blocks a firing, or the hull, touches ------------------------------------------------------------------
+
+    def bounds(self, *, columns: bool) -> Program:
+        """Least and largest numbers of a block's columns or rows, of which cells far apart may meet in one block."""
+        base = ca.SX.sym("base", BASE * self.block)
+        beams = [ca.SX.sym(f"beam_{s}", BEAM * self.block) for s in range(self.slots)]
+
+        def entries(array: ca.SX, size: int, entry: int) -> list[ca.SX]:
+            return [array[self._entry(k, size, entry) if columns else size * k + entry] for k in range(self.block)]
+
+        found = [_least(entries(base, BASE, 1))]
+        for beam in beams:
+            along, across, square = (entries(beam, BEAM, e) for e in range(BEAM))
+            found += [_largest(along), _least(across), _largest(across), _least(square), _largest(square)]
+        inputs = {"base": base, **{f"beam_{s}": beam for s, beam in enumerate(beams)}}
+        return _lowered("columns_bounds" if columns else "rows_bounds", inputs, {"bounds": ca.vertcat(*found)})
+
+    def idle(self) -> Program:
+        """Of one block: for each firing, whether it changes no cell, and whether the hull lies on none."""
+        row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
+        limits, hull = self._limits(), ca.SX.sym("hull", 2)
+        outputs = {}
+        for s, limit in enumerate(limits):
+            beside, least, arc = self._bounded(row, column, limit, s)
+            untouched = ca.logic_or(beside, ca.logic_and(arc, least >= limit["clear"]))
+            outputs[f"idle_{s}"] = ca.logic_and(untouched, limit["regular"])
+        outputs["idle_hull"] = row[0] + column[0] >= hull[0]
+        inputs = {"row_bounds": row, "column_bounds": column, **self._limit_symbols(limits), "hull": hull}
+        return _lowered("idle", inputs, outputs)
+
+    def blank_arc(self) -> Program:
+        """Of one block: for each firing, whether no cell can explain it, or one already has."""
+        row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
+        limits = self._limits()
+        found = {f"found_{s}": ca.SX.sym(f"found_{s}") for s in range(self.slots)}
+        outputs = {}
+        for s, limit in enumerate(limits):
+            beside, least, arc = self._bounded(row, column, limit, s)
+            off = ca.logic_or(ca.logic_or(beside, arc), least > limit["reach"])
+            outputs[f"blank_{s}"] = ca.logic_or(found[f"found_{s}"], ca.logic_and(off, limit["regular"]))
+        inputs = {"row_bounds": row, "column_bounds": column, **self._limit_symbols(limits), **found}
+        return _lowered("blank_arc", inputs, outputs)
+
+    def _bounded(self, row: ca.SX, column: ca.SX, limit: dict[str, ca.SX], s: int) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Whether all cells are beside the cone; least squared range; whether all are short of the arc or beyond.
+
+        The same sums and products as of a cell, and rounding keeps their order: what holds for the bounds holds for
+        every cell, to the last bit. All is asked so that a number that is none leaves the block to be looked at.
+        """
+        at = 1 + BOUNDS * s
+        along, low, high, least, most = (row[at + k] + column[at + k] for k in range(BOUNDS))
+        across = ca.fmax(ca.fmax(low, -high), 0)
+        deepest = along * limit["sine"] - across * limit["cosine"]
+        arc = ca.logic_or(least > limit["far"], most < limit["near"])
+        return deepest <= 2 * _TOUCHED * limit["outside"], least, arc
+
+    # --- what happens to a cell ---------------------------------------------------------------------------------------
+
+    def fade(self) -> Program:
+        """A cell's value after a period in which nothing is heard of it."""
+        value, column, row = ca.SX.sym("value"), ca.SX.sym("column", BASE), ca.SX.sym("row", BASE)
+        inputs = {"cells": value, "column": column, "row": row}
+        return _lowered("fade", inputs, {"faded": self._faded(value, column, row)})
+
+    def seek(self) -> Program:
+        """Whether a cell may hold what a firing heard: on its arc, and not known to be free."""
+        hit, value = ca.SX.sym("hit"), ca.SX.sym("value")
+        column, across, row, down = self._cell()
+        limits = ca.SX.sym("limits", LIMITS)
+        limit, line = self._named(limits), _line(across, down)
+        near = ca.logic_and(self._faded(value, column, row) >= -self.known, line[2] <= limit["reach"])
+        after = ca.logic_or(hit, ca.logic_and(_on_arc(line, limit), near))
+        inputs = {
+            **{"hit": hit, "cells": value, "column": column, "column_beam": across},
+            **{"row": row, "row_beam": down, "limits": limits},
+        }
+        return _lowered("seek", inputs, {"hit_next": after})
+
+    def hear(self) -> Program:
+        """A cell's value after a firing."""
+        value, found = ca.SX.sym("value"), ca.SX.sym("found")
+        _, across, _, down = self._cell()
+        limits = ca.SX.sym("limits", LIMITS)
+        limit, line = self._named(limits), _line(across, down)
+        marked = ca.logic_and(_on_arc(line, limit), ca.logic_or(value >= -self.known, ca.logic_not(found)))
+        mark = ca.if_else(limit["ranged"], 1, ca.fmax(value, BLIND))
+        after = ca.if_else(_in_front(line, limit, value), -1, ca.if_else(marked, mark, value))
+        inputs = {"cells": value, "column_beam": across, "row_beam": down, "limits": limits, "found": found}
+        return _lowered("hear", inputs, {"after": after})
+
+    def cover(self) -> Program:
+        """A cell's value where the hull may be: what it lies on is free."""
+        value, column, row = ca.SX.sym("value"), ca.SX.sym("column", BASE), ca.SX.sym("row", BASE)
+        hull = ca.SX.sym("hull", 2)
+        inputs = {"cells": value, "column": column, "row": row, "hull": hull}
+        return _lowered("cover", inputs, {"after": ca.if_else(column[1] + row[1] < hull[0], -1, value)})
+
+    def tally(self) -> Program:
+        """Largest value of a block's cells, and how many are not known to be free."""
+        largest, count, value = ca.SX.sym("largest"), ca.SX.sym("count"), ca.SX.sym("value")
+        outputs = {"largest_next": ca.fmax(largest, value), "count_next": count + (value >= -self.known)}
+        return _lowered("tally", {"largest": largest, "count": count, "cells": value}, outputs)
+
+    # --- the nearest cell of a block ----------------------------------------------------------------------------------
+
+    def without(self) -> Program:
+        """Of one block: whether no cell is marked, and whether too few are not known to be free."""
+        largest, count = ca.SX.sym("largest", self.lanes), ca.SX.sym("count", self.lanes)
+        held = ca.sum1(count) < self.held
+        outputs = {"no_mark": _largest(ca.vertsplit(largest)) <= 0, "no_blank": held}
+        return _lowered("without", {"largest": largest, "count": count}, outputs)
+
+    def any_hit(self) -> Program:
+        """Whether any lane found a cell."""
+        hits = ca.SX.sym("hits", self.lanes)
+        found = hits[0]
+        for k in range(1, self.lanes):
+            found = ca.logic_or(found, hits[k])
+        return _lowered("any_hit", {"hits": hits}, {"found": found})
+
+    def all_found(self) -> Program:
+        """Whether the look is over for every firing."""
+        found = [ca.SX.sym(f"found_{s}") for s in range(self.slots)]
+        settled = found[0]
+        for one in found[1:]:
+            settled = ca.logic_and(settled, one)
+        return _lowered("all_found", {f"found_{s}": one for s, one in enumerate(found)}, {"settled": settled})
+
+    def nearest(self, *, unknown: bool) -> Program:
+        """Nearest marked or unknown cell of a block so far, after one more row; of equal ones the first."""
+        near, hull = ca.SX.sym("near", 3), ca.SX.sym("hull", 2)
+        cells, row, columns = (
+            ca.SX.sym("cells", self.block),
+            ca.SX.sym("row", BASE),
+            ca.SX.sym("columns", BASE * self.block),
+        )
+        dx, least, which = near[0], near[2], 3 if unknown else 1
+        for k in range(self.block):
+            value = cells[k]
+            square = columns[self._entry(k, BASE, which)] + row[which]
+            holds = value > 0
+            if unknown:
+                holds = ca.logic_and(ca.logic_and(value >= -self.known, value <= 0), square > hull[1])
+            nearer = ca.logic_and(holds, square < least)
+            dx = ca.if_else(nearer, columns[self._entry(k, BASE, 0)], dx)
+            least = ca.if_else(nearer, square, least)
+        dy = ca.if_else(least < near[2], row[0], near[1])
+        inputs = {"near": near, "cells": cells, "row": row, "columns": columns, "hull": hull}
+        name = "nearest_unknown" if unknown else "nearest_marked"
+        return _lowered(name, inputs, {"near_next": ca.vertcat(dx, dy, least)})
+
+    def sector(self) -> Program:
+        """Number of the direction in which a cell lies."""
+        near = ca.SX.sym("near", 3)
+        # the side of each line through the robot that parts two directions: passed ones on this side first
+        sides = []
+        for k in range(self.sectors // 2):
+            angle = 2 * pi * (k - 0.5) / self.sectors
+            sides.append(near[1] * cos(angle) - near[0] * sin(angle) >= 0)
+        passed = ca.SX(0)
+        for side in sides:
+            passed += side
+        return _lowered(
+            "sector",
+            {"near": near},
+            {"sector": ca.if_else(sides[0], passed - 1, self.sectors - 1 - passed)},
+        )
+
+    def farther(self) -> Program:
+        """Whether a cell is no nearer than the nearest so far in its direction."""
+        near, best = ca.SX.sym("near", 3), ca.SX.sym("best", 3)
+        return _lowered("farther", {"near": near, "best": best}, {"farther": near[2] >= best[2]})
+
+    def enter(self) -> Program:
+        """The nearest so far in each direction, with this cell in its own."""
+        flag, best = ca.SX.sym("flag"), ca.SX.sym("best", 3 * self.sectors)
+        near, sector = ca.SX.sym("near", 3), ca.SX.sym("sector")
+        rows = [ca.if_else(sector == k, near, best[3 * k : 3 * k + 3]) for k in range(self.sectors)]
+        inputs = {"flag": flag, "best": best, "near": near, "sector": sector}
+        return _lowered("enter", inputs, {"done": ca.SX(1), "best_next": ca.vertcat(*rows)})
+
+    # --- parts --------------------------------------------------------------------------------------------------------
+
+    def _entry(self, column: int, size: int, entry: int) -> int:
+        """Where a number of one of a block's columns stands."""
+        group, lane = divmod(column, self.lanes)
+        return (group * size + entry) * self.lanes + lane
+
+    def _faded(self, value: ca.SX, column: ca.SX, row: ca.SX) -> ca.SX:
+        old = value * (row[2] * column[2])
+        return old - ca.fmin(ca.fmax(old, -self.fades[1]), self.fades[0])
+
+    @staticmethod
+    def _cell() -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Base and beam of a column, then of a row."""
+        names = (("column", BASE), ("column_beam", BEAM), ("row", BASE), ("row_beam", BEAM))
+        column, across, row, down = (ca.SX.sym(name, size) for name, size in names)
+        return column, across, row, down
+
+    @staticmethod
+    def _named(limits: ca.SX) -> dict[str, ca.SX]:
+        return {name: limits[k] for k, name in enumerate(_LIMITS)}
+
+    def _limits(self) -> list[dict[str, ca.SX]]:
+        return [self._named(ca.SX.sym(f"limits_{s}", LIMITS)) for s in range(self.slots)]
+
+    @staticmethod
+    def _limit_symbols(limits: list[dict[str, ca.SX]]) -> dict[str, ca.SX]:
+        return {f"limits_{s}": ca.vertcat(*(one[name] for name in _LIMITS)) for s, one in enumerate(limits)}
+
+    def _split(self, slots: ca.SX) -> list[dict[str, ca.SX]]:
+        out = []
+        for s in range(self.slots):
+            at, one = s * READING_SIZE, {}
+            for name, size, _ in READING:
+                one[name] = slots[at : at + size]
+                at += size
+            out.append(one)
+        return out
+
+
+def _line(column: ca.SX, row: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Way along the beam's axis, way across [m], squared range [m²]."""
+    return column[0] + row[0], ca.fabs(column[1] + row[1]), column[2] + row[2]
+
+
+def _on_arc(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX]) -> ca.SX:
+    """Whether any of the cell may be what was heard."""
+    band = ca.logic_and(line[2] >= limit["near"], line[2] <= limit["far"])
+    return ca.logic_and(_inside(line, limit) > limit["outside"], band)
+
+
+def _inside(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX]) -> ca.SX:
+    """Distance into the cone from its nearer edge [m]."""
+    return line[0] * limit["sine"] - line[1] * limit["cosine"]
+
+
+def _in_front(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX], value: ca.SX) -> ca.SX:
+    """Whether the whole cell is free: half a cell inside the cone, short of what was heard."""
+    beam = line[0] * limit["sine"]
+    deep = ca.fmin(limit["whole"], ca.if_else(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN) * beam)
+    short = ca.logic_and(line[2] < limit["clear"], ca.logic_or(limit["clears"], value <= BLIND))
+    return ca.logic_and(_inside(line, limit) > deep, short)
+
+
+def _least(values: list[ca.SX]) -> ca.SX:
+    least = values[0]
+    for value in values[1:]:
+        least = ca.fmin(least, value)
+    return least
+
+
+def _largest(values: list[ca.SX]) -> ca.SX:
+    largest = values[0]
+    for value in values[1:]:
+        largest = ca.fmax(largest, value)
+    return largest
+
+
+def _lowered(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> Program:
+    made = [ca.densify(ca.SX(value)) for value in outputs.values()]
+    return lower(ca.Function(name, list(inputs.values()), made, list(inputs), list(outputs), {"cse": True}))
