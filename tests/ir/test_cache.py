@@ -128,8 +128,7 @@ def test_what_cannot_be_built_leaves_nothing(tmp_path: Path) -> None:
 
 def test_processes_that_build_at_once_all_succeed(tmp_path: Path) -> None:
     """Each writes other bytes, over and over, and reads what any of them has written."""
-    context = multiprocessing.get_context("fork")
-    with context.Pool(4) as pool:
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
         seen = pool.map(_written_and_read, [(tmp_path / "c", k) for k in range(4)], chunksize=1)
     assert sum(seen) > 0  # entries of another process were read, each of them whole
     assert len(list((tmp_path / "c").iterdir())) == 40
