@@ -6,7 +6,7 @@ from surctl.ir.c99 import C_TYPE, Real, c_literal, emit_c99, identifier
 from surctl.ir.c99_lanes import Feed, emit_lanes
 from surctl.ir.c99_routine import emit_block
 from surctl.ir.c99_wide import Wide, emit_wide
-from surctl.ir.cache import CacheUnused, cache_folder, shared_library
+from surctl.ir.cache import CacheUnused, cache_folder, cached_bytes, shared_library
 from surctl.ir.compiler import compile_program, compiler_version, find_compiler, tuned_flags
 from surctl.ir.divisors import shared_divisors
 from surctl.ir.elementary import without_libm
@@ -21,6 +21,8 @@ from surctl.ir.ports import Layout, Port
 from surctl.ir.program import Instruction, Program
 from surctl.ir.replay import replay
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step
+from surctl.ir.sources import source_digest
+from surctl.ir.stored import read_block, write_block
 from surctl.ir.symbolic import to_casadi
 from surctl.ir.tracing import Recording, each, fold, only_if, repeat, tabulated
 
@@ -49,6 +51,7 @@ __all__ = [
     "Workspace",
     "c_literal",
     "cache_folder",
+    "cached_bytes",
     "compile_batch",
     "compile_block",
     "compile_program",
@@ -66,11 +69,13 @@ __all__ = [
     "memory",
     "nearby_angles",
     "only_if",
+    "read_block",
     "repeat",
     "replay",
     "runnable",
     "shared_divisors",
     "shared_library",
+    "source_digest",
     "stack_bytes",
     "stack_of",
     "stack_told",
@@ -79,4 +84,5 @@ __all__ = [
     "tuned_flags",
     "with_constants",
     "without_libm",
+    "write_block",
 ]

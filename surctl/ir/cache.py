@@ -1,7 +1,7 @@
-"""Shared libraries by content: the same sources, flags and compiler are compiled once.
+"""What is costly to build is built once, and read from disk by every later process: shared libraries, laws.
 
 An entry is trusted only if it lies in a folder of this user that nobody else may write to, and still has the
-digest that was noted when it was made. Anything else is built again.
+digest that was noted when it was built. Anything else is built again.
 """
 
 from __future__ import annotations
@@ -12,19 +12,20 @@ import platform
 import stat
 import tempfile
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from surctl.errors import SurctlError
 from surctl.ir.compiler import FLAGS, compile_program, compiler_version, find_compiler, further_flags, tuned_flags
 
-__all__ = ["CacheUnused", "cache_folder", "shared_library"]
+__all__ = ["CacheUnused", "cache_folder", "cached_bytes", "shared_library"]
 
 _SHARED = ("-shared", "-fPIC")
+_NOTE = hashlib.sha256().digest_size  # bytes of the digest before an entry: in one file with it, never another's
 
 
 class CacheUnused(UserWarning):
-    """Nothing can be kept in the cache: each process compiles anew."""
+    """Nothing can be stored in the cache: each process builds anew."""
 
 
 def cache_folder() -> Path:
@@ -45,14 +46,46 @@ def cache_folder() -> Path:
     return (Path(base) if Path(base).is_absolute() else Path.home() / ".cache") / "surctl"
 
 
+def cached_bytes(key: str, suffix: str, build: Callable[[], bytes], *, folder: Path | None = None) -> bytes:
+    """What `build` gives, or gave when it was first asked for under this key.
+
+    Processes that build one entry at once each get what they built; the last one's stays.
+
+    Args:
+        key: hexadecimal digest of everything that the result depends on.
+        suffix: of the entry's file, with the dot.
+        build: called if there is no entry that can be trusted; what it raises goes through.
+        folder: of the cache; `cache_folder()` if None. One that cannot be written to, or that another user could
+            write to, is left alone, with a warning `CacheUnused`.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.ir import cached_bytes
+        >>> cached_bytes("00ff", ".txt", lambda: b"built", folder=Path("cache"))
+        b'built'
+        >>> cached_bytes("00ff", ".txt", lambda: b"built anew", folder=Path("cache"))
+        b'built'
+    """
+    place = cache_folder() if folder is None else folder
+    path = place / f"{key}{suffix}"
+    stored = _read(path)
+    if stored is not None:
+        return stored
+    built = build()
+    why = _write(path, built)
+    if why:
+        text = f"the cache folder {place} is left alone: {why}; each process builds anew (set SURCTL_CACHE)"
+        warnings.warn(text, CacheUnused, stacklevel=2)
+    return built
+
+
 def shared_library(source: str, *, flags: Sequence[str] = (), folder: Path | None = None, wide: bool = False) -> bytes:
     r"""The shared library compiled from one C source.
 
     Args:
         source: the C text.
         flags: more flags for the compiler, after `FLAGS`, `further_flags` and `tuned_flags`.
-        folder: of the cache; `cache_folder()` if None. One that cannot be written to, or that another user could
-            write to, is left alone, with a warning `CacheUnused`.
+        folder: of the cache, as in `cached_bytes`.
         wide: for the widest vectors, as `tuned_flags` says.
 
     Returns:
@@ -72,16 +105,7 @@ def shared_library(source: str, *, flags: Sequence[str] = (), folder: Path | Non
     """
     tuned = tuned_flags(wide=wide)
     key = _key(source, (*tuned, *flags))
-    place = cache_folder() if folder is None else folder
-    kept = _read(place, key)
-    if kept is not None:
-        return kept
-    built = _build(source, flags, tuned)
-    why = _write(place, key, built)
-    if why:
-        text = f"the cache folder {place} is left alone: {why}; each process compiles anew (set SURCTL_CACHE)"
-        warnings.warn(text, CacheUnused, stacklevel=2)
-    return built
+    return cached_bytes(key, ".so", lambda: _build(source, flags, tuned), folder=folder)
 
 
 def _key(source: str, flags: Sequence[str]) -> str:
@@ -99,16 +123,16 @@ def _processor() -> str:
     return "\n".join(sorted({line for line in lines if line.startswith(("flags", "model name", "Features"))}))
 
 
-def _read(place: Path, key: str) -> bytes | None:
+def _read(path: Path) -> bytes | None:
     """The entry if it can be trusted."""
     try:
-        if not (_is_ours(place) and _is_ours(place / f"{key}.so")):
+        if not (_is_ours(path.parent) and _is_ours(path)):
             return None
-        body = (place / f"{key}.so").read_bytes()
-        noted = (place / f"{key}.sha256").read_text().strip()
-    except (OSError, ValueError):
+        entry = path.read_bytes()
+    except OSError:
         return None
-    return body if hashlib.sha256(body).hexdigest() == noted else None
+    noted, body = entry[:_NOTE], entry[_NOTE:]
+    return body if hashlib.sha256(body).digest() == noted else None
 
 
 def _is_ours(path: Path) -> bool:
@@ -119,14 +143,13 @@ def _is_ours(path: Path) -> bool:
     return not hasattr(os, "getuid") or found.st_uid == os.getuid()
 
 
-def _write(place: Path, key: str, body: bytes) -> str:
-    """Keep the entry; why not, if the folder cannot be written to or is not ours."""
+def _write(path: Path, body: bytes) -> str:
+    """Store the entry; why not, if the folder cannot be written to or is not ours."""
     try:
-        place.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if not _is_ours(place):
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not _is_ours(path.parent):
             return "it is another user's, a link, or others may write to it"
-        _replace(place / f"{key}.so", body)
-        _replace(place / f"{key}.sha256", hashlib.sha256(body).hexdigest().encode())
+        _replace(path, hashlib.sha256(body).digest() + body)
     except OSError as error:
         return f"it cannot be written ({error.strerror})"
     return ""

@@ -8,6 +8,7 @@ import shlex
 import shutil
 import subprocess
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 from surctl.errors import InputError, SurctlError, ToolMissing
@@ -182,6 +183,21 @@ def compiler_version(compiler: str | None = None) -> str:
         >>> compiler_version()  # "cc (Debian 12.2.0-14) 12.2.0", for one
         '...c...'
     """
-    command = [*(_words(find_compiler()) if compiler is None else [compiler]), "--version"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_TIMEOUT)
+    command = tuple(_words(find_compiler()) if compiler is None else [compiler])
+    found = os.path.realpath(shutil.which(command[0]) or command[0])
+    try:
+        state = Path(found).stat()
+    except OSError:  # the asking says it
+        return _asked_version(command)
+    return _known_version(command, found, (state.st_ino, state.st_size, state.st_mtime_ns))
+
+
+@cache
+def _known_version(command: tuple[str, ...], _file: str, _state: tuple[int, ...]) -> str:
+    """Asked once a process of one command and the file that it is."""
+    return _asked_version(command)
+
+
+def _asked_version(command: Sequence[str]) -> str:
+    done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=False, timeout=_TIMEOUT)
     return (done.stdout or done.stderr or command[0]).splitlines()[0].strip()

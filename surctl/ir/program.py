@@ -116,7 +116,7 @@ class Program:
 def _right_side(instruction: Instruction) -> str:
     op, args = instruction.op, instruction.args
     if op == "const":
-        return f"const {float(instruction.value or 0.0).hex()}"
+        return f"const {float(0.0 if instruction.value is None else instruction.value).hex()}"  # -0.0 is no 0.0
     if op == "input":
         return f"in{args[0]}[{args[1]}]"
     if len(args) == 2:

@@ -136,9 +136,8 @@ class Routine:
 
     def text(self) -> str:
         """The routine and all that it calls as text; equal texts are equal routines, on any machine."""
-        return "\n".join(
-            block.text() if isinstance(block, Program) else _own_text(block) for block in nested(self).values()
-        )
+        texts = (block.text() if isinstance(block, Program) else own_text(block) for block in nested(self).values())
+        return "\n".join(dict.fromkeys(texts))  # two equal callees are one
 
     def digest(self) -> str:
         """SHA-256 of `text`, in hexadecimal."""
@@ -188,7 +187,8 @@ def _turns(step: Call | Loop) -> int:
     return step.count * step.lanes if isinstance(step, Loop) else 1
 
 
-def _own_text(routine: Routine) -> str:
+def own_text(routine: Routine) -> str:
+    """The routine as text, without what it calls."""
     lines = [f"routine {routine.name}"]
     lines += [f"in {name} {size}" for name, size in routine.inputs]
     lines += [_step_text(step) for step in routine.steps]
@@ -223,8 +223,8 @@ def _size(sizes: Mapping[str, int], name: str, key: str) -> int:
 def written(step: Step, sizes: Mapping[str, int], key: str) -> Iterator[tuple[str, int]]:
     """(name, size) of what the step writes, after a check of what it reads."""
     if isinstance(step, Gather):
-        block = step.width * step.lanes
-        if block < 1 or _size(sizes, step.source, key) % block or _size(sizes, step.index, key) != 1:
+        whole = step.width >= 1 and step.lanes >= 1 and not _size(sizes, step.source, key) % (step.width * step.lanes)
+        if not whole or _size(sizes, step.index, key) != 1:
             raise InputError("cannot be cut in such pieces", key=key, value=step.source)
         return iter([(step.result, step.width)])
     given = [_size(sizes, name, key) for name in step.args] if isinstance(step, Call) else _fed(step, sizes, key)

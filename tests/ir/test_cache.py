@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import multiprocessing
 import os
 from contextlib import nullcontext
 from pathlib import Path
@@ -10,11 +11,12 @@ from pathlib import Path
 import casadi as ca
 import pytest
 
-from surctl.errors import ToolMissing
-from surctl.ir import CacheUnused, Native, cache_folder, lower, shared_library
+from surctl.errors import SurctlError, ToolMissing
+from surctl.ir import CacheUnused, Native, cache_folder, cached_bytes, lower, shared_library
 from surctl.ir import cache as module
 from tests.tools import need_compiler
 
+EVIL = hashlib.sha256(b"evil").digest() + b"evil"
 SOURCE = "int answer(void);\nint answer(void) { return 42; }\n"
 
 
@@ -62,34 +64,32 @@ def test_other_flags_of_the_environment_are_another_entry(
         assert len(builds) == count
 
 
-@pytest.mark.parametrize("spoil", ["flip", "empty", "note", "no note", "link", "group", "world", "open folder"])
+@pytest.mark.parametrize("spoil", ["flip", "empty", "cut", "note", "no note", "link", "group", "world", "open folder"])
 def test_what_cannot_be_trusted_is_built_again(builds: list[str], tmp_path: Path, spoil: str) -> None:
     folder = tmp_path / "c"
     good = shared_library(SOURCE, folder=folder)
     library = entry(folder)
-    note = library.with_suffix(".sha256")
-    if spoil == "flip":
-        body = bytearray(good)
-        body[len(body) // 2] ^= 1
+    whole = library.read_bytes()
+    if spoil in ("flip", "note"):
+        body = bytearray(whole)
+        body[len(body) // 2 if spoil == "flip" else 0] ^= 1
         library.write_bytes(bytes(body))
     elif spoil == "empty":
         library.write_bytes(b"")
-    elif spoil == "note":
-        note.write_bytes(b"\xff\xfe")
+    elif spoil == "cut":
+        library.write_bytes(whole[:-1])
     elif spoil == "no note":
-        note.unlink()
+        library.write_bytes(good)
     elif spoil == "link":
         library.rename(tmp_path / "elsewhere.so")
         library.symlink_to(tmp_path / "elsewhere.so")
     elif spoil in ("group", "world"):
         # somebody else could have written it, digest and all
-        library.write_bytes(b"evil")
-        note.write_text(hashlib.sha256(b"evil").hexdigest())
+        library.write_bytes(EVIL)
         library.chmod(0o620 if spoil == "group" else 0o602)
     else:
         folder.chmod(0o777)
-        library.write_bytes(b"evil")
-        note.write_text(hashlib.sha256(b"evil").hexdigest())
+        library.write_bytes(EVIL)
     with pytest.warns(CacheUnused, match="others may write") if spoil == "open folder" else nullcontext():
         assert shared_library(SOURCE, folder=folder) == good
     assert len(builds) == 2
@@ -105,6 +105,46 @@ def test_an_entry_of_another_user_is_built_again(
     with pytest.warns(CacheUnused, match=rf"{tmp_path} is left alone: it is another user's.*set SURCTL_CACHE"):
         shared_library(SOURCE, folder=tmp_path)
     assert len(builds) == 2 and entry(tmp_path).read_bytes() == kept
+
+
+def test_any_bytes_are_stored_under_their_key_and_suffix(tmp_path: Path) -> None:
+    entries = {("00", ".law"): b"", ("00", ".other"): b"\x00\xff", ("01", ".law"): b"third"}
+    for (key, suffix), body in entries.items():
+        assert cached_bytes(key, suffix, lambda body=body: body, folder=tmp_path) == body  # type: ignore[misc]
+    for (key, suffix), body in entries.items():
+        assert cached_bytes(key, suffix, lambda: b"built anew", folder=tmp_path) == body
+    assert len(list(tmp_path.iterdir())) == len(entries)
+
+
+def test_what_cannot_be_built_leaves_nothing(tmp_path: Path) -> None:
+    def build() -> bytes:
+        raise SurctlError("no such law")
+
+    with pytest.raises(SurctlError, match="no such law"):
+        cached_bytes("00", ".law", build, folder=tmp_path / "c")
+    assert not (tmp_path / "c").exists()
+    assert cached_bytes("00", ".law", lambda: b"law", folder=tmp_path / "c") == b"law"
+
+
+def test_processes_that_build_at_once_all_succeed(tmp_path: Path) -> None:
+    """Each writes other bytes, over and over, and reads what any of them has written."""
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        seen = pool.map(_written_and_read, [(tmp_path / "c", k) for k in range(4)], chunksize=1)
+    assert sum(seen) > 0  # entries of another process were read, each of them whole
+    assert len(list((tmp_path / "c").iterdir())) == 40
+
+
+def _written_and_read(task: tuple[Path, int]) -> int:
+    folder, own = task
+    others = 0
+    for k in range(200):
+        key = f"{k % 40:02x}"
+        if k % 3 == 0:
+            (folder / f"{key}.law").unlink(missing_ok=True)
+        found = cached_bytes(key, ".law", lambda: bytes([own]) * 100_000, folder=folder)
+        assert len(found) == 100_000 and len(set(found)) == 1
+        others += found[0] != own
+    return others
 
 
 def test_without_a_place_to_write_it_works_and_leaves_nothing(builds: list[str], tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import subprocess
 from pathlib import Path
 
@@ -76,6 +77,36 @@ def test_a_refusal_carries_the_first_error_line(tmp_path: Path) -> None:
 def test_version_is_one_line() -> None:
     need_compiler()
     assert compiler_version() and "\n" not in compiler_version()
+
+
+def test_a_compiler_is_asked_once_until_it_is_another(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    asked = tmp_path / "asked"
+    fake = tmp_path / "cc"
+
+    def install(version: str) -> None:
+        text = f"#!/bin/sh\necho x >> {asked}\necho {version} $1\n"
+        fresh = tmp_path / "fresh"
+        fresh.write_text(text)
+        fresh.chmod(0o700)
+        fresh.replace(fake)
+
+    install("one 1.0")
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    for command, told, count in (("cc", "one 1.0 --version", 1), ("cc -O1", "one 1.0 -O1", 2), ("cc", "one 1.0", 2)):
+        monkeypatch.setenv("CC", command)
+        for _ in range(2):
+            assert compiler_version().startswith(told)
+        assert len(asked.read_text().split()) == count
+    assert compiler_version(str(fake)) == "one 1.0 --version"
+    install("two 2.0")  # as long, and perhaps as old
+    assert compiler_version() == "two 2.0 --version"
+    (tmp_path / "other").mkdir()
+    install("six 6.0")
+    fake.rename(tmp_path / "other" / "cc")
+    monkeypatch.setenv("PATH", str(tmp_path / "other"), prepend=os.pathsep)
+    assert compiler_version() == "six 6.0 --version"
+    with pytest.raises(FileNotFoundError):
+        compiler_version(str(fake))
 
 
 def test_six_thousand_operations_compile(tmp_path: Path) -> None:

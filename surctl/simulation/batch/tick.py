@@ -15,7 +15,7 @@ import casadi as ca
 
 from surctl.control import PARAMETERS, Law, build_law
 from surctl.guidance import MAX_WAYPOINTS
-from surctl.ir import Call, Layout, Port, Program, Routine, lower, nearby_angles, shared_divisors
+from surctl.ir import Block, Call, Layout, Port, Program, Recording, Routine, fold, lower, nearby_angles, shared_divisors
 from surctl.sensing import NOISE_STATE, SLOT, FaultChances
 from surctl.simulation.batch.bodies import ABSENT, Body, body_at, body_size
 from surctl.simulation.batch.counting import SUMS, counted
@@ -140,7 +140,7 @@ def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
 
 
 class _Builder:
-    """The three programs around the law and the plant."""
+    """What runs around the law and the plant."""
 
     def __init__(self, structure: Structure, law: Law, state: Layout, parameters: Layout) -> None:
         self.structure, self.law, self.state, self.parameters = structure, law, state, parameters
@@ -211,7 +211,7 @@ class _Builder:
         near = _clearances(bodies, given, plant[:3])
         return _lowered("between", {"w": w, **v}, {"heard_next": heard, "fresh_next": fresh, "clearance_between": near})
 
-    def close(self) -> Program:
+    def close(self) -> Block:
         """Judge the tick, count the metrics, and put the next state together."""
         s, old = self.state.symbols("s")
         w, given = self.parameters.symbols("w")
@@ -232,7 +232,9 @@ class _Builder:
         v = {name: ca.SX.sym(name, size) for name, size in symbols.items()}
         place = old["plant"][:2]
         clear, clearance = _with_walls(old["clear"], v["clearance"])
-        total = ca.sum1(v["tau"]) + ca.sum1(v["x_next"]) + v["status"] + ca.sum1(v["telemetry"])
+        with Recording() as recording:
+            total = fold("total", lambda total, entry: total + entry, v["status"], v["x_next"])
+        total += ca.sum1(v["tau"]) + ca.sum1(v["telemetry"])
         to_target = place - given["waypoints"][MAX_WAYPOINTS - 1, :].T
         gap = ca.sqrt(ca.sumsqr(to_target))
         left = ca.sqrt(gap**2 + (old["plant"][2] - given["depth"]) ** 2) if self.structure.depths else gap
@@ -264,7 +266,7 @@ class _Builder:
         tau, status = ca.if_else(broken, 0, v["tau"]), ca.if_else(broken, 0, v["status"])
         avoiding = v["telemetry"][law.telemetry_slice("avoiding")] > 0.5
         new |= counted(old, given, tau, status, ca.if_else(broken, 0, avoiding), to_target, gap)
-        return _lowered("close", {"s": s, "w": w, **v}, {"s_next": self.state.join(new)})
+        return recording.block("close", {"s": s, "w": w, **v}, {"s_next": self.state.join(new)})
 
     def _standing(self, old: Mapping[str, ca.SX], telemetry: ca.SX) -> tuple[dict[str, ca.SX], ca.SX]:
         """For how long the law has halted and given up, if it ever does, and the code once that is too long."""

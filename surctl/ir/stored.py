@@ -1,0 +1,258 @@
+"""Blocks on disk: the text of a block is read back, to a block of the same digest.
+
+A text is data: nothing in it is run, and what is not letter by letter the text of a block is refused.
+"""
+
+from __future__ import annotations
+
+import gc
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import NoReturn
+
+from surctl.errors import InputError
+from surctl.ir.ops import OPERATIONS
+from surctl.ir.program import Instruction, Program
+from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, own_text
+
+__all__ = ["read_block", "write_block"]
+
+_ARITY = {name: operation.arity for name, operation in OPERATIONS.items()}
+_DEEPEST = 50  # routines inside one another; beyond, the walks over them would run out of Python's stack
+_MALFORMED = (IndexError, KeyError, OverflowError, ValueError)  # what the reading of a malformed line raises
+
+
+def write_block(block: Block) -> str:
+    """The block and all that it runs as text, for `read_block`: `block.text()`, sealed with `block.digest()`.
+
+    Raises:
+        InputError: the text would not be read as the same block: a constant is a NaN, a name holds a blank, or a loop
+            takes an array that is called like a word of the text ("fixed").
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import lower, write_block
+        >>> x = ca.SX.sym("x")
+        >>> print(write_block(lower(ca.Function("halve", [x], [x / 2], ["x"], ["y"]))))  # doctest: +ELLIPSIS
+        program halve
+        in0 x 1
+        v0 = in0[0]
+        v1 = const 0x1.0000000000000p+1
+        v2 = div v0 v1
+        out0 y v2
+        <BLANKLINE>
+        sha256 ...
+        <BLANKLINE>
+    """
+    text = f"{block.text()}\nsha256 {block.digest()}\n"
+    if read_block(text) != block:
+        raise InputError("holds names that its text cannot tell apart", key=block.name, remedy="rename its arrays")
+    return text
+
+
+def read_block(text: str) -> Block:
+    """The block that `write_block` wrote; what several steps run is one object.
+
+    Raises:
+        InputError: the text is not, letter by letter, that of a block; it names the line.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import lower, read_block, write_block
+        >>> x = ca.SX.sym("x")
+        >>> program = lower(ca.Function("halve", [x], [x / 2]))
+        >>> read_block(write_block(program)) == program
+        True
+    """
+    body, mark, seal = text.rpartition("\nsha256 ")
+    try:
+        own = hashlib.sha256(body.encode()).hexdigest()
+    except UnicodeEncodeError as error:
+        _refuse("holds no Unicode", body.count("\n", 0, error.start) + 1)
+    if not mark or seal != f"{own}\n" or not body.endswith("\n"):
+        _refuse("is cut off or altered: its SHA-256 is another", text.count("\n") + 1, seal.strip())
+    with _without_collection():
+        block = _read(body)
+    if block.text() != body:
+        _refuse("holds a block that the last one does not run, or not in this order", 1)
+    return block
+
+
+@contextmanager
+def _without_collection() -> Iterator[None]:
+    """No search for garbage: it would look again and again at all that is read, for as long as the reading takes."""
+    searching = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if searching:
+            gc.enable()
+
+
+def _read(body: str) -> Block:
+    """The last of the blocks."""
+    found: dict[str, Block] = {}
+    depths: dict[int, int] = {}
+    first = 1
+    for text in body[:-1].split("\n\n"):
+        lines = text.split("\n")
+        block = _routine(lines, first, found) if lines[0].startswith("routine ") else _program(lines, first)
+        inner = [depths[id(s.block)] for s in getattr(block, "steps", ()) if not isinstance(s, Gather)]
+        depths[id(block)] = 1 + max(inner, default=0)
+        if depths[id(block)] > _DEEPEST:
+            _refuse(f"more than {_DEEPEST} blocks inside one another", first, lines[0])
+        key = f"{block.name}:{block.digest()[:16]}"
+        if key in found:
+            _refuse("two blocks of one name and digest", first, lines[0])
+        found[key] = block
+        first += len(lines) + 1
+    return block
+
+
+def _program(lines: Sequence[str], first: int) -> Program:
+    """The program of these lines, the first of which is line `first` of the text."""
+    name = _name(lines, first, "program")
+    inputs = _inputs(lines, first, "in{}")
+    start = 1 + len(inputs)
+    end = len(lines)
+    while end > start and lines[end - 1].startswith("out"):
+        end -= 1
+    instructions, places = _instructions(lines[start:end], inputs, first + start)
+    outputs: list[tuple[str, int]] = []
+    references: list[tuple[int, ...]] = []
+    for at, line in enumerate(lines[end:], first + end):
+        try:
+            which, given, *words = line.split(" ")
+            _same(which, f"out{len(outputs)}")
+            references.append(tuple([places[word] for word in words]))
+        except _MALFORMED:
+            _refuse("is no output of this program", at, line)
+        outputs.append((given, len(words)))
+    program = Program(name, tuple(inputs), tuple(outputs), tuple(instructions), tuple(references))
+    program.__dict__["_text"] = "\n".join([*lines, ""])  # no other text is read as this program
+    return program
+
+
+def _instructions(
+    lines: Sequence[str], inputs: Sequence[tuple[str, int]], first: int
+) -> tuple[list[Instruction], dict[str, int]]:
+    """The instructions, and the position of each by its name; in one loop, for a law has tens of thousands."""
+    instructions: list[Instruction] = []
+    places: dict[str, int] = {}
+    at = 0
+    try:
+        for at, line in enumerate(lines):
+            words = line.split(" ")
+            op = words[2]
+            if op in _ARITY:
+                if len(words) == 5:  # nearly all
+                    args: tuple[int, ...] = (places[words[3]], places[words[4]])
+                else:
+                    args = tuple([places[word] for word in words[3:]])
+                if len(args) != _ARITY[op]:
+                    _refuse(f"{op} takes {_ARITY[op]} operands", first + at, line)
+                instructions.append(Instruction(op, args))
+            elif op == "const":
+                value = float.fromhex(words[3])
+                if len(words) != 4 or value != value or value.hex() != words[3]:
+                    _refuse("is no constant: one that is a number, as float.hex writes it", first + at, line)
+                instructions.append(Instruction(op, (), value))
+            else:
+                instructions.append(_load(op, inputs))
+                if len(words) != 3:
+                    _refuse("an input takes no operand", first + at, line)
+            name = words[0]
+            if words[1] != "=" or name != f"v{at}":
+                _refuse(f"does not assign v{at}", first + at, line)
+            places[name] = at
+    except _MALFORMED:
+        _refuse("is no instruction on what stands before it", first + at, lines[at])
+    return instructions, places
+
+
+def _load(word: str, inputs: Sequence[tuple[str, int]]) -> Instruction:
+    which, entry = map(int, word[2:-1].split("["))
+    _same(word, f"in{which}[{entry}]")
+    if not (0 <= which < len(inputs) and 0 <= entry < inputs[which][1]):
+        raise ValueError
+    return Instruction("input", (which, entry))
+
+
+def _routine(lines: Sequence[str], first: int, found: Mapping[str, Block]) -> Routine:
+    """Likewise; `found` holds the blocks before it, by name and digest."""
+    name = _name(lines, first, "routine")
+    inputs = _inputs(lines[:-1], first, "in")
+    steps: list[Step] = []
+    for at, line in enumerate(lines[1 + len(inputs) : -1], first + 1 + len(inputs)):
+        try:
+            steps.append(_step(line.split(" "), found))
+        except _MALFORMED:
+            _refuse("is no step, or runs a block that does not stand before it", at, line)
+    try:
+        routine = Routine(name, tuple(inputs), tuple(steps), tuple(lines[-1].split(" ")[1:]))
+    except InputError as error:
+        raise error.inside(f"line {first}") from None
+    for at, (own, line) in enumerate(zip(own_text(routine).split("\n"), lines, strict=False), first):
+        if own != line:
+            _refuse(f"is written {own!r}", at, line)
+    return routine
+
+
+def _step(words: list[str], found: Mapping[str, Block]) -> Step:
+    """What is left over or out of order is not looked for: the routine's own text tells."""
+    equals = words.index("=")
+    results, kind, rest = _names(words[:equals]), words[equals + 1], words[equals + 2 :]
+    if kind == "gather":
+        return Gather(rest[0], rest[1], int(rest[3]), results[0], int(rest[5]))
+    block = found[rest[0]]
+    if kind == "call":
+        return Call(block, _names(rest[1:]), results)
+    count, index, until = int(rest[2]), bool(int(rest[4])), None if rest[6] == "None" else int(rest[6])
+    lists: list[tuple[str, ...]] = []
+    start = rest.index("carried")
+    for mark in ("sliced", "fixed", "spread", "lanes"):
+        end = rest.index(mark, start + 1)
+        lists.append(_names(rest[start + 1 : end]))
+        start = end
+    carried, sliced, fixed, spread = lists
+    return Loop(block, count, carried, results, sliced, fixed, index, until, spread, int(rest[start + 1]))
+
+
+def _names(words: Sequence[str]) -> tuple[str, ...]:
+    return tuple([word for word in words if word])
+
+
+def _name(lines: Sequence[str], first: int, kind: str) -> str:
+    found, _, name = lines[0].partition(" ")
+    if found != kind or not name or " " in name:
+        _refuse(f"is no head of a {kind}", first, lines[0])
+    return name
+
+
+def _inputs(lines: Sequence[str], first: int, mark: str) -> list[tuple[str, int]]:
+    """(name, size) of each line after the head that is one of an input."""
+    inputs: list[tuple[str, int]] = []
+    for at, line in enumerate(lines[1:], first + 1):
+        words = line.split(" ")
+        if len(words) != 3 or words[0] != mark.format(len(inputs)):
+            break
+        try:
+            size = int(words[2])
+            _same(words[2], str(size))
+        except ValueError:
+            _refuse("is no size of an input", at, line)
+        if size < 0:
+            _refuse("is no size of an input", at, line)
+        inputs.append((words[1], size))
+    return inputs
+
+
+def _same(word: str, own: str) -> None:
+    if word != own:
+        raise ValueError
+
+
+def _refuse(problem: str, line: int, value: str | None = None) -> NoReturn:
+    raise InputError(problem, key=f"line {line}", value=value)
