@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import NamedTuple, get_args
+from typing import NamedTuple, cast, get_args
 
 import casadi as ca
 
@@ -20,6 +21,7 @@ from surctl.control.law import (
     TRAPPED,
     TRAPPED_PORT,
     Law,
+    Stages,
     scan_telemetry,
 )
 from surctl.control.layers import LAYER_PORTS, aimed_depth
@@ -39,11 +41,12 @@ from surctl.control.registry import LAW_NAMES, LAWS, LawName
 from surctl.control.routines import limited, sensing
 from surctl.control.senses import Senses, build_senses
 from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
+from surctl.control.stored import law_bytes, law_from
 from surctl.control.trap import TRAP_PORTS, standing, trap_next
 from surctl.control.velocity import velocity_control
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, SurctlError, nearest
 from surctl.guidance import FORMS, AvoidanceForm, Guidance, check_guidance
-from surctl.ir import Block, Layout, Port, Recording, fold, tabulated, without_libm
+from surctl.ir import Block, Layout, Port, Recording, cached_bytes, fold, source_digest, tabulated, without_libm
 from surctl.priority import Ladder, Mode, check_ladder, nsb_symbolic
 from surctl.priority.solver.ladder import RELAXED
 from surctl.sensing import Equipment
@@ -58,22 +61,27 @@ _CLIMB = 0.1  # [m/s] largest heave command
 _TICK_INPUTS = ("J", "wanted", "rows", "box")
 
 
-@cache
+_SOURCES = tuple(
+    f"surctl.{name}" for name in ("control", "errors", "guidance", "ir", "priority", "sensing", "tasks", "vehicle")
+)
+"""What the text of a law depends on."""
+
+
 def build_law(
-    law: LawName = "guarded",
+    law: str = "guarded",
     *,
-    avoidance: AvoidanceForm = "corrected",
-    mode: Mode = "nsb",
+    avoidance: str = "corrected",
+    mode: str = "nsb",
     dt: float = 0.05,
     contacts: int = CONTACT_SLOTS,
     sonar: bool = False,
     equipment: Equipment = DEFAULT_EQUIPMENT,
     moving: bool = True,
-    guidance: Guidance = "los",
-    barrier: Barrier = "simple",
-    movers: Movers = "predict",
+    guidance: str = "los",
+    barrier: str = "simple",
+    movers: str = "predict",
     depths: bool = False,
-    ladder: Ladder = "exact",
+    ladder: str = "exact",
 ) -> Law:
     """Assemble a law once; the gains stay symbols.
 
@@ -132,25 +140,69 @@ def build_law(
                 remedy="--sensing truth, --priority-mode nsb",
             )
         contacts = 1
-    if law == "paper" or not sonar:
-        told = law_inputs(contacts, sonar=sonar, depths=depths)
-        return _decide(
-            law,
-            avoidance,
-            mode,
+    return _cached_law(
+        _Configuration(
+            cast("LawName", law),
+            cast("AvoidanceForm", avoidance),
+            cast("Mode", mode),
             dt,
-            told,
-            guidance,
-            sonar=sonar,
-            moving=moving,
-            barrier=barrier,
-            movers=movers,
-            ladder=ladder,
+            contacts,
+            sonar,
+            equipment,
+            moving,
+            cast("Guidance", guidance),
+            cast("Barrier", barrier),
+            cast("Movers", movers),
+            depths,
+            cast("Ladder", ladder),
         )
-    told = scan_inputs(contacts + SECTORS, sensors=equipment.array.size, depths=depths)
-    decide = _decide(law, avoidance, mode, dt, told, guidance, barrier=barrier, movers=movers, ladder=ladder)
-    given = sonar_inputs(equipment, contacts=contacts, depths=depths)
-    return _with_senses(decide, build_senses(equipment, given, told, dt=dt))
+    )
+
+
+@dataclass(frozen=True)
+class _Configuration:
+    """The arguments of `build_law` once they are checked: laws of equal ones are one."""
+
+    law: LawName
+    avoidance: AvoidanceForm
+    mode: Mode
+    dt: float
+    contacts: int
+    sonar: bool
+    equipment: Equipment
+    moving: bool
+    guidance: Guidance
+    barrier: Barrier
+    movers: Movers
+    depths: bool
+    ladder: Ladder
+
+
+@cache
+def _cached_law(chosen: _Configuration) -> Law:
+    """The law from the cache on disk, where an earlier process with the same sources has built it."""
+    try:
+        sources = source_digest(*_SOURCES)
+    except SurctlError:  # no sources, or they changed under this process: what is built is not known by them
+        return _built(chosen)
+    built: list[Law] = []
+
+    def build() -> bytes:
+        built.append(_built(chosen))
+        return law_bytes(built[0])
+
+    key = hashlib.sha256(f"{sources}\0{chosen!r}".encode()).hexdigest()
+    stored = cached_bytes(key, ".law", build)
+    return built[0] if built else law_from(stored)
+
+
+def _built(c: _Configuration) -> Law:
+    if c.law == "paper" or not c.sonar:
+        told = law_inputs(c.contacts, sonar=c.sonar, depths=c.depths)
+        return _decide(c, told, sonar=c.sonar, moving=c.moving)
+    told = scan_inputs(c.contacts + SECTORS, sensors=c.equipment.array.size, depths=c.depths)
+    given = sonar_inputs(c.equipment, contacts=c.contacts, depths=c.depths)
+    return _with_senses(_decide(c, told), build_senses(c.equipment, given, told, dt=c.dt))
 
 
 def _with_senses(decide: Law, senses: Senses) -> Law:
@@ -160,21 +212,10 @@ def _with_senses(decide: Law, senses: Senses) -> Law:
     return replace(decide, state=state, inputs=senses.inputs, block=block, senses=senses)
 
 
-def _decide(
-    law: LawName,
-    avoidance: AvoidanceForm,
-    mode: Mode,
-    dt: float,
-    inputs: Layout,
-    guidance: Guidance,
-    *,
-    sonar: bool = False,
-    moving: bool = True,
-    barrier: Barrier = "simple",
-    movers: Movers = "predict",
-    ladder: Ladder = "exact",
-) -> Law:
-    """The law, or what of it comes after the senses."""
+def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, moving: bool = True) -> Law:
+    """The law, or what of it comes after the senses; there everything may move."""
+    law, avoidance, mode, dt, guidance = chosen.law, chosen.avoidance, chosen.mode, chosen.dt, chosen.guidance
+    barrier, movers, ladder = chosen.barrier, chosen.movers, chosen.ladder
     scans = "unknown" in inputs
     depths, lean = "column" in inputs, law == "lean"
     decided = LEAN_PORTS if lean else DECISION_PORTS
@@ -247,9 +288,7 @@ def _decide(
         block=without_libm(
             closed if mode == "nsb" else limited(mode, pre, post, levels=levels, rows=len(rows), ladder=ladder)
         ),
-        closed=closed,
-        pre=pre,
-        post=post,
+        stages=Stages(lambda: closed, lambda: pre, lambda: post),
         levels=levels,
         rows=tuple(row.name for row in rows),
         guidance=guidance,

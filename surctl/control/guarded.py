@@ -103,7 +103,9 @@ def guarded_law(
         velocity = braked(velocity, over_ground, bounds)
     else:
         caution = _cautious_bounds(scan, stop, p)
-        chased = fold("chased", lambda other, row: ca.logic_or(other, row[2] < 0), ca.SX(0), tabulated(sectors[:marks], 5))
+        chased = fold(
+            "chased", lambda other, row: ca.logic_or(other, row[2] < 0), ca.SX(0), tabulated(sectors[:marks], 5)
+        )
         # beside what blocks the wish, a way past the unknown would leave the side that is latched
         past = round_unknown(velocity, caution[: scan.unknown.shape[0]], sectors, cones=cones)
         past = ca.if_else(ca.logic_or(choice.blocked, _strays(wish, past, stop)), velocity, past)

@@ -23,7 +23,7 @@ from surctl.guidance import AvoidanceForm, Guidance
 from surctl.ir import Block, Layout, Port, runnable, to_casadi
 from surctl.priority import Ladder, Level, Mode, PriorityProblem, PrioritySolution, Row, solve
 
-__all__ = ["DEGRADED", "NONFINITE", "SATURATED", "SWITCHED", "TELEMETRY", "TRAPPED", "Law", "LawStep"]
+__all__ = ["DEGRADED", "NONFINITE", "SATURATED", "SWITCHED", "TELEMETRY", "TRAPPED", "Law", "LawStep", "Stages"]
 
 Vector: TypeAlias = NDArray[np.float64]
 
@@ -76,6 +76,35 @@ class LawStep(NamedTuple):
     telemetry: Vector
 
 
+class Stages:
+    """Parts of a law, each made when it is first asked for; with the mathematical library's functions.
+
+    Attributes:
+        closed: (x, u, p) → (tau, x_next, status, telemetry) in closed form (16), whatever the law's mode.
+        pre: (x, u, p) → (J row by row, references, rows of the priority tick, velocity box (8,)), and what else is
+            known before the priority decision: next state but for the integral, telemetry after the wish, flags.
+        post: (u, p, those three, nu_wanted, rung of the priority tick) → as `closed`.
+    """
+
+    def __init__(self, closed: Callable[[], Block], pre: Callable[[], Block], post: Callable[[], Block]) -> None:
+        self._closed, self._pre, self._post = closed, pre, post
+
+    @cached_property
+    def closed(self) -> Block:
+        """See the attributes."""
+        return self._closed()
+
+    @cached_property
+    def pre(self) -> Block:
+        """See the attributes."""
+        return self._pre()
+
+    @cached_property
+    def post(self) -> Block:
+        """See the attributes."""
+        return self._post()
+
+
 @dataclass(frozen=True, eq=False)
 class Law:
     """A controller: (state, input, gains) → (τ, next state, status).
@@ -89,14 +118,11 @@ class Law:
         block: (x, u, p) → (tau, x_next, status, telemetry): `closed` in mode nsb; otherwise `pre`, the
             priority tick and `post` as one routine. Without the mathematical library: sin, cos and atan2 are written
             out in exact operations.
-        closed: the same in closed form (16), whatever the mode, with the mathematical library.
-        pre: (x, u, p) → (J row by row, references, rows of the priority tick, velocity box (8,)), and what else is
-            known before the priority decision: next state but for the integral, telemetry after the wish, flags.
-        post: (u, p, those three, nu_wanted, rung of the priority tick) → as `closed`.
+        stages: the law in closed form, and what stands before the priority solver and after it.
         levels: (name, rows, unit) of each priority level, highest first.
         rows: names of the rows: box, then barriers.
         barrier, movers, ladder: as `build_law` has them.
-        senses: what runs before the decision, or None; `closed`, `pre` and `post` then take the decision's own state
+        senses: what runs before the decision, or None; the stages then take the decision's own state
             and what the senses tell as x and u.
         guidance: how the path is followed.
     """
@@ -110,9 +136,7 @@ class Law:
     gains: Layout
     outputs: Layout
     block: Block = field(repr=False)
-    closed: Block = field(repr=False)
-    pre: Block = field(repr=False)
-    post: Block = field(repr=False)
+    stages: Stages = field(repr=False)
     levels: tuple[tuple[str, int, str], ...]
     rows: tuple[str, ...]
     senses: Senses | None = None
@@ -123,8 +147,8 @@ class Law:
 
     @cached_property
     def function(self) -> ca.Function:
-        """`closed` for CasADi: expressions, derivatives, numbers."""
-        return to_casadi(self.closed)
+        """The closed form for CasADi: expressions, derivatives, numbers."""
+        return to_casadi(self.stages.closed)
 
     def initial_state(self) -> Vector:
         """State before the first step."""
@@ -154,8 +178,8 @@ class Law:
 
     @cached_property
     def _before(self) -> Callable[..., Any]:
-        """`pre` in CasADi's machine."""
-        return to_casadi(self.pre).expand()
+        """The stage before the solver in CasADi's machine."""
+        return to_casadi(self.stages.pre).expand()
 
     @cached_property
     def _sense(self) -> Callable[..., list[Vector]]:

@@ -88,7 +88,9 @@ def in_real(law: Law, real: Real) -> Law:
     """
     if real == "float64" or law.mode not in ("filter", "projected"):
         return law
-    made = limited(law.mode, law.pre, law.post, levels=law.levels, rows=len(law.rows), ladder=law.ladder, real=real)
+    made = limited(
+        law.mode, law.stages.pre, law.stages.post, levels=law.levels, rows=len(law.rows), ladder=law.ladder, real=real
+    )
     decide = without_libm(made, real)
     if law.senses is None:
         return replace(law, block=decide)

@@ -22,13 +22,16 @@ from surctl.sensing import Equipment, LocalMap, MoverTracker, OwnStateFilter, Ra
 from surctl.sensing.local_map import READING, RING
 from surctl.vehicle import planar_rotation
 
-__all__ = ["CELLS_A_HULL", "LAST_THRUST", "Senses", "build_senses"]
+__all__ = ["CELLS_A_HULL", "LAST_THRUST", "SENSES", "Senses", "build_senses"]
 
 CELLS_A_HULL = 4.0
 """Cells of the map in a hull radius (*chosen*): 6.75 cm in the tank, 5 cm in the pool."""
 
 LAST_THRUST = Port("last_thrust", (4,), "N, N m", "thrust command of the step before")
 """First port of the state: what the decision writes and the own state's filter reads."""
+
+SENSES = "senses"
+"""Name of the block of `Senses`."""
 
 _TOLERANCE = 0.10  # [m] by which an echo may be shorter than a known thing's and still be its own
 _READING = 0.03  # [m] by which one believed firing may be off: four of its standard deviations
@@ -104,7 +107,7 @@ class _Builder:
             Call(self._join(), ("small_next", "map_cells_next", "map_corner_next"), ("x_next",)),
         )
         sizes = (("x", self.state.size), ("u", self.inputs.size), ("p", PARAMETERS.size), *((n, 1) for n in anew))
-        block = without_libm(Routine("senses", sizes, steps, ("x_next", "told")))
+        block = without_libm(Routine(SENSES, sizes, steps, ("x_next", "told")))
         return Senses(self.state, self.inputs, self.told, block)
 
     @cached_property

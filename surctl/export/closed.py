@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control import Law, in_real
 from surctl.errors import InputError
 from surctl.export.contract import Exportable
-from surctl.ir import Block, Call, Layout, Port, Program, Real, Step, lower, replay, with_constants, without_libm
+from surctl.ir import Block, Call, Layout, Port, Program, Real, Step, lower, reads, replay, with_constants, without_libm
 
 __all__ = ["ClosedForm", "closed_form"]
 
@@ -126,31 +127,39 @@ def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = 
         return ClosedForm(law, _without_gains(single.block, constants), Layout(()), np.array(constants, dtype=float))
     if real == "float64" and constants is None:
         return law
-    block = without_libm(law.closed, real)
+    block = without_libm(law.stages.closed, real)
     if constants is None:
         return ClosedForm(law, block, law.gains)
     return ClosedForm(law, _without_gains(block, constants), Layout(()), np.array(constants, dtype=float))
 
 
 def _without_gains(block: Block, constants: Vector) -> Block:
-    """The law's block with these numbers as its third input, which has no entry any more; loops keep what they take."""
-    p = block.inputs[2][0]
-    inputs = (*block.inputs[:2], (p, 0))
+    """The law's block with these numbers as its third input, which has no entry any more."""
+    x, u, p = block.inputs
+    folded = _with_constant_input(block, 2, constants)
+    return replace(folded, inputs=(x, u, (p[0], 0)))
+
+
+def _with_constant_input(block: Block, at: int, constants: Vector) -> Block:
+    """A block without one of its inputs, whose numbers are these; what loops read of it becomes an array of its own."""
+    name = block.inputs[at][0]
+    left = tuple(entry for k, entry in enumerate(block.inputs) if k != at)
     if isinstance(block, Program):
-        return replace(with_constants(block, 2, [float(v) for v in constants]), inputs=inputs)
-    return replace(block, inputs=inputs, steps=tuple(_step_without(step, p, constants) for step in block.steps))
-
-
-def _step_without(step: Step, p: str, constants: Vector) -> Step:
-    if not isinstance(step, Call) or p not in step.args:
-        return step
-    assert isinstance(step.block, Program)
-    at = step.args.index(p)
-    folded = with_constants(step.block, at, [float(v) for v in constants])
-    kept = [k for k in range(len(step.args)) if k != at]
-    place = {k: new for new, k in enumerate(kept)}
-    instructions = tuple(
-        replace(i, args=(place[i.args[0]], i.args[1])) if i.op == "input" else i for i in folded.instructions
-    )
-    program = replace(folded, inputs=tuple(folded.inputs[k] for k in kept), instructions=instructions)
-    return replace(step, block=program, args=tuple(step.args[k] for k in kept))
+        folded = with_constants(block, at, [float(v) for v in constants])
+        moved = [
+            replace(i, args=(i.args[0] - (i.args[0] > at), *i.args[1:])) if i.op == "input" else i
+            for i in folded.instructions
+        ]
+        return replace(folded, inputs=left, instructions=tuple(moved))
+    steps: list[Step] = []
+    for step in block.steps:
+        if isinstance(step, Call) and name in step.args:
+            here = step.args.index(name)
+            args = tuple(arg for k, arg in enumerate(step.args) if k != here)
+            steps.append(Call(_with_constant_input(step.block, here, constants), args, step.results))
+        else:
+            steps.append(step)
+    if any(name in reads(step) for step in steps):
+        values = ca.SX(ca.DM(constants))
+        steps.insert(0, Call(lower(ca.Function(f"{block.name}_constants", [], [values], [], [name])), (), (name,)))
+    return replace(block, inputs=left, steps=tuple(steps))

@@ -51,8 +51,9 @@ class Cone(NamedTuple):
     @staticmethod
     def of(row: ca.SX) -> Cone:
         """The cone in a row of a table of cones."""
-        vectors = [row[k : k + 2] for k in (0, 2, 4)]
-        return Cone(*vectors, *(row[k] for k in range(6, 15)), row[15:17])
+        left, right, ahead, point = (row[k : k + 2] for k in (0, 2, 4, 15))
+        bounds, met = (row[6], row[7], row[8]), (row[9], row[10], row[11], row[12], row[13], row[14])
+        return Cone(left, right, ahead, *bounds, *met, point)
 
 
 def collision_cone(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from surctl.ir import each, fold, tabulated
+from surctl.ir import each
 
 __all__ = ["FAR", "Contact", "disc_contact", "disc_contacts", "nearest_in_quadrants", "point_contact", "wall_contacts"]
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import cos, radians, sin
 from typing import NamedTuple
 
@@ -142,8 +143,9 @@ def choose_velocity(
     blocked = missed > _TOLERANCE
     best = _Best(ahead, missed, ca.SX(0), _missed_cost(missed), speed)
     search = _Search(around, ahead, speed, latched)
-    best = only_if("waiting", ca.logic_and(around.waits(), retreat <= 0), lambda: search.waiting(best), best)
-    best = search.edges(_Best(*best))
+    at_first = best
+    waits = ca.logic_and(around.waits(), retreat <= 0)
+    best = search.edges(_Best(*only_if("waiting", waits, lambda: search.waiting(at_first), at_first)))
     if slower is not None:
         slower = ca.logic_and(ca.logic_and(slower, retreat <= 0), best.least > _LEADS_BACK)
         slower = ca.logic_and(slower, ca.logic_not(around.any_there()))
@@ -243,8 +245,9 @@ class _Around:
 
         def by_cone(worst: ca.SX, where: ca.SX, crossed: ca.SX, row: ca.SX, sides: ca.SX) -> list[ca.SX]:
             depth = inside(speed * course, Cone.of(row))
-            new = (ca.fmax(worst, depth), *(ca.if_else(depth > worst, a, b) for a, b in zip((row[15:17], sides[2]), (where, crossed), strict=True)))
-            return list(new)
+            deeper = depth > worst
+            there, crosses = ca.if_else(deeper, row[15:17], where), ca.if_else(deeper, sides[2], crossed)
+            return [ca.fmax(worst, depth), there, crosses]
 
         worst, where = fold("worst_sector", by_sector, [ca.SX(-10.0), self.sectors[0, 3:5].T], self.sectors)
         if self.sides is None:
@@ -275,19 +278,20 @@ class _Search:
         """Both edges of every sector and cone: all left ones, then all right ones."""
 
         def on_one_side(*given: ca.SX) -> list[ca.SX]:
-            *held, row = given
-            sign, dearer = row[0], row[1]
+            *held, side = given
+            sign, dearer = side[0], side[1]
 
             def sector(*given: ca.SX) -> list[ca.SX]:
                 *held, row = given
-                edge = lambda: self._edge(_Best(*held), row[:2], row[2], sign, dearer)  # noqa: E731
+                edge = partial(self._edge, _Best(*held), row[:2], row[2], sign, dearer)
                 return only_if("sector_edge", row[2] < self.speed, edge, held)
 
             def cone(*given: ca.SX) -> list[ca.SX]:
                 *held, row = given
                 c, left = Cone.of(row), sign > 0
                 normal, bound = ca.if_else(left, c.left, c.right), ca.if_else(left, c.left_bound, c.right_bound)
-                return only_if("cone_edge", c.there, lambda: self._edge(_Best(*held), normal, bound, sign, dearer), held)
+                edge = partial(self._edge, _Best(*held), normal, bound, sign, dearer)
+                return only_if("cone_edge", c.there, edge, held)
 
             held = fold("sector_edges", sector, held, self.around.sectors)
             return fold("cone_edges", cone, held, self.around.cones)

@@ -16,7 +16,7 @@ from surctl.ir.fusing import fused
 from surctl.ir.lowering import lower
 from surctl.ir.native import Native, Workspace, compile_block, runnable
 from surctl.ir.ops import LIBM, OPERATIONS, Operation
-from surctl.ir.places import memory
+from surctl.ir.places import memory, reads
 from surctl.ir.ports import Layout, Port
 from surctl.ir.program import Instruction, Program
 from surctl.ir.replay import replay
@@ -70,6 +70,7 @@ __all__ = [
     "nearby_angles",
     "only_if",
     "read_block",
+    "reads",
     "repeat",
     "replay",
     "runnable",

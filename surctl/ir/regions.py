@@ -61,9 +61,7 @@ class Traced:
         return (*self.next, *self.rows)
 
 
-def routine(
-    name: str, program: Program, inputs: int, outputs: Mapping[str, Key], loops: Sequence[Traced]
-) -> Block:
+def routine(name: str, program: Program, inputs: int, outputs: Mapping[str, Key], loops: Sequence[Traced]) -> Block:
     """The list as a routine with loops.
 
     Args:
@@ -173,7 +171,6 @@ class _Regions:
         """Move into each conditional what nothing else needs."""
         order = list(_postorder([v for key in outputs.values() for v in key], self._needs))
         users: dict[int, list[int]] = {}  # node → the nodes that need it; the outputs are in the root
-        outer: dict[int, list[int]] = {}  # node → the loops whose body gives it, or that begin with it
         for node in order:
             for need in self._needs(node):
                 users.setdefault(need, []).append(node)
@@ -181,7 +178,6 @@ class _Regions:
         for value, instruction in enumerate(self.code):
             if instruction.op == "input" and instruction.args[0] in self.maker:
                 results.setdefault(self.maker[instruction.args[0]], []).append(value)
-        del outer
         given = {v for key in outputs.values() for v in key}
         for k in reversed(range(len(self.loops))):
             loop = self.loops[k]
@@ -358,17 +354,15 @@ class _Body:
         if not any(node < 0 for node in self.order):
             return self._program(self.name, 0, self.outputs)
         steps: list[Step] = []
-        last = max(self.stage.values())
-        for at in range(last + 1):
+        for at in range(self.last + 1):
             loops = [~node for node in self.order if node < 0 and self.stage[node] == at]
             arrays = {f"pack{n}": key for n, (key, when) in enumerate(self.packed.items()) if when == at}
             kept = tuple(v for v in self.order if v in self.handed and self.stage[v] == at)
             if kept:
                 arrays[f"later{at}"] = kept
             what = f"{self.name}_before_{self.regions.loops[loops[0]].name}" if loops else f"{self.name}_end"
-            if at == last:
-                finals = {f"out_{name}": key for name, key in self.outputs.items()}
-                arrays |= finals
+            if at == self.last:
+                arrays |= {f"out_{name}": key for name, key in self.outputs.items()}
             if arrays:
                 body = self._program(what, at, arrays)
                 steps.append(Call(body, tuple(name for name, _ in body.inputs), tuple(arrays)))
@@ -428,7 +422,7 @@ class _Body:
         for node in self.order:
             if node >= 0 and not self._is_operation(node):
                 self.stage[node] = 0  # a load, in any program
-        self.stage.setdefault(-len(self.regions.loops) - 1, last)
+        self.last = last
 
     def _made(self, node: int) -> int:
         made = self.regions.loop_of(node)

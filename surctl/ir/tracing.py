@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextvars import ContextVar, Token
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, overload
 
 import casadi as ca
 
@@ -104,23 +104,23 @@ class Recording:
             function = ca.Function(name, arguments, results, names, [f"o{k}" for k in range(len(results))])
         except RuntimeError as error:
             reason = next((line for line in str(error).splitlines() if "free" in line), "a symbol is no input")
-            raise InputError(f"cannot be lowered ({reason.strip()})", key=name, remedy="name it among the inputs") from None
+            raise InputError(
+                f"cannot be lowered ({reason.strip()})", key=name, remedy="name it among the inputs"
+            ) from None
         program = lower(function)
         if not loops:
             renamed = tuple((out, size) for out, (_, size) in zip(outputs, program.outputs, strict=True))
             return type(program)(name, program.inputs, renamed, program.instructions, program.output_refs)
         traced, argument, result = [], len(inputs), len(made)
         for loop in loops:
-            sizes = [len(loop.own), len(loop.results)]
-            ends = [len(part) for part in (loop.state, loop.tables, loop.next, loop.rows)]
-            groups, at = [], result
-            for size in ends:
-                groups.append(tuple(program.output_refs[at : at + size]))
-                at += size
-            own = tuple(range(argument, argument + sizes[0]))
-            made_here = tuple(range(argument + sizes[0], argument + sum(sizes)))
-            traced.append(Traced(loop.name, loop.depth, loop.count, own, made_here, *groups, until=loop.until))
-            argument, result = argument + sum(sizes), at
+            keys = iter(program.output_refs[result:])
+            state, tables, after, rows = (
+                tuple(next(keys) for _ in part) for part in (loop.state, loop.tables, loop.next, loop.rows)
+            )
+            held = argument + len(loop.own)
+            own, ends = tuple(range(argument, held)), tuple(range(held, held + len(loop.results)))
+            traced.append(Traced(loop.name, loop.depth, loop.count, own, ends, state, tables, after, rows, loop.until))
+            argument, result = held + len(ends), result + len(loop.expressions)
         refs = {out: program.output_refs[k] for k, out in enumerate(outputs)}
         return routine(name, program, len(inputs), refs, traced)
 
@@ -226,7 +226,17 @@ def repeat(
     return list(state), [ca.vertcat(*(part.T for part in parts)) for parts in zip(*stacked, strict=True)]
 
 
-def fold(name: str, body: Callable[..., Any], state: ca.SX | Vectors, *tables: ca.SX) -> Any:
+@overload
+def fold(name: str, body: Callable[..., ca.SX], state: ca.SX, *tables: ca.SX) -> ca.SX: ...
+
+
+@overload
+def fold(name: str, body: Callable[..., Vectors], state: Vectors, *tables: ca.SX) -> list[ca.SX]: ...
+
+
+def fold(
+    name: str, body: Callable[..., ca.SX | Vectors], state: ca.SX | Vectors, *tables: ca.SX
+) -> ca.SX | list[ca.SX]:
     """The state after a body has run over the rows of tables; one column, or a list of columns as `state` is.
 
     Example:
@@ -235,9 +245,19 @@ def fold(name: str, body: Callable[..., Any], state: ca.SX | Vectors, *tables: c
         >>> float(fold("sum", lambda total, row: total + ca.sumsqr(row), ca.SX(0), ca.SX([[1, 2], [3, 4]])))
         30.0
     """
+
+    def one(*given: ca.SX) -> tuple[Vectors, Vectors]:
+        after: Any = body(*given)
+        return [after], []
+
+    def several(*given: ca.SX) -> tuple[Vectors, Vectors]:
+        after = body(*given)
+        assert not isinstance(after, ca.SX)
+        return after, []
+
     if isinstance(state, ca.SX):
-        return repeat(name, lambda *given: ((body(*given),), ()), [state], tables)[0][0]
-    return repeat(name, lambda *given: (body(*given), ()), state, tables)[0]
+        return repeat(name, one, [state], tables)[0][0]
+    return repeat(name, several, state, tables)[0]
 
 
 def each(name: str, body: Callable[..., Vectors], *tables: ca.SX) -> list[ca.SX]:
@@ -277,7 +297,7 @@ def tabulated(rows: Iterable[Iterable[ca.SX | float]], width: int = 0) -> ca.SX:
         >>> from surctl.ir import tabulated
         >>> tabulated([(ca.SX([1, 2]), 3.0), (ca.SX([4, 5]), 6.0)])
         SX(
-        [[1, 2, 3], 
+        [[1, 2, 3],
          [4, 5, 6]])
     """
     listed = [ca.vertcat(*(ca.vec(ca.SX(part)) for part in row)).T for row in rows]

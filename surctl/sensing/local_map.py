@@ -22,7 +22,7 @@ from math import isfinite
 import casadi as ca
 
 from surctl.errors import InputError
-from surctl.ir import Call, Loop, Gather, Port, Program, Routine, Step, lower
+from surctl.ir import Call, Gather, Loop, Port, Program, Routine, Step, lower
 from surctl.sensing.local_map_programs import (
     BASE,
     BEAM,
@@ -219,8 +219,8 @@ class _Steps:
                 until=0,
             ),
         )
-        given = ("group", *state, ("cells", blocks), "zeros", *_WHERE, *self.limits)
-        inputs = self._sized(*given, *((name, blocks) for name in pieces))
+        given = ("group", *state), ("zeros", *_WHERE, *self.limits)
+        inputs = self._sized(*given[0], ("cells", blocks), *given[1], *((name, blocks) for name in pieces))
         return Routine("seek_row", inputs, steps, last)
 
     def _seek_block(self) -> Routine:
@@ -243,7 +243,9 @@ class _Steps:
             Loop(row, self.block, ("zeros",), ("hits",), sliced=lines, fixed=fixed),
             Call(self.programs.any_hit(), ("hits",), ("found_next",)),
         )
-        return Routine("seek_cells", self._sized("flag", "found", *lines, *fixed, "zeros"), steps, ("flag", "found_next"))
+        return Routine(
+            "seek_cells", self._sized("flag", "found", *lines, *fixed, "zeros"), steps, ("flag", "found_next")
+        )
 
     # --- what the firings change --------------------------------------------------------------------------------------
 
@@ -263,8 +265,8 @@ class _Steps:
                 fixed=(*fixed, *self.rows, "row_bounds"),
             ),
         )
-        given = ("group", *best, ("cells", blocks), "zeros", "none", "hull", *self.found, *_WHERE, *self.limits)
-        inputs = self._sized(*given, *((name, blocks) for name in pieces))
+        given = ("group", *best), ("zeros", "none", "hull", *self.found, *_WHERE, *self.limits)
+        inputs = self._sized(*given[0], ("cells", blocks), *given[1], *((name, blocks) for name in pieces))
         return Routine("change_row", inputs, steps, last)
 
     def _change_block(self) -> Routine:
@@ -279,11 +281,16 @@ class _Steps:
             fixed = (f"row_beam_{s}", f"column_beam_{s}", self.limits[s], found)
             results = (f"heard_{s}", touched[s + 1])
             steps.append(Loop(hear_block, 1, (self.idle[s], touched[s]), results, fixed=fixed, until=0))
-        fixed, count = ("row", "column", "hull"), self.block * self.block // self.lanes
+        around, count = ("row", "column", "hull"), self.block * self.block // self.lanes
         tally = self.programs.tally()
         steps += [
             Loop(
-                self._over_block(cover), 1, ("idle_hull", touched[-1]), ("covered", last[-1]), fixed=fixed, until=0
+                self._over_block(cover),
+                1,
+                ("idle_hull", touched[-1]),
+                ("covered", last[-1]),
+                fixed=around,
+                until=0,
             ),
             Loop(tally, count, ("zeros", "zeros"), ("largest", "count"), sliced=last[-1:], lanes=self.lanes),
             Call(self.programs.without(), ("largest", "count"), ("no_marked", "no_unknown")),
@@ -291,7 +298,7 @@ class _Steps:
         for which in ("marked", "unknown"):
             results = (f"entered_{which}", f"{which}_next")
             block = self._enter(which)
-            steps.append(Loop(block, 1, (f"no_{which}", which), results, fixed=(last[-1], *fixed, "none"), until=0))
+            steps.append(Loop(block, 1, (f"no_{which}", which), results, fixed=(last[-1], *around, "none"), until=0))
         given = ("marked", "unknown", "cells", *self.columns, "column_bounds", "zeros", "none", "hull", *self.found)
         return Routine("change_block", self._sized(*given, *self.limits, *self.rows, "row_bounds"), tuple(steps), last)
 
@@ -318,7 +325,7 @@ class _Steps:
     # --- from one cell to a row of a block, and to a block ------------------------------------------------------------
 
     def _over_row(self, program: Program, *, carried: tuple[str, ...] = ()) -> Routine:
-        """A program of one cell over a row of a block: the state of the lanes, the cells, the row, the columns, more."""
+        """A program of one cell over a row of a block: state of the lanes, cells, the row, the columns, more."""
         sizes = dict(program.inputs)
         renamed = dict(zip(sizes, carried, strict=False))
         own = tuple(name for name in sizes if name in ("cells", "column", "column_beam"))

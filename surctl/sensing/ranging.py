@@ -8,7 +8,7 @@ exported law, and on NumPy arrays, for recorded readings and for many runs at on
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from math import ceil, erf, isfinite, log, sqrt
@@ -185,15 +185,12 @@ class RangeTracker:
         def sensor(before: ca.SX, given: ca.SX, around: ca.SX) -> tuple[ca.SX, ca.SX]:
             own = Layout(tuple(replace(p, shape=p.shape[1:] or (1,)) for p in ports)).split(before)
             kept = {n: ca.vertsplit(v) if v.numel() > 1 else v for n, v in own.items()}
-            seen = Seen(
-                ca.vertsplit(given[:taken]),
-                *(given[taken + k] for k in range(3)),
-                turn,
-                [tuple(around[3 * k + i] for i in range(3)) for k in range(len(beside))],
-            )
+            compared = [(around[3 * k], around[3 * k + 1], around[3 * k + 2]) for k in range(len(beside))]
+            fired, own_motion, walls = ca.vertsplit(given[taken:])
+            seen = Seen(ca.vertsplit(given[:taken]), fired, own_motion, walls, turn, compared)
             after, found = tick(SYMBOLS, self.rules(), kept, seen)
-            flat = [ca.vertcat(*v) if isinstance(v, list) else v for v in (after[p.name] for p in ports)]
-            return ca.vertcat(*flat), ca.vertcat(*found)
+            flat = [ca.vec(ca.vertcat(*v)) if isinstance(v, list) else v for v in (after[p.name] for p in ports)]
+            return _column(flat), _column(found)
 
         after, found = each(
             "range_track",
@@ -282,6 +279,11 @@ class RangeTracker:
     @property
     def _delays(self) -> int:
         return max(round(self.due / self.dt), ceil(self.longest_delay / self.dt - 1e-9))
+
+
+def _column(parts: Iterable[Any]) -> ca.SX:
+    whole: ca.SX = ca.vertcat(*parts)
+    return whole
 
 
 @cache

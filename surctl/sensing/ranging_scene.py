@@ -164,9 +164,9 @@ def others(
     op: Elementwise, rules: Rules, old: Mapping[str, Value], samples: list[Value], fresh: Value
 ) -> list[tuple[Value, Value, Value]]:
     """What each sensor is compared with, `Seen.others`: the sensors one place round, two places round, ..."""
-    newest = op.where(fresh > 0.5, robust(op, rules, samples), old["heard"])
-    compared = old["rate"], newest, old["heard"]
-    return [tuple(op.turned(value, k) for value in compared) for k in range(1, rules.sensors)]
+    rate, newest, before = old["rate"], op.where(fresh > 0.5, robust(op, rules, samples), old["heard"]), old["heard"]
+    turned = op.turned
+    return [(turned(rate, k), turned(newest, k), turned(before, k)) for k in range(1, rules.sensors)]
 
 
 def robust(op: Elementwise, rules: Rules, samples: list[Value]) -> Value:

@@ -15,7 +15,6 @@ from surctl import __version__
 from surctl.control import GAINS, LAW_NAMES, Barrier, Gains, LawName, Movers, build_law
 from surctl.errors import InputError, nearest
 from surctl.guidance import AvoidanceForm, Guidance, check_guidance
-from surctl.ir import lower
 from surctl.priority import Mode
 from surctl.simulation import METRICS, Case, Scenario, Sensing, check_speeds, knobs, simulate_batch
 from surctl.tuning.axes import SEED
@@ -264,7 +263,7 @@ def law_digest(case: Case) -> str:
 @cache
 def _law_digest(law: LawName, avoidance: AvoidanceForm, guidance: Guidance, barrier: Barrier, movers: Movers) -> str:
     built = build_law(law, avoidance=avoidance, guidance=guidance, barrier=barrier, movers=movers)
-    return built.closed.digest()
+    return built.stages.closed.digest()
 
 
 def _numbers(vehicle: Vehicle) -> str:

@@ -28,7 +28,7 @@ from surctl.control import (
 )
 from surctl.errors import InputError
 from surctl.guidance import FORMS, Path
-from surctl.ir import replay
+from surctl.ir import replay, to_casadi
 from surctl.vehicle import load_vehicle
 from tests.tools import need_compiler
 
@@ -297,8 +297,9 @@ def test_projected_equals_nsb_when_nothing_binds() -> None:
 def test_post_of_what_the_closed_form_asks_is_the_closed_form() -> None:
     law, p = build_law(), _parameters()
     x, u = _started(law), _input(law, AHEAD, nu=(0.1, 0.02, 0, 0.1))
-    memory = law.pre(x, u, p)[4:]
-    for a, b in zip(law.function(x, u, p), law.post(u, p, *memory, law.step(x, u, p).telemetry[:4], 0), strict=True):
+    pre, post = to_casadi(law.stages.pre), to_casadi(law.stages.post)
+    after = post(u, p, *pre(x, u, p)[4:], law.step(x, u, p).telemetry[:4], 0)
+    for a, b in zip(law.function(x, u, p), after, strict=True):
         np.testing.assert_allclose(np.asarray(a), np.asarray(b), atol=1e-12)
 
 
@@ -339,7 +340,8 @@ def test_the_law_in_c_is_the_replay_and_decides_as_the_solver_in_numpy(mode: str
                 replay(law.block, x, u, p), (step.tau, step.x_next, [step.status], step.telemetry), strict=True
             ):
                 assert np.array_equal(a, b)
-        wanted = law.post(u, p, *law.pre(x, u, p)[4:], decision.v, decision.fallback)
+        after = replay(law.stages.pre, x, u, p)[4:]
+        wanted = replay(law.stages.post, u, p, *after, decision.v, [decision.fallback])
         np.testing.assert_allclose(step.tau, np.asarray(wanted[0]).ravel(), atol=1e-6)
         np.testing.assert_allclose(step.telemetry[:4], np.asarray(wanted[3]).ravel()[:4], atol=1e-8)
     assert len(seen) >= 2

@@ -44,8 +44,7 @@ def test_in_floats_it_decides_as_in_doubles() -> None:
 
 def test_with_the_tolerances_of_doubles_a_search_in_floats_goes_down_the_ladder() -> None:
     law, given = tried()
-    made = [law.pre(*row) for row in zip(*given, strict=True)]
-    J, wanted, rows, box = (np.array([np.asarray(one[k]).ravel() for one in made], dtype=np.float32) for k in range(4))
+    J, wanted, rows, box = (part.astype(np.float32) for part in replay(law.stages.pre, *given)[:4])
     ticks = [
         next(step.block for step in made.block.steps if step.block.name == "projected_tick")
         for made in (law, in_real(law, "float32"))

@@ -15,7 +15,19 @@ import casadi as ca
 
 from surctl.control import PARAMETERS, Law, build_law
 from surctl.guidance import MAX_WAYPOINTS
-from surctl.ir import Block, Call, Layout, Port, Program, Recording, Routine, fold, lower, nearby_angles, shared_divisors
+from surctl.ir import (
+    Block,
+    Call,
+    Layout,
+    Port,
+    Program,
+    Recording,
+    Routine,
+    fold,
+    lower,
+    nearby_angles,
+    shared_divisors,
+)
 from surctl.sensing import NOISE_STATE, SLOT, FaultChances
 from surctl.simulation.batch.bodies import ABSENT, Body, body_at, body_size
 from surctl.simulation.batch.counting import SUMS, counted

@@ -1,0 +1,75 @@
+"""A built law as bytes, so that no process assembles the same law twice.
+
+A line of JSON says what the law is and how long the texts of its blocks are; they follow. What is read is as it was
+written: the cache checks its digest, and each block its own.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from surctl.control.law import Law, Stages
+from surctl.control.ports import PARAMETERS
+from surctl.control.senses import SENSES, Senses
+from surctl.ir import Block, Call, Layout, Port, Routine, read_block, write_block
+
+__all__ = ["law_bytes", "law_from"]
+
+_WORDS = ("name", "avoidance", "mode", "dt", "guidance", "barrier", "movers", "ladder")
+_STAGES = ("closed", "pre", "post")
+
+
+def law_bytes(law: Law) -> bytes:
+    """The law, for `law_from`."""
+    blocks = [write_block(block) for block in (law.block, *(getattr(law.stages, name) for name in _STAGES))]
+    head: dict[str, Any] = {word: getattr(law, word) for word in _WORDS}
+    head |= {"state": _listed(law.state), "inputs": _listed(law.inputs), "outputs": _listed(law.outputs)}
+    head |= {"levels": law.levels, "rows": law.rows, "lengths": [len(text) for text in blocks]}
+    if law.senses is not None:
+        head["senses"] = {name: _listed(getattr(law.senses, name)) for name in ("state", "inputs", "told")}
+    return "\n".join([json.dumps(head), "".join(blocks)]).encode()
+
+
+def law_from(stored: bytes) -> Law:
+    """The law that `law_bytes` wrote; its stages are read when they are asked for."""
+    first, _, rest = stored.decode().partition("\n")
+    head = json.loads(first)
+    texts = []
+    for length in head["lengths"]:
+        texts.append(rest[:length])
+        rest = rest[length:]
+    block = read_block(texts[0])
+    stages: dict[str, Callable[[], Block]] = {
+        name: partial(read_block, text) for name, text in zip(_STAGES, texts[1:], strict=True)
+    }
+    return Law(
+        **{word: head[word] for word in _WORDS},
+        state=_layout(head["state"]),
+        inputs=_layout(head["inputs"]),
+        outputs=_layout(head["outputs"]),
+        gains=PARAMETERS,
+        block=block,
+        stages=Stages(**stages),
+        levels=tuple((name, count, unit) for name, count, unit in head["levels"]),
+        rows=tuple(head["rows"]),
+        senses=_senses(head["senses"], block) if "senses" in head else None,
+    )
+
+
+def _senses(head: dict[str, list[list[Any]]], whole: Block) -> Senses:
+    assert isinstance(whole, Routine)
+    (block,) = (step.block for step in whole.steps if isinstance(step, Call) and step.block.name == SENSES)
+    return Senses(_layout(head["state"]), _layout(head["inputs"]), _layout(head["told"]), block)
+
+
+def _listed(layout: Layout) -> list[list[Any]]:
+    return [[port.name, port.shape, port.unit, port.meaning, port.default] for port in layout]
+
+
+def _layout(listed: list[list[Any]]) -> Layout:
+    return Layout(
+        tuple(Port(name, tuple(shape), unit, meaning, default) for name, shape, unit, meaning, default in listed)
+    )
