@@ -268,9 +268,9 @@ class _Steps:
         steps: list[Step] = [rows, idle]
         hear_block = self._over_block(hear)
         for s, found in enumerate(self.found):
-            fixed = (f"row_beam_{s}", f"column_beam_{s}", self.limits[s], found)
+            beams = (f"row_beam_{s}", f"column_beam_{s}", self.limits[s], found)
             results = (f"heard_{s}", touched[s + 1])
-            steps.append(Loop(hear_block, 1, (self.idle[s], touched[s]), results, fixed=fixed, until=0))
+            steps.append(Loop(hear_block, 1, (self.idle[s], touched[s]), results, fixed=beams, until=0))
         fixed, count = ("row", "column", "hull"), self.block * self.block // self.lanes
         tally = self.programs.tally()
         steps += [
