@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping
+from textwrap import indent
 
 from surctl.ir.c99 import C_TYPE, Real, c_literal, emit_c99, identifier
 from surctl.ir.c99_folded import emit_folded, preamble
@@ -184,6 +185,12 @@ def _routine(routine: Routine, symbol: str, writer: _Writer) -> str:
         body += (
             _moved(step, places) if inlined(step) else _step(step, sizes, local, writer, _stays(step, places, overlaps))
         )
+    for k, j in sorted(
+        overlaps
+    ):  # a loop that carries an array through a routine passes it as both: nothing to copy then
+        copied = _copy(f"out{k}", f"in{j}", sizes[routine.results[k]])
+        if sizes[routine.results[k]] > _FEW and copied in body:
+            body[body.index(copied)] = f"    if (out{k} != in{j}) {{\n{indent(copied, '    ')}\n    }}"
     body += [_copy(f"held{k}", local[routine.results[k]], sizes[routine.results[k]]) for k in places.held]
     for k, name in enumerate(routine.results):
         source = f"held{k}" if k in places.held else local[name]

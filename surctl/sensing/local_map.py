@@ -23,18 +23,8 @@ import casadi as ca
 
 from surctl.errors import InputError
 from surctl.ir import Call, Gather, Loop, Port, Program, Routine, Step, lower
-from surctl.sensing.local_map_programs import (
-    BASE,
-    BEAM,
-    BLIND,
-    LIMITS,
-    MIDDLE,
-    NONE,
-    READING,
-    READING_SIZE,
-    RING,
-    MapPrograms,
-)
+from surctl.sensing.local_map_firing import BLIND, LIMITS, MIDDLE, READING, READING_SIZE, RING
+from surctl.sensing.local_map_programs import BASE, BEAM, NONE, MapPrograms
 
 __all__ = ["BLIND", "MIDDLE", "READING", "RING", "LocalMap"]
 
@@ -219,8 +209,8 @@ class _Steps:
                 until=0,
             ),
         )
-        given = ("group", *state), ("zeros", *_WHERE, *self.limits)
-        inputs = self._sized(*given[0], ("cells", blocks), *given[1], *((name, blocks) for name in pieces))
+        given = ("zeros", *_WHERE, *self.limits)
+        inputs = self._sized("group", *state, ("cells", blocks), *given, *((name, blocks) for name in pieces))
         return Routine("seek_row", inputs, steps, last)
 
     def _seek_block(self) -> Routine:
@@ -265,8 +255,8 @@ class _Steps:
                 fixed=(*fixed, *self.rows, "row_bounds"),
             ),
         )
-        given = ("group", *best), ("zeros", "none", "hull", *self.found, *_WHERE, *self.limits)
-        inputs = self._sized(*given[0], ("cells", blocks), *given[1], *((name, blocks) for name in pieces))
+        given = ("zeros", "none", "hull", *self.found, *_WHERE, *self.limits)
+        inputs = self._sized("group", *best, ("cells", blocks), *given, *((name, blocks) for name in pieces))
         return Routine("change_row", inputs, steps, last)
 
     def _change_block(self) -> Routine:
@@ -278,27 +268,20 @@ class _Steps:
         steps: list[Step] = [rows, idle]
         hear_block = self._over_block(hear)
         for s, found in enumerate(self.found):
-            fixed = (f"row_beam_{s}", f"column_beam_{s}", self.limits[s], found)
+            beams = (f"row_beam_{s}", f"column_beam_{s}", self.limits[s], found)
             results = (f"heard_{s}", touched[s + 1])
-            steps.append(Loop(hear_block, 1, (self.idle[s], touched[s]), results, fixed=fixed, until=0))
-        around, count = ("row", "column", "hull"), self.block * self.block // self.lanes
+            steps.append(Loop(hear_block, 1, (self.idle[s], touched[s]), results, fixed=beams, until=0))
+        fixed, count = ("row", "column", "hull"), self.block * self.block // self.lanes
         tally = self.programs.tally()
         steps += [
-            Loop(
-                self._over_block(cover),
-                1,
-                ("idle_hull", touched[-1]),
-                ("covered", last[-1]),
-                fixed=around,
-                until=0,
-            ),
+            Loop(self._over_block(cover), 1, ("idle_hull", touched[-1]), ("covered", last[-1]), fixed=fixed, until=0),
             Loop(tally, count, ("zeros", "zeros"), ("largest", "count"), sliced=last[-1:], lanes=self.lanes),
             Call(self.programs.without(), ("largest", "count"), ("no_marked", "no_unknown")),
         ]
         for which in ("marked", "unknown"):
             results = (f"entered_{which}", f"{which}_next")
             block = self._enter(which)
-            steps.append(Loop(block, 1, (f"no_{which}", which), results, fixed=(last[-1], *around, "none"), until=0))
+            steps.append(Loop(block, 1, (f"no_{which}", which), results, fixed=(last[-1], *fixed, "none"), until=0))
         given = ("marked", "unknown", "cells", *self.columns, "column_bounds", "zeros", "none", "hull", *self.found)
         return Routine("change_block", self._sized(*given, *self.limits, *self.rows, "row_bounds"), tuple(steps), last)
 
@@ -325,18 +308,18 @@ class _Steps:
     # --- from one cell to a row of a block, and to a block ------------------------------------------------------------
 
     def _over_row(self, program: Program, *, carried: tuple[str, ...] = ()) -> Routine:
-        """A program of one cell over a row of a block: state of the lanes, cells, the row, the columns, more."""
+        """A program of one cell over a row of a block: state of the lanes, cells, row, columns, the rest."""
         sizes = dict(program.inputs)
         renamed = dict(zip(sizes, carried, strict=False))
         own = tuple(name for name in sizes if name in ("cells", "column", "column_beam"))
         rest = tuple(name for name in sizes if name not in (*renamed, *own))
-        made = tuple(f"{name}_next" for name in carried) or ("after",)
-        loop = Loop(program, self.block // self.lanes, carried, made, sliced=own, fixed=rest, lanes=self.lanes)
+        results = tuple(f"{name}_next" for name in carried) or ("after",)
+        loop = Loop(program, self.block // self.lanes, carried, results, sliced=own, fixed=rest, lanes=self.lanes)
         wide = {**{name: self.block * sizes[name] for name in own}, **{name: sizes[name] for name in rest}}
         wide |= {name: self.lanes * sizes[old] for old, name in renamed.items()}
         lines = tuple(name for name in rest if name in ("row", "row_beam"))
         order = (*carried, *own[:1], *lines, *own[1:], *(name for name in rest if name not in lines))
-        return Routine(f"{program.name}_row", tuple((name, wide[name]) for name in order), (loop,), made)
+        return Routine(f"{program.name}_row", tuple((name, wide[name]) for name in order), (loop,), results)
 
     def _over_block(self, program: Program) -> Routine:
         """The same over a block, for a loop of one turn."""
@@ -355,7 +338,7 @@ class _Steps:
         sizes |= {"place": 4, "walls": 4, "slots": self.chart.slots * READING_SIZE, "corner": 2, "corner_next": 2}
         sizes |= dict.fromkeys(("column_beam", "row_beam", *self.columns[1:], *self.rows[1:]), b * BEAM)
         sizes |= dict.fromkeys(("column_bounds", "row_bounds"), self.programs.bounds_size)
-        sizes |= dict.fromkeys(("limits", *self.limits), LIMITS)
+        sizes |= dict.fromkeys(("limits", *self.limits), len(LIMITS))
         listed = [(name, 1) if isinstance(name, str) else name for name in names]
         return tuple((name, count * sizes.get(name, 1)) for name, count in listed)
 

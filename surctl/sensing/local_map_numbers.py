@@ -9,18 +9,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.sensing.local_map import LocalMap
-from surctl.sensing.local_map_programs import (
-    _AT_A_WALL,
-    _FAR,
+from surctl.sensing.local_map_firing import (
     _INSIDE,
     _INSIDE_MORE,
     _OF_A_MARK,
     _OF_THE_UNKNOWN,
-    _SLACK,
     BLIND,
     READING,
     RING,
 )
+from surctl.sensing.local_map_programs import _AT_A_WALL, _FAR, _SLACK
 
 __all__ = ["map_step", "map_view"]
 

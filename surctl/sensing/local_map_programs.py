@@ -15,46 +15,31 @@ from math import cos, pi, sin
 import casadi as ca
 
 from surctl.ir import Program, lower
-
-__all__ = ["BASE", "BEAM", "BLIND", "LIMITS", "MIDDLE", "NONE", "READING", "READING_SIZE", "RING", "MapPrograms"]
-
-READING = (
-    ("apex", 2, "m, x and y in {E}"),
-    ("axis", 2, "unit vector of the beam in {E}"),
-    ("half", 2, "cosine and sine of half the beam's angle"),
-    ("clear", 1, "m, range short of which the cone is free; 0: none; below 0: blind, it leaves what was ranged"),
-    ("near", 1, "m, where the marked band begins"),
-    ("far", 1, "m, where it ends; below `near`: nothing is marked"),
-    ("reach", 1, "m, range beyond which a cell does not explain the echo"),
+from surctl.sensing.local_map_firing import (
+    BLIND,
+    LIMITS,
+    READING_SIZE,
+    RING,
+    cell_line,
+    in_front,
+    limit_values,
+    named_limits,
+    on_arc,
+    split,
 )
-"""One firing: name, numbers, meaning."""
 
-BLIND = 0.25
-"""A mark of a firing that only said that something is nearer than its blind range."""
+__all__ = ["BASE", "BEAM", "NONE", "MapPrograms"]
 
-RING = 1.5
-"""Cells beside the hull that no beam sees whole: what is unknown there does not count, so none may come in unknown."""
-
-READING_SIZE = sum(size for _, size, _ in READING)
 BASE, BEAM = 4, 3
 """Numbers of a column or row: its own, and those for each firing."""
 BOUNDS = 5  # of a block's columns or rows for each firing: along, across from, to, squared range from, to
 
-_INSIDE, _INSIDE_MORE = 0.6, 0.01  # cells, and m: how deep inside a beam a cell must lie to be cleared
-# of half the beam's width, where the beam is narrower than that: its middle clears, its turn shows the rest
-_OF_THE_UNKNOWN, _OF_A_MARK = 0.4, 0.75
-MIDDLE = 1.0 - _OF_THE_UNKNOWN
-"""Share of a narrow beam's width that clears what is unknown."""
 _AT_A_WALL = 2  # cells beside a wall that count for nothing: what is larger than that shows in the next one
 _SLACK = 1e-3  # cells by which a wall may miss the grid
 _FAR = 1e6  # m², of a block without such a cell
 _TOUCHED = 0.55  # cells outside a cone at which a block is left alone; a cell on the arc is at most half a cell outside
 NONE = (0.0, 0.0, _FAR)
 """Offset x, y and squared distance of a nearest cell that there is not."""
-
-_LIMITS = ("cosine", "sine", "near", "far", "reach", "clear", "whole", "outside", "clears", "ranged", "regular")
-LIMITS = len(_LIMITS)
-"""Numbers of a firing that all cells share: ranges squared [m²], `whole` and `outside` in m, the last three 0 or 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,23 +85,9 @@ class MapPrograms:
         place, slots = ca.SX.sym("place", 4), ca.SX.sym("slots", self.slots * READING_SIZE)
         hull, edge = place[2], place[3]
         limits, settled = {}, {}
-        for s, slot in enumerate(self._split(slots)):
-            cosine, sine = slot["half"][0], slot["half"][1]
-            values = {
-                "cosine": cosine,
-                "sine": sine,
-                "near": slot["near"] * slot["near"],
-                "far": slot["far"] * ca.fabs(slot["far"]),
-                "reach": slot["reach"] * slot["reach"],
-                "clear": slot["clear"] * slot["clear"],
-                "whole": _INSIDE * edge + _INSIDE_MORE,
-                "outside": -0.5 * edge,
-                "clears": slot["clear"] > 0,
-                "ranged": slot["clear"] >= 0,
-                # the bounds of a block hold for these alone
-                "regular": ca.logic_and(ca.logic_and(cosine >= 0, sine >= 0), edge > 0),
-            }
-            limits[f"limits_{s}"] = ca.vertcat(*(values[name] for name in _LIMITS))
+        for s, slot in enumerate(split(slots, self.slots)):
+            values = limit_values(slot, edge)
+            limits[f"limits_{s}"] = ca.vertcat(*(values[name] for name in LIMITS))
             settled[f"found_{s}"] = values["far"] < values["near"]  # no cell is on such an arc
         ring = hull + RING * edge
         everything = settled["found_0"]
@@ -146,7 +117,7 @@ class MapPrograms:
         counts = ca.logic_and(centre > of(walls[[0, 2]]) + beside, centre < of(walls[[1, 3]]) - beside)
         square = offset * offset
         outputs = {"base": ca.vertcat(offset, square, world(of(old)) == cell, ca.if_else(counts, square, _FAR))}
-        for s, slot in enumerate(self._split(slots)):
+        for s, slot in enumerate(split(slots, self.slots)):
             away, ex, ey = centre - of(slot["apex"]), slot["axis"][0], slot["axis"][1]
             # across = dx·ey − dy·ex: a row's share has the other sign
             across = ca.if_else(second, -away * ex, away * ey)
@@ -225,10 +196,10 @@ class MapPrograms:
         """Whether a cell may hold what a firing heard: on its arc, and not known to be free."""
         hit, value = ca.SX.sym("hit"), ca.SX.sym("value")
         column, across, row, down = self._cell()
-        limits = ca.SX.sym("limits", LIMITS)
-        limit, line = self._named(limits), _line(across, down)
+        limits = ca.SX.sym("limits", len(LIMITS))
+        limit, line = named_limits(limits), cell_line(across, down)
         near = ca.logic_and(self._faded(value, column, row) >= -self.known, line[2] <= limit["reach"])
-        after = ca.logic_or(hit, ca.logic_and(_on_arc(line, limit), near))
+        after = ca.logic_or(hit, ca.logic_and(on_arc(line, limit), near))
         inputs = {
             **{"hit": hit, "cells": value, "column": column, "column_beam": across},
             **{"row": row, "row_beam": down, "limits": limits},
@@ -239,11 +210,11 @@ class MapPrograms:
         """A cell's value after a firing."""
         value, found = ca.SX.sym("value"), ca.SX.sym("found")
         _, across, _, down = self._cell()
-        limits = ca.SX.sym("limits", LIMITS)
-        limit, line = self._named(limits), _line(across, down)
-        marked = ca.logic_and(_on_arc(line, limit), ca.logic_or(value >= -self.known, ca.logic_not(found)))
+        limits = ca.SX.sym("limits", len(LIMITS))
+        limit, line = named_limits(limits), cell_line(across, down)
+        marked = ca.logic_and(on_arc(line, limit), ca.logic_or(value >= -self.known, ca.logic_not(found)))
         mark = ca.if_else(limit["ranged"], 1, ca.fmax(value, BLIND))
-        after = ca.if_else(_in_front(line, limit, value), -1, ca.if_else(marked, mark, value))
+        after = ca.if_else(in_front(line, limit, value), -1, ca.if_else(marked, mark, value))
         inputs = {"cells": value, "column_beam": across, "row_beam": down, "limits": limits, "found": found}
         return _lowered("hear", inputs, {"after": after})
 
@@ -356,50 +327,12 @@ class MapPrograms:
         column, across, row, down = (ca.SX.sym(name, size) for name, size in names)
         return column, across, row, down
 
-    @staticmethod
-    def _named(limits: ca.SX) -> dict[str, ca.SX]:
-        return {name: limits[k] for k, name in enumerate(_LIMITS)}
-
     def _limits(self) -> list[dict[str, ca.SX]]:
-        return [self._named(ca.SX.sym(f"limits_{s}", LIMITS)) for s in range(self.slots)]
+        return [named_limits(ca.SX.sym(f"limits_{s}", len(LIMITS))) for s in range(self.slots)]
 
     @staticmethod
     def _limit_symbols(limits: list[dict[str, ca.SX]]) -> dict[str, ca.SX]:
-        return {f"limits_{s}": ca.vertcat(*(one[name] for name in _LIMITS)) for s, one in enumerate(limits)}
-
-    def _split(self, slots: ca.SX) -> list[dict[str, ca.SX]]:
-        out = []
-        for s in range(self.slots):
-            at, one = s * READING_SIZE, {}
-            for name, size, _ in READING:
-                one[name] = slots[at : at + size]
-                at += size
-            out.append(one)
-        return out
-
-
-def _line(column: ca.SX, row: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Way along the beam's axis, way across [m], squared range [m²]."""
-    return column[0] + row[0], ca.fabs(column[1] + row[1]), column[2] + row[2]
-
-
-def _on_arc(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX]) -> ca.SX:
-    """Whether any of the cell may be what was heard."""
-    band = ca.logic_and(line[2] >= limit["near"], line[2] <= limit["far"])
-    return ca.logic_and(_inside(line, limit) > limit["outside"], band)
-
-
-def _inside(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX]) -> ca.SX:
-    """Distance into the cone from its nearer edge [m]."""
-    return line[0] * limit["sine"] - line[1] * limit["cosine"]
-
-
-def _in_front(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX], value: ca.SX) -> ca.SX:
-    """Whether the whole cell is free: half a cell inside the cone, short of what was heard."""
-    beam = line[0] * limit["sine"]
-    deep = ca.fmin(limit["whole"], ca.if_else(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN) * beam)
-    short = ca.logic_and(line[2] < limit["clear"], ca.logic_or(limit["clears"], value <= BLIND))
-    return ca.logic_and(_inside(line, limit) > deep, short)
+        return {f"limits_{s}": ca.vertcat(*(one[name] for name in LIMITS)) for s, one in enumerate(limits)}
 
 
 def _least(values: list[ca.SX]) -> ca.SX:

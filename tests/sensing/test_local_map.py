@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import importlib
+import itertools
 import math
 
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.ir import Layout, compile_block, replay
+from surctl.ir import Call, Layout, Program, Routine, compile_batch, compile_block, lower, replay
+from surctl.ir.routine import nested
 from surctl.sensing import LocalMap, map_step, map_view
 from surctl.sensing.local_map import BLIND, READING, RING
 from surctl.world import Disc
 from tests.raycasting import heard_along
 from tests.sensing.mapped import EDGE, EMPTY, HULL, OPEN, SPIN, directions, firing, journey
+from tests.sensing.plain_map import plain_map
 from tests.tools import need_compiler
+
+replaying = importlib.import_module("surctl.ir.replay")  # the package has a function of that name
 
 DT, FAR = 0.05, 1e6
 CHARTS = {
@@ -490,3 +497,155 @@ def test_a_blind_firing_leaves_what_was_ranged_and_clears_what_it_marked_itself(
 
 def test_a_reading_has_the_numbers_that_it_says():
     assert sum(size for _, size, _ in READING) == len(EMPTY) == len(AHEAD)
+
+
+# --- blocks that are left alone ---------------------------------------------------------------------------------------
+
+
+def same_bits(found, expected):
+    """Whether two lists of arrays are equal to the last bit."""
+    return [np.ascontiguousarray(a).tobytes() for a in found] == [np.ascontiguousarray(b).tobytes() for b in expected]
+
+
+@settings(derandomize=True, deadline=None, max_examples=12)
+@given(
+    st.sampled_from(sorted(CHARTS)),
+    st.integers(0, 10_000),
+    st.sampled_from([np.float64, np.float32]),
+    st.sampled_from([OPEN, (0.1, 2.9, -2.75, 30.0), (-0.4, 30.0, -30.0, -1.5)]),
+)
+def test_the_routine_has_the_bits_of_whole_arrays(name, seed, real, walls):
+    """Replay and compiled C, over periods in which the robot wanders and jumps once."""
+    need_compiler()
+    chart = LocalMap(dt=DT, **CHARTS[name])
+    given, expected = [], []
+    cells, corner = np.zeros(chart.side**2), np.full(2, 1e6)
+    for _, _, place, sides, readings in flight(chart, 16, seed, walls)[0]:
+        given.append([np.asarray(x, dtype=real) for x in (cells, corner, place, sides, readings)])
+        expected.append(plain_map(chart, *given[-1], real=real))
+        cells, corner = expected[-1][:2]
+    stacked = [np.array(column) for column in zip(*given, strict=True)]
+    stacked_expected = [np.array(column) for column in zip(*expected, strict=True)]
+    assert stacked_expected[0].dtype == real
+    assert same_bits(compile_block(chart.routine(), real=np.dtype(real).name)(*stacked), stacked_expected)
+    assert same_bits(replay(chart.routine(), *stacked, real=real), stacked_expected)
+    for k in (0, 5):  # alone, so that no other run in the batch wants a block
+        assert same_bits(replay(chart.routine(), *given[k], real=real), expected[k])
+
+
+def stepping(chart):
+    """The map as a tick of a batch: (flag, cells, corner, marked, unknown) and (place, walls, readings)."""
+    state = {"flag": 1, "cells": chart.side**2, "corner": 2, "marked": 3 * chart.sectors, "unknown": 3 * chart.sectors}
+    parameters = {"place": 4, "walls": 4, "slots": chart.slots * len(EMPTY)}
+
+    def moves(name, inputs, outputs):
+        return lower(ca.Function(name, inputs, outputs))
+
+    def cut(name, sizes):
+        whole = ca.SX.sym(name, sum(sizes.values()))
+        parts = ca.vertsplit(whole, np.cumsum([0, *sizes.values()]).tolist())
+        return Call(moves(f"cut_{name}", [whole], parts), (name,), tuple(sizes))
+
+    parts = [ca.SX.sym(name, size) for name, size in state.items()]
+    results = ("cells_next", "corner_next", "marked_next", "unknown_next")
+    steps = (
+        cut("state", state),
+        cut("parameters", parameters),
+        Call(chart.routine(), ("cells", "corner", *parameters), results),
+        Call(moves("join", parts, [ca.vertcat(*parts)]), ("flag", *results), ("state_next",)),
+    )
+    sizes = (("state", sum(state.values())), ("parameters", sum(parameters.values())))
+    return Routine("stepping", sizes, steps, ("state_next",))
+
+
+def test_maps_side_by_side_have_the_same_bits():
+    """Runs of a batch, of which some have a block touched and others not."""
+    need_compiler()
+    chart = LocalMap(dt=DT)
+    given, _ = flight(chart, 61, seed=11, walls=OPEN)
+    expected = [plain_map(chart, *one) for one in given]
+    none = np.zeros(6 * chart.sectors)
+    state = np.array([np.concatenate([[0.0], one[0], one[1], none]) for one in given])
+    parameters = np.array([np.concatenate(one[2:]) for one in given])
+    after = compile_batch(stepping(chart)).run(state, parameters, steps=1)
+    assert same_bits([after[:, 1:]], [np.array([np.concatenate(one) for one in expected])])
+
+
+def grazing(rng, chart):
+    """A firing, or a hull, that reaches one cell in a corner of a block, or just does not."""
+    side, size = chart.side, chart.block
+    place = np.array([*rng.uniform(-3, 3, 2), HULL, EDGE])
+    low = np.floor(place[:2] / EDGE) - side // 2
+    tied = rng.random() < 0.5  # a seam inside of blocks, or along their sides
+    low = low if tied else size * np.floor(low / size)
+    place[:2] += (low + side // 2 - np.floor(place[:2] / EDGE)) * EDGE
+    first = size * rng.integers(1, chart.blocks - 1, 2) - low % size
+    cell = (low + first + (size - 1) * rng.integers(0, 2, 2) + 0.5) * EDGE
+    half = math.radians(rng.choice([15, 75, 120])) / 2
+    axis = rng.choice([rng.uniform(-3, 3), 0.5 * math.pi * rng.integers(0, 4)])
+    away, off = rng.uniform(2 * EDGE, 20 * EDGE), rng.choice([0.0, 1e-15, 1e-7, 1e-3]) * rng.choice([-1, 1])
+    kind = rng.choice(["side", "far", "near", "clear", "hull"])
+    beside = half + math.asin(0.5 * EDGE / away) if kind == "side" else rng.uniform(0, half)
+    bearing = axis + beside * rng.choice([-1, 1]) + off * (kind == "side")
+    apex = cell - away * np.array([math.cos(bearing), math.sin(bearing)])
+    reach = away + off * (kind != "side")
+    readings = {
+        "side": (rng.choice([0.0, away + 0.1]), away - 0.05, away + 0.05, away + 0.2),
+        "far": (max(reach - 0.2, 0.0), reach - 0.1, reach, reach),
+        "near": (0.0, reach, reach + 0.05, reach + 0.1),
+        "clear": (reach * rng.choice([-1, 1]), 0.0, -1.0, 0.0),
+        "hull": EMPTY[6:],
+    }[kind]
+    if kind == "hull":
+        place[2] = math.dist(cell, place[:2]) + off
+    reading = (*apex, math.cos(axis), math.sin(axis), math.cos(half), math.sin(half), *readings)
+    slots = [reading, *[EMPTY] * (chart.slots - 1)]
+    cells = rng.choice([-1.0, -0.8, 0.0, 0.5], chart.side**2)
+    return [cells, low, place, np.array(OPEN), np.concatenate([slots[k] for k in rng.permutation(chart.slots)])]
+
+
+@pytest.mark.parametrize("real", [np.float64, np.float32])
+def test_a_block_that_is_only_grazed_is_not_left_alone(real):
+    """Cones, arcs and hulls that end at the centre of a block's corner cell, to the last bit and beside it."""
+    need_compiler()
+    rng, chart = np.random.default_rng(4), LocalMap(dt=DT)
+    given = [[np.asarray(x, dtype=real) for x in grazing(rng, chart)] for _ in range(2500)]
+    expected = [plain_map(chart, *one, real=real) for one in given]
+    stacked = [np.array(column) for column in zip(*given, strict=True)]
+    found = compile_block(chart.routine(), real=np.dtype(real).name)(*stacked)
+    for now, right in zip(zip(*found, strict=True), expected, strict=True):
+        assert same_bits(now, right)
+
+
+@pytest.mark.parametrize("half", [0.0, 100.0, 180.0, 250.0])
+def test_a_cone_that_the_bounds_do_not_know_leaves_no_block_alone(half):
+    """A ray, and one of more than half a circle."""
+    need_compiler()
+    rng, chart = np.random.default_rng(5), LocalMap(dt=DT)
+    run = compile_block(chart.routine())
+    for axis, distance in itertools.product(range(4), (0.4, 1.0, 9.0)):
+        readings = np.concatenate([firing((0.1, 0.2), axis + k, distance, half=math.radians(half)) for k in range(2)])
+        given = rng.choice([-1.0, 0.0, 0.5], chart.side**2), np.full(2, -24.0), [0.01, 0.01, HULL, EDGE], OPEN, readings
+        assert same_bits(run(*given), plain_map(chart, *given))
+
+
+def test_a_readingcosts_what_it_touches(monkeypatch):
+    """Two firings ahead, and none: the blocks beside them are left alone."""
+    counted = []
+    run = replaying._run_program
+
+    def counting(program, arrays, real):
+        batch = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
+        counted.append(program.operations * math.prod(batch))
+        return run(program, arrays, real)
+
+    monkeypatch.setattr(replaying, "_run_program", counting)
+    chart, costs = LocalMap(dt=DT), []
+    ahead = firing((HULL, 0.0), 0.0, 1.0, half=math.radians(37.5))
+    for readings in ([*EMPTY, *EMPTY], [*ahead, *EMPTY], [*ahead, *ahead]):
+        counted.clear()
+        replay(chart.routine(), np.zeros(chart.side**2), np.full(2, -24.0), [0.0, 0.0, HULL, EDGE], OPEN, readings)
+        costs.append(sum(counted))
+    assert costs[0] < costs[1] < costs[2] < 110_000 < chart.routine().operations / 3
+    programs = {b.digest(): b.operations for b in nested(chart.routine()).values() if isinstance(b, Program)}
+    assert sum(programs.values()) < 800

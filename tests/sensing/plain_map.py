@@ -1,0 +1,113 @@
+"""The local map on whole arrays, in the order of operations of its routine: the same bits, in double and in float."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from surctl.sensing.local_map_firing import (
+    _INSIDE,
+    _INSIDE_MORE,
+    _OF_A_MARK,
+    _OF_THE_UNKNOWN,
+    BLIND,
+    READING,
+    RING,
+)
+from surctl.sensing.local_map_programs import _AT_A_WALL, _FAR, _SLACK
+
+SIZE = sum(size for _, size, _ in READING)
+
+
+def plain_map(chart, cells, corner, place, walls, slots, *, real=np.float64):
+    """(cells, corner, marked, unknown) after one period."""
+    with np.errstate(all="ignore"):
+        return _Plain(chart, real).step(*(np.asarray(x, dtype=real) for x in (cells, corner, place, walls, slots)))
+
+
+class _Plain:
+    def __init__(self, chart, real):
+        self.chart, self.real, self.n = chart, real, chart.side
+
+    def step(self, cells, corner, place, walls, slots):
+        chart, real, n = self.chart, self.real, self.n
+        hull, edge = place[2:]
+        lowest = np.floor(walls[[0, 2]] / edge + real(_SLACK))
+        end = -np.floor(real(_SLACK) - walls[[1, 3]] / edge)
+        middle = np.floor(place[:2] / edge) - real(n // 2)
+        window = _larger(_smaller(middle, end - real(n)), lowest)
+        now, was = self._world(window), self._world(corner)
+        centre = (now + real(0.5)) * edge
+        (x, y), stays = centre - place[:2, None], (was == now).astype(real)
+        beside = real(_AT_A_WALL) * edge
+        counts = (centre > walls[[0, 2], None] + beside) & (centre < walls[[1, 3], None] - beside)
+        old = self._torus(cells) * np.outer(stays[1], stays[0])
+        value = old - _smaller(_larger(old, real(-chart.dt / chart.free_time)), real(chart.dt / chart.mark_time))
+        firings = [self._firing(part, centre, edge) for part in np.split(slots, chart.slots)]
+        known = real(-chart.known)
+        found = [np.any(f["arc"] & (value >= known) & (f["square"] <= f["reach"])) for f in firings]
+        for f, already in zip(firings, found, strict=True):
+            share = np.where(value > 0, real(_OF_A_MARK), real(_OF_THE_UNKNOWN))
+            deep = _smaller(real(_INSIDE) * edge + real(_INSIDE_MORE), share * f["beam"])
+            free = (f["inside"] > deep) & (f["square"] < f["clear"] ** 2) & ((f["clear"] > 0) | (value <= real(BLIND)))
+            mark = real(1) if f["clear"] >= 0 else _larger(value, real(BLIND))
+            value = np.where(free, real(-1), np.where(f["arc"] & ((value >= known) | (not already)), mark, value))
+        square = (x * x) + (y * y)[:, None]
+        value = np.where(square < hull * hull, real(-1), value)
+        ring = hull + real(RING) * edge
+        blank = (value >= known) & (value <= 0) & (square > ring * ring) & np.outer(counts[1], counts[0])
+        many = self._blocks(value >= known).sum(axis=1) >= chart.held
+        marked = self._nearest(self._blocks(value > 0), x, y, square)
+        unknown = self._nearest(self._blocks(blank) & many[:, None], x, y, square)
+        return self._blocks(value).reshape(-1), window, marked, unknown
+
+    def _world(self, corner):
+        at, n = np.arange(self.n, dtype=self.real), self.real(self.n)
+        return np.array([at + n * np.floor((low + (n - 1) - at) / n) for low in corner])
+
+    def _firing(self, part, centre, edge):
+        ends = np.cumsum([size for _, size, _ in READING])[:-1]
+        named = {name: values for (name, _, _), values in zip(READING, np.split(part, ends), strict=True)}
+        (ex, ey), (cosine, sine) = named["axis"], named["half"]
+        x, y = centre - named["apex"][:, None]
+        clear, near, far, reach = (named[name][0] for name in ("clear", "near", "far", "reach"))
+        along, across = x * ex + (y * ey)[:, None], np.abs(x * ey + (-y * ex)[:, None])
+        square, beam = x * x + (y * y)[:, None], along * sine
+        inside = beam - across * cosine
+        arc = (square >= near * near) & (square <= far * abs(far)) & (inside > self.real(-0.5) * edge)
+        return {"beam": beam, "inside": inside, "square": square, "arc": arc, "clear": clear, "reach": reach * reach}
+
+    def _nearest(self, which, x, y, square):
+        """(sectors · 3,) of each block's first nearest cell; a block by a nearer one alone is replaced."""
+        real, sectors, n = self.real, self.chart.sectors, self.n
+        dx, dy, away = (self._blocks(np.broadcast_to(a, (n, n))) for a in (x, y[:, None], square))
+        rows = np.tile(np.array([0.0, 0.0, _FAR], dtype=real), (sectors, 1))
+        limits = [2 * math.pi * (k - 0.5) / sectors for k in range(sectors // 2)]
+        for block, holds in enumerate(which & (away < real(_FAR))):
+            if not holds.any():
+                continue
+            at = np.argmin(np.where(holds, away[block], np.inf))
+            here = np.array([dx[block, at], dy[block, at], away[block, at]])
+            sides = [here[1] * real(math.cos(a)) - here[0] * real(math.sin(a)) >= 0 for a in limits]
+            sides += [not side for side in sides]
+            for k in range(sectors):
+                if sides[k] and not sides[(k + 1) % sectors] and here[2] < rows[k, 2]:
+                    rows[k] = here
+        return rows.reshape(-1)
+
+    def _torus(self, cells):
+        many, size = self.chart.blocks, self.chart.block
+        return cells.reshape(many, many, size, size).swapaxes(1, 2).reshape(self.n, self.n)
+
+    def _blocks(self, torus):
+        many, size = self.chart.blocks, self.chart.block
+        return torus.reshape(many, size, many, size).swapaxes(1, 2).reshape(many * many, size * size)
+
+
+def _smaller(a, b):
+    return np.where(b < a, b, a)
+
+
+def _larger(a, b):
+    return np.where(a < b, b, a)
