@@ -107,6 +107,14 @@ def build_law(
 
     Raises:
         InputError: an unknown name, or a form that the law does not take.
+
+    Example:
+        >>> from surctl.control import build_law
+        >>> law = build_law("lean")
+        >>> law.name, law.mode, law.outputs.ports[0].name
+        ('surctl_lean', 'nsb', 'tau')
+        >>> build_law() is build_law("guarded", dt=0.05)  # built once
+        True
     """
     names: tuple[tuple[str, str, tuple[str, ...]], ...] = (
         ("law", law, LAW_NAMES),

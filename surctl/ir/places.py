@@ -25,7 +25,13 @@ Overlaps = Mapping[str, frozenset[tuple[int, int]]]
 
 
 def reads(step: Step) -> tuple[str, ...]:
-    """Names of the arrays that a step reads."""
+    """Names of the arrays that a step reads.
+
+    Example:
+        >>> from surctl.ir import Gather, reads
+        >>> reads(Gather("points", "nearest", 2, "point"))
+        ('points', 'nearest')
+    """
     if isinstance(step, Gather):
         return (step.source, step.index)
     return step.args if isinstance(step, Call) else (*step.carried, *step.sliced, *step.spread, *step.fixed)

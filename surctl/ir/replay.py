@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.ir.ops import OPERATIONS
-from surctl.ir.program import Instruction, Program
+from surctl.ir.program import Program
 from surctl.ir.routine import Block, Gather, Loop, Routine
 
 __all__ = ["replay"]
@@ -55,10 +56,8 @@ def _run(block: Block, arrays: list[Value], real: Real) -> list[Value]:
 
 
 def _run_program(program: Program, arrays: list[Value], real: Real) -> list[Value]:
+    values = _python(program)(arrays, _constants(program, real), real)
     batch = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
-    values: list[Value] = []
-    for instruction in program.instructions:
-        values.append(np.asarray(_evaluate(instruction, values, arrays), dtype=real))
     return [_stack([values[r] for r in refs], batch, real) for refs in program.output_refs]
 
 
@@ -79,8 +78,10 @@ def _run_routine(routine: Routine, arrays: list[Value], real: Real) -> list[Valu
 
 
 def _run_loop(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
+    if not loop.carried:
+        return _run_at_once(loop, scope, real)
     state = [scope[name] for name in loop.carried]
-    pieces = [np.split(scope[name], loop.count, axis=-1) for name in (*loop.sliced, *loop.spread)]
+    tables = [_rows(scope[name], loop.count) for name in (*loop.sliced, *loop.spread)]
     fixed = [scope[name] for name in loop.fixed]
     stacked: list[list[Value]] = []
     for turn in range(loop.count):
@@ -88,12 +89,29 @@ def _run_loop(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
         if running is not None and not running.any():
             break
         index = [np.full(1, turn, dtype=real)] if loop.index else []
-        made = _run(loop.block, [*index, *state, *(piece[turn] for piece in pieces), *fixed], real)
+        made = _run(loop.block, [*index, *state, *(table[..., turn, :] for table in tables), *fixed], real)
         fresh = made[: len(state)]
-        # in a batch, the runs that ended stay as they are
-        state = fresh if running is None else [np.where(running, a, b) for a, b in zip(fresh, state, strict=True)]
+        if running is None or running.all():
+            state = fresh
+        else:  # in a batch, the runs that ended stay as they are
+            state = [np.where(running, a, b) for a, b in zip(fresh, state, strict=True)]
         stacked.append(made[len(state) :])
     return [*state, *(np.concatenate(parts, axis=-1) for parts in _broadcast(stacked))]
+
+
+def _run_at_once(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
+    """A loop whose turns do not depend on one another, the turns as a further axis of the batch."""
+    index: list[Value] = [np.arange(loop.count, dtype=real)[:, None]] if loop.index else []
+    tables = [_rows(scope[name], loop.count) for name in (*loop.sliced, *loop.spread)]
+    made = _run(loop.block, [*index, *tables, *(scope[name][..., None, :] for name in loop.fixed)], real)
+    full = [part if part.ndim > 1 else part[None] for part in made]  # a body without inputs
+    shapes = [(*part.shape[:-2], loop.count, part.shape[-1]) for part in full]
+    return [np.broadcast_to(y, s).reshape(*s[:-2], -1) for y, s in zip(full, shapes, strict=True)]
+
+
+def _rows(array: Value, count: int) -> Value:
+    """(…, count · entries) → (…, count, entries)."""
+    return array.reshape(*array.shape[:-1], count, -1)
 
 
 def _run_lanes(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
@@ -173,13 +191,64 @@ def _checked(program: Block, inputs: tuple[ArrayLike, ...], real: Real) -> list[
     return arrays
 
 
-def _evaluate(instruction: Instruction, values: list[Value], arrays: list[Value]) -> Any:
-    if instruction.op == "const":
-        return instruction.value
-    if instruction.op == "input":
-        which, entry = instruction.args
-        return arrays[which][..., entry]
-    return OPERATIONS[instruction.op].numpy(*(values[a] for a in instruction.args))
+_TEXTS = {
+    **{op: f"{{0}} {sign} {{1}}" for op, sign in (("add", "+"), ("sub", "-"), ("mul", "*"), ("div", "/"))},
+    **{op: f"{{0}} {sign} {{1}}" for op, sign in (("lt", "<"), ("le", "<="), ("eq", "=="), ("ne", "!="))},
+    **{"neg": "-{0}", "sq": "{0} * {0}", "twice": "{0} + {0}", "inv": "one / {0}"},
+    **{"fmin": "where({1} < {0}, {1}, {0})", "fmax": "where({0} < {1}, {1}, {0})"},  # ties as in C
+    **{"and": "{0} & {1}", "or": "{0} | {1}", "not": "~{0}", "select": "where({0}, {1}, {2})"},
+    "if_else_zero": "where({0}, {1}, zero)",
+}
+"""Operations as Python writes them; all others are called."""
+
+_TRUE = frozenset({"lt", "le", "eq", "ne", "and", "or", "not"})
+"""Operations that give a truth value."""
+
+_TAKE_TRUTHS = {"and": (0, 1), "or": (0, 1), "not": (0,), "select": (0,), "if_else_zero": (0,)}
+
+
+def _python(program: Program) -> Callable[[list[Value], list[Any], Real], list[Any]]:
+    """The list as a Python function: (inputs, constants, real) → the value of every instruction."""
+    kept = program.__dict__.get("_python")
+    if kept is None:
+        lines, constants = ["def run(given, constants, real):", "    zero, one = real(0), real(1)"], 0
+        for at, instruction in enumerate(program.instructions):
+            op, args = instruction.op, instruction.args
+            if op == "const":
+                text, constants = f"constants[{constants}]", constants + 1
+            elif op == "input":
+                text = f"given[{args[0]}][..., {args[1]}]"
+            else:
+                truths = _TAKE_TRUTHS.get(op, ())
+                operands = [_operand(program, a, truth=k in truths) for k, a in enumerate(args)]
+                text = _TEXTS[op].format(*operands) if op in _TEXTS else f"{op}({', '.join(operands)}, dtype=real)"
+            lines.append(f"    v{at} = {text}")
+        names = ", ".join(_operand(program, at, truth=False) for at in range(len(program.instructions)))
+        lines.append(f"    return [{names}]")
+        scope: dict[str, Any] = {"where": np.where, **_CALLED}
+        exec("\n".join(lines), scope)  # of nothing but the names above and numbers of instructions
+        kept = program.__dict__["_python"] = scope["run"]
+    run: Callable[[list[Value], list[Any], Real], list[Any]] = kept
+    return run
+
+
+def _operand(program: Program, at: int, *, truth: bool) -> str:
+    """A value as an operand that takes a truth value, or a number."""
+    is_truth = program.instructions[at].op in _TRUE
+    if truth == is_truth:
+        return f"v{at}"
+    return f"(v{at} != 0)" if truth else f"where(v{at}, one, zero)"
+
+
+def _constants(program: Program, real: Real) -> list[Any]:
+    return [real(i.value) for i in program.instructions if i.op == "const"]
+
+
+def _called(operation: Callable[..., Any]) -> Callable[..., Any]:
+    return lambda *args, dtype: np.asarray(operation(*args), dtype=dtype)
+
+
+_CALLED = {name: _called(operation.numpy) for name, operation in OPERATIONS.items() if name not in _TEXTS}
 
 
 def _stack(entries: list[Value], batch: tuple[int, ...], real: Real) -> Value:

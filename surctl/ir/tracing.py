@@ -295,10 +295,8 @@ def tabulated(rows: Iterable[Iterable[ca.SX | float]], width: int = 0) -> ca.SX:
     Example:
         >>> import casadi as ca
         >>> from surctl.ir import tabulated
-        >>> tabulated([(ca.SX([1, 2]), 3.0), (ca.SX([4, 5]), 6.0)])
-        SX(
-        [[1, 2, 3],
-         [4, 5, 6]])
+        >>> ca.DM(tabulated([(ca.SX([1, 2]), 3.0), (ca.SX([4, 5]), 6.0)])).full().tolist()
+        [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
     """
     listed = [ca.vertcat(*(ca.vec(ca.SX(part)) for part in row)).T for row in rows]
     return ca.densify(ca.vertcat(*listed)) if listed else ca.SX.zeros(0, width)
