@@ -300,6 +300,19 @@ def test_a_spike_is_ignored() -> None:
         assert found["healthy"][162:].all() and found.kept() == 1.0
 
 
+@pytest.mark.parametrize("value", [0.0, 4.5])
+def test_one_bad_sample_of_a_firing_is_ignored(value: float) -> None:
+    def one_bad(k: int, honest: list[np.ndarray]) -> np.ndarray:
+        samples = honest[-1].copy()
+        samples[k % len(samples)] = value
+        return samples
+
+    found = Flight(lambda t: 1.5).fly(6.0, from_firing(40, one_bad))
+    assert found["healthy"][20:].all() and found["accepted"][80::2].all() and found.kept() == 1.0
+    assert np.abs(found["reading"] - 1.5)[80::2].max() < 0.03
+    assert found.after(4.0, "bound").max() < 0.05
+
+
 @pytest.mark.parametrize("missing", [1, 3, 8, 20])
 def test_a_gap_is_noticed_and_bridged(missing: int) -> None:
     fault = from_firing(80, lambda k, h: None, until=80 + missing)
