@@ -10,6 +10,7 @@ from surctl.certcheck.enclosure import enclose, exact, span
 from surctl.certcheck.sheet import Sheet
 from surctl.verification.formula import parse, variable
 from surctl.verification.proving import intervals as iv
+from surctl.verification.proving.rules import apply_rules
 from surctl.verification.proving.tape import build_tape
 from tests.verification.expressions import worth
 
@@ -232,3 +233,35 @@ def test_slopes_over_a_box_hold_those_at_its_points() -> None:
             for i, shown in enumerate(jet.slope):
                 ends = (0.0, 0.0) if shown is None else tuple(float(mp.make_mpf(e)) for e in shown)
                 assert ends == pytest.approx((wide.slope[0][i, k], wide.slope[1][i, k]), rel=1e-9, abs=1e-12), text
+
+
+def test_a_decimal_lies_between_the_doubles_beside_it() -> None:
+    texts = ("0.1", "0.3", "1/3", "0.5", "12345678901234567.1", "1.00000000000000011")
+    read = build_tape(("x",), [parse(text, {}) for text in texts]).run((np.zeros((1, 1)), np.zeros((1, 1))))
+    for text, jet in zip(texts, read.jets, strict=True):
+        low, high = (float(end[0]) for end in jet.value)
+        above, below = text.split("/") if "/" in text else (text, "1")
+        exactly = Fraction(above) / Fraction(below)
+        assert Fraction(low) <= exactly <= Fraction(high)
+        assert high <= np.nextafter(low, np.inf) or "/" in text
+
+
+@pytest.mark.parametrize(
+    ("margin", "constraint", "rule"),
+    [
+        *(("x - 2", "-1", "n"), ("x - 0.5", "-1", ""), ("x - 0.5", "0.25 + x", "i"), ("x - 0.5", "x - 0.25", "")),
+        *(
+            ("x - x*x/4 - 0.76", "-1", "m"),
+            ("x - x*x/4 - 0.74", "-1", ""),
+            ("1", "x - x*x + 0.3", "j"),
+            ("1", "x - x*x", ""),
+        ),
+    ],
+)
+def test_a_rule_settles_only_what_it_shows(margin: str, constraint: str, rule: str) -> None:
+    """margin ≤ 0 where constraint ≤ 0, on [0, 1]: by its values, by its slopes, or because nothing is asked there."""
+    known = {"x": variable("x")}
+    bound, constraints = (build_tape(("x",), [parse(text, known)]) for text in (margin, constraint))
+    box = np.zeros((1, 1)), np.ones((1, 1))
+    found = apply_rules(bound, constraints, box, 0.0, np.ones(1, dtype=bool)).rule[0]
+    assert found == rule
