@@ -58,6 +58,14 @@ def test_the_angle_of_a_box_keeps_all_directions() -> None:
     assert ahead.any() and np.all((high - low)[ahead] < 0.1)
 
 
+@pytest.mark.parametrize(("y", "cut"), [((-0.5, 0.0), True), ((-0.5, 0.5), True), ((0.1, 0.5), False)])
+def test_below_the_negative_axis_the_angle_begins_at_minus_a_half_turn(y: tuple[float, float], cut: bool) -> None:
+    low, high = iv.atan2((np.array([y[0]]), np.array([y[1]])), (np.array([-2.0]), np.array([-1.0])))
+    inside_low = np.arctan2(min(-1e-12, y[1]) if cut else y[0], -2.0)
+    assert low[0] <= inside_low and high[0] >= np.arctan2(y[1], -2.0)
+    assert (low[0] < 0) == cut
+
+
 @pytest.mark.parametrize("exponent", [0, 1, 2, 3, 4, 5])
 def test_powers(exponent: int) -> None:
     a = drawn(7, 2.0)
