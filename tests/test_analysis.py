@@ -4,6 +4,7 @@ import re
 import runpy
 import subprocess
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +85,12 @@ def test_a_mutant_that_is_not_in_its_file_or_survives_is_told(
 ) -> None:
     study = runpy.run_path(str(ANALYSIS / "23_mutants" / "run.py"))
     file, names = tmp_path / "mutants.toml", study["main"].__globals__
+    copied = tmp_path / "surctl" / "units.py"
+    copied.parent.mkdir()
+    copied.write_text((study["ROOT"] / "surctl" / "units.py").read_text(encoding="utf-8"), encoding="utf-8")
+    whole = copied.read_bytes()
     monkeypatch.setitem(names, "CONFIG", file)
+    monkeypatch.setitem(names, "copy", lambda: nullcontext(tmp_path))
     which = 'id = "no", room = "r", file = "surctl/units.py", changes = "", tests = ["tests/test_units.py"]'
     file.write_text(f'patience = 9\nmutant = [{{ {which}, old = "no such text", new = "" }}]\n')
     assert study["main"](["--only", "no"]) == 2
@@ -95,6 +101,7 @@ def test_a_mutant_that_is_not_in_its_file_or_survives_is_told(
         monkeypatch.setitem(names, "tested", lambda *_, told=told: next(told))
         assert study["main"](["--only", "no"]) == found
         assert ("**survives**" in capsys.readouterr().out) == (found == 1)
+        assert copied.read_bytes() == whole, "it is taken out again"
 
 
 def test_the_study_of_the_processor_in_the_loop() -> None:
