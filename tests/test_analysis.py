@@ -4,6 +4,7 @@ import re
 import runpy
 import subprocess
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +59,49 @@ def test_the_study_of_import_times() -> None:
     done = run(ANALYSIS / "21_import_time" / "run.py", "--quick")
     rows = {row[0].strip("`"): row[4].strip("| ") for row in table(done.stdout) if len(row) == 5}
     assert rows["import surctl"] == rows["surctl --help"] == "none" and rows["surctl list"] == "casadi", done.stderr
+
+
+def test_the_study_of_mutants() -> None:
+    done = run(ANALYSIS / "23_mutants" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = [row for row in table(done.stdout) if len(row) == 4][1:]
+    assert len(rows) >= 4 and not any("survives" in row[3] for row in rows)
+
+
+def test_every_mutant_of_the_study_is_one_change_of_a_file_and_names_tests_that_are_there() -> None:
+    study = runpy.run_path(str(ANALYSIS / "23_mutants" / "run.py"))
+    mutants = study["load_model"](study["CONFIG"], study["Config"]).mutant
+    assert len({mutant.id for mutant in mutants}) == len(mutants) >= 64
+    for mutant in mutants:
+        assert mutant.source(), "its old text is in the file once"
+        for test in mutant.tests:
+            file, _, name = test.partition("::")
+            text = (study["ROOT"] / file).read_text(encoding="utf-8")
+            assert f"def {name.partition('[')[0]}" in text, f"{mutant.id}: {test} is not there"
+
+
+def test_a_mutant_that_is_not_in_its_file_or_survives_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = runpy.run_path(str(ANALYSIS / "23_mutants" / "run.py"))
+    file, names = tmp_path / "mutants.toml", study["main"].__globals__
+    copied = tmp_path / "surctl" / "units.py"
+    copied.parent.mkdir()
+    copied.write_text((study["ROOT"] / "surctl" / "units.py").read_text(encoding="utf-8"), encoding="utf-8")
+    whole = copied.read_bytes()
+    monkeypatch.setitem(names, "CONFIG", file)
+    monkeypatch.setitem(names, "copy", lambda: nullcontext(tmp_path))
+    which = 'id = "no", room = "r", file = "surctl/units.py", changes = "", tests = ["tests/test_units.py"]'
+    file.write_text(f'patience = 9\nmutant = [{{ {which}, old = "no such text", new = "" }}]\n')
+    assert study["main"](["--only", "no"]) == 2
+    assert "no: its old text is 0 times in surctl/units.py" in capsys.readouterr().err
+    file.write_text(f'patience = 9\nmutant = [{{ {which}, old = "_MOST = 40", new = "_MOST = 41" }}]\n')
+    for status, found in (("1", 0), ("0", 1), ("4", 1)):  # what pytest would say of the mutated copy
+        told = iter([(0, "", 0.1), (int(status), "FAILED tests/a.py::b[1] - no", 0.2)])
+        monkeypatch.setitem(names, "tested", lambda *_, told=told: next(told))
+        assert study["main"](["--only", "no"]) == found
+        assert ("**survives**" in capsys.readouterr().out) == (found == 1)
+        assert copied.read_bytes() == whole, "it is taken out again"
 
 
 def test_the_study_of_the_processor_in_the_loop() -> None:

@@ -1,4 +1,5 @@
 from fractions import Fraction
+from math import pi
 from pathlib import Path
 
 import pytest
@@ -62,6 +63,18 @@ def test_what_is_no_length_is_named(text: str, problem: str) -> None:
         told_by_suffix({"site": {"depth_m": text}})
     assert told.value.key == "site.depth_m"
     assert told.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("key", "text", "value"),
+    [
+        *(("speed_m_per_s", "36 km/h", 10.0), ("rate_rad_per_s", "180 deg/s", pi), ("rise_n_per_s", "2 kN/s", 2e3)),
+        *(("cone_deg", "0.5 turn", 180.0), ("yaw_rad", "90 deg", pi / 2), ("depth_m", "2 km", 2e3)),
+        *(("limit_s", "3 ms", 3e-3), ("push_n", "5 mN", 5e-3)),
+    ],
+)
+def test_the_ending_of_a_key_is_its_unit(key: str, text: str, value: float) -> None:
+    assert told_by_suffix({key: text})[key] == pytest.approx(value, rel=1e-15)
 
 
 def test_only_keys_with_a_unit_are_read_so() -> None:

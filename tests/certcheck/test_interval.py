@@ -231,6 +231,12 @@ def test_every_rule_refuses_what_it_does_not_show() -> None:
     assert "'m'" in forged("select(x, 0, 1, -1)", "0.5", one, tree="m")
     assert "'i'" in forged("x", "0", one, constraints=("x - 0.5",), tree="i")
     assert "'j'" in forged("x", "0", one, constraints=("x - 0.5",), tree="j")
+    # a variable of monotone influence is at its worse end, whichever that is
+    assert "'m'" in forged("x", "0.5", one, tree="m") and "'m'" in forged("-x", "0.5", one, tree="m")
+    # where the constraint holds, x y is above 0 for a y below 0
+    product: dict[str, Any] = {"constraints": ("x",), "multipliers": ["y"], "numerator": "0", "tree": "n"}
+    assert "negative" in forged("x*y", "0", [*one, *one], **product)
+    assert forged("x*y", "0", [*one, (0.0, 1.0)], **product) == ""
     assert forged("x", "0.5", one, constraints=("x - 0.5",), tree="0n0ni") != ""
     assert forged("x", "0.5", one, constraints=("x - 0.49",), tree="0n0ni") == ""
 

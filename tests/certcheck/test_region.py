@@ -358,5 +358,9 @@ def test_the_reason_names_what_fails() -> None:
     changed = document()
     changed["claim"]["motion"]["offset_m"] = 3.0
     assert "3 m is not in the region" in check_document(sealed(changed)).reason
+    for axis in (0, 1):
+        changed = document()
+        changed["claim"]["motion"]["settled_m"][axis] *= 0.8
+        assert "it settles within" in check_document(sealed(changed)).reason
     with pytest.raises(Rejected, match="exactly the keys"):
         read_claim({})

@@ -399,6 +399,30 @@ def test_sensor_sub_tasks_are_sorted_by_time_to_contact(ahead: float, left: floa
     np.testing.assert_allclose([level.x[0] for level in problem.levels[:2]], wanted, atol=1e-9)
 
 
+def test_three_sensor_sub_tasks_are_sorted_too() -> None:
+    """Beside the robot, inside the margin, two more; it turns to the right, so that one is the more urgent of them."""
+    law, reach = build_law("paper"), 0.27 + 0.27
+    contacts = [(1.0 + reach + 0.3, 0.0, 0.27, 0.0, 0.0, 1.0)]
+    contacts += [(1.0, side * (reach + away), 0.27, 0.0, 0.0, 1.0) for side, away in ((1, 0.02), (-1, 0.04))]
+    x = _started(law, last_velocity=[0.2, 0.0], side=-1.0)
+    problem = law.problem(x, _input(law, *contacts), _parameters())
+    rows = [[-1.0, 0, 0, 0], [0, 1.0, 0, 0], [0, -1.0, 0, 0], [0] * 4]
+    np.testing.assert_allclose([level.J[0] for level in problem.levels[:4]], rows, atol=1e-12)
+
+
+@pytest.mark.parametrize(("last", "speed"), [(0.30, 0.30 - 0.05 * 3 / 95), (0.10, 0.10 + 0.05 * 3 / 95), (0.2, 0.2)])
+def test_the_avoidance_velocity_stays_in_its_window(last: float, speed: float) -> None:
+    """(19): the speed changes by what the weaker axis accelerates in a period, the course by √(a/R_OB) of it."""
+    law = build_law("paper")
+    p = _parameters()
+    p[law.gains.slice("thrust_limit")][:2] = (5.0, 3.0)
+    near = _input(law, (1.85, 0.1, 0.27, 0.0, 0.0, 1.0))
+    step = law.step(_started(law, last_velocity=[last, 0.0]), near, p)
+    after = step.x_next[law.state.slice("last_velocity")]
+    assert np.hypot(*after) == pytest.approx(speed, abs=1e-9)
+    assert abs(np.arctan2(after[1], after[0])) == pytest.approx(0.05 * np.sqrt(3 / 95 / 0.59), abs=1e-9)
+
+
 def test_gains_of_another_vehicle_change_the_command_but_not_the_law() -> None:
     law = build_law()
     p = _parameters()

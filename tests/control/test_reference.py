@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from surctl.control import PARAMETERS, law_parameters, load_gains
 from surctl.control.guarded import _back_first, _strays
-from surctl.control.reference import path_wish
+from surctl.control.reference import learnt, path_wish
 from surctl.control.stopping import BARRIERS
 from surctl.guidance import Path
 from surctl.vehicle import load_vehicle
@@ -89,3 +89,35 @@ def test_who_waits_goes_back_to_the_path_meanwhile(y: float, wall: float, found:
     """0.2 m/s ahead, where 0.02 are allowed, and 0.03 to the left: back to the path, or off it; and beside a wall."""
     made = _waiting()([4.0, y, -0.15, 0], 4.2, [0.2, 0.03], 0.02, wall, _parameters("sur400"))
     assert np.asarray(made).ravel().tolist() == pytest.approx(found, abs=1e-12)
+
+
+@cache
+def _learning() -> ca.Function:
+    """(eta, progress, nu, avoiding, p) → the offset that `ilos` knows one period later, from 0."""
+    p, ps = PARAMETERS.symbols("p")
+    eta, progress, nu, avoiding = ca.SX.sym("eta", 4), ca.SX.sym("progress"), ca.SX.sym("nu", 4), ca.SX.sym("avoiding")
+    memory = ca.SX(0)
+    wish = path_wish(eta, progress, ps, dt=DT, guidance="ilos", memory=memory)
+    found = learnt("ilos", wish, memory, eta, nu, avoiding, ps, dt=DT)
+    return ca.Function("learning", [eta, progress, nu, avoiding, p], [found])
+
+
+@pytest.mark.parametrize(
+    ("y", "across", "avoiding", "behind", "learns"),
+    [
+        *((0.4, 0.0, 0, 0.1, True), (0.4, 0.1, 0, 0.1, True), (0.4, -0.04, 0, 0.1, True), (0.4, -0.06, 0, 0.1, False)),
+        *(
+            (-0.4, 0.06, 0, 0.1, False),
+            (-0.4, -0.1, 0, 0.1, True),
+            (0.4, 0.0, 1, 0.1, False),
+            (0.4, 0.0, 0, 0.5, False),
+        ),
+    ],
+)
+def test_nothing_is_learnt_where_an_error_is_no_push_s(
+    y: float, across: float, avoiding: int, behind: float, learns: bool
+) -> None:
+    """0.4 m off LOS asks for at least 0.1 m/s back to the path: what does half of it returns already."""
+    given = [[4.0, y, -0.15, 0], 4.0 + behind, [0.2, across, 0, 0], avoiding]
+    found = float(_learning()(*given, _parameters("sur400")))
+    assert found == pytest.approx(DT * 0.8 * y / (0.8**2 + y**2) if learns else 0.0, abs=1e-12)

@@ -16,7 +16,7 @@ from surctl.simulation import advance
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, load_vehicle, plant_parameters, trim_thrust
 
 Array = NDArray[np.float64]
-DT, K_V, K_R = 0.05, 1.5, 1.5
+DT, K_V, K_R = 0.05, 1.5, 1.2
 
 
 @cache
@@ -64,7 +64,7 @@ def test_the_law_by_hand() -> None:
     tau, _, saturated = _step([0.10, 0, 0, 0.05], [0.08, 0.01, 0, 0], [0.001, 0, 0, 0])
     assert tau[0] == pytest.approx(2.0 * 0.1 + 60 * 0.01 + 95 * (1.5 * 0.02 + 0.001), rel=1e-12)
     assert tau[1] == pytest.approx(95 * 1.5 * -0.01, rel=1e-12)
-    assert tau[3] == pytest.approx(0.3 * 0.05 + 0.0025 + 1.5 * 1.5 * 0.05, rel=1e-12)
+    assert tau[3] == pytest.approx(0.3 * 0.05 + 0.0025 + 1.5 * 1.2 * 0.05, rel=1e-12)
     assert saturated == 0
 
 

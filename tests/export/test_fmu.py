@@ -84,6 +84,18 @@ def test_fmpy_finds_no_problem(law: Exact, tmp_path: Path, real: Real) -> None:
     assert validate_fmu(str(made(law, tmp_path, real))) == []
 
 
+def test_it_tells_the_start_values_of_inputs_and_gains(law: Exact, tmp_path: Path) -> None:
+    from fmpy import read_model_description
+
+    gains = np.arange(1.0, law.gains.size + 1)
+    path = write_fmu(law, build_bundle(law, law.gains.unpack(gains)), gains, tmp_path).path
+    told: dict[str, list[float]] = {"input": [], "parameter": []}
+    for variable in read_model_description(str(path)).modelVariables:
+        if variable.causality in told:
+            told[variable.causality].append(float(variable.start))
+    assert told == {"input": law.inputs.pack().tolist(), "parameter": gains.tolist()}
+
+
 @pytest.mark.parametrize(("unit", "real"), [("float64", "float64"), ("float32", "float32")], indirect=["unit"])
 def test_it_steps_as_python_to_the_last_bit(law: Exact, unit: Unit, real: Real) -> None:
     run = as_records(law, recorded(law, steps=60))

@@ -61,6 +61,15 @@ def test_a_row_that_jumps_is_refused_and_the_next_one_too_until_time_allows(tmp_
     assert (evaluated(controller.law, states, run.U, run.P).status >= 0).all()
 
 
+def test_a_heading_that_goes_round_is_no_jump_in_c_either(tmp_path: Path) -> None:
+    need_compiler()
+    law, bundle, flight = exported("float32")
+    run = replace(flight, U=flight.U[:40].copy(), X=flight.X[:40], P=flight.P[:40])
+    run.U[:, law.inputs.slice("eta").stop - 1] = np.where(np.arange(40) % 2, 3.13, -3.14)
+    load = np.arange(40) == 0
+    assert (build_controller(law, bundle, tmp_path / "b").run(run, load=load).status >= 0).all()
+
+
 def test_whole_turns_are_no_jump() -> None:
     box = np.tile([-np.inf, np.inf], (1, 1))
     for turn, refused in ((True, False), (False, True)):

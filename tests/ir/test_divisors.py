@@ -31,6 +31,17 @@ def test_a_divisor_of_one_quotient_is_left_alone() -> None:
     assert shared_divisors(program).instructions == program.instructions
 
 
+def test_what_is_lowered_with_reciprocals_is_the_same_but_for_rounding() -> None:
+    x = ca.SX.sym("x", 5)
+    function = ca.Function("q", [x], [ca.vertcat(x[0] / x[2], x[1] / x[2], x[3] / x[4])])
+    plain, shared = lower(function), lower(function, reciprocals=True)
+    assert (divisions(plain), divisions(shared)) == (3, 2)
+    given = np.random.default_rng(0).uniform(0.1, 9.0, (200, 5)) * [1, -1, 1, 1, -1]
+    (wanted,), (found,) = replay(plain, given), replay(shared, given)
+    np.testing.assert_allclose(found, wanted, rtol=4e-16, atol=0)
+    assert np.array_equal(found[:, 2], wanted[:, 2])
+
+
 size = st.floats(1e-6, 1e6)
 signed = st.one_of(size, size.map(lambda v: -v))
 

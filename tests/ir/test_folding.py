@@ -8,7 +8,7 @@ import pytest
 
 from surctl.control import build_law, load_gains
 from surctl.errors import InputError
-from surctl.ir import Program, lower, replay, with_constants
+from surctl.ir import Instruction, Program, lower, replay, with_constants
 from surctl.simulation import law_numbers, load_scenario
 from surctl.vehicle import load_vehicle
 from tests.ir.expressions import EXACT
@@ -55,6 +55,16 @@ def test_what_follows_from_constants_is_not_computed(make: object, operations: i
     _, folded = alone(make, [0.0, 1.0])
     assert folded.operations == operations
     assert not any(i.op == "input" and i.args[0] == 1 for i in folded.instructions)
+
+
+def test_a_choice_by_what_is_not_so_is_the_other_one() -> None:
+    inputs = [Instruction("input", (0, k)) for k in range(3)]
+    chosen = [*inputs, Instruction("not", (0,)), Instruction("select", (3, 1, 2))]
+    program = Program("f", (("x", 3), ("p", 1)), (("y", 1),), tuple(chosen), ((4,),))
+    folded = with_constants(program, 1, [0.0])
+    assert folded.operations == 1
+    for given in ([0.0, 5.0, 6.0], [1.0, 5.0, 6.0], [-2.0, 5.0, 6.0]):
+        assert replay(folded, given, [0.0])[0] == replay(program, given, [0.0])[0] == (6.0 if given[0] else 5.0)
 
 
 def test_the_law_is_the_same_and_shorter() -> None:

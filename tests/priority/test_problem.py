@@ -9,6 +9,7 @@ import pytest
 from surctl.errors import InputError
 from surctl.priority import Level, PriorityProblem, Row, build_problem, solve
 from surctl.priority.draws import draw_problem
+from surctl.priority.polyhedron import polyhedron_of
 
 GOOD = Level("depth", np.eye(4)[2:3], np.array([0.1]))
 
@@ -105,3 +106,11 @@ def test_rows_of_any_length_bound_what_they_say():
     got = solve(build_problem([surge], [*box, row("none", "actuator", (1e-16, 0, 0, 0), -1e-17, 1e-17)]))
     assert np.allclose(got.v, [0.5, 0, 0, 0], atol=1e-12)
     assert got.is_optimal(build_problem([surge], box))
+
+
+def test_rows_that_are_relaxed_are_widened_on_both_sides_and_the_others_are_not():
+    rows = [row("wall", a=(2, 0, 0, 0), lower=-0.4, upper=0.2), row("edge", "actuator", (0, 1, 0, 0), -0.5, 0.5)]
+    found = polyhedron_of(build_problem([GOOD], rows))
+    wider = found.relaxed(found.mask("barrier"), 0.25)
+    assert np.array_equal(wider.lower, [-0.45, -0.5]) and np.array_equal(wider.upper, [0.35, 0.5])
+    assert np.array_equal(wider.A, found.A)

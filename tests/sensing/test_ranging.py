@@ -300,6 +300,35 @@ def test_a_spike_is_ignored() -> None:
         assert found["healthy"][162:].all() and found.kept() == 1.0
 
 
+@pytest.mark.parametrize("value", [0.0, 4.5])
+def test_one_bad_sample_of_a_firing_is_ignored(value: float) -> None:
+    def one_bad(k: int, honest: list[np.ndarray]) -> np.ndarray:
+        samples = honest[-1].copy()
+        samples[k % len(samples)] = value
+        return samples
+
+    found = Flight(lambda t: 1.5).fly(6.0, from_firing(40, one_bad))
+    assert found["healthy"][20:].all() and found["accepted"][80::2].all() and found.kept() == 1.0
+    assert np.abs(found["reading"] - 1.5)[80::2].max() < 0.03
+    assert found.after(4.0, "bound").max() < 0.05
+
+
+def test_a_known_wall_that_comes_into_a_turning_beam_is_believed_at_once_unless_another_sensor_reads_it() -> None:
+    def seen(*, expected: float, array: SonarArray = ONE, other: float = 3.0) -> Flight:
+        def wall(t: float) -> float:
+            return UNKNOWN if t < 4.0 else expected
+
+        flight = Flight(lambda t: 3.0 if t < 4.0 else 1.5, expected=wall, turn=lambda t: 0.4, array=array, other=other)
+        return flight.fly(5.0)
+
+    found = seen(expected=1.5)
+    assert found["accepted"][80:86:2].all() and found["healthy"][20:].all() and found.kept() == 1.0
+    assert np.abs(found["range"] - found["truth"])[80::2].max() < 0.03
+    for doubtful in (seen(expected=UNKNOWN), seen(expected=1.5, array=TWO, other=1.5)):
+        assert not doubtful["accepted"][80:82].any() and not doubtful["healthy"][80]
+    assert seen(expected=1.5, array=TWO)["accepted"][80:86:2].all()
+
+
 @pytest.mark.parametrize("missing", [1, 3, 8, 20])
 def test_a_gap_is_noticed_and_bridged(missing: int) -> None:
     fault = from_firing(80, lambda k, h: None, until=80 + missing)

@@ -230,3 +230,11 @@ def test_the_layers_are_those_that_the_mission_has_room_for() -> None:
     assert layers(_sill(), HULL, gains) == pytest.approx([-1.41, -0.82, -2.59, -3.18])
     assert layers(_sill(depths=(-2.95, -1.2)), HULL, gains) == pytest.approx([-2.59])
     assert layers(_sill(depths=(-2.5, -1.5)), HULL, gains) == [] == layers(_sill(depths=None), HULL, gains)
+
+
+@pytest.mark.parametrize(("off", "told"), [(0.01, "only 0.010 m off a wall"), (-0.01, "0.010 m inside"), (0.03, None)])
+def test_a_start_beside_a_wall_takes_room_for_an_error_of_the_place(off: float, told: str | None) -> None:
+    path = Path(np.array([[HULL["radius"] + off, 2.0], [5.0, 2.0]]))
+    found = _found(_with(path=path))
+    assert list(found) == ([] if told is None else [("error", "path_m")])
+    assert told is None or f"{told}" in found["error", "path_m"]

@@ -28,6 +28,20 @@ def test_names_and_multipliers_are_those_of_the_rows_as_given() -> None:
     assert got.binding == (("row 0", pytest.approx(-2.0)),)
 
 
+@pytest.mark.parametrize("n", [2, 3])
+def test_multipliers_of_several_rows_make_up_what_the_target_is_moved_by(n: int) -> None:
+    """target − v = Aᵀλ with λ ≥ 0 of rows at their bounds is what makes v the nearest point."""
+    rng = np.random.default_rng(n)
+    for _ in range(20):
+        A, v, wanted = rng.normal(size=(n + 2, n)), rng.normal(size=n), rng.uniform(0.5, 2.0, n)
+        upper = A @ v + np.append(np.zeros(n), [0.5, 1.0])  # the last two are loose
+        got = least_distance(v + A[:n].T @ wanted, A=A, lower=np.full(n + 2, -np.inf), upper=upper)
+        np.testing.assert_allclose(got.v, v, atol=1e-9)
+        found = dict(got.binding)
+        assert [found[f"row {k}"] for k in range(n)] == pytest.approx(wanted.tolist(), rel=1e-7)
+        assert len(found) == n
+
+
 def test_the_ladder_from_python() -> None:
     task: dict[str, Any] = {"J": [[1.0, 0.0]], "x": [0.5]}
     assert least_distance([0.0, 0.3], **BOX, **task).rung == "met"

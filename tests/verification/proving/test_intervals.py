@@ -1,3 +1,7 @@
+from collections.abc import Callable
+from fractions import Fraction
+from itertools import product
+
 import numpy as np
 import pytest
 from mpmath import mp, mpf
@@ -6,6 +10,7 @@ from surctl.certcheck.enclosure import enclose, exact, span
 from surctl.certcheck.sheet import Sheet
 from surctl.verification.formula import parse, variable
 from surctl.verification.proving import intervals as iv
+from surctl.verification.proving.rules import apply_rules
 from surctl.verification.proving.tape import build_tape
 from tests.verification.expressions import worth
 
@@ -53,6 +58,14 @@ def test_the_angle_of_a_box_keeps_all_directions() -> None:
     assert ahead.any() and np.all((high - low)[ahead] < 0.1)
 
 
+@pytest.mark.parametrize(("y", "cut"), [((-0.5, 0.0), True), ((-0.5, 0.5), True), ((0.1, 0.5), False)])
+def test_below_the_negative_axis_the_angle_begins_at_minus_a_half_turn(y: tuple[float, float], cut: bool) -> None:
+    low, high = iv.atan2((np.array([y[0]]), np.array([y[1]])), (np.array([-2.0]), np.array([-1.0])))
+    inside_low = np.arctan2(min(-1e-12, y[1]) if cut else y[0], -2.0)
+    assert low[0] <= inside_low and high[0] >= np.arctan2(y[1], -2.0)
+    assert (low[0] < 0) == cut
+
+
 @pytest.mark.parametrize("exponent", [0, 1, 2, 3, 4, 5])
 def test_powers(exponent: int) -> None:
     a = drawn(7, 2.0)
@@ -72,6 +85,82 @@ def test_two_intervals(name: str) -> None:
             "hull_min": np.minimum(x, y), "hull_max": np.maximum(x, y),
         }[name]  # fmt: skip
     holds(ends, np.where(np.isnan(plain), 0.0, plain))
+
+
+def mixed(seed: int, count: int = 300) -> tuple[np.ndarray, np.ndarray]:
+    """Intervals of both signs, many of them points, from subnormal numbers to such whose products are infinite."""
+    rng = np.random.default_rng(seed)
+    size = np.where(rng.uniform(size=count) < 0.8, rng.uniform(-3, 3, count), rng.uniform(-320, 300, count))
+    one = rng.choice((-1.0, 1.0), count) * rng.uniform(1, 10, count) * 10.0**size
+    other = np.where(rng.uniform(size=count) < 0.5, one, one * rng.uniform(-1, 2, count))
+    one[:10] = 0.0
+    return np.minimum(one, other), np.maximum(one, other)
+
+
+def contains(ends: tuple[np.ndarray, np.ndarray], wanted: list[tuple[Fraction, Fraction]]) -> None:
+    """Each interval holds all that is wanted, to the last bit, and reaches no further than is rounded."""
+    for low, high, (least, most) in zip(*ends, wanted, strict=True):
+        assert low == -np.inf or Fraction(float(low)) <= least
+        assert high == np.inf or Fraction(float(high)) >= most
+        room = Fraction(max(abs(least), abs(most)), 2**49) + Fraction(5e-322)
+        if max(abs(least), abs(most)) < Fraction(1e300):
+            assert Fraction(float(low)) >= least - room and Fraction(float(high)) <= most + room
+
+
+EXACT: dict[str, Callable[[Fraction, Fraction], Fraction]] = {
+    "add": lambda x, y: x + y, "subtract": lambda x, y: x - y, "multiply": lambda x, y: x * y,
+    "divide": lambda x, y: x / y, "hull_min": min, "hull_max": max,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_two_intervals_hold_every_exact_result(name: str) -> None:
+    a, b = mixed(17), mixed(18)
+    kept = (b[0] > 0) | (b[1] < 0) if name == "divide" else np.full(a[0].shape, True)
+    a, b = (a[0][kept], a[1][kept]), (b[0][kept], b[1][kept])
+    with np.errstate(all="ignore"):
+        ends = getattr(iv, name)(a, b)
+    corners = [
+        [EXACT[name](Fraction(x), Fraction(y)) for x, y in product(one, other)]
+        for one, other in zip(np.transpose(a).tolist(), np.transpose(b).tolist(), strict=True)
+    ]
+    contains(ends, [(min(found), max(found)) for found in corners])
+
+
+@pytest.mark.parametrize("exponent", [2, 3, 4, 5])
+def test_a_power_holds_every_exact_result(exponent: int) -> None:
+    a = mixed(19)
+    with np.errstate(all="ignore"):
+        ends = iv.to_power(a, exponent)
+    wanted = []
+    for low, high in np.transpose(a).tolist():
+        found = [Fraction(low) ** exponent, Fraction(high) ** exponent]
+        wanted.append((Fraction(0) if exponent % 2 == 0 and low <= 0 <= high else min(found), max(found)))
+    contains(ends, wanted)
+
+
+def test_a_root_holds_the_exact_one() -> None:
+    a = mixed(20)
+    for low, high, least, most in zip(*iv.squared_root(a), *a, strict=True):
+        assert low >= 0.0 and Fraction(float(low)) ** 2 <= max(Fraction(float(least)), 0)
+        assert Fraction(float(high)) ** 2 >= max(Fraction(float(most)), 0)
+        assert low == np.sqrt(max(least, 0.0)) == 0.0 or low >= np.sqrt(least) * (1 - 1e-15)
+        assert high <= np.sqrt(max(most, 0.0)) * (1 + 1e-15)
+
+
+def test_what_a_library_computes_holds_the_value_of_sixty_digits() -> None:
+    rng = np.random.default_rng(21)
+    x, y = rng.uniform(-9, 9, 300), rng.uniform(-9, 9, 300) * 10.0 ** rng.uniform(-8, 0, 300)
+    share = rng.uniform(-1, 1, 300)
+    sine, cosine = iv.sine_cosine(iv.point(x))
+    told = (
+        (sine, mp.sin, (x,)), (cosine, mp.cos, (x,)), (iv.acos(iv.point(share)), mp.acos, (share,)),
+        (iv.atan2(iv.point(y), iv.point(x)), mp.atan2, (y, x)),
+    )  # fmt: skip
+    with mp.workdps(60):
+        for (low, high), function, given in told:
+            for a, b, *at in zip(low.tolist(), high.tolist(), *(g.tolist() for g in given), strict=True):
+                assert mpf(a) <= function(*map(mpf, at)) <= mpf(b) and b - a < 1e-13
 
 
 def test_sums_that_are_exact_are_not_widened_and_others_are() -> None:
@@ -152,3 +241,35 @@ def test_slopes_over_a_box_hold_those_at_its_points() -> None:
             for i, shown in enumerate(jet.slope):
                 ends = (0.0, 0.0) if shown is None else tuple(float(mp.make_mpf(e)) for e in shown)
                 assert ends == pytest.approx((wide.slope[0][i, k], wide.slope[1][i, k]), rel=1e-9, abs=1e-12), text
+
+
+def test_a_decimal_lies_between_the_doubles_beside_it() -> None:
+    texts = ("0.1", "0.3", "1/3", "0.5", "12345678901234567.1", "1.00000000000000011")
+    read = build_tape(("x",), [parse(text, {}) for text in texts]).run((np.zeros((1, 1)), np.zeros((1, 1))))
+    for text, jet in zip(texts, read.jets, strict=True):
+        low, high = (float(end[0]) for end in jet.value)
+        above, below = text.split("/") if "/" in text else (text, "1")
+        exactly = Fraction(above) / Fraction(below)
+        assert Fraction(low) <= exactly <= Fraction(high)
+        assert high <= np.nextafter(low, np.inf) or "/" in text
+
+
+@pytest.mark.parametrize(
+    ("margin", "constraint", "rule"),
+    [
+        *(("x - 2", "-1", "n"), ("x - 0.5", "-1", ""), ("x - 0.5", "0.25 + x", "i"), ("x - 0.5", "x - 0.25", "")),
+        *(
+            ("x - x*x/4 - 0.76", "-1", "m"),
+            ("x - x*x/4 - 0.74", "-1", ""),
+            ("1", "x - x*x + 0.3", "j"),
+            ("1", "x - x*x", ""),
+        ),
+    ],
+)
+def test_a_rule_settles_only_what_it_shows(margin: str, constraint: str, rule: str) -> None:
+    """margin ≤ 0 where constraint ≤ 0, on [0, 1]: by its values, by its slopes, or because nothing is asked there."""
+    known = {"x": variable("x")}
+    bound, constraints = (build_tape(("x",), [parse(text, known)]) for text in (margin, constraint))
+    box = np.zeros((1, 1)), np.ones((1, 1))
+    found = apply_rules(bound, constraints, box, 0.0, np.ones(1, dtype=bool)).rule[0]
+    assert found == rule

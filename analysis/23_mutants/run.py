@@ -1,0 +1,300 @@
+"""Study 23: does the suite notice wrong code? Each mutant is one wrong place; the tests next to it must fail.
+
+    python analysis/23_mutants/run.py            # all of them; what is known already is not run again
+    python analysis/23_mutants/run.py --quick    # a handful, anew
+    python analysis/23_mutants/run.py --only ID  # one, or several times for several
+
+Prints Markdown; --write makes the README of it. Status 0 when every mutant is caught, 1 when one survives, 2 for a bad
+option, an `old` text that is not in its file exactly once, or tests that fail without any mutant.
+"""
+
+from __future__ import annotations
+
+import argparse
+import compileall
+import json
+import os
+import py_compile
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass
+from hashlib import sha256
+from pathlib import Path
+from queue import SimpleQueue
+
+from surctl.errors import InputError
+from surctl.files import Strict, load_model
+
+ROOT = Path(__file__).resolve().parents[2]
+CONFIG = Path(__file__).with_name("mutants.toml")
+COPIED = ("surctl", "tests", "pyproject.toml")
+KNOWN = Path("surctl-out") / "mutants.jsonl"
+OWN_CACHE = "surctl/ir/"  # what these files compile wrongly must not be found by the others
+
+
+class Mutant(Strict):
+    """One wrong place.
+
+    Attributes:
+        id: its name.
+        room: what it belongs to.
+        file: where it is.
+        changes: what is wrong, in words.
+        old: text that is in the file exactly once.
+        new: what stands there instead.
+        tests: files or node ids, at least one of which must fail.
+        quick: whether it is one of the handful.
+    """
+
+    id: str
+    room: str
+    file: str
+    changes: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+    quick: bool = False
+
+    def source(self) -> str:
+        """The file with the mutant in it; ValueError where `old` is not in it exactly once."""
+        path = ROOT / self.file
+        text = path.read_text(encoding="utf-8") if path.is_file() else ""
+        if (count := text.count(self.old)) != 1 or self.old == self.new:
+            raise ValueError(f"{self.id}: its old text is {count} times in {self.file}, must be there once, and change")
+        return text.replace(self.old, self.new)
+
+    def digest(self) -> str:
+        """Of the mutated source and of the tests."""
+        files = sorted({test.partition("::")[0] for test in self.tests})
+        parts = [self.file, self.source(), *self.tests, *((ROOT / f).read_text(encoding="utf-8") for f in files)]
+        return sha256("\0".join(parts).encode()).hexdigest()
+
+
+class Config(Strict):
+    """What mutants.toml holds.
+
+    Attributes:
+        patience: [s] after which the tests of a mutant are stopped; it then counts as a survivor.
+        mutant: all of them.
+    """
+
+    patience: float
+    mutant: tuple[Mutant, ...]
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of a mutant.
+
+    Attributes:
+        id, digest: of the mutant.
+        status: of pytest; None where it took too long.
+        failed: the first test that failed.
+        seconds: of processor time.
+    """
+
+    id: str
+    digest: str
+    status: int | None
+    failed: str
+    seconds: float
+
+    @property
+    def caught(self) -> bool:
+        """Whether tests failed; an error of pytest itself is none."""
+        return self.status == 1
+
+
+@contextmanager
+def copy() -> Iterator[Path]:
+    """A folder with the package and its tests.
+
+    Bytecode in it is valid for one source by that source's hash, so that a mutant is never hidden by it.
+    """
+    with tempfile.TemporaryDirectory(prefix="surctl-mutants-") as name:
+        folder = Path(name)
+        for what in COPIED:
+            if (ROOT / what).is_dir():
+                shutil.copytree(ROOT / what, folder / what, ignore=shutil.ignore_patterns("__pycache__"))
+            else:
+                shutil.copy(ROOT / what, folder / what)
+        hashed = py_compile.PycInvalidationMode.CHECKED_HASH
+        compileall.compile_dir(folder / "surctl", quiet=2, invalidation_mode=hashed)
+        yield folder
+
+
+def tested(folder: Path, tests: Sequence[str], patience: float, cache: Path) -> tuple[int | None, str, float]:
+    """(status of pytest or None, its output, processor time [s])."""
+    words = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+    environment |= {
+        "PYTHONPATH": str(folder),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "PYTHONHASHSEED": "0",
+        "SURCTL_CACHE": str(cache),
+        "OPENBLAS_NUM_THREADS": "1",
+    }
+    environment.pop("PYTHONPYCACHEPREFIX", None)
+    with tempfile.TemporaryFile() as said:
+        process = subprocess.Popen(
+            [*words, "-o", "addopts=", *tests],
+            cwd=folder,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=said,
+            stderr=said,
+            start_new_session=True,
+        )
+        end, late = time.monotonic() + patience, False
+        while True:
+            done, how, used = os.wait4(process.pid, os.WNOHANG)
+            if done:
+                break
+            if not late and time.monotonic() > end:
+                late = True
+                os.killpg(process.pid, signal.SIGKILL)
+            time.sleep(0.02)
+        process.returncode = os.waitstatus_to_exitcode(how)
+        said.seek(0)
+        text = said.read().decode("utf-8", "replace")
+    return None if late else process.returncode, text, used.ru_utime + used.ru_stime
+
+
+def first_failure(text: str) -> str:
+    """The test that pytest says has failed, without its parameters."""
+    lines = [line for line in text.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+    return lines[0].split(" ", 1)[1].partition(" - ")[0].partition("[")[0] if lines else ""
+
+
+def tried(mutant: Mutant, digest: str, folder: Path, patience: float) -> Result:
+    """A mutant put into a copy, tested, and taken out again."""
+    place = folder / mutant.file
+    whole = place.read_text(encoding="utf-8")
+    place.write_text(mutant.source(), encoding="utf-8")
+    with ExitStack() as stack:
+        stack.callback(place.write_text, whole, encoding="utf-8")
+        cache = folder / "cache"
+        if mutant.file.startswith(OWN_CACHE):
+            cache = Path(stack.enter_context(tempfile.TemporaryDirectory(dir=folder)))
+        status, text, seconds = tested(folder, mutant.tests, patience, cache)
+    return Result(mutant.id, digest, status, first_failure(text), round(seconds, 1))
+
+
+def sound(mutants: Sequence[Mutant], folder: Path, patience: float) -> tuple[str, float]:
+    """(What the tests of the mutants say without any of them, empty when they pass; processor time [s])."""
+    tests = sorted({test for mutant in mutants for test in mutant.tests})
+    status, text, seconds = tested(folder, tests, patience * len(tests), folder / "cache")
+    return "" if status == 0 else text[-3000:] or f"status {status}", seconds
+
+
+def known(file: Path | None) -> dict[str, Result]:
+    """Results of earlier runs by digest; a line that was not finished is none."""
+    if file is None or not file.is_file():
+        return {}
+    found = {}
+    for line in file.read_text(encoding="utf-8").splitlines():
+        try:
+            result = Result(**json.loads(line))
+        except (ValueError, TypeError):
+            continue
+        found[result.digest] = result
+    return found
+
+
+def run(
+    mutants: Sequence[Mutant], patience: float, *, workers: int, out: Path | None, say: Callable[[str], object]
+) -> list[Result]:
+    """Results of the mutants, in their order; RuntimeError where tests fail without a mutant."""
+    results, digests = known(out), [mutant.digest() for mutant in mutants]
+    waiting = [(m, digest) for m, digest in zip(mutants, digests, strict=True) if digest not in results]
+    if not waiting:
+        return [results[digest] for digest in digests]
+    with ExitStack() as stack:
+        folders: SimpleQueue[Path] = SimpleQueue()
+        first = stack.enter_context(copy())
+        failure, seconds = sound([mutant for mutant, _ in waiting], first, patience)
+        if failure:
+            raise RuntimeError(f"the tests fail without a mutant:\n{failure}")
+        say(f"without a mutant: passed, {seconds:.1f} s")
+        for folder in [first, *(stack.enter_context(copy()) for _ in range(min(workers, len(waiting)) - 1))]:
+            folders.put(folder)
+
+        def one(asked: tuple[Mutant, str]) -> Result:
+            folder = folders.get()
+            try:
+                return tried(*asked, folder, patience)
+            finally:
+                folders.put(folder)
+
+        with ThreadPoolExecutor(workers) as pool:
+            for result in pool.map(one, waiting):
+                results[result.digest] = result
+                say(f"{result.id}: {'caught' if result.caught else 'survived'}, {result.seconds:.1f} s")
+                if out is not None:
+                    out.parent.mkdir(parents=True, exist_ok=True)
+                    with out.open("a", encoding="utf-8") as file:
+                        print(json.dumps(asdict(result)), file=file)
+    return [results[digest] for digest in digests]
+
+
+def told(mutants: Sequence[Mutant], results: Sequence[Result]) -> str:
+    """The tables."""
+    rooms: dict[str, list[bool]] = {}
+    rows = []
+    for mutant, result in zip(mutants, results, strict=True):
+        rooms.setdefault(mutant.room, []).append(result.caught)
+        ended = "took too long" if result.status is None else f"pytest ended with {result.status}"
+        noticed = f"`{result.failed.removeprefix('tests/')}`" if result.caught else f"**survives**: {ended}"
+        place = mutant.file.removeprefix("surctl/")
+        rows.append(f"| `{mutant.id}` | {place} | {mutant.changes} | {noticed.replace('|', '∣')} |")
+    caught, seconds = sum(r.caught for r in results), sum(r.seconds for r in results)
+    lines = [f"{caught} of {len(results)} mutants are caught, in {seconds:.0f} s of processor time.", ""]
+    lines += ["| room | mutants | caught |", "|---|---|---|"]
+    lines += [f"| {room} | {len(which)} | {sum(which)} |" for room, which in rooms.items()]
+    lines += ["", "| mutant | file | what is wrong | noticed first by |", "|---|---|---|---|", *rows]
+    return "\n".join(lines)
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Print the study."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="a handful of mutants, anew")
+    parser.add_argument("--only", action="append", metavar="ID", help="this mutant, anew; several times for several")
+    parser.add_argument("--workers", type=int, default=1, help="copies that are tested at once")
+    parser.add_argument("--out", type=Path, metavar="FILE", help=f"of results as they come; {KNOWN} if all run")
+    parser.add_argument("--write", action="store_true", help="write README.md beside this file")
+    given = parser.parse_args(words)
+    try:
+        config = load_model(CONFIG, Config)
+        mutants = [m for m in config.mutant if (not given.quick or m.quick) and (not given.only or m.id in given.only)]
+        if unknown := set(given.only or ()) - {m.id for m in mutants}:
+            parser.error(f"--only: {', '.join(sorted(unknown))}: not among the mutants")
+        if given.workers < 1:
+            parser.error(f"--workers: {given.workers}: at least 1")
+        if given.write and len(mutants) < len(config.mutant):
+            parser.error("--write: is of all mutants; drop --quick and --only")
+        out = given.out or (None if given.quick or given.only else KNOWN)
+        results = run(
+            mutants, config.patience, workers=given.workers, out=out, say=lambda line: print(line, file=sys.stderr)
+        )
+    except (InputError, ValueError, RuntimeError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    text = told(mutants, results)
+    print(text)
+    if given.write:
+        folder = Path(__file__).parent
+        about = folder.joinpath("about.md").read_text(encoding="utf-8")
+        folder.joinpath("README.md").write_text(f"{about}\n{text}\n", encoding="utf-8")
+    return 0 if all(result.caught for result in results) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
