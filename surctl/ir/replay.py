@@ -101,9 +101,11 @@ def _run_loop(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
 
 def _run_at_once(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
     """A loop whose turns do not depend on one another, the turns as a further axis of the batch."""
-    index: list[Value] = [np.arange(loop.count, dtype=real)[:, None]] if loop.index else []
+    numbers: Value = np.array([[turn] for turn in range(loop.count)], dtype=real)
     tables = [_rows(scope[name], loop.count) for name in (*loop.sliced, *loop.spread)]
-    made = _run(loop.block, [*index, *tables, *(scope[name][..., None, :] for name in loop.fixed)], real)
+    made = _run(
+        loop.block, [*[numbers] * loop.index, *tables, *(scope[name][..., None, :] for name in loop.fixed)], real
+    )
     full = [part if part.ndim > 1 else part[None] for part in made]  # a body without inputs
     shapes = [(*part.shape[:-2], loop.count, part.shape[-1]) for part in full]
     return [np.broadcast_to(y, s).reshape(*s[:-2], -1) for y, s in zip(full, shapes, strict=True)]
