@@ -110,7 +110,8 @@ def test_what_it_takes_in_float_and_that_the_readme_counts_all_but_numbers_on_th
         stack = stack_of(text, f"{name}_step", flags=("-Os", "-Wno-error"))
     except ToolMissing as missing:
         pytest.skip(str(missing))
-    assert 4 * arrays <= stack <= 4 * arrays + 4096
+    # deepest is the decision, whose 4.7 kB are all numbers on their way, below the senses put into its caller
+    assert 4 * arrays <= stack <= 4 * arrays + 4608
     assert 4 * (state + structs) + stack <= 1024 * (34 if law.mode == "projected" else 32)
 
 
