@@ -17,7 +17,7 @@ import casadi as ca
 from surctl.control.beams import SILENT, Around, beams, corrected, expected, honest
 from surctl.control.ports import PARAMETERS, SECTORS
 from surctl.errors import InputError
-from surctl.ir import Block, Call, Layout, Port, Program, Recording, Routine, lower, without_libm
+from surctl.ir import Block, Call, Layout, Port, Program, Recording, Routine, each, lower, without_libm
 from surctl.sensing import Equipment, LocalMap, MoverTracker, OwnStateFilter, RangeTracker
 from surctl.sensing.local_map import READING, RING
 from surctl.vehicle import planar_rotation
@@ -304,43 +304,41 @@ class _Builder:
         doubt = 3 * ca.fmax(ca.fmin(own.position_sd, _PLACED_SD) - _MARGIN_SD, 0)
         return Around(own.eta, own.nu, doubt, placed, movers), {**after, **own.state}
 
-    def _tell(self) -> Program:
+    def _tell(self) -> Block:
         chart = self._map
         p, known = PARAMETERS.symbols("p")
         flat, seen = self._seen.symbols("seen")
         marked, unknown = ca.SX.sym("marked", 3 * chart.sectors), ca.SX.sym("unknown", 3 * chart.sectors)
         position, edge = seen["eta"][:2], known["hull"] / CELLS_A_HULL
-        contacts = []
-        if self._movers:
-            rows = seen["movers"]
-            contacts = [
-                ca.if_else(rows[k, 5] > 0.5, rows[k, :] + ca.horzcat(0, 0, seen["doubt"], 0, 0, 0), 0)
-                for k in range(rows.shape[0])
-            ]
         every = ca.sum1(seen["heard"][:, 2]) > self.equipment.array.size - 0.5
         around = _AROUND_A_MARK * edge + seen["doubt"] + ca.if_else(every, 0, _UNHEARD)
-        blank = []
-        for k in range(chart.sectors):
-            at = marked[3 * k : 3 * k + 3]
-            row = ca.horzcat((position + at[:2]).T, around, 0, 0, 1)
-            contacts.append(ca.if_else(at[2] < _FAR, row, ca.SX.zeros(1, 6)))
-            at = unknown[3 * k : 3 * k + 3]
-            there = at[2] < _FAR
-            distance = ca.sqrt(ca.if_else(there, at[2], 1))
-            row = ca.horzcat((at[:2] / distance).T, distance - known["hull"] - RING * edge - seen["doubt"])
-            blank.append(ca.if_else(there, row, ca.DM([[0, 0, 100]])))
+
+        def mover(row: ca.SX) -> list[ca.SX]:
+            return [ca.if_else(row[5] > 0.5, row + ca.vertcat(0, 0, seen["doubt"], 0, 0, 0), 0)]
+
+        def sector(mark: ca.SX, blank: ca.SX) -> list[ca.SX]:
+            contact = ca.vertcat(position + mark[:2], around, 0, 0, 1)
+            there = blank[2] < _FAR
+            distance = ca.sqrt(ca.if_else(there, blank[2], 1))
+            room = ca.vertcat(blank[:2] / distance, distance - known["hull"] - RING * edge - seen["doubt"])
+            return [ca.if_else(mark[2] < _FAR, contact, 0), ca.if_else(there, room, ca.DM([0, 0, 100]))]
+
+        with Recording() as recording:
+            tables = (ca.reshape(flat, 3, chart.sectors).T for flat in (marked, unknown))
+            marks, blank = each("sector_ahead", sector, *tables)
+            contacts = [*(each("mover_ahead", mover, seen["movers"]) if self._movers else []), marks]
         values = {
             "eta": seen["eta"],
             "nu": seen["nu"],
             "contacts": ca.vertcat(*contacts),
-            "unknown": ca.vertcat(*blank),
+            "unknown": blank,
             "heard": seen["heard"],
             "placed": seen["placed"],
         }
         if "column" in seen:
             values["column"] = seen["column"]
         inputs = {"p": p, "seen": flat, "marked": marked, "unknown": unknown}
-        return _lowered("tell", inputs, {"told": self.told.join(values)})
+        return recording.block("tell", inputs, {"told": self.told.join(values)})
 
 
 def _least(values: ca.SX) -> ca.SX:

@@ -77,7 +77,7 @@ def c_literal(value: float, real: Real = "float64") -> str:
     Example:
         >>> from surctl.ir import c_literal
         >>> c_literal(0.25), c_literal(0.1), c_literal(0.1, "float32")
-        ('0.25', '0x1.999999999999ap-4', '0x1.99999a0000000p-4f')
+        ('0.25', '0x1.999999999999ap-4', '0x1.99999ap-4f')
     """
     if math.isnan(value):
         raise InputError("NaN has no C literal", remedy="find the expression that has no value")
@@ -89,7 +89,8 @@ def c_literal(value: float, real: Real = "float64") -> str:
     short = repr(value)
     if Decimal(short) == Decimal(value) and len(short) <= 12:
         return short + tail
-    return value.hex() + tail
+    mantissa, _, exponent = value.hex().partition("p")
+    return f"{mantissa.rstrip('0').rstrip('.')}p{exponent}{tail}"
 
 
 def emit_c99(program: Program, *, symbol: str, real: Real = "float64", moves: Sequence[Move] = ()) -> str:

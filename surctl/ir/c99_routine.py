@@ -17,6 +17,13 @@ from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 __all__ = ["emit_block"]
 
 _FEW = 8  # numbers that a compiler keeps in registers
+_LARGE = 32  # numbers in a routine's own arrays from which they are not to stay on the stack of its caller
+_APART = """#if defined(__GNUC__)
+#define APART __attribute__((noinline)) /* its arrays leave the stack when it ends */
+#else
+#define APART
+#endif
+"""
 _TARGET = re.compile(r"\b\w+\[[^\]]*\] = ")
 
 
@@ -79,6 +86,8 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: boo
                     writer.lanes(step)
         if inner is block or isinstance(inner, Routine) or id(inner) in alone:
             writer.block(inner, last=inner is block)
+    if any(chunk.partition("\n")[2].startswith("APART ") for chunk in writer.chunks):
+        writer.chunks.insert(1, _APART)
     return "\n".join(writer.chunks)
 
 
@@ -122,11 +131,11 @@ class _Writer:
     def _program(self, program: Program, name: str, *, last: bool) -> str:
         apart = not last and program.digest() not in self.overlapping
         if self.folded:
-            moves = handed_on(program) if apart else ()
+            moves = handed_on(program, strided=True) if apart else ()
             return emit_folded(program, symbol=name, real=self.real, moves=moves, apart=apart)
         if chooses(program) and not last:
             return emit_straight(program, symbol=name, real=self.real)
-        return emit_c99(program, symbol=name, real=self.real, moves=handed_on(program) if apart else ())
+        return emit_c99(program, symbol=name, real=self.real, moves=handed_on(program, strided=True) if apart else ())
 
     def lanes(self, loop: Loop) -> None:
         """Write the body of a loop over lanes."""
@@ -175,8 +184,14 @@ def _routine(routine: Routine, symbol: str, writer: _Writer) -> str:
     local = {name: pointers.get(place, place[0]) for name, place in places.of.items()}
     meaning = ", ".join(f"{local[name]}: {identifier(name)} {size}" for name, size in sizes.items())
     alias = "".join(f"; out{k} may be in{j}" for k, j in sorted(overlaps))
-    lines = [f"/* {meaning}{alias} */", f"static void {symbol}({', '.join(arguments)})", "{"]
-    lines += [f"    {writer.kind} {array}[{size}];" for array, size in places.own.items()]
+    starts, shared = places.pool
+    apart = "APART " if writer.folded and shared >= _LARGE and symbol != writer.symbol else ""
+    lines = [f"/* {meaning}{alias} */", f"{apart}static void {symbol}({', '.join(arguments)})", "{"]
+    if shared < sum(places.own.values()):
+        lines.append(f"    {writer.kind} pool[{shared}];")
+        lines += [f"    {writer.kind} *const {array} = pool + {start};" for array, start in starts.items()]
+    else:
+        lines += [f"    {writer.kind} {array}[{size}];" for array, size in places.own.items()]
     for (base, start), name in pointers.items():
         kind = f"const {writer.kind}" if base.startswith("in") else writer.kind
         lines.append(f"    {kind} *const {name} = {base} + {start};")
@@ -185,9 +200,7 @@ def _routine(routine: Routine, symbol: str, writer: _Writer) -> str:
         body += (
             _moved(step, places) if inlined(step) else _step(step, sizes, local, writer, _stays(step, places, overlaps))
         )
-    for k, j in sorted(
-        overlaps
-    ):  # a loop that carries an array through a routine passes it as both: nothing to copy then
+    for k, j in sorted(overlaps):  # a loop that carries an array passes it as both: nothing to copy then
         copied = _copy(f"out{k}", f"in{j}", sizes[routine.results[k]])
         if sizes[routine.results[k]] > _FEW and copied in body:
             body[body.index(copied)] = f"    if (out{k} != in{j}) {{\n{indent(copied, '    ')}\n    }}"

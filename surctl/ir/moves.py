@@ -10,23 +10,34 @@ from surctl.ir.program import Instruction, Program, drop_dead
 __all__ = ["Move", "copy_loop", "entry", "handed_on", "move_lines", "only_moves", "remaining"]
 
 _FEW = 8  # pieces up to which a program of nothing but moves is written where it is called
-_LEAST = 32  # entries, from which on one call that copies is shorter than a line an entry
+_LEAST = 8  # entries, from which on a loop that copies is shorter than a line an entry
 
 
 @dataclass(frozen=True)
 class Move:
-    """Entries `to` … `to` + `count` − 1 of an output are entries from `start` on of an input."""
+    """Every `to_step`-th entry of an output from `to` on is the next `step`-th one of an input from `start` on."""
 
     output: int
     to: int
     input: int
     start: int
     count: int
+    to_step: int = 1
+    step: int = 1
+
+    @property
+    def entries(self) -> range:
+        """Of the output."""
+        return range(self.to, self.to + self.to_step * self.count, self.to_step)
 
 
-def handed_on(program: Program) -> tuple[Move, ...]:
-    """Every piece of at least 32 entries, in the order of the outputs."""
-    return tuple(move for output in range(len(program.outputs)) for move in _of(program, output))
+def handed_on(program: Program, *, strided: bool = False) -> tuple[Move, ...]:
+    """Every piece of at least 8 entries, by output; with `strided` also what is spread or gathered."""
+    return tuple(
+        move
+        for output in range(len(program.outputs))
+        for move in (_strided(program, output) if strided else _of(program, output))
+    )
 
 
 def only_moves(program: Program) -> tuple[Move, ...]:
@@ -53,11 +64,40 @@ def _of(program: Program, output: int, least: int = _LEAST) -> Iterator[Move]:
         at += count
 
 
+def _strided(program: Program, output: int) -> Iterator[Move]:
+    """The pieces of an output, each as long as it can be with a step of 1 on one of the two sides."""
+    loads = {
+        at: i.args
+        for at, ref in enumerate(program.output_refs[output])
+        if (i := program.instructions[ref]).op == "input"
+    }
+    where: dict[tuple[int, ...], list[int]] = {}
+    for at, args in loads.items():
+        where.setdefault(args, []).append(at)
+    free = set(loads)
+    for at in loads:
+        if at not in free:
+            continue
+        which, start = loads[at]
+        steps = {(1, loads[at + 1][1] - start)} if at + 1 in free and loads[at + 1][0] == which else set()
+        steps |= {(other - at, 1) for other in where.get((which, start + 1), ()) if other > at and other in free}
+        best = Move(output, at, which, start, 1)
+        for to_step, step in sorted(steps):
+            count = 1
+            while at + to_step * count in free and loads[at + to_step * count] == (which, start + step * count):
+                count += 1
+            if count > best.count:
+                best = Move(output, at, which, start, count, to_step, step)
+        if best.count >= _LEAST:
+            free -= set(best.entries)
+            yield best
+
+
 def remaining(
     program: Program, moves: Sequence[Move]
 ) -> tuple[tuple[Instruction, ...], tuple[tuple[int, int, int], ...]]:
     """What is left to do beside the moves: the instructions, and (output, entry, position of its value) in order."""
-    moved = {(m.output, e) for m in moves for e in range(m.to, m.to + m.count)}
+    moved = {(m.output, e) for m in moves for e in m.entries}
     stored = [(k, e) for k, refs in enumerate(program.output_refs) for e in range(len(refs)) if (k, e) not in moved]
     refs: list[tuple[int, ...]] = [(program.output_refs[k][e],) for k, e in stored]
     instructions, kept = drop_dead(list(program.instructions), refs)
@@ -66,12 +106,15 @@ def remaining(
 
 def move_lines(moves: Sequence[Move]) -> list[str]:
     """C99 of the moves, for outputs that are no inputs."""
-    return [copy_loop(entry(f"out{m.output}", m.to), entry(f"in{m.input}", m.start), m.count) for m in moves]
+    return [
+        copy_loop(entry(f"out{m.output}", m.to, m.to_step), entry(f"in{m.input}", m.start, m.step), m.count)
+        for m in moves
+    ]
 
 
-def entry(array: str, first: int) -> str:
+def entry(array: str, first: int, step: int = 1) -> str:
     """C text of an entry's beginning, to which the counter and ] are added."""
-    return f"{array}[{first} + " if first else f"{array}["
+    return "".join([array, "[", f"{first} + " if first else "", f"{step} * " if step != 1 else ""])
 
 
 def copy_loop(to: str, source: str, count: int) -> str:

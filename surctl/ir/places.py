@@ -5,7 +5,8 @@ Every array is written once, by one step, so a copy is needed only where somethi
 - a piece that a program of nothing but moves takes out of an array is a pointer into it;
 - what such a program joins is written where it will stand;
 - a result of the routine is written into its output, from the first number on;
-- a loop changes what it carries in place when nothing reads the array, or a piece of it, afterwards.
+- a loop changes what it carries in place when nothing reads the array, or a piece of it, afterwards;
+- arrays that are never needed at the same time share their memory.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from surctl.ir.moves import Move, only_moves
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 
-__all__ = ["Places", "inlined", "memory", "overlapping", "reads", "taken_over"]
+__all__ = ["Places", "inlined", "memory", "overlaid", "overlapping", "reads", "taken_over"]
 
 Overlaps = Mapping[str, frozenset[tuple[int, int]]]
 """Digest of a block → (output, input) that somebody passes as one array."""
@@ -107,6 +108,21 @@ class Places:
         """Arrays of its own with their sizes."""
         found = {self.of[name][0]: self.sizes[name] for name in self.sizes if self.of[name] == (self._own(name), 0)}
         return found | {f"held{k}": self.sizes[self.routine.results[k]] for k in self.held}
+
+    @cached_property
+    def pool(self) -> tuple[dict[str, int], int]:
+        """First entry of each array of its own in memory that they share, and the size of that."""
+        lives: dict[str, tuple[int, int, int]] = {}
+        end = len(self.routine.steps)
+        last = dict.fromkeys(self.routine.results, end)
+        for at, step in enumerate(self.routine.steps):
+            for name in (*reads(step), *writes(step)):
+                array = self.of[name][0]
+                if array in self.own:
+                    first = lives[array][1] if array in lives else at
+                    lives[array] = self.own[array], first, max(at, last.get(name, 0), lives.get(array, (0, 0, 0))[2])
+        lives |= {array: (size, 0, end) for array, size in self.own.items() if array not in lives}
+        return overlaid(lives)
 
     @cached_property
     def held(self) -> tuple[int, ...]:
@@ -212,6 +228,29 @@ class Places:
         return False
 
 
+def overlaid(lives: Mapping[str, tuple[int, int, int]]) -> tuple[dict[str, int], int]:
+    """Where arrays stand in one piece of memory, and its size: those that live at the same time stand apart.
+
+    Args:
+        lives: for each array its size, and the first and the last step that needs it.
+    """
+    starts: dict[str, int] = {}
+    # the large ones first: the small ones fit in between
+    for array, (size, first, last) in sorted(lives.items(), key=lambda entry: -entry[1][0]):
+        taken = sorted(
+            (starts[other], starts[other] + lives[other][0])
+            for other in starts
+            if lives[other][1] <= last and first <= lives[other][2]
+        )
+        at = 0
+        for begin, end in taken:
+            if begin - at >= size:
+                break
+            at = max(at, end)
+        starts[array] = at
+    return starts, max((starts[array] + lives[array][0] for array in starts), default=0)
+
+
 def memory(block: Block) -> int:
     """Numbers in the arrays along the deepest chain of calls: inputs, outputs, and the routines' own arrays.
 
@@ -234,7 +273,7 @@ def memory(block: Block) -> int:
 def _deepest(block: Block, overlaps: Overlaps) -> int:
     if not isinstance(block, Routine):
         return 0
-    own = sum(Places(block, overlaps.get(block.digest(), frozenset())).own.values())
+    own = Places(block, overlaps.get(block.digest(), frozenset())).pool[1]
     turns = max((step.lanes for step in block.steps if isinstance(step, Loop) and step.index), default=0)
     called = [step.block for step in block.steps if not isinstance(step, Gather)]
     return own + turns + max((_deepest(inner, overlaps) for inner in called), default=0)
