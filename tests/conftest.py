@@ -6,11 +6,14 @@ ten times the work.
 """
 
 import os
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+from tests import processes
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy and SciPy are loaded, here and in what is started
 
@@ -18,6 +21,7 @@ settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
 
 HERE = Path(__file__).parent
+SPENT = "processor time [s]"
 
 # files and rooms; elsewhere compiling is what takes the time
 MANY_RUNS = ("cli/test_tune.py", "simulation/test_closed_loop.py", "simulation/test_depth_escape.py", "tuning")
@@ -37,6 +41,40 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     missing = [str(path) for path in first if not path.is_file()]
     assert not missing, f"LONG names files that are not there: {missing}"
     items.sort(key=lambda item: first.get(item.path, len(first)))
+
+
+def _processor_time() -> float:
+    """Of this process and of all that it started [s]."""
+    return sum(os.times()[:4]) + sum(processes.spent)
+
+
+_phase_began = _processor_time()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Each phase of a test says what processor time it took."""
+    global _phase_began
+    report = yield
+    now = _processor_time()
+    report.user_properties.append((SPENT, now - _phase_began))
+    _phase_began = now
+    return report
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """The budget: the files that took most, and all of them."""
+    spent: Counter[str] = Counter()
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            if isinstance(report, pytest.TestReport):
+                # a phase's report has the properties of those before it
+                spent[report.location[0]] += [s for name, s in report.user_properties if name == SPENT][-1]
+    if len(spent) > 1:
+        terminalreporter.section("processor time")
+        for file, seconds in spent.most_common(10):
+            terminalreporter.line(f"{seconds:7.1f} s  {file}")
+        terminalreporter.line(f"{sum(spent.values()) / 60:7.1f} min in {len(spent)} files")
 
 
 @pytest.fixture(autouse=True, scope="module")
