@@ -179,12 +179,13 @@ class RangeTracker:
         """
         ports, taken = self.ports(), self.array.samples
         old = {p.name: state[prefix + p.name] for p in ports}
-        columns = {n: [v[:, j] for j in range(v.shape[1])] if v.shape[1] > 1 else v for n, v in old.items()}
+        wide = {p.name for p in ports if len(p.shape) == 2}  # what the rules take as a list of columns
+        columns = {n: ca.horzsplit(v) if n in wide else v for n, v in old.items()}
         beside = others(SYMBOLS, self.rules(), columns, [samples[:, j] for j in range(taken)], fresh)
 
         def sensor(before: ca.SX, given: ca.SX, around: ca.SX) -> tuple[ca.SX, ca.SX]:
             own = Layout(tuple(replace(p, shape=p.shape[1:] or (1,)) for p in ports)).split(before)
-            kept = {n: ca.vertsplit(v) if v.numel() > 1 else v for n, v in own.items()}
+            kept = {n: ca.vertsplit(v) if n in wide else v for n, v in own.items()}
             compared = [(around[3 * k], around[3 * k + 1], around[3 * k + 2]) for k in range(len(beside))]
             fired, own_motion, walls = ca.vertsplit(given[taken:])
             seen = Seen(ca.vertsplit(given[:taken]), fired, own_motion, walls, turn, compared)

@@ -155,22 +155,22 @@ def test_what_a_loop_carries_is_its_result_in_one_array() -> None:
 def test_the_compiler_keeps_the_arrays_that_memory_counts_and_little_more(real: Real) -> None:
     """At most 256 bytes beside the arrays: addresses that are saved, and numbers on their way, in three functions."""
     need_compiler()
-    # a loop over it, or the compiler would keep no array of what is read entry by entry
-    added = moved("added", [300, 100], lambda x, w: [x + w[0] * w[99]])
     inner = Routine(
         "inner",
         (("x", 300),),
-        (Call(mixed("m", 300, 500), ("x",), ("w",)), Loop(added, 5, ("x",), ("y",), sliced=("w",))),
+        (Call(mixed("m", 300, 500), ("x",), ("w",)), Call(mixed("n", 500, 300), ("w",), ("y",))),
         ("y",),
     )
     steps = (Call(inner, ("x",), ("p",)), Loop(inner, 4, ("p",), ("q",)), Call(SUM, ("p", "q"), ("y",)))
     outer = Routine("outer", (("x", 300),), steps, ("y",))
-    own = 4 * (1 + (real == "float64")) * (memory(outer) - 300 - 300)
+    number = 4 * (1 + (real == "float64"))
+    own, between = number * (memory(outer) - 300 - 300), number * 500
     try:
         told = stack_bytes(outer, real=real)
     except ToolMissing as missing:
         pytest.skip(str(missing))
-    assert own > 3000 and own <= told <= own + 256
+    # of what only goes from one call to the next the compiler may make registers
+    assert own > 3000 and own - between <= told <= own + 256
 
 
 def stays(how: str) -> Routine:
