@@ -182,7 +182,9 @@ def _routine(routine: Routine, symbol: str, writer: _Writer) -> str:
     # local arrays are numbered, so that no name from outside reaches the C text unchecked
     pointers = {place: f"a{k}" for k, place in reversed(list(enumerate(places.of.values()))) if place[1]}
     local = {name: pointers.get(place, place[0]) for name, place in places.of.items()}
-    meaning = ", ".join(f"{local[name]}: {identifier(name)} {size}" for name, size in sizes.items())
+    named = [(f"in{k}", name) for k, (name, _) in enumerate(routine.inputs)]
+    named += [(f"out{k}", name) for k, name in enumerate(routine.results)]
+    meaning = ", ".join(f"{argument}: {identifier(name)} {sizes[name]}" for argument, name in named)
     alias = "".join(f"; out{k} may be in{j}" for k, j in sorted(overlaps))
     starts, shared = places.pool
     apart = "APART " if writer.folded and shared >= _LARGE and symbol != writer.symbol else ""

@@ -10,7 +10,8 @@ from surctl.ir.program import Instruction, Program, drop_dead
 __all__ = ["Move", "copy_loop", "entry", "handed_on", "move_lines", "only_moves", "remaining"]
 
 _FEW = 8  # pieces up to which a program of nothing but moves is written where it is called
-_LEAST = 8  # entries, from which on a loop that copies is shorter than a line an entry
+_LEAST = 8  # entries, from which on one call that copies is shorter than a line an entry
+_LEAST_LOOP = 4  # likewise a loop
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Move:
 
 
 def handed_on(program: Program, *, strided: bool = False) -> tuple[Move, ...]:
-    """Every piece of at least 8 entries, by output; with `strided` also what is spread or gathered."""
+    """Every piece of at least 8 entries, by output; with `strided` of 4, and also what is spread or gathered."""
     return tuple(
         move
         for output in range(len(program.outputs))
@@ -88,7 +89,7 @@ def _strided(program: Program, output: int) -> Iterator[Move]:
                 count += 1
             if count > best.count:
                 best = Move(output, at, which, start, count, to_step, step)
-        if best.count >= _LEAST:
+        if best.count >= _LEAST_LOOP:
             free -= set(best.entries)
             yield best
 
