@@ -22,7 +22,8 @@ import casadi as ca
 
 from surctl.errors import InputError
 from surctl.ir.lowering import lower
-from surctl.ir.regions import Traced, routine
+from surctl.ir.nesting import routine
+from surctl.ir.regions import Traced
 from surctl.ir.routine import Block
 
 __all__ = ["Recording", "each", "fold", "only_if", "repeat", "tabulated"]

@@ -1,0 +1,275 @@
+"""From instructions by region to nested routines: programs between the loops of a body, and arrays that cross between them.
+
+Inside one loop body the inner loops part the instructions into programs. Numbers cross from one to the other in arrays:
+an array that several loops read is put together once, and handed down whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from surctl.ir.numbering import Numbering
+from surctl.ir.program import Program, drop_dead
+from surctl.ir.regions import ROOT, Key, Regions, Traced, postorder
+from surctl.ir.routine import Block, Call, Loop, Routine, Step
+
+__all__ = ["routine"]
+
+
+def routine(name: str, program: Program, inputs: int, outputs: Mapping[str, Key], loops: Sequence[Traced]) -> Block:
+    """The list as a routine with loops.
+
+    Args:
+        name: of the routine.
+        program: the list; its first `inputs` inputs are the routine's, the others stand for what loops hold.
+        inputs: see `program`.
+        outputs: positions of the outputs' entries.
+        loops: in the order in which they were traced: what a loop needs stands before it.
+    """
+    regions = Regions(program, inputs, outputs, loops)
+    return _Emitter(regions, name, outputs).root()
+
+
+@dataclass(frozen=True)
+class _Taken:
+    """Arrays that a loop takes: with its state, to run over, and for every turn."""
+
+    state: tuple[Key, ...]
+    tables: tuple[Key, ...]
+    fixed: tuple[Key, ...]
+
+    @property
+    def all(self) -> tuple[Key, ...]:
+        return (*self.state, *self.tables, *self.fixed)
+
+
+class _Emitter:
+    """Blocks of the loops, innermost first."""
+
+    def __init__(self, regions: Regions, name: str, outputs: Mapping[str, Key]) -> None:
+        self.regions, self.name, self.outputs = regions, name, outputs
+        self.atoms = {i.args: v for v, i in enumerate(regions.code) if i.op == "input"}
+        self.taken: list[_Taken] = []
+        self.blocks: list[Block] = []
+        self._known: dict[str, Block] = {}
+        for k, loop in enumerate(regions.loops):
+            self.taken.append(_Taken(loop.state, loop.tables, tuple(self._fixed(k))))
+            self.blocks.append(self._body(k))
+
+    def root(self) -> Block:
+        """The whole."""
+        program = self.regions.program
+        inputs = [(name, self.entries(j)) for j, (name, _) in enumerate(program.inputs[: self.regions.inputs])]
+        sizes = dict(program.inputs)
+        return _Body(self, ROOT, self.name, inputs, sizes, self.outputs).block()
+
+    def entries(self, j: int) -> Key:
+        """The values of an input of the list; -1 where nobody needs one."""
+        return tuple(self.atoms.get((j, e), -1) for e in range(self.regions.program.inputs[j][1]))
+
+    def stacked(self, k: int) -> list[int]:
+        """Positions among what loop k stacks of what somebody needs."""
+        loop = self.regions.loops[k]
+        results = loop.results[len(loop.state) :]
+        return [at for at, j in enumerate(results) if any(v >= 0 for v in self.entries(j))]
+
+    def _body(self, k: int) -> Block:
+        loop, taken, sizes = self.regions.loops[k], self.taken[k], dict[str, int]()
+        held = len(loop.state)
+        inputs = [(f"s{at}" if at < held else f"t{at - held}", self.entries(j)) for at, j in enumerate(loop.own)]
+        inputs += [(f"f{at}", key) for at, key in enumerate(taken.fixed)]
+        sizes = {name: len(key) for name, key in inputs}
+        outputs = {f"n{at}": key for at, key in enumerate(loop.next)}
+        outputs |= {f"r{at}": loop.rows[at] for at in self.stacked(k)}
+        block = _Body(self, k, loop.name, inputs, sizes, outputs).block()
+        return self._known.setdefault(block.digest(), block)
+
+    def _fixed(self, k: int) -> Iterator[Key]:
+        """Arrays from outside that the body reads: whole ones for its loops, then single numbers by their region."""
+        regions = self.regions
+        through: dict[Key, None] = {}
+        single: dict[int, dict[int, None]] = {}
+
+        def needs(node: int) -> Iterator[int]:
+            if node < 0:
+                for key in self.taken[~node].all:
+                    if regions.deepest(key) == k:
+                        yield from key
+                    else:
+                        through[key] = None
+            elif regions.is_constant(node):
+                return
+            elif regions.of(node) != k:
+                single.setdefault(regions.of(node), {})[node] = None
+            elif (made := regions.loop_of(node)) is not None:
+                yield ~made
+            elif regions.code[node].op != "input":
+                yield from regions.code[node].args
+
+        loop = regions.loops[k]
+        wanted = [*loop.next, *(loop.rows[at] for at in self.stacked(k))]
+        for _ in postorder([v for key in wanted for v in key], needs):
+            pass
+        yield from dict.fromkeys((*through, *(tuple(values) for values in single.values())))
+
+
+class _Body:
+    """One region as a program, or as a routine of programs and loops."""
+
+    def __init__(
+        self,
+        whole: _Emitter,
+        region: int,
+        name: str,
+        inputs: Sequence[tuple[str, Key]],
+        sizes: Mapping[str, int],
+        outputs: Mapping[str, Key],
+    ) -> None:
+        self.whole, self.regions, self.region, self.name = whole, whole.regions, region, name
+        self.inputs, self.sizes, self.outputs = inputs, dict(sizes), outputs
+        self.known = {key: array for array, key in inputs if -1 not in key}
+        self.place: dict[int, tuple[str, int]] = {}
+        for array, key in inputs:
+            for entry, value in enumerate(key):
+                if value >= 0:
+                    self.place.setdefault(value, (array, entry))
+        self.order = list(postorder([v for key in outputs.values() for v in key], self._needs))
+        self.stage: dict[int, int] = {}
+        self.packed: dict[Key, int] = {}
+        self._schedule()
+
+    def block(self) -> Block:
+        """Program or routine."""
+        if not any(node < 0 for node in self.order):
+            return self._program(self.name, 0, self.outputs)
+        steps: list[Step] = []
+        for at in range(self.last + 1):
+            loops = [~node for node in self.order if node < 0 and self.stage[node] == at]
+            arrays = {f"pack{n}": key for n, (key, when) in enumerate(self.packed.items()) if when == at}
+            kept = tuple(v for v in self.order if v in self.handed and self.stage[v] == at)
+            if kept:
+                arrays[f"later{at}"] = kept
+            what = f"{self.name}_before_{self.regions.loops[loops[0]].name}" if loops else f"{self.name}_end"
+            if at == self.last:
+                arrays |= {f"out_{name}": key for name, key in self.outputs.items()}
+            if arrays:
+                body = self._program(what, at, arrays)
+                steps.append(Call(body, tuple(name for name, _ in body.inputs), tuple(arrays)))
+            for array, key in arrays.items():
+                self.sizes[array] = len(key)
+                self.known.setdefault(key, array)
+                for entry, value in enumerate(key):
+                    if array.startswith("later"):
+                        self.place[value] = array, entry
+            steps += [self._loop(k) for k in loops]
+        inputs = tuple((name, self.sizes[name]) for name, _ in self.inputs)
+        return Routine(self.name, inputs, tuple(steps), tuple(f"out_{name}" for name in self.outputs))
+
+    def _needs(self, node: int) -> Iterator[int]:
+        if node < 0:
+            for key in self.whole.taken[~node].all:
+                if key not in self.known:
+                    yield from key
+        elif node in self.place or self.regions.is_constant(node):
+            return
+        elif (made := self.regions.loop_of(node)) is not None:
+            yield ~made
+        else:
+            yield from self.regions.code[node].args
+
+    def _schedule(self) -> None:
+        """The program in which each instruction runs, as late as it may; each loop as soon as it can."""
+        soon: dict[int, int] = {}
+        for node in self.order:
+            if node >= 0 and self.regions.loop_of(node) is not None and node not in self.place:
+                soon[node] = soon[~self._made(node)] + 1
+            else:
+                soon[node] = max((soon[need] for need in self._needs(node)), default=0)
+            if node < 0:
+                for key in self.whole.taken[~node].all:
+                    if key not in self.known and key not in self.packed and not self._whole_result(key):
+                        self.packed[key] = max((soon[v] for v in key), default=0)
+        last = max((soon[v] for key in self.outputs.values() for v in key), default=0)
+        users: dict[int, list[int]] = {}
+        for key, when in self.packed.items():
+            for value in key:
+                users.setdefault(value, []).append(when)
+        for key in self.outputs.values():
+            for value in key:
+                users.setdefault(value, []).append(last)
+        self.handed: set[int] = set()
+        for node in reversed(self.order):
+            if node < 0 or not self._is_operation(node):
+                self.stage[node] = soon[node]
+                continue
+            uses = users.get(node, [])
+            self.stage[node] = min(uses)
+            if max(uses) > self.stage[node]:
+                self.handed.add(node)
+            for argument in self.regions.code[node].args:
+                users.setdefault(argument, []).append(self.stage[node])
+        for node in self.order:
+            if node >= 0 and not self._is_operation(node):
+                self.stage[node] = 0  # a load, in any program
+        self.last = last
+
+    def _made(self, node: int) -> int:
+        made = self.regions.loop_of(node)
+        assert made is not None
+        return made
+
+    def _is_operation(self, node: int) -> bool:
+        return node not in self.place and self.regions.code[node].op not in ("input", "const")
+
+    def _whole_result(self, key: Key) -> bool:
+        """Whether the array is one that a loop gives."""
+        first = self.regions.code[key[0]] if key else None
+        return (
+            first is not None
+            and first.op == "input"
+            and first.args[0] in self.regions.maker
+            and self.whole.entries(first.args[0]) == key
+        )
+
+    def _loop(self, k: int) -> Loop:
+        loop, taken = self.regions.loops[k], self.whole.taken[k]
+        held = len(loop.state)
+        which = [*range(held), *(held + at for at in self.whole.stacked(k))]
+        results = []
+        for at in which:
+            key, name = self.whole.entries(loop.results[at]), f"{loop.name}{k}_{at}"
+            results.append(name)
+            self.sizes[name] = len(key)
+            if -1 not in key:
+                self.known[key] = name
+            for entry, value in enumerate(key):
+                if value >= 0:
+                    self.place[value] = name, entry
+        state, tables, fixed = (
+            tuple(self.known[key] for key in keys) for keys in (taken.state, taken.tables, taken.fixed)
+        )
+        return Loop(self.whole.blocks[k], loop.count, state, tuple(results), tables, fixed, until=loop.until)
+
+    def _program(self, name: str, stage: int, outputs: Mapping[str, Key]) -> Program:
+        code, at, arrays = Numbering(), dict[int, int](), dict[str, int]()
+        if not any(node < 0 for node in self.order):
+            arrays = {array: k for k, (array, _) in enumerate(self.inputs)}
+
+        def position(value: int) -> int:
+            if value in at:
+                return at[value]
+            if self.regions.is_constant(value):
+                return code.constant(float(self.regions.code[value].value or 0.0))
+            array, entry = self.place[value]
+            return code.add("input", (arrays.setdefault(array, len(arrays)), entry))
+
+        for value in self.order:
+            if value >= 0 and self.stage.get(value) == stage and self._is_operation(value):
+                instruction = self.regions.code[value]
+                at[value] = code.add(instruction.op, tuple([position(a) for a in instruction.args]))
+        refs = [tuple([position(v) for v in key]) for key in outputs.values()]
+        instructions, output_refs = drop_dead(code.instructions, refs)
+        sizes = tuple((array, self.sizes[array]) for array in arrays)
+        made = tuple((out, len(key)) for out, key in outputs.items())
+        return Program(name, sizes, made, instructions, output_refs)
