@@ -5,17 +5,17 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import NamedTuple, cast, get_args
+from typing import cast, get_args
 
 import casadi as ca
 
 from surctl.control.baselines import Situation
+from surctl.control.closing import CLIMB, Closing, Memory, yaw_limit
 from surctl.control.decision import DECISION_PORTS, Decision, Scan
 from surctl.control.echoes import perceive, perception_ports
 from surctl.control.law import (
     DEGRADED,
     DEPTH_PORT,
-    SATURATED,
     SWITCHED,
     TELEMETRY,
     TRAPPED,
@@ -31,7 +31,6 @@ from surctl.control.ports import (
     DEFAULT_ARRAY,
     PARAMETERS,
     SECTORS,
-    YAW_SHARE,
     law_inputs,
     scan_inputs,
     sonar_inputs,
@@ -43,12 +42,10 @@ from surctl.control.senses import Senses, build_senses
 from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
 from surctl.control.stored import law_bytes, law_from
 from surctl.control.trap import TRAP_PORTS, standing, trap_next
-from surctl.control.velocity import velocity_control
 from surctl.errors import InputError, SurctlError, nearest
 from surctl.guidance import FORMS, AvoidanceForm, Guidance, check_guidance
-from surctl.ir import Block, Layout, Port, Recording, cached_bytes, fold, source_digest, tabulated, without_libm
+from surctl.ir import Layout, Port, Recording, cached_bytes, fold, source_digest, tabulated, without_libm
 from surctl.priority import Ladder, Mode, check_ladder, nsb_symbolic
-from surctl.priority.solver.ladder import RELAXED
 from surctl.sensing import Equipment
 from surctl.tasks import LimitRow, VelocityBox
 
@@ -57,7 +54,6 @@ __all__ = ["MODES", "build_law"]
 DEFAULT_EQUIPMENT = Equipment()
 MODES: tuple[Mode, ...] = get_args(Mode)
 
-_CLIMB = 0.1  # [m/s] largest heave command
 _TICK_INPUTS = ("J", "wanted", "rows", "box")
 
 
@@ -272,12 +268,12 @@ def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, movi
             told["avoiding"] = ca.logic_or(told["avoiding"], ca.fabs(xs["layer"]) > 0)
         flags = SWITCHED * ca.logic_not(decision.state["side"] == xs["side"]) + DEGRADED * decision.degraded
         flags += TRAPPED * told.get("trapped", 0)
-        memory = _Memory(state.join(carried), outputs.join({**unknown, **told})[8:], flags)
+        memory = Memory(state.join(carried), outputs.join({**unknown, **told})[8:], flags)
 
     rows = _rows(decision, ps)
     levels = tuple((level.name, int(level.J.shape[0]), level.unit) for level in decision.levels)
     nsb = nsb_symbolic([(level.J, level.reference) for level in decision.levels], damping=DAMPING if lean else 0.0)
-    close = _Closing(state, outputs, u, us, p, ps, dt)
+    close = Closing(state, outputs, u, us, p, ps, dt)
     given = {"x": x, "u": u, "p": p}
     closed = recording.block("law", given, close.outputs_of(memory, nsb, ca.SX(0)))
     tick = dict(zip(_TICK_INPUTS, _tick_inputs(decision, rows, ps), strict=True))
@@ -308,7 +304,7 @@ def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, movi
 
 def _rows(decision: Decision, p: dict[str, ca.SX]) -> list[LimitRow]:
     """The velocity box, then the barriers."""
-    most = ca.vertcat(p["cap"], p["cap"], _CLIMB, _yaw_limit(p))
+    most = ca.vertcat(p["cap"], p["cap"], CLIMB, yaw_limit(p))
     return [*VelocityBox(-most, most).rows(), *(row for limit in decision.rows for row in limit.rows())]
 
 
@@ -342,73 +338,3 @@ def _state_layout(
             *perception_ports(dt, sonar=sonar),
         )
     )
-
-
-def _has_degraded(flags: ca.SX) -> ca.SX:
-    """Whether the bit `DEGRADED` is set; only `TRAPPED` is above it."""
-    return flags - TRAPPED * (flags >= TRAPPED) >= DEGRADED
-
-
-def _yaw_limit(p: dict[str, ca.SX]) -> ca.SX:
-    """Yaw rate [rad/s] that 85 % of the yaw thrust holds."""
-    moment, linear, quadratic = YAW_SHARE * p["thrust_limit"][3], p["linear_drag"][3], p["quadratic_drag"][3]
-    root = ca.sqrt(linear * linear + 4 * quadratic * moment)
-    # the form without a difference of near-equal numbers, and defined without quadratic drag
-    return 2 * moment / ca.fmax(linear + root, 1e-6)
-
-
-class _Memory(NamedTuple):
-    """What is known before the priority decision: next state but for the integral, telemetry after the wish, flags."""
-
-    carried: ca.SX
-    told: ca.SX
-    flags: ca.SX
-
-
-@dataclass(frozen=True)
-class _Closing:
-    """Last stage: limit the wanted velocity, velocity control, and put the outputs together."""
-
-    state: Layout
-    outputs: Layout
-    flat_u: ca.SX
-    u: dict[str, ca.SX]
-    flat_p: ca.SX
-    p: dict[str, ca.SX]
-    dt: float
-
-    def block(self) -> Block:
-        """(u, p, carried, told, flags, nu_wanted, rung) → (tau, x_next, status, telemetry)."""
-        sizes = (self.state.size, self.outputs.size - 8, 1)
-        memory = _Memory(*(ca.SX.sym(name, size) for name, size in zip(_Memory._fields, sizes, strict=True)))
-        wanted, rung = ca.SX.sym("nu_wanted", 4), ca.SX.sym("rung")
-        given = {"u": self.flat_u, "p": self.flat_p, **memory._asdict(), "nu_wanted": wanted, "rung": rung}
-        return Recording().block("post", given, self.outputs_of(memory, wanted, rung))
-
-    def outputs_of(self, memory: _Memory, nu_wanted: ca.SX, rung: ca.SX) -> dict[str, ca.SX]:
-        """tau, x_next, status, telemetry of a wanted velocity; rung of the priority tick, 0 if there was none."""
-        carried = self.state.split(memory.carried)
-        tau, integral, saturated, clamped = self._thrust(nu_wanted, carried["integral"])
-        opened = ca.logic_and(rung >= RELAXED, ca.logic_not(_has_degraded(memory.flags)))
-        status = memory.flags + SATURATED * saturated + DEGRADED * opened
-        return {
-            "tau": tau,
-            "x_next": self.state.join({**carried, "integral": integral}),
-            "status": status,
-            "telemetry": ca.vertcat(clamped, memory.told),
-        }
-
-    def _thrust(self, wanted: ca.SX, integral: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        p = self.p
-        speed = ca.sqrt(ca.sumsqr(wanted[:2]))
-        horizontal = wanted[:2] * ca.fmin(1, p["cap"] / ca.fmax(speed, 1e-6))
-        turn = _yaw_limit(p)
-        clamped = ca.vertcat(
-            horizontal,
-            ca.fmin(ca.fmax(wanted[2], -_CLIMB), _CLIMB),
-            ca.fmin(ca.fmax(wanted[3], -turn), turn),
-        )
-        tau, integral, saturated = velocity_control(
-            clamped, self.u["nu"], integral, p, k_v=p["k_v"], k_r=p["k_r"], k_i=p["k_i"], dt=self.dt
-        )
-        return tau, integral, saturated, clamped

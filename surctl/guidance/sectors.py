@@ -7,27 +7,26 @@ braking distance in place of κ(l − R_OB − d_s): n·v ≤ a(l) + v_o·n. No 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from math import cos, radians, sin
 from typing import NamedTuple
 
 import casadi as ca
 
-from surctl.guidance.cones import Cone, inside
+from surctl.guidance.around import TOLERANCE, Around, Sector, edge, turned
+from surctl.guidance.cones import Cone
 from surctl.guidance.contacts import Contact
-from surctl.guidance.sides import MISSED, MISSED_RATE, passes_left, side_costs, swap_costs
-from surctl.ir import each, fold, only_if, tabulated
+from surctl.guidance.sides import MISSED, MISSED_RATE
+from surctl.ir import fold, only_if, tabulated
 
 __all__ = ["Choice", "Sector", "choose_velocity", "round_unknown", "slowed"]
 
-_TOLERANCE = 1e-3  # [m/s] by which a course may miss a bound and still count as free
 _HEAD_ON = 1e-4  # cost of −1 between two equal edges: head-on the obstacle stays on the right (E10)
 _TURN_BACK = 8.0  # cost of leaving the latched side: more than any free course (0 … 2), less than a missed bound
 SAME_CONTACT = 0.3  # [m] that the blocker may move between two steps and still be the same encounter
 _WORTH_IT = 0.1  # share of the speed that a way past the unknown must gain
 _WAIT = 0.5  # cost of going slower than the wish, beside what of the way is lost
-_AWAITED = 12.0  # [s] within which what moves comes near if it is to be waited for
 _FAN = tuple(radians(12.0 * k) for k in range(1, 9))  # off the wish to either side: courses that may be flown slower
 _LEADS_BACK = 1.6  # cost above which a course takes back more than it gains: more than 120° off the wish, or not free
 _SLOWER = 1.0  # cost of going slower there, by the share of the speed that is lost
@@ -35,25 +34,6 @@ _SLOWEST = 0.5  # share of the speed; with less of it left a course leads up to 
 _ANY = 1e3  # [m/s²] of a robot that turns its velocity at once
 _NEVER = 1e6  # cost of what is no candidate
 _OVERTAKE = 0.05  # [m/s] by which the robot outruns what comes from behind
-
-
-class Sector(NamedTuple):
-    """Courses that one contact blocks: those with n·v > bound.
-
-    Attributes:
-        normal: (2, 1) unit vector robot → contact in {E}.
-        bound: largest n·v [m/s]; negative asks for a retreat.
-        point: (2, 1) [m] in {E}, where the contact is; it tells encounters apart.
-    """
-
-    normal: ca.SX
-    bound: ca.SX
-    point: ca.SX
-
-    @staticmethod
-    def of(row: ca.SX) -> Sector:
-        """The sector in a row of a table of sectors."""
-        return Sector(row[:2], row[2], row[3:5])
 
 
 @dataclass(frozen=True)
@@ -126,9 +106,9 @@ def choose_velocity(
     """
     wished = ca.fmax(ca.sqrt(ca.sumsqr(wish)), 1e-3)
     ahead = wish / wished
-    around = _Around(tabulated(sectors, 5), tabulated(cones, 17))
+    around = Around.of(sectors, cones)
     retreat = fold("retreat", lambda most, row: ca.fmax(most, ca.fmin(-row[2], cap)), ca.SX(0), around.sectors)
-    near = around.excess(wished * ahead) > _TOLERANCE
+    near = around.excess(wished * ahead) > TOLERANCE
     speed = ca.if_else(near, ca.fmin(wished, cruise), wished)
     speed = ca.fmax(speed, ca.if_else(retreat > 0, ca.fmin(retreat + _OVERTAKE, cap), 0))
 
@@ -140,7 +120,7 @@ def choose_velocity(
     # the side is one of the wish: of what crosses it says nothing, there `swap_costs` holds on to the way round
     latched = ca.if_else(ca.logic_and(held, ca.logic_not(crossed)), side, 0)
     missed = around.excess(speed * ahead)
-    blocked = missed > _TOLERANCE
+    blocked = missed > TOLERANCE
     best = _Best(ahead, missed, ca.SX(0), _missed_cost(missed), speed)
     search = _Search(around, ahead, speed, latched)
     at_first = best
@@ -153,8 +133,8 @@ def choose_velocity(
         best = _Best(*only_if("slower", slower, lambda: search.slower(found), found))
     velocity = ca.fmax(ca.fmin(around.free_speed(best.course, speed), best.pace), retreat) * best.course
     # boxed in: where every way out is worse than standing still, stand still
-    worse = around.excess(velocity) > around.excess(ca.SX.zeros(2)) + _TOLERANCE
-    velocity = ca.if_else(ca.logic_and(best.missed > _TOLERANCE, worse), 0, velocity)
+    worse = around.excess(velocity) > around.excess(ca.SX.zeros(2)) + TOLERANCE
+    velocity = ca.if_else(ca.logic_and(best.missed > TOLERANCE, worse), 0, velocity)
     return Choice(velocity, ca.if_else(blocked, best.side, 0), blocked, ca.fmax(best.missed, 0), worst)
 
 
@@ -174,93 +154,10 @@ class _Best(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Around:
-    """Everything in the way as tables: sectors (n, 5), cones (m, 17); and what it costs to pass a cone's contact on
-    the left, on the right, and whether it crosses (m, 3)."""
-
-    sectors: ca.SX
-    cones: ca.SX
-    sides: ca.SX | None = None
-
-    def with_sides(
-        self, wish: ca.SX, speed: ca.SX, velocity: ca.SX, now: ca.SX, acceleration: ca.SX, walls: Sequence[Contact]
-    ) -> _Around:
-        """The same with the table of sides."""
-
-        def sides(row: ca.SX) -> tuple[ca.SX]:
-            cone = Cone.of(row)
-            met = inside(velocity, cone) > _TOLERANCE
-            head_on, swap = side_costs(cone, wish, walls), swap_costs(cone, now, speed, acceleration)
-            costs = [ca.if_else(met, a, 0) + b for a, b in zip(head_on, swap, strict=True)]
-            return (ca.vertcat(*costs, swap[0] + swap[1] > 0),)
-
-        return replace(self, sides=each("sides", sides, self.cones)[0]) if self.cones.shape[0] else self
-
-    def excess(self, velocity: ca.SX) -> ca.SX:
-        """By how much a velocity (2, 1) misses the worst bound [m/s]; negative when it keeps them all."""
-
-        def missed(worst: ca.SX, row: ca.SX) -> ca.SX:
-            return ca.fmax(worst, ca.dot(velocity, row[:2]) - row[2])
-
-        worst = fold("excess", missed, ca.SX(-10.0), self.sectors)
-        return fold("depth", lambda worst, row: ca.fmax(worst, inside(velocity, Cone.of(row))), worst, self.cones)
-
-    def free_speed(self, course: ca.SX, speed: ca.SX) -> ca.SX:
-        """Largest speed up to `speed` on this course that no non-negative bound forbids."""
-
-        def limited(free: ca.SX, row: ca.SX) -> ca.SX:
-            along = ca.dot(course, row[:2])
-            limit = ca.fmax(row[2], 0) / ca.fmax(along, 1e-3)
-            return ca.if_else(along > 1e-3, ca.fmin(free, limit), free)
-
-        return fold("free_speed", limited, speed, self.sectors)
-
-    def passing(self, velocity: ca.SX, cost: ca.SX) -> ca.SX:
-        """A cost, and that of the sides on which a velocity passes what moves."""
-
-        def passed(cost: ca.SX, row: ca.SX, sides: ca.SX) -> ca.SX:
-            return cost + ca.if_else(passes_left(velocity, Cone.of(row)), sides[0], sides[1])
-
-        return cost if self.sides is None else fold("passing", passed, cost, self.cones, self.sides)
-
-    def waits(self) -> ca.SX:
-        """Whether what moves comes nearer, and goes by itself: waiting comes to an end."""
-
-        def soon(any_other: ca.SX, row: ca.SX) -> ca.SX:
-            cone = Cone.of(row)
-            return ca.logic_or(any_other, ca.logic_and(cone.there, cone.room < -_AWAITED * cone.closing))
-
-        return fold("waits", soon, ca.SX(0), self.cones)
-
-    def any_there(self) -> ca.SX:
-        """Whether anything moves."""
-        return fold("there", lambda other, row: ca.logic_or(other, Cone.of(row).there), ca.SX(0), self.cones)
-
-    def worst_blocker(self, course: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Where what blocks a course most is, and whether it is a cone whose contact crosses."""
-
-        def by_sector(worst: ca.SX, where: ca.SX, row: ca.SX) -> list[ca.SX]:
-            violation = speed * ca.dot(course, row[:2]) - row[2]
-            return [ca.fmax(worst, violation), ca.if_else(violation > worst, row[3:5], where)]
-
-        def by_cone(worst: ca.SX, where: ca.SX, crossed: ca.SX, row: ca.SX, sides: ca.SX) -> list[ca.SX]:
-            depth = inside(speed * course, Cone.of(row))
-            deeper = depth > worst
-            there, crosses = ca.if_else(deeper, row[15:17], where), ca.if_else(deeper, sides[2], crossed)
-            return [ca.fmax(worst, depth), there, crosses]
-
-        worst, where = fold("worst_sector", by_sector, [ca.SX(-10.0), self.sectors[0, 3:5].T], self.sectors)
-        if self.sides is None:
-            return where, ca.SX(0)
-        _, where, crossed = fold("worst_cone", by_cone, [worst, where, ca.SX(0)], self.cones, self.sides)
-        return where, crossed
-
-
-@dataclass(frozen=True)
 class _Search:
     """The candidates, in their order: of two that cost the same the first is taken."""
 
-    around: _Around
+    around: Around
     ahead: ca.SX
     speed: ca.SX
     latched: ca.SX
@@ -283,15 +180,15 @@ class _Search:
 
             def sector(*given: ca.SX) -> list[ca.SX]:
                 *held, row = given
-                edge = partial(self._edge, _Best(*held), row[:2], row[2], sign, dearer)
-                return only_if("sector_edge", row[2] < self.speed, edge, held)
+                at_edge = partial(self._edge, _Best(*held), row[:2], row[2], sign, dearer)
+                return only_if("sector_edge", row[2] < self.speed, at_edge, held)
 
             def cone(*given: ca.SX) -> list[ca.SX]:
                 *held, row = given
                 c, left = Cone.of(row), sign > 0
                 normal, bound = ca.if_else(left, c.left, c.right), ca.if_else(left, c.left_bound, c.right_bound)
-                edge = partial(self._edge, _Best(*held), normal, bound, sign, dearer)
-                return only_if("cone_edge", c.there, edge, held)
+                at_edge = partial(self._edge, _Best(*held), normal, bound, sign, dearer)
+                return only_if("cone_edge", c.there, at_edge, held)
 
             held = fold("sector_edges", sector, held, self.around.sectors)
             return fold("cone_edges", cone, held, self.around.cones)
@@ -299,7 +196,7 @@ class _Search:
         return _Best(*fold("both_sides", on_one_side, best, ca.SX([[1, 0], [-1, _HEAD_ON]])))
 
     def _edge(self, best: _Best, normal: ca.SX, bound: ca.SX, sign: ca.SX, dearer: ca.SX) -> _Best:
-        course, ahead = _edge(normal, bound, self.speed, sign), self.ahead
+        course, ahead = edge(normal, bound, self.speed, sign), self.ahead
         missed = self.around.excess(self.speed * course)
         left = ca.if_else(ahead[0] * course[1] - ahead[1] * course[0] >= 0, 1, -1)
         cost = 1 - ca.dot(course, ahead) + dearer + _missed_cost(missed)
@@ -317,13 +214,13 @@ class _Search:
 
         def course(*given: ca.SX) -> _Best:
             *held, row = given
-            turned, sign, off = _turned(self.ahead, row[0], row[1]), row[2], row[3]
-            free = self.around.free_speed(turned, self.speed)
+            aside, sign, off = turned(self.ahead, row[0], row[1]), row[2], row[3]
+            free = self.around.free_speed(aside, self.speed)
             # missed is nothing: no bound is negative here, and no cone is there
             cost = off + _SLOWER * (1 - free / self.speed)
             cost += ca.if_else(self.latched * sign < -0.5, _TURN_BACK, 0)
             cost = ca.if_else(free > _SLOWEST * self.speed, cost, _NEVER)
-            return _Best(*held).or_else(turned, ca.SX(0), sign, cost, free)
+            return _Best(*held).or_else(aside, ca.SX(0), sign, cost, free)
 
         return _Best(*fold("slower_course", course, best, ca.SX(fan)))
 
@@ -376,12 +273,12 @@ def round_unknown(
     """
     speed = ca.fmax(ca.sqrt(ca.sumsqr(velocity)), 1e-3)
     ahead = velocity / speed
-    around = _Around(tabulated(sectors, 5), tabulated(cones, 17))
-    kept = ca.fmax(around.excess(velocity), 0) + _TOLERANCE
+    around = Around.of(sectors, cones)
+    kept = ca.fmax(around.excess(velocity), 0) + TOLERANCE
 
     def beside(taken: ca.SX, most: ca.SX, row: ca.SX) -> list[ca.SX]:
         def one_side(taken: ca.SX, most: ca.SX, sign: ca.SX) -> list[ca.SX]:
-            course = speed * _edge(row[:2], row[2], speed, sign)
+            course = speed * edge(row[:2], row[2], speed, sign)
             gain = ca.dot(slowed(course, bounds), ahead)
             gain = ca.if_else(around.excess(course) <= kept, gain, 0)
             return [ca.if_else(gain > most, course, taken), ca.if_else(gain > most, gain, most)]
@@ -396,16 +293,5 @@ def round_unknown(
     return fold("past_unknown", beside, [velocity, most], tabulated(bounds, 3))[0]
 
 
-def _edge(n: ca.SX, bound: ca.SX, speed: ca.SX, sign: ca.SX) -> ca.SX:
-    """Unit course n turned by ± arccos(bound/speed), left for +1."""
-    cosine = ca.fmin(ca.fmax(bound / speed, -1), 1)
-    return _turned(n, cosine, sign * ca.sqrt(1 - cosine * cosine))
-
-
-def _turned(n: ca.SX, cosine: ca.SX | float, sine: ca.SX | float) -> ca.SX:
-    """A vector (2, 1) turned to the left by the angle of this cosine and sine."""
-    return ca.vertcat(n[0] * cosine - n[1] * sine, n[1] * cosine + n[0] * sine)
-
-
 def _missed_cost(violation: ca.SX) -> ca.SX:
-    return ca.if_else(violation > _TOLERANCE, MISSED + MISSED_RATE * violation, 0)
+    return ca.if_else(violation > TOLERANCE, MISSED + MISSED_RATE * violation, 0)

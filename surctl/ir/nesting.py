@@ -1,4 +1,4 @@
-"""From instructions by region to nested routines: programs between the loops of a body, and arrays that cross between them.
+"""From instructions by region to nested routines: programs between loops, and arrays that cross between them.
 
 Inside one loop body the inner loops part the instructions into programs. Numbers cross from one to the other in arrays:
 an array that several loops read is put together once, and handed down whole.

@@ -1,0 +1,139 @@
+"""What is in the way, as tables that loops run over: sectors of courses, and cones of what moves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import casadi as ca
+
+from surctl.guidance.cones import Cone, inside
+from surctl.guidance.contacts import Contact
+from surctl.guidance.sides import passes_left, side_costs, swap_costs
+from surctl.ir import each, fold, tabulated
+
+__all__ = ["TOLERANCE", "Around", "Sector", "edge", "turned"]
+
+TOLERANCE = 1e-3
+"""[m/s] by which a course may miss a bound and still count as free."""
+
+_AWAITED = 12.0  # [s] within which what moves comes near if it is to be waited for
+
+
+class Sector(NamedTuple):
+    """Courses that one contact blocks: those with n·v > bound.
+
+    Attributes:
+        normal: (2, 1) unit vector robot → contact in {E}.
+        bound: largest n·v [m/s]; negative asks for a retreat.
+        point: (2, 1) [m] in {E}, where the contact is; it tells encounters apart.
+    """
+
+    normal: ca.SX
+    bound: ca.SX
+    point: ca.SX
+
+    @staticmethod
+    def of(row: ca.SX) -> Sector:
+        """The sector in a row of a table of sectors."""
+        return Sector(row[:2], row[2], row[3:5])
+
+
+@dataclass(frozen=True)
+class Around:
+    """Everything in the way as tables: sectors (n, 5), cones (m, 17); and what it costs to pass a cone's contact on
+    the left, on the right, and whether it crosses (m, 3)."""
+
+    sectors: ca.SX
+    cones: ca.SX
+    sides: ca.SX | None = None
+
+    @staticmethod
+    def of(sectors: Sequence[Sector], cones: Sequence[Cone]) -> Around:
+        """The tables of what stands and what moves."""
+        return Around(tabulated(sectors, 5), tabulated(cones, 17))
+
+    def with_sides(
+        self, wish: ca.SX, speed: ca.SX, velocity: ca.SX, now: ca.SX, acceleration: ca.SX, walls: Sequence[Contact]
+    ) -> Around:
+        """The same with the table of sides."""
+
+        def sides(row: ca.SX) -> tuple[ca.SX]:
+            cone = Cone.of(row)
+            met = inside(velocity, cone) > TOLERANCE
+            head_on, swap = side_costs(cone, wish, walls), swap_costs(cone, now, speed, acceleration)
+            costs = [ca.if_else(met, a, 0) + b for a, b in zip(head_on, swap, strict=True)]
+            return (ca.vertcat(*costs, swap[0] + swap[1] > 0),)
+
+        return replace(self, sides=each("sides", sides, self.cones)[0]) if self.cones.shape[0] else self
+
+    def excess(self, velocity: ca.SX) -> ca.SX:
+        """By how much a velocity (2, 1) misses the worst bound [m/s]; negative when it keeps them all."""
+
+        def missed(worst: ca.SX, row: ca.SX) -> ca.SX:
+            return ca.fmax(worst, ca.dot(velocity, row[:2]) - row[2])
+
+        worst = fold("excess", missed, ca.SX(-10.0), self.sectors)
+        return fold("depth", lambda worst, row: ca.fmax(worst, inside(velocity, Cone.of(row))), worst, self.cones)
+
+    def free_speed(self, course: ca.SX, speed: ca.SX) -> ca.SX:
+        """Largest speed up to `speed` on this course that no non-negative bound forbids."""
+
+        def limited(free: ca.SX, row: ca.SX) -> ca.SX:
+            along = ca.dot(course, row[:2])
+            limit = ca.fmax(row[2], 0) / ca.fmax(along, 1e-3)
+            return ca.if_else(along > 1e-3, ca.fmin(free, limit), free)
+
+        return fold("free_speed", limited, speed, self.sectors)
+
+    def passing(self, velocity: ca.SX, cost: ca.SX) -> ca.SX:
+        """A cost, and that of the sides on which a velocity passes what moves."""
+
+        def passed(cost: ca.SX, row: ca.SX, sides: ca.SX) -> ca.SX:
+            return cost + ca.if_else(passes_left(velocity, Cone.of(row)), sides[0], sides[1])
+
+        return cost if self.sides is None else fold("passing", passed, cost, self.cones, self.sides)
+
+    def waits(self) -> ca.SX:
+        """Whether what moves comes nearer, and goes by itself: waiting comes to an end."""
+
+        def soon(any_other: ca.SX, row: ca.SX) -> ca.SX:
+            cone = Cone.of(row)
+            return ca.logic_or(any_other, ca.logic_and(cone.there, cone.room < -_AWAITED * cone.closing))
+
+        return fold("waits", soon, ca.SX(0), self.cones)
+
+    def any_there(self) -> ca.SX:
+        """Whether anything moves."""
+        return fold("there", lambda other, row: ca.logic_or(other, Cone.of(row).there), ca.SX(0), self.cones)
+
+    def worst_blocker(self, course: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Where what blocks a course most is, and whether it is a cone whose contact crosses."""
+
+        def by_sector(worst: ca.SX, where: ca.SX, row: ca.SX) -> list[ca.SX]:
+            violation = speed * ca.dot(course, row[:2]) - row[2]
+            return [ca.fmax(worst, violation), ca.if_else(violation > worst, row[3:5], where)]
+
+        def by_cone(worst: ca.SX, where: ca.SX, crossed: ca.SX, row: ca.SX, sides: ca.SX) -> list[ca.SX]:
+            depth = inside(speed * course, Cone.of(row))
+            deeper = depth > worst
+            there, crosses = ca.if_else(deeper, row[15:17], where), ca.if_else(deeper, sides[2], crossed)
+            return [ca.fmax(worst, depth), there, crosses]
+
+        worst, where = fold("worst_sector", by_sector, [ca.SX(-10.0), self.sectors[0, 3:5].T], self.sectors)
+        if self.sides is None:
+            return where, ca.SX(0)
+        _, where, crossed = fold("worst_cone", by_cone, [worst, where, ca.SX(0)], self.cones, self.sides)
+        return where, crossed
+
+
+def edge(n: ca.SX, bound: ca.SX, speed: ca.SX, sign: ca.SX) -> ca.SX:
+    """Unit course n turned by ± arccos(bound/speed), left for +1."""
+    cosine = ca.fmin(ca.fmax(bound / speed, -1), 1)
+    return turned(n, cosine, sign * ca.sqrt(1 - cosine * cosine))
+
+
+def turned(n: ca.SX, cosine: ca.SX | float, sine: ca.SX | float) -> ca.SX:
+    """A vector (2, 1) turned to the left by the angle of this cosine and sine."""
+    return ca.vertcat(n[0] * cosine - n[1] * sine, n[1] * cosine + n[0] * sine)
