@@ -151,7 +151,7 @@ def head(program: Program, symbol: str, c_type: str, *, apart: bool = False) -> 
 def expression(instruction: Instruction, real: Real = "float64", *, operand: str = "v{}") -> str:
     """Right side of one assignment; `operand` makes the text of an operand from its position."""
     if instruction.op == "const":
-        return c_literal(float(instruction.value or 0.0), real)
+        return c_literal(instruction.number, real)
     if instruction.op == "input":
         return "in{}[{}]".format(*instruction.args)
     text = OPERATIONS[instruction.op].c99

@@ -202,7 +202,7 @@ class _Folder:
     def _expression(self, instruction: Instruction) -> _Text:
         op, args = instruction.op, instruction.args
         if op == "const":
-            literal = c_literal(float(instruction.value or 0.0), self.real)
+            literal = c_literal(instruction.number, self.real)
             return _Text(literal, _SIGNED if literal.startswith("-") else _ATOM)
         if op == "input":
             return _Text(self.address(*args))

@@ -178,7 +178,7 @@ def _vectors(program: Program, lanes: int, feeds: tuple[Feed, ...], real: Real, 
             which, entry = instruction.args
             lines += _read(program, lanes, feeds[which], (which, entry, at))
         elif instruction.op == "const":
-            numbers = ", ".join([c_literal(float(instruction.value or 0.0), real)] * lanes)
+            numbers = ", ".join([c_literal(instruction.number, real)] * lanes)
             lines.append(f"    const vec v{at} = {{{numbers}}};")
         else:
             lines += _assignment(instruction, at, masks, lanes, real)

@@ -105,7 +105,7 @@ def _text(
 def _assignment(instruction: Instruction, at: int, truths: set[int], strides: tuple[int, ...]) -> str:
     op, args = instruction.op, instruction.args
     if op == "const":
-        return f"const vec v{at} = SET({c_literal(float(instruction.value or 0.0))});"
+        return f"const vec v{at} = SET({c_literal(instruction.number)});"
     if op == "input":
         return f"const vec v{at} = LOAD(in{args[0]}, {args[1] * strides[args[0]]});"
     kinds = _KINDS.get(op, "v" * (len(args) + 1))

@@ -75,7 +75,7 @@ class _Emitter:
         return [at for at, j in enumerate(results) if any(v >= 0 for v in self.entries(j))]
 
     def _body(self, k: int) -> Block:
-        loop, taken, sizes = self.regions.loops[k], self.taken[k], dict[str, int]()
+        loop, taken = self.regions.loops[k], self.taken[k]
         held = len(loop.state)
         inputs = [(f"s{at}" if at < held else f"t{at - held}", self.entries(j)) for at, j in enumerate(loop.own)]
         inputs += [(f"f{at}", key) for at, key in enumerate(taken.fixed)]
@@ -260,7 +260,7 @@ class _Body:
             if value in at:
                 return at[value]
             if self.regions.is_constant(value):
-                return code.constant(float(self.regions.code[value].value or 0.0))
+                return code.constant(self.regions.code[value].number)
             array, entry = self.place[value]
             return code.add("input", (arrays.setdefault(array, len(arrays)), entry))
 

@@ -37,7 +37,7 @@ class Numbering:
     def copy(self, instruction: Instruction, moved: list[int]) -> int:
         """Position of an instruction of another list, whose operands are at `moved` here."""
         if instruction.op == "const":
-            return self.constant(float(instruction.value or 0.0))
+            return self.constant(instruction.number)
         if instruction.op == "input":
             return self.add("input", instruction.args)
         return self.add(instruction.op, tuple(moved[a] for a in instruction.args))

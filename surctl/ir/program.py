@@ -29,6 +29,12 @@ class Instruction:
     args: tuple[int, ...] = ()
     value: float | None = None
 
+    @property
+    def number(self) -> float:
+        """The value of a `const`; -0.0 is another than 0.0."""
+        assert self.value is not None
+        return float(self.value)
+
 
 @dataclass(frozen=True)
 class Program:

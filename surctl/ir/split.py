@@ -90,7 +90,7 @@ def _part(
         if old not in at_of:
             instruction = program.instructions[old]
             if instruction.op == "const":
-                at_of[old] = code.constant(float(instruction.value or 0.0))
+                at_of[old] = code.constant(instruction.number)
             elif instruction.op == "input":
                 at_of[old] = code.add("input", instruction.args)
             else:

@@ -77,7 +77,7 @@ def _program(program: Program) -> ca.Function:
         values: list[ca.SX] = []
         for instruction in program.instructions:
             if instruction.op == "const":
-                values.append(ca.SX(float(instruction.value or 0.0)))
+                values.append(ca.SX(instruction.number))
             elif instruction.op == "input":
                 values.append(inputs[instruction.args[0]][instruction.args[1]])
             else:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import ctypes
 import itertools
+from functools import partial
 from pathlib import Path
 
 import casadi as ca
@@ -18,11 +19,14 @@ from surctl.ir import (
     Operation,
     Program,
     c_literal,
+    emit_block,
     emit_c99,
+    emit_wide,
     identifier,
     lower,
     replay,
 )
+from surctl.ir.numbering import Numbering
 from tests.ir.expressions import EXACT, LIBM_MAKERS, compiled, random_functions, whole
 from tests.tools import need_compiler
 
@@ -130,3 +134,20 @@ def test_names_that_c_cannot_use_are_refused(name: str) -> None:
 @pytest.mark.parametrize("name", ["surctl_guarded", "x1", "tau", "A" * 63])
 def test_ordinary_names_pass(name: str) -> None:
     assert identifier(name) == name
+
+
+def test_a_constant_keeps_the_sign_of_its_zero_in_replay_and_c(tmp_path: Path) -> None:
+    need_compiler()
+    instructions = (Instruction("const", (), -0.0), Instruction("input", (0, 0)), Instruction("div", (1, 0)))
+    program = Program("minus_zero", (("x", 1),), (("y", 1),), instructions, ((2,),))
+    assert replay(program, [1.0])[0][0] == -np.inf
+    numbering, moved = Numbering(), list[int]()
+    for instruction in program.instructions:
+        moved.append(numbering.copy(instruction, moved))
+    assert numbering.rewritten(program, moved).text() == program.text()
+    for folded in (False, True):
+        folder = tmp_path / str(folded)
+        folder.mkdir()
+        (native,) = compiled([program], folder, partial(emit_block, folded=folded))
+        assert native(np.array([1.0]))[0][0] == -np.inf
+    assert "SET(-0.0)" in emit_wide(program, symbol="minus_zero").text  # CasADi itself knows one zero only

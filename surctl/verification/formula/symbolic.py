@@ -50,11 +50,11 @@ def from_casadi(symbols: ca.SX, names: Sequence[str], expressions: Sequence[ca.S
     """
     function = ca.Function("claim", [symbols], [ca.densify(ca.vertcat(*expressions, 0))])
     program = lower(function)
-    constants = [float(i.value or 0.0) for i in program.instructions if i.op == "const"]
+    constants = [i.number for i in program.instructions if i.op == "const"]
     made: list[Node | None] = []
     for instruction in program.instructions:
         if instruction.op == "const":
-            made.append(_constant(float(instruction.value or 0.0), constants))
+            made.append(_constant(instruction.number, constants))
         elif instruction.op == "input":
             made.append(variable(names[instruction.args[1]]))
         elif instruction.op in _ORDERED:
