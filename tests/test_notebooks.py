@@ -101,9 +101,10 @@ def test_it_runs_as_a_script_without_a_warning(notebook: Path, tmp_path: Path, m
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
 def test_its_ipynb_is_in_step(notebook: Path, tmp_path: Path) -> None:
     committed = notebook.with_suffix(".ipynb").read_text(encoding="utf-8")
-    once, twice = (export(notebook, tmp_path / name) for name in ("once.ipynb", "twice.ipynb"))
-    assert once == twice
+    once = export(notebook, tmp_path / "once.ipynb")
     assert cells(committed) == cells(once)
+    if notebook == NOTEBOOKS[0]:
+        assert export(notebook, tmp_path / "twice.ipynb") == once, "the same bytes again"
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)

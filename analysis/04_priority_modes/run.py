@@ -73,7 +73,7 @@ def main(arguments: Sequence[str]) -> int:
         without_limits(count, options.seed),
         with_limits(count, options.seed),
         strict_with_limits(count, options.seed),
-        continuous(400 if options.quick else 2000),
+        continuous(200 if options.quick else 2000),
     ]
     prices(40 if options.quick else 500, options.seed)
     return 0 if all(good) else 1
@@ -166,7 +166,7 @@ def continuous(points: int) -> bool:
     good = True
     for where in LOOPS:
         for how in SETTINGS:
-            coarse, fine = lipschitz(where, how, points), lipschitz(where, how, 2 * points)
+            coarse, fine = lipschitz(where, how, points)
             # a jump doubles the estimate when the step is halved
             jumps, may = fine > JUMP * coarse, (where, how) in MAY_JUMP
             good = good and (may or not jumps)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from echoes import ARRAY, DT, EVERY
@@ -35,6 +36,9 @@ class Tracked(Estimate):
     reading: Array
     carve: Array
     rate: Array
+
+
+Found = TypeVar("Found", bound=Estimate)
 
 
 def raw(stream: Stream) -> Estimate:
@@ -104,16 +108,16 @@ def robust(stream: Stream) -> Tracked:
     return Tracked(**out)
 
 
-def robust_each(streams: Sequence[Stream]) -> Iterator[Tracked]:
-    """`robust` of each; few runs go through together, which takes as long as one of them."""
+def each(filter_: Callable[[Stream], Found], streams: Sequence[Stream]) -> Iterator[Found]:
+    """The filter's answer to each; few runs go through together, which takes as long as one of them."""
     size = len(streams[0].begin)
     at_once = max(1, TOGETHER // size)
     for first in range(0, len(streams), at_once):
         group = streams[first : first + at_once]
-        found = robust(joined(group))
+        found = filter_(joined(group))
         for k in range(len(group)):
             part = slice(k * size, (k + 1) * size)
-            yield Tracked(**{name: value[part] for name, value in vars(found).items()})
+            yield type(found)(**{name: value[part] for name, value in vars(found).items()})
 
 
 FILTERS: dict[str, Callable[[Stream], Estimate]] = {

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from echoes import ARRAY, DT, EVERY, KINDS, Approach, Kind, approach, heard
-from filters import FILTERS, Tracked, robust, robust_each
+from filters import FILTERS, Tracked, each, robust
 from numpy.typing import NDArray
 from streams import FAULTS, FIRST, Stream, faulty, honest, shows
 
@@ -138,13 +138,14 @@ def table_two(runs: int, seed: int) -> Stream:
 def filter_errors(name: str, runs: int, seed: int) -> Errors:
     """One filter without a fault; lag is what closing adds to the mean error, over the speed."""
     late = slice(round(WARM / DT), None)
+    streams = {
+        "still": steady(runs, seed, speed=0.0),
+        "closing": steady(runs, seed + 1, speed=0.22),
+        "table": table_two(runs, seed + 2),
+    }
     offs = {}
-    for what, stream in (
-        ("still", steady(runs, seed, speed=0.0)),
-        ("closing", steady(runs, seed + 1, speed=0.22)),
-        ("table", table_two(runs, seed + 2)),
-    ):
-        offs[what] = (FILTERS[name](stream).range - stream.run.seen[..., 0])[:, late]
+    for (what, stream), found in zip(streams.items(), each(FILTERS[name], list(streams.values())), strict=True):
+        offs[what] = (found.range - stream.run.seen[..., 0])[:, late]
     rms = {what: float(np.sqrt(np.mean(off**2))) for what, off in offs.items()}
     lag = (float(offs["closing"].mean()) - float(offs["still"].mean())) / 0.22
     return Errors(rms["still"], rms["closing"], rms["table"], lag)
@@ -175,8 +176,7 @@ def print_fault_errors(runs: int, seed: int) -> None:
     streams = [faulty(base, fault, seed=seed + 4) for fault in FAULTS]
     for name, filter_ in FILTERS.items():
         cells = []
-        for stream in streams:
-            found = filter_(stream)
+        for stream, found in zip(streams, each(filter_, streams), strict=True):
             step = np.arange(base.truth.shape[1])
             during = (step >= EVERY * stream.begin[:, None]) & (step < EVERY * stream.end[:, None])
             counted = during & (found.healthy > 0.5)
@@ -250,7 +250,7 @@ def print_kind(kind: Kind, runs: int, config: Config) -> bool:
     told, short = list[str](), False
     wanted = bars.detected_turning if "turning" in kind else bars.detected
     streams = [honest(base)] + [faulty(base, fault, seed=config.seed + 100 + k) for k, fault in enumerate(FAULTS)]
-    for fault, stream, found in zip(("none", *FAULTS), streams, robust_each(streams), strict=True):
+    for fault, stream, found in zip(("none", *FAULTS), streams, each(robust, streams), strict=True):
         share = judged(stream, found)
         showing, seen = detected(kind, stream, found, base.samples)
         cells = [
@@ -365,17 +365,19 @@ def draw(errors: dict[str, Errors], traces: dict[str, LmsTrace], config: Config,
     save(plot_filter_errors(data), out / "errors.png")
     for key, trace in traces.items():
         save(plot_lms_trace(trace), out / f"lms_{key}.png")
-    for fault in ("none", "dropout", "stuck", "second echo", "crosstalk", "delay"):
-        base = approach("obstacle", 1, seed=config.seed + 20, speed=0.2, stop=0.5)
-        stream = honest(base) if fault == "none" else faulty(base, fault, seed=DRAWN)
-        save(plot_range_trace(trace_of(f"An unknown obstacle, fault: {fault}", stream)), out / f"{fault}.png")
+    base = approach("obstacle", 1, seed=config.seed + 20, speed=0.2, stop=0.5)
+    drawn = {"none": ("An unknown obstacle, fault: none", honest(base))}
+    for fault in ("dropout", "stuck", "second echo", "crosstalk", "delay"):
+        drawn[fault] = (f"An unknown obstacle, fault: {fault}", faulty(base, fault, seed=DRAWN))
     tank = honest(approach("tank, turning", 1, seed=config.seed + 21))
-    save(plot_range_trace(trace_of("A tank with a box, the beam turns", tank)), out / "tank.png")
+    drawn["tank"] = ("A tank with a box, the beam turns", tank)
+    streams = [stream for _, stream in drawn.values()]
+    for (name, (title, stream)), found in zip(drawn.items(), each(robust, streams), strict=True):
+        save(plot_range_trace(trace_of(title, stream, found)), out / f"{name}.png")
 
 
-def trace_of(title: str, stream: Stream) -> RangeTrace:
+def trace_of(title: str, stream: Stream, found: Tracked) -> RangeTrace:
     """The first run, for the picture."""
-    found = robust(stream)
     arrived = np.flatnonzero(stream.fresh[0, :, 0] > 0.5)
     return RangeTrace(
         title=title,
