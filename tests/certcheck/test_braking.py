@@ -206,7 +206,7 @@ def value_of(claim: Any, path: tuple[Any, ...]) -> float:
 
 def test_no_altered_certificate_that_brute_force_refutes_is_accepted() -> None:
     rng, false, accepted = np.random.default_rng(5), 0, 0
-    for k in range(300):
+    for k in range(150):
         name = NAMES[k % len(NAMES)]
         changed = altered(document(name), rng)
         if changed == document(name):
@@ -218,7 +218,7 @@ def test_no_altered_certificate_that_brute_force_refutes_is_accepted() -> None:
             assert not refuted(changed), name
         elif k % 5 == 0:
             false += refuted(changed)
-    assert accepted > 10 and false > 15
+    assert accepted > 5 and false > 8
 
 
 def test_brute_force_refutes_none_of_the_kept_ones() -> None:

@@ -146,7 +146,7 @@ def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
     whole, rng = document(), np.random.default_rng(5)
     paths = [(part, *p) for part in ("claim", "proof") for p in _numbers(whole[part])]
     accepted, wrong = 0, 0
-    for _ in range(40):
+    for _ in range(20):
         changed = copy.deepcopy(whole)
         path = paths[rng.integers(len(paths))]
         place: Any = changed
@@ -159,7 +159,7 @@ def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
             assert not false(changed), path
         else:
             wrong += 1
-    assert accepted > 0 and wrong > 10
+    assert accepted > 0 and wrong > 5
     assert "altered" in check_document({**whole, "claim": {**whole["claim"], "sha256_vehicle": "0" * 64}}).reason
 
 

@@ -11,7 +11,7 @@ from surctl.verification import claims, falsify, prove
 from surctl.verification.formula import parse, to_casadi, variable
 from tests.verification.made_claims import claim_from
 
-MUTATIONS = 1000
+MUTATIONS = 400
 
 
 def proved(claim: Any) -> dict[str, Any]:

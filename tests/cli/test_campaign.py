@@ -14,7 +14,7 @@ import pytest
 from tests.cli.process import surctl
 from tests.tools import PATIENCE, need_compiler
 
-MANY = ["simulate", "tank-moving", "--monte-carlo", "--out", "mc"]
+MANY = ["simulate", "pool-speed-010", "--monte-carlo", "--out", "mc"]  # flights of 16 s
 
 
 def kept(folder):
@@ -42,7 +42,7 @@ def test_a_campaign_is_told_and_its_worst_run_flown_again(tmp_path):
 
 
 def test_many_runs_are_not_printed_one_by_one(tmp_path):
-    done = surctl("simulate", "tank-speed-010", "--monte-carlo", "--runs", "101", "--json", cwd=tmp_path)
+    done = surctl("simulate", "pool-speed-010", "--monte-carlo", "--runs", "101", "--json", cwd=tmp_path)
     assert "runs" not in done.json["campaigns"][0] and done.json["campaigns"][0]["number_of_runs"] == 101
     assert list(tmp_path.iterdir()) == []
 
@@ -57,20 +57,20 @@ def test_an_altered_figure_is_found_out(tmp_path):
 
 def test_killed_halfway_the_same_command_ends_with_the_same_bytes(tmp_path):
     need_compiler()
-    command = [*MANY, "--runs", "1500", "--threads", "1"]
-    surctl("simulate", "tank-moving", "--monte-carlo", "--runs", "1", cwd=tmp_path)  # compiled
+    command = [*MANY, "--runs", "640", "--threads", "1"]
+    surctl(*MANY[:3], "--runs", "1", cwd=tmp_path)  # compiled
     root = str(Path(__file__).parents[2])
     process = subprocess.Popen(
         [sys.executable, "-m", "surctl", *command],
         cwd=tmp_path, env=os.environ | {"PYTHONPATH": root}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
-    chunks, end = tmp_path / "mc" / "campaign.chunks" / "tank-moving", time.monotonic() + PATIENCE
+    chunks, end = tmp_path / "mc" / "campaign.chunks" / "pool-speed-010", time.monotonic() + PATIENCE
     while len(list(chunks.glob("*.chunk"))) < 2 and process.poll() is None and time.monotonic() < end:
         time.sleep(0.001)
     process.send_signal(signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
     done = {p.name: p.stat().st_mtime_ns for p in chunks.glob("*.chunk")}
-    assert 2 <= len(done) < 12 and not (tmp_path / "mc" / "tank-moving.csv").exists()
+    assert 2 <= len(done) < 5 and not (tmp_path / "mc" / "pool-speed-010.csv").exists()
     again = surctl(*command[:-1], "2", cwd=tmp_path)
     assert again.status == 0
     assert all((chunks / name).stat().st_mtime_ns == made for name, made in done.items())
@@ -80,9 +80,12 @@ def test_killed_halfway_the_same_command_ends_with_the_same_bytes(tmp_path):
 
 
 def test_random_worlds_are_flown_and_kept(tmp_path):
-    done = surctl("simulate", "--random-worlds", "12", "--seed", "4", "--out", "w", "--json", cwd=tmp_path)
+    done = surctl(
+        "simulate", "--random-worlds", "5", "--seed", "4", "--worst", "2", "--out", "w", "--json", cwd=tmp_path
+    )
     (told,) = done.json["campaigns"]
-    assert told["number_of_runs"] == 12 and [row["seed"] for row in told["runs"]] == list(range(4, 16))
+    assert told["number_of_runs"] == 5 and [row["seed"] for row in told["runs"]] == list(range(4, 9))
+    assert len(told["worst"]) == 2
     for row in told["worst"]:
         again = surctl("simulate", "--from", f"w/{row['file']}", "--json", cwd=tmp_path).json["runs"][0]
         assert again["same"] and again["scenario"] == f"world-{row['seed']}"

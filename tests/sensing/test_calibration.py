@@ -11,6 +11,7 @@ from surctl.sensing import Calibration, Estimate, calibrate
 from surctl.sensing.calibration import LEAST_ROWS, LEAST_ROWS_OF_SLOPE
 
 BIAS, SCALE = 0.02, 0.985
+SETS = 300  # tables of each kind of noise
 
 
 def drawn(rng: np.random.Generator, n: int, s0: float, s1: float) -> tuple[np.ndarray, np.ndarray]:
@@ -29,7 +30,7 @@ def binomial(count: int, nominal: float = 0.95) -> tuple[float, float]:
     return low / count, high / count
 
 
-def coverage(n: int, s0: float, s1: float, sets: int = 600) -> dict[str, float]:
+def coverage(n: int, s0: float, s1: float, sets: int = SETS) -> dict[str, float]:
     rng = np.random.default_rng(20240607)
     hits: dict[str, list[bool]] = {}
     for _ in range(sets):
@@ -54,22 +55,22 @@ def coverage(n: int, s0: float, s1: float, sets: int = 600) -> dict[str, float]:
 @pytest.mark.parametrize("n", [LEAST_ROWS, 18, 60])
 def test_intervals_of_constant_noise_hold_what_they_promise(n: int) -> None:
     got = coverage(n, 0.015, 0.0)
-    low, high = binomial(600)
+    low, high = binomial(SETS)
     for name in ("bias", "scale", "noise_sd"):
         assert low <= got[name] <= high, (name, got[name])
     if n >= LEAST_ROWS_OF_SLOPE:
         assert low <= got["slope"] <= high
-        assert binomial(600, 0.05)[0] <= got["varies"] <= binomial(600, 0.05)[1]
+        assert binomial(SETS, 0.05)[0] <= got["varies"] <= binomial(SETS, 0.05)[1]
     else:
         assert got["varies"] == 0.0
     # Bonferroni keeps false alarms at 5 % a table or below
-    assert got["outlier"] <= binomial(600, 0.05)[1]
+    assert got["outlier"] <= binomial(SETS, 0.05)[1]
 
 
 @pytest.mark.parametrize("s1", [0.01, -0.004])
 def test_intervals_of_noise_that_grows_or_falls_hold_what_they_promise(s1: float) -> None:
     got = coverage(80, 0.004 if s1 > 0 else 0.02, s1)
-    low, high = binomial(600)
+    low, high = binomial(SETS)
     assert got["varies"] > 0.95
     for name in ("bias", "scale", "noise_sd", "slope"):
         assert low <= got[name] <= high, (name, got[name])

@@ -72,7 +72,7 @@ def _flown(scenario: Scenario, seeds: int = 40) -> BatchResult:
     return simulate_batch(case, seeds=np.arange(seeds), threads=2)
 
 
-@pytest.mark.parametrize("name", ["tank-static", "tank-moving", "tank-speed-015", "tank-speed-020", "pool-behind"])
+@pytest.mark.parametrize("name", ["tank-static", "tank-moving"])  # studies 12 and 22 fly the others
 def test_through_the_sonars_it_arrives_and_touches_nothing(name: str) -> None:
     flown = _flown(load_scenario(name))
     assert np.all(flown.column("reached") == 1)
@@ -85,27 +85,38 @@ def test_among_drifting_cylinders_it_touches_nothing_and_mostly_arrives() -> Non
     assert flown.column("reached").mean() > 0.6
 
 
+def _dead(*which: int) -> Sensors:
+    """These sonars dead, the others after any flight: one compiled loop for all."""
+    return Sensors(faults=tuple(Fault(sensor=k, kind="dead", start_s=0.0 if k in which else 1e5) for k in range(4)))
+
+
 SENSOR_TROUBLE = {
-    "front dead": Sensors(faults=(Fault(sensor=0, kind="dead"),)),
-    "left dead": Sensors(faults=(Fault(sensor=1, kind="dead"),)),
-    "rear dead": Sensors(faults=(Fault(sensor=2, kind="dead"),)),
-    "right dead": Sensors(faults=(Fault(sensor=3, kind="dead"),)),
+    "front dead": _dead(0),
+    "left dead": _dead(1),
+    "rear dead": _dead(2),
+    "right dead": _dead(3),
     "one in ten lost": Sensors(chances=FaultChances(dropout=0.1)),
     "narrow": Sensors(Equipment(array=SonarArray(beam_angle=np.radians(15)))),
     "wide": Sensors(Equipment(array=SonarArray(beam_angle=np.radians(120)))),
 }
 
 
-@pytest.mark.parametrize("trouble", SENSOR_TROUBLE)
-@pytest.mark.parametrize("name", ["tank-static", "pool-static"])
+@pytest.mark.parametrize(
+    ("name", "trouble"),
+    [  # each once: study 12 flies all of them in six scenarios
+        *(("tank-static", f"{side} dead") for side in ("front", "left", "rear", "right")),
+        ("tank-static", "narrow"),
+        ("pool-static", "one in ten lost"),
+        ("pool-static", "wide"),
+    ],
+)
 def test_with_sonars_that_fail_it_touches_nothing(name: str, trouble: str) -> None:
     flown = _flown(replace(load_scenario(name), sensors=SENSOR_TROUBLE[trouble]))
     assert np.all(flown.column("collided") == 0)
 
 
 def test_with_no_sonar_at_all_it_stays_where_it_is() -> None:
-    dead = Sensors(faults=tuple(Fault(sensor=k, kind="dead") for k in range(4)))
-    scenario = replace(load_scenario("tank-static"), sensors=dead, time_limit=20.0)
+    scenario = replace(load_scenario("tank-static"), sensors=_dead(0, 1, 2, 3), time_limit=20.0)
     flown = _flown(scenario, 4)
     assert np.all(flown.column("collided") == 0)
     assert np.all(flown.column("length_m") < 0.2)  # in 20 s, with the jitter of its estimate
