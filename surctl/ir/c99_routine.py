@@ -189,7 +189,7 @@ def _routine(routine: Routine, symbol: str, writer: _Writer) -> str:
     starts, shared = places.pool
     apart = "APART " if writer.folded and shared >= _LARGE and symbol != writer.symbol else ""
     lines = [f"/* {meaning}{alias} */", f"{apart}static void {symbol}({', '.join(arguments)})", "{"]
-    if shared < sum(places.own.values()):
+    if starts:
         lines.append(f"    {writer.kind} pool[{shared}];")
         lines += [f"    {writer.kind} *const {array} = pool + {start};" for array, start in starts.items()]
     else:

@@ -25,6 +25,9 @@ Overlaps = Mapping[str, frozenset[tuple[int, int]]]
 """Digest of a block → (output, input) that somebody passes as one array."""
 
 
+_WORTH_SHARING = 100  # numbers that must be saved by it
+
+
 def reads(step: Step) -> tuple[str, ...]:
     """Names of the arrays that a step reads.
 
@@ -111,7 +114,8 @@ class Places:
 
     @cached_property
     def pool(self) -> tuple[dict[str, int], int]:
-        """First entry of each array of its own in memory that they share, and the size of that."""
+        """First entry of each array of its own in memory that they share, and the size of that; no entries where each
+        has its own, because little would be saved: a prover then knows the end of every one."""
         lives: dict[str, tuple[int, int, int]] = {}
         end = len(self.routine.steps)
         last = dict.fromkeys(self.routine.results, end)
@@ -122,7 +126,8 @@ class Places:
                     first = lives[array][1] if array in lives else at
                     lives[array] = self.own[array], first, max(at, last.get(name, 0), lives.get(array, (0, 0, 0))[2])
         lives |= {array: (size, 0, end) for array, size in self.own.items() if array not in lives}
-        return overlaid(lives)
+        starts, size = overlaid(lives)
+        return (starts, size) if sum(self.own.values()) - size >= _WORTH_SHARING else ({}, sum(self.own.values()))
 
     @cached_property
     def held(self) -> tuple[int, ...]:
