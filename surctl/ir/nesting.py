@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from surctl.ir.numbering import Numbering
 from surctl.ir.program import Program, drop_dead
-from surctl.ir.regions import ROOT, Key, Regions, Traced, postorder
+from surctl.ir.regions import Key, Regions, Traced, postorder
 from surctl.ir.routine import Block, Call, Loop, Routine, Step
 
 __all__ = ["routine"]
@@ -61,8 +61,7 @@ class _Emitter:
         """The whole."""
         program = self.regions.program
         inputs = [(name, self.entries(j)) for j, (name, _) in enumerate(program.inputs[: self.regions.inputs])]
-        sizes = dict(program.inputs)
-        return _Body(self, ROOT, self.name, inputs, sizes, self.outputs).block()
+        return _Body(self, self.name, inputs, self.outputs).block()
 
     def entries(self, j: int) -> Key:
         """The values of an input of the list; -1 where nobody needs one."""
@@ -79,10 +78,9 @@ class _Emitter:
         held = len(loop.state)
         inputs = [(f"s{at}" if at < held else f"t{at - held}", self.entries(j)) for at, j in enumerate(loop.own)]
         inputs += [(f"f{at}", key) for at, key in enumerate(taken.fixed)]
-        sizes = {name: len(key) for name, key in inputs}
         outputs = {f"n{at}": key for at, key in enumerate(loop.next)}
         outputs |= {f"r{at}": loop.rows[at] for at in self.stacked(k)}
-        block = _Body(self, k, loop.name, inputs, sizes, outputs).block()
+        block = _Body(self, loop.name, inputs, outputs).block()
         return self._known.setdefault(block.digest(), block)
 
     def _fixed(self, k: int) -> Iterator[Key]:
@@ -120,14 +118,13 @@ class _Body:
     def __init__(
         self,
         whole: _Emitter,
-        region: int,
         name: str,
         inputs: Sequence[tuple[str, Key]],
-        sizes: Mapping[str, int],
         outputs: Mapping[str, Key],
     ) -> None:
-        self.whole, self.regions, self.region, self.name = whole, whole.regions, region, name
-        self.inputs, self.sizes, self.outputs = inputs, dict(sizes), outputs
+        self.whole, self.regions, self.name = whole, whole.regions, name
+        self.inputs, self.outputs = inputs, outputs
+        self.sizes = {array: len(key) for array, key in inputs}
         self.known = {key: array for array, key in inputs if -1 not in key}
         self.place: dict[int, tuple[str, int]] = {}
         for array, key in inputs:
@@ -159,9 +156,7 @@ class _Body:
             for array, key in arrays.items():
                 self.sizes[array] = len(key)
                 self.known.setdefault(key, array)
-                for entry, value in enumerate(key):
-                    if array.startswith("later"):
-                        self.place[value] = array, entry
+            self.place |= {value: (f"later{at}", entry) for entry, value in enumerate(kept)}
             steps += [self._loop(k) for k in loops]
         inputs = tuple((name, self.sizes[name]) for name, _ in self.inputs)
         return Routine(self.name, inputs, tuple(steps), tuple(f"out_{name}" for name in self.outputs))
@@ -200,8 +195,9 @@ class _Body:
                 users.setdefault(value, []).append(last)
         self.handed: set[int] = set()
         for node in reversed(self.order):
-            if node < 0 or not self._is_operation(node):
+            if node < 0:
                 self.stage[node] = soon[node]
+            if node < 0 or not self._is_operation(node):  # a load stands in any program that needs it
                 continue
             uses = users.get(node, [])
             self.stage[node] = min(uses)
@@ -209,9 +205,6 @@ class _Body:
                 self.handed.add(node)
             for argument in self.regions.code[node].args:
                 users.setdefault(argument, []).append(self.stage[node])
-        for node in self.order:
-            if node >= 0 and not self._is_operation(node):
-                self.stage[node] = 0  # a load, in any program
         self.last = last
 
     def _made(self, node: int) -> int:

@@ -102,7 +102,8 @@ class Recording:
         results = [*made, *(e for loop in loops for e in loop.expressions)]
         names = [*inputs, *(f"loop{k}" for k in range(len(arguments) - len(inputs)))]
         try:
-            function = ca.Function(name, arguments, results, names, [f"o{k}" for k in range(len(results))])
+            given = [*outputs, *(f"of_loop{k}" for k in range(len(results) - len(outputs)))]
+            function = ca.Function(name, arguments, results, names, given)
         except RuntimeError as error:
             reason = next((line for line in str(error).splitlines() if "free" in line), "a symbol is no input")
             raise InputError(
@@ -110,8 +111,7 @@ class Recording:
             ) from None
         program = lower(function)
         if not loops:
-            renamed = tuple((out, size) for out, (_, size) in zip(outputs, program.outputs, strict=True))
-            return type(program)(name, program.inputs, renamed, program.instructions, program.output_refs)
+            return program
         traced, argument, result = [], len(inputs), len(made)
         for loop in loops:
             keys = iter(program.output_refs[result:])
