@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -20,7 +20,7 @@ from surctl.control.senses import Senses
 from surctl.control.stopping import Barrier, Movers
 from surctl.errors import InputError
 from surctl.guidance import AvoidanceForm, Guidance
-from surctl.ir import Block, Layout, Port, runnable, to_casadi
+from surctl.ir import Block, Layout, Port, on_vectors, runnable, to_casadi
 from surctl.priority import Ladder, Level, Mode, PriorityProblem, PrioritySolution, Row, solve
 
 __all__ = ["DEGRADED", "NONFINITE", "SATURATED", "SWITCHED", "TELEMETRY", "TRAPPED", "Law", "LawStep", "Stages"]
@@ -173,13 +173,12 @@ class Law:
     def _run(self) -> Callable[[Vector, Vector, Vector], list[Vector]]:
         """CasADi's machine for the closed form; C for a block with loops, or its replay: the same numbers, slower."""
         closed = self.mode == "nsb" and self.senses is None
-        run: Callable[..., Any] = to_casadi(self.block).expand() if closed else runnable(self.block)
-        return lambda x, u, p: [np.asarray(r, dtype=np.float64).reshape(-1) for r in run(x, u, p)]
+        return on_vectors(to_casadi(self.block).expand()) if closed else runnable(self.block)
 
     @cached_property
-    def _before(self) -> Callable[..., Any]:
+    def _before(self) -> Callable[..., list[Vector]]:
         """The stage before the solver in CasADi's machine."""
-        return to_casadi(self.stages.pre).expand()
+        return on_vectors(to_casadi(self.stages.pre).expand())
 
     @cached_property
     def _sense(self) -> Callable[..., list[Vector]]:
@@ -200,7 +199,7 @@ class Law:
         x, u, p = self._vectors(x, u, p)
         if self.senses is not None:
             x, u = x[: -self.senses.state.size], self.told(x, u, p)
-        J, wanted, rows, *_ = (np.asarray(m, dtype=float).reshape(-1) for m in self._before(x, u, p))
+        J, wanted, rows, *_ = self._before(x, u, p)
         # the bounds of a row may be absent: ±inf, but no NaN
         if not np.isfinite(J).all() or not np.isfinite(wanted).all() or np.isnan(rows).any():
             raise InputError("is not finite", key=f"{self.name}.problem", remedy="`step` refuses such a tick")

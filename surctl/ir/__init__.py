@@ -23,7 +23,7 @@ from surctl.ir.replay import replay
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step
 from surctl.ir.sources import source_digest
 from surctl.ir.stored import read_block, write_block
-from surctl.ir.symbolic import to_casadi
+from surctl.ir.symbolic import on_vectors, to_casadi
 from surctl.ir.tracing import Recording, each, fold, only_if, repeat, tabulated
 
 __all__ = [
@@ -68,6 +68,7 @@ __all__ = [
     "lower",
     "memory",
     "nearby_angles",
+    "on_vectors",
     "only_if",
     "read_block",
     "reads",

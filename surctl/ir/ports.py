@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -33,7 +34,7 @@ class Port:
     meaning: str
     default: float = 0.0
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of scalars."""
         return math.prod(self.shape)
@@ -49,10 +50,10 @@ class Layout:
                 raise InputError("two ports have one name", key=name, remedy="rename one of them")
         self.ports = ports
         self._by_name = {p.name: p for p in ports}
-        self._offset: dict[str, int] = {}
+        self._slices: dict[str, slice] = {}
         at = 0
         for port in ports:
-            self._offset[port.name] = at
+            self._slices[port.name] = slice(at, at + port.size)
             at += port.size
         self.size = at
         self._defaults = np.concatenate([np.full(p.size, p.default) for p in ports] or [np.zeros(0)])
@@ -61,18 +62,18 @@ class Layout:
         return iter(self.ports)
 
     def __contains__(self, name: object) -> bool:
-        return name in self._offset
+        return name in self._slices
 
     def slice(self, name: str) -> slice:
         """Where the port lies in the flat vector."""
-        port = self.port(name)
-        return slice(self._offset[name], self._offset[name] + port.size)
+        self.port(name)
+        return self._slices[name]
 
     def port(self, name: str) -> Port:
         """The port of that name; InputError with the nearest known name otherwise."""
         if name in self._by_name:
             return self._by_name[name]
-        raise InputError("no such field", key=name, remedy=nearest(name, self._offset))
+        raise InputError("no such field", key=name, remedy=nearest(name, self._slices))
 
     def pack(self, values: Mapping[str, object] | None = None) -> NDArray[np.float64]:
         """Flat vector from named values; what is not named takes its default."""
@@ -84,12 +85,12 @@ class Layout:
                 raise InputError(
                     f"has {array.size} numbers, expected shape {port.shape}", key=name, remedy=port.meaning
                 )
-            flat[self.slice(name)] = array.reshape(-1)
+            flat[self._slices[name]] = array.reshape(-1)
         return flat
 
     def unpack(self, flat: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
         """Named arrays (views) of a flat vector."""
-        return {p.name: flat[self.slice(p.name)].reshape(p.shape) for p in self.ports}
+        return {p.name: flat[self._slices[p.name]].reshape(p.shape) for p in self.ports}
 
     def symbols(self, prefix: str = "") -> tuple[ca.SX, dict[str, ca.SX]]:
         """One flat SX symbol and its named parts, each of the port's shape (vectors as columns)."""

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from surctl.errors import InputError
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, nested
 
-__all__ = ["to_casadi"]
+__all__ = ["on_vectors", "to_casadi"]
 
 _SYMBOLIC: Mapping[str, Callable[..., Any]] = MappingProxyType(
     {
@@ -173,3 +177,51 @@ def _piece(source: ca.MX, index: ca.MX, width: int) -> ca.MX:
     last = source.numel() // width - 1
     inside = ca.if_else(index >= 1, ca.if_else(index < last, ca.floor(index), last), 0)
     return source[inside * width + ca.DM(range(width))]
+
+
+def on_vectors(function: ca.Function) -> Callable[..., list[NDArray[np.float64]]]:
+    """A CasADi function on NumPy vectors, (n,) for each input and output: the same numbers, a tenth of a call's time.
+
+    CasADi's own call turns every argument into a matrix of its own; this one writes into buffers that it reads.
+
+    Raises:
+        InputError: an argument of another size, or another number of them.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import on_vectors
+        >>> v = ca.SX.sym("v", 2)
+        >>> on_vectors(ca.Function("drag", [v], [v * ca.norm_2(v)]))([0.3, 0.4])
+        [array([0.15, 0.2 ])]
+    """
+    sizes = [function.numel_in(i) for i in range(function.n_in())]
+    places = [np.array(function.sparsity_out(i).find(), dtype=int) for i in range(function.n_out())]
+    wholes = [function.numel_out(i) for i in range(function.n_out())]
+    if any(function.nnz_in(i) != size for i, size in enumerate(sizes)):
+        raise InputError("takes matrices that are not dense", key=function.name())
+    bound = threading.local()  # a buffer belongs to one call at a time
+
+    def run(*arguments: ArrayLike) -> list[NDArray[np.float64]]:
+        if not hasattr(bound, "trigger"):
+            bound.inputs, bound.outputs = [np.zeros(n) for n in sizes], [np.zeros(len(at)) for at in places]
+            bound.buffer, bound.trigger = function.buffer()
+            for i, array in enumerate(bound.inputs):
+                bound.buffer.set_arg(i, memoryview(array))
+            for i, array in enumerate(bound.outputs):
+                bound.buffer.set_res(i, memoryview(array))
+        if len(arguments) != len(sizes):
+            raise InputError(f"takes {len(sizes)} inputs, got {len(arguments)}", key=function.name())
+        for i, (into, argument) in enumerate(zip(bound.inputs, arguments, strict=True)):
+            given = np.asarray(argument, dtype=np.float64)
+            if given.size != into.size:
+                raise InputError(f"has {given.size} numbers, expected {into.size}", key=function.name_in(i))
+            into[:] = given.reshape(-1, order="F")
+        bound.trigger()
+        found = []
+        for at, whole, part in zip(places, wholes, bound.outputs, strict=True):
+            full = np.zeros(whole)
+            full[at] = part
+            found.append(full)
+        return found
+
+    return run

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from math import floor, inf
 from typing import Annotated, Literal, TypeAlias, get_args
 
@@ -100,6 +101,7 @@ class FaultChances(Strict):
         return tuple(getattr(self, kind) for kind in self.kinds())
 
     @classmethod
+    @cache
     def kinds(cls) -> tuple[FaultKind, ...]:
         """The kinds that may strike by chance, in the order in which the drawn number passes them."""
         return tuple(kind for kind in FAULT_KINDS if kind in cls.model_fields)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from surctl.control import CONTACT_SLOTS, NONFINITE, Gains, Law, LawStep, build_law
 from surctl.errors import InputError, nearest
+from surctl.ir import on_vectors
 from surctl.sensing import NoiseStream, OwnState, delayed, fault_state, faulty, true_range
 from surctl.simulation.column import beside, column
 from surctl.simulation.depth_change import depth_changes
@@ -85,6 +86,11 @@ def advance() -> ca.Function:
         k4 = ode(state + h * k3, tau, d, p)
         state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     return ca.Function("advance", [x, tau, d, p], [state], {"cse": True})
+
+
+@cache
+def _advanced() -> Callable[..., list[Vector]]:
+    return on_vectors(advance())
 
 
 def simulate(
@@ -279,7 +285,7 @@ class Loop:
                     "force": self.world.force(time + k * FIRING),
                 }
             )
-            self.state = np.asarray(advance()(self.state, thrust, d, self.plant)).reshape(-1)
+            (self.state,) = _advanced()(self.state, thrust, d, self.plant)
             if k < half - 1:
                 between = time + (k + 1) * FIRING
                 bodies = self.world.bodies(between)
@@ -291,7 +297,7 @@ class Loop:
             return
         time = self.instant * FIRING
         heard = beside(bodies, float(self.state[2]), self.world.hull)
-        shapes = [*(b.shape for b in heard), *self.world.scenario.walls]
+        shapes = [*(b.shape for b in heard), *self.world.walls]
         for k, sensor in enumerate(self.firings.at(self.instant)):
             heading = float(self.state[3])
             given, self.faults = faulty(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import cos, sin
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from surctl.errors import InputError
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.scenario import Scenario, Shape
 from surctl.vehicle import Vehicle
-from surctl.world import WHOLE, Box, Disc, Heights, Prism
+from surctl.world import WHOLE, Box, Disc, Heights, Prism, Wall
 
 __all__ = ["Body", "World", "WorldDraw", "build_world", "draw_world"]
 
@@ -59,8 +60,20 @@ class World:
 
     def bodies(self, time: float) -> list[Body]:
         """The obstacles that are in the water at `time` [s]."""
-        found = [self._body(k, o, time) for k, o in enumerate(self.scenario.obstacles)]
+        still = self._still
+        found = [still.get(k) or self._body(k, o, time) for k, o in enumerate(self.scenario.obstacles)]
         return [body for body in found if body is not None]
+
+    @cached_property
+    def walls(self) -> tuple[Wall, ...]:
+        """Those of the scenario."""
+        return tuple(self.scenario.walls)
+
+    @cached_property
+    def _still(self) -> dict[int, Body | None]:
+        """Those that never move, by their place in the scenario."""
+        obstacles = enumerate(self.scenario.obstacles)
+        return {k: self._body(k, o, 0.0) for k, o in obstacles if o.shape != "moving" and o.drift_m == 0}
 
     def force(self, time: float) -> NDArray[np.float64]:
         """Disturbance (4,) in {E} [N, N m]."""
@@ -82,21 +95,18 @@ class World:
 
     def wall_clearance(self, position: NDArray[np.float64]) -> float:
         """Hull to nearest wall [m]."""
-        return min(wall.nearest(position)[0] for wall in self.scenario.walls) - self.hull
+        return min(wall.nearest(position)[0] for wall in self.walls) - self.hull
 
     def _body(self, k: int, obstacle: Obstacle, time: float) -> Body | None:
-        centre = np.array(obstacle.centre_m)
         if obstacle.shape == "moving":
-            return self._moving(obstacle, centre, time)
+            return self._moving(obstacle, np.array(obstacle.centre_m), time)
         rate = 2 * np.pi / obstacle.drift_period_s
-        angle = rate * time + self.drift_phase[k]
-        centre = centre + obstacle.drift_m * np.sin(angle) * self.drift_direction[k]
-        velocity = obstacle.drift_m * rate * np.cos(angle) * self.drift_direction[k]
-        if obstacle.size_m is not None:
-            box = Box(centre, np.array(obstacle.size_m))
-            return Body(obstacle.name, box, velocity, moving=False, heights=obstacle.heights)
-        disc = Disc(centre, float(obstacle.radius_m or 0))
-        return Body(obstacle.name, disc, velocity, moving=False, heights=obstacle.heights)
+        angle, direction = rate * time + self.drift_phase[k], self.drift_direction[k]
+        offset = (obstacle.drift_m * np.sin(angle) * direction).tolist()
+        centre = obstacle.centre_m[0] + offset[0], obstacle.centre_m[1] + offset[1]
+        velocity = obstacle.drift_m * rate * np.cos(angle) * direction
+        shape = Box(centre, obstacle.size_m) if obstacle.size_m else Disc(centre, obstacle.radius_m or 0.0)
+        return Body(obstacle.name, shape, velocity, moving=False, heights=obstacle.heights)
 
     def _moving(self, obstacle: Obstacle, centre: NDArray[np.float64], time: float) -> Body | None:
         way = np.array(obstacle.to_m) - centre
