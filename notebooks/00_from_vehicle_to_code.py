@@ -283,7 +283,7 @@ def _(mo):
 def _(run, scenario):
     from surctl.simulation.metrics import settled_avoidance
 
-    away = scenario.path.distance(run.record.eta[:, :2])
+    away = scenario.follower().track(run.record.eta[:, :2])
     left_out = settled_avoidance(run.telemetry("avoiding")[:, 0], away)
     print(f"clearance: {run.record.clearance[0]:.3f} m at the start, {run.metrics.min_clearance_m:.3f} m at the least")
     print(f"path error: {run.metrics.path_error_m:.3f} m, taken over {100 * (1 - left_out.mean()):.1f} % of the ticks")

@@ -245,7 +245,7 @@ def obstacle_clearance(run: Run) -> float:
 
 def counted(run: Run) -> float:
     """Share of the ticks that the path error is taken over: those outside avoidance intervals."""
-    away = run.scenario.path.distance(run.record.eta[:, :2])
+    away = run.scenario.follower().track(run.record.eta[:, :2])
     return float(np.mean(~settled_avoidance(run.telemetry("avoiding")[:, 0], away)))
 
 

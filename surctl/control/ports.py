@@ -180,6 +180,7 @@ _MISSION = (
     Port("cap", (1,), "m/s", "largest commanded horizontal speed", 0.1),
     Port("walls", (4,), "m", "x_min, x_max, y_min, y_max of the site in {E}"),
     Port("launch", (1,), "m", "water around the hull that whoever launched it knows to be free"),
+    Port("visit", (1,), "m", "measured distance to a corner of the path that counts as a visit; 0: it may be cut"),
 )
 
 PARAMETERS = Layout(
@@ -213,6 +214,7 @@ def law_parameters(
     cap: float,
     walls: tuple[float, float, float, float],
     launch: float = 0.0,
+    visit: float = 0.0,
 ) -> NDArray[np.float64]:
     """The flat parameter vector: gains, the vehicle as the controller believes it, and the mission.
 
@@ -225,6 +227,7 @@ def law_parameters(
         cap: largest commanded horizontal speed [m/s].
         walls: x_min, x_max, y_min, y_max [m].
         launch: water around the hull that is known to be free at the start [m].
+        visit: measured distance to a corner that counts as a visit [m]; 0: corners may be cut.
 
     Example:
         >>> from surctl.control import PARAMETERS, law_parameters, load_gains
@@ -240,7 +243,7 @@ def law_parameters(
         ...     walls=(0.0, 3.0, 0.0, 2.0),
         ... )
         >>> p.shape, p[PARAMETERS.slice("thrust_limit")].tolist(), p[PARAMETERS.slice("walls")].tolist()
-        ((69,), [5.0, 5.0, 5.0, 0.5], [0.0, 3.0, 0.0, 2.0])
+        ((70,), [5.0, 5.0, 5.0, 0.5], [0.0, 3.0, 0.0, 2.0])
     """
     brakes = brakes_of(vehicle)
     values: Mapping[str, object] = {
@@ -258,5 +261,6 @@ def law_parameters(
         "cap": cap,
         "walls": walls,
         "launch": launch,
+        "visit": visit,
     }
     return PARAMETERS.pack(values)

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import casadi as ca
 
 from surctl.guidance import (
+    AT_CORNER,
     Guidance,
     allowed_closing_speed,
     along_command,
     crosstrack_next,
     crosstrack_shift,
+    leg_end,
     next_leg,
     path_error,
     path_target,
@@ -38,7 +40,7 @@ class Wish:
         x_e, y_e: path errors of (8) [m].
         along: commanded speed along the path [m/s].
         tangent: (2, 1) of the path, in {E}.
-        arriving: 1 past the path's end, where the target itself is closed in on.
+        arriving: 1 where the path's target stands, at its end or a corner to visit, and is closed in on.
     """
 
     velocity: ca.SX
@@ -60,13 +62,13 @@ def path_wish(
     guidance: Guidance = "los",
     memory: ca.SX | None = None,
 ) -> Wish:
-    """Tracking law (8)–(12) on the path; at its end, proportional approach to the target.
+    """Tracking law (8)–(12) on the path; at its end, and at each corner to visit, proportional approach to it.
 
     Args:
         eta: (4, 1) measured pose in {E}.
         progress: arc length of the path's target [m].
         p: gains `k1`, `lookahead`, `wait`, `k_v`, `brake`, `reaction`, the model and mission `waypoints`,
-            `cruise`, `cap`.
+            `visit`, `cruise`, `cap`.
         dt: control period [s].
         guidance: see `guidance.crosstrack`.
         memory: what it has learnt, of all but `los`.
@@ -88,10 +90,14 @@ def path_wish(
     fastest = allowed_closing_speed(distance, deceleration=acceleration, reaction=p["reaction"])
     fastest = ca.fmin(p["cruise"], fastest)
     closing = offset * ca.fmin(p["k_v"] / _SEPARATION, fastest / ca.fmax(distance, 1e-3))
-    arriving = progress >= length
-    velocity = ca.if_else(arriving, closing, following)
     rate = progress_rate(x_e, speed=p["cruise"], wait=p["wait"])
-    ahead = ca.fmax(ca.fmin(progress + dt * rate, length), next_leg(p["waypoints"], progress, eta[:2], near=p["wait"]))
+    # a corner that has to be visited is closed in on as the path's end is, and left once the robot was there
+    visits, end = p["visit"] > 0, leg_end(p["waypoints"], progress)
+    waits = ca.logic_and(visits, ca.logic_or(progress < end - AT_CORNER, distance > p["visit"]))
+    arriving = ca.logic_or(progress >= length, ca.logic_and(waits, progress >= end - AT_CORNER))
+    velocity = ca.if_else(arriving, closing, following)
+    onward = ca.fmin(progress + dt * rate, ca.if_else(waits, end, length))
+    ahead = ca.fmax(onward, next_leg(p["waypoints"], progress, eta[:2], near=ca.if_else(visits, -1, p["wait"])))
     heading = ca.atan2(tangent[1], tangent[0])
     return Wish(velocity, heading, ahead, x_e, y_e, along, tangent, arriving)
 

@@ -12,12 +12,15 @@ from surctl.guidance.contacts import (
     wall_contacts,
 )
 from surctl.guidance.crosstrack import GUIDANCE, Guidance, check_guidance, crosstrack_next, crosstrack_shift
-from surctl.guidance.path import MAX_WAYPOINTS, Path, next_leg, path_target
+from surctl.guidance.following import FOLLOWING, Follower, follow
+from surctl.guidance.path import AT_CORNER, MAX_WAYPOINTS, Path, leg_end, next_leg, path_target
 from surctl.guidance.sectors import SAME_CONTACT, Choice, Sector, choose_velocity, round_unknown, slowed
 from surctl.guidance.tracking import along_command, path_error, progress_rate, tracking_velocity
 
 __all__ = [
+    "AT_CORNER",
     "FAR",
+    "FOLLOWING",
     "FORMS",
     "GUIDANCE",
     "MAX_WAYPOINTS",
@@ -26,6 +29,7 @@ __all__ = [
     "Choice",
     "Cone",
     "Contact",
+    "Follower",
     "Guidance",
     "Path",
     "Sector",
@@ -40,7 +44,9 @@ __all__ = [
     "disc_contact",
     "disc_contacts",
     "encounter_side",
+    "follow",
     "inside",
+    "leg_end",
     "nearest_in_quadrants",
     "next_leg",
     "path_error",

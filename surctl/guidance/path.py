@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 
-__all__ = ["MAX_WAYPOINTS", "Path", "next_leg", "path_target"]
+__all__ = ["AT_CORNER", "MAX_WAYPOINTS", "Path", "leg_end", "next_leg", "path_target"]
 
 MAX_WAYPOINTS = 8
 
+AT_CORNER = 1e-4  # [m] of arc length: less than the path's target goes in a period, more than single precision errs
 _ON_LEG = 0.1  # [m] from a leg within which it is flown to its end; several times what the position is uncertain by
 
 
@@ -100,6 +101,28 @@ def path_target(waypoints: ca.SX, s: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         tangent = ca.if_else(ca.logic_or(here, k == 0), direction, tangent)
         travelled = travelled + length
     return point, tangent, travelled
+
+
+def leg_end(waypoints: ca.SX, s: ca.SX) -> ca.SX:
+    """Arc length [m] of the end of the leg that holds s; of its own end where s is a corner's, to 0.1 mm.
+
+    Args:
+        waypoints: as `path_target`.
+        s: arc length [m], at most the path's.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import leg_end
+        >>> corner = ca.SX([[0, 0], [2, 0], [2, 3]])
+        >>> [float(leg_end(corner, ca.SX(s))) for s in (1.0, 2.0, 2.1)]
+        [2.0, 2.0, 5.0]
+    """
+    travelled = end = ca.SX(0)
+    for k in range(waypoints.shape[0] - 1):
+        past = s > travelled + AT_CORNER
+        travelled = travelled + ca.sqrt(ca.sumsqr(waypoints[k + 1, :] - waypoints[k, :]))
+        end = ca.if_else(past, travelled, end) if k else travelled
+    return end
 
 
 def next_leg(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, near: ca.SX) -> ca.SX:

@@ -230,7 +230,7 @@ def _course(condition: Condition, gains: Gains, metric: str) -> tuple[NDArray[np
         model=case.model or case.vehicle,
     )
     record = run.record
-    away = case.scenario.path.distance(record.eta[:, :2])
+    away = case.scenario.follower().track(record.eta[:, :2])
     counted = np.arange(1, len(away) + 1)
     course = {
         "min_clearance_m": record.clearance,

@@ -69,7 +69,7 @@ def plot_position_errors(runs: Sequence[Run], *, title: str, bound: float | None
     _some(runs)
     ax = dress(new_axes(9.0, 3.8), title=title, x="time [s]", y="distance to the path [m]")
     for k, run in enumerate(runs):
-        away = run.scenario.path.distance(run.record.eta[:, :2])
+        away = run.scenario.follower().track(run.record.eta[:, :2])
         curve(ax, run.record.time, np.hypot(away, run.record.eta[:, 2] - run.scenario.depth), label=_name(run), k=k)
     if bound is not None:
         ax.axhline(bound, color=BAD, linewidth=1.2, linestyle="--", label="the paper's E_p")

@@ -78,7 +78,7 @@ def plot_path_error(run: Run, ax: Axes | None = None) -> Axes:
     ax = _axes(run, ax, title="path error", unit="m")
     record, scenario = run.record, run.scenario
     curve(ax, record.time, run.telemetry("path_error")[:, 1], label="y_e in the law", k=1, faint=True)
-    curve(ax, record.time, scenario.path.distance(record.eta[:, :2]), label="distance to path", k=0)
+    curve(ax, record.time, scenario.follower().track(record.eta[:, :2]), label="distance to path", k=0)
     curve(ax, record.time, record.eta[:, 2] - scenario.depth, label="z error", k=2)
     legend_above(ax)
     return ax
@@ -139,7 +139,7 @@ def _axes(run: Run, ax: Axes | None, *, title: str, unit: str) -> Axes:
     if time[-1] > 0:
         ax.set_xlim(0.0, float(time[-1]))
     avoiding = run.telemetry("avoiding")[:, 0]
-    away = run.scenario.path.distance(run.record.eta[:, :2])
+    away = run.scenario.follower().track(run.record.eta[:, :2])
     returning = settled_avoidance(avoiding, away) & (avoiding <= 0.5)
     for mask, strength in ((avoiding > 0.5, 0.20), (returning, 0.07)):
         for begin, end in spans(time, mask):

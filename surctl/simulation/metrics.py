@@ -64,6 +64,7 @@ METRICS: Mapping[str, MetricSpec] = MappingProxyType(
         ),
         "deviation_m": MetricSpec("m", "rms horizontal distance to the path over the whole run", "low"),
         "max_deviation_m": MetricSpec("m", "largest horizontal distance to the path", "low"),
+        "missed_corner_m": MetricSpec("m", "largest distance at which the robot passed a corner of the path", "low"),
         "overshoot_m": MetricSpec("m", "largest way past the target along the last leg, within 1 m of it", "low"),
         "length_m": MetricSpec("m", "length of the way flown", "low"),
         "effort_n": MetricSpec("N", "mean of |horizontal thrust command|", "low"),
@@ -90,7 +91,8 @@ class Metrics:
         length_m: length of the way flown.
         effort_n: mean of |horizontal thrust|.
         stopped_because: one of `STOPS`, or `LINK_LOST`.
-        max_deviation_m, overshoot_m, peak_thrust_share, saturated_share, thrust_rate_n_per_s: see `METRICS`.
+        max_deviation_m, missed_corner_m, overshoot_m, peak_thrust_share, saturated_share, thrust_rate_n_per_s: see
+            `METRICS`.
     """
 
     reached: bool
@@ -102,6 +104,7 @@ class Metrics:
     effort_n: float
     stopped_because: str
     max_deviation_m: float
+    missed_corner_m: float
     overshoot_m: float
     peak_thrust_share: float
     saturated_share: float

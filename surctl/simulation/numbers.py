@@ -9,7 +9,11 @@ from surctl.control import Gains, law_parameters
 from surctl.simulation.scenario import Scenario
 from surctl.vehicle import Vehicle
 
-__all__ = ["law_numbers"]
+__all__ = ["VISITED", "law_numbers"]
+
+VISITED = 0.5
+"""Share of the distance that counts as a visit, to which a law goes by what it measures (*chosen*: the rest is for
+the error of its position)."""
 
 
 def law_numbers(scenario: Scenario, gains: Gains, model: Vehicle) -> NDArray[np.float64]:
@@ -33,4 +37,5 @@ def law_numbers(scenario: Scenario, gains: Gains, model: Vehicle) -> NDArray[np.
         cap=scenario.cap,
         walls=(0.0, length, 0.0, width),
         launch=scenario.launch,
+        visit=0.0 if scenario.visit is None else VISITED * scenario.visit,
     )

@@ -36,7 +36,8 @@ class Record:
 def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least: float) -> Metrics:
     """The metrics of a record; `reason` says why the run ended, `least` is its least clearance [m]."""
     where, thrust = record.eta[:, :2], record.tau[:, :2]
-    away = scenario.path.distance(where)
+    follower = scenario.follower()
+    away = follower.track(where)
     excluded = settled_avoidance(record.telemetry[:, law.telemetry_slice("avoiding")].ravel(), away)
     steps = np.linalg.norm(np.diff(where, axis=0), axis=1)
     leg = scenario.target - scenario.path.waypoints[-2]
@@ -54,6 +55,7 @@ def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least:
         effort_n=float(np.mean(np.hypot(thrust[:, 0], thrust[:, 1]))),
         stopped_because=reason,
         max_deviation_m=float(np.max(away)),
+        missed_corner_m=follower.missed,
         overshoot_m=float(np.max(past[near], initial=0.0)),
         peak_thrust_share=float(np.max(np.abs(record.tau) / limit)),
         saturated_share=float(np.mean(record.status % 2)),

@@ -46,8 +46,11 @@ def end_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     return found
 
 
-def _ends(scenario: Scenario) -> tuple[tuple[str, NDArray[np.float64]], ...]:
-    return ("start", scenario.start), ("target", scenario.target)
+def _ends(scenario: Scenario) -> list[tuple[str, NDArray[np.float64], float]]:
+    """Where the hull has to come: name, place, and how near [m] is enough."""
+    corners = scenario.path.waypoints[1:-1] if scenario.visit else ()
+    visited = [(f"corner ({c[0]:g}, {c[1]:g})", c, scenario.reach) for c in corners]
+    return [("start", scenario.start, 0.0), *visited, ("target", scenario.target, 0.0)]
 
 
 def _launch(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
@@ -67,8 +70,8 @@ def _launch(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
 
 def _at_walls(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     found = []
-    for name, point in _ends(scenario):
-        room = min(wall.nearest(point)[0] for wall in scenario.walls) - vehicle["radius"]
+    for name, point, near in _ends(scenario):
+        room = min(wall.nearest(point)[0] for wall in scenario.walls) - vehicle["radius"] + near
         if room < _ROOM:
             where = f"{-room:.3f} m inside a wall" if room < 0 else f"only {room:.3f} m off a wall"
             text = f"the {vehicle['radius']:g} m hull of {vehicle.name} is {where} at the {name} (E15)"
@@ -78,8 +81,8 @@ def _at_walls(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
 
 def _at_still(obstacle: Obstacle, scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     found = []
-    for name, point in _ends(scenario):
-        room = obstacle.distance((float(point[0]), float(point[1]))) - vehicle["radius"]
+    for name, point, near in _ends(scenario):
+        room = obstacle.distance((float(point[0]), float(point[1]))) - vehicle["radius"] + near
         if room - obstacle.drift_m > 0:
             continue
         if room <= 0:

@@ -199,6 +199,7 @@ class Loop:
         self.messages = np.zeros((self.station.messages.late(law.dt), self.slots * 6))
         self.least = float("inf")
         self.clear_of_walls = False
+        self.follower = world.scenario.follower()
         self.rows: list[tuple[object, ...]] = []
 
     def fly(self) -> str:
@@ -217,7 +218,8 @@ class Loop:
             )
             if clearance <= 0:
                 return "collision"
-            if self._left() <= scenario.reach:
+            self.follower.move(*self.state[:2].tolist())
+            if self.follower.last and self._left() <= scenario.reach:
                 return "reached"
             if step.status == NONFINITE:
                 return "fault"

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from surctl.errors import InputError
 from surctl.files import Strict, pick, read_toml, validate
-from surctl.guidance import Path
+from surctl.guidance import Follower, Path
 from surctl.simulation.disturbance import Disturbance
 from surctl.simulation.obstacle import NotNegative, Obstacle, Point, Positive
 from surctl.simulation.paper_figure import PaperFigure
@@ -48,6 +48,7 @@ class _ScenarioFile(Strict):
     time_limit_s: Positive
     launch_m: NotNegative = 0.0
     depths_m: tuple[float, float] | None = None
+    corners: Literal["pass", "visit"] = "pass"
     site: _Site
     obstacles: tuple[Obstacle, ...] = ()
     disturbance: Disturbance = Disturbance()
@@ -76,6 +77,8 @@ class Scenario:
         uncertainty: what a Monte Carlo campaign draws.
         depths: lowest and highest z [m] that the hull may take up where only another depth leads on, or None: the
             robot keeps to the path's depth. With them it carries an echo sounder upwards and one downwards.
+        corners: `pass`: a detour may leave out a corner of the path; `visit`: the robot has to come within `reach` of
+            each, in order, before it can arrive.
     """
 
     name: str
@@ -97,6 +100,7 @@ class Scenario:
     launch: float = 0.0
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
     depths: tuple[float, float] | None = None
+    corners: Literal["pass", "visit"] = "pass"
 
     @property
     def walls(self) -> tuple[Wall, ...]:
@@ -108,6 +112,15 @@ class Scenario:
         """η (4,) at the start: x, y, z [m], and ψ [rad] along the path's first leg."""
         way = self.path.waypoints[1] - self.start
         return np.array([*self.start, self.depth, np.arctan2(way[1], way[0])])
+
+    def follower(self) -> Follower:
+        """A robot at the path's start."""
+        return Follower(self.path, visit=self.visit)
+
+    @property
+    def visit(self) -> float | None:
+        """Distance [m] to a corner that counts as a visit; None where corners may be left out."""
+        return self.reach if self.corners == "visit" else None
 
     @property
     def seeded(self) -> bool:
@@ -171,6 +184,7 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
         model.launch_m,
         model.uncertainty,
         model.depths_m,
+        model.corners,
     )
     _check(scenario)
     return scenario

@@ -35,6 +35,7 @@ def scenario_table(scenario: Scenario) -> dict[str, Any]:
         "time_limit_s": scenario.time_limit,
         "launch_m": scenario.launch,
         **({} if scenario.depths is None else {"depths_m": list(scenario.depths)}),
+        "corners": scenario.corners,
         "site": dict(zip(("length_m", "width_m", "depth_m"), scenario.site, strict=True)),
         "obstacles": [o.model_dump(exclude_none=True) for o in scenario.obstacles],
         "disturbance": scenario.disturbance.model_dump(),

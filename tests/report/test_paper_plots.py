@@ -19,7 +19,7 @@ def test_coordinates_are_those_of_the_record() -> None:
 def test_position_errors_are_distances_in_three_axes_beside_the_papers() -> None:
     flown = run()
     lines = plot_position_errors([flown], title="t", bound=0.04).get_lines()
-    away = flown.scenario.path.distance(flown.record.eta[:, :2])
+    away = flown.scenario.follower().track(flown.record.eta[:, :2])
     expected = np.sqrt(away**2 + (flown.record.eta[:, 2] - flown.scenario.depth) ** 2)
     assert np.asarray(lines[0].get_ydata()) == pytest.approx(expected)
     assert list(lines[1].get_ydata()) == [0.04, 0.04]

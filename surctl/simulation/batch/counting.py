@@ -34,10 +34,11 @@ def counted(
     avoiding: ca.SX,
     to_target: ca.SX,
     gap: ca.SX,
+    leg: ca.SX,
 ) -> dict[str, ca.SX]:
     """The metrics after this tick, see `metrics.METRICS`."""
     place, depth = old["plant"][:2], old["plant"][2]
-    square = _path_square(w["waypoints"], place)
+    square = _path_square(w["waypoints"], leg, place)
     away = ca.sqrt(square)
     excluded = ca.logic_or(avoiding, ca.logic_and(old["away"], away > TUBE))
     first = old["tick"] < 0.5
@@ -60,14 +61,15 @@ def counted(
     }
 
 
-def _path_square(waypoints: ca.SX, point: ca.SX) -> ca.SX:
-    """Squared distance [m²] to the polyline; repeated waypoints are points."""
+def _path_square(waypoints: ca.SX, leg: ca.SX, point: ca.SX) -> ca.SX:
+    """Squared distance [m²] to a leg of the polyline or one beside it; repeated waypoints are points."""
     best = ca.SX(1e30)
     for k in range(MAX_WAYPOINTS - 1):
         a, b = waypoints[k, :].T, waypoints[k + 1, :].T
         chord = b - a
         along = ca.dot(point - a, chord) / ca.fmax(ca.sumsqr(chord), 1e-12)
-        best = ca.fmin(best, ca.sumsqr(point - a - ca.fmin(ca.fmax(along, 0), 1) * chord))
+        square = ca.sumsqr(point - a - ca.fmin(ca.fmax(along, 0), 1) * chord)
+        best = ca.fmin(best, ca.if_else(ca.fabs(leg - k) < 1.5, square, 1e30))
     return best
 
 

@@ -185,6 +185,7 @@ def _metrics(loop: Loop, final: Columns) -> Columns:
         "path_error_m": np.sqrt(error),
         "deviation_m": np.sqrt(s["sum_square"] / rows),
         "max_deviation_m": s["most_away"],
+        "missed_corner_m": np.sqrt(np.maximum(s["missed"], s["corner_behind"])),
         "overshoot_m": s["most_past"],
         "length_m": s["length"],
         "effort_n": s["sum_effort"] / rows,

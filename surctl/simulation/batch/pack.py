@@ -14,7 +14,7 @@ from surctl.sensing import FaultChances, fault_slots, noise_states
 from surctl.simulation.batch.bodies import NO_END, body_columns, kind_of
 from surctl.simulation.batch.case import Case, knobs
 from surctl.simulation.batch.tick import Loop, Structure
-from surctl.simulation.numbers import law_numbers
+from surctl.simulation.numbers import VISITED, law_numbers
 from surctl.simulation.world import WorldDraw, draw_world
 from surctl.vehicle import PLANT_PARAMETERS
 
@@ -148,6 +148,8 @@ class _Filler:
             out[:, layout.slice(name).start] = self.number(name)
         for name in ("depth", "cruise", "cap"):
             out[:, layout.slice(name).start] = self.number(f"scenario.{name}")
+        if case.scenario.corners == "visit":
+            out[:, layout.slice("visit").start] = VISITED * self.number("scenario.reach")
         for vector, members in _VECTORS.items():
             for k, member in enumerate(members):
                 out[:, layout.slice(vector).start + k] = self.believed(member)
@@ -165,6 +167,8 @@ class _Filler:
             "plant": [column for port in PLANT_PARAMETERS for column in plant[port.name]],
             "world_hull": [hull],
             "reach": [self.number("scenario.reach")],
+            "legs": [np.asarray(float(len(scenario.path.waypoints) - 1))],
+            "visited": [self.number("scenario.reach") if scenario.corners == "visit" else np.zeros(())],
             "ticks": [self.ticks],
             "leg": [np.asarray(leg[0]), np.asarray(leg[1])],
             "current": [self.number("scenario.current_x"), self.number("scenario.current_y")],

@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 
 from surctl.control import PARAMETERS, Law, build_law
-from surctl.guidance import MAX_WAYPOINTS
+from surctl.guidance import FOLLOWING, MAX_WAYPOINTS, follow
 from surctl.ir import (
     Block,
     Call,
@@ -104,6 +104,8 @@ def _parameter_ports(structure: Structure) -> tuple[Port, ...]:
         Port("plant", (PLANT_PARAMETERS.size,), "SI", "the vehicle that is flown, as PLANT_PARAMETERS"),
         Port("world_hull", (1,), "m", "its hull radius"),
         Port("reach", (1,), "m", "distance to the target that counts as arrived"),
+        Port("legs", (1,), "1", "number of legs of the path"),
+        Port("visited", (1,), "m", "distance to a corner that counts as a visit; 0 where corners may be left out"),
         Port("ticks", (1,), "1", "most control periods of the run"),
         Port("leg", (2,), "1", "unit direction of the path's last leg in {E}"),
         Port("current", (2,), "m/s", "current in {E}"),
@@ -147,6 +149,7 @@ def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
         Port("away", (1,), "1", "1 during an avoidance interval"),
         Port("last_place", (2,), "m", "x, y at the last tick"),
         Port("last_thrust", (2,), "N", "F_u, F_v at the last tick"),
+        *FOLLOWING,
         *(Port(name, (1,), unit, meaning) for name, unit, meaning in SUMS),
     )
 
@@ -251,7 +254,9 @@ class _Builder:
         gap = ca.sqrt(ca.sumsqr(to_target))
         left = ca.sqrt(gap**2 + (old["plant"][2] - given["depth"]) ** 2) if self.structure.depths else gap
         collided = clearance <= 0
-        reached = ca.logic_and(ca.logic_not(collided), left <= given["reach"])
+        following = follow(old, given["waypoints"], given["legs"], place, visit=given["visited"])
+        arrived = ca.logic_and(following["leg"] > given["legs"] - 1.5, left <= given["reach"])
+        reached = ca.logic_and(ca.logic_not(collided), arrived)
         broken = ca.logic_not(ca.fabs(total) <= _FINITE)
         standing, stop = self._standing(old, v["telemetry"])
         stop = ca.if_else(broken, _code("fault"), stop)
@@ -274,10 +279,10 @@ class _Builder:
         if sonar:
             new |= {**self.listening.heard.split(v["heard_next"]), "fresh": v["fresh_next"], "noise": v["noise_next"]}
             new |= self._late.split(v["late"])
-        new |= standing
+        new |= {**standing, **following}
         tau, status = ca.if_else(broken, 0, v["tau"]), ca.if_else(broken, 0, v["status"])
         avoiding = v["telemetry"][law.telemetry_slice("avoiding")] > 0.5
-        new |= counted(old, given, tau, status, ca.if_else(broken, 0, avoiding), to_target, gap)
+        new |= counted(old, given, tau, status, ca.if_else(broken, 0, avoiding), to_target, gap, following["leg"])
         return recording.block("close", {"s": s, "w": w, **v}, {"s_next": self.state.join(new)})
 
     def _standing(self, old: Mapping[str, ca.SX], telemetry: ca.SX) -> tuple[dict[str, ca.SX], ca.SX]:

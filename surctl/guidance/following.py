@@ -1,0 +1,168 @@
+"""Which leg of its path a robot is on: a path may close, cross or fold, so that the nearest point does not tell.
+
+The leg begins as the first one and only ever becomes the next. That happens once the robot is nearer to the next leg
+than to what is left of its own, and leaves out of the path, around the corner, at most `_SHORT_CUT` times its distance
+to its own leg: a robot that cuts the corner by a detour gets on, one that comes near a later leg on its way does not.
+Where corners have to be visited, it happens at a corner alone, within the distance that counts as arrived.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import hypot, inf, sqrt
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.guidance.path import Path
+from surctl.ir import Port
+
+__all__ = ["FOLLOWING", "Follower", "follow"]
+
+FAR_OFF = 1e30  # [m²] to a corner that the robot has not come near yet
+
+FOLLOWING = (
+    Port("leg", (1,), "1", "of the path that the robot is on, from 0"),
+    Port("along", (1,), "m", "arc length on that leg, the largest so far"),
+    Port("corner_ahead", (1,), "m^2", "least squared distance to the end of that leg", FAR_OFF),
+    Port("corner_behind", (1,), "m^2", "least squared distance to its start while on it or the one before; 0 at first"),
+    Port("missed", (1,), "m^2", "largest squared distance at which an earlier corner was passed"),
+)
+"""State of `follow`."""
+
+_SHORT_CUT = 3.0  # (*chosen*: a right angle that is cut on the diagonal leaves out twice the distance)
+
+
+class Follower:
+    """The leg that a robot is on, and how far it came.
+
+    Args:
+        path: that it follows.
+        visit: distance [m] to a corner that counts as a visit, where every corner must be visited; None: it may be cut.
+
+    Attributes:
+        leg: from 0.
+        along: arc length on this leg [m], the largest so far.
+        missed: largest distance [m] at which a corner was passed so far; 0 before the first. It is the least one while
+            the robot is on either of the two legs that meet there.
+
+    Example:
+        >>> from surctl.guidance import Follower, Path
+        >>> there_and_back = Follower(Path([[1.0, 2.5], [6.0, 2.5], [1.0, 2.5]]))
+        >>> [there_and_back.move(x, 2.5) or there_and_back.leg for x in (1.0, 3.0, 5.9, 6.0, 5.5, 3.0)]
+        [0, 0, 0, 0, 1, 1]
+        >>> there_and_back.last
+        True
+        >>> square = Follower(Path([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0], [0.0, 0.0]]))
+        >>> square.track([[0.2, 0.5], [1.0, 0.1]]).tolist()  # the side on which it ends is not meant
+        [0.5, 0.1]
+    """
+
+    def __init__(self, path: Path, *, visit: float | None = None) -> None:
+        self._points = [(float(x), float(y)) for x, y in path.waypoints]
+        self._visit = visit
+        self.leg, self.along = 0, 0.0
+        self._missed, self._before, self._nearest = 0.0, 0.0, inf  # squares: at corners behind, the last one, the next
+
+    @property
+    def missed(self) -> float:  # noqa: D102
+        return sqrt(max(self._missed, self._before))
+
+    @property
+    def last(self) -> bool:
+        """Whether it is on the last leg."""
+        return self.leg == len(self._points) - 2
+
+    def move(self, x: float, y: float) -> None:
+        """The robot is now at (x, y) [m] in {E}."""
+        (ax, ay), (bx, by) = self._points[self.leg : self.leg + 2]
+        length = hypot(bx - ax, by - ay)
+        ux, uy = (bx - ax) / length, (by - ay) / length
+        self.along = min(max(self.along, (x - ax) * ux + (y - ay) * uy), length)
+        if self.leg:
+            self._before = min(self._before, (x - ax) ** 2 + (y - ay) ** 2)
+        if self.last:
+            return
+        cx, cy = self._points[self.leg + 2]
+        after = hypot(cx - bx, cy - by)
+        vx, vy = (cx - bx) / after, (cy - by) / after
+        beyond = min(max((x - bx) * vx + (y - by) * vy, 0.0), after)
+        rest = (x - ax - self.along * ux) ** 2 + (y - ay - self.along * uy) ** 2
+        following = (x - bx - beyond * vx) ** 2 + (y - by - beyond * vy) ** 2
+        corner = (x - bx) ** 2 + (y - by) ** 2
+        self._nearest = min(self._nearest, corner)
+        if self._visit is None:
+            left_out = length - self.along + beyond
+            moves = following < rest and left_out**2 <= _SHORT_CUT**2 * rest
+        else:
+            moves = corner <= self._visit**2
+        if moves:
+            self.leg, self.along = self.leg + 1, beyond
+            self._missed, self._before, self._nearest = max(self._missed, self._before), self._nearest, inf
+
+    def track(self, places: ArrayLike) -> NDArray[np.float64]:
+        """Distance [m] of the robot to the path, (n,), as it moves to each of the places (n, 2) [m], one by one."""
+        found = []
+        for x, y in np.asarray(places, dtype=float).tolist():
+            self.move(x, y)
+            found.append(self.distance(x, y))
+        return np.array(found)
+
+    def distance(self, x: float, y: float) -> float:
+        """From (x, y) to the leg, the one before it or the one after it, whichever is nearest [m]."""
+        return min(
+            _apart(self._points[k], self._points[k + 1], x, y)
+            for k in range(max(self.leg - 1, 0), min(self.leg + 2, len(self._points) - 1))
+        )
+
+
+def _apart(a: tuple[float, float], b: tuple[float, float], x: float, y: float) -> float:
+    px, py, dx, dy = x - a[0], y - a[1], b[0] - a[0], b[1] - a[1]
+    t = min(max((px * dx + py * dy) / (dx * dx + dy * dy), 0.0), 1.0)
+    return hypot(px - t * dx, py - t * dy)
+
+
+def follow(old: Mapping[str, ca.SX], waypoints: ca.SX, legs: ca.SX, place: ca.SX, *, visit: ca.SX) -> dict[str, ca.SX]:
+    """`Follower.move` in symbols.
+
+    Args:
+        old: `FOLLOWING` before it.
+        waypoints: (n, 2) [m]; trailing repeats of the last point are no legs.
+        legs: number of legs.
+        place: (2, 1) [m] in {E}.
+        visit: see `Follower`; 0 or less: corners may be cut.
+
+    Returns:
+        `FOLLOWING` after it.
+    """
+    leg = old["leg"]
+    start, corner, after = waypoints[0, :].T, waypoints[1, :].T, waypoints[2, :].T
+    for k in range(1, waypoints.shape[0] - 1):
+        here = leg >= k
+        start = ca.if_else(here, waypoints[k, :].T, start)
+        corner = ca.if_else(here, waypoints[k + 1, :].T, corner)
+        after = ca.if_else(here, waypoints[min(k + 2, waypoints.shape[0] - 1), :].T, after)
+    length, ahead = _leg(start, corner)
+    further, then = _leg(corner, after)
+    along = ca.fmin(ca.fmax(old["along"], ca.dot(place - start, ahead)), length)
+    beyond = ca.fmin(ca.fmax(ca.dot(place - corner, then), 0), further)
+    rest, following = ca.sumsqr(place - start - along * ahead), ca.sumsqr(place - corner - beyond * then)
+    apart = ca.sumsqr(place - corner)
+    left_out = length - along + beyond
+    cuts = ca.logic_and(following < rest, left_out**2 <= _SHORT_CUT**2 * rest)
+    moves = ca.logic_and(leg < legs - 1, ca.if_else(visit > 0, apart <= visit**2, cuts))
+    before, nearest = ca.fmin(old["corner_behind"], ca.sumsqr(place - start)), ca.fmin(old["corner_ahead"], apart)
+    return {
+        "leg": leg + moves,
+        "along": ca.if_else(moves, beyond, along),
+        "corner_ahead": ca.if_else(moves, FAR_OFF, nearest),
+        "corner_behind": ca.if_else(moves, nearest, before),
+        "missed": ca.if_else(moves, ca.fmax(old["missed"], before), old["missed"]),
+    }
+
+
+def _leg(a: ca.SX, b: ca.SX) -> tuple[ca.SX, ca.SX]:
+    chord = b - a
+    length = ca.sqrt(ca.sumsqr(chord))
+    return length, chord / ca.fmax(length, 1e-12)
