@@ -28,7 +28,7 @@ SAME_CONTACT = 0.3  # [m] that the blocker may move between two steps and still 
 _WORTH_IT = 0.1  # share of the speed that a way past the unknown must gain
 _WAIT = 0.5  # cost of going slower than the wish, beside what of the way is lost
 _FAN = tuple(radians(12.0 * k) for k in range(1, 9))  # off the wish to either side: courses that may be flown slower
-_LEADS_BACK = 1.6  # cost above which a course takes back more than it gains: more than 120° off the wish, or not free
+_LEADS_BACK = 1.6  # cost above which a slower course may be better: of 120° off the wish, of leaving the latched side
 _SLOWER = 1.0  # cost of going slower there, by the share of the speed that is lost
 _SLOWEST = 0.5  # share of the speed; with less of it left a course leads up to something, not past it
 _ANY = 1e3  # [m/s²] of a robot that turns its velocity at once
@@ -73,8 +73,8 @@ def choose_velocity(
     """Velocity on the free course nearest to the wish's.
 
     Candidates are the wish and both edges of every sector; and, while something that moves comes nearer, the wish as
-    slow as the sectors ask, and standing still. Where all of these lead back, `slower` allows it, nothing moves and
-    nothing asks for a retreat, courses to either side of the wish too, each as slow as the sectors ask: between two
+    slow as the sectors ask, and standing still. Where all of these lead back or leave the latched side, `slower` allows
+    it, nothing moves and nothing asks for a retreat, courses to either side of the wish too, each as slow as the sectors ask: between two
     contacts, each of which bounds the speed towards it, often none is free at the whole speed. If none is free, the one
     that misses its bounds least is taken. The speed is the wish's; no more than `cruise` while the wish is blocked (no
     catching up between obstacles); more, up to `cap`, while a bound asks for a retreat; and reduced as far as the other

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
@@ -227,6 +227,8 @@ def test_through_a_gap_it_goes_slower_where_it_may() -> None:
 
 @settings(derandomize=True, deadline=None, max_examples=200)
 @given(st.integers(0, 10**9), st.sampled_from([-1.0, 0.0, 1.0]))
+@example(1219, -1.0)
+@example(1303, 1.0)
 def test_slower_courses_only_where_the_others_lead_back(seed: int, side: float) -> None:
     """And never into what the choice without them keeps off."""
     wish, bearings, bounds = _random(seed, lowest=0.0)
@@ -235,8 +237,8 @@ def test_slower_courses_only_where_the_others_lead_back(seed: int, side: float) 
     assert may.violation <= max(plain.violation, TOLERANCE)
     toward = plain.velocity @ wish / (np.linalg.norm(plain.velocity) * np.linalg.norm(wish) + 1e-12)
     if plain.violation <= TOLERANCE and toward > -0.5:
-        # but where the latched side has nothing free, and changing it costs more than going slower
-        assert np.array_equal(plain.velocity, may.velocity) or (may.side == side != plain.side)
+        # but where the latched side has nothing free at the whole speed: leaving it costs more than going slower
+        assert np.array_equal(plain.velocity, may.velocity) or (side and plain.side == -side)
 
 
 def test_what_comes_from_ahead_asks_for_a_retreat() -> None:
