@@ -15,9 +15,10 @@ __all__ = ["explained_and_drawn", "run_line"]
 def run_line(run: Run) -> str:
     """Who flew what, and how it ended."""
     m = run.metrics
+    missed = f", a corner missed by {m.missed_corner_m:.3f} m" if m.missed_corner_m > run.scenario.reach else ""
     return (
         f"{run.scenario.name} by {run.vehicle.name}, {run.sensing}, seed {run.seed}: {m.stopped_because} at "
-        f"{m.time_s:.2f} s, least clearance {m.min_clearance_m:.3f} m, path error {m.path_error_m:.3f} m"
+        f"{m.time_s:.2f} s, least clearance {m.min_clearance_m:.3f} m, path error {m.path_error_m:.3f} m{missed}"
     )
 
 

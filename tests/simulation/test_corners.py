@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surctl.cli.single_run import run_line
 from surctl.control import load_gains
 from surctl.guidance import Path
 from surctl.simulation import Case, Scenario, load_scenario, simulate, simulate_batch
@@ -46,6 +47,7 @@ def test_after_a_detour_a_corner_is_left_out_or_visited_as_the_mission_says(corn
     scenario = mission(FOLD, POST, corners=corners)
     run = simulate(scenario, VEHICLE, gains=GAINS)
     assert run.metrics.reached and run.metrics.missed_corner_m == pytest.approx(missed, abs=0.02)
+    assert ("a corner missed by 0.81" in run_line(run)) == (corners == "pass")
     row = simulate_batch(Case(scenario, VEHICLE, GAINS)).table[0]
     assert row == pytest.approx(run.metrics.row(), abs=1e-9)
 
