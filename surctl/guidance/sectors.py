@@ -74,11 +74,11 @@ def choose_velocity(
 
     Candidates are the wish and both edges of every sector; and, while something that moves comes nearer, the wish as
     slow as the sectors ask, and standing still. Where all of these lead back or leave the latched side, `slower` allows
-    it, nothing moves and nothing asks for a retreat, courses to either side of the wish too, each as slow as the sectors
-    ask: between two contacts, each of which bounds the speed towards it, often none is free at the whole speed. If none
-    is free, the one that misses its bounds least is taken. The speed is the wish's; no more than `cruise` while the wish is blocked (no
-    catching up between obstacles); more, up to `cap`, while a bound asks for a retreat; and reduced as far as the other
-    bounds ask.
+    it, nothing moves and nothing asks for a retreat, courses to either side of the wish too, each as slow as the
+    sectors ask: between two contacts, each of which bounds the speed towards it, often none is free at the whole speed.
+    If none is free, the one that misses its bounds least is taken. The speed is the wish's; no more than `cruise` while
+    the wish is blocked (no catching up between obstacles); more, up to `cap`, while a bound asks for a retreat; and
+    reduced as far as the other bounds ask.
     Boxed in, the robot stands still if that misses the bounds less than any course.
 
     Args:
