@@ -152,18 +152,25 @@ def _at(clear: Field) -> Callable[[Cell], float]:
 
 
 def _widest_way(clear: Field, start: Cell, target: Cell) -> list[Cell]:
-    came: dict[Cell, Cell] = {}
-    seen, front = {start}, [(-float(clear[start]), start)]
+    """The cells from target to start of the way whose least clearance is greatest."""
+    # one row and column more on every side, seen beforehand, so that each cell has eight neighbours
+    around, row = np.pad(clear, 1), clear.shape[1] + 2
+    cost, seen = (-around.ravel()).tolist(), bytearray(np.pad(np.zeros(clear.shape, bool), 1, constant_values=True))
+    steps = [a * row + b for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
+    first, last = ((i + 1) * row + j + 1 for i, j in (start, target))
+    came, front = [0] * len(cost), [(cost[first], first)]
+    seen[first] = 1
     while front:
         least, cell = heapq.heappop(front)
-        if cell == target:
+        if cell == last:
             break
-        for near in _around(cell, clear.shape):
-            if near not in seen:
-                seen.add(near)
+        for step in steps:
+            near = cell + step
+            if not seen[near]:
+                seen[near] = 1
                 came[near] = cell
-                heapq.heappush(front, (max(least, -float(clear[near])), near))
-    way = [target]
-    while way[-1] != start:
+                heapq.heappush(front, (max(least, cost[near]), near))
+    way = [last]
+    while way[-1] != first:
         way.append(came[way[-1]])
-    return way
+    return [(k // row - 1, k % row - 1) for k in way]
