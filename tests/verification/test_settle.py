@@ -1,12 +1,15 @@
+import re
 import sys
 from collections import Counter
 
 import casadi as ca
+import numpy as np
 import pytest
 
 from surctl.certcheck import Checked, check_document
 from surctl.errors import InputError
-from surctl.verification import Claim, Variable, prove, settle
+from surctl.verification import Claim, Variable, evaluate, prove, settle
+from surctl.verification.proving import certain_excess
 from tests.verification.made_claims import claim_from, made
 
 EACH = 100
@@ -54,6 +57,48 @@ def test_the_time_limit_is_kept() -> None:
     hard = claim_from("hard", dict.fromkeys("abcdef", (-2.0, 2.0)), "sin(a*b)*cos(c*d) + sin(e*f)*sin(a + c)", "1.9999")
     verdict = settle(hard, samples=64, starts=2, time_limit=1.0)
     assert verdict.verdict in ("unknown", "refuted") and verdict.seconds < 8
+
+
+def test_what_is_left_open_counts_the_boxes_of_all_attempts(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = sys.modules["surctl.verification.proving.prove"]
+    monkeypatch.setattr(module, "_ROUNDS", ((20, 0.0), (200, 1.0)))
+    proof = prove(claim_from("close", {"x": (-4.0, 4.0), "y": (-4.0, 4.0)}, "sin(3*x)*cos(2*y)*sin(x*y)", "0.9"))
+    words = r"the boxes allowed were used up after (\d+) boxes: (\d+) open"
+    said, open_boxes = re.match(words, proof.remaining).groups()
+    assert int(said) >= 220 and int(said) == proof.boxes and int(open_boxes) == len(proof.open_boxes)
+
+
+def test_bounds_given_as_integers_are_halved_like_numbers() -> None:
+    x = ca.SX.sym("x")
+    for kind in (int, float):
+        bounds = Variable("x", x, "1", kind(0), kind(3), "")
+        claim = Claim("waves", "", "", (), "proved", (bounds,), ca.sin(3 * x) + x / 10, ca.SX(1.3), "1")
+        assert settle(claim).verdict == "proved"
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "constraints"),
+    [
+        ("atan2(y, x)", "1", ()),  # the worst lies on the branch cut, where intervals hold all angles
+        ("atan2(y, x)", "1", ("x - y",)),
+        ("-atan2(y, x)", "1", ()),
+        ("abs(atan2(y, x))", "3", ()),
+        ("sqrt(x + 1) + sqrt(1 - y)", "2", ()),  # and on the edge of where a root is defined
+        ("acos(x)", "2", ("y - 0.5",)),
+    ],
+)
+def test_whoever_has_a_violating_sample_has_a_counterexample(left, right, constraints) -> None:
+    box = {"x": (-1.0, 1.0), "y": (-1.0, 1.0)}
+    verdict = settle(claim_from("cut", box, left, right, constraints), samples=256, starts=4, time_limit=1.0)
+    assert verdict.verdict == "refuted" and verdict.counterexample is not None, verdict.remaining
+    margin, inside = evaluate(verdict.claim, verdict.counterexample.values)
+    assert inside and margin > 0
+
+
+def test_how_certain_an_excess_is_at_many_points_at_once() -> None:
+    claim = claim_from("cut", {"x": (-1.0, 1.0), "y": (-1.0, 1.0)}, "atan2(y, x)", "1")
+    sure = certain_excess(claim, np.array([[-0.5, -0.5, 2.0], [0.0, 0.5, 0.5]]))
+    assert sure[0] < 0 and sure[1] == pytest.approx(0.75 * np.pi - 1) and sure[2] == -np.inf
 
 
 def test_a_constraint_prunes() -> None:
