@@ -35,8 +35,8 @@ _HEADERS_OF_C = (
 )
 _HEADERS_OF_POSIX = (
     "aio alloca dirent dlfcn endian fcntl features fmtmsg fnmatch ftw glob grp iconv langinfo libgen malloc memory "
-    "monetary mqueue ndbm netdb nl_types poll pthread pwd regex sched search semaphore spawn strings stropts syslog tar "
-    "termios trace ulimit unistd utime utmpx values wordexp"
+    "monetary mqueue ndbm netdb nl_types poll pthread pwd regex sched search semaphore spawn strings stropts syslog "
+    "tar termios trace ulimit unistd utime utmpx values wordexp"
 )
 _HEADERS_OF_FMI = "fmi2functions fmi2functiontypes fmi2typesplatform"
 _HEADERS = frozenset(f"{_HEADERS_OF_C} {_HEADERS_OF_POSIX} {_HEADERS_OF_FMI}".split())
