@@ -184,7 +184,9 @@ def plot_maps(run: Run, views: Sequence[MapView]) -> Axes:
     if any(not body.heights.whole for body in run.record.obstacles[views[0].tick]):
         passed = Patch(facecolor="none", edgecolor=INK, linestyle=":", linewidth=1.6, label="passed above or below")
         handles.append(passed)
-    figure.suptitle(describe(run), x=0.01, ha="left", fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+    figure.suptitle(
+        describe(run), x=0.01, ha="left", fontsize=10.5, fontweight="bold", color=INK, parse_math=False, wrap=True
+    )
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=8.5, frameon=False)
     first: Axes = axes[0]
     return first

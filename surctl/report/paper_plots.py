@@ -34,7 +34,7 @@ def plot_coordinates(runs: Sequence[Run], *, title: str) -> Figure:
     """
     _some(runs)
     figure = new_figure(9.0, 5.6)
-    figure.suptitle(printable(title), fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+    figure.suptitle(printable(title), fontsize=10.5, fontweight="bold", color=INK, parse_math=False, wrap=True)
     for k, (ax, name) in enumerate(zip(figure.subplots(3, 1, sharex=True), "xyz", strict=True)):
         dress(ax, x="time [s]" if k == 2 else "", y=f"{name} [m]")
         for j, run in enumerate(runs):

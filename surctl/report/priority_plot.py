@@ -44,7 +44,7 @@ def plot_priority(run: Run, found: PriorityTimeline) -> Figure:
     heights = [0.3 if one else 0.95 for one in quiet] + [0.26 * max(len(rows), 1) + 0.2]
     figure = new_figure(9.5, 1.4 + sum(heights) + 0.1 * len(heights))
     axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False).ravel().tolist()
-    figure.suptitle(printable(describe(run)), fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+    figure.suptitle(printable(describe(run)), fontsize=10.5, fontweight="bold", color=INK, parse_math=False, wrap=True)
     for level, ax in enumerate(axes[:-1]):
         _draw_level(ax, found, level)
     _draw_rows(axes[-1], found, rows)

@@ -44,7 +44,7 @@ def plot_sonar_replay(replayed: Replay, ax: Sequence[Axes] | None = None, *, tit
     sensors = replayed.sensors
     if ax is None:
         figure = new_figure(9.5, 1.0 + 2.5 * len(sensors))
-        figure.suptitle(printable(title), fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+        figure.suptitle(printable(title), fontsize=10.5, fontweight="bold", color=INK, parse_math=False, wrap=True)
         ax = figure.subplots(len(sensors), 1, sharex=True, squeeze=False).ravel().tolist()
     for k, (sensor, one) in enumerate(zip(sensors, ax, strict=True)):
         plot_replay_sensor(replayed, sensor, one)

@@ -50,7 +50,9 @@ def plot_run_signals(run: Run, ax: Sequence[Axes] | None = None) -> Figure:
     """
     if ax is None:
         figure = new_figure(9.5, 7.6)
-        figure.suptitle(printable(describe(run)), fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+        figure.suptitle(
+            printable(describe(run)), fontsize=10.5, fontweight="bold", color=INK, parse_math=False, wrap=True
+        )
         ax = figure.subplots(3, 2, sharex=True).ravel().tolist()
     plots = (plot_clearance, plot_path_error, plot_velocity, plot_yaw_rate, plot_force, plot_moment)
     for plot, target in zip(plots, ax, strict=True):

@@ -72,7 +72,7 @@ def dress(ax: Axes, *, title: str = "", x: str = "", y: str = "") -> Axes:
 
 
 def _title(ax: Axes, text: str, *, pad: float | None = None) -> None:
-    ax.set_title(text, loc="left", pad=pad, fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+    ax.set_title(text, loc="left", pad=pad, fontsize=10.5, fontweight="bold", color=INK, parse_math=False, wrap=True)
 
 
 def curve(ax: Axes, x: NDArray[np.float64], y: NDArray[np.float64], *, label: str, k: int, faint: bool = False) -> None:

@@ -1,6 +1,7 @@
 import re
 import sys
 from collections import Counter
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -111,6 +112,15 @@ def test_equality_at_a_point_is_proved_exactly() -> None:
     verdict = settle(claim_from("touch", {"x": (-1.0, 1.0), "y": (-1.0, 1.0)}, "x*y", "x^2 + y^2"))
     assert verdict.verdict == "proved" and verdict.certificate is not None
     assert verdict.certificate["claim"]["slack"] == 0.0
+
+
+def test_a_claim_that_is_proved_to_within_a_slack_says_so_beside_its_worst_margin() -> None:
+    claim = claim_from("near", {"x": (-1.0, 1.0)}, "x^2", "0.95")
+    told = settle(replace(claim, tolerance=0.1)).to_dict()  # of the larger side, 1
+    assert told["verdict"] == "proved" and 0 < told["worst_margin"] <= told["slack"] <= 0.1 * 1.0001
+    exact = settle(claim_from("sure", {"x": (-1.0, 1.0)}, "x^2", "1")).to_dict()
+    assert exact["slack"] == 0 and exact["worst_margin"] <= 0
+    assert settle(claim).to_dict()["slack"] is None
 
 
 def test_rounding_alone_refutes_nothing() -> None:
