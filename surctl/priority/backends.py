@@ -191,7 +191,8 @@ def _nearest(
         second = _checked(pushed, G, below, above, tolerance=tolerance)
         answer = answer if second.y is None else second
     if answer.y is None:
-        return LeastDistance(None, nothing, answer.iterations, answer.status)
+        status: Status = "infeasible" if answer.status == "infeasible" else "failed"
+        return LeastDistance(None, nothing, answer.iterations, status)
     nothing[use] = answer.multipliers / scale
     return LeastDistance(base + free.T @ answer.y, nothing, answer.iterations, "optimal")
 
