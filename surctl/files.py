@@ -163,6 +163,8 @@ def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
             value = None
         elif first["type"] == "model_type" and "Quantity" in first["loc"]:
             problem, remedy = "must be a value with its unit", 'write { value = ..., unit = "..." }'
+        elif first["type"] in ("tuple_type", "list_type"):
+            problem, remedy = "must be a list", "write [ ... ] around its members"
         elif first["type"] == "missing":
             problem, remedy = "is missing", "add it"
         else:

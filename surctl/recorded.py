@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from surctl.errors import InputError, nearest
 
 __all__ = ["Recorded", "read_recorded", "shown"]
 
+_GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")
 _MISSING = {"", "na", "n/a", "null", "none"}  # cells that stand for "no number" beside nan
 
 
@@ -73,8 +75,20 @@ class Recorded:
                 raise ValueError
             return float(cell)
         except ValueError:
-            remedy = "write a decimal point" if "," in cell else "write a number, or leave the cell empty"
-            raise InputError("is not a number", file=self.at(row), key=column, value=cell, remedy=remedy) from None
+            raise InputError(
+                "is not a number", file=self.at(row), key=column, value=cell, remedy=_number_remedy(cell)
+            ) from None
+
+
+def _number_remedy(cell: str) -> str:
+    """What to write instead; a comma between groups of three digits is not taken for a decimal one."""
+    plain = cell.replace(",", "")
+    if _GROUPED.fullmatch(cell):
+        if cell.count(",") == 1 and "." not in cell:
+            point = cell.replace(",", ".")
+            return f"write {plain} if the comma separates thousands, {point} if it is the decimal one"
+        return f"write {plain}: no commas between thousands"
+    return "write a decimal point" if "," in cell else "write a number, or leave the cell empty"
 
 
 def shown(path: object) -> str:
@@ -148,13 +162,13 @@ def _text(path: Path) -> str:
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line = raw.count(b"\n", 0, error.start) + 1
+        line = len(re.findall(rb"\r\n|\r|\n", raw[: error.start])) + 1
         raise InputError("is not text (UTF-8)", file=f"{shown(path)}:{line}", remedy="save it as UTF-8") from None
     if "\0" in text:
         raise InputError("is not text (it holds a NUL byte)", file=shown(path), remedy="give a CSV file")
     if not text.strip():
         raise InputError("is empty", file=shown(path), remedy="give a CSV file with a header and rows")
-    return text
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _comments(text: str) -> tuple[tuple[str, ...], str]:

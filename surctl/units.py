@@ -68,11 +68,13 @@ def in_unit(value: float, unit: str, wanted: str) -> float:
         >>> in_unit(54.0, "cm", "m"), round(in_unit(0.5, "kgf", "N"), 4)
         (0.54, 4.9033)
     """
-    if unit == wanted:
+    if unit == wanted or (wanted == "1" and not unit.strip()):
         return value
     import pint
 
     remedy = f"give it in {wanted}"
+    if not unit.strip():
+        raise InputError("has no unit", value=value, remedy=remedy)
     if len(unit) > _MOST or not _UNIT.fullmatch(unit):
         raise InputError("is no unit", value=unit, remedy=remedy)
     try:

@@ -15,8 +15,11 @@ import subprocess
 import tomllib
 from pathlib import Path
 
+import click
 import pytest
+from click.testing import CliRunner
 
+from surctl.cli.app import app
 from tests.processes import run_python
 from tests.tools import PATIENCE, need_compiler
 
@@ -47,6 +50,25 @@ def missing(said: list[str], printed: str) -> list[str]:
             return said[k:]
         at = same[0] + 1
     return []
+
+
+def options_of(command: click.Command) -> set[str]:
+    """Every option of a command and of those below it."""
+    own = {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)}
+    below = command.commands.values() if isinstance(command, click.Group) else ()
+    return own.union({"--help", "--version"}, *map(options_of, below))
+
+
+@pytest.mark.parametrize("page", [*GUIDES, ROOT / "README.md"], ids=lambda page: page.stem)
+def test_every_option_and_file_that_the_text_names_is_there(page: Path) -> None:
+    known = options_of(app)
+    prose = BLOCK.sub("", page.read_text(encoding="utf-8"))
+    for code in re.findall(r"`([^`]+)`", prose):
+        if code.startswith(("surctl ", "--")):
+            assert set(re.findall(r"--[a-z][a-z-]*", code)) <= known, code
+        shown = re.search(r"surctl list --show (\S+)", code)
+        if shown:
+            CliRunner().invoke(app, ["list", "--show", shown[1]], catch_exceptions=False)
 
 
 _KNOWN: dict[tuple[str, bytes], tuple[str, dict[str, bytes]]] = {}

@@ -29,6 +29,39 @@ SAME = {
 }
 
 
+@pytest.mark.parametrize("ends", ["\n", "\r\n", "\r"], ids=["LF", "CRLF", "CR"])
+def test_comments_and_lines_with_any_line_ends(tmp_path: Path, ends: str) -> None:
+    text = "# frame=ned\n# tank\na,b\n\n1,2\n3,x\n".replace("\n", ends)
+    table = read_recorded(written(tmp_path, text))
+    assert table.about == ("frame=ned", "tank") and table.lines.tolist() == [5, 6]
+    with pytest.raises(InputError, match=r"a\.csv:6: b = 'x'"):
+        table.numbers("b")
+    with pytest.raises(InputError, match=r"a\.csv:3: is separated by semicolons"):
+        read_recorded(written(tmp_path, f"# one{ends}# two{ends}a;b{ends}1;2{ends}"))
+    with pytest.raises(InputError, match=r"a\.csv:2: is not text"):
+        read_recorded(written(tmp_path, b"a" + ends.encode() + b"\xff"))
+
+
+@pytest.mark.parametrize(
+    ("cell", "remedy"),
+    [
+        ("1,000", "write 1000 if the comma separates thousands, 1.000 if it is the decimal one"),
+        ("-12,345", "write -12345 if the comma separates thousands, -12.345 if it is the decimal one"),
+        ("1,234,567", "write 1234567: no commas between thousands"),
+        ("1,234.5", "write 1234.5: no commas between thousands"),
+        ("1,5", "write a decimal point"),
+        ("0,125", "write a decimal point"),
+        ("12,3456", "write a decimal point"),
+        ("1 m", "write a number, or leave the cell empty"),
+    ],
+)
+def test_the_remedy_does_not_change_what_a_number_is(tmp_path: Path, cell: str, remedy: str) -> None:
+    table = read_recorded(written(tmp_path, f'a,b\n"{cell}",1\n'))
+    with pytest.raises(InputError) as caught:
+        table.numbers("a")
+    assert str(caught.value).endswith(f"is not a number; {remedy}")
+
+
 @pytest.mark.parametrize("case", SAME)
 def test_ways_to_write_one_table(tmp_path: Path, case: str) -> None:
     table = read_recorded(written(tmp_path, SAME[case]))

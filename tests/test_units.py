@@ -43,10 +43,16 @@ def test_the_same_unit_changes_no_bit(value: float) -> None:
     assert in_unit(value, "N s^2/m^2", "N s^2/m^2") == value
 
 
+def test_a_number_without_dimension_needs_no_unit() -> None:
+    assert in_unit(1.0, "", "1") == 1.0 and in_unit(0.5, "1", "1") == 0.5
+    with pytest.raises(InputError, match=r"has no unit; give it in m"):
+        in_unit(1.0, "", "m")
+
+
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("0.54", "is no unit"),
+        ("0.54", "has no unit"),
         ("0.54 s", "wrong unit"),
         ("0.54 furlings", "is no unit"),
         ("half a metre", "is no number"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
+from contextlib import suppress
 
 import click
 
@@ -20,6 +21,7 @@ from surctl.cli.output import Stopped
 from surctl.cli.reproduce import reproduce
 from surctl.cli.simulate import simulate
 from surctl.cli.sonar_replay import sonar_replay
+from surctl.cli.streams import failed_write, prepare_stdout
 from surctl.cli.study import study
 from surctl.cli.sweep import sweep
 from surctl.cli.tune import tune
@@ -69,8 +71,10 @@ def main() -> None:
     # before NumPy is loaded; the matrices are small, and OpenBLAS's threads wait for each other in loops
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     warnings.showwarning = lambda message, *_: _tell(str(message))
+    prepare_stdout()
     try:
         status = app(prog_name="surctl", standalone_mode=False)
+        sys.stdout.flush()
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message())
         status = 0
@@ -84,6 +88,12 @@ def main() -> None:
     except Stopped as stop:
         _tell(f"stopped; {stop}")
         status = 130
+    except OSError as error:
+        lost = failed_write(error)
+        if lost is None:
+            raise
+        _tell(lost)
+        status = 1
     except (KeyboardInterrupt, click.Abort):
         _tell("stopped before anything was finished")
         status = 130
@@ -91,4 +101,5 @@ def main() -> None:
 
 
 def _tell(text: str) -> None:
-    sys.stderr.write("surctl: " + " ".join(text.split()) + "\n")
+    with suppress(OSError):  # where stderr is full, the exit status is what is left
+        sys.stderr.write("surctl: " + " ".join(text.split()) + "\n")

@@ -7,11 +7,13 @@ import math
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+
+from surctl.cli.streams import is_utf8
 
 __all__ = [
     "Stopped",
@@ -64,7 +66,7 @@ def finish(
     """Print the result, with the commands that one would give next, and end with status 0 if `passed`, else 1."""
     told = [*lines, "next", *(f"  {command}" for command in then)] if then else lines
     said = {**result, "next": list(then)} if then else result
-    text = json.dumps(finite(said), ensure_ascii=False) if as_json else "\n".join(told)
+    text = json.dumps(finite(said), ensure_ascii=not is_utf8()) if as_json else "\n".join(told)
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
     click.get_current_context().exit(0 if passed else 1)
@@ -93,5 +95,6 @@ def same_command() -> str:
 
 def progress(text: str) -> None:
     """One line of progress on stderr."""
-    sys.stderr.write(f"  {text}\n")
-    sys.stderr.flush()
+    with suppress(OSError):  # a full disk under the log stops no computation
+        sys.stderr.write(f"  {text}\n")
+        sys.stderr.flush()

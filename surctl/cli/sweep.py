@@ -132,7 +132,7 @@ def sweep(
         table = run_sweep(cases, chosen, seeds=range(seeds), executor=executor, out=out, progress=progress)
     found = None if sensitivity is None else indices(table, sensitivity)
     picked = table.picked
-    gains_path = write_file(out / "gains.toml", write_gains(table.gains))
+    gains_path = None if picked is None else write_file(out / "gains.toml", write_gains(table.gains))
     pictures = _pictures(table, found, out)
     if locus is not None:
         from surctl.report import save_locus
@@ -142,8 +142,8 @@ def sweep(
         poles = _locus(cases, table.gains, locus, axis.values, at)
         pictures.append(save_locus(poles, out, unit=axis.unit, picked=at.get(locus)))
     lines = _lines(table, found)
-    where = table.gains.provenance if picked else "no point is feasible"
-    lines += ["", where, f"gains {gains_path}", f"table {table.path}"]
+    where = "No point is feasible, so no gain file was written." if picked is None else table.gains.provenance
+    lines += ["", where, *([] if gains_path is None else [f"gains {gains_path}"]), f"table {table.path}"]
     lines += [f"plot  {picture}" for picture in pictures]
     about = shlex.join([*(("--vehicle", vehicles[0]) if vehicles else ()), "--gains", str(gains_path)])
     then = [f"surctl verify {about}"] if picked is not None else []
@@ -153,6 +153,7 @@ def sweep(
         "cases": list(table.cases),
         "results": table.rows() if as_json else [],
         "picked": None if picked is None else table.row(picked),
+        "gains": None if gains_path is None else str(gains_path),
         "sensitivity": None if found is None else found.to_dict(),
         "table": str(table.path),
     }

@@ -78,6 +78,9 @@ def from_geometry(
 ) -> None:
     """Derive a spherical vehicle's numbers, each with a range and where it comes from.
 
+    It knows spheres only. For another hull, fit the numbers to a log (surctl vehicle from-log), or write those that
+    you know into a file (surctl new vehicle).
+
     Example: surctl vehicle from-geometry --name mine --diameter "40 cm" --mass "6 kg" --thrust 0.5kgf
     --yaw-thrust "0.4 N m"
     """

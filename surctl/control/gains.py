@@ -77,13 +77,16 @@ class Gains:
         check_name(name, self.source)
         return self.values[name]
 
-    def with_values(self, values: Mapping[str, float], *, provenance: str | None = None) -> Gains:
-        """A copy with some gains changed, each checked for its sign and bound."""
+    def with_values(
+        self, values: Mapping[str, float], *, provenance: str | None = None, how: str | None = None
+    ) -> Gains:
+        """A copy with some gains changed, each checked for its sign and bound; `how` is added to its name."""
         for name, value in values.items():
             check_name(name, self.source)
             check_value(name, float(value), self.source)
         merged = {**self.values, **{k: float(v) for k, v in values.items()}}
-        return replace(self, values=merged, provenance=provenance or self.provenance)
+        name = self.name if how is None else f"{self.name.removesuffix(f'-{how}')}-{how}"
+        return replace(self, name=name, values=merged, provenance=provenance or self.provenance)
 
 
 def check_name(name: str, source: object) -> None:

@@ -28,7 +28,18 @@ STATUS: tuple[tuple[str, int, str], ...] = (
 )
 """(name, code, meaning) of what a step returns: positive codes are bits, negative ones mean fail-safe."""
 
-_FILES = ("sil_main", "link", "controller", "target_start", "target_link")
+_FILES = ("sil_main", "link", "controller", "target_start", "target_link", "fmu")
+_HEADERS_OF_C = (
+    "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic "
+    "stdbool stdckdint stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar wchar wctype"
+)
+_HEADERS_OF_POSIX = (
+    "aio alloca dirent dlfcn endian fcntl features fmtmsg fnmatch ftw glob grp iconv langinfo libgen malloc memory "
+    "monetary mqueue ndbm netdb nl_types poll pthread pwd regex sched search semaphore spawn strings stropts syslog "
+    "tar termios trace ulimit unistd utime utmpx values wordexp"
+)
+_HEADERS_OF_FMI = "fmi2functions fmi2functiontypes fmi2typesplatform"
+_HEADERS = frozenset(f"{_HEADERS_OF_C} {_HEADERS_OF_POSIX} {_HEADERS_OF_FMI}".split())
 
 
 class Step(Protocol):
@@ -103,12 +114,11 @@ def checked_name(law: Exportable, name: str | None = None) -> str:
     """The bundle's name, after every name that reaches C passed the identifier check.
 
     Raises:
-        InputError: a name is no C identifier, the outputs do not begin with `tau`, the period is not
-            positive, or the block's sizes are not those of the layouts.
+        InputError: a name is no C identifier or meets that of another file, the outputs do not begin with `tau`, the
+            period is not positive, or the block's sizes are not those of the layouts.
     """
     chosen = identifier(law.name if name is None else name)
-    if chosen in _FILES:
-        raise InputError("is taken by a file of the bundle", key="name", value=chosen, remedy="choose another")
+    _check_files(chosen)
     for layout in (law.state, law.inputs, law.gains, law.outputs):
         for port in layout:
             identifier(port.name)
@@ -118,6 +128,31 @@ def checked_name(law: Exportable, name: str | None = None) -> str:
         raise InputError("is not a positive time", key=f"{chosen}.dt", value=law.dt, remedy="give seconds")
     _check_sizes(law, chosen)
     return chosen
+
+
+def _check_files(name: str) -> None:
+    """InputError where the bundle's files or macros would be those of something else, on any file system."""
+    small = name.lower()
+    if small in _FILES:
+        raise InputError("is taken by a file of the bundle", key="name", value=name, remedy="choose another")
+    if small in _HEADERS:
+        raise InputError(
+            f"is the name of a system header, which {small}.h would hide",
+            key="name",
+            value=name,
+            remedy="choose another",
+        )
+    if small.endswith("_link"):
+        raise InputError(
+            "has the include guard of another bundle's link.h", key="name", value=name, remedy="end it otherwise"
+        )
+    if name != small:
+        raise InputError(
+            f"has capitals: the macros are those of {small}, and so are the files where case does not count",
+            key="name",
+            value=name,
+            remedy=f"write {small}",
+        )
 
 
 def _check_sizes(law: Exportable, name: str) -> None:

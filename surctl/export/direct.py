@@ -35,8 +35,10 @@ def direct_law(law: Exportable, block: Program, name: str, real: Real) -> str:
         for to, ref in zip(place, refs, strict=True)
         if to not in stays
     ]
-    read = {i.args[0] for i in block.instructions if i.op == "input"}
     kind = C_TYPE[real]
+    body = folded_lines(block.instructions, stores, address=lambda which, at: members[which][at], real=real, apart=True)
+    # told by the text: an entry of the state that stays as it is is an instruction that nothing reads
+    used = "\n".join(body)
     lines = [
         f"/* {block.operations} operations */",
         "#if defined(__GNUC__)",
@@ -45,9 +47,9 @@ def direct_law(law: Exportable, block: Program, name: str, real: Real) -> str:
         f"static void {name}_law(const {name}_state_t *state, const {name}_gains_t *gains,",
         f"    const {name}_input_t *input, {kind} *next, {kind} *status, {name}_output_t *output)",
         "{",
-        *(f"    (void){word};" for k, word in enumerate(("state", "input", "gains")) if k not in read),
+        *(f"    (void){word};" for word in ("state", "input", "gains") if f"{word}->" not in used),
         *([] if changing(block) else ["    (void)next;"]),
-        *folded_lines(block.instructions, stores, address=lambda which, at: members[which][at], real=real, apart=True),
+        *body,
         "}",
     ]
     return preamble([block], real) + "\n" + "\n".join(lines) + "\n"

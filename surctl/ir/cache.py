@@ -170,7 +170,7 @@ def _build(source: str, flags: Sequence[str], tuned: Sequence[str]) -> bytes:
     try:
         with tempfile.TemporaryDirectory(prefix="surctl-") as folder:
             text = Path(folder) / "block.c"
-            text.write_text(source)
+            text.write_text(source, encoding="utf-8")
             output = Path(folder) / "block.so"
             try:
                 compile_program([text], output, flags=[*_SHARED, *tuned, *flags])

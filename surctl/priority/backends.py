@@ -19,7 +19,16 @@ from surctl.errors import InputError, nearest
 from surctl.priority.kernels import Answer, Kernel, daqp_kernel, osqp_kernel, own_kernel, qpsolvers_kernels
 from surctl.priority.rowspace import row_space
 
-__all__ = ["BACKENDS", "Backend", "LeastDistance", "Status", "check_backend", "solve_least_distance"]
+__all__ = [
+    "BACKENDS",
+    "FEASIBLE",
+    "Backend",
+    "LeastDistance",
+    "Status",
+    "check_backend",
+    "holds",
+    "solve_least_distance",
+]
 
 Array: TypeAlias = NDArray[np.float64]
 Status: TypeAlias = Literal["optimal", "infeasible", "failed"]
@@ -54,6 +63,8 @@ FEASIBLE = 1e-9
 """Largest violation of a row, as given, relative to 1 + max |v|, that passes as rounding."""
 
 _FAR = 1e3  # times 1 + max |x|, from where on the target is brought near
+_ROUNDS = 20
+_STAYS = 1e-14
 _STATIONARY = 1e-8
 _FIXED = 1e-9  # a row this short after elimination no longer depends on what is left to choose
 
@@ -115,27 +126,43 @@ def solve_least_distance(
     """
     kernel = check_backend(backend)
     answer = _nearest(target, A, lower, upper, A_eq, b_eq, kernel)
-    if answer.x is None:
-        return answer
-    # rounding is that of the largest number in play: a far target is brought near, along a ray that ends in one point
-    size = 1.0 + float(np.abs(answer.x).max())
-    away = float(np.abs(target - answer.x).max())
-    if not _FAR * size < away < np.inf:
-        return answer
-    pull = size / away
-    near = _nearest(answer.x + pull * (target - answer.x), A, lower, upper, A_eq, b_eq, kernel)
-    spent = answer.iterations + near.iterations
-    value, length = A @ answer.x, np.maximum(np.linalg.norm(A, axis=1), 1.0)
-    kept = (np.maximum(lower - value, value - upper) <= FEASIBLE * size * length).all()
-    if near.status == "failed" and kept:  # a solver that fails where it did not before
-        return replace(answer, iterations=spent)
-    return LeastDistance(near.x, near.multipliers / pull, spent, near.status)
+    spent, settled = answer.iterations, False
+    # rounding is that of the largest number in play: a far target is brought near, along a ray that ends in one point,
+    # which it does only once that point stays where it is
+    for _ in range(_ROUNDS):
+        if answer.x is None or settled:
+            break
+        size = 1.0 + float(np.abs(answer.x).max())
+        away = float(np.abs(target - answer.x).max())
+        if not _FAR * size < away < np.inf:
+            settled = True
+            break
+        pull = size / away
+        near = answer.x + pull * (target - answer.x)
+        found = _nearest(near, A, lower, upper, A_eq, b_eq, kernel, guess=pull * answer.multipliers)
+        settled = found.x is not None and float(np.abs(found.x - answer.x).max()) <= _STAYS * size
+        answer = replace(found, multipliers=found.multipliers / pull)
+        spent += found.iterations
+    if answer.x is not None and not settled:
+        return LeastDistance(None, np.zeros(lower.size), spent, "failed")
+    return replace(answer, iterations=spent)
 
 
 def _nearest(
-    target: Array, A: Array, lower: Array, upper: Array, A_eq: Array | None, b_eq: Array | None, kernel: Kernel
+    target: Array,
+    A: Array,
+    lower: Array,
+    upper: Array,
+    A_eq: Array | None,
+    b_eq: Array | None,
+    kernel: Kernel,
+    *,
+    guess: Array | None = None,
 ) -> LeastDistance:
-    """As `solve_least_distance`, with rows kept to a part of 1 + max |target|."""
+    """As `solve_least_distance`, with rows kept to a part of 1 + max |target|.
+
+    Where the kernel has no answer, the rows that push in `guess` (m,) are tried; they pass the same check or none.
+    """
     nothing = np.zeros(lower.size)
     base, free = _eliminate(target, A_eq, b_eq)
     if base is None:
@@ -156,9 +183,16 @@ def _nearest(
         return LeastDistance(base if finite else None, nothing, 0, "optimal" if finite else "failed")
     scale = reduced[use]
     G, below, above = G[use] / scale[:, None], below[use] / scale, above[use] / scale
-    answer = _checked(kernel(G, below, above), G, below, above, tolerance=FEASIBLE / np.maximum(scale, 1.0))
+    tolerance = FEASIBLE / np.maximum(scale, 1.0)
+    answer = _checked(kernel(G, below, above), G, below, above, tolerance=tolerance)
+    if answer.y is None and guess is not None:
+        tried = guess[use] * scale
+        pushed = Answer(-G.T @ tried, tried, answer.iterations, "unfinished")
+        second = _checked(pushed, G, below, above, tolerance=tolerance)
+        answer = answer if second.y is None else second
     if answer.y is None:
-        return LeastDistance(None, nothing, answer.iterations, answer.status)
+        status: Status = "infeasible" if answer.status == "infeasible" else "failed"
+        return LeastDistance(None, nothing, answer.iterations, status)
     nothing[use] = answer.multipliers / scale
     return LeastDistance(base + free.T @ answer.y, nothing, answer.iterations, "optimal")
 
@@ -176,16 +210,16 @@ def _eliminate(target: Array, A_eq: Array | None, b_eq: Array | None) -> tuple[A
 
 def _checked(answer: Answer, G: Array, lower: Array, upper: Array, *, tolerance: Array) -> Answer:
     """The answer if it holds; otherwise what its active rows give, if that holds; otherwise "failed"."""
-    if answer.y is None or _holds(answer, G, lower, upper, tolerance):
+    if answer.y is None:
         return answer
-    polished = _polish(answer, G, lower, upper)
-    if _holds(polished, G, lower, upper, tolerance):
-        return polished
+    for found in (answer, _polish(answer, G, lower, upper)):
+        if holds(found, G, lower, upper, tolerance):
+            return replace(found, status="optimal")
     return Answer(None, answer.multipliers, answer.iterations, "failed")
 
 
-def _holds(answer: Answer, G: Array, lower: Array, upper: Array, tolerance: Array) -> bool:
-    """Feasible within tolerance (m,), stationary, complementary: the KKT conditions of min ½‖y‖².
+def holds(answer: Answer, G: Array, lower: Array, upper: Array, tolerance: Array | float) -> bool:
+    """Feasible within tolerance (m,) or (), stationary, complementary: the KKT conditions of min ½‖y‖².
 
     A NaN holds nothing.
     """

@@ -40,12 +40,14 @@ class Reached:
             ½‖miss‖² for rows that hold a strict level back.
         blame: for each strict level that rows hold back, their names.
         iterations: of all solvers.
+        confirmed: whether every step passed its check; if not, v keeps the rows but may not be the best.
     """
 
     v: Array
     binding: tuple[tuple[str, float], ...]
     blame: Mapping[str, tuple[str, ...]]
     iterations: int
+    confirmed: bool
 
     @staticmethod
     def of(
@@ -54,6 +56,7 @@ class Reached:
         multipliers: Array,
         iterations: int,
         *,
+        confirmed: bool,
         held: Mapping[str, float] | None = None,
         blame: Mapping[str, tuple[str, ...]] | None = None,
     ) -> Reached:
@@ -64,6 +67,7 @@ class Reached:
             tuple((name, found[name]) for name in dict.fromkeys((*rows.names, *found)) if name in found),
             blame or {},
             iterations,
+            confirmed,
         )
 
 
@@ -76,7 +80,8 @@ def as_given(rows: Polyhedron, multipliers: Array, *, above: float) -> dict[str,
 class _Place:
     """What some levels leave: a freedom, rows, and the point in both that is nearest to the target.
 
-    multipliers: (m,) of that point. held: the same of the level that rows hold back.
+    multipliers: (m,) of that point. held: the same of the level that rows hold back. confirmed: whether the point
+    passed its check.
     """
 
     freedom: Freedom
@@ -85,6 +90,7 @@ class _Place:
     multipliers: Array
     iterations: int
     held: Mapping[str, float]
+    confirmed: bool
 
 
 def reach(
@@ -102,7 +108,7 @@ def reach(
     blame: dict[str, tuple[str, ...]] = {}
     held: dict[str, float] = {}
     place: _Place | None = None
-    spent = 0
+    spent, confirmed = 0, True
     for level in strict:
         met = _met(level, target, rows, freedom=freedom, backend=backend, cutoff=cutoff)
         if met is None:
@@ -116,13 +122,15 @@ def reach(
             held = {**met.held, **held}
         place = met
         spent += place.iterations
+        confirmed &= place.confirmed
         freedom, rows = place.freedom, place.rows
     if place is None:
         place = _nearest(freedom, rows, target, backend=backend, inside=inside)
         if place is None:
             return None
         spent += place.iterations
-    return Reached.of(place.inside, place.rows, place.multipliers, spent, held=held, blame=blame)
+        confirmed &= place.confirmed
+    return Reached.of(place.inside, place.rows, place.multipliers, spent, confirmed=confirmed, held=held, blame=blame)
 
 
 def _met(
@@ -148,7 +156,8 @@ def _served(level: Level, target: Array, place: _Place, *, backend: Backend, cut
     # a level that rows hardly hold back (by 1e-9 of ‖J‖) counts as met
     felt = _MISSED * float(np.linalg.norm(level.J, 2)) ** 2
     held = as_given(place.rows, found.multipliers, above=felt)
-    return _Place(narrow, rows, after.inside, after.multipliers, after.iterations + found.iterations, held)
+    spent = after.iterations + found.iterations
+    return _Place(narrow, rows, after.inside, after.multipliers, spent, held, after.confirmed and found.settled)
 
 
 def _kept(level: Level, rows: Polyhedron, chosen: NDArray[np.bool_]) -> Polyhedron:
@@ -163,12 +172,12 @@ def _kept(level: Level, rows: Polyhedron, chosen: NDArray[np.bool_]) -> Polyhedr
 def _nearest(
     freedom: Freedom, rows: Polyhedron, target: Array, *, backend: Backend, inside: Array | None = None
 ) -> _Place | None:
-    """The nearest point to the target; None if there is none, and none is known to be inside."""
+    """The nearest point to the target; else the one that is known to be inside, unconfirmed; None if there is none."""
     answer = freedom.nearest(target, rows, backend=backend)
     spent = answer.iterations
     if answer.x is None and inside is not None:
         answer = freedom.nearest(target, rows.relaxed(rows.mask("barrier", "set"), _ROOM), backend=backend)
         spent += answer.iterations
     if answer.x is not None:
-        return _Place(freedom, rows, answer.x, answer.multipliers, spent, {})
-    return None if inside is None else _Place(freedom, rows, inside, np.zeros(len(rows.names)), spent, {})
+        return _Place(freedom, rows, answer.x, answer.multipliers, spent, {}, True)
+    return None if inside is None else _Place(freedom, rows, inside, np.zeros(len(rows.names)), spent, {}, False)

@@ -27,7 +27,8 @@ class Answer:
 
     Attributes:
         v: (n,). target: (n,), the point that the last projection started from. free: (n,), the answer without rows.
-        status: how it came about; "optimal" here also where rows hold levels back.
+        status: how it came about; "optimal" here also where rows hold levels back; "unconfirmed" where a solver's
+            failure left a point that keeps the rows.
         binding, blame, iterations: as `Reached`.
         conflict: names of the rows that contradict each other.
     """
@@ -54,7 +55,7 @@ def descend(
     """
     found = find(rows, inside=None)
     if found is not None:
-        return _answer(found, target, rows, free, "optimal", 0, ())
+        return _answer(found, target, rows, free, "optimal" if found.confirmed else "unconfirmed", 0, ())
     relaxed = least_violation(rows, target, backend=backend)
     if relaxed is None:
         return _last_resort(free, target, rows, backend)
@@ -62,6 +63,8 @@ def descend(
     if found is None:  # cannot be but by a solver's failure: a point inside is known
         return _last_resort(free, target, rows, backend)
     status: Outcome = "relaxed" if relaxed.opened else "optimal"
+    if not (found.confirmed and relaxed.least):
+        status = "unconfirmed"
     return _answer(found, target, rows, free, status, relaxed.iterations, relaxed.conflict)
 
 

@@ -2,7 +2,7 @@
 
 Both are kernels: `solve_least_distance(..., backend=KeptDaqp())`. The number of rows changes from tick to tick,
 since elimination drops some, and neither solver can change its size: one is kept for each size that occurs. A tick
-that has no answer is never built upon: its solver is dropped, and set up anew when that size comes again.
+whose answer does not hold is never built upon: its solver is dropped, and set up anew when that size comes again.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
+from surctl.priority.backends import FEASIBLE, holds
 from surctl.priority.kernels import (
     DAQP_INFEASIBLE,
     DAQP_TOLERANCE,
@@ -56,10 +57,10 @@ class _Kept(ABC):
         answer = unfit(G, low, high)
         if answer is not None:  # the solver has not seen it
             return answer
-        # taken out, and put back only when it has answered
+        # taken out, and put back only when its answer holds, whatever it says: a warm one starts from that point
         solver = self._solvers.pop((m, d), None)
         solver, answer = self._first(G, low, high) if solver is None else self._again(solver, G, low, high)
-        if answer.status == "optimal":
+        if answer.status == "optimal" and holds(answer, G, low, high, FEASIBLE):
             if len(self._solvers) >= _MOST:
                 del self._solvers[next(iter(self._solvers))]
             self._solvers[m, d] = solver
@@ -104,7 +105,8 @@ class KeptDaqp(_Kept):
 class KeptOsqp(_Kept):
     """OSQP (Stellato et al. 2020), set up once a size, then `update(l, u, Ax)`; settings as in `osqp_kernel`.
 
-    Like a fresh OSQP it may stop short of 1e-8 on degenerate rows; `solve_least_distance` polishes and checks.
+    Like a fresh OSQP it may stop short of 1e-8 on degenerate rows, and then says "unfinished"; `solve_least_distance`
+    polishes and checks.
 
     Not to be shared between threads.
 

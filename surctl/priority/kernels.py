@@ -44,12 +44,15 @@ DAQP_INFEASIBLE = -1
 
 @dataclass(frozen=True)
 class Answer:
-    """y (d,) or None, multipliers (m,) with y + Gᵀ·multipliers = 0, iterations, and what the solver says."""
+    """y (d,) or None, multipliers (m,) with y + Gᵀ·multipliers = 0, iterations, and what the solver says.
+
+    "unfinished": it stopped before it was done, at an iteration limit for instance, and y is where it stood.
+    """
 
     y: Array | None
     multipliers: Array
     iterations: int
-    status: Literal["optimal", "infeasible", "failed"]
+    status: Literal["optimal", "unfinished", "infeasible", "failed"]
 
 
 class Kernel(Protocol):
@@ -137,13 +140,10 @@ def osqp_answer(solver: Any) -> Answer:
 
     result = solver.solve(raise_error=False)
     iterations, status = int(result.info.iter), int(result.info.status_val)
-    if status in (
-        osqp.SolverStatus.OSQP_SOLVED,
-        osqp.SolverStatus.OSQP_SOLVED_INACCURATE,
-        osqp.SolverStatus.OSQP_MAX_ITER_REACHED,
-    ):
-        # inaccurate ones too: the caller polishes and checks
-        return Answer(np.array(result.x, dtype=float), np.array(result.y, dtype=float), iterations, "optimal")
+    unfinished = (osqp.SolverStatus.OSQP_SOLVED_INACCURATE, osqp.SolverStatus.OSQP_MAX_ITER_REACHED)
+    if status == osqp.SolverStatus.OSQP_SOLVED or status in unfinished:
+        said: Literal["optimal", "unfinished"] = "unfinished" if status in unfinished else "optimal"
+        return Answer(np.array(result.x, dtype=float), np.array(result.y, dtype=float), iterations, said)
     infeasible = status == osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE
     return Answer(None, np.zeros(solver.m), iterations, "infeasible" if infeasible else "failed")
 

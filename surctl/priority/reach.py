@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.priority.active_set import serve
+from surctl.priority.active_set import Served, serve
 from surctl.priority.backends import Backend
 from surctl.priority.freedom import Freedom
 from surctl.priority.polyhedron import Polyhedron
@@ -34,6 +34,7 @@ class Relaxed:
         iterations: of the solvers.
         opened: whether any had to open (a solver may err when it says that none keeps them).
         conflict: names of the rows that contradict each other.
+        least: whether the searches for the least opening ended.
     """
 
     rows: Polyhedron
@@ -41,6 +42,7 @@ class Relaxed:
     iterations: int
     opened: bool
     conflict: tuple[str, ...]
+    least: bool
 
 
 def least_violation(rows: Polyhedron, start: Array, *, backend: Backend) -> Relaxed | None:
@@ -52,24 +54,25 @@ def least_violation(rows: Polyhedron, start: Array, *, backend: Backend) -> Rela
     answer = Freedom.whole(start.size).nearest(start, firm, backend=backend)
     if answer.x is None:
         return None
-    inside, iterations = answer.x, answer.iterations
+    inside, iterations, least = answer.x, answer.iterations, True
     conflict: dict[str, None] = {}
     hard: tuple[Kind, ...] = ("actuator",)
     kinds: tuple[Kind, ...] = ("barrier", "set")
     for kind in kinds:
-        inside, by, spent, names = _least_uniform(rows, kind, hard, inside)
-        iterations += spent
+        inside, by, found, names = _least_uniform(rows, kind, hard, inside)
+        iterations += found.iterations
+        least &= found.settled
         if by > _OPEN:
             conflict |= dict.fromkeys(names)
         rows = rows.relaxed(rows.mask(kind), by)
         hard = (*hard, kind)
-    return Relaxed(rows.holding(inside), inside, iterations, bool(conflict), tuple(conflict))
+    return Relaxed(rows.holding(inside), inside, iterations, bool(conflict), tuple(conflict), least)
 
 
 def _least_uniform(
     rows: Polyhedron, kind: Kind, hard: tuple[Kind, ...], inside: Array
-) -> tuple[Array, float, int, tuple[str, ...]]:
-    """A point, the least t ≥ 0 by which the rows of `kind` must open so that it exists, steps, and who is in the way.
+) -> tuple[Array, float, Served, tuple[str, ...]]:
+    """A point, the least t ≥ 0 by which the rows of `kind` must open so that it exists, the search, who is in the way.
 
     Itself a task over (v, t): t should be 0. `inside` keeps the hard rows.
     """
@@ -79,7 +82,7 @@ def _least_uniform(
     opening = _opening(rows, kind, hard)
     found = serve(close, start, opening, freedom=Freedom.whole(n + 1), cutoff=CUTOFF)
     names = tuple(opening.names[i] for i in np.flatnonzero(found.multipliers))
-    return found.v[:n], max(float(found.v[n]), 0.0), found.iterations, names
+    return found.v[:n], max(float(found.v[n]), 0.0), found, names
 
 
 def _opening(rows: Polyhedron, kind: Kind, hard: tuple[Kind, ...]) -> Polyhedron:

@@ -15,10 +15,11 @@ from surctl.priority.settings import Settings
 
 __all__ = ["Outcome", "PrioritySolution", "residuals_at"]
 
-Outcome: TypeAlias = Literal["optimal", "limited", "relaxed", "clamped"]
+Outcome: TypeAlias = Literal["optimal", "limited", "relaxed", "unconfirmed", "clamped"]
 """optimal: what the mode promises, and the first task as well met as without rows where the mode cares; limited: it
-is met as well as the rows allow; relaxed: the rows contradict each other, and some gave way; clamped: the actuator
-rows themselves do (or no solver answered), and v is only kept in the box."""
+is met as well as the rows allow; relaxed: the rows contradict each other, and some gave way; unconfirmed: v keeps the
+rows as far as that was found possible, but no solution passed the check, so that a better v may exist; clamped: the
+actuator rows themselves contradict each other (or no solver answered), and v is only kept in the box."""
 
 _NOTICEABLE = 1e-7
 
@@ -41,7 +42,7 @@ class PrioritySolution:
         blame: rows that hold back a strict level, by level.
         relaxed: how far v misses the rows that it misses, in the unit of each row.
         conflict: the rows that contradict each other, which is why some were relaxed.
-        fallback: 1 first task met, 2 met as well as the rows allow, 3 rows relaxed or v clamped.
+        fallback: 1 first task met, 2 met as well as the rows allow, 3 rows relaxed, v unconfirmed or clamped.
         iterations: of the solvers, summed; 0 when none was needed.
         status: see `Outcome`.
         units: of each level's residual.
@@ -71,6 +72,8 @@ class PrioritySolution:
         if self.status == "clamped":
             return "The actuator rows contradict each other, or no solver answered: v is only kept in the box."
         text = self._losses()
+        if self.status == "unconfirmed":
+            text = f"{text} No solution of the solver passed the check: a better v may exist."
         if not self.relaxed:
             return text
         missed = ", ".join(f"`{name}` by {amount:.2g}" for name, amount in self.relaxed.items())

@@ -138,7 +138,7 @@ def _damped(
     if inside is None:
         return None
     found = damped_point(level, target, rows, damping=damping, inside=inside)
-    return Reached.of(found.v, rows, found.multipliers, spent + found.iterations)
+    return Reached.of(found.v, rows, found.multipliers, spent + found.iterations, confirmed=found.settled)
 
 
 def _solution(problem: PriorityProblem, settings: Settings, rows: Polyhedron, answer: Answer) -> PrioritySolution:

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from surctl.report.theme import AVOIDING, BAD, INK, MUTED, ROBOT, dress, legend_above, new_figure, printable
+from surctl.report.theme import AVOIDING, BAD, INK, MUTED, ROBOT, dress, head, legend_above, new_figure
 from surctl.sensing import SensorCalibration
 
 __all__ = ["plot_calibration", "plot_errors", "plot_studentised"]
@@ -38,7 +38,7 @@ def plot_calibration(one: SensorCalibration, ax: Sequence[Axes] | None = None) -
     if ax is None:
         figure = new_figure(8.0, 6.4)
         title = f"Calibration, {one.title}: {len(one.found.true)} rows"
-        figure.suptitle(printable(title), fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+        head(figure, title)
         ax = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2)).ravel().tolist()
     plot_errors(one, ax[0]).set_xlabel("")
     plot_studentised(one, ax[1])

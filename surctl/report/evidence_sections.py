@@ -238,7 +238,7 @@ def _priority_picture(run: Run, command: str) -> tuple[Picture, ...]:
 
 def _outcome(run: Run, decides: bool) -> list[Block]:
     m, paper = run.metrics, run.scenario.paper
-    reported = f" The paper: {paper.result}." if paper.result else ""
+    reported = f" The paper: {paper.result}." if paper.result not in ("", "none") else ""
     ended = f"{m.stopped_because[:1].upper()}{m.stopped_because[1:]} after {number(m.time_s)} s"
     text = f"{run.scenario.title}. {ended}{'' if decides else ' (does not decide)'}.{reported}"
     return [Paragraph(text, "good" if m.reached and m.min_clearance_m > 0 else "bad")]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from surctl.control.senses import CELLS_A_HULL
 from surctl.errors import InputError
 from surctl.report.plan_view import body_outline, describe
-from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, new_figure
+from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, head, new_figure
 from surctl.sensing import LocalMap
 from surctl.sensing import map_view as map_values
 from surctl.simulation import Run
@@ -184,7 +184,7 @@ def plot_maps(run: Run, views: Sequence[MapView]) -> Axes:
     if any(not body.heights.whole for body in run.record.obstacles[views[0].tick]):
         passed = Patch(facecolor="none", edgecolor=INK, linestyle=":", linewidth=1.6, label="passed above or below")
         handles.append(passed)
-    figure.suptitle(describe(run), x=0.01, ha="left", fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+    head(figure, describe(run), x=0.01, ha="left")
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=8.5, frameon=False)
     first: Axes = axes[0]
     return first

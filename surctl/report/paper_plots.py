@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from surctl.errors import InputError
-from surctl.report.theme import BAD, INK, curve, dress, legend_above, legend_below, new_axes, new_figure, printable
+from surctl.report.theme import BAD, curve, dress, head, legend_above, legend_below, new_axes, new_figure, printable
 from surctl.simulation import Run
 
 __all__ = ["plot_coordinates", "plot_position_errors", "plot_series"]
@@ -34,7 +34,7 @@ def plot_coordinates(runs: Sequence[Run], *, title: str) -> Figure:
     """
     _some(runs)
     figure = new_figure(9.0, 5.6)
-    figure.suptitle(printable(title), fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+    head(figure, title)
     for k, (ax, name) in enumerate(zip(figure.subplots(3, 1, sharex=True), "xyz", strict=True)):
         dress(ax, x="time [s]" if k == 2 else "", y=f"{name} [m]")
         for j, run in enumerate(runs):

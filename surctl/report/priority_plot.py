@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from surctl.report.plan_view import describe
 from surctl.report.signals import spans
-from surctl.report.theme import AVOIDING, BAD, INK, MUTED, ROBOT, dress, new_figure, printable
+from surctl.report.theme import AVOIDING, BAD, INK, MUTED, ROBOT, dress, head, new_figure, printable
 from surctl.report.words import number
 from surctl.simulation import Run
 from surctl.simulation.priority_timeline import NOTICEABLE, PriorityTimeline
@@ -44,7 +44,7 @@ def plot_priority(run: Run, found: PriorityTimeline) -> Figure:
     heights = [0.3 if one else 0.95 for one in quiet] + [0.26 * max(len(rows), 1) + 0.2]
     figure = new_figure(9.5, 1.4 + sum(heights) + 0.1 * len(heights))
     axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False).ravel().tolist()
-    figure.suptitle(printable(describe(run)), fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+    head(figure, describe(run))
     for level, ax in enumerate(axes[:-1]):
         _draw_level(ax, found, level)
     _draw_rows(axes[-1], found, rows)

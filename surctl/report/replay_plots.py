@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from surctl.report.theme import BAD, GOOD, INK, MUTED, ROBOT, dress, legend_above, new_figure, printable
+from surctl.report.theme import BAD, GOOD, MUTED, ROBOT, dress, head, legend_above, new_figure
 from surctl.sensing import Replay
 
 __all__ = ["plot_replay_sensor", "plot_sonar_replay"]
@@ -44,7 +44,7 @@ def plot_sonar_replay(replayed: Replay, ax: Sequence[Axes] | None = None, *, tit
     sensors = replayed.sensors
     if ax is None:
         figure = new_figure(9.5, 1.0 + 2.5 * len(sensors))
-        figure.suptitle(printable(title), fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+        head(figure, title)
         ax = figure.subplots(len(sensors), 1, sharex=True, squeeze=False).ravel().tolist()
     for k, (sensor, one) in enumerate(zip(sensors, ax, strict=True)):
         plot_replay_sensor(replayed, sensor, one)

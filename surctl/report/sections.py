@@ -86,8 +86,8 @@ def _provenance(gains: Gains) -> str:
 def margins_section(data: ReportData) -> Section:
     """Margins of each loop, Bode and Nyquist plots, poles."""
     heads = (
-        "loop", "closed loop", "gain margin [1]", "phase margin [deg]", "delay margin [s]", "disk margin [1]",
-        "crossover [rad/s]",
+        "loop", "closed loop", "gain margin [1]", "least gain [1]", "phase margin [deg]", "delay margin [s]",
+        "disk margin [1]", "crossover [rad/s]",
     )  # fmt: skip
     rows = tuple(
         (
@@ -95,7 +95,14 @@ def margins_section(data: ReportData) -> Section:
             outcome_cell(m.stable, "stable", "UNSTABLE"),
             *(
                 Cell(number(v), number=True)
-                for v in (m.gain_margin, m.phase_margin_deg, m.delay_margin_s, m.disk_margin, m.crossover_rad_s)
+                for v in (
+                    m.gain_margin,
+                    m.least_gain,
+                    m.phase_margin_deg,
+                    m.delay_margin_s,
+                    m.disk_margin,
+                    m.crossover_rad_s,
+                )
             ),
         )
         for m in data.margins

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from surctl.report.plan_view import describe
-from surctl.report.theme import AVOIDING, BAD, INK, MUTED, curve, dress, legend_above, new_figure, printable
+from surctl.report.theme import AVOIDING, BAD, MUTED, curve, dress, head, legend_above, new_figure
 from surctl.simulation import Run
 from surctl.simulation.metrics import settled_avoidance
 
@@ -50,7 +50,7 @@ def plot_run_signals(run: Run, ax: Sequence[Axes] | None = None) -> Figure:
     """
     if ax is None:
         figure = new_figure(9.5, 7.6)
-        figure.suptitle(printable(describe(run)), fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+        head(figure, describe(run))
         ax = figure.subplots(3, 2, sharex=True).ravel().tolist()
     plots = (plot_clearance, plot_path_error, plot_velocity, plot_yaw_rate, plot_force, plot_moment)
     for plot, target in zip(plots, ax, strict=True):

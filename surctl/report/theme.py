@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
+from typing import Literal
 
 import matplotlib as mpl
 import numpy as np
@@ -27,6 +28,7 @@ __all__ = [
     "curve",
     "dress",
     "finite",
+    "head",
     "legend_above",
     "legend_below",
     "new_axes",
@@ -71,8 +73,21 @@ def dress(ax: Axes, *, title: str = "", x: str = "", y: str = "") -> Axes:
     return ax
 
 
+def head(figure: Figure, text: str, *, x: float = 0.5, ha: Literal["left", "center"] = "center") -> None:
+    """Set the title of a whole figure; it is never read as a formula."""
+    said = printable(text)
+    figure.suptitle(said, x=x, ha=ha, fontsize=10.5, fontweight="bold", color=INK, parse_math=False, wrap=_wraps(said))
+
+
+def _wraps(text: str) -> bool:
+    """Whether a title may be broken into lines: matplotlib measures one with a $ as a formula, whatever it is told."""
+    return "$" not in text
+
+
 def _title(ax: Axes, text: str, *, pad: float | None = None) -> None:
-    ax.set_title(text, loc="left", pad=pad, fontsize=10.5, fontweight="bold", color=INK, parse_math=False)
+    ax.set_title(
+        text, loc="left", pad=pad, fontsize=10.5, fontweight="bold", color=INK, parse_math=False, wrap=_wraps(text)
+    )
 
 
 def curve(ax: Axes, x: NDArray[np.float64], y: NDArray[np.float64], *, label: str, k: int, faint: bool = False) -> None:

@@ -46,6 +46,7 @@ OUTLIER_RULE = (
 )
 _LEVEL = 0.05
 _MOST_LISTED = 10_000
+_AIR, _WATER = (319.0, 361.0), (1400.0, 1560.0)  # m/s, speed of sound from -20 to 50 C, and of fresh to sea water
 _EXACT = 1e-9  # residuals below this share of the distances are rounding of numbers, not noise
 
 
@@ -116,6 +117,11 @@ class Calibration:
         return self.measured - (self.scale.value * self.true + self.bias.value)
 
     @property
+    def other_medium(self) -> bool:
+        """Whether the scale is that of a converter for the speed of sound of air, used in water, or the inverse."""
+        return self.scale.value > 0 and _other_medium(self.scale.value)
+
+    @property
     def rms(self) -> float:
         """Root mean square of measured − true [m]."""
         return float(np.sqrt(np.mean(self.errors**2)))
@@ -158,7 +164,8 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
 
     Raises:
         InputError: fewer than `LEAST_ROWS` rows or `LEAST_DISTANCES` distinct distances, a number that is not finite
-            or below 0, or distances of another unit than the readings (a median ratio outside 1/3 to 3).
+            or below 0, or distances of another unit than the readings: a median ratio outside 1/3 to 3 that is not
+            that of a converter made for air and used in water, or the other way round.
 
     Example:
         >>> import numpy as np
@@ -234,6 +241,11 @@ def _of_sd(sd: float, dof: int) -> Estimate:
     return Estimate(sd, low, high)
 
 
+def _other_medium(ratio: float) -> bool:
+    """Whether readings over distances are the speeds of sound of air over that of water, or the inverse."""
+    return _AIR[0] / _WATER[1] <= min(ratio, 1 / ratio) <= _AIR[1] / _WATER[0]
+
+
 def _check(x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
     if x.ndim != 1 or x.shape != y.shape:
         raise InputError(f"have shapes {x.shape} and {y.shape}", key="true, measured", remedy="give (n,) both")
@@ -251,7 +263,7 @@ def _check(x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
             remedy=f"measure at {LEAST_DISTANCES} or more",
         )
     ratio = float(np.median(y) / np.median(x)) if np.median(x) > 0 else 1.0
-    if not 1 / 3 <= ratio <= 3:
+    if not (1 / 3 <= ratio <= 3 or _other_medium(ratio)):
         raise InputError(
             f"measured distances are about {ratio:.3g} times the true ones",
             key="rows",

@@ -76,6 +76,13 @@ class SensorCalibration:
             said.append(f"rows that were not in ascending order of true distance, and were sorted: {self.unsorted}")
         if self.found.rests_on_outliers:
             said.append("that the noise depends on range rests on the outliers: without them it does not; see to them")
+        if self.found.other_medium:
+            ratio = self.found.scale.value
+            here, there = ("water", "air") if ratio < 1 else ("air", "water")
+            said.append(
+                f"readings are {ratio:.3g} times the distances, as of a converter with the speed of sound of {there}, "
+                f"used in {here}; scale in [sonar] says so"
+            )
         if self.found.true[-1] > _FAR:
             said.append(f"distances reach {self.found.true[-1]:.4g} m: check that the column's unit is right")
         return said

@@ -23,7 +23,7 @@ from surctl.ir import Layout, Port, each
 from surctl.sensing.array import SonarArray
 from surctl.sensing.elementwise import NUMBERS, SYMBOLS
 from surctl.sensing.ranging_rules import tick
-from surctl.sensing.ranging_scene import Rules, Seen, others
+from surctl.sensing.ranging_scene import MOST_REPEATS, Rules, Seen, others
 
 __all__ = ["RangeTracker", "Ranging"]
 
@@ -113,7 +113,8 @@ class RangeTracker:
         place of the range between two steps; r repetitions are asked for such that p^r < 1e-4.
         """
         chance = _chance_of_equal_sets(self.array)
-        return 0 if chance > 0.1 else ceil(log(1e-4) / log(max(chance, 1e-12)))
+        asked = ceil(log(1e-4) / log(min(max(chance, 1e-12), 0.999)))
+        return asked if asked <= MOST_REPEATS else 0
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
         """The state; it starts with nothing heard and no sensor believed."""

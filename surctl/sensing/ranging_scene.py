@@ -8,7 +8,10 @@ from typing import NamedTuple
 
 from surctl.sensing.elementwise import Elementwise, Value
 
-__all__ = ["Rules", "Scene", "Seen", "Step", "opened", "others", "robust", "sound"]
+__all__ = ["MOST_REPEATS", "Rules", "Scene", "Seen", "Step", "opened", "others", "robust", "sound"]
+
+MOST_REPEATS = 9
+"""Most repetitions of a sample set that are counted."""
 
 _TURNING = 0.05  # rad/s; below it the beam counts as still
 _SLIDING = 0.04  # m in a cycle, above the noise of an expected range
@@ -190,7 +193,9 @@ def sound(step: Step, reading: Value) -> Value:
         differs = differs + op.size(new - before)
     # at the ends of its range an honest sensor repeats itself
     same = op.both(differs < 0.25 * code, reading > rules.minimum + code, reading < rules.maximum - code)
-    count = op.where(same, op.least(old["repeated"] + 1.0, 9.0), 0.0) if rules.repeats else 0.0 * reading
+    count = (
+        op.where(same, op.least(old["repeated"] + 1.0, float(MOST_REPEATS)), 0.0) if rules.repeats else 0.0 * reading
+    )
     state["repeated"] = op.where(scene.fired, count, old["repeated"])
     return op.both(
         scene.fired,

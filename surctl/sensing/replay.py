@@ -147,15 +147,15 @@ def replay_readings(readings: Readings) -> Replay:
         >>> import numpy as np
         >>> from surctl.sensing import read_readings, replay_readings, sonar_array
         >>> k = np.arange(40)
-        >>> rows = np.column_stack((0.1 * k, 0 * k, np.where(k == 20, 0.5, 2.0)))  # a false one
+        >>> rows = np.column_stack((0.1 * k, 0 * k, np.where(k == 20, 0.5, 2.0 + 0.01 * (k % 2))))  # a false one
         >>> np.savetxt("log.csv", rows, delimiter=",", header="time_s,sensor,range_m", comments="")
         >>> replayed = replay_readings(read_readings(Path("log.csv"), sonar_array(1)).readings)
         >>> told = replayed.tracked
         >>> for k in (38, 40, 44):  # before, at and after the false reading
         ...     print(f"{told.range[k, 0]:.3f} m within {told.bound[k, 0]:.3f} m, healthy: {told.healthy[k, 0]}")
-        1.999 m within 0.051 m, healthy: True
-        1.258 m within 0.799 m, healthy: False
-        1.999 m within 0.051 m, healthy: True
+        2.005 m within 0.051 m, healthy: True
+        1.261 m within 0.802 m, healthy: False
+        2.004 m within 0.051 m, healthy: True
     """
     parts = np.split(np.arange(len(readings.time)), readings.first[1:])
     tracker = tracker_of(readings)
@@ -186,10 +186,11 @@ def track(tracker: RangeTracker, samples: Array, *, fresh: NDArray[np.bool_], cl
         >>> import numpy as np
         >>> from surctl.sensing import RangeTracker, sonar_array, track
         >>> tracker = RangeTracker(array=sonar_array(1, samples=1))
-        >>> heard, fresh, still = np.full((60, 1, 1), 2.0), np.arange(60)[:, None] % 2 == 0, np.zeros((60, 1))
+        >>> k, still = np.arange(60), np.zeros((60, 1))
+        >>> heard, fresh = 2.0 + 0.01 * (k[:, None, None] % 4 > 1), k[:, None] % 2 == 0
         >>> told = track(tracker, heard, fresh=fresh, closing=still, turn=still[:, 0])
         >>> told.range[-1].round(3).tolist(), told.bound[-1].round(3).tolist(), told.healthy[[0, -1], 0].tolist()
-        ([1.999], [0.054], [False, True])
+        ([2.005], [0.054], [False, True])
     """
     steps, n, k = samples.shape
     layout, step = _function(tracker)

@@ -40,6 +40,7 @@ class Recording:
         beyond: rows with a sample beyond the sensor's maximum, held to it.
         cycle: usual time from one reading of a sensor to its next [s].
         still: motion that the file does not tell, columns' names; it is taken for 0.
+        single: whether all samples of each reading are equal; they are then one sample.
     """
 
     readings: Readings
@@ -51,6 +52,7 @@ class Recording:
     beyond: int
     cycle: float
     still: tuple[str, ...]
+    single: bool
 
     @property
     def notes(self) -> list[str]:
@@ -64,6 +66,8 @@ class Recording:
         )
         said = [f"{text}: {count}" for count, text in counts if count]
         said += [f"no column {name}: taken for 0" for name in self.still]
+        if self.single:
+            said.append("the samples of each reading are equal: taken for one sample")
         if not _CYCLE / 2 <= self.cycle <= 1.5 * _CYCLE:
             said.append(f"a sensor reads every {self.cycle:.3g} s; the filter was made for {_CYCLE:g} s")
         return said
@@ -133,12 +137,15 @@ def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recor
             "is below 0", file=table.at(good[row]), key=heard[column], value=float(samples[row, column]),
             remedy="give a distance, or leave the cell empty where nothing was read",
         )  # fmt: skip
+    single = len(heard) > 1 and bool((samples == samples[:, :1]).all())
+    if single:  # one value, written several times: as several samples it would look like a stuck sensor
+        samples = samples[:, :1]
     samples = samples / scale
     beyond = int(np.count_nonzero((samples > array.maximum + array.resolution).any(axis=1)))
     time = columns["time_s"][good]
     cycle = usual_cycle(time, sensor, file=table.name)
     dt = cycle / 2 if cycle <= 1.5 * _CYCLE else cycle  # then a reading is due after one or two whole steps
-    array = replace(array, samples=len(heard), firing_period=min(cycle, _CYCLE) / array.size)
+    array = replace(array, samples=samples.shape[1], firing_period=min(cycle, _CYCLE) / array.size)
     step, first, begin = on_steps(time, dt, file=table.name)
     still = tuple(name for name in _MOTION if name not in columns)
     closing, turn = (columns[name][good] if name in columns else np.zeros(len(good)) for name in _MOTION)
@@ -146,7 +153,7 @@ def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recor
     row = np.full((count, array.size), -1)
     row[step, sensor] = np.arange(len(good))  # the last one of a step stays
     fresh = row >= 0
-    stepped = np.zeros((count, array.size, len(heard)))
+    stepped = np.zeros((count, array.size, array.samples))
     stepped[fresh] = np.minimum(samples, array.maximum)[row[fresh]]
     segment = np.searchsorted(first, np.arange(count), side="right") - 1
     return Recording(
@@ -162,7 +169,7 @@ def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recor
             dt=dt,
         ),
         name=table.name, rows=len(table.lines), incomplete=incomplete, back=back,
-        crowded=len(good) - int(fresh.sum()), beyond=beyond, cycle=cycle, still=still,
+        crowded=len(good) - int(fresh.sum()), beyond=beyond, cycle=cycle, still=still, single=single,
     )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ class PaperFigure(Strict):
     """What the paper reports of the scenario; what it does not state is left out.
 
     Attributes:
-        result: in words.
+        result: in words; empty where the paper has no such scenario.
         time_s: to the target; `time_kind` says whether about so much or less, `time_of` whether the paper states it
             of this run, of every run of a series, or of a series' mean.
         position_error_m: E_p to the reference path outside the avoidance, with kind and scope alike.
@@ -32,7 +32,7 @@ class PaperFigure(Strict):
         transients_s: when avoidance disturbs the tracking, about.
     """
 
-    result: str
+    result: str = ""
     time_s: Positive | None = None
     time_kind: Literal["about", "less than"] = "about"
     time_of: Literal["run", "series", "series mean"] = "run"

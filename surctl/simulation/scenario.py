@@ -56,7 +56,7 @@ class _ScenarioFile(Strict):
     base_station: StationTable = StationTable()
     own_state: OwnStateTable = OwnStateTable()
     uncertainty: Uncertainty = Uncertainty()
-    paper: PaperFigure
+    paper: PaperFigure = PaperFigure()
 
 
 @dataclass(frozen=True)

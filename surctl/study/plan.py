@@ -71,7 +71,7 @@ class Leg:
 
 @dataclass(frozen=True)
 class Plan:
-    """A study, checked and loaded; a study without goals has the built-in ones."""
+    """A study, checked and loaded; without goals, or the name of a goals file, it has the built-in ones."""
 
     name: str
     note: str
@@ -136,14 +136,25 @@ def load_plan(file: str | None = None) -> Plan:
             value=table.get("kind", "(missing)"),
             remedy='write kind = "study" or kind = "vehicle"',
         )
-    return _plan(_study(table, path), path)
+    named = table.pop("goals") if isinstance(table.get("goals"), str) else None
+    return _plan(_study(table, path), path, goals=named)
 
 
 def _study(table: dict[str, Any], path: Path) -> _StudyFile:
     return validate(table, _StudyFile, file=path)
 
 
-def _plan(study: _StudyFile, path: Path, *, lenient: bool = False) -> Plan:
+def _own_goals(study: _StudyFile, path: Path, named: str | None) -> tuple[Goal, ...]:
+    """The goals of the file that the study names, those in its own tables, or the built-in ones."""
+    if named is None:
+        return goals_from_tables(study.goals, file=path) if study.goals else load_goals()
+    try:
+        return load_goals(named)
+    except InputError as error:
+        raise (error if error.file else error.inside(path)) from None
+
+
+def _plan(study: _StudyFile, path: Path, *, lenient: bool = False, goals: str | None = None) -> Plan:
     def near(name: str) -> str:
         beside = path.parent / name
         return str(beside) if beside.suffix == ".toml" and beside.exists() else name
@@ -172,7 +183,7 @@ def _plan(study: _StudyFile, path: Path, *, lenient: bool = False) -> Plan:
         axes,
         study.sweep.seeds,
         study.claims,
-        goals_from_tables(study.goals, file=path) if study.goals else load_goals(),
+        _own_goals(study, path, None if goals is None else near(goals)),
     )
     if not plan.deciding:
         reasons = "; ".join(f"{leg.scenario.name}: {leg.obstacle_to_flying or leg.misfit}" for leg in legs)

@@ -23,8 +23,8 @@ def tuned_gains(tuning: Tuning) -> Gains:
         >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
         >>> tuning = tune(request, trials=32, rounds=1, runs=0)
         >>> found = tuned_gains(tuning)
-        >>> found["k_v"] > gains["k_v"], found["lookahead"] == gains["lookahead"]
-        (True, True)
+        >>> found.name, found["k_v"] > gains["k_v"], found["lookahead"] == gains["lookahead"]
+        ('default-tuned', True, True)
         >>> print(found.provenance)
         chosen by hand: the paper prints no gain; tuned by surctl ...goals: soon: ...; not verified by fresh runs
     """
@@ -42,7 +42,7 @@ def tuned_gains(tuning: Tuning) -> Gains:
         f"{len(request.flown) - tuning.asked} counterexamples; goals: {bounds}; {_outcome(tuning)}"
     )
     values = dict(tuning.result.gains)
-    return request.base.with_values(values, provenance=text)
+    return request.base.with_values(values, provenance=text, how="tuned")
 
 
 def _outcome(tuning: Tuning) -> str:

@@ -76,8 +76,17 @@ def sift(request: Request, pool: Pool, *, runs: int, progress: Progress = lambda
         pool = kept_pool(tougher, pool)
         left = [pool.best(pool.evaluation.normalised[0])]
     kept = len(tougher.flown) - len(request.flown)
-    progress(f"{runs} training runs refute {tried} of the best sets, {kept} of them are kept")
+    progress(_told(runs, tried, kept))
     return Sifted(tougher, pool.gains(left[0]), tuple(found))
+
+
+def _told(runs: int, failed: int, kept: int) -> str:
+    """What the training runs showed, in a sentence."""
+    if not failed:
+        return f"None of the candidate gain sets failed in {runs:,} training runs."
+    sets = "candidate gain set" + "s" * (failed != 1)
+    runs_kept = "failed run" + "s" * (kept != 1)
+    return f"{failed} {sets} failed in {runs:,} training runs; {kept} {runs_kept} join the tuning runs."
 
 
 def kept_pool(request: Request, pool: Pool, *others: Mapping[str, float]) -> Pool:

@@ -141,6 +141,7 @@ class SweepTable:
         return self.base.with_values(
             {name: value for name, value in chosen.items() if name in GAINS},
             provenance=f"{self.base.provenance}; picked by a {self.dataset.attrs['design']} sweep: {what}",
+            how="picked",
         )
 
 

@@ -128,12 +128,12 @@ class Claim:
     @property
     def lower(self) -> NDArray[np.float64]:
         """(n,): lower corner of the box."""
-        return np.array([v.lower for v in self.variables])
+        return np.array([v.lower for v in self.variables], dtype=float)
 
     @property
     def upper(self) -> NDArray[np.float64]:
         """(n,): upper corner of the box."""
-        return np.array([v.upper for v in self.variables])
+        return np.array([v.upper for v in self.variables], dtype=float)
 
     def point(self, values: Mapping[str, float]) -> NDArray[np.float64]:
         """(n,) vector from named values; InputError when a name is missing or unknown."""

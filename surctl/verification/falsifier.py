@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +14,23 @@ from surctl.verification.counterexample import Counterexample
 from surctl.verification.oracle import Oracle, build_oracle
 from surctl.verification.verdict import Verdict
 
-__all__ = ["falsify"]
+__all__ = ["Search", "falsify", "search"]
 
 _APART = 0.1  # least distance between two starts, in unit boxes per root of the dimension
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """What the falsifier saw.
+
+    Attributes:
+        verdict: `refuted`, with the worst point as counterexample, or `not refuted`.
+        violating: (n, k) every point seen where the margin exceeds the threshold, the worst first, in the variables'
+            units.
+    """
+
+    verdict: Verdict
+    violating: NDArray[np.float64]
 
 
 def falsify(claim: Claim, *, samples: int = 4096, starts: int = 16, seed: int = 0) -> Verdict:
@@ -40,6 +55,11 @@ def falsify(claim: Claim, *, samples: int = 4096, starts: int = 16, seed: int = 
         >>> found.verdict, round(found.counterexample.margin, 3), found.counterexample.unit
         ('refuted', 4.8, 'm^2/s')
     """
+    return search(claim, samples=samples, starts=starts, seed=seed).verdict
+
+
+def search(claim: Claim, *, samples: int, starts: int, seed: int) -> Search:
+    """As `falsify`, with every violating point beside the verdict."""
     began = time.perf_counter()
     if samples < 2 or starts < 1:
         raise InputError("needs at least 2 samples and 1 start", key=claim.name, value=(samples, starts))
@@ -56,19 +76,23 @@ def falsify(claim: Claim, *, samples: int = 4096, starts: int = 16, seed: int = 
     threshold = claim.tolerance * float(scale)
     witnesses = _weigh(oracle)
     counterexample, worst = _worst(oracle, points, witnesses, threshold)
-    violating = margin[inside] > threshold
-    return Verdict(
+    violates = margin[inside] > threshold
+    verdict = Verdict(
         claim,
         "not refuted" if counterexample is None else "refuted",
         counterexample,
         worst,
         threshold,
-        float(violating.mean()) if violating.size else 0.0,
-        int(violating.size),
+        float(violates.mean()) if violates.size else 0.0,
+        int(violates.size),
         begin.shape[1],
         witnesses,
         time.perf_counter() - began,
     )
+    points = np.column_stack([points, *(claim.point(w.values) for w in witnesses)])
+    margin = oracle.evaluate(points)[0]
+    order = np.argsort(-margin, kind="stable")
+    return Search(verdict, points[:, order[margin[order] > threshold]])
 
 
 def _sobol(dimension: int, samples: int, seed: int) -> NDArray[np.float64]:

@@ -58,6 +58,7 @@ class Crossings:
     delay_margin_s: NDArray[np.float64]
     disk_margin: NDArray[np.float64]
     crossover_rad_s: NDArray[np.float64]
+    least_gain: NDArray[np.float64]
 
 
 def broken_loops(cascade: Cascade) -> list[Loop]:
@@ -104,7 +105,7 @@ def crossings_of(loop: Loop, *, highest: float) -> Crossings:
     grid = np.geomspace(_LOWEST, highest, _POINTS)
     response = loop.response(grid[None], slice(None))
     gain_margin, lag, delay = (np.full(count, np.inf) for _ in range(3))
-    crossover = np.zeros(count)
+    crossover, least_gain = np.zeros(count), np.zeros(count)
 
     def at_phase(value: NDArray[np.complex128]) -> NDArray[np.float64]:
         return np.asarray(np.angle(-value), dtype=float)
@@ -115,8 +116,11 @@ def crossings_of(loop: Loop, *, highest: float) -> Crossings:
     left = response[:, :-1].real <= 0  # the other crossings of the real axis are no −180°
     points, omega = _zeros(loop, grid, response, at_phase, left)
     gain = 1 / np.abs(loop.response(omega, points))
-    kept = (gain > 1) & (gain < 1 / _SPURIOUS)
-    np.minimum.at(gain_margin, points[kept], gain[kept])
+    still = _still(loop)
+    points, gain = np.append(points, still[0]), np.append(gain, still[1])
+    more, less = (gain > 1) & (gain < 1 / _SPURIOUS), (gain < 1) & (gain > _SPURIOUS)
+    np.minimum.at(gain_margin, points[more], gain[more])
+    np.maximum.at(least_gain, points[less], gain[less])
 
     points, omega = _zeros(loop, grid, response, at_gain, np.ones_like(left))
     # a phase lead is a lag of the rest of the turn
@@ -124,7 +128,14 @@ def crossings_of(loop: Loop, *, highest: float) -> Crossings:
     np.minimum.at(lag, points, phase)
     np.minimum.at(delay, points, np.deg2rad(phase) / omega)
     np.maximum.at(crossover, points, omega)
-    return Crossings(gain_margin, lag, delay, _disk(loop, grid, response), crossover)
+    return Crossings(gain_margin, lag, delay, _disk(loop, grid, response), crossover, least_gain)
+
+
+def _still(loop: Loop) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Points whose loop has the phase −180° at ω = 0, where a real pole crosses the axis, and the factor for that."""
+    points = np.flatnonzero(np.all(np.abs(loop.opened) > _SPURIOUS * _LOWEST, axis=1))
+    value = loop.response(np.zeros(1), points).real
+    return points[value < 0], -1 / value[value < 0]
 
 
 def _zeros(

@@ -23,12 +23,14 @@ class LoopMargins:
 
     Attributes:
         name: the loop; see `loop_margins`.
-        stable: whether the closed loop is stable at all; if not, nothing is left: 1, 0, 0, 0.
+        stable: whether the closed loop is stable at all; if not, nothing is left: 1, 0, 0, 0, 0 and 1.
         gain_margin: least factor > 1 on the loop gain that destabilises; inf when none does.
         phase_margin_deg: least phase lag [deg] that does; inf when the loop gain never crosses 1.
         delay_margin_s: least extra delay [s] that does: least phase margin over frequency of all crossings.
         disk_margin: radius α of the balanced disk margin (Seiler, Packard and Gahinet 2020), 0 … 2.
         crossover_rad_s: highest frequency [rad/s] at which the loop gain crosses 1; 0 when it never does.
+        least_gain: largest factor < 1 on the loop gain that destabilises, as there is one for every loop that is
+            unstable when open; 0 when none does.
     """
 
     name: str
@@ -38,6 +40,7 @@ class LoopMargins:
     delay_margin_s: float
     disk_margin: float
     crossover_rad_s: float
+    least_gain: float
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; infinite margins stay inf."""
@@ -76,7 +79,7 @@ def loop_margins(
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model)
     highest = np.pi / dt  # beyond the Nyquist frequency a sampled controller has no loop
     if not cascade.stable:
-        return tuple(LoopMargins(name, False, 1.0, 0.0, 0.0, 0.0, 0.0) for name in LOOP_NAMES)
+        return tuple(LoopMargins(name, False, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0) for name in LOOP_NAMES)
     one = Cascade(*(m[None] for m in (cascade.A, cascade.B, cascade.C, cascade.K)))
     return tuple(
         _only(name, crossings_of(loop, highest=highest))
@@ -132,6 +135,7 @@ def _least(loops: Sequence[LoopMargins]) -> LoopMargins:
         min(m.delay_margin_s for m in loops),
         min(m.disk_margin for m in loops),
         max(m.crossover_rad_s for m in loops),
+        max(m.least_gain for m in loops),
     )
 
 
@@ -185,4 +189,5 @@ def _only(name: str, found: Crossings) -> LoopMargins:
         float(found.delay_margin_s[0]),
         float(found.disk_margin[0]),
         float(found.crossover_rad_s[0]),
+        float(found.least_gain[0]),
     )

@@ -13,7 +13,7 @@ from surctl.certcheck import check_document
 from surctl.errors import InputError
 from surctl.verification.claim import Claim
 from surctl.verification.counterexample import Counterexample
-from surctl.verification.falsifier import falsify
+from surctl.verification.falsifier import search
 from surctl.verification.oracle import Oracle, build_oracle
 from surctl.verification.proving import certain_excess, prove
 from surctl.verification.verdict import Verdict
@@ -22,6 +22,7 @@ __all__ = ["settle"]
 
 _INSIDE = 1e-9  # how far a point is moved into the domain at first, in a constraint's own unit
 _MOVES = 6
+_MOVED = 16  # of the worst violating points
 
 
 def settle(
@@ -58,9 +59,10 @@ def settle(
         v1-corrected proved
     """
     began = time.perf_counter()
-    found = falsify(claim, samples=samples, starts=starts, seed=seed)
+    seen = search(claim, samples=samples, starts=starts, seed=seed)
+    found = seen.verdict
     if found.counterexample is not None:
-        sure = _confirmed(claim, found.counterexample)
+        sure = _confirmed(claim, found.counterexample, seen.violating)
         if sure is not None:
             return replace(found, counterexample=sure, seconds=time.perf_counter() - began)
         # by rounding alone, or outside by rounding: it does not count, and the claim may still be true
@@ -76,21 +78,29 @@ def settle(
     return replace(found, verdict="unknown", open_ends=reason, open_boxes=proof.open_boxes, seconds=seconds)
 
 
-def _confirmed(claim: Claim, found: Counterexample) -> Counterexample | None:
-    """The counterexample where intervals confirm it, moved into the domain by a hair if need be."""
+def _confirmed(claim: Claim, worst: Counterexample, violating: NDArray[np.float64]) -> Counterexample | None:
+    """A counterexample that intervals confirm: the worst one, any other violating point (n, k), or one of the worst few
+    moved into the domain by a hair.
+
+    At the worst point alone intervals may say nothing: on the branch cut of atan2 they hold all angles.
+    """
+    points = np.column_stack([claim.point(worst.values), violating])
     try:
-        point = claim.point(found.values)
-        excess = certain_excess(claim, point)
+        excess = certain_excess(claim, points)
     except InputError:  # operations that the claim grammar does not have: the numbers stand as they are
-        return found
-    if excess is not None and excess > 0:
-        return found
+        return worst
+    if excess[0] > 0:
+        return worst
+    best = int(np.argmax(excess))
+    if excess[best] > 0:
+        return replace(worst, values=claim.values(points[:, best]), margin=float(excess[best]), origin="search")
     oracle = build_oracle(claim)
-    for k in range(_MOVES):
-        inner = _moved(oracle, point, _INSIDE * 10.0**k)
-        excess = certain_excess(claim, inner)
-        if excess is not None and excess > 0:
-            return replace(found, values=claim.values(inner), margin=excess)
+    for point in points.T[:_MOVED]:
+        moved = np.column_stack([_moved(oracle, point, _INSIDE * 10.0**k) for k in range(_MOVES)])
+        excess = certain_excess(claim, moved)
+        best = int(np.argmax(excess > 0))  # the least move that will do
+        if excess[best] > 0:
+            return replace(worst, values=claim.values(moved[:, best]), margin=float(excess[best]))
     return None
 
 

@@ -82,6 +82,7 @@ class Verdict:
             "certificate": self._proof(),
             "counterexample": None if found is None else found.to_dict(),
             "remaining": self.remaining,
+            "slack": None if self.certificate is None else self.certificate["claim"]["slack"],
             "worst_margin": self.worst_margin,
             "unit": self.claim.unit,
             "fraction": self.fraction,

@@ -169,6 +169,9 @@ def test_sweep_finishes_picks_and_does_not_depend_on_workers(tmp_path):
     other = surctl(*words, "--out", "b", "--workers", 2, cwd=tmp_path)
     assert "ETA" in other.err
     assert other.json["results"] == rows
+    none = surctl("sweep", "k_v=0.02,0.03", "--scenario", "pool-behind", "--json", "--out", "c", cwd=tmp_path)
+    assert (none.status, none.json["picked"], none.json["gains"]) == (1, None, None)
+    assert not (tmp_path / "c" / "gains.toml").exists()
 
 
 def test_sweep_tells_what_a_column_depends_on(tmp_path):

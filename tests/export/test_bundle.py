@@ -194,6 +194,32 @@ def test_mistakes_are_named() -> None:
         build_bundle(replace(law, gains=Layout(GAINS[:1])), {})
 
 
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        *((name, "taken by a file of the bundle") for name in ("fmu", "link", "controller", "target_start", "FMU")),
+        *((name, "system header") for name in ("math", "stdint", "stdio", "string", "unistd", "netdb", "Math")),
+        ("nav_link", "include guard of another bundle"),
+        ("Nav", "has capitals.*write nav"),
+        ("NAV", "has capitals.*write nav"),
+    ],
+)
+def test_a_name_that_meets_another_file_is_refused(name: str, why: str) -> None:
+    with pytest.raises(InputError, match=why):
+        build_bundle(stand_in(), TUNED, name=name)
+
+
+def test_state_that_only_passes_through_compiles(tmp_path: Path) -> None:
+    need_compiler()
+    law = stand_in(telemetry=False)
+    x, u, p = (ca.SX.sym(*at) for at in (("x", law.state.size), ("u", law.inputs.size), ("p", law.gains.size)))
+    function = ca.Function("law", [x, u, p], [u[:4], x, ca.SX(0), ca.SX(0, 1)])
+    folder = tmp_path / "bundle"
+    write_bundle(build_bundle(replace(law, function=function), {}), folder)
+    program = compile_program([folder / "sil_main.c", folder / "standin.c"], folder / "sil")
+    assert subprocess.run([program, "--selftest"], check=False).returncode == 0
+
+
 def test_refused_operations_reach_the_user() -> None:
     law = stand_in()
     x, u, p = law.function.sx_in()

@@ -131,6 +131,18 @@ def test_a_wrong_step_size_or_reference_is_refused(unit: Unit) -> None:
             call()
 
 
+def test_every_step_is_done_however_late_the_clock_is(unit: Unit) -> None:
+    for start in (0.0, 1e6, 1e8, 1.7e9, -1.7e9):
+        now = start
+        for k in range(1, 22):
+            then = start + 0.05 * k  # the master's clock, and the step that it can tell
+            unit.slave.doStep(currentCommunicationPoint=now, communicationStepSize=then - now)
+            now = then
+    for now, step in ((0.0, 0.05001), (1e8, 0.0501), (1.7e9, 0.06), (1e20, -1.0), (np.inf, 0.05), (0.0, np.nan)):
+        with pytest.raises(Exception, match="status 3"):
+            unit.slave.doStep(currentCommunicationPoint=now, communicationStepSize=step)
+
+
 def test_reset_starts_anew(law: Exact, unit: Unit) -> None:
     u = law.inputs.pack() + 0.3
     first = unit.step(0, u)[1]

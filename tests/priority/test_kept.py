@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.priority import BACKENDS, Mode, solve, solve_least_distance
+from surctl.priority import BACKENDS, Level, Mode, Row, build_problem, solve, solve_least_distance
 from surctl.priority.draws import draw_problem, unit
 from surctl.priority.kept import KeptDaqp, KeptOsqp
-from surctl.priority.kernels import Answer, daqp_kernel, osqp_kernel
+from surctl.priority.kernels import NO_BOUND, Answer, daqp_kernel, new_osqp, osqp_answer, osqp_kernel
 from surctl.testing import check_backend
 
 N = 4
@@ -234,3 +234,77 @@ def test_what_daqp_refuses_is_not_answered_with_the_last_tick_s_answer():
     assert kept(G, lower, upper).status == "optimal"
     (model,) = kept._solvers.values()
     assert kept._again(model, G, upper + 1.0, lower)[1].status == "infeasible"  # past the check for crossed bounds
+
+
+def nearly_parallel(rng):
+    """Task rows 1e-9 to 1e-2 apart, whose point lies up to 1e9 away from the rows that keep v near."""
+    a, apart = unit(rng), 10.0 ** rng.uniform(-9, -2)
+    tasks = [Level("pair", np.array([a, a + apart * unit(rng)]), rng.normal(size=2))]
+    tasks += [Level("more", unit(rng)[None], rng.normal(size=1))]
+    rows = [Row(f"box{i}", "actuator", np.eye(N)[i], -1.0, 1.0) for i in range(N)]
+    rows += [Row(f"wall{i}", "barrier", unit(rng), -np.inf, 0.3 * abs(rng.normal())) for i in range(3)]
+    return build_problem(tasks, rows)
+
+
+@pytest.mark.parametrize("warm", [False, True])
+def test_no_wrong_answer_to_a_far_target_is_called_optimal(warm):
+    rng, solver, close = np.random.default_rng(0), KeptOsqp(warm=warm), 0
+    for _ in range(25):
+        problem = nearly_parallel(rng)
+        got, want = solve(problem, mode="filter", backend=solver), solve(problem, mode="filter", backend="daqp")
+        assert want.status == "optimal"
+        right = np.abs(got.v - want.v).max() < 1e-5
+        assert right or got.status == "unconfirmed"
+        close += bool(right)
+    assert close >= 22
+
+
+def test_an_iteration_limit_is_not_optimal_and_its_solver_is_not_kept():
+    G, lower, upper = draw(np.random.default_rng(4))
+    model = new_osqp(G, np.maximum(lower, -NO_BOUND), np.minimum(upper, NO_BOUND), warm=True)
+    model.update_settings(max_iter=1)
+    stopped = osqp_answer(model)
+    assert stopped.status == "unfinished" and stopped.y is not None
+
+
+@pytest.mark.parametrize("status", ["optimal", "unfinished"])
+def test_a_solver_that_ran_away_is_dropped_whatever_it_says(monkeypatch, status):
+    G, lower, upper = draw(np.random.default_rng(4))
+    solver = KeptOsqp(warm=True)
+    right = solver(G, lower, upper)
+    assert solver._solvers
+    away = Answer(right.y + 1e6, right.multipliers, 9, status)
+    monkeypatch.setattr("surctl.priority.kept.osqp_answer", lambda _: away)
+    assert solver(G, lower, upper) is away and not solver._solvers
+
+
+@pytest.mark.parametrize("mode", ["filter", "projected", "lexicographic"])
+@pytest.mark.parametrize("status", ["optimal", "unfinished", "infeasible", "failed"])
+def test_a_point_of_the_fallback_is_not_called_optimal(mode, status):
+    def gives_up(G, lower, upper):
+        """Right for the box alone; with the wall it stops at a point that is wrong, and says what it likes."""
+        if len(G) <= 2:
+            return daqp_kernel(G, lower, upper)
+        return Answer(
+            np.zeros(G.shape[1]) if status in ("optimal", "unfinished") else None, np.zeros(len(G)), 9, status
+        )
+
+    rows = [Row(f"box{i}", "actuator", np.eye(2)[i], -1.0, 1.0) for i in range(2)]
+    rows += [Row("wall", "barrier", np.array([0.6, 0.8]), -np.inf, 0.5)]
+    problem = build_problem([Level("goal", np.array([[1.0, 0.1]]), np.array([0.9]))], rows)
+    want = solve(problem, mode=mode, backend="daqp")
+    got = solve(problem, mode=mode, backend=gives_up)
+    assert not got.relaxed  # it keeps the rows all the same
+    assert got.status == "unconfirmed" or np.abs(got.v - want.v).max() < 1e-9
+    if got.status == "unconfirmed":
+        assert got.fallback == 3 and "a better v may exist" in got.explain()
+    if mode == "filter":
+        assert got.status == "unconfirmed" and want.status == "optimal"
+
+
+def test_a_search_that_did_not_end_is_not_called_optimal(monkeypatch):
+    rows = [Row("box", "actuator", np.array([1.0, 0.0]), -1.0, 1.0)]
+    problem = build_problem([Level("goal", np.eye(2), np.array([3.0, 0.5]))], rows)
+    assert solve(problem).status == "limited"
+    monkeypatch.setattr("surctl.priority.active_set._CAP", 1)
+    assert solve(problem).status == "unconfirmed"

@@ -114,7 +114,7 @@ def test_numbers_that_are_none_or_endless_are_written_as_signs() -> None:
     read = Reader(render_page(bare(runs=(lost,), margins=margins, sweep=sweep(), seconds={"s": float("nan")})))
     text = re.sub(r"NaN and infinity", "", read.text)
     assert not re.search(r"\b(nan|inf|NaN|None)\b", text)
-    assert "surge stable ∞ –" in text
+    assert "surge stable ∞ 0 –" in text
 
 
 @pytest.mark.parametrize(

@@ -99,6 +99,21 @@ def test_centimetres_in_a_column_of_metres_are_refused_or_noted(tmp_path: Path) 
     assert "unit" in one.notes[0] and "300" in one.notes[0]
 
 
+@pytest.mark.parametrize(("ratio", "there"), [(343.2 / 1482.4, "air"), (1482.4 / 343.2, "water")])
+def test_a_converter_of_the_other_medium_is_calibrated_and_told(tmp_path: Path, ratio: float, there: str) -> None:
+    rows = "".join(f"{x},{ratio * y}\n" for x, y in zip(TRUE, MEASURED, strict=True))
+    (one,) = calibrate_file(written(tmp_path, "true_m,measured_m\n" + rows))
+    assert one.found.scale.value == pytest.approx(ratio, rel=0.05)
+    assert f"speed of sound of {there}, used in" in one.notes[0]
+
+
+@pytest.mark.parametrize("ratio", [1 / 0.3048, 0.3048, 10.0, 0.1, 25.4, 0.0254, 1000.0])
+def test_units_of_length_are_not_taken_for_a_medium(tmp_path: Path, ratio: float) -> None:
+    rows = "".join(f"{x},{ratio * y}\n" for x, y in zip(TRUE, MEASURED, strict=True))
+    with pytest.raises(InputError, match="times the true ones; check the units"):
+        calibrate_file(written(tmp_path, "true_m,measured_m\n" + rows))
+
+
 def test_a_column_that_is_no_name_is_refused(tmp_path: Path) -> None:
     rows = "".join(f"1,1,{k}\n" for k in range(1000))
     with pytest.raises(InputError, match="1000 sensors and media"):

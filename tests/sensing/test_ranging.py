@@ -291,6 +291,7 @@ def test_the_rule_against_repetition_knows_the_noise() -> None:
     assert RangeTracker(array=SonarArray(noise_sd=0.0)).repeats == 0
     assert RangeTracker(array=SonarArray(noise_sd=0.002)).repeats == 0
     assert RangeTracker(array=SonarArray(samples=2)).repeats > 2
+    assert RangeTracker(array=SonarArray(samples=1)).repeats == 8
     quiet = SonarArray(azimuths=(0.0,), order=(0,), firing_period=0.1, noise_sd=0.0)
     found = Flight(lambda t: 1.5, array=quiet).fly(5.0)
     assert found.after(0.5, "healthy").all() and found.kept() == 1.0

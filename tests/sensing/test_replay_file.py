@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.sensing import Recording, read_readings, sonar_array
+from surctl.sensing import Recording, read_readings, replay_readings, sonar_array
 from tests.sensing.recording import HEADER, recorded, write
 
 ROWS = recorded(10.0)
@@ -42,6 +42,28 @@ def test_one_range_a_row_and_slow_sensors(tmp_path: Path) -> None:
     assert "0.5 s; the filter was made for 0.1 s" in found.notes[-1]
     middling = [f"{0.13 * k},0,2.0" for k in range(40)]
     assert read(tmp_path, middling, header="time_s,sensor,range_m", sensors=1).readings.dt == pytest.approx(0.065)
+
+
+def test_a_stuck_sensor_of_one_sample_is_not_healthy_and_a_repeated_sample_is_no_fault(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    code = 4.5 / 255
+    honest = code * np.round((2.0 + 0.015 * rng.normal(size=300)) / code)
+
+    def share(ranges: np.ndarray, samples: int) -> tuple[float, int, list[str]]:
+        rows = [",".join([f"{0.1 * k:g}", "0", *[f"{x:.6f}"] * samples]) for k, x in enumerate(ranges)]
+        names = ["range_m"] if samples == 1 else [f"sample_{j + 1}_m" for j in range(samples)]
+        found = read(tmp_path, rows, header=",".join(["time_s", "sensor", *names]), sensors=1)
+        summary = replay_readings(found.readings).summary(0)
+        return summary.healthy, summary.refused, found.notes
+
+    said = "the samples of each reading are equal: taken for one sample"
+    for samples in (1, 5):
+        healthy, refused, notes = share(honest, samples)
+        assert healthy > 0.98 and refused <= 3 and (said in notes) == (samples == 5)
+        healthy, refused, notes = share(np.full(300, 2.0), samples)
+        assert healthy < 0.05 and refused > 285
+    then_stuck = np.where(np.arange(300) < 150, honest, 2.2)
+    assert 0.4 < share(then_stuck, 1)[0] < 0.6
 
 
 def test_motion_is_held_until_it_is_told_again(tmp_path: Path) -> None:

@@ -35,6 +35,11 @@ def _case(name: str, *, seconds: float | None = None, **more: Any) -> Case:
     return Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), **more)
 
 
+def _alone(case: Case) -> Case:
+    """The same in empty water."""
+    return replace(case, scenario=replace(case.scenario, obstacles=()))
+
+
 def _reference(case: Case, seed: int = 0) -> np.ndarray[Any, Any]:
     run = simulate(
         case.scenario,
@@ -57,6 +62,8 @@ def _same(found: np.ndarray[Any, Any], wanted: np.ndarray[Any, Any]) -> None:
     ("case", "seed"),
     [
         (_case("pool-static"), 3),  # drift and waves, to the end
+        (_case("pool-static", seconds=4.0, law="lean"), 0),  # of several obstacles the nearest one
+        (_alone(_case("pool-ahead", seconds=2.0, law="lean")), 0),  # and of none an empty row
         (_case("pool-static"), 5),
         (_case("tank-speed-015", sensing="sonar"), 2),  # noise, filters, a mover that is told of
         (_case("tank-static", sensing="sonar"), 1),  # boxes that are only heard; it collides

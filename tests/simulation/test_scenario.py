@@ -10,6 +10,8 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.simulation import LIBRARY, Obstacle, Scenario, build_world, findings, load_scenario
+from surctl.simulation.scenario_table import scenario_table
+from surctl.simulation.toml_text import toml_text
 from surctl.vehicle import load_vehicle
 
 GOLDEN = tomllib.loads((Path(__file__).parents[1] / "golden" / "scenarios.toml").read_text(encoding="utf-8"))
@@ -241,3 +243,12 @@ def test_what_ends_above_or_below_shares_no_water(tmp_path: Path) -> None:
         _load(tmp_path, over)
     below = _edited("centre_m = [2.0, 1.0]", "centre_m = [2.72, 0.98]\ntop_m = -0.5")
     assert _load(tmp_path, below).obstacles[3].heights.crosses(-0.5, 1e-9)
+
+
+def test_a_scenario_of_one_s_own_needs_nothing_of_the_paper(tmp_path: Path) -> None:
+    own, table, _ = TEXT.partition("[paper]")
+    assert table
+    scenario = _load(tmp_path, own)
+    assert scenario.paper.result == ""
+    again = toml_text(scenario_table(scenario))
+    assert _load(tmp_path, again).paper == scenario.paper

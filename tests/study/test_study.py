@@ -194,6 +194,30 @@ def test_a_vehicle_that_fits_nowhere_is_told_why(tmp_path):
         load_plan(str(file))
 
 
+def test_a_study_may_name_a_goals_file(tmp_path):
+    text = Path(load_plan().source).read_text()
+    goals = """kind = "goals"
+name = "mine"
+[[goals]]
+name = "arrives"
+metric = "reached"
+at_least = "1"
+kind = "hard"
+"""
+    (tmp_path / "goals.toml").write_text(goals)
+    head, mark, rest = text.partition("\n[[flights]]")
+    (tmp_path / "s.toml").write_text(head.partition("\n[[goals]]")[0] + '\ngoals = "goals.toml"\n' + mark + rest)
+    plan = load_plan(str(tmp_path / "s.toml"))
+    assert [(g.name, g.limit, g.unit) for g in plan.goals] == [("arrives", 1.0, "1")]
+    for said, problem in (('"absent.toml"', "absent.toml: no such file"), ('"defualt"', "did you mean 'default'")):
+        (tmp_path / "t.toml").write_text(head + f"\ngoals = {said}\n" + mark + rest)
+        with pytest.raises(InputError, match=problem):
+            load_plan(str(tmp_path / "t.toml"))
+    (tmp_path / "u.toml").write_text(head + "\ngoals = 3\n" + mark + rest)
+    with pytest.raises(InputError, match=r"goals = 3: must be a list; write \[ \.\.\. \] around"):
+        load_plan(str(tmp_path / "u.toml"))
+
+
 def test_names_in_a_study_file_may_lie_beside_it(tmp_path):
     own_vehicle(tmp_path, "sur400")
     text = (Path(load_plan().source)).read_text().replace('vehicle = "sur540-flooded"', 'vehicle = "my.toml"')

@@ -281,6 +281,7 @@ def test_the_least_score_among_the_feasible_is_picked(cheap):
     assert "picked by a grid sweep" in table.gains.provenance
     nothing = sweep([stub.case()], grid([Axis("k_v", (0.2, 0.3))]), linear=False)
     assert nothing.picked is None and nothing.gains == stub.GAINS
+    assert table.gains.name == f"{stub.GAINS.name}-picked"
 
 
 def test_feasible_takes_arrival_clearance_and_margins():

@@ -39,7 +39,33 @@ def test_three_lags_have_gain_margin_eight() -> None:
 
 def test_a_margin_against_less_gain_is_not_a_margin_against_more() -> None:
     # 4 (s + 2)²/s³ crosses −180° at 2 rad/s with |L| = 4: it is lost at a quarter of its gain, at no larger gain
-    assert of([4.0, 16.0, 16.0], [1.0, 0.0, 0.0, 0.0]).gain_margin == np.inf
+    m = of([4.0, 16.0, 16.0], [1.0, 0.0, 0.0, 0.0])
+    assert m.gain_margin == np.inf and m.least_gain == pytest.approx(0.25, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("numerator", "denominator", "least", "most"),
+    [
+        ([4.0], [1.0, -1.0], 0.25, np.inf),  # 4/(s − 1): a pole at 1 − 4 k
+        ([-0.5], [1.0, 1.0], 0.0, 2.0),  # it feeds back with the wrong sign: a pole at −1 + 0.5 k
+        ([4.0, 8.0], [1.0, -1.0, 0.0], 0.25, np.inf),  # 4 (s + 2)/(s (s − 1)): damping 4 k − 1
+        (
+            [30.0],
+            np.polymul([1.0, -1.0], np.polymul([0.1, 1.0], [0.01, 1.0])),
+            1 / 30,
+            3.267,
+        ),  # Routh
+        ([2.0], [1.0, 0.0], 0.0, np.inf),
+        ([4.0], [1.0, 3.0, 3.0, 1.0], 0.0, 2.0),
+    ],
+)
+def test_gain_margins_to_both_sides(numerator, denominator, least, most) -> None:
+    m = of(numerator, denominator)
+    assert m.least_gain == pytest.approx(least, rel=1e-4) and m.gain_margin == pytest.approx(most, rel=1e-4)
+    # at the factor itself a pole of the closed loop is on the axis
+    for factor in (f for f in (least, most) if 0 < f < np.inf):
+        closed = np.roots(np.polyadd(denominator, factor * np.asarray(numerator)))
+        assert np.min(np.abs(closed.real)) < 2e-3
 
 
 def test_the_delay_margin_is_the_least_over_all_crossings() -> None:

@@ -1,12 +1,16 @@
+import re
 import sys
 from collections import Counter
+from dataclasses import replace
 
 import casadi as ca
+import numpy as np
 import pytest
 
 from surctl.certcheck import Checked, check_document
 from surctl.errors import InputError
-from surctl.verification import Claim, Variable, prove, settle
+from surctl.verification import Claim, Variable, evaluate, prove, settle
+from surctl.verification.proving import certain_excess
 from tests.verification.made_claims import claim_from, made
 
 EACH = 100
@@ -56,6 +60,48 @@ def test_the_time_limit_is_kept() -> None:
     assert verdict.verdict in ("unknown", "refuted") and verdict.seconds < 8
 
 
+def test_what_is_left_open_counts_the_boxes_of_all_attempts(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = sys.modules["surctl.verification.proving.prove"]
+    monkeypatch.setattr(module, "_ROUNDS", ((20, 0.0), (200, 1.0)))
+    proof = prove(claim_from("close", {"x": (-4.0, 4.0), "y": (-4.0, 4.0)}, "sin(3*x)*cos(2*y)*sin(x*y)", "0.9"))
+    words = r"the boxes allowed were used up after (\d+) boxes: (\d+) open"
+    said, open_boxes = re.match(words, proof.remaining).groups()
+    assert int(said) >= 220 and int(said) == proof.boxes and int(open_boxes) == len(proof.open_boxes)
+
+
+def test_bounds_given_as_integers_are_halved_like_numbers() -> None:
+    x = ca.SX.sym("x")
+    for kind in (int, float):
+        bounds = Variable("x", x, "1", kind(0), kind(3), "")
+        claim = Claim("waves", "", "", (), "proved", (bounds,), ca.sin(3 * x) + x / 10, ca.SX(1.3), "1")
+        assert settle(claim).verdict == "proved"
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "constraints"),
+    [
+        ("atan2(y, x)", "1", ()),  # the worst lies on the branch cut, where intervals hold all angles
+        ("atan2(y, x)", "1", ("x - y",)),
+        ("-atan2(y, x)", "1", ()),
+        ("abs(atan2(y, x))", "3", ()),
+        ("sqrt(x + 1) + sqrt(1 - y)", "2", ()),  # and on the edge of where a root is defined
+        ("acos(x)", "2", ("y - 0.5",)),
+    ],
+)
+def test_whoever_has_a_violating_sample_has_a_counterexample(left, right, constraints) -> None:
+    box = {"x": (-1.0, 1.0), "y": (-1.0, 1.0)}
+    verdict = settle(claim_from("cut", box, left, right, constraints), samples=256, starts=4, time_limit=1.0)
+    assert verdict.verdict == "refuted" and verdict.counterexample is not None, verdict.remaining
+    margin, inside = evaluate(verdict.claim, verdict.counterexample.values)
+    assert inside and margin > 0
+
+
+def test_how_certain_an_excess_is_at_many_points_at_once() -> None:
+    claim = claim_from("cut", {"x": (-1.0, 1.0), "y": (-1.0, 1.0)}, "atan2(y, x)", "1")
+    sure = certain_excess(claim, np.array([[-0.5, -0.5, 2.0], [0.0, 0.5, 0.5]]))
+    assert sure[0] < 0 and sure[1] == pytest.approx(0.75 * np.pi - 1) and sure[2] == -np.inf
+
+
 def test_a_constraint_prunes() -> None:
     box = {"x": (-2.0, 2.0), "y": (-2.0, 2.0)}
     assert settle(claim_from("in", box, "x*y", "0.5001", ("x^2 + y^2 - 1",))).verdict == "proved"
@@ -66,6 +112,15 @@ def test_equality_at_a_point_is_proved_exactly() -> None:
     verdict = settle(claim_from("touch", {"x": (-1.0, 1.0), "y": (-1.0, 1.0)}, "x*y", "x^2 + y^2"))
     assert verdict.verdict == "proved" and verdict.certificate is not None
     assert verdict.certificate["claim"]["slack"] == 0.0
+
+
+def test_a_claim_that_is_proved_to_within_a_slack_says_so_beside_its_worst_margin() -> None:
+    claim = claim_from("near", {"x": (-1.0, 1.0)}, "x^2", "0.95")
+    told = settle(replace(claim, tolerance=0.1)).to_dict()  # of the larger side, 1
+    assert told["verdict"] == "proved" and 0 < told["worst_margin"] <= told["slack"] <= 0.1 * 1.0001
+    exact = settle(claim_from("sure", {"x": (-1.0, 1.0)}, "x^2", "1")).to_dict()
+    assert 0 <= exact["slack"] < 1e-9 and exact["worst_margin"] <= 0
+    assert settle(claim).to_dict()["slack"] is None
 
 
 def test_rounding_alone_refutes_nothing() -> None:

@@ -211,14 +211,14 @@ class Listening:
         return after, ca.vertcat(*fresh)
 
 
-def slots(rows: Sequence[ca.SX], near: Sequence[ca.SX]) -> ca.SX:
-    """The law's contacts, (k, 6): all rows, or the `CONTACT_SLOTS` nearest ones in their order."""
-    if len(rows) <= CONTACT_SLOTS:
+def slots(rows: Sequence[ca.SX], near: Sequence[ca.SX], most: int = CONTACT_SLOTS) -> ca.SX:
+    """The law's contacts, (k, 6): all rows, or the `most` nearest ones in their order."""
+    if len(rows) <= most:
         return ca.vertcat(ca.SX(0, 6), *rows)
-    slots, taken = [ca.SX.zeros(1, 6) for _ in range(CONTACT_SLOTS)], ca.SX(0)
+    slots, taken = [ca.SX.zeros(1, 6) for _ in range(most)], ca.SX(0)
     for k, row in enumerate(rows):
         ahead = [near[j] <= near[k] if j < k else near[j] < near[k] for j in range(len(rows)) if j != k]
-        chosen = sum(ahead, start=ca.SX(0)) < CONTACT_SLOTS
+        chosen = sum(ahead, start=ca.SX(0)) < most
         slots = [ca.if_else(ca.logic_and(chosen, taken == at), row, slot) for at, slot in enumerate(slots)]
         taken += chosen
     return ca.vertcat(*slots)

@@ -184,8 +184,10 @@ class _Builder:
         else:
             out |= {name: ca.SX(0) for name in ("noise_next", "normals", "uniforms", "heard")}
             near = self._beside(given, bodies, eta)
-            if near:
-                inputs["contacts"] = slots([b.contact(eta[:2]) for b in near], [b.clearance(eta[:2]) for b in near])
+            if "contacts" in self.law.inputs:
+                room = self.law.inputs.port("contacts").shape[0]
+                rows = slots([b.contact(eta[:2]) for b in near], [b.clearance(eta[:2]) for b in near], room)
+                inputs["contacts"] = ca.vertcat(rows, ca.SX.zeros(room - rows.shape[0], 6))
         if "column" in self.law.inputs:
             inputs["column"] = _column(bodies, given, eta)
         out["u"] = self.law.inputs.join(inputs)

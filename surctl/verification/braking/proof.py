@@ -55,10 +55,10 @@ class BrakingProof:
         if self.verdict != "proved":
             return f"unknown: {self.reason}"
         claim, quickest = self.claim, max(self.claim.obstacles)
-        what = f"what comes on with at most {quickest:g} m/s" if quickest else "what stands"
+        what = f"obstacles that approach at up to {quickest:g} m/s" if quickest else "obstacles that stand still"
         return (
-            f"proved: never touches {what}, of which {self.reach:.2f} m must be read at {max(claim.speeds):g} m/s; "
-            f"checked in {self.check_seconds:.2f} s"
+            f"proved: no contact with {what}, provided they are detected at {self.reach:.2f} m or more "
+            f"(robot at {max(claim.speeds):g} m/s); checked in {self.check_seconds:.2f} s"
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,7 +37,7 @@ class Proof:
         slack: how far left may exceed right by the certificate, in the claim's unit; 0 where it was shown exactly.
         remaining: what is left open, in words; empty when nothing is.
         open_boxes: the largest of the boxes that are open, (lower, upper) by variable.
-        boxes: number of boxes looked at.
+        boxes: number of boxes of the proof; where something is open, of all attempts at that case.
         seconds: time it took [s].
     """
 
@@ -102,24 +102,24 @@ def prove(
     return Proof(certificate, needed, "", (), boxes, time.perf_counter() - began)
 
 
-def certain_excess(claim: Claim, point: NDArray[np.float64]) -> float | None:
-    """By how much left exceeds right at a point at least; None where it is not certain that the domain holds it.
+def certain_excess(claim: Claim, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(k,) by how much left exceeds right at each point at least; −inf where it may lie outside the domain.
 
     Args:
         claim: the claim.
-        point: (n,) in the variables' units.
+        points: (n, k) in the variables' units.
 
     Raises:
         InputError: an operation that the claim grammar does not have.
     """
     statement = statement_of(claim)
-    if not np.all((statement.lower <= point) & (point <= statement.upper)):
-        return None
-    read = build_tape(statement.names, [statement.left - statement.right, *statement.constraints]).run(
-        (point[:, None], point[:, None])
-    )
-    inside = all(jet.value[1][0] <= 0 for jet in read.jets[1:])
-    return float(read.jets[0].value[0][0]) if inside and all(fine[0] for fine in read.defined) else None
+    within = np.all((statement.lower[:, None] <= points) & (points <= statement.upper[:, None]), axis=0)
+    read = build_tape(statement.names, [statement.left - statement.right, *statement.constraints]).run((points, points))
+    for jet in read.jets[1:]:
+        within &= jet.value[1] <= 0
+    for fine in read.defined:
+        within &= fine
+    return np.where(within, read.jets[0].value[0], -np.inf)
 
 
 def _show(
@@ -131,8 +131,12 @@ def _show(
     told: str,
     progress: Callable[[str], None] | None,
 ) -> tuple[Form, Found, float]:
-    """The first form and slack by which the case closes; else the attempt that leaves the least open."""
+    """The first form and slack by which the case closes; else the attempt that leaves the least open.
+
+    What is left open tells the boxes of all attempts, and what stopped the last one.
+    """
     began = time.process_time()
+    looked = 0
     names = statement.names
     root = statement.lower[:, None], statement.upper[:, None]
     constraints = build_tape(names, case.constraints)
@@ -148,12 +152,13 @@ def _show(
             # the last round shares what is left among the forms
             share = rest / (len(usable) - k) if most == _ROUNDS[-1][0] else rest / 4
             found = search(task, deadline=time.process_time() + share, most=most, progress=_teller(told, progress))
+            looked += found.boxes
             if found.closed:
                 return form, found, task.slack
             if best is None or _volume(found) <= _volume(best[1]):
                 best = form, found, task.slack
     assert best is not None  # the form as written is always usable
-    return best
+    return best[0], replace(best[1], boxes=looked, reason=found.reason), best[2]
 
 
 def _teller(told: str, progress: Callable[[str], None] | None) -> Callable[[int, int], None] | None:
@@ -219,7 +224,7 @@ def _left_open(statement: Statement, written: Tape, case: Case, found: Found, bo
     some = corners(found.remaining, statement.names, most=_TOLD)
     count = found.remaining[0].shape[1]
     where = ", ".join(f"{k} in [{low:.4g}, {high:.4g}]" for k, (low, high) in some[0].items()) if some else ""
-    text = f"{found.reason}: {count} box{'es' * (count != 1)} open of {found.boxes}"
+    text = f"{found.reason} after {found.boxes} boxes: {count} open"
     if case.choice:
         text += f" in case {case.choice}"
     if some:

@@ -28,7 +28,10 @@ class LevelRatios(NamedTuple):
     @property
     def sentence(self) -> str:
         """Both in words."""
-        return f"level {self.falsifier:.2f} of the falsifier's, {self.thrust:.2f} of where thrust first binds"
+        return (
+            f"certified level: {self.falsifier:.0%} of the smallest level with a counterexample, {self.thrust:.0%} of "
+            "the level at which thrust saturates"
+        )
 
 
 def level_ratios(loop: Loop, P: Array, wanted: float, *, seed: int = 0) -> LevelRatios:

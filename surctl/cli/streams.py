@@ -1,0 +1,46 @@
+"""Standard output as it may be: of any encoding, on a full disk, closed at the other end."""
+
+from __future__ import annotations
+
+import codecs
+import errno
+import io
+import os
+import sys
+
+__all__ = ["failed_write", "is_utf8", "prepare_stdout"]
+
+_ESCAPE = "surctl-escape"
+_LOSES_TEXT = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
+
+
+def prepare_stdout() -> None:
+    r"""From now on, write what the encoding of stdout does not have as \uXXXX instead of failing.
+
+    An error handler that the user has chosen (PYTHONIOENCODING=ascii:ignore) stays.
+    """
+    codecs.register_error(_ESCAPE, _escaped)
+    stream = sys.stdout
+    if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "surrogateescape"):
+        stream.reconfigure(errors=_ESCAPE)
+
+
+def is_utf8() -> bool:
+    """Whether stdout takes every character as it is."""
+    named = getattr(sys.stdout, "encoding", None) or "utf-8"
+    return codecs.lookup(named).name == "utf-8"
+
+
+def failed_write(error: OSError) -> str | None:
+    """What to tell of an error that lost output, on stdout or in a file, in words; None for any other error."""
+    if error.errno not in _LOSES_TEXT:
+        return None
+    where = f"{error.filename}: " if error.filename else ""
+    return f"{where}the output cannot be written ({os.strerror(error.errno).lower()}); make room, or write elsewhere"
+
+
+def _escaped(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    codes = map(ord, error.object[error.start : error.end])
+    return "".join(f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}" for code in codes), error.end
