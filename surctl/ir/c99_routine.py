@@ -84,27 +84,29 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: boo
             for step in inner.steps:
                 if isinstance(step, Loop) and step.lanes > 1:
                     writer.lanes(step)
-        if inner is block or isinstance(inner, Routine) or id(inner) in alone:
+        if inner is block or isinstance(inner, Routine) or inner.digest() in alone:
             writer.block(inner, last=inner is block)
     if any(chunk.partition("\n")[2].startswith("APART ") for chunk in writer.chunks):
         writer.chunks.insert(1, _APART)
     return "\n".join(writer.chunks)
 
 
-def _with_function(block: Block) -> set[int]:
-    """Identities of the blocks that somebody calls by name."""
+def _with_function(block: Block) -> set[str]:
+    """Digests of the blocks that somebody calls by name: two objects of one text are one function."""
     routines = [inner for inner in nested(block).values() if isinstance(inner, Routine)]
     steps = [step for routine in routines for step in routine.steps if not isinstance(step, Gather)]
     return {
-        id(s.block) for s in steps if (isinstance(s, Call) and not inlined(s)) or (isinstance(s, Loop) and s.lanes == 1)
+        s.block.digest()
+        for s in steps
+        if (isinstance(s, Call) and not inlined(s)) or (isinstance(s, Loop) and s.lanes == 1)
     }
 
 
-def run_alone(block: Block) -> set[int]:
-    """Identities of the blocks that a step other than a loop over lanes runs."""
+def run_alone(block: Block) -> set[str]:
+    """Digests of the blocks that a step other than a loop over lanes runs."""
     routines = [inner for inner in nested(block).values() if isinstance(inner, Routine)]
     steps = [step for routine in routines for step in routine.steps if not isinstance(step, Gather)]
-    return {id(step.block) for step in steps if isinstance(step, Call) or step.lanes == 1}
+    return {step.block.digest() for step in steps if isinstance(step, Call) or step.lanes == 1}
 
 
 class _Writer:

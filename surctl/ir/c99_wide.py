@@ -73,7 +73,7 @@ def emit_wide(block: Block, *, symbol: str) -> Wide:
                 if isinstance(step, Loop) and step.lanes > 1 and isinstance(step.block, Program):
                     writer.program(step.block, _strides(step))
             writer.routine(inner, last=inner is short)
-        elif inner is short or id(inner) in alone:
+        elif inner is short or inner.digest() in alone:
             writer.program(inner, (), last=inner is short)
     return Wide("\n".join(writer.chunks), writer.work[short.digest()])
 

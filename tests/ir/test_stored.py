@@ -25,6 +25,7 @@ from surctl.ir import (
     Loop,
     Program,
     Routine,
+    emit_block,
     lower,
     read_block,
     write_block,
@@ -141,6 +142,7 @@ def test_a_law(sonar: bool) -> None:
     found = same(block)
     assert text_anew(found) == block.text()
     assert len(nested(found)) == len({b.digest() for b in nested(block).values()})
+    assert emit_block(found, symbol="law", folded=True) == emit_block(block, symbol="law", folded=True)
     text = write_block(block)
     start = time.process_time()
     read_block(text)
