@@ -13,7 +13,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck import check_document
+from surctl.certcheck import PATIENCE, check_document
 from surctl.certcheck.bundle import Manifest, compare, numbers_sha256, read_manifest, stated_sha256
 from surctl.certcheck.document import Rejected, read
 from surctl.control import Law, LawName, build_law
@@ -118,7 +118,7 @@ def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
             document = read(path)
         except Rejected as reason:
             raise InputError(f"is rejected: {reason}", file=path, remedy="prove it again: surctl verify") from None
-        checked = check_document(document)
+        checked = check_document(document, time_limit=PATIENCE)
         if not checked.accepted:
             raise InputError(f"is rejected: {checked.reason}", file=path, remedy="prove it again: surctl verify")
         name = f"certificate-{re.sub(r'[^A-Za-z0-9_-]', '-', path.stem)}.json"
