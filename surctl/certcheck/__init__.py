@@ -96,9 +96,7 @@ def check_file(path: str | Path, *, time_limit: float = PATIENCE) -> Checked:
     return check_document(document, began=began, time_limit=time_limit)
 
 
-def check_document(
-    document: Mapping[str, Any], *, began: float | None = None, time_limit: float = math.inf
-) -> Checked:
+def check_document(document: Mapping[str, Any], *, began: float | None = None, time_limit: float = math.inf) -> Checked:
     """As `check_file`, of a document in memory; `seconds` counts from `began`, a reading of perf_counter.
 
     There is no limit of time [s] unless one is given: it is meant for what the caller has proved.

@@ -63,7 +63,7 @@ def exact(x: float) -> Interval:
 
 
 def span(low: float, high: float) -> Interval:
-    """[low, high], each end read as the double and as the decimal that is printed for it, whichever lies further out."""
+    """[low, high], each end the double or the decimal that is printed for it, whichever lies further out."""
     return _end(low)[0], _end(high)[1]
 
 

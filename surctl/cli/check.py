@@ -18,7 +18,10 @@ __all__ = ["check"]
 @click.argument("certificate", type=click.Path(path_type=Path))
 @click.option("--bundle", type=click.Path(path_type=Path), metavar="DIR", help="Is it about this exported controller?")
 @click.option(
-    "--time-limit", type=click.FloatRange(min=0, min_open=True), default=None, metavar="S",
+    "--time-limit",
+    type=click.FloatRange(min=0, min_open=True),
+    default=None,
+    metavar="S",
     help="Processor time [s] after which it is rejected; 8 unless given.",
 )
 @as_json
@@ -31,7 +34,8 @@ def check(certificate: Path, bundle: Path | None, time_limit: float | None, as_j
     Examples: surctl check proofs/v2-static.json; surctl check firmware/certificate-v2-static.json --bundle firmware
     """
     from surctl.certcheck import PATIENCE, check_file
-    from surctl.certcheck.bundle import compare, read_bundle
+    from surctl.certcheck.belonging import compare
+    from surctl.certcheck.bundle import read_bundle
     from surctl.certcheck.document import read
 
     found = check_file(certificate, time_limit=PATIENCE if time_limit is None else time_limit)
