@@ -62,7 +62,10 @@ class Exact:
         """a + factor b."""
         out = dict(a)
         for term, number in b.items():
-            out[term] = out.get(term, Fraction(0)) + factor * number
+            if term not in out:
+                out[term] = factor * number
+                continue
+            out[term] += factor * number
             if not out[term]:
                 del out[term]
             else:
@@ -74,8 +77,9 @@ class Exact:
         if len(a) * len(b) > _MOST * 4:
             raise Rejected(_TOO_LARGE)
         out: Sum = {}
-        for s, x in a.items():
-            go_on()
+        for k, (s, x) in enumerate(a.items()):
+            if k % 16 == 0:
+                go_on()
             for t, y in b.items():
                 powers = dict(s)
                 for atom, e in t:
@@ -249,5 +253,5 @@ def _spelled(a: Sum) -> str:
 
 
 def _check_size(number: Fraction) -> None:
-    if max(number.numerator.bit_length(), number.denominator.bit_length()) > _BITS:
+    if number.numerator.bit_length() > _BITS or number.denominator.bit_length() > _BITS:
         raise Rejected(_TOO_LARGE)
