@@ -47,7 +47,7 @@ class Checked:
         kind: its kind; empty when even that cannot be read.
         claim: the claim as plain data.
         seconds: time it took [s].
-        proves: what an accepted certificate amounts to, in words; empty when rejected.
+        proves: what an accepted inequality amounts to, in words; empty for other kinds, and when rejected.
         slack: how far left may exceed right of an inequality, in the claim's unit; 0 for other kinds.
     """
 
@@ -133,7 +133,7 @@ def check_document(document: Mapping[str, Any], *, began: float | None = None, t
 def _proves(kind: str, claim: Mapping[str, Any]) -> str:
     """What was shown; words of a file are not part of it."""
     if kind != "interval":
-        return "what the claim says, under what it assumes and excludes"
+        return ""
     if not claim["slack"]:
         return "left <= right on the whole domain, exactly"
     room = f"{claim['slack']:g} {claim['unit']}"

@@ -28,9 +28,10 @@ __all__ = ["check"]
 def check(certificate: Path, bundle: Path | None, time_limit: float | None, as_json: bool) -> None:
     """Check a certificate without trusting the prover that wrote it.
 
-    With --bundle also whether it is about that exported controller: its law, vehicle and gains, which are hashed anew;
-    what the certificate leaves out is named. Exit status 0 accepted (and belongs), 1 rejected, or of another
-    controller, 2 no certificate or bundle.
+    With --bundle also whether it is about that exported controller: every number that it assumes is compared with the
+    manifest's, and every hash worked out anew; what the certificate leaves out is named. An inequality with slack is
+    proved to within that slack, and is no proof of asymptotic stability. Exit status 0 accepted (and belongs), 1
+    rejected, or of another controller, 2 no certificate or bundle.
     Examples: surctl check proofs/v2-static.json; surctl check firmware/certificate-v2-static.json --bundle firmware
     """
     from surctl.certcheck import PATIENCE, check_file
@@ -42,7 +43,7 @@ def check(certificate: Path, bundle: Path | None, time_limit: float | None, as_j
     word = "accepted" if found.accepted else f"rejected: {found.reason}"
     lines = [f"{word} ({found.kind or 'unknown kind'}, {found.seconds:.2f} s)"]
     if found.accepted:
-        lines += [f"  proves: {found.proves}", *_shown(found.claim)]
+        lines += ([f"  proves: {found.proves}"] if found.proves else []) + _shown(found.claim)
     if bundle is None:
         finish(found.to_dict(), printable(lines), as_json=as_json, passed=found.accepted)
         return
