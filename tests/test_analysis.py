@@ -68,6 +68,16 @@ def test_the_study_of_mutants() -> None:
     assert len(rows) >= 4 and not any("survives" in row[3] for row in rows)
 
 
+def test_the_study_of_what_the_checker_accepts() -> None:
+    done = run(ANALYSIS / "24_checker_fuzz" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = {row[0]: row[1:] for row in table(done.stdout)}
+    functions = [row for name, row in rows.items() if name.startswith("`")]
+    assert len(functions) == 12 and all(row[:2] == ["500", "0"] for row in functions)
+    assert rows["all"][:2] == ["300", "0"]
+    assert rows["bound"][3].strip("| ") == "125 of 125", "the evidence does where the claim is true"
+
+
 def test_every_mutant_of_the_study_is_one_change_of_a_file_and_names_tests_that_are_there() -> None:
     study = runpy.run_path(str(ANALYSIS / "23_mutants" / "run.py"))
     mutants = study["load_model"](study["CONFIG"], study["Config"]).mutant

@@ -18,6 +18,7 @@ from typing import Any
 from surctl.certcheck.braking_claim import BrakingClaim, GuardedLaw, read_claim
 from surctl.certcheck.braking_way import Forces, Way, drag, forces, pushed, read_way, rounded
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_claim import record
 
 __all__ = ["check"]
@@ -117,6 +118,7 @@ def _check_law(claim: BrakingClaim, law: GuardedLaw, at: Forces, way: Way) -> No
     start = _no_clearance(law, at, claim)
     cells, least = [(start, start + _FIRST)], _stale(claim, at, claim.fastest)
     while cells:
+        go_on()
         low, high = cells.pop()
         held = max(law.margin + _kept(law, at, claim.period, low), least)  # the clearance is never negative
         fast = min(high + _excess(claim, law, high), claim.fastest)

@@ -1,4 +1,4 @@
-"""Whether a certificate belongs to an exported controller: the same law, vehicle and gains.
+"""What an exported controller says that it was made of, verified as far as that can be.
 
 What is exported tells in `manifest.json` what it was made of: every gain, the vehicle's numbers, the hash of the law's
 instructions, and hashes of all its files. Everything that can be computed anew is: the files' hashes, those of gains
@@ -16,16 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from surctl.certcheck.document import LARGEST, canonical
-from surctl.certcheck.region_claim import read_claim
 from surctl.errors import InputError
 
-__all__ = ["Belonging", "Manifest", "compare", "numbers_sha256", "read_bundle", "stated_sha256"]
+__all__ = ["Manifest", "numbers_sha256", "read_bundle", "stated_sha256"]
 
 MANIFEST = "manifest.json"
 _STATED = ("variables", "left", "right", "constraints")
-_ROUNDING = "rounding: what is proved holds for real numbers, the bundle computes in {}"
-_TOLD_TRUTH = "senses: it is about the law that is told true positions, the bundle senses for itself"
-_KINEMATIC = "dynamics, sampling and sensing: it is an inequality about the loop of its variables, in their ranges"
 
 
 @dataclass(frozen=True)
@@ -41,6 +37,8 @@ class Manifest:
         vehicle: hash of the vehicle's numbers; empty if none was named.
         claims: hashes of the library's claims for these gains, by name.
         wrong: what is not as the manifest says.
+        values: the vehicle's numbers by name.
+        ranges: (least, largest) of those that its file gives a range; None if the manifest does not say.
     """
 
     id: str
@@ -51,28 +49,8 @@ class Manifest:
     vehicle: str
     claims: Mapping[str, str]
     wrong: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Belonging:
-    """Whether a certificate is about this controller.
-
-    Attributes:
-        differs: what is not the same; empty when it belongs.
-        excludes: what the certificate leaves out of the controller that flies.
-    """
-
-    differs: tuple[str, ...]
-    excludes: tuple[str, ...]
-
-    @property
-    def belongs(self) -> bool:
-        """Whether nothing differs."""
-        return not self.differs
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
-        return {"belongs": self.belongs, "differs": list(self.differs), "excludes": list(self.excludes)}
+    values: Mapping[str, float]
+    ranges: Mapping[str, tuple[float, float]] | None
 
 
 def numbers_sha256(numbers: Sequence[float]) -> str:
@@ -125,6 +103,8 @@ def read_manifest(told: Any, folder: Path | None = None) -> Manifest:
             str(vehicle["sha256"]),
             {str(name): str(text) for name, text in told.get("claims", {}).items()},
             (),
+            values,
+            _ranges(vehicle.get("ranges")),
         )
         flat = numbers_sha256([v for row in gains.values() for v in row])
         parts = (manifest.laws[0], manifest.period.hex(), manifest.real, flat, str(law["initial_state_sha256"]))
@@ -142,6 +122,15 @@ def read_manifest(told: Any, folder: Path | None = None) -> Manifest:
             remedy="export the controller again",
         ) from None
     return Manifest(**{**vars(manifest), "wrong": tuple(wrong)})
+
+
+def _ranges(told: Any) -> dict[str, tuple[float, float]] | None:
+    if told is None:
+        return None
+    ends = {str(name): (float(low), float(high)) for name, (low, high) in told.items()}
+    if not all(low <= high for low, high in ends.values()):
+        raise ValueError("a range is none")
+    return ends
 
 
 def _vehicle_sha256(values: Mapping[str, float]) -> str:
@@ -166,58 +155,3 @@ def _files(folder: Path, files: Mapping[str, str], source: str, identity: str) -
         elif name == source and f'return "{identity}";'.encode() not in body:
             wrong.append(f"{name} returns another id")
     return wrong
-
-
-def compare(document: Mapping[str, Any], manifest: Manifest) -> Belonging:
-    """Whether a certificate that was accepted is about the controller of a manifest.
-
-    Args:
-        document: the certificate.
-        manifest: of the bundle.
-    """
-    if document.get("kind") == "region":
-        return _region(document["claim"], manifest)
-    claim = document["claim"]
-    name = claim.get("name")
-    excludes = (_KINEMATIC, _ROUNDING.format(manifest.real))
-    wanted = manifest.claims.get(name)
-    if wanted is None:
-        return Belonging(
-            (*manifest.wrong, f"claim {name!r} is about no part of the exported law that its manifest names"), excludes
-        )
-    if wanted != stated_sha256(claim):
-        return Belonging(
-            (*manifest.wrong, f"claim {name!r} for the bundle's gains, vehicle and cruise is another one"), excludes
-        )
-    return Belonging(manifest.wrong, excludes)
-
-
-def _region(claim: Mapping[str, Any], manifest: Manifest) -> Belonging:
-    read_claim(claim)  # every number is one
-    law, differs = claim["law"], list(manifest.wrong)
-    if claim["sha256_law"] not in manifest.laws:
-        differs.append(f"law: {claim['sha256_law'][:12]} certified, {manifest.laws[0][:12]} exported")
-    if not manifest.vehicle:
-        differs.append("vehicle: the bundle names none")
-    elif claim["sha256_vehicle"] != manifest.vehicle:
-        differs.append(f"vehicle: {claim['sha256_vehicle'][:12]} certified, {manifest.vehicle[:12]} exported")
-    pairs = [(name, law[name], 0) for name in ("k1", "lookahead", "k_v", "k_i", "wait", "cruise", "cap")]
-    for port, key in (("mass", "mass_kg"), ("linear_drag", "linear_drag"), ("quadratic_drag", "quadratic_drag")):
-        pairs += [(port, law[key], axis) for axis in (0, 1)]
-    for port, wanted, at in pairs:
-        have = manifest.gains.get(port, ())
-        if len(have) <= at or have[at] != wanted:
-            differs.append(f"{port}[{at}]: {wanted!r} certified, {have[at] if len(have) > at else 'none'!r} exported")
-    limits = manifest.gains.get("thrust_limit", ())[:2]
-    if len(limits) < 2 or min(limits) < claim["vehicle"]["thrust_n"]:
-        differs.append(f"thrust_limit: at least {claim['vehicle']['thrust_n']!r} N certified, {limits!r} exported")
-    excludes = [*claim["excludes"], _ROUNDING.format(manifest.real)]
-    if law["period_s"] not in (0, manifest.period):
-        differs.append(f"period: {law['period_s']!r} s certified, {manifest.period!r} s exported")
-    if law["period_s"] == 0:
-        excludes.append("sampling: commands that are held for a period")
-    if claim["vehicle"]["lag_s"] == [0, 0]:
-        excludes.append("lag of the thrusters")
-    if claim["sha256_law"] == manifest.laws[1] != manifest.laws[0]:
-        excludes.append(_TOLD_TRUTH)
-    return Belonging(tuple(differs), tuple(excludes))

@@ -14,7 +14,7 @@ from surctl.errors import InputError
 __all__ = ["FORMAT", "LARGEST", "VERSION", "Rejected", "canonical", "read", "seal"]
 
 FORMAT, VERSION = "surctl-certificate", 1
-LARGEST = 64_000_000
+LARGEST = 8_000_000
 """Most bytes of a certificate that is read."""
 
 
@@ -105,7 +105,7 @@ def verify_frame(document: Mapping[str, Any]) -> None:
         raise Rejected("kind or claim is missing")
     try:
         own = hashlib.sha256(canonical(document)).hexdigest()
-    except ValueError as error:  # an infinity inside a list, half a surrogate pair
+    except (ValueError, RecursionError) as error:  # an infinity inside a list, half a surrogate pair, a deep nest
         raise Rejected(f"it has no canonical text: {error}") from None
     if document.get("sha256") != own:
         raise Rejected("the hash is not that of the content: the file was altered")

@@ -1,6 +1,7 @@
 """The checker's own interval arithmetic: 60-bit ends by mpmath's directed rounding, with first and second derivatives.
 
-An interval is mpmath's pair of raw numbers. None stands for [0, 0] among derivatives.
+An interval is mpmath's pair of raw numbers. None stands for [0, 0] among derivatives. Sums, products, quotients, whole
+powers and roots are rounded by mpmath, which rounds these correctly; sines and angles are `surctl.certcheck.angles`.
 """
 
 from __future__ import annotations
@@ -8,10 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 from typing import Any
 
 from mpmath import libmp
 
+from surctl.certcheck.angles import BITS, Interval, angle, arccos, circle, pi
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.patience import go_on
 from surctl.certcheck.sheet import Sheet
 
 __all__ = [
@@ -19,6 +24,7 @@ __all__ = [
     "Jet",
     "Undefined",
     "above",
+    "decimal",
     "enclose",
     "exact",
     "greatest",
@@ -28,12 +34,10 @@ __all__ = [
     "span",
 ]
 
-Interval = Any
-"""(lower, upper), raw numbers of mpmath."""
 Slopes = list[Any]
 """A derivative for each variable, None where it is 0."""
 
-_BITS = 60
+_MOST = 2_000_000  # numbers of all jets of an expression
 _ZERO = (libmp.fzero, libmp.fzero)
 _ONE = (libmp.fone, libmp.fone)
 _LINE = (libmp.fninf, libmp.finf)
@@ -59,14 +63,27 @@ def exact(x: float) -> Interval:
 
 
 def span(low: float, high: float) -> Interval:
-    """[low, high]."""
-    return libmp.from_float(low), libmp.from_float(high)
+    """[low, high], each end the double or the decimal that is printed for it, whichever lies further out."""
+    return _end(low)[0], _end(high)[1]
+
+
+@lru_cache(8192)
+def _end(x: float) -> Interval:
+    """The double and its decimal."""
+    raw = libmp.from_float(x)
+    low, high = decimal(x)
+    return raw if libmp.mpf_le(raw, low) else low, raw if libmp.mpf_ge(raw, high) else high
+
+
+def decimal(x: float) -> Interval:
+    """A narrow interval about the decimal that is printed for a double."""
+    return rational(Fraction(repr(x)))
 
 
 def rational(x: Fraction) -> Interval:
     """A narrow interval about an exact number."""
     p, q = x.numerator, x.denominator
-    return libmp.from_rational(p, q, _BITS, "f"), libmp.from_rational(p, q, _BITS, "c")
+    return libmp.from_rational(p, q, BITS, "f"), libmp.from_rational(p, q, BITS, "c")
 
 
 def above(a: Interval, bound: Any = libmp.fzero) -> bool:
@@ -91,7 +108,7 @@ def greatest(a: Interval, b: Interval) -> Interval:
 
 def plus(a: Interval, b: Interval) -> Interval:
     """a + b; None is 0."""
-    return b if a is None else a if b is None else libmp.mpi_add(a, b, _BITS)
+    return b if a is None else a if b is None else libmp.mpi_add(a, b, BITS)
 
 
 def minus(a: Interval) -> Interval:
@@ -107,7 +124,7 @@ def mul(a: Interval, b: Interval) -> Interval:
         return _ZERO
     if libmp.finf in (*a, *b) or libmp.fninf in (*a, *b):
         return _LINE
-    return libmp.mpi_mul(a, b, _BITS)
+    return libmp.mpi_mul(a, b, BITS)
 
 
 def over(a: Interval, b: Interval) -> Interval:
@@ -116,7 +133,7 @@ def over(a: Interval, b: Interval) -> Interval:
         return None
     if not (above(b) or libmp.mpf_lt(b[1], libmp.fzero)) or libmp.finf in (*a, *b) or libmp.fninf in (*a, *b):
         return _LINE
-    return libmp.mpi_div(a, b, _BITS)
+    return libmp.mpi_div(a, b, BITS)
 
 
 def enclose(sheet: Sheet, roots: Sequence[int], box: Sequence[Interval], *, order: int = 0) -> list[Jet]:
@@ -126,7 +143,12 @@ def enclose(sheet: Sheet, roots: Sequence[int], box: Sequence[Interval], *, orde
         Undefined: an operation in one of them is not defined on the whole box.
     """
     made: dict[int, Jet] = {}
-    for at in sheet.needed(roots):
+    needed = sheet.needed(roots)
+    if len(needed) * len(box) ** order > _MOST:
+        raise Rejected("an expression has too many derivatives to be checked")
+    for k, at in enumerate(needed):
+        if order > 1 or k % 64 == 0:
+            go_on()
         entry = sheet.entries[at]
         made[at] = _step(entry.op, entry.value, [made[a] for a in entry.args], entry.args, box, order)
     return [made[r] for r in roots]
@@ -138,7 +160,7 @@ def _step(op: str, value: Fraction, args: list[Jet], at: tuple[int, ...], box: S
         case "num":
             return _flat(rational(value), n, order)
         case "pi":
-            return _flat((libmp.mpf_pi(_BITS, "f"), libmp.mpf_pi(_BITS, "c")), n, order)
+            return _flat(pi(), n, order)
         case "var":
             jet = _flat(box[value.numerator], n, order)
             if jet.slope is not None:
@@ -175,7 +197,7 @@ def _step(op: str, value: Fraction, args: list[Jet], at: tuple[int, ...], box: S
 
 def abs_of(a: Interval) -> Interval:
     """|a|."""
-    return libmp.mpi_abs(a, _BITS)
+    return libmp.mpi_abs(a, BITS)
 
 
 def _flat(value: Interval, n: int, order: int) -> Jet:
@@ -232,12 +254,12 @@ def _chain(a: Jet, value: Interval, derivatives: tuple[Interval, Interval]) -> J
 
 def square(a: Interval) -> Interval:
     """a²; None is 0."""
-    return None if a is None else (_LINE if a == _LINE else libmp.mpi_pow_int(a, 2, _BITS))
+    return None if a is None else (_LINE if a == _LINE else libmp.mpi_pow_int(a, 2, BITS))
 
 
 def _power(a: Jet, n: int) -> Jet:
     def to(e: int) -> Interval:
-        return _ONE if e <= 0 else libmp.mpi_pow_int(a.value, e, _BITS)
+        return _ONE if e <= 0 else libmp.mpi_pow_int(a.value, e, BITS)
 
     first = mul(rational(Fraction(n)), to(n - 1))
     second = mul(rational(Fraction(n * (n - 1))), to(n - 2))
@@ -247,44 +269,34 @@ def _power(a: Jet, n: int) -> Jet:
 def _reciprocal(a: Jet) -> Jet:
     if not (above(a.value) or libmp.mpf_lt(a.value[1], libmp.fzero)):
         raise Undefined("a division by an interval that holds 0")
-    value = libmp.mpi_div(_ONE, a.value, _BITS)
-    squared = libmp.mpi_pow_int(value, 2, _BITS)
+    value = libmp.mpi_div(_ONE, a.value, BITS)
+    squared = libmp.mpi_pow_int(value, 2, BITS)
     return _chain(a, value, (minus(squared), mul(rational(Fraction(2)), mul(squared, value))))
 
 
 def _unary(op: str, a: Jet) -> Jet:
     x = a.value
     if op in ("sin", "cos"):
-        cosine, sine = libmp.mpi_cos_sin(x, _BITS)
+        cosine, sine = circle(x)
         if op == "sin":
             return _chain(a, sine, (cosine, minus(sine)))
         return _chain(a, cosine, (minus(sine), minus(cosine)))
     if op == "sqrt":
         if libmp.mpf_lt(x[0], libmp.fzero):
             raise Undefined("a root of an interval that is negative in part")
-        value = libmp.mpi_sqrt(x, _BITS)
+        value = libmp.mpi_sqrt(x, BITS)
         first = over(rational(Fraction(1, 2)), value)
         second = minus(over(mul(rational(Fraction(1, 2)), first), x))
         return _chain(a, value, (first, second))
     if op == "acos":
         if libmp.mpf_lt(x[0], libmp.fnone) or libmp.mpf_gt(x[1], libmp.fone):
             raise Undefined("an arccos of an interval beyond [-1, 1]")
-        rest = libmp.mpi_sub(_ONE, libmp.mpi_pow_int(x, 2, _BITS), _BITS)
+        rest = libmp.mpi_sub(_ONE, libmp.mpi_pow_int(x, 2, BITS), BITS)
         rest = greatest(rest, _ZERO)
-        root = libmp.mpi_sqrt(rest, _BITS)
+        root = libmp.mpi_sqrt(rest, BITS)
         second = mul(x, minus(over(_ONE, mul(rest, root))))
-        return _chain(a, _arccos(x), (minus(over(_ONE, root)), second))
+        return _chain(a, arccos(x), (minus(over(_ONE, root)), second))
     raise Undefined(f"{op} is not known")
-
-
-def _arccos(x: Interval) -> Interval:
-    """Arccos falls: each end comes from the other end of x, as the angle of (x, √(1 − x²))."""
-    ends = []
-    for raw in (x[1], x[0]):
-        at = (raw, raw)
-        height = greatest(libmp.mpi_sub(_ONE, libmp.mpi_mul(at, at, 2 * _BITS + 8), 2 * _BITS + 8), _ZERO)
-        ends.append(libmp.mpi_atan2(libmp.mpi_sqrt(height, _BITS + 8), at, _BITS))
-    return ends[0][0], ends[1][1]
 
 
 def _angle(y: Jet, x: Jet) -> Jet:
@@ -292,10 +304,7 @@ def _angle(y: Jet, x: Jet) -> Jet:
     if all(holds):
         raise Undefined("an atan2 of a box that holds (0, 0)")
     jumps = holds[1] and not above(x.value)
-    value = libmp.mpi_atan2(y.value, x.value, _BITS)
-    if jumps:
-        top = libmp.mpf_pi(_BITS, "c")
-        value = libmp.mpf_neg(top), top
+    value = (libmp.mpf_neg(pi()[1]), pi()[1]) if jumps else angle(y.value, x.value)
     if x.slope is None or y.slope is None:
         return Jet(value)
     n = len(x.slope)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.heading_claim import HeadingClaim
 from surctl.certcheck.heading_loop import Plane, constant, rows
+from surctl.certcheck.patience import go_on
 
 __all__ = ["check_cells"]
 
@@ -41,7 +42,8 @@ def _form(p: Array) -> _Form:
     covariance = np.asarray(np.linalg.inv(p), dtype=np.float64)
     change = np.linalg.inv(np.linalg.cholesky(p))
     terms = np.abs(change) @ np.abs(p) @ np.abs(change).T  # what rounding is a part of, in `_part`
-    if np.abs(p @ covariance - np.eye(6)).max() > 1e-10 or terms.max() > 1e3 or not np.all(np.diag(change) > 0):
+    good = np.abs(p @ covariance - np.eye(6)).max() <= 1e-10 and terms.max() <= 1e3
+    if not good or not np.all(np.diag(change) > 0):  # what is no number is not good either
         raise Rejected("P is too ill-conditioned for double precision")
     two = np.ix_((2, 1), (2, 1))
     shape = np.asarray(np.linalg.inv(covariance[two]), dtype=np.float64)
@@ -97,7 +99,7 @@ def check_cells(claim: HeadingClaim, matrix: Array, *, most: int = _MOST) -> int
     count = 0
     for depth in range(_DEPTH + 1):
         least = _inside(form, psi, y, half)
-        kept = least <= 1
+        kept = ~(least > 1)
         psi, y, least = psi[kept], y[kept], least[kept]
         count += len(psi)
         if count > most:
@@ -118,6 +120,7 @@ def _fails(
     claim: HeadingClaim, law: dict[str, float], form: _Form, psi: Array, y: Array, half: Array, least: Array
 ) -> Array:
     """Which cells have a vertex whose V̇ + a V is not shown to be negative."""
+    go_on()
     ranges = {key: (float(low), float(high)) for key, (low, high) in claim.ranges.items()}
     limits = {key: float(value) for key, value in claim.limits.items()}
     v, push = law["cruise"], float(claim.push)

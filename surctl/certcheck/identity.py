@@ -13,6 +13,7 @@ from fractions import Fraction
 from math import isqrt, lcm
 
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.patience import go_on
 from surctl.certcheck.sheet import Sheet
 
 __all__ = ["Exact", "Fraction_"]
@@ -22,7 +23,11 @@ Sum = dict[Term, Fraction]
 Fraction_ = tuple[Sum, Sum]
 """(over, under)."""
 
-_MOST = 3000
+_MOST = 3000  # terms of a polynomial
+_HELD = 400_000  # terms of all that are kept
+_BITS = 4096  # of a coefficient, over and under
+_LONGEST = 20_000  # characters of an atom's name
+_TOO_LARGE = "an identity is too large to be checked"
 _ONE: Sum = {(): Fraction(1)}
 
 
@@ -36,6 +41,7 @@ class Exact:
     def __init__(self, sheet: Sheet) -> None:
         self._sheet = sheet
         self._made: dict[int, Fraction_] = {}
+        self._held = 0
         self._inside: dict[str, Sum] = {}  # what stands under a root
         self._angles: dict[str, tuple[Fraction_, Fraction_]] = {}  # cosine and sine of inverse angles
         self.assumed: list[Sum] = []
@@ -56,17 +62,24 @@ class Exact:
         """a + factor b."""
         out = dict(a)
         for term, number in b.items():
-            out[term] = out.get(term, Fraction(0)) + factor * number
+            if term not in out:
+                out[term] = factor * number
+                continue
+            out[term] += factor * number
             if not out[term]:
                 del out[term]
+            else:
+                _check_size(out[term])
         return out
 
     def mul(self, a: Sum, b: Sum) -> Sum:
         """a b, roots and sines to the first power at most."""
         if len(a) * len(b) > _MOST * 4:
-            raise Rejected("an identity is too large to be checked")
+            raise Rejected(_TOO_LARGE)
         out: Sum = {}
-        for s, x in a.items():
+        for k, (s, x) in enumerate(a.items()):
+            if k % 16 == 0:
+                go_on()
             for t, y in b.items():
                 powers = dict(s)
                 for atom, e in t:
@@ -84,7 +97,9 @@ class Exact:
                     by = self._inside[atom] if atom[:5] == "sqrt{" else self._sine_square(atom)
                     return self.plus(self._simple(others), self.mul({rest: number}, by))
         if len(a) > _MOST:
-            raise Rejected("an identity is too large to be checked")
+            raise Rejected(_TOO_LARGE)
+        for number in a.values():
+            _check_size(number)
         return a
 
     @staticmethod
@@ -107,7 +122,11 @@ class Exact:
         """The fraction of an expression."""
         for at in self._sheet.needed([root]):
             if at not in self._made:
+                go_on()
                 self._made[at] = self._step(at)
+                self._held += sum(map(len, self._made[at]))
+                if self._held > _HELD:
+                    raise Rejected(_TOO_LARGE)
         return self._made[root]
 
     def _step(self, at: int) -> Fraction_:
@@ -227,4 +246,12 @@ class Exact:
 
 def _spelled(a: Sum) -> str:
     """One text for equal polynomials."""
-    return "+".join(f"{x}" + "".join(f"*{k}^{e}" for k, e in t) for t, x in sorted(a.items()))
+    text = "+".join(f"{x}" + "".join(f"*{k}^{e}" for k, e in t) for t, x in sorted(a.items()))
+    if len(text) > _LONGEST:
+        raise Rejected(_TOO_LARGE)
+    return text
+
+
+def _check_size(number: Fraction) -> None:
+    if number.numerator.bit_length() > _BITS or number.denominator.bit_length() > _BITS:
+        raise Rejected(_TOO_LARGE)

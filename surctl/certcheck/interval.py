@@ -5,23 +5,29 @@ Keys beside the frame: `cases`, each with `choice` (which of its two expressions
 `tree` (preorder; a capital or digit halves in that variable, at 0 where 0 lies inside; a small letter names the rule
 that settles the box) and `points` (where the tangents of the rule `c` touch). All choices must be there, and a tree
 is complete or rejected, so that what is covered needs no trust. The statement in words is not checked.
+
+A number of the claim is the decimal that is printed; the ends of a box are rounded outward to the decimal and to its
+double, so that both readings are covered. A variable of no width is the decimal and nothing else.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
 from mpmath import libmp
 
+from surctl.certcheck.angles import BITS, pi
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.enclosure import (
     Interval,
     Jet,
     Undefined,
     above,
+    decimal,
     enclose,
     exact,
     greatest,
@@ -33,7 +39,8 @@ from surctl.certcheck.enclosure import (
     span,
 )  # fmt: skip
 from surctl.certcheck.identity import Exact, Fraction_, Sum
-from surctl.certcheck.sheet import BRANCHES, Sheet
+from surctl.certcheck.patience import go_on
+from surctl.certcheck.sheet import BRANCHES, FUNCTIONS, Sheet
 
 __all__ = ["check"]
 
@@ -41,6 +48,8 @@ _CLAIM = {"name", "statement", "unit", "variables", "left", "right", "constraint
 _CASE = {"choice", "numerator", "denominators", "multipliers", "tree", "points"}
 _DIMENSIONS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 _MOST_BRANCHES = 12
+_DEEPEST = 10_000  # boxes that wait
+_WHOLE = 2**53  # a larger whole number may be no double
 
 Box = list[tuple[float, float]]
 
@@ -51,8 +60,6 @@ def check(document: Mapping[str, Any]) -> None:
         _Claim(document).check()
     except Undefined as reason:
         raise Rejected(f"an expression is not defined where it must be: {reason}") from None
-    except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError) as error:
-        raise Rejected(f"the certificate is malformed: {type(error).__name__}: {error}") from None
 
 
 class _Claim:
@@ -64,6 +71,14 @@ class _Claim:
         names = [v["name"] for v in variables]
         if not names or len(set(names)) < len(names) or len(names) > len(_DIMENSIONS):
             raise Rejected("the variables are none, too many, or not different")
+        for name in names:
+            if not isinstance(name, str) or not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", name):
+                raise Rejected(f"{name!r} is no name of a variable: letters A-Z and a-z, digits and _ only")
+            if name == "pi" or name in FUNCTIONS:
+                raise Rejected(f"the variable {name!r} has the name of a number or a function")
+        for word in (claim["name"], claim["unit"], *(v["unit"] for v in variables)):
+            if not isinstance(word, str) or not word.isprintable():
+                raise Rejected(f"{word!r} is no name or unit that can be printed")
         if any(set(v) != {"name", "unit", "lower", "upper"} for v in variables):
             raise Rejected("a variable has keys that are missing or unknown")
         self.box: Box = [(_number(v["lower"]), _number(v["upper"])) for v in variables]
@@ -109,6 +124,7 @@ class _Claim:
             if set(choices) != wanted or len(choices) != len(wanted):
                 raise Rejected("the cases are not all choices, each once")
         for case in self.cases:
+            go_on()
             if set(case) != _CASE:
                 raise Rejected("a case has keys that are missing or unknown")
             picked = dict(zip(branches, case["choice"], strict=True)) if case["choice"] else {}
@@ -208,6 +224,8 @@ class _CaseOf:
         for letter in self.tree:
             if not waiting:
                 raise Rejected("the tree goes on after its last leaf")
+            if len(waiting) > _DEEPEST:
+                raise Rejected("the tree is too deep")
             box = waiting.pop()
             at = _DIMENSIONS.find(letter)
             if at < 0:
@@ -216,9 +234,7 @@ class _CaseOf:
             if at >= len(box):
                 raise Rejected(f"the tree halves in variable {at}, which is not there")
             low, high = box[at]
-            cut = 0.0 if low < 0 < high else (low + high) / 2
-            if not low <= cut <= high:
-                raise Rejected("a box cannot be halved")
+            cut = 0.0 if low < 0 < high else _middle(low, high)
             waiting += [[*box[:at], (cut, high), *box[at + 1 :]], [*box[:at], (low, cut), *box[at + 1 :]]]
         if waiting:
             raise Rejected("the tree does not cover the box")
@@ -244,7 +260,7 @@ class _CaseOf:
             jet = enclose(self.sheet, [constraint], wide, order=0 if box is None else 1)[0]
             if box is None:
                 return above(jet.value)
-            centre = [(low + high) / 2 for low, high in box]
+            centre = [_middle(*ends) for ends in box]
             return above(self._linear(constraint, jet, box, centre))
         except Undefined:
             return False
@@ -254,12 +270,12 @@ class _CaseOf:
         total = enclose(self.sheet, [at], [exact(c) for c in centre])[0].value
         for slope, (low, high), c in zip(jet.slope or [], box, centre, strict=True):
             if slope is not None:
-                total = plus(total, mul(slope, libmp.mpi_sub(span(low, high), exact(c), 60)))
+                total = plus(total, mul(slope, libmp.mpi_sub(span(low, high), exact(c), BITS)))
         return total
 
     def _small(self, value: Interval, wide: list[Interval]) -> bool:
         """Whether value ≤ slack · Π denominators."""
-        bound = exact(self.claim.slack)
+        bound = decimal(self.claim.slack)
         if self.claim.slack:
             for jet in enclose(self.sheet, self.denominators, wide):
                 bound = mul(bound, jet.value)
@@ -286,7 +302,7 @@ class _CaseOf:
         jet, face, _ = self._face(box, wide)
         if self._small(enclose(self.sheet, [self.numerator], [span(*e) for e in face])[0].value, wide):
             return True
-        centre = [(low + high) / 2 for low, high in face]
+        centre = [_middle(*ends) for ends in face]
         return self._small(self._linear(self.numerator, jet, face, centre), wide)
 
     def _tangent(self, box: Box, wide: list[Interval]) -> bool:
@@ -298,8 +314,14 @@ class _CaseOf:
         bend = enclose(self.sheet, [self.numerator], [span(*e) for e in face], order=2)[0].bend
         if not _bends_down(bend or [], free):
             return False
-        at = enclose(self.sheet, [self.numerator], [exact(x) for x in point], order=1)[0]
-        return self._small(self._linear(self.numerator, at, face, point), wide)
+        # a variable at its worse end is an end and its decimal: any of them, while the free ones are concave
+        touching = [exact(x) if is_free else span(*e) for x, is_free, e in zip(point, free, face, strict=True)]
+        at = enclose(self.sheet, [self.numerator], touching, order=1)[0]
+        total = at.value
+        for slope, is_free, e, x in zip(at.slope or [], free, face, point, strict=True):
+            if is_free and slope is not None:
+                total = plus(total, mul(slope, libmp.mpi_sub(span(*e), exact(x), BITS)))
+        return self._small(total, wide)
 
 
 def _bends_down(bend: list[list[Interval]], free: list[bool]) -> bool:
@@ -324,7 +346,7 @@ def _range(poly: Sum, exactly: Exact, box: Box) -> Interval:
     for term, number in poly.items():
         product = rational(number)
         for atom, e in term:
-            product = mul(product, libmp.mpi_pow_int(_atom_range(atom, exactly, box), e, 60))
+            product = mul(product, libmp.mpi_pow_int(_atom_range(atom, exactly, box), e, BITS))
         total = plus(total, product)
     return total
 
@@ -333,10 +355,10 @@ def _atom_range(atom: str, exactly: Exact, box: Box) -> Interval:
     if atom[0] == "v":
         return span(*box[int(atom[1:])])
     if atom == "pi":
-        return libmp.mpf_pi(60, "f"), libmp.mpf_pi(60, "c")
+        return pi()
     if atom.startswith("sqrt{"):
         inside = _range(exactly.under_root(atom), exactly, box)
-        return libmp.mpi_sqrt(greatest(inside, rational(Fraction(0))), 60)
+        return libmp.mpi_sqrt(greatest(inside, rational(Fraction(0))), BITS)
     if atom[:5] in ("cosi{", "sine{"):
         return span(-1.0, 1.0)
     if atom[:5] in ("acos{", "atan2"):
@@ -353,7 +375,15 @@ def _listed(value: object) -> list[Any]:
 def _number(value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise Rejected(f"{value!r} is not a finite number")
+    if isinstance(value, int) and abs(value) > _WHOLE:
+        raise Rejected("a whole number is too large to be held exactly")
     return float(value)
+
+
+def _middle(low: float, high: float) -> float:
+    """Between the ends, whatever their size: a sum of doubles is rounded, not turned round; halves cannot overflow."""
+    whole = low + high
+    return whole / 2 if math.isfinite(whole) else low / 2 + high / 2
 
 
 def _told(box: Box) -> str:

@@ -16,6 +16,7 @@ from fractions import Fraction
 from typing import Any
 
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_bounds import shell
 from surctl.certcheck.region_claim import CruiseClaim, number, read_claim, record
 from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite, quadratic, root_up, scaled
@@ -52,6 +53,7 @@ def check(document: Mapping[str, Any]) -> None:
         low, high = levels[k], levels[k + 1]
         at = shell(claim, steady, covariance, low, high)
         for j, loop in enumerate(vertices(claim, at, len(p), aside=steady.aside, mirrored=mirrored)):
+            go_on()
             m = rate_matrix(claim, at, p, loop, factors, hold)
             if not is_positive_definite(scaled(Fraction(-1), m)):
                 raise Rejected(f"V does not decay at the rate between levels {float(low):g} and {float(high):g}, "

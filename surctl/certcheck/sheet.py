@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.patience import go_on
 
 __all__ = ["BRANCHES", "FUNCTIONS", "Entry", "Sheet"]
 
@@ -23,7 +24,8 @@ BRANCHES = ("abs", "max", "min", "select")
 """Functions that are one of two expressions."""
 
 _LONGEST, _DEEPEST, _MOST = 60_000, 150, 50_000
-_LEXEME = re.compile(r"[ \t\n]*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)|([A-Za-z]\w*)|([-+*/^(),])|$)")
+_KEPT = 64
+_LEXEME = re.compile(r"[ \t\n]*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)|([A-Za-z]\w*)|([-+*/^(),])|$)", re.ASCII)
 _BINDS = {"+": 1, "-": 1, "*": 2, "/": 2}
 _OPS = {"+": "add", "-": "sub", "*": "mul", "/": "div"}
 
@@ -44,6 +46,7 @@ class Sheet:
         self.names = tuple(names)
         self.entries: list[Entry] = []
         self._at: dict[Entry, int] = {}
+        self._live: dict[tuple[int, ...], list[int]] = {}
 
     def put(self, op: str, *args: int, value: Fraction | int = 0) -> int:
         """Position of an operation."""
@@ -57,11 +60,16 @@ class Sheet:
 
     def needed(self, roots: Iterable[int]) -> list[int]:
         """Positions that the roots depend on, in order."""
-        live = set(roots)
-        for at in range(max(live, default=-1), -1, -1):
-            if at in live:
-                live.update(self.entries[at].args)
-        return sorted(live)
+        asked = tuple(roots)
+        if asked not in self._live:
+            live = set(asked)
+            for at in range(max(live, default=-1), -1, -1):
+                if at in live:
+                    live.update(self.entries[at].args)
+            if len(self._live) >= _KEPT:
+                self._live.clear()
+            self._live[asked] = sorted(live)
+        return self._live[asked]
 
     def rewritten(self, roots: Sequence[int], change: Callable[[int, tuple[int, ...]], int | None]) -> list[int]:
         """The roots with every entry replaced by change(position, replaced operands), where that is not None."""
@@ -77,6 +85,7 @@ class Sheet:
         """Position of the expression that a text says; Rejected where it says none."""
         if not isinstance(text, str) or len(text) > _LONGEST:
             raise Rejected("an expression is not a text of readable length")
+        go_on()
         lexemes: list[tuple[str, str]] = []
         at = 0
         while at < len(text):

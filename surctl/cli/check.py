@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from surctl.cli.output import as_json, finish
+from surctl.cli.output import as_json, finish, printable
 
 __all__ = ["check"]
 
@@ -17,26 +17,35 @@ __all__ = ["check"]
 @click.command
 @click.argument("certificate", type=click.Path(path_type=Path))
 @click.option("--bundle", type=click.Path(path_type=Path), metavar="DIR", help="Is it about this exported controller?")
+@click.option(
+    "--time-limit",
+    type=click.FloatRange(min=0, min_open=True),
+    default=None,
+    metavar="S",
+    help="Processor time [s] after which it is rejected; 8 unless given.",
+)
 @as_json
-def check(certificate: Path, bundle: Path | None, as_json: bool) -> None:
+def check(certificate: Path, bundle: Path | None, time_limit: float | None, as_json: bool) -> None:
     """Check a certificate without trusting the prover that wrote it.
 
-    With --bundle also whether it is about that exported controller: its law, vehicle and gains, which are hashed anew;
-    what the certificate leaves out is named. Exit status 0 accepted (and belongs), 1 rejected, or of another
-    controller, 2 no certificate or bundle.
+    With --bundle also whether it is about that exported controller: every number that it assumes is compared with the
+    manifest's, and every hash worked out anew; what the certificate leaves out is named. An inequality with slack is
+    proved to within that slack, and is no proof of asymptotic stability. Exit status 0 accepted (and belongs), 1
+    rejected, or of another controller, 2 no certificate or bundle.
     Examples: surctl check proofs/v2-static.json; surctl check firmware/certificate-v2-static.json --bundle firmware
     """
-    from surctl.certcheck import check_file
-    from surctl.certcheck.bundle import compare, read_bundle
+    from surctl.certcheck import PATIENCE, check_file
+    from surctl.certcheck.belonging import compare
+    from surctl.certcheck.bundle import read_bundle
     from surctl.certcheck.document import read
 
-    found = check_file(certificate)
+    found = check_file(certificate, time_limit=PATIENCE if time_limit is None else time_limit)
     word = "accepted" if found.accepted else f"rejected: {found.reason}"
     lines = [f"{word} ({found.kind or 'unknown kind'}, {found.seconds:.2f} s)"]
     if found.accepted:
-        lines += _shown(found.claim)
+        lines += ([f"  proves: {found.proves}"] if found.proves else []) + _shown(found.claim)
     if bundle is None:
-        finish(found.to_dict(), lines, as_json=as_json, passed=found.accepted)
+        finish(found.to_dict(), printable(lines), as_json=as_json, passed=found.accepted)
         return
     manifest = read_bundle(bundle)
     result = {**found.to_dict(), "bundle": {"id": manifest.id, "belongs": False, "differs": [], "excludes": []}}
@@ -46,7 +55,7 @@ def check(certificate: Path, bundle: Path | None, as_json: bool) -> None:
         word = "belongs to" if told.belongs else "DOES NOT belong to"
         lines.append(f"{word} the controller {manifest.id[:12]} in {bundle}")
         lines += [f"  differs: {text}" for text in told.differs] + [f"  not covered: {text}" for text in told.excludes]
-    finish(result, lines, as_json=as_json, passed=bool(result["bundle"]["belongs"]))
+    finish(result, printable(lines), as_json=as_json, passed=bool(result["bundle"]["belongs"]))
 
 
 def _shown(claim: Mapping[str, Any]) -> list[str]:

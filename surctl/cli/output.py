@@ -21,6 +21,7 @@ __all__ = [
     "finish",
     "finite",
     "out_folder",
+    "printable",
     "progress",
     "same_command",
     "stoppable",
@@ -60,13 +61,23 @@ def finite(value: Any) -> Any:
     return value
 
 
+def printable(lines: Sequence[str]) -> list[str]:
+    """The lines with what is not printed as itself (control and format characters) escaped as in JSON."""
+    return [
+        line if line.isprintable() else "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in line)
+        for line in lines
+    ]
+
+
 def finish(
     result: Mapping[str, Any], lines: Sequence[str], *, as_json: bool, passed: bool, then: Sequence[str] = ()
 ) -> None:
     """Print the result, with the commands that one would give next, and end with status 0 if `passed`, else 1."""
     told = [*lines, "next", *(f"  {command}" for command in then)] if then else lines
     said = {**result, "next": list(then)} if then else result
-    text = json.dumps(finite(said), ensure_ascii=not is_utf8()) if as_json else "\n".join(told)
+    written = json.dumps(finite(said), ensure_ascii=not is_utf8()) if as_json else ""
+    text = printable([written])[0] if as_json else "
+".join(told)
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
     click.get_current_context().exit(0 if passed else 1)

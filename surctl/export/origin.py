@@ -6,15 +6,16 @@ import contextlib
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck import check_document
-from surctl.certcheck.bundle import Manifest, compare, numbers_sha256, read_manifest, stated_sha256
+from surctl.certcheck import PATIENCE, check_document
+from surctl.certcheck.belonging import compare
+from surctl.certcheck.bundle import numbers_sha256, read_manifest, stated_sha256
 from surctl.certcheck.document import Rejected, read
 from surctl.control import Law, LawName, build_law
 from surctl.errors import InputError, UnsupportedOperation
@@ -118,7 +119,7 @@ def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
             document = read(path)
         except Rejected as reason:
             raise InputError(f"is rejected: {reason}", file=path, remedy="prove it again: surctl verify") from None
-        checked = check_document(document)
+        checked = check_document(document, time_limit=PATIENCE)
         if not checked.accepted:
             raise InputError(f"is rejected: {checked.reason}", file=path, remedy="prove it again: surctl verify")
         name = f"certificate-{re.sub(r'[^A-Za-z0-9_-]', '-', path.stem)}.json"
@@ -144,7 +145,13 @@ def made_of(law: Exportable, p: Vector, origin: Origin | None) -> dict[str, Any]
     if origin is not None:
         vehicle = origin.vehicle
         values = {name: parameter.value for name, parameter in vehicle.parameters.items()}
-        entries["vehicle"] = {"name": vehicle.name, "values": values, "sha256": vehicle.digest()}
+        ranges = {name: list(p.range) for name, p in vehicle.parameters.items() if p.range is not None}
+        entries["vehicle"] = {
+            "name": vehicle.name,
+            "values": values,
+            "ranges": ranges,
+            "sha256": vehicle.digest(),
+        }
         entries["claims"] = _claims(rows, origin)
     return entries
 
@@ -192,9 +199,8 @@ def fitting_certificates(paths: Sequence[Path], law: Law, vehicle: Vehicle, p: V
     """
     origin = origin_of(law, vehicle)
     made = made_of(law, p, origin)
-    laws = (made["law"]["sha256"], made["law"]["told_truth_sha256"])
-    gains = {row["name"]: tuple(row["values"]) for row in made["gains"]["values"]}
-    manifest = Manifest("", "float64", law.dt, laws, gains, vehicle.digest(), made["claims"], ())
+    frame = {"name": "", "id": "", "dt_s": law.dt, "real": "float64", "sha256": {}}
+    manifest = replace(read_manifest(frame | made), wrong=())  # what is not exported yet has no id
     return [path for path in paths if all(compare(d, manifest).belongs for d in load_certificates([path]).values())]
 
 

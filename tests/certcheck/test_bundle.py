@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.certcheck import seal
-from surctl.certcheck.bundle import Manifest, compare, read_bundle, read_manifest
+from surctl.certcheck import check_document, seal
+from surctl.certcheck.belonging import compare
+from surctl.certcheck.bundle import Manifest, read_bundle, read_manifest
 from surctl.certcheck.document import read
 from surctl.control import build_law, load_gains
 from surctl.errors import InputError
@@ -39,6 +40,27 @@ def region(change: Callable[[dict[str, Any]], None] = lambda _: None, law: str |
     return seal("region", claim, {"proof": document["proof"]})
 
 
+def braking(name: str, change: Callable[[dict[str, Any]], None] = lambda _: None) -> dict[str, Any]:
+    """A braking certificate of that law, or of none, its claim changed."""
+    document = read(REGION.with_name(f"{name}.json"))
+    claim = json.loads(json.dumps(document["claim"]))
+    claim["sha256_law"] = claim["sha256_law"] if claim["law"] is None else LAW.block.digest()
+    change(claim)
+    return seal("braking", claim, {"proof": document["proof"]})
+
+
+def manifest_for(change: Callable[[dict[str, Any]], None] = lambda _: None, **gains: float) -> Manifest:
+    """The manifest of the bundle without its files, sealed again after a change."""
+    p = LAW.gains.pack({**LAW.gains.unpack(P), **{name: np.array([value]) for name, value in gains.items()}})
+    frame = {"name": "n", "id": law_id(LAW, p), "dt_s": LAW.dt, "real": "float64", "sha256": {}}
+    table = json.loads(json.dumps(frame | made_of(LAW, p, Origin(VEHICLE, LAW))))
+    change(table)
+    table["vehicle"]["sha256"] = hashlib.sha256(
+        json.dumps(table["vehicle"]["values"], sort_keys=True).encode()
+    ).hexdigest()
+    return read_manifest(table)
+
+
 def bundle_of(certificates: Mapping[str, Any] | None = None, **gains: Any) -> Bundle:
     return build_bundle(LAW, {**LAW.gains.unpack(P), **gains}, origin=Origin(VEHICLE, LAW, certificates))
 
@@ -60,7 +82,10 @@ def test_the_cruise_of_the_same_law_vehicle_and_gains_belongs(folder: Path) -> N
     told = compare(region(), manifest)
     assert told.belongs, told.differs
     assert told.excludes[:6] == tuple(region()["claim"]["excludes"])
-    assert [text.split(":")[0] for text in told.excludes[6:]] == ["rounding", "sampling", "lag of the thrusters"]
+    assert [text.split(":")[0] for text in told.excludes[6:]] == [
+        "rounding", "mass", "quadratic drag", "thrust", "sampling", "lag of the thrusters"
+    ]  # fmt: skip
+    assert told.excludes[7] == "mass: 50.0 to 125.0 by the vehicle's file, 76.0 to 114.0 certified"
     held = compare(region(lambda claim: claim["law"].update(period_s=0.05)), manifest)
     assert held.belongs and not any("sampling" in text for text in held.excludes)
 
@@ -81,6 +106,15 @@ def test_the_cruise_of_the_same_law_vehicle_and_gains_belongs(folder: Path) -> N
         (lambda c: c["law"].update(quadratic_drag=61.0), "quadratic_drag[1]"),
         (lambda c: c["law"].update(period_s=0.1), "period: 0.1 s certified, 0.05 s exported"),
         (lambda c: c["vehicle"].update(thrust_n=6.0), "thrust_limit: at least 6.0 N certified"),
+        (
+            lambda c: c["vehicle"].update(mass_kg=[76.0, 77.0]),
+            "mass: 76.0 to 77.0 certified, the vehicle's m11 is 95.0",
+        ),
+        (lambda c: c["vehicle"].update(mass_kg=[96.0, 114.0]), "mass: 96.0 to 114.0 certified"),
+        (lambda c: c["vehicle"].update(linear_drag=[2.1, 2.4]), "linear drag: 2.1 to 2.4 certified"),
+        (lambda c: c["vehicle"].update(quadratic_drag=[48.0, 59.0]), "quadratic drag: 48.0 to 59.0 certified"),
+        (lambda c: c["vehicle"].update(yaw_rate_rad_per_s=0.1), "yaw rate: at most 0.1 rad/s certified, 0.45 exported"),
+        (lambda c: c["vehicle"].update(lag_s=[0.1, 0.2]), "thrust_lag: 0.1 to 0.2 certified"),
     ],
 )
 def test_what_differs_is_named(folder: Path, change: Callable[[dict[str, Any]], None], told: str) -> None:
@@ -93,6 +127,105 @@ def test_unlike_surge_and_sway_of_the_exported_model_differ(tmp_path: Path) -> N
     mass[1] += 1.0
     found = compare(region(), manifest_of(bundle_of(mass=mass), tmp_path / "b"))
     assert found.differs == ("mass[1]: 95.0 certified, 96.0 exported",)
+
+
+@pytest.mark.parametrize(
+    ("name", "gains"),
+    [("braking-inertia-20-axes", {}), ("braking-inertia-ranges", {}), ("braking-inertia-20-movers", {"spin": 0.0}),
+     ("braking-rule-20", {"spin": 0.0}), ("braking-rule-ranges", {"spin": 0.0})],
+)  # fmt: skip
+def test_a_braking_certificate_belongs_to_the_law_and_the_vehicle_that_it_is_about(
+    name: str, gains: dict[str, float]
+) -> None:
+    document = braking(name)
+    assert check_document(document).accepted
+    told = compare(document, manifest_for(**gains))
+    assert told.belongs, told.differs
+    assert any(text.startswith("law: it is about a rule") for text in told.excludes) == ("rule" in name)
+    assert any(text.startswith("thrust of both axes") for text in told.excludes) != name.endswith("axes")
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "told"),
+    [
+        ("inertia-ranges", lambda c: c.update(sha256_law="0" * 64), "law: 000000000000 certified"),
+        ("inertia-ranges", lambda c: c["vehicle"].update(mass_kg=[50.0, 94.0]), "mass: 50.0 to 94.0 certified"),
+        ("inertia-ranges", lambda c: c["vehicle"].update(brake_n=5.5), "thrust_limit: at least 5.5 N certified"),
+        ("inertia-ranges", lambda c: c["vehicle"].update(most_n=4.0), "thrust: at most 4.0 N certified, 5.0 exported"),
+        ("inertia-ranges", lambda c: c["vehicle"].update(side_n=4.0), "thrust across: at most 4.0 N certified"),
+        ("inertia-ranges", lambda c: c["vehicle"].update(lag_s=0.1), "thrust_lag: at most 0.1 s certified, 0.3"),
+        (
+            "inertia-ranges",
+            lambda c: c["encounter"].update(turn_rad_per_s=0.1),
+            "yaw rate: at most 0.1 rad/s certified",
+        ),
+        (
+            "inertia-ranges",
+            lambda c: c["encounter"].update(fastest_m_per_s=0.2),
+            "speed: at most 0.2 m/s certified, 0.22",
+        ),
+        ("inertia-ranges", lambda c: c["watch"].update(period_s=0.1), "period: 0.1 s certified, 0.05 s exported"),
+        ("inertia-ranges", lambda c: c["law"].update(margin_m=0.06), "margin[0]: 0.06 certified, 0.05 exported"),
+        ("inertia-ranges", lambda c: c["law"].update(k_v_per_s=1.0), "k_v[0]: 1.0 certified"),
+        ("inertia-ranges", lambda c: c["law"].update(mass_kg=90.0), "mass[0]: 90.0 certified"),
+        ("inertia-ranges", lambda c: c["law"].update(limit_n=6.0), "thrust_limit: at least 6.0 N certified"),
+        ("inertia-ranges", lambda c: c["law"]["stopping"].update(lightest_kg=60.0), "stopping[0]: 60.0 certified"),
+        ("rule-20", lambda _: None, "yaw rate: at most 0.0 rad/s certified, 0.45 exported"),
+    ],
+)
+def test_what_differs_from_a_braking_certificate_is_named(
+    name: str, change: Callable[[dict[str, Any]], None], told: str
+) -> None:
+    found = compare(braking(f"braking-{name}", change), manifest_for())
+    assert not found.belongs and any(text.startswith(told) for text in found.differs), found.differs
+
+
+def test_another_vehicle_s_numbers_do_not_belong_though_every_hash_is_pasted() -> None:
+    def pasted(change: Callable[[dict[str, Any]], None]) -> tuple[str, ...]:
+        manifest = manifest_for(change, spin=0.0)
+        found = [
+            compare(certificate, manifest)
+            for certificate in (
+                region(lambda claim: claim.update(sha256_vehicle=manifest.vehicle)),
+                braking("braking-rule-20", lambda claim: claim.update(sha256_vehicle=manifest.vehicle)),
+            )
+        ]
+        assert all(len(one.differs) == len(found[0].differs) for one in found)
+        return found[1].differs
+
+    def vehicle(**numbers: float) -> Callable[[dict[str, Any]], None]:
+        return lambda table: table["vehicle"]["values"].update(numbers)
+
+    assert pasted(vehicle()) == ()
+    assert pasted(vehicle(m22=96.0)) == ("mass: one of surge and sway certified, 95.0 and 96.0 exported",)
+    assert pasted(vehicle(Xuu=47.0, Yvv=47.0)) == (
+        "quadratic drag: 48.0 to 72.0 certified, the vehicle's Xuu is 47.0",
+        "quadratic drag: 48.0 to 72.0 certified, the vehicle's Yvv is 47.0",
+    )
+    alike = compare(region(), manifest_for(vehicle(Yvv=64.0))).differs
+    assert "quadratic drag: surge and sway alike to 0.05 certified, 60.0 and 64.0 exported" in alike
+
+
+def test_what_the_manifest_does_not_say_is_not_known() -> None:
+    def lacking(change: Callable[[dict[str, Any]], None]) -> tuple[str, ...]:
+        found = [compare(one, manifest_for(change)).differs for one in (region(), braking("braking-inertia-ranges"))]
+        return tuple(text for text in found[0] if text in found[1] and "not known" in text)
+
+    told = "{}: not known of this bundle; export the controller again"
+    assert lacking(lambda table: table["vehicle"].pop("ranges")) == (told.format("ranges of the vehicle"),)
+    assert lacking(lambda table: table["vehicle"]["values"].pop("m22")) == (told.format("m22"),)
+
+    def without_spin(table: dict[str, Any]) -> None:
+        table["gains"]["values"] = [row for row in table["gains"]["values"] if row["name"] != "spin"]
+
+    assert lacking(without_spin) == (told.format("yaw rate"),)
+
+
+def test_the_heading_steered_loop_is_not_what_is_exported() -> None:
+    found = compare(read(REGION.with_name("region-heading-20.json")), manifest_for())
+    assert found.differs == (
+        "law: it is about the paper's law, steered by heading; what is exported steers by velocity",
+    )
 
 
 def test_a_law_that_senses_for_itself_says_so() -> None:
@@ -149,7 +282,7 @@ def test_a_vehicle_whose_numbers_were_changed_is_found(folder: Path) -> None:
     def lighter(table: dict[str, Any]) -> None:
         table["vehicle"]["values"]["m11"] = 1.0
 
-    assert altered(folder, lighter) == ("the hash of the vehicle is not that of its numbers",)
+    assert altered(folder, lighter)[0] == "the hash of the vehicle is not that of its numbers"
 
 
 @pytest.mark.parametrize("text", ["{", "[]", "{}", '{"law": 1, "sha256": {}}', "\xff"])

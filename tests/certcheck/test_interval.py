@@ -1,5 +1,6 @@
 import copy
 import json
+import time
 from typing import Any
 
 import numpy as np
@@ -299,3 +300,96 @@ def test_the_two_readers_read_the_same() -> None:
         other = ca.Function("f", [*symbols.values()], [to_casadi(parse(text, {n: variable(n) for n in "xy"}), symbols)])
         (jet,) = enclose(sheet, [sheet.read(text)], [exact(0.7), exact(-1.3)])
         assert libmp.to_float(jet.value[0]) == pytest.approx(float(other(0.7, -1.3)), rel=1e-14)
+
+
+def test_a_box_at_the_end_of_the_doubles_has_its_middle_inside() -> None:
+    high = [(1e308, 1.7e308)]
+    holding = {"constraints": ("select(x, 1.75e308, -1, 1)",)}
+    assert "'j'" in forged("1", "0", high, tree="j", **holding)
+    assert "'m'" in forged("select(x, 1.75e308, 1, -1)", "0", high, tree="m")
+    assert forged("select(x, 1.75e308, -1, 1)", "0", high, tree="0m0mm") == ""
+    assert forged("x", "2e308", [(-1.7976931348623157e308, 1.7976931348623157e308)], tree="0n0nn") == ""
+    assert forged("x", "0.1", [(5e-324, 1e-323)], tree="0n0nn") == ""
+
+
+def test_a_bound_that_is_wrong_in_the_22nd_place_is_rejected() -> None:
+    left = "acos(-0.15756893157958984375)"  # 1.72902467203182286253...
+    assert "'n'" in forged(left, "1.7290246720318228624125", [(0.0, 1.0)], tree="n")
+    assert forged(left, "1.729024672031822865", [(0.0, 1.0)], tree="n") == ""
+
+
+def test_an_end_is_the_decimal_that_is_printed_whether_it_has_a_width_or_not() -> None:
+    # the double 0.1 is 5.6e-18 above the decimal, 0.3 is 1.1e-17 below it
+    for high in (0.1, 0.10000000000000002, 1.0):
+        assert forged("1e-18", "x - 0.1", [(0.1, high)], tree="n", numerator="1e-18 - (x - 0.1)") != ""
+        assert forged("-1e-18", "x - 0.1", [(0.1, high)], tree="m") == "" or high == 0.1
+    assert forged("-1e-18", "x - 0.1", [(0.1, 0.1)], tree="n", numerator="-1e-18 - (0.1 - 0.1)") == ""
+    assert forged("x", "0.299999999999999995", [(0.0, 0.3)], tree="m") != ""
+    assert forged("x", "0.30000000000000001", [(0.0, 0.3)], tree="m") == ""
+    # and of a tangent, where a variable stands at its end beside a free one
+    tangent = {"tree": "c", "points": [[0.0, 0.3]]}
+    assert forged("y - x^2", "0.299999999999999995", [(-1.0, 1.0), (0.0, 0.3)], **tangent) != ""
+    assert forged("y - x^2", "0.30000000000000001", [(-1.0, 1.0), (0.0, 0.3)], **tangent) == ""
+
+
+@pytest.mark.parametrize("name", ["pi", "sin", "select", "х", "x٣", "x²", "x\r", "1x", "_x", "", 3])
+def test_a_name_is_plain_and_no_other_thing_s(name: object) -> None:
+    variable_ = {"name": name, "unit": "1", "lower": 0.0, "upper": 1.0}
+    claim = {
+        "name": "x", "statement": "", "unit": "1", "left": "1", "right": "2", "constraints": [], "slack": 0.0,
+        "variables": [variable_],
+    }  # fmt: skip
+    case = {"choice": "", "numerator": "1 - 2", "denominators": [], "multipliers": [], "tree": "n", "points": []}
+    assert "name" in check_document(seal("interval", claim, {"cases": [case]})).reason
+    variable_["name"] = "x_1"
+    assert check_document(seal("interval", claim, {"cases": [case]})).accepted
+    for unit in ("1\r  variables: x in [-9, 9]", "m\u202e", "\x7f"):
+        variable_["unit"] = unit
+        assert "printed" in check_document(seal("interval", claim, {"cases": [case]})).reason
+
+
+def test_a_digit_of_another_script_is_no_digit() -> None:
+    assert "cannot be read" in forged("x", "٣", [(-1.0, 1.0)], tree="n")
+
+
+def test_a_whole_number_that_no_double_holds_is_refused() -> None:
+    assert "too large" in forged("x", "9007199254740992", [(0, 2**53 + 1)], tree="n")
+
+
+@pytest.mark.parametrize(
+    ("left", "tree"),
+    [
+        ("(((x + 1/3)^64)^64)^64", "n"),
+        ("cos((((((x + 1/3)^64)^64)^64)^64)^64) + x*0", "n"),
+        ("+".join(f"sqrt(x + {k})*sqrt(x + {k + 9})" for k in range(1, 200)), "n"),
+        ("x", "0" * 50_000),
+        ("x", "0n" * 50_000),
+        ("(" * 20_000 + "x" + ")" * 20_000, "n"),
+    ],
+)
+def test_what_is_large_is_answered_at_once(left: str, tree: str) -> None:
+    began = time.process_time()
+    assert forged(left, "0.1", [(-1.0, 1.0)], tree=tree, numerator=f"({left}) - 0.1000")
+    assert time.process_time() - began < 3
+
+
+def test_a_check_ends_when_its_time_is_up() -> None:
+    claim = {
+        "name": "x", "statement": "", "unit": "1", "left": "sin(x)", "right": "2", "constraints": [], "slack": 0.0,
+        "variables": [{"name": "x", "unit": "1", "lower": -1.0, "upper": 1.0}],
+    }  # fmt: skip
+    case = {"choice": "", "numerator": "sin(x) - 2", "denominators": [], "multipliers": [], "points": []}
+    document = seal("interval", claim, {"cases": [case | {"tree": "0n" * 2000 + "n"}]})
+    assert "0.01 s of processor time" in check_document(document, time_limit=0.01).reason
+    assert check_document(document).accepted
+
+
+def test_what_slack_means_is_said(originals) -> None:
+    document = copy.deepcopy(originals[0])
+    exact = check_document(document)
+    assert exact.slack == 0 and exact.proves == "left <= right on the whole domain, exactly"
+    document["claim"].update(slack=1e-9, unit="W")
+    roomy = check_document(resealed(document))
+    assert roomy.to_dict()["slack"] == 1e-9 and "proved to within 1e-09 W" in roomy.to_dict()["proves"]
+    assert "no proof of asymptotic stability" in roomy.proves
+    assert check_document({**document, "cases": []}).proves == ""

@@ -1,3 +1,4 @@
+import json
 import math
 import re
 import tomllib
@@ -5,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from surctl.certcheck import seal
 from surctl.control import LAW_NAMES
 from tests.cli.process import surctl
 from tests.tools import need, need_compiler
@@ -138,6 +140,26 @@ def test_verify_proves_a_file_and_check_accepts_what_it_writes(tmp_path):
     spoilt = surctl("check", "proofs/sway.json", cwd=tmp_path)
     assert spoilt.status == 1 and spoilt.out.startswith("rejected: the hash")
     assert surctl("check", "mine.toml", cwd=tmp_path).status == 2
+
+
+def test_check_says_what_slack_means_and_prints_no_control_character(tmp_path):
+    claim = {
+        "name": "n", "statement": "a\rb\u202e", "unit": "W", "left": "x", "right": "1\n  right: 0", "constraints": [],
+        "slack": 1e-9, "variables": [{"name": "x", "unit": "m", "lower": -1.0, "upper": 1.0}],
+    }  # fmt: skip
+    case = {"choice": "", "numerator": "x - 1", "denominators": [], "multipliers": [], "tree": "n", "points": []}
+    path = tmp_path / "c.json"
+    path.write_text(json.dumps(seal("interval", claim, {"cases": [case]})), encoding="utf-8")
+    assert surctl("check", str(path), cwd=tmp_path).out.count("\n") == 1, "what is read is one line"
+    claim["right"] = "1\n"
+    path.write_text(json.dumps(seal("interval", claim, {"cases": [case]})), encoding="utf-8")
+    done = surctl("check", str(path), cwd=tmp_path)
+    assert done.status == 0 and "proved to within 1e-09 W" in done.out and "  right: 1\\n\n" in done.out
+    told = surctl("check", str(path), "--json", cwd=tmp_path)
+    assert told.json["slack"] == 1e-9 and told.json["proves"] in done.out
+    assert told.out.strip().isprintable() and told.json["claim"]["statement"] == "a\rb\u202e"
+    slow = surctl("check", str(path), "--time-limit", "1e-9", cwd=tmp_path)
+    assert slow.status == 1 and slow.out.startswith("rejected: it takes more than 1e-09 s of processor time")
 
 
 def test_verify_shows_claims_as_files(tmp_path):

@@ -1,0 +1,219 @@
+"""Study 24: can the checker of certificates be led to accept what is false?
+
+    python analysis/24_checker_fuzz/run.py [--quick] [--points N] [--claims N] [--seed N] [--workers N] [--write]
+
+Prints Markdown. Ends with 0 when every range holds the value at every point and no false claim is accepted, else with
+1; with 2 for a bad option.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import random
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from false_claims import false_claims
+from mpmath import libmp
+
+from surctl.certcheck import check_document
+from surctl.certcheck.enclosure import decimal, enclose
+from surctl.certcheck.sheet import Sheet
+
+BITS = 260  # 78 digits
+Raw = Any
+Interval = tuple[Any, Any]
+
+_TRUE: dict[str, Callable[..., Raw]] = {
+    "sin(x)": lambda x, _: libmp.mpf_sin(x, BITS),
+    "cos(x)": lambda x, _: libmp.mpf_cos(x, BITS),
+    "atan(x)": lambda x, _: libmp.mpf_atan(x, BITS),
+    "acos(x)": lambda x, _: libmp.mpf_acos(x, BITS),
+    "atan2(y, x)": lambda x, y: libmp.mpf_atan2(y, x, BITS),
+}
+"""Rounded to 78 digits: what is exact is exact."""
+
+_EXACT: dict[str, Callable[[Fraction, Fraction], Fraction]] = {
+    "x + y": lambda x, y: x + y,
+    "x*y": lambda x, y: x * y,
+    "x/y": lambda x, y: x / y,
+    "x^7": lambda x, _: x**7,
+    "x^-2": lambda x, _: 1 / (x * x),
+}
+
+
+def number(draw: random.Random) -> float:
+    """Any double, or a hard one: huge, denormal, at a branch cut, near a tie, near ±1 or a multiple of π/2."""
+    near = [-math.inf, math.inf]
+    sign = draw.choice((1, -1))
+    match draw.randrange(10):
+        case 0 | 1:
+            return draw.uniform(-4, 4)
+        case 2:
+            return sign * 10.0 ** draw.uniform(-323, 308)
+        case 3:
+            return draw.randrange(-64, 65) * math.pi / 2
+        case 4:
+            return math.nextafter(draw.randrange(-64, 65) * math.pi / 2, draw.choice(near))
+        case 5:
+            return draw.randrange(-(10**15), 10**15) * math.pi / 2
+        case 6:
+            return draw.choice((0.0, 5e-324, -5e-324, 1.0, -1.0, 2.0**-40, 2.0**-41, 1.7976931348623157e308))
+        case 7:
+            return sign * (1 - 2.0 ** -draw.randrange(1, 54))
+        case 8:
+            return sign * (1 + 2.0 ** -draw.randrange(1, 53))
+        case _:
+            return sign * math.sqrt(draw.uniform(0, 1)) * 2.0 ** draw.randrange(-60, 60)
+
+
+def side(x: float, draw: random.Random) -> tuple[float, float]:
+    """The number alone, with its neighbours, or an interval that holds it."""
+    if draw.random() < 0.5:
+        return x, x
+    if draw.random() < 0.5:
+        return math.nextafter(x, -math.inf) if x > -1 else x, math.nextafter(x, math.inf) if x < 1 else x
+    width = draw.choice((abs(x), 1.0, 3.0, 1e-9)) * draw.random()
+    low, high = x - width, x + width
+    return (low, high) if math.isfinite(low) and math.isfinite(high) else (x, x)
+
+
+def doubles(low: float, high: float) -> Interval:
+    """[low, high] as doubles, nothing added."""
+    return libmp.from_float(low), libmp.from_float(high)
+
+
+def fraction(x: Raw) -> Fraction:
+    """The raw number."""
+    p, q = libmp.to_rational(x)
+    return Fraction(int(p), int(q))
+
+
+def missed(text: str, points: int, seed: int) -> tuple[int, int]:
+    """(points looked at, points whose value is outside of the range) of one function."""
+    draw, sheet = random.Random(f"{text}/{seed}"), Sheet(("x", "y"))
+    at = sheet.read(text)
+    looked = outside = 0
+    while looked < points:
+        x, y = number(draw), number(draw)
+        if text == "sqrt(x)":
+            x = abs(x)
+        if (text == "acos(x)" and abs(x) > 1) or (text == "x/y" and y == 0) or (text == "x^-2" and x == 0):
+            continue
+        box = [side(x, draw), side(y, draw)]
+        if text == "acos(x)":
+            box[0] = max(box[0][0], -1.0), min(box[0][1], 1.0)
+        if text == "sqrt(x)":
+            box[0] = max(box[0][0], 0.0), box[0][1]
+        if any(not low <= at_ <= high for (low, high), at_ in zip(box, (x, y), strict=True)):
+            continue
+        if text == "atan2(y, x)" and all(low <= 0 <= high for low, high in box):
+            continue
+        if text in ("x/y", "x^-2") and box["xy".index(text[-1] if text == "x/y" else "x")][0] <= 0:
+            box = [(x, x), (y, y)]
+        (jet,) = enclose(sheet, [at], [doubles(*ends) for ends in box])
+        looked += 1
+        outside += not held(text, jet.value, x, y)
+    return looked, outside
+
+
+def held(text: str, found: Interval, x: float, y: float) -> bool:
+    """Whether a range holds the value."""
+    low, high = found
+    if text in _TRUE:
+        value = _TRUE[text](libmp.from_float(x), libmp.from_float(y))
+        return bool(libmp.mpf_le(low, value) and libmp.mpf_le(value, high))
+    first, last = fraction(low), fraction(high)
+    if text == "sqrt(x)":
+        return first >= 0 and first**2 <= Fraction(x) <= last**2
+    return first <= _EXACT[text](Fraction(x), Fraction(y)) <= last
+
+
+def missed_decimals(points: int, seed: int) -> tuple[int, int]:
+    """The same of the decimal that is printed for a double."""
+    draw, outside = random.Random(f"decimal/{seed}"), 0
+    for _ in range(points):
+        x = number(draw)
+        low, high = map(fraction, decimal(x))
+        outside += not low <= Fraction(repr(x)) <= high
+    return points, outside
+
+
+def one_function(text: str, points: int, seed: int) -> tuple[str, bool]:
+    """Its row of the table, and whether every value was held."""
+    began = time.process_time()
+    looked, outside = missed_decimals(points, seed) if text == "decimal" else missed(text, points, seed)
+    print(f"{text}: {outside} of {looked}", file=sys.stderr)
+    return f"| `{text}` | {looked} | {outside} | {time.process_time() - began:.0f} s |", not outside
+
+
+def functions(points: int, seed: int, workers: int) -> tuple[list[str], bool]:
+    """Rows of the table, and whether every value was held."""
+    asked = partial(one_function, points=points, seed=seed)
+    texts = (*_TRUE, "sqrt(x)", *_EXACT, "decimal")
+    if workers == 1:
+        found = list(map(asked, texts))
+    else:
+        with ProcessPoolExecutor(workers) as pool:
+            found = list(pool.map(asked, texts))
+    return [row for row, _ in found], all(sound for _, sound in found)
+
+
+def forgeries(count: int, seed: int) -> tuple[list[str], bool]:
+    """Rows of the table, and whether none was accepted."""
+    tried, accepted, twins, good = (Counter[str]() for _ in range(4))
+    least: dict[str, Any] = {}
+    for one in false_claims(count, seed):
+        tried[one.kind] += 1
+        least[one.kind] = min(least.get(one.kind, math.inf), one.excess)
+        if check_document(one.document).accepted:
+            accepted[one.kind] += 1
+            print(f"accepted: {one.document['claim']}", file=sys.stderr)
+        if one.twin is not None:
+            twins[one.kind] += 1
+            good[one.kind] += check_document(one.twin).accepted
+    rows = []
+    for kind in tried:
+        told = f"{good[kind]} of {twins[kind]}" if twins[kind] else "–"
+        rows.append(f"| {kind} | {tried[kind]} | {accepted[kind]} | {float(least[kind]):.0e} | {told} |")
+    return [*rows, f"| all | {tried.total()} | {accepted.total()} | | |"], not accepted.total()
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Print the study."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="500 points a function, 300 claims")
+    parser.add_argument("--points", type=int, default=1_000_000, metavar="N", help="of each function")
+    parser.add_argument("--claims", type=int, default=20_000, metavar="N", help="false claims")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes, for the functions")
+    parser.add_argument("--write", action="store_true", help="write README.md beside this file")
+    given = parser.parse_args(words)
+    if min(given.points, given.claims, given.workers) < 1 or (given.write and given.quick):
+        parser.error("--points, --claims and --workers: at least 1; --write: not with --quick")
+    points, claims = (500, 300) if given.quick else (given.points, given.claims)
+    held_, sound = functions(points, given.seed, given.workers)
+    forged, safe = forgeries(claims, given.seed)
+    lines = ["| function | points | outside of the range | took |", "|---|---|---|---|", *held_, ""]
+    lines += ["| false in its | claims | accepted | by as little as | true twins accepted |", "|---|---|---|---|---|"]
+    text = "\n".join([*lines, *forged])
+    print(text)
+    if given.write:
+        folder = Path(__file__).parent
+        about = folder.joinpath("about.md").read_text(encoding="utf-8")
+        folder.joinpath("README.md").write_text(f"{about}\n{text}\n", encoding="utf-8")
+    return 0 if sound and safe else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,234 @@
+"""Sine, cosine and angles whose ends are proved: whole numbers whose error is counted, rounded outward.
+
+A fixed-point number is a whole number of units of 2^-128. Every sum here is of at most 40 terms, each off by less than
+3 units, because a product or quotient that is cut off loses less than one unit and what it was made of less than two.
+What is taken as the error of a result (`_OFF` = 2^11 units) is more than twice what each docstring counts.
+Ends are raw numbers of mpmath, of which only +, -, ×, ÷ and comparison are used.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import isqrt
+from typing import Any
+
+from mpmath import libmp
+
+__all__ = ["BITS", "Interval", "angle", "arccos", "circle", "pi"]
+
+Interval = Any
+"""(lower, upper), raw numbers of mpmath."""
+Raw = Any
+
+BITS = 60
+"""Bits of the ends of an interval."""
+
+_W = 128
+_UNIT = 1 << _W
+_OFF = 1 << 11
+_FAR, _NEAR = 1100, -40  # beyond 2^_FAR a sine is anything; below 2^_NEAR it is nearly its argument
+_LESS = libmp.mpf_sub(libmp.fone, libmp.mpf_shift(libmp.fone, 2 * _NEAR))  # 1 − 2^-80
+_LINE_OF_ONE = (libmp.fnone, libmp.fone)
+
+
+def _arccot(n: int, bits: int) -> int:
+    """Arctan(1/n) in units of 2^-bits for n > 1, off by less than 2 units a term, and fewer terms than bits."""
+    power, total, k = (1 << bits) // n, 0, 1
+    while power:
+        total += -(power // k) if k & 2 else power // k
+        power //= n * n
+        k += 2
+    return total
+
+
+_LONG = _FAR + _W + 64
+# Machin: π/2 = 8 arctan 1/5 − 2 arctan 1/239, off by less than 20 times twice _LONG units, before 64 bits are cut off
+_HALF_PI = (8 * _arccot(5, _LONG + 64) - 2 * _arccot(239, _LONG + 64)) >> 64
+
+
+@lru_cache(2048)
+def _half_pi(bits: int) -> int:
+    """π/2 in units of 2^-bits, off by less than 2 units; bits ≤ _LONG."""
+    return _HALF_PI >> (_LONG - bits)
+
+
+def _ends(value: int) -> Interval:
+    """The interval about a fixed-point number that is off by less than _OFF units."""
+    low, high = (libmp.from_man_exp(value + off, -_W, BITS, way) for off, way in ((-_OFF, "f"), (_OFF, "c")))
+    return low, high
+
+
+def pi() -> Interval:
+    """The interval about π."""
+    return _PI
+
+
+_PI = _ends(2 * _half_pi(_W))
+
+
+def _magnitude(x: Raw) -> int:
+    """N with 2^(n−1) ≤ |x| < 2^n, x ≠ 0."""
+    return int(x[2] + x[3])
+
+
+def _taylor(r: int) -> tuple[int, int]:
+    """Cosine and sine of r units, −4 units ≤ r ≤ (π/4 and 4 units).
+
+    Terms r^n/n! are below one unit at n = 36 at the latest, so that there are at most 18 of each. Each comes from the
+    one before it by a product cut off (1 unit), with r² that is cut off (1 unit), and a quotient that is: it is off by
+    less than 3 units. What is left out is less than 4 units: together less than 60.
+    """
+    square, cosine, sine = r * r >> _W, _UNIT, r
+    a, b, n = _UNIT, r, 1
+    while a:
+        a = (a * square >> _W) // (n * (n + 1))
+        b = (b * square >> _W) // ((n + 1) * (n + 2))
+        if n & 2:
+            cosine, sine = cosine + a, sine + b
+        else:
+            cosine, sine = cosine - a, sine - b
+        n += 2
+    return cosine, sine
+
+
+@lru_cache(8192)
+def _at(x: Raw) -> tuple[int, int, Interval, Interval]:
+    """(quarter k, rest r in units, cos x, sin x) of one number with |x| < 2^_FAR.
+
+    With m bits before the point, x and π/2 are taken to 2^-(128 + m) units: x is cut off by less than one, and k ≤ 2^m
+    times π/2 by less than 2^(m+1): x − kπ/2 is r, off by less than 3 units and one for what is cut off; by less than 6
+    where π/2 − r is taken instead. Slopes are at most 1: with `_taylor` less than 70.
+    """
+    if x == libmp.fzero:
+        return 0, 0, (libmp.fone, libmp.fone), (libmp.fzero, libmp.fzero)
+    size = _magnitude(x)
+    m = max(size, 0)
+    k, r = divmod(int(libmp.to_fixed(x, _W + m)), _half_pi(_W + m))
+    r >>= m
+    whole = _half_pi(_W)
+    if 2 * r > whole:
+        sine, cosine = _taylor(whole - r)
+    else:
+        cosine, sine = _taylor(r)
+    for _ in range(k & 3):
+        cosine, sine = -sine, cosine
+    of_cosine, of_sine = _within(_ends(cosine)), _within(_ends(sine))
+    return k, r, of_cosine, _nearly(x) if size <= _NEAR else of_sine
+
+
+def _nearly(x: Raw) -> Interval:
+    """x − x³/3 ≤ sin x, arctan x ≤ x for 0 ≤ x ≤ 2^-40, and mirrored: the left side is at least x (1 − 2^-80)."""
+    less, more = libmp.mpf_mul(x, _LESS, BITS, "d"), libmp.mpf_pos(x, BITS, "u")
+    return (more, less) if x[0] else (less, more)
+
+
+def _within(a: Interval) -> Interval:
+    """Its part in [−1, 1], where the number is."""
+    low = libmp.fnone if libmp.mpf_lt(a[0], libmp.fnone) else a[0]
+    return low, libmp.fone if libmp.mpf_gt(a[1], libmp.fone) else a[1]
+
+
+def circle(a: Interval) -> tuple[Interval, Interval]:
+    """Ranges of cosine and sine on an interval.
+
+    Between multiples of π/2 both are monotone: the ends decide, and the values 0, ±1 at the multiples inside. One that
+    may lie inside, because the rest is within 16 units of it, counts as inside.
+    """
+    low, high = a
+    if any(end[1] == 0 and end != libmp.fzero for end in a) or any(_magnitude(e) > _FAR for e in a if e[1]):
+        return _LINE_OF_ONE, _LINE_OF_ONE
+    first, r, cosine, sine = _at(low)
+    if low == high:
+        return cosine, sine
+    last, rest, other, another = _at(high)
+    begin = first if r <= 16 else first + 1
+    end = last + 1 if rest >= _half_pi(_W) - 16 else last
+    if end - begin >= 3:
+        return _LINE_OF_ONE, _LINE_OF_ONE
+    cosine, sine = _hull(cosine, other), _hull(sine, another)
+    for k in range(begin, end + 1):
+        one = libmp.fone if k & 3 < 2 else libmp.fnone
+        if k & 1:
+            sine = _hull(sine, (one, one))
+        else:
+            cosine = _hull(cosine, (one, one))
+    return cosine, sine
+
+
+def _hull(a: Interval, b: Interval) -> Interval:
+    low = a[0] if libmp.mpf_le(a[0], b[0]) else b[0]
+    return low, a[1] if libmp.mpf_ge(a[1], b[1]) else b[1]
+
+
+def _arctan(t: int) -> int:
+    """Arctan of t units, 0 ≤ t ≤ 1, t off by less than one unit.
+
+    Three times arctan t = 2 arctan(t/(1 + √(1 + t²))), of slope at most 1/2: root and quotient cut off less than 2
+    units, so that t is off by less than 4 and at most tan(π/32) < 0.0985. Its terms are below one unit after 20, each
+    off by less than 3 units, and what is left out by less than 2: with the argument less than 66, times 8 less than
+    530.
+    """
+    for _ in range(3):
+        t = (t << _W) // (_UNIT + isqrt((_UNIT << _W) + t * t))
+    square, power, total, n = t * t >> _W, t, t, 1
+    while power:
+        power = power * square >> _W
+        n += 2
+        total += -(power // n) if n & 2 else power // n
+    return 8 * total
+
+
+@lru_cache(8192)
+def _angle_of(y: Raw, x: Raw) -> Interval:
+    """atan2(y, x) of two numbers, not both 0: the arctan of the smaller over the larger, turned; less than 600 off."""
+    up, ahead = libmp.mpf_abs(y), libmp.mpf_abs(x)
+    steep = bool(libmp.mpf_gt(up, ahead))
+    small, large = (ahead, up) if steep else (up, ahead)
+    if not steep and not x[0]:
+        if y == libmp.fzero:
+            return libmp.fzero, libmp.fzero
+        if _magnitude(small) - _magnitude(large) < _NEAR - 1:
+            low = _nearly(libmp.mpf_div(small, large, BITS, "d"))[0]
+            high = libmp.mpf_div(small, large, BITS, "u")
+            return (libmp.mpf_neg(high), libmp.mpf_neg(low)) if y[0] else (low, high)
+    turn = _arctan(_ratio(small, large))
+    quarter = _half_pi(_W)
+    turn = quarter - turn if steep else turn
+    turn = 2 * quarter - turn if x[0] else turn
+    return _ends(-turn if y[0] else turn)
+
+
+def _ratio(small: Raw, large: Raw) -> int:
+    """small/large in units, cut off; 0 ≤ small ≤ large."""
+    shift = small[2] - large[2] + _W
+    if small == libmp.fzero or _magnitude(small) - _magnitude(large) < -_W - 1:
+        return 0
+    return int((small[1] << max(shift, 0)) // (large[1] << max(-shift, 0)))
+
+
+def angle(y: Interval, x: Interval) -> Interval:
+    """Range of atan2 on a box without (0, 0) that does not meet the cut: y ≥ 0, y < 0 or x > 0 on all of it.
+
+    There it is smooth. Where y keeps its sign it is monotone in x, and at either end of x in y; where it does not,
+    x > 0, it is monotone in y, and at either end of y in x: corners decide.
+    """
+    first, *others = {(a, b) for a in y for b in x}
+    total = _angle_of(*first)
+    for corner in others:
+        total = _hull(total, _angle_of(*corner))
+    return total
+
+
+def arccos(x: Interval) -> Interval:
+    """Range of arccos on an interval within [−1, 1]: it falls, and is the angle of (x, √(1 − x²))."""
+    return _arccos_of(x[1])[0], _arccos_of(x[0])[1]
+
+
+@lru_cache(8192)
+def _arccos_of(x: Raw) -> Interval:
+    """Of one number: (1 − x)(1 + x) and its root are rounded either way, and the angle is monotone in the root."""
+    ends = []
+    for way in "fc":
+        factors = (step(libmp.fone, x, 2 * BITS, way) for step in (libmp.mpf_sub, libmp.mpf_add))
+        ends.append(libmp.mpf_sqrt(libmp.mpf_mul(*factors, 2 * BITS, way), 2 * BITS, way))
+    return angle((ends[0], ends[1]), (x, x))
