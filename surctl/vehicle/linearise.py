@@ -18,7 +18,7 @@ from surctl.vehicle.dynamics import (
 )
 from surctl.vehicle.parameters import Vehicle
 
-__all__ = ["SIGNAL_UNITS", "STATE_NAMES", "THRUST_NAMES", "labelled", "linearise", "plant_jacobians"]
+__all__ = ["SIGNAL_UNITS", "STATE_NAMES", "THRUST_NAMES", "check_trim", "labelled", "linearise", "plant_jacobians"]
 
 STATE_NAMES = ("x", "y", "z", "psi", "u", "v", "w", "r", "Fu", "Fv", "Fw", "Fr")
 THRUST_NAMES = ("Fu_cmd", "Fv_cmd", "Fw_cmd", "Fr_cmd")
@@ -58,14 +58,7 @@ def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0, *, un
     import control  # seconds to import: only when asked for
 
     nu = np.asarray(nu, dtype=float)
-    tau = trim_thrust(vehicle, nu)
-    if np.any(np.abs(tau) >= vehicle.thrust_limit):
-        raise InputError(
-            f"needs thrust {np.round(tau, 2).tolist()} of at most {vehicle.thrust_limit.tolist()}",
-            key="operating point nu",
-            value=nu.tolist(),
-            remedy="linearise at a slower speed",
-        )
+    check_trim(vehicle, nu)
     (a,), (b,), _ = plant_jacobians(plant_parameters(vehicle)[None], nu[None], psi=psi)
     keep = len(STATE_NAMES) if vehicle["thrust_lag"] > 0 else 8
     names = labelled(STATE_NAMES[:keep], units=units)
@@ -79,6 +72,18 @@ def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0, *, un
         inputs=labelled(THRUST_NAMES, units=units),
         name=vehicle.name,
     )
+
+
+def check_trim(vehicle: Vehicle, nu: NDArray[np.float64]) -> None:
+    """InputError where the vehicle lacks the thrust to hold the body velocity nu (4,) [m/s, rad/s]."""
+    tau = trim_thrust(vehicle, nu)
+    if np.any(np.abs(tau) >= vehicle.thrust_limit):
+        raise InputError(
+            f"needs thrust {np.round(tau, 2).tolist()} of at most {vehicle.thrust_limit.tolist()}",
+            key="operating point nu",
+            value=nu.tolist(),
+            remedy="linearise at a slower speed",
+        )
 
 
 def labelled(names: Sequence[str], *, units: bool = True) -> list[str]:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.ir import Layout
-from surctl.vehicle import PLANT_PARAMETERS, Vehicle, linearise, plant_jacobians, plant_parameters
+from surctl.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters
+from surctl.vehicle.linearise import check_trim
 
 __all__ = ["CASCADE_GAINS", "Cascade", "build_cascade", "build_cascades", "check_positive"]
 
@@ -107,7 +108,7 @@ def build_cascade(
         (True, (24, 24), -0.22)
     """
     check_positive({"cruise": np.atleast_1d(cruise)})
-    linearise(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))  # says whether it can cruise at that speed
+    check_trim(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
     many = build_cascades(
         plant_parameters(vehicle)[None],
         {name: np.atleast_1d(float(value)) for name, value in gains.items()},
@@ -237,7 +238,12 @@ def _delayed(
 
 @cache
 def _pade(delay: float) -> tuple[NDArray[np.float64], ...]:
-    import control  # seconds to import: only when asked for
-
-    lag = control.ss(control.tf(*control.pade(delay, _PADE_ORDER)))
-    return tuple(np.asarray(m) for m in (lag.A, lag.B, lag.C, lag.D))
+    """A, B, C, D of the Padé approximation of order 3, in controller form (Golub and Van Loan, algorithm 11.3.1)."""
+    n, down = _PADE_ORDER, [1.0]
+    for k in range(1, n + 1):
+        down.append(down[-1] * delay * (n - k + 1) / (2 * n - k + 1) / k)
+    den = np.array(down[::-1]) / down[-1]
+    num = den * (-1.0) ** np.arange(n, -1, -1)
+    A = np.eye(n, k=-1)
+    A[0] = -den[1:]
+    return A, np.eye(n, 1), (num[1:] - num[0] * den[1:])[None], num[:1, None]

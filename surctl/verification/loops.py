@@ -77,10 +77,17 @@ def broken_loops(cascade: Cascade) -> list[Loop]:
 
 def state_blocks(A: NDArray[np.float64]) -> list[NDArray[np.intp]]:
     """Indices of the states that touch each other in any of the points, one array a block."""
-    from scipy.sparse.csgraph import connected_components
-
-    count, label = connected_components(np.any(A != 0, axis=0), directed=False)
-    return [np.flatnonzero(label == k) for k in range(count)]
+    touch = np.any((A != 0) | (A.swapaxes(-1, -2) != 0), axis=0)
+    left, found = np.arange(len(touch)), []
+    while left.size:
+        block = np.zeros(len(touch), dtype=bool)
+        reached = np.arange(len(touch)) == left[0]
+        while np.any(reached & ~block):
+            block |= reached
+            reached = np.any(touch[block], axis=0)
+        found.append(np.flatnonzero(block))
+        left = np.setdiff1d(left, found[-1])
+    return found
 
 
 def crossings_of(loop: Loop, *, highest: float) -> Crossings:

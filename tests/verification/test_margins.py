@@ -1,8 +1,10 @@
 import casadi as ca
+import control
 import numpy as np
 import pytest
 from scipy.signal import tf2ss
 
+from surctl.control import load_gains
 from surctl.control.velocity import velocity_control
 from surctl.errors import InputError
 from surctl.guidance.tracking import along_command, tracking_velocity
@@ -112,6 +114,16 @@ def test_the_controller_is_the_derivative_of_the_laws_own_expressions(name: str)
     expected = -np.asarray(slope(np.zeros(8), np.zeros(4)))
     found = build_cascade(vehicle, {**GAINS, "k_i": k_i}, cruise=cruise, dt=0.05).K
     assert found == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("delay", [0.075, 0.3])
+def test_the_delay_is_that_of_python_control(delay: float) -> None:
+    vehicle, gains = load_vehicle("sur400").with_values({"thrust_lag": 0.0}), load_gains("default").values
+    plain, late = (build_cascade(vehicle, gains, cruise=0.15, dt=0.05, delay=d) for d in (0.0, delay))
+    lag = control.tf(*control.pade(delay, 3))
+    for omega in (0.1, 3.0, 20.0):
+        whole, rest = (c.C @ np.linalg.solve(1j * omega * np.eye(len(c.A)) - c.A, c.B) for c in (late, plain))
+        assert whole == pytest.approx(rest * lag(1j * omega), rel=1e-9, abs=1e-12)
 
 
 def test_every_loop_is_reported_with_finite_crossovers_and_no_spurious_margin() -> None:

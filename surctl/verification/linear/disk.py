@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.verification.linear.places import OpenLoop
 
-__all__ = ["DiskMargin", "disk_margin", "disk_profile", "screened_peak", "structured_bounds"]
+__all__ = ["DiskMargin", "disk_margin", "disk_profile", "screened_peaks", "structured_bounds"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -32,6 +32,7 @@ Complex = NDArray[np.complex128]
 _LOWEST, _HIGHEST = 1e-4, 1e3  # [rad/s]
 _POINTS = 240
 _SCREENED, _SCREEN_POINTS = (1e-2, 1e2), 60
+_SCREENED_TOGETHER = 16  # loops: their responses fit in the cache
 _PEAKS = 3  # of the grid that are looked at closely
 _LOW_PEAK = 0.9  # of the highest
 _SHRINKS = 24
@@ -41,6 +42,7 @@ _ROUNDS = 40
 _STEPS = 400
 _ON_AXIS = 1e-7  # eigenvalues this near to the imaginary axis, in parts of their size, count as on it
 _WIDEST = 1e8  # of the ratio of two scalings
+_FLAT = 1e-8  # slope at which a scaling is the best one: the value is convex in its logarithm
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ def disk_margin(loop: OpenLoop, place: str = "") -> DiskMargin:
     coarse = _balanced(_sensitivity(closed, grid))[1]
     least, where = 0.5, np.inf  # M → ½ I for ω → ∞, but for what scaling takes away
     level = 0.5
-    open_ends = [_refined(closed, grid, at) for at in _local_peaks(coarse)]
+    open_ends = _refined(closed, grid, _local_peaks(coarse))
     for _ in range(_ROUNDS):
         for omega in open_ends:
             upper, lower, _ = structured_bounds(_sensitivity(closed, np.array([omega]))[0])
@@ -111,13 +113,18 @@ def disk_profile(loop: OpenLoop, omega: Array) -> Array:
     return profile
 
 
-def screened_peak(loop: OpenLoop) -> float:
-    """About sup_ω μ on a coarse grid: which of many loops is worst, quickly; inf for an unstable one."""
-    closed = loop.complementary()
-    if not np.all(np.linalg.eigvals(closed.A).real < -1e-9):
-        return float("inf")
+def screened_peaks(loops: OpenLoop) -> Array:
+    """About sup_ω μ of many loops (k,) on a coarse grid: which of them is worst, quickly; inf for an unstable one."""
+    closed = loops.complementary()
+    stable = np.all(np.linalg.eigvals(closed.A).real < -1e-9, axis=-1)
     grid = np.geomspace(_SCREENED[0], _SCREENED[1], _SCREEN_POINTS)
-    return float(_balanced(_sensitivity(closed, grid))[1].max())
+    peaks = np.full(len(stable), np.inf)
+    index = np.flatnonzero(stable)
+    for at in (index[k : k + _SCREENED_TOGETHER] for k in range(0, len(index), _SCREENED_TOGETHER)):
+        q = closed.D.shape[-1]
+        M = _sensitivity(closed[at], grid).reshape(-1, q, q)
+        peaks[at] = _balanced(M)[1].reshape(len(at), -1).max(axis=1)
+    return peaks
 
 
 def structured_bounds(M: Complex) -> tuple[float, float, Complex]:
@@ -142,8 +149,8 @@ def structured_bounds(M: Complex) -> tuple[float, float, Complex]:
 
 
 def _sensitivity(closed: OpenLoop, omega: Array) -> Complex:
-    """M = ½ I − T at ω (k,), (k, q, q)."""
-    found: Complex = 0.5 * np.eye(len(closed.D)) - closed.response(omega)
+    """M = ½ I − T at ω (k,), (…, k, q, q)."""
+    found: Complex = 0.5 * np.eye(closed.D.shape[-1]) - closed.response(omega)
     return found
 
 
@@ -177,13 +184,11 @@ def _scaling(M: Complex) -> Array:
         slope = s[0] * (np.abs(u[:, 0]) ** 2 - np.abs(vh[0]) ** 2)
         return float(s[0]), slope
 
-    # no gradient where two singular values meet: restarts with a simplex finish what BFGS leaves
-    best = start
-    for method in ("BFGS", "Nelder-Mead"):
-        jac = method == "BFGS"
-        run = minimize(value if jac else lambda x: value(x)[0], best, jac=jac or None, method=method)
-        if value(run.x)[0] < value(best)[0]:
-            best = run.x
+    run = minimize(value, start, jac=True, method="BFGS", options={"gtol": _FLAT})
+    best = run.x if run.fun < value(start)[0] else start
+    if not run.success:  # no gradient where two singular values meet: a simplex finishes what BFGS leaves
+        simplex = minimize(lambda x: value(x)[0], best, method="Nelder-Mead")
+        best = simplex.x if simplex.fun < value(best)[0] else best
     scale: Array = np.exp(best - best.mean())
     return scale
 
@@ -215,20 +220,24 @@ def _local_peaks(values: Array) -> list[int]:
     return [int(k) for k in tops[np.argsort(-values[tops], kind="stable")][:_PEAKS]]
 
 
-def _refined(closed: OpenLoop, grid: Array, at: int) -> float:
-    """The frequency of a peak between its neighbours on the grid, by golden section."""
-    low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
+def _refined(closed: OpenLoop, grid: Array, at: list[int]) -> list[float]:
+    """The frequencies of peaks, each between its neighbours on the grid, by golden section."""
+    places = np.array(at)
+    low, high = grid[np.maximum(places - 1, 0)], grid[np.minimum(places + 1, len(grid) - 1)]
 
-    def height(omega: float) -> float:
-        return float(_balanced(_sensitivity(closed, np.array([omega])))[1][0])
+    def heights(omega: Array) -> Array:
+        return _balanced(_sensitivity(closed, omega.reshape(-1)))[1].reshape(omega.shape)
 
-    best = (height(grid[at]), grid[at])
+    best, where = heights(grid[places]), grid[places]
     for _ in range(_SHRINKS):
-        one, other = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-        first, second = height(one), height(other)
-        best = max(best, (first, one), (second, other))
-        low, high = (low, other) if first > second else (one, high)
-    return float(best[1])
+        both = np.stack([high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)])
+        found = heights(both)
+        for height, omega in zip(found, both, strict=True):
+            higher = height > best
+            best, where = np.where(higher, height, best), np.where(higher, omega, where)
+        lower = found[0] > found[1]
+        low, high = np.where(lower, low, both[0]), np.where(lower, both[1], high)
+    return [float(omega) for omega in where]
 
 
 def _uncovered(closed: OpenLoop, level: float) -> float | None:
@@ -242,10 +251,16 @@ def _uncovered(closed: OpenLoop, level: float) -> float | None:
         if not np.isfinite(end):
             return None
         beyond = _inner(end, _next(closed, _scaling(_sensitivity(closed, np.array([end]))[0]), end, level))
-        if _height(closed, _scaling(_sensitivity(closed, np.array([beyond]))[0]), beyond) >= level:
+        if not _below(closed, beyond, level):
             return beyond  # the peak that begins where the last D ended
         omega = end
     raise InputError("takes too many steps", key="disk margin", value=level, remedy="check the vehicle's units")
+
+
+def _below(closed: OpenLoop, omega: float, level: float) -> bool:
+    """Whether some D stays below the level at that frequency alone; the quick scaling mostly does."""
+    M = _sensitivity(closed, np.array([omega]))
+    return bool(_balanced(M)[1][0] < level) or _height(closed, _scaling(M[0]), omega) < level
 
 
 def _candidates(closed: OpenLoop, omega: float) -> Iterator[Array]:

@@ -22,13 +22,13 @@ _AXES = 4
 
 @dataclass(frozen=True, eq=False)
 class OpenLoop:
-    """L(s) = C (sI − A)⁻¹ B + D under negative feedback u = −L u; square, q channels.
+    """L(s) = C (sI − A)⁻¹ B + D under negative feedback u = −L u; square, q channels; one, or many behind an axis.
 
     Attributes:
-        A: (n, n) [1/s].
-        B: (n, q).
-        C: (q, n).
-        D: (q, q); I + D must be regular.
+        A: (…, n, n) [1/s].
+        B: (…, n, q).
+        C: (…, q, n).
+        D: (…, q, q); I + D must be regular.
     """
 
     A: Array
@@ -36,40 +36,46 @@ class OpenLoop:
     C: Array
     D: Array
 
+    def __getitem__(self, chosen: NDArray[np.intp]) -> OpenLoop:
+        """Those of many."""
+        return OpenLoop(self.A[chosen], self.B[chosen], self.C[chosen], self.D[chosen])
+
     def complementary(self) -> OpenLoop:
         """T = L (I + L)⁻¹ in the same form, whose poles are those of the closed loop."""
-        inverse = np.linalg.inv(np.eye(len(self.D)) + self.D)
+        inverse = np.linalg.inv(np.eye(self.D.shape[-1]) + self.D)
         B = self.B @ inverse
         return OpenLoop(self.A - B @ self.C, B, inverse @ self.C, self.D @ inverse)
 
     def response(self, omega: Array) -> NDArray[np.complex128]:
-        """C (jω − A)⁻¹ B + D at ω (k,) [rad/s], (k, q, q)."""
-        pencil = 1j * np.asarray(omega)[:, None, None] * np.eye(len(self.A)) - self.A
-        inner = np.linalg.solve(pencil, np.broadcast_to(self.B, (len(pencil), *self.B.shape)))
-        return np.asarray(self.C @ inner + self.D, dtype=complex)
+        """C (jω − A)⁻¹ B + D at ω (k,) [rad/s], (…, k, q, q)."""
+        A, B, C, D = (m[..., None, :, :] for m in (self.A, self.B, self.C, self.D))
+        pencil = 1j * np.asarray(omega)[:, None, None] * np.eye(A.shape[-1]) - A
+        inner = np.linalg.solve(pencil, np.broadcast_to(B, (*pencil.shape[:-1], B.shape[-1])))
+        return np.asarray(C @ inner + D, dtype=complex)
 
 
 def open_loop(cascade: Cascade, place: str) -> OpenLoop:
-    """One cascade opened at `DISK_PLACES`, everything else closed.
+    """One cascade, or many, opened at `DISK_PLACES`, everything else closed.
 
     Raises:
         InputError: an unknown place.
     """
     A, B, C, K = cascade.A, cascade.B, cascade.C, cascade.K
-    thrust, pose = np.arange(K.shape[0]) < _AXES, np.arange(K.shape[1]) < _AXES
-    nothing = np.zeros((_AXES, _AXES))
+    thrust, pose = np.arange(K.shape[-2]) < _AXES, np.arange(K.shape[-1]) < _AXES
+    nothing = np.zeros((*K.shape[:-2], _AXES, _AXES))
     if place == "thrust":
         # the integral's own rows of K stay closed
-        inner = A - B[:, ~thrust] @ K[~thrust] @ C
-        return OpenLoop(inner, B[:, thrust], K[thrust] @ C, nothing)
+        inner = A - B[..., ~thrust] @ K[..., ~thrust, :] @ C
+        return OpenLoop(inner, B[..., thrust], K[..., thrust, :] @ C, nothing)
     if place == "measurement":
-        inner = A - B @ K[:, ~pose] @ C[~pose]
-        return OpenLoop(inner, B @ K[:, pose], C[pose], nothing)
+        inner = A - B @ K[..., ~pose] @ C[..., ~pose, :]
+        return OpenLoop(inner, B @ K[..., pose], C[..., pose, :], nothing)
     if place != "both":
         raise InputError("no such place", key="place", value=place, remedy=nearest(place, DISK_PLACES))
     # u2 = −(pose as measured): what the law reads, with the sign of the feedback taken out
-    inner = A - B[:, ~thrust] @ K[np.ix_(~thrust, ~pose)] @ C[~pose]
-    enter = np.hstack([B[:, thrust], B[:, ~thrust] @ K[np.ix_(~thrust, pose)]])
-    leave = np.vstack([K[np.ix_(thrust, ~pose)] @ C[~pose], C[pose]])
-    through = np.block([[nothing, -K[np.ix_(thrust, pose)]], [nothing, nothing]])
+    own, acting = K[..., ~thrust, :], K[..., thrust, :]
+    inner = A - B[..., ~thrust] @ own[..., ~pose] @ C[..., ~pose, :]
+    enter = np.concatenate([B[..., thrust], B[..., ~thrust] @ own[..., pose]], axis=-1)
+    leave = np.concatenate([acting[..., ~pose] @ C[..., ~pose, :], C[..., pose, :]], axis=-2)
+    through = np.block([[nothing, -acting[..., pose]], [nothing, nothing]])
     return OpenLoop(inner, enter, leave, through)

@@ -113,42 +113,50 @@ def largest_period(
 
 
 def sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
-    """The limits of a cascade that was built with `delay=0`; period [s] is the one it runs at."""
+    """The limits of a cascade that was built with `delay=0`; period [s] is the one it runs at.
+
+    Of many cascades behind one axis, the worst of each.
+    """
     held = cache(partial(_held, undelayed))  # each delay tries the same periods
     borne = -1
     for delay in range(_MOST + 1):
-        if _radius(undelayed, delay, held(period)) >= 1 - _EDGE:
+        if np.max(_radius(undelayed, delay, held(period))) >= 1 - _EDGE:
             break
         borne = delay
     one, two, three = (_largest(undelayed, delay, held) for delay in DELAYS)
-    return SampledLimits(period, _radius(undelayed, 1, held(period)), (one, two, three), borne)
+    return SampledLimits(period, float(np.max(_radius(undelayed, 1, held(period)))), (one, two, three), borne)
 
 
 def radius_of(undelayed: Cascade, period: float, delay: int) -> float:
     """Largest |z| of the sampled loop."""
-    return _radius(undelayed, delay, _held(undelayed, period))
+    return float(_radius(undelayed, delay, _held(undelayed, period)))
 
 
-def _radius(undelayed: Cascade, delay: int, held: _Held) -> float:
-    return float(np.max(np.abs(np.linalg.eigvals(_transition(undelayed, delay, held)))))
+def _radius(undelayed: Cascade, delay: int, held: _Held) -> Array:
+    """Largest |z| (…,) of each sampled loop."""
+    found: Array = np.max(np.abs(np.linalg.eigvals(_transition(undelayed, delay, held))), axis=-1)
+    return found
 
 
 def _largest(undelayed: Cascade, delay: int, held: Callable[[float], _Held]) -> float:
-    def stable(period: float) -> bool:
-        return _radius(undelayed, delay, held(period)) < 1 - _EDGE * period
-
-    good = 0.0
-    bad = _SHORTEST
-    while stable(bad):
+    """The least over the cascades: the first period that one of them does not bear, halved for those that do not."""
+    good, bad = 0.0, _SHORTEST
+    while True:
+        lost = _radius(undelayed, delay, held(bad)) >= 1 - _EDGE * bad
+        if np.any(lost):
+            break
         good, bad = bad, bad * _GROWTH
         if good >= _LONGEST:
             return float("inf")
     if good == 0.0:
         return 0.0
+    first = undelayed if lost.ndim == 0 else Cascade(*(getattr(undelayed, m)[lost] for m in ("A", "B", "C", "K")))
+    low, high = np.full(first.A.shape[:-2], good), np.full(first.A.shape[:-2], bad)
     for _ in range(_HALVINGS):
-        middle = (good + bad) / 2
-        good, bad = (middle, bad) if stable(middle) else (good, middle)
-    return good
+        middle = (low + high) / 2
+        stable = _radius(first, delay, _held(first, middle)) < 1 - _EDGE * middle
+        low, high = np.where(stable, middle, low), np.where(stable, high, middle)
+    return float(np.min(low))
 
 
 def _transition(cascade: Cascade, delay: int, held: _Held) -> Array:
@@ -158,15 +166,15 @@ def _transition(cascade: Cascade, delay: int, held: _Held) -> Array:
     return found
 
 
-def _held(cascade: Cascade, period: float) -> _Held:
-    """(Φ, Γ) of a period in which the inputs are held."""
+def _held(cascade: Cascade, period: float | Array) -> _Held:
+    """(Φ, Γ) of a period in which the inputs are held; of many cascades, a period each or one for all."""
     from scipy.linalg import expm
 
-    n, m = cascade.B.shape
-    both = np.zeros((n + m, n + m))
-    both[:n, :n], both[:n, n:] = cascade.A, cascade.B
-    grown = expm(both * period)
-    return grown[:n, :n], grown[:n, n:]
+    n, m = cascade.B.shape[-2:]
+    both = np.zeros((*cascade.B.shape[:-2], n + m, n + m))
+    both[..., :n, :n], both[..., :n, n:] = cascade.A, cascade.B
+    grown = expm(both * np.asarray(period)[..., None, None])
+    return grown[..., :n, :n], grown[..., :n, n:]
 
 
 def open_transition(cascade: Cascade, period: float, delay: int) -> tuple[Array, Array, Array]:
@@ -180,19 +188,19 @@ def open_transition(cascade: Cascade, period: float, delay: int) -> tuple[Array,
 
 def _open_transition(cascade: Cascade, delay: int, held: _Held) -> tuple[Array, Array, Array]:
     phi, gamma = held
-    n = len(phi)
+    many, n = phi.shape[:-2], phi.shape[-1]
     law = -cascade.K @ cascade.C
     # ξ̇ is written behind the thrusts, and comes at once
-    now = phi + gamma[:, _AXES:] @ law[_AXES:]
-    thrust, enter = law[:_AXES], gamma[:, :_AXES]
+    now = phi + gamma[..., _AXES:] @ law[..., _AXES:, :]
+    thrust, enter = law[..., :_AXES, :], gamma[..., :_AXES]
     if delay == 0:
         return now, enter, thrust
     size = n + _AXES * delay
-    rest, late, law_of_all = np.zeros((size, size)), np.zeros((size, _AXES)), np.zeros((_AXES, size))
-    rest[:n, :n], rest[:n, n : n + _AXES] = now, enter
-    rest[n : size - _AXES, n + _AXES :] = np.eye(_AXES * (delay - 1))
-    late[size - _AXES :] = np.eye(_AXES)
-    law_of_all[:, :n] = thrust
+    rest, late, law_of_all = (np.zeros((*many, *shape)) for shape in ((size, size), (size, _AXES), (_AXES, size)))
+    rest[..., :n, :n], rest[..., :n, n : n + _AXES] = now, enter
+    rest[..., n : size - _AXES, n + _AXES :] = np.eye(_AXES * (delay - 1))
+    late[..., size - _AXES :, :] = np.eye(_AXES)
+    law_of_all[..., :n] = thrust
     return rest, late, law_of_all
 
 

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.vehicle import Vehicle
-from surctl.vehicle.dynamics import trim_thrust
-from surctl.verification.cascade import Cascade, build_cascade
+from surctl.vehicle import Vehicle, plant_parameters
+from surctl.vehicle.dynamics import trim_function
+from surctl.verification.cascade import Cascade, build_cascade, build_cascades
 from surctl.verification.linear.corners import Corners
-from surctl.verification.linear.disk import DiskMargin, disk_margin, screened_peak
+from surctl.verification.linear.disk import DiskMargin, disk_margin, screened_peaks
 from surctl.verification.linear.places import DISK_PLACES, open_loop
 from surctl.verification.linear.sampled import SampledLimits, sampled_limits
 
@@ -97,7 +97,7 @@ def linear_side(
     Raises:
         InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed.
     """
-    delayed, plain = (_built(vehicle, gains, cruise, dt, model, delay) for delay in (None, 0.0))
+    delayed, plain = (build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=d) for d in (None, 0.0))
     poles = _poles(delayed.poles)
     return LinearSide(
         of=f"{vehicle.name} as stated",
@@ -121,36 +121,61 @@ def worst_linear_side(
         InputError: as `linear_side`, or none of the vehicles can cruise at that speed.
     """
     believed = model or tried.vehicles[0]
-    able = [v for v in tried.vehicles if _can_cruise(v, cruise)]
+    able = [v for v, can in zip(tried.vehicles, _can_cruise(tried.vehicles, cruise), strict=True) if can]
     unable = len(tried.vehicles) - len(able)
     if not able:
         raise InputError("is beyond the thrust of every one", key="cruise", value=cruise, remedy="go slower")
-    flown = [(_built(v, gains, cruise, dt, believed, None), _built(v, gains, cruise, dt, believed, 0.0)) for v in able]
+    groups = _alike_in_states(able)
+    delayed, plain = ([_built(g, gains, cruise, dt, believed, d) for g in groups] for d in (None, 0.0))
     disks = []
     for place in DISK_PLACES:
-        peaks = [screened_peak(open_loop(delayed, place)) for delayed, _ in flown]
-        disks.append(disk_margin(open_loop(flown[int(np.argmax(peaks))][0], place), place))
-    every = [_poles(delayed.poles) for delayed, _ in flown]
+        loops = [open_loop(group, place) for group in delayed]
+        peaks = [screened_peaks(loop) for loop in loops]
+        worst = int(np.argmax([each.max() for each in peaks]))
+        disks.append(disk_margin(loops[worst][np.asarray(np.argmax(peaks[worst]))], place))
+    every = [_poles(poles) for group in delayed for poles in group.poles]
     beyond = f"; {unable} of them cannot hold {cruise:g} m/s with their thrust" if unable else ""
     return LinearSide(
         of=f"{believed.name}, worst of {tried.text}{beyond}",
         disks=tuple(disks),
         poles=every[0],
-        slowest_per_s=max(float(delayed.poles[0].real) for delayed, _ in flown),
+        slowest_per_s=max(float(group.poles[:, 0].real.max()) for group in delayed),
         least_damping=min(p.damping for poles in every for p in poles),
-        sampled=_least_sampled([sampled_limits(plain, dt) for _, plain in flown]),
+        sampled=_least_sampled([sampled_limits(group, dt) for group in plain]),
     )
 
 
+def _alike_in_states(vehicles: Sequence[Vehicle]) -> list[list[Vehicle]]:
+    """Those with thrust lag and those without, the first vehicle's group first: their cascades have other states."""
+    lagged = vehicles[0]["thrust_lag"] > 0
+    parts = [[v for v in vehicles if (v["thrust_lag"] > 0) is kind] for kind in (lagged, not lagged)]
+    return [part for part in parts if part]
+
+
 def _built(
-    vehicle: Vehicle, gains: Mapping[str, float], cruise: float, dt: float, model: Vehicle | None, delay: float | None
+    vehicles: Sequence[Vehicle],
+    gains: Mapping[str, float],
+    cruise: float,
+    dt: float,
+    model: Vehicle,
+    delay: float | None,
 ) -> Cascade:
-    return build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=delay)
+    """The cascades of vehicles that have the same states, behind one axis."""
+    count = len(vehicles)
+    return build_cascades(
+        np.array([plant_parameters(v) for v in vehicles]),
+        {name: np.full(count, float(value)) for name, value in gains.items()},
+        cruise=np.full(count, cruise),
+        dt=dt,
+        model=np.tile(plant_parameters(model), (count, 1)),
+        delay=delay,
+    )
 
 
-def _can_cruise(vehicle: Vehicle, cruise: float) -> bool:
-    tau = trim_thrust(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
-    return bool(np.all(np.abs(tau) < vehicle.thrust_limit))
+def _can_cruise(vehicles: Sequence[Vehicle], cruise: float) -> list[bool]:
+    nu = np.tile([[cruise], [0.0], [0.0], [0.0]], len(vehicles))
+    tau = np.asarray(trim_function()(nu, np.array([plant_parameters(v) for v in vehicles]).T)).T
+    return [bool(np.all(np.abs(t) < v.thrust_limit)) for t, v in zip(tau, vehicles, strict=True)]
 
 
 def _least_sampled(limits: Sequence[SampledLimits]) -> SampledLimits:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck import check_document, seal
+from surctl.certcheck import Checked, check_document, seal
+from surctl.errors import SurctlError
+from surctl.ir import cached_bytes, source_digest
 from surctl.verification.region.claim import RegionClaim
 from surctl.verification.region.heading import HeadingClaim
 from surctl.verification.region.loop import Steady, steady_cruise
@@ -98,32 +103,79 @@ class RegionProof:
 def prove_region(claim: RegionClaim, *, attempts: int = 80, seed: int = 0) -> RegionProof:
     """Look for the largest region of the claim and have it checked.
 
+    The search is kept in the cache of laws, by the claim and the sources; its result is checked each time.
+
     Args:
         claim: whose loop, over which ranges, at which rate.
         attempts: starts of the search; about eight a second.
         seed: of the search.
     """
     began = time.perf_counter()
+    found, checked = _stored(claim, attempts, seed)
+    document = _document(claim, found)
+    if document and checked is None:  # whoever stored it, the checker decides
+        checked = check_document(document)
+    if checked is None or not checked.accepted:
+        reason = found["reason"] if checked is None else checked.reason
+        return RegionProof(claim, "unknown", {}, reason, 0.0, (0.0, 0.0), time.perf_counter() - began, 0.0)
+    ratios = None if found["ratios"] is None else LevelRatios(*found["ratios"])
+    settled = (found["settled"][0], found["settled"][1])
+    took = time.perf_counter() - began
+    return RegionProof(
+        claim, "proved", document, "", found["offset"], settled, took, checked.seconds, found["reach"], ratios
+    )
+
+
+def _stored(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, Any], Checked | None]:
+    """What the search finds, or found for this claim with the same sources before; its check, if it was run now."""
+    checks: list[Checked | None] = []
+
+    def build() -> bytes:
+        found, checked = _searched(claim, attempts, seed)
+        checks.append(checked)
+        return json.dumps(found).encode()
+
+    try:
+        sources = source_digest("surctl.verification.region", "surctl.certcheck")
+    except SurctlError:  # as for laws: what is found is not known by its sources
+        return json.loads(build()), checks[0]
+    stated = replace(claim, name="", digests=("", ""))
+    parts = (sources, version("clarabel"), repr(stated), str(attempts), str(seed))
+    key = hashlib.sha256("\0".join(parts).encode()).hexdigest()
+    found = json.loads(cached_bytes(key, ".region", build))
+    return found, checks[0] if checks else None
+
+
+def _searched(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, Any], Checked | None]:
+    """The first candidate that the checker accepts, with its figures; else why there is none."""
     steady = steady_cruise(claim)
     reason = "the search found no quadratic V of this rate"
     for candidate in search(claim, steady, attempts=attempts, seed=seed):
         document = certificate_of(claim, steady, candidate)
         checked = check_document(document)
         if checked.accepted:
-            motion = document["claim"]["motion"]
-            x, y = motion["settled_m"]
-            took = time.perf_counter() - began
-            P = candidate.P
+            motion, P = document["claim"]["motion"], candidate.P
             plain = claim.size == 4 and not any(
                 (claim.period, claim.current, claim.force, claim.place_error, claim.velocity_error)
             )
-            ratios = level_ratios(cruise_loop(claim), P, claim.rate) if plain else None
-            return RegionProof(
-                claim, "proved", document, "", motion["offset_m"], (x, y), took, checked.seconds,
-                float(np.sqrt(np.linalg.inv(P)[1, 1])), ratios,
-            )  # fmt: skip
+            found = {
+                "proof": document["proof"],
+                "offset": motion["offset_m"],
+                "settled": motion["settled_m"],
+                "reach": float(np.sqrt(np.linalg.inv(P)[1, 1])),
+                "ratios": level_ratios(cruise_loop(claim), P, claim.rate) if plain else None,
+            }
+            return found, checked
         reason = checked.reason
-    return RegionProof(claim, "unknown", {}, reason, 0.0, (0.0, 0.0), time.perf_counter() - began, 0.0)
+    return {"reason": reason}, None
+
+
+def _document(claim: RegionClaim, found: Mapping[str, Any]) -> dict[str, Any]:
+    """The certificate with the numbers that were found; empty where nothing was."""
+    if "proof" not in found:
+        return {}
+    x, y = found["settled"]
+    return seal("region", claim.document(offset=found["offset"], settled=(x, y)), {"proof": found["proof"]})
 
 
 def certificate_of(claim: RegionClaim, steady: Steady, candidate: Candidate) -> dict[str, Any]:

@@ -15,6 +15,7 @@ __all__ = ["LevelRatios", "level_ratios"]
 Array = NDArray[np.float64]
 
 _LEVELS = np.geomspace(0.01, 100, 120)
+_TOGETHER = 4_000  # points a call: few enough for the cache, enough for the call to cost little
 _DRAWN, _KEPT, _STEPS, _HALVINGS = 10_000, 300, 40, 10
 
 
@@ -51,17 +52,26 @@ def _least(test: Callable[[Array, Array, Array], Array], P: Array, low: float, s
     draw, size = np.random.default_rng(seed), len(P)
     root, levels = np.linalg.inv(np.linalg.cholesky(P)), np.array([level for level in _LEVELS if level >= low])
 
-    def least(unit: Array, draws: Array) -> Array:
+    def least(unit: Array, draws: Array, most: Array) -> Array:
+        """The least level at which each is met, as far as `most`; inf where none is."""
         xi, found = unit / np.linalg.norm(unit, axis=1, keepdims=True) @ root, np.full(len(unit), np.inf)
-        for level in levels[::-1]:
-            met = test(xi * np.sqrt(level), draws, np.full(len(xi), level))
-            found = np.where(met, level, found)
+        left, k = np.arange(len(unit)), 0
+        while k < len(levels) and left.size:
+            several = levels[k : k + max(_TOGETHER // left.size, 1)]
+            k += len(several)
+            at = np.tile(several, len(left))
+            every = np.repeat(left, len(several))
+            met = test(xi[every] * np.sqrt(at)[:, None], draws[every], at).reshape(len(left), -1)
+            reached = several[np.argmax(met, axis=1)]
+            good = met.any(axis=1) & (reached <= most[left])
+            found[left[good]] = reached[good]
+            left = left[~good & (most[left] > several[-1])]
         return found
 
     unit, draws = draw.normal(size=(_DRAWN, size)), draw.uniform(size=(_DRAWN, DRAWS))
     draws = np.where(draw.uniform(size=draws.shape) < 0.6, np.round(draws), draws)
     draws[:, 5] = draw.uniform(size=len(draws))  # a heading has no ends
-    level = least(unit, draws)
+    level = least(unit, draws, np.full(_DRAWN, np.inf))
     kept = np.argsort(level)[:_KEPT]
     unit, draws, level = unit[kept], draws[kept], level[kept]
     for step in np.geomspace(0.3, 0.01, _STEPS):
@@ -69,7 +79,7 @@ def _least(test: Callable[[Array, Array, Array], Array], P: Array, low: float, s
         moved = unit + draw.normal(scale=step, size=unit.shape)
         other = np.where(draw.uniform(size=draws.shape) < 0.1, np.round(draw.uniform(size=draws.shape)), draws)
         other[:, 5] = (draws[:, 5] + draw.normal(scale=step / 5, size=len(draws))) % 1
-        now = least(moved, other)
+        now = least(moved, other, level)
         better = now <= level
         unit[better], draws[better], level[better] = moved[better], other[better], now[better]
     if not np.isfinite(level).any():

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import product
+from itertools import islice, product
 
 import numpy as np
 
 from surctl.verification.region.claim import RegionClaim
 from surctl.verification.region.loop import Steady
-from surctl.verification.region.synthesis import Candidate, Start, levels_of, synthesise, widened
+from surctl.verification.region.synthesis import (
+    Candidate,
+    Proposal,
+    Start,
+    finished,
+    levels_of,
+    proposed,
+    synthesise,
+    widened,
+)
 
 __all__ = ["search"]
 
@@ -28,14 +37,22 @@ def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> I
         yield from _holding(claim, steady)
         return
     found: list[Candidate] = []
+    passed_over: list[Proposal] = []
     draw = np.random.default_rng(seed)
     cruise, cap, ahead = claim.cruise, claim.cap, claim.gains["lookahead"]
     wide = ahead * np.sqrt(max((cap / (cruise + steady.omega[1])) ** 2 - 1, 1e-6))
     best: tuple[float, Start] | None = None
+    refining = False
 
     def attempt(start: Start) -> None:
         nonlocal best
-        candidate = synthesise(claim, steady, start, shells=_COARSE, rounds=1)
+        proposal = proposed(claim, steady, start, shells=_COARSE)
+        if proposal is None:
+            return
+        if refining and best is not None and proposal.offset <= best[0]:
+            passed_over.append(proposal)  # it cannot be the best one: its multipliers wait until they are asked for
+            return
+        candidate = finished(claim, steady, proposal)
         if candidate is None:
             return
         found.append(candidate)
@@ -46,6 +63,7 @@ def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> I
         attempt(Start(far * cruise / claim.gains["k1"], 0.46 * wide, share, floor, growth))
         if len(found) >= max(attempts // 3, 1):
             break
+    refining = True
     for _ in range(attempts - len(found)):
         if best is None:
             break
@@ -66,7 +84,14 @@ def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> I
             fine = synthesise(claim, steady, replace(best[1], floor=best[1].floor / share), shells=_FINE, rounds=4)
             if fine is not None and fine.offset > 0.95 * best[0]:
                 yield fine
-    yield from sorted(found, key=lambda one: -one.offset)[:5]
+    yield from islice(_largest(claim, steady, [*found, *passed_over]), 5)
+
+
+def _largest(claim: RegionClaim, steady: Steady, found: list[Candidate | Proposal]) -> Iterator[Candidate]:
+    for one in sorted(found, key=lambda one: -one.offset):
+        candidate = finished(claim, steady, one) if isinstance(one, Proposal) else one
+        if candidate is not None:
+            yield candidate
 
 
 def _holding(claim: RegionClaim, steady: Steady) -> Iterator[Candidate]:

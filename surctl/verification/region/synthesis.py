@@ -21,13 +21,24 @@ from surctl.verification.region.loop import (
     loops,
 )
 
-__all__ = ["Candidate", "Start", "levels_of", "multipliers_of", "synthesise", "widened"]
+__all__ = [
+    "Candidate",
+    "Proposal",
+    "Start",
+    "finished",
+    "levels_of",
+    "multipliers_of",
+    "proposed",
+    "synthesise",
+    "widened",
+]
 
 Array = NDArray[np.float64]
 
 _WINDS = (1, 2, 3, 5, 6)
 _SPLIT, _TURN_SPLIT = 1 / 3, 1 / 5  # as the checker splits squares of sums
 _GROWTH = 0.4  # 1/s: most that disturbances take of the rate
+_SPREAD = 1e-3  # weight of the other entries of P beside P_yy
 _FREE = 3  # multipliers of structured w_j; those of w_5, w_6 come with P
 
 
@@ -55,6 +66,21 @@ class Candidate:
     @property
     def offset(self) -> float:
         """|y_e| [m] on V ≤ 1 with every other deviation 0."""
+        return float(1 / np.sqrt(self.P[1, 1]))
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A P (n, n) and ρ that the inequalities of the first round allow; whether every shell has multipliers is open."""
+
+    P: Array
+    hold: float
+    gains: Gains
+    levels: tuple[float, ...]
+
+    @property
+    def offset(self) -> float:
+        """As that of the candidate it may become."""
         return float(1 / np.sqrt(self.P[1, 1]))
 
 
@@ -105,10 +131,14 @@ def held(claim: RegionClaim, at: Bounds, loop: Loop) -> Array:
 
 
 def lyapunov(loop: Loop, P: Array, growth: float) -> Array:
-    """[[AᵀP + PA + growth P, PB], [BᵀP, 0]]."""
-    P = P[np.ix_(loop.states, loop.states)]
+    """[[AᵀP + PA + growth P, PB], [BᵀP, 0]] (…, N, N) of P (…, n, n)."""
+    P = P[..., loop.states[:, None], loop.states]
     half, side = P @ loop.A, P @ loop.B
-    return np.block([[half + half.T + growth * P, side], [side.T, np.zeros((side.shape[1],) * 2)]])
+    size, total = len(loop.A), len(loop.A) + loop.B.shape[1]
+    whole = np.zeros((*P.shape[:-2], total, total))
+    whole[..., :size, :size] = half + half.swapaxes(-1, -2) + growth * P
+    whole[..., :size, size:], whole[..., size:, :size] = side, side.swapaxes(-1, -2)
+    return whole
 
 
 def multipliers_of(claim: RegionClaim, at: Bounds, P: Array, hold: float) -> tuple[Array, float] | None:
@@ -149,7 +179,7 @@ def shape(
             total = len(loop.A) + loop.B.shape[1]
             slopes = np.zeros((unknowns, total, total))
             rate = claim.rate + growth[k].sum()
-            slopes[:count] = [-lyapunov(loop, one, rate) for one in basis]
+            slopes[:count] = -lyapunov(loop, basis, rate)
             for j in range(_FREE):
                 slopes[count + _FREE * k + j] = -given[_WINDS[j]]
             slopes[-1] = -held(claim, at, loop)
@@ -203,20 +233,14 @@ def _pairs_of(claim: RegionClaim, gains: Gains, at: Bounds) -> list[Array]:
 
 
 def synthesise(
-    claim: RegionClaim, steady: Steady, start: Start, *, shells: int = 5, rounds: int = 3, spread: float = 1e-3
+    claim: RegionClaim, steady: Steady, start: Start, *, shells: int = 5, rounds: int = 3, spread: float = _SPREAD
 ) -> Candidate | None:
     """P, levels and multipliers that should be accepted; None where nothing was found from this start."""
-    levels = levels_of(start.floor, shells)
-    push = claim.model[0] * claim.gains["k_v"]
-    gains = Gains(start.x, start.y, start.velocity, 0.2, 0.3 * push, 0.3 * push, start.share)
+    levels, gains = levels_of(start.floor, shells), _first_gains(claim, start)
     growth = np.full((shells, 2), start.growth)
     best: Candidate | None = None
     for _ in range(rounds):
-        found = [bounds(claim, steady, gains, low, high) for low, high in pairwise(levels)]
-        known = [one for one in found if one is not None]
-        if len(known) < len(found):
-            return best
-        shaped = shape(claim, steady, gains, known, growth, spread=spread)
+        shaped = _shaped(claim, steady, gains, levels, growth, spread)
         if shaped is None:
             return best
         candidate, fitted, told = _finished(claim, steady, *shaped, gains, levels)
@@ -230,6 +254,33 @@ def synthesise(
         if told is not None:
             growth = told
     return best
+
+
+def proposed(claim: RegionClaim, steady: Steady, start: Start, *, shells: int) -> Proposal | None:
+    """The first half of one round of `synthesise`: how far it would reach is known, at a third of the cost."""
+    levels, gains = levels_of(start.floor, shells), _first_gains(claim, start)
+    shaped = _shaped(claim, steady, gains, levels, np.full((shells, 2), start.growth), _SPREAD)
+    return None if shaped is None else Proposal(*shaped, gains, levels)
+
+
+def finished(claim: RegionClaim, steady: Steady, proposal: Proposal) -> Candidate | None:
+    """The second half: the candidate, if every shell has multipliers."""
+    return _finished(claim, steady, proposal.P, proposal.hold, proposal.gains, proposal.levels)[0]
+
+
+def _first_gains(claim: RegionClaim, start: Start) -> Gains:
+    push = claim.model[0] * claim.gains["k_v"]
+    return Gains(start.x, start.y, start.velocity, 0.2, 0.3 * push, 0.3 * push, start.share)
+
+
+def _shaped(
+    claim: RegionClaim, steady: Steady, gains: Gains, levels: tuple[float, ...], growth: Array, spread: float
+) -> tuple[Array, float] | None:
+    found = [bounds(claim, steady, gains, low, high) for low, high in pairwise(levels)]
+    known = [one for one in found if one is not None]
+    if len(known) < len(found):
+        return None
+    return shape(claim, steady, gains, known, growth, spread=spread)
 
 
 def widened(claim: RegionClaim, steady: Steady, P: Array, levels: tuple[float, ...]) -> Candidate | None:

@@ -6,6 +6,7 @@ from surctl.errors import InputError
 from surctl.vehicle import load_vehicle
 from surctl.verification import Cascade, build_cascade, closed_loop_poles
 from surctl.verification.linear import (
+    Corners,
     corners,
     largest_period,
     linear_side,
@@ -86,6 +87,17 @@ def test_the_sides_of_corners_are_the_least_of_each() -> None:
     assert worst.sampled.largest_period_s[1] == min(s.sampled.largest_period_s[1] for s in sides)
     assert worst.stable and "±20%" in worst.lines()[0]
     assert sides[0].slowest_per_s == pytest.approx(closed_loop_poles(VEHICLE, GAINS, dt=0.05, **ABOUT)[0].real)
+
+
+def test_corners_with_and_without_lag_are_tried_together() -> None:
+    instant = VEHICLE.with_values({"thrust_lag": 0.0})
+    tried = Corners((VEHICLE, instant, instant.with_values({"m11": 120.0})), "these")
+    sides = [linear_side(v, GAINS, dt=0.05, model=VEHICLE, **ABOUT) for v in tried.vehicles]
+    worst = worst_linear_side(tried, GAINS, dt=0.05, **ABOUT)
+    assert worst.slowest_per_s == pytest.approx(max(s.slowest_per_s for s in sides), rel=1e-9)
+    assert worst.sampled.radius == pytest.approx(max(s.sampled.radius for s in sides), rel=1e-9)
+    for k, disk in enumerate(worst.disks):
+        assert disk.guaranteed == pytest.approx(min(s.disks[k].guaranteed for s in sides), rel=2e-3)
 
 
 def test_masses_of_surge_and_sway_that_differ_may_turn_it_broadside() -> None:

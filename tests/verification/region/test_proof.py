@@ -1,3 +1,4 @@
+import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -42,6 +43,23 @@ def test_a_region_is_proved_and_its_certificate_stands_alone(tmp_path: Path) -> 
     assert found.accepted and json.loads((tmp_path / "c.json").read_text()) == proof.certificate()
     assert proof.to_dict()["certificate"]["claim"]["motion"]["rate_per_s"] == 0.05
     assert f"{proof.offset:.3g} m" in proof.sentence
+
+
+def test_a_stored_search_is_only_a_proposal_that_is_checked_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SURCTL_CACHE", str(tmp_path))
+    first = prove_region(claimed(), attempts=1)
+    monkeypatch.setattr("surctl.verification.region.proof.search", None)  # from here on nothing is searched
+    again = prove_region(claimed(name="another"), attempts=1)
+    assert first.verdict == again.verdict == "proved" and again.ratios == first.ratios
+    assert again.certificate()["claim"] == first.certificate()["claim"]
+    [entry] = tmp_path.glob("*.region")
+    found = json.loads(entry.read_bytes()[32:])
+    body = json.dumps(found | {"offset": 1.1 * found["offset"]}).encode()
+    entry.write_bytes(hashlib.sha256(body).digest() + body)
+    forged = prove_region(claimed(), attempts=1)
+    assert forged.verdict == "unknown" and "is not in the region" in forged.reason and not forged.certificate()
 
 
 def test_what_cannot_be_is_unknown_and_says_so() -> None:
