@@ -43,6 +43,7 @@ def claims_section(data: ReportData) -> Section:
         "share of samples that fails [%]", "time [s]",
     )  # fmt: skip
     blocks: list[Block] = [Paragraph(text), Table("Verdicts", heads, rows)]
+    blocks += [Paragraph(f"{one.claim}: {one.sentence}.") for one in data.inapplicable]
     gains = gains_argument(data.gains, data.gains_file)
     for verdict in data.verdicts:
         blocks += _claim_blocks(verdict, verify_command(verdict.claim.name, gains) or data.command)

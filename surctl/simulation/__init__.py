@@ -1,5 +1,6 @@
 """Scenarios as files, the world of a run, the reference closed loop, many loops at once, and their metrics."""
 
+from surctl.simulation.attitude import Attitude, attitude_of
 from surctl.simulation.batch import (
     ENGINES,
     BatchResult,
@@ -43,6 +44,7 @@ __all__ = [
     "SENSING",
     "STOOD",
     "STOPS",
+    "Attitude",
     "BatchResult",
     "Body",
     "Case",
@@ -69,6 +71,7 @@ __all__ = [
     "Stepper",
     "World",
     "advance",
+    "attitude_of",
     "build_world",
     "check_speeds",
     "depth_changes",

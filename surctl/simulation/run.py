@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from surctl.control import CONTACT_SLOTS, NONFINITE, Gains, Law, LawStep, build_law
 from surctl.errors import InputError, nearest
 from surctl.sensing import NoiseStream, OwnState, delayed, fault_state, faulty, true_range
+from surctl.simulation.attitude import Attitude, attitude_of
 from surctl.simulation.column import beside, column
 from surctl.simulation.depth_change import depth_changes
 from surctl.simulation.metrics import GONE, HALT, LINK_LOST, STOOD, Metrics
@@ -53,6 +54,12 @@ class Run:
         """The law's telemetry port of that name over time, (n, size)."""
         return self.record.telemetry[:, self.law.telemetry_slice(name)]
 
+    @property
+    def attitude(self) -> Attitude:
+        """Crab angle, heading error, and whether it swings like a limit cycle."""
+        record, scenario = self.record, self.scenario
+        return attitude_of(scenario.path, scenario.cruise, record.time, record.eta, record.nu)
+
     def to_dict(self) -> dict[str, Any]:
         """The run as the command line's contract has it; numbers that are not finite are left to the writer."""
         return {
@@ -68,6 +75,7 @@ class Run:
             "movers": self.law.movers,
             "seed": self.seed,
             **asdict(self.metrics),
+            "attitude": self.attitude.to_dict(),
             "paper_time_s": self.scenario.paper.time_s,
         } | ({"depth_changes": [d.to_dict() for d in depth_changes(self)]} if self.scenario.depths else {})
 
