@@ -14,7 +14,7 @@ from surctl.report.theme import AVOIDING, BAD, GOOD, INK, MUTED, ROBOT, curve, d
 from surctl.verification import LoopMargins
 from surctl.verification.linear import DiskMargin, OpenLoop, Sensitivity, disk_profile
 
-__all__ = ["plot_disk_margins", "plot_marked_bode", "plot_sensitivity"]
+__all__ = ["plot_disk_margins", "plot_marked_bode", "plot_s_and_t"]
 
 
 def plot_marked_bode(loop: LoopResponse, margins: LoopMargins) -> Figure:
@@ -108,7 +108,7 @@ def plot_disk_margins(loops: Sequence[tuple[OpenLoop, DiskMargin]], *, highest: 
     return figure
 
 
-def plot_sensitivity(curves: Sequence[Sensitivity]) -> Figure:
+def plot_s_and_t(curves: Sequence[Sensitivity]) -> Figure:
     """Largest singular values of S and T over frequency, one pair of curves a place."""
     figure = new_figure(9.6, 4.3)
     for ax, which, name in zip(figure.subplots(1, 2), ("S", "T"), ("sensitivity S", "complementary T"), strict=True):

@@ -14,7 +14,7 @@ from surctl.report.cell_plots import plot_cells, plot_open_boxes
 from surctl.report.evidence import margin_slice, plot_counterexample, plot_slice
 from surctl.report.files import save_figure
 from surctl.report.loops import loop_responses, plot_nyquist
-from surctl.report.margin_plots import plot_disk_margins, plot_marked_bode, plot_sensitivity
+from surctl.report.margin_plots import plot_disk_margins, plot_marked_bode, plot_s_and_t
 from surctl.report.region_plots import plot_region
 from surctl.vehicle import Vehicle
 from surctl.verification import Verdict, build_cascade, loop_margins
@@ -63,7 +63,7 @@ def save_margins(
     pairs = [(loop, disk_margin(loop, place)) for loop, place in zip(opened, DISK_PLACES, strict=True)]
     drawn["disk"] = plot_disk_margins(pairs, highest=np.pi / dt)
     curves = [sensitivity_of(loop, p, highest=np.pi / dt) for loop, p in zip(opened, DISK_PLACES, strict=True)]
-    drawn["sensitivity"] = plot_sensitivity(curves[:2])
+    drawn["sensitivity"] = plot_s_and_t(curves[:2])
     return [save_figure(figure, folder, ("margins", vehicle.name, name)) for name, figure in drawn.items()]
 
 

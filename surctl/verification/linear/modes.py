@@ -122,7 +122,7 @@ def slowest_mode(
         >>> from surctl.verification.linear import slowest_mode
         >>> mode = slowest_mode(load_vehicle("bluerov2-wu"), load_gains("default").values, cruise=0.47, dt=0.05)
         >>> mode.stable, mode.cause, next(iter(mode.participation))
-        (False, 'Munk moment (m22 - m11) u v', 'psi')
+        (False, 'Munk moment (m22 - m11) u v', 'v')
     """
     from scipy.linalg import eig
 
@@ -160,7 +160,7 @@ def bearable_speed(vehicle: Vehicle, gains: Mapping[str, float], *, dt: float, m
         >>> from surctl.verification.linear import bearable_speed
         >>> gains = load_gains("default").values
         >>> [round(bearable_speed(load_vehicle(name), gains, dt=0.05), 2) for name in ("sur400", "bluerov2-wu")]
-        [0.3, 0.2]
+        [0.38, 0.2]
     """
     low, high = 0.0, min(_fastest(vehicle), _HIGHEST)
     for _ in range(_ROUNDS):
