@@ -152,13 +152,15 @@ def made_of(law: Exportable, p: Vector, origin: Origin | None) -> dict[str, Any]
 def check_belonging(manifest: Mapping[str, Any], origin: Origin) -> None:
     """Raise InputError, naming what differs, unless every certificate is about the controller of the manifest."""
     read_back = read_manifest(manifest)
+    speeds = [f"--{name} {read_back.gains[name][0]:g}" for name in ("cruise", "cap") if name in read_back.gains]
+    command = " ".join(["surctl verify", *speeds, "--gains FILE --vehicle FILE"])
     for name, document in (origin.certificates or {}).items():
         found = compare(document, read_back)
         if not found.belongs:
             raise InputError(
                 f"is not about this controller: {'; '.join(found.differs)}",
                 key=name.removeprefix("certificate-"),
-                remedy="prove it for these gains and this vehicle: surctl verify --gains FILE --vehicle FILE",
+                remedy=f"prove it for these speeds, gains and this vehicle: {command}",
             )
 
 
