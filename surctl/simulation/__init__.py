@@ -1,5 +1,6 @@
 """Scenarios as files, the world of a run, the reference closed loop, many loops at once, and their metrics."""
 
+from surctl.simulation.attitude import Attitude, attitude_of
 from surctl.simulation.batch import (
     ENGINES,
     BatchResult,
@@ -25,10 +26,11 @@ from surctl.simulation.paper_figure import PaperFigure
 from surctl.simulation.priority_timeline import PriorityTimeline, priority_timeline
 from surctl.simulation.record import Record
 from surctl.simulation.record_file import RECORD_FORMATS, RecordFormat, record_columns, save_record
-from surctl.simulation.run import SENSING, Run, Sensing, Stepper, advance, simulate
+from surctl.simulation.run import SENSING, Run, Sensing, Stepper, simulate
 from surctl.simulation.safety import SafetyClaim, safety_claim
 from surctl.simulation.scenario import LIBRARY, Scenario, load_scenario
 from surctl.simulation.sensors import Sensors
+from surctl.simulation.stepping import advance
 from surctl.simulation.world import Body, World, build_world
 
 __all__ = [
@@ -43,6 +45,7 @@ __all__ = [
     "SENSING",
     "STOOD",
     "STOPS",
+    "Attitude",
     "BatchResult",
     "Body",
     "Case",
@@ -69,6 +72,7 @@ __all__ = [
     "Stepper",
     "World",
     "advance",
+    "attitude_of",
     "build_world",
     "check_speeds",
     "depth_changes",

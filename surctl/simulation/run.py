@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cache
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control import CONTACT_SLOTS, NONFINITE, Gains, Law, LawStep, build_law
 from surctl.errors import InputError, nearest
-from surctl.ir import on_vectors
 from surctl.sensing import NoiseStream, OwnState, delayed, fault_state, faulty, true_range
+from surctl.simulation.attitude import Attitude, attitude_of
 from surctl.simulation.column import beside, column
 from surctl.simulation.depth_change import depth_changes
 from surctl.simulation.metrics import GONE, HALT, LINK_LOST, STOOD, Metrics
@@ -22,19 +20,18 @@ from surctl.simulation.numbers import law_numbers
 from surctl.simulation.record import Record, measure
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.sensors import FIRING, firing_plan
+from surctl.simulation.stepping import advanced
 from surctl.simulation.world import Body, World, build_world
-from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, build_plant, plant_parameters
+from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, plant_parameters
 from surctl.world import Disc
 
-__all__ = ["SENSING", "Run", "Sensing", "Stepper", "advance", "simulate"]
+__all__ = ["SENSING", "Run", "Sensing", "Stepper", "simulate"]
 
 Sensing = Literal["sonar", "truth"]
 SENSING: tuple[Sensing, ...] = get_args(Sensing)
 
 Vector: TypeAlias = NDArray[np.float64]
 Stepper: TypeAlias = Callable[[Vector, Vector, Vector], LawStep]
-
-_RK4_STEPS = (0.010, 0.010, 0.005)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +51,14 @@ class Run:
         """The law's telemetry port of that name over time, (n, size)."""
         return self.record.telemetry[:, self.law.telemetry_slice(name)]
 
+    @property
+    def attitude(self) -> Attitude | None:
+        """Crab angle, heading error, limit cycle; None of a law that spins to look round."""
+        if self.law.senses is not None:
+            return None
+        record, scenario = self.record, self.scenario
+        return attitude_of(scenario.follower(), scenario.cruise, record.time, record.eta, record.nu)
+
     def to_dict(self) -> dict[str, Any]:
         """The run as the command line's contract has it; numbers that are not finite are left to the writer."""
         return {
@@ -69,28 +74,9 @@ class Run:
             "movers": self.law.movers,
             "seed": self.seed,
             **asdict(self.metrics),
+            "attitude": None if (attitude := self.attitude) is None else attitude.to_dict(),
             "paper_time_s": self.scenario.paper.time_s,
         } | ({"depth_changes": [d.to_dict() for d in depth_changes(self)]} if self.scenario.depths else {})
-
-
-@cache
-def advance() -> ca.Function:
-    """(x, tau_command, d, p) → x after one firing interval of 25 ms: RK4 in steps of 10, 10 and 5 ms."""
-    ode = build_plant().ode
-    x, tau, d, p = (ca.SX.sym(n, ode.numel_in(i)) for i, n in enumerate(("x", "tau", "d", "p")))
-    state = x
-    for h in _RK4_STEPS:
-        k1 = ode(state, tau, d, p)
-        k2 = ode(state + h / 2 * k1, tau, d, p)
-        k3 = ode(state + h / 2 * k2, tau, d, p)
-        k4 = ode(state + h * k3, tau, d, p)
-        state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return ca.Function("advance", [x, tau, d, p], [state], {"cse": True})
-
-
-@cache
-def _advanced() -> Callable[..., list[Vector]]:
-    return on_vectors(advance())
 
 
 def simulate(
@@ -287,7 +273,7 @@ class Loop:
                     "force": self.world.force(time + k * FIRING),
                 }
             )
-            (self.state,) = _advanced()(self.state, thrust, d, self.plant)
+            (self.state,) = advanced()(self.state, thrust, d, self.plant)
             if k < half - 1:
                 between = time + (k + 1) * FIRING
                 bodies = self.world.bodies(between)
