@@ -1,6 +1,6 @@
 """What the robot feels: the sonar array, its filters, contacts, and what the base station tells."""
 
-from surctl.sensing.array import SonarArray, fire, heard, true_range
+from surctl.sensing.array import SonarArray
 from surctl.sensing.base_station import BaseStation, OwnState
 from surctl.sensing.calibration import OUTLIER_RULE, Calibration, Estimate, calibrate
 from surctl.sensing.calibration_file import (
@@ -29,6 +29,7 @@ from surctl.sensing.faults import (
     faulty,
 )
 from surctl.sensing.filters import FilterUpdate, LmsStep, SensorFilter, gate, lms_step, weighted_average
+from surctl.sensing.firing import fire, heard, true_range
 from surctl.sensing.local_map import LocalMap
 from surctl.sensing.local_map_numbers import map_step, map_view
 from surctl.sensing.movers import Movers, MoverTracker, mover_step
