@@ -1,7 +1,7 @@
 """From what the sensors say to what the decision is told: a step of its own, with its own state.
 
 Own state from late fixes, moving obstacles from late messages, the range of every sonar with its bound, and the map of
-`sensing.local_map`, whose nearest marks become contacts beside those of the base station. What walls or known obstacles
+`sensing.mapping`, whose nearest marks become contacts beside those of the base station. What walls or known obstacles
 explain is not marked; every contact is as large as the doubt about it.
 """
 
@@ -19,7 +19,7 @@ from surctl.control.ports import PARAMETERS, SECTORS
 from surctl.errors import InputError
 from surctl.ir import Block, Call, Layout, Port, Program, Recording, Routine, each, lower, without_libm
 from surctl.sensing import Equipment, LocalMap, MoverTracker, OwnStateFilter, RangeTracker
-from surctl.sensing.local_map import READING, RING
+from surctl.sensing.mapping.local_map import READING, RING
 from surctl.vehicle import planar_rotation
 
 __all__ = ["CELLS_A_HULL", "LAST_THRUST", "SENSES", "Senses", "build_senses"]

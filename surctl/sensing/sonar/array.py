@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from math import cos, isfinite, pi, sin
 
 from surctl.errors import InputError
-from surctl.sensing.mounting import inside_hull, open_cones
-from surctl.sensing.sound import Medium, speed_of_sound
+from surctl.sensing.sonar.mounting import inside_hull, open_cones
+from surctl.sensing.sonar.sound import Medium, speed_of_sound
 from surctl.world import Vector2
 
 __all__ = ["SonarArray"]

@@ -15,7 +15,7 @@ import casadi as ca
 
 from surctl.errors import InputError, nearest
 from surctl.ir import Port
-from surctl.sensing.array import SonarArray
+from surctl.sensing.sonar.array import SonarArray
 
 __all__ = ["FilterUpdate", "LmsStep", "SensorFilter", "StepRule", "gate", "lms_step", "weighted_average"]
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.sensing.filters import ERROR_FLOOR, POWER_FLOOR, SensorFilter, StepRule
+from surctl.sensing.ranging.filters import ERROR_FLOOR, POWER_FLOOR, SensorFilter, StepRule
 
 __all__ = ["PlainLmsStep", "PlainUpdate", "plain_average", "plain_filter", "plain_gate", "plain_lms_step"]
 

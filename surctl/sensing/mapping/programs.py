@@ -15,7 +15,7 @@ from math import cos, pi, sin
 import casadi as ca
 
 from surctl.ir import Program, lower
-from surctl.sensing.local_map_firing import (
+from surctl.sensing.mapping.firing import (
     BLIND,
     LIMITS,
     READING_SIZE,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.sensing.array import SonarArray
+from surctl.sensing.sonar.array import SonarArray
 from surctl.world import Shape, Vector2, nearest_echo
 
 __all__ = ["fire", "heard", "true_range"]
