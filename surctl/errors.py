@@ -4,6 +4,7 @@
 
     SurctlError                 whatever this package raises on purpose
     ├── InputError              a user's mistake: file, key, value, remedy; the CLI exits with status 2
+    │   ├── NotApplicable       a claim that is about other vehicles, speeds or gains than those at hand
     │   ├── ToolMissing         an outside program (compiler, ...) that the job needs is not there
     │   └── UnsupportedOperation  an operation that the instruction list does not carry
     ├── SolverError             a solver broke its contract (never raised for an infeasible problem)
@@ -17,6 +18,7 @@ from collections.abc import Iterable
 
 __all__ = [
     "InputError",
+    "NotApplicable",
     "SelfTestError",
     "SolverError",
     "SurctlError",
@@ -68,6 +70,24 @@ class InputError(SurctlError):
     def inside(self, file: object, key: str | None = None) -> InputError:
         """The same mistake, told with the file (and key) in which it was made."""
         return InputError(self.problem, file=file, key=key or self.key, value=self.value, remedy=self.remedy)
+
+
+class NotApplicable(InputError):
+    """A claim assumes what the case at hand violates: no mistake of the user's, and no verdict on the claim.
+
+    Args:
+        because: the violated assumption with its numbers: "m11 = 50 kg and m22 = 60 kg differ and …".
+        to: what the claim does not apply to.
+        key: name of the claim, if known.
+    """
+
+    def __init__(self, because: str, *, to: str = "this vehicle", key: str | None = None) -> None:
+        self.because, self.to = because, to
+        super().__init__(f"not applicable to {to}, because {because}", key=key)
+
+    def inside(self, file: object, key: str | None = None) -> NotApplicable:
+        """The same, told with the file that holds the claim."""
+        return NotApplicable(self.because, to=self.to, key=key or str(file))
 
 
 class ToolMissing(InputError):

@@ -1,4 +1,4 @@
-"""A recorded CSV file: a header, then rows; every mistake is told with its file and line."""
+"""A recording: a CSV file with a header and rows, a .mat or netCDF file; each mistake is told with file and line."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
+from surctl.recorded_arrays import ARRAY_FILES, read_arrays
 
 __all__ = ["Recorded", "read_recorded", "shown"]
 
@@ -106,6 +107,8 @@ def shown(path: object) -> str:
 def read_recorded(path: Path) -> Recorded:
     """Read a comma-separated file with a header; blank lines, and lines with # above the header, are left out.
 
+    A file that ends in .mat or .nc gives its vectors as columns (see `recorded_arrays`), their place as lines.
+
     Raises:
         InputError: no such file, not UTF-8 text, no header, no rows, a row of another length, a column twice.
 
@@ -117,6 +120,11 @@ def read_recorded(path: Path) -> Recorded:
         >>> log.columns, log.about
         ({'t_s': ['0', '0.1'], 'x_m': ['1.5', '1.6']}, ('frame=ned',))
     """
+    if path.suffix.lower() in ARRAY_FILES:
+        arrays, frame = read_arrays(path, name=shown(path))
+        cells = {key: [repr(value) for value in vector.tolist()] for key, vector in arrays.items()}
+        count = len(next(iter(cells.values())))
+        return Recorded(path=path, columns=cells, lines=np.arange(1, count + 1), about=(frame,) if frame else ())
     about, text = _comments(_text(path))
     skipped = len(about)
     _check_separator(f"{shown(path)}:{skipped + 1}", text)

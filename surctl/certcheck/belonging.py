@@ -86,7 +86,7 @@ class _Comparison:
         self.excludes += [_KINEMATIC, _ROUNDING.format(self.manifest.real)]
         wanted = self.manifest.claims.get(name)
         if wanted is None:
-            self.differs.append(f"claim {name!r} is about no part of the exported law that its manifest names")
+            self.differs.append(f"claim {name!r} does not concern the exported law, so it is not bound to the bundle")
         elif wanted != stated_sha256(self.claim):
             self.differs.append(f"claim {name!r} for the bundle's gains, vehicle and cruise is another one")
         elif name.startswith("braking-"):

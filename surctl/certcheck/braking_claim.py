@@ -21,9 +21,9 @@ ASSUMES = (
     "that did not brake; meanwhile the hull turns no faster than stated and nothing is asked across",
     "range and own speed are known with the age and the errors stated; a decision holds for one period",
     "own speed is at most fastest_m_per_s; across the direction, flown or asked for, at most sideways_m_per_s",
-    "law: it is told that what it meets comes on as fast as stated; a velocity exists that keeps every bound, and "
-    "only its own loop stands between it and the thrust: no axis is clipped in favour of another, and the retreat is "
-    "not cut as that from a sonar's mark is",
+    "law: it is told that obstacles approach as fast as stated; the velocity bounds are consistent; no thruster "
+    "saturates, so that no axis is scaled in favour of another; the retreat speed is not reduced, as it is from a "
+    "sonar's mark",
     "at the start the clearance is at least the braking way",
 )
 """What the claim rests on, word for word."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from surctl.cli.output import progress
+from surctl.cli.output import progress, refusal_line
 
 __all__ = ["Braking", "is_braking", "prove_all"]
 
@@ -27,21 +27,30 @@ def is_braking(name: str) -> bool:
     return name.startswith(_KINDS)
 
 
-def prove_all(names: Sequence[str], *, vehicle: str, gains: str, out: Path | None = None) -> Braking:
-    """Prove braking claims by name, for a vehicle and a gain file; the certificates go to `out` as NAME.json.
+def prove_all(names: Sequence[str], *, vehicle: str, gains: str, cap: float, out: Path | None = None) -> Braking:
+    """Prove braking claims by name, for a vehicle, a gain file and the cap on its speed [m/s].
+
+    The certificates go to `out` as NAME.json.
 
     Raises:
-        InputError: an unknown claim, vehicle or gain file, or a vehicle that the claim does not fit.
+        InputError: an unknown claim, vehicle or gain file; before anything is proved.
     """
     if not names:
         return Braking([], [], [], True)
     from surctl.control import load_gains
+    from surctl.errors import NotApplicable
     from surctl.vehicle import load_vehicle
+    from surctl.verification import Inapplicable
     from surctl.verification.braking import braking_claim_named, prove_braking
 
     flown, values = load_vehicle(vehicle), load_gains(gains)
-    proofs, files = [], []
-    for claim in [braking_claim_named(name, flown, values) for name in names]:
+    proofs, files, claims, refused = [], [], [], []
+    for name in names:
+        try:
+            claims.append(braking_claim_named(name, flown, values, cap=cap))
+        except NotApplicable as reason:
+            refused.append(Inapplicable.of(name, reason))
+    for claim in claims:
         progress(claim.name)
         proof = prove_braking(claim)
         proofs.append(proof)
@@ -50,4 +59,6 @@ def prove_all(names: Sequence[str], *, vehicle: str, gains: str, out: Path | Non
             files.append(out / f"{claim.name}.json")
             proof.write(files[-1])
     lines = [f"{'ok  ' if p.verdict == 'proved' else 'FAIL'} {p.claim.name:<22} {p.sentence}" for p in proofs]
-    return Braking([p.to_dict() for p in proofs], lines, files, all(p.verdict == "proved" for p in proofs))
+    lines += [refusal_line(one) for one in refused]
+    told = [*(p.to_dict() for p in proofs), *(one.to_dict() for one in refused)]
+    return Braking(told, lines, files, not refused and all(p.verdict == "proved" for p in proofs))

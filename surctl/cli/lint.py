@@ -5,10 +5,14 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from surctl.cli.output import as_json, finish
+
+if TYPE_CHECKING:
+    from surctl.simulation import Finding
 
 __all__ = ["lint"]
 
@@ -21,6 +25,23 @@ _NEXT = {
     "scenario": ("simulate {}",),
     "study": ("study {}", "tune {}"),
 }
+
+
+def _file_findings(loaded: object) -> list[Finding]:
+    """What a vehicle or a region claim says that cannot work."""
+    from surctl.simulation import Finding
+    from surctl.vehicle import Vehicle
+    from surctl.verification.region import RegionStatement
+
+    if isinstance(loaded, Vehicle) and set(loaded.name) & set("/\\"):
+        text = f"{loaded.name!r} cannot be part of a file name: leave / and \\ out"
+        return [Finding("error", "name", text)]
+    if isinstance(loaded, RegionStatement) and loaded.loop == "cruise":
+        cruise, cap = loaded.cruise_m_per_s, loaded.cap_m_per_s
+        if cruise >= cap:
+            text = f"the cruise speed of {cruise:g} m/s is not below the cap of {cap:g} m/s"
+            return [Finding("error", "cruise_m_per_s", text)]
+    return []
 
 
 @click.command
@@ -59,7 +80,7 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
         for leg in load_plan(path).legs:
             found += findings(leg.scenario, leg.vehicle)
     elif kind in plain:
-        plain[kind](path)
+        found = _file_findings(plain[kind](path))
     else:
         known = ", ".join(f'"{name}"' for name in sorted([*plain, "scenario"]))
         remedy = f'write kind = {known} or "study"'

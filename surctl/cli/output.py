@@ -9,20 +9,27 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from surctl.cli.streams import is_utf8
 
+if TYPE_CHECKING:
+    from surctl.simulation import Scenario
+    from surctl.vehicle import Vehicle
+    from surctl.verification import Inapplicable
+
 __all__ = [
     "Stopped",
     "as_json",
+    "at_hand",
     "finish",
     "finite",
     "out_folder",
     "printable",
     "progress",
+    "refusal_line",
     "same_command",
     "stoppable",
     "together",
@@ -96,6 +103,23 @@ def stoppable(kept: str, lines: Sequence[str] = (), *, as_json: bool = False) ->
             sys.stdout.write("\n".join(lines) + "\n")
             sys.stdout.flush()
         raise Stopped(kept) from None
+
+
+def at_hand(scenario: Scenario, vehicle: Vehicle, gains: str) -> list[str]:
+    """The options by which a next command is about the same mission, vehicle and gain file."""
+    from surctl.simulation import LIBRARY as SCENARIOS
+    from surctl.vehicle import LIBRARY as VEHICLES
+
+    def word(source: str, library: Path) -> str:
+        return Path(source).stem if Path(source).parent == library else source
+
+    mission, robot = word(scenario.source, SCENARIOS) or scenario.name, word(vehicle.source, VEHICLES) or vehicle.name
+    return ["--scenario", mission, "--vehicle", robot, "--gains", gains]
+
+
+def refusal_line(refused: Inapplicable) -> str:
+    """A claim that is not about the case at hand, in one line."""
+    return f"n/a  {refused.claim:<22} {refused.sentence}"
 
 
 def same_command() -> str:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from surctl.cli.output import progress
+from surctl.cli.output import progress, refusal_line
 
 if TYPE_CHECKING:
     from surctl.verification.region import RegionStatement
@@ -47,33 +47,57 @@ def region_of(word: str) -> RegionStatement:
     return load_region(Path(word)) if word.endswith(".toml") else region_statement(word)
 
 
-def prove_regions(words: Sequence[str], *, vehicle: str, gains: str, seed: int = 0, out: Path | None = None) -> Regions:
+def prove_regions(
+    words: Sequence[str],
+    *,
+    vehicle: str,
+    gains: str,
+    speeds: tuple[float, float],
+    seed: int = 0,
+    out: Path | None = None,
+) -> Regions:
     """Prove region claims by name or file, for a vehicle and a gain file; the certificates go to `out` as NAME.json.
 
+    Args:
+        words: names and files.
+        vehicle, gains: names or files.
+        speeds: cruise speed and cap [m/s], for claims that do not name their own.
+        seed: of the search.
+        out: folder of the certificates.
+
     Raises:
-        InputError: an unknown claim, vehicle or gain file, or a vehicle that the claim does not fit.
+        InputError: an unknown claim, vehicle or gain file; before anything is proved.
     """
     from surctl.control import load_gains
-    from surctl.errors import InputError
+    from surctl.errors import InputError, NotApplicable
     from surctl.vehicle import load_vehicle
+    from surctl.verification import Inapplicable
     from surctl.verification.region import prove_statement
 
     flown, values = load_vehicle(vehicle), load_gains(gains)
     stated = {word: region_of(word) for word in words}
-    for word, statement in stated.items():  # what does not fit is said before anything is proved
+    refused: dict[str, Inapplicable] = {}
+    cruise, cap = speeds
+    for word, statement in stated.items():  # what is wrong is said before anything is proved
         try:
-            statement.claim(flown, values)
+            statement.claim(flown, values, cruise=cruise, cap=cap)
+        except NotApplicable as reason:
+            refused[word] = Inapplicable.of(statement.name, reason)
         except InputError as error:
             raise (error.inside(word) if word.endswith(".toml") and not error.file else error) from None
     proofs, files = [], []
-    for statement in stated.values():
+    for word, statement in stated.items():
+        if word in refused:
+            continue
         name = statement.name
         progress(name)
-        proof = prove_statement(statement, flown, values, seed=seed)
+        proof = prove_statement(statement, flown, values, seed=seed, cruise=cruise, cap=cap)
         proofs.append(proof)
         if out is not None and proof.verdict == "proved":
             out.mkdir(parents=True, exist_ok=True)
             files.append(out / f"{name}.json")
             proof.write(files[-1])
     lines = [f"{'ok  ' if p.verdict == 'proved' else 'FAIL'} {p.claim.name:<22} {p.sentence}" for p in proofs]
-    return Regions([p.to_dict() for p in proofs], lines, files, all(p.verdict == "proved" for p in proofs))
+    lines += [refusal_line(one) for one in refused.values()]
+    told = [*(p.to_dict() for p in proofs), *(one.to_dict() for one in refused.values())]
+    return Regions(told, lines, files, not refused and all(p.verdict == "proved" for p in proofs))

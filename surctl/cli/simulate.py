@@ -13,7 +13,7 @@ from surctl.cli.controller_options import ControllerOptions, controller_options
 from surctl.cli.output import as_json, finish, out_folder, progress, stoppable
 from surctl.cli.priority_options import priority_options
 from surctl.cli.sensor_options import SensorOptions, sensor_options, sensors_told
-from surctl.cli.single_run import explained_and_drawn, run_line
+from surctl.cli.single_run import explained_and_drawn, linear_part, run_line
 
 __all__ = ["simulate"]
 
@@ -167,6 +167,7 @@ def simulate(
                     lines.append(run_line(run))
                     if as_json:
                         progress(lines[-1])
+                    lines += linear_part(run, results[-1])
                     if run.metrics.stopped_because in ("halted", "dead end"):
                         results[-1]["halted_because"] = halt_reason(run)
                         lines.append(f"  {run.metrics.stopped_because}: {results[-1]['halted_because']}")

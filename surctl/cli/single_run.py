@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from surctl.simulation import Run
 
-__all__ = ["explained_and_drawn", "run_line"]
+__all__ = ["explained_and_drawn", "linear_part", "run_line"]
 
 
 def run_line(run: Run) -> str:
@@ -20,6 +20,31 @@ def run_line(run: Run) -> str:
         f"{run.scenario.name} by {run.vehicle.name}, {run.sensing}, seed {run.seed}: {m.stopped_because} at "
         f"{m.time_s:.2f} s, least clearance {m.min_clearance_m:.3f} m, path error {m.path_error_m:.3f} m{missed}"
     )
+
+
+def linear_part(run: Run, result: dict[str, Any]) -> list[str]:
+    """What the linear loop at the cruise speed says of a run, beside how it ended; a line where it is unstable."""
+    from surctl.errors import InputError
+    from surctl.verification.cascade import build_cascade, has_cascade
+    from surctl.verification.linear import slowest_mode
+
+    cruise, dt, gains = run.scenario.cruise, run.law.dt, run.gains.values
+    result["linear"] = None
+    if not has_cascade(run.law.name.removeprefix("surctl_"), run.law.guidance):
+        return []
+    try:
+        stable = build_cascade(run.vehicle, gains, cruise=cruise, dt=dt).stable
+    except InputError:  # the thrust does not hold that speed, which lint says
+        return []
+    result["linear"] = {"cruise_m_per_s": cruise, "stable": stable}
+    if stable:
+        return []
+    mode = slowest_mode(run.vehicle, gains, cruise=cruise, dt=dt)
+    result["linear"]["mode"] = mode.to_dict()
+    attitude = run.attitude
+    crab = "" if attitude is None else f", mean crab angle {attitude.crab_angle_deg:.0f} deg"
+    head = f"  the linear loop at this speed is unstable{crab}:"
+    return [head, *(f"    {line.strip()}" for line in mode.lines())]
 
 
 def explained_and_drawn(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from surctl.cli.output import as_json, finish, progress, same_command, stoppable
+from surctl.cli.output import as_json, at_hand, finish, progress, refusal_line, same_command, stoppable
 from surctl.cli.verify import claim_line
 
 __all__ = ["study"]
@@ -38,13 +38,13 @@ def study(file: str | None, out: Path, workers: int, as_json: bool) -> None:
     for m in result.margins:
         numbers = f"{m.gain_margin:5.2f} {m.phase_margin_deg:6.1f}° {m.delay_margin_s:6.2f}s {m.disk_margin:6.2f}"
         lines.append(f"{m.name:<12} {numbers}")
-    lines += ["", *(claim_line(v) for v in result.verdicts)]
+    lines += ["", *(claim_line(v) for v in result.verdicts), *(refusal_line(v) for v in result.inapplicable)]
     lines += ["", f"gains  {result.gain_file}", f"code   {out / 'export'}", f"report {result.report}"]
     then = [
         shlex.join(words)
         for words in (
             ["surctl", "tune", *([file] if file else [])],
-            ["surctl", "verify", "--gains", str(result.gain_file)],
+            ["surctl", "verify", *at_hand(plan.deciding[0].scenario, plan.vehicle, str(result.gain_file))],
         )
     ]
     finish(result.to_dict(), lines, as_json=as_json, passed=result.passed, then=then)

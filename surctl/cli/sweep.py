@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.output import as_json, finish, progress, same_command, stoppable
+from surctl.cli.output import as_json, at_hand, finish, progress, same_command, stoppable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -145,7 +145,7 @@ def sweep(
     where = "No point is feasible, so no gain file was written." if picked is None else table.gains.provenance
     lines += ["", where, *([] if gains_path is None else [f"gains {gains_path}"]), f"table {table.path}"]
     lines += [f"plot  {picture}" for picture in pictures]
-    about = shlex.join([*(("--vehicle", vehicles[0]) if vehicles else ()), "--gains", str(gains_path)])
+    about = shlex.join(at_hand(cases[0].scenario, cases[0].vehicle, str(gains_path)))
     then = [f"surctl verify {about}"] if picked is not None else []
     data = {
         "axes": {axis.name: axis.values.tolist() for axis in table.axes},

@@ -6,10 +6,14 @@ import json
 import shlex
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.output import as_json, finish, finite, progress, same_command, stoppable
+from surctl.cli.output import as_json, at_hand, finish, finite, progress, same_command, stoppable
+
+if TYPE_CHECKING:
+    from surctl.vehicle import Vehicle
 
 __all__ = ["tune"]
 
@@ -127,16 +131,30 @@ def tune(
     pictures = save_tuning(tuning, out)
     lines = [*summary(tuning), "", f"gains {gains_path}", f"all   {everything}"]
     lines += [f"plot  {path}" for path in pictures]
-    about = shlex.join([*(("--vehicle", vehicles[0]) if vehicles else ()), "--gains", str(gains_path)])
+    mission, robot = flown[0]
+    about = shlex.join(at_hand(mission, robot, str(gains_path)))
+    law = shlex.join(["--law", plan.law, "--guidance", kind["guidance"]])
     then = [
-        f"surctl verify region-cruise-20 {about} --out {shlex.quote(str(out / 'proofs'))}",
-        f"surctl export {about}",
+        f"surctl verify {_region(robot)}{about} --out {shlex.quote(str(out / 'proofs'))}",
+        f"surctl export {about} {law}",
     ]
     if not tuning.kept:
         again = shlex.join([*sys.argv[1:], "--trials", str(2 * trials), "--rounds", str(rounds + 2)])
         then = [f"surctl {again}"]
         lines.append("not met: search longer, or relax a goal")
     finish(result, lines, as_json=as_json, passed=tuning.kept, then=then)
+
+
+def _region(vehicle: Vehicle) -> str:
+    """The region claim that is worth trying next, where it applies to the vehicle."""
+    from surctl.errors import NotApplicable
+    from surctl.verification.assumptions import check_alike
+
+    try:
+        check_alike(vehicle)
+    except NotApplicable:
+        return ""
+    return "region-cruise-20 "
 
 
 def _gain(text: str) -> tuple[str, tuple[float, float] | None]:

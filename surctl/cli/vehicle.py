@@ -115,12 +115,12 @@ def from_geometry(
 @_over
 @as_json
 def from_log(log: Path, start: str, frame: str | None, name: str, out: Path | None, force: bool, as_json: bool) -> None:
-    """Fit masses, drag and thrust lag to a CSV of motion and thrust, with 95 % intervals.
+    """Fit masses, drag and thrust lag to a recording of motion and thrust (CSV, .mat, .nc), with 95 % intervals.
 
     Columns t_s, Fu_N, Fv_N, Fw_N, Fr_N_m (commands, held from row to row), and of x_m, y_m, z_m, psi_rad, u_m_per_s,
     v_m_per_s, w_m_per_s, r_rad_per_s those that were measured: x forward, y left, z up, or with --frame ned x north,
     y east, z down, v to the right, w down. What the log cannot tell keeps the number of --start, and the file says so.
-    Runs can be written as such logs: surctl simulate --save csv.
+    Runs can be written as such logs: surctl simulate --save csv, mat or nc.
 
     Example: surctl vehicle from-log trial.csv --start my-vehicle.toml --name fitted
     """

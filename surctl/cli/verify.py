@@ -5,18 +5,20 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from surctl.cli.barrier_options import barrier_options
-from surctl.cli.output import as_json, finish, progress, same_command, stoppable
+from surctl.cli.output import as_json, finish, progress, refusal_line, same_command, stoppable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from surctl.control import Law
+    from surctl.errors import NotApplicable
     from surctl.simulation import SafetyClaim
     from surctl.vehicle import Vehicle
     from surctl.verification import Claim, Verdict
@@ -25,13 +27,21 @@ if TYPE_CHECKING:
 __all__ = ["claim_line", "verify"]
 
 
+_SPEED = click.FloatRange(min=0, max=100, min_open=True)
+
+
 @click.command
 @click.argument("claims", nargs=-1, metavar="[CLAIM | FILE.toml]...")
-@click.option("--vehicle", default="sur540-flooded", help="Vehicle of the margins: name or file.")
+@click.option("--vehicle", default="sur540-flooded", help="Vehicle of claims and margins: name or file.")
 @click.option("--gains", default="default", help="Gain file: name or path.")
 @click.option("--uncertainty", type=float, default=0.0, help="Share by which mass and drag may be off, e.g. 0.2.")
-@click.option("--cruise", type=float, default=0.20, help="Speed in m/s about which the margins are taken.")
-@click.option("--scenario", help="Tell the safety claim of the guarded law in this scenario too: name or file.")
+@click.option(
+    "--cruise", type=_SPEED, help="Cruise speed in m/s of claims and margins; default the scenario's, else 0.15."
+)
+@click.option(
+    "--cap", type=_SPEED, help="Largest commanded speed in m/s of the claims; default the scenario's, else 0.22."
+)
+@click.option("--scenario", help="Speeds of this scenario, and its safety claim of the guarded law too: name or file.")
 @click.option("--stack", "stacks", multiple=True, help="Tell how the tasks of a law's stack lie: guarded or paper.")
 @barrier_options
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of the falsifier.")
@@ -49,7 +59,8 @@ def verify(
     vehicle: str,
     gains: str,
     uncertainty: float,
-    cruise: float,
+    cruise: float | None,
+    cap: float | None,
     scenario: str | None,
     stacks: tuple[str, ...],
     barrier: str,
@@ -62,38 +73,43 @@ def verify(
 ) -> None:
     """Prove or refute the paper's claims, printed and corrected, or your own, and print the loop margins.
 
-    A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample) or unknown
-    (with what is left open). The paper's claims are about the kinematic loop; the vehicle enters the margins and the
-    claims about braking at the worst of its ranges. With --scenario, the safety claim: what the law's barrier
+    A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown (with
+    what is left open), or not applicable: it assumes what this vehicle or these gains violate. The paper's claims are
+    about the kinematic loop at the cruise speed and the cap; the vehicle enters the margins and the claims about
+    braking at the worst of its ranges. With --scenario, the safety claim: what the law's barrier
     guarantees there, with every assumption as a number (--uncertainty then takes the place of the vehicle's ranges).
     With --stack, which tasks of a law are orthogonal, independent or dependent, and which converge; it tells, and does
     not decide the exit status. Your own stack: surctl.verification.stack.stack_conditions.
-    Beside them the linear side about straight cruise: margins of each loop and of all at once, poles, and the control
-    periods and delays that the sampled loop bears, for the vehicle and for the worst of --uncertainty, else of its
-    ranges. Region claims are about the whole loop, and braking claims about what it never touches: both are proved
-    when they are named, see surctl list. A claim file is an inequality of your own (kind claim) or a region claim with
-    other numbers (kind region); --show prints those of the library to start from.
-    Exit status 0 when every verdict is the one the claim ships with.
+    Beside them the linear side about straight cruise: margins of each loop and of all at once, poles, the slowest mode
+    with the states that make it, the bearable cruise speed, and the control periods and delays that the sampled loop
+    bears, for the vehicle and for the worst of --uncertainty, else of its ranges. Region claims are about the whole
+    loop, and braking claims about what it never touches: both are proved when they are named, see surctl list. A claim
+    file is an inequality of your own (kind claim) or a region claim with other numbers (kind region); --show prints
+    those of the library to start from.
+    Exit status 0 when every verdict is the one the claim ships with; a claim that is not applicable counts if named.
     Examples: surctl verify --out proofs; surctl verify region-cruise-20; surctl verify v1-printed my-claim.toml --gains
     my-gains.toml; surctl verify region-cruise-20 --show; surctl verify braking-inertia-20 --scenario tank-static
     --uncertainty 0.2
     """
     from surctl.cli.braking import is_braking, prove_all
+    from surctl.cli.linear_part import linear_part
     from surctl.cli.regions import is_region, prove_regions, region_of
     from surctl.control import build_law, load_gains
     from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.vehicle import load_vehicle
-    from surctl.verification import settle, worst_margins, write_claim
-    from surctl.verification.linear import corners, linear_side, worst_linear_side
+    from surctl.verification import Inapplicable, settle, write_claim
     from surctl.verification.region import write_region
 
     if time_limit != time_limit:  # NaN is in every range of click's
         raise InputError("is no time", key="--time-limit", value=time_limit, remedy="give seconds, above 0")
     values = load_gains(gains).values
     flown = load_vehicle(vehicle)
+    speeds = _speeds(cruise, cap, scenario)
+    at_hand = {**values, "speed": speeds[0], "speed_max": speeds[1]}
     named = [name for name in claims if not is_region(name) and not is_braking(name)]
-    chosen = _chosen(named, values, flown) if named or not claims else []
+    chosen, left_out = _chosen(named, at_hand, flown) if named or not claims else ([], {})
+    refused = [Inapplicable.of(name, reason) for name, reason in left_out.items()]
     if show:
         texts = {claim.name: write_claim(claim) for claim in chosen}
         texts |= {word: write_region(region_of(word)) for word in claims if is_region(word)}
@@ -101,22 +117,19 @@ def verify(
         if braking is not None:
             remedy = "a braking claim is of its vehicle and law alone; leave it out"
             raise InputError("has no claim file", key="claim", value=braking, remedy=remedy)
-        finish({"claims": texts}, ["\n".join(texts.values())], as_json=as_json, passed=True)
+        lines = [*texts.values(), *(refusal_line(one) for one in refused)]
+        finish({"claims": texts}, ["\n".join(lines)], as_json=as_json, passed=not refused)
         return
     if out is not None:
         prepare_folder(out)
-    wanted = [name for name in claims if is_region(name)]
-    regions = prove_regions(wanted, vehicle=vehicle, gains=gains, seed=seed, out=out)
-    braked = prove_all([n for n in claims if is_braking(n)], vehicle=vehicle, gains=gains, out=out)
+    law = build_law()
+    linear = linear_part(flown, values, cruise=speeds[0], dt=law.dt, uncertainty=uncertainty, asked=cruise is not None)
     told = None
     if scenario is not None:
-        told = _safety(scenario, flown, gains, barrier=barrier, movers=movers, spread=uncertainty or None)
-    law = build_law()
-    dt = law.dt
-    margins = worst_margins(flown, values, uncertainty=uncertainty, cruise=cruise, dt=dt)
-    linear = linear_side(flown, values, cruise=cruise, dt=dt)
-    tried = corners(flown, uncertainty or None)
-    worst = worst_linear_side(tried, values, cruise=cruise, dt=dt)
+        told = _safety(scenario, flown, gains, speeds, barrier=barrier, movers=movers, spread=uncertainty or None)
+    wanted = [name for name in claims if is_region(name)]
+    regions = prove_regions(wanted, vehicle=vehicle, gains=gains, speeds=speeds, seed=seed, out=out)
+    braked = prove_all([n for n in claims if is_braking(n)], vehicle=vehicle, gains=gains, cap=speeds[1], out=out)
     verdicts, files, lines = [], dict[str, Path](), list[str]()
     where = "" if out is None else f", certificates in {out}"
     kept = f"what was settled is told above{where}; name the other claims: surctl verify CLAIM"
@@ -126,62 +139,87 @@ def verify(
             verdicts.append(settle(claim, seed=seed, time_limit=time_limit, progress=progress))
         files |= _write_certificates(verdicts[-1:], out)
         lines.append(claim_line(verdicts[-1]))
-    lines += [*regions.lines, *braked.lines]
-    least = min(margins, key=lambda m: m.delay_margin_s)
-    off = f" with mass and drag off by ±{uncertainty:.0%}" if uncertainty else ""
-    stable = all(m.stable for m in margins)
-    word = "stable" if stable else "UNSTABLE"
-    lines.append(f"margins of {flown.name}{off}: {word}, least delay {least.delay_margin_s:.2f} s ({least.name})")
-    lines += [*linear.lines(), *(worst.lines() if len(tried.vehicles) > 1 else [])]
+    lines += [*(refusal_line(one) for one in refused), *regions.lines, *braked.lines]
+    lines.append(f"at cruise speed {speeds[0]:g} m/s and cap {speeds[1]:g} m/s, vehicle {flown.name}:")
+    lines += linear.lines
     result: dict[str, Any] = {
-        "claims": [*(_told(v, files) for v in verdicts), *regions.claims, *braked.claims],
+        "claims": [
+            *(_told(v, files) for v in verdicts), *(one.to_dict() for one in refused), *regions.claims, *braked.claims
+        ],
         "uncertainty": uncertainty,
-        "margins": [m.to_dict() for m in margins],
-        "linear": {"nominal": linear.to_dict(), "worst": worst.to_dict()},
-    }
+        "cruise_m_per_s": speeds[0],
+        "cap_m_per_s": speeds[1],
+        **linear.told,
+    }  # fmt: skip
     for name in stacks:
         told_stack = _stack(name)
         lines += told_stack.lines()
         result.setdefault("stacks", {})[name] = told_stack.to_dict()
     certificates = [*files.values(), *regions.files, *braked.files]
     if out is not None:
-        result["pictures"] = _draw(verdicts, regions.claims, flown, values, out, cruise=cruise, dt=dt)
+        margins_at = None if linear.stable is None else speeds[0]
+        result["pictures"] = _draw(verdicts, regions.claims, flown, values, out, cruise=margins_at, dt=law.dt)
         lines.append(f"certificates: {len(certificates)}, pictures: {len(result['pictures'])}, in {out}")
-    good = stable and regions.passed and braked.passed and all(v.as_expected for v in verdicts)
+    good = linear.stable is not False and regions.passed and braked.passed
+    good = good and all(v.as_expected for v in verdicts) and not (named and refused)
     if told is not None:
         lines += told.lines()
         result["safety"] = told.to_dict()
         good = good and told.holds
     proved = any(claim["verdict"] == "proved" for claim in result["claims"])
-    travel = _travelling(certificates, law, flown, gains)
-    then = _then(gains, vehicle, certificates, travel, lost=proved and out is None)
+    then = [f"{same_command()} --out proofs"] if proved and out is None else []
+    if not then:
+        then = [shlex.join(["surctl", "check", str(file)]) for file in certificates[:1]]
+        if linear.stable:
+            then += _export(scenario, vehicle, gains, certificates, law)
     finish(result, lines, as_json=as_json, passed=good, then=then)
 
 
-def _travelling(kept: Sequence[Path], law: Law, vehicle: Vehicle, gains: str) -> list[Path]:
-    """Certificates that an export with these gains takes along: not of the paper's loop, nor of gains of their own."""
-    if not kept:
-        return []
+def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tuple[float, float]:
+    """Cruise speed and cap [m/s]: as given, else the scenario's; a cap that is not given stays above the cruise."""
+    from surctl.cli.export import MISSION
+    from surctl.errors import InputError
+    from surctl.simulation import load_scenario
+
+    mission = load_scenario(MISSION if scenario is None else scenario)
+    speed = mission.cruise if cruise is None else cruise
+    if cap is None:
+        cap = mission.cap if mission.cap >= speed else round(speed * mission.cap / mission.cruise, 9)
+    if cap < speed:
+        problem = f"must not be below the cruise speed, {speed:g} m/s"
+        raise InputError(problem, key="--cap", value=cap, remedy="raise it")
+    return speed, cap
+
+
+def _export(scenario: str | None, vehicle: str, gains: str, kept: Sequence[Path], law: Law) -> list[str]:
+    """The export that takes along what was proved; none where this vehicle cannot start the mission."""
     from surctl.cli.export import MISSION
     from surctl.control import load_gains
+    from surctl.errors import InputError
     from surctl.export import fitting_certificates
-    from surctl.simulation import law_numbers, load_scenario
+    from surctl.simulation import build_world, law_numbers, load_scenario
+    from surctl.vehicle import load_vehicle
 
-    numbers = law_numbers(load_scenario(MISSION), load_gains(gains), vehicle)
-    return fitting_certificates(kept, law, vehicle, numbers)
-
-
-def _then(gains: str, vehicle: str, kept: Sequence[Path], travel: Sequence[Path], *, lost: bool) -> list[str]:
-    """The certificates are checked, and travel with the code; without a folder they are lost."""
-    if lost:
-        return [f"{same_command()} --out proofs"]
-    export = ["surctl", "export", "--vehicle", vehicle, "--gains", gains]
-    carried = [word for file in travel for word in ("--certificate", str(file))]
-    return [*(shlex.join(["surctl", "check", str(file)]) for file in kept[:1]), shlex.join([*export, *carried])]
+    mission, flown = load_scenario(MISSION if scenario is None else scenario), load_vehicle(vehicle)
+    try:
+        build_world(mission, flown, seed=0)
+    except InputError:  # the start lies inside an obstacle
+        return []
+    travel = fitting_certificates(kept, law, flown, law_numbers(mission, load_gains(gains), flown)) if kept else []
+    words = ["surctl", "export", *(() if scenario is None else ("--scenario", scenario))]
+    words += ["--vehicle", vehicle, "--gains", gains]
+    return [shlex.join([*words, *(word for file in travel for word in ("--certificate", str(file)))])]
 
 
 def _safety(
-    scenario: str, vehicle: Vehicle, gains: str, *, barrier: str, movers: str, spread: float | None
+    scenario: str,
+    vehicle: Vehicle,
+    gains: str,
+    speeds: tuple[float, float],
+    *,
+    barrier: str,
+    movers: str,
+    spread: float | None,
 ) -> SafetyClaim:
 
     from surctl.control import BARRIER_NAMES, MOVERS, load_gains
@@ -191,7 +229,7 @@ def _safety(
     for key, value, known in (("barrier", barrier, BARRIER_NAMES), ("movers", movers, MOVERS)):
         if value not in known:
             raise InputError("is not known", key=key, value=value, remedy=nearest(value, known))
-    mission = load_scenario(scenario)
+    mission = replace(load_scenario(scenario), cruise=speeds[0], cap=speeds[1])
     sight = mission.sensors.equipment.array.maximum
     kind: dict[str, Any] = {"barrier": barrier, "movers": movers}
     values = load_gains(gains)
@@ -206,14 +244,15 @@ def _draw(
     gains: Mapping[str, float],
     out: Path,
     *,
-    cruise: float,
+    cruise: float | None,
     dt: float,
 ) -> list[str]:
     from surctl.report import save_margins, save_regions, save_verdicts
 
     progress("pictures")
     proved = {told["claim"]: told["certificate"] for told in regions if told["certificate"]}
-    drawn = [*save_margins(vehicle, gains, out, cruise=cruise, dt=dt), *save_verdicts(verdicts, out)]
+    drawn = [] if cruise is None else save_margins(vehicle, gains, out, cruise=cruise, dt=dt)
+    drawn += save_verdicts(verdicts, out)
     return [str(path) for path in [*drawn, *save_regions(proved, out)]]
 
 
@@ -224,20 +263,25 @@ def _stack(name: str) -> StackConditions:
     return stack_conditions(shipped.stack, shipped.region, parameters=shipped.parameters)
 
 
-def _chosen(words: Sequence[str], gains: Mapping[str, Any], vehicle: Vehicle) -> list[Claim]:
-    """The claims of those names and files, in this order; no words mean the whole library."""
+def _chosen(
+    words: Sequence[str], gains: Mapping[str, Any], vehicle: Vehicle
+) -> tuple[list[Claim], Mapping[str, NotApplicable]]:
+    """The claims of those names and files, in this order, and those that do not apply; no words mean the library."""
     from surctl.errors import InputError
-    from surctl.verification import claims as library
-    from surctl.verification import load_claim
+    from surctl.verification import applicable_claims, load_claim
 
     if not words:
-        return list(library(gains, vehicle=vehicle))
-    found = [load_claim(Path(w)) if w.endswith(".toml") else library(gains, [w], vehicle=vehicle)[0] for w in words]
+        every, refused = applicable_claims(gains, vehicle=vehicle)
+        return list(every), refused
+    own = {word: load_claim(Path(word)) for word in words if word.endswith(".toml")}
+    rest, refused = applicable_claims(gains, [w for w in dict.fromkeys(words) if w not in own], vehicle=vehicle)
+    known = {claim.name: claim for claim in rest}
+    found = [own[w] if w in own else known[w] for w in words if w not in refused]
     names = [claim.name for claim in found]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError("is given twice", key="claim", value=twice[0], remedy="rename one, or leave it out")
-    return found
+    return found, refused
 
 
 def _write_certificates(verdicts: Sequence[Verdict], out: Path | None) -> dict[str, Path]:

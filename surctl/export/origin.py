@@ -22,7 +22,7 @@ from surctl.errors import InputError, UnsupportedOperation
 from surctl.export.contract import Exportable
 from surctl.guidance import AvoidanceForm
 from surctl.vehicle import Vehicle
-from surctl.verification import Claim, claims
+from surctl.verification import Claim, applicable_claims
 from surctl.verification.formula import text_of
 from surctl.verification.proving import statement_of
 
@@ -159,13 +159,15 @@ def made_of(law: Exportable, p: Vector, origin: Origin | None) -> dict[str, Any]
 def check_belonging(manifest: Mapping[str, Any], origin: Origin) -> None:
     """Raise InputError, naming what differs, unless every certificate is about the controller of the manifest."""
     read_back = read_manifest(manifest)
+    speeds = [f"--{name} {read_back.gains[name][0]:g}" for name in ("cruise", "cap") if name in read_back.gains]
+    command = " ".join(["surctl verify", *speeds, "--gains FILE --vehicle FILE"])
     for name, document in (origin.certificates or {}).items():
         found = compare(document, read_back)
         if not found.belongs:
             raise InputError(
                 f"is not about this controller: {'; '.join(found.differs)}",
                 key=name.removeprefix("certificate-"),
-                remedy="prove it for these gains and this vehicle: surctl verify --gains FILE --vehicle FILE",
+                remedy=f"prove it for these speeds, gains and this vehicle: {command}",
             )
 
 
@@ -205,15 +207,14 @@ def fitting_certificates(paths: Sequence[Path], law: Law, vehicle: Vehicle, p: V
 
 
 def _claims(rows: Sequence[Mapping[str, Any]], origin: Origin) -> dict[str, str]:
-    """Hashes of the library's claims about parts of this law, for these gains, the target as fast as it is flown."""
+    """Hashes of the library's claims about parts of this law, for these gains, at the cruise speed and cap it has."""
     values = {row["name"]: row["values"][0] for row in rows if len(row["values"]) == 1}
     if "cruise" in values:
         values["speed"] = values["cruise"]
+    if "cap" in values:
+        values["speed_max"] = values["cap"]
     told: dict[str, str] = {}
-    try:
-        library = claims(values, vehicle=origin.vehicle)
-    except InputError:  # gains that the claims cannot be about
-        return told
+    library, _ = applicable_claims(values, vehicle=origin.vehicle)
     for claim in library:
         if not _has_part(origin.told_truth, claim.name):
             continue

@@ -9,7 +9,7 @@ Where corners have to be visited, it happens at a corner alone, within the dista
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import hypot, inf, sqrt
+from math import atan2, hypot, inf, sqrt
 
 import casadi as ca
 import numpy as np
@@ -107,6 +107,15 @@ class Follower:
         for x, y in np.asarray(places, dtype=float).tolist():
             self.move(x, y)
             found.append(self.distance(x, y))
+        return np.array(found)
+
+    def directions(self, places: ArrayLike) -> NDArray[np.float64]:
+        """Direction [rad] of the leg that the robot is on, (n,), as it moves to each of the places (n, 2) [m]."""
+        found = []
+        for x, y in np.asarray(places, dtype=float).tolist():
+            self.move(x, y)
+            (ax, ay), (bx, by) = self._points[self.leg : self.leg + 2]
+            found.append(atan2(by - ay, bx - ax))
         return np.array(found)
 
     def distance(self, x: float, y: float) -> float:

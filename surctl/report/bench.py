@@ -28,13 +28,15 @@ from surctl.vehicle import Vehicle
 from surctl.verification import (
     LINEAR_KNOBS,
     LINEAR_METRICS,
+    Inapplicable,
     Verdict,
+    applicable_claims,
     build_cascade,
-    claims,
     linear_table,
     settle,
     sweep_locus,
 )
+from surctl.verification.linear import slowest_mode
 from surctl.verification.steps import STEP_NAMES, step_system
 
 __all__ = ["Bench", "Steps", "plot_steps", "save_gains", "slider_steps", "step_responses"]
@@ -137,9 +139,12 @@ class Bench:
         """The way flown, from above."""
         return plot_run(run)
 
-    def verdicts(self, gains: Gains) -> tuple[Verdict, ...]:
-        """Every claim of the library for these gains, the ones about braking for this vehicle."""
-        return tuple(settle(c, time_limit=_PATIENCE) for c in claims(gains.values, vehicle=self.vehicle))
+    def verdicts(self, gains: Gains) -> tuple[Verdict | Inapplicable, ...]:
+        """Every claim of the library for these gains, this scenario's speeds and this vehicle."""
+        at_hand = {**gains.values, "speed": self.scenario.cruise, "speed_max": self.scenario.cap}
+        found, refused = applicable_claims(at_hand, vehicle=self.vehicle)
+        settled = [settle(c, time_limit=_PATIENCE) for c in found]
+        return (*settled, *(Inapplicable.of(name, reason) for name, reason in refused.items()))
 
 
 def slider_steps(about: GainRange, value: float) -> list[float]:
@@ -170,7 +175,9 @@ def step_responses(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: floa
 
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt)
     if not cascade.stable:
-        raise InputError("the closed loop is unstable", key="gains", remedy="lower the bandwidths k_v and k_r")
+        mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt)
+        problem = f"the closed loop is unstable at {cruise:g} m/s" + (f" ({mode.cause})" if mode.cause else "")
+        raise InputError(problem, key="gains", remedy=f"it is stable {mode.remedy}")
     time, value = {}, {}
     for name in STEP_NAMES:
         A, b, c = step_system(cascade, name)

@@ -16,7 +16,7 @@ from surctl.report.loops import LoopResponse
 from surctl.simulation import Run
 from surctl.tuning import SweepTable
 from surctl.vehicle import Vehicle
-from surctl.verification import LoopMargins, Verdict
+from surctl.verification import Inapplicable, LoopMargins, Verdict
 from surctl.verification.linear import LinearSide
 
 __all__ = ["ExportSummary", "ReportData"]
@@ -61,6 +61,7 @@ class ReportData:
         poles: closed-loop poles [rad/s], or None.
         loops: frequency responses of the loops; without them no Bode plot is drawn.
         verdicts: of the claims.
+        inapplicable: claims that are not about this vehicle, and why.
         runs: closed-loop runs.
         deciding: for each run, whether it decides the outcome; None lets the runs with true positions decide.
         sweep: the sweep that picked the gains, or None.
@@ -83,6 +84,7 @@ class ReportData:
     poles: NDArray[np.complex128] | None = None
     loops: tuple[LoopResponse, ...] = ()
     verdicts: tuple[Verdict, ...] = ()
+    inapplicable: tuple[Inapplicable, ...] = ()
     runs: tuple[Run, ...] = ()
     deciding: tuple[bool, ...] | None = None
     sweep: SweepTable | None = None

@@ -43,9 +43,15 @@ def claims_section(data: ReportData) -> Section:
         "share of samples that fails [%]", "time [s]",
     )  # fmt: skip
     blocks: list[Block] = [Paragraph(text), Table("Verdicts", heads, rows)]
+    blocks += [Paragraph(f"{one.claim}: {one.sentence}.") for one in data.inapplicable]
     gains = gains_argument(data.gains, data.gains_file)
+    deciding = [run for run, decides in zip(data.runs, data.decides, strict=True) if decides]
+
+    def command(claim: str) -> str | None:
+        return verify_command(claim, gains, data.vehicle, deciding)
+
     for verdict in data.verdicts:
-        blocks += _claim_blocks(verdict, verify_command(verdict.claim.name, gains) or data.command)
+        blocks += _claim_blocks(verdict, command(verdict.claim.name) or data.command)
     return Section("claims", "Claims", tuple(blocks))
 
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from surctl.report.loops import LoopResponse
 from surctl.report.theme import AVOIDING, BAD, GOOD, INK, MUTED, ROBOT, curve, dress, legend_above, new_figure
 from surctl.verification import LoopMargins
-from surctl.verification.linear import DiskMargin, OpenLoop, disk_profile
+from surctl.verification.linear import DiskMargin, OpenLoop, Sensitivity, disk_profile
 
-__all__ = ["plot_disk_margins", "plot_marked_bode"]
+__all__ = ["plot_disk_margins", "plot_marked_bode", "plot_s_and_t"]
 
 
 def plot_marked_bode(loop: LoopResponse, margins: LoopMargins) -> Figure:
@@ -89,7 +89,8 @@ def plot_disk_margins(loops: Sequence[tuple[OpenLoop, DiskMargin]], *, highest: 
     dress(right, x="factor on all gains [1]", y="phase on all loops, either sign [deg]")
     omega = np.geomspace(1e-2, highest, 300)
     for k, (loop, margin) in enumerate((a, b) for a, b in loops if b.stable):
-        label = f"{margin.place}: {margin.guaranteed:.2f}"
+        judged = np.isfinite(margin.guaranteed)
+        label = f"{margin.place}: " + (f"{margin.guaranteed:.2f}" if judged else "not judged")
         curve(left, omega, np.minimum(disk_profile(loop, omega), 2.0), label=label, k=k)
         left.plot(margin.frequency_rad_s, margin.reached, "o", color=INK, markersize=5, zorder=5)
         curve(right, *_rim(margin.guaranteed), label=label, k=k)
@@ -104,6 +105,20 @@ def plot_disk_margins(loops: Sequence[tuple[OpenLoop, DiskMargin]], *, highest: 
     right.plot(1.0, 0.0, "+", color=INK, markersize=10, clip_on=False)
     legend_above(left, columns=3)
     right.set_title("below a line: borne by all loops at once", loc="left", fontsize=9, color=INK)
+    return figure
+
+
+def plot_s_and_t(curves: Sequence[Sensitivity]) -> Figure:
+    """Largest singular values of S and T over frequency, one pair of curves a place."""
+    figure = new_figure(9.6, 4.3)
+    for ax, which, name in zip(figure.subplots(1, 2), ("S", "T"), ("sensitivity S", "complementary T"), strict=True):
+        dress(ax, x="frequency [rad/s]", y=f"largest singular value of {name} [1]")
+        for k, found in enumerate(curves):
+            value = getattr(found, which)
+            curve(ax, found.omega, value, label=f"{found.place}: peak {value.max():.2f}", k=k)
+        ax.set_xscale("log")
+        ax.set_yscale("log")
+        legend_above(ax, columns=2)
     return figure
 
 

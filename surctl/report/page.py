@@ -140,7 +140,7 @@ def _sections(data: ReportData, runs: Section | None) -> tuple[Section, ...]:
         found.append(margins_section(data))
     if data.sweep is not None:
         found.append(sweep_section(data, data.sweep))
-    if data.verdicts:
+    if data.verdicts or data.inapplicable:
         found.append(claims_section(data))
     if data.runs:
         found.append(runs or runs_section(data))

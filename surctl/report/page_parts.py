@@ -14,7 +14,7 @@ from surctl.errors import SurctlError
 from surctl.report.bench import Bench
 from surctl.simulation import METRICS, Run
 from surctl.tuning import Evaluation
-from surctl.verification import LINEAR_METRICS, Verdict
+from surctl.verification import LINEAR_METRICS, Inapplicable, Verdict
 
 __all__ = ["attempt", "figures", "goals", "head", "pair", "picture", "run_text", "sliders", "told", "verdicts"]
 
@@ -118,14 +118,16 @@ def goals(found: Evaluation) -> str:
     return _heading("Goals") + text + _table(("goal", "kind", "status", "figure", "bound"), rows)
 
 
-def verdicts(found: Sequence[Verdict] | None) -> str:
+def verdicts(found: Sequence[Verdict | Inapplicable] | None) -> str:
     """Each claim with its verdict; None before the button was pressed for these gains."""
     title = _heading("Claims")
     if found is None:
         return title + '<p id="verdicts">Not checked for these gains: press the button (about ten seconds).</p>'
     marks = {"proved": "good", "refuted": "bad"}
     rows = [
-        (escape(v.claim.name), f'<span class="{marks.get(v.verdict, "none")}">{escape(v.verdict)}</span>')
+        (escape(v.claim), f'<span class="none">{escape(v.sentence)}</span>')
+        if isinstance(v, Inapplicable)
+        else (escape(v.claim.name), f'<span class="{marks.get(v.verdict, "none")}">{escape(v.verdict)}</span>')
         for v in found
     ]
     return title + '<div id="verdicts">' + _table(("claim", "verdict"), rows) + "</div>"

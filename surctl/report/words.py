@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 
 from surctl.control import LIBRARY as GAIN_LIBRARY
@@ -62,9 +63,16 @@ def simulate_command(run: Run, gains: str | None) -> str | None:
     return shlex.join(words)
 
 
-def verify_command(claim: str, gains: str | None) -> str | None:
-    """The command that looks for the claim's counterexample again."""
-    return None if gains is None else shlex.join(["surctl", "verify", claim, "--gains", gains])
+def verify_command(claim: str, gains: str | None, vehicle: Vehicle, runs: Sequence[Run] = ()) -> str | None:
+    """The command that decides the claim again: for this vehicle, and at the speeds of the fastest run."""
+    robot = _vehicle_argument(vehicle)
+    if gains is None or robot is None:
+        return None
+    words = ["surctl", "verify", claim, "--vehicle", robot, "--gains", gains]
+    fastest = max((run.scenario for run in runs), key=lambda scenario: scenario.cruise, default=None)
+    if fastest is not None:
+        words += ["--cruise", f"{fastest.cruise:g}", "--cap", f"{fastest.cap:g}"]
+    return shlex.join(words)
 
 
 def _vehicle_argument(vehicle: Vehicle) -> str | None:

@@ -1,5 +1,6 @@
 """Scenarios as files, the world of a run, the reference closed loop, many loops at once, and their metrics."""
 
+from surctl.simulation.attitude import Attitude, attitude_of
 from surctl.simulation.batch import (
     ENGINES,
     BatchResult,
@@ -16,7 +17,7 @@ from surctl.simulation.explanation import Explanation, explain
 from surctl.simulation.fit import Finding, findings
 from surctl.simulation.halting import halt_reason
 from surctl.simulation.iosystem import FlightSystem, flight_system
-from surctl.simulation.loop import Stepper, advance, simulate
+from surctl.simulation.loop import Stepper, simulate
 from surctl.simulation.margin import margin_needed, turn_rate
 from surctl.simulation.metrics import GONE, HALT, LATE, LINK_LOST, METRICS, STOOD, STOPS, Metrics, MetricSpec
 from surctl.simulation.numbers import law_numbers
@@ -29,6 +30,7 @@ from surctl.simulation.run import SENSING, DepthChange, Run, Sensing, depth_chan
 from surctl.simulation.safety import SafetyClaim, safety_claim
 from surctl.simulation.scenario import LIBRARY, Scenario, load_scenario
 from surctl.simulation.sensors import Sensors
+from surctl.simulation.stepping import advance
 from surctl.simulation.world import Body, World, build_world
 
 __all__ = [
@@ -43,6 +45,7 @@ __all__ = [
     "SENSING",
     "STOOD",
     "STOPS",
+    "Attitude",
     "BatchResult",
     "Body",
     "Case",
@@ -69,6 +72,7 @@ __all__ = [
     "Stepper",
     "World",
     "advance",
+    "attitude_of",
     "build_world",
     "check_speeds",
     "depth_changes",

@@ -103,8 +103,17 @@ def _short(scenario: Scenario, array: SonarArray, vehicle: Vehicle, gains: Gains
     braking = scenario.cruise**2 / (2 * deceleration) + scenario.cruise * gains["reaction"]
     if array.maximum >= braking:
         return []
+    ahead = gains["brake"] * vehicle["Fu_max"] / vehicle["m11"]
+    stop = scenario.cruise**2 / (2 * ahead) + scenario.cruise * gains["reaction"]
     text = (
-        f"the sonars reach {array.maximum:g} m, and {vehicle.name} takes {braking:.2f} m to stop from the cruise speed "
-        f"of {scenario.cruise:g} m/s: with sonars it will not go that fast"
+        f"the sonars reach {array.maximum:g} m; from the cruise speed of {scenario.cruise:g} m/s {vehicle.name} stops "
+        f"in {stop:.2f} m by surge thrust, "
     )
+    if stop <= array.maximum:
+        text += (
+            f"but the law counts on the weaker of surge and sway, {min(vehicle.thrust_limit[:2]):g} N, and keeps "
+            f"{braking:.2f} m: with sonars it will not go that fast"
+        )
+    else:
+        text += "which is more: with sonars it will not go that fast"
     return [Finding("error", "sonar.maximum_m", text)]

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache
 from typing import NamedTuple, TypeAlias
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control import CONTACT_SLOTS, NONFINITE, Gains, Law, LawStep, build_law
 from surctl.errors import InputError, nearest
-from surctl.ir import on_vectors
 from surctl.sensing import NoiseStream, OwnState, delayed, fault_state, faulty, true_range
 from surctl.simulation.column import beside, column
 from surctl.simulation.metrics import GONE, HALT, LINK_LOST, STOOD
@@ -21,36 +18,15 @@ from surctl.simulation.record import Record, measure
 from surctl.simulation.run import SENSING, Run, Sensing
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.sensors import FIRING, firing_plan
+from surctl.simulation.stepping import advanced
 from surctl.simulation.world import Body, World, build_world
-from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, build_plant, plant_parameters
+from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, plant_parameters
 from surctl.world import Disc
 
-__all__ = ["Loop", "Stepper", "advance", "simulate"]
+__all__ = ["Loop", "Stepper", "simulate"]
 
 Vector: TypeAlias = NDArray[np.float64]
 Stepper: TypeAlias = Callable[[Vector, Vector, Vector], LawStep]
-
-_RK4_STEPS = (0.010, 0.010, 0.005)
-
-
-@cache
-def advance() -> ca.Function:
-    """(x, tau_command, d, p) → x after one firing interval of 25 ms: RK4 in steps of 10, 10 and 5 ms."""
-    ode = build_plant().ode
-    x, tau, d, p = (ca.SX.sym(n, ode.numel_in(i)) for i, n in enumerate(("x", "tau", "d", "p")))
-    state = x
-    for h in _RK4_STEPS:
-        k1 = ode(state, tau, d, p)
-        k2 = ode(state + h / 2 * k1, tau, d, p)
-        k3 = ode(state + h / 2 * k2, tau, d, p)
-        k4 = ode(state + h * k3, tau, d, p)
-        state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return ca.Function("advance", [x, tau, d, p], [state], {"cse": True})
-
-
-@cache
-def _advanced() -> Callable[..., list[Vector]]:
-    return on_vectors(advance())
 
 
 def simulate(
@@ -247,7 +223,7 @@ class Loop:
                     "force": self.world.force(time + k * FIRING),
                 }
             )
-            (self.state,) = _advanced()(self.state, thrust, d, self.plant)
+            (self.state,) = advanced()(self.state, thrust, d, self.plant)
             if k < half - 1:
                 between = time + (k + 1) * FIRING
                 bodies = self.world.bodies(between)

@@ -23,7 +23,7 @@ from surctl.guidance.braking import (
 from surctl.simulation.scenario import Scenario
 from surctl.vehicle import Vehicle
 
-__all__ = ["Bound", "margin_needed", "munk", "turn_rate", "turned"]
+__all__ = ["Bound", "margin_needed", "mass_difference", "munk", "turn_rate", "turned"]
 
 _STEP = 0.002  # [m/s] between the speeds that are looked at
 _NEAR = 0.95  # of the fastest obstacle: nearer to it the range that is needed grows without end
@@ -110,6 +110,24 @@ def turn_rate(
         return 2 * moment / max(linear + sqrt(linear**2 + 4 * quadratic * moment), 1e-9)
 
     return min(held(asked, linear + loop), held(end("Fr_max", 1), linear))
+
+
+def mass_difference(vehicle: Vehicle, spread: float | None = None) -> float:
+    """Largest |m11 - m22| [kg] that the true vehicle may have.
+
+    Where the file gives surge and sway one mass and one range, the true vehicle has one mass too.
+
+    Args:
+        vehicle: what is believed.
+        spread: share by which both masses together may be off; None takes the ranges of the vehicle file.
+    """
+    surge, sway = (vehicle.parameters[name] for name in ("m11", "m22"))
+    if spread is not None:
+        return abs(surge.value - sway.value) * (1 + spread)
+    if (surge.value, surge.range) == (sway.value, sway.range):
+        return 0.0
+    (low, high), (low2, high2) = (p.range or (p.value, p.value) for p in (surge, sway))
+    return float(max(high - low2, high2 - low))
 
 
 def munk(difference: float, turning: float, speed: float) -> float:

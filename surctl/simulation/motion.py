@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations, pairwise
-from math import inf
+from math import inf, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ def motion_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
         *_braking(scenario, vehicle),
         *_current(scenario),
         *_thrust(scenario, vehicle),
+        *_cap(scenario, vehicle),
         *_time(scenario),
     ]
 
@@ -132,6 +133,23 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
         f"through the water and needs {needed:.2f} N, and its thrusters give {limit:.2f} N"
     )
     return [Finding("error", "cruise_m_per_s", text)]
+
+
+def _cap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    """A cap that the thrust does not hold in still water: commanded speeds between are never reached."""
+    held = {"surge": _held(vehicle, "Xu", "Fu_max"), "sway": _held(vehicle, "Yv", "Fv_max")}
+    if scenario.cap <= min(held.values()):
+        return []
+    speeds = " and ".join(f"{speed:.3g} m/s in {axis}" for axis, speed in held.items())
+    text = f"the cap of {scenario.cap:g} m/s is above what the thrust of {vehicle.name} holds: {speeds}"
+    return [Finding("warning", "cap_m_per_s", text)]
+
+
+def _held(vehicle: Vehicle, axis: str, limit: str) -> float:
+    """Speed [m/s] at which the drag of an axis is its thrust limit; inf without drag."""
+    linear, quadratic, most = vehicle[axis], vehicle[axis + axis[-1]], vehicle[limit]
+    root = linear + sqrt(linear**2 + 4 * quadratic * most)
+    return 2 * most / root if root > 0 else inf
 
 
 def _share(force: tuple[float, float]) -> float:

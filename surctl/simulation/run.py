@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control import Gains, Law
+from surctl.simulation.attitude import Attitude, attitude_of
 from surctl.simulation.metrics import Metrics
 from surctl.simulation.record import Record
 from surctl.simulation.scenario import Scenario
@@ -64,6 +65,14 @@ class Run:
         """The law's telemetry port of that name over time, (n, size)."""
         return self.record.telemetry[:, self.law.telemetry_slice(name)]
 
+    @property
+    def attitude(self) -> Attitude | None:
+        """Crab angle, heading error, limit cycle; None of a law that spins to look round."""
+        if self.law.senses is not None:
+            return None
+        record, scenario = self.record, self.scenario
+        return attitude_of(scenario.follower(), scenario.cruise, record.time, record.eta, record.nu)
+
     def to_dict(self) -> dict[str, Any]:
         """The run as the command line's contract has it; numbers that are not finite are left to the writer."""
         return {
@@ -79,6 +88,7 @@ class Run:
             "movers": self.law.movers,
             "seed": self.seed,
             **asdict(self.metrics),
+            "attitude": None if (attitude := self.attitude) is None else attitude.to_dict(),
             "paper_time_s": self.scenario.paper.time_s,
         } | ({"depth_changes": [d.to_dict() for d in depth_changes(self)]} if self.scenario.depths else {})
 

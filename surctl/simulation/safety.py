@@ -19,7 +19,7 @@ from surctl.guidance.braking import (
     stopping_way,
 )
 from surctl.simulation.column import BAND, FOOTPRINT
-from surctl.simulation.margin import Bound, munk, turned
+from surctl.simulation.margin import Bound, mass_difference, munk, turned
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.toml_text import toml_text
 from surctl.vehicle import Vehicle
@@ -99,7 +99,7 @@ def safety_claim(
     sideways: float = 0.0,
     spread: float | None = None,
     turning: float = 0.0,
-    difference: float = 0.0,
+    difference: float | None = None,
 ) -> SafetyClaim:
     """The claim about the guarded law.
 
@@ -123,6 +123,7 @@ def safety_claim(
         spread: see `brakes_of`.
         turning: rate at which the hull turns while it brakes [rad/s], see `turn_rate`.
         difference: largest |m11 - m22| [kg]; turning, it pushes, and the claim tells how much of it is covered.
+            None takes the vehicle's, see `mass_difference`.
 
     Example:
         >>> from surctl.control import load_gains
@@ -135,6 +136,7 @@ def safety_claim(
         simple: False, needs 0.053 m, has 0.05 m
         inertia: True, needs 0.019 m, has 0.05 m
     """
+    difference = mass_difference(vehicle, spread) if difference is None else difference
     watch, share = watch or Watch(), LEAST_THRUST if barrier == "simple" else gains["brake"]
     d = scenario.disturbance
     brakes = brakes_of(
@@ -157,8 +159,8 @@ def safety_claim(
         Figure("least thrust", brakes.least, "N", f"against the motion: {share:.0%} of the stated"),
         Figure("largest thrust", brakes.most, "N", "that still pushes when braking begins"),
         Figure("thrust lag", brakes.lag, "s", "first order"),
-        Figure("least mass", brakes.masses[0], "kg", "m11 = m22"),
-        Figure("largest mass", brakes.masses[1], "kg", "m11 = m22"),
+        Figure("least mass", brakes.masses[0], "kg", "of m11 and m22"),
+        Figure("largest mass", brakes.masses[1], "kg", "of m11 and m22"),
         Figure("least quadratic drag", brakes.quadratic[0], "N s^2/m^2", "surge and sway, ahead"),
         Figure("largest quadratic drag", brakes.quadratic[1], "N s^2/m^2", "surge and sway, astern"),
         Figure("push", brakes.push, "N", "towards the obstacle, of waves, drift and drag of sideways motion"),

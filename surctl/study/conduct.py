@@ -19,7 +19,15 @@ from surctl.study.notes import Note, left_out, summary
 from surctl.study.plan import Leg, Plan
 from surctl.study.shipping import Shipment, shipping, with_senses
 from surctl.tuning import LocalExecutor, SweepTable, grid, sweep
-from surctl.verification import LoopMargins, Verdict, claims, closed_loop_poles, loop_margins, settle
+from surctl.verification import (
+    Inapplicable,
+    LoopMargins,
+    Verdict,
+    applicable_claims,
+    closed_loop_poles,
+    loop_margins,
+    settle,
+)
 from surctl.verification.linear import LinearSide, corners, linear_side, worst_linear_side
 
 if TYPE_CHECKING:
@@ -38,6 +46,7 @@ class Study:
         passed: every deciding note holds.
         notes: the summary.
         runs: flights with true positions and through the sonar, in the plan's order.
+        inapplicable: claims that are not about the vehicle, and why; deciding where the plan names them.
         deciding: for each run, whether it decides.
         replayed: the runs through the sonar that the exported C replayed: those of deciding legs with the exported law.
         linear: the linear side of the vehicle as stated, and the worst of the corners of its ranges.
@@ -49,6 +58,7 @@ class Study:
     margins: tuple[LoopMargins, ...]
     linear: tuple[LinearSide, LinearSide]
     verdicts: tuple[Verdict, ...]
+    inapplicable: tuple[Inapplicable, ...]
     runs: tuple[Run, ...]
     deciding: tuple[bool, ...]
     replayed: tuple[Run, ...]
@@ -86,7 +96,7 @@ class Study:
             },
             "margins": [m.to_dict() for m in self.margins],
             "linear": {"nominal": self.linear[0].to_dict(), "worst": self.linear[1].to_dict()},
-            "verdicts": [v.to_dict() for v in self.verdicts],
+            "verdicts": [*(v.to_dict() for v in self.verdicts), *(v.to_dict() for v in self.inapplicable)],
             "runs": [run.to_dict() | {"decides": d} for run, d in zip(self.runs, self.deciding, strict=True)],
             "not_flown": [
                 {"scenario": leg.scenario.name, "reason": leg.obstacle_to_flying}
@@ -167,8 +177,11 @@ def conduct(
             )
         with clock("claims"):
             # those about braking take a minute to be left open: they are checked where they are named
-            chosen = [c for c in claims(swept.gains.values, plan.claims) if plan.claims or c.paper]
-            verdicts = tuple(settle(claim) for claim in chosen)
+            fastest = max((leg.scenario for leg in plan.deciding), key=lambda scenario: scenario.cruise)
+            at_hand = {**swept.gains.values, "speed": fastest.cruise, "speed_max": fastest.cap}
+            found, refused = applicable_claims(at_hand, plan.claims, vehicle=plan.vehicle)
+            verdicts = tuple(settle(claim) for claim in found if plan.claims or claim.paper)
+            inapplicable = tuple(Inapplicable.of(name, reason) for name, reason in refused.items())
         with clock("flights"):
             flights = _fly(plan, legs, (law, senses), swept, progress)
         runs = tuple(run for _, run in flights)
@@ -188,6 +201,7 @@ def conduct(
                 loops=loop_responses(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt),
                 gains_file=str(gain_file),
                 verdicts=verdicts,
+                inapplicable=inapplicable,
                 runs=runs,
                 deciding=deciding,
                 sweep=swept,
@@ -195,7 +209,7 @@ def conduct(
             drawn = runs_section(data)
         with clock("software in the loop"):
             sil = shipment.replayed(replayed)
-    notes = summary(plan, swept, margins, verdicts, tuple(zip(runs, deciding, strict=True)), sil)
+    notes = summary(plan, swept, margins, (*verdicts, *inapplicable), tuple(zip(runs, deciding, strict=True)), sil)
     notes += left_out([run for run in heard if run not in replayed])
     with clock("report"):
         data = replace(
@@ -212,6 +226,7 @@ def conduct(
         margins,
         linear,
         verdicts,
+        inapplicable,
         runs,
         deciding,
         replayed,

@@ -10,7 +10,7 @@ from surctl.export import SilReport
 from surctl.simulation import Run
 from surctl.study.plan import Plan
 from surctl.tuning import SweepTable
-from surctl.verification import LoopMargins, Verdict
+from surctl.verification import Inapplicable, LoopMargins, Verdict
 
 __all__ = ["Note", "left_out", "summary"]
 
@@ -28,7 +28,7 @@ def summary(
     plan: Plan,
     swept: SweepTable,
     margins: Sequence[LoopMargins],
-    verdicts: Sequence[Verdict],
+    verdicts: Sequence[Verdict | Inapplicable],
     runs: Sequence[tuple[Run, bool]],
     sil: Sequence[SilReport],
 ) -> tuple[Note, ...]:
@@ -55,15 +55,23 @@ def summary(
         edges = [a.name for a, k in at if len(a.values) > 1 and k in (0, len(a.values) - 1)]
         edge = f" (on the edge of the grid in {' and '.join(edges)}: a wider one may do better)" if edges else ""
         notes.append(Note(True, f"sweep: {feasible} of {points} points are feasible; picked {chosen}{edge}", "sweep"))
+    speed = max(leg.scenario.cruise for leg in plan.deciding)
     least = min(margins, key=lambda m: m.delay_margin_s)
     stable = all(m.stable for m in margins)
-    told = f"margins: least delay margin {least.delay_margin_s:.2f} s ({least.name}), least disk margin "
+    told = f"margins at {speed:g} m/s: least delay margin {least.delay_margin_s:.2f} s ({least.name}), "
+    told += "least disk margin "
     notes.append(Note(stable, told + f"{min(m.disk_margin for m in margins):.2f}", "margins"))
-    unexpected = [v.claim.name for v in verdicts if not v.as_expected]
-    counts = Counter(v.verdict for v in verdicts)
-    text = f"claims: {', '.join(f'{n} {word}' for word, n in sorted(counts.items()))}, "
+    settled = [v for v in verdicts if isinstance(v, Verdict)]
+    unexpected = [v.claim.name for v in settled if not v.as_expected]
+    counts = Counter(v.verdict for v in settled)
+    text = f"claims at {speed:g} m/s: {', '.join(f'{n} {word}' for word, n in sorted(counts.items()))}, "
     text += "all as expected" if not unexpected else f"unexpected: {unexpected}"
     notes.append(Note(not unexpected, text, f"claims-{unexpected[0]}" if unexpected else "claims"))
+    notes += [
+        Note(False if plan.claims else None, f"claim {one.claim}: {one.sentence}", "claims")
+        for one in verdicts
+        if isinstance(one, Inapplicable)
+    ]
     for place, (run, decides) in enumerate(runs, start=1):
         m = run.metrics
         good = m.reached and m.min_clearance_m > 0

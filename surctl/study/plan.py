@@ -15,7 +15,7 @@ from surctl.guidance import Guidance
 from surctl.simulation import Case, Scenario, findings, load_scenario
 from surctl.tuning import Axis, Goal, GoalTable, goals_from_tables, load_goals
 from surctl.vehicle import Vehicle, load_vehicle
-from surctl.verification import claims
+from surctl.verification import applicable_claims
 
 __all__ = ["LIBRARY", "Leg", "Plan", "load_plan"]
 
@@ -167,7 +167,7 @@ def _plan(study: _StudyFile, path: Path, *, lenient: bool = False, goals: str | 
     gains = load_gains(near(study.gains))
     try:
         axes = tuple(_gain_axis(axis, gains) for axis in study.sweep.axes)
-        claims(gains.values, study.claims)
+        applicable_claims(gains.values, study.claims, vehicle=vehicle)
     except InputError as error:
         raise error.inside(path) from None
     plan = Plan(

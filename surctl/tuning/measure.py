@@ -21,6 +21,7 @@ from surctl.tuning.axes import SEED
 from surctl.tuning.design import Design
 from surctl.vehicle import Vehicle, load_vehicle
 from surctl.verification import LINEAR_KNOBS, LINEAR_METRICS, linear_table
+from surctl.verification.cascade import has_cascade
 
 __all__ = [
     "CASE_COLUMNS",
@@ -97,6 +98,11 @@ class Evaluation:
         return self._linear(values, len(points)) if index < self.linear_chunks else self._flown(values, len(points))
 
     @property
+    def has_margins(self) -> bool:
+        """Whether the loop of every case has a linear model; without one, linear figures are NaN: not judged."""
+        return all(has_cascade(case.law, case.guidance) for case in self.cases)
+
+    @property
     def runs_per_point(self) -> int:
         """Closed-loop runs at each point."""
         return sum(len(self.seeds_of(case)) for case in self.cases)
@@ -133,6 +139,8 @@ class Evaluation:
         return np.stack([*_summary(together), *of_all, *(c for one in found for c in _summary(one))], axis=1)
 
     def _linear(self, values: Mapping[str, Floats], count: int) -> Floats:
+        if not self.has_margins:  # never those of another law
+            return np.full((count, len(LINEAR_METRICS)), np.nan)
         best = [-np.inf if spec.better == "low" else np.inf for spec in LINEAR_METRICS.values()]
         table = np.tile(best, (count, 1))
         for case in _fastest(self.cases):
@@ -248,6 +256,7 @@ def check_request(cases: Sequence[Case], design: Design, seeds: Sequence[int]) -
 def request_digest(evaluation: Evaluation, design: Design, *, linear: bool, chunk: int) -> str:
     """SHA-256 of everything that the numbers, and how they are cut, depend on."""
     lines = [f"surctl {__version__}", f"columns {tuple(METRICS)} {tuple(LINEAR_METRICS) if linear else ()}"]
+    lines += [] if evaluation.has_margins or not linear else ["margins are not judged"]
     lines += [f"design {design.description}", f"seeds {evaluation.seeds}", f"chunk {chunk}"]
     for case in evaluation.cases:
         lines.append(f"case {case.scenario!r} {_numbers(case.vehicle)} {_numbers(case.model or case.vehicle)}")

@@ -14,6 +14,7 @@ from surctl.tuning.refine import refine
 from surctl.vehicle import Vehicle, linearise, plant_parameters
 from surctl.verification import CASCADE_GAINS, build_cascade, linear_table
 from surctl.verification.cascade import build_cascades
+from surctl.verification.linear import slowest_mode
 
 __all__ = ["lqr_start", "starting_sets"]
 
@@ -94,16 +95,32 @@ def lqr_start(
     plant = linearise(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
     A = np.asarray(plant.A)[:8, :8]
     B = np.vstack([np.zeros((4, 4)), np.diag(1 / vehicle.mass)])
+    best: tuple[float, dict[str, float]] = 0.0, {}
     for doubling in range(_MOST):
         state = wanted * _OUTER**doubling
         K, _, _ = control.lqr(A, B, np.diag(state), np.diag(thrust * _MILDER**doubling))
         gains = _fit(vehicle, np.asarray(K), wanted, cruise=cruise, dt=dt)
         table = linear_table(vehicle, {}, base=gains, cruise=cruise, dt=dt, columns=["disk_margin"])
-        if table["disk_margin"][0] >= _DISK_FLOOR:
+        margin = float(table["disk_margin"][0])
+        if margin >= _DISK_FLOOR:
             return gains
-    raise InputError(
-        f"no cascade has a disk margin of {_DISK_FLOOR:g} at this period", key="dt", value=dt, remedy="shorten it"
-    )
+        if margin > best[0] or not best[1]:
+            best = margin, gains
+    raise _no_start(vehicle, best[1], cruise=cruise, dt=dt)
+
+
+def _no_start(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float) -> InputError:
+    """Why the best gains that were tried do not do: the speed, the period, or neither alone."""
+    missing = f"no cascade that was fitted has a disk margin of {_DISK_FLOOR:g}"
+    mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt)
+    if not mode.stable:
+        why = "" if mode.cause is None else f", because of the {mode.cause}"
+        problem = f"{missing}: all are unstable{why}"
+        return InputError(problem, key="cruise", value=cruise, remedy=f"it is stable {mode.remedy}")
+    quick = linear_table(vehicle, {}, base=gains, cruise=cruise, dt=dt / 4, columns=["disk_margin"])
+    if quick["disk_margin"][0] >= _DISK_FLOOR:
+        return InputError(f"{missing} at this period", key="dt", value=dt, remedy="shorten it")
+    return InputError(missing, key="cruise", value=cruise, remedy="go slower, or start from a gain file")
 
 
 def _fit(

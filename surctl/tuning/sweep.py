@@ -170,7 +170,7 @@ class _Job:
             yield name, quantity, [partial(of_loops, k)], False
         for name in ("strayed", "time_ratio", "reached_worst", "min_clearance_m_worst"):
             found[name] = of_runs(list(FLOWN_COLUMNS).index(name))
-        for name in ("delay_margin_s", "disk_margin") if self.linear else ():
+        for name in ("delay_margin_s", "disk_margin") if self.linear and self.evaluation.has_margins else ():
             found[name] = of_loops(list(LINEAR_COLUMNS).index(name))
         verdict = judged(found)
         told = "mean deviation in hull radii plus worst time ratio"

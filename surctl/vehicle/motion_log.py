@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.recorded import Recorded, read_recorded
-from surctl.vehicle.frames import Frame, check_frame, swap_body, swap_pose
+from surctl.vehicle.frames import FRAME_TEXT, Frame, check_frame, swap_body, swap_pose
 
 __all__ = ["LOG_MOTION", "LOG_THRUST", "MotionLog", "read_motion_log"]
 
@@ -59,7 +59,7 @@ class MotionLog:
 
 
 def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLog:
-    """Read a log: `t_s`, the thrust, and any of the columns of motion; others are left alone.
+    """Read a log (CSV, .mat or netCDF): `t_s`, the thrust, and any of the columns of motion; others are left alone.
 
     Args:
         path: the file.
@@ -100,6 +100,7 @@ def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLo
 def _frame(table: Recorded, given: Frame | str | None) -> Frame:
     wanted = None if given is None else check_frame(given)
     said = next((m[1] for line in table.about if (m := re.search(r"\bframe=(\w+)", line))), None)
+    said = said or next((key for key, text in FRAME_TEXT.items() if text in table.about), None)
     if said is None:
         return wanted or "enu"
     told = check_frame(said, key=f"frame of {table.name}")

@@ -6,14 +6,14 @@ from surctl.verification.claim import Claim, Motion, Variable, VerdictWord
 from surctl.verification.claim_file import load_claim, write_claim
 from surctl.verification.counterexample import Counterexample, Replay, evaluate, replay
 from surctl.verification.falsifier import falsify
-from surctl.verification.library import claims
+from surctl.verification.library import applicable_claims, claims
 from surctl.verification.linear_table import LINEAR_KNOBS, LINEAR_METRICS, linear_table
 from surctl.verification.locus import Locus, sweep_locus
 from surctl.verification.margins import LoopMargins, closed_loop_poles, loop_margins, margins_of, worst_margins
 from surctl.verification.proving import Proof, prove
 from surctl.verification.setting import Setting, setting_from
 from surctl.verification.settle import settle
-from surctl.verification.verdict import Verdict
+from surctl.verification.verdict import Inapplicable, Verdict
 
 __all__ = [
     "CASCADE_GAINS",
@@ -22,6 +22,7 @@ __all__ = [
     "Cascade",
     "Claim",
     "Counterexample",
+    "Inapplicable",
     "Locus",
     "LoopMargins",
     "Motion",
@@ -31,6 +32,7 @@ __all__ = [
     "Variable",
     "Verdict",
     "VerdictWord",
+    "applicable_claims",
     "build_cascade",
     "claims",
     "closed_loop_poles",

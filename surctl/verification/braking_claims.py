@@ -11,11 +11,12 @@ import casadi as ca
 
 from surctl.guidance.braking import Brakes, brakes_of, fastest_obstacle
 from surctl.vehicle import Vehicle
+from surctl.verification.assumptions import check_alike
 from surctl.verification.claim import Claim, Variable
 
 __all__ = ["braking_keeps", "braking_mass", "braking_retreat"]
 
-_OBSTACLE, _SPEED = 0.15, 0.25  # [m/s] largest of the claims
+_OBSTACLE = 0.15  # [m/s] largest of the claims
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,6 +24,7 @@ class _Box:
     """A vehicle anywhere in its ranges, symbolic."""
 
     brakes: Brakes
+    fastest: float
 
     @property
     def swing(self) -> float:
@@ -37,7 +39,7 @@ class _Box:
         return Variable("v_o", ca.SX.sym("v_o"), "m/s", 0.0, most, "speed of the obstacle towards the vehicle")
 
     def closing(self) -> Variable:
-        return Variable("s", ca.SX.sym("s"), "m/s", 0.0, _SPEED + _OBSTACLE, "closing speed")
+        return Variable("s", ca.SX.sym("s"), "m/s", 0.0, self.fastest + _OBSTACLE, "closing speed")
 
     def left(self, obstacle: ca.SX) -> ca.SX:
         """F' [N]."""
@@ -47,12 +49,18 @@ class _Box:
         return self.brakes.linear[1] * speed + self.brakes.quadratic[1] * speed * speed
 
 
-def braking_keeps(vehicle: Vehicle) -> Claim:
+def _box(vehicle: Vehicle, fastest: float) -> _Box:
+    """NotApplicable where surge and sway differ in mass: Coriolis forces then push."""
+    check_alike(vehicle, mass_alone=True, ranges=True)
+    return _Box(brakes_of(vehicle), fastest)
+
+
+def braking_keeps(vehicle: Vehicle, fastest: float) -> Claim:
     """While it brakes and comes nearer, the clearance beyond S does not fall: step 2 of the proof, times F'.
 
     In the worse half of the cases: it goes astern at g, the obstacle comes on at v_o = g + s. Ahead, drag helps.
     """
-    box = _Box(brakes_of(vehicle))
+    box = _box(vehicle, fastest)
     b = box.brakes
     m, half = box.mass(), _OBSTACLE / 2
     s = Variable("s", ca.SX.sym("s"), "m/s", 0.0, half, "closing speed")
@@ -78,9 +86,9 @@ def braking_keeps(vehicle: Vehicle) -> Claim:
     )
 
 
-def braking_retreat(vehicle: Vehicle) -> Claim:
+def braking_retreat(vehicle: Vehicle, fastest: float) -> Claim:
     """The same where it goes back at r beyond v_o, and z is still positive: drag then pushes more than D(v_o)."""
-    box = _Box(brakes_of(vehicle))
+    box = _box(vehicle, fastest)
     m, vo = box.mass(), box.obstacle()
     lightest = box.brakes.masses[0]
     r = Variable("r", ca.SX.sym("r"), "m/s", 0.0, box.swing / lightest, "speed at which the clearance opens")
@@ -98,9 +106,9 @@ def braking_retreat(vehicle: Vehicle) -> Claim:
     )
 
 
-def braking_mass(vehicle: Vehicle) -> Claim:
+def braking_mass(vehicle: Vehicle, fastest: float) -> Claim:
     """No mass between two needs a longer way than the chord between them, so that an end of the range is the worst."""
-    box = _Box(brakes_of(vehicle))
+    box = _box(vehicle, fastest)
     s = box.closing()
     q = Variable("q", ca.SX.sym("q"), "N s", 0.0, box.swing, "what the lag leaves of the thrust that pushes")
     lightest, heaviest = box.brakes.masses

@@ -20,11 +20,19 @@ from surctl.ir import Layout
 from surctl.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters
 from surctl.vehicle.linearise import check_trim
 
-__all__ = ["CASCADE_GAINS", "Cascade", "build_cascade", "build_cascades", "check_positive"]
+__all__ = ["CASCADE_GAINS", "Cascade", "build_cascade", "build_cascades", "check_positive", "has_cascade"]
 
 CASCADE_GAINS = ("k1", "k2", "k_psi", "k_r", "k_v", "lookahead")
 _OUTPUTS = 8  # x, y, z, ψ, u, v, w, r: the first states of the plant
 _PADE_ORDER = 3
+
+
+def has_cascade(law: str, guidance: str) -> bool:
+    """Whether the linear loop about straight cruise, away from obstacles, is this cascade.
+
+    `dwa` chooses between velocities, so that it has no linear loop; guidance with memory has a state more.
+    """
+    return guidance == "los" and law != "dwa"
 
 
 @dataclass(frozen=True, eq=False)

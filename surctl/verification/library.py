@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, NotApplicable, nearest
 from surctl.vehicle import Vehicle, load_vehicle
 from surctl.verification import avoidance_claims as avoidance
 from surctl.verification import braking_claims as braking
@@ -13,26 +13,29 @@ from surctl.verification import tracking_claims as tracking
 from surctl.verification.claim import Claim
 from surctl.verification.setting import Setting, setting_from
 
-__all__ = ["claims"]
+__all__ = ["applicable_claims", "claims"]
 
-_BUILDERS: tuple[Callable[[Setting], Claim], ...] = (
-    tracking.v1_printed,
-    tracking.v1_corrected,
-    tracking.v1_speed_cap,
-    tracking.v1_speed_cap_region,
-    course.course_printed,
-    course.course_corrected,
-    tracking.m_norm_printed,
-    tracking.m_norm_corrected,
-    avoidance.v2_printed,
-    avoidance.v2_static,
-    avoidance.v2_obstacle,
-    avoidance.v2_clockwise,
-    avoidance.clearance_printed,
-    avoidance.clearance_corrected,
-)
+_BUILDERS: Mapping[str, Callable[[Setting], Claim]] = {
+    build.__name__.replace("_", "-"): build
+    for build in (
+        tracking.v1_printed,
+        tracking.v1_corrected,
+        tracking.v1_speed_cap,
+        tracking.v1_speed_cap_region,
+        course.course_printed,
+        course.course_corrected,
+        tracking.m_norm_printed,
+        tracking.m_norm_corrected,
+        avoidance.v2_printed,
+        avoidance.v2_static,
+        avoidance.v2_obstacle,
+        avoidance.v2_clockwise,
+        avoidance.clearance_printed,
+        avoidance.clearance_corrected,
+    )
+}
 
-_BRAKING: Mapping[str, Callable[[Vehicle], Claim]] = {
+_BRAKING: Mapping[str, Callable[[Vehicle, float], Claim]] = {
     "braking-keeps": braking.braking_keeps,
     "braking-retreat": braking.braking_retreat,
     "braking-mass": braking.braking_mass,
@@ -46,12 +49,14 @@ def claims(
     """The claims of that name, or all of them, for these gains.
 
     Args:
-        gains: values by name; those of `Setting` are used, the rest passed over. None takes the defaults.
+        gains: values by name; those of `Setting` are used, the rest passed over; `speed` and `speed_max` are the
+            cruise speed and the cap. None takes the defaults.
         names: which claims, in this order; None takes all.
         vehicle: of the claims about braking; None takes sur540-flooded.
 
     Raises:
         InputError: an unknown claim, with the nearest known name; a gain that is not positive.
+        NotApplicable: a claim that assumes what the vehicle violates.
 
     Example:
         >>> from surctl.verification import claims
@@ -61,13 +66,38 @@ def claims(
         >>> print(claim.statement, claim.equation, claim.errata, claim.expected)
         V̇1 ≤ −λ_min(M)‖e‖² ≤ 0 where U_h ≥ 0 (12) ('E8', 'E9') proved
     """
+    found, refused = applicable_claims(gains, names, vehicle=vehicle)
+    for reason in refused.values():
+        raise reason
+    return found
+
+
+def applicable_claims(
+    gains: Mapping[str, float] | None = None, names: Sequence[str] | None = None, *, vehicle: Vehicle | None = None
+) -> tuple[tuple[Claim, ...], Mapping[str, NotApplicable]]:
+    """As `claims`; those whose assumptions the vehicle violates come apart, by name with the reason.
+
+    Example:
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.verification import applicable_claims
+        >>> found, refused = applicable_claims(names=["course-corrected", "braking-mass"],
+        ...                                    vehicle=load_vehicle("bluerov2-wu"))
+        >>> [claim.name for claim in found], refused["braking-mass"].because[:40]
+        (['course-corrected'], 'm11 = 17 kg and m22 = 24.2 kg differ and')
+    """
     setting = setting_from(gains)
-    everything = {claim.name: claim for claim in (build(setting) for build in _BUILDERS)}
-    wanted = [*everything, *_BRAKING] if names is None else names
-    if any(name in _BRAKING for name in wanted):
-        braked = vehicle or load_vehicle(VEHICLE)
-        everything |= {name: build(braked) for name, build in _BRAKING.items()}
-    for name in names or ():
-        if name not in everything:
-            raise InputError("unknown claim", key="claim", value=name, remedy=nearest(name, [*everything, *_BRAKING]))
-    return tuple(everything[name] for name in wanted)
+    known = [*_BUILDERS, *_BRAKING]
+    found: list[Claim] = []
+    refused: dict[str, NotApplicable] = {}
+    for name in known if names is None else names:
+        if name not in known:
+            raise InputError("unknown claim", key="claim", value=name, remedy=nearest(name, known))
+        try:
+            found.append(
+                _BUILDERS[name](setting)
+                if name in _BUILDERS
+                else _BRAKING[name](vehicle or load_vehicle(VEHICLE), setting.fastest)
+            )
+        except NotApplicable as reason:
+            refused[name] = NotApplicable(reason.because, to=reason.to, key=name)
+    return tuple(found), refused

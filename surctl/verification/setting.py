@@ -9,8 +9,10 @@ import numpy as np
 
 from surctl.errors import InputError
 
-__all__ = ["Setting", "setting_from"]
+__all__ = ["OVERSHOOT", "Setting", "setting_from"]
 
+OVERSHOOT = 0.25 / 0.22  # own speed over the commanded one that claims about braking count on
+_FASTEST = 0.25  # [m/s] the least that they range over
 _ALIASES = {"margin": "standoff"}  # the gain file's word for d_s
 
 
@@ -46,18 +48,23 @@ class Setting:
     avoidance_speed: float = 0.22
     obstacle_speed: float = 0.15
 
+    @property
+    def fastest(self) -> float:
+        """Largest own speed [m/s] that claims about braking range over: overshoot beyond the cap included."""
+        return max(_FASTEST, OVERSHOOT * self.speed_max)
+
     def __post_init__(self) -> None:
         """Raise InputError for a number that is not positive and finite, or a cap below the cruise speed."""
         for entry in fields(self):
             value = getattr(self, entry.name)
             if not (np.isfinite(value) and value > 0):
                 raise InputError("must be greater than 0", key=entry.name, value=value, remedy="correct the gain")
-        if self.speed_max <= self.speed:
+        if self.speed_max < self.speed:
             raise InputError(
-                f"must exceed the speed of the path's target, {self.speed:g} m/s",
+                f"must not be below the speed of the path's target, {self.speed:g} m/s",
                 key="speed_max",
                 value=self.speed_max,
-                remedy="a robot that cannot catch up has no tracking claim",
+                remedy="raise it",
             )
         if self.obstacle_speed >= self.avoidance_speed:
             raise InputError(

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from surctl.errors import NotApplicable
 from surctl.guidance.tracking import along_command, tracking_rate
 from surctl.verification.claim import Claim, Motion, Variable
 from surctl.verification.setting import Setting
@@ -160,8 +161,17 @@ def cap_limit(setting: Setting) -> tuple[float, float]:
 
     With s = √(y_e² + Δ²), the target runs away where |x_e| > U (s² − Δ²)/(s v_d − U Δ); the least is at
     s = Δ (U + √(U² − v_d²))/v_d, and is 2 U s/v_d.
+
+    Raises:
+        NotApplicable: a cap that is not above the cruise speed.
     """
     top, v, ahead = setting.speed_max, setting.speed, setting.lookahead
+    if top <= v:
+        raise NotApplicable(
+            f"the cap of {top:g} m/s is not above the cruise speed of {v:g} m/s: a robot that cannot catch up has no "
+            "tracking claim",
+            to="these speeds",
+        )
     s = ahead * (top + np.sqrt(top**2 - v**2)) / v
     return float(2 * top * s / v), float(np.sqrt(s**2 - ahead**2))
 

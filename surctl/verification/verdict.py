@@ -6,10 +6,49 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from surctl.errors import NotApplicable
 from surctl.verification.claim import Claim, VerdictWord
 from surctl.verification.counterexample import Counterexample
 
-__all__ = ["Verdict"]
+__all__ = ["Inapplicable", "Verdict"]
+
+
+@dataclass(frozen=True)
+class Inapplicable:
+    """A claim that is not about the case at hand, which is no verdict on the claim.
+
+    Attributes:
+        claim: its name.
+        because: the assumption that is violated, with its numbers.
+        to: what the claim does not apply to: "this vehicle", "these gains".
+    """
+
+    claim: str
+    because: str
+    to: str = "this vehicle"
+
+    @classmethod
+    def of(cls, claim: str, reason: NotApplicable) -> Inapplicable:
+        """From the error that said so."""
+        return cls(claim, reason.because, reason.to)
+
+    @property
+    def sentence(self) -> str:
+        """The reason in one line."""
+        return f"not applicable to {self.to}, because {self.because}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON, with the keys that every claim has."""
+        return {
+            "claim": self.claim,
+            "expected": None,
+            "verdict": "not applicable",
+            "because": self.because,
+            "certificate": None,
+            "counterexample": None,
+            "remaining": None,
+            "seconds": 0.0,
+        }
 
 
 @dataclass(frozen=True)

@@ -326,7 +326,7 @@ def test_an_inequality_about_a_part_that_the_law_has_not(tracking: dict[str, Any
     assert "v1-corrected" in manifest.claims and not {"v2-static", "braking-keeps"} & set(manifest.claims)
     claim = {**tracking["claim"], "name": "v2-static"}
     found = compare(seal("interval", claim, {"cases": tracking["cases"]}), manifest)
-    assert "is about no part of the exported law" in found.differs[0]
+    assert "does not concern the exported law" in found.differs[0]
     paper = build_law("paper", avoidance="corrected")
     other = build_bundle(paper, paper.gains.unpack(P), origin=Origin(VEHICLE, paper))
     named = manifest_of(other, tmp_path / "paper").claims

@@ -16,7 +16,9 @@ def test_names_of_regions_are_told_apart() -> None:
 def test_a_proved_region_leaves_a_certificate_that_is_accepted(tmp_path, monkeypatch) -> None:
     name = "region-cruise-20-soft"
     monkeypatch.setitem(REGION_CLAIMS, name, REGION_CLAIMS[name].model_copy(update={"attempts": 12}))
-    found = regions.prove_regions([name], vehicle="sur540-flooded", gains="default", out=tmp_path / "proofs")
+    found = regions.prove_regions(
+        [name], vehicle="sur540-flooded", gains="default", speeds=(0.15, 0.22), out=tmp_path / "proofs"
+    )
     assert found.passed and found.lines[0].startswith("ok   region-cruise-20-soft")
     assert check_file(tmp_path / "proofs" / f"{name}.json").accepted
     json.dumps(found.claims)
@@ -26,7 +28,7 @@ def test_a_region_that_is_not_proved_fails_and_leaves_nothing(tmp_path, monkeypa
     name = "region-cruise-20"
     fast = REGION_CLAIMS[name].model_copy(update={"attempts": 2, "rate_per_s": 5.0})
     monkeypatch.setitem(REGION_CLAIMS, name, fast)
-    found = regions.prove_regions([name], vehicle="sur540-flooded", gains="default", out=tmp_path)
+    found = regions.prove_regions([name], vehicle="sur540-flooded", gains="default", speeds=(0.15, 0.22), out=tmp_path)
     assert not found.passed and found.claims[0]["verdict"] == "unknown" and "FAIL" in found.lines[0]
     assert not list(tmp_path.iterdir())
 

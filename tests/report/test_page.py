@@ -196,7 +196,8 @@ def test_a_claim_comes_with_its_counterexample_or_what_is_left(page: str) -> Non
     for value in found.values.values():
         assert f"{value:.8g}" in text
     assert "Counterexample to v1-printed" in text and "Counterexample to v1-corrected" not in text
-    assert "Not proved: 256 samples" in text and "surctl verify v1-printed --gains default" in text
+    assert "Not proved: 256 samples" in text
+    assert "surctl verify v1-printed --vehicle sur540-flooded --gains default --cruise 0.15 --cap 0.22" in text
     wrong = replace(report().verdicts[2], claim=replace(report().verdicts[2].claim, expected="refuted"))
     assert "which was NOT expected" in render_page(bare(verdicts=(wrong,)))
 

@@ -101,3 +101,21 @@ def test_a_fault_of_a_sensor_that_is_not_there_is_refused(tmp_path: Path) -> Non
         file.write('faults = [{ sensor = 4, kind = "dead" }]\n')
     done = surctl("lint", str(path), cwd=tmp_path)
     assert done.status == 2 and "no such sensor" in done.complaint and "0 to 3" in done.complaint
+
+
+def test_a_cap_that_the_thrust_does_not_hold_is_told_by_axis() -> None:
+    boat = load_vehicle("sur400").with_values({"Fu_max": 40.0, "Fv_max": 8.3})
+    # X v + X2 v² = F: 1.131 m/s ahead and 0.498 m/s sideways
+    fast = replace(POOL, cap=1.3)
+    [told] = [f for f in findings(fast, boat) if f.key == "cap_m_per_s"]
+    assert told.level == "warning" and "1.13 m/s in surge and 0.498 m/s in sway" in told.text
+    assert not [f for f in findings(replace(POOL, cap=0.49), boat) if f.key == "cap_m_per_s"]
+
+
+def test_the_way_to_stop_is_that_of_surge_and_the_law_s_caution_is_told_apart() -> None:
+    boat = load_vehicle("sur400").with_values({"Fu_max": 50.0, "Fv_max": 0.05})  # as a boat without sway thrust
+    [told] = [f for f in findings(TANK, boat) if f.key == "sonar.maximum_m"]
+    brake, reaction = (load_gains("default")[name] for name in ("brake", "reaction"))
+    ahead, weak = (TANK.cruise**2 / (2 * brake * f / 50.0) + TANK.cruise * reaction for f in (50.0, 0.05))
+    assert f"stops in {ahead:.2f} m by surge thrust" in told.text and ahead < 1 < 4.5 < weak
+    assert f"weaker of surge and sway, 0.05 N, and keeps {weak:.2f} m" in told.text

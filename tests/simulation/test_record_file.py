@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
-from scipy.io import loadmat
+from scipy.io import loadmat, savemat
 
 from surctl.control import load_gains
 from surctl.errors import InputError
@@ -88,6 +88,33 @@ def test_a_log_is_the_same_log_in_either_frame(tmp_path: Path) -> None:
         bare.write_text(path.read_text().partition("\n")[2])
         np.testing.assert_array_equal(read_motion_log(bare, frame=frame).motion, log.motion)
     assert read_motion_log(bare).motion[0, 2] > 0  # unnamed, it counts as enu: then this robot flies
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_a_log_is_the_same_log_in_every_format(tmp_path: Path, frame: str) -> None:
+    logs = [read_motion_log(save_record(_run(), tmp_path, kind=kind, frame=frame)) for kind in RECORD_FORMATS]
+    for log in logs[1:]:
+        for one, other in ((log.time, logs[0].time), (log.motion, logs[0].motion), (log.thrust, logs[0].thrust)):
+            assert one.tobytes() == other.tobytes()
+
+
+def test_arrays_that_are_no_log_are_told_with_file_and_remedy(tmp_path: Path) -> None:
+    (tmp_path / "bad.mat").write_bytes(b"no MAT-file" * 20)
+    (tmp_path / "bad.nc").write_bytes(b"CDF?")
+    (tmp_path / "new.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    savemat(tmp_path / "text.mat", {"note": "nothing"})
+    savemat(tmp_path / "other.mat", {"time": [0.0, 1.0, 2.0], "more": [1.0]})
+    for name, message in (
+        ("gone.mat", "no such file"),
+        ("bad.mat", "is no MAT-file"),
+        ("bad.nc", "is no netCDF file"),
+        ("new.mat", "save it with -v7"),
+        ("text.mat", "has no numeric vectors"),
+        ("other.mat", "column 't_s' is missing"),
+    ):
+        with pytest.raises(InputError, match=message) as caught:
+            read_motion_log(tmp_path / name)
+        assert name in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_the_fit_does_not_depend_on_the_frame(tmp_path: Path) -> None:

@@ -53,7 +53,10 @@ def test_the_main_job_ends_well(study):
     data = study.json
     assert data["passed"]
     assert set(data) >= {"gains", "margins", "verdicts", "runs", "export", "report"}
-    assert all(v["verdict"] == v["expected"] for v in data["verdicts"])
+    # at tank-speed-015 the cap is the cruise speed: no claim about catching up
+    left_out = [v["claim"] for v in data["verdicts"] if v["verdict"] == "not applicable"]
+    assert left_out == ["v1-speed-cap", "v1-speed-cap-region"]
+    assert all(v["verdict"] == v["expected"] for v in data["verdicts"] if v["claim"] not in left_out)
     assert {m["name"] for m in data["margins"]} >= {"surge", "sway", "heave", "yaw", "cross_track"}
 
 

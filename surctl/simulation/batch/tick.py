@@ -34,9 +34,9 @@ from surctl.simulation.batch.counting import SUMS, counted
 from surctl.simulation.batch.listening import Listening, flat, slots
 from surctl.simulation.batch.structure import Structure
 from surctl.simulation.column import LONGEST
-from surctl.simulation.loop import advance
 from surctl.simulation.metrics import HALT, STOOD, STOPS
 from surctl.simulation.sensors import FIRING
+from surctl.simulation.stepping import advance
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE
 
 __all__ = ["Loop", "Structure", "build_loop"]

@@ -8,13 +8,11 @@ from typing import Any, Literal
 from surctl.certcheck.braking_claim import ASSUMES, LEMMAS
 from surctl.control import Barrier, Gains
 from surctl.control.stopping import BRAKE
-from surctl.errors import InputError
 from surctl.guidance.braking import Brakes, Watch, brakes_of
 from surctl.vehicle import Vehicle
+from surctl.verification.assumptions import check_alike, check_no_integral
 
 __all__ = ["BrakingClaim", "LawNumbers", "law_numbers"]
-
-_ALIKE = (("m11", "m22"), ("Xu", "Yv"), ("Xuu", "Yvv"))
 
 
 @dataclass(frozen=True)
@@ -71,18 +69,10 @@ def law_numbers(barrier: Barrier, vehicle: Vehicle, gains: Gains) -> LawNumbers:
     """The numbers of the guarded law for a vehicle that it believes in.
 
     Raises:
-        InputError: surge and sway differ, or integral action is on.
+        NotApplicable: surge and sway differ, or integral action is on.
     """
-    for surge, sway in _ALIKE:
-        if vehicle[surge] != vehicle[sway]:
-            raise InputError(
-                "differs from that of surge: the claim needs a vehicle that is alike in surge and sway",
-                key=sway, value=vehicle[sway], remedy=f"use {vehicle[surge]:g}",
-            )  # fmt: skip
-    if gains["k_i"]:
-        raise InputError(
-            "is not part of the loop that is certified", key="k_i", value=gains["k_i"], remedy="set it to 0"
-        )
+    check_alike(vehicle)
+    check_no_integral(gains)
     return LawNumbers(
         barrier,
         brakes_of(vehicle, share=gains["brake"]),

@@ -13,12 +13,15 @@ from surctl.control import Barrier, Gains, build_law
 from surctl.errors import InputError, nearest
 from surctl.guidance.braking import LEAST_THRUST, Brakes, Watch, brakes_of
 from surctl.vehicle import Vehicle
+from surctl.verification.assumptions import check_alike
 from surctl.verification.braking.claim import BrakingClaim, law_numbers
+from surctl.verification.setting import OVERSHOOT
 
 __all__ = ["BRAKING_CLAIMS", "BrakingEntry", "braking_claim_named"]
 
 _SPREAD = 0.2
-_FASTEST = 0.25  # [m/s] own speed; the scenarios cap the command at 0.22
+_FASTEST, _CAP = 0.25, 0.22  # [m/s] own speed at most, under that cap
+_SPEEDS = (0.10, 0.15, 0.22)  # [m/s] own speeds of the table
 _SENSED = Watch(age=0.2, range_error=0.05, speed_error=0.01)
 _COLUMNS = (0.0, 0.05, 0.10, 0.15)  # [m/s] obstacles of the rule's table
 
@@ -27,7 +30,7 @@ class BrakingEntry(NamedTuple):
     """What a name claims, and how it is built."""
 
     statement: str
-    build: Callable[[str, Vehicle, Gains], BrakingClaim]
+    build: Callable[[str, Vehicle, Gains, float], BrakingClaim]
 
 
 def _true(vehicle: Vehicle, share: float, *, wide: bool) -> Brakes:
@@ -36,12 +39,16 @@ def _true(vehicle: Vehicle, share: float, *, wide: bool) -> Brakes:
     return replace(brakes_of(vehicle, share=share), linear=near.linear) if wide else near
 
 
-def _rule(*, wide: bool, sideways: float = 0.0) -> Callable[[str, Vehicle, Gains], BrakingClaim]:
-    def build(name: str, vehicle: Vehicle, gains: Gains) -> BrakingClaim:
+def _rule(*, wide: bool, sideways: float = 0.0) -> Callable[[str, Vehicle, Gains, float], BrakingClaim]:
+    def build(name: str, vehicle: Vehicle, gains: Gains, cap: float) -> BrakingClaim:
         del gains
+        check_alike(vehicle, ranges=wide)
         brakes = _true(vehicle, LEAST_THRUST, wide=wide)
         digests = (_digest(vehicle), "0" * 64)  # of no law
-        return BrakingClaim(name, brakes, _SENSED, "along", _COLUMNS, _FASTEST, sideways=sideways, digests=digests)
+        return BrakingClaim(
+            name, brakes, _SENSED, "along", _COLUMNS, _fastest(cap), sideways=sideways, speeds=_rows(cap),
+            digests=digests,
+        )  # fmt: skip
 
     return build
 
@@ -54,8 +61,9 @@ def _flown(
     sideways: float = 0.22,
     spins: bool = False,
     obstacle: float = 0.0,
-) -> Callable[[str, Vehicle, Gains], BrakingClaim]:
-    def build(name: str, vehicle: Vehicle, gains: Gains) -> BrakingClaim:
+) -> Callable[[str, Vehicle, Gains, float], BrakingClaim]:
+    def build(name: str, vehicle: Vehicle, gains: Gains, cap: float) -> BrakingClaim:
+        check_alike(vehicle, ranges=wide)
         numbers = law_numbers(barrier, vehicle, gains)
         # the inertia bound counts on `brake` of the thrust; the simple one needs all that is surely there
         brakes = _true(vehicle, LEAST_THRUST if barrier == "simple" else gains["brake"], wide=wide)
@@ -68,15 +76,25 @@ def _flown(
             Watch(period=law.dt),
             drag,
             (obstacle,),
-            _FASTEST,
+            _fastest(cap),
             sideways=sideways,
             turn=gains["spin"] if spins else 0.0,
             side=brakes.most,
             law=numbers,
+            speeds=_rows(cap),
             digests=(_digest(vehicle), law.block.digest()),
         )
 
     return build
+
+
+def _fastest(cap: float) -> float:
+    """Largest own speed [m/s] under a cap: the table's, or as much beyond the cap as that is beyond 0.22 m/s."""
+    return _FASTEST if cap <= _CAP else round(OVERSHOOT * cap, 9)
+
+
+def _rows(cap: float) -> tuple[float, ...]:
+    return _SPEEDS if cap <= _CAP else (*_SPEEDS, cap)
 
 
 def _digest(vehicle: Vehicle) -> str:
@@ -115,12 +133,13 @@ BRAKING_CLAIMS: Mapping[str, BrakingEntry] = {
 }
 
 
-def braking_claim_named(name: str, vehicle: Vehicle, gains: Gains) -> BrakingClaim:
-    """The claim about braking of that name for a vehicle and its gains.
+def braking_claim_named(name: str, vehicle: Vehicle, gains: Gains, *, cap: float = _CAP) -> BrakingClaim:
+    """The claim about braking of that name for a vehicle, its gains and the cap on its speed [m/s].
 
     Raises:
-        InputError: no such claim, with the nearest known name; a vehicle or gains that it does not fit.
+        InputError: no such claim, with the nearest known name.
+        NotApplicable: a vehicle or gains whose numbers violate an assumption of it.
     """
     if name not in BRAKING_CLAIMS:
         raise InputError("unknown claim", key="claim", value=name, remedy=nearest(name, BRAKING_CLAIMS))
-    return BRAKING_CLAIMS[name].build(name, vehicle, gains)
+    return BRAKING_CLAIMS[name].build(name, vehicle, gains, cap)

@@ -3,8 +3,10 @@
 from surctl.verification.linear.corners import Corners, corners
 from surctl.verification.linear.disk import DiskMargin, disk_margin, disk_profile, structured_bounds
 from surctl.verification.linear.interop import closed_system, loop_system, open_system, sampled_loop_system
+from surctl.verification.linear.modes import Mode, bearable_speed, slowest_mode
 from surctl.verification.linear.places import DISK_PLACES, OpenLoop, open_loop
 from surctl.verification.linear.sampled import SampledLimits, largest_period, sampled_limits, sampled_poles
+from surctl.verification.linear.sensitivity import Sensitivity, sensitivity_of
 from surctl.verification.linear.side import LinearSide, Pole, linear_side, worst_linear_side
 
 __all__ = [
@@ -12,9 +14,12 @@ __all__ = [
     "Corners",
     "DiskMargin",
     "LinearSide",
+    "Mode",
     "OpenLoop",
     "Pole",
     "SampledLimits",
+    "Sensitivity",
+    "bearable_speed",
     "closed_system",
     "corners",
     "disk_margin",
@@ -27,6 +32,8 @@ __all__ = [
     "sampled_limits",
     "sampled_loop_system",
     "sampled_poles",
+    "sensitivity_of",
+    "slowest_mode",
     "structured_bounds",
     "worst_linear_side",
 ]

@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError
 from surctl.verification.linear.places import OpenLoop
 
 __all__ = ["DiskMargin", "disk_margin", "disk_profile", "screened_peaks", "structured_bounds"]
@@ -52,7 +51,8 @@ class DiskMargin:
     Attributes:
         place: where the loops are opened.
         stable: whether the closed loop is stable at all; if not, the rest is 0, (1, 1) and 0.
-        guaranteed: α that is borne at every frequency (floating point; no grid is trusted), at most 2.
+        guaranteed: α that is borne at every frequency (floating point; no grid is trusted), at most 2; NaN where this
+            could not be shown for any.
         reached: α of a perturbation that was found to destabilise; not below `guaranteed`.
         frequency_rad_s: where that one does.
         gain: factors on all gains at once that are borne, by `guaranteed`.
@@ -79,8 +79,7 @@ def disk_margin(loop: OpenLoop, place: str = "") -> DiskMargin:
         loop: opened at q places.
         place: name for the result.
 
-    Raises:
-        InputError: no level could be covered: the loop is too badly scaled for this computation.
+    Where no level can be shown to cover all frequencies, `guaranteed`, `gain` and `phase_deg` are NaN: not judged.
     """
     closed = loop.complementary()
     if not np.all(np.linalg.eigvals(closed.A).real < -1e-9):
@@ -97,6 +96,8 @@ def disk_margin(loop: OpenLoop, place: str = "") -> DiskMargin:
             if lower > least:
                 least, where = lower, omega
         higher = _uncovered(closed, level)
+        if higher is not None and np.isnan(higher):
+            break
         if higher is None:
             alpha = 1 / level
             gain = (2 - alpha) / (2 + alpha)
@@ -104,7 +105,8 @@ def disk_margin(loop: OpenLoop, place: str = "") -> DiskMargin:
             return DiskMargin(place, True, alpha, 1 / least, where, (gain, 1 / gain), phase)
         open_ends = [higher]
         level *= 1 + _ROOM / 4  # it may lie so near below the peak that rounding decides
-    raise InputError("no level covers all frequencies", key=f"disk margin {place}", remedy="check the vehicle's units")
+    nothing = float("nan")
+    return DiskMargin(place, True, nothing, 1 / least, where, (nothing, nothing), nothing)
 
 
 def disk_profile(loop: OpenLoop, omega: Array) -> Array:
@@ -241,7 +243,10 @@ def _refined(closed: OpenLoop, grid: Array, at: list[int]) -> list[float]:
 
 
 def _uncovered(closed: OpenLoop, level: float) -> float | None:
-    """None where some D each has σ_max(D M D⁻¹) < level at every frequency; else a frequency that no D covers."""
+    """None where some D each has σ_max(D M D⁻¹) < level at every frequency; else a frequency that no D covers.
+
+    NaN where the steps get too short to come to an end.
+    """
     omega = 0.0
     for _ in range(_STEPS):
         ends = (_covered(closed, scale, omega, level) for scale in _candidates(closed, omega))
@@ -254,7 +259,7 @@ def _uncovered(closed: OpenLoop, level: float) -> float | None:
         if not _below(closed, beyond, level):
             return beyond  # the peak that begins where the last D ended
         omega = end
-    raise InputError("takes too many steps", key="disk margin", value=level, remedy="check the vehicle's units")
+    return float("nan")
 
 
 def _below(closed: OpenLoop, omega: float, level: float) -> bool:

@@ -78,7 +78,7 @@ class LinearSide:
         """What to print."""
         if not self.stable:
             return [f"linear, {self.of}: UNSTABLE"]
-        disks = ", ".join(f"{d.guaranteed:.2f} ({d.place})" for d in self.disks)
+        disks = ", ".join(f"{_margin(d)} ({d.place})" for d in self.disks)
         none, one, two = (_seconds(t) for t in self.sampled.largest_period_s)
         return [
             f"linear, {self.of}:",
@@ -195,6 +195,10 @@ def _poles(found: NDArray[np.complex128]) -> tuple[Pole, ...]:
         for s in found
         if s.imag >= 0
     )
+
+
+def _margin(disk: DiskMargin) -> str:
+    return "not judged" if np.isnan(disk.guaranteed) else f"{disk.guaranteed:.2f}"
 
 
 def _seconds(period: float) -> str:

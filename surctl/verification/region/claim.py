@@ -8,14 +8,15 @@ from typing import Any
 
 from surctl.certcheck.region_claim import EXCLUDES
 from surctl.control import Gains, build_law
-from surctl.errors import InputError
+from surctl.errors import InputError, NotApplicable
 from surctl.vehicle import Vehicle
+from surctl.verification.assumptions import check_alike, check_no_integral
 
 __all__ = ["RegionClaim", "region_claim"]
 
 Range = tuple[float, float]
 
-_AXES = {"mass_kg": ("m11", "m22"), "linear_drag": ("Xu", "Yv"), "quadratic_drag": ("Xuu", "Yvv")}
+_AXES = {"mass_kg": "m11", "linear_drag": "Xu", "quadratic_drag": "Xuu"}  # sway has the same
 
 
 @dataclass(frozen=True)
@@ -73,16 +74,15 @@ class RegionClaim:
             if not getattr(self, key) > 0:
                 raise InputError("must be greater than 0", key=key, value=getattr(self, key), remedy="correct it")
         if self.gains["k_i"]:
-            raise InputError(
-                "is not part of the loop that is certified", key="k_i", value=self.gains["k_i"], remedy="set it to 0"
-            )
+            raise NotApplicable("k_i is not 0 and the claim is about a loop without integral action", to="these gains")
         if self.current and (self.period or self.lag[1]):
             raise InputError(
                 "is not known together with lag or held commands", key="current", value=self.current,
                 remedy="leave sampled and lagged out",
             )  # fmt: skip
         if self.cruise >= self.cap:
-            raise InputError("must be below the cap", key="cruise", value=self.cruise, remedy="raise the cap")
+            why = f"the cruise speed of {self.cruise:g} m/s is not below the cap of {self.cap:g} m/s"
+            raise NotApplicable(why, to="these speeds")
 
     @property
     def size(self) -> int:
@@ -160,15 +160,13 @@ def region_claim(
         place_error, velocity_error: of what is measured [m, m/s].
 
     Raises:
-        InputError: surge and sway differ, or integral action is on.
+        NotApplicable: surge and sway differ, or integral action is on.
+        InputError: a cruise speed that is not below the cap, or a current together with lag or held commands.
     """
+    check_alike(vehicle, ranges=share is None)
+    check_no_integral(gains)
     ranges, model = {}, []
-    for key, (surge, sway) in _AXES.items():
-        if vehicle[surge] != vehicle[sway]:
-            raise InputError(
-                "differs from that of surge: the claim needs a vehicle that is alike in surge and sway",
-                key=sway, value=vehicle[sway], remedy=f"use {vehicle[surge]:g}",
-            )  # fmt: skip
+    for key, surge in _AXES.items():
         value, known = vehicle[surge], vehicle.parameters[surge].range
         model.append(value)
         ranges[key] = (value, value) if known is None else (float(known[0]), float(known[1]))

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck.heading_claim import EXCLUDES
-from surctl.errors import InputError
 from surctl.vehicle import Vehicle
+from surctl.verification.assumptions import check_alike
 
 __all__ = ["HEADING_GAINS", "HeadingClaim", "Limits", "heading_claim", "loops_at", "rows_at"]
 
@@ -113,13 +113,9 @@ def heading_claim(
         gains: of the loop.
 
     Raises:
-        InputError: surge and sway differ in mass.
+        NotApplicable: surge and sway differ in mass.
     """
-    if vehicle["m11"] != vehicle["m22"]:
-        raise InputError(
-            "differs from that of surge: the claim needs a vehicle that is alike in surge and sway",
-            key="m22", value=vehicle["m22"], remedy=f"use {vehicle['m11']:g}",
-        )  # fmt: skip
+    check_alike(vehicle, mass_alone=True, ranges=share is None)
     ranges = {}
     for key, symbol in _NUMBERS.items():
         value, known = vehicle[symbol], vehicle.parameters[symbol].range

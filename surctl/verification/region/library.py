@@ -95,13 +95,21 @@ def region_statement(name: str) -> RegionStatement:
     return REGION_CLAIMS[name]
 
 
-def prove_statement(statement: RegionStatement, vehicle: Vehicle, gains: Gains, *, seed: int = 0) -> RegionProof:
+def prove_statement(
+    statement: RegionStatement,
+    vehicle: Vehicle,
+    gains: Gains,
+    *,
+    seed: int = 0,
+    cruise: float | None = None,
+    cap: float | None = None,
+) -> RegionProof:
     """Prove a region claim about a vehicle flown with these gains, with the effort that it states.
 
     Raises:
-        InputError: as `RegionStatement.claim`.
+        InputError, NotApplicable: as `RegionStatement.claim`.
     """
-    claim: RegionClaim | HeadingClaim = statement.claim(vehicle, gains)
+    claim: RegionClaim | HeadingClaim = statement.claim(vehicle, gains, cruise=cruise, cap=cap)
     if isinstance(claim, HeadingClaim):
         return prove_heading(claim, rounds=statement.attempts, cells=statement.cells)
     return prove_region(claim, attempts=statement.attempts, seed=seed)

@@ -70,25 +70,34 @@ class RegionStatement(Strict):
     attempts: StrictInt = Field(default=80, ge=1)
     cells: StrictInt = Field(default=1500, ge=1)
 
-    def claim(self, vehicle: Vehicle, gains: Gains) -> RegionClaim | HeadingClaim:
-        """The claim about this vehicle and these gains.
+    def claim(
+        self, vehicle: Vehicle, gains: Gains, *, cruise: float | None = None, cap: float | None = None
+    ) -> RegionClaim | HeadingClaim:
+        """The claim about this vehicle and these gains; at another speed [m/s] where the claim names none itself.
 
         Raises:
-            InputError: a vehicle or gain that it does not fit, or a key that the heading-steered loop does not know.
+            InputError: a gain that it does not know, a cruise speed that is not below the cap, or a key that the
+                heading-steered loop does not know.
+            NotApplicable: a vehicle or gains whose numbers violate an assumption of the claim.
         """
         share = None if self.ranges else self.share
+        own = {key for key in ("cruise_m_per_s", "cap_m_per_s") if key in self.model_fields_set}
         if self.loop == "heading":
-            return self._heading(vehicle, share)
+            return self._heading(vehicle, share, cruise)
+        cruise = self.cruise_m_per_s if cruise is None or own else cruise
+        cap = self.cap_m_per_s if cap is None or own else cap
+        if own and cruise >= cap:  # a mistake of whoever wrote the claim, not of the speeds at hand
+            raise InputError("must be below the cap", key="cruise", value=cruise, remedy="raise the cap")
         flown = replace(gains, source="").with_values(self.gains)  # a wrong one is not the gain file's
         turn = flown["spin"] if self.spinning else self.yaw_rate_rad_per_s
         return region_claim(
             self.name, vehicle, flown, share=share, thrust_share=self.thrust_share, asymmetry=self.asymmetry,
-            sampled=self.sampled, lagged=self.lagged, yaw_rate=turn, cruise=self.cruise_m_per_s, cap=self.cap_m_per_s,
+            sampled=self.sampled, lagged=self.lagged, yaw_rate=turn, cruise=cruise, cap=cap,
             rate=self.rate_per_s, current=self.current_m_per_s, force=self.force_n, place_error=self.place_error_m,
             velocity_error=self.velocity_error_m_per_s,
         )  # fmt: skip
 
-    def _heading(self, vehicle: Vehicle, share: float | None) -> HeadingClaim:
+    def _heading(self, vehicle: Vehicle, share: float | None, cruise: float | None) -> HeadingClaim:
         for key in sorted(self.model_fields_set - _HEADING_KNOWS):
             if getattr(self, key) != type(self).model_fields[key].default:
                 raise InputError(
@@ -100,7 +109,7 @@ class RegionStatement(Strict):
         for key, value in self.gains.items():
             if not value > 0:
                 raise InputError("must be greater than 0", key=f"gains.{key}", value=value, remedy="correct it")
-        own = {**HEADING_GAINS, **self.gains}
+        own = {**HEADING_GAINS, **({} if cruise is None else {"cruise": cruise}), **self.gains}
         return heading_claim(
             self.name, vehicle, share=share, thrust_share=self.thrust_share, rate=self.rate_per_s, gains=own
         )

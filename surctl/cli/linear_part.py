@@ -1,0 +1,77 @@
+"""The linear side of `surctl verify`: margins, poles, the slowest mode, the bearable speed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from surctl.vehicle import Vehicle
+
+__all__ = ["LinearPart", "linear_part"]
+
+
+class LinearPart(NamedTuple):
+    """What to print, what JSON has, and whether the loop is stable; None where there is no straight cruise."""
+
+    lines: list[str]
+    told: dict[str, Any]
+    stable: bool | None
+
+
+def linear_part(
+    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, uncertainty: float, asked: bool
+) -> LinearPart:
+    """The linear side about a cruise speed [m/s], for the vehicle and the worst of its uncertainty.
+
+    Raises:
+        InputError: the vehicle cannot hold a cruise speed that was asked for; or a gain that is no gain.
+    """
+    import numpy as np
+
+    from surctl.errors import InputError
+    from surctl.vehicle.linearise import check_trim
+    from surctl.verification import build_cascade, worst_margins
+    from surctl.verification.linear import (
+        DISK_PLACES,
+        corners,
+        linear_side,
+        open_loop,
+        sensitivity_of,
+        slowest_mode,
+        worst_linear_side,
+    )
+
+    tried = corners(vehicle, uncertainty or None)
+    try:
+        check_trim(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
+    except InputError as error:
+        if asked:
+            raise
+        why = f"not applicable to this vehicle, because a cruise at {cruise:g} m/s {error.problem} N"
+        return LinearPart([f"margins: {why}"], {"margins": [], "linear": {"not_applicable": why}}, None)
+    margins = worst_margins(vehicle, gains, uncertainty=uncertainty, cruise=cruise, dt=dt)
+    nominal = linear_side(vehicle, gains, cruise=cruise, dt=dt)
+    worst = worst_linear_side(tried, gains, cruise=cruise, dt=dt)
+    mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt)
+    least = min(margins, key=lambda m: m.delay_margin_s)
+    stable = all(m.stable for m in margins)
+    off = f" with mass and drag off by ±{uncertainty:.0%}" if uncertainty else ""
+    word = f"stable, least delay {least.delay_margin_s:.2f} s ({least.name})" if stable else "UNSTABLE"
+    lines = [f"margins of {vehicle.name}{off}: {word}", *mode.lines()]
+    if not stable:
+        lines.append(
+            "  the kinematic claims assume that the vehicle follows the commanded velocity: this loop does not"
+        )
+    cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt)
+    curves = [sensitivity_of(open_loop(cascade, p), p, highest=np.pi / dt) for p in DISK_PLACES[:2] if cascade.stable]
+    if curves:
+        peaks = "; ".join(f"S {c.S.max():.2f}, T {c.T.max():.2f} ({c.place})" for c in curves)
+        lines.append(f"  largest sensitivity of all loops together: {peaks}")
+    lines += [*nominal.lines(), *(worst.lines() if len(tried.vehicles) > 1 else [])]
+    told = {
+        "margins": [m.to_dict() for m in margins],
+        "linear": {"nominal": nominal.to_dict(), "worst": worst.to_dict(), "mode": mode.to_dict()}
+        | {"sensitivity": [c.to_dict() for c in curves]},
+    }
+    return LinearPart(lines, told, stable)

@@ -1,0 +1,81 @@
+"""A recording whose columns are arrays: MATLAB's .mat and netCDF, for those who read a recorded CSV."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+
+__all__ = ["ARRAY_FILES", "read_arrays"]
+
+Found = tuple[dict[str, Any], str]
+"""Variables by name, and what the file says of its frame."""
+
+
+def read_arrays(path: Path, *, name: str) -> tuple[dict[str, NDArray[np.float64]], str]:
+    """Columns (n,) of a file, by name, and its text `frame`, empty if it has none.
+
+    The columns are the numeric vectors as long as `t_s`; without it, all of one length. Everything else is left alone.
+
+    Args:
+        path: ends in .mat or .nc.
+        name: of the file, for messages.
+
+    Raises:
+        InputError: no such file, not of its kind, or without columns.
+    """
+    if not path.is_file():
+        raise InputError("no such file", file=name, remedy="check the path")
+    found, frame = ARRAY_FILES[path.suffix.lower()](path, name)
+    vectors = {key: v for key, value in found.items() if (v := _vector(value)) is not None}
+    if not vectors:
+        raise InputError("has no numeric vectors", file=name, remedy="save each column as a vector of its name")
+    size = len(vectors.get("t_s", next(iter(vectors.values()))))
+    columns = {key: vector for key, vector in vectors.items() if len(vector) == size}
+    if not size:
+        raise InputError("has no rows", file=name, remedy="add rows")
+    return columns, frame
+
+
+def _vector(value: object) -> NDArray[np.float64] | None:
+    array = np.squeeze(np.asarray(value))
+    if array.ndim > 1 or array.dtype.kind not in "fiub":
+        return None
+    return np.atleast_1d(np.ma.filled(array.astype(float), np.nan))
+
+
+def _mat(path: Path, name: str) -> Found:
+    from scipy.io import loadmat
+
+    try:
+        held = loadmat(path, squeeze_me=True, chars_as_strings=True)
+    except NotImplementedError:  # version 7.3 is HDF5
+        raise InputError("is a MAT-file of version 7.3", file=name, remedy="save it with -v7") from None
+    except (OSError, ValueError, TypeError, KeyError, IndexError, EOFError, OverflowError, MemoryError) as error:
+        raise InputError(f"is no MAT-file that can be read ({error})", file=name, remedy="save it with -v7") from None
+    frame = held.get("frame")
+    return {key: value for key, value in held.items() if not key.startswith("__")}, str(frame or "")
+
+
+def _netcdf(path: Path, name: str) -> Found:
+    import netCDF4
+
+    try:
+        with netCDF4.Dataset(path) as file:
+            values = {key: np.ma.filled(variable[:], np.nan) for key, variable in _numeric(file).items()}
+            return values, str(getattr(file, "frame", ""))
+    except (OSError, RuntimeError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"is no netCDF file that can be read ({reason})", file=name, remedy="save it again") from None
+
+
+def _numeric(file: Any) -> Mapping[str, Any]:
+    return {key: v for key, v in file.variables.items() if getattr(v.dtype, "kind", "") in "fiu"}
+
+
+ARRAY_FILES: Mapping[str, Callable[[Path, str], Found]] = {".mat": _mat, ".nc": _netcdf}

@@ -1,0 +1,110 @@
+"""How a vehicle lies in its own motion: crab angle, heading error, and whether it swings like a limit cycle."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.guidance import Follower
+
+__all__ = ["Attitude", "attitude_of"]
+
+Array = NDArray[np.float64]
+
+_MOVING = 0.25  # of the cruise speed: slower, a crab angle means nothing
+_SETTLED = 0.4  # share of the run that is left out before a swing is looked for
+_SWING = 0.05  # of the cruise speed: least amplitude of a swing in sway
+_ALIKE = 0.6  # least correlation of a swing with itself a period later
+_PERIODS = 3.0  # least number of periods in what is looked at
+
+
+@dataclass(frozen=True)
+class Attitude:
+    """Figures of one run.
+
+    Attributes:
+        crab_angle_deg: mean angle between the hull and its velocity while it moves, without sign; NaN if it never does.
+        max_crab_angle_deg: the largest.
+        heading_error_deg: rms angle between the hull and the leg of the path that it is on while it moves.
+        oscillates: whether sway repeats itself over the last part of the run, as in a limit cycle.
+        period_s: of that oscillation; NaN without one.
+        swing_m_per_s: amplitude of sway over that part.
+    """
+
+    crab_angle_deg: float
+    max_crab_angle_deg: float
+    heading_error_deg: float
+    oscillates: bool
+    period_s: float
+    swing_m_per_s: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data; NaN is left to the writer."""
+        return asdict(self)
+
+
+def attitude_of(follower: Follower, cruise: float, time: Array, eta: Array, nu: Array) -> Attitude:
+    """The figures of a motion.
+
+    Args:
+        follower: at the start of the path that is followed.
+        cruise: cruise speed [m/s].
+        time: (n,) [s], evenly spaced.
+        eta: (n, 4) place [m] and heading [rad] in {E}.
+        nu: (n, 4) body velocity [m/s, rad/s].
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.guidance import Follower, Path
+        >>> from surctl.simulation import attitude_of
+        >>> time = np.arange(0.0, 60.0, 0.05)
+        >>> eta = np.stack([0.15 * time, 0 * time, 0 * time, 0 * time + 0.2], axis=1)
+        >>> nu = np.tile([0.15 * np.cos(0.2), -0.15 * np.sin(0.2), 0.0, 0.0], (len(time), 1))
+        >>> found = attitude_of(Follower(Path([[0.0, 0.0], [9.0, 0.0]])), 0.15, time, eta, nu)
+        >>> round(found.crab_angle_deg, 1), round(found.heading_error_deg, 1), found.oscillates
+        (11.5, 11.5, False)
+    """
+    moving = np.hypot(nu[:, 0], nu[:, 1]) > _MOVING * cruise
+    swings, period, amplitude = _swing(time, nu[:, 1], cruise)
+    if not moving.any():
+        nothing = float("nan")
+        return Attitude(nothing, nothing, nothing, swings, period, amplitude)
+    crab = np.abs(np.arctan2(nu[moving, 1], nu[moving, 0]))
+    off = eta[moving, 3] - follower.directions(eta[:, :2])[moving]
+    off = (off + np.pi) % (2 * np.pi) - np.pi
+    return Attitude(
+        float(np.rad2deg(crab.mean())),
+        float(np.rad2deg(crab.max())),
+        float(np.rad2deg(np.sqrt(np.mean(off**2)))),
+        swings,
+        period,
+        amplitude,
+    )
+
+
+def _swing(time: Array, sway: Array, cruise: float) -> tuple[bool, float, float]:
+    """Whether sway repeats itself, its period [s] and amplitude [m/s], by its correlation with itself later."""
+    late = sway[int(_SETTLED * len(sway)) :]
+    nothing = False, float("nan"), 0.0
+    if len(late) < 8:
+        return nothing
+    middle = late - late.mean()
+    amplitude = float(np.sqrt(2) * middle.std())
+    if amplitude < _SWING * cruise:
+        return False, float("nan"), amplitude
+    size = len(middle)
+    spectrum = np.fft.rfft(middle, 2 * size)
+    raw = np.fft.irfft(np.abs(spectrum) ** 2)[:size]
+    left = np.arange(size, 0, -1)
+    correlation = raw / left / (raw[0] / size)  # each lag by the samples that it has
+    crossed = np.flatnonzero(correlation < 0)
+    last = int(size / _PERIODS)
+    if not crossed.size or crossed[0] >= last:
+        return False, float("nan"), amplitude
+    at = int(crossed[0] + np.argmax(correlation[crossed[0] : last + 1]))
+    if at == last or correlation[at] < _ALIKE:
+        return False, float("nan"), amplitude
+    return True, float(at * (time[1] - time[0])), amplitude

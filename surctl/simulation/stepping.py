@@ -1,0 +1,38 @@
+"""The plant between two firings of the sonars."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.ir import on_vectors
+from surctl.vehicle import build_plant
+
+__all__ = ["advance", "advanced"]
+
+_RK4_STEPS = (0.010, 0.010, 0.005)
+
+
+@cache
+def advance() -> ca.Function:
+    """(x, tau_command, d, p) → x after one firing interval of 25 ms: RK4 in steps of 10, 10 and 5 ms."""
+    ode = build_plant().ode
+    x, tau, d, p = (ca.SX.sym(n, ode.numel_in(i)) for i, n in enumerate(("x", "tau", "d", "p")))
+    state = x
+    for h in _RK4_STEPS:
+        k1 = ode(state, tau, d, p)
+        k2 = ode(state + h / 2 * k1, tau, d, p)
+        k3 = ode(state + h / 2 * k2, tau, d, p)
+        k4 = ode(state + h * k3, tau, d, p)
+        state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return ca.Function("advance", [x, tau, d, p], [state], {"cse": True})
+
+
+@cache
+def advanced() -> Callable[..., list[NDArray[np.float64]]]:
+    """`advance` on vectors."""
+    return on_vectors(advance())

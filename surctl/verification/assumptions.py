@@ -1,0 +1,46 @@
+"""What claims assume of the vehicle and the gains at hand; a claim whose assumption is violated is not applicable."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from surctl.control import Gains
+from surctl.errors import NotApplicable
+from surctl.vehicle import PARAMETERS, Vehicle
+
+__all__ = ["check_alike", "check_no_integral"]
+
+_ALIKE: Mapping[str, tuple[str, str]] = {
+    "mass": ("m11", "m22"),
+    "linear drag": ("Xu", "Yv"),
+    "quadratic drag": ("Xuu", "Yvv"),
+}
+
+
+def check_alike(vehicle: Vehicle, *, mass_alone: bool = False, ranges: bool = False) -> None:
+    """NotApplicable unless surge and sway have one mass and one drag.
+
+    Args:
+        vehicle: what the claim would be about.
+        mass_alone: drag may differ.
+        ranges: the stated ranges must be the same too, since the claim takes those of surge for both.
+    """
+    for what, (surge, sway) in list(_ALIKE.items())[: 1 if mass_alone else None]:
+        unit = "" if PARAMETERS[surge].unit == "1" else f" {PARAMETERS[surge].unit}"
+        if vehicle[surge] != vehicle[sway]:
+            values = " and ".join(f"{name} = {vehicle[name]:g}{unit}" for name in (surge, sway))
+            raise NotApplicable(f"{values} differ and the claim assumes one {what} in surge and sway")
+        stated = [vehicle.parameters[name].range for name in (surge, sway)]
+        if ranges and stated[0] != stated[1]:
+            raise NotApplicable(
+                f"the ranges of {surge} and {sway} differ ({stated[0]} and {stated[1]}{unit}) and the claim assumes "
+                f"one {what} in surge and sway"
+            )
+
+
+def check_no_integral(gains: Gains) -> None:
+    """NotApplicable where the gains have integral action, which the certified loops do not have."""
+    if gains["k_i"]:
+        raise NotApplicable(
+            f"k_i = {gains['k_i']:g} 1/s^2 and the claim is about a loop without integral action", to="these gains"
+        )

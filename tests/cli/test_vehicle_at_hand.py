@@ -1,0 +1,99 @@
+"""Verdicts, remedies and next commands are about the vehicle, speed and scenario that were named."""
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from surctl.cli.linear_part import linear_part as linear_side_of
+from surctl.cli.output import at_hand
+from surctl.cli.single_run import linear_part
+from surctl.cli.verify import _export, _speeds
+from surctl.control import build_law, load_gains
+from surctl.errors import InputError
+from surctl.simulation import load_scenario, simulate
+from surctl.vehicle import load_vehicle
+from tests.cli.process import surctl
+
+GAINS = load_gains("default")
+WU = load_vehicle("bluerov2-wu")
+
+
+def test_a_claim_that_does_not_apply_has_its_own_word_and_costs_no_other_result(tmp_path: Path) -> None:
+    words = ("verify", "braking-rule-20", "region-cruise-20", "braking-mass", "m-norm-corrected")
+    done = surctl(*words, "--vehicle", "bluerov2-wu", "--cruise", "0.47", "--json", cwd=tmp_path)
+    told = {c["claim"]: c for c in done.json["claims"]}
+    assert done.status == 1 and told["m-norm-corrected"]["verdict"] == "proved"
+    for name in words[1:4]:
+        assert told[name]["verdict"] == "not applicable" and told[name]["certificate"] is None
+        assert "m11 = 17 kg and m22 = 24.2 kg differ" in told[name]["because"]
+    linear = done.json["linear"]
+    assert (done.json["cruise_m_per_s"], linear["mode"]["stable"]) == (0.47, False)
+    assert linear["mode"]["cause"].startswith("Munk") and 0.19 < linear["mode"]["bearable_m_per_s"] < 0.21
+    assert not any("export" in command for command in done.json["next"])
+
+
+def test_speeds_are_those_given_else_the_scenario_s() -> None:
+    assert _speeds(None, None, None) == (0.15, 0.22)
+    assert _speeds(None, None, "tank-speed-020") == (0.22, 0.22)  # a cap that leaves no claim about catching up
+    cruise, cap = _speeds(1.0, None, None)
+    assert cruise == 1.0 and cap == pytest.approx(0.22 / 0.15)
+    assert _speeds(0.3, 0.5, "tank-static") == (0.3, 0.5)
+    with pytest.raises(InputError, match=r"--cap = 0\.2: must not be below the cruise speed, 0\.3 m/s"):
+        _speeds(0.3, 0.2, None)
+
+
+def test_a_cruise_beyond_the_thrust_is_refused_if_asked_for_and_else_not_applicable() -> None:
+    about = {"cruise": 3.0, "dt": 0.05, "uncertainty": 0.0}
+    found = linear_side_of(WU, GAINS.values, **about, asked=False)
+    assert found.stable is None and "not applicable to this vehicle, because a cruise at 3 m/s" in found.lines[0]
+    with pytest.raises(InputError, match="needs thrust"):
+        linear_side_of(WU, GAINS.values, **about, asked=True)
+
+
+def test_no_export_is_proposed_whose_mission_the_vehicle_cannot_start(tmp_path: Path) -> None:
+    law = build_law()
+    [fits] = _export(None, "sur400", "default", [], law)
+    assert fits == "surctl export --vehicle sur400 --gains default"
+    [named] = _export("tank-static", "bluerov2-wu", "default", [], law)
+    assert "--scenario tank-static --vehicle bluerov2-wu" in named
+    wide = tmp_path / "wide.toml"
+    text = Path(WU.source).read_text()
+    wide.write_text(text.replace(f"radius = {{ value = {WU['radius']:g}", "radius = { value = 1.2"))
+    assert tomllib.loads(wide.read_text())["hull"]["radius"]["value"] == 1.2
+    assert _export(None, str(wide), "default", [], law) == []
+
+
+def test_next_commands_carry_scenario_vehicle_and_gains() -> None:
+    told = at_hand(load_scenario("tank-static"), WU, "g.toml")
+    assert told == ["--scenario", "tank-static", "--vehicle", "bluerov2-wu", "--gains", "g.toml"]
+
+
+def test_a_run_that_arrives_on_an_unstable_loop_says_so() -> None:
+    mission = load_scenario("tank-static")
+    fast = replace(mission, cruise=0.47, cap=0.6, time_limit=1.0)
+    for scenario, stable in ((fast, False), (replace(mission, time_limit=0.5), True)):
+        run = simulate(scenario, WU, gains=GAINS, law=build_law())
+        result = run.to_dict()
+        lines = linear_part(run, result)
+        assert result["linear"]["stable"] is stable and bool(lines) is not stable
+        assert set(result["attitude"]) >= {"crab_angle_deg", "heading_error_deg", "oscillates"}
+    run = simulate(fast, WU, gains=GAINS, law=build_law())
+    assert "the linear loop at this speed is unstable" in linear_part(run, {})[0]
+    held = replace(run, law=build_law("dwa"))
+    result = {}
+    assert linear_part(held, result) == [] and result["linear"] is None  # dwa has no linear loop
+
+
+def test_lint_tells_a_name_that_is_no_file_s_and_a_region_whose_cruise_is_its_cap(tmp_path: Path) -> None:
+    text = Path(WU.source).read_text().replace('name = "bluerov2-wu"', 'name = "my/robot"')
+    (tmp_path / "v.toml").write_text(text)
+    (tmp_path / "r.toml").write_text('kind = "region"\nname = "mine"\ncruise_m_per_s = 0.3\n')
+    for file, key, part in (
+        ("v.toml", "name", "leave / and"),
+        ("r.toml", "cruise_m_per_s", "not below the cap of 0.22"),
+    ):
+        done = surctl("lint", file, "--json", cwd=tmp_path)
+        [finding] = done.json["findings"]
+        assert done.status == 1 and finding["key"] == key and part in finding["text"]

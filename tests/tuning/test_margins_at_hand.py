@@ -1,0 +1,40 @@
+"""Linear figures of a sweep are those of the law that flies, or none."""
+
+import numpy as np
+import pytest
+
+from surctl.control import load_gains
+from surctl.errors import InputError
+from surctl.simulation import load_scenario
+from surctl.tuning import build_cases
+from surctl.tuning.measure import LINEAR_COLUMNS, Evaluation
+from surctl.tuning.start import _no_start
+from surctl.tuning.table import judged
+from surctl.vehicle import load_vehicle
+
+GAINS = load_gains("default")
+
+
+@pytest.mark.parametrize(("kind", "has"), [({}, True), ({"guidance": "ilos"}, False), ({"law": "dwa"}, False)])
+def test_a_law_without_a_linear_loop_has_no_margins_and_never_another_law_s(kind: dict[str, str], has: bool) -> None:
+    cases = build_cases([load_scenario("pool-behind")], gains=GAINS, **kind)
+    evaluation = Evaluation(cases, ("k_v",), (0,), linear_chunks=1)
+    table = evaluation(0, np.array([[1.5], [2.0]]))
+    assert evaluation.has_margins is has and table.shape == (2, len(LINEAR_COLUMNS))
+    assert np.isnan(table).all() == (not has)
+
+
+def test_margins_that_are_not_judged_do_not_decide_what_is_feasible() -> None:
+    flown = {name: np.ones(2) for name in ("reached_worst", "min_clearance_m_worst", "strayed", "time_ratio")}
+    assert judged(flown)["feasible"].tolist() == [1.0, 1.0]
+    nothing = {"delay_margin_s": np.full(2, np.nan), "disk_margin": np.full(2, np.nan)}  # no straight cruise at all
+    assert judged(flown | nothing)["feasible"].tolist() == [0.0, 0.0]
+
+
+def test_a_missing_regulator_start_is_blamed_on_what_it_is() -> None:
+    wu, values = load_vehicle("bluerov2-wu"), GAINS.values
+    unstable = _no_start(wu, values, cruise=0.3, dt=0.05)
+    assert isinstance(unstable, InputError) and "Munk moment" in str(unstable) and "k_r = 4.5" in str(unstable)
+    assert "shorten" not in str(unstable)
+    slow = _no_start(load_vehicle("sur400"), values | {"k_v": 4.0}, cruise=0.15, dt=0.1)
+    assert "dt = 0.1" in str(slow) and "shorten it" in str(slow)

@@ -1,0 +1,70 @@
+"""The slowest mode: its states, its cause, and what makes an unstable loop stable."""
+
+import numpy as np
+import pytest
+
+from surctl.control import load_gains
+from surctl.vehicle import load_vehicle
+from surctl.verification import build_cascade
+from surctl.verification.linear import (
+    DiskMargin,
+    bearable_speed,
+    disk_margin,
+    linear_side,
+    open_loop,
+    slowest_mode,
+)
+
+GAINS = load_gains("default").values
+WU = load_vehicle("bluerov2-wu")  # 17 kg in surge, 24.2 kg in sway
+
+
+def stable(cruise: float, **gains: float) -> bool:
+    return build_cascade(WU, {**GAINS, **gains}, cruise=cruise, dt=0.05).stable
+
+
+def test_an_unstable_loop_names_the_munk_moment_and_what_stabilises_it() -> None:
+    mode = slowest_mode(WU, GAINS, cruise=0.25, dt=0.05)
+    assert not mode.stable and mode.real == pytest.approx(build_cascade(WU, GAINS, cruise=0.25, dt=0.05).poles[0].real)
+    assert mode.cause == "Munk moment (m22 - m11) u v" and mode.without[mode.cause] < -0.3
+    assert next(iter(mode.participation)) == "psi" and sum(mode.participation.values()) == pytest.approx(1, abs=0.01)
+    # a larger k_r stabilises, which "lower k_v and k_r" would not have told
+    assert set(mode.remedies) == {"k_psi", "k_r"} and mode.remedies["k_r"] > GAINS["k_r"]
+    assert all(stable(0.25, **{name: value}) for name, value in mode.remedies.items())
+    assert stable(0.99 * mode.bearable) and not stable(1.01 * mode.bearable)
+    text = "\n".join(mode.lines())
+    assert "UNSTABLE at 0.25 m/s" in text and "caused by the Munk moment" in text and "k_r = " in text
+
+
+def test_with_one_mass_there_is_no_munk_moment_and_the_thrust_bounds_the_speed() -> None:
+    vehicle = load_vehicle("sur400")
+    mode = slowest_mode(vehicle, GAINS, cruise=0.15, dt=0.05)
+    assert mode.stable and mode.cause is None and not mode.remedies
+    assert next(iter(mode.participation)) == "y" and "UNSTABLE" not in "".join(mode.lines())
+    linear, quadratic, most = (vehicle[name] for name in ("Xu", "Xuu", "Fu_max"))
+    held = np.roots([quadratic, linear, -most]).max()
+    assert bearable_speed(vehicle, GAINS, dt=0.05) == pytest.approx(held, rel=1e-6)
+
+
+def test_participation_is_that_of_the_mode_s_residue() -> None:
+    # p_k = dλ/da_kk: what the pole moves by when a state's own rate does
+    cascade = build_cascade(WU, GAINS, cruise=0.2, dt=0.05)
+    mode = slowest_mode(WU, GAINS, cruise=0.2, dt=0.05)
+    scale = abs(_moved(cascade.closed, 3)) / mode.participation["psi"]
+    for name, k in (("v", 5), ("r", 7)):
+        assert abs(_moved(cascade.closed, k)) == pytest.approx(scale * mode.participation[name], rel=1e-3)
+
+
+def _moved(closed: np.ndarray, k: int) -> float:
+    nudged = closed.copy()
+    nudged[k, k] += 1e-6
+    return float((np.linalg.eigvals(nudged).real.max() - np.linalg.eigvals(closed).real.max()) / 1e-6)
+
+
+def test_a_disk_margin_that_cannot_be_shown_is_not_judged_and_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("surctl.verification.linear.disk._STEPS", 0)
+    loop = open_loop(build_cascade(WU, GAINS, cruise=0.15, dt=0.05), "thrust")
+    found: DiskMargin = disk_margin(loop, "thrust")
+    assert found.stable and np.isnan(found.guaranteed) and found.reached > 0
+    side = linear_side(WU, GAINS, cruise=0.15, dt=0.05)
+    assert side.stable and "not judged (thrust)" in "\n".join(side.lines())

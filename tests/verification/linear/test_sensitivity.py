@@ -1,0 +1,30 @@
+import control
+import numpy as np
+import pytest
+
+from surctl.control import load_gains
+from surctl.errors import InputError
+from surctl.vehicle import load_vehicle
+from surctl.verification import build_cascade
+from surctl.verification.linear import OpenLoop, open_loop, sensitivity_of
+
+GAINS = load_gains("default").values
+
+
+def test_one_loop_has_the_sensitivity_of_python_control() -> None:
+    system = control.tf([4.0], [1.0, 3.0, 3.0, 1.0])
+    ss = control.ss(system)
+    found = sensitivity_of(OpenLoop(*(np.asarray(m) for m in (ss.A, ss.B, ss.C, ss.D))), "here", highest=50.0)
+    s = 1j * found.omega
+    assert pytest.approx(np.abs(1 / (1 + system(s))), rel=1e-9) == found.S
+    assert pytest.approx(np.abs(system(s) / (1 + system(s))), rel=1e-9) == found.T
+    assert found.to_dict()["peak_S"] == found.S.max() > 1
+
+
+def test_all_loops_together_are_deaf_to_fast_noise_and_an_unstable_one_has_no_response() -> None:
+    cascade = build_cascade(load_vehicle("sur400"), GAINS, cruise=0.15, dt=0.05)
+    found = sensitivity_of(open_loop(cascade, "measurement"), "measurement", highest=60.0)
+    assert found.T[-1] < 0.02 and found.S[-1] == pytest.approx(1, abs=0.02) and np.all(found.S + found.T >= 1 - 1e-9)
+    with pytest.raises(InputError, match="is unstable"):
+        wu = build_cascade(load_vehicle("bluerov2-wu"), GAINS, cruise=0.47, dt=0.05)
+        sensitivity_of(open_loop(wu, "thrust"), "thrust", highest=60.0)
