@@ -78,7 +78,7 @@ def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = 
         >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
         >>> shipped = closed_form(law, real="float32", constants=p)
         >>> law.gains.size, shipped.gains.size, shipped.block.operations < law.block.operations
-        (69, 0, True)
+        (70, 0, True)
     """
     closed = law.mode == "nsb" and law.senses is None
     if law.senses is not None and constants is not None:

@@ -76,7 +76,7 @@ def lower_named(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca
         in0 v 2
         v0 = in0[1]
         v1 = neg v0
-        left v1
+        out0 left v1
     """
     made = [ca.densify(ca.SX(value)) for value in outputs.values()]
     return lower(ca.Function(name, list(inputs.values()), made, list(inputs), list(outputs), {"cse": True}))
