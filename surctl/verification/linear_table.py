@@ -19,7 +19,7 @@ from surctl.simulation import MetricSpec
 from surctl.vehicle import PARAMETERS, PLANT_PARAMETERS, Vehicle, plant_parameters
 from surctl.vehicle.dynamics import trim_function
 from surctl.verification.cascade import CASCADE_GAINS, Cascade, build_cascades, check_positive
-from surctl.verification.loops import LOOP_NAMES, broken_loops, crossings_of
+from surctl.verification.loops import LOOP_NAMES, broken_loops, crossings_of, shape_of
 from surctl.verification.steps import STEP_NAMES, step_figures
 
 __all__ = ["LINEAR_KNOBS", "LINEAR_METRICS", "Points", "cascades_by_order", "linear_table", "read_points"]
@@ -54,6 +54,11 @@ _MARGINS = {
     "delay_margin_s": MetricSpec("s", "extra delay that is borne", "high"),
     "disk_margin": MetricSpec("1", "radius of the balanced disk margin, 0 to 2", "high"),
 }
+_SHAPES = {
+    "sensitivity_peak": MetricSpec("1", "largest |S| over frequency", "low"),
+    "rejection_rad_per_s": MetricSpec("rad/s", "frequency up to which |S| is at most -3 dB", "high"),
+    "crossover_rad_per_s": MetricSpec("rad/s", "highest frequency with |L| = 1", None),
+}
 LINEAR_METRICS: Mapping[str, MetricSpec] = {
     "slowest_pole_per_s": MetricSpec("1/s", "largest real part of a closed-loop pole", "low"),
     "least_damping": MetricSpec("1", "least damping ratio of the closed-loop poles; 1 without a complex one", "high"),
@@ -62,6 +67,12 @@ LINEAR_METRICS: Mapping[str, MetricSpec] = {
         f"{name}.{loop}": MetricSpec(m.unit, f"{m.meaning}, loop {loop}", m.better)
         for loop in LOOP_NAMES
         for name, m in _MARGINS.items()
+    },
+    "sensitivity_peak": MetricSpec("1", "largest |S| over frequency, most of all loops", "low"),
+    **{
+        f"{name}.{loop}": MetricSpec(m.unit, f"{m.meaning}, loop {loop}", m.better)
+        for loop in LOOP_NAMES
+        for name, m in _SHAPES.items()
     },
     **{f"settling_time_s.{s}": MetricSpec("s", f"2 % settling time of a step in {s}", "low") for s in STEP_NAMES},
     **{f"overshoot.{s}": MetricSpec("1", f"overshoot of a step in {s}, share of the step", "low") for s in STEP_NAMES},
@@ -82,7 +93,8 @@ def linear_table(
 ) -> dict[str, NDArray[np.float64]]:
     """`LINEAR_METRICS` columns of n points.
 
-    An unstable point has margins 1, 0, 0, 0 (as `LoopMargins`), settling time and overshoot inf. A point whose
+    An unstable point has margins 1, 0, 0, 0 (as `LoopMargins`), sensitivity peak, settling time and overshoot inf,
+    rejection 0, and no crossover: NaN. A point whose
     vehicle cannot hold the cruise speed with its thrust has no linear model: NaN throughout.
 
     Args:
@@ -232,6 +244,12 @@ def _figures(cascade: Cascade, *, dt: float, columns: Collection[str]) -> dict[s
             margins = crossings_of(loop, highest=np.pi / dt)
             found |= {f"{m}.{name}": np.where(stable, getattr(margins, m), left) for m, left in nothing.items()}
         found |= {m: np.min([found[f"{m}.{name}"] for name in LOOP_NAMES], axis=0) for m in nothing}
+    nowhere = {"sensitivity_peak": np.inf, "rejection_rad_per_s": 0.0, "crossover_rad_per_s": np.nan}
+    if asked & nowhere.keys():
+        for name, loop in zip(LOOP_NAMES, broken_loops(cascade), strict=True):
+            shape = shape_of(loop, highest=np.pi / dt)
+            found |= {f"{m}.{name}": np.where(stable, getattr(shape, m), left) for m, left in nowhere.items()}
+        found["sensitivity_peak"] = np.max([found[f"sensitivity_peak.{name}"] for name in LOOP_NAMES], axis=0)
     if asked & {"settling_time_s", "overshoot"}:
         for name, (settling, overshoot) in step_figures(cascade, stable).items():
             found |= {f"settling_time_s.{name}": settling, f"overshoot.{name}": overshoot}

@@ -15,7 +15,16 @@ from numpy.typing import NDArray
 
 from surctl.verification.cascade import Cascade
 
-__all__ = ["LOOP_NAMES", "Crossings", "Loop", "broken_loops", "crossings_of", "state_blocks"]
+__all__ = [
+    "LOOP_NAMES",
+    "Crossings",
+    "Loop",
+    "Shape",
+    "broken_loops",
+    "crossings_of",
+    "shape_of",
+    "state_blocks",
+]
 
 LOOP_NAMES = ("surge", "sway", "heave", "yaw", "along_track", "cross_track", "depth", "heading")
 _LOWEST = 1e-4  # [rad/s]
@@ -59,6 +68,21 @@ class Crossings:
     disk_margin: NDArray[np.float64]
     crossover_rad_s: NDArray[np.float64]
     least_gain: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """How one loop answers disturbances over n points, each (n,).
+
+    Attributes:
+        sensitivity_peak: largest |S| = |1/(1 + L)| over frequency.
+        rejection_rad_per_s: up to where |S| ≤ −3 dB [rad/s], so that disturbances are attenuated; 0 where it never is.
+        crossover_rad_per_s: highest frequency with |L| = 1 [rad/s]; 0 when there is none.
+    """
+
+    sensitivity_peak: NDArray[np.float64]
+    rejection_rad_per_s: NDArray[np.float64]
+    crossover_rad_per_s: NDArray[np.float64]
 
 
 def broken_loops(cascade: Cascade) -> list[Loop]:
@@ -131,6 +155,25 @@ def crossings_of(loop: Loop, *, highest: float) -> Crossings:
     return Crossings(gain_margin, lag, delay, _disk(loop, grid, response), crossover, least_gain)
 
 
+def shape_of(loop: Loop, *, highest: float) -> Shape:
+    """Sensitivity and crossover of one loop of n points, each stable when closed; `highest` as in `crossings_of`."""
+    grid = np.geomspace(_LOWEST, highest, _POINTS)
+    response = loop.response(grid[None], slice(None))
+    every = np.ones((len(response), _POINTS - 1), dtype=bool)
+
+    def distance(value: NDArray[np.complex128]) -> NDArray[np.float64]:
+        return np.asarray(np.abs(1 + value), dtype=float)
+
+    points, omega = _zeros(loop, grid, response, lambda value: distance(value) - np.sqrt(2), every)
+    rejection = np.full(len(response), np.inf)
+    np.minimum.at(rejection, points, omega)
+    rejection[distance(response[:, 0]) < np.sqrt(2)] = 0.0
+    points, omega = _zeros(loop, grid, response, lambda value: np.abs(value) - 1, every)
+    crossover = np.zeros(len(response))
+    np.maximum.at(crossover, points, omega)
+    return Shape(1 / _least(loop, grid, response, distance), rejection, crossover)
+
+
 def _still(loop: Loop) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Points whose loop has the phase −180° at ω = 0, where a real pole crosses the axis, and the factor for that."""
     points = np.flatnonzero(np.all(np.abs(loop.opened) > _SPURIOUS * _LOWEST, axis=1))
@@ -167,6 +210,16 @@ def _disk(loop: Loop, grid: NDArray[np.float64], response: NDArray[np.complex128
         with np.errstate(divide="ignore"):
             return np.asarray(2 * np.abs(1 + value) / np.abs(1 - value), dtype=float)
 
+    return _least(loop, grid, response, radius)
+
+
+def _least(
+    loop: Loop,
+    grid: NDArray[np.float64],
+    response: NDArray[np.complex128],
+    radius: Callable[[NDArray[np.complex128]], NDArray[np.float64]],
+) -> NDArray[np.float64]:
+    """Least value of each point (n,), from the best one of the grid by golden section."""
     points, log = np.arange(len(response)), np.log(grid)
     coarse = radius(response)
     nearest = np.argmin(coarse, axis=1)

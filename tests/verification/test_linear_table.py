@@ -56,6 +56,8 @@ def test_margins_are_those_of_stability_margins_and_disk_margins(k: int) -> None
     if not cascade.stable:
         for name, nothing in (("gain_margin", 1), ("phase_margin_deg", 0), ("delay_margin_s", 0), ("disk_margin", 0)):
             assert {TABLE[f"{name}.{loop}"][k] for loop in LOOP_NAMES} | {TABLE[name][k]} == {nothing}
+        assert np.isinf(TABLE["sensitivity_peak"][k]) and TABLE["rejection_rad_per_s.yaw"][k] == 0
+        assert np.isnan(TABLE["crossover_rad_per_s.yaw"][k])
         return
     omega = np.geomspace(1e-4, np.pi / 0.05, 800)
     places = [cascade.at_thrust(i) for i in range(4)] + [cascade.at_output(i) for i in range(4)]
@@ -72,6 +74,16 @@ def test_margins_are_those_of_stability_margins_and_disk_margins(k: int) -> None
         }
         for metric, value in expected.items():
             assert TABLE[f"{metric}.{name}"][k] == pytest.approx(value, rel=1e-4), (metric, name)
+        peak = 1 / np.min(found[2], initial=1.0)  # far off, L is 0 and |S| is 1
+        assert max(TABLE[f"sensitivity_peak.{name}"][k], 1.0) == pytest.approx(peak, rel=1e-4), name
+        assert TABLE[f"crossover_rad_per_s.{name}"][k] == pytest.approx(np.max(at_phase, initial=0.0), rel=1e-4), name
+        edge = TABLE[f"rejection_rad_per_s.{name}"][k]
+        below = np.abs(1 + control.frequency_response(system, omega[omega < edge]).complex)
+        assert np.all(below >= np.sqrt(2) * (1 - 1e-9)), "attenuated up to there"
+        if edge:
+            assert abs(1 + system(1j * edge)) == pytest.approx(np.sqrt(2), rel=1e-5), name
+        else:
+            assert abs(1 + system(1e-4j)) < np.sqrt(2), name
         # the grid of python-control holds the least radius to the width of its steps
         coarse = control.disk_margins(system, omega)[0]
         assert TABLE[f"disk_margin.{name}"][k] == pytest.approx(coarse, rel=1e-2)
