@@ -16,7 +16,7 @@ from surctl.errors import InputError
 from surctl.ir import Call, Layout, Program, Routine, compile_batch, compile_block, lower, replay
 from surctl.ir.routine import nested
 from surctl.sensing import LocalMap, map_step, map_view
-from surctl.sensing.local_map import BLIND, READING, RING
+from surctl.sensing.mapping.local_map import BLIND, READING, RING
 from surctl.world import Disc
 from tests.raycasting import heard_along
 from tests.sensing.mapped import EDGE, EMPTY, HULL, OPEN, SPIN, directions, firing, journey
