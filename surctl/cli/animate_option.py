@@ -9,7 +9,7 @@ import click
 __all__ = ["animate_option", "check_animate"]
 
 animate_option = click.option(
-    "--animate", type=click.Path(path_type=Path), metavar="FILE", help="Write the run as FILE.gif or, by ffmpeg, .mp4."
+    "--animate", type=click.Path(path_type=Path), metavar="FILE", help="Animation: FILE.gif or FILE.mp4."
 )
 
 

@@ -12,8 +12,8 @@ barrier_options = together(
     click.option(
         "--barrier",
         default="simple",
-        help="How law guarded bounds its approach: simple, s^2/(2a) + s t, or inertia, for the worst of the ranges.",
+        help="Approach bound: simple or inertia.",
     ),
-    click.option("--movers", default="predict", help="What moves is evaded (predict), or braked for (barrier)."),
+    click.option("--movers", default="predict", help="Moving obstacles: predict or barrier."),
 )
 """Give a command the options; it takes them as `barrier` and `movers`."""

@@ -23,17 +23,15 @@ __all__ = ["CampaignOptions", "campaign_options", "fly_again"]
 MOST_ROWS = 100  # printed as JSON; DIR has them all
 
 campaign_options = together(
-    click.option("--monte-carlo", is_flag=True, help="Draw plant and obstacles of every run, on the compiled loop."),
+    click.option("--monte-carlo", is_flag=True, help="Draw vehicle and obstacles of each run."),
     click.option(
-        "--random-worlds", "worlds", type=click.IntRange(1, 1_000_000), metavar="N", help="Fly N drawn worlds instead."
+        "--random-worlds", "worlds", type=click.IntRange(1, 1_000_000), metavar="N", help="Simulate N random worlds."
     ),
-    click.option("--worst", type=click.IntRange(0, 1000), help="Worst runs kept as files in DIR/worst (5)."),
+    click.option("--worst", type=click.IntRange(0, 1000), help="Worst runs saved (5)."),
+    click.option("--threads", type=click.IntRange(1, 1024), help="Of a campaign (2)."),
+    click.option("--fresh", is_flag=True, help="Start again instead of resuming in DIR."),
     click.option(
-        "--threads", type=click.IntRange(1, 1024), help="Of a campaign (2); the result does not depend on them."
-    ),
-    click.option("--fresh", is_flag=True, help="Start a campaign again instead of continuing that of DIR."),
-    click.option(
-        "--from", "replayed", type=click.Path(path_type=Path), metavar="FILE", help="Fly a run of DIR/worst again."
+        "--from", "replayed", type=click.Path(path_type=Path), metavar="FILE", help="Simulate a run of DIR/worst again."
     ),
 )
 """Give a command the options; it takes them as `monte_carlo`, `worlds`, `worst`, `threads`, `fresh`, `replayed`."""

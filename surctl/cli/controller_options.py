@@ -28,12 +28,12 @@ controller_options = together(
     click.option(
         "--controller",
         metavar="ADDRESS",
-        help="Fly the exported controller: tcp://HOST:PORT where it listens, or qemu:cortex-m4f, in float, emulated.",
+        help="Exported C: tcp://HOST:PORT, qemu:cortex-m4f.",
     ),
-    click.option("--link-loss", type=float, help="With --controller: chance that a message is lost, each way."),
-    click.option("--link-delay", type=float, metavar="S", help="With --controller: how late an answer arrives."),
-    click.option("--link-deadline", type=float, metavar="S", help="Age of a command that is too old: 0.25 s."),
-    click.option("--link-timeout", type=float, metavar="S", help="Silence after which it is gone: 5 s of this clock."),
+    click.option("--link-loss", type=float, help="Probability that a message is lost."),
+    click.option("--link-delay", type=float, metavar="S", help="Delay of each command."),
+    click.option("--link-deadline", type=float, metavar="S", help="Oldest command that is used (0.25)."),
+    click.option("--link-timeout", type=float, metavar="S", help="Silence that ends the run (5)."),
 )
 
 

@@ -19,28 +19,26 @@ MISSION = "pool-static"
 
 
 @click.command
-@click.option("--gains", default="default", help="Gain file: name or path.")
-@click.option("--vehicle", help="Vehicle: name or file; default: the scenario's.")
-@click.option("--scenario", default=MISSION, help="Mission and sensors: of the defaults and of the check.")
+@click.option("--gains", default="default", help="Gains: name or file.")
+@click.option("--vehicle", help="Name or file; default: the scenario's.")
+@click.option("--scenario", default=MISSION, help="Default mission and sensors.")
 @click.option(
     "--law",
     default="guarded",
-    help="guarded; paper; lean, which is told one obstacle; a textbook law: apf, dwa, vo, cbf.",
+    help="guarded, paper, lean, apf, dwa, vo or cbf.",
 )
-@click.option("--avoidance", default="corrected", help="Form of (20) in law paper.")
-@click.option("--guidance", default="los", help="los; with memory against a steady push: ilos or alos.")
+@click.option("--avoidance", default="corrected", help="(20): printed, consistent or corrected.")
+@click.option("--guidance", default="los", help="los, ilos or alos.")
 @priority_options
-@click.option(
-    "--sensing", default="sonar", help="sonar: the law that senses for itself; truth: it is told all positions."
-)
+@click.option("--sensing", default="sonar", help="sonar, or truth: obstacles as inputs.")
 @sensor_options
 @click.option("--name", help="Prefix of files and C symbols.")
-@click.option("--target", default="c99", help="c99; fmu: beside it a functional mock-up unit (FMI 2.0) of the same C.")
-@click.option("--real", default="float64", help="float64; float32 for a single-precision floating-point unit.")
+@click.option("--target", default="c99", help="c99; fmu adds an FMI 2.0 unit.")
+@click.option("--real", default="float64", help="float64 or float32.")
 @click.option(
     "--constant-gains",
     is_flag=True,
-    help="Gains, model and mission become constants of the code: smaller and faster; with --sensing truth only.",
+    help="Compile gains and mission in (truth only).",
 )
 @click.option(
     "--certificate",
@@ -48,23 +46,20 @@ MISSION = "pool-static"
     multiple=True,
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Certificate that travels with the bundle, once it is seen to be about it; may be repeated.",
+    help="Certificate of the bundle; repeatable.",
 )
-@click.option(
-    "--check", is_flag=True, help="Also compare the bytes of every compiler and emulated processor with Python's."
-)
+@click.option("--check", is_flag=True, help="Compare bytes of compilers and processors.")
 @click.option(
     "--prove",
     is_flag=True,
-    help="Also prove that the C has no run-time error and keeps the thrust limits (Frama-C's Eva; with sonars it takes "
-    "minutes); proof and log are in the bundle. Gains that are no constants may be in the gain file's ranges only.",
+    help="Prove no run-time error (Frama-C's Eva).",
 )
-@click.option("--targets", help="With --check: which, with commas; default: all whose tools are here.")
-@click.option("--steps", type=click.IntRange(min=1), help="With --check: single steps beside the flight [100000].")
+@click.option("--targets", help="Of --check, comma-separated.")
+@click.option("--steps", type=click.IntRange(min=1), help="Of --check (100000).")
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("surctl-out", "export"), help="Folder of the bundle."
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of the run that is replayed.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of the replayed run.")
 @as_json
 def export(
     gains: str,
@@ -93,22 +88,16 @@ def export(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Write the controller as C99, compile it, and replay a whole closed-loop run through it, step by step.
+    """Write the controller as C99, compile it, and compare it with Python over a whole run, step by step.
 
-    The law believes in the sonars, base station and IMU of the scenario; what is said of sensors takes their place.
-    With --check the flight, then single steps around it, at its switches and far from it, are also stepped through gcc
-    and clang at -O0 to -O3 and QEMU's Cortex-M3, -M4F and -M7: each byte has to be that of Python, and the sizes and
-    instructions of a step are told. Exit status 1 when C and Python differ, however the flight ends.
+    Sensor options override the scenario's tables. --check also steps it through gcc and clang at -O0 to -O3 and QEMU's
+    Cortex-M3, -M4F and -M7: each byte must be Python's; sizes and instructions are printed. --prove takes minutes with
+    sonars; gains that are no constants are then guarded by the ranges of the gain file. Exit status 1 when C and Python
+    differ.
 
-    The bundle holds its link, too: `make controller` builds the process that `surctl simulate --controller` flies
-    through. Its manifest names law, vehicle and gains, so that `surctl check CERTIFICATE --bundle DIR` can tell whether
-    they belong together.
-
-    Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --priority-mode projected;
-    surctl export --priority-mode projected --ladder bounded --real float32;
-    surctl export --scenario tank-static --fault stuck:0:5; surctl export --sensing truth --real float32 --check;
-    surctl export --check --targets gcc-O0,clang-O3,cortex-m4f --steps 1000; surctl export --law lean --sensing truth
-    --scenario pool-ahead --real float32 --constant-gains --check
+    Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --sensing truth --real float32
+    --check; surctl export --priority-mode projected --ladder bounded; surctl export --law lean --sensing truth
+    --scenario pool-ahead --constant-gains
     """
     import tempfile
     from dataclasses import replace

@@ -49,9 +49,7 @@ def together(*options: Callable[[C], C]) -> Callable[[C], C]:
     return decorate
 
 
-as_json = click.option(
-    "--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else there."
-)
+as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 out_folder = click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder for plots.")
 
 

@@ -32,18 +32,18 @@ sensor_options = together(
         "--fault",
         "faults",
         multiple=True,
-        metavar=FORM,
-        help="Fault of one sonar, from START s on (0) for DURATION s (for ever): stuck:0:5, delay=0.4:2; repeatable.",
+        metavar="FAULT",
+        help="KIND:SENSOR[:START[:DURATION]]; repeatable.",
     ),
     click.option(
         "--chance",
         "chances",
         multiple=True,
         metavar="KIND=P",
-        help="Chance of a fault per firing of every sonar: dropout=0.1; repeatable.",
+        help="Fault probability per firing; repeatable.",
     ),
-    click.option("--beam", type=float, metavar="DEGREES", help="Full opening angle of the sonars' beams."),
-    click.option("--own-state", help="What the law knows of itself: measured, or the truth."),
+    click.option("--beam", type=float, metavar="DEG", help="Full opening angle of each sonar beam."),
+    click.option("--own-state", help="Own position: measured or truth."),
 )
 """Give a command the options; it takes them as `faults`, `chances`, `beam`, `own_state`."""
 

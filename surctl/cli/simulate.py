@@ -20,26 +20,26 @@ __all__ = ["simulate"]
 
 @click.command
 @click.argument("scenarios", nargs=-1)
-@click.option("--vehicle", help="Vehicle: name or file; default: the scenario's.")
-@click.option("--gains", default="default", help="Gain file: name or path.")
+@click.option("--vehicle", help="Name or file; default: the scenario's.")
+@click.option("--gains", default="default", help="Gains: name or file.")
 @click.option(
     "--law",
     default="guarded",
-    help="guarded; the printed stack: paper; lean, which is told one obstacle; a textbook law: apf, dwa, vo, cbf.",
+    help="guarded, paper, lean, apf, dwa, vo or cbf.",
 )
-@click.option("--avoidance", default="corrected", help="printed, consistent or corrected form of (20).")
-@click.option("--guidance", default="los", help="los; with memory against a steady push: ilos or alos.")
+@click.option("--avoidance", default="corrected", help="(20): printed, consistent or corrected.")
+@click.option("--guidance", default="los", help="los, ilos or alos.")
 @priority_options
-@click.option("--sensing", default="truth", help="truth, or through the sonar array: sonar.")
+@click.option("--sensing", default="truth", help="truth or sonar.")
 @barrier_options
 @sensor_options
 @controller_options
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="First seed.")
-@click.option("--runs", type=click.IntRange(min=1), default=1, help="Number of seeds, one after another.")
-@click.option("--explain", "explained", is_flag=True, help="Tell what each task gave up, and to which limit.")
+@click.option("--runs", type=click.IntRange(min=1), default=1, help="Number of seeds.")
+@click.option("--explain", "explained", is_flag=True, help="Print which limits override which tasks.")
 @animate_option
-@click.option("--save", metavar="FORMAT", help="Also write each run to DIR as csv, mat (MATLAB) or nc (netCDF).")
-@click.option("--frame", help="Of what --save writes: enu (ENU/FLU, the default) or ned (NED/FRD).")
+@click.option("--save", metavar="FORMAT", help="Record each run in DIR: csv, mat or nc.")
+@click.option("--frame", help="Of --save: enu or ned.")
 @campaign_options
 @out_folder
 @as_json
@@ -79,24 +79,13 @@ def simulate(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Fly scenarios in closed loop. Exit status 1 if a run collides, halts, gives up in a dead
-    end or does not arrive.
+    """Simulate scenarios in closed loop; exit status 1 unless every run arrives unharmed.
 
-    What is said of sensors takes the place of the scenario's own tables. A campaign (--monte-carlo, --random-worlds)
-    draws what it flies, says how often it ends badly, at most, and keeps its runs in DIR; killed, the same command
-    continues. Its JSON has single runs up to 100 of them, DIR all as CSV.
+    Sensor options override the scenario's tables. A campaign (--monte-carlo, --random-worlds) keeps its runs in DIR and
+    resumes there. --controller steps the exported C and compares each command with Python's.
 
-    With --controller the law is stepped elsewhere: by the process that an export's `make controller` builds, or by its
-    C on an emulated processor. Every answer is compared with Python's, to the last bit. Loss and delay of the line are
-    played by the seed; without a command in time, or a controller that is gone, the thrusters get zero.
-
-    Examples: surctl simulate pool-static --sensing sonar --runs 5; surctl simulate tank-static --law paper --out plots;
-    surctl simulate tank-static --sensing sonar --fault stuck:0:5 --chance dropout=0.1;
-    surctl simulate tank-static --runs 1000 --monte-carlo --out mc;
-    surctl simulate tank-moving --save csv --frame ned --out log;
-    surctl simulate tank-moving --sensing sonar --animate run.gif;
-    surctl simulate pool-static --controller tcp://127.0.0.1:5555 --link-loss 0.1;
-    surctl simulate --from mc/worst/tank-static-worst-1.toml --out plots
+    Examples: surctl simulate pool-static --sensing sonar --runs 5; surctl simulate tank-static --runs 1000
+    --monte-carlo --out mc; surctl simulate pool-static --controller tcp://127.0.0.1:5555
     """
     campaign = CampaignOptions(monte_carlo, worlds, worst, threads, fresh)
     link = ControllerOptions(controller, link_loss, link_delay, link_deadline, link_timeout)

@@ -75,18 +75,16 @@ def verify(
 
     A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown (with
     what is left open), or not applicable: it assumes what this vehicle or these gains violate. The paper's claims are
-    about the kinematic loop at the cruise speed and the cap; the vehicle enters the margins and the claims about
-    braking at the worst of its ranges. With --scenario, the safety claim: what the law's barrier
-    guarantees there, with every assumption as a number (--uncertainty then takes the place of the vehicle's ranges).
-    With --stack, which tasks of a law are orthogonal, independent or dependent, and which converge; it tells, and does
-    not decide the exit status. Your own stack: surctl.verification.stack.stack_conditions.
-    Beside them the linear side about straight cruise: margins of each loop and of all at once, poles, the slowest mode
-    with the states that make it, the bearable cruise speed, and the control periods and delays that the sampled loop
-    bears, for the vehicle and for the worst of --uncertainty, else of its ranges. Region claims are about the whole
-    loop, and braking claims about what it never touches: both are proved when they are named, see surctl list. A claim
-    file is an inequality of your own (kind claim) or a region claim with other numbers (kind region); --show prints
-    those of the library to start from.
-    Exit status 0 when every verdict is the one the claim ships with; a claim that is not applicable counts if named.
+    about the kinematic loop at the cruise speed and the cap. With --scenario, the safety claim: what the law's barrier
+    promises, on which assumptions, and whether the margin is enough.
+
+    Beside them the linear side about straight cruise: margins, poles, the slowest mode and the states that make it, the
+    bearable cruise speed and sampling, for the vehicle and for the worst of --uncertainty, else of its ranges. Region
+    and braking claims are proved when they are named, see surctl list. A claim file is an inequality of your own (kind
+    claim) or a region claim with other numbers (kind region); --show prints those of the library to start from. --stack
+    tells which tasks of a law are orthogonal, independent or dependent, and which converge.
+    Exit status 0 when every verdict is the expected one; a claim that is not applicable counts if named.
+
     Examples: surctl verify --out proofs; surctl verify region-cruise-20; surctl verify v1-printed my-claim.toml --gains
     my-gains.toml; surctl verify region-cruise-20 --show; surctl verify braking-inertia-20 --scenario tank-static
     --uncertainty 0.2

@@ -57,6 +57,12 @@ def test_each_help_has_examples(words: tuple[str, ...]) -> None:
     assert all(example.startswith(start) for example in examples), examples
 
 
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_each_help_fits_a_screen(words: tuple[str, ...]) -> None:
+    context = click.Context(COMMANDS[words], info_name=" ".join(["surctl", *words]), terminal_width=80)
+    assert len(context.get_help().split("\n")) <= 50
+
+
 @pytest.mark.parametrize("example", EXAMPLES)
 def test_each_example_is_taken(example: str) -> None:
     program, *words = shlex.split(example.partition(" > ")[0])
