@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import base64
+import itertools
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -8,19 +9,44 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from surctl.control import write_gains
 from surctl.errors import InputError
 from surctl.export import Difference, ExportedFile, SilReport
 from surctl.report import Check, ExportSummary, ReportData, render_page, render_sections, runs_section, write_page
-from surctl.report.document import Heading, Section
+from surctl.report.claim_words import claim_words
+from surctl.report.document import Heading, Section, Table
+from surctl.report.findings import findings_section
+from surctl.verification import Inapplicable, claims
 from tests.report.data import GAINS, report, run, sweep, vehicle
 from tests.report.reader import Reader
+from tests.report.test_titles import outside
 
 
 @pytest.fixture(scope="module")
-def page() -> str:
-    return render_page(report())
+def drawn() -> tuple[str, list[Figure]]:
+    """The page, and the figures that were drawn for it."""
+    figures: list[Figure] = []
+    save = Figure.savefig
+
+    def keep(figure: Figure, *args: object, **kwargs: object) -> None:
+        figures.append(figure)
+        save(figure, *args, **kwargs)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", keep)
+        return render_page(report()), figures
+
+
+@pytest.fixture(scope="module")
+def page(drawn: tuple[str, list[Figure]]) -> str:
+    return drawn[0]
+
+
+@pytest.fixture(scope="module")
+def pictured(drawn: tuple[str, list[Figure]]) -> list[Figure]:
+    return drawn[1]
 
 
 def bare(**parts: object) -> ReportData:
@@ -41,9 +67,9 @@ def test_the_page_is_balanced_and_its_anchors_meet(page: str) -> None:
     ids = [a["id"] for _, a in read.elements if "id" in a]
     assert len(set(ids)) == len(ids)
     targets = {(a["href"] or "").removeprefix("#") for a in read.all("a")}
-    sections = {"vehicle", "gains", "margins", "sweep", "claims", "runs", "time"}
+    sections = {"vehicle", "gains", "margins", "loops", "sweep", "claims", "runs", "time"}
     parts = {"claims-v1-printed", "claims-m-norm-printed", "claims-v1-corrected", "runs-1", "runs-2"}
-    assert targets == {"summary", *sections, *parts} and targets <= set(ids)
+    assert targets == {"summary", *sections, *parts} - {"runs-2"} and targets <= set(ids)
     labels = {a["aria-labelledby"] for _, a in read.elements if "aria-labelledby" in a}
     assert labels <= set(ids)
 
@@ -72,6 +98,12 @@ def test_every_picture_is_inside_and_told_in_words(page: str) -> None:
         ]
         assert len(image["alt"] or "") > 20
     assert page.count("Command: <code>") == len(images)
+
+
+def test_no_title_of_a_picture_is_clipped(pictured: list[Figure]) -> None:
+    assert len(pictured) > 20
+    for figure in pictured:
+        assert outside(figure) == []
 
 
 def test_the_same_data_gives_the_same_bytes_and_less_than_six_megabytes(page: str) -> None:
@@ -128,7 +160,7 @@ def test_numbers_that_are_none_or_endless_are_written_as_signs() -> None:
 def test_the_outcome_stands_first(summary: tuple[tuple[bool | None, str], ...], said: str) -> None:
     data = bare(summary=summary)
     text = Reader(render_page(data)).text
-    assert said in text and text.index(said) < text.index("Parameters of sur540-flooded")
+    assert said in text and text.index(said) < text.index("Parameters of vehicle sur540-flooded")
     assert data.passed is {"✓": True, "✗": False, "•": None}[said[0]]
 
 
@@ -148,9 +180,88 @@ def test_what_fails_comes_first_and_leads_to_where_more_is_told() -> None:
     words = ["run 9", "nothing tells", "margins suffice", "no link", "sonar does not"]
     assert sorted(words, key=items.index) == words
     assert re.findall(r'href="#([^"]*)"', items) == ["runs", "margins", "runs-2"]
-    assert told.index("run 9 is not drawn") < told.index('id="contents"') < told.index('id="margins"')
+    assert told.index("run 9 is not drawn") < told.index("<nav") < told.index('id="margins"')
     (contents,) = re.findall(r"<nav.*?</nav>", told, re.DOTALL)
-    assert re.findall(r'href="#([^"]*)"', contents) == ["margins", "runs", "runs-2"]
+    assert re.findall(r'href="#([^"]*)"', contents) == ["margins", "runs"]
+    assert "<details" not in told  # nothing is folded where no section is
+
+
+def test_where_sections_are_folded_only_what_fails_is_open() -> None:
+    lines = (Check(True, "good"), Check(False, "bad", "runs"), Check(None, "remark"), Check(True, "fine"))
+    told = render_sections(
+        title="t", subject="s", version="0", command="", outcome=("bad", "x"), summary=lines,
+        sections=(Section("runs", "Runs", (), folded=True),),
+    )  # fmt: skip
+    open_, folded, _ = re.split(r"<details>|</details>", told, maxsplit=2)
+    assert "> bad<" in open_.replace('#runs">', "> ") and "good" not in re.sub(
+        r"<style>.*</style>", "", open_, flags=re.S
+    )
+    assert "2 checks hold; 1 note decides nothing" in folded and "remark" in folded and "bad" not in folded
+
+
+def headings(page: str) -> list[tuple[str, str, bool]]:
+    """Level, text and whether it is in a folded part, of each heading from the top."""
+    found, depth = [], 0
+    for tag, level, text in re.findall(r"<(/?details|h([1-6])[^>]*>(.*?)</h)", page):
+        depth += {"details": 1, "/details": -1}.get(tag, 0)
+        if level:
+            found.append((level, text, depth > 0))
+    return found
+
+
+def test_the_page_reads_from_the_verdict_to_the_parameters(page: str) -> None:
+    found = headings(page)
+    assert [(text, folded) for level, text, folded in found if level < "3"] == [
+        ("Study default", False),
+        ("Verdict", False),
+        ("Decisive run", False),
+        ("Margins and claims", False),
+        ("Margins of each loop", True),
+        ("Evidence for each claim", True),
+        ("Closed-loop runs", True),
+        ("Sweep of the gains", True),
+        ("Time taken", True),
+        ("Parameters of vehicle sur540-flooded", False),
+        ("Gains default", False),
+    ]
+    levels = [int(level) for level, _, _ in found]
+    assert levels[0] == 1 and all(after - before <= 1 for before, after in itertools.pairwise(levels))
+    assert all("open" not in a for a in Reader(page).all("details"))
+    assert page.index("data-player") < page.index('id="margins"')
+
+
+def test_margins_and_claims_are_one_table_of_sentences() -> None:
+    unfit = Inapplicable("braking-rule-20", "m11 = 1 kg and m22 = 2 kg differ")
+    section = findings_section(replace(report(), inapplicable=(unfit,)))
+    (table,) = [block for block in section.blocks if isinstance(block, Table)]
+    rows = {row[0].text: [cell.text for cell in row[1:]] for row in table.cells}
+    assert list(rows) == [
+        "each loop alone", "all loops together", "v1-printed", "m-norm-printed", "v1-corrected", "braking-rule-20",
+    ]  # fmt: skip
+    for verdict, holds, where, beyond in rows.values():
+        assert verdict and holds.endswith(".") and where.startswith("sur540-flooded") and beyond.endswith(".")
+        assert "cruise 0.15 m/s, cap 0.22 m/s" in where
+    least = min(report().margins, key=lambda m: m.delay_margin_s)
+    assert f"{least.delay_margin_s:.3g} s of extra delay (least: {least.name})" in rows["each loop alone"][1]
+    refuted, opened = rows["v1-printed"], rows["v1-corrected"]
+    share = 100 * report().verdicts[0].fraction
+    assert refuted[0] == "refuted, as expected" and refuted[1].startswith("It is not true that the tracking error")
+    assert f"{share:.3g} % of the samples" in refuted[1] and refuted[3] == "Corrected form: v1-corrected."
+    assert opened[1].startswith("It is open whether") and "dynamics, thrust limits, current" in opened[3]
+    assert "x_e, y_e, z_e -" in opened[2] and "turn -0.5 to 0.5 rad/s" in opened[2]
+    assert rows["braking-rule-20"][:2] == [
+        "not applicable",
+        f"Not applicable to this vehicle, because {unfit.because}.",
+    ]
+    text = Reader(render_page(bare(inapplicable=(unfit,)))).text
+    assert f"because {unfit.because}" in text
+
+
+def test_every_claim_of_the_paper_has_words_without_a_formula() -> None:
+    for claim in claims():
+        clause, beyond = claim_words(claim)
+        if claim.paper:
+            assert not re.search(r"[≤≥‖]", clause) and clause != claim.statement and beyond
 
 
 def test_every_parameter_and_gain_is_listed_with_its_provenance(page: str) -> None:
@@ -159,7 +270,7 @@ def test_every_parameter_and_gain_is_listed_with_its_provenance(page: str) -> No
         assert name in text and p.provenance in text
     for name in GAINS.values:
         assert f"{name} " in text
-    assert "Also flown: sur400" in text
+    assert "Also simulated: sur400" in text
     assert "stands 0.05 m out of the water" in text  # E16
 
 
