@@ -89,7 +89,7 @@ def _wraps(text: str) -> bool:
 
 
 def _broken(text: str, figure: Figure, *, share: float) -> str:
-    """A title that matplotlib must not break, broken here: by the usual width of a letter, for a share of the figure."""
+    """A title that matplotlib must not break, broken here: a share of the figure, by the usual width of a letter."""
     if _wraps(text):
         return text
     return fill(text, width=int(share * 72 * figure.get_size_inches()[0] / (0.75 * _TITLE)))
