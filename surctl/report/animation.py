@@ -183,7 +183,7 @@ def _clipped(ax: Axes, patch: Patch, to: Rectangle | None) -> Patch:
 def _handles(run: Run) -> list[Line2D | Patch]:
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=INK, linestyle="--", linewidth=1.1, label="path"),
-        Line2D([], [], color=ROBOT, linewidth=2.0, label="way flown"),
+        Line2D([], [], color=ROBOT, linewidth=2.0, label="trajectory"),
         Line2D([], [], color=ROBOT, marker="o", markerfacecolor="white", linestyle="none", label="hull"),
         Line2D([], [], color=GOOD, marker="*", markersize=11, linestyle="none", label="target"),
         Patch(facecolor=OBSTACLE, edgecolor=INK, alpha=0.85, label="obstacle"),

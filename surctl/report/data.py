@@ -55,7 +55,8 @@ class ReportData:
         command: the command line that made it all.
         version: of this package.
         vehicle: what the gains and margins are for.
-        gains: the gains that were flown.
+        gains: the gains of the runs.
+        speeds: cruise speed and cap [m/s] that margins and claims are about; None where they are not known.
         margins: of the eight loops.
         linear: loops together, poles and sampling: of the vehicle, of the worst of its ranges.
         poles: closed-loop poles [rad/s], or None.
@@ -79,6 +80,7 @@ class ReportData:
     version: str
     vehicle: Vehicle
     gains: Gains
+    speeds: tuple[float, float] | None = None
     margins: tuple[LoopMargins, ...] = ()
     linear: tuple[LinearSide, ...] = ()
     poles: NDArray[np.complex128] | None = None

@@ -44,12 +44,16 @@ class Check(NamedTuple):
 
 @dataclass(frozen=True)
 class Cell:
-    """One entry of a table: its text, what it says of the outcome, whether it is set as code or as a number."""
+    """One entry of a table: its text, what it says of the outcome, whether it is set as code or as a number.
+
+    `anchor` is that of the section or heading that tells more; empty for none.
+    """
 
     text: str
     mark: Mark = ""
     code: bool = False
     number: bool = False
+    anchor: str = ""
 
     @property
     def style(self) -> str:
@@ -61,11 +65,15 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """A table: caption, column heads with units, rows of cells. Plain text stands for an unmarked cell."""
+    """A table: caption, column heads with units, rows of cells. Plain text stands for an unmarked cell.
+
+    `widths` are the columns' shares of the page's width [%]; without them each column is as wide as its text.
+    """
 
     caption: str
     heads: tuple[str, ...]
     rows: tuple[tuple[Cell | str, ...], ...]
+    widths: tuple[int, ...] = ()
     kind: ClassVar[str] = "table"
 
     @property
@@ -91,7 +99,7 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class Heading:
-    """A heading inside a section; one with an anchor (an HTML id) stands in the table of contents."""
+    """A heading inside a section; one with an anchor (an HTML id) can be linked to."""
 
     text: str
     anchor: str = ""
@@ -152,11 +160,12 @@ Block = Table | Paragraph | Heading | Pictures | Player
 
 @dataclass(frozen=True)
 class Section:
-    """A section: its anchor (an HTML id), title and blocks."""
+    """A section: its anchor (an HTML id), title and blocks; a folded one is closed until the reader opens it."""
 
     anchor: str
     title: str
     blocks: tuple[Block, ...]
+    folded: bool = False
 
     @property
     def headings(self) -> tuple[Heading, ...]:

@@ -140,7 +140,7 @@ def plot_replay(verdict: Verdict, flown: Replay, ax: Axes | None = None) -> Axes
     if flown.time.size == 0:
         raise InputError("has no motion", key=f"claim {claim.name}", remedy="show the slice of its margin instead")
     ax = dress(ax or new_axes(5.1, 3.7), x="time from the counterexample [s]")
-    ax.set_ylabel(f"{flown.name} [{flown.unit}]", fontsize=9.5, color=INK, parse_math=False)
+    ax.set_ylabel(f"{flown.name} [{flown.unit}]", fontsize=9.5, color=INK, parse_math=False, wrap=True)
     sense = _sense(claim, claim.point(point.values))
     if sense:
         bound = flown.watched - sense * flown.excess
@@ -150,7 +150,7 @@ def plot_replay(verdict: Verdict, flown: Replay, ax: Axes | None = None) -> Axes
     curve(ax, flown.time, flown.watched, label=f"{flown.name}, replayed", k=0)
     if flown.time[-1] > 0:
         ax.set_xlim(0.0, float(flown.time[-1]))
-    legend_above(ax, columns=2)
+    legend_above(ax, columns=2 if len(flown.name) <= 25 else 1)
     return ax
 
 
@@ -191,7 +191,7 @@ def plot_slice(cut: MarginSlice, ax: Axes | None = None) -> Axes:
         rasterized=True,
     )  # fmt: skip
     bar = ax.figure.colorbar(image, ax=ax, extend="min" if np.min(known, initial=0.0) < -size else "neither")
-    bar.set_label(f"left − right [{cut.claim.unit}]: above 0 the claim fails", fontsize=8.5, color=INK)
+    bar.set_label(f"left − right [{cut.claim.unit}]: above 0 the claim fails", fontsize=8.5, color=INK, wrap=True)
     bar.ax.tick_params(labelsize=8.5)
     if known.size and known.min() < 0 < known.max():
         ax.contour(cut.x, cut.y, np.ma.masked_invalid(cut.margin), levels=[0.0], colors=INK, linewidths=1.4)

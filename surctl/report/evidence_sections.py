@@ -1,4 +1,4 @@
-"""The page's sections on what was checked: claims and closed-loop runs."""
+"""The page's sections on what was checked: the decisive run, the evidence for claims, all closed-loop runs."""
 
 from __future__ import annotations
 
@@ -25,17 +25,16 @@ from surctl.report.words import gains_argument, number, simulate_command, verify
 from surctl.simulation import Run, priority_timeline
 from surctl.verification import Counterexample, Verdict
 
-__all__ = ["claims_section", "runs_section"]
+__all__ = ["claims_section", "decisive_section", "runs_section"]
 
 _BUDGET = 3_600_000  # [byte] of run pictures, about: the page stays below 6 MB
 
 
 def claims_section(data: ReportData) -> Section:
-    """All verdicts in one table, then each claim with its counterexample or what is left open."""
+    """The numbers of all verdicts in one table, then each claim with its counterexample or what is left open."""
     text = (
-        "A claim is an inequality left ≤ right on a domain. A refuted one comes with a point where it fails, a proved "
-        "one with a certificate that an independent checker accepts; an unknown one says what is left open. Claims as "
-        "printed in the paper may be expected to be refuted."
+        "A claim is an inequality left ≤ right on a domain. A refuted claim comes with a point where it fails, a "
+        "proved one with a certificate that an independent checker accepts. An unknown one states what is left open."
     )
     rows = tuple(_verdict_row(v) for v in data.verdicts)
     heads = (
@@ -43,16 +42,11 @@ def claims_section(data: ReportData) -> Section:
         "share of samples that fails [%]", "time [s]",
     )  # fmt: skip
     blocks: list[Block] = [Paragraph(text), Table("Verdicts", heads, rows)]
-    blocks += [Paragraph(f"{one.claim}: {one.sentence}.") for one in data.inapplicable]
     gains = gains_argument(data.gains, data.gains_file)
-    deciding = [run for run, decides in zip(data.runs, data.decides, strict=True) if decides]
-
-    def command(claim: str) -> str | None:
-        return verify_command(claim, gains, data.vehicle, deciding)
-
     for verdict in data.verdicts:
-        blocks += _claim_blocks(verdict, command(verdict.claim.name) or data.command)
-    return Section("claims", "Claims", tuple(blocks))
+        command = verify_command(verdict.claim.name, gains, data.vehicle, data.speeds)
+        blocks += _claim_blocks(verdict, command or data.command)
+    return Section("claims", "Evidence for each claim", tuple(blocks), folded=True)
 
 
 def _verdict_row(v: Verdict) -> tuple[Cell | str, ...]:
@@ -126,8 +120,19 @@ def _counterexample_pictures(v: Verdict, command: str) -> tuple[Picture, ...]:
     return tuple(found)
 
 
+def decisive_section(data: ReportData) -> Section | None:
+    """The decisive run, animated: the first deciding run that does not arrive, else the first; None without any."""
+    played = _to_play(data)
+    if played is None:
+        return None
+    place, run = played
+    drawn = _plan_picture(run, _simulate_command(data, run))
+    blocks = (*_outcome(run, decides=True, lead=f"{describe(run)}. "), player(run, drawn))
+    return Section(f"runs-{place}", "Decisive run", blocks)
+
+
 def runs_section(data: ReportData) -> Section:
-    """All runs in one table, then plan view and signals of each kind of run.
+    """All runs in one table, then plan view and signals of each kind of run; the decisive run has signals only.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -139,7 +144,7 @@ def runs_section(data: ReportData) -> Section:
         >>> data = ReportData(title="Pool", command="", version="1.0", vehicle=vehicle, gains=gains, runs=(run,))
         >>> section = runs_section(data)
         >>> section.title, [type(block).__name__ for block in section.blocks]
-        ('Closed-loop runs', ['Paragraph', 'Table', 'Paragraph', 'Heading', 'Paragraph', 'Player', 'Pictures'])
+        ('Closed-loop runs', ['Paragraph', 'Table', 'Paragraph', 'Heading', 'Paragraph', 'Pictures'])
     """
     rows = tuple(_run_row(run, decides) for run, decides in zip(data.runs, data.decides, strict=True))
     heads = (
@@ -147,29 +152,37 @@ def runs_section(data: ReportData) -> Section:
         "time [s]", "paper's time [s]", "least clearance [m]", "path error [m]", "length [m]", "mean thrust [N]",
     )  # fmt: skip
     text = (
-        "Clearance is from hull to obstacle, and to walls once the hull is clear of them. The path error is the rms "
-        "distance to the path outside avoidance. Runs through the sonar hear the obstacles; the others are told them."
+        "Clearance is the distance from the hull to obstacles, and to walls once the hull is clear of them. The path "
+        "error is the rms distance to the path outside avoidance. Sensing: with sonar, the law measures the obstacles "
+        "by sonar; with truth, it gets their true positions."
     )
     blocks: list[Block] = [Paragraph(text), Table("Closed-loop runs", heads, rows), *_surface_notes(data)]
     chosen, used, left = _to_draw(data), 0, 0
-    played = _to_play(chosen)
-    gains = gains_argument(data.gains, data.gains_file)
+    played = _to_play(data)
     for place, run, decides in chosen:
         if used > _BUDGET:
             left += 1
             continue
-        same = run.gains.values == data.gains.values
-        command = simulate_command(run, gains if same else gains_argument(run.gains, "")) or data.command
-        pictures = _run_pictures(run, command)
+        command = _simulate_command(data, run)
+        if played is not None and place == played[0]:  # its plan and its anchor are those of the player
+            title = Heading(f"Decisive run, {describe(run)}")
+            pictures = (_signals_picture(run, command), *_priority_picture(run, command))
+        else:
+            title = Heading(describe(run), f"runs-{place}")
+            pictures = (_plan_picture(run, command), _signals_picture(run, command))
         used += sum(len(one.uri) for one in pictures)
-        shown: list[Block] = [Pictures(pictures)]
-        if run is played:
-            shown = [player(run, pictures[0]), Pictures((pictures[1], *_priority_picture(run, command)))]
-        blocks += [Heading(describe(run), f"runs-{place}"), *_outcome(run, decides), *shown]
+        blocks += [title, *_outcome(run, decides), Pictures(pictures)]
     left += len(data.runs) - len(chosen)
     if left:
         blocks.append(Paragraph(f"{left} more runs are in the table only.", "note"))
-    return Section("runs", "Closed-loop runs", tuple(blocks))
+    return Section("runs", "Closed-loop runs", tuple(blocks), folded=True)
+
+
+def _simulate_command(data: ReportData, run: Run) -> str:
+    """The command that repeats the run, or, where none does, that of the page."""
+    same = run.gains.values == data.gains.values
+    gains = gains_argument(data.gains, data.gains_file) if same else gains_argument(run.gains, "")
+    return simulate_command(run, gains) or data.command
 
 
 def _run_row(run: Run, decides: bool) -> tuple[Cell | str, ...]:
@@ -219,10 +232,10 @@ def _to_draw(data: ReportData) -> list[tuple[int, Run, bool]]:
     return chosen
 
 
-def _to_play(chosen: list[tuple[int, Run, bool]]) -> Run | None:
-    """The run to be played: of those that decide the first that does not arrive, else the first; None without any."""
-    deciding = [run for _, run, decides in chosen if decides]
-    return min(deciding, key=lambda run: run.metrics.reached, default=None)
+def _to_play(data: ReportData) -> tuple[int, Run] | None:
+    """Place from 1 of the run to be played, and the run; see `decisive_section`."""
+    deciding = [(place, run) for place, run, decides in _to_draw(data) if decides]
+    return min(deciding, key=lambda one: one[1].metrics.reached, default=None)
 
 
 def _priority_picture(run: Run, command: str) -> tuple[Picture, ...]:
@@ -242,27 +255,29 @@ def _priority_picture(run: Run, command: str) -> tuple[Picture, ...]:
     )
 
 
-def _outcome(run: Run, decides: bool) -> list[Block]:
+def _outcome(run: Run, decides: bool, lead: str = "") -> list[Block]:
     m, paper = run.metrics, run.scenario.paper
     reported = f" The paper: {paper.result}." if paper.result not in ("", "none") else ""
     ended = f"{m.stopped_because[:1].upper()}{m.stopped_because[1:]} after {number(m.time_s)} s"
-    text = f"{run.scenario.title}. {ended}{'' if decides else ' (does not decide)'}.{reported}"
+    text = f"{lead}{run.scenario.title}. {ended}{'' if decides else ' (does not decide)'}.{reported}"
     return [Paragraph(text, "good" if m.reached and m.min_clearance_m > 0 else "bad")]
 
 
-def _run_pictures(run: Run, command: str) -> tuple[Picture, Picture]:
+def _plan_picture(run: Run, command: str) -> Picture:
     m = run.metrics
     told = f"{m.stopped_because} after {number(m.time_s)} s, least clearance {number(m.min_clearance_m, digits=3)} m"
-    plan = picture(
+    return picture(
         plot_run(run),
         alt=f"Plan view of {describe(run)}: {told}",
         caption=f"Plan view: {told}. Numbers in hulls and moving obstacles are times in s.",
         command=command,
     )
-    signals = picture(
+
+
+def _signals_picture(run: Run, command: str) -> Picture:
+    return picture(
         plot_run_signals(run),
         alt=f"Clearance, path error, velocity, yaw rate, thrust and yaw moment over time of {describe(run)}",
         caption="Signals over time. Shaded: avoidance; lighter: until back on the path (not counted as path error).",
         command=command,
     )
-    return plan, signals

@@ -179,7 +179,7 @@ def plot_maps(run: Run, views: Sequence[MapView]) -> Axes:
     handles += [
         Patch(facecolor="none", edgecolor=INK, linewidth=1.6, label="true obstacle, wall"),
         Patch(facecolor="none", edgecolor=OBSTACLE, linestyle="--", linewidth=1.6, label="true moving obstacle"),
-        Line2D([], [], color=ROBOT, linewidth=1.6, label="way flown, hull"),
+        Line2D([], [], color=ROBOT, linewidth=1.6, label="trajectory, hull"),
     ]
     if any(not body.heights.whole for body in run.record.obstacles[views[0].tick]):
         passed = Patch(facecolor="none", edgecolor=INK, linestyle=":", linewidth=1.6, label="passed above or below")

@@ -12,15 +12,17 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from surctl.files import write_file
 from surctl.report.data import ReportData
 from surctl.report.document import Check, Section
-from surctl.report.evidence_sections import claims_section, runs_section
+from surctl.report.evidence_sections import claims_section, decisive_section, runs_section
+from surctl.report.findings import findings_section
 from surctl.report.sections import (
     export_section,
     gains_section,
-    margins_section,
+    loops_section,
     sweep_section,
     time_section,
     vehicle_section,
 )
+from surctl.report.words import number
 
 __all__ = ["render_page", "render_sections", "write_page"]
 
@@ -52,7 +54,7 @@ def render_page(data: ReportData, *, runs: Section | None = None) -> str:
     """
     return render_sections(
         title=data.title,
-        subject=f"Vehicle {data.vehicle.name}, gains {data.gains.name}.",
+        subject=_subject(data),
         version=data.version,
         command=data.command,
         outcome=_outcome(data),
@@ -80,6 +82,7 @@ def render_sections(
         command: the command line that made it; may be empty.
         outcome: class (`good`, `bad` or `note`) and words of the first line.
         summary: lines of the outcome, see `Check`; those that fail are shown first, those that decide nothing last.
+            Where sections are folded, only those that fail are open.
         sections: in reading order.
 
     Example:
@@ -105,7 +108,11 @@ def render_sections(
     )
     style = (_TEMPLATES / "page.css").read_text(encoding="utf-8")
     plays = any(block.kind == "player" for section in sections for block in section.blocks)
-    script = (_TEMPLATES / "player.js").read_text(encoding="utf-8") if plays else ""
+    folds = any(section.folded for section in sections)
+    wanted = [name for name, needed in (("fold.js", folds), ("player.js", plays)) if needed]
+    script = "".join((_TEMPLATES / name).read_text(encoding="utf-8") for name in wanted)
+    lines = _linked(summary, sections)
+    hidden = [line for line in lines if folds and line.good is not False]
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     page = environment.get_template("page.html")
     return page.render(
@@ -113,7 +120,10 @@ def render_sections(
         subject=subject,
         version=version,
         command=command,
-        summary=_linked(summary, sections),
+        checks=[line for line in lines if line not in hidden],
+        folded=hidden,
+        folded_title=_counted(hidden),
+        first_below=next((section for section in sections if section.folded), next(iter(sections), None)),
         style=style,
         script=script,
         digest=digest,
@@ -133,22 +143,39 @@ def _linked(summary: Sequence[Check | tuple[bool | None, str]], sections: Sequen
     return sorted(found, key=lambda check: (check.good is None, check.good))
 
 
+def _counted(lines: Sequence[Check]) -> str:
+    """What is folded away of the verdict: how many checks hold, and how many notes there are."""
+    hold = sum(line.good is True for line in lines)
+    notes = len(lines) - hold
+    parts = [f"{hold} {'check holds' if hold == 1 else 'checks hold'}"] if hold else []
+    parts += [f"{notes} {'note decides' if notes == 1 else 'notes decide'} nothing"] if notes else []
+    return "; ".join(parts)
+
+
 def _sections(data: ReportData, runs: Section | None) -> tuple[Section, ...]:
-    """The sections in reading order; one that has nothing to tell is left out."""
-    found = [vehicle_section(data), gains_section(data)]
+    """The decisive run, margins and claims, then details folded, parameters last; one without content is left out."""
+    decisive = decisive_section(data)
+    found = [] if decisive is None else [decisive]
+    if data.margins or data.linear or data.verdicts or data.inapplicable:
+        found.append(findings_section(data))
     if data.margins or data.loops or data.poles is not None:
-        found.append(margins_section(data))
-    if data.sweep is not None:
-        found.append(sweep_section(data, data.sweep))
-    if data.verdicts or data.inapplicable:
+        found.append(loops_section(data))
+    if data.verdicts:
         found.append(claims_section(data))
     if data.runs:
         found.append(runs or runs_section(data))
+    if data.sweep is not None:
+        found.append(sweep_section(data, data.sweep))
     if data.export is not None:
         found.append(export_section(data.export))
     if data.seconds:
         found.append(time_section(data))
-    return tuple(found)
+    return (*found, vehicle_section(data), gains_section(data))
+
+
+def _subject(data: ReportData) -> str:
+    speeds = "" if data.speeds is None else f", cruise {number(data.speeds[0])} m/s, cap {number(data.speeds[1])} m/s"
+    return f"Vehicle {data.vehicle.name}, gains {data.gains.name}{speeds}."
 
 
 def _outcome(data: ReportData) -> tuple[str, str]:

@@ -233,7 +233,7 @@ def draw_ends(ax: Axes, run: Run) -> None:
 def _add_legend(ax: Axes, run: Run) -> None:
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=INK, linestyle="--", linewidth=1.1, label="path"),
-        Line2D([], [], color=ROBOT, linewidth=1.8, label="way flown"),
+        Line2D([], [], color=ROBOT, linewidth=1.8, label="trajectory"),
         Line2D([], [], color=AVOIDING, linewidth=3.4, label="avoiding"),
         Line2D([], [], color=INK, marker="s", markerfacecolor="white", linestyle="none", label="start"),
         Line2D([], [], color=GOOD, marker="*", markersize=11, linestyle="none", label="target"),

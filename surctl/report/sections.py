@@ -1,4 +1,4 @@
-"""The page's sections on the design: vehicle, gains, margins, sweep, export, time taken."""
+"""The page's sections on the design: loops, sweep, export, time taken, and the tables of parameters."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from surctl.report.words import file_size, number
 from surctl.tuning import SweepTable
 from surctl.vehicle import PARAMETERS, Vehicle
 
-__all__ = ["export_section", "gains_section", "margins_section", "sweep_section", "time_section", "vehicle_section"]
+__all__ = ["export_section", "gains_section", "loops_section", "sweep_section", "time_section", "vehicle_section"]
 
 _SWEPT = (
     "score",
@@ -46,12 +46,12 @@ _SWEPT = (
 
 
 def vehicle_section(data: ReportData) -> Section:
-    """Every parameter with unit, range and provenance; other vehicles that were flown follow."""
-    flown = {run.vehicle.name: run.vehicle for run in data.runs if run.vehicle.name != data.vehicle.name}
+    """Every parameter with unit, range and provenance; the other vehicles of the runs follow."""
+    others = {run.vehicle.name: run.vehicle for run in data.runs if run.vehicle.name != data.vehicle.name}
     blocks: list[Block] = [*_note(data.vehicle), _parameters(data.vehicle)]
-    for vehicle in flown.values():
-        blocks += [Heading(f"Also flown: {vehicle.name}"), *_note(vehicle), _parameters(vehicle)]
-    return Section("vehicle", f"Vehicle {data.vehicle.name}", tuple(blocks))
+    for vehicle in others.values():
+        blocks += [Heading(f"Also simulated: {vehicle.name}"), *_note(vehicle), _parameters(vehicle)]
+    return Section("vehicle", f"Parameters of vehicle {data.vehicle.name}", tuple(blocks))
 
 
 def _note(vehicle: Vehicle) -> list[Block]:
@@ -76,14 +76,14 @@ def gains_section(data: ReportData) -> Section:
         for name, value in data.gains.values.items()
     )
     table = Table(f"Gains {data.gains.name}", ("gain", "value", "unit", "meaning"), rows)
-    return Section("gains", "Gains", (Paragraph(_provenance(data.gains)), table))
+    return Section("gains", f"Gains {data.gains.name}", (Paragraph(_provenance(data.gains)), table))
 
 
 def _provenance(gains: Gains) -> str:
     return f"Provenance: {gains.provenance.rstrip('.')}."
 
 
-def margins_section(data: ReportData) -> Section:
+def loops_section(data: ReportData) -> Section:
     """Margins of each loop, Bode and Nyquist plots, poles."""
     heads = (
         "loop", "closed loop", "gain margin [1]", "least gain [1]", "phase margin [deg]", "delay margin [s]",
@@ -125,7 +125,7 @@ def margins_section(data: ReportData) -> Section:
         )
     if pictures:
         blocks.append(Pictures(pictures))
-    return Section("margins", "Margins", tuple(blocks))
+    return Section("loops", "Margins of each loop", tuple(blocks), folded=True)
 
 
 def _loop_pictures(data: ReportData) -> tuple[Picture, ...]:
@@ -164,9 +164,9 @@ def sweep_section(data: ReportData, sweep: SweepTable) -> Section:
     feasible = sweep.column("feasible") > 0.5
     over = " and ".join(axis_title(axis) for axis in sweep.axes)
     text = (
-        f"{feasible.size} points over {over}; each flies {', '.join(sweep.cases)}. {int(feasible.sum())} points are "
-        "feasible: every run arrives without contact and the margins suffice. The feasible point of least score is "
-        "picked."
+        f"{feasible.size} points over {over}; each is simulated in {', '.join(sweep.cases)}. {int(feasible.sum())} "
+        "points are feasible: every run arrives without contact and the margins suffice. The feasible point of least "
+        "score is picked."
     )
     blocks: list[Block] = [Paragraph(text)]
     if sweep.picked is None:
@@ -177,7 +177,7 @@ def sweep_section(data: ReportData, sweep: SweepTable) -> Section:
         maps = tuple(_heat_picture(data, sweep, name) for name in _SWEPT if name in sweep.columns)
     else:
         maps = (_parallel_picture(data, sweep),)
-    return Section("sweep", "Sweep", (*blocks, Pictures(maps)))
+    return Section("sweep", "Sweep of the gains", (*blocks, Pictures(maps)), folded=True)
 
 
 def _picked(sweep: SweepTable, at: tuple[int, ...]) -> Table:
@@ -222,7 +222,7 @@ def export_section(export: ExportSummary) -> Section:
         blocks.append(Paragraph(export.status))
     blocks.append(Table("Exported files", ("file", "size [byte]", "SHA-256"), rows))
     blocks += _comparison(export.sil) or [Paragraph("The C was not compiled and not compared.", "note")]
-    return Section("export", "Exported controller", tuple(blocks))
+    return Section("export", "Exported controller", tuple(blocks), folded=True)
 
 
 @dataclass(frozen=True)
@@ -288,4 +288,4 @@ def time_section(data: ReportData) -> Section:
     """How long each stage took."""
     rows = [(stage, Cell(number(value, digits=3), number=True)) for stage, value in data.seconds.items()]
     rows.append(("together", Cell(number(sum(data.seconds.values()), digits=3), number=True)))
-    return Section("time", "Time taken", (Table("Time by stage", ("stage", "time [s]"), tuple(rows)),))
+    return Section("time", "Time taken", (Table("Time by stage", ("stage", "time [s]"), tuple(rows)),), folded=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
+from textwrap import fill
 from typing import Literal
 
 import matplotlib as mpl
@@ -45,6 +46,7 @@ OBSTACLE = "#5F6368"
 MUTED = "#70757A"
 INK = "#1F2328"
 CYCLE = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#1F2328")
+_TITLE = 10.5  # [pt] size of titles
 _DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 
 
@@ -61,8 +63,8 @@ def new_axes(width: float, height: float) -> Axes:
 def dress(ax: Axes, *, title: str = "", x: str = "", y: str = "") -> Axes:
     """Set title and axis labels (with units), grid, and frame; the texts are never read as formulas."""
     _title(ax, printable(title))
-    ax.set_xlabel(printable(x), fontsize=9.5, color=INK, parse_math=False)
-    ax.set_ylabel(printable(y), fontsize=9.5, color=INK, parse_math=False)
+    ax.set_xlabel(printable(x), fontsize=9.5, color=INK, parse_math=False, wrap=_wraps(x))
+    ax.set_ylabel(printable(y), fontsize=9.5, color=INK, parse_math=False, wrap=_wraps(y))
     ax.grid(visible=True, color="#DADCE0", linewidth=0.6)
     ax.set_axisbelow(True)
     ax.tick_params(labelsize=8.5, colors=INK, length=3)
@@ -75,8 +77,10 @@ def dress(ax: Axes, *, title: str = "", x: str = "", y: str = "") -> Axes:
 
 def head(figure: Figure, text: str, *, x: float = 0.5, ha: Literal["left", "center"] = "center") -> None:
     """Set the title of a whole figure; it is never read as a formula."""
-    said = printable(text)
-    figure.suptitle(said, x=x, ha=ha, fontsize=10.5, fontweight="bold", color=INK, parse_math=False, wrap=_wraps(said))
+    said = _broken(printable(text), figure, share=0.85)
+    figure.suptitle(
+        said, x=x, ha=ha, fontsize=_TITLE, fontweight="bold", color=INK, parse_math=False, wrap=_wraps(said)
+    )
 
 
 def _wraps(text: str) -> bool:
@@ -84,9 +88,17 @@ def _wraps(text: str) -> bool:
     return "$" not in text
 
 
+def _broken(text: str, figure: Figure, *, share: float) -> str:
+    """A title that matplotlib must not break, broken here: a share of the figure, by the usual width of a letter."""
+    if _wraps(text):
+        return text
+    return fill(text, width=int(share * 72 * figure.get_size_inches()[0] / (0.75 * _TITLE)))
+
+
 def _title(ax: Axes, text: str, *, pad: float | None = None) -> None:
+    said = _broken(text, ax.figure.figure, share=0.5)  # narrow axes of equal scale begin in the middle
     ax.set_title(
-        text, loc="left", pad=pad, fontsize=10.5, fontweight="bold", color=INK, parse_math=False, wrap=_wraps(text)
+        said, loc="left", pad=pad, fontsize=_TITLE, fontweight="bold", color=INK, parse_math=False, wrap=_wraps(said)
     )
 
 

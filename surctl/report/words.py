@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Sequence
 from pathlib import Path
 
 from surctl.control import LIBRARY as GAIN_LIBRARY
@@ -15,7 +14,7 @@ from surctl.simulation import Run
 from surctl.vehicle import LIBRARY as VEHICLE_LIBRARY
 from surctl.vehicle import Vehicle, load_vehicle
 
-__all__ = ["file_size", "gains_argument", "number", "simulate_command", "verify_command"]
+__all__ = ["file_size", "gains_argument", "interval", "number", "simulate_command", "verify_command"]
 
 
 def number(value: float | None, *, digits: int = 4) -> str:
@@ -25,6 +24,11 @@ def number(value: float | None, *, digits: int = 4) -> str:
     if math.isinf(value):
         return "∞" if value > 0 else "-∞"
     return f"{value:.{digits}g}"
+
+
+def interval(lower: float, upper: float) -> str:
+    """From where to where, or the one number that both ends are."""
+    return number(lower) if lower == upper else f"{number(lower)} to {number(upper)}"
 
 
 def file_size(path: Path) -> str:
@@ -47,7 +51,7 @@ def gains_argument(gains: Gains, gains_file: str) -> str | None:
 
 
 def simulate_command(run: Run, gains: str | None) -> str | None:
-    """The command that flies the run again and draws it; None when no command line says it all."""
+    """The command that repeats the run and draws it; None when no command line says it all."""
     vehicle = _vehicle_argument(run.vehicle)
     law = run.law.name.removeprefix("surctl_")
     if gains is None or vehicle is None:
@@ -63,15 +67,16 @@ def simulate_command(run: Run, gains: str | None) -> str | None:
     return shlex.join(words)
 
 
-def verify_command(claim: str, gains: str | None, vehicle: Vehicle, runs: Sequence[Run] = ()) -> str | None:
-    """The command that decides the claim again: for this vehicle, and at the speeds of the fastest run."""
+def verify_command(
+    claim: str, gains: str | None, vehicle: Vehicle, speeds: tuple[float, float] | None = None
+) -> str | None:
+    """The command that decides the claim again: for this vehicle, and at this cruise speed and cap [m/s]."""
     robot = _vehicle_argument(vehicle)
     if gains is None or robot is None:
         return None
     words = ["surctl", "verify", claim, "--vehicle", robot, "--gains", gains]
-    fastest = max((run.scenario for run in runs), key=lambda scenario: scenario.cruise, default=None)
-    if fastest is not None:
-        words += ["--cruise", f"{fastest.cruise:g}", "--cap", f"{fastest.cap:g}"]
+    if speeds is not None:
+        words += ["--cruise", f"{speeds[0]:g}", "--cap", f"{speeds[1]:g}"]
     return shlex.join(words)
 
 

@@ -195,6 +195,7 @@ def conduct(
                 version=__version__,
                 vehicle=plan.vehicle,
                 gains=swept.gains,
+                speeds=(fastest.cruise, fastest.cap),
                 margins=margins,
                 linear=linear,
                 poles=poles,
@@ -256,7 +257,7 @@ def _export_summary(shipment: Shipment, replayed: Sequence[Run], sil: tuple[SilR
     from surctl.report import ExportSummary
 
     told = (
-        "The law that senses for itself: by sonars, base station and IMU. Replayed flights through the sonar, by run: "
+        "The exported law estimates its position and the obstacles from sonars, base station and IMU. Replayed runs: "
     )
     told += "; ".join(f"{k}: {run.scenario.name} by {run.vehicle.name}" for k, run in enumerate(replayed, start=1))
     bundle = shipment.bundle

@@ -53,7 +53,7 @@ def summary(
         at = list(zip(swept.axes, swept.picked, strict=True))
         chosen = ", ".join(f"{a.name} = {a.values[k]:g} {a.unit}" for a, k in at)
         edges = [a.name for a, k in at if len(a.values) > 1 and k in (0, len(a.values) - 1)]
-        edge = f" (on the edge of the grid in {' and '.join(edges)}: a wider one may do better)" if edges else ""
+        edge = f" (on the edge of the grid in {' and '.join(edges)}: extend the grid there)" if edges else ""
         notes.append(Note(True, f"sweep: {feasible} of {points} points are feasible; picked {chosen}{edge}", "sweep"))
     speed = max(leg.scenario.cruise for leg in plan.deciding)
     least = min(margins, key=lambda m: m.delay_margin_s)
@@ -85,13 +85,13 @@ def summary(
     worst = max((max(r.tau.mixed, r.state.mixed, r.telemetry.mixed) for r in sil), default=0.0)
     steps, cases = sum(r.steps for r in sil), sum(r.fault_cases for r in sil)
     passed = bool(sil) and all(r.conclusive for r in sil)
-    flights = f"{len(sil)} flight{'s' * (len(sil) != 1)} by sonar"
-    text = f"export of the law with senses: C equals Python to {worst:.1e} over {steps} steps of {flights}; "
-    notes.append(Note(passed, text + f"{cases} NaNs and infinities tried", "export"))
+    runs_by_sonar = f"{len(sil)} run{'s' * (len(sil) != 1)} by sonar"
+    text = f"export of the law with perception: C equals Python to {worst:.1e} over {steps} steps of {runs_by_sonar}; "
+    notes.append(Note(passed, text + f"{cases} inputs of NaN or infinity tried", "export"))
     return tuple(notes)
 
 
 def left_out(runs: Sequence[Run]) -> tuple[Note, ...]:
     """Flights with other senses than the exported law's: nobody replayed them."""
-    text = "was flown with other sensors than the exported law's, and is not replayed"
+    text = "has other sensors than the exported law and is not replayed"
     return tuple(Note(None, f"{run.scenario.name} by {run.vehicle.name}, sonar, {text}", "export") for run in runs)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import base64
+import itertools
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from surctl.control import write_gains
 from surctl.errors import InputError
@@ -16,11 +18,32 @@ from surctl.report import Check, ExportSummary, ReportData, render_page, render_
 from surctl.report.document import Heading, Section
 from tests.report.data import GAINS, report, run, sweep, vehicle
 from tests.report.reader import Reader
+from tests.report.test_titles import outside
 
 
 @pytest.fixture(scope="module")
-def page() -> str:
-    return render_page(report())
+def drawn() -> tuple[str, list[Figure]]:
+    """The page, and the figures that were drawn for it."""
+    figures: list[Figure] = []
+    save = Figure.savefig
+
+    def keep(figure: Figure, *args: object, **kwargs: object) -> None:
+        figures.append(figure)
+        save(figure, *args, **kwargs)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", keep)
+        return render_page(report()), figures
+
+
+@pytest.fixture(scope="module")
+def page(drawn: tuple[str, list[Figure]]) -> str:
+    return drawn[0]
+
+
+@pytest.fixture(scope="module")
+def pictured(drawn: tuple[str, list[Figure]]) -> list[Figure]:
+    return drawn[1]
 
 
 def bare(**parts: object) -> ReportData:
@@ -41,9 +64,9 @@ def test_the_page_is_balanced_and_its_anchors_meet(page: str) -> None:
     ids = [a["id"] for _, a in read.elements if "id" in a]
     assert len(set(ids)) == len(ids)
     targets = {(a["href"] or "").removeprefix("#") for a in read.all("a")}
-    sections = {"vehicle", "gains", "margins", "sweep", "claims", "runs", "time"}
+    sections = {"vehicle", "gains", "margins", "loops", "sweep", "claims", "runs", "time"}
     parts = {"claims-v1-printed", "claims-m-norm-printed", "claims-v1-corrected", "runs-1", "runs-2"}
-    assert targets == {"summary", *sections, *parts} and targets <= set(ids)
+    assert targets == {"summary", *sections, *parts} - {"runs-2"} and targets <= set(ids)
     labels = {a["aria-labelledby"] for _, a in read.elements if "aria-labelledby" in a}
     assert labels <= set(ids)
 
@@ -72,6 +95,12 @@ def test_every_picture_is_inside_and_told_in_words(page: str) -> None:
         ]
         assert len(image["alt"] or "") > 20
     assert page.count("Command: <code>") == len(images)
+
+
+def test_no_title_of_a_picture_is_clipped(pictured: list[Figure]) -> None:
+    assert len(pictured) > 20
+    for figure in pictured:
+        assert outside(figure) == []
 
 
 def test_the_same_data_gives_the_same_bytes_and_less_than_six_megabytes(page: str) -> None:
@@ -128,7 +157,7 @@ def test_numbers_that_are_none_or_endless_are_written_as_signs() -> None:
 def test_the_outcome_stands_first(summary: tuple[tuple[bool | None, str], ...], said: str) -> None:
     data = bare(summary=summary)
     text = Reader(render_page(data)).text
-    assert said in text and text.index(said) < text.index("Parameters of sur540-flooded")
+    assert said in text and text.index(said) < text.index("Parameters of vehicle sur540-flooded")
     assert data.passed is {"✓": True, "✗": False, "•": None}[said[0]]
 
 
@@ -148,9 +177,41 @@ def test_what_fails_comes_first_and_leads_to_where_more_is_told() -> None:
     words = ["run 9", "nothing tells", "margins suffice", "no link", "sonar does not"]
     assert sorted(words, key=items.index) == words
     assert re.findall(r'href="#([^"]*)"', items) == ["runs", "margins", "runs-2"]
-    assert told.index("run 9 is not drawn") < told.index('id="contents"') < told.index('id="margins"')
+    assert told.index("run 9 is not drawn") < told.index("<nav") < told.index('id="margins"')
     (contents,) = re.findall(r"<nav.*?</nav>", told, re.DOTALL)
-    assert re.findall(r'href="#([^"]*)"', contents) == ["margins", "runs", "runs-2"]
+    assert re.findall(r'href="#([^"]*)"', contents) == ["margins", "runs"]
+    assert "<details" not in told  # nothing is folded where no section is
+
+
+def headings(page: str) -> list[tuple[str, str, bool]]:
+    """Level, text and whether it is in a folded part, of each heading from the top."""
+    found, depth = [], 0
+    for tag, level, text in re.findall(r"<(/?details|h([1-6])[^>]*>(.*?)</h)", page):
+        depth += {"details": 1, "/details": -1}.get(tag, 0)
+        if level:
+            found.append((level, text, depth > 0))
+    return found
+
+
+def test_the_page_reads_from_the_verdict_to_the_parameters(page: str) -> None:
+    found = headings(page)
+    assert [(text, folded) for level, text, folded in found if level < "3"] == [
+        ("Study default", False),
+        ("Verdict", False),
+        ("Decisive run", False),
+        ("Margins and claims", False),
+        ("Margins of each loop", True),
+        ("Evidence for each claim", True),
+        ("Closed-loop runs", True),
+        ("Sweep of the gains", True),
+        ("Time taken", True),
+        ("Parameters of vehicle sur540-flooded", False),
+        ("Gains default", False),
+    ]
+    levels = [int(level) for level, _, _ in found]
+    assert levels[0] == 1 and all(after - before <= 1 for before, after in itertools.pairwise(levels))
+    assert all("open" not in a for a in Reader(page).all("details"))
+    assert page.index("data-player") < page.index('id="margins"')
 
 
 def test_every_parameter_and_gain_is_listed_with_its_provenance(page: str) -> None:
@@ -159,7 +220,7 @@ def test_every_parameter_and_gain_is_listed_with_its_provenance(page: str) -> No
         assert name in text and p.provenance in text
     for name in GAINS.values:
         assert f"{name} " in text
-    assert "Also flown: sur400" in text
+    assert "Also simulated: sur400" in text
     assert "stands 0.05 m out of the water" in text  # E16
 
 

@@ -42,6 +42,7 @@ HULL = """() => {
 }"""
 INSIDE = """(points) => [...document.querySelectorAll(".plan .beam")].map((beam, k) => points[k].map(
     (p) => beam.isPointInFill(new DOMPoint(...p))))"""
+UNFOLD = "document.querySelectorAll('details').forEach((one) => { one.open = true; })"
 RANGES = (0.5, 0.8, 4.5, 1.0)  # [m]; the third is the maximum: no echo
 PLAYED = "from => Number(document.querySelector('.plan').dataset.time) > from"
 
@@ -88,6 +89,7 @@ def opened(window: Opened, page: Path) -> Iterator[Opened]:
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_every_text_is_legible_and_nothing_sticks_out(opened: Opened, scheme: str) -> None:
     opened.page.emulate_media(color_scheme=scheme)
+    opened.page.evaluate(UNFOLD)
     shown = opened.page.evaluate(CONTRAST)
     assert len(shown) > 200
     assert [text for ratio, text in shown if ratio < 4.5] == []
@@ -192,6 +194,28 @@ def test_paper_has_the_still_picture(opened: Opened) -> None:
     page.emulate_media(media="print", color_scheme="dark")
     assert page.is_visible(".player > img") and not page.is_visible(".stage")
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+
+
+def test_details_are_closed_on_the_screen_and_open_on_paper(opened: Opened) -> None:
+    page = opened.page
+    inside = page.locator("#claims figure").first
+    assert not inside.is_visible()
+    page.emulate_media(media="print")
+    assert inside.is_visible()  # by the style alone
+    page.emulate_media(media="screen")
+    assert not inside.is_visible()
+    count = "() => document.querySelectorAll('details[open]').length"
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert page.evaluate(count) == page.locator("details").count() > 3
+    page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert page.evaluate(count) == 0
+
+
+def test_verdict_and_run_fit_the_first_screen(opened: Opened) -> None:
+    assert opened.page.evaluate("document.querySelector('.play').getBoundingClientRect().bottom") < 900
+    heads = "[...document.querySelectorAll('h1, h2, caption, th')].filter((e) => e.scrollWidth > e.clientWidth + 1)"
+    opened.page.evaluate(UNFOLD)
+    assert opened.page.evaluate(f"{heads}.map((e) => e.textContent)") == []
 
 
 def test_another_script_is_not_run(window: Opened, page: Path, tmp_path: Path) -> None:

@@ -1,0 +1,62 @@
+"""Margins and claims in one table of sentences, and what of the verdict is folded."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+from surctl.report import Check, render_page, render_sections
+from surctl.report.claim_words import claim_words
+from surctl.report.document import Section, Table
+from surctl.report.findings import findings_section
+from surctl.verification import Inapplicable, claims
+from tests.report.data import report
+from tests.report.reader import Reader
+from tests.report.test_page import bare
+
+
+def test_where_sections_are_folded_only_what_fails_is_open() -> None:
+    lines = (Check(True, "good"), Check(False, "bad", "runs"), Check(None, "remark"), Check(True, "fine"))
+    told = render_sections(
+        title="t", subject="s", version="0", command="", outcome=("bad", "x"), summary=lines,
+        sections=(Section("runs", "Runs", (), folded=True),),
+    )  # fmt: skip
+    open_, folded, _ = re.split(r"<details>|</details>", told, maxsplit=2)
+    assert "> bad<" in open_.replace('#runs">', "> ") and "good" not in re.sub(
+        r"<style>.*</style>", "", open_, flags=re.S
+    )
+    assert "2 checks hold; 1 note decides nothing" in folded and "remark" in folded and "bad" not in folded
+
+
+def test_margins_and_claims_are_one_table_of_sentences() -> None:
+    unfit = Inapplicable("braking-rule-20", "m11 = 1 kg and m22 = 2 kg differ")
+    section = findings_section(replace(report(), inapplicable=(unfit,)))
+    (table,) = [block for block in section.blocks if isinstance(block, Table)]
+    rows = {row[0].text: [cell.text for cell in row[1:]] for row in table.cells}
+    assert list(rows) == [
+        "each loop alone", "all loops together", "v1-printed", "m-norm-printed", "v1-corrected", "braking-rule-20",
+    ]  # fmt: skip
+    for verdict, holds, where, beyond in rows.values():
+        assert verdict and holds.endswith(".") and where.startswith("sur540-flooded") and beyond.endswith(".")
+        assert "cruise 0.15 m/s, cap 0.22 m/s" in where
+    least = min(report().margins, key=lambda m: m.delay_margin_s)
+    assert f"{least.delay_margin_s:.3g} s of extra delay (least: {least.name})" in rows["each loop alone"][1]
+    refuted, opened = rows["v1-printed"], rows["v1-corrected"]
+    share = 100 * report().verdicts[0].fraction
+    assert refuted[0] == "refuted, as expected" and refuted[1].startswith("It is not true that the tracking error")
+    assert f"{share:.3g} % of the samples" in refuted[1] and refuted[3] == "Corrected form: v1-corrected."
+    assert opened[1].startswith("It is open whether") and "dynamics, thrust limits, current" in opened[3]
+    assert "x_e, y_e, z_e -" in opened[2] and "turn -0.5 to 0.5 rad/s" in opened[2]
+    assert rows["braking-rule-20"][:2] == [
+        "not applicable",
+        f"Not applicable to this vehicle, because {unfit.because}.",
+    ]
+    text = Reader(render_page(bare(inapplicable=(unfit,)))).text
+    assert f"because {unfit.because}" in text
+
+
+def test_every_claim_of_the_paper_has_words_without_a_formula() -> None:
+    for claim in claims():
+        clause, beyond = claim_words(claim)
+        if claim.paper:
+            assert not re.search(r"[≤≥‖]", clause) and clause != claim.statement and beyond
