@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import tomllib
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
 
@@ -99,17 +101,22 @@ def read_toml(path: Path) -> dict[str, Any]:
     if "\0" in text:
         raise InputError("is not text (it holds a NUL byte)", file=path, remedy="give a TOML file")
     try:
-        table = tomllib.loads(text)
+        return dict(pickle.loads(_parsed(text)))
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"is not valid TOML: {error}", file=path, remedy="mend that line") from None
     except RecursionError:
         raise InputError("is not valid TOML: nested too deep", file=path, remedy="give a TOML file") from None
-    if not table:
-        raise InputError("is empty", file=path, remedy="start from a built-in file: surctl list --show NAME")
-    try:
-        return dict(told_by_suffix(table))
     except InputError as error:
         raise error.inside(path) from None
+
+
+@lru_cache(maxsize=64)
+def _parsed(text: str) -> bytes:
+    """The table of a TOML text, read once; pickled, so that whoever asks gets a table of his own."""
+    table = tomllib.loads(text)
+    if not table:
+        raise InputError("is empty", remedy="start from a built-in file: surctl list --show NAME")
+    return pickle.dumps(told_by_suffix(table))
 
 
 def load_model(path: Path, model: type[M]) -> M:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import importlib.util
 import pkgutil
@@ -11,6 +12,7 @@ import subprocess
 import sys
 import sysconfig
 import tomllib
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -23,6 +25,7 @@ PACKAGE = ROOT / "surctl"
 LONGEST = 400
 # put together here, so that this file does not hold them itself
 NOWHERE = ["../" + "shared", "/wo" + "rk/", "TO" + "DO", "FIX" + "ME"]
+_IMPORT = re.compile(r"^[ \t]*(from [\w.]+ import (?:\([^)]*\)|[^(\n]*)|import [^\n]*)", re.MULTILINE)
 
 
 def _run(*command: str) -> str:
@@ -68,6 +71,63 @@ def test_imports_go_one_way(tmp_path: Path) -> None:
     config.write_text(text, encoding="utf-8")
     out = _run(_script("lint-imports"), "--config", str(config), "--no-cache")
     assert f"{len(contracts)} kept, 0 broken" in out
+
+
+def _imports(name: str, package: bool, text: str, modules: set[str]) -> set[str]:
+    """Those of the modules that a module imports anywhere: inside functions and for type checking alone as well."""
+    found = set()
+    for node in ast.parse("\n".join(_IMPORT.findall(text))).body:  # parsing all of the text takes twenty times as long
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            above = name.split(".")[: len(name.split(".")) + package - node.level] if node.level else []
+            base = ".".join([*above, *([node.module] if node.module else [])])
+            inside = {alias.name: f"{base}.{alias.name}" for alias in node.names}
+            found |= {inside[item] if inside[item] in modules else base for item in inside}
+    return found & modules - {name}
+
+
+def _circle(texts: dict[str, str]) -> list[str]:
+    """Modules each of which imports the next, and the last the first; empty if none do. A package ends with a dot."""
+    modules = {name.rstrip(".") for name in texts}
+    graph = {
+        name.rstrip("."): _imports(name.rstrip("."), name.endswith("."), text, modules) for name, text in texts.items()
+    }
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return list(reversed(error.args[1]))[1:]  # it tells who is imported before who imports
+    return []
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    texts = {}
+    for path in PACKAGE.rglob("*.py"):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        name = ".".join(parts[:-1]) + "." if parts[-1] == "__init__" else ".".join(parts)
+        texts[name] = path.read_text(encoding="utf-8")
+    assert len(texts) > 50
+    assert _circle(texts) == []
+
+
+@pytest.mark.parametrize(
+    "back",
+    [
+        "import r.a",
+        "from r.a import f",
+        "from r import a",
+        "from . import a",
+        "from .a import f",
+        "def g():\n    from r.a import f",
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from r.a import f",
+        "from r import f",
+    ],
+)
+def test_a_circle_is_found_wherever_the_import_stands(back: str) -> None:
+    package = {"r.": "from r.a import f", "r.a": "from r.b import g", "r.b": back}
+    assert set(_circle(package)) - {"r"} == {"r.a", "r.b"}
+    assert _circle({**package, "r.b": "import ast\nfrom r.c import g", "r.c": ""}) == []
+    assert set(_circle({"r.": "", "r.s.": "from ..b import g", "r.b": "from r.s import f"})) == {"r.s", "r.b"}
 
 
 def test_ruff() -> None:

@@ -25,6 +25,16 @@ class _Thing(Strict):
     spare: tuple[_Part, ...] = ()
 
 
+def test_a_file_read_again_is_a_table_of_its_own_and_a_changed_one_is_read_anew(tmp_path: Path) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text('[site]\ndepth_m = "150 cm"\nwalls = [1]')
+    table = read_toml(path)
+    table["site"]["walls"].append(2)
+    assert read_toml(path) == {"site": {"depth_m": 1.5, "walls": [1]}}
+    path.write_text("[site]\ndepth_m = 2.0")
+    assert read_toml(path) == {"site": {"depth_m": 2.0}}
+
+
 @pytest.mark.parametrize(
     ("content", "problem"),
     [

@@ -73,7 +73,7 @@ def lipschitz(where: str, how: str, points: int) -> tuple[float, float]:
     return float(coarse * points), float(fine * 2 * points)
 
 
-def chatter(mode: Mode, *, steps: int = 2000, dt: float = 0.02) -> int:
+def chatter(mode: Mode, *, steps: int, dt: float = 0.02) -> int:
     """Most reversals in a row of the change of v between steps, of a point driven against and along a round obstacle.
 
     The obstacle is a barrier, and a set-based task before it; the goal lies behind, so that both bind for most of the

@@ -66,12 +66,12 @@ MICROSECONDS = 6.0
 def main(arguments: list[str]) -> int:
     """Both parts; the exit status."""
     parser = argparse.ArgumentParser(description="compiled ticks: agreement and speed")
-    parser.add_argument("--quick", action="store_true", help="100 problems a mode unless --n says otherwise")
+    parser.add_argument("--quick", action="store_true", help="60 problems a mode unless --n says otherwise")
     parser.add_argument("--n", type=int, help="random problems a mode; 10,000 if not given")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--no-timing", action="store_true", help="skip the timing")
     options = parser.parse_args(arguments)
-    count = options.n if options.n is not None else 100 if options.quick else 10_000
+    count = options.n if options.n is not None else 60 if options.quick else 10_000
     if count < 1 or options.seed < 0:
         parser.error("--n is at least 1, --seed at least 0")
     try:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from streams import Stream, joined
 
 from surctl.sensing import RangeTracker, SensorFilter, plain_average, plain_filter, plain_gate
-from surctl.sensing.filters import StepRule
+from surctl.sensing.ranging.filters import StepRule
 
 Array = NDArray[np.float64]
 TOGETHER = 1000  # runs

@@ -29,7 +29,7 @@ from surctl.report.sonar_plots import (
     plot_range_trace,
 )
 from surctl.sensing import plain_lms_step, table_ii
-from surctl.sensing.filters import StepRule
+from surctl.sensing.ranging.filters import StepRule
 
 Array = NDArray[np.float64]
 CONFIG = Path(__file__).with_name("config.toml")

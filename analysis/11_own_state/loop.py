@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from surctl.control.velocity import velocity_control
 from surctl.ir import Layout, Port
 from surctl.sensing import OwnState, OwnStateFilter
-from surctl.sensing.own_state_design import settled_covariance
+from surctl.sensing.localisation.design import settled_covariance
 from surctl.simulation import advance
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, plant_parameters
 

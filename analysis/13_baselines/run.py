@@ -22,9 +22,8 @@ from surctl.control import LawName, load_gains
 from surctl.errors import InputError
 from surctl.files import prepare_folder
 from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, dress, legend_below, new_figure
-from surctl.simulation import BatchResult, Case, load_scenario, simulate_batch
+from surctl.simulation import BatchResult, Case, Sensing, load_scenario, simulate_batch
 from surctl.simulation.campaign import RandomWorlds, world_template
-from surctl.simulation.run import Sensing
 from surctl.simulation.scenario import LIBRARY
 from surctl.vehicle import load_vehicle
 

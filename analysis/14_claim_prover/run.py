@@ -2,8 +2,8 @@
 
     python analysis/14_claim_prover/run.py [--quick]
 
-Prints Markdown. Ends with 0 when every claim that should hold is proved, every certificate accepted and the bar of
-(24) met, else with 1; with 2 for a bad option.
+Prints Markdown. Ends with 0 when every claim that should hold is proved, every certificate accepted and, without
+--quick, the bar of (24) met, else with 1; with 2 for a bad option.
 """
 
 from __future__ import annotations
@@ -94,7 +94,8 @@ def main(arguments: list[str]) -> int:
     ):
         print(f"| {name} | {told.row(ours.seconds) if isinstance(told, Told) else f'{told} | – | – |'}")
     print(f"| dReal | {RECORDED} | – | left ≤ right + δ |")
-    return 0 if met and all(r.accepted for r in rows) else 1
+    quick = rounds == 2  # on whatever machine, and whatever else it does: the time is printed and decides nothing
+    return 0 if (met or quick) and all(r.accepted for r in rows) else 1
 
 
 def timed(label: str, claim: Claim, rounds: int) -> Row:

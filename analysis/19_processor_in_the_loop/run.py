@@ -35,8 +35,7 @@ from surctl.export import (
 )
 from surctl.export.precision import Rounded
 from surctl.ir import Real, compile_program
-from surctl.simulation import Run, Scenario, law_numbers, load_scenario, simulate
-from surctl.simulation.run import Sensing, Stepper
+from surctl.simulation import Run, Scenario, Sensing, Stepper, law_numbers, load_scenario, simulate
 from surctl.vehicle import Vehicle, load_vehicle
 
 SCENARIO = "pool-static"

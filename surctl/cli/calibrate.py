@@ -30,7 +30,7 @@ def calibrate(file: str, out: Path | None, as_json: bool) -> None:
     """
     from surctl.files import prepare_folder, write_file
     from surctl.sensing import OUTLIER_RULE, calibration_rows, file_stems, pick_calibration, sonar_fragment
-    from surctl.sensing.calibration_file import BUILT_IN
+    from surctl.sensing.calibration.file import BUILT_IN
 
     if out is not None:
         prepare_folder(out)
@@ -81,7 +81,7 @@ def _lines(one: SensorCalibration) -> list[str]:
 
 def _noise(one: SensorCalibration) -> list[str]:
     """What the test of the noise against range said."""
-    from surctl.sensing.calibration import LEAST_ROWS_OF_SLOPE
+    from surctl.sensing.calibration.estimation import LEAST_ROWS_OF_SLOPE
 
     f = one.found
     if f.noise_slope is None or f.noise_slope_p is None:
@@ -99,7 +99,7 @@ def _noise(one: SensorCalibration) -> list[str]:
 def _percentages() -> tuple[dict[str, Any], list[str]]:
     """The percentages of Table II, recomputed."""
     from surctl.sensing import table_ii
-    from surctl.sensing.table2 import MEDIA
+    from surctl.sensing.calibration.table2 import MEDIA
 
     table = table_ii()
     wrong = []

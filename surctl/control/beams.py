@@ -11,7 +11,7 @@ import casadi as ca
 
 from surctl.ir import each, tabulated
 from surctl.sensing import Ranging, SonarArray, expected_range
-from surctl.sensing.estimate import turned
+from surctl.sensing.sonar.cones import turned
 from surctl.vehicle import planar_rotation
 
 __all__ = ["SILENT", "Around", "beams", "corrected", "expected", "honest"]

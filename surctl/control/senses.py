@@ -1,7 +1,7 @@
 """From what the sensors say to what the decision is told: a step of its own, with its own state.
 
 Own state from late fixes, moving obstacles from late messages, the range of every sonar with its bound, and the map of
-`sensing.local_map`, whose nearest marks become contacts beside those of the base station. What walls or known obstacles
+`sensing.mapping`, whose nearest marks become contacts beside those of the base station. What walls or known obstacles
 explain is not marked; every contact is as large as the doubt about it.
 """
 
@@ -17,9 +17,9 @@ import casadi as ca
 from surctl.control.beams import SILENT, Around, beams, corrected, expected, honest
 from surctl.control.ports import PARAMETERS, SECTORS
 from surctl.errors import InputError
-from surctl.ir import Block, Call, Layout, Port, Program, Recording, Routine, each, lower, without_libm
+from surctl.ir import Block, Call, Layout, Port, Program, Recording, Routine, each, lower_named, without_libm
 from surctl.sensing import Equipment, LocalMap, MoverTracker, OwnStateFilter, RangeTracker
-from surctl.sensing.local_map import READING, RING
+from surctl.sensing.mapping.local_map import READING, RING
 from surctl.vehicle import planar_rotation
 
 __all__ = ["CELLS_A_HULL", "LAST_THRUST", "SENSES", "Senses", "build_senses"]
@@ -180,20 +180,20 @@ class _Builder:
         x = ca.SX.sym("x", self.state.size)
         parts = {name: x[self.state.slice(f"map_{name}")] for name in ("cells", "corner")}
         small = x[: LAST_THRUST.size + self._small.size]
-        return _lowered("split", {"x": x}, {"small": small, **{f"map_{k}": v for k, v in parts.items()}})
+        return lower_named("split", {"x": x}, {"small": small, **{f"map_{k}": v for k, v in parts.items()}})
 
     def _anew(self) -> Program:
         """The map's corner; nowhere if the map is to start anew."""
         corner, anew = ca.SX.sym("corner", 2), ca.SX.sym("anew")
         nowhere = self.state.port("map_corner").default
-        return _lowered("anew", {"corner": corner, "anew": anew}, {"at": ca.if_else(anew > 0.5, nowhere, corner)})
+        return lower_named("anew", {"corner": corner, "anew": anew}, {"at": ca.if_else(anew > 0.5, nowhere, corner)})
 
     def _join(self) -> Program:
         parts = {
             "small": ca.SX.sym("small", self._small.size),
             **{name: ca.SX.sym(name, self.state.port(name).size) for name in ("map_cells", "map_corner")},
         }
-        return _lowered("join", parts, {"x_next": ca.vertcat(*parts.values())})
+        return lower_named("join", parts, {"x_next": ca.vertcat(*parts.values())})
 
     def _feel(self) -> Block:
         recording = Recording()
@@ -357,8 +357,3 @@ def _listed(firings: list[tuple[ca.SX, ca.SX]], slots: int) -> ca.SX:
         listed = [ca.if_else(ca.logic_and(fresh, count == s), firing, old) for s, old in enumerate(listed)]
         count += fresh
     return ca.vertcat(*listed)
-
-
-def _lowered(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> Program:
-    made = [ca.densify(ca.SX(value)) for value in outputs.values()]
-    return lower(ca.Function(name, list(inputs.values()), made, list(inputs), list(outputs), {"cse": True}))

@@ -4,33 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import Law, in_real
+from surctl.control import NONFINITE, Law, LawStep, in_real
 from surctl.errors import InputError
-from surctl.export.contract import Exportable
+from surctl.export.contract import Around, Exportable
 from surctl.ir import Block, Call, Layout, Port, Program, Real, Step, lower, reads, replay, with_constants, without_libm
 
 __all__ = ["ClosedForm", "closed_form"]
 
 Vector = NDArray[np.float64]
 
-_NONFINITE = -2
-
-
-class _Step(NamedTuple):
-    tau: Vector
-    x_next: Vector
-    status: int
-    telemetry: Vector
-
 
 @dataclass(frozen=True, eq=False)
-class ClosedForm:
+class ClosedForm(Around):
     """A law without senses, rewritten for a target.
 
     Attributes:
@@ -45,31 +35,6 @@ class ClosedForm:
     gains: Layout
     constants: Vector | None = None
 
-    @property
-    def name(self) -> str:
-        """C identifier."""
-        return self.law.name
-
-    @property
-    def dt(self) -> float:
-        """Control period [s]."""
-        return self.law.dt
-
-    @property
-    def state(self) -> Layout:
-        """Layout of x (nx,)."""
-        return self.law.state
-
-    @property
-    def inputs(self) -> Layout:
-        """Layout of u (nu,)."""
-        return self.law.inputs
-
-    @property
-    def outputs(self) -> Layout:
-        """Layout of tau (4,), then of the telemetry (k,)."""
-        return self.law.outputs
-
     @cached_property
     def constant_table(self) -> tuple[tuple[Port, Vector], ...]:
         """Port and values of every constant."""
@@ -81,13 +46,13 @@ class ClosedForm:
         """State before the first step (nx,)."""
         return self.law.initial_state()
 
-    def step(self, x: Vector, u: Vector, p: Vector) -> _Step:
+    def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
         """One guarded step: anything non-finite gives tau = 0, x_next = x, status NONFINITE."""
         if all(np.isfinite(v).all() for v in (x, u, p)):
             parts = [np.asarray(part, dtype=np.float64) for part in replay(self.block, x, u, p)]
             if all(np.isfinite(part).all() for part in parts):
-                return _Step(parts[0], parts[1], int(parts[2][0]), parts[3])
-        return _Step(np.zeros(4), np.array(x, dtype=float), _NONFINITE, np.zeros(self.outputs.size - 4))
+                return LawStep(parts[0], parts[1], int(parts[2][0]), parts[3])
+        return LawStep(np.zeros(4), np.array(x, dtype=float), NONFINITE, np.zeros(self.outputs.size - 4))
 
 
 def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = None) -> Exportable:
@@ -113,7 +78,7 @@ def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = 
         >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
         >>> shipped = closed_form(law, real="float32", constants=p)
         >>> law.gains.size, shipped.gains.size, shipped.block.operations < law.block.operations
-        (69, 0, True)
+        (70, 0, True)
     """
     closed = law.mode == "nsb" and law.senses is None
     if law.senses is not None and constants is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.ir import Block, Layout, Port, identifier
 
-__all__ = ["STATUS", "Exportable", "Step", "checked_name", "telemetry_ports", "thrust"]
+__all__ = ["STATUS", "Around", "Exportable", "Step", "checked_name", "telemetry_ports", "thrust"]
 
 Vector = NDArray[np.float64]
 
@@ -98,6 +99,38 @@ class Exportable(Protocol):
 
     def step(self, x: Vector, u: Vector, p: Vector) -> Step:
         """One guarded step: anything non-finite gives tau = 0, x_next = x, status NONFINITE."""
+
+
+@dataclass(frozen=True, eq=False)
+class Around:
+    """A law around another one: name, period and layouts are those of the inner one."""
+
+    law: Exportable
+
+    @property
+    def name(self) -> str:
+        """C identifier."""
+        return self.law.name
+
+    @property
+    def dt(self) -> float:
+        """Control period [s]."""
+        return self.law.dt
+
+    @property
+    def state(self) -> Layout:
+        """Layout of x (nx,)."""
+        return self.law.state
+
+    @property
+    def inputs(self) -> Layout:
+        """Layout of u (nu,)."""
+        return self.law.inputs
+
+    @property
+    def outputs(self) -> Layout:
+        """Layout of tau (4,), then of the telemetry (k,)."""
+        return self.law.outputs
 
 
 def thrust(law: Exportable) -> Port:

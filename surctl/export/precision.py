@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.export.contract import Exportable, thrust
+from surctl.control import LawStep
+from surctl.export.contract import Around, Exportable, thrust
 from surctl.export.envelope import ITER, NONFINITE, RANGE, Envelope
 from surctl.export.records import Records
 from surctl.export.rows import Rows
@@ -24,48 +24,14 @@ _IN_MEMORY = 20_000_000  # intermediate numbers that are in memory at once
 _NUMPY: dict[Real, type[np.float64] | type[np.float32]] = {"float64": np.float64, "float32": np.float32}
 
 
-class _Step(NamedTuple):
-    tau: Vector
-    x_next: Vector
-    status: int
-    telemetry: Vector
-
-
 @dataclass(frozen=True, eq=False)
-class _Around:
-    """A law around another one, with its layouts."""
-
-    law: Exportable
-
-    @property
-    def name(self) -> str:
-        """C identifier."""
-        return self.law.name
-
-    @property
-    def dt(self) -> float:
-        """Control period [s]."""
-        return self.law.dt
-
-    @property
-    def state(self) -> Layout:
-        """Layout of x (nx,)."""
-        return self.law.state
-
-    @property
-    def inputs(self) -> Layout:
-        """Layout of u (nu,)."""
-        return self.law.inputs
+class _Same(Around):
+    """A law around another one whose gains and instructions it has."""
 
     @property
     def gains(self) -> Layout:
         """Layout of p (np,)."""
         return self.law.gains
-
-    @property
-    def outputs(self) -> Layout:
-        """Layout of tau (4,), then of the telemetry (k,)."""
-        return self.law.outputs
 
     @property
     def block(self) -> Block:
@@ -74,7 +40,7 @@ class _Around:
 
 
 @dataclass(frozen=True, eq=False)
-class Rounded(_Around):
+class Rounded(_Same):
     """An exportable law replayed instruction by instruction, every number rounded to `real`.
 
     The reference semantics of the exported C in that precision: IEEE 754 defines each operation to the last bit.
@@ -91,10 +57,10 @@ class Rounded(_Around):
         """State before the first step (nx,)."""
         return rounded(self.law.initial_state(), self.real)
 
-    def step(self, x: Vector, u: Vector, p: Vector) -> _Step:
+    def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
         """One guarded step: anything non-finite gives tau = 0, x_next = x, status NONFINITE."""
         rows = self.steps(*(np.atleast_2d(v) for v in (x, u, p)))
-        return _Step(rows.tau[0], rows.state[0], int(rows.status[0]), rows.telemetry[0])
+        return LawStep(rows.tau[0], rows.state[0], int(rows.status[0]), rows.telemetry[0])
 
     def steps(self, X: Vector, U: Vector, P: Vector) -> Rows:
         """One step from each row of X (T, nx), U (T, nu), P (T, np)."""
@@ -130,7 +96,7 @@ class Rounded(_Around):
 
 
 @dataclass(frozen=True, eq=False)
-class Guarded(_Around):
+class Guarded(_Same):
     """A law behind the guard that its C has.
 
     Attributes:
@@ -145,15 +111,15 @@ class Guarded(_Around):
         """State before the first step (nx,)."""
         return self.law.initial_state()
 
-    def step(self, x: Vector, u: Vector, p: Vector) -> _Step:
+    def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
         """One step that follows no other: a number outside its box gives tau = 0, x_next = x, a negative status."""
         x, u, p = (rounded(np.asarray(v, dtype=float), self.real) for v in (x, u, p))
         refused = int(self.envelope.refusals(Records(*(v[None] for v in (x, u, p))))[0])
         if refused == RANGE:  # what is not finite the law refuses itself
             size = thrust(self.law).size
-            return _Step(np.zeros(size), np.array(x, dtype=float), refused, np.zeros(self.outputs.size - size))
+            return LawStep(np.zeros(size), np.array(x, dtype=float), refused, np.zeros(self.outputs.size - size))
         step = self.law.step(x, u, p)
-        return _Step(step.tau, step.x_next, step.status, step.telemetry)
+        return LawStep(step.tau, step.x_next, step.status, step.telemetry)
 
 
 def in_precision(law: Exportable, real: Real, envelope: Envelope | None = None) -> Exportable:
@@ -164,7 +130,7 @@ def in_precision(law: Exportable, real: Real, envelope: Envelope | None = None) 
 
 def plain(law: Exportable) -> Exportable:
     """The law itself."""
-    while isinstance(law, _Around):
+    while isinstance(law, _Same):
         law = law.law
     return law
 

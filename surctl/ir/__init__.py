@@ -13,7 +13,7 @@ from surctl.ir.elementary import without_libm
 from surctl.ir.folding import with_constants
 from surctl.ir.frames import stack_bytes, stack_of, stack_told
 from surctl.ir.fusing import fused
-from surctl.ir.lowering import lower
+from surctl.ir.lowering import lower, lower_named
 from surctl.ir.native import Native, Workspace, compile_block, runnable
 from surctl.ir.ops import LIBM, OPERATIONS, Operation
 from surctl.ir.places import memory, reads
@@ -66,6 +66,7 @@ __all__ = [
     "fused",
     "identifier",
     "lower",
+    "lower_named",
     "memory",
     "nearby_angles",
     "on_vectors",

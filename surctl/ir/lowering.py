@@ -13,7 +13,7 @@ from surctl.ir.numbering import Numbering
 from surctl.ir.ops import OPERATIONS, SUBSTITUTES
 from surctl.ir.program import Instruction, Program, drop_dead
 
-__all__ = ["lower"]
+__all__ = ["lower", "lower_named"]
 
 _NAMES: Mapping[int, str] = MappingProxyType(
     {int(getattr(ca, n)): n[3:].lower() for n in dir(ca) if n.startswith("OP_")}
@@ -62,6 +62,24 @@ def lower(function: ca.Function, *, reciprocals: bool = False) -> Program:
         refs = [tuple(moved[at] for at in entries) for entries in refs]
     instructions, output_refs = drop_dead(builder.instructions, refs)
     return Program(builder.name, inputs, outputs, instructions, output_refs)
+
+
+def lower_named(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX | float]) -> Program:
+    """Instruction list of the outputs as functions of the inputs, columns by name; an output is made dense.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import lower_named
+        >>> v = ca.SX.sym("v", 2)
+        >>> print(lower_named("across", {"v": v}, {"left": -v[1]}).text(), end="")
+        program across
+        in0 v 2
+        v0 = in0[1]
+        v1 = neg v0
+        out0 left v1
+    """
+    made = [ca.densify(ca.SX(value)) for value in outputs.values()]
+    return lower(ca.Function(name, list(inputs.values()), made, list(inputs), list(outputs), {"cse": True}))
 
 
 def _with_reciprocals(old: _Builder) -> tuple[_Builder, list[int]]:

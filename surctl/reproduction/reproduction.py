@@ -14,7 +14,7 @@ from surctl.reproduction.instants import instant_items
 from surctl.reproduction.row import Item, Row
 from surctl.reproduction.scenarios import hull_items, limit_items, position_items, scenario_items
 from surctl.reproduction.tables import table_items
-from surctl.sensing.table2 import MEDIA, table_ii
+from surctl.sensing.calibration.table2 import MEDIA, table_ii
 from surctl.verification import claims
 
 __all__ = ["QUICK_SAMPLES", "QUICK_SEEDS", "SEEDS", "Reproduction", "items", "reproduce", "required"]

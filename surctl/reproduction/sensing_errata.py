@@ -8,8 +8,8 @@ import numpy as np
 from surctl.reproduction.motion import Vector, value
 from surctl.reproduction.row import Found, agrees, differs, unreadable, wrong_in_print
 from surctl.sensing import SonarArray
-from surctl.sensing.filters import StepRule, lms_step
-from surctl.sensing.table2 import MEDIA, RangeTest, table_ii
+from surctl.sensing.calibration.table2 import MEDIA, RangeTest, table_ii
+from surctl.sensing.ranging.filters import StepRule, lms_step
 
 __all__ = ["e2", "e3", "e4", "e5", "e6", "e19", "e20"]
 

@@ -7,7 +7,7 @@ from functools import partial
 from surctl.reproduction.row import Found, Item, Word, agrees, differs, wrong_in_print
 from surctl.reproduction.scenarios import ABOUT
 from surctl.sensing import SonarArray
-from surctl.sensing.table2 import MEDIA, Medium, table_ii
+from surctl.sensing.calibration.table2 import MEDIA, Medium, table_ii
 
 __all__ = ["table_items"]
 

@@ -1,9 +1,7 @@
 """What the robot feels: the sonar array, its filters, contacts, and what the base station tells."""
 
-from surctl.sensing.array import SonarArray, fire, heard, true_range
-from surctl.sensing.base_station import BaseStation, OwnState
-from surctl.sensing.calibration import OUTLIER_RULE, Calibration, Estimate, calibrate
-from surctl.sensing.calibration_file import (
+from surctl.sensing.calibration.estimation import OUTLIER_RULE, Calibration, Estimate, calibrate
+from surctl.sensing.calibration.file import (
     SensorCalibration,
     calibrate_file,
     calibrate_table_ii,
@@ -12,12 +10,33 @@ from surctl.sensing.calibration_file import (
     pick_calibration,
     sonar_fragment,
 )
-from surctl.sensing.delivery import Delivery, delayed, delayed_symbols
-from surctl.sensing.echo import Beam, beam_of, echo_range, heard_samples
+from surctl.sensing.calibration.table2 import RangeTest, table_ii
 from surctl.sensing.equipment import Equipment
-from surctl.sensing.estimate import ContactMemory, Contacts, expected_range, sonar_contacts
-from surctl.sensing.fault_block import SLOT, Arrival, fault_ports, fault_slots, faulty_samples
-from surctl.sensing.faults import (
+from surctl.sensing.localisation.base_station import BaseStation, OwnState
+from surctl.sensing.localisation.delivery import Delivery, delayed, delayed_symbols
+from surctl.sensing.localisation.movers import Movers, MoverTracker, mover_step
+from surctl.sensing.localisation.numbers import own_state_step
+from surctl.sensing.localisation.own_state import OwnEstimate, OwnStateFilter
+from surctl.sensing.mapping.contacts import ContactMemory, Contacts, expected_range, sonar_contacts
+from surctl.sensing.mapping.local_map import LocalMap
+from surctl.sensing.mapping.numbers import map_step, map_view
+from surctl.sensing.noise import NOISE_STATE, NoiseStream, draw_normals, draw_uniforms, noise_states
+from surctl.sensing.ranging.filters import FilterUpdate, LmsStep, SensorFilter, gate, lms_step, weighted_average
+from surctl.sensing.ranging.plain import (
+    PlainLmsStep,
+    PlainUpdate,
+    plain_average,
+    plain_filter,
+    plain_gate,
+    plain_lms_step,
+)
+from surctl.sensing.ranging.tracker import RangeTracker, Ranging
+from surctl.sensing.replay.file import Recording, filtered_rows, read_readings, sonar_array
+from surctl.sensing.replay.tracked import Readings, Replay, SensorSummary, Tracked, replay_readings, track
+from surctl.sensing.sonar.array import SonarArray
+from surctl.sensing.sonar.echo import Beam, beam_of, echo_range, heard_samples
+from surctl.sensing.sonar.fault_block import SLOT, Arrival, fault_ports, fault_slots, faulty_samples
+from surctl.sensing.sonar.faults import (
     FAULT_KINDS,
     LONGEST_DELAY,
     Fault,
@@ -28,20 +47,9 @@ from surctl.sensing.faults import (
     fault_state,
     faulty,
 )
-from surctl.sensing.filters import FilterUpdate, LmsStep, SensorFilter, gate, lms_step, weighted_average
-from surctl.sensing.local_map import LocalMap
-from surctl.sensing.local_map_numbers import map_step, map_view
-from surctl.sensing.movers import Movers, MoverTracker, mover_step
-from surctl.sensing.noise import NOISE_STATE, NoiseStream, draw_normals, draw_uniforms, noise_states
-from surctl.sensing.own_state import OwnEstimate, OwnStateFilter
-from surctl.sensing.own_state_numbers import own_state_step
-from surctl.sensing.plain import PlainLmsStep, PlainUpdate, plain_average, plain_filter, plain_gate, plain_lms_step
-from surctl.sensing.ranging import RangeTracker, Ranging
-from surctl.sensing.replay import Readings, Replay, SensorSummary, Tracked, replay_readings, track
-from surctl.sensing.replay_file import Recording, filtered_rows, read_readings, sonar_array
-from surctl.sensing.solids import Cone, Solid, SolidBox, SolidDisc, SolidWalls
-from surctl.sensing.sound import Medium, speed_of_sound
-from surctl.sensing.table2 import RangeTest, table_ii
+from surctl.sensing.sonar.firing import fire, heard, true_range
+from surctl.sensing.sonar.solids import Cone, Solid, SolidBox, SolidDisc, SolidWalls
+from surctl.sensing.sonar.sound import Medium, speed_of_sound
 
 __all__ = [
     "FAULT_KINDS",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from surctl.sensing.array import SonarArray
-from surctl.sensing.base_station import BaseStation, OwnState
+from surctl.sensing.localisation.base_station import BaseStation, OwnState
+from surctl.sensing.sonar.array import SonarArray
 
 __all__ = ["Equipment"]
 

@@ -12,12 +12,12 @@ from surctl.simulation.batch import (
     knobs,
     simulate_batch,
 )
-from surctl.simulation.depth_change import DepthChange, depth_changes
 from surctl.simulation.disturbance import Disturbance
 from surctl.simulation.explanation import Explanation, explain
 from surctl.simulation.fit import Finding, findings
 from surctl.simulation.halting import halt_reason
 from surctl.simulation.iosystem import FlightSystem, flight_system
+from surctl.simulation.loop import Stepper, simulate
 from surctl.simulation.margin import margin_needed, turn_rate
 from surctl.simulation.metrics import GONE, HALT, LATE, LINK_LOST, METRICS, STOOD, STOPS, Metrics, MetricSpec
 from surctl.simulation.numbers import law_numbers
@@ -26,7 +26,7 @@ from surctl.simulation.paper_figure import PaperFigure
 from surctl.simulation.priority_timeline import PriorityTimeline, priority_timeline
 from surctl.simulation.record import Record
 from surctl.simulation.record_file import RECORD_FORMATS, RecordFormat, record_columns, save_record
-from surctl.simulation.run import SENSING, Run, Sensing, Stepper, simulate
+from surctl.simulation.run import SENSING, DepthChange, Run, Sensing, depth_changes
 from surctl.simulation.safety import SafetyClaim, safety_claim
 from surctl.simulation.scenario import LIBRARY, Scenario, load_scenario
 from surctl.simulation.sensors import Sensors

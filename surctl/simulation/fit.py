@@ -10,7 +10,7 @@ from surctl.control import Gains, load_gains
 from surctl.control.ports import YAW_SHARE
 from surctl.errors import InputError
 from surctl.sensing import SonarArray
-from surctl.sensing.local_map import MIDDLE, LocalMap
+from surctl.sensing.mapping.local_map import MIDDLE, LocalMap
 from surctl.simulation.finding import Finding
 from surctl.simulation.motion import motion_findings
 from surctl.simulation.room import room_findings

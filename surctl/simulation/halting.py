@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from surctl.errors import InputError
-from surctl.simulation.depth_change import depth_changes
-from surctl.simulation.run import Run
+from surctl.simulation.run import Run, depth_changes
 
 __all__ = ["halt_reason"]
 

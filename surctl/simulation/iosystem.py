@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from surctl.control import Gains, Law, build_law
 from surctl.errors import InputError
 from surctl.sensing import NoiseStream
+from surctl.simulation.loop import Loop
 from surctl.simulation.numbers import law_numbers
-from surctl.simulation.run import Loop
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.world import build_world
 from surctl.vehicle import PLANT_STATE, Vehicle

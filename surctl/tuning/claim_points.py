@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,13 @@ def expected_to_hold() -> tuple[str, ...]:
 
 def refuted_claims(gains: Mapping[str, float], *, seed: int = 0) -> tuple[Verdict, ...]:
     """Verdicts of the claims that should hold with these gains and do not."""
-    verdicts = (falsify(claim, seed=seed) for claim in claims(gains, expected_to_hold()))
+    return _refuted(tuple(sorted(gains.items())), seed)
+
+
+@lru_cache(maxsize=16)
+def _refuted(gains: tuple[tuple[str, float], ...], seed: int) -> tuple[Verdict, ...]:
+    """Searched once for the gains at which several rounds end: a search takes seconds."""
+    verdicts = (falsify(claim, seed=seed) for claim in claims(dict(gains), expected_to_hold()))
     return tuple(v for v in verdicts if v.verdict == "refuted")
 
 

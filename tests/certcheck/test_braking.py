@@ -1,4 +1,3 @@
-import copy
 import json
 import time
 from collections.abc import Callable
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 
 from surctl.certcheck import braking as checker
-from surctl.certcheck import check_document, seal
+from surctl.certcheck import check_document
 from surctl.certcheck.braking_claim import read_claim
 from surctl.certcheck.braking_way import forces, pushed, read_way
 from surctl.control import load_gains
@@ -20,6 +19,7 @@ from surctl.control.velocity import velocity_control
 from surctl.guidance.braking import brakes_of
 from surctl.vehicle import load_vehicle
 from tests.certcheck import encounters
+from tests.certcheck.altering import altered, numbers, put, sealed, value_of
 
 HERE = Path(__file__).parent
 FILES = sorted(HERE.glob("braking-*.json"))
@@ -30,12 +30,6 @@ Change = Callable[[dict[str, Any], float], None]
 
 def document(name: str) -> dict[str, Any]:
     return json.loads((HERE / f"{name}.json").read_text())
-
-
-def sealed(changed: dict[str, Any]) -> dict[str, Any]:
-    """The altered document with the hash mended."""
-    rest = {k: v for k, v in changed.items() if k not in ("format", "version", "kind", "claim", "sha256")}
-    return seal("braking", changed["claim"], rest)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -138,44 +132,17 @@ def test_what_asks_for_more_is_rejected_however_it_is_sealed(kind: str, name: st
     ],
 )
 def test_what_is_malformed_is_rejected(where: tuple[str, ...], value: Any) -> None:
-    changed = document("braking-inertia-ranges")
-    place = changed
-    for key in where[:-1]:
-        place = place[key]
-    place[where[-1]] = value
-    assert not check_document(sealed(changed)).accepted
+    assert not check_document(sealed(put(document("braking-inertia-ranges"), where, value))).accepted
 
 
 # ---- a few hundred alterations of one number
-
-
-def _numbers(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    if isinstance(value, dict):
-        return [p for key, entry in value.items() for p in _numbers(entry, (*path, key))]
-    if isinstance(value, list):
-        return [p for key, entry in enumerate(value) for p in _numbers(entry, (*path, key))]
-    return [path] if isinstance(value, int | float) and not isinstance(value, bool) else []
-
-
-def altered(whole: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
-    """One number changed: a little, a lot, or in its sign."""
-    changed = copy.deepcopy(whole)
-    part = "claim" if rng.uniform() < 0.7 else "proof"
-    paths = [(part, *path) for path in _numbers(changed[part])]
-    path = paths[rng.integers(len(paths))]
-    place: Any = changed
-    for key in path[:-1]:
-        place = place[key]
-    factor = rng.choice([np.exp(rng.normal(scale=0.02)), np.exp(rng.normal(scale=0.3)), np.exp(rng.normal()), -1.0])
-    place[path[-1]] = float(place[path[-1]] * factor) if place[path[-1]] else float(rng.uniform(0, 1))
-    return changed
 
 
 def refuted(changed: dict[str, Any]) -> bool:
     """Whether sums and grids in floating point show an altered certificate to be false."""
     claim = changed["claim"]
     vehicle, met, table = claim["vehicle"], claim["encounter"], claim["table"]
-    if any(n < 0 for n in (value_of(claim, p) for p in _numbers(claim))):
+    if any(n < 0 for n in (value_of(claim, p) for p in numbers(claim))):
         return True
     if any(vehicle[key][0] > vehicle[key][1] for key in ("mass_kg", "linear_drag", "quadratic_drag")):
         return True
@@ -198,17 +165,12 @@ def refuted(changed: dict[str, Any]) -> bool:
     return False
 
 
-def value_of(claim: Any, path: tuple[Any, ...]) -> float:
-    for key in path:
-        claim = claim[key]
-    return float(claim)
-
-
 def test_no_altered_certificate_that_brute_force_refutes_is_accepted() -> None:
     rng, false, accepted = np.random.default_rng(5), 0, 0
     for k in range(150):
         name = NAMES[k % len(NAMES)]
-        changed = altered(document(name), rng)
+        part = "claim" if rng.uniform() < 0.7 else "proof"
+        _, changed = altered(document(name), [part], rng, (0.02, 0.3, 1.0))
         if changed == document(name):
             continue
         assert not check_document(changed).accepted

@@ -1,4 +1,3 @@
-import copy
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -8,11 +7,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.certcheck import check_document, seal
+from surctl.certcheck import check_document
 from surctl.certcheck.heading_claim import read_claim
 from surctl.certcheck.heading_law import true_rate
 from surctl.certcheck.heading_loop import Plane, constant, rows
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant
+from tests.certcheck.altering import altered, put, sealed
 
 HERE = Path(__file__).parent
 FILES = sorted(HERE.glob("region-heading-*.json"))
@@ -22,10 +22,6 @@ RANGES = ("mass_kg", "yaw_inertia_kg_m2", "surge_linear", "surge_quadratic", "sw
 
 def document(name: str = "region-heading-20") -> dict[str, Any]:
     return json.loads((HERE / f"{name}.json").read_text())
-
-
-def sealed(changed: dict[str, Any]) -> dict[str, Any]:
-    return seal("heading", changed["claim"], {"proof": changed["proof"]})
 
 
 def matrix(whole: dict[str, Any]) -> np.ndarray:
@@ -124,13 +120,6 @@ def test_what_asks_for_more_is_rejected_however_it_is_sealed(kind: str) -> None:
     assert not check_document(sealed(changed)).accepted, (kind, share)
 
 
-def _numbers(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    return (
-        [path] if isinstance(value, int | float) else [p for key, entry in items for p in _numbers(entry, (*path, key))]
-    )
-
-
 def false(changed: dict[str, Any]) -> bool:
     """Whether an altered claim is false, as far as sampling tells."""
     P, motion = matrix(changed), changed["claim"]["motion"]
@@ -144,16 +133,9 @@ def false(changed: dict[str, Any]) -> bool:
 
 def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
     whole, rng = document(), np.random.default_rng(5)
-    paths = [(part, *p) for part in ("claim", "proof") for p in _numbers(whole[part])]
     accepted, wrong = 0, 0
     for _ in range(20):
-        changed = copy.deepcopy(whole)
-        path = paths[rng.integers(len(paths))]
-        place: Any = changed
-        for key in path[:-1]:
-            place = place[key]
-        factor = rng.choice([np.exp(rng.normal(scale=0.1)), np.exp(rng.normal(scale=1.5)), -1.0])
-        place[path[-1]] = float(place[path[-1]] * factor) if place[path[-1]] else float(rng.uniform(0, 1))
+        path, changed = altered(whole, ("claim", "proof"), rng)
         if check_document(sealed(changed)).accepted:
             accepted += 1
             assert not false(changed), path
@@ -239,9 +221,4 @@ def test_malformed_certificates_are_rejected_with_what_is_wrong() -> None:
         (("claim", "vehicle", "mass_kg"), [114.0, 76.0], "least exceeds"),
         (("claim", "law", "k"), None, "finite number"),
     ):
-        changed = document()
-        place = changed
-        for key in where[:-1]:
-            place = place[key]
-        place[where[-1]] = value
-        assert text in check_document(sealed(changed)).reason
+        assert text in check_document(sealed(put(document(), where, value))).reason

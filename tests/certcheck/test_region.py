@@ -1,4 +1,3 @@
-import copy
 import json
 from collections.abc import Callable
 from fractions import Fraction
@@ -11,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surctl.certcheck import Rejected, check_document, seal
+from surctl.certcheck import Rejected, check_document
 from surctl.certcheck.region_bounds import _misled
 from surctl.certcheck.region_claim import read_claim
 from surctl.certcheck.region_exact import inverse, is_positive_definite, product, root_down, root_up, rounded_up
@@ -21,6 +20,7 @@ from surctl.certcheck.region_trim import axis_pairs
 from surctl.control import build_law, law_parameters, load_gains
 from surctl.guidance import Path as Route
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant, load_vehicle
+from tests.certcheck.altering import altered, put, sealed
 from tests.certcheck.cruise import boats, matrix, omega, rate, rest, thrust, worst
 
 HERE = Path(__file__).parent
@@ -29,12 +29,6 @@ FILES = sorted(HERE.glob("region-cruise-*.json"))
 
 def document(name: str = "region-cruise-20") -> dict[str, Any]:
     return json.loads((HERE / f"{name}.json").read_text())
-
-
-def sealed(changed: dict[str, Any]) -> dict[str, Any]:
-    """The altered document with the hash mended."""
-    rest = {k: v for k, v in changed.items() if k not in ("format", "version", "kind", "claim", "sha256")}
-    return seal("region", changed["claim"], rest)
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)
@@ -104,33 +98,7 @@ def test_what_asks_for_more_is_rejected_however_it_is_sealed(kind: str) -> None:
     ],
 )
 def test_what_is_malformed_is_rejected(where: tuple[str, ...], value: Any) -> None:
-    changed = document()
-    place = changed
-    for key in where[:-1]:
-        place = place[key]
-    place[where[-1]] = value
-    assert not check_document(sealed(changed)).accepted
-
-
-def _numbers(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    if isinstance(value, dict):
-        return [p for key, entry in value.items() for p in _numbers(entry, (*path, key))]
-    if isinstance(value, list):
-        return [p for key, entry in enumerate(value) for p in _numbers(entry, (*path, key))]
-    return [path] if isinstance(value, int | float) and not isinstance(value, bool) else []
-
-
-def altered(whole: dict[str, Any], rng: np.random.Generator) -> tuple[tuple[Any, ...], dict[str, Any]]:
-    """One number changed: a little, a lot, or in its sign."""
-    changed = copy.deepcopy(whole)
-    paths = [(part, *path) for part in ("claim", "proof") for path in _numbers(changed[part])]
-    path = paths[rng.integers(len(paths))]
-    place: Any = changed
-    for key in path[:-1]:
-        place = place[key]
-    factor = rng.choice([np.exp(rng.normal(scale=0.1)), np.exp(rng.normal(scale=1.5)), -1.0])
-    place[path[-1]] = float(place[path[-1]] * factor) if place[path[-1]] else float(rng.uniform(0, 1))
-    return path, sealed(changed)
+    assert not check_document(sealed(put(document(), where, value))).accepted
 
 
 def refuted(changed: dict[str, Any]) -> bool:
@@ -150,8 +118,8 @@ def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
     whole, rng = document(), np.random.default_rng(5)
     false, accepted = 0, 0
     for _ in range(24):
-        path, changed = altered(whole, rng)
-        found = check_document(changed)
+        path, changed = altered(whole, ("claim", "proof"), rng)
+        found = check_document(sealed(changed))
         accepted += found.accepted
         if found.accepted:
             assert not refuted(changed), path

@@ -15,6 +15,14 @@ FIRST = (
     *("surctl", "vehicle", "from-geometry", "--name", "mine", "--diameter", "30 cm"),
     *("--mass", "4 kg", "--thrust", "0.8 kgf", "--yaw-thrust", "0.6 N m"),
 )
+STUDY = """kind = "study"
+name = "few"
+vehicle = "sur400"
+[[flights]]
+scenario = "pool-static"
+[sweep]
+axes = [{ gain = "k_v", values = [1.5] }]
+"""  # of the built-in study's four scenarios the one that is flown later on
 
 
 class Shell:
@@ -39,7 +47,8 @@ def test_from_a_tape_measure_to_code(tmp_path: Path) -> None:
     shell = Shell(tmp_path)
     shell.follow("surctl vehicle from-geometry")
     shell.follow("surctl lint")
-    tuned = shell.follow("surctl tune", "--trials", "6", "--seeds", "1", "--monte-carlo", "20").json
+    (tmp_path / "few.toml").write_text(STUDY, encoding="utf-8")
+    tuned = shell.follow("surctl tune", "few.toml", "--trials", "6", "--seeds", "1", "--monte-carlo", "20").json
     assert tuned["kept"] and "--vehicle mine.toml --gains tuned/gains.toml" in shell.next[-1]
     (claim,) = shell.follow("surctl verify").json["claims"]
     assert (claim["claim"], claim["verdict"]) == ("region-cruise-20", "proved")

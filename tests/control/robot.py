@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import load_gains
+from surctl.control import Gains, load_gains
 from surctl.control.ports import SECTORS, law_parameters, scan_inputs, sonar_inputs
 from surctl.control.senses import Senses, build_senses
 from surctl.guidance import Path
 from surctl.ir import Native, compile_block
 from surctl.sensing import Equipment, LocalMap, SonarArray, heard, true_range
-from surctl.vehicle import load_vehicle
+from surctl.vehicle import Vehicle, load_vehicle
 from surctl.world import Shape, site_walls
 
 Array = NDArray[np.float64]
@@ -40,13 +40,20 @@ def senses(equipment: Equipment) -> tuple[Senses, Native]:
 PATH = Path(np.array([[0.5, 2.0], [3.5, 2.0]]))
 
 
+@cache
+def known() -> tuple[Gains, Vehicle]:
+    """Gains and vehicle of every test here: the default ones."""
+    return load_gains("default"), load_vehicle("sur540-flooded")
+
+
 def parameters(
     walls: tuple[float, float, float, float] = SITE, *, launch: float = 0.0, path: Path = PATH, **gains: float
 ) -> Array:
     """Of the default vehicle, on a straight path along x unless told."""
+    default, vehicle = known()
     return law_parameters(
-        load_gains("default").with_values(gains),
-        load_vehicle("sur540-flooded"),
+        default.with_values(gains),
+        vehicle,
         path=path,
         depth=-0.15,
         cruise=0.2,

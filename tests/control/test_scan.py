@@ -10,14 +10,14 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from surctl.control import build_law, load_gains
+from surctl.control import build_law
 from surctl.control.ports import PARAMETERS, SECTORS, YAW_SHARE
 from surctl.guidance import Path
 from surctl.ir import Layout
 from surctl.sensing import Equipment
 from surctl.vehicle import LIBRARY, Parameter, load_vehicle
 from surctl.world import Disc
-from tests.control.robot import CONTACTS, DT, HULL, Robot, parameters
+from tests.control.robot import CONTACTS, DT, HULL, Robot, known, parameters
 from tests.tools import need_compiler
 
 WIDE_OPEN = (-50.0, 50.0, -48.0, 52.0)  # the path in its middle
@@ -67,7 +67,7 @@ def decided(*, unknown=None, healthy=1.0, placed=1.0, contacts=(), nu=(0, 0, 0, 
 
 def stops_within(clearance):
     """Largest speed from which it stops within a clearance [m], by hand: v t + v²/(2a) = clearance."""
-    gains, vehicle = load_gains("default"), load_vehicle("sur540-flooded")
+    gains, vehicle = known()
     a, t = gains["brake"] * 5.0 / vehicle["m11"], gains["reaction"]
     return -a * t + math.sqrt((a * t) ** 2 + 2 * a * max(clearance, 0.0))
 
@@ -178,7 +178,7 @@ def test_a_mark_bounds_the_speed_towards_it(bearing, clearance, row):
     away = HULL + 0.054 + clearance
     at = 0.5 + away * math.cos(bearing), 2.0 + away * math.sin(bearing)
     velocity, _, _ = decided(contacts={CONTACTS + row: (*at, 0.054, 0.0, 0.0)})
-    margin = load_gains("default")["margin"]
+    margin = known()[0]["margin"]
     towards = velocity @ [math.cos(bearing), math.sin(bearing)]
     assert towards <= stops_within(clearance - margin) + 2e-3
     if clearance < margin:  # as it moves off the command goes down to the speed itself, 0.05 m/s

@@ -14,7 +14,7 @@ from surctl.reproduction import sensing_errata as sensing
 from surctl.reproduction import tracking_errata as tracking
 from surctl.reproduction.errata import errata_items
 from surctl.sensing import SonarArray
-from surctl.sensing.filters import lms_step
+from surctl.sensing.ranging.filters import lms_step
 from surctl.verification import tracking_claims
 
 ITEMS = {item.id: item for item in errata_items()}

@@ -16,7 +16,7 @@ from surctl.reproduction import WORDS, Flights, Found, Item, items, reproduce, r
 from surctl.reproduction import tables as tables_module
 from surctl.reproduction.claims import claim_items, judged
 from surctl.reproduction.tables import table_items
-from surctl.sensing.table2 import RangeTest
+from surctl.sensing.calibration.table2 import RangeTest
 from surctl.verification import claims
 from tests.cli.process import Outcome, surctl
 from tests.report.reader import Reader

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from surctl.sensing.local_map_firing import (
+from surctl.sensing.mapping.firing import (
     _INSIDE,
     _INSIDE_MORE,
     _OF_A_MARK,
@@ -15,7 +15,7 @@ from surctl.sensing.local_map_firing import (
     READING,
     RING,
 )
-from surctl.sensing.local_map_programs import _AT_A_WALL, _FAR, _SLACK
+from surctl.sensing.mapping.programs import _AT_A_WALL, _FAR, _SLACK
 
 SIZE = sum(size for _, size, _ in READING)
 
@@ -82,18 +82,17 @@ class _Plain:
         """(sectors · 3,) of each block's first nearest cell; a block by a nearer one alone is replaced."""
         real, sectors, n = self.real, self.chart.sectors, self.n
         dx, dy, away = (self._blocks(np.broadcast_to(a, (n, n))) for a in (x, y[:, None], square))
-        rows = np.tile(np.array([0.0, 0.0, _FAR], dtype=real), (sectors, 1))
+        away = np.where(which & (away < real(_FAR)), away, real(np.inf))
+        first = np.argmin(away, axis=1)[:, None]
+        dx, dy, near = (np.take_along_axis(a, first, axis=1)[:, 0] for a in (dx, dy, away))
         limits = [2 * math.pi * (k - 0.5) / sectors for k in range(sectors // 2)]
-        for block, holds in enumerate(which & (away < real(_FAR))):
-            if not holds.any():
-                continue
-            at = np.argmin(np.where(holds, away[block], np.inf))
-            here = np.array([dx[block, at], dy[block, at], away[block, at]])
-            sides = [here[1] * real(math.cos(a)) - here[0] * real(math.sin(a)) >= 0 for a in limits]
-            sides += [not side for side in sides]
-            for k in range(sectors):
-                if sides[k] and not sides[(k + 1) % sectors] and here[2] < rows[k, 2]:
-                    rows[k] = here
+        sides = np.array([dy * real(math.cos(a)) - dx * real(math.sin(a)) >= 0 for a in limits])
+        sides = np.concatenate([sides, ~sides])
+        rows = np.tile(np.array([0.0, 0.0, _FAR], dtype=real), (sectors, 1))
+        for k, inside in enumerate(sides & ~np.roll(sides, -1, axis=0)):
+            best = np.argmin(np.where(inside, near, np.inf))  # the first of the nearest
+            if inside[best] and near[best] < real(_FAR):
+                rows[k] = dx[best], dy[best], near[best]
         return rows.reshape(-1)
 
     def _torus(self, cells):

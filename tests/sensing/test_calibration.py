@@ -8,7 +8,7 @@ from scipy import stats
 
 from surctl.errors import InputError
 from surctl.sensing import Calibration, Estimate, calibrate
-from surctl.sensing.calibration import LEAST_ROWS, LEAST_ROWS_OF_SLOPE
+from surctl.sensing.calibration.estimation import LEAST_ROWS, LEAST_ROWS_OF_SLOPE
 
 BIAS, SCALE = 0.02, 0.985
 SETS = 300  # tables of each kind of noise
@@ -205,7 +205,7 @@ def test_a_million_rows_are_weighted_in_cells_as_a_thousand_are_one_by_one() -> 
 
 def _one_by_one(x: np.ndarray, y: np.ndarray) -> Calibration:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("surctl.sensing.noise_shape._CELLS", len(x))
+        patch.setattr("surctl.sensing.calibration.noise_shape._CELLS", len(x))
         return calibrate(x, y)
 
 

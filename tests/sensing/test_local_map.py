@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import itertools
 import math
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -16,7 +17,7 @@ from surctl.errors import InputError
 from surctl.ir import Call, Layout, Program, Routine, compile_batch, compile_block, lower, replay
 from surctl.ir.routine import nested
 from surctl.sensing import LocalMap, map_step, map_view
-from surctl.sensing.local_map import BLIND, READING, RING
+from surctl.sensing.mapping.local_map import BLIND, READING, RING
 from surctl.world import Disc
 from tests.raycasting import heard_along
 from tests.sensing.mapped import EDGE, EMPTY, HULL, OPEN, SPIN, directions, firing, journey
@@ -329,13 +330,19 @@ def test_what_one_reading_clears_lies_wholly_in_its_cone(beam):
     assert seen > 300
 
 
+@cache
+def journeys(beam):
+    """In three worlds, by the law's chart."""
+    return [list(journey(seed, beam, chart=LocalMap(dt=DT))) for seed in range(3)]
+
+
 @pytest.mark.parametrize("beam", [15.0, *WIDE])
 def test_a_surface_that_was_heard_is_never_known_to_be_free(beam):
     """Wide beams: never. Of 15°, whose middle clears cells that reach beyond its edge: 1 in 10,000 (25 worlds)."""
     chart, looked, wrong = LocalMap(dt=DT), 0, 0
-    for seed in range(3):
+    for path in journeys(beam):
         heard = set()
-        for now in journey(seed, beam, chart=chart):
+        for now in path:
             heard |= {(math.floor(x / EDGE), math.floor(y / EDGE)) for x, y in now.heard}
             values, _, _ = map_view(chart, now.cells, now.corner)
             at = np.array(sorted(heard)).reshape(-1, 2) - now.corner.astype(int)
@@ -349,11 +356,11 @@ def test_a_surface_that_was_heard_is_never_known_to_be_free(beam):
 class Around:
     """Each second once every direction was swept: the true surface, the marks, and what is told of them."""
 
-    def __init__(self, beam, seeds):
+    def __init__(self, beam):
         self.chart = LocalMap(dt=DT)
         rows, marks = [], []
-        for seed in seeds:
-            for k, now in enumerate(journey(seed, beam, chart=self.chart)):
+        for path in journeys(beam):
+            for k, now in enumerate(path):
                 if now.time * SPIN > 2 * np.pi and k % 20 == 0:
                     rows += self._look(now)
                     marks.append(self.offsets)
@@ -379,10 +386,13 @@ class Around:
         return rows
 
 
+around = cache(Around)
+
+
 @pytest.mark.parametrize("beam", WIDE)
 def test_once_swept_a_mark_stands_before_every_surface(beam):
     """In each direction the nearest mark is at most 0.06 m beyond the surface: less than a cell."""
-    seen = Around(beam, range(3))
+    seen = around(beam)
     assert len(seen.rows) > 120
     assert np.max(seen.mark - seen.away) < 0.06 < EDGE
 
@@ -393,7 +403,7 @@ def test_the_nearest_of_all_is_told_but_not_that_of_every_direction(beam):
 
     Where a mark stands in a direction, one further by more than 5 cm is told in up to four of ten.
     """
-    seen = Around(beam, range(3))
+    seen = around(beam)
     hidden = (seen.told - seen.mark > 0.05)[seen.mark < 1e3]
     assert 0 < np.mean(hidden) < 0.4
     assert np.all(seen.told >= seen.mark - 1e-9)
@@ -417,7 +427,7 @@ def test_false_marks_vanish_around_one_thing_alone():
 @pytest.mark.parametrize("beam", WIDE)
 def test_false_marks_before_a_near_surface_are_few(beam):
     """In a room full of things: in nine of ten directions with a surface within 1.2 m at most two cells short of it."""
-    seen = Around(beam, range(3))
+    seen = around(beam)
     short = (seen.away - seen.mark)[seen.away < 1.2]
     assert len(short) > 50
     assert np.quantile(short, 0.9) < 2 * EDGE

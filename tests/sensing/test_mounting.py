@@ -9,7 +9,7 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.sensing import SonarArray, true_range
-from surctl.sensing.mounting import open_cones
+from surctl.sensing.sonar.mounting import open_cones
 from surctl.world import Disc
 
 R = 0.27

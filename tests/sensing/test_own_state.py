@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from surctl.errors import InputError
 from surctl.ir import Layout, Port, lower
 from surctl.sensing import OwnState, OwnStateFilter, own_state_step
-from surctl.sensing.own_state import LONGEST_AGE, UNKNOWN_SD
+from surctl.sensing.localisation.own_state import LONGEST_AGE, UNKNOWN_SD
 
 DT = 0.05
 MODEL = Layout(tuple(Port(name, (4,), "SI", "") for name in ("mass", "linear_drag", "quadratic_drag", "thrust_limit")))

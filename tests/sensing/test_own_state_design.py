@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from surctl.sensing.own_state_design import ahead, growth, settled_covariance, transition, white, yaw_gains
+from surctl.sensing.localisation.design import ahead, growth, settled_covariance, transition, white, yaw_gains
 
 DT = 0.05
 

@@ -13,7 +13,7 @@ import pytest
 from surctl.errors import InputError
 from surctl.ir import Layout, on_vectors
 from surctl.sensing import RangeTracker, SonarArray, fire
-from surctl.sensing.ranging import Ranging
+from surctl.sensing.ranging.tracker import Ranging
 from surctl.world import Wall
 from tests.sensing.test_filters import ALLOWED
 

@@ -11,8 +11,18 @@ import pytest
 from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.sensing import Delivery, Equipment, Fault, OwnState
-from surctl.simulation import HALT, METRICS, STOPS, Case, Run, halt_reason, load_scenario, simulate, simulate_batch
-from surctl.simulation import run as loop
+from surctl.simulation import (
+    HALT,
+    METRICS,
+    STOPS,
+    Case,
+    Run,
+    halt_reason,
+    load_scenario,
+    loop,
+    simulate,
+    simulate_batch,
+)
 from surctl.simulation.batch import Structure, build_loop
 from surctl.simulation.sensors import Sensors
 from surctl.vehicle import load_vehicle

@@ -15,26 +15,28 @@ from surctl.vehicle import load_vehicle
 from tests.tools import need_compiler
 
 THREE = SonarArray(azimuths=(0.0, 2.1, 4.2), order=(0, 2, 1), beam_angle=1.0)
-SIX = SonarArray(azimuths=tuple(np.arange(6) * pi / 3), order=tuple(range(6)), firing_period=0.0125)
 SLOW = SonarArray(azimuths=(0.0, pi), order=(0, 1), firing_period=0.05)
 MOUNTED = SonarArray(
-    mounts=((0.3, 0.0), (0.1, 0.3), (-0.3, 0.0), (0.1, -0.3)),
+    azimuths=tuple(np.arange(6) * pi / 3),
+    order=tuple(range(6)),
+    firing_period=0.0125,
+    mounts=((0.3, 0.0), (0.1, 0.3), (-0.1, 0.3), (-0.3, 0.0), (-0.1, -0.3), (0.1, -0.3)),
     incidence_limit=0.6,
     temperature=8.0,
     calibrated_for=1480.0,
 )
 LATE = Equipment(
-    station=BaseStation(messages=Delivery(loss=0.3)), own=OwnState(fixes=Delivery(loss=0.2, gaps=((3.0, 5.0),)))
+    array=THREE,
+    station=BaseStation(messages=Delivery(loss=0.3)),
+    own=OwnState(fixes=Delivery(loss=0.2, gaps=((3.0, 5.0),))),
 )
 KINDS = ("dead", "stuck", "zero", "maximum", "second_echo", "crosstalk", "dropout", "spike")
+# a loop is compiled for each: several features of the sensors in one
 SENSORS = {
     "four": ("pool-static", Sensors()),
-    "three": ("pool-static", Sensors(Equipment(array=THREE))),
-    "six, two at a time": ("tank-moving", Sensors(Equipment(array=SIX))),
-    "two, every other instant": ("tank-moving", Sensors(Equipment(array=SLOW))),
-    "mounted beside the hull": ("tank-moving", Sensors(Equipment(array=MOUNTED))),
-    "late and lost messages": ("tank-moving", Sensors(LATE)),
-    "the truth about itself": ("tank-moving", Sensors(Equipment(own=None))),
+    "three, late and lost messages": ("tank-moving", Sensors(LATE)),
+    "six, two at a time, mounted beside the hull": ("tank-moving", Sensors(Equipment(array=MOUNTED))),
+    "two, every other instant, the truth about itself": ("tank-moving", Sensors(Equipment(array=SLOW, own=None))),
     "a delay and chances": (
         "pool-static",
         Sensors(
@@ -58,7 +60,7 @@ def test_the_compiled_loop_hears_what_the_reference_hears(name: str) -> None:
     run = simulate(flown, case.vehicle, gains=case.gains, sensing="sonar", seed=5)
     table = simulate_batch(case, seeds=[5, 6]).table
     np.testing.assert_allclose(table[0], run.metrics.row(), rtol=0, atol=1e-9)
-    if name != "the truth about itself":  # there the noise of ranges alone changes no decision so soon
+    if "the truth about itself" not in name:  # there the noise of ranges alone changes no decision so soon
         assert not np.allclose(table[0], table[1], atol=1e-6, equal_nan=True)
 
 

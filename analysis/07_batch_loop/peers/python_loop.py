@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-import surctl.simulation.run as reference
+import surctl.simulation.loop as reference
 from surctl.simulation import advance
 
 __all__ = ["Step", "control_step", "flown_by", "matched", "scipy_step"]

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
 
 import casadi as ca
 
@@ -25,6 +24,7 @@ from surctl.ir import (
     Routine,
     fold,
     lower,
+    lower_named,
     nearby_angles,
     shared_divisors,
 )
@@ -41,7 +41,6 @@ from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE
 
 __all__ = ["Loop", "Structure", "build_loop"]
 
-_OPTIONS = {"cse": True}
 _HEADING = PLANT_STATE.slice("eta").start + 3
 _FINITE = 1e300
 
@@ -196,7 +195,7 @@ class _Builder:
         out["tick"] = tick
         out["clearance"] = _clearances(bodies, given, eta[:3])
         out["late"] = ca.vertcat(ca.SX(0, 1), *(flat(out.pop(port.name)) for port in self._late if port.name in out))
-        return _lowered("sense", {"s": s, "w": w}, out)
+        return lower_named("sense", {"s": s, "w": w}, out)
 
     @property
     def _late(self) -> Layout:
@@ -207,7 +206,7 @@ class _Builder:
         w, given = self.parameters.symbols("w")
         tau = ca.SX.sym("tau", 4)
         thrust = tau * given["thrust_gain"] + given["thrust_bias"]
-        return _lowered("drive", {"w": w, "tau": tau}, {"thrust": thrust})
+        return lower_named("drive", {"w": w, "tau": tau}, {"thrust": thrust})
 
     def between(self) -> Program:
         """Second instant of firing and clearances, 25 ms after the tick."""
@@ -226,7 +225,9 @@ class _Builder:
             after, fresh = self.listening.instant(given, audible, plant, before, v["tick"], v, instant=1)
             heard = self.listening.heard.join(after)
         near = _clearances(bodies, given, plant[:3])
-        return _lowered("between", {"w": w, **v}, {"heard_next": heard, "fresh_next": fresh, "clearance_between": near})
+        return lower_named(
+            "between", {"w": w, **v}, {"heard_next": heard, "fresh_next": fresh, "clearance_between": near}
+        )
 
     def close(self) -> Block:
         """Judge the tick, count the metrics, and put the next state together."""
@@ -356,8 +357,3 @@ def _with_walls(clear: ca.SX, clearances: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 def _code(reason: str) -> float:
     return float(STOPS.index(reason))
-
-
-def _lowered(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, Any]) -> Program:
-    made = [ca.densify(ca.SX(value)) for value in outputs.values()]
-    return lower(ca.Function(name, list(inputs.values()), made, list(inputs), list(outputs), _OPTIONS))

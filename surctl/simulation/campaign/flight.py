@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.simulation.batch import Case
-from surctl.simulation.run import Run, simulate
+from surctl.simulation.loop import simulate
+from surctl.simulation.run import Run
 
 __all__ = ["Drawn", "Flight", "Plan"]
 

@@ -2,52 +2,33 @@
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from surctl.certcheck import check_document, seal
 from surctl.verification.braking.claim import BrakingClaim
 from surctl.verification.braking.way import figures, largest_obstacle, way_table
+from surctl.verification.certified import Certified
 
 __all__ = ["BrakingProof", "prove_braking"]
 
 
 @dataclass(frozen=True)
-class BrakingProof:
+class BrakingProof(Certified):
     """What an attempt to prove a claim about braking came to.
 
     Attributes:
         claim: what was claimed.
-        verdict: `proved` if the checker accepted, else `unknown`.
-        document: the certificate; empty when unknown.
-        reason: why the checker did not accept; empty when proved.
         reach: range needed at the highest speed of the table before the quickest obstacle [m].
         seconds: time it took [s].
         check_seconds: the checker's share of it [s].
     """
 
     claim: BrakingClaim
-    verdict: Literal["proved", "unknown"]
-    document: dict[str, Any]
-    reason: str
     reach: float
     seconds: float
     check_seconds: float
-
-    def certificate(self) -> dict[str, Any]:
-        """The certificate as plain data, ready for JSON; empty when nothing was proved."""
-        return self.document
-
-    def text(self) -> str:
-        """The certificate's file."""
-        return json.dumps(self.document, separators=(",", ":")) + "\n"
-
-    def write(self, path: Path) -> None:
-        """Write the certificate's file."""
-        path.write_text(self.text(), encoding="utf-8")
 
     @property
     def sentence(self) -> str:
@@ -64,11 +45,7 @@ class BrakingProof:
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
         return {
-            "claim": self.claim.name,
-            "expected": "proved",
-            "verdict": self.verdict,
-            "certificate": self.document or None,
-            "remaining": self.reason or None,
+            **self.decided(),
             "range_needed_m": self.reach,
             "seconds": self.seconds,
             "check_seconds": self.check_seconds,

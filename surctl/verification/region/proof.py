@@ -8,8 +8,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from surctl.certcheck import Checked, check_document, seal
 from surctl.errors import SurctlError
 from surctl.ir import cached_bytes, source_digest
+from surctl.verification.certified import Certified
 from surctl.verification.region.claim import RegionClaim
 from surctl.verification.region.heading import HeadingClaim
 from surctl.verification.region.loop import Steady, steady_cruise
@@ -31,14 +31,11 @@ _DIGITS = 7
 
 
 @dataclass(frozen=True)
-class RegionProof:
+class RegionProof(Certified):
     """What an attempt to prove a region came to.
 
     Attributes:
         claim: what was claimed.
-        verdict: `proved` if the checker accepted, else `unknown`.
-        document: the certificate; empty when unknown.
-        reason: why the checker did not accept; empty when proved.
         offset: |y_e| [m] from which the cruise is certified, at x_e = 0 and the target's velocity; 0 when unknown.
         settled: |x_e|, |y_e| [m] within which it ends.
         seconds: time it took [s].
@@ -48,27 +45,12 @@ class RegionProof:
     """
 
     claim: RegionClaim | HeadingClaim
-    verdict: Literal["proved", "unknown"]
-    document: dict[str, Any]
-    reason: str
     offset: float
     settled: tuple[float, float]
     seconds: float
     check_seconds: float
     reach: float = 0.0
     ratios: LevelRatios | None = None
-
-    def certificate(self) -> dict[str, Any]:
-        """The certificate as plain data, ready for JSON; empty when nothing was proved."""
-        return self.document
-
-    def text(self) -> str:
-        """The certificate's file."""
-        return json.dumps(self.document, separators=(",", ":")) + "\n"
-
-    def write(self, path: Path) -> None:
-        """Write the certificate's file."""
-        path.write_text(self.text(), encoding="utf-8")
 
     @property
     def sentence(self) -> str:
@@ -85,11 +67,7 @@ class RegionProof:
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
         return {
-            "claim": self.claim.name,
-            "expected": "proved",
-            "verdict": self.verdict,
-            "certificate": self.document or None,
-            "remaining": self.reason or None,
+            **self.decided(),
             "offset_m": self.offset,
             "settled_m": list(self.settled),
             "reach_m": self.reach,

@@ -33,7 +33,7 @@ from surctl.priority.diagnosis.region import Bounds, Parameter, build_region, po
 from surctl.tasks import Stack, Task
 from surctl.verification.stack.coupling import Coupling, couplings
 from surctl.verification.stack.independence import prove_sine, prove_strength
-from surctl.verification.stack.symbols import gains_are_equal, gram_is_constant, names_in, orthogonal_above
+from surctl.verification.stack.symbols import gains_are_equal, gram_is_constant, names_in
 
 __all__ = ["LevelCondition", "PairCondition", "StackConditions", "stack_conditions"]
 
@@ -233,8 +233,9 @@ def _level(
     lost = next((s for s in found.singularities if s.task == name and s.kind == "algorithmic"), None)
     dependent = found.levels[i].dependent
 
+    free = not disturbed and all(pair.kind == "orthogonal" for pair in above)
+
     def said(outcome: Outcome, shown: Shown, keeps: float, reason: str, where: Any = None) -> LevelCondition:
-        free = orthogonal_above(above) and not disturbed
         return LevelCondition(name, outcome, shown, free, keeps, disturbed, reason, dict(where or {}))
 
     if kinematic is not None:
@@ -243,7 +244,7 @@ def _level(
     if lost is not None or dependent or found.levels[i].rank < stack.tasks[i].size:
         where = lost.poses[0] if lost is not None else coupled.worst[i]
         return said("need not converge", "witness", 0.0, "the tasks above take a direction", where)
-    if orthogonal_above(above) and not disturbed:
+    if free:
         shown: Shown = "identity" if all(p.shown == "identity" for p in above) else "samples"
         sure = shown == "identity" and coupled.untouched_below(i) and regular()
         word: Outcome = "converges" if sure else "converges on samples"

@@ -2,29 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
 import casadi as ca
 
 from surctl.priority.diagnosis.region import Region
 from surctl.priority.diagnosis.structure import world_jacobians
 from surctl.tasks import SetTask, Stack, Task
 
-if TYPE_CHECKING:
-    from surctl.verification.stack.conditions import PairCondition
-
-__all__ = ["gains_are_equal", "gram_is_constant", "names_in", "orthogonal_above"]
+__all__ = ["gains_are_equal", "gram_is_constant", "names_in"]
 
 
 def names_in(region: Region, task: Task | SetTask) -> set[str]:
     """Variables of the region that the task's σ depends on."""
     return {name for k, name in enumerate(region.names) if ca.depends_on(task.sigma, region.symbols[k])}
-
-
-def orthogonal_above(above: Sequence[PairCondition]) -> bool:
-    """Whether a task is orthogonal to every one above it, given its pairs with them."""
-    return all(pair.kind == "orthogonal" for pair in above)
 
 
 def gram_is_constant(stack: Stack, i: int) -> bool:

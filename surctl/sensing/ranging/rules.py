@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from surctl.sensing.elementwise import Elementwise, Value
-from surctl.sensing.ranging_late import Late, lateness
-from surctl.sensing.ranging_scene import Rules, Seen, Step, opened, robust, sound
+from surctl.sensing.ranging.elementwise import Elementwise, Value
+from surctl.sensing.ranging.late import Late, lateness
+from surctl.sensing.ranging.scene import Rules, Seen, Step, opened, robust, sound
 
 __all__ = ["tick"]
 

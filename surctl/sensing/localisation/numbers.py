@@ -8,7 +8,7 @@ from math import cos, pi, sin, sqrt
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.sensing.own_state import BELIEVED_AFTER, LONGEST_AGE, UNKNOWN_SD, OwnEstimate, OwnStateFilter
+from surctl.sensing.localisation.own_state import BELIEVED_AFTER, LONGEST_AGE, UNKNOWN_SD, OwnEstimate, OwnStateFilter
 
 __all__ = ["own_state_step"]
 

@@ -14,8 +14,8 @@ from math import cos, pi, sin
 
 import casadi as ca
 
-from surctl.ir import Program, lower
-from surctl.sensing.local_map_firing import (
+from surctl.ir import Program, lower_named
+from surctl.sensing.mapping.firing import (
     BLIND,
     LIMITS,
     READING_SIZE,
@@ -78,7 +78,7 @@ class MapPrograms:
         end = -ca.floor(_SLACK - walls[[1, 3]] / place[3])
         middle = ca.floor(place[:2] / place[3]) - self.side // 2
         corner = ca.fmax(ca.fmin(middle, end - self.side), lowest)
-        return _lowered("corner", {"place": place, "walls": walls}, {"corner": corner})
+        return lower_named("corner", {"place": place, "walls": walls}, {"corner": corner})
 
     def prepare(self) -> Program:
         """What all cells share: limits of each firing, whether its look is over before it begins, and of the hull."""
@@ -94,7 +94,7 @@ class MapPrograms:
         for s in range(1, self.slots):
             everything = ca.logic_and(everything, settled[f"found_{s}"])
         outputs = {**limits, "hull": ca.vertcat(hull * hull, ring * ring), "settled": everything, **settled}
-        return _lowered("prepare", {"place": place, "slots": slots}, outputs)
+        return lower_named("prepare", {"place": place, "slots": slots}, outputs)
 
     def line(self) -> Program:
         """Column or row `at` of a group of as many as a block has: its base, and its beam for each firing."""
@@ -126,7 +126,7 @@ class MapPrograms:
             **{"at": at, "group": group, "span": span, "place": place, "walls": walls},
             **{"slots": slots, "old": old, "new": new},
         }
-        return _lowered("line", inputs, outputs)
+        return lower_named("line", inputs, outputs)
 
     # --- which blocks a firing, or the hull, touches ------------------------------------------------------------------
 
@@ -143,7 +143,7 @@ class MapPrograms:
             along, across, square = (entries(beam, BEAM, e) for e in range(BEAM))
             found += [_largest(along), _least(across), _largest(across), _least(square), _largest(square)]
         inputs = {"base": base, **{f"beam_{s}": beam for s, beam in enumerate(beams)}}
-        return _lowered("columns_bounds" if columns else "rows_bounds", inputs, {"bounds": ca.vertcat(*found)})
+        return lower_named("columns_bounds" if columns else "rows_bounds", inputs, {"bounds": ca.vertcat(*found)})
 
     def idle(self) -> Program:
         """Of one block: for each firing, whether it changes no cell, and whether the hull lies on none."""
@@ -156,7 +156,7 @@ class MapPrograms:
             outputs[f"idle_{s}"] = ca.logic_and(untouched, limit["regular"])
         outputs["idle_hull"] = row[0] + column[0] >= hull[0]
         inputs = {"row_bounds": row, "column_bounds": column, **self._limit_symbols(limits), "hull": hull}
-        return _lowered("idle", inputs, outputs)
+        return lower_named("idle", inputs, outputs)
 
     def blank_arc(self) -> Program:
         """Of one block: for each firing, whether no cell can explain it, or one already has."""
@@ -169,7 +169,7 @@ class MapPrograms:
             off = ca.logic_or(ca.logic_or(beside, arc), least > limit["reach"])
             outputs[f"blank_{s}"] = ca.logic_or(found[f"found_{s}"], ca.logic_and(off, limit["regular"]))
         inputs = {"row_bounds": row, "column_bounds": column, **self._limit_symbols(limits), **found}
-        return _lowered("blank_arc", inputs, outputs)
+        return lower_named("blank_arc", inputs, outputs)
 
     def _bounded(self, row: ca.SX, column: ca.SX, limit: dict[str, ca.SX], s: int) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Whether all cells are beside the cone; least squared range; whether all are short of the arc or beyond.
@@ -190,7 +190,7 @@ class MapPrograms:
         """A cell's value after a period in which nothing is heard of it."""
         value, column, row = ca.SX.sym("value"), ca.SX.sym("column", BASE), ca.SX.sym("row", BASE)
         inputs = {"cells": value, "column": column, "row": row}
-        return _lowered("fade", inputs, {"faded": self._faded(value, column, row)})
+        return lower_named("fade", inputs, {"faded": self._faded(value, column, row)})
 
     def seek(self) -> Program:
         """Whether a cell may hold what a firing heard: on its arc, and not known to be free."""
@@ -204,7 +204,7 @@ class MapPrograms:
             **{"hit": hit, "cells": value, "column": column, "column_beam": across},
             **{"row": row, "row_beam": down, "limits": limits},
         }
-        return _lowered("seek", inputs, {"hit_next": after})
+        return lower_named("seek", inputs, {"hit_next": after})
 
     def hear(self) -> Program:
         """A cell's value after a firing."""
@@ -216,20 +216,20 @@ class MapPrograms:
         mark = ca.if_else(limit["ranged"], 1, ca.fmax(value, BLIND))
         after = ca.if_else(in_front(line, limit, value), -1, ca.if_else(marked, mark, value))
         inputs = {"cells": value, "column_beam": across, "row_beam": down, "limits": limits, "found": found}
-        return _lowered("hear", inputs, {"after": after})
+        return lower_named("hear", inputs, {"after": after})
 
     def cover(self) -> Program:
         """A cell's value where the hull may be: what it lies on is free."""
         value, column, row = ca.SX.sym("value"), ca.SX.sym("column", BASE), ca.SX.sym("row", BASE)
         hull = ca.SX.sym("hull", 2)
         inputs = {"cells": value, "column": column, "row": row, "hull": hull}
-        return _lowered("cover", inputs, {"after": ca.if_else(column[1] + row[1] < hull[0], -1, value)})
+        return lower_named("cover", inputs, {"after": ca.if_else(column[1] + row[1] < hull[0], -1, value)})
 
     def tally(self) -> Program:
         """Largest value of a block's cells, and how many are not known to be free."""
         largest, count, value = ca.SX.sym("largest"), ca.SX.sym("count"), ca.SX.sym("value")
         outputs = {"largest_next": ca.fmax(largest, value), "count_next": count + (value >= -self.known)}
-        return _lowered("tally", {"largest": largest, "count": count, "cells": value}, outputs)
+        return lower_named("tally", {"largest": largest, "count": count, "cells": value}, outputs)
 
     # --- the nearest cell of a block ----------------------------------------------------------------------------------
 
@@ -238,7 +238,7 @@ class MapPrograms:
         largest, count = ca.SX.sym("largest", self.lanes), ca.SX.sym("count", self.lanes)
         held = ca.sum1(count) < self.held
         outputs = {"no_mark": _largest(ca.vertsplit(largest)) <= 0, "no_blank": held}
-        return _lowered("without", {"largest": largest, "count": count}, outputs)
+        return lower_named("without", {"largest": largest, "count": count}, outputs)
 
     def any_hit(self) -> Program:
         """Whether any lane found a cell."""
@@ -246,7 +246,7 @@ class MapPrograms:
         found = hits[0]
         for k in range(1, self.lanes):
             found = ca.logic_or(found, hits[k])
-        return _lowered("any_hit", {"hits": hits}, {"found": found})
+        return lower_named("any_hit", {"hits": hits}, {"found": found})
 
     def all_found(self) -> Program:
         """Whether the look is over for every firing."""
@@ -254,7 +254,7 @@ class MapPrograms:
         settled = found[0]
         for one in found[1:]:
             settled = ca.logic_and(settled, one)
-        return _lowered("all_found", {f"found_{s}": one for s, one in enumerate(found)}, {"settled": settled})
+        return lower_named("all_found", {f"found_{s}": one for s, one in enumerate(found)}, {"settled": settled})
 
     def nearest(self, *, unknown: bool) -> Program:
         """Nearest marked or unknown cell of a block so far, after one more row; of equal ones the first."""
@@ -277,7 +277,7 @@ class MapPrograms:
         dy = ca.if_else(least < near[2], row[0], near[1])
         inputs = {"near": near, "cells": cells, "row": row, "columns": columns, "hull": hull}
         name = "nearest_unknown" if unknown else "nearest_marked"
-        return _lowered(name, inputs, {"near_next": ca.vertcat(dx, dy, least)})
+        return lower_named(name, inputs, {"near_next": ca.vertcat(dx, dy, least)})
 
     def sector(self) -> Program:
         """Number of the direction in which a cell lies."""
@@ -290,7 +290,7 @@ class MapPrograms:
         passed = ca.SX(0)
         for side in sides:
             passed += side
-        return _lowered(
+        return lower_named(
             "sector",
             {"near": near},
             {"sector": ca.if_else(sides[0], passed - 1, self.sectors - 1 - passed)},
@@ -299,7 +299,7 @@ class MapPrograms:
     def farther(self) -> Program:
         """Whether a cell is no nearer than the nearest so far in its direction."""
         near, best = ca.SX.sym("near", 3), ca.SX.sym("best", 3)
-        return _lowered("farther", {"near": near, "best": best}, {"farther": near[2] >= best[2]})
+        return lower_named("farther", {"near": near, "best": best}, {"farther": near[2] >= best[2]})
 
     def enter(self) -> Program:
         """The nearest so far in each direction, with this cell in its own."""
@@ -307,7 +307,7 @@ class MapPrograms:
         near, sector = ca.SX.sym("near", 3), ca.SX.sym("sector")
         rows = [ca.if_else(sector == k, near, best[3 * k : 3 * k + 3]) for k in range(self.sectors)]
         inputs = {"flag": flag, "best": best, "near": near, "sector": sector}
-        return _lowered("enter", inputs, {"done": ca.SX(1), "best_next": ca.vertcat(*rows)})
+        return lower_named("enter", inputs, {"done": ca.SX(1), "best_next": ca.vertcat(*rows)})
 
     # --- parts --------------------------------------------------------------------------------------------------------
 
@@ -347,8 +347,3 @@ def _largest(values: list[ca.SX]) -> ca.SX:
     for value in values[1:]:
         largest = ca.fmax(largest, value)
     return largest
-
-
-def _lowered(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> Program:
-    made = [ca.densify(ca.SX(value)) for value in outputs.values()]
-    return lower(ca.Function(name, list(inputs.values()), made, list(inputs), list(outputs), {"cse": True}))

@@ -23,8 +23,8 @@ import casadi as ca
 
 from surctl.errors import InputError
 from surctl.ir import Call, Gather, Loop, Port, Program, Routine, Step, lower
-from surctl.sensing.local_map_firing import BLIND, LIMITS, MIDDLE, READING, READING_SIZE, RING
-from surctl.sensing.local_map_programs import BASE, BEAM, NONE, MapPrograms
+from surctl.sensing.mapping.firing import BLIND, LIMITS, MIDDLE, READING, READING_SIZE, RING
+from surctl.sensing.mapping.programs import BASE, BEAM, NONE, MapPrograms
 
 __all__ = ["BLIND", "MIDDLE", "READING", "RING", "LocalMap"]
 

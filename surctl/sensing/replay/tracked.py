@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.ir import Layout
-from surctl.sensing.array import SonarArray
-from surctl.sensing.ranging import RangeTracker
+from surctl.sensing.ranging.tracker import RangeTracker
+from surctl.sensing.sonar.array import SonarArray
 
 __all__ = ["Readings", "Replay", "SensorSummary", "Tracked", "replay_readings", "track"]
 

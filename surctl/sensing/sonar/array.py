@@ -1,7 +1,4 @@
-"""The ultrasonic array (II-B, Table I): geometry, firing order, and the echo model in the simulated world.
-
-The water's surface and the vertical opening of a beam are not modelled: cones are planar at the robot's
-depth. What of an obstacle's height a beam meets is said by who asks; in the closed loop, by `simulation.column`.
+"""The ultrasonic array (II-B, Table I): geometry, conversion, firing order, and what makes an array impossible.
 
 A firing is one ping: its samples are conversions of one echo (*chosen*: five pings over 4.5 m, one after another,
 would take 30 ms in water, longer than ΔT).
@@ -9,20 +6,17 @@ would take 30 ms in water, longer than ΔT).
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from math import cos, isfinite, pi, sin
 
-import numpy as np
-from numpy.typing import NDArray
-
 from surctl.errors import InputError
-from surctl.sensing.array_checks import check_array
-from surctl.sensing.mounting import open_cones
-from surctl.sensing.sound import Medium, speed_of_sound
-from surctl.world import Shape, Vector2, nearest_echo
+from surctl.sensing.sonar.mounting import inside_hull, open_cones
+from surctl.sensing.sonar.sound import Medium, speed_of_sound
+from surctl.world import Vector2
 
-__all__ = ["SonarArray", "fire", "heard", "true_range"]
+__all__ = ["SonarArray"]
+
+_SLACK = 1e-9  # s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +75,7 @@ class SonarArray:
         object.__setattr__(self, "order", tuple(int(i) for i in self.order))
         if self.mounts is not None:
             object.__setattr__(self, "mounts", tuple(tuple(float(v) for v in mount) for mount in self.mounts))
-        check_array(self)
+        _check(self)
         object.__setattr__(self, "cones", tuple(self._cones(i) for i in range(self.size)))
 
     @property
@@ -168,96 +162,174 @@ class SonarArray:
         return cones
 
 
-def true_range(array: SonarArray, sensor: int, *, position: Vector2, heading: float, shapes: Iterable[Shape]) -> float:
-    """Distance from the sensor's apex to the nearest reflecting point within its open cones [m]; inf when none.
+def _check(array: SonarArray) -> None:
+    """InputError, keyed `array.<field>`, for the first value that no array can have."""
+    _check_geometry(array)
+    _check_mounts(array)
+    _check_conversion(array)
+    _check_sound(array)
+    _check_timing(array)
 
-    Args:
-        array: the array.
-        sensor: index into its azimuths.
-        position: (2,) centre of the robot in {E} [m].
-        heading: ψ [rad].
-        shapes: all that reflects, where it is now.
 
-    Raises:
-        InputError: no such sensor, or position or heading not finite.
+def _require(holds: bool, problem: str, *, key: str, value: object, remedy: str) -> None:
+    if not holds:
+        raise InputError(problem, key=f"array.{key}", value=value, remedy=remedy)
 
-    Example:
-        >>> from surctl.sensing import SonarArray, true_range
-        >>> from surctl.world import Disc
-        >>> pipe = Disc((3.0, 1.0), 0.2)
-        >>> place = {"position": (1.0, 1.0), "heading": 0.0}
-        >>> [true_range(SonarArray(), sensor, shapes=[pipe], **place) for sensor in (0, 2)]  # ahead, astern
-        [1.53, inf]
-    """
-    x, y, axis = array.apex(sensor, position=position, heading=heading)
-    if not isfinite(x + y):
-        raise InputError("position and heading must be finite", key="position", value=(x, y, heading))
-    scene, limit = list(shapes), array.incidence_limit
-    return min(
-        nearest_echo(scene, (x, y), axis + offset, half_angle=half, incidence_limit=limit)
-        for offset, half in array.cones[sensor]
+
+def _check_geometry(array: SonarArray) -> None:
+    _require(
+        array.size > 0 and all(isfinite(a) for a in array.azimuths),
+        "must be finite angles, at least one",
+        key="azimuths",
+        value=array.azimuths,
+        remedy="give radians, counter-clockwise from forward",
+    )
+    _require(
+        isfinite(array.hull_radius) and array.hull_radius >= 0,
+        "must be at least 0",
+        key="hull_radius",
+        value=array.hull_radius,
+        remedy="give m",
+    )
+    _require(
+        0 < array.beam_angle < pi,
+        "must lie between 0 and pi",
+        key="beam_angle",
+        value=array.beam_angle,
+        remedy="give the full angle in radians",
+    )
+    limit = array.incidence_limit
+    _require(
+        limit is None or 0 < limit < pi / 2,
+        "must lie between 0 and pi/2",
+        key="incidence_limit",
+        value=limit,
+        remedy="give radians, or None when every surface reflects",
     )
 
 
-def fire(
-    array: SonarArray,
-    sensor: int,
-    *,
-    position: Vector2,
-    heading: float,
-    shapes: Iterable[Shape],
-    noise: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """The raw samples of one firing, (samples,) [m]: `heard` of the `true_range`.
-
-    Args:
-        array: the array.
-        sensor: index into its azimuths.
-        position: (2,) centre of the robot in {E} [m].
-        heading: ψ [rad].
-        shapes: all that reflects, where it is now.
-        noise: (samples,) standard normal numbers.
-
-    Raises:
-        InputError: as `true_range`, or noise of another shape.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.sensing import NoiseStream, SonarArray, fire
-        >>> from surctl.world import Disc
-        >>> noise, pipe = NoiseStream(0).normals(6)[:5], Disc((3.0, 1.0), 0.2)
-        >>> fire(SonarArray(), 0, position=(1.0, 1.0), heading=0.0, shapes=[pipe], noise=noise).round(3).tolist()
-        [1.518, 1.553, 1.535, 1.518, 1.5]
-    """
-    return heard(array, true_range(array, sensor, position=position, heading=heading, shapes=shapes), noise=noise)
+def _check_mounts(array: SonarArray) -> None:
+    if array.mounts is None:
+        return
+    _require(
+        len(array.mounts) == array.size and all(len(m) == 2 and isfinite(m[0] + m[1]) for m in array.mounts),
+        f"must be {array.size} finite points, one for each azimuth",
+        key="mounts",
+        value=array.mounts,
+        remedy="give x, y in {B} in m, or None: on the hull",
+    )
+    for i, mount in enumerate(array.mounts):
+        _require(
+            not inside_hull(mount, array.hull_radius),
+            f"sensor {i} lies inside the hull of radius {array.hull_radius:g} m",
+            key="mounts",
+            value=mount,
+            remedy="move it out to the hull or beyond",
+        )
 
 
-def heard(array: SonarArray, distance: float, *, noise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The raw samples of a firing whose echo comes from `distance`, (samples,) [m], in the order they are taken.
+def _check_conversion(array: SonarArray) -> None:
+    _require(
+        isfinite(array.maximum) and 0 < array.minimum < array.maximum,
+        "must hold 0 < minimum < maximum",
+        key="minimum, maximum",
+        value=(array.minimum, array.maximum),
+        remedy="give m, shortest range first",
+    )
+    whole = isinstance(array.bits, int) and isinstance(array.samples, int)
+    _require(
+        whole and 1 <= array.bits <= 24 and array.samples >= 1,
+        "must be whole numbers, bits 1 to 24, samples at least 1",
+        key="bits, samples",
+        value=(array.bits, array.samples),
+        remedy="the paper has 8 bits, 5 samples",
+    )
+    _require(
+        isfinite(array.noise_sd) and array.noise_sd >= 0 and isfinite(array.bias),
+        "must be finite, noise at least 0",
+        key="noise_sd, bias",
+        value=(array.noise_sd, array.bias),
+        remedy="give m",
+    )
 
-    Each is scale · distance + bias + noise, held to [lowest, maximum], then rounded to the nearest conversion step
-    (so the minimum of 0.2 m comes out as its nearest code, 0.194 m). Without an echo within the maximum every
-    sample is the maximum.
 
-    Args:
-        array: the array.
-        distance: true range [m]; inf when there is no echo.
-        noise: (samples,) standard normal numbers.
+def _check_sound(array: SonarArray) -> None:
+    try:
+        speed = array.speed
+    except InputError as error:
+        raise InputError(error.problem, key=f"array.{error.key}", value=error.value, remedy=error.remedy) from None
+    _require(
+        array.calibrated_for is None or (isfinite(array.calibrated_for) and array.calibrated_for > 0),
+        "must be greater than 0",
+        key="calibrated_for",
+        value=array.calibrated_for,
+        remedy="give m/s, or None: the true speed",
+    )
+    if array.blind_time is not None:
+        _require(
+            array.minimum == type(array).minimum,
+            "is a second blind range, beside minimum",
+            key="blind_time",
+            value=array.blind_time,
+            remedy="give blind_time or minimum, not both",
+        )
+        _require(
+            isfinite(array.blind_time) and 0 < 0.5 * speed * array.blind_time < array.maximum,
+            "must be greater than 0, and its range below the maximum",
+            key="blind_time",
+            value=array.blind_time,
+            remedy=f"give less than {2.0 * array.maximum / speed:.3g} s",
+        )
+    _require(
+        array.lowest < array.maximum,
+        f"makes every reading the maximum, being {array.scale:.3g} times the true speed",
+        key="calibrated_for",
+        value=array.calibrated_for,
+        remedy=f"give about {speed:.0f} m/s, or None: the true speed",
+    )
 
-    Raises:
-        InputError: noise of another shape.
 
-    Example:
-        >>> import numpy as np
-        >>> from surctl.sensing import SonarArray, heard
-        >>> [heard(SonarArray(), distance, noise=np.zeros(5))[0].round(3).tolist() for distance in (0.05, 1.53, np.inf)]
-        [0.194, 1.535, 4.5]
-    """
-    if np.shape(noise) != (array.samples,):
-        raise InputError(f"has shape {np.shape(noise)}", key="noise", remedy=f"give ({array.samples},)")
-    if distance > array.maximum:
-        return np.full(array.samples, array.maximum)
-    reading = np.clip(array.scale * distance + array.bias + array.noise_sd * noise, array.lowest, array.maximum)
-    top = array.top_code
-    codes: NDArray[np.float64] = np.floor(reading * top / array.maximum + 0.5)
-    return codes * array.maximum / top
+def _check_timing(array: SonarArray) -> None:
+    _require(
+        sorted(array.order) == list(range(array.size)),
+        "must name every sensor once",
+        key="order",
+        value=array.order,
+        remedy=f"write an order of 0 to {array.size - 1}",
+    )
+    _require(
+        isfinite(array.firing_period) and array.firing_period > 0,
+        "must be greater than 0",
+        key="firing_period",
+        value=array.firing_period,
+        remedy="give s",
+    )
+    _require(
+        isfinite(array.cycle_limit) and array.cycle_limit > 0,
+        "must be greater than 0",
+        key="cycle_limit",
+        value=array.cycle_limit,
+        remedy="give s",
+    )
+    _require(
+        array.cycle <= array.cycle_limit + _SLACK,
+        f"makes a cycle of {array.cycle:g} s, longer than {array.cycle_limit:g} s",
+        key="firing_period",
+        value=array.firing_period,
+        remedy=f"at most {array.cycle_limit / array.size:g} s for {array.size} sensors",
+    )
+    echo = f"its echo takes {1e3 * array.echo_time:.1f} ms in {array.medium}"
+    _require(
+        array.echo_time <= array.cycle_limit + _SLACK,
+        f"range beyond the cycle: {echo}, longer than a cycle of {array.cycle_limit:g} s",
+        key="maximum",
+        value=array.maximum,
+        remedy=f"at most {0.5 * array.speed * array.firing_period:.3g} m",
+    )
+    _require(
+        array.echo_time <= array.firing_period + _SLACK,
+        f"overlapping firing windows: {echo}, the next sensor fires after {1e3 * array.firing_period:g} ms",
+        key="maximum",
+        value=array.maximum,
+        remedy=f"at most {0.5 * array.speed * array.firing_period:.3g} m, or a longer firing_period",
+    )

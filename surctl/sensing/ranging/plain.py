@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.sensing.filters import ERROR_FLOOR, POWER_FLOOR, SensorFilter, StepRule
+from surctl.sensing.ranging.filters import ERROR_FLOOR, FILTER_GAINS, POWER_FLOOR, SensorFilter, StepRule
 
 __all__ = ["PlainLmsStep", "PlainUpdate", "plain_average", "plain_filter", "plain_gate", "plain_lms_step"]
 
@@ -177,7 +177,7 @@ def plain_filter(
         ([2.0, 4.5, 4.5, 4.5], [1.0, 0.0, 0.0, 0.0])
     """
     old = {port.name.removeprefix(prefix): state[port.name] for port in filter_.ports(prefix)}
-    new = _fired(filter_, old, samples, {name: float(np.asarray(gains[prefix + name]).item()) for name in _GAINS})
+    new = _fired(filter_, old, samples, {name: float(np.asarray(gains[prefix + name]).item()) for name in FILTER_GAINS})
     fired = fresh > 0.5
     after = {
         name: np.where(fired if value.ndim == fired.ndim else fired[..., None], new[name], value)
@@ -190,9 +190,6 @@ def plain_filter(
         np.clip(ahead, filter_.array.minimum, filter_.array.maximum),
         (after["refused"] < filter_.refusals).astype(float),
     )
-
-
-_GAINS = ("lambda1", "relaxation", "beta_max")
 
 
 def _fired(

@@ -17,7 +17,8 @@ import casadi as ca
 
 from surctl.errors import InputError
 from surctl.ir import Port, fold
-from surctl.sensing.array import SonarArray
+from surctl.sensing.sonar.array import SonarArray
+from surctl.sensing.sonar.cones import disc_range, turned, wall_range
 
 __all__ = ["ContactMemory", "Contacts", "expected_range", "sonar_contacts"]
 
@@ -193,38 +194,3 @@ class ContactMemory:
         after = {f"{prefix}echo": ca.vertcat(*points), f"{prefix}age": ages}
         # half a step of slack: sums of dt are not exact
         return after, Contacts(after[f"{prefix}echo"], ages <= self.hold + 0.5 * self.dt)
-
-
-def turned(heading: ca.SX, angle: float | ca.SX) -> ca.SX:
-    """The unit vector at ψ + angle, from (cos ψ, sin ψ)."""
-    c, s = ca.cos(angle), ca.sin(angle)
-    return ca.vertcat(c * heading[0] - s * heading[1], s * heading[0] + c * heading[1])
-
-
-def wall_range(
-    axis: ca.SX, normal: tuple[float, float], *, distance: ca.SX, half_angle: float | ca.SX, nothing: float
-) -> ca.SX:
-    """Range to a wall at perpendicular `distance` [m] in the direction `normal` (out of the water)."""
-    along = axis[0] * normal[0] + axis[1] * normal[1]
-    across = ca.fabs(axis[0] * normal[1] - axis[1] * normal[0])
-    # cosine of the angle between the wall's perpendicular and the nearer edge ray
-    edge = along * ca.cos(half_angle) + across * ca.sin(half_angle)
-    slant = distance / ca.fmax(edge, 1e-9)
-    outside = ca.if_else(edge > 1e-9, slant, nothing)
-    seen = ca.if_else(along >= ca.cos(half_angle), distance, outside)
-    return ca.fmin(ca.fmax(seen, 0.0), nothing)
-
-
-def disc_range(axis: ca.SX, to: ca.SX, *, radius: ca.SX, half_angle: float | ca.SX, nothing: float) -> ca.SX:
-    """Range to a disc whose centre lies at `to` (2,) from the apex [m]."""
-    length = ca.sqrt(ca.dot(to, to))
-    inside_cone = ca.dot(to, axis) >= length * ca.cos(half_angle)
-    edges: ca.SX = ca.SX(nothing)
-    for angle in (half_angle, -half_angle):
-        ray = turned(axis, angle)
-        along, across = ca.dot(to, ray), to[0] * ray[1] - to[1] * ray[0]
-        square = radius * radius - across * across
-        hits = ca.logic_and(along > 0, square >= 0)
-        edges = ca.fmin(edges, ca.if_else(hits, along - ca.sqrt(ca.fmax(square, 0.0)), nothing))
-    seen = ca.if_else(inside_cone, length - radius, edges)
-    return ca.fmax(0.0, ca.if_else(length <= radius, 0.0, seen))

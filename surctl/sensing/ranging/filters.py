@@ -15,7 +15,7 @@ import casadi as ca
 
 from surctl.errors import InputError, nearest
 from surctl.ir import Port
-from surctl.sensing.array import SonarArray
+from surctl.sensing.sonar.array import SonarArray
 
 __all__ = ["FilterUpdate", "LmsStep", "SensorFilter", "StepRule", "gate", "lms_step", "weighted_average"]
 
@@ -24,6 +24,7 @@ StepRule: TypeAlias = Literal["corrected", "printed"]
 
 POWER_FLOOR = 1e-6  # m², far below any XᵀX of real ranges
 ERROR_FLOOR = 1e-9  # m
+FILTER_GAINS = ("lambda1", "relaxation", "beta_max")
 
 
 def weighted_average(samples: ca.SX) -> ca.SX:
@@ -251,7 +252,7 @@ class SensorFilter:
         rows = []
         for i in range(self.array.size):
             old = {name: state[prefix + name][i, :].T for name in names}
-            new = self._fired(old, samples[i, :].T, gains={k: gains[prefix + k] for k in _GAINS})
+            new = self._fired(old, samples[i, :].T, gains={k: gains[prefix + k] for k in FILTER_GAINS})
             rows.append({name: ca.if_else(fresh[i] > 0.5, new[name], old[name]) for name in names})
         after = {name: ca.vertcat(*(row[name].T for row in rows)) for name in names}
         gated = after["history"][:, 0]
@@ -288,9 +289,6 @@ class SensorFilter:
             "mean_error": ca.if_else(anew, old["mean_error"], lms.mean_error),
             "refused": ca.if_else(fine, 0.0, ca.fmin(old["refused"] + 1.0, float(self.refusals))),
         }
-
-
-_GAINS = ("lambda1", "relaxation", "beta_max")
 
 
 def _pushed(window: ca.SX, value: ca.SX) -> ca.SX:

@@ -18,7 +18,8 @@ from pydantic import Field, model_validator
 
 from surctl.errors import InputError
 from surctl.files import Strict
-from surctl.sensing.array import SonarArray, heard
+from surctl.sensing.sonar.array import SonarArray
+from surctl.sensing.sonar.firing import heard
 
 __all__ = [
     "FAULT_KINDS",

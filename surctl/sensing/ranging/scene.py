@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from surctl.sensing.elementwise import Elementwise, Value
+from surctl.sensing.ranging.elementwise import Elementwise, Value
 
 __all__ = ["MOST_REPEATS", "Rules", "Scene", "Seen", "Step", "opened", "others", "robust", "sound"]
 

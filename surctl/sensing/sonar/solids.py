@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 
-from surctl.sensing.estimate import disc_range, turned, wall_range
+from surctl.sensing.sonar.cones import disc_range, turned, wall_range
 
 __all__ = ["Cone", "Solid", "SolidBox", "SolidDisc", "SolidWalls"]
 

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.sensing.local_map import LocalMap
-from surctl.sensing.local_map_firing import (
+from surctl.sensing.mapping.firing import (
     _INSIDE,
     _INSIDE_MORE,
     _OF_A_MARK,
@@ -18,7 +17,8 @@ from surctl.sensing.local_map_firing import (
     READING,
     RING,
 )
-from surctl.sensing.local_map_programs import _AT_A_WALL, _FAR, _SLACK
+from surctl.sensing.mapping.local_map import LocalMap
+from surctl.sensing.mapping.programs import _AT_A_WALL, _FAR, _SLACK
 
 __all__ = ["map_step", "map_view"]
 

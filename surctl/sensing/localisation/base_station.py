@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.sensing.delivery import Delivery
+from surctl.sensing.localisation.delivery import Delivery
 
 __all__ = ["BaseStation", "OwnState"]
 

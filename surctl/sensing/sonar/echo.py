@@ -9,9 +9,9 @@ from math import cos
 import casadi as ca
 
 from surctl.errors import InputError
-from surctl.sensing.array import SonarArray
-from surctl.sensing.estimate import turned
-from surctl.sensing.solids import Cone, Solid
+from surctl.sensing.sonar.array import SonarArray
+from surctl.sensing.sonar.cones import turned
+from surctl.sensing.sonar.solids import Cone, Solid
 
 __all__ = ["Beam", "beam_of", "echo_range", "heard_samples"]
 

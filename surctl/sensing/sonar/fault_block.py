@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.ir import Port
-from surctl.sensing.array import SonarArray
-from surctl.sensing.echo import heard_samples
-from surctl.sensing.faults import (
+from surctl.sensing.sonar.array import SonarArray
+from surctl.sensing.sonar.echo import heard_samples
+from surctl.sensing.sonar.faults import (
     FAULT_KINDS,
     LONGEST_DELAY,
     SLACK,

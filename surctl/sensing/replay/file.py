@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.recorded import Recorded, read_recorded
-from surctl.sensing.array import SonarArray
-from surctl.sensing.pacing import on_steps, usual_cycle
-from surctl.sensing.replay import Readings, Replay
+from surctl.sensing.replay.pacing import on_steps, usual_cycle
+from surctl.sensing.replay.tracked import Readings, Replay
+from surctl.sensing.sonar.array import SonarArray
 
 __all__ = ["Recording", "filtered_rows", "read_readings", "sonar_array"]
 

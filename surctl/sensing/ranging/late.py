@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from surctl.sensing.elementwise import Value
-from surctl.sensing.ranging_scene import Step
+from surctl.sensing.ranging.elementwise import Value
+from surctl.sensing.ranging.scene import Step
 
 __all__ = ["Late", "lateness"]
 

@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.ir import Port
-from surctl.sensing.delivery import whole_steps
-from surctl.sensing.own_state_design import ahead, growth, settled_covariance, transition, white, yaw_gains
-from surctl.sensing.own_state_motion import believed_acceleration, from_upper, wrapped
+from surctl.sensing.localisation.delivery import whole_steps
+from surctl.sensing.localisation.design import ahead, growth, settled_covariance, transition, white, yaw_gains
+from surctl.sensing.localisation.motion import believed_acceleration, from_upper, wrapped
 
 __all__ = ["BELIEVED_AFTER", "LONGEST_AGE", "LONGEST_LATENCY", "UNKNOWN_SD", "OwnEstimate", "OwnStateFilter"]
 

@@ -2,7 +2,7 @@
 
 Per firing a trimmed mean of the samples; per sensor a Kalman filter of range and rate (constant velocity; Bar-Shalom,
 Li and Kirubarajan 2001, 6.2) into which the robot's own motion goes as a known input; around it rules that tell a
-faulty stream from a true one. The rules (`ranging_rules`) are written once and run on CasADi symbols, as part of the
+faulty stream from a true one. The rules (`rules`) are written once and run on CasADi symbols, as part of the
 exported law, and on NumPy arrays, for recorded readings and for many runs at once.
 """
 
@@ -20,10 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port, each
-from surctl.sensing.array import SonarArray
-from surctl.sensing.elementwise import NUMBERS, SYMBOLS
-from surctl.sensing.ranging_rules import tick
-from surctl.sensing.ranging_scene import MOST_REPEATS, Rules, Seen, others
+from surctl.sensing.ranging.elementwise import NUMBERS, SYMBOLS
+from surctl.sensing.ranging.rules import tick
+from surctl.sensing.ranging.scene import MOST_REPEATS, Rules, Seen, others
+from surctl.sensing.sonar.array import SonarArray
 
 __all__ = ["RangeTracker", "Ranging"]
 

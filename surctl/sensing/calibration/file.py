@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.recorded import Recorded, read_recorded, shown
-from surctl.sensing.calibration import Calibration, Estimate, calibrate
-from surctl.sensing.table2 import MEDIA, table_ii
+from surctl.sensing.calibration.estimation import Calibration, Estimate, calibrate
+from surctl.sensing.calibration.table2 import MEDIA, table_ii
 
 __all__ = [
     "BUILT_IN",

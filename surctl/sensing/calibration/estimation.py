@@ -1,9 +1,9 @@
 """Calibration of a range sensor: measured = scale·true + bias + noise(range), each with a 95 % confidence interval.
 
 The line is least squares with Student's t. Whether the noise depends on range (sd = s0 + s1·range) is tested at the 5 %
-level by the restricted likelihood ratio of `surctl.sensing.noise_shape`. When it does not, the intervals are the exact
-ones of normal noise: t for the line, χ² for the sd. When it does, the line is weighted by that sd. The errors
-measured − true are described too, as if the scale were 1, which is how range tests are usually quoted.
+level by the restricted likelihood ratio of `noise_shape`. When it does not, the intervals are the exact ones of normal
+noise: t for the line, χ² for the sd. When it does, the line is weighted by that sd. The errors measured − true are
+described too, as if the scale were 1, which is how range tests are usually quoted.
 
 What the intervals hold, measured over simulated data: 94 to 97 % where the noise is the same at all ranges, and from
 about 50 rows on where it is not. With fewer rows an uneven noise is often not found, and a noise that falls fivefold
@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.sensing.noise_shape import noise_shape
-from surctl.sensing.straight_line import fit_line, studentised_residuals
+from surctl.sensing.calibration.noise_shape import noise_shape
+from surctl.sensing.calibration.straight_line import fit_line, studentised_residuals
 
 __all__ = [
     "LEAST_DISTANCES",

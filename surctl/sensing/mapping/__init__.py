@@ -1,0 +1,1 @@
+"""From ranges to what stands where: contacts, and the local map."""

@@ -1,0 +1,114 @@
+"""A firing in the simulated world: the echo model in numbers.
+
+The water's surface and the vertical opening of a beam are not modelled: cones are planar at the robot's
+depth. What of an obstacle's height a beam meets is said by who asks; in the closed loop, by `simulation.column`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import isfinite
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.sensing.sonar.array import SonarArray
+from surctl.world import Shape, Vector2, nearest_echo
+
+__all__ = ["fire", "heard", "true_range"]
+
+
+def true_range(array: SonarArray, sensor: int, *, position: Vector2, heading: float, shapes: Iterable[Shape]) -> float:
+    """Distance from the sensor's apex to the nearest reflecting point within its open cones [m]; inf when none.
+
+    Args:
+        array: the array.
+        sensor: index into its azimuths.
+        position: (2,) centre of the robot in {E} [m].
+        heading: ψ [rad].
+        shapes: all that reflects, where it is now.
+
+    Raises:
+        InputError: no such sensor, or position or heading not finite.
+
+    Example:
+        >>> from surctl.sensing import SonarArray, true_range
+        >>> from surctl.world import Disc
+        >>> pipe = Disc((3.0, 1.0), 0.2)
+        >>> place = {"position": (1.0, 1.0), "heading": 0.0}
+        >>> [true_range(SonarArray(), sensor, shapes=[pipe], **place) for sensor in (0, 2)]  # ahead, astern
+        [1.53, inf]
+    """
+    x, y, axis = array.apex(sensor, position=position, heading=heading)
+    if not isfinite(x + y):
+        raise InputError("position and heading must be finite", key="position", value=(x, y, heading))
+    scene, limit = list(shapes), array.incidence_limit
+    return min(
+        nearest_echo(scene, (x, y), axis + offset, half_angle=half, incidence_limit=limit)
+        for offset, half in array.cones[sensor]
+    )
+
+
+def fire(
+    array: SonarArray,
+    sensor: int,
+    *,
+    position: Vector2,
+    heading: float,
+    shapes: Iterable[Shape],
+    noise: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """The raw samples of one firing, (samples,) [m]: `heard` of the `true_range`.
+
+    Args:
+        array: the array.
+        sensor: index into its azimuths.
+        position: (2,) centre of the robot in {E} [m].
+        heading: ψ [rad].
+        shapes: all that reflects, where it is now.
+        noise: (samples,) standard normal numbers.
+
+    Raises:
+        InputError: as `true_range`, or noise of another shape.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.sensing import NoiseStream, SonarArray, fire
+        >>> from surctl.world import Disc
+        >>> noise, pipe = NoiseStream(0).normals(6)[:5], Disc((3.0, 1.0), 0.2)
+        >>> fire(SonarArray(), 0, position=(1.0, 1.0), heading=0.0, shapes=[pipe], noise=noise).round(3).tolist()
+        [1.518, 1.553, 1.535, 1.518, 1.5]
+    """
+    return heard(array, true_range(array, sensor, position=position, heading=heading, shapes=shapes), noise=noise)
+
+
+def heard(array: SonarArray, distance: float, *, noise: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The raw samples of a firing whose echo comes from `distance`, (samples,) [m], in the order they are taken.
+
+    Each is scale · distance + bias + noise, held to [lowest, maximum], then rounded to the nearest conversion step
+    (so the minimum of 0.2 m comes out as its nearest code, 0.194 m). Without an echo within the maximum every
+    sample is the maximum.
+
+    Args:
+        array: the array.
+        distance: true range [m]; inf when there is no echo.
+        noise: (samples,) standard normal numbers.
+
+    Raises:
+        InputError: noise of another shape.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.sensing import SonarArray, heard
+        >>> [heard(SonarArray(), distance, noise=np.zeros(5))[0].round(3).tolist() for distance in (0.05, 1.53, np.inf)]
+        [0.194, 1.535, 4.5]
+    """
+    if np.shape(noise) != (array.samples,):
+        raise InputError(f"has shape {np.shape(noise)}", key="noise", remedy=f"give ({array.samples},)")
+    if distance > array.maximum:
+        return np.full(array.samples, array.maximum)
+    reading = np.clip(array.scale * distance + array.bias + array.noise_sd * noise, array.lowest, array.maximum)
+    top = array.top_code
+    codes: NDArray[np.float64] = np.floor(reading * top / array.maximum + 0.5)
+    return codes * array.maximum / top

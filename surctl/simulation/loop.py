@@ -1,0 +1,334 @@
+"""The reference closed loop: plant 10 ms RK4, control 50 ms, one sonar every 25 ms, all noise from the seed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.control import CONTACT_SLOTS, NONFINITE, Gains, Law, LawStep, build_law
+from surctl.errors import InputError, nearest
+from surctl.sensing import NoiseStream, OwnState, delayed, fault_state, faulty, true_range
+from surctl.simulation.column import beside, column
+from surctl.simulation.metrics import GONE, HALT, LINK_LOST, STOOD
+from surctl.simulation.numbers import law_numbers
+from surctl.simulation.record import Record, measure
+from surctl.simulation.run import SENSING, Run, Sensing
+from surctl.simulation.scenario import Scenario
+from surctl.simulation.sensors import FIRING, firing_plan
+from surctl.simulation.stepping import advanced
+from surctl.simulation.world import Body, World, build_world
+from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, plant_parameters
+from surctl.world import Disc
+
+__all__ = ["Loop", "Stepper", "simulate"]
+
+Vector: TypeAlias = NDArray[np.float64]
+Stepper: TypeAlias = Callable[[Vector, Vector, Vector], LawStep]
+
+
+def simulate(
+    scenario: Scenario,
+    vehicle: Vehicle,
+    *,
+    gains: Gains,
+    law: Law | None = None,
+    sensing: Sensing | str = "truth",
+    seed: int = 0,
+    model: Vehicle | None = None,
+    stepper: Stepper | None = None,
+) -> Run:
+    """Fly one scenario.
+
+    Args:
+        scenario: the mission.
+        vehicle: what is flown.
+        gains: the law's gains.
+        law: default: `build_law`, with sonars or without as `sensing` says.
+        sensing: `truth`: the law is told every obstacle and its own pose exactly; `sonar`: it hears four sonars, and
+            the base station tells it the moving obstacles and its own pose, with noise.
+        seed: of every random choice.
+        model: what the controller believes it flies; default the vehicle itself.
+        stepper: (x, u, p) → what the law commands, in the law's place: another precision of it, or another process.
+
+    Raises:
+        InputError: unknown sensing, or a scenario that starts inside an obstacle.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=load_gains("default"))
+        >>> run.metrics.stopped_because, round(run.metrics.time_s, 2), round(run.metrics.min_clearance_m, 2)
+        ('reached', 11.35, 0.08)
+    """
+    if sensing not in SENSING:
+        raise InputError("is not known", key="sensing", value=sensing, remedy=nearest(str(sensing), SENSING))
+    sonar = sensing == "sonar"
+    law = law or build_law(
+        sonar=sonar, equipment=scenario.sensors.on(vehicle["radius"]), depths=scenario.depths is not None
+    )
+    if sonar != ("samples" in law.inputs):
+        raise InputError(
+            "does not go with a law that listens to " + ("no sonars" if sonar else "the sonars"),
+            key="sensing",
+            value=sensing,
+            remedy="build the law with sonar=" + str(sonar),
+        )
+    if abs(law.dt / FIRING - round(law.dt / FIRING)) > 1e-9 or law.dt < FIRING:
+        raise InputError(
+            f"is not a multiple of the sonar's firing period of {FIRING:g} s",
+            key="dt",
+            value=law.dt,
+            remedy="use 0.05",
+        )
+    world = build_world(scenario, vehicle, seed=seed)
+    p = law_numbers(scenario, gains, model or vehicle)
+    loop = Loop(world, vehicle, law, p, sensing, NoiseStream(seed), stepper or law.step)
+    reason, record = loop.fly(), loop.record()
+    metrics = measure(scenario, law, record, reason=reason, least=loop.least)
+    return Run(scenario, vehicle, gains, law, sensing, seed, metrics, record)
+
+
+class _Drawn(NamedTuple):
+    """Random numbers of one tick: normal ones (instants, k, samples), (6,) for fix and IMU, (slots, 4) for a message
+    and one for its loss; uniform ones (instants, k, 2) where a sonar may fail."""
+
+    samples: NDArray[np.float64]
+    uniforms: NDArray[np.float64]
+    own_state: NDArray[np.float64]
+    movers: NDArray[np.float64]
+    loss: float
+
+
+class Loop:
+    """State of a run while it is flown."""
+
+    def __init__(
+        self,
+        world: World,
+        vehicle: Vehicle,
+        law: Law,
+        p: NDArray[np.float64],
+        sensing: Sensing,
+        noise: NoiseStream,
+        stepper: Stepper,
+    ) -> None:
+        self.stepper = stepper
+        self.world, self.law, self.p, self.sensing, self.noise = world, law, p, sensing, noise
+        self.plant, self.limit = plant_parameters(vehicle), vehicle.thrust_limit
+        self.sensors = world.scenario.sensors
+        self.station = self.sensors.equipment.station
+        self.array = self.sensors.array_on(world.hull)
+        self.firings = firing_plan(self.array)
+        self.state = PLANT_STATE.pack({"eta": world.scenario.start_pose})
+        self.law_state = law.initial_state()
+        self.faults = fault_state(self.array)
+        self.fresh = np.zeros(self.array.size)
+        self.instant = 0
+        self.movers = [o.name for o in world.scenario.obstacles if o.shape == "moving"]
+        self.slots = min(CONTACT_SLOTS, len(self.movers))
+        own = self.sensors.equipment.own
+        self.places = np.tile(self.state[:3], (own.fixes.late(law.dt) if own else 0, 1))
+        self.messages = np.zeros((self.station.messages.late(law.dt), self.slots * 6))
+        self.least = float("inf")
+        self.clear_of_walls = False
+        self.follower = world.scenario.follower()
+        self.rows: list[tuple[object, ...]] = []
+
+    def fly(self) -> str:
+        """Run to the end; the reason why it stopped."""
+        scenario, dt, halted, stood, gone = self.world.scenario, self.law.dt, 0, 0, 0
+        for tick in range(int(np.ceil(scenario.time_limit / dt))):
+            time = tick * dt
+            bodies = self.world.bodies(time)
+            drawn = self._draw()
+            self._listen(bodies, drawn, 0)
+            clearance = self._clearance(bodies)
+            u = self._inputs(bodies, drawn, tick)
+            step = self.stepper(self.law_state, u, self.p)
+            self.rows.append(
+                (time, self.state, step.tau, clearance, self.law_state, u, step.status, step.telemetry, bodies)
+            )
+            if clearance <= 0:
+                return "collision"
+            self.follower.move(*self.state[:2].tolist())
+            if self.follower.last and self._left() <= scenario.reach:
+                return "reached"
+            if step.status == NONFINITE:
+                return "fault"
+            gone += step.status == GONE
+            if gone >= round(HALT / dt):
+                return LINK_LOST
+            if self.law.senses is not None:
+                halted = halted + 1 if step.telemetry[self.law.telemetry_slice("halted")][0] > 0.5 else 0
+            if halted >= round(HALT / dt):
+                return "halted"
+            if "trapped" in self.law.outputs:
+                stood += int(step.telemetry[self.law.telemetry_slice("trapped")][0] > 0.5)
+            if stood >= round(STOOD / dt):
+                return "dead end"
+            self.law_state = step.x_next
+            self._advance(time, step.tau, drawn)
+        return LINK_LOST if gone else "time limit"
+
+    def step_from(self, state: Vector, law_state: Vector, tick: int, *, added: Vector) -> tuple[LawStep, Vector]:
+        """What the law commands in a state, and the plant's next one with thrust added; for `truth`, which keeps no
+        state of sensors."""
+        self.state, time, drawn = state, tick * self.law.dt, self._draw()
+        step = self.stepper(law_state, self._inputs(self.world.bodies(time), drawn, tick), self.p)
+        self._advance(time, step.tau + added, drawn)
+        return step, self.state
+
+    def record(self) -> Record:
+        """The rows as arrays."""
+        time, state, tau, clearance, x, u, status, telemetry, bodies = zip(*self.rows, strict=True)
+        states = np.array(state)
+        return Record(
+            np.array(time),
+            states[:, :4],
+            states[:, 4:8],
+            np.array(tau),
+            np.array(clearance),
+            np.array(x),
+            np.array(u),
+            self.p,
+            np.array(status),
+            np.array(telemetry),
+            bodies,
+        )
+
+    def _draw(self) -> _Drawn:
+        """All the noise of one tick, in a fixed order: firings, own state, then every mover."""
+        instants, wide, taken = round(self.law.dt / FIRING), len(self.firings.sensors[0]), self.array.samples
+        heard = instants * wide * taken
+        # in pairs, as the generator makes them
+        count = heard + heard % 2 + 8 + 4 * self.slots
+        hears = self.sensing == "sonar"
+        numbers = self.noise.normals(count) if hears else np.zeros(count)
+        chances = 2 * instants * wide
+        uniforms = self.noise.uniforms(chances) if hears and self.sensors.may_fail else np.full(chances, 0.5)
+        samples, rest = numbers[:heard].reshape(instants, wide, taken), numbers[heard + heard % 2 :]
+        told, own = rest[7:-1].reshape(self.slots, 4), rest[:6]
+        return _Drawn(samples, uniforms.reshape(instants, wide, 2), own, told, float(rest[6]))
+
+    def _advance(self, time: float, tau: NDArray[np.float64], drawn: _Drawn) -> None:
+        half, thrust = round(self.law.dt / FIRING), self.world.thrust(tau, self.limit)
+        for k in range(half):
+            d = PLANT_DISTURBANCE.pack(
+                {
+                    "current": [*self.world.scenario.disturbance.current_m_per_s, 0.0],
+                    "force": self.world.force(time + k * FIRING),
+                }
+            )
+            (self.state,) = advanced()(self.state, thrust, d, self.plant)
+            if k < half - 1:
+                between = time + (k + 1) * FIRING
+                bodies = self.world.bodies(between)
+                self._listen(bodies, drawn, k + 1)
+                self._clearance(bodies)
+
+    def _listen(self, bodies: Sequence[Body], drawn: _Drawn, instant: int) -> None:
+        if self.sensing == "truth":
+            return
+        time = self.instant * FIRING
+        heard = beside(bodies, float(self.state[2]), self.world.hull)
+        shapes = [*(b.shape for b in heard), *self.world.walls]
+        for k, sensor in enumerate(self.firings.at(self.instant)):
+            heading = float(self.state[3])
+            given, self.faults = faulty(
+                self.array,
+                self.faults,
+                sensor,
+                time=time,
+                distance=true_range(self.array, sensor, position=self.state[:2], heading=heading, shapes=shapes),
+                noise=drawn.samples[instant, k],
+                faults=self.sensors.faults,
+                chances=self.sensors.chances,
+                uniforms=drawn.uniforms[instant, k],
+            )
+            if given is not None:
+                self.fresh[sensor] = 1.0
+        self.instant += 1
+
+    def _left(self) -> float:
+        """Distance to the target [m]; from above, where the mission knows one depth only."""
+        scenario = self.world.scenario
+        level = float(np.hypot(*(self.state[:2] - scenario.target)))
+        return level if scenario.depths is None else float(np.hypot(level, self.state[2] - scenario.depth))
+
+    def _clearance(self, bodies: Sequence[Body]) -> float:
+        clearance = self.world.clearance(self.state[:3], bodies)
+        wall = self.world.wall_clearance(self.state[:2])
+        self.clear_of_walls = self.clear_of_walls or wall > 0
+        if self.clear_of_walls:
+            clearance = min(clearance, wall)
+        self.least = min(self.least, clearance)
+        return clearance
+
+    def _inputs(self, bodies: Sequence[Body], drawn: _Drawn, tick: int) -> NDArray[np.float64]:
+        eta, nu = self.state[:4], self.state[4:8]
+        given: dict[str, object] = {"samples": self.faults.last, "fresh": self.fresh}
+        if self.sensing == "truth":
+            given |= {"eta": eta, "nu": nu, "contacts": self._all_contacts(beside(bodies, eta[2], self.world.hull))}
+        else:
+            given |= self._told(self._mover_rows(bodies), drawn, tick)
+        given["column"] = column(self.world.scenario, bodies, eta[:3], self.world.hull)
+        self.fresh = np.zeros(self.array.size)
+        return self.law.inputs.pack({name: value for name, value in given.items() if name in self.law.inputs})
+
+    def _told(self, rows: NDArray[np.float64], drawn: _Drawn, tick: int) -> dict[str, object]:
+        """What camera, IMU and base station tell; a law without a filter of its own is told at once."""
+        eta, nu, own = self.state[:4], self.state[4:8], self.sensors.equipment.own
+        contacts = np.zeros((CONTACT_SLOTS, 6))
+        if self.law.senses is None:
+            contacts[: self.slots] = rows
+            seen = contacts[: self.slots]
+            seen[:, :2], seen[:, 3:5] = self.station.observe(seen[:, :2], seen[:, 3:5], noise=drawn.movers)
+            seen[rows[:, 5] < 0.5] = 0.0
+            pose, _ = (own or OwnState(position_sd=0.0, yaw_sd=0.0)).measure(eta, nu, noise=drawn.own_state[:4])
+            return {"eta": pose, "nu": nu, "contacts": contacts}
+        then, self.messages = delayed(self.messages, rows.ravel())
+        told, arrived = self.station.message(
+            then.reshape(-1, 6), tick, noise=drawn.movers, chance=drawn.loss, dt=self.law.dt
+        )
+        contacts[: self.slots] = told
+        given: dict[str, object] = {"contacts": contacts, "contacts_fresh": arrived}
+        if own is None:
+            return {**given, "eta": eta, "nu": nu}
+        place, self.places = delayed(self.places, self.state[:3])
+        fix, fresh = own.fix(place, tick, noise=drawn.own_state[:4], dt=self.law.dt)
+        yaw, rate = own.imu(eta, nu, noise=drawn.own_state[4:])
+        return {**given, "fix": fix, "fix_fresh": fresh, "yaw": yaw, "yaw_rate": rate}
+
+    def _mover_rows(self, bodies: Sequence[Body]) -> NDArray[np.float64]:
+        """A row a moving obstacle, zeros for one that is not there; the nearest ones if there are too many."""
+        there = {b.name: b for b in bodies if b.moving}
+        named = self.movers
+        if len(named) > self.slots:
+            near = {b.name: b.shape.nearest(self.state[:2])[0] for b in there.values()}
+            kept = sorted(named, key=lambda name: near.get(name, np.inf))[: self.slots]
+            named = [name for name in named if name in kept]
+        rows = np.zeros((self.slots, 6))
+        for row, name in zip(rows, named, strict=True):
+            if name in there:
+                row[:] = self._contact(there[name])
+        return rows
+
+    def _all_contacts(self, bodies: Sequence[Body]) -> NDArray[np.float64]:
+        slots = self.law.inputs.port("contacts").shape[0] if "contacts" in self.law.inputs else 0
+        contacts, told = np.zeros((slots, 6)), list(bodies)
+        if len(told) > slots:
+            by_distance = sorted(told, key=lambda b: b.shape.nearest(self.state[:2])[0])
+            kept = {b.name for b in by_distance[:slots]}
+            told = [b for b in told if b.name in kept]
+        for row, body in zip(contacts, told, strict=False):
+            row[:] = self._contact(body)
+        return contacts
+
+    def _contact(self, body: Body) -> list[float]:
+        if isinstance(body.shape, Disc):
+            return [*body.shape.center, body.shape.radius, *body.velocity, 1.0]
+        return [*body.shape.nearest(self.state[:2])[1], 0.0, *body.velocity, 1.0]
