@@ -1,4 +1,4 @@
-"""The guides: each command runs in the order of the page and prints what the page shows, each example in Python, too.
+"""README and guides: each command runs in the order of the page and prints what the page shows, as does each example.
 
 A `console` block holds commands after `$ ` and lines of their output; `...` stands for lines left out, `…` for the rest
 of a line. A `toml` block whose first line is `# FILE` is that file. A `pycon` block is a doctest; the blocks of a page
@@ -24,7 +24,9 @@ from tests.processes import run_python
 from tests.tools import PATIENCE, need_compiler
 
 ROOT = Path(__file__).parents[1]
+README = ROOT / "README.md"
 GUIDES = sorted((ROOT / "notebooks" / "guides").glob("*.md"))
+PAGES = [README, *GUIDES]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 NAMES = {"add-a-task", "add-a-vehicle", "architecture", "design", "export", "tune", "verify", "what-is-proved"}
 
@@ -59,7 +61,7 @@ def options_of(command: click.Command) -> set[str]:
     return own.union({"--help", "--version"}, *map(options_of, below))
 
 
-@pytest.mark.parametrize("page", [*GUIDES, ROOT / "README.md"], ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_every_option_and_file_that_the_text_names_is_there(page: Path) -> None:
     known = options_of(app)
     prose = BLOCK.sub("", page.read_text(encoding="utf-8"))
@@ -71,7 +73,7 @@ def test_every_option_and_file_that_the_text_names_is_there(page: Path) -> None:
             CliRunner().invoke(app, ["list", "--show", shown[1]], catch_exceptions=False)
 
 
-_KNOWN: dict[tuple[str, bytes], tuple[str, dict[str, bytes]]] = {}
+_KNOWN: dict[tuple[str | bytes, ...], tuple[str, dict[str, bytes]]] = {}
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -80,15 +82,14 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def shared(command: str, folder: Path) -> str:
-    """`run`; what several pages make or prove of the same vehicle file is made once: the others get what was written.
+    """`run`; what several pages make, prove or export of the same files is made once: the others get what was written.
 
-    Of its own folder such a command reads the vehicle file alone.
+    Of its own folder such a command reads only the files that it names.
     """
-    vehicle = folder / "scout.toml"
-    asked = (command, vehicle.read_bytes() if vehicle.exists() else b"")
-    named = set(re.findall(r"\S+\.toml", command))
-    if not command.startswith(("surctl vehicle ", "surctl verify ")) or named - {vehicle.name}:
+    if not command.startswith(("surctl vehicle ", "surctl verify ", "surctl export ")):
         return run(command, folder)
+    named = [folder / word for word in shlex.split(command)]
+    asked = (command, *(path.read_bytes() for path in named if path.is_file()))
     if asked not in _KNOWN:
         before = contents(folder)
         printed = run(command, folder)
@@ -118,7 +119,7 @@ def test_there_is_a_guide_for_each_job() -> None:
     assert {guide.stem for guide in GUIDES} == NAMES
 
 
-@pytest.mark.parametrize("guide", GUIDES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("guide", PAGES, ids=lambda path: path.stem)
 def test_it_does_what_it_says(guide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     need_compiler()
     monkeypatch.chdir(tmp_path)
@@ -139,15 +140,35 @@ def test_it_does_what_it_says(guide: Path, tmp_path: Path, monkeypatch: pytest.M
             names = test.globs
 
 
-@pytest.mark.parametrize("guide", GUIDES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("guide", PAGES, ids=lambda path: path.stem)
 def test_its_links_lead_somewhere(guide: Path) -> None:
     for link in re.findall(r"\]\(([^)#]+)[^)]*\)", guide.read_text(encoding="utf-8")):
         assert link.startswith("https://") or (guide.parent / link).exists(), link
 
 
+def numbers(text: str) -> list[str]:
+    """The numbers in it, without commas between thousands."""
+    return re.findall(r"\d+(?:\.\d+)?", re.sub(r"(?<=\d),(?=\d{3})", "", text))
+
+
+def test_the_figures_of_the_readme_stand_on_the_page_that_their_row_names() -> None:
+    rows = re.findall(r"^\| .+ \| (.+) \| \[.+?\]\((\S+\.md)\) \|$", README.read_text(encoding="utf-8"), re.MULTILINE)
+    assert len(rows) >= 8
+    for value, source in rows:
+        absent = set(numbers(value)) - set(numbers((ROOT / source).read_text(encoding="utf-8")))
+        assert not absent, f"{value}: {source} does not have {absent}"
+
+
+def test_the_readme_is_short_and_has_the_two_commands() -> None:
+    lines = README.read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 200
+    indented = [line.strip() for line in lines if line.startswith("    ")]
+    assert indented == ["pip install . && surctl study", 'pip install -e ".[dev]" && pytest']
+
+
 def test_the_architecture_has_the_rooms_in_their_order() -> None:
     config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
-    (layers,) = [contract["layers"] for contract in config if contract["type"] == "layers"]
+    (layers,) = [each["layers"] for each in config if each["name"] == "one direction through the rooms"]
     page = (ROOT / "notebooks" / "guides" / "architecture.md").read_text(encoding="utf-8")
     rows = [re.findall(r"`(\w+)`", line.split("|")[1]) for line in page.splitlines() if line.startswith("| `")]
     assert rows == [[room.strip().removeprefix("surctl.") for room in layer.split("|")] for layer in layers]

@@ -237,7 +237,7 @@ def test_the_law_that_senses_is_readable_and_small() -> None:
     assert re.search(r"    surctl_guarded_at_map_cells = \d+, /\* map_cells\[2304\] \[1\] 1 marked", header)
     assert header.count(f"[{law.state.size}];") == 2
     assert len(header.splitlines()) < 200
-    assert sum(len(text.encode()) for text in files.values()) < 310_000  # README says what it is
+    assert sum(len(text.encode()) for text in files.values()) < 310_000  # the guide to export says what it is
     # no vector of the self-test is a whole state
     assert len(source) - source.index("int surctl_guarded_selftest") < 20_000
     fields = {
