@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -10,9 +11,9 @@ import pytest
 from scipy.stats import chi2
 
 from surctl.errors import InputError
-from surctl.ir import Layout, Port, lower
+from surctl.ir import Layout, Port, lower, on_vectors
 from surctl.sensing import OwnState, OwnStateFilter, own_state_step
-from surctl.sensing.localisation.own_state import LONGEST_AGE, UNKNOWN_SD
+from surctl.sensing.localisation.own_state import LONGEST_AGE, UNKNOWN_SD, OwnEstimate
 
 DT = 0.05
 MODEL = Layout(tuple(Port(name, (4,), "SI", "") for name in ("mass", "linear_drag", "quadratic_drag", "thrust_limit")))
@@ -44,31 +45,39 @@ def compiled(own, prefix=""):
     return ca.Function("own", [x, *given.values(), m], results), layout
 
 
+@cache
+def running(own, prefix=""):
+    """What `compiled` gives, on vectors."""
+    function, layout = compiled(own, prefix)
+    return on_vectors(function), layout
+
+
 class Filter:
-    """The numeric twin with its state."""
+    """The symbols, which are what ships, with their state; `test_symbols_and_numbers_agree` compares the numbers."""
 
     def __init__(self, own, vehicle=VEHICLE):
-        self.own, self.model = own, model(vehicle)
+        self.step, self.layout = running(own)
+        self.model = MODEL.pack(model(vehicle))
         self.state = {p.name: np.full(p.shape, p.default) for p in own.ports()}
 
     def __call__(self, **given):
-        out = own_state_step(self.own, self.state, model=self.model, **{**QUIET, **given})
-        self.state = out.state
-        return out
+        after, *found = self.step(self.layout.pack(self.state), *{**QUIET, **given}.values(), self.model)
+        self.state = self.layout.unpack(after)
+        return OwnEstimate(self.state, *found)
 
 
 @pytest.mark.parametrize("vehicle", [VEHICLE, UNEVEN])
 @pytest.mark.parametrize(("latency", "lag", "prefix"), [(0.1, 0.3, "own_"), (0.0, 0.0, ""), (0.25, 0.3, "")])
 def test_symbols_and_numbers_agree(vehicle, latency, lag, prefix):
     own = OwnStateFilter(dt=DT, latency=latency, thrust_lag=lag)
-    f, layout = compiled(own, prefix)
+    f, layout = running(own, prefix)
     rng, x, truth, seen = np.random.default_rng(5), layout.pack(), model(vehicle), set()
     for k in range(600):
         jump = 2.0 * (k > 300)  # refused, then believed
         wild = (rng.random() < 0.1) * rng.normal(0, 0.5, 3)
         fix, fresh = 1.0 + jump + rng.normal(0, 0.01, 3) + wild, float(rng.random() < 0.4 and not 100 < k < 180)
         yaw, rate, tau = 3.0 + 0.02 * k + rng.normal(0, 0.05), rng.normal(0.4, 0.01), rng.normal(0, 5.0, 4)
-        got = [np.array(v).ravel() for v in f(x, fix, fresh, yaw, rate, tau, MODEL.pack(truth))]
+        got = f(x, fix, fresh, yaw, rate, tau, MODEL.pack(truth))
         given = {"fix": fix, "fix_fresh": fresh, "yaw": yaw, "yaw_rate": rate, "tau": tau}
         out = own_state_step(own, layout.unpack(x), model=truth, prefix=prefix, **given)
         want = [layout.pack(out.state), out.eta, out.nu, out.position_sd, out.velocity_sd, out.age]

@@ -441,15 +441,18 @@ def test_before_the_first_tick_there_is_no_rung() -> None:
 
 @modes
 def test_a_row_or_a_task_too_long_to_be_squared_is_never_passed_over(mode: Mode) -> None:
-    tick = PriorityTick(mode, n=N, levels=(LevelShape(1),), rows=2)
+    tick = tick_for(VALUES, Settings(mode))
+    nothing = build_problem(
+        [Level(f"level {shape.rows}", np.zeros((shape.rows, N)), np.zeros(shape.rows)) for shape in VALUES]
+    )
     for length in (1e155, 1e200, 1e299):
-        tick.J[:], tick.lower[:], tick.upper[:] = length * E[:1], 0.5 * length, 0.5 * length
-        tick.rows[:] = 0.0
+        tick.load(nothing)
+        tick.J[0], tick.lower[0], tick.upper[0] = length * E[0], 0.5 * length, 0.5 * length
         tick.solve()
         assert tick.rung == "clamped" and not tick.v.any(), length
         if mode == "nsb":  # which knows no rows
             continue
-        tick.J[:], tick.lower[:], tick.upper[:] = E[:1], 0.5, 0.5
+        tick.J[0], tick.lower[0], tick.upper[0] = E[0], 0.5, 0.5
         tick.rows[0] = [length, 0, 0, 0, -0.1 * length, 0.1 * length, 0]
         tick.solve()
         assert tick.rung == "clamped" and np.isfinite(tick.v).all(), length
