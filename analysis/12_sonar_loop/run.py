@@ -97,11 +97,11 @@ def ram(block: Block) -> tuple[int, int | None]:
 def main(words: list[str]) -> int:
     """Run the study."""
     parser = argparse.ArgumentParser(prog="run.py", description="Fly the scenarios through the sonars.")
-    parser.add_argument("--quick", action="store_true", help="few seeds, two scenarios, four conditions")
+    parser.add_argument("--quick", action="store_true", help="few seeds, one scenario, two conditions")
     options = parser.parse_args(words)
     config = tomllib.loads(Path(__file__).with_name("config.toml").read_text(encoding="utf-8"))
     size, bars = config["quick" if options.quick else "full"], config["bars"]
-    names = ["tank-static", "pool-static"] if options.quick else config["scenarios"]
+    names = ["tank-static"] if options.quick else config["scenarios"]
     chosen = list(conditions().items())
     collisions = 0
     print(f"## {size['seeds']} seeds each\n")
