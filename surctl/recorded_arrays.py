@@ -28,6 +28,15 @@ def read_arrays(path: Path, *, name: str) -> tuple[dict[str, NDArray[np.float64]
 
     Raises:
         InputError: no such file, not of its kind, or without columns.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from scipy.io import savemat
+        >>> from surctl.recorded_arrays import read_arrays
+        >>> savemat("log.mat", {"t_s": [0.0, 0.1], "x_m": [1.5, 1.6], "frame": "ned"})
+        >>> columns, frame = read_arrays(Path("log.mat"), name="log.mat")
+        >>> columns["x_m"].tolist(), frame
+        ([1.5, 1.6], 'ned')
     """
     if not path.is_file():
         raise InputError("no such file", file=name, remedy="check the path")

@@ -37,6 +37,7 @@ def test_every_error_has_its_exit_status(kind: type[SurctlError], status: int) -
 def test_public_names() -> None:
     assert errors.__all__ == [
         "InputError",
+        "NotApplicable",
         "SelfTestError",
         "SolverError",
         "SurctlError",

@@ -132,11 +132,15 @@ def tune(
     lines = [*summary(tuning), "", f"gains {gains_path}", f"all   {everything}"]
     lines += [f"plot  {path}" for path in pictures]
     mission, robot = flown[0]
-    about = shlex.join(at_hand(mission, robot, str(gains_path)))
+    about = at_hand(mission, robot, str(gains_path))
+    region = _region(robot)
+    # of the mission a region needs the speeds; its safety claim would decide the exit status too
+    speeds = ["--cruise", f"{mission.cruise:g}", "--cap", f"{mission.cap:g}"]
+    asked = [*region, *(speeds if region else about[:2]), *about[2:], "--out", str(out / "proofs")]
     law = shlex.join(["--law", plan.law, "--guidance", kind["guidance"]])
     then = [
-        f"surctl verify {_region(robot)}{about} --out {shlex.quote(str(out / 'proofs'))}",
-        f"surctl export {about} {law}",
+        shlex.join(["surctl", "verify", *asked]),
+        f"surctl export {shlex.join(about)} {law}",
     ]
     if not tuning.kept:
         again = shlex.join([*sys.argv[1:], "--trials", str(2 * trials), "--rounds", str(rounds + 2)])
@@ -145,7 +149,7 @@ def tune(
     finish(result, lines, as_json=as_json, passed=tuning.kept, then=then)
 
 
-def _region(vehicle: Vehicle) -> str:
+def _region(vehicle: Vehicle) -> list[str]:
     """The region claim that is worth trying next, where it applies to the vehicle."""
     from surctl.errors import NotApplicable
     from surctl.verification.assumptions import check_alike
@@ -153,8 +157,8 @@ def _region(vehicle: Vehicle) -> str:
     try:
         check_alike(vehicle)
     except NotApplicable:
-        return ""
-    return "region-cruise-20 "
+        return []
+    return ["region-cruise-20"]
 
 
 def _gain(text: str) -> tuple[str, tuple[float, float] | None]:

@@ -53,7 +53,7 @@ def as_records(law: Exportable, records: Records | Sequence[Triple]) -> Records:
         >>> flight = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
         >>> records = as_records(law, flight)  # one vector of gains becomes a row a step
         >>> flight.P.shape, records.P.shape == (len(flight.X), law.gains.size)
-        ((69,), True)
+        ((70,), True)
     """
     if not isinstance(records, Records):
         rows = list(records)

@@ -144,6 +144,15 @@ def follow(old: Mapping[str, ca.SX], waypoints: ca.SX, legs: ca.SX, place: ca.SX
 
     Returns:
         `FOLLOWING` after it.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import FOLLOWING, follow
+        >>> corner, none = ca.DM([[0, 0], [2, 0], [2, 3]]), ca.DM(0)
+        >>> old = {port.name: ca.DM(port.default) for port in FOLLOWING} | {"along": ca.DM(1.9)}
+        >>> after = follow(old, corner, ca.DM(2), ca.DM([2.05, 0.3]), visit=none)
+        >>> float(after["leg"]), round(float(after["along"]), 2)
+        (1.0, 0.3)
     """
     leg = old["leg"]
     start, corner, after = waypoints[0, :].T, waypoints[1, :].T, waypoints[2, :].T

@@ -7,12 +7,16 @@ from functools import partial
 
 from surctl.reproduction.row import Found, Item, agrees, differs, wrong_in_print
 from surctl.verification import Claim, claims, settle
+from surctl.verification.setting import Setting
 
 __all__ = ["FULL", "claim_items"]
 
 
 FULL = 4096
 """Samples of the falsifier that `surctl verify` takes."""
+
+_SPEEDS = f"--cruise {Setting.speed:g} --cap {Setting.speed_max:g}"
+"""Those of the paper; `verify` takes a scenario's."""
 
 
 def claim_items(gains: Mapping[str, float], *, samples: int = FULL) -> list[Item]:
@@ -25,7 +29,7 @@ def claim_items(gains: Mapping[str, float], *, samples: int = FULL) -> list[Item
             "; ".join([claim.equation, *claim.errata]),
             "wrong in print" if claim.expected == "refuted" else "agrees",
             partial(judged, claim, samples),
-            f"surctl verify {claim.name}" if samples == FULL else f"surctl reproduce {claim.name} --quick",
+            f"surctl verify {claim.name} {_SPEEDS}" if samples == FULL else f"surctl reproduce {claim.name} --quick",
         )
         for claim in claims(gains)
         if claim.paper

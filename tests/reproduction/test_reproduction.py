@@ -42,7 +42,7 @@ def test_the_commands_name_rows_and_claims_that_exist() -> None:
     for item in items(Flights(1)):
         program, command, name, *rest = item.command.split()
         assert program == "surctl" and command in app.commands and name == item.id and name in known
-        assert rest in ([], ["--seeds", "1"])
+        assert rest in ([], ["--seeds", "1"], ["--cruise", "0.15", "--cap", "0.25"])
 
 
 def test_a_quick_row_is_computed_by_a_quick_command() -> None:
@@ -130,7 +130,7 @@ def test_rows_as_a_process(tmp_path: Path) -> None:
 
 def test_verify_gives_the_figures_of_a_claims_row(tmp_path: Path) -> None:
     row = reproduce(["v1-speed-cap"]).rows[0]
-    assert row.item.command == "surctl verify v1-speed-cap"
-    verdict = surctl("verify", "v1-speed-cap", "--json", cwd=tmp_path).json["claims"][0]
+    assert row.item.command == "surctl verify v1-speed-cap --cruise 0.15 --cap 0.25"
+    verdict = surctl(*row.item.command.split()[1:], "--json", cwd=tmp_path).json["claims"][0]
     assert verdict["counterexample"]["margin"] == row.found.numbers["margin"]
     assert verdict["fraction"] == row.found.numbers["fraction"]

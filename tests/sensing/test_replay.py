@@ -12,11 +12,11 @@ from surctl.sensing import (
     Tracked,
     filtered_rows,
     read_readings,
-    replay,
     replay_readings,
     sonar_array,
     track,
 )
+from surctl.sensing.replay import tracked
 from tests.sensing.recording import ARRAY, recorded, truth, write
 
 
@@ -44,7 +44,7 @@ def stepped(
 
 @pytest.mark.parametrize("chunk", [1000, 7])
 def test_a_replay_is_the_tracker_step_by_step(chunk: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(replay, "_CHUNK", chunk)
+    monkeypatch.setattr(tracked, "_CHUNK", chunk)
     rng = np.random.default_rng(0)
     tracker, steps = RangeTracker(), 60
     samples = np.clip(

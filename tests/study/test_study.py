@@ -108,7 +108,7 @@ def test_the_report_stands_alone(study, folder):
     assert len(images) > 20
     assert all('src="data:image/' in image and "alt=" in image for image in images)
     assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
-    assert "Replayed flights through the sonar, by run: 1: tank-static by sur540-flooded; 2: " in page
+    assert "Replayed runs: 1: tank-static by sur540-flooded; 2: " in page
     links = re.findall(r'href="#([^"]*)"', re.findall(r'<ul class="checks">(.*?)</ul>', page, re.DOTALL)[0])
     assert {"sweep", "margins", "claims", "runs-1", "runs-2", "export"} <= set(links)
     assert all(f'id="{link}"' in page for link in links)

@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scene import LUCK, Array
+from scene import LUCK, OWN_METRICS, Array, with_corners
 
 from surctl.errors import SurctlError
 from surctl.ir import find_compiler
-from surctl.simulation import METRICS
 
 __all__ = ["FLAGS", "HandLoop"]
 
@@ -44,11 +43,11 @@ class HandLoop:
         self._library.batch.argtypes = [ctypes.c_void_p, ctypes.c_long, *[ctypes.c_void_p] * 4]
 
     def run(self, scene: Array, gains: Array, luck: Array, seeds: NDArray[np.uint64], *, threads: int = 1) -> Array:
-        """Metrics (runs, 14) in the order of `METRICS`, for gains (runs, 17) and luck (runs, LUCK)."""
+        """Metrics (runs, len(METRICS)), for gains (runs, 17) and luck (runs, LUCK)."""
         runs = len(seeds)
         if scene.size * 8 != self._library.sizes(0) or gains.shape != (runs, _GAINS) or luck.shape != (runs, LUCK):
             raise ValueError("the layout is not that of hand/loop.c")
-        out = np.empty((runs, len(METRICS)))
+        out = np.empty((runs, OWN_METRICS))
         parts = np.linspace(0, runs, 8 * threads + 1 if threads > 1 else 2).astype(int)
 
         def part(first: int, last: int) -> float:
@@ -57,4 +56,4 @@ class HandLoop:
 
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(part, parts[:-1], parts[1:]))
-        return out
+        return with_corners(out)

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scene import Array
+from scene import OWN_METRICS, Array, with_corners
 
 from surctl.sensing import noise_states
-from surctl.simulation import METRICS
 
 __all__ = ["fly_many"]
 
@@ -762,6 +761,6 @@ def fly_all(s, gains, luck, random, out):
 def fly_many(scene: Array, gains: Array, luck: Array, seeds: NDArray[np.uint64]) -> Array:
     """As `hand.HandLoop.run`, on one thread."""
     random: Any = noise_states(seeds).astype(np.int64)
-    out = np.empty((len(seeds), len(METRICS)))
+    out = np.empty((len(seeds), OWN_METRICS))
     fly_all(scene, gains, luck, random, out)
-    return out
+    return with_corners(out)

@@ -8,17 +8,24 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.simulation import Obstacle, Scenario, build_world
+from surctl.simulation import METRICS, Obstacle, Scenario, build_world
 from surctl.vehicle import Vehicle, plant_parameters
 
-__all__ = ["LUCK", "MOST_OBSTACLES", "Array", "luck_of", "scene_of"]
+__all__ = ["LUCK", "MOST_OBSTACLES", "OWN_METRICS", "Array", "luck_of", "scene_of", "with_corners"]
 
 Array: TypeAlias = NDArray[np.float64]
 
 MOST_OBSTACLES = 16
 LUCK = 3 + 3 * MOST_OBSTACLES  # numbers a run: wave direction and phase, drift direction and phase of every obstacle
+_CORNERS = list(METRICS).index("missed_corner_m")
+OWN_METRICS = len(METRICS) - 1  # all but that one, in their order: a path of one leg has no corner
 _WAYPOINTS = 8
 _DT = 0.05
+
+
+def with_corners(own: Array) -> Array:
+    """Metrics (runs, len(METRICS)) of those that the loops by hand count, (runs, OWN_METRICS)."""
+    return np.insert(own, _CORNERS, 0.0, axis=1)
 
 
 def scene_of(scenario: Scenario, vehicle: Vehicle, *, sonar: bool, projected: bool) -> Array:
@@ -28,6 +35,8 @@ def scene_of(scenario: Scenario, vehicle: Vehicle, *, sonar: bool, projected: bo
     d = scenario.disturbance
     if any((d.drift_force_n, d.thrust_error, d.thrust_bias)):
         raise ValueError("the hand-written loop knows neither a slow drift nor errors of the thrust")
+    if len(scenario.path.waypoints) != 2:
+        raise ValueError("the hand-written loop knows paths of one leg")
     length, width, _ = scenario.site
     points = np.zeros((_WAYPOINTS, 2))
     count = len(scenario.path.waypoints)

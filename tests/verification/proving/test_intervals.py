@@ -237,7 +237,8 @@ def test_slopes_over_a_box_hold_those_at_its_points() -> None:
             assert np.all(outer[0] - room <= inner[1]) and np.all(inner[0] <= outer[1] + room), text
         # the checker's ranges are those of the prover, but for rounding: what one proves, the other accepts
         for k in range(5):
-            (jet,) = enclose(sheet, [place], [span(*e) for e in zip(low[:, k], high[:, k], strict=True)], order=1)
+            box = [span(*ends) for ends in zip(low[:, k].tolist(), high[:, k].tolist(), strict=True)]
+            (jet,) = enclose(sheet, [place], box, order=1)
             for i, shown in enumerate(jet.slope):
                 ends = (0.0, 0.0) if shown is None else tuple(float(mp.make_mpf(e)) for e in shown)
                 assert ends == pytest.approx((wide.slope[0][i, k], wide.slope[1][i, k]), rel=1e-9, abs=1e-12), text

@@ -115,7 +115,8 @@ def test_the_heading_steered_loop_is_proved_and_compared_with_what_can_be() -> N
     assert proof.verdict == "proved", proof.reason
     assert proof.offset > 0.2 and proof.settled[0] < 0.07 and proof.ratios is not None
     assert proof.ratios.falsifier < 1 < proof.ratios.thrust  # beyond where thrust binds, and not beyond what holds
-    assert "smallest level with a counterexample" in proof.sentence and proof.to_dict()["level_ratios"]["thrust"] == proof.ratios.thrust
+    assert "smallest level with a counterexample" in proof.sentence
+    assert proof.to_dict()["level_ratios"]["thrust"] == proof.ratios.thrust
     found = prove_heading(replace(claim, rate=2.0), rounds=1, cells=300)
     assert found.verdict == "unknown" and "found no" in found.reason
     with pytest.raises(InputError, match="m22"):
