@@ -80,8 +80,8 @@ def finish(
     """Print the result, with the commands that one would give next, and end with status 0 if `passed`, else 1."""
     told = [*lines, "next", *(f"  {command}" for command in then)] if then else lines
     said = {**result, "next": list(then)} if then else result
-    written = json.dumps(finite(said), ensure_ascii=not is_utf8()) if as_json else ""
-    text = printable([written])[0] if as_json else "\n".join(told)
+    lines = printable([json.dumps(finite(said), ensure_ascii=not is_utf8())]) if as_json else told
+    text = "\n".join(lines)
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
     click.get_current_context().exit(0 if passed else 1)

@@ -8,7 +8,7 @@ Where corners have to be visited, it happens at a corner alone, within the dista
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from math import atan2, hypot, inf, sqrt
 
 import casadi as ca
@@ -66,7 +66,8 @@ class Follower:
         self._missed, self._before, self._nearest = 0.0, 0.0, inf  # squares: at corners behind, the last one, the next
 
     @property
-    def missed(self) -> float:  # noqa: D102
+    def missed(self) -> float:
+        """See the attributes."""
         return sqrt(max(self._missed, self._before))
 
     @property
@@ -103,20 +104,22 @@ class Follower:
 
     def track(self, places: ArrayLike) -> NDArray[np.float64]:
         """Distance [m] of the robot to the path, (n,), as it moves to each of the places (n, 2) [m], one by one."""
-        found = []
-        for x, y in np.asarray(places, dtype=float).tolist():
-            self.move(x, y)
-            found.append(self.distance(x, y))
-        return np.array(found)
+        return self._over(places, self.distance)
 
     def directions(self, places: ArrayLike) -> NDArray[np.float64]:
         """Direction [rad] of the leg that the robot is on, (n,), as it moves to each of the places (n, 2) [m]."""
+        return self._over(places, self._direction)
+
+    def _over(self, places: ArrayLike, figure: Callable[[float, float], float]) -> NDArray[np.float64]:
         found = []
         for x, y in np.asarray(places, dtype=float).tolist():
             self.move(x, y)
-            (ax, ay), (bx, by) = self._points[self.leg : self.leg + 2]
-            found.append(atan2(by - ay, bx - ax))
+            found.append(figure(x, y))
         return np.array(found)
+
+    def _direction(self, _x: float, _y: float) -> float:
+        (ax, ay), (bx, by) = self._points[self.leg : self.leg + 2]
+        return atan2(by - ay, bx - ax)
 
     def distance(self, x: float, y: float) -> float:
         """From (x, y) to the leg, the one before it or the one after it, whichever is nearest [m]."""

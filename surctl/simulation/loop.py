@@ -235,7 +235,7 @@ class Loop:
             return
         time = self.instant * FIRING
         heard = beside(bodies, float(self.state[2]), self.world.hull)
-        shapes = [*(b.shape for b in heard), *self.world.walls]
+        shapes = [*(b.shape for b in heard), *self.world.scenario.walls]
         for k, sensor in enumerate(self.firings.at(self.instant)):
             heading = float(self.state[3])
             given, self.faults = faulty(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path as FilePath
 from typing import Any, Literal
 
@@ -102,10 +103,10 @@ class Scenario:
     depths: tuple[float, float] | None = None
     corners: Literal["pass", "visit"] = "pass"
 
-    @property
+    @cached_property
     def walls(self) -> tuple[Wall, ...]:
-        """The four walls of the site."""
-        return tuple(site_walls(self.site[1], self.site[0]))
+        """The four walls of the site, which a run asks for at every step."""
+        return site_walls(self.site[1], self.site[0])
 
     @property
     def start_pose(self) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ from surctl.errors import InputError
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.scenario import Scenario, Shape
 from surctl.vehicle import Vehicle
-from surctl.world import WHOLE, Box, Disc, Heights, Prism, Wall
+from surctl.world import WHOLE, Box, Disc, Heights, Prism
 
 __all__ = ["Body", "World", "WorldDraw", "build_world", "draw_world"]
 
@@ -65,11 +65,6 @@ class World:
         return [body for body in found if body is not None]
 
     @cached_property
-    def walls(self) -> tuple[Wall, ...]:
-        """Those of the scenario."""
-        return tuple(self.scenario.walls)
-
-    @cached_property
     def _still(self) -> dict[int, Body | None]:
         """Those that never move, by their place in the scenario."""
         obstacles = enumerate(self.scenario.obstacles)
@@ -95,7 +90,7 @@ class World:
 
     def wall_clearance(self, position: NDArray[np.float64]) -> float:
         """Hull to nearest wall [m]."""
-        return min(wall.nearest(position)[0] for wall in self.walls) - self.hull
+        return min(wall.nearest(position)[0] for wall in self.scenario.walls) - self.hull
 
     def _body(self, k: int, obstacle: Obstacle, time: float) -> Body | None:
         if obstacle.shape == "moving":
