@@ -281,10 +281,10 @@ def _(mo):
 
 @app.cell
 def _(run, scenario):
-    from surctl.simulation.metrics import settled_avoidance
+    from surctl.simulation.metrics import avoidance_intervals
 
     away = scenario.follower().track(run.record.eta[:, :2])
-    left_out = settled_avoidance(run.telemetry("avoiding")[:, 0], away)
+    left_out = avoidance_intervals(run.telemetry("avoiding")[:, 0], away)
     print(f"clearance: {run.record.clearance[0]:.3f} m at the start, {run.metrics.min_clearance_m:.3f} m at the least")
     print(f"path error: {run.metrics.path_error_m:.3f} m, taken over {100 * (1 - left_out.mean()):.1f} % of the ticks")
     print(f"largest distance to the path, avoidance included: {away.max():.2f} m")

@@ -41,11 +41,11 @@ def _(mo):
     from surctl.certcheck import check_document
     from surctl.control import load_gains
     from surctl.vehicle import load_vehicle
-    from surctl.verification import claims, settle
+    from surctl.verification import claims, decide
 
     gains, vehicle = load_gains("default"), load_vehicle("sur540-flooded")
     names = ["v1-printed", "v1-corrected", "course-printed", "course-corrected", "v2-printed", "v2-static"]
-    verdicts = {c.name: settle(c, seed=0) for c in claims(gains.values, names)}
+    verdicts = {c.name: decide(c, seed=0) for c in claims(gains.values, names)}
     _rows = ["| claim | equation | verdict | where it fails, or who accepts it |", "|---|---|---|---|"]
     for _name, _v in verdicts.items():
         if _v.counterexample is not None:
@@ -56,7 +56,7 @@ def _(mo):
         _rows.append(f"| `{_name}` | {_v.claim.equation} | {_v.verdict} | {_told} |")
         print(f"{_name}: {_v.verdict}")
     mo.md("\n".join(_rows))
-    return check_document, claims, gains, settle, vehicle, verdicts
+    return check_document, claims, gains, decide, vehicle, verdicts
 
 
 @app.cell(hide_code=True)
@@ -105,9 +105,9 @@ def _(mo):
 
 
 @app.cell
-def _(claims, gains, lookahead, mo, settle):
+def _(claims, gains, lookahead, mo, decide):
     (_claim,) = claims({**gains.values, "lookahead": lookahead.value}, ["v1-printed"])
-    _found = settle(_claim, seed=0).counterexample
+    _found = decide(_claim, seed=0).counterexample
     mo.md(f"Worst by {_found.margin:.3g} {_claim.unit} at y_e = {_found.values['y_e']:.3g} m.")
     return
 
@@ -154,7 +154,9 @@ def _(RegionStatement, gains, mo, prove_statement, vehicle):
     for _force in (0.0, 0.25, 0.5):
         _statement = RegionStatement(name="pushed", force_n=_force, rate_per_s=0.01, attempts=20)
         _proof = prove_statement(_statement, vehicle, gains)
-        _rows.append(f"| {_force:g} | {_proof.offset:.3f} | {_proof.settled[0]:.3f}, {_proof.settled[1]:.3f} |")
+        _rows.append(
+            f"| {_force:g} | {_proof.offset:.3f} | {_proof.ultimate_bound[0]:.3f}, {_proof.ultimate_bound[1]:.3f} |"
+        )
         print(f"force {_force:g} N: {_proof.verdict}")
     mo.md("\n".join(_rows))
     return

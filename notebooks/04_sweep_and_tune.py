@@ -17,8 +17,8 @@ def _(mo):
     # Sweep and tune
 
     Gains are chosen on what is flown and on loop margins at once, and the choice is then attacked by fresh runs. Here
-    with the law `lean` in one scenario, so that it takes seconds; `surctl sweep` and `surctl tune` do the same over
-    all scenarios.
+    with the law `closed_form` in one scenario, so that it takes seconds; `surctl sweep` and `surctl tune` do the same
+    over all scenarios.
 
     ## 1. The landscape
 
@@ -38,7 +38,7 @@ def _():
     from surctl.vehicle import load_vehicle
 
     gains, scenario, vehicle = load_gains("default"), load_scenario("pool-behind"), load_vehicle("sur400")
-    cases = build_cases([scenario], [vehicle], gains=gains, law="lean")
+    cases = build_cases([scenario], [vehicle], gains=gains, law="closed_form")
     table = sweep(cases, grid([parse_axis("k_v=0.75..3:5"), parse_axis("lookahead=0.4..1.6:4")]))
     figure, (left, right) = plt.subplots(1, 2, figsize=(10.5, 3.8), layout="constrained")
     plot_heat_map(table, "time_s", ax=left)

@@ -17,8 +17,8 @@ def _(mo):
     # Export, and the processor in the loop
 
     The controller that flew becomes C99 that gives the same bytes: on this machine under any compiler, and on an
-    emulated Cortex-M4F that flies the scenario itself. Here with the closed-form law `lean`, in float32. It takes
-    half a minute, and needs a C compiler; the last part also QEMU and an ARM compiler.
+    emulated Cortex-M4F that runs the scenario itself. Here with the law `closed_form`, in float32. It takes half a
+    minute, and needs a C compiler; the last part also QEMU and an ARM compiler.
 
     ## 1. From the symbolic law to instructions
 
@@ -35,19 +35,19 @@ def _():
     from pathlib import Path
 
     from surctl.control import build_law, load_gains
-    from surctl.export import build_bundle, closed_form, flight_envelope, write_bundle
+    from surctl.export import build_bundle, closed_form, operating_envelope, write_bundle
     from surctl.simulation import law_numbers, load_scenario, simulate
     from surctl.vehicle import load_vehicle
 
     mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-    law = build_law("lean")
+    law = build_law("closed_form")
     p = law_numbers(mission, gains, vehicle)
     shipped = closed_form(law, real="float32", constants=p)
-    within = flight_envelope(law, mission, vehicle, shipped.gains)
+    within = operating_envelope(law, mission, vehicle, shipped.gains)
     bundle = build_bundle(shipped, {}, real="float32", envelope=within)
     folder = Path(tempfile.mkdtemp())
     files = {file.path.name: file for file in write_bundle(bundle, folder / bundle.name)}
-    box = flight_envelope(law, mission, vehicle, law.gains)
+    box = operating_envelope(law, mission, vehicle, law.gains)
     board = build_bundle(closed_form(law, real="float32"), law.gains.unpack(p), real="float32", envelope=box)
 
     def fly(stepper=None):
@@ -70,7 +70,7 @@ def _(mo):
 
 @app.cell
 def _(files):
-    _text = files["surctl_lean.c"].path.read_text(encoding="utf-8")
+    _text = files["surctl_closed_form.c"].path.read_text(encoding="utf-8")
     _at = _text.index("static void surctl_lean_law") if "static void surctl_lean_law" in _text else 0
     print("\n".join(_text[_at:].splitlines()[:24]))
     return

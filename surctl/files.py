@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, StrictFloat, ValidationError, model_validator
 
 from surctl.errors import InputError, nearest
-from surctl.units import in_unit, number_and_unit, told_by_suffix
+from surctl.units import converted_by_suffix, in_unit, number_and_unit
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -49,11 +49,11 @@ class Quantity(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _short(cls, given: object) -> object:
-        if not isinstance(given, str):
-            return given
+    def _short(cls, data: object) -> object:
+        if not isinstance(data, str):
+            return data
         try:
-            value, unit = number_and_unit(given)
+            value, unit = number_and_unit(data)
         except InputError as error:
             raise ValueError(f"{error.problem}; {error.remedy}") from None
         return {"value": value, "unit": unit}
@@ -116,7 +116,7 @@ def _parsed(text: str) -> bytes:
     table = tomllib.loads(text)
     if not table:
         raise InputError("is empty", remedy="start from a built-in file: surctl list --show NAME")
-    return pickle.dumps(told_by_suffix(table))
+    return pickle.dumps(converted_by_suffix(table))
 
 
 def load_model(path: Path, model: type[M]) -> M:
@@ -205,9 +205,9 @@ def _model_in(annotation: Any) -> Any:
     if get_origin(annotation) is Literal:
         return None
     for inner in get_args(annotation):
-        found = _model_in(inner)
-        if found is not None:
-            return found
+        model = _model_in(inner)
+        if model is not None:
+            return model
     return None
 
 

@@ -13,7 +13,7 @@ from surctl.errors import InputError
 
 __all__ = ["ARRAY_FILES", "read_arrays"]
 
-Found = tuple[dict[str, Any], str]
+Contents = tuple[dict[str, Any], str]
 """Variables by name, and what the file says of its frame."""
 
 
@@ -40,8 +40,8 @@ def read_arrays(path: Path, *, name: str) -> tuple[dict[str, NDArray[np.float64]
     """
     if not path.is_file():
         raise InputError("no such file", file=name, remedy="check the path")
-    found, frame = ARRAY_FILES[path.suffix.lower()](path, name)
-    vectors = {key: v for key, value in found.items() if (v := _vector(value)) is not None}
+    contents, frame = ARRAY_FILES[path.suffix.lower()](path, name)
+    vectors = {key: v for key, value in contents.items() if (v := _vector(value)) is not None}
     if not vectors:
         raise InputError("has no numeric vectors", file=name, remedy="save each column as a vector of its name")
     size = len(vectors.get("t_s", next(iter(vectors.values()))))
@@ -58,7 +58,7 @@ def _vector(value: object) -> NDArray[np.float64] | None:
     return np.atleast_1d(np.ma.filled(array.astype(float), np.nan))
 
 
-def _mat(path: Path, name: str) -> Found:
+def _mat(path: Path, name: str) -> Contents:
     from scipy.io import loadmat
 
     try:
@@ -71,7 +71,7 @@ def _mat(path: Path, name: str) -> Found:
     return {key: value for key, value in held.items() if not key.startswith("__")}, str(frame or "")
 
 
-def _netcdf(path: Path, name: str) -> Found:
+def _netcdf(path: Path, name: str) -> Contents:
     import netCDF4
 
     try:
@@ -87,4 +87,4 @@ def _numeric(file: Any) -> Mapping[str, Any]:
     return {key: v for key, v in file.variables.items() if getattr(v.dtype, "kind", "") in "fiu"}
 
 
-ARRAY_FILES: Mapping[str, Callable[[Path, str], Found]] = {".mat": _mat, ".nc": _netcdf}
+ARRAY_FILES: Mapping[str, Callable[[Path, str], Contents]] = {".mat": _mat, ".nc": _netcdf}

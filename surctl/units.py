@@ -12,7 +12,7 @@ from surctl.errors import InputError
 if TYPE_CHECKING:
     from pint import UnitRegistry
 
-__all__ = ["SUFFIXES", "in_unit", "number_and_unit", "suffix_unit", "told_by_suffix"]
+__all__ = ["SUFFIXES", "converted_by_suffix", "in_unit", "number_and_unit", "suffix_unit"]
 
 SUFFIXES = {
     "_m_per_s": "m/s",
@@ -55,7 +55,7 @@ def number_and_unit(text: str) -> tuple[float, str]:
     return float(match.group(1)), match.group(2)
 
 
-def in_unit(value: float, unit: str, wanted: str) -> float:
+def in_unit(value: float, unit: str, target: str) -> float:
     """The value in the unit `wanted`; the same number, bit for bit, where the units are the same.
 
     Angles count as plain numbers (rad/s and 1/s are the same unit), as in the law's equations.
@@ -68,18 +68,18 @@ def in_unit(value: float, unit: str, wanted: str) -> float:
         >>> in_unit(54.0, "cm", "m"), round(in_unit(0.5, "kgf", "N"), 4)
         (0.54, 4.9033)
     """
-    if unit == wanted or (wanted == "1" and not unit.strip()):
+    if unit == target or (target == "1" and not unit.strip()):
         return value
     import pint
 
-    remedy = f"give it in {wanted}"
+    remedy = f"give it in {target}"
     if not unit.strip():
         raise InputError("has no unit", value=value, remedy=remedy)
     if len(unit) > _MOST or not _UNIT.fullmatch(unit):
         raise InputError("is no unit", value=unit, remedy=remedy)
     try:
         # decimal prefixes as one factor, so that 15 cm is 0.15 m to the last bit
-        factor = float(_registry().Quantity(1.0, unit).to(wanted).magnitude)
+        factor = float(_registry().Quantity(1.0, unit).to(target).magnitude)
     except pint.DimensionalityError:
         raise InputError("wrong unit", value=unit, remedy=remedy) from None
     except Exception:  # the parser of another library: whatever it says, the text is no unit
@@ -101,7 +101,7 @@ def suffix_unit(key: str) -> str | None:
     return next((unit for ending, unit in SUFFIXES.items() if key.endswith(ending)), None)
 
 
-def told_by_suffix(table: Any, *, key: str = "") -> Any:
+def converted_by_suffix(table: Any, *, key: str = "") -> Any:
     """A file's table with every text like "15 cm" under a key like `depth_m` as a number in the key's unit.
 
     Raises:
@@ -113,9 +113,9 @@ def told_by_suffix(table: Any, *, key: str = "") -> Any:
         {'depth_m': -0.15, 'cruise_m_per_s': 0.2, 'name': 'pool'}
     """
     if isinstance(table, dict):
-        return {name: told_by_suffix(inner, key=f"{key}.{name}" if key else name) for name, inner in table.items()}
+        return {name: converted_by_suffix(inner, key=f"{key}.{name}" if key else name) for name, inner in table.items()}
     if isinstance(table, list):
-        return [told_by_suffix(inner, key=key) for inner in table]
+        return [converted_by_suffix(inner, key=key) for inner in table]
     unit = suffix_unit(key.rpartition(".")[2])
     if unit is None or not isinstance(table, str):
         return table

@@ -286,7 +286,7 @@ def test_the_study_of_tuning_compares_where_the_hand_gains_arrive(
     need_compiler()
     study = runpy.run_path(str(TUNING))
     config = study["load_model"](study["CONFIG"], study["Config"])
-    plan = 'kind = "study"\nname = "one"\nvehicle = "sur400"\n[[flights]]\nscenario = "pool-behind"\n'
+    plan = 'kind = "study"\nname = "one"\nvehicle = "sur400"\n[[runs]]\nscenario = "pool-behind"\n'
     (tmp_path / "one.toml").write_text(plan + '[sweep]\naxes = [{ gain = "k_v", values = [1.5] }]\n')
     little = config.quick.model_copy(update={"seeds": 1, "trials": 16, "fresh": 8})
     config = config.model_copy(update={"study": str(tmp_path / "one.toml"), "rounds": 1, "workers": 1})

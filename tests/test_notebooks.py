@@ -53,7 +53,7 @@ PRINTED = {
         "not met together: bear delay + quick",
     ),
     "05_export": (
-        "SIL surctl_lean: passed over 410 steps",
+        "SIL surctl_closed_form: passed over 410 steps",
         "gcc-O3: 0 differing steps",
         "reached after 410 steps on the processor",
         "0 of them differ from Python",

@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import linprog, nnls
 
 from surctl.errors import InputError, SurctlError
-from surctl.priority.kernels import Answer, daqp_kernel, own_kernel
+from surctl.priority.kernels import KernelSolution, daqp_kernel, own_kernel
 from surctl.tasks import (
     AccelerationLimit,
     ActuatorLimits,
@@ -309,7 +309,7 @@ def wrong(change):
 
 
 def with_(answer, *, y=None, multipliers=None, status=None):
-    return Answer(
+    return KernelSolution(
         answer.y if y is None else y,
         answer.multipliers if multipliers is None else multipliers,
         answer.iterations,
@@ -350,7 +350,7 @@ def writes_into_its_arguments(G, lower, upper):
         (wrong(lambda a, G, *_: with_(a, status="optimal", y=np.zeros(4) if a.y is None else a.y)), "no y exists"),
         (wrong(lambda a, *_: with_(a, status="infeasible")), "has a solution, but is called infeasible"),
         (wrong(lambda a, *_: with_(a, status="solved")), "unknown status 'solved'"),
-        (wrong(lambda a, *_: Answer(None, a.multipliers, 0, "optimal")), "there is no y"),
+        (wrong(lambda a, *_: KernelSolution(None, a.multipliers, 0, "optimal")), "there is no y"),
         (broken, "raised ValueError: no idea"),
         (writes_into_its_arguments, "changed its own arguments"),
     ],
@@ -365,11 +365,13 @@ def test_multipliers_on_idle_rows_and_other_answers_are_caught():
     """Rows that cancel: y and gradient are right, the multipliers are not."""
     G = np.vstack([np.eye(4), -np.eye(4)[:1]])
     problem = Known(G, np.full(5, -np.inf), np.array([-1.0, 5, 5, 5, 5]), np.array([-1.0, 0, 0, 0]))
-    good = _compared(Answer(problem.y, np.array([1.0, 0, 0, 0, 0]), 1, "optimal"), problem, problem.y, 1e-8)
-    bad = _compared(Answer(problem.y, np.array([2.0, 0, 0, 0, 1.0]), 1, "optimal"), problem, problem.y, 1e-8)
+    good = _compared(KernelSolution(problem.y, np.array([1.0, 0, 0, 0, 0]), 1, "optimal"), problem, problem.y, 1e-8)
+    bad = _compared(KernelSolution(problem.y, np.array([2.0, 0, 0, 0, 1.0]), 1, "optimal"), problem, problem.y, 1e-8)
     assert good.finding == ""
     assert "off its bound by" in bad.finding
-    elsewhere = _compared(Answer(problem.y, np.array([1.0, 0, 0, 0, 0]), 1, "optimal"), problem, problem.y + 1e-6, 1e-8)
+    elsewhere = _compared(
+        KernelSolution(problem.y, np.array([1.0, 0, 0, 0, 0]), 1, "optimal"), problem, problem.y + 1e-6, 1e-8
+    )
     assert elsewhere.finding.startswith("y is wrong by 5e-07")
 
 
@@ -431,8 +433,8 @@ def test_what_is_no_limit_at_all_is_a_finding(limit, says):
     [
         None,
         (1, 2),
-        Answer(np.array(["a"] * 4), np.zeros(8), 0, "optimal"),
-        Answer(np.zeros(4), np.zeros(8), None, "failed"),
+        KernelSolution(np.array(["a"] * 4), np.zeros(8), 0, "optimal"),
+        KernelSolution(np.zeros(4), np.zeros(8), None, "failed"),
     ],
 )
 def test_what_is_no_answer_at_all_is_a_finding(answer):
@@ -442,6 +444,6 @@ def test_what_is_no_answer_at_all_is_a_finding(answer):
 
 def test_an_answer_in_lists_is_an_answer():
     zeros = measure_backend(
-        lambda G, lower, upper: Answer([0.0] * G.shape[1], [0.0] * len(lower), 0, "optimal"), families=["loose"]
+        lambda G, lower, upper: KernelSolution([0.0] * G.shape[1], [0.0] * len(lower), 0, "optimal"), families=["loose"]
     )
     assert zeros.findings == ()

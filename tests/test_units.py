@@ -10,7 +10,7 @@ from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.files import Quantity, read_toml
 from surctl.simulation import LIBRARY, load_scenario
-from surctl.units import in_unit, number_and_unit, told_by_suffix
+from surctl.units import converted_by_suffix, in_unit, number_and_unit
 from surctl.vehicle import load_vehicle
 from surctl.vehicle.parameters import LIBRARY as VEHICLES
 
@@ -66,7 +66,7 @@ def test_a_number_without_dimension_needs_no_unit() -> None:
 )
 def test_what_is_no_length_is_named(text: str, problem: str) -> None:
     with pytest.raises(InputError, match=problem) as told:
-        told_by_suffix({"site": {"depth_m": text}})
+        converted_by_suffix({"site": {"depth_m": text}})
     assert told.value.key == "site.depth_m"
     assert told.value.remedy
 
@@ -80,13 +80,13 @@ def test_what_is_no_length_is_named(text: str, problem: str) -> None:
     ],
 )
 def test_the_ending_of_a_key_is_its_unit(key: str, text: str, value: float) -> None:
-    assert told_by_suffix({key: text})[key] == pytest.approx(value, rel=1e-15)
+    assert converted_by_suffix({key: text})[key] == pytest.approx(value, rel=1e-15)
 
 
 def test_only_keys_with_a_unit_are_read_so() -> None:
     table = {"name": "5 m", "path_m": [["1 m", 200.0], ["30 cm", "1e3 mm"]], "speeds": ["1 m"], "depth_m": -1}
     read = {"name": "5 m", "path_m": [[1.0, 200.0], [0.3, 1.0]], "speeds": ["1 m"], "depth_m": -1}
-    assert told_by_suffix(table) == read
+    assert converted_by_suffix(table) == read
 
 
 def test_a_vehicle_in_the_units_of_its_data_sheets(tmp_path: Path) -> None:

@@ -19,11 +19,11 @@ from surctl.verification import (
     Claim,
     Verdict,
     claims,
+    decide,
     evaluate,
     falsify,
     replay,
     setting_from,
-    settle,
     settling_intrusion,
 )
 from surctl.verification.setting import Setting
@@ -58,7 +58,7 @@ def main(arguments: list[str]) -> int:
 def study(config: Config, *, quick: bool) -> int:
     """Verdicts and figures; 0 when all come out as expected."""
     samples = config.samples // (8 if quick else 1)
-    verdicts = [settle(claim, samples=samples, seed=config.seed) for claim in claims(config.gains)]
+    verdicts = [decide(claim, samples=samples, seed=config.seed) for claim in claims(config.gains)]
     replays_hold = print_verdicts(verdicts)
     by_name = {v.claim.name: v for v in verdicts}
     found = tracking_figures(by_name, config) | avoidance_figures(by_name, config)

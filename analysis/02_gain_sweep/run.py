@@ -22,7 +22,7 @@ from surctl.control import Gains, build_law, load_gains
 from surctl.errors import InputError
 from surctl.files import Strict, load_model, prepare_folder
 from surctl.simulation import Case, Run, load_scenario, simulate
-from surctl.simulation.metrics import settled_avoidance
+from surctl.simulation.metrics import avoidance_intervals
 from surctl.tuning import DELAY_FLOOR, DISK_FLOOR, Axis, LocalExecutor, SweepTable, grid, sweep
 from surctl.vehicle import load_vehicle
 from surctl.verification import loop_margins
@@ -246,7 +246,7 @@ def obstacle_clearance(run: Run) -> float:
 def counted(run: Run) -> float:
     """Share of the ticks that the path error is taken over: those outside avoidance intervals."""
     away = run.scenario.follower().track(run.record.eta[:, :2])
-    return float(np.mean(~settled_avoidance(run.telemetry("avoiding")[:, 0], away)))
+    return float(np.mean(~avoidance_intervals(run.telemetry("avoiding")[:, 0], away)))
 
 
 def print_flown(flown: Sequence[Flown]) -> None:

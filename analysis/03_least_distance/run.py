@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from surctl.errors import ToolMissing
 from surctl.ir import compile_block, compiler_version, emit_block
 from surctl.ir.compiler import FLAGS, find_compiler, tuned_flags
-from surctl.priority import safe_tick
+from surctl.priority import safe_step
 from surctl.priority.solver.dual_step import Space
+from surctl.priority.solver.fallback import CLAMPED, LIMITED, MET, RELAXED
 from surctl.priority.solver.kernel import CAP, OPEN_CAP, in_blocks, kernel
-from surctl.priority.solver.ladder import CLAMPED, LIMITED, MET, RELAXED
 from surctl.priority.solver.precision import FLOAT32
 from surctl.priority.solver.referee import examine
 from surctl.priority.solver.trials import FAMILIES, Trials, draw_trials, judge
@@ -68,7 +68,7 @@ def main(arguments: list[str]) -> int:
 
 def robustness(count: int, seed: int) -> bool:
     """Every bar over `count` problems; whether any failed."""
-    tick = compile_block(safe_tick(N, P, M))
+    tick = compile_block(safe_step(N, P, M))
     worst: dict[str, float] = {}
     rungs = np.zeros((len(FAMILIES), CLAMPED + 1), dtype=int)
     for at, first in enumerate(range(0, count, CHUNK)):
@@ -103,8 +103,8 @@ def compared(worst: dict[str, float]) -> bool:
 
 def single(count: int, seed: int) -> bool:
     """The same ladder in float, on problems rounded to it; whether a bar failed."""
-    tick = compile_block(safe_tick(N, P, M, precision=FLOAT32), real="float32")
-    double = compile_block(safe_tick(N, P, M))
+    tick = compile_block(safe_step(N, P, M, precision=FLOAT32), real="float32")
+    double = compile_block(safe_step(N, P, M))
     worst: dict[str, float] = {}
     rungs = np.zeros((2, CLAMPED + 1), dtype=int)
     for at, first in enumerate(range(0, count, CHUNK)):
@@ -220,7 +220,7 @@ def referee(trials: Trials, outputs: list[Array]) -> dict[str, float]:
 def lower_rungs(count: int, seed: int) -> bool:
     """`count` answers of rung 2 and as many of rung 3, by a referee that shares no code; whether a bar failed."""
     trials = draw_trials(8 * count + 200, n=N, p=P, m=M, seed=seed * 1_000_003 + 999_983)
-    outputs = compile_block(safe_tick(N, P, M))(*trials.arrays)
+    outputs = compile_block(safe_step(N, P, M))(*trials.arrays)
     worst: dict[str, float] = {}
     print(f"\n## {count} problems each of rungs 2 and 3 before a referee\n")
     print("| rung | feature | problems | opening | task, where clear | task | v |\n|" + 7 * "---|")
@@ -268,7 +268,7 @@ def race(count: int = 2000, rounds: int = 60) -> None:
     if not (Path(casadi.__file__).parent / "include" / "daqp" / "api.h").exists():
         print("\nNo race: this CasADi comes without DAQP's headers.")
         return
-    routine = safe_tick(N, P, M)
+    routine = safe_step(N, P, M)
     trials = draw_trials(20_000, n=N, p=P, m=M, seed=5, mixed=False)
     outputs = compile_block(routine)(*trials.arrays)
     chosen = np.flatnonzero(outputs[4][:, 0] == MET)[:count]

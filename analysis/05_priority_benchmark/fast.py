@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.ir import Program, Routine, lower
-from surctl.priority import LevelShape, Mode, PriorityTick, nsb_symbolic, priority_tick
+from surctl.priority import LevelShape, Mode, PriorityStep, nsb_symbolic, priority_step
 
 __all__ = ["fast_tick", "sweep_block", "sweep_function", "tick_block"]
 
@@ -19,7 +19,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 def tick_block(mode: Mode, n: int, levels: tuple[int, ...], m: int) -> Routine:
     """The compiled tick of a mode for levels of so many rows, and m rows of limits."""
-    return priority_tick(mode, n=n, levels=tuple(map(LevelShape, levels)), rows=m)
+    return priority_step(mode, n=n, levels=tuple(map(LevelShape, levels)), rows=m)
 
 
 def fast_tick(mode: Mode, levels: tuple[int, ...], *, box: Array, rows: int) -> Callable[[Array, Array, Array], Array]:
@@ -28,7 +28,7 @@ def fast_tick(mode: Mode, levels: tuple[int, ...], *, box: Array, rows: int) -> 
     box: (2, n), written once, as bounds and as rows.
     """
     n = box.shape[1]
-    tick = PriorityTick(mode, n=n, levels=tuple(map(LevelShape, levels)), rows=n + rows)
+    tick = PriorityStep(mode, n=n, levels=tuple(map(LevelShape, levels)), rows=n + rows)
     tick.rows[:n] = np.column_stack([np.eye(n), *box, np.zeros(n)])
     tick.box[:] = box
     limits = tick.rows[n:]

@@ -27,8 +27,8 @@ from scipy import sparse
 
 from surctl.ir import Block, compile_block, emit_block, find_compiler
 from surctl.ir.compiler import tuned_flags
-from surctl.priority import Mode, nsb, safe_tick, solve
-from surctl.priority.solver.ladder import MET
+from surctl.priority import Mode, nsb, safe_step, solve
+from surctl.priority.solver.fallback import MET
 from surctl.priority.solver.trials import Trials, draw_trials
 
 __all__ = [
@@ -129,7 +129,7 @@ def compiled(
     box = np.tile(BOX.reshape(-1), (len(stacked), 1))
     ticks = np.hstack([stacked, np.array([i.x for i in instances]), np.array([_table(i) for i in instances]), box])
     records = np.concatenate(trials.arrays, axis=1)
-    safe, closed = safe_tick(N, _EQUAL, _M), sweep_block(N, LEVELS)
+    safe, closed = safe_step(N, _EQUAL, _M), sweep_block(N, LEVELS)
     found: list[CompiledRun | Missing] = [
         CompiledRun(OURS, LEAST, _ours(folder, safe), records, N, ours=True),
         CompiledRun(QRQP, LEAST, _qrqp(folder), _conic(trials), N),
@@ -174,7 +174,7 @@ def _clock_cost(run: CompiledRun) -> float:
 def _met(count: int, seed: int) -> Trials:
     """Random problems whose first rung holds, as in study 3."""
     trials = draw_trials(2 * count + 50, n=N, p=_EQUAL, m=_M, seed=seed, mixed=False)
-    status = compile_block(safe_tick(N, _EQUAL, _M))(*trials.arrays)[4][:, 0]
+    status = compile_block(safe_step(N, _EQUAL, _M))(*trials.arrays)[4][:, 0]
     return trials[np.flatnonzero(status == MET)[:count]]
 
 

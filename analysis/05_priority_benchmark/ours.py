@@ -12,7 +12,7 @@ from instances import BOX, LEVELS, ROWS, Instance
 from numpy.typing import NDArray
 
 from surctl.priority import Mode, build_problem, nsb, solve
-from surctl.priority.kept import KeptDaqp, KeptOsqp
+from surctl.priority.persistent import PersistentDaqp, PersistentOsqp
 
 __all__ = ["FAST", "PROJECTED", "STRICT", "ours"]
 
@@ -29,7 +29,7 @@ def ours(instances: Sequence[Instance]) -> list[Contender]:
     """All of them; a mode that `solve` has not is not there."""
     problems = [(instance.problem,) for instance in instances]
     found = [Contender(f"surctl solve: {mode}", mode, _api(mode), problems, ours=True) for mode in get_args(Mode)]
-    for name, backend in (("own", "own"), ("KeptDaqp", KeptDaqp()), ("KeptOsqp", KeptOsqp())):
+    for name, backend in (("own", "own"), ("PersistentDaqp", PersistentDaqp()), ("PersistentOsqp", PersistentOsqp())):
         run = _api(PROJECTED, backend)
         found.append(Contender(f"surctl solve: projected, {name}", PROJECTED, run, problems, ours=True))
     parts = [(instance.problem.levels, instance.problem.rows) for instance in instances]

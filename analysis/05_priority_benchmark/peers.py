@@ -90,7 +90,7 @@ def _fast(mode: Mode) -> Callable[[Array, Array], Array]:
         for i, name in enumerate("xyzr")
         for side, sign in (("upper", 1), ("lower", -1))
     ]
-    tick = assemble(stack, limits, inputs={"eta": eta, "wanted": wanted}).tick(mode)
+    tick = assemble(stack, limits, inputs={"eta": eta, "wanted": wanted}).step(mode)
     here, there = tick.inputs["eta"], tick.inputs["wanted"]
 
     def run(pose: Array, target: Array) -> Array:

@@ -24,7 +24,7 @@ from surctl.ir.compiler import find_compiler
 from surctl.priority import Mode, Settings, build_problem, solve
 from surctl.priority.compiled.assemble import assemble
 from surctl.priority.compiled.level_shape import LevelShape
-from surctl.priority.compiled.runner import PriorityTick
+from surctl.priority.compiled.runner import PriorityStep
 from surctl.priority.compiled.shape_draws import draw_of_shape
 from surctl.priority.optimality import is_optimal
 from surctl.priority.problem import Level, PriorityProblem, Row
@@ -97,7 +97,7 @@ def agreement(count: int, seed: int, shapes: tuple[tuple[LevelShape, ...], ...])
 
 def _compared(settings: Settings, count: int, seed: int, shapes: tuple[tuple[LevelShape, ...], ...]) -> bool:
     ticks = [
-        PriorityTick(settings.mode, n=N, levels=s, rows=PLACES, sweeps=settings.sweeps, damping=settings.damping)
+        PriorityStep(settings.mode, n=N, levels=s, rows=PLACES, sweeps=settings.sweeps, damping=settings.damping)
         for s in shapes
     ]
     rng = np.random.default_rng(seed)
@@ -107,7 +107,7 @@ def _compared(settings: Settings, count: int, seed: int, shapes: tuple[tuple[Lev
         tick = ticks[k % len(ticks)]
         problem = draw_of_shape(rng, shapes[k % len(shapes)])
         gap, same, right = _tried(tick, problem, settings)
-        gaps[tick.rung].append(gap)
+        gaps[tick.stage].append(gap)
         other += not same
         refused += not right
     worst = {rung: max(values, default=0.0) for rung, values in gaps.items()}
@@ -123,14 +123,14 @@ def _compared(settings: Settings, count: int, seed: int, shapes: tuple[tuple[Lev
     return held
 
 
-def _tried(tick: PriorityTick, problem: PriorityProblem, settings: Settings) -> tuple[float, bool, bool]:
+def _tried(tick: PriorityStep, problem: PriorityProblem, settings: Settings) -> tuple[float, bool, bool]:
     """Difference of v, whether the outcome is the same, whether the judge of `optimality` takes it."""
     tick.load(problem)
     tick.solve()
     want = solve(problem, mode=settings.mode, sweeps=settings.sweeps, damping=settings.damping)
     gap = float(np.abs(tick.v - want.v).max() / (1.0 + np.abs(want.v).max()))
     right = is_optimal(tick.v, problem, settings=settings, target=tick.target, tol=1e-6)
-    return gap, want.status == OUTCOMES[RUNGS.index(tick.rung)], right
+    return gap, want.status == OUTCOMES[RUNGS.index(tick.stage)], right
 
 
 def timing(rounds: int) -> bool:
@@ -143,7 +143,7 @@ def timing(rounds: int) -> bool:
     print("|---|---|---|---|")
     slowest = 0.0
     for mode in get_args(Mode):
-        tick, step = PriorityTick.of(problem, mode), _from_stack(mode)
+        tick, step = PriorityStep.of(problem, mode), _from_stack(mode)
         barriers, places = tick.rows[N:].copy(), tick.rows[N:]
         fast = _median(tick.solve, rounds)
         full = _median(_rewriting(tick, J, x, barriers, places), rounds)
@@ -156,7 +156,7 @@ def timing(rounds: int) -> bool:
 
 
 def _rewriting(
-    tick: PriorityTick, J: np.ndarray, x: np.ndarray, barriers: np.ndarray, places: np.ndarray
+    tick: PriorityStep, J: np.ndarray, x: np.ndarray, barriers: np.ndarray, places: np.ndarray
 ) -> Callable[[], None]:
     def run() -> None:
         tick.J[:] = J
@@ -188,7 +188,7 @@ def _from_stack(mode: Mode) -> Callable[[], None]:
         [VelocityBox([-0.3] * 4, [0.3] * 4), *planes],
         inputs={"eta": eta, "goal": goal, "walls": walls},
     )
-    tick = made.tick(mode)
+    tick = made.step(mode)
     pose, given = rng.normal(size=4), np.hstack([rng.normal(size=(8, 4)), rng.uniform(0.05, 0.4, (8, 1))]).reshape(-1)
     tick.inputs["goal"][:] = rng.normal(size=2)
     into_eta, into_walls = tick.inputs["eta"], tick.inputs["walls"]

@@ -237,7 +237,7 @@ def through_machine(case: Case, values: dict[str, Array], size: Size, seeds: NDA
     yield Contender(MAP, lambda: steps_of(simulate_batch(short, few, **machine).table), runs, size.machine_every)
     loop = build_loop(structure_of(case, few))
     packed = pack(case, loop, few, seeds[:runs].astype(np.int64))
-    many = to_casadi(loop.tick).mapaccum(ticks)
+    many = to_casadi(loop.step).mapaccum(ticks)
 
     def accumulated() -> float:
         many(packed.state[0], np.tile(packed.parameters[0][:, None], ticks))

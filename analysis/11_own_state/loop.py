@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from surctl.control.velocity import velocity_control
 from surctl.ir import Layout, Port
 from surctl.sensing import OwnState, OwnStateFilter
-from surctl.sensing.localisation.design import settled_covariance
+from surctl.sensing.localisation.design import steady_covariance
 from surctl.simulation import advance
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, plant_parameters
 
@@ -153,7 +153,7 @@ class _Known:
         self.estimator, self.own = estimator, own
         self.function, self.layout = _filter(own, runs)
         self.state = np.tile(self.layout.pack()[:, None], runs)
-        P = settled_covariance(*own.step, fix_variance=own.position_sd**2, every=sensors.fixes.every(DT))
+        P = steady_covariance(*own.step, fix_variance=own.position_sd**2, every=sensors.fixes.every(DT))
         self.settled = own.step[0] @ P @ own.step[0].T + own.step[1]
         self.last, self.velocity, self.since = np.zeros((3, runs)), np.zeros((3, runs)), np.full(runs, np.inf)
 

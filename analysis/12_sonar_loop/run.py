@@ -120,15 +120,15 @@ def main(words: list[str]) -> int:
     held.append(times >= bars["real_time"])
     print(f"- compiled loop, one thread: {times:.0f} times real time, bar {bars['real_time']}: {_word(held[-1])}")
     law = build_law(sonar=True)
-    assert law.senses is not None
-    operations = law.senses.block.operations
+    assert law.perception is not None
+    operations = law.perception.block.operations
     share = operations * INSTRUCTIONS * RATE / CLOCK
     held.append(share <= bars["cortex_share"])
     print(
         f"- senses: {operations} operations a step, at {INSTRUCTIONS} instructions each and {RATE:g} Hz "
         f"{100 * share:.1f} % of a 168 MHz core, bar {100 * bars['cortex_share']:.0f} %: {_word(held[-1])}"
     )
-    counted, told = ram(law.senses.block)
+    counted, told = ram(law.perception.block)
     held.append(max(counted, told or 0) <= 1024 * bars["cortex_kb"])
     stack = f"{told / 1024:.1f} kB with the stack by -Os here" if told else "no compiler tells the stack here"
     print(

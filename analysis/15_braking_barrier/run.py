@@ -17,8 +17,8 @@ from surctl.control import load_gains
 from surctl.guidance.braking import Watch
 from surctl.vehicle import load_vehicle
 from surctl.verification.braking import BRAKING_CLAIMS, BrakingClaim, braking_claim_named, prove_braking
-from surctl.verification.braking.episodes import Rule, fly, rule_of
-from surctl.verification.braking.way import way_table
+from surctl.verification.braking.distance import distance_table
+from surctl.verification.braking.episodes import Rule, rule_of, run_episodes
 
 VEHICLES = ("sur540-flooded", "sur400")
 NOT_PROVED = {("sur400", "braking-inertia-20-axes"), ("sur400", "braking-simple-20")}
@@ -115,7 +115,7 @@ def flights(runs: int) -> bool:
             continue
         began = time.perf_counter()
         each = runs // len(claim.obstacles)
-        found = [fly(claim, obstacle=o, runs=each, seed=SEED + k) for k, o in enumerate(claim.obstacles)]
+        found = [run_episodes(claim, obstacle=o, runs=each, seed=SEED + k) for k, o in enumerate(claim.obstacles)]
         touched, least = sum(f.hits for f in found), min(f.least for f in found)
         near, braked = (sum(x) / len(found) for x in ([f.near for f in found], [f.braked for f in found]))
         hits += touched
@@ -131,7 +131,7 @@ def wrong(runs: int) -> bool:
     good, gains, vehicle = True, load_gains("default"), load_vehicle(VEHICLES[0])
     for case in WRONG:
         claim = braking_claim_named(case.claim, vehicle, gains)
-        found = fly(claim, obstacle=case.obstacle, runs=runs, seed=SEED, rule=spoiled(case, claim))
+        found = run_episodes(claim, obstacle=case.obstacle, runs=runs, seed=SEED, rule=spoiled(case, claim))
         good &= found.hits > 0
         touched = str(found.hits) if found.hits else "**0**"
         print(f"| {case.what} | `{case.claim}` | {case.obstacle:g} m/s | {touched} | {found.least:.3f} m |", flush=True)
@@ -150,7 +150,7 @@ def spoiled(case: Wrong, claim: BrakingClaim) -> Rule:
         return rule_of(replace(claim, watch=Watch(period=claim.watch.period)), obstacle=at)
     if case.what == "no lag":
         return rule_of(replace(claim, brakes=replace(claim.brakes, lag=0.0)), obstacle=at)
-    table = way_table(claim, at)
+    table = distance_table(claim, at)
     return rule_of(claim, obstacle=at, table=replace(table, slopes=0.9 * table.slopes))
 
 

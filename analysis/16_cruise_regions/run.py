@@ -25,7 +25,7 @@ from surctl.verification.region import REGION_CLAIMS, RegionProof, prove_stateme
 VEHICLE, GAINS = "sur540-flooded", "default"
 LEVEL = 0.9  # of the lesser of the falsifier's level and that at which thrust first binds: every claim that has both
 CODAC_SECONDS = 30.0
-HEADS = ("claim", "rate", "y_e from", "at its rest", "reach", "settles", "of falsifier", "of thrust", "proof", "check",
+HEADS = ("claim", "rate", "y_e from", "at its rest", "extent", "settles", "of falsifier", "of thrust", "proof", "check",
          "size", "bar")  # fmt: skip
 
 
@@ -87,9 +87,9 @@ def main(arguments: list[str]) -> int:
         told = ("–", "–") if ratios is None else (f"{ratios.falsifier:.2f}", f"{ratios.thrust:.2f}")
         shown += "" if high else f"; **level below {LEVEL}**"
         print(
-            f"| `{name}` | {proof.claim.rate:g}/s | {proof.offset:.3f} m | {beside(proof):.3f} m | {proof.reach:.3f} m "
-            f"| {proof.settled[0]:.3f}, {proof.settled[1]:.3f} m | {told[0]} | {told[1]} | {took:.1f} s "
-            f"| {checked:.2f} s | {len(proof.text())} B | {shown} |",
+            f"| `{name}` | {proof.claim.rate:g}/s | {proof.offset:.3f} m | {beside(proof):.3f} m "
+            f"| {proof.extent:.3f} m | {proof.ultimate_bound[0]:.3f}, {proof.ultimate_bound[1]:.3f} m "
+            f"| {told[0]} | {told[1]} | {took:.1f} s | {checked:.2f} s | {len(proof.text())} B | {shown} |",
             flush=True,
         )
         eight = (proof, took, checked) if name == "region-heading-20" else eight

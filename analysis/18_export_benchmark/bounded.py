@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from surctl.control import Law, build_law, load_gains
 from surctl.ir import compile_block
-from surctl.priority import Ladder, safe_tick
+from surctl.priority import Fallback, safe_step
 from surctl.priority.solver.bounded import BOUNDED
 from surctl.priority.solver.trials import Trials, draw_trials
 from surctl.simulation import load_scenario, simulate
@@ -19,7 +19,7 @@ __all__ = ["flights", "quality"]
 
 Array = NDArray[np.float64]
 
-_LADDERS: tuple[Ladder, Ladder] = ("exact", "bounded")
+_LADDERS: tuple[Fallback, Fallback] = ("exact", "bounded")
 _RUNGS = {1: "task and rows hold", 2: "task as well as the rows allow", 3: "rows opened"}
 # those in which rows contradict each other, or the task
 _FLIGHTS = (("pool-behind", "predict"), *((f"pool-speed-{speed}", "barrier") for speed in ("015", "020", "025")))
@@ -28,7 +28,7 @@ _FLIGHTS = (("pool-behind", "predict"), *((f"pool-speed-{speed}", "barrier") for
 def quality(*, quick: bool) -> list[str]:
     """Rows and task missed beyond the exact ladder's answer, where the bounded one had none of its own."""
     trials = draw_trials(500 if quick else 4_000, n=4, p=2, m=24, seed=0)
-    exact, found = (compile_block(safe_tick(4, 2, 24, ladder=ladder))(*trials.arrays) for ladder in _LADDERS)
+    exact, found = (compile_block(safe_step(4, 2, 24, fallback=ladder))(*trials.arrays) for ladder in _LADDERS)
     low, high = trials.box[:, :4], trials.box[:, 4:]
     near = np.clip(trials.target, low, high)
     least = np.maximum(exact[3][:, 0], 0.0)
@@ -80,7 +80,7 @@ def flights(*, quick: bool) -> list[str]:
         mission = load_scenario(name)
         told: list[Any] = []
         for ladder in _LADDERS:
-            law: Law = build_law("guarded", mode="projected", movers=movers, ladder=ladder)  # type: ignore[arg-type]
+            law: Law = build_law("guarded", mode="projected", movers=movers, fallback=ladder)  # type: ignore[arg-type]
             run = simulate(mission, load_vehicle(mission.vehicle), gains=gains, law=law, seed=0)
             told.append((run.metrics, (run.record.status.astype(int) & 4 > 0).sum(), len(run.record.status)))
         cells = [f"{m.stopped_because} at {m.time_s:.2f} s, {m.min_clearance_m:.3f} m" for m, *_ in told]

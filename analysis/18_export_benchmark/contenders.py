@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control import Law, build_law, load_gains
-from surctl.export import Bundle, Exportable, Records, build_bundle, closed_form, flight_envelope
+from surctl.export import Bundle, Exportable, Records, build_bundle, closed_form, operating_envelope
 from surctl.ir import Real
 from surctl.simulation import law_numbers, load_scenario, simulate
 from surctl.vehicle import Vehicle, load_vehicle
@@ -37,7 +37,7 @@ class Contender:
 
 def controller() -> tuple[Law, Vehicle, NDArray[np.float64], Records]:
     """The law, what flies it, its numbers, and a flight."""
-    mission, law, gains = load_scenario(SCENARIO), build_law("lean"), load_gains("default")
+    mission, law, gains = load_scenario(SCENARIO), build_law("closed_form"), load_gains("default")
     vehicle = load_vehicle(mission.vehicle)
     record = simulate(mission, vehicle, gains=gains, law=law, sensing="truth", seed=0).record
     flight = Records(record.law_state, record.law_input, np.zeros((len(record.law_state), 0)))
@@ -47,7 +47,7 @@ def controller() -> tuple[Law, Vehicle, NDArray[np.float64], Records]:
 def ours(law: Law, vehicle: Vehicle, numbers: NDArray[np.float64], real: Real) -> Contender:
     """surctl export --constant-gains."""
     shipped = closed_form(law, real=real, constants=numbers)
-    within = flight_envelope(law, load_scenario(SCENARIO), vehicle, shipped.gains)
+    within = operating_envelope(law, load_scenario(SCENARIO), vehicle, shipped.gains)
     bundle = build_bundle(shipped, {}, real=real, envelope=within)
     return Contender(f"surctl, {real}", shipped, bundle, True)
 
@@ -81,7 +81,7 @@ int {name}_step({name}_state_t *s, const {name}_gains_t *g, const {name}_input_t
 {{
     const {kind} *arg[{function.sz_arg()}] = {{ s->x, in->eta }};
     {kind} status, w[{function.sz_w() + 1}];
-    {kind} *res[{function.sz_res()}] = {{ out->tau, s->next, &status, out->nu_wanted }};
+    {kind} *res[{function.sz_res()}] = {{ out->tau, s->next, &status, out->nu_reference }};
     int iw[{function.sz_iw() + 1}];
     (void)g;
     if (generated(arg, res, iw, w, 0) != 0) {{ return -2; }}

@@ -20,10 +20,10 @@ from surctl.export import (
     build_controller,
     check_builds,
     closed_form,
-    flight_envelope,
+    operating_envelope,
 )
 from surctl.ir import replay
-from surctl.priority import Ladder, LevelShape, priority_tick
+from surctl.priority import Fallback, LevelShape, priority_step
 from surctl.priority.solver.bounded import BOUNDED
 from surctl.priority.solver.precision import FLOAT32
 from surctl.priority.solver.trials import Trials, draw_trials
@@ -61,7 +61,7 @@ class Told:
     bound: int = 0
 
 
-def laws(*, quick: bool, ladder: Ladder = "exact") -> Told:
+def laws(*, quick: bool, ladder: Fallback = "exact") -> Told:
     """Law guarded in mode projected, over a flight and over single steps; most: if bounded, of what stands."""
     lines = [
         "| law guarded, mode projected, which knows | rows | flight, min / mean / max | single steps, mean / max "
@@ -71,13 +71,13 @@ def laws(*, quick: bool, ladder: Ladder = "exact") -> Told:
     same, means, most = True, [], 0
     for name, scenario, options, constant in _LAWS[:1] if quick else _LAWS:
         mission, gains = load_scenario(scenario), load_gains("default")
-        vehicle, law = load_vehicle(mission.vehicle), build_law("guarded", mode="projected", ladder=ladder, **options)  # type: ignore[arg-type]
+        vehicle, law = load_vehicle(mission.vehicle), build_law("guarded", mode="projected", fallback=ladder, **options)  # type: ignore[arg-type]
         numbers = law_numbers(mission, gains, vehicle)
         record = simulate(mission, vehicle, gains=gains, law=law, sensing="truth", seed=0).record
         shipped = closed_form(law, real="float32", constants=numbers if constant else None)
         P = np.zeros((len(record.law_state), 0)) if constant else record.law_parameters
         flight = as_records(shipped, Records(record.law_state, record.law_input, P))
-        within = flight_envelope(law, mission, vehicle, shipped.gains)
+        within = operating_envelope(law, mission, vehicle, shipped.gains)
         bundle = build_bundle(shipped, {} if constant else law.gains.unpack(numbers), real="float32", envelope=within)
         targets = [TARGETS["gcc-O0"], TARGETS["cortex-m4f"]]
         with tempfile.TemporaryDirectory() as scratch:
@@ -88,7 +88,7 @@ def laws(*, quick: bool, ladder: Ladder = "exact") -> Told:
         fine = flown.passed and tried.passed
         same, most = same and fine, max(most, both.most) if ladder == "exact" or constant else most
         means.append(alone.mean)
-        code = tried.builds[1].flight_bytes
+        code = tried.builds[1].runtime_bytes
         lines.append(
             f"| {name} | {len(law.rows)} | {alone.least} / {alone.mean:.0f} / {alone.most} "
             f"| {both.mean:.0f} / {both.most} | {code} | {'yes' if fine else '**no**'} |"
@@ -96,10 +96,10 @@ def laws(*, quick: bool, ladder: Ladder = "exact") -> Told:
     return Told(tuple(lines), "", min(means), most, same)
 
 
-def ticks(*, quick: bool, ladder: Ladder = "exact") -> Told:
+def ticks(*, quick: bool, ladder: Fallback = "exact") -> Told:
     """The tick of that mode alone: 24 rows, a task of 2 rows and two of 1, on problems made to break a solver."""
     levels = (LevelShape(2), LevelShape(1), LevelShape(1))
-    tick = priority_tick("projected", n=4, levels=levels, rows=_ROWS, precision=FLOAT32, named=False, ladder=ladder)
+    tick = priority_step("projected", n=4, levels=levels, rows=_ROWS, precision=FLOAT32, named=False, fallback=ladder)
     arrays = _inputs(draw_trials(300 if quick else 4_000, n=4, p=2, m=_ROWS, seed=0))
     outputs, counts = counted(tick, arrays)
     first = [array[:100].astype(np.float32) for array in arrays]

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from surctl.ir import compile_block
-from surctl.priority import safe_tick
-from surctl.priority.solver.ladder import MET
+from surctl.priority import safe_step
+from surctl.priority.solver.fallback import MET
 from surctl.priority.solver.precision import FLOAT32
 from surctl.priority.solver.trials import Trials, draw_trials
 
@@ -33,8 +33,8 @@ _FLOATS = "".join(f"#define {word} {word}f\n" for word in ("sqrt", "fabs", "fmin
 def race(*, quick: bool) -> tuple[list[str], NDArray[np.int64], NDArray[np.int64]]:
     """Lines of the README, and the instructions of the safe tick with the exact and with the bounded ladder."""
     trials, exact = _met(40 if quick else 200)
-    outputs, counts = counted(safe_tick(_N, _P, _M, precision=FLOAT32), trials.arrays)
-    cut, fewer = counted(safe_tick(_N, _P, _M, precision=FLOAT32, ladder="bounded"), trials.arrays)
+    outputs, counts = counted(safe_step(_N, _P, _M, precision=FLOAT32), trials.arrays)
+    cut, fewer = counted(safe_step(_N, _P, _M, precision=FLOAT32, fallback="bounded"), trials.arrays)
     lines = [
         "| solver | instructions, min / mean / max | solved | error of 95 % of those |",
         "|---|---|---|---|",
@@ -70,7 +70,7 @@ def _line(name: str, v: NDArray[np.float32], counts: NDArray[np.int64], exact: A
 def _met(count: int) -> tuple[Trials, Array]:
     """Random problems whose task and rows can be kept, and the answers in double."""
     trials = draw_trials(3 * count + 50, n=_N, p=_P, m=_M, seed=0, mixed=False)
-    v, *_, status, _ = compile_block(safe_tick(_N, _P, _M))(*trials.arrays)
+    v, *_, status, _ = compile_block(safe_step(_N, _P, _M))(*trials.arrays)
     chosen = np.flatnonzero(status[:, 0] == MET)[:count]
     return trials[chosen], v[chosen]
 

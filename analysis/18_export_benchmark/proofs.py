@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from surctl.control import build_law, load_gains
-from surctl.export import build_bundle, closed_form, flight_envelope, gain_box, prove_bundle
+from surctl.export import build_bundle, closed_form, gain_box, operating_envelope, prove_bundle
 from surctl.ir import Real
 from surctl.simulation import law_numbers, load_scenario
 from surctl.vehicle import load_vehicle
@@ -32,10 +32,10 @@ def whole_laws(*, quick: bool) -> tuple[list[str], bool]:
     vehicle = load_vehicle(mission.vehicle)
     for name, real, constant in _LAWS[:1] if quick else _LAWS:
         mode, ladder = name.split(",")[0], "bounded" if "bounded" in name else "exact"
-        law = build_law("guarded", mode=mode, ladder=ladder, **({"contacts": 1, "moving": False} if quick else {}))  # type: ignore[arg-type]
+        law = build_law("guarded", mode=mode, fallback=ladder, **({"contacts": 1, "moving": False} if quick else {}))  # type: ignore[arg-type]
         numbers = law_numbers(mission, tuned, vehicle)
         shipped = closed_form(law, real=real, constants=numbers if constant else None)
-        within = flight_envelope(law, mission, vehicle, shipped.gains)
+        within = operating_envelope(law, mission, vehicle, shipped.gains)
         if not constant:
             within = replace(within, gains=gain_box(law, numbers, tuned.ranges))
         bundle = build_bundle(shipped, {} if constant else law.gains.unpack(numbers), real=real, envelope=within)

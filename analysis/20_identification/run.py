@@ -90,7 +90,7 @@ def trial(nominal: Vehicle, seed: int, *, rows: int, axes: tuple[int, ...] = (0,
     found = identify(log, nominal, name="fitted")
     taken = time.perf_counter() - began
     inside = {k: abs(v - true[k]) <= half for k, (v, half) in found.estimates.items()}
-    return Trial(inside, found.told, {k: half for k, (_, half) in found.estimates.items()}, taken)
+    return Trial(inside, found.identified, {k: half for k, (_, half) in found.estimates.items()}, taken)
 
 
 def _job(words: tuple[int, int, tuple[int, ...]]) -> Trial:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from surctl.control import load_gains
-from surctl.reproduction.flights import scenario_names
+from surctl.reproduction.simulations import scenario_names
 from surctl.sensing import FaultChances
 from surctl.simulation import Case, Sensors, load_scenario, simulate_batch
 from surctl.simulation.campaign import (
@@ -25,7 +25,7 @@ from surctl.simulation.campaign import (
     MonteCarlo,
     Plan,
     RandomWorlds,
-    fly_campaign,
+    run_campaign,
     world_template,
 )
 from surctl.vehicle import load_vehicle
@@ -81,7 +81,7 @@ def nominal(names: list[str], seeds: int) -> tuple[list[str], dict[str, bool]]:
 
 def flown(plan: Plan, runs: int) -> Campaign:
     """A campaign on two threads, which says on the error stream how far it is."""
-    return fly_campaign(plan, runs=runs, threads=2, progress=lambda line: print(line, file=sys.stderr))
+    return run_campaign(plan, runs=runs, threads=2, progress=lambda line: print(line, file=sys.stderr))
 
 
 def campaign_row(flight: Campaign) -> str:
@@ -92,7 +92,7 @@ def campaign_row(flight: Campaign) -> str:
         f"{s.inside.count} of {s.inside.runs}, ≤ {s.inside.at_most():.2%}" if s.inside is not None else "no such run"
     )
     broken = ", ".join(f"{name} {count}" for name, count in s.broken.items()) or "-"
-    late = stopped["time limit"].count + stopped["halted"].count + stopped["fault"].count
+    late = stopped["time limit"].count + stopped["stopped"].count + stopped["fault"].count
     cells = (
         f"`{flight.plan.name}`",
         stopped["reached"].count,

@@ -28,7 +28,7 @@ from mpmath import libmp
 
 from surctl.certcheck import check_document
 from surctl.certcheck.enclosure import decimal, enclose
-from surctl.certcheck.sheet import Sheet
+from surctl.certcheck.expressions import ExpressionTable
 
 BITS = 260  # 78 digits
 Raw = Any
@@ -101,7 +101,7 @@ def fraction(x: Raw) -> Fraction:
 
 def missed(text: str, points: int, seed: int) -> tuple[int, int]:
     """(points looked at, points whose value is outside of the range) of one function."""
-    draw, sheet = random.Random(f"{text}/{seed}"), Sheet(("x", "y"))
+    draw, sheet = random.Random(f"{text}/{seed}"), ExpressionTable(("x", "y"))
     at = sheet.read(text)
     looked = outside = 0
     while looked < points:

@@ -136,9 +136,9 @@ def _proves(kind: str, claim: Mapping[str, Any]) -> str:
         return ""
     if not claim["slack"]:
         return "left <= right on the whole domain, exactly"
-    room = f"{claim['slack']:g} {claim['unit']}"
+    slack = f"{claim['slack']:g} {claim['unit']}"
     return (
-        f"left <= right + {room} on the whole domain, not left <= right: proved to within {room}; "
+        f"left <= right + {slack} on the whole domain, not left <= right: proved to within {slack}; "
         "a rate that may be positive by that much is no proof of asymptotic stability"
     )
 

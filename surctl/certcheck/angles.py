@@ -54,7 +54,7 @@ def _half_pi(bits: int) -> int:
 
 def _ends(value: int) -> Interval:
     """The interval about a fixed-point number that is off by less than _OFF units."""
-    low, high = (libmp.from_man_exp(value + off, -_W, BITS, way) for off, way in ((-_OFF, "f"), (_OFF, "c")))
+    low, high = (libmp.from_man_exp(value + off, -_W, BITS, rounding) for off, rounding in ((-_OFF, "f"), (_OFF, "c")))
     return low, high
 
 
@@ -228,7 +228,7 @@ def arccos(x: Interval) -> Interval:
 def _arccos_of(x: Raw) -> Interval:
     """Of one number: (1 − x)(1 + x) and its root are rounded either way, and the angle is monotone in the root."""
     ends = []
-    for way in "fc":
-        factors = (step(libmp.fone, x, 2 * BITS, way) for step in (libmp.mpf_sub, libmp.mpf_add))
-        ends.append(libmp.mpf_sqrt(libmp.mpf_mul(*factors, 2 * BITS, way), 2 * BITS, way))
+    for rounding in "fc":
+        factors = (step(libmp.fone, x, 2 * BITS, rounding) for step in (libmp.mpf_sub, libmp.mpf_add))
+        ends.append(libmp.mpf_sqrt(libmp.mpf_mul(*factors, 2 * BITS, rounding), 2 * BITS, rounding))
     return angle((ends[0], ends[1]), (x, x))

@@ -20,7 +20,9 @@ from surctl.certcheck.region_claim import read_claim as read_region
 __all__ = ["Belonging", "compare"]
 
 _ROUNDING = "rounding: what is proved holds for real numbers, the bundle computes in {}"
-_TOLD_TRUTH = "senses: it is about the law that is told true positions, the bundle senses for itself"
+_GROUND_TRUTH = (
+    "perception: the certificate covers the law with true positions as input; the bundle perceives for itself"
+)
 _KINEMATIC = "dynamics, sampling and sensing: it is an inequality about the loop of its variables, in their ranges"
 _RULE = "law: it is about a rule that brakes in time, which the exported law does not follow"
 _ALIKE = (
@@ -66,11 +68,11 @@ def compare(document: Mapping[str, Any], manifest: Manifest) -> Belonging:
         document: the certificate.
         manifest: of the bundle.
     """
-    found = _Comparison(document["claim"], manifest)
-    {"region": found.region, "braking": found.braking, "heading": found.heading}.get(
-        document["kind"], found.inequality
+    comparison = _Comparison(document["claim"], manifest)
+    {"region": comparison.region, "braking": comparison.braking, "heading": comparison.heading}.get(
+        document["kind"], comparison.inequality
     )()
-    return Belonging(tuple(found.differs), tuple(found.excludes))
+    return Belonging(tuple(comparison.differs), tuple(comparison.excludes))
 
 
 class _Comparison:
@@ -84,10 +86,10 @@ class _Comparison:
     def inequality(self) -> None:
         name = str(self.claim["name"])
         self.excludes += [_KINEMATIC, _ROUNDING.format(self.manifest.real)]
-        wanted = self.manifest.claims.get(name)
-        if wanted is None:
+        expected = self.manifest.claims.get(name)
+        if expected is None:
             self.differs.append(f"claim {name!r} does not concern the exported law, so it is not bound to the bundle")
-        elif wanted != stated_sha256(self.claim):
+        elif expected != stated_sha256(self.claim):
             self.differs.append(f"claim {name!r} for the bundle's gains, vehicle and cruise is another one")
         elif name.startswith("braking-"):
             for variable in self.claim["variables"]:
@@ -116,7 +118,7 @@ class _Comparison:
             self.excludes.append("lag of the thrusters")
         else:
             self._within("thrust_lag", vehicle["lag_s"], ("thrust_lag",))
-        self._senses()
+        self._perception()
 
     def braking(self) -> None:
         read_braking(self.claim)
@@ -137,8 +139,8 @@ class _Comparison:
         cap = self._gains("cap")
         self._at_most("speed", met["fastest_m_per_s"], "m/s", cap)
         if cap and cap[0] > met["sideways_m_per_s"]:
-            told = f"more than {met['sideways_m_per_s']!r} m/s, of {cap[0]!r} m/s that may be asked for"
-            self.excludes.append(f"speed across the direction of the obstacle: {told}")
+            text = f"more than {met['sideways_m_per_s']!r} m/s, of {cap[0]!r} m/s that may be asked for"
+            self.excludes.append(f"speed across the direction of the obstacle: {text}")
         self._period(self.claim["watch"]["period_s"])
         if law is None:
             self.excludes.append(_RULE)
@@ -150,7 +152,7 @@ class _Comparison:
             self._at_least("thrust_limit", law["limit_n"], "N", self._gains("thrust_limit")[at : at + 1])
         for at, key in enumerate(_STOPPING):
             self._gain("stopping", law["stopping"][key], at)
-        self._senses()
+        self._perception()
 
     # ---- numbers
 
@@ -167,12 +169,12 @@ class _Comparison:
     def _unknown(self, what: str) -> None:
         self.differs.append(f"{what}: not known of this bundle; export the controller again")
 
-    def _gain(self, name: str, wanted: float, at: int = 0) -> None:
+    def _gain(self, name: str, certified: float, at: int = 0) -> None:
         have = self._gains(name)
         if len(have) <= at:
             self._unknown(f"{name}[{at}]")
-        elif have[at] != wanted:
-            self.differs.append(f"{name}[{at}]: {wanted!r} certified, {have[at]!r} exported")
+        elif have[at] != certified:
+            self.differs.append(f"{name}[{at}]: {certified!r} certified, {have[at]!r} exported")
 
     def _believed(self, law: Mapping[str, Any]) -> None:
         """What the law believes of surge and of sway."""
@@ -180,17 +182,17 @@ class _Comparison:
             for axis in (0, 1):
                 self._gain(port, law[key], axis)
 
-    def _at_least(self, what: str, wanted: float, unit: str, have: Sequence[float]) -> None:
+    def _at_least(self, what: str, certified: float, unit: str, have: Sequence[float]) -> None:
         if not have:
             self._unknown(what)
-        elif min(have) < wanted:
-            self.differs.append(f"{what}: at least {wanted!r} {unit} certified, {min(have)!r} exported")
+        elif min(have) < certified:
+            self.differs.append(f"{what}: at least {certified!r} {unit} certified, {min(have)!r} exported")
 
-    def _at_most(self, what: str, wanted: float, unit: str, have: Sequence[float]) -> None:
+    def _at_most(self, what: str, certified: float, unit: str, have: Sequence[float]) -> None:
         if not have:
             self._unknown(what)
-        elif max(have) > wanted:
-            self.differs.append(f"{what}: at most {wanted!r} {unit} certified, {max(have)!r} exported")
+        elif max(have) > certified:
+            self.differs.append(f"{what}: at most {certified!r} {unit} certified, {max(have)!r} exported")
 
     def _within(self, what: str, ends: Sequence[float], names: Sequence[str]) -> None:
         """The vehicle's numbers lie in what is certified; where its file gives wider ranges, that is not covered."""
@@ -204,14 +206,14 @@ class _Comparison:
                 self.differs.append(f"{what}: {low!r} to {high!r} certified, the vehicle's {name} is {value!r}")
         stated = [self.ranges[name] for name in names if name in self.ranges]
         if stated and (min(a for a, _ in stated) < low or max(b for _, b in stated) > high):
-            told = f"{min(a for a, _ in stated)!r} to {max(b for _, b in stated)!r} by the vehicle's file"
-            self.excludes.append(f"{what}: {told}, {low!r} to {high!r} certified")
+            text = f"{min(a for a, _ in stated)!r} to {max(b for _, b in stated)!r} by the vehicle's file"
+            self.excludes.append(f"{what}: {text}, {low!r} to {high!r} certified")
 
-    def _lower_ends(self, what: str, wanted: float, unit: str) -> None:
+    def _lower_ends(self, what: str, certified: float, unit: str) -> None:
         """What the vehicle's file leaves of a limit."""
         least = [self.ranges[name][0] for name in _LIMITS if name in self.ranges]
-        if least and min(least) < wanted:
-            self.excludes.append(f"{what}: {min(least)!r} {unit} by the vehicle's file, {wanted!r} certified")
+        if least and min(least) < certified:
+            self.excludes.append(f"{what}: {min(least)!r} {unit} by the vehicle's file, {certified!r} certified")
 
     # ---- what all share
 
@@ -241,12 +243,12 @@ class _Comparison:
                     f"{what}: surge and sway alike to {asymmetry!r} certified, {pair[0]!r} and {pair[1]!r} exported"
                 )
 
-    def _period(self, wanted: float) -> None:
-        if wanted == 0:
+    def _period(self, certified: float) -> None:
+        if certified == 0:
             self.excludes.append("sampling: commands that are held for a period")
-        elif wanted != self.manifest.period:
-            self.differs.append(f"period: {wanted!r} s certified, {self.manifest.period!r} s exported")
+        elif certified != self.manifest.period:
+            self.differs.append(f"period: {certified!r} s certified, {self.manifest.period!r} s exported")
 
-    def _senses(self) -> None:
+    def _perception(self) -> None:
         if self.claim["sha256_law"] == self.manifest.laws[1] != self.manifest.laws[0]:
-            self.excludes.append(_TOLD_TRUTH)
+            self.excludes.append(_GROUND_TRUTH)

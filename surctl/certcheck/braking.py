@@ -16,7 +16,15 @@ from fractions import Fraction
 from typing import Any
 
 from surctl.certcheck.braking_claim import BrakingClaim, GuardedLaw, read_claim
-from surctl.certcheck.braking_way import Forces, Way, drag, forces, pushed, read_way, rounded
+from surctl.certcheck.braking_distance import (
+    BrakingDistance,
+    Forces,
+    drag,
+    forces,
+    largest_disturbance,
+    read_distance,
+    rounded,
+)
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_claim import record
@@ -35,17 +43,17 @@ def check(document: Mapping[str, Any]) -> None:
     """
     record(document, ("format", "version", "kind", "claim", "proof", "sha256"), "the certificate")
     claim = read_claim(document.get("claim"))
-    given = record(document.get("proof"), ("ways",), "proof")["ways"]
-    if not isinstance(given, list) or len(given) != len(claim.obstacles):
-        raise Rejected("proof.ways must have a table for each obstacle")
+    tables = record(document.get("proof"), ("distances",), "proof")["distances"]
+    if not isinstance(tables, list) or len(tables) != len(claim.obstacles):
+        raise Rejected("proof.distances must have a table for each obstacle")
     _check_steady(claim)
     _check_limit(claim)
     for column, obstacle in enumerate(claim.obstacles):
         at = forces(claim, obstacle)
-        way = read_way(claim, at, given[column])
-        _check_figures(claim, at, way, column)
+        distance = read_distance(claim, at, tables[column])
+        _check_figures(claim, at, distance, column)
         if claim.law is not None:
-            _check_law(claim, claim.law, at, way)
+            _check_law(claim, claim.law, at, distance)
 
 
 def _check_steady(claim: BrakingClaim) -> None:
@@ -61,13 +69,15 @@ def _check_limit(claim: BrakingClaim) -> None:
 
     def left(obstacle: Fraction) -> Fraction:
         through = obstacle + claim.current
-        return claim.brake - pushed(claim, through) - drag(claim, through)
+        return claim.brake - largest_disturbance(claim, through) - drag(claim, through)
 
     if not left(claim.limit + Fraction(1, _FIGURE)) < 0 <= left(claim.limit):
         raise Rejected("the limit speed of an obstacle is another one")
 
 
-def needed(claim: BrakingClaim, at: Forces, way: Way, low: Fraction, high: Fraction, since: Fraction) -> Fraction:
+def needed(
+    claim: BrakingClaim, at: Forces, distance: BrakingDistance, low: Fraction, high: Fraction, since: Fraction
+) -> Fraction:
     """Range [m] that is enough for a period without braking at any measured speed from low to high [m/s].
 
     `since` is the largest speed since the echo, as measured.
@@ -76,9 +86,9 @@ def needed(claim: BrakingClaim, at: Forces, way: Way, low: Fraction, high: Fract
     """
     closing, period = high + claim.speed_error + at.obstacle, claim.period
     astern = max(at.through, claim.current + claim.speed_error - low)
-    gain = (claim.most + pushed(claim, astern) + drag(claim, astern)) / claim.mass[0]
+    gain = (claim.most + largest_disturbance(claim, astern) + drag(claim, astern)) / claim.mass[0]
     travelled = max(closing * period + gain * period**2 / 2, Fraction(0))
-    return _stale(claim, at, since) + travelled + way.worst(claim, at, closing + gain * period, at.swing)
+    return _stale(claim, at, since) + travelled + distance.worst(claim, at, closing + gain * period, at.swing)
 
 
 def _stale(claim: BrakingClaim, at: Forces, since: Fraction) -> Fraction:
@@ -86,26 +96,26 @@ def _stale(claim: BrakingClaim, at: Forces, since: Fraction) -> Fraction:
     return claim.range_error + max(since + claim.speed_error + at.obstacle, Fraction(0)) * claim.age
 
 
-def _check_figures(claim: BrakingClaim, at: Forces, way: Way, column: int) -> None:
+def _check_figures(claim: BrakingClaim, at: Forces, distance: BrakingDistance, column: int) -> None:
     """The table: closed form without the help of drag, way with it, range needed."""
-    left = claim.brake - at.push - drag(claim, at.through)
+    left = claim.brake - at.disturbance - drag(claim, at.through)
     for row, speed in enumerate(claim.speeds):
         closing = speed + at.obstacle
         closed = max(m * (closing + at.swing / m) ** 2 / (2 * left) for m in claim.mass)
-        for name, told, found in (
+        for name, stated, computed in (
             ("closed_m", claim.closed, closed),
-            ("way_m", claim.way, way.worst(claim, at, closing, at.swing)),
-            ("needed_m", claim.needed, needed(claim, at, way, speed, speed, speed)),
+            ("distance_m", claim.distance, distance.worst(claim, at, closing, at.swing)),
+            ("needed_m", claim.needed, needed(claim, at, distance, speed, speed, speed)),
         ):
-            up = Fraction(-(-found.numerator * _FIGURE // found.denominator), _FIGURE)
-            if told[row][column] != up:
+            up = Fraction(-(-computed.numerator * _FIGURE // computed.denominator), _FIGURE)
+            if stated[row][column] != up:
                 raise Rejected(
                     f"table.{name} at {float(speed):g} m/s before {float(at.obstacle):g} m/s is {float(up):g}, "
-                    f"not {float(told[row][column]):g}"
+                    f"not {float(stated[row][column]):g}"
                 )
 
 
-def _check_law(claim: BrakingClaim, law: GuardedLaw, at: Forces, way: Way) -> None:
+def _check_law(claim: BrakingClaim, law: GuardedLaw, at: Forces, distance: BrakingDistance) -> None:
     """margin + K(b) ≥ range needed at b + x(b), for every bound b: where the law does not brake, the range is there.
 
     K(b) is the distance at which the law's bound is b, and x the excess over it at which the velocity loop asks for
@@ -120,9 +130,9 @@ def _check_law(claim: BrakingClaim, law: GuardedLaw, at: Forces, way: Way) -> No
     while cells:
         go_on()
         low, high = cells.pop()
-        held = max(law.margin + _kept(law, at, claim.period, low), least)  # the clearance is never negative
+        held = max(law.margin + _bound_distance(law, at, claim.period, low), least)  # the clearance is never negative
         fast = min(high + _excess(claim, law, high), claim.fastest)
-        enough = needed(claim, at, way, low + _excess(claim, law, low), fast, claim.fastest)
+        enough = needed(claim, at, distance, low + _excess(claim, law, low), fast, claim.fastest)
         if held < enough:
             if high - low < _FINEST:
                 raise Rejected(
@@ -144,7 +154,7 @@ def _excess(claim: BrakingClaim, law: GuardedLaw, bound: Fraction) -> Fraction:
     return rounded((claim.brake + forward) / (law.mass * law.k_v * (1 + law.gain)))
 
 
-def _kept(law: GuardedLaw, at: Forces, period: Fraction, bound: Fraction) -> Fraction:
+def _bound_distance(law: GuardedLaw, at: Forces, period: Fraction, bound: Fraction) -> Fraction:
     """K(b) [m]: the inverse of the law's bound, which goes on with its slope where that asks for a retreat."""
     force = law.brake * law.limit
     if law.barrier == "simple":
@@ -157,18 +167,20 @@ def _kept(law: GuardedLaw, at: Forces, period: Fraction, bound: Fraction) -> Fra
         raise Rejected("the law's own bound counts on too little before that obstacle")
     gain, swing = (most + dragged) / lightest, lag * (most + force)
     c = bound + at.obstacle + gain * period
-    found = []
+    distances = []
     for m in (lightest, heaviest):
         k, lost = m / (2 * left), swing / m
-        found.append(k * max(c, Fraction(0)) ** 2 + (period + 2 * k * lost) * c + k * lost**2 - gain * period**2 / 2)
-    return max(found)
+        distances.append(
+            k * max(c, Fraction(0)) ** 2 + (period + 2 * k * lost) * c + k * lost**2 - gain * period**2 / 2
+        )
+    return max(distances)
 
 
 def _no_clearance(law: GuardedLaw, at: Forces, claim: BrakingClaim) -> Fraction:
     """A bound [m/s] that no range that can be read asks for: margin + K below 0 by the error of a range."""
     bound = -at.obstacle
     for _ in range(10_000):
-        if law.margin + _kept(law, at, claim.period, bound) <= -claim.range_error:
+        if law.margin + _bound_distance(law, at, claim.period, bound) <= -claim.range_error:
             return bound
         bound -= _FINEST * 1000
     raise Rejected("the law's bound does not reach the obstacle")

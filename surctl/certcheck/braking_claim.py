@@ -80,12 +80,12 @@ class BrakingClaim:
         brake, most, side: F_b; largest thrust towards the obstacle, and across it.
         lag: largest τ.
         obstacles: v_o, rising.
-        current, push: of the water, and other force, towards the obstacle.
+        current, disturbance: of the water, and other force, towards the obstacle.
         sideways, turn, fastest: largest sideways speed, yaw rate while it brakes, own speed.
         period, age, range_error, speed_error: of the watch.
         law: None for the bare rule: brake, unless the range needed is there.
         speeds: rows of the table.
-        closed, way, needed: figures by speed and obstacle [m].
+        closed, distance, needed: figures by speed and obstacle [m].
         limit: speed of an obstacle up to which braking guarantees anything.
     """
 
@@ -99,7 +99,7 @@ class BrakingClaim:
     lag: Fraction
     obstacles: tuple[Fraction, ...]
     current: Fraction
-    push: Fraction
+    disturbance: Fraction
     sideways: Fraction
     turn: Fraction
     fastest: Fraction
@@ -110,7 +110,7 @@ class BrakingClaim:
     law: GuardedLaw | None
     speeds: tuple[Fraction, ...]
     closed: tuple[tuple[Fraction, ...], ...]
-    way: tuple[tuple[Fraction, ...], ...]
+    distance: tuple[tuple[Fraction, ...], ...]
     needed: tuple[tuple[Fraction, ...], ...]
     limit: Fraction
 
@@ -137,11 +137,18 @@ def read_claim(claim: Any) -> BrakingClaim:
         raise Rejected(f"claim.vehicle.drag must be one of {', '.join(DRAGS)}")
     met = record(
         top["encounter"],
-        ("obstacles_m_per_s", "current_m_per_s", "push_n", "sideways_m_per_s", "turn_rad_per_s", "fastest_m_per_s"),
+        (
+            "obstacles_m_per_s",
+            "current_m_per_s",
+            "disturbance_n",
+            "sideways_m_per_s",
+            "turn_rad_per_s",
+            "fastest_m_per_s",
+        ),
         "claim.encounter",
     )
     watch = record(top["watch"], ("period_s", "age_s", "range_error_m", "speed_error_m_per_s"), "claim.watch")
-    table = record(top["table"], ("speeds_m_per_s", "closed_m", "way_m", "needed_m"), "claim.table")
+    table = record(top["table"], ("speeds_m_per_s", "closed_m", "distance_m", "needed_m"), "claim.table")
     obstacles, speeds = _row(met["obstacles_m_per_s"], "obstacles"), _row(table["speeds_m_per_s"], "speeds")
     if list(obstacles) != sorted(set(obstacles)):
         raise Rejected("the obstacles' speeds do not rise")
@@ -150,10 +157,10 @@ def read_claim(claim: Any) -> BrakingClaim:
         rows = table[name]
         if not isinstance(rows, list) or len(rows) != len(speeds):
             raise Rejected(f"claim.table.{name} must have a row for each speed")
-        found = tuple(_row(row, name) for row in rows)
-        if any(len(row) != len(obstacles) for row in found):
+        values = tuple(_row(row, name) for row in rows)
+        if any(len(row) != len(obstacles) for row in values):
             raise Rejected(f"claim.table.{name} must have a column for each obstacle")
-        return found
+        return values
 
     def plain(part: Mapping[str, Any], name: str, *, above: bool = False) -> Fraction:
         return number(part[name], f"claim: {name}", above=above)
@@ -169,7 +176,7 @@ def read_claim(claim: Any) -> BrakingClaim:
         lag=plain(vehicle, "lag_s"),
         obstacles=obstacles,
         current=plain(met, "current_m_per_s"),
-        push=plain(met, "push_n"),
+        disturbance=plain(met, "disturbance_n"),
         sideways=plain(met, "sideways_m_per_s"),
         turn=plain(met, "turn_rad_per_s"),
         fastest=plain(met, "fastest_m_per_s", above=True),
@@ -180,7 +187,7 @@ def read_claim(claim: Any) -> BrakingClaim:
         law=None if top["law"] is None else _law(top["law"]),
         speeds=speeds,
         closed=grid("closed_m"),
-        way=grid("way_m"),
+        distance=grid("distance_m"),
         needed=grid("needed_m"),
         limit=plain(top, "limit_obstacle_m_per_s"),
     )

@@ -73,48 +73,48 @@ def read_bundle(folder: Path) -> Manifest:
     try:
         if path.stat().st_size > LARGEST:
             raise InputError(f"is larger than {LARGEST} bytes", file=path, remedy="give the folder of an export")
-        told = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(
             f"cannot be read ({error.strerror})", file=path, remedy="give the folder of an export"
         ) from None
     except (UnicodeDecodeError, ValueError, RecursionError):
         raise InputError("is not JSON", file=path, remedy="give the folder of an export") from None
-    return read_manifest(told, folder)
+    return read_manifest(document, folder)
 
 
-def read_manifest(told: Any, folder: Path | None = None) -> Manifest:
+def read_manifest(document: Any, folder: Path | None = None) -> Manifest:
     """The manifest as data; without a folder its files are not looked at.
 
     Raises:
         InputError: it is none.
     """
     try:
-        law, files = told["law"], told["sha256"]
-        gains = {str(row["name"]): tuple(float(v) for v in row["values"]) for row in told["gains"]["values"]}
-        vehicle = told.get("vehicle") or {"sha256": "", "values": {}}
+        law, files = document["law"], document["sha256"]
+        gains = {str(row["name"]): tuple(float(v) for v in row["values"]) for row in document["gains"]["values"]}
+        vehicle = document.get("vehicle") or {"sha256": "", "values": {}}
         values = {str(name): float(value) for name, value in vehicle["values"].items()}
         manifest = Manifest(
-            str(told["id"]),
-            str(told["real"]),
-            float(told["dt_s"]),
-            (str(law["sha256"]), str(law["told_truth_sha256"])),
+            str(document["id"]),
+            str(document["real"]),
+            float(document["dt_s"]),
+            (str(law["sha256"]), str(law["ground_truth_sha256"])),
             gains,
             str(vehicle["sha256"]),
-            {str(name): str(text) for name, text in told.get("claims", {}).items()},
+            {str(name): str(text) for name, text in document.get("claims", {}).items()},
             (),
             values,
             _ranges(vehicle.get("ranges")),
         )
         flat = numbers_sha256([v for row in gains.values() for v in row])
         parts = (manifest.laws[0], manifest.period.hex(), manifest.real, flat, str(law["initial_state_sha256"]))
-        wrong = [] if told["gains"]["sha256"] == flat else ["the hash of the gains is not theirs"]
+        wrong = [] if document["gains"]["sha256"] == flat else ["the hash of the gains is not theirs"]
         if manifest.vehicle and manifest.vehicle != _vehicle_sha256(values):
             wrong.append("the hash of the vehicle is not that of its numbers")
         if manifest.id != hashlib.sha256("\n".join(parts).encode()).hexdigest():
             wrong.append("the id is not that of law, period, precision, gains and initial state")
         if folder is not None:
-            wrong += _files(folder, files, f"{told['name']}.c", manifest.id)
+            wrong += _files(folder, files, f"{document['name']}.c", manifest.id)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         raise InputError(
             "is no manifest of an export, or of an older one",
@@ -124,10 +124,10 @@ def read_manifest(told: Any, folder: Path | None = None) -> Manifest:
     return Manifest(**{**vars(manifest), "wrong": tuple(wrong)})
 
 
-def _ranges(told: Any) -> dict[str, tuple[float, float]] | None:
-    if told is None:
+def _ranges(ranges: Any) -> dict[str, tuple[float, float]] | None:
+    if ranges is None:
         return None
-    ends = {str(name): (float(low), float(high)) for name, (low, high) in told.items()}
+    ends = {str(name): (float(low), float(high)) for name, (low, high) in ranges.items()}
     if not all(low <= high for low, high in ends.values()):
         raise ValueError("a range is none")
     return ends

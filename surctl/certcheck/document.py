@@ -13,7 +13,7 @@ from surctl.errors import InputError
 
 __all__ = ["FORMAT", "LARGEST", "VERSION", "Rejected", "canonical", "read", "seal"]
 
-FORMAT, VERSION = "surctl-certificate", 1
+FORMAT, VERSION = "surctl-certificate", 2
 LARGEST = 8_000_000
 """Most bytes of a certificate that is read."""
 
@@ -62,9 +62,9 @@ def seal(kind: str, claim: Mapping[str, Any], evidence: Mapping[str, Any]) -> di
         'the cases are not all choices, each once'
     """
     frame = {"format": FORMAT, "version": VERSION, "kind": kind, "claim": dict(claim)}
-    taken = sorted(set(evidence) & {*frame, "sha256"})
-    if taken:
-        raise ValueError(f"evidence bears names of the frame: {taken}")
+    clashes = sorted(set(evidence) & {*frame, "sha256"})
+    if clashes:
+        raise ValueError(f"evidence bears names of the frame: {clashes}")
     document = {**frame, **evidence}
     # what is hashed is what a reader of the file gets: tuples are lists, keys are text
     document = json.loads(canonical(document))

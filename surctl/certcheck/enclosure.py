@@ -16,8 +16,8 @@ from mpmath import libmp
 
 from surctl.certcheck.angles import BITS, Interval, angle, arccos, circle, pi
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.patience import go_on
-from surctl.certcheck.sheet import Sheet
 
 __all__ = [
     "Interval",
@@ -136,22 +136,24 @@ def over(a: Interval, b: Interval) -> Interval:
     return libmp.mpi_div(a, b, BITS)
 
 
-def enclose(sheet: Sheet, roots: Sequence[int], box: Sequence[Interval], *, order: int = 0) -> list[Jet]:
+def enclose(
+    expressions: ExpressionTable, roots: Sequence[int], box: Sequence[Interval], *, order: int = 0
+) -> list[Jet]:
     """Ranges of expressions on a box.
 
     Raises:
         Undefined: an operation in one of them is not defined on the whole box.
     """
-    made: dict[int, Jet] = {}
-    needed = sheet.needed(roots)
+    jets: dict[int, Jet] = {}
+    needed = expressions.needed(roots)
     if len(needed) * len(box) ** order > _MOST:
         raise Rejected("an expression has too many derivatives to be checked")
     for k, at in enumerate(needed):
         if order > 1 or k % 64 == 0:
             go_on()
-        entry = sheet.entries[at]
-        made[at] = _step(entry.op, entry.value, [made[a] for a in entry.args], entry.args, box, order)
-    return [made[r] for r in roots]
+        entry = expressions.entries[at]
+        jets[at] = _step(entry.op, entry.value, [jets[a] for a in entry.args], entry.args, box, order)
+    return [jets[r] for r in roots]
 
 
 def _step(op: str, value: Fraction, args: list[Jet], at: tuple[int, ...], box: Sequence[Interval], order: int) -> Jet:

@@ -44,7 +44,7 @@ def check(document: Mapping[str, Any]) -> None:
             raise Rejected(f"{name} is not positive definite")
     if any(p[i][j] for i, j in _MIRRORED):
         raise Rejected("P is not its own mirror image in the path")
-    _check_reach(claim, p, p_z)
+    _check_extent(claim, p, p_z)
     _check_heave(claim, p_z)
     check_identity(claim, random.Random(6))
     check_cells(claim, np.array([[float(entry) for entry in row] for row in p]))
@@ -58,14 +58,14 @@ def _matrix(rows: Any, size: int, where: str) -> Matrix:
     return [[lower[max(i, j)][min(i, j)] for j in range(size)] for i in range(size)]
 
 
-def _check_reach(claim: HeadingClaim, p: Matrix, p_z: Matrix) -> None:
-    """Offset and depth lie in the region, the reach is that of some point, and it rests within `settled`."""
+def _check_extent(claim: HeadingClaim, p: Matrix, p_z: Matrix) -> None:
+    """Offset and depth lie in the region, the reach is that of some point, and it rests within `ultimate_bound`."""
     v, k1 = claim.law["cruise"], claim.law["k1"]
     for command in claim.command:
         if command <= 0:
             raise Rejected("at rest beside its target it would have to go backwards")
         away = (v - command) / k1
-        if abs(away) > claim.settled:
+        if abs(away) > claim.ultimate_bound:
             raise Rejected(f"it settles within {float(abs(away)):.4g} m only")
         start = [-away, claim.offset, *[Fraction(0)] * 4]
         if quadratic(p, start) > 1 or quadratic(p, [-away, -claim.offset, *[Fraction(0)] * 4]) > 1:
@@ -74,8 +74,8 @@ def _check_reach(claim: HeadingClaim, p: Matrix, p_z: Matrix) -> None:
         raise Rejected(f"{float(claim.beside):g} m beside the point of rest is not in the region")
     covariance = inverse(p)
     for k, name in enumerate(("x_e", "y_e", "psi")):
-        if claim.reach[k] ** 2 > covariance[k][k]:
-            raise Rejected(f"no point of the region has {name} = {float(claim.reach[k]):g}")
+        if claim.extent[k] ** 2 > covariance[k][k]:
+            raise Rejected(f"no point of the region has {name} = {float(claim.extent[k]):g}")
     if p_z[0][0] * claim.depth**2 > 1:
         raise Rejected(f"a depth error of {float(claim.depth):g} m is not in the region")
 
@@ -83,13 +83,13 @@ def _check_reach(claim: HeadingClaim, p: Matrix, p_z: Matrix) -> None:
 def _check_heave(claim: HeadingClaim, p: Matrix) -> None:
     """(z, w): ż = w, m33 ẇ = −φ m̂33 k (w + k_z z) − σ w, in exact numbers."""
     covariance = inverse(p)
-    push, k_z = claim.law["heave_mass_kg"] * claim.law["k"], claim.law["k_z"]
+    velocity_gain, k_z = claim.law["heave_mass_kg"] * claim.law["k"], claim.law["k_z"]
     linear, square = claim.ranges["heave_linear"], claim.ranges["heave_quadratic"]
     drags = (linear[0], linear[1] + square[1] * root_up(covariance[1][1]))
-    force = push * root_up(quadratic(covariance, [k_z, Fraction(1)]))
+    force = velocity_gain * root_up(quadratic(covariance, [k_z, Fraction(1)]))
     share = min(Fraction(1), claim.limits["heave_n"] / force)
     for mass, drag, part in product(claim.ranges["heave_mass_kg"], drags, {share, Fraction(1)}):
-        a = [[Fraction(0), Fraction(1)], [-part * push * k_z / mass, -(part * push + drag) / mass]]
+        a = [[Fraction(0), Fraction(1)], [-part * velocity_gain * k_z / mass, -(part * velocity_gain + drag) / mass]]
         half = [[sum((p[i][k] * a[k][j] for k in (0, 1)), Fraction(0)) for j in (0, 1)] for i in (0, 1)]
         if not is_positive_definite(
             [[-half[i][j] - half[j][i] - claim.rate * p[i][j] for j in (0, 1)] for i in (0, 1)]

@@ -34,7 +34,7 @@ class _Form:
     change: Array
     covariance: Array
     shape: Array
-    told: Array
+    regression: Array
     rest: Array
 
 
@@ -47,9 +47,9 @@ def _form(p: Array) -> _Form:
         raise Rejected("P is too ill-conditioned for double precision")
     two = np.ix_((2, 1), (2, 1))
     shape = np.asarray(np.linalg.inv(covariance[two]), dtype=np.float64)
-    told = covariance[:, (2, 1)] @ shape
-    rest = covariance - told @ covariance[(2, 1), :]
-    return _Form(p, np.tril(change), covariance, shape, told, (rest + rest.T) / 2)
+    regression = covariance[:, (2, 1)] @ shape
+    rest = covariance - regression @ covariance[(2, 1), :]
+    return _Form(p, np.tril(change), covariance, shape, regression, (rest + rest.T) / 2)
 
 
 def _inside(form: _Form, psi: Array, y: Array, half: Array) -> Array:
@@ -62,7 +62,7 @@ def _inside(form: _Form, psi: Array, y: Array, half: Array) -> Array:
 
 def _largest(form: _Form, row: Plane, psi: Array, y: Array, half: Array, least: Array) -> Array:
     """Largest |row ξ| (n,) on V ≤ 1 with (ψ, y) in the cell."""
-    mean = np.einsum("nk,kj->nj", row.mid, form.told)
+    mean = np.einsum("nk,kj->nj", row.mid, form.regression)
     centre = np.abs(mean[:, 0] * psi + mean[:, 1] * y)
     moved = np.abs(mean[:, 0]) * half[0] + np.abs(mean[:, 1]) * half[1]
     own = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", row.mid, form.rest, row.mid), 0) + 1e-12)
@@ -87,10 +87,10 @@ def check_cells(claim: HeadingClaim, matrix: Array, *, most: int = _MOST) -> int
     """
     form = _form(matrix)
     law = {key: float(value) for key, value in claim.law.items()}
-    reach = np.sqrt(np.diag(form.covariance)) * _UP + 1e-9
-    if reach[2] > 1.5:
+    extent = np.sqrt(np.diag(form.covariance)) * _UP + 1e-9
+    if extent[2] > 1.5:
         raise Rejected("the region reaches beyond a heading of 1.5 rad")
-    psi_edges, y_edges = np.linspace(-reach[2], reach[2], 17), np.linspace(0, reach[1], 9)
+    psi_edges, y_edges = np.linspace(-extent[2], extent[2], 17), np.linspace(0, extent[1], 9)
     cells = [g.ravel() for g in np.meshgrid(
         (psi_edges[1:] + psi_edges[:-1]) / 2, (y_edges[1:] + y_edges[:-1]) / 2)]  # fmt: skip
     psi, y = cells
@@ -99,8 +99,8 @@ def check_cells(claim: HeadingClaim, matrix: Array, *, most: int = _MOST) -> int
     count = 0
     for depth in range(_DEPTH + 1):
         least = _inside(form, psi, y, half)
-        kept = ~(least > 1)
-        psi, y, least = psi[kept], y[kept], least[kept]
+        inside = ~(least > 1)
+        psi, y, least = psi[inside], y[inside], least[inside]
         count += len(psi)
         if count > most:
             break
@@ -123,7 +123,7 @@ def _fails(
     go_on()
     ranges = {key: (float(low), float(high)) for key, (low, high) in claim.ranges.items()}
     limits = {key: float(value) for key, value in claim.limits.items()}
-    v, push = law["cruise"], float(claim.push)
+    v, velocity_gain = law["cruise"], float(claim.velocity_gain)
     low, high = claim.command
     at = rows(law, (float(low), float(high)), psi, y, half)
 
@@ -136,8 +136,8 @@ def _fails(
     if left <= 0:
         raise Rejected("the steady cruise needs all the thrust")
     surge = [p + at.surge.times(-1.0) for p in at.place]
-    share_u = _share(left, push * np.maximum(most(surge[0]), most(surge[1])))
-    share_v, share_r = _share(limits["sway_n"], push * side), _share(limits["yaw_nm"], most(at.yaw))
+    share_u = _share(left, velocity_gain * np.maximum(most(surge[0]), most(surge[1])))
+    share_v, share_r = _share(limits["sway_n"], velocity_gain * side), _share(limits["yaw_nm"], most(at.yaw))
     bound = 2 * (share_u < 1) + (share_r < 1)
     if np.any(bound != bound[0]):  # cells without saturation have fewer vertices: apart
         split = np.empty(len(psi), dtype=bool)
@@ -158,13 +158,15 @@ def _fails(
     own_rate = float(claim.rate) * (form.change @ form.p @ form.change.T)
     failed = np.zeros(len(psi), dtype=bool)
     # sway's thrust and drag are one number: (φ_v m k + σ_v) v
-    abeam = [push * share_v + sway[0], push + sway[1]]
+    abeam = [velocity_gain * share_v + sway[0], velocity_gain + sway[1]]
     moves = product(sorted(set(ranges["mass_kg"])), at.place, _pair(share_u), (slow, quick), abeam)
     for mass, place, pu, du, held in moves:
         k = np.flatnonzero(~failed)
-        ahead = place.at(k).times((push * pu)[k, None]) + at.surge.at(k).times(-(push * pu + du)[k, None])
-        pushed = _product(at.ahead.at(k).times(1 / mass), ahead)
-        moved = _part(form, pushed + _product(at.abeam.at(k).times(1 / mass), at.sway.at(k).times(-held[k, None])))
+        ahead = place.at(k).times((velocity_gain * pu)[k, None]) + at.surge.at(k).times(
+            -(velocity_gain * pu + du)[k, None]
+        )
+        driven = _product(at.ahead.at(k).times(1 / mass), ahead)
+        moved = _part(form, driven + _product(at.abeam.at(k).times(1 / mass), at.sway.at(k).times(-held[k, None])))
         for turned in turns:
             mid, tilt, tip = (-(still[n][k] + moved[n] + turned[n][k]) for n in range(3))
             off = still[3][k] + moved[3] + turned[3][k] + _ROUNDING * float(claim.rate)
@@ -187,15 +189,15 @@ _KINEMATIC[0, 3] = _KINEMATIC[1, 4] = _KINEMATIC[2, 5] = 1
 def _part(form: _Form, loop: Plane) -> tuple[Array, Array, Array, Array]:
     """T (P A + Aᵀ P) Tᵀ (n, 6, 6): middle and both slopes over the cell, and its error in the spectral norm (n,)."""
     t = form.change
-    found = []
+    halves = []
     for part in (loop.mid, loop.psi, loop.y):
         half = (t @ form.p) @ part @ t.T
-        found.append(half + half.transpose(0, 2, 1))
+        halves.append(half + half.transpose(0, 2, 1))
     weight, side = np.abs(t) @ np.abs(form.p), np.abs(t).T
     spread = weight @ (loop.radius + _ROUNDING * (np.abs(loop.mid) + loop.spread)) @ side
     # |X + Xᵀ| is at most the sum of X's largest row and largest column
     off = spread.sum(axis=2).max(axis=1) + spread.sum(axis=1).max(axis=1)
-    return found[0], found[1], found[2], off * _UP + 1e-12
+    return halves[0], halves[1], halves[2], off * _UP + 1e-12
 
 
 def _positive(m: Array) -> NDArray[np.bool_]:

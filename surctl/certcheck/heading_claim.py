@@ -48,9 +48,9 @@ class HeadingClaim:
         rate: a of V̇ ≤ −a V [1/s].
         offset: |y_e| [m] in the region with x_e = 0, the heading along the path and the target's velocity.
         beside: the same |y_e| at the place x* along the path where it comes to rest.
-        reach: |x|, |y| [m] and |ψ| [rad] that some point of the region has.
+        extent: |x|, |y| [m] and |ψ| [rad] that some point of the region has.
         depth: |z_e| [m] in the region with no heave velocity.
-        settled: largest |x_e| [m] where it comes to rest; y_e, z_e and ψ go to 0.
+        ultimate_bound: largest |x_e| [m] where it comes to rest; y_e, z_e and ψ go to 0.
     """
 
     ranges: Mapping[str, Pair]
@@ -59,12 +59,12 @@ class HeadingClaim:
     rate: Fraction
     offset: Fraction
     beside: Fraction
-    reach: tuple[Fraction, Fraction, Fraction]
+    extent: tuple[Fraction, Fraction, Fraction]
     depth: Fraction
-    settled: Fraction
+    ultimate_bound: Fraction
 
     @property
-    def push(self) -> Fraction:
+    def velocity_gain(self) -> Fraction:
         """m k of the law [N s/m]."""
         return self.law["mass_kg"] * self.law["k"]
 
@@ -80,7 +80,7 @@ class HeadingClaim:
         """Least and largest surge command at rest in the moving frame [m/s]."""
         v = self.law["cruise"]
         fed = self.law["linear_drag"] * v + self.law["quadratic_drag"] * v * v
-        low, high = (v + (trim - fed) / self.push for trim in self.trim)
+        low, high = (v + (trim - fed) / self.velocity_gain for trim in self.trim)
         return low, high
 
 
@@ -101,7 +101,7 @@ def read_claim(claim: Any) -> HeadingClaim:
     limits = record(vehicle["limits"], _LIMITS, "claim.vehicle.limits")
     law = record(top["law"], _LAW, "claim.law")
     motion = record(
-        top["motion"], ("rate_per_s", "offset_m", "beside_m", "reach", "depth_m", "settled_m"), "claim.motion"
+        top["motion"], ("rate_per_s", "offset_m", "beside_m", "extent", "depth_m", "ultimate_bound_m"), "claim.motion"
     )
     ranges = {}
     for key in _RANGES:
@@ -113,10 +113,10 @@ def read_claim(claim: Any) -> HeadingClaim:
         if low > high:
             raise Rejected(f"claim.vehicle.{key}: the least exceeds the largest")
         ranges[key] = (low, high)
-    reach = motion["reach"]
-    if not isinstance(reach, list) or len(reach) != 3:
-        raise Rejected("claim.motion.reach must be [x, y, psi]")
-    x, y, psi = (number(entry, "claim.motion.reach", above=True) for entry in reach)
+    extent = motion["extent"]
+    if not isinstance(extent, list) or len(extent) != 3:
+        raise Rejected("claim.motion.extent must be [x, y, psi]")
+    x, y, psi = (number(entry, "claim.motion.extent", above=True) for entry in extent)
     drag = ("linear_drag", "quadratic_drag")
     return HeadingClaim(
         ranges=ranges,
@@ -125,7 +125,7 @@ def read_claim(claim: Any) -> HeadingClaim:
         rate=number(motion["rate_per_s"], "claim.motion.rate_per_s", above=True),
         offset=number(motion["offset_m"], "claim.motion.offset_m", above=True),
         beside=number(motion["beside_m"], "claim.motion.beside_m", above=True),
-        reach=(x, y, psi),
+        extent=(x, y, psi),
         depth=number(motion["depth_m"], "claim.motion.depth_m", above=True),
-        settled=number(motion["settled_m"], "claim.motion.settled_m"),
+        ultimate_bound=number(motion["ultimate_bound_m"], "claim.motion.ultimate_bound_m"),
     )

@@ -27,11 +27,11 @@ def commanded_thrust(law: dict[str, float], state: list[float]) -> tuple[float, 
     """Surge, sway [N] and yaw [N m] of (11), (12) and the velocity loops at (x_e, y_e, ψ, u, v, r); no limits."""
     x_e, y_e, psi, u, v, r = state
     q = math.hypot(y_e, law["lookahead"])
-    wanted = (law["cruise"] - law["k1"] * x_e) * q / law["lookahead"]
+    desired = (law["cruise"] - law["k1"] * x_e) * q / law["lookahead"]
     fed = law["linear_drag"] * law["cruise"] + law["quadratic_drag"] * law["cruise"] ** 2
     turn = r + law["k_psi"] * (psi + math.atan(y_e / law["lookahead"]))
     return (
-        law["mass_kg"] * law["k"] * (wanted - u) + fed,
+        law["mass_kg"] * law["k"] * (desired - u) + fed,
         -law["mass_kg"] * law["k"] * v,
         -law["yaw_inertia_kg_m2"] * law["k_r"] * turn,
     )
@@ -63,18 +63,18 @@ def check_identity(claim: HeadingClaim, draw: random.Random) -> None:
         Rejected: they differ.
     """
     law = {key: float(value) for key, value in claim.law.items()}
-    v, push = law["cruise"], float(claim.push)
+    v, velocity_gain = law["cruise"], float(claim.velocity_gain)
     for _ in range(_SAMPLES):
         boat = {key: draw.uniform(*map(float, pair)) for key, pair in claim.ranges.items()}
         trim = boat["surge_linear"] * v + boat["surge_quadratic"] * v * v
-        command = v + (trim - law["linear_drag"] * v - law["quadratic_drag"] * v * v) / push
+        command = v + (trim - law["linear_drag"] * v - law["quadratic_drag"] * v * v) / velocity_gain
         state = [draw.uniform(-1, 1) for _ in range(3)] + [draw.uniform(-0.3, 0.3) for _ in range(3)]
         psi, r = state[2], state[5]
         c, s = math.cos(psi), math.sin(psi)
         rate = true_rate(law, boat, state, commanded_thrust(law, state))
         turned = [c * rate[3] - s * rate[4], s * rate[3] + c * rate[4]]
         speed = [c * state[3] - s * state[4], s * state[3] + c * state[4]]
-        told = [rate[0], rate[1], rate[2], turned[0] - r * speed[1], turned[1] + r * speed[0], rate[5]]
+        expected = [rate[0], rate[1], rate[2], turned[0] - r * speed[1], turned[1] + r * speed[0], rate[5]]
         xi = np.array([state[0] - (v - command) / law["k1"], state[1], psi, speed[0] - v, speed[1], r])
         none = np.zeros(2)
         at = rows(law, (command, command), np.array([psi]), np.array([state[1]]), none)
@@ -83,10 +83,10 @@ def check_identity(claim: HeadingClaim, draw: random.Random) -> None:
             raise Rejected("the rows of the velocity are not the vehicle's at a sampled place")
         u, w = state[3], state[4]
         lost = boat["surge_linear"] * fast + boat["surge_quadratic"] * (u * abs(u) - v * v)
-        ahead = push * (float(at.place[0].mid[0] @ xi) - fast) - lost
-        abeam = -push * side - boat["sway_linear"] * w - boat["sway_quadratic"] * w * abs(w)
+        ahead = velocity_gain * (float(at.place[0].mid[0] @ xi) - fast) - lost
+        abeam = -velocity_gain * side - boat["sway_linear"] * w - boat["sway_quadratic"] * w * abs(w)
         moved = (at.ahead.mid[0] * ahead + at.abeam.mid[0] * abeam) / boat["mass_kg"]
         spin = float(at.yaw.mid[0] @ xi) - boat["yaw_linear"] * r - boat["yaw_quadratic"] * r * abs(r)
         own = [*xi[3:], moved[3], moved[4], spin / boat["yaw_inertia_kg_m2"]]
-        if max(abs(a - b) for a, b in zip(told, own, strict=True)) > 1e-9:
+        if max(abs(a - b) for a, b in zip(expected, own, strict=True)) > 1e-9:
             raise Rejected("the inclusion is not the loop at a sampled place")

@@ -13,8 +13,8 @@ from fractions import Fraction
 from math import isqrt, lcm
 
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.patience import go_on
-from surctl.certcheck.sheet import Sheet
 
 __all__ = ["Exact", "Fraction_"]
 
@@ -38,9 +38,9 @@ class Exact:
         assumed: polynomials that must be positive for what was concluded.
     """
 
-    def __init__(self, sheet: Sheet) -> None:
-        self._sheet = sheet
-        self._made: dict[int, Fraction_] = {}
+    def __init__(self, expressions: ExpressionTable) -> None:
+        self._expressions = expressions
+        self._values: dict[int, Fraction_] = {}
         self._held = 0
         self._inside: dict[str, Sum] = {}  # what stands under a root
         self._angles: dict[str, tuple[Fraction_, Fraction_]] = {}  # cosine and sine of inverse angles
@@ -120,18 +120,18 @@ class Exact:
 
     def of(self, root: int) -> Fraction_:
         """The fraction of an expression."""
-        for at in self._sheet.needed([root]):
-            if at not in self._made:
+        for at in self._expressions.needed([root]):
+            if at not in self._values:
                 go_on()
-                self._made[at] = self._step(at)
-                self._held += sum(map(len, self._made[at]))
+                self._values[at] = self._step(at)
+                self._held += sum(map(len, self._values[at]))
                 if self._held > _HELD:
                     raise Rejected(_TOO_LARGE)
-        return self._made[root]
+        return self._values[root]
 
     def _step(self, at: int) -> Fraction_:
-        entry = self._sheet.entries[at]
-        args = [self._made[a] for a in entry.args]
+        entry = self._expressions.entries[at]
+        args = [self._values[a] for a in entry.args]
         match entry.op:
             case "num":
                 return ({(): entry.value} if entry.value else {}), _ONE

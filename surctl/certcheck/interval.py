@@ -38,9 +38,9 @@ from surctl.certcheck.enclosure import (
     rational,
     span,
 )  # fmt: skip
+from surctl.certcheck.expressions import BRANCHES, FUNCTIONS, ExpressionTable
 from surctl.certcheck.identity import Exact, Fraction_, Sum
 from surctl.certcheck.patience import go_on
-from surctl.certcheck.sheet import BRANCHES, FUNCTIONS, Sheet
 
 __all__ = ["check"]
 
@@ -87,28 +87,28 @@ class _Claim:
         self.slack = _number(claim["slack"])
         if self.slack < 0:
             raise Rejected("the slack is negative")
-        self.sheet = Sheet(names)
+        self.expressions = ExpressionTable(names)
         texts = [claim["left"], claim["right"], *_listed(claim["constraints"])]
-        self.parts = self._settled([self.sheet.read(t) for t in texts])
+        self.parts = self._substituted([self.expressions.read(t) for t in texts])
         self.cases = _listed(document["cases"])
         self.everywhere = self._defined(self.box)
 
-    def _settled(self, roots: Sequence[int]) -> list[int]:
+    def _substituted(self, roots: Sequence[int]) -> list[int]:
         """A variable of no width is the decimal number that it is."""
 
         def change(at: int, _: tuple[int, ...]) -> int | None:
-            entry = self.sheet.entries[at]
+            entry = self.expressions.entries[at]
             if entry.op != "var":
                 return None
             low, high = self.box[entry.value.numerator]
-            return self.sheet.put("num", value=Fraction(repr(low))) if low == high else None
+            return self.expressions.put("num", value=Fraction(repr(low))) if low == high else None
 
-        return self.sheet.rewritten(roots, change)
+        return self.expressions.rewritten(roots, change)
 
     def _defined(self, box: Box) -> bool:
         """Whether the claim as it is written is defined on a box."""
         try:
-            enclose(self.sheet, self.parts, [span(*ends) for ends in box])
+            enclose(self.expressions, self.parts, [span(*ends) for ends in box])
         except Undefined:
             return False
         return True
@@ -120,8 +120,8 @@ class _Claim:
         if choices != [""]:
             if len(branches) > _MOST_BRANCHES:
                 raise Rejected("too many cases")
-            wanted = {format(k, f"0{len(branches)}b") for k in range(2 ** len(branches))} if branches else {""}
-            if set(choices) != wanted or len(choices) != len(wanted):
+            expected = {format(k, f"0{len(branches)}b") for k in range(2 ** len(branches))} if branches else {""}
+            if set(choices) != expected or len(choices) != len(expected):
                 raise Rejected("the cases are not all choices, each once")
         for case in self.cases:
             go_on()
@@ -132,12 +132,12 @@ class _Claim:
 
     def _branches(self) -> list[int]:
         """Distinct abs, max, min and select in the order of reading left, right and the constraints."""
-        met, seen, waiting = list[int](), set[int](), list(reversed(self.parts))
+        met, visited, waiting = list[int](), set[int](), list(reversed(self.parts))
         while waiting:
             at = waiting.pop()
-            if at not in seen:
-                seen.add(at)
-                entry = self.sheet.entries[at]
+            if at not in visited:
+                visited.add(at)
+                entry = self.expressions.entries[at]
                 if entry.op in BRANCHES:
                     met.append(at)
                 waiting += reversed(entry.args)
@@ -146,25 +146,25 @@ class _Claim:
 
 class _CaseOf:
     def __init__(self, claim: _Claim, case: Mapping[str, Any], picked: Mapping[int, str]) -> None:
-        self.claim, self.sheet = claim, claim.sheet
+        self.claim, self.expressions = claim, claim.expressions
         chosen, conditions = self._chosen(picked)
-        self.margin = self.sheet.put("sub", chosen[0], chosen[1])
+        self.margin = self.expressions.put("sub", chosen[0], chosen[1])
         self.constraints = [*chosen[2:], *conditions]
-        self.numerator = self.sheet.read(case["numerator"])
-        self.denominators = [self.sheet.read(t) for t in _listed(case["denominators"])]
-        self.multipliers = [self.sheet.read(t) for t in _listed(case["multipliers"])]
+        self.numerator = self.expressions.read(case["numerator"])
+        self.denominators = [self.expressions.read(t) for t in _listed(case["denominators"])]
+        self.multipliers = [self.expressions.read(t) for t in _listed(case["multipliers"])]
         self.tree, self.points = case["tree"], list(reversed(_listed(case["points"])))
         if not isinstance(self.tree, str):
             raise Rejected("the tree is not a text")
 
     def _chosen(self, picked: Mapping[int, str]) -> tuple[list[int], list[int]]:
         """The claim's parts with every branch chosen, and the conditions (≤ 0) of the choices."""
-        put, conditions = self.sheet.put, dict[int, int]()
+        put, conditions = self.expressions.put, dict[int, int]()
 
         def change(at: int, args: tuple[int, ...]) -> int | None:
             if at not in picked:
                 return None
-            entry, second = self.sheet.entries[at], picked[at] == "1"
+            entry, second = self.expressions.entries[at], picked[at] == "1"
             if entry.op == "abs":
                 conditions[at] = args[0] if second else put("neg", args[0])
                 return put("neg", args[0]) if second else args[0]
@@ -173,16 +173,16 @@ class _CaseOf:
             conditions[at] = put("sub", b, a) if second == first_is_less else put("sub", a, b)
             return args[len(args) // 2 + second] if entry.op == "select" else args[int(second)]
 
-        chosen = self.sheet.rewritten(self.claim.parts, change)
+        chosen = self.expressions.rewritten(self.claim.parts, change)
         return chosen, [conditions[at] for at in picked]
 
     def check(self) -> None:
         """Signs, identity, and every leaf of the tree."""
         root = [span(*ends) for ends in self.claim.box]
-        for jet in enclose(self.sheet, self.denominators, root):
+        for jet in enclose(self.expressions, self.denominators, root):
             if not above(jet.value):
                 raise Rejected("a denominator is not positive on the whole box")
-        for jet in enclose(self.sheet, self.multipliers, root):
+        for jet in enclose(self.expressions, self.multipliers, root):
             if libmp.mpf_lt(jet.value[0], libmp.fzero):
                 raise Rejected("a multiplier may be negative")
         self._identity()
@@ -197,7 +197,7 @@ class _CaseOf:
         pairs = [(m, c) for m, c in zip(self.multipliers, self.constraints, strict=True) if not self._is_zero(m)]
         if not pairs and not self.denominators and self.numerator == self.margin:
             return
-        exactly = Exact(self.sheet)
+        exactly = Exact(self.expressions)
 
         def built(e: Exact) -> Fraction_:
             total = e.of(self.numerator)
@@ -215,7 +215,7 @@ class _CaseOf:
                 raise Rejected("what stands under a root has a denominator of unknown sign")
 
     def _is_zero(self, at: int) -> bool:
-        entry = self.sheet.entries[at]
+        entry = self.expressions.entries[at]
         return entry.op == "num" and entry.value == 0
 
     def _leaves(self) -> None:
@@ -247,17 +247,17 @@ class _CaseOf:
             good = any(self._excluded(c, wide, box) for c in self.constraints)
         elif rule in ("n", "m", "c"):
             if not (self.claim.everywhere or self.claim._defined(box)):
-                raise Rejected(f"the claim is not defined on the whole of a box: {_told(box)}")
+                raise Rejected(f"the claim is not defined on the whole of a box: {_box_text(box)}")
             good = {"n": self._natural, "m": self._mean, "c": self._tangent}[rule](box, wide)
         else:
             raise Rejected(f"{rule!r} is not a rule")
         if not good:
-            raise Rejected(f"rule {rule!r} does not settle a box: {_told(box)}")
+            raise Rejected(f"rule {rule!r} does not settle a box: {_box_text(box)}")
 
     def _excluded(self, constraint: int, wide: list[Interval], box: Box | None) -> bool:
         """Whether a constraint is positive on the whole box, by its value or by its mean-value form."""
         try:
-            jet = enclose(self.sheet, [constraint], wide, order=0 if box is None else 1)[0]
+            jet = enclose(self.expressions, [constraint], wide, order=0 if box is None else 1)[0]
             if box is None:
                 return above(jet.value)
             centre = [_middle(*ends) for ends in box]
@@ -267,7 +267,7 @@ class _CaseOf:
 
     def _linear(self, at: int, jet: Jet, box: Box, centre: Sequence[float]) -> Interval:
         """Value at a point plus slopes times offsets."""
-        total = enclose(self.sheet, [at], [exact(c) for c in centre])[0].value
+        total = enclose(self.expressions, [at], [exact(c) for c in centre])[0].value
         for slope, (low, high), c in zip(jet.slope or [], box, centre, strict=True):
             if slope is not None:
                 total = plus(total, mul(slope, libmp.mpi_sub(span(low, high), exact(c), BITS)))
@@ -277,16 +277,16 @@ class _CaseOf:
         """Whether value ≤ slack · Π denominators."""
         bound = decimal(self.claim.slack)
         if self.claim.slack:
-            for jet in enclose(self.sheet, self.denominators, wide):
+            for jet in enclose(self.expressions, self.denominators, wide):
                 bound = mul(bound, jet.value)
         return bool(libmp.mpf_le(value[1], bound[0]))
 
     def _natural(self, _: Box, wide: list[Interval]) -> bool:
-        return self._small(enclose(self.sheet, [self.numerator], wide)[0].value, wide)
+        return self._small(enclose(self.expressions, [self.numerator], wide)[0].value, wide)
 
     def _face(self, box: Box, wide: list[Interval]) -> tuple[Jet, Box, list[bool]]:
         """Slopes on the box, and its part where every variable of monotone influence is at its worse end."""
-        jet = enclose(self.sheet, [self.numerator], wide, order=1)[0]
+        jet = enclose(self.expressions, [self.numerator], wide, order=1)[0]
         face, free = Box(), []
         for slope, (low, high) in zip(jet.slope or [], box, strict=True):
             if slope is None or libmp.mpf_ge(slope[0], libmp.fzero):
@@ -300,7 +300,7 @@ class _CaseOf:
 
     def _mean(self, box: Box, wide: list[Interval]) -> bool:
         jet, face, _ = self._face(box, wide)
-        if self._small(enclose(self.sheet, [self.numerator], [span(*e) for e in face])[0].value, wide):
+        if self._small(enclose(self.expressions, [self.numerator], [span(*e) for e in face])[0].value, wide):
             return True
         centre = [_middle(*ends) for ends in face]
         return self._small(self._linear(self.numerator, jet, face, centre), wide)
@@ -311,12 +311,12 @@ class _CaseOf:
         point = [_number(x) for x in _listed(self.points.pop())]
         if len(point) != len(face) or any(not low <= x <= high for x, (low, high) in zip(point, face, strict=True)):
             raise Rejected("a tangent does not touch in its box")
-        bend = enclose(self.sheet, [self.numerator], [span(*e) for e in face], order=2)[0].bend
+        bend = enclose(self.expressions, [self.numerator], [span(*e) for e in face], order=2)[0].bend
         if not _bends_down(bend or [], free):
             return False
         # a variable at its worse end is an end and its decimal: any of them, while the free ones are concave
         touching = [exact(x) if is_free else span(*e) for x, is_free, e in zip(point, free, face, strict=True)]
-        at = enclose(self.sheet, [self.numerator], touching, order=1)[0]
+        at = enclose(self.expressions, [self.numerator], touching, order=1)[0]
         total = at.value
         for slope, is_free, e, x in zip(at.slope or [], free, face, point, strict=True):
             if is_free and slope is not None:
@@ -335,8 +335,8 @@ def _bends_down(bend: list[list[Interval]], free: list[bool]) -> bool:
             return False
         for i in range(k + 1, len(keep)):
             for j in range(k + 1, len(keep)):
-                taken = mul(over(m[i][k], pivot), m[k][j])
-                m[i][j] = m[i][j] if taken is None else plus(m[i][j], libmp.mpi_neg(taken))
+                product = mul(over(m[i][k], pivot), m[k][j])
+                m[i][j] = m[i][j] if product is None else plus(m[i][j], libmp.mpi_neg(product))
     return True
 
 
@@ -386,5 +386,5 @@ def _middle(low: float, high: float) -> float:
     return whole / 2 if math.isfinite(whole) else low / 2 + high / 2
 
 
-def _told(box: Box) -> str:
+def _box_text(box: Box) -> str:
     return ", ".join(f"[{low:.6g}, {high:.6g}]" for low, high in box)

@@ -46,7 +46,7 @@ def check(document: Mapping[str, Any]) -> None:
     hold = number(proof["hold"], "proof.hold")
     covariance, steady = inverse(p), steady_trim(claim)
     _check_offset(claim, p, steady)
-    _check_settled(claim, covariance, steady, levels[0])
+    _check_ultimate_bound(claim, covariance, steady, levels[0])
     # y, U_y, F_y → −y, −U_y, −F_y leaves such a V, and turns r round
     mirrored = not any(p[i][j] for i in range(0, len(p), 2) for j in range(1, len(p), 2))
     for k, factors in enumerate(multipliers):
@@ -76,11 +76,11 @@ def _signed(value: Any) -> Fraction:
 
 def _shells(proof: Mapping[str, Any]) -> tuple[list[Fraction], list[list[Fraction]]]:
     """Levels from the floor to 1, and the multipliers of each shell."""
-    given = proof["shells"]
-    if not isinstance(given, list) or not 1 <= len(given) <= _MOST_SHELLS:
+    shells = proof["shells"]
+    if not isinstance(shells, list) or not 1 <= len(shells) <= _MOST_SHELLS:
         raise Rejected(f"proof.shells must be 1 to {_MOST_SHELLS} shells")
     levels, multipliers = [number(proof["floor"], "proof.floor", above=True)], []
-    for entry in given:
+    for entry in shells:
         one = record(entry, ("level", "multipliers"), "a shell")
         levels.append(number(one["level"], "the level of a shell", least=levels[-1], above=True))
         factors = one["multipliers"]
@@ -102,9 +102,9 @@ def _check_offset(claim: CruiseClaim, p: Matrix, steady: Trim) -> None:
                 raise Rejected(f"a cross-track offset of {float(claim.offset):g} m is not in the region")
 
 
-def _check_settled(claim: CruiseClaim, covariance: Matrix, steady: Trim, floor: Fraction) -> None:
+def _check_ultimate_bound(claim: CruiseClaim, covariance: Matrix, steady: Trim, floor: Fraction) -> None:
     """|x_e| and |y_e| on V ≤ floor."""
     away = max(abs(omega) for omega in steady.omega) / claim.k1
     x, y = (root_up(covariance[k][k] * floor) for k in (0, 1))
-    if x + away > claim.settled[0] or y + steady.aside > claim.settled[1]:
+    if x + away > claim.ultimate_bound[0] or y + steady.aside > claim.ultimate_bound[1]:
         raise Rejected(f"it settles within {float(x + away):.4g} and {float(y + steady.aside):.4g} m only")

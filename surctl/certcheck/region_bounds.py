@@ -26,7 +26,7 @@ from surctl.certcheck.region_exact import (
 )
 from surctl.certcheck.region_trim import Trim, quarter
 
-__all__ = ["Shell", "force_rows", "force_state", "shell", "velocity", "wish"]
+__all__ = ["Shell", "desired_velocity", "force_rows", "force_state", "shell", "velocity"]
 
 _ARCS = 64
 
@@ -41,8 +41,8 @@ class Shell:
         model_drag, drag: least and largest secant slope of the drag that is fed forward, and of the true one [N s/m].
         thrust_share: φ: what is left of a command's deviation after the thrust limit lies in [φ, 1] times it.
         held: κ_5: force that is not the command of this instant, |w_5| ≤ κ_5 √V [N]; without lag, w_6 with it.
-        stirred: κ_6: with lag, the trim force's lack and what pushes from outside, |w_6| ≤ κ_6 √V [N]; else 0.
-        wish_rate: |d/dt of the commanded force by the place alone| ≤ this |δU| [N s/m/s].
+        disturbance: κ_6: with lag, the trim force's lack and what pushes from outside, |w_6| ≤ κ_6 √V [N]; else 0.
+        desired_rate: |d/dt of the commanded force by the place alone| ≤ this |δU| [N s/m/s].
     """
 
     steer: tuple[Fraction, Fraction]
@@ -51,11 +51,11 @@ class Shell:
     drag: tuple[Fraction, Fraction]
     thrust_share: Fraction
     held: Fraction
-    stirred: Fraction
-    wish_rate: Fraction
+    disturbance: Fraction
+    desired_rate: Fraction
 
 
-def wish(size: int, claim: CruiseClaim, steer: Fraction, catch: Fraction, aside: Fraction) -> Matrix:
+def desired_velocity(size: int, claim: CruiseClaim, steer: Fraction, catch: Fraction, aside: Fraction) -> Matrix:
     """δW = this ξ (2, n): the commanded velocity, about a y* of `aside`."""
     rows = zeros(2, size)
     rows[0][0], rows[1][1] = -catch, -steer / claim.lookahead
@@ -81,8 +81,11 @@ def force_rows(
     size: int, claim: CruiseClaim, slope: Fraction, steer: Fraction, catch: Fraction, aside: Fraction
 ) -> Matrix:
     """Deviation of the commanded force (2, n) [N], with this secant slope of the drag that is fed forward."""
-    push = claim.mass_model * claim.k_v
-    return add(scaled(push + slope, wish(size, claim, steer, catch, aside)), scaled(-push, velocity(size)))
+    velocity_gain = claim.mass_model * claim.k_v
+    return add(
+        scaled(velocity_gain + slope, desired_velocity(size, claim, steer, catch, aside)),
+        scaled(-velocity_gain, velocity(size)),
+    )
 
 
 def shell(claim: CruiseClaim, steady: Trim, covariance: Matrix, low: Fraction, high: Fraction) -> Shell:
@@ -99,25 +102,25 @@ def shell(claim: CruiseClaim, steady: Trim, covariance: Matrix, low: Fraction, h
             point from which the target waits; or the steady cruise itself needs more thrust than there is.
     """
     size = len(covariance)
-    reach = root_up(high)
-    x, y = (root_up(covariance[k][k]) * reach for k in (0, 1))
+    radius = root_up(high)
+    x, y = (root_up(covariance[k][k]) * radius for k in (0, 1))
     steer, catch, slant = _commanded(claim, steady, x, y)
     corners = sorted(set(product(steer, catch, (steady.aside, -steady.aside))))
 
     def gain(rows: Matrix) -> Fraction:
         return root_up(largest_eigenvalue(congruence(rows, covariance)))
 
-    e_wish = max(gain(wish(size, claim, s, k, b)) for s, k, b in corners)
+    e_desired = max(gain(desired_velocity(size, claim, s, k, b)) for s, k, b in corners)
     e_velocity = gain(velocity(size))
     model_low = claim.linear_model
-    wished = steady.command[1] + steady.drift
-    spread = claim.quadratic_model * (wished + min(claim.cap, wished + e_wish * reach))
+    desired_speed = steady.command[1] + steady.drift
+    spread = claim.quadratic_model * (desired_speed + min(claim.cap, desired_speed + e_desired * radius))
     model_drag = (model_low, model_low + spread)
     drag = (
         claim.linear[0],
-        claim.linear[1] + claim.quadratic[1] * (2 * (claim.cruise + claim.current) + e_velocity * reach),
+        claim.linear[1] + claim.quadratic[1] * (2 * (claim.cruise + claim.current) + e_velocity * radius),
     )
-    push = claim.mass_model * claim.k_v
+    velocity_gain = claim.mass_model * claim.k_v
     floor = root_down(low)
     if floor <= 0:
         raise Rejected("a shell begins at level 0")
@@ -125,19 +128,19 @@ def shell(claim: CruiseClaim, steady: Trim, covariance: Matrix, low: Fraction, h
     late = claim.period + claim.lag[1]
     still = claim.yaw_rate * late * steady.turning
     outside = steady.total + claim.force
-    stirred = outside if claim.lag[1] else Fraction(0)
-    still += outside - stirred
+    disturbance = outside if claim.lag[1] else Fraction(0)
+    still += outside - disturbance
     steepest = claim.linear_model + 2 * claim.quadratic_model * claim.cap
-    still += _misled(claim, steady, root_up(covariance[1][1]), push + steepest)
+    still += _misled(claim, steady, root_up(covariance[1][1]), velocity_gain + steepest)
     return Shell(
         steer,
         catch,
         model_drag,
         drag,
-        _thrust_share(claim, steady, covariance, corners, model_drag, reach),
+        _thrust_share(claim, steady, covariance, corners, model_drag, radius),
         still / floor,
-        stirred / floor,
-        (push + steepest) * slant,
+        disturbance / floor,
+        (velocity_gain + steepest) * slant,
     )
 
 
@@ -178,7 +181,7 @@ def _thrust_share(
     covariance: Matrix,
     corners: list[tuple[Fraction, Fraction, Fraction]],
     model_drag: tuple[Fraction, Fraction],
-    reach: Fraction,
+    radius: Fraction,
 ) -> Fraction:
     """φ: on an axis along n the trim |f| ≤ F and a deviation |δ| ≤ d leave at least (F − |f|)/d of δ.
 
@@ -202,7 +205,7 @@ def _thrust_share(
             if left <= 0:
                 raise Rejected("the steady cruise needs all the thrust")
             worst = max(c * c * g[0][0] + 2 * c * s * g[0][1] + s * s * g[1][1] for g in grams for c, s in ends)
-            deviation = root_up(worst) * reach
+            deviation = root_up(worst) * radius
             if deviation > left:
                 share = min(share, Fraction(int(left / deviation * 10**9), 10**9))
     return share

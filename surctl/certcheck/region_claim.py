@@ -47,7 +47,7 @@ class CruiseClaim:
         place_error, velocity_error: largest error of the measured place [m] and velocity [m/s], changing as they like.
         rate: a of V̇ ≤ −a V [1/s].
         offset: |y_e| [m] that lies in the region with x_e = 0 and the target's velocity.
-        settled: largest |x_e|, |y_e| [m] in the set that is reached and kept.
+        ultimate_bound: largest |x_e|, |y_e| [m] in the set that is reached and kept.
     """
 
     mass: tuple[Fraction, Fraction]
@@ -73,14 +73,14 @@ class CruiseClaim:
     velocity_error: Fraction
     rate: Fraction
     offset: Fraction
-    settled: tuple[Fraction, Fraction]
+    ultimate_bound: tuple[Fraction, Fraction]
 
 
 def record(value: Any, keys: tuple[str, ...], where: str) -> Mapping[str, Any]:
     """The object, if it has exactly these keys."""
     if not isinstance(value, dict) or set(value) != set(keys):
-        found = sorted(value) if isinstance(value, dict) else type(value).__name__
-        raise Rejected(f"{where} must have exactly the keys {', '.join(sorted(keys))}, not {found}")
+        actual = sorted(value) if isinstance(value, dict) else type(value).__name__
+        raise Rejected(f"{where} must have exactly the keys {', '.join(sorted(keys))}, not {actual}")
     return value
 
 
@@ -143,7 +143,7 @@ def read_claim(claim: Any) -> CruiseClaim:
          "period_s"),
         "claim.law",
     )  # fmt: skip
-    motion = record(top["motion"], ("rate_per_s", "offset_m", "settled_m"), "claim.motion")
+    motion = record(top["motion"], ("rate_per_s", "offset_m", "ultimate_bound_m"), "claim.motion")
     if number(law["k_i"], "claim.law.k_i"):
         raise Rejected("claim.law.k_i: integral action is not part of the loop that is certified")
     lag = _pair(vehicle["lag_s"], "claim.vehicle.lag_s")
@@ -152,9 +152,9 @@ def read_claim(claim: Any) -> CruiseClaim:
     current = number(vehicle["current_m_per_s"], "claim.vehicle.current_m_per_s")
     if current and (lag[1] or number(law["period_s"], "claim.law.period_s")):
         raise Rejected("claim.vehicle.current_m_per_s: a current together with lag or held commands is not known here")
-    settled = motion["settled_m"]
-    if not isinstance(settled, list) or len(settled) != 2:
-        raise Rejected("claim.motion.settled_m must be [x_e, y_e]")
+    ultimate_bound = motion["ultimate_bound_m"]
+    if not isinstance(ultimate_bound, list) or len(ultimate_bound) != 2:
+        raise Rejected("claim.motion.ultimate_bound_m must be [x_e, y_e]")
 
     def positive(name: str) -> Fraction:
         return number(law[name], f"claim.law.{name}", above=True)
@@ -183,8 +183,8 @@ def read_claim(claim: Any) -> CruiseClaim:
         velocity_error=number(vehicle["velocity_error_m_per_s"], "claim.vehicle.velocity_error_m_per_s"),
         rate=number(motion["rate_per_s"], "claim.motion.rate_per_s", above=True),
         offset=number(motion["offset_m"], "claim.motion.offset_m", above=True),
-        settled=(
-            number(settled[0], "claim.motion.settled_m", above=True),
-            number(settled[1], "claim.motion.settled_m", above=True),
+        ultimate_bound=(
+            number(ultimate_bound[0], "claim.motion.ultimate_bound_m", above=True),
+            number(ultimate_bound[1], "claim.motion.ultimate_bound_m", above=True),
         ),
     )

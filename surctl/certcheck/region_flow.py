@@ -29,7 +29,7 @@ _SHARE = float(MEAN_SHARE)
 
 def _flow_bounds(claim: CruiseClaim) -> tuple[Fraction, Fraction, Fraction, Fraction]:
     """Least and largest ω_x, largest |ω_y| [m/s], largest lack of the trim force [N]."""
-    v, push = float(claim.cruise), float(claim.mass_model * claim.k_v)
+    v, velocity_gain = float(claim.cruise), float(claim.mass_model * claim.k_v)
     hat, hat2, most = float(claim.linear_model), float(claim.quadratic_model), float(claim.current)
     x, y = np.meshgrid(np.linspace(-most, most, 2 * _SIDE + 1), np.linspace(0, most, _SIDE + 1))  # ± c_y are images
     step = most / _SIDE * _MARGIN
@@ -38,7 +38,7 @@ def _flow_bounds(claim: CruiseClaim) -> tuple[Fraction, Fraction, Fraction, Frac
     speed = np.hypot(*flow)
     psi = np.linspace(0, np.pi, _HEADINGS + 1)  # {B} turned by π is the same vehicle
     c, s = np.cos(psi), np.sin(psi)
-    stiff = np.array([push + hat + 2 * _SHARE * hat2 * v, push + hat + _SHARE * hat2 * v])
+    stiff = np.array([velocity_gain + hat + 2 * _SHARE * hat2 * v, velocity_gain + hat + _SHARE * hat2 * v])
     low, high, drift, total, wide = np.inf, -np.inf, 0.0, 0.0, 0.0
     ranges = [[(float(a), float(b)) for a, b in axis_pairs(*pair, claim.asymmetry)]
               for pair in (claim.linear, claim.quadratic)]  # fmt: skip
@@ -48,23 +48,23 @@ def _flow_bounds(claim: CruiseClaim) -> tuple[Fraction, Fraction, Fraction, Frac
         omega = (needed - np.array([[(hat + _SHARE * hat2 * v) * v], [0.0]])) / stiff[:, None]
         ends.append(omega)
         low, high, drift = min(low, omega[0].min()), max(high, omega[0].max()), max(drift, np.abs(omega[1]).max())
-        wish = omega + np.array([[v], [0.0]])
+        desired = omega + np.array([[v], [0.0]])
         lack = []
         for (a, b), xx, qq in (((c, s), x1, q1), ((-s, c), x2, q2)):
-            w, n, o = (np.outer(z[0], a) + np.outer(z[1], b) for z in (wish, flow, omega))
-            lack.append(push * o + hat * w + hat2 * w * np.abs(w) - xx * n - qq * n * np.abs(n))
+            w, n, o = (np.outer(z[0], a) + np.outer(z[1], b) for z in (desired, flow, omega))
+            lack.append(velocity_gain * o + hat * w + hat2 * w * np.abs(w) - xx * n - qq * n * np.abs(n))
         total = max(total, float(np.hypot(*lack).max()))
     wide = max(float(np.hypot(*(a - b)).max()) for a in ends for b in ends)
     drag, square = float(claim.linear[1]), float(claim.quadratic[1])
     fast = v + most + 2 * step
-    reach = float(v + max(abs(low), abs(high)) + drift)
+    desired_speed = float(v + max(abs(low), abs(high)) + drift)
     # second derivatives in a current: of ω, of the forces; and in ψ: of turned forces n |n| and of linear ones
     bend = 4 * _SHARE * square / stiff[1]
     slope = (drag + 2 * _SHARE * square * fast) / stiff[1]
-    turn = push + hat + 2 * hat2 * reach
+    turn = velocity_gain + hat + 2 * hat2 * desired_speed
     by_current = turn * bend + 2 * hat2 * slope**2 + 2 * square
-    force = push * max(abs(low), abs(high), drift) * 2 + hat * reach + drag * fast
-    by_heading = np.sqrt(2) * (4 * force + 9 * (hat2 * reach**2 + square * fast**2))
+    force = velocity_gain * max(abs(low), abs(high), drift) * 2 + hat * desired_speed + drag * fast
+    by_heading = np.sqrt(2) * (4 * force + 9 * (hat2 * desired_speed**2 + square * fast**2))
     # ω, in (c_x, c_y), is off its interpolation too
     curved = 2 * bend * step**2 / 8
     total += 2 * by_current * step**2 / 8 + by_heading * (np.pi / _HEADINGS) ** 2 / 8
@@ -86,19 +86,19 @@ def steady_trim(claim: CruiseClaim) -> Trim:
     if not claim.current:
         return trim(claim)
     low, high, drift, total = _flow_bounds(claim)
-    v, push = claim.cruise, claim.mass_model * claim.k_v
+    v, velocity_gain = claim.cruise, claim.mass_model * claim.k_v
     hat, hat2 = claim.linear_model, claim.quadratic_model
     if v + low <= 0:
         raise Rejected("against the current it would have to go backwards")
     return Trim(
         omega=(low, high),
         command=(v + low, v + high),
-        linear=push * high + hat * (v + high),
+        linear=velocity_gain * high + hat * (v + high),
         quadratic=hat2 * (v + high) ** 2,
-        backward=max(-(push * low + hat * (v + low)), Fraction(0)),
+        backward=max(-(velocity_gain * low + hat * (v + low)), Fraction(0)),
         total=total,
         drift=drift,
         aside=drift * claim.lookahead / (v + low),
-        across=(push + hat) * drift,
+        across=(velocity_gain + hat) * drift,
         tilt=drift / (v + high),
     )

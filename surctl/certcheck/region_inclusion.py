@@ -24,7 +24,7 @@ from fractions import Fraction
 from itertools import product as combinations
 
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.region_bounds import Shell, force_rows, force_state, velocity, wish
+from surctl.certcheck.region_bounds import Shell, desired_velocity, force_rows, force_state, velocity
 from surctl.certcheck.region_claim import CruiseClaim
 from surctl.certcheck.region_exact import Matrix, add, middle, product, scaled, transpose, zeros
 
@@ -42,13 +42,13 @@ class Vertex:
     Attributes:
         A: (n, n).
         B: the inputs w_j by number, each (n, 2).
-        wish: δW = this ξ.
+        desired: δW = this ξ.
         force: C, δF_c = C ξ + w_1.
     """
 
     A: Matrix
     B: dict[int, Matrix]
-    wish: Matrix
+    desired: Matrix
     force: Matrix
 
 
@@ -84,8 +84,8 @@ def vertex(
     force = force_rows(size, claim, middle(at.model_drag), steer, catch, aside)
     speed = velocity(size)
     drag = scaled(middle(at.drag), speed)
-    place, push = zeros(size, 2), zeros(size, 2)
-    place[0][0] = place[1][1] = push[2][0] = push[3][1] = Fraction(1)
+    place, velocity_entry = zeros(size, 2), zeros(size, 2)
+    place[0][0] = place[1][1] = velocity_entry[2][0] = velocity_entry[3][1] = Fraction(1)
     A = product(place, speed)
     if claim.lag[1]:
         thrust, entry = force_state(size), zeros(size, 2)
@@ -93,22 +93,22 @@ def vertex(
         turned = [[-entry_ for entry_ in thrust[1]], thrust[0]]  # J δF
         A = add(
             A,
-            scaled(per_mass, product(push, add(thrust, scaled(Fraction(-1), drag)))),
+            scaled(per_mass, product(velocity_entry, add(thrust, scaled(Fraction(-1), drag)))),
             scaled(per_lag, product(entry, add(scaled(share, force), scaled(Fraction(-1), thrust)))),
             scaled(turn, product(entry, turned)),
         )
         inner, gain = entry, per_lag
     else:
-        A = add(A, scaled(per_mass, product(push, add(scaled(share, force), scaled(Fraction(-1), drag)))))
-        inner, gain = push, per_mass
-    B = {1: scaled(gain * share, inner), 3: scaled(-per_mass, push), 5: scaled(gain, inner)}
+        A = add(A, scaled(per_mass, product(velocity_entry, add(scaled(share, force), scaled(Fraction(-1), drag)))))
+        inner, gain = velocity_entry, per_mass
+    B = {1: scaled(gain * share, inner), 3: scaled(-per_mass, velocity_entry), 5: scaled(gain, inner)}
     if at.thrust_share < 1:
         B[2] = scaled(gain, inner)
     if claim.period:
         B[4] = scaled(gain, inner)
     if claim.lag[1]:
-        B[6] = scaled(per_mass, push)
-    return Vertex(A, B, wish(size, claim, steer, catch, aside), force)
+        B[6] = scaled(per_mass, velocity_entry)
+    return Vertex(A, B, desired_velocity(size, claim, steer, catch, aside), force)
 
 
 def rate_matrix(
@@ -119,7 +119,7 @@ def rate_matrix(
     factor = dict(zip((1, 2, 3, 5, 6), multipliers, strict=True))
     total = size + 2 * len(inputs)
     start = {j: size + 2 * k for k, j in enumerate(inputs)}
-    growth = claim.rate + factor[5] * at.held**2 + (factor[6] * at.stirred**2 if 6 in start else 0)
+    growth = claim.rate + factor[5] * at.held**2 + (factor[6] * at.disturbance**2 if 6 in start else 0)
     if 4 in start:
         left, turn = 1 - growth * claim.period, claim.yaw_rate * claim.period
         if left <= 0 or hold <= 0:
@@ -138,7 +138,7 @@ def rate_matrix(
     r1 = (at.model_drag[1] - at.model_drag[0]) / 2
     r3 = (at.drag[1] - at.drag[0]) / 2
     speed = velocity(size)
-    _place(m, scaled(factor[1] * r1 * r1, product(transpose(loop.wish), loop.wish)), 0, 0)
+    _place(m, scaled(factor[1] * r1 * r1, product(transpose(loop.desired), loop.desired)), 0, 0)
     _place(m, scaled(factor[3] * r3 * r3, product(transpose(speed), speed)), 0, 0)
     whole = [row + [Fraction(0)] * (total - size) for row in loop.force]  # δF_c
     whole[0][start[1]] = whole[1][start[1] + 1] = Fraction(1)
@@ -147,9 +147,9 @@ def rate_matrix(
         weight += factor[2] * ((1 - at.thrust_share) / 2) ** 2
     if 4 in start:
         weight += factor[4] * (1 + 1 / _TURN_SPLIT) * turn * turn
-        push = claim.mass_model * claim.k_v
+        velocity_gain = claim.mass_model * claim.k_v
         braking = [loop.A[k] + [entry for j in inputs for entry in loop.B[j][k]] for k in (2, 3)]  # U̇
-        own, others = (1 + _SPLIT) * push * push, (1 + 1 / _SPLIT) * at.wish_rate**2
+        own, others = (1 + _SPLIT) * velocity_gain * velocity_gain, (1 + 1 / _SPLIT) * at.desired_rate**2
         _place(m, scaled(claim.period * hold * own, product(transpose(braking), braking)), 0, 0)
         _place(m, scaled(claim.period * hold * others, product(transpose(speed), speed)), 0, 0)
     _place(m, scaled(weight, product(transpose(whole), whole)), 0, 0)

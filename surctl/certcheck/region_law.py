@@ -59,10 +59,10 @@ def commanded_velocity(claim: CruiseClaim, x_e: Fraction, y_e: Fraction, slant: 
     return along, -along * y_e / claim.lookahead
 
 
-def commanded_thrust(claim: CruiseClaim, wanted: Pair, nu: Pair) -> Pair:
+def commanded_thrust(claim: CruiseClaim, desired: Pair, nu: Pair) -> Pair:
     """τ = D(ν_d)ν_d + m k_v (ν_d − ν) in {B}, each axis within its limit."""
-    hat = _drag((claim.linear_model,) * 2, (claim.quadratic_model,) * 2, wanted)
-    free = (d + claim.mass_model * claim.k_v * (w - v) for d, w, v in zip(hat, wanted, nu, strict=True))
+    hat = _drag((claim.linear_model,) * 2, (claim.quadratic_model,) * 2, desired)
+    free = (d + claim.mass_model * claim.k_v * (w - v) for d, w, v in zip(hat, desired, nu, strict=True))
     first, second = (min(max(f, -claim.thrust), claim.thrust) for f in free)
     return first, second
 
@@ -81,8 +81,8 @@ def true_rate(
     """
     x_e, y_e, speed = state[0], state[1], (state[2], state[3])
     nu = _back(heading, speed)
-    wanted = _back(heading, commanded_velocity(claim, x_e, y_e, slant))
-    command = commanded_thrust(claim, wanted, nu)
+    desired = _back(heading, commanded_velocity(claim, x_e, y_e, slant))
+    command = commanded_thrust(claim, desired, nu)
     thrust = _back(heading, (state[4], state[5])) if boat.lag else command
     m, r = boat.mass, boat.turn
     coriolis = (-m * nu[1] * r, m * nu[0] * r)
@@ -174,10 +174,10 @@ def _compare(
     slant: Fraction,
     heading: Pair,
 ) -> None:
-    v, push = claim.cruise, claim.mass_model * claim.k_v
+    v, velocity_gain = claim.cruise, claim.mass_model * claim.k_v
     hat = (claim.linear_model,) * 2, (claim.quadratic_model,) * 2
-    steady_speed, steady_wish = (v, Fraction(0)), (v + omega[0], omega[1])
-    aside = -omega[1] * claim.lookahead / steady_wish[0]
+    steady_speed, steady_desired = (v, Fraction(0)), (v + omega[0], omega[1])
+    aside = -omega[1] * claim.lookahead / steady_desired[0]
     x_e, y_e, speed = xi[0] - omega[0] / claim.k1, xi[1] + aside, (v + xi[2], xi[3])
 
     def along_path(rule: Callable[[Pair], Pair], vector: Pair) -> Pair:
@@ -189,27 +189,27 @@ def _compare(
     def dragged(vector: Pair) -> Pair:
         return along_path(lambda n: _drag(boat.linear, boat.square, n), _minus(vector, boat.current))
 
-    trimmed = along_path(lambda n: _plus(_drag(*hat, n), _scaled(push, _back(heading, omega))), steady_wish)
+    trimmed = along_path(lambda n: _plus(_drag(*hat, n), _scaled(velocity_gain, _back(heading, omega))), steady_desired)
     state = [x_e, y_e, *speed, *(_plus(trimmed, (xi[4], xi[5])) if boat.lag else ())]
     rate = true_rate(claim, boat, heading, state, slant)
-    wanted = commanded_velocity(claim, x_e, y_e, slant)
+    desired = commanded_velocity(claim, x_e, y_e, slant)
     if abs(aside) > steady.aside:
         raise Rejected("the current takes it further aside at a sampled place")
-    s = wanted[0]
+    s = desired[0]
     catch = (v + omega[0] - s) / xi[0] if xi[0] else claim.k1
     if not (at.steer[0] <= s <= at.steer[1] and at.catch[0] <= catch <= at.catch[1]):
         raise Rejected("the commanded velocity leaves its bounds at a sampled place")
     loop = vertex(claim, at, len(xi), per_mass=1 / boat.mass, per_lag=1 / boat.lag if boat.lag else Fraction(0),
                   turn=boat.turn if boat.lag else Fraction(0), steer=s, catch=catch, aside=aside)  # fmt: skip
-    d_wish, d_speed = _minus(wanted, steady_wish), (xi[2], xi[3])
-    w1 = _minus(_minus(fed_forward(wanted), fed_forward(steady_wish)), _scaled(middle(at.model_drag), d_wish))
+    d_desired, d_speed = _minus(desired, steady_desired), (xi[2], xi[3])
+    w1 = _minus(_minus(fed_forward(desired), fed_forward(steady_desired)), _scaled(middle(at.model_drag), d_desired))
     deviation = _plus((_dot(loop.force[0], xi), _dot(loop.force[1], xi)), w1)
-    body = commanded_thrust(claim, _back(heading, wanted), _back(heading, speed))
+    body = commanded_thrust(claim, _back(heading, desired), _back(heading, speed))
     command = turned(heading, body)
     w2 = _minus(_minus(command, trimmed), _scaled((1 + at.thrust_share) / 2, deviation))
     w3 = _minus(_minus(dragged(speed), dragged(steady_speed)), _scaled(middle(at.drag), d_speed))
     needed = dragged(steady_speed)
-    held = [(w1, (at.model_drag[1] - at.model_drag[0]) / 2, d_wish), (w2, (1 - at.thrust_share) / 2, deviation),
+    held = [(w1, (at.model_drag[1] - at.model_drag[0]) / 2, d_desired), (w2, (1 - at.thrust_share) / 2, deviation),
             (w3, (at.drag[1] - at.drag[0]) / 2, d_speed)]  # fmt: skip
     w = {1: w1, 2: w2, 3: w3}
     one = (Fraction(1), Fraction(0))
@@ -226,13 +226,13 @@ def _compare(
         w[5] = lacking
     if any(_square(vector) > gain * gain * _square(of) for vector, gain, of in held):
         raise Rejected("a force exceeds its bound at a sampled place")
-    told = [_dot(row, xi) for row in loop.A]
+    predicted = [_dot(row, xi) for row in loop.A]
     for j, rows in loop.B.items():
-        told = [
+        predicted = [
             value + row[0] * w[j][0] + row[1] * w[j][1] if j in w else value
-            for value, row in zip(told, rows, strict=True)
+            for value, row in zip(predicted, rows, strict=True)
         ]
-    if told != rate:
+    if predicted != rate:
         raise Rejected("the inclusion is not the loop at a sampled place")
 
 

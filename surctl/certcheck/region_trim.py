@@ -69,14 +69,14 @@ def quarter(arcs: int) -> list[tuple[Fraction, Fraction]]:
 
 def axis_pairs(least: Fraction, largest: Fraction, asymmetry: Fraction) -> list[tuple[Fraction, Fraction]]:
     """Vertices of {(a, b): least ≤ a, b ≤ largest, |a − b| ≤ asymmetry (a + b)/2}."""
-    found = {(least, least), (largest, largest)}
+    vertices = {(least, least), (largest, largest)}
     if asymmetry >= 2:
         other = [(least, largest)]
     else:
         ratio = (2 + asymmetry) / (2 - asymmetry)
         other = [(least, min(least * ratio, largest)), (max(largest / ratio, least), largest)]
-    found |= {pair for a, b in other for pair in ((a, b), (b, a))}
-    return sorted(found)
+    vertices |= {pair for a, b in other for pair in ((a, b), (b, a))}
+    return sorted(vertices)
 
 
 def offset_speed(claim: CruiseClaim, linear: Fraction, quadratic: Fraction) -> Fraction:
@@ -91,10 +91,10 @@ def drift_speed(
     claim: CruiseClaim, linear: Fraction, quadratic: Fraction, flow: tuple[Fraction, Fraction], speed: Fraction
 ) -> tuple[Fraction, Fraction]:
     """(ω_x, ω_y) [m/s] where the water passes with `flow` = (v − c_x, −c_y), of this (rational) speed."""
-    v, push = claim.cruise, claim.mass_model * claim.k_v
+    v, velocity_gain = claim.cruise, claim.mass_model * claim.k_v
     pull = linear + MEAN_SHARE * quadratic * speed
     fed = claim.linear_model + MEAN_SHARE * claim.quadratic_model * v
-    stiff = push + claim.linear_model
+    stiff = velocity_gain + claim.linear_model
     return (
         (pull * flow[0] - fed * v) / (stiff + 2 * MEAN_SHARE * claim.quadratic_model * v),
         pull * flow[1] / (stiff + MEAN_SHARE * claim.quadratic_model * v),
@@ -120,7 +120,7 @@ def _largest(axes: Iterator[tuple[tuple[Fraction, Fraction], tuple[Fraction, Fra
 
 def trim(claim: CruiseClaim) -> Trim:
     """Bounds of the steady cruise over everything that the claim leaves open, in still water."""
-    v, push = claim.cruise, claim.mass_model * claim.k_v
+    v, velocity_gain = claim.cruise, claim.mass_model * claim.k_v
     linear_hat, quadratic_hat = claim.linear_model, claim.quadratic_model
     vertices = list(
         product(
@@ -135,16 +135,16 @@ def trim(claim: CruiseClaim) -> Trim:
 
     def unbalanced() -> Iterator[tuple[tuple[Fraction, Fraction], tuple[Fraction, Fraction]]]:
         for (pair, square), omega in zip(vertices, omegas, strict=True):
-            slope = push * omega + linear_hat * (v + omega)
+            slope = velocity_gain * omega + linear_hat * (v + omega)
             square_hat = quadratic_hat * (v * v + 2 * v * omega)
             first, second = ((slope - x * v, square_hat - xx * v * v) for x, xx in zip(pair, square, strict=True))
             yield first, second
 
-    backward = -(push * low + linear_hat * command[0])
+    backward = -(velocity_gain * low + linear_hat * command[0])
     return Trim(
         omega=(low, high),
         command=command,
-        linear=push * high + linear_hat * command[1],
+        linear=velocity_gain * high + linear_hat * command[1],
         quadratic=quadratic_hat * command[1] ** 2,
         backward=max(backward, Fraction(0)),
         total=_largest(unbalanced()) + bend,

@@ -13,7 +13,7 @@ animate_option = click.option(
 )
 
 
-def check_animate(path: Path | None, *, flights: int, campaign: bool) -> None:
+def check_animate(path: Path | None, *, runs: int, campaign: bool) -> None:
     """InputError for what cannot be animated, before anything is flown; the file's folder is made."""
     if path is None:
         return
@@ -24,8 +24,8 @@ def check_animate(path: Path | None, *, flights: int, campaign: bool) -> None:
     if campaign:
         remedy = "fly one of DIR/worst: --from FILE --animate"
         raise InputError("shows one run, not a campaign", key="--animate", value=str(path), remedy=remedy)
-    if flights != 1:
+    if runs != 1:
         raise InputError(
-            f"shows one run, not {flights}", key="--animate", value=str(path), remedy="name one scenario, drop --runs"
+            f"shows one run, not {runs}", key="--animate", value=str(path), remedy="name one scenario, drop --runs"
         )
     prepare_folder(check_animation(path).parent, key="--animate")

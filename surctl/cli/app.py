@@ -70,7 +70,7 @@ def main() -> None:
     """
     # before NumPy is loaded; the matrices are small, and OpenBLAS's threads wait for each other in loops
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    warnings.showwarning = lambda message, *_: _tell(str(message))
+    warnings.showwarning = lambda message, *_: _print_message(str(message))
     prepare_stdout()
     try:
         status = app(prog_name="surctl", standalone_mode=False)
@@ -80,26 +80,26 @@ def main() -> None:
         status = 0
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
-        _tell(f"{error.format_message()}; see {context.command_path if context else 'surctl'} --help")
+        _print_message(f"{error.format_message()}; see {context.command_path if context else 'surctl'} --help")
         status = 2
     except SurctlError as error:
-        _tell(str(error))
+        _print_message(str(error))
         status = error.exit_status
     except Stopped as stop:
-        _tell(f"stopped; {stop}")
+        _print_message(f"stopped; {stop}")
         status = 130
     except OSError as error:
         lost = failed_write(error)
         if lost is None:
             raise
-        _tell(lost)
+        _print_message(lost)
         status = 1
     except (KeyboardInterrupt, click.Abort):
-        _tell("stopped before anything was finished")
+        _print_message("stopped before anything was finished")
         status = 130
     sys.exit(status if isinstance(status, int) else 0)
 
 
-def _tell(text: str) -> None:
+def _print_message(text: str) -> None:
     with suppress(OSError):  # where stderr is full, the exit status is what is left
         sys.stderr.write("surctl: " + " ".join(text.split()) + "\n")

@@ -43,11 +43,11 @@ def prove_all(names: Sequence[str], *, vehicle: str, gains: str, cap: float, out
     from surctl.verification import Inapplicable
     from surctl.verification.braking import braking_claim_named, prove_braking
 
-    flown, values = load_vehicle(vehicle), load_gains(gains)
+    robot, values = load_vehicle(vehicle), load_gains(gains)
     proofs, files, claims, refused = [], [], [], []
     for name in names:
         try:
-            claims.append(braking_claim_named(name, flown, values, cap=cap))
+            claims.append(braking_claim_named(name, robot, values, cap=cap))
         except NotApplicable as reason:
             refused.append(Inapplicable.of(name, reason))
     for claim in claims:
@@ -60,5 +60,5 @@ def prove_all(names: Sequence[str], *, vehicle: str, gains: str, cap: float, out
             proof.write(files[-1])
     lines = [f"{'ok  ' if p.verdict == 'proved' else 'FAIL'} {p.claim.name:<22} {p.sentence}" for p in proofs]
     lines += [refusal_line(one) for one in refused]
-    told = [*(p.to_dict() for p in proofs), *(one.to_dict() for one in refused)]
-    return Braking(told, lines, files, not refused and all(p.verdict == "proved" for p in proofs))
+    data = [*(p.to_dict() for p in proofs), *(one.to_dict() for one in refused)]
+    return Braking(data, lines, files, not refused and all(p.verdict == "proved" for p in proofs))

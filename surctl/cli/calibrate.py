@@ -38,9 +38,9 @@ def calibrate(file: str, out: Path | None, as_json: bool) -> None:
     data: dict[str, Any] = {"results": [one.to_dict() for one in results], "outlier_rule": OUTLIER_RULE, "files": []}
     lines = [line for one in results for line in [*_lines(one), ""]]
     if file == BUILT_IN:
-        data["percentages"], told = _percentages()
-        lines += [*told, ""]
-    if any(len(one.found.outliers) for one in results):
+        data["percentages"], percentage_lines = _percentages()
+        lines += [*percentage_lines, ""]
+    if any(len(one.calibration.outliers) for one in results):
         lines += [OUTLIER_RULE, ""]
     if out is not None:
         from surctl.report import save_calibrations
@@ -57,7 +57,7 @@ def calibrate(file: str, out: Path | None, as_json: bool) -> None:
 
 
 def _lines(one: SensorCalibration) -> list[str]:
-    f = one.found
+    f = one.calibration
     worst = f"{_mm(f.errors[f.largest])} mm at {f.true[f.largest]:.4g} m"
     lines = [
         f"{one.title}: {len(f.true)} rows from {f.true[0]:.4g} to {f.true[-1]:.4g} m",
@@ -83,7 +83,7 @@ def _noise(one: SensorCalibration) -> list[str]:
     """What the test of the noise against range said."""
     from surctl.sensing.calibration.estimation import LEAST_ROWS_OF_SLOPE
 
-    f = one.found
+    f = one.calibration
     if f.noise_slope is None or f.noise_slope_p is None:
         few = f"fewer than {LEAST_ROWS_OF_SLOPE} rows: noise against range is not tested"
         return [few if len(f.true) < LEAST_ROWS_OF_SLOPE else "the rows lie on a line: no noise"]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.output import finish, progress, same_command, stoppable, together
-from surctl.cli.single_run import explained_and_drawn, run_line
+from surctl.cli.single_run import further_output, run_line
 
 if TYPE_CHECKING:
     from surctl.cli.sensor_options import SensorOptions
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from surctl.simulation import Case, SafetyClaim
     from surctl.simulation.campaign import Campaign, Plan
 
-__all__ = ["CampaignOptions", "campaign_options", "fly_again"]
+__all__ = ["CampaignOptions", "campaign_options", "simulate_again"]
 
 MOST_ROWS = 100  # printed as JSON; DIR has them all
 
@@ -112,26 +112,26 @@ class CampaignOptions:
         from surctl.tuning import build_cases
         from surctl.vehicle import load_vehicle
 
-        flown = [] if vehicle is None else [load_vehicle(vehicle)]
+        vehicles = [] if vehicle is None else [load_vehicle(vehicle)]
         if self.worlds is None:
             missions = [sensors.over(load_scenario(name)) for name in scenarios]
         else:
-            flown = flown or [load_vehicle(WORLDS_VEHICLE)]
-            missions = [sensors.over(world_template(flown[0]))]
-        cases = build_cases(missions, flown, gains=gains, law=law, mode=mode, sensing=sensing, guidance=guidance)
-        told: dict[str, Any] = {"avoidance": avoidance, "barrier": barrier, "movers": movers}
-        cases = tuple(replace(case, **told) for case in cases)
+            vehicles = vehicles or [load_vehicle(WORLDS_VEHICLE)]
+            missions = [sensors.over(world_template(vehicles[0]))]
+        cases = build_cases(missions, vehicles, gains=gains, law=law, mode=mode, sensing=sensing, guidance=guidance)
+        options: dict[str, Any] = {"avoidance": avoidance, "barrier": barrier, "movers": movers}
+        cases = tuple(replace(case, **options) for case in cases)
         for case in cases[:1]:
             case.build()  # so that a mistake is told before anything is written
         if self.worlds is None:
             return [MonteCarlo(case, seed) for case in cases]
         return [RandomWorlds(case, seed, self.monte_carlo) for case in cases]
 
-    def fly(self, plans: list[Plan], *, runs: int, out: Path | None, as_json: bool) -> None:
+    def run(self, plans: list[Plan], *, runs: int, out: Path | None, as_json: bool) -> None:
         """Fly the campaigns, keep them in `out`, print what they say, and end."""
         from surctl.errors import InputError
         from surctl.files import write_file
-        from surctl.simulation.campaign import CampaignFolder, fly_campaign
+        from surctl.simulation.campaign import CampaignFolder, run_campaign
 
         names = [plan.name for plan in plans]
         if len(set(names)) < len(names):
@@ -139,36 +139,36 @@ class CampaignOptions:
         folder = None if out is None else CampaignFolder(out, tuple(plans))
         if folder is not None:
             folder.prepare(fresh=self.fresh)
-        told, lines, good = [], list[str](), True
+        reports, lines, good = [], list[str](), True
         nothing = "nothing is kept; with --out DIR the same command would go on"
-        kept = nothing if out is None else f"the runs that were flown are in {out}; to go on: {same_command()}"
+        message = nothing if out is None else f"the runs that were flown are in {out}; to go on: {same_command()}"
         for plan in plans:
             with (
-                stoppable(kept, lines, as_json=as_json),
+                stoppable(message, lines, as_json=as_json),
                 nullcontext() if folder is None else folder.store(plan) as store,
             ):
-                flown = fly_campaign(plan, runs=runs, threads=self.threads or 2, store=store, progress=progress)
+                campaign = run_campaign(plan, runs=runs, threads=self.threads or 2, store=store, progress=progress)
             worst = 5 if self.worst is None else self.worst
-            files = [] if folder is None else folder.write(flown, worst=worst)
-            told.append(_told(flown, files, worst))
-            lines += _lines(flown, files, worst)
-            good = good and flown.summary.stopped["reached"].count == runs
+            files = [] if folder is None else folder.write(campaign, worst=worst)
+            reports.append(_report(campaign, files, worst))
+            lines += _lines(campaign, files, worst)
+            good = good and campaign.summary.stopped["reached"].count == runs
         if out is not None:
             import json
 
             from surctl.cli.output import finite
 
-            write_file(out / "summary.json", json.dumps(finite({"campaigns": told}), indent=1) + "\n")
-        finish({"campaigns": told}, lines, as_json=as_json, passed=good)
+            write_file(out / "summary.json", json.dumps(finite({"campaigns": reports}), indent=1) + "\n")
+        finish({"campaigns": reports}, lines, as_json=as_json, passed=good)
 
 
-def _told(flown: Campaign, files: list[Path], worst: int) -> dict[str, Any]:
-    case, table = flown.plan.case, flown.table
+def _report(campaign: Campaign, files: list[Path], worst: int) -> dict[str, Any]:
+    case, table = campaign.plan.case, campaign.table
     rows = [table.row(k) for k in table.worst(worst)]
     for row, file in zip(rows, files, strict=False):
         row["file"] = f"worst/{file.name}"
     head = {
-        "campaign": flown.plan.name,
+        "campaign": campaign.plan.name,
         "scenario": case.scenario.name,
         "vehicle": case.vehicle.name,
         "law": case.law,
@@ -179,13 +179,13 @@ def _told(flown: Campaign, files: list[Path], worst: int) -> dict[str, Any]:
         "movers": case.movers,
         "sensing": case.sensing,
         "gains": case.gains.name,
-        "drawn": dict(flown.plan.told()),
+        "sampling": dict(campaign.plan.settings()),
         "number_of_runs": len(table),
     }
     if case.law == "guarded":
         head["claim"] = _claim(case).to_dict()
     few = {"runs": [table.row(k) for k in range(len(table))]} if len(table) <= MOST_ROWS else {}
-    return {**head, **flown.summary.to_dict(), "worst": rows, **few}
+    return {**head, **campaign.summary.to_dict(), "worst": rows, **few}
 
 
 def _claim(case: Case) -> SafetyClaim:
@@ -201,22 +201,22 @@ def _claim(case: Case) -> SafetyClaim:
     return safety_claim(case.scenario, believed, case.gains, **kind, detection=sees, turning=turning)
 
 
-def _lines(flown: Campaign, files: list[Path], worst: int) -> list[str]:
-    case, table = flown.plan.case, flown.table
-    lines = [f"{flown.plan.name} by {case.vehicle.name}, law {case.law}, {case.sensing}, {len(table)} runs:"]
-    lines += flown.summary.lines()
+def _lines(campaign: Campaign, files: list[Path], worst: int) -> list[str]:
+    case, table = campaign.plan.case, campaign.table
+    lines = [f"{campaign.plan.name} by {case.vehicle.name}, law {case.law}, {case.sensing}, {len(table)} runs:"]
+    lines += campaign.summary.lines()
     for place, k in enumerate(table.worst(worst)):
         time, clear = table.column("time_s")[k], table.column("min_clearance_m")[k]
         broken = f", broken: {', '.join(table.broken[k])}" if table.broken[k] else ""
-        kept = f"  {files[place]}" if place < len(files) else ""
+        saved = f"  {files[place]}" if place < len(files) else ""
         lines.append(
             f"  worst {place + 1}: seed {table.seeds[k]}, {table.stopped(k)} at {time:.2f} s, "
-            f"clearance {clear:.4f} m{broken}{kept}"
+            f"clearance {clear:.4f} m{broken}{saved}"
         )
     return lines
 
 
-def fly_again(path: Path, *, explained: bool, out: Path | None, animate: Path | None, as_json: bool) -> None:
+def simulate_again(path: Path, *, explained: bool, out: Path | None, animate: Path | None, as_json: bool) -> None:
     """Fly the run of a file in the reference loop, say whether it came to the same figures, and end.
 
     Exit status 1 if it did not, or if the run does not arrive.
@@ -224,7 +224,7 @@ def fly_again(path: Path, *, explained: bool, out: Path | None, animate: Path | 
     from surctl.files import prepare_folder
     from surctl.simulation.campaign import load_replay
 
-    for name, source in _given().items():
+    for name, source in _typed().items():
         if name not in ("replayed", "explained", "out", "animate", "as_json") and source:
             from surctl.errors import InputError
 
@@ -234,13 +234,13 @@ def fly_again(path: Path, *, explained: bool, out: Path | None, animate: Path | 
     if out is not None:
         prepare_folder(out)
     replay = load_replay(path)
-    run = replay.flight.fly()
+    run = replay.run.simulate()
     difference = replay.difference(run)
     same = difference <= SAME
     result = run.to_dict() | {"campaign": replay.campaign, "same": same, "largest_difference": difference}
     verdict = "as in the campaign" if same else f"NOT as in the campaign ({replay.stopped_because})"
     lines = [f"{run_line(run)}: {verdict}, largest difference {difference:.1g}"]
-    lines += explained_and_drawn(run, result, explained=explained, out=out, animate=animate)
+    lines += further_output(run, result, explained=explained, out=out, animate=animate)
     finish({"runs": [result]}, lines, as_json=as_json, passed=same and run.metrics.reached)
 
 
@@ -248,7 +248,7 @@ SAME = 1e-9
 """Largest difference between the compiled loop and the reference loop, see `Replay.difference`."""
 
 
-def _given() -> dict[str, bool]:
+def _typed() -> dict[str, bool]:
     """Which parameters of the command were typed."""
     context = click.get_current_context()
     default = (click.core.ParameterSource.DEFAULT, click.core.ParameterSource.DEFAULT_MAP)

@@ -39,22 +39,24 @@ def check(certificate: Path, bundle: Path | None, time_limit: float | None, as_j
     from surctl.certcheck.bundle import read_bundle
     from surctl.certcheck.document import read
 
-    found = check_file(certificate, time_limit=PATIENCE if time_limit is None else time_limit)
-    word = "accepted" if found.accepted else f"rejected: {found.reason}"
-    lines = [f"{word} ({found.kind or 'unknown kind'}, {found.seconds:.2f} s)"]
-    if found.accepted:
-        lines += ([f"  proves: {found.proves}"] if found.proves else []) + _shown(found.claim)
+    outcome = check_file(certificate, time_limit=PATIENCE if time_limit is None else time_limit)
+    word = "accepted" if outcome.accepted else f"rejected: {outcome.reason}"
+    lines = [f"{word} ({outcome.kind or 'unknown kind'}, {outcome.seconds:.2f} s)"]
+    if outcome.accepted:
+        lines += ([f"  proves: {outcome.proves}"] if outcome.proves else []) + _shown(outcome.claim)
     if bundle is None:
-        finish(found.to_dict(), printable(lines), as_json=as_json, passed=found.accepted)
+        finish(outcome.to_dict(), printable(lines), as_json=as_json, passed=outcome.accepted)
         return
     manifest = read_bundle(bundle)
-    result = {**found.to_dict(), "bundle": {"id": manifest.id, "belongs": False, "differs": [], "excludes": []}}
-    if found.accepted:
-        told = compare(read(certificate), manifest)
-        result["bundle"] = {"id": manifest.id, **told.to_dict()}
-        word = "belongs to" if told.belongs else "DOES NOT belong to"
+    result = {**outcome.to_dict(), "bundle": {"id": manifest.id, "belongs": False, "differs": [], "excludes": []}}
+    if outcome.accepted:
+        comparison = compare(read(certificate), manifest)
+        result["bundle"] = {"id": manifest.id, **comparison.to_dict()}
+        word = "belongs to" if comparison.belongs else "DOES NOT belong to"
         lines.append(f"{word} the controller {manifest.id[:12]} in {bundle}")
-        lines += [f"  differs: {text}" for text in told.differs] + [f"  not covered: {text}" for text in told.excludes]
+        lines += [f"  differs: {text}" for text in comparison.differs] + [
+            f"  not covered: {text}" for text in comparison.excludes
+        ]
     finish(result, printable(lines), as_json=as_json, passed=bool(result["bundle"]["belongs"]))
 
 

@@ -19,7 +19,7 @@ def completion(shell: str) -> None:
 
     Examples: surctl completion bash; surctl completion fish > ~/.config/fish/completions/surctl.fish
     """
-    made = get_completion_class(shell)
-    assert made is not None  # click knows the three
+    completer = get_completion_class(shell)
+    assert completer is not None  # click knows the three
     root = click.get_current_context().find_root().command
-    sys.stdout.write(made(root, {}, "surctl", "_SURCTL_COMPLETE").source() + "\n")
+    sys.stdout.write(completer(root, {}, "surctl", "_SURCTL_COMPLETE").source() + "\n")

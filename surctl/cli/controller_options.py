@@ -73,7 +73,7 @@ class ControllerOptions:
         self._faults(seed=0)
 
     @contextmanager
-    def opened(self, law: Law, p: NDArray[np.float64], mission: Scenario, flown: Vehicle) -> Iterator[Line | None]:
+    def opened(self, law: Law, p: NDArray[np.float64], mission: Scenario, vehicle: Vehicle) -> Iterator[Line | None]:
         """The line to the controller of this law with these numbers; None if the law itself is to fly.
 
         Raises:
@@ -82,14 +82,14 @@ class ControllerOptions:
         if self.controller is None:
             yield None
             return
-        from surctl.export import build_bundle, closed_form, connect, emulated, emulated_target, flight_envelope
+        from surctl.export import build_bundle, closed_form, connect, emulated, emulated_target, operating_envelope
 
         if self.controller.startswith("tcp://"):
             with connect(self.controller, **({} if self.timeout is None else {"patience": self.timeout})) as line:
                 yield line
             return
         target = emulated_target(self.controller.removeprefix("qemu:"))
-        shipped, within = closed_form(law, real="float32"), flight_envelope(law, mission, flown, law.gains)
+        shipped, within = closed_form(law, real="float32"), operating_envelope(law, mission, vehicle, law.gains)
         bundle = build_bundle(shipped, law.gains.unpack(p), real="float32", envelope=within)
         progress(f"compiling for {target.name}")
         with (
@@ -100,7 +100,7 @@ class ControllerOptions:
             yield line
 
     def linked(
-        self, law: Law, p: NDArray[np.float64], line: Line | None, mission: Scenario, flown: Vehicle, *, seed: int
+        self, law: Law, p: NDArray[np.float64], line: Line | None, mission: Scenario, vehicle: Vehicle, *, seed: int
     ) -> LinkedLaw | None:
         """A run's stepper over an open line.
 
@@ -109,9 +109,9 @@ class ControllerOptions:
         """
         if line is None:
             return None
-        from surctl.export import LinkedLaw, flight_envelope
+        from surctl.export import LinkedLaw, operating_envelope
 
-        return LinkedLaw(law, p, line, self._faults(seed=seed), flight_envelope(law, mission, flown, law.gains))
+        return LinkedLaw(law, p, line, self._faults(seed=seed), operating_envelope(law, mission, vehicle, law.gains))
 
     def _faults(self, *, seed: int) -> LinkFaults:
         from surctl.export import LinkFaults

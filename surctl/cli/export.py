@@ -10,7 +10,7 @@ from click.core import ParameterSource
 
 from surctl.cli.output import as_json, finish, progress
 from surctl.cli.priority_options import priority_options
-from surctl.cli.sensor_options import SensorOptions, sensor_options, sensors_told
+from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
 
 __all__ = ["export"]
 
@@ -25,7 +25,7 @@ MISSION = "pool-static"
 @click.option(
     "--law",
     default="guarded",
-    help="guarded, paper, lean, apf, dwa, vo or cbf.",
+    help="guarded, paper, closed_form, apf, dwa, vo or cbf.",
 )
 @click.option("--avoidance", default="corrected", help="(20): printed, consistent or corrected.")
 @click.option("--guidance", default="los", help="los, ilos or alos.")
@@ -69,7 +69,7 @@ def export(
     avoidance: str,
     guidance: str,
     priority_mode: str,
-    ladder: str,
+    fallback: str,
     sensing: str,
     faults: tuple[str, ...],
     chances: tuple[str, ...],
@@ -96,7 +96,7 @@ def export(
     differ.
 
     Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --sensing truth --real float32
-    --check; surctl export --priority-mode projected --ladder bounded; surctl export --law lean --sensing truth
+    --check; surctl export --priority-mode projected --fallback bounded; surctl export --law closed_form --sensing truth
     --scenario pool-ahead --constant-gains
     """
     import tempfile
@@ -117,9 +117,9 @@ def export(
         chosen_targets,
         closed_form,
         compare_runs,
-        flight_envelope,
         gain_box,
         load_certificates,
+        operating_envelope,
         origin_of,
         prove_bundle,
         with_proof,
@@ -142,8 +142,8 @@ def export(
     sensors = SensorOptions(faults, chances, beam, own_state)
     sensors.check(law=law, sensing=sensing)
     mission = sensors.over(load_scenario(scenario))
-    flown = load_vehicle(mission.vehicle if vehicle is None else vehicle)
-    equipment = mission.sensors.on(flown["radius"])
+    robot = load_vehicle(mission.vehicle if vehicle is None else vehicle)
+    equipment = mission.sensors.on(robot["radius"])
     built = build_law(
         law,
         avoidance=avoidance,
@@ -151,35 +151,35 @@ def export(
         sonar=sensing == "sonar",
         equipment=equipment,
         guidance=guidance,
-        ladder=ladder,
+        fallback=fallback,
         depths=mission.depths is not None,
     )
     tuned = load_gains(gains)
-    numbers = law_numbers(mission, tuned, flown)
+    numbers = law_numbers(mission, tuned, robot)
     shipped = closed_form(built, real=precision, constants=numbers if constant_gains else None)
-    within = flight_envelope(built, mission, flown, shipped.gains)
+    within = operating_envelope(built, mission, robot, shipped.gains)
     if prove and not constant_gains:
         within = replace(within, gains=gain_box(built, numbers, tuned.ranges))
     fixed = {} if constant_gains else built.gains.unpack(numbers)
-    origin = origin_of(built, flown, load_certificates(certificates))
+    origin = origin_of(built, robot, load_certificates(certificates))
     # before the flight, so that a name or a folder that will not do is told at once
     bundle = build_bundle(shipped, fixed, name=name, real=precision, envelope=within, origin=origin)
     proof = None
     if prove:
         progress("proving")
-        proof = prove_bundle(shipped, bundle, flown.thrust_limit)
+        proof = prove_bundle(shipped, bundle, robot.thrust_limit)
         bundle = with_proof(bundle, proof)
     files = write_bundle(bundle, out)
     if target == "fmu":
         progress("compiling the functional mock-up unit")
         files.append(write_fmu(shipped, bundle, shipped.gains.pack(fixed), out))
     progress(f"flying {mission.name}")
-    run = simulate(mission, flown, gains=tuned, law=built, sensing=sensing, seed=seed)
+    run = simulate(mission, robot, gains=tuned, law=built, sensing=sensing, seed=seed)
     record, metrics = run.record, run.metrics
     progress("compiling and replaying")
     with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
         controller = build_controller(shipped, bundle, Path(scratch, bundle.name))
-        flight = as_records(
+        records = as_records(
             shipped,
             Records(
                 record.law_state,
@@ -187,9 +187,9 @@ def export(
                 np.zeros((len(record.law_state), 0)) if constant_gains else record.law_parameters,
             ),
         )
-        (sil,) = compare_runs(controller, [flight])
+        (sil,) = compare_runs(controller, [records])
         report = (
-            check_builds(controller, [flight], tried, steps=steps or STEPS, untried=untried, tell=progress)
+            check_builds(controller, [records], tried, steps=steps or STEPS, untried=untried, progress=progress)
             if check
             else None
         )
@@ -198,7 +198,7 @@ def export(
         "id": bundle.id,
         "files": [str(f.path) for f in files],
         "sha256": {f.path.name: f.sha256 for f in files},
-        "flight": run.to_dict() | ({"sensors": sensors_told(mission)} if sensing == "sonar" else {}),
+        "run": run.to_dict() | ({"sensors": sensor_data(mission)} if sensing == "sonar" else {}),
         "real": real,
         "sil": sil.to_dict(),
     }
@@ -207,8 +207,8 @@ def export(
     started = _how_to_start(out, click.get_current_context())
     if report is not None:
         result["check"] = report.to_dict()
-    told = f"replayed: {mission.name} by {flown.name}, {sensing}, seed {seed}: {metrics.stopped_because} at "
-    lines = [*(f"{f.sha256[:12]}  {f.path}" for f in files), "", f"{told}{metrics.time_s:.2f} s", sil.summary()]
+    replay_text = f"replayed: {mission.name} by {robot.name}, {sensing}, seed {seed}: {metrics.stopped_because} at "
+    lines = [*(f"{f.sha256[:12]}  {f.path}" for f in files), "", f"{replay_text}{metrics.time_s:.2f} s", sil.summary()]
     lines += [] if proof is None else ["", proof.summary()]
     lines += [] if report is None else ["", report.summary()]
     belong = [shlex.join(["surctl", "check", str(file), "--bundle", str(out)]) for file in certificates[:1]]
@@ -221,8 +221,8 @@ def export(
     )
 
 
-_FLOWN = (
-    *("vehicle", "gains", "law", "avoidance", "guidance", "priority_mode", "ladder", "sensing"),
+_RUN_OPTIONS = (
+    *("vehicle", "gains", "law", "avoidance", "guidance", "priority_mode", "fallback", "sensing"),
     *("faults", "chances", "beam", "own_state", "seed"),
 )
 
@@ -231,11 +231,11 @@ def _how_to_start(out: Path, context: click.Context) -> tuple[str, str]:
     """What starts the exported controller as a process, and what flies the same mission through it."""
     words = [context.params["scenario"]]
     options = {parameter.name: parameter.opts[0] for parameter in context.command.params}
-    for name in _FLOWN:
-        given = context.params[name]
+    for name in _RUN_OPTIONS:
+        setting = context.params[name]
         said = context.get_parameter_source(name) != ParameterSource.DEFAULT
-        if given != "truth" if name == "sensing" else said:  # simulate has another default for that
-            values = given if isinstance(given, tuple) else (given,)
+        if setting != "truth" if name == "sensing" else said:  # simulate has another default for that
+            values = setting if isinstance(setting, tuple) else (setting,)
             words += [word for value in values for word in (options[name], str(value))]
     port = 5555
     run = f"make -C {shlex.quote(str(out))} controller && {shlex.quote(str(out / 'controller'))} {port}"

@@ -15,12 +15,12 @@ class LinearPart(NamedTuple):
     """What to print, what JSON has, and whether the loop is stable; None where there is no straight cruise."""
 
     lines: list[str]
-    told: dict[str, Any]
+    data: dict[str, Any]
     stable: bool | None
 
 
 def linear_part(
-    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, uncertainty: float, asked: bool
+    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, uncertainty: float, requested: bool
 ) -> LinearPart:
     """The linear side about a cruise speed [m/s], for the vehicle and the worst of its uncertainty.
 
@@ -46,7 +46,7 @@ def linear_part(
     try:
         check_trim(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
     except InputError as error:
-        if asked:
+        if requested:
             raise
         why = f"not applicable to this vehicle, because a cruise at {cruise:g} m/s {error.problem} N"
         return LinearPart([f"margins: {why}"], {"margins": [], "linear": {"not_applicable": why}}, None)
@@ -69,9 +69,9 @@ def linear_part(
         peaks = "; ".join(f"S {c.S.max():.2f}, T {c.T.max():.2f} ({c.place})" for c in curves)
         lines.append(f"  largest sensitivity of all loops together: {peaks}")
     lines += [*nominal.lines(), *(worst.lines() if len(tried.vehicles) > 1 else [])]
-    told = {
+    data = {
         "margins": [m.to_dict() for m in margins],
         "linear": {"nominal": nominal.to_dict(), "worst": worst.to_dict(), "mode": mode.to_dict()}
         | {"sensitivity": [c.to_dict() for c in curves]},
     }
-    return LinearPart(lines, told, stable)
+    return LinearPart(lines, data, stable)

@@ -65,7 +65,7 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
 
     path = str(pick(file, LIBRARY, what="scenario"))
     kind = read_toml(pick(file, LIBRARY, what="scenario")).get("kind")
-    found = []
+    problems = []
     plain: dict[str, Callable[[str], object]] = {
         "vehicle": load_vehicle,
         "gains": load_gains,
@@ -75,19 +75,19 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
     }
     if kind == "scenario":
         scenario = load_scenario(path)
-        found = findings(scenario, load_vehicle(scenario.vehicle if vehicle is None else vehicle))
+        problems = findings(scenario, load_vehicle(scenario.vehicle if vehicle is None else vehicle))
     elif kind == "study":
         for leg in load_plan(path).legs:
-            found += findings(leg.scenario, leg.vehicle)
+            problems += findings(leg.scenario, leg.vehicle)
     elif kind in plain:
-        found = _file_findings(plain[kind](path))
+        problems = _file_findings(plain[kind](path))
     else:
         known = ", ".join(f'"{name}"' for name in sorted([*plain, "scenario"]))
         remedy = f'write kind = {known} or "study"'
         raise InputError("is not a kind of file", file=path, key="kind", value=kind, remedy=remedy)
-    lines = [f"{f.level}: {f.key}: {f.text}" for f in found] or [f"{path}: nothing found"]
-    result = {"file": path, "kind": kind, "findings": [f.to_dict() for f in found]}
-    works = all(f.level != "error" for f in found)
-    flying = "" if vehicle is None else f" --vehicle {shlex.quote(vehicle)}"
-    then = [f"surctl {words.format(shlex.quote(file))}{flying}" for words in _NEXT[kind]] if works else []
+    lines = [f"{f.level}: {f.key}: {f.text}" for f in problems] or [f"{path}: nothing found"]
+    result = {"file": path, "kind": kind, "findings": [f.to_dict() for f in problems]}
+    works = all(f.level != "error" for f in problems)
+    vehicle_option = "" if vehicle is None else f" --vehicle {shlex.quote(vehicle)}"
+    then = [f"surctl {words.format(shlex.quote(file))}{vehicle_option}" for words in _NEXT[kind]] if works else []
     finish(result, lines, as_json=as_json, passed=works, then=then)

@@ -44,8 +44,8 @@ def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> N
     target = write_new(out or path_of(name, suffix), text, force=force)
     shown = shlex.quote(str(target))
     then = [command.format(shown) for command in _NEXT[kind]]
-    told = {"kind": kind, "name": name, "file": str(target)}
-    finish(told, [f"wrote {target}"], as_json=as_json, passed=True, then=then)
+    result = {"kind": kind, "name": name, "file": str(target)}
+    finish(result, [f"wrote {target}"], as_json=as_json, passed=True, then=then)
 
 
 def path_of(name: str, suffix: str) -> Path:

@@ -78,9 +78,9 @@ def finish(
     result: Mapping[str, Any], lines: Sequence[str], *, as_json: bool, passed: bool, then: Sequence[str] = ()
 ) -> None:
     """Print the result, with the commands that one would give next, and end with status 0 if `passed`, else 1."""
-    told = [*lines, "next", *(f"  {command}" for command in then)] if then else lines
+    shown = [*lines, "next", *(f"  {command}" for command in then)] if then else lines
     said = {**result, "next": list(then)} if then else result
-    lines = printable([json.dumps(finite(said), ensure_ascii=not is_utf8())]) if as_json else told
+    lines = printable([json.dumps(finite(said), ensure_ascii=not is_utf8())]) if as_json else shown
     text = "\n".join(lines)
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
@@ -92,7 +92,7 @@ class Stopped(click.Abort):
 
 
 @contextmanager
-def stoppable(kept: str, lines: Sequence[str] = (), *, as_json: bool = False) -> Iterator[None]:
+def stoppable(message: str, lines: Sequence[str] = (), *, as_json: bool = False) -> Iterator[None]:
     """Ctrl-C inside prints the lines that there are by then, unless JSON is asked for, and becomes `Stopped`."""
     try:
         yield
@@ -100,7 +100,7 @@ def stoppable(kept: str, lines: Sequence[str] = (), *, as_json: bool = False) ->
         if lines and not as_json:
             sys.stdout.write("\n".join(lines) + "\n")
             sys.stdout.flush()
-        raise Stopped(kept) from None
+        raise Stopped(message) from None
 
 
 def at_hand(scenario: Scenario, vehicle: Vehicle, gains: str) -> list[str]:

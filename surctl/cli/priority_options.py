@@ -11,9 +11,9 @@ __all__ = ["priority_options"]
 priority_options = together(
     click.option("--priority-mode", default="nsb", help="nsb, filter, projected or lexicographic."),
     click.option(
-        "--ladder",
+        "--fallback",
         default="exact",
         help="Infeasible limits: exact or bounded solution.",
     ),
 )
-"""Give a command the options; it takes them as `priority_mode` and `ladder`."""
+"""Give a command the options; it takes them as `priority_mode` and `fallback`."""

@@ -74,13 +74,13 @@ def prove_regions(
     from surctl.verification import Inapplicable
     from surctl.verification.region import prove_statement
 
-    flown, values = load_vehicle(vehicle), load_gains(gains)
+    robot, values = load_vehicle(vehicle), load_gains(gains)
     stated = {word: region_of(word) for word in words}
     refused: dict[str, Inapplicable] = {}
     cruise, cap = speeds
     for word, statement in stated.items():  # what is wrong is said before anything is proved
         try:
-            statement.claim(flown, values, cruise=cruise, cap=cap)
+            statement.claim(robot, values, cruise=cruise, cap=cap)
         except NotApplicable as reason:
             refused[word] = Inapplicable.of(statement.name, reason)
         except InputError as error:
@@ -91,7 +91,7 @@ def prove_regions(
             continue
         name = statement.name
         progress(name)
-        proof = prove_statement(statement, flown, values, seed=seed, cruise=cruise, cap=cap)
+        proof = prove_statement(statement, robot, values, seed=seed, cruise=cruise, cap=cap)
         proofs.append(proof)
         if out is not None and proof.verdict == "proved":
             out.mkdir(parents=True, exist_ok=True)
@@ -99,5 +99,5 @@ def prove_regions(
             proof.write(files[-1])
     lines = [f"{'ok  ' if p.verdict == 'proved' else 'FAIL'} {p.claim.name:<22} {p.sentence}" for p in proofs]
     lines += [refusal_line(one) for one in refused.values()]
-    told = [*(p.to_dict() for p in proofs), *(one.to_dict() for one in refused.values())]
-    return Regions(told, lines, files, not refused and all(p.verdict == "proved" for p in proofs))
+    data = [*(p.to_dict() for p in proofs), *(one.to_dict() for one in refused.values())]
+    return Regions(data, lines, files, not refused and all(p.verdict == "proved" for p in proofs))

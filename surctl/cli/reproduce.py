@@ -57,6 +57,6 @@ def row_lines(row: Row) -> list[str]:
     return [
         f"{mark} {item.id:<26} {item.what}",
         f"       paper   {item.paper}",
-        f"       ours    {row.found.ours}",
-        f"       verdict {row.found.verdict}   [{item.command}, {row.seconds:.2f} s]",
+        f"       ours    {row.result.ours}",
+        f"       verdict {row.result.verdict}   [{item.command}, {row.seconds:.2f} s]",
     ]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from surctl.simulation import Scenario
     from surctl.simulation.sensors import Sensors
 
-__all__ = ["SensorOptions", "parse_chances", "parse_fault", "sensor_options", "sensors_told"]
+__all__ = ["SensorOptions", "parse_chances", "parse_fault", "sensor_data", "sensor_options"]
 
 FORM = "KIND:SENSOR[:START[:DURATION]]"
 OWN_STATES = ("measured", "truth")
@@ -68,12 +68,12 @@ class SensorOptions:
         """InputError for an option that would have no effect on these flights, or none that is known."""
         from surctl.errors import InputError, nearest
 
-        given = {"--fault": self.faults, "--chance": self.chances, "--beam": self.beam, "--own-state": self.own_state}
-        for key, value in given.items():
+        options = {"--fault": self.faults, "--chance": self.chances, "--beam": self.beam, "--own-state": self.own_state}
+        for key, value in options.items():
             if value is not None and value != () and sensing == "truth":
-                told = value if key in ("--beam", "--own-state") else " ".join(value)  # type: ignore[arg-type]
+                text = value if key in ("--beam", "--own-state") else " ".join(value)  # type: ignore[arg-type]
                 raise InputError(
-                    "has no effect with true positions", key=key, value=told, remedy="add --sensing sonar, or drop it"
+                    "has no effect with true positions", key=key, value=text, remedy="add --sensing sonar, or drop it"
                 )
         if self.beam is not None and law == "paper":
             raise InputError(
@@ -150,7 +150,7 @@ def parse_chances(texts: Sequence[str]) -> FaultChances:
     from surctl.errors import InputError, nearest
     from surctl.sensing import FAULT_KINDS, FaultChances
 
-    found: dict[str, float] = {}
+    chances: dict[str, float] = {}
     for text in texts:
         kind, equals, number = text.partition("=")
         if kind in FAULT_KINDS and kind not in FaultChances.kinds():
@@ -159,13 +159,13 @@ def parse_chances(texts: Sequence[str]) -> FaultChances:
             _refuse("no such fault", text, nearest(kind, FaultChances.kinds()), key="--chance")
         if not equals:
             _refuse("has no number", text, f"write {kind}=P", key="--chance")
-        if kind in found:
+        if kind in chances:
             _refuse(f"{kind} is given twice", text, "give each kind once", key="--chance")
         chance = _float(number)
         if not 0 <= chance <= 1:
             _refuse("is no chance", text, "give a number from 0 to 1", key="--chance")
-        found[kind] = chance
-    total = sum(found.values())
+        chances[kind] = chance
+    total = sum(chances.values())
     if total > 1.0 + 1e-12:
         raise InputError(
             f"the chances of one firing add up to {total:g}",
@@ -173,10 +173,10 @@ def parse_chances(texts: Sequence[str]) -> FaultChances:
             value=" ".join(texts),
             remedy="at most one fault strikes: keep the sum to 1",
         )
-    return FaultChances(**found)
+    return FaultChances(**chances)
 
 
-def sensors_told(scenario: Scenario) -> dict[str, Any]:
+def sensor_data(scenario: Scenario) -> dict[str, Any]:
     """What of a scenario's sensors the options may change, as plain data."""
     sensors = scenario.sensors
     return {

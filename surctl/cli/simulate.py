@@ -8,12 +8,12 @@ import click
 
 from surctl.cli.animate_option import animate_option, check_animate
 from surctl.cli.barrier_options import barrier_options
-from surctl.cli.campaign import CampaignOptions, campaign_options, fly_again
+from surctl.cli.campaign import CampaignOptions, campaign_options, simulate_again
 from surctl.cli.controller_options import ControllerOptions, controller_options
 from surctl.cli.output import as_json, finish, out_folder, progress, stoppable
 from surctl.cli.priority_options import priority_options
-from surctl.cli.sensor_options import SensorOptions, sensor_options, sensors_told
-from surctl.cli.single_run import explained_and_drawn, linear_part, run_line
+from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
+from surctl.cli.single_run import further_output, linear_part, run_line
 
 __all__ = ["simulate"]
 
@@ -25,7 +25,7 @@ __all__ = ["simulate"]
 @click.option(
     "--law",
     default="guarded",
-    help="guarded, paper, lean, apf, dwa, vo or cbf.",
+    help="guarded, paper, closed_form, apf, dwa, vo or cbf.",
 )
 @click.option("--avoidance", default="corrected", help="(20): printed, consistent or corrected.")
 @click.option("--guidance", default="los", help="los, ilos or alos.")
@@ -51,7 +51,7 @@ def simulate(
     avoidance: str,
     guidance: str,
     priority_mode: str,
-    ladder: str,
+    fallback: str,
     barrier: str,
     movers: str,
     sensing: str,
@@ -90,16 +90,16 @@ def simulate(
     campaign = CampaignOptions(monte_carlo, worlds, worst, threads, fresh)
     link = ControllerOptions(controller, link_loss, link_delay, link_deadline, link_timeout)
     link.check(campaign=campaign.any or replayed is not None)
-    flights = 1 if replayed is not None else runs * len(scenarios)
-    check_animate(animate, flights=flights, campaign=campaign.any and replayed is None)
+    run_count = 1 if replayed is not None else runs * len(scenarios)
+    check_animate(animate, runs=run_count, campaign=campaign.any and replayed is None)
     if replayed is not None:
-        fly_again(replayed, explained=explained, out=out, animate=animate, as_json=as_json)
+        simulate_again(replayed, explained=explained, out=out, animate=animate, as_json=as_json)
     campaign.check(scenarios=scenarios, runs=runs, explained=explained, out=out)
-    _check_ladder(ladder, mode=priority_mode, explained=explained, campaign=campaign.any)
+    _check_fallback(fallback, mode=priority_mode, explained=explained, campaign=campaign.any)
     from surctl.control import build_law, load_gains
     from surctl.files import prepare_folder
-    from surctl.simulation import halt_reason, law_numbers, load_scenario, save_record
-    from surctl.simulation import simulate as fly
+    from surctl.simulation import law_numbers, load_scenario, save_record, stop_reason
+    from surctl.simulation import simulate as run_simulation
     from surctl.vehicle import load_vehicle
 
     _check_save(save, frame, out=out, campaign=campaign.any)
@@ -109,7 +109,7 @@ def simulate(
     sensors = SensorOptions(faults, chances, beam, own_state)
     sensors.check(law=law, sensing=sensing)
     if campaign.any:
-        wanted = campaign.plans(
+        campaign_plans = campaign.plans(
             scenarios,
             vehicle,
             chosen,
@@ -123,7 +123,7 @@ def simulate(
             sensing=sensing,
             seed=seed,
         )
-        campaign.fly(wanted, runs=worlds or runs, out=out, as_json=as_json)
+        campaign.run(campaign_plans, runs=worlds or runs, out=out, as_json=as_json)
     plans = [sensors.over(load_scenario(name)) for name in scenarios]
     vehicles = [load_vehicle(scenario.vehicle if vehicle is None else vehicle) for scenario in plans]
     laws = [  # takes a second, so a mistake is told before
@@ -132,60 +132,62 @@ def simulate(
             avoidance=avoidance,
             mode=priority_mode,
             sonar=sensing == "sonar",
-            equipment=scenario.sensors.on(flown["radius"]),
+            equipment=scenario.sensors.on(robot["radius"]),
             guidance=guidance,
             barrier=barrier,
             movers=movers,
-            ladder=ladder,
+            fallback=fallback,
             depths=scenario.depths is not None,
         )
-        for scenario, flown in zip(plans, vehicles, strict=True)
+        for scenario, robot in zip(plans, vehicles, strict=True)
     ]
     results, lines = [], list[str]()
-    kept = "the runs above are done" + (f", files in {out}" if out else "") + "; --seed K begins with another one"
-    with stoppable(kept if runs * len(plans) > 1 else "the run was not finished", lines, as_json=as_json):
-        for scenario, flown, built in zip(plans, vehicles, laws, strict=True):
-            p = law_numbers(scenario, chosen, flown)
-            with link.opened(built, p, scenario, flown) as line:
+    message = "the runs above are done" + (f", files in {out}" if out else "") + "; --seed K begins with another one"
+    with stoppable(message if runs * len(plans) > 1 else "the run was not finished", lines, as_json=as_json):
+        for scenario, simulated, built in zip(plans, vehicles, laws, strict=True):
+            p = law_numbers(scenario, chosen, simulated)
+            with link.opened(built, p, scenario, simulated) as line:
                 for k in range(seed, seed + runs):
-                    linked = link.linked(built, p, line, scenario, flown, seed=k)
-                    run = fly(scenario, flown, gains=chosen, law=built, sensing=sensing, seed=k, stepper=linked)
+                    linked = link.linked(built, p, line, scenario, simulated, seed=k)
+                    run = run_simulation(
+                        scenario, simulated, gains=chosen, law=built, sensing=sensing, seed=k, stepper=linked
+                    )
                     results.append(run.to_dict())
                     if sensing == "sonar":
-                        results[-1]["sensors"] = sensors_told(scenario)
+                        results[-1]["sensors"] = sensor_data(scenario)
                     lines.append(run_line(run))
                     if as_json:
                         progress(lines[-1])
                     lines += linear_part(run, results[-1])
-                    if run.metrics.stopped_because in ("halted", "dead end"):
-                        results[-1]["halted_because"] = halt_reason(run)
-                        lines.append(f"  {run.metrics.stopped_because}: {results[-1]['halted_because']}")
-                    lines += explained_and_drawn(run, results[-1], explained=explained, out=out, animate=animate)
+                    if run.metrics.stopped_because in ("stopped", "dead end"):
+                        results[-1]["stop_reason"] = stop_reason(run)
+                        lines.append(f"  {run.metrics.stopped_because}: {results[-1]['stop_reason']}")
+                    lines += further_output(run, results[-1], explained=explained, out=out, animate=animate)
                     if save is not None and out is not None:
                         results[-1]["file"] = str(save_record(run, out, kind=save, frame=frame or "enu"))
                         lines.append(f"  {results[-1]['file']}")
                     if linked is not None:
-                        told = linked.report()
-                        results[-1]["link"] = told.to_dict()
-                        lines.append(f"  {told.line()}")
-                        if told.gone_s is not None:
+                        report = linked.report()
+                        results[-1]["link"] = report.to_dict()
+                        lines.append(f"  {report.line()}")
+                        if report.gone_s is not None:
                             break
     good = all(r["reached"] and r["min_clearance_m"] > 0 for r in results)
     good = good and not any("link" in r and r["link"]["differing"] for r in results)
     finish({"runs": results}, lines, as_json=as_json, passed=good)
 
 
-def _check_ladder(ladder: str, *, mode: str, explained: bool, campaign: bool) -> None:
-    if ladder == "exact":
+def _check_fallback(fallback: str, *, mode: str, explained: bool, campaign: bool) -> None:
+    if fallback == "exact":
         return
     from surctl.errors import InputError
-    from surctl.priority import check_ladder
+    from surctl.priority import check_fallback
 
-    check_ladder(ladder, mode=mode)
+    check_fallback(fallback, mode=mode)
     if campaign:
-        raise InputError("flies single runs", key="--ladder", value=ladder, remedy="leave --monte-carlo out")
+        raise InputError("flies single runs", key="--fallback", value=fallback, remedy="leave --monte-carlo out")
     if explained:
-        raise InputError("is not explained", key="--ladder", value=ladder, remedy="leave --explain out")
+        raise InputError("is not explained", key="--fallback", value=fallback, remedy="leave --explain out")
 
 
 def _check_save(save: str | None, frame: str | None, *, out: Path | None, campaign: bool) -> None:

@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from surctl.simulation import Run
 
-__all__ = ["explained_and_drawn", "linear_part", "run_line"]
+__all__ = ["further_output", "linear_part", "run_line"]
 
 
 def run_line(run: Run) -> str:
     """Who flew what, and how it ended."""
     m = run.metrics
-    missed = f", a corner missed by {m.missed_corner_m:.3f} m" if m.missed_corner_m > run.scenario.reach else ""
+    missed = (
+        f", a corner missed by {m.missed_corner_m:.3f} m" if m.missed_corner_m > run.scenario.arrival_radius else ""
+    )
     return (
         f"{run.scenario.name} by {run.vehicle.name}, {run.sensing}, seed {run.seed}: {m.stopped_because} at "
         f"{m.time_s:.2f} s, least clearance {m.min_clearance_m:.3f} m, path error {m.path_error_m:.3f} m{missed}"
@@ -47,7 +49,7 @@ def linear_part(run: Run, result: dict[str, Any]) -> list[str]:
     return [head, *(f"    {line.strip()}" for line in mode.lines())]
 
 
-def explained_and_drawn(
+def further_output(
     run: Run, result: dict[str, Any], *, explained: bool, out: Path | None, animate: Path | None = None
 ) -> list[str]:
     """Further lines: changes of depth, explanations and moving picture, which go into `result` too, and the plots in
@@ -58,9 +60,9 @@ def explained_and_drawn(
     if explained:
         from surctl.simulation import explain
 
-        told = explain(run)
-        result["explanations"] = [asdict(one) for one in told]
-        lines += [f"  {one.time_s:6.2f} s  {one.text}" for one in told]
+        explanations = explain(run)
+        result["explanations"] = [asdict(one) for one in explanations]
+        lines += [f"  {one.time_s:6.2f} s  {one.text}" for one in explanations]
     if out is not None:
         from surctl.report import save_run
 

@@ -65,7 +65,7 @@ def sonar_replay(
     from surctl.report import save_sonar_replay
 
     picture = save_sonar_replay(replayed, out, title=recording.name)
-    found = [replayed.summary(sensor) for sensor in replayed.sensors]
+    summaries = [replayed.summary(sensor) for sensor in replayed.sensors]
     span = recording.readings.time[-1] - recording.readings.time[0]
     lines = [
         f"{recording.name}: {recording.rows} rows over {span:.4g} s, a sensor reads every {recording.cycle:.3g} s",
@@ -74,7 +74,7 @@ def sonar_replay(
     lines += [
         f"{s.sensor:>6}  {s.readings:>8}  {s.refused:>7}  {100 * s.healthy:>6.1f}%  {s.gaps:>4}  "
         f"{f'{s.longest_gap:.3g} s' if s.gaps else '-':>11}  {_bound(s.median_bound):>12}"
-        for s in found
+        for s in summaries
     ]
     lines += [f"note: {text}" for text in recording.notes]
     lines += ["", f"table {rows}", f"plot  {picture}"]
@@ -89,7 +89,7 @@ def sonar_replay(
         "skipped_crowded": recording.crowded,
         "beyond_maximum": recording.beyond,
         "restarts": len(recording.readings.first) - 1,
-        "sensors": [s.to_dict() for s in found],
+        "sensors": [s.to_dict() for s in summaries],
         "notes": recording.notes,
         "files": [str(rows), str(picture)],
     }

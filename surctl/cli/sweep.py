@@ -27,14 +27,14 @@ _SHOWN = 40  # points printed for people; the file has them all
 _MOST_JSON = 100_000  # points printed as JSON
 _LOCUS = 61  # poles are computed at so many values
 _SMOOTH = 0.02  # and at more where one goes further than this share of its modulus
-_TOLD = (  # columns printed for people
+_PRINTED = (  # columns printed for people
     "deviation_m", "path_error_m", "time_s", "min_clearance_m_worst", "effort_n", "delay_margin_s", "disk_margin",
     "reached_worst", "score", "feasible",
 )  # fmt: skip
 
 
 @click.command
-@click.argument("axes", nargs=-1, required=True, metavar="KNOB=V1,V2,...|LOW..HIGH[:COUNT][:log] ...")
+@click.argument("axes", nargs=-1, required=True, metavar="PARAMETER=V1,V2,...|LOW..HIGH[:COUNT][:log] ...")
 @click.option(
     "--scenario", "scenarios", multiple=True, default=("tank-static", "pool-static"), help="Flown at each point."
 )
@@ -44,7 +44,7 @@ _TOLD = (  # columns printed for people
 @click.option(
     "--law",
     default="guarded",
-    help="guarded; the printed stack: paper; lean, which is told one obstacle; a textbook law: apf, dwa, vo, cbf.",
+    help="guarded, paper (the printed stack), closed_form (one obstacle), or a textbook law: apf, dwa, vo, cbf.",
 )
 @click.option("--priority-mode", default="nsb", help="nsb, filter, projected or lexicographic.")
 @click.option(
@@ -53,7 +53,7 @@ _TOLD = (  # columns printed for people
 @click.option("--design", default="grid", help="grid, or points that fill ranges: lhs, sobol.")
 @click.option("--points", type=click.IntRange(min=1), help="Number of points of lhs and sobol.")
 @click.option("--sensitivity", metavar="COLUMN", help="Sobol' indices of a column; takes N(axes + 2) points, N = 64.")
-@click.option("--locus", metavar="KNOB", help="Draw the closed-loop poles over this axis, about the picked gains.")
+@click.option("--locus", metavar="PARAMETER", help="Draw the closed-loop poles over this axis, about the picked gains.")
 @click.option("--seeds", type=click.IntRange(1, 1_000_000), default=1, help="Seeds 0 to N-1 of every scenario.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes (2); the result does not depend on them.")
 @click.option("--dask", metavar="ADDRESS", help="A Dask scheduler instead of processes of this machine.")
@@ -130,10 +130,10 @@ def sweep(
     prepare_folder(out)
     with stoppable(f"the points that were flown are in {out}; to go on: {same_command()}"):
         table = run_sweep(cases, chosen, seeds=range(seeds), executor=executor, out=out, progress=progress)
-    found = None if sensitivity is None else indices(table, sensitivity)
+    sobol = None if sensitivity is None else indices(table, sensitivity)
     picked = table.picked
     gains_path = None if picked is None else write_file(out / "gains.toml", write_gains(table.gains))
-    pictures = _pictures(table, found, out)
+    pictures = _pictures(table, sobol, out)
     if locus is not None:
         from surctl.report import save_locus
 
@@ -141,7 +141,7 @@ def sweep(
         axis = next(axis for axis in table.axes if axis.name == locus)
         poles = _locus(cases, table.gains, locus, axis.values, at)
         pictures.append(save_locus(poles, out, unit=axis.unit, picked=at.get(locus)))
-    lines = _lines(table, found)
+    lines = _lines(table, sobol)
     where = "No point is feasible, so no gain file was written." if picked is None else table.gains.provenance
     lines += ["", where, *([] if gains_path is None else [f"gains {gains_path}"]), f"table {table.path}"]
     lines += [f"plot  {picture}" for picture in pictures]
@@ -154,7 +154,7 @@ def sweep(
         "results": table.rows() if as_json else [],
         "picked": None if picked is None else table.row(picked),
         "gains": None if gains_path is None else str(gains_path),
-        "sensitivity": None if found is None else found.to_dict(),
+        "sensitivity": None if sobol is None else sobol.to_dict(),
         "table": str(table.path),
     }
     finish(data, lines, as_json=as_json, passed=picked is not None, then=then)
@@ -168,11 +168,11 @@ def _executor(workers: int | None, dask: str | None) -> Executor:
     return LocalExecutor(workers or 2) if dask is None else DaskExecutor(dask)
 
 
-def _pictures(table: SweepTable, found: Sensitivity | None, out: Path) -> list[Path]:
+def _pictures(table: SweepTable, sobol: Sensitivity | None, out: Path) -> list[Path]:
     from surctl.report import save_heat_map, save_parallel, save_sensitivity
 
-    if found is not None:
-        return [save_sensitivity(found, out)]
+    if sobol is not None:
+        return [save_sensitivity(sobol, out)]
     pictures = [save_parallel(table, out)]
     if table.is_grid and len(table.axes) > 1:
         pictures.append(save_heat_map(table, "score", out))
@@ -180,7 +180,7 @@ def _pictures(table: SweepTable, found: Sensitivity | None, out: Path) -> list[P
 
 
 def _locus(
-    cases: Sequence[Case], gains: Gains, knob: str, swept: NDArray[np.float64], at: Mapping[str, float]
+    cases: Sequence[Case], gains: Gains, parameter: str, swept: NDArray[np.float64], at: Mapping[str, float]
 ) -> Locus:
     """Poles of the first case's vehicle at its largest cruise speed over the range of an axis, about a point."""
     import numpy as np
@@ -188,11 +188,11 @@ def _locus(
     from surctl.verification import sweep_locus
 
     first = cases[0]
-    values = np.union1d(np.linspace(swept.min(), swept.max(), _LOCUS), [at[knob]] if knob in at else [])
+    values = np.union1d(np.linspace(swept.min(), swept.max(), _LOCUS), [at[parameter]] if parameter in at else [])
     return sweep_locus(
         first.vehicle,
         gains.values,
-        knob,
+        parameter,
         values,
         cruise=max(c.scenario.cruise for c in cases if c.vehicle == first.vehicle),
         dt=first.build().dt,
@@ -202,13 +202,13 @@ def _locus(
     )
 
 
-def _lines(table: SweepTable, found: Sensitivity | None) -> list[str]:
+def _lines(table: SweepTable, sobol: Sensitivity | None) -> list[str]:
     """What people are told of the points, or of the indices."""
-    if found is not None:
-        if found.constant:
-            return [f"{found.column} is constant over these ranges: it depends on none of the axes"]
-        head = f"{found.column}: share of the variance of each axis, alone and with others, with 95 % intervals"
-        shares = zip(found.axes, found.first, found.first_interval, found.total, found.total_interval, strict=True)
+    if sobol is not None:
+        if sobol.constant:
+            return [f"{sobol.column} is constant over these ranges: it depends on none of the axes"]
+        head = f"{sobol.column}: share of the variance of each axis, alone and with others, with 95 % intervals"
+        shares = zip(sobol.axes, sobol.first, sobol.first_interval, sobol.total, sobol.total_interval, strict=True)
         return [head] + [
             f"{name:<16} {f:6.3f} ({a[0]:.3f} … {a[1]:.3f})  {t:6.3f} ({b[0]:.3f} … {b[1]:.3f})"
             for name, f, a, t, b in shares
@@ -216,7 +216,7 @@ def _lines(table: SweepTable, found: Sensitivity | None) -> list[str]:
     import numpy as np
 
     indices = list(np.ndindex(table.shape))
-    columns = {name: table.column(name) for name in _TOLD}
+    columns = {name: table.column(name) for name in _PRINTED}
     rows = [table.at(index) | {name: float(v[index]) for name, v in columns.items()} for index in indices[:_SHOWN]]
     lines = ["  ".join(f"{name}={value:.4g}" for name, value in row.items()) for row in rows]
     if len(indices) > _SHOWN:

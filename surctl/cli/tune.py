@@ -99,23 +99,23 @@ def tune(
     from surctl.tuning import tune as run_tuning
     from surctl.vehicle import load_vehicle
 
-    given = dict(_gain(text) for text in gain)
-    if len(given) < len(gain):
+    ranges = dict(_gain(text) for text in gain)
+    if len(ranges) < len(gain):
         raise click.BadParameter("a gain is named twice", param_hint="--gain")
     plan = load_plan(file)
     goals = plan.goals if goals_file is None else load_goals(goals_file)
-    flown = [(leg.scenario, leg.vehicle) for leg in plan.deciding]
+    pairs = [(leg.scenario, leg.vehicle) for leg in plan.deciding]
     if vehicles:
-        scenarios = {s.name: s for s, _ in flown}.values()
-        flown = [(s, v) for v in map(load_vehicle, vehicles) for s in scenarios]
+        scenarios = {s.name: s for s, _ in pairs}.values()
+        pairs = [(s, v) for v in map(load_vehicle, vehicles) for s in scenarios]
     kind = {"law": plan.law, "guidance": plan.guidance if guidance is None else guidance}
-    cases = [build_cases([scenario], [vehicle], gains=plan.gains, **kind)[0] for scenario, vehicle in flown]
+    cases = [build_cases([scenario], [vehicle], gains=plan.gains, **kind)[0] for scenario, vehicle in pairs]
     prepare_folder(out)
     request = Request(
         goals,
         conditions(cases, seeds=range(seeds)),
         plan.gains,
-        gain_ranges(plan.gains, given or TUNED),
+        gain_ranges(plan.gains, ranges or TUNED),
         seed=seed,
         threads=workers,
     )
@@ -131,22 +131,22 @@ def tune(
     pictures = save_tuning(tuning, out)
     lines = [*summary(tuning), "", f"gains {gains_path}", f"all   {everything}"]
     lines += [f"plot  {path}" for path in pictures]
-    mission, robot = flown[0]
+    mission, robot = pairs[0]
     about = at_hand(mission, robot, str(gains_path))
     region = _region(robot)
     # of the mission a region needs the speeds; its safety claim would decide the exit status too
     speeds = ["--cruise", f"{mission.cruise:g}", "--cap", f"{mission.cap:g}"]
-    asked = [*region, *(speeds if region else about[:2]), *about[2:], "--out", str(out / "proofs")]
+    arguments = [*region, *(speeds if region else about[:2]), *about[2:], "--out", str(out / "proofs")]
     law = shlex.join(["--law", plan.law, "--guidance", kind["guidance"]])
     then = [
-        shlex.join(["surctl", "verify", *asked]),
+        shlex.join(["surctl", "verify", *arguments]),
         f"surctl export {shlex.join(about)} {law}",
     ]
-    if not tuning.kept:
+    if not tuning.accepted:
         again = shlex.join([*sys.argv[1:], "--trials", str(2 * trials), "--rounds", str(rounds + 2)])
         then = [f"surctl {again}"]
         lines.append("not met: search longer, or relax a goal")
-    finish(result, lines, as_json=as_json, passed=tuning.kept, then=then)
+    finish(result, lines, as_json=as_json, passed=tuning.accepted, then=then)
 
 
 def _region(vehicle: Vehicle) -> list[str]:

@@ -48,7 +48,7 @@ def serve_page(
     start = plan.gains if gains is None else load_gains(gains)
     bench = Bench(vehicle, mission, start, plan.goals if goals is None else load_goals(goals))
     progress("compiling the closed loop; once, it is kept")
-    bench.fly(start)
+    bench.simulate(start)
     bench.judge(start)
 
     def ready(address: str) -> None:

@@ -86,7 +86,7 @@ def from_geometry(
     """
     from surctl.vehicle import sphere
 
-    made = sphere(
+    robot = sphere(
         name,
         diameter=diameter,
         dry_mass=mass,
@@ -97,11 +97,11 @@ def from_geometry(
         thrust_lag=thrust_lag,
         density=density,
     )
-    lines = [f"{made.name}: {made.note}"]
-    for key, p in made.parameters.items():
+    lines = [f"{robot.name}: {robot.note}"]
+    for key, p in robot.parameters.items():
         bounds = "" if p.range is None else f"  {p.range[0]:.4g} to {p.range[1]:.4g}"
         lines.append(f"  {key:<10} {p.value:>9.4g} {p.unit:<10}{bounds}")
-    _write(made, out, force, lines, {"vehicle": made.name, "parameters": _numbers(made)}, as_json=as_json)
+    _write(robot, out, force, lines, {"vehicle": robot.name, "parameters": _numbers(robot)}, as_json=as_json)
 
 
 @vehicle.command("from-log")
@@ -126,42 +126,42 @@ def from_log(log: Path, start: str, frame: str | None, name: str, out: Path | No
     """
     from surctl.vehicle import identify, load_vehicle, read_motion_log
 
-    found = identify(read_motion_log(log, frame=frame), load_vehicle(start), name=name)
+    fit = identify(read_motion_log(log, frame=frame), load_vehicle(start), name=name)
     result = {
         "vehicle": name,
-        "start": found.start.name,
+        "start": fit.start.name,
         "estimates": {
-            key: {"value": value, "half_interval": half, "told": key in found.told, "start": found.start[key]}
-            for key, (value, half) in found.estimates.items()
+            key: {"value": value, "half_interval": half, "identified": key in fit.identified, "start": fit.start[key]}
+            for key, (value, half) in fit.estimates.items()
         },
-        "noise": dict(found.noise),
-        "notes": list(found.notes),
-        "parameters": _numbers(found.vehicle),
+        "noise": dict(fit.noise),
+        "notes": list(fit.notes),
+        "parameters": _numbers(fit.vehicle),
     }
-    _write(found.vehicle, out, force, _fit_lines(found), result, as_json=as_json)
+    _write(fit.vehicle, out, force, _fit_lines(fit), result, as_json=as_json)
 
 
-def _fit_lines(found: Identified) -> list[str]:
-    lines = [f"{found.vehicle.name}: {found.vehicle.note}", f"  {'':<10} {'estimate':>9}   95 % interval   start"]
-    for key, (value, half) in found.estimates.items():
-        unit = found.vehicle.parameters[key].unit
-        told = f"{value:>9.4g} ± {half:<9.3g}" if key in found.told else f"{'':>9}   the log cannot tell"
-        lines.append(f"  {key:<10} {told:<23} {found.start[key]:>8.4g} {unit}")
-    lines += [f"  noise of {column}: {level:.3g}" for column, level in found.noise.items()]
-    return lines + [f"  note: {note}" for note in found.notes]
+def _fit_lines(fit: Identified) -> list[str]:
+    lines = [f"{fit.vehicle.name}: {fit.vehicle.note}", f"  {'':<10} {'estimate':>9}   95 % interval   start"]
+    for key, (value, half) in fit.estimates.items():
+        unit = fit.vehicle.parameters[key].unit
+        estimate = f"{value:>9.4g} ± {half:<9.3g}" if key in fit.identified else f"{'':>9}   the log cannot tell"
+        lines.append(f"  {key:<10} {estimate:<23} {fit.start[key]:>8.4g} {unit}")
+    lines += [f"  noise of {column}: {level:.3g}" for column, level in fit.noise.items()]
+    return lines + [f"  note: {note}" for note in fit.notes]
 
 
-def _numbers(made: Vehicle) -> dict[str, Any]:
-    return {k: {"value": p.value, "unit": p.unit, "range": p.range} for k, p in made.parameters.items()}
+def _numbers(robot: Vehicle) -> dict[str, Any]:
+    return {k: {"value": p.value, "unit": p.unit, "range": p.range} for k, p in robot.parameters.items()}
 
 
 def _write(
-    made: Vehicle, out: Path | None, force: bool, lines: list[str], result: dict[str, Any], *, as_json: bool
+    robot: Vehicle, out: Path | None, force: bool, lines: list[str], result: dict[str, Any], *, as_json: bool
 ) -> None:
     from surctl.cli.new import path_of, write_new
     from surctl.vehicle import write_vehicle
 
-    target = write_new(out or path_of(made.name, ".toml"), write_vehicle(made), force=force)
+    target = write_new(out or path_of(robot.name, ".toml"), write_vehicle(robot), force=force)
     shown = shlex.quote(str(target))
     then = [f"surctl lint {shown}", f"surctl tune --vehicle {shown} --out tuned"]
     finish({**result, "file": str(target)}, [*lines, f"wrote {target}"], as_json=as_json, passed=True, then=then)

@@ -96,17 +96,17 @@ def verify(
     from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.vehicle import load_vehicle
-    from surctl.verification import Inapplicable, settle, write_claim
+    from surctl.verification import Inapplicable, decide, write_claim
     from surctl.verification.region import write_region
 
     if time_limit != time_limit:  # NaN is in every range of click's
         raise InputError("is no time", key="--time-limit", value=time_limit, remedy="give seconds, above 0")
     values = load_gains(gains).values
-    flown = load_vehicle(vehicle)
+    robot = load_vehicle(vehicle)
     speeds = _speeds(cruise, cap, scenario)
     at_hand = {**values, "speed": speeds[0], "speed_max": speeds[1]}
     named = [name for name in claims if not is_region(name) and not is_braking(name)]
-    chosen, left_out = _chosen(named, at_hand, flown) if named or not claims else ([], {})
+    chosen, left_out = _chosen(named, at_hand, robot) if named or not claims else ([], {})
     refused = [Inapplicable.of(name, reason) for name, reason in left_out.items()]
     if show:
         texts = {claim.name: write_claim(claim) for claim in chosen}
@@ -121,49 +121,54 @@ def verify(
     if out is not None:
         prepare_folder(out)
     law = build_law()
-    linear = linear_part(flown, values, cruise=speeds[0], dt=law.dt, uncertainty=uncertainty, asked=cruise is not None)
-    told = None
+    linear = linear_part(
+        robot, values, cruise=speeds[0], dt=law.dt, uncertainty=uncertainty, requested=cruise is not None
+    )
+    safety = None
     if scenario is not None:
-        told = _safety(scenario, flown, gains, speeds, barrier=barrier, movers=movers, spread=uncertainty or None)
-    wanted = [name for name in claims if is_region(name)]
-    regions = prove_regions(wanted, vehicle=vehicle, gains=gains, speeds=speeds, seed=seed, out=out)
+        safety = _safety(scenario, robot, gains, speeds, barrier=barrier, movers=movers, spread=uncertainty or None)
+    region_names = [name for name in claims if is_region(name)]
+    regions = prove_regions(region_names, vehicle=vehicle, gains=gains, speeds=speeds, seed=seed, out=out)
     braked = prove_all([n for n in claims if is_braking(n)], vehicle=vehicle, gains=gains, cap=speeds[1], out=out)
     verdicts, files, lines = [], dict[str, Path](), list[str]()
     where = "" if out is None else f", certificates in {out}"
-    kept = f"what was settled is told above{where}; name the other claims: surctl verify CLAIM"
+    message = f"what was settled is told above{where}; name the other claims: surctl verify CLAIM"
     for claim in chosen:
         progress(claim.name)
-        with stoppable(kept, lines, as_json=as_json):
-            verdicts.append(settle(claim, seed=seed, time_limit=time_limit, progress=progress))
+        with stoppable(message, lines, as_json=as_json):
+            verdicts.append(decide(claim, seed=seed, time_limit=time_limit, progress=progress))
         files |= _write_certificates(verdicts[-1:], out)
         lines.append(claim_line(verdicts[-1]))
     lines += [*(refusal_line(one) for one in refused), *regions.lines, *braked.lines]
-    lines.append(f"at cruise speed {speeds[0]:g} m/s and cap {speeds[1]:g} m/s, vehicle {flown.name}:")
+    lines.append(f"at cruise speed {speeds[0]:g} m/s and cap {speeds[1]:g} m/s, vehicle {robot.name}:")
     lines += linear.lines
     result: dict[str, Any] = {
         "claims": [
-            *(_told(v, files) for v in verdicts), *(one.to_dict() for one in refused), *regions.claims, *braked.claims
+            *(_verdict_data(v, files) for v in verdicts),
+            *(one.to_dict() for one in refused),
+            *regions.claims,
+            *braked.claims,
         ],
         "uncertainty": uncertainty,
         "cruise_m_per_s": speeds[0],
         "cap_m_per_s": speeds[1],
-        **linear.told,
+        **linear.data,
     }  # fmt: skip
     for name in stacks:
-        told_stack = _stack(name)
-        lines += told_stack.lines()
-        result.setdefault("stacks", {})[name] = told_stack.to_dict()
+        conditions = _stack(name)
+        lines += conditions.lines()
+        result.setdefault("stacks", {})[name] = conditions.to_dict()
     certificates = [*files.values(), *regions.files, *braked.files]
     if out is not None:
         margins_at = None if linear.stable is None else speeds[0]
-        result["pictures"] = _draw(verdicts, regions.claims, flown, values, out, cruise=margins_at, dt=law.dt)
+        result["pictures"] = _draw(verdicts, regions.claims, robot, values, out, cruise=margins_at, dt=law.dt)
         lines.append(f"certificates: {len(certificates)}, pictures: {len(result['pictures'])}, in {out}")
     good = linear.stable is not False and regions.passed and braked.passed
     good = good and all(v.as_expected for v in verdicts) and not (named and refused)
-    if told is not None:
-        lines += told.lines()
-        result["safety"] = told.to_dict()
-        good = good and told.holds
+    if safety is not None:
+        lines += safety.lines()
+        result["safety"] = safety.to_dict()
+        good = good and safety.holds
     proved = any(claim["verdict"] == "proved" for claim in result["claims"])
     then = [f"{same_command()} --out proofs"] if proved and out is None else []
     if not then:
@@ -189,7 +194,7 @@ def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tu
     return speed, cap
 
 
-def _export(scenario: str | None, vehicle: str, gains: str, kept: Sequence[Path], law: Law) -> list[str]:
+def _export(scenario: str | None, vehicle: str, gains: str, certificates: Sequence[Path], law: Law) -> list[str]:
     """The export that takes along what was proved; none where this vehicle cannot start the mission."""
     from surctl.cli.export import MISSION
     from surctl.control import load_gains
@@ -198,12 +203,16 @@ def _export(scenario: str | None, vehicle: str, gains: str, kept: Sequence[Path]
     from surctl.simulation import build_world, law_numbers, load_scenario
     from surctl.vehicle import load_vehicle
 
-    mission, flown = load_scenario(MISSION if scenario is None else scenario), load_vehicle(vehicle)
+    mission, robot = load_scenario(MISSION if scenario is None else scenario), load_vehicle(vehicle)
     try:
-        build_world(mission, flown, seed=0)
+        build_world(mission, robot, seed=0)
     except InputError:  # the start lies inside an obstacle
         return []
-    travel = fitting_certificates(kept, law, flown, law_numbers(mission, load_gains(gains), flown)) if kept else []
+    travel = (
+        fitting_certificates(certificates, law, robot, law_numbers(mission, load_gains(gains), robot))
+        if certificates
+        else []
+    )
     words = ["surctl", "export", *(() if scenario is None else ("--scenario", scenario))]
     words += ["--vehicle", vehicle, "--gains", gains]
     return [shlex.join([*words, *(word for file in travel for word in ("--certificate", str(file)))])]
@@ -248,10 +257,10 @@ def _draw(
     from surctl.report import save_margins, save_regions, save_verdicts
 
     progress("pictures")
-    proved = {told["claim"]: told["certificate"] for told in regions if told["certificate"]}
-    drawn = [] if cruise is None else save_margins(vehicle, gains, out, cruise=cruise, dt=dt)
-    drawn += save_verdicts(verdicts, out)
-    return [str(path) for path in [*drawn, *save_regions(proved, out)]]
+    proved = {region["claim"]: region["certificate"] for region in regions if region["certificate"]}
+    pictures = [] if cruise is None else save_margins(vehicle, gains, out, cruise=cruise, dt=dt)
+    pictures += save_verdicts(verdicts, out)
+    return [str(path) for path in [*pictures, *save_regions(proved, out)]]
 
 
 def _stack(name: str) -> StackConditions:
@@ -274,12 +283,12 @@ def _chosen(
     own = {word: load_claim(Path(word)) for word in words if word.endswith(".toml")}
     rest, refused = applicable_claims(gains, [w for w in dict.fromkeys(words) if w not in own], vehicle=vehicle)
     known = {claim.name: claim for claim in rest}
-    found = [own[w] if w in own else known[w] for w in words if w not in refused]
-    names = [claim.name for claim in found]
+    chosen = [own[w] if w in own else known[w] for w in words if w not in refused]
+    names = [claim.name for claim in chosen]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError("is given twice", key="claim", value=twice[0], remedy="rename one, or leave it out")
-    return found, refused
+    return chosen, refused
 
 
 def _write_certificates(verdicts: Sequence[Verdict], out: Path | None) -> dict[str, Path]:
@@ -295,21 +304,21 @@ def _write_certificates(verdicts: Sequence[Verdict], out: Path | None) -> dict[s
     }
 
 
-def _told(verdict: Verdict, files: Mapping[str, Path]) -> dict[str, Any]:
-    told = verdict.to_dict()
-    if told["certificate"] is not None:
+def _verdict_data(verdict: Verdict, files: Mapping[str, Path]) -> dict[str, Any]:
+    data = verdict.to_dict()
+    if data["certificate"] is not None:
         file = files.get(verdict.claim.name)
-        told["certificate"]["file"] = None if file is None else str(file)
-    return told
+        data["certificate"]["file"] = None if file is None else str(file)
+    return data
 
 
 def claim_line(verdict: Verdict) -> str:
     """One verdict in one line, with its counterexample, its slack or what is left open."""
-    found, proof = verdict.counterexample, verdict.certificate
+    counterexample, proof = verdict.counterexample, verdict.certificate
     where = ""
-    if found is not None:
-        where = " at " + ", ".join(f"{k} = {v:.4g}" for k, v in found.values.items())
-        where += f": exceeded by {found.margin:.3g} {verdict.claim.unit}"
+    if counterexample is not None:
+        where = " at " + ", ".join(f"{k} = {v:.4g}" for k, v in counterexample.values.items())
+        where += f": exceeded by {counterexample.margin:.3g} {verdict.claim.unit}"
     elif proof is not None and proof["claim"]["slack"]:
         where = f" to within {proof['claim']['slack']:.1g} {verdict.claim.unit}"
     elif verdict.open_ends:

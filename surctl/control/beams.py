@@ -25,7 +25,7 @@ class Around(NamedTuple):
 
     eta: ca.SX
     nu: ca.SX
-    doubt: ca.SX
+    uncertainty: ca.SX
     placed: ca.SX
     movers: ca.SX
 
@@ -58,15 +58,15 @@ def expected(array: SonarArray, around: Around, apexes: Sequence[ca.SX], p: Mapp
 
     def ranges(half: float, axis: ca.SX, apex: ca.SX) -> tuple[ca.SX]:
         beam = {"azimuth": 0.0, "hull_radius": 0.0, "half_angle": half, "maximum": array.maximum}
-        found = [
+        distances = [
             expected_range(apex, axis, walls=site, discs=round_ones, valid=valid, **beam)
             for site, (round_ones, valid) in ((p["walls"], none), (far, discs))
         ]
-        return (ca.vertcat(*found),)
+        return (ca.vertcat(*distances),)
 
     axes = [turned(around.heading, a + cones[0][0]) for a, cones in zip(array.azimuths, array.cones, strict=True)]
     halves = [cones[0][1] for cones in array.cones]
-    found: list[ca.SX] = []
+    tables: list[ca.SX] = []
     for half, same in groupby(zip(halves, axes, apexes, strict=True), key=lambda beam: beam[0]):
         beams_alike = list(same)
         table = each(
@@ -75,8 +75,8 @@ def expected(array: SonarArray, around: Around, apexes: Sequence[ca.SX], p: Mapp
             tabulated([axis] for _, axis, _ in beams_alike),
             tabulated([apex] for _, _, apex in beams_alike),
         )[0]
-        found.append(table)
-    both = ca.vertcat(*found)
+        tables.append(table)
+    both = ca.vertcat(*tables)
     return both[:, 0], both[:, 1]
 
 
@@ -98,9 +98,9 @@ def honest(array: SonarArray, samples: ca.SX, ranging: Ranging, sensor: int, *, 
     fine: ca.SX = ca.logic_and(reading >= least - 1.5 * array.resolution, state["sonar_late"][sensor] < 0.5)
     fine = ca.logic_and(fine, state["sonar_distrust"][sensor] < 0.5)
     fine = ca.logic_and(fine, state["sonar_repeated"][sensor] < max(repeats, 1))
-    tells = ca.logic_and(reading > least + array.resolution, reading < array.maximum - SILENT)
+    informative = ca.logic_and(reading > least + array.resolution, reading < array.maximum - SILENT)
     for other in range(array.size):
         if other != sensor:
             differ = ca.sumsqr(samples[other, :] - samples[sensor, :]) > 0
-            fine = ca.logic_and(fine, ca.logic_or(differ, ca.logic_not(tells)))
+            fine = ca.logic_and(fine, ca.logic_or(differ, ca.logic_not(informative)))
     return fine

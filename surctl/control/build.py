@@ -10,7 +10,9 @@ from typing import cast, get_args
 import casadi as ca
 
 from surctl.control.baselines import Situation
+from surctl.control.closed_form import CLOSED_FORM_PORTS, DAMPING, known_obstacle
 from surctl.control.closing import CLIMB, Closing, Memory, yaw_limit
+from surctl.control.dead_end import DEAD_END_PORTS, dead_end_next, standing
 from surctl.control.decision import DECISION_PORTS, Decision, Scan
 from surctl.control.echoes import perceive, perception_ports
 from surctl.control.law import (
@@ -25,7 +27,7 @@ from surctl.control.law import (
     scan_telemetry,
 )
 from surctl.control.layers import LAYER_PORTS, aimed_depth
-from surctl.control.lean import DAMPING, LEAN_PORTS, told_obstacle
+from surctl.control.perception import PerceptionStage, build_perception
 from surctl.control.ports import (
     CONTACT_SLOTS,
     DEFAULT_ARRAY,
@@ -35,17 +37,15 @@ from surctl.control.ports import (
     scan_inputs,
     sonar_inputs,
 )
-from surctl.control.reference import learnt, path_wish
+from surctl.control.reference import learnt, path_following
 from surctl.control.registry import LAW_NAMES, LAWS, LawName
 from surctl.control.routines import limited, sensing
-from surctl.control.senses import Senses, build_senses
 from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
 from surctl.control.stored import law_bytes, law_from
-from surctl.control.trap import TRAP_PORTS, standing, trap_next
 from surctl.errors import InputError, SurctlError, nearest
 from surctl.guidance import FORMS, AvoidanceForm, Guidance, check_guidance
 from surctl.ir import Layout, Port, Recording, cached_bytes, fold, source_digest, tabulated, without_libm
-from surctl.priority import Ladder, Mode, check_ladder, nsb_symbolic
+from surctl.priority import Fallback, Mode, check_fallback, nsb_symbolic
 from surctl.sensing import Equipment
 from surctl.tasks import LimitRow, VelocityBox
 
@@ -54,7 +54,7 @@ __all__ = ["MODES", "build_law"]
 DEFAULT_EQUIPMENT = Equipment()
 MODES: tuple[Mode, ...] = get_args(Mode)
 
-_TICK_INPUTS = ("J", "wanted", "rows", "box")
+_STEP_INPUTS = ("J", "reference", "rows", "box")
 
 
 _SOURCES = tuple(
@@ -77,7 +77,7 @@ def build_law(
     barrier: str = "simple",
     movers: str = "predict",
     depths: bool = False,
-    ladder: str = "exact",
+    fallback: str = "exact",
 ) -> Law:
     """Assemble a law once; the gains stay symbols.
 
@@ -106,9 +106,9 @@ def build_law(
 
     Example:
         >>> from surctl.control import build_law
-        >>> law = build_law("lean")
+        >>> law = build_law("closed_form")
         >>> law.name, law.mode, law.outputs.ports[0].name
-        ('surctl_lean', 'nsb', 'tau')
+        ('surctl_closed_form', 'nsb', 'tau')
         >>> build_law() is build_law("guarded", dt=0.05)  # built once
         True
     """
@@ -125,7 +125,7 @@ def build_law(
         if key in ("barrier", "movers") and law != "guarded" and value != known[0]:
             raise InputError(f"law {law} has none", key=key, value=value, remedy="fly law guarded")
     check_guidance(guidance)
-    check_ladder(ladder, mode=mode)
+    check_fallback(fallback, mode=mode)
     if law != "paper" and avoidance != "corrected":
         raise InputError(
             f"law {law} takes the corrected form only",
@@ -136,10 +136,10 @@ def build_law(
     if law == "paper" and sonar and equipment.array != DEFAULT_ARRAY:
         raise InputError("law paper has the four sonars of the paper", key="array", remedy="fly law guarded")
     depths = depths and law == "guarded"
-    if law == "lean":
+    if law == "closed_form":
         if sonar or mode != "nsb":
             raise InputError(
-                "law lean senses nothing, and keeps no limits",
+                "law closed_form senses nothing, and keeps no limits",
                 key="sensing" if sonar else "priority-mode",
                 remedy="--sensing truth, --priority-mode nsb",
             )
@@ -158,7 +158,7 @@ def build_law(
             cast("Barrier", barrier),
             cast("Movers", movers),
             depths,
-            cast("Ladder", ladder),
+            cast("Fallback", fallback),
         )
     )
 
@@ -179,7 +179,7 @@ class _Configuration:
     barrier: Barrier
     movers: Movers
     depths: bool
-    ladder: Ladder
+    fallback: Fallback
 
 
 @cache
@@ -202,82 +202,95 @@ def _cached_law(chosen: _Configuration) -> Law:
 
 def _built(c: _Configuration) -> Law:
     if c.law == "paper" or not c.sonar:
-        told = law_inputs(c.contacts, sonar=c.sonar, depths=c.depths)
-        return _decide(c, told, sonar=c.sonar, moving=c.moving)
-    told = scan_inputs(c.contacts + SECTORS, sensors=c.equipment.array.size, depths=c.depths)
-    given = sonar_inputs(c.equipment, contacts=c.contacts, depths=c.depths)
-    return _with_senses(_decide(c, told), build_senses(c.equipment, given, told, dt=c.dt))
+        decision_inputs = law_inputs(c.contacts, sonar=c.sonar, depths=c.depths)
+        return _decide(c, decision_inputs, sonar=c.sonar, moving=c.moving)
+    decision_inputs = scan_inputs(c.contacts + SECTORS, sensors=c.equipment.array.size, depths=c.depths)
+    inputs = sonar_inputs(c.equipment, contacts=c.contacts, depths=c.depths)
+    return _with_perception(
+        _decide(c, decision_inputs), build_perception(c.equipment, inputs, decision_inputs, dt=c.dt)
+    )
 
 
-def _with_senses(decide: Law, senses: Senses) -> Law:
+def _with_perception(decide: Law, perception: PerceptionStage) -> Law:
     """The whole law: what the senses tell, decided on."""
-    state = Layout((*decide.state.ports, *senses.state.ports))
-    block = sensing(decide.block, decide.state, senses)
-    return replace(decide, state=state, inputs=senses.inputs, block=block, senses=senses)
+    state = Layout((*decide.state.ports, *perception.state.ports))
+    block = sensing(decide.block, decide.state, perception)
+    return replace(decide, state=state, inputs=perception.inputs, block=block, perception=perception)
 
 
 def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, moving: bool = True) -> Law:
     """The law, or what of it comes after the senses; there everything may move."""
     law, avoidance, mode, dt, guidance = chosen.law, chosen.avoidance, chosen.mode, chosen.dt, chosen.guidance
-    barrier, movers, ladder = chosen.barrier, chosen.movers, chosen.ladder
+    barrier, movers, fallback = chosen.barrier, chosen.movers, chosen.fallback
     scans = "unknown" in inputs
-    depths, lean = "column" in inputs, law == "lean"
-    decided = LEAN_PORTS if lean else DECISION_PORTS
+    depths, closed_form = "column" in inputs, law == "closed_form"
+    decided = CLOSED_FORM_PORTS if closed_form else DECISION_PORTS
     state = _state_layout(dt, guidance, gives_up=law == "guarded", sonar=sonar, depths=depths, decided=decided)
-    listed = scan_telemetry(inputs.port("heard").shape[0]) if scans else TELEMETRY
+    listed = scan_telemetry(inputs.port("sonars").shape[0]) if scans else TELEMETRY
     outputs = Layout((*listed, *((TRAPPED_PORT,) if "trapped" in state else ()), *((DEPTH_PORT,) if depths else ())))
     x, xs = state.symbols("x")
     u, us = inputs.symbols("u")
     p, ps = PARAMETERS.symbols("p")
     with Recording() as recording:
-        wish = path_wish(us["eta"], xs["progress"], ps, dt=dt, guidance=guidance, memory=xs.get("drift"))
+        desired = path_following(us["eta"], xs["progress"], ps, dt=dt, guidance=guidance, memory=xs.get("drift"))
         if "trapped" in xs:
-            wish = standing(wish, xs, us["eta"], ps)
-        asked, layer_depth = ps, ps["depth"]
+            desired = standing(desired, xs, us["eta"], ps)
+        parameters, layer_depth = ps, ps["depth"]
         if depths:
             layer_depth, aimed = aimed_depth(xs, us["eta"], us["nu"], us["column"], ps)
-            asked = {**ps, "depth": aimed}
-        seen = told_obstacle(us, ps) if lean else perceive(xs, us, ps, dt=dt)
-        scan = Scan(us["unknown"], us["heard"], us["placed"]) if scans else None
+            parameters = {**ps, "depth": aimed}
+        perceived = known_obstacle(us, ps) if closed_form else perceive(xs, us, ps, dt=dt)
+        scan = Scan(us["unknown"], us["sonars"], us["placed"]) if scans else None
         decision = LAWS[law](
-            Situation(avoidance, wish, seen, xs, us["eta"], us["nu"], asked, dt, scan, moving, barrier, movers)
+            Situation(
+                avoidance, desired, perceived, xs, us["eta"], us["nu"], parameters, dt, scan, moving, barrier, movers
+            )
         )
-        clearances = tabulated([[contact.clearance] for contact in seen.all], 1)
+        clearances = tabulated([[contact.clearance] for contact in perceived.all], 1)
         nearest_clearance = fold("nearest", ca.fmin, ca.SX(100), clearances)
-        unknown = {"tau": ca.SX.zeros(4), "nu_wanted": ca.SX.zeros(4)}
-        told = {
-            "path_error": ca.vertcat(wish.x_e, wish.y_e),
+        unknown = {"tau": ca.SX.zeros(4), "nu_reference": ca.SX.zeros(4)}
+        reported = {
+            "path_error": ca.vertcat(desired.x_e, desired.y_e),
             "avoiding": decision.avoiding,
             "nearest": nearest_clearance,
-            "ranges": seen.ranges,
+            "ranges": perceived.ranges,
         }
         if scans:
-            heard = us["heard"]
-            told |= {"ranges": heard[:, 0], "bounds": heard[:, 1], "healthy": heard[:, 2], "halted": decision.halted}
-        carried = {**seen.state, **decision.state, "progress": wish.progress, "integral": xs["integral"]}
+            sonars = us["sonars"]
+            reported |= {
+                "ranges": sonars[:, 0],
+                "bounds": sonars[:, 1],
+                "healthy": sonars[:, 2],
+                "stopped": decision.stopped,
+            }
+        carried = {**perceived.state, **decision.state, "progress": desired.progress, "integral": xs["integral"]}
         if "drift" in xs:
-            carried["drift"] = learnt(guidance, wish, xs["drift"], us["eta"], us["nu"], decision.avoiding, ps, dt=dt)
+            carried["drift"] = learnt(guidance, desired, xs["drift"], us["eta"], us["nu"], decision.avoiding, ps, dt=dt)
         if "trapped" in xs:
-            told_of = us["nu"], us.get("column")
-            trap = trap_next(wish, seen.known if moving else (), xs, us["eta"], decision.halted, ps, *told_of, dt=dt)
-            carried |= trap
-            told["trapped"] = trap["trapped"]
+            depth_inputs = us["nu"], us.get("column")
+            dead_end = dead_end_next(
+                desired, perceived.known if moving else (), xs, us["eta"], decision.stopped, ps, *depth_inputs, dt=dt
+            )
+            carried |= dead_end
+            reported["trapped"] = dead_end["trapped"]
         if depths:
-            told["wanted_depth"] = layer_depth
+            reported["depth_reference"] = layer_depth
             # as beside the path: what is flown there is no error of following it
-            told["avoiding"] = ca.logic_or(told["avoiding"], ca.fabs(xs["layer"]) > 0)
+            reported["avoiding"] = ca.logic_or(reported["avoiding"], ca.fabs(xs["layer"]) > 0)
         flags = SWITCHED * ca.logic_not(decision.state["side"] == xs["side"]) + DEGRADED * decision.degraded
-        flags += TRAPPED * told.get("trapped", 0)
-        memory = Memory(state.join(carried), outputs.join({**unknown, **told})[8:], flags)
+        flags += TRAPPED * reported.get("trapped", 0)
+        memory = Memory(state.join(carried), outputs.join({**unknown, **reported})[8:], flags)
 
     rows = _rows(decision, ps)
     levels = tuple((level.name, int(level.J.shape[0]), level.unit) for level in decision.levels)
-    nsb = nsb_symbolic([(level.J, level.reference) for level in decision.levels], damping=DAMPING if lean else 0.0)
+    nsb = nsb_symbolic(
+        [(level.J, level.reference) for level in decision.levels], damping=DAMPING if closed_form else 0.0
+    )
     close = Closing(state, outputs, u, us, p, ps, dt)
-    given = {"x": x, "u": u, "p": p}
-    closed = recording.block("law", given, close.outputs_of(memory, nsb, ca.SX(0)))
-    tick = dict(zip(_TICK_INPUTS, _tick_inputs(decision, rows, ps), strict=True))
-    pre = recording.block("pre", given, {**tick, **memory._asdict()})
+    arguments = {"x": x, "u": u, "p": p}
+    closed = recording.block("law", arguments, close.outputs_of(memory, nsb, ca.SX(0)))
+    step_inputs = dict(zip(_STEP_INPUTS, _step_inputs(decision, rows, ps), strict=True))
+    pre = recording.block("pre", arguments, {**step_inputs, **memory._asdict()})
     post = close.block()
     return Law(
         name=f"surctl_{law}",
@@ -290,7 +303,7 @@ def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, movi
         outputs=outputs,
         # the same bytes from every compiler on every processor
         block=without_libm(
-            closed if mode == "nsb" else limited(mode, pre, post, levels=levels, rows=len(rows), ladder=ladder)
+            closed if mode == "nsb" else limited(mode, pre, post, levels=levels, rows=len(rows), fallback=fallback)
         ),
         stages=Stages(lambda: closed, lambda: pre, lambda: post),
         levels=levels,
@@ -298,7 +311,7 @@ def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, movi
         guidance=guidance,
         barrier=barrier,
         movers=movers,
-        ladder=ladder,
+        fallback=fallback,
     )
 
 
@@ -308,7 +321,7 @@ def _rows(decision: Decision, p: dict[str, ca.SX]) -> list[LimitRow]:
     return [*VelocityBox(-most, most).rows(), *(row for limit in decision.rows for row in limit.rows())]
 
 
-def _tick_inputs(decision: Decision, rows: list[LimitRow], p: dict[str, ca.SX]) -> list[ca.SX]:
+def _step_inputs(decision: Decision, rows: list[LimitRow], p: dict[str, ca.SX]) -> list[ca.SX]:
     """J row by row, references, rows (a, lower, upper, may open), box."""
     flat = [ca.vertcat(row.a.T, row.lower, row.upper, row.kind != "actuator") for row in rows]
     box = [ca.vertcat(*(getattr(row, side) for row in rows[:4])) for side in ("lower", "upper")]
@@ -332,7 +345,7 @@ def _state_layout(
             Port("progress", (1,), "m", "arc length of the path's target"),
             Port("integral", (4,), "m/s^2, rad/s^2", "integral action of the velocity loops"),
             *memory,
-            *(TRAP_PORTS if gives_up else ()),
+            *(DEAD_END_PORTS if gives_up else ()),
             *(LAYER_PORTS if depths else ()),
             *decided,
             *perception_ports(dt, sonar=sonar),

@@ -11,7 +11,7 @@ from surctl.control.law import DEGRADED, SATURATED, TRAPPED
 from surctl.control.ports import YAW_SHARE
 from surctl.control.velocity import velocity_control
 from surctl.ir import Block, Layout, Recording
-from surctl.priority.solver.ladder import RELAXED
+from surctl.priority.solver.fallback import RELAXED
 
 __all__ = ["CLIMB", "Closing", "Memory", "yaw_limit"]
 
@@ -36,7 +36,7 @@ class Memory(NamedTuple):
     """What is known before the priority decision: next state but for the integral, telemetry after the wish, flags."""
 
     carried: ca.SX
-    told: ca.SX
+    reported: ca.SX
     flags: ca.SX
 
 
@@ -53,35 +53,35 @@ class Closing:
     dt: float
 
     def block(self) -> Block:
-        """(u, p, carried, told, flags, nu_wanted, rung) → (tau, x_next, status, telemetry)."""
+        """(u, p, carried, reported, flags, nu_reference, stage) → (tau, x_next, status, telemetry)."""
         sizes = (self.state.size, self.outputs.size - 8, 1)
         memory = Memory(*(ca.SX.sym(name, size) for name, size in zip(Memory._fields, sizes, strict=True)))
-        wanted, rung = ca.SX.sym("nu_wanted", 4), ca.SX.sym("rung")
-        given = {"u": self.flat_u, "p": self.flat_p, **memory._asdict(), "nu_wanted": wanted, "rung": rung}
-        return Recording().block("post", given, self.outputs_of(memory, wanted, rung))
+        nu_reference, stage = ca.SX.sym("nu_reference", 4), ca.SX.sym("stage")
+        inputs = {"u": self.flat_u, "p": self.flat_p, **memory._asdict(), "nu_reference": nu_reference, "stage": stage}
+        return Recording().block("post", inputs, self.outputs_of(memory, nu_reference, stage))
 
-    def outputs_of(self, memory: Memory, nu_wanted: ca.SX, rung: ca.SX) -> dict[str, ca.SX]:
+    def outputs_of(self, memory: Memory, nu_reference: ca.SX, stage: ca.SX) -> dict[str, ca.SX]:
         """tau, x_next, status, telemetry of a wanted velocity; rung of the priority tick, 0 if there was none."""
         carried = self.state.split(memory.carried)
-        tau, integral, saturated, clamped = self._thrust(nu_wanted, carried["integral"])
-        opened = ca.logic_and(rung >= RELAXED, ca.logic_not(_has_degraded(memory.flags)))
+        tau, integral, saturated, clamped = self._thrust(nu_reference, carried["integral"])
+        opened = ca.logic_and(stage >= RELAXED, ca.logic_not(_has_degraded(memory.flags)))
         status = memory.flags + SATURATED * saturated + DEGRADED * opened
         return {
             "tau": tau,
             "x_next": self.state.join({**carried, "integral": integral}),
             "status": status,
-            "telemetry": ca.vertcat(clamped, memory.told),
+            "telemetry": ca.vertcat(clamped, memory.reported),
         }
 
-    def _thrust(self, wanted: ca.SX, integral: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    def _thrust(self, nu_reference: ca.SX, integral: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         p = self.p
-        speed = ca.sqrt(ca.sumsqr(wanted[:2]))
-        horizontal = wanted[:2] * ca.fmin(1, p["cap"] / ca.fmax(speed, 1e-6))
+        speed = ca.sqrt(ca.sumsqr(nu_reference[:2]))
+        horizontal = nu_reference[:2] * ca.fmin(1, p["cap"] / ca.fmax(speed, 1e-6))
         turn = yaw_limit(p)
         clamped = ca.vertcat(
             horizontal,
-            ca.fmin(ca.fmax(wanted[2], -CLIMB), CLIMB),
-            ca.fmin(ca.fmax(wanted[3], -turn), turn),
+            ca.fmin(ca.fmax(nu_reference[2], -CLIMB), CLIMB),
+            ca.fmin(ca.fmax(nu_reference[3], -turn), turn),
         )
         tau, integral, saturated = velocity_control(
             clamped, self.u["nu"], integral, p, k_v=p["k_v"], k_r=p["k_r"], k_i=p["k_i"], dt=self.dt

@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from surctl.control.reference import Wish
+from surctl.control.reference import DesiredMotion
 from surctl.ir import Port
 from surctl.tasks import HalfPlane, Task, depth_task, heading_task
 
-__all__ = ["DECISION_PORTS", "Decision", "Scan", "Wanted", "lower_levels", "weakest_acceleration"]
+__all__ = ["DECISION_PORTS", "Decision", "Scan", "TaskLevel", "lower_levels", "weakest_acceleration"]
 
 DECISION_PORTS = (
     Port("side", (1,), "1", "latched passing side: 0 none, +1 obstacle on the right, -1 on the left"),
@@ -21,7 +21,7 @@ DECISION_PORTS = (
 )
 
 
-class Wanted(NamedTuple):
+class TaskLevel(NamedTuple):
     """A priority level in symbols: J ν should be `reference` (k, 1) [unit]; J (k, 4)."""
 
     name: str
@@ -30,9 +30,9 @@ class Wanted(NamedTuple):
     unit: str
 
     @staticmethod
-    def of(task: Task) -> Wanted:
+    def of(task: Task) -> TaskLevel:
         """What a task asks for."""
-        return Wanted(task.name, task.jacobian(), task.reference(), task.rate_unit)
+        return TaskLevel(task.name, task.jacobian(), task.reference(), task.rate_unit)
 
 
 @dataclass(frozen=True)
@@ -49,35 +49,37 @@ class Decision:
         halted: 1 while it stands, or nearly so, because it does not know what is ahead.
     """
 
-    levels: Sequence[Wanted]
+    levels: Sequence[TaskLevel]
     rows: Sequence[HalfPlane]
     velocity: ca.SX
     avoiding: ca.SX
     degraded: ca.SX
     state: dict[str, ca.SX]
-    halted: ca.SX = field(default_factory=lambda: ca.SX(0))
+    stopped: ca.SX = field(default_factory=lambda: ca.SX(0))
 
 
 class Scan(NamedTuple):
     """What a law that scans is told beside the contacts, as `ports.scan_inputs` has it."""
 
     unknown: ca.SX
-    heard: ca.SX
+    sonars: ca.SX
     placed: ca.SX
 
 
-def lower_levels(eta: ca.SX, wish: Wish, p: Mapping[str, ca.SX], scan: Scan | None = None) -> tuple[Wanted, Wanted]:
+def lower_levels(
+    eta: ca.SX, desired: DesiredMotion, p: Mapping[str, ca.SX], scan: Scan | None = None
+) -> tuple[TaskLevel, TaskLevel]:
     """Below the velocity: depth, then heading.
 
     A law with sonars turns all the time in place of the heading, with `spin` or as fast as the yaw thrust holds, and
     keeps its depth rate at 0 while it does not know where it is.
     """
-    depth = Wanted.of(depth_task(eta, p["depth"], gain=p["k2"]))
+    depth = TaskLevel.of(depth_task(eta, p["depth"], gain=p["k2"]))
     if scan is None:
-        return depth, Wanted.of(heading_task(eta, wish.heading, gain=p["k_psi"]))
+        return depth, TaskLevel.of(heading_task(eta, desired.heading, gain=p["k_psi"]))
     turning = ca.fmin(ca.fmax(p["spin_limit"], -p["spin"]), p["spin"])
     depth = depth._replace(reference=ca.if_else(scan.placed, depth.reference, 0))
-    return depth, Wanted("scan", ca.SX([[0, 0, 0, 1]]), turning, "rad/s")
+    return depth, TaskLevel("scan", ca.SX([[0, 0, 0, 1]]), turning, "rad/s")
 
 
 def weakest_acceleration(p: Mapping[str, ca.SX]) -> ca.SX:

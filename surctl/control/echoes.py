@@ -82,9 +82,9 @@ def perceive(x: Mapping[str, ca.SX], u: Mapping[str, ca.SX], p: Mapping[str, ca.
         )
         for azimuth in _ARRAY.azimuths
     ]
-    heard = sonar_contacts(
+    contacts = sonar_contacts(
         _ARRAY, filtered.range_hat, position=position, heading=heading, hull_radius=hull, expected=ca.vertcat(*expected)
     )
-    memory, standing = ContactMemory(dt=dt).update(x, heard, fresh=u["fresh"] * filtered.healthy, prefix="sonar_")
+    memory, standing = ContactMemory(dt=dt).update(x, contacts, fresh=u["fresh"] * filtered.healthy, prefix="sonar_")
     echoes = [point_contact(position, hull, standing.points[i, :].T, standing.valid[i]) for i in range(_ARRAY.size)]
     return Perception(known, echoes, walls, filtered.range_hat, {**filtered.state, **memory})

@@ -125,7 +125,7 @@ def load_gains(name_or_path: str) -> Gains:
     """
     path = pick(str(name_or_path), LIBRARY, what="gains")
     model = load_model(path, _GainFile)
-    given: dict[str, float] = {}
+    stated_values: dict[str, float] = {}
     ranges: dict[str, tuple[float, float]] = {}
     for name, quantity in model.gains.items():
         check_name(name, path)
@@ -134,7 +134,7 @@ def load_gains(name_or_path: str) -> Gains:
         except InputError as error:
             raise error.inside(path, f"gains.{name}.unit") from None
         check_value(name, stated.value, path)
-        given[name] = stated.value
+        stated_values[name] = stated.value
         if stated.range is not None:
             for bound in stated.range:
                 check_value(name, bound, path)
@@ -148,14 +148,14 @@ def load_gains(name_or_path: str) -> Gains:
                 )
             ranges[name] = stated.range
     for name, spec in GAINS.items():
-        if name not in given and spec.default is None:
+        if name not in stated_values and spec.default is None:
             raise InputError(
                 "is missing",
                 file=path,
                 key=f"gains.{name}",
                 remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
             )
-    values = {n: given.get(n, spec.default or 0.0) for n, spec in GAINS.items()}
+    values = {n: stated_values.get(n, spec.default or 0.0) for n, spec in GAINS.items()}
     return Gains(model.name, values, model.provenance, str(path), ranges)
 
 

@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 
 import casadi as ca
 
-from surctl.control.decision import Decision, Scan, Wanted, lower_levels, weakest_acceleration
+from surctl.control.decision import Decision, Scan, TaskLevel, lower_levels, weakest_acceleration
 from surctl.control.echoes import Perception
 from surctl.control.ports import SECTORS
-from surctl.control.reference import Wish
+from surctl.control.reference import DesiredMotion
 from surctl.control.stopping import Bounds, Stop, braked
 from surctl.guidance import (
     FAR,
@@ -39,7 +39,7 @@ _NO_BOUND = 10.0  # [m/s]
 _ONE_ENCOUNTER = 1e3  # [m]
 _LAUNCHED = 0.3  # [m] from the start within which what stood in the sonars' blind range was perhaps never ranged
 _STALLED = 15.0  # [s] without getting on; then no slower course: creeping about a dead end would look like getting on
-_GIVE_WAY = 0.05  # [m/s] with which the robot backs off from a mark; half of what is marked near the hull is not there
+_BACK_OFF = 0.05  # [m/s] with which the robot backs off from a mark; half of what is marked near the hull is not there
 _MOVES = 0.05  # [m/s] from which something moves: slower things are kept off by their braking distance
 _PASSING = 0.1  # [m] beyond the margin, at which something that moves is passed
 _HORIZON = 12.0  # [s] ahead for which it is
@@ -52,8 +52,8 @@ _BESIDE = 0.03  # [m] off the path from which a way past the unknown must not le
 
 
 def guarded_law(
-    wish: Wish,
-    seen: Perception,
+    desired: DesiredMotion,
+    perceived: Perception,
     x: Mapping[str, ca.SX],
     eta: ca.SX,
     nu: ca.SX,
@@ -67,13 +67,13 @@ def guarded_law(
 
     With sonars it turns all the time, and goes only where it can stop before the first place it knows nothing of.
     """
-    marks = len(seen.known) - SECTORS if scan is not None else len(seen.all)
-    movers = min(marks, len(seen.known)) if moving else 0
-    sectors, cones = _movers(seen.known[:movers], wish, eta, p, stop)
+    marks = len(perceived.known) - SECTORS if scan is not None else len(perceived.all)
+    movers = min(marks, len(perceived.known)) if moving else 0
+    sectors, cones = _movers(perceived.known[:movers], desired, eta, p, stop)
     for retreat, contacts in (
-        (_NO_BOUND, seen.all[movers:marks]),
-        (_GIVE_WAY, seen.all[marks : len(seen.known)]),
-        (_NO_BOUND, seen.all[max(marks, len(seen.known)) :]),
+        (_NO_BOUND, perceived.all[movers:marks]),
+        (_BACK_OFF, perceived.all[marks : len(perceived.known)]),
+        (_NO_BOUND, perceived.all[max(marks, len(perceived.known)) :]),
     ):
         sectors += _standing(contacts, eta, p, stop, retreat=retreat)
     over_ground = planar_rotation(eta[3]) @ nu[:2]
@@ -82,7 +82,7 @@ def guarded_law(
         away = ca.sumsqr(eta[:2] - p["waypoints"][0, :].T) > _LAUNCHED**2
         slower = ca.logic_and(ca.logic_and(scan.placed, away), x["stalled"] < _STALLED)
     choice = choose_velocity(
-        wish.velocity,
+        desired.velocity,
         sectors,
         side=x["side"],
         blocker=x["blocker"],
@@ -91,12 +91,12 @@ def guarded_law(
         # of a wall the map knows points, so the blocker jumps: one encounter lasts as long as the wish is blocked
         same=SAME_CONTACT if scan is None else _ONE_ENCOUNTER,
         cones=cones,
-        walls=seen.walls,
+        walls=perceived.walls,
         now=over_ground,
         acceleration=p["brake"] * weakest_acceleration(p),
         slower=slower,
     )
-    velocity, halted = choice.velocity, ca.SX(0)
+    velocity, stopped = choice.velocity, ca.SX(0)
     bounds = [(sector.normal, sector.bound) for sector in sectors]
     named = [(f"contact_{k}", *bound) for k, bound in enumerate(bounds)]
     if scan is None:
@@ -108,61 +108,63 @@ def guarded_law(
         )
         # beside what blocks the wish, a way past the unknown would leave the side that is latched
         past = round_unknown(velocity, caution[: scan.unknown.shape[0]], sectors, cones=cones)
-        past = ca.if_else(ca.logic_or(choice.blocked, _strays(wish, past, stop)), velocity, past)
+        past = ca.if_else(ca.logic_or(choice.blocked, _strays(desired, past, stop)), velocity, past)
         cautious = slowed(past, caution)
         waits = ca.logic_and(ca.logic_not(choice.blocked), ca.sumsqr(cautious) < _WAITING**2 * ca.sumsqr(past))
-        cautious = ca.if_else(waits, _back_first(wish, past, caution, bounds), cautious)
+        cautious = ca.if_else(waits, _back_first(desired, past, caution, bounds), cautious)
 
         def met(chased: ca.SX, row: ca.SX) -> ca.SX:
             cone = Cone.of(row)
-            soon = ca.dot(cone.ahead, cautious) - cone.closing > cone.room / _URGENT
+            soon = ca.dot(cone.ahead, cautious) - cone.closing > cone.clearance / _URGENT
             return ca.logic_or(chased, ca.logic_and(soon, inside(cautious, cone) > _DEEP))
 
         chased = fold("met_soon", met, chased, tabulated(cones, 17))
         velocity = ca.if_else(chased, velocity, cautious)
-        blind = ca.sum1(scan.heard[:, 2]) < 0.5
+        blind = ca.sum1(scan.sonars[:, 2]) < 0.5
         calm = ca.logic_not(chased)
         velocity = braked(velocity, over_ground, bounds[:marks], calm=calm)
         velocity = braked(velocity, over_ground, [*bounds[marks:], *caution], calm=calm)
-        for sector in sectors[-len(seen.walls) :]:  # whose normals are at right angles: one after the other is exact
+        for sector in sectors[
+            -len(perceived.walls) :
+        ]:  # whose normals are at right angles: one after the other is exact
             velocity -= ca.fmax(ca.dot(velocity, sector.normal) - sector.bound, 0) * sector.normal
         lost = ca.logic_or(blind, ca.logic_not(scan.placed))
         velocity = ca.if_else(lost, 0, velocity)
-        kept = ca.logic_and(ca.sumsqr(velocity) < _CRAWL**2, ca.sumsqr(choice.velocity) > (2 * _CRAWL) ** 2)
-        halted = ca.logic_or(lost, kept)
+        crawling = ca.logic_and(ca.sumsqr(velocity) < _CRAWL**2, ca.sumsqr(choice.velocity) > (2 * _CRAWL) ** 2)
+        stopped = ca.logic_or(lost, crawling)
         named += [(f"unknown_{k}", normal, bound) for k, (normal, bound) in enumerate(caution)]
     to_body = planar_rotation(eta[3]).T
     rows = [
         HalfPlane(name, ca.horzcat((to_body @ normal).T, 0, 0), bound, kind="barrier") for name, normal, bound in named
     ]
     return Decision(
-        [Wanted.of(velocity_task(eta, velocity)), *lower_levels(eta, wish, p, scan)],
+        [TaskLevel.of(velocity_task(eta, velocity)), *lower_levels(eta, desired, p, scan)],
         rows,
         velocity,
         choice.blocked,
         choice.violation > 0.02,
         {"side": choice.side, "blocker": choice.blocker, "last_velocity": velocity},
-        halted,
+        stopped,
     )
 
 
-def _back_first(wish: Wish, velocity: ca.SX, caution: Bounds, bounds: Bounds) -> ca.SX:
+def _back_first(desired: DesiredMotion, velocity: ca.SX, caution: Bounds, bounds: Bounds) -> ca.SX:
     """As slow as caution asks, but what leads back to the path last: that need not wait for what is unknown ahead.
 
     The course turns by that, and keeps the other bounds once more.
     """
-    sideways = ca.vertcat(-wish.tangent[1], wish.tangent[0])
+    sideways = ca.vertcat(-desired.tangent[1], desired.tangent[0])
     across = ca.dot(sideways, velocity)
-    back = slowed(ca.if_else(across * wish.y_e < 0, across, 0) * sideways, caution)
+    back = slowed(ca.if_else(across * desired.y_e < 0, across, 0) * sideways, caution)
     ahead = slowed(velocity - back, [(n, ca.fmax(bound - ca.dot(n, back), 0)) for n, bound in caution])
     return slowed(back + ahead, [(n, ca.fmax(bound, 0)) for n, bound in bounds])
 
 
-def _strays(wish: Wish, velocity: ca.SX, stop: Stop) -> ca.SX:
+def _strays(desired: DesiredMotion, velocity: ca.SX, stop: Stop) -> ca.SX:
     """Whether a velocity leads off the path, where the robot already is beside it or could not stop before it is."""
-    across = wish.tangent[0] * velocity[1] - wish.tangent[1] * velocity[0]
-    room = _BESIDE - ca.if_else(across < 0, -wish.y_e, wish.y_e)
-    return ca.fabs(across) > ca.fmax(stop(room, ca.SX(0)), 0)
+    across = desired.tangent[0] * velocity[1] - desired.tangent[1] * velocity[0]
+    distance = _BESIDE - ca.if_else(across < 0, -desired.y_e, desired.y_e)
+    return ca.fabs(across) > ca.fmax(stop(distance, ca.SX(0)), 0)
 
 
 def _cautious_bounds(scan: Scan, stop: Stop, p: Mapping[str, ca.SX]) -> list[tuple[ca.SX, ca.SX]]:
@@ -173,21 +175,21 @@ def _cautious_bounds(scan: Scan, stop: Stop, p: Mapping[str, ca.SX]) -> list[tup
 
     (table,) = each("unknown_bound", before, scan.unknown)
     bounds = [(table[k, :2].T, table[k, 2]) for k in range(table.shape[0])]
-    for k in range(scan.heard.shape[0]):
-        slow = ca.if_else(scan.heard[k, 2] > 0.5, _NO_BOUND, _GROPING * p["cruise"])
-        bounds.append((scan.heard[k, 4:6].T, slow))
+    for k in range(scan.sonars.shape[0]):
+        slow = ca.if_else(scan.sonars[k, 2] > 0.5, _NO_BOUND, _GROPING * p["cruise"])
+        bounds.append((scan.sonars[k, 4:6].T, slow))
     return bounds
 
 
 def _movers(
-    contacts: Sequence[Contact], wish: Wish, eta: ca.SX, p: Mapping[str, ca.SX], stop: Stop
+    contacts: Sequence[Contact], desired: DesiredMotion, eta: ca.SX, p: Mapping[str, ca.SX], stop: Stop
 ) -> tuple[list[Sector], list[Cone]]:
     """What may move: evaded by its cone, or kept off by its braking distance."""
 
     def both(row: ca.SX) -> tuple[ca.SX, ca.SX]:
         contact = Contact.of(row)
         normal, bound, point = _sector(contact, eta, p, stop)
-        evaded = _evaded(contact, wish)
+        evaded = _evaded(contact, desired)
         bound = ca.if_else(ca.logic_and(evaded, contact.clearance > p["margin"]), _NO_BOUND, bound)
         return ca.vertcat(normal, bound, point), ca.vertcat(*_cone(contact, evaded, point, eta, p))
 
@@ -218,10 +220,10 @@ def _sector(contact: Contact, eta: ca.SX, p: Mapping[str, ca.SX], stop: Stop) ->
     return Sector(contact.normal, stop(contact.clearance - p["margin"], contact.closing), point)
 
 
-def _evaded(contact: Contact, wish: Wish) -> ca.SX:
+def _evaded(contact: Contact, desired: DesiredMotion) -> ca.SX:
     """Whether a contact moves and does not come from behind: then it is evaded sideways, else outrun."""
-    speed = ca.sqrt(ca.sumsqr(wish.velocity))
-    ahead = ca.dot(wish.velocity, contact.normal) > -_BEHIND * speed
+    speed = ca.sqrt(ca.sumsqr(desired.velocity))
+    ahead = ca.dot(desired.velocity, contact.normal) > -_BEHIND * speed
     moves = ca.logic_and(ca.sumsqr(contact.velocity) > _MOVES**2, contact.clearance < FAR)
     return ca.logic_and(moves, ahead)
 

@@ -16,12 +16,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control.senses import Senses
+from surctl.control.perception import PerceptionStage
 from surctl.control.stopping import Barrier, Movers
 from surctl.errors import InputError
 from surctl.guidance import AvoidanceForm, Guidance
 from surctl.ir import Block, Layout, Port, on_vectors, runnable, to_casadi
-from surctl.priority import Ladder, Level, Mode, PriorityProblem, PrioritySolution, Row, solve
+from surctl.priority import Fallback, Level, Mode, PriorityProblem, PrioritySolution, Row, solve
 
 __all__ = ["DEGRADED", "NONFINITE", "SATURATED", "SWITCHED", "TELEMETRY", "TRAPPED", "Law", "LawStep", "Stages"]
 
@@ -32,7 +32,7 @@ NONFINITE = -2
 
 TELEMETRY = (
     Port("tau", (4,), "N, N m", "thrust command F_u, F_v, F_w, F_r in {B}"),
-    Port("nu_wanted", (4,), "m/s, rad/s", "velocity that the priority solver asked for, in {B}"),
+    Port("nu_reference", (4,), "m/s, rad/s", "velocity that the priority solver asked for, in {B}"),
     Port("path_error", (2,), "m", "x_e and y_e of (8)"),
     Port("avoiding", (1,), "1", "1 while a contact changes the wish"),
     Port("nearest", (1,), "m", "smallest clearance that the law knows of"),
@@ -44,7 +44,7 @@ TRAPPED_PORT = Port(
 )
 
 DEPTH_PORT = Port(
-    "wanted_depth", (1,), "m", "z in {E} that it flies at or changes to; not the path's while it passes a dead end"
+    "depth_reference", (1,), "m", "z in {E} that it flies at or changes to; not the path's while it passes a dead end"
 )
 
 
@@ -55,7 +55,7 @@ def scan_telemetry(sensors: int) -> tuple[Port, ...]:
         Port("ranges", (sensors,), "m", "filtered sonar ranges"),
         Port("bounds", (sensors,), "m", "by how much a range may be wrong"),
         Port("healthy", (sensors,), "1", "1 where a sonar may be believed"),
-        Port("halted", (1,), "1", "1 while it stands because it does not know what is ahead"),
+        Port("stopped", (1,), "1", "1 while it stands because it does not know what is ahead"),
     )
 
 
@@ -83,7 +83,7 @@ class Stages:
         closed: (x, u, p) → (tau, x_next, status, telemetry) in closed form (16), whatever the law's mode.
         pre: (x, u, p) → (J row by row, references, rows of the priority tick, velocity box (8,)), and what else is
             known before the priority decision: next state but for the integral, telemetry after the wish, flags.
-        post: (u, p, those three, nu_wanted, rung of the priority tick) → as `closed`.
+        post: (u, p, those three, nu_reference, stage of the priority tick) → as `closed`.
     """
 
     def __init__(self, closed: Callable[[], Block], pre: Callable[[], Block], post: Callable[[], Block]) -> None:
@@ -139,11 +139,11 @@ class Law:
     stages: Stages = field(repr=False)
     levels: tuple[tuple[str, int, str], ...]
     rows: tuple[str, ...]
-    senses: Senses | None = None
+    perception: PerceptionStage | None = None
     guidance: Guidance = "los"
     barrier: Barrier = "simple"
     movers: Movers = "predict"
-    ladder: Ladder = "exact"
+    fallback: Fallback = "exact"
 
     @cached_property
     def function(self) -> ca.Function:
@@ -172,7 +172,7 @@ class Law:
     @cached_property
     def _run(self) -> Callable[[Vector, Vector, Vector], list[Vector]]:
         """CasADi's machine for the closed form; C for a block with loops, or its replay: the same numbers, slower."""
-        closed = self.mode == "nsb" and self.senses is None
+        closed = self.mode == "nsb" and self.perception is None
         return on_vectors(to_casadi(self.block).expand()) if closed else runnable(self.block)
 
     @cached_property
@@ -182,8 +182,8 @@ class Law:
 
     @cached_property
     def _sense(self) -> Callable[..., list[Vector]]:
-        assert self.senses is not None
-        return runnable(self.senses.block)
+        assert self.perception is not None
+        return runnable(self.perception.block)
 
     def telemetry_slice(self, name: str) -> slice:
         """Where an output port lies in the telemetry, which leaves tau out."""
@@ -197,16 +197,16 @@ class Law:
             InputError: a vector of another size than its layout's, or numbers that lead to one that is not finite.
         """
         x, u, p = self._vectors(x, u, p)
-        if self.senses is not None:
-            x, u = x[: -self.senses.state.size], self.told(x, u, p)
-        J, wanted, rows, *_ = self._before(x, u, p)
+        if self.perception is not None:
+            x, u = x[: -self.perception.state.size], self.decision_inputs(x, u, p)
+        J, references, rows, *_ = self._before(x, u, p)
         # the bounds of a row may be absent: ±inf, but no NaN
-        if not np.isfinite(J).all() or not np.isfinite(wanted).all() or np.isnan(rows).any():
+        if not np.isfinite(J).all() or not np.isfinite(references).all() or np.isnan(rows).any():
             raise InputError("is not finite", key=f"{self.name}.problem", remedy="`step` refuses such a tick")
         levels, at = [], 0
         for name, count, unit in self.levels:
             here = slice(at, at + count)
-            levels.append(Level(name, J.reshape(-1, 4)[here], wanted[here], unit=unit))
+            levels.append(Level(name, J.reshape(-1, 4)[here], references[here], unit=unit))
             at += count
         limits = [
             Row(name, "barrier" if row[6] else "actuator", row[:4], float(row[4]), float(row[5]))
@@ -215,18 +215,18 @@ class Law:
         # built by this class from finite numbers: the checks of build_problem were made once, at assembly
         return PriorityProblem(tuple(levels), tuple(limits))
 
-    def told(self, x: Vector, u: Vector, p: Vector) -> Vector:
+    def decision_inputs(self, x: Vector, u: Vector, p: Vector) -> Vector:
         """What the senses tell the decision in one tick, flat as `senses.told` packs it; u for a law without senses.
 
         Raises:
             InputError: a vector that has not the size of its layout.
         """
         x, u, p = self._vectors(x, u, p)
-        if self.senses is None:
+        if self.perception is None:
             return u
         anew = [x[self.state.slice("changing")] < -0.5] if "changing" in self.state else []
-        _, told = self._sense(x[-self.senses.state.size :], u, p, *anew)
-        return np.asarray(told, dtype=np.float64).reshape(-1)
+        _, outputs = self._sense(x[-self.perception.state.size :], u, p, *anew)
+        return np.asarray(outputs, dtype=np.float64).reshape(-1)
 
     def explained(self, x: Vector, u: Vector, p: Vector) -> PrioritySolution:
         """The priority decision of one tick with names and words: what `step` does, solved again in NumPy.
@@ -234,8 +234,8 @@ class Law:
         Raises:
             InputError: a law with a bounded ladder, whose answers are not those of `solve` wherever it counts.
         """
-        if self.ladder != "exact":
-            raise InputError("is not explained", key="ladder", value=self.ladder, remedy="fly the exact one")
+        if self.fallback != "exact":
+            raise InputError("is not explained", key="fallback", value=self.fallback, remedy="fly the exact one")
         return solve(self.problem(x, u, p), mode=self.mode)
 
     def _vectors(self, *vectors: Vector) -> list[Vector]:

@@ -88,7 +88,7 @@ def forgetting(state: Layout) -> Program:
 
 
 def layers_next(
-    trap: Mapping[str, ca.SX],
+    dead_end: Mapping[str, ca.SX],
     x: Mapping[str, ca.SX],
     eta: ca.SX,
     nu: ca.SX,
@@ -111,11 +111,11 @@ def layers_next(
     """
     was, layer, changing = x["trapped"] > 0.5, x["layer"], x["changing"]
     moves, returns = changing > 0.5, changing > 1.5
-    dead = ca.logic_and(trap["trapped"], ca.logic_not(was))
+    dead = ca.logic_and(dead_end["trapped"], ca.logic_not(was))
     rise = _goal(x, p) - eta[2]
     there = ca.logic_and(moves, ca.fabs(rise) <= AT)
-    room = ca.if_else(rise > 0, column[0], column[1]) - p["margin"] + SLACK
-    short = ca.logic_and(ca.logic_and(moves, ca.logic_not(there)), ca.fabs(rise) > room)
+    clearance = ca.if_else(rise > 0, column[0], column[1]) - p["margin"] + SLACK
+    short = ca.logic_and(ca.logic_and(moves, ca.logic_not(there)), ca.fabs(rise) > clearance)
     failed = ca.logic_and(moves, ca.logic_or(short, ca.logic_and(dead, ca.logic_not(there))))
     unreached = ca.logic_and(failed, ca.logic_not(returns))
     back = p["depth"] - eta[2]
@@ -124,26 +124,28 @@ def layers_next(
     away = ca.logic_and(ca.fabs(layer) > 0.5, ca.logic_not(ca.logic_or(moves, was)))
     home = ca.logic_and(away, ca.logic_and(past, free))
     further = ca.logic_and(ca.logic_and(dead, ca.logic_not(moves)), ca.logic_not(home))
-    given_up = ca.logic_and(unreached, layer < 0)
+    abandoned = ca.logic_and(unreached, layer < 0)
 
     following = ca.if_else(further, layer + ca.if_else(layer < 0, -1, 1), layer)
     following = ca.if_else(unreached, -1, following)
     following = ca.if_else(ca.logic_and(there, returns), 0, following)
-    following = ca.if_else(given_up, -back / _pitch(p), following)  # of the place it stands at
+    following = ca.if_else(abandoned, -back / _pitch(p), following)  # of the place it stands at
     state = ca.if_else(ca.logic_or(further, failed), MOVES, ca.fmax(changing, STANDS))
     state = ca.if_else(home, RETURNS, state)
-    state = ca.if_else(given_up, STANDS, ca.if_else(there, ANEW, state))
+    state = ca.if_else(abandoned, STANDS, ca.if_else(there, ANEW, state))
     starts = ca.logic_or(ca.logic_or(further, home), ca.logic_and(moves, _fast(eta, nu)))
     here = ca.vertcat(eta[0], eta[0], eta[1], eta[1])
-    kept = ca.if_else(starts, here, ca.if_else(moves, x["searched"], trap["searched"]))
+    searched = ca.if_else(starts, here, ca.if_else(moves, x["searched"], dead_end["searched"]))
     rises = ca.logic_and(moves, ca.fabs(nu[2]) > RISES)
     anew = ca.logic_or(ca.logic_or(further, home), ca.logic_or(ca.logic_or(there, rises), failed))
     return {
-        "furthest": trap["furthest"],
-        "searched": ca.if_else(was, x["searched"], kept),
-        "stalled": ca.if_else(ca.logic_and(anew, ca.logic_not(given_up)), 0, trap["stalled"]),
-        "trapped": ca.logic_or(was, given_up),
+        "furthest": dead_end["furthest"],
+        "searched": ca.if_else(was, x["searched"], searched),
+        "stalled": ca.if_else(ca.logic_and(anew, ca.logic_not(abandoned)), 0, dead_end["stalled"]),
+        "trapped": ca.logic_or(was, abandoned),
         "layer": ca.if_else(was, layer, following),
         "changing": ca.if_else(was, STANDS, state),
-        "beyond": ca.if_else(ca.logic_and(further, ca.fabs(layer) < 0.5), trap["furthest"] + _pitch(p), x["beyond"]),
+        "beyond": ca.if_else(
+            ca.logic_and(further, ca.fabs(layer) < 0.5), dead_end["furthest"] + _pitch(p), x["beyond"]
+        ),
     }

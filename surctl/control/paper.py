@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 import casadi as ca
 import numpy as np
 
-from surctl.control.decision import Decision, Wanted, lower_levels, weakest_acceleration
+from surctl.control.decision import Decision, TaskLevel, lower_levels, weakest_acceleration
 from surctl.control.echoes import Perception
-from surctl.control.reference import Wish
+from surctl.control.reference import DesiredMotion
 from surctl.guidance import AvoidanceForm, Contact, avoidance_course, encounter_side, nearest_in_quadrants
 from surctl.tasks import velocity_task
 from surctl.vehicle import planar_rotation
@@ -25,8 +25,8 @@ _OVERTAKE = 0.02  # [m/s] by which the avoidance speed exceeds the obstacle's
 
 def paper_law(
     form: AvoidanceForm,
-    wish: Wish,
-    seen: Perception,
+    desired: DesiredMotion,
+    perceived: Perception,
     x: Mapping[str, ca.SX],
     eta: ca.SX,
     p: Mapping[str, ca.SX],
@@ -36,19 +36,19 @@ def paper_law(
     """The printed stack, made definite: sensor sub-tasks by urgency, (20) or cruise, depth, heading."""
     heading = ca.vertcat(ca.cos(eta[3]), ca.sin(eta[3]))
     left = ca.vertcat(-heading[1], heading[0])
-    sensed = nearest_in_quadrants(seen.all, [heading, left, -heading, -left])
+    sensed = nearest_in_quadrants(perceived.all, [heading, left, -heading, -left])
     closing = [_sub_task_speed(c, p) for c in sensed]
     threat = [
-        ca.logic_and(c.clearance - p["margin"] < _SENSE_RANGE, ca.dot(wish.velocity, c.normal) > v)
+        ca.logic_and(c.clearance - p["margin"] < _SENSE_RANGE, ca.dot(desired.velocity, c.normal) > v)
         for c, v in zip(sensed, closing, strict=True)
     ]
     avoiding = threat[0]
     for other in threat[1:]:
         avoiding = ca.logic_or(avoiding, other)
-    velocity, side = _avoidance_velocity(form, wish, _most_urgent(sensed, threat, wish), avoiding, x, p, dt=dt)
+    velocity, side = _avoidance_velocity(form, desired, _most_urgent(sensed, threat, desired), avoiding, x, p, dt=dt)
     levels = _by_urgency(sensed, closing, velocity, eta, p)
     return Decision(
-        [*levels, Wanted.of(velocity_task(eta, velocity)), *lower_levels(eta, wish, p)],
+        [*levels, TaskLevel.of(velocity_task(eta, velocity)), *lower_levels(eta, desired, p)],
         [],
         velocity,
         avoiding,
@@ -68,10 +68,10 @@ def _urgency(contact: Contact, speed: ca.SX) -> ca.SX:
     return ca.fmax(contact.clearance, 0) / rate
 
 
-def _most_urgent(sensed: Sequence[Contact], threat: Sequence[ca.SX], wish: Wish) -> Contact:
+def _most_urgent(sensed: Sequence[Contact], threat: Sequence[ca.SX], desired: DesiredMotion) -> Contact:
     best, least = sensed[0], ca.SX(1e6)
     for contact, active in zip(sensed, threat, strict=True):
-        time = ca.if_else(active, _urgency(contact, ca.dot(wish.velocity, contact.normal)), 1e6)
+        time = ca.if_else(active, _urgency(contact, ca.dot(desired.velocity, contact.normal)), 1e6)
         take = time < least
         best = Contact(*(ca.if_else(take, a, b) for a, b in zip(_fields(contact), _fields(best), strict=True)))
         least = ca.fmin(time, least)
@@ -79,12 +79,12 @@ def _most_urgent(sensed: Sequence[Contact], threat: Sequence[ca.SX], wish: Wish)
 
 
 def _fields(contact: Contact) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-    return contact.normal, contact.clearance, contact.velocity, contact.reach
+    return contact.normal, contact.clearance, contact.velocity, contact.combined_radius
 
 
 def _avoidance_velocity(
     form: AvoidanceForm,
-    wish: Wish,
+    desired: DesiredMotion,
     contact: Contact,
     avoiding: ca.SX,
     x: Mapping[str, ca.SX],
@@ -93,14 +93,14 @@ def _avoidance_velocity(
     dt: float,
 ) -> tuple[ca.SX, ca.SX]:
     """(20) with λ2 latched for the encounter, inside the window (19); and the next λ2."""
-    met = encounter_side(wish.velocity - contact.velocity, contact.normal)
+    met = encounter_side(desired.velocity - contact.velocity, contact.normal)
     side = ca.if_else(ca.fabs(x["side"]) > 0.5, x["side"], met)
     speed = ca.fmin(p["cap"], ca.fmax(p["cruise"], ca.sqrt(ca.sumsqr(contact.velocity)) + _OVERTAKE))
     course = avoidance_course(
         form,
         ca.atan2(contact.normal[1], contact.normal[0]),
         contact.clearance - p["margin"],
-        radius=contact.reach + p["margin"],
+        radius=contact.combined_radius + p["margin"],
         side=side,
         delta=p["delta"],
         k3=p["k3"],
@@ -109,8 +109,8 @@ def _avoidance_velocity(
         kappa=p["kappa"],
         standoff=ca.SX(0),
     )
-    velocity = _window(speed, course, x["last_velocity"], contact.reach + p["margin"], p, dt=dt)
-    return ca.if_else(avoiding, velocity, wish.velocity), ca.if_else(avoiding, side, 0)
+    velocity = _window(speed, course, x["last_velocity"], contact.combined_radius + p["margin"], p, dt=dt)
+    return ca.if_else(avoiding, velocity, desired.velocity), ca.if_else(avoiding, side, 0)
 
 
 def _window(speed: ca.SX, course: ca.SX, last: ca.SX, radius: ca.SX, p: Mapping[str, ca.SX], *, dt: float) -> ca.SX:
@@ -130,19 +130,19 @@ def _window(speed: ca.SX, course: ca.SX, last: ca.SX, radius: ca.SX, p: Mapping[
 
 def _by_urgency(
     sensed: Sequence[Contact], closing: Sequence[ca.SX], lower: ca.SX, eta: ca.SX, p: Mapping[str, ca.SX]
-) -> list[Wanted]:
+) -> list[TaskLevel]:
     """Sensor sub-tasks sorted by time to contact (ties: front, left, rear, right); inactive ones are zero rows."""
     to_body = planar_rotation(eta[3]).T
     entries = []
-    for contact, wanted in zip(sensed, closing, strict=True):
+    for contact, bound in zip(sensed, closing, strict=True):
         near = contact.clearance - p["margin"] < _SENSE_RANGE
-        active = ca.logic_and(near, ca.dot(lower, contact.normal) > wanted)
+        active = ca.logic_and(near, ca.dot(lower, contact.normal) > bound)
         row = ca.horzcat(-(to_body @ contact.normal).T, 0, 0)
         time = ca.if_else(active, _urgency(contact, ca.dot(lower, contact.normal)), 1e6)
-        entries.append([time, ca.if_else(active, row, ca.SX.zeros(1, 4)), ca.if_else(active, -wanted, 0)])
+        entries.append([time, ca.if_else(active, row, ca.SX.zeros(1, 4)), ca.if_else(active, -bound, 0)])
     for i, j in ((0, 1), (2, 3), (0, 2), (1, 3), (1, 2)):  # sorting network for four
         swap = entries[j][0] < entries[i][0]
         first = [ca.if_else(swap, b, a) for a, b in zip(entries[i], entries[j], strict=True)]
         second = [ca.if_else(swap, a, b) for a, b in zip(entries[i], entries[j], strict=True)]
         entries[i], entries[j] = first, second
-    return [Wanted(f"sensor_{k + 1}", row, reference, "m/s") for k, (_, row, reference) in enumerate(entries)]
+    return [TaskLevel(f"sensor_{k + 1}", row, reference, "m/s") for k, (_, row, reference) in enumerate(entries)]

@@ -31,7 +31,7 @@ DEFAULT_ARRAY = SonarArray()
 YAW_SHARE = 0.85
 """Share of the yaw thrust that turning may plan with."""
 
-_MORE_ROOM = 0.1  # [m] that the site's middle lies beside the path's first leg, for one side to have more room
+_WIDER_SIDE = 0.1  # [m] that the site's middle lies beside the path's first leg, for one side to have more room
 
 SECTORS = 16
 """Directions in which a scanning law knows the nearest marked and unknown place."""
@@ -72,15 +72,15 @@ def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True, depths: boo
         "m, m/s, 1",
         "known obstacles in {E}, one a row: x, y, radius, vx, vy, valid (0 or 1)",
     )
-    heard = _heard_ports(DEFAULT_ARRAY) if sonar else ()
-    return Layout((*_POSE, *((known,) if contacts else ()), *heard, *((_COLUMN,) if depths else ())))
+    sonar_ports = _sonar_ports(DEFAULT_ARRAY) if sonar else ()
+    return Layout((*_POSE, *((known,) if contacts else ()), *sonar_ports, *((_COLUMN,) if depths else ())))
 
 
-def _heard_ports(array: SonarArray) -> tuple[Port, ...]:
+def _sonar_ports(array: SonarArray) -> tuple[Port, ...]:
     axes = ", ".join(f"{degrees(azimuth):.4g}" for azimuth in array.azimuths)
-    heard = f"raw ranges of each sonar's last firing, one sonar a row; axes at {axes} deg from x towards y of {{B}}"
+    meaning = f"raw ranges of each sonar's last firing, one sonar a row; axes at {axes} deg from x towards y of {{B}}"
     return (
-        Port("samples", (array.size, array.samples), "m", heard, array.maximum),
+        Port("samples", (array.size, array.samples), "m", meaning, array.maximum),
         Port("fresh", (array.size,), "1", "1 where a firing of the sonar has arrived since the last step, else 0"),
     )
 
@@ -111,14 +111,14 @@ def sonar_inputs(equipment: Equipment, *, contacts: int = CONTACT_SLOTS, depths:
             ),
             Port("yaw_rate", (1,), "rad/s", "yaw rate r in {B}, as the IMU measures it now"),
         )
-    seen = (
+    meaning = (
         f"obstacles that move, as the base station saw them {equipment.station.messages.latency:g} s before, in {{E}}"
     )
     known = (
-        Port("contacts", (contacts, 6), "m, m/s, 1", f"{seen}, one a row: x, y, radius, vx, vy, valid (0 or 1)"),
+        Port("contacts", (contacts, 6), "m, m/s, 1", f"{meaning}, one a row: x, y, radius, vx, vy, valid (0 or 1)"),
         Port("contacts_fresh", (1,), "1", "1 where such a message has arrived since the last step, else 0"),
     )
-    return Layout((*pose, *(known if contacts else ()), *_heard_ports(array), *((_COLUMN,) if depths else ())))
+    return Layout((*pose, *(known if contacts else ()), *_sonar_ports(array), *((_COLUMN,) if depths else ())))
 
 
 def scan_inputs(contacts: int, *, sensors: int, depths: bool = False) -> Layout:
@@ -141,7 +141,7 @@ def scan_inputs(contacts: int, *, sensors: int, depths: bool = False) -> Layout:
                 FAR,
             ),
             Port(
-                "heard",
+                "sonars",
                 (sensors, 6),
                 "m, m, 1, s, 1",
                 "each sonar: range, bound, healthy (0 or 1), age, axis x and y in {E}",
@@ -201,7 +201,7 @@ def _spin_side(path: Path, walls: tuple[float, float, float, float]) -> int:
     start, leg = path.waypoints[0], path.waypoints[1] - path.waypoints[0]
     x, y = (walls[0] + walls[1]) / 2 - start[0], (walls[2] + walls[3]) / 2 - start[1]
     to_the_left = (leg[0] * y - leg[1] * x) / hypot(*leg)
-    return -1 if to_the_left < -_MORE_ROOM else 1
+    return -1 if to_the_left < -_WIDER_SIDE else 1
 
 
 def law_parameters(

@@ -26,11 +26,11 @@ from surctl.vehicle import planar_rotation
 _RETURNS = 0.5  # of the speed across the path that LOS asks for
 _SEPARATION = 3.0  # the position loop is this much slower than the velocity loop
 
-__all__ = ["Wish", "learnt", "path_wish"]
+__all__ = ["DesiredMotion", "learnt", "path_following"]
 
 
 @dataclass(frozen=True)
-class Wish:
+class DesiredMotion:
     """The undisturbed command, symbolic.
 
     Attributes:
@@ -53,7 +53,7 @@ class Wish:
     arriving: ca.SX
 
 
-def path_wish(
+def path_following(
     eta: ca.SX,
     progress: ca.SX,
     p: Mapping[str, ca.SX],
@@ -61,7 +61,7 @@ def path_wish(
     dt: float,
     guidance: Guidance = "los",
     memory: ca.SX | None = None,
-) -> Wish:
+) -> DesiredMotion:
     """Tracking law (8)–(12) on the path; at its end, and at each corner to visit, proportional approach to it.
 
     Args:
@@ -99,12 +99,12 @@ def path_wish(
     onward = ca.fmin(progress + dt * rate, ca.if_else(waits, end, length))
     ahead = ca.fmax(onward, next_leg(p["waypoints"], progress, eta[:2], near=ca.if_else(visits, -1, p["wait"])))
     heading = ca.atan2(tangent[1], tangent[0])
-    return Wish(velocity, heading, ahead, x_e, y_e, along, tangent, arriving)
+    return DesiredMotion(velocity, heading, ahead, x_e, y_e, along, tangent, arriving)
 
 
 def learnt(
     guidance: Guidance,
-    wish: Wish,
+    desired: DesiredMotion,
     memory: ca.SX,
     eta: ca.SX,
     nu: ca.SX,
@@ -128,15 +128,15 @@ def learnt(
         dt: control period [s].
     """
     over_ground = planar_rotation(eta[3]) @ nu[:2]
-    across = wish.tangent[0] * over_ground[1] - wish.tangent[1] * over_ground[0]
-    returning = -across * wish.y_e > _RETURNS * wish.along * wish.y_e * wish.y_e / p["lookahead"]
-    behind = wish.x_e < -p["wait"] / 2
-    held = ca.logic_or(ca.logic_or(avoiding, wish.arriving), ca.logic_or(behind, returning))
+    across = desired.tangent[0] * over_ground[1] - desired.tangent[1] * over_ground[0]
+    returning = -across * desired.y_e > _RETURNS * desired.along * desired.y_e * desired.y_e / p["lookahead"]
+    behind = desired.x_e < -p["wait"] / 2
+    held = ca.logic_or(ca.logic_or(avoiding, desired.arriving), ca.logic_or(behind, returning))
     return crosstrack_next(
         guidance,
         memory,
-        wish.y_e,
-        along=wish.along,
+        desired.y_e,
+        along=desired.along,
         lookahead=p["lookahead"],
         sigma=p["ilos_sigma"],
         gamma=p["alos_gamma"],

@@ -8,15 +8,15 @@ import casadi as ca
 
 from surctl.control.law import Law
 from surctl.control.layers import forgetting
+from surctl.control.perception import PerceptionStage
 from surctl.control.ports import PARAMETERS
-from surctl.control.senses import Senses
 from surctl.ir import Block, Call, Layout, Real, Routine, lower, without_libm
-from surctl.priority import Ladder, LevelShape, Mode, priority_tick
+from surctl.priority import Fallback, LevelShape, Mode, priority_step
 from surctl.priority.solver.precision import FLOAT32, FLOAT64
 
 __all__ = ["in_real", "limited", "sensing"]
 
-_MEMORY = ("carried", "told", "flags")
+_MEMORY = ("carried", "reported", "flags")
 _PRECISIONS = {"float64": FLOAT64, "float32": FLOAT32}
 
 
@@ -27,41 +27,43 @@ def limited(
     *,
     levels: tuple[tuple[str, int, str], ...],
     rows: int,
-    ladder: Ladder = "exact",
+    fallback: Fallback = "exact",
     real: Real = "float64",
 ) -> Block:
     """`pre`, the priority tick with the tolerances of these numbers, and `post`."""
     shapes = tuple(LevelShape(count) for _, count, _ in levels)
     # which rows hold task 1 back nobody asks for here
-    tick = priority_tick(mode, n=4, levels=shapes, rows=rows, precision=_PRECISIONS[real], named=False, ladder=ladder)
-    answer = tuple(f"tick_{name}" for name, _ in tick.outputs)
+    step = priority_step(
+        mode, n=4, levels=shapes, rows=rows, precision=_PRECISIONS[real], named=False, fallback=fallback
+    )
+    solution = tuple(f"step_{name}" for name, _ in step.outputs)
     results = tuple(name for name, _ in post.outputs)
     steps = (
-        Call(pre, ("x", "u", "p"), ("J", "wanted", "rows", "box", *_MEMORY)),
-        Call(tick, ("J", "wanted", "wanted", "rows", "box"), answer),
-        Call(post, ("u", "p", *_MEMORY, "tick_v", "tick_status"), results),
+        Call(pre, ("x", "u", "p"), ("J", "reference", "rows", "box", *_MEMORY)),
+        Call(step, ("J", "reference", "reference", "rows", "box"), solution),
+        Call(post, ("u", "p", *_MEMORY, "step_v", "step_status"), results),
     )
     return Routine("law", pre.inputs, steps, results)
 
 
-def sensing(decide: Block, state: Layout, senses: Senses) -> Routine:
+def sensing(decide: Block, state: Layout, perception: PerceptionStage) -> Routine:
     """What the senses tell, decided on; `state` is that of the decision alone."""
-    whole = Layout((*state.ports, *senses.state.ports))
+    whole = Layout((*state.ports, *perception.state.ports))
     x = ca.SX.sym("x", whole.size)
     own = state.size
     apart = lower(ca.Function("apart", [x], [x[:own], x[own:]], ["x"], ["decided", "sensed"]))
     names = ("decided", "tau", "sensed")
-    parts = [ca.SX.sym(name, size) for name, size in zip(names, (own, 4, senses.state.size - 4), strict=True)]
+    parts = [ca.SX.sym(name, size) for name, size in zip(names, (own, 4, perception.state.size - 4), strict=True)]
     together = lower(ca.Function("together", parts, [ca.vertcat(*parts)], names, ["x_next"]))
     anew = ("anew",) if "changing" in state else ()
     steps = (
         Call(apart, ("x",), ("decided", "sensed")),
         *(Call(forgetting(state), ("decided",), (name,)) for name in anew),
-        Call(senses.block, ("sensed", "u", "p", *anew), ("sensed_next", "told")),
-        Call(decide, ("decided", "told", "p"), ("tau", "decided_next", "status", "telemetry")),
+        Call(perception.block, ("sensed", "u", "p", *anew), ("sensed_next", "decision_inputs")),
+        Call(decide, ("decided", "decision_inputs", "p"), ("tau", "decided_next", "status", "telemetry")),
         Call(together, ("decided_next", "tau", "sensed_next"), ("x_next",)),
     )
-    sizes = (("x", whole.size), ("u", senses.inputs.size), ("p", PARAMETERS.size))
+    sizes = (("x", whole.size), ("u", perception.inputs.size), ("p", PARAMETERS.size))
     return Routine("law", sizes, steps, ("tau", "x_next", "status", "telemetry"))
 
 
@@ -88,11 +90,17 @@ def in_real(law: Law, real: Real) -> Law:
     """
     if real == "float64" or law.mode not in ("filter", "projected"):
         return law
-    made = limited(
-        law.mode, law.stages.pre, law.stages.post, levels=law.levels, rows=len(law.rows), ladder=law.ladder, real=real
+    block = limited(
+        law.mode,
+        law.stages.pre,
+        law.stages.post,
+        levels=law.levels,
+        rows=len(law.rows),
+        fallback=law.fallback,
+        real=real,
     )
-    decide = without_libm(made, real)
-    if law.senses is None:
+    decide = without_libm(block, real)
+    if law.perception is None:
         return replace(law, block=decide)
-    own = Layout(law.state.ports[: -len(law.senses.state.ports)])
-    return replace(law, block=sensing(decide, own, law.senses))
+    own = Layout(law.state.ports[: -len(law.perception.state.ports)])
+    return replace(law, block=sensing(decide, own, law.perception))

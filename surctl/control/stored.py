@@ -12,13 +12,13 @@ from functools import partial
 from typing import Any
 
 from surctl.control.law import Law, Stages
+from surctl.control.perception import PERCEPTION, PerceptionStage
 from surctl.control.ports import PARAMETERS
-from surctl.control.senses import SENSES, Senses
 from surctl.ir import Block, Call, Layout, Port, Routine, read_block, write_block
 
 __all__ = ["law_bytes", "law_from"]
 
-_WORDS = ("name", "avoidance", "mode", "dt", "guidance", "barrier", "movers", "ladder")
+_WORDS = ("name", "avoidance", "mode", "dt", "guidance", "barrier", "movers", "fallback")
 _STAGES = ("closed", "pre", "post")
 
 
@@ -28,8 +28,8 @@ def law_bytes(law: Law) -> bytes:
     head: dict[str, Any] = {word: getattr(law, word) for word in _WORDS}
     head |= {"state": _listed(law.state), "inputs": _listed(law.inputs), "outputs": _listed(law.outputs)}
     head |= {"levels": law.levels, "rows": law.rows, "lengths": [len(text) for text in blocks]}
-    if law.senses is not None:
-        head["senses"] = {name: _listed(getattr(law.senses, name)) for name in ("state", "inputs", "told")}
+    if law.perception is not None:
+        head["perception"] = {name: _listed(getattr(law.perception, name)) for name in ("state", "inputs", "outputs")}
     return "\n".join([json.dumps(head), "".join(blocks)]).encode()
 
 
@@ -55,14 +55,14 @@ def law_from(stored: bytes) -> Law:
         stages=Stages(**stages),
         levels=tuple((name, count, unit) for name, count, unit in head["levels"]),
         rows=tuple(head["rows"]),
-        senses=_senses(head["senses"], block) if "senses" in head else None,
+        perception=_perception(head["perception"], block) if "perception" in head else None,
     )
 
 
-def _senses(head: dict[str, list[list[Any]]], whole: Block) -> Senses:
+def _perception(head: dict[str, list[list[Any]]], whole: Block) -> PerceptionStage:
     assert isinstance(whole, Routine)
-    (block,) = (step.block for step in whole.steps if isinstance(step, Call) and step.block.name == SENSES)
-    return Senses(_layout(head["state"]), _layout(head["inputs"]), _layout(head["told"]), block)
+    (block,) = (step.block for step in whole.steps if isinstance(step, Call) and step.block.name == PERCEPTION)
+    return PerceptionStage(_layout(head["state"]), _layout(head["inputs"]), _layout(head["outputs"]), block)
 
 
 def _listed(layout: Layout) -> list[list[Any]]:

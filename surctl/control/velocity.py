@@ -15,7 +15,7 @@ __all__ = ["velocity_control"]
 
 
 def velocity_control(
-    wanted: ca.SX,
+    nu_reference: ca.SX,
     nu: ca.SX,
     integral: ca.SX,
     model: Mapping[str, ca.SX],
@@ -42,9 +42,9 @@ def velocity_control(
         limited by itself: shortening the horizontal force as a vector took most of the braking force away whenever
         a large sideways command came with it.
     """
-    error = wanted - nu
+    error = nu_reference - nu
     gain = ca.vertcat(k_v, k_v, k_v, k_r)
-    drag = model["linear_drag"] * wanted + model["quadratic_drag"] * wanted * ca.fabs(wanted)
+    drag = model["linear_drag"] * nu_reference + model["quadratic_drag"] * nu_reference * ca.fabs(nu_reference)
     free = drag + model["mass"] * (gain * error + integral)
     limit = model["thrust_limit"]
     thrust = ca.fmin(ca.fmax(free, -limit), limit)

@@ -6,10 +6,10 @@ from surctl.export.closed import ClosedForm, closed_form
 from surctl.export.contract import STATUS, Exportable
 from surctl.export.emulated import EmulatedLine, emulated, emulated_target
 from surctl.export.envelope import Envelope, Rate
-from surctl.export.flight_envelope import flight_envelope
 from surctl.export.fmu import write_fmu
-from surctl.export.link import Answer, Line, LineDown, connect
+from surctl.export.link import Line, LineDown, Reply, connect
 from surctl.export.linked import LinkedLaw, LinkFaults, LinkReport
+from surctl.export.operating_envelope import operating_envelope
 from surctl.export.origin import Origin, fitting_certificates, load_certificates, origin_of
 from surctl.export.precision import REALS
 from surctl.export.process import Controller, build_controller
@@ -24,7 +24,6 @@ __all__ = [
     "STEPS",
     "TARGETS",
     "Alarm",
-    "Answer",
     "BuildReport",
     "Bundle",
     "CheckReport",
@@ -44,6 +43,7 @@ __all__ = [
     "ProofReport",
     "Rate",
     "Records",
+    "Reply",
     "SilReport",
     "Target",
     "as_records",
@@ -57,9 +57,9 @@ __all__ = [
     "emulated",
     "emulated_target",
     "fitting_certificates",
-    "flight_envelope",
     "gain_box",
     "load_certificates",
+    "operating_envelope",
     "origin_of",
     "prove_bundle",
     "software_in_the_loop",

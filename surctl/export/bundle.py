@@ -20,8 +20,8 @@ from surctl.certcheck.bundle import numbers_sha256
 from surctl.errors import InputError
 from surctl.export.contract import Exportable, checked_name
 from surctl.export.envelope import Envelope, anywhere
-from surctl.export.guard_text import told_range
-from surctl.export.origin import Origin, check_belonging, made_of
+from surctl.export.guard_text import range_text
+from surctl.export.origin import Origin, check_belonging, manifest_entries
 from surctl.export.precision import in_precision, rounded
 from surctl.export.rendering import render_files
 from surctl.export.vectors import self_test_vectors
@@ -88,10 +88,10 @@ def build_bundle(
         >>> from surctl.simulation import law_numbers, load_scenario
         >>> from surctl.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> bundle = build_bundle(law, law.gains.unpack(p), real="float32")
-        >>> bundle.name, bundle.real, [name for name in sorted(bundle.files) if "lean" in name]
-        ('surctl_lean', 'float32', ['surctl_lean.c', 'surctl_lean.h'])
+        >>> bundle.name, bundle.real, [name for name in sorted(bundle.files) if "closed_form" in name]
+        ('surctl_closed_form', 'float32', ['surctl_lean.c', 'surctl_lean.h'])
     """
     prefix = checked_name(law, name)
     if real == "float32" and law.block.libm:
@@ -106,7 +106,7 @@ def build_bundle(
     tests = self_test_vectors(in_precision(law, real, within), rounded(p, real), within)
     files = render_files(law, p, within, name=prefix, identity=identity, tests=tests, real=real)
     files |= {} if origin is None else origin.files
-    table = _manifest(law, prefix, identity, real, within) | made_of(law, p, origin)
+    table = _manifest(law, prefix, identity, real, within) | manifest_entries(law, p, origin)
     if origin is not None:
         check_belonging(table | {"sha256": {}, "proof": {}}, origin)
     files["manifest.json"] = manifest_with(table, files, proof={"status": "not tried"})
@@ -145,7 +145,7 @@ def _manifest(law: Exportable, name: str, identity: str, real: Real, within: Env
         "dt_s": float(law.dt),
         "real": real,
         "ranges": {
-            struct: {port.name: told_range(box[layout.slice(port.name)]) for port in layout if port.size}
+            struct: {port.name: range_text(box[layout.slice(port.name)]) for port in layout if port.size}
             for struct, (layout, box) in boxes.items()
         },
     }
@@ -176,8 +176,8 @@ def write_bundle(bundle: Bundle, directory: Path | str) -> list[ExportedFile]:
         >>> from surctl.simulation import law_numbers, load_scenario
         >>> from surctl.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
-        >>> written = write_bundle(build_bundle(law, law.gains.unpack(p)), "lean")
+        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
+        >>> written = write_bundle(build_bundle(law, law.gains.unpack(p)), "closed_form")
         >>> sorted(file.path.name for file in written)[:4], len(written[0].sha256)
         (['Makefile', 'README.md', 'controller.c', 'link.c'], 64)
     """

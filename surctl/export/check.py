@@ -24,7 +24,7 @@ from surctl.export.records import Records, as_records
 from surctl.export.rows import Rows
 from surctl.export.targets import Target
 from surctl.export.trial import trial_steps
-from surctl.ir import compile_program, compiler_version, stack_told
+from surctl.ir import compile_program, compiler_version, stack_from_report
 
 __all__ = ["STEPS", "BuildReport", "CheckReport", "Instructions", "built_for", "check_builds", "instructions"]
 
@@ -54,7 +54,7 @@ class BuildReport:
         differing: those whose bytes are not those of Python.
         first: the first of them, None if there is none.
         code_bytes: code and constants of the controller, None when unknown.
-        flight_bytes: the same without the self-test.
+        runtime_bytes: the same without the self-test.
         stack_bytes: stack below a step, on emulated processors.
         instructions: of a step, on emulated processors.
         failure: why it could not be built or run, None if it was.
@@ -66,7 +66,7 @@ class BuildReport:
     differing: int = 0
     first: int | None = None
     code_bytes: int | None = None
-    flight_bytes: int | None = None
+    runtime_bytes: int | None = None
     stack_bytes: int | None = None
     instructions: Instructions | None = None
     failure: str | None = None
@@ -87,7 +87,7 @@ class BuildReport:
             "differing": self.differing,
             "first": self.first,
             "code_bytes": self.code_bytes,
-            "flight_bytes": self.flight_bytes,
+            "runtime_bytes": self.runtime_bytes,
             "stack_bytes": self.stack_bytes,
             "instructions": None if counted is None else [counted.least, counted.mean, counted.most],
             "failure": self.failure,
@@ -100,7 +100,7 @@ class BuildReport:
         verdict = "same bytes" if self.same else f"{self.differing} steps DIFFER, first {self.first}"
         parts = [f"{self.steps} steps, {verdict}"]
         if self.code_bytes is not None:
-            parts.append(f"{self.code_bytes} B code and constants, {self.flight_bytes} B without self-test")
+            parts.append(f"{self.code_bytes} B code and constants, {self.runtime_bytes} B without self-test")
         if self.stack_bytes is not None:
             parts.append(f"{self.stack_bytes} B stack")
         if self.instructions is not None:
@@ -115,14 +115,14 @@ class CheckReport:
 
     Attributes:
         real: precision.
-        flown: steps of closed loops among those tried.
+        simulated: steps of closed loops among those tried.
         tried: single steps beside them.
         builds: one a target.
         untried: targets whose tools are missing, with these.
     """
 
     real: str
-    flown: int
+    simulated: int
     tried: int
     builds: tuple[BuildReport, ...]
     untried: dict[str, tuple[str, ...]]
@@ -137,7 +137,7 @@ class CheckReport:
         return {
             "passed": self.passed,
             "real": self.real,
-            "flown_steps": self.flown,
+            "simulated_steps": self.simulated,
             "single_steps": self.tried,
             "builds": [build.to_dict() for build in self.builds],
             "untried": {name: list(tools) for name, tools in self.untried.items()},
@@ -145,7 +145,9 @@ class CheckReport:
 
     def summary(self) -> str:
         """A table for people."""
-        head = f"check in {self.real}: {self.flown} steps of closed loops, {self.tried} single steps, against Python"
+        head = (
+            f"check in {self.real}: {self.simulated} steps of closed loops, {self.tried} single steps, against Python"
+        )
         lines = [head, *(build.line() for build in self.builds)]
         lines += [f"  {name:12} not tried: {' and '.join(tools)} missing" for name, tools in self.untried.items()]
         return "\n".join(lines)
@@ -158,7 +160,7 @@ def check_builds(
     *,
     steps: int = STEPS,
     untried: Mapping[str, tuple[str, ...]] | None = None,
-    tell: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> CheckReport:
     """Build the bundle for each target, and compare what it answers with the law's replay in Python, byte by byte.
 
@@ -172,7 +174,7 @@ def check_builds(
         targets: where to try it.
         steps: single steps, at most.
         untried: targets that lack tools, for the report.
-        tell: is given one line before each piece of work.
+        progress: is given one line before each piece of work.
 
     Raises:
         InputError: no run, or one that does not fit the law; a law that uses the mathematical library.
@@ -184,33 +186,35 @@ def check_builds(
         >>> from surctl.simulation import law_numbers, load_scenario, simulate
         >>> from surctl.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> run = simulate(mission, vehicle, gains=gains, law=law)
-        >>> flight = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
-        >>> controller = build_controller(law, build_bundle(law, law.gains.unpack(p)), Path("lean"))
-        >>> report = check_builds(controller, [flight], [TARGETS["gcc-O0"], TARGETS["gcc-O2"]], steps=200)
+        >>> recording = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
+        >>> controller = build_controller(law, build_bundle(law, law.gains.unpack(p)), Path("closed_form"))
+        >>> report = check_builds(controller, [recording], [TARGETS["gcc-O0"], TARGETS["gcc-O2"]], steps=200)
         >>> [(build.target, build.differing) for build in report.builds]
         [('gcc-O0', 0), ('gcc-O2', 0)]
     """
     law, within = Rounded(plain(controller.law), controller.bundle.real), controller.bundle.envelope
     guarded = law if within is None else Guarded(law, within, law.real)
-    flights = [as_records(law, run) for run in runs]
-    alone = trial_steps(law, flights, steps, real=law.real, within=within)
-    given = Records(*(np.concatenate(part) for part in zip(*((r.X, r.U, r.P) for r in (*flights, alone)), strict=True)))
-    load = np.ones(len(given), dtype=bool)
+    recordings = [as_records(law, run) for run in runs]
+    alone = trial_steps(law, recordings, steps, real=law.real, within=within)
+    records = Records(
+        *(np.concatenate(part) for part in zip(*((r.X, r.U, r.P) for r in (*recordings, alone)), strict=True))
+    )
+    load = np.ones(len(records), dtype=bool)
     at = 0
-    for run in flights:
+    for run in recordings:
         load[at + 1 : at + len(run)] = False
         at += len(run)
-    tell(f"replaying {len(given)} steps in Python")
-    came = controller.run(given, load=load).state
-    states = np.where(load[:, None], given.X, np.vstack([given.X[:1], came[:-1]]))
-    rows = replayed(guarded, Records(states, given.U, given.P), load)
+    progress(f"replaying {len(records)} steps in Python")
+    came = controller.run(records, load=load).state
+    states = np.where(load[:, None], records.X, np.vstack([records.X[:1], came[:-1]]))
+    rows = replayed(guarded, Records(states, records.U, records.P), load)
     want, accepted = _bytes(rows, np.dtype(law.real)), rows.status >= 0
-    stream = controller.stream(given, load=load)
+    stream = controller.stream(records, load=load)
 
     def tried(target: Target) -> BuildReport:
-        tell(f"building and running {target.name}")
+        progress(f"building and running {target.name}")
         with tempfile.TemporaryDirectory(prefix="surctl-check-") as scratch:
             return _tried(controller, target, Path(scratch), stream, want, accepted)
 
@@ -235,22 +239,22 @@ def _tried(
     want: NDArray[np.uint8],
     accepted: NDArray[np.bool_],
 ) -> BuildReport:
-    bundle, told = host.bundle, compiler_version(target.compiler)
+    bundle, version = host.bundle, compiler_version(target.compiler)
     try:
         controller, counts = built_for(host, target, folder)
-        raw = controller.answered(stream, len(want))
+        raw = controller.output(stream, len(want))
     except SurctlError as failure:
-        return BuildReport(target.name, told, failure=str(failure))
+        return BuildReport(target.name, version, failure=str(failure))
     have = np.frombuffer(raw, dtype=np.uint8).reshape(len(want), -1)
     wrong = np.flatnonzero(~_same(have, want, np.dtype(bundle.real)))
     return BuildReport(
         target.name,
-        told,
+        version,
         len(want),
         len(wrong),
         int(wrong[0]) if len(wrong) else None,
         controller.code_bytes,
-        _flight_bytes(bundle, target, folder),
+        _runtime_bytes(bundle, target, folder),
         _stack(bundle, target, folder),
         instructions(counts, accepted),
     )
@@ -282,8 +286,8 @@ def built_for(host: Controller, target: Target, folder: Path) -> tuple[Controlle
     write_bundle(bundle, folder / "bundle")
     source, code = folder / "bundle" / f"{bundle.name}.c", folder / "law.o"
     # where memory is little, the compiler tells the frames, too: nothing of the code changes
-    told = () if target.machine is None else ("-fstack-usage",)
-    compile_program([source], code, flags=("-c", *target.flags, *told), compiler=target.compiler)
+    stack_flags = () if target.machine is None else ("-fstack-usage",)
+    compile_program([source], code, flags=("-c", *target.flags, *stack_flags), compiler=target.compiler)
     size = code_bytes(code, target.size_tool)
     main, program = folder / "bundle" / "sil_main.c", folder / "sil"
     if target.machine is None:
@@ -297,9 +301,9 @@ def built_for(host: Controller, target: Target, folder: Path) -> tuple[Controlle
     return Controller(law, bundle, (*target.board(str(program)), *plugin), size), counts if plugin else None
 
 
-def _flight_bytes(bundle: Bundle, target: Target, folder: Path) -> int | None:
+def _runtime_bytes(bundle: Bundle, target: Target, folder: Path) -> int | None:
     """Code and constants without the self-test, in a folder where the bundle was built."""
-    code = folder / "flight.o"
+    code = folder / "runtime.o"
     flags = ("-c", f"-D{bundle.name.upper()}_NO_SELFTEST", *target.flags)
     compile_program([folder / "bundle" / f"{bundle.name}.c"], code, flags=flags, compiler=target.compiler)
     return code_bytes(code, target.size_tool)
@@ -326,11 +330,11 @@ def instructions(counts: Path | None, accepted: NDArray[np.bool_]) -> Instructio
     """Over the steps that were carried out: a refused one is shorter."""
     if counts is None or not counts.exists() or not accepted.any():
         return None
-    taken = np.array([int(line) for line in counts.read_text(encoding="ascii").split()])
-    if len(taken) != len(accepted):
+    per_step = np.array([int(line) for line in counts.read_text(encoding="ascii").split()])
+    if len(per_step) != len(accepted):
         return None
-    kept = taken[accepted]
-    return Instructions(int(kept.min()), float(kept.mean()), int(kept.max()))
+    completed = per_step[accepted]
+    return Instructions(int(completed.min()), float(completed.mean()), int(completed.max()))
 
 
 def _stack(bundle: Bundle, target: Target, folder: Path) -> int | None:
@@ -340,6 +344,6 @@ def _stack(bundle: Bundle, target: Target, folder: Path) -> int | None:
     header = bundle.files[f"{bundle.name}.h"]
     text = bundle.files[f"{bundle.name}.c"].replace(f'#include "{bundle.name}.h"', header)
     try:
-        return stack_told((folder / "law.su").read_text(encoding="utf-8"), text, f"{bundle.name}_step")
+        return stack_from_report((folder / "law.su").read_text(encoding="utf-8"), text, f"{bundle.name}_step")
     except (SurctlError, FileNotFoundError):
         return None

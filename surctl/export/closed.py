@@ -75,13 +75,13 @@ def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = 
         >>> from surctl.simulation import law_numbers, load_scenario
         >>> from surctl.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> shipped = closed_form(law, real="float32", constants=p)
         >>> law.gains.size, shipped.gains.size, shipped.block.operations < law.block.operations
         (70, 0, True)
     """
-    closed = law.mode == "nsb" and law.senses is None
-    if law.senses is not None and constants is not None:
+    closed = law.mode == "nsb" and law.perception is None
+    if law.perception is not None and constants is not None:
         raise InputError(
             "are for laws that sense nothing", key="constant-gains", remedy="take --sensing truth, or leave them inputs"
         )

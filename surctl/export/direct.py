@@ -70,14 +70,14 @@ def results(law: Exportable, block: Program) -> list[str]:
         [],
         [f"output->{member}" for member, _ in entries(telemetry_ports(law))],
     ]
-    seen, found = set[int](), list[str]()
+    visited, checked = set[int](), list[str]()
     for place, refs in zip(left, block.output_refs, strict=True):
         for to, ref in zip(place, refs, strict=False):
             if (
-                ref not in seen
+                ref not in visited
                 and block.instructions[ref].op not in ("const", "input")
                 and block.instructions[ref].op not in _TRUTHS
             ):
-                seen.add(ref)
-                found.append(to)
-    return found
+                visited.add(ref)
+                checked.append(to)
+    return checked

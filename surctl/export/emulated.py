@@ -77,7 +77,7 @@ def emulated(bundle: Bundle, target: Target, folder: Path) -> EmulatedLine:
         >>> from pathlib import Path
         >>> from surctl.control import build_law
         >>> from surctl.export import build_bundle, emulated, emulated_target
-        >>> law = build_law("lean")
+        >>> law = build_law("closed_form")
         >>> bundle = build_bundle(law, {}, real="float32")
         >>> with emulated(bundle, emulated_target("cortex-m4f"), Path("board")) as line:
         ...     line.ask().id == bundle.id, line.identity.real, line.identity.inputs

@@ -82,9 +82,9 @@ class Envelope:
         state, inputs, gains = parts
         return Envelope(state, inputs, gains, self.rates, self.reasons)
 
-    def refusals(self, given: Records) -> NDArray[np.int64]:
+    def refusals(self, records: Records) -> NDArray[np.int64]:
         """(T,) 0 for a row whose numbers are all within, else `NONFINITE` or `RANGE`."""
-        rows = np.hstack([given.X, given.U, given.P])
+        rows = np.hstack([records.X, records.U, records.P])
         box = np.vstack([self.state, self.inputs, self.gains])
         with np.errstate(invalid="ignore"):
             inside = ((rows >= box[:, 0]) & (rows <= box[:, 1])).all(axis=1)
@@ -105,7 +105,7 @@ class Envelope:
     def chained(
         self,
         rows: Rows,
-        given: Records,
+        records: Records,
         load: NDArray[np.bool_],
         *,
         dt: float,
@@ -116,23 +116,25 @@ class Envelope:
 
         Args:
             rows: answers without that.
-            given: the rows.
+            records: the rows.
             load: (T,) rows that begin anew.
             dt: control period [s].
             real: precision.
             counts: (T,) number of each row's sample; None: one sample a row.
         """
-        counts = np.arange(len(given)) if counts is None else counts
+        counts = np.arange(len(records)) if counts is None else counts
         if not self.rates:
             return rows
         out = Rows(rows.status.copy(), rows.tau.copy(), rows.state.copy(), rows.telemetry.copy())
         last = -1
-        for k in range(len(given)):
+        for k in range(len(records)):
             if load[k]:
                 last = -1
             looked_at = last >= 0 and out.status[k] not in (NONFINITE, RANGE)
-            if looked_at and self.jumped(given.U[k], given.U[last], int(counts[k] - counts[last]), dt=dt, real=real):
-                out.status[k], out.tau[k], out.state[k], out.telemetry[k] = RANGE, 0.0, given.X[k], 0.0
+            if looked_at and self.jumped(
+                records.U[k], records.U[last], int(counts[k] - counts[last]), dt=dt, real=real
+            ):
+                out.status[k], out.tau[k], out.state[k], out.telemetry[k] = RANGE, 0.0, records.X[k], 0.0
             last = k if out.status[k] >= 0 else last
         return out
 

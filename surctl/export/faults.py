@@ -114,8 +114,8 @@ def _in_python(law: Exportable, within: Envelope, record: Vector, fault: Fault) 
         faulty[fault.at] = fault.value
         x, u, p = np.split(faulty, ends)
         step = law.step(x, u, p)
-        kept = np.array_equal(step.x_next, x, equal_nan=True)
-        return step.status, step.status < 0 and bool(np.all(step.tau == 0.0)) and kept
+        unchanged = np.array_equal(step.x_next, x, equal_nan=True)
+        return step.status, step.status < 0 and bool(np.all(step.tau == 0.0)) and unchanged
     entry = fault.at - record.size - len(_AFTER)
     faulty[law.state.size + entry] = fault.value
     X, U, P = (np.vstack([a, b]) for a, b in zip(np.split(record, ends), np.split(faulty, ends), strict=True))

@@ -62,10 +62,10 @@ def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | 
         >>> from surctl.simulation import law_numbers, load_scenario
         >>> from surctl.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> file = write_fmu(law, build_bundle(law, law.gains.unpack(p)), p, "fmu")
         >>> file.path.name, ZipFile(file.path).namelist()[0]
-        ('surctl_lean.fmu', 'modelDescription.xml')
+        ('surctl_closed_form.fmu', 'modelDescription.xml')
     """
     machine = (platform.system(), platform.machine())
     if machine not in _PLATFORMS:

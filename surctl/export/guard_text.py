@@ -12,7 +12,7 @@ from surctl.export.envelope import Envelope, Rate
 from surctl.export.fields import entries, transfers
 from surctl.ir import Layout, Port, Real, c_literal
 
-__all__ = ["ANY_NUMBER", "box_lines", "jump_lines", "keep_lines", "number_calls", "told_range"]
+__all__ = ["ANY_NUMBER", "box_lines", "jump_lines", "keep_lines", "number_calls", "range_text"]
 
 Vector = NDArray[np.float64]
 
@@ -22,19 +22,19 @@ _FEW = 4  # numbers up to which each has a line
 _REFUSE = "return 0;"
 
 
-def told_range(box: Vector) -> str:
+def range_text(box: Vector) -> str:
     """For people: "0 to 1", or a list where entries differ; (n, 2)."""
-    told = [_told(low, high) for low, high in box]
-    if len(set(told)) == 1:
-        return told[0]
-    for period in range(2, len(told)):
-        if len(told) % period == 0 and told == told[:period] * (len(told) // period):
-            told = told[:period]
+    texts = [_interval_text(low, high) for low, high in box]
+    if len(set(texts)) == 1:
+        return texts[0]
+    for period in range(2, len(texts)):
+        if len(texts) % period == 0 and texts == texts[:period] * (len(texts) // period):
+            texts = texts[:period]
             break
-    return "; ".join(told)
+    return "; ".join(texts)
 
 
-def _told(low: float, high: float) -> str:
+def _interval_text(low: float, high: float) -> str:
     if min(-low, high) > 1e38:
         return ANY_NUMBER
     return f"{low:.6g} to {high:.6g}"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError
 
-__all__ = ["VERSION", "Answer", "Identity", "Line", "LineDown", "connect"]
+__all__ = ["VERSION", "Identity", "Line", "LineDown", "Reply", "connect"]
 
 Vector = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ VERSION = 1
 
 _MAGIC = b"SURL"
 _HEAD = struct.Struct("<4sHHII")
-_ASK, _TOLD, _START, _STARTED, _STEP, _STEPPED, _REFUSED = range(1, 8)
+_REQUEST, _IDENTITY, _START, _STARTED, _STEP, _STEPPED, _REFUSED = range(1, 8)
 _SIZES = struct.Struct("<64s5I")
 _GLANCE = 0.25  # s: a Ctrl-C between two system calls wakes neither, and is seen at the next one
 _MOST = 1_000_000  # numbers of a kind that a controller may say it has
@@ -59,7 +59,7 @@ class Identity(NamedTuple):
     telemetry: int
 
 
-class Answer(NamedTuple):
+class Reply(NamedTuple):
     """One step, and the bytes that said it.
 
     Attributes:
@@ -102,13 +102,13 @@ class Line:
         """Hang up."""
         self.wire.close()
 
-    def ask(self) -> Identity:
+    def request(self) -> Identity:
         """Who is at the other end.
 
         Raises:
             LineDown: nobody that speaks this link.
         """
-        body = self._exchange(_ASK, 0, b"", _TOLD, _SIZES.size)
+        body = self._exchange(_REQUEST, 0, b"", _IDENTITY, _SIZES.size)
         name, width, *counts = _SIZES.unpack(body)
         if width not in (4, 8) or any(count > _MOST for count in counts) or not name.isalnum():
             raise LineDown(f"{self.name} says of itself what cannot be")
@@ -123,8 +123,8 @@ class Line:
         """
         self._exchange(_START, 0, identity.encode("ascii"), _STARTED, 0)
 
-    def step(self, sequence: int, inputs: Vector) -> Answer:
-        """One step; `ask` comes first, and `start`.
+    def step(self, sequence: int, inputs: Vector) -> Reply:
+        """One step; `request` comes first, and `start`.
 
         Args:
             sequence: above that of every step since the start, from 1.
@@ -142,9 +142,9 @@ class Line:
         body = self._exchange(_STEP, sequence, sent, _STEPPED, 4 + kind.itemsize * int(ends[-1]))
         numbers = np.frombuffer(body, dtype=kind, offset=4).astype(np.float64)
         tau, state, telemetry = np.split(numbers, ends[:-1])
-        return Answer(struct.unpack_from("<i", body)[0], tau, state, telemetry, body[4:])
+        return Reply(struct.unpack_from("<i", body)[0], tau, state, telemetry, body[4:])
 
-    def _exchange(self, kind: int, sequence: int, body: bytes, wanted: int, length: int) -> bytes:
+    def _exchange(self, kind: int, sequence: int, body: bytes, expected: int, length: int) -> bytes:
         """Send one message, and the payload of the answer, which must be of that kind and length."""
         deadline = time.monotonic() + self.patience
         try:
@@ -158,7 +158,7 @@ class Line:
             if got == _REFUSED and size == 4:
                 (why,) = struct.unpack("<I", self._received(4, deadline))
                 raise LineDown(f"{self.name} {_REFUSALS.get(why, f'refuses, with code {why}')}")
-            if (got, echoed, size) != (wanted, sequence, length):
+            if (got, echoed, size) != (expected, sequence, length):
                 raise LineDown(f"{self.name} answers something else than it was asked")
             return self._received(length, deadline)
         except TimeoutError:
@@ -196,16 +196,16 @@ def connect(address: str, *, patience: float = 5.0) -> Line:
         >>> from surctl.control import build_law
         >>> from surctl.export import build_bundle, connect, write_bundle
         >>> from surctl.ir import compile_program
-        >>> law, folder = build_law("lean"), Path("lean")
+        >>> law, folder = build_law("closed_form"), Path("closed_form")
         >>> _ = write_bundle(build_bundle(law, {}), folder)
-        >>> code = [folder / name for name in ("controller.c", "link.c", "surctl_lean.c")]
+        >>> code = [folder / name for name in ("controller.c", "link.c", "surctl_closed_form.c")]
         >>> controller = Popen([compile_program(code, folder / "controller"), "0"], stdout=PIPE, text=True)  # any port
         >>> with connect(controller.stdout.readline().split()[-1]) as line:
         ...     line.ask().real, line.identity.inputs == law.inputs.size
         ('float64', True)
         >>> _ = controller.kill(), controller.communicate()
     """
-    host, port = _taken_apart(address)
+    host, port = _host_and_port(address)
     try:
         wire = socket.create_connection((host, port), timeout=patience)
     except (OSError, UnicodeError) as error:
@@ -220,7 +220,7 @@ def connect(address: str, *, patience: float = 5.0) -> Line:
     return Line(wire, address, patience)
 
 
-def _taken_apart(address: str) -> tuple[str, int]:
+def _host_and_port(address: str) -> tuple[str, int]:
     try:
         parts = urlsplit(address)
         port = parts.port

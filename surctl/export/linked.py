@@ -20,7 +20,7 @@ from surctl.export.bundle import law_id
 from surctl.export.closed import closed_form
 from surctl.export.contract import Exportable, thrust
 from surctl.export.envelope import Envelope
-from surctl.export.link import Answer, Line, LineDown
+from surctl.export.link import Line, LineDown, Reply
 from surctl.export.precision import Guarded, Rounded, replayed, rounded
 from surctl.export.records import Records
 from surctl.ir import Real
@@ -98,8 +98,8 @@ class LinkReport:
             "real": self.real,
             "steps": self.steps,
             "answered": self.answered,
-            "lost_questions": self.lost[0],
-            "lost_answers": self.lost[1],
+            "lost_requests": self.lost[0],
+            "lost_replies": self.lost[1],
             "failsafe_steps": self.failsafe,
             "gone_s": self.gone_s,
             "gone_because": self.gone_because or None,
@@ -125,8 +125,8 @@ class LinkReport:
 
 class _Command(NamedTuple):
     arrives: int
-    asked: int
-    answer: Answer
+    requested: int
+    reply: Reply
 
 
 @dataclass
@@ -154,7 +154,7 @@ class LinkedLaw:
             InputError: the other end is another controller, or speaks no such link.
         """
         try:
-            who = self.line.ask()
+            who = self.line.request()
             self.real: Real = "float64" if who.real == "float64" else "float32"
             self.shipped, self.gains = self._shipped(who.id)
             self.identity = law_id(self.shipped, self.gains, real=self.real)
@@ -176,11 +176,11 @@ class LinkedLaw:
         self._noise = NoiseStream(_STREAM + self.faults.seed)
         self._late = int(np.ceil(self.faults.delay / self.law.dt - 1e-9))
         self._believed = int(np.floor(self.faults.deadline / self.law.dt + 1e-9))
-        self._tick = 0
+        self._period = 0
         self._state = rounded(self.law.initial_state(), self.real)
-        self._under_way: list[_Command] = []
+        self._pending: list[_Command] = []
         self._current: _Command | None = None
-        self._log: list[tuple[Vector, Vector, Answer, int]] = []
+        self._log: list[tuple[Vector, Vector, Reply, int]] = []
         self._lost = [0, 0]
         self._failsafe = 0
         self._times: list[float] = []
@@ -191,7 +191,7 @@ class LinkedLaw:
         """The law as it was exported, and its gains: those with constants if the controller has that id."""
         if not isinstance(self.law, Law):
             return self.law, self.p
-        if self.law.senses is None:
+        if self.law.perception is None:
             constant = closed_form(self.law, real=self.real, constants=self.p)
             if law_id(constant, np.zeros(0), real=self.real) == identity:
                 return constant, np.zeros(0)
@@ -200,20 +200,20 @@ class LinkedLaw:
     def __call__(self, x: Vector, u: Vector, p: Vector) -> LawStep:
         """What the thrusters get in this period, the controller's state and its newest telemetry; x is its own."""
         if self._gone is None:
-            self._ask(u)
-        while self._under_way and self._under_way[0].arrives <= self._tick:
-            self._current = self._under_way.pop(0)
-            self._telemetry = self._current.answer.telemetry
-        tick, now = self._tick, self._current
-        self._tick += 1
-        if now is not None and self._gone is None and tick - now.asked <= self._believed:
-            return LawStep(now.answer.tau, self._state, now.answer.status, self._telemetry)
+            self._request(u)
+        while self._pending and self._pending[0].arrives <= self._period:
+            self._current = self._pending.pop(0)
+            self._telemetry = self._current.reply.telemetry
+        period, now = self._period, self._current
+        self._period += 1
+        if now is not None and self._gone is None and period - now.requested <= self._believed:
+            return LawStep(now.reply.tau, self._state, now.reply.status, self._telemetry)
         self._failsafe += 1
         return LawStep(
             np.zeros(thrust(self.law).size), self._state, LATE if self._gone is None else GONE, self._telemetry
         )
 
-    def _ask(self, u: Vector) -> None:
+    def _request(self, u: Vector) -> None:
         """One exchange, with what the line does to it."""
         to, back = (number < self.faults.loss for number in self._noise.uniforms(2))
         if to:
@@ -221,18 +221,18 @@ class LinkedLaw:
             return
         began = time.perf_counter()
         try:
-            answer = self.line.step(self._tick + 1, u)
+            reply = self.line.step(self._period + 1, u)
         except LineDown as reason:
             why = str(reason).removeprefix(self.line.name).strip()
-            self._gone = self._tick * self.law.dt, why
+            self._gone = self._period * self.law.dt, why
             return
         self._times.append(1e3 * (time.perf_counter() - began))
-        self._log.append((self._state, rounded(u, self.real), answer, self._tick))
-        self._state = answer.state
+        self._log.append((self._state, rounded(u, self.real), reply, self._period))
+        self._state = reply.state
         if back:
             self._lost[1] += 1
             return
-        self._under_way.append(_Command(self._tick + self._late, self._tick, answer))
+        self._pending.append(_Command(self._period + self._late, self._period, reply))
 
     def report(self) -> LinkReport:
         """How the line did; every answer is compared with the law in Python, stepped from the same state.
@@ -244,7 +244,7 @@ class LinkedLaw:
         wrong = self._differing()
         first = int(wrong[0]) if wrong.size else None
         return LinkReport(
-            self.line.name, self.identity, self.real, self._tick, len(self._log), (self._lost[0], self._lost[1]),
+            self.line.name, self.identity, self.real, self._period, len(self._log), (self._lost[0], self._lost[1]),
             self._failsafe, gone[0], gone[1], trips, len(wrong), first,
         )  # fmt: skip
 

@@ -51,9 +51,9 @@ def mutants(bundle: Bundle, *, each: int = 6) -> tuple[Mutant, ...]:
     for mutant in _all(bundle):
         by_kind.setdefault(mutant.kind, []).append(mutant)
     chosen: list[Mutant] = []
-    for found in by_kind.values():
-        picks = np.unique(np.linspace(0, len(found) - 1, min(each, len(found))).round().astype(int))
-        chosen += [found[k] for k in picks]
+    for group in by_kind.values():
+        picks = np.unique(np.linspace(0, len(group) - 1, min(each, len(group))).round().astype(int))
+        chosen += [group[k] for k in picks]
     return tuple(chosen)
 
 
@@ -90,34 +90,34 @@ def _all(bundle: Bundle) -> Iterator[Mutant]:
             continue
         rules = _LAW if inside == "law" else (_GUARD if inside in ("inside", "jumped", "step", "refuse") else ())
         for kind, pattern, new in rules:
-            for found in re.finditer(pattern, line):
-                yield _mutant(bundle, lines, kind, at, found, new)
+            for match in re.finditer(pattern, line):
+                yield _mutant(bundle, lines, kind, at, match, new)
         if inside == "law":
-            for found in re.finditer(r"(?<![\w.])0x1\.[0-9a-f]+p[+-]\d+f?(?![\w.])", line):
-                if float.fromhex(found.group(0).rstrip("f")) >= _LEAST:
-                    yield _mutant(bundle, lines, "gain", at, found, f"({found.group(0)} * 1.01{_tail(bundle)})")
+            for match in re.finditer(r"(?<![\w.])0x1\.[0-9a-f]+p[+-]\d+f?(?![\w.])", line):
+                if float.fromhex(match.group(0).rstrip("f")) >= _LEAST:
+                    yield _mutant(bundle, lines, "gain", at, match, f"({match.group(0)} * 1.01{_tail(bundle)})")
 
 
 def _tail(bundle: Bundle) -> str:
     return "" if bundle.real == "float64" else "f"
 
 
-def _mutant(bundle: Bundle, lines: list[str], kind: str, at: int, found: re.Match[str], new: str) -> Mutant:
-    changed = lines[at][: found.start()] + new + lines[at][found.end() :]
+def _mutant(bundle: Bundle, lines: list[str], kind: str, at: int, match: re.Match[str], new: str) -> Mutant:
+    changed = lines[at][: match.start()] + new + lines[at][match.end() :]
     text = "\n".join([*lines[:at], changed, *lines[at + 1 :]])
     files = MappingProxyType({**bundle.files, f"{bundle.name}.c": text})
-    return Mutant(kind, at + 1, found.group(0), new, replace(bundle, files=files))
+    return Mutant(kind, at + 1, match.group(0), new, replace(bundle, files=files))
 
 
 def caught_by(
-    law: Exportable, mutant: Mutant, flight: Records, folder: Path, *, limit: NDArray[np.float64] | None = None
+    law: Exportable, mutant: Mutant, recording: Records, folder: Path, *, limit: NDArray[np.float64] | None = None
 ) -> str | None:
     """Which check notices the mutant first: "compiler", "SIL", "single steps" or "proof"; None if nothing does.
 
     Args:
         law: what the bundle was made of.
         mutant: the changed bundle.
-        flight: a recorded run.
+        recording: a recorded run.
         folder: scratch, of this mutant alone.
         limit: largest thrust (n_tau,), for the proof; None leaves it out.
     """
@@ -126,12 +126,12 @@ def caught_by(
     except SurctlError:
         return "compiler"
     try:
-        (report,) = compare_runs(controller, [flight])
+        (report,) = compare_runs(controller, [recording])
     except SurctlError:  # it crashes, or ends early
         return "SIL"
     if not report.conclusive:
         return "SIL"
-    if not check_builds(controller, [flight], [TARGETS["gcc-O1"]], steps=_TRIALS).passed:
+    if not check_builds(controller, [recording], [TARGETS["gcc-O1"]], steps=_TRIALS).passed:
         return "single steps"
     if limit is not None and not prove_bundle(law, mutant.bundle, limit).proved:
         return "proof"

@@ -26,7 +26,7 @@ from surctl.verification import Claim, applicable_claims
 from surctl.verification.formula import text_of
 from surctl.verification.proving import statement_of
 
-__all__ = ["Origin", "check_belonging", "fitting_certificates", "load_certificates", "made_of", "origin_of"]
+__all__ = ["Origin", "check_belonging", "fitting_certificates", "load_certificates", "manifest_entries", "origin_of"]
 
 Vector = NDArray[np.float64]
 
@@ -47,12 +47,12 @@ class Origin:
 
     Attributes:
         vehicle: what it believes it flies.
-        told_truth: the same law without senses, which the certificates are about.
+        ground_truth: the same law without senses, which the certificates are about.
         certificates: by file name in the bundle.
     """
 
     vehicle: Vehicle
-    told_truth: Law
+    ground_truth: Law
     certificates: Mapping[str, Mapping[str, Any]] | None = None
 
     @property
@@ -74,16 +74,16 @@ def origin_of(law: Law, vehicle: Vehicle, certificates: Mapping[str, Mapping[str
         >>> from surctl.simulation import law_numbers, load_scenario
         >>> from surctl.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> bundle = build_bundle(law, law.gains.unpack(p), origin=origin_of(law, vehicle))
         >>> manifest = json.loads(bundle.files["manifest.json"])
         >>> manifest["vehicle"]["name"], manifest["vehicle"]["values"]["m11"], sorted(manifest["claims"])[:2]
         ('sur400', 50.0, ['course-corrected', 'course-printed'])
     """
-    told = law
+    ground_truth = law
     if "samples" in law.inputs:
         name = cast("LawName", law.name.removeprefix("surctl_"))
-        told = build_law(
+        ground_truth = build_law(
             name,
             avoidance=law.avoidance,
             mode=law.mode,
@@ -91,9 +91,9 @@ def origin_of(law: Law, vehicle: Vehicle, certificates: Mapping[str, Mapping[str
             guidance=law.guidance,
             barrier=law.barrier,
             movers=law.movers,
-            ladder=law.ladder,
+            fallback=law.fallback,
         )
-    return Origin(vehicle, told, certificates)
+    return Origin(vehicle, ground_truth, certificates)
 
 
 def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
@@ -109,11 +109,11 @@ def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
         >>> from surctl.verification import claims, prove
         >>> [claim] = claims(names=["m-norm-corrected"])
         >>> _ = Path("m-norm.json").write_text(json.dumps(prove(claim).certificate))
-        >>> found = load_certificates([Path("m-norm.json")])
-        >>> {name: document["claim"]["name"] for name, document in found.items()}
+        >>> certificates = load_certificates([Path("m-norm.json")])
+        >>> {name: document["claim"]["name"] for name, document in certificates.items()}
         {'certificate-m-norm.json': 'm-norm-corrected'}
     """
-    found: dict[str, Mapping[str, Any]] = {}
+    certificates: dict[str, Mapping[str, Any]] = {}
     for path in paths:
         try:
             document = read(path)
@@ -123,21 +123,21 @@ def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
         if not checked.accepted:
             raise InputError(f"is rejected: {checked.reason}", file=path, remedy="prove it again: surctl verify")
         name = f"certificate-{re.sub(r'[^A-Za-z0-9_-]', '-', path.stem)}.json"
-        if name in found:
+        if name in certificates:
             raise InputError("has the name of another certificate", file=path, remedy="rename one of them")
-        found[name] = document
-    return found
+        certificates[name] = document
+    return certificates
 
 
-def made_of(law: Exportable, p: Vector, origin: Origin | None) -> dict[str, Any]:
+def manifest_entries(law: Exportable, p: Vector, origin: Origin | None) -> dict[str, Any]:
     """Entries of the manifest: gains, law, and where known vehicle and claims."""
     own = law.block.digest()
-    told = own if origin is None else origin.told_truth.block.digest()
+    digest = own if origin is None else origin.ground_truth.block.digest()
     rows = [{"name": port.name, "values": p[law.gains.slice(port.name)].tolist()} for port in law.gains]
     entries: dict[str, Any] = {
         "law": {
             "sha256": own,
-            "told_truth_sha256": told,
+            "ground_truth_sha256": digest,
             "initial_state_sha256": numbers_sha256(law.initial_state().tolist()),
         },
         "gains": {"values": rows, "sha256": numbers_sha256(p.tolist())},
@@ -162,10 +162,10 @@ def check_belonging(manifest: Mapping[str, Any], origin: Origin) -> None:
     speeds = [f"--{name} {read_back.gains[name][0]:g}" for name in ("cruise", "cap") if name in read_back.gains]
     command = " ".join(["surctl verify", *speeds, "--gains FILE --vehicle FILE"])
     for name, document in (origin.certificates or {}).items():
-        found = compare(document, read_back)
-        if not found.belongs:
+        comparison = compare(document, read_back)
+        if not comparison.belongs:
             raise InputError(
-                f"is not about this controller: {'; '.join(found.differs)}",
+                f"is not about this controller: {'; '.join(comparison.differs)}",
                 key=name.removeprefix("certificate-"),
                 remedy=f"prove it for these speeds, gains and this vehicle: {command}",
             )
@@ -200,9 +200,9 @@ def fitting_certificates(paths: Sequence[Path], law: Law, vehicle: Vehicle, p: V
         ['k1-0.3.json']
     """
     origin = origin_of(law, vehicle)
-    made = made_of(law, p, origin)
+    entries = manifest_entries(law, p, origin)
     frame = {"name": "", "id": "", "dt_s": law.dt, "real": "float64", "sha256": {}}
-    manifest = replace(read_manifest(frame | made), wrong=())  # what is not exported yet has no id
+    manifest = replace(read_manifest(frame | entries), wrong=())  # what is not exported yet has no id
     return [path for path in paths if all(compare(d, manifest).belongs for d in load_certificates([path]).values())]
 
 
@@ -213,14 +213,14 @@ def _claims(rows: Sequence[Mapping[str, Any]], origin: Origin) -> dict[str, str]
         values["speed"] = values["cruise"]
     if "cap" in values:
         values["speed_max"] = values["cap"]
-    told: dict[str, str] = {}
+    hashes: dict[str, str] = {}
     library, _ = applicable_claims(values, vehicle=origin.vehicle)
     for claim in library:
-        if not _has_part(origin.told_truth, claim.name):
+        if not _has_part(origin.ground_truth, claim.name):
             continue
         with contextlib.suppress(InputError, UnsupportedOperation):
-            told[claim.name] = stated_sha256(_stated(claim))
-    return told
+            hashes[claim.name] = stated_sha256(_stated(claim))
+    return hashes
 
 
 def _has_part(law: Law, claim: str) -> bool:

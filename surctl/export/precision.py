@@ -78,18 +78,18 @@ class Rounded(_Same):
             X.copy(),
             np.zeros((len(X), self.law.outputs.size - n_tau)),
         )
-        taken = np.flatnonzero(np.isfinite(np.hstack([X, U, P])).all(axis=1))
-        if not taken.size:
+        finite = np.flatnonzero(np.isfinite(np.hstack([X, U, P])).all(axis=1))
+        if not finite.size:
             return safe
-        given = X[taken], U[taken], P[taken]
-        made = [np.asarray(y, dtype=np.float64) for y in replay(self.law.block, *given, real=_NUMPY[self.real])]
-        told = made[2][:, 0]
-        number = np.isfinite(np.hstack(made)).all(axis=1)
-        safe.status[taken[number & (told < 0.0)]] = ITER
-        fine = number & (told >= 0.0) & (told <= 32767.0)
-        done = taken[fine]
+        inputs = X[finite], U[finite], P[finite]
+        outputs = [np.asarray(y, dtype=np.float64) for y in replay(self.law.block, *inputs, real=_NUMPY[self.real])]
+        status = outputs[2][:, 0]
+        number = np.isfinite(np.hstack(outputs)).all(axis=1)
+        safe.status[finite[number & (status < 0.0)]] = ITER
+        fine = number & (status >= 0.0) & (status <= 32767.0)
+        done = finite[fine]
         for mine, fresh in zip(
-            (safe.tau, safe.state, safe.status, safe.telemetry), (*made[:2], told, made[3]), strict=True
+            (safe.tau, safe.state, safe.status, safe.telemetry), (*outputs[:2], status, outputs[3]), strict=True
         ):
             mine[done] = fresh[fine]
         return safe
@@ -151,33 +151,35 @@ def evaluated(law: Exportable, X: Vector, U: Vector, P: Vector) -> Rows:
     )
 
 
-def _let_in(law: Guarded, given: Records) -> Rows:
-    status = law.envelope.refusals(given)
+def _let_in(law: Guarded, records: Records) -> Rows:
+    status = law.envelope.refusals(records)
     size = thrust(law).size
     out = Rows(
         status,
-        np.zeros((len(given), size)),
-        np.array(given.X, dtype=float),
-        np.zeros((len(given), law.outputs.size - size)),
+        np.zeros((len(records), size)),
+        np.array(records.X, dtype=float),
+        np.zeros((len(records), law.outputs.size - size)),
     )
-    taken = np.flatnonzero(status != RANGE)  # what is not finite the law refuses itself
-    if taken.size:
-        for mine, fresh in zip(out, evaluated(law.law, given.X[taken], given.U[taken], given.P[taken]), strict=True):
-            mine[taken] = fresh
+    index = np.flatnonzero(status != RANGE)  # what is not finite the law refuses itself
+    if index.size:
+        for mine, fresh in zip(
+            out, evaluated(law.law, records.X[index], records.U[index], records.P[index]), strict=True
+        ):
+            mine[index] = fresh
     return out
 
 
 def replayed(
-    law: Exportable, given: Records, load: NDArray[np.bool_], *, counts: NDArray[np.int64] | None = None
+    law: Exportable, records: Records, load: NDArray[np.bool_], *, counts: NDArray[np.int64] | None = None
 ) -> Rows:
     """As `evaluated`, but each row follows the one before unless `load` (T,) is set there: nothing may have jumped.
 
     `counts` (T,) numbers the rows' samples, for those that some are missing of.
     """
-    rows = evaluated(law, given.X, given.U, given.P)
+    rows = evaluated(law, records.X, records.U, records.P)
     if not isinstance(law, Guarded):
         return rows
-    return law.envelope.chained(rows, given, load, dt=law.dt, real=law.real, counts=counts)
+    return law.envelope.chained(rows, records, load, dt=law.dt, real=law.real, counts=counts)
 
 
 def rounded(values: Vector, real: Real = "float32") -> Vector:

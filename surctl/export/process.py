@@ -60,7 +60,7 @@ class Controller:
 
     def run(self, records: Records, *, load: NDArray[np.bool_]) -> Rows:
         """Step through the records; where `load` (T,) is set, the state is taken from the record."""
-        return self.parsed(self.answered(self.stream(records, load=load), len(records)), len(records))
+        return self.parsed(self.output(self.stream(records, load=load), len(records)), len(records))
 
     def stream(self, records: Records, *, load: NDArray[np.bool_]) -> bytes:
         """The records as the program of this precision reads them, whatever it was compiled for."""
@@ -73,9 +73,9 @@ class Controller:
         with np.errstate(over="ignore"):
             return np.concatenate(parts).astype(self._dtype).tobytes()
 
-    def answered(self, stream: bytes, count: int) -> bytes:
+    def output(self, stream: bytes, count: int) -> bytes:
         """The program's answer to the records of a stream."""
-        return self._answer([], stream, count, sum(self._widths))
+        return self._output([], stream, count, sum(self._widths))
 
     def parsed(self, raw: bytes, count: int) -> Rows:
         """The rows that the bytes hold."""
@@ -99,15 +99,15 @@ class Controller:
 
     def run_faults(self, record: Vector, at: Vector, values: Vector) -> FaultResults:
         """A step from `record` (state, input, gains end to end) for each entry `at` (K,), with `values` (K,) there."""
-        given = np.concatenate([record, np.column_stack([at, values]).ravel()])
+        numbers = np.concatenate([record, np.column_stack([at, values]).ravel()])
         n_tau = thrust(self.law).size
         with np.errstate(over="ignore"):
-            sent = given.astype(self._dtype).tobytes()
-        rows = self._rows(self._answer(["--faults"], sent, len(at), 2 + n_tau), len(at), 2 + n_tau)
+            sent = numbers.astype(self._dtype).tobytes()
+        rows = self._rows(self._output(["--faults"], sent, len(at), 2 + n_tau), len(at), 2 + n_tau)
         status, changed = rows[:, 0].astype(np.int64), rows[:, 1 + n_tau].astype(np.int64)
         return FaultResults(status, rows[:, 1 : 1 + n_tau], changed)
 
-    def _answer(self, options: list[str], sent: bytes, count: int, width: int) -> bytes:
+    def _output(self, options: list[str], sent: bytes, count: int, width: int) -> bytes:
         """The program's answer: `count` rows of `width` numbers."""
         raw = _run([*self.command, *options], sent, count)
         if len(raw) != self._dtype.itemsize * count * width:
@@ -140,10 +140,10 @@ def build_controller(law: Exportable, bundle: Bundle, directory: Path) -> Contro
         >>> from surctl.simulation import law_numbers, load_scenario
         >>> from surctl.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
-        >>> controller = build_controller(law, build_bundle(law, law.gains.unpack(p)), Path("lean"))
+        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
+        >>> controller = build_controller(law, build_bundle(law, law.gains.unpack(p)), Path("closed_form"))
         >>> controller.bundle.name, [Path(word).name for word in controller.command]
-        ('surctl_lean', ['sil'])
+        ('surctl_closed_form', ['sil'])
     """
     write_bundle(bundle, directory)
     directory = directory.resolve()

@@ -103,8 +103,8 @@ class ProofReport:
     @property
     def accepts(self) -> bool:
         """Whether the law was analysed at all: a guard that refuses everything would prove anything."""
-        told = re.search(r"show_each_status: (.*)", self.log)
-        return told is not None and any(not number.startswith("-") for number in re.findall(r"-?\d+", told.group(1)))
+        match = re.search(r"show_each_status: (.*)", self.log)
+        return match is not None and any(not number.startswith("-") for number in re.findall(r"-?\d+", match.group(1)))
 
     @property
     def claim(self) -> str:
@@ -145,13 +145,13 @@ def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector) -> ProofReport:
 
     Example:
         >>> from surctl.control import build_law, load_gains
-        >>> from surctl.export import build_bundle, closed_form, flight_envelope, prove_bundle
+        >>> from surctl.export import build_bundle, closed_form, operating_envelope, prove_bundle
         >>> from surctl.simulation import law_numbers, load_scenario
         >>> from surctl.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> shipped = closed_form(law, real="float32", constants=p)
-        >>> within = flight_envelope(law, mission, vehicle, shipped.gains)
+        >>> within = operating_envelope(law, mission, vehicle, shipped.gains)
         >>> bundle = build_bundle(shipped, {}, real="float32", envelope=within)
         >>> report = prove_bundle(shipped, bundle, vehicle.thrust_limit)
         >>> report.proved, report.alarms
@@ -183,8 +183,8 @@ def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector) -> ProofReport:
     ]
     version = subprocess.run([_TOOL, "-version"], capture_output=True, text=True, check=False).stdout.split()
     ordered = tuple(sorted(alarms, key=lambda a: (a.file, a.line, a.kind, a.text)))
-    told = f"Frama-C {version[0] if version else '?'}"
-    return ProofReport(ordered, len(rows), spent, told, log, source, inside=options == _BOUNDED)
+    tool = f"Frama-C {version[0] if version else '?'}"
+    return ProofReport(ordered, len(rows), spent, tool, log, source, inside=options == _BOUNDED)
 
 
 def _options(law: Exportable, bundle: Bundle) -> tuple[str, ...]:
@@ -220,8 +220,8 @@ def _run(folder: Path, options: Sequence[str]) -> str:
 
 
 def _first_error(log: str) -> str:
-    found = re.search(r"^.*(?:error|Error).*$", log, re.MULTILINE)
-    return found.group(0).strip() if found else "no reason given"
+    match = re.search(r"^.*(?:error|Error).*$", log, re.MULTILINE)
+    return match.group(0).strip() if match else "no reason given"
 
 
 def _program(law: Exportable, bundle: Bundle, limit: Vector) -> str:
@@ -274,13 +274,13 @@ def with_proof(bundle: Bundle, report: ProofReport) -> Bundle:
     Example:
         >>> import json
         >>> from surctl.control import build_law, load_gains
-        >>> from surctl.export import build_bundle, closed_form, flight_envelope, prove_bundle, with_proof
+        >>> from surctl.export import build_bundle, closed_form, operating_envelope, prove_bundle, with_proof
         >>> from surctl.simulation import law_numbers, load_scenario
         >>> from surctl.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> shipped = closed_form(law, real="float32", constants=p)
-        >>> within = flight_envelope(law, mission, vehicle, shipped.gains)
+        >>> within = operating_envelope(law, mission, vehicle, shipped.gains)
         >>> bundle = build_bundle(shipped, {}, real="float32", envelope=within)
         >>> report = prove_bundle(shipped, bundle, vehicle.thrust_limit)
         >>> proved = with_proof(bundle, report)
@@ -305,7 +305,7 @@ def gain_box(law: Exportable, values: Vector, ranges: Mapping[str, tuple[float, 
         >>> from surctl.simulation import law_numbers, load_scenario
         >>> from surctl.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> box = gain_box(law, p, {"k_v": (1.0, 2.0)})
         >>> box[law.gains.slice("k_v")].tolist(), box[law.gains.slice("lookahead")].tolist()
         ([[1.0, 2.0]], [[0.8, 0.8]])

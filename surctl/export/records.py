@@ -48,11 +48,11 @@ def as_records(law: Exportable, records: Records | Sequence[Triple]) -> Records:
         >>> from surctl.simulation import law_numbers, load_scenario, simulate
         >>> from surctl.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> run = simulate(mission, vehicle, gains=gains, law=law)
-        >>> flight = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
-        >>> records = as_records(law, flight)  # one vector of gains becomes a row a step
-        >>> flight.P.shape, records.P.shape == (len(flight.X), law.gains.size)
+        >>> recording = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
+        >>> records = as_records(law, recording)  # one vector of gains becomes a row a step
+        >>> recording.P.shape, records.P.shape == (len(recording.X), law.gains.size)
         ((70,), True)
     """
     if not isinstance(records, Records):

@@ -16,7 +16,7 @@ from surctl.export.contract import STATUS, Exportable, telemetry_ports, thrust
 from surctl.export.direct import changing, direct_law, results
 from surctl.export.envelope import Envelope
 from surctl.export.fields import entries, field, starts, transfers
-from surctl.export.guard_text import ANY_NUMBER, box_lines, jump_lines, keep_lines, number_calls, told_range
+from surctl.export.guard_text import ANY_NUMBER, box_lines, jump_lines, keep_lines, number_calls, range_text
 from surctl.export.vectors import TOLERANCE, SelfTest
 from surctl.ir import C_TYPE, Layout, Port, Program, Real, c_literal, emit_block, memory
 from surctl.ir.compiler import FLAGS
@@ -180,8 +180,8 @@ def _guard(law: Exportable, within: Envelope, name: str, real: Real) -> dict[str
         lambda part, _: f"input->{part}",
         lambda part, _: f"gains->{part}",
     )
-    told = {
-        port.name: told_range(box[layout.slice(port.name)]) for layout, box in boxes for port in layout if port.size
+    ranges = {
+        port.name: range_text(box[layout.slice(port.name)]) for layout, box in boxes for port in layout if port.size
     }
     inputs = entries(law.inputs)
     return {
@@ -191,11 +191,11 @@ def _guard(law: Exportable, within: Envelope, name: str, real: Real) -> dict[str
             for (layout, _), struct in zip(boxes, ("state", "input", "gains"), strict=True)
             for call in number_calls(layout, struct, name)
         ],
-        "kept": keep_lines(law.inputs, within),
+        "stored": keep_lines(law.inputs, within),
         "jumps": jump_lines(law.inputs, within, law.dt, real),
         "watched": [(k, inputs[rate.entry][0], rate) for k, rate in enumerate(within.rates)],
-        "allowed": lambda port: told.get(port.name, ""),
-        "bounded": lambda port: f"; {told[port.name]}" if told.get(port.name, ANY_NUMBER) != ANY_NUMBER else "",
+        "allowed": lambda port: ranges.get(port.name, ""),
+        "bounded": lambda port: f"; {ranges[port.name]}" if ranges.get(port.name, ANY_NUMBER) != ANY_NUMBER else "",
         "reasons": dict(within.reasons),
         "outside": _outside(law, within),
     }
@@ -222,8 +222,8 @@ def _ram(law: Exportable, within: Envelope, width: int) -> dict[str, int]:
 def runs(values: Vector, *, text: Callable[[float], str] = c_literal) -> list[str]:
     """C initialisers {number, how often it stands in a row}; C has no empty arrays: one of a zero for no numbers."""
     literals = [text(float(v)) for v in values]
-    found = [f"{{{number}, {len(list(same))}}}" for number, same in itertools.groupby(literals)]
-    return found or ["{0.0, 1}"]
+    initialisers = [f"{{{number}, {len(list(same))}}}" for number, same in itertools.groupby(literals)]
+    return initialisers or ["{0.0, 1}"]
 
 
 def wrapped(items: Sequence[str], width: int = 110) -> list[str]:

@@ -161,10 +161,10 @@ def software_in_the_loop(
         >>> from surctl.simulation import law_numbers, load_scenario, simulate
         >>> from surctl.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> run = simulate(mission, vehicle, gains=gains, law=law)
-        >>> flight = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
-        >>> report = software_in_the_loop(law, flight)
+        >>> recording = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
+        >>> report = software_in_the_loop(law, recording)
         >>> report.passed, report.tau.mixed, len(report.fault_failures)
         (True, 0.0, 0)
     """
@@ -188,10 +188,10 @@ def software_in_the_loop_runs(
         >>> from surctl.simulation import law_numbers, load_scenario, simulate
         >>> from surctl.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> runs = [simulate(mission, vehicle, gains=gains, law=law, seed=seed).record for seed in (0, 1)]
-        >>> flights = [Records(run.law_state, run.law_input, run.law_parameters) for run in runs]
-        >>> [(report.passed, report.tau.mixed) for report in software_in_the_loop_runs(law, flights)]
+        >>> recordings = [Records(run.law_state, run.law_input, run.law_parameters) for run in runs]
+        >>> [(report.passed, report.tau.mixed) for report in software_in_the_loop_runs(law, recordings)]
         [(True, 0.0), (True, 0.0)]
     """
     recorded = [as_records(law, run) for run in runs]
@@ -220,11 +220,11 @@ def compare_runs(
         >>> from surctl.simulation import law_numbers, load_scenario, simulate
         >>> from surctl.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("lean"), law_numbers(mission, gains, vehicle)
+        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> run = simulate(mission, vehicle, gains=gains, law=law)
-        >>> flight = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
-        >>> controller = build_controller(law, build_bundle(law, law.gains.unpack(p)), Path("lean"))
-        >>> [report] = compare_runs(controller, [flight])
+        >>> recording = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
+        >>> controller = build_controller(law, build_bundle(law, law.gains.unpack(p)), Path("closed_form"))
+        >>> [report] = compare_runs(controller, [recording])
         >>> report.passed, report.steps, report.tau.mixed
         (True, 410, 0.0)
     """

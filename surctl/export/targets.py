@@ -57,8 +57,8 @@ class Target:
 
 def _here() -> list[Target]:
     native = ("-O3", "-march=native") if platform.machine().lower() in ("x86_64", "amd64") else ("-O3",)
-    made = [Target(f"{c}-O{n}", c, (f"-O{n}",)) for c in ("gcc", "clang") for n in range(4)]
-    return [*made, *(Target(f"{c}-native", c, native) for c in ("gcc", "clang"))]
+    targets = [Target(f"{c}-O{n}", c, (f"-O{n}",)) for c in ("gcc", "clang") for n in range(4)]
+    return [*targets, *(Target(f"{c}-native", c, native) for c in ("gcc", "clang"))]
 
 
 def _emulated(name: str, board: str, *flags: str, level: str = "-O2") -> Target:
@@ -68,7 +68,7 @@ def _emulated(name: str, board: str, *flags: str, level: str = "-O2") -> Target:
 _M4F = ("mps2-an386", "-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard")
 
 
-_MADE = (
+_BUILT_IN = (
     *_here(),
     _emulated("cortex-m3", "mps2-an385", "-mcpu=cortex-m3", "-mfloat-abi=soft"),
     _emulated("cortex-m4f", *_M4F),
@@ -76,7 +76,7 @@ _MADE = (
     _emulated("cortex-m7", "mps2-an500", "-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-mfloat-abi=hard"),
 )
 
-TARGETS: dict[str, Target] = {target.name: target for target in _MADE}
+TARGETS: dict[str, Target] = {target.name: target for target in _BUILT_IN}
 """By name: gcc and clang at -O0 to -O3 and for this very processor, and QEMU's Cortex-M3, -M4F and -M7."""
 
 
@@ -99,8 +99,8 @@ def chosen_targets(names: Sequence[str] = ()) -> tuple[list[Target], dict[str, t
     for name in names:
         if name not in TARGETS:
             raise InputError("is no target", key="targets", value=name, remedy=nearest(name, TARGETS))
-    wanted = [TARGETS[name] for name in names or TARGETS]
-    lacking = {target.name: target.missing for target in wanted if target.missing}
+    chosen = [TARGETS[name] for name in names or TARGETS]
+    lacking = {target.name: target.missing for target in chosen if target.missing}
     if names and lacking:
         name, tools = next(iter(lacking.items()))
         raise ToolMissing(
@@ -109,4 +109,4 @@ def chosen_targets(names: Sequence[str] = ()) -> tuple[list[Target], dict[str, t
             value=name,
             remedy="install it (Debian: gcc, clang, gcc-arm-none-eabi, libnewlib-arm-none-eabi, qemu-system-arm)",
         )
-    return [target for target in wanted if not target.missing], lacking
+    return [target for target in chosen if not target.missing], lacking

@@ -55,14 +55,14 @@ class Around:
         return Around(tabulated(sectors, 5), tabulated(cones, 17))
 
     def with_sides(
-        self, wish: ca.SX, speed: ca.SX, velocity: ca.SX, now: ca.SX, acceleration: ca.SX, walls: Sequence[Contact]
+        self, desired: ca.SX, speed: ca.SX, velocity: ca.SX, now: ca.SX, acceleration: ca.SX, walls: Sequence[Contact]
     ) -> Around:
         """The same with the table of sides."""
 
         def sides(row: ca.SX) -> tuple[ca.SX]:
             cone = Cone.of(row)
             met = inside(velocity, cone) > TOLERANCE
-            head_on, swap = side_costs(cone, wish, walls), swap_costs(cone, now, speed, acceleration)
+            head_on, swap = side_costs(cone, desired, walls), swap_costs(cone, now, speed, acceleration)
             costs = [ca.if_else(met, a, 0) + b for a, b in zip(head_on, swap, strict=True)]
             return (ca.vertcat(*costs, swap[0] + swap[1] > 0),)
 
@@ -100,7 +100,7 @@ class Around:
 
         def soon(any_other: ca.SX, row: ca.SX) -> ca.SX:
             cone = Cone.of(row)
-            return ca.logic_or(any_other, ca.logic_and(cone.there, cone.room < -_AWAITED * cone.closing))
+            return ca.logic_or(any_other, ca.logic_and(cone.there, cone.clearance < -_AWAITED * cone.closing))
 
         return fold("waits", soon, ca.SX(0), self.cones)
 

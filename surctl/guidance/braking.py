@@ -60,8 +60,8 @@ __all__ = [
     "range_needed",
     "sideways_force",
     "stopping_distance",
-    "stopping_way",
-    "tabled_way",
+    "stopping_distance_with_drag",
+    "tabled_stopping_distance",
 ]
 
 LEAST_THRUST = 0.85
@@ -94,7 +94,7 @@ class Brakes:
     lag: float
     linear: tuple[float, float] = (0.0, 0.0)
     quadratic: tuple[float, float] = (0.0, 0.0)
-    push: float = 0.0
+    disturbance: float = 0.0
     current: float = 0.0
 
     def __post_init__(self) -> None:
@@ -104,7 +104,13 @@ class Brakes:
             positive = low > 0 if name == "masses" else low >= 0
             if not (positive and low <= high and isfinite(high)):
                 raise InputError("is not a range", key=name, value=(low, high), remedy="least first, none negative")
-        for name, strict in (("least", True), ("most", True), ("lag", False), ("push", False), ("current", False)):
+        for name, strict in (
+            ("least", True),
+            ("most", True),
+            ("lag", False),
+            ("disturbance", False),
+            ("current", False),
+        ):
             value = getattr(self, name)
             if not isfinite(value) or value < 0 or (strict and value == 0):
                 bound = "must be greater than 0" if strict else "must be at least 0"
@@ -116,11 +122,11 @@ class Brakes:
 
     def left(self, obstacle: float) -> float:
         """F' [N]: of the braking force, before an obstacle that comes on at v_o [m/s]; may be negative."""
-        return self.least - self.push - self.largest_drag(obstacle + self.current)
+        return self.least - self.disturbance - self.largest_drag(obstacle + self.current)
 
     def acceleration(self, obstacle: float) -> float:
         """a⁺ [m/s²], the most by which it may gain on the obstacle."""
-        return (self.most + self.push + self.largest_drag(obstacle + self.current)) / self.masses[0]
+        return (self.most + self.disturbance + self.largest_drag(obstacle + self.current)) / self.masses[0]
 
 
 @dataclass(frozen=True)
@@ -155,7 +161,7 @@ def brakes_of(
     *,
     share: float = LEAST_THRUST,
     spread: float | None = None,
-    push: float = 0.0,
+    disturbance: float = 0.0,
     current: float = 0.0,
 ) -> Brakes:
     """A vehicle at the worst of its ranges.
@@ -173,8 +179,8 @@ def brakes_of(
         raise InputError("must be in [0, 1)", key="spread", value=spread, remedy="give a share, for instance 0.2")
 
     def ends(*names: str) -> tuple[float, float]:
-        found = [_ends(vehicle, name, spread) for name in names]
-        return min(low for low, _ in found), max(high for _, high in found)
+        ranges = [_ends(vehicle, name, spread) for name in names]
+        return min(low for low, _ in ranges), max(high for _, high in ranges)
 
     limits = ("Fu_max", "Fv_max")
     most = [vehicle[n] if spread is not None else _ends(vehicle, n, None)[1] for n in limits]
@@ -185,7 +191,7 @@ def brakes_of(
         vehicle["thrust_lag"],
         ends("Xu", "Yv"),
         ends("Xuu", "Yvv"),
-        push,
+        disturbance,
         current,
     )
 
@@ -213,7 +219,9 @@ def stopping_distance(brakes: Brakes, speed: float, *, obstacle: float = 0.0, th
     return max(m * (closing + swing / m) ** 2 / (2 * left) for m in brakes.masses)
 
 
-def stopping_way(brakes: Brakes, speed: float, *, obstacle: float = 0.0, thrust: float | None = None) -> float:
+def stopping_distance_with_drag(
+    brakes: Brakes, speed: float, *, obstacle: float = 0.0, thrust: float | None = None
+) -> float:
     """B [m], with the least help of drag, at most S; see `stopping_distance`."""
     if brakes.left(obstacle) <= 0:
         return inf
@@ -221,7 +229,7 @@ def stopping_way(brakes: Brakes, speed: float, *, obstacle: float = 0.0, thrust:
     return max(_upper_sum(brakes, m, own + swing / m, obstacle) for m in brakes.masses)
 
 
-def tabled_way(brakes: Brakes, fastest: float, *, obstacle: float = 0.0) -> Callable[..., float]:
+def tabled_stopping_distance(brakes: Brakes, fastest: float, *, obstacle: float = 0.0) -> Callable[..., float]:
     """`stopping_way` for many speeds before one obstacle, from a table; up to 1 % longer, never shorter.
 
     Args:
@@ -236,14 +244,14 @@ def tabled_way(brakes: Brakes, fastest: float, *, obstacle: float = 0.0) -> Call
         # B is convex, so that between two places of an upper sum the chord lies above it
         tables.append((mass, above, np.concatenate([[0.0], np.cumsum(above.step * above.integrand)])))
 
-    def way(brakes: Brakes, speed: float, *, obstacle: float, thrust: float | None = None) -> float:
+    def interpolated(brakes: Brakes, speed: float, *, obstacle: float, thrust: float | None = None) -> float:
         closing = max(speed, -obstacle) + obstacle
         return max(
             (float(np.interp(closing + swing / mass, above.places, total)) for mass, above, total in tables),
             default=inf,
         )
 
-    return way
+    return interpolated
 
 
 def _swing(brakes: Brakes, thrust: float | None) -> float:
@@ -265,7 +273,7 @@ def _above(brakes: Brakes, mass: float, top: float, obstacle: float) -> _Above:
     through = v - brakes.current
     linear = np.where(through > 0, *brakes.linear)
     quadratic = np.where(through > 0, *brakes.quadratic)
-    force = brakes.least - brakes.push + through * (linear + quadratic * abs(through))
+    force = brakes.least - brakes.disturbance + through * (linear + quadratic * abs(through))
     places = np.asarray(step * np.arange(_SUMMANDS + 1), dtype=np.float64)
     return _Above(step, places, np.maximum.accumulate(mass * (v + obstacle) / force))
 
@@ -283,7 +291,7 @@ def range_needed(
     obstacle: float = 0.0,
     thrust: float | None = None,
     fastest: float | None = None,
-    way: Callable[..., float] = stopping_distance,
+    stopping: Callable[..., float] = stopping_distance,
 ) -> float:
     """Range [m] that must be read for another period without braking to be safe (step 4 above).
 
@@ -297,7 +305,7 @@ def range_needed(
     """
     v, period, gain = speed + watch.speed_error, watch.period, brakes.acceleration(obstacle)
     before = (v if fastest is None else fastest + watch.speed_error) + obstacle
-    left = way(brakes, v + gain * period, obstacle=obstacle, thrust=thrust)
+    left = stopping(brakes, v + gain * period, obstacle=obstacle, thrust=thrust)
     return watch.range_error + before * watch.age + (v + obstacle) * period + gain * period**2 / 2 + left
 
 
@@ -331,14 +339,14 @@ def allowed_speed(brakes: Brakes, watch: Watch, measured: float, *, obstacle: fl
     closing = inf
     for m in brakes.masses:
         k, lost = m / (2 * left), swing / m
-        room, slope = rest - k * lost**2, late + 2 * k * lost
-        closing = min(closing, 2 * room / (slope + sqrt(slope**2 + 4 * k * max(room, 0.0))))
+        remaining, slope = rest - k * lost**2, late + 2 * k * lost
+        closing = min(closing, 2 * remaining / (slope + sqrt(slope**2 + 4 * k * max(remaining, 0.0))))
     return closing - watch.speed_error - obstacle - gained
 
 
 def fastest_obstacle(brakes: Brakes) -> float:
     """Speed [m/s] of an obstacle up to which braking guarantees anything: D(v_o + c) = F_b − f, the largest drag."""
-    force, linear, quadratic = brakes.least - brakes.push, brakes.linear[1], brakes.quadratic[1]
+    force, linear, quadratic = brakes.least - brakes.disturbance, brakes.linear[1], brakes.quadratic[1]
     if force <= 0:
         return 0.0
     if linear == quadratic == 0:
@@ -359,4 +367,4 @@ def sideways_force(brakes: Brakes, sideways: float, *, obstacle: float = 0.0) ->
 
 def beside(brakes: Brakes, sideways: float, *, obstacle: float = 0.0) -> Brakes:
     """The same with `sideways_force` as further push."""
-    return replace(brakes, push=brakes.push + sideways_force(brakes, sideways, obstacle=obstacle))
+    return replace(brakes, disturbance=brakes.disturbance + sideways_force(brakes, sideways, obstacle=obstacle))

@@ -46,17 +46,17 @@ class BrakeSymbols:
 
 def stopping_symbol(brakes: BrakeSymbols, speed: ca.SX, *, obstacle: ca.SX) -> ca.SX:
     """`stopping_distance` from the largest thrust [m], where F' is at least 2 % of F_b."""
-    closing, swing, found = ca.fmax(speed + obstacle, 0), brakes.lag * (brakes.most + brakes.least), ca.SX(0)
+    closing, swing, longest = ca.fmax(speed + obstacle, 0), brakes.lag * (brakes.most + brakes.least), ca.SX(0)
     for m in (brakes.lightest, brakes.heaviest):
-        found = ca.fmax(found, m * (closing + swing / m) ** 2 / (2 * brakes.left(obstacle)))
-    return found
+        longest = ca.fmax(longest, m * (closing + swing / m) ** 2 / (2 * brakes.left(obstacle)))
+    return longest
 
 
 def range_symbol(brakes: BrakeSymbols, speed: ca.SX, *, obstacle: ca.SX) -> ca.SX:
     """`range_needed` for a range that is neither old nor wrong [m]."""
     gain, period = brakes.acceleration(obstacle), brakes.period
-    way = stopping_symbol(brakes, speed + gain * period, obstacle=obstacle)
-    return (speed + obstacle) * period + gain * period * period / 2 + way
+    distance = stopping_symbol(brakes, speed + gain * period, obstacle=obstacle)
+    return (speed + obstacle) * period + gain * period * period / 2 + distance
 
 
 def closing_bound(brakes: BrakeSymbols, distance: ca.SX, *, obstacle: ca.SX) -> ca.SX:
@@ -71,7 +71,7 @@ def closing_bound(brakes: BrakeSymbols, distance: ca.SX, *, obstacle: ca.SX) -> 
     swing = brakes.lag * (brakes.most + brakes.least)
     for m in (brakes.lightest, brakes.heaviest):
         k, lost = m / (2 * brakes.left(obstacle)), swing / m
-        room = distance + gain * period * period / 2 - k * lost * lost
+        remaining = distance + gain * period * period / 2 - k * lost * lost
         slope = period + 2 * k * lost
-        roots.append(2 * room / (slope + ca.sqrt(slope * slope + 4 * k * ca.fmax(room, 0))))
+        roots.append(2 * remaining / (slope + ca.sqrt(slope * slope + 4 * k * ca.fmax(remaining, 0))))
     return ca.fmin(*roots) - obstacle - gain * period

@@ -41,7 +41,7 @@ class Cone(NamedTuple):
     right_bound: ca.SX
     ahead_bound: ca.SX
     closing: ca.SX
-    room: ca.SX
+    clearance: ca.SX
     distance: ca.SX
     offset: ca.SX
     crossing: ca.SX
@@ -81,8 +81,8 @@ def collision_cone(
         (-0.1, 1.5, 2.0)
     """
     n, across = contact.normal, ca.vertcat(-contact.normal[1], contact.normal[0])
-    distance = contact.clearance + contact.reach
-    sine = ca.fmin((contact.reach + apart) / ca.fmax(distance, 1e-6), 1)
+    distance = contact.clearance + contact.combined_radius
+    sine = ca.fmin((contact.combined_radius + apart) / ca.fmax(distance, 1e-6), 1)
     cosine = ca.sqrt(1 - sine * sine)
     left, right = sine * n - cosine * across, sine * n + cosine * across
     motion = contact.velocity
@@ -96,7 +96,7 @@ def collision_cone(
         ca.dot(n, motion),
         ca.fmax(contact.clearance - standoff, 0),
         distance,
-        contact.reach + apart,
+        contact.combined_radius + apart,
         ca.dot(across, motion),
         there,
         point,

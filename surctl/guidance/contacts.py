@@ -28,7 +28,7 @@ class Contact:
     normal: ca.SX
     clearance: ca.SX
     velocity: ca.SX
-    reach: ca.SX
+    combined_radius: ca.SX
 
     @property
     def closing(self) -> ca.SX:
@@ -43,7 +43,7 @@ class Contact:
     @property
     def row(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """Its fields, for a table of contacts."""
-        return self.normal, self.clearance, self.velocity, self.reach
+        return self.normal, self.clearance, self.velocity, self.combined_radius
 
 
 def disc_contact(position: ca.SX, hull: ca.SX, centre: ca.SX, radius: ca.SX, velocity: ca.SX, valid: ca.SX) -> Contact:
@@ -139,7 +139,7 @@ def nearest_in_quadrants(contacts: Sequence[Contact], axes: Sequence[ca.SX]) -> 
                 ca.if_else(take, contact.normal, best.normal),
                 ca.if_else(take, contact.clearance, best.clearance),
                 ca.if_else(take, contact.velocity, best.velocity),
-                ca.if_else(take, contact.reach, best.reach),
+                ca.if_else(take, contact.combined_radius, best.combined_radius),
             )
         chosen.append(best)
     return chosen

@@ -111,11 +111,11 @@ class Follower:
         return self._over(places, self._direction)
 
     def _over(self, places: ArrayLike, figure: Callable[[float, float], float]) -> NDArray[np.float64]:
-        found = []
+        figures = []
         for x, y in np.asarray(places, dtype=float).tolist():
             self.move(x, y)
-            found.append(figure(x, y))
-        return np.array(found)
+            figures.append(figure(x, y))
+        return np.array(figures)
 
     def _direction(self, _x: float, _y: float) -> float:
         (ax, ay), (bx, by) = self._points[self.leg : self.leg + 2]

@@ -56,7 +56,7 @@ class Choice:
 
 
 def choose_velocity(
-    wish: ca.SX,
+    desired: ca.SX,
     sectors: Sequence[Sector],
     *,
     side: ca.SX,
@@ -104,17 +104,17 @@ def choose_velocity(
         >>> ca.DM(choice.velocity).full().ravel().round(3).tolist(), float(choice.side)  # left round it
         ([0.05, 0.141], 1.0)
     """
-    wished = ca.fmax(ca.sqrt(ca.sumsqr(wish)), 1e-3)
-    ahead = wish / wished
+    desired_speed = ca.fmax(ca.sqrt(ca.sumsqr(desired)), 1e-3)
+    ahead = desired / desired_speed
     around = Around.of(sectors, cones)
     retreat = fold("retreat", lambda most, row: ca.fmax(most, ca.fmin(-row[2], cap)), ca.SX(0), around.sectors)
-    near = around.excess(wished * ahead) > TOLERANCE
-    speed = ca.if_else(near, ca.fmin(wished, cruise), wished)
+    near = around.excess(desired_speed * ahead) > TOLERANCE
+    speed = ca.if_else(near, ca.fmin(desired_speed, cruise), desired_speed)
     speed = ca.fmax(speed, ca.if_else(retreat > 0, ca.fmin(retreat + _OVERTAKE, cap), 0))
 
     own = ca.SX.zeros(2) if now is None else now
     force = ca.SX(_ANY) if acceleration is None else acceleration
-    around = around.with_sides(wish, speed, speed * ahead, own, force, walls)
+    around = around.with_sides(desired, speed, speed * ahead, own, force, walls)
     worst, crossed = around.worst_blocker(ahead, speed)
     held = ca.sumsqr(worst - blocker) <= same * same
     # the side is one of the wish: of what crosses it says nothing, there `swap_costs` holds on to the way round
@@ -129,8 +129,8 @@ def choose_velocity(
     if slower is not None:
         slower = ca.logic_and(ca.logic_and(slower, retreat <= 0), best.least > _LEADS_BACK)
         slower = ca.logic_and(slower, ca.logic_not(around.any_there()))
-        found = best
-        best = _Best(*only_if("slower", slower, lambda: search.slower(found), found))
+        current = best
+        best = _Best(*only_if("slower", slower, lambda: search.slower(current), current))
     velocity = ca.fmax(ca.fmin(around.free_speed(best.course, speed), best.pace), retreat) * best.course
     # boxed in: where every way out is worse than standing still, stand still
     worse = around.excess(velocity) > around.excess(ca.SX.zeros(2)) + TOLERANCE
@@ -174,17 +174,17 @@ class _Search:
     def edges(self, best: _Best) -> _Best:
         """Both edges of every sector and cone: all left ones, then all right ones."""
 
-        def on_one_side(*given: ca.SX) -> list[ca.SX]:
-            *held, side = given
+        def on_one_side(*values: ca.SX) -> list[ca.SX]:
+            *held, side = values
             sign, dearer = side[0], side[1]
 
-            def sector(*given: ca.SX) -> list[ca.SX]:
-                *held, row = given
+            def sector(*values: ca.SX) -> list[ca.SX]:
+                *held, row = values
                 at_edge = partial(self._edge, _Best(*held), row[:2], row[2], sign, dearer)
                 return only_if("sector_edge", row[2] < self.speed, at_edge, held)
 
-            def cone(*given: ca.SX) -> list[ca.SX]:
-                *held, row = given
+            def cone(*numbers: ca.SX) -> list[ca.SX]:
+                *held, row = numbers
                 c, left = Cone.of(row), sign > 0
                 normal, bound = ca.if_else(left, c.left, c.right), ca.if_else(left, c.left_bound, c.right_bound)
                 at_edge = partial(self._edge, _Best(*held), normal, bound, sign, dearer)
@@ -212,8 +212,8 @@ class _Search:
             for angle in _FAN
         ]
 
-        def course(*given: ca.SX) -> _Best:
-            *held, row = given
+        def course(*values: ca.SX) -> _Best:
+            *held, row = values
             aside, sign, off = turned(self.ahead, row[0], row[1]), row[2], row[3]
             free = self.around.free_speed(aside, self.speed)
             # missed is nothing: no bound is negative here, and no cone is there
@@ -274,20 +274,20 @@ def round_unknown(
     speed = ca.fmax(ca.sqrt(ca.sumsqr(velocity)), 1e-3)
     ahead = velocity / speed
     around = Around.of(sectors, cones)
-    kept = ca.fmax(around.excess(velocity), 0) + TOLERANCE
+    allowed_excess = ca.fmax(around.excess(velocity), 0) + TOLERANCE
 
-    def beside(taken: ca.SX, most: ca.SX, row: ca.SX) -> list[ca.SX]:
-        def one_side(taken: ca.SX, most: ca.SX, sign: ca.SX) -> list[ca.SX]:
+    def beside(chosen: ca.SX, most: ca.SX, row: ca.SX) -> list[ca.SX]:
+        def one_side(best: ca.SX, most: ca.SX, sign: ca.SX) -> list[ca.SX]:
             course = speed * edge(row[:2], row[2], speed, sign)
             gain = ca.dot(slowed(course, bounds), ahead)
-            gain = ca.if_else(around.excess(course) <= kept, gain, 0)
-            return [ca.if_else(gain > most, course, taken), ca.if_else(gain > most, gain, most)]
+            gain = ca.if_else(around.excess(course) <= allowed_excess, gain, 0)
+            return [ca.if_else(gain > most, course, best), ca.if_else(gain > most, gain, most)]
 
         def both() -> list[ca.SX]:
-            found: list[ca.SX] = fold("one_side", one_side, [taken, most], ca.SX([1, -1]))
-            return found
+            result: list[ca.SX] = fold("one_side", one_side, [chosen, most], ca.SX([1, -1]))
+            return result
 
-        return only_if("beside", row[2] < speed, both, [taken, most])
+        return only_if("beside", row[2] < speed, both, [chosen, most])
 
     most = ca.dot(slowed(velocity, bounds), ahead) + _WORTH_IT * speed
     return fold("past_unknown", beside, [velocity, most], tabulated(bounds, 3))[0]

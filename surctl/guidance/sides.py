@@ -19,7 +19,10 @@ MISSED, MISSED_RATE = 10.0, 100.0
 
 _HEAD_ON = 0.03  # [m/s] across, below which an encounter is head-on: three standard deviations of what is told
 _RIGHT = 0.15  # cost of having it on the left then; what noise makes of the two courses differs by 0.05
-_ROOM = ((0.5, 0.3), (1.0, 0.05))  # share of the way to where it is passed, and clearance there that is enough [m]
+_AMPLE_CLEARANCE = (
+    (0.5, 0.3),
+    (1.0, 0.05),
+)  # share of the way to where it is passed, and clearance there that is enough [m]
 _CRAMPED = 5.0  # cost of each metre less
 _SWAP = 2.0  # cost of changing sides, by the share of the speed that must be turned round
 _AHEAD = 12.0  # [s] before it is met, within which that counts
@@ -28,7 +31,7 @@ _STANDS = 1e-3  # [m/s] that it nears at the least
 _SLOW = 0.05  # [m/s] at which the two come nearer at the least
 
 
-def side_costs(cone: Cone, wish: ca.SX, walls: Sequence[Contact]) -> tuple[ca.SX, ca.SX]:
+def side_costs(cone: Cone, desired: ca.SX, walls: Sequence[Contact]) -> tuple[ca.SX, ca.SX]:
     """What passing a cone's contact on the left costs, and on the right, beside 1 less the cosine to the wish.
 
     Nothing unless it comes head-on. Then it stays on the right (E10), but where the way on the left is cramped: half of
@@ -40,10 +43,10 @@ def side_costs(cone: Cone, wish: ca.SX, walls: Sequence[Contact]) -> tuple[ca.SX
         walls: of the site.
     """
     n, across = cone.ahead, _left_of(cone.ahead)
-    speed = ca.sqrt(ca.sumsqr(wish))
-    way = cone.distance * speed / ca.fmax(speed - cone.closing, speed + _SLOW)
-    left, right = (_cramped(way * n + sign * cone.offset * across, walls) for sign in (1, -1))
-    head_on = ca.fabs(ca.dot(across, wish) - cone.crossing) < _HEAD_ON
+    speed = ca.sqrt(ca.sumsqr(desired))
+    travel = cone.distance * speed / ca.fmax(speed - cone.closing, speed + _SLOW)
+    left, right = (_cramped(travel * n + sign * cone.offset * across, walls) for sign in (1, -1))
+    head_on = ca.fabs(ca.dot(across, desired) - cone.crossing) < _HEAD_ON
     return ca.if_else(head_on, left, 0), ca.if_else(head_on, right + _RIGHT, 0)
 
 
@@ -62,7 +65,7 @@ def swap_costs(cone: Cone, now: ca.SX, speed: ca.SX, acceleration: ca.SX) -> tup
     """
     across = ca.dot(_left_of(cone.ahead), now) - cone.crossing
     nearing = ca.fmax(ca.dot(cone.ahead, now) - cone.closing, _STANDS)
-    turn, time = ca.fabs(across), cone.room / nearing
+    turn, time = ca.fabs(across), cone.clearance / nearing
     late = turn - _REACHED * acceleration * time
     cost = _SWAP * turn / speed + ca.if_else(late > 0, MISSED + MISSED_RATE * late, 0)
     counts = ca.logic_and(turn > _HEAD_ON, ca.logic_and(cone.there, time < _AHEAD))
@@ -79,12 +82,12 @@ def _left_of(n: ca.SX) -> ca.SX:
     return ca.vertcat(-n[1], n[0])
 
 
-def _cramped(way: ca.SX, walls: Sequence[Contact]) -> ca.SX:
+def _cramped(path: ca.SX, walls: Sequence[Contact]) -> ca.SX:
     """Cost of a straight way (2, 1) [m] from here."""
     cost = ca.SX(0)
-    for share, ample in _ROOM:
-        room = ca.SX(FAR)
+    for share, ample in _AMPLE_CLEARANCE:
+        clearance = ca.SX(FAR)
         for wall in walls:
-            room = ca.fmin(room, wall.clearance - share * ca.dot(way, wall.normal))
-        cost += _CRAMPED * ca.fmax(ample - room, 0)
+            clearance = ca.fmin(clearance, wall.clearance - share * ca.dot(path, wall.normal))
+        cost += _CRAMPED * ca.fmax(ample - clearance, 0)
     return cost

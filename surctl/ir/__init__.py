@@ -11,7 +11,7 @@ from surctl.ir.compiler import compile_program, compiler_version, find_compiler,
 from surctl.ir.divisors import shared_divisors
 from surctl.ir.elementary import without_libm
 from surctl.ir.folding import with_constants
-from surctl.ir.frames import stack_bytes, stack_of, stack_told
+from surctl.ir.frames import stack_bytes, stack_from_report, stack_of
 from surctl.ir.fusing import fused
 from surctl.ir.lowering import lower, lower_named
 from surctl.ir.native import Native, Workspace, compile_block, runnable
@@ -80,8 +80,8 @@ __all__ = [
     "shared_library",
     "source_digest",
     "stack_bytes",
+    "stack_from_report",
     "stack_of",
-    "stack_told",
     "tabulated",
     "to_casadi",
     "tuned_flags",

@@ -36,8 +36,8 @@ class Batch:
         lanes: runs that one thread has in flight.
     """
 
-    def __init__(self, tick: Block, library: bytes) -> None:
-        self.tick = tick
+    def __init__(self, step: Block, library: bytes) -> None:
+        self.step = step
         self._library = loaded(library)
         self._library.surctl_lanes.restype = ctypes.c_long
         self._library.surctl_work.restype = ctypes.c_long
@@ -60,17 +60,17 @@ class Batch:
         Raises:
             InputError: arrays of other shapes, negative `steps`, no thread.
         """
-        (_, n), (_, m) = self.tick.inputs
-        given = [np.ascontiguousarray(x, dtype=np.float64) for x in (state, parameters)]
-        runs = given[0].shape[0] if given[0].ndim else 0
-        for name, array, size in (("state", given[0], n), ("parameters", given[1], m)):
+        (_, n), (_, m) = self.step.inputs
+        arrays = [np.ascontiguousarray(x, dtype=np.float64) for x in (state, parameters)]
+        runs = arrays[0].shape[0] if arrays[0].ndim else 0
+        for name, array, size in (("state", arrays[0], n), ("parameters", arrays[1], m)):
             if array.shape != (runs, size):
                 raise InputError(f"has shape {array.shape}, expected ({runs}, {size})", key=name)
         if steps < 0 or threads < 1:
             raise InputError("cannot be run", key="steps, threads", value=(steps, threads))
-        out = np.empty_like(given[0])
+        out = np.empty_like(arrays[0])
         threads = max(1, min(threads, -(-runs // self.lanes)))
-        job = _Job(self._library, given[0], given[1], out, steps, _blocks(runs, threads, self.lanes))
+        job = _Job(self._library, arrays[0], arrays[1], out, steps, _blocks(runs, threads, self.lanes))
         if threads == 1:
             job.work()
         else:
@@ -111,18 +111,18 @@ class _Job:
         book[4 : 4 + lanes] = -1
         memory = _aligned(int(self.library.surctl_work()))
         addresses = [x.ctypes.data for x in (*self.arrays, memory, book)]
-        ticks = 1
+        chunk = 1
         book[2] = 1
         while not self.stop.is_set():
             if book[2] and book[0] == book[1]:
                 self._take(book)
             begin = time.perf_counter()
-            used = int(self.library.surctl_go(*addresses, self.steps, ticks))
+            used = int(self.library.surctl_go(*addresses, self.steps, chunk))
             if not book[2] and not book[3]:
                 return
-            if used == ticks:
+            if used == chunk:
                 spent = time.perf_counter() - begin
-                ticks = int(min(2 * ticks, max(1, ticks * _TURN / max(spent, 1e-9))))
+                chunk = int(min(2 * chunk, max(1, chunk * _TURN / max(spent, 1e-9))))
 
     def _take(self, book: NDArray[Any]) -> None:
         with self.lock:
@@ -141,7 +141,7 @@ def _aligned(size: int) -> Array:
 
 
 def compile_batch(
-    tick: Block, *, lanes: int | None = None, flags: Sequence[str] = (), folder: Path | None = None
+    step: Block, *, lanes: int | None = None, flags: Sequence[str] = (), folder: Path | None = None
 ) -> Batch:
     """Compile a tick for many runs, or take it from the cache.
 
@@ -166,21 +166,21 @@ def compile_batch(
         >>> batch.run([[0.0, 1.0], [0.0, 1.0]], [[0.5], [2.0]], steps=60).round(4).tolist()
         [[0.0, 0.2189], [1.0, 0.0985]]
     """
-    sizes = [size for _, size in tick.inputs]
-    made = [size for _, size in tick.outputs]
-    if len(sizes) != 2 or made != sizes[:1] or sizes[0] < 1:
+    sizes = [size for _, size in step.inputs]
+    output_sizes = [size for _, size in step.outputs]
+    if len(sizes) != 2 or output_sizes != sizes[:1] or sizes[0] < 1:
         raise InputError(
-            f"takes {sizes} numbers and gives {made}", key=tick.name, remedy="(state, parameters) in, state out"
+            f"takes {sizes} numbers and gives {output_sizes}", key=step.name, remedy="(state, parameters) in, state out"
         )
     if lanes not in (None, 1, 2, 4, 8):
         raise InputError("is no width", key="lanes", value=lanes, remedy="take 1, 2, 4 or 8")
     width = () if lanes is None else (f"-DLANES={lanes}",)
-    return Batch(tick, shared_library(_source(tick), flags=(*width, *flags), folder=folder, wide=True))
+    return Batch(step, shared_library(_source(step), flags=(*width, *flags), folder=folder, wide=True))
 
 
-def _source(tick: Block) -> str:
-    wide = emit_wide(tick, symbol="surctl_tick")
-    (_, n), (_, m) = tick.inputs
+def _source(step: Block) -> str:
+    wide = emit_wide(step, symbol="surctl_step")
+    (_, n), (_, m) = step.inputs
     return f"{PRELUDE}\n{wide.text}\n#define STATE {n}\n#define PARAMETERS {m}\n#define WORK {wide.work}\n{_DRIVER}"
 
 
@@ -224,17 +224,17 @@ static void shadow(double *memory, const long *book)
     }
 }
 
-/* at most `ticks` ticks, fewer when a lane is free and no run is left; the number of them */
+/* at most `chunk` steps, fewer when a lane is free and no run is left; the number of them */
 long surctl_go(const double *state, const double *parameters, double *out, double *memory, long *book, long steps,
-    long ticks);
+    long chunk);
 long surctl_go(const double *state, const double *parameters, double *out, double *memory, long *book, long steps,
-    long ticks)
+    long chunk)
 {
     double *const own = memory + STATE * LANES;
     double *const work = own + PARAMETERS * LANES;
     long done = 0;
     for (;;) {
-        long left = ticks - done, busy = 0, idle = 0;
+        long left = chunk - done, busy = 0, idle = 0;
         for (int lane = 0; lane < LANES; ++lane) {
             if (book[4 + lane] < 0) {
                 refill(state, parameters, out, memory, book, lane, steps);
@@ -246,18 +246,18 @@ long surctl_go(const double *state, const double *parameters, double *out, doubl
             }
         }
         book[3] = busy;
-        if (busy == 0 || done == ticks || (busy < LANES && book[2] != 0)) { return done; }
+        if (busy == 0 || done == chunk || (busy < LANES && book[2] != 0)) { return done; }
         if (idle > 0 && busy < LANES) { shadow(memory, book); }
-        long made = 0;
+        long count = 0;
         do {
-            surctl_tick(memory, own, memory, work);
-            ++made;
-        } while (made < left && running(memory) == ALL_LANES);
-        done += made;
+            surctl_step(memory, own, memory, work);
+            ++count;
+        } while (count < left && running(memory) == ALL_LANES);
+        done += count;
         for (int lane = 0; lane < LANES; ++lane) {
             const long run = book[4 + lane];
             if (run < 0) { continue; }
-            book[4 + LANES + lane] -= made;
+            book[4 + LANES + lane] -= count;
             if (memory[lane] == 0.0 && book[4 + LANES + lane] > 0) { continue; }
             for (int k = 0; k < STATE; ++k) { out[run * STATE + k] = memory[k * LANES + lane]; }
             book[4 + lane] = -1;

@@ -221,25 +221,25 @@ class _Folder:
         parts = (_within(part, _OPERAND) for part in (self._truth(condition), one, other))
         return _Text("{} ? {} : {}".format(*parts), _CHOICE)
 
-    def _arithmetic(self, op: str, given: list[_Text]) -> _Text:
+    def _arithmetic(self, op: str, operands: list[_Text]) -> _Text:
         if op in _COMPARE:
-            left, right = (_within(g, _OPERAND) for g in given)
+            left, right = (_within(g, _OPERAND) for g in operands)
             return _Text(f"{left} {_COMPARE[op]} {right}", _TEST, truth=True)
         if op in _BINARY:
             sign, rank = _BINARY[op]
-            text = f"{_within(given[0], rank)} {sign} {_within(given[1], rank + 1)}"
+            text = f"{_within(operands[0], rank)} {sign} {_within(operands[1], rank + 1)}"
             return _Text(text, rank)
         if op in ("inv", "twice"):  # twice a number is exact, whatever it is then added to
             left = c_literal(1.0, self.real) + " /" if op == "inv" else c_literal(2.0, self.real) + " *"
-            return _Text(f"{left} {_within(given[0], _SIGNED)}", 7)
+            return _Text(f"{left} {_within(operands[0], _SIGNED)}", 7)
         if op == "neg":
-            return _Text(f"-{_within(given[0], _ATOM)}", _SIGNED)
+            return _Text(f"-{_within(operands[0], _ATOM)}", _SIGNED)
         name = (
             "floor_of"
             if op == "floor" and self.real == "float32"
             else _CALLS.get(op) or (op if self.real == "float64" else f"{op}f")
         )
-        return _Text(f"{name}({', '.join(g.text for g in given)})")
+        return _Text(f"{name}({', '.join(g.text for g in operands)})")
 
 
 def _within(text: _Text, least: int) -> str:

@@ -168,10 +168,10 @@ def _lanes_key(loop: Loop) -> str:
     return f"{loop.block.digest()} {loop.lanes} {kinds}"
 
 
-def free_name(wanted: str, named: Mapping[str, str]) -> str:
-    name, at = wanted, 2
+def free_name(base: str, named: Mapping[str, str]) -> str:
+    name, at = base, 2
     while name in named.values():
-        name, at = f"{wanted}_{at}", at + 1
+        name, at = f"{base}_{at}", at + 1
     return identifier(name)
 
 
@@ -247,7 +247,7 @@ def _stays(step: Step, places: Places, overlaps: Collection[tuple[int, int]]) ->
     """
     if not isinstance(step, Loop) or step.count > 1 or step.until is None:
         return {}
-    taken = [place[0] for place in places.of.values()]
+    occupied = [place[0] for place in places.of.values()]
     # a call of nothing but moves copies from where an array stands, and knows no pointer
     moved = {name for other in places.routine.steps if inlined(other) for name in reads(other)}
     read = {name for other in places.routine.steps for name in reads(other)}
@@ -259,7 +259,7 @@ def _stays(step: Step, places: Places, overlaps: Collection[tuple[int, int]]) ->
         and places.of[name][0] in safe
         and result in read - moved
         and places.own.get(places.of[result][0], 0) > _FEW
-        and taken.count(places.of[result][0]) == 1
+        and occupied.count(places.of[result][0]) == 1
     }
 
 

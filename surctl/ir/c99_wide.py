@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from surctl.ir.c99 import c_literal, identifier
 from surctl.ir.c99_routine import free_name, run_alone
 from surctl.ir.c99_wide_program import head, program_text
-from surctl.ir.places import reads, taken_over
+from surctl.ir.places import carried_in_place, reads
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 from surctl.ir.split import shortened
@@ -134,8 +134,8 @@ class _Writer:
         key = _key(block, strides)
         if key in self.named:
             return ""
-        wanted = f"{self.symbol}_{block.name}" + ("_side" if strides else "")
-        self.named[key] = self.symbol if last else free_name(wanted, self.named)
+        base = f"{self.symbol}_{block.name}" + ("_side" if strides else "")
+        self.named[key] = self.symbol if last else free_name(base, self.named)
         return self.named[key]
 
 
@@ -147,8 +147,10 @@ def _overlaps(step: Step, local: Mapping[str, str]) -> bool:
     """Whether an output may be an input: an outer input may be an outer output, and a loop carries in place."""
     if not isinstance(step, Call):
         return isinstance(step, Loop)
-    given, made = {local[name] for name in step.args}, {local[name] for name in step.results}
-    return bool(given & made) or (any(n.startswith("in") for n in given) and any(n.startswith("out") for n in made))
+    inputs, outputs = {local[name] for name in step.args}, {local[name] for name in step.results}
+    return bool(inputs & outputs) or (
+        any(n.startswith("in") for n in inputs) and any(n.startswith("out") for n in outputs)
+    )
 
 
 def _lane_strides(step: Call | Loop) -> tuple[int, ...]:
@@ -166,12 +168,12 @@ class _Text:
         # local arrays are numbered, so that no name from outside reaches the C text unchecked
         self.local = {name: f"in{k}" for k, (name, _) in enumerate(routine.inputs)}
         self.local |= {name: f"a{k}" for k, name in enumerate(self.sizes) if name not in self.local}
-        kept = taken_over(routine)
-        self.local |= {result: self.local[name] for result, name in kept.items()}
+        in_place = carried_in_place(routine)
+        self.local |= {result: self.local[name] for result, name in in_place.items()}
         direct = _direct(routine)
         self.local |= {name: f"out{k}" for name, k in direct.items()}
         for name in list(self.sizes)[len(routine.inputs) :]:
-            if name not in kept and name not in direct:
+            if name not in in_place and name not in direct:
                 self._array(self.local[name], self.sizes[name])
 
     def function(self, symbol: str) -> tuple[str, int]:
@@ -236,10 +238,10 @@ class _Text:
         parts = [self._piece(name, loop.count) for name in (*loop.sliced, *loop.spread)]
         stacked = [self._piece(name, loop.count) for name in loop.results[state:]]
         fixed = [self.local[name] for name in loop.fixed]
-        given = [f"turn{at}"] * loop.index + results[:state] + parts + fixed
+        arguments = [f"turn{at}"] * loop.index + results[:state] + parts + fixed
         function = self.writer.name(loop.block)
         body = [f"        fill(turn{at}, (double)i);"] * loop.index
-        in_place = f"{function}({', '.join([*given, *results[:state], *stacked, 'rest'])});"
+        in_place = f"{function}({', '.join([*arguments, *results[:state], *stacked, 'rest'])});"
         if loop.until is None:
             return [*lines, head, *body, f"        {in_place}", "    }"]
         fresh = [f"fresh{at}_{k}" for k in range(state)]
@@ -257,7 +259,7 @@ class _Text:
             *body,
             f"        if (run == ALL_LANES) {{ {in_place} }}",
             "        else {",
-            f"            {function}({', '.join([*given, *fresh, 'rest'])});",
+            f"            {function}({', '.join([*arguments, *fresh, 'rest'])});",
             *keep,
             "        }",
             "    }",
@@ -266,18 +268,18 @@ class _Text:
     def _side_by_side(self, loop: Loop, at: int) -> list[str]:
         state, count = len(loop.carried), loop.count
         results = [f"{self.local[name]} + l * LANES" for name in loop.results[:state]]
-        given = [f"turn{at}"] * loop.index + results
-        given += [f"{self._piece(name, count)} + l * LANES" for name in loop.sliced]
+        arguments = [f"turn{at}"] * loop.index + results
+        arguments += [f"{self._piece(name, count)} + l * LANES" for name in loop.sliced]
         for name in loop.spread:
             size = self.sizes[name] // (count * loop.lanes)
-            given.append(f"{self.local[name]} + ({loop.lanes} * i + l) * {size} * LANES")
-        given += [self.local[name] for name in loop.fixed]
+            arguments.append(f"{self.local[name]} + ({loop.lanes} * i + l) * {size} * LANES")
+        arguments += [self.local[name] for name in loop.fixed]
         stacked = [f"{self._piece(name, count)} + l * LANES" for name in loop.results[state:]]
         function = self.writer.name(loop.block, _strides(loop))
         return [
             f"        for (int l = 0; l < {loop.lanes}; ++l) {{",
             *[f"            fill(turn{at}, (double)({loop.lanes} * i + l));"] * loop.index,
-            f"            {function}({', '.join([*given, *results, *stacked, 'rest'])});",
+            f"            {function}({', '.join([*arguments, *results, *stacked, 'rest'])});",
             "        }",
         ]
 

@@ -137,10 +137,10 @@ def _read(path: Path) -> bytes | None:
 
 def _is_ours(path: Path) -> bool:
     """Owned by this user, no link, and writable by nobody else."""
-    found = path.lstat()
-    if stat.S_ISLNK(found.st_mode) or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+    status = path.lstat()
+    if stat.S_ISLNK(status.st_mode) or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         return False
-    return not hasattr(os, "getuid") or found.st_uid == os.getuid()
+    return not hasattr(os, "getuid") or status.st_uid == os.getuid()
 
 
 def _write(path: Path, body: bytes) -> str:

@@ -94,13 +94,13 @@ def find_compiler() -> str:
             ...
         surctl.errors.ToolMissing: CC = 'no-such-cc': names no program; unset CC or set it to a C compiler
     """
-    wanted = os.environ.get("CC", "").strip()
-    if wanted:
-        words = _words(wanted)
+    command = os.environ.get("CC", "").strip()
+    if command:
+        words = _words(command)
         if shutil.which(words[0]) is None:
-            raise ToolMissing("names no program", key="CC", value=wanted, remedy="unset CC or set it to a C compiler")
+            raise ToolMissing("names no program", key="CC", value=command, remedy="unset CC or set it to a C compiler")
         _refuse(words)
-        return wanted
+        return command
     for name in ("cc", "gcc", "clang"):
         if shutil.which(name):
             return name
@@ -184,20 +184,20 @@ def compiler_version(compiler: str | None = None) -> str:
         '...c...'
     """
     command = tuple(_words(find_compiler()) if compiler is None else [compiler])
-    found = os.path.realpath(shutil.which(command[0]) or command[0])
+    executable = os.path.realpath(shutil.which(command[0]) or command[0])
     try:
-        state = Path(found).stat()
+        state = Path(executable).stat()
     except OSError:  # the asking says it
-        return _asked_version(command)
-    return _known_version(command, found, (state.st_ino, state.st_size, state.st_mtime_ns))
+        return _reported_version(command)
+    return _known_version(command, executable, (state.st_ino, state.st_size, state.st_mtime_ns))
 
 
 @cache
 def _known_version(command: tuple[str, ...], _file: str, _state: tuple[int, ...]) -> str:
     """Asked once a process of one command and the file that it is."""
-    return _asked_version(command)
+    return _reported_version(command)
 
 
-def _asked_version(command: Sequence[str]) -> str:
+def _reported_version(command: Sequence[str]) -> str:
     done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=False, timeout=_TIMEOUT)
     return (done.stdout or done.stderr or command[0]).splitlines()[0].strip()

@@ -70,8 +70,8 @@ class _Folding(Numbering):
             with np.errstate(all="ignore"):
                 return self.constant(float(OPERATIONS[op].numpy(*(np.float64(v) for v in known))))
         rule = _RULES.get(op)
-        found = rule(self, args) if rule else None
-        return self.add(op, args) if found is None else found
+        simplified = rule(self, args) if rule else None
+        return self.add(op, args) if simplified is None else simplified
 
     def is_truth(self, at: int) -> bool:
         """Whether it is 0 or 1."""

@@ -13,7 +13,7 @@ from surctl.ir.c99_routine import emit_block
 from surctl.ir.compiler import compile_program, compiler_version
 from surctl.ir.routine import Block
 
-__all__ = ["stack_bytes", "stack_of", "stack_told"]
+__all__ = ["stack_bytes", "stack_from_report", "stack_of"]
 
 _FUNCTION = re.compile(r"^\w[\w *]*\b(\w+)\([^;{}]*\)\s*\{([^\n]*\}$|\n.*?^\}$)", re.MULTILINE | re.DOTALL)
 _CALL = re.compile(r"\b(\w+)\(")
@@ -67,19 +67,19 @@ def stack_of(text: str, entry: str, *, flags: Sequence[str] = ("-Os",), compiler
         4000
     """
     with tempfile.TemporaryDirectory(prefix="surctl-") as name:
-        source, told = Path(name) / "text.c", Path(name) / "text.su"
+        source, report = Path(name) / "text.c", Path(name) / "text.su"
         source.write_text(text, encoding="utf-8")
         try:
             compile_program([source], Path(name) / "text.o", flags=("-c", *flags, "-fstack-usage"), compiler=compiler)
-            rows = told.read_text(encoding="utf-8")
+            rows = report.read_text(encoding="utf-8")
         except (SurctlError, FileNotFoundError) as error:
             if isinstance(error, SurctlError) and "stack-usage" not in str(error):
                 raise
             raise ToolMissing("tells no frames (-fstack-usage)", key="CC", value=compiler_version(compiler)) from None
-    return stack_told(rows, text, entry)
+    return stack_from_report(rows, text, entry)
 
 
-def stack_told(told: str, text: str, entry: str) -> int:
+def stack_from_report(report: str, text: str, entry: str) -> int:
     r"""As `stack_of`, of a text that was compiled with `-fstack-usage` already.
 
     Args:
@@ -98,7 +98,7 @@ def stack_told(told: str, text: str, entry: str) -> int:
         >>> stack_told(told, text, "mean")
         128
     """
-    rows = [line.split("\t") for line in told.splitlines()]
+    rows = [line.split("\t") for line in report.splitlines()]
     if any("dynamic" in row[2] and "bounded" not in row[2] for row in rows):
         raise SurctlError("a frame has no fixed size")
     # "text.c:12:3:name", or "name.part.0" for a piece that was cut out
@@ -114,9 +114,9 @@ def stack_told(told: str, text: str, entry: str) -> int:
 
 def _callees(text: str) -> dict[str, set[str]]:
     """Function → functions of the text that it calls."""
-    found = _FUNCTION.findall(text)
-    names = {name for name, _ in found}
-    return {name: set(_CALL.findall(body)) & names for name, body in found}
+    functions = _FUNCTION.findall(text)
+    names = {name for name, _ in functions}
+    return {name: set(_CALL.findall(body)) & names for name, body in functions}
 
 
 def _deepest(function: str, callees: dict[str, set[str]], frames: dict[str, int], known: dict[str, int]) -> int:

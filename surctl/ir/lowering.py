@@ -78,8 +78,8 @@ def lower_named(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca
         v1 = neg v0
         out0 left v1
     """
-    made = [ca.densify(ca.SX(value)) for value in outputs.values()]
-    return lower(ca.Function(name, list(inputs.values()), made, list(inputs), list(outputs), {"cse": True}))
+    dense = [ca.densify(ca.SX(value)) for value in outputs.values()]
+    return lower(ca.Function(name, list(inputs.values()), dense, list(inputs), list(outputs), {"cse": True}))
 
 
 def _with_reciprocals(old: _Builder) -> tuple[_Builder, list[int]]:

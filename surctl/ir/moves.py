@@ -101,8 +101,8 @@ def remaining(
     moved = {(m.output, e) for m in moves for e in m.entries}
     stored = [(k, e) for k, refs in enumerate(program.output_refs) for e in range(len(refs)) if (k, e) not in moved]
     refs: list[tuple[int, ...]] = [(program.output_refs[k][e],) for k, e in stored]
-    instructions, kept = drop_dead(list(program.instructions), refs)
-    return instructions, tuple((k, e, ref) for (k, e), (ref,) in zip(stored, kept, strict=True))
+    instructions, positions = drop_dead(list(program.instructions), refs)
+    return instructions, tuple((k, e, ref) for (k, e), (ref,) in zip(stored, positions, strict=True))
 
 
 def move_lines(moves: Sequence[Move]) -> list[str]:

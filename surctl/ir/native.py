@@ -80,11 +80,11 @@ class Native:
 
     def __call__(self, *inputs: ArrayLike) -> list[Array]:
         """As `replay`: (n,) or (batch, n) for each input gives (m,) or (batch, m) for each output."""
-        wanted = self._inputs
-        if len(inputs) != len(wanted):
-            raise InputError(f"takes {len(wanted)} inputs, got {len(inputs)}", key=self.block.name)
+        expected = self._inputs
+        if len(inputs) != len(expected):
+            raise InputError(f"takes {len(expected)} inputs, got {len(inputs)}", key=self.block.name)
         arrays = [np.asarray(x, dtype=self.dtype) for x in inputs]
-        for array, (name, size) in zip(arrays, wanted, strict=True):
+        for array, (name, size) in zip(arrays, expected, strict=True):
             if array.ndim == 0 or array.shape[-1] != size:
                 raise InputError(f"has shape {array.shape}, expected (…, {size})", key=f"{self.block.name}.{name}")
         batch = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))

@@ -32,7 +32,7 @@ def routine(name: str, program: Program, inputs: int, outputs: Mapping[str, Key]
 
 
 @dataclass(frozen=True)
-class _Taken:
+class _Arguments:
     """Arrays that a loop takes: with its state, to run over, and for every turn."""
 
     state: tuple[Key, ...]
@@ -50,11 +50,11 @@ class _Emitter:
     def __init__(self, regions: Regions, name: str, outputs: Mapping[str, Key]) -> None:
         self.regions, self.name, self.outputs = regions, name, outputs
         self.atoms = {i.args: v for v, i in enumerate(regions.code) if i.op == "input"}
-        self.taken: list[_Taken] = []
+        self.arguments: list[_Arguments] = []
         self.blocks: list[Block] = []
         self._known: dict[str, Block] = {}
         for k, loop in enumerate(regions.loops):
-            self.taken.append(_Taken(loop.state, loop.tables, tuple(self._fixed(k))))
+            self.arguments.append(_Arguments(loop.state, loop.tables, tuple(self._fixed(k))))
             self.blocks.append(self._body(k))
 
     def root(self) -> Block:
@@ -74,10 +74,10 @@ class _Emitter:
         return [at for at, j in enumerate(results) if any(v >= 0 for v in self.entries(j))]
 
     def _body(self, k: int) -> Block:
-        loop, taken = self.regions.loops[k], self.taken[k]
+        loop, arguments = self.regions.loops[k], self.arguments[k]
         held = len(loop.state)
         inputs = [(f"s{at}" if at < held else f"t{at - held}", self.entries(j)) for at, j in enumerate(loop.own)]
-        inputs += [(f"f{at}", key) for at, key in enumerate(taken.fixed)]
+        inputs += [(f"f{at}", key) for at, key in enumerate(arguments.fixed)]
         outputs = {f"n{at}": key for at, key in enumerate(loop.next)}
         outputs |= {f"r{at}": loop.rows[at] for at in self.stacked(k)}
         block = _Body(self, loop.name, inputs, outputs).block()
@@ -91,7 +91,7 @@ class _Emitter:
 
         def needs(node: int) -> Iterator[int]:
             if node < 0:
-                for key in self.taken[~node].all:
+                for key in self.arguments[~node].all:
                     if regions.deepest(key) == k:
                         yield from key
                     else:
@@ -100,14 +100,14 @@ class _Emitter:
                 return
             elif regions.of(node) != k:
                 single.setdefault(regions.of(node), {})[node] = None
-            elif (made := regions.loop_of(node)) is not None:
-                yield ~made
+            elif (producer := regions.loop_of(node)) is not None:
+                yield ~producer
             elif regions.code[node].op != "input":
                 yield from regions.code[node].args
 
         loop = regions.loops[k]
-        wanted = [*loop.next, *(loop.rows[at] for at in self.stacked(k))]
-        for _ in postorder([v for key in wanted for v in key], needs):
+        needed = [*loop.next, *(loop.rows[at] for at in self.stacked(k))]
+        for _ in postorder([v for key in needed for v in key], needs):
             pass
         yield from dict.fromkeys((*through, *(tuple(values) for values in single.values())))
 
@@ -144,9 +144,9 @@ class _Body:
         for at in range(self.last + 1):
             loops = [~node for node in self.order if node < 0 and self.stage[node] == at]
             arrays = {f"pack{n}": key for n, (key, when) in enumerate(self.packed.items()) if when == at}
-            kept = tuple(v for v in self.order if v in self.handed and self.stage[v] == at)
-            if kept:
-                arrays[f"later{at}"] = kept
+            later = tuple(v for v in self.order if v in self.handed and self.stage[v] == at)
+            if later:
+                arrays[f"later{at}"] = later
             what = f"{self.name}_before_{self.regions.loops[loops[0]].name}" if loops else f"{self.name}_end"
             if at == self.last:
                 arrays |= {f"out_{name}": key for name, key in self.outputs.items()}
@@ -156,20 +156,20 @@ class _Body:
             for array, key in arrays.items():
                 self.sizes[array] = len(key)
                 self.known.setdefault(key, array)
-            self.place |= {value: (f"later{at}", entry) for entry, value in enumerate(kept)}
+            self.place |= {value: (f"later{at}", entry) for entry, value in enumerate(later)}
             steps += [self._loop(k) for k in loops]
         inputs = tuple((name, self.sizes[name]) for name, _ in self.inputs)
         return Routine(self.name, inputs, tuple(steps), tuple(f"out_{name}" for name in self.outputs))
 
     def _needs(self, node: int) -> Iterator[int]:
         if node < 0:
-            for key in self.whole.taken[~node].all:
+            for key in self.whole.arguments[~node].all:
                 if key not in self.known:
                     yield from key
         elif node in self.place or self.regions.is_constant(node):
             return
-        elif (made := self.regions.loop_of(node)) is not None:
-            yield ~made
+        elif (producer := self.regions.loop_of(node)) is not None:
+            yield ~producer
         else:
             yield from self.regions.code[node].args
 
@@ -178,11 +178,11 @@ class _Body:
         soon: dict[int, int] = {}
         for node in self.order:
             if node >= 0 and self.regions.loop_of(node) is not None and node not in self.place:
-                soon[node] = soon[~self._made(node)] + 1
+                soon[node] = soon[~self._producer(node)] + 1
             else:
                 soon[node] = max((soon[need] for need in self._needs(node)), default=0)
             if node < 0:
-                for key in self.whole.taken[~node].all:
+                for key in self.whole.arguments[~node].all:
                     if key not in self.known and key not in self.packed and not self._whole_result(key):
                         self.packed[key] = max((soon[v] for v in key), default=0)
         last = max((soon[v] for key in self.outputs.values() for v in key), default=0)
@@ -207,10 +207,10 @@ class _Body:
                 users.setdefault(argument, []).append(self.stage[node])
         self.last = last
 
-    def _made(self, node: int) -> int:
-        made = self.regions.loop_of(node)
-        assert made is not None
-        return made
+    def _producer(self, node: int) -> int:
+        producer = self.regions.loop_of(node)
+        assert producer is not None
+        return producer
 
     def _is_operation(self, node: int) -> bool:
         return node not in self.place and self.regions.code[node].op not in ("input", "const")
@@ -226,7 +226,7 @@ class _Body:
         )
 
     def _loop(self, k: int) -> Loop:
-        loop, taken = self.regions.loops[k], self.whole.taken[k]
+        loop, arguments = self.regions.loops[k], self.whole.arguments[k]
         held = len(loop.state)
         which = [*range(held), *(held + at for at in self.whole.stacked(k))]
         results = []
@@ -240,7 +240,7 @@ class _Body:
                 if value >= 0:
                     self.place[value] = name, entry
         state, tables, fixed = (
-            tuple(self.known[key] for key in keys) for keys in (taken.state, taken.tables, taken.fixed)
+            tuple(self.known[key] for key in keys) for keys in (arguments.state, arguments.tables, arguments.fixed)
         )
         return Loop(self.whole.blocks[k], loop.count, state, tuple(results), tables, fixed, until=loop.until)
 
@@ -264,5 +264,5 @@ class _Body:
         refs = [tuple([position(v) for v in key]) for key in outputs.values()]
         instructions, output_refs = drop_dead(code.instructions, refs)
         sizes = tuple((array, self.sizes[array]) for array in arrays)
-        made = tuple((out, len(key)) for out, key in outputs.items())
-        return Program(name, sizes, made, instructions, output_refs)
+        output_sizes = tuple((out, len(key)) for out, key in outputs.items())
+        return Program(name, sizes, output_sizes, instructions, output_refs)

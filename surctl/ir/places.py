@@ -19,7 +19,7 @@ from surctl.ir.moves import Move, only_moves
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 
-__all__ = ["Places", "inlined", "memory", "overlaid", "overlapping", "reads", "taken_over"]
+__all__ = ["Places", "carried_in_place", "inlined", "memory", "overlaid", "overlapping", "reads"]
 
 Overlaps = Mapping[str, frozenset[tuple[int, int]]]
 """Digest of a block → (output, input) that somebody passes as one array."""
@@ -54,16 +54,16 @@ def inlined(step: Step) -> tuple[Move, ...]:
 
 def overlapping(block: Block) -> Overlaps:
     """What loops pass as one array: each carried array is an input of the body and an output."""
-    found: dict[str, frozenset[tuple[int, int]]] = {}
+    overlaps: dict[str, frozenset[tuple[int, int]]] = {}
     for inner in nested(block).values():
         for step in inner.steps if isinstance(inner, Routine) else ():
             if isinstance(step, Loop) and step.carried:
                 pairs = frozenset((k, step.index + k) for k in range(len(step.carried)))
-                found[step.block.digest()] = found.get(step.block.digest(), frozenset()) | pairs
-    return found
+                overlaps[step.block.digest()] = overlaps.get(step.block.digest(), frozenset()) | pairs
+    return overlaps
 
 
-def taken_over(routine: Routine, root: Callable[[str], str] = str) -> dict[str, str]:
+def carried_in_place(routine: Routine, root: Callable[[str], str] = str) -> dict[str, str]:
     """Last carried array → the array that held it before the loop, where nothing else reads that: no copy then.
 
     Args:
@@ -109,8 +109,8 @@ class Places:
     @cached_property
     def own(self) -> dict[str, int]:
         """Arrays of its own with their sizes."""
-        found = {self.of[name][0]: self.sizes[name] for name in self.sizes if self.of[name] == (self._own(name), 0)}
-        return found | {f"held{k}": self.sizes[self.routine.results[k]] for k in self.held}
+        arrays = {self.of[name][0]: self.sizes[name] for name in self.sizes if self.of[name] == (self._own(name), 0)}
+        return arrays | {f"held{k}": self.sizes[self.routine.results[k]] for k in self.held}
 
     @cached_property
     def pool(self) -> tuple[dict[str, int], int]:
@@ -143,13 +143,13 @@ class Places:
         return name
 
     def _own(self, name: str) -> str:
-        return f"a{list(self.sizes).index(self._kept.get(name, name))}"
+        return f"a{list(self.sizes).index(self._in_place.get(name, name))}"
 
     def _place(self, name: str) -> tuple[str, int]:
         names = [name for name, _ in self.routine.inputs]
         if name in names:
             return f"in{names.index(name)}", 0
-        final = self._final.get(self._kept.get(name, name), name)
+        final = self._final.get(self._in_place.get(name, name), name)
         inside = self._views.get(final) or self._parts.get(final)
         if inside:
             base, start = self._place(inside[0])
@@ -159,63 +159,65 @@ class Places:
     @cached_property
     def _views(self) -> dict[str, tuple[str, int]]:
         """Piece → (array, first entry)."""
-        found: dict[str, tuple[str, int]] = {}
+        views: dict[str, tuple[str, int]] = {}
         for step in self.routine.steps:
             for move in inlined(step):
                 assert isinstance(step, Call)
                 result = step.results[move.output]
                 if move.count == self.sizes[result] and result not in self.routine.results:
-                    found[result] = step.args[move.input], move.start
-        return found
+                    views[result] = step.args[move.input], move.start
+        return views
 
     @cached_property
     def _parts(self) -> dict[str, tuple[str, int]]:
         """Array that is written where it is joined → (the joined array, first entry there)."""
-        found: dict[str, tuple[str, int]] = {}
-        taken = {*(name for name, _ in self.routine.inputs), *self.routine.results, *self._views}
+        parts: dict[str, tuple[str, int]] = {}
+        excluded = {*(name for name, _ in self.routine.inputs), *self.routine.results, *self._views}
         for step in self.routine.steps:
             for move in inlined(step):
                 assert isinstance(step, Call)
                 name, whole = step.args[move.input], step.results[move.output]
-                if name not in taken and whole not in self._views and move.count == self.sizes[name]:
-                    found[name] = whole, move.to
-                    taken.add(name)
-        return found
+                if name not in excluded and whole not in self._views and move.count == self.sizes[name]:
+                    parts[name] = whole, move.to
+                    excluded.add(name)
+        return parts
 
     @cached_property
-    def _kept(self) -> dict[str, str]:
-        return taken_over(self.routine, self.root)
+    def _in_place(self) -> dict[str, str]:
+        return carried_in_place(self.routine, self.root)
 
     @cached_property
     def _final(self) -> dict[str, str]:
         """Array that loops change in place → the last name of it."""
-        return {first: name for name, first in self._kept.items()}
+        return {first: name for name, first in self._in_place.items()}
 
     @cached_property
     def _direct(self) -> dict[str, int]:
         """Result → the output that it is written into."""
         results = self.routine.results
         inputs = {name for name, _ in self.routine.inputs}
-        found = {name: results.index(name) for name in results if name not in inputs}
+        direct = {name: results.index(name) for name in results if name not in inputs}
         for k, j in self.overlaps:
-            if results[k] in found and not self._harmless(results[k], self.routine.inputs[j][0]):
-                del found[results[k]]
-        return found
+            if results[k] in direct and not self._harmless(results[k], self.routine.inputs[j][0]):
+                del direct[results[k]]
+        return direct
 
-    def _harmless(self, result: str, given: str) -> bool:
+    def _harmless(self, result: str, source: str) -> bool:
         """Whether the result may be written over the input: nothing reads that later than the loop that carries it."""
         first = min(at for at, step in enumerate(self.routine.steps) if self._inside(result, step))
         steps = self.routine.steps[first:]
         later = [*(self.root(name) for step in steps for name in reads(step)), *self.routine.results]
-        if given not in later:
+        if source not in later:
             return True
         loop = steps[0]
         return (
             isinstance(loop, Loop)
-            and later.count(given) == 1
-            and (given, result)
+            and later.count(source) == 1
+            and (source, result)
             in zip(
-                loop.carried, (self._final.get(self._kept.get(name, name), name) for name in loop.results), strict=False
+                loop.carried,
+                (self._final.get(self._in_place.get(name, name), name) for name in loop.results),
+                strict=False,
             )
         )
 
@@ -223,7 +225,7 @@ class Places:
         """Whether the step writes into the memory of that result."""
         for name in writes(step):
             while name != result:
-                final = self._final.get(self._kept.get(name, name), name)
+                final = self._final.get(self._in_place.get(name, name), name)
                 after = self._parts[final][0] if final in self._parts else final
                 if after == name:
                     break
@@ -242,13 +244,13 @@ def overlaid(lives: Mapping[str, tuple[int, int, int]]) -> tuple[dict[str, int],
     starts: dict[str, int] = {}
     # the large ones first: the small ones fit in between
     for array, (size, first, last) in sorted(lives.items(), key=lambda entry: -entry[1][0]):
-        taken = sorted(
+        occupied = sorted(
             (starts[other], starts[other] + lives[other][0])
             for other in starts
             if lives[other][1] <= last and first <= lives[other][2]
         )
         at = 0
-        for begin, end in taken:
+        for begin, end in occupied:
             if begin - at >= size:
                 break
             at = max(at, end)
@@ -271,8 +273,8 @@ def memory(block: Block) -> int:
         (101, 201)
     """
     known = overlapping(block)
-    given = sum(size for _, size in (*block.inputs, *block.outputs))
-    return given + _deepest(block, known)
+    ports = sum(size for _, size in (*block.inputs, *block.outputs))
+    return ports + _deepest(block, known)
 
 
 def _deepest(block: Block, overlaps: Overlaps) -> int:

@@ -142,15 +142,15 @@ def drop_dead(
         if live[at] and instructions[at].op not in LEAVES:
             for arg in instructions[at].args:
                 live[arg] = 1
-    kept: list[Instruction] = []
+    remaining: list[Instruction] = []
     new = [0] * len(instructions)
     for at, instruction in enumerate(instructions):
         if live[at]:
-            new[at] = len(kept)
+            new[at] = len(remaining)
             # before the first that is dropped no number changes
             moved = new[at] != at and instruction.op not in LEAVES
-            kept.append(_renumbered(instruction, new) if moved else instruction)
-    return tuple(kept), tuple(tuple([new[r] for r in group]) for group in refs)
+            remaining.append(_renumbered(instruction, new) if moved else instruction)
+    return tuple(remaining), tuple(tuple([new[r] for r in group]) for group in refs)
 
 
 def _renumbered(instruction: Instruction, new: Sequence[int]) -> Instruction:

@@ -94,9 +94,9 @@ class Regions:
 
     def of(self, value: int) -> int:
         """The region of a value."""
-        found = self.region[value]
-        assert found is not None
-        return found
+        region = self.region[value]
+        assert region is not None
+        return region
 
     def deepest(self, values: Iterable[int]) -> int:
         """The innermost of the regions of some values; they lie one in another."""
@@ -119,8 +119,8 @@ class Regions:
                 instruction = self.code[value]
                 if instruction.op == "input":
                     j = instruction.args[0]
-                    made = self.maker.get(j)
-                    self.region[value] = self._holder.get(j, ROOT) if made is None else self.parent[made]
+                    producer = self.maker.get(j)
+                    self.region[value] = self._holder.get(j, ROOT) if producer is None else self.parent[producer]
                 elif instruction.op == "const":
                     self.region[value] = ROOT
                 else:
@@ -135,12 +135,12 @@ class Regions:
         """The innermost region on which the loop depends."""
         loop = self.loops[k]
         outside = [v for key in loop.before for v in key]
-        stack, seen = [v for key in loop.after for v in key], set[int]()
+        stack, visited = [v for key in loop.after for v in key], set[int]()
         while stack:
             value = stack.pop()
-            if value in seen:
+            if value in visited:
                 continue
-            seen.add(value)
+            visited.add(value)
             if not self.inside(self.of(value), k):
                 outside.append(value)
             elif self.code[value].op != "input":
@@ -162,22 +162,22 @@ class Regions:
         for value, instruction in enumerate(self.code):
             if instruction.op == "input" and instruction.args[0] in self.maker:
                 results.setdefault(self.maker[instruction.args[0]], []).append(value)
-        given = {v for key in outputs.values() for v in key}
+        output_values = {v for key in outputs.values() for v in key}
         for k in reversed(range(len(self.loops))):
             loop = self.loops[k]
             if loop.count != 1 or loop.until is None:
                 continue
             for node in reversed(order):
-                if node in given or node == ~k or self._home(node) != self.parent[k]:
+                if node in output_values or node == ~k or self._home(node) != self.parent[k]:
                     continue
                 # results of loops go with their loop, symbols and inputs stay
                 if node >= 0 and self.code[node].op in ("input", "const"):
                     continue
                 values = [node] if node >= 0 else results.get(~node, [])
-                if given.intersection(values):
+                if output_values.intersection(values):
                     continue
-                found = [use for value in values for use in self._uses(value, users)]
-                if found and all(self.inside(region, k) for region in found):
+                uses = [use for value in values for use in self._uses(value, users)]
+                if uses and all(self.inside(region, k) for region in uses):
                     if node >= 0:
                         self.region[node] = k
                     else:
@@ -193,9 +193,9 @@ class Regions:
         if node < 0:
             loop = self.loops[~node]
             return iter([v for key in (*loop.before, *loop.after) for v in key])
-        made = self.loop_of(node)
-        if made is not None:
-            return iter([~made])
+        producer = self.loop_of(node)
+        if producer is not None:
+            return iter([~producer])
         return iter(() if self.code[node].op in ("input", "const") else self.code[node].args)
 
     def _uses(self, value: int, users: Mapping[int, Sequence[int]]) -> Iterator[int]:
@@ -213,13 +213,13 @@ class Regions:
 
 def postorder(roots: Iterable[int], children: Callable[[int], Iterable[int]]) -> Iterator[int]:
     """Each node once, after what it needs."""
-    seen = set[int]()
+    visited = set[int]()
     stack = [(root, False) for root in reversed(list(roots))]
     while stack:
         node, done = stack.pop()
         if done:
             yield node
-        elif node not in seen:
-            seen.add(node)
+        elif node not in visited:
+            visited.add(node)
             stack.append((node, True))
-            stack += [(child, False) for child in reversed(list(children(node))) if child not in seen]
+            stack += [(child, False) for child in reversed(list(children(node))) if child not in visited]

@@ -70,10 +70,10 @@ def _run_routine(routine: Routine, arrays: list[Value], real: Real) -> list[Valu
             )
             continue
         if isinstance(step, Loop):
-            made = _run_loop(step, scope, real) if step.lanes == 1 else _run_lanes(step, scope, real)
+            results = _run_loop(step, scope, real) if step.lanes == 1 else _run_lanes(step, scope, real)
         else:
-            made = _run(step.block, [scope[name] for name in step.args], real)
-        scope.update(zip(step.results, made, strict=True))
+            results = _run(step.block, [scope[name] for name in step.args], real)
+        scope.update(zip(step.results, results, strict=True))
     return [scope[name] for name in routine.results]
 
 
@@ -89,13 +89,13 @@ def _run_loop(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
         if running is not None and not running.any():
             break
         index = [np.full(1, turn, dtype=real)] if loop.index else []
-        made = _run(loop.block, [*index, *state, *(table[..., turn, :] for table in tables), *fixed], real)
-        fresh = made[: len(state)]
+        outputs = _run(loop.block, [*index, *state, *(table[..., turn, :] for table in tables), *fixed], real)
+        fresh = outputs[: len(state)]
         if running is None or running.all():
             state = fresh
         else:  # in a batch, the runs that ended stay as they are
             state = [np.where(running, a, b) for a, b in zip(fresh, state, strict=True)]
-        stacked.append(made[len(state) :])
+        stacked.append(outputs[len(state) :])
     return [*state, *(np.concatenate(parts, axis=-1) for parts in _broadcast(stacked))]
 
 
@@ -103,10 +103,10 @@ def _run_at_once(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]
     """A loop whose turns do not depend on one another, the turns as a further axis of the batch."""
     numbers: Value = np.array([[turn] for turn in range(loop.count)], dtype=real)
     tables = [_rows(scope[name], loop.count) for name in (*loop.sliced, *loop.spread)]
-    made = _run(
+    outputs = _run(
         loop.block, [*[numbers] * loop.index, *tables, *(scope[name][..., None, :] for name in loop.fixed)], real
     )
-    full = [part if part.ndim > 1 else part[None] for part in made]  # a body without inputs
+    full = [part if part.ndim > 1 else part[None] for part in outputs]  # a body without inputs
     shapes = [(*part.shape[:-2], loop.count, part.shape[-1]) for part in full]
     return [np.broadcast_to(y, s).reshape(*s[:-2], -1) for y, s in zip(full, shapes, strict=True)]
 
@@ -126,15 +126,15 @@ def _run_lanes(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
     stacked: list[list[Value]] = []
     for turn in range(loop.count):
         numbers: Value = np.array([[turn * lanes + k] for k in range(lanes)], dtype=real)
-        given: list[Value] = [
+        arguments: list[Value] = [
             *([numbers] if loop.index else []),
             *state,
             *(x[turn] for x in (*pieces, *spread)),
             *fixed,
         ]
-        made = _run(loop.block, given, real)
-        state = made[: len(state)]
-        stacked.append([_by_entry(x, lanes) for x in made[len(state) :]])
+        outputs = _run(loop.block, arguments, real)
+        state = outputs[: len(state)]
+        stacked.append([_by_entry(x, lanes) for x in outputs[len(state) :]])
     return [*(_by_entry(x, lanes) for x in state), *(np.concatenate(x, axis=-1) for x in _broadcast(stacked))]
 
 
@@ -211,15 +211,15 @@ _TAKE_TRUTHS = {"and": (0, 1), "or": (0, 1), "not": (0,), "select": (0,), "if_el
 
 def _python(program: Program) -> Callable[[list[Value], list[Any], Real], list[Any]]:
     """The list as a Python function: (inputs, constants, real) → the value of every instruction."""
-    kept = program.__dict__.get("_python")
-    if kept is None:
-        lines, constants = ["def run(given, constants, real):", "    zero, one = real(0), real(1)"], 0
+    cached = program.__dict__.get("_python")
+    if cached is None:
+        lines, constants = ["def run(inputs, constants, real):", "    zero, one = real(0), real(1)"], 0
         for at, instruction in enumerate(program.instructions):
             op, args = instruction.op, instruction.args
             if op == "const":
                 text, constants = f"constants[{constants}]", constants + 1
             elif op == "input":
-                text = f"given[{args[0]}][..., {args[1]}]"
+                text = f"inputs[{args[0]}][..., {args[1]}]"
             else:
                 truths = _TAKE_TRUTHS.get(op, ())
                 operands = [_operand(program, a, truth=k in truths) for k, a in enumerate(args)]
@@ -229,8 +229,8 @@ def _python(program: Program) -> Callable[[list[Value], list[Any], Real], list[A
         lines.append(f"    return [{names}]")
         scope: dict[str, Any] = {"where": np.where, **_CALLED}
         exec("\n".join(lines), scope)  # of nothing but the names above and numbers of instructions
-        kept = program.__dict__["_python"] = scope["run"]
-    run: Callable[[list[Value], list[Any], Real], list[Any]] = kept
+        cached = program.__dict__["_python"] = scope["run"]
+    run: Callable[[list[Value], list[Any], Real], list[Any]] = cached
     return run
 
 

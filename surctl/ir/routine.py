@@ -156,31 +156,31 @@ Step: TypeAlias = Call | Loop | Gather
 
 def nested(block: Block) -> dict[int, Block]:
     """Every distinct block that this one runs, callees first, itself last; keyed by identity."""
-    found: dict[int, Block] = {}
-    _collect(block, found)
-    return found
+    blocks: dict[int, Block] = {}
+    _collect(block, blocks)
+    return blocks
 
 
 def rebuilt(block: Block, change: Callable[[Program], Program]) -> Block:
     """The block with every program in it changed, each once."""
-    made: dict[int, Block] = {}
+    built: dict[int, Block] = {}
     for key, inner in nested(block).items():
         if isinstance(inner, Program):
-            made[key] = change(inner)
+            built[key] = change(inner)
             continue
-        steps = [s if isinstance(s, Gather) else replace(s, block=made[id(s.block)]) for s in inner.steps]
-        made[key] = replace(inner, steps=tuple(steps))
-    return made[id(block)]
+        steps = [s if isinstance(s, Gather) else replace(s, block=built[id(s.block)]) for s in inner.steps]
+        built[key] = replace(inner, steps=tuple(steps))
+    return built[id(block)]
 
 
-def _collect(block: Block, found: dict[int, Block]) -> None:
-    if id(block) in found:
+def _collect(block: Block, blocks: dict[int, Block]) -> None:
+    if id(block) in blocks:
         return
     if isinstance(block, Routine):
         for step in block.steps:
             if not isinstance(step, Gather):
-                _collect(step.block, found)
-    found[id(block)] = block
+                _collect(step.block, blocks)
+    blocks[id(block)] = block
 
 
 def _turns(step: Call | Loop) -> int:
@@ -227,19 +227,19 @@ def written(step: Step, sizes: Mapping[str, int], key: str) -> Iterator[tuple[st
         if not whole or _size(sizes, step.index, key) != 1:
             raise InputError("cannot be cut in such pieces", key=key, value=step.source)
         return iter([(step.result, step.width)])
-    given = [_size(sizes, name, key) for name in step.args] if isinstance(step, Call) else _fed(step, sizes, key)
-    wanted = [size for _, size in step.block.inputs]
-    if given != wanted:
-        raise InputError(f"passes arrays of {given} entries, {step.block.name} takes {wanted}", key=key)
-    made = [size for _, size in step.block.outputs]
+    passed = [_size(sizes, name, key) for name in step.args] if isinstance(step, Call) else _fed(step, sizes, key)
+    expected = [size for _, size in step.block.inputs]
+    if passed != expected:
+        raise InputError(f"passes arrays of {passed} entries, {step.block.name} takes {expected}", key=key)
+    outputs = [size for _, size in step.block.outputs]
     if isinstance(step, Loop):
-        _check_carried(step, sizes, made, key)
+        _check_carried(step, sizes, outputs, key)
         state = len(step.carried)
-        made = [size * step.lanes for size in made]
-        made = made[:state] + [step.count * size for size in made[state:]]
-    if len(made) != len(step.results):
-        raise InputError(f"names {len(step.results)} results, there are {len(made)}", key=key)
-    return zip(step.results, made, strict=True)
+        outputs = [size * step.lanes for size in outputs]
+        outputs = outputs[:state] + [step.count * size for size in outputs[state:]]
+    if len(outputs) != len(step.results):
+        raise InputError(f"names {len(step.results)} results, there are {len(outputs)}", key=key)
+    return zip(step.results, outputs, strict=True)
 
 
 def _fed(loop: Loop, sizes: Mapping[str, int], key: str) -> list[int]:
@@ -258,13 +258,13 @@ def _fed(loop: Loop, sizes: Mapping[str, int], key: str) -> list[int]:
     return [1] * loop.index + carried + [size // turns for size in (*pieces, *spread)] + fixed
 
 
-def _check_carried(loop: Loop, sizes: Mapping[str, int], made: list[int], key: str) -> None:
+def _check_carried(loop: Loop, sizes: Mapping[str, int], outputs: list[int], key: str) -> None:
     state = [_size(sizes, name, key) // loop.lanes for name in loop.carried]
-    if made[: len(state)] != state:
-        raise InputError(f"carries arrays of {state} entries, the body gives {made}", key=key)
+    if outputs[: len(state)] != state:
+        raise InputError(f"carries arrays of {state} entries, the body gives {outputs}", key=key)
     if loop.until is None:
         return
     if not 0 <= loop.until < len(state) or state[loop.until] != 1:
         raise InputError("the flag that ends a loop is a carried array of one entry", key=key, value=loop.until)
-    if len(made) > len(state):
+    if len(outputs) > len(state):
         raise InputError("a loop that may end early has no stacked arrays", key=key)

@@ -15,22 +15,22 @@ _LONGEST = 1200
 
 def shortened(block: Block) -> Block:
     """The block with its long programs split; those that lanes run side by side stay whole."""
-    made: dict[int, Block] = {}
+    built: dict[int, Block] = {}
     for key, inner in nested(block).items():
         if isinstance(inner, Program):
-            made[key] = split(inner, _LONGEST)
+            built[key] = split(inner, _LONGEST)
             continue
         steps: list[Step] = []
         for step in inner.steps:
             if isinstance(step, Call):
-                steps.append(Call(made[id(step.block)], step.args, step.results))
+                steps.append(Call(built[id(step.block)], step.args, step.results))
             elif isinstance(step, Loop) and step.lanes == 1:
                 whole = {name: getattr(step, name) for name in Loop.__slots__}
-                steps.append(Loop(**{**whole, "block": made[id(step.block)]}))
+                steps.append(Loop(**{**whole, "block": built[id(step.block)]}))
             else:
                 steps.append(step)
-        made[key] = Routine(inner.name, inner.inputs, tuple(steps), inner.results)
-    return made[id(block)]
+        built[key] = Routine(inner.name, inner.inputs, tuple(steps), inner.results)
+    return built[id(block)]
 
 
 def split(program: Program, size: int) -> Block:
@@ -70,10 +70,10 @@ def _owners(program: Program, size: int) -> dict[int, int]:
     return {at: k // size for k, at in enumerate(operations)}
 
 
-def _free_name(wanted: str, program: Program) -> str:
-    while any(name.startswith(wanted) for name, _ in program.inputs):
-        wanted += "x"
-    return wanted
+def _free_name(prefix: str, program: Program) -> str:
+    while any(name.startswith(prefix) for name, _ in program.inputs):
+        prefix += "x"
+    return prefix
 
 
 def _part(

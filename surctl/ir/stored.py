@@ -93,20 +93,20 @@ def _without_collection() -> Iterator[None]:
 
 def _read(body: str) -> Block:
     """The last of the blocks."""
-    found: dict[str, Block] = {}
+    blocks: dict[str, Block] = {}
     depths: dict[int, int] = {}
     first = 1
     for text in body[:-1].split("\n\n"):
         lines = text.split("\n")
-        block = _routine(lines, first, found) if lines[0].startswith("routine ") else _program(lines, first)
+        block = _routine(lines, first, blocks) if lines[0].startswith("routine ") else _program(lines, first)
         inner = [depths[id(s.block)] for s in getattr(block, "steps", ()) if not isinstance(s, Gather)]
         depths[id(block)] = 1 + max(inner, default=0)
         if depths[id(block)] > _DEEPEST:
             _refuse(f"more than {_DEEPEST} blocks inside one another", first, lines[0])
         key = f"{block.name}:{block.digest()[:16]}"
-        if key in found:
+        if key in blocks:
             _refuse("two blocks of one name and digest", first, lines[0])
-        found[key] = block
+        blocks[key] = block
         first += len(lines) + 1
     return block
 
@@ -124,12 +124,12 @@ def _program(lines: Sequence[str], first: int) -> Program:
     references: list[tuple[int, ...]] = []
     for at, line in enumerate(lines[end:], first + end):
         try:
-            which, given, *words = line.split(" ")
+            which, output, *words = line.split(" ")
             _same(which, f"out{len(outputs)}")
             references.append(tuple([places[word] for word in words]))
         except _MALFORMED:
             _refuse("is no output of this program", at, line)
-        outputs.append((given, len(words)))
+        outputs.append((output, len(words)))
     program = Program(name, tuple(inputs), tuple(outputs), tuple(instructions), tuple(references))
     program.__dict__["_text"] = "\n".join([*lines, ""])  # no other text is read as this program
     return program
@@ -180,14 +180,14 @@ def _load(word: str, inputs: Sequence[tuple[str, int]]) -> Instruction:
     return Instruction("input", (which, entry))
 
 
-def _routine(lines: Sequence[str], first: int, found: Mapping[str, Block]) -> Routine:
+def _routine(lines: Sequence[str], first: int, blocks: Mapping[str, Block]) -> Routine:
     """Likewise; `found` holds the blocks before it, by name and digest."""
     name = _name(lines, first, "routine")
     inputs = _inputs(lines[:-1], first, "in")
     steps: list[Step] = []
     for at, line in enumerate(lines[1 + len(inputs) : -1], first + 1 + len(inputs)):
         try:
-            steps.append(_step(line.split(" "), found))
+            steps.append(_step(line.split(" "), blocks))
         except _MALFORMED:
             _refuse("is no step, or runs a block that does not stand before it", at, line)
     try:
@@ -200,13 +200,13 @@ def _routine(lines: Sequence[str], first: int, found: Mapping[str, Block]) -> Ro
     return routine
 
 
-def _step(words: list[str], found: Mapping[str, Block]) -> Step:
+def _step(words: list[str], blocks: Mapping[str, Block]) -> Step:
     """What is left over or out of order is not looked for: the routine's own text tells."""
     equals = words.index("=")
     results, kind, rest = _names(words[:equals]), words[equals + 1], words[equals + 2 :]
     if kind == "gather":
         return Gather(rest[0], rest[1], int(rest[3]), results[0], int(rest[5]))
-    block = found[rest[0]]
+    block = blocks[rest[0]]
     if kind == "call":
         return Call(block, _names(rest[1:]), results)
     count, index, until = int(rest[2]), bool(int(rest[4])), None if rest[6] == "None" else int(rest[6])
@@ -225,8 +225,8 @@ def _names(words: Sequence[str]) -> tuple[str, ...]:
 
 
 def _name(lines: Sequence[str], first: int, kind: str) -> str:
-    found, _, name = lines[0].partition(" ")
-    if found != kind or not name or " " in name:
+    head, _, name = lines[0].partition(" ")
+    if head != kind or not name or " " in name:
         _refuse(f"is no head of a {kind}", first, lines[0])
     return name
 

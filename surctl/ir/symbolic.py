@@ -69,10 +69,10 @@ def to_casadi(block: Block) -> ca.Function:
         >>> speed(1.0, 0.5), ca.Function("slope", [start], [ca.jacobian(speed(start, 0.5), start)])(1.0)
         (DM(0.598737), DM(0.598737))
     """
-    made: dict[int, ca.Function] = {}
+    functions: dict[int, ca.Function] = {}
     for key, inner in nested(block).items():
-        made[key] = _program(inner) if isinstance(inner, Program) else _routine(inner, made)
-    return made[id(block)]
+        functions[key] = _program(inner) if isinstance(inner, Program) else _routine(inner, functions)
+    return functions[id(block)]
 
 
 def _program(program: Program) -> ca.Function:
@@ -101,7 +101,7 @@ def _as_written() -> Iterator[None]:
         ca.GlobalOptions.setSimplificationOnTheFly(usual)
 
 
-def _routine(routine: Routine, made: Mapping[int, ca.Function]) -> ca.Function:
+def _routine(routine: Routine, functions: Mapping[int, ca.Function]) -> ca.Function:
     inputs = [ca.MX.sym(name, size) for name, size in routine.inputs]
     scope = {name: symbol for (name, _), symbol in zip(routine.inputs, inputs, strict=True)}
     for step in routine.steps:
@@ -110,11 +110,11 @@ def _routine(routine: Routine, made: Mapping[int, ca.Function]) -> ca.Function:
             scope[step.result] = _piece(source, scope[step.index], step.width)
             continue
         if isinstance(step, Call):
-            results = _called(made[id(step.block)], [scope[name] for name in step.args])
+            results = _called(functions[id(step.block)], [scope[name] for name in step.args])
         elif step.lanes > 1:
-            results = _side_by_side(step, made[id(step.block)], scope)
+            results = _side_by_side(step, functions[id(step.block)], scope)
         else:
-            results = _unrolled(step, made[id(step.block)], scope)
+            results = _unrolled(step, functions[id(step.block)], scope)
         scope.update(zip(step.results, results, strict=True))
     return ca.Function(routine.name, inputs, [scope[name] for name in routine.results])
 
@@ -131,9 +131,9 @@ def _unrolled(loop: Loop, function: ca.Function, scope: Mapping[str, ca.MX]) -> 
     stacked: list[list[ca.MX]] = []
     for turn in range(loop.count):
         index = [ca.MX(turn)] if loop.index else []
-        made = _called(function, [*index, *state, *(piece[turn] for piece in pieces), *fixed])
-        fresh = made[: len(state)]
-        stacked.append(made[len(state) :])
+        outputs = _called(function, [*index, *state, *(piece[turn] for piece in pieces), *fixed])
+        fresh = outputs[: len(state)]
+        stacked.append(outputs[len(state) :])
         if loop.until is not None:
             running = state[loop.until] == 0
             fresh = [ca.if_else(running, a, b) for a, b in zip(fresh, state, strict=True)]
@@ -149,12 +149,12 @@ def _side_by_side(loop: Loop, function: ca.Function, scope: Mapping[str, ca.MX])
     fixed = [scope[name] for name in loop.fixed]
     stacked: list[list[ca.MX]] = []
     for turn in range(loop.count):
-        made = []
+        lane_outputs = []
         for k in range(lanes):
             at = turn * lanes + k
             own = [*(x[k] for x in state), *(x[turn][k::lanes] for x in blocks), *(x[at] for x in pieces)]
-            made.append(_called(function, [*([ca.MX(at)] if loop.index else []), *own, *fixed]))
-        outputs = [list(x) for x in zip(*made, strict=True)]
+            lane_outputs.append(_called(function, [*([ca.MX(at)] if loop.index else []), *own, *fixed]))
+        outputs = [list(x) for x in zip(*lane_outputs, strict=True)]
         state = outputs[: len(state)]
         stacked.append([_by_entry(x) for x in outputs[len(state) :]])
     return [*(_by_entry(x) for x in state), *(ca.vertcat(*parts) for parts in zip(*stacked, strict=True))]
@@ -212,16 +212,16 @@ def on_vectors(function: ca.Function) -> Callable[..., list[NDArray[np.float64]]
         if len(arguments) != len(sizes):
             raise InputError(f"takes {len(sizes)} inputs, got {len(arguments)}", key=function.name())
         for i, (into, argument) in enumerate(zip(bound.inputs, arguments, strict=True)):
-            given = np.asarray(argument, dtype=np.float64)
-            if given.size != into.size:
-                raise InputError(f"has {given.size} numbers, expected {into.size}", key=function.name_in(i))
-            into[:] = given.reshape(-1, order="F")
+            values = np.asarray(argument, dtype=np.float64)
+            if values.size != into.size:
+                raise InputError(f"has {values.size} numbers, expected {into.size}", key=function.name_in(i))
+            into[:] = values.reshape(-1, order="F")
         bound.trigger()
-        found = []
+        results = []
         for at, whole, part in zip(places, wholes, bound.outputs, strict=True):
             full = np.zeros(whole)
             full[at] = part
-            found.append(full)
-        return found
+            results.append(full)
+        return results
 
     return run

@@ -96,14 +96,14 @@ class Recording:
         Raises:
             InputError, UnsupportedOperation: as `lower`; a symbol that is neither an input nor a loop's.
         """
-        made = [ca.densify(ca.SX(value)) for value in outputs.values()]
-        loops = self._reached(made)
+        dense = [ca.densify(ca.SX(value)) for value in outputs.values()]
+        loops = self._reached(dense)
         arguments = [*inputs.values(), *(s for loop in loops for s in (*loop.own, *loop.results))]
-        results = [*made, *(e for loop in loops for e in loop.expressions)]
+        results = [*dense, *(e for loop in loops for e in loop.expressions)]
         names = [*inputs, *(f"loop{k}" for k in range(len(arguments) - len(inputs)))]
         try:
-            given = [*outputs, *(f"of_loop{k}" for k in range(len(results) - len(outputs)))]
-            function = ca.Function(name, arguments, results, names, given)
+            output_names = [*outputs, *(f"of_loop{k}" for k in range(len(results) - len(outputs)))]
+            function = ca.Function(name, arguments, results, names, output_names)
         except RuntimeError as error:
             reason = next((line for line in str(error).splitlines() if "free" in line), "a symbol is no input")
             raise InputError(
@@ -112,7 +112,7 @@ class Recording:
         program = lower(function)
         if not loops:
             return program
-        traced, argument, result = [], len(inputs), len(made)
+        traced, argument, result = [], len(inputs), len(dense)
         for loop in loops:
             keys = iter(program.output_refs[result:])
             state, tables, after, rows = (
@@ -138,12 +138,12 @@ class Recording:
         self._depth += 1
         held = [ca.SX.sym("s", part.numel()) for part in state]
         rows = [ca.SX.sym("t", table.shape[1]) for table in tables]
-        after, made = body(*held, *rows)
+        after, collected = body(*held, *rows)
         self._depth -= 1
-        after, made = _columns(after), _columns(made)
-        _check(name, state, after, made, until)
+        after, collected = _columns(after), _columns(collected)
+        _check(name, state, after, collected, until)
         results = [ca.SX.sym("r", part.numel()) for part in state]
-        stacked = [ca.SX.sym("r", count * part.numel()) for part in made]
+        stacked = [ca.SX.sym("r", count * part.numel()) for part in collected]
         loop = _Loop(
             name,
             self._depth + 1,
@@ -153,11 +153,11 @@ class Recording:
             tuple(state),
             tuple(ca.vec(table.T) for table in tables),
             tuple(after),
-            tuple(made),
+            tuple(collected),
             until,
         )
         self._loops.append(loop)
-        return results, [ca.reshape(s, part.numel(), count).T for s, part in zip(stacked, made, strict=True)]
+        return results, [ca.reshape(s, part.numel(), count).T for s, part in zip(stacked, collected, strict=True)]
 
     def _reached(self, outputs: Vectors) -> list[_Loop]:
         """The loops that the outputs need, in the order in which they were traced."""
@@ -165,9 +165,9 @@ class Recording:
         reached: set[int] = set()
         todo = list(outputs)
         while todo:
-            found = {of[h] for e in todo for s in ca.symvar(e) if (h := s.element_hash()) in of} - reached
-            reached |= found
-            todo = [e for k in found for e in self._loops[k].expressions]
+            needed = {of[h] for e in todo for s in ca.symvar(e) if (h := s.element_hash()) in of} - reached
+            reached |= needed
+            todo = [e for k in needed for e in self._loops[k].expressions]
         return [self._loops[k] for k in sorted(reached)]
 
 
@@ -216,14 +216,14 @@ def repeat(
         return recording.trace(name, body, state, tables, turns, until)
     stacked: list[list[ca.SX]] = []
     for turn in range(turns):
-        after, made = body(*state, *(table[turn, :].T for table in tables))
-        after, made = _columns(after), _columns(made)
-        _check(name, state, after, made, until)
+        after, collected = body(*state, *(table[turn, :].T for table in tables))
+        after, collected = _columns(after), _columns(collected)
+        _check(name, state, after, collected, until)
         if until is not None:
             runs = state[until] == 0
             after = [ca.if_else(runs, new, old) for new, old in zip(after, state, strict=True)]
         state = after
-        stacked.append(made)
+        stacked.append(collected)
     return list(state), [ca.vertcat(*(part.T for part in parts)) for parts in zip(*stacked, strict=True)]
 
 
@@ -247,12 +247,12 @@ def fold(
         30.0
     """
 
-    def one(*given: ca.SX) -> tuple[Vectors, Vectors]:
-        after: Any = body(*given)
+    def one(*arguments: ca.SX) -> tuple[Vectors, Vectors]:
+        after: Any = body(*arguments)
         return [after], []
 
-    def several(*given: ca.SX) -> tuple[Vectors, Vectors]:
-        after = body(*given)
+    def several(*values: ca.SX) -> tuple[Vectors, Vectors]:
+        after = body(*values)
         assert not isinstance(after, ca.SX)
         return after, []
 
@@ -271,7 +271,7 @@ def each(name: str, body: Callable[..., Vectors], *tables: ca.SX) -> list[ca.SX]
         >>> ca.DM(squares).full().tolist()
         [[1.0, 4.0], [9.0, 16.0]]
     """
-    return repeat(name, lambda *given: ((), body(*given)), [], tables)[1]
+    return repeat(name, lambda *arguments: ((), body(*arguments)), [], tables)[1]
 
 
 def only_if(name: str, condition: ca.SX, body: Callable[[], Vectors], otherwise: Vectors) -> list[ca.SX]:
@@ -283,9 +283,9 @@ def only_if(name: str, condition: ca.SX, body: Callable[[], Vectors], otherwise:
         >>> [float(v) for c in (1, 0) for v in only_if("root", ca.SX(c), lambda: [ca.sqrt(ca.SX(4))], [ca.SX(-1)])]
         [2.0, -1.0]
     """
-    given = _columns(otherwise)
+    alternatives = _columns(otherwise)
     (_, *values), _ = repeat(
-        name, lambda *_: ((ca.SX(1), *body()), ()), [ca.logic_not(condition), *given], count=1, until=0
+        name, lambda *_: ((ca.SX(1), *body()), ()), [ca.logic_not(condition), *alternatives], count=1, until=0
     )
     return values
 
@@ -307,9 +307,9 @@ def _columns(values: Vectors) -> list[ca.SX]:
     return [ca.densify(ca.vec(ca.SX(value))) for value in values]
 
 
-def _check(name: str, state: Vectors, after: Vectors, made: Vectors, until: int | None) -> None:
+def _check(name: str, state: Vectors, after: Vectors, collected: Vectors, until: int | None) -> None:
     before, behind = [part.numel() for part in state], [part.numel() for part in after]
     if before != behind:
         raise InputError(f"has a state of {before} numbers, and then of {behind}", key=name)
-    if until is not None and (before[until] != 1 or made):
+    if until is not None and (before[until] != 1 or collected):
         raise InputError("ends by a flag of one number, and stacks nothing", key=name)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from surctl.priority.backends import BACKENDS, Backend, LeastDistance, solve_least_distance
-from surctl.priority.compiled.assemble import AssembledTick, Assembly, assemble
+from surctl.priority.compiled.assemble import AssembledStep, Assembly, assemble
 from surctl.priority.compiled.level_shape import LevelShape
-from surctl.priority.compiled.runner import PriorityTick
-from surctl.priority.compiled.tick import priority_tick
-from surctl.priority.kept import KeptDaqp, KeptOsqp
+from surctl.priority.compiled.runner import PriorityStep
+from surctl.priority.compiled.step import priority_step
 from surctl.priority.nsb import nsb
+from surctl.priority.persistent import PersistentDaqp, PersistentOsqp
 from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
-from surctl.priority.settings import Ladder, Mode, Settings, check_ladder
+from surctl.priority.settings import Fallback, Mode, Settings, check_fallback
 from surctl.priority.solution import PrioritySolution
-from surctl.priority.solver.ladder import safe_tick
+from surctl.priority.solver.fallback import safe_step
 from surctl.priority.solver.safe_point import SafePoint, least_distance
 from surctl.priority.solving import solve
 from surctl.priority.sweep import nsb_sweep
@@ -20,31 +20,31 @@ from surctl.priority.symbolic import nsb_symbolic
 
 __all__ = [
     "BACKENDS",
-    "AssembledTick",
+    "AssembledStep",
     "Assembly",
     "Backend",
-    "KeptDaqp",
-    "KeptOsqp",
-    "Ladder",
+    "Fallback",
     "LeastDistance",
     "Level",
     "LevelShape",
     "Mode",
+    "PersistentDaqp",
+    "PersistentOsqp",
     "PriorityProblem",
     "PrioritySolution",
-    "PriorityTick",
+    "PriorityStep",
     "Row",
     "SafePoint",
     "Settings",
     "assemble",
     "build_problem",
-    "check_ladder",
+    "check_fallback",
     "least_distance",
     "nsb",
     "nsb_sweep",
     "nsb_symbolic",
-    "priority_tick",
-    "safe_tick",
+    "priority_step",
+    "safe_step",
     "solve",
     "solve_least_distance",
 ]

@@ -17,7 +17,7 @@ from surctl.priority.polyhedron import Polyhedron
 from surctl.priority.problem import Level
 from surctl.priority.rowspace import row_space
 
-__all__ = ["Served", "serve"]
+__all__ = ["LevelSolution", "solve_level"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -26,11 +26,11 @@ _PATIENT = 20
 """After this many steps rows are exchanged first come first served, which cannot go round in circles (Bland 1977)."""
 
 _STILL = 1e-14
-_PUSHES = 1e-11
+_WRONG_SIGN = 1e-11
 
 
 @dataclass(frozen=True, eq=False)
-class Served:
+class LevelSolution:
     """A point where the level is met as well as the rows allow.
 
     Attributes:
@@ -43,10 +43,10 @@ class Served:
     v: Array
     multipliers: Array
     iterations: int
-    settled: bool
+    converged: bool
 
 
-def serve(level: Level, start: Array, rows: Polyhedron, *, freedom: Freedom, cutoff: float) -> Served:
+def solve_level(level: Level, start: Array, rows: Polyhedron, *, freedom: Freedom, cutoff: float) -> LevelSolution:
     """argmin of the level's residual over the rows and the freedom, from a start (n,) that keeps both."""
     goal = level.exact
     if goal.all():
@@ -58,11 +58,13 @@ def serve(level: Level, start: Array, rows: Polyhedron, *, freedom: Freedom, cut
     wide = rows.widened(level.J[slack], level.lower[slack], level.high[slack])
     Z = np.block([[freedom.Z, np.zeros((n, q))], [np.zeros((q, freedom.Z.shape[1])), np.eye(q)]])
     x = np.append(level.lower[goal], np.zeros(q))
-    found = _least_squares(J, x, np.append(start, level.miss(start)[slack]), wide, Z=Z, cutoff=cutoff)
-    return Served(found.v[:n], found.multipliers[: len(rows.names)], found.iterations, found.settled)
+    solution = _least_squares(J, x, np.append(start, level.miss(start)[slack]), wide, Z=Z, cutoff=cutoff)
+    return LevelSolution(
+        solution.v[:n], solution.multipliers[: len(rows.names)], solution.iterations, solution.converged
+    )
 
 
-def _least_squares(J: Array, x: Array, start: Array, rows: Polyhedron, *, Z: Array, cutoff: float) -> Served:
+def _least_squares(J: Array, x: Array, start: Array, rows: Polyhedron, *, Z: Array, cutoff: float) -> LevelSolution:
     """min ‖J v − x‖ over start + Z y and the rows."""
     rows = rows.holding(start)
     scale = float(np.linalg.norm(J, 2))
@@ -80,22 +82,22 @@ def _least_squares(J: Array, x: Array, start: Array, rows: Polyhedron, *, Z: Arr
         gradient = Z.T @ (J.T @ (x - J @ v))
         multipliers = np.zeros(active.size)
         multipliers[held] = np.linalg.lstsq(A.T, gradient, rcond=None)[0] if held.size else 0.0
-        wrong = np.flatnonzero(multipliers * active < -_PUSHES * scale * max(scale, float(np.abs(x - J @ v).max())))
+        wrong = np.flatnonzero(multipliers * active < -_WRONG_SIGN * scale * max(scale, float(np.abs(x - J @ v).max())))
         if wrong.size == 0:
-            return Served(v, multipliers, count, True)
+            return LevelSolution(v, multipliers, count, True)
         active[wrong[0] if count > _PATIENT else wrong[np.argmin((multipliers * active)[wrong])]] = 0.0
-    return Served(v, multipliers, _CAP, False)
+    return LevelSolution(v, multipliers, _CAP, False)
 
 
 def _as_far_as(v: Array, step: Array, rows: Polyhedron, active: Array) -> tuple[float, int | None]:
     """The part of the step that keeps the rows, at most 1, and the row that ends it."""
     rate = rows.A @ step
     with np.errstate(invalid="ignore"):
-        room = np.where(rate > 0.0, rows.upper, rows.lower) - rows.A @ v
-    moving = (active == 0.0) & (np.abs(rate) > _STILL * np.abs(step).max(initial=0.0)) & np.isfinite(room)
+        slack = np.where(rate > 0.0, rows.upper, rows.lower) - rows.A @ v
+    moving = (active == 0.0) & (np.abs(rate) > _STILL * np.abs(step).max(initial=0.0)) & np.isfinite(slack)
     if not moving.any():
         return 1.0, None
     part = np.full(rate.size, np.inf)
-    part[moving] = np.maximum(room[moving] / rate[moving], 0.0)
+    part[moving] = np.maximum(slack[moving] / rate[moving], 0.0)
     first = int(np.argmin(part))
     return (float(part[first]), first) if part[first] < 1.0 else (1.0, None)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.priority.kernels import Answer, Kernel, daqp_kernel, osqp_kernel, own_kernel, qpsolvers_kernels
+from surctl.priority.kernels import Kernel, KernelSolution, daqp_kernel, osqp_kernel, own_kernel, qpsolvers_kernels
 from surctl.priority.rowspace import row_space
 
 __all__ = [
@@ -125,27 +125,27 @@ def solve_least_distance(
         ('optimal', [0.1, 0.4], [0.2])
     """
     kernel = check_backend(backend)
-    answer = _nearest(target, A, lower, upper, A_eq, b_eq, kernel)
-    spent, settled = answer.iterations, False
+    solution = _nearest(target, A, lower, upper, A_eq, b_eq, kernel)
+    spent, converged = solution.iterations, False
     # rounding is that of the largest number in play: a far target is brought near, along a ray that ends in one point,
     # which it does only once that point stays where it is
     for _ in range(_ROUNDS):
-        if answer.x is None or settled:
+        if solution.x is None or converged:
             break
-        size = 1.0 + float(np.abs(answer.x).max())
-        away = float(np.abs(target - answer.x).max())
+        size = 1.0 + float(np.abs(solution.x).max())
+        away = float(np.abs(target - solution.x).max())
         if not _FAR * size < away < np.inf:
-            settled = True
+            converged = True
             break
         pull = size / away
-        near = answer.x + pull * (target - answer.x)
-        found = _nearest(near, A, lower, upper, A_eq, b_eq, kernel, guess=pull * answer.multipliers)
-        settled = found.x is not None and float(np.abs(found.x - answer.x).max()) <= _STAYS * size
-        answer = replace(found, multipliers=found.multipliers / pull)
-        spent += found.iterations
-    if answer.x is not None and not settled:
+        near = solution.x + pull * (target - solution.x)
+        candidate = _nearest(near, A, lower, upper, A_eq, b_eq, kernel, guess=pull * solution.multipliers)
+        converged = candidate.x is not None and float(np.abs(candidate.x - solution.x).max()) <= _STAYS * size
+        solution = replace(candidate, multipliers=candidate.multipliers / pull)
+        spent += candidate.iterations
+    if solution.x is not None and not converged:
         return LeastDistance(None, np.zeros(lower.size), spent, "failed")
-    return replace(answer, iterations=spent)
+    return replace(solution, iterations=spent)
 
 
 def _nearest(
@@ -184,17 +184,17 @@ def _nearest(
     scale = reduced[use]
     G, below, above = G[use] / scale[:, None], below[use] / scale, above[use] / scale
     tolerance = FEASIBLE / np.maximum(scale, 1.0)
-    answer = _checked(kernel(G, below, above), G, below, above, tolerance=tolerance)
-    if answer.y is None and guess is not None:
+    solution = _checked(kernel(G, below, above), G, below, above, tolerance=tolerance)
+    if solution.y is None and guess is not None:
         tried = guess[use] * scale
-        pushed = Answer(-G.T @ tried, tried, answer.iterations, "unfinished")
+        pushed = KernelSolution(-G.T @ tried, tried, solution.iterations, "unfinished")
         second = _checked(pushed, G, below, above, tolerance=tolerance)
-        answer = answer if second.y is None else second
-    if answer.y is None:
-        status: Status = "infeasible" if answer.status == "infeasible" else "failed"
-        return LeastDistance(None, nothing, answer.iterations, status)
-    nothing[use] = answer.multipliers / scale
-    return LeastDistance(base + free.T @ answer.y, nothing, answer.iterations, "optimal")
+        solution = solution if second.y is None else second
+    if solution.y is None:
+        status: Status = "infeasible" if solution.status == "infeasible" else "failed"
+        return LeastDistance(None, nothing, solution.iterations, status)
+    nothing[use] = solution.multipliers / scale
+    return LeastDistance(base + free.T @ solution.y, nothing, solution.iterations, "optimal")
 
 
 def _eliminate(target: Array, A_eq: Array | None, b_eq: Array | None) -> tuple[Array | None, Array]:
@@ -208,22 +208,22 @@ def _eliminate(target: Array, A_eq: Array | None, b_eq: Array | None) -> tuple[A
     return (base if wrong <= tolerance else None), space.null
 
 
-def _checked(answer: Answer, G: Array, lower: Array, upper: Array, *, tolerance: Array) -> Answer:
+def _checked(solution: KernelSolution, G: Array, lower: Array, upper: Array, *, tolerance: Array) -> KernelSolution:
     """The answer if it holds; otherwise what its active rows give, if that holds; otherwise "failed"."""
-    if answer.y is None:
-        return answer
-    for found in (answer, _polish(answer, G, lower, upper)):
-        if holds(found, G, lower, upper, tolerance):
-            return replace(found, status="optimal")
-    return Answer(None, answer.multipliers, answer.iterations, "failed")
+    if solution.y is None:
+        return solution
+    for candidate in (solution, _polish(solution, G, lower, upper)):
+        if holds(candidate, G, lower, upper, tolerance):
+            return replace(candidate, status="optimal")
+    return KernelSolution(None, solution.multipliers, solution.iterations, "failed")
 
 
-def holds(answer: Answer, G: Array, lower: Array, upper: Array, tolerance: Array | float) -> bool:
+def holds(solution: KernelSolution, G: Array, lower: Array, upper: Array, tolerance: Array | float) -> bool:
     """Feasible within tolerance (m,) or (), stationary, complementary: the KKT conditions of min ½‖y‖².
 
     A NaN holds nothing.
     """
-    y, multipliers = answer.y, answer.multipliers
+    y, multipliers = solution.y, solution.multipliers
     if y is None:
         return False
     size = 1.0 + np.abs(y).max()
@@ -235,14 +235,14 @@ def holds(answer: Answer, G: Array, lower: Array, upper: Array, tolerance: Array
     return bool(feasible and at_bound <= FEASIBLE * size and stationary <= _STATIONARY * size)
 
 
-def _polish(answer: Answer, G: Array, lower: Array, upper: Array) -> Answer:
+def _polish(solution: KernelSolution, G: Array, lower: Array, upper: Array) -> KernelSolution:
     """Take the rows with a multiplier as equalities, and solve those exactly."""
-    active = np.flatnonzero(np.abs(answer.multipliers) > 1e-6 * (1.0 + np.abs(answer.multipliers).max()))
-    bound = np.where(answer.multipliers[active] > 0.0, upper[active], lower[active])
+    active = np.flatnonzero(np.abs(solution.multipliers) > 1e-6 * (1.0 + np.abs(solution.multipliers).max()))
+    bound = np.where(solution.multipliers[active] > 0.0, upper[active], lower[active])
     if not np.isfinite(bound).all():
-        return answer
+        return solution
     y = row_space(G[active]).particular(bound) if active.size else np.zeros(G.shape[1])
     multipliers = np.zeros(lower.size)
     if active.size:
         multipliers[active] = -row_space(G[active].T).particular(y)
-    return Answer(y, multipliers, answer.iterations, "optimal")
+    return KernelSolution(y, multipliers, solution.iterations, "optimal")

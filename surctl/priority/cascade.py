@@ -14,24 +14,24 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.priority.active_set import serve
+from surctl.priority.active_set import solve_level
 from surctl.priority.backends import Backend
 from surctl.priority.freedom import Freedom
 from surctl.priority.polyhedron import Polyhedron
 from surctl.priority.problem import Level
 
-__all__ = ["Reached", "reach"]
+__all__ = ["CascadeSolution", "solve_cascade"]
 
 Array: TypeAlias = NDArray[np.float64]
 
 _MISSED = 1e-9
 _FELT = 1e-9  # a multiplier up to this, relative to 1 + max |v|, is rounding
-_ROOM = 1e-9
+_SLACK = 1e-9
 """Room [row of length 1] for rows that may give, where the set has no inside and a solver calls it empty."""
 
 
 @dataclass(frozen=True, eq=False)
-class Reached:
+class CascadeSolution:
     """Where the cascade ended.
 
     Attributes:
@@ -45,7 +45,7 @@ class Reached:
 
     v: Array
     binding: tuple[tuple[str, float], ...]
-    blame: Mapping[str, tuple[str, ...]]
+    causes: Mapping[str, tuple[str, ...]]
     iterations: int
     confirmed: bool
 
@@ -58,20 +58,20 @@ class Reached:
         *,
         confirmed: bool,
         held: Mapping[str, float] | None = None,
-        blame: Mapping[str, tuple[str, ...]] | None = None,
-    ) -> Reached:
+        causes: Mapping[str, tuple[str, ...]] | None = None,
+    ) -> CascadeSolution:
         """From multipliers (m,) of rows of length 1; `held`, of rows that hold a strict level back, count first."""
-        found = as_given(rows, multipliers, above=_FELT * (1.0 + float(np.abs(v).max()))) | dict(held or {})
-        return Reached(
+        by_name = named_multipliers(rows, multipliers, above=_FELT * (1.0 + float(np.abs(v).max()))) | dict(held or {})
+        return CascadeSolution(
             v,
-            tuple((name, found[name]) for name in dict.fromkeys((*rows.names, *found)) if name in found),
-            blame or {},
+            tuple((name, by_name[name]) for name in dict.fromkeys((*rows.names, *by_name)) if name in by_name),
+            causes or {},
             iterations,
             confirmed,
         )
 
 
-def as_given(rows: Polyhedron, multipliers: Array, *, above: float) -> dict[str, float]:
+def named_multipliers(rows: Polyhedron, multipliers: Array, *, above: float) -> dict[str, float]:
     """Multipliers (m,) of rows of length 1 that are larger than `above`, by name, for the rows as given."""
     return {rows.names[i]: float(u / rows.length[i]) for i, u in enumerate(multipliers) if abs(u) > above}
 
@@ -93,7 +93,7 @@ class _Place:
     confirmed: bool
 
 
-def reach(
+def solve_cascade(
     strict: Sequence[Level],
     target: Array,
     rows: Polyhedron,
@@ -101,11 +101,11 @@ def reach(
     backend: Backend,
     cutoff: float,
     inside: Array | None = None,
-) -> Reached | None:
+) -> CascadeSolution | None:
     """The cascade; None if no v keeps the rows. target (n,); inside (n,): a point known to keep them, or None."""
     freedom = Freedom.whole(target.size)
     rows = rows if inside is None else rows.holding(inside)
-    blame: dict[str, tuple[str, ...]] = {}
+    causes: dict[str, tuple[str, ...]] = {}
     held: dict[str, float] = {}
     place: _Place | None = None
     spent, confirmed = 0, True
@@ -116,9 +116,9 @@ def reach(
             if place is None:
                 return None
             spent += place.iterations
-            met = _served(level, target, place, backend=backend, cutoff=cutoff)
+            met = _limited(level, target, place, backend=backend, cutoff=cutoff)
             if met.held:
-                blame[level.name] = tuple(met.held)
+                causes[level.name] = tuple(met.held)
             held = {**met.held, **held}
         place = met
         spent += place.iterations
@@ -130,7 +130,9 @@ def reach(
             return None
         spent += place.iterations
         confirmed &= place.confirmed
-    return Reached.of(place.inside, place.rows, place.multipliers, spent, confirmed=confirmed, held=held, blame=blame)
+    return CascadeSolution.of(
+        place.inside, place.rows, place.multipliers, spent, confirmed=confirmed, held=held, causes=causes
+    )
 
 
 def _met(
@@ -139,28 +141,28 @@ def _met(
     """The level met as well as the levels above allow, if the rows allow that too."""
     goal = level.exact
     narrow = freedom.narrowed(level.J[goal], level.lower[goal], cutoff=cutoff)
-    more = _kept(level, rows, ~goal)
+    more = _with_set_rows(level, rows, ~goal)
     return _nearest(narrow, more, target, backend=backend)
 
 
-def _served(level: Level, target: Array, place: _Place, *, backend: Backend, cutoff: float) -> _Place:
+def _limited(level: Level, target: Array, place: _Place, *, backend: Backend, cutoff: float) -> _Place:
     """The level met as well as the rows allow, and frozen there."""
-    found = serve(level, place.inside, place.rows, freedom=place.freedom, cutoff=cutoff)
-    value = level.J @ found.v
-    off = np.abs(level.miss(found.v)) > _MISSED * (1.0 + np.abs(value))
+    solution = solve_level(level, place.inside, place.rows, freedom=place.freedom, cutoff=cutoff)
+    value = level.J @ solution.v
+    off = np.abs(level.miss(solution.v)) > _MISSED * (1.0 + np.abs(value))
     frozen = level.exact | off
     narrow = place.freedom.narrowed(level.J[frozen], value[frozen], cutoff=cutoff)
-    rows = _kept(level, place.rows, ~frozen).holding(found.v)
-    after = _nearest(narrow, rows, target, backend=backend, inside=found.v)
+    rows = _with_set_rows(level, place.rows, ~frozen).holding(solution.v)
+    after = _nearest(narrow, rows, target, backend=backend, inside=solution.v)
     assert after is not None  # a point inside is known
     # a level that rows hardly hold back (by 1e-9 of ‖J‖) counts as met
     felt = _MISSED * float(np.linalg.norm(level.J, 2)) ** 2
-    held = as_given(place.rows, found.multipliers, above=felt)
-    spent = after.iterations + found.iterations
-    return _Place(narrow, rows, after.inside, after.multipliers, spent, held, after.confirmed and found.settled)
+    held = named_multipliers(place.rows, solution.multipliers, above=felt)
+    spent = after.iterations + solution.iterations
+    return _Place(narrow, rows, after.inside, after.multipliers, spent, held, after.confirmed and solution.converged)
 
 
-def _kept(level: Level, rows: Polyhedron, chosen: NDArray[np.bool_]) -> Polyhedron:
+def _with_set_rows(level: Level, rows: Polyhedron, chosen: NDArray[np.bool_]) -> Polyhedron:
     """The rows, and the chosen ones of a set-based level."""
     if not chosen.any():
         return rows
@@ -173,11 +175,11 @@ def _nearest(
     freedom: Freedom, rows: Polyhedron, target: Array, *, backend: Backend, inside: Array | None = None
 ) -> _Place | None:
     """The nearest point to the target; else the one that is known to be inside, unconfirmed; None if there is none."""
-    answer = freedom.nearest(target, rows, backend=backend)
-    spent = answer.iterations
-    if answer.x is None and inside is not None:
-        answer = freedom.nearest(target, rows.relaxed(rows.mask("barrier", "set"), _ROOM), backend=backend)
-        spent += answer.iterations
-    if answer.x is not None:
-        return _Place(freedom, rows, answer.x, answer.multipliers, spent, {}, True)
+    solution = freedom.nearest(target, rows, backend=backend)
+    spent = solution.iterations
+    if solution.x is None and inside is not None:
+        solution = freedom.nearest(target, rows.relaxed(rows.mask("barrier", "set"), _SLACK), backend=backend)
+        spent += solution.iterations
+    if solution.x is not None:
+        return _Place(freedom, rows, solution.x, solution.multipliers, spent, {}, True)
     return None if inside is None else _Place(freedom, rows, inside, np.zeros(len(rows.names)), spent, {}, False)

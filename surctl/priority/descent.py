@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.priority.backends import Backend
-from surctl.priority.cascade import Reached
+from surctl.priority.cascade import CascadeSolution
 from surctl.priority.freedom import Freedom
 from surctl.priority.polyhedron import Polyhedron
-from surctl.priority.reach import least_violation
+from surctl.priority.relaxation import least_violation
 from surctl.priority.solution import Outcome
 
-__all__ = ["Answer", "descend"]
+__all__ = ["Solution", "descend"]
 
 Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class Solution:
     """What a mode answers.
 
     Attributes:
@@ -38,14 +38,14 @@ class Answer:
     free: Array
     status: Outcome
     binding: tuple[tuple[str, float], ...] = ()
-    blame: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    causes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     iterations: int = 0
     conflict: tuple[str, ...] = ()
 
 
 def descend(
-    find: Callable[..., Reached | None], target: Array, rows: Polyhedron, *, free: Array, backend: Backend
-) -> Answer:
+    find: Callable[..., CascadeSolution | None], target: Array, rows: Polyhedron, *, free: Array, backend: Backend
+) -> Solution:
     """The first rung that holds; always a finite v inside the box.
 
     Args:
@@ -53,39 +53,39 @@ def descend(
             known to keep them, or None.
         target: (n,), what `find` starts from; free: (n,), the answer without rows.
     """
-    found = find(rows, inside=None)
-    if found is not None:
-        return _answer(found, target, rows, free, "optimal" if found.confirmed else "unconfirmed", 0, ())
+    result = find(rows, inside=None)
+    if result is not None:
+        return _solution(result, target, rows, free, "optimal" if result.confirmed else "unconfirmed", 0, ())
     relaxed = least_violation(rows, target, backend=backend)
     if relaxed is None:
         return _last_resort(free, target, rows, backend)
-    found = find(relaxed.rows, inside=relaxed.inside)
-    if found is None:  # cannot be but by a solver's failure: a point inside is known
+    result = find(relaxed.rows, inside=relaxed.inside)
+    if result is None:  # cannot be but by a solver's failure: a point inside is known
         return _last_resort(free, target, rows, backend)
     status: Outcome = "relaxed" if relaxed.opened else "optimal"
-    if not (found.confirmed and relaxed.least):
+    if not (result.confirmed and relaxed.least):
         status = "unconfirmed"
-    return _answer(found, target, rows, free, status, relaxed.iterations, relaxed.conflict)
+    return _solution(result, target, rows, free, status, relaxed.iterations, relaxed.conflict)
 
 
-def _answer(
-    found: Reached,
+def _solution(
+    result: CascadeSolution,
     target: Array,
     rows: Polyhedron,
     free: Array,
     status: Outcome,
     spent: int,
     conflict: tuple[str, ...],
-) -> Answer:
-    v = rows.clamp(found.v)
-    return Answer(v, target, free, status, found.binding, found.blame, spent + found.iterations, conflict)
+) -> Solution:
+    v = rows.clamp(result.v)
+    return Solution(v, target, free, status, result.binding, result.causes, spent + result.iterations, conflict)
 
 
-def _last_resort(free: Array, target: Array, rows: Polyhedron, backend: Backend) -> Answer:
+def _last_resort(free: Array, target: Array, rows: Polyhedron, backend: Backend) -> Solution:
     """The actuator rows contradict each other, or every solver gave up: what misses those rows least."""
     hard = rows.mask("actuator")
-    answer = Freedom.whole(free.size).nearest(free, rows.only(hard), backend=backend)
-    options = [rows.clamp(option) for option in (answer.x, free, np.zeros(free.size)) if option is not None]
+    solution = Freedom.whole(free.size).nearest(free, rows.only(hard), backend=backend)
+    options = [rows.clamp(option) for option in (solution.x, free, np.zeros(free.size)) if option is not None]
     finite = [option for option in options if np.isfinite(option).all()] or [rows.clamp(np.zeros(free.size))]
     v = min(finite, key=lambda option: float(rows.violation(option)[hard].max(initial=0.0)))
-    return Answer(v, target, free, "clamped", iterations=answer.iterations)
+    return Solution(v, target, free, "clamped", iterations=solution.iterations)

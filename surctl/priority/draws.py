@@ -25,7 +25,7 @@ def draw_levels(
         conditioned: singular values between 0.3 and 3.
         deficient: some levels have doubled rows, rank 1, only zeros, or select velocities.
     """
-    made = []
+    levels = []
     for i in range(rng.integers(1, most + 1)):
         k = int(rng.integers(1, _N + 1))
         J = rng.normal(size=(k, _N))
@@ -34,8 +34,8 @@ def draw_levels(
             J = left @ np.diag(rng.uniform(0.3, 3.0, k)) @ right
         if deficient:
             J = _spoiled(J, rng)
-        made.append(Level(f"task{i}", J, rng.normal(size=k)))
-    return made
+        levels.append(Level(f"task{i}", J, rng.normal(size=k)))
+    return levels
 
 
 def _spoiled(J: Array, rng: np.random.Generator) -> Array:
@@ -83,15 +83,15 @@ def draw_problem(rng: np.random.Generator, *, most: int = 5) -> PriorityProblem:
 
 def with_sets(problem: PriorityProblem, rng: np.random.Generator) -> PriorityProblem:
     """The same problem with some rows of a third of its levels turned into bounds."""
-    made = []
+    levels = []
     for level in problem.levels:
         k = level.lower.size
-        room = np.where(rng.random(k) < 0.7, rng.choice([0.1, 0.5, 2.0], k), 0.0)
+        width = np.where(rng.random(k) < 0.7, rng.choice([0.1, 0.5, 2.0], k), 0.0)
         if rng.random() < 0.65:
-            room[:] = 0.0
-        lower = np.where((room > 0.0) & (rng.random(k) < 0.2), -np.inf, level.lower)
-        made.append(Level(level.name, level.J, lower, level.lower + room))
-    return build_problem(made, problem.rows)
+            width[:] = 0.0
+        lower = np.where((width > 0.0) & (rng.random(k) < 0.2), -np.inf, level.lower)
+        levels.append(Level(level.name, level.J, lower, level.lower + width))
+    return build_problem(levels, problem.rows)
 
 
 def wide(levels: list[Level] | tuple[Level, ...], *, span: float = 1e3) -> PriorityProblem:
@@ -102,15 +102,15 @@ def wide(levels: list[Level] | tuple[Level, ...], *, span: float = 1e3) -> Prior
 
 def inequality_problem(rng: np.random.Generator, *, most: int = 5) -> PriorityProblem:
     """Levels of unit rows, some doubled, some shared with the level above, some set-based; limits that hold 0."""
-    made: list[Level] = []
+    levels: list[Level] = []
     for i in range(rng.integers(1, most + 1)):
         J = np.array([unit(rng) for _ in range(rng.integers(1, 4))])
         if len(J) > 1 and rng.random() < 0.2:
             J[1] = J[0]
-        if made and rng.random() < 0.2:
-            J[0] = made[-1].J[0]
+        if levels and rng.random() < 0.2:
+            J[0] = levels[-1].J[0]
         x = 0.5 * rng.normal(size=len(J))
-        made.append(Level(f"task{i}", J, x, x + rng.choice([0.0, 0.1, 0.5], len(J), p=[0.7, 0.15, 0.15])))
+        levels.append(Level(f"task{i}", J, x, x + rng.choice([0.0, 0.1, 0.5], len(J), p=[0.7, 0.15, 0.15])))
     rows = [Row(f"box{i}", "actuator", np.eye(_N)[i], -0.5, 0.5) for i in range(_N)]
     rows += [Row(f"wall{i}", "barrier", unit(rng), -np.inf, 0.3 * abs(rng.normal())) for i in range(rng.integers(0, 5))]
-    return build_problem(made, rows)
+    return build_problem(levels, rows)

@@ -18,13 +18,13 @@ __all__ = [
     "DAQP_INFEASIBLE",
     "DAQP_TOLERANCE",
     "NO_BOUND",
-    "Answer",
     "Kernel",
-    "daqp_answer",
+    "KernelSolution",
     "daqp_kernel",
+    "daqp_solution",
     "new_osqp",
-    "osqp_answer",
     "osqp_kernel",
+    "osqp_solution",
     "own_kernel",
     "qpsolvers_kernels",
     "unfit",
@@ -43,7 +43,7 @@ DAQP_INFEASIBLE = -1
 
 
 @dataclass(frozen=True)
-class Answer:
+class KernelSolution:
     """y (d,) or None, multipliers (m,) with y + Gᵀ·multipliers = 0, iterations, and what the solver says.
 
     "unfinished": it stopped before it was done, at an iteration limit for instance, and y is where it stood.
@@ -58,12 +58,12 @@ class Answer:
 class Kernel(Protocol):
     """Any solver of min ½‖y‖² subject to lower ≤ G y ≤ upper: a function, or an object that keeps its memory."""
 
-    def __call__(self, G: Array, lower: Array, upper: Array, /) -> Answer:
+    def __call__(self, G: Array, lower: Array, upper: Array, /) -> KernelSolution:
         """The answer for rows G (m, d) of length 1 and bounds (m,), ±inf where there is none."""
         ...
 
 
-def unfit(G: Array, lower: Array, upper: Array) -> Answer | None:
+def unfit(G: Array, lower: Array, upper: Array) -> KernelSolution | None:
     """The answer that needs no solver: "infeasible" where bounds cross, "failed" for a NaN; None if it does.
 
     DAQP takes a NaN for a row that holds; DAQP and OSQP refuse crossed bounds, but then give the last answer again.
@@ -71,13 +71,13 @@ def unfit(G: Array, lower: Array, upper: Array) -> Answer | None:
     if (lower <= upper).all() and np.isfinite(G).all():  # a NaN is not below anything
         return None
     whole = np.isfinite(G).all() and not (np.isnan(lower).any() or np.isnan(upper).any())
-    return Answer(None, np.zeros(lower.size), 0, "infeasible" if whole else "failed")
+    return KernelSolution(None, np.zeros(lower.size), 0, "infeasible" if whole else "failed")
 
 
-def daqp_kernel(G: Array, lower: Array, upper: Array) -> Answer:
+def daqp_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
     """DAQP (Arnström, Bemporad and Axehill 2022), a dual active-set method; its flag is checked."""
     m, d = G.shape
-    return daqp_answer(
+    return daqp_solution(
         m,
         *daqp.solve(
             np.eye(d),
@@ -91,21 +91,21 @@ def daqp_kernel(G: Array, lower: Array, upper: Array) -> Answer:
     )
 
 
-def daqp_answer(m: int, y: Any, _: float, flag: int, info: Any) -> Answer:
+def daqp_solution(m: int, y: Any, _: float, flag: int, info: Any) -> KernelSolution:
     """What DAQP returned for m rows, with its flag looked at."""
     iterations = int(info["iterations"])
     if flag == 1:
-        return Answer(np.array(y, dtype=float), np.array(info["lam"], dtype=float), iterations, "optimal")
-    return Answer(None, np.zeros(m), iterations, "infeasible" if flag == DAQP_INFEASIBLE else "failed")
+        return KernelSolution(np.array(y, dtype=float), np.array(info["lam"], dtype=float), iterations, "optimal")
+    return KernelSolution(None, np.zeros(m), iterations, "infeasible" if flag == DAQP_INFEASIBLE else "failed")
 
 
-def osqp_kernel(G: Array, lower: Array, upper: Array) -> Answer:
+def osqp_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
     """OSQP (Stellato et al. 2020), an operator-splitting method, with tight settings.
 
     Its default tolerances leave bounds violated by 1e-3 and call feasible problems infeasible.
     """
     low, high = np.maximum(lower, -NO_BOUND), np.minimum(upper, NO_BOUND)
-    return unfit(G, low, high) or osqp_answer(new_osqp(G, low, high, warm=False))
+    return unfit(G, low, high) or osqp_solution(new_osqp(G, low, high, warm=False))
 
 
 def new_osqp(G: Array, lower: Array, upper: Array, *, warm: bool) -> Any:
@@ -134,7 +134,7 @@ def new_osqp(G: Array, lower: Array, upper: Array, *, warm: bool) -> Any:
     return solver
 
 
-def osqp_answer(solver: Any) -> Answer:
+def osqp_solution(solver: Any) -> KernelSolution:
     """Solve what an `osqp.OSQP` was given; its status is looked at."""
     import osqp
 
@@ -143,17 +143,17 @@ def osqp_answer(solver: Any) -> Answer:
     unfinished = (osqp.SolverStatus.OSQP_SOLVED_INACCURATE, osqp.SolverStatus.OSQP_MAX_ITER_REACHED)
     if status == osqp.SolverStatus.OSQP_SOLVED or status in unfinished:
         said: Literal["optimal", "unfinished"] = "unfinished" if status in unfinished else "optimal"
-        return Answer(np.array(result.x, dtype=float), np.array(result.y, dtype=float), iterations, said)
+        return KernelSolution(np.array(result.x, dtype=float), np.array(result.y, dtype=float), iterations, said)
     infeasible = status == osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE
-    return Answer(None, np.zeros(solver.m), iterations, "infeasible" if infeasible else "failed")
+    return KernelSolution(None, np.zeros(solver.m), iterations, "infeasible" if infeasible else "failed")
 
 
-def own_kernel(G: Array, lower: Array, upper: Array) -> Answer:
+def own_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
     """This package's own dual active-set method (`dual_step`), compiled where there is a C compiler."""
     y, multipliers, status, iterations = nearest_to_zero(G, lower, upper)
     if status == OPTIMAL:
-        return Answer(y, multipliers, iterations, "optimal")
-    return Answer(None, np.zeros(lower.size), iterations, "infeasible" if status == STUCK else "failed")
+        return KernelSolution(y, multipliers, iterations, "optimal")
+    return KernelSolution(None, np.zeros(lower.size), iterations, "infeasible" if status == STUCK else "failed")
 
 
 def qpsolvers_kernels() -> dict[str, Kernel]:
@@ -164,7 +164,7 @@ def qpsolvers_kernels() -> dict[str, Kernel]:
     return {name: partial(_qpsolvers_kernel, solver=name) for name in others}
 
 
-def _qpsolvers_kernel(G: Array, lower: Array, upper: Array, *, solver: str) -> Answer:
+def _qpsolvers_kernel(G: Array, lower: Array, upper: Array, *, solver: str) -> KernelSolution:
     import qpsolvers
     from scipy import sparse
 
@@ -179,8 +179,8 @@ def _qpsolvers_kernel(G: Array, lower: Array, upper: Array, *, solver: str) -> A
         solution = qpsolvers.solve_problem(problem, solver=solver)
     if not solution.found or solution.x is None or solution.z is None:
         # a solver that finds nothing seldom says why: not taken as a proof of infeasibility
-        return Answer(None, np.zeros(m), 0, "failed")
+        return KernelSolution(None, np.zeros(m), 0, "failed")
     multipliers = np.zeros(m)
     multipliers[above] += solution.z[: len(above)]
     multipliers[below] -= solution.z[len(above) :]
-    return Answer(np.asarray(solution.x, dtype=float), multipliers, 0, "optimal")
+    return KernelSolution(np.asarray(solution.x, dtype=float), multipliers, 0, "optimal")

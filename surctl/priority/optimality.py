@@ -68,8 +68,8 @@ def _is_target(target: Array, problem: PriorityProblem, settings: Settings, tol:
     return _close(target, without_rows(problem.levels, width=n, settings=settings), tol)
 
 
-def _close(v: Array, wanted: Array, tol: float) -> bool:
-    return bool(np.abs(v - wanted).max() <= tol * (1.0 + np.abs(wanted).max()))
+def _close(v: Array, expected: Array, tol: float) -> bool:
+    return bool(np.abs(v - expected).max() <= tol * (1.0 + np.abs(expected).max()))
 
 
 def _size(level: Level) -> float:
@@ -82,10 +82,10 @@ def _frozen(level: Level, v: Array, normals: Array, gaps: Array, tol: float) -> 
     fixed = level.exact | (np.abs(level.miss(v)) > tol * (1.0 + np.abs(level.J @ v)))
     value = level.J @ v
     above, below = ~fixed & np.isfinite(level.high), ~fixed & np.isfinite(level.lower)
-    room = np.concatenate([level.high[above] - value[above], value[below] - level.lower[below]]) / _size(level)
+    slack = np.concatenate([level.high[above] - value[above], value[below] - level.lower[below]]) / _size(level)
     return (
         np.vstack([normals, J[fixed], -J[fixed], J[above], -J[below]]),
-        np.concatenate([gaps, np.zeros(2 * int(fixed.sum())), np.maximum(room, 0.0)]),
+        np.concatenate([gaps, np.zeros(2 * int(fixed.sum())), np.maximum(slack, 0.0)]),
     )
 
 

@@ -98,7 +98,7 @@ class PriorityProblem:
         lines = [f"{'priority':<9} {'name':<20} row · v"]
         for place, level in enumerate(self.levels, start=1):
             lines += [
-                f"{place:<9} {level.name:<20} {_text(row)} {_wanted(low, high)}"
+                f"{place:<9} {level.name:<20} {_text(row)} {_range_text(low, high)}"
                 for row, low, high in zip(level.J, level.lower, level.high, strict=True)
             ]
         lines += [
@@ -281,7 +281,7 @@ def _unbound(value: float | None, absent: float) -> float:
     return absent if value is None else float(value)
 
 
-def _wanted(lower: float, upper: float) -> str:
+def _range_text(lower: float, upper: float) -> str:
     return f"-> {lower:.6g}" if lower == upper else f"in [{lower:.6g}, {upper:.6g}]"
 
 

@@ -11,13 +11,13 @@ import numpy as np
 from surctl.errors import InputError, nearest
 from surctl.priority.rowspace import CUTOFF
 
-__all__ = ["Ladder", "Mode", "Settings", "check_ladder"]
+__all__ = ["Fallback", "Mode", "Settings", "check_fallback"]
 
 Mode: TypeAlias = Literal["nsb", "filter", "projected", "lexicographic"]
 """nsb: the printed law (16), which knows no rows. filter: the point of the rows nearest to it. projected: (16) with
 its last projection, that of the first task, kept inside the rows. lexicographic: strict priority inside the rows."""
 
-Ladder: TypeAlias = Literal["exact", "bounded"]
+Fallback: TypeAlias = Literal["exact", "bounded"]
 """How a compiled tick answers where task and rows cannot all be kept. exact: the best answer, whatever it takes.
 bounded: one of constant cost, never worse in rows than the target in the box or standing still."""
 
@@ -74,7 +74,7 @@ class Settings:
             )
 
 
-def check_ladder(ladder: str, *, mode: str, damping: float = 0.0) -> None:
+def check_fallback(fallback: str, *, mode: str, damping: float = 0.0) -> None:
     """Raise InputError for an unknown ladder, or one that the mode has not.
 
     Example:
@@ -85,13 +85,13 @@ def check_ladder(ladder: str, *, mode: str, damping: float = 0.0) -> None:
             ...
         surctl.errors.InputError: ladder = 'bounded': mode nsb has none; take mode filter or projected
     """
-    known = get_args(Ladder)
-    if ladder not in known:
-        raise InputError("is not known", key="ladder", value=ladder, remedy=nearest(str(ladder), known))
-    if ladder != "exact" and (mode not in _BOUNDED or damping != 0.0):
+    known = get_args(Fallback)
+    if fallback not in known:
+        raise InputError("is not known", key="fallback", value=fallback, remedy=nearest(str(fallback), known))
+    if fallback != "exact" and (mode not in _BOUNDED or damping != 0.0):
         raise InputError(
             f"mode {mode} has none" if mode not in _BOUNDED else "goes with no damping",
-            key="ladder",
-            value=ladder,
+            key="fallback",
+            value=fallback,
             remedy=f"take mode {' or '.join(_BOUNDED)}" if mode not in _BOUNDED else "leave the damping out",
         )

@@ -54,7 +54,7 @@ class PrioritySolution:
     residuals: Mapping[str, float]
     without_limits: Mapping[str, float]
     binding: tuple[tuple[str, float], ...]
-    blame: Mapping[str, tuple[str, ...]]
+    causes: Mapping[str, tuple[str, ...]]
     relaxed: Mapping[str, float]
     conflict: tuple[str, ...]
     fallback: Literal[1, 2, 3]
@@ -96,7 +96,7 @@ class PrioritySolution:
             amount = residual - self.without_limits[name]
             if amount > _NOTICEABLE:
                 unit = f" {self.units[name]}" if self.units[name] else ""
-                lost.setdefault(self.blame.get(name, bind), []).append(f"task `{name}` gave up {amount:.2g}{unit}")
+                lost.setdefault(self.causes.get(name, bind), []).append(f"task `{name}` gave up {amount:.2g}{unit}")
         if not lost:
             if bind:
                 return f"{_listed(bind)} {_verb(bind)}, at no task's cost."

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.priority.backends import Backend, check_backend
-from surctl.priority.cascade import Reached, reach
-from surctl.priority.descent import Answer, descend
+from surctl.priority.cascade import CascadeSolution, solve_cascade
+from surctl.priority.descent import Solution, descend
 from surctl.priority.freedom import Freedom
 from surctl.priority.polyhedron import Polyhedron, polyhedron_of
 from surctl.priority.problem import Level, PriorityProblem
@@ -66,30 +66,30 @@ def solve(
     rows = polyhedron_of(problem)
     with np.errstate(all="ignore"):  # an overflow is dealt with below, not warned about
         try:
-            answer = _MODES[settings.mode](problem.levels, rows, settings, backend)
-            if np.isfinite(answer.v).all() and np.isfinite(answer.free).all():
-                return _solution(problem, settings, rows, answer)
+            solution = _MODES[settings.mode](problem.levels, rows, settings, backend)
+            if np.isfinite(solution.v).all() and np.isfinite(solution.free).all():
+                return _solution(problem, settings, rows, solution)
         except (np.linalg.LinAlgError, ArithmeticError):
             pass
         # the numbers ran away: no velocity, or as little as the box allows
         v = np.nan_to_num(rows.clamp(np.zeros(problem.width)))
-        return _solution(problem, settings, rows, Answer(v, v, v, "clamped"))
+        return _solution(problem, settings, rows, Solution(v, v, v, "clamped"))
 
 
-def _nsb(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> Answer:
+def _nsb(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> Solution:
     free = without_rows(levels, width=rows.width, settings=settings)
-    return Answer(free, free, free, "optimal")
+    return Solution(free, free, free, "optimal")
 
 
-def _filter(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> Answer:
+def _filter(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> Solution:
     target = without_rows(levels, width=rows.width, settings=settings)
     if rows.contains(target):
-        return Answer(target, target, target, "optimal")
-    find = partial(reach, (), target, backend=backend, cutoff=settings.cutoff)
+        return Solution(target, target, target, "optimal")
+    find = partial(solve_cascade, (), target, backend=backend, cutoff=settings.cutoff)
     return descend(find, target, rows, free=target, backend=backend)
 
 
-def _projected(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> Answer:
+def _projected(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> Solution:
     v = without = np.zeros(rows.width)
     bound = False
     for _ in range(settings.sweeps):
@@ -98,28 +98,28 @@ def _projected(levels: Sequence[Level], rows: Polyhedron, settings: Settings, ba
         # as long as no row has bound, the sweeps with rows and those without are the same
         without = nsb_sweep(levels, start=without, settings=settings) if bound else free
         if rows.contains(free):
-            answer = Answer(free, target, without, "optimal")
+            solution = Solution(free, target, without, "optimal")
         else:
-            find: Callable[..., Reached | None] = partial(
-                reach, levels[:1], target, backend=backend, cutoff=settings.cutoff
+            find: Callable[..., CascadeSolution | None] = partial(
+                solve_cascade, levels[:1], target, backend=backend, cutoff=settings.cutoff
             )
             if settings.damping > 0.0:
                 find = partial(_damped, levels[0], target, damping=settings.damping, backend=backend)
-            answer, bound = descend(find, target, rows, free=without, backend=backend), True
-        v = answer.v
-    return answer
+            solution, bound = descend(find, target, rows, free=without, backend=backend), True
+        v = solution.v
+    return solution
 
 
-def _lexicographic(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> Answer:
+def _lexicographic(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> Solution:
     target = np.zeros(rows.width)
     free = without_rows(levels, width=rows.width, settings=settings)
     if rows.contains(free):
-        return Answer(free, target, free, "optimal")
-    find = partial(reach, levels, target, backend=backend, cutoff=settings.cutoff)
+        return Solution(free, target, free, "optimal")
+    find = partial(solve_cascade, levels, target, backend=backend, cutoff=settings.cutoff)
     return descend(find, target, rows, free=free, backend=backend)
 
 
-_MODES: Mapping[Mode, Callable[[Sequence[Level], Polyhedron, Settings, Backend], Answer]] = {
+_MODES: Mapping[Mode, Callable[[Sequence[Level], Polyhedron, Settings, Backend], Solution]] = {
     "nsb": _nsb,
     "filter": _filter,
     "projected": _projected,
@@ -129,35 +129,37 @@ _MODES: Mapping[Mode, Callable[[Sequence[Level], Polyhedron, Settings, Backend],
 
 def _damped(
     level: Level, target: Array, rows: Polyhedron, *, damping: float, backend: Backend, inside: Array | None = None
-) -> Reached | None:
+) -> CascadeSolution | None:
     """The damped projection as a cascade that ends at once."""
     spent = 0
     if inside is None:
-        answer = Freedom.whole(target.size).nearest(target, rows, backend=backend)
-        inside, spent = answer.x, answer.iterations
+        start = Freedom.whole(target.size).nearest(target, rows, backend=backend)
+        inside, spent = start.x, start.iterations
     if inside is None:
         return None
-    found = damped_point(level, target, rows, damping=damping, inside=inside)
-    return Reached.of(found.v, rows, found.multipliers, spent + found.iterations, confirmed=found.settled)
+    solution = damped_point(level, target, rows, damping=damping, inside=inside)
+    return CascadeSolution.of(
+        solution.v, rows, solution.multipliers, spent + solution.iterations, confirmed=solution.converged
+    )
 
 
-def _solution(problem: PriorityProblem, settings: Settings, rows: Polyhedron, answer: Answer) -> PrioritySolution:
+def _solution(problem: PriorityProblem, settings: Settings, rows: Polyhedron, solution: Solution) -> PrioritySolution:
     """The answer in the words of the problem: names, and multipliers of the rows as given."""
-    limited = answer.status == "optimal" and problem.levels[0].name in answer.blame
-    status: Outcome = "limited" if limited else answer.status
+    limited = solution.status == "optimal" and problem.levels[0].name in solution.causes
+    status: Outcome = "limited" if limited else solution.status
     fallback: Literal[1, 2, 3] = 1 if status == "optimal" else 2 if status == "limited" else 3
     return PrioritySolution(
-        v=answer.v,
+        v=solution.v,
         settings=settings,
-        target=answer.target,
-        residuals=residuals_at(answer.v, problem.levels),
-        without_limits=residuals_at(answer.free, problem.levels),
-        binding=answer.binding,
-        blame=answer.blame,
-        relaxed=rows.missed(answer.v),
-        conflict=answer.conflict,
+        target=solution.target,
+        residuals=residuals_at(solution.v, problem.levels),
+        without_limits=residuals_at(solution.free, problem.levels),
+        binding=solution.binding,
+        causes=solution.causes,
+        relaxed=rows.missed(solution.v),
+        conflict=solution.conflict,
         fallback=fallback,
-        iterations=answer.iterations,
+        iterations=solution.iterations,
         status=status,
         units={level.name: level.unit for level in problem.levels},
     )

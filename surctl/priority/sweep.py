@@ -8,8 +8,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.priority.active_set import Served, serve
-from surctl.priority.cascade import reach
+from surctl.priority.active_set import LevelSolution, solve_level
+from surctl.priority.cascade import solve_cascade
 from surctl.priority.freedom import Freedom
 from surctl.priority.polyhedron import Polyhedron
 from surctl.priority.problem import Level
@@ -54,7 +54,7 @@ def without_rows(levels: Sequence[Level], *, width: int, settings: Settings = _P
     """
     v = np.zeros(width)
     if settings.mode == "lexicographic":
-        reached = reach(levels, v, Polyhedron.none(width), backend="daqp", cutoff=settings.cutoff)
+        reached = solve_cascade(levels, v, Polyhedron.none(width), backend="daqp", cutoff=settings.cutoff)
         return v if reached is None else reached.v
     for _ in range(settings.sweeps):
         v = nsb_sweep(levels, start=v, settings=settings)
@@ -74,12 +74,12 @@ def _onto(level: Level, w: Array, settings: Settings) -> Array:
         return moved
     rows = Polyhedron.none(w.size)
     if damping == 0.0:
-        reached = reach([level], w, rows, backend="daqp", cutoff=settings.cutoff)
+        reached = solve_cascade([level], w, rows, backend="daqp", cutoff=settings.cutoff)
         return w if reached is None else reached.v
     return damped_point(level, w, rows, damping=damping, inside=w).v
 
 
-def damped_point(level: Level, w: Array, rows: Polyhedron, *, damping: float, inside: Array) -> Served:
+def damped_point(level: Level, w: Array, rows: Polyhedron, *, damping: float, inside: Array) -> LevelSolution:
     """argmin λ²‖v − w‖² + ‖miss of the level‖² over the rows; λ = `damping` > 0, w (n,).
 
     `inside` (n,) keeps the rows. The multipliers are those of half the sum.
@@ -91,4 +91,4 @@ def damped_point(level: Level, w: Array, rows: Polyhedron, *, damping: float, in
         np.append(level.lower, pull),
         np.append(level.high, pull),
     )
-    return serve(both, inside, rows, freedom=Freedom.whole(n), cutoff=_NOTHING)
+    return solve_level(both, inside, rows, freedom=Freedom.whole(n), cutoff=_NOTHING)

@@ -29,7 +29,7 @@ from surctl.report.theme import BAD, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, f
 from surctl.report.words import number
 from surctl.simulation import Run
 
-__all__ = ["RATE", "check_animation", "frame_ticks", "frames", "save_animation"]
+__all__ = ["RATE", "check_animation", "frame_steps", "frames", "save_animation"]
 
 RATE = 10
 """Frames a second."""
@@ -64,7 +64,7 @@ def check_animation(path: Path | str) -> Path:
     return path
 
 
-def frame_ticks(run: Run, *, apart: float) -> list[int]:
+def frame_steps(run: Run, *, apart: float) -> list[int]:
     """Ticks of a run that are `apart` [s] or a little more from each other, from the first one, and the last one."""
     last = len(run.record.time) - 1
     step = max(1, int(np.ceil(apart / run.law.dt - 1e-9)))
@@ -87,7 +87,7 @@ def save_animation(run: Run, path: Path | str) -> Path:
         >>> from surctl.simulation import load_scenario, simulate
         >>> from surctl.vehicle import load_vehicle
         >>> mission, gains = replace(load_scenario("pool-behind"), time_limit=1.0), load_gains("default")
-        >>> run = simulate(mission, load_vehicle("sur400"), gains=gains, law=build_law("lean"))
+        >>> run = simulate(mission, load_vehicle("sur400"), gains=gains, law=build_law("closed_form"))
         >>> path = save_animation(run, "run.gif")
         >>> path.name, path.read_bytes()[:6]
         ('run.gif', b'GIF89a')
@@ -113,9 +113,9 @@ def frames(run: Run) -> Iterator[NDArray[np.uint8]]:
     canvas.draw()
     figure.set_layout_engine("none")  # nothing may move from here on
     ground = canvas.copy_from_bbox(figure.bbox)
-    for tick in frame_ticks(run, apart=speed / RATE):
+    for step in frame_steps(run, apart=speed / RATE):
         canvas.restore_region(ground)
-        for ax, artist in _moving(run, tick, plan, strip, heading, speed):
+        for ax, artist in _moving(run, step, plan, strip, heading, speed):
             ax.draw_artist(artist)
             if artist is not heading:
                 artist.remove()
@@ -127,9 +127,9 @@ def _draw_plan(ax: Axes, run: Run) -> None:
     length, width, _ = run.scenario.site
     dress(ax, title=describe(run), x="x in {E} [m]", y="y in {E} [m]")
     draw_site(ax, length, width)
-    points, way = run.scenario.path.waypoints, run.record.eta[:, :2]
+    points, track = run.scenario.path.waypoints, run.record.eta[:, :2]
     ax.plot(points[:, 0], points[:, 1], color=INK, linestyle="--", linewidth=1.1, zorder=3)
-    ax.plot(way[:, 0], way[:, 1], color=ROBOT, linewidth=0.8, alpha=0.35, zorder=3)
+    ax.plot(track[:, 0], track[:, 1], color=ROBOT, linewidth=0.8, alpha=0.35, zorder=3)
     draw_ends(ax, run)
     rim = 0.03 * max(length, width)
     ax.set(aspect="equal", xlim=(-rim, length + rim), ylim=(-rim, width + rim))
@@ -145,26 +145,26 @@ def _draw_strip(ax: Axes, run: Run) -> None:
     ax.set_xlim(0.0, max(float(time[-1]), run.law.dt))
 
 
-def _moving(run: Run, tick: int, plan: Axes, strip: Axes, heading: Text, speed: int) -> Iterator[tuple[Axes, Artist]]:
+def _moving(run: Run, step: int, plan: Axes, strip: Axes, heading: Text, speed: int) -> Iterator[tuple[Axes, Artist]]:
     """What one frame draws on the still ground, bottom first."""
     record, radius = run.record, run.vehicle["radius"]
     length, width, _ = run.scenario.site
     water = Rectangle((0, 0), length, width, transform=plan.transData)
-    for beam in beams_at(run, tick):
+    for beam in beams_at(run, step):
         yield plan, _clipped(plan, beam_patch(beam), water)
-    for body in record.obstacles[tick]:
+    for body in record.obstacles[step]:
         patch = body_outline(body.shape)
         patch.set(facecolor=OBSTACLE, edgecolor=INK, linewidth=0.8, alpha=0.85)
         yield plan, _clipped(plan, patch, None)
-    (trail,) = plan.plot(*record.eta[: tick + 1, :2].T, color=ROBOT, linewidth=2.0)
+    (trail,) = plan.plot(*record.eta[: step + 1, :2].T, color=ROBOT, linewidth=2.0)
     yield plan, trail
-    x, y, _, psi = record.eta[tick]
+    x, y, _, psi = record.eta[step]
     hull = Circle((x, y), radius, facecolor="white", edgecolor=ROBOT, linewidth=2.0)
     yield plan, _clipped(plan, hull, None)
     nose = np.array([[x, y], [x, y]]) + radius * np.array([[0.0], [1.0]]) * [np.cos(psi), np.sin(psi)]
     (line,) = plan.plot(*nose.T, color=ROBOT, linewidth=2.4)
     yield plan, line
-    time, clearance = float(record.time[tick]), float(record.clearance[tick])
+    time, clearance = float(record.time[step]), float(record.clearance[step])
     (cursor,) = strip.plot([time], finite(np.array([clearance])), color=ROBOT, marker="o", markersize=7)
     yield strip, cursor
     fast = "" if speed == 1 else f"   ({speed} times real time)"
@@ -223,9 +223,9 @@ def _palette(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.
 
 
 def _indexed(indices: NDArray[np.uint8], colours: NDArray[np.uint8]) -> Image.Image:
-    found = Image.fromarray(indices)
-    found.putpalette(colours.tobytes())  # makes it an image of indices
-    return found
+    image = Image.fromarray(indices)
+    image.putpalette(colours.tobytes())  # makes it an image of indices
+    return image
 
 
 def _mp4(pictures: Iterator[NDArray[np.uint8]]) -> bytes:

@@ -34,18 +34,18 @@ class Beam:
     echo: bool
 
 
-def beams_at(run: Run, tick: int) -> tuple[Beam, ...]:
+def beams_at(run: Run, step: int) -> tuple[Beam, ...]:
     """The beams of all sonars at a tick; none of a run that is told its obstacles."""
     if run.sensing != "sonar":
         return ()
     array = run.scenario.sensors.array_on(run.vehicle["radius"])
-    x, y, _, heading = run.record.eta[tick]
-    found = []
-    for sensor, length in enumerate(run.record.telemetry[tick, run.law.telemetry_slice("ranges")].tolist()):
+    x, y, _, heading = run.record.eta[step]
+    beams = []
+    for sensor, length in enumerate(run.record.telemetry[step, run.law.telemetry_slice("ranges")].tolist()):
         at_x, at_y, axis = array.apex(sensor, position=(x, y), heading=heading)
         echo = length < array.maximum - array.resolution
-        found.append(Beam((float(at_x), float(at_y)), float(axis), array.half_angle, length, echo))
-    return tuple(found)
+        beams.append(Beam((float(at_x), float(at_y)), float(axis), array.half_angle, length, echo))
+    return tuple(beams)
 
 
 def beam_patch(beam: Beam) -> Wedge:

@@ -26,14 +26,14 @@ from surctl.simulation import Case, Run, Scenario, simulate
 from surctl.tuning import TUNED, Evaluation, GainRange, Goal, conditions, evaluate, gain_ranges
 from surctl.vehicle import Vehicle
 from surctl.verification import (
-    LINEAR_KNOBS,
     LINEAR_METRICS,
+    LINEAR_PARAMETERS,
     Inapplicable,
     Verdict,
     applicable_claims,
     build_cascade,
+    decide,
     linear_table,
-    settle,
     sweep_locus,
 )
 from surctl.verification.linear import slowest_mode
@@ -92,14 +92,14 @@ class Bench:
         """The gains that have a slider, with its ends: the gain file's range, else a quarter to four times."""
         return gain_ranges(gains, {name: gains.ranges.get(name) for name in TUNED})
 
-    def fly(self, gains: Gains) -> Run:
+    def simulate(self, gains: Gains) -> Run:
         """The closed loop, seed 0; the law is compiled once, its gains are numbers that it reads."""
         return simulate(self.scenario, self.vehicle, gains=gains, law=self.case.build())
 
     def judge(self, gains: Gains) -> Evaluation:
         """The goals over this scenario: nominal plant, and the corners of the vehicle's ranges."""
-        flown = conditions([self.case], seeds=[0])
-        return evaluate(self.goals, flown, {name: np.array([value]) for name, value in gains.values.items()})
+        evaluated = conditions([self.case], seeds=[0])
+        return evaluate(self.goals, evaluated, {name: np.array([value]) for name, value in gains.values.items()})
 
     def linear(self, gains: Gains) -> dict[str, float]:
         """`LINEAR_METRICS` about the scenario's cruise speed."""
@@ -120,20 +120,20 @@ class Bench:
         """Step responses drawn."""
         return plot_steps(step_responses(self.vehicle, gains.values, cruise=self.scenario.cruise, dt=self.dt))
 
-    def locus(self, gains: Gains, knob: str) -> Axes:
+    def locus(self, gains: Gains, gain: str) -> Axes:
         """Closed-loop poles over the range of one gain, those of its value marked."""
-        ends = next(r for r in self.ranges(self.gains) if r.name == knob)
-        low, high = min(ends.low, gains[knob]), max(ends.high, gains[knob])
-        values = np.union1d(np.linspace(low, high, _LOCUS), [gains[knob]])
-        found = sweep_locus(
-            self.vehicle, gains.values, knob, values, smooth=_SMOOTH, cruise=self.scenario.cruise, dt=self.dt
+        ends = next(r for r in self.ranges(self.gains) if r.name == gain)
+        low, high = min(ends.low, gains[gain]), max(ends.high, gains[gain])
+        values = np.union1d(np.linspace(low, high, _LOCUS), [gains[gain]])
+        poles = sweep_locus(
+            self.vehicle, gains.values, gain, values, smooth=_SMOOTH, cruise=self.scenario.cruise, dt=self.dt
         )
-        return plot_locus(found, unit=GAINS[knob].unit, picked=gains[knob])
+        return plot_locus(poles, unit=GAINS[gain].unit, picked=gains[gain])
 
     @property
-    def locus_knobs(self) -> tuple[str, ...]:
+    def locus_gains(self) -> tuple[str, ...]:
         """Gains with a slider that move a pole."""
-        return tuple(r.name for r in self.ranges(self.gains) if r.name in LINEAR_KNOBS)
+        return tuple(r.name for r in self.ranges(self.gains) if r.name in LINEAR_PARAMETERS)
 
     def plan(self, run: Run) -> Axes:
         """The way flown, from above."""
@@ -142,9 +142,9 @@ class Bench:
     def verdicts(self, gains: Gains) -> tuple[Verdict | Inapplicable, ...]:
         """Every claim of the library for these gains, this scenario's speeds and this vehicle."""
         at_hand = {**gains.values, "speed": self.scenario.cruise, "speed_max": self.scenario.cap}
-        found, refused = applicable_claims(at_hand, vehicle=self.vehicle)
-        settled = [settle(c, time_limit=_PATIENCE) for c in found]
-        return (*settled, *(Inapplicable.of(name, reason) for name, reason in refused.items()))
+        claims, refused = applicable_claims(at_hand, vehicle=self.vehicle)
+        decided = [decide(c, time_limit=_PATIENCE) for c in claims]
+        return (*decided, *(Inapplicable.of(name, reason) for name, reason in refused.items()))
 
 
 def slider_steps(about: GainRange, value: float) -> list[float]:

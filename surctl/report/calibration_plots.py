@@ -37,7 +37,7 @@ def plot_calibration(one: SensorCalibration, ax: Sequence[Axes] | None = None) -
     """
     if ax is None:
         figure = new_figure(8.0, 6.4)
-        title = f"Calibration, {one.title}: {len(one.found.true)} rows"
+        title = f"Calibration, {one.title}: {len(one.calibration.true)} rows"
         head(figure, title)
         ax = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2)).ravel().tolist()
     plot_errors(one, ax[0]).set_xlabel("")
@@ -47,22 +47,22 @@ def plot_calibration(one: SensorCalibration, ax: Sequence[Axes] | None = None) -
 
 def plot_errors(one: SensorCalibration, ax: Axes | None = None) -> Axes:
     """Measured − true [mm] over the true distance [m], the fitted line and the band that holds 95 % of the noise."""
-    found = one.found
+    fit = one.calibration
     ax = _axes(ax, y="measured − true [mm]")
     ax.axhline(0.0, color=MUTED, linewidth=0.9)
-    at = np.linspace(found.true[0], found.true[-1], 200)
-    line = (found.scale.value - 1.0) * at + found.bias.value
-    sd = found.noise_sd.value * np.interp(at, found.true, found.relative_sd)
+    at = np.linspace(fit.true[0], fit.true[-1], 200)
+    line = (fit.scale.value - 1.0) * at + fit.bias.value
+    sd = fit.noise_sd.value * np.interp(at, fit.true, fit.relative_sd)
     ax.fill_between(
         at, 1e3 * (line - _NORMAL * sd), 1e3 * (line + _NORMAL * sd), color=ROBOT, alpha=0.12, linewidth=0.0,
         label="line ± 1.96 sd",
     )  # fmt: skip
-    shown = _share(found.true, found.outliers)
-    ax.plot(found.true[shown], 1e3 * found.errors[shown], "o", color=ROBOT, label="row", markersize=_size(shown))
+    shown = _share(fit.true, fit.outliers)
+    ax.plot(fit.true[shown], 1e3 * fit.errors[shown], "o", color=ROBOT, label="row", markersize=_size(shown))
     ax.plot(at, 1e3 * line, color=INK, linewidth=1.5, label="fitted line", zorder=3)
-    if len(found.outliers):
+    if len(fit.outliers):
         ax.plot(
-            found.true[found.outliers], 1e3 * found.errors[found.outliers], "s", color=AVOIDING, markersize=8,
+            fit.true[fit.outliers], 1e3 * fit.errors[fit.outliers], "s", color=AVOIDING, markersize=8,
             fillstyle="none", label="outlier, kept",
         )  # fmt: skip
     legend_above(ax)
@@ -71,20 +71,20 @@ def plot_errors(one: SensorCalibration, ax: Axes | None = None) -> Axes:
 
 def plot_studentised(one: SensorCalibration, ax: Axes | None = None) -> Axes:
     """Residual over its own sd over the true distance [m], with the bound beyond which a row counts as an outlier."""
-    found = one.found
+    fit = one.calibration
     ax = _axes(ax, y="studentised residual [1]")
-    bound = found.outlier_bound
-    values = np.clip(found.studentised, -3.0 * bound, 3.0 * bound)
-    shown = _share(found.true, found.outliers)
+    bound = fit.outlier_bound
+    values = np.clip(fit.studentised, -3.0 * bound, 3.0 * bound)
+    shown = _share(fit.true, fit.outliers)
     ax.axhline(0.0, color=MUTED, linewidth=0.9)
     for sign in (1, -1):
         ax.axhline(sign * bound, color=BAD, linewidth=1.0, linestyle="--", label="outlier bound" if sign > 0 else "")
-    ax.plot(found.true[shown], values[shown], "o", color=ROBOT, markersize=_size(shown))
-    if len(found.outliers):
-        beyond = np.abs(found.studentised[found.outliers]) > 3.0 * bound
+    ax.plot(fit.true[shown], values[shown], "o", color=ROBOT, markersize=_size(shown))
+    if len(fit.outliers):
+        beyond = np.abs(fit.studentised[fit.outliers]) > 3.0 * bound
         label = "outlier, kept (held to the axis)" if beyond.any() else "outlier, kept"
         ax.plot(
-            found.true[found.outliers], values[found.outliers], "s", color=AVOIDING, markersize=8, fillstyle="none",
+            fit.true[fit.outliers], values[fit.outliers], "s", color=AVOIDING, markersize=8, fillstyle="none",
             label=label,
         )  # fmt: skip
     legend_above(ax)

@@ -39,9 +39,9 @@ def plot_cells(verdict: Verdict, ax: Axes | None = None) -> Axes:
     cases = cells_of(verdict.certificate)
     most = max(cases, key=lambda c: len(c.rules))
     first, second = _axes(claim, [most.lower, most.upper])
-    kept = _section(most, first, second)
+    indices = _section(most, first, second)
     ax = _dressed(claim, first, second, ax)
-    letters = sorted({most.rules[k] for k in kept})
+    letters = sorted({most.rules[k] for k in indices})
     for colour, letter in zip(_COLOURS, letters, strict=False):
         boxes = [
             Rectangle(
@@ -49,17 +49,17 @@ def plot_cells(verdict: Verdict, ax: Axes | None = None) -> Axes:
                 most.upper[first, k] - most.lower[first, k],
                 most.upper[second, k] - most.lower[second, k],
             )
-            for k in kept
+            for k in indices
             if most.rules[k] == letter
         ]
         ax.add_collection(PatchCollection(boxes, facecolor=colour, alpha=0.35, edgecolor=INK, linewidth=0.5))
         ax.plot([], [], "s", color=colour, alpha=0.5, label=_RULES.get(letter, f"rule {letter}"))
     legend_above(ax, columns=2)
     total = sum(len(c.rules) for c in cases)
-    told = f"{len(kept)} of {total} boxes lie in this section" + (
+    note = f"{len(indices)} of {total} boxes lie in this section" + (
         "; of the cases, the one with most" if len(cases) > 1 else ""
     )
-    ax.text(0.0, -0.2, told, transform=ax.transAxes, fontsize=8, color=INK)
+    ax.text(0.0, -0.2, note, transform=ax.transAxes, fontsize=8, color=INK)
     return ax
 
 
@@ -75,11 +75,11 @@ def plot_open_boxes(verdict: Verdict, ax: Axes | None = None) -> Axes:
     ends = [np.array([[box[v.name][k] for box in boxes] for v in claim.variables]) for k in (0, 1)]
     first, second = _axes(claim, ends)
     ax = _dressed(claim, first, second, ax)
-    drawn = [
+    patches = [
         Rectangle((ends[0][first, k], ends[0][second, k]), *(ends[1][i, k] - ends[0][i, k] for i in (first, second)))
         for k in range(len(boxes))
     ]
-    ax.add_collection(PatchCollection(drawn, facecolor=BAD, alpha=0.4, edgecolor=BAD, linewidth=0.7))
+    ax.add_collection(PatchCollection(patches, facecolor=BAD, alpha=0.4, edgecolor=BAD, linewidth=0.7))
     ax.legend(
         handles=[Patch(facecolor=BAD, alpha=0.4, label=f"open: the {len(boxes)} largest boxes")], fontsize=8,
         frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2,

@@ -173,9 +173,9 @@ class Section:
         return tuple(block for block in self.blocks if isinstance(block, Heading) and block.anchor)
 
 
-def picture(drawn: Axes | Figure, *, alt: str, caption: str, command: str) -> Picture:
+def picture(plot: Axes | Figure, *, alt: str, caption: str, command: str) -> Picture:
     """Render a plot into a `Picture`; the same plot gives the same bytes."""
-    figure = drawn if isinstance(drawn, Figure) else drawn.figure.figure
+    figure = plot if isinstance(plot, Figure) else plot.figure.figure
     buffer = BytesIO()
     # a library's version in the file would make the bytes depend on it
     figure.savefig(buffer, format="png", metadata={"Software": None})

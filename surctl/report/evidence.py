@@ -121,7 +121,7 @@ def plot_counterexample(verdict: Verdict, ax: Axes | None = None) -> Axes:
     return plot_replay(verdict, replay(verdict.claim, point), ax)
 
 
-def plot_replay(verdict: Verdict, flown: Replay, ax: Axes | None = None) -> Axes:
+def plot_replay(verdict: Verdict, trajectory: Replay, ax: Axes | None = None) -> Axes:
     """The watched quantity along the replayed motion, and what the claim would have allowed it to be.
 
     Raises:
@@ -137,20 +137,20 @@ def plot_replay(verdict: Verdict, flown: Replay, ax: Axes | None = None) -> Axes
         ('time from the counterexample [s]', 'V1 [m^2]', 2)
     """
     claim, point = verdict.claim, _counterexample(verdict)
-    if flown.time.size == 0:
+    if trajectory.time.size == 0:
         raise InputError("has no motion", key=f"claim {claim.name}", remedy="show the slice of its margin instead")
     ax = dress(ax or new_axes(5.1, 3.7), x="time from the counterexample [s]")
-    ax.set_ylabel(f"{flown.name} [{flown.unit}]", fontsize=9.5, color=INK, parse_math=False, wrap=True)
+    ax.set_ylabel(f"{trajectory.name} [{trajectory.unit}]", fontsize=9.5, color=INK, parse_math=False, wrap=True)
     sense = _sense(claim, claim.point(point.values))
     if sense:
-        bound = flown.watched - sense * flown.excess
+        bound = trajectory.watched - sense * trajectory.excess
         word = "most" if sense > 0 else "least"
-        curve(ax, flown.time, bound, label=f"{word} that the claim allows", k=1)
-        ax.fill_between(flown.time, bound, flown.watched, color=AVOIDING, alpha=0.15, linewidth=0)
-    curve(ax, flown.time, flown.watched, label=f"{flown.name}, replayed", k=0)
-    if flown.time[-1] > 0:
-        ax.set_xlim(0.0, float(flown.time[-1]))
-    legend_above(ax, columns=2 if len(flown.name) <= 25 else 1)
+        curve(ax, trajectory.time, bound, label=f"{word} that the claim allows", k=1)
+        ax.fill_between(trajectory.time, bound, trajectory.watched, color=AVOIDING, alpha=0.15, linewidth=0)
+    curve(ax, trajectory.time, trajectory.watched, label=f"{trajectory.name}, replayed", k=0)
+    if trajectory.time[-1] > 0:
+        ax.set_xlim(0.0, float(trajectory.time[-1]))
+    legend_above(ax, columns=2 if len(trajectory.name) <= 25 else 1)
     return ax
 
 

@@ -19,7 +19,7 @@ from surctl.report.document import (
 from surctl.report.evidence import margin_slice, plot_counterexample, plot_slice
 from surctl.report.plan_view import describe, plot_run
 from surctl.report.player import player
-from surctl.report.priority_plot import given_up, plot_priority
+from surctl.report.priority_plot import plot_priority, relaxation_text
 from surctl.report.signals import plot_run_signals
 from surctl.report.words import gains_argument, number, simulate_command, verify_command
 from surctl.simulation import Run, priority_timeline
@@ -78,25 +78,31 @@ def _claim_blocks(v: Verdict, command: str) -> list[Block]:
     return blocks
 
 
-def _counterexample_table(v: Verdict, found: Counterexample) -> Table:
+def _counterexample_table(v: Verdict, counterexample: Counterexample) -> Table:
     rows = [
         (
-            Cell(x.name, code=True), Cell(number(found.values[x.name], digits=8), number=True), x.unit,
+            Cell(x.name, code=True), Cell(number(counterexample.values[x.name], digits=8), number=True), x.unit,
             f"{number(x.lower)} to {number(x.upper)}", x.meaning,
         )
         for x in v.claim.variables
     ]  # fmt: skip
     rows.append(
-        (Cell("left − right"), Cell(number(found.margin, digits=6), number=True), found.unit, "at most 0", "the claim")
+        (
+            Cell("left − right"),
+            Cell(number(counterexample.margin, digits=6), number=True),
+            counterexample.unit,
+            "at most 0",
+            "the claim",
+        )
     )
-    caption = f"Counterexample to {v.claim.name}, found by {found.origin}"
+    caption = f"Counterexample to {v.claim.name}, found by {counterexample.origin}"
     return Table(caption, ("quantity", "value", "unit", "domain (same unit)", "meaning"), tuple(rows))
 
 
 def _counterexample_pictures(v: Verdict, command: str) -> tuple[Picture, ...]:
-    found = []
+    pictures = []
     if v.claim.motion is not None:
-        found.append(
+        pictures.append(
             picture(
                 plot_counterexample(v),
                 alt=f"Replay of the counterexample to {v.claim.name}: {v.claim.motion.name} over time",
@@ -107,9 +113,9 @@ def _counterexample_pictures(v: Verdict, command: str) -> tuple[Picture, ...]:
     try:
         cut = margin_slice(v)
     except InputError:  # a claim in one variable has no plane to show
-        return tuple(found)
+        return tuple(pictures)
     names = f"{cut.one.name} and {cut.other.name}"
-    found.append(
+    pictures.append(
         picture(
             plot_slice(cut),
             alt=f"Margin of {v.claim.name} over {names} through the counterexample",
@@ -117,7 +123,7 @@ def _counterexample_pictures(v: Verdict, command: str) -> tuple[Picture, ...]:
             command=command,
         )
     )
-    return tuple(found)
+    return tuple(pictures)
 
 
 def decisive_section(data: ReportData) -> Section | None:
@@ -126,8 +132,8 @@ def decisive_section(data: ReportData) -> Section | None:
     if played is None:
         return None
     place, run = played
-    drawn = _plan_picture(run, _simulate_command(data, run))
-    blocks = (*_outcome(run, decides=True, lead=f"{describe(run)}. "), player(run, drawn))
+    plan = _plan_picture(run, _simulate_command(data, run))
+    blocks = (*_outcome(run, decides=True, lead=f"{describe(run)}. "), player(run, plan))
     return Section(f"runs-{place}", "Decisive run", blocks)
 
 
@@ -140,7 +146,7 @@ def runs_section(data: ReportData) -> Section:
         >>> from surctl.simulation import load_scenario, simulate
         >>> from surctl.vehicle import load_vehicle
         >>> vehicle, gains = load_vehicle("sur400"), load_gains("default")
-        >>> run = simulate(load_scenario("pool-behind"), vehicle, gains=gains, law=build_law("lean"))
+        >>> run = simulate(load_scenario("pool-behind"), vehicle, gains=gains, law=build_law("closed_form"))
         >>> data = ReportData(title="Pool", command="", version="1.0", vehicle=vehicle, gains=gains, runs=(run,))
         >>> section = runs_section(data)
         >>> section.title, [type(block).__name__ for block in section.blocks]
@@ -206,29 +212,29 @@ def _run_row(run: Run, decides: bool) -> tuple[Cell | str, ...]:
 
 def _surface_notes(data: ReportData) -> list[Block]:
     """The model has no buoyancy: say where a hull would stand out of the water (E16)."""
-    found = {}
+    heights = {}
     for run in data.runs:
         above = run.scenario.depth + run.vehicle["radius"]
         if above > 1e-9:
-            found[run.vehicle.name, run.scenario.depth] = above
+            heights[run.vehicle.name, run.scenario.depth] = above
     return [
         Paragraph(
             f"At z = {number(depth)} m the hull of {name} stands {number(above, digits=3)} m out of the water; the "
             "model in four degrees of freedom has no buoyancy (E16).",
             "note",
         )
-        for (name, depth), above in found.items()
+        for (name, depth), above in heights.items()
     ]
 
 
 def _to_draw(data: ReportData) -> list[tuple[int, Run, bool]]:
     """The first run of each kind and every run that does not arrive: its place from 1, it, whether it decides."""
-    seen, chosen = set(), []
+    kinds, chosen = set(), []
     for place, (run, decides) in enumerate(zip(data.runs, data.decides, strict=True), start=1):
         kind = (run.scenario.name, run.vehicle.name, run.law.name, run.law.mode, run.sensing)
-        if kind not in seen or not run.metrics.reached:
+        if kind not in kinds or not run.metrics.reached:
             chosen.append((place, run, decides))
-        seen.add(kind)
+        kinds.add(kind)
     return chosen
 
 
@@ -240,16 +246,16 @@ def _to_play(data: ReportData) -> tuple[int, Run] | None:
 
 def _priority_picture(run: Run, command: str) -> tuple[Picture, ...]:
     """What each level gave up, where any did."""
-    found = priority_timeline(run)
-    if not found.eventful:
+    timeline = priority_timeline(run)
+    if not timeline.eventful:
         return ()
-    told = given_up(found)
+    summary = relaxation_text(timeline)
     explained = f"{command} --explain" if command.startswith("surctl simulate") else command
     return (
         picture(
-            plot_priority(run, found),
-            alt=f"What each level of priority gave up over time in {describe(run)}: {told}",
-            caption=f"Priorities, highest first, and the rows that held them back. {told[0].upper()}{told[1:]}.",
+            plot_priority(run, timeline),
+            alt=f"What each level of priority gave up over time in {describe(run)}: {summary}",
+            caption=f"Priorities, highest first, and the rows that held them back. {summary[0].upper()}{summary[1:]}.",
             command=explained,
         ),
     )
@@ -265,11 +271,11 @@ def _outcome(run: Run, decides: bool, lead: str = "") -> list[Block]:
 
 def _plan_picture(run: Run, command: str) -> Picture:
     m = run.metrics
-    told = f"{m.stopped_because} after {number(m.time_s)} s, least clearance {number(m.min_clearance_m, digits=3)} m"
+    outcome = f"{m.stopped_because} after {number(m.time_s)} s, least clearance {number(m.min_clearance_m, digits=3)} m"
     return picture(
         plot_run(run),
-        alt=f"Plan view of {describe(run)}: {told}",
-        caption=f"Plan view: {told}. Numbers in hulls and moving obstacles are times in s.",
+        alt=f"Plan view of {describe(run)}: {outcome}",
+        caption=f"Plan view: {outcome}. Numbers in hulls and moving obstacles are times in s.",
         command=command,
     )
 

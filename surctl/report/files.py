@@ -50,10 +50,10 @@ def save_run(run: Run, folder: Path | str) -> Path:
         >>> from surctl.report import save_run
         >>> from surctl.simulation import load_scenario, simulate
         >>> from surctl.vehicle import load_vehicle
-        >>> law, gains = build_law("lean"), load_gains("default")
+        >>> law, gains = build_law("closed_form"), load_gains("default")
         >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
         >>> print(save_run(run, "pictures").name)
-        pool-behind-sur400-lean-corrected-nsb-truth-seed0.png
+        pool-behind-sur400-closed_form-corrected-nsb-truth-seed0.png
     """
     length, width, _ = run.scenario.site
     plan_height = min(max(8.2 * width / length + 1.5, 3.6), 7.6)
@@ -61,7 +61,7 @@ def save_run(run: Run, folder: Path | str) -> Path:
     halves = figure.add_gridspec(2, 1, height_ratios=[plan_height, 7.0])
     plot_run(run, figure.add_subfigure(halves[0]).add_subplot())
     plot_run_signals(run, figure.add_subfigure(halves[1]).subplots(3, 2, sharex=True).ravel().tolist())
-    return save_figure(figure, Path(folder), _flown(run))
+    return save_figure(figure, Path(folder), _run_labels(run))
 
 
 def save_priority(run: Run, folder: Path | str) -> Path:
@@ -80,13 +80,13 @@ def save_priority(run: Run, folder: Path | str) -> Path:
         >>> print(save_priority(run, "pictures").name)
         pool-behind-sur400-guarded-corrected-filter-truth-seed0-priority.png
     """
-    return save_figure(plot_priority(run, priority_timeline(run)), Path(folder), (*_flown(run), "priority"))
+    return save_figure(plot_priority(run, priority_timeline(run)), Path(folder), (*_run_labels(run), "priority"))
 
 
-def _flown(run: Run) -> tuple[str, ...]:
+def _run_labels(run: Run) -> tuple[str, ...]:
     law = run.law.name.removeprefix("surctl_")
     how = (law, run.law.avoidance, *(() if run.law.guidance == "los" else (run.law.guidance,)), run.law.mode)
-    how += () if run.law.ladder == "exact" else (run.law.ladder,)
+    how += () if run.law.fallback == "exact" else (run.law.fallback,)
     return (run.scenario.name, run.vehicle.name, *how, run.sensing, f"seed{run.seed}")
 
 
@@ -101,7 +101,7 @@ def save_heat_map(table: SweepTable, column: str, folder: Path | str, *, over: t
         >>> from surctl.report import save_heat_map
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import build_cases, grid, parse_axis, sweep
-        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
         >>> table = sweep(cases, grid([parse_axis("k_v=1,2"), parse_axis("lookahead=0.4,0.8,1.2")]))
         >>> save_heat_map(table, "disk_margin", "pictures").name
         'sweep-k_v-lookahead-disk_margin.png'
@@ -119,7 +119,7 @@ def save_parallel(table: SweepTable, folder: Path | str) -> Path:
         >>> from surctl.report import save_parallel
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import build_cases, grid, parse_axis, sweep
-        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
         >>> table = sweep(cases, grid([parse_axis("k_v=1,2"), parse_axis("lookahead=0.4,0.8,1.2")]))
         >>> save_parallel(table, "pictures").name
         'sweep-parallel.png'
@@ -127,7 +127,7 @@ def save_parallel(table: SweepTable, folder: Path | str) -> Path:
     return save_figure(plot_parallel(table).figure.figure, Path(folder), ("sweep", "parallel"))
 
 
-def save_sensitivity(found: Sensitivity, folder: Path | str) -> Path:
+def save_sensitivity(result: Sensitivity, folder: Path | str) -> Path:
     """Sobol' indices as a PNG; the path written. InputError if the folder cannot be written.
 
     Example:
@@ -135,13 +135,13 @@ def save_sensitivity(found: Sensitivity, folder: Path | str) -> Path:
         >>> from surctl.report import save_sensitivity
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import build_cases, parse_axis, saltelli, sensitivity, sweep
-        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
         >>> design = saltelli([parse_axis("scenario.cruise=0.1..0.2"), parse_axis("k_v=1.2..3")], base=16)
         >>> found = sensitivity(sweep(cases, design, linear=False), "time_s")
         >>> print(save_sensitivity(found, "pictures").name)
         sensitivity-time_s.png
     """
-    return save_figure(plot_sensitivity(found).figure.figure, Path(folder), ("sensitivity", found.column))
+    return save_figure(plot_sensitivity(result).figure.figure, Path(folder), ("sensitivity", result.column))
 
 
 def save_locus(data: Locus, folder: Path | str, *, unit: str = "", picked: float | None = None) -> Path:
@@ -160,7 +160,9 @@ def save_locus(data: Locus, folder: Path | str, *, unit: str = "", picked: float
         >>> save_locus(locus, "pictures", unit="1/s").name
         'locus-k_psi.png'
     """
-    return save_figure(plot_locus(data, unit=unit, picked=picked).figure.figure, Path(folder), ("locus", data.knob))
+    return save_figure(
+        plot_locus(data, unit=unit, picked=picked).figure.figure, Path(folder), ("locus", data.parameter)
+    )
 
 
 def save_tuning(tuning: Tuning, folder: Path | str) -> list[Path]:
@@ -175,18 +177,18 @@ def save_tuning(tuning: Tuning, folder: Path | str) -> list[Path]:
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
         >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
         >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=32, rounds=1, runs=0)
         >>> [path.name for path in save_tuning(tuning, "pictures")]
         ['tuning-goals.png', 'tuning-front.png', 'tuning-soon.png', 'tuning-clear.png']
     """
-    drawn = {"goals": plot_goal_bars(goal_bars(tuning)), "front": plot_front(tuning)}
+    axes = {"goals": plot_goal_bars(goal_bars(tuning)), "front": plot_front(tuning)}
     for goal in tuning.request.goals:
         view = goal_view(tuning, goal)
         if view is not None:
-            drawn[goal.name] = plot_goal_view(view)
-    return [save_figure(ax.figure.figure, Path(folder), ("tuning", name)) for name, ax in drawn.items()]
+            axes[goal.name] = plot_goal_view(view)
+    return [save_figure(ax.figure.figure, Path(folder), ("tuning", name)) for name, ax in axes.items()]
 
 
 def save_calibrations(results: Sequence[SensorCalibration], folder: Path | str) -> list[Path]:

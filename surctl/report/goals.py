@@ -59,7 +59,7 @@ def goal_bars(tuning: Tuning) -> GoalBars:
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
         >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
         >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=32, rounds=1, runs=0)
         >>> data = goal_bars(tuning)
@@ -82,7 +82,7 @@ def plot_goal_bars(data: GoalBars, ax: Axes | None = None) -> Axes:
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
         >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
         >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=32, rounds=1, runs=0)
         >>> ax = plot_goal_bars(goal_bars(tuning))
@@ -98,9 +98,9 @@ def plot_goal_bars(data: GoalBars, ax: Axes | None = None) -> Axes:
     ax.axvspan(1.0, right, color=BAD, alpha=0.08, zorder=0)
     ax.axvline(1.0, color=BAD, linewidth=1.4, zorder=3)
     for values, colour, shift in ((data.hand, MUTED, 0.18), (data.tuned, ROBOT, -0.18)):
-        drawn = np.clip(np.nan_to_num(values, nan=np.inf), 0.0, right)
-        ax.barh(at + shift, drawn, height=0.32, color=colour, zorder=2)
-        for y, value, length in zip(at + shift, values, drawn, strict=True):
+        lengths = np.clip(np.nan_to_num(values, nan=np.inf), 0.0, right)
+        ax.barh(at + shift, lengths, height=0.32, color=colour, zorder=2)
+        for y, value, length in zip(at + shift, values, lengths, strict=True):
             text = f"{value:.3g}" if np.isfinite(value) else "not met"
             inside = length > 0.8 * right
             ax.text(
@@ -135,7 +135,7 @@ def plot_front(tuning: Tuning, ax: Axes | None = None) -> Axes:
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
         >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
         >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=32, rounds=1, runs=0)
         >>> ax = plot_front(tuning)
@@ -197,7 +197,7 @@ def goal_view(tuning: Tuning, goal: Goal) -> GoalView | None:
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
         >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
         >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=32, rounds=1, runs=0)
         >>> view = goal_view(tuning, goals[1])
@@ -206,8 +206,8 @@ def goal_view(tuning: Tuning, goal: Goal) -> GoalView | None:
     """
     if goal.metric not in _OVER_TIME:
         return None
-    flown = tuning.request.flown
-    own = [flown[k] for k in scope(goal, flown)]
+    conditions = tuning.request.conditions
+    own = [conditions[k] for k in scope(goal, conditions)]
     tuned = {name: np.array([value]) for name, value in tuning.result.gains.items()}
     worst = int(goal.normalised(figures([goal], own, tuned)[goal.metric][0]).argmax())
     base = tuning.request.base
@@ -222,7 +222,7 @@ def _course(condition: Condition, gains: Gains, metric: str) -> tuple[NDArray[np
     case = condition.case
     run = simulate(
         case.scenario,
-        _flown(case.vehicle, condition),
+        _actual_vehicle(case.vehicle, condition),
         gains=gains,
         law=case.build(),
         sensing=case.sensing,
@@ -242,7 +242,7 @@ def _course(condition: Condition, gains: Gains, metric: str) -> tuple[NDArray[np
     return record.time, np.asarray(course, dtype=float)
 
 
-def _flown(vehicle: Vehicle, condition: Condition) -> Vehicle:
+def _actual_vehicle(vehicle: Vehicle, condition: Condition) -> Vehicle:
     return vehicle.with_values({name.removeprefix("plant."): value for name, value in condition.plant.items()})
 
 
@@ -255,7 +255,7 @@ def plot_goal_view(data: GoalView, ax: Axes | None = None) -> Axes:
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
         >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
         >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=32, rounds=1, runs=0)
         >>> ax = plot_goal_view(goal_view(tuning, goals[1]))
@@ -268,12 +268,12 @@ def plot_goal_view(data: GoalView, ax: Axes | None = None) -> Axes:
     for k, label in enumerate(data.time):
         curve(ax, data.time[label], data.values[label], label=label, k=k)
     # an arrival is bounded along the time, every other figure along its own axis
-    drawn, shade, line, bounded, free = (
+    bounded_values, shade, line, bounded, free = (
         (data.time, ax.axvspan, ax.axvline, ax.set_xlim, ax.set_ylim)
         if goal.metric == "time_s"
         else (data.values, ax.axhspan, ax.axhline, ax.set_ylim, ax.set_xlim)
     )
-    ends = np.concatenate([*drawn.values(), [goal.limit]])
+    ends = np.concatenate([*bounded_values.values(), [goal.limit]])
     known = ends[np.isfinite(ends)]
     spread = max(float(np.ptp(known)), 1e-6)
     low, high = min(0.0, float(known.min())) - 0.02 * spread, float(known.max()) + 0.12 * spread

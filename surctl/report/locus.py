@@ -21,7 +21,7 @@ _ARC = np.linspace(np.pi / 2, 3 * np.pi / 2, 121)
 
 
 def plot_locus(
-    data: Locus, ax: Axes | None = None, *, unit: str = "", picked: float | None = None, reach: float | None = None
+    data: Locus, ax: Axes | None = None, *, unit: str = "", picked: float | None = None, radius: float | None = None
 ) -> Axes:
     """Poles over the knob, upper and lower half-plane.
 
@@ -30,7 +30,7 @@ def plot_locus(
         ax: axes to draw in.
         unit: the knob's unit.
         picked: value whose poles are marked (the nearest one that was computed).
-        reach: largest |pole| shown [rad/s]; default: that below the topmost gap of a factor of 3, which leaves out
+        radius: largest |pole| shown [rad/s]; default: that below the topmost gap of a factor of 3, which leaves out
             the poles of the delay.
 
     Example:
@@ -45,13 +45,15 @@ def plot_locus(
         ('real part [1/s]', 'imaginary part [rad/s]', ['start: 0.2', 'picked: 0.8', 'stability boundary'])
     """
     ax = dress(ax or new_axes(6.4, 4.9), x="real part [1/s]", y="imaginary part [rad/s]")
-    edge = reach or 1.15 * _below_the_gap(np.sort(np.abs(data.poles).max(axis=0)))
+    edge = radius or 1.15 * _below_the_gap(np.sort(np.abs(data.poles).max(axis=0)))
     _grid(ax, edge)
     colours, norm = mpl.colormaps["viridis"], Normalize(float(data.values.min()), float(data.values.max()))
     middle = (data.values[1:] + data.values[:-1]) / 2
     for pole in data.poles.T:
-        way = np.column_stack([pole.real, pole.imag])
-        lines = LineCollection(list(np.stack([way[:-1], way[1:]], axis=1)), cmap=colours, norm=norm, linewidths=2.2)
+        points = np.column_stack([pole.real, pole.imag])
+        lines = LineCollection(
+            list(np.stack([points[:-1], points[1:]], axis=1)), cmap=colours, norm=norm, linewidths=2.2
+        )
         lines.set_array(middle)
         ax.add_collection(lines)
     _mark(ax, data.poles[0], "o", INK, f"start: {data.values[0]:.3g}")
@@ -62,7 +64,9 @@ def plot_locus(
     ax.set_xlim(-edge, max(0.12 * edge, min(edge, 1.1 * float(data.poles.real.max()))))
     ax.set_ylim(-edge, edge)
     bar = ax.figure.colorbar(ScalarMappable(norm, colours), ax=ax)
-    bar.set_label(printable(f"{data.knob} [{unit}]" if unit else data.knob), fontsize=9.5, color=INK, parse_math=False)
+    bar.set_label(
+        printable(f"{data.parameter} [{unit}]" if unit else data.parameter), fontsize=9.5, color=INK, parse_math=False
+    )
     bar.ax.tick_params(labelsize=8.5)
     legend_above(ax, columns=3)
     return ax

@@ -79,8 +79,10 @@ def _frequency_response(
 ) -> NDArray[np.complex128]:
     """c (jω − A)⁻¹ b, (k,)."""
     pencils = 1j * omega[:, None, None] * np.eye(len(A)) - A
-    found: NDArray[np.complex128] = (c @ np.linalg.solve(pencils, np.broadcast_to(b, (len(omega), *b.shape))))[:, 0, 0]
-    return found
+    response: NDArray[np.complex128] = (c @ np.linalg.solve(pencils, np.broadcast_to(b, (len(omega), *b.shape))))[
+        :, 0, 0
+    ]
+    return response
 
 
 def plot_bode(loops: Sequence[LoopResponse], ax: tuple[Axes, Axes] | None = None) -> Figure:
@@ -175,8 +177,8 @@ def plot_poles(poles: NDArray[np.complex128], ax: Axes | None = None) -> Axes:
         ('real part [1/s]', 'imaginary part [rad/s]')
     """
     ax = dress(ax or new_figure(5.1, 4.5).add_subplot(), x="real part [1/s]", y="imaginary part [rad/s]")
-    found = np.asarray(poles, dtype=complex)
-    shown = _slow(found)
+    values = np.asarray(poles, dtype=complex)
+    shown = _slow(values)
     edge = 1.15 * max(float(np.max(np.abs(shown), initial=0.0)), 1e-3)
     for damping in (0.5, 0.7):
         slope = np.sqrt(1 - damping**2) / damping
@@ -193,7 +195,7 @@ def plot_poles(poles: NDArray[np.complex128], ax: Axes | None = None) -> Axes:
         )  # fmt: skip
     ax.set_xlim(-edge, max(0.12 * edge, 1.15 * float(np.max(shown.real, initial=0.0))))
     ax.set_ylim(-edge, edge)
-    hidden = len(found) - len(shown)
+    hidden = len(values) - len(shown)
     if hidden:
         ax.plot([], [], linestyle="none", label=f"{hidden} faster poles of the delay not shown")
     legend_above(ax, columns=3)
@@ -207,5 +209,5 @@ def _slow(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
     ratio = size[1:] / size[:-1]
     if ratio.size == 0 or ratio.max() < _GAP:
         return ordered
-    kept = ordered[: int(np.argmax(ratio)) + 1]
-    return kept if np.all(ordered[len(kept) :].real < 0) else ordered
+    slow = ordered[: int(np.argmax(ratio)) + 1]
+    return slow if np.all(ordered[len(slow) :].real < 0) else ordered

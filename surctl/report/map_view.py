@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Rectangle
 from numpy.typing import NDArray
 
-from surctl.control.senses import CELLS_A_HULL
+from surctl.control.perception import CELLS_A_HULL
 from surctl.errors import InputError
 from surctl.report.plan_view import body_outline, describe
 from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, head, new_figure
@@ -31,30 +31,30 @@ class MapView:
     """The map after one control period, and where the robot was.
 
     Attributes:
-        tick: number of the control period.
+        step: number of the control period.
         time: [s].
         corner: (2,) x, y of the window's corner in {E} [m].
         edge: of a cell [m].
         kinds: (N, N) of each cell, row k the k-th along y: 0 unknown, 1 known to be free, 2 marked.
-        way: (k, 2) flown so far in {E} [m].
+        track: (k, 2) flown so far in {E} [m].
         heading: ψ [rad].
     """
 
-    tick: int
+    step: int
     time: float
     corner: NDArray[np.float64]
     edge: float
     kinds: NDArray[np.int_]
-    way: NDArray[np.float64]
+    track: NDArray[np.float64]
     heading: float
 
 
-def map_view(run: Run, tick: int) -> MapView:
+def map_view(run: Run, step: int) -> MapView:
     """The map of a run after one control period.
 
     Args:
         run: flown by a law with senses.
-        tick: of its record; from 0 to one less than its last.
+        step: of its record; from 0 to one less than its last.
 
     Raises:
         InputError: a law without senses, or no such tick.
@@ -74,18 +74,24 @@ def map_view(run: Run, tick: int) -> MapView:
         3.1
     """
     law, record = run.law, run.record
-    if law.senses is None:
+    if law.perception is None:
         raise InputError("keeps no map", key="law", value=law.name, remedy="fly law guarded with sensing sonar")
-    if not 0 <= tick < len(record.time) - 1:
-        raise InputError("is not in the record", key="tick", value=tick, remedy=f"give 0 to {len(record.time) - 2}")
-    after, known = record.law_state[tick + 1], LocalMap(dt=law.dt)
+    if not 0 <= step < len(record.time) - 1:
+        raise InputError("is not in the record", key="step", value=step, remedy=f"give 0 to {len(record.time) - 2}")
+    after, known = record.law_state[step + 1], LocalMap(dt=law.dt)
     cells, corner = (after[law.state.slice(f"map_{name}")] for name in ("cells", "corner"))
     values, _, _ = map_values(known, cells, corner)
     edge = float(record.law_parameters[law.gains.slice("hull")][0]) / CELLS_A_HULL
     kinds = np.where(values > 0, 2, np.where(values < -known.known, 1, 0))
-    way, heading = record.eta[: tick + 1, :2], float(record.eta[tick, 3])
+    track, heading = record.eta[: step + 1, :2], float(record.eta[step, 3])
     return MapView(
-        tick=tick, time=float(record.time[tick]), corner=corner * edge, edge=edge, kinds=kinds, way=way, heading=heading
+        step=step,
+        time=float(record.time[step]),
+        corner=corner * edge,
+        edge=edge,
+        kinds=kinds,
+        track=track,
+        heading=heading,
     )
 
 
@@ -109,7 +115,7 @@ def plot_map(run: Run, view: MapView, ax: Axes | None = None) -> Axes:
         >>> ax.get_title("left"), ax.get_xlabel()
         ('2.0 s', 'x in {E} [m]')
     """
-    z, radius = float(run.record.eta[view.tick, 2]), run.vehicle["radius"]
+    z, radius = float(run.record.eta[view.step, 2]), run.vehicle["radius"]
     title = f"{view.time:.1f} s" + (f", z {z:.2f} m" if run.scenario.depths else "")
     ax = dress(ax or new_figure(6.4, 5.6).add_subplot(), title=title, x="x in {E} [m]", y="y in {E} [m]")
     ax.grid(visible=False)
@@ -120,7 +126,7 @@ def plot_map(run: Run, view: MapView, ax: Axes | None = None) -> Axes:
     ax.add_patch(window)
     length, width, _ = run.scenario.site
     ax.add_patch(Rectangle((0, 0), length, width, fill=False, edgecolor=INK, linewidth=1.6, zorder=3))
-    for body in run.record.obstacles[view.tick]:
+    for body in run.record.obstacles[view.step]:
         patch = body_outline(body.shape)
         patch.set(facecolor="none", edgecolor=OBSTACLE if body.moving else INK, linewidth=1.6, zorder=3)
         if body.moving:
@@ -130,8 +136,8 @@ def plot_map(run: Run, view: MapView, ax: Axes | None = None) -> Axes:
         ax.add_patch(patch)
     points = run.scenario.path.waypoints
     ax.plot(points[:, 0], points[:, 1], color=INK, linestyle=":", linewidth=1.0, zorder=2.5)
-    ax.plot(view.way[:, 0], view.way[:, 1], color=ROBOT, linewidth=1.6, zorder=4)
-    here = view.way[-1]
+    ax.plot(view.track[:, 0], view.track[:, 1], color=ROBOT, linewidth=1.6, zorder=4)
+    here = view.track[-1]
     ax.add_patch(Circle((here[0], here[1]), radius, fill=False, edgecolor=ROBOT, linewidth=1.6, zorder=4))
     nose = here + radius * np.array([[0.4], [1.0]]) * [np.cos(view.heading), np.sin(view.heading)]
     ax.plot(nose[:, 0], nose[:, 1], color=ROBOT, linewidth=1.8, zorder=4)
@@ -181,7 +187,7 @@ def plot_maps(run: Run, views: Sequence[MapView]) -> Axes:
         Patch(facecolor="none", edgecolor=OBSTACLE, linestyle="--", linewidth=1.6, label="true moving obstacle"),
         Line2D([], [], color=ROBOT, linewidth=1.6, label="trajectory, hull"),
     ]
-    if any(not body.heights.whole for body in run.record.obstacles[views[0].tick]):
+    if any(not body.heights.whole for body in run.record.obstacles[views[0].step]):
         passed = Patch(facecolor="none", edgecolor=INK, linestyle=":", linewidth=1.6, label="passed above or below")
         handles.append(passed)
     head(figure, describe(run), x=0.01, ha="left")

@@ -32,20 +32,20 @@ def plot_marked_bode(loop: LoopResponse, margins: LoopMargins) -> Figure:
     upper.set_ylim(-50, 50)
     turn = _nearest_turn(loop, phase, margins)
     lower.axhline(turn, color=BAD, linewidth=0.9)
-    told = []
+    lines = []
     if np.isfinite(margins.gain_margin):
         at = _crossing(loop.omega, phase - turn, np.abs(gain + 20 * np.log10(margins.gain_margin)))
         depth = -20 * float(np.log10(margins.gain_margin))
         _mark(upper, at, depth, 0.0, AVOIDING)
         lower.plot(at, turn, "o", color=AVOIDING, markersize=5)
-        told.append(f"gain margin {margins.gain_margin:.2f} ({-depth:.1f} dB)")
+        lines.append(f"gain margin {margins.gain_margin:.2f} ({-depth:.1f} dB)")
     if np.isfinite(margins.phase_margin_deg) and margins.crossover_rad_s > 0:
         at = _crossing(loop.omega, gain, np.abs(phase - turn - margins.phase_margin_deg))
         _mark(lower, at, float(np.interp(at, loop.omega, phase)), turn, GOOD)
         upper.plot(at, 0.0, "o", color=GOOD, markersize=5)
-        told.append(f"phase margin {margins.phase_margin_deg:.0f}°, delay margin {margins.delay_margin_s:.2f} s")
+        lines.append(f"phase margin {margins.phase_margin_deg:.0f}°, delay margin {margins.delay_margin_s:.2f} s")
     upper.text(
-        0.02, 0.05, "\n".join(told), transform=upper.transAxes, fontsize=8.5, color=INK,
+        0.02, 0.05, "\n".join(lines), transform=upper.transAxes, fontsize=8.5, color=INK,
         bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85},
     )  # fmt: skip
     lowest = min(turn, float(phase.min()))
@@ -113,9 +113,9 @@ def plot_s_and_t(curves: Sequence[Sensitivity]) -> Figure:
     figure = new_figure(9.6, 4.3)
     for ax, which, name in zip(figure.subplots(1, 2), ("S", "T"), ("sensitivity S", "complementary T"), strict=True):
         dress(ax, x="frequency [rad/s]", y=f"largest singular value of {name} [1]")
-        for k, found in enumerate(curves):
-            value = getattr(found, which)
-            curve(ax, found.omega, value, label=f"{found.place}: peak {value.max():.2f}", k=k)
+        for k, data in enumerate(curves):
+            value = getattr(data, which)
+            curve(ax, data.omega, value, label=f"{data.place}: peak {value.max():.2f}", k=k)
         ax.set_xscale("log")
         ax.set_yscale("log")
         legend_above(ax, columns=2)

@@ -109,8 +109,8 @@ def render_sections(
     style = (_TEMPLATES / "page.css").read_text(encoding="utf-8")
     plays = any(block.kind == "player" for section in sections for block in section.blocks)
     folds = any(section.folded for section in sections)
-    wanted = [name for name, needed in (("fold.js", folds), ("player.js", plays)) if needed]
-    script = "".join((_TEMPLATES / name).read_text(encoding="utf-8") for name in wanted)
+    scripts = [name for name, needed in (("fold.js", folds), ("player.js", plays)) if needed]
+    script = "".join((_TEMPLATES / name).read_text(encoding="utf-8") for name in scripts)
     lines = _linked(summary, sections)
     hidden = [line for line in lines if folds and line.good is not False]
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
@@ -135,12 +135,12 @@ def render_sections(
 def _linked(summary: Sequence[Check | tuple[bool | None, str]], sections: Sequence[Section]) -> list[Check]:
     """The lines in the order in which they matter, each with the nearest anchor that the page has."""
     there = {section.anchor for section in sections} | {h.anchor for section in sections for h in section.headings}
-    found = []
+    linked = []
     for line in summary:
         good, text, anchor = Check(*line)
         whole = anchor.partition("-")[0]  # of a part that is not told, the section
-        found.append(Check(good, text, anchor if anchor in there else whole if whole in there else ""))
-    return sorted(found, key=lambda check: (check.good is None, check.good))
+        linked.append(Check(good, text, anchor if anchor in there else whole if whole in there else ""))
+    return sorted(linked, key=lambda check: (check.good is None, check.good))
 
 
 def _counted(lines: Sequence[Check]) -> str:
@@ -155,22 +155,22 @@ def _counted(lines: Sequence[Check]) -> str:
 def _sections(data: ReportData, runs: Section | None) -> tuple[Section, ...]:
     """The decisive run, margins and claims, then details folded, parameters last; one without content is left out."""
     decisive = decisive_section(data)
-    found = [] if decisive is None else [decisive]
+    sections = [] if decisive is None else [decisive]
     if data.margins or data.linear or data.verdicts or data.inapplicable:
-        found.append(findings_section(data))
+        sections.append(findings_section(data))
     if data.margins or data.loops or data.poles is not None:
-        found.append(loops_section(data))
+        sections.append(loops_section(data))
     if data.verdicts:
-        found.append(claims_section(data))
+        sections.append(claims_section(data))
     if data.runs:
-        found.append(runs or runs_section(data))
+        sections.append(runs or runs_section(data))
     if data.sweep is not None:
-        found.append(sweep_section(data, data.sweep))
+        sections.append(sweep_section(data, data.sweep))
     if data.export is not None:
-        found.append(export_section(data.export))
+        sections.append(export_section(data.export))
     if data.seconds:
-        found.append(time_section(data))
-    return (*found, vehicle_section(data), gains_section(data))
+        sections.append(time_section(data))
+    return (*sections, vehicle_section(data), gains_section(data))
 
 
 def _subject(data: ReportData) -> str:

@@ -16,7 +16,7 @@ from surctl.simulation import METRICS, Run
 from surctl.tuning import Evaluation
 from surctl.verification import LINEAR_METRICS, Inapplicable, Verdict
 
-__all__ = ["attempt", "figures", "goals", "head", "pair", "picture", "run_text", "sliders", "told", "verdicts"]
+__all__ = ["attempt", "figures", "goals", "head", "message", "pair", "picture", "run_text", "sliders", "verdicts"]
 
 _STYLE = """<style>
 .sur{overflow-x:auto;max-width:100%} .sur table{border-collapse:collapse;font-size:.9rem}
@@ -29,7 +29,7 @@ _STYLE = """<style>
 .good,.bad{font-weight:600} .line{overflow-wrap:anywhere}
 :root{color-scheme:light} .dark{color-scheme:dark}
 </style>"""
-_FLOWN = ("time_s", "min_clearance_m", "deviation_m", "effort_n")
+_RUN_FIGURES = ("time_s", "min_clearance_m", "deviation_m", "effort_n")
 _LINEAR = ("gain_margin", "phase_margin_deg", "delay_margin_s", "disk_margin", "slowest_pole_per_s",
            "settling_time_s.surge_speed", "overshoot.surge_speed")  # fmt: skip
 
@@ -40,10 +40,10 @@ def head(bench: Bench) -> str:
     return f'{_STYLE}<h1 class="one">Tune</h1><p class="line">{escape(what)}</p>'
 
 
-def told(text: str) -> str:
+def message(text: str) -> str:
     """One line of what a button did; an error in its colour, and read aloud."""
     mark = "bad" if text.startswith("error:") else "good"
-    return f'<p role="status" id="told" class="line {mark}">{escape(" ".join(text.split()))}</p>'
+    return f'<p role="status" id="message" class="line {mark}">{escape(" ".join(text.split()))}</p>'
 
 
 def attempt(make: Callable[[], str]) -> str:
@@ -100,16 +100,16 @@ def figures(run: Run, linear: Mapping[str, float]) -> str:
     m = run.metrics
     mark = "good" if m.reached else "bad"
     rows = [("how the run ended", f'<span id="outcome" class="{mark}">{escape(m.stopped_because)}</span>')]
-    shown = [(name, METRICS[name], float(getattr(m, name))) for name in _FLOWN]
+    shown = [(name, METRICS[name], float(getattr(m, name))) for name in _RUN_FIGURES]
     shown += [(name, LINEAR_METRICS[name], linear[name]) for name in _LINEAR]
     rows += [(escape(spec.meaning), _number(name, value, spec.unit)) for name, spec, value in shown]
     return _heading("This run, and the loops") + _table(("figure", "value"), rows)
 
 
-def goals(found: Evaluation) -> str:
+def goals(evaluation: Evaluation) -> str:
     """Each goal, whether it is met, and its figure at the worst plant."""
     rows = []
-    for goal, figure, share in zip(found.goals, found.figure[0], found.normalised[0], strict=True):
+    for goal, figure, share in zip(evaluation.goals, evaluation.figure[0], evaluation.normalised[0], strict=True):
         met = share <= 1
         word = f'<span class="{"good" if met else "bad"}">{"met" if met else "missed"}</span>'
         bound = f"{goal.sense} {goal.limit:g} {'' if goal.unit == '1' else goal.unit}"
@@ -118,16 +118,16 @@ def goals(found: Evaluation) -> str:
     return _heading("Goals") + text + _table(("goal", "kind", "status", "figure", "bound"), rows)
 
 
-def verdicts(found: Sequence[Verdict | Inapplicable] | None) -> str:
+def verdicts(results: Sequence[Verdict | Inapplicable] | None) -> str:
     """Each claim with its verdict; None before the button was pressed for these gains."""
     title = _heading("Claims")
-    if found is None:
+    if results is None:
         return title + '<p id="verdicts">Not checked for these gains: press the button (about ten seconds).</p>'
     marks = {"proved": "good", "refuted": "bad"}
     rows = [
         (escape(v.claim), f'<span class="none">{escape(v.sentence)}</span>')
         if isinstance(v, Inapplicable)
         else (escape(v.claim.name), f'<span class="{marks.get(v.verdict, "none")}">{escape(v.verdict)}</span>')
-        for v in found
+        for v in results
     ]
     return title + '<div id="verdicts">' + _table(("claim", "verdict"), rows) + "</div>"

@@ -26,7 +26,7 @@ def plot_coordinates(runs: Sequence[Run], *, title: str) -> Figure:
         >>> from surctl.report import plot_coordinates
         >>> from surctl.simulation import load_scenario, simulate
         >>> from surctl.vehicle import load_vehicle
-        >>> law, gains = build_law("lean"), load_gains("default")
+        >>> law, gains = build_law("closed_form"), load_gains("default")
         >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
         >>> figure = plot_coordinates([run], title="through the pool")
         >>> [ax.get_ylabel() for ax in figure.axes]
@@ -60,7 +60,7 @@ def plot_position_errors(runs: Sequence[Run], *, title: str, bound: float | None
         >>> from surctl.report import plot_position_errors
         >>> from surctl.simulation import load_scenario, simulate
         >>> from surctl.vehicle import load_vehicle
-        >>> law, gains = build_law("lean"), load_gains("default")
+        >>> law, gains = build_law("closed_form"), load_gains("default")
         >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
         >>> ax = plot_position_errors([run], title="through the pool", bound=0.08)
         >>> ax.get_ylabel(), len(ax.lines)  # the run, and the bound
@@ -88,7 +88,7 @@ def plot_series(runs: Sequence[Run], *, title: str) -> Axes:
         >>> from surctl.report import plot_series
         >>> from surctl.simulation import load_scenario, simulate
         >>> from surctl.vehicle import load_vehicle
-        >>> law, gains = build_law("lean"), load_gains("default")
+        >>> law, gains = build_law("closed_form"), load_gains("default")
         >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
         >>> ax = plot_series([run], title="through the pool")
         >>> ax.get_legend().get_texts()[0].get_text()

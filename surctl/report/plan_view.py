@@ -40,11 +40,11 @@ def plot_run(run: Run, ax: Axes | None = None) -> Axes:
         >>> from surctl.report import plot_run
         >>> from surctl.simulation import load_scenario, simulate
         >>> from surctl.vehicle import load_vehicle
-        >>> law, gains = build_law("lean"), load_gains("default")
+        >>> law, gains = build_law("closed_form"), load_gains("default")
         >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
         >>> ax = plot_run(run)
         >>> ax.get_title("left"), ax.get_xlabel(), ax.get_ylabel()
-        ('pool-behind: sur400, law lean (nsb), truth, seed 0', 'x in {E} [m]', 'y in {E} [m]')
+        ('pool-behind: sur400, law closed_form (nsb), truth, seed 0', 'x in {E} [m]', 'y in {E} [m]')
     """
     length, width, _ = run.scenario.site
     if ax is None:
@@ -52,12 +52,12 @@ def plot_run(run: Run, ax: Axes | None = None) -> Axes:
         ax = new_axes(9.0, height)
     dress(ax, title=describe(run), x="x in {E} [m]", y="y in {E} [m]")
     draw_site(ax, length, width)
-    ticks = _snapshots(run)
-    _draw_obstacles(ax, run, ticks)
+    steps = _snapshots(run)
+    _draw_obstacles(ax, run, steps)
     if run.sensing == "sonar":
         _draw_beams(ax, run, _closest(run))
-    _draw_way(ax, run)
-    for k in ticks:
+    _draw_track(ax, run)
+    for k in steps:
         _draw_hull(ax, run, k)
     draw_ends(ax, run)
     _add_legend(ax, run)
@@ -74,8 +74,8 @@ def _snapshots(run: Run) -> list[int]:
     apart = 1.4 * run.vehicle["radius"] * m.time_s / max(m.length_m, 1e-9)  # [s] to fly 0.7 diameters
     least = max(m.time_s / _SNAPSHOTS, apart)
     step = next((s for s in _NICE if s >= least), _NICE[-1])
-    ticks = {int(np.argmin(np.abs(time - t))) for t in np.arange(0.0, m.time_s - 0.4 * step, step)}
-    return sorted(ticks | {len(time) - 1})
+    steps = {int(np.argmin(np.abs(time - t))) for t in np.arange(0.0, m.time_s - 0.4 * step, step)}
+    return sorted(steps | {len(time) - 1})
 
 
 def _closest(run: Run) -> int:
@@ -122,28 +122,28 @@ def body_middle(body: Body) -> NDArray[np.float64]:
     return np.asarray(body.shape.center, dtype=float)
 
 
-def _draw_obstacles(ax: Axes, run: Run, ticks: list[int]) -> None:
+def _draw_obstacles(ax: Axes, run: Run, steps: list[int]) -> None:
     """Each obstacle at the hulls' instants: one that moves fainter the earlier, one that drifts as outlines."""
     for name in dict.fromkeys(body.name for bodies in run.record.obstacles for body in bodies):
-        seen = {k: b for k, bodies in enumerate(run.record.obstacles) for b in bodies if b.name == name}
-        middles = np.array([body_middle(body) for body in seen.values()])
-        travels = next(iter(seen.values())).moving
-        shown = [k for k in ticks if k in seen] or [max(seen)]
+        history = {k: b for k, bodies in enumerate(run.record.obstacles) for b in bodies if b.name == name}
+        middles = np.array([body_middle(body) for body in history.values()])
+        travels = next(iter(history.values())).moving
+        shown = [k for k in steps if k in history] or [max(history)]
         if np.ptp(middles, axis=0).max() < _STILL:
             shown = shown[-1:]
         for rank, k in enumerate(shown):
             share = (rank + 1) / len(shown)
             alpha = 0.2 + 0.55 * share if travels else 0.75
-            _draw_body(ax, seen[k], alpha=alpha, filled=travels or k == shown[-1])
+            _draw_body(ax, history[k], alpha=alpha, filled=travels or k == shown[-1])
             if travels:
-                _label(ax, body_middle(seen[k]), f"{run.record.time[k]:.3g}", "white", OBSTACLE)
+                _label(ax, body_middle(history[k]), f"{run.record.time[k]:.3g}", "white", OBSTACLE)
         if travels:
             ax.plot(middles[:, 0], middles[:, 1], color=OBSTACLE, linestyle=":", linewidth=1.2, zorder=1.5)
-        body = seen[shown[0]]
-        _name(ax, run, body, name if body.heights.whole else f"{name}, {_told(body.heights)}")
+        body = history[shown[0]]
+        _name(ax, run, body, name if body.heights.whole else f"{name}, {_height_text(body.heights)}")
 
 
-def _told(heights: Heights) -> str:
+def _height_text(heights: Heights) -> str:
     """From which z to which, in words."""
     if isinf(heights.bottom):
         return f"below z {heights.top:g} m"
@@ -174,19 +174,19 @@ def _label(ax: Axes, at: NDArray[np.float64], text: str, colour: str, ground: st
     ax.text(at[0], at[1], text, ha="center", va="center", fontsize=7, color=colour, bbox=box, zorder=6, clip_on=True)
 
 
-def _draw_way(ax: Axes, run: Run) -> None:
+def _draw_track(ax: Axes, run: Run) -> None:
     """The path, and the way flown, highlighted where the law avoids."""
     points = run.scenario.path.waypoints
     ax.plot(points[:, 0], points[:, 1], color=INK, linestyle="--", linewidth=1.1, zorder=3)
-    way = run.record.eta[:, :2]
-    steps = np.stack([way[:-1], way[1:]], axis=1)
+    track = run.record.eta[:, :2]
+    steps = np.stack([track[:-1], track[1:]], axis=1)
     avoiding = run.telemetry("avoiding")[:-1, 0] > 0.5
     ax.add_collection(LineCollection(list(steps[~avoiding]), colors=ROBOT, linewidths=1.8, zorder=4))
     ax.add_collection(LineCollection(list(steps[avoiding]), colors=AVOIDING, linewidths=3.4, zorder=4))
     changes = depth_changes(run)
     if not changes:
         return
-    elsewhere = run.telemetry("wanted_depth")[:-1, 0] != run.scenario.depth
+    elsewhere = run.telemetry("depth_reference")[:-1, 0] != run.scenario.depth
     ax.add_collection(LineCollection(list(steps[elsewhere]), colors="white", linewidths=1.2, zorder=4.2))
     for change in changes:
         below = np.array(change.place_m) - [0.0, 1.4 * run.vehicle["radius"]]

@@ -10,7 +10,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.report.animation import frame_ticks
+from surctl.report.animation import frame_steps
 from surctl.report.document import Picture, Player
 from surctl.report.plan_view import body_middle, box_corners
 from surctl.simulation import Body, Run
@@ -44,21 +44,21 @@ def player_frames(run: Run, *, apart: float = _APART) -> str:
     Lengths are in m, in {E} unless said, angles in rad, times in s; what is not finite is null. `length` of a beam is
     negative where the sonar reads its maximum.
     """
-    record, scenario, ticks = run.record, run.scenario, frame_ticks(run, apart=apart)
+    record, scenario, steps = run.record, run.scenario, frame_steps(run, apart=apart)
     frames = {
         "site": [float(side) for side in scenario.site[:2]],
         "grid": _grid(run),
         "radius": run.vehicle["radius"],
         "path": _rounded(scenario.path.waypoints, 3),
-        "time": _rounded(record.time[ticks], 2),
-        "place": _rounded(record.eta[ticks, :2], 3),
-        "heading": _rounded(record.eta[ticks, 3], 3),
-        "speed": _rounded(np.hypot(record.nu[ticks, 0], record.nu[ticks, 1]), 3),
-        "clearance": _rounded(record.clearance[ticks], 3),
-        "avoiding": [int(a) for a in run.telemetry("avoiding")[ticks, 0] > 0.5],
-        "closest": int(np.argmin(record.clearance[ticks])),
-        "obstacles": _obstacles([record.obstacles[k] for k in ticks]),
-        "beams": _beams(run, ticks),
+        "time": _rounded(record.time[steps], 2),
+        "place": _rounded(record.eta[steps, :2], 3),
+        "heading": _rounded(record.eta[steps, 3], 3),
+        "speed": _rounded(np.hypot(record.nu[steps, 0], record.nu[steps, 1]), 3),
+        "clearance": _rounded(record.clearance[steps], 3),
+        "avoiding": [int(a) for a in run.telemetry("avoiding")[steps, 0] > 0.5],
+        "closest": int(np.argmin(record.clearance[steps])),
+        "obstacles": _obstacles([record.obstacles[k] for k in steps]),
+        "beams": _beams(run, steps),
     }
     # inside a script element nothing else ends it
     return json.dumps(frames, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
@@ -66,40 +66,40 @@ def player_frames(run: Run, *, apart: float = _APART) -> str:
 
 def _obstacles(frames: Sequence[Sequence[Body]]) -> list[dict[str, object]]:
     """Name and outline of each obstacle, and its centre in each frame; one centre where it stays in place."""
-    found: list[dict[str, object]] = []
+    entries: list[dict[str, object]] = []
     for name in dict.fromkeys(body.name for bodies in frames for body in bodies):
-        seen = [next((body for body in bodies if body.name == name), None) for bodies in frames]
-        first = next(body for body in seen if body is not None)
+        history = [next((body for body in bodies if body.name == name), None) for bodies in frames]
+        first = next(body for body in history if body is not None)
         outline: dict[str, object]
         if isinstance(first.shape, Box):
             outline = {"corners": _rounded(box_corners(first.shape), 3)}
         else:
             outline = {"radius": float(getattr(first.shape, "radius", 0.0))}
-        places = [None if body is None else _rounded(body_middle(body), 3) for body in seen]
-        middles = np.array([body_middle(body) for body in seen if body is not None])
-        still = len(middles) == len(seen) and float(np.ptp(middles, axis=0).max()) < _STILL
-        found.append({"name": name, **outline, "at": places[:1] if still else places})
-    return found
+        places = [None if body is None else _rounded(body_middle(body), 3) for body in history]
+        middles = np.array([body_middle(body) for body in history if body is not None])
+        still = len(middles) == len(history) and float(np.ptp(middles, axis=0).max()) < _STILL
+        entries.append({"name": name, **outline, "at": places[:1] if still else places})
+    return entries
 
 
-def _beams(run: Run, ticks: Sequence[int]) -> list[dict[str, object]]:
+def _beams(run: Run, steps: Sequence[int]) -> list[dict[str, object]]:
     """Apex and axis in {B} of each sonar, and its filtered ranges."""
     if run.sensing != "sonar":
         return []
-    array, ranges = run.scenario.sensors.array_on(run.vehicle["radius"]), run.telemetry("ranges")[ticks]
+    array, ranges = run.scenario.sensors.array_on(run.vehicle["radius"]), run.telemetry("ranges")[steps]
     signed = np.where(ranges < array.maximum - array.resolution, ranges, -ranges)
-    found: list[dict[str, object]] = []
+    entries: list[dict[str, object]] = []
     for sensor in range(array.size):
         x, y, axis = array.apex(sensor, position=np.zeros(2), heading=0.0)
         where = {"apex": _rounded(np.array([x, y]), 3), "axis": round(axis, 4), "half": round(array.half_angle, 4)}
-        found.append({**where, "length": _rounded(signed[:, sensor], 2)})
-    return found
+        entries.append({**where, "length": _rounded(signed[:, sensor], 2)})
+    return entries
 
 
 def _rounded(values: NDArray[np.float64], digits: int) -> list[object]:
-    def told(value: object) -> object:
+    def rounded(value: object) -> object:
         if isinstance(value, list):
-            return [told(one) for one in value]
+            return [rounded(one) for one in value]
         return round(float(value), digits) if isinstance(value, float) and isfinite(value) else None
 
-    return [told(value) for value in np.asarray(values, dtype=float).tolist()]
+    return [rounded(value) for value in np.asarray(values, dtype=float).tolist()]

@@ -16,17 +16,17 @@ from surctl.report.words import number
 from surctl.simulation import Run
 from surctl.simulation.priority_timeline import NOTICEABLE, PriorityTimeline
 
-__all__ = ["given_up", "plot_priority"]
+__all__ = ["plot_priority", "relaxation_text"]
 
 _MOST = 8  # rows drawn: those that hold back or are missed longest
 
 
-def plot_priority(run: Run, found: PriorityTimeline) -> Figure:
+def plot_priority(run: Run, timeline: PriorityTimeline) -> Figure:
     """One lane a level, highest priority first, with what it gave up; under them one lane a row.
 
     Args:
         run: what was flown.
-        found: `priority_timeline` of it.
+        timeline: `priority_timeline` of it.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -39,16 +39,16 @@ def plot_priority(run: Run, found: PriorityTimeline) -> Figure:
         >>> [ax.get_ylabel() for ax in figure.axes]
         ['1 velocity [m/s]', '2 depth [m/s]', '3 heading [rad/s]', '']
     """
-    rows = _longest(found)
-    quiet: list[bool] = np.all(found.to_levels + found.to_rows <= NOTICEABLE, axis=0).tolist()
+    rows = _longest(timeline)
+    quiet: list[bool] = np.all(timeline.to_levels + timeline.to_rows <= NOTICEABLE, axis=0).tolist()
     heights = [0.3 if one else 0.95 for one in quiet] + [0.26 * max(len(rows), 1) + 0.2]
     figure = new_figure(9.5, 1.4 + sum(heights) + 0.1 * len(heights))
     axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False).ravel().tolist()
     head(figure, describe(run))
     for level, ax in enumerate(axes[:-1]):
-        _draw_level(ax, found, level)
-    _draw_rows(axes[-1], found, rows)
-    end = float(found.time[-1]) if found.time.size else 0.0
+        _draw_level(ax, timeline, level)
+    _draw_rows(axes[-1], timeline, rows)
+    end = float(timeline.time[-1]) if timeline.time.size else 0.0
     axes[-1].set_xlim(0.0, end or run.law.dt)
     handles = [
         Patch(facecolor=ROBOT, alpha=0.55, label="given up to levels above"),
@@ -60,40 +60,42 @@ def plot_priority(run: Run, found: PriorityTimeline) -> Figure:
     return figure
 
 
-def given_up(found: PriorityTimeline) -> str:
+def relaxation_text(timeline: PriorityTimeline) -> str:
     """In words: the most that each level gave up, for how long and to which rows; rows that were missed."""
-    told = []
-    step = float(np.median(np.diff(found.time))) if len(found.time) > 1 else 0.0
-    for level, (name, unit) in enumerate(zip(found.levels, found.units, strict=True)):
-        for lost, guilty in ((found.to_rows, True), (found.to_levels, False)):
-            seen = lost[:, level] > NOTICEABLE
-            if not seen.any():
+    parts = []
+    step = float(np.median(np.diff(timeline.time))) if len(timeline.time) > 1 else 0.0
+    for level, (name, unit) in enumerate(zip(timeline.levels, timeline.units, strict=True)):
+        for lost, guilty in ((timeline.to_rows, True), (timeline.to_levels, False)):
+            noticeable = lost[:, level] > NOTICEABLE
+            if not noticeable.any():
                 continue
-            rows = [row for k, row in enumerate(found.rows) if found.blame[:, level, k].any()]
+            rows = [row for k, row in enumerate(timeline.rows) if timeline.causes[:, level, k].any()]
             to = _listed(rows) if guilty else "the levels above it"
             most = f"{number(float(lost[:, level].max()), digits=2)} {unit}".strip()
-            told.append(f"{name} gave up at most {most} to {to}, in {number(step * int(seen.sum()), digits=3)} s")
-    missed = [row for k, row in enumerate(found.rows) if (found.missed[:, k] > NOTICEABLE).any()]
+            parts.append(
+                f"{name} gave up at most {most} to {to}, in {number(step * int(noticeable.sum()), digits=3)} s"
+            )
+    missed = [row for k, row in enumerate(timeline.rows) if (timeline.missed[:, k] > NOTICEABLE).any()]
     if missed:
-        told.append(f"the wish missed {_listed(missed)}, by {number(float(found.missed.max()), digits=2)} at most")
-    return "; ".join(told) or "no level gave anything up"
+        parts.append(f"the wish missed {_listed(missed)}, by {number(float(timeline.missed.max()), digits=2)} at most")
+    return "; ".join(parts) or "no level gave anything up"
 
 
 def _listed(rows: list[str]) -> str:
     return f"{', '.join(rows[:4])} and {len(rows) - 4} more rows" if len(rows) > 5 else ", ".join(rows) or "the limits"
 
 
-def _longest(found: PriorityTimeline) -> list[int]:
+def _longest(timeline: PriorityTimeline) -> list[int]:
     """Rows to draw, in the law's order."""
-    ticks = (found.binding | (found.missed > NOTICEABLE)).sum(axis=0)
-    return sorted(np.argsort(-ticks, kind="stable")[:_MOST].tolist())
+    counts = (timeline.binding | (timeline.missed > NOTICEABLE)).sum(axis=0)
+    return sorted(np.argsort(-counts, kind="stable")[:_MOST].tolist())
 
 
-def _draw_level(ax: Axes, found: PriorityTimeline, level: int) -> None:
-    dress(ax, y=f"{level + 1} {found.levels[level]} [{found.units[level] or '1'}]")
-    above, rows = found.to_levels[:, level], found.to_rows[:, level]
-    ax.fill_between(found.time, 0.0, above, color=ROBOT, alpha=0.55, linewidth=0.0)
-    ax.fill_between(found.time, above, above + rows, color=AVOIDING, linewidth=0.0)
+def _draw_level(ax: Axes, timeline: PriorityTimeline, level: int) -> None:
+    dress(ax, y=f"{level + 1} {timeline.levels[level]} [{timeline.units[level] or '1'}]")
+    above, rows = timeline.to_levels[:, level], timeline.to_rows[:, level]
+    ax.fill_between(timeline.time, 0.0, above, color=ROBOT, alpha=0.55, linewidth=0.0)
+    ax.fill_between(timeline.time, above, above + rows, color=AVOIDING, linewidth=0.0)
     most = float(np.max(above + rows, initial=0.0))
     if most <= NOTICEABLE:
         ax.set(ylim=(0.0, 1.0), yticks=[])
@@ -105,18 +107,18 @@ def _draw_level(ax: Axes, found: PriorityTimeline, level: int) -> None:
     ax.yaxis.label.set(rotation=0, horizontalalignment="right", verticalalignment="center", fontsize=8.5)
 
 
-def _draw_rows(ax: Axes, found: PriorityTimeline, rows: list[int]) -> None:
+def _draw_rows(ax: Axes, timeline: PriorityTimeline, rows: list[int]) -> None:
     dress(ax, x="time [s]")
-    ax.set_yticks(range(len(rows)), [printable(found.rows[row]) for row in rows])
+    ax.set_yticks(range(len(rows)), [printable(timeline.rows[row]) for row in rows])
     ax.set_ylim(max(len(rows), 1) - 0.5, -0.5)
     for place, row in enumerate(rows):
-        _bars(ax, found.time, found.missed[:, row] > NOTICEABLE, place, BAD, 0.45)
-        _bars(ax, found.time, found.binding[:, row], place, INK, 1.0)
-    left = len(found.rows) - len(rows)
+        _bars(ax, timeline.time, timeline.missed[:, row] > NOTICEABLE, place, BAD, 0.45)
+        _bars(ax, timeline.time, timeline.binding[:, row], place, INK, 1.0)
+    left = len(timeline.rows) - len(rows)
     text = f"{left} more rows" if left else "" if rows else "no row held back, none was missed"
     ax.text(0.99, 0.06, text, transform=ax.transAxes, ha="right", fontsize=8, color=MUTED)
 
 
 def _bars(ax: Axes, time: NDArray[np.float64], on: NDArray[np.bool_], place: int, colour: str, alpha: float) -> None:
-    found = [(begin, max(end - begin, 1e-3)) for begin, end in spans(time, on)]
-    ax.broken_barh(found, (place - 0.32, 0.64), facecolors=colour, alpha=alpha, linewidth=0.0, zorder=2)
+    bars = [(begin, max(end - begin, 1e-3)) for begin, end in spans(time, on)]
+    ax.broken_barh(bars, (place - 0.32, 0.64), facecolors=colour, alpha=alpha, linewidth=0.0, zorder=2)

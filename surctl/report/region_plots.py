@@ -45,11 +45,11 @@ def plot_region(document: Mapping[str, Any]) -> Figure:
         >>> [ax.get_ylabel() for ax in figure.axes]
         ['velocity along it [m/s]', 'velocity across it [m/s]', 'across the path, y_e [m]']
     """
-    seen = [portrait(document, plane) for plane in planes_of(document)]
-    figure = new_figure(4.4 * len(seen), 4.9)
-    for ax, one in zip(figure.subplots(1, len(seen)), seen, strict=True):
+    portraits = [portrait(document, plane) for plane in planes_of(document)]
+    figure = new_figure(4.4 * len(portraits), 4.9)
+    for ax, one in zip(figure.subplots(1, len(portraits)), portraits, strict=True):
         plot_portrait(one, ax)
-    figure.legend(handles=_handles(seen[0]), loc="outside lower center", ncols=4, fontsize=8.5, frameon=False)
+    figure.legend(handles=_handles(portraits[0]), loc="outside lower center", ncols=4, fontsize=8.5, frameon=False)
     return figure
 
 
@@ -85,13 +85,13 @@ def plot_portrait(one: Portrait, ax: Axes | None = None) -> Axes:
 
 def _handles(one: Portrait) -> list[Artist]:
     shells = ", and its shells" if len(one.levels) > 2 else ""
-    told: list[Artist] = [Line2D([], [], color=GOOD, linewidth=2.0, label=f"certified: V = 1{shells}")]
+    handles: list[Artist] = [Line2D([], [], color=GOOD, linewidth=2.0, label=f"certified: V = 1{shells}")]
     if one.levels[0] > 0:
-        told.append(Line2D([], [], color=ROBOT, linewidth=1.4, linestyle="--", label="where it ends: floor of V"))
+        handles.append(Line2D([], [], color=ROBOT, linewidth=1.4, linestyle="--", label="where it ends: floor of V"))
     if one.lagged:
-        return [*told, Line2D([], [], linestyle="none", label="flow and failures: without the lag, not shown")]
-    told.append(Patch(facecolor=AVOIDING, alpha=0.28, label="rate fails for some vehicle and heading"))
+        return [*handles, Line2D([], [], linestyle="none", label="flow and failures: without the lag, not shown")]
+    handles.append(Patch(facecolor=AVOIDING, alpha=0.28, label="rate fails for some vehicle and heading"))
     if one.plane not in _STILL:
-        told.append(Line2D([], [], color=MUTED, marker=r"$\rightarrow$", linestyle="none", markersize=11,
+        handles.append(Line2D([], [], color=MUTED, marker=r"$\rightarrow$", linestyle="none", markersize=11,
                            label=f"direction of the {one.whose} flow"))  # fmt: skip
-    return told
+    return handles

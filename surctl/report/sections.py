@@ -129,12 +129,12 @@ def loops_section(data: ReportData) -> Section:
 
 
 def _loop_pictures(data: ReportData) -> tuple[Picture, ...]:
-    found = []
+    pictures = []
     for at in ("thrust", "measurement"):
         group = [loop for loop in data.loops if loop.at == at]
         if group:
-            found += [_bode_picture(data, group, at), _nyquist_picture(data, group, at)]
-    return tuple(found)
+            pictures += [_bode_picture(data, group, at), _nyquist_picture(data, group, at)]
+    return tuple(pictures)
 
 
 def _bode_picture(data: ReportData, group: Sequence[LoopResponse], at: str) -> Picture:
@@ -150,11 +150,11 @@ def _nyquist_picture(data: ReportData, group: Sequence[LoopResponse], at: str) -
     names = [loop.name for loop in group]
     disks = [m.disk_margin for m in data.margins if m.name in names and m.stable]
     least = min(disks, default=None)
-    told = "" if least is None else f" Shaded: the disk that the least disk margin, {number(least)}, keeps free."
+    shading = "" if least is None else f" Shaded: the disk that the least disk margin, {number(least)}, keeps free."
     return picture(
         plot_nyquist(group, disk_margin=least),
         alt=f"Nyquist plot of the loops broken at the {at} about the point -1",
-        caption=f"Nyquist plot, broken at the {at}.{told}",
+        caption=f"Nyquist plot, broken at the {at}.{shading}",
         command=data.command,
     )
 
@@ -240,10 +240,10 @@ def _comparison(reports: Sequence[SilReport]) -> list[Block]:
         rows += [_difference_row(k, report.steps, _Quantity(*kind)) for kind in kinds]
     heads = ("run", "steps", "quantity", "absolute", "relative", f"judged (bar {TOLERANCE:g})", "at step", "verdict")
     caption = "Largest differences C against Python, step by step; judged relative to max(1, |Python|)"
-    found: list[Block] = [Heading("Software in the loop"), Table(caption, heads, tuple(rows)), _checks(reports)]
+    blocks: list[Block] = [Heading("Software in the loop"), Table(caption, heads, tuple(rows)), _checks(reports)]
     for report in reports:
-        found += [Paragraph(f"Failed: {label}", "bad") for label in report.fault_failures[:5]]
-    return found
+        blocks += [Paragraph(f"Failed: {label}", "bad") for label in report.fault_failures[:5]]
+    return blocks
 
 
 def _difference_row(k: int, steps: int, quantity: _Quantity) -> tuple[Cell | str, ...]:

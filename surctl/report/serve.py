@@ -14,21 +14,21 @@ from typing import Any
 from surctl.errors import InputError, ToolMissing
 from surctl.report.bench import Bench
 
-__all__ = ["serve", "served"]
+__all__ = ["current_bench", "serve"]
 
 _HOST = "127.0.0.1"
-_SERVED: list[Bench] = []  # the page's cells run in threads of this process, and are given nothing else
+_BENCHES: list[Bench] = []  # the page's cells run in threads of this process, and are given nothing else
 
 
-def served() -> Bench:
+def current_bench() -> Bench:
     """The bench of the page that this process serves.
 
     Raises:
         InputError: none is served.
     """
-    if not _SERVED:
+    if not _BENCHES:
         raise InputError("nothing is served", key="page", remedy="start it with surctl tune --page")
-    return _SERVED[-1]
+    return _BENCHES[-1]
 
 
 def serve(bench: Bench, *, port: int | None = None, ready: Callable[[str], None]) -> None:
@@ -59,7 +59,7 @@ def serve(bench: Bench, *, port: int | None = None, ready: Callable[[str], None]
         raise InputError(
             f"cannot be used ({error.strerror})", key="--port", value=port, remedy="leave it away for a free one"
         ) from None
-    _SERVED.append(bench)
+    _BENCHES.append(bench)
     page = str(Path(__file__).with_name("tuning_page.py"))
     key = secrets.token_urlsafe(16)  # the page writes files: another site's script must not reach it
     app = marimo.create_asgi_app(quiet=True, token=key).with_app(path="", root=page).build()

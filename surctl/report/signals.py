@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from surctl.report.plan_view import describe
 from surctl.report.theme import AVOIDING, BAD, MUTED, curve, dress, head, legend_above, new_figure
 from surctl.simulation import Run
-from surctl.simulation.metrics import settled_avoidance
+from surctl.simulation.metrics import avoidance_intervals
 
 __all__ = [
     "plot_clearance",
@@ -43,7 +43,7 @@ def plot_run_signals(run: Run, ax: Sequence[Axes] | None = None) -> Figure:
         >>> from surctl.report import plot_run_signals
         >>> from surctl.simulation import load_scenario, simulate
         >>> from surctl.vehicle import load_vehicle
-        >>> law, gains = build_law("lean"), load_gains("default")
+        >>> law, gains = build_law("closed_form"), load_gains("default")
         >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
         >>> [ax.get_ylabel() for ax in plot_run_signals(run).axes][:4]
         ['clearance [m]', 'path error [m]', 'velocity in {B} [m/s]', 'yaw rate [rad/s]']
@@ -99,7 +99,7 @@ def plot_velocity(run: Run, ax: Axes | None = None) -> Axes:
 def plot_yaw_rate(run: Run, ax: Axes | None = None) -> Axes:
     """Yaw rate r [rad/s]: flown, and wanted by the law."""
     ax = _axes(run, ax, title="yaw rate", unit="rad/s")
-    curve(ax, run.record.time, run.telemetry("nu_wanted")[:, 3], label="r wanted", k=1, faint=True)
+    curve(ax, run.record.time, run.telemetry("nu_reference")[:, 3], label="r wanted", k=1, faint=True)
     curve(ax, run.record.time, run.record.nu[:, 3], label="r", k=0)
     legend_above(ax)
     return ax
@@ -140,7 +140,7 @@ def _axes(run: Run, ax: Axes | None, *, title: str, unit: str) -> Axes:
         ax.set_xlim(0.0, float(time[-1]))
     avoiding = run.telemetry("avoiding")[:, 0]
     away = run.scenario.follower().track(run.record.eta[:, :2])
-    returning = settled_avoidance(avoiding, away) & (avoiding <= 0.5)
+    returning = avoidance_intervals(avoiding, away) & (avoiding <= 0.5)
     for mask, strength in ((avoiding > 0.5, 0.20), (returning, 0.07)):
         for begin, end in spans(time, mask):
             ax.axvspan(begin, end, color=AVOIDING, alpha=strength, linewidth=0.0, zorder=0)

@@ -39,7 +39,7 @@ def plot_parallel(table: SweepTable, columns: Sequence[str] | None = None, ax: A
         >>> from surctl.report import plot_parallel
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import build_cases, grid, parse_axis, sweep
-        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
         >>> table = sweep(cases, grid([parse_axis("k_v=1,2"), parse_axis("lookahead=0.4,0.8,1.2")]))
         >>> ax = plot_parallel(table, ["time_s", "disk_margin"])
         >>> ax.get_title("left"), [label.get_text() for label in ax.get_xticklabels()[:2]]
@@ -59,29 +59,29 @@ def plot_parallel(table: SweepTable, columns: Sequence[str] | None = None, ax: A
     ends = [_ends(values) for values in scales]
     lines = np.stack([(v - low) / (high - low) for v, (low, high) in zip(scales, ends, strict=True)], axis=1)
     feasible = table.column("feasible").reshape(-1) > 0.5
-    kept = np.unique(np.linspace(0, len(lines) - 1, min(len(lines), _LINES)).astype(int))
-    good, bad = kept[feasible[kept]], kept[~feasible[kept]]
+    shown = np.unique(np.linspace(0, len(lines) - 1, min(len(lines), _LINES)).astype(int))
+    good, bad = shown[feasible[shown]], shown[~feasible[shown]]
     dress(ax, title=f"{len(lines)} points, {int(feasible.sum())} feasible")
     ax.grid(visible=False)
-    strength = float(np.clip(25 / max(len(kept), 1), 0.06, 0.8))
+    strength = float(np.clip(25 / max(len(shown), 1), 0.06, 0.8))
     for chosen, colour, width in ((bad, OBSTACLE, 0.6), (good, ROBOT, 1.0)):
         ax.add_collection(_collection(lines[chosen], colour, width, strength))
     if table.picked is not None:
         picked = int(np.ravel_multi_index(table.picked, table.shape))
         ax.add_collection(_collection(lines[[picked]], AVOIDING, 2.6, 1.0))
     _upright(ax, titles, ends)
-    drawn = [Line2D([], [], color=ROBOT, label="feasible"), Line2D([], [], color=OBSTACLE, label="not feasible")]
+    handles = [Line2D([], [], color=ROBOT, label="feasible"), Line2D([], [], color=OBSTACLE, label="not feasible")]
     if table.picked is not None:
-        drawn.append(Line2D([], [], color=AVOIDING, linewidth=2.6, label="picked"))
-    legend_below(ax, columns=3, handles=drawn)
+        handles.append(Line2D([], [], color=AVOIDING, linewidth=2.6, label="picked"))
+    legend_below(ax, columns=3, handles=handles)
     return ax
 
 
-def plot_sensitivity(found: Sensitivity, ax: Axes | None = None) -> Axes:
+def plot_sensitivity(result: Sensitivity, ax: Axes | None = None) -> Axes:
     """Sobol' indices of first and total order of each axis with their confidence intervals.
 
     Args:
-        found: the indices.
+        result: the indices.
         ax: axes to draw in.
 
     Example:
@@ -89,20 +89,20 @@ def plot_sensitivity(found: Sensitivity, ax: Axes | None = None) -> Axes:
         >>> from surctl.report import plot_sensitivity
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import build_cases, parse_axis, saltelli, sensitivity, sweep
-        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
         >>> design = saltelli([parse_axis("scenario.cruise=0.1..0.2"), parse_axis("k_v=1.2..3")], base=16)
         >>> found = sensitivity(sweep(cases, design, linear=False), "time_s")
         >>> ax = plot_sensitivity(found)
         >>> ax.get_title("left"), ax.get_xlabel(), [label.get_text() for label in ax.get_yticklabels()]
         ('What time_s depends on', 'share of the variance [1]', ['scenario.cruise', 'k_v'])
     """
-    ax = ax or new_axes(6.4, 1.5 + 0.55 * len(found.axes))
-    title = f"What {found.column} depends on"
-    dress(ax, title=f"{title}: it is constant" if found.constant else title, x="share of the variance [1]")
-    at = np.arange(len(found.axes))[::-1]
+    ax = ax or new_axes(6.4, 1.5 + 0.55 * len(result.axes))
+    title = f"What {result.column} depends on"
+    dress(ax, title=f"{title}: it is constant" if result.constant else title, x="share of the variance [1]")
+    at = np.arange(len(result.axes))[::-1]
     series = (
-        ("alone (first order)", found.first, found.first_interval, ROBOT, 0.19, None),
-        ("with others (total order)", found.total, found.total_interval, AVOIDING, -0.19, "///"),
+        ("alone (first order)", result.first, result.first_interval, ROBOT, 0.19, None),
+        ("with others (total order)", result.total, result.total_interval, AVOIDING, -0.19, "///"),
     )
     for label, values, intervals, colour, offset, hatch in series:
         heights = np.array(values)
@@ -110,10 +110,10 @@ def plot_sensitivity(found: Sensitivity, ax: Axes | None = None) -> Axes:
             at + offset, heights, 0.34, color="white" if hatch else colour, edgecolor=colour, hatch=hatch, label=label
         )
         # an interval of a bootstrap need not hold the estimate
-        reach = np.abs(np.array(intervals).T - heights)
-        ax.errorbar(heights, at + offset, xerr=reach, fmt="none", ecolor=INK, elinewidth=1.1, capsize=2.5)
-    ax.set_yticks(at, [printable(name) for name in found.axes])
-    ends = [v for pair in (*found.first_interval, *found.total_interval) for v in pair]
+        errors = np.abs(np.array(intervals).T - heights)
+        ax.errorbar(heights, at + offset, xerr=errors, fmt="none", ecolor=INK, elinewidth=1.1, capsize=2.5)
+    ax.set_yticks(at, [printable(name) for name in result.axes])
+    ends = [v for pair in (*result.first_interval, *result.total_interval) for v in pair]
     ax.set_xlim(min(0.0, *ends) - 0.02, max(1.0, *ends) + 0.02)
     ax.axvline(0.0, color=MUTED, linewidth=0.8)
     handles, _ = ax.get_legend_handles_labels()

@@ -17,18 +17,18 @@ def _():
     from surctl.errors import SurctlError
     from surctl.report import page_parts as parts
     from surctl.report.bench import save_gains, slider_steps
-    from surctl.report.serve import served
+    from surctl.report.serve import current_bench
 
-    bench = served()
+    bench = current_bench()
     return GAINS, SurctlError, bench, load_gains, mo, parts, save_gains, slider_steps
 
 
 @app.cell
 def _(bench, mo, parts):
     get_base, set_base = mo.state(bench.gains)
-    get_told, set_told = mo.state("")
+    get_message, set_message = mo.state("")
     mo.Html(parts.head(bench))
-    return get_base, get_told, set_base, set_told
+    return get_base, get_message, set_base, set_message
 
 
 @app.cell
@@ -51,22 +51,22 @@ def _(GAINS, bench, get_base, mo, slider_steps):
 
 
 @app.cell
-def _(SurctlError, base, load_gains, mo, save_gains, set_base, set_told, sliders):
+def _(SurctlError, base, load_gains, mo, save_gains, set_base, set_message, sliders):
     name_box = mo.ui.text(value="gains.toml", label="gain file", full_width=True)
 
     def _load(_):
         try:
             set_base(load_gains(name_box.value))
-            set_told(f"loaded {name_box.value}")
+            set_message(f"loaded {name_box.value}")
         except SurctlError as error:
-            set_told(f"error: {error}")
+            set_message(f"error: {error}")
 
     def _save(_):
         try:
             tuned = base.with_values(sliders.value, provenance=f"tuning page, from {base.name}: {base.provenance}")
-            set_told(f"saved {save_gains(tuned, name_box.value)}")
+            set_message(f"saved {save_gains(tuned, name_box.value)}")
         except SurctlError as error:
-            set_told(f"error: {error}")
+            set_message(f"error: {error}")
 
     save_button = mo.ui.button(label="Save", on_click=_save)
     load_button = mo.ui.button(label="Load", on_click=_load)
@@ -76,7 +76,7 @@ def _(SurctlError, base, load_gains, mo, save_gains, set_base, set_told, sliders
 @app.cell
 def _(base, bench, sliders):
     gains = base.with_values(sliders.value)
-    run = bench.fly(gains)
+    run = bench.simulate(gains)
     linear = bench.linear(gains)
     return gains, linear, run
 
@@ -84,19 +84,19 @@ def _(base, bench, sliders):
 @app.cell
 def _(bench, gains, mo):
     verdict_button = mo.ui.run_button(label="Check the claims for these gains")
-    locus_knob = mo.ui.dropdown(list(bench.locus_knobs), value=bench.locus_knobs[0], label="locus over")
+    locus_gain = mo.ui.dropdown(list(bench.locus_gains), value=bench.locus_gains[0], label="locus over")
     _ = gains
-    return locus_knob, verdict_button
+    return locus_gain, verdict_button
 
 
 @app.cell
-def _(get_told, load_button, mo, name_box, parts, save_button, sliders, verdict_button):
+def _(get_message, load_button, mo, name_box, parts, save_button, sliders, verdict_button):
     mo.vstack(
         [
             mo.Html(parts.sliders(sliders.elements.values())),
             name_box,
             mo.hstack([save_button, load_button, verdict_button], justify="start", wrap=True),
-            mo.Html(parts.told(get_told())),
+            mo.Html(parts.message(get_message())),
         ]
     )
     return
@@ -104,9 +104,9 @@ def _(get_told, load_button, mo, name_box, parts, save_button, sliders, verdict_
 
 @app.cell
 def _(bench, gains, linear, mo, parts, run):
-    _told = parts.figures(run, linear)
+    _figures = parts.figures(run, linear)
     _judged = parts.goals(bench.judge(gains))
-    mo.Html(parts.pair(_told, _judged) + parts.picture(bench.plan(run).figure, parts.run_text(run)))
+    mo.Html(parts.pair(_figures, _judged) + parts.picture(bench.plan(run).figure, parts.run_text(run)))
     return
 
 
@@ -120,10 +120,10 @@ def _(bench, gains, mo, parts):
 
 
 @app.cell
-def _(bench, gains, locus_knob, mo, parts):
-    _what = f"Closed-loop poles over {locus_knob.value}"
-    _drawn = parts.attempt(lambda: parts.picture(bench.locus(gains, locus_knob.value).figure, _what))
-    mo.vstack([locus_knob, mo.Html(_drawn)])
+def _(bench, gains, locus_gain, mo, parts):
+    _what = f"Closed-loop poles over {locus_gain.value}"
+    _locus = parts.attempt(lambda: parts.picture(bench.locus(gains, locus_gain.value).figure, _what))
+    mo.vstack([locus_gain, mo.Html(_locus)])
     return
 
 

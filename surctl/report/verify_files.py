@@ -51,20 +51,20 @@ def save_margins(
     loops = loop_responses(vehicle, gains, cruise=cruise, dt=dt)
     if not all(m.stable for m in margins):
         return []
-    drawn: dict[str, Figure] = {}
+    figures: dict[str, Figure] = {}
     for at in ("thrust", "measurement"):
         group = [(loop, m) for loop, m in zip(loops, margins, strict=True) if loop.at == at]
         tightest = min(group, key=lambda pair: pair[1].delay_margin_s)
-        drawn[f"bode-{tightest[0].name}"] = plot_marked_bode(*tightest)
+        figures[f"bode-{tightest[0].name}"] = plot_marked_bode(*tightest)
         least = min(m.disk_margin for _, m in group)
-        drawn[f"nyquist-{at}"] = plot_nyquist([loop for loop, _ in group], disk_margin=least).figure.figure
+        figures[f"nyquist-{at}"] = plot_nyquist([loop for loop, _ in group], disk_margin=least).figure.figure
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt)
     opened = [open_loop(cascade, place) for place in DISK_PLACES]
     pairs = [(loop, disk_margin(loop, place)) for loop, place in zip(opened, DISK_PLACES, strict=True)]
-    drawn["disk"] = plot_disk_margins(pairs, highest=np.pi / dt)
+    figures["disk"] = plot_disk_margins(pairs, highest=np.pi / dt)
     curves = [sensitivity_of(loop, p, highest=np.pi / dt) for loop, p in zip(opened, DISK_PLACES, strict=True)]
-    drawn["sensitivity"] = plot_s_and_t(curves[:2])
-    return [save_figure(figure, folder, ("margins", vehicle.name, name)) for name, figure in drawn.items()]
+    figures["sensitivity"] = plot_s_and_t(curves[:2])
+    return [save_figure(figure, folder, ("margins", vehicle.name, name)) for name, figure in figures.items()]
 
 
 def save_verdicts(verdicts: Sequence[Verdict], folder: Path | str) -> list[Path]:
@@ -75,9 +75,9 @@ def save_verdicts(verdicts: Sequence[Verdict], folder: Path | str) -> list[Path]
 
     Example:
         >>> from surctl.report import save_verdicts
-        >>> from surctl.verification import claims, settle
+        >>> from surctl.verification import claims, decide
         >>> chosen = claims(names=["v1-printed", "v1-corrected"])
-        >>> verdicts = [settle(claim, samples=256, starts=2) for claim in chosen]
+        >>> verdicts = [decide(claim, samples=256, starts=2) for claim in chosen]
         >>> [path.name for path in save_verdicts(verdicts, "pictures")]
         ['v1-printed-replay.png', 'v1-printed-slice.png', 'v1-corrected-cells.png']
     """
@@ -108,18 +108,18 @@ def save_regions(documents: Mapping[str, Mapping[str, Any]], folder: Path | str)
 
 
 def _pictures(verdict: Verdict) -> dict[str, Figure]:
-    drawn: dict[str, Figure] = {}
+    figures: dict[str, Figure] = {}
     varying = sum(v.upper > v.lower for v in verdict.claim.variables)
     if verdict.counterexample is not None:
         if verdict.claim.motion is not None:
-            drawn["replay"] = plot_counterexample(verdict).figure.figure
+            figures["replay"] = plot_counterexample(verdict).figure.figure
         if varying >= 2:
-            drawn["slice"] = plot_slice(margin_slice(verdict)).figure.figure
+            figures["slice"] = plot_slice(margin_slice(verdict)).figure.figure
     elif varying >= 2 and verdict.certificate is not None:
         try:
-            drawn["cells"] = plot_cells(verdict).figure.figure
+            figures["cells"] = plot_cells(verdict).figure.figure
         except InputError:  # a certificate of a kind that has no cells
-            return drawn
+            return figures
     elif varying >= 2 and verdict.open_boxes:
-        drawn["open"] = plot_open_boxes(verdict).figure.figure
-    return drawn
+        figures["open"] = plot_open_boxes(verdict).figure.figure
+    return figures

@@ -60,7 +60,7 @@ def simulate_command(run: Run, gains: str | None) -> str | None:
     words += ["--vehicle", vehicle, "--gains", gains, "--law", law, "--avoidance", run.law.avoidance]
     words += [] if run.law.guidance == "los" else ["--guidance", run.law.guidance]
     words += ["--priority-mode", run.law.mode]
-    words += [] if run.law.ladder == "exact" else ["--ladder", run.law.ladder]
+    words += [] if run.law.fallback == "exact" else ["--fallback", run.law.fallback]
     if (run.law.barrier, run.law.movers) != ("simple", "predict"):
         words += ["--barrier", run.law.barrier, "--movers", run.law.movers]
     words += ["--sensing", run.sensing, "--seed", str(run.seed), "--out", "plots"]

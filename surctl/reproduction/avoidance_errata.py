@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 
 from surctl.guidance.avoidance import avoidance_course, clearance_rate, encounter_side, printed_side
-from surctl.reproduction.motion import Vector, flown, numeric, value
-from surctl.reproduction.row import Found, agrees, unreadable, wrong_in_print
+from surctl.reproduction.motion import Vector, numeric, trajectory, value
+from surctl.reproduction.row import Result, agrees, unreadable, wrong_in_print
 from surctl.vehicle import load_vehicle
 from surctl.vehicle.kinematics import planar_rotation
 from surctl.verification import claims, evaluate
@@ -51,28 +51,28 @@ def course(e2: ca.SX, phi: ca.SX, setting: Setting, *, delta: float = 0.0) -> ca
     )
 
 
-def settled(start: float, setting: Setting, *, delta: float = 0.0, closing: float = 0.0) -> float:
+def final_distance(start: float, setting: Setting, *, delta: float = 0.0, closing: float = 0.0) -> float:
     """e2 [m] after 120 s of (20) from e2 = `start`, the obstacle closing at −`closing` [m/s] along the bearing."""
     e2 = ca.SX.sym("e2")
     turned = course(e2, ca.SX(0), setting, delta=delta)
     rate = clearance_rate(turned, ca.SX(0), speed=ca.SX(setting.avoidance_speed), closing=ca.SX(closing))
     f = ca.Function("rate", [e2], [rate])
-    return float(flown(numeric(f), np.array([start]), duration=120.0)[-1, 0])
+    return float(trajectory(numeric(f), np.array([start]), duration=120.0)[-1, 0])
 
 
-def pushed(start: Vector, setting: Setting, acceleration: float) -> Vector:
+def inertial_motion(start: Vector, setting: Setting, acceleration: float) -> Vector:
     """States (k, 4), position and velocity, of a mass that follows (20) about the origin with |v̇| ≤ `acceleration`."""
     x = ca.SX.sym("x", 4)
     away = ca.sqrt(ca.sumsqr(x[:2]))
     turned = course(away - setting.radius, ca.atan2(-x[1], -x[0]), setting)
-    wanted = setting.avoidance_speed * ca.vertcat(ca.cos(turned), ca.sin(turned))
-    pull = (wanted - x[2:]) / 0.1  # [1/s] a velocity loop much faster than the thrust allows
+    desired = setting.avoidance_speed * ca.vertcat(ca.cos(turned), ca.sin(turned))
+    pull = (desired - x[2:]) / 0.1  # [1/s] a velocity loop much faster than the thrust allows
     held = pull * ca.fmin(1, acceleration / ca.fmax(ca.sqrt(ca.sumsqr(pull)), 1e-9))
     f = ca.Function("rate", [x], [ca.vertcat(x[2:], held)])
-    return flown(numeric(f), start, duration=120.0)
+    return trajectory(numeric(f), start, duration=120.0)
 
 
-def e1() -> Found:
+def e1() -> Result:
     """ẏ of (17) and of (2) at the same speed and angle."""
     speed, psi = 0.15, pi / 4
     ours_y = value((planar_rotation(ca.SX(psi)) @ ca.vertcat(speed, 0.0))[1])
@@ -94,7 +94,7 @@ def e1() -> Found:
     )
 
 
-def e10() -> Found:
+def e10() -> Result:
     """λ2 of one encounter, turned about: the printed rule's sides, and those of the relative velocity."""
     rule, mended = set(), set()
     for k in range(360):
@@ -104,22 +104,22 @@ def e10() -> Found:
         velocity = 0.2 * ca.SX([cos(phi + pi / 9), sin(phi + pi / 9)])
         rule.add(int(value(printed_side(ca.SX(phi)))))
         mended.add(int(value(encounter_side(velocity, normal))))
-    told = ", ".join(f"{side:+d}" for side in sorted(rule))
+    sides = ", ".join(f"{side:+d}" for side in sorted(rule))
     right = ", ".join(f"{side:+d}" for side in sorted(mended))
-    ours = f"printed rule: {told}; by the relative velocity: {right}"
+    ours = f"printed rule: {sides}; by the relative velocity: {right}"
     if len(rule) == 1 or mended != {1}:
         return agrees(ours)
     return wrong_in_print(
-        ours, f"the same encounter in a tank turned by 180° gets the other side: {told}", sides=float(len(rule))
+        ours, f"the same encounter in a tank turned by 180° gets the other side: {sides}", sides=float(len(rule))
     )
 
 
-def e11() -> Found:
+def e11() -> Result:
     """V̇2 for −δ < e2 < 0, and where (20) with δ > 0 lets the robot settle."""
     s = Setting()
     claim = claims(names=["v2-printed"])[0]
     margin, inside = evaluate(claim, claim.witnesses[0])
-    end = settled(0.5, s, delta=s.delta)
+    end = final_distance(0.5, s, delta=s.delta)
     ours = (
         f"V̇2 = {margin:+.5f} m²/s at e2 = {claim.witnesses[0]['e2']:.3g} m; e2 settles at {end:.4f} m for δ = {s.delta}"
     )
@@ -128,25 +128,27 @@ def e11() -> Found:
     return wrong_in_print(ours, f"e2 settles at {end:.3f} m = −δ", margin=margin, settles_m=end)
 
 
-def e12() -> Found:
+def e12() -> Result:
     """Where (20) settles before an obstacle that comes head-on slower than the robot."""
     s = Setting()
-    end, formula = settled(0.5, s, closing=-s.obstacle_speed), settling_intrusion(s)
+    end, formula = final_distance(0.5, s, closing=-s.obstacle_speed), settling_intrusion(s)
     ours = f"e2 settles at {end:.4f} m; −k3 R c/√(1 − c²) = {formula:.4f} m"
     if end > -1e-3 or abs(end - formula) > 1e-3:
         return agrees(ours, settles_m=end)
-    told = f"u_OB = {s.obstacle_speed}, u_dm = {s.avoidance_speed} m/s, R_OB = {s.radius} m"
-    return wrong_in_print(ours, f"with {told} the robot settles {-end:.3f} m inside", settles_m=end, formula_m=formula)
+    numbers = f"u_OB = {s.obstacle_speed}, u_dm = {s.avoidance_speed} m/s, R_OB = {s.radius} m"
+    return wrong_in_print(
+        ours, f"with {numbers} the robot settles {-end:.3f} m inside", settles_m=end, formula_m=formula
+    )
 
 
-def e13() -> Found:
+def e13() -> Result:
     """(20) with δ = 0 about an obstacle at rest, ideal and with the default vehicle's inertia."""
     s, vehicle = Setting(), load_vehicle("sur540-flooded")
     acceleration = float(np.min(vehicle.thrust_limit[:2]) / np.max(vehicle.mass[:2]))
     begins = 0.3  # [m] less than the 0.46 m that it takes to stop
-    ideal = settled(begins, s)
-    way = pushed(np.array([-(s.radius + begins), -1e-3, s.avoidance_speed, 0.0]), s, acceleration)
-    clearance = np.hypot(way[:, 0], way[:, 1]) - s.radius
+    ideal = final_distance(begins, s)
+    path = inertial_motion(np.array([-(s.radius + begins), -1e-3, s.avoidance_speed, 0.0]), s, acceleration)
+    clearance = np.hypot(path[:, 0], path[:, 1]) - s.radius
     least, end = float(clearance.min()), float(clearance[-1])
     ours = f"V2 → 0: e2 → {abs(ideal):.4f} m; with {acceleration:.3f} m/s² from {begins} m e2 falls to {least:.3f} m"
     if abs(ideal) > 1e-3 or least > -1e-3:
@@ -161,7 +163,7 @@ def e13() -> Found:
     )
 
 
-def e17() -> Found:
+def e17() -> Result:
     """σ_0 of (19) in seconds and in minutes: an angle does not depend on the unit of time."""
     a, radius, t, minute = 0.05, 0.5, 2.0, 60.0
     read = printed_turn(a * minute**2, radius, t / minute) / printed_turn(a, radius, t)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 
-from surctl.reproduction.row import Found, Item, agrees, differs, wrong_in_print
-from surctl.verification import Claim, claims, settle
+from surctl.reproduction.row import Item, Result, agrees, differs, wrong_in_print
+from surctl.verification import Claim, claims, decide
 from surctl.verification.setting import Setting
 
 __all__ = ["FULL", "claim_items"]
@@ -36,16 +36,16 @@ def claim_items(gains: Mapping[str, float], *, samples: int = FULL) -> list[Item
     ]
 
 
-def judged(claim: Claim, samples: int) -> Found:
+def judged(claim: Claim, samples: int) -> Result:
     """The verdict: refuted at a point, proved with a certificate that the checker accepts, or left open."""
-    verdict = settle(claim, samples=samples)
-    found, unit = verdict.counterexample, claim.unit
+    verdict = decide(claim, samples=samples)
+    counterexample, unit = verdict.counterexample, claim.unit
     if verdict.certificate is not None:
         slack = verdict.certificate["claim"]["slack"]
         ours = f"proved{f' to within {slack:.1g} {unit}' if slack else ''}, by a certificate that the checker accepts"
         return agrees(ours, worst_margin=verdict.worst_margin, slack=slack)
-    if found is None:
+    if counterexample is None:
         return differs("unknown", verdict.remaining or "", worst_margin=verdict.worst_margin)
-    where = ", ".join(f"{name} = {number:.4g}" for name, number in found.values.items())
-    ours = f"refuted: exceeded by {found.margin:.3g} {unit}, in {100 * verdict.fraction:.2g} % of the samples"
-    return wrong_in_print(ours, f"at {where}", margin=found.margin, fraction=verdict.fraction)
+    where = ", ".join(f"{name} = {number:.4g}" for name, number in counterexample.values.items())
+    ours = f"refuted: exceeded by {counterexample.margin:.3g} {unit}, in {100 * verdict.fraction:.2g} % of the samples"
+    return wrong_in_print(ours, f"at {where}", margin=counterexample.margin, fraction=verdict.fraction)

@@ -8,7 +8,7 @@ from surctl.reproduction import avoidance_errata as avoidance
 from surctl.reproduction import scenario_errata as scenario
 from surctl.reproduction import sensing_errata as sensing
 from surctl.reproduction import tracking_errata as tracking
-from surctl.reproduction.row import Found, Item, Word
+from surctl.reproduction.row import Item, Result, Word
 
 __all__ = ["errata_items"]
 
@@ -16,7 +16,7 @@ _WRONG: Word = "wrong in print"
 _UNREADABLE: Word = "unreadable in our copy"
 
 # id, what, as printed, expected verdict, computation
-_ERRATA: tuple[tuple[str, str, str, Word, Callable[[], Found]], ...] = (
+_ERRATA: tuple[tuple[str, str, str, Word, Callable[[], Result]], ...] = (
     ("E1", "sense of the angles", "(17): ẏ_OB = −u_OB sin ψ_OB", _WRONG, avoidance.e1),
     ("E2", "a percentage of Table II", "Table II: 3.6 % at 85 cm in water", _WRONG, sensing.e2),
     ("E3", "largest absolute error of Table II", "II-C: less than 4.5 cm", "differs", sensing.e3),

@@ -6,9 +6,9 @@ from functools import partial
 
 import numpy as np
 
-from surctl.reproduction.flights import Flights, scenario_names
-from surctl.reproduction.row import Found, Item, agrees, differs
+from surctl.reproduction.row import Item, Result, agrees, differs
 from surctl.reproduction.scenarios import ABOUT, time_verdict
+from surctl.reproduction.simulations import Simulations, scenario_names
 from surctl.simulation import Run
 from surctl.world import Box, Disc
 
@@ -17,14 +17,16 @@ __all__ = ["avoidances", "instant_items", "passed_at"]
 _APART = 1.0  # [s] a shorter break does not end an avoidance
 
 
-def instant_items(flights: Flights) -> list[Item]:
+def instant_items(simulations: Simulations) -> list[Item]:
     """A row for every instant of the library's figures."""
     items = []
     for name in scenario_names():
-        paper = flights.scenario(name).paper
-        told = [("transients", f"near {', '.join(f'{t:g}' for t in paper.transients_s)} s", bool(paper.transients_s))]
-        told += [("detected", f"at about {paper.detected_s} s", paper.detected_s is not None)]
-        told += [("passed", f"by {paper.passed_s} s", paper.passed_s is not None)]
+        paper = simulations.scenario(name).paper
+        figures = [
+            ("transients", f"near {', '.join(f'{t:g}' for t in paper.transients_s)} s", bool(paper.transients_s))
+        ]
+        figures += [("detected", f"at about {paper.detected_s} s", paper.detected_s is not None)]
+        figures += [("passed", f"by {paper.passed_s} s", paper.passed_s is not None)]
         items += [
             Item(
                 f"{name}-{what}",
@@ -32,11 +34,11 @@ def instant_items(flights: Flights) -> list[Item]:
                 f"{_WORDS[what]} in {name}, true positions, seed 0",
                 words,
                 None,
-                partial(_COMPUTED[what], flights, name),
+                partial(_COMPUTED[what], simulations, name),
                 f"surctl reproduce {name}-{what}",
             )
-            for what, words, given in told
-            if given
+            for what, words, printed in figures
+            if printed
         ]
     return items
 
@@ -49,50 +51,50 @@ def avoidances(run: Run) -> list[float]:
 
 def passed_at(run: Run) -> float:
     """When the last moving obstacle that was ahead along the way to the target is behind or gone [s]; 0 if none was."""
-    way = run.scenario.target - run.scenario.start
+    direction = run.scenario.target - run.scenario.start
     last = 0.0
     for time, eta, bodies in zip(run.record.time, run.record.eta, run.record.obstacles, strict=True):
         for body in bodies:
             if body.moving and isinstance(body.shape, Disc | Box):
-                ahead = (np.asarray(body.shape.center) - eta[:2]) @ way
+                ahead = (np.asarray(body.shape.center) - eta[:2]) @ direction
                 last = float(time) if ahead > 0 else last
     return last
 
 
-def _transients(flights: Flights, name: str) -> Found:
-    ours, paper = avoidances(flights.run(name)), flights.scenario(name).paper.transients_s
-    told = f"avoidance begins at {', '.join(f'{t:.1f}' for t in ours) or 'no time'} s"
+def _transients(simulations: Simulations, name: str) -> Result:
+    ours, paper = avoidances(simulations.run(name)), simulations.scenario(name).paper.transients_s
+    text = f"avoidance begins at {', '.join(f'{t:.1f}' for t in ours) or 'no time'} s"
     numbers = {f"begins_{k}_s": t for k, t in enumerate(ours)}
     off = [min((abs(t - t0) / t0 for t in ours), default=np.inf) for t0 in paper]
     if len(ours) == len(paper) and max(off) <= ABOUT:
-        return agrees(told, **numbers)
-    scenario, radius = flights.scenario(name), flights.run(name).vehicle["radius"]
+        return agrees(text, **numbers)
+    scenario, radius = simulations.scenario(name), simulations.run(name).vehicle["radius"]
     path = [(float(x), float(y)) for x, y in np.linspace(scenario.start, scenario.target, 200)]
-    rooms = [min(obstacle.distance(point) for point in path) - radius for obstacle in scenario.obstacles]
-    left = ", ".join(f"{room:.2f}" for room in rooms)
+    clearances = [min(obstacle.distance(point) for point in path) - radius for obstacle in scenario.obstacles]
+    left = ", ".join(f"{clearance:.2f}" for clearance in clearances)
     why = f"{len(ours)} for {len(paper)}: the straight line leaves the hull {left} m to the obstacles in turn"
-    return differs(told, why, **numbers)
+    return differs(text, why, **numbers)
 
 
-def _detected(flights: Flights, name: str) -> Found:
-    ours, paper = avoidances(flights.run(name)), flights.scenario(name).paper.detected_s or np.nan
+def _detected(simulations: Simulations, name: str) -> Result:
+    ours, paper = avoidances(simulations.run(name)), simulations.scenario(name).paper.detected_s or np.nan
     if not ours:
         return differs(
             "no avoidance was needed", f"the way flown stays clear of the obstacle, so that {paper:g} s is void"
         )
     good, off = time_verdict(ours[0], paper, "about")
-    told, apart = f"avoidance begins at {ours[0]:.2f} s", _apart(flights.run(name), ours[0])
+    text, apart = f"avoidance begins at {ours[0]:.2f} s", _apart(simulations.run(name), ours[0])
     if good:
-        return agrees(told, begins_s=ours[0], apart_m=apart)
+        return agrees(text, begins_s=ours[0], apart_m=apart)
     why = f"{off}: the law is told where the obstacle is, and begins at {apart:.2f} m from centre to centre"
-    return differs(told, why, begins_s=ours[0], apart_m=apart)
+    return differs(text, why, begins_s=ours[0], apart_m=apart)
 
 
-def _passed(flights: Flights, name: str) -> Found:
-    ours, paper = passed_at(flights.run(name)), flights.scenario(name).paper.passed_s or np.nan
+def _passed(simulations: Simulations, name: str) -> Result:
+    ours, paper = passed_at(simulations.run(name)), simulations.scenario(name).paper.passed_s or np.nan
     good, off = time_verdict(ours, paper, "about")
-    told = f"none ahead from {ours:.2f} s on"
-    return agrees(told, passed_s=ours) if good else differs(told, off, passed_s=ours)
+    text = f"none ahead from {ours:.2f} s on"
+    return agrees(text, passed_s=ours) if good else differs(text, off, passed_s=ours)
 
 
 def _apart(run: Run, time: float) -> float:

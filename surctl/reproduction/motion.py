@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Vector", "flown", "numeric", "value"]
+__all__ = ["Vector", "numeric", "trajectory", "value"]
 
 Vector = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ def numeric(function: ca.Function) -> Callable[[Vector], Vector]:
     return call
 
 
-def flown(rate: Callable[[Vector], Vector], start: Vector, *, duration: float, step: float = 0.05) -> Vector:
+def trajectory(rate: Callable[[Vector], Vector], start: Vector, *, duration: float, step: float = 0.05) -> Vector:
     """States (k + 1, n) of ẋ = rate(x) by RK4 from `start` (n,), k = duration/step steps of `step` [s]."""
     states = [np.asarray(start, dtype=float)]
     for _ in range(round(duration / step)):

@@ -8,9 +8,9 @@ from surctl import __version__
 from surctl.files import write_file
 from surctl.report import plot_coordinates, plot_position_errors, plot_run, plot_series, render_sections
 from surctl.report.document import Block, Cell, Pictures, Section, Table, outcome_cell, picture
-from surctl.reproduction.flights import scenario_names
 from surctl.reproduction.reproduction import Reproduction
 from surctl.reproduction.row import Row
+from surctl.reproduction.simulations import scenario_names
 from surctl.simulation import Run
 
 __all__ = ["write_reproduction"]
@@ -37,8 +37,8 @@ def write_reproduction(done: Reproduction, path: Path, *, command: str) -> Path:
     groups = list(dict.fromkeys(row.item.group for row in done.rows))
     sections = [_table(group, [row for row in done.rows if row.item.group == group]) for group in groups]
     if {"scenarios", "position errors"} & set(groups):
-        runs = [done.flights.run(name) for name in scenario_names()]
-        sections += [_ways(runs), _series(runs), _errors(runs)]
+        runs = [done.simulations.run(name) for name in scenario_names()]
+        sections += [_trajectories(runs), _series(runs), _errors(runs)]
     counts = [
         (
             all(row.as_expected for row in rows),
@@ -49,7 +49,7 @@ def write_reproduction(done: Reproduction, path: Path, *, command: str) -> Path:
     ]
     text = render_sections(
         title="The paper side by side",
-        subject=f"Scenarios with {done.seeds} seeds, gains {done.flights.gains.name}.",
+        subject=f"Scenarios with {done.seeds} seeds, gains {done.simulations.gains.name}.",
         version=__version__,
         command=command,
         outcome=outcome,
@@ -66,8 +66,8 @@ def _table(group: str, rows: list[Row]) -> Section:
             Cell(row.item.id, code=True),
             row.item.what,
             row.item.paper,
-            row.found.ours,
-            Cell(row.found.verdict, "good" if row.found.word == "agrees" else "note"),
+            row.result.ours,
+            Cell(row.result.verdict, "good" if row.result.word == "agrees" else "note"),
             outcome_cell(row.as_expected, "yes", "NO"),
             Cell(row.item.command, code=True),
             Cell(f"{row.seconds:.2f}", number=True),
@@ -77,14 +77,16 @@ def _table(group: str, rows: list[Row]) -> Section:
     return Section(group.replace(" ", "-"), group.capitalize(), (Table(group.capitalize(), heads, cells),))
 
 
-def _ways(runs: list[Run]) -> Section:
+def _trajectories(runs: list[Run]) -> Section:
     """Plan view and coordinates of every scenario: Figs. 6, 8, 11, 13, 15."""
     blocks: list[Block] = []
     for run in runs:
         name, m = run.scenario.name, run.metrics
-        told = f"{m.stopped_because} after {m.time_s:.1f} s, least clearance {m.min_clearance_m:.3f} m"
+        result = f"{m.stopped_because} after {m.time_s:.1f} s, least clearance {m.min_clearance_m:.3f} m"
         command = f"surctl simulate {name}"
-        plan = picture(plot_run(run), alt=f"Plan view of {name}: {told}", caption=f"{name}: {told}.", command=command)
+        plan = picture(
+            plot_run(run), alt=f"Plan view of {name}: {result}", caption=f"{name}: {result}.", command=command
+        )
         over_time = picture(
             plot_coordinates([run], title=f"{name}: coordinates over time"),
             alt=f"x, y and z of {name} over time",
@@ -92,7 +94,7 @@ def _ways(runs: list[Run]) -> Section:
             command=command,
         )
         blocks.append(Pictures((plan, over_time)))
-    return Section("ways", "Trajectories and coordinates", tuple(blocks))
+    return Section("trajectories", "Trajectories and coordinates", tuple(blocks))
 
 
 def _series(runs: list[Run]) -> Section:
@@ -101,7 +103,7 @@ def _series(runs: list[Run]) -> Section:
     for series in _SERIES:
         chosen = [run for run in runs if run.scenario.name.startswith(series)]
         command = "surctl simulate " + " ".join(run.scenario.name for run in chosen)
-        ways = picture(
+        plan = picture(
             plot_series(chosen, title=f"{series}: ways"),
             alt=f"Ways of {series} at four speeds of the obstacle",
             caption="Ways at four speeds of the obstacle.",
@@ -113,20 +115,20 @@ def _series(runs: list[Run]) -> Section:
             caption="x, y and z in m over time in s.",
             command=command,
         )
-        blocks.append(Pictures((ways, over_time)))
+        blocks.append(Pictures((plan, over_time)))
     return Section("series", "Four speeds of the moving obstacle", tuple(blocks))
 
 
 def _errors(runs: list[Run]) -> Section:
     """Position errors of the three simulations and of the pool: Fig. 20."""
-    drawn = []
+    pictures = []
     for where, names in (
         ("simulation", ("tank-static", "tank-moving", "tank-speed-015")),
         ("pool", ("pool-static", "pool-ahead", "pool-behind")),
     ):
         chosen = [run for run in runs if run.scenario.name in names]
         bound = chosen[0].scenario.paper.position_error_m
-        drawn.append(
+        pictures.append(
             picture(
                 plot_position_errors(chosen, title=f"position error, {where}", bound=bound),
                 alt=f"Distance to the path over time, {where}",
@@ -134,4 +136,4 @@ def _errors(runs: list[Run]) -> Section:
                 command="surctl simulate " + " ".join(names),
             )
         )
-    return Section("errors", "Position errors over time", (Pictures(tuple(drawn)),))
+    return Section("errors", "Position errors over time", (Pictures(tuple(pictures)),))

@@ -9,10 +9,10 @@ from typing import Any
 from surctl.errors import InputError, nearest
 from surctl.reproduction.claims import FULL, claim_items
 from surctl.reproduction.errata import errata_items
-from surctl.reproduction.flights import Flights, scenario_names
 from surctl.reproduction.instants import instant_items
 from surctl.reproduction.row import Item, Row
 from surctl.reproduction.scenarios import hull_items, limit_items, position_items, scenario_items
+from surctl.reproduction.simulations import Simulations, scenario_names
 from surctl.reproduction.tables import table_items
 from surctl.sensing.calibration.table2 import MEDIA, table_ii
 from surctl.verification import claims
@@ -31,13 +31,13 @@ class Reproduction:
         rows: computed, in order.
         missing: ids of rows that the paper asks for and nothing computes; empty for a chosen part.
         seeds: flown of each scenario.
-        flights: what was flown.
+        simulations: what was flown.
     """
 
     rows: tuple[Row, ...]
     missing: tuple[str, ...]
     seeds: int
-    flights: Flights
+    simulations: Simulations
 
     @property
     def passed(self) -> bool:
@@ -55,24 +55,24 @@ class Reproduction:
         }
 
 
-def items(flights: Flights, *, samples: int = FULL) -> list[Item]:
+def items(simulations: Simulations, *, samples: int = FULL) -> list[Item]:
     """Every row before it is computed: claims, tables, errata, scenarios, position errors.
 
     Example:
-        >>> from surctl.reproduction import Flights, items
-        >>> [item] = [item for item in items(Flights(3)) if item.id == "E12"]
+        >>> from surctl.reproduction import Simulations, items
+        >>> [item] = [item for item in items(Simulations(3)) if item.id == "E12"]
         >>> print(item.what, "|", item.paper, "|", item.expected)
         the obstacle's own velocity in V̇2 | (24): dropped | wrong in print
     """
     return [
-        *claim_items(flights.gains.values, samples=samples),
+        *claim_items(simulations.gains.values, samples=samples),
         *table_items(),
         *errata_items(),
-        *scenario_items(flights),
-        *hull_items(flights),
-        *limit_items(flights),
-        *instant_items(flights),
-        *position_items(flights),
+        *scenario_items(simulations),
+        *hull_items(simulations),
+        *limit_items(simulations),
+        *instant_items(simulations),
+        *position_items(simulations),
     ]
 
 
@@ -122,8 +122,8 @@ def reproduce(
         >>> print(row.item.paper, "|", row.found.ours, "|", row.found.word)
         II-C: less than 4.5 cm | largest error 3.0 cm | differs
     """
-    flights = Flights(seeds if seeds is not None else QUICK_SEEDS if quick else SEEDS)
-    known = {item.id: item for item in items(flights, samples=QUICK_SAMPLES if quick else FULL)}
+    simulations = Simulations(seeds if seeds is not None else QUICK_SEEDS if quick else SEEDS)
+    known = {item.id: item for item in items(simulations, samples=QUICK_SAMPLES if quick else FULL)}
     for name in names:
         if name not in known:
             raise InputError("no such row", key="row", value=name, remedy=nearest(name, known))
@@ -133,4 +133,4 @@ def reproduce(
         rows.append(known[name].row())
         done(rows[-1])
     missing = () if names else tuple(name for name in required() if name not in known)
-    return Reproduction(tuple(rows), missing, flights.seeds, flights)
+    return Reproduction(tuple(rows), missing, simulations.seeds, simulations)

@@ -9,14 +9,14 @@ from typing import Any, Literal, get_args
 
 from surctl.errors import InputError, SurctlError
 
-__all__ = ["WORDS", "Found", "Item", "Row", "Word", "agrees", "differs", "unreadable", "wrong_in_print"]
+__all__ = ["WORDS", "Item", "Result", "Row", "Word", "agrees", "differs", "unreadable", "wrong_in_print"]
 
 Word = Literal["agrees", "differs", "wrong in print", "unreadable in our copy"]
 WORDS: tuple[Word, ...] = get_args(Word)
 
 
 @dataclass(frozen=True)
-class Found:
+class Result:
     """What a computation came to.
 
     Attributes:
@@ -45,24 +45,24 @@ class Found:
         return f"{self.word}: {self.reason}" if self.reason else self.word
 
 
-def agrees(ours: str, **numbers: float) -> Found:
+def agrees(ours: str, **numbers: float) -> Result:
     """The print holds."""
-    return Found(ours, "agrees", numbers=numbers)
+    return Result(ours, "agrees", numbers=numbers)
 
 
-def differs(ours: str, why: str, **numbers: float) -> Found:
+def differs(ours: str, why: str, **numbers: float) -> Result:
     """Ours is another figure, for that reason."""
-    return Found(ours, "differs", why, numbers)
+    return Result(ours, "differs", why, numbers)
 
 
-def wrong_in_print(ours: str, counterexample: str, **numbers: float) -> Found:
+def wrong_in_print(ours: str, counterexample: str, **numbers: float) -> Result:
     """The print does not hold: the counterexample shows it."""
-    return Found(ours, "wrong in print", counterexample, numbers)
+    return Result(ours, "wrong in print", counterexample, numbers)
 
 
-def unreadable(ours: str, **numbers: float) -> Found:
+def unreadable(ours: str, **numbers: float) -> Result:
     """What can be read does not hold, but the copy may be damaged there."""
-    return Found(ours, "unreadable in our copy", numbers=numbers)
+    return Result(ours, "unreadable in our copy", numbers=numbers)
 
 
 @dataclass(frozen=True)
@@ -84,17 +84,17 @@ class Item:
     what: str
     paper: str
     expected: Word | None
-    compute: Callable[[], Found]
+    compute: Callable[[], Result]
     command: str
 
     def row(self) -> Row:
         """Compute it."""
         began = time.perf_counter()
         try:
-            found = self.compute()
+            result = self.compute()
         except SurctlError as error:  # the other rows are still worth having
-            found = Found("nothing", "differs", f"could not be computed: {error}", safe=False)
-        return Row(self, found, time.perf_counter() - began)
+            result = Result("nothing", "differs", f"could not be computed: {error}", safe=False)
+        return Row(self, result, time.perf_counter() - began)
 
 
 @dataclass(frozen=True)
@@ -102,15 +102,15 @@ class Row:
     """A computed row and the time it took [s]."""
 
     item: Item
-    found: Found
+    result: Result
     seconds: float = field(compare=False)
 
     @property
     def as_expected(self) -> bool:
         """The verdict that is recorded with the row; of a flight: arrived, and nothing touched."""
         if self.item.expected is None:
-            return self.found.safe is not False
-        return self.found.word == self.item.expected and self.found.safe is not False
+            return self.result.safe is not False
+        return self.result.word == self.item.expected and self.result.safe is not False
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
@@ -119,11 +119,11 @@ class Row:
             "group": self.item.group,
             "what": self.item.what,
             "paper": self.item.paper,
-            "ours": self.found.ours,
-            "verdict": self.found.verdict,
+            "ours": self.result.ours,
+            "verdict": self.result.verdict,
             "expected": self.item.expected,
             "as_expected": self.as_expected,
-            "numbers": dict(self.found.numbers),
+            "numbers": dict(self.result.numbers),
             "command": self.item.command,
             "seconds": round(self.seconds, 3),
         }

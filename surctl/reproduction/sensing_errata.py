@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from surctl.reproduction.motion import Vector, value
-from surctl.reproduction.row import Found, agrees, differs, unreadable, wrong_in_print
+from surctl.reproduction.row import Result, agrees, differs, unreadable, wrong_in_print
 from surctl.sensing import SonarArray
 from surctl.sensing.calibration.table2 import MEDIA, RangeTest, table_ii
 from surctl.sensing.ranging.filters import StepRule, lms_step
@@ -65,7 +65,7 @@ def printed_gradient(theta: Vector, x: Vector, x_n: float) -> Vector:
     return printed
 
 
-def e2() -> Found:
+def e2() -> Result:
     """Every percentage of Table II recomputed; the one that is printed wrongly."""
     test = table_ii()
     off = [(medium, int(k)) for medium in MEDIA for k in test.disagreeing(medium)]
@@ -84,7 +84,7 @@ def e2() -> Found:
     )
 
 
-def e3() -> Found:
+def e3() -> Result:
     """The largest absolute error of Table II against the 4.5 cm of the text."""
     test = table_ii()
     worst, percent = 100 * largest_error(test), largest_percent(test)
@@ -95,7 +95,7 @@ def e3() -> Found:
     return differs(ours, why, error_cm=worst, percent=percent)
 
 
-def e4() -> Found:
+def e4() -> Result:
     """One step of an 8-bit conversion over the sensor's range against the printed resolution."""
     array = SonarArray()
     step, needed = 1e3 * array.resolution, int(np.ceil(np.log2(array.maximum / 0.005 + 1)))
@@ -110,7 +110,7 @@ def e4() -> Found:
     )
 
 
-def e5() -> Found:
+def e5() -> Result:
     """What one LMS step with the printed μ and the factor 2 leaves of the residual."""
     m = len(_X)
     printed, corrected = residual_after("printed"), residual_after("corrected")
@@ -128,7 +128,7 @@ def e5() -> Found:
     )
 
 
-def e6() -> Found:
+def e6() -> Result:
     """The step 2μt of (6) with t read as time: what a step leaves of the residual at 1 s and at 3 s."""
     half = 0.5 * printed_step(_X, 1.0)  # the line-search optimum
     at = {t: 1 - 2 * half * t * float(_X @ _X) for t in (1.0, 3.0)}
@@ -138,7 +138,7 @@ def e6() -> Found:
     return unreadable(ours, at_1_s=at[1.0], at_3_s=at[3.0])
 
 
-def e19() -> Found:
+def e19() -> Result:
     """The printed gradient of ℜ² against the true one; and a prediction from the value itself."""
     theta = np.full(len(_X), 1.0 / len(_X))
     true, printed = loss_gradient(theta, _X, _X_N), printed_gradient(theta, _X, _X_N)
@@ -156,7 +156,7 @@ def e19() -> Found:
     )
 
 
-def e20() -> Found:
+def e20() -> Result:
     """The total ranging error against Table II."""
     worst = largest_error(table_ii())
     ours = f"largest error {worst:.3f} m"

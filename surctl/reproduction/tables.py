@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from surctl.reproduction.row import Found, Item, Word, agrees, differs, wrong_in_print
+from surctl.reproduction.row import Item, Result, Word, agrees, differs, wrong_in_print
 from surctl.reproduction.scenarios import ABOUT
 from surctl.sensing import SonarArray
 from surctl.sensing.calibration.table2 import MEDIA, Medium, table_ii
@@ -58,7 +58,7 @@ def _own(name: str) -> str:
     return f"surctl reproduce {name}"
 
 
-def _sensor(name: str) -> Found:
+def _sensor(name: str) -> Result:
     """One property of the default array's sensors."""
     ours, printed = float(getattr(SonarArray(), "blind" if name == "minimum" else name)), _PRINTED[name]
     text = f"{ours:.4g} m" if name != "resolution" else f"{1e3 * ours:.2f} mm"
@@ -68,7 +68,7 @@ def _sensor(name: str) -> Found:
     return differs(text, f"{SonarArray().bits} bits over {SonarArray().maximum:g} m, as II-B says", metres=ours)
 
 
-def _percentage(medium: Medium, k: int) -> Found:
+def _percentage(medium: Medium, k: int) -> Result:
     """Recomputed from the reading; agrees when it rounds to the printed decimal."""
     test = table_ii()
     ours, column = float(test.percent(medium)[k]), test.column(medium)

@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 
 from surctl.guidance.tracking import along_command, tracking_rate
-from surctl.reproduction.motion import flown, numeric, value
-from surctl.reproduction.row import Found, agrees, unreadable, wrong_in_print
+from surctl.reproduction.motion import numeric, trajectory, value
+from surctl.reproduction.row import Result, agrees, unreadable, wrong_in_print
 from surctl.simulation.metrics import path_error
 from surctl.vehicle.kinematics import planar_rotation
 from surctl.verification import claims, evaluate
@@ -68,14 +68,14 @@ def printed_position_error(x: float, y: float, z: float) -> float:
     return float(np.sqrt(x * x)) + y * y + z * z
 
 
-def e7() -> Found:
+def e7() -> Result:
     """Line of sight on the heading with sway, flown: where y_e settles, and where it settles on the course."""
     s, y = Setting(), ca.SX.sym("y_e")
     u, v = s.speed, s.speed / 3
     ends = []
     for course in (False, True):
         rate = ca.Function("rate", [y], [cross_track_rate(y, u, v, lookahead=s.lookahead, course=course)])
-        ends.append(float(flown(numeric(rate), np.array([1.0]), duration=120.0)[-1, 0]))
+        ends.append(float(trajectory(numeric(rate), np.array([1.0]), duration=120.0)[-1, 0]))
     heading, course_end = ends
     ours = f"y_e settles at {heading:.4f} m on the heading, at {abs(course_end):.4f} m on the course"
     if abs(heading) < 1e-3 or abs(course_end) > 1e-3 or abs(heading - s.lookahead * v / u) > 1e-3:
@@ -88,7 +88,7 @@ def e7() -> Found:
     )
 
 
-def e8() -> Found:
+def e8() -> Result:
     """The last step of (12), ‖e‖²‖M‖ ≤ 0, at one point; and V̇1 ≤ −λ_min(M)‖e‖² at `_AT`."""
     claim = claims(names=["m-norm-printed"])[0]
     margin, inside = evaluate(claim, claim.witnesses[0])
@@ -102,7 +102,7 @@ def e8() -> Found:
     return wrong_in_print(ours, f"‖e‖²‖M‖ = {margin:.3g} > 0 at e = (1, 0, 0) m", margin=margin, rate=rate, bound=bound)
 
 
-def e8_diagonal() -> Found:
+def e8_diagonal() -> Result:
     """M's third diagonal entry: V̇1 of the loop against −eᵀMe with k2 there, and with what the copy shows."""
     s = Setting()
     rate, speed, slant = loop_terms(s)
@@ -114,7 +114,7 @@ def e8_diagonal() -> Found:
     return unreadable(ours, rate=rate, with_k2=with_k2, as_read=as_read)
 
 
-def e9() -> Found:
+def e9() -> Result:
     """Where V̇1 > 0 under a surge of either sign, and how far behind the target the speed cap breaks it."""
     s = Setting()
     printed, capped = claims(names=["v1-printed", "v1-speed-cap"])
@@ -128,7 +128,7 @@ def e9() -> Found:
     return wrong_in_print(ours, f"V̇1 = {margin:+.4f} m²/s at {where}", margin=margin, capped=far, region_m=region)
 
 
-def e14() -> Found:
+def e14() -> Result:
     """E_p of one offset: the metric of the runs, √(Δx² + Δy² + Δz²), and what can be read."""
     x, y, z = 0.02, 0.06, 0.03
     used = path_error(np.array([np.hypot(x, y)]), np.array([z]), np.array([False]))
@@ -139,7 +139,7 @@ def e14() -> Found:
     return unreadable(ours, used_m=used, as_read=read)
 
 
-def e18() -> Found:
+def e18() -> Result:
     """The two lines of (12) at one point, and V̇1 of the loop."""
     s = Setting()
     rate, speed, slant = loop_terms(s)
@@ -153,7 +153,7 @@ def e18() -> Found:
     )
 
 
-def e21() -> Found:
+def e21() -> Result:
     """T = x + y of two places."""
     one, other = (1.0, 2.0), (2.0, 1.0)
     first, second, apart = followed_path(*one), followed_path(*other), float(np.hypot(1.0, 1.0))

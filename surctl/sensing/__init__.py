@@ -34,7 +34,7 @@ from surctl.sensing.ranging.tracker import RangeTracker, Ranging
 from surctl.sensing.replay.file import Recording, filtered_rows, read_readings, sonar_array
 from surctl.sensing.replay.tracked import Readings, Replay, SensorSummary, Tracked, replay_readings, track
 from surctl.sensing.sonar.array import SonarArray
-from surctl.sensing.sonar.echo import Beam, beam_of, echo_range, heard_samples
+from surctl.sensing.sonar.echo import Beam, beam_of, echo_range, echo_samples
 from surctl.sensing.sonar.fault_block import SLOT, Arrival, fault_ports, fault_slots, faulty_samples
 from surctl.sensing.sonar.faults import (
     FAULT_KINDS,
@@ -47,7 +47,7 @@ from surctl.sensing.sonar.faults import (
     fault_state,
     faulty,
 )
-from surctl.sensing.sonar.firing import fire, heard, true_range
+from surctl.sensing.sonar.firing import fire, firing_samples, true_range
 from surctl.sensing.sonar.solids import Cone, Solid, SolidBox, SolidDisc, SolidWalls
 from surctl.sensing.sonar.sound import Medium, speed_of_sound
 
@@ -109,6 +109,7 @@ __all__ = [
     "draw_normals",
     "draw_uniforms",
     "echo_range",
+    "echo_samples",
     "expected_range",
     "fault_ports",
     "fault_slots",
@@ -118,9 +119,8 @@ __all__ = [
     "file_stems",
     "filtered_rows",
     "fire",
+    "firing_samples",
     "gate",
-    "heard",
-    "heard_samples",
     "lms_step",
     "map_step",
     "map_view",

@@ -46,12 +46,12 @@ def noise_states(seeds: ArrayLike) -> NDArray[np.float64]:
         >>> noise_states([7, 8])[:, :3].tolist()  # a row a seed, of six numbers each
         [[3281794178.0, 2616230133.0, 1457051261.0], [3777646647.0, 1837464056.0, 4204654757.0]]
     """
-    given = np.atleast_1d(np.asarray(seeds))
-    if given.dtype.kind == "f" and not np.all(given == np.floor(given)):
-        raise InputError("is no whole number", key="seed", value=given[given != np.floor(given)][0])
-    if given.dtype.kind not in "iuf" or given.ndim != 1 or np.any(given < 0):
-        raise InputError("must be whole numbers, at least 0", key="seed", value=given.tolist()[:3])
-    whole = given.astype(np.uint64)
+    values = np.atleast_1d(np.asarray(seeds))
+    if values.dtype.kind == "f" and not np.all(values == np.floor(values)):
+        raise InputError("is no whole number", key="seed", value=values[values != np.floor(values)][0])
+    if values.dtype.kind not in "iuf" or values.ndim != 1 or np.any(values < 0):
+        raise InputError("must be whole numbers, at least 0", key="seed", value=values.tolist()[:3])
+    whole = values.astype(np.uint64)
     parts = []
     for modulus, jumps in ((_M1, _jumps(0)), (_M2, _jumps(1))):
         state = np.full((len(whole), 3), _FIRST, dtype=np.uint64)
@@ -67,12 +67,12 @@ def _jumps(component: int) -> list[NDArray[np.uint64]]:
     """Matrices that advance one component by 2^127 · 2^k draws."""
     modulus, matrix = ((_M1, _A1), (_M2, _A2))[component]
     power = np.array(matrix, dtype=object) % modulus
-    found = []
+    jumps = []
     for k in range(_STREAM + _SEED_BITS):
         if k >= _STREAM:
-            found.append(power.astype(np.uint64))
+            jumps.append(power.astype(np.uint64))
         power = power.dot(power) % modulus
-    return found
+    return jumps
 
 
 def _times(matrix: NDArray[np.uint64], state: NDArray[np.uint64], modulus: np.uint64) -> NDArray[np.uint64]:

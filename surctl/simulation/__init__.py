@@ -6,20 +6,29 @@ from surctl.simulation.batch import (
     BatchResult,
     Case,
     Engine,
-    Knob,
+    Parameter,
     SlowerEngine,
     check_speeds,
-    knobs,
+    parameters,
     simulate_batch,
 )
 from surctl.simulation.disturbance import Disturbance
 from surctl.simulation.explanation import Explanation, explain
 from surctl.simulation.fit import Finding, findings
-from surctl.simulation.halting import halt_reason
-from surctl.simulation.iosystem import FlightSystem, flight_system
+from surctl.simulation.iosystem import ClosedLoopSystem, closed_loop_system
 from surctl.simulation.loop import Stepper, simulate
 from surctl.simulation.margin import margin_needed, turn_rate
-from surctl.simulation.metrics import GONE, HALT, LATE, LINK_LOST, METRICS, STOOD, STOPS, Metrics, MetricSpec
+from surctl.simulation.metrics import (
+    GONE,
+    LATE,
+    LINK_LOST,
+    METRICS,
+    STANDSTILL,
+    STOPPED_LIMIT,
+    STOPS,
+    Metrics,
+    MetricSpec,
+)
 from surctl.simulation.numbers import law_numbers
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.paper_figure import PaperFigure
@@ -31,35 +40,36 @@ from surctl.simulation.safety import SafetyClaim, safety_claim
 from surctl.simulation.scenario import LIBRARY, Scenario, load_scenario
 from surctl.simulation.sensors import Sensors
 from surctl.simulation.stepping import advance
+from surctl.simulation.stopping import stop_reason
 from surctl.simulation.world import Body, World, build_world
 
 __all__ = [
     "ENGINES",
     "GONE",
-    "HALT",
     "LATE",
     "LIBRARY",
     "LINK_LOST",
     "METRICS",
     "RECORD_FORMATS",
     "SENSING",
-    "STOOD",
+    "STANDSTILL",
+    "STOPPED_LIMIT",
     "STOPS",
     "Attitude",
     "BatchResult",
     "Body",
     "Case",
+    "ClosedLoopSystem",
     "DepthChange",
     "Disturbance",
     "Engine",
     "Explanation",
     "Finding",
-    "FlightSystem",
-    "Knob",
     "MetricSpec",
     "Metrics",
     "Obstacle",
     "PaperFigure",
+    "Parameter",
     "PriorityTimeline",
     "Record",
     "RecordFormat",
@@ -75,20 +85,20 @@ __all__ = [
     "attitude_of",
     "build_world",
     "check_speeds",
+    "closed_loop_system",
     "depth_changes",
     "explain",
     "findings",
-    "flight_system",
-    "halt_reason",
-    "knobs",
     "law_numbers",
     "load_scenario",
     "margin_needed",
+    "parameters",
     "priority_timeline",
     "record_columns",
     "safety_claim",
     "save_record",
     "simulate",
     "simulate_batch",
+    "stop_reason",
     "turn_rate",
 ]

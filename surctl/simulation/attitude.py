@@ -15,7 +15,7 @@ __all__ = ["Attitude", "attitude_of"]
 Array = NDArray[np.float64]
 
 _MOVING = 0.25  # of the cruise speed: slower, a crab angle means nothing
-_SETTLED = 0.4  # share of the run that is left out before a swing is looked for
+_TRANSIENT = 0.4  # share of the run that is left out before a swing is looked for
 _SWING = 0.05  # of the cruise speed: least amplitude of a swing in sway
 _ALIKE = 0.6  # least correlation of a swing with itself a period later
 _PERIODS = 3.0  # least number of periods in what is looked at
@@ -87,7 +87,7 @@ def attitude_of(follower: Follower, cruise: float, time: Array, eta: Array, nu: 
 
 def _swing(time: Array, sway: Array, cruise: float) -> tuple[bool, float, float]:
     """Whether sway repeats itself, its period [s] and amplitude [m/s], by its correlation with itself later."""
-    late = sway[int(_SETTLED * len(sway)) :]
+    late = sway[int(_TRANSIENT * len(sway)) :]
     nothing = False, float("nan"), 0.0
     if len(late) < 8:
         return nothing

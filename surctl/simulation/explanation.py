@@ -37,12 +37,12 @@ def explain(run: Run) -> list[Explanation]:
         >>> print(f"{second.time_s:.2f} s: {second.text}")
         10.15 s: Task `velocity` gave up 0.0017 m/s because `contact_0` binds.
     """
-    record, found = run.record, list[Explanation]()
+    record, explanations = run.record, list[Explanation]()
     for k, status in enumerate(record.status):
         if status < 0:
             continue
-        answer = run.law.explained(record.law_state[k], record.law_input[k], record.law_parameters)
-        binding, relaxed = tuple(name for name, _ in answer.binding), tuple(answer.relaxed)
-        if not found or (binding, relaxed) != (found[-1].binding, found[-1].relaxed):
-            found.append(Explanation(float(record.time[k]), binding, relaxed, answer.explain()))
-    return found
+        solution = run.law.explained(record.law_state[k], record.law_input[k], record.law_parameters)
+        binding, relaxed = tuple(name for name, _ in solution.binding), tuple(solution.relaxed)
+        if not explanations or (binding, relaxed) != (explanations[-1].binding, explanations[-1].relaxed):
+            explanations.append(Explanation(float(record.time[k]), binding, relaxed, solution.explain()))
+    return explanations

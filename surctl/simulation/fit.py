@@ -11,9 +11,9 @@ from surctl.control.ports import YAW_SHARE
 from surctl.errors import InputError
 from surctl.sensing import SonarArray
 from surctl.sensing.mapping.local_map import MIDDLE, LocalMap
+from surctl.simulation.clearance import clearance_findings
 from surctl.simulation.finding import Finding
 from surctl.simulation.motion import motion_findings
-from surctl.simulation.room import room_findings
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.world import build_world
 from surctl.vehicle import Vehicle
@@ -41,9 +41,9 @@ def findings(scenario: Scenario, vehicle: Vehicle, *, gains: Gains | None = None
     """
     build_world(scenario, vehicle, seed=0)
     gains = gains or load_gains("default")
-    found = [*room_findings(scenario, vehicle, gains), *motion_findings(scenario, vehicle)]
-    found += _sonars(scenario, vehicle, gains)
-    return sorted(found, key=lambda f: ("error", "warning", "info").index(f.level))
+    results = [*clearance_findings(scenario, vehicle, gains), *motion_findings(scenario, vehicle)]
+    results += _sonars(scenario, vehicle, gains)
+    return sorted(results, key=lambda f: ("error", "warning", "info").index(f.level))
 
 
 def _sonars(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:

@@ -18,10 +18,10 @@ from surctl.simulation.world import build_world
 from surctl.vehicle import PLANT_STATE, Vehicle
 from surctl.vehicle.linearise import STATE_NAMES, THRUST_NAMES, labelled
 
-__all__ = ["FlightSystem", "flight_system"]
+__all__ = ["ClosedLoopSystem", "closed_loop_system"]
 
 
-class FlightSystem(NamedTuple):
+class ClosedLoopSystem(NamedTuple):
     """A closed loop for `control.input_output_response(system, times, inputs, initial)`.
 
     Attributes:
@@ -33,7 +33,7 @@ class FlightSystem(NamedTuple):
     initial: NDArray[np.float64]
 
 
-def flight_system(
+def closed_loop_system(
     scenario: Scenario,
     vehicle: Vehicle,
     *,
@@ -41,7 +41,7 @@ def flight_system(
     law: Law | None = None,
     seed: int = 0,
     model: Vehicle | None = None,
-) -> FlightSystem:
+) -> ClosedLoopSystem:
     """The loop that `simulate` flies with true positions; with zero input, the same numbers to the last bit.
 
     One step is a control period: the law decides, the plant moves with the thrust held. It goes on where a run would
@@ -64,10 +64,10 @@ def flight_system(
         >>> import control
         >>> import numpy as np
         >>> from surctl.control import build_law, load_gains
-        >>> from surctl.simulation import flight_system, load_scenario
+        >>> from surctl.simulation import closed_loop_system, load_scenario
         >>> from surctl.vehicle import load_vehicle
         >>> mission, vehicle = load_scenario("pool-behind"), load_vehicle("sur400")
-        >>> flight = flight_system(mission, vehicle, gains=load_gains("default"), law=build_law("lean"))
+        >>> flight = closed_loop_system(mission, vehicle, gains=load_gains("default"), law=build_law("closed_form"))
         >>> t, added = np.arange(100) * 0.05, np.zeros((4, 100))
         >>> answer = control.input_output_response(flight.system, t, added, flight.initial)
         >>> flight.system.output_labels[:2], answer.outputs[:2, -1].round(2).tolist()
@@ -87,18 +87,18 @@ def flight_system(
         step, state = loop.step_from(x[:plant], x[plant:], round(t / chosen.dt), added=u)
         return np.concatenate([state, step.x_next])
 
-    def seen(t: float, x: NDArray[np.float64], u: NDArray[np.float64], params: Mapping[str, Any]) -> Any:
+    def output(t: float, x: NDArray[np.float64], u: NDArray[np.float64], params: Mapping[str, Any]) -> Any:
         step, _ = loop.step_from(x[:plant], x[plant:], round(t / chosen.dt), added=u)
         return np.concatenate([x[:8], step.tau])
 
     thrust = labelled(THRUST_NAMES)
     system = control.nlsys(
         moved,
-        seen,
+        output,
         inputs=[f"{name} added" for name in thrust],
         outputs=[*labelled(STATE_NAMES[:8]), *thrust],
         states=[*labelled(STATE_NAMES), *(f"law_{k}" for k in range(len(start) - plant))],
         dt=chosen.dt,
         name=scenario.name,
     )
-    return FlightSystem(system, start)
+    return ClosedLoopSystem(system, start)

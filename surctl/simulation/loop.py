@@ -12,7 +12,7 @@ from surctl.control import CONTACT_SLOTS, NONFINITE, Gains, Law, LawStep, build_
 from surctl.errors import InputError, nearest
 from surctl.sensing import NoiseStream, OwnState, delayed, fault_state, faulty, true_range
 from surctl.simulation.column import beside, column
-from surctl.simulation.metrics import GONE, HALT, LINK_LOST, STOOD
+from surctl.simulation.metrics import GONE, LINK_LOST, STANDSTILL, STOPPED_LIMIT
 from surctl.simulation.numbers import law_numbers
 from surctl.simulation.record import Record, measure
 from surctl.simulation.run import SENSING, Run, Sensing
@@ -87,12 +87,12 @@ def simulate(
     world = build_world(scenario, vehicle, seed=seed)
     p = law_numbers(scenario, gains, model or vehicle)
     loop = Loop(world, vehicle, law, p, sensing, NoiseStream(seed), stepper or law.step)
-    reason, record = loop.fly(), loop.record()
+    reason, record = loop.run(), loop.record()
     metrics = measure(scenario, law, record, reason=reason, least=loop.least)
     return Run(scenario, vehicle, gains, law, sensing, seed, metrics, record)
 
 
-class _Drawn(NamedTuple):
+class _StepNoise(NamedTuple):
     """Random numbers of one tick: normal ones (instants, k, samples), (6,) for fix and IMU, (slots, 4) for a message
     and one for its loss; uniform ones (instants, k, 2) where a sonar may fail."""
 
@@ -138,16 +138,16 @@ class Loop:
         self.follower = world.scenario.follower()
         self.rows: list[tuple[object, ...]] = []
 
-    def fly(self) -> str:
+    def run(self) -> str:
         """Run to the end; the reason why it stopped."""
-        scenario, dt, halted, stood, gone = self.world.scenario, self.law.dt, 0, 0, 0
-        for tick in range(int(np.ceil(scenario.time_limit / dt))):
-            time = tick * dt
+        scenario, dt, stopped, standing, gone = self.world.scenario, self.law.dt, 0, 0, 0
+        for index in range(int(np.ceil(scenario.time_limit / dt))):
+            time = index * dt
             bodies = self.world.bodies(time)
-            drawn = self._draw()
-            self._listen(bodies, drawn, 0)
+            noise = self._draw()
+            self._listen(bodies, noise, 0)
             clearance = self._clearance(bodies)
-            u = self._inputs(bodies, drawn, tick)
+            u = self._inputs(bodies, noise, index)
             step = self.stepper(self.law_state, u, self.p)
             self.rows.append(
                 (time, self.state, step.tau, clearance, self.law_state, u, step.status, step.telemetry, bodies)
@@ -155,31 +155,31 @@ class Loop:
             if clearance <= 0:
                 return "collision"
             self.follower.move(*self.state[:2].tolist())
-            if self.follower.last and self._left() <= scenario.reach:
+            if self.follower.last and self._left() <= scenario.arrival_radius:
                 return "reached"
             if step.status == NONFINITE:
                 return "fault"
             gone += step.status == GONE
-            if gone >= round(HALT / dt):
+            if gone >= round(STOPPED_LIMIT / dt):
                 return LINK_LOST
-            if self.law.senses is not None:
-                halted = halted + 1 if step.telemetry[self.law.telemetry_slice("halted")][0] > 0.5 else 0
-            if halted >= round(HALT / dt):
-                return "halted"
+            if self.law.perception is not None:
+                stopped = stopped + 1 if step.telemetry[self.law.telemetry_slice("stopped")][0] > 0.5 else 0
+            if stopped >= round(STOPPED_LIMIT / dt):
+                return "stopped"
             if "trapped" in self.law.outputs:
-                stood += int(step.telemetry[self.law.telemetry_slice("trapped")][0] > 0.5)
-            if stood >= round(STOOD / dt):
+                standing += int(step.telemetry[self.law.telemetry_slice("trapped")][0] > 0.5)
+            if standing >= round(STANDSTILL / dt):
                 return "dead end"
             self.law_state = step.x_next
-            self._advance(time, step.tau, drawn)
+            self._advance(time, step.tau, noise)
         return LINK_LOST if gone else "time limit"
 
-    def step_from(self, state: Vector, law_state: Vector, tick: int, *, added: Vector) -> tuple[LawStep, Vector]:
+    def step_from(self, state: Vector, law_state: Vector, index: int, *, added: Vector) -> tuple[LawStep, Vector]:
         """What the law commands in a state, and the plant's next one with thrust added; for `truth`, which keeps no
         state of sensors."""
-        self.state, time, drawn = state, tick * self.law.dt, self._draw()
-        step = self.stepper(law_state, self._inputs(self.world.bodies(time), drawn, tick), self.p)
-        self._advance(time, step.tau + added, drawn)
+        self.state, time, noise = state, index * self.law.dt, self._draw()
+        step = self.stepper(law_state, self._inputs(self.world.bodies(time), noise, index), self.p)
+        self._advance(time, step.tau + added, noise)
         return step, self.state
 
     def record(self) -> Record:
@@ -200,21 +200,21 @@ class Loop:
             bodies,
         )
 
-    def _draw(self) -> _Drawn:
+    def _draw(self) -> _StepNoise:
         """All the noise of one tick, in a fixed order: firings, own state, then every mover."""
-        instants, wide, taken = round(self.law.dt / FIRING), len(self.firings.sensors[0]), self.array.samples
-        heard = instants * wide * taken
+        instants, wide, size = round(self.law.dt / FIRING), len(self.firings.sensors[0]), self.array.samples
+        firings = instants * wide * size
         # in pairs, as the generator makes them
-        count = heard + heard % 2 + 8 + 4 * self.slots
-        hears = self.sensing == "sonar"
-        numbers = self.noise.normals(count) if hears else np.zeros(count)
+        count = firings + firings % 2 + 8 + 4 * self.slots
+        listens = self.sensing == "sonar"
+        numbers = self.noise.normals(count) if listens else np.zeros(count)
         chances = 2 * instants * wide
-        uniforms = self.noise.uniforms(chances) if hears and self.sensors.may_fail else np.full(chances, 0.5)
-        samples, rest = numbers[:heard].reshape(instants, wide, taken), numbers[heard + heard % 2 :]
-        told, own = rest[7:-1].reshape(self.slots, 4), rest[:6]
-        return _Drawn(samples, uniforms.reshape(instants, wide, 2), own, told, float(rest[6]))
+        uniforms = self.noise.uniforms(chances) if listens and self.sensors.may_fail else np.full(chances, 0.5)
+        samples, rest = numbers[:firings].reshape(instants, wide, size), numbers[firings + firings % 2 :]
+        movers, own = rest[7:-1].reshape(self.slots, 4), rest[:6]
+        return _StepNoise(samples, uniforms.reshape(instants, wide, 2), own, movers, float(rest[6]))
 
-    def _advance(self, time: float, tau: NDArray[np.float64], drawn: _Drawn) -> None:
+    def _advance(self, time: float, tau: NDArray[np.float64], noise: _StepNoise) -> None:
         half, thrust = round(self.law.dt / FIRING), self.world.thrust(tau, self.limit)
         for k in range(half):
             d = PLANT_DISTURBANCE.pack(
@@ -227,29 +227,29 @@ class Loop:
             if k < half - 1:
                 between = time + (k + 1) * FIRING
                 bodies = self.world.bodies(between)
-                self._listen(bodies, drawn, k + 1)
+                self._listen(bodies, noise, k + 1)
                 self._clearance(bodies)
 
-    def _listen(self, bodies: Sequence[Body], drawn: _Drawn, instant: int) -> None:
+    def _listen(self, bodies: Sequence[Body], noise: _StepNoise, instant: int) -> None:
         if self.sensing == "truth":
             return
         time = self.instant * FIRING
-        heard = beside(bodies, float(self.state[2]), self.world.hull)
-        shapes = [*(b.shape for b in heard), *self.world.scenario.walls]
+        audible = beside(bodies, float(self.state[2]), self.world.hull)
+        shapes = [*(b.shape for b in audible), *self.world.scenario.walls]
         for k, sensor in enumerate(self.firings.at(self.instant)):
             heading = float(self.state[3])
-            given, self.faults = faulty(
+            samples, self.faults = faulty(
                 self.array,
                 self.faults,
                 sensor,
                 time=time,
                 distance=true_range(self.array, sensor, position=self.state[:2], heading=heading, shapes=shapes),
-                noise=drawn.samples[instant, k],
+                noise=noise.samples[instant, k],
                 faults=self.sensors.faults,
                 chances=self.sensors.chances,
-                uniforms=drawn.uniforms[instant, k],
+                uniforms=noise.uniforms[instant, k],
             )
-            if given is not None:
+            if samples is not None:
                 self.fresh[sensor] = 1.0
         self.instant += 1
 
@@ -268,40 +268,42 @@ class Loop:
         self.least = min(self.least, clearance)
         return clearance
 
-    def _inputs(self, bodies: Sequence[Body], drawn: _Drawn, tick: int) -> NDArray[np.float64]:
+    def _inputs(self, bodies: Sequence[Body], noise: _StepNoise, index: int) -> NDArray[np.float64]:
         eta, nu = self.state[:4], self.state[4:8]
-        given: dict[str, object] = {"samples": self.faults.last, "fresh": self.fresh}
+        inputs: dict[str, object] = {"samples": self.faults.last, "fresh": self.fresh}
         if self.sensing == "truth":
-            given |= {"eta": eta, "nu": nu, "contacts": self._all_contacts(beside(bodies, eta[2], self.world.hull))}
+            inputs |= {"eta": eta, "nu": nu, "contacts": self._all_contacts(beside(bodies, eta[2], self.world.hull))}
         else:
-            given |= self._told(self._mover_rows(bodies), drawn, tick)
-        given["column"] = column(self.world.scenario, bodies, eta[:3], self.world.hull)
+            inputs |= self._measurements(self._mover_rows(bodies), noise, index)
+        inputs["column"] = column(self.world.scenario, bodies, eta[:3], self.world.hull)
         self.fresh = np.zeros(self.array.size)
-        return self.law.inputs.pack({name: value for name, value in given.items() if name in self.law.inputs})
+        return self.law.inputs.pack({name: value for name, value in inputs.items() if name in self.law.inputs})
 
-    def _told(self, rows: NDArray[np.float64], drawn: _Drawn, tick: int) -> dict[str, object]:
+    def _measurements(self, rows: NDArray[np.float64], noise: _StepNoise, index: int) -> dict[str, object]:
         """What camera, IMU and base station tell; a law without a filter of its own is told at once."""
         eta, nu, own = self.state[:4], self.state[4:8], self.sensors.equipment.own
         contacts = np.zeros((CONTACT_SLOTS, 6))
-        if self.law.senses is None:
+        if self.law.perception is None:
             contacts[: self.slots] = rows
-            seen = contacts[: self.slots]
-            seen[:, :2], seen[:, 3:5] = self.station.observe(seen[:, :2], seen[:, 3:5], noise=drawn.movers)
-            seen[rows[:, 5] < 0.5] = 0.0
-            pose, _ = (own or OwnState(position_sd=0.0, yaw_sd=0.0)).measure(eta, nu, noise=drawn.own_state[:4])
+            observed = contacts[: self.slots]
+            observed[:, :2], observed[:, 3:5] = self.station.observe(
+                observed[:, :2], observed[:, 3:5], noise=noise.movers
+            )
+            observed[rows[:, 5] < 0.5] = 0.0
+            pose, _ = (own or OwnState(position_sd=0.0, yaw_sd=0.0)).measure(eta, nu, noise=noise.own_state[:4])
             return {"eta": pose, "nu": nu, "contacts": contacts}
         then, self.messages = delayed(self.messages, rows.ravel())
-        told, arrived = self.station.message(
-            then.reshape(-1, 6), tick, noise=drawn.movers, chance=drawn.loss, dt=self.law.dt
+        message, arrived = self.station.message(
+            then.reshape(-1, 6), index, noise=noise.movers, chance=noise.loss, dt=self.law.dt
         )
-        contacts[: self.slots] = told
-        given: dict[str, object] = {"contacts": contacts, "contacts_fresh": arrived}
+        contacts[: self.slots] = message
+        inputs: dict[str, object] = {"contacts": contacts, "contacts_fresh": arrived}
         if own is None:
-            return {**given, "eta": eta, "nu": nu}
+            return {**inputs, "eta": eta, "nu": nu}
         place, self.places = delayed(self.places, self.state[:3])
-        fix, fresh = own.fix(place, tick, noise=drawn.own_state[:4], dt=self.law.dt)
-        yaw, rate = own.imu(eta, nu, noise=drawn.own_state[4:])
-        return {**given, "fix": fix, "fix_fresh": fresh, "yaw": yaw, "yaw_rate": rate}
+        fix, fresh = own.fix(place, index, noise=noise.own_state[:4], dt=self.law.dt)
+        yaw, rate = own.imu(eta, nu, noise=noise.own_state[4:])
+        return {**inputs, "fix": fix, "fix_fresh": fresh, "yaw": yaw, "yaw_rate": rate}
 
     def _mover_rows(self, bodies: Sequence[Body]) -> NDArray[np.float64]:
         """A row a moving obstacle, zeros for one that is not there; the nearest ones if there are too many."""
@@ -309,8 +311,8 @@ class Loop:
         named = self.movers
         if len(named) > self.slots:
             near = {b.name: b.shape.nearest(self.state[:2])[0] for b in there.values()}
-            kept = sorted(named, key=lambda name: near.get(name, np.inf))[: self.slots]
-            named = [name for name in named if name in kept]
+            chosen = sorted(named, key=lambda name: near.get(name, np.inf))[: self.slots]
+            named = [name for name in named if name in chosen]
         rows = np.zeros((self.slots, 6))
         for row, name in zip(rows, named, strict=True):
             if name in there:
@@ -319,12 +321,12 @@ class Loop:
 
     def _all_contacts(self, bodies: Sequence[Body]) -> NDArray[np.float64]:
         slots = self.law.inputs.port("contacts").shape[0] if "contacts" in self.law.inputs else 0
-        contacts, told = np.zeros((slots, 6)), list(bodies)
-        if len(told) > slots:
-            by_distance = sorted(told, key=lambda b: b.shape.nearest(self.state[:2])[0])
-            kept = {b.name for b in by_distance[:slots]}
-            told = [b for b in told if b.name in kept]
-        for row, body in zip(contacts, told, strict=False):
+        contacts, listed = np.zeros((slots, 6)), list(bodies)
+        if len(listed) > slots:
+            by_distance = sorted(listed, key=lambda b: b.shape.nearest(self.state[:2])[0])
+            chosen = {b.name for b in by_distance[:slots]}
+            listed = [b for b in listed if b.name in chosen]
+        for row, body in zip(contacts, listed, strict=False):
             row[:] = self._contact(body)
         return contacts
 

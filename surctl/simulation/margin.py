@@ -17,8 +17,8 @@ from surctl.guidance.braking import (
     brakes_of,
     fastest_obstacle,
     range_needed,
-    stopping_way,
-    tabled_way,
+    stopping_distance_with_drag,
+    tabled_stopping_distance,
 )
 from surctl.simulation.scenario import Scenario
 from surctl.vehicle import Vehicle
@@ -35,7 +35,7 @@ def margin_needed(
     scenario: Scenario,
     believed: Vehicle,
     gains: Gains,
-    flown: Vehicle,
+    actual: Vehicle,
     *,
     barrier: Barrier = "simple",
     turning: float = 0.0,
@@ -47,7 +47,7 @@ def margin_needed(
     Args:
         scenario, gains, barrier: as there.
         believed: what the law believes in.
-        flown: what brakes.
+        actual: what brakes.
         turning: see `turn_rate`.
 
     Example:
@@ -61,17 +61,17 @@ def margin_needed(
     """
     d = scenario.disturbance
     brakes = brakes_of(
-        flown,
+        actual,
         share=1 - d.thrust_error - d.thrust_bias,
         spread=0.0,
-        push=d.drift_force_n + d.wave_force_n + munk(abs(flown["m11"] - flown["m22"]), turning, scenario.cap),
+        disturbance=d.drift_force_n + d.wave_force_n + munk(abs(actual["m11"] - actual["m22"]), turning, scenario.cap),
         current=float(np.hypot(*d.current_m_per_s)),
     )
     return max(Bound(turned(brakes, turning), Watch(), believed, gains, barrier, scenario.cap).margins(0.0).values())
 
 
 def turn_rate(
-    scenario: Scenario, believed: Vehicle, gains: Gains, *, sonar: bool, flown: Vehicle | None = None
+    scenario: Scenario, believed: Vehicle, gains: Gains, *, sonar: bool, actual: Vehicle | None = None
 ) -> float:
     """Yaw rate [rad/s] that the hull comes to when it looks around (sonar), else in the path's sharpest corner.
 
@@ -82,7 +82,7 @@ def turn_rate(
         believed: what the law believes in.
         gains: of the law.
         sonar: whether it looks around.
-        flown: what turns; default: whatever turns the most of the stated ranges.
+        actual: what turns; default: whatever turns the most of the stated ranges.
 
     Example:
         >>> from surctl.control import load_gains
@@ -93,23 +93,23 @@ def turn_rate(
         [0.257, 1.575]
     """
     if sonar:
-        wanted = min(gains["spin"], believed.steady_yaw(YAW_SHARE))
+        desired = min(gains["spin"], believed.steady_yaw(YAW_SHARE))
     else:
         legs = np.diff(scenario.path.waypoints, axis=0)
         turns = np.diff(np.arctan2(legs[:, 1], legs[:, 0]))
-        wanted = gains["k_psi"] * float(np.max(np.abs((turns + np.pi) % (2 * np.pi) - np.pi), initial=0.0))
+        desired = gains["k_psi"] * float(np.max(np.abs((turns + np.pi) % (2 * np.pi) - np.pi), initial=0.0))
 
     def end(name: str, which: int) -> float:
         stated = believed.parameters[name].range
-        return (believed[name] if stated is None else stated[which]) if flown is None else flown[name]
+        return (believed[name] if stated is None else stated[which]) if actual is None else actual[name]
 
     loop, linear, quadratic = believed["m44"] * gains["k_r"], end("Nr", 0), end("Nrr", 0)
-    asked = (believed["Nr"] + believed["Nrr"] * wanted + loop) * wanted
+    demand = (believed["Nr"] + believed["Nrr"] * desired + loop) * desired
 
     def held(moment: float, linear: float) -> float:
         return 2 * moment / max(linear + sqrt(linear**2 + 4 * quadratic * moment), 1e-9)
 
-    return min(held(asked, linear + loop), held(end("Fr_max", 1), linear))
+    return min(held(demand, linear + loop), held(end("Fr_max", 1), linear))
 
 
 def mass_difference(vehicle: Vehicle, spread: float | None = None) -> float:
@@ -157,7 +157,7 @@ class Bound:
             return inf
 
         def enough(difference: float) -> bool:
-            pushed = replace(self.brakes, push=self.brakes.push + munk(difference, turning, self.cap))
+            pushed = replace(self.brakes, disturbance=self.brakes.disturbance + munk(difference, turning, self.cap))
             return max(replace(self, brakes=pushed).margins(obstacle).values()) <= self.gains["margin"]
 
         low, high = 0.0, self.brakes.least / (turning * self.cap)
@@ -180,20 +180,24 @@ class Bound:
 
     def suffices(self, obstacle: float, detection: float) -> bool:
         """Whether range and margin do, before an obstacle of that speed [m/s]."""
-        reach = range_needed(self.brakes, self.watch, self.cap, obstacle=obstacle, way=stopping_way)
-        return reach <= detection and max(self.margins(obstacle).values()) <= self.gains["margin"]
+        needed = range_needed(
+            self.brakes, self.watch, self.cap, obstacle=obstacle, stopping=stopping_distance_with_drag
+        )
+        return needed <= detection and max(self.margins(obstacle).values()) <= self.gains["margin"]
 
     def margins(self, obstacle: float) -> Mapping[float, float]:
         """Own speed up to the cap → margin [m] that is needed beyond the bound."""
-        found, top = {}, self.cap + self.watch.speed_error + self.excess(self.cap)
-        way = tabled_way(self.brakes, top + self.brakes.acceleration(obstacle) * self.watch.period, obstacle=obstacle)
+        result, top = {}, self.cap + self.watch.speed_error + self.excess(self.cap)
+        distance = tabled_stopping_distance(
+            self.brakes, top + self.brakes.acceleration(obstacle) * self.watch.period, obstacle=obstacle
+        )
         for speed in np.linspace(-obstacle, self.cap, round((self.cap + obstacle) / _STEP) + 1).tolist():
             late = replace(self.watch, speed_error=self.watch.speed_error + self.excess(speed))
-            needed = range_needed(self.brakes, late, speed, obstacle=obstacle, way=way)
-            found[speed] = needed - self.kept(speed, obstacle)
-        return found
+            needed = range_needed(self.brakes, late, speed, obstacle=obstacle, stopping=distance)
+            result[speed] = needed - self.law_distance(speed, obstacle)
+        return result
 
-    def kept(self, speed: float, obstacle: float) -> float:
+    def law_distance(self, speed: float, obstacle: float) -> float:
         """What the law keeps beside its margin when it goes as fast as it lets itself [m]."""
         if self.barrier == "inertia":
             own = brakes_of(self.vehicle, share=self.gains["brake"])

@@ -12,28 +12,28 @@ from numpy.typing import NDArray
 
 __all__ = [
     "GONE",
-    "HALT",
     "LATE",
     "LINK_LOST",
     "METRICS",
-    "STOOD",
+    "STANDSTILL",
+    "STOPPED_LIMIT",
     "STOPS",
     "MetricSpec",
     "Metrics",
+    "avoidance_intervals",
     "path_error",
-    "settled_avoidance",
 ]
 
 TUBE = 0.10  # [m] |y_e| below which an avoidance interval has ended (*chosen*)
 NEAR_TARGET = 1.0  # [m] within which going past the target is overshoot (*chosen*)
 
-HALT = 30.0
+STOPPED_LIMIT = 30.0
 """[s] without a break in which a law with senses stands still for want of knowledge, before its run ends (*chosen*)."""
 
-STOOD = 10.0
+STANDSTILL = 10.0
 """[s] for which a law that gave up in a dead end is watched standing, before its run ends (*chosen*)."""
 
-STOPS = ("time limit", "reached", "collision", "fault", "halted", "dead end")
+STOPS = ("time limit", "reached", "collision", "fault", "stopped", "dead end")
 """Why a run can end; a batch gives the position in this tuple."""
 
 
@@ -120,7 +120,7 @@ class Metrics:
         return tuple(coded[name] if name in coded else float(getattr(self, name)) for name in METRICS)
 
 
-def settled_avoidance(
+def avoidance_intervals(
     avoiding: NDArray[np.float64], distance: NDArray[np.float64], *, tube: float = TUBE
 ) -> NDArray[np.bool_]:
     """Avoidance intervals (n,): they begin with the command and end only when |y_e| is back within the tube."""
@@ -134,7 +134,7 @@ def settled_avoidance(
 
 def path_error(horizontal: NDArray[np.float64], vertical: NDArray[np.float64], excluded: NDArray[np.bool_]) -> float:
     """E_p as rms over the samples that are not excluded: √(mean(Δh² + Δz²)) [m] (E14); NaN if none is left."""
-    kept = ~excluded
-    if not kept.any():
+    included = ~excluded
+    if not included.any():
         return float("nan")
-    return float(np.sqrt(np.mean(horizontal[kept] ** 2 + vertical[kept] ** 2)))
+    return float(np.sqrt(np.mean(horizontal[included] ** 2 + vertical[included] ** 2)))

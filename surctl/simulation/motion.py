@@ -8,7 +8,7 @@ from math import inf, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.guidance.braking import Watch, brakes_of, fastest_obstacle, range_needed, stopping_way
+from surctl.guidance.braking import Watch, brakes_of, fastest_obstacle, range_needed, stopping_distance_with_drag
 from surctl.simulation.finding import Finding
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.scenario import Scenario
@@ -45,13 +45,13 @@ def _obstacle_speeds(scenario: Scenario) -> list[Finding]:
 
 def _meetings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     """Moving obstacles that are in one place at one time."""
-    found = []
+    results = []
     for a, b in combinations([o for o in scenario.obstacles if o.shape == "moving"], 2):
         apart = closest(a, b, until=scenario.time_limit) - sum(o.radius_m or vehicle["radius"] for o in (a, b))
         if apart < 0:
             text = f"obstacles {a.name!r} and {b.name!r} run into each other: they overlap by {-apart:.2f} m"
-            found.append(Finding("error", f"obstacles.{b.name}.to_m", text))
-    return found
+            results.append(Finding("error", f"obstacles.{b.name}.to_m", text))
+    return results
 
 
 def closest(a: Obstacle, b: Obstacle, *, until: float) -> float:
@@ -73,8 +73,8 @@ def closest(a: Obstacle, b: Obstacle, *, until: float) -> float:
 
 def _arrival(obstacle: Obstacle) -> float:
     """When it is at its end [s]."""
-    way = float(np.hypot(*np.subtract(obstacle.to_m or obstacle.centre_m, obstacle.centre_m)))
-    return way / obstacle.speed_m_per_s if obstacle.speed_m_per_s else inf
+    distance = float(np.hypot(*np.subtract(obstacle.to_m or obstacle.centre_m, obstacle.centre_m)))
+    return distance / obstacle.speed_m_per_s if obstacle.speed_m_per_s else inf
 
 
 def _at(obstacle: Obstacle, time: float) -> NDArray[np.float64]:
@@ -85,19 +85,19 @@ def _at(obstacle: Obstacle, time: float) -> NDArray[np.float64]:
 
 def _braking(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     """Obstacles that are only evaded: braking, at the worst of the vehicle's ranges, does not keep them off."""
-    brakes, found = brakes_of(vehicle), []
+    brakes, results = brakes_of(vehicle), []
     most, sight = fastest_obstacle(brakes), scenario.sensors.equipment.array.maximum
     for o in scenario.obstacles:
         speed = o.speed_m_per_s or 0.0
-        needed = range_needed(brakes, Watch(), scenario.cap, obstacle=speed, way=stopping_way)
+        needed = range_needed(brakes, Watch(), scenario.cap, obstacle=speed, stopping=stopping_distance_with_drag)
         if speed <= 0 or needed <= sight:
             continue
         why = f"it takes {needed:.2f} m to stop from the cap before it, and the sonars reach {sight:g} m"
         if speed >= most:
             why = f"braking guarantees nothing before obstacles faster than {most:.3f} m/s"
         text = f"obstacle {o.name!r} at {speed:g} m/s is evaded sideways, not braked for: with {vehicle.name} {why}"
-        found.append(Finding("info", f"obstacles.{o.name}.speed_m_per_s", text))
-    return found
+        results.append(Finding("info", f"obstacles.{o.name}.speed_m_per_s", text))
+    return results
 
 
 def _current(scenario: Scenario) -> list[Finding]:
@@ -112,7 +112,7 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     """Drag of the cruise speed through the water, heading along the leg or into the stream, whichever is easier."""
     d = scenario.disturbance
     current, weak = np.array(d.current_m_per_s), 1 - d.thrust_error - d.thrust_bias
-    worst, told = 0.0, (0.0, 0.0, 0.0)
+    worst, figures = 0.0, (0.0, 0.0, 0.0)
     for leg in np.diff(scenario.path.waypoints, axis=0):
         ahead = leg / np.linalg.norm(leg)
         through = scenario.cruise * ahead - current
@@ -124,10 +124,10 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
         side = (_drag(vehicle, "Yv", abs(across)) + d.drift_force_n, vehicle["Fv_max"] * weak)
         needed, limit = min(surge, max(sway, side, key=_share), key=_share)
         if needed / limit > worst:
-            worst, told = needed / limit, (speed, needed, limit)
+            worst, figures = needed / limit, (speed, needed, limit)
     if worst <= 1:
         return []
-    speed, needed, limit = told
+    speed, needed, limit = figures
     text = (
         f"to hold the cruise speed of {scenario.cruise:g} m/s against the current {vehicle.name} goes {speed:.3g} m/s "
         f"through the water and needs {needed:.2f} N, and its thrusters give {limit:.2f} N"

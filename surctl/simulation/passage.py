@@ -61,18 +61,18 @@ class _Still:
         beyond = np.abs(x - self.centre[0]) - self.half[0], np.abs(y - self.centre[1]) - self.half[1]
         outside = np.hypot(np.maximum(beyond[0], 0), np.maximum(beyond[1], 0))
         inside = np.minimum(np.maximum(*beyond), 0)
-        found: Field = outside + inside - self.radius - self.drift
-        return found
+        distance: Field = outside + inside - self.radius - self.drift
+        return distance
 
 
-def tightest_gap(scenario: Scenario, room: float, *, depth: float | None = None) -> Gap | None:
+def tightest_gap(scenario: Scenario, clearance: float, *, depth: float | None = None) -> Gap | None:
     """The tightest gap on the widest way from start to target; None where no way comes that close to two bodies.
 
     Args:
         scenario: what stands in the site; moving obstacles do not count.
-        room: half the width that is wanted [m]: where start or target have less, the way begins at the nearest place
-            that is no tighter than its surroundings.
-        depth: z [m] at which the way is gone; default: the path's. What lies more than `room` above or below it is no
+        clearance: half the required width [m]. Where start or target have less, the passage begins at the nearest
+            place that is no tighter than its surroundings.
+        depth: z [m] of the passage; default: the path's. What lies more than `clearance` above or below it is no
             obstacle.
     """
     length, width, _ = scenario.site
@@ -80,12 +80,12 @@ def tightest_gap(scenario: Scenario, room: float, *, depth: float | None = None)
     xs, ys = (np.linspace(0, edge, max(2, round(edge / step)) + 1) for edge in (length, width))
     x, y = np.meshgrid(xs, ys, indexing="ij")
     z = scenario.depth if depth is None else depth
-    beside = [o for o in scenario.obstacles if o.still and o.heights.crosses(z, room)]
+    beside = [o for o in scenario.obstacles if o.still and o.heights.crosses(z, clearance)]
     bodies = [*_walls(length, width), *(_still(o) for o in beside)]
     clear, second = np.partition([body.distance(x, y) for body in bodies], 1, axis=0)[:2]
-    ends = [_uphill(clear, _cell(point, xs, ys), room) for point in (scenario.start, scenario.target)]
-    tightest = min(_widest_way(clear, ends[0], ends[1]), key=lambda cell: (clear[cell], second[cell]))
-    if clear[tightest] >= room + step:
+    ends = [_uphill(clear, _cell(point, xs, ys), clearance) for point in (scenario.start, scenario.target)]
+    tightest = min(_widest_path(clear, ends[0], ends[1]), key=lambda cell: (clear[cell], second[cell]))
+    if clear[tightest] >= clearance + step:
         return None
     place = (float(xs[tightest[0]]), float(ys[tightest[1]]))
     one, other = _pair(bodies, place, step)
@@ -138,8 +138,8 @@ def _around(cell: Cell, shape: tuple[int, ...]) -> list[Cell]:
     return [(a, b) for a, b in near if 0 <= a < shape[0] and 0 <= b < shape[1]]
 
 
-def _uphill(clear: Field, cell: Cell, room: float) -> Cell:
-    while clear[cell] < room:
+def _uphill(clear: Field, cell: Cell, clearance: float) -> Cell:
+    while clear[cell] < clearance:
         best = max(_around(cell, clear.shape), key=_at(clear))
         if clear[best] <= clear[cell]:
             break
@@ -151,26 +151,26 @@ def _at(clear: Field) -> Callable[[Cell], float]:
     return lambda cell: float(clear[cell])
 
 
-def _widest_way(clear: Field, start: Cell, target: Cell) -> list[Cell]:
+def _widest_path(clear: Field, start: Cell, target: Cell) -> list[Cell]:
     """The cells from target to start of the way whose least clearance is greatest."""
     # one row and column more on every side, seen beforehand, so that each cell has eight neighbours
     around, row = np.pad(clear, 1), clear.shape[1] + 2
-    cost, seen = (-around.ravel()).tolist(), bytearray(np.pad(np.zeros(clear.shape, bool), 1, constant_values=True))
+    cost, visited = (-around.ravel()).tolist(), bytearray(np.pad(np.zeros(clear.shape, bool), 1, constant_values=True))
     steps = [a * row + b for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
     first, last = ((i + 1) * row + j + 1 for i, j in (start, target))
     came, front = [0] * len(cost), [(cost[first], first)]
-    seen[first] = 1
+    visited[first] = 1
     while front:
         least, cell = heapq.heappop(front)
         if cell == last:
             break
         for step in steps:
             near = cell + step
-            if not seen[near]:
-                seen[near] = 1
+            if not visited[near]:
+                visited[near] = 1
                 came[near] = cell
                 heapq.heappush(front, (max(least, cost[near]), near))
-    way = [last]
-    while way[-1] != first:
-        way.append(came[way[-1]])
-    return [(k // row - 1, k % row - 1) for k in way]
+    path = [last]
+    while path[-1] != first:
+        path.append(came[path[-1]])
+    return [(k // row - 1, k % row - 1) for k in path]

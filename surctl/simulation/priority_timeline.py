@@ -26,7 +26,7 @@ class PriorityTimeline:
         to_rows: (n, levels) what it gives up on top of that, because rows hold it back.
         rows: names of those that hold back or are missed at some tick, in the law's order.
         binding, missed: (n, rows) whether a row holds back, and by how much the wish misses it [m/s].
-        blame: (n, levels, rows) whether that level gave something up to that row.
+        causes: (n, levels, rows) whether that level gave something up to that row.
     """
 
     time: NDArray[np.float64]
@@ -37,7 +37,7 @@ class PriorityTimeline:
     rows: tuple[str, ...]
     binding: NDArray[np.bool_]
     missed: NDArray[np.float64]
-    blame: NDArray[np.bool_]
+    causes: NDArray[np.bool_]
 
     @property
     def eventful(self) -> bool:
@@ -61,32 +61,32 @@ def priority_timeline(run: Run) -> PriorityTimeline:
         [('velocity', 0.23), ('depth', 0.0), ('heading', 0.0)]
     """
     record, law = run.record, run.law
-    ticks = np.flatnonzero(record.status >= 0)
-    answers = [law.explained(record.law_state[k], record.law_input[k], record.law_parameters) for k in ticks]
+    steps = np.flatnonzero(record.status >= 0)
+    solutions = [law.explained(record.law_state[k], record.law_input[k], record.law_parameters) for k in steps]
     names = tuple(name for name, _, _ in law.levels)
-    missed = [{row: by for row, by in a.relaxed.items() if by > NOTICEABLE} for a in answers]
-    held = [{row for row, _ in a.binding} for a in answers]
-    seen = set().union(*missed, *held)
+    missed = [{row: by for row, by in a.relaxed.items() if by > NOTICEABLE} for a in solutions]
+    held = [{row for row, _ in a.binding} for a in solutions]
+    active = set().union(*missed, *held)
     order = {row: place for place, row in enumerate(law.rows)}
-    rows = tuple(sorted(seen, key=lambda row: (order.get(row, len(order)), row)))
-    shape = (len(ticks), len(names))
-    to_levels = np.array([[a.without_limits[name] for name in names] for a in answers]).reshape(shape)
-    residual = np.array([[a.residuals[name] for name in names] for a in answers]).reshape(shape)
+    rows = tuple(sorted(active, key=lambda row: (order.get(row, len(order)), row)))
+    shape = (len(steps), len(names))
+    to_levels = np.array([[a.without_limits[name] for name in names] for a in solutions]).reshape(shape)
+    residual = np.array([[a.residuals[name] for name in names] for a in solutions]).reshape(shape)
     to_rows = np.maximum(residual - to_levels, 0.0)
-    blame = np.zeros((*shape, len(rows)), dtype=bool)
-    for k, (answer, by) in enumerate(zip(answers, held, strict=True)):
+    causes = np.zeros((*shape, len(rows)), dtype=bool)
+    for k, (solution, by) in enumerate(zip(solutions, held, strict=True)):
         for level, name in enumerate(names):
             if to_rows[k, level] > NOTICEABLE:
-                guilty = answer.blame.get(name, by)
-                blame[k, level] = [row in guilty for row in rows]
+                guilty = solution.causes.get(name, by)
+                causes[k, level] = [row in guilty for row in rows]
     return PriorityTimeline(
-        time=record.time[ticks],
+        time=record.time[steps],
         levels=names,
         units=tuple(unit for _, _, unit in law.levels),
         to_levels=to_levels,
         to_rows=to_rows,
         rows=rows,
-        binding=np.array([[row in one for row in rows] for one in held], dtype=bool).reshape(len(ticks), len(rows)),
-        missed=np.array([[one.get(row, 0.0) for row in rows] for one in missed]).reshape(len(ticks), len(rows)),
-        blame=blame,
+        binding=np.array([[row in one for row in rows] for one in held], dtype=bool).reshape(len(steps), len(rows)),
+        missed=np.array([[one.get(row, 0.0) for row in rows] for one in missed]).reshape(len(steps), len(rows)),
+        causes=causes,
     )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control import Law
-from surctl.simulation.metrics import NEAR_TARGET, Metrics, path_error, settled_avoidance
+from surctl.simulation.metrics import NEAR_TARGET, Metrics, avoidance_intervals, path_error
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.world import Body
 
@@ -38,7 +38,7 @@ def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least:
     where, thrust = record.eta[:, :2], record.tau[:, :2]
     follower = scenario.follower()
     away = follower.track(where)
-    excluded = settled_avoidance(record.telemetry[:, law.telemetry_slice("avoiding")].ravel(), away)
+    excluded = avoidance_intervals(record.telemetry[:, law.telemetry_slice("avoiding")].ravel(), away)
     steps = np.linalg.norm(np.diff(where, axis=0), axis=1)
     leg = scenario.target - scenario.path.waypoints[-2]
     past = (where - scenario.target) @ (leg / np.linalg.norm(leg))

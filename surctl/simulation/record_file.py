@@ -50,7 +50,7 @@ def record_columns(run: Run, *, frame: Frame | str = "enu") -> dict[str, NDArray
         >>> from surctl.control import build_law, load_gains
         >>> from surctl.simulation import load_scenario, record_columns, simulate
         >>> from surctl.vehicle import load_vehicle
-        >>> law, gains = build_law("lean"), load_gains("default")
+        >>> law, gains = build_law("closed_form"), load_gains("default")
         >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
         >>> list(record_columns(run))[:5]
         ['t_s', 'x_m', 'y_m', 'z_m', 'psi_rad']
@@ -61,11 +61,11 @@ def record_columns(run: Run, *, frame: Frame | str = "enu") -> dict[str, NDArray
     eta, nu, tau = r.eta, r.nu, r.tau
     if check_frame(frame, key="--frame") == "ned":
         eta, nu, tau = swap_pose(eta), swap_body(nu), swap_body(tau)
-    found = {"t_s": r.time}
-    found |= dict(zip(LOG_MOTION, np.column_stack([eta, nu]).T, strict=True))
-    found |= dict(zip(LOG_THRUST, tau.T, strict=True))
+    columns = {"t_s": r.time}
+    columns |= dict(zip(LOG_MOTION, np.column_stack([eta, nu]).T, strict=True))
+    columns |= dict(zip(LOG_THRUST, tau.T, strict=True))
     return {
-        k: np.asarray(v, dtype=float) for k, v in (found | {"clearance_m": r.clearance, "status": r.status}).items()
+        k: np.asarray(v, dtype=float) for k, v in (columns | {"clearance_m": r.clearance, "status": r.status}).items()
     }
 
 
@@ -91,7 +91,7 @@ def save_record(run: Run, folder: Path, *, kind: RecordFormat | str, frame: Fram
         >>> from surctl.control import build_law, load_gains
         >>> from surctl.simulation import load_scenario, save_record, simulate
         >>> from surctl.vehicle import load_vehicle
-        >>> law, gains = build_law("lean"), load_gains("default")
+        >>> law, gains = build_law("closed_form"), load_gains("default")
         >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
         >>> saved = save_record(run, Path(), kind="csv", frame="ned")
         >>> print(saved, saved.read_text().splitlines()[1][:23])
@@ -101,21 +101,21 @@ def save_record(run: Run, folder: Path, *, kind: RecordFormat | str, frame: Fram
         raise InputError("is not known", key="--save", value=kind, remedy=nearest(str(kind), RECORD_FORMATS))
     path = folder / f"{run.scenario.name}-{run.seed}.{kind}"
     columns = record_columns(run, frame=frame)
-    told = FRAME_TEXT[check_frame(frame)]
+    frame_text = FRAME_TEXT[check_frame(frame)]
     about = " ".join(f"{k}={v}" for k, v in run.to_dict().items() if isinstance(v, str | int | float))
     if kind == "csv":
-        above = f"# frame={frame} ({told}); SI units, radians; {shown(about)}"
+        above = f"# frame={frame} ({frame_text}); SI units, radians; {shown(about)}"
         rows = [above, ",".join(columns), *(",".join(map(_plain, row)) for row in zip(*columns.values(), strict=True))]
         return write_file(path, "\n".join(rows) + "\n")
     if kind == "mat":
         from scipy.io import savemat
 
         held = io.BytesIO()
-        texts = {"frame": told, "about": about, "units": _UNITS, "meaning": _MEANING}
+        texts = {"frame": frame_text, "about": about, "units": _UNITS, "meaning": _MEANING}
         savemat(held, {**{k: v[:, None] for k, v in columns.items()}, **texts}, oned_as="column")
         text = b"MATLAB 5.0 MAT-file, a run of surctl".ljust(116)  # scipy writes the date there
         return write_file(path, text + held.getvalue()[116:])
-    return _netcdf(path, columns, about, told)
+    return _netcdf(path, columns, about, frame_text)
 
 
 def _plain(value: float) -> str:
@@ -132,9 +132,9 @@ def _netcdf(path: Path, columns: Mapping[str, NDArray[np.float64]], about: str, 
             file.setncatts({"Conventions": "CF-1.11", "title": about, "frame": frame})
             file.createDimension("time", len(columns["t_s"]))
             for name, values in columns.items():
-                made = file.createVariable(name, "f8", ("time",))
-                made.setncatts({"units": _UNITS[name], "long_name": _MEANING[name]})
-                made[:] = values
+                variable = file.createVariable(name, "f8", ("time",))
+                variable.setncatts({"units": _UNITS[name], "long_name": _MEANING[name]})
+                variable[:] = values
         part.replace(path)
     except (OSError, RuntimeError) as error:  # netCDF tells a full disk as a RuntimeError
         with suppress(OSError):

@@ -68,7 +68,7 @@ class Run:
     @property
     def attitude(self) -> Attitude | None:
         """Crab angle, heading error, limit cycle; None of a law that spins to look round."""
-        if self.law.senses is not None:
+        if self.law.perception is not None:
             return None
         record, scenario = self.record, self.scenario
         return attitude_of(scenario.follower(), scenario.cruise, record.time, record.eta, record.nu)
@@ -83,7 +83,7 @@ class Run:
             "guidance": self.law.guidance,
             "sensing": self.sensing,
             "priority_mode": self.law.mode,
-            "ladder": self.law.ladder,
+            "fallback": self.law.fallback,
             "barrier": self.law.barrier,
             "movers": self.law.movers,
             "seed": self.seed,
@@ -107,17 +107,17 @@ def depth_changes(run: Run) -> list[DepthChange]:
         >>> [(round(change.from_m, 2), round(change.to_m, 2), change.back) for change in depth_changes(run)]
         [(-1.1, -0.65, False), (-0.65, -1.1, True)]
     """
-    if "wanted_depth" not in run.law.outputs:
+    if "depth_reference" not in run.law.outputs:
         return []
-    wanted, record = run.telemetry("wanted_depth").ravel(), run.record
-    given_up = run.telemetry("trapped").ravel() > 0.5
-    found, last = list[DepthChange](), run.scenario.depth
-    turns = (np.flatnonzero(np.diff(wanted) != 0) + 1).tolist()
-    for k, until in zip(turns, [*turns[1:], len(wanted) + 1], strict=True):
+    reference, record = run.telemetry("depth_reference").ravel(), run.record
+    dead_end = run.telemetry("trapped").ravel() > 0.5
+    changes, last = list[DepthChange](), run.scenario.depth
+    turns = (np.flatnonzero(np.diff(reference) != 0) + 1).tolist()
+    for k, until in zip(turns, [*turns[1:], len(reference) + 1], strict=True):
         # a depth that is out of reach is turned down in the next step; once it gave up, it stays where it has come to
-        if until - k < 2 or given_up[k]:
+        if until - k < 2 or dead_end[k]:
             continue
-        x, y, to = float(record.eta[k, 0]), float(record.eta[k, 1]), float(wanted[k])
-        found.append(DepthChange(float(record.time[k]), (x, y), last, to, to == run.scenario.depth))
+        x, y, to = float(record.eta[k, 0]), float(record.eta[k, 1]), float(reference[k])
+        changes.append(DepthChange(float(record.time[k]), (x, y), last, to, to == run.scenario.depth))
         last = to
-    return found
+    return changes

@@ -16,7 +16,7 @@ from surctl.guidance.braking import (
     brakes_of,
     fastest_obstacle,
     range_needed,
-    stopping_way,
+    stopping_distance_with_drag,
 )
 from surctl.simulation.column import BAND, FOOTPRINT
 from surctl.simulation.margin import Bound, mass_difference, munk, turned
@@ -73,8 +73,8 @@ class SafetyClaim:
         def rows(figures: tuple[Figure, ...]) -> list[dict[str, Any]]:
             return [{**asdict(f), "value": f.value if isfinite(f.value) else str(f.value)} for f in figures]
 
-        told = {**self.to_dict(), "assumptions": rows(self.assumptions), "derived": rows(self.derived)}
-        return toml_text({"kind": "safety claim", **told})
+        table = {**self.to_dict(), "assumptions": rows(self.assumptions), "derived": rows(self.derived)}
+        return toml_text({"kind": "safety claim", **table})
 
     def lines(self) -> list[str]:
         """A few lines of text."""
@@ -143,16 +143,16 @@ def safety_claim(
         vehicle,
         share=share,
         spread=spread,
-        push=d.drift_force_n + d.wave_force_n,
+        disturbance=d.drift_force_n + d.wave_force_n,
         current=float(np.hypot(*d.current_m_per_s)),
     )
     level = beside(turned(brakes, turning), sideways)
-    brakes = replace(level, push=level.push + munk(difference, turning, scenario.cap))
+    brakes = replace(level, disturbance=level.disturbance + munk(difference, turning, scenario.cap))
     bound = Bound(brakes, watch, vehicle, gains, barrier, scenario.cap)
     covered = bound.limit(detection) if movers == "barrier" else 0.0
     needed = bound.margins(covered)
     short = [speed for speed, margin in needed.items() if margin > gains["margin"]]
-    reach = range_needed(brakes, watch, scenario.cap, obstacle=covered, way=stopping_way)
+    sight = range_needed(brakes, watch, scenario.cap, obstacle=covered, stopping=stopping_distance_with_drag)
     assumptions: tuple[Figure, ...] = (
         Figure("obstacle speed", covered, "m/s", "largest towards the vehicle, for ever, and as the law is told"),
         Figure("detection range", detection, "m", "from the hull, at which an obstacle is surely seen"),
@@ -163,7 +163,7 @@ def safety_claim(
         Figure("largest mass", brakes.masses[1], "kg", "of m11 and m22"),
         Figure("least quadratic drag", brakes.quadratic[0], "N s^2/m^2", "surge and sway, ahead"),
         Figure("largest quadratic drag", brakes.quadratic[1], "N s^2/m^2", "surge and sway, astern"),
-        Figure("push", brakes.push, "N", "towards the obstacle, of waves, drift and drag of sideways motion"),
+        Figure("push", brakes.disturbance, "N", "towards the obstacle, of waves, drift and drag of sideways motion"),
         Figure("current", brakes.current, "m/s", "towards the obstacle"),
         Figure("turn rate", turning, "rad/s", "of the hull while it brakes"),
         Figure("mass difference", difference, "kg", "largest |m11 - m22|; turning, it pushes by speed and turn rate"),
@@ -175,11 +175,11 @@ def safety_claim(
         Figure("speed error", watch.speed_error, "m/s", "largest"),
     )
     if scenario.depths is not None:
-        heard = "wider than the hull: all that stands over or under that disc is heard by the echo sounders"
+        coverage = "wider than the hull: all that stands over or under that disc is heard by the echo sounders"
         fan = "beyond the hull, above and below: what ends further off is passed over or under"
-        assumptions += (Figure("sounder footprint", FOOTPRINT, "m", heard), Figure("sonar fan", BAND, "m", fan))
+        assumptions += (Figure("sounder footprint", FOOTPRINT, "m", coverage), Figure("sonar fan", BAND, "m", fan))
     derived = (
-        Figure("range needed", reach, "m", "to be read at the cap before that obstacle"),
+        Figure("range needed", sight, "m", "to be read at the cap before that obstacle"),
         Figure("margin needed", max(needed.values()), "m", "beyond the law's bound, at the worst speed"),
         Figure("margin", gains["margin"], "m", "the gains have"),
         Figure("covered speed", min(short, default=scenario.cap), "m/s", "up to which that margin is enough"),
@@ -200,5 +200,5 @@ def safety_claim(
     what = "what stands" if movers == "predict" else f"what comes on with at most {covered:.3g} m/s"
     statement = f"the hull never touches {what}, one obstacle at a time, barrier {barrier}"
     return SafetyClaim(
-        scenario.name, vehicle.name, barrier, movers, statement, assumptions, derived, not short and reach <= detection
+        scenario.name, vehicle.name, barrier, movers, statement, assumptions, derived, not short and sight <= detection
     )

@@ -45,7 +45,7 @@ class _ScenarioFile(Strict):
     depth_m: float
     cruise_m_per_s: Positive
     cap_m_per_s: Positive
-    reach_m: Positive = 0.10
+    arrival_m: Positive = 0.10
     time_limit_s: Positive
     launch_m: NotNegative = 0.0
     depths_m: tuple[float, float] | None = None
@@ -69,7 +69,7 @@ class Scenario:
         depth: z of the path [m], negative below the surface.
         cruise: U_d [m/s].
         cap: largest commanded horizontal speed [m/s].
-        reach: distance to the target that counts as arrived [m].
+        arrival_radius: distance to the target that counts as arrived [m].
         site: length along x, width along y, depth [m]; one corner of the floor plan is the origin.
         vehicle: name or path of the vehicle that flies it by default.
         launch: water around the hull at the start that whoever launches it sees to be free [m]: a law with sonars
@@ -78,8 +78,8 @@ class Scenario:
         uncertainty: what a Monte Carlo campaign draws.
         depths: lowest and highest z [m] that the hull may take up where only another depth leads on, or None: the
             robot keeps to the path's depth. With them it carries an echo sounder upwards and one downwards.
-        corners: `pass`: a detour may leave out a corner of the path; `visit`: the robot has to come within `reach` of
-            each, in order, before it can arrive.
+        corners: `pass`: a detour may leave out a corner of the path; `visit`: the robot has to come within
+            `arrival_radius` of each, in order, before it can arrive.
     """
 
     name: str
@@ -90,7 +90,7 @@ class Scenario:
     depth: float
     cruise: float
     cap: float
-    reach: float
+    arrival_radius: float
     time_limit: float
     site: tuple[float, float, float]
     obstacles: tuple[Obstacle, ...]
@@ -111,8 +111,8 @@ class Scenario:
     @property
     def start_pose(self) -> NDArray[np.float64]:
         """η (4,) at the start: x, y, z [m], and ψ [rad] along the path's first leg."""
-        way = self.path.waypoints[1] - self.start
-        return np.array([*self.start, self.depth, np.arctan2(way[1], way[0])])
+        first_leg = self.path.waypoints[1] - self.start
+        return np.array([*self.start, self.depth, np.arctan2(first_leg[1], first_leg[0])])
 
     def follower(self) -> Follower:
         """A robot at the path's start."""
@@ -121,7 +121,7 @@ class Scenario:
     @property
     def visit(self) -> float | None:
         """Distance [m] to a corner that counts as a visit; None where corners may be left out."""
-        return self.reach if self.corners == "visit" else None
+        return self.arrival_radius if self.corners == "visit" else None
 
     @property
     def seeded(self) -> bool:
@@ -174,7 +174,7 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
         model.depth_m,
         model.cruise_m_per_s,
         model.cap_m_per_s,
-        model.reach_m,
+        model.arrival_m,
         model.time_limit_s,
         (model.site.length_m, model.site.width_m, model.site.depth_m),
         model.obstacles,
@@ -253,9 +253,9 @@ def _apart(still: Sequence[Obstacle], scenario: Scenario) -> None:
                 remedy="move the target or the obstacle",
             )
         for other in still[k + 1 :]:
-            if obstacle.heights.shares(other.heights) and (room := obstacle.apart(other)) < 0:
+            if obstacle.heights.shares(other.heights) and (gap := obstacle.apart(other)) < 0:
                 raise InputError(
-                    f"overlaps obstacle {obstacle.name!r} by {-room:.3f} m",
+                    f"overlaps obstacle {obstacle.name!r} by {-gap:.3f} m",
                     file=scenario.source,
                     key=f"obstacles.{other.name}.centre_m",
                     value=list(other.centre_m),

@@ -31,7 +31,7 @@ def scenario_table(scenario: Scenario) -> dict[str, Any]:
         "depth_m": scenario.depth,
         "cruise_m_per_s": scenario.cruise,
         "cap_m_per_s": scenario.cap,
-        "reach_m": scenario.reach,
+        "arrival_m": scenario.arrival_radius,
         "time_limit_s": scenario.time_limit,
         "launch_m": scenario.launch,
         **({} if scenario.depths is None else {"depths_m": list(scenario.depths)}),
@@ -84,20 +84,20 @@ def _array(array: SonarArray) -> dict[str, Any]:
 
 
 def _station(station: BaseStation) -> dict[str, Any]:
-    told = {"position_sd_m": station.position_sd, "velocity_sd_m_per_s": station.velocity_sd}
-    return told | _delivery(station.messages)
+    table = {"position_sd_m": station.position_sd, "velocity_sd_m_per_s": station.velocity_sd}
+    return table | _delivery(station.messages)
 
 
 def _own(own: OwnState | None) -> dict[str, Any]:
     if own is None:
         return {"truth": True}
-    told = {"position_sd_m": own.position_sd, "yaw_sd_rad": own.yaw_sd, "rate_sd_rad_per_s": own.rate_sd}
-    return told | _delivery(own.fixes)
+    table = {"position_sd_m": own.position_sd, "yaw_sd_rad": own.yaw_sd, "rate_sd_rad_per_s": own.rate_sd}
+    return table | _delivery(own.fixes)
 
 
 def _delivery(delivery: Delivery) -> dict[str, Any]:
-    told = {"period_s": delivery.period, "latency_s": delivery.latency, "loss": delivery.loss}
-    return told | {"gaps_s": [list(gap) for gap in delivery.gaps]}
+    table = {"period_s": delivery.period, "latency_s": delivery.latency, "loss": delivery.loss}
+    return table | {"gaps_s": [list(gap) for gap in delivery.gaps]}
 
 
 def _degrees(angle: float) -> float:

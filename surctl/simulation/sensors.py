@@ -77,8 +77,8 @@ class _DeliveryTable(Strict):
 
     def delivery(self) -> Delivery:
         """As the robot's side has it."""
-        given = {"period": self.period_s, "latency": self.latency_s, "loss": self.loss}
-        return Delivery(gaps=self.gaps_s, **{name: value for name, value in given.items() if value is not None})
+        values = {"period": self.period_s, "latency": self.latency_s, "loss": self.loss}
+        return Delivery(gaps=self.gaps_s, **{name: value for name, value in values.items() if value is not None})
 
 
 class StationTable(_DeliveryTable):
@@ -158,7 +158,7 @@ def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateT
             names the table and the key.
     """
     array = _in_table("sonar", lambda: _array(sonar))
-    told = BaseStation(
+    base_station = BaseStation(
         position_sd=station.position_sd_m,
         velocity_sd=station.velocity_sd_m_per_s,
         messages=_in_table("base_station", station.delivery),
@@ -169,10 +169,10 @@ def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateT
         rate_sd=own.rate_sd_rad_per_s,
         fixes=_in_table("own_state", own.delivery),
     )
-    for table, delivery in (("base_station", told.messages), ("own_state", measured.fixes)):
+    for table, delivery in (("base_station", base_station.messages), ("own_state", measured.fixes)):
         for steps in (delivery.late, delivery.every):
             _in_table(table, partial(steps, _PERIOD))
-    equipment = Equipment(array=array, station=told, own=None if own.truth else measured)
+    equipment = Equipment(array=array, station=base_station, own=None if own.truth else measured)
     return Sensors(equipment, sonar.faults, sonar.chances)
 
 
@@ -188,17 +188,17 @@ def _in_table(table: str, make: Callable[[], T]) -> T:
 
 
 def _array(table: SonarTable) -> SonarArray:
-    given = {name: getattr(table, key) for key, name in _NAMES.items() if getattr(table, key) is not None}
+    values = {name: getattr(table, key) for key, name in _NAMES.items() if getattr(table, key) is not None}
     for key, name in (("beam_deg", "beam_angle"), ("incidence_limit_deg", "incidence_limit")):
         value = getattr(table, key)
         if value is not None:
-            given[name] = value * pi / 180.0
+            values[name] = value * pi / 180.0
     if table.azimuths_deg is not None:
-        given["azimuths"] = tuple(a * pi / 180.0 for a in table.azimuths_deg)
-        given.setdefault("order", tuple(range(len(table.azimuths_deg))))
+        values["azimuths"] = tuple(a * pi / 180.0 for a in table.azimuths_deg)
+        values.setdefault("order", tuple(range(len(table.azimuths_deg))))
     if table.mounts_m is not None:
-        given["hull_radius"] = 0.0  # the vehicle that is flown has one, see `Sensors.on`
-    array = SonarArray(**given)
+        values["hull_radius"] = 0.0  # the vehicle that is flown has one, see `Sensors.on`
+    array = SonarArray(**values)
     if table.scale is not None:
         if table.calibrated_for_m_per_s is not None:
             raise InputError("says the same as calibrated_for_m_per_s", key="scale", remedy="give one of them")

@@ -21,16 +21,16 @@ def toml_text(table: Mapping[str, Any]) -> str:
 
 def _lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
     inside = {name: value for name, value in table.items() if isinstance(value, Mapping) or _tables(value)}
-    found = [f"{_key(name)} = {_value(value)}" for name, value in table.items() if name not in inside]
+    lines = [f"{_key(name)} = {_value(value)}" for name, value in table.items() if name not in inside]
     for name, value in inside.items():
         where = (*path, name)
         head = ".".join(_key(part) for part in where)
         if isinstance(value, Mapping):
-            found += ["", f"[{head}]", *_lines(value, where)]
+            lines += ["", f"[{head}]", *_lines(value, where)]
         else:
             for one in value:
-                found += ["", f"[[{head}]]", *_lines(one, where)]
-    return found
+                lines += ["", f"[[{head}]]", *_lines(one, where)]
+    return lines
 
 
 def _tables(value: object) -> bool:

@@ -42,7 +42,7 @@ class World:
         drift_direction: unit vectors (n, 2), one an obstacle.
         drift_phase: (n,) [rad].
         wave_direction, wave_phase: of the wave force.
-        push_direction, push_phase: of the slow force.
+        slow_direction, slow_phase: of the slow force.
         gain_error, bias: (4,) in [-1, 1], of the thrust along each axis, to be scaled by what the scenario states.
         hull: radius of the vehicle flown [m], also that of moving obstacles that name none.
     """
@@ -53,16 +53,16 @@ class World:
     drift_phase: NDArray[np.float64]
     wave_direction: NDArray[np.float64]
     wave_phase: float
-    push_direction: NDArray[np.float64]
-    push_phase: float
+    slow_direction: NDArray[np.float64]
+    slow_phase: float
     gain_error: NDArray[np.float64]
     bias: NDArray[np.float64]
 
     def bodies(self, time: float) -> list[Body]:
         """The obstacles that are in the water at `time` [s]."""
         still = self._still
-        found = [still.get(k) or self._body(k, o, time) for k, o in enumerate(self.scenario.obstacles)]
-        return [body for body in found if body is not None]
+        bodies = [still.get(k) or self._body(k, o, time) for k, o in enumerate(self.scenario.obstacles)]
+        return [body for body in bodies if body is not None]
 
     @cached_property
     def _still(self) -> dict[int, Body | None]:
@@ -73,9 +73,9 @@ class World:
     def force(self, time: float) -> NDArray[np.float64]:
         """Disturbance (4,) in {E} [N, N m]."""
         d = self.scenario.disturbance
-        push = d.wave_force_n * np.sin(2 * np.pi * time / d.wave_period_s + self.wave_phase)
-        slow = d.drift_force_n * np.sin(2 * np.pi * time / d.drift_period_s + self.push_phase)
-        return np.array([*(push * self.wave_direction + slow * self.push_direction), 0.0, 0.0])
+        wave = d.wave_force_n * np.sin(2 * np.pi * time / d.wave_period_s + self.wave_phase)
+        slow = d.drift_force_n * np.sin(2 * np.pi * time / d.drift_period_s + self.slow_phase)
+        return np.array([*(wave * self.wave_direction + slow * self.slow_direction), 0.0, 0.0])
 
     def thrust(self, command: NDArray[np.float64], limit: NDArray[np.float64]) -> NDArray[np.float64]:
         """What reaches the thrusters of a command (4,) in {B} [N, N m] with these limits; see `Disturbance`."""
@@ -104,17 +104,17 @@ class World:
         return Body(obstacle.name, shape, velocity, moving=False, heights=obstacle.heights)
 
     def _moving(self, obstacle: Obstacle, centre: NDArray[np.float64], time: float) -> Body | None:
-        way = np.array(obstacle.to_m) - centre
-        distance, speed = float(np.linalg.norm(way)), float(obstacle.speed_m_per_s or 0)
+        displacement = np.array(obstacle.to_m) - centre
+        distance, speed = float(np.linalg.norm(displacement)), float(obstacle.speed_m_per_s or 0)
         radius = obstacle.radius_m or self.hull
         if speed * time >= distance:
-            here = Disc(centre + way, radius)
+            here = Disc(centre + displacement, radius)
             return (
                 None
                 if obstacle.removed
                 else Body(obstacle.name, here, np.zeros(2), moving=True, heights=obstacle.heights)
             )
-        velocity = speed * way / distance
+        velocity = speed * displacement / distance
         return Body(
             obstacle.name, Disc(centre + velocity * time, radius), velocity, moving=True, heights=obstacle.heights
         )
@@ -127,8 +127,8 @@ class WorldDraw(NamedTuple):
     drift_phase: NDArray[np.float64]
     wave_direction: NDArray[np.float64]
     wave_phase: float
-    push_direction: NDArray[np.float64]
-    push_phase: float
+    slow_direction: NDArray[np.float64]
+    slow_phase: float
     gain_error: NDArray[np.float64]
     bias: NDArray[np.float64]
 
@@ -140,14 +140,14 @@ def draw_world(obstacles: int, *, seed: int) -> WorldDraw:
     # the library's sine: numpy's differs in the last digit with an array's length
     directions = np.array([(cos(angle), sin(angle)) for angle in (*drifts, wave)])
     slow, slow_phase, *errors = np.random.default_rng([seed, 2]).random(10).tolist()
-    push = np.array([cos(2 * np.pi * slow), sin(2 * np.pi * slow)])
+    slow_direction = np.array([cos(2 * np.pi * slow), sin(2 * np.pi * slow)])
     shares = 2 * np.array(errors) - 1
     return WorldDraw(
         directions[:-1],
         np.array(phases),
         directions[-1],
         wave_phase,
-        push,
+        slow_direction,
         2 * np.pi * slow_phase,
         shares[:4],
         shares[4:],

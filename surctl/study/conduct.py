@@ -17,7 +17,7 @@ from surctl.ir import find_compiler
 from surctl.simulation import Run, simulate
 from surctl.study.notes import Note, left_out, summary
 from surctl.study.plan import Leg, Plan
-from surctl.study.shipping import Shipment, shipping, with_senses
+from surctl.study.shipping import Shipment, shipping, with_perception
 from surctl.tuning import LocalExecutor, SweepTable, grid, sweep
 from surctl.verification import (
     Inapplicable,
@@ -25,8 +25,8 @@ from surctl.verification import (
     Verdict,
     applicable_claims,
     closed_loop_poles,
+    decide,
     loop_margins,
-    settle,
 )
 from surctl.verification.linear import LinearSide, corners, linear_side, worst_linear_side
 
@@ -98,10 +98,8 @@ class Study:
             "linear": {"nominal": self.linear[0].to_dict(), "worst": self.linear[1].to_dict()},
             "verdicts": [*(v.to_dict() for v in self.verdicts), *(v.to_dict() for v in self.inapplicable)],
             "runs": [run.to_dict() | {"decides": d} for run, d in zip(self.runs, self.deciding, strict=True)],
-            "not_flown": [
-                {"scenario": leg.scenario.name, "reason": leg.obstacle_to_flying}
-                for leg in self.plan.legs
-                if leg.obstacle_to_flying
+            "not_simulated": [
+                {"scenario": leg.scenario.name, "reason": leg.exclusion} for leg in self.plan.legs if leg.exclusion
             ],
             "export": {
                 "files": [str(f.path) for f in self.files],
@@ -142,7 +140,7 @@ def conduct(
         ... vehicle = "sur400"
         ... law = "paper"
         ... claims = ["m-norm-corrected"]
-        ... [[flights]]
+        ... [[runs]]
         ... scenario = "pool-speed-010"
         ... [sweep]
         ... axes = [{ gain = "k_v", values = [1.5, 2.0] }]
@@ -158,15 +156,15 @@ def conduct(
     find_compiler()
     prepare_folder(out)
     law, clock = build_law(plan.law, guidance=plan.guidance), _Clock(progress)
-    legs = tuple(leg for leg in plan.legs if not leg.obstacle_to_flying)
-    senses = tuple(with_senses(plan, leg) for leg in legs)  # a law that cannot be is told before the long work
+    legs = tuple(leg for leg in plan.legs if not leg.exclusion)
+    sonar_laws = tuple(with_perception(plan, leg) for leg in legs)  # a law that cannot be is told before the long work
     first = next(k for k, leg in enumerate(legs) if leg.misfit is None)
     with ExitStack() as stack:
         with clock("sweep"):
             swept = _sweep(plan, out, workers, progress)
             gain_file = write_file(out / "gains.toml", write_gains(swept.gains))
         with clock("export"):
-            shipment = stack.enter_context(shipping(senses[first], swept.gains, legs[first], out / "export"))
+            shipment = stack.enter_context(shipping(sonar_laws[first], swept.gains, legs[first], out / "export"))
         with clock("margins"):
             cruise = max(leg.scenario.cruise for leg in plan.deciding)
             margins = loop_margins(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt)
@@ -179,16 +177,16 @@ def conduct(
             # those about braking take a minute to be left open: they are checked where they are named
             fastest = max((leg.scenario for leg in plan.deciding), key=lambda scenario: scenario.cruise)
             at_hand = {**swept.gains.values, "speed": fastest.cruise, "speed_max": fastest.cap}
-            found, refused = applicable_claims(at_hand, plan.claims, vehicle=plan.vehicle)
-            verdicts = tuple(settle(claim) for claim in found if plan.claims or claim.paper)
+            applicable, refused = applicable_claims(at_hand, plan.claims, vehicle=plan.vehicle)
+            verdicts = tuple(decide(claim) for claim in applicable if plan.claims or claim.paper)
             inapplicable = tuple(Inapplicable.of(name, reason) for name, reason in refused.items())
-        with clock("flights"):
-            flights = _fly(plan, legs, (law, senses), swept, progress)
-        runs = tuple(run for _, run in flights)
-        deciding = tuple(leg.misfit is None and run.sensing == "truth" for leg, run in flights)
-        heard = [run for leg, run in flights if leg.misfit is None and run.sensing == "sonar"]
-        replayed = tuple(run for run in heard if shipment.carries(run))
-        with clock("pictures of the flights"):  # while the compiler works
+        with clock("runs"):
+            leg_runs = _simulate_legs(plan, legs, (law, sonar_laws), swept, progress)
+        runs = tuple(run for _, run in leg_runs)
+        deciding = tuple(leg.misfit is None and run.sensing == "truth" for leg, run in leg_runs)
+        sonar_runs = [run for leg, run in leg_runs if leg.misfit is None and run.sensing == "sonar"]
+        replayed = tuple(run for run in sonar_runs if shipment.carries(run))
+        with clock("pictures of the runs"):  # while the compiler works
             data = ReportData(
                 title=f"Study {plan.name}",
                 command=command,
@@ -207,11 +205,11 @@ def conduct(
                 deciding=deciding,
                 sweep=swept,
             )
-            drawn = runs_section(data)
+            section = runs_section(data)
         with clock("software in the loop"):
             sil = shipment.replayed(replayed)
     notes = summary(plan, swept, margins, (*verdicts, *inapplicable), tuple(zip(runs, deciding, strict=True)), sil)
-    notes += left_out([run for run in heard if run not in replayed])
+    notes += left_out([run for run in sonar_runs if run not in replayed])
     with clock("report"):
         data = replace(
             data,
@@ -219,7 +217,7 @@ def conduct(
             seconds=dict(clock.seconds),
             summary=tuple(Check(note.passed, note.text, note.about) for note in notes),
         )
-        report = write_page(data, out / "report.html", runs=drawn)
+        report = write_page(data, out / "report.html", runs=section)
     seconds = dict(clock.seconds)
     return Study(
         plan,
@@ -256,12 +254,12 @@ class _Clock:
 def _export_summary(shipment: Shipment, replayed: Sequence[Run], sil: tuple[SilReport, ...]) -> ExportSummary:
     from surctl.report import ExportSummary
 
-    told = (
+    status = (
         "The exported law estimates its position and the obstacles from sonars, base station and IMU. Replayed runs: "
     )
-    told += "; ".join(f"{k}: {run.scenario.name} by {run.vehicle.name}" for k, run in enumerate(replayed, start=1))
+    status += "; ".join(f"{k}: {run.scenario.name} by {run.vehicle.name}" for k, run in enumerate(replayed, start=1))
     bundle = shipment.bundle
-    return ExportSummary(name=bundle.name, id=bundle.id, files=shipment.files, sil=sil, status=f"{told}.")
+    return ExportSummary(name=bundle.name, id=bundle.id, files=shipment.files, sil=sil, status=f"{status}.")
 
 
 def _sweep(plan: Plan, out: Path, workers: int, progress: Progress) -> SweepTable:
@@ -275,15 +273,15 @@ def _sweep(plan: Plan, out: Path, workers: int, progress: Progress) -> SweepTabl
     )
 
 
-def _fly(
+def _simulate_legs(
     plan: Plan, legs: Sequence[Leg], laws: tuple[Law, Sequence[Law]], swept: SweepTable, progress: Progress
 ) -> list[tuple[Leg, Run]]:
     """Each leg with true positions and through the sonar; `laws`: for true positions, and one a leg with senses."""
-    flights = []
-    for leg, senses in zip(legs, laws[1], strict=True):
-        for sensing, law in (("truth", laws[0]), ("sonar", senses)):
+    leg_runs = []
+    for leg, sonar_law in zip(legs, laws[1], strict=True):
+        for sensing, law in (("truth", laws[0]), ("sonar", sonar_law)):
             run = simulate(leg.scenario, leg.vehicle, gains=swept.gains, law=law, sensing=sensing, seed=plan.seed)
             m = run.metrics
             progress(f"{leg.scenario.name} {sensing}: {m.stopped_because} at {m.time_s:.1f} s")
-            flights.append((leg, run))
-    return flights
+            leg_runs.append((leg, run))
+    return leg_runs

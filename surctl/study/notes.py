@@ -58,12 +58,12 @@ def summary(
     speed = max(leg.scenario.cruise for leg in plan.deciding)
     least = min(margins, key=lambda m: m.delay_margin_s)
     stable = all(m.stable for m in margins)
-    told = f"margins at {speed:g} m/s: least delay margin {least.delay_margin_s:.2f} s ({least.name}), "
-    told += "least disk margin "
-    notes.append(Note(stable, told + f"{min(m.disk_margin for m in margins):.2f}", "margins"))
-    settled = [v for v in verdicts if isinstance(v, Verdict)]
-    unexpected = [v.claim.name for v in settled if not v.as_expected]
-    counts = Counter(v.verdict for v in settled)
+    margin_text = f"margins at {speed:g} m/s: least delay margin {least.delay_margin_s:.2f} s ({least.name}), "
+    margin_text += "least disk margin "
+    notes.append(Note(stable, margin_text + f"{min(m.disk_margin for m in margins):.2f}", "margins"))
+    decided = [v for v in verdicts if isinstance(v, Verdict)]
+    unexpected = [v.claim.name for v in decided if not v.as_expected]
+    counts = Counter(v.verdict for v in decided)
     text = f"claims at {speed:g} m/s: {', '.join(f'{n} {word}' for word, n in sorted(counts.items()))}, "
     text += "all as expected" if not unexpected else f"unexpected: {unexpected}"
     notes.append(Note(not unexpected, text, f"claims-{unexpected[0]}" if unexpected else "claims"))
@@ -79,8 +79,8 @@ def summary(
         line += f", least clearance {m.min_clearance_m:.3f} m"
         notes.append(Note(good if decides else None, line, f"runs-{place}"))
     for leg in plan.legs:
-        if leg.obstacle_to_flying or leg.misfit:
-            reason = leg.obstacle_to_flying or leg.misfit
+        if leg.exclusion or leg.misfit:
+            reason = leg.exclusion or leg.misfit
             notes.append(Note(None, f"{leg.scenario.name} does not decide: {reason}"))
     worst = max((max(r.tau.mixed, r.state.mixed, r.telemetry.mixed) for r in sil), default=0.0)
     steps, cases = sum(r.steps for r in sil), sum(r.fault_cases for r in sil)

@@ -24,7 +24,7 @@ LIBRARY = Path(__file__).parent / "library"
 Seed = Annotated[int, Field(ge=0)]
 
 
-class _Flight(Strict):
+class _Run(Strict):
     scenario: str
     vehicle: str | None = None
 
@@ -48,7 +48,7 @@ class _StudyFile(Strict):
     law: LawName = "guarded"
     guidance: Guidance = "los"
     seed: Seed = 0
-    flights: tuple[_Flight, ...] = Field(min_length=1)
+    runs: tuple[_Run, ...] = Field(min_length=1)
     sweep: _Sweep
     claims: tuple[str, ...] | None = None
     goals: tuple[GoalTable, ...] = ()
@@ -59,13 +59,13 @@ class Leg:
     """One scenario with the vehicle that flies it.
 
     Attributes:
-        obstacle_to_flying: why it cannot be flown at all, or None.
+        exclusion: why it cannot be flown at all, or None.
         misfit: why the hull does not fit the site: then the run is shown and does not decide; or None.
     """
 
     scenario: Scenario
     vehicle: Vehicle
-    obstacle_to_flying: str | None
+    exclusion: str | None
     misfit: str | None
 
 
@@ -90,7 +90,7 @@ class Plan:
     @property
     def deciding(self) -> tuple[Leg, ...]:
         """The legs whose runs with true positions decide."""
-        return tuple(leg for leg in self.legs if leg.obstacle_to_flying is None and leg.misfit is None)
+        return tuple(leg for leg in self.legs if leg.exclusion is None and leg.misfit is None)
 
     @property
     def sweep_cases(self) -> tuple[Case, ...]:
@@ -124,9 +124,9 @@ def load_plan(file: str | None = None) -> Plan:
     if table.get("kind") == "vehicle":
         default = LIBRARY / "default.toml"
         study = _study(read_toml(default), default)
-        own = [flight.model_copy(update={"vehicle": None}) for flight in study.flights]
+        own = [run.model_copy(update={"vehicle": None}) for run in study.runs]
         vehicle = str(path.resolve())
-        study = study.model_copy(update={"flights": tuple(own), "vehicle": vehicle, "name": path.stem, "note": ""})
+        study = study.model_copy(update={"runs": tuple(own), "vehicle": vehicle, "name": path.stem, "note": ""})
         return _plan(study, default, lenient=True)
     if table.get("kind") != "study":
         raise InputError(
@@ -161,9 +161,9 @@ def _plan(study: _StudyFile, path: Path, *, lenient: bool = False, goals: str | 
 
     vehicle = load_vehicle(near(study.vehicle))
     legs = []
-    for flight in study.flights:
-        flown = vehicle if flight.vehicle is None else load_vehicle(near(flight.vehicle))
-        legs.append(_leg(load_scenario(near(flight.scenario)), flown, lenient=lenient))
+    for run in study.runs:
+        leg_vehicle = vehicle if run.vehicle is None else load_vehicle(near(run.vehicle))
+        legs.append(_leg(load_scenario(near(run.scenario)), leg_vehicle, lenient=lenient))
     gains = load_gains(near(study.gains))
     try:
         axes = tuple(_gain_axis(axis, gains) for axis in study.sweep.axes)
@@ -186,8 +186,8 @@ def _plan(study: _StudyFile, path: Path, *, lenient: bool = False, goals: str | 
         _own_goals(study, path, None if goals is None else near(goals)),
     )
     if not plan.deciding:
-        reasons = "; ".join(f"{leg.scenario.name}: {leg.obstacle_to_flying or leg.misfit}" for leg in legs)
-        raise InputError(f"no scenario can be flown ({reasons})", file=path, key="flights", remedy="add a larger site")
+        reasons = "; ".join(f"{leg.scenario.name}: {leg.exclusion or leg.misfit}" for leg in legs)
+        raise InputError(f"no scenario can be flown ({reasons})", file=path, key="runs", remedy="add a larger site")
     return plan
 
 

@@ -25,10 +25,10 @@ from surctl.export import (
 from surctl.simulation import Run, law_numbers
 from surctl.study.plan import Leg, Plan
 
-__all__ = ["Shipment", "shipping", "with_senses"]
+__all__ = ["Shipment", "shipping", "with_perception"]
 
 
-def with_senses(plan: Plan, leg: Leg) -> Law:
+def with_perception(plan: Plan, leg: Leg) -> Law:
     """The plan's law in closed form, with the senses that the leg's scenario has on the leg's hull.
 
     Raises:

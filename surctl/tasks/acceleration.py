@@ -42,8 +42,8 @@ class AccelerationLimit:
 
     def box(self) -> VelocityBox:
         """The same limit as a box of velocities, (4,) each [m/s, rad/s]."""
-        nu, reach = ca.SX(self.nu), ca.SX(self.limit) * ca.SX(self.dt)
-        return VelocityBox(nu - reach, nu + reach, self.name, self.kind)
+        nu, change = ca.SX(self.nu), ca.SX(self.limit) * ca.SX(self.dt)
+        return VelocityBox(nu - change, nu + change, self.name, self.kind)
 
     def rows(self) -> tuple[LimitRow, ...]:
         """Four rows, named NAME.u, NAME.v, NAME.w, NAME.r."""

@@ -66,10 +66,10 @@ class ActuatorLimits:
 
     def reachable(self) -> ca.SX:
         """p (4,) [m/s, rad/s]: the velocity that the thrust reaches on its way back into the box."""
-        wanted = self.box.nearest(ca.SX(self.thrust.nu))
+        target = self.box.nearest(ca.SX(self.thrust.nu))
         if self.acceleration is not None:
-            wanted = self.acceleration.box().nearest(wanted)
-        return self.thrust.toward(wanted)
+            target = self.acceleration.box().nearest(target)
+        return self.thrust.toward(target)
 
     def rows(self) -> tuple[LimitRow, ...]:
         """Rows of the widened box, of the widened acceleration limit, and of the thrust."""

@@ -34,8 +34,8 @@ def position_task(
         >>> rate([1.0, 0.5, 0, 0]).full().ravel().round(3).tolist()  # m/s in {E}
         [1.0, -0.25]
     """
-    wanted = _vector(name, "target", target, (2, 3))
-    return Task(name=name, eta=eta, sigma=eta[: wanted.numel()], target=wanted, rate=rate, gain=gain, unit="m")
+    column = _vector(name, "target", target, (2, 3))
+    return Task(name=name, eta=eta, sigma=eta[: column.numel()], target=column, rate=rate, gain=gain, unit="m")
 
 
 def depth_task(

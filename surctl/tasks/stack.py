@@ -28,16 +28,16 @@ class Stack:
         object.__setattr__(self, "tasks", tuple(self.tasks))
         if not self.tasks:
             raise InputError("holds no task", key="stack", remedy="give at least one task")
-        seen: dict[str, int] = {}
+        places: dict[str, int] = {}
         for place, task in enumerate(self.tasks, start=1):
-            if task.name in seen:
+            if task.name in places:
                 raise InputError(
-                    f"names both task {seen[task.name]} and task {place}",
+                    f"names both task {places[task.name]} and task {place}",
                     key="stack",
                     value=task.name,
                     remedy="rename one of them",
                 )
-            seen[task.name] = place
+            places[task.name] = place
             if not ca.is_equal(task.eta, self.tasks[0].eta):
                 raise InputError(
                     f"is written over another eta symbol than task {self.tasks[0].name}",

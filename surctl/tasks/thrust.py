@@ -111,15 +111,15 @@ class ThrustLimit:
         """Thrust (4,) [N, N m] that brings ν to v (4,) [m/s, rad/s] within the step."""
         return ca.SX(self.mass) @ (v - ca.SX(self.nu)) / ca.SX(self.dt) + ca.SX(self.load)
 
-    def toward(self, wanted: ca.SX) -> ca.SX:
+    def toward(self, target: ca.SX) -> ca.SX:
         """A velocity (4,) that the thrust reaches: that of the thrust needed for `wanted` (4,), brought into bounds.
 
         `wanted` itself when its thrust is within bounds. For a diagonal M the reachable set is a box, and this is
         its point nearest to `wanted`.
         """
-        asked = self.needed(wanted)
-        missing = ca.fmin(ca.fmax(asked, ca.SX(self.lower)), ca.SX(self.upper)) - asked
-        return wanted + ca.SX(self.dt) * self._divided(missing)
+        required = self.needed(target)
+        missing = ca.fmin(ca.fmax(required, ca.SX(self.lower)), ca.SX(self.upper)) - required
+        return target + ca.SX(self.dt) * self._divided(missing)
 
     def rows(self) -> tuple[LimitRow, ...]:
         """Four rows, named NAME.Fu, NAME.Fv, NAME.Fw, NAME.Fr; a·v and its bounds are in N and N m."""
@@ -140,16 +140,16 @@ class ThrustLimit:
 def _mass_matrix(name: str, mass: Expression) -> ca.SX:
     """M as (4, 4), sparse where a diagonal was given."""
     try:
-        given = as_expression(mass)
+        matrix = as_expression(mass)
     except ValueError:
         raise InputError(
             "is not numbers", key=f"limit {name}: mass", value=mass, remedy="give 4 numbers, or a (4, 4) matrix"
         ) from None
-    if given.shape != (4, 4):
-        return ca.diag(checked_positive(name, "mass", given, 4))
-    if given.is_constant() and not _positive_definite(np.array(ca.DM(given))):
-        raise InputError("is not symmetric positive definite", key=f"limit {name}: mass", value=given)
-    return given
+    if matrix.shape != (4, 4):
+        return ca.diag(checked_positive(name, "mass", matrix, 4))
+    if matrix.is_constant() and not _positive_definite(np.array(ca.DM(matrix))):
+        raise InputError("is not symmetric positive definite", key=f"limit {name}: mass", value=matrix)
+    return matrix
 
 
 def _positive_definite(matrix: NDArray[np.float64]) -> bool:

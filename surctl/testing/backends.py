@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.priority import BACKENDS, solve_least_distance
-from surctl.priority.kernels import Answer, Kernel
+from surctl.priority.kernels import Kernel, KernelSolution
 from surctl.testing.finding import CheckFailed
 from surctl.testing.known import BACKEND_FAMILIES, Known, draw_known
 from surctl.testing.ranges import checked_count
@@ -129,14 +129,14 @@ def measure_backend(
     for family in families:
         if family not in BACKEND_FAMILIES:
             raise InputError("no such family", key="families", value=family, remedy=nearest(family, BACKEND_FAMILIES))
-    name, kernel = _asked(backend)
+    name, kernel = _named_kernel(backend)
     rng = np.random.default_rng(seed)
-    found = {
+    by_family = {
         family: [_judged(kernel, draw_known(family, size=size, rng=rng), tol) for _ in range(problems)]
         for family in families
     }
-    solvable = {family: marks for family, marks in found.items() if family != "infeasible"}
-    empty = found.get("infeasible", [])
+    solvable = {family: marks for family, marks in by_family.items() if family != "infeasible"}
+    empty = by_family.get("infeasible", [])
     return BackendReport(
         name=name,
         problems=problems,
@@ -146,10 +146,10 @@ def measure_backend(
         unsolved=MappingProxyType({f: sum(m.status != "optimal" for m in marks) for f, marks in solvable.items()}),
         undetected=sum(mark.status == "optimal" for mark in empty),
         unnamed=sum(mark.status == "failed" for mark in empty),
-        iterations=max((mark.iterations for marks in found.values() for mark in marks), default=0),
+        iterations=max((mark.iterations for marks in by_family.values() for mark in marks), default=0),
         findings=tuple(
             f"{family} problem {k}: {mark.finding}"
-            for family, marks in found.items()
+            for family, marks in by_family.items()
             for k, mark in [next(((k, m) for k, m in enumerate(marks) if m.finding), (0, None))]
             if mark is not None
         ),
@@ -168,7 +168,7 @@ class _Mark:
     gradient: float = 0.0
 
 
-def _asked(backend: str | Kernel) -> tuple[str, Kernel]:
+def _named_kernel(backend: str | Kernel) -> tuple[str, Kernel]:
     """A name to tell, and the kernel."""
     if callable(backend):
         return getattr(backend, "__name__", type(backend).__name__), backend
@@ -176,40 +176,40 @@ def _asked(backend: str | Kernel) -> tuple[str, Kernel]:
         remedy = nearest(str(backend), BACKENDS)
         raise InputError("no such QP backend", key="backend", value=backend, remedy=remedy)
 
-    def ask(G: Array, lower: Array, upper: Array) -> Answer:
-        found = solve_least_distance(np.zeros(G.shape[1]), A=G, lower=lower, upper=upper, backend=backend)
-        return Answer(found.x, found.multipliers, found.iterations, found.status)
+    def solve(G: Array, lower: Array, upper: Array) -> KernelSolution:
+        solution = solve_least_distance(np.zeros(G.shape[1]), A=G, lower=lower, upper=upper, backend=backend)
+        return KernelSolution(solution.x, solution.multipliers, solution.iterations, solution.status)
 
-    return backend, ask
+    return backend, solve
 
 
 def _judged(kernel: Kernel, problem: Known, tol: float) -> _Mark:
     """Solve and judge one problem; whatever the kernel raises is a finding."""
     G, lower, upper = problem.G.copy(), problem.lower.copy(), problem.upper.copy()
     try:
-        answer: object = kernel(G, lower, upper)
+        result: object = kernel(G, lower, upper)
     except Exception as error:  # a backend may raise anything; here it is what we are after
         return _Mark("failed", f"raised {type(error).__name__}: {error}")
-    if not isinstance(answer, Answer) or not isinstance(answer.iterations, int | np.integer):
-        return _Mark("failed", f"gave {answer!r:.60}, not an Answer with a whole number of iterations")
+    if not isinstance(result, KernelSolution) or not isinstance(result.iterations, int | np.integer):
+        return _Mark("failed", f"gave {result!r:.60}, not an Answer with a whole number of iterations")
     if not all(map(np.array_equal, (G, lower, upper), (problem.G, problem.lower, problem.upper))):
-        return _Mark(answer.status, "changed its own arguments")
-    if answer.status not in ("optimal", "infeasible", "failed"):
-        return _Mark("failed", f"has the unknown status {answer.status!r}")
+        return _Mark(result.status, "changed its own arguments")
+    if result.status not in ("optimal", "infeasible", "failed"):
+        return _Mark("failed", f"has the unknown status {result.status!r}")
     if problem.y is None:
-        wrong = answer.status == "optimal"
-        return _Mark(answer.status, "no y exists, but it is called optimal" if wrong else "", answer.iterations)
-    if answer.status != "optimal":
-        return _Mark(answer.status, f"has a solution, but is called {answer.status}", answer.iterations)
-    return _compared(answer, problem, problem.y, tol)
+        wrong = result.status == "optimal"
+        return _Mark(result.status, "no y exists, but it is called optimal" if wrong else "", result.iterations)
+    if result.status != "optimal":
+        return _Mark(result.status, f"has a solution, but is called {result.status}", result.iterations)
+    return _compared(result, problem, problem.y, tol)
 
 
-def _compared(answer: Answer, problem: Known, known: Array, tol: float) -> _Mark:
+def _compared(result: KernelSolution, problem: Known, known: Array, tol: float) -> _Mark:
     d, m = known.size, problem.lower.size
-    if answer.y is None:
+    if result.y is None:
         return _Mark("failed", "is called optimal, but there is no y")
     try:
-        y, multipliers = np.asarray(answer.y, dtype=np.float64), np.asarray(answer.multipliers, dtype=np.float64)
+        y, multipliers = np.asarray(result.y, dtype=np.float64), np.asarray(result.multipliers, dtype=np.float64)
     except (TypeError, ValueError):
         return _Mark("failed", "y or the multipliers are not numbers")
     if np.shape(y) != (d,) or np.shape(multipliers) != (m,):
@@ -237,8 +237,8 @@ def _compared(answer: Answer, problem: Known, known: Array, tol: float) -> _Mark
     ):
         if not wrong <= allowed and not finding:
             finding = f"{text} {wrong:.2g}, allowed {allowed:.2g}"
-    return _Mark("optimal", finding, answer.iterations, error, max(violation, 0.0), gradient)
+    return _Mark("optimal", finding, result.iterations, error, max(violation, 0.0), gradient)
 
 
-def _worst(found: Mapping[str, Sequence[_Mark]], field: str) -> Mapping[str, float]:
-    return MappingProxyType({f: max((getattr(m, field) for m in marks), default=0.0) for f, marks in found.items()})
+def _worst(by_family: Mapping[str, Sequence[_Mark]], field: str) -> Mapping[str, float]:
+    return MappingProxyType({f: max((getattr(m, field) for m in marks), default=0.0) for f, marks in by_family.items()})

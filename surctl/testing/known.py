@@ -34,11 +34,11 @@ class Known:
 
 def _unit(rng: np.random.Generator, count: int, size: int) -> Array:
     rows: Array = rng.normal(size=(count, size))
-    made: Array = rows / np.linalg.norm(rows, axis=1, keepdims=True)
-    return made
+    unit: Array = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    return unit
 
 
-def _pushing(normals: Array, rng: np.random.Generator, *, idle: int = 6, free: int = 0) -> Known:
+def _with_active(normals: Array, rng: np.random.Generator, *, idle: int = 6, free: int = 0) -> Known:
     """y* = −normalsᵀ·multipliers, with each normal at its upper bound; then random sides and idle rows.
 
     The last `free` of the normals get the multiplier 0: they go through y* without pushing.
@@ -49,9 +49,9 @@ def _pushing(normals: Array, rng: np.random.Generator, *, idle: int = 6, free: i
     others = _unit(rng, idle, size)
     G = np.vstack([normals, others])
     value = G @ y
-    room = np.concatenate([np.zeros(count), rng.exponential(0.5, idle) + 1e-3])
+    slack = np.concatenate([np.zeros(count), rng.exponential(0.5, idle) + 1e-3])
     width = rng.exponential(1.0, len(G)) + 1e-3
-    upper, lower = value + room, np.where(rng.random(len(G)) < 0.5, value - width, -np.inf)
+    upper, lower = value + slack, np.where(rng.random(len(G)) < 0.5, value - width, -np.inf)
     side = np.where(rng.random(len(G)) < 0.5, -1.0, 1.0)  # a·y ≤ b is −b ≤ −a·y
     turned = side < 0.0
     G, lower, upper = G * side[:, None], np.where(turned, -upper, lower), np.where(turned, -lower, upper)
@@ -61,37 +61,37 @@ def _pushing(normals: Array, rng: np.random.Generator, *, idle: int = 6, free: i
 
 def _loose(size: int, rng: np.random.Generator) -> Known:
     """Nothing binds: 0 is the answer."""
-    return _pushing(np.zeros((0, size)), rng, idle=8)
+    return _with_active(np.zeros((0, size)), rng, idle=8)
 
 
 def _plain(size: int, rng: np.random.Generator) -> Known:
-    return _pushing(_unit(rng, int(rng.integers(1, size + 1)), size), rng)
+    return _with_active(_unit(rng, int(rng.integers(1, size + 1)), size), rng)
 
 
 def _equal(size: int, rng: np.random.Generator) -> Known:
     """Some rows leave one value."""
-    made = _pushing(_unit(rng, int(rng.integers(1, size)), size), rng)
-    if made.y is None:
-        return made
-    value = made.G @ made.y
-    tight = np.minimum(made.upper - value, value - made.lower) < 1e-12
-    return Known(made.G, np.where(tight, value, made.lower), np.where(tight, value, made.upper), made.y)
+    problem = _with_active(_unit(rng, int(rng.integers(1, size)), size), rng)
+    if problem.y is None:
+        return problem
+    value = problem.G @ problem.y
+    tight = np.minimum(problem.upper - value, value - problem.lower) < 1e-12
+    return Known(problem.G, np.where(tight, value, problem.lower), np.where(tight, value, problem.upper), problem.y)
 
 
 def _degenerate(size: int, rng: np.random.Generator) -> Known:
     """More rows through the answer than unknowns, most of them without pushing."""
-    return _pushing(_unit(rng, 2 * size, size), rng, free=int(rng.integers(size, 2 * size)))
+    return _with_active(_unit(rng, 2 * size, size), rng, free=int(rng.integers(size, 2 * size)))
 
 
 def _doubled(size: int, rng: np.random.Generator) -> Known:
     """Rows that stand twice."""
-    made = _plain(size, rng)
-    twice = rng.integers(0, len(made.G), 4)
+    problem = _plain(size, rng)
+    twice = rng.integers(0, len(problem.G), 4)
     side = rng.choice([-1.0, 1.0], 4)
-    lower = np.where(side > 0.0, made.lower[twice], -made.upper[twice])
-    upper = np.where(side > 0.0, made.upper[twice], -made.lower[twice])
-    G = np.vstack([made.G, made.G[twice] * side[:, None]])
-    return Known(G, np.concatenate([made.lower, lower]), np.concatenate([made.upper, upper]), made.y)
+    lower = np.where(side > 0.0, problem.lower[twice], -problem.upper[twice])
+    upper = np.where(side > 0.0, problem.upper[twice], -problem.lower[twice])
+    G = np.vstack([problem.G, problem.G[twice] * side[:, None]])
+    return Known(G, np.concatenate([problem.lower, lower]), np.concatenate([problem.upper, upper]), problem.y)
 
 
 def _parallel(size: int, rng: np.random.Generator) -> Known:
@@ -100,15 +100,15 @@ def _parallel(size: int, rng: np.random.Generator) -> Known:
     angle = float(10.0 ** rng.uniform(-5, -2))
     across = normals[1] - (normals[0] @ normals[1]) * normals[0]
     normals[1] = np.cos(angle) * normals[0] + np.sin(angle) * across / np.linalg.norm(across)
-    made = _pushing(normals, rng)
-    return Known(made.G, made.lower, made.upper, made.y, angle)
+    problem = _with_active(normals, rng)
+    return Known(problem.G, problem.lower, problem.upper, problem.y, angle)
 
 
 def _scaled(size: int, rng: np.random.Generator) -> Known:
     """Rows of length 1e-3 to 1e3."""
-    made = _plain(size, rng)
-    length = 10.0 ** rng.uniform(-3, 3, len(made.G))
-    return Known(made.G * length[:, None], made.lower * length, made.upper * length, made.y)
+    problem = _plain(size, rng)
+    length = 10.0 ** rng.uniform(-3, 3, len(problem.G))
+    return Known(problem.G * length[:, None], problem.lower * length, problem.upper * length, problem.y)
 
 
 def _infeasible(size: int, rng: np.random.Generator) -> Known:
@@ -121,10 +121,10 @@ def _infeasible(size: int, rng: np.random.Generator) -> Known:
     normals[-1], weights[-1] = closing / length, weights[-1] * length
     upper = rng.normal(size=count)
     upper[-1] -= (weights @ upper + rng.uniform(0.05, 1.0)) / weights[-1]
-    made = _pushing(np.zeros((0, size)), rng)
-    G = np.vstack([normals, made.G])
-    lower = np.concatenate([np.full(count, -np.inf), made.lower])
-    return Known(G, lower, np.concatenate([upper, made.upper]), None)
+    problem = _with_active(np.zeros((0, size)), rng)
+    G = np.vstack([normals, problem.G])
+    lower = np.concatenate([np.full(count, -np.inf), problem.lower])
+    return Known(G, lower, np.concatenate([upper, problem.upper]), None)
 
 
 _MAKERS: Mapping[str, Callable[[int, np.random.Generator], Known]] = MappingProxyType(

@@ -100,15 +100,15 @@ def check_limit(
     check = _Check(rows, ranges, Sampled("limit", ranges, _expressions(rows)))
     rng = np.random.default_rng(seed)
     points = np.vstack([ranges.draw(rng, samples), ranges.corners()])
-    room = check.rooms(points)
+    gaps = check.gaps(points)
     for i in range(len(rows)):
-        room = np.vstack([room, check.search(i, points[np.argsort(room[: len(points), i])[:_STARTS]], rng)])
+        gaps = np.vstack([gaps, check.search(i, points[np.argsort(gaps[: len(points), i])[:_STARTS]], rng)])
     compared = 0
     for point in points[:samples]:
         check.together(point)
         if holds is not None:
             compared += check.compare(point, holds, rng, velocity)
-    least = room.min(axis=0)
+    least = gaps.min(axis=0)
     narrowest = int(np.argmin(least))
     return LimitReport(
         tuple(row.name for row in rows), len(points), float(least[narrowest]), rows[narrowest].name, compared
@@ -127,23 +127,23 @@ def _shaped(limit: Limit) -> tuple[LimitRow, ...]:
             raise CheckFailed("limit", f"has a row that is a {type(row).__name__}, not a LimitRow")
     if [row.name for row in rows] != [row.name for row in again]:
         raise CheckFailed("limit", "gives other names at every call")
-    seen: set[str] = set()
+    names: set[str] = set()
     for row in rows:
         what = f"limit row {row.name!r}"
         if not isinstance(row.name, str) or not _DOTTED.fullmatch(row.name):
             raise CheckFailed(what, "is not identifiers joined by dots")
-        if row.name in seen:
+        if row.name in names:
             raise CheckFailed(what, "stands twice")
-        seen.add(row.name)
+        names.add(row.name)
         if row.kind not in get_args(Kind):
             raise CheckFailed(what, f"has the unknown kind {row.kind!r}; known: {', '.join(get_args(Kind))}")
         for field, value, shape in (("a", row.a, (1, 4)), ("lower", row.lower, (1, 1)), ("upper", row.upper, (1, 1))):
             try:
-                found = as_expression(value).shape
+                actual = as_expression(value).shape
             except ValueError:
                 raise CheckFailed(what, f"{field} is a {type(value).__name__}, not SX") from None
-            if found != shape:
-                raise CheckFailed(what, f"{field} has shape {found}, expected {shape}")
+            if actual != shape:
+                raise CheckFailed(what, f"{field} has shape {actual}, expected {shape}")
     return rows
 
 
@@ -162,7 +162,7 @@ class _Check:
         A, lower, upper = self.at(point)
         return A, lower.reshape(-1), upper.reshape(-1)
 
-    def rooms(self, points: Array) -> Array:
+    def gaps(self, points: Array) -> Array:
         """upper − lower (N, m), as a velocity where the row has a length; CheckFailed if a row is none somewhere."""
         A, lower, upper = self.at.many(points)
         lower, upper = lower[..., 0], upper[..., 0]
@@ -176,25 +176,25 @@ class _Check:
             (never, "asks a row of zeros to lie in {low} to {high}"),
         ):
             for k, i in np.argwhere(bad)[:1]:
-                told = {"a": A[k, i].tolist(), "low": f"{lower[k, i]:.6g}", "high": f"{upper[k, i]:.6g}"}
-                self._fail(i, problem.format_map(told), points[k])
-        room: Array = (upper - lower) / np.where(length > 0.0, length, 1.0)
-        return room
+                details = {"a": A[k, i].tolist(), "low": f"{lower[k, i]:.6g}", "high": f"{upper[k, i]:.6g}"}
+                self._fail(i, problem.format_map(details), points[k])
+        gaps: Array = (upper - lower) / np.where(length > 0.0, length, 1.0)
+        return gaps
 
     def search(self, i: int, starts: Array, rng: np.random.Generator) -> Array:
         """Narrow row i down from each start: random steps, half as wide when none helps; the narrowest room found."""
         best = np.full(len(self.rows), math.inf)
         span = self.ranges.high - self.ranges.low
         for start in starts if span.any() else starts[:0]:
-            here, least, width = start, self.rooms(start[None, :])[0, i], 0.3
+            here, least, width = start, self.gaps(start[None, :])[0, i], 0.3
             for _ in range(_ROUNDS if math.isfinite(least) else 0):
                 steps = width * span * rng.normal(size=(_TRIES, span.size))
                 tried = np.clip(here + steps, self.ranges.low, self.ranges.high)
-                rooms = self.rooms(tried)
-                best = np.minimum(best, rooms.min(axis=0))
-                k = int(np.argmin(rooms[:, i]))
-                if rooms[k, i] < least:
-                    here, least = tried[k], rooms[k, i]
+                gaps = self.gaps(tried)
+                best = np.minimum(best, gaps.min(axis=0))
+                k = int(np.argmin(gaps[:, i]))
+                if gaps[k, i] < least:
+                    here, least = tried[k], gaps[k, i]
                 else:
                     width *= 0.5
         return best
@@ -210,36 +210,38 @@ class _Check:
         G, low, high = A[chosen] / length[:, None], lower[chosen] / length, upper[chosen] / length
         above, below = np.isfinite(high), np.isfinite(low)
         sides = np.vstack([G[above], -G[below]])
-        found = linprog(
+        result = linprog(
             [0, 0, 0, 0, 1],
             A_ub=np.column_stack([sides, -np.ones(len(sides))]),
             b_ub=np.concatenate([high[above], -low[below]]),
             bounds=[(None, None)] * 4 + [(0, None)],
         )
-        size = 1.0 + float(np.abs(found.x[:4]).max()) if found.x is not None else 1.0
-        if found.status == 0 and found.x[4] > _EMPTY * size:
-            names = np.concatenate([chosen[above], chosen[below]])[np.abs(found.ineqlin.marginals) > _EMPTY]
+        size = 1.0 + float(np.abs(result.x[:4]).max()) if result.x is not None else 1.0
+        if result.status == 0 and result.x[4] > _EMPTY * size:
+            names = np.concatenate([chosen[above], chosen[below]])[np.abs(result.ineqlin.marginals) > _EMPTY]
             guilty = " and ".join(dict.fromkeys(self.rows[i].name for i in names))
             raise CheckFailed(
-                "limit", f"actuator rows {guilty} contradict each other by {found.x[4]:.3g}", at=self.ranges.told(point)
+                "limit",
+                f"actuator rows {guilty} contradict each other by {result.x[4]:.3g}",
+                at=self.ranges.text(point),
             )
 
     def compare(self, point: Array, holds: Callable[..., bool], rng: np.random.Generator, velocity: float) -> int:
         """Ask `holds` at random velocities and beside every bound; the number of velocities asked."""
         A, lower, upper = self.values(point)
-        asked = 0
+        compared = 0
         for v in self._trials(A, lower, upper, rng, velocity):
             inside = np.minimum(A @ v - lower, upper - A @ v) / np.maximum(np.linalg.norm(A, axis=1), 1e-300)
             if np.abs(inside).min() < _ON:
                 continue
-            asked += 1
-            kept = bool((inside > 0.0).all())
-            if bool(holds(v, *self.ranges.split(point))) != kept:
+            compared += 1
+            feasible = bool((inside > 0.0).all())
+            if bool(holds(v, *self.ranges.split(point))) != feasible:
                 i = int(np.argmin(inside))
-                verdict = "and all others keep" if kept else "refuses"
-                told = np.array2string(v, precision=5, separator=", ")
-                self._fail(i, f"{verdict} v = {told}, but holds() says otherwise", point)
-        return asked
+                verdict = "and all others keep" if feasible else "refuses"
+                text = np.array2string(v, precision=5, separator=", ")
+                self._fail(i, f"{verdict} v = {text}, but holds() says otherwise", point)
+        return compared
 
     def _trials(self, A: Array, lower: Array, upper: Array, rng: np.random.Generator, velocity: float) -> list[Array]:
         """Velocities anywhere, and on both sides of every bound where the other rows are kept."""
@@ -253,7 +255,7 @@ class _Check:
         return trials
 
     def _fail(self, i: int, problem: str, point: Array) -> None:
-        raise CheckFailed(f"limit row {self.rows[i].name!r}", problem, at=self.ranges.told(point))
+        raise CheckFailed(f"limit row {self.rows[i].name!r}", problem, at=self.ranges.text(point))
 
 
 def _toward(A: Array, lower: Array, upper: Array, v: Array) -> Array:

@@ -48,7 +48,7 @@ class Ranges:
         """The flat values (total,) by symbol."""
         return np.split(values, np.cumsum([s.numel() for s in self.symbols])[:-1]) if self.symbols else []
 
-    def told(self, values: Array) -> str:
+    def text(self, values: Array) -> str:
         """The values as text, "eta = [...], echo = [...]"."""
         names = [_name(symbol) for symbol in self.symbols]
         return ", ".join(
@@ -81,9 +81,9 @@ class Sampled:
 
     def many(self, points: Array) -> list[Array]:
         """The values at each of the points (N, total), (N, rows, columns) each."""
-        found = self._function.map(len(points)).call([ca.DM(np.ascontiguousarray(points.T))])
+        results = self._function.map(len(points)).call([ca.DM(np.ascontiguousarray(points.T))])
         return [
-            np.array(part, dtype=float).reshape(part.shape[0], len(points), -1).transpose(1, 0, 2) for part in found
+            np.array(part, dtype=float).reshape(part.shape[0], len(points), -1).transpose(1, 0, 2) for part in results
         ]
 
 
@@ -101,12 +101,12 @@ def ranges_of(parameters: Sequence[Parameter]) -> Ranges:
             ends.append(_spread(_name(symbol), value, symbol.numel()))
         if not (low[-1] <= high[-1]).all():
             raise InputError("has no value in its range", key=f"parameter {_name(symbol)}", value=[lowest, highest])
-    seen: set[int] = set()
+    visited: set[int] = set()
     for symbol, _, _ in parameters:
         hashes = {symbol[i].element_hash() for i in range(symbol.numel())}
-        if hashes & seen:
+        if hashes & visited:
             raise InputError("has two ranges", key=f"parameter {_name(symbol)}", remedy="leave one of them out")
-        seen |= hashes
+        visited |= hashes
     flat = [np.concatenate([*ends, np.zeros(0)]) for ends in (low, high)]
     return Ranges(tuple(symbol for symbol, _, _ in parameters), *flat)
 
@@ -119,12 +119,12 @@ def checked_count(key: str, value: object, *, least: int = 1) -> None:
 
 def _spread(name: str, value: float | Sequence[float], size: int) -> Array:
     try:
-        given = np.asarray(value, dtype=float).reshape(-1)
+        values = np.asarray(value, dtype=float).reshape(-1)
     except (TypeError, ValueError):
         raise InputError("needs numbers as its range", key=f"parameter {name}", value=value) from None
-    if given.size not in (1, size) or not np.isfinite(given).all():
+    if values.size not in (1, size) or not np.isfinite(values).all():
         raise InputError(f"needs finite ranges of 1 or {size} entries", key=f"parameter {name}", value=value)
-    return np.broadcast_to(given, size).astype(float)
+    return np.broadcast_to(values, size).astype(float)
 
 
 def _names(symbol: ca.SX) -> Iterator[str]:

@@ -94,12 +94,12 @@ def check_task(
     """
     checked_count("samples", samples)
     poses = [_pose(place, pose) for place, pose in enumerate(near)]
-    made = task(ca.SX.sym("eta", 4)) if callable(task) else task
-    if not isinstance(made, Task | SetTask):
-        raise InputError("is neither a Task nor a SetTask", key="task", value=made)
+    built = task(ca.SX.sym("eta", 4)) if callable(task) else task
+    if not isinstance(built, Task | SetTask):
+        raise InputError("is neither a Task nor a SetTask", key="task", value=built)
     box = [extent, extent, extent, math.pi]
-    ranges = ranges_of([(made.eta, [-b for b in box], box), *parameters])
-    check = _Check(made, ranges, Sampled(f"task {made.name}", ranges, _expressions(made)))
+    ranges = ranges_of([(built.eta, [-b for b in box], box), *parameters])
+    check = _Check(built, ranges, Sampled(f"task {built.name}", ranges, _expressions(built)))
     rng = np.random.default_rng(seed)
     worst, ranks = 0.0, []
     for values in ranges.draw(rng, samples):
@@ -115,17 +115,17 @@ def check_task(
             _, J, _, _, _ = check.finite(values)
             ranks.append((_rank(J), values))
     least = min(ranks, key=lambda entry: entry[0])
-    return TaskReport(made.name, made.size, samples, worst, max(r for r, _ in ranks), least[0], ranges.told(least[1]))
+    return TaskReport(built.name, built.size, samples, worst, max(r for r, _ in ranks), least[0], ranges.text(least[1]))
 
 
 def _pose(place: int, pose: Sequence[float]) -> Array:
     try:
-        given = np.asarray(pose, dtype=float)
+        values = np.asarray(pose, dtype=float)
     except (TypeError, ValueError):
-        given = np.zeros(0)
-    if given.shape != (4,) or not np.isfinite(given).all():
+        values = np.zeros(0)
+    if values.shape != (4,) or not np.isfinite(values).all():
         raise InputError("is not a pose", key=f"near[{place}]", value=pose, remedy="give x, y, z and psi")
-    return given
+    return values
 
 
 def _expressions(task: Task | SetTask) -> list[ca.SX]:
@@ -154,11 +154,11 @@ class _Check:
 
     def finite(self, values: Array) -> list[Array]:
         """Values of every expression, if they are numbers as they should be."""
-        found = self.at(values)
-        for what, part in zip(("sigma", "J"), found, strict=False):
+        results = self.at(values)
+        for what, part in zip(("sigma", "J"), results, strict=False):
             if not np.isfinite(part).all():
                 self._fail(f"{what} is not finite in row {_first_bad(part)}", values)
-        lower, upper, error = (part.reshape(-1) for part in found[2:])
+        lower, upper, error = (part.reshape(-1) for part in results[2:])
         bad = ~np.isfinite(lower) | ~np.isfinite(upper)
         if isinstance(self.task, SetTask):
             bad = np.isnan(lower) | np.isnan(upper) | (lower == math.inf) | (upper == -math.inf)
@@ -168,7 +168,7 @@ class _Check:
             self._fail(f"the bounds of row {i} cross: {lower[i]:g} > {upper[i]:g}", values)
         if self.task.angular and np.abs(error).max() > math.pi + _SAME:
             self._fail(f"the angular error {np.abs(error).max():g} is more than half a turn", values)
-        return found
+        return results
 
     def derivative(self, values: Array, J: Array, tol: float) -> float:
         """The largest error of J; CheckFailed when it is more than tol."""
@@ -209,7 +209,7 @@ class _Check:
         return np.stack(columns, axis=1)
 
     def _fail(self, problem: str, values: Array) -> None:
-        raise CheckFailed(f"task {self.task.name}", problem, at=self.ranges.told(values))
+        raise CheckFailed(f"task {self.task.name}", problem, at=self.ranges.text(values))
 
 
 def _rank(J: Array) -> int:

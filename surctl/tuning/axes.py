@@ -83,10 +83,10 @@ class Span:
         if self.name == SEED:
             return np.floor(self.low + share * (self.high + 1.0 - self.low))
         if self.log:
-            found = np.exp(math.log(self.low) + share * (math.log(self.high) - math.log(self.low)))
+            values = np.exp(math.log(self.low) + share * (math.log(self.high) - math.log(self.low)))
         else:
-            found = self.low + share * (self.high - self.low)
-        return np.clip(found, self.low, self.high)  # rounding must not lead out of a knob's bounds
+            values = self.low + share * (self.high - self.low)
+        return np.clip(values, self.low, self.high)  # rounding must not lead out of a knob's bounds
 
 
 def parse_axis(text: str) -> Axis | Span:
@@ -105,13 +105,13 @@ def parse_axis(text: str) -> Axis | Span:
         >>> parse_axis("lookahead=0.3..1.2")
         Span(name='lookahead', low=0.3, high=1.2, log=False)
     """
-    name, equals, given = (part.strip() for part in text.partition("="))
-    if not (name and equals and given):
+    name, equals, spec = (part.strip() for part in text.partition("="))
+    if not (name and equals and spec):
         raise _unreadable(text)
-    low, dots, rest = given.partition("..")
+    low, dots, rest = spec.partition("..")
     try:
         if not dots:
-            return Axis(name, tuple(float(v) for v in given.split(",")))
+            return Axis(name, tuple(float(v) for v in spec.split(",")))
         high, *how = rest.split(":")
         log = how[-1:] == ["log"]
         span = Span(name, float(low), float(high), log)
@@ -125,7 +125,10 @@ def parse_axis(text: str) -> Axis | Span:
 
 def _unreadable(text: str) -> InputError:
     return InputError(
-        "is not an axis", key="axis", value=text, remedy="write KNOB=V1,V2,... or KNOB=LOW..HIGH:COUNT, and :log if so"
+        "is not an axis",
+        key="axis",
+        value=text,
+        remedy="write PARAMETER=V1,V2,... or PARAMETER=LOW..HIGH:COUNT, and :log if so",
     )
 
 

@@ -16,8 +16,8 @@ from surctl.tuning.journal import Journal
 from surctl.tuning.montecarlo import APART, MOST_SEED, fresh, monte_carlo
 from surctl.tuning.pool import Pool, Progress, Request, joined
 from surctl.tuning.rounds import Record, Round
+from surctl.tuning.screening import TRAINING, Screened, harder, reduced_pool, screen
 from surctl.tuning.search import BATCH, search
-from surctl.tuning.sift import TRAINING, Sifted, harder, kept_pool, sift
 from surctl.tuning.start import starting_sets
 
 __all__ = ["Tuning", "tune"]
@@ -32,7 +32,7 @@ class Tuning:
 
     Attributes:
         request: what the last search was asked for, with all counterexamples.
-        asked: number of the conditions that were asked for: the rest are counterexamples.
+        requested: number of the conditions that were asked for: the rest are counterexamples.
         hand: one set: the start gains, over all conditions.
         tuned: one set: the tuned gains, over the same.
         front: undominated sets in score and thrust, of the last round.
@@ -43,7 +43,7 @@ class Tuning:
     """
 
     request: Request
-    asked: int
+    requested: int
     hand: Pool
     tuned: Pool
     front: Pool
@@ -57,7 +57,7 @@ class Tuning:
         return self.rounds[self.chosen]
 
     @property
-    def kept(self) -> bool:
+    def accepted(self) -> bool:
         """Whether the tuned gains meet every hard goal, and neither fresh runs nor a claim refute one."""
         hard = {g.name for g in self.request.goals if g.kind == "hard"} | {p.name for p in self.result.claims}
         return bool(self.tuned.feasible[0]) and not hard & set(self.result.refuted)
@@ -98,7 +98,7 @@ def tune(
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
         >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
         >>> tuning = tune(request, trials=32, rounds=1, runs=0)
         >>> tuning.result.feasible, round(tuning.result.score, 2), tuning.result.gains["k_v"] > 1.5
@@ -109,15 +109,15 @@ def tune(
     record = Record(folder, f"{request.digest} {trials} {runs}")
     journal = Journal(None if folder is None else folder / "trials.journal")
     done: list[Round] = []
-    current, asked = request, len(request.flown)
+    current, requested = request, len(request.conditions)
     try:
         for k in range(rounds):
             known = record.round(k)
-            progress(f"round {k + 1} of at most {rounds}: {len(current.flown)} runs a gain set")
+            progress(f"round {k + 1} of at most {rounds}: {len(current.conditions)} runs a gain set")
             pool = None
             if known is None:
                 pool = _searched(current, done, _longer(trials, done), journal, progress, descend=descend)
-                known, pool = _round(current, pool, runs, k, progress, used=1 + max(c.seed for c in request.flown))
+                known, pool = _round(current, pool, runs, k, progress, used=1 + max(c.seed for c in request.conditions))
                 record.add(known)
             done.append(known)
             if _ended(done) or k + 1 == rounds:
@@ -127,29 +127,32 @@ def tune(
         final = harder(current, done[-1].training)
         if pool is None:  # every round was known already
             pool = _searched(current, done[:-1], _longer(trials, done[:-1]), journal, progress, descend=descend)
-            pool = kept_pool(final, pool, done[-1].gains)
+            pool = reduced_pool(final, pool, done[-1].gains)
     finally:
         journal.close()
-    hand, found = final.judge({s.name: np.array([request.base[s.name]]) for s in request.space}), _found(final, done)
+    hand, candidates = (
+        final.judge({s.name: np.array([request.base[s.name]]) for s in request.space}),
+        _candidates(final, done),
+    )
     start = hand.evaluation.normalised[0]
-    chosen = _chosen(done, found, start)
+    chosen = _chosen(done, candidates, start)
     last, clash = done[chosen], tuple[str, ...]()
     if last.refuted or not last.feasible:
         progress("looking for the demands that do not hold together")
         clash = conflict(harder(final, last.fresh, last.claims), pool, last.refuted, trials=trials, progress=progress)
-    front = pool.taken(pool.front(pool.evaluation.normalised[0]))
-    return Tuning(final, asked, hand, found.taken([chosen]), front, tuple(done), chosen, clash)
+    front = pool.subset(pool.front(pool.evaluation.normalised[0]))
+    return Tuning(final, requested, hand, candidates.subset([chosen]), front, tuple(done), chosen, clash)
 
 
-def _found(request: Request, done: Sequence[Round]) -> Pool:
+def _candidates(request: Request, done: Sequence[Round]) -> Pool:
     """What each round found, over all runs."""
     return request.judge({s.name: np.array([r.gains[s.name] for r in done]) for s in request.space})
 
 
-def _chosen(done: Sequence[Round], found: Pool, start: NDArray[np.float64]) -> int:
+def _chosen(done: Sequence[Round], candidates: Pool, start: NDArray[np.float64]) -> int:
     """See `Tuning.chosen`; a later round's runs may refute an earlier round's gains."""
-    merit = found.merit(start)
-    sound = [k for k, one in enumerate(done) if found.feasible[k] and not one.refuted]
+    merit = candidates.merit(start)
+    sound = [k for k, one in enumerate(done) if candidates.feasible[k] and not one.refuted]
     return min(sound or range(len(done)), key=lambda k: float(merit[k]))
 
 
@@ -207,10 +210,12 @@ def _searched(
         return pool
     progress("no gain set meets all hard goals: they alone are searched for")
     names = {g.name for g in hard}
-    flown = tuple(c for c in request.flown if c.goals is None or names & set(c.goals))
-    alone = replace(request, goals=hard, flown=flown)
-    found = _leading(search(alone, trials=trials, first=_leading(pool), journal=journal, progress=progress))
-    return joined([pool, request.judge({s.name: np.array([gains[s.name] for gains in found]) for s in request.space})])
+    conditions = tuple(c for c in request.conditions if c.goals is None or names & set(c.goals))
+    alone = replace(request, goals=hard, conditions=conditions)
+    leading = _leading(search(alone, trials=trials, first=_leading(pool), journal=journal, progress=progress))
+    return joined(
+        [pool, request.judge({s.name: np.array([gains[s.name] for gains in leading]) for s in request.space})]
+    )
 
 
 def _leading(pool: Pool) -> list[dict[str, float]]:
@@ -222,22 +227,24 @@ def _round(
     request: Request, pool: Pool, runs: int, number: int, progress: Progress, *, used: int
 ) -> tuple[Round, Pool]:
     """The round that a search ends, and its best sets over the runs known then, the chosen one last."""
-    left, verified = Sifted(request, pool.gains(pool.best(pool.evaluation.normalised[0])), ()), None
+    left, verified = Screened(request, pool.gains(pool.best(pool.evaluation.normalised[0])), ()), None
     if runs:
-        left = sift(request, pool, runs=TRAINING * runs, progress=progress)
-        flown = fresh(request.cases, runs=runs, first=used + number * runs, tuning=request.seed)
-        verified = monte_carlo(request.goals, flown, left.gains, threads=request.threads)
+        left = screen(request, pool, runs=TRAINING * runs, progress=progress)
+        conditions = fresh(request.cases, runs=runs, first=used + number * runs, tuning=request.seed)
+        verified = monte_carlo(request.goals, conditions, left.gains, threads=request.threads)
         word = ", ".join(verified.refuted) or "nothing"
         progress(f"{runs} fresh runs, seeds {verified.seeds[0]} to {verified.seeds[1]}, refute {word}")
     failing = refuted_claims({**request.base.values, **left.gains}, seed=request.seed)
     points = tuple(
         ClaimPoint(v.claim.name, dict(v.counterexample.values), v.threshold) for v in failing if v.counterexample
     )
-    known = kept_pool(left.request, pool, left.gains)
+    known = reduced_pool(left.request, pool, left.gains)
     start, own = known.evaluation.normalised[0], len(known.claims) - 1
     missed = tuple(g.name for g, n in zip(request.goals, known.evaluation.normalised[own], strict=True) if not n <= 1)
     others = [k for k in known.ranked(start) if k != own][:_OTHERS]
     score, feasible = float(known.score(start)[own]), bool(known.feasible[own])
-    progress(f"score {score:.4f}{'' if feasible else ', not all hard goals met'} over {len(left.request.flown)} runs")
+    progress(
+        f"score {score:.4f}{'' if feasible else ', not all hard goals met'} over {len(left.request.conditions)} runs"
+    )
     further = tuple(known.gains(k) for k in others)
-    return Round(left.gains, score, feasible, missed, left.found, verified, points, further), known
+    return Round(left.gains, score, feasible, missed, left.counterexamples, verified, points, further), known

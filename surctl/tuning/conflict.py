@@ -12,7 +12,7 @@ from surctl.tuning.search import search
 
 __all__ = ["Demand", "conflict", "demands", "minimal_subset"]
 
-_KEPT = 64  # gain sets of the pool that every question is asked of first
+_KNOWN_SETS = 64  # gain sets of the pool that every question is asked of first
 
 
 @dataclass(frozen=True)
@@ -22,12 +22,12 @@ class Demand:
     Attributes:
         label: how it is named in the answer.
         goal: the goal, hard and under a name of its own.
-        flown: its runs.
+        conditions: its runs.
     """
 
     label: str
     goal: Goal
-    flown: tuple[Condition, ...]
+    conditions: tuple[Condition, ...]
 
 
 def minimal_subset(count: int, together: Callable[[tuple[int, ...]], bool]) -> tuple[int, ...]:
@@ -40,41 +40,43 @@ def minimal_subset(count: int, together: Callable[[tuple[int, ...]], bool]) -> t
         together: whether a subset does.
     """
 
-    def explained(beside: tuple[int, ...], added: bool, given: tuple[int, ...]) -> tuple[int, ...]:
-        """The part of `given` that is in the subset, next to those `beside` it, some of which were just added."""
+    def explained(beside: tuple[int, ...], added: bool, candidates: tuple[int, ...]) -> tuple[int, ...]:
+        """The part of `candidates` that is in the subset, next to those `beside` it, some of which were just added."""
         if added and not together(tuple(sorted(beside))):
             return ()
-        if len(given) == 1:
-            return given
-        first, second = given[: len(given) // 2], given[len(given) // 2 :]
+        if len(candidates) == 1:
+            return candidates
+        first, second = candidates[: len(candidates) // 2], candidates[len(candidates) // 2 :]
         later = explained((*beside, *first), True, second)
         return (*explained((*beside, *later), bool(later), first), *later)
 
     return tuple(sorted(explained((), False, tuple(range(count)))))
 
 
-def demands(goals: Sequence[Goal], flown: Sequence[Condition], refuted: Sequence[str]) -> tuple[Demand, ...]:
+def demands(goals: Sequence[Goal], conditions: Sequence[Condition], refuted: Sequence[str]) -> tuple[Demand, ...]:
     """Hard goals and the refuted soft ones over the runs that were asked for, and over each case's counterexamples."""
-    asked = [c for c in flown if c.goals is None]
-    found: list[Demand] = []
+    requested = [c for c in conditions if c.goals is None]
+    result: list[Demand] = []
     for goal in goals:
         if goal.kind == "hard" or goal.name in refuted:
-            own = [c for c in asked if not goal.cases or {c.case.name, c.case.scenario.name} & set(goal.cases)]
-            found.append(_demand(goal, own, len(found), goal.name))
+            own = [c for c in requested if not goal.cases or {c.case.name, c.case.scenario.name} & set(goal.cases)]
+            result.append(_demand(goal, own, len(result), goal.name))
     refuting: dict[tuple[str, str], list[Condition]] = {}
-    for condition in flown:
+    for condition in conditions:
         for name in condition.goals or ():
             refuting.setdefault((name, condition.case.name), []).append(condition)
     named = {goal.name: goal for goal in goals}
     for (name, case), own in refuting.items():
         where = own[0].label if len(own) == 1 else f"{len(own)} runs of {case} that refuted other gains"
-        found.append(_demand(named[name], own, len(found), f"{name} in {where}"))
-    return tuple(found)
+        result.append(_demand(named[name], own, len(result), f"{name} in {where}"))
+    return tuple(result)
 
 
-def _demand(goal: Goal, flown: Sequence[Condition], k: int, label: str) -> Demand:
+def _demand(goal: Goal, conditions: Sequence[Condition], k: int, label: str) -> Demand:
     own = f"demand {k}"
-    return Demand(label, replace(goal, name=own, kind="hard", cases=()), tuple(replace(c, goals=(own,)) for c in flown))
+    return Demand(
+        label, replace(goal, name=own, kind="hard", cases=()), tuple(replace(c, goals=(own,)) for c in conditions)
+    )
 
 
 def conflict(
@@ -91,33 +93,35 @@ def conflict(
         trials: of the search that each question gets.
         progress: told one line a question.
     """
-    asked = demands(request.goals, request.flown, refuted)
-    if not asked:
+    every = demands(request.goals, request.conditions, refuted)
+    if not every:
         return ()
-    whole = _of(request, asked)
-    near = pool.ranked(pool.evaluation.normalised[0])[:_KEPT]
-    known = whole.judge(pool.taken(near).sets)
+    whole = _of(request, every)
+    near = pool.ranked(pool.evaluation.normalised[0])[:_KNOWN_SETS]
+    known = whole.judge(pool.subset(near).sets)
 
     def together(subset: tuple[int, ...]) -> bool:
         nonlocal known
         held = (known.claims <= 0).all(axis=1) & (known.evaluation.normalised[:, list(subset)] <= 1).all(axis=1)
         if held.any():
             return True
-        part = _of(request, [asked[k] for k in subset])
-        found = search(part, trials=trials, first=[known.gains(_nearest(known, subset))])
-        best = found.best(found.evaluation.normalised[0])
-        known = joined([known, whole.judge(found.taken([best]).sets)])
-        met = bool(found.feasible[best])
-        progress(f"{len(subset)} of {len(asked)} demands together: {'met' if met else 'not met'}")
+        part = _of(request, [every[k] for k in subset])
+        result = search(part, trials=trials, first=[known.gains(_nearest(known, subset))])
+        best = result.best(result.evaluation.normalised[0])
+        known = joined([known, whole.judge(result.subset([best]).sets)])
+        met = bool(result.feasible[best])
+        progress(f"{len(subset)} of {len(every)} demands together: {'met' if met else 'not met'}")
         return met
 
-    everything = tuple(range(len(asked)))
-    return () if together(everything) else tuple(asked[k].label for k in minimal_subset(len(asked), together))
+    everything = tuple(range(len(every)))
+    return () if together(everything) else tuple(every[k].label for k in minimal_subset(len(every), together))
 
 
 def _of(request: Request, chosen: Sequence[Demand]) -> Request:
     """The request for some demands alone; each run is flown once."""
-    return replace(request, goals=tuple(d.goal for d in chosen), flown=merged(c for d in chosen for c in d.flown))
+    return replace(
+        request, goals=tuple(d.goal for d in chosen), conditions=merged(c for d in chosen for c in d.conditions)
+    )
 
 
 def _nearest(known: Pool, subset: Sequence[int]) -> int:

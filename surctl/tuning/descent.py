@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 _FIRST = 0.1  # first step, of the width of each range on its log scale
 _LAST = 1e-3  # a start is left where its step gets shorter
 _SHORTER = 0.1  # factor on the step where no proposal is better
-_REACH = (2.0, 1.0, 0.5, 0.25, 0.1, 0.04)  # of the step: a proposal each
+_STEP_FACTORS = (2.0, 1.0, 0.5, 0.25, 0.1, 0.04)  # of the step: a proposal each
 _DIFFERENCE = 0.01  # most distance of a difference
 _APART = 0.15  # least distance between two starts, or from where one ended
 _SLACK = 10.0  # weight of the largest constraint that is missed, against the score
@@ -50,56 +50,56 @@ def descend(request: Request, pool: Pool, *, trials: int, shelf: Journal, progre
         shelf: keeps the trials; a descent of the same request and pool resumes from it.
         progress: told one line at the end.
     """
-    start, size = pool.evaluation.normalised[0], 2 * len(request.space) + len(_REACH)
+    start, size = pool.evaluation.normalised[0], 2 * len(request.space) + len(_STEP_FACTORS)
     name = f"{request.digest} descent {trials}"
-    done, found, seen = shelf.trials(name), [pool], list[Array]()
-    at = _next(request, pool, seen, start)
+    done, pools, visited = shelf.trials(name), [pool], list[Array]()
+    at = _next(request, pool, visited, start)
     for k in range(-(-trials // size)):
         if at is None:
             break
         known = done[k * size : (k + 1) * size]
         if len(known) == size:
-            flown = remembered(request, known)
+            batch = remembered(request, known)
         else:
-            flown = _flown(request, pool, at)
+            batch = _iteration(request, pool, at)
             # a kill may have left a part of this iteration behind: it is the same part
-            shelf.append(name, frozen(request, flown, start)[len(known) :])
-        found.append(flown)
-        _move(request, at, flown, start)
+            shelf.append(name, frozen(request, batch, start)[len(known) :])
+        pools.append(batch)
+        _move(request, at, batch, start)
         if at.step < _LAST:
-            seen.append(at.place)
-            at = _next(request, pool, seen, start)
-    whole = joined(found)
+            visited.append(at.place)
+            at = _next(request, pool, visited, start)
+    whole = joined(pools)
     score = whole.score(start)[whole.best(start)]
-    progress(f"descended in {sum(p.evaluation.effort.size for p in found[1:])} trials, best score {score:.4f}")
+    progress(f"descended in {sum(p.evaluation.effort.size for p in pools[1:])} trials, best score {score:.4f}")
     return whole
 
 
-def _next(request: Request, pool: Pool, seen: list[Array], start: Array) -> _At | None:
+def _next(request: Request, pool: Pool, visited: list[Array], start: Array) -> _At | None:
     """The best set of the pool that is apart from every start and end so far; from now on it is one of them."""
     merit = pool.merit(start)
     places = np.column_stack([s.unit(pool.sets[s.name]) for s in request.space])
     for k in np.argsort(merit, kind="stable"):
-        if all(np.abs(places[k] - other).max() > _APART for other in seen):
-            seen.append(places[k])
+        if all(np.abs(places[k] - other).max() > _APART for other in visited):
+            visited.append(places[k])
             return _At(places[k].copy(), float(merit[k]))
     return None
 
 
-def _flown(request: Request, pool: Pool, at: _At) -> Pool:
+def _iteration(request: Request, pool: Pool, at: _At) -> Pool:
     """The neighbours by which the figures are linearised, and the proposals."""
     beside = _beside(at)
-    near, table = request.fly(_sets(request, np.vstack([beside, at.place])))
+    near, table = request.simulate(_sets(request, np.vstack([beside, at.place])))
     objective, constraint = _functions(request, near, table, pool.evaluation.normalised[0])
     width = (beside[0::2] - beside[1::2]).sum(axis=1)
 
     def slope(values: Array) -> Array:
-        found: Array = (values[0:-1:2] - values[1:-1:2]).T / width
-        return found
+        gradient: Array = (values[0:-1:2] - values[1:-1:2]).T / width
+        return gradient
 
     lines = (objective[-1], slope(objective)), (constraint[-1], slope(constraint))
-    proposed = np.array([_least(at.place, *lines, reach * at.step) for reach in _REACH])
-    return joined([near.taken(range(len(beside))), request.judge(_sets(request, proposed))])
+    proposed = np.array([_least(at.place, *lines, factor * at.step) for factor in _STEP_FACTORS])
+    return joined([near.subset(range(len(beside))), request.judge(_sets(request, proposed))])
 
 
 def _beside(at: _At) -> Array:
@@ -118,7 +118,7 @@ def _functions(request: Request, pool: Pool, table: Figures, start: Array) -> tu
     """(n, f) soft goals as they count in the score, (n, g) hard goals and claims, at most 0 where met; a run each."""
     soft, hard = [np.zeros((len(pool.claims), 1))], [np.minimum(pool.claims, CAP)]
     for goal, first in zip(request.goals, start, strict=True):
-        figure = table[goal.metric][:, scope(goal, request.flown)]
+        figure = table[goal.metric][:, scope(goal, request.conditions)]
         if goal.over == "mean":
             figure = figure.mean(axis=1, keepdims=True)
         if goal.kind == "soft":
@@ -142,21 +142,21 @@ def _least(place: Array, objective: tuple[Array, Array], constraint: tuple[Array
     )
     ends = [(max(-far, -x), min(far, 1.0 - x)) for x in place]
     cost = [*[0.0] * d, 1.0, _SLACK]
-    found = linprog(cost, A_ub=rows, b_ub=-np.concatenate([f, g]), bounds=[*ends, (None, None), (0.0, None)])
-    move = found.x[:d] if found.status == 0 else np.zeros(d)
+    result = linprog(cost, A_ub=rows, b_ub=-np.concatenate([f, g]), bounds=[*ends, (None, None), (0.0, None)])
+    move = result.x[:d] if result.status == 0 else np.zeros(d)
     there: Array = np.clip(place + move, 0.0, 1.0)
     return there
 
 
-def _move(request: Request, at: _At, flown: Pool, start: Array) -> None:
+def _move(request: Request, at: _At, batch: Pool, start: Array) -> None:
     """To the best of what was flown if it is better; the step becomes that of the proposal, or shorter."""
-    merit = flown.merit(start)
+    merit = batch.merit(start)
     best = int(merit.argmin())
     if not merit[best] < at.merit:
         at.step *= _SHORTER
         return
-    at.place = np.array([float(s.unit(flown.sets[s.name][best])) for s in request.space])
+    at.place = np.array([float(s.unit(batch.sets[s.name][best])) for s in request.space])
     at.merit = float(merit[best])
-    proposal = best - (len(merit) - len(_REACH))
+    proposal = best - (len(merit) - len(_STEP_FACTORS))
     if proposal >= 0:
-        at.step = min(at.step * _REACH[proposal], 1.0)
+        at.step = min(at.step * _STEP_FACTORS[proposal], 1.0)

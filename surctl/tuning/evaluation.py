@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.simulation import Case, knobs, simulate_batch
+from surctl.simulation import Case, parameters, simulate_batch
 from surctl.tuning.goals import Goal
 from surctl.vehicle import Vehicle
 from surctl.verification import linear_table
@@ -108,8 +108,8 @@ def corners(vehicle: Vehicle) -> tuple[dict[str, float], ...]:
         low = {name: r[0] for name, r in known if r is not None}
         high = {name: r[1] for name, r in known if r is not None}
         ends.append((low, high) if low else ({},))
-    found = [{**m, **d, **t} for m, d, t in product(*ends)]
-    return ({}, *found) if found != [{}] else ({},)
+    combinations = [{**m, **d, **t} for m, d, t in product(*ends)]
+    return ({}, *combinations) if combinations != [{}] else ({},)
 
 
 def conditions(cases: Sequence[Case], *, seeds: Sequence[int], with_corners: bool = True) -> tuple[Condition, ...]:
@@ -122,23 +122,23 @@ def conditions(cases: Sequence[Case], *, seeds: Sequence[int], with_corners: boo
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import build_cases, conditions
         >>> cases = build_cases([load_scenario("tank-static")], gains=load_gains("default"))
-        >>> flown = conditions(cases, seeds=[0])
-        >>> len(flown), flown[0].label
+        >>> runs = conditions(cases, seeds=[0])
+        >>> len(runs), runs[0].label
         (9, 'tank-static/sur540-flooded/truth, seed 0')
     """
-    found = []
+    result = []
     for case in cases:
         own = seeds if varied(case) else seeds[:1]
-        found += [Condition(case, seed) for seed in own]
+        result += [Condition(case, seed) for seed in own]
         if with_corners:
-            found += [Condition(case, seeds[0], plant) for plant in corners(case.vehicle) if plant]
-    return tuple(found)
+            result += [Condition(case, seeds[0], plant) for plant in corners(case.vehicle) if plant]
+    return tuple(result)
 
 
-def merged(flown: Iterable[Condition]) -> tuple[Condition, ...]:
+def merged(conditions: Iterable[Condition]) -> tuple[Condition, ...]:
     """Conditions of named goals, each run once, for all the goals that name it."""
     counted: dict[object, tuple[Condition, dict[str, None]]] = {}
-    for one in flown:
+    for one in conditions:
         counted.setdefault(one.run, (one, {}))[1].update(dict.fromkeys(one.goals or ()))
     return tuple(replace(one, goals=tuple(goals)) for one, goals in counted.values())
 
@@ -148,7 +148,7 @@ def varied(case: Case) -> bool:
     return case.scenario.seeded or case.sensing == "sonar"
 
 
-def scope(goal: Goal, flown: Sequence[Condition]) -> list[int]:
+def scope(goal: Goal, conditions: Sequence[Condition]) -> list[int]:
     """Indices of the conditions that a goal is taken over.
 
     Raises:
@@ -160,29 +160,29 @@ def scope(goal: Goal, flown: Sequence[Condition]) -> list[int]:
         >>> from surctl.tuning import Goal, build_cases, conditions, scope
         >>> missions = [load_scenario("pool-behind"), load_scenario("pool-static")]
         >>> cases = build_cases(missions, gains=load_gains("default"))
-        >>> flown = conditions(cases, seeds=[0, 1])
-        >>> len(flown), scope(Goal("soon", "time_s", "s", 20.0, cases=("pool-static",)), flown)
+        >>> runs = conditions(cases, seeds=[0, 1])
+        >>> len(runs), scope(Goal("soon", "time_s", "s", 20.0, cases=("pool-static",)), runs)
         (4, [2, 3])
     """
-    names = {name for c in flown for name in (c.case.name, c.case.scenario.name)}
+    names = {name for c in conditions for name in (c.case.name, c.case.scenario.name)}
     for name in goal.cases:
         if name not in names:
             raise InputError("no such case", key=f"goals.{goal.name}.cases", value=name, remedy=nearest(name, names))
     return [
         k
-        for k, c in enumerate(flown)
+        for k, c in enumerate(conditions)
         if (c.goals is None or goal.name in c.goals)
         and (goal.plants == "all" or not c.plant)
         and (not goal.cases or {c.case.name, c.case.scenario.name} & set(goal.cases))
     ]
 
 
-def evaluate(goals: Sequence[Goal], flown: Sequence[Condition], sets: Sets, *, threads: int = 1) -> Evaluation:
+def evaluate(goals: Sequence[Goal], conditions: Sequence[Condition], sets: Sets, *, threads: int = 1) -> Evaluation:
     """Judge n gain sets by m goals.
 
     Args:
         goals: the goals.
-        flown: the runs; every gain set flies them all.
+        conditions: the runs; every gain set flies them all.
         sets: gain → (n,) values; the gains not named are the case's.
         threads: of the compiled loop; the result does not depend on them.
 
@@ -193,22 +193,22 @@ def evaluate(goals: Sequence[Goal], flown: Sequence[Condition], sets: Sets, *, t
         >>> from surctl.control import load_gains
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import Goal, build_cases, conditions, evaluate
-        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
         >>> goals = [Goal("soon", "time_s", "s", 20.3), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard")]
-        >>> found = evaluate(goals, conditions(cases, seeds=[0]), {"k_v": [1.0, 1.5, 2.0]})
-        >>> found.normalised.round(2).tolist(), found.feasible.tolist()
+        >>> evaluation = evaluate(goals, conditions(cases, seeds=[0]), {"k_v": [1.0, 1.5, 2.0]})
+        >>> evaluation.normalised.round(2).tolist(), evaluation.feasible.tolist()
         ([[1.05, 0.84], [1.01, 0.82], [0.99, 0.81]], [True, True, True])
     """
-    return judged(goals, flown, figures(goals, flown, sets, threads=threads))
+    return judged(goals, conditions, figures(goals, conditions, sets, threads=threads))
 
 
-def judged(goals: Sequence[Goal], flown: Sequence[Condition], table: Figures) -> Evaluation:
+def judged(goals: Sequence[Goal], conditions: Sequence[Condition], table: Figures) -> Evaluation:
     """What the goals make of the figures of runs."""
     count = len(table["effort_n"])
     shape = (count, len(goals))
     normalised, figure, excess = np.zeros(shape), np.full(shape, np.nan), np.zeros(shape)
     for j, goal in enumerate(goals):
-        own = table[goal.metric][:, scope(goal, flown)]
+        own = table[goal.metric][:, scope(goal, conditions)]
         each = goal.normalised(own)
         if goal.over == "mean":
             figure[:, j] = own.mean(axis=1)
@@ -223,7 +223,7 @@ def judged(goals: Sequence[Goal], flown: Sequence[Condition], table: Figures) ->
 
 
 def figures(
-    goals: Sequence[Goal], flown: Sequence[Condition], sets: Sets, *, threads: int = 1
+    goals: Sequence[Goal], conditions: Sequence[Condition], sets: Sets, *, threads: int = 1
 ) -> dict[str, NDArray[np.float64]]:
     """Metric → (n, conditions) for the goals' metrics and the effort.
 
@@ -233,7 +233,7 @@ def figures(
         >>> from surctl.control import load_gains
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import Goal, build_cases, conditions, figures
-        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
         >>> goals, runs = [Goal("soon", "time_s", "s", 20.5)], conditions(cases, seeds=[0, 1])
         >>> figures(goals, runs, {"k_v": [1.0, 1.5, 2.0]})["time_s"].round(2).tolist()  # a row a gain set
         [[21.4, 21.4], [20.45, 20.35], [20.15, 20.05]]
@@ -241,17 +241,17 @@ def figures(
     count = len(next(iter(sets.values())))
     looped = {"effort_n", *(g.metric for g in goals if not g.linear)}
     linear = {g.metric for g in goals if g.linear}
-    asked = {k for g in goals if g.linear for k in scope(g, flown)}  # a linear figure costs more than a run
-    table = {name: np.full((count, len(flown)), np.nan) for name in (*looped, *linear)}
-    for case, own in _by_case(flown):
-        seeds = np.tile([flown[k].seed for k in own], count)
-        batch = simulate_batch(case, _spread(case, [flown[k] for k in own], sets), seeds=seeds, threads=threads)
+    required = {k for g in goals if g.linear for k in scope(g, conditions)}  # a linear figure costs more than a run
+    table = {name: np.full((count, len(conditions)), np.nan) for name in (*looped, *linear)}
+    for case, own in _by_case(conditions):
+        seeds = np.tile([conditions[k].seed for k in own], count)
+        batch = simulate_batch(case, _spread(case, [conditions[k] for k in own], sets), seeds=seeds, threads=threads)
         arrived = batch.column("reached").reshape(count, -1) > 0.5
         for name in looped:
             table[name][:, own] = np.where(arrived, batch.column(name).reshape(count, -1), np.nan)
-        about = [k for k in own if k in asked]
+        about = [k for k in own if k in required]
         if about:
-            for name, values in _linear(case, [flown[k] for k in about], sets, linear, threads).items():
+            for name, values in _linear(case, [conditions[k] for k in about], sets, linear, threads).items():
                 table[name][:, about] = values
     return table
 
@@ -261,36 +261,36 @@ def row(sets: Sets, k: int) -> dict[str, float]:
     return {name: float(values[k]) for name, values in sets.items()}
 
 
-def _by_case(flown: Sequence[Condition]) -> list[tuple[Case, list[int]]]:
+def _by_case(conditions: Sequence[Condition]) -> list[tuple[Case, list[int]]]:
     """Cases in order with the indices of their conditions: one batch a case."""
-    found: list[tuple[Case, list[int]]] = []
-    for k, condition in enumerate(flown):
-        for case, own in found:
+    groups: list[tuple[Case, list[int]]] = []
+    for k, condition in enumerate(conditions):
+        for case, own in groups:
             if case is condition.case:
                 own.append(k)
                 break
         else:
-            found.append((condition.case, [k]))
-    return found
+            groups.append((condition.case, [k]))
+    return groups
 
 
-def _spread(case: Case, flown: Sequence[Condition], sets: Sets) -> dict[str, NDArray[np.float64]]:
+def _spread(case: Case, conditions: Sequence[Condition], sets: Sets) -> dict[str, NDArray[np.float64]]:
     """Knob values of every gain set under every condition, gain sets outermost."""
     count = len(next(iter(sets.values())))
-    spread = {name: np.repeat(np.asarray(values, dtype=float), len(flown)) for name, values in sets.items()}
-    off = sorted({name for c in flown for name in c.plant})
-    nominal = knobs(case) if off else {}
+    spread = {name: np.repeat(np.asarray(values, dtype=float), len(conditions)) for name, values in sets.items()}
+    off = sorted({name for c in conditions for name in c.plant})
+    nominal = parameters(case) if off else {}
     for name in off:
-        spread[name] = np.tile([c.plant.get(name, nominal[name].value) for c in flown], count)
+        spread[name] = np.tile([c.plant.get(name, nominal[name].value) for c in conditions], count)
     return spread
 
 
 def _linear(
-    case: Case, flown: Sequence[Condition], sets: Sets, names: set[str], threads: int
+    case: Case, conditions: Sequence[Condition], sets: Sets, names: set[str], threads: int
 ) -> dict[str, NDArray[np.float64]]:
     """Linear figures, (n, conditions) each: computed once a plant, since no seed changes them."""
-    keys = [tuple(sorted(c.plant.items())) for c in flown]
-    plants = dict(zip(keys, flown, strict=True))
+    keys = [tuple(sorted(c.plant.items())) for c in conditions]
+    plants = dict(zip(keys, conditions, strict=True))
     place = {key: k for k, key in enumerate(plants)}
     which = [place[key] for key in keys]
     count = len(next(iter(sets.values())))

@@ -30,7 +30,7 @@ Evaluator = Callable[[int, NDArray[np.float64]], NDArray[np.float64]]
 
 Results = Generator[tuple[int, NDArray[np.float64]], None, None]
 
-_REACH = 8.0  # [s] until an address counts as silent
+_CONNECT_TIMEOUT = 8.0  # [s] until an address counts as silent
 _RETRIES = 2
 
 
@@ -140,7 +140,7 @@ class DaskExecutor:
 
     def _connect(self, distributed: Any) -> Any:
         try:
-            client = distributed.Client(self.address, timeout=_REACH, set_as_default=False)
+            client = distributed.Client(self.address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
         except (OSError, TimeoutError, ValueError, ImportError) as error:
             raise InputError(
                 f"no scheduler answers ({type(error).__name__})",
@@ -149,7 +149,7 @@ class DaskExecutor:
                 remedy="start one with `dask scheduler` and give its address, such as tcp://127.0.0.1:8786",
             ) from None
         try:
-            client.wait_for_workers(1, timeout=_REACH)
+            client.wait_for_workers(1, timeout=_CONNECT_TIMEOUT)
         except TimeoutError:
             client.close()
             raise InputError(

@@ -156,27 +156,27 @@ def goals_from_tables(tables: Sequence[GoalTable], *, file: object) -> tuple[Goa
         >>> goal.metric, goal.sense, goal.limit, goal.kind
         ('time_s', 'at most', 20.0, 'hard')
     """
-    found: dict[str, Goal] = {}
+    goals: dict[str, Goal] = {}
     try:
         for table in tables:
-            if table.name in found:
+            if table.name in goals:
                 raise InputError("two goals have one name", key="goals.name", value=table.name, remedy="rename one")
-            found[table.name] = _goal(table)
+            goals[table.name] = _goal(table)
     except InputError as error:
         raise error.inside(file) from None
-    return tuple(found.values())
+    return tuple(goals.values())
 
 
 def _goal(table: GoalTable) -> Goal:
     bounds: Mapping[Sense, Quantity | None] = {"at most": table.at_most, "at least": table.at_least}
-    given = [(sense, bound) for sense, bound in bounds.items() if bound is not None]
-    if len(given) != 1:
+    stated = [(sense, bound) for sense, bound in bounds.items() if bound is not None]
+    if len(stated) != 1:
         raise InputError(
             "needs one bound",
             key=f"goals.{table.name}",
             remedy='write at_most = { value = ..., unit = "..." }, or at_least',
         )
-    sense, bound = given[0]
+    sense, bound = stated[0]
     spec = {**METRICS, **LINEAR_METRICS}.get(table.metric)
     if spec is not None:  # else the goal itself says so
         try:

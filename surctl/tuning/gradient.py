@@ -54,12 +54,12 @@ class DifferentiableRun:
     Attributes:
         case: what is flown, with its other gains.
         names: the gains that vary, in the order of every vector of gains.
-        ticks: length of the run.
+        steps: length of the run.
     """
 
     case: Case
     names: tuple[str, ...]
-    ticks: int
+    steps: int
     _fixed: tuple[Array, ...] = field(repr=False)
     _run: ca.Function = field(repr=False)
     _slope: ca.Function = field(repr=False)
@@ -74,11 +74,11 @@ class DifferentiableRun:
         return np.asarray(self._slope(values, seed, *self._fixed)).ravel()
 
     def track(self, values: Array) -> Array:
-        """Plant states (ticks, 12) at the end of each tick, in the order of `PLANT_STATE`."""
+        """Plant states (steps, 12) at the end of each tick, in the order of `PLANT_STATE`."""
         return np.asarray(self._run(values, *self._fixed)[1]).T[:, : PLANT_STATE.size]
 
     def branches(self, values: Array) -> Array:
-        """One number a tick (ticks,) for the outcome of all comparisons in it: equal numbers, equal branches."""
+        """One number a tick (steps,) for the outcome of all comparisons in it: equal numbers, equal branches."""
         run = np.asarray(self._run(values, *self._fixed)[1])
         start, data, p, plant = self._fixed
         before = np.column_stack([start, run[:, :-1]])
@@ -86,17 +86,17 @@ class DifferentiableRun:
         full = p.copy()
         for name, value in zip(self.names, values, strict=True):
             full[law.gains.slice(name)] = value
-        tally = _tick(law)[1]
+        tally = _step(law)[1]
         return np.asarray(tally(before, data, full, plant)).ravel()
 
 
-def prepare(case: Case, names: Sequence[str], *, ticks: int, seed: int = 0) -> DifferentiableRun:
+def prepare(case: Case, names: Sequence[str], *, steps: int, seed: int = 0) -> DifferentiableRun:
     """Make a case ready for gradients.
 
     Args:
-        case: closed form (mode nsb), true positions; of a law that has `CONTACT_SLOTS` slots, as all but `lean`.
+        case: closed form (mode nsb), true positions; of a law that has `CONTACT_SLOTS` slots, as all but `closed_form`.
         names: gains to differentiate by.
-        ticks: length of the run, at least 1; a run that arrives earlier stays at the target.
+        steps: length of the run, at least 1; a run that arrives earlier stays at the target.
         seed: of drift and waves.
 
     Raises:
@@ -108,7 +108,7 @@ def prepare(case: Case, names: Sequence[str], *, ticks: int, seed: int = 0) -> D
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import build_cases, prepare
         >>> [case] = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="paper")
-        >>> run = prepare(case, ["k_v", "k1"], ticks=60)
+        >>> run = prepare(case, ["k_v", "k1"], steps=60)
         >>> round(run.surrogates(np.array([1.5, 0.3]))["effort"], 2)  # N^2
         19.19
         >>> run.gradient(np.array([1.5, 0.3]), {"effort": 1.0}).round(2).tolist()
@@ -117,8 +117,8 @@ def prepare(case: Case, names: Sequence[str], *, ticks: int, seed: int = 0) -> D
     for key, value, only in (("mode", case.mode, "nsb"), ("sensing", case.sensing, "truth")):
         if value != only:
             raise InputError("has no gradient", key=key, value=value, remedy=f"use {only}")
-    if ticks < 1 or not names:
-        raise InputError("has nothing to differentiate", key="ticks, names", value=(ticks, tuple(names)))
+    if steps < 1 or not names:
+        raise InputError("has nothing to differentiate", key="steps, names", value=(steps, tuple(names)))
     for name in names:
         case.gains[name]  # says what is unknown
     law = case.build()
@@ -136,51 +136,51 @@ def prepare(case: Case, names: Sequence[str], *, ticks: int, seed: int = 0) -> D
     limit = case.vehicle.thrust_limit
     bias = world.thrust(np.zeros(4), limit)
     drive = [*(world.thrust(np.ones(4), limit) - bias), *bias]
-    fixed = (start, _data(world, ticks=ticks, dt=law.dt).T, p, np.array([*plant, case.vehicle["radius"], *drive]))
-    return DifferentiableRun(case, tuple(names), ticks, fixed, *_functions(law, tuple(names), ticks))
+    fixed = (start, _data(world, steps=steps, dt=law.dt).T, p, np.array([*plant, case.vehicle["radius"], *drive]))
+    return DifferentiableRun(case, tuple(names), steps, fixed, *_functions(law, tuple(names), steps))
 
 
-def _data(world: World, *, ticks: int, dt: float) -> Array:
-    """(ticks, 8 · slots + 4): the bodies, and the wave force in the halves of the tick."""
-    rows = np.zeros((ticks, CONTACT_SLOTS, _ROW))
+def _data(world: World, *, steps: int, dt: float) -> Array:
+    """(steps, 8 · slots + 4): the bodies, and the wave force in the halves of the tick."""
+    rows = np.zeros((steps, CONTACT_SLOTS, _ROW))
     rows[:, :, :2] = _FAR
-    forces = np.zeros((ticks, 2 * _HALVES))
-    for tick in range(ticks):
-        for row, body in zip(rows[tick], world.bodies(tick * dt), strict=False):
+    forces = np.zeros((steps, 2 * _HALVES))
+    for step in range(steps):
+        for row, body in zip(rows[step], world.bodies(step * dt), strict=False):
             shape = body.shape
             assert isinstance(shape, Disc | Box)  # walls are no bodies
             size = (0.0, 0.0, shape.radius) if isinstance(shape, Disc) else (*np.asarray(shape.size) / 2, 0.0)
             row[:] = [*shape.center, *size, *body.velocity, 1.0]
         for half in range(_HALVES):
-            forces[tick, 2 * half : 2 * half + 2] = world.force((tick + half / _HALVES) * dt)[:2]
-    return np.hstack([rows.reshape(ticks, -1), forces])
+            forces[step, 2 * half : 2 * half + 2] = world.force((step + half / _HALVES) * dt)[:2]
+    return np.hstack([rows.reshape(steps, -1), forces])
 
 
 @cache
-def _functions(law: Law, names: tuple[str, ...], ticks: int) -> tuple[ca.Function, ca.Function]:
+def _functions(law: Law, names: tuple[str, ...], steps: int) -> tuple[ca.Function, ca.Function]:
     """(gains, fixed …) → (surrogates, states), and (gains, weights, fixed …) → gradient."""
-    tick, _ = _tick(law)
+    step, _ = _step(law)
     gains, weights = ca.MX.sym("gains", len(names)), ca.MX.sym("weights", len(SURROGATES))
-    start, p, plant = (ca.MX.sym(n, tick.size1_in(i)) for n, i in (("start", 0), ("p", 2), ("plant", 3)))
-    data = ca.MX.sym("data", tick.size1_in(1), ticks)
+    start, p, plant = (ca.MX.sym(n, step.size1_in(i)) for n, i in (("start", 0), ("p", 2), ("plant", 3)))
+    data = ca.MX.sym("data", step.size1_in(1), steps)
     place = np.zeros((law.gains.size, len(names)))
     for column, name in enumerate(names):
         place[law.gains.slice(name), column] = 1
     full = p * (1 - place.sum(axis=1)) + ca.mtimes(place, gains)
-    states, told = tick.mapaccum(ticks)(start, data, ca.repmat(full, 1, ticks), ca.repmat(plant, 1, ticks))
-    clearances = ca.vec(told[3:, :])
+    states, terms = step.mapaccum(steps)(start, data, ca.repmat(full, 1, steps), ca.repmat(plant, 1, steps))
+    clearances = ca.vec(terms[3:, :])
     least = ca.mmin(clearances)
     soft = least - ca.log(ca.sum1(ca.exp(-_SHARPNESS * (clearances - least)))) / _SHARPNESS
-    mean = ca.sum2(told[:3, :]) / ticks
-    found = ca.vertcat(mean[0], soft, mean[1], mean[2])
+    mean = ca.sum2(terms[:3, :]) / steps
+    surrogates = ca.vertcat(mean[0], soft, mean[1], mean[2])
     fixed = [start, data, p, plant]
-    run = ca.Function("run", [gains, *fixed], [found, states])
-    slope = ca.Function("slope", [gains, weights, *fixed], [ca.gradient(ca.dot(weights, found), gains)])
+    run = ca.Function("run", [gains, *fixed], [surrogates, states])
+    slope = ca.Function("slope", [gains, weights, *fixed], [ca.gradient(ca.dot(weights, surrogates), gains)])
     return run, slope
 
 
 @cache
-def _tick(law: Law) -> tuple[ca.Function, ca.Function]:
+def _step(law: Law) -> tuple[ca.Function, ca.Function]:
     """(state, data, p, plant) → (next state, y_e², thrust², distance to go, clearances); and → its branches."""
     state = ca.SX.sym("state", PLANT_STATE.size + law.state.size)
     data = ca.SX.sym("data", CONTACT_SLOTS * _ROW + 2 * _HALVES)
@@ -213,10 +213,12 @@ def _tick(law: Law) -> tuple[ca.Function, ca.Function]:
         after = advance()(after, delivered, PLANT_DISTURBANCE.join(_disturbance(current, force)), plant)
     y_e = telemetry[law.telemetry_slice("path_error")][1]
     going = ca.sqrt(ca.sumsqr(position - target))
-    told = ca.vertcat(y_e * y_e, ca.sumsqr(tau[:2]), going, *clearances)
-    given = [state, data, p, world]
+    terms = ca.vertcat(y_e * y_e, ca.sumsqr(tau[:2]), going, *clearances)
+    arguments = [state, data, p, world]
     names = ["state", "data", "p", "plant"]
-    whole = ca.Function("tick", given, [ca.vertcat(after, memory_next), told], names, ["next", "told"], {"cse": True})
+    whole = ca.Function(
+        "step", arguments, [ca.vertcat(after, memory_next), terms], names, ["next", "terms"], {"cse": True}
+    )
     smooth = _with_slopes(lower(whole))
     return to_casadi(smooth), _tally(to_casadi(_compared(smooth)))
 
@@ -227,36 +229,36 @@ def _disturbance(current: ca.SX, force: ca.SX) -> dict[str, ca.SX]:
 
 def _with_slopes(program: Program) -> Program:
     """The same numbers to 1e-12, with √x replaced by √max(x, tiny): no branch has an infinite slope."""
-    made: list[Instruction] = [Instruction("const", (), _TINY)]
+    instructions: list[Instruction] = [Instruction("const", (), _TINY)]
     new: list[int] = []
     for instruction in program.instructions:
         args = instruction.args
         if instruction.op not in ("const", "input"):
             args = tuple(new[a] for a in args)
         if instruction.op == "sqrt":
-            made.append(Instruction("fmax", (args[0], 0)))
-            args = (len(made) - 1,)
-        made.append(Instruction(instruction.op, args, instruction.value))
-        new.append(len(made) - 1)
+            instructions.append(Instruction("fmax", (args[0], 0)))
+            args = (len(instructions) - 1,)
+        instructions.append(Instruction(instruction.op, args, instruction.value))
+        new.append(len(instructions) - 1)
     refs = tuple(tuple(new[r] for r in group) for group in program.output_refs)
-    return Program(program.name, program.inputs, program.outputs, tuple(made), refs)
+    return Program(program.name, program.inputs, program.outputs, tuple(instructions), refs)
 
 
 def _compared(program: Program) -> Program:
     """The program that gives the outcome of every comparison instead: conditions, and which of two is less."""
-    made, found = list(program.instructions), []
+    instructions, outcomes = list(program.instructions), []
     for at, instruction in enumerate(program.instructions):
         if instruction.op in ("lt", "le", "eq", "ne"):
-            found.append(at)
+            outcomes.append(at)
         elif instruction.op in ("fmin", "fmax"):
-            made.append(Instruction("lt", instruction.args))
-            found.append(len(made) - 1)
-    return Program("compared", program.inputs, (("outcomes", len(found)),), tuple(made), (tuple(found),))
+            instructions.append(Instruction("lt", instruction.args))
+            outcomes.append(len(instructions) - 1)
+    return Program("compared", program.inputs, (("outcomes", len(outcomes)),), tuple(instructions), (tuple(outcomes),))
 
 
 def _tally(compared: ca.Function) -> ca.Function:
     """One number for all outcomes of a tick, by weights that no two sets of outcomes are likely to share."""
-    given = [ca.SX.sym(f"i{k}", compared.size1_in(k)) for k in range(compared.n_in())]
-    outcomes = compared(*given)
+    inputs = [ca.SX.sym(f"i{k}", compared.size1_in(k)) for k in range(compared.n_in())]
+    outcomes = compared(*inputs)
     weights = np.random.default_rng(0).uniform(1, 2, outcomes.numel())
-    return ca.Function("tally", given, [ca.dot(ca.DM(weights), outcomes)])
+    return ca.Function("tally", inputs, [ca.dot(ca.DM(weights), outcomes)])

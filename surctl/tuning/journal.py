@@ -47,7 +47,7 @@ class Journal:
         self.path = path
         self._file: BinaryIO | None = None if path is None else _hold(path)
         self._storage: Any = None
-        self._kept: dict[str, list[FrozenTrial]] = {}
+        self._in_memory: dict[str, list[FrozenTrial]] = {}
         self._held: Callable[[], AbstractContextManager[None]] = nullcontext
         if path is not None:
             try:
@@ -64,23 +64,23 @@ class Journal:
     def trials(self, name: str) -> list[FrozenTrial]:
         """The finished trials of a study, oldest first; InputError where there is no room."""
         if self._storage is None:
-            return list(self._kept.get(name, []))
-        with self._room():
-            found: list[FrozenTrial] = self._study(name).get_trials()
-        return found
+            return list(self._in_memory.get(name, []))
+        with self._file_errors():
+            finished: list[FrozenTrial] = self._study(name).get_trials()
+        return finished
 
     def append(self, name: str, trials: Sequence[FrozenTrial]) -> None:
         """Add finished trials: one write, on the disk when this returns; InputError where there is no room."""
         if self._storage is None:
-            self._kept.setdefault(name, []).extend(trials)
+            self._in_memory.setdefault(name, []).extend(trials)
             return
-        with self._room():
+        with self._file_errors():
             study = self._study(name)
             with self._held():
                 study.add_trials(trials)
 
     @contextmanager
-    def _room(self) -> Iterator[None]:
+    def _file_errors(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:

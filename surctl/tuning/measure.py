@@ -16,26 +16,26 @@ from surctl.control import GAINS, LAW_NAMES, Barrier, Gains, LawName, Movers, bu
 from surctl.errors import InputError, nearest
 from surctl.guidance import AvoidanceForm, Guidance, check_guidance
 from surctl.priority import Mode
-from surctl.simulation import METRICS, Case, Scenario, Sensing, check_speeds, knobs, simulate_batch
+from surctl.simulation import METRICS, Case, Scenario, Sensing, check_speeds, parameters, simulate_batch
 from surctl.tuning.axes import SEED
 from surctl.tuning.design import Design
 from surctl.vehicle import Vehicle, load_vehicle
-from surctl.verification import LINEAR_KNOBS, LINEAR_METRICS, linear_table
+from surctl.verification import LINEAR_METRICS, LINEAR_PARAMETERS, linear_table
 from surctl.verification.cascade import has_cascade
 
 __all__ = [
     "CASE_COLUMNS",
-    "FLOWN_COLUMNS",
     "LINEAR_COLUMNS",
+    "RUN_COLUMNS",
     "Case",
     "Evaluation",
     "Quantity",
     "build_cases",
     "check_column",
     "check_request",
-    "knobs",
     "law_digest",
     "linear_names",
+    "parameters",
     "request_digest",
 ]
 
@@ -63,7 +63,7 @@ CASE_COLUMNS: Mapping[str, Quantity] = {
 has a better side. In a mean each case weighs alike. Runs without a path error do not count in its mean; any other NaN
 shows."""
 
-FLOWN_COLUMNS: Mapping[str, Quantity] = {
+RUN_COLUMNS: Mapping[str, Quantity] = {
     **CASE_COLUMNS,
     "strayed": Quantity("1", "rms horizontal distance to the path in hull radii, mean"),
     "time_ratio": Quantity("1", "time over path length divided by cruise speed, worst"),
@@ -93,9 +93,9 @@ class Evaluation:
     linear_chunks: int = 0
 
     def __call__(self, index: int, points: Floats) -> Floats:
-        """(rows, axes) → (rows, columns), in the order of `LINEAR_COLUMNS` or `FLOWN_COLUMNS` and the cases' ones."""
+        """(rows, axes) → (rows, columns), in the order of `LINEAR_COLUMNS` or `RUN_COLUMNS` and the cases' ones."""
         values = {name: points[:, k] for k, name in enumerate(self.names)}
-        return self._linear(values, len(points)) if index < self.linear_chunks else self._flown(values, len(points))
+        return self._linear(values, len(points)) if index < self.linear_chunks else self._simulated(values, len(points))
 
     @property
     def has_margins(self) -> bool:
@@ -113,12 +113,12 @@ class Evaluation:
         depends = case.scenario.seeded or case.sensing != "truth" or not gentle  # other knobs may bring in waves
         return self.seeds if depends else self.seeds[:1]
 
-    def _flown(self, values: Mapping[str, Floats], count: int) -> Floats:
-        found: list[dict[str, Floats]] = []
+    def _simulated(self, values: Mapping[str, Floats], count: int) -> Floats:
+        by_case: list[dict[str, Floats]] = []
         strayed, ratios = [], []
         for case in self.cases:
             seeds = self.seeds_of(case)
-            known = knobs(case)
+            known = parameters(case)
             numbers = np.repeat(values[SEED], len(seeds)) if SEED in values else np.tile(seeds, count)
             done = simulate_batch(
                 case,
@@ -127,16 +127,16 @@ class Evaluation:
             )
             # one run that no seed changes stands for as many: a mean weighs every case alike
             often = len(self.seeds) // len(seeds)
-            found.append(
+            by_case.append(
                 {name: np.tile(done.column(name).reshape(count, len(seeds)), (1, often)) for name in _AVERAGED}
             )
             radius = _own(values, ("plant.radius", "vehicle.radius"), case.vehicle["radius"])
             cruise = _own(values, ("scenario.cruise",), case.scenario.cruise)
-            strayed.append(found[-1]["deviation_m"] / radius)
-            ratios.append(found[-1]["time_s"] / (case.scenario.path.length / cruise))
-        together = {name: np.concatenate([one[name] for one in found], axis=1) for name in _AVERAGED}
+            strayed.append(by_case[-1]["deviation_m"] / radius)
+            ratios.append(by_case[-1]["time_s"] / (case.scenario.path.length / cruise))
+        together = {name: np.concatenate([one[name] for one in by_case], axis=1) for name in _AVERAGED}
         of_all = [np.concatenate(strayed, axis=1).mean(axis=1), np.concatenate(ratios, axis=1).max(axis=1)]
-        return np.stack([*_summary(together), *of_all, *(c for one in found for c in _summary(one))], axis=1)
+        return np.stack([*_summary(together), *of_all, *(c for one in by_case for c in _summary(one))], axis=1)
 
     def _linear(self, values: Mapping[str, Floats], count: int) -> Floats:
         if not self.has_margins:  # never those of another law
@@ -144,7 +144,7 @@ class Evaluation:
         best = [-np.inf if spec.better == "low" else np.inf for spec in LINEAR_METRICS.values()]
         table = np.tile(best, (count, 1))
         for case in _fastest(self.cases):
-            found = linear_table(
+            metrics = linear_table(
                 case.vehicle,
                 values,
                 base=case.gains.values,
@@ -154,7 +154,7 @@ class Evaluation:
             )
             for k, (name, spec) in enumerate(LINEAR_METRICS.items()):
                 worst = np.maximum if spec.better == "low" else np.minimum  # NaN, no linear model, stays
-                table[:, k] = worst(table[:, k], found[name])
+                table[:, k] = worst(table[:, k], metrics[name])
         return table
 
 
@@ -208,14 +208,14 @@ def check_column(name: str) -> None:
             ...
         surctl.errors.InputError: column = 'min_clearance': no such column; did you mean 'min_clearance_m'?
     """
-    known = (*FLOWN_COLUMNS, *LINEAR_COLUMNS, "score", "feasible")
+    known = (*RUN_COLUMNS, *LINEAR_COLUMNS, "score", "feasible")
     if name not in known:
         raise InputError("no such column", key="column", value=name, remedy=nearest(name, known))
 
 
 def linear_names(names: Sequence[str]) -> tuple[str, ...]:
     """Those of the axes that the linear metrics depend on."""
-    return tuple(name for name in names if name in LINEAR_KNOBS)
+    return tuple(name for name in names if name in LINEAR_PARAMETERS)
 
 
 def check_request(cases: Sequence[Case], design: Design, seeds: Sequence[int]) -> None:
@@ -239,16 +239,16 @@ def check_request(cases: Sequence[Case], design: Design, seeds: Sequence[int]) -
         )
     if SEED in design.names and len(seeds) > 1:
         raise InputError("is an axis already", key="seeds", value=len(seeds), remedy="leave --seeds or the axis away")
-    known = [knobs(case) for case in cases]
+    known = [parameters(case) for case in cases]
     for k, name in enumerate(design.names):
         if name == SEED:
             continue
         of_cases = [table[name] for table in known if name in table]
         if not of_cases:
             every = {SEED, *(n for table in known for n in table)}
-            raise InputError("no such knob", key="axis", value=name, remedy=_nearest_knob(name, every))
-        for knob in of_cases:
-            knob.check(np.array([design.points[:, k].min(), design.points[:, k].max()]))
+            raise InputError("no such parameter", key="axis", value=name, remedy=_nearest_parameter(name, every))
+        for parameter in of_cases:
+            parameter.check(np.array([design.points[:, k].min(), design.points[:, k].max()]))
     for case in cases:
         check_speeds(case, {name: design.points[:, k] for k, name in enumerate(design.names)})
 
@@ -279,10 +279,10 @@ def _numbers(vehicle: Vehicle) -> str:
     return f"{vehicle.name} {[(name, p.value) for name, p in vehicle.parameters.items()]!r}"
 
 
-def _nearest_knob(name: str, known: set[str]) -> str:
-    told = nearest(name, known)
-    if told.startswith("did you mean"):
-        return told
+def _nearest_parameter(name: str, known: set[str]) -> str:
+    hint = nearest(name, known)
+    if hint.startswith("did you mean"):
+        return hint
     groups = sorted({k.partition(".")[0] + ".…" if "." in k else k for k in known})
     return "known: " + ", ".join(groups)
 
@@ -295,11 +295,11 @@ def _own(values: Mapping[str, Floats], names: Sequence[str], nominal: float) -> 
     return np.full((1, 1), nominal)
 
 
-def _summary(found: Mapping[str, Floats]) -> list[Floats]:
+def _summary(metrics: Mapping[str, Floats]) -> list[Floats]:
     """Columns in the order of `CASE_COLUMNS` from metrics (points, runs)."""
     means, worst = [], []
     for name, spec in _AVERAGED.items():
-        runs = found[name]
+        runs = metrics[name]
         there = np.isfinite(runs) if name in _OFTEN_ABSENT else np.full(runs.shape, True)
         count = there.sum(axis=1)
         total = np.where(there, runs, 0.0).sum(axis=1)
@@ -312,8 +312,8 @@ def _summary(found: Mapping[str, Floats]) -> list[Floats]:
 
 def _fastest(cases: Sequence[Case]) -> list[Case]:
     """For each different vehicle, model and law the case of the largest cruise speed."""
-    kept: list[Case] = []
+    fastest: list[Case] = []
     for case in sorted(cases, key=lambda c: -c.scenario.cruise):
-        if not any((case.vehicle, case.model, case.law) == (k.vehicle, k.model, k.law) for k in kept):
-            kept.append(case)
-    return kept
+        if not any((case.vehicle, case.model, case.law) == (k.vehicle, k.model, k.law) for k in fastest):
+            fastest.append(case)
+    return fastest

@@ -49,8 +49,8 @@ class Counterexample:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
-        told = {"goal": self.goal, "case": self.case, "seed": self.seed, "plant": dict(self.plant)}
-        return {**told, "figure": self.figure, "normalised": self.normalised}
+        data = {"goal": self.goal, "case": self.case, "seed": self.seed, "plant": dict(self.plant)}
+        return {**data, "figure": self.figure, "normalised": self.normalised}
 
 
 @dataclass(frozen=True)
@@ -79,9 +79,9 @@ class MonteCarlo:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
-        found = [c.to_dict() for c in self.counterexamples]
-        told = {"runs": self.runs, "seeds": list(self.seeds), "missed": dict(self.missed)}
-        return {**told, "normalised": dict(self.normalised), "counterexamples": found}
+        counterexamples = [c.to_dict() for c in self.counterexamples]
+        data = {"runs": self.runs, "seeds": list(self.seeds), "missed": dict(self.missed)}
+        return {**data, "normalised": dict(self.normalised), "counterexamples": counterexamples}
 
 
 def fresh(cases: Sequence[Case], *, runs: int, first: int, tuning: int = 0) -> tuple[Condition, ...]:
@@ -96,18 +96,18 @@ def fresh(cases: Sequence[Case], *, runs: int, first: int, tuning: int = 0) -> t
         first: how many seeds this tuning has used so far.
         tuning: seed of the tuning; two tunings share no seed.
     """
-    found = []
+    conditions = []
     for k in range(runs):
         case, seed = cases[k % len(cases)], tuning * APART + first + k
         nominal = k // len(cases) % 2 == 1 and varied(case)
         plant = {} if nominal else draw_plant(case.vehicle, seed=seed)
-        found.append(Condition(case, seed, {f"plant.{name}": value for name, value in plant.items()}))
-    return tuple(found)
+        conditions.append(Condition(case, seed, {f"plant.{name}": value for name, value in plant.items()}))
+    return tuple(conditions)
 
 
 def monte_carlo(
     goals: Sequence[Goal],
-    flown: Sequence[Condition],
+    conditions: Sequence[Condition],
     gains: Mapping[str, float],
     *,
     each: int = 3,
@@ -117,15 +117,15 @@ def monte_carlo(
 
     Args:
         goals: the goals.
-        flown: the runs.
+        conditions: the runs.
         gains: the set, by name.
         each: most counterexamples of one goal in one case.
         threads: of the compiled loop.
     """
-    table = figures(goals, flown, {name: np.array([value]) for name, value in gains.items()}, threads=threads)
-    missed, normalised, found = {}, {}, []
+    table = figures(goals, conditions, {name: np.array([value]) for name, value in gains.items()}, threads=threads)
+    missed, normalised, counterexamples = {}, {}, []
     for goal in goals:
-        own = scope(goal, flown)
+        own = scope(goal, conditions)
         if not own:  # about cases that no seed changes, and their own vehicle: nothing is fresh there
             continue
         figure = table[goal.metric][0, own]
@@ -133,9 +133,11 @@ def monte_carlo(
         whole = float(goal.normalised(figure.mean()) if goal.over == "mean" else apiece.max())
         missed[goal.name], normalised[goal.name] = float((apiece > 1).mean()), whole
         if whole > 1:
-            chosen = _chosen(goal, figure, apiece, [flown[k].case.name for k in own], each)
-            found += [_counterexample(goal, flown[own[k]], figure[k], apiece[k]) for k in chosen]
-    return MonteCarlo(len(flown), (flown[0].seed, flown[-1].seed), missed, normalised, tuple(found))
+            chosen = _chosen(goal, figure, apiece, [conditions[k].case.name for k in own], each)
+            counterexamples += [_counterexample(goal, conditions[own[k]], figure[k], apiece[k]) for k in chosen]
+    return MonteCarlo(
+        len(conditions), (conditions[0].seed, conditions[-1].seed), missed, normalised, tuple(counterexamples)
+    )
 
 
 def _chosen(
@@ -146,14 +148,14 @@ def _chosen(
     bad = np.where(np.isnan(figure), np.inf, figure if goal.sense == "at most" else -figure)
     order = [int(k) for k in np.lexsort((-bad, -normalised))]
     by_case = {case: [k for k in order if cases[k] == case] for case in dict.fromkeys(cases[k] for k in order)}
-    found = []
+    chosen = []
     for own in by_case.values():
         if goal.over == "mean":  # evenly spread over their ranks: the worst alone would make another mean
             count = min(most, len(own))
-            found += [own[(2 * j + 1) * len(own) // (2 * count)] for j in range(count)]
+            chosen += [own[(2 * j + 1) * len(own) // (2 * count)] for j in range(count)]
         else:
-            found += [k for k in own if normalised[k] > 1][:most]
-    return sorted(found, key=order.index)
+            chosen += [k for k in own if normalised[k] > 1][:most]
+    return sorted(chosen, key=order.index)
 
 
 def _counterexample(goal: Goal, run: Condition, figure: float, normalised: float) -> Counterexample:

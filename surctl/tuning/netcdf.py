@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl import __version__
-from surctl.simulation import Case, knobs
+from surctl.simulation import Case, parameters
 from surctl.simulation.store import cannot_write
 from surctl.tuning.axes import SEED, Axis, Span
 from surctl.tuning.design import Design
@@ -69,19 +69,19 @@ def _write(
         case[:] = np.array([c.name for c in evaluation.cases], dtype=object)
         for name, quantity, sources, by_case in columns:
             where = ("case", *dimensions) if by_case else dimensions
-            made = _variable(file, name, where, quantity)
+            variable = _variable(file, name, where, quantity)
             for k, source in enumerate(sources):
                 values = source().reshape(design.shape)
                 if by_case:
-                    made[k] = values
+                    variable[k] = values
                 else:
-                    made[:] = values
+                    variable[:] = values
 
 
 def _variable(file: Any, name: str, dimensions: tuple[str, ...], quantity: Quantity) -> Any:
-    made = file.createVariable(name, "f8", dimensions, fletcher32=True, fill_value=False, chunk_cache=_CACHE)
-    made.units, made.long_name = quantity.unit, quantity.meaning
-    return made
+    variable = file.createVariable(name, "f8", dimensions, fletcher32=True, fill_value=False, chunk_cache=_CACHE)
+    variable.units, variable.long_name = quantity.unit, quantity.meaning
+    return variable
 
 
 def _coordinates(file: Any, design: Design, cases: tuple[Case, ...]) -> tuple[str, ...]:
@@ -106,14 +106,14 @@ def _coordinates(file: Any, design: Design, cases: tuple[Case, ...]) -> tuple[st
 def _quantity(name: str, cases: tuple[Case, ...]) -> Quantity:
     if name == SEED:
         return Quantity("1", "seed of every run")
-    knob = next(table[name] for table in map(knobs, cases) if name in table)
-    return Quantity(knob.unit, knob.meaning)
+    parameter = next(table[name] for table in map(parameters, cases) if name in table)
+    return Quantity(parameter.unit, parameter.meaning)
 
 
 def provenance(evaluation: Evaluation, design: Design, *, request: str) -> dict[str, str]:
     """Global attributes: what the numbers come from. There is no time in it: one request gives one file."""
     gains = evaluation.cases[0].gains
-    told = [
+    cases = [
         {"name": c.name, "law": c.law, "priority_mode": c.mode, "seeds": list(evaluation.seeds_of(c))}
         | ({} if c.model is None else {"model": c.model.name})
         for c in evaluation.cases
@@ -125,7 +125,7 @@ def provenance(evaluation: Evaluation, design: Design, *, request: str) -> dict[
         "design": design.kind,
         "points": design.description if design.kind != "grid" else f"{len(design.points)} on a grid",
         "axes": json.dumps(design.names),
-        "cases": json.dumps(told),
+        "cases": json.dumps(cases),
         "law_sha256": ", ".join(dict.fromkeys(law_digest(c) for c in evaluation.cases)),
         "gains": json.dumps(
             {

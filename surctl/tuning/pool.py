@@ -33,7 +33,7 @@ class Request:
 
     Attributes:
         goals: the goals.
-        flown: the runs that they are taken over.
+        conditions: the runs that they are taken over.
         base: the start: also every gain that is not searched.
         space: the gains searched.
         seed: of the search.
@@ -43,7 +43,7 @@ class Request:
     """
 
     goals: tuple[Goal, ...]
-    flown: tuple[Condition, ...]
+    conditions: tuple[Condition, ...]
     base: Gains
     space: tuple[GainRange, ...]
     seed: int = 0
@@ -54,7 +54,7 @@ class Request:
     @property
     def cases(self) -> tuple[Case, ...]:
         """What is flown, each case once, in order."""
-        return tuple({id(c.case): c.case for c in self.flown}.values())
+        return tuple({id(c.case): c.case for c in self.conditions}.values())
 
     @cached_property
     def digest(self) -> str:
@@ -71,19 +71,19 @@ class Request:
             lines.append(f"case {case.name} {case.scenario!r} {dict(case.vehicle.parameters)!r} {model!r}")
             lines.append(f"law {_kind(case)} {dict(case.gains.values)!r}")
         lines += [f"begun {self.begun}"] * bool(self.begun)
-        lines += [f"run {c.label} {sorted(c.plant.items())!r} {c.goals}" for c in self.flown]
+        lines += [f"run {c.label} {sorted(c.plant.items())!r} {c.goals}" for c in self.conditions]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
-    def fly(self, sets: Sets) -> tuple[Pool, Figures]:
+    def simulate(self, sets: Sets) -> tuple[Pool, Figures]:
         """Fly gain sets: what the goals make of them, and the figure of every run."""
-        table = figures(self.goals, self.flown, sets, threads=self.threads)
+        table = figures(self.goals, self.conditions, sets, threads=self.threads)
         values = {span.name: np.asarray(sets[span.name], dtype=float) for span in self.space}
-        pool = Pool(values, judged(self.goals, self.flown, table), excess(self.claims, self.base.values, sets))
+        pool = Pool(values, judged(self.goals, self.conditions, table), excess(self.claims, self.base.values, sets))
         return pool, table
 
     def judge(self, sets: Sets) -> Pool:
         """Fly gain sets."""
-        return self.fly(sets)[0]
+        return self.simulate(sets)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,13 +145,13 @@ class Pool:
     def front(self, start: NDArray[np.float64]) -> list[int]:
         """Indices of the feasible sets that none beats in both score and thrust, least score first."""
         score, effort = self.score(start), self.evaluation.effort
-        found: list[int] = []
+        indices: list[int] = []
         for k in np.lexsort((effort, score)):
-            if self.feasible[k] and (not found or effort[k] < effort[found[-1]]):
-                found.append(int(k))
-        return found
+            if self.feasible[k] and (not indices or effort[k] < effort[indices[-1]]):
+                indices.append(int(k))
+        return indices
 
-    def taken(self, which: Sequence[int]) -> Pool:
+    def subset(self, which: Sequence[int]) -> Pool:
         """Some of the sets."""
         e, k = self.evaluation, list(which)
         part = Evaluation(e.goals, e.normalised[k], e.figure[k], e.excess[k], e.effort[k])

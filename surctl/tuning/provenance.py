@@ -19,27 +19,27 @@ def tuned_gains(tuning: Tuning) -> Gains:
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune, tuned_gains
         >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
         >>> tuning = tune(request, trials=32, rounds=1, runs=0)
-        >>> found = tuned_gains(tuning)
-        >>> found.name, found["k_v"] > gains["k_v"], found["lookahead"] == gains["lookahead"]
+        >>> tuned = tuned_gains(tuning)
+        >>> tuned.name, tuned["k_v"] > gains["k_v"], tuned["lookahead"] == gains["lookahead"]
         ('default-tuned', True, True)
-        >>> print(found.provenance)
+        >>> print(tuned.provenance)
         chosen by hand: the paper prints no gain; tuned by surctl ...goals: soon: ...; not verified by fresh runs
     """
     request = tuning.request
     bounds = "; ".join(
         f"{g.name}: {g.over} {g.metric} {g.sense} {g.limit:g} {g.unit} ({g.kind})" for g in request.goals
     )
-    asked = request.flown[: tuning.asked]
-    seeds = sorted({c.seed for c in asked})
-    cases = ", ".join(dict.fromkeys(c.case.name for c in asked))
+    requested = request.conditions[: tuning.requested]
+    seeds = sorted({c.seed for c in requested})
+    cases = ", ".join(dict.fromkeys(c.case.name for c in requested))
     text = (
         f"{request.base.provenance}; tuned by surctl {__version__} from gains {request.base.name}, "
         f"request {request.digest[:16]}, search seed {request.seed}, {len(tuning.rounds)} round(s), "
-        f"{len(asked)} runs over {cases} with seeds {seeds[0]} to {seeds[-1]} and "
-        f"{len(request.flown) - tuning.asked} counterexamples; goals: {bounds}; {_outcome(tuning)}"
+        f"{len(requested)} runs over {cases} with seeds {seeds[0]} to {seeds[-1]} and "
+        f"{len(request.conditions) - tuning.requested} counterexamples; goals: {bounds}; {_outcome(tuning)}"
     )
     values = dict(tuning.result.gains)
     return request.base.with_values(values, provenance=text, how="tuned")
@@ -65,7 +65,7 @@ def goal_rows(tuning: Tuning) -> list[dict[str, Any]]:
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, goal_rows, tune
         >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
         >>> tuning = tune(request, trials=32, rounds=1, runs=0)
         >>> [row] = goal_rows(tuning)
@@ -95,7 +95,7 @@ def summary(tuning: Tuning) -> list[str]:
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, summary, tune
         >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
         >>> tuning = tune(request, trials=32, rounds=1, runs=0)
         >>> lines = summary(tuning)
@@ -127,7 +127,7 @@ def tuning_dict(tuning: Tuning) -> dict[str, Any]:
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune, tuning_dict
         >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
         >>> tuning = tune(request, trials=32, rounds=1, runs=0)
         >>> table = tuning_dict(tuning)
@@ -141,7 +141,7 @@ def tuning_dict(tuning: Tuning) -> dict[str, Any]:
         "version": __version__,
         "request": request.digest,
         "seed": request.seed,
-        "kept": tuning.kept,
+        "accepted": tuning.accepted,
         "goals": goal_rows(tuning),
         "space": {s.name: [s.low, s.high] for s in request.space},
         "best": {"gains": dict(best.gains), "score": best.score, "feasible": best.feasible},

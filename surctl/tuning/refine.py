@@ -48,7 +48,7 @@ def refine(
     *,
     weights: Mapping[str, float] = WEIGHTS,
     floor: float = 0.05,
-    ticks: int = 600,
+    steps: int = 600,
     starts: int = 1,
     iterations: int = 20,
     seed: int = 0,
@@ -65,7 +65,7 @@ def refine(
         ranges: gain → (low, high), 0 < low < high; a start outside is put on its bound.
         weights: by name of `SURROGATES`; a missing one counts 0.
         floor: clearance [m] below which a case pays; the soft minimum lies up to about 0.1 m below the least.
-        ticks: length of every run.
+        steps: length of every run.
         starts: number of starts.
         iterations: most quasi-Newton iterations a start; of cost and gradient about three times as many.
         seed: of the further starts, and of drift and waves.
@@ -79,24 +79,24 @@ def refine(
         >>> from surctl.tuning import build_cases, refine
         >>> gains = load_gains("default")
         >>> cases = build_cases([load_scenario("pool-behind")], gains=gains, law="paper")
-        >>> found = refine(cases, gains, {"k_v": (0.8, 4.0)}, ticks=60, iterations=2)
-        >>> round(found.gains["k_v"], 2), round(found.history[0][0], 3), round(found.cost, 3)
+        >>> refined = refine(cases, gains, {"k_v": (0.8, 4.0)}, steps=60, iterations=2)
+        >>> round(refined.gains["k_v"], 2), round(refined.history[0][0], 3), round(refined.cost, 3)
         (0.8, 1.026, 1.02)
     """
     from scipy.optimize import minimize
 
     names = tuple(ranges)
     _check(cases, gains, ranges, weights)
-    flights = [prepare(case, names, ticks=ticks, seed=seed) for case in cases]
+    runs = [prepare(case, names, steps=steps, seed=seed) for case in cases]
     low, high = (np.log([ranges[name][k] for name in names]) for k in (0, 1))
     rng = np.random.default_rng([seed, 3])
     points = [np.clip(np.log([max(gains[name], 1e-12) for name in names]), low, high)]
     points += [rng.uniform(low, high) for _ in range(starts - 1)]
-    cost = _cost_of(flights, weights, floor)
+    cost = _cost_of(runs, weights, floor)
     best, least, history = points[0], cost(points[0])[0], []
     for point in points:
         values = [cost(point)[0]]
-        found = minimize(
+        result = minimize(
             cost,
             point,
             jac=True,
@@ -106,11 +106,11 @@ def refine(
             options={"maxiter": iterations, "maxfun": 3 * iterations},
         )
         history.append(tuple(values))
-        if found.fun < least:
-            best, least = found.x, float(found.fun)
-    told = f"refined by gradients from {gains.name!r}: {', '.join(names)}"
+        if result.fun < least:
+            best, least = result.x, float(result.fun)
+    provenance = f"refined by gradients from {gains.name!r}: {', '.join(names)}"
     chosen = dict(zip(names, np.exp(best).tolist(), strict=True))
-    return Refinement(gains.with_values(chosen, provenance=told), least, tuple(history))
+    return Refinement(gains.with_values(chosen, provenance=provenance), least, tuple(history))
 
 
 def _keep(values: list[float]) -> Callable[..., None]:
@@ -121,26 +121,26 @@ def _keep(values: list[float]) -> Callable[..., None]:
 
 
 def _cost_of(
-    flights: Sequence[DifferentiableRun], weights: Mapping[str, float], floor: float
+    runs: Sequence[DifferentiableRun], weights: Mapping[str, float], floor: float
 ) -> Callable[[Array], tuple[float, Array]]:
     """Log gains (k,) → cost and its gradient."""
 
     def cost(logs: Array) -> tuple[float, Array]:
         values, total, slope = np.exp(logs), 0.0, np.zeros(len(logs))
-        for flight in flights:
-            vehicle = flight.case.vehicle
+        for run in runs:
+            vehicle = run.case.vehicle
             hull = vehicle["radius"]
             scale = {
                 "deviation": 1 / hull**2,
                 "effort": 1 / vehicle["Fu_max"] ** 2,
-                "remaining": 1 / flight.case.scenario.path.length,
+                "remaining": 1 / run.case.scenario.path.length,
             }
             linear = {name: weights.get(name, 0.0) * s for name, s in scale.items()}
-            found = flight.surrogates(values)
-            missing = max(0.0, floor - found["clearance"]) / hull
+            surrogates = run.surrogates(values)
+            missing = max(0.0, floor - surrogates["clearance"]) / hull
             pay = weights.get("clearance", 0.0)
-            total += sum(linear[name] * found[name] for name in linear) + pay * missing**2
-            slope += flight.gradient(values, {**linear, "clearance": -2 * pay * missing / hull})
+            total += sum(linear[name] * surrogates[name] for name in linear) + pay * missing**2
+            slope += run.gradient(values, {**linear, "clearance": -2 * pay * missing / hull})
         if not (np.isfinite(total) and np.isfinite(slope).all()):
             return 1e9, np.zeros(len(logs))  # a line search steps back from it
         return total, slope * values

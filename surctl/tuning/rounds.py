@@ -49,8 +49,8 @@ class Round:
     @property
     def fresh(self) -> tuple[Counterexample, ...]:
         """Fresh runs that refute a goal which the known runs do not."""
-        found = () if self.verified is None else self.verified.counterexamples
-        return tuple(c for c in found if c.goal not in self.missed)
+        counterexamples = () if self.verified is None else self.verified.counterexamples
+        return tuple(c for c in counterexamples if c.goal not in self.missed)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
@@ -107,8 +107,8 @@ class Record:
 def _round_from(table: Mapping[str, Any]) -> Round:
     verified, m = None, table["monte_carlo"]
     if m is not None:
-        found = _counterexamples(m["counterexamples"])
-        verified = MonteCarlo(m["runs"], (m["seeds"][0], m["seeds"][1]), m["missed"], m["normalised"], found)
+        counterexamples = _counterexamples(m["counterexamples"])
+        verified = MonteCarlo(m["runs"], (m["seeds"][0], m["seeds"][1]), m["missed"], m["normalised"], counterexamples)
     return Round(
         table["gains"],
         table["score"],

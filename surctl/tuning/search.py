@@ -18,7 +18,7 @@ from surctl.tuning.descent import descend
 from surctl.tuning.evaluation import row
 from surctl.tuning.journal import Journal, quiet_optuna
 from surctl.tuning.pool import Pool, Progress, Request, joined
-from surctl.tuning.trials import distributions, kept, objectives, remembered
+from surctl.tuning.trials import distributions, objectives, remembered, user_attributes
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -51,7 +51,7 @@ def search(
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, search
         >>> gains = load_gains("default")
-        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="lean"), seeds=[0])
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
         >>> pool = search(request, trials=32)
         >>> pool.gains(0), pool.evaluation.normalised[0].round(2).tolist()  # what it starts from
@@ -68,15 +68,15 @@ def search(
     clock = _Clock(batches, len(pools), progress)
     for k in range(len(pools), batches):
         memory = _study(known)  # anew, so that nothing but the finished trials has a say in what is drawn
-        asked = _ask(memory, request, k, [row(_start(request), 0), *first] if k == 0 else [])
-        sets = {s.name: np.array([t.params[s.name] for t in asked]) for s in request.space}
+        proposed = _propose(memory, request, k, [row(_start(request), 0), *first] if k == 0 else [])
+        sets = {s.name: np.array([t.params[s.name] for t in proposed]) for s in request.space}
         pool = request.judge(sets)
-        finished = _tell(memory, asked, pool, start)
+        finished = _finish(memory, proposed, pool, start)
         # a kill may have left a part of this batch behind: it is the same part
         shelf.append(name, finished[max(0, len(done) - k * BATCH) :])
         known += finished
         pools.append(pool)
-        clock.tell(k + 1, joined(pools), start)
+        clock.report(k + 1, joined(pools), start)
     whole = joined(pools)
     return descend(request, whole, trials=trials, shelf=shelf, progress=progress)
 
@@ -87,13 +87,13 @@ class _Clock:
         if done:
             progress(f"{done * BATCH} trials of the same request are resumed")
 
-    def tell(self, k: int, pool: Pool, start: NDArray[np.float64]) -> None:
+    def report(self, k: int, pool: Pool, start: NDArray[np.float64]) -> None:
         rate = (k - self.done) * BATCH / (time.perf_counter() - self.began)
         left = (self.batches - k) * BATCH / rate
         best = pool.best(start)
         word = "" if pool.feasible[best] else ", no hard goals met yet"
-        told = f"trial {k * BATCH}/{self.batches * BATCH}, best score {pool.score(start)[best]:.4f}{word}"
-        self.progress(f"{told}, {rate:.3g} trials/s, ETA {left:.0f} s")
+        line = f"trial {k * BATCH}/{self.batches * BATCH}, best score {pool.score(start)[best]:.4f}{word}"
+        self.progress(f"{line}, {rate:.3g} trials/s, ETA {left:.0f} s")
 
 
 def _start(request: Request) -> dict[str, NDArray[np.float64]]:
@@ -111,26 +111,26 @@ def _study(trials: Sequence[FrozenTrial]) -> Study:
     return study
 
 
-def _ask(study: Study, request: Request, batch: int, first: Sequence[Mapping[str, float]]) -> list[Trial]:
+def _propose(study: Study, request: Request, batch: int, first: Sequence[Mapping[str, float]]) -> list[Trial]:
     """A whole generation. Every trial's draws have a seed of their own, so that a resumed search draws the same."""
     optuna = quiet_optuna()
     space = distributions(request)
-    for given in first[:BATCH]:
-        study.enqueue_trial({s.name: s.clip(given[s.name]) for s in request.space})
-    asked = []
+    for gains in first[:BATCH]:
+        study.enqueue_trial({s.name: s.clip(gains[s.name]) for s in request.space})
+    proposed = []
     for k in range(batch * BATCH, (batch + 1) * BATCH):
-        drawn = int(np.random.SeedSequence([request.seed, k]).generate_state(1)[0])
-        study.sampler = optuna.samplers.NSGAIISampler(population_size=BATCH, seed=drawn)
-        asked.append(study.ask(space))
-    return asked
+        seed = int(np.random.SeedSequence([request.seed, k]).generate_state(1)[0])
+        study.sampler = optuna.samplers.NSGAIISampler(population_size=BATCH, seed=seed)
+        proposed.append(study.ask(space))
+    return proposed
 
 
-def _tell(study: Study, asked: Sequence[Trial], pool: Pool, start: NDArray[np.float64]) -> list[FrozenTrial]:
-    constraints, reached, told = pool.constraints, objectives(pool, start), []
-    for k, trial in enumerate(asked):
-        for name, value in kept(pool, k).items():
+def _finish(study: Study, proposed: Sequence[Trial], pool: Pool, start: NDArray[np.float64]) -> list[FrozenTrial]:
+    constraints, reached, finished = pool.constraints, objectives(pool, start), []
+    for k, trial in enumerate(proposed):
+        for name, value in user_attributes(pool, k).items():
             trial.set_user_attr(name, value)
         for j, value in enumerate(constraints[k]):
             trial.set_constraint(f"{j}", float(value))
-        told.append(study.tell(trial, reached[k]))
-    return told
+        finished.append(study.tell(trial, reached[k]))
+    return finished

@@ -62,10 +62,10 @@ def sensitivity(table: SweepTable, column: str, *, seed: int = 0) -> Sensitivity
         >>> from surctl.control import load_gains
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import build_cases, parse_axis, saltelli, sensitivity, sweep
-        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
         >>> design = saltelli([parse_axis("scenario.cruise=0.1..0.2"), parse_axis("k_v=1.2..3")], base=64)
-        >>> found = sensitivity(sweep(cases, design, linear=False), "time_s")
-        >>> found.axes, [round(share, 2) for share in found.total]
+        >>> shares = sensitivity(sweep(cases, design, linear=False), "time_s")
+        >>> shares.axes, [round(share, 2) for share in shares.total]
         (('scenario.cruise', 'k_v'), [0.99, 0.0])
     """
     values = table.column(column)
@@ -101,7 +101,7 @@ def _indices(parts: NDArray[np.float64]) -> NDArray[np.float64]:
     """First and total indices (2, axes) from values (2 + axes, base) at A, B and the crossed samples."""
     from scipy.stats import sobol_indices
 
-    found = sobol_indices(
+    result = sobol_indices(
         func={"f_A": parts[:1], "f_B": parts[1:2], "f_AB": parts[2:, None, :]}, n=parts.shape[1]
     )  # a resample without variance has indices of 0 there
-    return np.stack([np.atleast_1d(found.first_order).reshape(-1), np.atleast_1d(found.total_order).reshape(-1)])
+    return np.stack([np.atleast_1d(result.first_order).reshape(-1), np.atleast_1d(result.total_order).reshape(-1)])

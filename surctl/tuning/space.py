@@ -36,8 +36,8 @@ class GainRange:
             raise InputError("no such gain", key="--gain", value=self.name, remedy=nearest(self.name, GAINS))
         key, top = f"--gain {self.name}", GAINS[self.name].below
         if not (np.isfinite([self.low, self.high]).all() and 0 < self.low < self.high):
-            given = f"{self.low:g}..{self.high:g}"
-            raise InputError("is not a range", key=key, value=given, remedy="write LOW..HIGH with 0 < LOW < HIGH")
+            shown = f"{self.low:g}..{self.high:g}"
+            raise InputError("is not a range", key=key, value=shown, remedy="write LOW..HIGH with 0 < LOW < HIGH")
         if self.high > top:
             raise InputError(f"is above its bound of {top:.3g}", key=key, value=self.high, remedy="lower the upper end")
 
@@ -58,13 +58,13 @@ class GainRange:
 
 
 def gain_ranges(
-    base: Gains, given: Mapping[str, tuple[float, float] | None] | Sequence[str] = TUNED
+    base: Gains, ranges: Mapping[str, tuple[float, float] | None] | Sequence[str] = TUNED
 ) -> tuple[GainRange, ...]:
     """The gains to tune, with their ranges.
 
     Args:
         base: where the derived ranges are centred: a quarter to four times its value, within the gain's bounds.
-        given: gain → (low, high), or None for the derived range; or names alone.
+        ranges: gain → (low, high), or None for the derived range; or names alone.
 
     Raises:
         InputError: no gain, an unknown one, a range that is none, or a gain of 0 without a range.
@@ -77,7 +77,7 @@ def gain_ranges(
         k_v 0.375 6.0
         lookahead 0.4 1.2
     """
-    table = given if isinstance(given, Mapping) else dict.fromkeys(given)
+    table = ranges if isinstance(ranges, Mapping) else dict.fromkeys(ranges)
     if not table:
         raise InputError("nothing is tuned", key="--gain", remedy="name at least one gain")
     return tuple(GainRange(name, *(ends or _derived(name, base[name]))) for name, ends in table.items())

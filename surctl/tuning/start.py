@@ -35,22 +35,22 @@ def starting_sets(
     by exact gradients over its cases too (`refine`), where they have any: the closed form with true positions. A
     gradient costs as much as some thousand compiled runs, so it is done when asked for.
     """
-    found = []
+    sets = []
     for case in {c.vehicle.name: c for c in request.cases}.values():
         try:
             regulator = lqr_start(case.model or case.vehicle, cruise=case.scenario.cruise, dt=case.build().dt)
         except InputError as error:
             progress(f"no LQR start for {case.vehicle.name}: {error}")
             continue
-        found.append({s.name: regulator.get(s.name, request.base[s.name]) for s in request.space})
+        sets.append({s.name: regulator.get(s.name, request.base[s.name]) for s in request.space})
     smooth = [c for c in request.cases if c.mode == "nsb" and c.sensing == "truth"]
     if descend and smooth:
         progress(f"descent along exact gradients over {len(smooth)} cases")
         ranges = {s.name: (s.low, s.high) for s in request.space}
-        ticks = _horizon(smooth)
-        refined = refine(smooth, request.base, ranges, ticks=ticks, iterations=_ITERATIONS, seed=request.seed)
-        found.append(dict(refined.gains.values))
-    return [{s.name: s.clip(values[s.name]) for s in request.space} for values in found]
+        steps = _horizon(smooth)
+        refined = refine(smooth, request.base, ranges, steps=steps, iterations=_ITERATIONS, seed=request.seed)
+        sets.append(dict(refined.gains.values))
+    return [{s.name: s.clip(values[s.name]) for s in request.space} for values in sets]
 
 
 def _horizon(cases: Sequence[Case]) -> int:
@@ -91,15 +91,15 @@ def lqr_start(
     """
     import control  # seconds to import: only when asked for
 
-    wanted, thrust = _weights("q", q, 1 / np.square(_DEVIATION)), _weights("r", r, 1 / vehicle.thrust_limit**2)
+    state_weights, thrust = _weights("q", q, 1 / np.square(_DEVIATION)), _weights("r", r, 1 / vehicle.thrust_limit**2)
     plant = linearise(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
     A = np.asarray(plant.A)[:8, :8]
     B = np.vstack([np.zeros((4, 4)), np.diag(1 / vehicle.mass)])
     best: tuple[float, dict[str, float]] = 0.0, {}
     for doubling in range(_MOST):
-        state = wanted * _OUTER**doubling
+        state = state_weights * _OUTER**doubling
         K, _, _ = control.lqr(A, B, np.diag(state), np.diag(thrust * _MILDER**doubling))
-        gains = _fit(vehicle, np.asarray(K), wanted, cruise=cruise, dt=dt)
+        gains = _fit(vehicle, np.asarray(K), state_weights, cruise=cruise, dt=dt)
         table = linear_table(vehicle, {}, base=gains, cruise=cruise, dt=dt, columns=["disk_margin"])
         margin = float(table["disk_margin"][0])
         if margin >= _DISK_FLOOR:
@@ -138,15 +138,15 @@ def _fit(
         gains: Mapping[str, NDArray[np.float64]] = {
             n: np.exp(v)[None] for n, v in zip(CASCADE_GAINS, logs, strict=True)
         }
-        found = build_cascades(flat, gains, cruise=np.array([cruise]), dt=dt, model=flat).K[0]
-        return np.asarray(((found - K) * scale)[reachable], dtype=float)
+        gain_matrix = build_cascades(flat, gains, cruise=np.array([cruise]), dt=dt, model=flat).K[0]
+        return np.asarray(((gain_matrix - K) * scale)[reachable], dtype=float)
 
     fitted = least_squares(missed, np.zeros(len(CASCADE_GAINS)), bounds=(np.log(1e-3), np.log(1e2)))
     return {name: float(np.exp(v)) for name, v in zip(CASCADE_GAINS, fitted.x, strict=True)}
 
 
-def _weights(key: str, given: ArrayLike | None, default: NDArray[np.float64]) -> NDArray[np.float64]:
-    weights = default if given is None else np.asarray(given, dtype=float)
+def _weights(key: str, values: ArrayLike | None, default: NDArray[np.float64]) -> NDArray[np.float64]:
+    weights = default if values is None else np.asarray(values, dtype=float)
     if weights.shape != default.shape or not np.all(np.isfinite(weights) & (weights > 0)):
         raise InputError(f"takes {default.size} numbers greater than 0", key=key, remedy="correct it")
     return weights

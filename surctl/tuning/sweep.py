@@ -19,8 +19,8 @@ from surctl.tuning.design import Design
 from surctl.tuning.executors import Chunk, Evaluator, Executor, LocalExecutor
 from surctl.tuning.measure import (
     CASE_COLUMNS,
-    FLOWN_COLUMNS,
     LINEAR_COLUMNS,
+    RUN_COLUMNS,
     Evaluation,
     Quantity,
     check_request,
@@ -30,10 +30,10 @@ from surctl.tuning.measure import (
 from surctl.tuning.netcdf import Column, provenance, request_of, write_netcdf
 from surctl.tuning.table import SweepTable, judged, load_sweep
 
-__all__ = ["TABLE", "Tell", "run_chunks", "sweep"]
+__all__ = ["TABLE", "Progress", "run_chunks", "sweep"]
 
 Floats = NDArray[np.float64]
-Tell = Callable[[str], None]
+Progress = Callable[[str], None]
 
 TABLE = "sweep.nc"
 _MOST_CHUNKS = 64  # a small sweep is cut in as many, so that little is lost and every worker has something to do
@@ -49,7 +49,7 @@ def sweep(
     linear: bool = True,
     executor: Executor | None = None,
     out: Path | None = None,
-    progress: Tell = lambda _: None,
+    progress: Progress = lambda _: None,
 ) -> SweepTable:
     """Fly every case at every point of a design, and measure the linearised loops there.
 
@@ -70,7 +70,7 @@ def sweep(
         >>> from surctl.control import load_gains
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import build_cases, grid, parse_axis, sweep
-        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
         >>> table = sweep(cases, grid([parse_axis("k_v=1,2"), parse_axis("lookahead=0.4,0.8,1.2")]))
         >>> table.shape, table.column("disk_margin").round(2).tolist()
         ((2, 3), [[0.81, 0.81, 0.81], [0.74, 0.76, 0.76]])
@@ -81,9 +81,9 @@ def sweep(
     check_request(cases, design, seeds)
     job = _Job(Evaluation(cases, design.names, seeds), design, linear)
     if out is not None:
-        return _kept(job, out, executor or LocalExecutor(), progress)
+        return _stored_sweep(job, out, executor or LocalExecutor(), progress)
     with tempfile.TemporaryDirectory(prefix="surctl-sweep-") as folder:
-        table = _kept(job, Path(folder), executor or LocalExecutor(), progress)
+        table = _stored_sweep(job, Path(folder), executor or LocalExecutor(), progress)
         loaded = table.dataset.load()
         table.dataset.close()
         loaded.encoding.pop("source", None)
@@ -150,40 +150,40 @@ class _Job:
         """Number of columns of a chunk."""
         if index < self.linear_count:
             return len(LINEAR_COLUMNS)
-        return len(FLOWN_COLUMNS) + len(self.evaluation.cases) * len(CASE_COLUMNS)
+        return len(RUN_COLUMNS) + len(self.evaluation.cases) * len(CASE_COLUMNS)
 
     def columns(self, store: ChunkStore) -> Iterator[Column]:
         """The table's columns, each read from the chunks when its turn comes."""
-        found: dict[str, Floats] = {}
-        flown = self.chunks[self.linear_count :]
+        inputs: dict[str, Floats] = {}
+        run_parts = self.chunks[self.linear_count :]
 
         def of_runs(k: int) -> Floats:
-            return np.concatenate([store.column(i, (len(p), self.width(i)), k) for i, p in flown])
+            return np.concatenate([store.column(i, (len(p), self.width(i)), k) for i, p in run_parts])
 
         def of_loops(k: int) -> Floats:
             parts = [store.column(i, (len(p), self.width(i)), k) for i, p in self.chunks[: self.linear_count]]
             return np.asarray(np.concatenate(parts)[self.inverse])
 
-        for k, (name, quantity) in enumerate(FLOWN_COLUMNS.items()):
+        for k, (name, quantity) in enumerate(RUN_COLUMNS.items()):
             yield name, quantity, [partial(of_runs, k)], False
         for k, (name, quantity) in enumerate(LINEAR_COLUMNS.items() if self.linear else ()):
             yield name, quantity, [partial(of_loops, k)], False
         for name in ("strayed", "time_ratio", "reached_worst", "min_clearance_m_worst"):
-            found[name] = of_runs(list(FLOWN_COLUMNS).index(name))
+            inputs[name] = of_runs(list(RUN_COLUMNS).index(name))
         for name in ("delay_margin_s", "disk_margin") if self.linear and self.evaluation.has_margins else ():
-            found[name] = of_loops(list(LINEAR_COLUMNS).index(name))
-        verdict = judged(found)
-        told = "mean deviation in hull radii plus worst time ratio"
-        yield "score", Quantity("1", told), [lambda: verdict["score"]], False
+            inputs[name] = of_loops(list(LINEAR_COLUMNS).index(name))
+        verdict = judged(inputs)
+        meaning = "mean deviation in hull radii plus worst time ratio"
+        yield "score", Quantity("1", meaning), [lambda: verdict["score"]], False
         yield "feasible", Quantity("1", "1 where the point may be picked"), [lambda: verdict["feasible"]], False
         count = len(self.evaluation.cases)
         for k, (name, quantity) in enumerate(CASE_COLUMNS.items()):
-            places = [len(FLOWN_COLUMNS) + c * len(CASE_COLUMNS) + k for c in range(count)]
+            places = [len(RUN_COLUMNS) + c * len(CASE_COLUMNS) + k for c in range(count)]
             by_case = Quantity(quantity.unit, f"{quantity.meaning}, by case")
             yield f"case_{name}", by_case, [partial(of_runs, place) for place in places], True
 
 
-def _kept(job: _Job, out: Path, executor: Executor, progress: Tell) -> SweepTable:
+def _stored_sweep(job: _Job, out: Path, executor: Executor, progress: Progress) -> SweepTable:
     target = out / TABLE
     aside = out / f"sweep-{job.request[:12]}.nc"
     for path in (target, aside):
@@ -195,14 +195,14 @@ def _kept(job: _Job, out: Path, executor: Executor, progress: Tell) -> SweepTabl
         todo = [(i, p) for i, p in job.chunks if not store.has(i, (len(p), job.width(i)))]
         pace = _Pace(job, todo, progress)
         run_chunks(job.evaluation, todo, store=store, executor=executor, finished=pace.finished)
-        _make_room(target, progress)
+        _set_aside(target, progress)
         attributes = provenance(job.evaluation, job.design, request=job.request)
         write_netcdf(target, job.design, job.columns(store), evaluation=job.evaluation, attributes=attributes)
     store.remove()
     return load_sweep(target)
 
 
-def _make_room(target: Path, progress: Tell) -> None:
+def _set_aside(target: Path, progress: Progress) -> None:
     """Rename a table of another request."""
     if not target.exists():
         return
@@ -226,8 +226,8 @@ def _cut(points: Floats, size: int, *, first: int) -> list[Chunk]:
 class _Pace:
     """Lines of progress, of the linear figures and of the points: done, how fast, time to go. At most two a second."""
 
-    def __init__(self, job: _Job, todo: Sequence[Chunk], tell: Tell) -> None:
-        self.tell, self.linear_count = tell, job.linear_count
+    def __init__(self, job: _Job, todo: Sequence[Chunk], progress: Progress) -> None:
+        self.progress, self.linear_count = progress, job.linear_count
         self.left = {index: len(points) for index, points in todo}
         self.stages = []
         for name, unit, each, chunks in (
@@ -237,19 +237,19 @@ class _Pace:
             whole = sum(len(points) for _, points in chunks)
             self.stages.append(_Stage(name, unit, each, whole, whole - sum(self.left.get(i, 0) for i, _ in chunks)))
         self.last = time.monotonic()
-        self.tell(f"sweep {self.stages[1].done}/{self.stages[1].whole} points")
+        self.progress(f"sweep {self.stages[1].done}/{self.stages[1].whole} points")
 
     def finished(self, index: int) -> None:
         """Count one more chunk."""
-        linear, flown = self.stages
-        stage = linear if index < self.linear_count else flown
+        linear, simulated = self.stages
+        stage = linear if index < self.linear_count else simulated
         stage.done += self.left.pop(index)
         now = time.monotonic()
         if stage is linear:
-            flown.start = now
+            simulated.start = now
         if not self.left or now - self.last >= 0.5:
             self.last = now
-            self.tell(stage.line(now))
+            self.progress(stage.line(now))
 
 
 @dataclass

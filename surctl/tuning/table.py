@@ -53,11 +53,11 @@ class SweepTable:
     @property
     def axes(self) -> tuple[SweptAxis, ...]:
         """The swept knobs, in the order of the dimensions."""
-        found = []
+        axes = []
         for name in json.loads(self.dataset.attrs["axes"]):
             values = self.dataset[netcdf_name(name)]
-            found.append(SweptAxis(name, values.attrs["units"], values.attrs["long_name"], np.asarray(values.values)))
-        return tuple(found)
+            axes.append(SweptAxis(name, values.attrs["units"], values.attrs["long_name"], np.asarray(values.values)))
+        return tuple(axes)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -168,7 +168,7 @@ def load_sweep(path: Path | str) -> SweepTable:
         >>> from surctl.control import load_gains
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import build_cases, grid, load_sweep, parse_axis, sweep
-        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="lean")
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
         >>> _ = sweep(cases, grid([parse_axis("k_v=1,1.5,2")]), linear=False, out=Path("swept"))
         >>> table = load_sweep("swept/sweep.nc")
         >>> table.axes[0].values.tolist(), table.column("time_s").round(2).tolist(), table.units["time_s"]

@@ -15,7 +15,7 @@ from surctl.tuning.pool import CAP, Pool, Request
 if TYPE_CHECKING:
     from optuna.trial import FrozenTrial
 
-__all__ = ["distributions", "frozen", "kept", "objectives", "remembered"]
+__all__ = ["distributions", "frozen", "objectives", "remembered", "user_attributes"]
 
 
 def objectives(pool: Pool, start: NDArray[np.float64]) -> list[list[float]]:
@@ -26,11 +26,11 @@ def objectives(pool: Pool, start: NDArray[np.float64]) -> list[list[float]]:
     return [[float(s), float(t)] for s, t in zip(pool.score(start), bounded, strict=True)]
 
 
-def kept(pool: Pool, k: int) -> dict[str, Any]:
+def user_attributes(pool: Pool, k: int) -> dict[str, Any]:
     """What `remembered` needs of the k-th set."""
     e = pool.evaluation
-    told = {"normalised": e.normalised[k].tolist(), "figure": e.figure[k].tolist(), "excess": e.excess[k].tolist()}
-    return {**told, "effort": float(e.effort[k]), "claims": pool.claims[k].tolist()}
+    data = {"normalised": e.normalised[k].tolist(), "figure": e.figure[k].tolist(), "excess": e.excess[k].tolist()}
+    return {**data, "effort": float(e.effort[k]), "claims": pool.claims[k].tolist()}
 
 
 def remembered(request: Request, trials: Sequence[FrozenTrial]) -> Pool:
@@ -49,7 +49,9 @@ def frozen(request: Request, pool: Pool, start: NDArray[np.float64]) -> list[Fro
     """Sets as finished trials."""
     optuna, space = quiet_optuna(), distributions(request)
     return [
-        optuna.trial.create_trial(params=pool.gains(k), distributions=space, values=values, user_attrs=kept(pool, k))
+        optuna.trial.create_trial(
+            params=pool.gains(k), distributions=space, values=values, user_attrs=user_attributes(pool, k)
+        )
         for k, values in enumerate(objectives(pool, start))
     ]
 

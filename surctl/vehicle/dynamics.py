@@ -111,10 +111,10 @@ def build_plant() -> Plant:
     nu, psi = state["nu"], state["eta"][3]
 
     limit, lag = parameters["thrust_limit"], parameters["thrust_lag"]
-    wanted = ca.fmin(ca.fmax(command, -limit), limit)
+    saturated = ca.fmin(ca.fmax(command, -limit), limit)
     lagged = lag > 0
-    thrust = ca.if_else(lagged, state["tau"], wanted)
-    thrust_rate = ca.if_else(lagged, (wanted - state["tau"]) / ca.fmax(lag, 1e-3), 0)
+    thrust = ca.if_else(lagged, state["tau"], saturated)
+    thrust_rate = ca.if_else(lagged, (saturated - state["tau"]) / ca.fmax(lag, 1e-3), 0)
 
     to_body = planar_rotation(psi).T
     current = ca.vertcat(to_body @ disturbance["current"][:2], disturbance["current"][2], 0)

@@ -69,8 +69,8 @@ def check_frame(frame: object, *, key: str = "frame") -> Frame:
     return frame
 
 
-def _four(key: str, given: ArrayLike) -> NDArray[np.float64]:
-    values = np.asarray(given, dtype=float)
+def _four(key: str, value: ArrayLike) -> NDArray[np.float64]:
+    values = np.asarray(value, dtype=float)
     if values.shape[-1:] != (4,):
         raise InputError(f"has shape {values.shape}", key=key, remedy="give (4,), or (n, 4)")
     return values

@@ -57,11 +57,11 @@ def sphere(
         >>> round(ball["m11"], 1), [round(end, 1) for end in ball.parameters["m11"].range]
         (16.9, [10.5, 21.2])
     """
-    given = {
+    positive = {
         "diameter": diameter, "dry mass": dry_mass, "thrust": thrust, "yaw thrust": yaw_thrust,
         "drag coefficient": drag_coefficient, "density": density,
     }  # fmt: skip
-    for what, value in given.items():
+    for what, value in positive.items():
         if not 0 < value < float("inf"):
             raise InputError("must be greater than 0 and finite", key=what, value=value, remedy="correct it")
     if not 0 <= thrust_lag < float("inf"):

@@ -31,8 +31,8 @@ _MASS_OF = dict(zip(FITTED[4:12], 2 * FITTED[:4], strict=True))  # of each drag
 _STEP = 0.05  # s; longest step of the integration
 _LEAST_LAG = 0.02  # s; below it the integration would need shorter steps
 _PRIOR = 2.0  # sd of the relative change of a parameter before the log is read
-_TOLD = 0.5  # largest half-interval of a number that the log tells, over its size
-_SETTLED = 1e-6  # relative change of the cost that is none: a cost of 1000 counts in whole numbers
+_NARROW = 0.5  # largest half-interval of a number that the log tells, over its size
+_CONVERGED = 1e-6  # relative change of the cost that is none: a cost of 1000 counts in whole numbers
 _TRIES = 40
 _FIRST_ROWS, _LONGER, _NEAR = 50, 1.5, 1e-3  # of the fits that find where to begin, and when they are good enough
 _ROUNDS = 4  # of fit and noise levels
@@ -49,7 +49,7 @@ class Identified:
         vehicle: the fitted numbers with their intervals as ranges; what the log cannot tell is as in `start`.
         start: the vehicle that the fit began with.
         estimates: name → (estimate, half of its 95 % interval), of all that were fitted.
-        told: the names whose interval is narrow enough to be of use.
+        identified: the names whose interval is narrow enough to be of use.
         noise: column → sd of what the fit leaves over.
         notes: what speaks against the intervals.
     """
@@ -57,7 +57,7 @@ class Identified:
     vehicle: Vehicle
     start: Vehicle
     estimates: Mapping[str, tuple[float, float]]
-    told: tuple[str, ...]
+    identified: tuple[str, ...]
     noise: Mapping[str, float]
     notes: tuple[str, ...]
 
@@ -83,8 +83,8 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
         ...         f += 1e-3 * (force[k - 1] - f) / 0.3
         ...         x, u = x + 1e-3 * u, u + 1e-3 * (f - 2.0 * u - 29.5 * u * abs(u)) / 60.0
         ...     motion[k, [0, 4]] = x, u
-        >>> found = identify(MotionLog(t, motion, thrust, "log.csv"), boat, name="heavier")
-        >>> round(found.estimates["m11"][0], 1), "m11" in found.told, "m22" in found.told
+        >>> result = identify(MotionLog(t, motion, thrust, "log.csv"), boat, name="heavier")
+        >>> round(result.estimates["m11"][0], 1), "m11" in result.identified, "m22" in result.identified
         (60.0, True, False)
     """
     from scipy.optimize import least_squares  # slow to import
@@ -92,14 +92,14 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
     problem = _Problem(log, start)
     present = np.isfinite(log.motion)
     noise = np.array([_roughness(log.motion[p, k]) for k, p in enumerate(present.T)])
-    theta, settled = _begun(log, start, noise), False
+    theta, converged = _begun(log, start, noise), False
     for _ in range(_ROUNDS):
         theta = _flyable(problem, theta, noise)
-        found = least_squares(
-            problem.residuals, theta, problem.jacobian, problem.bounds, ftol=_SETTLED, max_nfev=_TRIES, args=(noise,)
+        fit = least_squares(
+            problem.residuals, theta, problem.jacobian, problem.bounds, ftol=_CONVERGED, max_nfev=_TRIES, args=(noise,)
         )
-        settled = found.status > 0
-        theta, before = found.x, noise
+        converged = fit.status > 0
+        theta, before = fit.x, noise
         left = problem.misfit(theta)
         freedom = 1.0 - len(theta) / max(int(present.sum()), len(theta) + 1)
         left_over = [np.mean(left[p, k] ** 2) if p.any() else 1.0 for k, p in enumerate(present.T)]
@@ -112,14 +112,14 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
         for k, key in enumerate(problem.names)
     }
     moved = _moved(problem.velocities(theta), noise, np.atleast_1d(present.any(axis=0)))
-    told = _told(estimates, dict(zip(problem.names, problem.scale, strict=True)), moved)
+    identified = _identified(estimates, dict(zip(problem.names, problem.scale, strict=True)), moved)
     return Identified(
-        _vehicle(start, estimates, told, log, name),
+        _vehicle(start, estimates, identified, log, name),
         start,
         estimates,
-        told,
+        identified,
         {c: float(noise[k]) for k, c in enumerate(LOG_MOTION) if present[:, k].any()},
-        (() if settled else ("the fit has not settled: estimates and intervals are rough",)) + _notes(left, present),
+        (() if converged else ("the fit has not settled: estimates and intervals are rough",)) + _notes(left, present),
     )
 
 
@@ -171,12 +171,12 @@ def _moved(velocities: NDArray[np.float64], noise: NDArray[np.float64], measured
     On an axis that stood still the fit makes of the noise a motion of its own, which its mass then seems to explain.
     """
     x, y, z, psi, *rates = noise  # where no velocity was measured: the noise of what it gives in a second
-    seen = measured[4:]
-    level = np.where(seen, rates, [max(x, y), max(x, y), z, psi])
+    has_rate = measured[4:]
+    level = np.where(has_rate, rates, [max(x, y), max(x, y), z, psi])
     return frozenset(np.array(FITTED[:4])[np.sqrt(np.mean(velocities**2, axis=1)) > level].tolist())
 
 
-def _told(
+def _identified(
     estimates: Mapping[str, tuple[float, float]], scale: Mapping[str, float], moved: frozenset[str]
 ) -> tuple[str, ...]:
     """The names whose interval is narrow: masses and lag against the estimate, drag, which may be 0, or the start.
@@ -187,7 +187,7 @@ def _told(
 
     def narrow(key: str) -> bool:
         value, half = estimates[key]
-        return half <= _TOLD * (max(abs(value), scale[key]) if key in _MASS_OF else value)
+        return half <= _NARROW * (max(abs(value), scale[key]) if key in _MASS_OF else value)
 
     def shown(mass: str) -> bool:
         return narrow(mass) and mass not in held
@@ -201,25 +201,25 @@ def _spread(slope: NDArray[np.float64]) -> NDArray[np.float64]:
     size[size == 0] = 1.0  # the begin of what was not measured and acts on nothing
     _, s, vh = np.linalg.svd(slope / size, full_matrices=False)
     s = np.maximum(s, len(slope) * np.finfo(float).eps * s[0])
-    found: NDArray[np.float64] = np.linalg.norm(vh.T / s, axis=1) / size
-    return found
+    sd: NDArray[np.float64] = np.linalg.norm(vh.T / s, axis=1) / size
+    return sd
 
 
 def _vehicle(
-    start: Vehicle, estimates: Mapping[str, tuple[float, float]], told: tuple[str, ...], log: MotionLog, name: str
+    start: Vehicle, estimates: Mapping[str, tuple[float, float]], identified: tuple[str, ...], log: MotionLog, name: str
 ) -> Vehicle:
     span = f"{len(log.time)} rows, {log.time[-1] - log.time[0]:.4g} s"
     known = dict(start.parameters)
     for key in FITTED:
-        if key in told:
+        if key in identified:
             value, half = estimates[key]
             said = f"identified from {log.source}, {span}; range: 95 % interval"
             bounds = max(value - half, 0.0), max(value + half, 0.0)
             known[key] = Parameter(max(value, 0.0), PARAMETERS[key].unit, bounds, said)
         elif key in estimates:
-            kept = known[key]
-            said = f"{kept.provenance} ({log.source} cannot tell it)"
-            known[key] = Parameter(kept.value, kept.unit, kept.range, said)
+            prior = known[key]
+            said = f"{prior.provenance} ({log.source} cannot tell it)"
+            known[key] = Parameter(prior.value, prior.unit, prior.range, said)
     return Vehicle(name, f"{start.name} fitted to a log", known)
 
 

@@ -41,8 +41,8 @@ def plant_system(vehicle: Vehicle, *, current: ArrayLike = (0.0, 0.0, 0.0), unit
         >>> from surctl.vehicle import load_vehicle, plant_system
         >>> system, t = plant_system(load_vehicle("sur400")), np.linspace(0, 60, 301)
         >>> ahead = np.outer([5.0, 0.0, 0.0, 0.0], np.ones(301))  # N
-        >>> answer = control.input_output_response(system, t, ahead)
-        >>> round(float(answer.states[4, -1]), 2)  # m/s after a minute
+        >>> response = control.input_output_response(system, t, ahead)
+        >>> round(float(response.states[4, -1]), 2)  # m/s after a minute
         0.38
     """
     import control  # seconds to import: only when asked for

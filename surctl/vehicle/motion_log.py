@@ -97,19 +97,19 @@ def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLo
     return MotionLog(time, motion, thrust, table.name)
 
 
-def _frame(table: Recorded, given: Frame | str | None) -> Frame:
-    wanted = None if given is None else check_frame(given)
+def _frame(table: Recorded, frame: Frame | str | None) -> Frame:
+    requested = None if frame is None else check_frame(frame)
     said = next((m[1] for line in table.about if (m := re.search(r"\bframe=(\w+)", line))), None)
     said = said or next((key for key, text in FRAME_TEXT.items() if text in table.about), None)
     if said is None:
-        return wanted or "enu"
-    told = check_frame(said, key=f"frame of {table.name}")
-    if wanted not in (None, told):
+        return requested or "enu"
+    recorded = check_frame(said, key=f"frame of {table.name}")
+    if requested not in (None, recorded):
         raise InputError(
-            f"is not what the file says ({told})",
+            f"is not what the file says ({recorded})",
             file=table.name,
             key="frame",
-            value=given,
+            value=frame,
             remedy="leave --frame away",
         )
-    return told
+    return recorded

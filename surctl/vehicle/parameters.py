@@ -157,11 +157,11 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
             "is not a vehicle file", file=source, key="kind", value=table.get("kind"), remedy='write kind = "vehicle"'
         )
     model = validate(table, _VehicleFile, file=source)
-    found: dict[str, Parameter] = {}
+    parameters: dict[str, Parameter] = {}
     for section in ("hull", "inertia", "drag", "thrust"):
-        found |= _read_section(section, getattr(model, section), source)
+        parameters |= _read_section(section, getattr(model, section), source)
     for name, spec in PARAMETERS.items():
-        if name in found:
+        if name in parameters:
             continue
         if spec.default is None:
             raise InputError(
@@ -170,8 +170,8 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
                 key=f"{spec.table}.{name}",
                 remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
             )
-        found[name] = Parameter(spec.default, spec.unit, None, "default of this toolkit")
-    return Vehicle(model.name, model.note, {name: found[name] for name in PARAMETERS}, source)
+        parameters[name] = Parameter(spec.default, spec.unit, None, "default of this toolkit")
+    return Vehicle(model.name, model.note, {name: parameters[name] for name in PARAMETERS}, source)
 
 
 def _read_section(section: str, table: Mapping[str, Quantity | str], source: str) -> dict[str, Parameter]:
@@ -181,7 +181,7 @@ def _read_section(section: str, table: Mapping[str, Quantity | str], source: str
         raise InputError(
             "must be a text", file=source, key=f"{section}.provenance", remedy="say where the numbers come from"
         )
-    found = {}
+    parameters = {}
     for name, entry in table.items():
         if name == "provenance":
             continue
@@ -197,8 +197,8 @@ def _read_section(section: str, table: Mapping[str, Quantity | str], source: str
                 key=key,
                 remedy=f'add provenance = "..." to [{section}]: who measured or derived it',
             )
-        found[name] = _checked(name, Parameter(entry.value, entry.unit, entry.range, provenance), file=source)
-    return found
+        parameters[name] = _checked(name, Parameter(entry.value, entry.unit, entry.range, provenance), file=source)
+    return parameters
 
 
 def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:

@@ -5,20 +5,20 @@ from surctl.verification.cascade import CASCADE_GAINS, Cascade, build_cascade
 from surctl.verification.claim import Claim, Motion, Variable, VerdictWord
 from surctl.verification.claim_file import load_claim, write_claim
 from surctl.verification.counterexample import Counterexample, Replay, evaluate, replay
+from surctl.verification.decide import decide
 from surctl.verification.falsifier import falsify
 from surctl.verification.library import applicable_claims, claims
-from surctl.verification.linear_table import LINEAR_KNOBS, LINEAR_METRICS, linear_table
+from surctl.verification.linear_table import LINEAR_METRICS, LINEAR_PARAMETERS, linear_table
 from surctl.verification.locus import Locus, sweep_locus
 from surctl.verification.margins import LoopMargins, closed_loop_poles, loop_margins, margins_of, worst_margins
 from surctl.verification.proving import Proof, prove
 from surctl.verification.setting import Setting, setting_from
-from surctl.verification.settle import settle
 from surctl.verification.verdict import Inapplicable, Verdict
 
 __all__ = [
     "CASCADE_GAINS",
-    "LINEAR_KNOBS",
     "LINEAR_METRICS",
+    "LINEAR_PARAMETERS",
     "Cascade",
     "Claim",
     "Counterexample",
@@ -36,6 +36,7 @@ __all__ = [
     "build_cascade",
     "claims",
     "closed_loop_poles",
+    "decide",
     "evaluate",
     "falsify",
     "linear_table",
@@ -45,7 +46,6 @@ __all__ = [
     "prove",
     "replay",
     "setting_from",
-    "settle",
     "settling_intrusion",
     "sweep_locus",
     "worst_margins",

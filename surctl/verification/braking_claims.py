@@ -68,8 +68,8 @@ def braking_keeps(vehicle: Vehicle, fastest: float) -> Claim:
     x = Variable("X", ca.SX.sym("X"), "N s/m", *b.linear, "linear drag")
     x2 = Variable("X2", ca.SX.sym("X2"), "N s^2/m^2", *b.quadratic, "quadratic drag")
     more = Variable("more", ca.SX.sym("more"), "N", 0.0, max(b.most - b.least, 0.0), "brake beyond F_b")
-    pushes = Variable("lags", ca.SX.sym("lags"), "N", 0.0, b.most + b.least, "F + F_b, what the lag has yet to turn")
-    z = s.symbol + b.lag * pushes.symbol / m.symbol
+    lags = Variable("lags", ca.SX.sym("lags"), "N", 0.0, b.most + b.least, "F + F_b, what the lag has yet to turn")
+    z = s.symbol + b.lag * lags.symbol / m.symbol
     drag = x.symbol * g.symbol + x2.symbol * g.symbol * g.symbol
     return Claim(
         name="braking-keeps",
@@ -79,7 +79,7 @@ def braking_keeps(vehicle: Vehicle, fastest: float) -> Claim:
         errata=(),
         expected="proved",
         paper=False,
-        variables=(m, x, x2, more, pushes, s, g),
+        variables=(m, x, x2, more, lags, s, g),
         left=s.symbol * box.left(g.symbol + s.symbol),
         right=z * (b.least + more.symbol - drag),
         unit="N m/s",
@@ -116,7 +116,7 @@ def braking_mass(vehicle: Vehicle, fastest: float) -> Claim:
     below = Variable("below", ca.SX.sym("below"), "kg", 0.0, heaviest - lightest, "the heavier one less the mass")
     a, b, m = above.symbol, below.symbol, lightest + above.symbol
 
-    def way(mass: ca.SX) -> ca.SX:
+    def distance(mass: ca.SX) -> ca.SX:
         return mass * (s.symbol + q.symbol / mass) ** 2
 
     return Claim(
@@ -127,7 +127,7 @@ def braking_mass(vehicle: Vehicle, fastest: float) -> Claim:
         expected="proved",
         paper=False,
         variables=(s, q, above, below),
-        left=way(m) * (a + b),
-        right=b * way(ca.SX(lightest)) + a * way(m + b),
+        left=distance(m) * (a + b),
+        right=b * distance(ca.SX(lightest)) + a * distance(m + b),
         unit="kg^2 m^2/s^2",
     )

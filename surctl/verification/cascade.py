@@ -62,8 +62,8 @@ class Cascade:
     @property
     def poles(self) -> NDArray[np.complex128]:
         """Closed-loop poles (…, n) [rad/s], the slowest first."""
-        found = np.linalg.eigvals(self.closed).astype(complex)
-        return np.take_along_axis(found, np.argsort(-found.real, axis=-1, kind="stable"), axis=-1)
+        eigenvalues = np.linalg.eigvals(self.closed).astype(complex)
+        return np.take_along_axis(eigenvalues, np.argsort(-eigenvalues.real, axis=-1, kind="stable"), axis=-1)
 
     @property
     def stable(self) -> bool:
@@ -171,15 +171,15 @@ def build_cascades(
     A, B = A[:, :keep, :keep], B[:, :keep]
     if delay != 0:
         A, B, C = _delayed(A, B, C, 1.5 * dt if delay is None else delay)
-    drawn = {name: _columns(model, PLANT_PARAMETERS, name) for name in ("mass", "linear_drag", "quadratic_drag")}
-    proportional = Cascade(A, B, C, _controller(drawn, k, nu))
-    return _with_integral(proportional, drawn["mass"], k, k_i) if k_i[0] > 0 else proportional
+    model_values = {name: _columns(model, PLANT_PARAMETERS, name) for name in ("mass", "linear_drag", "quadratic_drag")}
+    proportional = Cascade(A, B, C, _controller(model_values, k, nu))
+    return _with_integral(proportional, model_values["mass"], k, k_i) if k_i[0] > 0 else proportional
 
 
 def check_positive(values: Mapping[str, NDArray[np.float64]]) -> None:
     """InputError that names the first value which is not finite and > 0."""
-    for name, given in values.items():
-        wrong = given[~(np.isfinite(given) & (given > 0))]
+    for name, entries in values.items():
+        wrong = entries[~(np.isfinite(entries) & (entries > 0))]
         if wrong.size:
             raise InputError("must be greater than 0", key=name, value=float(wrong[0]), remedy="correct it")
 

@@ -160,8 +160,8 @@ class Claim:
             replace(v, lower=domain[v.name][0], upper=domain[v.name][1]) if v.name in domain else v
             for v in self.variables
         )
-        kept = tuple(w for w in self.witnesses if all(v.lower <= w[v.name] <= v.upper for v in variables))
-        return replace(self, variables=variables, witnesses=kept)
+        witnesses = tuple(w for w in self.witnesses if all(v.lower <= w[v.name] <= v.upper for v in variables))
+        return replace(self, variables=variables, witnesses=witnesses)
 
     def _loose_symbols(self) -> list[str]:
         everything = [self.left, self.right, self.constraints]

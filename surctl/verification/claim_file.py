@@ -91,7 +91,7 @@ def load_claim(path: Path) -> Claim:
 
     Example:
         >>> from pathlib import Path
-        >>> from surctl.verification import load_claim, settle
+        >>> from surctl.verification import load_claim, decide
         >>> _ = Path("drag.toml").write_text('''
         ... kind = "claim"
         ... name = "drag"
@@ -101,7 +101,7 @@ def load_claim(path: Path) -> Claim:
         ... u = { lower = -0.3, upper = 0.3, unit = "m/s" }
         ... ''')
         >>> claim = load_claim(Path("drag.toml"))
-        >>> claim.statement, settle(claim).verdict
+        >>> claim.statement, decide(claim).verdict
         ('-(2*abs(u) + 8)*u^2 <= 0', 'proved')
     """
     table = load_model(path, _ClaimTable)
@@ -123,10 +123,10 @@ def load_claim(path: Path) -> Claim:
         return first - second if sign[0] == "<=" else second - first
 
     rows = [row(text, f"constraints.{k}") for k, text in enumerate(table.constraints)]
-    told = table.statement or f"{table.left} <= {table.right}"
+    statement = table.statement or f"{table.left} <= {table.right}"
     try:
         claim = Claim(
-            table.name, told, table.equation, table.errata, table.expected,
+            table.name, statement, table.equation, table.errata, table.expected,
             tuple(_variable(name, symbols[name], entry) for name, entry in table.variables.items()),
             read(table.left, "left"), read(table.right, "right"), table.unit,
             ca.vertcat(ca.SX(0, 1), *rows), tuple(table.witnesses), _motion(table, read), table.tolerance,

@@ -130,11 +130,11 @@ def replay(claim: Claim, counterexample: Counterexample, *, points: int = 101) -
     if claim.motion is None:
         nothing = np.zeros(0)
         return Replay(margin, inside, "", "", nothing, nothing, nothing)
-    time, watched, excess = _fly(claim, claim.motion, claim.point(counterexample.values), points)
+    time, watched, excess = _replay(claim, claim.motion, claim.point(counterexample.values), points)
     return Replay(margin, inside, claim.motion.name, claim.motion.unit, time, watched, excess)
 
 
-def _fly(
+def _replay(
     claim: Claim, motion: Motion, start: NDArray[np.float64], points: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Time, watched quantity and ∫ margin dt, until the violation ends; variables without a rate are held."""

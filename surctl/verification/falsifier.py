@@ -68,8 +68,8 @@ def search(claim: Claim, *, samples: int, starts: int, seed: int) -> Search:
     margin, size, inside = oracle.evaluate(oracle.place(unit))
     _require_finite(oracle, unit, margin, inside)
     begin = _choose_starts(oracle, unit, margin, inside, starts)
-    found = _climb(oracle, begin)
-    points = np.hstack([oracle.place(unit[:, inside]), found])
+    maxima = _climb(oracle, begin)
+    points = np.hstack([oracle.place(unit[:, inside]), maxima])
     if points.shape[1] == 0:
         raise InputError("its domain is empty, as far as the samples see", key=f"claim {claim.name}", remedy="widen it")
     scale = max(np.max(size[inside], initial=0), np.max(oracle.evaluate(points)[1]))
@@ -99,8 +99,8 @@ def _sobol(dimension: int, samples: int, seed: int) -> NDArray[np.float64]:
     """(dimension, 2^k ≥ samples) points of the unit box."""
     from scipy.stats import qmc
 
-    drawn = qmc.Sobol(dimension, seed=seed).random_base2(int(np.ceil(np.log2(samples))))
-    return np.ascontiguousarray(np.asarray(drawn, dtype=float).T)
+    sample = qmc.Sobol(dimension, seed=seed).random_base2(int(np.ceil(np.log2(samples))))
+    return np.ascontiguousarray(np.asarray(sample, dtype=float).T)
 
 
 def _require_finite(

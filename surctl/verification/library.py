@@ -66,10 +66,10 @@ def claims(
         >>> print(claim.statement, claim.equation, claim.errata, claim.expected)
         V̇1 ≤ −λ_min(M)‖e‖² ≤ 0 where U_h ≥ 0 (12) ('E8', 'E9') proved
     """
-    found, refused = applicable_claims(gains, names, vehicle=vehicle)
+    applicable, refused = applicable_claims(gains, names, vehicle=vehicle)
     for reason in refused.values():
         raise reason
-    return found
+    return applicable
 
 
 def applicable_claims(
@@ -87,17 +87,17 @@ def applicable_claims(
     """
     setting = setting_from(gains)
     known = [*_BUILDERS, *_BRAKING]
-    found: list[Claim] = []
+    applicable: list[Claim] = []
     refused: dict[str, NotApplicable] = {}
     for name in known if names is None else names:
         if name not in known:
             raise InputError("unknown claim", key="claim", value=name, remedy=nearest(name, known))
         try:
-            found.append(
+            applicable.append(
                 _BUILDERS[name](setting)
                 if name in _BUILDERS
                 else _BRAKING[name](vehicle or load_vehicle(VEHICLE), setting.fastest)
             )
         except NotApplicable as reason:
             refused[name] = NotApplicable(reason.because, to=reason.to, key=name)
-    return tuple(found), refused
+    return tuple(applicable), refused

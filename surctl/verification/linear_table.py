@@ -22,7 +22,7 @@ from surctl.verification.cascade import CASCADE_GAINS, Cascade, build_cascades, 
 from surctl.verification.loops import LOOP_NAMES, broken_loops, crossings_of, shape_of
 from surctl.verification.steps import STEP_NAMES, step_figures
 
-__all__ = ["LINEAR_KNOBS", "LINEAR_METRICS", "Points", "cascades_by_order", "linear_table", "read_points"]
+__all__ = ["LINEAR_METRICS", "LINEAR_PARAMETERS", "Points", "cascades_by_order", "linear_table", "read_points"]
 
 _CHUNK = 64  # points at a time: their frequency responses fit in the cache
 
@@ -38,7 +38,7 @@ _PLACES = {  # vehicle parameter → its place in the plant's flat vector
     for k, name in enumerate(names)
 }
 
-LINEAR_KNOBS: tuple[str, ...] = (
+LINEAR_PARAMETERS: tuple[str, ...] = (
     *CASCADE_GAINS,
     "k_i",
     "scenario.cruise",
@@ -99,7 +99,7 @@ def linear_table(
 
     Args:
         vehicle: the plant.
-        values: knob → (n,) or scalar; `LINEAR_KNOBS` count, other names are passed over. `vehicle.*` changes plant
+        values: knob → (n,) or scalar; `LINEAR_PARAMETERS` count, other names are passed over. `vehicle.*` changes plant
             and model, `plant.*` (which goes before it) the plant alone.
         base: gains that `values` does not name.
         cruise: U [m/s], (n,) or scalar, unless `scenario.cruise` is among the values.
@@ -129,9 +129,9 @@ def linear_table(
     chunks = [group[at : at + _CHUNK] for group in cascades_by_order(points) for at in range(0, len(group), _CHUNK)]
 
     def fill(chunk: NDArray[np.intp]) -> None:
-        found = _figures(points.cascade(chunk), dt=dt, columns=columns)
+        figures = _figures(points.cascade(chunk), dt=dt, columns=columns)
         for name in columns:
-            table[name][chunk] = found[name]
+            table[name][chunk] = figures[name]
 
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(fill, chunks))
@@ -154,7 +154,7 @@ class Points:
         return len(self.cruise)
 
     @property
-    def flyable(self) -> NDArray[np.bool_]:
+    def feasible(self) -> NDArray[np.bool_]:
         """(n,): whether the trim thrust at cruise lies strictly inside the thrust limits."""
         nu = np.zeros((self.count, 4))
         nu[:, 0] = self.cruise
@@ -183,7 +183,7 @@ def read_points(
     model: Vehicle | None,
 ) -> Points:
     """The points that the arguments of `linear_table` describe."""
-    known = {name: np.asarray(values[name], dtype=float) for name in LINEAR_KNOBS if name in values}
+    known = {name: np.asarray(values[name], dtype=float) for name in LINEAR_PARAMETERS if name in values}
     speed = known.pop("scenario.cruise", np.asarray(cruise, dtype=float))
     try:
         (count,) = np.broadcast_shapes((1,), speed.shape, *(v.shape for v in known.values()))
@@ -191,8 +191,8 @@ def read_points(
         shapes = {name: v.shape for name, v in known.items()} | {"cruise": speed.shape}
         raise InputError(f"have shapes {shapes}", key="values", remedy="give (n,) each, or one number") from None
 
-    def column(given: ArrayLike) -> NDArray[np.float64]:
-        return np.broadcast_to(np.asarray(given, dtype=float), (count,)).copy()
+    def column(value: ArrayLike) -> NDArray[np.float64]:
+        return np.broadcast_to(np.asarray(value, dtype=float), (count,)).copy()
 
     gains = {n: column(known[n] if n in known else base[n]) for n in (*CASCADE_GAINS, "k_i") if n in known or n in base}
     flat = [np.tile(plant_parameters(v), (count, 1)) for v in (vehicle, model or vehicle)]
@@ -212,10 +212,10 @@ def cascades_by_order(points: Points) -> Iterator[NDArray[np.intp]]:
     """Indices of the points that can be flown, in groups whose cascades have the same states."""
     lag = points.plant[:, _PLACES["thrust_lag"]] > 0
     integral = points.gains.get("k_i", np.zeros(points.count)) > 0
-    flyable = points.flyable
+    feasible = points.feasible
     for lagged in (False, True):
         for integrated in (False, True):
-            group = np.flatnonzero(flyable & (lag == lagged) & (integral == integrated))
+            group = np.flatnonzero(feasible & (lag == lagged) & (integral == integrated))
             if group.size:
                 yield group
 
@@ -235,22 +235,22 @@ def _figures(cascade: Cascade, *, dt: float, columns: Collection[str]) -> dict[s
     poles = cascade.poles
     size = np.abs(poles)
     damping = np.where(poles.imag != 0, -poles.real / np.where(size > 0, size, 1), 1.0)
-    found = {"slowest_pole_per_s": poles[:, 0].real, "least_damping": damping.min(axis=1)}
+    figures = {"slowest_pole_per_s": poles[:, 0].real, "least_damping": damping.min(axis=1)}
     stable = poles[:, 0].real < -1e-9
-    asked = {name.partition(".")[0] for name in columns}
+    requested = {name.partition(".")[0] for name in columns}
     nothing = {"gain_margin": 1.0, "phase_margin_deg": 0.0, "delay_margin_s": 0.0, "disk_margin": 0.0}
-    if asked & nothing.keys():
+    if requested & nothing.keys():
         for name, loop in zip(LOOP_NAMES, broken_loops(cascade), strict=True):
             margins = crossings_of(loop, highest=np.pi / dt)
-            found |= {f"{m}.{name}": np.where(stable, getattr(margins, m), left) for m, left in nothing.items()}
-        found |= {m: np.min([found[f"{m}.{name}"] for name in LOOP_NAMES], axis=0) for m in nothing}
+            figures |= {f"{m}.{name}": np.where(stable, getattr(margins, m), left) for m, left in nothing.items()}
+        figures |= {m: np.min([figures[f"{m}.{name}"] for name in LOOP_NAMES], axis=0) for m in nothing}
     nowhere = {"sensitivity_peak": np.inf, "rejection_rad_per_s": 0.0, "crossover_rad_per_s": np.nan}
-    if asked & nowhere.keys():
+    if requested & nowhere.keys():
         for name, loop in zip(LOOP_NAMES, broken_loops(cascade), strict=True):
             shape = shape_of(loop, highest=np.pi / dt)
-            found |= {f"{m}.{name}": np.where(stable, getattr(shape, m), left) for m, left in nowhere.items()}
-        found["sensitivity_peak"] = np.max([found[f"sensitivity_peak.{name}"] for name in LOOP_NAMES], axis=0)
-    if asked & {"settling_time_s", "overshoot"}:
+            figures |= {f"{m}.{name}": np.where(stable, getattr(shape, m), left) for m, left in nowhere.items()}
+        figures["sensitivity_peak"] = np.max([figures[f"sensitivity_peak.{name}"] for name in LOOP_NAMES], axis=0)
+    if requested & {"settling_time_s", "overshoot"}:
         for name, (settling, overshoot) in step_figures(cascade, stable).items():
-            found |= {f"settling_time_s.{name}": settling, f"overshoot.{name}": overshoot}
-    return found
+            figures |= {f"settling_time_s.{name}": settling, f"overshoot.{name}": overshoot}
+    return figures

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.vehicle import Vehicle
-from surctl.verification.linear_table import LINEAR_KNOBS, cascades_by_order, read_points
+from surctl.verification.linear_table import LINEAR_PARAMETERS, cascades_by_order, read_points
 
 __all__ = ["Locus", "sweep_locus"]
 
@@ -24,12 +24,12 @@ class Locus:
     """Poles over the values of a knob.
 
     Attributes:
-        knob: its name.
+        parameter: its name.
         values: (n,) ascending or descending, in the knob's unit.
         poles: (n, k) complex [rad/s]; a column is one pole, followed from value to value.
     """
 
-    knob: str
+    parameter: str
     values: NDArray[np.float64]
     poles: NDArray[np.complex128]
 
@@ -43,7 +43,7 @@ class Locus:
 def sweep_locus(
     vehicle: Vehicle,
     gains: Mapping[str, float],
-    knob: str,
+    parameter: str,
     values: ArrayLike,
     *,
     cruise: float,
@@ -59,7 +59,7 @@ def sweep_locus(
     Args:
         vehicle: the plant.
         gains: all gains, as `loop_margins`.
-        knob: one of `LINEAR_KNOBS`.
+        parameter: one of `LINEAR_PARAMETERS`.
         values: (n,), n ≥ 2, in order.
         cruise: U [m/s], unless it is the knob.
         dt: control period [s].
@@ -81,20 +81,20 @@ def sweep_locus(
         >>> locus.poles.shape, locus.poles.real.max(axis=1).round(2).tolist()
         ((5, 24), [-0.22, -0.22, -0.22, -0.22, 0.12])
     """
-    if knob not in LINEAR_KNOBS:
-        raise InputError("moves no pole", key="locus", value=knob, remedy=nearest(knob, LINEAR_KNOBS))
+    if parameter not in LINEAR_PARAMETERS:
+        raise InputError("moves no pole", key="locus", value=parameter, remedy=nearest(parameter, LINEAR_PARAMETERS))
     swept = np.atleast_1d(np.asarray(values, dtype=float))
     if swept.ndim != 1 or len(swept) < 2 or not (np.all(np.diff(swept) > 0) or np.all(np.diff(swept) < 0)):
-        raise InputError("needs at least two values in order", key=knob, remedy="write a range, in order")
+        raise InputError("needs at least two values in order", key=parameter, remedy="write a range, in order")
 
     def followed(values: NDArray[np.float64]) -> NDArray[np.complex128]:
-        points = read_points(vehicle, {**about, knob: values}, base=gains, cruise=cruise, dt=dt, model=model)
-        if not points.flyable.all():
-            at = float(values[np.argmin(points.flyable)])
-            raise InputError("needs more thrust than the vehicle has", key=knob, value=at, remedy="cruise slower")
+        points = read_points(vehicle, {**about, parameter: values}, base=gains, cruise=cruise, dt=dt, model=model)
+        if not points.feasible.all():
+            at = float(values[np.argmin(points.feasible)])
+            raise InputError("needs more thrust than the vehicle has", key=parameter, value=at, remedy="cruise slower")
         groups = list(cascades_by_order(points))
         if len(groups) > 1:
-            raise InputError("changes the number of poles at 0", key=knob, remedy="begin above 0")
+            raise InputError("changes the number of poles at 0", key=parameter, remedy="begin above 0")
         return _paired(points.cascade(groups[0]).poles)
 
     poles = followed(swept)
@@ -106,7 +106,7 @@ def sweep_locus(
             break
         swept = np.insert(swept, rough + 1, (swept[rough] + swept[rough + 1]) / 2)
         poles = followed(swept)
-    return Locus(knob, swept, poles)
+    return Locus(parameter, swept, poles)
 
 
 def _paired(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:

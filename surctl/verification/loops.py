@@ -91,28 +91,28 @@ def broken_loops(cascade: Cascade) -> list[Loop]:
     blocks = state_blocks(closed)
     poles = [np.linalg.eigvals(closed[:, block[:, None], block]).astype(complex) for block in blocks]
     places = [cascade.at_thrust(k) for k in range(4)] + [cascade.at_output(k) for k in range(4)]
-    found = []
+    loops = []
     for A, b, _ in places:
         # the block that this loop acts on
         where = next(k for k, block in enumerate(blocks) if np.any(b[:, block] != 0))
         block = blocks[where]
-        found.append(Loop(poles[where], np.linalg.eigvals(A[:, block[:, None], block]).astype(complex)))
-    return found
+        loops.append(Loop(poles[where], np.linalg.eigvals(A[:, block[:, None], block]).astype(complex)))
+    return loops
 
 
 def state_blocks(A: NDArray[np.float64]) -> list[NDArray[np.intp]]:
     """Indices of the states that touch each other in any of the points, one array a block."""
     touch = np.any((A != 0) | (A.swapaxes(-1, -2) != 0), axis=0)
-    left, found = np.arange(len(touch)), []
+    left, blocks = np.arange(len(touch)), []
     while left.size:
         block = np.zeros(len(touch), dtype=bool)
         reached = np.arange(len(touch)) == left[0]
         while np.any(reached & ~block):
             block |= reached
             reached = np.any(touch[block], axis=0)
-        found.append(np.flatnonzero(block))
-        left = np.setdiff1d(left, found[-1])
-    return found
+        blocks.append(np.flatnonzero(block))
+        left = np.setdiff1d(left, blocks[-1])
+    return blocks
 
 
 def crossings_of(loop: Loop, *, highest: float) -> Crossings:
@@ -186,18 +186,18 @@ def _zeros(
     grid: NDArray[np.float64],
     response: NDArray[np.complex128],
     value: Callable[[NDArray[np.complex128]], NDArray[np.float64]],
-    wanted: NDArray[np.bool_],
+    selected: NDArray[np.bool_],
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Points and frequencies at which a value of the response changes sign, in the wanted intervals of the grid."""
-    points, at = np.nonzero((np.diff(np.sign(value(response)), axis=1) != 0) & wanted)
+    points, at = np.nonzero((np.diff(np.sign(value(response)), axis=1) != 0) & selected)
     low, high = np.log(grid[at]), np.log(grid[at + 1])
     first, second = value(response[points, at]), value(response[points, at + 1])
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        found = value(loop.response(np.exp(middle), points))
-        same = np.sign(found) == np.sign(first)
-        low, first = np.where(same, middle, low), np.where(same, found, first)
-        high, second = np.where(same, high, middle), np.where(same, second, found)
+        at_middle = value(loop.response(np.exp(middle), points))
+        same = np.sign(at_middle) == np.sign(first)
+        low, first = np.where(same, middle, low), np.where(same, at_middle, first)
+        high, second = np.where(same, high, middle), np.where(same, second, at_middle)
     # the rest is straight: one secant step
     share = np.where(second != first, first / np.where(second != first, first - second, 1), 0.5)
     return points, np.exp(low + np.clip(share, 0, 1) * (high - low))

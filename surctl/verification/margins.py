@@ -117,13 +117,13 @@ def worst_margins(
         0.2 0.74
     """
     tried = corners(vehicle, uncertainty).vehicles
-    found = [loop_margins(corner, gains, cruise=cruise, dt=dt, model=vehicle) for corner in tried]
-    return least_margins(found)
+    margins = [loop_margins(corner, gains, cruise=cruise, dt=dt, model=vehicle) for corner in tried]
+    return least_margins(margins)
 
 
-def least_margins(found: Sequence[tuple[LoopMargins, ...]]) -> tuple[LoopMargins, ...]:
+def least_margins(margins: Sequence[tuple[LoopMargins, ...]]) -> tuple[LoopMargins, ...]:
     """The least of each loop over several vehicles."""
-    return tuple(_least(same) for same in zip(*found, strict=True))
+    return tuple(_least(same) for same in zip(*margins, strict=True))
 
 
 def _least(loops: Sequence[LoopMargins]) -> LoopMargins:
@@ -179,15 +179,15 @@ def margins_of(
     return _only(name, crossings_of(loop, highest=highest))
 
 
-def _only(name: str, found: Crossings) -> LoopMargins:
+def _only(name: str, crossings: Crossings) -> LoopMargins:
     """The margins of the one point there is."""
     return LoopMargins(
         name,
         True,
-        float(found.gain_margin[0]),
-        float(found.phase_margin_deg[0]),
-        float(found.delay_margin_s[0]),
-        float(found.disk_margin[0]),
-        float(found.crossover_rad_s[0]),
-        float(found.least_gain[0]),
+        float(crossings.gain_margin[0]),
+        float(crossings.phase_margin_deg[0]),
+        float(crossings.delay_margin_s[0]),
+        float(crossings.disk_margin[0]),
+        float(crossings.crossover_rad_s[0]),
+        float(crossings.least_gain[0]),
     )

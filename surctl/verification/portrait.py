@@ -88,13 +88,13 @@ def planes_of(document: Mapping[str, Any]) -> Mapping[str, tuple[int, int]]:
     raise InputError("has no level sets", key="certificate", value=document.get("kind"), remedy="give a region one")
 
 
-def portrait(document: Mapping[str, Any], plane: str, *, reach: float = 1.9, points: int = 61) -> Portrait:
+def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, points: int = 61) -> Portrait:
     """The portrait of a certificate of a region.
 
     Args:
         document: of kind `region` or `heading`.
         plane: one of `planes_of`.
-        reach: half-width of the plane in half-axes of V = 1.
+        extent: half-width of the plane in half-axes of V = 1.
         points: of each axis.
 
     Raises:
@@ -107,7 +107,7 @@ def portrait(document: Mapping[str, Any], plane: str, *, reach: float = 1.9, poi
     first, second = planes[plane]
     # of the section through 0, not of the projection
     section = np.linalg.inv(loop.P[np.ix_((first, second), (first, second))])
-    half = reach * np.sqrt(np.diag(section))
+    half = extent * np.sqrt(np.diag(section))
     x, y = (np.linspace(-h, h, points) for h in half)
     xi = np.zeros((points * points, len(loop.P)))
     xi[:, first], xi[:, second] = (grid.ravel() for grid in np.meshgrid(x, y))
@@ -149,10 +149,10 @@ def _heading(document: Mapping[str, Any]) -> _Loop:
         name="", ranges=ranges, limits=stated["vehicle"]["limits"], law=stated["law"],
         rate=stated["motion"]["rate_per_s"], digest=stated["sha256_vehicle"],
     )  # fmt: skip
-    flown = heading_loop(claim)
+    loop = heading_loop(claim)
 
     def rates(share: Sequence[float]) -> Rates:
-        return lambda xi: flown(xi, np.tile(share, (len(xi), 1)))[0]
+        return lambda xi: loop(xi, np.tile(share, (len(xi), 1)))[0]
 
     varying = sum(not key.startswith("heave") for key in ranges)
     corners = product((0.0, 1.0), repeat=varying)
@@ -200,15 +200,15 @@ def _rate(claim: Mapping[str, Any], boat: Boat, state: Array, psi: float) -> Arr
     mass, linear, quadratic = boat
     slant = np.hypot(1.0, state[:, 1] / law["lookahead"])
     along = np.minimum(np.maximum(law["cruise"] - law["k1"] * state[:, 0], 0.0), law["cap"] / slant)
-    wish = np.stack([along, -along * state[:, 1] / law["lookahead"]])
+    desired = np.stack([along, -along * state[:, 1] / law["lookahead"]])
     speed = state[:, 2:4].T
-    push = np.zeros_like(speed)
+    acceleration = np.zeros_like(speed)
     for k, axis in enumerate(np.array([[np.cos(psi), np.sin(psi)], [-np.sin(psi), np.cos(psi)]])):
-        w, n = axis @ wish, axis @ speed
+        w, n = axis @ desired, axis @ speed
         free = law["linear_drag"] * w + law["quadratic_drag"] * w * np.abs(w) + law["mass_kg"] * law["k_v"] * (w - n)
         force = np.clip(free, -limit, limit) - linear[k] * n - quadratic[k] * n * np.abs(n)
-        push += axis[:, None] * force / mass
-    return np.stack([state[:, 2] - law["cruise"], state[:, 3], push[0], push[1]], axis=1)
+        acceleration += axis[:, None] * force / mass
+    return np.stack([state[:, 2] - law["cruise"], state[:, 3], acceleration[0], acceleration[1]], axis=1)
 
 
 def _matrix(lower: list[list[float]]) -> Array:

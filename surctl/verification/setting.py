@@ -91,10 +91,10 @@ def setting_from(gains: Mapping[str, float] | None) -> Setting:
     """
     known = {entry.name for entry in fields(Setting)}
     named = {_ALIASES.get(name, name): (name, value) for name, value in (gains or {}).items()}
-    taken = {field: _number(*entry) for field, entry in named.items() if field in known}
-    if taken.get("delta", 1.0) <= 0:
-        del taken["delta"]
-    return Setting(**taken)
+    values = {field: _number(*entry) for field, entry in named.items() if field in known}
+    if values.get("delta", 1.0) <= 0:
+        del values["delta"]
+    return Setting(**values)
 
 
 def _number(name: str, value: object) -> float:

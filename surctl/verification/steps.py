@@ -38,7 +38,7 @@ def step_figures(
     cascade: Cascade, stable: NDArray[np.bool_]
 ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Settling time [s] and overshoot (share of the step) of n cascades by name of the step; inf where not stable."""
-    found = {}
+    figures = {}
     for name in STEP_NAMES:
         settling, overshoot = (np.full(len(stable), np.inf) for _ in range(2))
         if stable.any():
@@ -46,8 +46,8 @@ def step_figures(
             block = next(s for s in state_blocks(A) if np.any(b[:, s] != 0))
             A, b, c = A[:, block[:, None], block], b[:, block], c[:, :, block]
             settling[stable], overshoot[stable] = _figures(A, b, c)
-        found[name] = (settling, overshoot)
-    return found
+        figures[name] = (settling, overshoot)
+    return figures
 
 
 def _figures(
@@ -74,9 +74,9 @@ def _figures(
         # what the finer grid has seen, it has seen better
         newer = later >= (_SAMPLES // _RATIO if level else 0)
         settling = np.where(newer, later * step, settling)
-        seen, refined = _peak(-d)
-        higher = seen > peak + 1e-12
-        peak, overshoot = np.where(higher, seen, peak), np.where(higher, refined, overshoot)
+        highest, refined = _peak(-d)
+        higher = highest > peak + 1e-12
+        peak, overshoot = np.where(higher, highest, peak), np.where(higher, refined, overshoot)
         step = step * _RATIO
     return settling, overshoot
 
@@ -110,5 +110,5 @@ def _peak(y: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float
     left, middle, right = y[point, at - 1], y[point, at], y[point, at + 1]
     bend = left - 2 * middle + right
     top = middle - np.where(bend < 0, (left - right) ** 2 / (8 * np.where(bend < 0, bend, -1)), 0)
-    seen = np.maximum(y.max(axis=1), 0)
-    return seen, np.maximum(np.where(middle >= np.maximum(left, right), top, seen), 0)
+    highest = np.maximum(y.max(axis=1), 0)
+    return highest, np.maximum(np.where(middle >= np.maximum(left, right), top, highest), 0)

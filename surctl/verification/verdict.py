@@ -110,7 +110,7 @@ class Verdict:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
-        found = self.counterexample
+        counterexample = self.counterexample
         return {
             "claim": self.claim.name,
             "statement": self.claim.statement,
@@ -119,7 +119,7 @@ class Verdict:
             "expected": self.claim.expected,
             "verdict": self.verdict,
             "certificate": self._proof(),
-            "counterexample": None if found is None else found.to_dict(),
+            "counterexample": None if counterexample is None else counterexample.to_dict(),
             "remaining": self.remaining,
             "slack": None if self.certificate is None else self.certificate["claim"]["slack"],
             "worst_margin": self.worst_margin,

@@ -46,9 +46,9 @@ class Heights:
         """Signed vertical distance [m] from z to the interval, negative inside."""
         return max(self.bottom - z, z - self.top)
 
-    def crosses(self, z: float, reach: float) -> bool:
+    def crosses(self, z: float, distance: float) -> bool:
         """Whether anything of it lies less than `reach` [m] above or below z."""
-        return self.gap(z) < reach
+        return self.gap(z) < distance
 
     def shares(self, other: Heights) -> bool:
         """Whether the two have any depth in common."""

@@ -218,21 +218,21 @@ class Box(Shape):
         px, py = self._local(x, y)
         hx, hy = self._half
         cx, cy = (hx if px >= 0.0 else -hx), (hy if py >= 0.0 else -hy)
-        found = []
+        directions = []
         if abs(px) <= hx or abs(py) <= hy:
             qx, qy = max(-hx, min(hx, px)) - px, max(-hy, min(hy, py)) - py
             length = hypot(qx, qy)
-            found.append((qx / length, qy / length))
+            directions.append((qx / length, qy / length))
         for corner_x, corner_y in ((cx, cy), (cx, -cy), (-cx, cy)):
             dx, dy = corner_x - px, corner_y - py
             length = hypot(dx, dy)
             # outward is away from the centre, which lies at (-px, -py) from here
             side = 1.0 if px * dy < py * dx else -1.0
-            found.append(_beside(dx / length, dy / length, side))
+            directions.append(_beside(dx / length, dy / length, side))
             if (corner_x, corner_y) == (cx, cy):
-                found.append(_beside(dx / length, dy / length, -side))
+                directions.append(_beside(dx / length, dy / length, -side))
         c, s = self._axis
-        return [(c * ux - s * uy, s * ux + c * uy) for ux, uy in found]
+        return [(c * ux - s * uy, s * ux + c * uy) for ux, uy in directions]
 
     def moved(self, offset: Vector2) -> Box:
         """See `Shape.moved`."""

@@ -33,7 +33,7 @@ def pushed(document: Document, through: float) -> float:
     else:
         side = (high - low) * w / 2 + sqrt(2) * high2 * through * w + (2 * high2 - low2) * w**2 / sqrt(27)
     turned = met["turn_rad_per_s"] * vehicle["lag_s"]
-    return float(met["push_n"] + side + turned**2 * max(vehicle["most_n"], vehicle["brake_n"]))
+    return float(met["disturbance_n"] + side + turned**2 * max(vehicle["most_n"], vehicle["brake_n"]))
 
 
 def swing(document: Document) -> float:

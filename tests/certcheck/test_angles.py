@@ -9,7 +9,7 @@ from mpmath import libmp, mp
 
 from surctl.certcheck.angles import angle, arccos, circle, pi
 from surctl.certcheck.enclosure import enclose, span
-from surctl.certcheck.sheet import Sheet
+from surctl.certcheck.expressions import ExpressionTable
 
 BITS = 260
 HARD = [
@@ -95,6 +95,6 @@ def test_pi_lies_between_its_ends() -> None:
 
 @pytest.mark.parametrize("x", [-0.15756893157958984, 0.9999999999999999, 2.0**-45, -1.0])
 def test_an_arccos_by_the_checker_is_rounded_outward(x: float) -> None:
-    sheet = Sheet(("x",))
+    sheet = ExpressionTable(("x",))
     (jet,) = enclose(sheet, [sheet.read("acos(x)")], [span(x, x)])
     assert holds(jet.value, libmp.mpf_acos(raw(x), BITS))

@@ -12,7 +12,7 @@ import pytest
 from surctl.certcheck import braking as checker
 from surctl.certcheck import check_document
 from surctl.certcheck.braking_claim import read_claim
-from surctl.certcheck.braking_way import forces, pushed, read_way
+from surctl.certcheck.braking_distance import forces, largest_disturbance, read_distance
 from surctl.control import load_gains
 from surctl.control.stopping import BARRIERS, BRAKE
 from surctl.control.velocity import velocity_control
@@ -55,7 +55,7 @@ STRONGER: dict[str, Change] = {
     "least drag": lambda d, f: d["claim"]["vehicle"]["quadratic_drag"].__setitem__(0, 10 * (1 - f)),
     "brake": lambda d, f: d["claim"]["vehicle"].update(brake_n=2.5 * (1 - f / 2)),
     "most": lambda d, f: d["claim"]["vehicle"].update(most_n=12 * (1 + f)),
-    "push": lambda d, f: d["claim"]["encounter"].update(push_n=1.0 + f),
+    "disturbance": lambda d, f: d["claim"]["encounter"].update(disturbance_n=1.0 + f),
     "sideways": lambda d, f: d["claim"]["encounter"].update(sideways_m_per_s=2 * (1 + f)),
     "turn": lambda d, f: d["claim"]["encounter"].update(turn_rad_per_s=2 * (1 + f)),
     "period": lambda d, f: d["claim"]["watch"].update(period_s=0.5 * (1 + f)),
@@ -64,14 +64,15 @@ STRONGER: dict[str, Change] = {
     "speed error": lambda d, f: d["claim"]["watch"].update(speed_error_m_per_s=0.1 * (1 + f)),
     "limit": lambda d, f: d["claim"].update(limit_obstacle_m_per_s=d["claim"]["limit_obstacle_m_per_s"] + 0.001 + f),
     "closed": lambda d, f: d["claim"]["table"]["closed_m"][1].__setitem__(0, 0.3 * (1 - f)),
-    "way": lambda d, f: d["claim"]["table"]["way_m"][2].__setitem__(0, 0.3 * (1 - f)),
+    "distance": lambda d, f: d["claim"]["table"]["distance_m"][2].__setitem__(0, 0.3 * (1 - f)),
     "needed": lambda d, f: d["claim"]["table"]["needed_m"][2].__setitem__(0, 0.3 * (1 - f)),
-    "slope": lambda d, f: d["proof"]["ways"][0].update(
-        slopes=[g * (0.999 - f) for g in d["proof"]["ways"][0]["slopes"]]
+    "slope": lambda d, f: d["proof"]["distances"][0].update(
+        slopes=[g * (0.999 - f) for g in d["proof"]["distances"][0]["slopes"]]
     ),
-    "one slope": lambda d, f: d["proof"]["ways"][0]["slopes"].__setitem__(5, 0.9 * (1 - f) * 0.01),
-    "short": lambda d, f: d["proof"]["ways"][0].update(
-        knots=d["proof"]["ways"][0]["knots"][: 6 + int(9 * f)], slopes=d["proof"]["ways"][0]["slopes"][: 6 + int(9 * f)]
+    "one slope": lambda d, f: d["proof"]["distances"][0]["slopes"].__setitem__(5, 0.9 * (1 - f) * 0.01),
+    "short": lambda d, f: d["proof"]["distances"][0].update(
+        knots=d["proof"]["distances"][0]["knots"][: 6 + int(9 * f)],
+        slopes=d["proof"]["distances"][0]["slopes"][: 6 + int(9 * f)],
     ),
 }
 OF_THE_LAW: dict[str, Change] = {
@@ -119,14 +120,14 @@ def test_what_asks_for_more_is_rejected_however_it_is_sealed(kind: str, name: st
         (("claim", "encounter", "obstacles_m_per_s"), []),
         (("claim", "encounter", "obstacles_m_per_s"), [0.0, 0.0]),
         (("claim", "encounter", "obstacles_m_per_s"), [5.0]),
-        (("claim", "table", "way_m"), [[0.1]]),
+        (("claim", "table", "distance_m"), [[0.1]]),
         (("claim", "table", "speeds_m_per_s"), [0.1]),
         (("claim", "watch", "period_s"), 0),
         (("proof", "more"), 1),
-        (("proof", "ways"), []),
-        (("proof", "ways"), [{"knots": [0.0], "slopes": [0.0]}]),
-        (("proof", "ways"), [{"knots": [0.0, 0.0], "slopes": [0.0, 1.0]}]),
-        (("proof", "ways"), [{"knots": [0.0, 1.0], "slopes": [1.0]}]),
+        (("proof", "distances"), []),
+        (("proof", "distances"), [{"knots": [0.0], "slopes": [0.0]}]),
+        (("proof", "distances"), [{"knots": [0.0, 0.0], "slopes": [0.0, 1.0]}]),
+        (("proof", "distances"), [{"knots": [0.0, 1.0], "slopes": [1.0]}]),
         (("more",), 1),
         pytest.param(("claim", "watch", "period_s"), 10**400, id="huge"),
     ],
@@ -148,7 +149,7 @@ def refuted(changed: dict[str, Any]) -> bool:
         return True
     for column, obstacle in enumerate(met["obstacles_m_per_s"]):
         for row, speed in enumerate(table["speeds_m_per_s"]):
-            told = [table[key][row][column] for key in ("way_m", "needed_m")]
+            told = [table[key][row][column] for key in ("distance_m", "needed_m")]
             least = encounters.way(changed, speed + obstacle, obstacle), encounters.needed(
                 changed, speed, obstacle, since=speed
             )  # fmt: skip
@@ -156,7 +157,7 @@ def refuted(changed: dict[str, Any]) -> bool:
                 return True
         if claim["law"] is not None and encounters.lacking(changed, obstacle) > 1e-4:
             return True
-        ways, through = changed["proof"]["ways"][column], obstacle + met["current_m_per_s"]
+        ways, through = changed["proof"]["distances"][column], obstacle + met["current_m_per_s"]
         knots, slopes = np.array(ways["knots"]), np.array(ways["slopes"])
         z = np.linspace(knots[0], knots[-1], 3000)
         left = vehicle["brake_n"] - encounters.pushed(changed, through) + encounters.drag(changed, z - through)
@@ -213,7 +214,7 @@ def test_what_the_law_keeps_is_the_inverse_of_its_own_bound(barrier: Any, obstac
     at = forces(claim, claim.obstacles[0])
     for distance in np.linspace(-0.05, 2.0, 40).tolist():
         bound = float(law(distance))
-        back = checker._kept(claim.law, at, claim.period, Fraction(bound))
+        back = checker._bound_distance(claim.law, at, claim.period, Fraction(bound))
         assert float(back) == pytest.approx(distance, abs=1e-9)
 
 
@@ -258,13 +259,13 @@ def test_drag_by_axis_never_pushes_more_nor_helps_less_than_stated() -> None:
     c, s = np.cos(angle), np.sin(angle)
     u, v = along * c - w * s, along * s + w * c
     force = c * (one[0] + two[0] * abs(u)) * u + s * (one[1] + two[1] * abs(v)) * v
-    push = float(pushed(claim, claim.obstacles[0]))
+    push = float(largest_disturbance(claim, claim.obstacles[0]))
     turned = (whole["claim"]["encounter"]["turn_rad_per_s"] * from_float["lag_s"]) ** 2 * from_float["most_n"]
     ahead = along >= 0
     helps = encounters.drag(whole, along)
     assert np.all(force[ahead] >= helps[ahead] - (push - turned) - 1e-9)
     astern = ~ahead
-    most = np.array([float(pushed(claim, Fraction(float(-a)))) - turned for a in along[astern][:20_000]])
+    most = np.array([float(largest_disturbance(claim, Fraction(float(-a)))) - turned for a in along[astern][:20_000]])
     assert np.all(-force[astern][:20_000] <= -helps[astern][:20_000] + most + 1e-9)
     still = astern.nonzero()[0][:20_000]
     assert np.max((-force[still] + helps[still]) / most) > 0.5  # not far too much either
@@ -279,7 +280,7 @@ def test_the_table_is_never_below_the_way_and_hardly_above() -> None:
         claim = read_claim(whole["claim"])
         for column, obstacle in enumerate(claim.obstacles):
             at = forces(claim, obstacle)
-            table = read_way(claim, at, whole["proof"]["ways"][column])
+            table = read_distance(claim, at, whole["proof"]["distances"][column])
             for speed in (0.1, 0.2):
                 closing = Fraction(str(speed)) + obstacle
                 found = float(table.worst(claim, at, closing, at.swing))
@@ -295,9 +296,9 @@ def reason(whole: dict[str, Any], **ways: list[float]) -> str:
     """Why a certificate of the rule, cut down to what stands and changed, is rejected."""
     met, table = whole["claim"]["encounter"], whole["claim"]["table"]
     met["obstacles_m_per_s"] = met["obstacles_m_per_s"][:1]
-    for name in ("closed_m", "way_m", "needed_m"):
+    for name in ("closed_m", "distance_m", "needed_m"):
         table[name] = [row[:1] for row in table[name]]
-    whole["proof"]["ways"] = [{**whole["proof"]["ways"][0], **ways}]
+    whole["proof"]["distances"] = [{**whole["proof"]["distances"][0], **ways}]
     return check_document(sealed(whole)).reason
 
 
@@ -318,7 +319,7 @@ def test_a_table_that_holds_at_its_knots_alone_is_rejected() -> None:
 
 def test_a_way_that_is_not_convex_is_rejected_though_it_is_long_enough() -> None:
     whole = document("braking-rule-20")
-    slopes = list(whole["proof"]["ways"][0]["slopes"])
+    slopes = list(whole["proof"]["distances"][0]["slopes"])
     slopes[20:] = [max(slopes)] * len(slopes[20:])
     slopes[25] = 2 * max(slopes)
     assert "not convex" in reason(whole, slopes=slopes)
@@ -333,7 +334,7 @@ def test_drag_by_axis_helps_less_than_drag_along_the_velocity() -> None:
 def test_a_retreat_against_much_drag_is_not_counted_on() -> None:
     whole = document("braking-rule-20")
     whole["claim"]["vehicle"]["lag_s"] = 6.0
-    ways = whole["proof"]["ways"][0]
+    ways = whole["proof"]["distances"][0]
     top, last = 2.0, ways["slopes"][-1]
     longer = [*ways["knots"], top], [*ways["slopes"], last + top / 4]
     assert "retreat" in reason(whole, knots=longer[0], slopes=longer[1])

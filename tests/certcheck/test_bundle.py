@@ -19,7 +19,7 @@ from surctl.control import build_law, load_gains
 from surctl.errors import InputError
 from surctl.export import Bundle, Origin, build_bundle, load_certificates, write_bundle
 from surctl.export.bundle import law_id
-from surctl.export.origin import made_of
+from surctl.export.origin import manifest_entries
 from surctl.simulation import law_numbers, load_scenario
 from surctl.vehicle import load_vehicle
 from surctl.verification import claims, prove
@@ -53,7 +53,7 @@ def manifest_for(change: Callable[[dict[str, Any]], None] = lambda _: None, **ga
     """The manifest of the bundle without its files, sealed again after a change."""
     p = LAW.gains.pack({**LAW.gains.unpack(P), **{name: np.array([value]) for name, value in gains.items()}})
     frame = {"name": "n", "id": law_id(LAW, p), "dt_s": LAW.dt, "real": "float64", "sha256": {}}
-    table = json.loads(json.dumps(frame | made_of(LAW, p, Origin(VEHICLE, LAW))))
+    table = json.loads(json.dumps(frame | manifest_entries(LAW, p, Origin(VEHICLE, LAW))))
     change(table)
     table["vehicle"]["sha256"] = hashlib.sha256(
         json.dumps(table["vehicle"]["values"], sort_keys=True).encode()
@@ -231,11 +231,11 @@ def test_the_heading_steered_loop_is_not_what_is_exported() -> None:
 def test_a_law_that_senses_for_itself_says_so() -> None:
     sensing = build_law(sonar=True, equipment=MISSION.sensors.on(VEHICLE["radius"]))
     frame = {"name": "n", "id": law_id(sensing, P), "dt_s": sensing.dt, "real": "float64", "sha256": {}}
-    manifest = read_manifest(frame | made_of(sensing, P, Origin(VEHICLE, LAW)))
+    manifest = read_manifest(frame | manifest_entries(sensing, P, Origin(VEHICLE, LAW)))
     found = compare(region(), manifest)
-    assert found.belongs and any(text.startswith("senses:") for text in found.excludes)
+    assert found.belongs and any(text.startswith("perception:") for text in found.excludes)
     own = compare(region(law=sensing.block.digest()), manifest)
-    assert own.belongs and not any(text.startswith("senses:") for text in own.excludes)
+    assert own.belongs and not any(text.startswith("perception:") for text in own.excludes)
 
 
 def altered(folder: Path, change: Callable[[dict[str, Any]], None]) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from mpmath import libmp, mp, mpf
 
 from surctl.certcheck.enclosure import Undefined, enclose, exact, span
-from surctl.certcheck.sheet import Sheet
+from surctl.certcheck.expressions import ExpressionTable
 from surctl.verification.formula import text_of
 from surctl.verification.proving.tape import build_tape
 from tests.verification.expressions import NAMES, NoValue, TooClose, expressions, worth
@@ -33,7 +33,7 @@ shares = st.lists(st.sampled_from([0.0, 0.25, 0.5, 1.0]), min_size=3, max_size=3
 @settings(max_examples=400, deadline=None, derandomize=True)
 @given(expressions(), boxes, shares)
 def test_the_checkers_ranges_hold_the_value_at_every_point(root, box, at) -> None:
-    sheet = Sheet(NAMES)
+    sheet = ExpressionTable(NAMES)
     place = sheet.read(text_of(root))
     with mp.workdps(60):
         point = corner_and_inside(box, at)
@@ -76,7 +76,7 @@ def test_the_provers_ranges_hold_the_value_at_every_point(root, box, at) -> None
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(expressions(branching=False), boxes, shares)
 def test_derivatives_hold_the_slopes_and_bends_that_differences_show(root, box, at) -> None:
-    sheet = Sheet(NAMES)
+    sheet = ExpressionTable(NAMES)
     place = sheet.read(text_of(root))
     raw = [span(*b) for b in box]
     try:
@@ -111,7 +111,7 @@ def test_derivatives_hold_the_slopes_and_bends_that_differences_show(root, box, 
 
 
 def test_at_a_point_the_range_is_narrow() -> None:
-    sheet = Sheet(("x",))
+    sheet = ExpressionTable(("x",))
     place = sheet.read("sin(x)*sqrt(x + 2)/acos(x/3) - atan2(x, 0.5)^3")
     (jet,) = enclose(sheet, [place], [exact(0.7)])
     assert as_mpf(jet.value[1]) - as_mpf(jet.value[0]) < 1e-15
@@ -128,13 +128,13 @@ def test_at_a_point_the_range_is_narrow() -> None:
     ],
 )
 def test_what_is_not_defined_on_the_whole_box_is_refused(text, box) -> None:
-    sheet = Sheet(("x",))
+    sheet = ExpressionTable(("x",))
     with pytest.raises(Undefined):
         enclose(sheet, [sheet.read(text)], [span(*box)])
 
 
 def test_numbers_are_exact_decimals() -> None:
-    sheet = Sheet(("x",))
+    sheet = ExpressionTable(("x",))
     assert sheet.entries[sheet.read("0.1")].value == Fraction(1, 10)
     (jet,) = enclose(sheet, [sheet.read("0.1")], [exact(0.0)])
     low, high = (libmp.to_rational(e) for e in jet.value)

@@ -95,9 +95,11 @@ STRONGER: dict[str, Callable[[dict[str, Any], float], None]] = {
     "rate": lambda d, f: d["claim"]["motion"].update(rate_per_s=0.15 * (1 + f)),
     "offset": lambda d, f: d["claim"]["motion"].update(offset_m=d["claim"]["motion"]["offset_m"] * (1.001 + f)),
     "beside": lambda d, f: d["claim"]["motion"].update(beside_m=d["claim"]["motion"]["beside_m"] * (1.001 + f)),
-    "reach": lambda d, f: d["claim"]["motion"]["reach"].__setitem__(1, d["claim"]["motion"]["reach"][1] * (1.001 + f)),
+    "extent": lambda d, f: d["claim"]["motion"].update(
+        extent=[x * (1.001 + f) if k == 1 else x for k, x in enumerate(d["claim"]["motion"]["extent"])]
+    ),
     "depth": lambda d, f: d["claim"]["motion"].update(depth_m=d["claim"]["motion"]["depth_m"] * (1.001 + f)),
-    "settled": lambda d, f: d["claim"]["motion"].update(settled_m=0.06 * (1 - f)),
+    "ultimate_bound": lambda d, f: d["claim"]["motion"].update(ultimate_bound_m=0.06 * (1 - f)),
     "mass": lambda d, f: d["claim"]["vehicle"].update(mass_kg=[76.0, 114 * (3 + 5 * f)]),
     "inertia": lambda d, f: d["claim"]["vehicle"].update(yaw_inertia_kg_m2=[1.2, 1.8 * (4 + f)]),
     "surge limit": lambda d, f: d["claim"]["vehicle"]["limits"].update(surge_n=1.9 * (1 - f)),
@@ -126,7 +128,7 @@ def false(changed: dict[str, Any]) -> bool:
     if np.linalg.eigvalsh(P)[0] <= 0:
         return True
     reach = np.sqrt(np.diag(np.linalg.inv(P)))
-    if P[1, 1] * motion["beside_m"] ** 2 > 1 + 1e-9 or np.any(np.array(motion["reach"]) > reach[:3] * (1 + 1e-9)):
+    if P[1, 1] * motion["beside_m"] ** 2 > 1 + 1e-9 or np.any(np.array(motion["extent"]) > reach[:3] * (1 + 1e-9)):
         return True
     return worst(changed, low=1e-4, high=1.0, count=4000) > 1e-9
 

@@ -293,10 +293,10 @@ def test_the_two_readers_read_the_same() -> None:
     from mpmath import libmp
 
     from surctl.certcheck.enclosure import enclose, exact
-    from surctl.certcheck.sheet import Sheet
+    from surctl.certcheck.expressions import ExpressionTable
 
     for text in ("-x^2", "2 - -x", "x/2/y*3", "-(x + y)^-2*2^2", "x - y - 1", "select(x, y, 1, 2) - 3e-1*-x", "--x*.5"):
-        sheet, symbols = Sheet(("x", "y")), {n: ca.SX.sym(n) for n in "xy"}
+        sheet, symbols = ExpressionTable(("x", "y")), {n: ca.SX.sym(n) for n in "xy"}
         other = ca.Function("f", [*symbols.values()], [to_casadi(parse(text, {n: variable(n) for n in "xy"}), symbols)])
         (jet,) = enclose(sheet, [sheet.read(text)], [exact(0.7), exact(-1.3)])
         assert libmp.to_float(jet.value[0]) == pytest.approx(float(other(0.7, -1.3)), rel=1e-14)

@@ -47,8 +47,8 @@ def test_there_are_certificates_of_every_kind_of_loop() -> None:
 STRONGER: dict[str, Callable[[dict[str, Any], float], None]] = {
     "rate": lambda d, f: d["claim"]["motion"].update(rate_per_s=0.4 * (1 + f)),
     "offset": lambda d, f: d["claim"]["motion"].update(offset_m=d["claim"]["motion"]["offset_m"] * (1.001 + f)),
-    "settled": lambda d, f: d["claim"]["motion"].update(
-        settled_m=[x / (1.02 + f) for x in d["claim"]["motion"]["settled_m"]]
+    "ultimate_bound": lambda d, f: d["claim"]["motion"].update(
+        ultimate_bound_m=[x / (1.02 + f) for x in d["claim"]["motion"]["ultimate_bound_m"]]
     ),
     "mass": lambda d, f: d["claim"]["vehicle"].update(mass_kg=[76.0, 114 * (3 + 5 * f)]),
     "thrust": lambda d, f: d["claim"]["vehicle"].update(thrust_n=2.4 * (1 - f)),
@@ -109,7 +109,7 @@ def refuted(changed: dict[str, Any]) -> bool:
     covariance = np.linalg.inv(P)
     if P[1, 1] * motion["offset_m"] ** 2 > 1 + 1e-9:
         return True
-    if np.sqrt(covariance[1, 1] * proof["floor"]) > motion["settled_m"][1] * (1 + 1e-9):
+    if np.sqrt(covariance[1, 1] * proof["floor"]) > motion["ultimate_bound_m"][1] * (1 + 1e-9):
         return True
     return worst(changed, low=proof["floor"], high=1.0, count=4000) > 1e-9
 
@@ -221,7 +221,7 @@ def test_the_trim_is_bounded_by_what_sampling_finds(name: str) -> None:
 def test_in_a_current_it_settles_as_close_as_is_said() -> None:
     whole = document("region-cruise-current")
     claim, P, rng, n, h = whole["claim"], matrix(whole), np.random.default_rng(6), 400, 0.05
-    assert claim["vehicle"]["current_m_per_s"] == 0.05 and max(claim["motion"]["settled_m"]) <= 0.06
+    assert claim["vehicle"]["current_m_per_s"] == 0.05 and max(claim["motion"]["ultimate_bound_m"]) <= 0.06
     assert worst(whole, low=whole["proof"]["floor"], high=1.0) < 0
     boat = boats(claim, n, rng)
     xi = rng.normal(size=(n, 4)) @ np.linalg.inv(np.linalg.cholesky(P))
@@ -232,8 +232,8 @@ def test_in_a_current_it_settles_as_close_as_is_said() -> None:
     for k in range(1200):
         state = state + h * rate(claim, boat, state, psi)
         psi = psi + h * rng.choice([-0.5, 0.5], size=n) * (k % 40 > 0)
-    assert np.all(np.abs(state[:, :2]).max(axis=0) <= claim["motion"]["settled_m"])
-    assert np.abs(state[:, 1]).max() > 0.3 * claim["motion"]["settled_m"][1]  # it is not for want of a current
+    assert np.all(np.abs(state[:, :2]).max(axis=0) <= claim["motion"]["ultimate_bound_m"])
+    assert np.abs(state[:, 1]).max() > 0.3 * claim["motion"]["ultimate_bound_m"][1]  # it is not for want of a current
     claim["law"]["period_s"] = 0.05
     assert "current" in check_document(sealed(whole)).reason
 
@@ -257,7 +257,7 @@ def test_pushed_and_misled_it_settles_as_close_as_is_said(name: str) -> None:
         state = state + h * rate(claim, boat, state, psi)
         psi = psi + h * rng.choice([-0.5, 0.5], size=n)
         if k > 1800:
-            most = max(most, *(np.abs(state[:, :2]).max(axis=0) / claim["motion"]["settled_m"]))
+            most = max(most, *(np.abs(state[:, :2]).max(axis=0) / claim["motion"]["ultimate_bound_m"]))
     assert 0.1 < most <= 1
     for key in ("force_n", "place_error_m", "velocity_error_m_per_s"):
         if claim["vehicle"][key]:
@@ -328,7 +328,7 @@ def test_the_reason_names_what_fails() -> None:
     assert "3 m is not in the region" in check_document(sealed(changed)).reason
     for axis in (0, 1):
         changed = document()
-        changed["claim"]["motion"]["settled_m"][axis] *= 0.8
+        changed["claim"]["motion"]["ultimate_bound_m"][axis] *= 0.8
         assert "it settles within" in check_document(sealed(changed)).reason
     with pytest.raises(Rejected, match="exactly the keys"):
         read_claim({})

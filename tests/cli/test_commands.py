@@ -17,7 +17,7 @@ RUN_KEYS = {
     "law",
     "sensing",
     "priority_mode",
-    "ladder",
+    "fallback",
     "seed",
     "reached",
     "time_s",
@@ -90,7 +90,7 @@ def test_a_textbook_law_is_flown_by_name(tmp_path):
 
 
 def test_simulate_draws_to_a_folder(tmp_path):
-    mode = ("--priority-mode", "projected", "--ladder", "bounded")
+    mode = ("--priority-mode", "projected", "--fallback", "bounded")
     done = surctl("simulate", "pool-behind", *mode, "--out", "plots", cwd=tmp_path)
     assert done.status == 0
     (picture,) = (tmp_path / "plots").glob("*-projected-bounded-*.png")
@@ -215,7 +215,7 @@ def test_export_ships_the_law_that_senses_and_checks_it_over_its_flight(tmp_path
     assert max(done.json["sil"][k] for k in ("tau", "state", "telemetry")) == 0.0
     assert done.json["sil"]["fault_failures"] == []
     assert done.json["sil"]["fault_cases"] > 3 * 2304
-    flight = done.json["flight"]
+    flight = done.json["run"]
     assert (flight["scenario"], flight["sensing"], flight["law"]) == ("pool-behind", "sonar", "guarded")
     assert flight["sensors"]["faults"][0]["kind"] == "dropout"
     assert done.json["sil"]["steps"] > 200
@@ -233,7 +233,7 @@ def test_export_of_the_law_on_true_positions(tmp_path):
     words = ("export", "--sensing", "truth", "--name", "pilot", "--json")
     done = surctl(*words, "--out", "c", cwd=tmp_path)
     assert done.status == 0 and done.json["sil"]["passed"]
-    assert done.json["flight"]["sensing"] == "truth" and "sensors" not in done.json["flight"]
+    assert done.json["run"]["sensing"] == "truth" and "sensors" not in done.json["run"]
     assert done.json["next"][1] == "surctl simulate pool-static --controller tcp://127.0.0.1:5555"
     header = (tmp_path / "c" / "pilot.h").read_text()
     assert "double eta[4];" in header and "double samples" not in header
@@ -265,8 +265,8 @@ def test_export_believes_in_the_sensors_it_is_told_of(tmp_path):
     need_compiler()
     words = ("export", "--law", "paper", "--scenario", "pool-behind", "--own-state", "truth", "--out", "c", "--json")
     done = surctl(*words, cwd=tmp_path)
-    assert done.status == 0 and done.json["flight"]["law"] == "paper"
-    assert done.json["flight"]["sensors"] != {}
+    assert done.status == 0 and done.json["run"]["law"] == "paper"
+    assert done.json["run"]["sensors"] != {}
 
 
 @pytest.mark.parametrize(("vehicle", "status"), [("sur400", 0), ("sur540-flooded", 1)])

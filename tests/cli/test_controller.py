@@ -85,7 +85,7 @@ def test_a_scenario_flies_through_a_process_and_the_line_may_be_bad(bundle: Path
         assert (link["real"], link["differing"], link["failsafe_steps"], link["gone_s"]) == ("float32", 0, 0, None)
         assert link["answered"] == link["steps"] > 200
         bad = surctl("simulate", SCENARIO, *address, "--link-loss", "0.2", "--runs", "2", "--json", cwd=tmp_path)
-        losses = [run["link"]["lost_questions"] for run in bad.json["runs"]]
+        losses = [run["link"]["lost_requests"] for run in bad.json["runs"]]
         assert min(losses) > 20 and losses[0] != losses[1]
         assert all(run["link"]["differing"] == 0 for run in bad.json["runs"])
         other = surctl("simulate", "pool-ahead", *address, cwd=tmp_path)

@@ -62,8 +62,8 @@ def test_a_run_as_a_log_gives_the_vehicle_back(tmp_path: Path) -> None:
     assert done.status == 0, done.err
     found = done.json["estimates"]
     for name, value in {"m11": 95.0, "Xuu": 60.0, "Xu": 2.0, "thrust_lag": 0.3}.items():
-        assert found[name]["told"] and found[name]["value"] == pytest.approx(value, rel=1e-4)
-    assert not found["m33"]["told"]
+        assert found[name]["identified"] and found[name]["value"] == pytest.approx(value, rel=1e-4)
+    assert not found["m33"]["identified"]
     assert surctl("lint", "my-vehicle.toml", cwd=tmp_path).status == 0
 
 

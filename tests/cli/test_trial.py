@@ -18,7 +18,7 @@ FIRST = (
 STUDY = """kind = "study"
 name = "few"
 vehicle = "sur400"
-[[flights]]
+[[runs]]
 scenario = "pool-static"
 [sweep]
 axes = [{ gain = "k_v", values = [1.5] }]
@@ -49,14 +49,14 @@ def test_from_a_tape_measure_to_code(tmp_path: Path) -> None:
     shell.follow("surctl lint")
     (tmp_path / "few.toml").write_text(STUDY, encoding="utf-8")
     tuned = shell.follow("surctl tune", "few.toml", "--trials", "6", "--seeds", "1", "--monte-carlo", "20").json
-    assert tuned["kept"] and "--vehicle mine.toml --gains tuned/gains.toml" in shell.next[-1]
+    assert tuned["accepted"] and "--vehicle mine.toml --gains tuned/gains.toml" in shell.next[-1]
     (claim,) = shell.follow("surctl verify").json["claims"]
     assert (claim["claim"], claim["verdict"]) == ("region-cruise-20", "proved")
     export = [line for line in shell.next if line.startswith("surctl export")]
     assert shell.follow("surctl check").json["accepted"]
     shell.next = export
     made = shell.follow("surctl export", "--target", "fmu", "--out", "code").json
-    assert made["sil"]["passed"] and made["flight"]["vehicle"] == "mine"
+    assert made["sil"]["passed"] and made["run"]["vehicle"] == "mine"
     assert shell.next[1:3] == [
         "make -C code controller && code/controller 5555",
         "surctl simulate pool-static --vehicle mine.toml --gains tuned/gains.toml --sensing sonar"

@@ -56,7 +56,7 @@ def test_a_hard_goal_that_cannot_be_met_ends_with_1_and_is_named(tmp_path):
     done = surctl("tune", "small.toml", *SMALL, cwd=tmp_path)
     assert done.status == 1, done.err
     assert done.json["conflict"] == ["keep clear"]
-    assert not done.json["kept"]
+    assert not done.json["accepted"]
 
 
 MISTAKES = {

@@ -46,10 +46,10 @@ def test_speeds_are_those_given_else_the_scenario_s() -> None:
 
 def test_a_cruise_beyond_the_thrust_is_refused_if_asked_for_and_else_not_applicable() -> None:
     about = {"cruise": 3.0, "dt": 0.05, "uncertainty": 0.0}
-    found = linear_side_of(WU, GAINS.values, **about, asked=False)
+    found = linear_side_of(WU, GAINS.values, **about, requested=False)
     assert found.stable is None and "not applicable to this vehicle, because a cruise at 3 m/s" in found.lines[0]
     with pytest.raises(InputError, match="needs thrust"):
-        linear_side_of(WU, GAINS.values, **about, asked=True)
+        linear_side_of(WU, GAINS.values, **about, requested=True)
 
 
 def test_no_export_is_proposed_whose_mission_the_vehicle_cannot_start(tmp_path: Path) -> None:

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control import Gains, load_gains
+from surctl.control.perception import PerceptionStage, build_perception
 from surctl.control.ports import SECTORS, law_parameters, scan_inputs, sonar_inputs
-from surctl.control.senses import Senses, build_senses
 from surctl.guidance import Path
 from surctl.ir import Native, compile_block
-from surctl.sensing import Equipment, LocalMap, SonarArray, heard, true_range
+from surctl.sensing import Equipment, LocalMap, SonarArray, firing_samples, true_range
 from surctl.vehicle import Vehicle, load_vehicle
 from surctl.world import Shape, site_walls
 
@@ -26,9 +26,9 @@ EDGE = HULL / 4
 
 
 @cache
-def senses(equipment: Equipment) -> tuple[Senses, Native]:
+def senses(equipment: Equipment) -> tuple[PerceptionStage, Native]:
     """What runs before the decision, and the same compiled."""
-    made = build_senses(
+    made = build_perception(
         equipment,
         sonar_inputs(equipment, contacts=CONTACTS),
         scan_inputs(CONTACTS + SECTORS, sensors=equipment.array.size),
@@ -97,7 +97,7 @@ class Robot:
         every = round(DT / self.array.firing_period)
         for k in (self.array.sensor_at(every * self.tick + i) for i in range(every)):
             away = true_range(self.array, k, position=self.eta[:2], heading=self.eta[3], shapes=self.shapes)
-            honest = heard(self.array, away, noise=self.rng.standard_normal(self.array.samples))
+            honest = firing_samples(self.array, away, noise=self.rng.standard_normal(self.array.samples))
             told = self.wrong[k](honest, self.tick) if k in self.wrong else honest
             if told is not None:
                 self.samples[k], fresh[k] = told, 1.0
@@ -118,7 +118,7 @@ class Robot:
         self.x = np.concatenate([np.zeros(4), after])
         self.tick += 1
         self.eta[3] += self.spin * DT
-        return self.made.told.unpack(told.copy())
+        return self.made.outputs.unpack(told.copy())
 
     def steps(self, seconds: float, **other: object) -> Mapping[str, Array]:
         """The last of many."""

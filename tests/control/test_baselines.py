@@ -81,11 +81,11 @@ def _disc(x: float, y: float, radius: float = 0.3, vx: float = 0.0, vy: float = 
 
 
 def test_every_law_of_the_registry_is_built_in_every_mode() -> None:
-    assert LAW_NAMES == tuple(LAWS) == ("guarded", "paper", "lean", *BASELINES)
+    assert LAW_NAMES == tuple(LAWS) == ("guarded", "paper", "closed_form", *BASELINES)
     for name in BASELINES:
         for mode in MODES:
             assert build_law(name, mode=mode).name == f"surctl_{name}"
-        assert build_law(name, sonar=True).senses is not None
+        assert build_law(name, sonar=True).perception is not None
 
 
 def test_a_misspelt_law_is_told_the_nearest_and_a_form_that_is_not_taken() -> None:
@@ -105,7 +105,7 @@ def test_without_a_contact_the_wish_is_flown(name: str) -> None:
     assert step.status & DEGRADED == 0
     assert np.allclose(_velocity(name), WISH, atol=1e-12)
     assert step.telemetry[law.telemetry_slice("avoiding")][0] == 0
-    assert np.allclose(step.telemetry[law.telemetry_slice("nu_wanted")][:2], WISH, atol=1e-12)
+    assert np.allclose(step.telemetry[law.telemetry_slice("nu_reference")][:2], WISH, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", BASELINES)

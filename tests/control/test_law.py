@@ -115,7 +115,7 @@ def test_what_cannot_be_built_is_refused(kwargs: dict[str, str], fragment: str) 
 
 
 def test_the_choices() -> None:
-    assert LAW_NAMES == ("guarded", "paper", "lean", "apf", "dwa", "vo", "cbf")
+    assert LAW_NAMES == ("guarded", "paper", "closed_form", "apf", "dwa", "vo", "cbf")
     assert MODES == ("nsb", "filter", "projected", "lexicographic")
 
 
@@ -172,7 +172,7 @@ def test_alone_on_its_path_it_goes_ahead() -> None:
     law = build_law()
     step = law.step(_started(law), _input(law), _parameters())
     told = law.outputs.unpack(np.concatenate([step.tau, step.telemetry]))
-    np.testing.assert_allclose(told["nu_wanted"], [0.2, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(told["nu_reference"], [0.2, 0, 0, 0], atol=1e-12)
     assert told["avoiding"][0] == 0
     assert told["nearest"][0] > 90
     assert step.x_next[law.state.slice("progress")][0] == pytest.approx(1.0 + 0.05 * 0.2)
@@ -181,7 +181,7 @@ def test_alone_on_its_path_it_goes_ahead() -> None:
 def test_depth_and_heading_are_brought_back() -> None:
     law = build_law()
     step = law.step(_started(law), _input(law, eta=(1, 0, -0.25, 0.2)), _parameters())
-    wanted = law.outputs.unpack(np.concatenate([step.tau, step.telemetry]))["nu_wanted"]
+    wanted = law.outputs.unpack(np.concatenate([step.tau, step.telemetry]))["nu_reference"]
     assert wanted[2] == pytest.approx(0.3 * 0.1)  # k2
     assert wanted[3] == pytest.approx(-0.6 * 0.2)  # k_psi
     heading = [np.cos(0.2), -np.sin(0.2)]
@@ -191,7 +191,7 @@ def test_depth_and_heading_are_brought_back() -> None:
 def test_wanted_velocity_is_limited_to_cap_climb_and_what_the_yaw_thrust_holds() -> None:
     law = build_law()
     step = law.step(_started(law), _input(law, eta=(-3, 4, -5, 2.5)), _parameters())
-    wanted = law.outputs.unpack(np.concatenate([step.tau, step.telemetry]))["nu_wanted"]
+    wanted = law.outputs.unpack(np.concatenate([step.tau, step.telemetry]))["nu_reference"]
     assert np.hypot(*wanted[:2]) <= 0.22 + 1e-12
     assert wanted[2] == pytest.approx(0.1)
     held = (-0.3 + np.sqrt(0.3**2 + 4 * 1.0 * 0.85 * 0.5)) / 2
@@ -206,7 +206,7 @@ def test_an_obstacle_ahead_is_passed_with_the_obstacle_on_the_right() -> None:
     step = law.step(_started(law), _input(law, AHEAD), _parameters())
     told = law.outputs.unpack(np.concatenate([step.tau, step.telemetry]))
     assert told["avoiding"][0] == 1
-    assert told["nu_wanted"][1] > 0.05
+    assert told["nu_reference"][1] > 0.05
     assert told["nearest"][0] == pytest.approx(0.46, abs=1e-6)
     assert step.x_next[law.state.slice("side")][0] == 1
 

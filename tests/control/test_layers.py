@@ -44,7 +44,7 @@ def test_only_the_guarded_law_takes_it_and_without_it_nothing_changes() -> None:
     plain, deep = _law(sonar=False, depths=False), _law(sonar=False)
     assert [p for p in deep.state if p not in plain.state.ports] == list(LAYER_PORTS)
     assert {p.name for p in deep.inputs} - {p.name for p in plain.inputs} == {"column"}
-    assert {p.name for p in deep.outputs} - {p.name for p in plain.outputs} == {"wanted_depth"}
+    assert {p.name for p in deep.outputs} - {p.name for p in plain.outputs} == {"depth_reference"}
     assert deep.gains.ports == plain.gains.ports
     assert plain.block.digest() == build_law().block.digest()
 
@@ -66,8 +66,8 @@ def test_the_map_is_forgotten_once_another_depth_is_reached(changing: float, for
     after = _step(law, x, z=-1.7)[1]
     assert np.mean(after[law.state.slice("map_cells")] > 0.5) == pytest.approx(0.0 if forgets else 1.0, abs=0.05)
     assert after[law.state.slice("changing")] == max(changing, 0.0)
-    told = law.told(x, law.inputs.pack({"eta": [4.0, 2.5, -1.7, 0.0], "column": (1.5, 1.5)}), _parameters())
-    marked = told[law.senses.told.slice("contacts")].reshape(-1, 6)[8:, 5]  # type: ignore[union-attr]
+    told = law.decision_inputs(x, law.inputs.pack({"eta": [4.0, 2.5, -1.7, 0.0], "column": (1.5, 1.5)}), _parameters())
+    marked = told[law.perception.outputs.slice("contacts")].reshape(-1, 6)[8:, 5]  # type: ignore[union-attr]
     assert np.any(marked > 0.5) != forgets
 
 
@@ -81,9 +81,9 @@ def test_it_rises_no_faster_than_it_can_stop_in_the_water_that_is_free(
     law = _law(sonar=False)
     x = law.state.pack({"layer": 1.0, "changing": 1.0, "searched": (4.0, 4.0, 2.5, 2.5), "furthest": 3.5})
     telemetry = _step(law, x, z=-2.0, column=column, speed=speed)[3]
-    asked = telemetry[law.telemetry_slice("nu_wanted")]
+    asked = telemetry[law.telemetry_slice("nu_reference")]
     assert asked[2] == pytest.approx(wanted, abs=1e-4)
-    assert telemetry[law.telemetry_slice("wanted_depth")] == pytest.approx(-1.41)
+    assert telemetry[law.telemetry_slice("depth_reference")] == pytest.approx(-1.41)
     assert telemetry[law.telemetry_slice("avoiding")] == 1.0
 
 
@@ -93,6 +93,6 @@ def test_it_stops_within_the_free_water_by_the_least_thrust_it_counts_on() -> No
     x = law.state.pack({"layer": 1.0, "changing": 1.0, "searched": (4.0, 4.0, 2.5, 2.5), "furthest": 3.5})
     for free in np.linspace(0.05, 0.3, 12).tolist():
         telemetry = _step(law, x, z=-2.0, column=(free, 0.0))[3]
-        s = float(telemetry[law.telemetry_slice("nu_wanted")][2])
+        s = float(telemetry[law.telemetry_slice("nu_reference")][2])
         assert 0 <= s <= 0.1 + 1e-12
         assert s * s / (2 * a) + s * GAINS["reaction"] <= free - GAINS["margin"] + 1e-9

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from surctl.control import PARAMETERS, law_parameters, load_gains
 from surctl.control.guarded import _back_first, _strays
-from surctl.control.reference import learnt, path_wish
+from surctl.control.reference import learnt, path_following
 from surctl.control.stopping import BARRIERS
 from surctl.guidance import Path
 from surctl.vehicle import load_vehicle
@@ -24,9 +24,9 @@ DT = 0.05
 def _function() -> ca.Function:
     p, ps = PARAMETERS.symbols("p")
     eta, progress, velocity = ca.SX.sym("eta", 4), ca.SX.sym("progress"), ca.SX.sym("velocity", 2)
-    wish = path_wish(eta, progress, ps, dt=DT)
+    wish = path_following(eta, progress, ps, dt=DT)
     strays = _strays(wish, velocity, BARRIERS["simple"](ps, DT))
-    return ca.Function("wish", [eta, progress, velocity, p], [wish.velocity, strays, wish.arriving])
+    return ca.Function("desired", [eta, progress, velocity, p], [wish.velocity, strays, wish.arriving])
 
 
 @cache
@@ -76,7 +76,7 @@ def _waiting() -> ca.Function:
     p, ps = PARAMETERS.symbols("p")
     eta, progress, velocity = ca.SX.sym("eta", 4), ca.SX.sym("progress"), ca.SX.sym("velocity", 2)
     unknown, wall = ca.SX.sym("unknown"), ca.SX.sym("wall")
-    wish = path_wish(eta, progress, ps, dt=DT)
+    wish = path_following(eta, progress, ps, dt=DT)
     found = _back_first(wish, velocity, [(ca.SX([1, 0]), unknown)], [(ca.SX([0, 1]), wall)])
     return ca.Function("waiting", [eta, progress, velocity, unknown, wall, p], [found])
 
@@ -97,7 +97,7 @@ def _learning() -> ca.Function:
     p, ps = PARAMETERS.symbols("p")
     eta, progress, nu, avoiding = ca.SX.sym("eta", 4), ca.SX.sym("progress"), ca.SX.sym("nu", 4), ca.SX.sym("avoiding")
     memory = ca.SX(0)
-    wish = path_wish(eta, progress, ps, dt=DT, guidance="ilos", memory=memory)
+    wish = path_following(eta, progress, ps, dt=DT, guidance="ilos", memory=memory)
     found = learnt("ilos", wish, memory, eta, nu, avoiding, ps, dt=DT)
     return ca.Function("learning", [eta, progress, nu, avoiding, p], [found])
 

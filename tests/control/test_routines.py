@@ -12,7 +12,7 @@ from surctl.control import DEGRADED, Law, build_law, in_real, load_gains
 from surctl.errors import InputError
 from surctl.export import origin_of
 from surctl.ir import replay
-from surctl.priority.solver.ladder import RELAXED
+from surctl.priority.solver.fallback import RELAXED
 from surctl.simulation import law_numbers, load_scenario
 from surctl.vehicle import load_vehicle
 
@@ -33,7 +33,7 @@ def test_in_floats_it_decides_as_in_doubles() -> None:
     law, given = tried()
     want, have = replay(law.block, *given), replay(in_real(law, "float32").block, *given, real=np.float32)
     np.testing.assert_array_equal(have[2], want[2])
-    at = law.telemetry_slice("nu_wanted")
+    at = law.telemetry_slice("nu_reference")
     off = np.abs(have[3][:, at] - want[3][:, at]).max(axis=1)
     opened = want[2][:, 0] % (2 * DEGRADED) >= DEGRADED
     # an opening has a margin, in which the task may give way: by it divided by the sine between the rows
@@ -46,7 +46,7 @@ def test_with_the_tolerances_of_doubles_a_search_in_floats_goes_down_the_ladder(
     law, given = tried()
     J, wanted, rows, box = (part.astype(np.float32) for part in replay(law.stages.pre, *given)[:4])
     ticks = [
-        next(step.block for step in made.block.steps if step.block.name == "projected_tick")
+        next(step.block for step in made.block.steps if step.block.name == "projected_step")
         for made in (law, in_real(law, "float32"))
     ]
     coarse, fine = (replay(tick, J, wanted, wanted, rows, box, real=np.float32) for tick in ticks)
@@ -65,7 +65,7 @@ def test_a_law_that_has_no_other_tolerances_comes_back_as_it_is() -> None:
 
 def test_a_bounded_ladder_is_the_same_law_until_rows_or_task_have_to_give_way() -> None:
     law, given = tried()
-    bounded = build_law(mode="projected", contacts=1, ladder="bounded")
+    bounded = build_law(mode="projected", contacts=1, fallback="bounded")
     want, have = replay(law.block, *given), replay(bounded.block, *given)
     opened, eased = (out[2][:, 0] % (2 * DEGRADED) >= DEGRADED for out in (want, have))
     assert eased[opened].all() and 0 < opened.sum() <= eased.sum() < len(eased)
@@ -73,7 +73,7 @@ def test_a_bounded_ladder_is_the_same_law_until_rows_or_task_have_to_give_way() 
         assert a[~eased].tobytes() == b[~eased].tobytes()
     floats = replay(in_real(bounded, "float32").block, *given, real=np.float32)
     np.testing.assert_array_equal(floats[2], have[2])
-    assert np.abs(floats[3] - have[3])[:, law.telemetry_slice("nu_wanted")].max() < 1e-3
+    assert np.abs(floats[3] - have[3])[:, law.telemetry_slice("nu_reference")].max() < 1e-3
     with pytest.raises(InputError, match=r"not explained.*exact"):
         bounded.explained(*(vector[0] for vector in given))
-    assert origin_of(bounded, load_vehicle("sur400")).told_truth is bounded
+    assert origin_of(bounded, load_vehicle("sur400")).ground_truth is bounded

@@ -36,12 +36,12 @@ def decided(*, unknown=None, healthy=1.0, placed=1.0, contacts=(), nu=(0, 0, 0, 
     `contacts`: {row: x, y, radius, vx, vy}; `more`: psi, at, progress, or gains.
     """
     made, psi, at, progress = law(), more.pop("psi", 0.0), more.pop("at", (0.5, 2.0)), more.pop("progress", 0.0)
-    told = made.senses.told
+    told = made.perception.outputs
     rows = np.zeros((CONTACTS + SECTORS, 6))
     for row, contact in dict(contacts).items():
         rows[row] = *contact, 1.0
     away = np.full(SECTORS, 100.0) if unknown is None else np.asarray(unknown, dtype=float)
-    n = made.senses.told.port("heard").shape[0]
+    n = made.perception.outputs.port("sonars").shape[0]
     axes = psi + np.arange(n) * np.pi / 2
     heard = np.column_stack(
         [np.full((n, 2), 1.0), np.broadcast_to(healthy, n), np.zeros(n), np.cos(axes), np.sin(axes)]
@@ -52,16 +52,16 @@ def decided(*, unknown=None, healthy=1.0, placed=1.0, contacts=(), nu=(0, 0, 0, 
             "nu": nu,
             "contacts": rows,
             "unknown": np.column_stack([np.cos(BEARINGS), np.sin(BEARINGS), away]),
-            "heard": heard,
+            "sonars": heard,
             "placed": placed,
         }
     )
-    ports = [port for port in made.state if port.name not in {p.name for p in made.senses.state}]
+    ports = [port for port in made.state if port.name not in {p.name for p in made.perception.state}]
     x = Layout(tuple(ports)).pack({"progress": progress})
     tau, _, _, telemetry = (np.array(v).ravel() for v in made.function(x, u, parameters(walls, **more)))
     seen = made.outputs.unpack(np.concatenate([tau, telemetry]))
     c, s = math.cos(psi), math.sin(psi)
-    wanted = seen["nu_wanted"]
+    wanted = seen["nu_reference"]
     return np.array([c * wanted[0] - s * wanted[1], s * wanted[0] + c * wanted[1]]), wanted[3], seen
 
 
@@ -78,25 +78,25 @@ def stops_within(clearance):
 def test_alone_in_what_it_knows_it_goes_along_its_path_and_turns():
     velocity, rate, seen = decided()
     np.testing.assert_allclose(velocity, [CRUISE, 0.0], atol=1e-9)
-    assert seen["halted"][0] == 0 and seen["healthy"].all()
+    assert seen["stopped"][0] == 0 and seen["healthy"].all()
     assert rate == pytest.approx(load_vehicle("sur540-flooded").steady_yaw(YAW_SHARE))
 
 
 @pytest.mark.parametrize("clearance", [0.0, -0.3])
 def test_it_stands_where_nothing_is_known(clearance):
     velocity, rate, seen = decided(unknown=np.full(SECTORS, clearance))
-    assert np.abs(velocity).max() < 1e-9 and seen["halted"][0] == 1.0 and rate > 0.1
+    assert np.abs(velocity).max() < 1e-9 and seen["stopped"][0] == 1.0 and rate > 0.1
 
 
 def test_it_stands_while_every_sonar_is_deaf():
     velocity, rate, seen = decided(healthy=0.0)
-    assert np.abs(velocity).max() == 0.0 and seen["halted"][0] == 1.0 and rate > 0.1
+    assert np.abs(velocity).max() == 0.0 and seen["stopped"][0] == 1.0 and rate > 0.1
     assert seen["healthy"].tolist() == [0.0] * 4
 
 
 def test_it_stands_while_it_does_not_know_where_it_is():
     velocity, _, seen = decided(placed=0.0)
-    assert np.abs(velocity).max() == 0.0 and seen["halted"][0] == 1.0
+    assert np.abs(velocity).max() == 0.0 and seen["stopped"][0] == 1.0
 
 
 def test_one_sonar_that_hears_is_enough_to_grope():
@@ -105,7 +105,7 @@ def test_one_sonar_that_hears_is_enough_to_grope():
         healthy = np.ones(4)
         healthy[deaf] = 0.0
         velocity, _, seen = decided(healthy=healthy)
-        assert velocity[0] == pytest.approx(CRUISE * (0.5 if deaf == 0 else 1.0)) and seen["halted"][0] == 0
+        assert velocity[0] == pytest.approx(CRUISE * (0.5 if deaf == 0 else 1.0)) and seen["stopped"][0] == 0
     velocity, _, _ = decided(healthy=[1.0, 0.0, 0.0, 0.0])
     assert velocity[0] == pytest.approx(CRUISE)
 
@@ -114,7 +114,7 @@ def test_at_its_target_it_is_not_halted():
     """It has no wish to go on: standing is then not for want of knowledge."""
     for placed in (0.0, 1.0):
         velocity, _, seen = decided(placed=placed, at=(3.5, 2.0), progress=3.0)
-        assert np.hypot(*velocity) < 1e-9 and seen["halted"][0] == (placed == 0.0)
+        assert np.hypot(*velocity) < 1e-9 and seen["stopped"][0] == (placed == 0.0)
 
 
 # --- the whole law at its start -------------------------------------------------------------------------------------
@@ -128,10 +128,10 @@ def test_in_its_first_second_it_goes_no_faster_than_stops_before_the_unknown(mod
     x, speeds = made.initial_state(), []
     for tick in range(20):
         u = made.inputs.pack(robot.inputs())
-        told = made.senses.told.unpack(robot.run(x[-made.senses.state.size :], u, robot.p)[1])
+        told = made.perception.outputs.unpack(robot.run(x[-made.perception.state.size :], u, robot.p)[1])
         step = made.step(x, u, robot.p)
         x = step.x_next
-        wanted = made.outputs.unpack(np.concatenate([step.tau, step.telemetry]))["nu_wanted"]
+        wanted = made.outputs.unpack(np.concatenate([step.tau, step.telemetry]))["nu_reference"]
         c, s = math.cos(robot.eta[3]), math.sin(robot.eta[3])
         velocity = np.array([c * wanted[0] - s * wanted[1], s * wanted[0] + c * wanted[1]])
         for *normal, clearance in told["unknown"]:
@@ -150,7 +150,7 @@ def test_an_unknown_place_ahead_bounds_its_speed(clearance):
     away[0] = clearance
     velocity, _, seen = decided(unknown=away)
     assert velocity[0] == pytest.approx(min(CRUISE, stops_within(clearance))) and velocity[0] < CRUISE
-    assert abs(velocity[1]) < 1e-9 and seen["halted"][0] == (velocity[0] < 0.01)
+    assert abs(velocity[1]) < 1e-9 and seen["stopped"][0] == (velocity[0] < 0.01)
 
 
 def test_an_unknown_place_aside_bounds_the_speed_towards_it_alone():

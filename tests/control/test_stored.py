@@ -18,10 +18,10 @@ from surctl.simulation import law_numbers, load_scenario
 from surctl.vehicle import load_vehicle
 
 CASES = [
-    {"law": "lean"},
+    {"law": "closed_form"},
     {"guidance": "ilos", "barrier": "inertia", "movers": "barrier", "contacts": 3},
     {"law": "paper", "avoidance": "printed"},
-    {"mode": "projected", "ladder": "bounded", "contacts": 1},
+    {"mode": "projected", "fallback": "bounded", "contacts": 1},
     {"sonar": True, "depths": True},
 ]
 
@@ -30,12 +30,12 @@ CASES = [
 def test_what_is_read_is_what_was_written(options: dict[str, object]) -> None:
     law = build_law(**options)  # type: ignore[arg-type]
     read = law_from(law_bytes(law))
-    for name in ("name", "avoidance", "mode", "dt", "levels", "rows", "guidance", "barrier", "movers", "ladder"):
+    for name in ("name", "avoidance", "mode", "dt", "levels", "rows", "guidance", "barrier", "movers", "fallback"):
         assert getattr(read, name) == getattr(law, name), name
     layouts = [(read, law, ("state", "inputs", "gains", "outputs"))]
-    if law.senses is not None and read.senses is not None:
-        layouts.append((read.senses, law.senses, ("state", "inputs", "told")))  # type: ignore[arg-type]
-    assert (read.senses is None) == (law.senses is None)
+    if law.perception is not None and read.perception is not None:
+        layouts.append((read.perception, law.perception, ("state", "inputs", "outputs")))  # type: ignore[arg-type]
+    assert (read.perception is None) == (law.perception is None)
     for a, b, names in layouts:
         for name in names:
             assert getattr(a, name).ports == getattr(b, name).ports, name
@@ -44,8 +44,8 @@ def test_what_is_read_is_what_was_written(options: dict[str, object]) -> None:
         *((getattr(read.stages, n), getattr(law.stages, n)) for n in ("closed", "pre", "post")),
     ]
     assert all(a.digest() == b.digest() and a is not b for a, b in pairs)
-    if law.senses is not None and read.senses is not None:
-        assert read.senses.block.digest() == law.senses.block.digest()
+    if law.perception is not None and read.perception is not None:
+        assert read.perception.block.digest() == law.perception.block.digest()
     x, u = law.initial_state(), law.inputs.pack()
     p = law_numbers(load_scenario("pool-behind"), load_gains("default"), load_vehicle("sur400"))
     for a, b in zip(replay(read.block, x, u, p), replay(law.block, x, u, p), strict=True):
@@ -71,9 +71,13 @@ def test_a_law_is_built_once_whatever_its_arguments_are_spelt_like(
 ) -> None:
     monkeypatch.setenv("SURCTL_CACHE", str(tmp_path))
     built = count_builds(monkeypatch)
-    laws = [build_law("lean"), build_law("lean", mode="nsb"), build_law(law="lean", dt=0.05, contacts=8)]
+    laws = [
+        build_law("closed_form"),
+        build_law("closed_form", mode="nsb"),
+        build_law(law="closed_form", dt=0.05, contacts=8),
+    ]
     assert len(built) == 1 and len({law.block.digest() for law in laws}) == 1
-    build_law("lean", dt=0.1)
+    build_law("closed_form", dt=0.1)
     assert len(built) == 2 and len(list(tmp_path.glob("*.law"))) == 2
 
 
@@ -88,9 +92,9 @@ def test_every_number_of_the_equipment_tells_laws_apart() -> None:
 def test_other_sources_make_another_law(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("SURCTL_CACHE", str(tmp_path))
     built = count_builds(monkeypatch)
-    build_law("lean")
+    build_law("closed_form")
     monkeypatch.setattr(build, "source_digest", lambda *_: "another")
-    build_law("lean")
+    build_law("closed_form")
     assert len(built) == 2
 
 
@@ -103,17 +107,17 @@ def test_sources_that_changed_under_the_process_leave_the_cache_alone(
     monkeypatch.setenv("SURCTL_CACHE", str(tmp_path))
     monkeypatch.setattr(build, "source_digest", changed)
     monkeypatch.setattr(build, "_cached_law", build._cached_law.__wrapped__)
-    assert build_law("lean").name == "surctl_lean" and not list(tmp_path.iterdir())
+    assert build_law("closed_form").name == "surctl_closed_form" and not list(tmp_path.iterdir())
 
 
 def test_an_altered_entry_is_built_anew(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("SURCTL_CACHE", str(tmp_path))
     built = count_builds(monkeypatch)
-    digest = build_law("lean").block.digest()
+    digest = build_law("closed_form").block.digest()
     (entry,) = tmp_path.glob("*.law")
     body = entry.read_bytes()
     entry.write_bytes(body.replace(b"0x1.", b"0x2.", 1))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert build_law("lean").block.digest() == digest
+        assert build_law("closed_form").block.digest() == digest
     assert len(built) == 2 and entry.read_bytes() == body

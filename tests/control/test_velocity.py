@@ -28,7 +28,7 @@ def _control(name: str, k_i: float) -> ca.Function:
         "quadratic_drag": ca.SX(vehicle.quadratic_drag),
         "thrust_limit": ca.SX(vehicle.thrust_limit),
     }
-    wanted, nu, integral = (ca.SX.sym(n, 4) for n in ("wanted", "nu", "integral"))
+    wanted, nu, integral = (ca.SX.sym(n, 4) for n in ("nu_reference", "nu", "integral"))
     gains = {"k_v": ca.SX(K_V), "k_r": ca.SX(K_R), "k_i": ca.SX(k_i)}
     return ca.Function(
         "control", [wanted, nu, integral], list(velocity_control(wanted, nu, integral, model, **gains, dt=DT))

@@ -86,7 +86,7 @@ def test_every_compiler_and_processor_gives_the_bytes_of_python(
     assert not untried
     report = check_builds(compiled(law, run, tmp_path, real), [run], targets, steps=4000)
     assert report.passed, report.summary()
-    assert report.flown == len(run) and report.tried == 4000
+    assert report.simulated == len(run) and report.tried == 4000
     assert {build.steps for build in report.builds} == {len(run) + 4000}
     for build in report.builds:
         assert (build.instructions is not None) == (build.target in EMULATED)

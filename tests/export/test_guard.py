@@ -13,13 +13,13 @@ import pytest
 
 from surctl.control import build_law
 from surctl.errors import InputError
-from surctl.export import TARGETS, Envelope, Rate, build_controller, check_builds, compare_runs, flight_envelope
+from surctl.export import TARGETS, Envelope, Rate, build_controller, check_builds, compare_runs, operating_envelope
 from surctl.export.envelope import ITER, RANGE, anywhere
 from surctl.export.faults import fault_cases
 from surctl.export.precision import Guarded, evaluated, in_precision, replayed
 from surctl.ir import Real, compile_program
 from surctl.simulation import load_scenario
-from tests.export.lean import exported, vehicle
+from tests.export.closed_form import exported, vehicle
 from tests.export.standin import stand_in
 from tests.tools import need, need_compiler
 
@@ -82,7 +82,7 @@ def test_whole_turns_are_no_jump() -> None:
 
 def test_ranges_are_told_in_header_readme_and_manifest() -> None:
     _, bundle, _ = exported("float32")
-    header, readme = bundle.files["surctl_lean.h"], bundle.files["README.md"]
+    header, readme = bundle.files["surctl_closed_form.h"], bundle.files["README.md"]
     assert "x, y, z and heading" in header and "-1 to 4; -1 to 3; -2 to 1; -1000 to 1000 */" in header
     assert "uint32_t sample;" in header and "within 0.1 + " in header
     assert "## Constants" in readme and "| `k1` | 0.3 | 1/s |" in readme
@@ -90,12 +90,12 @@ def test_ranges_are_told_in_header_readme_and_manifest() -> None:
 
 
 def test_what_the_guard_bounds_comes_from_site_and_vehicle() -> None:
-    law, mission = build_law("lean"), load_scenario("pool-ahead")
-    small = flight_envelope(law, mission, vehicle(), law.gains)
-    wide = flight_envelope(law, replace(mission, site=(30.0, 20.0, 5.0)), vehicle(), law.gains)
+    law, mission = build_law("closed_form"), load_scenario("pool-ahead")
+    small = operating_envelope(law, mission, vehicle(), law.gains)
+    wide = operating_envelope(law, replace(mission, site=(30.0, 20.0, 5.0)), vehicle(), law.gains)
     assert (wide.inputs[:3, 1] >= small.inputs[:3, 1]).all() and wide.inputs[0, 1] == 31.0
     strong = vehicle().with_values({"Fu_max": 4 * vehicle()["Fu_max"]})
-    assert flight_envelope(law, mission, strong, law.gains).inputs[4, 1] > small.inputs[4, 1]
+    assert operating_envelope(law, mission, strong, law.gains).inputs[4, 1] > small.inputs[4, 1]
     assert {rate.entry for rate in small.rates} == set(range(8)) and np.isinf(small.gains).all()
 
 
@@ -129,9 +129,9 @@ def test_a_step_fits_a_small_processor(tmp_path: Path) -> None:
     controller = build_controller(law, bundle, tmp_path / "b")
     report = check_builds(controller, [flight], [TARGETS["cortex-m4f-Os"]], steps=2000)
     (build,) = report.builds
-    assert report.passed and build.instructions is not None and build.flight_bytes is not None
+    assert report.passed and build.instructions is not None and build.runtime_bytes is not None
     assert build.instructions.most <= 1200 and build.instructions.most <= 1.10 * build.instructions.least
-    assert build.flight_bytes <= 4500
+    assert build.runtime_bytes <= 4500
 
 
 @pytest.mark.parametrize("real", ["float32", "float64"])
@@ -139,9 +139,9 @@ def test_no_warnings_of_compilers_and_cppcheck(tmp_path: Path, real: Real) -> No
     need_compiler()
     cppcheck = need("cppcheck")
     _, bundle, _ = exported(real)
-    for file in ("surctl_lean.c", "surctl_lean.h"):
+    for file in ("surctl_closed_form.c", "surctl_closed_form.h"):
         (tmp_path / file).write_text(bundle.files[file])
-    source = tmp_path / "surctl_lean.c"
+    source = tmp_path / "surctl_closed_form.c"
     strict = ("-c", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
     compile_program([source], tmp_path / "law.o", flags=strict)
     command = [cppcheck, "--enable=warning,performance,portability", "--error-exitcode=1", "--quiet", str(source)]
@@ -152,9 +152,9 @@ def test_no_warnings_of_compilers_and_cppcheck(tmp_path: Path, real: Real) -> No
 def test_the_law_may_say_that_an_iteration_did_not_end(tmp_path: Path) -> None:
     need_compiler()
     law, bundle, flight = exported("float32")
-    text, count = re.subn(r"\*status = (.*?);", r"*status = (\1) - 100.0f;", bundle.files["surctl_lean.c"])
+    text, count = re.subn(r"\*status = (.*?);", r"*status = (\1) - 100.0f;", bundle.files["surctl_closed_form.c"])
     assert count == 1
-    mutant = replace(bundle, files=MappingProxyType({**bundle.files, "surctl_lean.c": text}))
+    mutant = replace(bundle, files=MappingProxyType({**bundle.files, "surctl_closed_form.c": text}))
     load = np.ones(len(flight), dtype=bool)
     told = build_controller(law, mutant, tmp_path / "b").run(flight, load=load)
     assert set(told.status) == {ITER} and not told.tau.any()

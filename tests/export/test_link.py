@@ -20,11 +20,11 @@ from surctl.control import Law, LawStep, build_law, load_gains
 from surctl.errors import InputError
 from surctl.export import (
     TARGETS,
-    Answer,
     Line,
     LineDown,
     LinkedLaw,
     LinkFaults,
+    Reply,
     build_bundle,
     closed_form,
     connect,
@@ -121,7 +121,7 @@ def test_one_bit_of_thrust_state_or_telemetry_is_enough(line: Line, monkeypatch:
     last = 4 * (law.outputs.size + law.state.size)
     flipped = {3: 0, 5: 4 * 4, 8: last - 4}  # the lowest bit of the first thrust and state, and of the last telemetry
 
-    def step(sequence: int, inputs: Vector) -> Answer:
+    def step(sequence: int, inputs: Vector) -> Reply:
         answer = asked(sequence, inputs)
         assert len(answer.raw) == last
         changed = bytearray(answer.raw)
@@ -142,7 +142,7 @@ def test_another_controller_is_refused_by_both_ends(line: Line) -> None:
         LinkedLaw(law, 2.0 * law.gains.pack(), line)
     with pytest.raises(LineDown, match="runs another controller"):
         line.start("0" * 64)
-    assert line.ask().id == build_bundle(law, {}, real="float32").id  # and it goes on
+    assert line.request().id == build_bundle(law, {}, real="float32").id  # and it goes on
 
 
 def raw(where: str, sent: bytes) -> bytes:
@@ -169,7 +169,7 @@ def test_what_is_no_message_is_refused_and_the_next_robot_is_served(small: dict[
             assert HEAD.unpack(told[:16])[:3] == (b"SURL", 1, 7) and struct.unpack("<I", told[16:]) == (code,)
         assert raw(where, b"SURL") == b"" and process.poll() is None  # cut short
         with connect(where) as opened:
-            opened.start(opened.ask().id)
+            opened.start(opened.request().id)
             opened.step(3, law.inputs.pack())
             with pytest.raises(LineDown, match="later step already"):
                 opened.step(3, law.inputs.pack())
@@ -260,7 +260,7 @@ def test_it_listens_on_the_loopback_alone(small: dict[Real, Path]) -> None:
         except OSError:
             return  # a machine without IPv6
         with serving(path, "0", "::1") as (_, where), connect(where) as opened:
-            assert where.startswith("tcp://[::1]:") and opened.ask().inputs == exact().inputs.size
+            assert where.startswith("tcp://[::1]:") and opened.request().inputs == exact().inputs.size
 
 
 LAW = exact()
@@ -279,10 +279,10 @@ class Echo(Line):
     def ask(self) -> Identity:
         return WHO
 
-    def step(self, sequence: int, inputs: Vector) -> Answer:
+    def step(self, sequence: int, inputs: Vector) -> Reply:
         if sequence >= self.ends_at:
             raise LineDown(f"{self.name} hung up")
-        return Answer(0, np.full(4, float(sequence)), LAW.initial_state(), np.zeros(LAW.outputs.size - 4), b"")
+        return Reply(0, np.full(4, float(sequence)), LAW.initial_state(), np.zeros(LAW.outputs.size - 4), b"")
 
 
 def thrusts(faults: LinkFaults, *, ends_at: int = 1 << 30, count: int = 12) -> list[tuple[float, int]]:

@@ -18,7 +18,7 @@ from surctl.export import Bundle, gain_box, prove_bundle, with_proof
 from surctl.export.mutants import caught_by, mutants
 from surctl.ir import Program
 from surctl.simulation import law_numbers, load_scenario
-from tests.export.lean import exported, searching, vehicle
+from tests.export.closed_form import exported, searching, vehicle
 from tests.tools import need, need_compiler
 
 
@@ -60,7 +60,7 @@ def test_what_is_wrong_is_told_with_its_place(pattern: str, new: str, kind: str)
         broken = replace(broken, envelope=replace(bundle.envelope, inputs=box))
     report = prove_bundle(law, broken, vehicle().thrust_limit)
     assert not report.proved and any(re.search(kind, alarm.kind) for alarm in report.alarms), report.summary()
-    assert all(alarm.line > 0 and alarm.file in ("surctl_lean.c", "proof.c") for alarm in report.alarms)
+    assert all(alarm.line > 0 and alarm.file in ("surctl_closed_form.c", "proof.c") for alarm in report.alarms)
     assert report.to_dict()["status"] == "open" and report.alarms[0].file in report.summary()
 
 
@@ -107,7 +107,7 @@ def test_a_missing_tool_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_gain_outside_the_box_is_named() -> None:
-    law, mission = build_law("lean"), load_scenario("pool-ahead")
+    law, mission = build_law("closed_form"), load_scenario("pool-ahead")
     numbers = law_numbers(mission, load_gains("default"), vehicle())
     box = gain_box(law, numbers, {"k_v": (1.0, 2.0)})
     at = law.gains.slice("k_v").start
@@ -122,6 +122,6 @@ def test_one_mutant_of_each_kind_is_caught(tmp_path: Path) -> None:
     law, bundle, flight = exported("float32")
     tried = mutants(bundle, each=1)
     assert {m.kind for m in tried} == {"sign", "operator", "gain", "guard", "memory"}
-    assert all(m.bundle.files["surctl_lean.c"] != bundle.files["surctl_lean.c"] for m in tried)
+    assert all(m.bundle.files["surctl_closed_form.c"] != bundle.files["surctl_closed_form.c"] for m in tried)
     for k, mutant in enumerate(tried):
         assert caught_by(law, mutant, flight, tmp_path / str(k)), f"{mutant.kind} at line {mutant.line}: {mutant.old}"

@@ -61,7 +61,7 @@ def test_in_floats_it_keeps_its_senses_and_gets_another_tick(flown: tuple[Run, C
     law = flown[0].law
     single = in_real(law, "float32")
     assert (single is law) == (law.mode == "nsb")
-    assert single.senses is law.senses and single.block.inputs == law.block.inputs
+    assert single.perception is law.perception and single.block.inputs == law.block.inputs
     assert isinstance(single.block, Routine) and isinstance(law.block, Routine)
     for mine, other in zip(single.block.steps, law.block.steps, strict=True):
         assert isinstance(mine, Call) and isinstance(other, Call) and mine.args == other.args

@@ -27,7 +27,7 @@ from surctl.guidance.braking import (
     range_needed,
     sideways_force,
     stopping_distance,
-    stopping_way,
+    stopping_distance_with_drag,
 )
 from surctl.guidance.braking_symbols import BrakeSymbols, closing_bound, range_symbol, stopping_symbol
 from surctl.vehicle import load_vehicle
@@ -140,7 +140,7 @@ def scaled(share: float) -> Callable[..., float]:
     def way(*args: Any, **keys: Any) -> float:
         return share * stopping_distance(*args, **keys)
 
-    return lambda *args, **keys: range_needed(*args, **keys, way=way)
+    return lambda *args, **keys: range_needed(*args, **keys, stopping=way)
 
 
 def without_lag(brakes: Brakes, watch: Watch, speed: float, **keys: Any) -> float:
@@ -174,7 +174,7 @@ def test_a_rule_that_asks_for_less_hits(k: int, rule: Callable[..., float]) -> N
 
 def test_drag_s_help_may_be_counted_on() -> None:
     def rule(*args: Any, **keys: Any) -> float:
-        return range_needed(*args, **keys, way=stopping_way)
+        return range_needed(*args, **keys, stopping=stopping_distance_with_drag)
 
     for k in (0, 3, 6):
         brakes, watch, obstacle = SETTINGS[k]
@@ -259,9 +259,12 @@ def test_the_ends_of_the_mass_range_are_the_worst_and_drag_only_helps(
 ) -> None:
     between = BRAKES.masses[0] + share * (BRAKES.masses[1] - BRAKES.masses[0])
     one = replace(BRAKES, masses=(between, between))
-    for way in (stopping_distance, stopping_way):
+    for way in (stopping_distance, stopping_distance_with_drag):
         assert way(one, speed, obstacle=obstacle) <= way(BRAKES, speed, obstacle=obstacle) * (1 + 1e-12)
-    assert stopping_way(BRAKES, speed, obstacle=obstacle) <= stopping_distance(BRAKES, speed, obstacle=obstacle) * 1.001
+    assert (
+        stopping_distance_with_drag(BRAKES, speed, obstacle=obstacle)
+        <= stopping_distance(BRAKES, speed, obstacle=obstacle) * 1.001
+    )
 
 
 # ---- figures
@@ -280,7 +283,10 @@ def test_ranges_and_fastest_obstacles_are_those_of_the_study(name: str) -> None:
     vehicle, spread = load_vehicle(name.split(",")[0]), 0.2 if "20" in name else None
     brakes = brakes_of(vehicle, spread=spread)
     found = [
-        [range_needed(brakes, WATCH, v, obstacle=o, way=stopping_way) for o in (0.0, 0.05, 0.10, 0.15)]
+        [
+            range_needed(brakes, WATCH, v, obstacle=o, stopping=stopping_distance_with_drag)
+            for o in (0.0, 0.05, 0.10, 0.15)
+        ]
         for v in (0.10, 0.15, 0.22)
     ]
     worst = 0.015 if spread else 0.065  # WATCH is fitted: what the study took for it is not written down
@@ -308,17 +314,17 @@ def test_no_heading_and_no_drag_in_the_range_pushes_more_than_stated() -> None:
     assert np.max(push - drag - bound) <= 1e-12
     still = obstacle < 0.002
     assert np.max(push[still] / bound[still]) > 0.8  # not far too much either
-    assert beside(BRAKES, 0.1).push == sideways_force(BRAKES, 0.1)
+    assert beside(BRAKES, 0.1).disturbance == sideways_force(BRAKES, 0.1)
 
 
 def test_push_and_current_lengthen_the_way() -> None:
-    for worse in (replace(BRAKES, push=0.5), replace(BRAKES, current=0.05)):
-        for way in (stopping_distance, stopping_way):
+    for worse in (replace(BRAKES, disturbance=0.5), replace(BRAKES, current=0.05)):
+        for way in (stopping_distance, stopping_distance_with_drag):
             assert way(worse, 0.2, obstacle=0.05) > way(BRAKES, 0.2, obstacle=0.05)
         assert fastest_obstacle(worse) < fastest_obstacle(BRAKES)
-    assert fastest_obstacle(replace(BRAKES, push=9.0)) == 0
+    assert fastest_obstacle(replace(BRAKES, disturbance=9.0)) == 0
     assert fastest_obstacle(FREE) == inf
-    assert stopping_distance(BRAKES, 0.1, obstacle=0.3) == stopping_way(BRAKES, 0.1, obstacle=0.3) == inf
+    assert stopping_distance(BRAKES, 0.1, obstacle=0.3) == stopping_distance_with_drag(BRAKES, 0.1, obstacle=0.3) == inf
     assert stopping_distance(BRAKES, 0.1, thrust=-9.0) < stopping_distance(BRAKES, 0.1, thrust=0.0)
 
 
@@ -334,7 +340,7 @@ def test_push_and_current_lengthen_the_way() -> None:
         ({"quadratic": (0.0, inf)}, "quadratic"),
         ({"least": 0.0}, "least"),
         ({"lag": -0.1}, "lag"),
-        ({"push": float("nan")}, "push"),
+        ({"disturbance": float("nan")}, "disturbance"),
     ],
 )
 def test_a_bad_number_is_named(change: dict[str, Any], key: str) -> None:

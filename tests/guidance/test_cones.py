@@ -41,7 +41,7 @@ def _depth() -> ca.Function:
 @cache
 def _choice() -> ca.Function:
     wish, offset, motion, side, blocker = (
-        ca.SX.sym(n, k) for n, k in (("wish", 2), ("offset", 2), ("motion", 2), ("side", 1), ("blocker", 2))
+        ca.SX.sym(n, k) for n, k in (("desired", 2), ("offset", 2), ("motion", 2), ("side", 1), ("blocker", 2))
     )
     _, cone = _cone(offset, motion)
     wall = Sector(ca.SX([0, 1]), ca.SX(10.0), ca.SX([0, 9]))

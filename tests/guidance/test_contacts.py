@@ -23,7 +23,7 @@ _r, _valid = ca.SX.sym("r"), ca.SX.sym("valid")
 
 
 def _numbers(contact: Contact) -> list[ca.SX]:
-    return [contact.normal, contact.clearance, contact.velocity, contact.reach, contact.closing]
+    return [contact.normal, contact.clearance, contact.velocity, contact.combined_radius, contact.closing]
 
 
 _DISC = ca.Function("disc", [_p, _c, _r, _v, _valid], _numbers(disc_contact(_p, ca.SX(HULL), _c, _r, _v, _valid)))

@@ -29,7 +29,7 @@ class _Chosen(NamedTuple):
 
 @cache
 def _choice(count: int, *, fan: bool) -> ca.Function:
-    wish, side, blocker = ca.SX.sym("wish", 2), ca.SX.sym("side"), ca.SX.sym("blocker", 2)
+    wish, side, blocker = ca.SX.sym("desired", 2), ca.SX.sym("side"), ca.SX.sym("blocker", 2)
     normals, bounds, points = ca.SX.sym("n", 2, count), ca.SX.sym("b", count), ca.SX.sym("p", 2, count)
     sectors = [Sector(normals[:, k], bounds[k], points[:, k]) for k in range(count)]
     slower = ca.SX.sym("slower")

@@ -25,7 +25,7 @@ POOL = (0.0, 3.0, 0.0, 2.0)
 def _functions() -> tuple[ca.Function, ca.Function]:
     """(position, wish, other, motion, walls) → costs; the same and (side, blocker) → the choice."""
     here, wish, other, motion, walls = (
-        ca.SX.sym(name, size) for name, size in (("here", 2), ("wish", 2), ("other", 2), ("motion", 2), ("walls", 4))
+        ca.SX.sym(name, size) for name, size in (("here", 2), ("desired", 2), ("other", 2), ("motion", 2), ("walls", 4))
     )
     side, blocker, tried = ca.SX.sym("side"), ca.SX.sym("blocker", 2), ca.SX.sym("tried", 2)
     hull = ca.SX(HULL)
@@ -144,7 +144,7 @@ def test_what_crosses_is_passed_on_the_nearer_side() -> None:
 @cache
 def _moving() -> ca.Function:
     """(wish, other, motion, now, acceleration) from (0, 0), no walls near → swap costs, velocity."""
-    wish, other, motion, now = (ca.SX.sym(name, 2) for name in ("wish", "other", "motion", "now"))
+    wish, other, motion, now = (ca.SX.sym(name, 2) for name in ("desired", "other", "motion", "now"))
     acceleration = ca.SX.sym("acceleration")
     contact = disc_contact(ca.SX.zeros(2), ca.SX(HULL), other, ca.SX(RADIUS), motion, ca.SX(1))
     cone = collision_cone(

@@ -68,7 +68,7 @@ def test_a_choice_by_what_is_not_so_is_the_other_one() -> None:
 
 
 def test_the_law_is_the_same_and_shorter() -> None:
-    mission, law = load_scenario("tank-slalom"), build_law("lean")
+    mission, law = load_scenario("tank-slalom"), build_law("closed_form")
     p = law_numbers(mission, load_gains("default"), load_vehicle(mission.vehicle))
     assert isinstance(law.block, Program)
     folded = with_constants(law.block, 2, list(p))

@@ -138,7 +138,7 @@ def test_random_routines(seed: int) -> None:
 
 @pytest.mark.parametrize("sonar", [False, True])
 def test_a_law(sonar: bool) -> None:
-    block = build_law("guarded" if sonar else "lean", sonar=sonar).block
+    block = build_law("guarded" if sonar else "closed_form", sonar=sonar).block
     found = same(block)
     assert text_anew(found) == block.text()
     assert len(nested(found)) == len({b.digest() for b in nested(block).values()})

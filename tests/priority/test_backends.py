@@ -116,13 +116,13 @@ def test_a_fixed_velocity_and_absent_bounds(backend):
 
 def test_an_answer_that_does_not_hold_is_not_passed_on():
     from surctl.priority.backends import _checked
-    from surctl.priority.kernels import Answer
+    from surctl.priority.kernels import KernelSolution
 
     G, low, high = np.eye(2), np.array([0.5, -1.0]), np.array([1.0, 1.0])
     close = np.full(2, 1e-9)
-    lie = Answer(np.array([0.4, np.nan]), np.array([np.nan, 0.0]), 1, "optimal")
+    lie = KernelSolution(np.array([0.4, np.nan]), np.array([np.nan, 0.0]), 1, "optimal")
     assert _checked(lie, G, low, high, tolerance=close).status == "failed"
-    rough = Answer(np.array([0.5 - 1e-6, 1e-6]), np.array([-0.5, 0.0]), 1, "optimal")
+    rough = KernelSolution(np.array([0.5 - 1e-6, 1e-6]), np.array([-0.5, 0.0]), 1, "optimal")
     assert np.abs(_checked(rough, G, low, high, tolerance=close).y - [0.5, 0.0]).max() < 1e-15
 
 

@@ -153,7 +153,7 @@ def test_a_lexicographic_answer_blames_each_level_on_its_own_rows():
     wall = Row("wall", "barrier", 2 * E[2], -np.inf, 0.2)
     got = solve(build_problem([surge, depth], [*box(0.22), wall]), mode="lexicographic")
     assert np.allclose(got.v, [0.22, 0, 0.1, 0], atol=1e-12)
-    assert got.blame == {"surge": ("box.u",), "depth": ("wall",)}
+    assert got.causes == {"surge": ("box.u",), "depth": ("wall",)}
     assert (got.status, got.fallback) == ("limited", 2)
     assert got.explain() == (
         "Task `surge` gave up 0.78 m/s because `box.u` binds; task `depth` gave up 0.3 because `wall` binds."

@@ -100,6 +100,6 @@ def report() -> ReportData:
         verdicts=(verdict("v1-printed"), verdict("m-norm-printed"), verdict("v1-corrected")),
         runs=(run(), run(sensing="sonar")),
         sweep=sweep(),
-        seconds={"sweep": 1.5, "flights": 0.25},
+        seconds={"sweep": 1.5, "runs": 0.25},
         summary=((True, "margins suffice"), (None, "sonar does not decide")),
     )

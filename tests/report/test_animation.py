@@ -18,7 +18,7 @@ from surctl.cli.animate_option import check_animate
 from surctl.cli.simulate import simulate
 from surctl.errors import InputError, ToolMissing
 from surctl.report import check_animation, save_animation
-from surctl.report.animation import _gif, frame_ticks, frames
+from surctl.report.animation import _gif, frame_steps, frames
 from surctl.report.beams import INSTANT, beams_at
 from surctl.report.theme import ROBOT
 from surctl.simulation import Run
@@ -45,17 +45,17 @@ def middle_of(picture: np.ndarray, colour: str, most: float = 12.0) -> tuple[np.
 def test_ticks_are_evenly_apart_and_end_with_the_run() -> None:
     time = flight().record.time
     for apart in (0.05, 0.1, 0.23, 1.0, 1e3):
-        ticks = frame_ticks(flight(), apart=apart)
+        ticks = frame_steps(flight(), apart=apart)
         assert ticks[0] == 0 and ticks[-1] == len(time) - 1 and len(set(ticks)) == len(ticks)
         assert all(b - a >= apart - 1e-9 for a, b in zip(time[ticks[:-2]], time[ticks[1:-1]], strict=True))
-    assert frame_ticks(first_tick(flight()), apart=0.1) == [0]
+    assert frame_steps(first_tick(flight()), apart=0.1) == [0]
 
 
 def test_the_hull_moves_as_it_was_flown_and_the_file_has_every_picture(tmp_path: Path) -> None:
     flown = flight()
     path = save_animation(flown, tmp_path / "new" / "run.gif")
     assert path.read_bytes() == _gif(iter(pictures()))
-    ticks = frame_ticks(flown, apart=0.1)
+    ticks = frame_steps(flown, apart=0.1)
     drawn = pictures()
     still = (np.max(drawn, axis=0) == np.min(drawn, axis=0)).all(axis=-1)
     assert still.mean() > 0.5  # the ground does not flicker
@@ -141,9 +141,9 @@ def test_several_runs_and_campaigns_are_refused_before_anything_is_made(tmp_path
     target = tmp_path / "new" / "run.gif"
     for flights, campaign in ((2, False), (1, True)):
         with pytest.raises(InputError, match="shows one run, not"):
-            check_animate(target, flights=flights, campaign=campaign)
+            check_animate(target, runs=flights, campaign=campaign)
     assert not target.parent.exists()
-    check_animate(target, flights=1, campaign=False)
+    check_animate(target, runs=1, campaign=False)
     assert target.parent.is_dir() and not target.exists()
 
 

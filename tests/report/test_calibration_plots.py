@@ -16,7 +16,9 @@ from surctl.sensing import SensorCalibration, calibrate, calibrate_table_ii
 def one(true: np.ndarray, measured: np.ndarray, sensor: str = "") -> SensorCalibration:
     found = calibrate(true, measured)
     lines = np.zeros(len(true), dtype=np.int64)
-    return SensorCalibration(sensor=sensor, medium="", source="s", found=found, lines=lines, skipped=0, unsorted=0)
+    return SensorCalibration(
+        sensor=sensor, medium="", source="s", calibration=found, lines=lines, skipped=0, unsorted=0
+    )
 
 
 def drawn(plot: Axes | Figure) -> Figure:
@@ -48,10 +50,10 @@ def test_errors_are_drawn_in_millimetres_with_line_and_outliers() -> None:
     what = CASES["outlier"]()
     ax = plot_errors(what)
     lines = {line.get_label(): line for line in ax.get_lines()}
-    assert lines["row"].get_ydata() == pytest.approx(1e3 * what.found.errors)
+    assert lines["row"].get_ydata() == pytest.approx(1e3 * what.calibration.errors)
     assert lines["outlier, kept"].get_xdata() == pytest.approx(X[[20]])
     at = np.asarray(lines["fitted line"].get_xdata())
-    wanted = 1e3 * ((what.found.scale.value - 1) * at + what.found.bias.value)
+    wanted = 1e3 * ((what.calibration.scale.value - 1) * at + what.calibration.bias.value)
     assert lines["fitted line"].get_ydata() == pytest.approx(wanted)
     drawn(ax)
 

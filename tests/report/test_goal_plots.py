@@ -15,7 +15,7 @@ def tuning():
         install(patch)
         asked = request(goals=(NEAR, CLEAR, THRIFT, MARGIN))
         behind = case("pool-behind")
-        asked = replace(asked, flown=tuple(replace(c, case=behind) for c in asked.flown))
+        asked = replace(asked, conditions=tuple(replace(c, case=behind) for c in asked.conditions))
         yield tune(asked, trials=64, rounds=1, runs=0)
 
 
@@ -79,6 +79,6 @@ def test_a_late_arrival_is_shaded_along_the_time(tuning):
 def test_a_goal_about_the_nominal_plant_shows_no_other(tuning):
     flown = tuning.request.flown
     off = replace(flown[0], plant={"plant.m11": 46.0}, seed=2)  # the least lucky seed
-    odd = replace(tuning, request=replace(tuning.request, flown=(off, *flown)))
+    odd = replace(tuning, request=replace(tuning.request, conditions=(off, *flown)))
     assert goal_view(odd, Goal("near", "deviation_m", "m", 0.3)).label == off.label
     assert goal_view(odd, Goal("near", "deviation_m", "m", 0.3, plants="nominal")).label in {c.label for c in flown}

@@ -33,4 +33,4 @@ def test_every_pole_has_its_way_and_start_and_pick_are_marked() -> None:
 
 
 def test_a_reach_that_is_given_is_kept() -> None:
-    assert plot_locus(locus(60.0), reach=80.0).get_ylim() == (-80.0, 80.0)
+    assert plot_locus(locus(60.0), radius=80.0).get_ylim() == (-80.0, 80.0)

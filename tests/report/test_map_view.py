@@ -66,7 +66,7 @@ def test_the_window_lies_around_the_robot_and_its_hull_is_free() -> None:
         x, y = (view.corner[k] + view.edge * (np.arange(side) + 0.5) for k in (0, 1))
         gap = np.hypot(*np.meshgrid(x - at[0], y - at[1]))
         assert np.all(view.kinds[gap < run.vehicle["radius"] - 0.05] == 1)
-        assert view.time == pytest.approx(0.05 * tick) and len(view.way) == tick + 1
+        assert view.time == pytest.approx(0.05 * tick) and len(view.track) == tick + 1
 
 
 def test_what_is_free_lies_within_the_walls() -> None:
@@ -113,7 +113,7 @@ def test_what_has_no_map_is_refused() -> None:
         map_view(_run("truth"), 0)
     run = _run()
     for tick in (-1, len(run.record.time) - 1):
-        with pytest.raises(InputError, match="tick"):
+        with pytest.raises(InputError, match="step"):
             map_view(run, tick)
 
 

@@ -117,7 +117,7 @@ def assert_where_it_was(opened: Opened) -> None:
     time, *drawn = place(opened)
     x, y, _, heading = (np.interp(time, run().record.time, one) for one in run().record.eta.T)
     assert drawn == pytest.approx([x, y, np.cos(heading), np.sin(heading)], abs=2e-3)
-    assert opened.page.inner_text(".told").startswith(f"{time:.1f} of")
+    assert opened.page.inner_text(".readout").startswith(f"{time:.1f} of")
 
 
 def test_play_moves_the_time_and_stops_at_the_end(opened: Opened) -> None:

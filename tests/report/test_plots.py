@@ -102,7 +102,7 @@ def test_the_plan_view_says_where_the_depth_was_changed() -> None:
     legend = ax.get_legend()
     assert legend is not None and "at another depth" in {text.get_text() for text in legend.get_texts()}
     white = [c for c in ax.collections if isinstance(c, LineCollection) and np.all(c.get_colors() == 1.0)]
-    level = np.abs(flown.telemetry("wanted_depth")[:-1, 0] + 2.0) > 1e-9
+    level = np.abs(flown.telemetry("depth_reference")[:-1, 0] + 2.0) > 1e-9
     assert [len(c.get_segments()) for c in white] == [np.count_nonzero(level)]
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.cli.single_run import explained_and_drawn
+from surctl.cli.single_run import further_output
 from surctl.control import build_law, load_gains
-from surctl.report.priority_plot import given_up, plot_priority
+from surctl.report.priority_plot import plot_priority, relaxation_text
 from surctl.simulation import Run, explain, load_scenario, priority_timeline, simulate
 from surctl.simulation.priority_timeline import NOTICEABLE, PriorityTimeline
 from surctl.vehicle import load_vehicle
@@ -46,11 +46,11 @@ def test_who_gave_up_what_to_which_row() -> None:
     lost = found.to_rows[:, 0] > NOTICEABLE
     assert found.eventful and lost.any() and not lost.all() and not (found.to_rows[:, 1:] > NOTICEABLE).any()
     # only a level that gave something up has rows to blame, and they are in the words of the explanations
-    assert (found.blame.any(axis=2) == (found.to_rows > NOTICEABLE)).all()
-    blamed = {row for k, row in enumerate(found.rows) if found.blame[:, 0, k].any()}
+    assert (found.causes.any(axis=2) == (found.to_rows > NOTICEABLE)).all()
+    blamed = {row for k, row in enumerate(found.rows) if found.causes[:, 0, k].any()}
     told = " ".join(one.text for one in explain(run))
     assert blamed and all(f"`{row}`" in told for row in blamed)
-    words = given_up(found)
+    words = relaxation_text(found)
     assert words.startswith(f"velocity gave up at most {found.to_rows[:, 0].max():.2g} m/s to contact_0")
     assert "depth gave up" not in words
 
@@ -58,9 +58,9 @@ def test_who_gave_up_what_to_which_row() -> None:
 def test_the_printed_stack_loses_to_levels_above_and_a_textbook_law_nothing() -> None:
     paper = priority_timeline(flight("paper", "nsb"))
     assert paper.rows == () and paper.eventful
-    assert "velocity gave up at most" in given_up(paper) and "to the levels above it" in given_up(paper)
+    assert "velocity gave up at most" in relaxation_text(paper) and "to the levels above it" in relaxation_text(paper)
     quiet = priority_timeline(flight("apf", "nsb"))
-    assert not quiet.eventful and given_up(quiet) == "no level gave anything up"
+    assert not quiet.eventful and relaxation_text(quiet) == "no level gave anything up"
 
 
 def test_a_tick_that_the_law_refused_is_left_out() -> None:
@@ -93,16 +93,16 @@ def test_only_the_rows_that_matter_longest_are_drawn() -> None:
     found = PriorityTimeline(
         time=np.arange(float(count)), levels=("a",), units=("m/s",), to_levels=np.zeros((count, 1)),
         to_rows=np.ones((count, 1)), rows=tuple(f"r{k}" for k in range(count)), binding=held,
-        missed=np.zeros((count, count)), blame=held[:, None, :],
+        missed=np.zeros((count, count)), causes=held[:, None, :],
     )  # fmt: skip
     rows = plot_priority(flight(), found).axes[-1]
     assert [label.get_text() for label in rows.get_yticklabels()] == [f"r{k}" for k in range(8)]
     assert rows.texts[-1].get_text() == "4 more rows"
-    assert given_up(found) == "a gave up at most 1 m/s to r0, r1, r2, r3 and 8 more rows, in 12 s"
+    assert relaxation_text(found) == "a gave up at most 1 m/s to r0, r1, r2, r3 and 8 more rows, in 12 s"
 
 
 def test_explained_runs_are_drawn_as_well(tmp_path: Path) -> None:
     result: dict[str, object] = {}
-    lines = explained_and_drawn(flight(), result, explained=True, out=tmp_path)
+    lines = further_output(flight(), result, explained=True, out=tmp_path)
     (file,) = tmp_path.glob("*-priority.png")
     assert lines[-1] == f"  {file}" and result["explanations"]

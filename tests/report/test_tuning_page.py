@@ -16,7 +16,7 @@ from surctl.report.page_parts import attempt, picture
 from surctl.simulation import load_scenario
 from surctl.tuning import GainRange, load_goals
 from surctl.vehicle import load_vehicle
-from surctl.verification import claims, linear_table, settle
+from surctl.verification import claims, decide, linear_table
 from tests.browser import WIDTHS, open_page
 from tests.cli.process import surctl
 from tests.tools import need, need_compiler
@@ -60,13 +60,13 @@ def shown(page, name: str) -> float:
 
 
 def told(page, words: str) -> str:
-    page.wait_for_function("w => document.querySelector('#told')?.innerText.includes(w)", arg=words)
-    return page.inner_text("#told")
+    page.wait_for_function("w => document.querySelector('#message')?.innerText.includes(w)", arg=words)
+    return page.inner_text("#message")
 
 
 def assert_shows(page, gains) -> None:
     """Every number is the one of the same call in Python."""
-    flown, linear, judged = BENCH.fly(gains).metrics, BENCH.linear(gains), BENCH.judge(gains)
+    flown, linear, judged = BENCH.simulate(gains).metrics, BENCH.linear(gains), BENCH.judge(gains)
     for name in ("time_s", "min_clearance_m", "deviation_m", "effort_n"):
         assert shown(page, name) == getattr(flown, name)
     for name in ("delay_margin_s", "disk_margin", "slowest_pole_per_s", "settling_time_s.surge_speed"):
@@ -105,7 +105,7 @@ def test_move_check_save_and_load(address, tmp_path):
         library = claims(moved.values, vehicle=BENCH.vehicle)
         assert [name for name, _ in rows] == [claim.name for claim in library]
         some = [claim for claim in library if claim.name in ("m-norm-printed", "m-norm-corrected", "v2-obstacle")]
-        assert {c.name: settle(c).verdict for c in some}.items() <= dict(rows).items()
+        assert {c.name: decide(c).verdict for c in some}.items() <= dict(rows).items()
         assert {word for _, word in rows} >= {"proved", "refuted"}
 
         page.get_by_text("Save", exact=True).click()
@@ -138,7 +138,7 @@ def test_move_check_save_and_load(address, tmp_path):
         told(page, "loaded other.toml")
         page.wait_for_function(
             "v => Math.abs(document.querySelector('#time_s').dataset.value - v) < 1e-9",
-            arg=BENCH.fly(other).metrics.time_s,
+            arg=BENCH.simulate(other).metrics.time_s,
         )
         page.wait_for_timeout(1000)
         assert_shows(page, other)

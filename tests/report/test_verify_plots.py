@@ -14,7 +14,7 @@ from surctl.report.margin_plots import _rim, plot_marked_bode
 from surctl.report.region_plots import plot_region
 from surctl.report.verify_files import save_margins, save_regions, save_verdicts
 from surctl.vehicle import load_vehicle
-from surctl.verification import claims, falsify, loop_margins, prove, settle
+from surctl.verification import claims, decide, falsify, loop_margins, prove
 from surctl.verification.portrait import CRUISE_PLANES, HEADING_PLANES, portrait
 from surctl.verification.proving.cells import cells_of
 from tests.certcheck import cruise
@@ -31,7 +31,7 @@ def certificate(name: str) -> dict[str, Any]:
 
 @pytest.mark.parametrize("plane", HEADING_PLANES)
 def test_nothing_fails_where_the_loop_steered_by_heading_is_certified(plane: str) -> None:
-    seen = portrait(certificate("region-heading-20"), plane, reach=3.0)
+    seen = portrait(certificate("region-heading-20"), plane, extent=3.0)
     inside = (seen.level <= 1.0) & (seen.level > 1e-9)
     assert inside.sum() > 200 and seen.excess[inside].max() < 0
     assert seen.excess.max() > 0 or plane == "across"  # and far out it does fail
@@ -99,7 +99,7 @@ def test_the_boxes_of_a_proof_fill_the_domain_without_overlap() -> None:
 
 def test_claims_leave_pictures_of_what_came_of_them(tmp_path: Path) -> None:
     refuted, proved = claims(GAINS, ["v1-printed", "v1-corrected"])
-    settled = settle(proved)
+    settled = decide(proved)
     box = {v.name: [v.lower, (v.lower + v.upper) / 2] for v in proved.variables}
     left = replace(falsify(proved), verdict="unknown", open_boxes=(box,))
     names = {p.name for p in save_verdicts([falsify(refuted), settled, left], tmp_path)}

@@ -26,7 +26,7 @@ along_command, load_scenario, avoidance_course = (
 )
 printed_step, cross_track_rate, loop_terms = sensing.printed_step, tracking.cross_track_rate, tracking.loop_terms
 quadratic_form, first_line, clearance_rate = tracking.quadratic_form, tracking.first_line, avoidance.clearance_rate
-largest_error, printed_gradient, pushed = sensing.largest_error, sensing.printed_gradient, avoidance.pushed
+largest_error, printed_gradient, pushed = sensing.largest_error, sensing.printed_gradient, avoidance.inertial_motion
 
 
 def corrected_lms(*values: object, **named: object) -> object:
@@ -98,8 +98,8 @@ def test_every_erratum_has_a_row_and_a_mutation() -> None:
 @pytest.mark.parametrize("name", ITEMS)
 def test_the_computation_shows_the_erratum(name: str) -> None:
     row = ITEMS[name].row()
-    assert row.as_expected, row.found
-    assert row.found.word != "agrees"
+    assert row.as_expected, row.result
+    assert row.result.word != "agrees"
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_another_formula_is_noticed(
 
 
 def test_the_figures_are_those_of_the_formulas() -> None:
-    numbers = {name: ITEMS[name].row().found.numbers for name in ("E2", "E4", "E7", "E12", "E15", "E16")}
+    numbers = {name: ITEMS[name].row().result.numbers for name in ("E2", "E4", "E7", "E12", "E15", "E16")}
     assert numbers["E2"]["percent"] == pytest.approx(100 * 3 / 85)
     assert numbers["E4"]["step_mm"] == pytest.approx(4500 / 255)
     assert numbers["E7"]["heading_m"] == pytest.approx(0.5 / 3, abs=1e-6)

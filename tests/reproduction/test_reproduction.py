@@ -12,7 +12,7 @@ import pytest
 
 from surctl.cli.app import app
 from surctl.errors import InputError
-from surctl.reproduction import WORDS, Flights, Found, Item, items, reproduce, required
+from surctl.reproduction import WORDS, Item, Result, Simulations, items, reproduce, required
 from surctl.reproduction import tables as tables_module
 from surctl.reproduction.claims import claim_items, judged
 from surctl.reproduction.tables import table_items
@@ -31,29 +31,29 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path]:
 
 
 def test_no_row_is_missing_and_no_id_is_used_twice() -> None:
-    ids = [item.id for item in items(Flights(1))]
+    ids = [item.id for item in items(Simulations(1))]
     assert len(set(ids)) == len(ids)
     assert set(required()) <= set(ids)
     assert len(required()) == 14 + 36 + 21 + 14 + 2
 
 
 def test_the_commands_name_rows_and_claims_that_exist() -> None:
-    known = {item.id for item in items(Flights(1))} | {claim.name for claim in claims() if claim.paper}
-    for item in items(Flights(1)):
+    known = {item.id for item in items(Simulations(1))} | {claim.name for claim in claims() if claim.paper}
+    for item in items(Simulations(1)):
         program, command, name, *rest = item.command.split()
         assert program == "surctl" and command in app.commands and name == item.id and name in known
         assert rest in ([], ["--seeds", "1"], ["--cruise", "0.15", "--cap", "0.25"])
 
 
 def test_a_quick_row_is_computed_by_a_quick_command() -> None:
-    quick = [item for item in items(Flights(3), samples=512) if item.group == "claims"]
+    quick = [item for item in items(Simulations(3), samples=512) if item.group == "claims"]
     assert {item.command for item in quick} == {f"surctl reproduce {item.id} --quick" for item in quick}
 
 
 def test_a_percentage_that_is_recomputed_otherwise_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [item.row() for item in table_items()]
     assert all(row.as_expected for row in rows)
-    assert [row.item.id for row in rows if row.found.word == "wrong in print"] == ["table-ii-water-085"]
+    assert [row.item.id for row in rows if row.result.word == "wrong in print"] == ["table-ii-water-085"]
     other = lambda self, medium: 100 * np.abs(self.errors(medium)) / self.column(medium).measured  # noqa: E731
     monkeypatch.setattr(RangeTest, "percent", other)
     assert sum(not item.row().as_expected for item in table_items()) > 5
@@ -74,19 +74,19 @@ def test_a_claim_that_comes_out_otherwise_is_noticed() -> None:
 
 
 def test_a_row_that_cannot_be_computed_fails_and_says_why() -> None:
-    def broken() -> Found:
+    def broken() -> Result:
         raise InputError("is broken", key="it")
 
     row = Item("x", "errata", "", "", None, broken, "surctl reproduce x").row()
-    assert not row.as_expected and "is broken" in row.found.verdict
+    assert not row.as_expected and "is broken" in row.result.verdict
 
 
 def test_a_verdict_has_its_reason() -> None:
     for word in ("differs", "wrong in print"):
         with pytest.raises(InputError, match="needs its reason"):
-            Found("1", word)  # type: ignore[arg-type]
+            Result("1", word)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="is no verdict"):
-        Found("1", "perhaps")  # type: ignore[arg-type]
+        Result("1", "perhaps")  # type: ignore[arg-type]
 
 
 def test_chosen_rows_in_their_order_and_the_nearest_to_a_wrong_one() -> None:
@@ -132,5 +132,5 @@ def test_verify_gives_the_figures_of_a_claims_row(tmp_path: Path) -> None:
     row = reproduce(["v1-speed-cap"]).rows[0]
     assert row.item.command == "surctl verify v1-speed-cap --cruise 0.15 --cap 0.25"
     verdict = surctl(*row.item.command.split()[1:], "--json", cwd=tmp_path).json["claims"][0]
-    assert verdict["counterexample"]["margin"] == row.found.numbers["margin"]
-    assert verdict["fraction"] == row.found.numbers["fraction"]
+    assert verdict["counterexample"]["margin"] == row.result.numbers["margin"]
+    assert verdict["fraction"] == row.result.numbers["fraction"]

@@ -46,7 +46,7 @@ class _Plain:
         value = old - _smaller(_larger(old, real(-chart.dt / chart.free_time)), real(chart.dt / chart.mark_time))
         firings = [self._firing(part, centre, edge) for part in np.split(slots, chart.slots)]
         known = real(-chart.known)
-        found = [np.any(f["arc"] & (value >= known) & (f["square"] <= f["reach"])) for f in firings]
+        found = [np.any(f["arc"] & (value >= known) & (f["square"] <= f["cutoff"])) for f in firings]
         for f, already in zip(firings, found, strict=True):
             share = np.where(value > 0, real(_OF_A_MARK), real(_OF_THE_UNKNOWN))
             deep = _smaller(real(_INSIDE) * edge + real(_INSIDE_MORE), share * f["beam"])
@@ -71,12 +71,12 @@ class _Plain:
         named = {name: values for (name, _, _), values in zip(READING, np.split(part, ends), strict=True)}
         (ex, ey), (cosine, sine) = named["axis"], named["half"]
         x, y = centre - named["apex"][:, None]
-        clear, near, far, reach = (named[name][0] for name in ("clear", "near", "far", "reach"))
+        clear, near, far, reach = (named[name][0] for name in ("clear", "near", "far", "cutoff"))
         along, across = x * ex + (y * ey)[:, None], np.abs(x * ey + (-y * ex)[:, None])
         square, beam = x * x + (y * y)[:, None], along * sine
         inside = beam - across * cosine
         arc = (square >= near * near) & (square <= far * abs(far)) & (inside > self.real(-0.5) * edge)
-        return {"beam": beam, "inside": inside, "square": square, "arc": arc, "clear": clear, "reach": reach * reach}
+        return {"beam": beam, "inside": inside, "square": square, "arc": arc, "clear": clear, "cutoff": reach * reach}
 
     def _nearest(self, which, x, y, square):
         """(sectors · 3,) of each block's first nearest cell; a block by a nearer one alone is replaced."""

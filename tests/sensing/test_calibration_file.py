@@ -38,15 +38,15 @@ def table(factor: float = 1.0, unit: str = "m", extra: str = "") -> str:
 @pytest.mark.parametrize(("unit", "factor"), [("m", 1.0), ("cm", 100.0), ("mm", 1000.0)])
 def test_units_go_by_the_suffix(tmp_path: Path, unit: str, factor: float) -> None:
     (one,) = calibrate_file(written(tmp_path, table(factor, unit)))
-    assert one.found.bias.to_list() == pytest.approx(calibrate(TRUE, MEASURED).bias.to_list(), abs=1e-9)
+    assert one.calibration.bias.to_list() == pytest.approx(calibrate(TRUE, MEASURED).bias.to_list(), abs=1e-9)
     assert one.notes == [] and one.title == "one sensor" and one.lines.tolist() == list(range(2, 22))
 
 
 def test_rows_without_numbers_are_skipped_and_unsorted_ones_sorted(tmp_path: Path) -> None:
     (one,) = calibrate_file(written(tmp_path, table(extra="NaN,1\n1,\ninf,2\n0.5,0.5\n0.25,0.25\n")))
     assert one.skipped == 3 and one.unsorted == 2
-    assert one.lines[0] == 26 and one.found.true[0] == 0.25
-    assert np.all(np.diff(one.found.true) >= 0)
+    assert one.lines[0] == 26 and one.calibration.true[0] == 0.25
+    assert np.all(np.diff(one.calibration.true) >= 0)
     assert [note.split()[-1] for note in one.notes] == ["3", "2"]
 
 
@@ -56,7 +56,7 @@ def test_each_sensor_and_medium_has_its_own(tmp_path: Path) -> None:
         rows += [f"{x},{y},front,air", f"{x},{y + 0.05},rear,air", f"{x},{y + 0.001 * k},front,water"]
     results = calibrate_file(written(tmp_path, "true_m,measured_m,sensor,medium\n" + "\n".join(rows)))
     assert [(r.sensor, r.medium) for r in results] == [("front", "air"), ("rear", "air"), ("front", "water")]
-    assert results[1].found.bias.value - results[0].found.bias.value == pytest.approx(0.05)
+    assert results[1].calibration.bias.value - results[0].calibration.bias.value == pytest.approx(0.05)
     assert results[2].lines.tolist() == list(range(4, 62, 3))
     assert file_stems(results) == ["-front-air", "-rear-air", "-front-water"]
 
@@ -103,7 +103,7 @@ def test_centimetres_in_a_column_of_metres_are_refused_or_noted(tmp_path: Path) 
 def test_a_converter_of_the_other_medium_is_calibrated_and_told(tmp_path: Path, ratio: float, there: str) -> None:
     rows = "".join(f"{x},{ratio * y}\n" for x, y in zip(TRUE, MEASURED, strict=True))
     (one,) = calibrate_file(written(tmp_path, "true_m,measured_m\n" + rows))
-    assert one.found.scale.value == pytest.approx(ratio, rel=0.05)
+    assert one.calibration.scale.value == pytest.approx(ratio, rel=0.05)
     assert f"speed of sound of {there}, used in" in one.notes[0]
 
 
@@ -127,16 +127,16 @@ def test_a_fragment_is_toml_with_three_numbers(tmp_path: Path, varies: bool) -> 
     y = x + 0.004 + (0.004 + 0.02 * x * varies) * rng.standard_normal(len(x))
     text = "true_m,measured_m,sensor\n" + "".join(f'{a},{b},"e""[vil]\n = 1 é"\n' for a, b in zip(x, y, strict=True))
     (one,) = calibrate_file(written(tmp_path, text, "a \"quoted\" 'name'\nkey = 1.csv"))
-    assert one.found.varies is varies
+    assert one.calibration.varies is varies
     fragment = sonar_fragment(one)
     read = tomllib.loads(fragment)
     assert set(read) == {"sonar"} and set(read["sonar"]) == {"bias_m", "scale", "noise_sd_m"}
     assert all(type(v) is float for v in read["sonar"].values())
-    assert read["sonar"]["scale"] == pytest.approx(one.found.scale.value, rel=1e-5)
-    assert f"# {one.found.bias.low:.6g} to {one.found.bias.high:.6g}" in fragment
+    assert read["sonar"]["scale"] == pytest.approx(one.calibration.scale.value, rel=1e-5)
+    assert f"# {one.calibration.bias.low:.6g} to {one.calibration.bias.high:.6g}" in fragment
     assert ("depends on range" in fragment) is varies
     other = fragment.replace("# bias_m", "bias_m2").replace("# noise_sd_m =", "noise_sd_m2 =")
-    assert tomllib.loads(other)["sonar"]["bias_m2"] == pytest.approx(one.found.mean_error.value, rel=1e-5)
+    assert tomllib.loads(other)["sonar"]["bias_m2"] == pytest.approx(one.calibration.mean_error.value, rel=1e-5)
 
 
 def test_whole_numbers_are_written_as_floats(tmp_path: Path) -> None:
@@ -150,7 +150,7 @@ def test_rows_are_told_with_line_residual_and_mark(tmp_path: Path) -> None:
     rows = list(csv.DictReader(calibration_rows([one]).splitlines()))
     assert len(rows) == 21 and rows[0]["line"] == "22" and rows[0]["outlier"] == "1"
     assert [r["outlier"] for r in rows[1:]] == ["0"] * 20
-    assert float(rows[3]["residual_m"]) == pytest.approx(one.found.residuals[3], rel=1e-6)
+    assert float(rows[3]["residual_m"]) == pytest.approx(one.calibration.residuals[3], rel=1e-6)
     assert one.to_dict()["outlier_lines"] == [22]
 
 
@@ -191,7 +191,7 @@ def test_table_ii_gives_what_it_gave() -> None:
 
 def test_table_ii_says_what_is_known_of_it() -> None:
     """Bias +0.11 cm, sd 1.64 cm, largest 3 cm in water, worked out by hand."""
-    water = calibrate_table_ii()[1].found
+    water = calibrate_table_ii()[1].calibration
     by_hand = np.array([1, -1, 2, -1, 0, -2, -3, -2, 1, 0, -1, 2, 3, 1, 0, 1, 2, -1]) / 100
     assert water.errors == pytest.approx(by_hand, abs=1e-12)
     assert round(100 * water.mean_error.value, 2) == 0.11

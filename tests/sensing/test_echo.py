@@ -17,8 +17,8 @@ from surctl.sensing import (
     SonarArray,
     beam_of,
     echo_range,
-    heard,
-    heard_samples,
+    echo_samples,
+    firing_samples,
     true_range,
 )
 from surctl.world import Box, Disc, nearest_echo, site_walls
@@ -204,10 +204,10 @@ def test_samples_in_symbols_are_those_of_the_reference():
     rng = np.random.default_rng(3)
     for array in (SonarArray(), SonarArray(calibrated_for=343.0), SonarArray(blind_time=4e-4, temperature=7.0)):
         distance, noise = ca.SX.sym("distance"), ca.SX.sym("noise", array.samples)
-        twin = ca.Function("heard", [distance, noise], [heard_samples(array, distance, noise=noise)])
+        twin = ca.Function("samples", [distance, noise], [echo_samples(array, distance, noise=noise)])
         for far in [0.0, 0.1, 4.49, 4.5, 4.51, 9.0, *rng.uniform(0, 5, 200)]:
             drawn = rng.standard_normal(array.samples)
-            wanted = heard(array, far, noise=drawn)
+            wanted = firing_samples(array, far, noise=drawn)
             assert np.allclose(np.asarray(twin(far, drawn)).ravel(), wanted, rtol=0, atol=1e-12)
 
 

@@ -25,7 +25,7 @@ from surctl.sensing import (
     fault_state,
     faulty,
     faulty_samples,
-    heard,
+    firing_samples,
     noise_states,
 )
 
@@ -59,7 +59,7 @@ def _fly(faults=(), chances=None, *, array=ARRAY, firings=FIRINGS, seed=0, shift
             chances=chances,
             uniforms=uniforms,
         )
-        own = heard(array, distance, noise=noise)
+        own = firing_samples(array, distance, noise=noise)
         rows.append((time, sensor, distance, noise, uniforms, own, given, state))
         state = after
     return rows
@@ -261,7 +261,7 @@ def test_symbols_and_numbers_give_the_same_arrivals(told, chances, array):
         there = layout.unpack(state)
         assert np.allclose(there["last"], before.last, rtol=0, atol=1e-12)
         if delays:
-            assert np.allclose(there["heard"].reshape(before.history.shape), before.history, rtol=0, atol=1e-12)
+            assert np.allclose(there["history"].reshape(before.history.shape), before.history, rtol=0, atol=1e-12)
         far = min(distance, 2.0 * array.maximum)
         samples, arrived, state = (
             np.asarray(part).ravel()

@@ -156,8 +156,8 @@ def test_the_settled_deviations_are_those_of_the_recursion():
         out = filter_(fix_fresh=float(k % 2 == 0))
         if k % 2 == 0:
             at_fix = out
-    assert (at_fix.position_sd[0], at_fix.velocity_sd[0]) == pytest.approx(own.settled, rel=1e-9)
-    assert own.settled[0] < own.position_sd
+    assert (at_fix.position_sd[0], at_fix.velocity_sd[0]) == pytest.approx(own.steady_sd, rel=1e-9)
+    assert own.steady_sd[0] < own.position_sd
 
 
 def along_a_line(own, *, speed=0.22, ticks=400):

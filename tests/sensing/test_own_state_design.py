@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from surctl.sensing.localisation.design import ahead, growth, settled_covariance, transition, white, yaw_gains
+from surctl.sensing.localisation.design import ahead, growth, steady_covariance, transition, white, yaw_gains
 
 DT = 0.05
 
@@ -38,7 +38,7 @@ def test_the_settled_covariance_solves_its_riccati_equation():
     H, R = np.array([[1.0, 0.0, 0.0]]), np.array([[1e-4]])
     before = solve_discrete_are(phi.T, H.T, Q, R)
     after = before - before @ H.T @ H @ before / (before[0, 0] + 1e-4)
-    assert settled_covariance(step, noise, fix_variance=1e-4, every=2) == pytest.approx(after, rel=1e-6)
+    assert steady_covariance(step, noise, fix_variance=1e-4, every=2) == pytest.approx(after, rel=1e-6)
 
 
 def test_the_yaw_gains_are_kalman_s():

@@ -19,12 +19,12 @@ from surctl.simulation import (
     Obstacle,
     Scenario,
     SlowerEngine,
-    knobs,
     load_scenario,
+    parameters,
     simulate,
     simulate_batch,
 )
-from surctl.simulation.batch import fly
+from surctl.simulation.batch import engines
 from surctl.vehicle import load_vehicle
 
 
@@ -62,8 +62,8 @@ def _same(found: np.ndarray[Any, Any], wanted: np.ndarray[Any, Any]) -> None:
     ("case", "seed"),
     [
         (_case("pool-static"), 3),  # drift and waves, to the end
-        (_case("pool-static", seconds=4.0, law="lean"), 0),  # of several obstacles the nearest one
-        (_alone(_case("pool-ahead", seconds=2.0, law="lean")), 0),  # and of none an empty row
+        (_case("pool-static", seconds=4.0, law="closed_form"), 0),  # of several obstacles the nearest one
+        (_alone(_case("pool-ahead", seconds=2.0, law="closed_form")), 0),  # and of none an empty row
         (_case("pool-static"), 5),
         (_case("tank-speed-015", sensing="sonar"), 2),  # noise, filters, a mover that is told of
         (_case("tank-static", sensing="sonar"), 1),  # boxes that are only heard; it collides
@@ -123,7 +123,7 @@ def test_without_a_compiler_the_machine_flies_and_says_how_slow(monkeypatch: pyt
     def none(_: object) -> None:
         raise ToolMissing("no C compiler found")
 
-    monkeypatch.setattr(fly, "compiled_loop", none)
+    monkeypatch.setattr(engines, "compiled_loop", none)
     case = _case("pool-static", seconds=1.0)
     with pytest.warns(SlowerEngine, match=r"µs a step"):
         assert simulate_batch(case).engine == "vm"
@@ -211,7 +211,7 @@ _POOL, _TANK = _pool(), _case("tank-speed-015", seconds=25.0)
     ids=lambda x: x if isinstance(x, str) else "",
 )
 def test_a_knob_does_what_the_edited_case_does(case: Case, name: str, value: float, changed: Case) -> None:
-    turned, plain = simulate_batch(case, {name: [value, knobs(case)[name].value]}, seeds=6).table
+    turned, plain = simulate_batch(case, {name: [value, parameters(case)[name].value]}, seeds=6).table
     assert turned.tobytes() == simulate_batch(changed, seeds=6).table[0].tobytes()
     assert plain.tobytes() == simulate_batch(case, seeds=6).table[0].tobytes()
     assert not np.array_equal(turned, plain, equal_nan=True)
@@ -220,7 +220,7 @@ def test_a_knob_does_what_the_edited_case_does(case: Case, name: str, value: flo
 def test_every_knob_is_admissible_as_it_stands() -> None:
     for name in ("tank-static", "tank-speed-015", "pool-static"):
         case = _case(name, seconds=0.1)
-        known = knobs(case)
+        known = parameters(case)
         result = simulate_batch(case, {k: [v.value] for k, v in known.items()})
         assert np.array_equal(result.table, simulate_batch(case).table, equal_nan=True), name
 

@@ -42,7 +42,7 @@ def _check(run: Run) -> None:
     assert metrics.stopped_because == "reached"
     assert metrics.reached
     assert metrics.min_clearance_m > 0
-    assert np.hypot(*(run.record.eta[-1, :2] - run.scenario.target)) <= run.scenario.reach
+    assert np.hypot(*(run.record.eta[-1, :2] - run.scenario.target)) <= run.scenario.arrival_radius
     if paper is not None:
         assert metrics.time_s == pytest.approx(paper, rel=0.25)
 
@@ -164,7 +164,7 @@ def test_a_tick_is_50_ms_and_the_metrics_follow_from_the_record() -> None:
 
 def test_telemetry_by_name() -> None:
     run = _run("tank-static", "truth", 0)
-    assert run.telemetry("nu_wanted").shape == (len(run.record.time), 4)
+    assert run.telemetry("nu_reference").shape == (len(run.record.time), 4)
     assert set(np.unique(run.telemetry("avoiding"))) == {0.0, 1.0}
     # the law knows of nothing nearer than there is
     np.testing.assert_allclose(run.telemetry("nearest")[:, 0], run.record.clearance, atol=1e-6)

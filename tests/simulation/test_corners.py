@@ -11,8 +11,8 @@ from surctl.cli.single_run import run_line
 from surctl.control import load_gains
 from surctl.guidance import Path
 from surctl.simulation import Case, Scenario, load_scenario, simulate, simulate_batch
+from surctl.simulation.clearance import end_findings
 from surctl.simulation.obstacle import Obstacle
-from surctl.simulation.room import end_findings
 from surctl.vehicle import load_vehicle
 
 VEHICLE, GAINS, SITE = load_vehicle("sur400"), load_gains("default"), load_scenario("tank-static")

@@ -12,16 +12,16 @@ from surctl.control import TRAPPED, build_law, law_parameters, load_gains
 from surctl.guidance import Path
 from surctl.simulation import (
     METRICS,
-    STOOD,
+    STANDSTILL,
     STOPS,
     Case,
     Obstacle,
     Run,
     Sensing,
-    halt_reason,
     load_scenario,
     simulate,
     simulate_batch,
+    stop_reason,
 )
 from surctl.vehicle import load_vehicle
 from tests.tools import need_compiler
@@ -71,10 +71,10 @@ def test_a_dead_end_is_found_and_said_in_safety(scene: str, sensing: Sensing) ->
     trapped = run.telemetry("trapped").ravel() > 0.5
     assert np.all(np.diff(trapped.astype(int)) >= 0)  # for good
     assert np.array_equal(trapped, (run.record.status & TRAPPED) > 0)
-    assert np.count_nonzero(trapped) == round(STOOD / run.law.dt)
+    assert np.count_nonzero(trapped) == round(STANDSTILL / run.law.dt)
     assert np.hypot(*run.record.nu[-1, :2]) < 0.05
     assert np.linalg.norm(run.record.eta[-1, :2] - run.record.eta[trapped][0, :2]) < 0.15
-    assert f"no way on for {run.gains['patience']:.0f} s, given up at (" in halt_reason(run)
+    assert f"no way on for {run.gains['patience']:.0f} s, given up at (" in stop_reason(run)
 
 
 def test_patience_0_never_gives_up() -> None:
@@ -115,7 +115,7 @@ def test_it_gives_way_to_what_moves_while_it_stands(speed: float, across: float)
         contacts[0] = [*sphere, 0.2, -speed, 0.0, 1.0]
         u = law.inputs.pack({"eta": [*place, -0.15, 0.0], "nu": np.zeros(4), "contacts": contacts})
         step = law.step(x, u, p)
-        x, wanted = step.x_next, step.telemetry[law.telemetry_slice("nu_wanted")][:2]
+        x, wanted = step.x_next, step.telemetry[law.telemetry_slice("nu_reference")][:2]
         place = place + law.dt * wanted
         least = min(least, float(np.linalg.norm(place - sphere)) - 0.2 - vehicle["radius"])
         most = max(most, float(np.linalg.norm(place - [2.0, 0.0])))

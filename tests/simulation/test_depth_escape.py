@@ -9,7 +9,7 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from surctl.cli.single_run import explained_and_drawn
+from surctl.cli.single_run import further_output
 from surctl.control import load_gains
 from surctl.guidance import Path
 from surctl.simulation import (
@@ -21,10 +21,10 @@ from surctl.simulation import (
     Scenario,
     Sensing,
     depth_changes,
-    halt_reason,
     load_scenario,
     simulate,
     simulate_batch,
+    stop_reason,
 )
 from surctl.vehicle import load_vehicle
 from tests.tools import need_compiler
@@ -85,7 +85,7 @@ def test_where_only_another_depth_leads_on_it_is_found_and_left_again(scene: str
     assert run.record.eta[-1, 2] == pytest.approx(-2.0, abs=0.1)
     told = run.to_dict()["depth_changes"]
     assert [change["to_m"] for change in told] == [change.to_m for change in depth_changes(run)]
-    first, *_, last = explained_and_drawn(run, {}, explained=False, out=None)
+    first, *_, last = further_output(run, {}, explained=False, out=None)
     assert "m from z -2.00 to -1.41 m: a way is looked for at another depth" in first
     assert last.endswith("to -2.00 m: back to the path's depth")
 
@@ -115,7 +115,7 @@ def test_where_no_depth_leads_on_it_is_a_dead_end_after_all_were_tried(scene: st
     assert run.metrics.stopped_because == "dead end" and run.metrics.min_clearance_m > 0.04
     tried = [change.to_m for change in depth_changes(run)]
     assert tried == pytest.approx([-2.0 + k * PITCH for k in (1, 2, -1, -2)])
-    assert halt_reason(run).endswith("depths tried besides the path's, z in m: -1.41, -0.82, -2.59, -3.18")
+    assert stop_reason(run).endswith("depths tried besides the path's, z in m: -1.41, -0.82, -2.59, -3.18")
     assert np.ptp(run.record.eta[-100:, 2]) < 0.02
 
 
@@ -133,7 +133,7 @@ def test_over_the_target_at_another_depth_it_has_not_arrived() -> None:
     case = _case(SCENES["a sill"])
     short = replace(case, scenario=replace(case.scenario, path=Path(np.array([[3.5, 2.5], [5.5, 2.5]]))))
     run = _flown(short)
-    over = np.hypot(*(run.record.eta[:, :2] - [5.5, 2.5]).T) < short.scenario.reach
+    over = np.hypot(*(run.record.eta[:, :2] - [5.5, 2.5]).T) < short.scenario.arrival_radius
     assert run.metrics.reached and np.any(over & (run.record.eta[:, 2] > -1.5))
     assert run.record.eta[-1, 2] == pytest.approx(-2.0, abs=0.1)
     (row,) = simulate_batch(short, seeds=[0]).table

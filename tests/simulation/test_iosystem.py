@@ -8,7 +8,7 @@ import pytest
 
 from surctl.control import build_law, load_gains
 from surctl.errors import InputError
-from surctl.simulation import flight_system, load_scenario, simulate
+from surctl.simulation import closed_loop_system, load_scenario, simulate
 from surctl.vehicle import load_vehicle
 
 
@@ -17,7 +17,7 @@ def test_python_control_flies_the_same_flight(name: str, seed: int) -> None:
     scenario, gains = load_scenario(name), load_gains("default")
     vehicle = load_vehicle(scenario.vehicle)
     record = simulate(scenario, vehicle, gains=gains, seed=seed).record
-    system, initial = flight_system(scenario, vehicle, gains=gains, seed=seed)
+    system, initial = closed_loop_system(scenario, vehicle, gains=gains, seed=seed)
     found = control.input_output_response(system, record.time, 0, initial)
     flown = np.hstack([record.eta, record.nu, record.tau]).T
     np.testing.assert_array_equal(found.outputs, flown)
@@ -26,7 +26,7 @@ def test_python_control_flies_the_same_flight(name: str, seed: int) -> None:
 def test_thrust_that_is_added_is_felt() -> None:
     scenario, gains = load_scenario("pool-behind"), load_gains("default")
     vehicle = load_vehicle(scenario.vehicle)
-    system, initial = flight_system(scenario, vehicle, gains=gains)
+    system, initial = closed_loop_system(scenario, vehicle, gains=gains)
     times = system.dt * np.arange(21)
     push = np.zeros((4, 21))
     push[1] = 0.2
@@ -41,4 +41,4 @@ def test_a_law_with_sonars_is_refused() -> None:
     vehicle = load_vehicle(scenario.vehicle)
     law = build_law(sonar=True, equipment=scenario.sensors.on(vehicle["radius"]))
     with pytest.raises(InputError, match=r"law.*sonars"):
-        flight_system(scenario, vehicle, gains=load_gains("default"), law=law)
+        closed_loop_system(scenario, vehicle, gains=load_gains("default"), law=law)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surctl.control import load_gains
-from surctl.guidance.braking import brakes_of, stopping_way, tabled_way
+from surctl.guidance.braking import brakes_of, stopping_distance_with_drag, tabled_stopping_distance
 from surctl.simulation import Obstacle, build_world, findings, load_scenario, margin_needed, safety_claim, turn_rate
 from surctl.simulation.margin import munk
 from surctl.simulation.motion import closest
@@ -24,15 +24,19 @@ GAINS = load_gains("default")
 @pytest.mark.parametrize("obstacle", [0.0, 0.08])
 @given(speed=st.floats(-0.2, 0.3))
 def test_the_table_is_never_short_and_hardly_longer(obstacle: float, speed: float) -> None:
-    brakes = brakes_of(VEHICLE, push=0.3, current=0.02)
-    exact = stopping_way(brakes, speed, obstacle=obstacle)
-    told = tabled_way(brakes, 0.3, obstacle=obstacle)(brakes, speed, obstacle=obstacle)
+    brakes = brakes_of(VEHICLE, disturbance=0.3, current=0.02)
+    exact = stopping_distance_with_drag(brakes, speed, obstacle=obstacle)
+    told = tabled_stopping_distance(brakes, 0.3, obstacle=obstacle)(brakes, speed, obstacle=obstacle)
     assert exact * (1 - 1e-3) <= told <= 1.01 * exact
 
 
 def test_before_what_cannot_be_braked_for_the_table_has_no_way() -> None:
-    brakes = brakes_of(VEHICLE, push=10.0)
-    assert tabled_way(brakes, 0.2)(brakes, 0.1, obstacle=0.0) == np.inf == stopping_way(brakes, 0.1)
+    brakes = brakes_of(VEHICLE, disturbance=10.0)
+    assert (
+        tabled_stopping_distance(brakes, 0.2)(brakes, 0.1, obstacle=0.0)
+        == np.inf
+        == stopping_distance_with_drag(brakes, 0.1)
+    )
 
 
 @given(
@@ -68,7 +72,7 @@ def settled(flown: dict[str, float], wanted: float) -> float:
 
 @pytest.mark.parametrize("flown", [{}, {"Nr": 0.06, "Nrr": 0.25}, {"Nr": 0.95, "Nrr": 2.9, "Fr_max": 0.43}])
 def test_the_hull_turns_at_the_rate_at_which_the_loop_comes_to_rest(flown: dict[str, float]) -> None:
-    told = turn_rate(SCENARIO, VEHICLE, GAINS, sonar=True, flown=VEHICLE.with_values(flown))
+    told = turn_rate(SCENARIO, VEHICLE, GAINS, sonar=True, actual=VEHICLE.with_values(flown))
     assert told == pytest.approx(settled(flown, min(GAINS["spin"], VEHICLE.steady_yaw(0.85))), rel=1e-3)
     assert turn_rate(SCENARIO, VEHICLE, GAINS, sonar=True) >= told
 

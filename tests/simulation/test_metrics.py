@@ -5,24 +5,24 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surctl.simulation.metrics import path_error, settled_avoidance
+from surctl.simulation.metrics import avoidance_intervals, path_error
 
 
 def test_an_avoidance_interval_ends_when_the_robot_is_back_in_the_tube() -> None:
     commanded = np.array([0, 1, 1, 0, 0, 0, 0, 1, 0])
     distance = np.array([0.5, 0.0, 0.3, 0.4, 0.11, 0.10, 0.2, 0.0, 0.05])
     expected = [False, True, True, True, True, False, False, True, False]
-    np.testing.assert_array_equal(settled_avoidance(commanded, distance), expected)
+    np.testing.assert_array_equal(avoidance_intervals(commanded, distance), expected)
 
 
 def test_far_from_the_path_without_avoidance_counts() -> None:
-    np.testing.assert_array_equal(settled_avoidance(np.zeros(4), np.full(4, 9.0)), np.zeros(4, dtype=bool))
+    np.testing.assert_array_equal(avoidance_intervals(np.zeros(4), np.full(4, 9.0)), np.zeros(4, dtype=bool))
 
 
 def test_the_tube_can_be_chosen() -> None:
     commanded, distance = np.array([1, 0, 0]), np.array([0.3, 0.2, 0.04])
-    np.testing.assert_array_equal(settled_avoidance(commanded, distance, tube=0.05), [True, True, False])
-    np.testing.assert_array_equal(settled_avoidance(commanded, distance, tube=0.25), [True, False, False])
+    np.testing.assert_array_equal(avoidance_intervals(commanded, distance, tube=0.05), [True, True, False])
+    np.testing.assert_array_equal(avoidance_intervals(commanded, distance, tube=0.25), [True, False, False])
 
 
 def test_path_error_is_the_rms_over_what_is_kept() -> None:

@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 
 from surctl.control import load_gains
-from surctl.guidance.braking import Brakes, Watch, brakes_of, fastest_obstacle, range_needed, stopping_way
+from surctl.guidance.braking import (
+    Brakes,
+    Watch,
+    brakes_of,
+    fastest_obstacle,
+    range_needed,
+    stopping_distance_with_drag,
+)
 from surctl.simulation import SafetyClaim, findings, load_scenario, safety_claim
 from surctl.vehicle import load_vehicle
 from tests.guidance.test_braking import fly
@@ -69,7 +76,11 @@ def test_only_a_barrier_on_movers_covers_any() -> None:
     ]
     assert seen[0] == 0 < seen[1] < seen[2] < fastest_obstacle(brakes_of(VEHICLE, share=GAINS["brake"]))
     reach = range_needed(
-        brakes_of(VEHICLE, share=GAINS["brake"]), Watch(), SCENARIO.cap, obstacle=seen[2], way=stopping_way
+        brakes_of(VEHICLE, share=GAINS["brake"]),
+        Watch(),
+        SCENARIO.cap,
+        obstacle=seen[2],
+        stopping=stopping_distance_with_drag,
     )
     assert reach == pytest.approx(2.0, abs=0.02)
 

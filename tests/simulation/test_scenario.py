@@ -56,7 +56,7 @@ def test_the_numbers_of_the_paper(name: str) -> None:
     assert list(scenario.site) == wanted["site"]
     np.testing.assert_array_equal(scenario.path.waypoints, wanted["path"])
     assert [scenario.cruise, scenario.cap] == wanted["speeds"]
-    assert (scenario.depth, scenario.reach) == (-0.15, 0.10)
+    assert (scenario.depth, scenario.arrival_radius) == (-0.15, 0.10)
     here: dict[str, list[Obstacle]] = {shape: [] for shape in ("box", "cylinder", "moving")}
     for obstacle in scenario.obstacles:
         here[obstacle.shape].append(obstacle)

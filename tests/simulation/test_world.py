@@ -127,7 +127,7 @@ def test_the_drift_is_slow_and_has_a_direction_of_its_own() -> None:
     np.testing.assert_allclose(forces, -np.roll(forces[:-1], 200, axis=0)[[*range(400), 0]], atol=1e-12)
     assert np.linalg.matrix_rank(forces, tol=1e-9) == 1
     world = _world("pool-static")
-    assert abs(np.cross([*world.wave_direction, 0.0], [*world.push_direction, 0.0])[2]) > 1e-3
+    assert abs(np.cross([*world.wave_direction, 0.0], [*world.slow_direction, 0.0])[2]) > 1e-3
 
 
 def test_the_thrust_is_off_by_no_more_than_is_stated_and_differently_for_every_axis_and_seed() -> None:

@@ -14,7 +14,7 @@ from surctl.errors import InputError
 from surctl.simulation import LIBRARY as SCENARIOS
 from surctl.study import LIBRARY as STUDIES
 from surctl.study import conduct, load_plan
-from surctl.study.shipping import with_senses
+from surctl.study.shipping import with_perception
 from surctl.vehicle import LIBRARY
 from tests.cli.process import surctl
 from tests.tools import PATIENCE, need_compiler
@@ -122,9 +122,7 @@ def test_only_flights_by_the_exported_law_are_replayed(tmp_path):
     wide = (SCENARIOS / "pool-behind.toml").read_text() + "\n[sonar]\nbeam_deg = 25.0\n"
     (tmp_path / "wide.toml").write_text(wide.replace('"pool-behind"', '"wide"'))
     sweep = '[sweep]\nseeds = [0]\n[[sweep.axes]]\ngain = "k_v"\nvalues = [1.5]\n'
-    flights = "".join(
-        f'[[flights]]\nscenario = "{name}"\nvehicle = "sur400"\n' for name in ("pool-behind", "wide.toml")
-    )
+    flights = "".join(f'[[runs]]\nscenario = "{name}"\nvehicle = "sur400"\n' for name in ("pool-behind", "wide.toml"))
     head = 'kind = "study"\nname = "two"\nvehicle = "sur400"\nclaims = ["v1-printed"]\n'
     (tmp_path / "two.toml").write_text(head + flights + sweep)
     done = conduct(load_plan(str(tmp_path / "two.toml")), tmp_path / "out", workers=1)
@@ -170,7 +168,7 @@ def test_a_study_names_its_guidance_and_all_that_it_flies_and_ships_has_it(tmp_p
     (tmp_path / "s.toml").write_text('guidance = "alos"\n' + text)
     plan = load_plan(str(tmp_path / "s.toml"))
     assert plan.guidance == "alos" and {case.guidance for case in plan.sweep_cases} == {"alos"}
-    shipped = with_senses(plan, plan.deciding[0])
+    shipped = with_perception(plan, plan.deciding[0])
     assert shipped.guidance == "alos" and "drift" in {port.name for port in shipped.state.ports}
     assert load_plan().guidance == "los"
 
@@ -208,7 +206,7 @@ at_least = "1"
 kind = "hard"
 """
     (tmp_path / "goals.toml").write_text(goals)
-    head, mark, rest = text.partition("\n[[flights]]")
+    head, mark, rest = text.partition("\n[[runs]]")
     (tmp_path / "s.toml").write_text(head.partition("\n[[goals]]")[0] + '\ngoals = "goals.toml"\n' + mark + rest)
     plan = load_plan(str(tmp_path / "s.toml"))
     assert [(g.name, g.limit, g.unit) for g in plan.goals] == [("arrives", 1.0, "1")]

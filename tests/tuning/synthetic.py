@@ -31,7 +31,7 @@ def heavy(goals=None):
     """A request for `Loop(mass=...)`, whose clearance shrinks with a mass that is off: the vehicle states a range."""
     asked = request(goals or (CLEAR, replace(NEAR, limit=0.45), THRIFT))
     tank = case("tank-static", "sur540-flooded")
-    return replace(asked, flown=tuple(replace(c, case=tank) for c in asked.flown[:1]))
+    return replace(asked, conditions=tuple(replace(c, case=tank) for c in asked.conditions[:1]))
 
 
 class Loop:

@@ -30,14 +30,14 @@ def test_the_run_is_that_of_the_reference_loop(name: str) -> None:
     flown = case(name)
     gains = GAINS.with_values(dict(zip(NAMES, AT, strict=True)))
     record = simulate(flown.scenario, flown.vehicle, gains=gains, seed=3).record
-    track = prepare(flown, NAMES, ticks=TICKS, seed=3).track(AT)
+    track = prepare(flown, NAMES, steps=TICKS, seed=3).track(AT)
     shared = min(TICKS, len(record.eta) - 1)
     np.testing.assert_allclose(track[:shared, :4], record.eta[1 : shared + 1], atol=1e-9)
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_the_gradient_is_that_of_central_differences(name: str) -> None:
-    run = prepare(case(name), NAMES, ticks=TICKS, seed=3)
+    run = prepare(case(name), NAMES, steps=TICKS, seed=3)
     gradient = run.gradient(AT, WEIGHTS)
 
     def cost(values: np.ndarray) -> float:
@@ -60,14 +60,14 @@ def test_the_gradient_is_that_of_central_differences(name: str) -> None:
 
 
 def test_a_switch_shows_in_the_branches() -> None:
-    run = prepare(case("pool-static"), ("k_v",), ticks=TICKS)
+    run = prepare(case("pool-static"), ("k_v",), steps=TICKS)
     assert np.array_equal(run.branches(np.array([1.5])), run.branches(np.array([1.5])))
     assert not np.array_equal(run.branches(np.array([1.5])), run.branches(np.array([3.0])))
 
 
 def test_the_soft_clearance_lies_just_below_the_least() -> None:
     flown = case("tank-static")
-    run = prepare(flown, ("k_v",), ticks=400)
+    run = prepare(flown, ("k_v",), steps=400)
     flight = simulate(flown.scenario, flown.vehicle, gains=GAINS)
     least = min(flight.record.clearance[:400])
     assert least - np.log(8 * 400) / 60 < run.surrogates(np.array([1.5]))["clearance"] <= least + 1e-3
@@ -77,34 +77,38 @@ def test_refining_poor_gains_lowers_the_true_metrics() -> None:
     flown = case("pool-static")
     poor = GAINS.with_values({"k_v": 0.5, "lookahead": 2.0})
     found = refine(
-        [flown], poor, {"k_v": (0.4, 3.0), "lookahead": (0.3, 2.5)}, ticks=320, iterations=8, floor=0.0, seed=1
+        [flown], poor, {"k_v": (0.4, 3.0), "lookahead": (0.3, 2.5)}, steps=320, iterations=8, floor=0.0, seed=1
     )
     (history,) = found.history
     assert found.cost == pytest.approx(min(history)) and found.cost < 0.95 * history[0]
     before, after = (simulate(flown.scenario, flown.vehicle, gains=g, seed=1).metrics for g in (poor, found.gains))
     assert after.reached and after.deviation_m < before.deviation_m
     again = refine(
-        [flown], poor, {"k_v": (0.4, 3.0), "lookahead": (0.3, 2.5)}, ticks=320, iterations=8, floor=0.0, seed=1
+        [flown], poor, {"k_v": (0.4, 3.0), "lookahead": (0.3, 2.5)}, steps=320, iterations=8, floor=0.0, seed=1
     )
     assert again.gains.values == found.gains.values
 
 
 @pytest.mark.parametrize(
     ("change", "key"),
-    [({"mode": "projected"}, "mode"), ({"sensing": "sonar"}, "sensing"), ({"law": "lean"}, "law = .lean.: has no")],
+    [
+        ({"mode": "projected"}, "mode"),
+        ({"sensing": "sonar"}, "sensing"),
+        ({"law": "closed_form"}, "law = .lean.: has no"),
+    ],
 )
 def test_what_has_no_gradient_is_refused(change: dict[str, str], key: str) -> None:
     flown = case("pool-static")
     with pytest.raises(InputError, match=key):
-        prepare(Case(flown.scenario, flown.vehicle, GAINS, **change), NAMES, ticks=10)  # type: ignore[arg-type]
+        prepare(Case(flown.scenario, flown.vehicle, GAINS, **change), NAMES, steps=10)  # type: ignore[arg-type]
 
 
 def test_bad_requests_are_named() -> None:
     flown = case("pool-static")
     with pytest.raises(InputError, match="no such gain"):
-        prepare(flown, ("k_w",), ticks=10)
+        prepare(flown, ("k_w",), steps=10)
     with pytest.raises(InputError, match="ticks"):
-        prepare(flown, NAMES, ticks=0)
+        prepare(flown, NAMES, steps=0)
     with pytest.raises(InputError, match="not a range"):
         refine([flown], GAINS, {"k_v": (2.0, 1.0)})
     with pytest.raises(InputError, match="no such surrogate"):

@@ -236,11 +236,13 @@ def test_counterexamples_become_constraints_until_nothing_is_refuted(monkeypatch
     install(monkeypatch, Loop(mass=0.05))
     tuning = tune(heavy(), trials=64, rounds=6, runs=300)
     assert tuning.rounds[0].training, "the first search leans on the nominal plant"
-    assert tuning.kept and not tuning.result.refuted and not tuning.conflict
+    assert tuning.accepted and not tuning.result.refuted and not tuning.conflict
     assert all(tuning.better[1:]), "what is left is not the start gains"
-    assert len(tuning.request.flown) > tuning.asked
+    assert len(tuning.request.conditions) > tuning.requested
     seeds = [s for r in tuning.rounds for s in range(r.verified.seeds[0], r.verified.seeds[1] + 1)]
-    assert len(set(seeds)) == len(seeds) and not set(seeds) & {c.seed for c in tuning.request.flown[: tuning.asked]}
+    assert len(set(seeds)) == len(seeds) and not set(seeds) & {
+        c.seed for c in tuning.request.conditions[: tuning.requested]
+    }
     hit = tuning.rounds[0].training[0]
     assert abs(hit.plant["plant.m11"] / 95 - 1) > 0.3, "the worst run has a mass far off"
 
@@ -251,16 +253,16 @@ def test_a_conflict_is_named_and_is_minimal(monkeypatch):
     idle = Goal("idle", "time_s", "s", 1000.0, kind="hard")
     asked, told = request(goals=(idle, CLEAR, near, THRIFT), k1=(0.13, 3.0), k_v=(0.5, 4.0)), []
     tuning = tune(asked, trials=32, runs=0, progress=told.append)
-    assert not tuning.kept and len(tuning.rounds) == 2
+    assert not tuning.accepted and len(tuning.rounds) == 2
     assert "32 trials of the same request are resumed" in told, "nothing is feasible: the search goes on, once"
     assert tuning.conflict == ("keep clear", "stay very near")
 
 
 def test_the_counterexamples_of_a_case_are_one_demand():
     asked = request()
-    run = replace(asked.flown[0], seed=7, goals=("keep clear",))
+    run = replace(asked.conditions[0], seed=7, goals=("keep clear",))
     both = replace(run, seed=8, goals=("keep clear", "stay near"))
-    found = {d.label: d for d in demands(asked.goals, (*asked.flown, run, both), ("stay near",))}
+    found = {d.label: d for d in demands(asked.goals, (*asked.conditions, run, both), ("stay near",))}
     assert list(found) == [
         "keep clear",
         "stay near",
@@ -269,8 +271,8 @@ def test_the_counterexamples_of_a_case_are_one_demand():
     ]
     for label, seeds in zip(found, ([0, 1], [0, 1], [7, 8], [8]), strict=True):
         demand = found[label]
-        assert [c.seed for c in demand.flown] == seeds and demand.goal.kind == "hard"
-        assert {c.goals for c in demand.flown} == {(demand.goal.name,)}
+        assert [c.seed for c in demand.conditions] == seeds and demand.goal.kind == "hard"
+        assert {c.goals for c in demand.conditions} == {(demand.goal.name,)}
 
 
 def test_of_sets_that_miss_a_hard_goal_the_one_is_better_that_misses_it_in_fewer_runs():
@@ -280,7 +282,7 @@ def test_of_sets_that_miss_a_hard_goal_the_one_is_better_that_misses_it_in_fewer
     figure[2] = 0.045
     figure[3] = np.nan
     table = {"min_clearance_m": figure, "effort_n": np.ones((4, 100))}
-    found = judged(asked.goals, asked.flown, table)
+    found = judged(asked.goals, asked.conditions, table)
     constraints = Pool({"k1": np.ones(4)}, found, np.zeros((4, 0))).constraints[:, 0]
     assert found.feasible.tolist() == [True, False, False, False]
     np.testing.assert_allclose(constraints, [-0.5, 0.01, 1 / 9, 1.0])

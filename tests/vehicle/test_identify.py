@@ -52,7 +52,7 @@ def test_the_truth_lies_in_the_intervals_as_often_as_they_say() -> None:
     for seed in range(3):
         found = identify(made_log(TRUE, seed=seed), START, name="fitted")
         inside += [abs(found.estimates[k][0] - TRUE[k]) <= found.estimates[k][1] for k in FITTED]
-        assert set(found.told) >= {"m11", "m22", "m33", "m44", "thrust_lag"}
+        assert set(found.identified) >= {"m11", "m22", "m33", "m44", "thrust_lag"}
         assert found.noise["x_m"] == pytest.approx(0.003, rel=0.2)
         assert not found.notes
     # 39 numbers at 95 %: more than 5 outside in 1 of 100 such tests
@@ -62,8 +62,8 @@ def test_the_truth_lies_in_the_intervals_as_often_as_they_say() -> None:
 @pytest.mark.parametrize("seed", [1, 7, 9])  # with 7 and 9 the interval of m22 is narrow: noise explained by it
 def test_what_was_not_moved_is_not_told(seed: int) -> None:
     found = identify(made_log(TRUE, seed=seed, axes=(0,)), START, name="fitted")
-    assert "m11" in found.told and "Xuu" in found.told
-    assert not {"m22", "m33", "m44", "Yv", "Zw", "Nr", "Yvv", "Zww", "Nrr"} & set(found.told)
+    assert "m11" in found.identified and "Xuu" in found.identified
+    assert not {"m22", "m33", "m44", "Yv", "Zw", "Nr", "Yvv", "Zww", "Nrr"} & set(found.identified)
     kept = found.vehicle.parameters["m22"]
     assert (kept.value, kept.range) == (START["m22"], START.parameters["m22"].range)
     assert "log.csv cannot tell it" in kept.provenance

@@ -85,8 +85,8 @@ def test_no_claim_is_offered_whose_assumptions_an_independent_look_finds_violate
 
 
 _PLACES = {
-    "cruise": {"offset": 1.0, "settled": (1.0, 1.0)},
-    "heading": {"offset": 1.0, "beside": 1.0, "reach": (1.0, 1.0, 1.0), "depth": 1.0, "settled": 1.0},
+    "cruise": {"offset": 1.0, "ultimate_bound": (1.0, 1.0)},
+    "heading": {"offset": 1.0, "beside": 1.0, "extent": (1.0, 1.0, 1.0), "depth": 1.0, "ultimate_bound": 1.0},
 }
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.verification import claims, evaluate, load_claim, replay, settle, write_claim
+from surctl.verification import claims, decide, evaluate, load_claim, replay, write_claim
 
 TEXT = """
 kind = "claim"
@@ -39,13 +39,13 @@ def test_a_file_is_the_claim_that_it_says(tmp_path) -> None:
     assert not evaluate(claim, {"y_e": 1.5, "u": 0.2})[1]
     assert not evaluate(claim, {"y_e": 0.5, "u": 0.06})[1]
     assert (claim.expected, claim.unit, claim.variables[0].meaning) == ("proved", "m^2/s", "cross-track error")
-    assert settle(claim).verdict == "proved"
+    assert decide(claim).verdict == "proved"
 
 
 def test_a_refuted_file_is_replayed_on_its_motion(tmp_path) -> None:
     text = TEXT.replace('left = "', 'left = "0.05*u + ').replace("rates = { y_e =", 'rates = { u = "0*u", y_e =')
     claim = from_text(tmp_path, text)
-    verdict = settle(claim)
+    verdict = decide(claim)
     assert verdict.verdict == "refuted" and verdict.counterexample is not None
     assert replay(claim, verdict.counterexample).inside
 

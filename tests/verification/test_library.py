@@ -15,11 +15,11 @@ from surctl.verification import (
     braking_claims,
     claims,
     course_claims,
+    decide,
     evaluate,
     falsify,
     prove,
     setting_from,
-    settle,
     settling_intrusion,
     tracking_claims,
 )
@@ -36,7 +36,7 @@ def one(name: str, gains: dict[str, float] | None = None) -> Any:
 
 @pytest.mark.parametrize("name", ALL)
 def test_every_claim_comes_out_as_expected(name: str) -> None:
-    verdict = settle(one(name))
+    verdict = decide(one(name))
     assert verdict.as_expected and verdict.verdict == verdict.claim.expected, verdict.to_dict()
     assert (verdict.counterexample is not None) == (name in PRINTED)
     assert (verdict.certificate is not None) == (name in CORRECTED)
@@ -68,7 +68,7 @@ GAINS = [
 @pytest.mark.parametrize("gains", GAINS)
 @pytest.mark.parametrize("name", OF_GAINS)
 def test_corrected_claims_are_proved_for_other_gains(name: str, gains: dict[str, float]) -> None:
-    verdict = settle(one(name, gains), samples=512, starts=4)
+    verdict = decide(one(name, gains), samples=512, starts=4)
     assert verdict.verdict == "proved", verdict.to_dict()
 
 
@@ -165,7 +165,7 @@ def test_settling_intrusion_is_the_root_of_the_clearance_rate() -> None:
 def test_a_flipped_inequality_is_refuted(name: str) -> None:
     claim = one(name)
     flipped = replace(claim, left=claim.right, right=claim.left)
-    assert settle(flipped, samples=256).verdict == "refuted"
+    assert decide(flipped, samples=256).verdict == "refuted"
 
 
 def patched(module: Any, name: str, change: Callable[[Any], Any]) -> Callable[[pytest.MonkeyPatch], None]:
@@ -238,7 +238,7 @@ def test_a_wrong_law_is_refuted(name: str, mutate: Any, monkeypatch: pytest.Monk
 @pytest.mark.parametrize("claim", ["braking-keeps", "braking-retreat", "braking-mass"])
 def test_braking_holds_of_other_vehicles(name: str, claim: str) -> None:
     vehicle = load_vehicle(name)
-    assert settle(claims(names=[claim], vehicle=vehicle)[0], samples=1024).verdict == "proved"
+    assert decide(claims(names=[claim], vehicle=vehicle)[0], samples=1024).verdict == "proved"
 
 
 # ---- users' mistakes

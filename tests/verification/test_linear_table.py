@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.vehicle import load_vehicle
-from surctl.verification import LINEAR_KNOBS, LINEAR_METRICS, build_cascade, linear_table, loop_margins
+from surctl.verification import LINEAR_METRICS, LINEAR_PARAMETERS, build_cascade, linear_table, loop_margins
 from surctl.verification.loops import LOOP_NAMES
 from surctl.verification.steps import STEP_NAMES, step_system
 
@@ -134,7 +134,7 @@ def test_orders_mix_and_threads_change_nothing() -> None:
         np.testing.assert_array_equal(one[name], two[name])
     lags = one["delay_margin_s.yaw"]
     assert lags[0] > lags[2] > 0 and lags[0] > lags[1] > 0
-    assert "margin" not in LINEAR_KNOBS
+    assert "margin" not in LINEAR_PARAMETERS
 
 
 def test_a_cruise_beyond_the_thrust_has_no_figures() -> None:

@@ -50,7 +50,7 @@ def scene_of(scenario: Scenario, vehicle: Vehicle, *, sonar: bool, projected: bo
     return np.concatenate(
         [
             [_DT, sonar, projected, ticks, *scenario.start, *scenario.target, scenario.depth],
-            [scenario.cruise, scenario.cap, scenario.reach, length, width, count],
+            [scenario.cruise, scenario.cap, scenario.arrival_radius, length, width, count],
             points.reshape(-1),
             plant,
             [hull],

@@ -34,12 +34,12 @@ def apf_law(s: Situation) -> Decision:
     """Attraction of the wish, and η (1/ρ − 1/ρ_0) / ρ² away from each contact within ρ_0."""
     now = over_ground(s)
 
-    def pushed(push: ca.SX, row: ca.SX) -> ca.SX:
+    def repelled(repulsion: ca.SX, row: ca.SX) -> ca.SX:
         contact = Contact.of(row)
         near = ca.fmin(ca.fmax(contact.clearance, NEAREST), RANGE)
-        push = push - STRENGTH * (1 / near - 1 / RANGE) / (near * near) * contact.normal
+        repulsion = repulsion - STRENGTH * (1 / near - 1 / RANGE) / (near * near) * contact.normal
         speed = ca.dot(now, contact.normal)
-        return push - ca.if_else(contact.clearance < RANGE, DAMPING * speed, 0) * contact.normal
+        return repulsion - ca.if_else(contact.clearance < RANGE, DAMPING * speed, 0) * contact.normal
 
-    push = fold("repulsion", pushed, ca.SX.zeros(2), tabulated((contact.row for contact in s.seen.all), 6))
-    return decided(s, limited(s.wish.velocity + push, s.p["cap"]), degraded=ca.SX(0))
+    total = fold("repulsion", repelled, ca.SX.zeros(2), tabulated((contact.row for contact in s.perceived.all), 6))
+    return decided(s, limited(s.desired.velocity + total, s.p["cap"]), degraded=ca.SX(0))

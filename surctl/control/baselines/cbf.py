@@ -31,15 +31,16 @@ EXTRA = 0.02
 FAN = 24
 """Courses at full speed, beside standing still, among which the least bad is taken where no velocity keeps all rows."""
 
-_KEPT = 1e-9  # [m/s] by which a row may be missed: rounding
+_ROUNDING = 1e-9  # [m/s] by which a row may be missed: rounding
 
 
 def cbf_law(s: Situation) -> Decision:
     """The velocity nearest to the wish that keeps every barrier; the same rows for the modes that take them."""
     rows = [
-        (c.normal, ALPHA * (c.clearance - s.p["margin"] - EXTRA) + ca.dot(c.velocity, c.normal)) for c in s.seen.all
+        (c.normal, ALPHA * (c.clearance - s.p["margin"] - EXTRA) + ca.dot(c.velocity, c.normal))
+        for c in s.perceived.all
     ]
-    velocity, feasible = nearest_velocity(s.wish.velocity, rows, cap=s.p["cap"])
+    velocity, feasible = nearest_velocity(s.desired.velocity, rows, cap=s.p["cap"])
     to_body = planar_rotation(s.eta[3]).T
     planes = [
         HalfPlane(f"contact_{k}", ca.horzcat((to_body @ normal).T, 0, 0), bound, kind="barrier")
@@ -48,7 +49,7 @@ def cbf_law(s: Situation) -> Decision:
     return decided(s, velocity, degraded=ca.logic_not(feasible), rows=planes)
 
 
-def nearest_velocity(wish: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], *, cap: ca.SX) -> tuple[ca.SX, ca.SX]:
+def nearest_velocity(desired: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], *, cap: ca.SX) -> tuple[ca.SX, ca.SX]:
     """argmin |v − wish| with n·v ≤ bound for every row and |v| ≤ cap, and whether there is such a v.
 
     Args:
@@ -59,28 +60,28 @@ def nearest_velocity(wish: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], *, cap: c
     Returns:
         v (2, 1) and 1, or, where no v keeps all, the one of a fixed fan that misses its worst row least, and 0.
     """
-    v, feasible = limited(wish, cap), ca.SX(1)
+    v, feasible = limited(desired, cap), ca.SX(1)
     for i, (normal, bound) in enumerate(rows):
-        missed = ca.dot(normal, v) > bound + _KEPT
+        missed = ca.dot(normal, v) > bound + _ROUNDING
         along = ca.vertcat(-normal[1], normal[0])
         square = cap * cap - bound * bound
-        reach = ca.sqrt(ca.fmax(square, 0))
-        low, high, open_ = -reach, reach, square >= 0
+        half_chord = ca.sqrt(ca.fmax(square, 0))
+        low, high, open_ = -half_chord, half_chord, square >= 0
         for other, limit in rows[:i]:
-            slope, room = ca.dot(other, along), limit - bound * ca.dot(other, normal)
+            slope, slack = ca.dot(other, along), limit - bound * ca.dot(other, normal)
             parallel = ca.fabs(slope) < 1e-9
-            at = room / ca.if_else(parallel, 1.0, slope)
+            at = slack / ca.if_else(parallel, 1.0, slope)
             high = ca.if_else(ca.logic_and(slope > 0, ca.logic_not(parallel)), ca.fmin(high, at), high)
             low = ca.if_else(ca.logic_and(slope < 0, ca.logic_not(parallel)), ca.fmax(low, at), low)
-            open_ = ca.logic_and(open_, ca.logic_or(ca.logic_not(parallel), room >= -_KEPT))
-        open_ = ca.logic_and(open_, low <= high + _KEPT)
-        on_line = bound * normal + ca.fmin(ca.fmax(ca.dot(wish, along), low), high) * along
+            open_ = ca.logic_and(open_, ca.logic_or(ca.logic_not(parallel), slack >= -_ROUNDING))
+        open_ = ca.logic_and(open_, low <= high + _ROUNDING)
+        on_line = bound * normal + ca.fmin(ca.fmax(ca.dot(desired, along), low), high) * along
         v = ca.if_else(missed, on_line, v)
         feasible = ca.logic_and(feasible, ca.logic_or(ca.logic_not(missed), open_))
-    return ca.if_else(feasible, v, _least_bad(wish, rows, cap)), feasible
+    return ca.if_else(feasible, v, _least_bad(desired, rows, cap)), feasible
 
 
-def _least_bad(wish: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], cap: ca.SX) -> ca.SX:
+def _least_bad(desired: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], cap: ca.SX) -> ca.SX:
     angles = 2 * np.pi * np.arange(FAN) / FAN
     table = tabulated(rows, 3)
 
@@ -92,5 +93,5 @@ def _least_bad(wish: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], cap: ca.SX) -> 
         return [ca.if_else(worst < least - 1e-9, candidate, best), ca.fmin(worst, least)]
 
     fan = [ca.SX.zeros(2), *(cap * ca.SX([np.cos(a), np.sin(a)]) for a in angles)]
-    best: ca.SX = fold("fan", judged, [wish, ca.SX(1e6)], tabulated([candidate] for candidate in fan))[0]
+    best: ca.SX = fold("fan", judged, [desired, ca.SX(1e6)], tabulated([candidate] for candidate in fan))[0]
     return best

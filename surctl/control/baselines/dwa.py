@@ -22,7 +22,7 @@ from surctl.control.baselines.situation import (
 from surctl.control.decision import Decision, weakest_acceleration
 from surctl.ir import fold, tabulated
 
-__all__ = ["CLEARANCE", "GRID", "HEADING", "HORIZON", "REACH", "VELOCITY", "dwa_law"]
+__all__ = ["CLEARANCE", "FREE_DISTANCE", "GRID", "HEADING", "HORIZON", "VELOCITY", "dwa_law"]
 
 HORIZON = 0.5
 """[s] whose acceleration spans the window (tuned from 0.5 to 3); one period of 0.05 s changes the speed by 3 mm/s."""
@@ -30,7 +30,7 @@ HORIZON = 0.5
 GRID = 7
 """Candidates along each axis of the window."""
 
-REACH = 4.0
+FREE_DISTANCE = 4.0
 """[m] of way free ahead beyond which more is no better (tuned from 0.75 to 4)."""
 
 EXTRA = 0.0
@@ -43,33 +43,33 @@ HEADING, CLEARANCE, VELOCITY = 2.0, 2.0, 1.0
 def dwa_law(s: Situation) -> Decision:
     """The best admissible velocity of the window around the present one, and of the wish itself if it lies there."""
     now, brake = over_ground(s), s.p["brake"] * weakest_acceleration(s.p)
-    reach = weakest_acceleration(s.p) * HORIZON
-    aside = s.wish.velocity - now
+    extent = weakest_acceleration(s.p) * HORIZON
+    aside = s.desired.velocity - now
     # the wish, or the nearest to it that the window holds, so that the grid costs no accuracy where nothing is near
-    wished = now + ca.vertcat(*(ca.fmin(ca.fmax(aside[k], -reach), reach) for k in range(2)))
+    nearest_desired = now + ca.vertcat(*(ca.fmin(ca.fmax(aside[k], -extent), extent) for k in range(2)))
     steps = np.linspace(-1, 1, GRID)
-    window = [wished, *(now + reach * ca.DM([a, b]) for a in steps for b in steps)]
+    window = [nearest_desired, *(now + extent * ca.DM([a, b]) for a in steps for b in steps)]
 
-    def judged(best: ca.SX, most: ca.SX, found: ca.SX, velocity: ca.SX) -> list[ca.SX]:
+    def judged(best: ca.SX, most: ca.SX, any_admissible: ca.SX, velocity: ca.SX) -> list[ca.SX]:
         velocity = limited(velocity, s.p["cap"])
         first = first_contact(s, velocity, extra=EXTRA)
         speed = length(velocity)
         admissible = speed <= 2 * brake * first
         value = ca.if_else(admissible, _value(s, velocity, speed, first), -1.0)
         better = value > most + 1e-9
-        return [ca.if_else(better, velocity, best), ca.fmax(value, most), ca.logic_or(found, admissible)]
+        return [ca.if_else(better, velocity, best), ca.fmax(value, most), ca.logic_or(any_admissible, admissible)]
 
     # to brake as hard as it can is what is left
-    start = [now - limited(now, reach), ca.SX(-1.0), ca.SX(0)]
-    best, _, found = fold("window", judged, start, tabulated([velocity] for velocity in window))
-    return decided(s, best, degraded=ca.logic_not(found))
+    start = [now - limited(now, extent), ca.SX(-1.0), ca.SX(0)]
+    best, _, admitted = fold("window", judged, start, tabulated([velocity] for velocity in window))
+    return decided(s, best, degraded=ca.logic_not(admitted))
 
 
 def _value(s: Situation, velocity: ca.SX, speed: ca.SX, first: ca.SX) -> ca.SX:
-    wish = s.wish.velocity
-    wished = length(wish)
-    along = ca.dot(velocity, wish) / ca.fmax(speed * wished, 1e-6)
+    desired = s.desired.velocity
+    desired_speed = length(desired)
+    along = ca.dot(velocity, desired) / ca.fmax(speed * desired_speed, 1e-6)
     # the way is counted at the wished speed: to creep towards a thing is no clearance
-    free = ca.fmin(first * ca.fmax(speed, wished), REACH) / REACH
-    fast = 1 - ca.fmin(ca.fabs(speed - wished) / ca.fmax(wished, 1e-3), 1)
+    free = ca.fmin(first * ca.fmax(speed, desired_speed), FREE_DISTANCE) / FREE_DISTANCE
+    fast = 1 - ca.fmin(ca.fabs(speed - desired_speed) / ca.fmax(desired_speed, 1e-3), 1)
     return HEADING * 0.5 * (1 + along) + CLEARANCE * free + VELOCITY * fast

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from surctl.control.decision import Decision, Scan, Wanted, lower_levels
+from surctl.control.decision import Decision, Scan, TaskLevel, lower_levels
 from surctl.control.echoes import Perception
-from surctl.control.reference import Wish
+from surctl.control.reference import DesiredMotion
 from surctl.control.stopping import Barrier, Movers
 from surctl.guidance import AvoidanceForm, Contact
 from surctl.ir import fold, tabulated
@@ -41,8 +41,8 @@ class Situation(NamedTuple):
     """
 
     form: AvoidanceForm
-    wish: Wish
-    seen: Perception
+    desired: DesiredMotion
+    perceived: Perception
     x: Mapping[str, ca.SX]
     eta: ca.SX
     nu: ca.SX
@@ -58,10 +58,10 @@ def decided(s: Situation, velocity: ca.SX, *, degraded: ca.SX, rows: Sequence[Ha
     """The decision for `velocity` (2, 1) [m/s] in {E}: below it depth, then the path's heading, or the spin of a law
     with sonars, as in the guarded law."""
     return Decision(
-        [Wanted.of(velocity_task(s.eta, velocity)), *lower_levels(s.eta, s.wish, s.p, s.scan)],
+        [TaskLevel.of(velocity_task(s.eta, velocity)), *lower_levels(s.eta, s.desired, s.p, s.scan)],
         rows,
         velocity,
-        length(velocity - s.wish.velocity) > _CHANGED,
+        length(velocity - s.desired.velocity) > _CHANGED,
         degraded,
         {"side": s.x["side"], "blocker": s.x["blocker"], "last_velocity": velocity},
     )
@@ -95,7 +95,7 @@ def time_to_contact(velocity: ca.SX, contact: Contact, *, margin: ca.SX, flat: b
     if flat:
         return ca.if_else(nearing, ca.fmin(ca.fmax(gap, 0) / ca.fmax(towards, 1e-9), NEVER), NEVER)
     # with d the centre's distance, R = d − gap: |w|² t² − 2 d (w·n) t + gap (d + R) = 0, its first root
-    d = contact.clearance + contact.reach
+    d = contact.clearance + contact.combined_radius
     square, half, rest = ca.sumsqr(relative), d * towards, gap * (2 * d - gap)
     disc = half * half - square * rest
     # the stable form of (half − √disc) / square
@@ -113,7 +113,7 @@ def first_contact(s: Situation, velocity: ca.SX, *, extra: float) -> ca.SX:
         extra: clearance beyond the margin at which a thing counts as met [m].
     """
     margin, first = s.p["margin"] + extra, ca.SX(NEVER)
-    for flat, contacts in ((False, [*s.seen.known, *s.seen.echoes]), (True, s.seen.walls)):
+    for flat, contacts in ((False, [*s.perceived.known, *s.perceived.echoes]), (True, s.perceived.walls)):
 
         def sooner(first: ca.SX, row: ca.SX, flat: bool = flat) -> ca.SX:
             return ca.fmin(first, time_to_contact(velocity, Contact.of(row), margin=margin, flat=flat))

@@ -39,27 +39,27 @@ _FORBIDDEN = 1e3
 
 def vo_law(s: Situation) -> Decision:
     """The allowed velocity nearest to the wish."""
-    wish, best = s.wish.velocity, s.wish.velocity
-    taken = _cost(s, wish)
-    ahead = wish / ca.fmax(length(wish), 1e-6)
-    speed = ca.fmax(length(wish), 1e-6)
+    desired, best = s.desired.velocity, s.desired.velocity
+    least_cost = _cost(s, desired)
+    ahead = desired / ca.fmax(length(desired), 1e-6)
+    speed = ca.fmax(length(desired), 1e-6)
     candidates = [
         share * speed * _turned(ahead, course) for share in SPEEDS for course in COURSES if (share, course) != (1.0, 0)
     ]
     candidates += [ca.SX.zeros(2), *(s.p["cap"] * _turned(ahead, course) for course in COURSES[1:])]
 
-    def judged(best: ca.SX, taken: ca.SX, candidate: ca.SX) -> list[ca.SX]:
+    def judged(best: ca.SX, least: ca.SX, candidate: ca.SX) -> list[ca.SX]:
         cost = _cost(s, candidate)
-        return [ca.if_else(cost < taken - 1e-9, candidate, best), ca.fmin(cost, taken)]
+        return [ca.if_else(cost < least - 1e-9, candidate, best), ca.fmin(cost, least)]
 
-    best, taken = fold("fan", judged, [best, taken], tabulated([candidate] for candidate in candidates))
-    return decided(s, best, degraded=taken > _FORBIDDEN)
+    best, least_cost = fold("fan", judged, [best, least_cost], tabulated([candidate] for candidate in candidates))
+    return decided(s, best, degraded=least_cost > _FORBIDDEN)
 
 
 def _cost(s: Situation, velocity: ca.SX) -> ca.SX:
     first = first_contact(s, velocity, extra=EXTRA)
     forbidden = _FORBIDDEN + SAFETY / ca.fmax(first, 1e-2)
-    return length(velocity - s.wish.velocity) + ca.if_else(first < HORIZON, forbidden, 0)
+    return length(velocity - s.desired.velocity) + ca.if_else(first < HORIZON, forbidden, 0)
 
 
 def _turned(unit: ca.SX, angle: float) -> ca.SX:

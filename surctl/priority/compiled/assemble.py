@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError, nearest
 from surctl.ir import Call, Program, Routine, lower
 from surctl.priority.compiled.level_shape import LevelShape
-from surctl.priority.compiled.runner import PriorityTick, bound
-from surctl.priority.compiled.tick import priority_tick
+from surctl.priority.compiled.runner import PriorityStep, bound
+from surctl.priority.compiled.step import priority_step
 from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
-from surctl.priority.settings import Ladder, Mode
+from surctl.priority.settings import Fallback, Mode
 from surctl.tasks import Kind, Limit, LimitRow, SetTask, Stack
 
-__all__ = ["AssembledTick", "Assembly", "assemble"]
+__all__ = ["AssembledStep", "Assembly", "assemble"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -69,15 +69,15 @@ class Assembly:
         ]
         return build_problem(levels, limits)
 
-    def tick(
-        self, mode: Mode = "projected", *, sweeps: int = 1, damping: float = 0.0, ladder: Ladder = "exact"
-    ) -> AssembledTick:
+    def step(
+        self, mode: Mode = "projected", *, sweeps: int = 1, damping: float = 0.0, fallback: Fallback = "exact"
+    ) -> AssembledStep:
         """A compiled tick with buffers of its own, fed by this assembly.
 
         Raises:
             InputError: a set-based task of more than one row; see `priority_tick` for the others.
         """
-        return AssembledTick(self, mode, sweeps=sweeps, damping=damping, ladder=ladder)
+        return AssembledStep(self, mode, sweeps=sweeps, damping=damping, fallback=fallback)
 
     @property
     def shapes(self) -> tuple[LevelShape, ...]:
@@ -102,7 +102,7 @@ class Assembly:
         return arguments
 
 
-class AssembledTick(PriorityTick):
+class AssembledStep(PriorityStep):
     """A `PriorityTick` with its `Assembly` before it, in one compiled call: write `inputs`, call `solve`, read `v`.
 
     J, lower, upper, rows and box are outputs here, so there is nothing to load. A number that is not finite anywhere
@@ -115,7 +115,7 @@ class AssembledTick(PriorityTick):
     inputs: Mapping[str, Array]
 
     def __init__(
-        self, assembly: Assembly, mode: Mode, *, sweeps: int = 1, damping: float = 0.0, ladder: Ladder = "exact"
+        self, assembly: Assembly, mode: Mode, *, sweeps: int = 1, damping: float = 0.0, fallback: Fallback = "exact"
     ) -> None:
         """See `Assembly.tick`."""
         for task in assembly.stack.tasks:
@@ -126,11 +126,11 @@ class AssembledTick(PriorityTick):
                     remedy="put its split() into the stack",
                 )
         places = max(1, len(assembly.limits))
-        tick = priority_tick(
-            mode, n=_N, levels=assembly.shapes, rows=places, sweeps=sweeps, damping=damping, ladder=ladder
+        step = priority_step(
+            mode, n=_N, levels=assembly.shapes, rows=places, sweeps=sweeps, damping=damping, fallback=fallback
         )
-        inputs, outputs, self.solve, self.compiled = bound(_fused(lower(assembly.function), tick))
-        self._take(mode, _N, assembly.shapes, outputs[: len(tick.inputs)], outputs[len(tick.inputs) :])
+        inputs, outputs, self.solve, self.compiled = bound(_fused(lower(assembly.function), step))
+        self._take(mode, _N, assembly.shapes, outputs[: len(step.inputs)], outputs[len(step.inputs) :])
         self.level_names = assembly.stack.names
         self.row_names = tuple(row.name for row in assembly.limits)
         self.inputs = MappingProxyType(dict(zip(assembly.sizes, inputs, strict=True)))
@@ -139,20 +139,20 @@ class AssembledTick(PriorityTick):
         """Always an InputError: what it would write is worked out anew from the inputs by every `solve`."""
         del problem
         raise InputError(
-            "takes no problem, only inputs", key="tick", remedy="write into them, or take PriorityTick.of(problem)"
+            "takes no problem, only inputs", key="step", remedy="write into them, or take PriorityStep.of(problem)"
         )
 
 
-def _fused(stack: Program, tick: Routine) -> Routine:
+def _fused(stack: Program, step: Routine) -> Routine:
     """The tick on what the stack gives; both are outputs."""
-    given = tuple(name for name, _ in stack.inputs)
-    between = tuple(name for name, _ in tick.inputs)
-    found = tuple(name for name, _ in tick.outputs)
+    inputs = tuple(name for name, _ in stack.inputs)
+    between = tuple(name for name, _ in step.inputs)
+    outputs = tuple(name for name, _ in step.outputs)
     return Routine(
-        f"assembled_{tick.name}",
+        f"assembled_{step.name}",
         stack.inputs,
-        (Call(stack, given, between), Call(tick, between, found)),
-        (*between, *found),
+        (Call(stack, inputs, between), Call(step, between, outputs)),
+        (*between, *outputs),
     )
 
 

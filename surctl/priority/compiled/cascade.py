@@ -18,26 +18,26 @@ import casadi as ca
 from surctl.ir import Call, Loop, Program, Routine, Step, lower
 from surctl.priority.compiled.decomposition import decompose
 from surctl.priority.compiled.level_shape import StackShape, SymbolicLevel
+from surctl.priority.compiled.limited_level import limited_level
 from surctl.priority.compiled.rows import opened_row
-from surctl.priority.compiled.serve import serve
 from surctl.priority.compiled.sweep import HUGE
 from surctl.priority.compiled.tangent import merged
 from surctl.priority.rowspace import ZERO_ROW
 from surctl.priority.solver.dual_step import OPTIMAL, Space
 from surctl.priority.solver.elimination import as_matrix
+from surctl.priority.solver.fallback import CLAMPED, LIMITED, safe_step
 from surctl.priority.solver.kernel import certificate, kernel, row_by_row
-from surctl.priority.solver.ladder import CLAMPED, LIMITED, safe_tick
 
 __all__ = ["cascade"]
 
-_STATE = ("stop", "v", "base", "N", "rows", "held", "hold", "active", "push", "limited", "count")
+_STATE = ("stop", "v", "base", "N", "rows", "held", "hold", "active", "multipliers", "limited", "count")
 
 
 class _Sizes:
     """n velocities, k rows of the tallest level, m rows with those of set-based levels at the end."""
 
     def __init__(self, shape: StackShape, rows: int) -> None:
-        self.shape, self.n, self.k, self.given = shape, shape.n, shape.tallest, rows
+        self.shape, self.n, self.k, self.limit_rows = shape, shape.n, shape.tallest, rows
         self.sets = sum(level.is_set for level in shape.levels)
         self.m = rows + self.sets
         self.row = shape.n + 3
@@ -74,16 +74,19 @@ def cascade(shape: StackShape, rows: int) -> Routine:
     """
     sizes = _Sizes(shape, rows)
     n, start = shape.n, tuple(f"{name}_0" for name in _STATE)
-    last, tick = tuple(f"{name}_last" for name in _STATE), ("v_t", "active_t", "push_t", "opening", "status_t", "spent")
+    last, initial = (
+        tuple(f"{name}_last" for name in _STATE),
+        ("v_t", "active_t", "multipliers_t", "opening", "status_t", "spent"),
+    )
     levels = tuple(f"{name}_all" for name, _ in sizes.level if name != "slot" or sizes.sets)
     steps: tuple[Step, ...] = (
         Call(_arrange(sizes), ("J", "lower", "upper", "rows"), (*levels, "zero", "no_J", "no_x", "rows_all")),
         # no task, but places for one: so the levels can call the very same routine
-        Call(safe_tick(n, sizes.k, sizes.m), ("zero", "no_J", "no_x", "rows_all", "box"), tick),
+        Call(safe_step(n, sizes.k, sizes.m), ("zero", "no_J", "no_x", "rows_all", "box"), initial),
         Loop(opened_row(n), sizes.m, (), ("rows_0",), sliced=("rows_all",), fixed=("opening", "v_t")),
-        Call(_begin(sizes), (*tick[:3], *tick[4:], "sound"), tuple(s for s in start if s != "rows_0")),
+        Call(_begin(sizes), (*initial[:3], *initial[4:], "sound"), tuple(s for s in start if s != "rows_0")),
         Loop(_level(sizes), len(shape.levels), start, last, sliced=levels, until=0),
-        Call(merged(n), ("held_last", "hold_last", "active_last", "push_last"), ("active", "multipliers")),
+        Call(merged(n), ("held_last", "hold_last", "active_last", "multipliers_last"), ("active", "multipliers")),
         Call(_end(sizes), ("v_last", "limited_last", "status_t"), ("v", "status", "target")),
     )
     inputs = (*shape.inputs, ("rows", rows * sizes.row), ("box", 2 * n), ("sound", 1))
@@ -95,7 +98,7 @@ def _arrange(sizes: _Sizes) -> Program:
     """(J, lower, upper, rows) → the levels padded to one size, flags, 0, no task, the rows with places for sets."""
     shape, n, k = sizes.shape, sizes.n, sizes.k
     flat, levels = shape.symbols()
-    rows = ca.SX.sym("rows", sizes.given * sizes.row)
+    rows = ca.SX.sym("rows", sizes.limit_rows * sizes.row)
     zeros = [ca.SX.zeros(k - level.J.shape[0]) for level in levels]
     J = [ca.vertcat(ca.vec(lv.J.T), ca.SX.zeros(z.numel() * n)) for lv, z in zip(levels, zeros, strict=True)]
     place, slots = 0, []
@@ -121,12 +124,14 @@ def _arrange(sizes: _Sizes) -> Program:
 def _begin(sizes: _Sizes) -> Program:
     """(v, active, push, status, count, sound) → the state without its rows."""
     n = sizes.n
-    v, active, push = (ca.SX.sym(name, n) for name in ("v", "active", "push"))
+    v, active, multipliers = (ca.SX.sym(name, n) for name in ("v", "active", "multipliers"))
     status, count, sound = (ca.SX.sym(name) for name in ("status", "count", "sound"))
     zero = ca.SX.zeros(n)
     stop = ca.logic_or(ca.eq(status, CLAMPED), ca.logic_not(sound))
-    outputs = [stop, v, zero, ca.vec(ca.SX.eye(n)), zero, zero, active, push, ca.SX.zeros(1), count]
-    return lower(ca.Function("begin_levels", [v, active, push, status, count, sound], list(map(ca.densify, outputs))))
+    outputs = [stop, v, zero, ca.vec(ca.SX.eye(n)), zero, zero, active, multipliers, ca.SX.zeros(1), count]
+    return lower(
+        ca.Function("begin_levels", [v, active, multipliers, status, count, sound], list(map(ca.densify, outputs)))
+    )
 
 
 def _level(sizes: _Sizes) -> Routine:
@@ -137,8 +142,8 @@ def _level(sizes: _Sizes) -> Routine:
     slot = ("slot",) if sizes.sets else ()
     freedom = ("base_c", "N_c", "N_less", "directions", "task", "turn", "x_i", "square")
     after = tuple(f"{name}_next" for name in _STATE)
-    tried = ("skip", "v_1", "base_1", "N_1", "rows_1", "held_1", "hold_1", "active_1", "push_1", "count_1")
-    served = ("skip_2", *after[1:9], "count_next")
+    tried = ("skip", "v_1", "base_1", "N_1", "rows_1", "held_1", "hold_1", "active_1", "multipliers_1", "count_1")
+    solved = ("skip_2", *after[1:9], "count_next")
     steps: tuple[Step, ...] = (
         Call(_free(sizes), ("v", "base", "N", "J_i", "lower_i", "upper_i", "is_set"), (*freedom, "row_i")),
         Call(_added(sizes), ("rows", "row_i", *slot), ("rows_c",)),
@@ -148,17 +153,17 @@ def _level(sizes: _Sizes) -> Routine:
             ("rows_c", "base_c", "go", "N_c"),
             ("point", "numbers", "u", "end", "spent"),
         ),
-        Call(row_by_row(certificate(space, m), m), ("rows_c", "point"), ("kept",)),
+        Call(row_by_row(certificate(space, m), m), ("rows_c", "point"), ("feasible",)),
         Call(
             _tried(sizes),
-            ("point", "numbers", "u", "end", "kept", "base_c", "N_c", "rows_c", *_STATE, "spent", "first"),
+            ("point", "numbers", "u", "end", "feasible", "base_c", "N_c", "rows_c", *_STATE, "spent", "first"),
             (*tried, "limited_next"),
         ),
         Loop(
-            serve(n, k, m),
+            limited_level(n, k, m),
             1,
             carried=tried,
-            results=served,
+            results=solved,
             fixed=("N", "N_less", "directions", "task", "turn", "J_i", "x_i", "square"),
             until=0,
         ),
@@ -183,7 +188,7 @@ def _free(sizes: _Sizes) -> Program:
     low, high, is_set = ca.SX.sym("low", k), ca.SX.sym("high", k), ca.SX.sym("is_set")
     matrix, projector = as_matrix(J, n), as_matrix(N, n)
     slab = SymbolicLevel(matrix, low, high, is_set=True)
-    x = ca.if_else(is_set, slab.wanted(v), low)
+    x = ca.if_else(is_set, slab.desired(v), low)
     parts = decompose(matrix, projector)
     less = projector - parts.directions().T @ parts.directions()
     reached = base + parts.directions().T @ parts.coordinates(x - matrix @ base)
@@ -212,7 +217,7 @@ def _added(sizes: _Sizes) -> Program:
     """(rows, row[, slot]) → the rows with this one in its place."""
     rows, row = ca.SX.sym("rows", sizes.m * sizes.row), ca.SX.sym("row", sizes.row)
     slot = ca.SX.sym("slot", sizes.sets)
-    first = sizes.given * sizes.row
+    first = sizes.limit_rows * sizes.row
     places = [rows[first + j * sizes.row : first + (j + 1) * sizes.row] for j in range(sizes.sets)]
     filled = [ca.if_else(slot[j], row, place) for j, place in enumerate(places)]
     inputs = [rows, row, *([slot] if sizes.sets else [])]
@@ -226,10 +231,10 @@ def _tried(sizes: _Sizes) -> Program:
     """
     n = sizes.n
     point, numbers, u = ca.SX.sym("point", n + 1), ca.SX.sym("numbers", n), ca.SX.sym("u", n)
-    end, kept, spent, first = (ca.SX.sym(name) for name in ("end", "kept", "spent", "first"))
+    end, feasible, spent, first = (ca.SX.sym(name) for name in ("end", "feasible", "spent", "first"))
     base_c, N_c, rows_c = ca.SX.sym("base_c", n + 1), ca.SX.sym("N_c", n * n), ca.SX.sym("rows_c", sizes.m * sizes.row)
     state = {name: ca.SX.sym(name, size) for name, size in sizes.state}
-    good = ca.logic_and(ca.eq(end, OPTIMAL), kept)
+    good = ca.logic_and(ca.eq(end, OPTIMAL), feasible)
     outputs = [
         good,
         ca.if_else(good, point[:n], state["v"]),
@@ -239,11 +244,11 @@ def _tried(sizes: _Sizes) -> Program:
         state["held"],
         state["hold"],
         ca.if_else(good, numbers, state["active"]),
-        ca.if_else(good, u, state["push"]),
+        ca.if_else(good, u, state["multipliers"]),
         state["count"] + spent,
         ca.if_else(first, ca.logic_not(good), state["limited"]),
     ]
-    inputs = [point, numbers, u, end, kept, base_c, N_c, rows_c, *state.values(), spent, first]
+    inputs = [point, numbers, u, end, feasible, base_c, N_c, rows_c, *state.values(), spent, first]
     return lower(ca.Function("tried", inputs, list(map(ca.densify, outputs))))
 
 

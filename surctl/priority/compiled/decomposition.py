@@ -35,11 +35,11 @@ class Decomposition(NamedTuple):
 
     def turned(self, x: ca.SX) -> ca.SX:
         """Pᵀ·scale·x (k, 1): ‖scale·(J N y − x)‖² = ‖T Q y − Pᵀ scale x‖² + what no y can change."""
-        rest, made = x * self.scale, []
+        rest, entries = x * self.scale, []
         for p in self.P:
-            made.append(ca.dot(p, rest))
-            rest = rest - made[-1] * p
-        return ca.vertcat(*made)
+            entries.append(ca.dot(p, rest))
+            rest = rest - entries[-1] * p
+        return ca.vertcat(*entries)
 
     def coordinates(self, x: ca.SX) -> ca.SX:
         """c (k, 1): Qᵀc is the shortest y in the range of N with ‖J N y − x‖ least."""

@@ -20,9 +20,9 @@ from surctl.priority.compiled.level_shape import StackShape
 from surctl.priority.compiled.rows import longer_row, opened_row
 from surctl.priority.compiled.tangent import holding, largest, merged
 from surctl.priority.rowspace import ZERO_ROW
-from surctl.priority.settings import Ladder
+from surctl.priority.settings import Fallback
 from surctl.priority.solver.elimination import as_matrix
-from surctl.priority.solver.ladder import CLAMPED, LIMITED, MET, RELAXED, safe_tick
+from surctl.priority.solver.fallback import CLAMPED, LIMITED, MET, RELAXED, safe_step
 from surctl.priority.solver.precision import FLOAT64, Precision
 
 __all__ = ["last_projection"]
@@ -31,7 +31,7 @@ _PLAIN = 1e-4  # in squares of lengths and of a sine: far above every cut-off, i
 
 _APART, _SHORT = 1e-14, 1e-18  # squares again: with _PLAIN no row that `decompose` would pass over
 
-_ANSWER = ("v", "active", "multipliers", "opening", "status", "count")
+_SOLUTION = ("v", "active", "multipliers", "opening", "status", "count")
 
 
 def last_projection(
@@ -41,21 +41,21 @@ def last_projection(
     damping: float,
     precision: Precision = FLOAT64,
     named: bool = True,
-    ladder: Ladder = "exact",
+    fallback: Fallback = "exact",
 ) -> Routine:
     """(w (n,), count (1,), J, lower, upper, rows, box) → v, active, multipliers, opening, status, count."""
-    n, named = shape.n, named and ladder == "exact"  # a bounded ladder does not say what holds a task back
-    given = (("w", n), ("before", 1), *shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n))
+    n, named = shape.n, named and fallback == "exact"  # a bounded ladder does not say what holds a task back
+    inputs = (("w", n), ("before", 1), *shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n))
     steps: tuple[Step, ...]
     if damping > 0.0:
         steps = _damped(shape, rows, damping, precision)
     elif shape.levels[0].is_set:
-        steps = _slab(shape, rows, precision, named=named, ladder=ladder)
+        steps = _slab(shape, rows, precision, named=named, fallback=fallback)
     else:
-        steps = _value(shape, rows, precision, named=named, ladder=ladder)
-    found = tuple(f"{name}_found" for name in _ANSWER)
-    add = Call(_sum(), ("before", found[-1]), ("total",))
-    return Routine("last_projection", given, (*steps, add), (*found[:-1], "total"))
+        steps = _value(shape, rows, precision, named=named, fallback=fallback)
+    outputs = tuple(f"{name}_out" for name in _SOLUTION)
+    add = Call(_sum(), ("before", outputs[-1]), ("total",))
+    return Routine("last_projection", inputs, (*steps, add), (*outputs[:-1], "total"))
 
 
 def _sum() -> Program:
@@ -63,7 +63,7 @@ def _sum() -> Program:
     return lower(ca.Function("sum", [a, b], [a + b]))
 
 
-def _task(shape: StackShape, ladder: Ladder) -> tuple[Step, ...]:
+def _task(shape: StackShape, fallback: Fallback) -> tuple[Step, ...]:
     """J, lower, upper → J_1, and the x_1 that it can reach; two rows that are plainly independent reach any.
 
     A bounded ladder takes two others for no task: what they can reach is dear to know.
@@ -71,7 +71,7 @@ def _task(shape: StackShape, ladder: Ladder) -> tuple[Step, ...]:
     k, stack = shape.levels[0].rows, ("J", "lower", "upper")
     if k != 2:
         return (Call(_first(shape), stack, ("J_1", "x_1")),)
-    if ladder != "exact":
+    if fallback != "exact":
         return (Call(_independent(shape), stack, ("J_1", "x_1")),)
     one = lower(ca.Function("done", [ca.SX.sym("plain")], [ca.SX.ones(1)]))
     state = (("J_1", k * shape.n), ("x_1", k), ("plain", 1))
@@ -82,8 +82,8 @@ def _task(shape: StackShape, ladder: Ladder) -> tuple[Step, ...]:
         ("J_next", "x_next", "done"),
     )
     return (
-        Call(_plain(shape), stack, ("J_asked", "x_asked", "plain")),
-        Loop(turn, 1, ("J_asked", "x_asked", "plain"), ("J_1", "x_1", "known"), fixed=stack, until=2),
+        Call(_plain(shape), stack, ("J_raw", "x_raw", "plain")),
+        Loop(turn, 1, ("J_raw", "x_raw", "plain"), ("J_1", "x_1", "known"), fixed=stack, until=2),
     )
 
 
@@ -122,30 +122,30 @@ def _first(shape: StackShape) -> Program:
     return lower(ca.Function("first", flat, [ca.densify(ca.vec(J.T)), ca.densify(x)]))
 
 
-def _value(shape: StackShape, rows: int, precision: Precision, *, named: bool, ladder: Ladder) -> tuple[Step, ...]:
-    raw, found = tuple(f"{name}_tick" for name in _ANSWER), tuple(f"{name}_found" for name in _ANSWER)
-    k, given = shape.levels[0].rows, ("w", "J_1", "x_1", "rows", "box")
+def _value(shape: StackShape, rows: int, precision: Precision, *, named: bool, fallback: Fallback) -> tuple[Step, ...]:
+    raw, outputs = tuple(f"{name}_step" for name in _SOLUTION), tuple(f"{name}_out" for name in _SOLUTION)
+    k, inputs = shape.levels[0].rows, ("w", "J_1", "x_1", "rows", "box")
     return (
-        *_task(shape, ladder),
-        Call(safe_tick(shape.n, k, rows, precision=precision, ladder=ladder), given, raw if named else found),
-        *([Call(_named(shape.n, k, rows, precision), ("J_1", "x_1", "rows", *raw), found)] if named else []),
+        *_task(shape, fallback),
+        Call(safe_step(shape.n, k, rows, precision=precision, fallback=fallback), inputs, raw if named else outputs),
+        *([Call(_named(shape.n, k, rows, precision), ("J_1", "x_1", "rows", *raw), outputs)] if named else []),
     )
 
 
 def _named(n: int, k: int, rows: int, precision: Precision) -> Routine:
     """(J_1, x_1, rows, the answer) → the answer, and first among its rows those that hold task 1 back."""
-    answer = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1))
+    solution = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1))
     fixed = (("rows", rows * (n + 3)), ("v", n), ("opening", 1), ("pull", n), ("Z", n * n))
     add = Routine(
         "add_holding",
-        (("met", 1), *answer[1:3], ("count", 1), *fixed),
+        (("met", 1), *solution[1:3], ("count", 1), *fixed),
         (
             Call(
                 holding(n, rows, precision),
                 ("rows", "opening", "v", "pull", "Z"),
-                ("numbers", "push", "rest", "spent"),
+                ("numbers", "weights", "rest", "spent"),
             ),
-            Call(merged(n), ("numbers", "push", "active", "multipliers"), ("active_next", "multipliers_next")),
+            Call(merged(n), ("numbers", "weights", "active", "multipliers"), ("active_next", "multipliers_next")),
             Call(_sum(), ("count", "spent"), ("total",)),
         ),
         ("met", "active_next", "multipliers_next", "total"),
@@ -155,8 +155,8 @@ def _named(n: int, k: int, rows: int, precision: Precision) -> Routine:
         Call(_pull(n, k), ("J_1", "x_1", "v", "status"), ("met", "pull", "Z")),
         Loop(add, 1, state, tuple(f"{name}_last" for name in state), fixed=tuple(name for name, _ in fixed), until=0),
     )
-    given = (("J_1", k * n), ("x_1", k), ("rows", rows * (n + 3)), *answer)
-    return Routine("named", given, steps, ("v", "active_last", "multipliers_last", "opening", "status", "count_last"))
+    inputs = (("J_1", k * n), ("x_1", k), ("rows", rows * (n + 3)), *solution)
+    return Routine("named", inputs, steps, ("v", "active_last", "multipliers_last", "opening", "status", "count_last"))
 
 
 def _pull(n: int, k: int) -> Program:
@@ -168,32 +168,34 @@ def _pull(n: int, k: int) -> Program:
     return lower(ca.Function("pull_1", [J, x, v, status], list(map(ca.densify, outputs))))
 
 
-def _slab(shape: StackShape, rows: int, precision: Precision, *, named: bool, ladder: Ladder) -> tuple[Step, ...]:
+def _slab(shape: StackShape, rows: int, precision: Precision, *, named: bool, fallback: Fallback) -> tuple[Step, ...]:
     n = shape.n
-    answer = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1))
+    solution = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1))
     task = (("J_1", n), ("x_1", 1))
-    raw = tuple(f"{name}_tick" for name in _ANSWER)
+    raw = tuple(f"{name}_step" for name in _SOLUTION)
     fixed = (("w", n), *shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n))
-    state = (*(name for name, _ in task), *_ANSWER, "done")
+    state = (*(name for name, _ in task), *_SOLUTION, "done")
     after = tuple(f"{name}_next" for name in state)
     side = Routine(
         "side",
-        (*task, *answer, ("done", 1), *fixed),
+        (*task, *solution, ("done", 1), *fixed),
         (
-            Call(safe_tick(n, 1, rows, precision=precision, ladder=ladder), ("w", "J_1", "x_1", "rows", "box"), raw),
+            Call(
+                safe_step(n, 1, rows, precision=precision, fallback=fallback), ("w", "J_1", "x_1", "rows", "box"), raw
+            ),
             Call(_side(shape, precision), ("J", "lower", "upper", *state[2:8], *raw), after),
         ),
         after,
     )
     start = ("no_J", "no_x", "no_v", "no_active", "no_multipliers", "no_opening", "no_status", "no_count", "not_done")
-    found = tuple(f"{name}_found" for name in _ANSWER)
-    last = ("J_last", "x_last", *((f"{name}_slab" for name in _ANSWER) if named else found), "done_last")
+    outputs = tuple(f"{name}_out" for name in _SOLUTION)
+    last = ("J_last", "x_last", *((f"{name}_slab" for name in _SOLUTION) if named else outputs), "done_last")
     empty = [ca.SX.zeros(size) for size in (n, 1, n, n, n, 1, 1, 1, 1)]
     w = ca.SX.sym("w", n)
     return (
         Call(lower(ca.Function("empty", [w], empty)), ("w",), start),
         Loop(side, 2, start, last, fixed=tuple(name for name, _ in fixed), until=8),
-        *([Call(_named(n, 1, rows, precision), ("J_last", "x_last", "rows", *last[2:8]), found)] if named else []),
+        *([Call(_named(n, 1, rows, precision), ("J_last", "x_last", "rows", *last[2:8]), outputs)] if named else []),
     )
 
 
@@ -201,12 +203,12 @@ def _side(shape: StackShape, precision: Precision) -> Program:
     """(J, lower, upper, the last answer, the new one) → the task for the next turn, the better answer, done."""
     n, (flat, levels) = shape.n, shape.symbols()
     sizes = (n, n, n, 1, 1, 1)
-    old = [ca.SX.sym(f"{name}_old", size) for name, size in zip(_ANSWER, sizes, strict=True)]
-    new = [ca.SX.sym(f"{name}_new", size) for name, size in zip(_ANSWER, sizes, strict=True)]
+    old = [ca.SX.sym(f"{name}_old", size) for name, size in zip(_SOLUTION, sizes, strict=True)]
+    new = [ca.SX.sym(f"{name}_new", size) for name, size in zip(_SOLUTION, sizes, strict=True)]
     J, v = levels[0].J, new[0]
-    value, wanted = J @ v, levels[0].wanted(v)
-    kept = ca.fabs(value - wanted) <= precision.priced * largest(J.T) * (1 + largest(v))
-    inside = ca.logic_or(kept, ca.logic_not(largest(J.T) > ZERO_ROW))
+    value, desired = J @ v, levels[0].desired(v)
+    met = ca.fabs(value - desired) <= precision.priced * largest(J.T) * (1 + largest(v))
+    inside = ca.logic_or(met, ca.logic_not(largest(J.T) > ZERO_ROW))
     second = old[4] != 0
     # numbers that ran away in the second turn leave the answer of the first, which keeps the rows
     failed = ca.logic_and(second, ca.eq(new[4], CLAMPED))
@@ -214,7 +216,7 @@ def _side(shape: StackShape, precision: Precision) -> Program:
     chosen[4] = ca.if_else(failed, ca.fmax(old[4], LIMITED), new[4])
     chosen[5] = old[5] + new[5]
     done = ca.logic_or(ca.logic_or(second, inside), ca.eq(new[4], CLAMPED))
-    outputs = [J.T, wanted, *chosen, done]
+    outputs = [J.T, desired, *chosen, done]
     return lower(ca.Function("choose_side", [*flat, *old, *new], list(map(ca.densify, outputs))))
 
 
@@ -223,12 +225,12 @@ def _damped(shape: StackShape, rows: int, damping: float, precision: Precision) 
     n, level = shape.n, shape.levels[0]
     q, wide = level.rows, shape.n + level.rows
     p, m = (1, rows + 1) if level.is_set else (q, rows)
-    plain, raw = (tuple(f"{name}_{tag}" for name in _ANSWER) for tag in ("plain", "wide"))
+    plain, raw = (tuple(f"{name}_{tag}" for name in _SOLUTION) for tag in ("plain", "wide"))
     w = ca.SX.sym("w", n)
     no_task = lower(ca.Function("no_task", [w], [ca.SX.zeros(n), ca.SX.zeros(1)]))
     return (
         Call(no_task, ("w",), ("no_J", "no_x")),
-        Call(safe_tick(n, 1, rows, precision=precision), ("w", "no_J", "no_x", "rows", "box"), plain),
+        Call(safe_step(n, 1, rows, precision=precision), ("w", "no_J", "no_x", "rows", "box"), plain),
         Loop(opened_row(n), rows, (), ("rows_open",), sliced=("rows",), fixed=("opening_plain", "v_plain")),
         Loop(longer_row(n, q), rows, (), ("rows_longer",), sliced=("rows_open",)),
         Call(
@@ -236,8 +238,8 @@ def _damped(shape: StackShape, rows: int, damping: float, precision: Precision) 
             ("w", "J", "lower", "upper", "rows_longer", "box"),
             ("w_wide", "J_wide", "x_wide", "rows_wide", "box_wide"),
         ),
-        Call(safe_tick(wide, p, m, precision=precision), ("w_wide", "J_wide", "x_wide", "rows_wide", "box_wide"), raw),
-        Call(_narrow(n, wide, rows, damping), (*plain, *raw), tuple(f"{name}_found" for name in _ANSWER)),
+        Call(safe_step(wide, p, m, precision=precision), ("w_wide", "J_wide", "x_wide", "rows_wide", "box_wide"), raw),
+        Call(_narrow(n, wide, rows, damping), (*plain, *raw), tuple(f"{name}_out" for name in _SOLUTION)),
     )
 
 
@@ -246,7 +248,7 @@ def _with_miss(shape: StackShape, rows: int, damping: float) -> Program:
     n, (flat, levels) = shape.n, shape.symbols()
     level = levels[0]
     q = level.J.shape[0]
-    w, given, box = ca.SX.sym("w", n), ca.SX.sym("rows", rows * (n + q + 3)), ca.SX.sym("box", 2 * n)
+    w, limits, box = ca.SX.sym("w", n), ca.SX.sym("rows", rows * (n + q + 3)), ca.SX.sym("box", 2 * n)
     J, x, more = ca.horzcat(level.J, -damping * ca.SX.eye(q)), level.lower, ca.SX(0, 1)
     if level.is_set:
         more = ca.vertcat(J.T, level.lower, level.upper, 0)
@@ -256,10 +258,10 @@ def _with_miss(shape: StackShape, rows: int, damping: float) -> Program:
         ca.vertcat(w, ca.SX.zeros(q)),
         ca.vec(ca.densify(J).T),
         x,
-        ca.vertcat(given, more),
+        ca.vertcat(limits, more),
         ca.vertcat(box[:n], -far, box[n:], far),
     ]
-    return lower(ca.Function("with_miss", [w, *flat, given, box], list(map(ca.densify, outputs))))
+    return lower(ca.Function("with_miss", [w, *flat, limits, box], list(map(ca.densify, outputs))))
 
 
 def _narrow(n: int, wide: int, rows: int, damping: float) -> Program:
@@ -267,22 +269,22 @@ def _narrow(n: int, wide: int, rows: int, damping: float) -> Program:
 
     At most n of its active rows are independent, so n places hold them. Multipliers of the damped problem.
     """
-    plain = [ca.SX.sym(f"{name}_plain", size) for name, size in zip(_ANSWER, (n, n, n, 1, 1, 1), strict=True)]
-    found = [ca.SX.sym(f"{name}_wide", size) for name, size in zip(_ANSWER, (wide,) * 3 + (1, 1, 1), strict=True)]
-    slots, push = [ca.SX(0)] * n, [ca.SX(0)] * n
-    for number, multiplier in zip(ca.vertsplit(found[1]), ca.vertsplit(found[2]), strict=True):
+    plain = [ca.SX.sym(f"{name}_plain", size) for name, size in zip(_SOLUTION, (n, n, n, 1, 1, 1), strict=True)]
+    full = [ca.SX.sym(f"{name}_wide", size) for name, size in zip(_SOLUTION, (wide,) * 3 + (1, 1, 1), strict=True)]
+    slots, multipliers = [ca.SX(0)] * n, [ca.SX(0)] * n
+    for number, multiplier in zip(ca.vertsplit(full[1]), ca.vertsplit(full[2]), strict=True):
         waits = ca.logic_and(number != 0, ca.fabs(number) <= rows)
         for j in range(n):
             takes = ca.logic_and(waits, ca.eq(slots[j], 0))
             waits = ca.logic_and(waits, ca.logic_not(takes))
             slots[j] = ca.if_else(takes, number, slots[j])
-            push[j] = ca.if_else(takes, damping**2 * multiplier, push[j])
-    good = ca.logic_and(ca.eq(found[4], MET), plain[4] != CLAMPED)
-    better = (found[0][:n], ca.vertcat(*slots), ca.vertcat(*push))
+            multipliers[j] = ca.if_else(takes, damping**2 * multiplier, multipliers[j])
+    good = ca.logic_and(ca.eq(full[4], MET), plain[4] != CLAMPED)
+    better = (full[0][:n], ca.vertcat(*slots), ca.vertcat(*multipliers))
     outputs = [
         *(ca.if_else(good, a, b) for a, b in zip(better, plain[:3], strict=True)),
         plain[3],
         ca.if_else(good, plain[4], ca.fmax(plain[4], LIMITED)),
-        plain[5] + found[5],
+        plain[5] + full[5],
     ]
-    return lower(ca.Function("narrow", [*plain, *found], list(map(ca.densify, outputs))))
+    return lower(ca.Function("narrow", [*plain, *full], list(map(ca.densify, outputs))))

@@ -36,7 +36,7 @@ class SymbolicLevel:
     upper: ca.SX
     is_set: bool
 
-    def wanted(self, w: ca.SX) -> ca.SX:
+    def desired(self, w: ca.SX) -> ca.SX:
         """What J z should be for z near w: the value asked for, or J w moved between the bounds."""
         return ca.fmin(ca.fmax(self.J @ w, self.lower), self.upper) if self.is_set else self.lower
 

@@ -22,8 +22,8 @@ def opened_row(n: int) -> Program:
     row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
     length = ca.sqrt(ca.sumsqr(row[:n]))
     a = row[: n + 2] * (1 / ca.if_else(length <= ZERO_ROW, 1, length))
-    value, room = ca.dot(a[:n], v), row[n + 2] * opening
-    low, high = a[n] - room, a[n + 1] + room
+    value, widening = ca.dot(a[:n], v), row[n + 2] * opening
+    low, high = a[n] - widening, a[n + 1] + widening
     low, high = ca.if_else(low <= value, low, value), ca.if_else(high >= value, high, value)
     return lower(ca.Function("opened_row", [row, opening, v], [ca.vertcat(a[:n], low, high, 0)]))
 

@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, ToolMissing
 from surctl.ir import Routine, compile_block, replay
 from surctl.priority.compiled.level_shape import LevelShape
-from surctl.priority.compiled.tick import OUTPUTS, priority_tick
+from surctl.priority.compiled.step import OUTPUTS, priority_step
 from surctl.priority.polyhedron import polyhedron_of
 from surctl.priority.problem import PriorityProblem
 from surctl.priority.rowspace import ZERO_ROW
-from surctl.priority.settings import Ladder, Mode
-from surctl.priority.solver.safe_point import Rung, idle_row
+from surctl.priority.settings import Fallback, Mode
+from surctl.priority.solver.safe_point import Stage, idle_row
 
-__all__ = ["PriorityTick", "bound", "level_shapes"]
+__all__ = ["PriorityStep", "bound", "level_shapes"]
 
 Array: TypeAlias = NDArray[np.float64]
 
 _VIEWS = frozenset(("J", "lower", "upper", "rows", "box", *OUTPUTS))
 
 
-class PriorityTick:
+class PriorityStep:
     """`priority_tick` compiled for one caller: write the inputs, call `solve`, read the outputs.
 
         tick = PriorityTick.of(problem, mode="projected")
@@ -71,11 +71,11 @@ class PriorityTick:
         rows: int,
         sweeps: int = 1,
         damping: float = 0.0,
-        ladder: Ladder = "exact",
+        fallback: Fallback = "exact",
     ) -> None:
         """As `priority_tick`, which raises the errors. All rows are idle and the box is open until they are written."""
         shapes = tuple(levels)
-        routine = priority_tick(mode, n=n, levels=shapes, rows=rows, sweeps=sweeps, damping=damping, ladder=ladder)
+        routine = priority_step(mode, n=n, levels=shapes, rows=rows, sweeps=sweeps, damping=damping, fallback=fallback)
         inputs, outputs, self.solve, self.compiled = bound(routine)
         self._take(mode, n, shapes, inputs, outputs)
         self.rows[:] = idle_row(n)
@@ -84,7 +84,7 @@ class PriorityTick:
     def __setattr__(self, name: str, value: object) -> None:
         """Refuse another array in place of a view; `tick.J += 1` gives the same one back."""
         if name in _VIEWS and name in self.__dict__ and value is not self.__dict__[name]:
-            raise InputError("is a view of the tick's buffer", key=name, remedy=f"write into it: tick.{name}[...] = …")
+            raise InputError("is a view of the step's buffer", key=name, remedy=f"write into it: step.{name}[...] = …")
         super().__setattr__(name, value)
 
     def _take(
@@ -106,21 +106,21 @@ class PriorityTick:
         rows: int | None = None,
         sweeps: int = 1,
         damping: float = 0.0,
-        ladder: Ladder = "exact",
-    ) -> PriorityTick:
+        fallback: Fallback = "exact",
+    ) -> PriorityStep:
         """A tick for problems of this one's shape, loaded with it; `rows` places, as many as it has if None."""
         places = max(1, len(problem.rows)) if rows is None else rows
-        tick = PriorityTick(
+        step = PriorityStep(
             mode,
             n=problem.width,
             levels=level_shapes(problem),
             rows=places,
             sweeps=sweeps,
             damping=damping,
-            ladder=ladder,
+            fallback=fallback,
         )
-        tick.load(problem)
-        return tick
+        step.load(problem)
+        return step
 
     def load(self, problem: PriorityProblem) -> None:
         """Write a checked problem: levels, rows with their names, and the box from its actuator rows.
@@ -143,12 +143,12 @@ class PriorityTick:
         self.row_names = tuple(row.name for row in problem.rows)
 
     @property
-    def rung(self) -> Rung:
+    def stage(self) -> Stage:
         """How the last answer came about; InputError before the first."""
         if self.status[0] == 0.0:
-            raise InputError("has no answer yet", key="tick", remedy="call solve() first")
-        rungs: tuple[Rung, ...] = get_args(Rung)
-        return rungs[int(self.status[0]) - 1]
+            raise InputError("has no solution yet", key="step", remedy="call solve() first")
+        stages: tuple[Stage, ...] = get_args(Stage)
+        return stages[int(self.status[0]) - 1]
 
     def binding(self) -> tuple[tuple[str, float], ...]:
         """(name, multiplier) of the rows that shape v, rows as given: positive at an upper bound.
@@ -156,14 +156,14 @@ class PriorityTick:
         First those that hold a task back (of ½‖J v − x‖²), then those of ½‖v − target‖². A set-based level that
         binds has its own name.
         """
-        found = []
+        pairs = []
         for number, multiplier in zip(self.active, self.multipliers, strict=True):
             if number != 0.0:
                 name, a = self._row(int(abs(number)) - 1)
                 length = float(np.sqrt(a @ a))
                 signed = float(np.copysign(multiplier, number))
-                found.append((name, signed / length if length > ZERO_ROW else signed))
-        return tuple(found)
+                pairs.append((name, signed / length if length > ZERO_ROW else signed))
+        return tuple(pairs)
 
     def _row(self, place: int) -> tuple[str, Array]:
         """Name and normal of an active row; beyond the rows stand the set-based levels."""
@@ -177,19 +177,19 @@ class PriorityTick:
 
     def _check(self, problem: PriorityProblem) -> None:
         if problem.width != self.v.size:
-            raise InputError(f"has {problem.width} velocities, the tick {self.v.size}", key="problem")
+            raise InputError(f"has {problem.width} velocities, the step {self.v.size}", key="problem")
         if len(problem.levels) != len(self.levels):
-            raise InputError(f"has {len(problem.levels)} levels, the tick {len(self.levels)}", key="problem")
+            raise InputError(f"has {len(problem.levels)} levels, the step {len(self.levels)}", key="problem")
         for level, shape in zip(problem.levels, self.levels, strict=True):
             if level.lower.size != shape.rows:
-                raise InputError(f"has {level.lower.size} rows, the tick {shape.rows}", key=f"task {level.name}")
+                raise InputError(f"has {level.lower.size} rows, the step {shape.rows}", key=f"task {level.name}")
             if not (shape.is_set or level.is_goal):
-                raise InputError("is set-based, its level in the tick is not", key=f"task {level.name}")
+                raise InputError("is set-based, its level in the step is not", key=f"task {level.name}")
         if len(problem.rows) > len(self.rows):
             raise InputError(
-                f"has {len(problem.rows)} rows, the tick {len(self.rows)} places",
+                f"has {len(problem.rows)} rows, the step {len(self.rows)} places",
                 key="problem",
-                remedy="make the tick with more rows",
+                remedy="build the step with more rows",
             )
 
 

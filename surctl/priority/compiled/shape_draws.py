@@ -27,9 +27,9 @@ def draw_of_shape(
     """
     levels: list[Level] = []
     while len(levels) < len(shapes):
-        for drawn in draw_levels(rng, conditioned=conditioned, deficient=not conditioned):
-            if len(levels) < len(shapes) and drawn.lower.size >= shapes[len(levels)].rows:
-                levels.append(_cut(drawn, shapes[len(levels)], f"task{len(levels)}", rng))
+        for level in draw_levels(rng, conditioned=conditioned, deficient=not conditioned):
+            if len(levels) < len(shapes) and level.lower.size >= shapes[len(levels)].rows:
+                levels.append(_cut(level, shapes[len(levels)], f"task{len(levels)}", rng))
     if len(levels) > 1 and not conditioned and rng.random() < 0.2:
         place = int(rng.integers(1, len(levels)))
         levels[place].J[0] = levels[place - 1].J[0]

@@ -24,7 +24,7 @@ def project(w: ca.SX, level: SymbolicLevel, *, damping: float) -> ca.SX:
     and contradicting rows are met in the least-squares sense, as by the pseudo-inverse.
     """
     if level.J.shape[0] == 1 or damping > 0.0:
-        return projection(w, level.J, level.wanted(w), damping=damping)
+        return projection(w, level.J, level.desired(w), damping=damping)
     parts = decompose(level.J)
     return w + parts.directions().T @ parts.coordinates(level.lower - level.J @ w)
 

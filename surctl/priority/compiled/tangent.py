@@ -33,11 +33,11 @@ def holding(n: int, m: int, precision: Precision = FLOAT64) -> Routine:
         Call(
             row_by_row(kernel(space, m), m, precision),
             ("cone", "base", "go", "Z"),
-            ("point", "found", "push", "end", "count"),
+            ("point", "active", "weights", "end", "count"),
         ),
         Call(
             _scaled(n),
-            ("point", "found", "push", "end", "size", "pull"),
+            ("point", "active", "weights", "end", "size", "pull"),
             ("numbers", "multipliers", "rest"),
         ),
     )
@@ -67,23 +67,25 @@ def _touching(n: int, precision: Precision) -> Program:
     row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
     length = ca.sqrt(ca.sumsqr(row[:n]))
     inverse = 1 / ca.if_else(length <= ZERO_ROW, 1, length)
-    value, room = ca.dot(row[:n], v) * inverse, row[n + 2] * opening - precision.kept * (1 + largest(v))
-    below = ca.if_else(value <= row[n] * inverse - room, 0, -HUGE)
-    above = ca.if_else(value >= row[n + 1] * inverse + room, 0, HUGE)
+    value, margin = ca.dot(row[:n], v) * inverse, row[n + 2] * opening - precision.feasibility * (1 + largest(v))
+    below = ca.if_else(value <= row[n] * inverse - margin, 0, -HUGE)
+    above = ca.if_else(value >= row[n + 1] * inverse + margin, 0, HUGE)
     return lower(ca.Function("touching", [row, opening, v], [ca.vertcat(row[:n] * inverse, below, above, 0)]))
 
 
 def _scaled(n: int) -> Program:
     """Multipliers and rest in the size of the pull; nothing found leaves the pull as it is."""
-    point, found, push = ca.SX.sym("point", n + 1), ca.SX.sym("found", n), ca.SX.sym("push", n)
+    point, active, weights = ca.SX.sym("point", n + 1), ca.SX.sym("active", n), ca.SX.sym("weights", n)
     end, size, pull = ca.SX.sym("end"), ca.SX.sym("size"), ca.SX.sym("pull", n)
     good = ca.eq(end, OPTIMAL)
     outputs = [
-        ca.if_else(good, found, 0),
-        ca.if_else(good, push * size, 0),
+        ca.if_else(good, active, 0),
+        ca.if_else(good, weights * size, 0),
         ca.if_else(good, point[:n] * size, pull),
     ]
-    return lower(ca.Function("scaled_push", [point, found, push, end, size, pull], list(map(ca.densify, outputs))))
+    return lower(
+        ca.Function("scaled_weights", [point, active, weights, end, size, pull], list(map(ca.densify, outputs)))
+    )
 
 
 def merged(n: int) -> Program:
@@ -91,9 +93,9 @@ def merged(n: int) -> Program:
 
     A row that stands in the first already is not added again, and one for which no place is left is dropped.
     """
-    numbers, push = ca.SX.sym("numbers", n), ca.SX.sym("push", n)
+    numbers, multipliers = ca.SX.sym("numbers", n), ca.SX.sym("multipliers", n)
     more, further = ca.SX.sym("more", n), ca.SX.sym("further", n)
-    slots, amounts = ca.vertsplit(numbers), ca.vertsplit(push)
+    slots, amounts = ca.vertsplit(numbers), ca.vertsplit(multipliers)
     for k in range(n):
         waits = more[k] != 0
         for j in range(n):
@@ -102,4 +104,6 @@ def merged(n: int) -> Program:
             takes = ca.logic_and(waits, ca.eq(slots[j], 0))
             waits = ca.logic_and(waits, ca.logic_not(takes))
             slots[j], amounts[j] = ca.if_else(takes, more[k], slots[j]), ca.if_else(takes, further[k], amounts[j])
-    return lower(ca.Function("merged", [numbers, push, more, further], [ca.vertcat(*slots), ca.vertcat(*amounts)]))
+    return lower(
+        ca.Function("merged", [numbers, multipliers, more, further], [ca.vertcat(*slots), ca.vertcat(*amounts)])
+    )

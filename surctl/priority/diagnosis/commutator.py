@@ -66,9 +66,9 @@ class Directions:
 
 def directions(J: Array, *, cutoff: float = CUTOFF) -> Directions:
     """Decompose J (..., k, n), finite; singular values up to `cutoff`·‖J‖ (or `ZERO_ROW`) count as 0."""
-    _, found, vectors = np.linalg.svd(J, full_matrices=True)
+    _, singular, vectors = np.linalg.svd(J, full_matrices=True)
     s = np.zeros(vectors.shape[:-1])
-    s[..., : found.shape[-1]] = found
+    s[..., : singular.shape[-1]] = singular
     return Directions(vectors, np.where(s > np.maximum(cutoff * s[..., :1], ZERO_ROW), s, 0.0))
 
 

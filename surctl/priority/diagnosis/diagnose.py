@@ -181,22 +181,24 @@ def _levels(survey: Survey) -> tuple[LevelReport, ...]:
     strict, nsb = strict_velocities(J, x), nsb_velocities(J, x)
     left_strict, left_nsb = residual_norms(J, x, strict), residual_norms(J, x, nsb)
     return tuple(
-        _level(survey, i, left_strict[:, i], left_nsb[:, i], (_kept(J[i], x[i], strict), _kept(J[i], x[i], nsb)))
+        _level(
+            survey, i, left_strict[:, i], left_nsb[:, i], (_tolerance(J[i], x[i], strict), _tolerance(J[i], x[i], nsb))
+        )
         for i in range(len(J))
     )
 
 
-def _kept(J: Array, x: Array, v: Array) -> Array:
+def _tolerance(J: Array, x: Array, v: Array) -> Array:
     """(N,): residuals that count as none."""
     size = np.linalg.norm(J, 2, axis=(1, 2)) * np.linalg.norm(v, axis=1)
-    kept: Array = _MET * (1.0 + np.linalg.norm(x, axis=1) + size)
-    return kept
+    tolerance: Array = _MET * (1.0 + np.linalg.norm(x, axis=1) + size)
+    return tolerance
 
 
-def _level(survey: Survey, i: int, strict: Array, nsb: Array, kept: tuple[Array, Array]) -> LevelReport:
+def _level(survey: Survey, i: int, strict: Array, nsb: Array, tolerances: tuple[Array, Array]) -> LevelReport:
     met: Met = "by neither law"
-    if (strict <= kept[0]).all():
-        met = "by both laws" if (nsb <= kept[1]).all() else "by strict priority only"
+    if (strict <= tolerances[0]).all():
+        met = "by both laws" if (nsb <= tolerances[1]).all() else "by strict priority only"
     above = np.rint(np.trace(projector_above(survey.values, i), axis1=1, axis2=2)).astype(int)
     return LevelReport(
         task=survey.field.names[i],

@@ -138,8 +138,8 @@ def _value(field: Field, measure: Measure, unit: Array) -> Array:
     values = field.at(field.region.place(unit))
     finite = np.logical_and.reduce([np.isfinite(J).all(axis=(1, 2)) for J in values.jacobians])
     cleaned = [np.where(finite[:, None, None], J, 0.0) for J in values.jacobians]
-    found = measure(Values(cleaned, values.references, values.turning))
-    return np.where(finite & ~np.isnan(found), found, np.inf)
+    measured = measure(Values(cleaned, values.references, values.turning))
+    return np.where(finite & ~np.isnan(measured), measured, np.inf)
 
 
 def _slope(field: Field, measure: Measure, u: Array, *, scale: float) -> tuple[float, Array]:

@@ -56,8 +56,8 @@ def residual_norms(jacobians: Sequence[Array], references: Sequence[Array], v: A
 def _pulled(J: Array, y: Array, least: Array) -> Array:
     """J⁺y, (..., n); singular values up to `least` (..., 1) count as 0."""
     left, s, right = np.linalg.svd(J, full_matrices=False)
-    kept = s > least
-    share = np.where(kept, np.einsum("...ka,...k->...a", left, y), 0.0) / np.where(kept, s, 1.0)
+    significant = s > least
+    share = np.where(significant, np.einsum("...ka,...k->...a", left, y), 0.0) / np.where(significant, s, 1.0)
     pulled: Array = np.einsum("...an,...a->...n", right, share)
     return pulled
 

@@ -59,8 +59,8 @@ class Region:
 
         if self.free.size == 0:
             return np.zeros((1, 0))
-        drawn = qmc.Sobol(self.free.size, seed=seed).random_base2(math.ceil(math.log2(samples)))
-        return np.asarray(drawn, dtype=float)
+        points = qmc.Sobol(self.free.size, seed=seed).random_base2(math.ceil(math.log2(samples)))
+        return np.asarray(points, dtype=float)
 
     def pose(self, point: Array) -> dict[str, float]:
         """A point (d,) by names."""
@@ -100,8 +100,8 @@ def pose_text(pose: Pose) -> str:
 
 
 def _symbols(*expressions: ca.SX) -> list[ca.SX]:
-    found: list[ca.SX] = ca.symvar(ca.vertcat(*[ca.vec(e) for e in expressions]))
-    return found
+    symbols: list[ca.SX] = ca.symvar(ca.vertcat(*[ca.vec(e) for e in expressions]))
+    return symbols
 
 
 def _check_complete(stack: Stack, known: set[int]) -> None:

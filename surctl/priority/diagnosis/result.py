@@ -39,7 +39,7 @@ class Diagnosis:
         """One sentence a line: equality, pairs, singularities, levels, and what the numbers rest on."""
         lines = [say_equality(self.equality, levels=len(self.tasks), samples=self.samples)]
         lines += [say_pair(pair) for pair in self.pairs]
-        lines += [say_singularity(found) for found in self.singularities]
+        lines += [say_singularity(singularity) for singularity in self.singularities]
         lines += [say_level(level) for level in self.levels]
         lines.append(
             f"Numbers rest on {self.samples} samples (seed {self.seed}) and local searches from the worst of them: "

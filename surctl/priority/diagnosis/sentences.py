@@ -10,19 +10,19 @@ from surctl.priority.diagnosis.region import pose_text
 __all__ = ["say_equality", "say_level", "say_pair", "say_singularity"]
 
 
-def say_equality(found: Equality, *, levels: int, samples: int) -> str:
+def say_equality(equality: Equality, *, levels: int, samples: int) -> str:
     """Whether NSB is strict priority."""
     if levels == 1:
         return "One task: NSB is strict priority."
-    if found.verdict == "everywhere":
+    if equality.verdict == "everywhere":
         return "NSB equals strict priority everywhere: all commutators vanish as expressions."
-    if found.where is None:
+    if equality.where is None:
         return (
-            f"NSB equals strict priority on all {samples} samples (largest commutator {found.largest:.1g}), "
+            f"NSB equals strict priority on all {samples} samples (largest commutator {equality.largest:.1g}), "
             "which is no proof."
         )
-    at = pose_text(found.where)
-    return f"NSB differs from strict priority at `{found.task}`: commutator {found.largest:.2g} at {at}."
+    at = pose_text(equality.where)
+    return f"NSB differs from strict priority at `{equality.task}`: commutator {equality.largest:.2g} at {at}."
 
 
 def say_pair(pair: Pair) -> str:
@@ -48,22 +48,22 @@ def say_pair(pair: Pair) -> str:
     )
 
 
-def say_singularity(found: Singularity) -> str:
+def say_singularity(singularity: Singularity) -> str:
     """Where a level loses rank, and by whose doing."""
-    at = pose_text(found.poses[0])
-    more = f" ({len(found.poses) - 1} more poses found)" if len(found.poses) > 1 else ""
-    if found.kind == "algorithmic":
-        cause = "".join(f", where `{name}` is singular itself" for name in found.also_singular[:1])
+    at = pose_text(singularity.poses[0])
+    more = f" ({len(singularity.poses) - 1} more poses found)" if len(singularity.poses) > 1 else ""
+    if singularity.kind == "algorithmic":
+        cause = "".join(f", where `{name}` is singular itself" for name in singularity.also_singular[:1])
         return (
-            f"`{found.task}` loses a direction to the tasks above it{cause} (algorithmic singularity, sine "
-            f"{found.value:.2g}): strict priority has no bound near {at}{more}."
+            f"`{singularity.task}` loses a direction to the tasks above it{cause} (algorithmic singularity, sine "
+            f"{singularity.value:.2g}): strict priority has no bound near {at}{more}."
         )
     reason = (
-        f"a step of {found.value:.2g} [m, or rad] may turn its Jacobian right round"
-        if found.symptom == "turning"
-        else f"its Jacobian loses rank, down to {found.value:.2g} of its usual size"
+        f"a step of {singularity.value:.2g} [m, or rad] may turn its Jacobian right round"
+        if singularity.symptom == "turning"
+        else f"its Jacobian loses rank, down to {singularity.value:.2g} of its usual size"
     )
-    return f"`{found.task}` is singular by itself (kinematic singularity): {reason} near {at}{more}."
+    return f"`{singularity.task}` is singular by itself (kinematic singularity): {reason} near {at}{more}."
 
 
 def say_level(level: LevelReport) -> str:

@@ -43,7 +43,7 @@ class Survey:
     def search(self, measure: Measure) -> list[tuple[Array, float]]:
         """(point (d,), measure) where the searches from the best samples end, least first."""
         chosen = best_of(measure(self.values), self.unit, most=self.starts)
-        return sorted((descend(self.field, measure, self.unit[k]) for k in chosen), key=lambda found: found[1])
+        return sorted((descend(self.field, measure, self.unit[k]) for k in chosen), key=lambda end: end[1])
 
 
 def task_rank(values: Values, i: int) -> int:
@@ -58,15 +58,15 @@ def gained_rank(values: Values, i: int) -> int:
 
 def find_singularities(survey: Survey) -> tuple[Singularity, ...]:
     """Kinematic and algorithmic singularities of every level, in order of priority."""
-    found: list[Singularity] = []
+    singularities: list[Singularity] = []
     for i in range(len(survey.field.names)):
         for symptom, measure in _own(survey, i).items():
-            found += _singularity(survey, i, symptom, measure, lambda point: True)
+            singularities += _singularity(survey, i, symptom, measure, lambda point: True)
         gained = gained_rank(survey.values, i) if i else 0
         if gained:
             sine = remaining_sine(i, gained=gained, rank=task_rank(survey.values, i))
-            found += _singularity(survey, i, "sine", sine, partial(_regular, survey, i))
-    return tuple(found)
+            singularities += _singularity(survey, i, "sine", sine, partial(_regular, survey, i))
+    return tuple(singularities)
 
 
 def _own(survey: Survey, i: int) -> dict[Symptom, Measure]:
@@ -110,8 +110,8 @@ def _apart(survey: Survey, points: list[Array]) -> list[Array]:
     """The points without those that lie within 1 % of the region of an earlier one."""
     region = survey.field.region
     width = np.where(region.upper > region.lower, region.upper - region.lower, 1.0)
-    kept: list[Array] = []
+    distinct: list[Array] = []
     for point in points:
-        if all(np.linalg.norm((point - other) / width) > 0.01 for other in kept):
-            kept.append(point)
-    return kept
+        if all(np.linalg.norm((point - other) / width) > 0.01 for other in distinct):
+            distinct.append(point)
+    return distinct

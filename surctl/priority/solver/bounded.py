@@ -54,16 +54,16 @@ def eased(sizes: Sizes) -> Routine:
         ),
         Call(
             _choose(sizes), ("near", "limits", "stands", "worst_all", "hard_all"),
-            ("safe", "room", "sound", "part", "missed"),
+            ("safe", "slack", "sound", "part", "missed"),
         ),
         _over_rows(sizes, _sweep_again, (("once", n),), (), results=("twice",)),
         Call(_inside(sizes), ("twice", "near", "box"), ("goal",)),
         _over_rows(
-            sizes, _reach, (("part", 1), ("missed", 1)), (("safe", n), ("goal", n), ("room", 2)),
+            sizes, _step_fraction, (("part", 1), ("missed", 1)), (("safe", n), ("goal", n), ("slack", 2)),
             results=("part_all", "missed_all"),
         ),
         Call(
-            _end(sizes), ("near", "safe", "goal", "room", "sound", "part_all", "missed_all"),
+            _end(sizes), ("near", "safe", "goal", "slack", "sound", "part_all", "missed_all"),
             ("point_next", "none", "status_next"),
         ),
     )  # fmt: skip
@@ -84,13 +84,13 @@ def _over_rows(
     together = lanes if lanes > 1 else math.gcd(sizes.m, _TOGETHER)
     block = ca.SX.sym("rows", together * width)
     begun = [ca.SX.sym(key, size) for key, size in state]
-    given = [ca.SX.sym(key, size) for key, size in fixed]
+    constants = [ca.SX.sym(key, size) for key, size in fixed]
     carried = begun
     for j in range(together):
         row = block[j::lanes] if lanes > 1 else block[j * width : (j + 1) * width]
-        carried = body(carried, row, given)
+        carried = body(carried, row, constants)
     name = f"{body.__name__.strip('_')}_rows"
-    one = lower(ca.Function(name, [*begun, block, *given], list(map(ca.densify, carried))))
+    one = lower(ca.Function(name, [*begun, block, *constants], list(map(ca.densify, carried))))
     names, others = (tuple(key for key, _ in ports) for ports in (state, fixed))
     return Loop(one, sizes.m // together, names, results, sliced=("unit",), fixed=others)
 
@@ -113,7 +113,7 @@ def _start(sizes: Sizes) -> Program:
     first = [ca.if_else(searched, into(point[i], box[i], box[n + i]), near[i]) for i in range(n)]
     outputs = [
         ca.vertcat(*near),
-        ca.vertcat(precision.kept * size, precision.kept),
+        ca.vertcat(precision.feasibility * size, precision.feasibility),
         ca.SX.zeros(2),
         ca.SX.zeros(2),
         stands,
@@ -145,14 +145,14 @@ def _choose(sizes: Sizes) -> Program:
     """
     near, limits, stands = ca.SX.sym("near", sizes.n), ca.SX.sym("limits", 2), ca.SX.sym("stands")
     worst, hard = ca.SX.sym("worst", 2), ca.SX.sym("hard", 2)
-    kept = hard[0] <= limits[0]
-    nearer = ca.logic_and(kept, worst[0] < worst[1])
+    feasible = hard[0] <= limits[0]
+    nearer = ca.logic_and(feasible, worst[0] < worst[1])
     still = ca.logic_and(ca.logic_and(stands, hard[1] <= limits[1]), ca.logic_not(nearer))
     least = ca.if_else(still, worst[1], worst[0])
     outputs = [
         ca.if_else(still, 0, near),
-        ca.vertcat(least + sizes.precision.priced / sizes.precision.kept * limits[0], limits[0]),
-        ca.logic_or(kept, still),
+        ca.vertcat(least + sizes.precision.priced / sizes.precision.feasibility * limits[0], limits[0]),
+        ca.logic_or(feasible, still),
         ca.SX(1),
         ca.SX.zeros(1),
     ]
@@ -182,14 +182,14 @@ def _inside(sizes: Sizes) -> Program:
     return lower(ca.Function("goal", [point, near, box], [ca.vertcat(*goal)]))
 
 
-def _reach(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
+def _step_fraction(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
     """The part of the way from safe to goal that leaves the row its room; by how much the goal misses any row."""
-    (part, missed), (safe, goal, room) = state, fixed
+    (part, missed), (safe, goal, slack) = state, fixed
     from_, to = dot(row[:-3], safe), dot(row[:-3], goal)
     above, below = _misses(row, from_)
-    way = to - from_
-    left = ca.if_else(row[-1] != 0, room[0], room[1]) - ca.if_else(way > 0, above, below)
-    size = ca.fabs(way)
+    change = to - from_
+    left = ca.if_else(row[-1] != 0, slack[0], slack[1]) - ca.if_else(change > 0, above, below)
+    size = ca.fabs(change)
     sooner = left < part * size
     above, below = _misses(row, to)
     return [ca.if_else(sooner, left / ca.if_else(sooner, size, 1), part), ca.fmax(ca.fmax(missed, above), below)]
@@ -199,12 +199,12 @@ def _end(sizes: Sizes) -> Program:
     """(near, safe, goal, room, sound, part, missed) → point (n + 1,), no active rows, status."""
     n = sizes.n
     near, safe, goal = (ca.SX.sym(name, n) for name in ("near", "safe", "goal"))
-    room, sound, part, missed = ca.SX.sym("room", 2), ca.SX.sym("sound"), ca.SX.sym("part"), ca.SX.sym("missed")
+    slack, sound, part, missed = ca.SX.sym("slack", 2), ca.SX.sym("sound"), ca.SX.sym("part"), ca.SX.sym("missed")
     share = ca.if_else(part > 0, part, 0)
     v = ca.if_else(sound, safe + share * (goal - safe), near)
     # the worst miss is convex along the way: never more than between those at its ends
-    opening = room[0] + share * (missed - room[0])
-    opening = ca.if_else(ca.logic_and(sound, opening > room[1]), opening, 0)
+    opening = slack[0] + share * (missed - slack[0])
+    opening = ca.if_else(ca.logic_and(sound, opening > slack[1]), opening, 0)
     outputs = [ca.vertcat(v, opening), ca.SX.zeros(n), ca.if_else(sound, BOUNDED, 0)]
-    inputs = [near, safe, goal, room, sound, part, missed]
+    inputs = [near, safe, goal, slack, sound, part, missed]
     return lower(ca.Function("eased_end", inputs, list(map(ca.densify, outputs))))

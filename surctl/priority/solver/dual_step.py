@@ -92,8 +92,8 @@ def misses(space: Space, row: ca.SX, point: ca.SX) -> tuple[ca.SX, ca.SX]:
     value = _sum([row[i] * point[i] for i in range(n)])
     if not space.opening:
         return value - row[n + 1], row[n] - value
-    room = row[n + 2] * point[n]
-    return value - (row[n + 1] + room), (row[n] - room) - value
+    widening = row[n + 2] * point[n]
+    return value - (row[n + 1] + widening), (row[n] - widening) - value
 
 
 def _sum(terms: list[ca.SX]) -> ca.SX:
@@ -263,7 +263,7 @@ class _Step:
     """How far to go, and what happens to the slots."""
 
     length: ca.SX
-    way: ca.SX
+    displacement: ca.SX
     full: ca.SX
     drop: list[ca.SX]
     status: ca.SX
@@ -285,7 +285,7 @@ class _Step:
         length = ca.if_else(full, whole, ca.if_else(partial, part, 0))
         return _Step(
             length=length,
-            way=ca.if_else(full, place.full, ca.if_else(ca.logic_and(free, partial), part * place.rate, 0)),
+            displacement=ca.if_else(full, place.full, ca.if_else(ca.logic_and(free, partial), part * place.rate, 0)),
             full=full,
             drop=[ca.logic_and(partial, ca.eq(first, j)) for j in range(len(place.r))],
             status=ca.if_else(goes, ca.if_else(stuck, STUCK, 0), OPTIMAL),
@@ -309,8 +309,8 @@ def iteration(space: Space) -> Program:
     entering = _Entering.of(space, row, number, point=point, M=map_)
     place = _Place.of(slots, entering, space.precision)
     step = _Step.of(slots, entering, place, _size(point[:n]), space.precision)
-    r, way = place.r, step.way
-    lifted = way if map_ is None else ca.vertcat(*(dot(map_[i, :], way) for i in range(n)))
+    r, displacement = place.r, step.displacement
+    lifted = displacement if map_ is None else ca.vertcat(*(dot(map_[i, :], displacement) for i in range(n)))
     multiplier = pending[1] + step.length
     after = _exchange(slots, step, r, entering, multiplier)
     stays = ca.logic_and(ca.eq(step.status, 0), ca.logic_not(step.full))
@@ -332,12 +332,12 @@ def _exchange(slots: _Slots, step: _Step, r: list[ca.SX], entering: _Entering, m
     columns: tuple[list[ca.SX], ...] = ([], [], [])
     left = [ca.fmax(u - step.length * ratio, 0) for u, ratio in zip(slots.multipliers, r, strict=True)]
     new = (entering.normal, multiplier, entering.number)
-    moves, taken_before = ca.SX(0), ca.SX(1)
+    moves, used_before = ca.SX(0), ca.SX(1)
     for j, drop in enumerate(step.drop):
         moves = ca.logic_or(moves, drop)
-        taken = slots.numbers[j] != 0
-        takes = ca.logic_and(step.full, ca.logic_and(taken_before, ca.logic_not(taken)))
-        taken_before = taken
+        used = slots.numbers[j] != 0
+        takes = ca.logic_and(step.full, ca.logic_and(used_before, ca.logic_not(used)))
+        used_before = used
         for column, every, own in zip(columns, (slots.normals, left, slots.numbers), new, strict=True):
             behind = every[j + 1] if j + 1 < len(every) else 0
             column.append(ca.if_else(takes, own, ca.if_else(moves, behind, every[j])))

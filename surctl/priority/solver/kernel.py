@@ -194,13 +194,13 @@ def _turn(space: Space, rows: int) -> Routine:
     """One step with the row that the last pricing found, or with the pending one; then all rows are priced."""
     state, lanes = _state(space), lanes_of(rows, space.precision)
     free = (("M", space.n * space.d),) if space.mapped else ()
-    given = tuple(name for name, _ in state[:-2])
+    names = tuple(name for name, _ in state[:-2])
     steps = (
         Call(which(), ("best", "pending"), ("at", "number")),
         Gather("rows", "at", space.row, "row", lanes=lanes),
         Call(
-            iteration(space), (*given, "number", "row", *(name for name, _ in free)),
-            tuple(f"{name}_next" for name in given),
+            iteration(space), (*names, "number", "row", *(name for name, _ in free)),
+            tuple(f"{name}_next" for name in names),
         ),
         *_price(space, rows, "_next"),
         Call(close(), ("best_next", "pending_next", "began_next"), ("status_next",)),
@@ -216,29 +216,29 @@ def certificate(space: Space, rows: int) -> Routine:
     """
     n, lanes = space.n, lanes_of(rows, space.precision)
     full = Space(n, space.d, space.opening, precision=space.precision)
-    kept, row, point = ca.SX.sym("kept"), ca.SX.sym("row", n + 3), ca.SX.sym("point", n + 1)
+    feasible, row, point = ca.SX.sym("feasible"), ca.SX.sym("row", n + 3), ca.SX.sym("point", n + 1)
     size = ca.SX.sym("size")
     above, below = misses(full, row, point)
-    good = ca.if_else(below <= size, ca.if_else(above <= size, kept, 0), 0)
-    one = lower(ca.Function("keeps", [kept, row, point, size], [good]))
+    good = ca.if_else(below <= size, ca.if_else(above <= size, feasible, 0), 0)
+    one = lower(ca.Function("keeps", [feasible, row, point, size], [good]))
     largest = ca.SX(1)
     for i in range(n):
         largest = ca.fmax(largest, ca.fabs(point[i]))
-    begin = lower(ca.Function("tolerance", [point], [space.precision.kept * largest]))
+    begin = lower(ca.Function("tolerance", [point], [space.precision.feasibility * largest]))
     yes_all = lower(ca.Function("ones", [], [ca.SX.ones(1)]))
     every, yes = ca.SX.sym("every", lanes), ca.SX(1)
     for k in range(lanes):
         yes = ca.logic_and(yes, every[k])
-    end = lower(ca.Function("all_kept", [every], [yes]))
+    end = lower(ca.Function("all_feasible", [every], [yes]))
     steps = (
         Call(begin, ("point",), ("size",)),
         Loop(yes_all, 1, (), ("yes",), lanes=lanes),
         Loop(one, rows // lanes, ("yes",), ("every",), sliced=("rows",), fixed=("point", "size"), lanes=lanes),
-        Call(end, ("every",), ("kept",)),
+        Call(end, ("every",), ("feasible",)),
     )
     return Routine(
         "certify_open" if space.opening else "certify",
         (("rows", rows * (n + 3)), ("point", n + 1)),
         steps,
-        ("kept",),
+        ("feasible",),
     )

@@ -27,24 +27,24 @@ def opened(sizes: Sizes) -> Routine:
     if not found. skip: not 0 does nothing. kept: it keeps the rows so opened.
     """
     n, tight = sizes.n, sizes.precision
-    state = ("low", "gamma", "ends", "found", "count")
+    state = ("low", "gamma", "ends", "solved", "count")
     steps = (
         Call(_begin(n, tight), ("near", "skip"), state),
         Loop(
             _turn(sizes), _STEPS, carried=state, results=tuple(f"{k}_last" for k in state),
             fixed=("unit",), until=2,
         ),
-        Call(_clean(n, tight), ("low_last", "found_last"), ("base", "idle")),
+        Call(_clean(n, tight), ("low_last", "solved_last"), ("base", "idle")),
         Call(sizes.opening_kernel, ("unit", "base", "idle"), ("cleaned", "numbers", "u", "end", "spent")),
         Call(
             _widened(n, tight),
-            ("low_last", "found_last", "cleaned", "end", "point", "count_last", "spent"),
-            ("wide", "found_any", "count_all"),
+            ("low_last", "solved_last", "cleaned", "end", "point", "count_last", "spent"),
+            ("wide", "solved_any", "count_all"),
         ),
-        Call(sizes.opening_certificate, ("unit", "wide"), ("kept",)),
+        Call(sizes.opening_certificate, ("unit", "wide"), ("feasible",)),
     )  # fmt: skip
-    given = (("unit", sizes.rows), ("near", n), ("point", n + 1), ("skip", 1))
-    return Routine("opened", given, steps, ("wide", "found_any", "kept", "count_all"))
+    inputs = (("unit", sizes.rows), ("near", n), ("point", n + 1), ("skip", 1))
+    return Routine("opened", inputs, steps, ("wide", "solved_any", "feasible", "count_all"))
 
 
 def _begin(n: int, precision: Precision) -> Program:
@@ -62,13 +62,13 @@ def _turn(sizes: Sizes) -> Routine:
         Call(sizes.opening_kernel, ("unit", "base", "go"), ("next", "numbers", "u", "end", "spent")),
         Call(
             _judge(n, sizes.precision),
-            ("low", "gamma", "ends", "found", "count", "next", "end", "spent"),
-            tuple(f"{k}_next" for k in ("low", "gamma", "ends", "found", "count")),
+            ("low", "gamma", "ends", "solved", "count", "next", "end", "spent"),
+            tuple(f"{k}_next" for k in ("low", "gamma", "ends", "solved", "count")),
         ),
     )
-    given = (("low", n + 1), ("gamma", 1), ("ends", 1), ("found", 1), ("count", 1), ("unit", sizes.rows))
-    results = tuple(f"{k}_next" for k in ("low", "gamma", "ends", "found", "count"))
-    return Routine("open", given, steps, results)
+    inputs = (("low", n + 1), ("gamma", 1), ("ends", 1), ("solved", 1), ("count", 1), ("unit", sizes.rows))
+    results = tuple(f"{k}_next" for k in ("low", "gamma", "ends", "solved", "count"))
+    return Routine("open", inputs, steps, results)
 
 
 def _size(point: ca.SX) -> ca.SX:
@@ -87,38 +87,38 @@ def _pull(n: int) -> Program:
 
 def _judge(n: int, precision: Precision) -> Program:
     """The state after a step: ended when what t may still lose is nothing, or when the step failed."""
-    low, gamma, ends, found = ca.SX.sym("low", n + 1), ca.SX.sym("gamma"), ca.SX.sym("ends"), ca.SX.sym("found")
+    low, gamma, ends, solved = ca.SX.sym("low", n + 1), ca.SX.sym("gamma"), ca.SX.sym("ends"), ca.SX.sym("solved")
     count, after, why, spent = ca.SX.sym("count"), ca.SX.sym("after", n + 1), ca.SX.sym("why"), ca.SX.sym("spent")
     good = ca.eq(why, OPTIMAL)
     moved = ca.SX(0)
     for i in range(n + 1):
         moved = ca.fmax(moved, ca.fabs(after[i] - low[i]))
-    settled = moved <= precision.gap * gamma * _size(low)
+    converged = moved <= precision.gap * gamma * _size(low)
     outputs = [
         ca.if_else(good, after, low),
         precision.growth * gamma,
-        ca.logic_or(ca.logic_not(good), settled),
-        ca.logic_or(found, good),
+        ca.logic_or(ca.logic_not(good), converged),
+        ca.logic_or(solved, good),
         count + spent,
     ]
-    inputs = [low, gamma, ends, found, count, after, why, spent]
+    inputs = [low, gamma, ends, solved, count, after, why, spent]
     return lower(ca.Function("open_judge", inputs, list(map(ca.densify, outputs))))
 
 
 def _clean(n: int, precision: Precision) -> Program:
     """(point, found) → the base of the last step, and whether there is none."""
-    low, found = ca.SX.sym("low", n + 1), ca.SX.sym("found")
+    low, solved = ca.SX.sym("low", n + 1), ca.SX.sym("solved")
     base = ca.vertcat(low[:n], low[n] - precision.pull * _size(low))
-    return lower(ca.Function("clean", [low, found], [base, ca.logic_not(found)]))
+    return lower(ca.Function("clean", [low, solved], [base, ca.logic_not(solved)]))
 
 
 def _widened(n: int, precision: Precision) -> Program:
     """The cleaned point with a margin on its opening, or the one before, or the given one; found; count."""
-    low, found, cleaned = ca.SX.sym("low", n + 1), ca.SX.sym("found"), ca.SX.sym("cleaned", n + 1)
+    low, solved, cleaned = ca.SX.sym("low", n + 1), ca.SX.sym("solved"), ca.SX.sym("cleaned", n + 1)
     end, point = ca.SX.sym("end"), ca.SX.sym("point", n + 1)
     count, spent = ca.SX.sym("count"), ca.SX.sym("spent")
     best = ca.if_else(ca.eq(end, OPTIMAL), cleaned, low)
     wider = best[n] + precision.margin * (1 + ca.fabs(best[n]))
-    wide = ca.if_else(found, ca.vertcat(best[:n], ca.fmax(wider, point[n])), point)
-    inputs = [low, found, cleaned, end, point, count, spent]
-    return lower(ca.Function("widened", inputs, [ca.densify(wide), found, count + spent]))
+    wide = ca.if_else(solved, ca.vertcat(best[:n], ca.fmax(wider, point[n])), point)
+    inputs = [low, solved, cleaned, end, point, count, spent]
+    return lower(ca.Function("widened", inputs, [ca.densify(wide), solved, count + spent]))

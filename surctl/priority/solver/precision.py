@@ -33,7 +33,7 @@ class Precision:
 
     priced: float
     rounding: float
-    kept: float
+    feasibility: float
     parallel: float
     pushing: float
     cutoff: float
@@ -55,7 +55,7 @@ class Precision:
 FLOAT64 = Precision(
     priced=1e-12,
     rounding=1e-10,
-    kept=1e-9,
+    feasibility=1e-9,
     parallel=1e-16,
     pushing=1e-12,
     cutoff=1e-10,
@@ -78,7 +78,7 @@ FLOAT64 = Precision(
 FLOAT32 = Precision(
     priced=1e-6,
     rounding=2e-5,
-    kept=1e-4,
+    feasibility=1e-4,
     parallel=1e-8,
     pushing=1e-6,
     cutoff=1e-4,

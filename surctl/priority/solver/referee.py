@@ -46,20 +46,20 @@ class Finding:
 def examine(trials: Trials, v: Array, opening: Array) -> list[Finding]:
     """One finding a problem; v (N, n), opening (N,)."""
     A, lower, upper, soft = trials.unit()
-    found = []
+    findings = []
     for k, (point, t) in enumerate(zip(v, opening, strict=True)):
         opens = soft[k].astype(float)
         G, h = _one_sided(np.column_stack([A[k], -opens]), lower[k], upper[k])
         J = trials.J[k].reshape(-1, v.shape[1])
         opened = h - G[:, -1] * t
-        found.append(
+        findings.append(
             Finding(
                 float(t) - _least_opening(G, h) if t > 0 else 0.0,
                 *_excess(G[:, :-1], opened, J, trials.x[k], point),
                 _distance(G[:, :-1], opened, J, trials.target[k], point),
             )
         )
-    return found
+    return findings
 
 
 def _one_sided(rows: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
@@ -90,7 +90,7 @@ def _excess(G: Array, h: Array, J: Array, x: Array, v: Array) -> tuple[float, fl
     if scale == 0.0:
         return 0.0, 0.0
     # the answer keeps its rows to rounding only: without that much room the programme may have no point at all
-    room, corners, best, weight = np.maximum(h, G @ v), v[None], 0.0, 0.0
+    bounds, corners, best, weight = np.maximum(h, G @ v), v[None], 0.0, 0.0
     size, at = float(np.linalg.norm(x - J @ v)) / scale, v
     for _ in range(30):
         rest = (x - J @ at) / scale
@@ -98,7 +98,7 @@ def _excess(G: Array, h: Array, J: Array, x: Array, v: Array) -> tuple[float, fl
         if here <= 1e-10:
             break
         slope = J.T @ rest / (here * scale)
-        done = linprog(-slope, G, room, bounds=[(None, None)] * len(v), method="highs-ds", options=_TIGHT)
+        done = linprog(-slope, G, bounds, bounds=[(None, None)] * len(v), method="highs-ds", options=_TIGHT)
         if done.status != 0:
             return np.nan, np.inf
         gain, multipliers = float(slope @ (done.x - at)), float(-done.ineqlin.marginals.sum())
@@ -134,12 +134,12 @@ def _distance(G: Array, h: Array, J: Array, target: Array, v: Array) -> float:
         return 0.0
     # y = free.T (w − start): the start has the task's value of v and no other part of the way
     start = target + (v - target) - free @ (free.T @ (v - target))
-    rows, room = G @ free, np.maximum(h, G @ v) - G @ start
+    rows, slack = G @ free, np.maximum(h, G @ v) - G @ start
     matters = np.linalg.norm(rows, axis=1) > 1e-9
-    rows, room = rows[matters], room[matters]
+    rows, slack = rows[matters], slack[matters]
     # in units of the way to go, or the last entry below would be what is left of 1 after 1/way²
     unit = max(1.0, float(np.linalg.norm(v - start)))
-    E = np.vstack([-rows.T, -room / unit])
+    E = np.vstack([-rows.T, -slack / unit])
     f = np.append(np.zeros(len(E) - 1), 1.0)
     try:
         u, _ = nnls(E, f, maxiter=1000)

@@ -13,19 +13,19 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError
 from surctl.ir import runnable
 from surctl.priority.solver.dual_step import Space
+from surctl.priority.solver.fallback import CLAMPED, safe_step
 from surctl.priority.solver.kernel import in_blocks, kernel
-from surctl.priority.solver.ladder import CLAMPED, safe_tick
 from surctl.priority.solver.precision import LONGEST
 
-__all__ = ["Rung", "SafePoint", "idle_row", "least_distance", "nearest_to_zero", "tick_runner"]
+__all__ = ["SafePoint", "Stage", "idle_row", "least_distance", "nearest_to_zero", "step_runner"]
 
 Array: TypeAlias = NDArray[np.float64]
 Runner: TypeAlias = Callable[..., list[Array]]
-Rung: TypeAlias = Literal["met", "limited", "relaxed", "clamped", "bounded"]
+Stage: TypeAlias = Literal["met", "limited", "relaxed", "clamped", "bounded"]
 """met: task and rows hold; limited: the task as well as the rows allow; relaxed: soft rows opened; clamped: only
 kept in the box; bounded: what a bounded ladder answers where it cannot have both, see `bounded`."""
 
-_RUNGS: tuple[Rung, ...] = get_args(Rung)
+_STAGES: tuple[Stage, ...] = get_args(Stage)
 _BUCKET = 8  # rows are padded to a multiple of this, so that few sizes are compiled
 
 
@@ -43,16 +43,16 @@ class SafePoint:
     """
 
     v: Array
-    rung: Rung
+    stage: Stage
     binding: tuple[tuple[str, float], ...]
     opening: float
     iterations: int
 
 
 @cache
-def tick_runner(n: int, p: int, m: int) -> Runner:
+def step_runner(n: int, p: int, m: int) -> Runner:
     """`safe_tick` of these sizes, compiled once; its replay where there is no compiler: the same numbers, slower."""
-    return runnable(safe_tick(n, p, m))
+    return runnable(safe_step(n, p, m))
 
 
 @cache
@@ -114,7 +114,7 @@ def least_distance(
     padded = np.vstack([rows, np.tile(idle_row(n), (m - len(rows), 1))])
     if matrix.shape[0] == 0:
         matrix, value = np.zeros((1, n)), np.zeros(1)
-    v, active, multipliers, opening, status, count = tick_runner(n, matrix.shape[0], m)(
+    v, active, multipliers, opening, status, count = step_runner(n, matrix.shape[0], m)(
         goal, matrix.reshape(-1), value, padded.reshape(-1), limits.reshape(-1)
     )
     solved = int(status[0]) != CLAMPED
@@ -123,7 +123,7 @@ def least_distance(
         for k, u in zip(active, multipliers, strict=True)
         if k != 0.0 and solved
     )
-    return SafePoint(v, _RUNGS[int(status[0]) - 1], binding, float(opening[0]), int(count[0]))
+    return SafePoint(v, _STAGES[int(status[0]) - 1], binding, float(opening[0]), int(count[0]))
 
 
 def nearest_to_zero(G: Array, lower: Array, upper: Array) -> tuple[Array, Array, int, int]:
@@ -188,8 +188,8 @@ def _array(key: str, value: ArrayLike, shape: tuple[int | None, ...], *, finite:
     except (TypeError, ValueError):
         raise InputError("is not an array of numbers", key=key, value=value) from None
     if array.ndim != len(shape) or any(s is not None and s != a for s, a in zip(shape, array.shape, strict=True)):
-        wanted = tuple("any" if s is None else s for s in shape)
-        raise InputError(f"has shape {array.shape}, expected {wanted}", key=key)
+        expected = tuple("any" if s is None else s for s in shape)
+        raise InputError(f"has shape {array.shape}, expected {expected}", key=key)
     if finite and not np.isfinite(array).all():
         bad = int(np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))[0])
         raise InputError(

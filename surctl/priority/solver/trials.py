@@ -27,7 +27,7 @@ FAMILIES = (
 
 @dataclass(frozen=True, eq=False)
 class Trials:
-    """A batch of problems, in the arrays that `surctl.priority.solver.ladder.safe_tick` takes.
+    """A batch of problems, in the arrays that `surctl.priority.solver.fallback.safe_tick` takes.
 
     Attributes:
         target: (N, n). J: (N, p·n). x: (N, p). rows: (N, m·(n + 3)). box: (N, 2n).

@@ -8,16 +8,16 @@
     const data = JSON.parse(root.querySelector('script[type="application/json"]').textContent);
     const find = (name) => root.querySelector("." + name);
     const plan = find("plan"), strip = find("strip"), play = find("play"), scrub = find("scrub");
-    const pace = find("pace"), told = find("told");
+    const pace = find("pace"), readout = find("readout");
     const last = data.time.length - 1, end = data.time[last];
     let now = 0, clock = null;
 
     function draw(parent, tag, name, attributes) {
-      const made = document.createElementNS(plan.namespaceURI, tag);
-      if (name) made.setAttribute("class", name);
-      set(made, attributes);
-      parent.append(made);
-      return made;
+      const element = document.createElementNS(plan.namespaceURI, tag);
+      if (name) element.setAttribute("class", name);
+      set(element, attributes);
+      parent.append(element);
+      return element;
     }
     function set(element, attributes) {
       for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
@@ -37,13 +37,13 @@
     draw(world, "path", "ground", { d: `${outer}M0 0H${length}V${width}H0Z`, "fill-rule": "evenodd" });
     draw(world, "rect", "edge", { x: 0, y: 0, width: length, height: width });
     draw(world, "polyline", "route", { points: points(data.path) });
-    draw(world, "polyline", "way", { points: points(data.place) });
+    draw(world, "polyline", "track", { points: points(data.place) });
     const bodies = data.obstacles.map((o) => {
-      const made = o.radius === undefined
+      const element = o.radius === undefined
         ? draw(world, "polygon", "body", { points: points(o.corners) })
         : draw(world, "circle", "body", { r: o.radius });
-      draw(made, "title", "", {}).textContent = o.name;
-      return made;
+      draw(element, "title", "", {}).textContent = o.name;
+      return element;
     });
     const trail = draw(world, "polyline", "trail", {});
     const target = data.path[data.path.length - 1], side = data.radius / 4;
@@ -91,11 +91,11 @@
         if (here) set(bodies[n], { transform: `translate(${between(here[0], then[0], share)} ${between(here[1], then[1], share)})` });
       });
       data.beams.forEach((b, n) => {
-        const reach = Math.abs(b.length[k]), axis = heading + b.axis;
+        const range = Math.abs(b.length[k]), axis = heading + b.axis;
         const x = at[0] + b.apex[0] * Math.cos(heading) - b.apex[1] * Math.sin(heading);
         const y = at[1] + b.apex[0] * Math.sin(heading) + b.apex[1] * Math.cos(heading);
-        const end = (angle) => `${x + reach * Math.cos(angle)} ${y + reach * Math.sin(angle)}`;
-        const arc = `A${reach} ${reach} 0 ${b.half > Math.PI / 2 ? 1 : 0} 1 ${end(axis + b.half)}`;
+        const end = (angle) => `${x + range * Math.cos(angle)} ${y + range * Math.sin(angle)}`;
+        const arc = `A${range} ${range} 0 ${b.half > Math.PI / 2 ? 1 : 0} 1 ${end(axis + b.half)}`;
         set(beams[n], { d: `M${x} ${y}L${end(axis - b.half)}${arc}Z`, class: b.length[k] < 0 ? "beam silent" : "beam" });
       });
       set(cursor, { x1: across(now), x2: across(now) });
@@ -105,7 +105,7 @@
       if (clear !== null) words.push(`clearance ${clear.toFixed(2)} m`);
       words.push(`${data.speed[k].toFixed(2)} m/s`);
       if (data.avoiding[k]) words.push("avoiding");
-      told.textContent = words.join(", ");
+      readout.textContent = words.join(", ");
       scrub.value = now;
       scrub.setAttribute("aria-valuetext", `${now.toFixed(1)} seconds`);
     }

@@ -144,11 +144,11 @@ class Calibration:
     def to_dict(self) -> dict[str, Any]:
         """Estimates as [value, low, high] in metres; residuals by ascending true distance, unless very many."""
         estimates = ("bias", "scale", "noise_sd", "noise_at_zero", "noise_slope", "mean_error", "error_sd")
-        found = {name: getattr(self, name) for name in estimates}
+        values = {name: getattr(self, name) for name in estimates}
         plain = ("scale", "noise_slope")  # not in metres
         return {
             "rows": len(self.true),
-            **{k if k in plain else f"{k}_m": None if v is None else v.to_list() for k, v in found.items()},
+            **{k if k in plain else f"{k}_m": None if v is None else v.to_list() for k, v in values.items()},
             "residuals_m": self.residuals.tolist() if len(self.true) <= _MOST_LISTED else None,
             "noise_slope_p": self.noise_slope_p,
             "noise_varies": self.varies,
@@ -171,8 +171,9 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
         >>> import numpy as np
         >>> from surctl.sensing import calibrate
         >>> true = np.linspace(0.5, 3.0, 11)
-        >>> found = calibrate(true, 1.02 * true + 0.03 + 0.002 * np.cos(9 * true))
-        >>> [[round(x, 3) for x in estimate.to_list()] for estimate in (found.bias, found.scale, found.noise_sd)]
+        >>> calibration = calibrate(true, 1.02 * true + 0.03 + 0.002 * np.cos(9 * true))
+        >>> estimates = calibration.bias, calibration.scale, calibration.noise_sd
+        >>> [[round(x, 3) for x in estimate.to_list()] for estimate in estimates]
         [[0.03, 0.028, 0.033], [1.02, 1.019, 1.021], [0.002, 0.001, 0.003]]
     """
     x, y = np.asarray(true, dtype=float), np.asarray(measured, dtype=float)
@@ -230,8 +231,8 @@ def _bound(n: int) -> float:
 def _around(value: float, sd: float, dof: int) -> Estimate:
     from scipy import stats
 
-    reach = float(stats.t.ppf(1 - _LEVEL / 2, dof)) * float(sd)
-    return Estimate(float(value), float(value) - reach, float(value) + reach)
+    half_width = float(stats.t.ppf(1 - _LEVEL / 2, dof)) * float(sd)
+    return Estimate(float(value), float(value) - half_width, float(value) + half_width)
 
 
 def _of_sd(sd: float, dof: int) -> Estimate:

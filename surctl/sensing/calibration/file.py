@@ -46,8 +46,8 @@ class SensorCalibration:
         sensor: its name in the file, "" without such a column.
         medium: likewise.
         source: where the rows come from, one printable line.
-        found: the calibration.
-        lines: (n,) line in the file of each row of `found`; 0 for built-in data.
+        calibration: the calibration.
+        lines: (n,) line in the file of each row of `calibration`; 0 for built-in data.
         skipped: rows left out because a number was missing, NaN or infinite.
         unsorted: rows whose true distance was below that of the row before; all were sorted.
     """
@@ -55,7 +55,7 @@ class SensorCalibration:
     sensor: str
     medium: str
     source: str
-    found: Calibration
+    calibration: Calibration
     lines: NDArray[np.int64]
     skipped: int
     unsorted: int
@@ -74,22 +74,22 @@ class SensorCalibration:
             said.append(f"rows skipped because a number is missing, NaN or infinite: {self.skipped}")
         if self.unsorted:
             said.append(f"rows that were not in ascending order of true distance, and were sorted: {self.unsorted}")
-        if self.found.rests_on_outliers:
+        if self.calibration.rests_on_outliers:
             said.append("that the noise depends on range rests on the outliers: without them it does not; see to them")
-        if self.found.other_medium:
-            ratio = self.found.scale.value
+        if self.calibration.other_medium:
+            ratio = self.calibration.scale.value
             here, there = ("water", "air") if ratio < 1 else ("air", "water")
             said.append(
                 f"readings are {ratio:.3g} times the distances, as of a converter with the speed of sound of {there}, "
                 f"used in {here}; scale in [sonar] says so"
             )
-        if self.found.true[-1] > _FAR:
-            said.append(f"distances reach {self.found.true[-1]:.4g} m: check that the column's unit is right")
+        if self.calibration.true[-1] > _FAR:
+            said.append(f"distances reach {self.calibration.true[-1]:.4g} m: check that the column's unit is right")
         return said
 
     def to_dict(self) -> dict[str, Any]:
         """The calibration with its rows; outliers by line."""
-        f = self.found
+        f = self.calibration
         return {
             "sensor": self.sensor,
             "medium": self.medium,
@@ -123,7 +123,7 @@ def calibrate_file(path: Path) -> list[SensorCalibration]:
         >>> rows = np.column_stack((true, 1.02 * true + 3))
         >>> np.savetxt("tank.csv", rows, delimiter=",", header="true_cm,measured_cm", comments="")
         >>> (one,) = calibrate_file(Path("tank.csv"))
-        >>> round(one.found.scale.value, 3), round(one.found.bias.value, 3)  # bias in m
+        >>> round(one.calibration.scale.value, 3), round(one.calibration.bias.value, 3)  # bias in m
         (1.02, 0.03)
     """
     table = read_recorded(path)
@@ -141,7 +141,7 @@ def calibrate_file(path: Path) -> list[SensorCalibration]:
     for (sensor, medium), rows in _groups(table):
         good = rows[np.isfinite(x[rows]) & np.isfinite(y[rows])]
         try:
-            found = calibrate(x[good], y[good])
+            calibration = calibrate(x[good], y[good])
         except InputError as error:
             which = ", ".join(p for p in (f"sensor {sensor}" if sensor else "", medium) if p)
             skipped = len(rows) - len(good)
@@ -151,7 +151,8 @@ def calibrate_file(path: Path) -> list[SensorCalibration]:
             ) from None
         results.append(
             SensorCalibration(
-                sensor=sensor, medium=medium, source=table.name, found=found, lines=table.lines[good][found.order],
+                sensor=sensor, medium=medium, source=table.name, calibration=calibration,
+                lines=table.lines[good][calibration.order],
                 skipped=len(rows) - len(good), unsorted=int(np.count_nonzero(np.diff(x[good]) < 0)),
             )
         )  # fmt: skip
@@ -164,18 +165,19 @@ def calibrate_table_ii() -> list[SensorCalibration]:
     Example:
         >>> from surctl.sensing import calibrate_table_ii
         >>> for one in calibrate_table_ii():
-        ...     print(f"{one.title}: {100 * one.found.bias.value:.2f} cm, sd {100 * one.found.noise_sd.value:.2f} cm")
+        ...     bias, sd = one.calibration.bias.value, one.calibration.noise_sd.value
+        ...     print(f"{one.title}: {100 * bias:.2f} cm, sd {100 * sd:.2f} cm")
         sensor U1, air: -0.19 cm, sd 1.24 cm
         sensor U1, water: -0.80 cm, sd 1.63 cm
     """
     table = table_ii()
     results = []
     for medium in MEDIA:
-        found = calibrate(table.desired, table.column(medium).measured)
+        calibration = calibrate(table.desired, table.column(medium).measured)
         results.append(
             SensorCalibration(
-                sensor="U1", medium=medium, source=table.provenance, found=found,
-                lines=np.zeros(len(found.true), dtype=np.int64), skipped=0, unsorted=0,
+                sensor="U1", medium=medium, source=table.provenance, calibration=calibration,
+                lines=np.zeros(len(calibration.true), dtype=np.int64), skipped=0, unsorted=0,
             )
         )  # fmt: skip
     return results
@@ -193,7 +195,7 @@ def sonar_fragment(one: SensorCalibration) -> str:
         scale = 1.00826  # 0.992564 to 1.02395
         noise_sd_m = 0.0162933  # 0.0121348 to 0.0247972
     """
-    f = one.found
+    f = one.calibration
     head = [
         f"# {shown(one.title)}: {len(f.true)} rows from {shown(one.source)}",
         f"# {f.true[0]:.6g} to {f.true[-1]:.6g} m; measured = scale * true + bias + noise; 95 % confidence intervals",
@@ -231,7 +233,7 @@ def calibration_rows(results: Sequence[SensorCalibration]) -> str:
     head = ("sensor", "medium", "line", "true_m", "measured_m", "error_m", "residual_m", "studentised", "outlier")
     writer.writerow(head)
     for one in results:
-        f = one.found
+        f = one.calibration
         marked = np.zeros(len(f.true), dtype=int)
         marked[f.outliers] = 1
         numbers = [np.char.mod("%.9g", v) for v in (f.true, f.measured, f.errors, f.residuals, f.studentised)]
@@ -316,7 +318,7 @@ def pick_calibration(name: str) -> list[SensorCalibration]:
 
     Example:
         >>> from surctl.sensing import pick_calibration
-        >>> [(one.title, round(one.found.scale.value, 4)) for one in pick_calibration("table-ii")]
+        >>> [(one.title, round(one.calibration.scale.value, 4)) for one in pick_calibration("table-ii")]
         [('sensor U1, air', 1.0037), ('sensor U1, water', 1.0083)]
     """
     if name == BUILT_IN:

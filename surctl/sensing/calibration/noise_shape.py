@@ -62,30 +62,30 @@ def noise_shape(x: NDArray[np.float64], residuals: NDArray[np.float64]) -> Noise
     grid = np.linspace(-_MOST, _MOST, _GRID)
     flat = _profile(cells, np.zeros(1))
     for _ in range(_ZOOMS):
-        found = _profile(cells, grid)
-        near = np.flatnonzero(found.likelihood > found.likelihood.max() - _DEEP)
+        profile = _profile(cells, grid)
+        near = np.flatnonzero(profile.likelihood > profile.likelihood.max() - _DEEP)
         grid = np.linspace(grid[max(near[0] - 1, 0)], grid[min(near[-1] + 1, _GRID - 1)], _GRID)
-    best = int(np.argmax(found.likelihood))
-    top = found.likelihood[best]
+    best = int(np.argmax(profile.likelihood))
+    top = profile.likelihood[best]
     ratio = 2.0 * max(float(top - flat.likelihood[0]), 0.0)
     cut = float(stats.t.ppf(0.975, dof - 1)) ** 2
-    inside = 2.0 * (top - found.likelihood) <= cut
-    shrink, stretch = _level_limits(dof, 0.5 * cut - (top - found.likelihood[inside]))
+    inside = 2.0 * (top - profile.likelihood) <= cut
+    shrink, stretch = _level_limits(dof, 0.5 * cut - (top - profile.likelihood[inside]))
 
     def interval(per_level: NDArray[np.float64]) -> tuple[float, float, float]:
-        reach = per_level[inside] * found.level[inside] * np.array([shrink, stretch])
-        return float(per_level[best] * found.level[best]), float(reach.min()), float(reach.max())
+        limits = per_level[inside] * profile.level[inside] * np.array([shrink, stretch])
+        return float(per_level[best] * profile.level[best]), float(limits.min()), float(limits.max())
 
-    slope = found.scale * np.expm1(found.shape) / cells.span
-    near_end = found.scale - slope * cells.start
-    chosen = found.scale[best] * (1.0 + np.expm1(found.shape[best]) * (x - cells.start) / cells.span)
+    slope = profile.scale * np.expm1(profile.shape) / cells.span
+    near_end = profile.scale - slope * cells.start
+    chosen = profile.scale[best] * (1.0 + np.expm1(profile.shape[best]) * (x - cells.start) / cells.span)
     return NoiseShape(
         p=float(2.0 * stats.t.sf(sqrt(ratio), dof - 1)),
         s0=interval(near_end),
         s1=interval(slope),
-        level=interval(np.ones_like(found.scale)),
+        level=interval(np.ones_like(profile.scale)),
         relative=chosen,
-        line=_marginal_line(found, cells.centre, dof, best),
+        line=_marginal_line(profile, cells.centre, dof, best),
     )
 
 
@@ -158,16 +158,16 @@ def _level_limits(dof: int, drop: NDArray[np.float64]) -> tuple[NDArray[np.float
     return ends[0], ends[1]
 
 
-def _marginal_line(found: _Profile, centre: float, dof: int, best: int) -> NDArray[np.float64]:
+def _marginal_line(profile: _Profile, centre: float, dof: int, best: int) -> NDArray[np.float64]:
     """(2, 3): intercept at 0 and slope, with the 2.5 % and 97.5 % points of the mixture of t's over λ."""
     from scipy.special import stdtr  # Student's distribution function, without the overhead of scipy.stats
 
     some = slice(best % _THIN, None, _THIN)  # enough for an integral
-    weight = np.exp(found.likelihood[some] - found.likelihood[best])
+    weight = np.exp(profile.likelihood[some] - profile.likelihood[best])
     weight /= weight.sum()
-    c, level, best = found.covariance[some], found.level[some], best // _THIN
-    slope, slope_sd = found.line[some, 1], level * np.sqrt(c[:, 2])
-    start = found.line[some, 0] - centre * slope
+    c, level, best = profile.covariance[some], profile.level[some], best // _THIN
+    slope, slope_sd = profile.line[some, 1], level * np.sqrt(c[:, 2])
+    start = profile.line[some, 0] - centre * slope
     start_sd = level * np.sqrt(np.maximum(c[:, 0] - 2.0 * centre * c[:, 1] + centre**2 * c[:, 2], 0.0))
     rows = []
     for value, sd in ((start, start_sd), (slope, slope_sd)):

@@ -60,5 +60,5 @@ def studentised_residuals(line: StraightLine) -> NDArray[np.float64]:
     free = np.maximum(1.0 - line.leverage, 1e-12)
     others = np.maximum((n - 2) * line.sd**2 - line.scaled**2 / free, 0.0) / (n - 3)
     floor = (1e-9 * line.sd) ** 2
-    found: NDArray[np.float64] = line.scaled / np.sqrt(np.maximum(others, floor) * free)
-    return found
+    residuals: NDArray[np.float64] = line.scaled / np.sqrt(np.maximum(others, floor) * free)
+    return residuals

@@ -62,13 +62,13 @@ class BaseStation:
         return where + self.position_sd * noise[:, :2], speed + self.velocity_sd * noise[:, 2:]
 
     def message(
-        self, then: NDArray[np.float64], tick: int, *, noise: NDArray[np.float64], chance: float, dt: float
+        self, then: NDArray[np.float64], step: int, *, noise: NDArray[np.float64], chance: float, dt: float
     ) -> tuple[NDArray[np.float64], bool]:
         """The message (K, 6) that arrives at a control period, and whether one does; zeros when none.
 
         Args:
             then: (K, 6) obstacles as they were `messages.latency` ago in {E}: x, y, radius, vx, vy, valid.
-            tick: number of the control period, from 0.
+            step: number of the control period, from 0.
             noise: (K, 4) standard normal numbers, for x, y, and the velocity's.
             chance: one more, for the loss of the whole message.
             dt: control period [s].
@@ -81,18 +81,18 @@ class BaseStation:
             raise InputError(f"has shape {rows.shape}", key="then", remedy="give (K, 6)")
         rows[:, :2], rows[:, 3:5] = self.observe(rows[:, :2], rows[:, 3:5], noise=noise)
         rows[rows[:, 5] < 0.5] = 0.0
-        arrived = self.messages.arrives(tick, chance=chance, dt=dt)
+        arrived = self.messages.arrives(step, chance=chance, dt=dt)
         return (rows if arrived else np.zeros_like(rows)), arrived
 
     def message_symbols(
-        self, then: ca.SX, tick: ca.SX, *, noise: ca.SX, chance: ca.SX, dt: float
+        self, then: ca.SX, step: ca.SX, *, noise: ca.SX, chance: ca.SX, dt: float
     ) -> tuple[ca.SX, ca.SX]:
         """`message` in symbols: (K, 6), and 0 or 1."""
-        arrived = self.messages.arrives_symbols(tick, chance=chance, dt=dt)
+        arrived = self.messages.arrives_symbols(step, chance=chance, dt=dt)
         place, speed = then[:, :2] + self.position_sd * noise[:, :2], then[:, 3:5] + self.velocity_sd * noise[:, 2:]
         rows = ca.horzcat(place, then[:, 2], speed, then[:, 5])
-        told = [ca.if_else(ca.logic_and(arrived, rows[k, 5] >= 0.5), rows[k, :], 0.0) for k in range(rows.shape[0])]
-        return ca.vertcat(ca.SX(0, 6), *told), arrived
+        received = [ca.if_else(ca.logic_and(arrived, rows[k, 5] >= 0.5), rows[k, :], 0.0) for k in range(rows.shape[0])]
+        return ca.vertcat(ca.SX(0, 6), *received), arrived
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,13 +118,13 @@ class OwnState:
         _check("own_state.rate_sd", self.rate_sd, unit="rad/s")
 
     def fix(
-        self, then: NDArray[np.float64], tick: int, *, noise: NDArray[np.float64], dt: float
+        self, then: NDArray[np.float64], step: int, *, noise: NDArray[np.float64], dt: float
     ) -> tuple[NDArray[np.float64], bool]:
         """The fix (3,) [m] in {E} that arrives at a control period, and whether one does; zeros when none.
 
         Args:
             then: (3,) x, y, z as they were `fixes.latency` ago [m].
-            tick: number of the control period, from 0.
+            step: number of the control period, from 0.
             noise: (4,) standard normal numbers, for x, y, z and the loss.
             dt: control period [s].
 
@@ -136,12 +136,12 @@ class OwnState:
             raise InputError(
                 f"have shapes {place.shape} and {np.shape(noise)}", key="then, noise", remedy="give (3,) and (4,)"
             )
-        arrived = self.fixes.arrives(tick, chance=float(noise[3]), dt=dt)
+        arrived = self.fixes.arrives(step, chance=float(noise[3]), dt=dt)
         return (place + self.position_sd * noise[:3] if arrived else np.zeros(3)), arrived
 
-    def fix_symbols(self, then: ca.SX, tick: ca.SX, *, noise: ca.SX, dt: float) -> tuple[ca.SX, ca.SX]:
+    def fix_symbols(self, then: ca.SX, step: ca.SX, *, noise: ca.SX, dt: float) -> tuple[ca.SX, ca.SX]:
         """`fix` in symbols: (3,), and 0 or 1."""
-        arrived = self.fixes.arrives_symbols(tick, chance=noise[3], dt=dt)
+        arrived = self.fixes.arrives_symbols(step, chance=noise[3], dt=dt)
         return ca.if_else(arrived, then + self.position_sd * noise[:3], 0.0), arrived
 
     def imu(

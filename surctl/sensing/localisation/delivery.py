@@ -66,26 +66,26 @@ class Delivery:
         """Control periods of `dt` [s] between two measurements; InputError when they are not whole."""
         return whole_steps("delivery.period", self.period, dt=dt)
 
-    def arrives(self, tick: int, *, chance: float, dt: float) -> bool:
+    def arrives(self, step: int, *, chance: float, dt: float) -> bool:
         """Whether a message arrives at this control period; it describes the world `late(dt)` periods before.
 
         The first measurement is that of period 0.
 
         Args:
-            tick: number of the control period, from 0.
+            step: number of the control period, from 0.
             chance: a standard normal number, drawn anew for each period.
             dt: control period [s].
 
         Raises:
             InputError: period or latency is no multiple of dt.
         """
-        measured = tick - self.late(dt)
+        measured = step - self.late(dt)
         due = measured >= 0 and measured % self.every(dt) == 0
         return due and chance >= self.lost_below and not any(a <= measured < b for a, b in self._blind(dt))
 
-    def arrives_symbols(self, tick: ca.SX, *, chance: ca.SX, dt: float) -> ca.SX:
-        """`arrives` in symbols, 0 or 1; `tick` a whole number."""
-        measured, every = tick - self.late(dt), self.every(dt)
+    def arrives_symbols(self, step: ca.SX, *, chance: ca.SX, dt: float) -> ca.SX:
+        """`arrives` in symbols, 0 or 1; `step` a whole number."""
+        measured, every = step - self.late(dt), self.every(dt)
         there = ca.logic_and(measured >= 0, measured - every * ca.floor(measured / every) == 0)
         there = ca.logic_and(there, chance >= self.lost_below)
         for start, end in self._blind(dt):

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ahead", "growth", "settled_covariance", "transition", "white", "yaw_gains"]
+__all__ = ["ahead", "growth", "steady_covariance", "transition", "white", "yaw_gains"]
 
 Matrix = NDArray[np.float64]
 
-_SETTLED = 4000  # steps; the slowest error decays within some hundred
+_RECURSION_STEPS = 4000  # steps; the slowest error decays within some hundred
 
 
 def transition(dt: float, disturbance_time: float) -> Matrix:
@@ -40,11 +40,11 @@ def ahead(step: Matrix, noise: Matrix, steps: int) -> tuple[Matrix, Matrix]:
     return whole, grown
 
 
-def settled_covariance(step: Matrix, noise: Matrix, *, fix_variance: float, every: int) -> Matrix:
+def steady_covariance(step: Matrix, noise: Matrix, *, fix_variance: float, every: int) -> Matrix:
     """Covariance (3, 3) right after a fix when one comes every `every` steps for long: the Riccati recursion's end."""
     whole, grown = ahead(step, noise, every)
     P = np.diag([fix_variance, 1.0, noise[2, 2] / (1.0 - step[2, 2] ** 2)])
-    for _ in range(_SETTLED):
+    for _ in range(_RECURSION_STEPS):
         P = whole @ P @ whole.T + grown
         P = P - np.outer(P[:, 0], P[0, :]) / (P[0, 0] + fix_variance)
     return P
@@ -62,7 +62,7 @@ def yaw_gains(dt: float, *, yaw_sd: float, rate_sd: float, acceleration_noise: f
     F, Q = np.array([[1.0, dt], [0.0, 1.0]]), white(dt, acceleration_noise)[:2, :2]
     R = np.diag([yaw_sd**2, rate_sd**2])
     P, K = R.copy(), np.zeros((2, 2))
-    for _ in range(_SETTLED):
+    for _ in range(_RECURSION_STEPS):
         P = F @ P @ F.T + Q
         K = P @ np.linalg.inv(P + R)
         P = P - K @ P

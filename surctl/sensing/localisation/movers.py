@@ -83,7 +83,9 @@ class MoverTracker:
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
         """The state; it starts with every slot empty."""
         return (
-            Port(f"{prefix}told", (self.slots, 5), "m, m/s", "last message of each slot: x, y, radius, vx, vy in {E}"),
+            Port(
+                f"{prefix}latest", (self.slots, 5), "m, m/s", "last message of each slot: x, y, radius, vx, vy in {E}"
+            ),
             Port(
                 f"{prefix}age",
                 (self.slots,),
@@ -108,19 +110,21 @@ class MoverTracker:
         fresh = message_fresh > 0.5
 
         def slot(last: ca.SX, old: ca.SX, message: ca.SX) -> tuple[ca.SX, ...]:
-            heard = ca.logic_and(fresh, message[5] > 0.5)
-            cleared = ca.logic_and(fresh, ca.logic_not(heard))
+            received = ca.logic_and(fresh, message[5] > 0.5)
+            cleared = ca.logic_and(fresh, ca.logic_not(received))
             older = ca.if_else(cleared, self._empty, ca.fmin(old + self.dt, self._empty))
-            age = ca.if_else(heard, self.latency, older)
-            told = ca.if_else(heard, message[:5], last)
+            age = ca.if_else(received, self.latency, older)
+            latest = ca.if_else(received, message[:5], last)
             # half a step of slack: sums of dt are not exact
             valid = age <= self.forget + 0.5 * self.dt
-            now = ca.vertcat(told[:2] + age * told[3:5], told[2:], 1)
+            now = ca.vertcat(latest[:2] + age * latest[3:5], latest[2:], 1)
             bound = self.sigmas * (self.position_sd + self.velocity_sd * age) + 0.5 * self.acceleration * age * age
-            return told, age, ca.if_else(valid, now, 0), ca.if_else(valid, bound, 0)
+            return latest, age, ca.if_else(valid, now, 0), ca.if_else(valid, bound, 0)
 
-        told, age, rows, bound = each("mover_message", slot, state[f"{prefix}told"], state[f"{prefix}age"], message)
-        return Movers({f"{prefix}told": told, f"{prefix}age": age}, rows, bound, age)
+        messages, age, rows, bound = each(
+            "mover_message", slot, state[f"{prefix}latest"], state[f"{prefix}age"], message
+        )
+        return Movers({f"{prefix}latest": messages, f"{prefix}age": age}, rows, bound, age)
 
     @property
     def _empty(self) -> float:
@@ -154,22 +158,22 @@ def mover_step(
         >>> tracker = MoverTracker(dt=0.05, slots=1)
         >>> layout = Layout(tracker.ports())
         >>> drifting = np.array([[1.0, 0.5, 0.2, 0.1, 0.0, 1.0]])  # x, y, radius, vx, vy, valid
-        >>> told = mover_step(tracker, layout.unpack(layout.pack()), message=drifting, message_fresh=1.0)
-        >>> told.rows.round(3).tolist(), told.bound.round(4).tolist()  # 0.1 s later
+        >>> movers = mover_step(tracker, layout.unpack(layout.pack()), message=drifting, message_fresh=1.0)
+        >>> movers.rows.round(3).tolist(), movers.bound.round(4).tolist()  # 0.1 s later
         ([[1.01, 0.5, 0.2, 0.1, 0.0, 1.0]], [0.0335])
     """
-    told = np.array(state[f"{prefix}told"], dtype=float)
+    latest = np.array(state[f"{prefix}latest"], dtype=float)
     age = np.array(state[f"{prefix}age"], dtype=float) + tracker.dt
-    heard = np.asarray(message, dtype=float)
+    received = np.asarray(message, dtype=float)
     rows, bound = np.zeros((tracker.slots, 6)), np.zeros(tracker.slots)
     for k in range(tracker.slots):
         if message_fresh:
-            age[k] = tracker.latency if heard[k, 5] else np.inf
-            told[k] = heard[k, :5] if heard[k, 5] else told[k]
+            age[k] = tracker.latency if received[k, 5] else np.inf
+            latest[k] = received[k, :5] if received[k, 5] else latest[k]
         age[k] = min(age[k], tracker.forget + tracker.dt)
         if age[k] <= tracker.forget + 0.5 * tracker.dt:
-            x, y, radius, vx, vy = told[k]
+            x, y, radius, vx, vy = latest[k]
             rows[k] = x + vx * age[k], y + vy * age[k], radius, vx, vy, 1.0
             spread = tracker.position_sd + tracker.velocity_sd * age[k]
             bound[k] = tracker.sigmas * spread + tracker.acceleration * age[k] ** 2 / 2
-    return Movers({f"{prefix}told": told, f"{prefix}age": age}, rows, bound, age.copy())
+    return Movers({f"{prefix}latest": latest, f"{prefix}age": age}, rows, bound, age.copy())

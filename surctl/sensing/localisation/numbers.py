@@ -50,28 +50,30 @@ def own_state_step(
         >>> model = {name: np.array(getattr(vehicle, name)) for name in names}
         >>> layout = Layout(own.ports())
         >>> state, still = layout.unpack(layout.pack()), {"yaw": 0.1, "yaw_rate": 0.0, "tau": np.zeros(4)}
-        >>> for tick in range(40):  # 2 s, a fix every 0.1 s
-        ...     told = own_state_step(own, state, fix=[1.0, 2.0, -0.5], fix_fresh=tick % 2, model=model, **still)
-        ...     state = told.state
-        >>> told.eta.round(3).tolist(), told.position_sd.round(4).tolist()
+        >>> for step in range(40):  # 2 s, a fix every 0.1 s
+        ...     estimate = own_state_step(own, state, fix=[1.0, 2.0, -0.5], fix_fresh=step % 2, model=model, **still)
+        ...     state = estimate.state
+        >>> estimate.eta.round(3).tolist(), estimate.position_sd.round(4).tolist()
         ([1.0, 2.0, -0.5, 0.1], [0.0051])
     """
     old = {port.name.removeprefix(prefix): np.array(state[port.name], dtype=float) for port in own.ports(prefix)}
     begun = bool(old["begun"][0])
     psi, rate = old["turn"] if begun else (yaw, yaw_rate)
     limit = np.asarray(model["thrust_limit"], dtype=float)
-    wanted = np.clip(np.asarray(tau, dtype=float), -limit, limit)
+    command = np.clip(np.asarray(tau, dtype=float), -limit, limit)
     left, mean = own.thrust_shares
-    pushes = old.get("pushes", np.zeros((0, 3)))
+    accelerations = old.get("accelerations", np.zeros((0, 3)))
 
     x = np.stack([old["position"], old["velocity"], old["disturbance"]])
-    velocity = _carried(own, x, pushes)[1]
-    during = wanted + mean * (old["thrust"] - wanted)
-    push, turning = _acceleration(psi + 0.5 * own.dt * rate, velocity, rate, during, model, own.dt)
-    pushes = np.vstack([push, pushes])
-    P = _grown(own, _square(old["covariance"]), pushes[-1:])
-    here, x = _corrected(own, old, _carried(own, x, pushes[-1:]), P, np.asarray(fix, dtype=float), bool(fix_fresh))
-    pushes = pushes[:-1]
+    velocity = _carried(own, x, accelerations)[1]
+    during = command + mean * (old["thrust"] - command)
+    acceleration, turning = _acceleration(psi + 0.5 * own.dt * rate, velocity, rate, during, model, own.dt)
+    accelerations = np.vstack([acceleration, accelerations])
+    P = _grown(own, _square(old["covariance"]), accelerations[-1:])
+    here, x = _corrected(
+        own, old, _carried(own, x, accelerations[-1:]), P, np.asarray(fix, dtype=float), bool(fix_fresh)
+    )
+    accelerations = accelerations[:-1]
 
     after = rate + own.dt * turning
     ahead = psi + 0.5 * own.dt * (rate + after)
@@ -80,43 +82,43 @@ def own_state_step(
         turn = np.array([yaw, yaw_rate])
     turn[0] = _wrap(turn[0])
 
-    position, velocity, _ = _carried(own, x, pushes)
-    now = _grown(own, _square(here["covariance"]), pushes)
-    found = bool(here["found"][0])
+    position, velocity, _ = _carried(own, x, accelerations)
+    now = _grown(own, _square(here["covariance"]), accelerations)
+    known = bool(here["known"][0])
     new = {
         **here,
         "position": x[0],
         "velocity": x[1],
         "disturbance": x[2],
-        "thrust": wanted + left * (old["thrust"] - wanted),
+        "thrust": command + left * (old["thrust"] - command),
         "turn": turn,
         "begun": np.ones(1),
     }
     if own.late:
-        new["pushes"] = pushes
+        new["accelerations"] = accelerations
     return OwnEstimate(
         {prefix + name: value for name, value in new.items()},
         np.append(position, turn[0]),
         np.append(_turned(-turn[0]) @ velocity, turn[1]),
-        np.array([sqrt(max(now[0, 0], 0.0)) if found else UNKNOWN_SD]),
-        np.array([sqrt(max(now[1, 1], 0.0)) if found else own.velocity_start_sd]),
+        np.array([sqrt(max(now[0, 0], 0.0)) if known else UNKNOWN_SD]),
+        np.array([sqrt(max(now[1, 1], 0.0)) if known else own.velocity_start_sd]),
         here["age"],
     )
 
 
-def _carried(own: OwnStateFilter, x: Vector, pushes: Vector) -> Vector:
+def _carried(own: OwnStateFilter, x: Vector, accelerations: Vector) -> Vector:
     """Position, velocity and disturbance (rows of (3, 3)) after the steps of a ring (k, 3), newest first."""
     phi = own.step[0]
-    for push in pushes[::-1]:
-        x = phi @ x + np.outer([0.5 * own.dt**2, own.dt, 0.0], push)
+    for acceleration in accelerations[::-1]:
+        x = phi @ x + np.outer([0.5 * own.dt**2, own.dt, 0.0], acceleration)
     return x
 
 
-def _grown(own: OwnStateFilter, P: Vector, pushes: Vector) -> Vector:
+def _grown(own: OwnStateFilter, P: Vector, accelerations: Vector) -> Vector:
     """Covariance (3, 3) after the steps of a ring (k, 3), newest first."""
     phi, noise = own.step
-    for push in pushes[::-1]:
-        P = phi @ P @ phi.T + noise + (push @ push) * own.doubt
+    for acceleration in accelerations[::-1]:
+        P = phi @ P @ phi.T + noise + (acceleration @ acceleration) * own.model_covariance
     return P
 
 
@@ -124,12 +126,12 @@ def _corrected(
     own: OwnStateFilter, old: Mapping[str, Vector], x: Vector, P: Vector, fix: Vector, fresh: bool
 ) -> tuple[dict[str, Vector], Vector]:
     """What the fix makes of the filter of `latency` ago, after its step."""
-    found, refused, offset = bool(old["found"][0]), float(old["refused"][0]), old["offset"]
+    known, refused, offset = bool(old["known"][0]), float(old["refused"][0]), old["offset"]
     age, R = min(float(old["age"][0]) + own.dt, LONGEST_AGE), own.position_sd**2
     error = fix - x[0]
-    if not found:
+    if not known:
         x, P = np.stack([np.zeros(3), x[1], x[2]]), np.zeros((3, 3))
-    if fresh and found and error @ error <= own.gate**2 * (P[0, 0] + R):
+    if fresh and known and error @ error <= own.gate**2 * (P[0, 0] + R):
         gain = P[:, 0] / (P[0, 0] + R)
         x, P = x + np.outer(gain, error), P - np.outer(gain, P[0, :])
         refused, age = 0.0, own.latency
@@ -137,12 +139,12 @@ def _corrected(
         off = error - offset
         agrees = refused > 0 and off @ off <= own.gate**2 * (P[0, 0] + 2 * R)
         refused, offset = (refused + 1 if agrees else 1.0), error
-        if not found or refused >= BELIEVED_AFTER:
-            x, P = np.stack([fix, x[1], np.zeros(3)]), np.diag(own.taken_over)
+        if not known or refused >= BELIEVED_AFTER:
+            x, P = np.stack([fix, x[1], np.zeros(3)]), np.diag(own.start_variances)
             refused, age = 0.0, own.latency
     here = {
         "covariance": P[np.triu_indices(3)],
-        "found": np.array([float(found or fresh)]),
+        "known": np.array([float(known or fresh)]),
         "refused": np.array([refused]),
         "offset": offset,
         "age": np.array([age]),

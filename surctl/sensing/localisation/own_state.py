@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.ir import Port
 from surctl.sensing.localisation.delivery import whole_steps
-from surctl.sensing.localisation.design import ahead, growth, settled_covariance, transition, white, yaw_gains
+from surctl.sensing.localisation.design import ahead, growth, steady_covariance, transition, white, yaw_gains
 from surctl.sensing.localisation.motion import believed_acceleration, from_upper, wrapped
 
 __all__ = ["BELIEVED_AFTER", "LONGEST_AGE", "LONGEST_LATENCY", "UNKNOWN_SD", "OwnEstimate", "OwnStateFilter"]
@@ -66,7 +66,7 @@ class OwnStateFilter:
     Attributes:
         dt: control period [s].
         latency: age of a fix when it arrives [s], a multiple of dt below `LONGEST_LATENCY`.
-        period: usual time between two fixes [s], a multiple of dt; only `settled` depends on it.
+        period: usual time between two fixes [s], a multiple of dt; only `steady_sd` depends on it.
         position_sd: standard deviation of each coordinate of a fix [m].
         yaw_sd: of the measured yaw [rad].
         rate_sd: of the measured yaw rate [rad/s].
@@ -132,7 +132,7 @@ class OwnStateFilter:
         return transition(self.dt, self.disturbance_time), noise
 
     @cached_property
-    def doubt(self) -> NDArray[np.float64]:
+    def model_covariance(self) -> NDArray[np.float64]:
         """What a step adds to Q (3, 3) for each (m/s²)² of believed acceleration."""
         return white(self.dt, self.model_noise)
 
@@ -144,15 +144,15 @@ class OwnStateFilter:
         )
 
     @property
-    def taken_over(self) -> tuple[float, float, float]:
+    def start_variances(self) -> tuple[float, float, float]:
         """Variances of position, velocity and disturbance when a fix is taken over."""
         return self.position_sd**2, self.velocity_start_sd**2, self.disturbance_sd**2
 
     @property
-    def settled(self) -> tuple[float, float]:
+    def steady_sd(self) -> tuple[float, float]:
         """Standard deviations of position [m] and velocity [m/s], at rest, at the arrival of one of many fixes."""
         every = whole_steps("own_state.period", self.period, dt=self.dt)
-        P = settled_covariance(*self.step, fix_variance=self.position_sd**2, every=every)
+        P = steady_covariance(*self.step, fix_variance=self.position_sd**2, every=every)
         whole, grown = ahead(*self.step, self.late)
         now = whole @ P @ whole.T + grown
         return float(np.sqrt(now[0, 0])), float(np.sqrt(now[1, 1]))
@@ -168,7 +168,7 @@ class OwnStateFilter:
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
         """The state; position, velocity, disturbance and covariance are those of `latency` ago, in {E}."""
         believed = "believed acceleration in {E} in the last steps, newest first"
-        ring = Port(f"{prefix}pushes", (self.late, 3), "m/s^2", believed)
+        ring = Port(f"{prefix}accelerations", (self.late, 3), "m/s^2", believed)
         return (
             Port(f"{prefix}position", (3,), "m", f"x, y, z in {{E}}, {self.latency:g} s ago"),
             Port(f"{prefix}velocity", (3,), "m/s", f"over ground in {{E}}, {self.latency:g} s ago"),
@@ -178,7 +178,7 @@ class OwnStateFilter:
             Port(f"{prefix}thrust", (4,), "N, N m", "believed thrust after its lag, now, in {B}"),
             Port(f"{prefix}turn", (2,), "rad, rad/s", "yaw in {E} and yaw rate in {B}, now"),
             Port(f"{prefix}begun", (1,), "1", "1 after the first step"),
-            Port(f"{prefix}found", (1,), "1", "1 after the first fix"),
+            Port(f"{prefix}known", (1,), "1", "1 after the first fix"),
             Port(f"{prefix}refused", (1,), "1", "refused fixes in a row that agree"),
             Port(f"{prefix}offset", (3,), "m", "the last refused fix, from the estimate, in {E}"),
             Port(f"{prefix}age", (1,), "s", "since the moment that the last fix describes", LONGEST_AGE),
@@ -216,56 +216,64 @@ class OwnStateFilter:
         begun = old["begun"] > 0.5
         psi, rate = ca.if_else(begun, old["turn"][0], yaw), ca.if_else(begun, old["turn"][1], yaw_rate)
         thrust, mean_thrust = self._thrust(old["thrust"], tau, model["thrust_limit"])
-        pushes = old.get("pushes", ca.SX.zeros(0, 3))
+        accelerations = old.get("accelerations", ca.SX.zeros(0, 3))
 
-        _, velocity = self._now(old["position"], old["velocity"], old["disturbance"], pushes)
-        push, turning = believed_acceleration(psi + 0.5 * self.dt * rate, velocity, rate, mean_thrust, model, self.dt)
-        known = ca.vertcat(push.T, pushes)
+        _, velocity = self._now(old["position"], old["velocity"], old["disturbance"], accelerations)
+        acceleration, turning = believed_acceleration(
+            psi + 0.5 * self.dt * rate, velocity, rate, mean_thrust, model, self.dt
+        )
+        known = ca.vertcat(acceleration.T, accelerations)
         here = self._corrected(old, known[-1, :].T, fix, fix_fresh > 0.5)
-        pushes = known[:-1, :]
+        accelerations = known[:-1, :]
 
         after = rate + self.dt * turning
-        wanted = ca.vertcat(wrapped(yaw - psi - 0.5 * self.dt * (rate + after)), yaw_rate - after)
-        turn = ca.vertcat(psi + 0.5 * self.dt * (rate + after), after) + ca.DM(self.yaw_gains) @ wanted
+        innovation = ca.vertcat(wrapped(yaw - psi - 0.5 * self.dt * (rate + after)), yaw_rate - after)
+        turn = ca.vertcat(psi + 0.5 * self.dt * (rate + after), after) + ca.DM(self.yaw_gains) @ innovation
         turn = ca.if_else(begun, turn, ca.vertcat(yaw, yaw_rate))
         turn = ca.vertcat(wrapped(turn[0]), turn[1])
 
-        position, velocity = self._now(here["position"], here["velocity"], here["disturbance"], pushes)
+        position, velocity = self._now(here["position"], here["velocity"], here["disturbance"], accelerations)
         c, s = ca.cos(turn[0]), ca.sin(turn[0])
         nu = ca.vertcat(c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0], velocity[2], turn[1])
-        spread = self._spread(here["covariance"], pushes)
-        position_sd = ca.if_else(here["found"], spread[0], UNKNOWN_SD)
-        velocity_sd = ca.if_else(here["found"], spread[1], self.velocity_start_sd)
-        new = {**here, "thrust": thrust, "turn": turn, "begun": ca.SX(1)} | ({"pushes": pushes} if self.late else {})
+        spread = self._spread(here["covariance"], accelerations)
+        position_sd = ca.if_else(here["known"], spread[0], UNKNOWN_SD)
+        velocity_sd = ca.if_else(here["known"], spread[1], self.velocity_start_sd)
+        new = {**here, "thrust": thrust, "turn": turn, "begun": ca.SX(1)} | (
+            {"accelerations": accelerations} if self.late else {}
+        )
         named = {prefix + name: value for name, value in new.items()}
         return OwnEstimate(named, ca.vertcat(position, turn[0]), nu, position_sd, velocity_sd, here["age"])
 
     def _thrust(self, old: ca.SX, tau: ca.SX, limit: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Believed thrust (4,) at the end of the step, and its mean over it [N, N m]."""
-        wanted = ca.fmin(ca.fmax(tau, -limit), limit)
+        command = ca.fmin(ca.fmax(tau, -limit), limit)
         left, mean = self.thrust_shares
-        return wanted + left * (old - wanted), wanted + mean * (old - wanted)
+        return command + left * (old - command), command + mean * (old - command)
 
-    def _now(self, position: ca.SX, velocity: ca.SX, disturbance: ca.SX, pushes: ca.SX) -> tuple[ca.SX, ca.SX]:
+    def _now(self, position: ca.SX, velocity: ca.SX, disturbance: ca.SX, accelerations: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Position and velocity (3,) after the steps of the ring (k, 3), oldest last, from before them."""
-        for k in reversed(range(pushes.shape[0])):
-            position, velocity, disturbance = self._moved(position, velocity, disturbance, pushes[k, :].T)
+        for k in reversed(range(accelerations.shape[0])):
+            position, velocity, disturbance = self._moved(position, velocity, disturbance, accelerations[k, :].T)
         return position, velocity
 
-    def _moved(self, position: ca.SX, velocity: ca.SX, disturbance: ca.SX, push: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    def _moved(
+        self, position: ca.SX, velocity: ca.SX, disturbance: ca.SX, acceleration: ca.SX
+    ) -> tuple[ca.SX, ca.SX, ca.SX]:
         """One step of the means, (3,) each."""
-        change = self.dt * (push + disturbance)
+        change = self.dt * (acceleration + disturbance)
         left = float(self.step[0][2, 2])
         return position + self.dt * velocity + 0.5 * self.dt * change, velocity + change, left * disturbance
 
-    def _corrected(self, old: Mapping[str, ca.SX], push: ca.SX, fix: ca.SX, fresh: ca.SX) -> dict[str, ca.SX]:
+    def _corrected(self, old: Mapping[str, ca.SX], acceleration: ca.SX, fix: ca.SX, fresh: ca.SX) -> dict[str, ca.SX]:
         """The filter of `latency` ago: one step on, and the fix."""
-        found, variance = old["found"] > 0.5, self.position_sd**2
-        position, velocity, disturbance = self._moved(old["position"], old["velocity"], old["disturbance"], push)
-        P = self._grown(from_upper(old["covariance"]), push)
+        known, variance = old["known"] > 0.5, self.position_sd**2
+        position, velocity, disturbance = self._moved(
+            old["position"], old["velocity"], old["disturbance"], acceleration
+        )
+        P = self._grown(from_upper(old["covariance"]), acceleration)
         error = fix - position
         inside = ca.sumsqr(error) <= self.gate**2 * (P[0, 0] + variance)
-        accepted = ca.logic_and(fresh, ca.logic_and(found, inside))
+        accepted = ca.logic_and(fresh, ca.logic_and(known, inside))
         refused = ca.logic_and(fresh, ca.logic_not(accepted))
         agrees = ca.logic_and(
             old["refused"] > 0.5, ca.sumsqr(error - old["offset"]) <= self.gate**2 * (P[0, 0] + 2 * variance)
@@ -273,36 +281,36 @@ class OwnStateFilter:
         count = ca.if_else(
             accepted, 0.0, ca.if_else(refused, ca.if_else(agrees, old["refused"] + 1, 1.0), old["refused"])
         )
-        first = ca.logic_or(ca.logic_not(found), count > BELIEVED_AFTER - 0.5)
-        taken = ca.logic_and(refused, first)
+        first = ca.logic_or(ca.logic_not(known), count > BELIEVED_AFTER - 0.5)
+        restart = ca.logic_and(refused, first)
 
         gain = ca.if_else(accepted, P[:, 0] / (P[0, 0] + variance), 0.0)
         corrected = ca.vertcat(*(P[i, j] - gain[i] * P[0, j] for i, j in _UPPER))
-        start = self.taken_over
+        start = self.start_variances
         anew = ca.DM([start[0], 0.0, 0.0, start[1], 0.0, start[2]])
-        still = ca.logic_and(ca.logic_not(found), ca.logic_not(taken))  # nothing known grows no worse
+        still = ca.logic_and(ca.logic_not(known), ca.logic_not(restart))  # nothing known grows no worse
         return {
-            "position": ca.if_else(taken, fix, ca.if_else(found, position + gain[0] * error, 0.0)),
+            "position": ca.if_else(restart, fix, ca.if_else(known, position + gain[0] * error, 0.0)),
             "velocity": velocity + gain[1] * error,
-            "disturbance": ca.if_else(taken, 0.0, disturbance + gain[2] * error),
-            "covariance": ca.if_else(taken, anew, ca.if_else(still, 0.0, corrected)),
-            "found": ca.logic_or(found, fresh),
-            "refused": ca.if_else(taken, 0.0, count),
+            "disturbance": ca.if_else(restart, 0.0, disturbance + gain[2] * error),
+            "covariance": ca.if_else(restart, anew, ca.if_else(still, 0.0, corrected)),
+            "known": ca.logic_or(known, fresh),
+            "refused": ca.if_else(restart, 0.0, count),
             "offset": ca.if_else(refused, error, old["offset"]),
-            "age": ca.if_else(ca.logic_or(accepted, taken), self.latency, ca.fmin(old["age"] + self.dt, LONGEST_AGE)),
+            "age": ca.if_else(ca.logic_or(accepted, restart), self.latency, ca.fmin(old["age"] + self.dt, LONGEST_AGE)),
         }
 
-    def _grown(self, P: ca.SX, push: ca.SX) -> ca.SX:
+    def _grown(self, P: ca.SX, acceleration: ca.SX) -> ca.SX:
         """Covariance (3, 3) after one step; the more acceleration is believed, the more of it may be wrong."""
-        phi, noise, doubt = ca.DM(self.step[0]), ca.DM(self.step[1]), ca.DM(self.doubt)
-        grown: ca.SX = phi @ P @ phi.T + noise + ca.sumsqr(push) * doubt
+        phi, noise, model_covariance = ca.DM(self.step[0]), ca.DM(self.step[1]), ca.DM(self.model_covariance)
+        grown: ca.SX = phi @ P @ phi.T + noise + ca.sumsqr(acceleration) * model_covariance
         return grown
 
-    def _spread(self, covariance: ca.SX, pushes: ca.SX) -> ca.SX:
+    def _spread(self, covariance: ca.SX, accelerations: ca.SX) -> ca.SX:
         """Standard deviations (2,) of position [m] and velocity [m/s] now."""
         P = from_upper(covariance)
         for k in reversed(range(self.late)):
-            P = self._grown(P, pushes[k, :].T)
+            P = self._grown(P, accelerations[k, :].T)
         spread: ca.SX = ca.sqrt(ca.fmax(ca.vertcat(P[0, 0], P[1, 1]), 0.0))
         return spread
 

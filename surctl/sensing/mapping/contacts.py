@@ -68,20 +68,20 @@ def expected_range(
     axis = turned(heading, azimuth)
     apex = position + hull_radius * axis
     nothing = 2.0 * maximum
-    found: ca.SX = ca.SX(nothing)
+    closest: ca.SX = ca.SX(nothing)
     for normal, distance in (
         ((1.0, 0.0), walls[1] - apex[0]),
         ((-1.0, 0.0), apex[0] - walls[0]),
         ((0.0, 1.0), walls[3] - apex[1]),
         ((0.0, -1.0), apex[1] - walls[2]),
     ):
-        found = ca.fmin(found, wall_range(axis, normal, distance=distance, half_angle=half_angle, nothing=nothing))
+        closest = ca.fmin(closest, wall_range(axis, normal, distance=distance, half_angle=half_angle, nothing=nothing))
 
-    def nearer(found: ca.SX, disc: ca.SX) -> ca.SX:
+    def nearer(range_: ca.SX, disc: ca.SX) -> ca.SX:
         hit = disc_range(axis, disc[:2] - apex, radius=disc[2], half_angle=half_angle, nothing=nothing)
-        return ca.fmin(found, ca.if_else(disc[3] > 0.5, hit, nothing))
+        return ca.fmin(range_, ca.if_else(disc[3] > 0.5, hit, nothing))
 
-    nearest: ca.SX = fold("disc_range", nearer, found, ca.horzcat(discs, valid))
+    nearest: ca.SX = fold("disc_range", nearer, closest, ca.horzcat(discs, valid))
     return nearest
 
 
@@ -125,8 +125,8 @@ def sonar_contacts(
         >>> from surctl.sensing import SonarArray, sonar_contacts
         >>> ranges, walls = ca.SX([1.0, 0.8, 4.5, 0.8]), ca.SX([1.8, 0.8, 0.8, 0.8])  # heard, and expected of the tank
         >>> place = {"position": ca.SX([1.0, 1.0]), "heading": ca.SX([1.0, 0.0]), "hull_radius": 0.2}
-        >>> found = sonar_contacts(SonarArray(), ranges, expected=walls, **place)
-        >>> ca.evalf(found.valid), ca.evalf(found.points[0, :])
+        >>> contacts = sonar_contacts(SonarArray(), ranges, expected=walls, **place)
+        >>> ca.evalf(contacts.valid), ca.evalf(contacts.points[0, :])
         (DM([1, 0, 0, 0]), DM([[2.2, 1]]))
     """
     points = []

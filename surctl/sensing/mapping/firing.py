@@ -26,7 +26,7 @@ READING = (
     ("clear", 1, "m, range short of which the cone is free; 0: none; below 0: blind, it leaves what was ranged"),
     ("near", 1, "m, where the marked band begins"),
     ("far", 1, "m, where it ends; below `near`: nothing is marked"),
-    ("reach", 1, "m, range beyond which a cell does not explain the echo"),
+    ("cutoff", 1, "m, range beyond which a cell does not explain the echo"),
 )
 """One firing: name, numbers, meaning."""
 
@@ -44,7 +44,7 @@ _OF_THE_UNKNOWN, _OF_A_MARK = 0.4, 0.75
 MIDDLE = 1.0 - _OF_THE_UNKNOWN
 """Share of a narrow beam's width that clears what is unknown."""
 
-LIMITS = ("cosine", "sine", "near", "far", "reach", "clear", "whole", "outside", "clears", "ranged", "regular")
+LIMITS = ("cosine", "sine", "near", "far", "cutoff", "clear", "whole", "outside", "clears", "ranged", "regular")
 """Numbers of a firing that all cells share: ranges squared [m²], `whole` and `outside` in m, the last three 0 or 1."""
 
 
@@ -68,7 +68,7 @@ def limit_values(slot: dict[str, ca.SX], edge: ca.SX) -> dict[str, ca.SX]:
         "sine": sine,
         "near": slot["near"] * slot["near"],
         "far": slot["far"] * ca.fabs(slot["far"]),
-        "reach": slot["reach"] * slot["reach"],
+        "cutoff": slot["cutoff"] * slot["cutoff"],
         "clear": slot["clear"] * slot["clear"],
         "whole": _INSIDE * edge + _INSIDE_MORE,
         "outside": -0.5 * edge,

@@ -117,38 +117,44 @@ class _Steps:
     nothing, and the flag comes from the bounds of the block's columns and rows.
     """
 
-    def __init__(self, chart: LocalMap) -> None:
-        self.chart, self.block, self.lanes = chart, chart.block, 1
+    def __init__(self, local_map: LocalMap) -> None:
+        self.local_map, self.block, self.lanes = local_map, local_map.block, 1
         while self.lanes < _WIDEST and self.block % (2 * self.lanes) == 0:
             self.lanes *= 2
         self.programs = MapPrograms(
-            slots=chart.slots,
-            side=chart.side,
+            slots=local_map.slots,
+            side=local_map.side,
             block=self.block,
             lanes=self.lanes,
-            sectors=chart.sectors,
-            fades=(chart.dt / chart.mark_time, chart.dt / chart.free_time),
-            known=chart.known,
-            held=chart.held,
+            sectors=local_map.sectors,
+            fades=(local_map.dt / local_map.mark_time, local_map.dt / local_map.free_time),
+            known=local_map.known,
+            held=local_map.held,
         )
-        self.limits, self.found, self.found_next, self.idle = (
-            tuple(f"{name}_{s}" for s in range(chart.slots)) for name in ("limits", "found", "found_next", "idle")
+        self.limits, self.explained, self.explained_next, self.idle = (
+            tuple(f"{name}_{s}" for s in range(local_map.slots))
+            for name in ("limits", "explained", "explained_next", "idle")
         )
         # of a column or row: its base, then its beam for each firing
         self.columns, self.rows = (
-            (name, *(f"{name}_beam_{s}" for s in range(chart.slots))) for name in ("column", "row")
+            (name, *(f"{name}_beam_{s}" for s in range(local_map.slots))) for name in ("column", "row")
         )
 
     def routine(self) -> Routine:
         """All of it."""
-        chart, n, blocks, none = self.chart, self.chart.side, self.chart.blocks, NONE * self.chart.sectors
+        local_map, n, blocks, none = (
+            self.local_map,
+            self.local_map.side,
+            self.local_map.blocks,
+            NONE * self.local_map.sectors,
+        )
         constants = _constants("constants", (0.0,), (1.0,), (0.0,) * self.lanes, NONE, none, none)
         names = ("first", "is_row", "zeros", "none", "marked_none", "unknown_none")
         shared = (*_WHERE, *self.limits, *self.columns, "column_bounds")
         steps: tuple[Step, ...] = (
             Call(constants, (), names),
             Call(self.programs.corner(), ("place", "walls"), ("corner_next",)),
-            Call(self.programs.prepare(), ("place", "slots"), (*self.limits, "hull", "settled", *self.found)),
+            Call(self.programs.prepare(), ("place", "slots"), (*self.limits, "hull", "complete", *self.explained)),
             Loop(
                 self.programs.line(),
                 n // self.lanes,
@@ -162,8 +168,8 @@ class _Steps:
             Loop(
                 self._seek_row(),
                 blocks,
-                ("settled", *self.found),
-                ("settled_next", *self.found_next),
+                ("complete", *self.explained),
+                ("complete_next", *self.explained_next),
                 sliced=("cells",),
                 fixed=("zeros", *shared),
                 index=True,
@@ -175,11 +181,17 @@ class _Steps:
                 ("marked_none", "unknown_none"),
                 ("marked", "unknown", "cells_next"),
                 sliced=("cells",),
-                fixed=("zeros", "none", "hull", *self.found_next, *shared),
+                fixed=("zeros", "none", "hull", *self.explained_next, *shared),
                 index=True,
             ),
         )
-        inputs = (("cells", n * n), ("corner", 2), ("place", 4), ("walls", 4), ("slots", chart.slots * READING_SIZE))
+        inputs = (
+            ("cells", n * n),
+            ("corner", 2),
+            ("place", 4),
+            ("walls", 4),
+            ("slots", local_map.slots * READING_SIZE),
+        )
         return Routine("local_map", inputs, steps, ("cells_next", "corner_next", "marked", "unknown"))
 
     def _rows(self) -> tuple[Step, ...]:
@@ -194,9 +206,9 @@ class _Steps:
 
     def _seek_row(self) -> Routine:
         """A row of blocks: which firings a cell explains; over once each of them has one."""
-        blocks, state = self.chart.blocks, ("settled", *self.found)
+        blocks, state = self.local_map.blocks, ("complete", *self.explained)
         fixed, pieces = ("zeros", *self.limits), (*self.columns, "column_bounds")
-        last = ("settled_next", *self.found_next)
+        last = ("complete_next", *self.explained_next)
         steps = (
             *self._rows(),
             Loop(
@@ -209,21 +221,30 @@ class _Steps:
                 until=0,
             ),
         )
-        given = ("zeros", *_WHERE, *self.limits)
-        inputs = self._sized("group", *state, ("cells", blocks), *given, *((name, blocks) for name in pieces))
+        shared = ("zeros", *_WHERE, *self.limits)
+        inputs = self._sized("group", *state, ("cells", blocks), *shared, *((name, blocks) for name in pieces))
         return Routine("seek_row", inputs, steps, last)
 
     def _seek_block(self) -> Routine:
-        seek, blank = self._seek_cells(), tuple(f"blank_{s}" for s in range(self.chart.slots))
-        bounds, last = ("row_bounds", "column_bounds"), ("settled_next", *self.found_next)
-        steps: list[Step] = [Call(self.programs.blank_arc(), (*bounds, *self.limits, *self.found), blank)]
-        for s, found in enumerate(self.found):
+        seek, blank = self._seek_cells(), tuple(f"blank_{s}" for s in range(self.local_map.slots))
+        bounds, last = ("row_bounds", "column_bounds"), ("complete_next", *self.explained_next)
+        steps: list[Step] = [Call(self.programs.blank_arc(), (*bounds, *self.limits, *self.explained), blank)]
+        for s, explained in enumerate(self.explained):
             fixed = ("cells", "row", f"row_beam_{s}", "column", f"column_beam_{s}", self.limits[s], "zeros")
-            results = (f"sought_{s}", self.found_next[s])
-            steps.append(Loop(seek, 1, (blank[s], found), results, fixed=fixed, until=0))
-        steps.append(Call(self.programs.all_found(), self.found_next, last[:1]))
-        given = ("settled", *self.found, "cells", *self.columns, "column_bounds", "zeros", *self.limits, *self.rows)
-        return Routine("seek_block", self._sized(*given, "row_bounds"), tuple(steps), last)
+            results = (f"sought_{s}", self.explained_next[s])
+            steps.append(Loop(seek, 1, (blank[s], explained), results, fixed=fixed, until=0))
+        steps.append(Call(self.programs.all_explained(), self.explained_next, last[:1]))
+        inputs = (
+            "complete",
+            *self.explained,
+            "cells",
+            *self.columns,
+            "column_bounds",
+            "zeros",
+            *self.limits,
+            *self.rows,
+        )
+        return Routine("seek_block", self._sized(*inputs, "row_bounds"), tuple(steps), last)
 
     def _seek_cells(self) -> Routine:
         """The cells of one block, for one firing."""
@@ -231,18 +252,18 @@ class _Steps:
         lines, fixed = ("cells", "row", "row_beam"), ("column", "column_beam", "limits")
         steps = (
             Loop(row, self.block, ("zeros",), ("hits",), sliced=lines, fixed=fixed),
-            Call(self.programs.any_hit(), ("hits",), ("found_next",)),
+            Call(self.programs.any_hit(), ("hits",), ("explained_next",)),
         )
         return Routine(
-            "seek_cells", self._sized("flag", "found", *lines, *fixed, "zeros"), steps, ("flag", "found_next")
+            "seek_cells", self._sized("flag", "explained", *lines, *fixed, "zeros"), steps, ("flag", "explained_next")
         )
 
     # --- what the firings change --------------------------------------------------------------------------------------
 
     def _change_row(self) -> Routine:
         """A row of blocks: its cells after this period, and the nearest with them."""
-        blocks, best = self.chart.blocks, ("marked", "unknown")
-        fixed, pieces = ("zeros", "none", "hull", *self.found, *self.limits), (*self.columns, "column_bounds")
+        blocks, best = self.local_map.blocks, ("marked", "unknown")
+        fixed, pieces = ("zeros", "none", "hull", *self.explained, *self.limits), (*self.columns, "column_bounds")
         last = ("marked_next", "unknown_next", "cells_next")
         steps = (
             *self._rows(),
@@ -255,22 +276,22 @@ class _Steps:
                 fixed=(*fixed, *self.rows, "row_bounds"),
             ),
         )
-        given = ("zeros", "none", "hull", *self.found, *_WHERE, *self.limits)
-        inputs = self._sized("group", *best, ("cells", blocks), *given, *((name, blocks) for name in pieces))
+        shared = ("zeros", "none", "hull", *self.explained, *_WHERE, *self.limits)
+        inputs = self._sized("group", *best, ("cells", blocks), *shared, *((name, blocks) for name in pieces))
         return Routine("change_row", inputs, steps, last)
 
     def _change_block(self) -> Routine:
         last, bounds = ("marked_next", "unknown_next", "cells_next"), ("row_bounds", "column_bounds")
-        touched = [f"cells_{k}" for k in range(self.chart.slots + 1)]
-        fade, hear, cover = self.programs.fade(), self.programs.hear(), self.programs.cover()
+        touched = [f"cells_{k}" for k in range(self.local_map.slots + 1)]
+        fade, observe, cover = self.programs.fade(), self.programs.observe(), self.programs.cover()
         idle = Call(self.programs.idle(), (*bounds, *self.limits, "hull"), (*self.idle, "idle_hull"))
         rows = Loop(self._over_row(fade), self.block, (), ("cells_0",), sliced=("cells", "row"), fixed=("column",))
         steps: list[Step] = [rows, idle]
-        hear_block = self._over_block(hear)
-        for s, found in enumerate(self.found):
-            beams = (f"row_beam_{s}", f"column_beam_{s}", self.limits[s], found)
-            results = (f"heard_{s}", touched[s + 1])
-            steps.append(Loop(hear_block, 1, (self.idle[s], touched[s]), results, fixed=beams, until=0))
+        observe_block = self._over_block(observe)
+        for s, explained in enumerate(self.explained):
+            beams = (f"row_beam_{s}", f"column_beam_{s}", self.limits[s], explained)
+            results = (f"observed_{s}", touched[s + 1])
+            steps.append(Loop(observe_block, 1, (self.idle[s], touched[s]), results, fixed=beams, until=0))
         fixed, count = ("row", "column", "hull"), self.block * self.block // self.lanes
         tally = self.programs.tally()
         steps += [
@@ -282,8 +303,18 @@ class _Steps:
             results = (f"entered_{which}", f"{which}_next")
             block = self._enter(which)
             steps.append(Loop(block, 1, (f"no_{which}", which), results, fixed=(last[-1], *fixed, "none"), until=0))
-        given = ("marked", "unknown", "cells", *self.columns, "column_bounds", "zeros", "none", "hull", *self.found)
-        return Routine("change_block", self._sized(*given, *self.limits, *self.rows, "row_bounds"), tuple(steps), last)
+        inputs = (
+            "marked",
+            "unknown",
+            "cells",
+            *self.columns,
+            "column_bounds",
+            "zeros",
+            "none",
+            "hull",
+            *self.explained,
+        )
+        return Routine("change_block", self._sized(*inputs, *self.limits, *self.rows, "row_bounds"), tuple(steps), last)
 
     def _enter(self, which: str) -> Routine:
         """The nearest cell of one block, if it is the nearest so far in its direction."""
@@ -332,10 +363,10 @@ class _Steps:
 
     def _sized(self, *names: str | tuple[str, int]) -> tuple[tuple[str, int], ...]:
         """Input arrays with their sizes, of one block unless a number of blocks stands beside the name."""
-        b, sectors = self.block, len(NONE) * self.chart.sectors
+        b, sectors = self.block, len(NONE) * self.local_map.sectors
         sizes = {"cells": b * b, "column": b * BASE, "row": b * BASE, "zeros": self.lanes, "none": len(NONE), "hull": 2}
         sizes |= dict.fromkeys(("marked", "unknown", "best"), sectors)
-        sizes |= {"place": 4, "walls": 4, "slots": self.chart.slots * READING_SIZE, "corner": 2, "corner_next": 2}
+        sizes |= {"place": 4, "walls": 4, "slots": self.local_map.slots * READING_SIZE, "corner": 2, "corner_next": 2}
         sizes |= dict.fromkeys(("column_beam", "row_beam", *self.columns[1:], *self.rows[1:]), b * BEAM)
         sizes |= dict.fromkeys(("column_bounds", "row_bounds"), self.programs.bounds_size)
         sizes |= dict.fromkeys(("limits", *self.limits), len(LIMITS))
@@ -344,5 +375,5 @@ class _Steps:
 
 
 def _constants(name: str, *values: tuple[float, ...]) -> Program:
-    made = [ca.DM(list(v)) for v in values]
-    return lower(ca.Function(name, [], [ca.SX(m) for m in made], [], [f"c{k}" for k in range(len(made))]))
+    vectors = [ca.DM(list(v)) for v in values]
+    return lower(ca.Function(name, [], [ca.SX(m) for m in vectors], [], [f"c{k}" for k in range(len(vectors))]))

@@ -29,12 +29,12 @@ _SIZE = sum(size for _, size, _ in READING)
 
 
 def map_step(
-    chart: LocalMap, cells: ArrayLike, corner: ArrayLike, place: ArrayLike, walls: ArrayLike, readings: ArrayLike
+    local_map: LocalMap, cells: ArrayLike, corner: ArrayLike, place: ArrayLike, walls: ArrayLike, readings: ArrayLike
 ) -> tuple[Vector, Vector, Vector, Vector]:
     """One period of the map: (cells, corner, marked, unknown), as `LocalMap.routine` has them.
 
     Args:
-        chart: the map.
+        local_map: the map.
         cells: (N²,) block after block, as `LocalMap.ports` says.
         corner: (2,) lowest cell of the window along x and y of {E}.
         place: (4,) the robot's x, y in {E} [m], hull radius [m], edge of a cell [m].
@@ -47,33 +47,36 @@ def map_step(
     Example:
         >>> import numpy as np
         >>> from surctl.sensing import LocalMap, map_step
-        >>> chart = LocalMap(dt=0.05, slots=1)
-        >>> cells, corner = np.zeros(chart.side**2), np.full(2, 1e6)
+        >>> local_map = LocalMap(dt=0.05, slots=1)
+        >>> cells, corner = np.zeros(local_map.side**2), np.full(2, 1e6)
         >>> place, walls = [2.0, 1.0, 0.2, 0.05], [-9.0, 9.0, -9.0, 9.0]  # hull 0.2 m, cells 5 cm
         >>> beam = [2.2, 1.0, 1.0, 0.0, np.cos(0.1), np.sin(0.1)]  # from the hull, ahead, 0.2 rad wide
         >>> echo = [0.9, 0.95, 1.05, 1.05]  # free up to 0.9 m, a surface within 0.95 to 1.05 m
-        >>> cells, corner, marked, unknown = map_step(chart, cells, corner, place, walls, [*beam, *echo])
+        >>> cells, corner, marked, unknown = map_step(local_map, cells, corner, place, walls, [*beam, *echo])
         >>> marked[:2].round(3).tolist(), int((cells < 0).sum())  # the nearest mark, and cells known to be free
         ([1.175, -0.025], 72)
     """
-    n, edge = chart.side, float(_sized("place", place, 4)[3])
+    n, edge = local_map.side, float(_sized("place", place, 4)[3])
     old = _sized("corner", corner, 2)
     here, hull = _sized("place", place, 4)[:2], float(_sized("place", place, 4)[2])
-    firings = [_reading(part) for part in np.split(_sized("readings", readings, chart.slots * _SIZE), chart.slots)]
+    firings = [
+        _reading(part) for part in np.split(_sized("readings", readings, local_map.slots * _SIZE), local_map.slots)
+    ]
     ends = _sized("walls", walls, 4).reshape(2, 2).T
     window = _window(n, here / edge, ends / edge)
     was, now = (_world(n, low) for low in (old, window))
     x, y = ((now[axis] + 0.5) * edge for axis in (0, 1))
     stays = np.outer(was[1] == now[1], was[0] == now[0])
-    value = np.where(stays, _torus(chart, _sized("cells", cells, n * n)), 0.0)
-    value = value - np.clip(value, -chart.dt / chart.free_time, chart.dt / chart.mark_time)
+    value = np.where(stays, _torus(local_map, _sized("cells", cells, n * n)), 0.0)
+    value = value - np.clip(value, -local_map.dt / local_map.free_time, local_map.dt / local_map.mark_time)
     beams = [_Beam(firing, x, y) for firing in firings]
     explained = [
-        bool(np.any(beam.on_arc(edge) & (value >= -chart.known) & (beam.square <= beam.reach**2))) for beam in beams
+        bool(np.any(beam.on_arc(edge) & (value >= -local_map.known) & (beam.square <= beam.cutoff**2)))
+        for beam in beams
     ]
     for beam, already in zip(beams, explained, strict=True):
         free = beam.in_front(edge, value)
-        marked = beam.on_arc(edge) & ((value >= -chart.known) | (not already))
+        marked = beam.on_arc(edge) & ((value >= -local_map.known) | (not already))
         mark = 1.0 if beam.clear >= 0 else np.maximum(value, BLIND)
         value = np.where(free, -1.0, np.where(marked, mark, value))
     dx, dy = np.broadcast_arrays(x - here[0], (y - here[1])[:, None])
@@ -83,20 +86,20 @@ def map_step(
         (low + _AT_A_WALL * edge < centres) & (centres < high - _AT_A_WALL * edge)
         for centres, low, high in zip((x, y), *ends, strict=True)
     )
-    blank = (value >= -chart.known) & (value <= 0) & (square > (hull + RING * edge) ** 2) & np.outer(along, across)
-    many = _blocks(chart, value >= -chart.known).sum(axis=1, keepdims=True) >= chart.held
-    blank &= _torus(chart, np.repeat(many, chart.block**2, axis=1))
-    marks, blanks = (_nearest(chart, which, dx, dy, square) for which in (value > 0, blank))
-    return _blocks(chart, value).reshape(-1), window, marks, blanks
+    blank = (value >= -local_map.known) & (value <= 0) & (square > (hull + RING * edge) ** 2) & np.outer(along, across)
+    many = _blocks(local_map, value >= -local_map.known).sum(axis=1, keepdims=True) >= local_map.held
+    blank &= _torus(local_map, np.repeat(many, local_map.block**2, axis=1))
+    marks, blanks = (_nearest(local_map, which, dx, dy, square) for which in (value > 0, blank))
+    return _blocks(local_map, value).reshape(-1), window, marks, blanks
 
 
 def map_view(
-    chart: LocalMap, cells: ArrayLike, corner: ArrayLike, *, edge: float = 1.0
+    local_map: LocalMap, cells: ArrayLike, corner: ArrayLike, *, edge: float = 1.0
 ) -> tuple[Vector, Vector, Vector]:
     """The map as it lies in {E}: values (N, N) by y, then x; x (N,) and y (N,) of the cells' centres.
 
     Args:
-        chart: the map.
+        local_map: the map.
         cells: (N²,) state.
         corner: (2,) state.
         edge: of a cell [m]; 1 gives the centres in cells.
@@ -106,14 +109,14 @@ def map_view(
 
     Example:
         >>> from surctl.sensing import LocalMap, map_view
-        >>> chart = LocalMap(dt=0.05, blocks=1, block=3, sectors=4)
-        >>> values, x, y = map_view(chart, [0, 0, 1, -1, -1, 0, -1, -1, 0], [0, 0], edge=0.1)
+        >>> local_map = LocalMap(dt=0.05, blocks=1, block=3, sectors=4)
+        >>> values, x, y = map_view(local_map, [0, 0, 1, -1, -1, 0, -1, -1, 0], [0, 0], edge=0.1)
         >>> values.tolist(), x.round(2).tolist()
         ([[0.0, 0.0, 1.0], [-1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]], [0.05, 0.15, 0.25])
     """
-    n, low = chart.side, _sized("corner", corner, 2)
+    n, low = local_map.side, _sized("corner", corner, 2)
     x, y = (low[axis] + np.arange(n) for axis in (0, 1))
-    torus = _torus(chart, _sized("cells", cells, n * n))
+    torus = _torus(local_map, _sized("cells", cells, n * n))
     values = torus[np.ix_(np.mod(y, n).astype(int), np.mod(x, n).astype(int))]
     return values, (x + 0.5) * edge, (y + 0.5) * edge
 
@@ -125,7 +128,7 @@ class _Beam:
         away_x, away_y = x - firing["apex"][0], (y - firing["apex"][1])[:, None]
         ex, ey = firing["axis"]
         self.cosine, self.sine = firing["half"]
-        self.clear, self.near, self.far, self.reach = (firing[k].item() for k in ("clear", "near", "far", "reach"))
+        self.clear, self.near, self.far, self.cutoff = (firing[k].item() for k in ("clear", "near", "far", "cutoff"))
         self.along = away_x * ex + away_y * ey
         self.across = np.abs(away_x * ey - away_y * ex)
         self.square = away_x**2 + away_y**2
@@ -159,26 +162,26 @@ def _world(n: int, corner: Vector) -> Vector:
     return np.array([low + np.mod(rank - low, n) for low in corner])
 
 
-def _torus(chart: LocalMap, cells: NDArray[T]) -> NDArray[T]:
+def _torus(local_map: LocalMap, cells: NDArray[T]) -> NDArray[T]:
     """(N, N) by y, then x, from block after block."""
-    many, size = chart.blocks, chart.block
-    return cells.reshape(many, many, size, size).swapaxes(1, 2).reshape(chart.side, chart.side)
+    many, size = local_map.blocks, local_map.block
+    return cells.reshape(many, many, size, size).swapaxes(1, 2).reshape(local_map.side, local_map.side)
 
 
-def _blocks(chart: LocalMap, torus: NDArray[T]) -> NDArray[T]:
+def _blocks(local_map: LocalMap, torus: NDArray[T]) -> NDArray[T]:
     """(blocks², block²) from (N, N)."""
-    many, size = chart.blocks, chart.block
+    many, size = local_map.blocks, local_map.block
     return torus.reshape(many, size, many, size).swapaxes(1, 2).reshape(many * many, size * size)
 
 
-def _nearest(chart: LocalMap, which: NDArray[np.bool_], dx: Vector, dy: Vector, square: Vector) -> Vector:
+def _nearest(local_map: LocalMap, which: NDArray[np.bool_], dx: Vector, dy: Vector, square: Vector) -> Vector:
     """(sectors · 3,): of each block its nearest such cell, and of these the nearest in each direction."""
-    held = _blocks(chart, np.where(which & (square < _FAR), square, _FAR))
+    held = _blocks(local_map, np.where(which & (square < _FAR), square, _FAR))
     at = (np.arange(len(held)), np.argmin(held, axis=1))
-    x, y, far = _blocks(chart, dx)[at], _blocks(chart, dy)[at], held[at]
-    sector = np.mod(np.floor(np.arctan2(y, x) * chart.sectors / (2 * np.pi) + 0.5), chart.sectors)
-    rows = np.tile([0.0, 0.0, _FAR], (chart.sectors, 1))
-    for k in range(chart.sectors):
+    x, y, far = _blocks(local_map, dx)[at], _blocks(local_map, dy)[at], held[at]
+    sector = np.mod(np.floor(np.arctan2(y, x) * local_map.sectors / (2 * np.pi) + 0.5), local_map.sectors)
+    rows = np.tile([0.0, 0.0, _FAR], (local_map.sectors, 1))
+    for k in range(local_map.sectors):
         here = np.flatnonzero((sector == k) & (far < _FAR))
         if len(here):
             best = here[np.argmin(far[here])]

@@ -84,16 +84,16 @@ class MapPrograms:
         """What all cells share: limits of each firing, whether its look is over before it begins, and of the hull."""
         place, slots = ca.SX.sym("place", 4), ca.SX.sym("slots", self.slots * READING_SIZE)
         hull, edge = place[2], place[3]
-        limits, settled = {}, {}
+        limits, explained = {}, {}
         for s, slot in enumerate(split(slots, self.slots)):
             values = limit_values(slot, edge)
             limits[f"limits_{s}"] = ca.vertcat(*(values[name] for name in LIMITS))
-            settled[f"found_{s}"] = values["far"] < values["near"]  # no cell is on such an arc
+            explained[f"explained_{s}"] = values["far"] < values["near"]  # no cell is on such an arc
         ring = hull + RING * edge
-        everything = settled["found_0"]
+        everything = explained["explained_0"]
         for s in range(1, self.slots):
-            everything = ca.logic_and(everything, settled[f"found_{s}"])
-        outputs = {**limits, "hull": ca.vertcat(hull * hull, ring * ring), "settled": everything, **settled}
+            everything = ca.logic_and(everything, explained[f"explained_{s}"])
+        outputs = {**limits, "hull": ca.vertcat(hull * hull, ring * ring), "complete": everything, **explained}
         return lower_named("prepare", {"place": place, "slots": slots}, outputs)
 
     def line(self) -> Program:
@@ -138,12 +138,12 @@ class MapPrograms:
         def entries(array: ca.SX, size: int, entry: int) -> list[ca.SX]:
             return [array[self._entry(k, size, entry) if columns else size * k + entry] for k in range(self.block)]
 
-        found = [_least(entries(base, BASE, 1))]
+        bounds = [_least(entries(base, BASE, 1))]
         for beam in beams:
             along, across, square = (entries(beam, BEAM, e) for e in range(BEAM))
-            found += [_largest(along), _least(across), _largest(across), _least(square), _largest(square)]
+            bounds += [_largest(along), _least(across), _largest(across), _least(square), _largest(square)]
         inputs = {"base": base, **{f"beam_{s}": beam for s, beam in enumerate(beams)}}
-        return lower_named("columns_bounds" if columns else "rows_bounds", inputs, {"bounds": ca.vertcat(*found)})
+        return lower_named("columns_bounds" if columns else "rows_bounds", inputs, {"bounds": ca.vertcat(*bounds)})
 
     def idle(self) -> Program:
         """Of one block: for each firing, whether it changes no cell, and whether the hull lies on none."""
@@ -162,13 +162,13 @@ class MapPrograms:
         """Of one block: for each firing, whether no cell can explain it, or one already has."""
         row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
         limits = self._limits()
-        found = {f"found_{s}": ca.SX.sym(f"found_{s}") for s in range(self.slots)}
+        explained = {f"explained_{s}": ca.SX.sym(f"explained_{s}") for s in range(self.slots)}
         outputs = {}
         for s, limit in enumerate(limits):
             beside, least, arc = self._bounded(row, column, limit, s)
-            off = ca.logic_or(ca.logic_or(beside, arc), least > limit["reach"])
-            outputs[f"blank_{s}"] = ca.logic_or(found[f"found_{s}"], ca.logic_and(off, limit["regular"]))
-        inputs = {"row_bounds": row, "column_bounds": column, **self._limit_symbols(limits), **found}
+            off = ca.logic_or(ca.logic_or(beside, arc), least > limit["cutoff"])
+            outputs[f"blank_{s}"] = ca.logic_or(explained[f"explained_{s}"], ca.logic_and(off, limit["regular"]))
+        inputs = {"row_bounds": row, "column_bounds": column, **self._limit_symbols(limits), **explained}
         return lower_named("blank_arc", inputs, outputs)
 
     def _bounded(self, row: ca.SX, column: ca.SX, limit: dict[str, ca.SX], s: int) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -198,7 +198,7 @@ class MapPrograms:
         column, across, row, down = self._cell()
         limits = ca.SX.sym("limits", len(LIMITS))
         limit, line = named_limits(limits), cell_line(across, down)
-        near = ca.logic_and(self._faded(value, column, row) >= -self.known, line[2] <= limit["reach"])
+        near = ca.logic_and(self._faded(value, column, row) >= -self.known, line[2] <= limit["cutoff"])
         after = ca.logic_or(hit, ca.logic_and(on_arc(line, limit), near))
         inputs = {
             **{"hit": hit, "cells": value, "column": column, "column_beam": across},
@@ -206,17 +206,17 @@ class MapPrograms:
         }
         return lower_named("seek", inputs, {"hit_next": after})
 
-    def hear(self) -> Program:
+    def observe(self) -> Program:
         """A cell's value after a firing."""
-        value, found = ca.SX.sym("value"), ca.SX.sym("found")
+        value, explained = ca.SX.sym("value"), ca.SX.sym("explained")
         _, across, _, down = self._cell()
         limits = ca.SX.sym("limits", len(LIMITS))
         limit, line = named_limits(limits), cell_line(across, down)
-        marked = ca.logic_and(on_arc(line, limit), ca.logic_or(value >= -self.known, ca.logic_not(found)))
+        marked = ca.logic_and(on_arc(line, limit), ca.logic_or(value >= -self.known, ca.logic_not(explained)))
         mark = ca.if_else(limit["ranged"], 1, ca.fmax(value, BLIND))
         after = ca.if_else(in_front(line, limit, value), -1, ca.if_else(marked, mark, value))
-        inputs = {"cells": value, "column_beam": across, "row_beam": down, "limits": limits, "found": found}
-        return lower_named("hear", inputs, {"after": after})
+        inputs = {"cells": value, "column_beam": across, "row_beam": down, "limits": limits, "explained": explained}
+        return lower_named("observe", inputs, {"after": after})
 
     def cover(self) -> Program:
         """A cell's value where the hull may be: what it lies on is free."""
@@ -243,18 +243,20 @@ class MapPrograms:
     def any_hit(self) -> Program:
         """Whether any lane found a cell."""
         hits = ca.SX.sym("hits", self.lanes)
-        found = hits[0]
+        hit = hits[0]
         for k in range(1, self.lanes):
-            found = ca.logic_or(found, hits[k])
-        return lower_named("any_hit", {"hits": hits}, {"found": found})
+            hit = ca.logic_or(hit, hits[k])
+        return lower_named("any_hit", {"hits": hits}, {"hit": hit})
 
-    def all_found(self) -> Program:
+    def all_explained(self) -> Program:
         """Whether the look is over for every firing."""
-        found = [ca.SX.sym(f"found_{s}") for s in range(self.slots)]
-        settled = found[0]
-        for one in found[1:]:
-            settled = ca.logic_and(settled, one)
-        return lower_named("all_found", {f"found_{s}": one for s, one in enumerate(found)}, {"settled": settled})
+        explained = [ca.SX.sym(f"explained_{s}") for s in range(self.slots)]
+        complete = explained[0]
+        for one in explained[1:]:
+            complete = ca.logic_and(complete, one)
+        return lower_named(
+            "all_explained", {f"explained_{s}": one for s, one in enumerate(explained)}, {"complete": complete}
+        )
 
     def nearest(self, *, unknown: bool) -> Program:
         """Nearest marked or unknown cell of a block so far, after one more row; of equal ones the first."""

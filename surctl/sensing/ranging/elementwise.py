@@ -56,31 +56,31 @@ class _Symbols:
         return ca.if_else(condition, yes, other)
 
     def both(self, *conditions: Value) -> Value:
-        found = conditions[0]
+        result = conditions[0]
         for other in conditions[1:]:
-            found = ca.logic_and(found, other)
-        return found
+            result = ca.logic_and(result, other)
+        return result
 
     def either(self, *conditions: Value) -> Value:
-        found = conditions[0]
+        result = conditions[0]
         for other in conditions[1:]:
-            found = ca.logic_or(found, other)
-        return found
+            result = ca.logic_or(result, other)
+        return result
 
     def no(self, condition: Value) -> Value:
         return ca.logic_not(condition)
 
     def least(self, *values: Value) -> Value:
-        found = values[0]
+        result = values[0]
         for other in values[1:]:
-            found = ca.fmin(found, other)
-        return found
+            result = ca.fmin(result, other)
+        return result
 
     def most(self, *values: Value) -> Value:
-        found = values[0]
+        result = values[0]
         for other in values[1:]:
-            found = ca.fmax(found, other)
-        return found
+            result = ca.fmax(result, other)
+        return result
 
     def size(self, value: Value) -> Value:
         return ca.fabs(value)
@@ -100,31 +100,31 @@ class _Numbers:
         return np.where(condition, yes, other)
 
     def both(self, *conditions: Value) -> Value:
-        found = conditions[0]
+        result = conditions[0]
         for other in conditions[1:]:
-            found = np.logical_and(found, other)
-        return found
+            result = np.logical_and(result, other)
+        return result
 
     def either(self, *conditions: Value) -> Value:
-        found = conditions[0]
+        result = conditions[0]
         for other in conditions[1:]:
-            found = np.logical_or(found, other)
-        return found
+            result = np.logical_or(result, other)
+        return result
 
     def no(self, condition: Value) -> Value:
         return np.logical_not(condition)
 
     def least(self, *values: Value) -> Value:
-        found = values[0]
+        result = values[0]
         for other in values[1:]:
-            found = np.minimum(found, other)
-        return found
+            result = np.minimum(result, other)
+        return result
 
     def most(self, *values: Value) -> Value:
-        found = values[0]
+        result = values[0]
         for other in values[1:]:
-            found = np.maximum(found, other)
-        return found
+            result = np.maximum(result, other)
+        return result
 
     def size(self, value: Value) -> Value:
         return np.abs(value)

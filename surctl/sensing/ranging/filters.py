@@ -65,8 +65,8 @@ def gate(window: ca.SX, value: ca.SX, *, lambda1: ca.SX, resolution: float) -> t
         >>> import casadi as ca
         >>> from surctl.sensing import gate
         >>> window, value = ca.DM([2.0, 2.02, 1.98, 2.0]), ca.SX.sym("value")
-        >>> taken, accepted, _ = gate(ca.SX(window), value, lambda1=ca.SX(3.0), resolution=0.0176)
-        >>> f = ca.Function("gate", [value], [taken, accepted])
+        >>> used, accepted, _ = gate(ca.SX(window), value, lambda1=ca.SX(3.0), resolution=0.0176)
+        >>> f = ca.Function("gate", [value], [used, accepted])
         >>> f(2.03), f(3.5)
         ((DM(2.03), DM(1)), (DM(2), DM(0)))
     """

@@ -43,8 +43,8 @@ def lateness(step: Step, sound: Value, reading: Value) -> Late:
         away, wall_then = op.where(chosen, shift, away), op.where(chosen, wall, wall_then)
     late = op.both(old["late"] > 0.5, op.no(gap), op.size(away) > 0.4 * _SMALL)
     suspected = op.both(late_by > 0.0, op.no(late))
-    told = op.size(wall_then - scene.expected) > _TELLING_WALL + scene.unsure
-    by_wall = op.both(scene.wall, wall_then < rules.maximum, told)
+    distinct = op.size(wall_then - scene.expected) > _TELLING_WALL + scene.unsure
+    by_wall = op.both(scene.wall, wall_then < rules.maximum, distinct)
     shift = op.where(by_wall, wall_then - scene.expected, away - old["absorbed"])
     residual = reading - op.where(by_wall, scene.expected, state["range"])
     spread = op.where(by_wall, _WALL_SPREAD + scene.unsure / 3.0, _TRACK_SPREAD)

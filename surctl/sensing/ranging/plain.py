@@ -171,9 +171,9 @@ def plain_filter(
         >>> layouts = Layout(sonar.ports()), Layout(sonar.gain_ports())
         >>> state, gains = (layout.unpack(layout.pack()) for layout in layouts)
         >>> for _ in range(20):
-        ...     told = plain_filter(sonar, state, np.full((4, 5), 2.0), fresh=np.array([1, 0, 0, 0]), gains=gains)
-        ...     state = told.state
-        >>> told.range_hat.round(3).tolist(), told.healthy.tolist()  # only the first sensor fired
+        ...     filtered = plain_filter(sonar, state, np.full((4, 5), 2.0), fresh=np.array([1, 0, 0, 0]), gains=gains)
+        ...     state = filtered.state
+        >>> filtered.range_hat.round(3).tolist(), filtered.healthy.tolist()  # only the first sensor fired
         ([2.0, 4.5, 4.5, 4.5], [1.0, 0.0, 0.0, 0.0])
     """
     old = {port.name.removeprefix(prefix): state[port.name] for port in filter_.ports(prefix)}

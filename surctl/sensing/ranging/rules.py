@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 from surctl.sensing.ranging.elementwise import Elementwise, Value
 from surctl.sensing.ranging.late import Late, lateness
-from surctl.sensing.ranging.scene import Rules, Seen, Step, opened, robust, sound
+from surctl.sensing.ranging.scene import Rules, Step, StepInputs, opened, robust, sound
 
-__all__ = ["tick"]
+__all__ = ["range_step"]
 
 _UNSEEN = 0.03  # rad; a beam that turned further since the last believed reading tells nothing of what it sees now
 _STALE = 0.2  # rad; likewise, a reading that is near an older track is so by chance
@@ -24,7 +24,7 @@ _SAME, _SAME_TURNING = 0.06, 0.16  # m, from one reading of a rival to the next,
 _VOTES = 3  # readings in a row that make a rival the track
 _VOTES_AFTER_FAULT = 8  # which no wall that is passed by chance gives
 _MARGIN, _DEVIATIONS = 0.015, 3.5  # m and standard deviations of a healthy bound
-_RIVAL = 0.04  # m, half-width of a rival
+_CANDIDATE = 0.04  # m, half-width of a rival
 _TWICE = 0.1  # m, by which a second echo may miss twice the range
 _CROSS = 0.05  # m, by which crosstalk may miss another sensor's reading
 _BEARABLE = 0.05  # m, shift of a stream that may be late, in a healthy bound
@@ -36,15 +36,15 @@ _SURPRISING, _SURPRISING_TURNING = 2.5, 0.5  # standard deviations
 class _Compared(NamedTuple):
     """A reading against what is known."""
 
-    taken: Value  # [m], a late one less its shift
+    corrected: Value  # [m], a late one less its shift
     innovation: Value  # [m] from the track
     agrees: Value  # with the known walls
     crosstalk: Value  # it is also another sensor's reading
     near: Value  # it belongs to the track
 
 
-def tick(
-    op: Elementwise, rules: Rules, old: Mapping[str, Value], seen: Seen
+def range_step(
+    op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: StepInputs
 ) -> tuple[dict[str, Value], tuple[Value, ...]]:
     """Next state, and range, bound, rate, healthy, age, reading, accepted, carve.
 
@@ -52,39 +52,39 @@ def tick(
         op: operations of symbols or of numbers.
         rules: numbers.
         old: state by unprefixed port name; a port with columns is a list of them.
-        seen: inputs.
+        inputs: inputs.
     """
-    step = opened(op, rules, old, seen)
-    reading = robust(op, rules, seen.samples)
+    step = opened(op, rules, old, inputs)
+    reading = robust(op, rules, inputs.samples)
     fine = sound(step, reading)
     late = lateness(step, fine, reading)
     believed = _believed(step, late, fine, reading)
     _record(step, reading)
-    return step.state, _answer(step, late, believed)
+    return step.state, _outputs(step, late, believed)
 
 
 def _compared(step: Step, late: Late, fine: Value, reading: Value) -> _Compared:
     """The reading against track, walls, rival and the other sensors."""
     op, rules, _, state, _, scene = step
     x, known = state["range"], state["known"] > 0.5
-    taken = op.where(late.late, op.least(op.most(reading - late.away, 0.0), rules.maximum), reading)
-    innovation = taken - x
+    corrected = op.where(late.late, op.least(op.most(reading - late.away, 0.0), rules.maximum), reading)
+    innovation = corrected - x
     spread = op.root(op.most(state["var_range"], 0.0) + rules.sigma * rules.sigma)
     widest = op.where(scene.turning, _GATE_TURNING, _GATE_MOST)
     # less than a second echo is away
     gate = op.most(op.least(_GATE * spread, widest, 0.5 * x), _GATE_LEAST)
-    off = op.size(taken - scene.expected)
+    off = op.size(corrected - scene.expected)
     agrees = op.both(scene.wall, off <= rules.tolerance + scene.unsure)
     closely = op.both(scene.wall, off <= 0.5 * (rules.tolerance + scene.unsure))
     agrees = op.where(state["distrust"] > 0.5, closely, agrees)
     there = op.both(known, op.either(state["turned"] <= _STALE, op.both(agrees, state["distrust"] < 0.5)))
     # a stream of a rival that happens to cross the track does not become true by it
-    crossing = op.both(state["votes"] > 0.5, op.size(taken - state["rival"]) <= _SAME)
-    crosstalk = _crosstalk(step, taken)
+    crossing = op.both(state["votes"] > 0.5, op.size(corrected - state["candidate"]) <= _SAME)
+    crosstalk = _crosstalk(step, corrected)
     foreign = op.both(crosstalk, scene.turning, op.no(agrees))
     within = op.size(innovation) <= op.where(late.judging, rules.maximum, gate)
     near = op.both(fine, there, op.no(crossing), op.no(foreign), within)
-    return _Compared(taken, innovation, agrees, crosstalk, near)
+    return _Compared(corrected, innovation, agrees, crosstalk, near)
 
 
 def _believed(step: Step, late: Late, fine: Value, reading: Value) -> Value:
@@ -95,16 +95,16 @@ def _believed(step: Step, late: Late, fine: Value, reading: Value) -> Value:
     honest = op.both(state["known"] > 0.5, op.no(new.crosstalk), state["distrust"] < 0.5)
     entered = op.both(fine, honest, scene.turning, op.no(new.near), new.agrees, new.innovation < 0.0)
     other = op.both(fine, op.no(new.near), op.no(entered))
-    anew = op.either(entered, _rival(step, new, other))
+    anew = op.either(entered, _candidate(step, new, other))
     _filtered(step, late, new, anew)
     believed = op.either(new.near, anew)
     # a set that repeats once is a sign, not yet a doubt
     fair = op.either(fine, op.both(state["repeated"] > 0.5, state["repeated"] < rules.stuck))
-    doubt = op.where(fair, state["doubt"], 1.0)
+    rejected = op.where(fair, state["rejected"], 1.0)
     too_long = op.both(scene.fired, reading > scene.raw + scene.tolerance)
     trusted = op.both(believed, op.either(new.agrees, op.both(new.near, state["turned"] <= _UNSEEN)))
     state["distrust"] = op.where(too_long, 1.0, op.where(trusted, 0.0, state["distrust"]))
-    state["doubt"] = op.where(believed, 0.0, op.where(scene.fired, doubt, state["doubt"]))
+    state["rejected"] = op.where(believed, 0.0, op.where(scene.fired, rejected, state["rejected"]))
     state["known"] = op.where(believed, 1.0, state["known"])
     state["explained"] = op.where(believed, op.where(new.agrees, 1.0, 0.0), state["explained"])
     state["votes"] = op.where(believed, 0.0, state["votes"])
@@ -114,15 +114,15 @@ def _believed(step: Step, late: Late, fine: Value, reading: Value) -> Value:
     return believed
 
 
-def _rival(step: Step, new: _Compared, other: Value) -> Value:
+def _candidate(step: Step, new: _Compared, other: Value) -> Value:
     """Keep a reading away from the track as a rival; whether the rival has become the track."""
     op, rules, _, state, _, scene = step
-    taken, outward = new.taken, new.innovation > 0.0
+    corrected, outward = new.corrected, new.innovation > 0.0
     x, top = state["range"], rules.maximum - 2.0 * rules.resolution
     same = op.where(scene.turning, _SAME_TURNING, _SAME)
-    goes_on = op.both(state["votes"] > 0.5, op.size(taken - state["rival"]) <= same)
-    twice = op.both(op.size(taken - 2.0 * x) <= _TWICE, outward)
-    vanished = op.both(taken >= top, outward)
+    goes_on = op.both(state["votes"] > 0.5, op.size(corrected - state["candidate"]) <= same)
+    twice = op.both(op.size(corrected - 2.0 * x) <= _TWICE, outward)
+    vanished = op.both(corrected >= top, outward)
     # within one conflict a suspicion stays: noise may break a stream in two
     suspect = op.either(op.both(state["votes"] > 0.5, state["suspect"] > 0.5), twice, vanished)
     # what is narrow has left the beam
@@ -135,29 +135,29 @@ def _rival(step: Step, new: _Compared, other: Value) -> Value:
     convincing = op.either(state["known"] < 0.5, op.no(suspect), op.no(outward), excused)
     needed = op.where(state["distrust"] > 0.5, _VOTES_AFTER_FAULT, _VOTES)
     won = op.both(other, votes > needed - 0.5, convincing)
-    rival = op.where(goes_on, state["rival"] + 0.5 * (taken - state["rival"]), taken)
-    state["rival"] = op.where(other, rival, state["rival"])
+    candidate = op.where(goes_on, state["candidate"] + 0.5 * (corrected - state["candidate"]), corrected)
+    state["candidate"] = op.where(other, candidate, state["candidate"])
     state["votes"] = op.where(other, votes, state["votes"])
     state["suspect"] = op.where(other, op.where(suspect, 1.0, 0.0), state["suspect"])
     return won
 
 
-def _crosstalk(step: Step, taken: Value) -> Value:
+def _crosstalk(step: Step, corrected: Value) -> Value:
     """Whether the value is what another sensor heard; all may see nothing."""
     op, rules = step.op, step.rules
-    found = op.size(taken) < 0.0  # of none
-    for rate, newest, before in step.seen.others:
-        reach = _CROSS + op.size(rate) * rules.due
+    match = op.size(corrected) < 0.0  # of none
+    for rate, newest, before in step.inputs.others:
+        tolerance = _CROSS + op.size(rate) * rules.due
         for theirs in (newest, before):
             echo = theirs < rules.maximum - rules.resolution
-            found = op.either(found, op.both(echo, op.size(taken - theirs) <= reach))
-    return found
+            match = op.either(match, op.both(echo, op.size(corrected - theirs) <= tolerance))
+    return match
 
 
 def _filtered(step: Step, late: Late, new: _Compared, anew: Value) -> None:
     """Kalman update where the reading is near the track; a new track where it starts anew."""
     op, rules, _, state, _, scene = step
-    taken, crosstalk = new.taken, new.crosstalk
+    corrected, crosstalk = new.corrected, new.crosstalk
     x, u = state["range"], state["rate"]
     p11, p12, p22 = state["var_range"], state["covariance"], state["var_rate"]
     r = rules.sigma * rules.sigma
@@ -166,19 +166,19 @@ def _filtered(step: Step, late: Late, new: _Compared, anew: Value) -> None:
     part = op.where(crosstalk, 0.0, op.where(late.undecided, _CAUTIOUS, 1.0))
     steady = op.either(crosstalk, late.undecided, scene.follow)
     k1, k2 = p11 / total, op.where(steady, 0.0, p12 / total)
-    innovation = part * (taken - x)
+    innovation = part * (corrected - x)
     usual = op.where(scene.turning, _SURPRISING_TURNING, _SURPRISING) * op.root(total)
-    surprise = op.most(_CALM * state["surprise"], op.size(taken - x) - usual, 0.0)
+    surprise = op.most(_CALM * state["surprise"], op.size(corrected - x) - usual, 0.0)
     # it only bears the track out, as well as it agrees with it
-    from_wall = op.where(new.agrees, op.size(taken - scene.expected), 0.0)
-    shared = op.most(op.where(anew, 0.0, op.size(taken - x)), from_wall)
+    from_wall = op.where(new.agrees, op.size(corrected - scene.expected), 0.0)
+    shared = op.most(op.where(anew, 0.0, op.size(corrected - x)), from_wall)
     surprise = op.where(crosstalk, op.most(surprise, shared), surprise)
     surprise = op.where(late.undecided, state["surprise"], surprise)
 
     def chosen(after: Value, start: Value, before: Value) -> Value:
         return op.where(anew, start, op.where(new.near, after, before))
 
-    state["range"] = chosen(op.least(op.most(x + k1 * innovation, 0.0), rules.maximum), taken, x)
+    state["range"] = chosen(op.least(op.most(x + k1 * innovation, 0.0), rules.maximum), corrected, x)
     state["rate"] = chosen(op.where(steady, 0.0, u + k2 * innovation), 0.0, u)
     # the form that holds for any gain
     state["var_range"] = chosen((1.0 - k1) * (1.0 - k1) * p11 + k1 * k1 * r, r, p11)
@@ -192,16 +192,18 @@ def _filtered(step: Step, late: Late, new: _Compared, anew: Value) -> None:
 
 def _record(step: Step, reading: Value) -> None:
     """What later steps compare with."""
-    op, _, old, state, seen, scene = step
-    state["heard"] = op.where(scene.fired, reading, old["heard"])
+    op, _, old, state, inputs, scene = step
+    state["reading"] = op.where(scene.fired, reading, old["reading"])
     state["since"] = op.where(scene.fired, 0.0, state["since"])
-    pairs = zip(seen.samples, old["samples"], strict=True)
+    pairs = zip(inputs.samples, old["samples"], strict=True)
     state["samples"] = [op.where(scene.fired, new, before) for new, before in pairs]
     moved = state["recent"]
-    state["recent"] = [op.where(scene.fired, new, kept) for new, kept in zip([reading, *moved], moved, strict=False)]
+    state["recent"] = [
+        op.where(scene.fired, new, previous) for new, previous in zip([reading, *moved], moved, strict=False)
+    ]
 
 
-def _answer(step: Step, late: Late, believed: Value) -> tuple[Value, ...]:
+def _outputs(step: Step, late: Late, believed: Value) -> tuple[Value, ...]:
     """Range, bound, rate, healthy, age, reading, accepted, carve."""
     op, rules, _, state, _, scene = step
     x, far = state["range"], rules.maximum
@@ -214,27 +216,27 @@ def _answer(step: Step, late: Late, believed: Value) -> tuple[Value, ...]:
         op.no(overdue),
         state["repeated"] < rules.stuck,
         state["votes"] < 0.5,
-        state["doubt"] < 0.5,
+        state["rejected"] < 0.5,
         op.no(late.late),
         op.no(blind),
         op.size(late.away) <= _BEARABLE,
     )
-    reach = _MARGIN + _DEVIATIONS * op.root(op.most(state["var_range"], 0.0)) + state["surprise"] + away
+    half_width = _MARGIN + _DEVIATIONS * op.root(op.most(state["var_range"], 0.0)) + state["surprise"] + away
     sliding = op.where(scene.follow, 0.03 + scene.unsure, 0.01 + op.size(state["rate"]) * rules.dt)
-    reach = reach + op.where(op.both(scene.turning, state["since"] > 0.0), sliding, 0.0)
+    half_width = half_width + op.where(op.both(scene.turning, state["since"] > 0.0), sliding, 0.0)
     by_wall = op.both(scene.turning, scene.wall, state["explained"] > 0.5)
-    reach = reach + op.where(by_wall, op.size(x - scene.expected), 0.0)
-    reach = reach + rules.obstacle_speed * op.most(state["age"] - rules.due, 0.0)
-    low, high = x - reach, x + reach
+    half_width = half_width + op.where(by_wall, op.size(x - scene.expected), 0.0)
+    half_width = half_width + rules.obstacle_speed * op.most(state["age"] - rules.due, 0.0)
+    low, high = x - half_width, x + half_width
     # a known wall that the turning beam may have met since the last firing
     meets = op.both(scene.turning, state["since"] > 0.0)
     low = op.where(meets, op.least(low, scene.expected - 0.03 - scene.unsure), low)
-    rivalled = state["votes"] > 0.5
-    low = op.where(rivalled, op.least(low, state["rival"] - _RIVAL), low)
-    high = op.where(rivalled, op.most(high, state["rival"] + _RIVAL), high)
+    contested = state["votes"] > 0.5
+    low = op.where(contested, op.least(low, state["candidate"] - _CANDIDATE), low)
+    high = op.where(contested, op.most(high, state["candidate"] + _CANDIDATE), high)
     lost = op.both(op.no(healthy), op.either(state["turned"] > _UNSEEN, blind, op.both(scene.turning, late.late)))
     anything = op.either(state["known"] < 0.5, lost)
-    at_minimum = state["heard"] <= rules.minimum + 1.5 * rules.resolution  # it reads the same from there down to 0
+    at_minimum = state["reading"] <= rules.minimum + 1.5 * rules.resolution  # it reads the same from there down to 0
     low = op.where(op.either(anything, at_minimum), 0.0, op.most(low, 0.0))
     ceiling = op.least(scene.expected + scene.tolerance, far)
     high = op.least(op.where(anything, far, high), ceiling)
@@ -248,7 +250,7 @@ def _answer(step: Step, late: Late, believed: Value) -> tuple[Value, ...]:
         state["rate"] + 0.0,
         op.where(healthy, 1.0, 0.0),
         state["age"] + 0.0,
-        state["heard"] + 0.0,
+        state["reading"] + 0.0,
         op.where(accepted, 1.0, 0.0),
         op.where(accepted, nearest, 0.0),
     )

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from surctl.sensing.ranging.elementwise import Elementwise, Value
 
-__all__ = ["MOST_REPEATS", "Rules", "Scene", "Seen", "Step", "opened", "others", "robust", "sound"]
+__all__ = ["MOST_REPEATS", "Rules", "Scene", "Step", "StepInputs", "opened", "others", "robust", "sound"]
 
 MOST_REPEATS = 9
 """Most repetitions of a sample set that are counted."""
@@ -53,7 +53,7 @@ class Rules:
         return max(self.obstacle_speed, 0.05) ** 2
 
 
-class Seen(NamedTuple):
+class StepInputs(NamedTuple):
     """Inputs of a step."""
 
     samples: list[Value]
@@ -86,37 +86,37 @@ class Step(NamedTuple):
     rules: Rules
     old: Mapping[str, Value]
     state: dict[str, Value]
-    seen: Seen
+    inputs: StepInputs
     scene: Scene
 
 
-def opened(op: Elementwise, rules: Rules, old: Mapping[str, Value], seen: Seen) -> Step:
+def opened(op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: StepInputs) -> Step:
     """The step with the state moved on, before the reading.
 
     Args:
         op: operations of symbols or of numbers.
         rules: numbers.
         old: state by unprefixed port name; a port with columns is a list of them.
-        seen: inputs.
+        inputs: inputs.
     """
-    scene = _scene(op, rules, old, seen)
-    return Step(op, rules, old, _moved(op, rules, old, seen, scene), seen, scene)
+    scene = _scene(op, rules, old, inputs)
+    return Step(op, rules, old, _moved(op, rules, old, inputs, scene), inputs, scene)
 
 
-def _scene(op: Elementwise, rules: Rules, old: Mapping[str, Value], seen: Seen) -> Scene:
-    turning = op.size(seen.turn) > _TURNING
-    expected = op.least(op.most(seen.expected, 0.0), rules.maximum)
+def _scene(op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: StepInputs) -> Scene:
+    turning = op.size(inputs.turn) > _TURNING
+    expected = op.least(op.most(inputs.expected, 0.0), rules.maximum)
     cycle = round(rules.due / rules.dt)
     before, earlier = (old["walls"][min(k * cycle, len(old["walls"])) - 1] for k in (1, 2))
     slide = op.most(op.size(expected - before), op.size(before - earlier), 0.5 * op.size(expected - earlier))
     slide = op.where(turning, slide, 0.0)
-    unsure = rules.yaw_tolerance * slide / (rules.due * op.most(op.size(seen.turn), _TURNING))
+    unsure = rules.yaw_tolerance * slide / (rules.due * op.most(op.size(inputs.turn), _TURNING))
     return Scene(
-        fired=seen.fresh > 0.5,
+        fired=inputs.fresh > 0.5,
         turning=turning,
         follow=op.both(turning, slide > _SLIDING, old["explained"] > 0.5, old["known"] > 0.5),
-        raw=seen.expected,
-        wall=seen.expected < rules.maximum,
+        raw=inputs.expected,
+        wall=inputs.expected < rules.maximum,
         expected=expected,
         tolerance=rules.tolerance + 0.5 * slide + unsure,
         unsure=unsure,
@@ -124,16 +124,18 @@ def _scene(op: Elementwise, rules: Rules, old: Mapping[str, Value], seen: Seen) 
     )
 
 
-def _moved(op: Elementwise, rules: Rules, old: Mapping[str, Value], seen: Seen, scene: Scene) -> dict[str, Value]:
+def _moved(
+    op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: StepInputs, scene: Scene
+) -> dict[str, Value]:
     """The state a step later without a reading."""
     dt, top = rules.dt, rules.maximum - 0.5 * rules.resolution
     state = dict(old)
-    own = -seen.closing * dt
+    own = -inputs.closing * dt
     known = op.where(scene.follow, scene.expected - old["walls"][0], op.where(old["range"] >= top, 0.0, own))
     coasting = op.both(
         op.no(scene.follow),
         old["votes"] < 0.5,
-        old["doubt"] < 0.5,
+        old["rejected"] < 0.5,
         old["since"] + dt <= rules.due + 0.5 * dt,
         old["late_by"] <= 0.0,
     )
@@ -152,12 +154,12 @@ def _moved(op: Elementwise, rules: Rules, old: Mapping[str, Value], seen: Seen, 
     state["var_range"] = op.where(growing, ahead, p11)
     state["covariance"] = op.where(growing, both, p12)
     state["var_rate"] = op.where(growing, faster, p22)
-    state["rival"] = op.where(old["rival"] >= top, old["rival"], op.most(old["rival"] + own, 0.0))
+    state["candidate"] = op.where(old["candidate"] >= top, old["candidate"], op.most(old["candidate"] + own, 0.0))
     state["recent"] = [op.most(value + own, 0.0) for value in old["recent"]]
     state["since"] = op.least(old["since"] + dt, _NEVER)
     state["age"] = op.least(old["age"] + dt, _NEVER)
-    state["turned"] = op.least(old["turned"] + op.size(seen.turn) * dt, _NEVER)
-    state["swung"] = op.least(op.most(old["swung"] + seen.turn * dt, -_NEVER), _NEVER)
+    state["turned"] = op.least(old["turned"] + op.size(inputs.turn) * dt, _NEVER)
+    state["swung"] = op.least(op.most(old["swung"] + inputs.turn * dt, -_NEVER), _NEVER)
     state["shifts"] = [-known, *(value - known for value in old["shifts"][:-1])]
     state["walls"] = [scene.expected + 0.0 * own, *old["walls"][:-1]]
     return state
@@ -167,7 +169,11 @@ def others(
     op: Elementwise, rules: Rules, old: Mapping[str, Value], samples: list[Value], fresh: Value
 ) -> list[tuple[Value, Value, Value]]:
     """What each sensor is compared with, `Seen.others`: the sensors one place round, two places round, ..."""
-    rate, newest, before = old["rate"], op.where(fresh > 0.5, robust(op, rules, samples), old["heard"]), old["heard"]
+    rate, newest, before = (
+        old["rate"],
+        op.where(fresh > 0.5, robust(op, rules, samples), old["reading"]),
+        old["reading"],
+    )
     turned = op.turned
     return [(turned(rate, k), turned(newest, k), turned(before, k)) for k in range(1, rules.sensors)]
 
@@ -186,10 +192,10 @@ def robust(op: Elementwise, rules: Rules, samples: list[Value]) -> Value:
 
 def sound(step: Step, reading: Value) -> Value:
     """Whether this firing's reading can be honest by itself; counts repetitions."""
-    op, rules, old, state, seen, scene = step
+    op, rules, old, state, inputs, scene = step
     code = rules.resolution
     differs = 0.0
-    for new, before in zip(seen.samples, old["samples"], strict=True):
+    for new, before in zip(inputs.samples, old["samples"], strict=True):
         differs = differs + op.size(new - before)
     # at the ends of its range an honest sensor repeats itself
     same = op.both(differs < 0.25 * code, reading > rules.minimum + code, reading < rules.maximum - code)
@@ -201,5 +207,5 @@ def sound(step: Step, reading: Value) -> Value:
         scene.fired,
         state["repeated"] < (0.5 if rules.one_repeat else rules.stuck),
         reading >= rules.minimum - code,
-        reading <= seen.expected + scene.tolerance,
+        reading <= inputs.expected + scene.tolerance,
     )

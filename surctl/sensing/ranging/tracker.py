@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError
 from surctl.ir import Layout, Port, each
 from surctl.sensing.ranging.elementwise import NUMBERS, SYMBOLS
-from surctl.sensing.ranging.rules import tick
-from surctl.sensing.ranging.scene import MOST_REPEATS, Rules, Seen, others
+from surctl.sensing.ranging.rules import range_step
+from surctl.sensing.ranging.scene import MOST_REPEATS, Rules, StepInputs, others
 from surctl.sensing.sonar.array import SonarArray
 
 __all__ = ["RangeTracker", "Ranging"]
@@ -113,8 +113,8 @@ class RangeTracker:
         place of the range between two steps; r repetitions are asked for such that p^r < 1e-4.
         """
         chance = _chance_of_equal_sets(self.array)
-        asked = ceil(log(1e-4) / log(min(max(chance, 1e-12), 0.999)))
-        return asked if asked <= MOST_REPEATS else 0
+        needed = ceil(log(1e-4) / log(min(max(chance, 1e-12), 0.999)))
+        return needed if needed <= MOST_REPEATS else 0
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
         """The state; it starts with nothing heard and no sensor believed."""
@@ -133,13 +133,13 @@ class RangeTracker:
             port("surprise", "m", "by how much innovations exceeded their spread"),
             port("known", "1", "1 once a track exists"),
             port("explained", "1", "1 while the track agrees with the expected range"),
-            port("doubt", "1", "1 while the last arrival was not believed"),
+            port("rejected", "1", "1 while the last arrival was not believed"),
             port("distrust", "1", "1 since a reading beyond a known wall, until one is honest again"),
             port("since", "s", "time since the last arrival", _NEVER),
             port("age", "s", "time since the last believed reading", _NEVER),
             port("turned", "rad", "beam's turn since the last believed reading", _NEVER),
             port("swung", "rad", "the same with its sign"),
-            port("rival", "m", "range of a second hypothesis", far),
+            port("candidate", "m", "range of a second hypothesis", far),
             port("votes", "1", "readings in a row that agree with it"),
             port("suspect", "1", "1 while it looks like a fault"),
             port("late_by", "s", "delay that the last gap may have left"),
@@ -149,7 +149,7 @@ class RangeTracker:
             port("power", "m^2", "evidence of delay: shift squared"),
             port("looks", "1", "readings in that evidence"),
             port("repeated", "1", "equal sample sets in a row"),
-            port("heard", "m", "robust value of the last firing", far),
+            port("reading", "m", "robust value of the last firing", far),
             port("recent", "m", "last three robust values moved by own motion, newest first", width=3),
             port("samples", "m", "samples of the last firing", -1.0, width=self.array.samples),
             port("shifts", "m", "predicted range 1, 2, ... steps ago less the present one", width=delays),
@@ -178,23 +178,23 @@ class RangeTracker:
             turn: yaw rate [rad/s].
             prefix: of the names of the state.
         """
-        ports, taken = self.ports(), self.array.samples
+        ports, count = self.ports(), self.array.samples
         old = {p.name: state[prefix + p.name] for p in ports}
         wide = {p.name for p in ports if len(p.shape) == 2}  # what the rules take as a list of columns
         columns = {n: ca.horzsplit(v) if n in wide else v for n, v in old.items()}
-        beside = others(SYMBOLS, self.rules(), columns, [samples[:, j] for j in range(taken)], fresh)
+        beside = others(SYMBOLS, self.rules(), columns, [samples[:, j] for j in range(count)], fresh)
 
-        def sensor(before: ca.SX, given: ca.SX, around: ca.SX) -> tuple[ca.SX, ca.SX]:
+        def sensor(before: ca.SX, values: ca.SX, around: ca.SX) -> tuple[ca.SX, ca.SX]:
             own = Layout(tuple(replace(p, shape=p.shape[1:] or (1,)) for p in ports)).split(before)
-            kept = {n: ca.vertsplit(v) if n in wide else v for n, v in own.items()}
+            previous = {n: ca.vertsplit(v) if n in wide else v for n, v in own.items()}
             compared = [(around[3 * k], around[3 * k + 1], around[3 * k + 2]) for k in range(len(beside))]
-            fired, own_motion, walls = ca.vertsplit(given[taken:])
-            seen = Seen(ca.vertsplit(given[:taken]), fired, own_motion, walls, turn, compared)
-            after, found = tick(SYMBOLS, self.rules(), kept, seen)
+            fired, own_motion, walls = ca.vertsplit(values[count:])
+            inputs = StepInputs(ca.vertsplit(values[:count]), fired, own_motion, walls, turn, compared)
+            after, outputs = range_step(SYMBOLS, self.rules(), previous, inputs)
             flat = [ca.vec(ca.vertcat(*v)) if isinstance(v, list) else v for v in (after[p.name] for p in ports)]
-            return _column(flat), _column(found)
+            return _column(flat), _column(outputs)
 
-        after, found = each(
+        after, readings = each(
             "range_track",
             sensor,
             ca.horzcat(*old.values()),
@@ -206,7 +206,7 @@ class RangeTracker:
             width = port.shape[1] if len(port.shape) == 2 else 1
             new[prefix + port.name] = after[:, at : at + width]
             at += width
-        return Ranging(new, *(found[:, k] for k in range(found.shape[1])))
+        return Ranging(new, *(readings[:, k] for k in range(readings.shape[1])))
 
     def step(
         self,
@@ -239,7 +239,9 @@ class RangeTracker:
         columns = [samples[..., j] for j in range(self.array.samples)]
         fired, own, walls, beside = (np.asarray(v, dtype=float) for v in (fresh, closing, expected, turn))
         compared = others(NUMBERS, self.rules(), old, columns, fired)
-        after, found = tick(NUMBERS, self.rules(), old, Seen(columns, fired, own, walls, beside[..., None], compared))
+        after, outputs = range_step(
+            NUMBERS, self.rules(), old, StepInputs(columns, fired, own, walls, beside[..., None], compared)
+        )
         lead = samples.shape[:-1]
         new = {
             prefix + name: np.stack([np.broadcast_to(c, lead) for c in v], axis=-1)
@@ -247,7 +249,7 @@ class RangeTracker:
             else np.broadcast_to(v, lead).astype(float)
             for name, v in after.items()
         }
-        return Ranging(new, *(np.broadcast_to(v, lead).astype(float) for v in found))
+        return Ranging(new, *(np.broadcast_to(v, lead).astype(float) for v in outputs))
 
     def start(self, runs: tuple[int, ...] = (), *, prefix: str = "") -> dict[str, NDArray[np.float64]]:
         """The state before the first step, for `step`: each (*runs, *port.shape)."""

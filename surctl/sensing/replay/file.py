@@ -116,28 +116,28 @@ def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recor
         >>> k = np.arange(40)
         >>> rows = np.column_stack((0.1 * k, 0 * k, 2.0 - 0.01 * k))
         >>> np.savetxt("log.csv", rows, delimiter=",", header="time_s,sensor,range_m", comments="")
-        >>> found = read_readings(Path("log.csv"), sonar_array(1))
-        >>> found.rows, round(found.cycle, 3), found.notes
+        >>> recording = read_readings(Path("log.csv"), sonar_array(1))
+        >>> recording.rows, round(recording.cycle, 3), recording.notes
         (40, 0.1, ['no column closing_m_per_s: taken for 0', 'no column turn_rad_per_s: taken for 0'])
     """
     table = read_recorded(path)
-    heard = _sample_columns(table)
-    table.need(["time_s", "sensor", *heard])
+    sample_columns = _sample_columns(table)
+    table.need(["time_s", "sensor", *sample_columns])
     motion = [name for name in _MOTION if name in table.columns]
-    columns = {name: table.numbers(name) for name in ("time_s", "sensor", *heard, *motion)}
+    columns = {name: table.numbers(name) for name in ("time_s", "sensor", *sample_columns, *motion)}
     good = np.flatnonzero(np.isfinite(np.stack(list(columns.values()))).all(axis=0))
     incomplete = len(table.lines) - len(good)
     good, back = _forward(table, columns["time_s"], good)
     sensor = _sensors(table, columns["sensor"], good, array)
-    samples = np.stack([columns[name][good] for name in heard], axis=1)
+    samples = np.stack([columns[name][good] for name in sample_columns], axis=1)
     low = np.argwhere(samples < 0)
     if len(low):
         row, column = low[0]
         raise InputError(
-            "is below 0", file=table.at(good[row]), key=heard[column], value=float(samples[row, column]),
+            "is below 0", file=table.at(good[row]), key=sample_columns[column], value=float(samples[row, column]),
             remedy="give a distance, or leave the cell empty where nothing was read",
         )  # fmt: skip
-    single = len(heard) > 1 and bool((samples == samples[:, :1]).all())
+    single = len(sample_columns) > 1 and bool((samples == samples[:, :1]).all())
     if single:  # one value, written several times: as several samples it would look like a stuck sensor
         samples = samples[:, :1]
     samples = samples / scale
@@ -197,13 +197,13 @@ def filtered_rows(replayed: Replay) -> str:
     clock = np.char.mod("%.6f", r.time)
     for begin in range(0, len(r.time), 100_000):
         part = slice(begin, begin + 100_000)
-        told = {i: _told(replayed, part, i) for i in sensors}
+        rows = {i: _text_rows(replayed, part, i) for i in sensors}
         for k, now in enumerate(clock[part].tolist()):
-            writer.writerows((now, i, *told[i][k]) for i in sensors)
+            writer.writerows((now, i, *rows[i][k]) for i in sensors)
     return out.getvalue()
 
 
-def _told(replayed: Replay, part: slice, sensor: int) -> list[tuple[str, ...]]:
+def _text_rows(replayed: Replay, part: slice, sensor: int) -> list[tuple[str, ...]]:
     t, fresh = replayed.tracked, replayed.readings.fresh[part, sensor]
     reading, ranges, bound, age = (np.char.mod("%.5f", v[part, sensor]) for v in (t.reading, t.range, t.bound, t.age))
     cells = (
@@ -245,14 +245,14 @@ def _forward(table: Recorded, time: Array, rows: NDArray[np.intp]) -> tuple[NDAr
 
 
 def _sensors(table: Recorded, values: Array, rows: NDArray[np.intp], array: SonarArray) -> NDArray[np.int64]:
-    given = values[rows]
-    wrong = np.flatnonzero((given != np.floor(given)) | (given < 0) | (given >= array.size))
+    sensors = values[rows]
+    wrong = np.flatnonzero((sensors != np.floor(sensors)) | (sensors < 0) | (sensors >= array.size))
     if len(wrong):
         raise InputError(
-            "no such sensor", file=table.at(rows[wrong[0]]), key="sensor", value=float(given[wrong[0]]),
+            "no such sensor", file=table.at(rows[wrong[0]]), key="sensor", value=float(sensors[wrong[0]]),
             remedy=f"give 0 to {array.size - 1}, or the number of sensors: --sensors",
         )  # fmt: skip
-    return given.astype(np.int64)
+    return sensors.astype(np.int64)
 
 
 def _held(values: Array, row: NDArray[np.int64]) -> Array:

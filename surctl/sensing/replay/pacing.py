@@ -79,13 +79,13 @@ def on_steps(time: Array, dt: float, *, file: str) -> tuple[NDArray[np.int64], N
         # of the ways to lay the steps, that in which nearly all readings come in the middle of one
         off = [np.percentile(np.abs((phase[:10_000] + shift) % 1.0 - 0.5), 90) for shift in shifts]
         shift = shifts[int(np.argmin(off))]
-        ticks = np.floor(phase + shift)
-        if ticks[-1] + first[-1] > _MOST_STEPS:
+        steps = np.floor(phase + shift)
+        if steps[-1] + first[-1] > _MOST_STEPS:
             raise InputError(
                 f"would take more than {_MOST_STEPS} steps of {dt:.3g} s", file=file, key="time_s",
                 remedy="cut the recording",
             )  # fmt: skip
-        step[rows] = first[-1] + ticks.astype(np.int64)
+        step[rows] = first[-1] + steps.astype(np.int64)
         first.append(int(step[rows[-1]]) + 1)
         begin.append(float(time[rows[0]] + (0.5 - shift) * dt))
     return step, np.array(first[:-1]), np.array(begin)

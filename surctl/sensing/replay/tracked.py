@@ -150,16 +150,17 @@ def replay_readings(readings: Readings) -> Replay:
         >>> rows = np.column_stack((0.1 * k, 0 * k, np.where(k == 20, 0.5, 2.0 + 0.01 * (k % 2))))  # a false one
         >>> np.savetxt("log.csv", rows, delimiter=",", header="time_s,sensor,range_m", comments="")
         >>> replayed = replay_readings(read_readings(Path("log.csv"), sonar_array(1)).readings)
-        >>> told = replayed.tracked
+        >>> tracked = replayed.tracked
         >>> for k in (38, 40, 44):  # before, at and after the false reading
-        ...     print(f"{told.range[k, 0]:.3f} m within {told.bound[k, 0]:.3f} m, healthy: {told.healthy[k, 0]}")
+        ...     distance, bound = tracked.range[k, 0], tracked.bound[k, 0]
+        ...     print(f"{distance:.3f} m within {bound:.3f} m, healthy: {tracked.healthy[k, 0]}")
         2.005 m within 0.051 m, healthy: True
         1.261 m within 0.802 m, healthy: False
         2.004 m within 0.051 m, healthy: True
     """
     parts = np.split(np.arange(len(readings.time)), readings.first[1:])
     tracker = tracker_of(readings)
-    found = [
+    tracks = [
         track(
             tracker,
             readings.samples[p],
@@ -170,7 +171,7 @@ def replay_readings(readings: Readings) -> Replay:
         for p in parts
     ]
     names = ("reading", "range", "bound", "healthy", "age", "accepted")
-    whole = {name: np.concatenate([getattr(one, name) for one in found]) for name in names}
+    whole = {name: np.concatenate([getattr(one, name) for one in tracks]) for name in names}
     return Replay(readings=readings, tracked=Tracked(**whole))
 
 
@@ -187,10 +188,12 @@ def track(tracker: RangeTracker, samples: Array, *, fresh: NDArray[np.bool_], cl
         >>> from surctl.sensing import RangeTracker, sonar_array, track
         >>> tracker = RangeTracker(array=sonar_array(1, samples=1))
         >>> k, still = np.arange(60), np.zeros((60, 1))
-        >>> heard, fresh = 2.0 + 0.01 * (k[:, None, None] % 4 > 1), k[:, None] % 2 == 0
-        >>> told = track(tracker, heard, fresh=fresh, closing=still, turn=still[:, 0])
-        >>> told.range[-1].round(3).tolist(), told.bound[-1].round(3).tolist(), told.healthy[[0, -1], 0].tolist()
-        ([2.005], [0.054], [False, True])
+        >>> samples, fresh = 2.0 + 0.01 * (k[:, None, None] % 4 > 1), k[:, None] % 2 == 0
+        >>> tracked = track(tracker, samples, fresh=fresh, closing=still, turn=still[:, 0])
+        >>> tracked.range[-1].round(3).tolist(), tracked.bound[-1].round(3).tolist()
+        ([2.005], [0.054])
+        >>> tracked.healthy[[0, -1], 0].tolist()
+        [False, True]
     """
     steps, n, k = samples.shape
     layout, step = _function(tracker)
@@ -201,12 +204,12 @@ def track(tracker: RangeTracker, samples: Array, *, fresh: NDArray[np.bool_], cl
         part = slice(begin, min(begin + _CHUNK, steps))
         length = part.stop - part.start
         run = many if length == _CHUNK else step.mapaccum(length)
-        heard = samples[part].transpose(1, 0, 2).reshape(n, length * k)
-        states, found = run(state, heard, fresh[part].T.astype(float), closing[part].T, turn[part][None])
+        flat_samples = samples[part].transpose(1, 0, 2).reshape(n, length * k)
+        states, result = run(state, flat_samples, fresh[part].T.astype(float), closing[part].T, turn[part][None])
         state = np.array(states)[:, -1]
-        outputs.append(np.array(found).reshape(n, length, 6).transpose(1, 0, 2))
-    found = np.concatenate(outputs)
-    reading, ranges, bound, healthy, age, accepted = np.moveaxis(found, -1, 0)
+        outputs.append(np.array(result).reshape(n, length, 6).transpose(1, 0, 2))
+    result = np.concatenate(outputs)
+    reading, ranges, bound, healthy, age, accepted = np.moveaxis(result, -1, 0)
     never = layout.port("age").default
     return Tracked(
         reading=reading,
@@ -227,5 +230,5 @@ def _function(tracker: RangeTracker) -> tuple[Layout, ca.Function]:
     turn = ca.SX.sym("turn")
     nothing = ca.SX(n, 1) + 2.0 * tracker.array.maximum  # beyond every reading: no wall is known
     done = tracker.update(parts, samples, fresh=fresh, closing=closing, expected=nothing, turn=turn)
-    told = ca.horzcat(done.reading, done.range, done.bound, done.healthy, done.age, done.accepted)
-    return layout, ca.Function("track", [state, samples, fresh, closing, turn], [layout.join(done.state), told])
+    outputs = ca.horzcat(done.reading, done.range, done.bound, done.healthy, done.age, done.accepted)
+    return layout, ca.Function("track", [state, samples, fresh, closing, turn], [layout.join(done.state), outputs])

@@ -128,9 +128,9 @@ class SonarArray:
         """One conversion step [m]: maximum / (2^bits − 1), 17.65 mm (E4); the full code is the maximum."""
         return self.maximum / self.top_code
 
-    def sensor_at(self, tick: int) -> int:
+    def sensor_at(self, firing: int) -> int:
         """The sensor that fires at time tick·ΔT."""
-        return self.order[tick % self.size]
+        return self.order[firing % self.size]
 
     def apex(self, sensor: int, *, position: Vector2, heading: float) -> tuple[float, float, float]:
         """Apex (x, y) [m] and axis [rad] of a sensor's cone in {E}; `position` (2,) [m], heading ψ [rad]."""

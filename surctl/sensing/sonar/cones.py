@@ -23,8 +23,8 @@ def wall_range(
     edge = along * ca.cos(half_angle) + across * ca.sin(half_angle)
     slant = distance / ca.fmax(edge, 1e-9)
     outside = ca.if_else(edge > 1e-9, slant, nothing)
-    seen = ca.if_else(along >= ca.cos(half_angle), distance, outside)
-    return ca.fmin(ca.fmax(seen, 0.0), nothing)
+    nearest = ca.if_else(along >= ca.cos(half_angle), distance, outside)
+    return ca.fmin(ca.fmax(nearest, 0.0), nothing)
 
 
 def disc_range(axis: ca.SX, to: ca.SX, *, radius: ca.SX, half_angle: float | ca.SX, nothing: float) -> ca.SX:
@@ -38,5 +38,5 @@ def disc_range(axis: ca.SX, to: ca.SX, *, radius: ca.SX, half_angle: float | ca.
         square = radius * radius - across * across
         hits = ca.logic_and(along > 0, square >= 0)
         edges = ca.fmin(edges, ca.if_else(hits, along - ca.sqrt(ca.fmax(square, 0.0)), nothing))
-    seen = ca.if_else(inside_cone, length - radius, edges)
-    return ca.fmax(0.0, ca.if_else(length <= radius, 0.0, seen))
+    nearest = ca.if_else(inside_cone, length - radius, edges)
+    return ca.fmax(0.0, ca.if_else(length <= radius, 0.0, nearest))

@@ -1,4 +1,4 @@
-"""The echo model in symbols: what `true_range` and `heard` give, for the closed loop that is compiled."""
+"""The echo model in symbols: what `true_range` and `firing_samples` give, for the closed loop that is compiled."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from surctl.sensing.sonar.array import SonarArray
 from surctl.sensing.sonar.cones import turned
 from surctl.sensing.sonar.solids import Cone, Solid
 
-__all__ = ["Beam", "beam_of", "echo_range", "heard_samples"]
+__all__ = ["Beam", "beam_of", "echo_range", "echo_samples"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,13 +87,13 @@ def echo_range(array: SonarArray, beam: Beam, solids: Sequence[Solid]) -> ca.SX:
         (DM(1.53), DM(9))
     """
     nothing = 2.0 * array.maximum
-    found = ca.SX(nothing)
+    nearest = ca.SX(nothing)
     if array.incidence_limit is None:
         for solid in solids:
             for cone in beam.cones:
-                seen = solid.nearest_in_cone(beam.apex, cone, nothing=nothing)
-                found = ca.fmin(found, ca.if_else(solid.present, seen, nothing))
-        return found
+                candidate = solid.nearest_in_cone(beam.apex, cone, nothing=nothing)
+                nearest = ca.fmin(nearest, ca.if_else(solid.present, candidate, nothing))
+        return nearest
     looks = [(edge, ca.SX(1)) for cone in beam.cones for edge in cone.edges]
     inside = ca.SX(0)
     for solid in solids:
@@ -106,12 +106,12 @@ def echo_range(array: SonarArray, beam: Beam, solids: Sequence[Solid]) -> ca.SX:
             far, facing = solid.hit(beam.apex, ray, nothing=nothing)
             first = ca.logic_and(solid.present, far < distance)
             distance, cosine = ca.if_else(first, far, distance), ca.if_else(first, facing, cosine)
-        found = ca.fmin(found, ca.if_else(ca.logic_and(looked, cosine >= faced), distance, nothing))
-    return ca.if_else(inside, 0.0, found)
+        nearest = ca.fmin(nearest, ca.if_else(ca.logic_and(looked, cosine >= faced), distance, nothing))
+    return ca.if_else(inside, 0.0, nearest)
 
 
-def heard_samples(array: SonarArray, distance: ca.SX, *, noise: ca.SX) -> ca.SX:
-    """The samples (samples, 1) [m] of a firing whose echo comes from `distance` [m], as `heard` gives them.
+def echo_samples(array: SonarArray, distance: ca.SX, *, noise: ca.SX) -> ca.SX:
+    """The samples (samples, 1) [m] of a firing whose echo comes from `distance` [m], as `firing_samples` gives them.
 
     Args:
         array: the array.
@@ -120,9 +120,9 @@ def heard_samples(array: SonarArray, distance: ca.SX, *, noise: ca.SX) -> ca.SX:
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.sensing import SonarArray, heard_samples
+        >>> from surctl.sensing import SonarArray, echo_samples
         >>> array, distance = SonarArray(), ca.SX.sym("distance")
-        >>> f = ca.Function("heard", [distance], [heard_samples(array, distance, noise=ca.SX.zeros(5))[0]])
+        >>> f = ca.Function("samples", [distance], [echo_samples(array, distance, noise=ca.SX.zeros(5))[0]])
         >>> f(0.05), f(1.53), f(9.0)
         (DM(0.194118), DM(1.53529), DM(4.5))
     """
@@ -137,14 +137,14 @@ def _picked(turn: ca.SX | int, values: Sequence[float]) -> ca.SX | float:
     """values[turn]; a plain number where all are the same."""
     if all(value == values[0] for value in values):
         return values[0]
-    found = ca.SX(0)
+    chosen = ca.SX(0)
     for k, value in enumerate(values):
-        found = ca.if_else(turn == k, value, found)
-    return found
+        chosen = ca.if_else(turn == k, value, chosen)
+    return chosen
 
 
 def _held(beam: Beam, ray: ca.SX) -> ca.SX:
-    found = ca.SX(0)
+    inside = ca.SX(0)
     for cone in beam.cones:
-        found = ca.logic_or(found, cone.holds(ray))
-    return found
+        inside = ca.logic_or(inside, cone.holds(ray))
+    return inside

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.ir import Port
 from surctl.sensing.sonar.array import SonarArray
-from surctl.sensing.sonar.echo import heard_samples
+from surctl.sensing.sonar.echo import echo_samples
 from surctl.sensing.sonar.faults import (
     FAULT_KINDS,
     LONGEST_DELAY,
@@ -74,14 +74,14 @@ def fault_ports(array: SonarArray, *, delays: bool, prefix: str = "") -> tuple[P
     Example:
         >>> from surctl.sensing import SonarArray, fault_ports
         >>> [(port.name, port.shape) for port in fault_ports(SonarArray(), delays=True)]  # 5 samples of 8 firings
-        [('last', (4, 5)), ('heard', (4, 40))]
+        [('last', (4, 5)), ('history', (4, 40))]
     """
     n, samples, far = array.size, array.samples, array.maximum
     last = Port(f"{prefix}last", (n, samples), "m", "what arrived last from each sonar", far)
     if not delays:
         return (last,)
     meaning = "what each sonar heard in its last firings, newest first"
-    return (last, Port(f"{prefix}heard", (n, LONGEST_DELAY * samples), "m", meaning, far))
+    return (last, Port(f"{prefix}history", (n, LONGEST_DELAY * samples), "m", meaning, far))
 
 
 def faulty_samples(
@@ -120,17 +120,17 @@ def faulty_samples(
         >>> array, time = SonarArray(samples=1), ca.SX.sym("time")
         >>> layout = Layout(fault_ports(array, delays=False))
         >>> slots = ca.SX(fault_slots(array, [Fault(sensor=0, kind="zero", start_s=1.0)], 1))
-        >>> drawn = {"noise": ca.SX(0.0), "chances": ca.SX.zeros(6), "uniforms": ca.SX([0.5, 0.5])}
+        >>> random = {"noise": ca.SX(0.0), "chances": ca.SX.zeros(6), "uniforms": ca.SX([0.5, 0.5])}
         >>> flat, state = layout.symbols()
         >>> one = {"distance": ca.SX(1.0), "slots": slots, "delays": False}
-        >>> told = faulty_samples(array, state, ca.SX(0), time=time, **one, **drawn)
-        >>> heard = ca.Function("heard", [flat, time], [told.samples])
-        >>> heard(layout.pack(), 0.5), heard(layout.pack(), 1.5)
+        >>> arrival = faulty_samples(array, state, ca.SX(0), time=time, **one, **random)
+        >>> samples = ca.Function("samples", [flat, time], [arrival.samples])
+        >>> samples(layout.pack(), 0.5), samples(layout.pack(), 1.5)
         (DM(1.00588), DM(0))
     """
-    own = heard_samples(array, distance, noise=noise)
+    own = echo_samples(array, distance, noise=noise)
     last = state[f"{prefix}last"]
-    kind, late, start = _told(slots, sensor, time)
+    kind, late, start = _active_fault(slots, sensor, time)
     kind = ca.if_else(kind > 0, kind, _struck(chances, uniforms[0]))
     before = [array.order[array.order.index(i) - 1] for i in range(array.size)]
     mine = _row(sensor, [last[i, :].T for i in range(array.size)])
@@ -139,7 +139,7 @@ def faulty_samples(
         "zero": 0.0,
         "maximum": array.maximum,
         "spike": _spike(array, uniforms[1]),
-        "second_echo": heard_samples(array, 2.0 * distance, noise=noise),
+        "second_echo": echo_samples(array, 2.0 * distance, noise=noise),
         "crosstalk": _row(sensor, [last[i, :].T for i in before]),
     }
     samples = own
@@ -148,21 +148,21 @@ def faulty_samples(
     lost = ca.logic_or(kind == _code("dropout"), kind == _code("dead"))
     after = {}
     if delays:
-        rows = [state[f"{prefix}heard"][i, :].T for i in range(array.size)]
+        rows = [state[f"{prefix}history"][i, :].T for i in range(array.size)]
         delayed = kind == _code("delay")
         waiting = time - late * array.cycle < start - SLACK
         lost = ca.logic_or(lost, ca.logic_and(delayed, waiting))
-        kept = _row(sensor, rows)
-        old = [kept[k * array.samples : (k + 1) * array.samples] for k in range(LONGEST_DELAY)]
+        history = _row(sensor, rows)
+        old = [history[k * array.samples : (k + 1) * array.samples] for k in range(LONGEST_DELAY)]
         samples = ca.if_else(delayed, _row(late - 1, old), samples)
-        pushed = ca.vertcat(own, kept[: -array.samples])
-        after[f"{prefix}heard"] = ca.vertcat(*(ca.if_else(sensor == i, pushed, row).T for i, row in enumerate(rows)))
+        shifted = ca.vertcat(own, history[: -array.samples])
+        after[f"{prefix}history"] = ca.vertcat(*(ca.if_else(sensor == i, shifted, row).T for i, row in enumerate(rows)))
     samples = ca.if_else(lost, mine, samples)
     after[f"{prefix}last"] = ca.vertcat(*(ca.if_else(sensor == i, samples.T, last[i, :]) for i in range(array.size)))
     return Arrival(samples, ca.logic_not(lost), after)
 
 
-def _told(slots: ca.SX, sensor: ca.SX, time: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+def _active_fault(slots: ca.SX, sensor: ca.SX, time: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Code, delay and start of the first slot that acts; code 0 for none (an empty slot ends as it starts)."""
     kind, late, start = ca.SX(0), ca.SX(0), ca.SX(0)
     for k in reversed(range(slots.shape[0])):
@@ -172,27 +172,27 @@ def _told(slots: ca.SX, sensor: ca.SX, time: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX
     return kind, late, start
 
 
-def _struck(chances: ca.SX, drawn: ca.SX) -> ca.SX:
+def _struck(chances: ca.SX, uniform: ca.SX) -> ca.SX:
     """Code of the kind that a uniform number stands for; 0 for none."""
-    passed, found, below = ca.SX(0), ca.SX(0), ca.SX(0)
+    passed, code, below = ca.SX(0), ca.SX(0), ca.SX(0)
     for k, kind in enumerate(FaultChances.kinds()):
         passed = passed + chances[k]
-        now = drawn < passed
-        found = ca.if_else(ca.logic_and(now, ca.logic_not(below)), _code(kind), found)
+        now = uniform < passed
+        code = ca.if_else(ca.logic_and(now, ca.logic_not(below)), _code(kind), code)
         below = now
-    return found
+    return code
 
 
-def _spike(array: SonarArray, drawn: ca.SX) -> ca.SX:
-    value, top = array.lowest + drawn * (array.maximum - array.lowest), float(array.top_code)
+def _spike(array: SonarArray, uniform: ca.SX) -> ca.SX:
+    value, top = array.lowest + uniform * (array.maximum - array.lowest), float(array.top_code)
     return ca.floor(value * top / array.maximum + 0.5) * array.maximum / top
 
 
 def _row(index: ca.SX, rows: Sequence[ca.SX]) -> ca.SX:
-    found = rows[0]
+    selected = rows[0]
     for k, row in enumerate(rows[1:], 1):
-        found = ca.if_else(index == k, row, found)
-    return found
+        selected = ca.if_else(index == k, row, selected)
+    return selected
 
 
 def _code(kind: FaultKind) -> int:

@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 from surctl.errors import InputError
 from surctl.files import Strict
 from surctl.sensing.sonar.array import SonarArray
-from surctl.sensing.sonar.firing import heard
+from surctl.sensing.sonar.firing import firing_samples
 
 __all__ = [
     "FAULT_KINDS",
@@ -107,12 +107,12 @@ class FaultChances(Strict):
         """The kinds that may strike by chance, in the order in which the drawn number passes them."""
         return tuple(kind for kind in FAULT_KINDS if kind in cls.model_fields)
 
-    def strikes(self, drawn: float) -> FaultKind | None:
+    def strikes(self, uniform: float) -> FaultKind | None:
         """Which kind a uniform number in (0, 1) stands for, if any."""
         passed = 0.0
         for kind, chance in zip(self.kinds(), self.numbers, strict=True):
             passed += chance
-            if drawn < passed:
+            if uniform < passed:
                 return kind
         return None
 
@@ -196,7 +196,7 @@ def faulty(
 ) -> tuple[NDArray[np.float64] | None, FaultState]:
     """What arrives of a firing, (samples,) [m], or None for nothing, and the next state.
 
-    Without a fault it is `heard` of the distance. Every sensor is taken to fire once a cycle.
+    Without a fault it is `firing_samples` of the distance. Every sensor is taken to fire once a cycle.
 
     Args:
         array: the array.
@@ -223,40 +223,40 @@ def faulty(
         [1.006, 1.006, 1.006, 1.006, 1.006]
         [1.994, 1.994, 1.994, 1.994, 1.994]
     """
-    own = heard(array, distance, noise=noise)
-    told = next((f for f in faults if f.sensor == sensor and _acts(array, f, time)), None)
-    kind = told.kind if told else chances.strikes(uniforms[0]) if chances else None
-    given: NDArray[np.float64] | None = own
+    own = firing_samples(array, distance, noise=noise)
+    active = next((f for f in faults if f.sensor == sensor and _acts(array, f, time)), None)
+    kind = active.kind if active else chances.strikes(uniforms[0]) if chances else None
+    samples: NDArray[np.float64] | None = own
     if kind in ("dropout", "dead"):
-        given = None
+        samples = None
     elif kind == "stuck":
-        given = state.last[sensor]
+        samples = state.last[sensor]
     elif kind == "zero":
-        given = np.zeros(array.samples)
+        samples = np.zeros(array.samples)
     elif kind == "maximum":
-        given = np.full(array.samples, array.maximum)
+        samples = np.full(array.samples, array.maximum)
     elif kind == "spike":
-        given = np.full(array.samples, _spike(array, uniforms[1]))
+        samples = np.full(array.samples, _spike(array, uniforms[1]))
     elif kind == "second_echo":
-        given = heard(array, 2.0 * distance, noise=noise)
+        samples = firing_samples(array, 2.0 * distance, noise=noise)
     elif kind == "crosstalk":
-        given = state.last[array.order[array.order.index(sensor) - 1]]
-    elif kind == "delay" and told is not None:
-        m = delay_firings(array, told)
-        began = time - m * array.cycle >= told.start_s - SLACK
-        given = state.history[sensor, m - 1] if began else None
+        samples = state.last[array.order[array.order.index(sensor) - 1]]
+    elif kind == "delay" and active is not None:
+        m = delay_firings(array, active)
+        began = time - m * array.cycle >= active.start_s - SLACK
+        samples = state.history[sensor, m - 1] if began else None
     last, history = state.last.copy(), state.history.copy()
     history[sensor] = np.vstack((own, history[sensor, :-1]))
-    if given is not None:
-        last[sensor] = given
-    return given, FaultState(last, history)
+    if samples is not None:
+        last[sensor] = samples
+    return samples, FaultState(last, history)
 
 
 def _acts(array: SonarArray, fault: Fault, time: float) -> bool:
     return fault.start_s - SLACK <= time < fault_end(array, fault) - SLACK
 
 
-def _spike(array: SonarArray, drawn: float) -> float:
+def _spike(array: SonarArray, uniform: float) -> float:
     """A value between the lowest reading and the maximum, on a conversion step."""
-    value, top = array.lowest + drawn * (array.maximum - array.lowest), array.top_code
+    value, top = array.lowest + uniform * (array.maximum - array.lowest), array.top_code
     return floor(value * top / array.maximum + 0.5) * array.maximum / top

@@ -16,7 +16,7 @@ from surctl.errors import InputError
 from surctl.sensing.sonar.array import SonarArray
 from surctl.world import Shape, Vector2, nearest_echo
 
-__all__ = ["fire", "heard", "true_range"]
+__all__ = ["fire", "firing_samples", "true_range"]
 
 
 def true_range(array: SonarArray, sensor: int, *, position: Vector2, heading: float, shapes: Iterable[Shape]) -> float:
@@ -59,7 +59,7 @@ def fire(
     shapes: Iterable[Shape],
     noise: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """The raw samples of one firing, (samples,) [m]: `heard` of the `true_range`.
+    """The raw samples of one firing, (samples,) [m]: `firing_samples` of the `true_range`.
 
     Args:
         array: the array.
@@ -80,10 +80,12 @@ def fire(
         >>> fire(SonarArray(), 0, position=(1.0, 1.0), heading=0.0, shapes=[pipe], noise=noise).round(3).tolist()
         [1.518, 1.553, 1.535, 1.518, 1.5]
     """
-    return heard(array, true_range(array, sensor, position=position, heading=heading, shapes=shapes), noise=noise)
+    return firing_samples(
+        array, true_range(array, sensor, position=position, heading=heading, shapes=shapes), noise=noise
+    )
 
 
-def heard(array: SonarArray, distance: float, *, noise: NDArray[np.float64]) -> NDArray[np.float64]:
+def firing_samples(array: SonarArray, distance: float, *, noise: NDArray[np.float64]) -> NDArray[np.float64]:
     """The raw samples of a firing whose echo comes from `distance`, (samples,) [m], in the order they are taken.
 
     Each is scale · distance + bias + noise, held to [lowest, maximum], then rounded to the nearest conversion step
@@ -100,8 +102,9 @@ def heard(array: SonarArray, distance: float, *, noise: NDArray[np.float64]) -> 
 
     Example:
         >>> import numpy as np
-        >>> from surctl.sensing import SonarArray, heard
-        >>> [heard(SonarArray(), distance, noise=np.zeros(5))[0].round(3).tolist() for distance in (0.05, 1.53, np.inf)]
+        >>> from surctl.sensing import SonarArray, firing_samples
+        >>> array, exact = SonarArray(), np.zeros(5)
+        >>> [firing_samples(array, distance, noise=exact)[0].round(3).tolist() for distance in (0.05, 1.53, np.inf)]
         [0.194, 1.535, 4.5]
     """
     if np.shape(noise) != (array.samples,):

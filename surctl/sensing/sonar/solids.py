@@ -130,15 +130,15 @@ class SolidBox(Solid):
         half, here = 0.5 * self.size, self._local(apex - self.centre)
         corner = ca.if_else(here >= 0, half, -half)
         either = _towards(corner - here)
-        found = [_beside(either, 1.0), _beside(either, -1.0)]
+        rays = [_beside(either, 1.0), _beside(either, -1.0)]
         on_face = ca.logic_or(ca.fabs(here[0]) <= half[0], ca.fabs(here[1]) <= half[1])
         foot = _towards(ca.fmin(ca.fmax(here, -half), half) - here)
-        found.append(ca.if_else(on_face, foot, found[0]))
+        rays.append(ca.if_else(on_face, foot, rays[0]))
         for mirrored in ((1.0, -1.0), (-1.0, 1.0)):
             to = ca.DM(mirrored) * corner - here
             side = ca.if_else(here[0] * to[1] < here[1] * to[0], 1.0, -1.0)
-            found.append(_beside(_towards(to), side))
-        return [self._global(ray) for ray in found]
+            rays.append(_beside(_towards(to), side))
+        return [self._global(ray) for ray in rays]
 
     def _entry(self, here: ca.SX, ray: ca.SX, nothing: float) -> tuple[ca.SX, ca.SX]:
         """Distance and cosine of the incidence of a ray in the box's frame; the slab method."""
@@ -167,11 +167,11 @@ class SolidWalls(Solid):
 
     def nearest_in_cone(self, apex: ca.SX, cone: Cone, *, nothing: float) -> ca.SX:
         """See `Solid.nearest_in_cone`."""
-        found = ca.SX(nothing)
+        nearest = ca.SX(nothing)
         for normal, distance in self._faces(apex):
-            seen = wall_range(cone.axis, normal, distance=distance, half_angle=cone.half_angle, nothing=nothing)
-            found = ca.fmin(found, ca.if_else(distance <= 0, 0.0, seen))
-        return found
+            candidate = wall_range(cone.axis, normal, distance=distance, half_angle=cone.half_angle, nothing=nothing)
+            nearest = ca.fmin(nearest, ca.if_else(distance <= 0, 0.0, candidate))
+        return nearest
 
     def holds(self, apex: ca.SX) -> ca.SX:
         """See `Solid.holds`."""

@@ -145,7 +145,7 @@ def body_columns(
     kind: BodyKind,
     *,
     number: Callable[[str], Columns],
-    given: Mapping[str, Columns],
+    values: Mapping[str, Columns],
     hull: Columns,
     direction: Columns,
     phase: Columns,
@@ -156,17 +156,17 @@ def body_columns(
         obstacle: as the scenario has it.
         kind: of `kind_of`.
         number: value of one of the obstacle's knobs, by the last part of its name.
-        given: values by full knob name; tells whether a radius was chosen.
+        values: values by full knob name; tells whether a radius was chosen.
         hull: (n,) [m], radius of a mover that has none of its own.
         direction: (n, 2) unit vector of the drift.
         phase: (n,) [rad] of the drift.
     """
     x, y = number("x"), number("y")
     if kind == "mover":
-        own = obstacle.radius_m is not None or f"obstacle.{obstacle.name}.radius" in given
-        way = np.stack(np.broadcast_arrays(number("to_x") - x, number("to_y") - y))
-        distance = np.hypot(*way)
-        unit = way / np.where(distance > 0, distance, 1.0)
+        own = obstacle.radius_m is not None or f"obstacle.{obstacle.name}.radius" in values
+        displacement = np.stack(np.broadcast_arrays(number("to_x") - x, number("to_y") - y))
+        distance = np.hypot(*displacement)
+        unit = displacement / np.where(distance > 0, distance, 1.0)
         stays = np.asarray(float(not obstacle.removed))
         return [x, y, number("radius") if own else hull, unit[0], unit[1], distance, number("speed"), stays]
     size = [number("size_x"), number("size_y")] if kind.endswith("box") else [number("radius")]

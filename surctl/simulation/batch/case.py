@@ -19,7 +19,7 @@ from surctl.simulation.scenario import Scenario
 from surctl.vehicle import PARAMETERS as VEHICLE_PARAMETERS
 from surctl.vehicle import Vehicle
 
-__all__ = ["Case", "Knob", "check_speeds", "check_values", "knobs"]
+__all__ = ["Case", "Parameter", "check_speeds", "check_values", "parameters"]
 
 Vector = NDArray[np.float64]
 
@@ -71,7 +71,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Knob:
+class Parameter:
     """A number of a case that may be changed.
 
     Attributes:
@@ -109,97 +109,113 @@ class Knob:
             )
 
 
-def knobs(case: Case) -> Mapping[str, Knob]:
+def parameters(case: Case) -> Mapping[str, Parameter]:
     """Every number of the case that a batch may change, by name.
 
     Example:
         >>> from surctl.control import load_gains
-        >>> from surctl.simulation import Case, knobs, load_scenario
+        >>> from surctl.simulation import Case, parameters, load_scenario
         >>> from surctl.vehicle import load_vehicle
-        >>> found = knobs(Case(load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")))
+        >>> found = parameters(Case(load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")))
         >>> [(name, found[name].value, found[name].unit) for name in ("k_v", "vehicle.m11", "obstacle.OM1.speed")]
         [('k_v', 1.5, '1/s'), ('vehicle.m11', 50.0, 'kg'), ('obstacle.OM1.speed', 0.2, 'm/s')]
     """
-    found = [
-        Knob(name, spec.unit, spec.meaning, case.gains.values[name], 0.0, spec.below, not spec.zero_allowed)
+    listed = [
+        Parameter(name, spec.unit, spec.meaning, case.gains.values[name], 0.0, spec.below, not spec.zero_allowed)
         for name, spec in GAINS.items()
     ]
     for name, spec in VEHICLE_PARAMETERS.items():
         known = case.vehicle.parameters[name]
-        found.append(
-            Knob(f"vehicle.{name}", spec.unit, spec.meaning, known.value, 0.0, inf, not spec.zero_allowed, known.range)
+        listed.append(
+            Parameter(
+                f"vehicle.{name}", spec.unit, spec.meaning, known.value, 0.0, inf, not spec.zero_allowed, known.range
+            )
         )
         what = f"{spec.meaning}, of the vehicle that is flown; the controller keeps its model"
-        found.append(Knob(f"plant.{name}", spec.unit, what, known.value, 0.0, inf, not spec.zero_allowed, known.range))
-    found += _scenario_knobs(case.scenario)
+        listed.append(
+            Parameter(f"plant.{name}", spec.unit, what, known.value, 0.0, inf, not spec.zero_allowed, known.range)
+        )
+    listed += _scenario_parameters(case.scenario)
     for obstacle in case.scenario.obstacles:
-        found += _obstacle_knobs(obstacle, case.vehicle)
-    return {knob.name: knob for knob in found}
+        listed += _obstacle_parameters(obstacle, case.vehicle)
+    return {parameter.name: parameter for parameter in listed}
 
 
-def _scenario_knobs(scenario: Scenario) -> list[Knob]:
+def _scenario_parameters(scenario: Scenario) -> list[Parameter]:
     d, chances = scenario.disturbance, scenario.sensors.chances
     return [
         *(
-            Knob(f"sonar.{kind}", "1", f"chance of this fault ({kind}) per firing of a sonar", chance, 0.0, 1.0)
+            Parameter(f"sonar.{kind}", "1", f"chance of this fault ({kind}) per firing of a sonar", chance, 0.0, 1.0)
             for kind, chance in zip(chances.kinds(), chances.numbers, strict=True)
         ),
-        Knob("scenario.cruise", "m/s", "speed of the path's target", scenario.cruise, 0.0, inf, True),
-        Knob("scenario.cap", "m/s", "largest commanded horizontal speed", scenario.cap, 0.0, inf, True),
-        Knob("scenario.depth", "m", "wanted z, negative below the surface", scenario.depth, -scenario.site[2], 0.0),
-        Knob("scenario.reach", "m", "distance to the target that counts as arrived", scenario.reach, 0.0, inf, True),
-        Knob("scenario.time_limit", "s", "longest run", scenario.time_limit, 0.0, 1e6, True),
-        Knob("scenario.current_x", "m/s", "current along x of {E}", d.current_m_per_s[0]),
-        Knob("scenario.current_y", "m/s", "current along y of {E}", d.current_m_per_s[1]),
-        Knob("scenario.wave_force", "N", "amplitude of the wave force", d.wave_force_n, 0.0),
-        Knob("scenario.wave_period", "s", "period of the waves", d.wave_period_s, 0.0, inf, True),
-        Knob("scenario.drift_force", "N", "amplitude of the slow force", d.drift_force_n, 0.0),
-        Knob("scenario.drift_period", "s", "period of the slow force", d.drift_period_s, 0.0, inf, True),
-        Knob("scenario.thrust_error", "1", "largest error of an axis' thrust, as a share", d.thrust_error, 0.0, 1.0),
-        Knob("scenario.thrust_bias", "1", "largest bias of it, as a share of its limit", d.thrust_bias, 0.0, 1.0),
+        Parameter("scenario.cruise", "m/s", "speed of the path's target", scenario.cruise, 0.0, inf, True),
+        Parameter("scenario.cap", "m/s", "largest commanded horizontal speed", scenario.cap, 0.0, inf, True),
+        Parameter(
+            "scenario.depth", "m", "wanted z, negative below the surface", scenario.depth, -scenario.site[2], 0.0
+        ),
+        Parameter(
+            "scenario.arrival_radius",
+            "m",
+            "distance to the target that counts as arrived",
+            scenario.arrival_radius,
+            0.0,
+            inf,
+            True,
+        ),
+        Parameter("scenario.time_limit", "s", "longest run", scenario.time_limit, 0.0, 1e6, True),
+        Parameter("scenario.current_x", "m/s", "current along x of {E}", d.current_m_per_s[0]),
+        Parameter("scenario.current_y", "m/s", "current along y of {E}", d.current_m_per_s[1]),
+        Parameter("scenario.wave_force", "N", "amplitude of the wave force", d.wave_force_n, 0.0),
+        Parameter("scenario.wave_period", "s", "period of the waves", d.wave_period_s, 0.0, inf, True),
+        Parameter("scenario.drift_force", "N", "amplitude of the slow force", d.drift_force_n, 0.0),
+        Parameter("scenario.drift_period", "s", "period of the slow force", d.drift_period_s, 0.0, inf, True),
+        Parameter(
+            "scenario.thrust_error", "1", "largest error of an axis' thrust, as a share", d.thrust_error, 0.0, 1.0
+        ),
+        Parameter("scenario.thrust_bias", "1", "largest bias of it, as a share of its limit", d.thrust_bias, 0.0, 1.0),
     ]
 
 
-def _obstacle_knobs(obstacle: Obstacle, vehicle: Vehicle) -> list[Knob]:
-    def knob(
+def _obstacle_parameters(obstacle: Obstacle, vehicle: Vehicle) -> list[Parameter]:
+    def parameter(
         name: str, unit: str, meaning: str, value: float, least: float | None = None, *, above: bool = False
-    ) -> Knob:
+    ) -> Parameter:
         low = -inf if least is None else least
-        return Knob(f"obstacle.{obstacle.name}.{name}", unit, meaning, value, low, inf, above)
+        return Parameter(f"obstacle.{obstacle.name}.{name}", unit, meaning, value, low, inf, above)
 
-    found = [
-        knob("x", "m", "centre at the start, x in {E}", obstacle.centre_m[0]),
-        knob("y", "m", "centre at the start, y in {E}", obstacle.centre_m[1]),
-        Knob(
+    common = [
+        parameter("x", "m", "centre at the start, x in {E}", obstacle.centre_m[0]),
+        parameter("y", "m", "centre at the start, y in {E}", obstacle.centre_m[1]),
+        Parameter(
             f"obstacle.{obstacle.name}.there", "1", "1 where it is in the water, 0 where it is left out", 1.0, 0.0, 1.0
         ),
     ]
     if obstacle.size_m is not None:
-        found += [
-            knob(f"size_{axis}", "m", f"edge along {axis} of {{E}}", obstacle.size_m[k], 0.0, above=True)
+        common += [
+            parameter(f"size_{axis}", "m", f"edge along {axis} of {{E}}", obstacle.size_m[k], 0.0, above=True)
             for k, axis in enumerate("xy")
         ]
     else:
         radius = obstacle.radius_m or vehicle["radius"]
-        found.append(knob("radius", "m", "radius", radius, 0.0, above=True))
+        common.append(parameter("radius", "m", "radius", radius, 0.0, above=True))
     if obstacle.shape == "moving":
         to_x, to_y = obstacle.to_m or obstacle.centre_m
         return [
-            *found,
-            knob("to_x", "m", "where it goes, x in {E}", to_x),
-            knob("to_y", "m", "where it goes, y in {E}", to_y),
-            knob("speed", "m/s", "its speed", float(obstacle.speed_m_per_s or 0.0), 0.0, above=True),
+            *common,
+            parameter("to_x", "m", "where it goes, x in {E}", to_x),
+            parameter("to_y", "m", "where it goes, y in {E}", to_y),
+            parameter("speed", "m/s", "its speed", float(obstacle.speed_m_per_s or 0.0), 0.0, above=True),
         ]
     return [
-        *found,
-        knob("drift", "m", "amplitude of its drift", obstacle.drift_m, 0.0),
-        knob("drift_period", "s", "period of its drift", obstacle.drift_period_s, 0.0, above=True),
+        *common,
+        parameter("drift", "m", "amplitude of its drift", obstacle.drift_m, 0.0),
+        parameter("drift_period", "s", "period of its drift", obstacle.drift_period_s, 0.0, above=True),
     ]
 
 
 def check_values(case: Case, values: Mapping[str, Vector]) -> None:
     """InputError for an unknown knob, or a value that it does not take."""
-    known = knobs(case)
+    known = parameters(case)
     for name, column in values.items():
         if name not in known:
             raise InputError("no such number in the case", key=name, value=case.name, remedy=nearest(name, known))

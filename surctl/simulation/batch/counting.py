@@ -41,7 +41,7 @@ def counted(
     square = _path_square(w["waypoints"], leg, place)
     away = ca.sqrt(square)
     excluded = ca.logic_or(avoiding, ca.logic_and(old["away"], away > TUBE))
-    first = old["tick"] < 0.5
+    first = old["step"] < 0.5
     thrust, step = tau[:2], place - old["last_place"]
     past = ca.if_else(gap <= NEAR_TARGET, ca.dot(to_target, w["leg"]), 0)
     share = ca.fabs(tau) / w["thrust_limit"]

@@ -23,9 +23,9 @@ from surctl.sensing import (
     draw_normals,
     draw_uniforms,
     echo_range,
+    echo_samples,
     fault_ports,
     faulty_samples,
-    heard_samples,
 )
 from surctl.simulation.batch.bodies import Body
 from surctl.simulation.batch.counting import modulo
@@ -45,14 +45,14 @@ class Listening:
         """What a run carries for them."""
         array = self.structure.equipment.array
         return (
-            *self.heard.ports,
+            *self.echoes.ports,
             Port("fresh", (array.size,), "1", "1 where a sonar's firing arrived since the last tick"),
             Port("noise", (NOISE_STATE,), "1", "state of the noise generator"),
             *self.late.ports,
         )
 
     @cached_property
-    def heard(self) -> Layout:
+    def echoes(self) -> Layout:
         """What arrived of each sonar, and was heard before."""
         array = self.structure.equipment.array
         return Layout(fault_ports(array, delays=self.structure.delays, prefix="sonar_"))
@@ -60,7 +60,7 @@ class Listening:
     @cached_property
     def late(self) -> Layout:
         """What the base station measured and has not sent yet."""
-        if self.law.senses is None:
+        if self.law.perception is None:
             return Layout(())
         own, station = self.structure.equipment.own, self.structure.equipment.station
         fixes, messages = own.fixes.late(self.law.dt) if own else 0, station.messages.late(self.law.dt)
@@ -93,27 +93,27 @@ class Listening:
     def _wide(self) -> int:
         return len(self._plan.sensors[0])
 
-    def drawn(self, noise: ca.SX, out: dict[str, ca.SX], *, movers: ca.SX | None = None) -> tuple[ca.SX, ca.SX, ca.SX]:
+    def draw(self, noise: ca.SX, out: dict[str, ca.SX], *, movers: ca.SX | None = None) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Draw what a tick needs, see `run._Drawn`: for own state, message and its loss; for the firings into `out`.
 
         `movers` says how many moving obstacles the run has, where runs differ: it takes no number for one it has not.
         """
         count = self.normals
         if movers is None:
-            drawn, after = draw_normals(noise, count + 8 + 4 * self.structure.slots)
+            normals, after = draw_normals(noise, count + 8 + 4 * self.structure.slots)
         else:
-            drawn, after = draw_normals(noise, count + 8)
+            normals, after = draw_normals(noise, count + 8)
             further = after
             for k in range(self.structure.slots):
                 four, further = draw_normals(further, 4)
-                drawn, after = ca.vertcat(drawn, four), ca.if_else(movers > k, further, after)
-        out["normals"], out["uniforms"] = drawn[:count], ca.SX(0)
+                normals, after = ca.vertcat(normals, four), ca.if_else(movers > k, further, after)
+        out["normals"], out["uniforms"] = normals[:count], ca.SX(0)
         if self.structure.may_fail:
             out["uniforms"], after = draw_uniforms(after, self.uniforms)
         out["noise_next"] = after
-        return drawn[count : count + 6], drawn[count + 7 : -1], drawn[count + 6]
+        return normals[count : count + 6], normals[count + 7 : -1], normals[count + 6]
 
-    def told(
+    def measurements(
         self,
         state: Mapping[str, ca.SX],
         eta: ca.SX,
@@ -125,61 +125,61 @@ class Listening:
         out: dict[str, ca.SX],
     ) -> dict[str, ca.SX]:
         """What camera, IMU and base station tell, as `run.Loop._told`."""
-        equipment, dt, tick = self.structure.equipment, self.law.dt, state["tick"]
+        equipment, dt, step = self.structure.equipment, self.law.dt, state["step"]
         own, station = equipment.own, equipment.station
-        if self.law.senses is None:
+        if self.law.perception is None:
             spread = [own.position_sd, own.position_sd, own.position_sd, own.yaw_sd] if own else [0.0] * 4
-            told = {"eta": eta + ca.DM(spread) * own_noise[:4], "nu": nu}
+            inputs = {"eta": eta + ca.DM(spread) * own_noise[:4], "nu": nu}
             if rows.shape[0]:
-                told["contacts"] = ca.vertcat(
+                inputs["contacts"] = ca.vertcat(
                     *(_observed(station, rows[k, :], noise[k, :]) for k in range(rows.shape[0]))
                 )
-            return told
-        told = {}
+            return inputs
+        inputs = {}
         if rows.shape[0]:
             then = flat(rows)
             if "messages" in state:
                 then, out["messages"] = delayed_symbols(state["messages"], then)
             shaped = ca.reshape(then, 6, rows.shape[0]).T
-            told["contacts"], told["contacts_fresh"] = station.message_symbols(
-                shaped, tick, noise=noise, chance=loss, dt=dt
+            inputs["contacts"], inputs["contacts_fresh"] = station.message_symbols(
+                shaped, step, noise=noise, chance=loss, dt=dt
             )
         if own is None:
-            return {**told, "eta": eta, "nu": nu}
+            return {**inputs, "eta": eta, "nu": nu}
         place = eta[:3]
         if "places" in state:
             # before the first step it was where it is
-            past = ca.if_else(tick > 0.5, state["places"], ca.repmat(place.T, state["places"].shape[0], 1))
+            past = ca.if_else(step > 0.5, state["places"], ca.repmat(place.T, state["places"].shape[0], 1))
             place, out["places"] = delayed_symbols(past, place)
-        told["fix"], told["fix_fresh"] = own.fix_symbols(place, tick, noise=own_noise[:4], dt=dt)
-        told["yaw"], told["yaw_rate"] = own.imu_symbols(eta, nu, noise=own_noise[4:])
-        return told
+        inputs["fix"], inputs["fix_fresh"] = own.fix_symbols(place, step, noise=own_noise[:4], dt=dt)
+        inputs["yaw"], inputs["yaw_rate"] = own.imu_symbols(eta, nu, noise=own_noise[4:])
+        return inputs
 
     def instant(
         self,
         w: Mapping[str, ca.SX],
         bodies: Sequence[Body],
         plant: ca.SX,
-        heard: Mapping[str, ca.SX],
-        tick: ca.SX,
-        drawn: Mapping[str, ca.SX],
+        echoes: Mapping[str, ca.SX],
+        step: ca.SX,
+        numbers: Mapping[str, ca.SX],
         *,
         instant: int,
     ) -> tuple[dict[str, ca.SX], ca.SX]:
         """What has been heard after one instant of firing, and (sensors, 1) 1 for those whose firing arrived."""
         structure, plan, wide = self.structure, self._plan, self._wide
-        array, taken = structure.equipment.array, structure.equipment.array.samples
-        after = {name: value for name, value in heard.items() if name.startswith("sonar_")}
+        array, samples = structure.equipment.array, structure.equipment.array.samples
+        after = {name: value for name, value in echoes.items() if name.startswith("sonar_")}
         fresh = [ca.SX(0)] * array.size
         period = plan.period // gcd(plan.period, self._instants)  # ticks
-        turn = modulo(tick, period)
+        turn = modulo(step, period)
         for k in range(wide):
             turns = [plan.sensors[(t * self._instants + instant) % plan.period][k] for t in range(period)]
             listed = [0 if i is None else i for i in turns]
             beam = beam_of(array, listed, turn, position=plant[:2], heading=plant[3], hull_radius=w["world_hull"])
             distance = echo_range(array, beam, [*(body.solid for body in bodies), SolidWalls(w["walls"])])
-            at = (instant * wide + k) * taken
-            noise, sensor = drawn["normals"][at : at + taken], ca.SX(0)
+            at = (instant * wide + k) * samples
+            noise, sensor = numbers["normals"][at : at + samples], ca.SX(0)
             for t, i in enumerate(listed):
                 sensor = ca.if_else(turn == t, i, sensor)
             if structure.may_fail:
@@ -188,18 +188,18 @@ class Listening:
                     array,
                     after,
                     sensor,
-                    time=tick * self.law.dt + instant * FIRING,
+                    time=step * self.law.dt + instant * FIRING,
                     distance=distance,
                     noise=noise,
                     slots=w["fault_slots"] if structure.faults else ca.SX.zeros(0, SLOT),
                     chances=w["fault_chances"],
-                    uniforms=drawn["uniforms"][at : at + 2],
+                    uniforms=numbers["uniforms"][at : at + 2],
                     delays=structure.delays,
                     prefix="sonar_",
                 )
                 now, arrived = arrival.state, arrival.arrived
             else:
-                row, last = heard_samples(array, distance, noise=noise).T, after["sonar_last"]
+                row, last = echo_samples(array, distance, noise=noise).T, after["sonar_last"]
                 rows = [ca.if_else(sensor == i, row, last[i, :]) for i in range(array.size)]
                 now, arrived = {"sonar_last": ca.vertcat(*rows)}, ca.SX(1)
             silent = [t for t, i in enumerate(turns) if i is None]
@@ -215,12 +215,12 @@ def slots(rows: Sequence[ca.SX], near: Sequence[ca.SX], most: int = CONTACT_SLOT
     """The law's contacts, (k, 6): all rows, or the `most` nearest ones in their order."""
     if len(rows) <= most:
         return ca.vertcat(ca.SX(0, 6), *rows)
-    slots, taken = [ca.SX.zeros(1, 6) for _ in range(most)], ca.SX(0)
+    slots, filled = [ca.SX.zeros(1, 6) for _ in range(most)], ca.SX(0)
     for k, row in enumerate(rows):
         ahead = [near[j] <= near[k] if j < k else near[j] < near[k] for j in range(len(rows)) if j != k]
         chosen = sum(ahead, start=ca.SX(0)) < most
-        slots = [ca.if_else(ca.logic_and(chosen, taken == at), row, slot) for at, slot in enumerate(slots)]
-        taken += chosen
+        slots = [ca.if_else(ca.logic_and(chosen, filled == at), row, slot) for at, slot in enumerate(slots)]
+        filled += chosen
     return ca.vertcat(*slots)
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from surctl.control import GAINS
 from surctl.sensing import FaultChances, fault_slots, noise_states
 from surctl.simulation.batch.bodies import NO_END, body_columns, kind_of
-from surctl.simulation.batch.case import Case, knobs
-from surctl.simulation.batch.tick import Loop, Structure
+from surctl.simulation.batch.case import Case, parameters
+from surctl.simulation.batch.loop import Loop, Structure
 from surctl.simulation.numbers import VISITED, law_numbers
 from surctl.simulation.world import WorldDraw, draw_world
 from surctl.vehicle import PLANT_PARAMETERS
@@ -53,7 +53,7 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         moved = values.get(f"obstacle.{obstacle.name}.drift", np.asarray(obstacle.drift_m))
         kinds.append(kind_of(obstacle, drifting=bool(np.any(moved > 0))))
     optional = any(f"obstacle.{obstacle.name}.there" in values for obstacle in case.scenario.obstacles)
-    kept: dict[str, Any] = {
+    shared: dict[str, Any] = {
         "optional": optional,
         "guidance": case.guidance,
         "barrier": case.barrier,
@@ -62,7 +62,7 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         "depths": case.scenario.depths is not None,
     }
     if case.sensing == "truth":
-        return Structure(case.law, case.avoidance, case.mode, case.sensing, tuple(kinds), **kept)
+        return Structure(case.law, case.avoidance, case.mode, case.sensing, tuple(kinds), **shared)
     sensors = case.scenario.sensors
     struck = any(np.any(values.get(f"sonar.{kind}", chance) > 0) for kind, chance in _chances(case))
     return Structure(
@@ -75,7 +75,7 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         len(sensors.faults),
         struck,
         any(fault.kind == "delay" for fault in sensors.faults),
-        **kept,
+        **shared,
     )
 
 
@@ -100,16 +100,16 @@ def pack(case: Case, loop: Loop, values: Mapping[str, Columns], seeds: NDArray[n
 class _Filler:
     def __init__(self, case: Case, loop: Loop, values: Mapping[str, Columns], seeds: NDArray[np.int64]) -> None:
         self.case, self.loop, self.values, self.seeds = case, loop, values, seeds
-        self.known = knobs(case)
+        self.known = parameters(case)
         limit = np.asarray(self.number("scenario.time_limit"))
-        self.ticks = np.ceil(limit / loop.law.dt)
-        self.steps = int(np.max(self.ticks))
+        self.step_limits = np.ceil(limit / loop.law.dt)
+        self.steps = int(np.max(self.step_limits))
 
     def number(self, name: str) -> Columns:
         """Values of a knob: given ones (n,), or its own ()."""
         return np.asarray(self.values.get(name, self.known[name].value), dtype=float)
 
-    def flown(self, name: str) -> Columns:
+    def actual(self, name: str) -> Columns:
         """A parameter of the vehicle that is flown."""
         if f"plant.{name}" in self.values:
             return self.values[f"plant.{name}"]
@@ -149,75 +149,75 @@ class _Filler:
         for name in ("depth", "cruise", "cap"):
             out[:, layout.slice(name).start] = self.number(f"scenario.{name}")
         if case.scenario.corners == "visit":
-            out[:, layout.slice("visit").start] = VISITED * self.number("scenario.reach")
+            out[:, layout.slice("visit").start] = VISITED * self.number("scenario.arrival_radius")
         for vector, members in _VECTORS.items():
             for k, member in enumerate(members):
                 out[:, layout.slice(vector).start + k] = self.believed(member)
         out[:, layout.slice("hull").start] = self.believed("radius")
 
     def _world(self) -> dict[str, list[Columns]]:
-        scenario, drawn = self.case.scenario, self._draws()
-        plant = {vector: [self.flown(m) for m in members] for vector, members in _VECTORS.items()}
-        plant["thrust_lag"] = [self.flown("thrust_lag")]
+        scenario, draws = self.case.scenario, self._draws()
+        plant = {vector: [self.actual(m) for m in members] for vector, members in _VECTORS.items()}
+        plant["thrust_lag"] = [self.actual("thrust_lag")]
         leg = scenario.target - scenario.path.waypoints[-2]
         leg = leg / np.linalg.norm(leg)
         force, slow = self.number("scenario.wave_force"), self.number("scenario.drift_force")
-        hull = self.flown("radius")
-        found: dict[str, list[Columns]] = {
+        hull = self.actual("radius")
+        columns: dict[str, list[Columns]] = {
             "plant": [column for port in PLANT_PARAMETERS for column in plant[port.name]],
             "world_hull": [hull],
-            "reach": [self.number("scenario.reach")],
+            "arrival_radius": [self.number("scenario.arrival_radius")],
             "legs": [np.asarray(float(len(scenario.path.waypoints) - 1))],
-            "visited": [self.number("scenario.reach") if scenario.corners == "visit" else np.zeros(())],
-            "ticks": [self.ticks],
+            "visited": [self.number("scenario.arrival_radius") if scenario.corners == "visit" else np.zeros(())],
+            "steps": [self.step_limits],
             "leg": [np.asarray(leg[0]), np.asarray(leg[1])],
             "current": [self.number("scenario.current_x"), self.number("scenario.current_y")],
             "wave": [
-                force * drawn.wave_direction[:, 0],
-                force * drawn.wave_direction[:, 1],
+                force * draws.wave_direction[:, 0],
+                force * draws.wave_direction[:, 1],
                 2 * np.pi / self.number("scenario.wave_period"),
-                np.asarray(drawn.wave_phase),
+                np.asarray(draws.wave_phase),
             ],
             "drift": [
-                slow * drawn.push_direction[:, 0],
-                slow * drawn.push_direction[:, 1],
+                slow * draws.slow_direction[:, 0],
+                slow * draws.slow_direction[:, 1],
                 2 * np.pi / self.number("scenario.drift_period"),
-                np.asarray(drawn.push_phase),
+                np.asarray(draws.slow_phase),
             ],
-            "thrust_gain": [1 + self.number("scenario.thrust_error") * drawn.gain_error[:, k] for k in range(4)],
+            "thrust_gain": [1 + self.number("scenario.thrust_error") * draws.gain_error[:, k] for k in range(4)],
             "thrust_bias": [
-                self.number("scenario.thrust_bias") * drawn.bias[:, k] * self.flown(name)
+                self.number("scenario.thrust_bias") * draws.bias[:, k] * self.actual(name)
                 for k, name in enumerate(_VECTORS["thrust_limit"])
             ],
         }
         structure = self.loop.structure
         if structure.may_fail:
-            found["fault_chances"] = [self.number(f"sonar.{kind}") for kind in FaultChances.kinds()]
+            columns["fault_chances"] = [self.number(f"sonar.{kind}") for kind in FaultChances.kinds()]
         if structure.faults:
             slots = fault_slots(structure.equipment.array, scenario.sensors.faults, structure.faults)
-            found["fault_slots"] = [np.asarray(value) for value in slots.ravel()]
+            columns["fault_slots"] = [np.asarray(value) for value in slots.ravel()]
         if structure.optional:
-            found["there"] = [self.number(f"obstacle.{o.name}.there") for o in scenario.obstacles]
+            columns["there"] = [self.number(f"obstacle.{o.name}.there") for o in scenario.obstacles]
         if structure.heights:
             ends = [(o.heights.bottom, o.heights.top) for o in scenario.obstacles]
-            found["heights"] = [np.asarray(z) for z in np.clip(np.ravel(ends), -NO_END, NO_END)]
+            columns["heights"] = [np.asarray(z) for z in np.clip(np.ravel(ends), -NO_END, NO_END)]
         if structure.depths:
-            found["depths"] = [np.asarray(z) for z in scenario.depths or ()]
+            columns["depths"] = [np.asarray(z) for z in scenario.depths or ()]
         for k, (obstacle, kind) in enumerate(zip(scenario.obstacles, self.loop.structure.bodies, strict=True)):
             prefix = f"obstacle.{obstacle.name}."
-            found[f"body{k}"] = body_columns(
+            columns[f"body{k}"] = body_columns(
                 obstacle,
                 kind,
                 number=lambda name, prefix=prefix: self.number(prefix + name),  # type: ignore[misc]
-                given=self.values,
+                values=self.values,
                 hull=hull,
-                direction=drawn.drift_direction[:, k],
-                phase=drawn.drift_phase[:, k],
+                direction=draws.drift_direction[:, k],
+                phase=draws.drift_phase[:, k],
             )
-        return found
+        return columns
 
     def _draws(self) -> WorldDraw:
         """Random choices of every run, stacked."""
         unique, back = np.unique(self.seeds, return_inverse=True)
-        drawn = [draw_world(len(self.case.scenario.obstacles), seed=int(seed)) for seed in unique]
-        return WorldDraw(*(np.array(part)[back] for part in zip(*drawn, strict=True)))  # type: ignore[arg-type]
+        draws = [draw_world(len(self.case.scenario.obstacles), seed=int(seed)) for seed in unique]
+        return WorldDraw(*(np.array(part)[back] for part in zip(*draws, strict=True)))  # type: ignore[arg-type]

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from math import pi
 
 from surctl.errors import InputError
-from surctl.guidance.braking import LEAST_THRUST, Watch, brakes_of, range_needed, stopping_way
+from surctl.guidance.braking import LEAST_THRUST, Watch, brakes_of, range_needed, stopping_distance_with_drag
 from surctl.simulation.batch import Case
+from surctl.simulation.clearance import end_findings
 from surctl.simulation.margin import margin_needed, turn_rate
-from surctl.simulation.room import end_findings
 from surctl.simulation.world import build_world
 
 __all__ = ["assumptions"]
@@ -46,7 +46,9 @@ def assumptions(case: Case, draw: Mapping[str, float], *, detection: float, fast
     limits = ("Fu_max", "Fv_max", "Fw_max", "Fr_max")
     broken = {
         "obstacle speed": speed > fastest,
-        "detection": range_needed(brakes_of(believed), Watch(), scenario.cap, obstacle=speed, way=stopping_way)
+        "detection": range_needed(
+            brakes_of(believed), Watch(), scenario.cap, obstacle=speed, stopping=stopping_distance_with_drag
+        )
         > detection,
         "thrust": any(draw.get(n, believed[n]) < LEAST_THRUST * believed[n] * (1 - 1e-12) for n in limits),
         "range": any(p.range is not None and not p.range[0] <= draw[n] <= p.range[1] for n, p in stated.items()),
@@ -60,11 +62,11 @@ def _stops(case: Case, draw: Mapping[str, float]) -> bool:
     """Whether the law's margin is enough for what flies; a number that no vehicle may have is told as `range`."""
     believed = case.model or case.vehicle
     try:
-        flown = case.vehicle.with_values(draw)
+        actual = case.vehicle.with_values(draw)
     except InputError:
         return True
-    turning = turn_rate(case.scenario, believed, case.gains, sonar=case.sensing == "sonar", flown=flown)
-    needed = margin_needed(case.scenario, believed, case.gains, flown, barrier=case.barrier, turning=turning)
+    turning = turn_rate(case.scenario, believed, case.gains, sonar=case.sensing == "sonar", actual=actual)
+    needed = margin_needed(case.scenario, believed, case.gains, actual, barrier=case.barrier, turning=turning)
     return needed <= case.gains["margin"]
 
 

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.simulation.batch import simulate_batch
 from surctl.simulation.campaign.assumptions import assumptions
-from surctl.simulation.campaign.flight import Flight, Plan
+from surctl.simulation.campaign.plan import Plan, SampledRun
 from surctl.simulation.campaign.replay import Replay, replay_of
 from surctl.simulation.campaign.summary import Summary, summarise
 from surctl.simulation.campaign.table import RunTable
 from surctl.simulation.metrics import METRICS
 from surctl.simulation.store import ChunkStore
 
-__all__ = ["CHUNK", "FASTEST", "Campaign", "fly_campaign"]
+__all__ = ["CHUNK", "FASTEST", "Campaign", "run_campaign"]
 
 CHUNK = 128
 """Runs that are flown, and kept, together."""
@@ -40,11 +40,11 @@ class Campaign:
     def worst(self, count: int) -> list[Replay]:
         """The worst runs as files have them, the worst first, see `RunTable.worst`."""
         return [
-            replay_of(self.plan.flight(k), self.table.row(k), campaign=self.plan.name) for k in self.table.worst(count)
+            replay_of(self.plan.run(k), self.table.row(k), campaign=self.plan.name) for k in self.table.worst(count)
         ]
 
 
-def fly_campaign(
+def run_campaign(
     plan: Plan,
     *,
     runs: int,
@@ -71,18 +71,18 @@ def fly_campaign(
     for key, value in (("runs", runs), ("chunk", chunk)):
         if value < 1:
             raise InputError("must be at least 1", key=key, value=value)
-    parts, start, flown = [], time.monotonic(), 0
+    parts, start, simulated = [], time.monotonic(), 0
     for index, (first, count) in enumerate(_cut(runs, chunk)):
         shape = (count, 1 + len(METRICS) + len(plan.names))
         if store is not None and store.has(index, shape):
             parts.append(np.column_stack([store.column(index, shape, k) for k in range(shape[1])]))
         else:
-            parts.append(_flown(plan, first, count, threads))
-            flown += count
+            parts.append(_simulate_chunk(plan, first, count, threads))
+            simulated += count
             if store is not None:
                 store.write(index, parts[-1])
-        rate = flown / max(time.monotonic() - start, 1e-9)
-        progress(f"{plan.name}: {first + count}/{runs} runs" + (f", {rate:.3g} a second" if flown else ", kept"))
+        rate = simulated / max(time.monotonic() - start, 1e-9)
+        progress(f"{plan.name}: {first + count}/{runs} runs" + (f", {rate:.3g} a second" if simulated else ", kept"))
     table = _table(plan, np.vstack(parts))
     return Campaign(plan, table, summarise(table))
 
@@ -91,7 +91,7 @@ def _cut(runs: int, chunk: int) -> Iterator[tuple[int, int]]:
     return ((first, min(chunk, runs - first)) for first in range(0, runs, chunk))
 
 
-def _flown(plan: Plan, first: int, count: int, threads: int) -> NDArray[np.float64]:
+def _simulate_chunk(plan: Plan, first: int, count: int, threads: int) -> NDArray[np.float64]:
     """(count, …): seed, metrics, values."""
     seeds, values = plan.seeds(first, count), plan.values(first, count)
     batch = simulate_batch(plan.case, values, seeds=seeds, threads=threads)
@@ -101,13 +101,13 @@ def _flown(plan: Plan, first: int, count: int, threads: int) -> NDArray[np.float
 def _table(plan: Plan, whole: NDArray[np.float64]) -> RunTable:
     wide = 1 + len(METRICS)
     figures = whole[:, 1:wide]
-    broken = tuple(_broken(plan.flight(k)) for k in range(len(whole)))
+    broken = tuple(_broken(plan.run(k)) for k in range(len(whole)))
     values = {name: whole[:, wide + k] for k, name in enumerate(plan.names)}
     return RunTable(whole[:, 0].astype(np.int64), figures, values, broken)
 
 
-def _broken(flight: Flight) -> tuple[str, ...]:
+def _broken(run: SampledRun) -> tuple[str, ...]:
     """Which assumptions do not hold; with true positions everything is seen at once."""
-    case = flight.case
+    case = run.case
     sees = case.scenario.sensors.equipment.array.maximum if case.sensing == "sonar" else inf
-    return assumptions(case, flight.draw, detection=sees, fastest=FASTEST)
+    return assumptions(case, run.draw, detection=sees, fastest=FASTEST)

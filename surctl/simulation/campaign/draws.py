@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.simulation.campaign.flight import Drawn, Flight
+from surctl.simulation.campaign.plan import SampledRun, SeededPlan
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.world import build_world
 from surctl.vehicle import Vehicle
@@ -25,7 +25,7 @@ def draw_plant(vehicle: Vehicle, *, seed: int) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class MonteCarlo(Drawn):
+class MonteCarlo(SeededPlan):
     """Runs of the scenario as its file has it, with drawn plants, obstacles and seeds, see `Uncertainty`.
 
     Raises:
@@ -57,12 +57,12 @@ class MonteCarlo(Drawn):
         rows = [self._row(k) for k in range(first, first + count)]
         return {name: np.array([row[name] for row in rows]) for name in (rows[0] if rows else ())}
 
-    def flight(self, k: int) -> Flight:
+    def run(self, k: int) -> SampledRun:
         """See `Plan`."""
         scenario = replace(self.case.scenario, obstacles=tuple(self._obstacles(k)))
-        return Flight(replace(self.case, scenario=scenario), self.first + k, self._plant(k))
+        return SampledRun(replace(self.case, scenario=scenario), self.first + k, self._plant(k))
 
-    def told(self) -> Mapping[str, object]:
+    def settings(self) -> Mapping[str, object]:
         """See `Plan`."""
         return {"first seed": self.first, "draws": "plant and obstacles"}
 
@@ -74,12 +74,12 @@ class MonteCarlo(Drawn):
     def _obstacles(self, k: int) -> list[Obstacle]:
         """As run k has them; each takes two numbers, whatever it is."""
         scenario, rng = self.case.scenario, np.random.default_rng([self.first + k, 4])
-        u, drawn = scenario.uncertainty, rng.uniform(-1, 1, (len(scenario.obstacles), 2)).tolist()
+        u, shares = scenario.uncertainty, rng.uniform(-1, 1, (len(scenario.obstacles), 2)).tolist()
         if not (u.obstacle_size or u.obstacle_speed):
             return list(scenario.obstacles)
         return [
             _scaled(o, self.case.vehicle, 1 + u.obstacle_size * size, 1 + u.obstacle_speed * speed)
-            for o, (size, speed) in zip(scenario.obstacles, drawn, strict=True)
+            for o, (size, speed) in zip(scenario.obstacles, shares, strict=True)
         ]
 
     def _row(self, k: int) -> dict[str, float]:
@@ -101,12 +101,12 @@ def _scaled(obstacle: Obstacle, vehicle: Vehicle, size: float, speed: float) -> 
 
 def obstacle_values(obstacles: Sequence[Obstacle]) -> dict[str, float]:
     """Size and speed of obstacles by knob name."""
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for o in obstacles:
         if o.size_m is not None:
-            found |= {f"obstacle.{o.name}.size_x": o.size_m[0], f"obstacle.{o.name}.size_y": o.size_m[1]}
+            values |= {f"obstacle.{o.name}.size_x": o.size_m[0], f"obstacle.{o.name}.size_y": o.size_m[1]}
         elif o.radius_m is not None:
-            found[f"obstacle.{o.name}.radius"] = o.radius_m
+            values[f"obstacle.{o.name}.radius"] = o.radius_m
         if o.speed_m_per_s is not None:
-            found[f"obstacle.{o.name}.speed"] = o.speed_m_per_s
-    return found
+            values[f"obstacle.{o.name}.speed"] = o.speed_m_per_s
+    return values

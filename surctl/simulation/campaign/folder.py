@@ -18,7 +18,7 @@ from surctl.files import prepare_folder, write_file
 from surctl.simulation.batch import build_loop
 from surctl.simulation.batch.pack import structure_of
 from surctl.simulation.campaign.campaign import CHUNK, Campaign
-from surctl.simulation.campaign.flight import Plan
+from surctl.simulation.campaign.plan import Plan
 from surctl.simulation.scenario_table import scenario_table
 from surctl.simulation.store import ChunkStore, cannot_write
 from surctl.simulation.toml_text import toml_text
@@ -52,13 +52,13 @@ class CampaignFolder:
             InputError: it cannot be written, or holds a campaign of something else, which is named.
         """
         prepare_folder(self.path)
-        note, asked = self.path / "campaign.json", [_asked(plan) for plan in self.plans]
+        note, requests = self.path / "campaign.json", [_request(plan) for plan in self.plans]
         if fresh:
             self._clear(note)
         if note.exists():
-            _compare(note, asked)
+            _compare(note, requests)
         else:
-            write_file(note, json.dumps({"kind": "campaign", "campaigns": asked}, indent=1) + "\n")
+            write_file(note, json.dumps({"kind": "campaign", "campaigns": requests}, indent=1) + "\n")
 
     def _clear(self, note: Path) -> None:
         """Take away what campaigns left here, and nothing else."""
@@ -79,8 +79,8 @@ class CampaignFolder:
             InputError: another process holds them, or they cannot be written.
         """
         structure = structure_of(plan.case, plan.values(0, 1))
-        digest = build_loop(structure).tick.digest()
-        text = json.dumps([_asked(plan), digest, CHUNK], sort_keys=True)
+        digest = build_loop(structure).step.digest()
+        text = json.dumps([_request(plan), digest, CHUNK], sort_keys=True)
         store = ChunkStore(
             self.path / "campaign.chunks" / _file_name(plan.name), hashlib.sha256(text.encode()).hexdigest()
         )
@@ -100,8 +100,8 @@ class CampaignFolder:
                 old.unlink()
             except OSError as error:
                 raise cannot_write(old, error) from None
-        found = campaign.worst(worst)
-        return [write_file(files / f"{name}-worst-{k}.toml", one.to_toml()) for k, one in enumerate(found, start=1)]
+        replays = campaign.worst(worst)
+        return [write_file(files / f"{name}-worst-{k}.toml", one.to_toml()) for k, one in enumerate(replays, start=1)]
 
 
 def _file_name(name: str) -> str:
@@ -110,7 +110,7 @@ def _file_name(name: str) -> str:
     return plain if plain == name else f"{plain}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
 
-def _asked(plan: Plan) -> dict[str, Any]:
+def _request(plan: Plan) -> dict[str, Any]:
     case = plan.case
     return {
         "scenario": _entry(case.scenario.name, toml_text(scenario_table(case.scenario))),
@@ -124,7 +124,7 @@ def _asked(plan: Plan) -> dict[str, Any]:
         "movers": case.movers,
         "gains": _entry(case.gains.name, repr(sorted(case.gains.values.items()))),
         "sensing": case.sensing,
-        **plan.told(),
+        **plan.settings(),
         "version": __version__,
     }
 
@@ -137,24 +137,24 @@ def _numbers(vehicle: Vehicle) -> str:
     return repr(sorted((name, p.value, p.range) for name, p in vehicle.parameters.items()))
 
 
-def _compare(note: Path, asked: Sequence[Mapping[str, Any]]) -> None:
+def _compare(note: Path, requests: Sequence[Mapping[str, Any]]) -> None:
     """InputError that names the first thing in which the folder's campaigns are others."""
     try:
         table = json.loads(note.read_text(encoding="utf-8"))
-        kept = [dict(one) for one in table["campaigns"]]
+        stored = [dict(one) for one in table["campaigns"]]
     except (OSError, ValueError, KeyError, TypeError):
         raise _other(note, "is no note of a campaign", None) from None
-    if len(kept) != len(asked):
-        raise _other(note, f"holds {len(kept)} campaigns where {len(asked)} are asked for", None)
-    for old, new in zip(kept, asked, strict=True):
+    if len(stored) != len(requests):
+        raise _other(note, f"holds {len(stored)} campaigns where {len(requests)} are asked for", None)
+    for old, new in zip(stored, requests, strict=True):
         for key, value in new.items():
             before = old.get(key)
             if before == value:
                 continue
             if isinstance(before, dict) and isinstance(value, dict) and before.get("name") == value["name"]:
                 raise _other(note, f"holds a campaign of a {key} of this name with other numbers", value["name"])
-            told = before.get("name") if isinstance(before, dict) else before
-            raise _other(note, f"holds a campaign of another {key}", told)
+            shown = before.get("name") if isinstance(before, dict) else before
+            raise _other(note, f"holds a campaign of another {key}", shown)
 
 
 def _other(note: Path, problem: str, value: object) -> InputError:

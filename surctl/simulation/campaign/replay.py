@@ -17,7 +17,7 @@ from surctl.files import Strict, read_toml, validate
 from surctl.guidance import AvoidanceForm, Guidance
 from surctl.priority import Mode
 from surctl.simulation.batch import Case
-from surctl.simulation.campaign.flight import Flight
+from surctl.simulation.campaign.plan import SampledRun
 from surctl.simulation.metrics import METRICS
 from surctl.simulation.run import Run, Sensing
 from surctl.simulation.scenario import scenario_from_table
@@ -49,7 +49,7 @@ class _RunFile(Strict):
     barrier: Barrier = "simple"
     movers: Movers = "predict"
     sensing: Sensing
-    stopped_because: Literal["time limit", "reached", "collision", "fault", "halted", "dead end"]
+    stopped_because: Literal["time limit", "reached", "collision", "fault", "stopped", "dead end"]
     broken_assumptions: tuple[str, ...] = ()
     figures: dict[str, float]
     draw: dict[str, float] = Field(default_factory=dict)
@@ -64,7 +64,7 @@ class Replay:
     """A run of a campaign, to be flown again.
 
     Attributes:
-        flight: what was flown.
+        run: what was flown.
         stopped_because: one of `STOPS`.
         figures: metric → value, those that are finite.
         campaign: that it is a run of.
@@ -72,7 +72,7 @@ class Replay:
         version: of the toolkit that flew it.
     """
 
-    flight: Flight
+    run: SampledRun
     stopped_because: str
     figures: Mapping[str, float]
     campaign: str
@@ -85,12 +85,12 @@ class Replay:
         Raises:
             InputError: sonars that no file can state.
         """
-        flight, case = self.flight, self.flight.case
+        run, case = self.run, self.run.case
         table: dict[str, Any] = {
             "kind": "run",
             "campaign": self.campaign,
             "version": self.version,
-            "seed": flight.seed,
+            "seed": run.seed,
             "law": case.law,
             "avoidance": case.avoidance,
             "guidance": case.guidance,
@@ -101,7 +101,7 @@ class Replay:
             "stopped_because": self.stopped_because,
             "broken_assumptions": list(self.broken),
             "figures": dict(self.figures),
-            "draw": dict(flight.draw),
+            "draw": dict(run.draw),
             "gains": {
                 "name": case.gains.name,
                 "provenance": case.gains.provenance,
@@ -122,18 +122,18 @@ class Replay:
         m = run.metrics
         if m.stopped_because != self.stopped_because:
             return inf
-        found = {name: float(getattr(m, name)) for name in _FIGURES}
-        if {name for name, value in found.items() if isfinite(value)} != set(self.figures):
+        measured = {name: float(getattr(m, name)) for name in _FIGURES}
+        if {name for name, value in measured.items() if isfinite(value)} != set(self.figures):
             return inf
         return max(
-            (abs(found[name] - value) / max(1.0, abs(value)) for name, value in self.figures.items()), default=0.0
+            (abs(measured[name] - value) / max(1.0, abs(value)) for name, value in self.figures.items()), default=0.0
         )
 
 
-def replay_of(flight: Flight, row: Mapping[str, Any], *, campaign: str) -> Replay:
+def replay_of(run: SampledRun, row: Mapping[str, Any], *, campaign: str) -> Replay:
     """A run of a campaign from its flight and its row, see `RunTable.row`."""
     figures = {name: row[name] for name in _FIGURES if isfinite(row[name])}
-    return Replay(flight, row["stopped_because"], figures, campaign, tuple(row["broken_assumptions"]))
+    return Replay(run, row["stopped_because"], figures, campaign, tuple(row["broken_assumptions"]))
 
 
 def load_replay(path: Path | str) -> Replay:
@@ -167,8 +167,8 @@ def load_replay(path: Path | str) -> Replay:
         file.barrier,
         file.movers,
     )
-    flight = Flight(case, file.seed, file.draw)
-    return Replay(flight, file.stopped_because, file.figures, file.campaign, file.broken_assumptions, file.version)
+    run = SampledRun(case, file.seed, file.draw)
+    return Replay(run, file.stopped_because, file.figures, file.campaign, file.broken_assumptions, file.version)
 
 
 def _gains(table: _GainTable, path: Path) -> Gains:
@@ -183,8 +183,8 @@ def _vehicle_table(vehicle: Vehicle) -> dict[str, Any]:
     table: dict[str, Any] = {"kind": "vehicle", "name": vehicle.name, "note": vehicle.note}
     for name, spec in PARAMETERS.items():
         known = vehicle.parameters[name]
-        told: dict[str, Any] = {"value": float(known.value), "unit": known.unit, "provenance": known.provenance}
+        entry: dict[str, Any] = {"value": float(known.value), "unit": known.unit, "provenance": known.provenance}
         if known.range is not None:
-            told["range"] = list(known.range)
-        table.setdefault(spec.table, {})[name] = told
+            entry["range"] = list(known.range)
+        table.setdefault(spec.table, {})[name] = entry
     return table

@@ -39,8 +39,8 @@ class Summary:
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
         return {
-            "stopped": {reason: _told(share) for reason, share in self.stopped.items()},
-            "collisions_within_assumptions": None if self.inside is None else _told(self.inside),
+            "stopped": {reason: _share_dict(share) for reason, share in self.stopped.items()},
+            "collisions_within_assumptions": None if self.inside is None else _share_dict(self.inside),
             "time_s": {f"p{p}": value for p, value in self.time_s.items()},
             "min_clearance_m": {f"p{p}": value for p, value in self.clearance_m.items()},
             "collisions_by_broken_assumption": dict(self.broken),
@@ -48,29 +48,29 @@ class Summary:
 
     def lines(self) -> list[str]:
         """For people."""
-        told = []
-        for reason in ("collision", "time limit", "halted", "dead end", "fault"):
+        lines = []
+        for reason in ("collision", "time limit", "stopped", "dead end", "fault"):
             s = self.stopped[reason]
-            told.append(
+            lines.append(
                 f"  {reason:<11}{s.count:>7} of {s.runs}: {s.rate:.3%}, with 95 % confidence at most {s.at_most():.3%}"
             )
         reached = self.stopped["reached"]
-        told.append(f"  {'reached':<11}{reached.count:>7} of {reached.runs}: {reached.rate:.3%}")
-        for name, unit, found in (("time", "s", self.time_s), ("clearance", "m", self.clearance_m)):
-            if found:
-                values = ", ".join(f"{value:.4g} {unit} ({p} %)" for p, value in found.items())
-                told.append(f"  {name:<11}{values}")
+        lines.append(f"  {'reached':<11}{reached.count:>7} of {reached.runs}: {reached.rate:.3%}")
+        for name, unit, percentiles in (("time", "s", self.time_s), ("clearance", "m", self.clearance_m)):
+            if percentiles:
+                values = ", ".join(f"{value:.4g} {unit} ({p} %)" for p, value in percentiles.items())
+                lines.append(f"  {name:<11}{values}")
         if self.broken:
-            told.append("  collisions by broken assumption: " + ", ".join(f"{n} {k}" for k, n in self.broken.items()))
+            lines.append("  collisions by broken assumption: " + ", ".join(f"{n} {k}" for k, n in self.broken.items()))
         if self.inside is None:
-            told.append("  every run breaks an assumption of the claim")
+            lines.append("  every run breaks an assumption of the claim")
         else:
             s = self.inside
-            told.append(
+            lines.append(
                 f"  within the claim's assumptions: {s.count} of {s.runs} collided, "
                 f"with 95 % confidence at most {s.at_most():.3%}"
             )
-        return told
+        return lines
 
 
 def summarise(table: RunTable) -> Summary:
@@ -95,7 +95,7 @@ def summarise(table: RunTable) -> Summary:
     )
 
 
-def _told(share: Share) -> dict[str, float]:
+def _share_dict(share: Share) -> dict[str, float]:
     return {"count": share.count, "runs": share.runs, "rate": share.rate, "at_most_95": share.at_most()}
 
 

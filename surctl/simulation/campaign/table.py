@@ -57,9 +57,9 @@ class RunTable:
         figures = {name: float(self.figures[k, j]) for j, name in enumerate(METRICS) if name != "stopped"}
         for name in _FIRST:
             figures[name] = bool(figures[name])
-        told = {"seed": int(self.seeds[k]), "stopped_because": self.stopped(k), **figures}
-        drawn = {name: float(column[k]) for name, column in self.values.items()}
-        return {**told, "broken_assumptions": list(self.broken[k]), "drawn": drawn}
+        result = {"seed": int(self.seeds[k]), "stopped_because": self.stopped(k), **figures}
+        draw = {name: float(column[k]) for name, column in self.values.items()}
+        return {**result, "broken_assumptions": list(self.broken[k]), "draw": draw}
 
     def to_csv(self) -> str:
         """All runs, a line each, every number with all its digits."""
@@ -69,8 +69,8 @@ class RunTable:
         writer.writerow(["seed", "stopped_because", *names, "broken_assumptions", *self.values])
         for k in range(len(self)):
             row = self.row(k)
-            told = [int(row[name]) if name in _FIRST else repr(row[name]) for name in names]
-            drawn = [repr(value) for value in row["drawn"].values()]
+            cells = [int(row[name]) if name in _FIRST else repr(row[name]) for name in names]
+            draw = [repr(value) for value in row["draw"].values()]
             broken = "; ".join(row["broken_assumptions"])
-            writer.writerow([row["seed"], row["stopped_because"], *told, broken, *drawn])
+            writer.writerow([row["seed"], row["stopped_because"], *cells, broken, *draw])
         return text.getvalue()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError
 from surctl.simulation.campaign.draws import draw_plant
-from surctl.simulation.campaign.flight import Drawn, Flight
+from surctl.simulation.campaign.plan import SampledRun, SeededPlan
 from surctl.simulation.fit import findings
 from surctl.simulation.motion import closest
 from surctl.simulation.obstacle import Obstacle
@@ -39,7 +39,7 @@ _RADII = (0.1, 0.4)  # [m] of a cylinder (*chosen*)
 _BALLS = (0.15, 0.35)  # [m] of what moves (*chosen*; the paper's are as large as the robot)
 _NEAR = 1.0  # [m] between hull and what moves, at the start; the same at the target where it ends (*chosen*)
 _BETWEEN = 0.1  # [m] beside a hull between two that move (*chosen*)
-_LEAST_WAY = 1.0  # [m] of what moves (*chosen*)
+_LEAST_DISTANCE = 1.0  # [m] of what moves (*chosen*)
 _TRIES = 100_000
 
 
@@ -65,16 +65,16 @@ def random_world(vehicle: Vehicle, *, seed: int) -> Scenario:
     still = count - movers
     for _ in range(_TRIES):
         table = world_table(f"world-{seed}", vehicle, _still(rng, still))
-        found = _feasible(table, vehicle)
-        if found is None:
+        world = _feasible(table, vehicle)
+        if world is None:
             continue
-        moving = _moving(rng, movers, found, vehicle)
+        moving = _moving(rng, movers, world, vehicle)
         if moving is None:
             continue
         table["obstacles"] = [*table["obstacles"], *moving]
-        found = _feasible(table, vehicle)
-        if found is not None:
-            return found
+        world = _feasible(table, vehicle)
+        if world is not None:
+            return world
     raise SurctlError(f"{vehicle.name} fits no random world of seed {seed}")
 
 
@@ -112,7 +112,7 @@ def world_template(vehicle: Vehicle) -> Scenario:
 
 
 @dataclass(frozen=True)
-class RandomWorlds(Drawn):
+class RandomWorlds(SeededPlan):
     """Drawn worlds, all flown by one compiled loop; run k flies the world of its seed.
 
     The case is of `world_template`, with the sensors, the time limit and so on that all have.
@@ -137,27 +137,27 @@ class RandomWorlds(Drawn):
     @property
     def names(self) -> tuple[str, ...]:
         """See `Plan`."""
-        drawn = [f"plant.{name}" for name in self._draw(0)]
-        return (*drawn, *(name for o in self.case.scenario.obstacles for name in _values(o, there=False)))
+        plant = [f"plant.{name}" for name in self._draw(0)]
+        return (*plant, *(name for o in self.case.scenario.obstacles for name in _values(o, there=False)))
 
     def values(self, first: int, count: int) -> Mapping[str, NDArray[np.float64]]:
         """See `Plan`."""
         rows = [self._row(k) for k in range(first, first + count)]
         return {name: np.array([row[name] for row in rows]) for name in self.names}
 
-    def flight(self, k: int) -> Flight:
+    def run(self, k: int) -> SampledRun:
         """See `Plan`."""
-        return Flight(replace(self.case, scenario=self.world(k)), self.first + k, self._draw(k))
+        return SampledRun(replace(self.case, scenario=self.world(k)), self.first + k, self._draw(k))
 
-    def told(self) -> Mapping[str, object]:
+    def settings(self) -> Mapping[str, object]:
         """See `Plan`."""
         return {"first seed": self.first, "draws": "worlds and plant" if self.plant else "worlds"}
 
     def world(self, k: int) -> Scenario:
         """The scenario of run k; drawn once."""
         if k not in self._known:
-            drawn = random_world(self.case.vehicle, seed=self.first + k)
-            self._known[k] = replace(self.case.scenario, name=drawn.name, obstacles=drawn.obstacles)
+            world = random_world(self.case.vehicle, seed=self.first + k)
+            self._known[k] = replace(self.case.scenario, name=world.name, obstacles=world.obstacles)
         return self._known[k]
 
     def _draw(self, k: int) -> dict[str, float]:
@@ -173,35 +173,35 @@ class RandomWorlds(Drawn):
 
 def _values(obstacle: Obstacle, *, there: bool) -> dict[str, float]:
     """All numbers of an obstacle, and whether it is there, by knob name."""
-    found = {"there": float(there), "x": obstacle.centre_m[0], "y": obstacle.centre_m[1]}
+    values = {"there": float(there), "x": obstacle.centre_m[0], "y": obstacle.centre_m[1]}
     if obstacle.size_m is not None:
-        found |= {"size_x": obstacle.size_m[0], "size_y": obstacle.size_m[1]}
+        values |= {"size_x": obstacle.size_m[0], "size_y": obstacle.size_m[1]}
     else:
-        found["radius"] = float(obstacle.radius_m or 0.0)
+        values["radius"] = float(obstacle.radius_m or 0.0)
     if obstacle.to_m is not None:
-        found |= {"to_x": obstacle.to_m[0], "to_y": obstacle.to_m[1], "speed": float(obstacle.speed_m_per_s or 0.0)}
-    return {f"obstacle.{obstacle.name}.{name}": value for name, value in found.items()}
+        values |= {"to_x": obstacle.to_m[0], "to_y": obstacle.to_m[1], "speed": float(obstacle.speed_m_per_s or 0.0)}
+    return {f"obstacle.{obstacle.name}.{name}": value for name, value in values.items()}
 
 
 def _still(rng: np.random.Generator, count: int) -> list[dict[str, Any]]:
     boxes = (count + 1) // 2
-    found: list[dict[str, Any]] = []
+    obstacles: list[dict[str, Any]] = []
     for k in range(count):
         if k < boxes:
             size = rng.uniform(*_EDGES, 2)
-            room = size / 2
+            half = size / 2
             shape: dict[str, Any] = {"name": f"box-{k + 1}", "shape": "box", "size_m": _millimetres(size)}
         else:
             radius = rng.uniform(*_RADII)
-            room = np.array([radius, radius])
+            half = np.array([radius, radius])
             shape = {"name": f"cylinder-{k - boxes + 1}", "shape": "cylinder", "radius_m": round(float(radius), 3)}
-        found.append({**shape, "centre_m": _millimetres(rng.uniform(room, np.array([LENGTH, WIDTH]) - room))})
-    return found
+        obstacles.append({**shape, "centre_m": _millimetres(rng.uniform(half, np.array([LENGTH, WIDTH]) - half))})
+    return obstacles
 
 
 def _moving(rng: np.random.Generator, count: int, scenario: Scenario, vehicle: Vehicle) -> list[dict[str, Any]] | None:
     """So many moving obstacles between what stands still; None when there is no room for one."""
-    found: list[Obstacle] = []
+    obstacles: list[Obstacle] = []
     for k in range(count):
         for _ in range(200):
             radius = round(float(rng.uniform(*_BALLS)), 3)
@@ -211,22 +211,25 @@ def _moving(rng: np.random.Generator, count: int, scenario: Scenario, vehicle: V
             away = radius + vehicle["radius"] + _NEAR
             if hypot(start[0] - START[0], start[1] - START[1]) < away:
                 continue
-            if hypot(end[0] - TARGET[0], end[1] - TARGET[1]) < away or hypot(*np.subtract(end, start)) < _LEAST_WAY:
+            if (
+                hypot(end[0] - TARGET[0], end[1] - TARGET[1]) < away
+                or hypot(*np.subtract(end, start)) < _LEAST_DISTANCE
+            ):
                 continue
-            way = np.linspace(start, end, 100).tolist()
-            if any(o.distance((x, y)) <= radius for o in scenario.obstacles for x, y in way):
+            path = np.linspace(start, end, 100).tolist()
+            if any(o.distance((x, y)) <= radius for o in scenario.obstacles for x, y in path):
                 continue
-            told = {"centre_m": start, "to_m": end, "radius_m": radius, "speed_m_per_s": speed}
-            one = Obstacle.model_validate({"name": f"mover-{k + 1}", "shape": "moving", **told})
-            if all(_leaves_room(one, other, scenario, vehicle) for other in found):
+            motion = {"centre_m": start, "to_m": end, "radius_m": radius, "speed_m_per_s": speed}
+            one = Obstacle.model_validate({"name": f"mover-{k + 1}", "shape": "moving", **motion})
+            if all(_leaves_gap(one, other, scenario, vehicle) for other in obstacles):
                 break
         else:
             return None
-        found.append(one)
-    return [o.model_dump(exclude_unset=True) for o in found]
+        obstacles.append(one)
+    return [o.model_dump(exclude_unset=True) for o in obstacles]
 
 
-def _leaves_room(one: Obstacle, other: Obstacle, scenario: Scenario, vehicle: Vehicle) -> bool:
+def _leaves_gap(one: Obstacle, other: Obstacle, scenario: Scenario, vehicle: Vehicle) -> bool:
     """Whether a hull fits between two that move, all the time that both are there."""
     wide = (one.radius_m or 0.0) + (other.radius_m or 0.0) + 2 * vehicle["radius"] + _BETWEEN
     return closest(one, other, until=scenario.time_limit) >= wide
@@ -240,7 +243,7 @@ def _feasible(table: Mapping[str, Any], vehicle: Vehicle) -> Scenario | None:
     """The scenario, if nothing in it is an error."""
     try:
         scenario = scenario_from_table(dict(table), source="")
-        found = findings(scenario, vehicle)
+        results = findings(scenario, vehicle)
     except InputError:
         return None
-    return None if any(f.level == "error" for f in found) else scenario
+    return None if any(f.level == "error" for f in results) else scenario

@@ -140,7 +140,7 @@ class BrakingClaim:
             "encounter": {
                 "obstacles_m_per_s": list(self.obstacles),
                 "current_m_per_s": b.current,
-                "push_n": b.push,
+                "disturbance_n": b.disturbance,
                 "sideways_m_per_s": self.sideways,
                 "turn_rad_per_s": self.turn,
                 "fastest_m_per_s": self.fastest,

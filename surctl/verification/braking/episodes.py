@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from surctl.guidance.braking import Watch, allowed_speed
 from surctl.verification.braking.claim import BrakingClaim, LawNumbers
-from surctl.verification.braking.way import WayTable, figures_needed, way_table
+from surctl.verification.braking.distance import DistanceTable, distance_table, figures_needed
 
-__all__ = ["Flights", "Rule", "fly", "rule_of"]
+__all__ = ["Episodes", "Rule", "rule_of", "run_episodes"]
 
 _STEP = 0.005  # [s]
 _NEAR = 0.1  # [m]
@@ -30,7 +30,7 @@ Rule = Callable[[Vector, Vector, Vector], NDArray[np.bool_]]
 
 
 @dataclass(frozen=True)
-class Flights:
+class Episodes:
     """What came of many flights.
 
     Attributes:
@@ -48,7 +48,7 @@ class Flights:
     braked: float
 
 
-def rule_of(claim: BrakingClaim, *, obstacle: float, table: WayTable | None = None) -> Rule:
+def rule_of(claim: BrakingClaim, *, obstacle: float, table: DistanceTable | None = None) -> Rule:
     """When the claim's vehicle brakes before an obstacle of that speed [m/s].
 
     The bare rule: unless the range needed is there; `table` is the way it goes by, by default that of the proof. The
@@ -56,9 +56,9 @@ def rule_of(claim: BrakingClaim, *, obstacle: float, table: WayTable | None = No
     """
     if claim.law is not None:
         return _law_rule(claim, claim.law, obstacle)
-    way = way_table(claim, obstacle) if table is None else table
+    distances = distance_table(claim, obstacle) if table is None else table
     grid = np.linspace(-1.0, claim.fastest + claim.watch.speed_error, 2001)
-    still = np.array([figures_needed(claim, way, float(v), since=-np.inf) for v in grid])
+    still = np.array([figures_needed(claim, distances, float(v), since=-np.inf) for v in grid])
 
     def brakes(read: Vector, speed: Vector, since: Vector) -> NDArray[np.bool_]:
         late = np.maximum(np.maximum(since, speed) + claim.watch.speed_error + obstacle, 0.0) * claim.watch.age
@@ -91,7 +91,7 @@ def _bound(law: LawNumbers, watch: Watch, distance: float, obstacle: float) -> f
     return (h / t if h < 0 else float(np.sqrt((a * t) ** 2 + 2 * a * h)) - a * t) - obstacle
 
 
-def fly(
+def run_episodes(
     claim: BrakingClaim,
     *,
     obstacle: float,
@@ -99,7 +99,7 @@ def fly(
     seconds: float = 20.0,
     seed: int = 0,
     rule: Rule | None = None,
-) -> Flights:
+) -> Episodes:
     """Fly inside the assumptions.
 
     Args:
@@ -119,7 +119,7 @@ def fly(
         if k % each == 0:
             braked |= world.decide(decide)
         world.step()
-    return Flights(
+    return Episodes(
         runs, int(np.sum(least < 0)), float(least.min()), float(np.mean(least < _NEAR)), float(braked.mean())
     )
 
@@ -151,7 +151,7 @@ class _World:
         self.thrust, self.braking = np.zeros(shape), np.zeros(runs, dtype=bool)
         self.mood = np.where(worst, 0.0, rng.uniform(size=runs))
         self.past: list[tuple[Vector, Vector]] = []
-        self.asked, self.came = np.zeros(shape), np.zeros(shape)
+        self.command, self.came = np.zeros(shape), np.zeros(shape)
         self.sign = np.ones((2, runs))
 
     def look(self) -> Vector:
@@ -174,7 +174,7 @@ class _World:
         self.braking = rule(self.past[0][0] + w.range_error * self.sign[0], speed, since)
         self.latched = np.where(self.braking[:, None], self.latched, self.normal)
         across = np.column_stack([-self.latched[:, 1], self.latched[:, 0]])
-        self.asked = np.where(self.braking[:, None], -self.brake[:, None] * self.latched, self._free(across))
+        self.command = np.where(self.braking[:, None], -self.brake[:, None] * self.latched, self._free(across))
         self.came = self.fastest_obstacle * self._obstacle(across)
         return self.braking
 
@@ -185,9 +185,9 @@ class _World:
         aside = np.sum(self.velocity * across, axis=1)
         ahead = np.where(towards < claim.fastest - 0.01, b.most, 0.0)
         slanted = np.where(mood < 0.3, 0.0, (2 * mood - 1.0) * b.most * 0.7)
-        room = np.abs(aside) + b.most * self.claim.watch.period / b.masses[0] + 0.02 < claim.sideways
+        below_limit = np.abs(aside) + b.most * self.claim.watch.period / b.masses[0] + 0.02 < claim.sideways
         sideways = np.where(
-            room | (slanted * aside < 0), slanted, -np.sign(aside) * np.minimum(abs(aside) * 40, b.most)
+            below_limit | (slanted * aside < 0), slanted, -np.sign(aside) * np.minimum(abs(aside) * 40, b.most)
         )
         sideways = np.where(self.worst, 0.0, sideways)
         forward = np.sqrt(np.maximum(b.most**2 - sideways**2, 0.0)) * np.where(ahead > 0, 1.0, 0.0)
@@ -204,13 +204,13 @@ class _World:
     def step(self) -> None:
         """One step of the plant: thrust with lag turns with the hull; drag at its worst along the direction."""
         b, h = self.claim.brakes, _STEP
-        force = self.thrust + (b.push * self.latched if b.push else 0.0) - self._drag()
+        force = self.thrust + (b.disturbance * self.latched if b.disturbance else 0.0) - self._drag()
         rate = force / self.mass[:, None]
         self.gap = self.gap + h * (self.came - self.velocity - h / 2 * rate)
         self.velocity = self.velocity + h * rate
         share = 1 - np.exp(-h / np.maximum(self.lag, 1e-6))
         turned = _turned(self.thrust, self.turn * h)  # what was delivered goes round with the hull
-        self.thrust = turned + share[:, None] * (self.asked - turned)
+        self.thrust = turned + share[:, None] * (self.command - turned)
         self.heading = self.heading + self.turn * h
 
     def _drag(self) -> Vector:

@@ -53,7 +53,7 @@ def _rule(*, wide: bool, sideways: float = 0.0) -> Callable[[str, Vehicle, Gains
     return build
 
 
-def _flown(
+def _guarded(
     barrier: Barrier,
     *,
     wide: bool = False,
@@ -114,21 +114,21 @@ BRAKING_CLAIMS: Mapping[str, BrakingEntry] = {
     ),
     "braking-inertia-20": BrakingEntry(
         "law guarded, barrier inertia, never touches what stands: all off by ±20 %, spinning, any sideways speed",
-        _flown("inertia", spins=True),
+        _guarded("inertia", spins=True),
     ),
     "braking-inertia-ranges": BrakingEntry(
-        "the same over the ranges of the vehicle file", _flown("inertia", wide=True, spins=True)
+        "the same over the ranges of the vehicle file", _guarded("inertia", wide=True, spins=True)
     ),
     "braking-inertia-20-axes": BrakingEntry(
         "the same as braking-inertia-20 with drag and thrust limits axis by axis, 0.05 m/s sideways",
-        _flown("inertia", drag="axes", sideways=0.05, spins=True),
+        _guarded("inertia", drag="axes", sideways=0.05, spins=True),
     ),
     "braking-inertia-20-movers": BrakingEntry(
         "barrier on movers too: what comes on at 0.05 m/s, all off by ±20 %, 0.1 m/s sideways",
-        _flown("inertia", obstacle=0.05, sideways=0.1),
+        _guarded("inertia", obstacle=0.05, sideways=0.1),
     ),
     "braking-simple-20": BrakingEntry(
-        "the same as braking-inertia-20 of barrier simple, not spinning", _flown("simple")
+        "the same as braking-inertia-20 of barrier simple, not spinning", _guarded("simple")
     ),
 }
 

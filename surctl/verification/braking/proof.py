@@ -8,7 +8,7 @@ from typing import Any
 
 from surctl.certcheck import check_document, seal
 from surctl.verification.braking.claim import BrakingClaim
-from surctl.verification.braking.way import figures, largest_obstacle, way_table
+from surctl.verification.braking.distance import distance_table, figures, largest_obstacle
 from surctl.verification.certified import Certified
 
 __all__ = ["BrakingProof", "prove_braking"]
@@ -20,13 +20,13 @@ class BrakingProof(Certified):
 
     Attributes:
         claim: what was claimed.
-        reach: range needed at the highest speed of the table before the quickest obstacle [m].
+        range_needed: range needed at the highest speed of the table before the quickest obstacle [m].
         seconds: time it took [s].
         check_seconds: the checker's share of it [s].
     """
 
     claim: BrakingClaim
-    reach: float
+    range_needed: float
     seconds: float
     check_seconds: float
 
@@ -38,7 +38,7 @@ class BrakingProof(Certified):
         claim, quickest = self.claim, max(self.claim.obstacles)
         what = f"obstacles that approach at up to {quickest:g} m/s" if quickest else "obstacles that stand still"
         return (
-            f"proved: no contact with {what}, provided they are detected at {self.reach:.2f} m or more "
+            f"proved: no contact with {what}, provided they are detected at {self.range_needed:.2f} m or more "
             f"(robot at {max(claim.speeds):g} m/s); checked in {self.check_seconds:.2f} s"
         )
 
@@ -46,7 +46,7 @@ class BrakingProof(Certified):
         """Plain data for JSON."""
         return {
             **self.decided(),
-            "range_needed_m": self.reach,
+            "range_needed_m": self.range_needed,
             "seconds": self.seconds,
             "check_seconds": self.check_seconds,
         }
@@ -59,10 +59,10 @@ def prove_braking(claim: BrakingClaim) -> BrakingProof:
     if max(claim.obstacles) >= limit:
         reason = f"braking guarantees nothing before an obstacle of {limit:.4g} m/s or more"
         return BrakingProof(claim, "unknown", {}, reason, 0.0, time.perf_counter() - began, 0.0)
-    tables = [way_table(claim, obstacle) for obstacle in claim.obstacles]
-    told = figures(claim, tables)
-    ways = [{"knots": t.knots.tolist(), "slopes": t.slopes.tolist()} for t in tables]
-    document = seal("braking", claim.document(told, limit), {"proof": {"ways": ways}})
+    tables = [distance_table(claim, obstacle) for obstacle in claim.obstacles]
+    table = figures(claim, tables)
+    distances = [{"knots": t.knots.tolist(), "slopes": t.slopes.tolist()} for t in tables]
+    document = seal("braking", claim.document(table, limit), {"proof": {"distances": distances}})
     checked = check_document(document)
     good = checked.accepted
     return BrakingProof(
@@ -70,7 +70,7 @@ def prove_braking(claim: BrakingClaim) -> BrakingProof:
         "proved" if good else "unknown",
         document if good else {},
         checked.reason,
-        told["needed_m"][-1][-1] if good else 0.0,
+        table["needed_m"][-1][-1] if good else 0.0,
         time.perf_counter() - began,
         checked.seconds,
     )

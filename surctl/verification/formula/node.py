@@ -95,21 +95,21 @@ def power(base: Node, exponent: int) -> Node:
 
 def ordered(*roots: Node) -> Iterator[Node]:
     """Every distinct node below the roots, operands before their use."""
-    seen: set[Node] = set()
+    visited: set[Node] = set()
     stack = [(root, False) for root in reversed(roots)]
     while stack:
         node, expanded = stack.pop()
         if expanded:
             yield node
-        elif node not in seen:
-            seen.add(node)
+        elif node not in visited:
+            visited.add(node)
             stack.append((node, True))
             stack.extend((a, False) for a in reversed(node.args))
 
 
 def rebuilt(root: Node, change: Callable[[Node, tuple[Node, ...]], Node]) -> Node:
     """The expression with every node replaced by change(node, operands as already replaced)."""
-    made: dict[Node, Node] = {}
+    replaced: dict[Node, Node] = {}
     for node in ordered(root):
-        made[node] = change(node, tuple(made[a] for a in node.args))
-    return made[root]
+        replaced[node] = change(node, tuple(replaced[a] for a in node.args))
+    return replaced[root]

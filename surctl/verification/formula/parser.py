@@ -82,16 +82,16 @@ class _Parser:
     def _split(self, text: str) -> list[_Token]:
         tokens, at, end = [], 0, len(text.rstrip())
         while at < end:
-            found = _TOKEN.match(text, at)
-            assert found is not None  # the last group takes any character
-            kind = ("number", "name", "sign", "other")[(found.lastindex or 1) - 1]
-            token = _Token(kind, found[found.lastindex or 1], found.start(found.lastindex or 1) + 1)
+            match = _TOKEN.match(text, at)
+            assert match is not None  # the last group takes any character
+            kind = ("number", "name", "sign", "other")[(match.lastindex or 1) - 1]
+            token = _Token(kind, match[match.lastindex or 1], match.start(match.lastindex or 1) + 1)
             if kind == "other":
                 raise self._mistake("is not of the grammar", token, "use + - * / ^ ( ) , numbers and names")
             if token.text == "**":
                 raise self._mistake("is not of the grammar", token, "write ^ for a power")
             tokens.append(token)
-            at = found.end()
+            at = match.end()
         tokens.append(_Token("end", "end of text", end + 1))
         return tokens
 
@@ -197,5 +197,5 @@ class _Parser:
 
     def _mistake(self, problem: str, token: _Token, remedy: str) -> InputError:
         shown = token.text if len(token.text) <= 40 else token.text[:37] + "..."
-        told = f"{shown!r} at column {token.column} {problem}"
-        return InputError(told, file=self._file, key=self._key or "expression", remedy=remedy)
+        message = f"{shown!r} at column {token.column} {problem}"
+        return InputError(message, file=self._file, key=self._key or "expression", remedy=remedy)

@@ -51,28 +51,28 @@ def from_casadi(symbols: ca.SX, names: Sequence[str], expressions: Sequence[ca.S
     function = ca.Function("claim", [symbols], [ca.densify(ca.vertcat(*expressions, 0))])
     program = lower(function)
     constants = [i.number for i in program.instructions if i.op == "const"]
-    made: list[Node | None] = []
+    nodes: list[Node | None] = []
     for instruction in program.instructions:
         if instruction.op == "const":
-            made.append(_constant(instruction.number, constants))
+            nodes.append(_constant(instruction.number, constants))
         elif instruction.op == "input":
-            made.append(variable(names[instruction.args[1]]))
+            nodes.append(variable(names[instruction.args[1]]))
         elif instruction.op in _ORDERED:
-            made.append(None)  # read by the select that it decides
+            nodes.append(None)  # read by the select that it decides
         else:
-            made.append(_operation(instruction, program.instructions, made))
+            nodes.append(_operation(instruction, program.instructions, nodes))
     refs = program.output_refs[0][:-1]
-    return [_given(made, r, "comparison") for r in refs]
+    return [_operand(nodes, r, "comparison") for r in refs]
 
 
-def _operation(instruction: Instruction, all_of_them: Sequence[Instruction], made: Sequence[Node | None]) -> Node:
+def _operation(instruction: Instruction, all_of_them: Sequence[Instruction], nodes: Sequence[Node | None]) -> Node:
     op = instruction.op
     if op == "select" and all_of_them[instruction.args[0]].op in _ORDERED:
         condition = all_of_them[instruction.args[0]]
-        a, b = (_given(made, at, condition.op) for at in condition.args)
-        x, y = (_given(made, at, op) for at in instruction.args[1:])
+        a, b = (_operand(nodes, at, condition.op) for at in condition.args)
+        x, y = (_operand(nodes, at, op) for at in instruction.args[1:])
         return Node("select", (a, b, x, y)) if condition.op == "le" else Node("select", (b, a, y, x))
-    args = tuple(_given(made, at, op) for at in instruction.args)
+    args = tuple(_operand(nodes, at, op) for at in instruction.args)
     if op in _PLAIN:
         return Node(_PLAIN[op], args)
     if op == "sq":
@@ -88,8 +88,8 @@ def _operation(instruction: Instruction, all_of_them: Sequence[Instruction], mad
     )
 
 
-def _given(made: Sequence[Node | None], at: int, op: str) -> Node:
-    node = made[at]
+def _operand(nodes: Sequence[Node | None], at: int, op: str) -> Node:
+    node = nodes[at]
     if node is None:
         raise UnsupportedOperation(
             f"a comparison as an operand of {op!r} is not of the claim grammar", key="claim", remedy="use select"
@@ -113,10 +113,10 @@ def _constant(value: float, others: Sequence[float]) -> Node:
 
 def to_casadi(root: Node, symbols: Mapping[str, ca.SX]) -> ca.SX:
     """The expression in SX; numbers become doubles."""
-    made: dict[Node, ca.SX] = {}
+    converted: dict[Node, ca.SX] = {}
     for node in ordered(root):
-        made[node] = _symbolic(node, [made[a] for a in node.args], symbols)
-    return ca.SX(made[root])
+        converted[node] = _symbolic(node, [converted[a] for a in node.args], symbols)
+    return ca.SX(converted[root])
 
 
 def _symbolic(node: Node, args: list[ca.SX], symbols: Mapping[str, ca.SX]) -> ca.SX:

@@ -19,13 +19,13 @@ def text_of(root: Node) -> str:
     Raises:
         InputError: it would be longer than an expression may be (shared parts are written out each time).
     """
-    made: dict[Node, tuple[str, int]] = {}
+    texts: dict[Node, tuple[str, int]] = {}
     for node in ordered(root):
-        text, level = _one(node, [made[a] for a in node.args])
+        text, level = _one(node, [texts[a] for a in node.args])
         if len(text) > LONGEST:
             raise InputError(f"is longer than {LONGEST} characters", key="expression", remedy="split the claim")
-        made[node] = text, level
-    return made[root][0]
+        texts[node] = text, level
+    return texts[root][0]
 
 
 def decimal_text(value: Fraction) -> str:

@@ -56,11 +56,11 @@ def corners(vehicle: Vehicle, uncertainty: float | None = None, *, alike: bool =
         named = [[name for name in group if vehicle.parameters[name].range is not None] for group in groups]
         free = [group for group in named if group]
         sides = product((0, 1), repeat=len(free))
-        found = [_with(vehicle, _ends(vehicle, free, side)) for side in sides] if free else []
-        if not found:
+        vehicles = [_with(vehicle, _ends(vehicle, free, side)) for side in sides] if free else []
+        if not vehicles:
             return Corners((vehicle,), "itself alone: its file states no ranges")
         tied = ", surge and sway of one mass" if _MASSES in groups else ""
-        return Corners((vehicle, *found), f"the {len(found)} corners of its stated ranges{tied}")
+        return Corners((vehicle, *vehicles), f"the {len(vehicles)} corners of its stated ranges{tied}")
     if not 0 <= uncertainty < 1:
         raise InputError(
             "must be at least 0 and less than 1", key="uncertainty", value=uncertainty, remedy="write 0.2 for ±20 %"
@@ -76,13 +76,13 @@ def _alike(vehicle: Vehicle) -> bool:
 
 
 def _ends(vehicle: Vehicle, groups: list[list[str]], side: tuple[int, ...]) -> dict[str, float]:
-    found = {}
+    values = {}
     for group, end in zip(groups, side, strict=True):
         for name in group:
             known = vehicle.parameters[name].range
             assert known is not None  # the groups hold none without
-            found[name] = float(known[end])
-    return found
+            values[name] = float(known[end])
+    return values
 
 
 def _scaled(vehicle: Vehicle, mass: float, drag: float) -> Vehicle:

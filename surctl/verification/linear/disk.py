@@ -36,7 +36,7 @@ _PEAKS = 3  # of the grid that are looked at closely
 _LOW_PEAK = 0.9  # of the highest
 _SHRINKS = 24
 _GOLDEN = (np.sqrt(5) - 1) / 2
-_ROOM = 2e-3  # the level that is covered lies above the peak that was found by this share
+_EXCESS = 2e-3  # the level that is covered lies above the peak that was found by this share
 _ROUNDS = 40
 _STEPS = 400
 _ON_AXIS = 1e-7  # eigenvalues this near to the imaginary axis, in parts of their size, count as on it
@@ -92,7 +92,7 @@ def disk_margin(loop: OpenLoop, place: str = "") -> DiskMargin:
     for _ in range(_ROUNDS):
         for omega in open_ends:
             upper, lower, _ = structured_bounds(_sensitivity(closed, np.array([omega]))[0])
-            level = max(level, upper * (1 + _ROOM), 0.5 * (1 + _ROOM))
+            level = max(level, upper * (1 + _EXCESS), 0.5 * (1 + _EXCESS))
             if lower > least:
                 least, where = lower, omega
         higher = _uncovered(closed, level)
@@ -104,7 +104,7 @@ def disk_margin(loop: OpenLoop, place: str = "") -> DiskMargin:
             phase = float(np.rad2deg(2 * np.arctan(alpha / 2)))
             return DiskMargin(place, True, alpha, 1 / least, where, (gain, 1 / gain), phase)
         open_ends = [higher]
-        level *= 1 + _ROOM / 4  # it may lie so near below the peak that rounding decides
+        level *= 1 + _EXCESS / 4  # it may lie so near below the peak that rounding decides
     nothing = float("nan")
     return DiskMargin(place, True, nothing, 1 / least, where, (nothing, nothing), nothing)
 
@@ -152,8 +152,8 @@ def structured_bounds(M: Complex) -> tuple[float, float, Complex]:
 
 def _sensitivity(closed: OpenLoop, omega: Array) -> Complex:
     """M = ½ I − T at ω (k,), (…, k, q, q)."""
-    found: Complex = 0.5 * np.eye(closed.D.shape[-1]) - closed.response(omega)
-    return found
+    matrix: Complex = 0.5 * np.eye(closed.D.shape[-1]) - closed.response(omega)
+    return matrix
 
 
 def _balanced(M: Complex) -> tuple[Array, Array]:
@@ -204,13 +204,13 @@ def _ascended(M: Complex, phases: Array) -> tuple[float, Array]:
         return -float(np.max(np.abs(np.linalg.eigvals(turned[:, None] * M))))
 
     start = phases[1:] - phases[0]  # a common phase changes nothing
-    best, found = start, radius(start)
+    best, least = start, radius(start)
     if start.size:
         for begin in (start, np.zeros_like(start)):
             run = minimize(radius, begin, method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-10})
-            if run.fun < found:
-                best, found = run.x, float(run.fun)
-    return -found, np.concatenate([[0.0], best])
+            if run.fun < least:
+                best, least = run.x, float(run.fun)
+    return -least, np.concatenate([[0.0], best])
 
 
 def _local_peaks(values: Array) -> list[int]:
@@ -233,11 +233,11 @@ def _refined(closed: OpenLoop, grid: Array, at: list[int]) -> list[float]:
     best, where = heights(grid[places]), grid[places]
     for _ in range(_SHRINKS):
         both = np.stack([high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)])
-        found = heights(both)
-        for height, omega in zip(found, both, strict=True):
+        values = heights(both)
+        for height, omega in zip(values, both, strict=True):
             higher = height > best
             best, where = np.where(higher, height, best), np.where(higher, omega, where)
-        lower = found[0] > found[1]
+        lower = values[0] > values[1]
         low, high = np.where(lower, low, both[0]), np.where(lower, both[1], high)
     return [float(omega) for omega in where]
 
@@ -313,6 +313,6 @@ def _crossings(closed: OpenLoop, scale: Array, level: float) -> Array:
     hamiltonian = np.block(
         [[inner, B @ inverse @ B.T], [-C.T @ (np.eye(len(scale)) + D @ inverse @ D.T) @ C, -inner.T]]
     )
-    found = np.linalg.eigvals(hamiltonian)
-    near = np.abs(found.real) <= _ON_AXIS * np.maximum(np.abs(found), 1.0)
-    return np.sort(found.imag[near & (found.imag > 0)])
+    eigenvalues = np.linalg.eigvals(hamiltonian)
+    near = np.abs(eigenvalues.real) <= _ON_AXIS * np.maximum(np.abs(eigenvalues), 1.0)
+    return np.sort(eigenvalues.imag[near & (eigenvalues.imag > 0)])

@@ -87,9 +87,9 @@ def open_system(
         InputError: an unknown place, or as `build_cascade`.
     """
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=delay)
-    found = open_loop(cascade, place)
+    loop = open_loop(cascade, place)
     places = {"thrust": range(4), "measurement": range(4, 8), "both": range(8)}[place]
-    return _system(found.A, found.B, found.C, found.D, _states(vehicle, cascade), _broken(places), name=place)
+    return _system(loop.A, loop.B, loop.C, loop.D, _states(vehicle, cascade), _broken(places), name=place)
 
 
 def closed_system(
@@ -116,14 +116,14 @@ def closed_system(
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=delay)
     enter = np.hstack([cascade.B @ cascade.K[:, :_AXES], cascade.B[:, :_AXES]])
     pose = [f"{name}_ref [{unit}]" for name, unit in zip(STATE_NAMES[:4], ("m", "m", "m", "rad"), strict=True)]
-    push = [f"{name}_dist [{unit}]" for name, unit in zip(STATE_NAMES[8:], ("N", "N", "N", "N m"), strict=True)]
+    disturbances = [f"{name}_dist [{unit}]" for name, unit in zip(STATE_NAMES[8:], ("N", "N", "N", "N m"), strict=True)]
     return control.ss(
         cascade.closed,
         enter,
         cascade.C[:8],
         np.zeros((8, 8)),
         states=_states(vehicle, cascade),
-        inputs=pose + push,
+        inputs=pose + disturbances,
         outputs=labelled(STATE_NAMES[:8]),
         name=f"{vehicle.name} closed",
     )

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 _SPEEDS, _ROUNDS = 60, 3  # of the search for the bearable speed; each round divides the interval
 _HIGHEST = 10.0  # [m/s] beyond it no speed is looked at
 _FACTORS = np.array([1.1, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0])  # by which a gain is changed
-_TOLD = 0.1  # least participation that is named
+_NAMED = 0.1  # least participation that is named
 _COUNTED = 1e-3  # least participation that is kept
 _EDGE = 1e-9
 _BROUGHT = 0.02  # least share of |s| by which a term must move a pole to be named
@@ -67,19 +67,19 @@ class Mode:
     def lines(self) -> list[str]:
         """The mode in words, and for an unstable loop what makes it stable."""
         pole = f"{self.real:.3g}" + (f" ± {self.imaginary:.3g}j" if self.imaginary else "")
-        states = ", ".join(f"{name} {share:.0%}" for name, share in self.participation.items() if share >= _TOLD)
+        states = ", ".join(f"{name} {share:.0%}" for name, share in self.participation.items() if share >= _NAMED)
         head = f"slowest mode at {self.cruise:g} m/s: pole {pole} 1/s, made by {states}"
         if not self.stable:
             head = f"UNSTABLE at {self.cruise:g} m/s: pole {pole} 1/s, made by {states}"
-        found = [head]
+        lines = [head]
         if self.cause is not None:
             alone = self.without[self.cause]
             how = "slowed" if self.stable else "caused"
-            found.append(f"  {how} by the {self.cause}: without it the slowest pole is {alone:.3g} 1/s")
+            lines.append(f"  {how} by the {self.cause}: without it the slowest pole is {alone:.3g} 1/s")
         if not self.stable:
-            found.append(f"  stable {self.remedy}")
-        found.append(f"  bearable speed: the linear loop is stable up to {self.bearable:.3g} m/s")
-        return found
+            lines.append(f"  stable {self.remedy}")
+        lines.append(f"  bearable speed: the linear loop is stable up to {self.bearable:.3g} m/s")
+        return lines
 
     @property
     def remedy(self) -> str:
@@ -190,8 +190,8 @@ def _stable(
         dt=dt,
         model=np.tile(plant_parameters(model), (count, 1)),
     )
-    found: NDArray[np.bool_] = many.poles[:, 0].real < -_EDGE
-    return found
+    stable: NDArray[np.bool_] = many.poles[:, 0].real < -_EDGE
+    return stable
 
 
 def _names(cascade: Cascade, vehicle: Vehicle, gains: Mapping[str, float]) -> list[str]:
@@ -205,17 +205,17 @@ def _without(
     cascade: Cascade, vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle
 ) -> dict[str, float]:
     """Real part of the slowest pole without each term."""
-    closed, found = cascade.closed, {}
+    closed, slowest = cascade.closed, {}
     munk, coriolis = closed.copy(), closed.copy()
     munk[_YAW, [_SURGE, _SWAY]] -= cascade.A[_YAW, [_SURGE, _SWAY]]
     coriolis[[_SURGE, _SWAY], _YAW] -= cascade.A[[_SURGE, _SWAY], _YAW]
-    found["Munk moment (m22 - m11) u v"] = _slowest(munk)
-    found["Coriolis force m11 u r"] = _slowest(coriolis)
-    found["loop delay"] = _slowest(build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=0.0).closed)
+    slowest["Munk moment (m22 - m11) u v"] = _slowest(munk)
+    slowest["Coriolis force m11 u r"] = _slowest(coriolis)
+    slowest["loop delay"] = _slowest(build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=0.0).closed)
     if vehicle["thrust_lag"] > 0:
         instant = vehicle.with_values({"thrust_lag": 0.0})
-        found["thrust lag"] = _slowest(build_cascade(instant, gains, cruise=cruise, dt=dt, model=model).closed)
-    return found
+        slowest["thrust lag"] = _slowest(build_cascade(instant, gains, cruise=cruise, dt=dt, model=model).closed)
+    return slowest
 
 
 def _slowest(closed: Array) -> float:
@@ -238,9 +238,9 @@ def _remedies(
         model=np.tile(plant_parameters(model), (count, 1)),
     )
     good = many.poles[:, 0].real < -_EDGE
-    found: dict[str, tuple[float, float]] = {}
+    remedies: dict[str, tuple[float, float]] = {}
     for name, factor in zip(names[good].tolist(), tried[good].tolist(), strict=True):
         far = abs(float(np.log(factor)))
-        if name not in found or far < found[name][0]:
-            found[name] = far, gains[name] * factor
-    return {name: value for name, (_, value) in sorted(found.items(), key=lambda item: item[1][0])}
+        if name not in remedies or far < remedies[name][0]:
+            remedies[name] = far, gains[name] * factor
+    return {name: value for name, (_, value) in sorted(remedies.items(), key=lambda item: item[1][0])}

@@ -87,8 +87,8 @@ def sampled_poles(
     """
     check_delay(delay)
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=period, model=model, delay=0.0)
-    found = np.linalg.eigvals(_transition(cascade, delay, _held(cascade, period))).astype(complex)
-    return found[np.argsort(-np.abs(found), kind="stable")]
+    poles = np.linalg.eigvals(_transition(cascade, delay, _held(cascade, period))).astype(complex)
+    return poles[np.argsort(-np.abs(poles), kind="stable")]
 
 
 def largest_period(
@@ -134,8 +134,8 @@ def radius_of(undelayed: Cascade, period: float, delay: int) -> float:
 
 def _radius(undelayed: Cascade, delay: int, held: _Held) -> Array:
     """Largest |z| (…,) of each sampled loop."""
-    found: Array = np.max(np.abs(np.linalg.eigvals(_transition(undelayed, delay, held))), axis=-1)
-    return found
+    radius: Array = np.max(np.abs(np.linalg.eigvals(_transition(undelayed, delay, held))), axis=-1)
+    return radius
 
 
 def _largest(undelayed: Cascade, delay: int, held: Callable[[float], _Held]) -> float:
@@ -162,8 +162,8 @@ def _largest(undelayed: Cascade, delay: int, held: Callable[[float], _Held]) -> 
 def _transition(cascade: Cascade, delay: int, held: _Held) -> Array:
     """The matrix of one period, of plant, ξ and the thrusts that are on their way."""
     rest, enter, thrust = _open_transition(cascade, delay, held)
-    found: Array = rest + enter @ thrust
-    return found
+    transition: Array = rest + enter @ thrust
+    return transition
 
 
 def _held(cascade: Cascade, period: float | Array) -> _Held:

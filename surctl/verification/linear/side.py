@@ -188,11 +188,11 @@ def _least_sampled(limits: Sequence[SampledLimits]) -> SampledLimits:
     )
 
 
-def _poles(found: NDArray[np.complex128]) -> tuple[Pole, ...]:
+def _poles(poles: NDArray[np.complex128]) -> tuple[Pole, ...]:
     """One of each pair."""
     return tuple(
         Pole(float(s.real), float(s.imag), float(abs(s)), float(-s.real / abs(s)) if s != 0 else 1.0)
-        for s in found
+        for s in poles
         if s.imag >= 0
     )
 

@@ -65,12 +65,12 @@ def _rewritten(case: Case, names: Sequence[str], box: Ends) -> Iterator[Form]:
     over = _signed(margin, signs)
     ratios = [None if g is None else Ratio(_signed(g, signs), g.under) for g in guards]
     sizes = _Sizes(algebra, written, names, box)
-    rest, taken = _reduced(algebra, over, ratios, sizes)
+    rest, weights = _reduced(algebra, over, ratios, sizes)
     factors = {at: written.factor(at) if sign > 0 else -written.factor(at) for at, sign in signs.items()}
     under = tuple(itertools.chain.from_iterable((factors[at],) * e for at, e in margin.under))
-    if any(taken):
+    if any(weights):
         multipliers = [
-            _multiplier(written, poly, ratio, margin, factors) for poly, ratio in zip(taken, ratios, strict=True)
+            _multiplier(written, poly, ratio, margin, factors) for poly, ratio in zip(weights, ratios, strict=True)
         ]
         yield Form(written.poly(rest), under, tuple(multipliers))
     yield Form(written.poly(over), under, (number(0),) * len(guards))
@@ -102,11 +102,11 @@ def _signed(ratio: Ratio, signs: dict[int, int]) -> Poly:
     return {m: -c for m, c in ratio.over.items()} if flips % 2 else dict(ratio.over)
 
 
-def _multiplier(written: Written, taken: Poly, guard: Ratio | None, margin: Ratio, factors: dict[int, Node]) -> Node:
+def _multiplier(written: Written, weight: Poly, guard: Ratio | None, margin: Ratio, factors: dict[int, Node]) -> Node:
     """taken · (the constraint's denominator) / (the margin's)."""
-    if guard is None or not taken:
+    if guard is None or not weight:
         return number(0)
-    tree = written.poly(taken)
+    tree = written.poly(weight)
     for at, exponent in guard.under:
         tree = tree * power(factors[at], exponent)
     for at, exponent in margin.under:
@@ -148,7 +148,7 @@ class _Sizes:
 
 def _reduced(algebra: Algebra, over: Poly, guards: Sequence[Ratio | None], sizes: _Sizes) -> tuple[Poly, list[Poly]]:
     """Numerator less nonnegative monomials times constraints, as long as its bound falls; and those multipliers."""
-    taken: list[Poly] = [{} for _ in guards]
+    weights: list[Poly] = [{} for _ in guards]
     rest, bound = over, sizes.bound(over)
     for _ in range(_STEPS):
         if bound <= 0:
@@ -167,13 +167,13 @@ def _reduced(algebra: Algebra, over: Poly, guards: Sequence[Ratio | None], sizes
             break
         bound = least
         rest, j, factor = trials[k]
-        taken[j] = added(taken[j], factor)
-    return rest, taken
+        weights[j] = added(weights[j], factor)
+    return rest, weights
 
 
 def _candidates(rest: Poly, guard: Poly, sizes: _Sizes) -> Iterator[Poly]:
     """Nonnegative monomials that would cancel a term of the rest by one of the constraint."""
-    seen: set[tuple[Monomial, object]] = set()
+    visited: set[tuple[Monomial, object]] = set()
     for m, c in rest.items():
         powers = dict(m)
         for g, d in guard.items():
@@ -181,7 +181,7 @@ def _candidates(rest: Poly, guard: Poly, sizes: _Sizes) -> Iterator[Poly]:
                 continue
             less = dict(g)
             quotient = tuple((at, e - less.get(at, 0)) for at, e in m if e > less.get(at, 0))
-            if (quotient, c / d) in seen or sizes.of(quotient)[0] < 0:
+            if (quotient, c / d) in visited or sizes.of(quotient)[0] < 0:
                 continue
-            seen.add((quotient, c / d))
+            visited.add((quotient, c / d))
             yield {quotient: c / d}

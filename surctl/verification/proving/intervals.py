@@ -150,8 +150,8 @@ def _wave(a: Ends, function: np.ufunc, crest: float) -> Ends:
     reduced = np.where(np.maximum(np.abs(low), np.abs(high)) > 1.0, _LIBM_STEPS * 2.0**-52, 0.0)
     bottom, top = bottom - reduced, top + reduced
     # in turns, with room for the rounding of the division: a crest too many only widens
-    room = 1e-15 * (1.0 + np.abs(low) + np.abs(high))
-    first, last = low / (2 * np.pi) - room, high / (2 * np.pi) + room
+    rounding = 1e-15 * (1.0 + np.abs(low) + np.abs(high))
+    first, last = low / (2 * np.pi) - rounding, high / (2 * np.pi) + rounding
     has_crest = np.floor(last - crest) >= np.ceil(first - crest)
     has_trough = np.floor(last - crest - 0.5) >= np.ceil(first - crest - 0.5)
     bottom = np.where(wild | has_trough, -1.0, np.maximum(bottom, -1.0))

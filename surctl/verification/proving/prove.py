@@ -15,8 +15,8 @@ from surctl.errors import InputError
 from surctl.verification.claim import Claim
 from surctl.verification.formula import text_of
 from surctl.verification.proving.forms import Form, forms_of
-from surctl.verification.proving.search import DIMENSIONS, Found, Task, corners, search
-from surctl.verification.proving.statement import Case, Statement, cases_of, settled, statement_of
+from surctl.verification.proving.search import DIMENSIONS, SearchResult, Task, corners, search
+from surctl.verification.proving.statement import Case, Statement, cases_of, statement_of, substituted
 from surctl.verification.proving.tape import Tape, build_tape
 
 __all__ = ["Proof", "certain_excess", "prove"]
@@ -25,7 +25,7 @@ _ROUNDS = ((100, 0.0), (400, 1e-4), (2_000, 1.0), (20_000, 1.0), (10_000_000, 1.
 """Most boxes of a search, and the share of the slack: exactly if that is cheap; every form gets its chance before one
 gets all the time."""
 
-_TOLD = 500  # open boxes that are kept, for a picture
+_MOST_SHOWN = 500  # open boxes that are kept, for a picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ def prove(
     try:
         statement = statement_of(claim)
         texts = [text_of(part) for part in statement.parts]
-        parts = settled(statement)
+        parts = substituted(statement)
         cases = cases_of(parts)
     except InputError as error:  # an expression that the grammar does not carry, or that is too long
         return _open(error.problem, 0, began)
@@ -91,13 +91,13 @@ def prove(
     needed, boxes = 0.0, 0
     for number, case in enumerate(cases):
         share = (time_limit - (time.process_time() - worked)) / (len(cases) - number)
-        told = f"{claim.name}, case {number + 1} of {len(cases)}"
-        form, found, used = _show(case, statement, build_tape(statement.names, parts), slack, share, told, progress)
-        boxes += found.boxes
-        if not found.closed:
-            return _left_open(statement, build_tape(statement.names, parts), case, found, boxes, began)
+        label = f"{claim.name}, case {number + 1} of {len(cases)}"
+        form, result, used = _show(case, statement, build_tape(statement.names, parts), slack, share, label, progress)
+        boxes += result.boxes
+        if not result.closed:
+            return _left_open(statement, build_tape(statement.names, parts), case, result, boxes, began)
         needed = max(needed, used)
-        shown.append(_written(case, form, found))
+        shown.append(_written(case, form, result))
     certificate = _certificate(claim, statement, texts, needed, shown)
     return Proof(certificate, needed, "", (), boxes, time.perf_counter() - began)
 
@@ -128,9 +128,9 @@ def _show(
     written: Tape,
     slack: float,
     seconds: float,
-    told: str,
+    label: str,
     progress: Callable[[str], None] | None,
-) -> tuple[Form, Found, float]:
+) -> tuple[Form, SearchResult, float]:
     """The first form and slack by which the case closes; else the attempt that leaves the least open.
 
     What is left open tells the boxes of all attempts, and what stopped the last one.
@@ -140,7 +140,7 @@ def _show(
     names = statement.names
     root = statement.lower[:, None], statement.upper[:, None]
     constraints = build_tape(names, case.constraints)
-    best: tuple[Form, Found, float] | None = None
+    best: tuple[Form, SearchResult, float] | None = None
     usable = [form for form in forms_of(case, names, root) if _usable(form, names, root)]
     for most, part in _ROUNDS:
         for k, form in enumerate(usable):
@@ -151,27 +151,27 @@ def _show(
             rest = max(seconds - (time.process_time() - began), 0.0)
             # the last round shares what is left among the forms
             share = rest / (len(usable) - k) if most == _ROUNDS[-1][0] else rest / 4
-            found = search(task, deadline=time.process_time() + share, most=most, progress=_teller(told, progress))
-            looked += found.boxes
-            if found.closed:
-                return form, found, task.slack
-            if best is None or _volume(found) <= _volume(best[1]):
-                best = form, found, task.slack
+            result = search(task, deadline=time.process_time() + share, most=most, progress=_reporter(label, progress))
+            looked += result.boxes
+            if result.closed:
+                return form, result, task.slack
+            if best is None or _volume(result) <= _volume(best[1]):
+                best = form, result, task.slack
     assert best is not None  # the form as written is always usable
-    return best[0], replace(best[1], boxes=looked, reason=found.reason), best[2]
+    return best[0], replace(best[1], boxes=looked, reason=result.reason), best[2]
 
 
-def _teller(told: str, progress: Callable[[str], None] | None) -> Callable[[int, int], None] | None:
+def _reporter(label: str, progress: Callable[[str], None] | None) -> Callable[[int, int], None] | None:
     if progress is None:
         return None
     last = [time.perf_counter()]
 
-    def tell(looked: int, left: int) -> None:
+    def report(looked: int, left: int) -> None:
         if time.perf_counter() - last[0] > 1.0:
             last[0] = time.perf_counter()
-            progress(f"{told}: {looked} boxes, {left} open")
+            progress(f"{label}: {looked} boxes, {left} open")
 
-    return tell
+    return report
 
 
 def _usable(form: Form, names: tuple[str, ...], root: tuple[NDArray[np.float64], NDArray[np.float64]]) -> bool:
@@ -183,25 +183,25 @@ def _usable(form: Form, names: tuple[str, ...], root: tuple[NDArray[np.float64],
     return bool(positive and not_negative and all(fine[0] for fine in read.defined))
 
 
-def _volume(found: Found) -> float:
-    return float(np.sum(np.prod(np.maximum(found.remaining[1] - found.remaining[0], 1e-12), axis=0)))
+def _volume(result: SearchResult) -> float:
+    return float(np.sum(np.prod(np.maximum(result.remaining[1] - result.remaining[0], 1e-12), axis=0)))
 
 
-def _written(case: Case, form: Form, found: Found) -> dict[str, Any]:
+def _written(case: Case, form: Form, result: SearchResult) -> dict[str, Any]:
     return {
         "choice": case.choice,
         "numerator": text_of(form.numerator),
         "denominators": [text_of(d) for d in form.denominators],
         "multipliers": [text_of(m) for m in form.multipliers],
-        "tree": found.tree,
-        "points": [list(p) for p in found.points],
+        "tree": result.tree,
+        "points": [list(p) for p in result.points],
     }
 
 
 def _certificate(
     claim: Claim, statement: Statement, texts: list[str], slack: float, cases: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    told = {
+    stated = {
         "name": claim.name,
         "statement": claim.statement,
         "unit": claim.unit,
@@ -213,18 +213,20 @@ def _certificate(
         "constraints": texts[2:],
         "slack": slack,
     }
-    return seal("interval", told, {"cases": cases})
+    return seal("interval", stated, {"cases": cases})
 
 
 def _open(reason: str, boxes: int, began: float) -> Proof:
     return Proof(None, 0.0, reason, (), boxes, time.perf_counter() - began)
 
 
-def _left_open(statement: Statement, written: Tape, case: Case, found: Found, boxes: int, began: float) -> Proof:
-    some = corners(found.remaining, statement.names, most=_TOLD)
-    count = found.remaining[0].shape[1]
+def _left_open(
+    statement: Statement, written: Tape, case: Case, result: SearchResult, boxes: int, began: float
+) -> Proof:
+    some = corners(result.remaining, statement.names, most=_MOST_SHOWN)
+    count = result.remaining[0].shape[1]
     where = ", ".join(f"{k} in [{low:.4g}, {high:.4g}]" for k, (low, high) in some[0].items()) if some else ""
-    text = f"{found.reason} after {found.boxes} boxes: {count} open"
+    text = f"{result.reason} after {result.boxes} boxes: {count} open"
     if case.choice:
         text += f" in case {case.choice}"
     if some:

@@ -63,8 +63,8 @@ def apply_rules(bound: Tape, constraints: Tape, box: Ends, slack: float, defined
     open_ = np.flatnonzero(rule == "")
     if open_.size:
         part = box[0][:, open_], box[1][:, open_]
-        found, smear[:, open_], points[:, open_] = _by_derivatives(bound, constraints, part, slack, defined[open_])
-        rule[open_] = found
+        letters, smear[:, open_], points[:, open_] = _by_derivatives(bound, constraints, part, slack, defined[open_])
+        rule[open_] = letters
     return Verdicts(rule, points, smear)
 
 
@@ -192,8 +192,8 @@ def _bends_down(bend: Ends, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
             pivot = np.where(active[k] & good, pivot[0], 1.0), np.where(active[k] & good, pivot[1], 1.0)
             column = m[0][:, k], m[1][:, k]
             ratio = iv.divide(column, (pivot[0][None], pivot[1][None]))
-            taken = iv.multiply((ratio[0][:, None], ratio[1][:, None]), (column[0][None], column[1][None]))
-            m = iv.subtract(m, taken)
+            product = iv.multiply((ratio[0][:, None], ratio[1][:, None]), (column[0][None], column[1][None]))
+            m = iv.subtract(m, product)
     bounded: NDArray[np.bool_] = np.all(np.isfinite(bend[0]) & np.isfinite(bend[1]) | ~both, axis=(0, 1))
     return good & bounded
 

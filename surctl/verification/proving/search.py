@@ -13,7 +13,7 @@ from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.rules import apply_rules, middle
 from surctl.verification.proving.tape import Tape
 
-__all__ = ["DIMENSIONS", "Found", "Task", "corners", "search"]
+__all__ = ["DIMENSIONS", "SearchResult", "Task", "corners", "search"]
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class Task:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class SearchResult:
     """What came of it.
 
     Attributes:
@@ -97,7 +97,7 @@ class _Tree:
 
 def search(
     task: Task, *, deadline: float, most: int = 200_000, progress: Callable[[int, int], None] | None = None
-) -> Found:
+) -> SearchResult:
     """Halve until all is settled, `time.process_time` reaches `deadline`, or `most` boxes were looked at.
 
     A box that holds 0 inside is halved there, since claims touch equality there; others in the middle.
@@ -123,7 +123,7 @@ def search(
                 parts.append((box[0], box[1], ids))
                 continue
             looked += ids.size
-            halves, narrow = _settle(task, box, ids, tree, everywhere)
+            halves, narrow = _decide(task, box, ids, tree, everywhere)
             parts.append(halves)
             stuck.append(narrow)
         low, high = (np.hstack([part[k] for part in parts]) for k in (0, 1))
@@ -134,12 +134,12 @@ def search(
     if not reason and left[0].shape[1]:
         reason = "boxes became too small to halve"
     if reason:
-        return Found("", (), (left[0], left[1]), looked, reason)
+        return SearchResult("", (), (left[0], left[1]), looked, reason)
     text, points = tree.text()
-    return Found(text, points, (left[0], left[1]), looked, "")
+    return SearchResult(text, points, (left[0], left[1]), looked, "")
 
 
-def _settle(
+def _decide(
     task: Task, box: Ends, ids: NDArray[np.int_], tree: _Tree, everywhere: bool
 ) -> tuple[tuple[Array, Array, NDArray[np.int_]], Ends]:
     """Write the settled boxes into the tree; the halves of the others, and those too narrow to halve."""
@@ -176,8 +176,8 @@ def _dimension(task: Task, low: Array, high: Array, smear: Array) -> NDArray[np.
     wide = share > _NARROWEST
     # the derivatives may overlook a variable while they are infinite: width has a say
     score = np.where(wide, smear + 1e-3 * share, -1.0)
-    found: NDArray[np.int_] = np.where(wide.any(axis=0), np.argmax(score, axis=0), -1)
-    return found
+    dimension: NDArray[np.int_] = np.where(wide.any(axis=0), np.argmax(score, axis=0), -1)
+    return dimension
 
 
 def corners(boxes: Ends, names: Sequence[str], most: int = 3) -> list[dict[str, list[float]]]:

@@ -77,7 +77,7 @@ def statement_of(claim: Claim) -> Statement:
     return Statement(names, claim.lower, claim.upper, nodes[0], nodes[1], tuple(nodes[2:]))
 
 
-def settled(statement: Statement) -> tuple[Node, ...]:
+def substituted(statement: Statement) -> tuple[Node, ...]:
     """The statement's parts with every variable of no width as the decimal number that it is."""
     ends = zip(statement.names, statement.lower, statement.upper, strict=True)
     fixed = {name: number(Fraction(repr(float(low)))) for name, low, high in ends if low == high}
@@ -94,24 +94,24 @@ def cases_of(parts: Sequence[Node]) -> list[Case]:
     left, right, *constraints = parts
     if len(branches) > MOST_BRANCHES:
         return [Case("", left - right, tuple(constraints))]
-    found = []
+    cases = []
     for bits in range(2 ** len(branches)):
         choice = format(bits, f"0{len(branches)}b") if branches else ""
         chosen, conditions = _chosen(parts, dict(zip(branches, choice, strict=True)))
-        found.append(Case(choice, chosen[0] - chosen[1], (*chosen[2:], *conditions)))
-    return found
+        cases.append(Case(choice, chosen[0] - chosen[1], (*chosen[2:], *conditions)))
+    return cases
 
 
 def _branches(parts: Iterable[Node]) -> list[Node]:
     """Distinct branching expressions in the order of reading."""
     met: dict[Node, None] = {}
-    seen: set[Node] = set()
+    visited: set[Node] = set()
     stack = list(reversed(list(parts)))
     while stack:
         node = stack.pop()
-        if node in seen:
+        if node in visited:
             continue
-        seen.add(node)
+        visited.add(node)
         if node.op in BRANCHING:
             met[node] = None
         stack.extend(reversed(node.args))

@@ -49,25 +49,25 @@ class Tape:
     def run(self, box: Ends, *, order: int = 0) -> Read:
         """Enclosures on boxes (n, B); derivatives up to `order` ≤ 2."""
         count = box[0].shape[1]
-        made: list[Jet] = []
+        jets: list[Jet] = []
         defined: list[NDArray[np.bool_]] = []
         with np.errstate(all="ignore"):
             for node, args in self.steps:
-                operands = [made[a] for a in args]
-                made.append(self._step(node, operands, box, order))
+                operands = [jets[a] for a in args]
+                jets.append(self._step(node, operands, box, order))
                 fine = ~_undefined(node, operands, count)
                 for a in args:
                     fine = fine & defined[a]
                 defined.append(fine)
-        return Read(tuple(made[r] for r in self.roots), tuple(defined[r] for r in self.roots))
+        return Read(tuple(jets[r] for r in self.roots), tuple(defined[r] for r in self.roots))
 
     def trouble(self, box: Ends) -> str:
         """The first operation that is not defined on a box (n, 1), in words; empty if there is none."""
-        made: list[Jet] = []
+        jets: list[Jet] = []
         with np.errstate(all="ignore"):
             for node, args in self.steps:
-                operands = [made[a] for a in args]
-                made.append(self._step(node, operands, box, 0))
+                operands = [jets[a] for a in args]
+                jets.append(self._step(node, operands, box, 0))
                 if _undefined(node, operands, 1)[0]:
                     low, high = (float(end[0]) for end in operands[-1].value)
                     return f"{_TROUBLES[node.op]} [{low:.3g}, {high:.3g}] in {_short(text_of(node))}"

@@ -89,7 +89,7 @@ class RegionClaim:
         """Number of states: place and velocity in the path frame, and with lag the thrust."""
         return 6 if self.lag[1] > 0 else 4
 
-    def document(self, *, offset: float, settled: tuple[float, float]) -> dict[str, Any]:
+    def document(self, *, offset: float, ultimate_bound: tuple[float, float]) -> dict[str, Any]:
         """The claim as a certificate states it, with the offset [m] it holds and where it settles [m]."""
         mass, linear, quadratic = self.model
         return {
@@ -117,7 +117,7 @@ class RegionClaim:
                 "cap": self.cap,
                 "period_s": self.period,
             },
-            "motion": {"rate_per_s": self.rate, "offset_m": offset, "settled_m": list(settled)},
+            "motion": {"rate_per_s": self.rate, "offset_m": offset, "ultimate_bound_m": list(ultimate_bound)},
             "sha256_vehicle": self.digests[0],
             "sha256_law": self.digests[1],
         }

@@ -46,9 +46,9 @@ def minimise(cost: Array, inequalities: Sequence[Inequality], *, tolerance: floa
     settings.max_iter = 60
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
     quadratic = sparse.csc_matrix((len(cost), len(cost)))
-    found = clarabel.DefaultSolver(
+    solution = clarabel.DefaultSolver(
         quadratic, cost, sparse.vstack(rows, format="csc"), np.concatenate(sides), cones, settings
     ).solve()
-    if str(found.status) not in ("Solved", "AlmostSolved"):
+    if str(solution.status) not in ("Solved", "AlmostSolved"):
         return None
-    return np.asarray(found.x, dtype=float)
+    return np.asarray(solution.x, dtype=float)

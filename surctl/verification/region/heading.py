@@ -57,7 +57,7 @@ class HeadingClaim:
     digest: str
 
     @property
-    def push(self) -> float:
+    def velocity_gain(self) -> float:
         """m k of the law [N s/m]."""
         return self.law["mass_kg"] * self.law["k"]
 
@@ -73,11 +73,11 @@ class HeadingClaim:
         """Surge command at rest in the moving frame [m/s]."""
         v = self.law["cruise"]
         fed = self.law["linear_drag"] * v + self.law["quadratic_drag"] * v * v
-        low, high = (v + (trim - fed) / self.push for trim in self.trim)
+        low, high = (v + (trim - fed) / self.velocity_gain for trim in self.trim)
         return low, high
 
     def document(
-        self, *, offset: float, beside: float, reach: tuple[float, ...], depth: float, settled: float
+        self, *, offset: float, beside: float, extent: tuple[float, ...], depth: float, ultimate_bound: float
     ) -> dict[str, Any]:
         """The claim as a certificate states it."""
         return {
@@ -86,8 +86,8 @@ class HeadingClaim:
             "vehicle": {**{k: list(v) for k, v in self.ranges.items()}, "limits": dict(self.limits)},
             "law": dict(self.law),
             "motion": {
-                "rate_per_s": self.rate, "offset_m": offset, "beside_m": beside, "reach": list(reach),
-                "depth_m": depth, "settled_m": settled,
+                "rate_per_s": self.rate, "offset_m": offset, "beside_m": beside, "extent": list(extent),
+                "depth_m": depth, "ultimate_bound_m": ultimate_bound,
             },
             "sha256_vehicle": self.digest,
         }  # fmt: skip
@@ -160,27 +160,27 @@ def rows_at(claim: HeadingClaim, psi: Array, y: Array, command: float) -> tuple[
     surge[:, 2], surge[:, 3], surge[:, 4] = -kappa * v, c, s
     sway[:, 2], sway[:, 3], sway[:, 4] = -np.sinc(psi / np.pi) * v, -s, c
     force[:, 0], force[:, 1] = -law["k1"] * q / ahead, command * y / (ahead * (q + ahead))
-    force = claim.push * (force - surge)
+    force = claim.velocity_gain * (force - surge)
     yaw[:, 1], yaw[:, 2], yaw[:, 5] = lead * law["k_psi"], law["k_psi"], 1.0
     return surge, sway, force, -law["yaw_inertia_kg_m2"] * law["k_r"] * yaw
 
 
 def loops_at(claim: HeadingClaim, psi: Array, y: Array, limits: Limits) -> Array:
     """A (k, 6, 6) of all vertices at all the places (ψ, y), some of them alike; the order is always the same."""
-    ranges, v, push = claim.ranges, claim.law["cruise"], claim.push
+    ranges, v, velocity_gain = claim.ranges, claim.law["cruise"], claim.velocity_gain
     one = np.ones(len(psi))
     drag = (
         ranges["surge_linear"][0] + ranges["surge_quadratic"][0] * np.maximum(0.828 * v, 2 * v - limits.surge),
         ranges["surge_linear"][1] + ranges["surge_quadratic"][1] * (2 * v + limits.surge),
     )
     held = (
-        push * limits.shares[1] + ranges["sway_linear"][0],
-        push + ranges["sway_linear"][1] + ranges["sway_quadratic"][1] * limits.sway,
+        velocity_gain * limits.shares[1] + ranges["sway_linear"][0],
+        velocity_gain + ranges["sway_linear"][1] + ranges["sway_quadratic"][1] * limits.sway,
     )
     spin = (ranges["yaw_linear"][0] * one, ranges["yaw_linear"][1] + ranges["yaw_quadratic"][1] * limits.turn)
     c, s, eye = np.cos(psi), np.sin(psi), np.eye(6)
     ahead, abeam = (np.stack([a, b], 1)[:, :, None] for a, b in ((c, s), (-s, c)))
-    found = []
+    matrices = []
     for command in sorted(set(claim.command)):
         surge, sway, force, yaw = rows_at(claim, psi, y, command)
         for mass, pu, du, stiff in product(sorted(set(ranges["mass_kg"])), (limits.shares[0], one), drag, held):
@@ -191,5 +191,5 @@ def loops_at(claim: HeadingClaim, psi: Array, y: Array, limits: Limits) -> Array
                 A[:, 0, 3] = A[:, 1, 4] = A[:, 2, 5] = 1
                 A[:, 3:5] = moved / mass
                 A[:, 5] = (pr[:, None] * yaw - dr[:, None] * eye[5]) / inertia
-                found.append(A)
-    return np.concatenate(found)
+                matrices.append(A)
+    return np.concatenate(matrices)

@@ -37,7 +37,9 @@ def prove_heading(claim: HeadingClaim, *, rounds: int, cells: int) -> RegionProo
     for P in shapes(claim, rounds=rounds):
         last = P
     if heave is not None and last is not None:
-        plain = read_claim(claim.document(offset=1.0, beside=1.0, reach=(1.0, 1.0, 1.0), depth=1.0, settled=1.0))
+        plain = read_claim(
+            claim.document(offset=1.0, beside=1.0, extent=(1.0, 1.0, 1.0), depth=1.0, ultimate_bound=1.0)
+        )
         for share in _SHARES:
             P = _rounded(last / share**2)
             try:
@@ -51,8 +53,8 @@ def prove_heading(claim: HeadingClaim, *, rounds: int, cells: int) -> RegionProo
                 took, motion = time.perf_counter() - began, document["claim"]["motion"]
                 ratios = level_ratios(heading_loop(claim), P, claim.rate)
                 return RegionProof(
-                    claim, "proved", document, "", motion["offset_m"], (motion["settled_m"], 0.0), took,
-                    checked.seconds, motion["reach"][1], ratios,
+                    claim, "proved", document, "", motion["offset_m"], (motion["ultimate_bound_m"], 0.0), took,
+                    checked.seconds, motion["extent"][1], ratios,
                 )  # fmt: skip
             reason = checked.reason
     return RegionProof(claim, "unknown", {}, reason, 0.0, (0.0, 0.0), time.perf_counter() - began, 0.0)
@@ -74,9 +76,9 @@ def _certificate(claim: HeadingClaim, P: Array, heave: Array) -> dict[str, Any]:
     stated = claim.document(
         offset=_down(np.sqrt(max(inner, 0.0) / P[1, 1])),
         beside=_down(1 / np.sqrt(P[1, 1])),
-        reach=tuple(_down(np.sqrt(covariance[k, k])) for k in range(3)),
+        extent=tuple(_down(np.sqrt(covariance[k, k])) for k in range(3)),
         depth=_down(1 / np.sqrt(heave[0, 0])),
-        settled=float(np.ceil(1e4 * away + 1e-6) / 1e4),
+        ultimate_bound=float(np.ceil(1e4 * away + 1e-6) / 1e4),
     )
     proof = {name: [row[: i + 1].tolist() for i, row in enumerate(m)] for name, m in (("P", P), ("P_z", heave))}
     return seal("heading", stated, {"proof": proof})

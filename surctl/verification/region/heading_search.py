@@ -43,22 +43,22 @@ def _places(covariance: Array) -> tuple[Array, Array]:
 
 def _limits(claim: HeadingClaim, covariance: Array, psi: Array, y: Array) -> Limits:
     """Bounds of the region at each place: what is known of ξ once (ψ, y) is."""
-    told = covariance[:, (2, 1)] @ np.linalg.inv(covariance[np.ix_((2, 1), (2, 1))])
-    rest = covariance - told @ covariance[(2, 1), :]
+    regression = covariance[:, (2, 1)] @ np.linalg.inv(covariance[np.ix_((2, 1), (2, 1))])
+    rest = covariance - regression @ covariance[(2, 1), :]
     z = np.stack([psi, y], 1)
     inner = np.einsum("ni,ij,nj->n", z, np.linalg.inv(covariance[np.ix_((2, 1), (2, 1))]), z)
     left = np.sqrt(np.clip(1 - inner, 0, None))
 
     def most(row: Array) -> Array:
         own = np.sqrt(np.clip(np.einsum("ni,ij,nj->n", row, rest, row), 0, None))
-        return np.asarray(np.abs(np.einsum("ni,ni->n", row, z @ told.T)) + own * left + 1e-9)
+        return np.asarray(np.abs(np.einsum("ni,ni->n", row, z @ regression.T)) + own * left + 1e-9)
 
-    found = [rows_at(claim, psi, y, command) for command in claim.command]
-    surge, sway, _, yaw = found[0]
+    rows = [rows_at(claim, psi, y, command) for command in claim.command]
+    surge, sway, _, yaw = rows[0]
     free = (claim.limits["surge_n"] - claim.trim[1], claim.limits["sway_n"], claim.limits["yaw_nm"])
-    force = np.maximum(*(most(one[2]) for one in found))
+    force = np.maximum(*(most(one[2]) for one in rows))
     most_sway = most(sway)
-    needed = (force, claim.push * most_sway, most(yaw))
+    needed = (force, claim.velocity_gain * most_sway, most(yaw))
     shares = [np.minimum(1.0, 0.995 * f / m) for f, m in zip(free, needed, strict=True)]
     return Limits(most(surge), most_sway, most(np.tile(np.eye(6)[5], (len(psi), 1))), (shares[0], shares[1], shares[2]))
 
@@ -127,16 +127,16 @@ def shapes(claim: HeadingClaim, *, rounds: int) -> Iterator[Array]:
 def heave_shape(claim: HeadingClaim) -> Array | None:
     """P_z (2, 2) of V_z ≤ 1, with the heave thrust within its limit."""
     law, ranges = claim.law, claim.ranges
-    push, k_z = law["heave_mass_kg"] * law["k"], law["k_z"]
+    velocity_gain, k_z = law["heave_mass_kg"] * law["k"], law["k_z"]
     basis = symmetric_basis(2)
     drag = (ranges["heave_linear"][0], ranges["heave_linear"][1] + ranges["heave_quadratic"][1] * 0.2)
     slopes = []
     for mass, d in product(ranges["heave_mass_kg"], drag):
-        a = np.array([[0.0, 1.0], [-push * k_z / mass, -(push + d) / mass]])
+        a = np.array([[0.0, 1.0], [-velocity_gain * k_z / mass, -(velocity_gain + d) / mass]])
         half = basis @ a
         slopes.append(-(half + half.transpose(0, 2, 1) + 1.02 * claim.rate * basis))
     decay = (np.broadcast_to(-1e-4 * np.eye(2), (len(slopes), 2, 2)), np.array(slopes))
-    rows = np.array([[0.0, 1 / 0.19], [1.01 * push * k_z, 1.01 * push]])
+    rows = np.array([[0.0, 1 / 0.19], [1.01 * velocity_gain * k_z, 1.01 * velocity_gain]])
     rows[1] /= claim.limits["heave_n"]
     limited = (-rows[:, :, None] * rows[:, None, :], np.broadcast_to(basis, (2, *basis.shape)))
     x = minimise(np.einsum("kij,ij->k", basis, np.diag([1.0, 1e-3])), [decay, limited])

@@ -17,8 +17,8 @@ from surctl.verification.region.statement import RegionStatement
 __all__ = ["REGION_CLAIMS", "prove_statement", "region_statement"]
 
 
-def _entries(*given: tuple[str, str, dict[str, Any]]) -> Mapping[str, RegionStatement]:
-    return {name: RegionStatement(name=name, statement=statement, **rest) for name, statement, rest in given}
+def _entries(*entries: tuple[str, str, dict[str, Any]]) -> Mapping[str, RegionStatement]:
+    return {name: RegionStatement(name=name, statement=statement, **rest) for name, statement, rest in entries}
 
 
 REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(

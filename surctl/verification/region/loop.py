@@ -58,15 +58,15 @@ def _pairs(low: float, high: float, asymmetry: float) -> list[tuple[float, float
 def steady_cruise(claim: RegionClaim) -> Steady:
     """Where the cruise settles, over all true parameters and headings; in a current, as the checker finds it."""
     if claim.current:
-        told = steady_trim(read_claim(claim.document(offset=1.0, settled=(1.0, 1.0))))
+        trim = steady_trim(read_claim(claim.document(offset=1.0, ultimate_bound=(1.0, 1.0))))
         return Steady(
-            (float(told.omega[0]), float(told.omega[1])),
-            *(float(n) for n in (told.total, told.linear, told.quadratic, told.backward)),
-            *(float(n) for n in (told.drift, told.aside, told.across, told.tilt)),
+            (float(trim.omega[0]), float(trim.omega[1])),
+            *(float(n) for n in (trim.total, trim.linear, trim.quadratic, trim.backward)),
+            *(float(n) for n in (trim.drift, trim.aside, trim.across, trim.tilt)),
         )
     mass, linear, quadratic = claim.model
-    v, push = claim.cruise, mass * claim.gains["k_v"]
-    stiffness = push + linear + 2 * _SHARE * quadratic * v
+    v, velocity_gain = claim.cruise, mass * claim.gains["k_v"]
+    stiffness = velocity_gain + linear + 2 * _SHARE * quadratic * v
     c, s = np.cos(_HEADINGS), np.sin(_HEADINGS)
     omegas, total = [], 0.0
     corners = product(
@@ -77,7 +77,7 @@ def steady_cruise(claim: RegionClaim) -> Steady:
         q1, q2 = b[::flop]
         omega = (((x1 + x2) / 2 - linear) * v + _SHARE * ((q1 + q2) / 2 - quadratic) * v * v) / stiffness
         w = v + omega
-        command = [push * omega * n + linear * w * n + quadratic * w * w * n * n for n in (c, s)]
+        command = [velocity_gain * omega * n + linear * w * n + quadratic * w * w * n * n for n in (c, s)]
         drag = [x * v * n + q * v * v * n * n for x, q, n in ((x1, q1, c), (x2, q2, s))]
         total = max(total, np.max(np.hypot(command[0] - drag[0], command[1] - drag[1])))
         omegas.append(omega)
@@ -86,9 +86,9 @@ def steady_cruise(claim: RegionClaim) -> Steady:
     return Steady(
         (low, high),
         1.012 * total + bend,
-        push * high + linear * (v + high),
+        velocity_gain * high + linear * (v + high),
         quadratic * (v + high) ** 2,
-        max(0.0, -(push * low + linear * (v + low))),
+        max(0.0, -(velocity_gain * low + linear * (v + low))),
     )
 
 
@@ -99,7 +99,7 @@ class Gains:
     x: float
     y: float
     velocity: float
-    wish: float
+    desired: float
     command: float
     thrust: float
     share: float
@@ -115,8 +115,8 @@ class Bounds:
     drag: tuple[float, float]
     share: float
     held: float
-    stirred: float
-    wish_rate: float
+    disturbance: float
+    desired_rate: float
     aside: float = 0.0
 
 
@@ -124,8 +124,8 @@ def bounds(claim: RegionClaim, steady: Steady, gains: Gains, low: float, high: f
     """Bounds of the shell low ≤ V ≤ high; None where the law is another one there."""
     mass, linear, quadratic = claim.model
     k1, ahead, v, cap = claim.gains["k1"], claim.gains["lookahead"], claim.cruise, claim.cap
-    reach, floor = _SLACK * np.sqrt(high), np.sqrt(low)
-    x, y = gains.x * reach, gains.y * reach
+    radius, floor = _SLACK * np.sqrt(high), np.sqrt(low)
+    x, y = gains.x * radius, gains.y * radius
     fast, slow = v + steady.omega[1], v + steady.omega[0]
     wide = y + steady.aside
     most = cap * ahead / np.hypot(ahead, wide) * 0.9999
@@ -134,39 +134,39 @@ def bounds(claim: RegionClaim, steady: Steady, gains: Gains, low: float, high: f
         return None
     steer = (slow - k1 * x, min(fast + k1 * x, cap))
     catch = (min(k1, (most - fast) / x), k1)
-    wished = fast + steady.drift
-    model_drag = (linear, linear + quadratic * (wished + min(cap, wished + gains.wish * reach)))
-    drag = (claim.linear[0], claim.linear[1] + claim.quadratic[1] * (2 * (v + claim.current) + gains.velocity * reach))
-    push = mass * claim.gains["k_v"]
+    desired_speed = fast + steady.drift
+    model_drag = (linear, linear + quadratic * (desired_speed + min(cap, desired_speed + gains.desired * radius)))
+    drag = (claim.linear[0], claim.linear[1] + claim.quadratic[1] * (2 * (v + claim.current) + gains.velocity * radius))
+    velocity_gain = mass * claim.gains["k_v"]
     turning = max(abs(steady.linear), steady.backward) + 1.5 * steady.quadratic
     still = claim.yaw_rate * (claim.period + claim.lag[1]) * turning
     outside = steady.total + claim.force
-    stirred = outside if claim.lag[1] else 0.0
-    still += outside - stirred
+    disturbance = outside if claim.lag[1] else 0.0
+    still += outside - disturbance
     slant = max(np.sqrt(k1 * k1 * (1 + (wide / ahead) ** 2) + (steer[1] / ahead) ** 2), cap / ahead)
     steepest = linear + 2 * quadratic * cap
     far = (_SLACK * gains.y + steady.aside + claim.place_error) / ahead  # V ≤ 1: what is held is of an earlier instant
-    still += (push + steepest) * np.sqrt(k1**2 * (1 + far**2) + (cap / ahead) ** 2) * claim.place_error
-    still += push * claim.velocity_error
+    still += (velocity_gain + steepest) * np.sqrt(k1**2 * (1 + far**2) + (cap / ahead) ** 2) * claim.place_error
+    still += velocity_gain * claim.velocity_error
     return Bounds(
         steer,
         catch,
         model_drag,
         drag,
-        min(1.0, gains.share / reach),
+        min(1.0, gains.share / radius),
         max(_SLACK * still, 1e-3) / floor,
-        max(_SLACK * stirred, 1e-3) / floor,
-        (push + steepest) * slant,
+        max(_SLACK * disturbance, 1e-3) / floor,
+        (velocity_gain + steepest) * slant,
         steady.aside,
     )
 
 
 def force_gain(claim: RegionClaim, slope: float, steer: float, catch: float, aside: float = 0.0) -> tuple[Array, Array]:
     """δW (2, n) and the commanded force's deviation (2, n), of ξ."""
-    wish, push = np.zeros((2, claim.size)), claim.model[0] * claim.gains["k_v"]
-    wish[0, 0], wish[1, 1] = -catch, -steer / claim.gains["lookahead"]
-    wish[1, 0] = catch * aside / claim.gains["lookahead"]
-    return wish, (push + slope) * wish - push * np.eye(claim.size)[2:4]
+    desired, velocity_gain = np.zeros((2, claim.size)), claim.model[0] * claim.gains["k_v"]
+    desired[0, 0], desired[1, 1] = -catch, -steer / claim.gains["lookahead"]
+    desired[1, 0] = catch * aside / claim.gains["lookahead"]
+    return desired, (velocity_gain + slope) * desired - velocity_gain * np.eye(claim.size)[2:4]
 
 
 def gains_of(claim: RegionClaim, steady: Steady, P: Array, at: Bounds) -> Gains:
@@ -206,7 +206,7 @@ class Loop:
 
     A: Array
     B: Array
-    wish: Array
+    desired: Array
     force: Array
     speed: Array
     states: NDArray[np.intp]
@@ -218,7 +218,7 @@ def loops(claim: RegionClaim, at: Bounds) -> Iterator[Loop]:
     """The vertices of a shell's inclusion."""
     size, lag, eye = claim.size, claim.lag[1] > 0, np.eye(claim.size)
     share, quarter = (1 + at.share) / 2, np.array([[0.0, -1.0], [1.0, 0.0]])
-    seen: set[tuple[float, ...]] = set()
+    visited: set[tuple[float, ...]] = set()
     wind = tuple(
         j for j in (1, 2, 3, 4, 5, 6) if (j != 2 or at.share < 1) and (j != 4 or claim.period) and (j != 6 or lag)
     )
@@ -226,7 +226,7 @@ def loops(claim: RegionClaim, at: Bounds) -> Iterator[Loop]:
         sorted(set(claim.mass)), at.steer, sorted(set(at.catch)),
         (claim.yaw_rate if lag else 0.0,), sorted(set(claim.lag)),
     ):  # fmt: skip  # turning the other way is the mirror image
-        wish, force = force_gain(claim, sum(at.model_drag) / 2, s, k, at.aside)
+        desired, force = force_gain(claim, sum(at.model_drag) / 2, s, k, at.aside)
         A = np.zeros((size, size))
         A[:2, 2:4] = np.eye(2)
         A[2:4] -= sum(at.drag) / 2 / m * eye[2:4]
@@ -247,13 +247,15 @@ def loops(claim: RegionClaim, at: Bounds) -> Iterator[Loop]:
         }
         B, every = np.hstack([entry[j] for j in wind]), np.arange(size)
         if (lag and claim.yaw_rate) or at.aside:
-            yield Loop(A, B, wish, force, eye[2:4], every, np.hstack([A, B])[2:4], wind)
+            yield Loop(A, B, desired, force, eye[2:4], every, np.hstack([A, B])[2:4], wind)
             continue
         for axis, name in ((0, k), (1, s)):
-            if (axis, name, m, t) in seen:
+            if (axis, name, m, t) in visited:
                 continue
-            seen.add((axis, name, m, t))
+            visited.add((axis, name, m, t))
             own = every[axis::2]
             row = np.ix_(every[axis : axis + 1], own)
             part = np.hstack([A[:, own], B[:, axis::2]])[2 + axis : 3 + axis]
-            yield Loop(A[np.ix_(own, own)], B[own][:, axis::2], wish[row], force[row], eye[2:4][row], own, part, wind)
+            yield Loop(
+                A[np.ix_(own, own)], B[own][:, axis::2], desired[row], force[row], eye[2:4][row], own, part, wind
+            )

@@ -37,19 +37,19 @@ class RegionProof(Certified):
     Attributes:
         claim: what was claimed.
         offset: |y_e| [m] from which the cruise is certified, at x_e = 0 and the target's velocity; 0 when unknown.
-        settled: |x_e|, |y_e| [m] within which it ends.
+        ultimate_bound: |x_e|, |y_e| [m] within which it ends.
         seconds: time it took [s].
         check_seconds: the checker's share of it [s].
-        reach: largest |y_e| [m] of any point of the region.
+        extent: largest |y_e| [m] of any point of the region.
         ratios: certified level over what the falsifier and the thrust limit allow; None where it has no model.
     """
 
     claim: RegionClaim | HeadingClaim
     offset: float
-    settled: tuple[float, float]
+    ultimate_bound: tuple[float, float]
     seconds: float
     check_seconds: float
-    reach: float = 0.0
+    extent: float = 0.0
     ratios: LevelRatios | None = None
 
     @property
@@ -57,7 +57,7 @@ class RegionProof(Certified):
         """The verdict in one line."""
         if self.verdict != "proved":
             return f"unknown: {self.reason}"
-        x, y = self.settled
+        x, y = self.ultimate_bound
         return (
             f"proved: from {self.offset:.3g} m beside the path it decays at {self.claim.rate:g}/s "
             f"to within {x:.3g} m along and {y:.3g} m across; checked in {self.check_seconds:.2f} s"
@@ -69,8 +69,8 @@ class RegionProof(Certified):
         return {
             **self.decided(),
             "offset_m": self.offset,
-            "settled_m": list(self.settled),
-            "reach_m": self.reach,
+            "ultimate_bound_m": list(self.ultimate_bound),
+            "extent_m": self.extent,
             "level_ratios": None if self.ratios is None else self.ratios._asdict(),
             "rate_per_s": self.claim.rate,
             "seconds": self.seconds,
@@ -89,18 +89,18 @@ def prove_region(claim: RegionClaim, *, attempts: int = 80, seed: int = 0) -> Re
         seed: of the search.
     """
     began = time.perf_counter()
-    found, checked = _stored(claim, attempts, seed)
-    document = _document(claim, found)
+    result, checked = _stored(claim, attempts, seed)
+    document = _document(claim, result)
     if document and checked is None:  # whoever stored it, the checker decides
         checked = check_document(document)
     if checked is None or not checked.accepted:
-        reason = found["reason"] if checked is None else checked.reason
+        reason = result["reason"] if checked is None else checked.reason
         return RegionProof(claim, "unknown", {}, reason, 0.0, (0.0, 0.0), time.perf_counter() - began, 0.0)
-    ratios = None if found["ratios"] is None else LevelRatios(*found["ratios"])
-    settled = (found["settled"][0], found["settled"][1])
+    ratios = None if result["ratios"] is None else LevelRatios(*result["ratios"])
+    ultimate_bound = (result["ultimate_bound"][0], result["ultimate_bound"][1])
     took = time.perf_counter() - began
     return RegionProof(
-        claim, "proved", document, "", found["offset"], settled, took, checked.seconds, found["reach"], ratios
+        claim, "proved", document, "", result["offset"], ultimate_bound, took, checked.seconds, result["extent"], ratios
     )
 
 
@@ -109,9 +109,9 @@ def _stored(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, Any
     checks: list[Checked | None] = []
 
     def build() -> bytes:
-        found, checked = _searched(claim, attempts, seed)
+        result, checked = _searched(claim, attempts, seed)
         checks.append(checked)
-        return json.dumps(found).encode()
+        return json.dumps(result).encode()
 
     try:
         sources = source_digest("surctl.verification.region", "surctl.certcheck")
@@ -120,8 +120,8 @@ def _stored(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, Any
     stated = replace(claim, name="", digests=("", ""))
     parts = (sources, version("clarabel"), repr(stated), str(attempts), str(seed))
     key = hashlib.sha256("\0".join(parts).encode()).hexdigest()
-    found = json.loads(cached_bytes(key, ".region", build))
-    return found, checks[0] if checks else None
+    result = json.loads(cached_bytes(key, ".region", build))
+    return result, checks[0] if checks else None
 
 
 def _searched(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, Any], Checked | None]:
@@ -136,24 +136,24 @@ def _searched(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, A
             plain = claim.size == 4 and not any(
                 (claim.period, claim.current, claim.force, claim.place_error, claim.velocity_error)
             )
-            found = {
+            result = {
                 "proof": document["proof"],
                 "offset": motion["offset_m"],
-                "settled": motion["settled_m"],
-                "reach": float(np.sqrt(np.linalg.inv(P)[1, 1])),
+                "ultimate_bound": motion["ultimate_bound_m"],
+                "extent": float(np.sqrt(np.linalg.inv(P)[1, 1])),
                 "ratios": level_ratios(cruise_loop(claim), P, claim.rate) if plain else None,
             }
-            return found, checked
+            return result, checked
         reason = checked.reason
     return {"reason": reason}, None
 
 
-def _document(claim: RegionClaim, found: Mapping[str, Any]) -> dict[str, Any]:
+def _document(claim: RegionClaim, result: Mapping[str, Any]) -> dict[str, Any]:
     """The certificate with the numbers that were found; empty where nothing was."""
-    if "proof" not in found:
+    if "proof" not in result:
         return {}
-    x, y = found["settled"]
-    return seal("region", claim.document(offset=found["offset"], settled=(x, y)), {"proof": found["proof"]})
+    x, y = result["ultimate_bound"]
+    return seal("region", claim.document(offset=result["offset"], ultimate_bound=(x, y)), {"proof": result["proof"]})
 
 
 def certificate_of(claim: RegionClaim, steady: Steady, candidate: Candidate) -> dict[str, Any]:
@@ -164,7 +164,7 @@ def certificate_of(claim: RegionClaim, steady: Steady, candidate: Candidate) -> 
     away = max(map(abs, steady.omega)) / claim.gains["k1"]
     offset = _offset(P, steady, claim)
     covariance = np.linalg.inv(P) * candidate.levels[0]
-    settled = tuple(
+    ultimate_bound = tuple(
         float(np.ceil(1e4 * (np.sqrt(covariance[k, k]) * 1.0001 + shift)) / 1e4)
         for k, shift in enumerate((away, steady.aside))
     )
@@ -177,7 +177,7 @@ def certificate_of(claim: RegionClaim, steady: Steady, candidate: Candidate) -> 
             for level, factors in zip(candidate.levels[1:], candidate.multipliers, strict=True)
         ],
     }
-    stated = claim.document(offset=offset, settled=(settled[0], settled[1]))
+    stated = claim.document(offset=offset, ultimate_bound=(ultimate_bound[0], ultimate_bound[1]))
     return seal("region", stated, {"proof": proof})
 
 
@@ -187,9 +187,9 @@ def _short(value: float, digits: int = _DIGITS + 1) -> float:
 
 def _offset(P: NDArray[np.float64], steady: Steady, claim: RegionClaim) -> float:
     """Largest y with V ≤ 1 at x_e = 0 and the target's velocity, whatever ω is, rounded down."""
-    found = []
+    offsets = []
     for omega in steady.omega:
         x = omega / claim.gains["k1"]
         a, b, c = P[1, 1], -abs(P[0, 1] * x), P[0, 0] * x * x - 1  # the worse side
-        found.append((b + np.sqrt(b * b - a * c)) / a if c < 0 else 0.0)
-    return float(np.floor(1e4 * max(min(found) - steady.aside, 0.0) * 0.9999) / 1e4)
+        offsets.append((b + np.sqrt(b * b - a * c)) / a if c < 0 else 0.0)
+    return float(np.floor(1e4 * max(min(offsets) - steady.aside, 0.0) * 0.9999) / 1e4)

@@ -29,7 +29,7 @@ def _between(pair: tuple[float, float], share: Array) -> Array:
 def heading_loop(claim: HeadingClaim) -> Loop:
     """The heading-steered loop with its thrust limits."""
     law, limits = claim.law, claim.limits
-    v, push, ahead = law["cruise"], claim.push, law["lookahead"]
+    v, velocity_gain, ahead = law["cruise"], claim.velocity_gain, law["lookahead"]
     fed = law["linear_drag"] * v + law["quadratic_drag"] * v * v
     keys = [key for key in claim.ranges if not key.startswith("heave")]
 
@@ -39,13 +39,17 @@ def heading_loop(claim: HeadingClaim) -> Loop:
         def drag(axis: str, n: Array) -> Array:
             return np.asarray(boat[f"{axis}_linear"] * n + boat[f"{axis}_quadratic"] * n * np.abs(n))
 
-        command = v + (drag("surge", np.full(len(xi), v)) - fed) / push
+        command = v + (drag("surge", np.full(len(xi), v)) - fed) / velocity_gain
         x_e, y, psi, r = xi[:, 0] + (v - command) / law["k1"], xi[:, 1], xi[:, 2], xi[:, 5]
         c, s = np.cos(psi), np.sin(psi)
         u, w = c * (v + xi[:, 3]) + s * xi[:, 4], -s * (v + xi[:, 3]) + c * xi[:, 4]
-        wanted = (v - law["k1"] * x_e) * np.hypot(y, ahead) / ahead
+        desired = (v - law["k1"] * x_e) * np.hypot(y, ahead) / ahead
         pull = law["yaw_inertia_kg_m2"] * law["k_r"]
-        forces = (push * (wanted - u) + fed, -push * w, -pull * (r + law["k_psi"] * (psi + np.arctan(y / ahead))))
+        forces = (
+            velocity_gain * (desired - u) + fed,
+            -velocity_gain * w,
+            -pull * (r + law["k_psi"] * (psi + np.arctan(y / ahead))),
+        )
         ends = [limits[k] for k in ("surge_n", "sway_n", "yaw_nm")]
         f, g, n = (np.clip(t, -end, end) for t, end in zip(forces, ends, strict=True))
         share = np.max([np.abs(t) / end for t, end in zip(forces, ends, strict=True)], axis=0)
@@ -61,7 +65,7 @@ def cruise_loop(claim: RegionClaim) -> Loop:
     mass, hat, hat2 = claim.model
     gains, v = claim.gains, claim.cruise
     ratio = np.inf if claim.asymmetry >= 2 else (2 + claim.asymmetry) / (2 - claim.asymmetry)
-    push = mass * gains["k_v"]
+    velocity_gain = mass * gains["k_v"]
 
     def rate(xi: Array, draws: Array) -> tuple[Array, Array]:
         linear, quadratic = (
@@ -70,18 +74,18 @@ def cruise_loop(claim: RegionClaim) -> Loop:
             for k, pair in ((1, claim.linear), (3, claim.quadratic))
         )  # fmt: skip
         missing = (np.mean(linear, axis=0) - hat) * v + 0.85 * (np.mean(quadratic, axis=0) - hat2) * v * v
-        omega = missing / (push + hat + 1.7 * hat2 * v)
+        omega = missing / (velocity_gain + hat + 1.7 * hat2 * v)
         psi = 2 * np.pi * draws[:, 5]
         c, s = np.cos(psi), np.sin(psi)
         x_e, y = xi[:, 0] - omega / gains["k1"], xi[:, 1]
         slant = np.hypot(1, y / gains["lookahead"])
         along = np.minimum(np.maximum(v - gains["k1"] * x_e, 0), claim.cap / slant)
-        wish = along, -along * y / gains["lookahead"]
+        desired = along, -along * y / gains["lookahead"]
         speed = v + xi[:, 2], xi[:, 3]
         accelerations, share, true_mass = [], np.zeros(len(xi)), _between(claim.mass, draws[:, 0])
         for k, (a, b) in enumerate(((c, s), (-s, c))):
-            w, n = a * wish[0] + b * wish[1], a * speed[0] + b * speed[1]
-            free = hat * w + hat2 * w * np.abs(w) + push * (w - n)
+            w, n = a * desired[0] + b * desired[1], a * speed[0] + b * speed[1]
+            free = hat * w + hat2 * w * np.abs(w) + velocity_gain * (w - n)
             share = np.maximum(share, np.abs(free) / claim.thrust)
             lost = linear[k] * n + quadratic[k] * n * np.abs(n)
             accelerations.append((np.clip(free, -claim.thrust, claim.thrust) - lost) / true_mass)

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 _LEVELS = np.geomspace(0.01, 100, 120)
 _TOGETHER = 4_000  # points a call: few enough for the cache, enough for the call to cost little
-_DRAWN, _KEPT, _STEPS, _HALVINGS = 10_000, 300, 40, 10
+_SAMPLES, _BEST, _STEPS, _HALVINGS = 10_000, 300, 40, 10
 
 
 class LevelRatios(NamedTuple):
@@ -34,14 +34,14 @@ class LevelRatios(NamedTuple):
         )
 
 
-def level_ratios(loop: Loop, P: Array, wanted: float, *, seed: int = 0) -> LevelRatios:
+def level_ratios(loop: Loop, P: Array, rate: float, *, seed: int = 0) -> LevelRatios:
     """The ratios of V ≤ 1 for V = ξᵀPξ and the rate a = wanted, as far as a search of chance steps finds them.
 
     The search can miss: the ratio to the falsifier is at least what it says.
     """
 
     def lost(at: Array, draws: Array, level: Array) -> Array:
-        return np.asarray(2 * np.einsum("ni,ij,nj->n", at, P, loop(at, draws)[0]) > -wanted * level)
+        return np.asarray(2 * np.einsum("ni,ij,nj->n", at, P, loop(at, draws)[0]) > -rate * level)
 
     def bound(at: Array, draws: Array, level: Array) -> Array:
         return np.asarray(loop(at, draws)[1] > 1)
@@ -57,7 +57,7 @@ def _least(test: Callable[[Array, Array, Array], Array], P: Array, low: float, s
 
     def least(unit: Array, draws: Array, most: Array) -> Array:
         """The least level at which each is met, as far as `most`; inf where none is."""
-        xi, found = unit / np.linalg.norm(unit, axis=1, keepdims=True) @ root, np.full(len(unit), np.inf)
+        xi, lowest = unit / np.linalg.norm(unit, axis=1, keepdims=True) @ root, np.full(len(unit), np.inf)
         left, k = np.arange(len(unit)), 0
         while k < len(levels) and left.size:
             several = levels[k : k + max(_TOGETHER // left.size, 1)]
@@ -67,16 +67,16 @@ def _least(test: Callable[[Array, Array, Array], Array], P: Array, low: float, s
             met = test(xi[every] * np.sqrt(at)[:, None], draws[every], at).reshape(len(left), -1)
             reached = several[np.argmax(met, axis=1)]
             good = met.any(axis=1) & (reached <= most[left])
-            found[left[good]] = reached[good]
+            lowest[left[good]] = reached[good]
             left = left[~good & (most[left] > several[-1])]
-        return found
+        return lowest
 
-    unit, draws = draw.normal(size=(_DRAWN, size)), draw.uniform(size=(_DRAWN, DRAWS))
+    unit, draws = draw.normal(size=(_SAMPLES, size)), draw.uniform(size=(_SAMPLES, DRAWS))
     draws = np.where(draw.uniform(size=draws.shape) < 0.6, np.round(draws), draws)
     draws[:, 5] = draw.uniform(size=len(draws))  # a heading has no ends
-    level = least(unit, draws, np.full(_DRAWN, np.inf))
-    kept = np.argsort(level)[:_KEPT]
-    unit, draws, level = unit[kept], draws[kept], level[kept]
+    level = least(unit, draws, np.full(_SAMPLES, np.inf))
+    best = np.argsort(level)[:_BEST]
+    unit, draws, level = unit[best], draws[best], level[best]
     for step in np.geomspace(0.3, 0.01, _STEPS):
         unit /= np.linalg.norm(unit, axis=1, keepdims=True)
         moved = unit + draw.normal(scale=step, size=unit.shape)

@@ -25,7 +25,7 @@ __all__ = ["search"]
 
 _STARTS = tuple(product((0.5, 1.0, 0.3), (0.02, 0.06), (0.28, 0.15, 0.08), (0.1, 0.3, 0.7)))
 _COARSE, _FINE = 2, 6  # shells
-_KEPT = 0.95  # floor of a region that does no more than keep itself
+_INVARIANT_FLOOR = 0.95  # floor of a region that does no more than keep itself
 
 
 def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> Iterator[Candidate]:
@@ -36,7 +36,7 @@ def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> I
     if claim.current:
         yield from _holding(claim, steady)
         return
-    found: list[Candidate] = []
+    candidates: list[Candidate] = []
     passed_over: list[Proposal] = []
     draw = np.random.default_rng(seed)
     cruise, cap, ahead = claim.cruise, claim.cap, claim.gains["lookahead"]
@@ -55,28 +55,28 @@ def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> I
         candidate = finished(claim, steady, proposal)
         if candidate is None:
             return
-        found.append(candidate)
+        candidates.append(candidate)
         if best is None or candidate.offset > best[0]:
             best = candidate.offset, start
 
     for share, growth, far, floor in _STARTS:  # what is out of reach is found out soon
         attempt(Start(far * cruise / claim.gains["k1"], 0.46 * wide, share, floor, growth))
-        if len(found) >= max(attempts // 3, 1):
+        if len(candidates) >= max(attempts // 3, 1):
             break
     refining = True
-    for _ in range(attempts - len(found)):
+    for _ in range(attempts - len(candidates)):
         if best is None:
             break
-        kept = best[1]
+        base = best[1]
         factors = np.exp(draw.normal(scale=(0.2, 0.15, 0.15, 0.3, 0.3)))
         attempt(
             replace(
-                kept,
-                x=kept.x * factors[0],
-                y=min(kept.y * factors[1], 0.98 * wide),
-                share=min(kept.share * factors[2], 1.0),
-                floor=min(kept.floor * factors[3], 0.8),
-                growth=kept.growth * factors[4],
+                base,
+                x=base.x * factors[0],
+                y=min(base.y * factors[1], 0.98 * wide),
+                share=min(base.share * factors[2], 1.0),
+                floor=min(base.floor * factors[3], 0.8),
+                growth=base.growth * factors[4],
             )
         )
     if best is not None:
@@ -84,11 +84,11 @@ def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> I
             fine = synthesise(claim, steady, replace(best[1], floor=best[1].floor / share), shells=_FINE, rounds=4)
             if fine is not None and fine.offset > 0.95 * best[0]:
                 yield fine
-    yield from islice(_largest(claim, steady, [*found, *passed_over]), 5)
+    yield from islice(_largest(claim, steady, [*candidates, *passed_over]), 5)
 
 
-def _largest(claim: RegionClaim, steady: Steady, found: list[Candidate | Proposal]) -> Iterator[Candidate]:
-    for one in sorted(found, key=lambda one: -one.offset):
+def _largest(claim: RegionClaim, steady: Steady, candidates: list[Candidate | Proposal]) -> Iterator[Candidate]:
+    for one in sorted(candidates, key=lambda one: -one.offset):
         candidate = finished(claim, steady, one) if isinstance(one, Proposal) else one
         if candidate is not None:
             yield candidate
@@ -100,19 +100,24 @@ def _holding(claim: RegionClaim, steady: Steady) -> Iterator[Candidate]:
     P comes from the smallest region that keeps itself, a few times what the unsteady force moves it by if it stands;
     then levels further out are tried with the same P.
     """
-    push = claim.model[0] * claim.gains["k_v"]
-    x, y = steady.total / (push * claim.gains["k1"]), steady.total * claim.gains["lookahead"] / (push * claim.cruise)
-    found: list[tuple[float, Candidate]] = []
+    velocity_gain = claim.model[0] * claim.gains["k_v"]
+    x, y = (
+        steady.total / (velocity_gain * claim.gains["k1"]),
+        steady.total * claim.gains["lookahead"] / (velocity_gain * claim.cruise),
+    )
+    regions: list[tuple[float, Candidate]] = []
     for wide, far, growth in product((2.0, 2.3, 2.8), (2.3, 2.6, 3.0), (0.08, 0.1)):
-        close = synthesise(claim, steady, Start(far * x, wide * y, 1.0, _KEPT, growth, 0.05), shells=1, rounds=2)
+        close = synthesise(
+            claim, steady, Start(far * x, wide * y, 1.0, _INVARIANT_FLOOR, growth, 0.05), shells=1, rounds=2
+        )
         if close is None:
             continue
-        along, across = np.sqrt(np.diag(np.linalg.inv(close.P))[:2] * _KEPT)
+        along, across = np.sqrt(np.diag(np.linalg.inv(close.P))[:2] * _INVARIANT_FLOOR)
         away = max(map(abs, steady.omega)) / claim.gains["k1"]
         extent = np.ceil(100 * max(along + away, across + steady.aside))  # of one centimetre the widest region
         for level in (2.0, 3.0, 4.0, 6.0, 9.0):
-            wider = widened(claim, steady, close.P / level, levels_of(_KEPT / level, _FINE))
+            wider = widened(claim, steady, close.P / level, levels_of(_INVARIANT_FLOOR / level, _FINE))
             if wider is None:
                 break
-            found.append((float(extent - wider.offset), wider))
-    yield from (one for _, one in sorted(found, key=lambda pair: pair[0]))
+            regions.append((float(extent - wider.offset), wider))
+    yield from (one for _, one in sorted(regions, key=lambda pair: pair[0]))

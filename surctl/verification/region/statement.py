@@ -88,10 +88,10 @@ class RegionStatement(Strict):
         cap = self.cap_m_per_s if cap is None or own else cap
         if own and cruise >= cap:  # a mistake of whoever wrote the claim, not of the speeds at hand
             raise InputError("must be below the cap", key="cruise", value=cruise, remedy="raise the cap")
-        flown = replace(gains, source="").with_values(self.gains)  # a wrong one is not the gain file's
-        turn = flown["spin"] if self.spinning else self.yaw_rate_rad_per_s
+        law_gains = replace(gains, source="").with_values(self.gains)  # a wrong one is not the gain file's
+        turn = law_gains["spin"] if self.spinning else self.yaw_rate_rad_per_s
         return region_claim(
-            self.name, vehicle, flown, share=share, thrust_share=self.thrust_share, asymmetry=self.asymmetry,
+            self.name, vehicle, law_gains, share=share, thrust_share=self.thrust_share, asymmetry=self.asymmetry,
             sampled=self.sampled, lagged=self.lagged, yaw_rate=turn, cruise=cruise, cap=cap,
             rate=self.rate_per_s, current=self.current_m_per_s, force=self.force_n, place_error=self.place_error_m,
             velocity_error=self.velocity_error_m_per_s,
@@ -139,7 +139,7 @@ def load_region(path: Path) -> RegionStatement:
 def write_region(statement: RegionStatement) -> str:
     """The statement as the text of such a file, every key; `load_region` reads it back as the same."""
 
-    def told(value: object) -> str:
+    def literal(value: object) -> str:
         if isinstance(value, bool):
             return str(value).lower()
         return quoted(value) if isinstance(value, str) else repr(value)
@@ -147,7 +147,7 @@ def write_region(statement: RegionStatement) -> str:
     plain = {key: value for key, value in statement.model_dump().items() if key != "gains"}
     if statement.loop == "heading":
         plain = {key: value for key, value in plain.items() if key in _HEADING_KNOWS}
-    lines = [f"{key} = {told(value)}" for key, value in plain.items()]
+    lines = [f"{key} = {literal(value)}" for key, value in plain.items()]
     if statement.gains:
         lines += ["", "[gains]", *(f"{key} = {value!r}" for key, value in statement.gains.items())]
     return "\n".join(lines) + "\n"

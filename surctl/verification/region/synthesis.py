@@ -91,9 +91,9 @@ def levels_of(floor: float, count: int) -> tuple[float, ...]:
 
 def structured(at: Bounds, loop: Loop) -> dict[int, Array]:
     """∂M/∂λ_j (N, N) of w_1, w_2, w_3; of w_5 and w_6 without the term in P."""
-    size, total, q = len(loop.A), len(loop.A) + loop.B.shape[1], len(loop.wish)
+    size, total, q = len(loop.A), len(loop.A) + loop.B.shape[1], len(loop.desired)
     start = {j: size + q * k for k, j in enumerate(loop.wind)}
-    found = {}
+    derivatives = {}
     for j in _WINDS:
         slope = np.zeros((total, total))
         if j in start:
@@ -105,22 +105,22 @@ def structured(at: Bounds, loop: Loop) -> dict[int, Array]:
                 slope += ((1 - at.share) / 2) ** 2 * whole.T @ whole
             elif j in (1, 3):
                 low, high = at.model_drag if j == 1 else at.drag
-                rows = loop.wish if j == 1 else loop.speed
+                rows = loop.desired if j == 1 else loop.speed
                 slope[:size, :size] += ((high - low) / 2) ** 2 * rows.T @ rows
-        found[j] = slope
-    return found
+        derivatives[j] = slope
+    return derivatives
 
 
 def held(claim: RegionClaim, at: Bounds, loop: Loop) -> Array:
     """∂M/∂ρ: what a command that is held costs, and what it owes to |w_4|²."""
-    size, total, q = len(loop.A), len(loop.A) + loop.B.shape[1], len(loop.wish)
+    size, total, q = len(loop.A), len(loop.A) + loop.B.shape[1], len(loop.desired)
     slope = np.zeros((total, total))
     if 4 not in loop.wind:
         return slope
     start = {j: size + q * k for k, j in enumerate(loop.wind)}
-    h, turn, push = claim.period, claim.yaw_rate * claim.period, claim.model[0] * claim.gains["k_v"]
-    slope += h * (1 + _SPLIT) * push**2 * loop.braking.T @ loop.braking
-    slope[:size, :size] += h * (1 + 1 / _SPLIT) * at.wish_rate**2 * loop.speed.T @ loop.speed
+    h, turn, velocity_gain = claim.period, claim.yaw_rate * claim.period, claim.model[0] * claim.gains["k_v"]
+    slope += h * (1 + _SPLIT) * velocity_gain**2 * loop.braking.T @ loop.braking
+    slope[:size, :size] += h * (1 + 1 / _SPLIT) * at.desired_rate**2 * loop.speed.T @ loop.speed
     owed = (1 - h * (claim.rate + _GROWTH)) / (h * (1 + _TURN_SPLIT) * (1 + turn) ** 2)
     whole = np.zeros((q, total))
     whole[:, :size] = loop.force
@@ -150,10 +150,10 @@ def multipliers_of(claim: RegionClaim, at: Bounds, P: Array, hold: float) -> tup
         change, inner = np.eye(total), np.zeros((total, total))
         change[:size, :size] = np.linalg.inv(np.linalg.cholesky(own)).T  # changeᵀ P change = I
         inner[:size, :size] = own
-        given = structured(at, loop)
-        given[5] = given[5] + at.held**2 * inner
-        given[6] = given[6] + at.stirred**2 * inner
-        parts = [given[j] for j in _WINDS] + [inner]
+        derivatives = structured(at, loop)
+        derivatives[5] = derivatives[5] + at.held**2 * inner
+        derivatives[6] = derivatives[6] + at.disturbance**2 * inner
+        parts = [derivatives[j] for j in _WINDS] + [inner]
         pair = matrices.setdefault(total, ([], []))
         pair[0].append(-change.T @ (lyapunov(loop, P, claim.rate) + hold * held(claim, at, loop)) @ change)
         pair[1].append(np.array([-change.T @ part @ change for part in parts]))
@@ -175,17 +175,17 @@ def shape(
     matrices: dict[int, tuple[list[Array], list[Array]]] = {}
     for k, at in enumerate(shells):
         for loop in loops(claim, at):
-            given = structured(at, loop)
+            derivatives = structured(at, loop)
             total = len(loop.A) + loop.B.shape[1]
             slopes = np.zeros((unknowns, total, total))
             rate = claim.rate + growth[k].sum()
             slopes[:count] = -lyapunov(loop, basis, rate)
             for j in range(_FREE):
-                slopes[count + _FREE * k + j] = -given[_WINDS[j]]
+                slopes[count + _FREE * k + j] = -derivatives[_WINDS[j]]
             slopes[-1] = -held(claim, at, loop)
-            fixed = growth[k, 0] / at.held**2 * given[5]
+            fixed = growth[k, 0] / at.held**2 * derivatives[5]
             if 6 in loop.wind:
-                fixed = fixed + growth[k, 1] / at.stirred**2 * given[6]
+                fixed = fixed + growth[k, 1] / at.disturbance**2 * derivatives[6]
             pair = matrices.setdefault(total, ([], []))
             pair[0].append(-fixed)
             pair[1].append(slopes)
@@ -225,8 +225,8 @@ def _pairs_of(claim: RegionClaim, gains: Gains, at: Bounds) -> list[Array]:
     rows = [eye[2:4] / gains.velocity]
     for s in at.steer:
         for k in sorted(set(at.catch)):
-            wish, force = force_gain(claim, middle, s, k, at.aside)
-            rows += [wish / gains.wish, force / gains.command]
+            desired, force = force_gain(claim, middle, s, k, at.aside)
+            rows += [desired / gains.desired, force / gains.command]
     if claim.size == 6:
         rows.append(eye[4:6] / gains.thrust)
     return rows
@@ -243,16 +243,16 @@ def synthesise(
         shaped = _shaped(claim, steady, gains, levels, growth, spread)
         if shaped is None:
             return best
-        candidate, fitted, told = _finished(claim, steady, *shaped, gains, levels)
+        candidate, fitted, fitted_growth = _finished(claim, steady, *shaped, gains, levels)
         if candidate is not None and (best is None or candidate.offset > best.offset):
             best = candidate
         gains = replace(
             fitted, x=gains.x, y=gains.y, share=gains.share,
-            velocity=1.03 * fitted.velocity, wish=1.03 * fitted.wish, command=1.03 * fitted.command,
+            velocity=1.03 * fitted.velocity, desired=1.03 * fitted.desired, command=1.03 * fitted.command,
             thrust=1.03 * fitted.thrust,
         )  # fmt: skip
-        if told is not None:
-            growth = told
+        if fitted_growth is not None:
+            growth = fitted_growth
     return best
 
 
@@ -269,25 +269,27 @@ def finished(claim: RegionClaim, steady: Steady, proposal: Proposal) -> Candidat
 
 
 def _first_gains(claim: RegionClaim, start: Start) -> Gains:
-    push = claim.model[0] * claim.gains["k_v"]
-    return Gains(start.x, start.y, start.velocity, 0.2, 0.3 * push, 0.3 * push, start.share)
+    velocity_gain = claim.model[0] * claim.gains["k_v"]
+    return Gains(start.x, start.y, start.velocity, 0.2, 0.3 * velocity_gain, 0.3 * velocity_gain, start.share)
 
 
 def _shaped(
     claim: RegionClaim, steady: Steady, gains: Gains, levels: tuple[float, ...], growth: Array, spread: float
 ) -> tuple[Array, float] | None:
-    found = [bounds(claim, steady, gains, low, high) for low, high in pairwise(levels)]
-    known = [one for one in found if one is not None]
-    if len(known) < len(found):
+    shells = [bounds(claim, steady, gains, low, high) for low, high in pairwise(levels)]
+    known = [one for one in shells if one is not None]
+    if len(known) < len(shells):
         return None
     return shape(claim, steady, gains, known, growth, spread=spread)
 
 
 def widened(claim: RegionClaim, steady: Steady, P: Array, levels: tuple[float, ...]) -> Candidate | None:
     """The candidate of a given P and levels, with no command held, if every shell has multipliers."""
-    reach = np.sqrt(np.diag(np.linalg.inv(P)))
-    push = claim.model[0] * claim.gains["k_v"]
-    gains = Gains(reach[0], reach[1], float(np.hypot(*reach[2:4])), claim.cap, 0.5 * push, 0.5 * push, 0.5)
+    extent = np.sqrt(np.diag(np.linalg.inv(P)))
+    velocity_gain = claim.model[0] * claim.gains["k_v"]
+    gains = Gains(
+        extent[0], extent[1], float(np.hypot(*extent[2:4])), claim.cap, 0.5 * velocity_gain, 0.5 * velocity_gain, 0.5
+    )
     if bounds(claim, steady, gains, levels[-2], levels[-1]) is None:
         return None
     return _finished(claim, steady, P, 0.0, gains, levels)[0]
@@ -305,11 +307,11 @@ def _finished(
         at = bounds(claim, steady, fitted, low, high)
         if at is None:
             return None, fitted, None
-        found = multipliers_of(claim, at, P, hold)
-        if found is None:
+        result = multipliers_of(claim, at, P, hold)
+        if result is None:
             return None, fitted, None
-        factor, left = found
+        factor, left = result
         fine = fine and left > 1e-6
         factors.append(factor)
-        growth.append([max(factor[3] * at.held**2, 1e-3), max(factor[4] * at.stirred**2, 1e-3)])
+        growth.append([max(factor[3] * at.held**2, 1e-3), max(factor[4] * at.disturbance**2, 1e-3)])
     return Candidate(P, levels, np.array(factors), hold) if fine else None, fitted, np.array(growth)

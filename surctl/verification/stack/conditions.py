@@ -42,7 +42,7 @@ Shown = Literal["identity", "proved", "samples", "witness"]
 Outcome = Literal["converges", "converges on samples", "need not converge"]
 
 _DEPENDENT = 1e-3  # a sine below this counts as none
-_KEPT = 0.9  # of the least sine of the samples: what the prover is asked for
+_PROVED_SHARE = 0.9  # of the least sine of the samples: what the prover is asked for
 
 
 @dataclass(frozen=True)
@@ -166,15 +166,15 @@ def stack_conditions(
     Raises:
         InputError: as `surctl.priority.diagnosis.diagnose`.
     """
-    found = diagnose(stack, region, parameters=parameters, samples=samples, seed=seed)
+    diagnosis = diagnose(stack, region, parameters=parameters, samples=samples, seed=seed)
     box = build_region(stack, region, parameters)
     coupled = couplings(stack, box, samples=samples, seed=seed)
 
     def proved(above: Sequence[int], i: int, sine: float) -> float:
-        return prove_sine(stack, box, above, i, sine=_KEPT * sine, time_limit=time_limit)
+        return prove_sine(stack, box, above, i, sine=_PROVED_SHARE * sine, time_limit=time_limit)
 
     pairs = {
-        (i, j): _pair(found.pairs[k], partial(proved, [i], j))
+        (i, j): _pair(diagnosis.pairs[k], partial(proved, [i], j))
         for k, (i, j) in enumerate(combinations(range(len(stack.tasks)), 2))
     }
     levels: list[LevelCondition] = []
@@ -182,7 +182,7 @@ def stack_conditions(
         assert isinstance(task, Task)  # `diagnose` refuses the others
         above = [pairs[j, i] for j in range(i)]
         own = partial(prove_strength, stack, box, i, time_limit=time_limit)
-        levels.append(_level(stack, found, coupled, above, i, partial(proved, range(i), i), own))
+        levels.append(_level(stack, diagnosis, coupled, above, i, partial(proved, range(i), i), own))
     for i, level in enumerate(levels):
         lost = [other.task for other in levels[:i] if other.outcome == "need not converge"]
         if lost and level.outcome != "need not converge" and not level.tracks:
@@ -194,13 +194,13 @@ def stack_conditions(
     shown = [_only(pair, touched[i] | touched[j]) for (i, j), pair in pairs.items()]
     levels = [_only(level, set().union(*touched[: i + 1])) for i, level in enumerate(levels)]
     return StackConditions(
-        stack.names, tuple(shown), tuple(levels), coupled.triangular, coupled.small_gain, found.samples
+        stack.names, tuple(shown), tuple(levels), coupled.triangular, coupled.small_gain, diagnosis.samples
     )
 
 
-def _only(found: Any, names: set[str]) -> Any:
+def _only(condition: Any, names: set[str]) -> Any:
     """The finding with its state cut down to the variables that its tasks depend on."""
-    return replace(found, where={name: value for name, value in found.where.items() if name in names})
+    return replace(condition, where={name: value for name, value in condition.where.items() if name in names})
 
 
 def _pair(pair: Pair, proved: Callable[[float], float]) -> PairCondition:
@@ -220,7 +220,7 @@ def _pair(pair: Pair, proved: Callable[[float], float]) -> PairCondition:
 
 def _level(
     stack: Stack,
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     coupled: Coupling,
     above: Sequence[PairCondition],
     i: int,
@@ -229,9 +229,9 @@ def _level(
 ) -> LevelCondition:
     name, own = stack.names[i], coupled.own[i]
     disturbed = {stack.names[j]: size for j, size in coupled.from_below(i).items()}
-    kinematic = next((s for s in found.singularities if s.task == name and s.kind == "kinematic"), None)
-    lost = next((s for s in found.singularities if s.task == name and s.kind == "algorithmic"), None)
-    dependent = found.levels[i].dependent
+    kinematic = next((s for s in diagnosis.singularities if s.task == name and s.kind == "kinematic"), None)
+    lost = next((s for s in diagnosis.singularities if s.task == name and s.kind == "algorithmic"), None)
+    dependent = diagnosis.levels[i].dependent
 
     free = not disturbed and all(pair.kind == "orthogonal" for pair in above)
 
@@ -241,7 +241,7 @@ def _level(
     if kinematic is not None:
         where = kinematic.poses[0]
         return said("need not converge", "witness", 0.0, "it is singular by itself", where)
-    if lost is not None or dependent or found.levels[i].rank < stack.tasks[i].size:
+    if lost is not None or dependent or diagnosis.levels[i].rank < stack.tasks[i].size:
         where = lost.poses[0] if lost is not None else coupled.worst[i]
         return said("need not converge", "witness", 0.0, "the tasks above take a direction", where)
     if free:

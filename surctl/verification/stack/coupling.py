@@ -93,11 +93,11 @@ def couplings(stack: Stack, region: Region, *, samples: int, seed: int) -> Coupl
     values = field.at(points)
     J, count = values.jacobians, len(stack.tasks)
     plus = [np.linalg.pinv(j, rcond=1e-9) for j in J]
-    reach = np.tile(np.eye(4), (len(points), 1, 1))  # N_1 ⋯ N_{j−1}
+    nullspace = np.tile(np.eye(4), (len(points), 1, 1))  # N_1 ⋯ N_{j−1}
     own, most = np.zeros(count), np.zeros((count, count))
     sine, worst = [], []
     for j in range(count):
-        arm = reach @ plus[j]
+        arm = nullspace @ plus[j]
         for i in range(count):
             block = J[i] @ arm
             if i == j:
@@ -107,7 +107,7 @@ def couplings(stack: Stack, region: Region, *, samples: int, seed: int) -> Coupl
         product = outside_sines(directions(J[j]), projector_above(values, j))[:, : stack.tasks[j].size].prod(axis=1)
         sine.append(float(product.min()))
         worst.append(region.pose(points[int(product.argmin())]))
-        reach = reach @ (np.eye(4) - plus[j] @ J[j])
+        nullspace = nullspace @ (np.eye(4) - plus[j] @ J[j])
     return Coupling(
         tuple(map(float, own)), tuple(sine), tuple(worst), most, commuting_levels(stack),
         frozenset(orthogonal_pairs(stack)),

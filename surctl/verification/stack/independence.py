@@ -12,7 +12,7 @@ from surctl.priority.diagnosis.region import Region
 from surctl.tasks import Stack
 from surctl.verification.claim import Claim, Variable
 from surctl.verification.proving import prove
-from surctl.verification.stack.settled import settled
+from surctl.verification.stack.simplification import simplified
 
 __all__ = ["independence_claims", "prove_sine", "prove_strength"]
 
@@ -60,7 +60,7 @@ def _jacobian(stack: Stack, region: Region, k: int) -> ca.SX:
     """∂σ/∂η, free of the branches that the region settles."""
     sigma = stack.tasks[k].sigma
     try:
-        smooth = settled(sigma, region, tuple(map(_name, region.names)))
+        smooth = simplified(sigma, region, tuple(map(_name, region.names)))
     except InputError:  # an operation that the claim grammar does not have: the prover will say so
         smooth = sigma
     return ca.jacobian(smooth, stack.eta)

@@ -48,9 +48,9 @@ def shipped_stack(name: str) -> ShippedStack:
     """
     if name not in SHIPPED_STACKS:
         raise InputError("has no such stack", key="stack", value=name, remedy=nearest(name, SHIPPED_STACKS))
-    eta, wish = ca.SX.sym("eta", 4), ca.SX.sym("wish", 2)
-    lower = (velocity_task(eta, wish), depth_task(eta, -0.5), heading_task(eta, 0.0))
-    parameters: list[Parameter] = [(wish, -0.25, 0.25)]
+    eta, desired = ca.SX.sym("eta", 4), ca.SX.sym("desired", 2)
+    lower = (velocity_task(eta, desired), depth_task(eta, -0.5), heading_task(eta, 0.0))
+    parameters: list[Parameter] = [(desired, -0.25, 0.25)]
     above = []
     for side, (low, high) in _ECHOES.items() if name == "paper" else ():
         echo = ca.SX.sym(f"echo_{side}", 2)

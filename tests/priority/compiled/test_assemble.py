@@ -49,7 +49,7 @@ def drawn(rng: np.random.Generator) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("mode", MODES)
 def test_eta_in_v_out_is_the_law_at_these_values(assembly: Assembly, mode: Mode) -> None:
     need_compiler()
-    tick, rng, rungs = assembly.tick(mode), np.random.default_rng(1), set()
+    tick, rng, rungs = assembly.step(mode), np.random.default_rng(1), set()
     for _ in range(100):
         values = drawn(rng)
         for name, value in values.items():
@@ -59,7 +59,7 @@ def test_eta_in_v_out_is_the_law_at_these_values(assembly: Assembly, mode: Mode)
         want = solve(problem, mode=mode)
         bar = 1e-6 if want.status == "relaxed" else 1e-8
         assert np.abs(tick.v - want.v).max() <= bar * (1 + np.abs(want.v).max())
-        rungs.add(tick.rung)
+        rungs.add(tick.stage)
         names = {name for name, _ in tick.binding()}
         assert names <= {row.name for row in problem.rows} | {"depth"}
     assert rungs >= ({"met"} if mode in ("nsb", "filter") else {"met", "limited"})
@@ -90,7 +90,7 @@ def test_the_box_is_that_of_the_problem() -> None:
     for slope, low, high in ((2.0, -0.2, 0.05), (-2.0, -0.05, 0.3), (0.0, -0.2, 0.3)):
         values = {"eta": np.zeros(4), "goal": np.zeros(2), "planes": np.full(15, 0.1)}
         values["planes"][3] = slope
-        tick = made.tick("nsb")
+        tick = made.step("nsb")
         for name, value in values.items():
             tick.inputs[name][:] = value
         tick.solve()
@@ -98,7 +98,7 @@ def test_the_box_is_that_of_the_problem() -> None:
 
 
 def test_two_ticks_do_not_share_their_arrays(assembly: Assembly) -> None:
-    one, other = assembly.tick("nsb"), assembly.tick("nsb")
+    one, other = assembly.step("nsb"), assembly.step("nsb")
     one.inputs["goal"][:] = 1.0
     one.solve()
     other.solve()
@@ -107,19 +107,19 @@ def test_two_ticks_do_not_share_their_arrays(assembly: Assembly) -> None:
 
 def test_no_limit_is_no_row() -> None:
     made = assemble(Stack((depth_task(eta, -0.2),)), inputs={"eta": eta})
-    tick = made.tick()
+    tick = made.step()
     tick.solve()
     np.testing.assert_allclose(tick.v, [0, 0, -0.2, 0], atol=1e-15)
     assert made.problem({"eta": np.zeros(4)}).rows == ()
 
 
 def test_a_number_that_is_none_is_clamped_and_told_by_name(assembly: Assembly) -> None:
-    tick, values = assembly.tick("projected"), drawn(np.random.default_rng(3))
+    tick, values = assembly.step("projected"), drawn(np.random.default_rng(3))
     values["goal"][1] = np.nan
     for name, value in values.items():
         tick.inputs[name][:] = value
     tick.solve()
-    assert tick.rung == "clamped" and (tick.v == 0.0).all()
+    assert tick.stage == "clamped" and (tick.v == 0.0).all()
     with pytest.raises(InputError, match=r"task line_of_sight.*row 0 is not finite"):
         assembly.problem(values)
     values = drawn(np.random.default_rng(3))
@@ -163,15 +163,15 @@ def test_inputs_and_values_are_checked(assembly: Assembly) -> None:
 def test_a_set_of_two_rows_is_to_be_split() -> None:
     place = SetTask(name="place", eta=eta, sigma=eta[:2], lower=-1.0, upper=1.0)
     with pytest.raises(InputError, match=r"task place.*split\(\)"):
-        assemble(Stack((place,)), inputs=INPUTS).tick()
-    tick = assemble(Stack(place.split()), inputs=INPUTS).tick("projected")
+        assemble(Stack((place,)), inputs=INPUTS).step()
+    tick = assemble(Stack(place.split()), inputs=INPUTS).step("projected")
     tick.inputs["eta"][:] = [2.0, 0.0, 0.0, 0.0]
     tick.solve()
     np.testing.assert_allclose(tick.v, [-1.0, 0, 0, 0], atol=1e-12)
 
 
 def test_inputs_are_written_into_and_nothing_is_loaded(assembly: Assembly) -> None:
-    tick, values = assembly.tick("nsb"), drawn(np.random.default_rng(0))
+    tick, values = assembly.step("nsb"), drawn(np.random.default_rng(0))
     with pytest.raises(TypeError):
         tick.inputs["eta"] = values["eta"]  # type: ignore[index]
     with pytest.raises(InputError, match="takes no problem, only inputs"):
@@ -199,7 +199,7 @@ def test_rows_of_others_are_checked_and_may_be_numbers() -> None:
         with pytest.raises(InputError, match=says):
             assemble(stack, [Own(row)], inputs={"eta": eta})
     plain = Own(LimitRow("own", "actuator", np.array([[0, 0, 1.0, 0]]), -0.1, 0.1))  # type: ignore[arg-type]
-    tick = assemble(stack, [plain], inputs={"eta": eta}).tick()
+    tick = assemble(stack, [plain], inputs={"eta": eta}).step()
     tick.inputs["eta"][:] = [0, 0, -3, 0]
     tick.solve()
     np.testing.assert_allclose(tick.v, [0, 0, 0.1, 0], atol=1e-12)

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.ir import Real, compile_block, replay
-from surctl.priority import Level, LevelShape, PriorityTick, Row, build_problem, priority_tick, safe_tick
-from surctl.priority.settings import Ladder
+from surctl.priority import Level, LevelShape, PriorityStep, Row, build_problem, priority_step, safe_step
+from surctl.priority.settings import Fallback
 from surctl.priority.solver.bounded import BOUNDED, CAP
-from surctl.priority.solver.ladder import CLAMPED, MET
+from surctl.priority.solver.fallback import CLAMPED, MET
 from surctl.priority.solver.precision import FLOAT32, FLOAT64, Precision
 from surctl.priority.solver.safe_point import idle_row
 from surctl.priority.solver.trials import FAMILIES, Trials, draw_trials
@@ -31,8 +31,8 @@ def answers(n: int, p: int, m: int) -> tuple[Trials, tuple[Array, ...], tuple[Ar
     """Problems, and what either ladder says to them in C."""
     need_compiler()
     trials = moved(draw_trials(3_000 if m == 24 else 600, n=n, p=p, m=m, seed=5))
-    ladders: tuple[Ladder, Ladder] = ("exact", "bounded")
-    exact, bounded = (tuple(compile_block(safe_tick(n, p, m, ladder=k))(*trials.arrays)) for k in ladders)
+    ladders: tuple[Fallback, Fallback] = ("exact", "bounded")
+    exact, bounded = (tuple(compile_block(safe_step(n, p, m, fallback=k))(*trials.arrays)) for k in ladders)
     return trials, exact, bounded
 
 
@@ -109,7 +109,7 @@ def test_it_is_much_better_than_standing_still_and_near_the_exact_answer() -> No
 def test_c_and_replay_give_the_same_bytes(real: Real) -> None:
     need_compiler()
     kind = np.float32 if real == "float32" else np.float64
-    routine = safe_tick(4, 2, 24, precision=PRECISION[real], ladder="bounded")
+    routine = safe_step(4, 2, 24, precision=PRECISION[real], fallback="bounded")
     pairs = zip(draw_trials(60, seed=2).arrays, broken(), strict=True)
     with np.errstate(over="ignore"):
         arrays = [np.concatenate(pair).astype(kind) for pair in pairs]
@@ -131,7 +131,7 @@ def broken() -> tuple[Array, ...]:
 def test_no_number_that_is_none_comes_through() -> None:
     need_compiler()
     arrays = broken()
-    v, *_, opening, status, _ = compile_block(safe_tick(4, 2, 24, ladder="bounded"))(*arrays)
+    v, *_, opening, status, _ = compile_block(safe_step(4, 2, 24, fallback="bounded"))(*arrays)
     low, high = arrays[4][:, :4], arrays[4][:, 4:]
     assert np.isfinite(v).all() and np.isfinite(opening).all() and (low <= v).all() and (v <= high).all()
     assert set(np.unique(status)) <= {MET, CLAMPED, BOUNDED}
@@ -140,12 +140,12 @@ def test_no_number_that_is_none_comes_through() -> None:
 
 
 def test_a_row_that_is_no_number_leaves_the_target_in_the_box() -> None:
-    tick = PriorityTick("projected", n=2, levels=(LevelShape(2),), rows=2, ladder="bounded")
+    tick = PriorityStep("projected", n=2, levels=(LevelShape(2),), rows=2, fallback="bounded")
     tick.J[:], tick.lower[:], tick.upper[:] = np.eye(2), [0.3, 0.4], [0.3, 0.4]
     tick.rows[1] = [np.nan, 0, -1, 1, 1]
     tick.box[:] = [[-1, -1], [1, 1]]
     tick.solve()
-    assert tick.rung == "bounded" and tick.v.tolist() == tick.target.tolist()
+    assert tick.stage == "bounded" and tick.v.tolist() == tick.target.tolist()
 
 
 def test_the_work_is_bounded_by_the_routine_itself() -> None:
@@ -153,36 +153,36 @@ def test_the_work_is_bounded_by_the_routine_itself() -> None:
 
     def most(rows: int) -> int:
         sizes = {"n": 4, "levels": shapes, "rows": rows, "precision": FLOAT32}
-        return priority_tick("projected", **sizes, named=False, ladder="bounded").operations  # type: ignore[arg-type]
+        return priority_step("projected", **sizes, named=False, fallback="bounded").operations  # type: ignore[arg-type]
 
     assert most(24) <= 7_000
     assert most(32) - most(24) == most(24) - most(16)
 
 
 def test_rows_without_bounds_and_a_row_without_a_way_are_passed() -> None:
-    tick = PriorityTick("projected", n=2, levels=(LevelShape(2),), rows=4, ladder="bounded")
+    tick = PriorityStep("projected", n=2, levels=(LevelShape(2),), rows=4, fallback="bounded")
     tick.J[:], tick.lower[:], tick.upper[:] = np.eye(2), [0.3, 0.4], [0.3, 0.4]
     tick.rows[:2] = [[1, 0, -np.inf, 0.1, 1], [0, 0, -np.inf, np.inf, 1]]
     tick.rows[2:] = [[0, 0, 0, 0, 0], idle_row(2)]
     tick.box[:] = [[-1, -1], [1, 1]]
     tick.solve()
-    assert tick.rung == "bounded" and tick.opening[0] == 0.0 and tick.binding() == ()
+    assert tick.stage == "bounded" and tick.opening[0] == 0.0 and tick.binding() == ()
     np.testing.assert_allclose(tick.v, [0.1, 0.4], atol=1e-12)
     tick.rows[1] = [-1, 0, -np.inf, -0.3, 1]  # against the first: v_1 at most 0.1, at least 0.3
     tick.solve()
-    assert tick.rung == "bounded" and 0.1 <= tick.v[0] <= 0.3 and 0.0 < tick.opening[0] <= 0.2
+    assert tick.stage == "bounded" and 0.1 <= tick.v[0] <= 0.3 and 0.0 < tick.opening[0] <= 0.2
     tick.box[0] = 0.4  # its rows are not among the others: standing still is outside all the same
     tick.solve()
-    assert tick.rung == "bounded" and (tick.v >= 0.4).all()
+    assert tick.stage == "bounded" and (tick.v >= 0.4).all()
 
 
 def test_a_set_based_first_level_and_mode_filter_have_it_too() -> None:
     wall = Row("wall", "barrier", np.array([1.0, 0.0]), -np.inf, 0.1)
     for level, mode in ((Level("a", np.eye(2)[:1], np.array([0.3]), np.array([0.4])), "projected"),
                         (Level("a", np.eye(2), np.array([0.3, 0.4])), "filter")):  # fmt: skip
-        tick = PriorityTick.of(build_problem([level], [wall]), mode, ladder="bounded")  # type: ignore[arg-type]
+        tick = PriorityStep.of(build_problem([level], [wall]), mode, fallback="bounded")  # type: ignore[arg-type]
         tick.solve()
-        assert tick.rung == ("bounded" if mode == "projected" else "met")
+        assert tick.stage == ("bounded" if mode == "projected" else "met")
         assert abs(tick.v[0] - 0.1) <= 1e-9
 
 
@@ -192,10 +192,10 @@ def test_a_set_based_first_level_and_mode_filter_have_it_too() -> None:
         ({"mode": "nsb"}, "mode nsb has none.*filter or projected"),
         ({"mode": "lexicographic"}, "mode lexicographic has none"),
         ({"mode": "projected", "damping": 0.1}, "no damping"),
-        ({"mode": "projected", "ladder": "bound"}, "did you mean 'bounded'"),
+        ({"mode": "projected", "fallback": "bound"}, "did you mean 'bounded'"),
     ],
 )
 def test_where_there_is_no_such_ladder_it_is_told(options: dict[str, object], words: str) -> None:
-    sizes = {"n": 2, "levels": (LevelShape(1),), "rows": 1, "ladder": "bounded"}
+    sizes = {"n": 2, "levels": (LevelShape(1),), "rows": 1, "fallback": "bounded"}
     with pytest.raises(InputError, match=words):
-        priority_tick(**{**sizes, **options})  # type: ignore[arg-type]
+        priority_step(**{**sizes, **options})  # type: ignore[arg-type]

@@ -20,7 +20,7 @@ def test_names_and_multipliers_are_those_of_the_rows_as_given() -> None:
     got = least_distance(
         [3.0, 0.0], A=[[2.0, 0.0], [0.0, 1.0]], lower=[-9, -9], upper=[2.0, 9], names=("east", "north")
     )
-    assert got.rung == "met"
+    assert got.stage == "met"
     np.testing.assert_allclose(got.v, [1.0, 0.0], atol=1e-15)
     ((name, multiplier),) = got.binding
     assert name == "east" and multiplier == pytest.approx(1.0)  # 2·1 = 3 − 1
@@ -44,16 +44,16 @@ def test_multipliers_of_several_rows_make_up_what_the_target_is_moved_by(n: int)
 
 def test_the_ladder_from_python() -> None:
     task: dict[str, Any] = {"J": [[1.0, 0.0]], "x": [0.5]}
-    assert least_distance([0.0, 0.3], **BOX, **task).rung == "met"
+    assert least_distance([0.0, 0.3], **BOX, **task).stage == "met"
     limited = least_distance([0.0, 0.3], **BOX, J=[[1.0, 0.0]], x=[5.0])
-    assert limited.rung == "limited"
+    assert limited.stage == "limited"
     np.testing.assert_allclose(limited.v, [1.0, 0.3], atol=1e-9)
     wall = {"A": [[1.0, 0.0], [0.0, 1.0], [1.0, 0.0]], "lower": [-1, -1, 2.0], "upper": [1, 1, np.inf]}
     relaxed = least_distance([0.0, 0.3], **wall, soft=[0, 0, 1])
-    assert relaxed.rung == "relaxed" and relaxed.opening == pytest.approx(1.0, abs=1e-9)
+    assert relaxed.stage == "relaxed" and relaxed.opening == pytest.approx(1.0, abs=1e-9)
     np.testing.assert_allclose(relaxed.v, [1.0, 0.3], atol=1e-8)
     clamped = least_distance([7.0, 0.3], **wall, soft=[0, 0, 0], box=([-1, -1], [1, 1]))
-    assert clamped.rung == "clamped" and clamped.binding == ()
+    assert clamped.stage == "clamped" and clamped.binding == ()
     np.testing.assert_allclose(clamped.v, [1.0, 0.3])
 
 
@@ -63,7 +63,7 @@ def test_of_equal_rows_the_first_binds_and_nearly_equal_ones_do_not_send_v_away(
     # these two meet a million kilometres away: that is no answer for a robot
     sharp = {"A": [[1.0, 0.0], [-1.0, 1e-9]], "lower": [-np.inf] * 2, "upper": [0.0, -1.0]}
     got = least_distance([0.0, 0.0], **sharp)
-    assert got.rung == "relaxed" and np.abs(got.v).max() < 2.0
+    assert got.stage == "relaxed" and np.abs(got.v).max() < 2.0
 
 
 def test_no_rows_and_many_rows() -> None:
@@ -104,11 +104,11 @@ def test_without_a_compiler_the_numbers_are_the_same(monkeypatch: pytest.MonkeyP
         raise ToolMissing("no C compiler found")
 
     monkeypatch.setattr("surctl.ir.native.compile_block", missing)
-    module.tick_runner.cache_clear()
+    module.step_runner.cache_clear()
     try:
         got = least_distance([3.0, 0.4], **BOX)
     finally:
-        module.tick_runner.cache_clear()
+        module.step_runner.cache_clear()
     assert got.v.tobytes() == want.v.tobytes() and got.binding == want.binding
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.guidance.braking import Watch, brakes_of, range_needed, stopping_way
+from surctl.guidance.braking import Watch, brakes_of, range_needed, stopping_distance_with_drag
 from surctl.simulation import Case, Obstacle, load_scenario
 from surctl.simulation.campaign import assumptions
 from surctl.vehicle import load_vehicle
@@ -52,7 +52,7 @@ def test_an_obstacle_over_the_target_or_start_is_told():
 
 
 def test_short_sight_is_told():
-    far = range_needed(brakes_of(VEHICLE), Watch(), SCENARIO.cap, way=stopping_way)
+    far = range_needed(brakes_of(VEHICLE), Watch(), SCENARIO.cap, stopping=stopping_distance_with_drag)
     still = replace(SCENARIO, obstacles=())
     assert told(scenario=still, detection=far) == ()
     assert told(scenario=still, detection=0.99 * far) == ("detection",)

@@ -5,23 +5,23 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.simulation import METRICS, STOPS
-from surctl.simulation.campaign import RunTable, fly_campaign, summarise
+from surctl.simulation.campaign import RunTable, run_campaign, summarise
 from tests.simulation.campaign.test_draws import plan
 
 
 def test_chunks_and_threads_change_no_byte():
     drawn = plan("tank-moving", seconds=50.0)
-    whole = fly_campaign(drawn, runs=50)
+    whole = run_campaign(drawn, runs=50)
     for chunk, threads in ((7, 3), (50, 2), (1000, 1)):
-        other = fly_campaign(drawn, runs=50, chunk=chunk, threads=threads)
+        other = run_campaign(drawn, runs=50, chunk=chunk, threads=threads)
         assert other.table.to_csv() == whole.table.to_csv()
         assert [r.to_toml() for r in other.worst(4)] == [r.to_toml() for r in whole.worst(4)]
-    assert fly_campaign(drawn, runs=20).table.to_csv() == "\n".join(whole.table.to_csv().split("\n")[:21]) + "\n"
+    assert run_campaign(drawn, runs=20).table.to_csv() == "\n".join(whole.table.to_csv().split("\n")[:21]) + "\n"
 
 
 def test_a_campaign_needs_runs():
     with pytest.raises(InputError, match="runs = 0"):
-        fly_campaign(plan("tank-static"), runs=0)
+        run_campaign(plan("tank-static"), runs=0)
 
 
 def table(*rows):
@@ -42,7 +42,7 @@ def table(*rows):
 
 MIXED = table(
     ("reached", 50.0, 0.3, ()),
-    ("halted", 90.0, 0.2, ()),
+    ("stopped", 90.0, 0.2, ()),
     ("collision", 20.0, -0.001, ("thrust", "range")),
     ("reached", 60.0, 0.1, ()),
     ("collision", 30.0, -0.002, ()),
@@ -58,7 +58,7 @@ def test_the_worst_come_first():
 def test_a_summary_counts():
     told = summarise(MIXED)
     counts = {reason: share.count for reason, share in told.stopped.items()}
-    assert counts == {"time limit": 1, "reached": 2, "collision": 2, "fault": 0, "halted": 1, "dead end": 0}
+    assert counts == {"time limit": 1, "reached": 2, "collision": 2, "fault": 0, "stopped": 1, "dead end": 0}
     assert told.time_s[0] == 50.0 and told.time_s[50] == 55.0 and told.time_s[100] == 60.0
     assert told.clearance_m[0] == -0.002 and told.clearance_m[100] == 0.3
     assert told.broken == {"thrust": 1, "range": 1, "none": 1}
@@ -84,12 +84,12 @@ def test_a_row_tells_all_and_so_does_a_line():
 
 def test_a_collision_names_what_was_not_assumed():
     quick = plan("pool-behind")  # the overtaker goes 0.2 m/s, and more in some draws
-    flown = fly_campaign(quick, runs=40)
+    flown = run_campaign(quick, runs=40)
     hit = flown.table.column("collided") > 0.5
     assert 0 < hit.sum() < 40
     assert all("obstacle speed" in names for names, is_hit in zip(flown.table.broken, hit, strict=True) if is_hit)
     assert flown.summary.broken["obstacle speed"] == hit.sum()
-    still = fly_campaign(plan("tank-static"), runs=5).table.broken
+    still = run_campaign(plan("tank-static"), runs=5).table.broken
     assert {name for names in still for name in names} <= {"margin"}  # nothing moves
 
 

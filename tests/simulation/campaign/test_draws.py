@@ -58,7 +58,7 @@ def test_a_run_does_not_depend_on_where_it_is_cut():
 def test_nothing_is_drawn_of_what_is_certain():
     sure = Uncertainty(vehicle=False, obstacle_size=0.0, obstacle_speed=0.0)
     drawn = plan("tank-moving", uncertainty=sure)
-    assert drawn.flight(5).draw == {} and drawn.flight(5).case.scenario == drawn.case.scenario
+    assert drawn.run(5).draw == {} and drawn.run(5).case.scenario == drawn.case.scenario
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ def test_nothing_is_drawn_of_what_is_certain():
 def test_the_batch_flies_what_the_reference_loop_is_given(name, k, seconds, more):
     drawn = plan(name, seconds=seconds, **more)
     found = simulate_batch(drawn.case, drawn.values(k, 1), seeds=drawn.seeds(k, 1)).table[0]
-    wanted = np.array(drawn.flight(k).fly().metrics.row())
+    wanted = np.array(drawn.run(k).simulate().metrics.row())
     np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
     nominal = simulate_batch(drawn.case, seeds=drawn.seeds(k, 1)).table[0]
     which = list(METRICS).index("length_m")

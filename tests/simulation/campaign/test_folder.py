@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from surctl.errors import InputError
-from surctl.simulation.campaign import CHUNK, CampaignFolder, campaign, fly_campaign
+from surctl.simulation.campaign import CHUNK, CampaignFolder, campaign, run_campaign
 from tests.simulation.campaign.test_draws import GAINS, plan
 
 DRAWN = plan("tank-static", seconds=3.0)
@@ -15,7 +15,7 @@ def fly(path, drawn, *, runs=5, fresh=False, threads=1):
     folder = CampaignFolder(path, (drawn,))
     folder.prepare(fresh=fresh)
     with folder.store(drawn) as store:
-        flown = fly_campaign(drawn, runs=runs, store=store, threads=threads)
+        flown = run_campaign(drawn, runs=runs, store=store, threads=threads)
     folder.write(flown, worst=2)
     return flown
 
@@ -27,13 +27,13 @@ def files(path):
 @pytest.fixture
 def flown(monkeypatch):
     """First runs of the chunks that are flown."""
-    seen, real = [], campaign._flown
+    seen, real = [], campaign._simulate_chunk
 
     def counting(plan, first, count, threads):
         seen.append((first, count))
         return real(plan, first, count, threads)
 
-    monkeypatch.setattr(campaign, "_flown", counting)
+    monkeypatch.setattr(campaign, "_simulate_chunk", counting)
     return seen
 
 

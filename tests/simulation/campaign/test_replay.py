@@ -7,7 +7,7 @@ from math import inf
 import pytest
 
 from surctl.errors import InputError
-from surctl.simulation.campaign import fly_campaign, load_replay
+from surctl.simulation.campaign import load_replay, run_campaign
 from tests.simulation.campaign.test_draws import GAINS, plan
 from tests.simulation.campaign.test_worlds import worlds
 
@@ -25,13 +25,13 @@ from tests.simulation.campaign.test_worlds import worlds
 def test_a_worst_run_flown_again_equals_its_row(drawn, tmp_path):
     gains = GAINS.with_values({"k_v": 1.7})
     drawn = replace(drawn, case=replace(drawn.case, gains=gains))
-    flown = fly_campaign(drawn, runs=12)
+    flown = run_campaign(drawn, runs=12)
     for kept, k in zip(flown.worst(2), flown.table.worst(2), strict=True):
         file = tmp_path / "run.toml"
         file.write_text(kept.to_toml())
         read = load_replay(file)
         assert read.to_toml() == kept.to_toml()
-        row, run = flown.table.row(k), read.flight.fly()
+        row, run = flown.table.row(k), read.run.simulate()
         assert run.metrics.stopped_because == row["stopped_because"] and run.seed == row["seed"]
         for name in ("time_s", "min_clearance_m", "deviation_m", "length_m", "effort_n", "max_deviation_m"):
             assert getattr(run.metrics, name) == pytest.approx(row[name], rel=1e-9, abs=1e-9)
@@ -41,21 +41,21 @@ def test_a_worst_run_flown_again_equals_its_row(drawn, tmp_path):
 
 @pytest.fixture(scope="module")
 def text():
-    return fly_campaign(plan("tank-moving", seconds=3.0), runs=3).worst(1)[0].to_toml()
+    return run_campaign(plan("tank-moving", seconds=3.0), runs=3).worst(1)[0].to_toml()
 
 
 def test_another_run_is_told_apart(text, tmp_path):
     (tmp_path / "a.toml").write_text(text)
     kept = load_replay(tmp_path / "a.toml")
-    run = kept.flight.fly()
+    run = kept.run.simulate()
     assert kept.difference(run) <= 1e-9
-    assert replace(kept, stopped_because="halted").difference(run) == inf
+    assert replace(kept, stopped_because="stopped").difference(run) == inf
     off = kept.figures | {"length_m": kept.figures["length_m"] + 1e-6}
     assert replace(kept, figures=off).difference(run) == pytest.approx(1e-6, rel=1e-3)
     fewer = {name: value for name, value in kept.figures.items() if name != "length_m"}
     assert replace(kept, figures=fewer).difference(run) == inf
-    heavier = replace(kept.flight, draw=kept.flight.draw | {"m11": 60.0})
-    assert kept.difference(heavier.fly()) > 1e-6
+    heavier = replace(kept.run, draw=kept.run.draw | {"m11": 60.0})
+    assert kept.difference(heavier.simulate()) > 1e-6
 
 
 @pytest.mark.parametrize(
@@ -98,4 +98,4 @@ def test_a_start_inside_an_obstacle_is_told_when_it_is_flown(text, tmp_path):
         re.sub(r"size_m = \[.*\]", "size_m = [0.3, 9.0]", text.replace("[8.0, 1.2]", "[0.6, 2.5]"), count=1)
     )
     with pytest.raises(InputError, match="inside obstacle"):
-        load_replay(file).flight.fly()
+        load_replay(file).run.simulate()

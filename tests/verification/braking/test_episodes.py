@@ -5,8 +5,8 @@ import pytest
 from surctl.control import load_gains
 from surctl.vehicle import load_vehicle
 from surctl.verification.braking import BrakingClaim, braking_claim_named
-from surctl.verification.braking.episodes import fly, rule_of
-from surctl.verification.braking.way import way_table
+from surctl.verification.braking.distance import distance_table
+from surctl.verification.braking.episodes import rule_of, run_episodes
 
 
 def claimed(name: str, vehicle: str = "sur540-flooded") -> BrakingClaim:
@@ -16,16 +16,16 @@ def claimed(name: str, vehicle: str = "sur540-flooded") -> BrakingClaim:
 @pytest.mark.parametrize("name", ["rule-ranges", "inertia-ranges", "inertia-20-axes", "inertia-20-movers"])
 def test_nothing_is_touched_inside_the_assumptions(name: str) -> None:
     claim = claimed(f"braking-{name}")
-    found = fly(claim, obstacle=claim.obstacles[-1], runs=300, seconds=12.0, seed=2)
+    found = run_episodes(claim, obstacle=claim.obstacles[-1], runs=300, seconds=12.0, seed=2)
     assert found.hits == 0 and found.least >= 0
     assert found.braked > 0.9 and found.near > 0.1  # it comes near: what never lets go would pass too
 
 
 def test_a_shorter_way_hits() -> None:
     claim, obstacle = claimed("braking-rule-20"), 0.1
-    table = way_table(claim, obstacle)
+    table = distance_table(claim, obstacle)
     short = rule_of(claim, obstacle=obstacle, table=replace(table, slopes=0.85 * table.slopes))
-    assert fly(claim, obstacle=obstacle, runs=300, seconds=12.0, rule=short).hits > 0
+    assert run_episodes(claim, obstacle=obstacle, runs=300, seconds=12.0, rule=short).hits > 0
 
 
 @pytest.mark.parametrize("change", ["margin", "brake"])
@@ -34,10 +34,10 @@ def test_a_law_that_keeps_less_hits(change: str) -> None:
     assert claim.law is not None
     law = replace(claim.law, **{change: {"margin": 0.0, "brake": 1.4 * claim.law.brake}[change]})
     rule = rule_of(replace(claim, law=law), obstacle=0.0)
-    assert fly(claim, obstacle=0.0, runs=300, seconds=12.0, rule=rule).hits > 0
+    assert run_episodes(claim, obstacle=0.0, runs=300, seconds=12.0, rule=rule).hits > 0
 
 
 def test_the_same_seed_flies_the_same_flights() -> None:
     claim = claimed("braking-rule-20")
-    first, second = (fly(claim, obstacle=0.05, runs=50, seconds=5.0, seed=s) for s in (1, 1))
-    assert first == second != fly(claim, obstacle=0.05, runs=50, seconds=5.0, seed=2)
+    first, second = (run_episodes(claim, obstacle=0.05, runs=50, seconds=5.0, seed=s) for s in (1, 1))
+    assert first == second != run_episodes(claim, obstacle=0.05, runs=50, seconds=5.0, seed=2)

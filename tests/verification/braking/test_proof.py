@@ -8,7 +8,7 @@ import pytest
 from surctl.certcheck import check_document, check_file
 from surctl.control import build_law, load_gains
 from surctl.errors import InputError
-from surctl.guidance.braking import fastest_obstacle, stopping_distance, stopping_way
+from surctl.guidance.braking import fastest_obstacle, stopping_distance, stopping_distance_with_drag
 from surctl.simulation import load_scenario, safety_claim
 from surctl.vehicle import load_vehicle
 from surctl.verification.braking import (
@@ -18,7 +18,7 @@ from surctl.verification.braking import (
     law_numbers,
     prove_braking,
 )
-from surctl.verification.braking.way import way_table
+from surctl.verification.braking.distance import distance_table
 
 KEPT = Path(__file__).parents[2] / "certcheck"
 GAINS = load_gains("default")
@@ -37,8 +37,8 @@ def test_every_claim_is_proved_of_the_paper_s_robot(name: str, tmp_path: Path) -
     assert check_file(tmp_path / "c.json").accepted
     assert len(proof.text()) < 10_000 and proof.seconds < 10 and proof.check_seconds < 5
     told = json.loads(json.dumps(proof.to_dict()))
-    assert told["certificate"]["claim"]["lemmas"] and told["range_needed_m"] == proof.reach > 0
-    assert f"{proof.reach:.2f} m" in proof.sentence
+    assert told["certificate"]["claim"]["lemmas"] and told["range_needed_m"] == proof.range_needed > 0
+    assert f"{proof.range_needed:.2f} m" in proof.sentence
 
 
 # what the small vehicle's margin is too small for: its file states no ranges, so that its law believes it is exact
@@ -105,9 +105,9 @@ def test_the_tables_are_those_of_the_numbers_that_the_project_flies_by(name: str
     table = prove_braking(claim).document["claim"]["table"]
     for row, speed in enumerate(claim.speeds):
         for column, obstacle in enumerate(claim.obstacles):
-            closed, way = table["closed_m"][row][column], table["way_m"][row][column]
+            closed, way = table["closed_m"][row][column], table["distance_m"][row][column]
             assert closed == pytest.approx(stopping_distance(claim.brakes, speed, obstacle=obstacle), abs=1.01e-4)
-            assert way == pytest.approx(stopping_way(claim.brakes, speed, obstacle=obstacle), rel=0.02)
+            assert way == pytest.approx(stopping_distance_with_drag(claim.brakes, speed, obstacle=obstacle), rel=0.02)
             assert way <= closed
     stated = prove_braking(claim).document["claim"]["limit_obstacle_m_per_s"]
     assert stated == pytest.approx(fastest_obstacle(claim.brakes), abs=1e-4)
@@ -129,10 +129,10 @@ def test_before_what_is_too_fast_nothing_is_guaranteed() -> None:
 
 def test_current_and_other_forces_lengthen_the_way() -> None:
     plain = claimed("braking-rule-20")
-    for brakes in (replace(plain.brakes, current=0.05), replace(plain.brakes, push=0.5)):
+    for brakes in (replace(plain.brakes, current=0.05), replace(plain.brakes, disturbance=0.5)):
         worse = replace(plain, brakes=brakes, obstacles=(0.0, 0.05))
         assert prove_braking(worse).verdict == "proved"
-        assert way_table(worse, 0.05).worst(worse, 0.2) > way_table(plain, 0.05).worst(plain, 0.2)
+        assert distance_table(worse, 0.05).worst(worse, 0.2) > distance_table(plain, 0.05).worst(plain, 0.2)
 
 
 def test_claims_that_do_not_fit_are_the_users_mistake() -> None:

@@ -7,7 +7,7 @@ import pytest
 from mpmath import mp, mpf
 
 from surctl.certcheck.enclosure import enclose, exact, span
-from surctl.certcheck.sheet import Sheet
+from surctl.certcheck.expressions import ExpressionTable
 from surctl.verification.formula import parse, variable
 from surctl.verification.proving import intervals as iv
 from surctl.verification.proving.rules import apply_rules
@@ -186,7 +186,7 @@ TEXTS = (
 def test_first_and_second_derivatives_at_a_point_are_those_of_sixty_digits(text: str) -> None:
     at = {"x": 0.75, "y": 0.4375}
     root = parse(text, {n: variable(n) for n in at})
-    sheet = Sheet(tuple(at))
+    sheet = ExpressionTable(tuple(at))
     place = sheet.read(text)
     (checked,) = enclose(sheet, [place], [exact(v) for v in at.values()], order=2)
     point = np.array([[v] for v in at.values()])
@@ -224,7 +224,7 @@ def test_slopes_over_a_box_hold_those_at_its_points() -> None:
     rng = np.random.default_rng(13)
     known = {n: variable(n) for n in "xy"}
     for text in TEXTS:
-        sheet = Sheet(("x", "y"))
+        sheet = ExpressionTable(("x", "y"))
         place = sheet.read(text)
         tape = build_tape(("x", "y"), [parse(text, known)])
         low = rng.uniform(0.3, 0.6, (2, 30))

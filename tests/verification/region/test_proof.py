@@ -37,7 +37,7 @@ def claimed(**changes: Any) -> RegionClaim:
 def test_a_region_is_proved_and_its_certificate_stands_alone(tmp_path: Path) -> None:
     proof = prove_region(claimed(), attempts=12)
     assert proof.verdict == "proved", proof.reason
-    assert proof.offset > 0.15 and proof.settled[1] < proof.offset
+    assert proof.offset > 0.15 and proof.ultimate_bound[1] < proof.offset
     proof.write(tmp_path / "c.json")
     found = check_file(tmp_path / "c.json")
     assert found.accepted and json.loads((tmp_path / "c.json").read_text()) == proof.certificate()
@@ -95,8 +95,8 @@ def test_the_library_builds_what_it_says(name: str) -> None:
     if isinstance(claim, HeadingClaim):
         assert claim.ranges["mass_kg"] == ((50, 125) if name == "region-heading-ranges" else (76, 114))
         own = claim.document(
-            offset=motion["offset_m"], beside=motion["beside_m"], reach=tuple(motion["reach"]),
-            depth=motion["depth_m"], settled=motion["settled_m"],
+            offset=motion["offset_m"], beside=motion["beside_m"], extent=tuple(motion["extent"]),
+            depth=motion["depth_m"], ultimate_bound=motion["ultimate_bound_m"],
         )  # fmt: skip
     else:
         assert claim.mass == ((50, 125) if name == "region-cruise-ranges" else (76, 114))
@@ -104,7 +104,7 @@ def test_the_library_builds_what_it_says(name: str) -> None:
             name[17:] in ("sampled", "lag", "spin"),
             name[17:] in ("lag", "spin"),
         )
-        own = claim.document(offset=motion["offset_m"], settled=tuple(motion["settled_m"]))
+        own = claim.document(offset=motion["offset_m"], ultimate_bound=tuple(motion["ultimate_bound_m"]))
     own = json.loads(json.dumps(own))
     assert {k: v for k, v in stated.items() if k != "sha256_law"} == {k: v for k, v in own.items() if k != "sha256_law"}
 
@@ -113,7 +113,7 @@ def test_the_heading_steered_loop_is_proved_and_compared_with_what_can_be() -> N
     claim = heading_claim("test", load_vehicle("sur540-flooded"))
     proof = prove_heading(claim, rounds=1, cells=300)
     assert proof.verdict == "proved", proof.reason
-    assert proof.offset > 0.2 and proof.settled[0] < 0.07 and proof.ratios is not None
+    assert proof.offset > 0.2 and proof.ultimate_bound[0] < 0.07 and proof.ratios is not None
     assert proof.ratios.falsifier < 1 < proof.ratios.thrust  # beyond where thrust binds, and not beyond what holds
     assert "smallest level with a counterexample" in proof.sentence
     assert proof.to_dict()["level_ratios"]["thrust"] == proof.ratios.thrust
@@ -183,7 +183,7 @@ def test_the_steady_cruise_is_that_of_the_checker() -> None:
     from surctl.certcheck.region_trim import trim
 
     claim = claimed()
-    own, exact = steady_cruise(claim), trim(read_claim(claim.document(offset=0.1, settled=(0.1, 0.1))))
+    own, exact = steady_cruise(claim), trim(read_claim(claim.document(offset=0.1, ultimate_bound=(0.1, 0.1))))
     assert np.allclose(own.omega, [float(w) for w in exact.omega], rtol=1e-12)
     assert float(exact.total) <= own.total * 1.005 and own.total <= 1.02 * float(exact.total)
 

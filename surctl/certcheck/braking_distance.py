@@ -1,0 +1,178 @@
+"""The braking way as a table: a convex G with G' ≥ z/(force that brakes), every step of it checked in exact numbers.
+
+z = s + q/m, s = v + v_o the closing speed and q what lag (and a turning hull) leave of the thrust that pushes.
+On knots z_0 = 0 < z_1 < …, G' is continuous and linear between the values g_j; G(0) = 0. The force left at own speed
+v = z − v_o is F_b − f + D(v + … ), D the least drag ahead and the largest astern; a bound on G' by a polynomial in
+Bernstein form settles a whole cell.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from typing import Any
+
+from surctl.certcheck.braking_claim import BrakingClaim
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.region_claim import number, record
+
+__all__ = ["BrakingDistance", "drag", "forces", "read_distance", "rounded"]
+
+_MOST_KNOTS = 400
+_DIGITS = 10**12
+_CELLS = 64
+
+ROOT2 = (Fraction(141421356, 10**8), Fraction(141421357, 10**8))
+HALF_ROOT2 = Fraction(70710678, 10**8)
+"""Below 1/√2: the least share of quadratic drag by axis that is along the motion, at 45°."""
+ROOT27 = Fraction(19245009, 10**8)
+"""Above 1/(3√3)."""
+
+
+def rounded(value: Fraction) -> Fraction:
+    """Rounded up to 12 decimals."""
+    return Fraction(-(-value.numerator * _DIGITS // value.denominator), _DIGITS)
+
+
+def drag(claim: BrakingClaim, speed: Fraction) -> Fraction:
+    """Largest D(v), v ≥ 0 [N]."""
+    return claim.linear[1] * speed + claim.quadratic[1] * speed**2
+
+
+@dataclass(frozen=True)
+class Forces:
+    """Before one obstacle.
+
+    Attributes:
+        obstacle: v_o [m/s].
+        through: v_o + c: speed through the water at which it is met at rest [m/s].
+        disturbance: f, all that pushes beside drag along the direction, at closing speed ≥ 0 [N].
+        swing: q, see above, from the largest thrust [N s].
+    """
+
+    obstacle: Fraction
+    through: Fraction
+    disturbance: Fraction
+    swing: Fraction
+
+
+def largest_disturbance(claim: BrakingClaim, through: Fraction) -> Fraction:
+    """f [N] where the vehicle goes back through the water at up to `through` [m/s].
+
+    What drag pushes beyond D(through) because of a sideways speed, and what a turning hull takes from the brake.
+    """
+    w, (low, high), (low2, high2) = claim.sideways, claim.linear, claim.quadratic
+    if claim.drag == "along":  # (X + X2 √(a² + w²)) a exceeds D(a) by at most X2 a w, and X2 w²/2
+        side = high2 * min(through * w, w**2 / 2)
+    else:
+        side = (high - low) * w / 2 + ROOT2[1] * high2 * through * w + (2 * high2 - low2) * w**2 * ROOT27
+    turned = claim.turn * claim.lag
+    return claim.disturbance + side + turned**2 * max(claim.most, claim.brake)
+
+
+def forces(claim: BrakingClaim, obstacle: Fraction) -> Forces:
+    """What acts before an obstacle of that speed.
+
+    Raises:
+        Rejected: nothing is left of the braking force.
+    """
+    through = obstacle + claim.current
+    disturbance = largest_disturbance(claim, through)
+    if claim.brake - disturbance - drag(claim, through) <= 0:
+        raise Rejected(f"braking guarantees nothing before an obstacle of {float(obstacle):g} m/s")
+    swing = claim.lag * (claim.most + claim.brake) + claim.turn * claim.lag**2 * claim.side
+    return Forces(obstacle, through, disturbance, swing)
+
+
+@dataclass(frozen=True)
+class BrakingDistance:
+    """G by its knots z_j, the slopes g_j there, and its values there."""
+
+    knots: tuple[Fraction, ...]
+    slopes: tuple[Fraction, ...]
+    values: tuple[Fraction, ...]
+
+    def __call__(self, z: Fraction) -> Fraction:
+        """An upper bound on G(z⁺); Rejected beyond the table."""
+        if z <= 0:
+            return Fraction(0)
+        k = self._cell(z)
+        t, width = z - self.knots[k], self.knots[k + 1] - self.knots[k]
+        rise = (self.slopes[k + 1] - self.slopes[k]) / width
+        return self.values[k] + self.slopes[k] * t + rise * t * t / 2
+
+    def slope(self, z: Fraction) -> Fraction:
+        """G'(z⁺)."""
+        if z <= 0:
+            return self.slopes[0]
+        k = self._cell(z)
+        share = (z - self.knots[k]) / (self.knots[k + 1] - self.knots[k])
+        return self.slopes[k] + share * (self.slopes[k + 1] - self.slopes[k])
+
+    def _cell(self, z: Fraction) -> int:
+        if z > self.knots[-1]:
+            raise Rejected("the table of the way is too short")
+        return min(bisect_right(self.knots, z), len(self.knots) - 1) - 1
+
+    def worst(self, claim: BrakingClaim, at: Forces, closing: Fraction, swing: Fraction) -> Fraction:
+        """m G(s + q/m) at the worse end of the mass range [m]: convex in m."""
+        return rounded(max(m * self(closing + swing / m) for m in claim.mass))
+
+
+def read_distance(claim: BrakingClaim, at: Forces, table: Any) -> BrakingDistance:
+    """The table, every step of it checked.
+
+    Raises:
+        Rejected: it is malformed, not convex, or some slope is too small.
+    """
+    entry = record(table, ("knots", "slopes"), "proof.distances")
+    lists = [entry[key] for key in ("knots", "slopes")]
+    if any(not isinstance(x, list) or not 2 <= len(x) <= _MOST_KNOTS for x in lists) or len(lists[0]) != len(lists[1]):
+        raise Rejected("proof.distances: knots and slopes must be lists of one length")
+    knots, slopes = (tuple(number(x, "proof.distances") for x in entries) for entries in lists)
+    if knots[0] != 0 or any(b <= a for a, b in pairwise(knots)):
+        raise Rejected("the knots do not rise from 0")
+    if any(b < a for a, b in pairwise(slopes)):
+        raise Rejected("the way is not convex: a slope falls")
+    values = [Fraction(0)]
+    for k in range(len(knots) - 1):
+        _check_cell(claim, at, knots[k : k + 2], slopes[k : k + 2])
+        values.append(rounded(values[-1] + (knots[k + 1] - knots[k]) * (slopes[k] + slopes[k + 1]) / 2))
+    distance = BrakingDistance(knots, slopes, tuple(values))
+    _check_retreat(claim, at, distance)
+    return distance
+
+
+def _check_cell(claim: BrakingClaim, at: Forces, z: tuple[Fraction, ...], g: tuple[Fraction, ...]) -> None:
+    """G' (F_b − f + D) ≥ z on one cell: the cubic's Bernstein coefficients are not negative."""
+    h, left = z[1] - z[0], claim.brake - at.disturbance
+    behind = z[0] - at.through  # speed through the water at the cell's start
+    if behind < 0 < z[1] - at.through:
+        raise Rejected("the least drag and the largest meet within a cell: a knot must stand there")
+    if behind >= 0:
+        share = Fraction(1) if claim.drag == "along" else HALF_ROOT2
+        first, second = claim.linear[0], claim.quadratic[0] * share
+    else:
+        first, second = claim.linear[1], -claim.quadratic[1]
+    f = (left + first * behind + second * behind**2, first + 2 * second * behind, second)
+    if min(f[0], f[0] + f[1] * h + f[2] * h**2) <= 0:
+        raise Rejected("no braking force is left within a cell")
+    rise = (g[1] - g[0]) / h
+    c = (g[0] * f[0] - z[0], g[0] * f[1] + rise * f[0] - 1, g[0] * f[2] + rise * f[1], rise * f[2])
+    ends = (c[0], c[0] + c[1] * h / 3, c[0] + 2 * c[1] * h / 3 + c[2] * h**2 / 3,
+            c[0] + c[1] * h + c[2] * h**2 + c[3] * h**3)  # fmt: skip
+    if min(ends) < 0:
+        raise Rejected(f"the way is too short: its slope at closing speed {float(z[0]):.4g} m/s")
+
+
+def _check_retreat(claim: BrakingClaim, at: Forces, distance: BrakingDistance) -> None:
+    """G'(q/m − r) (D(v_o + c + r) + f − F_b) ≤ r, r the speed at which the clearance opens; the lightest is worst."""
+    most = at.swing / claim.mass[0]
+    for k in range(_CELLS):
+        slow, quick = most * k / _CELLS, most * (k + 1) / _CELLS
+        through = at.through + quick
+        over = drag(claim, through) + largest_disturbance(claim, through) - claim.brake
+        if over > 0 and distance.slope(most - slow) * over > slow:
+            raise Rejected("drag of its retreat pushes more than the retreat gains")

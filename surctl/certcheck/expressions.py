@@ -1,0 +1,165 @@
+"""The checker's own reader of expressions: text to a list of operations in which nothing stands twice.
+
+The grammar: sums, products, integer powers with ^, the functions of `FUNCTIONS`, decimal numbers (exact), `pi`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.patience import go_on
+
+__all__ = ["BRANCHES", "FUNCTIONS", "Entry", "ExpressionTable"]
+
+FUNCTIONS = {
+    "abs": 1, "acos": 1, "atan": 1, "atan2": 2, "cos": 1, "max": 2, "min": 2, "select": 4, "sin": 1, "sqrt": 1,
+}  # fmt: skip
+"""Functions and their arguments; select(a, b, x, y) is x where a ≤ b, and y elsewhere."""
+
+BRANCHES = ("abs", "max", "min", "select")
+"""Functions that are one of two expressions."""
+
+_LONGEST, _DEEPEST, _MOST = 60_000, 150, 50_000
+_CACHED = 64
+_LEXEME = re.compile(r"[ \t\n]*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)|([A-Za-z]\w*)|([-+*/^(),])|$)", re.ASCII)
+_BINDS = {"+": 1, "-": 1, "*": 2, "/": 2}
+_OPS = {"+": "add", "-": "sub", "*": "mul", "/": "div"}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One operation; `value` is the number of a `num`, the exponent of a `pow`, the index of a `var`."""
+
+    op: str
+    args: tuple[int, ...] = ()
+    value: Fraction = Fraction(0)
+
+
+class ExpressionTable:
+    """All expressions of one certificate; equal ones are one entry, operands stand before their use."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.names = tuple(names)
+        self.entries: list[Entry] = []
+        self._at: dict[Entry, int] = {}
+        self._live: dict[tuple[int, ...], list[int]] = {}
+
+    def put(self, op: str, *args: int, value: Fraction | int = 0) -> int:
+        """Position of an operation."""
+        entry = Entry(op, args, Fraction(value))
+        if entry not in self._at:
+            if len(self.entries) >= _MOST:
+                raise Rejected(f"more than {_MOST} operations")
+            self._at[entry] = len(self.entries)
+            self.entries.append(entry)
+        return self._at[entry]
+
+    def needed(self, roots: Iterable[int]) -> list[int]:
+        """Positions that the roots depend on, in order."""
+        key = tuple(roots)
+        if key not in self._live:
+            live = set(key)
+            for at in range(max(live, default=-1), -1, -1):
+                if at in live:
+                    live.update(self.entries[at].args)
+            if len(self._live) >= _CACHED:
+                self._live.clear()
+            self._live[key] = sorted(live)
+        return self._live[key]
+
+    def rewritten(self, roots: Sequence[int], change: Callable[[int, tuple[int, ...]], int | None]) -> list[int]:
+        """The roots with every entry replaced by change(position, replaced operands), where that is not None."""
+        replaced: dict[int, int] = {}
+        for at in self.needed(roots):
+            entry = self.entries[at]
+            args = tuple(replaced[a] for a in entry.args)
+            changed = change(at, args)
+            replaced[at] = self.put(entry.op, *args, value=entry.value) if changed is None else changed
+        return [replaced[r] for r in roots]
+
+    def read(self, text: object) -> int:
+        """Position of the expression that a text says; Rejected where it says none."""
+        if not isinstance(text, str) or len(text) > _LONGEST:
+            raise Rejected("an expression is not a text of readable length")
+        go_on()
+        lexemes: list[tuple[str, str]] = []
+        at = 0
+        while at < len(text):
+            match = _LEXEME.match(text, at)
+            if match is None:
+                raise Rejected(f"cannot be read at column {at + 1}: {text[at : at + 20]!r}")
+            if match.lastindex:
+                lexemes.append((("number", "name", "sign")[match.lastindex - 1], match[match.lastindex]))
+            at = match.end() if match.end() > at else len(text)
+        lexemes.append(("end", ""))
+        lexemes.reverse()
+        tree = self._expression(lexemes, 0, 0)
+        if lexemes[-1][0] != "end":
+            raise Rejected(f"cannot be read at {lexemes[-1][1]!r}")
+        return tree
+
+    def _expression(self, rest: list[tuple[str, str]], least: int, depth: int) -> int:
+        """Precedence climbing; a sign before a factor binds looser than ^ and tighter than * and /."""
+        if depth > _DEEPEST:
+            raise Rejected("an expression is nested too deeply")
+        tree = self._factor(rest, depth)
+        while rest[-1][0] == "sign" and _BINDS.get(rest[-1][1], -1) > least:
+            sign = rest.pop()[1]
+            tree = self.put(_OPS[sign], tree, self._expression(rest, _BINDS[sign], depth + 1))
+        return tree
+
+    def _factor(self, rest: list[tuple[str, str]], depth: int) -> int:
+        minus = False
+        while rest[-1] in (("sign", "-"), ("sign", "+")):
+            minus ^= rest.pop()[1] == "-"
+        tree = self._operand(rest, depth)
+        if rest[-1] == ("sign", "^"):
+            rest.pop()
+            down = rest[-1] == ("sign", "-")
+            if down:
+                rest.pop()
+            kind, exponent = rest.pop()
+            if kind != "number" or not exponent.isdigit() or len(exponent) > 2 or int(exponent) > 64:
+                raise Rejected(f"{exponent!r} is not an exponent")
+            if rest[-1] == ("sign", "^"):
+                raise Rejected("a power of a power without parentheses")
+            tree = self.put("pow", tree, value=-int(exponent) if down else int(exponent))
+        if minus:
+            entry = self.entries[tree]
+            return self.put("num", value=-entry.value) if entry.op == "num" else self.put("neg", tree)
+        return tree
+
+    def _operand(self, rest: list[tuple[str, str]], depth: int) -> int:
+        kind, text = rest.pop()
+        if kind == "number":
+            return self.put("num", value=Fraction(text))
+        if kind == "name" and rest[-1] == ("sign", "("):
+            rest.pop()
+            args = [self._expression(rest, 0, depth + 1)]
+            while rest[-1] == ("sign", ","):
+                rest.pop()
+                args.append(self._expression(rest, 0, depth + 1))
+            self._close(rest)
+            if FUNCTIONS.get(text) != len(args):
+                raise Rejected(f"{text!r} of {len(args)} arguments is not of the grammar")
+            return self.put(text, *args)
+        if kind == "name":
+            if text == "pi":
+                return self.put("pi")
+            if text not in self.names:
+                raise Rejected(f"{text!r} is not among the variables")
+            return self.put("var", value=self.names.index(text))
+        if text == "(":
+            tree = self._expression(rest, 0, depth + 1)
+            self._close(rest)
+            return tree
+        raise Rejected(f"cannot be read at {text!r}")
+
+    @staticmethod
+    def _close(rest: list[tuple[str, str]]) -> None:
+        if rest.pop() != ("sign", ")"):
+            raise Rejected("a parenthesis is not closed")

@@ -1,0 +1,86 @@
+"""The smallest law that avoids: the paper's stack for the one obstacle that it is told, in closed form and provable.
+
+Guidance (8)-(12), one sensor sub-task, the corrected course (20), depth and heading, by the null-space projection (16).
+Finding the obstacle is somebody else's work; walls are the path's. (20) needs no angle: with r = sat((v_o·n + κ l) / u)
+its velocity is u (r n + λ2 √(1 − r²) n⊥). Every quotient has a floor and every direction stays within [−1, 1], so that
+interval arithmetic proves the C free of run-time errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from surctl.control.decision import DECISION_PORTS, Decision, TaskLevel, lower_levels
+from surctl.control.echoes import Perception
+from surctl.control.ports import DEFAULT_ARRAY
+from surctl.control.reference import DesiredMotion
+from surctl.errors import InputError
+from surctl.guidance import FAR, Contact, encounter_side
+from surctl.vehicle import planar_rotation
+
+__all__ = ["CLOSED_FORM_PORTS", "DAMPING", "closed_form_law", "known_obstacle"]
+
+DAMPING = 1e-3
+"""λ of the damped projection; off by λ² of a velocity."""
+
+CLOSED_FORM_PORTS = tuple(port for port in DECISION_PORTS if port.name == "side")
+
+_SENSE_RANGE = 1.0  # [m] below which the sub-task may act
+_OVERTAKE = 0.02  # [m/s] by which the avoidance speed exceeds the obstacle's
+_NEAR = 1e-3  # [m] least distance to the obstacle's centre that has a direction
+
+
+def known_obstacle(u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Perception:
+    """The one contact of input `contacts` (1, 6), its direction within [-1, 1] whatever the rounding; no walls.
+
+    Raises:
+        InputError: another number of slots.
+    """
+    slots = u["contacts"].shape[0] if "contacts" in u else 0
+    if slots != 1:
+        raise InputError("law closed_form knows one obstacle", key="contacts", value=slots, remedy="give 1 slot")
+    row = u["contacts"].T
+    offset = row[:2] - u["eta"][:2]
+    distance = ca.sqrt(ca.sumsqr(offset))
+    n = ca.fmin(ca.fmax(offset / ca.fmax(distance, _NEAR), -1), 1)
+    combined_radius = row[2] + p["hull"]
+    clearance = ca.if_else(row[5] > 0.5, distance - combined_radius, FAR)
+    return Perception(
+        [Contact(n, clearance, row[3:5], combined_radius)], [], [], ca.SX.ones(4) * DEFAULT_ARRAY.maximum, {}
+    )
+
+
+def closed_form_law(
+    desired: DesiredMotion, perceived: Perception, x: Mapping[str, ca.SX], eta: ca.SX, p: Mapping[str, ca.SX]
+) -> Decision:
+    """What to ask the damped projection for.
+
+    Args:
+        wish: the undisturbed command.
+        seen: as `told_obstacle` has it.
+        x: state `side`.
+        eta: (4, 1) pose.
+        p: gains `margin`, `kappa`, mission `cruise`, `cap`.
+    """
+    (contact,) = perceived.known
+    n, left = contact.normal, ca.vertcat(-contact.normal[1], contact.normal[0])
+    bound = p["kappa"] * (contact.clearance - p["margin"]) + contact.closing
+    near = contact.clearance < p["margin"] + _SENSE_RANGE
+    avoiding = ca.logic_and(near, ca.dot(desired.velocity, n) > bound)
+    side = ca.if_else(x["side"] == 0, encounter_side(desired.velocity - contact.velocity, n), x["side"])
+    speed = ca.fmin(p["cap"], ca.fmax(p["cruise"], ca.sqrt(ca.sumsqr(contact.velocity)) + _OVERTAKE))
+    ratio = ca.fmin(ca.fmax(bound / ca.fmax(speed, _OVERTAKE), -1), 1)
+    course = speed * (ratio * n + side * ca.sqrt(ca.fmax(1 - ratio * ratio, 0)) * left)
+    chosen = ca.if_else(avoiding, course, desired.velocity)
+    to_body = planar_rotation(eta[3]).T
+    row = ca.if_else(avoiding, -(to_body @ n), 0)
+    # in {B} its Jacobian is constant, and so is the projection that belongs to it
+    ahead = TaskLevel("velocity", ca.horzcat(ca.SX.eye(2), ca.SX.zeros(2, 2)), to_body @ chosen, "m/s")
+    levels = [
+        TaskLevel("sensor", ca.horzcat(row.T, 0, 0), ca.if_else(avoiding, -bound, 0), "m/s"),
+        ahead,
+        *lower_levels(eta, desired, p),
+    ]
+    return Decision(levels, [], chosen, avoiding, ca.SX(0), {"side": ca.if_else(avoiding, side, 0)})

@@ -1,0 +1,361 @@
+"""From what the sensors say to what the decision is told: a step of its own, with its own state.
+
+Own state from late fixes, moving obstacles from late messages, the range of every sonar with its bound, and the map of
+`sensing.mapping`, whose nearest marks become contacts beside those of the base station. What walls or known obstacles
+explain is not marked; every contact is as large as the doubt about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import ceil, cos, sin
+
+import casadi as ca
+
+from surctl.control.beams import SILENT, Around, beams, corrected, expected, honest
+from surctl.control.ports import PARAMETERS, SECTORS
+from surctl.errors import InputError
+from surctl.ir import Block, Call, Layout, Port, Program, Recording, Routine, each, lower_named, without_libm
+from surctl.sensing import Equipment, LocalMap, MoverTracker, OwnStateFilter, RangeTracker
+from surctl.sensing.mapping.local_map import READING, RING
+from surctl.vehicle import planar_rotation
+
+__all__ = ["CELLS_A_HULL", "LAST_THRUST", "PERCEPTION", "PerceptionStage", "build_perception"]
+
+CELLS_A_HULL = 4.0
+"""Cells of the map in a hull radius (*chosen*): 6.75 cm in the tank, 5 cm in the pool."""
+
+LAST_THRUST = Port("last_thrust", (4,), "N, N m", "thrust command of the step before")
+"""First port of the state: what the decision writes and the own state's filter reads."""
+
+PERCEPTION = "perception"
+"""Name of the block of `Senses`."""
+
+_TOLERANCE = 0.10  # [m] by which an echo may be shorter than a known thing's and still be its own
+_READING = 0.03  # [m] by which one believed firing may be off: four of its standard deviations
+_DIAGONAL = 0.71  # cells, half a cell's diagonal
+_AROUND_A_MARK = 0.8  # cells from its middle: half a diagonal, and a little for what drifts
+_EXPLAINS = 0.5  # cells beyond the reading in which a mark still explains it
+_MARGIN_SD = 0.02 / 3  # [m] standard deviation of the own position that the law's margin has room for
+_DEAF = 0.3  # [s] without an honest firing after which a sonar is not to be believed
+_PLACED_SD = 0.2  # [m] standard deviation beyond which the robot does not know where it is
+_SILENT_MARGIN = 0.05  # [m] more around every mark while a sonar is silent: what drifts is looked at less often
+_FAR = 1e5  # [m²] above any squared distance in the map
+
+
+@dataclass(frozen=True, eq=False)
+class PerceptionStage:
+    """What runs before the decision.
+
+    Attributes:
+        state: layout of its state, `LAST_THRUST` first.
+        inputs: layout of what it is given.
+        told: layout of what it tells the decision.
+        block: (state, inputs, parameters) → (next state without the thrust, told); where other depths are allowed, a
+            fourth input is 1 in a step in which the map starts anew.
+    """
+
+    state: Layout
+    inputs: Layout
+    outputs: Layout
+    block: Block
+
+
+def build_perception(equipment: Equipment, inputs: Layout, outputs: Layout, *, dt: float) -> PerceptionStage:
+    """Assemble it.
+
+    Args:
+        equipment: as the law believes it.
+        inputs: see `ports.sonar_inputs`.
+        told: see `ports.scan_inputs`.
+        dt: control period [s].
+
+    Raises:
+        InputError: a sonar whose beam the hull cuts in two.
+    """
+    return _Builder(equipment, inputs, outputs, dt).build()
+
+
+@dataclass(frozen=True)
+class _Builder:
+    equipment: Equipment
+    inputs: Layout
+    outputs: Layout
+    dt: float
+
+    def build(self) -> PerceptionStage:
+        array = self.equipment.array
+        if any(len(cones) > 1 for cones in array.cones):
+            raise InputError(
+                "the hull cuts a beam in two, and the map knows one cone a sonar", key="array.mounts", remedy="move it"
+            )
+        split, measure, report = self._split(), self._measure(), self._report()
+        # of a law that changes its depth: what was heard at the last one is of no use
+        anew, corner = (("anew",), "corner") if "column" in self.outputs else ((), "map_corner")
+        steps = (
+            Call(split, ("x",), tuple(name for name, _ in split.outputs)),
+            Call(measure, ("small", "u", "p"), ("small_next", "place", "walls", "readings", "perceived")),
+            *(Call(self._anew(), ("map_corner", name), (corner,)) for name in anew),
+            Call(
+                self._map.routine(),
+                ("map_cells", corner, "place", "walls", "readings"),
+                ("map_cells_next", "map_corner_next", "marked", "unknown"),
+            ),
+            Call(report, ("p", "perceived", "marked", "unknown"), ("decision_inputs",)),
+            Call(self._join(), ("small_next", "map_cells_next", "map_corner_next"), ("x_next",)),
+        )
+        sizes = (("x", self.state.size), ("u", self.inputs.size), ("p", PARAMETERS.size), *((n, 1) for n in anew))
+        block = without_libm(Routine(PERCEPTION, sizes, steps, ("x_next", "decision_inputs")))
+        return PerceptionStage(self.state, self.inputs, self.outputs, block)
+
+    @cached_property
+    def _map(self) -> LocalMap:
+        array = self.equipment.array
+        slots = min(array.size, ceil(self.dt / array.firing_period - 1e-9))
+        return LocalMap(dt=self.dt, slots=slots, sectors=SECTORS)
+
+    @cached_property
+    def _ranges(self) -> RangeTracker:
+        array = replace(self.equipment.array, bias=0.0)  # `corrected` took it off
+        return RangeTracker(array=array, dt=self.dt)
+
+    @cached_property
+    def _own(self) -> OwnStateFilter | None:
+        own = self.equipment.own
+        if own is None:
+            return None
+        return OwnStateFilter(
+            dt=self.dt,
+            latency=own.fixes.latency,
+            period=own.fixes.period,
+            position_sd=max(own.position_sd, 1e-4),
+            yaw_sd=max(own.yaw_sd, 1e-4),
+            rate_sd=max(own.rate_sd, 1e-4),
+        )
+
+    @cached_property
+    def _movers(self) -> MoverTracker | None:
+        station = self.equipment.station
+        slots = self.inputs.port("contacts").shape[0] if "contacts" in self.inputs else 0
+        if not slots:
+            return None
+        return MoverTracker(
+            dt=self.dt,
+            slots=slots,
+            latency=station.messages.latency,
+            position_sd=station.position_sd,
+            velocity_sd=station.velocity_sd,
+        )
+
+    @cached_property
+    def _small(self) -> Layout:
+        """The state of all but the thrust and the map."""
+        own = self._own.ports("own_") if self._own else ()
+        movers = self._movers.ports("mover_") if self._movers else ()
+        n = self.equipment.array.size
+        silent = Port("silent", (n,), "s", "time since the last honest firing of each sonar", _DEAF + self.dt)
+        launched = Port("launched", (1,), "1", "1 once the water free at the launch is in the map")
+        return Layout((*own, *movers, *self._ranges.ports("sonar_"), silent, launched))
+
+    @cached_property
+    def state(self) -> Layout:
+        """The whole state."""
+        return Layout((LAST_THRUST, *self._small.ports, *self._map.ports("map_")))
+
+    @cached_property
+    def _perceived(self) -> Layout:
+        """What is known before the map is asked."""
+        sonars = self.outputs.port("sonars")
+        slots = self._movers.slots if self._movers else 0
+        known = (Port("movers", (slots, 6), "m, m/s, 1", "moving obstacles now"),) if slots else ()
+        pose = tuple(self.outputs.port(name) for name in ("eta", "nu"))
+        column = (self.outputs.port("column"),) if "column" in self.outputs else ()
+        uncertainty = Port("uncertainty", (1,), "m", "doubt about the own position beyond what the margin has room for")
+        return Layout((*pose, uncertainty, self.outputs.port("placed"), *known, sonars, *column))
+
+    def _split(self) -> Program:
+        """The thrust and small states as one array, then the map's two."""
+        x = ca.SX.sym("x", self.state.size)
+        parts = {name: x[self.state.slice(f"map_{name}")] for name in ("cells", "corner")}
+        small = x[: LAST_THRUST.size + self._small.size]
+        return lower_named("split", {"x": x}, {"small": small, **{f"map_{k}": v for k, v in parts.items()}})
+
+    def _anew(self) -> Program:
+        """The map's corner; nowhere if the map is to start anew."""
+        corner, anew = ca.SX.sym("corner", 2), ca.SX.sym("anew")
+        nowhere = self.state.port("map_corner").default
+        return lower_named("anew", {"corner": corner, "anew": anew}, {"at": ca.if_else(anew > 0.5, nowhere, corner)})
+
+    def _join(self) -> Program:
+        parts = {
+            "small": ca.SX.sym("small", self._small.size),
+            **{name: ca.SX.sym(name, self.state.port(name).size) for name in ("map_cells", "map_corner")},
+        }
+        return lower_named("join", parts, {"x_next": ca.vertcat(*parts.values())})
+
+    def _measure(self) -> Block:
+        recording = Recording()
+        with recording:
+            inputs, outputs = self._measured()
+        return recording.block("measure", inputs, outputs)
+
+    def _measured(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
+        """Inputs and outputs of `_feel`."""
+        array, local_map = self.equipment.array, self._map
+        small = ca.SX.sym("small", LAST_THRUST.size + self._small.size)
+        x = self._small.split(small[LAST_THRUST.size :])
+        u, inputs = self.inputs.symbols("u")
+        p, known = PARAMETERS.symbols("p")
+        around, after = self._around(x, small[: LAST_THRUST.size], inputs, known)
+        edge = known["hull"] / CELLS_A_HULL
+        axes, apexes, halves = beams(array, around, known["hull"])
+        velocity = planar_rotation(around.eta[3]) @ around.nu[:2]
+        walls, things = expected(array, around, apexes, known)
+        walls = ca.if_else(around.placed, walls, 2 * array.maximum)  # seen from nowhere, no echo is too long
+        ranging = self._ranges.update(
+            x,
+            corrected(array, inputs["samples"]),
+            fresh=inputs["fresh"],
+            closing=ca.vertcat(*(ca.dot(velocity, axis) for axis in axes)),
+            expected=ca.fmax(walls, array.lowest / array.scale + array.resolution),  # from behind it reads the same
+            turn=around.nu[3],
+            prefix="sonar_",
+        )
+        firings, silent = [], []
+        for i in range(array.size):
+            reading, recent = ranging.reading[i], ranging.state["sonar_recent"][i, :]
+            arrived = ca.logic_and(
+                inputs["fresh"][i] > 0.5, honest(array, inputs["samples"], ranging, i, repeats=self._ranges.repeats)
+            )
+            silent.append(ca.if_else(arrived, 0.0, ca.fmin(x["silent"][i] + self.dt, _DEAF + self.dt)))
+            echo = ca.logic_and(reading < array.maximum - SILENT, reading < ca.fmin(walls[i], things[i]) - _TOLERANCE)
+            blind = reading <= array.lowest / array.scale + array.resolution
+            clear = ca.fmax(_least(recent) - _READING - _DIAGONAL * edge, 0)
+            firing = {
+                "apex": apexes[i],
+                "axis": axes[i],
+                "half": ca.DM([cos(halves[i]), sin(halves[i])]),
+                "clear": ca.if_else(blind, -ca.fmax(clear, 1e-3), clear),
+                "near": ca.fmax(reading - _READING - 0.5 * edge, 0),
+                "far": ca.if_else(echo, reading + _READING + 0.5 * edge, -1),
+                "cutoff": reading + _EXPLAINS * edge + 0.01,
+            }
+            listed = ca.vertcat(*(firing[name] for name, _, _ in READING))
+            firings.append((ca.logic_and(arrived, around.placed), listed))
+        healthy = ca.vertcat(*silent) <= _DEAF
+        sonars = [
+            ca.horzcat(ranging.range[i], ranging.bound[i], healthy[i], ranging.age[i], axes[i].T)
+            for i in range(array.size)
+        ]
+        perceived = {
+            "eta": around.eta,
+            "nu": around.nu,
+            "uncertainty": around.uncertainty,
+            "placed": around.placed,
+            "sonars": ca.vertcat(*sonars),
+        }
+        if self._movers:
+            perceived["movers"] = around.movers
+        if "column" in self.outputs:
+            perceived["column"] = inputs["column"]
+        free = known["hull"] + ca.if_else(x["launched"], 0, known["launch"])
+        outputs = {
+            "small_next": self._small.join(
+                {
+                    **after,
+                    **ranging.state,
+                    "silent": ca.vertcat(*silent),
+                    "launched": ca.logic_or(x["launched"], around.placed),
+                }
+            ),
+            # the place of a hull that does not know where it is is not free
+            "place": ca.vertcat(around.eta[:2], ca.if_else(around.placed, free, 0), edge),
+            "walls": known["walls"],
+            "readings": _listed(firings, local_map.slots),
+            "perceived": self._perceived.join(perceived),
+        }
+        return {"small": small, "u": u, "p": p}, outputs
+
+    def _around(
+        self, x: Mapping[str, ca.SX], tau: ca.SX, u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]
+    ) -> tuple[Around, dict[str, ca.SX]]:
+        movers = ca.SX(0, 6)
+        after: dict[str, ca.SX] = {}
+        if self._movers:
+            tracked = self._movers.update(x, message=u["contacts"], message_fresh=u["contacts_fresh"], prefix="mover_")
+            after |= tracked.state
+            rows = tracked.rows
+            movers = ca.horzcat(rows[:, :2], rows[:, 2] + tracked.bound, rows[:, 3:])
+        if self._own is None:
+            return Around(u["eta"], u["nu"], ca.SX(0), ca.SX(1), movers), after
+        own = self._own.update(
+            x,
+            fix=u["fix"],
+            fix_fresh=u["fix_fresh"],
+            yaw=u["yaw"],
+            yaw_rate=u["yaw_rate"],
+            tau=tau,
+            model=p,
+            prefix="own_",
+        )
+        placed = own.position_sd < _PLACED_SD
+        uncertainty = 3 * ca.fmax(ca.fmin(own.position_sd, _PLACED_SD) - _MARGIN_SD, 0)
+        return Around(own.eta, own.nu, uncertainty, placed, movers), {**after, **own.state}
+
+    def _report(self) -> Block:
+        local_map = self._map
+        p, known = PARAMETERS.symbols("p")
+        flat, perceived = self._perceived.symbols("perceived")
+        marked, unknown = ca.SX.sym("marked", 3 * local_map.sectors), ca.SX.sym("unknown", 3 * local_map.sectors)
+        position, edge = perceived["eta"][:2], known["hull"] / CELLS_A_HULL
+        every = ca.sum1(perceived["sonars"][:, 2]) > self.equipment.array.size - 0.5
+        around = _AROUND_A_MARK * edge + perceived["uncertainty"] + ca.if_else(every, 0, _SILENT_MARGIN)
+
+        def mover(row: ca.SX) -> list[ca.SX]:
+            return [ca.if_else(row[5] > 0.5, row + ca.vertcat(0, 0, perceived["uncertainty"], 0, 0, 0), 0)]
+
+        def sector(mark: ca.SX, blank: ca.SX) -> list[ca.SX]:
+            contact = ca.vertcat(position + mark[:2], around, 0, 0, 1)
+            there = blank[2] < _FAR
+            distance = ca.sqrt(ca.if_else(there, blank[2], 1))
+            unknown_row = ca.vertcat(
+                blank[:2] / distance, distance - known["hull"] - RING * edge - perceived["uncertainty"]
+            )
+            return [ca.if_else(mark[2] < _FAR, contact, 0), ca.if_else(there, unknown_row, ca.DM([0, 0, 100]))]
+
+        with Recording() as recording:
+            tables = (ca.reshape(flat, 3, local_map.sectors).T for flat in (marked, unknown))
+            marks, blank = each("sector_ahead", sector, *tables)
+            contacts = [*(each("mover_ahead", mover, perceived["movers"]) if self._movers else []), marks]
+        values = {
+            "eta": perceived["eta"],
+            "nu": perceived["nu"],
+            "contacts": ca.vertcat(*contacts),
+            "unknown": blank,
+            "sonars": perceived["sonars"],
+            "placed": perceived["placed"],
+        }
+        if "column" in perceived:
+            values["column"] = perceived["column"]
+        inputs = {"p": p, "perceived": flat, "marked": marked, "unknown": unknown}
+        return recording.block("report", inputs, {"decision_inputs": self.outputs.join(values)})
+
+
+def _least(values: ca.SX) -> ca.SX:
+    least = values[0]
+    for k in range(1, values.numel()):
+        least = ca.fmin(least, values[k])
+    return least
+
+
+def _listed(firings: list[tuple[ca.SX, ca.SX]], slots: int) -> ca.SX:
+    """The firings that arrived, one slot after the other; an empty slot neither clears nor marks."""
+    size = sum(k for _, k, _ in READING)
+    empty = ca.vertcat(ca.SX.zeros(size - 2), -1, 0)
+    listed, count = [empty] * slots, ca.SX(0)
+    for fresh, firing in firings:
+        listed = [ca.if_else(ca.logic_and(fresh, count == s), firing, old) for s, old in enumerate(listed)]
+        count += fresh
+    return ca.vertcat(*listed)

@@ -1,0 +1,121 @@
+"""The guard's ranges from what is known of a flight: site, vehicle and sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.control import Law
+from surctl.export.envelope import Envelope, Rate
+from surctl.ir import Layout
+from surctl.simulation import Scenario
+from surctl.vehicle import Vehicle
+
+__all__ = ["operating_envelope"]
+
+Vector = NDArray[np.float64]
+
+_SLACK = 1.0  # [m] outside the site at which a position is still believed
+_TURNS = 1000.0  # [rad] of heading, any number of turns within it
+_OBSTACLE = 2.0  # [m/s]
+_SAFETY = 2.0  # times the speed that the thrust holds
+_WATER = 0.5  # [m/s], [rad/s] that current and waves may add
+_NOISE = (0.1, 0.1)  # [m], [rad] by which two measurements of one pose may differ
+_SURPRISE = 0.3  # [m/s], [rad/s] by which a measured velocity may jump at once
+
+
+def operating_envelope(law: Law, mission: Scenario, vehicle: Vehicle, gains: Layout) -> Envelope:
+    """Ranges of every state and input that the site, the vehicle or a sensor bounds; any finite number otherwise.
+
+    Args:
+        law: what is exported.
+        mission: its site, path and sensors.
+        vehicle: what flies; its thrust and drag say how fast it can be.
+        gains: those that are inputs of what is exported: any finite numbers.
+
+    Example:
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.export import operating_envelope
+        >>> from surctl.simulation import law_numbers, load_scenario
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
+        >>> within = operating_envelope(law, mission, vehicle, law.gains)
+        >>> within.inputs[law.inputs.slice("eta")].round(2).tolist()
+        [[-1.0, 4.0], [-1.0, 3.0], [-2.0, 1.0], [-1000.0, 1000.0]]
+    """
+    length, width, deep = mission.site
+    fast = _SAFETY * _steady(vehicle) + _WATER
+    place = [(-_SLACK, length + _SLACK), (-_SLACK, width + _SLACK), (-deep - _SLACK, _SLACK)]
+    heading, size = (-_TURNS, _TURNS), float(np.hypot(length, width))
+    far = (-size - _SLACK, 2 * size + _SLACK)
+    contact = [far, far, (0.0, size), *([(-_OBSTACLE, _OBSTACLE)] * 2), (0.0, 1.0)]
+    echo = mission.sensors.equipment.array.maximum
+    inputs: Mapping[str, list[tuple[float, float]]] = {
+        "eta": [*place, heading],
+        "nu": [(-v, v) for v in fast],
+        "contacts": contact,
+        "contacts_fresh": [(0.0, 1.0)],
+        "fix": place,
+        "fix_fresh": [(0.0, 1.0)],
+        "yaw": [heading],
+        "yaw_rate": [(-fast[3], fast[3])],
+        "samples": [(-_SLACK, echo + _SLACK)],
+        "fresh": [(0.0, 1.0)],
+    }
+    along = mission.path.length
+    most = _integral(vehicle, fast)
+    state: Mapping[str, list[tuple[float, float]]] = {
+        "progress": [(0.0, along + 0.01)],
+        "integral": [(-v, v) for v in most],
+        "side": [(-1.0, 1.0)],
+    }
+    return Envelope(
+        _box(law.state, state),
+        _box(law.inputs, inputs),
+        _box(gains, {}),
+        _rates(law.inputs, fast),
+        {
+            "ranges of position": f"site {mission.name}, {length:g} x {width:g} x {deep:g} m, and {_SLACK:g} m around",
+            "ranges of velocity": f"{_SAFETY:g} times what thrust holds of {vehicle.name}, {_WATER:g} for the water",
+            "jumps": "those velocities, and the noise of two measurements",
+        },
+    )
+
+
+def _steady(vehicle: Vehicle) -> Vector:
+    """Speed (4,) [m/s, rad/s] at which drag takes all of the thrust of an axis."""
+    linear, quadratic, most = vehicle.linear_drag, vehicle.quadratic_drag, vehicle.thrust_limit
+    return np.asarray(2 * most / (linear + np.sqrt(linear**2 + 4 * quadratic * most)), dtype=float)
+
+
+def _integral(vehicle: Vehicle, fast: Vector) -> Vector:
+    """Bound (4,) of the velocity loops' integral: beyond it the thrust is at its limit, and the integral stands."""
+    drag = vehicle.linear_drag * fast + vehicle.quadratic_drag * fast**2
+    return np.asarray((vehicle.thrust_limit + drag) / vehicle.mass + 100.0 * fast, dtype=float)
+
+
+def _box(layout: Layout, known: Mapping[str, list[tuple[float, float]]]) -> Vector:
+    rows: list[Vector] = []
+    for port in layout:
+        bounds = np.array(known.get(port.name, [(-np.inf, np.inf)]), dtype=float)
+        rows.append(np.tile(bounds, (port.size // len(bounds), 1)))
+    return np.vstack([np.zeros((0, 2)), *rows])
+
+
+def _rates(inputs: Layout, fast: Vector) -> tuple[Rate, ...]:
+    """Of pose and velocity, where they are told as they are now."""
+    rates: list[Rate] = []
+    if "eta" in inputs:
+        first = inputs.slice("eta").start
+        ground = float(max(fast[:2]))
+        for k, speed in enumerate((ground, ground, float(fast[2]), float(fast[3]))):
+            rates.append(Rate(first + k, speed, _NOISE[k == 3], turn=k == 3))
+    if "nu" in inputs:
+        first = inputs.slice("nu").start
+        rates += [Rate(first + k, _SAFETY, _SURPRISE) for k in range(4)]
+    if "yaw" in inputs:
+        rates.append(Rate(inputs.slice("yaw").start, float(fast[3]), _NOISE[1], turn=True))
+    return tuple(rates)

@@ -1,0 +1,177 @@
+"""A level of the cascade that the rows keep from its value: served as well as they allow, and frozen there.
+
+The safe tick finds min ‖J v − x‖ in the variables y of v + N y, from a v that keeps the rows, so that y = 0 always
+does. Near-dependent rows can cost it digits; it is started again from its own answer until what the rows leave of the
+pull vanishes (`tangent`), which are the optimality conditions. The value is then frozen by elimination.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from surctl.ir import Call, Loop, Program, Routine, lower
+from surctl.priority.compiled.rows import holding_row, reduced_row
+from surctl.priority.compiled.sweep import HUGE
+from surctl.priority.compiled.tangent import holding, largest, merged
+from surctl.priority.solver.dual_step import OPTIMAL, Space
+from surctl.priority.solver.elimination import as_matrix
+from surctl.priority.solver.fallback import LIMITED, safe_step
+from surctl.priority.solver.kernel import certificate, kernel, row_by_row
+
+__all__ = ["limited_level"]
+
+_TURNS = 6
+_CONVERGED = 1e-15  # part of the pull that is left, where a pull of 1 is that of a row of length 1
+_STILL = 1e-13  # a step no longer than this, relative to 1 + max |v|, changes nothing
+
+
+def limited_level(n: int, k: int, m: int) -> Routine:
+    """The state skip, v, base, N, rows, held, hold, active, push, count → the same with the level served and frozen.
+
+    v keeps the rows (m·(n + 3), of length 1) before and after. What comes out holds the level's value: base, N
+    (without its directions), the nearest point v to 0 that is left, its active rows, and held with the rows that keep
+    the level from more. Fixed: N before and without its directions; Q, T Q and turn of the level inside N, see
+    `decomposition`; J, x; square, which is 1/scale², for the multipliers.
+    """
+    row, space = n + 3, Space(n, n)
+    state = (
+        ("skip", 1), ("v", n), ("base", n), ("N", n * n), ("rows", m * row), ("held", n), ("hold", n), ("active", n),
+        ("multipliers", n), ("count", 1),
+    )  # fmt: skip
+    fixed = (
+        ("N_before", n * n), ("N_less", n * n), ("Q", k * n), ("task", k * n), ("turn", k * k), ("J", k * n), ("x", k),
+        ("square", 1),
+    )  # fmt: skip
+    best = ("v_best", "numbers", "u", "count_best", "converged")
+    after = (
+        "yes",
+        "v_next",
+        "base_next",
+        "N_less",
+        "rows_next",
+        "held_next",
+        "hold_next",
+        "active_next",
+        "multipliers_next",
+    )
+    steps = (
+        Call(_nothing(n), ("skip",), ("none", "numbers_0", "u_0", "yes")),
+        Loop(
+            _again(n, k, m),
+            _TURNS,
+            carried=("v", "numbers_0", "u_0", "count", "none"),
+            results=best,
+            fixed=("rows", "N_before", "task", "turn", "J", "x", "square"),
+            until=4,
+        ),
+        Loop(holding_row(n), m, (), ("rows_next",), sliced=("rows",), fixed=("v_best",)),
+        Call(_frozen(n, k), ("v_best", "base", "Q"), ("base_held",)),
+        Call(
+            row_by_row(kernel(space, m), m),
+            ("rows_next", "base_held", "none", "N_less"),
+            ("point", "act", "press", "end", "spent"),
+        ),
+        Call(row_by_row(certificate(space, m), m), ("rows_next", "point"), ("feasible",)),
+        Call(
+            _chosen(n),
+            ("v_best", "base_held", "N_less", "point", "act", "press", "end", "feasible", "count_best", "spent"),
+            ("v_next", "base_next", "active_next", "multipliers_next", "count_next"),
+        ),
+        Call(merged(n), ("held", "hold", "numbers", "u"), ("held_next", "hold_next")),
+    )
+    return Routine("limited_level", (*state, *fixed), steps, (*after, "count_next"))
+
+
+def _nothing(n: int) -> Program:
+    skip, zero = ca.SX.sym("skip"), ca.SX.zeros(n)
+    return lower(ca.Function("nothing", [skip], [ca.SX.zeros(1), zero, zero, ca.SX(1)]))
+
+
+def _again(n: int, k: int, m: int) -> Routine:
+    """One turn: from v to the point that the safe tick finds, the rows that hold it there, whether it is the best."""
+    state = (("v", n), ("numbers", n), ("u", n), ("count", 1), ("converged", 1))
+    fixed = (
+        ("rows", m * (n + 3)), ("N", n * n), ("task", k * n), ("turn", k * k), ("J", k * n), ("x", k), ("square", 1),
+    )  # fmt: skip
+    after = tuple(f"{name}_next" for name, _ in state)
+    solution = ("y", "active", "multipliers", "opening", "status", "spent")
+    steps = (
+        Loop(reduced_row(n), m, (), ("reduced",), sliced=("rows",), fixed=("v", "N")),
+        Call(_lack(n, k), ("v", "turn", "J", "x"), ("lack", "zero", "anywhere", "none")),
+        Call(safe_step(n, k, m), ("zero", "task", "lack", "reduced", "anywhere"), solution),
+        Call(_moved(n), ("v", "N", "y", "status"), ("point",)),
+        Call(row_by_row(certificate(Space(n, n), m), m), ("rows", "point"), ("feasible",)),
+        Call(
+            _pulled(n, k),
+            ("v", "point", "feasible", "task", "turn", "J", "x"),
+            ("v_next", "pull", "moved"),
+        ),
+        Call(holding(n, m), ("rows", "none", "v_next", "pull", "N"), ("numbers_next", "part", "rest", "more")),
+        Call(
+            _converged(n),
+            ("rest", "pull", "part", "square", "moved", "count", "spent", "more"),
+            ("u_next", "count_next", "converged_next"),
+        ),
+    )
+    return Routine("limited_level_again", (*state, *fixed), steps, after)
+
+
+def _lack(n: int, k: int) -> Program:
+    """(v, turn, J, x) → what T Q y should be, and 0, no box, 0."""
+    v, turn, J, x = ca.SX.sym("v", n), ca.SX.sym("turn", k * k), ca.SX.sym("J", k * n), ca.SX.sym("x", k)
+    lack = as_matrix(turn, k) @ (x - as_matrix(J, n) @ v)
+    anywhere = ca.vertcat(-HUGE * ca.SX.ones(n), HUGE * ca.SX.ones(n))
+    return lower(ca.Function("lack", [v, turn, J, x], [lack, ca.SX.zeros(n), anywhere, ca.SX.zeros(1)]))
+
+
+def _moved(n: int) -> Program:
+    """(v, N, y, status) → v + N y (and no opening), or v if the tick found no point."""
+    v, N, y, status = ca.SX.sym("v", n), ca.SX.sym("N", n * n), ca.SX.sym("y", n), ca.SX.sym("status")
+    step = ca.if_else(status <= LIMITED, as_matrix(N, n) @ y, 0)
+    return lower(ca.Function("moved", [v, N, y, status], [ca.vertcat(v + step, 0)]))
+
+
+def _pulled(n: int, k: int) -> Program:
+    """(v, point, kept, task, turn, J, x) → the point if it keeps the rows, the pull there, whether it is a new one."""
+    v, point, feasible = ca.SX.sym("v", n), ca.SX.sym("point", n + 1), ca.SX.sym("feasible")
+    task, turn, J, x = ca.SX.sym("task", k * n), ca.SX.sym("turn", k * k), ca.SX.sym("J", k * n), ca.SX.sym("x", k)
+    chosen = ca.if_else(feasible, point[:n], v)
+    lack = as_matrix(turn, k) @ (x - as_matrix(J, n) @ chosen)
+    pull = as_matrix(task, n).T @ lack
+    moved = largest(chosen - v) > _STILL * (1 + largest(v))
+    return lower(ca.Function("pulled", [v, point, feasible, task, turn, J, x], [chosen, pull, moved]))
+
+
+def _converged(n: int) -> Program:
+    """(rest, pull, multipliers, square, moved, counts) → multipliers in the level's own size, count, settled."""
+    rest, pull, part = (ca.SX.sym(name, n) for name in ("rest", "pull", "part"))
+    square, moved = ca.SX.sym("square"), ca.SX.sym("moved")
+    counts = [ca.SX.sym(name) for name in ("count", "spent", "more")]
+    still = ca.logic_or(largest(rest) <= _CONVERGED * (1 + largest(pull)), ca.logic_not(moved))
+    outputs = [part * square, sum(counts, ca.SX(0)), still]
+    return lower(ca.Function("converged", [rest, pull, part, square, moved, *counts], list(map(ca.densify, outputs))))
+
+
+def _frozen(n: int, k: int) -> Program:
+    """(v, base, Q) → the base of what is left when the level keeps the value that it has at v."""
+    v, base, Q = ca.SX.sym("v", n), ca.SX.sym("base", n), ca.SX.sym("Q", k * n)
+    directions = as_matrix(Q, n)
+    return lower(ca.Function("frozen", [v, base, Q], [ca.vertcat(base + directions.T @ (directions @ (v - base)), 0)]))
+
+
+def _chosen(n: int) -> Program:
+    """The nearest point to 0 with this value; or, where rounding leaves none, the point that has it."""
+    v, base, N = ca.SX.sym("v", n), ca.SX.sym("base", n + 1), ca.SX.sym("N", n * n)
+    point, act, press = ca.SX.sym("point", n + 1), ca.SX.sym("act", n), ca.SX.sym("press", n)
+    end, feasible, count, spent = (ca.SX.sym(name) for name in ("end", "feasible", "count", "spent"))
+    good = ca.logic_and(ca.eq(end, OPTIMAL), feasible)
+    own = v - as_matrix(N, n) @ v
+    outputs = [
+        ca.if_else(good, point[:n], v),
+        ca.if_else(good, base[:n], own),
+        ca.if_else(good, act, 0),
+        ca.if_else(good, press, 0),
+        count + spent,
+    ]
+    inputs = [v, base, N, point, act, press, end, feasible, count, spent]
+    return lower(ca.Function("chosen", inputs, list(map(ca.densify, outputs))))

@@ -1,0 +1,105 @@
+"""Rows that contradict each other: the least by which they must open, and a point inside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.priority.active_set import LevelSolution, solve_level
+from surctl.priority.backends import Backend
+from surctl.priority.freedom import Freedom
+from surctl.priority.polyhedron import Polyhedron
+from surctl.priority.problem import Level
+from surctl.priority.rowspace import CUTOFF
+from surctl.tasks.limits import Kind
+
+__all__ = ["Relaxed", "least_violation"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_OPEN = 1e-9
+"""Rows that open by no more than this were consistent all along."""
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxed:
+    """Rows that are consistent again.
+
+    Attributes:
+        rows: with their bounds moved.
+        inside: a point that keeps them.
+        iterations: of the solvers.
+        opened: whether any had to open (a solver may err when it says that none keeps them).
+        conflict: names of the rows that contradict each other.
+        least: whether the searches for the least opening ended.
+    """
+
+    rows: Polyhedron
+    inside: Array
+    iterations: int
+    opened: bool
+    conflict: tuple[str, ...]
+    least: bool
+
+
+def least_violation(rows: Polyhedron, start: Array, *, backend: Backend) -> Relaxed | None:
+    """Relax barrier rows, then rows of set-based tasks, each by the least uniform amount [row of length 1].
+
+    None if the actuator rows contradict each other, or no solver answers. `start` (n,).
+    """
+    firm = rows.only(rows.mask("actuator"))
+    solution = Freedom.whole(start.size).nearest(start, firm, backend=backend)
+    if solution.x is None:
+        return None
+    inside, iterations, least = solution.x, solution.iterations, True
+    conflict: dict[str, None] = {}
+    hard: tuple[Kind, ...] = ("actuator",)
+    kinds: tuple[Kind, ...] = ("barrier", "set")
+    for kind in kinds:
+        inside, by, search, names = _least_uniform(rows, kind, hard, inside)
+        iterations += search.iterations
+        least &= search.converged
+        if by > _OPEN:
+            conflict |= dict.fromkeys(names)
+        rows = rows.relaxed(rows.mask(kind), by)
+        hard = (*hard, kind)
+    return Relaxed(rows.holding(inside), inside, iterations, bool(conflict), tuple(conflict), least)
+
+
+def _least_uniform(
+    rows: Polyhedron, kind: Kind, hard: tuple[Kind, ...], inside: Array
+) -> tuple[Array, float, LevelSolution, tuple[str, ...]]:
+    """A point, the least t ≥ 0 by which the rows of `kind` must open so that it exists, the search, who is in the way.
+
+    Itself a task over (v, t): t should be 0. `inside` keeps the hard rows.
+    """
+    n = inside.size
+    close = Level("opening", np.eye(1, n + 1, n), np.zeros(1))
+    start = np.append(inside, rows.violation(inside)[rows.mask(kind)].max(initial=0.0))
+    opening = _opening(rows, kind, hard)
+    solution = solve_level(close, start, opening, freedom=Freedom.whole(n + 1), cutoff=CUTOFF)
+    names = tuple(opening.names[i] for i in np.flatnonzero(solution.multipliers))
+    return solution.v[:n], max(float(solution.v[n]), 0.0), solution, names
+
+
+def _opening(rows: Polyhedron, kind: Kind, hard: tuple[Kind, ...]) -> Polyhedron:
+    """Rows over (v, t): hard ones as they are, those of `kind` open by t at both ends."""
+    keep, soft = np.flatnonzero(rows.mask(*hard)), np.flatnonzero(rows.mask(kind))
+    order = np.concatenate([keep, soft, soft])
+    none = np.full(soft.size, np.inf)
+    slope = np.concatenate([np.zeros(keep.size), -np.ones(soft.size), np.ones(soft.size)])
+    lower = np.concatenate([rows.lower[keep], -none, rows.lower[soft]])
+    upper = np.concatenate([rows.upper[keep], rows.upper[soft], none])
+    unbounded = np.full(rows.A.shape[1] + 1, np.inf)
+    return Polyhedron(
+        A=np.column_stack([rows.A[order], slope]),
+        lower=lower,
+        upper=upper,
+        length=np.ones(order.size),
+        kinds=tuple(rows.kinds[i] for i in order),
+        names=tuple(rows.names[i] for i in order),
+        box=(-unbounded, unbounded),
+    )

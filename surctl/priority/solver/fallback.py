@@ -1,0 +1,182 @@
+"""The safe tick as one routine: a finite answer for any input, by a ladder of least-distance problems.
+
+1. The point nearest to the target that meets the task J v = x and every row.
+2. If there is none: the point that meets the task as well as the rows allow, nearest to the target among those.
+3. If the rows contradict each other: the least opening of the soft rows, then 2.
+4. If the hard rows contradict each other: the target in the box.
+
+Whatever came out is moved into the box, and checked. How 1 to 3 are found is told in `rungs`.
+
+The bounded ladder tries 1 within a few iterations and then has one rung of constant cost, told in `bounded`.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from surctl.ir import Call, Loop, Program, Routine, Step, lower
+from surctl.priority.settings import Fallback
+from surctl.priority.solver.bounded import BOUNDED, CAP, eased
+from surctl.priority.solver.dual_step import OPTIMAL
+from surctl.priority.solver.elimination import as_matrix
+from surctl.priority.solver.precision import FLOAT64, Precision
+from surctl.priority.solver.rows import Sizes, into, unit_rows
+from surctl.priority.solver.stages import LIMITED, RELAXED, exact_stage, lower_stages
+
+__all__ = ["BOUNDED", "CLAMPED", "LIMITED", "MET", "RELAXED", "safe_step"]
+
+MET, CLAMPED = 1, 4
+"""Status, beside `LIMITED` and `RELAXED` of the rungs between, and `BOUNDED`: task met; only kept in the box."""
+
+
+def safe_step(n: int, p: int, m: int, *, precision: Precision = FLOAT64, fallback: Fallback = "exact") -> Routine:
+    """(target (n,), J (p·n,), x (p,), rows (m·(n + 3),), box (2n,)) → the answer, always finite.
+
+    rows: a (n,), lower, upper, soft (1: may open, 0: may not), of any length. box: lower (n,), upper (n,).
+    Outputs: v (n,); active (n,), signed row numbers from 1 (+ at the upper bound, − at the lower, 0 none) and
+    their multipliers (n,) of ½‖v − target‖², for rows of length 1; opening (1,) of the soft rows [row of length
+    1]; status (1,), see `MET` …; count (1,), iterations in all.
+
+    Args:
+        n: velocities, at least 1.
+        p: rows of the task, at least 1 (a row of zeros with x = 0 is no task).
+        m: rows, at least 1 (a row of zeros between infinite bounds is none); fastest if a multiple of 8.
+        precision: tolerances; those of the type of numbers that the routine is run with.
+        ladder: exact, or bounded: where rung 1 finds an answer in `bounded.CAP` iterations it is the same, to the last
+            bit. Dependent rows of a task of several it does not look into.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.ir import replay
+        >>> from surctl.priority import safe_tick
+        >>> tick = safe_tick(2, 1, 1)
+        >>> wall, box = [1.0, 0.0, -np.inf, 0.1, 1.0], [-1.0, -1.0, 1.0, 1.0]
+        >>> v, active, force, *_ = replay(tick, [0.3, 0.4], [0.0, 0.0], [0.0], wall, box)
+        >>> v.round(3).tolist(), active.tolist(), force.round(3).tolist()
+        ([0.1, 0.4], [1.0, 0.0], [0.2, 0.0])
+    """
+    exact = fallback == "exact"
+    sizes = Sizes(n, p, m, precision, cap=None if exact else CAP)
+    down = _exact_stages(sizes) if exact else _bounded_stages(sizes)
+    steps = (
+        *unit_rows(sizes),
+        Call(_zero(), (), ("none",)),
+        Call(
+            exact_stage(sizes), ("unit", "target", "J", "x", "none"),
+            ("point", "active", "multipliers", "end", "count"),
+        ),
+        *down,
+        Call(
+            _finish(sizes), ("point_down", "status_down", "none_down" if exact else "none", "target", "J", "x", "box"),
+            ("v", "opening", "outcome"),
+        ),
+    )  # fmt: skip
+    inputs = (("target", n), ("J", p * n), ("x", p), ("rows", sizes.rows), ("box", 2 * n))
+    return Routine(
+        "safe_step",
+        inputs,
+        steps,
+        ("v", "active_down", "multipliers_down", "opening", "outcome", "count_down"),
+    )
+
+
+def _exact_stages(sizes: Sizes) -> tuple[Step, ...]:
+    """Whether rung 1 holds, and the lower ones where it does not."""
+    carried = ("point", "active", "multipliers", "status", "count", "none")
+    after = tuple(f"{name}_down" for name in carried)
+    return (
+        Call(sizes.certificate, ("unit", "point"), ("feasible",)),
+        Call(_judge(sizes), ("point", "end", "feasible", "J", "x"), ("status",)),
+        Loop(_down(sizes), 1, carried=carried, results=after, fixed=("unit", "target", "J", "x", "box"), until=3),
+    )
+
+
+def _bounded_stages(sizes: Sizes) -> tuple[Step, ...]:
+    """The same with the rung of constant cost; the rows are looked at again only where the search found a point."""
+    end = ca.SX.sym("end")
+    failed = lower(ca.Function("failed", [end], [ca.logic_not(ca.eq(end, OPTIMAL))]))
+    one = lower(ca.Function("done", [ca.SX.sym("failed")], [ca.SX.ones(1)]))
+    look = Routine(
+        "look_again",
+        (("feasible", 1), ("failed", 1), ("unit", sizes.rows), ("point", sizes.n + 1)),
+        (Call(sizes.certificate, ("unit", "point"), ("feasible_next",)), Call(one, ("failed",), ("done",))),
+        ("feasible_next", "done"),
+    )
+    carried = ("point", "active", "multipliers", "status", "count", "end")
+    after = tuple(f"{name}_down" for name in carried)
+    return (
+        Call(failed, ("end",), ("failed",)),
+        Loop(look, 1, carried=("none", "failed"), results=("feasible", "looked"), fixed=("unit", "point"), until=1),
+        Call(_judge(sizes), ("point", "end", "feasible", "J", "x"), ("status",)),
+        Loop(eased(sizes), 1, carried=carried, results=after, fixed=("unit", "target", "box"), until=3),
+    )
+
+
+def _zero() -> Program:
+    return lower(ca.Function("zero", [], [ca.SX.zeros(1)]))
+
+
+def _down(sizes: Sizes) -> Routine:
+    """The one turn of a loop that runs where the first rung does not hold: two turns of the lower ones."""
+    n, p = sizes.n, sizes.p
+    state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("safe", 1))
+    fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("box", 2 * n))
+    carried = tuple(name for name, _ in state)
+    begun = ("closed", *carried[1:])
+    results = tuple(f"{name}_next" for name in carried)
+    steps = (
+        Call(_near(n), ("target", "box"), ("near", "closed")),
+        Loop(
+            lower_stages(sizes), 2, carried=begun, results=results, fixed=("unit", "target", "near", "J", "x"), until=3
+        ),
+    )
+    return Routine("descend", (*state, *fixed), steps, results)
+
+
+def _near(n: int) -> Program:
+    """The target moved into the box: where rungs 2 and 3 start, as small numbers are exact ones; the same, t = 0."""
+    target, box = ca.SX.sym("target", n), ca.SX.sym("box", 2 * n)
+    near = ca.vertcat(*(into(target[i], box[i], box[n + i]) for i in range(n)))
+    return lower(ca.Function("near", [target, box], [near, ca.densify(ca.vertcat(near, 0))]))
+
+
+def _judge(sizes: Sizes) -> Program:
+    """(point, kernel status, kept, J, x) → MET or 0: every task row met, relative to its length."""
+    n, p = sizes.n, sizes.p
+    point, end, feasible = ca.SX.sym("point", n + 1), ca.SX.sym("end"), ca.SX.sym("feasible")
+    J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
+    matrix, size, short = as_matrix(J, n), ca.SX(1), sizes.precision.short**2
+    for i in range(n):
+        size = ca.fmax(size, ca.fabs(point[i]))
+    good = ca.logic_and(ca.eq(end, OPTIMAL), feasible)
+    for k in range(p):
+        square = ca.sumsqr(matrix[k, :])
+        allowed = (sizes.precision.feasibility * size) ** 2 * ca.if_else(square <= short, 1, square)
+        good = ca.logic_and(good, (ca.dot(matrix[k, :].T, point[:n]) - x[k]) ** 2 <= allowed)
+    return lower(ca.Function("judge", [point, end, feasible, J, x], [ca.if_else(good, MET, 0)]))
+
+
+def _finish(sizes: Sizes) -> Program:
+    """(point, status, safe, target, J, x, box) → v inside the box, finite whatever came before; opening; outcome.
+
+    Whatever a task or a target that is not finite led to is not called an answer. A point of rung 3 that keeps the
+    opened rows will do when nothing better was found from there.
+    """
+    n, p, huge = sizes.n, sizes.p, sizes.precision.huge
+    point, status, box = ca.SX.sym("point", n + 1), ca.SX.sym("status"), ca.SX.sym("box", 2 * n)
+    target, J, x = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("x", p)
+    safe, v = ca.SX.sym("safe"), []
+    reached = ca.if_else(ca.logic_and(ca.eq(status, 0), safe), RELAXED, status)
+    good, size = reached != 0, ca.SX(1)
+    for entry in ca.vertsplit(ca.vertcat(target, J, x)):
+        good = ca.logic_and(good, ca.fabs(entry) <= huge)
+    for i in range(n):
+        size = ca.fmax(size, ca.fabs(point[i]))
+    for i in range(n):
+        inside = into(point[i], box[i], box[n + i])
+        finite = ca.if_else(ca.fabs(inside) <= huge, inside, 0)
+        good = ca.logic_and(good, ca.fabs(finite - point[i]) <= sizes.precision.feasibility * size)
+        v.append(finite)
+    opening = ca.if_else(good, point[n], 0)
+    outputs = [ca.vertcat(*v), opening, ca.if_else(good, reached, CLAMPED)]
+    return lower(ca.Function("finish", [point, status, safe, target, J, x, box], outputs))

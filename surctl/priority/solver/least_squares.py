@@ -1,0 +1,194 @@
+"""Rung 2: the task as well as the rows allow, exact to rounding.
+
+min ‖v − c‖² + ‖J v − x‖²/δ² over the rows is itself a least-distance problem, in v and the scaled misses
+(J v − x)/δ, whose equalities are always independent: a proximal step from c (Rockafellar 1976). It finds the active
+rows; on those the least-squares problem is solved directly, and that point is taken once it keeps every row and its
+multipliers have the right sign, so that it is the minimiser. Where it does not, the step is repeated from where it
+led, with a smaller δ: a direction in which J is shorter than δ hardly moves in one step.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from surctl.ir import Call, Gather, Loop, Program, Routine, Step, lower
+from surctl.priority.solver.dual_step import OPTIMAL, STUCK
+from surctl.priority.solver.elimination import as_matrix, eliminate, flat, pseudo_inverse
+from surctl.priority.solver.precision import Precision
+from surctl.priority.solver.rows import Sizes
+
+__all__ = ["least_squares"]
+
+_STEPS = 5
+
+
+def least_squares(sizes: Sizes) -> Routine:
+    """(open, near (n,), opening (1,), J, x) → (point (n + 1,), active (n,), multipliers (n,), status, count).
+
+    The point of ‖J v − x‖ least over the open rows (m·(n + 3),); status 1 if there is one. The active rows are those
+    of that problem; they have no multipliers in the distance, so these are 0.
+    """
+    n, p = sizes.n, sizes.p
+    inputs = (("open", sizes.rows), ("near", n), ("opening", 1), ("J", p * n), ("x", p))
+    state = ("point", "active", "delta", "status", "count")
+    last = tuple(f"{name}_last" for name in state)
+    steps = (
+        Call(_begin(sizes), ("near", "opening", "J", "x"), (*state, "matrix", "pull", "none")),
+        Loop(_turn(sizes), _STEPS, carried=state, results=last, fixed=("open", "matrix", "pull"), until=3),
+        Call(sizes.certificate, ("open", "point_last"), ("feasible",)),
+        Call(_end(sizes), ("status_last", "delta_last", "feasible"), ("solved",)),
+    )
+    return Routine("least_squares", inputs, steps, ("point_last", "active_last", "none", "solved", "count_last"))
+
+
+def _begin(sizes: Sizes) -> Program:
+    """First state; J and x divided by J's longest row; no multipliers."""
+    n, p = sizes.n, sizes.p
+    near, opening = ca.SX.sym("near", n), ca.SX.sym("opening")
+    J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
+    matrix, longest = as_matrix(J, n), ca.SX(0)
+    for k in range(p):
+        longest = ca.fmax(longest, ca.sqrt(ca.sumsqr(matrix[k, :])))
+    none = longest <= sizes.precision.short
+    scale = ca.if_else(none, 0, 1 / ca.if_else(none, 1, longest))
+    zeros = ca.densify(ca.SX.zeros(n, 1))
+    state = [ca.vertcat(near, opening), zeros, ca.SX(sizes.precision.delta), ca.SX.zeros(1), ca.SX.zeros(1)]
+    return lower(ca.Function("begin", [near, opening, J, x], [*map(ca.densify, state), J * scale, x * scale, zeros]))
+
+
+def _turn(sizes: Sizes) -> Routine:
+    """One proximal step, and the minimiser on the rows that it found active."""
+    n, p = sizes.n, sizes.p
+    state = (("point", n + 1), ("active", n), ("delta", 1), ("status", 1), ("count", 1))
+    fixed = (("open", sizes.rows), ("matrix", p * n), ("pull", p))
+    steps = (
+        Call(_weigh(sizes), ("point", "delta", "matrix", "pull"), ("base", "rest", "go")),
+        Call(sizes.general_kernel, ("open", "base", "go", "rest"), ("candidate", "numbers", "u", "end", "spent")),
+        Call(_unsolved(), ("end",), ("none", "stop")),
+        Loop(
+            _polish(sizes), 1,
+            carried=("candidate", "none", "none", "stop"), results=("direct", "good", "feasible", "over"),
+            fixed=("open", "matrix", "pull", "numbers"), until=3,
+        ),
+        Call(
+            _decide(sizes),
+            (*(name for name, _ in state), "candidate", "numbers", "end", "spent", "direct", "good", "feasible"),
+            tuple(f"{name}_next" for name, _ in state),
+        ),
+    )  # fmt: skip
+    return Routine("proximal_step", (*state, *fixed), steps, tuple(f"{name}_next" for name, _ in state))
+
+
+def _unsolved() -> Program:
+    """status of the kernel → 0, whether it found no point."""
+    end = ca.SX.sym("end")
+    return lower(ca.Function("unsolved", [end], [ca.SX.zeros(1), ca.logic_not(ca.eq(end, OPTIMAL))]))
+
+
+def _polish(sizes: Sizes) -> Routine:
+    """The one turn of a loop that runs where the kernel found a point: the direct one on its active rows."""
+    n, p = sizes.n, sizes.p
+    state = (("candidate", n + 1), ("good", 1), ("feasible", 1), ("stop", 1))
+    fixed = (("open", sizes.rows), ("matrix", p * n), ("pull", p), ("numbers", n))
+    rows = tuple(f"row{j}" for j in range(n))
+    one = lower(ca.Function("done", [ca.SX.sym("ends")], [ca.SX.ones(1)]))
+    steps: tuple[Step, ...] = (
+        Call(_indices(n), ("numbers",), tuple(f"at{j}" for j in range(n))),
+        *(Gather("open", f"at{j}", n + 3, rows[j], lanes=sizes.lanes) for j in range(n)),
+        Call(_direct(sizes), ("candidate", "numbers", "matrix", "pull", *rows), ("direct", "good_next")),
+        Call(sizes.certificate, ("open", "direct"), ("feasible_next",)),
+        Call(one, ("stop",), ("stop_next",)),
+    )
+    return Routine("polish", (*state, *fixed), steps, ("direct", "good_next", "feasible_next", "stop_next"))
+
+
+def _weigh(sizes: Sizes) -> Program:
+    """(point, δ, J, x) → base and Z, in v, of the problem in (v, (J v − x)/δ); 0."""
+    n, p = sizes.n, sizes.p
+    point, delta = ca.SX.sym("point", n + 1), ca.SX.sym("delta")
+    J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
+    matrix = as_matrix(J, n)
+    left = eliminate(ca.horzcat(matrix, -delta * ca.SX.eye(p)), sizes.precision)
+    base = point[:n] + left.lift[:n, :] @ (x - matrix @ point[:n])
+    outputs = [ca.vertcat(base, point[n]), flat(left.basis[:n, p:]), ca.SX.zeros(1)]
+    return lower(ca.Function("weigh", [point, delta, J, x], list(map(ca.densify, outputs))))
+
+
+def _indices(n: int) -> Program:
+    """Signed numbers → index of each row; an empty slot's is −1."""
+    numbers = ca.SX.sym("numbers", n)
+    return lower(ca.Function("indices", [numbers], [ca.fabs(numbers[j]) - 1 for j in range(n)]))
+
+
+def _direct(sizes: Sizes) -> Program:
+    """(found, numbers, J, x, row of each slot) → minimiser of ‖J v − x‖ on the active rows; whether it is optimal.
+
+    Optimal: J.T (x − J v) is a combination of the active normals, with the multipliers' signs.
+    """
+    n, p = sizes.n, sizes.p
+    candidate, numbers = ca.SX.sym("candidate", n + 1), ca.SX.sym("numbers", n)
+    J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
+    rows = [ca.SX.sym(f"row{j}", n + 3) for j in range(n)]
+    matrix, v = as_matrix(J, n), candidate[:n]
+    normals, bounds = [], []
+    for j, row in enumerate(rows):
+        bound = ca.if_else(numbers[j] < 0, -row[n], row[n + 1])
+        sign = ca.if_else(numbers[j] < 0, -1, ca.if_else(numbers[j] > 0, 1, 0))
+        normals.append((sign * row[:n]).T)
+        bounds.append(ca.if_else(ca.eq(numbers[j], 0), 0, bound))
+    active, edge = ca.vertcat(*normals), ca.vertcat(*bounds)
+    held = eliminate(active, sizes.precision)
+    free = ca.horzcat(*(ca.if_else(held.rank > i, 0, held.basis[:, i]) for i in range(n)))
+    v = v + held.lift @ (edge - active @ v)
+    inverse = free @ pseudo_inverse(_without_noise(matrix @ free, matrix, sizes.precision), sizes.precision)
+    v = v + inverse @ (x - matrix @ v)
+    v = v + held.lift @ (edge - active @ v)
+    v = v + inverse @ (x - matrix @ v)
+    slope = matrix.T @ (x - matrix @ v)
+    multipliers = held.lift.T @ slope
+    outside = slope - active.T @ multipliers
+    size = ca.SX(1)
+    for entry in ca.vertsplit(v):
+        size = ca.fmax(size, ca.fabs(entry))
+    noise = ca.fmax(sizes.precision.noise * size, sizes.precision.sign * ca.sqrt(ca.sumsqr(x - matrix @ v)))
+    good = ca.SX(1)
+    for entry in (*ca.vertsplit(multipliers), *ca.vertsplit(outside), *ca.vertsplit(-outside)):
+        good = ca.logic_and(good, -noise <= entry)
+    return lower(ca.Function("direct", [candidate, numbers, J, x, *rows], [ca.vertcat(v, candidate[n]), good]))
+
+
+def _without_noise(projected: ca.SX, matrix: ca.SX, precision: Precision) -> ca.SX:
+    """Rows of J in the free directions; what is left of a row by rounding alone counts as nothing."""
+    rows = []
+    for k in range(matrix.shape[0]):
+        left = ca.sumsqr(projected[k, :]) > precision.cutoff**2 * ca.sumsqr(matrix[k, :])
+        rows.append(ca.if_else(left, projected[k, :], 0))
+    return ca.vertcat(*rows)
+
+
+def _decide(sizes: Sizes) -> Program:
+    """Done, if the direct point is optimal and keeps the rows (1), or if no point keeps them (3); else a smaller δ."""
+    n = sizes.n
+    point, active, delta = ca.SX.sym("point", n + 1), ca.SX.sym("active", n), ca.SX.sym("delta")
+    status, count = ca.SX.sym("status"), ca.SX.sym("count")
+    candidate, numbers, end = ca.SX.sym("candidate", n + 1), ca.SX.sym("numbers", n), ca.SX.sym("end")
+    spent, direct = ca.SX.sym("spent"), ca.SX.sym("direct", n + 1)
+    good, feasible = ca.SX.sym("good"), ca.SX.sym("feasible")
+    solved = ca.eq(end, OPTIMAL)
+    done = ca.logic_and(solved, ca.logic_and(good, feasible))
+    outputs = [
+        ca.if_else(solved, ca.if_else(done, direct, candidate), point),
+        ca.if_else(solved, numbers, active),
+        ca.if_else(solved, sizes.precision.shrink * delta, delta),
+        ca.if_else(done, OPTIMAL, ca.if_else(solved, 0, STUCK)),
+        count + spent,
+    ]
+    inputs = [point, active, delta, status, count, candidate, numbers, end, spent, direct, good, feasible]
+    return lower(ca.Function("decide", inputs, list(map(ca.densify, outputs))))
+
+
+def _end(sizes: Sizes) -> Program:
+    """(status, δ, kept) → whether the point counts: optimal, or what at least one proximal step led to."""
+    status, delta, feasible = ca.SX.sym("status"), ca.SX.sym("delta"), ca.SX.sym("feasible")
+    stepped = ca.logic_or(ca.eq(status, OPTIMAL), delta < sizes.precision.delta)
+    return lower(ca.Function("least_squares_end", [status, delta, feasible], [ca.logic_and(stepped, feasible)]))

@@ -1,0 +1,229 @@
+"""The rungs of the safe tick, each a routine over the kernel: the task exact, or served, or rows opened for it.
+
+1. `exact_rung`: the point nearest to the target that meets the task J v = x and every row.
+2. The point that meets the task as well as the rows allow (`served`), and is nearest to the target among those: rung 1
+   again, with J v at its value.
+3. The least t by which the soft rows must open (`opened`), then 2.
+
+`lower_rungs` is one turn of 2 and 3; `ladder` runs the turns.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from surctl.ir import Call, Loop, Program, Routine, Step, lower
+from surctl.priority.solver.dual_step import OPTIMAL
+from surctl.priority.solver.elimination import as_matrix, eliminate, flat, reflect
+from surctl.priority.solver.kernel import reduced_kernel
+from surctl.priority.solver.least_squares import least_squares
+from surctl.priority.solver.opened import opened
+from surctl.priority.solver.rows import Sizes
+
+__all__ = ["LIMITED", "RELAXED", "exact_stage", "lower_stages"]
+
+LIMITED, RELAXED = 2, 3
+"""Status of rungs 2 and 3: task met as well as the rows allow; soft rows opened."""
+
+
+def exact_stage(sizes: Sizes) -> Routine:
+    """(unit, target, J, x, skip) → (point, active, multipliers, status, count), the task exact; the point's t is 0.
+
+    With independent task rows in n − p unknowns, otherwise in n; a bounded search over a task of several rows does
+    not look into dependent ones, and ends as `SKIPPED`.
+    """
+    n, p, fast = sizes.n, sizes.p, sizes.fast
+    outputs = ("point", "active", "multipliers", "status", "count")
+    fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("skip", 1))
+    names = tuple(name for name, _ in fixed)
+    if fast is None:
+        return Routine("hard", fixed, (Call(_dependent(sizes), names, outputs),), outputs)
+    state = (*outputs, "full")
+    begun = ("point_fast", "active_wide", "multipliers_wide", "status_fast", "count_fast", "ends")
+    steps: tuple[Step, ...] = (
+        Call(_reflected(sizes, fast.d), names[1:], ("origin", "start", "free", "ends", "idle")),
+        Call(
+            reduced_kernel(fast, sizes.m, sizes.cap), ("unit", "origin", "start", "idle", "free"),
+            tuple(f"{name}_fast" for name in outputs),
+        ),
+        Call(_padded(n, fast.d), ("active_fast", "multipliers_fast"), ("active_wide", "multipliers_wide")),
+    )  # fmt: skip
+    if sizes.cap is not None and p > 1:
+        return Routine("hard", fixed, steps, begun[:-1])
+    steps += (Loop(_otherwise(sizes), 1, carried=begun, results=state, fixed=names, until=5),)
+    return Routine("hard", fixed, steps, outputs)
+
+
+def _reflected(sizes: Sizes, d: int) -> Program:
+    """(target, J, x, skip) → origin, start, Z of the fast kernel; whether that is all to do; whether to skip it."""
+    n, p = sizes.n, sizes.p
+    target, J, x, skip = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("x", p), ca.SX.sym("skip")
+    left = reflect(as_matrix(J, n), x, target, sizes.precision)
+    outputs = [
+        left.origin,
+        left.start,
+        flat(left.free),
+        ca.logic_or(skip, left.full),
+        ca.logic_or(skip, ca.logic_not(left.full)),
+    ]
+    return lower(ca.Function("reflected", [target, J, x, skip], list(map(ca.densify, outputs))), reciprocals=True)
+
+
+def _padded(n: int, d: int) -> Program:
+    """Active rows and multipliers with the slots that the fast kernel does not have, empty."""
+    pair = [ca.SX.sym("active", d), ca.SX.sym("multipliers", d)]
+    wide = [ca.densify(ca.vertcat(a, ca.SX.zeros(n - d, 1))) for a in pair]
+    return lower(ca.Function("padded", pair, wide))
+
+
+def _otherwise(sizes: Sizes) -> Routine:
+    """The one turn of a loop that runs where the task rows are dependent: the general kernel in place of the fast."""
+    n, p = sizes.n, sizes.p
+    sizes_of = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("ends", 1))
+    fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("skip", 1))
+    fresh = tuple(f"{name}_next" for name, _ in sizes_of[:-1])
+    steps = (
+        Call(_dependent(sizes), tuple(name for name, _ in fixed), fresh),
+        Call(_done("ends"), ("ends",), ("ends_next",)),
+    )
+    return Routine("otherwise", (*sizes_of, *fixed), steps, (*fresh, "ends_next"))
+
+
+def _dependent(sizes: Sizes) -> Routine:
+    """As `exact_rung`, for any task rows: those that depend on rows above them are passed over."""
+    n, p = sizes.n, sizes.p
+    target, J, x = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("x", p)
+    matrix = as_matrix(J, n)
+    left = eliminate(matrix, sizes.precision)
+    spanned = [left.rank > i for i in range(n)]
+    free = ca.horzcat(*(ca.if_else(spanned[i], 0, left.basis[:, i]) if i < p else left.basis[:, i] for i in range(n)))
+    base = target + left.lift @ (x - matrix @ target)
+    base = base + left.lift @ (x - matrix @ base)  # a far target costs digits: once more
+    outputs = [ca.vertcat(base, 0), flat(free)]
+    prepare = lower(ca.Function("eliminated", [target, J, x], list(map(ca.densify, outputs))))
+    results = ("point", "active", "multipliers", "status", "count")
+    steps = (
+        Call(prepare, ("target", "J", "x"), ("base", "free")),
+        Call(sizes.general_kernel, ("unit", "base", "skip", "free"), results),
+    )
+    fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("skip", 1))
+    return Routine("dependent", fixed, steps, results)
+
+
+def lower_stages(sizes: Sizes) -> Routine:
+    """Rungs 2 and 3: serve the task inside the rows; if no point keeps them, open the soft ones for the next turn."""
+    n, p = sizes.n, sizes.p
+    state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("safe", 1))
+    fixed = (("unit", sizes.rows), ("target", n), ("near", n), ("J", p * n), ("x", p))
+    ends = ("point", "active", "multipliers", "end", "count")
+    first, again = (tuple(f"{name}_{tag}" for name in ends) for tag in ("limited", "again"))
+    steps = (
+        Loop(
+            _open_row(sizes), sizes.blocks, (), ("open",), sliced=("unit",), fixed=("point",), lanes=sizes.lanes
+        ),
+        Call(_opening(n), ("point",), ("opening",)),
+        Call(least_squares(sizes), ("open", "near", "opening", "J", "x"), first),
+        Call(_value(sizes), ("point_limited", "end_limited", "J"), ("held", "no", "yes", "none")),
+        Loop(
+            _again(sizes), 1, carried=(*first[:3], "none", "none", "none", "no"),
+            results=(*again, "feasible_again", "over_again"), fixed=("open", "target", "J", "held"), until=6,
+        ),
+        Loop(
+            _opening_turn(sizes), 1, carried=("point", "none", "none", "none", "yes"),
+            results=("wide", "solved", "feasible_wide", "count_opened", "over_opened"), fixed=("unit", "near"), until=4,
+        ),
+        Call(
+            _outcome(sizes),
+            (
+                "point", "count", "safe", "yes", "feasible_again", "wide", "solved", "feasible_wide", "count_opened",
+                *first, *again,
+            ),
+            tuple(f"{name}_next" for name, _ in state),
+        ),
+    )  # fmt: skip
+    return Routine("down", (*state, *fixed), steps, tuple(f"{name}_next" for name, _ in state))
+
+
+def _again(sizes: Sizes) -> Routine:
+    """The one turn of a loop that runs where the task was served: rung 1 with its value, and whether it keeps rows."""
+    n, p = sizes.n, sizes.p
+    state = (
+        ("point", n + 1), ("active", n), ("multipliers", n), ("end", 1), ("count", 1), ("feasible", 1), ("no", 1),
+    )  # fmt: skip
+    fixed = (("open", sizes.rows), ("target", n), ("J", p * n), ("held", p))
+    after = tuple(f"{name}_next" for name, _ in state)
+    steps = (
+        Call(exact_stage(sizes), ("open", "target", "J", "held", "no"), after[:5]),
+        Call(sizes.certificate, ("open", "point_next"), ("feasible_next",)),
+        Call(_done("no"), ("no",), ("no_next",)),
+    )
+    return Routine("again", (*state, *fixed), steps, after)
+
+
+def _opening_turn(sizes: Sizes) -> Routine:
+    """The one turn of a loop that runs where it was not: the least opening."""
+    n = sizes.n
+    state = (("point", n + 1), ("solved", 1), ("feasible", 1), ("count", 1), ("yes", 1))
+    after = tuple(f"{name}_next" for name, _ in state)
+    steps = (
+        Call(opened(sizes), ("unit", "near", "point", "yes"), after[:4]),
+        Call(_done("yes"), ("yes",), ("yes_next",)),
+    )
+    return Routine("opening", (*state, ("unit", sizes.rows), ("near", n)), steps, after)
+
+
+def _done(flag: str) -> Program:
+    """That the one turn was made."""
+    return lower(ca.Function("done", [ca.SX.sym(flag)], [ca.SX.ones(1)]))
+
+
+def _opening(n: int) -> Program:
+    """The opening of a point."""
+    point = ca.SX.sym("point", n + 1)
+    return lower(ca.Function("opening", [point], [point[n]]))
+
+
+def _open_row(sizes: Sizes) -> Program:
+    """A row with its bounds moved outwards by the opening of the point, if it is soft."""
+    n = sizes.n
+    row, point = ca.SX.sym("row", n + 3), ca.SX.sym("point", n + 1)
+    widening = row[n + 2] * point[n]
+    moved = ca.vertcat(row[:n], row[n] - widening, row[n + 1] + widening, row[n + 2])
+    return lower(ca.Function("open_row", [row, point], [moved]))
+
+
+def _value(sizes: Sizes) -> Program:
+    """(served point, end, J) → the task's value there, and whether there is none, one; 0."""
+    n, p = sizes.n, sizes.p
+    point, end, J = ca.SX.sym("point", n + 1), ca.SX.sym("end"), ca.SX.sym("J", p * n)
+    good = ca.eq(end, OPTIMAL)
+    outputs = [as_matrix(J, n) @ point[:n], ca.logic_not(good), good, ca.SX.zeros(1)]
+    return lower(ca.Function("value", [point, end, J], outputs))
+
+
+def _outcome(sizes: Sizes) -> Program:
+    """The better of served and solved again; or, if neither, the opened rows' point and their opening."""
+    n = sizes.n
+    point, count, safe = ca.SX.sym("point", n + 1), ca.SX.sym("count"), ca.SX.sym("safe")
+    yes, feasible, wide = ca.SX.sym("yes"), ca.SX.sym("feasible"), ca.SX.sym("wide", n + 1)
+    solved, feasible_wide, spent = ca.SX.sym("solved"), ca.SX.sym("feasible_wide"), ca.SX.sym("spent")
+
+    def symbols(tag: str) -> list[ca.SX]:
+        names = ("point", "active", "multipliers", "end", "count")
+        return [ca.SX.sym(f"{k}_{tag}", s) for k, s in zip(names, (n + 1, n, n, 1, 1), strict=True)]
+
+    limited, again = symbols("limited"), symbols("again")
+    better = ca.logic_and(yes, ca.logic_and(ca.eq(again[3], OPTIMAL), feasible))
+    final = [ca.vertcat(again[0][:n], point[n]), again[1], again[2]]
+    chosen = [ca.if_else(better, final[k], limited[k]) for k in range(3)]
+    empty = ca.SX.zeros(n, 1)
+    outputs = [
+        ca.if_else(yes, chosen[0], wide),
+        ca.if_else(yes, chosen[1], empty),
+        ca.if_else(yes, chosen[2], empty),
+        ca.if_else(yes, ca.if_else(point[n] > 0, RELAXED, LIMITED), 0),
+        count + limited[4] + again[4] + spent,
+        ca.logic_or(safe, ca.logic_and(solved, feasible_wide)),
+    ]
+    inputs = [point, count, safe, yes, feasible, wide, solved, feasible_wide, spent, *limited, *again]
+    return lower(ca.Function("outcome", inputs, list(map(ca.densify, outputs))))

@@ -1,0 +1,363 @@
+"""One control period of the closed loop as a block: world, sensing, law, plant and metrics in one state.
+
+What `run.simulate` does with objects is stated here in symbols, so that a whole run can be compiled, differentiated
+or sent through CasADi's machine. The two are written independently and compared by the tests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import casadi as ca
+
+from surctl.control import PARAMETERS, Law, build_law
+from surctl.guidance import FOLLOWING, MAX_WAYPOINTS, follow
+from surctl.ir import (
+    Block,
+    Call,
+    Layout,
+    Port,
+    Program,
+    Recording,
+    Routine,
+    fold,
+    lower,
+    lower_named,
+    nearby_angles,
+    shared_divisors,
+)
+from surctl.sensing import NOISE_STATE, SLOT, FaultChances
+from surctl.simulation.batch.bodies import ABSENT, Body, body_at, body_size
+from surctl.simulation.batch.counting import SUMS, counted
+from surctl.simulation.batch.listening import Listening, flat, slots
+from surctl.simulation.batch.structure import Structure
+from surctl.simulation.column import LONGEST
+from surctl.simulation.metrics import STANDSTILL, STOPPED_LIMIT, STOPS
+from surctl.simulation.sensors import FIRING
+from surctl.simulation.stepping import advance
+from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE
+
+__all__ = ["Loop", "Structure", "build_loop"]
+
+_HEADING = PLANT_STATE.slice("eta").start + 3
+_FINITE = 1e300
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """The closed loop of a structure.
+
+    Attributes:
+        law: what is flown.
+        state: layout of a run's state; its first entry `done` ends the run.
+        parameters: layout of a run's parameters.
+        step: (state, parameters) → next state; one control period.
+    """
+
+    structure: Structure
+    law: Law
+    state: Layout
+    parameters: Layout
+    step: Routine
+
+
+@cache
+def build_loop(structure: Structure) -> Loop:
+    """Assemble the loop of a structure once."""
+    law = build_law(  # no slot more than there are obstacles, no filter that hears nothing
+        structure.law,
+        avoidance=structure.avoidance,
+        mode=structure.mode,
+        contacts=structure.contacts,
+        sonar=structure.sensing == "sonar",
+        equipment=structure.equipment,
+        moving=structure.moving,
+        guidance=structure.guidance,
+        barrier=structure.barrier,
+        movers=structure.treats,
+        depths=structure.depths,
+    )
+    state, parameters = Layout(_state_ports(law, structure)), Layout(_parameter_ports(structure))
+    builder = _Builder(structure, law, state, parameters)
+    sense, drive, between, close = builder.sense(), builder.drive(), builder.between(), builder.close()
+    # the heading of a stage is near that at the beginning: within 25 ms the hull turns little
+    move = shared_divisors(nearby_angles(lower(advance()), source=0, entry=_HEADING))
+    outputs = [tuple(name for name, _ in program.outputs) for program in (sense, between, close)]
+    steps = (
+        Call(sense, ("s", "w"), outputs[0]),
+        Call(law.block, ("x", "u", "p"), ("tau", "x_next", "status", "telemetry")),
+        Call(drive, ("w", "tau"), ("thrust",)),
+        Call(move, ("plant", "thrust", "d0", "plant_p"), ("plant_between",)),
+        Call(between, tuple(name for name, _ in between.inputs), outputs[1]),
+        Call(move, ("plant_between", "thrust", "d1", "plant_p"), ("plant_next",)),
+        Call(close, tuple(name for name, _ in close.inputs), outputs[2]),
+    )
+    size = (("s", state.size), ("w", parameters.size))
+    return Loop(structure, law, state, parameters, Routine("step", size, steps, outputs[2]))
+
+
+def _parameter_ports(structure: Structure) -> tuple[Port, ...]:
+    world = (
+        Port("plant", (PLANT_PARAMETERS.size,), "SI", "the vehicle that is flown, as PLANT_PARAMETERS"),
+        Port("world_hull", (1,), "m", "its hull radius"),
+        Port("arrival_radius", (1,), "m", "distance to the target that counts as arrived"),
+        Port("legs", (1,), "1", "number of legs of the path"),
+        Port("visited", (1,), "m", "distance to a corner that counts as a visit; 0 where corners may be left out"),
+        Port("steps", (1,), "1", "most control periods of the run"),
+        Port("leg", (2,), "1", "unit direction of the path's last leg in {E}"),
+        Port("current", (2,), "m/s", "current in {E}"),
+        Port("wave", (4,), "N, rad/s, rad", "amplitude along x and y of {E}, rate, phase"),
+        Port("drift", (4,), "N, rad/s, rad", "the same of the slow force"),
+        Port("thrust_gain", (4,), "1", "delivered thrust by commanded, per axis"),
+        Port("thrust_bias", (4,), "N, N m", "what is delivered besides"),
+    )
+    bodies = (Port(f"body{k}", (body_size(kind),), "SI", kind) for k, kind in enumerate(structure.bodies))
+    failing = (
+        Port("fault_slots", (structure.faults, SLOT), "SI", "told faults, see fault_slots"),
+        Port("fault_chances", (len(FaultChances.kinds()),), "1", "per firing, see FaultChances"),
+    )
+    heights = Port("heights", (len(structure.bodies), 2), "m", "z of each obstacle's bottom and top")
+    mission = Port("depths", (2,), "m", "lowest and highest z that the hull may take up")
+    upright = (*((heights,) if structure.heights else ()), *((mission,) if structure.depths else ()))
+    there = [Port("there", (len(structure.bodies),), "1", "1 where the obstacle is in the water")]
+    optional = there if structure.optional else []
+    return (
+        *PARAMETERS,
+        *world,
+        *bodies,
+        *optional,
+        *upright,
+        *(port for port in failing if structure.may_fail and port.size),
+    )
+
+
+def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
+    return (
+        Port("done", (1,), "1", "1 when the run has ended"),
+        Port("step", (1,), "1", "number of the control period"),
+        Port("plant", (PLANT_STATE.size,), "SI", "PLANT_STATE"),
+        Port("law", (law.state.size,), "SI", "the law's state"),
+        *(Listening(structure, law).ports() if structure.sensing == "sonar" else ()),
+        Port("clear", (1,), "1", "1 once the hull was clear of the walls"),
+        Port("least", (1,), "m", "least clearance", ABSENT),
+        *(
+            (Port("stopped", (1,), "1", "control periods for which the law has stood halted"),)
+            if law.perception
+            else ()
+        ),
+        *((Port("standing", (1,), "1", "control periods since it gave up"),) if "trapped" in law.outputs else ()),
+        Port("stop", (1,), "1", "why the run ended, see STOPS"),
+        Port("away", (1,), "1", "1 during an avoidance interval"),
+        Port("last_place", (2,), "m", "x, y at the last tick"),
+        Port("last_thrust", (2,), "N", "F_u, F_v at the last tick"),
+        *FOLLOWING,
+        *(Port(name, (1,), unit, meaning) for name, unit, meaning in SUMS),
+    )
+
+
+class _Builder:
+    """What runs around the law and the plant."""
+
+    def __init__(self, structure: Structure, law: Law, state: Layout, parameters: Layout) -> None:
+        self.structure, self.law, self.state, self.parameters = structure, law, state, parameters
+        self.sonar, self.listening = structure.sensing == "sonar", Listening(structure, law)
+
+    def sense(self) -> Program:
+        """World and first firing at the tick; what the law and the plant are given."""
+        s, state = self.state.symbols("s")
+        w, parameters = self.parameters.symbols("w")
+        step, dt = state["step"], self.law.dt
+        time = step * dt
+        bodies = self._bodies(parameters, time)
+        eta, nu = state["plant"][:4], state["plant"][4:8]
+        out: dict[str, ca.SX] = {"x": state["law"], "p": w[: PARAMETERS.size]}
+        inputs: dict[str, ca.SX] = {"eta": eta, "nu": nu}
+        if self.sonar:
+            own, message_noise, loss = self.listening.draw(state["noise"], out, movers=self._movers(parameters))
+            near = self._beside(parameters, bodies, eta)
+            echoes, arrived = self.listening.instant(parameters, near, state["plant"], state, step, out, instant=0)
+            inputs = {"samples": echoes["sonar_last"], "fresh": ca.fmax(state["fresh"], arrived)}
+            out["echoes"] = self.listening.echoes.join(echoes)
+            movers = [b for b in bodies if b.moving]
+            rows = slots([b.contact(eta[:2]) for b in movers], [b.clearance(eta[:2]) for b in movers])
+            noise = ca.reshape(message_noise, 4, self.structure.slots).T
+            inputs |= self.listening.measurements(state, eta, nu, rows, own, noise, loss, out)
+        else:
+            out |= {name: ca.SX(0) for name in ("noise_next", "normals", "uniforms", "echoes")}
+            near = self._beside(parameters, bodies, eta)
+            if "contacts" in self.law.inputs:
+                slot_count = self.law.inputs.port("contacts").shape[0]
+                rows = slots([b.contact(eta[:2]) for b in near], [b.clearance(eta[:2]) for b in near], slot_count)
+                inputs["contacts"] = ca.vertcat(rows, ca.SX.zeros(slot_count - rows.shape[0], 6))
+        if "column" in self.law.inputs:
+            inputs["column"] = _column(bodies, parameters, eta)
+        out["u"] = self.law.inputs.join(inputs)
+        out["plant"], out["plant_p"] = state["plant"], parameters["plant"]
+        out["d0"], out["d1"] = self._disturbance(parameters, time), self._disturbance(parameters, time + FIRING)
+        out["step"] = step
+        out["clearance"] = _clearances(bodies, parameters, eta[:3])
+        out["late"] = ca.vertcat(ca.SX(0, 1), *(flat(out.pop(port.name)) for port in self._late if port.name in out))
+        return lower_named("sense", {"s": s, "w": w}, out)
+
+    @property
+    def _late(self) -> Layout:
+        return self.listening.late if self.sonar else Layout(())
+
+    def drive(self) -> Program:
+        """What the thrusters deliver of a command."""
+        w, parameters = self.parameters.symbols("w")
+        tau = ca.SX.sym("tau", 4)
+        thrust = tau * parameters["thrust_gain"] + parameters["thrust_bias"]
+        return lower_named("drive", {"w": w, "tau": tau}, {"thrust": thrust})
+
+    def between(self) -> Program:
+        """Second instant of firing and clearances, 25 ms after the tick."""
+        w, parameters = self.parameters.symbols("w")
+        sizes = {"plant_between": PLANT_STATE.size, "step": 1, "normals": 1, "uniforms": 1, "echoes": 1}
+        if self.sonar:
+            listening = self.listening
+            sizes |= {"normals": listening.normals, "uniforms": listening.uniforms, "echoes": listening.echoes.size}
+        v = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+        plant = v["plant_between"]
+        bodies = self._bodies(parameters, v["step"] * self.law.dt + FIRING)
+        echoes, fresh = v["echoes"], ca.SX(0)
+        if self.sonar:
+            before = self.listening.echoes.split(echoes)
+            audible = self._beside(parameters, bodies, plant)
+            after, fresh = self.listening.instant(parameters, audible, plant, before, v["step"], v, instant=1)
+            echoes = self.listening.echoes.join(after)
+        near = _clearances(bodies, parameters, plant[:3])
+        return lower_named(
+            "between", {"w": w, **v}, {"echoes_next": echoes, "fresh_next": fresh, "clearance_between": near}
+        )
+
+    def close(self) -> Block:
+        """Judge the tick, count the metrics, and put the next state together."""
+        s, old = self.state.symbols("s")
+        w, parameters = self.parameters.symbols("w")
+        law, sonar = self.law, self.sonar
+        symbols = {
+            "clearance": 2,
+            "clearance_between": 2,
+            "tau": 4,
+            "x_next": law.state.size,
+            "status": 1,
+            "telemetry": law.outputs.size - 4,
+            "plant_next": PLANT_STATE.size,
+            "echoes_next": self.listening.echoes.size if sonar else 1,
+            "fresh_next": self.structure.equipment.array.size if sonar else 1,
+            "late": self._late.size,
+            "noise_next": NOISE_STATE if sonar else 1,
+        }
+        v = {name: ca.SX.sym(name, size) for name, size in symbols.items()}
+        place = old["plant"][:2]
+        clear, clearance = _with_walls(old["clear"], v["clearance"])
+        with Recording() as recording:
+            total = fold("total", lambda total, entry: total + entry, v["status"], v["x_next"])
+        total += ca.sum1(v["tau"]) + ca.sum1(v["telemetry"])
+        to_target = place - parameters["waypoints"][MAX_WAYPOINTS - 1, :].T
+        gap = ca.sqrt(ca.sumsqr(to_target))
+        left = ca.sqrt(gap**2 + (old["plant"][2] - parameters["depth"]) ** 2) if self.structure.depths else gap
+        collided = clearance <= 0
+        following = follow(old, parameters["waypoints"], parameters["legs"], place, visit=parameters["visited"])
+        arrived = ca.logic_and(following["leg"] > parameters["legs"] - 1.5, left <= parameters["arrival_radius"])
+        reached = ca.logic_and(ca.logic_not(collided), arrived)
+        broken = ca.logic_not(ca.fabs(total) <= _FINITE)
+        standing, stop = self._standing(old, v["telemetry"])
+        stop = ca.if_else(broken, _code("fault"), stop)
+        stop = ca.if_else(reached, _code("reached"), ca.if_else(collided, _code("collision"), stop))
+        ended = stop > 0
+        last = old["step"] + 1 >= parameters["steps"]
+        clear_between, between = _with_walls(clear, v["clearance_between"])
+        least = ca.fmin(old["least"], clearance)
+
+        new: dict[str, ca.SX] = {
+            "done": ca.logic_or(ended, last),
+            "step": ca.if_else(ca.logic_or(ended, last), old["step"], old["step"] + 1),
+            "plant": v["plant_next"],
+            "law": v["x_next"],
+            "clear": clear_between,
+            "least": ca.if_else(ended, least, ca.fmin(least, between)),
+            "stop": stop,
+            "last_place": place,
+        }
+        if sonar:
+            new |= {**self.listening.echoes.split(v["echoes_next"]), "fresh": v["fresh_next"], "noise": v["noise_next"]}
+            new |= self._late.split(v["late"])
+        new |= {**standing, **following}
+        tau, status = ca.if_else(broken, 0, v["tau"]), ca.if_else(broken, 0, v["status"])
+        avoiding = v["telemetry"][law.telemetry_slice("avoiding")] > 0.5
+        new |= counted(old, parameters, tau, status, ca.if_else(broken, 0, avoiding), to_target, gap, following["leg"])
+        return recording.block("close", {"s": s, "w": w, **v}, {"s_next": self.state.join(new)})
+
+    def _standing(self, old: Mapping[str, ca.SX], telemetry: ca.SX) -> tuple[dict[str, ca.SX], ca.SX]:
+        """For how long the law has halted and given up, if it ever does, and the code once that is too long."""
+        law, counts, stop = self.law, {}, ca.SX(0)
+        if "trapped" in law.outputs:
+            counts["standing"] = old["standing"] + (telemetry[law.telemetry_slice("trapped")] > 0.5)
+            stop = ca.if_else(counts["standing"] >= round(STANDSTILL / law.dt), _code("dead end"), stop)
+        if law.perception is not None:
+            now = telemetry[law.telemetry_slice("stopped")] > 0.5
+            counts["stopped"] = ca.if_else(now, old["stopped"] + 1, 0)
+            stop = ca.if_else(counts["stopped"] >= round(STOPPED_LIMIT / law.dt), _code("stopped"), stop)
+        return counts, stop
+
+    def _bodies(self, w: Mapping[str, ca.SX], time: ca.SX) -> list[Body]:
+        bodies = [body_at(kind, w[f"body{k}"], time) for k, kind in enumerate(self.structure.bodies)]
+        if self.structure.heights:
+            bodies = [replace(b, heights=w["heights"][k, :].T) for k, b in enumerate(bodies)]
+        if not self.structure.optional:
+            return bodies
+        return [replace(b, present=ca.logic_and(b.present, w["there"][k] > 0.5)) for k, b in enumerate(bodies)]
+
+    @staticmethod
+    def _beside(w: Mapping[str, ca.SX], bodies: Sequence[Body], plant: ca.SX) -> list[Body]:
+        return [body.beside(plant[2], w["world_hull"]) for body in bodies]
+
+    def _movers(self, w: Mapping[str, ca.SX]) -> ca.SX | None:
+        """How many moving obstacles a run has; None where all have the same."""
+        if not self.structure.optional:
+            return None
+        kinds = enumerate(self.structure.bodies)
+        return sum((w["there"][k] > 0.5 for k, kind in kinds if kind == "mover"), start=ca.SX(0))
+
+    @staticmethod
+    def _disturbance(w: Mapping[str, ca.SX], time: ca.SX) -> ca.SX:
+        waves, slow = (ca.sin(w[name][2] * time + w[name][3]) * w[name][:2] for name in ("wave", "drift"))
+        force = waves + slow
+        return PLANT_DISTURBANCE.join(
+            {"current": ca.vertcat(w["current"], 0), "force": ca.vertcat(force, ca.SX.zeros(2))}
+        )
+
+
+def _clearances(bodies: Sequence[Body], w: Mapping[str, ca.SX], position: ca.SX) -> ca.SX:
+    """(2, 1): hull to the nearest obstacle, hull to the nearest wall [m]."""
+    nearest = ca.SX(ABSENT)
+    for body in bodies:
+        nearest = ca.fmin(nearest, body.clearance(position) - w["world_hull"])
+    walls = w["walls"]
+    across = ca.fmin(ca.fmin(position[0] - walls[0], walls[1] - position[0]), position[1] - walls[2])
+    return ca.vertcat(nearest, ca.fmin(across, walls[3] - position[1]) - w["world_hull"])
+
+
+def _column(bodies: Sequence[Body], w: Mapping[str, ca.SX], place: ca.SX) -> ca.SX:
+    """(2, 1) as `simulation.column.column`."""
+    above = below = ca.SX(LONGEST)
+    for body in bodies:
+        over, under = body.over_and_under(place[:3], w["world_hull"])
+        above, below = ca.fmin(above, over), ca.fmin(below, under)
+    top, bottom = place[2] + w["world_hull"], place[2] - w["world_hull"]
+    allowed = ca.vertcat(ca.fmin(above, w["depths"][1] - top), ca.fmin(below, bottom - w["depths"][0]))
+    return ca.fmax(allowed, 0)
+
+
+def _with_walls(clear: ca.SX, clearances: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Whether the hull was ever clear of the walls, and the clearance: walls count from then on."""
+    now = ca.logic_or(clear, clearances[1] > 0)
+    return now, ca.if_else(now, ca.fmin(clearances[0], clearances[1]), clearances[0])
+
+
+def _code(reason: str) -> float:
+    return float(STOPS.index(reason))

@@ -1,0 +1,161 @@
+"""The shortest convex table of the braking way that a checker can follow, and the figures that come of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, floor, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.verification.braking.claim import BrakingClaim
+
+__all__ = ["DistanceTable", "Encounter", "distance_table", "encounter", "figures", "figures_needed", "largest_obstacle"]
+
+_CELLS = 40
+_DIGITS = 9  # of a knot or slope
+_LIFT = 1e-4  # share by which a slope is raised until its cell holds
+_FIGURES = 1e4  # a figure is rounded up to 0.1 mm
+_NEGLECTED = 1e-9
+_SPARE = -1e-13
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Encounter:
+    """One obstacle: its speed [m/s], speed through the water at rest before it, push f [N], swing q [N s]."""
+
+    obstacle: float
+    through: float
+    disturbance: float
+    swing: float
+
+
+def encounter(claim: BrakingClaim, obstacle: float) -> Encounter:
+    """What acts before an obstacle of that speed [m/s]."""
+    b, through = claim.brakes, obstacle + claim.brakes.current
+    swing = b.lag * (b.most + b.least) + claim.turn * b.lag**2 * claim.side
+    return Encounter(obstacle, through, _disturbance(claim, through), swing)
+
+
+def _disturbance(claim: BrakingClaim, through: float) -> float:
+    b, w = claim.brakes, claim.sideways
+    (low, high), (low2, high2) = b.linear, b.quadratic
+    side = high2 * min(through * w, w**2 / 2)
+    if claim.drag == "axes":
+        side = (high - low) * w / 2 + sqrt(2) * high2 * through * w + (2 * high2 - low2) * w**2 / (3 * sqrt(3))
+    # the checker rounds its roots up: so does this
+    return b.disturbance + side * (1 + 2e-8) + (claim.turn * b.lag) ** 2 * max(b.most, b.least)
+
+
+def largest_obstacle(claim: BrakingClaim) -> float:
+    """Speed [m/s] of an obstacle before which nothing is left of the braking force, rounded down to 0.1 mm/s; 0
+    without any."""
+    low, high = 0.0, 100.0
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _left(claim, middle) >= 0 else (low, middle)
+    return floor(low * _FIGURES + _NEGLECTED) / _FIGURES
+
+
+def _left(claim: BrakingClaim, obstacle: float) -> float:
+    through = obstacle + claim.brakes.current
+    return claim.brakes.least - _disturbance(claim, through) - claim.brakes.largest_drag(through)
+
+
+@dataclass(frozen=True)
+class DistanceTable:
+    """G: knots z [m/s], slopes G' there, convex; G' linear in between."""
+
+    at: Encounter
+    knots: Vector
+    slopes: Vector
+
+    def worst(self, claim: BrakingClaim, closing: float) -> float:
+        """m G(s + q/m) at the worse end of the mass range [m], s the closing speed [m/s]."""
+        return max(m * self.value(closing + self.at.swing / m) for m in claim.brakes.masses)
+
+    def value(self, z: float) -> float:
+        """G(z⁺) [m/kg]."""
+        if z <= 0:
+            return 0.0
+        k = int(np.searchsorted(self.knots, z, side="right")) - 1
+        k = min(k, len(self.knots) - 2)
+        widths = np.diff(self.knots)
+        before = float(np.sum(widths[:k] * (self.slopes[:k] + self.slopes[1 : k + 1]) / 2))
+        t = z - float(self.knots[k])
+        rise = float((self.slopes[k + 1] - self.slopes[k]) / widths[k])
+        return before + float(self.slopes[k]) * t + rise * t * t / 2
+
+
+def distance_table(claim: BrakingClaim, obstacle: float) -> DistanceTable:
+    """The table before an obstacle of that speed [m/s], as far as the claim needs it."""
+    b, at = claim.brakes, encounter(claim, obstacle)
+    fastest = claim.fastest + claim.watch.speed_error
+    gain = (b.most + at.disturbance + b.largest_drag(max(at.through, fastest))) / b.masses[0]
+    top = fastest + obstacle + gain * claim.watch.period + at.swing / b.masses[0] + 0.01
+    knots = np.linspace(0.0, top, _CELLS + 1)
+    if 0 < at.through < top:  # there drag turns round
+        knots = np.unique(np.append(knots[abs(knots - at.through) > top / (4 * _CELLS)], at.through))
+    knots = np.round(knots, _DIGITS)
+    slopes = np.maximum.accumulate(knots / _force(claim, at, knots))
+    slopes[1] = max(slopes[1], knots[1] / float(_force(claim, at, knots[:1])[0]))  # it leaves 0 with its slope there
+    for k in range(len(knots) - 1):
+        while _lack(claim, at, knots[k : k + 2], slopes[k : k + 2]) > 0:
+            slopes[max(k, 1) : k + 2] *= 1 + _LIFT
+    slopes = np.maximum.accumulate(np.ceil(slopes * (1 + 1e-7) * 10**_DIGITS) / 10**_DIGITS)
+    return DistanceTable(at, knots, np.array([round(float(g), _DIGITS) for g in slopes]))
+
+
+def _lack(claim: BrakingClaim, at: Encounter, z: Vector, g: Vector) -> float:
+    """By how much G' times the force may be less than z on a cell, by Bernstein's coefficients; ≤ 0 where it holds."""
+    h = float(z[1] - z[0])
+    middle = np.polynomial.Polynomial.fit(z, g, 1, domain=[z[0], z[1]], window=[0.0, h])
+    inner = z[0] + h * np.array([0.1, 0.5, 0.9])  # the force is one quadratic on a cell
+    force = np.polynomial.Polynomial.fit(inner, _force(claim, at, inner), 2, domain=[z[0], z[1]], window=[0.0, h])
+    c = np.zeros(4)
+    product = np.polynomial.polynomial.polymul(middle.coef, force.coef)
+    c[: len(product)] = product
+    c[:2] -= (z[0], 1.0)
+    ends = (c[0], c[0] + c[1] * h / 3, c[0] + 2 * c[1] * h / 3 + c[2] * h**2 / 3, np.polyval(c[::-1], h))
+    return float(_SPARE - min(ends[1:] if z[0] == 0 else ends))
+
+
+def _force(claim: BrakingClaim, at: Encounter, z: Vector) -> Vector:
+    """What brakes at closing speed z, drag at its least help [N]."""
+    b, v = claim.brakes, z - at.through
+    share = 1.0 if claim.drag == "along" else 1 / sqrt(2)
+    ahead = b.linear[0] * v + share * b.quadratic[0] * v**2
+    return b.least - at.disturbance + np.where(v >= 0, ahead, b.linear[1] * v - b.quadratic[1] * v**2)
+
+
+def figures(claim: BrakingClaim, tables: list[DistanceTable]) -> dict[str, Any]:
+    """Closed form, way and range needed [m], rounded up to 0.1 mm, by speed and obstacle."""
+    rows: dict[str, list[list[float]]] = {"closed_m": [], "distance_m": [], "needed_m": []}
+    for speed in claim.speeds:
+        entries = [_figures(claim, table, speed) for table in tables]
+        for k, name in enumerate(rows):
+            rows[name].append([ceil(entry[k] * _FIGURES - _NEGLECTED) / _FIGURES for entry in entries])
+    return {"speeds_m_per_s": list(claim.speeds), **rows}
+
+
+def _figures(claim: BrakingClaim, table: DistanceTable, speed: float) -> tuple[float, float, float]:
+    b, at = claim.brakes, table.at
+    closing, left = speed + at.obstacle, b.least - at.disturbance - b.largest_drag(at.through)
+    closed = max(m * (closing + at.swing / m) ** 2 / (2 * left) for m in b.masses)
+    return closed, table.worst(claim, closing), figures_needed(claim, table, speed, since=speed)
+
+
+def figures_needed(claim: BrakingClaim, table: DistanceTable, speed: float, *, since: float) -> float:
+    """Range needed [m] at an own speed as measured, the largest since the echo being `since` [m/s].
+
+    As `guidance.braking.range_needed`, which lets a retreat count for nothing.
+    """
+    b, at, w = claim.brakes, table.at, claim.watch
+    closing, astern = speed + w.speed_error + at.obstacle, max(at.through, b.current + w.speed_error - speed)
+    gain = (b.most + _disturbance(claim, astern) + b.largest_drag(astern)) / b.masses[0]
+    travelled = max(closing * w.period + gain * w.period**2 / 2, 0.0)
+    late = max(since + w.speed_error + at.obstacle, 0.0) * w.age
+    return w.range_error + late + travelled + table.worst(claim, closing + gain * w.period)

@@ -1,0 +1,47 @@
+"""Expressions on a box where their branches are settled: a max is one of its operands where the other cannot win."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from surctl.priority.diagnosis.region import Region
+from surctl.verification.formula import Node, from_casadi, rebuilt, to_casadi
+from surctl.verification.proving.tape import build_tape
+
+__all__ = ["simplified"]
+
+
+def simplified(expression: ca.SX, region: Region, names: tuple[str, ...]) -> ca.SX:
+    """The column, equal on the region, without the min, max, abs and select that interval arithmetic decides there.
+
+    Derivatives of what is left have no comparisons in them.
+
+    Raises:
+        UnsupportedOperation: an operation that the claim grammar does not have.
+    """
+    box = region.lower[:, None], region.upper[:, None]
+
+    def above(a: Node, b: Node) -> int:
+        """1 where a ≥ b on the whole box, −1 where a ≤ b, 0 where neither is certain."""
+        read = build_tape(names, [a - b]).run(box)
+        low, high = (float(end[0]) for end in read.jets[0].value)
+        if not read.defined[0][0]:
+            return 0
+        return 1 if low >= 0 else -1 if high <= 0 else 0
+
+    def change(node: Node, args: tuple[Node, ...]) -> Node:
+        same = Node(node.op, args, node.value, node.name)
+        if node.op not in ("abs", "min", "max", "select"):
+            return same
+        first, second = (args[0], -args[0]) if node.op == "abs" else args[:2]
+        sign = above(first, second)
+        if not sign:
+            return same
+        if node.op == "select":  # the operands' difference may be 0, where a ≤ b counts
+            return args[2] if sign < 0 else same
+        wins = sign > 0 if node.op != "min" else sign < 0
+        return first if wins else second
+
+    nodes = from_casadi(region.symbols, names, [expression[k] for k in range(expression.numel())])
+    symbols = {name: region.symbols[k] for k, name in enumerate(names)}
+    return ca.vertcat(*[to_casadi(rebuilt(node, change), symbols) for node in nodes])

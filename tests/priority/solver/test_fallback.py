@@ -1,0 +1,273 @@
+"""The safe tick against problems that are meant to break it, and a referee that trusts no solver."""
+
+from __future__ import annotations
+
+import platform
+
+import daqp
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from surctl.errors import InputError
+from surctl.ir import Real, compile_block, replay, to_casadi
+from surctl.priority import least_distance, safe_step
+from surctl.priority.solver.dual_step import OPTIMAL, STUCK, Space
+from surctl.priority.solver.fallback import CLAMPED, LIMITED, MET, RELAXED
+from surctl.priority.solver.kernel import CAP, OPEN_CAP, in_blocks, kernel
+from surctl.priority.solver.precision import FLOAT32, FLOAT64, Precision
+from surctl.priority.solver.trials import FAMILIES, Trials, draw_trials, judge
+from tests.tools import need_compiler
+
+Array = NDArray[np.float64]
+N, P, M = 4, 2, 24
+
+
+PRECISION: dict[Real, Precision] = {"float64": FLOAT64, "float32": FLOAT32}
+
+
+class Flown:
+    """A batch of problems and what the compiled ladder says."""
+
+    def __init__(self, trials: Trials) -> None:
+        need_compiler()
+        self.trials = trials
+        self.outputs = compile_block(safe_step(N, P, M))(*trials.arrays)
+        self.v, self.active, self.multipliers, opening, status, count = self.outputs
+        self.opening, self.status, self.count = opening[:, 0], status[:, 0], count[:, 0]
+
+
+@pytest.fixture(scope="module")
+def flown() -> Flown:
+    return Flown(draw_trials(12_000, n=N, p=P, m=M, seed=1))
+
+
+def has(trials: Trials, name: str) -> NDArray[np.bool_]:
+    return trials.features[:, FAMILIES.index(name)]
+
+
+def nearest(trials: Trials, k: int, unit: tuple[Array, Array, Array]) -> Array | None:
+    """DAQP's point for rung 1, if it finds one that holds."""
+    A, lower, upper = unit
+    J, x = trials.J[k].reshape(P, N), trials.x[k]
+    length = np.linalg.norm(J, axis=1)
+    length[length == 0] = 1.0
+    rows = np.ascontiguousarray(np.vstack([A[k], J / length[:, None]]))
+    low, high = np.append(lower[k], x / length), np.append(upper[k], x / length)
+    sense = np.append(np.zeros(M), np.full(P, 5)).astype(np.intc)
+    y, _, flag, _ = daqp.solve(
+        np.eye(N),
+        -trials.target[k],
+        rows,
+        np.minimum(high, 1e30),
+        np.maximum(low, -1e30),
+        sense,
+        primal_tol=1e-12,
+    )
+    if flag != 1:
+        return None
+    holds = max((rows @ y - high).max(), (low - rows @ y).max()) <= 1e-10 * (1 + np.abs(y).max())
+    return np.array(y) if holds else None
+
+
+def test_every_tick_has_a_finite_answer_inside_the_hard_rows(flown: Flown) -> None:
+    A, lower, upper, soft = flown.trials.unit()
+    assert np.isfinite(np.concatenate(flown.outputs, axis=1)).all()
+    value = np.einsum("kij,kj->ki", A, flown.v)
+    missed = np.maximum(value - upper, lower - value)
+    assert missed[~soft].max() <= 1e-9
+    assert (np.where(soft, missed, -1).max(axis=1) <= flown.opening + 1e-9).all()
+    box = flown.trials.box
+    assert ((box[:, :N] <= flown.v) & (flown.v <= box[:, N:])).all()
+    assert not (flown.status == CLAMPED).any()
+    for rung in (MET, LIMITED, RELAXED):
+        assert (flown.status == rung).sum() > 1000
+
+
+def test_met_is_the_nearest_point_by_its_optimality_conditions(flown: Flown) -> None:
+    met = flown.status == MET
+    verdict = judge(flown.trials[met], flown.v[met], flown.active[met], multipliers=flown.multipliers[met])
+    assert verdict.worst().max() <= 1e-9
+    assert verdict.worst()[~has(flown.trials[met], "parallel")].max() <= 1e-12
+
+
+def test_the_referee_sees_a_wrong_answer(flown: Flown) -> None:
+    met = np.flatnonzero((flown.status == MET) & (flown.active != 0).any(axis=1) & ~has(flown.trials, "far"))[:50]
+    trials = flown.trials[met]
+    for change in (1e-6, -1e-6):
+        moved = judge(trials, flown.v[met] + change, flown.active[met], multipliers=flown.multipliers[met])
+        assert (moved.worst() > 1e-8).all()
+    forgot = judge(trials, flown.v[met], np.zeros((50, N)), multipliers=np.zeros((50, N)))
+    assert (forgot.worst() > 1e-8).all()
+
+
+def test_daqp_agrees_and_nothing_feasible_is_given_up(flown: Flown) -> None:
+    compared, unit = 0, flown.trials.unit()[:3]
+    for k in range(4000):
+        want = nearest(flown.trials, k, unit)
+        if want is None:
+            continue
+        assert flown.status[k] == MET, k
+        gap = np.abs(want - flown.v[k]).max() / (1 + np.abs(flown.trials.target[k]).max())
+        assert gap <= 1e-8, k
+        compared += 1
+    assert compared > 500
+
+
+def sides(A: Array, lower: Array, upper: Array, opens: Array) -> tuple[Array, Array]:
+    """G, h with G (v, t) ≤ h."""
+    both = [(np.column_stack([A, -opens]), upper), (np.column_stack([-A, -opens]), -lower)]
+    return (
+        np.vstack([rows[np.isfinite(b)] for rows, b in both]),
+        np.concatenate([b[np.isfinite(b)] for _, b in both]),
+    )
+
+
+TIGHT = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+
+
+def test_limited_is_the_best_that_the_rows_allow(flown: Flown) -> None:
+    """‖J v − x‖ exceeds the least one by at most its slope along the best way left, found by a linear programme."""
+    A, lower, upper, soft = flown.trials.unit()
+    for k in np.flatnonzero(flown.status == LIMITED)[:400]:
+        J, x = flown.trials.J[k].reshape(P, N), flown.trials.x[k]
+        rest = x - J @ flown.v[k]
+        size, scale = np.linalg.norm(rest), np.linalg.norm(J, axis=1).max()
+        if size <= 1e-6 * scale:  # rounding turns the slope of so short a rest
+            continue
+        slope = J.T @ rest / (size * scale)
+        G, h = sides(A[k], lower[k], upper[k], 0.0 * soft[k])
+        room = np.maximum(h, G[:, :N] @ flown.v[k])
+        best = linprog(-slope, G[:, :N], room, bounds=[(None, None)] * N, method="highs-ds", options=TIGHT)
+        assert best.status == 4 or slope @ (best.x - flown.v[k]) <= 1e-8, k
+
+
+def test_relaxed_opens_no_more_than_it_must(flown: Flown) -> None:
+    A, lower, upper, soft = flown.trials.unit()
+    compared = 0
+    for k in np.flatnonzero(flown.status == RELAXED)[:400]:
+        G, h = sides(A[k], lower[k], upper[k], soft[k].astype(float))
+        bounds = [(None, None)] * N + [(0, None)]
+        least = linprog(np.append(np.zeros(N), 1.0), G, h, bounds=bounds, method="highs-ds", options=TIGHT)
+        assert least.status in (0, 4)
+        if least.status == 0:
+            assert abs(flown.opening[k] - least.x[-1]) <= 1e-8, k
+            compared += 1
+    assert compared > 390
+
+
+@pytest.mark.parametrize("size", [1.0, 1e4, 1e8, 1e10])
+@pytest.mark.parametrize("long", [False, True])
+def test_contradicting_tasks_of_any_size_open_no_row(size: float, long: bool) -> None:
+    need_compiler()
+    trials = draw_trials(1000, n=N, p=P, m=M, seed=6, mixed=False)
+    rows = trials.rows.reshape(1000, M, N + 3).copy()
+    rows[..., N], rows[..., N + 1] = np.minimum(rows[..., N], -0.01), np.maximum(rows[..., N + 1], 0.01)  # 0 keeps all
+    rng = np.random.default_rng(7)
+    J = np.repeat(rng.normal(size=(1000, 1, N)), P, axis=1) * (size if long else 1.0)
+    x = size * rng.normal(size=(1000, P))
+    status = compile_block(safe_step(N, P, M))(
+        trials.target, J.reshape(1000, -1), x, rows.reshape(1000, -1), trials.box
+    )[4]
+    assert (status == LIMITED).all()
+
+
+@pytest.mark.parametrize(("space", "seen", "cap"), [(Space(4, 4), 25, CAP), (Space(4, 5, opening=True), 40, OPEN_CAP)])
+def test_the_cap_is_far_away(space: Space, seen: int, cap: int) -> None:
+    need_compiler()
+    trials = draw_trials(20_000, n=N, p=P, m=M, seed=2)
+    A, lower, upper, soft = trials.unit()
+    rows = in_blocks(np.concatenate([A, lower[..., None], upper[..., None], soft[..., None]], axis=2))
+    goal = np.clip(trials.target, trials.box[:, :N], trials.box[:, N:])
+    base = np.column_stack([goal, np.full(len(goal), -1e3 if space.opening else 0.0)])
+    rest = [] if space.opening else [np.eye(N).reshape(-1)]
+    _, _, _, status, count = compile_block(kernel(space, M))(rows, base, np.zeros(1), *rest)
+    assert set(np.unique(status)) <= ({OPTIMAL} if space.opening else {OPTIMAL, STUCK})
+    assert count.max() <= seen < cap
+
+
+def test_replay_and_casadi_give_the_same_bytes(flown: Flown) -> None:
+    some = flown.trials[slice(0, 400)]
+    for a, b in zip(replay(safe_step(N, P, M), *some.arrays), flown.outputs, strict=True):
+        assert a.tobytes() == b[:400].tobytes()
+    machine = to_casadi(safe_step(N, P, M))
+    for k in range(60):
+        one = machine(*(array[k] for array in some.arrays))
+        for a, b in zip(one, flown.outputs, strict=True):
+            # + 0.0: CasADi's if_else turns −0 into +0
+            assert (np.asarray(a).reshape(-1) + 0.0).tobytes() == (b[k] + 0.0).tobytes()
+
+
+def test_in_float_it_is_as_safe_and_nearly_as_good(flown: Flown) -> None:
+    routine = safe_step(N, P, M, precision=FLOAT32)
+    rounded = [array.astype(np.float32) for array in flown.trials.arrays]
+    outputs = compile_block(routine, real="float32")(*rounded)
+    some = [array[:150] for array in rounded]
+    for a, b in zip(replay(routine, *some, real=np.float32), outputs, strict=True):
+        assert a.dtype == np.float32 and a.tobytes() == b[:150].tobytes()
+    v, status = outputs[0], outputs[4][:, 0]
+    assert np.isfinite(np.concatenate(outputs, axis=1)).all() and not (status == CLAMPED).any()
+    assert ((rounded[4][:, :N] <= v) & (v <= rounded[4][:, N:])).all()
+    A, lower, upper, soft = Trials(*(a.astype(np.float64) for a in rounded), flown.trials.features).unit()
+    value = np.einsum("kij,kj->ki", A, v.astype(np.float64))
+    assert np.where(soft, -1.0, np.maximum(value - upper, lower - value)).max() <= 1e-4
+    both = (status == MET) & (flown.status == MET)
+    gap = np.abs(v - flown.v).max(axis=1) / (1 + np.abs(flown.trials.target).max(axis=1))
+    assert both.sum() > 2000 and np.quantile(gap[both], 0.9) <= 1e-6
+
+
+X86 = platform.machine().lower() in ("x86_64", "amd64")
+LEVELS = [("-O0",), ("-O2",), ("-O3",), *([("-march=x86-64",)] if X86 else [])]
+
+
+@pytest.mark.parametrize("flags", LEVELS)
+def test_every_optimisation_level_gives_the_same_bytes(flown: Flown, flags: tuple[str, ...]) -> None:
+    some = flown.trials[slice(0, 1000)]
+    for a, b in zip(compile_block(safe_step(N, P, M), flags=flags)(*some.arrays), flown.outputs, strict=True):
+        assert a.tobytes() == b[:1000].tobytes()
+
+
+ODD = [np.nan, np.inf, -np.inf, 1e-320, 1e38, 1e-40]
+CASES = [("float64", 1e308), ("float64", -1e308), *((real, bad) for real in ("float64", "float32") for bad in ODD)]
+
+
+@pytest.mark.parametrize(("real", "bad"), CASES)
+def test_no_number_anywhere_makes_it_anything_but_finite(bad: float, real: Real) -> None:
+    need_compiler()
+    tick = compile_block(safe_step(N, P, M, precision=PRECISION[real]), real=real)
+    good = draw_trials(1, n=N, p=P, m=M, seed=4)
+    for which, array in enumerate(good.arrays):
+        count = array.shape[1]
+        arrays = [np.repeat(a, count, axis=0) for a in good.arrays]
+        arrays[which][np.arange(count), np.arange(count)] = bad
+        v, *_, status, _ = tick(*arrays)
+        assert np.isfinite(v).all()
+        if which < 4:  # the box itself is sound
+            box = good.box[0].astype(real)
+            assert ((box[:N] <= v) & (v <= box[N:])).all()
+        if np.isnan(bad) and which < 4:
+            soft = which == 3 and np.arange(count) % (N + 3) == N + 2  # what is no number is not soft
+            assert (status[:, 0] == CLAMPED)[~np.broadcast_to(soft, count)].all()
+
+
+def test_the_derivative_is_the_projector_of_the_active_rows(flown: Flown) -> None:
+    import casadi as ca
+
+    given = [ca.MX.sym(f"a{i}", array.shape[1]) for i, array in enumerate(flown.trials.arrays)]
+    slope = ca.Function("slope", given, [ca.jacobian(to_casadi(safe_step(N, P, M))(*given)[0], given[0])])
+    usual = np.flatnonzero((flown.status == MET) & has(flown.trials, "plain"))[:5]
+    for k in usual:
+        A = flown.trials[np.array([k])].unit()[0][0]
+        used = np.abs(flown.active[k][flown.active[k] != 0]).astype(int) - 1
+        held = np.vstack([A[used], flown.trials.J[k].reshape(P, N)])
+        want = np.eye(N) - np.linalg.pinv(held) @ held
+        np.testing.assert_allclose(np.asarray(slope(*(a[k] for a in flown.trials.arrays))), want, atol=1e-9)
+
+
+def test_rows_and_tasks_too_long_to_be_squared_are_refused_by_name() -> None:
+    wide = np.array([[1e155, 0.0]])
+    with pytest.raises(InputError, match=r"A\[0\]"):
+        least_distance([0.5, 0.0], A=wide, lower=[-1e154], upper=[1e154])
+    with pytest.raises(InputError, match=r"J\[0\]"):
+        least_distance([0.5, 0.0], A=np.eye(2), lower=[-1, -1], upper=[1, 1], J=wide, x=[1e154])

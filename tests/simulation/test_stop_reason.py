@@ -1,0 +1,89 @@
+"""A run that the law itself stands still in: both loops end it alike, and it is told why."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from surctl.control import load_gains
+from surctl.errors import InputError
+from surctl.sensing import Delivery, Equipment, Fault, OwnState
+from surctl.simulation import (
+    METRICS,
+    STOPPED_LIMIT,
+    STOPS,
+    Case,
+    Run,
+    load_scenario,
+    loop,
+    simulate,
+    simulate_batch,
+    stop_reason,
+)
+from surctl.simulation.batch import Structure, build_loop
+from surctl.simulation.sensors import Sensors
+from surctl.vehicle import load_vehicle
+
+_SENSORS = range(4)
+DEAF_TWICE = Sensors(
+    faults=(
+        *(Fault(sensor=i, kind="dropout", start_s=2.0, duration_s=STOPPED_LIMIT - 10) for i in _SENSORS),
+        *(Fault(sensor=i, kind="dead", start_s=STOPPED_LIMIT - 5) for i in _SENSORS),
+    )
+)
+NOWHERE = Sensors(Equipment(own=OwnState(fixes=Delivery(gaps=((1.0, 1000.0),)))))
+DEAF_AHEAD = Sensors(faults=(Fault(sensor=0, kind="dead"),))
+
+
+def _case(sensors: Sensors, name: str = "pool-static", **gains: float) -> Case:
+    scenario = replace(load_scenario(name), sensors=sensors)
+    chosen = load_gains("default").with_values(gains)
+    return Case(scenario, load_vehicle(scenario.vehicle), chosen, sensing="sonar")
+
+
+@cache
+def _flown(sensors: Sensors, name: str = "pool-static", *, turns: bool = True) -> Run:
+    case = _case(sensors, name) if turns else _case(sensors, name, spin=0.0)
+    return simulate(case.scenario, case.vehicle, gains=case.gains, law=case.build(), sensing="sonar", seed=1)
+
+
+def test_a_halt_without_a_break_ends_the_run_and_a_shorter_one_does_not() -> None:
+    run = _flown(DEAF_TWICE)
+    assert run.metrics.stopped_because == "stopped" and not run.metrics.reached
+    assert STOPPED_LIMIT - 5 + STOPPED_LIMIT < run.metrics.time_s < STOPPED_LIMIT - 5 + STOPPED_LIMIT + 1
+    halted, ticks = run.telemetry("stopped")[:, 0], round(STOPPED_LIMIT / run.law.dt)
+    assert np.all(halted[-ticks:] == 1) and halted[-ticks - 1] == 0
+    assert np.all(halted[60:440] == 1), "the first spell"
+
+
+def test_the_compiled_loop_halts_as_the_reference_does() -> None:
+    found = simulate_batch(_case(DEAF_TWICE), seeds=[0, 1, 2])
+    assert np.all(found.column("stopped") == STOPS.index("stopped"))
+    wanted = _flown(DEAF_TWICE).metrics.row()
+    for name, a, b in zip(METRICS, found.table[1], wanted, strict=True):
+        assert a == b or abs(a - b) <= 1e-9 or (np.isnan(a) and np.isnan(b)), (name, a, b)
+
+
+def test_only_a_law_with_senses_counts() -> None:
+    truth = build_loop(Structure("guarded", "corrected", "nsb", "truth", ("disc",)))
+    assert "stopped" not in truth.state
+    assert "stopped" not in build_loop(Structure("paper", "corrected", "nsb", "sonar", ("disc",))).state
+    assert "stopped" in build_loop(Structure("guarded", "corrected", "nsb", "sonar", ("disc",))).state
+
+
+def test_the_reason_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert stop_reason(_flown(DEAF_TWICE)) == "no sonar can be believed (0, 1, 2, 3)"
+    assert stop_reason(_flown(NOWHERE, "tank-static")).startswith("the robot does not know where it is")
+    monkeypatch.setattr(loop, "STOPPED_LIMIT", 1.0)  # it creeps on, and stands for moments only
+    told = stop_reason(_flown(DEAF_AHEAD, "tank-static", turns=False))
+    assert told.startswith("places ahead stay unknown; sonar") and " 0 " in told and told.endswith(" not believed")
+
+
+def test_a_run_that_ended_otherwise_has_no_such_reason() -> None:
+    run = _flown(DEAF_TWICE)
+    other = replace(run, metrics=replace(run.metrics, stopped_because="time limit"))
+    with pytest.raises(InputError, match="stopped"):
+        stop_reason(other)
