@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, StrictFloat, ValidationError, model_validator
 
 from surctl.errors import InputError, nearest
+from surctl.renamed import current_table
 from surctl.units import converted_by_suffix, in_unit, number_and_unit
 
 if TYPE_CHECKING:
@@ -151,7 +152,7 @@ def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
         surctl.errors.InputError: tank.toml: length_m = 'long': input should be a valid number, ...; correct the value
     """
     try:
-        return model.model_validate(table)
+        return model.model_validate(current_table(table, file=file))
     except ValidationError as error:
         # of a union "quantity or text" only the quantity is of use to the reader
         problems = [p for p in error.errors(include_url=False) if p["loc"][-1:] != ("str",)]

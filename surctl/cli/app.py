@@ -28,6 +28,7 @@ from surctl.cli.tune import tune
 from surctl.cli.vehicle import vehicle
 from surctl.cli.verify import verify
 from surctl.errors import SurctlError
+from surctl.renamed import OldName, current_arguments
 
 __all__ = ["app", "main"]
 
@@ -71,9 +72,10 @@ def main() -> None:
     # before NumPy is loaded; the matrices are small, and OpenBLAS's threads wait for each other in loops
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     warnings.showwarning = lambda message, *_: _print_message(str(message))
+    warnings.filterwarnings("always", category=OldName)  # a line each, whatever the filters
     prepare_stdout()
     try:
-        status = app(prog_name="surctl", standalone_mode=False)
+        status = app(current_arguments(sys.argv[1:]), prog_name="surctl", standalone_mode=False)
         sys.stdout.flush()
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message())

@@ -159,7 +159,7 @@ def simulate(
                     if as_json:
                         progress(lines[-1])
                     lines += linear_part(run, results[-1])
-                    if run.metrics.stopped_because in ("stopped", "dead end"):
+                    if run.metrics.stopped_because in ("standstill", "dead end"):
                         results[-1]["stop_reason"] = stop_reason(run)
                         lines.append(f"  {run.metrics.stopped_because}: {results[-1]['stop_reason']}")
                     lines += further_output(run, results[-1], explained=explained, out=out, animate=animate)

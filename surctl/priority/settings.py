@@ -83,7 +83,7 @@ def check_fallback(fallback: str, *, mode: str, damping: float = 0.0) -> None:
         >>> check_ladder("bounded", mode="nsb")
         Traceback (most recent call last):
             ...
-        surctl.errors.InputError: ladder = 'bounded': mode nsb has none; take mode filter or projected
+        surctl.errors.InputError: fallback = 'bounded': mode nsb has none; take mode filter or projected
     """
     known = get_args(Fallback)
     if fallback not in known:

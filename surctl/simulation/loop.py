@@ -165,7 +165,7 @@ class Loop:
             if self.law.perception is not None:
                 stopped = stopped + 1 if step.telemetry[self.law.telemetry_slice("stopped")][0] > 0.5 else 0
             if stopped >= round(STOPPED_LIMIT / dt):
-                return "stopped"
+                return "standstill"
             if "trapped" in self.law.outputs:
                 standing += int(step.telemetry[self.law.telemetry_slice("trapped")][0] > 0.5)
             if standing >= round(STANDSTILL / dt):

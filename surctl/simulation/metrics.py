@@ -33,7 +33,7 @@ STOPPED_LIMIT = 30.0
 STANDSTILL = 10.0
 """[s] for which a law that gave up in a dead end is watched standing, before its run ends (*chosen*)."""
 
-STOPS = ("time limit", "reached", "collision", "fault", "stopped", "dead end")
+STOPS = ("time limit", "reached", "collision", "fault", "standstill", "dead end")
 """Why a run can end; a batch gives the position in this tuple."""
 
 

@@ -32,8 +32,8 @@ def stop_reason(run: Run) -> str:
     law, record, why = run.law, run.record, run.metrics.stopped_because
     if why == "dead end":
         return _dead_end_reason(run)
-    if why != "stopped" or law.perception is None:
-        raise InputError("is no run that halted", key="run", value=why)
+    if why != "standstill" or law.perception is None:
+        raise InputError("did not end at a standstill", key="run", value=why)
     perceived = law.decision_inputs(record.law_state[-1], record.law_input[-1], record.law_parameters)
     silent = np.flatnonzero(run.telemetry("healthy")[-1] < 0.5).tolist()
     if perceived[law.perception.outputs.slice("placed")][0] < 0.5:

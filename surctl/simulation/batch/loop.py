@@ -301,7 +301,7 @@ class _Builder:
         if law.perception is not None:
             now = telemetry[law.telemetry_slice("stopped")] > 0.5
             counts["stopped"] = ca.if_else(now, old["stopped"] + 1, 0)
-            stop = ca.if_else(counts["stopped"] >= round(STOPPED_LIMIT / law.dt), _code("stopped"), stop)
+            stop = ca.if_else(counts["stopped"] >= round(STOPPED_LIMIT / law.dt), _code("standstill"), stop)
         return counts, stop
 
     def _bodies(self, w: Mapping[str, ca.SX], time: ca.SX) -> list[Body]:

@@ -49,7 +49,7 @@ class _RunFile(Strict):
     barrier: Barrier = "simple"
     movers: Movers = "predict"
     sensing: Sensing
-    stopped_because: Literal["time limit", "reached", "collision", "fault", "stopped", "dead end"]
+    stopped_because: Literal["time limit", "reached", "collision", "fault", "standstill", "dead end"]
     broken_assumptions: tuple[str, ...] = ()
     figures: dict[str, float]
     draw: dict[str, float] = Field(default_factory=dict)

@@ -49,7 +49,7 @@ class Summary:
     def lines(self) -> list[str]:
         """For people."""
         lines = []
-        for reason in ("collision", "time limit", "stopped", "dead end", "fault"):
+        for reason in ("collision", "time limit", "standstill", "dead end", "fault"):
             s = self.stopped[reason]
             lines.append(
                 f"  {reason:<11}{s.count:>7} of {s.runs}: {s.rate:.3%}, with 95 % confidence at most {s.at_most():.3%}"

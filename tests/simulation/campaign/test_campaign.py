@@ -42,7 +42,7 @@ def table(*rows):
 
 MIXED = table(
     ("reached", 50.0, 0.3, ()),
-    ("stopped", 90.0, 0.2, ()),
+    ("standstill", 90.0, 0.2, ()),
     ("collision", 20.0, -0.001, ("thrust", "range")),
     ("reached", 60.0, 0.1, ()),
     ("collision", 30.0, -0.002, ()),
@@ -58,7 +58,7 @@ def test_the_worst_come_first():
 def test_a_summary_counts():
     told = summarise(MIXED)
     counts = {reason: share.count for reason, share in told.stopped.items()}
-    assert counts == {"time limit": 1, "reached": 2, "collision": 2, "fault": 0, "stopped": 1, "dead end": 0}
+    assert counts == {"time limit": 1, "reached": 2, "collision": 2, "fault": 0, "standstill": 1, "dead end": 0}
     assert told.time_s[0] == 50.0 and told.time_s[50] == 55.0 and told.time_s[100] == 60.0
     assert told.clearance_m[0] == -0.002 and told.clearance_m[100] == 0.3
     assert told.broken == {"thrust": 1, "range": 1, "none": 1}

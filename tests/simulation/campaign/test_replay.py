@@ -49,7 +49,7 @@ def test_another_run_is_told_apart(text, tmp_path):
     kept = load_replay(tmp_path / "a.toml")
     run = kept.run.simulate()
     assert kept.difference(run) <= 1e-9
-    assert replace(kept, stopped_because="stopped").difference(run) == inf
+    assert replace(kept, stopped_because="standstill").difference(run) == inf
     off = kept.figures | {"length_m": kept.figures["length_m"] + 1e-6}
     assert replace(kept, figures=off).difference(run) == pytest.approx(1e-6, rel=1e-3)
     fewer = {name: value for name, value in kept.figures.items() if name != "length_m"}
