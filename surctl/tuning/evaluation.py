@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.simulation import Case, parameters, simulate_batch
+from surctl.simulation import Case, case_parameters, simulate_batch
 from surctl.tuning.goals import Goal
 from surctl.vehicle import Vehicle
 from surctl.verification import linear_table
@@ -279,7 +279,7 @@ def _spread(case: Case, conditions: Sequence[Condition], sets: Sets) -> dict[str
     count = len(next(iter(sets.values())))
     spread = {name: np.repeat(np.asarray(values, dtype=float), len(conditions)) for name, values in sets.items()}
     off = sorted({name for c in conditions for name in c.plant})
-    nominal = parameters(case) if off else {}
+    nominal = case_parameters(case) if off else {}
     for name in off:
         spread[name] = np.tile([c.plant.get(name, nominal[name].value) for c in conditions], count)
     return spread

@@ -16,7 +16,7 @@ from surctl.control import GAINS, LAW_NAMES, Barrier, Gains, LawName, Movers, bu
 from surctl.errors import InputError, nearest
 from surctl.guidance import AvoidanceForm, Guidance, check_guidance
 from surctl.priority import Mode
-from surctl.simulation import METRICS, Case, Scenario, Sensing, check_speeds, parameters, simulate_batch
+from surctl.simulation import METRICS, Case, Scenario, Sensing, case_parameters, check_speeds, simulate_batch
 from surctl.tuning.axes import SEED
 from surctl.tuning.design import Design
 from surctl.vehicle import Vehicle, load_vehicle
@@ -31,11 +31,11 @@ __all__ = [
     "Evaluation",
     "Quantity",
     "build_cases",
+    "case_parameters",
     "check_column",
     "check_request",
     "law_digest",
     "linear_names",
-    "parameters",
     "request_digest",
 ]
 
@@ -118,7 +118,7 @@ class Evaluation:
         strayed, ratios = [], []
         for case in self.cases:
             seeds = self.seeds_of(case)
-            known = parameters(case)
+            known = case_parameters(case)
             numbers = np.repeat(values[SEED], len(seeds)) if SEED in values else np.tile(seeds, count)
             done = simulate_batch(
                 case,
@@ -239,7 +239,7 @@ def check_request(cases: Sequence[Case], design: Design, seeds: Sequence[int]) -
         )
     if SEED in design.names and len(seeds) > 1:
         raise InputError("is an axis already", key="seeds", value=len(seeds), remedy="leave --seeds or the axis away")
-    known = [parameters(case) for case in cases]
+    known = [case_parameters(case) for case in cases]
     for k, name in enumerate(design.names):
         if name == SEED:
             continue

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl import __version__
-from surctl.simulation import Case, parameters
+from surctl.simulation import Case, case_parameters
 from surctl.simulation.store import cannot_write
 from surctl.tuning.axes import SEED, Axis, Span
 from surctl.tuning.design import Design
@@ -106,7 +106,7 @@ def _coordinates(file: Any, design: Design, cases: tuple[Case, ...]) -> tuple[st
 def _quantity(name: str, cases: tuple[Case, ...]) -> Quantity:
     if name == SEED:
         return Quantity("1", "seed of every run")
-    parameter = next(table[name] for table in map(parameters, cases) if name in table)
+    parameter = next(table[name] for table in map(case_parameters, cases) if name in table)
     return Quantity(parameter.unit, parameter.meaning)
 
 

@@ -19,8 +19,8 @@ from surctl.simulation import (
     Obstacle,
     Scenario,
     SlowerEngine,
+    case_parameters,
     load_scenario,
-    parameters,
     simulate,
     simulate_batch,
 )
@@ -211,7 +211,7 @@ _POOL, _TANK = _pool(), _case("tank-speed-015", seconds=25.0)
     ids=lambda x: x if isinstance(x, str) else "",
 )
 def test_a_knob_does_what_the_edited_case_does(case: Case, name: str, value: float, changed: Case) -> None:
-    turned, plain = simulate_batch(case, {name: [value, parameters(case)[name].value]}, seeds=6).table
+    turned, plain = simulate_batch(case, {name: [value, case_parameters(case)[name].value]}, seeds=6).table
     assert turned.tobytes() == simulate_batch(changed, seeds=6).table[0].tobytes()
     assert plain.tobytes() == simulate_batch(case, seeds=6).table[0].tobytes()
     assert not np.array_equal(turned, plain, equal_nan=True)
@@ -220,7 +220,7 @@ def test_a_knob_does_what_the_edited_case_does(case: Case, name: str, value: flo
 def test_every_knob_is_admissible_as_it_stands() -> None:
     for name in ("tank-static", "tank-speed-015", "pool-static"):
         case = _case(name, seconds=0.1)
-        known = parameters(case)
+        known = case_parameters(case)
         result = simulate_batch(case, {k: [v.value] for k, v in known.items()})
         assert np.array_equal(result.table, simulate_batch(case).table, equal_nan=True), name
 

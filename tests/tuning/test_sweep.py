@@ -184,7 +184,7 @@ def test_an_axis_that_only_one_case_knows_is_for_that_case(cheap, monkeypatch):
 
     monkeypatch.setattr(measure, "simulate_batch", fly)
     cases = [stub.case("tank-speed-015"), stub.case("tank-static")]
-    names = [set(measure.parameters(c)) for c in cases]
+    names = [set(measure.case_parameters(c)) for c in cases]
     (own,) = [n for n in names[0] - names[1] if n.endswith(".speed")]
     sweep(cases, grid([Axis(own, (0.1, 0.2))]))
     assert [own in seen[c.name] for c in cases] == [True, False]
@@ -504,7 +504,7 @@ def test_indices_of_a_known_function(cheap, monkeypatch):
     """Ishigami's function with a = 7, b = 0.1 has closed-form indices."""
 
     one = stub.case("pool-static")
-    third = next(n for n in measure.parameters(one) if n.startswith("obstacle.") and n.endswith(".x"))
+    third = next(n for n in measure.case_parameters(one) if n.startswith("obstacle.") and n.endswith(".x"))
     names = ("scenario.current_x", "scenario.current_y", third)
 
     def fly(case, values, *, seeds):

@@ -1,6 +1,6 @@
 """The closed loop as one block: many runs at once, compiled."""
 
-from surctl.simulation.batch.case import Case, Parameter, check_speeds, parameters
+from surctl.simulation.batch.case import Case, CaseParameter, case_parameters, check_speeds
 from surctl.simulation.batch.engines import ENGINES, BatchResult, Engine, SlowerEngine, simulate_batch
 from surctl.simulation.batch.loop import Loop, Structure, build_loop
 
@@ -8,13 +8,13 @@ __all__ = [
     "ENGINES",
     "BatchResult",
     "Case",
+    "CaseParameter",
     "Engine",
     "Loop",
-    "Parameter",
     "SlowerEngine",
     "Structure",
     "build_loop",
+    "case_parameters",
     "check_speeds",
-    "parameters",
     "simulate_batch",
 ]

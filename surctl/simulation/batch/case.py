@@ -19,7 +19,7 @@ from surctl.simulation.scenario import Scenario
 from surctl.vehicle import PARAMETERS as VEHICLE_PARAMETERS
 from surctl.vehicle import Vehicle
 
-__all__ = ["Case", "Parameter", "check_speeds", "check_values", "parameters"]
+__all__ = ["Case", "CaseParameter", "case_parameters", "check_speeds", "check_values"]
 
 Vector = NDArray[np.float64]
 
@@ -71,7 +71,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Parameter:
+class CaseParameter:
     """A number of a case that may be changed.
 
     Attributes:
@@ -109,31 +109,31 @@ class Parameter:
             )
 
 
-def parameters(case: Case) -> Mapping[str, Parameter]:
+def case_parameters(case: Case) -> Mapping[str, CaseParameter]:
     """Every number of the case that a batch may change, by name.
 
     Example:
         >>> from surctl.control import load_gains
-        >>> from surctl.simulation import Case, parameters, load_scenario
+        >>> from surctl.simulation import Case, case_parameters, load_scenario
         >>> from surctl.vehicle import load_vehicle
-        >>> found = parameters(Case(load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")))
-        >>> [(name, found[name].value, found[name].unit) for name in ("k_v", "vehicle.m11", "obstacle.OM1.speed")]
+        >>> known = case_parameters(Case(load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")))
+        >>> [(name, known[name].value, found[name].unit) for name in ("k_v", "vehicle.m11", "obstacle.OM1.speed")]
         [('k_v', 1.5, '1/s'), ('vehicle.m11', 50.0, 'kg'), ('obstacle.OM1.speed', 0.2, 'm/s')]
     """
     listed = [
-        Parameter(name, spec.unit, spec.meaning, case.gains.values[name], 0.0, spec.below, not spec.zero_allowed)
+        CaseParameter(name, spec.unit, spec.meaning, case.gains.values[name], 0.0, spec.below, not spec.zero_allowed)
         for name, spec in GAINS.items()
     ]
     for name, spec in VEHICLE_PARAMETERS.items():
         known = case.vehicle.parameters[name]
         listed.append(
-            Parameter(
+            CaseParameter(
                 f"vehicle.{name}", spec.unit, spec.meaning, known.value, 0.0, inf, not spec.zero_allowed, known.range
             )
         )
         what = f"{spec.meaning}, of the vehicle that is flown; the controller keeps its model"
         listed.append(
-            Parameter(f"plant.{name}", spec.unit, what, known.value, 0.0, inf, not spec.zero_allowed, known.range)
+            CaseParameter(f"plant.{name}", spec.unit, what, known.value, 0.0, inf, not spec.zero_allowed, known.range)
         )
     listed += _scenario_parameters(case.scenario)
     for obstacle in case.scenario.obstacles:
@@ -141,19 +141,21 @@ def parameters(case: Case) -> Mapping[str, Parameter]:
     return {parameter.name: parameter for parameter in listed}
 
 
-def _scenario_parameters(scenario: Scenario) -> list[Parameter]:
+def _scenario_parameters(scenario: Scenario) -> list[CaseParameter]:
     d, chances = scenario.disturbance, scenario.sensors.chances
     return [
         *(
-            Parameter(f"sonar.{kind}", "1", f"chance of this fault ({kind}) per firing of a sonar", chance, 0.0, 1.0)
+            CaseParameter(
+                f"sonar.{kind}", "1", f"chance of this fault ({kind}) per firing of a sonar", chance, 0.0, 1.0
+            )
             for kind, chance in zip(chances.kinds(), chances.numbers, strict=True)
         ),
-        Parameter("scenario.cruise", "m/s", "speed of the path's target", scenario.cruise, 0.0, inf, True),
-        Parameter("scenario.cap", "m/s", "largest commanded horizontal speed", scenario.cap, 0.0, inf, True),
-        Parameter(
+        CaseParameter("scenario.cruise", "m/s", "speed of the path's target", scenario.cruise, 0.0, inf, True),
+        CaseParameter("scenario.cap", "m/s", "largest commanded horizontal speed", scenario.cap, 0.0, inf, True),
+        CaseParameter(
             "scenario.depth", "m", "wanted z, negative below the surface", scenario.depth, -scenario.site[2], 0.0
         ),
-        Parameter(
+        CaseParameter(
             "scenario.arrival_radius",
             "m",
             "distance to the target that counts as arrived",
@@ -162,31 +164,33 @@ def _scenario_parameters(scenario: Scenario) -> list[Parameter]:
             inf,
             True,
         ),
-        Parameter("scenario.time_limit", "s", "longest run", scenario.time_limit, 0.0, 1e6, True),
-        Parameter("scenario.current_x", "m/s", "current along x of {E}", d.current_m_per_s[0]),
-        Parameter("scenario.current_y", "m/s", "current along y of {E}", d.current_m_per_s[1]),
-        Parameter("scenario.wave_force", "N", "amplitude of the wave force", d.wave_force_n, 0.0),
-        Parameter("scenario.wave_period", "s", "period of the waves", d.wave_period_s, 0.0, inf, True),
-        Parameter("scenario.drift_force", "N", "amplitude of the slow force", d.drift_force_n, 0.0),
-        Parameter("scenario.drift_period", "s", "period of the slow force", d.drift_period_s, 0.0, inf, True),
-        Parameter(
+        CaseParameter("scenario.time_limit", "s", "longest run", scenario.time_limit, 0.0, 1e6, True),
+        CaseParameter("scenario.current_x", "m/s", "current along x of {E}", d.current_m_per_s[0]),
+        CaseParameter("scenario.current_y", "m/s", "current along y of {E}", d.current_m_per_s[1]),
+        CaseParameter("scenario.wave_force", "N", "amplitude of the wave force", d.wave_force_n, 0.0),
+        CaseParameter("scenario.wave_period", "s", "period of the waves", d.wave_period_s, 0.0, inf, True),
+        CaseParameter("scenario.drift_force", "N", "amplitude of the slow force", d.drift_force_n, 0.0),
+        CaseParameter("scenario.drift_period", "s", "period of the slow force", d.drift_period_s, 0.0, inf, True),
+        CaseParameter(
             "scenario.thrust_error", "1", "largest error of an axis' thrust, as a share", d.thrust_error, 0.0, 1.0
         ),
-        Parameter("scenario.thrust_bias", "1", "largest bias of it, as a share of its limit", d.thrust_bias, 0.0, 1.0),
+        CaseParameter(
+            "scenario.thrust_bias", "1", "largest bias of it, as a share of its limit", d.thrust_bias, 0.0, 1.0
+        ),
     ]
 
 
-def _obstacle_parameters(obstacle: Obstacle, vehicle: Vehicle) -> list[Parameter]:
+def _obstacle_parameters(obstacle: Obstacle, vehicle: Vehicle) -> list[CaseParameter]:
     def parameter(
         name: str, unit: str, meaning: str, value: float, least: float | None = None, *, above: bool = False
-    ) -> Parameter:
+    ) -> CaseParameter:
         low = -inf if least is None else least
-        return Parameter(f"obstacle.{obstacle.name}.{name}", unit, meaning, value, low, inf, above)
+        return CaseParameter(f"obstacle.{obstacle.name}.{name}", unit, meaning, value, low, inf, above)
 
     common = [
         parameter("x", "m", "centre at the start, x in {E}", obstacle.centre_m[0]),
         parameter("y", "m", "centre at the start, y in {E}", obstacle.centre_m[1]),
-        Parameter(
+        CaseParameter(
             f"obstacle.{obstacle.name}.there", "1", "1 where it is in the water, 0 where it is left out", 1.0, 0.0, 1.0
         ),
     ]
@@ -215,7 +219,7 @@ def _obstacle_parameters(obstacle: Obstacle, vehicle: Vehicle) -> list[Parameter
 
 def check_values(case: Case, values: Mapping[str, Vector]) -> None:
     """InputError for an unknown knob, or a value that it does not take."""
-    known = parameters(case)
+    known = case_parameters(case)
     for name, column in values.items():
         if name not in known:
             raise InputError("no such number in the case", key=name, value=case.name, remedy=nearest(name, known))

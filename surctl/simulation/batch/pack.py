@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from surctl.control import GAINS
 from surctl.sensing import FaultChances, fault_slots, noise_states
 from surctl.simulation.batch.bodies import NO_END, body_columns, kind_of
-from surctl.simulation.batch.case import Case, parameters
+from surctl.simulation.batch.case import Case, case_parameters
 from surctl.simulation.batch.loop import Loop, Structure
 from surctl.simulation.numbers import VISITED, law_numbers
 from surctl.simulation.world import WorldDraw, draw_world
@@ -100,7 +100,7 @@ def pack(case: Case, loop: Loop, values: Mapping[str, Columns], seeds: NDArray[n
 class _Filler:
     def __init__(self, case: Case, loop: Loop, values: Mapping[str, Columns], seeds: NDArray[np.int64]) -> None:
         self.case, self.loop, self.values, self.seeds = case, loop, values, seeds
-        self.known = parameters(case)
+        self.known = case_parameters(case)
         limit = np.asarray(self.number("scenario.time_limit"))
         self.step_limits = np.ceil(limit / loop.law.dt)
         self.steps = int(np.max(self.step_limits))
