@@ -117,7 +117,7 @@ def case_parameters(case: Case) -> Mapping[str, CaseParameter]:
         >>> from surctl.simulation import Case, case_parameters, load_scenario
         >>> from surctl.vehicle import load_vehicle
         >>> known = case_parameters(Case(load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")))
-        >>> [(name, known[name].value, found[name].unit) for name in ("k_v", "vehicle.m11", "obstacle.OM1.speed")]
+        >>> [(name, known[name].value, known[name].unit) for name in ("k_v", "vehicle.m11", "obstacle.OM1.speed")]
         [('k_v', 1.5, '1/s'), ('vehicle.m11', 50.0, 'kg'), ('obstacle.OM1.speed', 0.2, 'm/s')]
     """
     listed = [
@@ -145,9 +145,7 @@ def _scenario_parameters(scenario: Scenario) -> list[CaseParameter]:
     d, chances = scenario.disturbance, scenario.sensors.chances
     return [
         *(
-            CaseParameter(
-                f"sonar.{kind}", "1", f"chance of this fault ({kind}) per firing of a sonar", chance, 0.0, 1.0
-            )
+            CaseParameter(f"sonar.{kind}", "1", f"chance of fault {kind} per firing of a sonar", chance, 0.0, 1.0)
             for kind, chance in zip(chances.kinds(), chances.numbers, strict=True)
         ),
         CaseParameter("scenario.cruise", "m/s", "speed of the path's target", scenario.cruise, 0.0, inf, True),
@@ -174,9 +172,7 @@ def _scenario_parameters(scenario: Scenario) -> list[CaseParameter]:
         CaseParameter(
             "scenario.thrust_error", "1", "largest error of an axis' thrust, as a share", d.thrust_error, 0.0, 1.0
         ),
-        CaseParameter(
-            "scenario.thrust_bias", "1", "largest bias of it, as a share of its limit", d.thrust_bias, 0.0, 1.0
-        ),
+        CaseParameter("scenario.thrust_bias", "1", "bias of thrust, as a share of its limit", d.thrust_bias, 0.0, 1.0),
     ]
 
 
