@@ -152,12 +152,12 @@ def _(mo):
 
 @app.cell
 def _(bounded, solve):
-    tick = bounded.tick("projected")
-    tick.inputs["eta"][:] = [1.4, -0.4, -0.15, 0.0]
-    tick.solve()
+    step = bounded.step("projected")
+    step.inputs["eta"][:] = [1.4, -0.4, -0.15, 0.0]
+    step.solve()
     _slow = solve(bounded.problem({"eta": [1.4, -0.4, -0.15, 0.0]}), mode="projected")
-    print(f"compiled and interpreted agree to {max(abs(tick.v - _slow.v).max(), 1e-12):.0e}")
-    print("binding:", ", ".join(name for name, _ in tick.binding()))
+    print(f"compiled and interpreted agree to {max(abs(step.v - _slow.v).max(), 1e-12):.0e}")
+    print("binding:", ", ".join(name for name, _ in step.binding()))
     return
 
 

@@ -71,7 +71,7 @@ def _(mo):
 @app.cell
 def _(files):
     _text = files["surctl_closed_form.c"].path.read_text(encoding="utf-8")
-    _at = _text.index("static void surctl_lean_law") if "static void surctl_lean_law" in _text else 0
+    _at = _text.index("static void surctl_closed_form_law") if "static void surctl_closed_form_law" in _text else 0
     print("\n".join(_text[_at:].splitlines()[:24]))
     return
 

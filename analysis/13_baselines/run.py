@@ -31,7 +31,7 @@ ENDS = {"reached": GOOD, "collided": AVOIDING, "neither": "#D5D8DC"}
 WORLDS = "random-worlds"
 CONSTANTS = {
     "apf": ("RANGE", "STRENGTH", "NEAREST", "DAMPING"),
-    "dwa": ("HORIZON", "GRID", "EXTRA", "REACH", "HEADING", "CLEARANCE", "VELOCITY"),
+    "dwa": ("HORIZON", "GRID", "EXTRA", "FREE_DISTANCE", "HEADING", "CLEARANCE", "VELOCITY"),
     "vo": ("HORIZON", "EXTRA", "SAFETY"),
     "cbf": ("ALPHA", "EXTRA"),
 }

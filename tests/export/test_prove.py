@@ -93,7 +93,7 @@ def test_what_is_wrong_in_a_law_that_searches_is_told(pattern: str, new: str, ki
 def test_a_guard_that_lets_nothing_in_proves_nothing() -> None:
     need("frama-c")
     law, bundle, _ = exported("float32")
-    shut = altered(bundle, r"(static int surctl_lean_inside\([^{]*\{)", r"\1\n    return 0;")
+    shut = altered(bundle, r"(static int surctl_closed_form_inside\([^{]*\{)", r"\1\n    return 0;")
     report = prove_bundle(law, shut, vehicle().thrust_limit)
     assert not report.alarms and not report.accepts and not report.proved
     assert "no step that the guard accepts" in report.summary()
