@@ -20,22 +20,22 @@ __all__ = ["e1", "e10", "e11", "e12", "e13", "e17"]
 
 
 def printed_obstacle_rate(speed: float, psi: float) -> tuple[float, float]:
-    """Return ẋ_OB, ẏ_OB [m/s] of (17) as printed."""
+    """Return the obstacle's velocity ẋ_OB, ẏ_OB [m/s] by equation (17) as printed in the paper."""
     return speed * cos(psi), -speed * sin(psi)
 
 
 def printed_turn(acceleration: float, radius: float, time: float) -> float:
-    """Return σ_0 of (19) as our copy of the paper reads, √((a/R)·t)."""
+    """Return the angle σ_0 of equation (19) as it reads in our copy of the paper, √((a/R)·t)."""
     return sqrt(acceleration / radius * time)
 
 
 def mended_turn(acceleration: float, radius: float, time: float) -> float:
-    """Return the corrected σ_0 = √(a/R)·t [rad]."""
+    """Return the corrected angle σ_0 = √(a/R)·t [rad] of equation (19)."""
     return sqrt(acceleration / radius) * time
 
 
 def course(e2: ca.SX, phi: ca.SX, setting: Setting, *, delta: float = 0.0) -> ca.SX:
-    """Return ψ_dm [rad] of (20), counter-clockwise, for side λ2 = +1 and the printed speed."""
+    """Return the desired course ψ_dm [rad] of equation (20), counter-clockwise, for side λ2 = +1 and printed speed."""
     return avoidance_course(
         "consistent",
         phi,
@@ -52,7 +52,10 @@ def course(e2: ca.SX, phi: ca.SX, setting: Setting, *, delta: float = 0.0) -> ca
 
 
 def final_distance(start: float, setting: Setting, *, delta: float = 0.0, closing: float = 0.0) -> float:
-    """Return e2 [m] after 120 s of (20) from e2 = `start`; the obstacle approaches head-on at −`closing` [m/s]."""
+    """Return the distance e2 [m] to the safety circle after 120 s of avoidance by equation (20) from e2 = `start`.
+
+    The obstacle approaches head-on at the speed −`closing` [m/s].
+    """
     e2 = ca.SX.sym("e2")
     turned = course(e2, ca.SX(0), setting, delta=delta)
     rate = clearance_rate(turned, ca.SX(0), speed=ca.SX(setting.avoidance_speed), closing=ca.SX(closing))
@@ -61,7 +64,7 @@ def final_distance(start: float, setting: Setting, *, delta: float = 0.0, closin
 
 
 def inertial_motion(start: Vector, setting: Setting, acceleration: float) -> Vector:
-    """Return position and velocity (k, 4) of a mass that follows (20) around the origin with |v̇| ≤ `acceleration`."""
+    """Return position and velocity (k, 4) of a mass with |v̇| ≤ `acceleration` that avoids the origin by (20)."""
     x = ca.SX.sym("x", 4)
     away = ca.sqrt(ca.sumsqr(x[:2]))
     turned = course(away - setting.radius, ca.atan2(-x[1], -x[0]), setting)
@@ -73,7 +76,7 @@ def inertial_motion(start: Vector, setting: Setting, acceleration: float) -> Vec
 
 
 def e1() -> Result:
-    """Return the result for E1: ẏ of (17) and ẏ of (2) at the same speed and angle."""
+    """Return the result for erratum E1: ẏ by equations (17) and (2) at the same speed and angle."""
     speed, psi = 0.15, pi / 4
     ours_y = value((planar_rotation(ca.SX(psi)) @ ca.vertcat(speed, 0.0))[1])
     printed_y = printed_obstacle_rate(speed, psi)[1]
@@ -95,7 +98,7 @@ def e1() -> Result:
 
 
 def e10() -> Result:
-    """Return the result for E10: λ2 of one encounter in all directions, by printed rule and by relative velocity."""
+    """Return the result for erratum E10: the side λ2 in one encounter, rotated to all directions, by two rules."""
     rule, mended = set(), set()
     for k in range(360):
         phi = np.radians(k + 0.5)
@@ -117,7 +120,7 @@ def e10() -> Result:
 
 
 def e11() -> Result:
-    """Return the result for E11: V̇2 for −δ < e2 < 0, and the final e2 of (20) with δ > 0."""
+    """Return the result for erratum E11: V̇2 inside the circle (−δ < e2 < 0), and the final e2 with δ > 0."""
     s = Setting()
     claim = claims(names=["v2-printed"])[0]
     margin, inside = evaluate(claim, claim.witnesses[0])
@@ -132,7 +135,7 @@ def e11() -> Result:
 
 
 def e12() -> Result:
-    """Return the result for E12: the final e2 of (20) if an obstacle slower than the robot approaches head-on."""
+    """Return the result for erratum E12: the final e2 if an obstacle slower than the robot approaches head-on."""
     s = Setting()
     end, formula = final_distance(0.5, s, closing=-s.obstacle_speed), settling_intrusion(s)
     ours = f"e2 converges to {end:.4f} m; the formula −k3 R c/√(1 − c²) gives {formula:.4f} m"
@@ -145,7 +148,7 @@ def e12() -> Result:
 
 
 def e13() -> Result:
-    """Return the result for E13: (20) with δ = 0 at a resting obstacle, without and with the inertia of a vehicle."""
+    """Return the result for erratum E13: avoidance of a resting obstacle with δ = 0, without and with inertia."""
     s, vehicle = Setting(), load_vehicle("sur540-flooded")
     acceleration = float(np.min(vehicle.thrust_limit[:2]) / np.max(vehicle.mass[:2]))
     begins = 0.3  # [m] less than the 0.46 m that it takes to stop
@@ -170,7 +173,7 @@ def e13() -> Result:
 
 
 def e17() -> Result:
-    """Return the result for E17: σ_0 of (19) in seconds and in minutes, which should be the same angle."""
+    """Return the result for erratum E17: the angle σ_0 computed in seconds and in minutes must be the same."""
     a, radius, t, minute = 0.05, 0.5, 2.0, 60.0
     read = printed_turn(a * minute**2, radius, t / minute) / printed_turn(a, radius, t)
     mended = mended_turn(a * minute**2, radius, t / minute) / mended_turn(a, radius, t)

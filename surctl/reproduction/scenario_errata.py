@@ -20,7 +20,7 @@ def erratum_findings(scenario: str, erratum: str) -> list[str]:
 
 
 def e15() -> Result:
-    """Return the result for E15: walls and obstacles without clearance for the hull of 0.27 m radius in the pool."""
+    """Return the result for erratum E15: walls and obstacles too close to the hull of 0.27 m radius in the pool."""
     texts = erratum_findings("pool-static", "E15")
     inside = [float(m) for text in texts for m in re.findall(r"([\d.]+) m inside a wall", text)]
     near = [float(m) for text in texts for m in re.findall(r"is ([\d.]+) m off obstacle", text)]
@@ -36,7 +36,7 @@ def e15() -> Result:
 
 
 def e16() -> Result:
-    """Return the result for E16: the height of the hull above the water at the printed depth."""
+    """Return the result for erratum E16: the height of the hull above the water at the printed depth."""
     scenario, vehicle = load_scenario("tank-static"), load_vehicle(PRINTED_HULL)
     above, texts = scenario.depth + vehicle["radius"], erratum_findings("tank-static", "E16")
     ours = f"the top of the hull is {above:.2f} m above the water"

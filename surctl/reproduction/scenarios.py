@@ -87,7 +87,7 @@ def limit_items(simulations: Simulations) -> list[Item]:
 
 
 def position_items(simulations: Simulations) -> list[Item]:
-    """Return the rows of E_p for all tank scenarios and for all pool scenarios, with both kinds of sensing."""
+    """Return the rows of the position error E_p, for the tank and the pool scenarios and both kinds of sensing."""
     items = []
     for series, where in _SERIES:
         names = [name for name in scenario_names() if name.startswith(series)]

@@ -29,7 +29,7 @@ def largest_percent(test: RangeTest) -> float:
 
 
 def printed_step(x: Vector, residual: float) -> float:
-    """Return μ of S5 as printed, gᵀg/(gᵀRg) with g = Xℜ and R = XXᵀ [1/m²]."""
+    """Return step size μ of S5 in Algorithm 1 as printed, gᵀg/(gᵀRg) with g = Xℜ and R = XXᵀ [1/m²]."""
     g, R = x * residual, np.outer(x, x)
     return float(g @ g / (g @ R @ g))
 
@@ -60,13 +60,13 @@ def loss_gradient(theta: Vector, x: Vector, x_n: float) -> Vector:
 
 
 def printed_gradient(theta: Vector, x: Vector, x_n: float) -> Vector:
-    """Return ∇(ℜ) of S3 as printed, +2ℜX (n,) [m²]."""
+    """Return the gradient ∇(ℜ) of S3 in Algorithm 1 as printed, +2ℜX (n,) [m²]."""
     printed: Vector = 2 * (x_n - theta @ x) * x
     return printed
 
 
 def e2() -> Result:
-    """Return the result for E2: all percentages of Table II recomputed, one of which is wrong in print."""
+    """Return the result for erratum E2: all percentages of Table II recomputed, one of which is wrong in print."""
     test = table_ii()
     off = [(medium, int(k)) for medium in MEDIA for k in test.disagreeing(medium)]
     if not off:
@@ -85,7 +85,7 @@ def e2() -> Result:
 
 
 def e3() -> Result:
-    """Return the result for E3: the largest absolute error of Table II, compared with the 4.5 cm of the text."""
+    """Return the result for erratum E3: the largest absolute error of Table II, compared with 4.5 cm in the text."""
     test = table_ii()
     worst, percent = 100 * largest_error(test), largest_percent(test)
     ours = f"largest error {worst:.1f} cm"
@@ -96,7 +96,7 @@ def e3() -> Result:
 
 
 def e4() -> Result:
-    """Return the result for E4: one step of the 8-bit conversion, compared with the printed resolution."""
+    """Return the result for erratum E4: one step of the 8-bit conversion, compared with the printed resolution."""
     array = SonarArray()
     step, needed = 1e3 * array.resolution, int(np.ceil(np.log2(array.maximum / 0.005 + 1)))
     ours = f"{step:.2f} mm"
@@ -111,7 +111,7 @@ def e4() -> Result:
 
 
 def e5() -> Result:
-    """Return the result for E5: the residual after one LMS step with the printed μ and the factor 2."""
+    """Return the result for erratum E5: the residual after one LMS step with the printed μ and the factor 2."""
     m = len(_X)
     printed, corrected = residual_after("printed"), residual_after("corrected")
     mu = printed_step(_X, _X_N - float(np.full(m, 1 / m) @ _X))
@@ -129,7 +129,7 @@ def e5() -> Result:
 
 
 def e6() -> Result:
-    """Return the result for E6: the residual after a step 2μt of (6) at 1 s and at 3 s, if t is the time."""
+    """Return the result for erratum E6: the residual after a step 2μt of (6) at 1 s and at 3 s, if t is the time."""
     half = 0.5 * printed_step(_X, 1.0)  # the line-search optimum
     at = {t: 1 - 2 * half * t * float(_X @ _X) for t in (1.0, 3.0)}
     ours = (
@@ -142,7 +142,7 @@ def e6() -> Result:
 
 
 def e19() -> Result:
-    """Return the result for E19: the printed gradient of ℜ² compared with the true one, and X_n that contains x_n."""
+    """Return the result for erratum E19: the printed and the true gradient of ℜ², and an X_n that contains x_n."""
     theta = np.full(len(_X), 1.0 / len(_X))
     true, printed = loss_gradient(theta, _X, _X_N), printed_gradient(theta, _X, _X_N)
     ratio = float(true @ printed / (true @ true))
@@ -160,7 +160,7 @@ def e19() -> Result:
 
 
 def e20() -> Result:
-    """Return the result for E20: the stated total ranging error, compared with the largest error of Table II."""
+    """Return the result for erratum E20: the printed total ranging error, and the largest error of Table II."""
     worst = largest_error(table_ii())
     ours = f"largest error {worst:.3f} m"
     if worst < 0.02:

@@ -237,7 +237,7 @@ class MapPrograms:
     # --- the nearest cell of a block ----------------------------------------------------------------------------------
 
     def without(self) -> Program:
-        """Program for one block: whether no cell is marked, and whether its unknown cells are too few to count."""
+        """Program for one block: whether no cell is marked, and whether too few cells could be unknown."""
         largest, count = ca.SX.sym("largest", self.lanes), ca.SX.sym("count", self.lanes)
         held = ca.sum1(count) < self.held
         outputs = {"no_mark": _largest(ca.vertsplit(largest)) <= 0, "no_blank": held}
