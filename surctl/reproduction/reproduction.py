@@ -119,7 +119,7 @@ def reproduce(
     Example:
         >>> from surctl.reproduction import reproduce
         >>> [row] = reproduce(["E3"]).rows
-        >>> print(row.item.paper, "|", row.found.ours, "|", row.found.word)
+        >>> print(row.item.paper, "|", row.result.ours, "|", row.result.word)
         II-C: less than 4.5 cm | largest error 3.0 cm | differs
     """
     simulations = Simulations(seeds if seeds is not None else QUICK_SEEDS if quick else SEEDS)
