@@ -1,4 +1,4 @@
-"""The paper side by side: every claim, table, scenario and erratum as a row, computed anew."""
+"""Reproduction of the paper: each claim, table, scenario and erratum as a row that compares print and computation."""
 
 from surctl.reproduction.reproduction import Reproduction, items, reproduce, required
 from surctl.reproduction.row import WORDS, Item, Result, Row, Word

@@ -1,4 +1,4 @@
-"""Errata of sections III-C and III-D: angles, sides, the window and V2 (E1, E10–E13, E17)."""
+"""Errata of sections III-C and III-D on angles, sides, the window and V2 (E1, E10–E13, E17)."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ __all__ = ["e1", "e10", "e11", "e12", "e13", "e17"]
 
 
 def printed_obstacle_rate(speed: float, psi: float) -> tuple[float, float]:
-    """(17) as printed: ẋ_OB, ẏ_OB [m/s]."""
+    """Return the obstacle's velocity ẋ_OB, ẏ_OB [m/s] by equation (17) as printed in the paper."""
     return speed * cos(psi), -speed * sin(psi)
 
 
 def printed_turn(acceleration: float, radius: float, time: float) -> float:
-    """σ_0 of (19) as the copy reads, √((a/R)·t)."""
+    """Return the angle σ_0 of equation (19) as it reads in our copy of the paper, √((a/R)·t)."""
     return sqrt(acceleration / radius * time)
 
 
 def mended_turn(acceleration: float, radius: float, time: float) -> float:
-    """σ_0 = √(a/R)·t [rad]."""
+    """Return the corrected angle σ_0 = √(a/R)·t [rad] of equation (19)."""
     return sqrt(acceleration / radius) * time
 
 
 def course(e2: ca.SX, phi: ca.SX, setting: Setting, *, delta: float = 0.0) -> ca.SX:
-    """ψ_dm [rad] of (20), counter-clockwise, side λ2 = +1, at the printed speed."""
+    """Return the desired course ψ_dm [rad] of equation (20), counter-clockwise, for side λ2 = +1 and printed speed."""
     return avoidance_course(
         "consistent",
         phi,
@@ -52,7 +52,10 @@ def course(e2: ca.SX, phi: ca.SX, setting: Setting, *, delta: float = 0.0) -> ca
 
 
 def final_distance(start: float, setting: Setting, *, delta: float = 0.0, closing: float = 0.0) -> float:
-    """e2 [m] after 120 s of (20) from e2 = `start`, the obstacle closing at −`closing` [m/s] along the bearing."""
+    """Return the distance e2 [m] to the safety circle after 120 s of avoidance by equation (20) from e2 = `start`.
+
+    The obstacle approaches head-on at the speed −`closing` [m/s].
+    """
     e2 = ca.SX.sym("e2")
     turned = course(e2, ca.SX(0), setting, delta=delta)
     rate = clearance_rate(turned, ca.SX(0), speed=ca.SX(setting.avoidance_speed), closing=ca.SX(closing))
@@ -61,7 +64,7 @@ def final_distance(start: float, setting: Setting, *, delta: float = 0.0, closin
 
 
 def inertial_motion(start: Vector, setting: Setting, acceleration: float) -> Vector:
-    """States (k, 4), position and velocity, of a mass that follows (20) about the origin with |v̇| ≤ `acceleration`."""
+    """Return position and velocity (k, 4) of a mass with |v̇| ≤ `acceleration` that avoids the origin by (20)."""
     x = ca.SX.sym("x", 4)
     away = ca.sqrt(ca.sumsqr(x[:2]))
     turned = course(away - setting.radius, ca.atan2(-x[1], -x[0]), setting)
@@ -73,11 +76,11 @@ def inertial_motion(start: Vector, setting: Setting, acceleration: float) -> Vec
 
 
 def e1() -> Result:
-    """ẏ of (17) and of (2) at the same speed and angle."""
+    """Return the result for erratum E1: ẏ by equations (17) and (2) at the same speed and angle."""
     speed, psi = 0.15, pi / 4
     ours_y = value((planar_rotation(ca.SX(psi)) @ ca.vertcat(speed, 0.0))[1])
     printed_y = printed_obstacle_rate(speed, psi)[1]
-    ours = f"ẏ = {ours_y:+.4f} m/s by (2), {printed_y:+.4f} by (17), at 45° and {speed} m/s"
+    ours = f"at 45° and {speed} m/s, ẏ = {ours_y:+.4f} m/s by (2) and {printed_y:+.4f} m/s by (17)"
     if abs(ours_y - printed_y) < 1e-9:
         return agrees(ours)
     claim = claims(names=["v2-clockwise"])[0]
@@ -86,8 +89,8 @@ def e1() -> Result:
         return agrees(ours, margin=margin)
     return wrong_in_print(
         ours,
-        f"(17), (22) count clockwise, (2) does not: (20) with that angle has V̇2 = {margin:+.4f} m²/s at a bearing of "
-        f"{np.degrees(claim.witnesses[0]['phi']):.0f}°",
+        f"angles are clockwise in (17) and (22), but not in (2): with a clockwise angle, (20) gives "
+        f"V̇2 = {margin:+.4f} m²/s at a bearing of {np.degrees(claim.witnesses[0]['phi']):.0f}°",
         by_2=ours_y,
         by_17=printed_y,
         margin=margin,
@@ -95,54 +98,57 @@ def e1() -> Result:
 
 
 def e10() -> Result:
-    """λ2 of one encounter, turned about: the printed rule's sides, and those of the relative velocity."""
+    """Return the result for erratum E10: the side λ2 in one encounter, rotated to all directions, by two rules."""
     rule, mended = set(), set()
     for k in range(360):
         phi = np.radians(k + 0.5)
         normal = ca.SX([cos(phi), sin(phi)])
-        # the robot flies 20° left of the bearing, whatever the bearing
+        # the robot moves 20° to the left of the bearing, for every bearing
         velocity = 0.2 * ca.SX([cos(phi + pi / 9), sin(phi + pi / 9)])
         rule.add(int(value(printed_side(ca.SX(phi)))))
         mended.add(int(value(encounter_side(velocity, normal))))
     sides = ", ".join(f"{side:+d}" for side in sorted(rule))
     right = ", ".join(f"{side:+d}" for side in sorted(mended))
-    ours = f"printed rule: {sides}; by the relative velocity: {right}"
+    ours = f"side λ2 by the printed rule: {sides}; by the relative velocity: {right}"
     if len(rule) == 1 or mended != {1}:
         return agrees(ours)
     return wrong_in_print(
-        ours, f"the same encounter in a tank turned by 180° gets the other side: {sides}", sides=float(len(rule))
+        ours,
+        f"the printed rule selects the other side for the same encounter rotated by 180°: {sides}",
+        sides=float(len(rule)),
     )
 
 
 def e11() -> Result:
-    """V̇2 for −δ < e2 < 0, and where (20) with δ > 0 lets the robot settle."""
+    """Return the result for erratum E11: V̇2 inside the circle (−δ < e2 < 0), and the final e2 with δ > 0."""
     s = Setting()
     claim = claims(names=["v2-printed"])[0]
     margin, inside = evaluate(claim, claim.witnesses[0])
     end = final_distance(0.5, s, delta=s.delta)
     ours = (
-        f"V̇2 = {margin:+.5f} m²/s at e2 = {claim.witnesses[0]['e2']:.3g} m; e2 settles at {end:.4f} m for δ = {s.delta}"
+        f"V̇2 = {margin:+.5f} m²/s at e2 = {claim.witnesses[0]['e2']:.3g} m; e2 converges to {end:.4f} m for "
+        f"δ = {s.delta} m"
     )
     if margin <= 0 or not inside or end > -1e-3:
         return agrees(ours, margin=margin, settles_m=end)
-    return wrong_in_print(ours, f"e2 settles at {end:.3f} m = −δ", margin=margin, settles_m=end)
+    return wrong_in_print(ours, f"e2 converges to {end:.3f} m = −δ", margin=margin, settles_m=end)
 
 
 def e12() -> Result:
-    """Where (20) settles before an obstacle that comes head-on slower than the robot."""
+    """Return the result for erratum E12: the final e2 if an obstacle slower than the robot approaches head-on."""
     s = Setting()
     end, formula = final_distance(0.5, s, closing=-s.obstacle_speed), settling_intrusion(s)
-    ours = f"e2 settles at {end:.4f} m; −k3 R c/√(1 − c²) = {formula:.4f} m"
+    ours = f"e2 converges to {end:.4f} m; the formula −k3 R c/√(1 − c²) gives {formula:.4f} m"
     if end > -1e-3 or abs(end - formula) > 1e-3:
         return agrees(ours, settles_m=end)
     numbers = f"u_OB = {s.obstacle_speed}, u_dm = {s.avoidance_speed} m/s, R_OB = {s.radius} m"
     return wrong_in_print(
-        ours, f"with {numbers} the robot settles {-end:.3f} m inside", settles_m=end, formula_m=formula
+        ours, f"with {numbers}, the robot ends {-end:.3f} m inside the circle", settles_m=end, formula_m=formula
     )
 
 
 def e13() -> Result:
-    """(20) with δ = 0 about an obstacle at rest, ideal and with the default vehicle's inertia."""
+    """Return the result for erratum E13: avoidance of a resting obstacle with δ = 0, without and with inertia."""
     s, vehicle = Setting(), load_vehicle("sur540-flooded")
     acceleration = float(np.min(vehicle.thrust_limit[:2]) / np.max(vehicle.mass[:2]))
     begins = 0.3  # [m] less than the 0.46 m that it takes to stop
@@ -150,13 +156,16 @@ def e13() -> Result:
     path = inertial_motion(np.array([-(s.radius + begins), -1e-3, s.avoidance_speed, 0.0]), s, acceleration)
     clearance = np.hypot(path[:, 0], path[:, 1]) - s.radius
     least, end = float(clearance.min()), float(clearance[-1])
-    ours = f"V2 → 0: e2 → {abs(ideal):.4f} m; with {acceleration:.3f} m/s² from {begins} m e2 falls to {least:.3f} m"
+    ours = (
+        f"without inertia e2 → {abs(ideal):.4f} m; with at most {acceleration:.3f} m/s² from e2 = {begins} m, "
+        f"e2 falls to {least:.3f} m"
+    )
     if abs(ideal) > 1e-3 or least > -1e-3:
         return agrees(ours, ideal_m=ideal, least_m=least)
     return wrong_in_print(
         ours,
-        f"V2 → 0 leads to the circle, it does not keep out: {vehicle.name} meets it {begins} m ahead at "
-        f"{s.avoidance_speed} m/s and crosses it by {-least:.3f} m",
+        f"V2 → 0 means convergence to the circle, not that the robot stays outside: {vehicle.name} starts {begins} m "
+        f"outside at {s.avoidance_speed} m/s and crosses the circle by {-least:.3f} m",
         ideal_m=ideal,
         least_m=least,
         end_m=end,
@@ -164,11 +173,11 @@ def e13() -> Result:
 
 
 def e17() -> Result:
-    """σ_0 of (19) in seconds and in minutes: an angle does not depend on the unit of time."""
+    """Return the result for erratum E17: the angle σ_0 computed in seconds and in minutes must be the same."""
     a, radius, t, minute = 0.05, 0.5, 2.0, 60.0
     read = printed_turn(a * minute**2, radius, t / minute) / printed_turn(a, radius, t)
     mended = mended_turn(a * minute**2, radius, t / minute) / mended_turn(a, radius, t)
-    ours = f"counted in minutes σ_0 is {read:.3f} times as large; √(a/R_OB)·t is {mended:.3f} times"
+    ours = f"in minutes instead of seconds, the printed σ_0 changes by × {read:.3f}, and √(a/R_OB)·t by × {mended:.3f}"
     if abs(read - 1) < 1e-9 or abs(mended - 1) > 1e-9:
         return agrees(ours)
     return unreadable(ours, as_read=read, mended=mended)

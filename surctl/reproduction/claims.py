@@ -1,4 +1,4 @@
-"""A row for every claim of the paper: what it says of V1, V2 and the course, as printed and as corrected."""
+"""A row for each claim of the paper on V1, V2 and the course, as printed and as corrected."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ __all__ = ["FULL", "claim_items"]
 
 
 FULL = 4096
-"""Samples of the falsifier that `surctl verify` takes."""
+"""Number of samples that the falsifier of `surctl verify` uses."""
 
 _SPEEDS = f"--cruise {Setting.speed:g} --cap {Setting.speed_max:g}"
-"""Those of the paper; `verify` takes a scenario's."""
+"""Options with the speeds of the paper; without them, `surctl verify` uses the speeds of a scenario."""
 
 
 def claim_items(gains: Mapping[str, float], *, samples: int = FULL) -> list[Item]:
-    """Rows of all claims for these gains, `samples` of the falsifier each."""
+    """Return the rows of all claims for these gains, with `samples` samples of the falsifier for each claim."""
     return [
         Item(
             claim.name,
@@ -37,15 +37,17 @@ def claim_items(gains: Mapping[str, float], *, samples: int = FULL) -> list[Item
 
 
 def judged(claim: Claim, samples: int) -> Result:
-    """The verdict: refuted at a point, proved with a certificate that the checker accepts, or left open."""
+    """Return the verdict on a claim: refuted by a counterexample, proved by a checked certificate, or undecided."""
     verdict = decide(claim, samples=samples)
     counterexample, unit = verdict.counterexample, claim.unit
     if verdict.certificate is not None:
         slack = verdict.certificate["claim"]["slack"]
-        ours = f"proved{f' to within {slack:.1g} {unit}' if slack else ''}, by a certificate that the checker accepts"
+        within = f" with a slack of {slack:.1g} {unit}" if slack else ""
+        ours = f"proved{within} by a certificate that the checker accepts"
         return agrees(ours, worst_margin=verdict.worst_margin, slack=slack)
     if counterexample is None:
-        return differs("unknown", verdict.remaining or "", worst_margin=verdict.worst_margin)
+        return differs("undecided", verdict.remaining or "", worst_margin=verdict.worst_margin)
     where = ", ".join(f"{name} = {number:.4g}" for name, number in counterexample.values.items())
-    ours = f"refuted: exceeded by {counterexample.margin:.3g} {unit}, in {100 * verdict.fraction:.2g} % of the samples"
+    share = f"the claim fails for {100 * verdict.fraction:.2g} % of the samples"
+    ours = f"refuted: the bound is exceeded by {counterexample.margin:.3g} {unit}; {share}"
     return wrong_in_print(ours, f"at {where}", margin=counterexample.margin, fraction=verdict.fraction)

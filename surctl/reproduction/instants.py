@@ -1,4 +1,4 @@
-"""Rows of the instants that the paper names: transients, detection, moving obstacles passed; of one flight each."""
+"""Rows for times in the paper: transients, detection, and passing of moving obstacles, each from one simulated run."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from surctl.world import Box, Disc
 
 __all__ = ["avoidances", "instant_items", "passed_at"]
 
-_APART = 1.0  # [s] a shorter break does not end an avoidance
+_APART = 1.0  # [s] a shorter interruption does not end an avoidance
 
 
 def instant_items(simulations: Simulations) -> list[Item]:
-    """A row for every instant of the library's figures."""
+    """Return a row for each time that the paper gives for a scenario of the library."""
     items = []
     for name in scenario_names():
         paper = simulations.scenario(name).paper
@@ -44,13 +44,13 @@ def instant_items(simulations: Simulations) -> list[Item]:
 
 
 def avoidances(run: Run) -> list[float]:
-    """Beginnings [s] of the intervals in which the law avoids."""
+    """Return the start times [s] of the intervals in which the law avoids obstacles."""
     time = run.record.time[run.telemetry("avoiding")[:, 0] > 0.5]
     return [float(t) for k, t in enumerate(time) if k == 0 or t - time[k - 1] > _APART]
 
 
 def passed_at(run: Run) -> float:
-    """When the last moving obstacle that was ahead along the way to the target is behind or gone [s]; 0 if none was."""
+    """Return the last time [s] at which a moving obstacle is ahead of the robot, towards the target; 0 if never."""
     direction = run.scenario.target - run.scenario.start
     last = 0.0
     for time, eta, bodies in zip(run.record.time, run.record.eta, run.record.obstacles, strict=True):
@@ -72,7 +72,7 @@ def _transients(simulations: Simulations, name: str) -> Result:
     path = [(float(x), float(y)) for x, y in np.linspace(scenario.start, scenario.target, 200)]
     clearances = [min(obstacle.distance(point) for point in path) - radius for obstacle in scenario.obstacles]
     left = ", ".join(f"{clearance:.2f}" for clearance in clearances)
-    why = f"{len(ours)} for {len(paper)}: the straight line leaves the hull {left} m to the obstacles in turn"
+    why = f"{len(ours)} instead of {len(paper)}: on the straight path, the clearances to the obstacles are {left} m"
     return differs(text, why, **numbers)
 
 
@@ -80,33 +80,34 @@ def _detected(simulations: Simulations, name: str) -> Result:
     ours, paper = avoidances(simulations.run(name)), simulations.scenario(name).paper.detected_s or np.nan
     if not ours:
         return differs(
-            "no avoidance was needed", f"the way flown stays clear of the obstacle, so that {paper:g} s is void"
+            "no avoidance was needed",
+            f"the robot's path stays clear of the obstacle, so the paper's {paper:g} s has no counterpart",
         )
     good, off = time_verdict(ours[0], paper, "about")
     text, apart = f"avoidance begins at {ours[0]:.2f} s", _apart(simulations.run(name), ours[0])
     if good:
         return agrees(text, begins_s=ours[0], apart_m=apart)
-    why = f"{off}: the law is told where the obstacle is, and begins at {apart:.2f} m from centre to centre"
+    why = f"{off}: the law receives the obstacle's true position and begins to avoid at {apart:.2f} m between centres"
     return differs(text, why, begins_s=ours[0], apart_m=apart)
 
 
 def _passed(simulations: Simulations, name: str) -> Result:
     ours, paper = passed_at(simulations.run(name)), simulations.scenario(name).paper.passed_s or np.nan
     good, off = time_verdict(ours, paper, "about")
-    text = f"none ahead from {ours:.2f} s on"
+    text = f"no moving obstacle is ahead after {ours:.2f} s"
     return agrees(text, passed_s=ours) if good else differs(text, off, passed_s=ours)
 
 
 def _apart(run: Run, time: float) -> float:
-    """Distance [m], centre to centre, of the nearest moving body at a time [s]; infinite if there is none."""
+    """Return the distance between centres [m] to the nearest moving body at a time [s]; infinite if there is none."""
     k = int(np.argmin(np.abs(run.record.time - time)))
     centres = [b.shape.center for b in run.record.obstacles[k] if b.moving and isinstance(b.shape, Disc | Box)]
     return min((float(np.hypot(*(np.asarray(c) - run.record.eta[k, :2]))) for c in centres), default=float("inf"))
 
 
 _WORDS = {
-    "transients": "beginnings of avoidance",
-    "detected": "beginning of avoidance of the moving obstacle",
-    "passed": "when no moving obstacle is ahead any more",
+    "transients": "start times of avoidance",
+    "detected": "start time of avoidance of the moving obstacle",
+    "passed": "time after which no moving obstacle is ahead",
 }
 _COMPUTED = {"transients": _transients, "detected": _detected, "passed": _passed}

@@ -1,4 +1,4 @@
-"""Small computations that several rows share: an expression's value, and a loop of two or three states."""
+"""Helper functions for several rows: the value of an expression, and the simulation of a small system of equations."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ Vector = NDArray[np.float64]
 
 
 def value(expression: ca.SX) -> float:
-    """The number that an SX expression without symbols is."""
+    """Return the numeric value of an SX expression without symbols."""
     return float(ca.evalf(expression))
 
 
 def numeric(function: ca.Function) -> Callable[[Vector], Vector]:
-    """A CasADi function of one vector as a function of arrays (n,)."""
+    """Return a CasADi function of one vector as a Python function of arrays (n,)."""
 
     def call(x: Vector) -> Vector:
         return np.asarray(function(x), dtype=float).ravel()
@@ -28,7 +28,7 @@ def numeric(function: ca.Function) -> Callable[[Vector], Vector]:
 
 
 def trajectory(rate: Callable[[Vector], Vector], start: Vector, *, duration: float, step: float = 0.05) -> Vector:
-    """States (k + 1, n) of ẋ = rate(x) by RK4 from `start` (n,), k = duration/step steps of `step` [s]."""
+    """Return the states (k + 1, n) of ẋ = rate(x) from `start` (n,), by k = duration/step RK4 steps of `step` [s]."""
     states = [np.asarray(start, dtype=float)]
     for _ in range(round(duration / step)):
         x = states[-1]

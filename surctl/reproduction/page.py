@@ -1,4 +1,4 @@
-"""The rows as a self-contained HTML page, with the paper's figures redrawn."""
+"""The rows of the reproduction as a self-contained HTML page, with the paper's figures drawn from simulated runs."""
 
 from __future__ import annotations
 
@@ -19,15 +19,17 @@ _SERIES = ("tank-speed", "pool-speed")
 
 
 def write_reproduction(done: Reproduction, path: Path, *, command: str) -> Path:
-    """Write the page: a table a group, then, if a row flies, one flight a scenario (true positions, seed 0) as figures.
+    """Write the page: a table for each group and, if it has rows of scenarios, figures of one run per scenario.
+
+    The figures show runs with true positions and seed 0.
 
     Args:
-        done: the rows.
-        path: of the page.
-        command: the command line that made it.
+        done: the computed rows.
+        path: path of the page.
+        command: the command line that created the page.
 
     Raises:
-        InputError: the folder cannot be written.
+        InputError: if the folder cannot be written.
     """
     failing = [row.item.id for row in done.rows if not row.as_expected]
     failing += [f"{name} (missing)" for name in done.missing]
@@ -48,8 +50,8 @@ def write_reproduction(done: Reproduction, path: Path, *, command: str) -> Path:
         for rows in [[row for row in done.rows if row.item.group == group]]
     ]
     text = render_sections(
-        title="The paper side by side",
-        subject=f"Scenarios with {done.seeds} seeds, gains {done.simulations.gains.name}.",
+        title="The paper and our results side by side",
+        subject=f"Each scenario is simulated with {done.seeds} seeds and the gain set {done.simulations.gains.name}.",
         version=__version__,
         command=command,
         outcome=outcome,
@@ -78,7 +80,7 @@ def _table(group: str, rows: list[Row]) -> Section:
 
 
 def _trajectories(runs: list[Run]) -> Section:
-    """Plan view and coordinates of every scenario: Figs. 6, 8, 11, 13, 15."""
+    """Return the section with plan view and coordinates of each scenario, as in Figs. 6, 8, 11, 13, 15."""
     blocks: list[Block] = []
     for run in runs:
         name, m = run.scenario.name, run.metrics
@@ -90,7 +92,7 @@ def _trajectories(runs: list[Run]) -> Section:
         over_time = picture(
             plot_coordinates([run], title=f"{name}: coordinates over time"),
             alt=f"x, y and z of {name} over time",
-            caption="x, y and z in m over time in s.",
+            caption="Coordinates x, y and z in m over time in s.",
             command=command,
         )
         blocks.append(Pictures((plan, over_time)))
@@ -98,21 +100,21 @@ def _trajectories(runs: list[Run]) -> Section:
 
 
 def _series(runs: list[Run]) -> Section:
-    """The four speeds of the moving obstacle: Figs. 17 and 19."""
+    """Return the section with the four speeds of the moving obstacle, as in Figs. 17 and 19."""
     blocks: list[Block] = []
     for series in _SERIES:
         chosen = [run for run in runs if run.scenario.name.startswith(series)]
         command = "surctl simulate " + " ".join(run.scenario.name for run in chosen)
         plan = picture(
-            plot_series(chosen, title=f"{series}: ways"),
-            alt=f"Ways of {series} at four speeds of the obstacle",
-            caption="Ways at four speeds of the obstacle.",
+            plot_series(chosen, title=f"{series}: paths"),
+            alt=f"Paths of {series} at four speeds of the obstacle",
+            caption="Paths of the robot at four speeds of the obstacle.",
             command=command,
         )
         over_time = picture(
             plot_coordinates(chosen, title=f"{series}: coordinates over time"),
             alt=f"x, y and z of {series} over time",
-            caption="x, y and z in m over time in s.",
+            caption="Coordinates x, y and z in m over time in s.",
             command=command,
         )
         blocks.append(Pictures((plan, over_time)))
@@ -120,7 +122,7 @@ def _series(runs: list[Run]) -> Section:
 
 
 def _errors(runs: list[Run]) -> Section:
-    """Position errors of the three simulations and of the pool: Fig. 20."""
+    """Return the section with the position errors of the three simulations and of the pool, as in Fig. 20."""
     pictures = []
     for where, names in (
         ("simulation", ("tank-static", "tank-moving", "tank-speed-015")),
@@ -132,7 +134,7 @@ def _errors(runs: list[Run]) -> Section:
             picture(
                 plot_position_errors(chosen, title=f"position error, {where}", bound=bound),
                 alt=f"Distance to the path over time, {where}",
-                caption="Distance to the path, avoidance included; E_p leaves the avoidance out.",
+                caption="Distance to the path, including intervals of avoidance; E_p excludes these intervals.",
                 command="surctl simulate " + " ".join(names),
             )
         )

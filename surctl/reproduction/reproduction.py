@@ -1,4 +1,4 @@
-"""All rows: chosen, computed, and whether one is missing."""
+"""The reproduction of the paper: selection and computation of rows, and a check that no required row is missing."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ QUICK_SAMPLES = 512
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
-    """The paper side by side.
+    """Computed rows that compare the paper with the results of this project.
 
     Attributes:
-        rows: computed, in order.
-        missing: ids of rows that the paper asks for and nothing computes; empty for a chosen part.
-        seeds: flown of each scenario.
-        simulations: what was flown.
+        rows: the computed rows, in order.
+        missing: ids of required rows that have no computation; empty if only selected rows are computed.
+        seeds: number of seeds of each scenario.
+        simulations: the simulations of the scenarios.
     """
 
     rows: tuple[Row, ...]
@@ -41,11 +41,11 @@ class Reproduction:
 
     @property
     def passed(self) -> bool:
-        """No row is missing and every one is as expected."""
+        """Whether no row is missing and every row is as expected."""
         return not self.missing and all(row.as_expected for row in self.rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON; numbers that are not finite are left to the writer."""
+        """Return plain data for JSON; the writer of the JSON must handle numbers that are not finite."""
         return {
             "passed": self.passed,
             "seeds": self.seeds,
@@ -56,13 +56,13 @@ class Reproduction:
 
 
 def items(simulations: Simulations, *, samples: int = FULL) -> list[Item]:
-    """Every row before it is computed: claims, tables, errata, scenarios, position errors.
+    """Return every row before its computation: claims, tables, errata, scenarios, position errors.
 
     Example:
         >>> from surctl.reproduction import Simulations, items
         >>> [item] = [item for item in items(Simulations(3)) if item.id == "E12"]
         >>> print(item.what, "|", item.paper, "|", item.expected)
-        the obstacle's own velocity in V̇2 | (24): dropped | wrong in print
+        the obstacle's own velocity in V̇2 | (24): omitted | wrong in print
     """
     return [
         *claim_items(simulations.gains.values, samples=samples),
@@ -77,7 +77,7 @@ def items(simulations: Simulations, *, samples: int = FULL) -> list[Item]:
 
 
 def required() -> list[str]:
-    """Ids that must be there: every claim, percentage, erratum, scenario, and the position errors.
+    """Return the ids of all required rows: each claim, percentage, erratum and scenario, and the position errors.
 
     Example:
         >>> from surctl.reproduction import required
@@ -104,22 +104,22 @@ def reproduce(
     progress: Callable[[str], None] = lambda _: None,
     done: Callable[[Row], None] = lambda _: None,
 ) -> Reproduction:
-    """Compute the rows of those ids, or all.
+    """Compute the rows with the given ids, or all rows.
 
     Args:
-        names: ids; none takes all.
-        quick: fewer seeds and samples.
-        seeds: of the compiled loop for each scenario; default 20, or 3 when quick.
-        progress: told each row's id before it is computed.
-        done: given each row as soon as it is there.
+        names: ids of the rows; an empty sequence selects all rows.
+        quick: whether to use fewer seeds and samples.
+        seeds: number of seeds of the compiled loop for each scenario; default 20, or 3 if `quick`.
+        progress: function that is called with each row's id before the computation of the row.
+        done: function that is called with each row as soon as it is computed.
 
     Raises:
-        InputError: an unknown id, with the nearest known one; fewer than one seed.
+        InputError: if an id is unknown (the error suggests the nearest known id), or there is less than one seed.
 
     Example:
         >>> from surctl.reproduction import reproduce
         >>> [row] = reproduce(["E3"]).rows
-        >>> print(row.item.paper, "|", row.found.ours, "|", row.found.word)
+        >>> print(row.item.paper, "|", row.result.ours, "|", row.result.word)
         II-C: less than 4.5 cm | largest error 3.0 cm | differs
     """
     simulations = Simulations(seeds if seeds is not None else QUICK_SEEDS if quick else SEEDS)

@@ -1,4 +1,4 @@
-"""A row: one thing that the paper prints, beside the same thing computed here."""
+"""A row: one statement or number printed in the paper, compared with the result computed here."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ WORDS: tuple[Word, ...] = get_args(Word)
 
 @dataclass(frozen=True)
 class Result:
-    """What a computation came to.
+    """The result of a row's computation.
 
     Attributes:
-        ours: the computed figure with its unit.
+        ours: the computed result with its unit.
         word: the verdict.
-        reason: why it differs, or the counterexample; empty where it agrees.
-        numbers: the figures behind `ours` by name, the unit in the name.
-        safe: for a flight: every run arrived and none collided; None for what is no flight.
+        reason: reason for a difference, or the counterexample; empty if the result agrees with the paper.
+        numbers: numbers behind `ours` by name, with the unit in the name.
+        safe: for simulations, whether every run arrived and none collided; None if that does not decide the row.
     """
 
     ours: str
@@ -35,48 +35,49 @@ class Result:
 
     def __post_init__(self) -> None:
         if self.word not in WORDS:
-            raise InputError("is no verdict", key="verdict", value=self.word, remedy=", ".join(WORDS))
+            remedy = f"give one of {', '.join(WORDS)}"
+            raise InputError("is not a verdict", key="verdict", value=self.word, remedy=remedy)
         if self.word in ("differs", "wrong in print") and not self.reason:
-            raise InputError("needs its reason", key="verdict", value=self.word)
+            raise InputError("needs a reason", key="verdict", value=self.word, remedy="give the reason")
 
     @property
     def verdict(self) -> str:
-        """The word, with the reason after a colon."""
+        """The verdict, followed by a colon and the reason if there is one."""
         return f"{self.word}: {self.reason}" if self.reason else self.word
 
 
 def agrees(ours: str, **numbers: float) -> Result:
-    """The print holds."""
+    """Return a result that agrees with the paper."""
     return Result(ours, "agrees", numbers=numbers)
 
 
 def differs(ours: str, why: str, **numbers: float) -> Result:
-    """Ours is another figure, for that reason."""
+    """Return a result that differs from the paper for the given reason."""
     return Result(ours, "differs", why, numbers)
 
 
 def wrong_in_print(ours: str, counterexample: str, **numbers: float) -> Result:
-    """The print does not hold: the counterexample shows it."""
+    """Return a result whose counterexample shows that the printed statement is wrong."""
     return Result(ours, "wrong in print", counterexample, numbers)
 
 
 def unreadable(ours: str, **numbers: float) -> Result:
-    """What can be read does not hold, but the copy may be damaged there."""
+    """Return a result for a statement that is wrong as it reads, possibly because our copy of the paper is damaged."""
     return Result(ours, "unreadable in our copy", numbers=numbers)
 
 
 @dataclass(frozen=True)
 class Item:
-    """A row before it is computed.
+    """A row before its computation.
 
     Attributes:
-        id: of the row.
+        id: id of the row.
         group: `claims`, `tables`, `errata`, `scenarios` or `position errors`.
-        what: what is compared.
-        paper: as printed, with the place.
-        expected: the verdict that the computation must come to; None leaves it to the numbers of a flight.
-        compute: the computation; every figure of the row comes from it.
-        command: a command that computes the same.
+        what: the quantity or statement that is compared.
+        paper: the printed statement, with its place in the paper.
+        expected: the verdict that the computation must give; None if the simulated runs decide.
+        compute: the computation, which gives all numbers of the row.
+        command: a command that computes the same numbers.
     """
 
     id: str
@@ -88,18 +89,18 @@ class Item:
     command: str
 
     def row(self) -> Row:
-        """Compute it."""
+        """Compute the row; return it with the time of the computation."""
         began = time.perf_counter()
         try:
             result = self.compute()
-        except SurctlError as error:  # the other rows are still worth having
-            result = Result("nothing", "differs", f"could not be computed: {error}", safe=False)
+        except SurctlError as error:  # the other rows are still useful
+            result = Result("no result", "differs", f"the row could not be computed: {error}", safe=False)
         return Row(self, result, time.perf_counter() - began)
 
 
 @dataclass(frozen=True)
 class Row:
-    """A computed row and the time it took [s]."""
+    """A computed row, and the time of its computation [s]."""
 
     item: Item
     result: Result
@@ -107,13 +108,13 @@ class Row:
 
     @property
     def as_expected(self) -> bool:
-        """The verdict that is recorded with the row; of a flight: arrived, and nothing touched."""
+        """Whether the row has its recorded verdict, and its simulated runs (if any) arrived without collision."""
         if self.item.expected is None:
             return self.result.safe is not False
         return self.result.word == self.item.expected and self.result.safe is not False
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Return the row as plain data for JSON."""
         return {
             "id": self.item.id,
             "group": self.item.group,

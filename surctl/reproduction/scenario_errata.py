@@ -1,4 +1,4 @@
-"""Errata of the experiments: room in the pool (E15) and the hull at the surface (E16)."""
+"""Errata of the experiments: clearance in the pool (E15) and the hull at the surface (E16)."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ PRINTED_HULL = "sur540-flooded"  # the paper's hull of 540 mm
 
 
 def erratum_findings(scenario: str, erratum: str) -> list[str]:
-    """What `findings` says of a scenario flown by the printed hull, of one erratum, without its mark."""
+    """Return the texts of `findings` on one erratum for a scenario with the printed hull, without the erratum's id."""
     results = findings(load_scenario(scenario), load_vehicle(PRINTED_HULL))
     return [f.text.replace(f" ({erratum})", "") for f in results if f"({erratum})" in f.text]
 
 
 def e15() -> Result:
-    """What stands in the way of the 0.27 m hull in the pool."""
+    """Return the result for erratum E15: walls and obstacles too close to the hull of 0.27 m radius in the pool."""
     texts = erratum_findings("pool-static", "E15")
     inside = [float(m) for text in texts for m in re.findall(r"([\d.]+) m inside a wall", text)]
     near = [float(m) for text in texts for m in re.findall(r"is ([\d.]+) m off obstacle", text)]
-    ours = "; ".join(texts) or "nothing found"
+    ours = "; ".join(texts) or "no finding"
     if not inside or not near:
         return agrees(ours)
     return wrong_in_print(
-        f"hull {max(inside):.3f} m inside the wall, {min(near):.3f} m off an obstacle; {len(texts)} findings",
+        f"the hull is {max(inside):.3f} m inside a wall and {min(near):.3f} m from an obstacle; {len(texts)} findings",
         ours,
         inside_wall_m=max(inside),
         off_obstacle_m=min(near),
@@ -36,10 +36,10 @@ def e15() -> Result:
 
 
 def e16() -> Result:
-    """How far the hull stands out of the water at the printed depth."""
+    """Return the result for erratum E16: the height of the hull above the water at the printed depth."""
     scenario, vehicle = load_scenario("tank-static"), load_vehicle(PRINTED_HULL)
     above, texts = scenario.depth + vehicle["radius"], erratum_findings("tank-static", "E16")
-    ours = f"{above:.2f} m out of the water"
+    ours = f"the top of the hull is {above:.2f} m above the water"
     if above <= 0 or not texts:
         return agrees(ours, above_m=above)
     return differs(ours, texts[0], above_m=above)

@@ -1,7 +1,7 @@
-"""Rows of the scenarios: arrival and collisions of every seed, the time against the paper's, and E_p of both series.
+"""Rows of the scenarios: arrivals, collisions and times of all seeds compared with the paper, and E_p of both series.
 
-No verdict is written down: a row is as expected when every run arrived and none touched anything. A time that differs
-is told with what was measured, and does not count against the row.
+These rows have no recorded verdict: a row is as expected if every run arrived and none collided. The row reports a time
+that differs from the paper, but a different time does not make the row fail.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from surctl.simulation import Sensing
 __all__ = ["ABOUT", "hull_items", "limit_items", "position_items", "scenario_items", "time_verdict"]
 
 ABOUT = 0.08
-"""Share by which a figure that the paper gives as "about" may be off."""
+"""Largest relative difference at which a number still agrees with the paper's "about"."""
 
 _SENSINGS: tuple[tuple[Sensing, str, str], ...] = (
     ("truth", "", "true positions"),
-    ("sonar", "-sonar", "through the sonars"),
+    ("sonar", "-sonar", "with sonar perception"),
 )
 _SERIES = (("tank", "simulation"), ("pool", "experiments"))
 
@@ -37,7 +37,7 @@ _LIMITS: tuple[tuple[str, Factors], ...] = (
 
 
 def scenario_items(simulations: Simulations) -> list[Item]:
-    """Every scenario with true positions and through the sonars."""
+    """Return a row for each scenario with true positions, and a row with sonar perception."""
     return [
         Item(
             f"{name}{ending}",
@@ -54,12 +54,12 @@ def scenario_items(simulations: Simulations) -> list[Item]:
 
 
 def hull_items(simulations: Simulations) -> list[Item]:
-    """The pool with the hull of the paper's size, reported as it comes out: no way through is guaranteed (E15)."""
+    """Return rows of the pool with a hull of the printed size; any result is valid, as no path is guaranteed (E15)."""
     return [
         Item(
             f"{name}-printed-hull",
             "scenarios",
-            f"{simulations.scenario(name).title}, true positions, by {PRINTED_HULL}",
+            f"{simulations.scenario(name).title}, true positions, vehicle {PRINTED_HULL}",
             simulations.scenario(name).paper.result,
             None,
             partial(_hull, simulations, name),
@@ -71,13 +71,13 @@ def hull_items(simulations: Simulations) -> list[Item]:
 
 
 def limit_items(simulations: Simulations) -> list[Item]:
-    """Which number of the vehicle decides how long the slowest scenario takes through the sonars."""
+    """Return the row on the vehicle parameter that limits the time of the slowest scenario with sonar perception."""
     scenario, name = simulations.scenario(_LIMITED), f"{_LIMITED}-sonar-limit"
     return [
         Item(
             name,
             "scenarios",
-            f"{scenario.title}, through the sonars: what decides the time",
+            f"{scenario.title}, with sonar perception: the vehicle parameter that limits the time",
             scenario.paper.result,
             None,
             partial(_limit, simulations),
@@ -87,7 +87,7 @@ def limit_items(simulations: Simulations) -> list[Item]:
 
 
 def position_items(simulations: Simulations) -> list[Item]:
-    """E_p of the tank's scenarios together and of the pool's, by both ways of sensing."""
+    """Return the rows of the position error E_p, for the tank and the pool scenarios and both kinds of sensing."""
     items = []
     for series, where in _SERIES:
         names = [name for name in scenario_names() if name.startswith(series)]
@@ -109,7 +109,7 @@ def position_items(simulations: Simulations) -> list[Item]:
 
 
 def time_verdict(ours: float, paper: float, kind: str) -> tuple[bool, str]:
-    """Whether a time [s] agrees with the paper's of that kind, and by how much it does not, in words."""
+    """Return whether a time [s] agrees with the paper's time of that kind, and a text with the difference."""
     off = ours / paper - 1
     if kind == "less than":
         return ours < paper, f"{ours:.2f} s is {100 * off:.1f} % above {paper:g} s"
@@ -139,14 +139,14 @@ def _arrivals(simulations: Simulations, name: str, sensing: Sensing) -> Result:
     length = float(batch.column("length_m").mean())
     straight = scenario.path.length
     why = (
-        f"{off}: it flew {length:.2f} m at {length / times.mean():.3f} m/s on average; the path of {straight:.2f} m "
-        f"takes {straight / scenario.cruise:.1f} s at the cruise speed of {scenario.cruise:g} m/s"
+        f"{off}: the robot moved {length:.2f} m at {length / times.mean():.3f} m/s on average; the reference path of "
+        f"{straight:.2f} m takes {straight / scenario.cruise:.1f} s at the cruise speed of {scenario.cruise:g} m/s"
     )
     return Result(text, "differs", why, numbers, safe=True)
 
 
 def _hull(simulations: Simulations, name: str) -> Result:
-    """Decides nothing: `safe` is left open."""
+    """Return the result with the printed hull; `safe` is None, so the row cannot fail."""
     batch = simulations.batch(name, "truth", PRINTED_HULL)
     reached, collided, runs = int(batch.column("reached").sum()), int(batch.column("collided").sum()), batch.runs
     text, lost = _ended(reached, collided, runs)
@@ -158,7 +158,7 @@ def _hull(simulations: Simulations, name: str) -> Result:
 
 
 def _limit(simulations: Simulations) -> Result:
-    """Decides nothing: `safe` is left open."""
+    """Return the times with changed vehicle parameters; `safe` is None, so the row cannot fail."""
     took = {
         what: _mean(simulations.arrived(_LIMITED, "sonar", "time_s", factors))
         for what, factors in (("the vehicle as it is", ()), *_LIMITS)
@@ -168,19 +168,19 @@ def _limit(simulations: Simulations) -> Result:
     text = "; ".join(f"{what} {seconds:.1f} s" for what, seconds in took.items())
     return differs(
         text,
-        f"of the vehicle's numbers one decides: with {best} it takes {took[usual] - took[best]:.1f} s less",
+        f"one vehicle parameter limits the time: with {best} it takes {took[usual] - took[best]:.1f} s less",
         **{f"{what.replace(' ', '_')}_s": seconds for what, seconds in took.items()},
     )
 
 
 def _ended(reached: int, collided: int, runs: int) -> tuple[str, str]:
-    """How many runs ended well, and how many did not, in words."""
+    """Return a text with the numbers of arrivals and collisions, and a text for runs that failed."""
     text = f"{reached} of {runs} arrived, {collided} collided"
     return text, f"{collided} of {runs} runs collided and {runs - reached - collided} did not arrive"
 
 
 def _judged_time(simulations: Simulations, name: str, sensing: Sensing) -> float:
-    """The time [s] that the paper's figure is about: a mean, that of a series, or the longest of every run."""
+    """Return the time [s] that corresponds to the paper's: mean of a scenario, mean of its series, or longest run."""
     paper = simulations.scenario(name).paper
     if paper.time_of == "series":
         return float(simulations.arrived(name, sensing, "time_s").max())
@@ -195,7 +195,7 @@ def _position_error(simulations: Simulations, names: Sequence[str], sensing: Sen
     runs = {name: simulations.arrived(name, sensing, "path_error_m") for name in names}
     finite = {name: errors[np.isfinite(errors)] for name, errors in runs.items() if np.isfinite(errors).any()}
     if not finite:
-        return differs("nothing", "no run arrived with a part of its way outside avoidance")
+        return differs("no result", "no run arrived that has a part of its path outside avoidance")
     each = {name: float(errors.mean()) for name, errors in finite.items()}
     most = max(finite, key=lambda name: float(finite[name].max()))
     ours, largest = _mean(list(each.values())), float(finite[most].max())
@@ -206,11 +206,11 @@ def _position_error(simulations: Simulations, names: Sequence[str], sensing: Sen
     if judged < bound:
         return agrees(text, **numbers)
     above = [name for name in finite if float(finite[name].max()) >= bound]
-    return differs(text, f"above {bound:.3g} m in {', '.join(above)}", **numbers)
+    return differs(text, f"E_p is above {bound:.3g} m in {', '.join(above)}", **numbers)
 
 
 def _mean(values: Sequence[float] | np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
-    """Mean of the values that are numbers; NaN if none is."""
+    """Return the mean of the finite values; NaN if no value is finite."""
     array = np.asarray(values, dtype=float)
     finite = array[np.isfinite(array)]
     return float(finite.mean()) if finite.size else float("nan")

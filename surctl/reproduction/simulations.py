@@ -1,4 +1,4 @@
-"""The flights behind the rows of the scenarios, each flown once."""
+"""The simulations for the rows of the scenarios; each is computed once and stored."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ from surctl.vehicle import load_vehicle
 __all__ = ["Factors", "Simulations", "scenario_names"]
 
 Factors = tuple[tuple[str, float], ...]
-"""Numbers of a vehicle, and what each is multiplied with."""
+"""Names of vehicle parameters, and the factor for each."""
 
 
 def scenario_names() -> list[str]:
-    """The scenarios of the library."""
+    """Return the names of the scenarios in the library."""
     return sorted(path.stem for path in LIBRARY.glob("*.toml"))
 
 
 @dataclass(frozen=True)
 class Simulations:
-    """Flies the library's scenarios with the default gains, and remembers what it has flown.
+    """Simulations of the library's scenarios with the default gains; results are stored and used again.
 
     Attributes:
         seeds: number of seeds 0, 1, … of the compiled loop, at least 1.
-        threads: of the compiled loop.
+        threads: number of threads of the compiled loop.
+        gains: gains of the control law.
     """
 
     seeds: int = 20
@@ -46,11 +47,11 @@ class Simulations:
             raise InputError("must be at least 1", key="seeds", value=self.seeds)
 
     def scenario(self, name: str) -> Scenario:
-        """The scenario of that name."""
+        """Return the scenario with that name."""
         return load_scenario(name)
 
     def batch(self, name: str, sensing: Sensing, vehicle: str = "", factors: Factors = ()) -> BatchResult:
-        """Metrics of all seeds; by the scenario's own vehicle or another, with numbers of it times these factors."""
+        """Return the metrics of all seeds with the scenario's or another vehicle; `factors` multiply its parameters."""
         key = (name, sensing, vehicle, factors)
         if key not in self._batches:
             scenario = self.scenario(name)
@@ -61,7 +62,7 @@ class Simulations:
         return self._batches[key]
 
     def run(self, name: str, sensing: Sensing = "truth") -> Run:
-        """The reference loop with seed 0, with its record."""
+        """Return the run of the reference loop with seed 0, including its record."""
         key = (name, sensing)
         if key not in self._runs:
             scenario = self.scenario(name)
@@ -70,7 +71,7 @@ class Simulations:
         return self._runs[key]
 
     def arrived(self, name: str, sensing: Sensing, metric: str, factors: Factors = ()) -> Vector:
-        """A metric (k,) of the runs that arrived."""
+        """Return the values (k,) of a metric for the runs that arrived."""
         batch = self.batch(name, sensing, factors=factors)
         values: Vector = batch.column(metric)[batch.column("reached") > 0.5]
         return values

@@ -1,4 +1,4 @@
-"""Rows of the paper's tables: Table I where the model has the quantity, and the 36 percentages of Table II."""
+"""Rows of the paper's tables: the quantities of Table I that the model contains, and the 36 percentages of Table II."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["table_items"]
 
 
 def table_items() -> list[Item]:
-    """Table I (range and resolution; size, supply and frequency enter no model) and Table II."""
+    """Return the rows of Table I (range and resolution; no model uses size, supply and frequency) and of Table II."""
     items = [
         Item(
             f"table-i-{name}",
@@ -46,8 +46,8 @@ def table_items() -> list[Item]:
 
 
 _SENSOR: tuple[tuple[str, str, str, Word], ...] = (
-    ("minimum", "least distance of the sensor", "0.2 m", "agrees"),
-    ("maximum", "largest distance of the sensor", "4.5 m", "agrees"),
+    ("minimum", "minimum range of the sensor", "0.2 m", "agrees"),
+    ("maximum", "maximum range of the sensor", "4.5 m", "agrees"),
     ("resolution", "resolution of the sensor", "about 5 mm", "differs"),
 )
 _E2 = ("water", 85)  # the row whose percentage is printed wrongly
@@ -59,17 +59,18 @@ def _own(name: str) -> str:
 
 
 def _sensor(name: str) -> Result:
-    """One property of the default array's sensors."""
+    """Return the result for one property of the sensors in the default array."""
     ours, printed = float(getattr(SonarArray(), "blind" if name == "minimum" else name)), _PRINTED[name]
     text = f"{ours:.4g} m" if name != "resolution" else f"{1e3 * ours:.2f} mm"
-    # a step that is finer than "about 5 mm" resolves that too
+    # a step finer than "about 5 mm" also agrees
     if ours <= (1 + ABOUT) * printed if name == "resolution" else abs(ours - printed) <= 1e-9:
         return agrees(text, metres=ours)
-    return differs(text, f"{SonarArray().bits} bits over {SonarArray().maximum:g} m, as II-B says", metres=ours)
+    why = f"section II-B gives a conversion with {SonarArray().bits} bits over {SonarArray().maximum:g} m"
+    return differs(text, why, metres=ours)
 
 
 def _percentage(medium: Medium, k: int) -> Result:
-    """Recomputed from the reading; agrees when it rounds to the printed decimal."""
+    """Return the percentage recomputed from the reading; it agrees if it rounds to the printed decimal."""
     test = table_ii()
     ours, column = float(test.percent(medium)[k]), test.column(medium)
     printed = float(column.printed_percent[k])
@@ -78,5 +79,7 @@ def _percentage(medium: Medium, k: int) -> Result:
         return agrees(text, percent=ours)
     read, true = 100 * column.measured[k], 100 * test.desired[k]
     return wrong_in_print(
-        text, f"{read:.0f} cm read for {true:.0f} cm is {ours:.1f} %, not {printed:.1f} %", percent=ours
+        text,
+        f"a reading of {read:.0f} cm at {true:.0f} cm is an error of {ours:.1f} %, not {printed:.1f} %",
+        percent=ours,
     )

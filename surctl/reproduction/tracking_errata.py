@@ -1,4 +1,4 @@
-"""Errata of section III-A and of the position error: the tracking law (E7–E9, E18, E21) and E_p (E14)."""
+"""Errata of section III-A and of the position error: tracking law (E7–E9, E18, E21) and E_p (E14)."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from surctl.verification.tracking_claims import cap_limit
 __all__ = ["e7", "e8", "e8_diagonal", "e9", "e14", "e18", "e21"]
 
 _AT = (0.1, 0.4, 0.2)  # x_e, y_e, z_e [m] at which expressions are compared
-_TURN = 0.1  # [rad/s] γ̇_d there
+_TURN = 0.1  # γ̇_d [rad/s] at that point
 
 
 def cross_track_rate(y_e: ca.SX, u: float, v: float, *, lookahead: float, course: bool) -> ca.SX:
-    """ẏ_e [m/s] on a straight path by (2), steered by heading as (9) has it, or by the course."""
+    """Return the cross-track rate ẏ_e [m/s] on a straight path, with control of the heading (9) or of the course."""
     aim = -ca.atan2(y_e, lookahead)
     heading = aim - ca.atan2(v, u) if course else aim
     return (planar_rotation(heading) @ ca.vertcat(u, v))[1]
 
 
 def loop_terms(setting: Setting) -> tuple[float, float, float]:
-    """At `_AT`: V̇1 of the loop [m²/s], U_h [m/s] and √(y_e² + Δ_h²) [m]."""
+    """Return V̇1 of the closed loop [m²/s], U_h [m/s] and √(y_e² + Δ_h²) [m] at the tracking errors `_AT`."""
     x_e, y_e, z_e = (ca.SX(v) for v in _AT)
     s = setting
     along = along_command(
@@ -47,29 +47,29 @@ def loop_terms(setting: Setting) -> tuple[float, float, float]:
 
 
 def first_line(setting: Setting, speed: float, *, factor: float) -> float:
-    """First line of (12) [m²/s] at `_AT`, its U_h times `factor` (1 as printed)."""
+    """Return the first line of equation (12) [m²/s] at the errors `_AT`, with U_h times `factor` (1 as printed)."""
     (x, y, z), s = _AT, setting
     return (-s.k1 * x + y * _TURN) * x + (-speed * factor - x * _TURN) * y - s.k2 * z * z
 
 
 def quadratic_form(setting: Setting, middle: float, third: float) -> float:
-    """−eᵀMe of (12) [m²/s] at `_AT`, M = diag(k1, middle, third)."""
+    """Return −eᵀMe of equation (12) [m²/s] at the errors `_AT`, for M = diag(k1, middle, third)."""
     x, y, z = _AT
     return -(setting.k1 * x * x + middle * y * y + third * z * z)
 
 
 def followed_path(x: float, y: float) -> float:
-    """T of (10) as printed."""
+    """Return T of equation (10) as printed in the paper."""
     return x + y
 
 
 def printed_position_error(x: float, y: float, z: float) -> float:
-    """E_p as far as the copy shows it: the root ends after the first term [m, then m²]."""
+    """Return the position error E_p as our copy of the paper reads: the root ends after the first term (m plus m²)."""
     return float(np.sqrt(x * x)) + y * y + z * z
 
 
 def e7() -> Result:
-    """Line of sight on the heading with sway, flown: where y_e settles, and where it settles on the course."""
+    """Return the result for erratum E7: final cross-track error y_e with sway, under heading or course control."""
     s, y = Setting(), ca.SX.sym("y_e")
     u, v = s.speed, s.speed / 3
     ends = []
@@ -77,19 +77,19 @@ def e7() -> Result:
         rate = ca.Function("rate", [y], [cross_track_rate(y, u, v, lookahead=s.lookahead, course=course)])
         ends.append(float(trajectory(numeric(rate), np.array([1.0]), duration=120.0)[-1, 0]))
     heading, course_end = ends
-    ours = f"y_e settles at {heading:.4f} m on the heading, at {abs(course_end):.4f} m on the course"
+    ours = f"y_e converges to {heading:.4f} m with heading control, to {abs(course_end):.4f} m with course control"
     if abs(heading) < 1e-3 or abs(course_end) > 1e-3 or abs(heading - s.lookahead * v / u) > 1e-3:
         return agrees(ours, heading_m=heading, course_m=course_end)
     return wrong_in_print(
         ours,
-        f"with {v:.2f} m/s sway at {u:.2f} m/s surge y_e stays at Δ_h v/u = {s.lookahead * v / u:.4f} m",
+        f"with {v:.2f} m/s sway and {u:.2f} m/s surge, y_e stays at Δ_h v/u = {s.lookahead * v / u:.4f} m",
         heading_m=heading,
         course_m=course_end,
     )
 
 
 def e8() -> Result:
-    """The last step of (12), ‖e‖²‖M‖ ≤ 0, at one point; and V̇1 ≤ −λ_min(M)‖e‖² at `_AT`."""
+    """Return the result for erratum E8: a point that violates ‖e‖²‖M‖ ≤ 0 of (12), and V̇1 ≤ −λ_min(M)‖e‖² at `_AT`."""
     claim = claims(names=["m-norm-printed"])[0]
     margin, inside = evaluate(claim, claim.witnesses[0])
     s = Setting()
@@ -103,25 +103,25 @@ def e8() -> Result:
 
 
 def e8_diagonal() -> Result:
-    """M's third diagonal entry: V̇1 of the loop against −eᵀMe with k2 there, and with what the copy shows."""
+    """Return the result for erratum E8 on M: V̇1 and −eᵀMe, with k2 or our copy's text as third diagonal entry."""
     s = Setting()
     rate, speed, slant = loop_terms(s)
     with_k2 = quadratic_form(s, speed / slant, s.k2)
     as_read = quadratic_form(s, speed / slant, speed / slant)
-    ours = f"V̇1 = {rate:.5f} m²/s; −eᵀMe = {with_k2:.5f} with k2, {as_read:.5f} with the entry as it reads"
+    ours = f"V̇1 = {rate:.5f} m²/s; −eᵀMe = {with_k2:.5f} m²/s with k2, {as_read:.5f} m²/s with the entry in our copy"
     if abs(rate - with_k2) > 1e-12 or abs(rate - as_read) < 1e-6:
         return agrees(ours)
     return unreadable(ours, rate=rate, with_k2=with_k2, as_read=as_read)
 
 
 def e9() -> Result:
-    """Where V̇1 > 0 under a surge of either sign, and how far behind the target the speed cap breaks it."""
+    """Return the result for erratum E9: a point with V̇1 > 0, and the region with V̇1 ≤ 0 under the speed limit."""
     s = Setting()
     printed, capped = claims(names=["v1-printed", "v1-speed-cap"])
     margin, inside = evaluate(printed, printed.witnesses[0])
     far, far_inside = evaluate(capped, capped.witnesses[0])
     region, point = cap_limit(s)[0], printed.witnesses[0]
-    ours = f"V̇1 = {margin:+.4f} m²/s there; with the cap V̇1 ≤ 0 only for x_e ≥ −{region:.3f} m"
+    ours = f"V̇1 = {margin:+.4f} m²/s at a point; with the speed limit, V̇1 ≤ 0 only for x_e ≥ −{region:.3f} m"
     if margin <= 0 or far <= 0 or not (inside and far_inside):
         return agrees(ours, margin=margin)
     where = f"x_e = {point['x_e']:.3g}, y_e = {point['y_e']:.3g} m"
@@ -129,35 +129,41 @@ def e9() -> Result:
 
 
 def e14() -> Result:
-    """E_p of one offset: the metric of the runs, √(Δx² + Δy² + Δz²), and what can be read."""
+    """Return the result for erratum E14: E_p of one offset by our metric, √(Δx² + Δy² + Δz²), and as our copy reads."""
     x, y, z = 0.02, 0.06, 0.03
     used = path_error(np.array([np.hypot(x, y)]), np.array([z]), np.array([False]))
     whole, read = float(np.linalg.norm([x, y, z])), printed_position_error(x, y, z)
-    ours = f"offset ({x}, {y}, {z}) m: {used:.4f} m with the root over all three; {read:.4f} as it reads"
+    ours = f"offset ({x}, {y}, {z}) m: {used:.4f} m with the root over all terms; {read:.4f} as our copy reads"
     if abs(used - whole) > 1e-12 or abs(read - whole) < 1e-6:
         return agrees(ours, used=used)
     return unreadable(ours, used_m=used, as_read=read)
 
 
 def e18() -> Result:
-    """The two lines of (12) at one point, and V̇1 of the loop."""
+    """Return the result for erratum E18: the two lines of equation (12) and V̇1 of the closed loop at one point."""
     s = Setting()
     rate, speed, slant = loop_terms(s)
     printed, mended = first_line(s, speed, factor=1.0), first_line(s, speed, factor=_AT[1] / slant)
     second = quadratic_form(s, speed / slant, s.k2)
-    ours = f"line 1 {printed:.5f}, line 2 {second:.5f}, line 1 with y_e/√(y_e² + Δ_h²) {mended:.5f} m²/s"
+    ours = (
+        f"line 1 is {printed:.5f} m²/s, line 2 is {second:.5f} m²/s, and line 1 with y_e/√(y_e² + Δ_h²) is "
+        f"{mended:.5f} m²/s"
+    )
     if abs(printed - second) < 1e-6 or abs(mended - second) > 1e-12 or abs(rate - second) > 1e-12:
         return agrees(ours)
     return wrong_in_print(
-        ours, f"its two lines differ by {abs(printed - second):.5f} m²/s at e = {_AT} m", line_1=printed, line_2=second
+        ours,
+        f"the two lines differ by {abs(printed - second):.5f} m²/s at e = {_AT} m",
+        line_1=printed,
+        line_2=second,
     )
 
 
 def e21() -> Result:
-    """T = x + y of two places."""
+    """Return the result for erratum E21: T = x + y of equation (10) is equal at two different points."""
     one, other = (1.0, 2.0), (2.0, 1.0)
     first, second, apart = followed_path(*one), followed_path(*other), float(np.hypot(1.0, 1.0))
-    ours = f"T{one} = {first:g} m, T{other} = {second:g} m, {apart:.3f} m apart"
+    ours = f"T{one} = {first:g} m and T{other} = {second:g} m for points {apart:.3f} m apart"
     if first != second:
         return agrees(ours)
-    return wrong_in_print(ours, f"T{one} = T{other} for places {apart:.3f} m apart", T=first, apart_m=apart)
+    return wrong_in_print(ours, f"T{one} = T{other} for points {apart:.3f} m apart", T=first, apart_m=apart)

@@ -1,4 +1,4 @@
-"""What the robot feels: the sonar array, its filters, contacts, and what the base station tells."""
+"""Perception: the sonar array, its range filters, contacts, the local map, and localisation by the base station."""
 
 from surctl.sensing.calibration.estimation import OUTLIER_RULE, Calibration, Estimate, calibrate
 from surctl.sensing.calibration.file import (

@@ -1,4 +1,4 @@
-"""All that the robot senses with: as it is, and as its law believes it to be."""
+"""The sensing equipment of the robot: its real properties, or the properties that the control law assumes."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ __all__ = ["Equipment"]
 
 @dataclass(frozen=True, kw_only=True)
 class Equipment:
-    """Sonars, base station and own state.
+    """The sonars, the base station and the measurement of the robot's own state.
 
     Attributes:
-        array: the sonars.
-        station: what tells of moving obstacles.
-        own: what measures the robot itself; None: the law is told the truth.
+        array: the sonar array.
+        station: the base station, which measures moving obstacles.
+        own: measurement of the robot's own position and motion; None: the law receives the true values.
     """
 
     array: SonarArray = field(default_factory=SonarArray)

@@ -1,8 +1,9 @@
-"""Seeded noise that a run carries with it: the same numbers in Python, in CasADi and in C, whatever runs beside it.
+"""Seeded random numbers of a run: Python, CasADi and C draw the same numbers, independent of all other runs.
 
-MRG32k3a (L'Ecuyer 1999, "Good parameters and implementations for combined multiple recursive random number
-generators"), whose arithmetic is exact in double precision. A seed is a stream: streams start 2^127 draws apart
-(L'Ecuyer, Simard, Chen and Kelton 2002). Normal numbers by Box and Muller, in pairs.
+The generator is MRG32k3a (L'Ecuyer 1999, "Good parameters and implementations for combined multiple recursive random
+number generators"); its arithmetic is exact in double precision. Each seed selects a stream; two streams start at
+least 2^127 draws apart (L'Ecuyer, Simard, Chen and Kelton 2002). The method of Box and Muller gives normal numbers in
+pairs.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from surctl.errors import InputError
 __all__ = ["NOISE_STATE", "NoiseStream", "draw_normals", "draw_uniforms", "noise_states"]
 
 NOISE_STATE = 6
-"""Numbers in a generator's state: whole numbers below 2^32, three of each component, oldest first."""
+"""Size of a generator's state: six whole numbers below 2^32, three for each component, oldest first."""
 
 _M1, _M2 = 4294967087, 4294944443
 _A1 = ((0, 1, 0), (0, 0, 1), (-810728, 1403580, 0))
@@ -33,22 +34,22 @@ _LOG_TERMS = tuple(2.0 / (2 * k + 1) for k in range(10))
 
 
 def noise_states(seeds: ArrayLike) -> NDArray[np.float64]:
-    """State at the start of each seed's stream, (n, 6).
+    """Return the generator's state at the start of each seed's stream, (n, 6).
 
     Args:
         seeds: (n,) whole numbers, 0 to 2^63 − 1.
 
     Raises:
-        InputError: a seed that is no such number.
+        InputError: if a seed is not a whole number, or is negative.
 
     Example:
         >>> from surctl.sensing import noise_states
-        >>> noise_states([7, 8])[:, :3].tolist()  # a row a seed, of six numbers each
+        >>> noise_states([7, 8])[:, :3].tolist()  # one row per seed; half of its six numbers
         [[3281794178.0, 2616230133.0, 1457051261.0], [3777646647.0, 1837464056.0, 4204654757.0]]
     """
     values = np.atleast_1d(np.asarray(seeds))
     if values.dtype.kind == "f" and not np.all(values == np.floor(values)):
-        raise InputError("is no whole number", key="seed", value=values[values != np.floor(values)][0])
+        raise InputError("is not a whole number", key="seed", value=values[values != np.floor(values)][0])
     if values.dtype.kind not in "iuf" or values.ndim != 1 or np.any(values < 0):
         raise InputError("must be whole numbers, at least 0", key="seed", value=values.tolist()[:3])
     whole = values.astype(np.uint64)
@@ -64,7 +65,7 @@ def noise_states(seeds: ArrayLike) -> NDArray[np.float64]:
 
 @cache
 def _jumps(component: int) -> list[NDArray[np.uint64]]:
-    """Matrices that advance one component by 2^127 · 2^k draws."""
+    """Return the matrices that advance one component by 2^127 · 2^k draws, for k = 0, 1, …"""
     modulus, matrix = ((_M1, _A1), (_M2, _A2))[component]
     power = np.array(matrix, dtype=object) % modulus
     jumps = []
@@ -76,16 +77,16 @@ def _jumps(component: int) -> list[NDArray[np.uint64]]:
 
 
 def _times(matrix: NDArray[np.uint64], state: NDArray[np.uint64], modulus: np.uint64) -> NDArray[np.uint64]:
-    """(n, 3): matrix · state mod modulus; a product of two numbers below 2^32 fits 64 bits."""
+    """Return matrix · state mod modulus, (n, 3); a product of two numbers below 2^32 fits into 64 bits."""
     rows = [sum((matrix[i, j] * state[:, j] % modulus for j in range(3)), start=np.uint64(0)) for i in range(3)]
     return np.column_stack([row % modulus for row in rows])
 
 
 class NoiseStream:
-    """The noise of one run, drawn one after another.
+    """The random numbers of one run, drawn one after another.
 
     Args:
-        seed: of the run, 0 to 2^63 − 1.
+        seed: seed of the run, 0 to 2^63 − 1.
     """
 
     def __init__(self, seed: int) -> None:
@@ -93,18 +94,18 @@ class NoiseStream:
         self._one, self._two = first[:3], first[3:]
 
     def uniform(self) -> float:
-        """The next number in (0, 1)."""
+        """Return the next uniform random number in (0, 1)."""
         one = (1403580 * self._one[1] - 810728 * self._one[0]) % _M1
         two = (527612 * self._two[2] - 1370589 * self._two[0]) % _M2
         self._one, self._two = [*self._one[1:], one], [*self._two[1:], two]
         return (one - two if one > two else one - two + _M1) * _NORM
 
     def uniforms(self, count: int) -> NDArray[np.float64]:
-        """The next `count` numbers in (0, 1)."""
+        """Return the next `count` uniform random numbers in (0, 1)."""
         return np.array([self.uniform() for _ in range(count)])
 
     def normals(self, count: int) -> NDArray[np.float64]:
-        """The next `count` standard normal numbers; an odd one drops the last of its pair."""
+        """Return the next `count` standard normal numbers; if `count` is odd, the last pair loses its second number."""
         out: list[float] = []
         while len(out) < count:
             radius, turn = sqrt(-2.0 * log(self.uniform())), 2.0 * pi * self.uniform()
@@ -113,14 +114,14 @@ class NoiseStream:
 
 
 def draw_normals(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
-    """Standard normal numbers (count, 1) and the next state (6, 1): `NoiseStream.normals` in symbols.
+    """Return standard normal numbers (count, 1) and the next state (6, 1): `NoiseStream.normals` in CasADi symbols.
 
     Args:
-        state: (6, 1).
-        count: how many, even.
+        state: (6, 1) state of the generator.
+        count: number of random numbers, even.
 
     Raises:
-        InputError: an odd count.
+        InputError: if `count` is odd.
 
     Example:
         >>> import casadi as ca
@@ -142,7 +143,7 @@ def draw_normals(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
 
 
 def draw_uniforms(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
-    """Numbers in (0, 1), (count, 1), and the next state (6, 1): `NoiseStream.uniforms` in symbols.
+    """Return uniform numbers (count, 1) and the next state (6, 1): `NoiseStream.uniforms` in CasADi symbols.
 
     Example:
         >>> import casadi as ca
@@ -167,13 +168,16 @@ def _uniform(one: list[ca.SX], two: list[ca.SX]) -> tuple[ca.SX, list[ca.SX], li
 
 
 def _remainder(x: ca.SX, modulus: float) -> ca.SX:
-    """x mod modulus for whole |x| < 2^53: the quotient lies at least 1/modulus below the next whole number, and its
-    rounding error is below that (|quotient| < 2^21), so that floor finds the right one."""
+    """Return x mod modulus for whole |x| < 2^53.
+
+    The quotient lies at least 1/modulus below the next whole number. Its rounding error is smaller than 1/modulus
+    (|quotient| < 2^21), so floor gives the exact result.
+    """
     return x - ca.floor(x / modulus) * modulus
 
 
 def _log_of_uniform(u: ca.SX) -> ca.SX:
-    """ln u for 2^-33 < u < 1, without a logarithm: scale by powers of 2 to [1/2, 1), then a series."""
+    """Return ln u for 2^-33 < u < 1 without a logarithm: scale u by powers of 2 to [1/2, 1), then sum a series."""
     mantissa, exponent = u, ca.SX(0)
     for step in (32, 16, 8, 4, 2, 1):
         small = mantissa < 2.0**-step

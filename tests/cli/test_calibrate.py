@@ -44,7 +44,7 @@ def test_a_file_gives_fragment_rows_and_plot(tmp_path):
         "NaN or infinite: 1",
         "sorted: 1",
         "outlier: line 33, 0.9 m at 0.25 m",
-        "outlier: residual over its sd",
+        "outlier: a row whose externally studentised residual",
     ):
         assert words in done.out
     table = tomllib.loads((tmp_path / "out" / "sonar.toml").read_text())["sonar"]
@@ -86,7 +86,7 @@ MISTAKES = {
     "text": (GOOD + "1,one\n", "m.csv:32: measured_m = 'one': is not a number"),
     "negative": (GOOD + "-1,1\n", "m.csv:32: true_m = -1.0"),
     "semicolons": (GOOD.replace(",", ";"), "semicolons"),
-    "too few": ("true_m,measured_m\n1,1\n2,2\nnan,1\n", "2 good rows are too few (1 more skipped"),
+    "too few": ("true_m,measured_m\n1,1\n2,2\nnan,1\n", "2 complete rows are too few (1 more skipped"),
     "centimetres": (GOOD.replace("measured_m", "x").replace("true_m", "measured_m").replace("x", "true_cm"), "unit"),
 }
 

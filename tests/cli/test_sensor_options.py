@@ -73,7 +73,7 @@ def test_a_sensor_is_looked_for_in_the_scenario_s_own_array() -> None:
         SensorOptions(faults=["dead:2"]).over(scenario)
     one = replace(scenario, sensors=Sensors(Equipment(array=SonarArray(azimuths=(0.0,), order=(0,)))))
     for options in (SensorOptions(faults=["crosstalk:0"]), SensorOptions(chances=["crosstalk=0.1"])):
-        with pytest.raises(InputError, match="hears no other"):
+        with pytest.raises(InputError, match="at least two sensors"):
             options.over(one)
 
 

@@ -83,9 +83,9 @@ def test_a_row_that_cannot_be_computed_fails_and_says_why() -> None:
 
 def test_a_verdict_has_its_reason() -> None:
     for word in ("differs", "wrong in print"):
-        with pytest.raises(InputError, match="needs its reason"):
+        with pytest.raises(InputError, match="needs a reason"):
             Result("1", word)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="is no verdict"):
+    with pytest.raises(InputError, match="is not a verdict"):
         Result("1", "perhaps")  # type: ignore[arg-type]
 
 

@@ -162,13 +162,13 @@ def test_beams_up_to_a_half_circle(degrees):
 
 
 def test_windows_must_hold_the_echo():
-    with pytest.raises(InputError, match=r"overlapping firing windows: its echo takes 26\.2 ms in air") as caught:
+    with pytest.raises(InputError, match=r"makes firings overlap: an echo from it takes 26\.2 ms in air") as caught:
         SonarArray(medium="air")
     assert caught.value.key == "array.maximum"
     assert SonarArray(medium="air", maximum=4.29).echo_time <= 0.025
-    with pytest.raises(InputError, match="range beyond the cycle"):
+    with pytest.raises(InputError, match="is too long for the cycle"):
         SonarArray(maximum=80.0)
-    with pytest.raises(InputError, match=r"longer than 0\.05 s"):
+    with pytest.raises(InputError, match=r"longer than the cycle_limit of 0\.05 s"):
         SonarArray(cycle_limit=0.05)
     # five pings one after another would not fit: a firing is one ping
     assert 5 * SonarArray().echo_time > SonarArray().firing_period

@@ -212,8 +212,8 @@ def _one_by_one(x: np.ndarray, y: np.ndarray) -> Calibration:
 
 GOOD = np.linspace(0.3, 3.0, 10)
 REFUSED = {
-    "too few": ((GOOD[:5], GOOD[:5]), "5 good rows are too few"),
-    "none": (([], []), "0 good rows"),
+    "too few": ((GOOD[:5], GOOD[:5]), "5 complete rows are too few"),
+    "none": (([], []), "0 complete rows"),
     "one distance": ((np.ones(9), GOOD[:9]), "1 distinct true distance "),
     "two distances": ((np.tile([1.0, 2.0], 5), GOOD), "2 distinct true distances"),
     "NaN": ((GOOD, np.where(GOOD > 2, np.nan, GOOD)), "finite"),

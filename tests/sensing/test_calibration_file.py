@@ -77,9 +77,9 @@ REFUSED = {
     "negative": (table(extra="-1,1\n"), r"c\.csv:22: true_m = -1\.0: is below 0"),
     "negative reading": (table(extra="1,-1\n"), r"c\.csv:22: measured_m = -1\.0"),
     "text": (table(extra="1,far\n"), r"c\.csv:22: measured_m = 'far'"),
-    "too few": ("true_m,measured_m\n1,1\nnan,2\n3,3\n", r"2 good rows are too few \(1 more skipped"),
-    "all NaN": ("true_m,measured_m\n" + "nan,1\n" * 20, "0 good rows"),
-    "too few of one sensor": ("true_m,measured_m,sensor\n1,1,rear\n", "sensor rear: 1 good row"),
+    "too few": ("true_m,measured_m\n1,1\nnan,2\n3,3\n", r"2 complete rows are too few \(1 more skipped"),
+    "all NaN": ("true_m,measured_m\n" + "nan,1\n" * 20, "0 complete rows"),
+    "too few of one sensor": ("true_m,measured_m,sensor\n1,1,rear\n", "sensor rear: 1 complete row"),
     "readings of another unit": (table().replace("measured_m", "x").replace("true_m", "measured_m"), "'true_m'"),
 }
 
@@ -104,7 +104,7 @@ def test_a_converter_of_the_other_medium_is_calibrated_and_told(tmp_path: Path, 
     rows = "".join(f"{x},{ratio * y}\n" for x, y in zip(TRUE, MEASURED, strict=True))
     (one,) = calibrate_file(written(tmp_path, "true_m,measured_m\n" + rows))
     assert one.calibration.scale.value == pytest.approx(ratio, rel=0.05)
-    assert f"speed of sound of {there}, used in" in one.notes[0]
+    assert f"speed of sound of {there} were used in" in one.notes[0]
 
 
 @pytest.mark.parametrize("ratio", [1 / 0.3048, 0.3048, 10.0, 0.1, 25.4, 0.0254, 1000.0])
@@ -116,7 +116,7 @@ def test_units_of_length_are_not_taken_for_a_medium(tmp_path: Path, ratio: float
 
 def test_a_column_that_is_no_name_is_refused(tmp_path: Path) -> None:
     rows = "".join(f"1,1,{k}\n" for k in range(1000))
-    with pytest.raises(InputError, match="1000 sensors and media"):
+    with pytest.raises(InputError, match="1000 combinations of sensor and medium"):
         calibrate_file(written(tmp_path, "true_m,measured_m,sensor\n" + rows))
 
 

@@ -286,7 +286,7 @@ def test_uniform_numbers_in_symbols_are_those_of_the_stream():
 @pytest.mark.parametrize(
     ("table", "problem"),
     [
-        ({"kind": "delay"}, "a delay needs delay_s; add 0.1 to 0.8"),
+        ({"kind": "delay"}, "a delay fault needs delay_s; give 0.1 to 0.8 s"),
         ({"kind": "delay", "delay_s": 0.05}, "delay_s"),
         ({"kind": "delay", "delay_s": 0.9}, "delay_s"),
         ({"kind": "zero", "delay_s": 0.2}, "a zero fault takes no delay_s"),
@@ -320,7 +320,7 @@ def test_faults_that_the_array_cannot_have_are_named():
         with pytest.raises(InputError) as caught:
             check_faults(array, (fault,))
         assert caught.value.key == key
-    with pytest.raises(InputError, match="hears no other"):
+    with pytest.raises(InputError, match="at least two sensors"):
         check_faults(lone, (), FaultChances(crosstalk=0.1))
-    with pytest.raises(InputError, match="more than 1"):
+    with pytest.raises(InputError, match="at most 1 fit"):
         fault_slots(ARRAY, FAULTS["told"], 1)

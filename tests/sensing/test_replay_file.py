@@ -39,7 +39,7 @@ def test_one_range_a_row_and_slow_sensors(tmp_path: Path) -> None:
     rows = [f"{0.5 * k},0,{2.0 + 0.001 * k}" for k in range(40)]
     found = read(tmp_path, rows, header="time_s,sensor,range_m", sensors=1)
     assert found.readings.samples.shape == (40, 1, 1) and found.readings.dt == pytest.approx(0.5)
-    assert "0.5 s; the filter was made for 0.1 s" in found.notes[-1]
+    assert "0.5 s; the filter is designed for 0.1 s" in found.notes[-1]
     middling = [f"{0.13 * k},0,2.0" for k in range(40)]
     assert read(tmp_path, middling, header="time_s,sensor,range_m", sensors=1).readings.dt == pytest.approx(0.065)
 
@@ -56,7 +56,7 @@ def test_a_stuck_sensor_of_one_sample_is_not_healthy_and_a_repeated_sample_is_no
         summary = replay_readings(found.readings).summary(0)
         return summary.healthy, summary.refused, found.notes
 
-    said = "the samples of each reading are equal: taken for one sample"
+    said = "the samples of each reading are equal: only one sample is used"
     for samples in (1, 5):
         healthy, refused, notes = share(honest, samples)
         assert healthy > 0.98 and refused <= 3 and (said in notes) == (samples == 5)
@@ -140,5 +140,5 @@ def test_a_recording_of_sparse_readings_that_takes_too_many_steps_is_refused(
 ) -> None:
     monkeypatch.setattr("surctl.sensing.replay.pacing._MOST_STEPS", 1000)
     rows = [f"{4.0 * (k // 40) + 0.1 * (k % 40)},0,2" for k in range(1000)]
-    with pytest.raises(InputError, match=r"more than 1000 steps of 0\.05 s; cut"):
+    with pytest.raises(InputError, match=r"more than 1000 steps of 0\.05 s; split"):
         read(tmp_path, rows, header=PLAIN)

@@ -1,1 +1,1 @@
-"""Calibration of a range sensor from a range test: from a file, or the one of the paper."""
+"""Calibration of a range sensor from a range test, which is a file or Table II of the paper."""

@@ -1,13 +1,14 @@
-"""Calibration of a range sensor: measured = scale·true + bias + noise(range), each with a 95 % confidence interval.
+"""Calibration of a range sensor: measured = scale·true + bias + noise(range), with 95 % confidence intervals.
 
-The line is least squares with Student's t. Whether the noise depends on range (sd = s0 + s1·range) is tested at the 5 %
-level by the restricted likelihood ratio of `noise_shape`. When it does not, the intervals are the exact ones of normal
-noise: t for the line, χ² for the sd. When it does, the line is weighted by that sd. The errors measured − true are
-described too, as if the scale were 1, which is how range tests are usually quoted.
+The line is a least-squares fit with intervals by Student's t. The restricted likelihood ratio of `noise_shape` tests
+at the 5 % level whether the noise depends on range (sd = s0 + s1·range). If it does not, the intervals are exact for
+normal noise: t for the line, χ² for the sd. If it does, the rows are weighted by that sd. The result also describes the
+errors measured − true, as if the scale were 1, because range tests are usually quoted so.
 
-What the intervals hold, measured over simulated data: 94 to 97 % where the noise is the same at all ranges, and from
-about 50 rows on where it is not. With fewer rows an uneven noise is often not found, and a noise that falls fivefold
-over 12 to 18 rows leaves the interval of the bias 88 to 91 % (one that grows: more than 93 %).
+Simulated data give the coverage of the intervals. It is 94 to 97 % if the noise is the same at all ranges, and also if
+the noise depends on range and there are at least about 50 rows. With fewer rows, the test often does not detect that
+the noise depends on range. If the noise falls fivefold over 12 to 18 rows, the interval of the bias has a coverage of
+only 88 to 91 % (if the noise grows: more than 93 %).
 """
 
 from __future__ import annotations
@@ -35,19 +36,19 @@ __all__ = [
 ]
 
 LEAST_ROWS = 6
-"""Rows that a calibration needs: below, a sd is known to less than a factor of 3."""
+"""Smallest number of rows for a calibration: with fewer rows, the sd is uncertain by more than a factor of 3."""
 LEAST_DISTANCES = 3
-"""Distinct true distances that it needs: two leave no residual that tells a bent line from noise."""
+"""Smallest number of distinct true distances for a calibration: two do not show whether the line is bent or noisy."""
 LEAST_ROWS_OF_SLOPE = 12
-"""Rows from which on the slope of the noise is fitted; below, the test finds next to nothing."""
+"""Smallest number of rows for a fit of the noise slope: with fewer rows, the test detects almost nothing."""
 OUTLIER_RULE = (
-    "outlier: residual over its sd without that row (externally studentised) beyond Student's t at 5 % shared among "
-    "all rows (Bonferroni); marked and kept"
+    "outlier: a row whose externally studentised residual exceeds Student's t at 5 % divided among all rows "
+    "(Bonferroni); outliers are marked, but stay in the fit"
 )
 _LEVEL = 0.05
 _MOST_LISTED = 10_000
 _AIR, _WATER = (319.0, 361.0), (1400.0, 1560.0)  # m/s, speed of sound from -20 to 50 C, and of fresh to sea water
-_EXACT = 1e-9  # residuals below this share of the distances are rounding of numbers, not noise
+_EXACT = 1e-9  # residuals below this share of the distances are rounding errors, not noise
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class Estimate:
             raise InputError("estimate is not finite", key="calibration", value=(self.value, self.low, self.high))
 
     def to_list(self) -> list[float]:
-        """Value, low, high."""
+        """Return value, lower end and upper end."""
         return [self.value, self.low, self.high]
 
 
@@ -74,20 +75,20 @@ class Calibration:
 
     Attributes:
         true: (n,) true distances.
-        measured: (n,) what the sensor read.
-        order: (n,) index of each row in what was given.
-        bias: of the line at true = 0.
-        scale: of the line [1].
-        noise_sd: about the line; root of the mean of sd² over the rows when the noise depends on range.
-        noise_at_zero: s0 of sd = s0 + s1·range; None when one sd holds for all ranges, or too few rows.
-        noise_slope: s1 [m/m]; None with too few rows, or no noise at all.
-        noise_slope_p: chance of such a slope were there none; None as `noise_slope`.
-        mean_error: of measured − true.
-        error_sd: of measured − true about their mean.
-        relative_sd: (n,) fitted sd at each row over `noise_sd`.
-        studentised: (n,) residual over its own sd, without that row.
-        outliers: (k,) indices that `OUTLIER_RULE` marks.
-        rests_on_outliers: the noise depends on range at the 5 % level, and without the outliers it does not.
+        measured: (n,) readings of the sensor.
+        order: (n,) index of each row in the input data.
+        bias: value of the fitted line at true = 0.
+        scale: slope of the fitted line [1].
+        noise_sd: sd about the line; root of the mean of sd² over the rows if the noise depends on range.
+        noise_at_zero: s0 of sd = s0 + s1·range; None if one sd fits all ranges, or with too few rows.
+        noise_slope: s1 [m/m] of sd = s0 + s1·range; None with too few rows or without noise.
+        noise_slope_p: p-value of the noise slope; None if `noise_slope` is None.
+        mean_error: mean of measured − true.
+        error_sd: sd of measured − true about their mean.
+        relative_sd: (n,) fitted sd at each row, divided by `noise_sd`.
+        studentised: (n,) externally studentised residuals: each is divided by its sd from the other rows.
+        outliers: (k,) indices of the rows that `OUTLIER_RULE` marks.
+        rests_on_outliers: whether the noise depends on range at the 5 % level only because of the outliers.
     """
 
     true: NDArray[np.float64]
@@ -108,17 +109,17 @@ class Calibration:
 
     @property
     def errors(self) -> NDArray[np.float64]:
-        """Measured less true (n,) [m]."""
+        """Measured minus true distance (n,) [m]."""
         return self.measured - self.true
 
     @property
     def residuals(self) -> NDArray[np.float64]:
-        """Measured less the line (n,) [m]."""
+        """Measured distance minus the fitted line (n,) [m]."""
         return self.measured - (self.scale.value * self.true + self.bias.value)
 
     @property
     def other_medium(self) -> bool:
-        """Whether the scale is that of a converter for the speed of sound of air, used in water, or the inverse."""
+        """Whether the scale shows a converter with the speed of sound of air that is used in water, or the reverse."""
         return self.scale.value > 0 and _other_medium(self.scale.value)
 
     @property
@@ -128,21 +129,21 @@ class Calibration:
 
     @property
     def largest(self) -> int:
-        """Index of the largest |measured − true|."""
+        """Index of the row with the largest |measured − true|."""
         return int(np.argmax(np.abs(self.errors)))
 
     @property
     def outlier_bound(self) -> float:
-        """|studentised| beyond which a row is an outlier."""
+        """Absolute studentised residual above which a row is an outlier."""
         return _bound(len(self.true))
 
     @property
     def varies(self) -> bool:
-        """Whether the noise depends on range at the 5 % level; then the line is weighted."""
+        """Whether the noise depends on range at the 5 % level; if so, the fit is weighted."""
         return self.noise_at_zero is not None
 
     def to_dict(self) -> dict[str, Any]:
-        """Estimates as [value, low, high] in metres; residuals by ascending true distance, unless very many."""
+        """Return the calibration for JSON: estimates as [value, low, high], and at most 10 000 residuals, in metres."""
         estimates = ("bias", "scale", "noise_sd", "noise_at_zero", "noise_slope", "mean_error", "error_sd")
         values = {name: getattr(self, name) for name in estimates}
         plain = ("scale", "noise_slope")  # not in metres
@@ -163,9 +164,9 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
     """Fit bias, scale and noise to true and measured distances (n,) [m], in any order.
 
     Raises:
-        InputError: fewer than `LEAST_ROWS` rows or `LEAST_DISTANCES` distinct distances, a number that is not finite
-            or below 0, or distances of another unit than the readings: a median ratio outside 1/3 to 3 that is not
-            that of a converter made for air and used in water, or the other way round.
+        InputError: if there are fewer than `LEAST_ROWS` rows or `LEAST_DISTANCES` distinct distances, or a number is
+            not finite or is below 0. Also if the median ratio of measured to true lies outside 1/3 to 3 and does not
+            suggest a converter for air that is used in water, or the reverse: then the units may differ.
 
     Example:
         >>> import numpy as np
@@ -215,7 +216,7 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
 
 
 def _varies(x: NDArray[np.float64], y: NDArray[np.float64]) -> bool:
-    """Whether the noise of these rows depends on range at the 5 % level."""
+    """Return whether the noise of these rows depends on range at the 5 % level."""
     if len(x) < LEAST_ROWS_OF_SLOPE or len(np.unique(x)) < LEAST_DISTANCES:
         return False
     line = fit_line(x, y, np.ones(len(x)))
@@ -223,7 +224,7 @@ def _varies(x: NDArray[np.float64], y: NDArray[np.float64]) -> bool:
 
 
 def _bound(n: int) -> float:
-    from scipy import stats  # a second to import
+    from scipy import stats  # the import takes about a second
 
     return float(stats.t.isf(_LEVEL / (2 * n), n - 3))
 
@@ -243,7 +244,7 @@ def _of_sd(sd: float, dof: int) -> Estimate:
 
 
 def _other_medium(ratio: float) -> bool:
-    """Whether readings over distances are the speeds of sound of air over that of water, or the inverse."""
+    """Return whether the ratio equals the speed of sound of air divided by that of water, or its inverse."""
     return _AIR[0] / _WATER[1] <= min(ratio, 1 / ratio) <= _AIR[1] / _WATER[0]
 
 
@@ -255,18 +256,18 @@ def _check(x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
             wrong = values[~(np.isfinite(values) & (values >= 0))][0]
             raise InputError("must be finite distances, at least 0", key=name, value=float(wrong))
     if len(x) < LEAST_ROWS:
-        raise InputError(f"{len(x)} good rows are too few", key="rows", remedy=f"give at least {LEAST_ROWS}")
+        raise InputError(f"{len(x)} complete rows are too few", key="rows", remedy=f"give at least {LEAST_ROWS}")
     distinct = len(np.unique(x))
     if distinct < LEAST_DISTANCES:
         raise InputError(
             f"{distinct} distinct true distance{'s' * (distinct > 1)} are too few",
             key="rows",
-            remedy=f"measure at {LEAST_DISTANCES} or more",
+            remedy=f"measure at {LEAST_DISTANCES} or more distances",
         )
     ratio = float(np.median(y) / np.median(x)) if np.median(x) > 0 else 1.0
     if not (1 / 3 <= ratio <= 3 or _other_medium(ratio)):
         raise InputError(
             f"measured distances are about {ratio:.3g} times the true ones",
             key="rows",
-            remedy="check the units of both columns and which is which",
+            remedy="check the units of both columns, and whether the columns are exchanged",
         )

@@ -1,4 +1,4 @@
-"""A calibration's CSV file in, its results and a scenario's `[sonar]` fragment out; Table II as built-in data."""
+"""Calibration from a CSV file or from built-in Table II; results as CSV rows and as a scenario's `[sonar]` table."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ __all__ = [
 ]
 
 BUILT_IN = "table-ii"
-"""Name under which `surctl calibrate` knows the shipped table."""
+"""Name of the built-in Table II on the command line of `surctl calibrate`."""
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _PAIRS = [(f"true_{unit}", f"measured_{unit}") for unit in _UNITS]
-_FAR = 20.0  # m; a range that makes one ask for the unit
+_FAR = 20.0  # m; a longer range suggests a wrong unit
 _MOST_SENSORS = 64
 
 
 @dataclass(frozen=True, kw_only=True)
 class SensorCalibration:
-    """One sensor in one medium.
+    """The calibration of one sensor in one medium.
 
     Attributes:
-        sensor: its name in the file, "" without such a column.
-        medium: likewise.
-        source: where the rows come from, one printable line.
+        sensor: name of the sensor in the file, "" if the file has no such column.
+        medium: medium in the file, "" if the file has no such column.
+        source: origin of the rows, one printable line.
         calibration: the calibration.
         lines: (n,) line in the file of each row of `calibration`; 0 for built-in data.
-        skipped: rows left out because a number was missing, NaN or infinite.
-        unsorted: rows whose true distance was below that of the row before; all were sorted.
+        skipped: number of rows skipped because a number was missing, NaN or infinite.
+        unsorted: number of rows whose true distance was below that of the previous row; all rows were sorted.
     """
 
     sensor: str
@@ -62,33 +62,33 @@ class SensorCalibration:
 
     @property
     def title(self) -> str:
-        """Sensor and medium for people, "one sensor" without either."""
+        """Sensor and medium as text; "one sensor" if the file names neither."""
         parts = [f"sensor {self.sensor}" if self.sensor else "", self.medium]
         return ", ".join(p for p in parts if p) or "one sensor"
 
     @property
     def notes(self) -> list[str]:
-        """What a reader should know of the rows, a sentence each."""
+        """Notes on the rows for the user, one sentence each."""
         said = []
         if self.skipped:
             said.append(f"rows skipped because a number is missing, NaN or infinite: {self.skipped}")
         if self.unsorted:
             said.append(f"rows that were not in ascending order of true distance, and were sorted: {self.unsorted}")
         if self.calibration.rests_on_outliers:
-            said.append("that the noise depends on range rests on the outliers: without them it does not; see to them")
+            said.append("the noise depends on range only because of the outliers: check these rows")
         if self.calibration.other_medium:
             ratio = self.calibration.scale.value
             here, there = ("water", "air") if ratio < 1 else ("air", "water")
             said.append(
-                f"readings are {ratio:.3g} times the distances, as of a converter with the speed of sound of {there}, "
-                f"used in {here}; scale in [sonar] says so"
+                f"readings are {ratio:.3g} times the true distances, as if a converter with the speed of sound of "
+                f"{there} were used in {here}; scale in [sonar] contains this ratio"
             )
         if self.calibration.true[-1] > _FAR:
-            said.append(f"distances reach {self.calibration.true[-1]:.4g} m: check that the column's unit is right")
+            said.append(f"distances reach {self.calibration.true[-1]:.4g} m: check the unit of the columns")
         return said
 
     def to_dict(self) -> dict[str, Any]:
-        """The calibration with its rows; outliers by line."""
+        """Return the calibration for JSON, with the file lines of its outliers."""
         f = self.calibration
         return {
             "sensor": self.sensor,
@@ -106,14 +106,14 @@ class SensorCalibration:
 
 
 def calibrate_file(path: Path) -> list[SensorCalibration]:
-    """Calibrate every sensor and medium of a CSV file, in the order in which they first stand there.
+    """Calibrate every sensor and medium of a CSV file, in the order of their first rows.
 
-    Columns: `true_m, measured_m`, or both in `_cm` or `_mm`; `sensor` and `medium` (text) if there are several; others
-    are left alone. Rows with a missing, NaN or infinite number are skipped and counted; rows in any order are sorted
-    and counted; a distance below 0 is refused.
+    The file has the columns `true_m, measured_m`, or both in `_cm` or `_mm`, and also `sensor` and `medium` (text) if
+    there are several; other columns are ignored. Rows with a missing, NaN or infinite number are skipped and counted.
+    Rows that are not in ascending order are sorted and counted. A distance below 0 is an error.
 
     Raises:
-        InputError: as `read_recorded` and `calibrate`, a missing column or two units, with file and line.
+        InputError: if `read_recorded` or `calibrate` raises it, a column is missing, or units are mixed.
 
     Example:
         >>> from pathlib import Path
@@ -160,7 +160,7 @@ def calibrate_file(path: Path) -> list[SensorCalibration]:
 
 
 def calibrate_table_ii() -> list[SensorCalibration]:
-    """The calibrations that Table II gives, in air and in water.
+    """Return the calibrations of Table II, in air and in water.
 
     Example:
         >>> from surctl.sensing import calibrate_table_ii
@@ -184,7 +184,7 @@ def calibrate_table_ii() -> list[SensorCalibration]:
 
 
 def sonar_fragment(one: SensorCalibration) -> str:
-    """TOML text to paste into a scenario: `[sonar]` with bias_m, scale, noise_sd_m, the intervals as comments.
+    """Return TOML text for a scenario: `[sonar]` with bias_m, scale and noise_sd_m, and their intervals as comments.
 
     Example:
         >>> from surctl.sensing import calibrate_table_ii, sonar_fragment
@@ -205,20 +205,20 @@ def sonar_fragment(one: SensorCalibration) -> str:
         body.append(f"{key} = {_number(estimate.value)}  # {estimate.low:.6g} to {estimate.high:.6g}")
     if f.varies and f.noise_at_zero is not None and f.noise_slope is not None:
         body += [
-            "# the noise depends on range, noise_sd_m is its root mean square over the rows:",
+            "# the noise depends on range; noise_sd_m is its root mean square over the rows:",
             f"# sd = {_span(f.noise_at_zero)} m + {_span(f.noise_slope)} m/m * range",
         ]
     body += [
-        "# with the scale held at 1 instead (then write scale = 1.0):",
+        "# alternative with the scale fixed at 1 (then write scale = 1.0):",
         f"# bias_m = {_number(f.mean_error.value)}  # {f.mean_error.low:.6g} to {f.mean_error.high:.6g}",
         f"# noise_sd_m = {_number(f.error_sd.value)}  # {f.error_sd.low:.6g} to {f.error_sd.high:.6g}",
-        "# noise_sd_m is that of one recorded reading, its rounding included",
+        "# noise_sd_m is the sd of one recorded reading and includes rounding",
     ]
     return "\n".join([*head, *body]) + "\n"
 
 
 def calibration_rows(results: Sequence[SensorCalibration]) -> str:
-    """Every row as CSV text: where it came from, its error, residual, and whether it is marked as an outlier.
+    """Return every row as CSV text: its line in the file, error, residual, and whether it is marked as an outlier.
 
     Example:
         >>> from surctl.sensing import calibrate_table_ii, calibration_rows
@@ -245,11 +245,11 @@ def calibration_rows(results: Sequence[SensorCalibration]) -> str:
 
 
 def _columns(table: Recorded) -> tuple[str, str, float]:
-    """The two columns and the factor to metres."""
+    """Return the names of the two distance columns and the factor to metres."""
     there = [unit for unit, pair in zip(_UNITS, _PAIRS, strict=True) if set(pair) <= set(table.columns)]
     if len(there) > 1:
         raise InputError(
-            f"has distances in {' and in '.join(there)}", file=table.name, remedy="leave one pair of columns"
+            f"has distances in {' and in '.join(there)}", file=table.name, remedy="give one pair of columns"
         )
     if there:
         return f"true_{there[0]}", f"measured_{there[0]}", _UNITS[there[0]]
@@ -265,7 +265,7 @@ def _columns(table: Recorded) -> tuple[str, str, float]:
 
 
 def _groups(table: Recorded) -> Iterator[tuple[tuple[str, str], NDArray[np.intp]]]:
-    """Rows of each sensor and medium, by first appearance."""
+    """Yield the rows of each sensor and medium, in the order of their first rows."""
     count = len(table.lines)
     names = [[c.strip() for c in table.columns.get(key, [""] * count)] for key in ("sensor", "medium")]
     rows: dict[tuple[str, str], list[int]] = {}
@@ -273,17 +273,17 @@ def _groups(table: Recorded) -> Iterator[tuple[tuple[str, str], NDArray[np.intp]
         rows.setdefault(name, []).append(k)
     if len(rows) > _MOST_SENSORS:
         raise InputError(
-            f"has {len(rows)} sensors and media",
+            f"has {len(rows)} combinations of sensor and medium",
             file=table.name,
             key="sensor",
-            remedy=f"give at most {_MOST_SENSORS}: is this column a name?",
+            remedy=f"give at most {_MOST_SENSORS}, and check that this column contains names",
         )
     for (sensor, medium), indices in rows.items():
         yield (shown(sensor), shown(medium)), np.array(indices)
 
 
 def _number(value: float) -> str:
-    """A TOML float."""
+    """Return a number as TOML float text."""
     text = f"{value:.6g}"
     return text if any(c in text for c in ".en") else text + ".0"
 
@@ -293,7 +293,7 @@ def _span(estimate: Estimate) -> str:
 
 
 def file_stems(results: Sequence[SensorCalibration]) -> list[str]:
-    """A file name part for each result, distinct: "-sensor-medium", or "" for a single unnamed one.
+    """Return a distinct part of a file name for each result: "-sensor-medium", or "" for a single unnamed sensor.
 
     Example:
         >>> from surctl.sensing import calibrate_table_ii, file_stems
@@ -311,10 +311,10 @@ def file_stems(results: Sequence[SensorCalibration]) -> list[str]:
 
 
 def pick_calibration(name: str) -> list[SensorCalibration]:
-    """What the command's FILE names: the built-in table, or a file.
+    """Return the calibrations for the command's FILE argument: the name of the built-in table, or of a file.
 
     Raises:
-        InputError: no such file, or as `calibrate_file`.
+        InputError: if the file does not exist, or `calibrate_file` raises it.
 
     Example:
         >>> from surctl.sensing import pick_calibration

@@ -1,9 +1,9 @@
-"""How the noise of a straight line's residuals depends on range: sd(x) = s0 + s1·x by restricted likelihood.
+"""Fit of range-dependent noise, sd(x) = s0 + s1·x, to the residuals of a straight line by restricted likelihood.
 
-The residuals of n readings about a line are e ~ N(0, sd(x)²). The shape is λ = ln(sd at the far end / sd at the near
-end), held to |λ| ≤ ln 50; given λ, the level has a closed form, and the restricted likelihood of Patterson and
-Thompson (1971) in λ takes one weighted regression. An interval is what a likelihood-ratio test does not refuse, with
-t²(0.975; n − 3) in the place of χ²(1).
+The residuals of n readings about a line are e ~ N(0, sd(x)²). The shape of the noise is λ = ln(sd at the far end / sd
+at the near end), limited to |λ| ≤ ln 50. For a given λ, the level of the noise has a closed form, and one weighted
+regression gives the restricted likelihood of Patterson and Thompson (1971). An interval contains the values that a
+likelihood-ratio test does not reject, with t²(0.975; n − 3) instead of χ²(1).
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ from numpy.typing import NDArray
 
 __all__ = ["NoiseShape", "noise_shape"]
 
-_MOST = log(50.0)  # of |λ|
+_MOST = log(50.0)  # largest |λ|
 _GRID = 401
 _ZOOMS = 5
-_DEEP = 25.0  # log-likelihoods below the largest that the grid still spans
+_DEEP = 25.0  # the grid spans log-likelihoods down to this far below the largest
 _THIN = 4
-_HALVINGS = 45  # of a bracket, of its logarithm
-_CELLS = 4096  # more distinct ranges than this share weights within a 4096th of the span
+_HALVINGS = 45  # bisections of an interval, or of its logarithm
+_CELLS = 4096  # with more distinct ranges, those within 1/4096 of the span share a weight
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseShape:
-    """What the residuals say of the noise against range.
+    """The fitted noise as a function of range.
 
     Attributes:
-        p: chance of a likelihood ratio as large were the noise the same at all ranges.
-        s0: sd carried on to range 0 [m]: estimate, low, high (95 %); the line may cross zero before that.
+        p: p-value of the likelihood-ratio test for noise that is the same at all ranges.
+        s0: sd extrapolated to range 0 [m]: estimate, low, high (95 %); it may be negative.
         s1: slope of the sd [m/m]: estimate, low, high.
         level: root of the mean of sd² over the rows [m]: estimate, low, high.
-        relative: (n,) sd at each row over `level`, for weights.
-        line: (2, 3) intercept and slope of the weighted line about `x = 0`: estimate, low, high; the interval is
-            the marginal over λ (flat prior) of Student's t given λ, so that it knows that the weights are estimated.
+        relative: (n,) sd at each row divided by `level`, for weights.
+        line: (2, 3) intercept at x = 0 and slope of the weighted line: estimate, low, high. The interval is the
+            marginal over λ (flat prior) of Student's t given λ, so that it accounts for the estimated weights.
     """
 
     p: float
@@ -51,11 +51,11 @@ def noise_shape(x: NDArray[np.float64], residuals: NDArray[np.float64]) -> Noise
     """Fit sd(x) = s0 + s1·x to residuals about a line.
 
     Args:
-        x: (n,) ranges [m], n > 4, not all one.
-        residuals: (n,) about an unweighted line [m], not all 0. `line` of the result is in their terms: it is what the
-            weighted line adds to the unweighted one.
+        x: (n,) ranges [m], n > 4, not all equal.
+        residuals: (n,) residuals about an unweighted line [m], not all 0. `line` of the result is the difference of
+            the weighted line from this unweighted line.
     """
-    from scipy import stats  # a second to import
+    from scipy import stats  # the import takes about a second
 
     cells = _Cells.of(x, residuals)
     dof = len(x) - 2
@@ -91,7 +91,7 @@ def noise_shape(x: NDArray[np.float64], residuals: NDArray[np.float64]) -> Noise
 
 @dataclass(frozen=True, kw_only=True)
 class _Cells:
-    """Sums of the rows that share a weight: count, x, x², r, x r, r² (x about its mean), and the x of the weight."""
+    """Sums over the rows that share a weight: count, x, x², r, x r, r² (x minus its mean), and the x of the weight."""
 
     sums: NDArray[np.float64]
     at: NDArray[np.float64]
@@ -115,7 +115,7 @@ class _Cells:
 
 @dataclass(frozen=True, kw_only=True)
 class _Profile:
-    """For each λ: restricted likelihood with the best level, that level, near-end sd over it, the line about centre."""
+    """For each λ: restricted likelihood at the best level, the level, near-end sd divided by it, line about centre."""
 
     shape: NDArray[np.float64]
     likelihood: NDArray[np.float64]
@@ -123,7 +123,7 @@ class _Profile:
     scale: NDArray[np.float64]
     line: NDArray[np.float64]
     covariance: NDArray[np.float64]
-    """(k, 3): of intercept, both, slope, at level 1."""
+    """(k, 3): variance of the intercept, covariance, and variance of the slope, at level 1."""
 
 
 def _profile(cells: _Cells, shape: NDArray[np.float64]) -> _Profile:
@@ -142,7 +142,7 @@ def _profile(cells: _Cells, shape: NDArray[np.float64]) -> _Profile:
 
 
 def _level_limits(dof: int, drop: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Factors t < 1 < t' on the best level at which the likelihood has lost `drop`: ln t + (1/t² − 1)/2 = drop/dof."""
+    """Return factors t < 1 < t' on the level that lower the likelihood by `drop`: ln t + (1/t² − 1)/2 = drop/dof."""
 
     def lost(t: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.log(t) + 0.5 * (t**-2 - 1.0) - drop / dof
@@ -159,10 +159,10 @@ def _level_limits(dof: int, drop: NDArray[np.float64]) -> tuple[NDArray[np.float
 
 
 def _marginal_line(profile: _Profile, centre: float, dof: int, best: int) -> NDArray[np.float64]:
-    """(2, 3): intercept at 0 and slope, with the 2.5 % and 97.5 % points of the mixture of t's over λ."""
+    """Return intercept at 0 and slope with the 2.5 % and 97.5 % points of the mixture of t over λ, (2, 3)."""
     from scipy.special import stdtr  # Student's distribution function, without the overhead of scipy.stats
 
-    some = slice(best % _THIN, None, _THIN)  # enough for an integral
+    some = slice(best % _THIN, None, _THIN)  # sufficient for the integral
     weight = np.exp(profile.likelihood[some] - profile.likelihood[best])
     weight /= weight.sum()
     c, level, best = profile.covariance[some], profile.level[some], best // _THIN

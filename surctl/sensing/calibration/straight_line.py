@@ -1,4 +1,4 @@
-"""A weighted straight line by least squares, and how far each row lies from it."""
+"""Weighted least-squares fit of a straight line, and its studentised residuals."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ __all__ = ["StraightLine", "fit_line", "studentised_residuals"]
 
 @dataclass(frozen=True, kw_only=True)
 class StraightLine:
-    """y = beta[0] + beta[1]·x by least squares of rows with known relative sd.
+    """Least-squares fit y = beta[0] + beta[1]·x to rows with known relative sd.
 
     Attributes:
-        beta: (2,) intercept, slope.
-        beta_sd: (2,) their standard errors.
-        residuals: (n,).
-        scaled: (n,) residuals over the relative sd.
+        beta: (2,) intercept and slope.
+        beta_sd: (2,) standard errors of intercept and slope.
+        residuals: (n,) residuals y − line.
+        scaled: (n,) residuals divided by the relative sd.
         leverage: (n,) diagonal of the hat matrix.
-        sd: of a row of relative sd 1, with n − 2 degrees of freedom.
+        sd: estimated sd of a row with relative sd 1, with n − 2 degrees of freedom.
     """
 
     beta: NDArray[np.float64]
@@ -33,10 +33,10 @@ class StraightLine:
 
 
 def fit_line(x: NDArray[np.float64], y: NDArray[np.float64], relative: NDArray[np.float64]) -> StraightLine:
-    """Least squares of y (n,) on x (n,), each row over its relative sd (n,) > 0; n > 2, x not all one."""
+    """Fit y (n,) on x (n,) by least squares, each row divided by its relative sd (n,) > 0; n > 2, x not all equal."""
     columns = np.column_stack([np.ones_like(x), x]) / relative[:, None]
     q, r = np.linalg.qr(columns)
-    error = (y - x) / relative  # about the line with slope 1, near which sensors are: no digits go
+    error = (y - x) / relative  # from slope 1, which is typical of sensors: avoids loss of digits
     beta = np.linalg.solve(r, q.T @ error)
     scaled = error - columns @ beta
     sd = sqrt(float(scaled @ scaled) / (len(x) - 2))
@@ -52,9 +52,9 @@ def fit_line(x: NDArray[np.float64], y: NDArray[np.float64], relative: NDArray[n
 
 
 def studentised_residuals(line: StraightLine) -> NDArray[np.float64]:
-    """Externally studentised residuals (n,) (Cook and Weisberg 1982): over the sd that the other rows have.
+    """Return the externally studentised residuals (n,), divided by the sd of the other rows (Cook and Weisberg 1982).
 
-    Very large, not infinite, where the others leave no noise; n > 3.
+    A residual is very large, but finite, if the other rows have no noise. The function requires n > 3.
     """
     n = len(line.scaled)
     free = np.maximum(1.0 - line.leverage, 1e-12)

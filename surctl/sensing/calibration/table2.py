@@ -1,4 +1,4 @@
-"""Table II of the paper as data: the sensor's range test in air and water."""
+"""Table II of the paper as data: the range test of one sensor in air and in water."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ MEDIA: tuple[Medium, ...] = ("air", "water")
 
 @dataclass(frozen=True)
 class MediumTest:
-    """One medium's column.
+    """The readings of a range test in one medium.
 
     Attributes:
         measured: (n,) readings [m].
-        printed_percent: (n,) relative errors as printed [%], one decimal.
+        printed_percent: (n,) relative errors as printed, with one decimal [%].
     """
 
     measured: NDArray[np.float64]
@@ -33,13 +33,13 @@ class MediumTest:
 
 @dataclass(frozen=True)
 class RangeTest:
-    """A range test.
+    """A range test in air and in water.
 
     Attributes:
         desired: (n,) true distances [m].
         air: readings in air.
         water: readings in water.
-        provenance: where the numbers come from.
+        provenance: origin of the numbers.
     """
 
     desired: NDArray[np.float64]
@@ -48,22 +48,22 @@ class RangeTest:
     provenance: str
 
     def errors(self, medium: Medium) -> NDArray[np.float64]:
-        """Measured less desired (n,) [m]."""
+        """Return measured minus desired distance (n,) [m]."""
         error: NDArray[np.float64] = self.column(medium).measured - self.desired
         return error
 
     def percent(self, medium: Medium) -> NDArray[np.float64]:
-        """Relative error |measured − desired| / desired recomputed (n,) [%], not rounded."""
+        """Return the recomputed relative error |measured − desired| / desired (n,) [%], not rounded."""
         relative: NDArray[np.float64] = 100.0 * np.abs(self.errors(medium)) / self.desired
         return relative
 
     def disagreeing(self, medium: Medium) -> NDArray[np.intp]:
-        """Indices of the rows whose printed percentage is not the recomputed one to its one decimal (E2)."""
+        """Return the indices of the rows whose printed percentage differs from the recomputed, rounded one (E2)."""
         gap = np.abs(self.percent(medium) - self.column(medium).printed_percent)
         return np.flatnonzero(gap > 0.05 + 1e-9)
 
     def column(self, medium: Medium) -> MediumTest:
-        """One medium's readings."""
+        """Return the readings in one medium."""
         return self.air if medium == "air" else self.water
 
 
@@ -88,10 +88,10 @@ class _File(Strict):
 
 
 def table_ii() -> RangeTest:
-    """Table II, 18 distances from 0.25 to 1.95 m.
+    """Return Table II: readings at 18 distances from 0.25 to 1.95 m.
 
     Raises:
-        InputError: the shipped file is damaged.
+        InputError: if the file in the package is damaged.
 
     Example:
         >>> from surctl.sensing import table_ii
@@ -105,7 +105,7 @@ def table_ii() -> RangeTest:
     for key, medium in (("air", model.air), ("water", model.water)):
         if {len(medium.measured), len(medium.error_percent)} != {count}:
             raise InputError(
-                f"columns differ from the {count} distances", file=path, key=key, remedy="restore the file"
+                f"columns differ in length from the {count} distances", file=path, key=key, remedy="restore the file"
             )
     return RangeTest(
         _metres(model.desired.values), _medium_test(model.air), _medium_test(model.water), model.provenance

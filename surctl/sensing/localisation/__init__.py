@@ -1,1 +1,1 @@
-"""Where the robot and the moving obstacles are, by what the base station tells, late or not at all."""
+"""Localisation of the robot and of moving obstacles from messages of the base station, which may be late or lost."""

@@ -1,8 +1,9 @@
-"""What the base station tells the robot: moving obstacles, and the robot's own position.
+"""Measurements by the base station: moving obstacles, and the robot's own position.
 
-`observe` and `measure` are at once and never lost; `message` and `fix` come late, at a period, and some never. What was
-so long ago, the caller knows: it keeps it (`delayed`), or can say where an obstacle was. Noise is white and Gaussian,
-from standard normal numbers that the caller draws. What ends in `_symbols` is the same for a compiled loop.
+`observe` and `measure` return measurements without delay or loss. `message` and `fix` return periodic measurements that
+arrive late, and some are lost. The caller passes the state at the time of a late measurement, from a buffer (`delayed`)
+or from the known motion of an obstacle. The noise is white and Gaussian; the caller draws the standard normal numbers.
+Methods whose names end in `_symbols` do the same in CasADi symbols, for a compiled loop.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ __all__ = ["BaseStation", "OwnState"]
 
 @dataclass(frozen=True, kw_only=True)
 class BaseStation:
-    """Measures position and velocity of moving obstacles.
+    """The base station, which measures position and velocity of moving obstacles.
 
     Attributes:
-        position_sd: standard deviation of each coordinate [m].
-        velocity_sd: standard deviation of each component [m/s].
-        messages: how `message` reaches the robot.
+        position_sd: standard deviation of each measured coordinate [m].
+        velocity_sd: standard deviation of each measured velocity component [m/s].
+        messages: period, latency and loss of the messages of `message`.
     """
 
     position_sd: float = 0.01
@@ -35,27 +36,27 @@ class BaseStation:
     messages: Delivery = field(default_factory=Delivery)
 
     def __post_init__(self) -> None:
-        """Check the values; InputError names the wrong one."""
+        """Check the values; raise an InputError that names an invalid value."""
         _check("base_station.position_sd", self.position_sd, unit="m")
         _check("base_station.velocity_sd", self.velocity_sd, unit="m/s")
 
     def observe(
         self, positions: NDArray[np.float64], velocities: NDArray[np.float64], *, noise: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Measured positions (K, 2) [m] and velocities (K, 2) [m/s] in {E} of K obstacles; K may be 0.
+        """Return measured positions (K, 2) [m] and velocities (K, 2) [m/s] in {E} of K obstacles; K may be 0.
 
         Args:
-            positions: (K, 2) [m] in {E}.
-            velocities: (K, 2) [m/s] in {E}.
-            noise: (K, 4) standard normal numbers, for x, y, and the velocity's.
+            positions: (K, 2) true positions [m] in {E}.
+            velocities: (K, 2) true velocities [m/s] in {E}.
+            noise: (K, 4) standard normal numbers, for x, y, and both velocity components.
 
         Raises:
-            InputError: shapes that are not (K, 2), or differ, or noise that does not fit them.
+            InputError: if the shapes are not (K, 2) and (K, 2), or `noise` does not fit them.
         """
         where, speed = np.asarray(positions, dtype=float), np.asarray(velocities, dtype=float)
         if where.ndim != 2 or where.shape[1] != 2 or where.shape != speed.shape:
             raise InputError(
-                f"have shapes {where.shape} and {speed.shape}", key="positions, velocities", remedy="(K, 2)"
+                f"have shapes {where.shape} and {speed.shape}", key="positions, velocities", remedy="give (K, 2) both"
             )
         if np.shape(noise) != (len(where), 4):
             raise InputError(f"has shape {np.shape(noise)}", key="noise", remedy=f"give ({len(where)}, 4)")
@@ -64,17 +65,17 @@ class BaseStation:
     def message(
         self, then: NDArray[np.float64], step: int, *, noise: NDArray[np.float64], chance: float, dt: float
     ) -> tuple[NDArray[np.float64], bool]:
-        """The message (K, 6) that arrives at a control period, and whether one does; zeros when none.
+        """Return the message (K, 6) that arrives at a control period, and whether one arrives; zeros if none does.
 
         Args:
-            then: (K, 6) obstacles as they were `messages.latency` ago in {E}: x, y, radius, vx, vy, valid.
+            then: (K, 6) true states of the obstacles `messages.latency` ago in {E}: x, y, radius, vx, vy, valid.
             step: number of the control period, from 0.
-            noise: (K, 4) standard normal numbers, for x, y, and the velocity's.
-            chance: one more, for the loss of the whole message.
+            noise: (K, 4) standard normal numbers, for x, y, and both velocity components.
+            chance: a standard normal number that decides the loss of the whole message.
             dt: control period [s].
 
         Raises:
-            InputError: a shape that does not fit, or a delivery that is not of whole periods.
+            InputError: if a shape does not fit, or period or latency is not a multiple of dt.
         """
         rows = np.array(then, dtype=float)
         if rows.ndim != 2 or rows.shape[1] != 6:
@@ -87,7 +88,7 @@ class BaseStation:
     def message_symbols(
         self, then: ca.SX, step: ca.SX, *, noise: ca.SX, chance: ca.SX, dt: float
     ) -> tuple[ca.SX, ca.SX]:
-        """`message` in symbols: (K, 6), and 0 or 1."""
+        """Return the results of `message` in CasADi symbols: (K, 6), and 0 or 1."""
         arrived = self.messages.arrives_symbols(step, chance=chance, dt=dt)
         place, speed = then[:, :2] + self.position_sd * noise[:, :2], then[:, 3:5] + self.velocity_sd * noise[:, 2:]
         rows = ca.horzcat(place, then[:, 2], speed, then[:, 5])
@@ -97,13 +98,13 @@ class BaseStation:
 
 @dataclass(frozen=True, kw_only=True)
 class OwnState:
-    """Measures the robot itself: position by the camera, yaw and yaw rate by the IMU; zeros give the truth.
+    """Measurement of the robot's own state: position by the camera, yaw and yaw rate by the IMU.
 
     Attributes:
-        position_sd: standard deviation of x, y and z [m].
-        yaw_sd: standard deviation of ψ [rad].
-        rate_sd: standard deviation of r [rad/s] (*chosen*).
-        fixes: how `fix` reaches the robot.
+        position_sd: standard deviation of measured x, y and z [m]; 0 gives exact values.
+        yaw_sd: standard deviation of measured ψ [rad]; 0 gives exact values.
+        rate_sd: standard deviation of measured r [rad/s] (*chosen*); 0 gives exact values.
+        fixes: period, latency and loss of the position fixes of `fix`.
     """
 
     position_sd: float = 0.01
@@ -112,7 +113,7 @@ class OwnState:
     fixes: Delivery = field(default_factory=Delivery)
 
     def __post_init__(self) -> None:
-        """Check the values; InputError names the wrong one."""
+        """Check the values; raise an InputError that names an invalid value."""
         _check("own_state.position_sd", self.position_sd, unit="m")
         _check("own_state.yaw_sd", self.yaw_sd, unit="rad")
         _check("own_state.rate_sd", self.rate_sd, unit="rad/s")
@@ -120,16 +121,16 @@ class OwnState:
     def fix(
         self, then: NDArray[np.float64], step: int, *, noise: NDArray[np.float64], dt: float
     ) -> tuple[NDArray[np.float64], bool]:
-        """The fix (3,) [m] in {E} that arrives at a control period, and whether one does; zeros when none.
+        """Return the fix (3,) [m] in {E} that arrives at a control period, and whether one arrives; zeros if none does.
 
         Args:
-            then: (3,) x, y, z as they were `fixes.latency` ago [m].
+            then: (3,) true x, y, z at the time `fixes.latency` ago [m].
             step: number of the control period, from 0.
             noise: (4,) standard normal numbers, for x, y, z and the loss.
             dt: control period [s].
 
         Raises:
-            InputError: a shape that does not fit, or a delivery that is not of whole periods.
+            InputError: if a shape does not fit, or period or latency is not a multiple of dt.
         """
         place = np.asarray(then, dtype=float)
         if place.shape != (3,) or np.shape(noise) != (4,):
@@ -140,14 +141,14 @@ class OwnState:
         return (place + self.position_sd * noise[:3] if arrived else np.zeros(3)), arrived
 
     def fix_symbols(self, then: ca.SX, step: ca.SX, *, noise: ca.SX, dt: float) -> tuple[ca.SX, ca.SX]:
-        """`fix` in symbols: (3,), and 0 or 1."""
+        """Return the results of `fix` in CasADi symbols: (3,), and 0 or 1."""
         arrived = self.fixes.arrives_symbols(step, chance=noise[3], dt=dt)
         return ca.if_else(arrived, then + self.position_sd * noise[:3], 0.0), arrived
 
     def imu(
         self, eta: NDArray[np.float64], nu: NDArray[np.float64], *, noise: NDArray[np.float64]
     ) -> tuple[float, float]:
-        """Measured ψ [rad] and r [rad/s], of η (4,) and ν (4,), with two standard normal numbers."""
+        """Return measured ψ [rad] and r [rad/s] for true η (4,) and ν (4,); `noise` is two standard normal numbers."""
         if np.shape(eta) != (4,) or np.shape(nu) != (4,) or np.shape(noise) != (2,):
             raise InputError(
                 f"have shapes {np.shape(eta)}, {np.shape(nu)} and {np.shape(noise)}",
@@ -157,21 +158,21 @@ class OwnState:
         return float(eta[3] + self.yaw_sd * noise[0]), float(nu[3] + self.rate_sd * noise[1])
 
     def imu_symbols(self, eta: ca.SX, nu: ca.SX, *, noise: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """`imu` in symbols."""
+        """Return the results of `imu` in CasADi symbols."""
         return eta[3] + self.yaw_sd * noise[0], nu[3] + self.rate_sd * noise[1]
 
     def measure(
         self, eta: NDArray[np.float64], nu: NDArray[np.float64], *, noise: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Measured η (4,) in {E} [m, rad] and ν (4,) in {B} [m/s, rad/s]; ν comes through without noise.
+        """Return measured η (4,) in {E} [m, rad], and ν (4,) in {B} [m/s, rad/s] without noise.
 
         Args:
-            eta: (4,).
-            nu: (4,).
+            eta: (4,) true η.
+            nu: (4,) true ν.
             noise: (4,) standard normal numbers, for x, y, z and ψ.
 
         Raises:
-            InputError: a shape that is not (4,).
+            InputError: if a shape is not (4,).
         """
         pose, velocity = np.asarray(eta, dtype=float), np.array(nu, dtype=float)
         if pose.shape != (4,) or velocity.shape != (4,) or np.shape(noise) != (4,):

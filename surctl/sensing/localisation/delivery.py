@@ -1,6 +1,7 @@
-"""When messages arrive: at a period, late, some lost by chance, none during a scheduled gap.
+"""Delivery of messages: periodic and late, with random losses and scheduled gaps.
 
-Pure functions of the number of the control period, for the loop in Python and, in symbols, for the compiled one.
+The functions depend only on the number of the control period and on a random number. They exist for the Python loop
+and, in CasADi symbols, for the compiled loop.
 """
 
 from __future__ import annotations
@@ -17,19 +18,19 @@ from surctl.errors import InputError
 
 __all__ = ["Delivery", "delayed", "delayed_symbols", "whole_steps"]
 
-_ALWAYS = 1e300  # bound of a standard normal number that none reaches
-_ROUNDING = 1e-9  # [1] of a count of steps
+_ALWAYS = 1e300  # bound that no standard normal number reaches
+_ROUNDING = 1e-9  # [1] tolerance of a number of steps
 
 
 @dataclass(frozen=True, kw_only=True)
 class Delivery:
-    """How messages of one kind reach the robot.
+    """Period, latency and losses of one kind of message to the robot.
 
     Attributes:
-        period: between two measurements [s] (*chosen*).
-        latency: from the measurement to the arrival [s] (*chosen*).
-        loss: chance that a message never arrives, each by itself.
-        gaps: (start, end) [s] of the run in which nothing is measured; what is under way then still arrives.
+        period: time between two measurements [s] (*chosen*).
+        latency: time from a measurement to its arrival [s] (*chosen*).
+        loss: probability that a message is lost, independent for each message.
+        gaps: intervals (start, end) [s] of the run without measurements; messages already under way still arrive.
     """
 
     period: float = 0.1
@@ -38,38 +39,38 @@ class Delivery:
     gaps: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the values; InputError names the wrong one."""
+        """Check the values; raise an InputError that names an invalid value."""
         if not (isfinite(self.period) and self.period > 0):
             raise InputError("must be greater than 0", key="delivery.period", value=self.period, remedy="give s")
         if not (isfinite(self.latency) and self.latency >= 0):
             raise InputError("must be at least 0", key="delivery.latency", value=self.latency, remedy="give s")
         if not 0 <= self.loss <= 1:
-            raise InputError("must lie between 0 and 1", key="delivery.loss", value=self.loss, remedy="give a chance")
+            raise InputError("must lie between 0 and 1", key="delivery.loss", value=self.loss, remedy="give 0 to 1")
         gaps = tuple(tuple(float(end) for end in gap) for gap in self.gaps)
         for gap in gaps:
             if len(gap) != 2 or not (isfinite(gap[1]) and 0 <= gap[0] < gap[1]):
-                raise InputError("is no interval", key="delivery.gaps", value=gap, remedy="give (start, end) in s")
+                raise InputError("is not an interval", key="delivery.gaps", value=gap, remedy="give (start, end) in s")
         object.__setattr__(self, "gaps", gaps)
 
     @property
     def lost_below(self) -> float:
-        """A message is lost when its standard normal number lies below this."""
+        """Threshold of loss: a message is lost if its standard normal number lies below this value."""
         if self.loss in (0, 1):
             return _ALWAYS if self.loss else -_ALWAYS
         return NormalDist().inv_cdf(self.loss)
 
     def late(self, dt: float) -> int:
-        """Control periods of `dt` [s] between measurement and arrival; InputError when they are not whole."""
+        """Return the control periods of `dt` [s] between measurement and arrival; InputError if not a whole number."""
         return whole_steps("delivery.latency", self.latency, dt=dt)
 
     def every(self, dt: float) -> int:
-        """Control periods of `dt` [s] between two measurements; InputError when they are not whole."""
+        """Return the control periods of `dt` [s] between two measurements; InputError if not a whole number."""
         return whole_steps("delivery.period", self.period, dt=dt)
 
     def arrives(self, step: int, *, chance: float, dt: float) -> bool:
-        """Whether a message arrives at this control period; it describes the world `late(dt)` periods before.
+        """Return whether a message arrives at this control period, with a measurement from `late(dt)` periods before.
 
-        The first measurement is that of period 0.
+        The first measurement takes place at period 0.
 
         Args:
             step: number of the control period, from 0.
@@ -77,14 +78,14 @@ class Delivery:
             dt: control period [s].
 
         Raises:
-            InputError: period or latency is no multiple of dt.
+            InputError: if period or latency is not a multiple of dt.
         """
         measured = step - self.late(dt)
         due = measured >= 0 and measured % self.every(dt) == 0
         return due and chance >= self.lost_below and not any(a <= measured < b for a, b in self._blind(dt))
 
     def arrives_symbols(self, step: ca.SX, *, chance: ca.SX, dt: float) -> ca.SX:
-        """`arrives` in symbols, 0 or 1; `step` a whole number."""
+        """Return the result of `arrives` in CasADi symbols, 0 or 1; `step` is a whole number."""
         measured, every = step - self.late(dt), self.every(dt)
         there = ca.logic_and(measured >= 0, measured - every * ca.floor(measured / every) == 0)
         there = ca.logic_and(there, chance >= self.lost_below)
@@ -93,15 +94,15 @@ class Delivery:
         return there
 
     def _blind(self, dt: float) -> list[tuple[int, int]]:
-        """The gaps in control periods: from the first to before the last."""
+        """Return the gaps as control periods: the first period in the gap, and the first period after it."""
         return [(ceil(a / dt - _ROUNDING), ceil(b / dt - _ROUNDING)) for a, b in self.gaps]
 
 
 def whole_steps(key: str, time: float, *, dt: float) -> int:
-    """A time [s] in control periods of `dt` [s].
+    """Return a time [s] as a number of control periods of `dt` [s].
 
     Raises:
-        InputError: it is not a multiple of dt; `key` names it.
+        InputError: if the time is not a multiple of dt; the error names it by `key`.
     """
     count = round(time / dt)
     if abs(time / dt - count) > 1e-6:
@@ -110,11 +111,11 @@ def whole_steps(key: str, time: float, *, dt: float) -> int:
 
 
 def delayed(ring: NDArray[np.float64], now: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What was so many steps ago, (n,), and the ring one step on, (k, n).
+    """Return the value of k steps ago, (n,), and the updated ring of the last k values, (k, n).
 
     Args:
-        ring: (k, n) the last k values, newest first; k is the number of steps, 0 for none.
-        now: (n,) this step's.
+        ring: (k, n) last k values, newest first; with k = 0 there is no delay.
+        now: (n,) present value.
 
     Example:
         >>> import numpy as np
@@ -129,7 +130,7 @@ def delayed(ring: NDArray[np.float64], now: NDArray[np.float64]) -> tuple[NDArra
 
 
 def delayed_symbols(ring: ca.SX, now: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """`delayed` in symbols: (n, 1) and (k, n).
+    """Return the results of `delayed` in CasADi symbols: (n, 1) and (k, n).
 
     Example:
         >>> import casadi as ca

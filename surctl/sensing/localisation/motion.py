@@ -1,4 +1,4 @@
-"""The believed vehicle's acceleration in symbols, and small tools of the own-state filter."""
+"""The acceleration of the vehicle model in CasADi symbols, and helper functions of the own-state filter."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _LEAST_MASS = 1e-6  # [kg]
 def believed_acceleration(
     psi: ca.SX, velocity: ca.SX, rate: ca.SX, thrust: ca.SX, model: Mapping[str, ca.SX], dt: float
 ) -> tuple[ca.SX, ca.SX]:
-    """Mean acceleration over a step, (3,) in {E} [m/s²], and yaw acceleration [rad/s²], of the believed vehicle (3).
+    """Return the vehicle model's (3) mean acceleration over a step, (3,) in {E} [m/s²], and yaw acceleration [rad/s²].
 
-    A linearly implicit step: drag acts as it will be half-way, so that no drag is too large for the period. In {E} only
-    the unequal part of M leaves a Coriolis force: (m22 − m11)(v r, u r, 0, −u v) in {B}.
+    The step is linearly implicit: it uses the drag at half the period, so that it is stable for any drag. In {E} only
+    the difference of m11 and m22 causes a Coriolis force: (m22 − m11)(v r, u r, 0, −u v) in {B}.
     """
     c, s = ca.cos(psi), ca.sin(psi)
     nu = ca.vertcat(c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0], velocity[2], rate)
@@ -31,13 +31,13 @@ def believed_acceleration(
 
 
 def from_upper(upper: ca.SX) -> ca.SX:
-    """A covariance (3, 3) from its upper triangle (6,)."""
+    """Return a covariance (3, 3) from its upper triangle (6,)."""
     a, b, c, d, e, f = (upper[k] for k in range(6))
     return ca.vertcat(ca.horzcat(a, b, c), ca.horzcat(b, d, e), ca.horzcat(c, e, f))
 
 
 def wrapped(angle: ca.SX) -> ca.SX:
-    """The same angle [rad] in (−π, π]."""
+    """Return the same angle [rad] in (−π, π]."""
     turn = 2.0 * pi
     once = angle + turn * ca.floor((pi - angle) / turn)
     return once - turn * (once > pi) + turn * (once <= -pi)

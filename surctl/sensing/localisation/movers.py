@@ -1,6 +1,6 @@
-"""Moving obstacles from late and lost messages: where each is now, and how far off that may be.
+"""Tracking of moving obstacles from messages that may be late or lost: present positions, with error bounds.
 
-CasADi expressions with explicit state: they are part of the exported law. `mover_step` is the same in plain NumPy.
+The tracker builds CasADi expressions with explicit state for the exported law. `mover_step` is the same in NumPy.
 """
 
 from __future__ import annotations
@@ -23,34 +23,35 @@ T = TypeVar("T")
 
 
 class Movers(NamedTuple, Generic[T]):
-    """The moving obstacles at a control step: SX, or arrays from the numeric twin."""
+    """The moving obstacles at a control step: SX expressions from `MoverTracker.update`, arrays from `mover_step`."""
 
     state: dict[str, T]
     """Next state by port name."""
     rows: T
     """(slots, 6) contacts now in {E}: x, y, radius [m], vx, vy [m/s], valid; zeros in an empty slot."""
     bound: T
-    """(slots,) how far off the centre may be [m]; 0 in an empty slot."""
+    """(slots,) bound of the error of the centre [m]; 0 in an empty slot."""
     age: T
-    """(slots,) time since the moment that the slot's message describes [s]; `forget + dt` in an empty slot."""
+    """(slots,) time since the measurement in the slot's message [s]; `forget + dt` in an empty slot."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MoverTracker:
-    """Holds each slot's last message and carries it on in a straight line.
+    """Tracker that stores each slot's last message and extrapolates it in a straight line.
 
-    The bound is `sigmas`·(position_sd + velocity_sd·age) + acceleration·age²/2. A slot that the station itself calls
-    empty is empty at once; one that it is silent about is kept until `forget`.
+    The bound is `sigmas`·(position_sd + velocity_sd·age) + acceleration·age²/2. If a message marks a slot as empty,
+    the slot is empty at once. If no message arrives, the tracker keeps the obstacle until its age exceeds `forget`.
 
     Attributes:
         dt: control period [s].
         slots: number of obstacles that a message can hold, 1 or more.
         latency: age of a message when it arrives [s], below `forget`.
-        position_sd: of each coordinate in a message [m].
-        velocity_sd: of each velocity component [m/s].
-        acceleration: largest of an obstacle [m/s²] (*chosen*: a light robot of the same size under full thrust).
+        position_sd: standard deviation of each coordinate in a message [m].
+        velocity_sd: standard deviation of each velocity component in a message [m/s].
+        acceleration: largest acceleration of an obstacle [m/s²] (*chosen*: a light robot of the same size under full
+            thrust).
         forget: longest age of a message [s] (*chosen*).
-        sigmas: standard deviations in the bound (*chosen*: 3 hold 98.9 % of a planar Gaussian).
+        sigmas: number of standard deviations in the bound (*chosen*: 3 contain 98.9 % of a planar Gaussian).
     """
 
     dt: float
@@ -63,7 +64,7 @@ class MoverTracker:
     sigmas: float = 3.0
 
     def __post_init__(self) -> None:
-        """Check the values; InputError names the wrong one."""
+        """Check the values; raise an InputError that names an invalid value."""
         if self.slots != int(self.slots) or self.slots < 1:
             raise InputError("must be a whole number, at least 1", key="movers.slots", value=self.slots)
         if not (isfinite(self.dt) and self.dt > 0):
@@ -81,7 +82,7 @@ class MoverTracker:
             )
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
-        """The state; it starts with every slot empty."""
+        """Return the ports of the state; in the initial state every slot is empty."""
         return (
             Port(
                 f"{prefix}latest", (self.slots, 5), "m, m/s", "last message of each slot: x, y, radius, vx, vy in {E}"
@@ -90,7 +91,7 @@ class MoverTracker:
                 f"{prefix}age",
                 (self.slots,),
                 "s",
-                "since the moment that it describes, held at forget + dt",
+                "time since the measurement in that message, at most forget + dt",
                 self.forget + self.dt,
             ),
         )
@@ -98,14 +99,14 @@ class MoverTracker:
     def update(
         self, state: Mapping[str, ca.SX], *, message: ca.SX, message_fresh: ca.SX, prefix: str = ""
     ) -> Movers[ca.SX]:
-        """One control step.
+        """Return the moving obstacles after one control step.
 
         Args:
-            state: by port name, shapes of `ports(prefix)`.
-            message: (slots, 6) x, y, radius, vx, vy, valid, as it was `latency` ago in {E}; ignored, but finite, when
-                there is none.
-            message_fresh: 1 when one has arrived since the last step, else 0.
-            prefix: of the names of the state.
+            state: state by port name, with the shapes of `ports(prefix)`.
+            message: (slots, 6) x, y, radius, vx, vy, valid, measured `latency` ago in {E}; if no message arrived, any
+                finite values.
+            message_fresh: 1 if a message has arrived since the last step, else 0.
+            prefix: prefix of the port names of the state.
         """
         fresh = message_fresh > 0.5
 
@@ -115,7 +116,7 @@ class MoverTracker:
             older = ca.if_else(cleared, self._empty, ca.fmin(old + self.dt, self._empty))
             age = ca.if_else(received, self.latency, older)
             latest = ca.if_else(received, message[:5], last)
-            # half a step of slack: sums of dt are not exact
+            # tolerance of half a step, because sums of dt are not exact
             valid = age <= self.forget + 0.5 * self.dt
             now = ca.vertcat(latest[:2] + age * latest[3:5], latest[2:], 1)
             bound = self.sigmas * (self.position_sd + self.velocity_sd * age) + 0.5 * self.acceleration * age * age
@@ -149,7 +150,7 @@ def mover_step(
     message_fresh: float,
     prefix: str = "",
 ) -> Movers[NDArray[np.float64]]:
-    """`MoverTracker.update` in plain NumPy: arrays of the ports' shapes, left as they are.
+    """Return the result of `MoverTracker.update` from NumPy arrays in the ports' shapes, which remain unchanged.
 
     Example:
         >>> import numpy as np

@@ -1,4 +1,4 @@
-"""The own-state filter in plain NumPy: the same numbers as `OwnStateFilter.update`, written apart from it."""
+"""The own-state filter in NumPy: an independent implementation of `OwnStateFilter.update` with the same results."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ def own_state_step(
     model: Mapping[str, Vector],
     prefix: str = "",
 ) -> OwnEstimate[Vector]:
-    """One control step; arguments and result as `OwnStateFilter.update` has them, arrays of the ports' shapes.
+    """Return the estimate after one control step, as `OwnStateFilter.update`, from arrays in the ports' shapes.
 
     Args:
         own: the filter.
-        state: by port name, as `Layout(own.ports(prefix)).unpack` gives it; left as it is.
-        fix: (3,) [m] in {E}.
-        fix_fresh: 0 or 1.
-        yaw: [rad].
-        yaw_rate: [rad/s].
-        tau: (4,) [N, N m].
-        model: `mass`, `linear_drag`, `quadratic_drag`, `thrust_limit`, (4,) each.
-        prefix: of the names of the state.
+        state: state by port name, as from `Layout(own.ports(prefix)).unpack`; it remains unchanged.
+        fix: (3,) position fix [m] in {E}.
+        fix_fresh: 1 if a fix has arrived since the last step, else 0.
+        yaw: measured ψ [rad].
+        yaw_rate: measured r [rad/s].
+        tau: (4,) command of the previous step [N, N m].
+        model: `mass`, `linear_drag`, `quadratic_drag`, `thrust_limit` of the vehicle model, (4,) each.
+        prefix: prefix of the port names of the state.
 
     Example:
         >>> import numpy as np
@@ -107,7 +107,7 @@ def own_state_step(
 
 
 def _carried(own: OwnStateFilter, x: Vector, accelerations: Vector) -> Vector:
-    """Position, velocity and disturbance (rows of (3, 3)) after the steps of a ring (k, 3), newest first."""
+    """Return position, velocity and disturbance (rows of (3, 3)) after the steps of a ring (k, 3), newest first."""
     phi = own.step[0]
     for acceleration in accelerations[::-1]:
         x = phi @ x + np.outer([0.5 * own.dt**2, own.dt, 0.0], acceleration)
@@ -115,7 +115,7 @@ def _carried(own: OwnStateFilter, x: Vector, accelerations: Vector) -> Vector:
 
 
 def _grown(own: OwnStateFilter, P: Vector, accelerations: Vector) -> Vector:
-    """Covariance (3, 3) after the steps of a ring (k, 3), newest first."""
+    """Return the covariance (3, 3) after the steps of a ring (k, 3), newest first."""
     phi, noise = own.step
     for acceleration in accelerations[::-1]:
         P = phi @ P @ phi.T + noise + (acceleration @ acceleration) * own.model_covariance
@@ -125,7 +125,7 @@ def _grown(own: OwnStateFilter, P: Vector, accelerations: Vector) -> Vector:
 def _corrected(
     own: OwnStateFilter, old: Mapping[str, Vector], x: Vector, P: Vector, fix: Vector, fresh: bool
 ) -> tuple[dict[str, Vector], Vector]:
-    """What the fix makes of the filter of `latency` ago, after its step."""
+    """Return the filter's stored values and means (3, 3) for the time `latency` ago, corrected by the fix."""
     known, refused, offset = bool(old["known"][0]), float(old["refused"][0]), old["offset"]
     age, R = min(float(old["age"][0]) + own.dt, LONGEST_AGE), own.position_sd**2
     error = fix - x[0]
@@ -155,7 +155,7 @@ def _corrected(
 def _acceleration(
     psi: float, velocity: Vector, rate: float, thrust: Vector, model: Mapping[str, Vector], dt: float
 ) -> tuple[Vector, float]:
-    """Mean acceleration over a step in {E} [m/s²], and yaw acceleration [rad/s²], of the believed vehicle."""
+    """Return the vehicle model's mean acceleration over a step in {E} [m/s²], and its yaw acceleration [rad/s²]."""
     nu = np.append(_turned(-psi) @ velocity, rate)
     mass = np.maximum(model["mass"], 1e-6)
     X, XX = np.asarray(model["linear_drag"]), np.asarray(model["quadratic_drag"])
@@ -166,20 +166,20 @@ def _acceleration(
 
 
 def _turned(psi: float) -> Vector:
-    """Rotation (3, 3) about z."""
+    """Return the rotation matrix (3, 3) about z."""
     c, s = cos(psi), sin(psi)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _square(upper: Vector) -> Vector:
-    """A covariance (3, 3) from its upper triangle (6,)."""
+    """Return a covariance (3, 3) from its upper triangle (6,)."""
     P = np.zeros((3, 3))
     P[np.triu_indices(3)] = upper
     return P + np.triu(P, 1).T
 
 
 def _wrap(angle: float) -> float:
-    """The same angle [rad] in (−π, π]."""
+    """Return the same angle [rad] in (−π, π]."""
     turns = np.floor((pi - angle) / (2 * pi))
     once = float(angle + 2 * pi * turns)
     return once - 2 * pi if once > pi else once + 2 * pi if once <= -pi else once

@@ -1,15 +1,15 @@
-"""Where the robot is and how fast it moves: late camera fixes, IMU and the believed vehicle in one Kalman filter.
+"""The own-state filter: a Kalman filter for position and velocity from late camera fixes, IMU and vehicle model.
 
-The filter of the position lives `latency` ago: there a fix is compared with the position of that very moment, by
-plain Kalman steps, after gaps of any length. From there to now it goes by the accelerations of the steps between,
-which are kept in a ring. They are those of the believed vehicle (3) under the last command (thrust limit and lag, drag
-at the estimated ground velocity), turned to {E} by the heading; what the model does not know (mass, drag, waves,
-current) is a disturbing acceleration in {E}, estimated with the rest.
+The filter estimates the position `latency` ago. So it compares each fix with the position at the time of measurement,
+by plain Kalman steps, even after long gaps. It predicts the present position with the accelerations of the steps since
+then, which it stores in a ring. The accelerations come from the vehicle model (3) under the last command (with thrust
+limit and lag, and drag at the estimated ground velocity), rotated to {E} by the heading. The filter also estimates a
+disturbance acceleration in {E}, which represents all model errors (mass, drag, waves, current).
 
-x, y and z share one covariance, without the drag that would damp it: in a gap it errs on the wide side. Yaw and yaw
-rate are measured in every step, so their gains are constant.
+x, y and z share one covariance, which ignores the damping by drag, so that in a gap it is too large rather than too
+small. Yaw and yaw rate are measured in every step, so their gains are constant.
 
-CasADi expressions with explicit state: they are part of the exported law.
+The filter builds CasADi expressions with explicit state for the exported law.
 """
 
 from __future__ import annotations
@@ -34,52 +34,53 @@ __all__ = ["BELIEVED_AFTER", "LONGEST_AGE", "LONGEST_LATENCY", "UNKNOWN_SD", "Ow
 
 T = TypeVar("T")
 
-LONGEST_LATENCY = 1.0  # [s] beyond it a believed vehicle says nothing of now (*chosen*)
-LONGEST_AGE = 60.0  # [s] an older fix is as good as none
-BELIEVED_AFTER = 3  # refused fixes in a row that agree
-UNKNOWN_SD = 100.0  # [m] of the position before the first fix
-_UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # entries of a covariance that are kept
+LONGEST_LATENCY = 1.0  # [s] with a longer latency the model no longer predicts the present (*chosen*)
+LONGEST_AGE = 60.0  # [s] limit of a fix's age; it also stands for no fix
+BELIEVED_AFTER = 3  # consecutive refused fixes that agree, after which the filter restarts
+UNKNOWN_SD = 100.0  # [m] standard deviation of the position before the first fix
+_UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # stored entries of a covariance
 
 
 class OwnEstimate(NamedTuple, Generic[T]):
-    """What a step of the filter gives: SX columns, or arrays from its numeric twin."""
+    """The estimate after a step: SX columns from `OwnStateFilter.update`, arrays from `own_state_step`."""
 
     state: dict[str, T]
     """Next state by port name."""
     eta: T
-    """(4,) x, y, z [m] and ψ [rad], in (−π, π], now, in {E}."""
+    """(4,) present x, y, z [m] and ψ [rad] in {E}, with ψ in (−π, π]."""
     nu: T
-    """(4,) u, v, w [m/s] and r [rad/s], now, over ground, in {B}."""
+    """(4,) present u, v, w [m/s] and r [rad/s] over ground, in {B}."""
     position_sd: T
     """(1,) standard deviation of each of x, y, z [m]; `UNKNOWN_SD` before the first fix."""
     velocity_sd: T
     """(1,) standard deviation of each of u, v, w [m/s]."""
     age: T
-    """(1,) time since the moment that the last accepted fix describes [s]: `latency` when it arrives, at most
-    `LONGEST_AGE`, which also stands for none yet."""
+    """(1,) time since the measurement of the last accepted fix [s]; it is `latency` when the fix arrives, and
+    `LONGEST_AGE` at most and before the first fix."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class OwnStateFilter:
-    """The filter's numbers.
+    """The parameters of the own-state filter.
 
     Attributes:
         dt: control period [s].
         latency: age of a fix when it arrives [s], a multiple of dt below `LONGEST_LATENCY`.
         period: usual time between two fixes [s], a multiple of dt; only `steady_sd` depends on it.
         position_sd: standard deviation of each coordinate of a fix [m].
-        yaw_sd: of the measured yaw [rad].
-        rate_sd: of the measured yaw rate [rad/s].
-        disturbance_sd: of the acceleration that the believed vehicle does not know, along each axis of {E} [m/s²]
-            (*chosen*, see `analysis/11_own_state`).
-        disturbance_time: in which that acceleration forgets itself [s] (*chosen*).
-        acceleration_noise: its white part, always there [m/s^1.5] (*chosen*).
-        model_noise: more of the white part for each m/s² of believed acceleration [s^0.5] (*chosen*): with a wrong mass
-            the error grows with the thrust, and thrust noise grows with what the filter takes for certain.
-        yaw_acceleration_noise: white yaw acceleration that the believed vehicle does not know [rad/s^1.5] (*chosen*).
-        velocity_start_sd: of the velocity when a fix is taken over [m/s] (*chosen*).
-        thrust_lag: first-order lag of the thrust, as believed [s]; 0 for none.
-        gate: a fix further off than so many standard deviations is refused (*chosen*).
+        yaw_sd: standard deviation of the measured yaw [rad].
+        rate_sd: standard deviation of the measured yaw rate [rad/s].
+        disturbance_sd: standard deviation of the disturbance acceleration, which the vehicle model omits, along each
+            axis of {E} [m/s²] (*chosen*, see `analysis/11_own_state`).
+        disturbance_time: correlation time of the disturbance acceleration [s] (*chosen*).
+        acceleration_noise: white acceleration noise that is always present [m/s^1.5] (*chosen*).
+        model_noise: additional white acceleration noise for each m/s² of modelled acceleration [s^0.5] (*chosen*),
+            because the errors from a wrong mass and from thrust noise grow with the thrust.
+        yaw_acceleration_noise: white noise of the yaw acceleration, which the vehicle model omits [rad/s^1.5]
+            (*chosen*).
+        velocity_start_sd: standard deviation of the velocity when the filter starts from a fix [m/s] (*chosen*).
+        thrust_lag: time constant of the thrust's first-order lag in the vehicle model [s]; 0 for no lag.
+        gate: number of standard deviations from the estimate beyond which a fix is refused (*chosen*).
     """
 
     dt: float
@@ -98,7 +99,7 @@ class OwnStateFilter:
     gate: float = 5.0
 
     def __post_init__(self) -> None:
-        """Check the values; InputError names the wrong one."""
+        """Check the values; raise an InputError that names an invalid value."""
         for name, unit in _POSITIVE.items():
             value = getattr(self, name)
             if not (isfinite(value) and value > 0):
@@ -117,12 +118,12 @@ class OwnStateFilter:
 
     @property
     def late(self) -> int:
-        """Steps between a fix's measurement and its arrival."""
+        """Number of control steps between the measurement of a fix and its arrival."""
         return whole_steps("own_state.latency", self.latency, dt=self.dt)
 
     @cached_property
     def step(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Φ and Q (3, 3) of one step: position, velocity, disturbance of one axis of {E}."""
+        """Φ and Q (3, 3) of one step for position, velocity and disturbance along one axis of {E}."""
         noise = growth(
             self.dt,
             acceleration_noise=self.acceleration_noise,
@@ -133,24 +134,24 @@ class OwnStateFilter:
 
     @cached_property
     def model_covariance(self) -> NDArray[np.float64]:
-        """What a step adds to Q (3, 3) for each (m/s²)² of believed acceleration."""
+        """Covariance (3, 3) that a step adds to Q for each (m/s²)² of modelled acceleration."""
         return white(self.dt, self.model_noise)
 
     @cached_property
     def yaw_gains(self) -> NDArray[np.float64]:
-        """(2, 2): what of the errors of measured yaw and rate (columns) goes to yaw and rate (rows)."""
+        """Kalman gains (2, 2) from the innovations of yaw and yaw rate (columns) to yaw and yaw rate (rows)."""
         return yaw_gains(
             self.dt, yaw_sd=self.yaw_sd, rate_sd=self.rate_sd, acceleration_noise=self.yaw_acceleration_noise
         )
 
     @property
     def start_variances(self) -> tuple[float, float, float]:
-        """Variances of position, velocity and disturbance when a fix is taken over."""
+        """Variances of position, velocity and disturbance when the filter starts from a fix."""
         return self.position_sd**2, self.velocity_start_sd**2, self.disturbance_sd**2
 
     @property
     def steady_sd(self) -> tuple[float, float]:
-        """Standard deviations of position [m] and velocity [m/s], at rest, at the arrival of one of many fixes."""
+        """Steady standard deviations of position [m] and velocity [m/s] at rest, at the arrival of a fix."""
         every = whole_steps("own_state.period", self.period, dt=self.dt)
         P = steady_covariance(*self.step, fix_variance=self.position_sd**2, every=every)
         whole, grown = ahead(*self.step, self.late)
@@ -159,29 +160,29 @@ class OwnStateFilter:
 
     @property
     def thrust_shares(self) -> tuple[float, float]:
-        """Share of the old thrust that is left after a step, and its mean share during it."""
+        """Share of the old thrust that remains after a step, and its mean share during the step."""
         if self.thrust_lag == 0:
             return 0.0, 0.0
         left = exp(-self.dt / self.thrust_lag)
         return left, (1.0 - left) * self.thrust_lag / self.dt
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
-        """The state; position, velocity, disturbance and covariance are those of `latency` ago, in {E}."""
-        believed = "believed acceleration in {E} in the last steps, newest first"
-        ring = Port(f"{prefix}accelerations", (self.late, 3), "m/s^2", believed)
+        """Return the ports of the state; position, velocity, disturbance and covariance are from `latency` ago."""
+        modelled = "acceleration of the vehicle model in {E} in the last steps, newest first"
+        ring = Port(f"{prefix}accelerations", (self.late, 3), "m/s^2", modelled)
         return (
             Port(f"{prefix}position", (3,), "m", f"x, y, z in {{E}}, {self.latency:g} s ago"),
-            Port(f"{prefix}velocity", (3,), "m/s", f"over ground in {{E}}, {self.latency:g} s ago"),
-            Port(f"{prefix}disturbance", (3,), "m/s^2", "acceleration in {E} that no model explains"),
-            Port(f"{prefix}covariance", (6,), "SI", "of one axis: rows of the upper triangle"),
+            Port(f"{prefix}velocity", (3,), "m/s", f"velocity over ground in {{E}}, {self.latency:g} s ago"),
+            Port(f"{prefix}disturbance", (3,), "m/s^2", "disturbance acceleration in {E}, which the model omits"),
+            Port(f"{prefix}covariance", (6,), "SI", "covariance of one axis: rows of the upper triangle"),
             *((ring,) if self.late else ()),
-            Port(f"{prefix}thrust", (4,), "N, N m", "believed thrust after its lag, now, in {B}"),
-            Port(f"{prefix}turn", (2,), "rad, rad/s", "yaw in {E} and yaw rate in {B}, now"),
+            Port(f"{prefix}thrust", (4,), "N, N m", "present thrust of the vehicle model after its lag, in {B}"),
+            Port(f"{prefix}turn", (2,), "rad, rad/s", "present yaw in {E} and yaw rate in {B}"),
             Port(f"{prefix}begun", (1,), "1", "1 after the first step"),
             Port(f"{prefix}known", (1,), "1", "1 after the first fix"),
-            Port(f"{prefix}refused", (1,), "1", "refused fixes in a row that agree"),
-            Port(f"{prefix}offset", (3,), "m", "the last refused fix, from the estimate, in {E}"),
-            Port(f"{prefix}age", (1,), "s", "since the moment that the last fix describes", LONGEST_AGE),
+            Port(f"{prefix}refused", (1,), "1", "number of consecutive refused fixes that agree"),
+            Port(f"{prefix}offset", (3,), "m", "offset of the last refused fix from the estimate, in {E}"),
+            Port(f"{prefix}age", (1,), "s", "time since the measurement of the last accepted fix", LONGEST_AGE),
         )
 
     def update(
@@ -196,21 +197,21 @@ class OwnStateFilter:
         model: Mapping[str, ca.SX],
         prefix: str = "",
     ) -> OwnEstimate[ca.SX]:
-        """One control step of Kalman's filter (e.g. Brown and Hwang 2012, ch. 4).
+        """Return the estimate after one control step of the Kalman filter (e.g. Brown and Hwang 2012, ch. 4).
 
-        The first fix is taken over, and so is the third refused one in a row that agrees with those before it. Two
-        refused ones agree when they lie off by the same, within the gate: that does not take the robot's own way for
-        a disagreement.
+        The filter starts from the first fix. It restarts from a refused fix if that is the third consecutive one and
+        they agree. Refused fixes agree if they have the same offset from the estimate, within the gate; offsets are
+        compared because they do not contain the robot's own motion.
 
         Args:
-            state: by port name, shapes of `ports(prefix)`.
-            fix: (3,) position in {E} `latency` ago [m]; ignored, but finite, when there is none.
-            fix_fresh: 1 when a fix has arrived since the last step, else 0.
-            yaw: measured ψ [rad], any number of turns.
+            state: state by port name, with the shapes of `ports(prefix)`.
+            fix: (3,) position in {E} `latency` ago [m]; if no fix arrived, any finite values.
+            fix_fresh: 1 if a fix has arrived since the last step, else 0.
+            yaw: measured ψ [rad], with any number of full turns.
             yaw_rate: measured r [rad/s].
-            tau: (4,) command of the step before, in {B} [N, N m].
-            model: `mass`, `linear_drag`, `quadratic_drag`, `thrust_limit`, (4,) each, as believed.
-            prefix: of the names of the state.
+            tau: (4,) command of the previous step, in {B} [N, N m].
+            model: `mass`, `linear_drag`, `quadratic_drag`, `thrust_limit` of the vehicle model, (4,) each.
+            prefix: prefix of the port names of the state.
         """
         old = {port.name.removeprefix(prefix): state[port.name] for port in self.ports(prefix)}
         begun = old["begun"] > 0.5
@@ -245,13 +246,13 @@ class OwnStateFilter:
         return OwnEstimate(named, ca.vertcat(position, turn[0]), nu, position_sd, velocity_sd, here["age"])
 
     def _thrust(self, old: ca.SX, tau: ca.SX, limit: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Believed thrust (4,) at the end of the step, and its mean over it [N, N m]."""
+        """Return the vehicle model's thrust (4,) at the end of the step, and its mean over the step [N, N m]."""
         command = ca.fmin(ca.fmax(tau, -limit), limit)
         left, mean = self.thrust_shares
         return command + left * (old - command), command + mean * (old - command)
 
     def _now(self, position: ca.SX, velocity: ca.SX, disturbance: ca.SX, accelerations: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Position and velocity (3,) after the steps of the ring (k, 3), oldest last, from before them."""
+        """Return position and velocity (3,) after the steps whose accelerations are in the ring (k, 3), oldest last."""
         for k in reversed(range(accelerations.shape[0])):
             position, velocity, disturbance = self._moved(position, velocity, disturbance, accelerations[k, :].T)
         return position, velocity
@@ -259,13 +260,13 @@ class OwnStateFilter:
     def _moved(
         self, position: ca.SX, velocity: ca.SX, disturbance: ca.SX, acceleration: ca.SX
     ) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """One step of the means, (3,) each."""
+        """Return position, velocity and disturbance after one step, (3,) each."""
         change = self.dt * (acceleration + disturbance)
         left = float(self.step[0][2, 2])
         return position + self.dt * velocity + 0.5 * self.dt * change, velocity + change, left * disturbance
 
     def _corrected(self, old: Mapping[str, ca.SX], acceleration: ca.SX, fix: ca.SX, fresh: ca.SX) -> dict[str, ca.SX]:
-        """The filter of `latency` ago: one step on, and the fix."""
+        """Return the stored values for the time `latency` ago, predicted by one step and corrected by the fix."""
         known, variance = old["known"] > 0.5, self.position_sd**2
         position, velocity, disturbance = self._moved(
             old["position"], old["velocity"], old["disturbance"], acceleration
@@ -288,7 +289,7 @@ class OwnStateFilter:
         corrected = ca.vertcat(*(P[i, j] - gain[i] * P[0, j] for i, j in _UPPER))
         start = self.start_variances
         anew = ca.DM([start[0], 0.0, 0.0, start[1], 0.0, start[2]])
-        still = ca.logic_and(ca.logic_not(known), ca.logic_not(restart))  # nothing known grows no worse
+        still = ca.logic_and(ca.logic_not(known), ca.logic_not(restart))  # without a fix, the covariance stays 0
         return {
             "position": ca.if_else(restart, fix, ca.if_else(known, position + gain[0] * error, 0.0)),
             "velocity": velocity + gain[1] * error,
@@ -301,13 +302,13 @@ class OwnStateFilter:
         }
 
     def _grown(self, P: ca.SX, acceleration: ca.SX) -> ca.SX:
-        """Covariance (3, 3) after one step; the more acceleration is believed, the more of it may be wrong."""
+        """Return the covariance (3, 3) after one step; its growth increases with the modelled acceleration."""
         phi, noise, model_covariance = ca.DM(self.step[0]), ca.DM(self.step[1]), ca.DM(self.model_covariance)
         grown: ca.SX = phi @ P @ phi.T + noise + ca.sumsqr(acceleration) * model_covariance
         return grown
 
     def _spread(self, covariance: ca.SX, accelerations: ca.SX) -> ca.SX:
-        """Standard deviations (2,) of position [m] and velocity [m/s] now."""
+        """Return the present standard deviations (2,) of position [m] and velocity [m/s]."""
         P = from_upper(covariance)
         for k in reversed(range(self.late)):
             P = self._grown(P, accelerations[k, :].T)

@@ -1,1 +1,1 @@
-"""From ranges to what stands where: contacts, and the local map."""
+"""Obstacle positions from measured ranges: contacts, and the local map."""

@@ -1,9 +1,8 @@
-"""From ranges to contacts: what the known world explains, and where the rest of the echoes stand.
+"""Contacts from measured ranges: the positions of echoes that the known walls and obstacles do not explain.
 
-CasADi expressions for the exported law. The heading enters as (cos ψ, sin ψ), azimuths and beam as floats, so
-that no angle is ever recovered: dot and cross products only. This version keeps one echo a sensor and no cell
-memory.
-Planar at the robot's depth, world frame {E}, metres.
+The functions build CasADi expressions for the exported law. The heading enters as (cos ψ, sin ψ), azimuths and beam
+angle as floats, so that dot and cross products replace all computation of angles. This version stores one echo per
+sensor and has no map of cells. All positions are planar at the robot's depth, in the world frame {E}, in metres.
 """
 
 from __future__ import annotations
@@ -35,24 +34,24 @@ def expected_range(
     half_angle: float,
     maximum: float,
 ) -> ca.SX:
-    """Range that the known things alone would give in one sensor's cone [m]; 2·maximum when none or further.
+    """Return the range [m] that one sensor would measure from known walls and obstacles alone; at most 2·maximum.
 
-    The same closed form as `surctl.world.Shape.nearest_in_cone`: foot point if inside the cone, else the edge
-    rays.
+    The function uses the closed form of `surctl.world.Shape.nearest_in_cone`: the foot point if it is inside the cone,
+    else the edge rays.
 
     Args:
         position: (2,) robot's centre in {E} [m].
         heading: (2,) cos ψ, sin ψ.
         walls: (4,) xmin, xmax, ymin, ymax of the tank in {E} [m].
         discs: (K, 3) known obstacles: x, y, radius [m]; K may be 0.
-        valid: (K,) 1 for a disc that is there, else 0.
-        azimuth: of the sensor in {B} [rad].
-        hull_radius: from the centre to the apex [m]; a symbol in the law, which any vehicle may fly.
-        half_angle: of the cone [rad], 0 < half_angle < π/2.
+        valid: (K,) 1 for a disc that is present, else 0.
+        azimuth: azimuth of the sensor in {B} [rad].
+        hull_radius: distance from the robot's centre to the apex [m]; a symbol in a law for any vehicle.
+        half_angle: half the opening angle of the cone [rad], 0 < half_angle < π/2.
         maximum: longest range of the sensor [m].
 
     Raises:
-        InputError: half_angle out of range.
+        InputError: if half_angle is out of range.
 
     Example:
         >>> import casadi as ca
@@ -86,12 +85,12 @@ def expected_range(
 
 
 class Contacts(NamedTuple):
-    """Echoes of one tick; SX expressions."""
+    """Contacts at one control step, as CasADi SX expressions."""
 
     points: ca.SX
     """(n, 2) contact points in {E} [m]."""
     valid: ca.SX
-    """(n,) 1 for an echo of something unknown, else 0."""
+    """(n,) 1 for an echo of an unknown object, else 0."""
 
 
 def sonar_contacts(
@@ -105,25 +104,25 @@ def sonar_contacts(
     margin: float = 0.1,
     tolerance: float = 0.1,
 ) -> Contacts:
-    """Contact of each sensor: the point at `range_hat` on its axis, valid when an echo and not explained.
+    """Return the contact of each sensor: the point at `range_hat` on its axis, valid for an unexplained echo.
 
-    An echo is range_hat < maximum − margin; it is explained by the known world when range_hat ≥ expected −
-    tolerance.
+    A range is an echo if range_hat < maximum − margin. The known walls and obstacles explain the echo if
+    range_hat ≥ expected − tolerance.
 
     Args:
-        array: the sensors.
+        array: the sonar array.
         range_hat: (n,) filtered ranges [m].
         position: (2,) robot's centre in {E} [m].
         heading: (2,) cos ψ, sin ψ.
-        hull_radius: from the centre to the apexes [m].
-        expected: (n,) of `expected_range` [m].
-        margin: [m].
-        tolerance: [m].
+        hull_radius: distance from the robot's centre to the apexes [m].
+        expected: (n,) expected ranges from `expected_range` [m].
+        margin: distance below the maximum at which a range still counts as no echo [m].
+        tolerance: distance below `expected` at which the known world still explains an echo [m].
 
     Example:
         >>> import casadi as ca
         >>> from surctl.sensing import SonarArray, sonar_contacts
-        >>> ranges, walls = ca.SX([1.0, 0.8, 4.5, 0.8]), ca.SX([1.8, 0.8, 0.8, 0.8])  # heard, and expected of the tank
+        >>> ranges, walls = ca.SX([1.0, 0.8, 4.5, 0.8]), ca.SX([1.8, 0.8, 0.8, 0.8])  # measured; expected
         >>> place = {"position": ca.SX([1.0, 1.0]), "heading": ca.SX([1.0, 0.0]), "hull_radius": 0.2}
         >>> contacts = sonar_contacts(SonarArray(), ranges, expected=walls, **place)
         >>> ca.evalf(contacts.valid), ca.evalf(contacts.points[0, :])
@@ -139,14 +138,14 @@ def sonar_contacts(
 
 @dataclass(frozen=True, kw_only=True)
 class ContactMemory:
-    """The last unexplained echo of each sensor, fixed in {E}, dropped after `hold`.
+    """Memory of the last unexplained echo of each sensor, fixed in {E} and dropped after `hold`.
 
-    An echo outlives readings without one: a beam that turns away from an obstacle does not remove it.
+    Later readings without an echo do not remove a stored echo: a beam may turn away from an obstacle.
 
     Attributes:
-        sensors: their number n.
+        sensors: number of sensors n.
         dt: period of the updates [s].
-        hold: longest age of an echo [s] (*chosen*).
+        hold: longest age of a stored echo [s] (*chosen*).
     """
 
     dt: float
@@ -154,7 +153,7 @@ class ContactMemory:
     hold: float = 0.5
 
     def __post_init__(self) -> None:
-        """Check the values; InputError names the wrong one."""
+        """Check the values; raise an InputError that names an invalid value."""
         for name in ("dt", "hold"):
             value = getattr(self, name)
             if not (isfinite(value) and value > 0):
@@ -163,14 +162,14 @@ class ContactMemory:
             raise InputError("must be at least 1", key="contacts.sensors", value=self.sensors)
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
-        """The state; it starts with every echo too old to count."""
+        """Return the ports of the state; in the initial state all echoes are too old to count."""
         return (
             Port(f"{prefix}echo", (self.sensors, 2), "m", "last unexplained echo of each sensor, x, y in {E}"),
             Port(
                 f"{prefix}age",
                 (self.sensors,),
                 "s",
-                "age of that echo, held at hold + dt",
+                "age of that echo, limited to hold + dt",
                 self.hold + self.dt,
             ),
         )
@@ -178,13 +177,13 @@ class ContactMemory:
     def update(
         self, state: Mapping[str, ca.SX], contacts: Contacts, *, fresh: ca.SX, prefix: str = ""
     ) -> tuple[dict[str, ca.SX], Contacts]:
-        """Next state, and the echoes that stand: new ones at age 0, and older ones up to `hold`.
+        """Return the next state and the valid echoes: new echoes at age 0, and older echoes up to age `hold`.
 
         Args:
-            state: by port name, shapes of `ports(prefix)`.
-            contacts: of this tick; only those of fresh sensors are taken.
+            state: state by port name, with the shapes of `ports(prefix)`.
+            contacts: contacts at this control step; only the contacts of fresh sensors are used.
             fresh: (n,) 1 for a sensor that fired since the last update, else 0.
-            prefix: of the names of the state.
+            prefix: prefix of the port names of the state.
         """
         echo, age = state[f"{prefix}echo"], state[f"{prefix}age"]
         new = ca.logic_and(fresh > 0.5, contacts.valid)
@@ -192,5 +191,5 @@ class ContactMemory:
         older = ca.fmin(age + self.dt, self.hold + self.dt)
         ages = ca.if_else(new, 0.0, older)
         after = {f"{prefix}echo": ca.vertcat(*points), f"{prefix}age": ages}
-        # half a step of slack: sums of dt are not exact
+        # tolerance of half a step, because sums of dt are not exact
         return after, Contacts(after[f"{prefix}echo"], ages <= self.hold + 0.5 * self.dt)

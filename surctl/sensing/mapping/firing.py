@@ -1,4 +1,4 @@
-"""One firing as the local map sees it: its numbers, and what they say of one cell."""
+"""One sonar firing as an input of the local map: its numbers, and the tests of a single cell against them."""
 
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ __all__ = [
 READING = (
     ("apex", 2, "m, x and y in {E}"),
     ("axis", 2, "unit vector of the beam in {E}"),
-    ("half", 2, "cosine and sine of half the beam's angle"),
-    ("clear", 1, "m, range short of which the cone is free; 0: none; below 0: blind, it leaves what was ranged"),
-    ("near", 1, "m, where the marked band begins"),
-    ("far", 1, "m, where it ends; below `near`: nothing is marked"),
-    ("cutoff", 1, "m, range beyond which a cell does not explain the echo"),
+    ("half", 2, "cosine and sine of half the beam's opening angle"),
+    ("clear", 1, "m, the cone is free up to |clear|; 0: nowhere; below 0: blind firing, measured marks stay"),
+    ("near", 1, "m, start of the marked band"),
+    ("far", 1, "m, end of the marked band; below `near`: nothing is marked"),
+    ("cutoff", 1, "m, a cell beyond this range does not explain the echo"),
 )
-"""One firing: name, numbers, meaning."""
+"""Numbers of one firing: name, size, meaning."""
 
 BLIND = 0.25
-"""A mark of a firing that only said that something is nearer than its blind range."""
+"""Value of a cell marked by a blind firing, which only shows that an object is nearer than the blind range."""
 
 RING = 1.5
-"""Cells beside the hull that no beam sees whole: what is unknown there does not count, so none may come in unknown."""
+"""Width [cells] of a ring around the hull that no beam covers fully, so no unknown cell may enter it."""
 
 READING_SIZE = sum(size for _, size, _ in READING)
 
-_INSIDE, _INSIDE_MORE = 0.6, 0.01  # cells, and m: how deep inside a beam a cell must lie to be cleared
-# of half the beam's width, where the beam is narrower than that: its middle clears, its turn shows the rest
+_INSIDE, _INSIDE_MORE = 0.6, 0.01  # cells, and m: minimum depth of a cell inside a beam for the beam to clear it
+# the same for a narrow beam, as shares of half its width: its middle clears cells, and its turning clears the others
 _OF_THE_UNKNOWN, _OF_A_MARK = 0.4, 0.75
 MIDDLE = 1.0 - _OF_THE_UNKNOWN
-"""Share of a narrow beam's width that clears what is unknown."""
+"""Share of a narrow beam's width in which the beam clears unknown cells."""
 
 LIMITS = ("cosine", "sine", "near", "far", "cutoff", "clear", "whole", "outside", "clears", "ranged", "regular")
-"""Numbers of a firing that all cells share: ranges squared [m²], `whole` and `outside` in m, the last three 0 or 1."""
+"""Limits of a firing, equal for all cells: squared ranges [m²], `whole` and `outside` [m], the last three 0 or 1."""
 
 
 def split(slots: ca.SX, count: int) -> list[dict[str, ca.SX]]:
-    """The firings by the names of `READING`."""
+    """Return each firing as a dictionary with the names of `READING`."""
     out = []
     for s in range(count):
         at, one = s * READING_SIZE, {}
@@ -61,7 +61,7 @@ def split(slots: ca.SX, count: int) -> list[dict[str, ca.SX]]:
 
 
 def limit_values(slot: dict[str, ca.SX], edge: ca.SX) -> dict[str, ca.SX]:
-    """`LIMITS` of a firing, for cells of that edge [m]."""
+    """Return the `LIMITS` of a firing for cells of the given edge length [m]."""
     cosine, sine = slot["half"][0], slot["half"][1]
     return {
         "cosine": cosine,
@@ -74,34 +74,34 @@ def limit_values(slot: dict[str, ca.SX], edge: ca.SX) -> dict[str, ca.SX]:
         "outside": -0.5 * edge,
         "clears": slot["clear"] > 0,
         "ranged": slot["clear"] >= 0,
-        # the bounds of a block hold for these alone
+        # the bounds of a block are valid only under these conditions
         "regular": ca.logic_and(ca.logic_and(cosine >= 0, sine >= 0), edge > 0),
     }
 
 
 def named_limits(limits: ca.SX) -> dict[str, ca.SX]:
-    """`LIMITS` by name."""
+    """Return the `LIMITS` of a firing as a dictionary by name."""
     return {name: limits[k] for k, name in enumerate(LIMITS)}
 
 
 def cell_line(column: ca.SX, row: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Way along the beam's axis, way across [m], squared range [m²]."""
+    """Return a cell's distance along the beam's axis [m], distance across it [m], and squared range [m²]."""
     return column[0] + row[0], ca.fabs(column[1] + row[1]), column[2] + row[2]
 
 
 def on_arc(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX]) -> ca.SX:
-    """Whether any of the cell may be what was heard."""
+    """Return whether any part of the cell may have caused the echo."""
     band = ca.logic_and(line[2] >= limit["near"], line[2] <= limit["far"])
     return ca.logic_and(_inside(line, limit) > limit["outside"], band)
 
 
 def _inside(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX]) -> ca.SX:
-    """Distance into the cone from its nearer edge [m]."""
+    """Return a cell's distance into the cone from the nearer edge of the cone [m]."""
     return line[0] * limit["sine"] - line[1] * limit["cosine"]
 
 
 def in_front(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX], value: ca.SX) -> ca.SX:
-    """Whether the whole cell is free: half a cell inside the cone, short of what was heard."""
+    """Return whether the whole cell is free: deep enough inside the cone, and nearer than the echo."""
     beam = line[0] * limit["sine"]
     deep = ca.fmin(limit["whole"], ca.if_else(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN) * beam)
     short = ca.logic_and(line[2] < limit["clear"], ca.logic_or(limit["clears"], value <= BLIND))

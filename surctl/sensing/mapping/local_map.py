@@ -1,17 +1,18 @@
-"""Carve and mark: a small world-fixed map around the robot, from ranges alone.
+"""The local map: a small map around the robot, fixed in the world, which the measured ranges carve and mark.
 
-A range d says that nothing stands in the cone short of d, and that something stands somewhere on the arc at d. So a
-reading clears the cells short of it and marks those on the arc that are not known to be free; when all of them are
-(something moved), it marks the whole arc. One reading of a wide beam thus marks far too much: as the robot turns, the
-edges of other cones cross the false marks and clear them (range-only mapping; cf. Moravec and Elfes 1985, "High
-resolution maps from wide angle sonar").
+A range d means that the cone is free up to d, and that an object lies somewhere on the arc at d. So a reading clears
+the cells nearer than d and marks the cells on the arc that are not known to be free. If all cells on the arc are known
+to be free (an object moved), the reading marks the whole arc. One reading of a wide beam therefore marks far too many
+cells. As the robot turns, the edges of other cones cross the false marks and clear them (range-only mapping; cf.
+Moravec and Elfes 1985, "High resolution maps from wide angle sonar").
 
-The map is a torus: world cell (I, J) lives at (I mod N, J mod N), the window moves with the robot, and a cell that
-comes in at one side takes the place of the one that leaves at the other. So its size does not depend on the site.
-Where it would reach beyond the site's walls it stays inside: nothing is to be known there, and it holds more of what is
-before the robot. Nor does it matter what is unknown in the two cells beside a wall, which few beams see between wall
-and range error: anything more than two cells across that stands there also stands in the third.
-A cell holds one number: 1 just marked, fading to 0 in `mark_time`; −1 just cleared, fading to 0 in `free_time`.
+The map is a torus: world cell (I, J) is stored at (I mod N, J mod N). The window moves with the robot, and a cell that
+enters at one side replaces the cell that leaves at the opposite side, so the size of the map does not depend on the
+site. The window never extends beyond the site's walls if it fits between them, because the map needs no cells there.
+Unknown cells do not count in the two cells beside a wall, where the range error hides them from most beams: any object
+there that is wider than two cells also extends into the third cell.
+Each cell holds one number: 1 if just marked, fading to 0 in `mark_time`; −1 if just cleared, fading to 0 in
+`free_time`.
 """
 
 from __future__ import annotations
@@ -28,25 +29,25 @@ from surctl.sensing.mapping.programs import BASE, BEAM, NONE, MapPrograms
 
 __all__ = ["BLIND", "MIDDLE", "READING", "RING", "LocalMap"]
 
-_HOLDS = 3  # cells of a block not known to be free, without which the middle of no disc two cells across lies in it
-_NOWHERE = 1e6  # cells; lowest corner of a window that has never been
-_WIDEST = 8  # cells side by side
-_WHERE = ("is_row", "place", "walls", "slots", "corner", "corner_next")  # what a column or row follows from
+_HOLDS = 3  # cells; a disc two cells wide with its centre in a block touches at least this many of its cells
+_NOWHERE = 1e6  # cells; lowest corner of the window before the first update
+_WIDEST = 8  # largest number of cells processed together
+_WHERE = ("is_row", "place", "walls", "slots", "corner", "corner_next")  # inputs that determine a column or row
 
 
 @dataclass(frozen=True, kw_only=True)
 class LocalMap:
-    """The map's fixed sizes and times.
+    """The fixed sizes and times of the local map.
 
     Attributes:
         dt: period of the updates [s].
-        slots: most firings in one period.
-        blocks: blocks a side.
-        block: cells a side of a block; of each block the nearest marked and the nearest unknown cell is kept.
-        sectors: directions in which the nearest is told, a multiple of 4.
-        mark_time: [s] for which a mark stands (*chosen*).
-        free_time: [s] after which a cleared cell counts for nothing any more (*chosen*).
-        known: part of `free_time`, counted from its end, in which it no longer counts as known to be free (*chosen*).
+        slots: largest number of firings in one period.
+        blocks: number of blocks along one side of the map.
+        block: number of cells along one side of a block; the map finds the nearest marked and unknown cell per block.
+        sectors: number of directions in which the map returns the nearest cells, a multiple of 4.
+        mark_time: time [s] until a marked cell has faded to 0 (*chosen*).
+        free_time: time [s] until a cleared cell has faded to 0 (*chosen*).
+        known: last part of `free_time` in which a cleared cell no longer counts as known to be free (*chosen*).
     """
 
     dt: float
@@ -59,7 +60,7 @@ class LocalMap:
     known: float = 0.3
 
     def __post_init__(self) -> None:
-        """Check the values; InputError names the wrong one."""
+        """Check the values; raise an InputError that names an invalid value."""
         for name in ("dt", "mark_time", "free_time"):
             value = getattr(self, name)
             if not (isfinite(value) and value > 0):
@@ -75,46 +76,47 @@ class LocalMap:
 
     @property
     def side(self) -> int:
-        """Cells a side N."""
+        """Number N of cells along one side of the map."""
         return self.blocks * self.block
 
     @property
     def held(self) -> int:
-        """Fewest cells not known to be free with which a block's unknown cells count.
+        """Smallest number of cells not known to be free at which the unknown cells of a block count.
 
-        A disc two cells across touches the cell of its middle and the four beside it, three of them in one block at
-        the least: so nothing that large hides where less than that is unknown.
+        A disc two cells wide touches the cell of its centre and the four adjacent cells; at least three of these five
+        cells lie in one block. So no object of this size can hide in blocks with fewer such cells.
         """
         return min(_HOLDS, self.block * self.block)
 
     @property
     def memory(self) -> float:
-        """Time [s] for which a cleared cell counts as known."""
+        """Time [s] for which a cleared cell counts as known to be free."""
         return (1.0 - self.known) * self.free_time
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
-        """The state: the cells, block after block (row by row, and so inside a block), and the window's corner."""
+        """Return the ports of the state: the cells, block after block and row by row, and the window's lowest cell."""
         return (
-            Port(f"{prefix}cells", (self.side * self.side,), "1", "1 marked … 0 unknown … -1 cleared, block by block"),
+            Port(f"{prefix}cells", (self.side * self.side,), "1", "1 marked, 0 unknown, -1 cleared; block by block"),
             Port(f"{prefix}corner", (2,), "1", "lowest cell of the window along x and y of {E}", _NOWHERE),
         )
 
     def routine(self) -> Routine:
-        """(cells, corner, place, walls, slots) → (cells, corner, marked, unknown).
+        """Return the routine (cells, corner, place, walls, slots) → (cells, corner, marked, unknown).
 
-        `place` (4,): the robot's x, y in {E} [m], hull radius [m], edge of a cell [m]. `walls` (4,): x_min, x_max,
-        y_min, y_max of the site in {E} [m]; far away where there are none. `slots` (slots · 10,): one firing after the
-        other, see `READING`. `marked` and `unknown` (sectors · 3,): for each direction the offset x, y from the robot's
-        centre to the nearest such cell [m] and its squared distance [m²], 1e6 when there is none.
+        `place` (4,) holds the robot's x, y in {E} [m], the hull radius [m] and the edge length of a cell [m]. `walls`
+        (4,) holds x_min, x_max, y_min, y_max of the site in {E} [m]; give distant walls if there are none. `slots`
+        (slots · 10,) holds the firings one after another, see `READING`. `marked` and `unknown` (sectors · 3,) hold for
+        each direction the offset x, y [m] from the robot's centre to the nearest marked or unknown cell and its squared
+        distance [m²], 1e6 if there is none.
         """
         return _Steps(self).routine()
 
 
 class _Steps:
-    """The loops around the programs.
+    """The loops around the programs of the local map.
 
-    A block of cells is left alone by what does not touch it: a loop of one turn whose flag is up at the start does
-    nothing, and the flag comes from the bounds of the block's columns and rows.
+    A firing skips the blocks that it does not touch: its loop of one iteration does nothing if the flag is set at the
+    start. The bounds of a block's columns and rows give the flag.
     """
 
     def __init__(self, local_map: LocalMap) -> None:
@@ -135,13 +137,13 @@ class _Steps:
             tuple(f"{name}_{s}" for s in range(local_map.slots))
             for name in ("limits", "explained", "explained_next", "idle")
         )
-        # of a column or row: its base, then its beam for each firing
+        # base of a column or row, then its beam for each firing
         self.columns, self.rows = (
             (name, *(f"{name}_beam_{s}" for s in range(local_map.slots))) for name in ("column", "row")
         )
 
     def routine(self) -> Routine:
-        """All of it."""
+        """Return the routine for a whole update of the map."""
         local_map, n, blocks, none = (
             self.local_map,
             self.local_map.side,
@@ -195,17 +197,17 @@ class _Steps:
         return Routine("local_map", inputs, steps, ("cells_next", "corner_next", "marked", "unknown"))
 
     def _rows(self) -> tuple[Step, ...]:
-        """The rows of a row of blocks, which are not worth keeping for the second pass, and their bounds."""
+        """Return the steps for the rows of a row of blocks and their bounds; both passes compute them anew."""
         fixed = ("group", *_WHERE)
         return (
             Loop(self.programs.line(), self.block, (), self.rows, fixed=fixed, index=True),
             Call(self.programs.bounds(columns=False), self.rows, ("row_bounds",)),
         )
 
-    # --- whether a cell explains what a firing heard ------------------------------------------------------------------
+    # --- whether a cell explains the echo of a firing -----------------------------------------------------------------
 
     def _seek_row(self) -> Routine:
-        """A row of blocks: which firings a cell explains; over once each of them has one."""
+        """Return the routine for a row of blocks: which firings a cell explains; it ends when all are explained."""
         blocks, state = self.local_map.blocks, ("complete", *self.explained)
         fixed, pieces = ("zeros", *self.limits), (*self.columns, "column_bounds")
         last = ("complete_next", *self.explained_next)
@@ -247,7 +249,7 @@ class _Steps:
         return Routine("seek_block", self._sized(*inputs, "row_bounds"), tuple(steps), last)
 
     def _seek_cells(self) -> Routine:
-        """The cells of one block, for one firing."""
+        """Return the routine that searches the cells of one block for one that explains a firing."""
         row = self._over_row(self.programs.seek(), carried=("hits",))
         lines, fixed = ("cells", "row", "row_beam"), ("column", "column_beam", "limits")
         steps = (
@@ -261,7 +263,7 @@ class _Steps:
     # --- what the firings change --------------------------------------------------------------------------------------
 
     def _change_row(self) -> Routine:
-        """A row of blocks: its cells after this period, and the nearest with them."""
+        """Return the routine for a row of blocks: its cells after this period, and the nearest cells so far."""
         blocks, best = self.local_map.blocks, ("marked", "unknown")
         fixed, pieces = ("zeros", "none", "hull", *self.explained, *self.limits), (*self.columns, "column_bounds")
         last = ("marked_next", "unknown_next", "cells_next")
@@ -317,7 +319,7 @@ class _Steps:
         return Routine("change_block", self._sized(*inputs, *self.limits, *self.rows, "row_bounds"), tuple(steps), last)
 
     def _enter(self, which: str) -> Routine:
-        """The nearest cell of one block, if it is the nearest so far in its direction."""
+        """Return the routine that enters a block's nearest cell if it is the nearest so far in its direction."""
         nearest = self.programs.nearest(unknown=which == "unknown")
         steps = (
             Loop(nearest, self.block, ("none",), ("near",), sliced=("cells", "row"), fixed=("column", "hull")),
@@ -339,7 +341,7 @@ class _Steps:
     # --- from one cell to a row of a block, and to a block ------------------------------------------------------------
 
     def _over_row(self, program: Program, *, carried: tuple[str, ...] = ()) -> Routine:
-        """A program of one cell over a row of a block: state of the lanes, cells, row, columns, the rest."""
+        """Return a routine that runs a cell program over a row of a block; inputs: lanes, cells, row, columns, rest."""
         sizes = dict(program.inputs)
         renamed = dict(zip(sizes, carried, strict=False))
         own = tuple(name for name in sizes if name in ("cells", "column", "column_beam"))
@@ -353,7 +355,7 @@ class _Steps:
         return Routine(f"{program.name}_row", tuple((name, wide[name]) for name in order), (loop,), results)
 
     def _over_block(self, program: Program) -> Routine:
-        """The same over a block, for a loop of one turn."""
+        """Return a routine that runs a cell program over a block, for a loop of one iteration."""
         row = self._over_row(program)
         names = tuple(name for name, _ in row.inputs)
         lines = tuple(name for name in names if name in ("cells", "row", "row_beam"))
@@ -362,7 +364,7 @@ class _Steps:
         return Routine(f"{program.name}_block", self._sized("flag", *names), steps, ("flag", "after"))
 
     def _sized(self, *names: str | tuple[str, int]) -> tuple[tuple[str, int], ...]:
-        """Input arrays with their sizes, of one block unless a number of blocks stands beside the name."""
+        """Return input arrays with their sizes, for one block unless the name comes with a number of blocks."""
         b, sectors = self.block, len(NONE) * self.local_map.sectors
         sizes = {"cells": b * b, "column": b * BASE, "row": b * BASE, "zeros": self.lanes, "none": len(NONE), "hull": 2}
         sizes |= dict.fromkeys(("marked", "unknown", "best"), sectors)

@@ -1,4 +1,4 @@
-"""The local map in plain NumPy: the same numbers as `LocalMap.routine`, on whole arrays, and a view of it for plots."""
+"""The local map in NumPy: an update that equals `LocalMap.routine`, computed on whole arrays, and a view for plots."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ _SIZE = sum(size for _, size, _ in READING)
 def map_step(
     local_map: LocalMap, cells: ArrayLike, corner: ArrayLike, place: ArrayLike, walls: ArrayLike, readings: ArrayLike
 ) -> tuple[Vector, Vector, Vector, Vector]:
-    """One period of the map: (cells, corner, marked, unknown), as `LocalMap.routine` has them.
+    """Return cells, corner, marked and unknown after one period of the map, equal to `LocalMap.routine`.
 
     Args:
         local_map: the map.
-        cells: (N²,) block after block, as `LocalMap.ports` says.
+        cells: (N²,) values of the cells, block after block as in `LocalMap.ports`.
         corner: (2,) lowest cell of the window along x and y of {E}.
-        place: (4,) the robot's x, y in {E} [m], hull radius [m], edge of a cell [m].
+        place: (4,) the robot's x, y in {E} [m], hull radius [m], edge length of a cell [m].
         walls: (4,) x_min, x_max, y_min, y_max of the site in {E} [m].
         readings: (slots · 10,) firings, see `READING`.
 
     Raises:
-        InputError: an array of another size.
+        InputError: if an array has another size.
 
     Example:
         >>> import numpy as np
@@ -96,16 +96,16 @@ def map_step(
 def map_view(
     local_map: LocalMap, cells: ArrayLike, corner: ArrayLike, *, edge: float = 1.0
 ) -> tuple[Vector, Vector, Vector]:
-    """The map as it lies in {E}: values (N, N) by y, then x; x (N,) and y (N,) of the cells' centres.
+    """Return the map in {E}: values (N, N) by y, then x, and the cell centres' coordinates x (N,) and y (N,).
 
     Args:
         local_map: the map.
-        cells: (N²,) state.
-        corner: (2,) state.
-        edge: of a cell [m]; 1 gives the centres in cells.
+        cells: (N²,) cells of the state.
+        corner: (2,) corner of the state.
+        edge: edge length of a cell [m]; with 1 the centres are in cells.
 
     Raises:
-        InputError: an array of another size.
+        InputError: if an array has another size.
 
     Example:
         >>> from surctl.sensing import LocalMap, map_view
@@ -122,7 +122,7 @@ def map_view(
 
 
 class _Beam:
-    """One firing and every cell: the way along its axis, that across, and the squared range, (N, N) each."""
+    """One firing and all cells: distance along the beam's axis, distance across it, squared range; (N, N) each."""
 
     def __init__(self, firing: dict[str, Vector], x: Vector, y: Vector) -> None:
         away_x, away_y = x - firing["apex"][0], (y - firing["apex"][1])[:, None]
@@ -135,47 +135,47 @@ class _Beam:
 
     @property
     def depth(self) -> Vector:
-        """Into the cone from its nearer edge [m]."""
+        """Distance of each cell into the cone from the nearer edge of the cone [m]."""
         return np.asarray(self.along * self.sine - self.across * self.cosine)
 
     def on_arc(self, edge: float) -> NDArray[np.bool_]:
-        """Cells that may be what was heard."""
+        """Return which cells may have caused the echo."""
         band = (self.square >= self.near**2) & (self.square <= self.far**2) & (self.far >= 0)
         return np.asarray(band & (self.depth > -0.5 * edge))
 
     def in_front(self, edge: float, value: Vector) -> NDArray[np.bool_]:
-        """Cells that are free: short of what was heard, and deep enough inside for what they are now."""
+        """Return which cells are free: nearer than the echo, and deep enough in the cone for their present value."""
         share = np.where(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN)
         deep = np.minimum(_INSIDE * edge + _INSIDE_MORE, share * self.along * self.sine)
         return np.asarray((self.depth > deep) & (self.square < self.clear**2) & ((self.clear > 0) | (value <= BLIND)))
 
 
 def _window(n: int, here: Vector, ends: Vector) -> Vector:
-    """(2,) lowest cell along x and y, of the robot's place and the walls (2, 2), lower ones first, in cells."""
+    """Return the window's lowest cell (2,) from the robot's position and the lower and upper walls (2, 2), in cells."""
     lowest, end = np.floor(ends[0] + _SLACK), np.ceil(ends[1] - _SLACK)
     return np.asarray(np.maximum(np.minimum(np.floor(here) - n // 2, end - n), lowest))
 
 
 def _world(n: int, corner: Vector) -> Vector:
-    """(2, N): world cell along x and y that lives at each place of the torus."""
+    """Return the world cell along x and y that is stored at each place of the torus, (2, N)."""
     rank = np.arange(n)
     return np.array([low + np.mod(rank - low, n) for low in corner])
 
 
 def _torus(local_map: LocalMap, cells: NDArray[T]) -> NDArray[T]:
-    """(N, N) by y, then x, from block after block."""
+    """Return the cells as (N, N) by y, then x; the input is ordered block after block."""
     many, size = local_map.blocks, local_map.block
     return cells.reshape(many, many, size, size).swapaxes(1, 2).reshape(local_map.side, local_map.side)
 
 
 def _blocks(local_map: LocalMap, torus: NDArray[T]) -> NDArray[T]:
-    """(blocks², block²) from (N, N)."""
+    """Return the cells by block, (blocks², block²), from (N, N)."""
     many, size = local_map.blocks, local_map.block
     return torus.reshape(many, size, many, size).swapaxes(1, 2).reshape(many * many, size * size)
 
 
 def _nearest(local_map: LocalMap, which: NDArray[np.bool_], dx: Vector, dy: Vector, square: Vector) -> Vector:
-    """(sectors · 3,): of each block its nearest such cell, and of these the nearest in each direction."""
+    """Return the nearest cell in each direction, (sectors · 3,), among the nearest selected cells of all blocks."""
     held = _blocks(local_map, np.where(which & (square < _FAR), square, _FAR))
     at = (np.arange(len(held)), np.argmin(held, axis=1))
     x, y, far = _blocks(local_map, dx)[at], _blocks(local_map, dy)[at], held[at]

@@ -1,9 +1,10 @@
-"""The programs of the local map: what happens to one cell, one row of a block, one block.
+"""The programs of the local map, each for one cell, one row of a block, or one block.
 
-`LocalMap.routine` puts them into loops. A column or a row of cells has two kinds of numbers: its base (offset from the
-robot [m], square of it [m²], whether it was in the window before, square for unknown cells, which is 1e6 where nothing
-counts), and for each firing its beam (share of the way along the axis [m], of the way across [m], of the squared
-range [m²]). A cell's numbers are the sums of its column's and its row's.
+`LocalMap.routine` calls them in loops. Each column and each row of cells has a base and, for each firing, a beam. The
+base holds the offset from the robot [m], its square [m²], whether the line was in the previous window, and the square
+for unknown cells (1e6 if unknown cells in this line do not count). The beam holds the contributions of the line to a
+cell's distance along the beam's axis [m], distance across it [m], and squared range [m²]. The sum over a cell's column
+and row gives the squared distance and the beam of the cell.
 """
 
 from __future__ import annotations
@@ -31,30 +32,31 @@ from surctl.sensing.mapping.firing import (
 __all__ = ["BASE", "BEAM", "NONE", "MapPrograms"]
 
 BASE, BEAM = 4, 3
-"""Numbers of a column or row: its own, and those for each firing."""
-BOUNDS = 5  # of a block's columns or rows for each firing: along, across from, to, squared range from, to
+"""Size of the base of a column or row, and size of its beam for one firing."""
+BOUNDS = 5  # per firing, for the columns or rows of a block: most along, least, most across, least, most squared range
 
-_AT_A_WALL = 2  # cells beside a wall that count for nothing: what is larger than that shows in the next one
-_SLACK = 1e-3  # cells by which a wall may miss the grid
-_FAR = 1e6  # m², of a block without such a cell
-_TOUCHED = 0.55  # cells outside a cone at which a block is left alone; a cell on the arc is at most half a cell outside
+_AT_A_WALL = 2  # cells beside a wall where unknown cells do not count: a larger object also extends into the third cell
+_SLACK = 1e-3  # cells; a wall may be this far from a grid line
+_FAR = 1e6  # m², squared distance for a block without such a cell
+_TOUCHED = 0.55  # cells; a block this far outside a cone is skipped (cells on the arc are at most 0.5 outside)
 NONE = (0.0, 0.0, _FAR)
-"""Offset x, y and squared distance of a nearest cell that there is not."""
+"""Offset x, y and squared distance that are returned if no such cell exists."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapPrograms:
-    """The programs of a map of these sizes.
+    """The programs of a local map with the given sizes.
 
     Attributes:
-        slots: most firings in one period.
-        side: cells a side of the window.
-        block: cells a side of a block.
-        lanes: cells of a row side by side; columns stand in groups of so many, entry by entry.
-        sectors: directions.
-        fades: by how much a marked and a cleared cell fade in one period.
-        known: least part of `free_time` that a cell must have left to count as known to be free.
-        held: fewest cells not known to be free with which a block's unknown cells count.
+        slots: largest number of firings in one period.
+        side: number of cells along one side of the window.
+        block: number of cells along one side of a block.
+        lanes: number of cells in a row that are processed together; columns are stored in groups of this size, entry
+            by entry.
+        sectors: number of directions.
+        fades: amounts by which a marked and a cleared cell fade in one period.
+        known: smallest part of `free_time` that must remain for a cell to count as known to be free.
+        held: smallest number of cells not known to be free at which the unknown cells of a block count.
     """
 
     slots: int
@@ -68,11 +70,11 @@ class MapPrograms:
 
     @cached_property
     def bounds_size(self) -> int:
-        """Numbers that bound a block's columns or rows."""
+        """Number of values that bound a block's columns or rows."""
         return 1 + BOUNDS * self.slots
 
     def corner(self) -> Program:
-        """The window's lowest cell: the robot is in its middle, but where it would reach beyond the site."""
+        """Program for the window's lowest cell: the robot is central, unless the window would pass the site's walls."""
         place, walls = ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
         lowest = ca.floor(walls[[0, 2]] / place[3] + _SLACK)
         end = -ca.floor(_SLACK - walls[[1, 3]] / place[3])
@@ -81,7 +83,7 @@ class MapPrograms:
         return lower_named("corner", {"place": place, "walls": walls}, {"corner": corner})
 
     def prepare(self) -> Program:
-        """What all cells share: limits of each firing, whether its look is over before it begins, and of the hull."""
+        """Program for the limits of each firing and of the hull, and whether no cell can explain a firing."""
         place, slots = ca.SX.sym("place", 4), ca.SX.sym("slots", self.slots * READING_SIZE)
         hull, edge = place[2], place[3]
         limits, explained = {}, {}
@@ -97,7 +99,7 @@ class MapPrograms:
         return lower_named("prepare", {"place": place, "slots": slots}, outputs)
 
     def line(self) -> Program:
-        """Column or row `at` of a group of as many as a block has: its base, and its beam for each firing."""
+        """Program for the base and the beams of one column or row, number `at` of a group as wide as a block."""
         at, group, span = ca.SX.sym("at"), ca.SX.sym("group"), ca.SX.sym("span")
         place, walls = ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
         slots = ca.SX.sym("slots", self.slots * READING_SIZE)
@@ -131,7 +133,7 @@ class MapPrograms:
     # --- which blocks a firing, or the hull, touches ------------------------------------------------------------------
 
     def bounds(self, *, columns: bool) -> Program:
-        """Least and largest numbers of a block's columns or rows, of which cells far apart may meet in one block."""
+        """Program for the extreme values of a block's columns or rows, which may be far apart in the world."""
         base = ca.SX.sym("base", BASE * self.block)
         beams = [ca.SX.sym(f"beam_{s}", BEAM * self.block) for s in range(self.slots)]
 
@@ -146,7 +148,7 @@ class MapPrograms:
         return lower_named("columns_bounds" if columns else "rows_bounds", inputs, {"bounds": ca.vertcat(*bounds)})
 
     def idle(self) -> Program:
-        """Of one block: for each firing, whether it changes no cell, and whether the hull lies on none."""
+        """Program for one block: whether each firing changes no cell, and whether the hull covers no cell."""
         row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
         limits, hull = self._limits(), ca.SX.sym("hull", 2)
         outputs = {}
@@ -159,7 +161,7 @@ class MapPrograms:
         return lower_named("idle", inputs, outputs)
 
     def blank_arc(self) -> Program:
-        """Of one block: for each firing, whether no cell can explain it, or one already has."""
+        """Program for one block: whether no cell can explain a firing, or another cell already explains it."""
         row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
         limits = self._limits()
         explained = {f"explained_{s}": ca.SX.sym(f"explained_{s}") for s in range(self.slots)}
@@ -172,10 +174,11 @@ class MapPrograms:
         return lower_named("blank_arc", inputs, outputs)
 
     def _bounded(self, row: ca.SX, column: ca.SX, limit: dict[str, ca.SX], s: int) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Whether all cells are beside the cone; least squared range; whether all are short of the arc or beyond.
+        """Return whether all cells lie beside the cone, the least squared range, and whether all cells lie off the arc.
 
-        The same sums and products as of a cell, and rounding keeps their order: what holds for the bounds holds for
-        every cell, to the last bit. All is asked so that a number that is none leaves the block to be looked at.
+        The bounds use the same sums and products as a cell, and rounding preserves their order. So a condition that
+        holds for the bounds holds for every cell, to the last bit. Every condition is false for NaN, so that a block
+        with NaN is not skipped.
         """
         at = 1 + BOUNDS * s
         along, low, high, least, most = (row[at + k] + column[at + k] for k in range(BOUNDS))
@@ -187,13 +190,13 @@ class MapPrograms:
     # --- what happens to a cell ---------------------------------------------------------------------------------------
 
     def fade(self) -> Program:
-        """A cell's value after a period in which nothing is heard of it."""
+        """Program for a cell's value after a period in which no firing observes the cell."""
         value, column, row = ca.SX.sym("value"), ca.SX.sym("column", BASE), ca.SX.sym("row", BASE)
         inputs = {"cells": value, "column": column, "row": row}
         return lower_named("fade", inputs, {"faded": self._faded(value, column, row)})
 
     def seek(self) -> Program:
-        """Whether a cell may hold what a firing heard: on its arc, and not known to be free."""
+        """Program that tests whether a cell may have caused an echo: it is on the arc and not known to be free."""
         hit, value = ca.SX.sym("hit"), ca.SX.sym("value")
         column, across, row, down = self._cell()
         limits = ca.SX.sym("limits", len(LIMITS))
@@ -207,7 +210,7 @@ class MapPrograms:
         return lower_named("seek", inputs, {"hit_next": after})
 
     def observe(self) -> Program:
-        """A cell's value after a firing."""
+        """Program for a cell's value after a firing."""
         value, explained = ca.SX.sym("value"), ca.SX.sym("explained")
         _, across, _, down = self._cell()
         limits = ca.SX.sym("limits", len(LIMITS))
@@ -219,14 +222,14 @@ class MapPrograms:
         return lower_named("observe", inputs, {"after": after})
 
     def cover(self) -> Program:
-        """A cell's value where the hull may be: what it lies on is free."""
+        """Program for a cell's value near the hull: every cell that the hull covers is free."""
         value, column, row = ca.SX.sym("value"), ca.SX.sym("column", BASE), ca.SX.sym("row", BASE)
         hull = ca.SX.sym("hull", 2)
         inputs = {"cells": value, "column": column, "row": row, "hull": hull}
         return lower_named("cover", inputs, {"after": ca.if_else(column[1] + row[1] < hull[0], -1, value)})
 
     def tally(self) -> Program:
-        """Largest value of a block's cells, and how many are not known to be free."""
+        """Program for the largest value of a block's cells, and the number of cells not known to be free."""
         largest, count, value = ca.SX.sym("largest"), ca.SX.sym("count"), ca.SX.sym("value")
         outputs = {"largest_next": ca.fmax(largest, value), "count_next": count + (value >= -self.known)}
         return lower_named("tally", {"largest": largest, "count": count, "cells": value}, outputs)
@@ -234,14 +237,14 @@ class MapPrograms:
     # --- the nearest cell of a block ----------------------------------------------------------------------------------
 
     def without(self) -> Program:
-        """Of one block: whether no cell is marked, and whether too few are not known to be free."""
+        """Program for one block: whether no cell is marked, and whether too few cells could be unknown."""
         largest, count = ca.SX.sym("largest", self.lanes), ca.SX.sym("count", self.lanes)
         held = ca.sum1(count) < self.held
         outputs = {"no_mark": _largest(ca.vertsplit(largest)) <= 0, "no_blank": held}
         return lower_named("without", {"largest": largest, "count": count}, outputs)
 
     def any_hit(self) -> Program:
-        """Whether any lane found a cell."""
+        """Program that tests whether a cell in any lane explains the firing."""
         hits = ca.SX.sym("hits", self.lanes)
         hit = hits[0]
         for k in range(1, self.lanes):
@@ -249,7 +252,7 @@ class MapPrograms:
         return lower_named("any_hit", {"hits": hits}, {"hit": hit})
 
     def all_explained(self) -> Program:
-        """Whether the look is over for every firing."""
+        """Program that tests whether every firing is explained by a cell, so that the search can end."""
         explained = [ca.SX.sym(f"explained_{s}") for s in range(self.slots)]
         complete = explained[0]
         for one in explained[1:]:
@@ -259,7 +262,7 @@ class MapPrograms:
         )
 
     def nearest(self, *, unknown: bool) -> Program:
-        """Nearest marked or unknown cell of a block so far, after one more row; of equal ones the first."""
+        """Program that adds a row to the search for a block's nearest marked or unknown cell; of equals, the first."""
         near, hull = ca.SX.sym("near", 3), ca.SX.sym("hull", 2)
         cells, row, columns = (
             ca.SX.sym("cells", self.block),
@@ -282,9 +285,9 @@ class MapPrograms:
         return lower_named(name, inputs, {"near_next": ca.vertcat(dx, dy, least)})
 
     def sector(self) -> Program:
-        """Number of the direction in which a cell lies."""
+        """Program for the number of the direction in which a cell lies."""
         near = ca.SX.sym("near", 3)
-        # the side of each line through the robot that parts two directions: passed ones on this side first
+        # side of the cell relative to each line through the robot that separates two directions
         sides = []
         for k in range(self.sectors // 2):
             angle = 2 * pi * (k - 0.5) / self.sectors
@@ -299,12 +302,12 @@ class MapPrograms:
         )
 
     def farther(self) -> Program:
-        """Whether a cell is no nearer than the nearest so far in its direction."""
+        """Program that tests whether a cell is no nearer than the nearest cell so far in its direction."""
         near, best = ca.SX.sym("near", 3), ca.SX.sym("best", 3)
         return lower_named("farther", {"near": near, "best": best}, {"farther": near[2] >= best[2]})
 
     def enter(self) -> Program:
-        """The nearest so far in each direction, with this cell in its own."""
+        """Program that enters a cell as the nearest cell so far in its direction."""
         flag, best = ca.SX.sym("flag"), ca.SX.sym("best", 3 * self.sectors)
         near, sector = ca.SX.sym("near", 3), ca.SX.sym("sector")
         rows = [ca.if_else(sector == k, near, best[3 * k : 3 * k + 3]) for k in range(self.sectors)]
@@ -314,7 +317,7 @@ class MapPrograms:
     # --- parts --------------------------------------------------------------------------------------------------------
 
     def _entry(self, column: int, size: int, entry: int) -> int:
-        """Where a number of one of a block's columns stands."""
+        """Return the index at which an entry of one of a block's columns is stored."""
         group, lane = divmod(column, self.lanes)
         return (group * size + entry) * self.lanes + lane
 
@@ -324,7 +327,7 @@ class MapPrograms:
 
     @staticmethod
     def _cell() -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """Base and beam of a column, then of a row."""
+        """Return symbols for base and beam of a column, then of a row."""
         names = (("column", BASE), ("column_beam", BEAM), ("row", BASE), ("row_beam", BEAM))
         column, across, row, down = (ca.SX.sym(name, size) for name, size in names)
         return column, across, row, down

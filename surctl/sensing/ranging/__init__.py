@@ -1,1 +1,1 @@
-"""From raw samples to a range to act on: the filters of the paper, and the robust tracker."""
+"""Range estimation from raw sonar samples: the filters of the paper, and the robust range tracker."""

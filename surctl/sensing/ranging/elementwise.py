@@ -1,7 +1,7 @@
-"""One rule, two lives: the few operations in which a rule can be written once for CasADi symbols and NumPy arrays.
+"""Operations with one notation for CasADi symbols and NumPy arrays, so that a rule is written only once.
 
-Arithmetic and comparisons are the operands' own; what Python cannot overload for both stands here. Truth values come
-from comparisons and go into `where`, `both`, `either` and `no` only.
+Arithmetic and comparisons use the operators of the operands. This module contains the operations that Python cannot
+overload for both. Truth values come from comparisons; only `where`, `both`, `either` and `no` take them as arguments.
 """
 
 from __future__ import annotations
@@ -14,41 +14,41 @@ import numpy as np
 __all__ = ["NUMBERS", "SYMBOLS", "Elementwise", "Value"]
 
 Value: TypeAlias = Any
-"""An SX column (n, 1) or an array (..., n); a float where one number serves all."""
+"""An SX column (n, 1) or an array (..., n); a float stands for n equal numbers."""
 
 
 class Elementwise(Protocol):
     """Operations on values, element by element."""
 
     def where(self, condition: Value, yes: Value, other: Value) -> Value:
-        """`yes` where the condition holds, else `other`; both must be finite."""
+        """Return `yes` where the condition holds, else `other`; both must be finite."""
 
     def both(self, *conditions: Value) -> Value:
-        """All of them hold."""
+        """Return where all conditions hold."""
 
     def either(self, *conditions: Value) -> Value:
-        """At least one of them holds."""
+        """Return where at least one condition holds."""
 
     def no(self, condition: Value) -> Value:
-        """It does not hold."""
+        """Return where the condition does not hold."""
 
     def least(self, *values: Value) -> Value:
-        """The smallest."""
+        """Return the smallest of the values."""
 
     def most(self, *values: Value) -> Value:
-        """The largest."""
+        """Return the largest of the values."""
 
     def size(self, value: Value) -> Value:
-        """Its absolute value."""
+        """Return the absolute value."""
 
     def root(self, value: Value) -> Value:
-        """Its square root; of a value that is at least 0."""
+        """Return the square root of a value that is at least 0."""
 
     def floor(self, value: Value) -> Value:
-        """The whole number below."""
+        """Return the largest whole number that is not above the value."""
 
     def turned(self, value: Value, by: int) -> Value:
-        """The elements (sensors) shifted round by `by` places: element i becomes that of i + by."""
+        """Return the elements (sensors) rotated by `by` places: new element i is old element i + by."""
 
 
 class _Symbols:

@@ -1,8 +1,8 @@
-"""From raw samples to a range to act on: weighted average, gate (4)–(5), adaptive LMS (6)–(7), Algorithm 1.
+"""The filters of the paper for raw sonar samples: weighted average, gate (4)–(5), adaptive LMS (6)–(7), Algorithm 1.
 
-CasADi expressions with explicit state: they are part of the exported law. Operations used: + − × ÷ sqrt fabs
-fmin fmax, comparisons, logic and if_else. Every branch of every select is finite for finite inputs:
-denominators have floors. Windows and histories hold the newest value first. Ranges in metres.
+The filters are CasADi expressions with explicit state for the exported law. They use only + − × ÷ sqrt fabs fmin fmax,
+comparisons, logic and if_else. Every branch of an if_else is finite for finite inputs, because denominators have lower
+limits. Windows and histories hold the newest value first. Ranges are in metres.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from surctl.sensing.sonar.array import SonarArray
 __all__ = ["FilterUpdate", "LmsStep", "SensorFilter", "StepRule", "gate", "lms_step", "weighted_average"]
 
 StepRule: TypeAlias = Literal["corrected", "printed"]
-"""Which step factor μ of Algorithm 1: `corrected`, at most the line-search optimum, or `printed` (E5)."""
+"""Rule for the step factor μ of Algorithm 1: `corrected` (at most the line-search optimum) or `printed` (E5)."""
 
 POWER_FLOOR = 1e-6  # m², far below any XᵀX of real ranges
 ERROR_FLOOR = 1e-9  # m
@@ -28,10 +28,10 @@ FILTER_GAINS = ("lambda1", "relaxation", "beta_max")
 
 
 def weighted_average(samples: ca.SX) -> ca.SX:
-    """Weighted mean of one firing's `samples` (k,) [m], oldest first.
+    """Return the weighted mean of one firing's `samples` (k,) [m], oldest first.
 
-    The paper says "weighted average" without weights; *chosen*: rising linearly 1, 2, …, k to the newest
-    sample.
+    The paper says "weighted average" but does not give the weights. The weights 1, 2, …, k are *chosen*; they rise
+    linearly to the newest sample.
 
     Example:
         >>> import casadi as ca
@@ -45,12 +45,12 @@ def weighted_average(samples: ca.SX) -> ca.SX:
 
 
 def gate(window: ca.SX, value: ca.SX, *, lambda1: ca.SX, resolution: float) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """The gate (4)–(5): take `value` when it lies within λ1·S of the one before, else the running mean.
+    """Apply the gate (4)–(5): return `value` if it lies within λ1·S of the previous raw value, else the running mean.
 
-    S² = mean(d²) − mean(d)² over the window, S floored at one conversion step: a constant signal has S = 0
-    and would refuse everything. With λ1 = 0 nothing is accepted and the running mean always results.
-    Raw values enter the window, refused or not: after a genuine jump the next reading lies near the raw one
-    before it and is accepted, so the gate lags one firing and cannot lock.
+    S² = mean(d²) − mean(d)² over the window. S is at least one conversion step, because with a constant signal S = 0
+    the gate would refuse every value. With λ1 = 0 the gate accepts no value and always returns the running mean. The
+    window also stores refused raw values. So after a genuine jump the next reading lies near the previous raw value
+    and is accepted: the gate lags by one firing and cannot lock.
 
     Args:
         window: (n,) the last n averaged raw values [m], newest first.
@@ -79,12 +79,12 @@ def gate(window: ca.SX, value: ca.SX, *, lambda1: ca.SX, resolution: float) -> t
 
 
 class LmsStep(NamedTuple):
-    """What one step of Algorithm 1 gives; SX expressions."""
+    """Result of one step of Algorithm 1, as CasADi SX expressions."""
 
     theta: ca.SX
     """(m,) θ_{n+1}, dimensionless."""
     errors: ca.SX
-    """(N,) the last |ℜ| [m], newest first."""
+    """(N,) last values of |ℜ| [m], newest first."""
     mean_error: ca.SX
     """ē, running mean of the corrected error [m]."""
     residual: ca.SX
@@ -105,33 +105,33 @@ def lms_step(
     beta_max: ca.SX,
     step: StepRule = "corrected",
 ) -> LmsStep:
-    """One step of Algorithm 1 with momentum (6) and the corrected error (7), errata E5, E6, E19 applied.
+    """Return the result of one step of Algorithm 1 with momentum (6), corrected error (7) and errata E5, E6, E19.
 
-    θ_{n+1} = θ_n + 2μℜX + β(θ_n − θ_{n−1}), ℜ = x_n − θᵀX with X the m values *before* x_n (E19), only when
-    e_n ≥ ē ("smaller … does not need to be corrected"), otherwise θ stays.
-    e_n = (1/N) Σ w_i |e_i| with w falling linearly from 1 (newest) to 1/N (E6); ē is its exponential mean
-    with time constant N firings (*chosen*); β = β_max·min(1, e_n/ē). The variance in (7) enters no formula.
-    `corrected`: 2μ = ρ/XᵀX with the relaxation 0 < ρ ≤ 1; ρ = 1 is the line-search optimum, residual 0.
-    `printed`: 2μ = 2/XᵀX whatever ρ, residual −ℜ for ever (E5).
+    The weights change to θ_{n+1} = θ_n + 2μℜX + β(θ_n − θ_{n−1}) if e_n ≥ ē; otherwise they stay ("smaller … does not
+    need to be corrected"). Here ℜ = x_n − θᵀX, and X holds the m values *before* x_n (E19). The corrected error is
+    e_n = (1/N) Σ w_i |e_i| with w falling linearly from 1 (newest) to 1/N (E6). Its exponential mean is ē, with a time
+    constant of N firings (*chosen*), and β = β_max·min(1, e_n/ē). No formula uses the variance in (7).
+    `corrected`: 2μ = ρ/XᵀX with the relaxation 0 < ρ ≤ 1; ρ = 1 is the line-search optimum with residual 0.
+    `printed`: 2μ = 2/XᵀX for every ρ; the residual after the step is −ℜ, so it never decreases (E5).
 
     Args:
         theta: θ_n (m,).
         theta_prev: θ_{n−1} (m,).
         X: (m,) the values before x_n [m], newest first.
         x_n: the value to be predicted [m].
-        errors: (N,) the last |ℜ| before this one [m], newest first.
+        errors: (N,) last values of |ℜ| before this step [m], newest first.
         mean_error: ē before this step [m].
-        relaxation: ρ, held to [0, 1].
-        beta_max: held to [0, 0.5].
-        step: the rule for μ.
+        relaxation: ρ, limited to [0, 1].
+        beta_max: β_max, limited to [0, 0.5].
+        step: rule for μ.
 
     Raises:
-        InputError: unknown `step`.
+        InputError: if `step` is unknown.
 
     Example:
         >>> import casadi as ca
         >>> from surctl.sensing import lms_step
-        >>> x, half = ca.SX([1.98, 2.0]), ca.SX([0.5, 0.5])  # closing by 2 cm a firing
+        >>> x, half = ca.SX([1.98, 2.0]), ca.SX([0.5, 0.5])  # range decreases by 2 cm per firing
         >>> gains = {"relaxation": ca.SX(1.0), "beta_max": ca.SX(0.0)}
         >>> step = lms_step(half, half, X=x, x_n=ca.SX(1.96), errors=ca.SX.zeros(4), mean_error=ca.SX(0.0), **gains)
         >>> ca.evalf(step.residual), ca.evalf(ca.dot(step.theta, x))
@@ -158,28 +158,28 @@ def lms_step(
 
 
 class FilterUpdate(NamedTuple):
-    """What `SensorFilter.update` gives; SX expressions."""
+    """Result of `SensorFilter.update`, as CasADi SX expressions."""
 
     state: dict[str, ca.SX]
-    """Next state, keyed as the ports are named."""
+    """Next state, by port name."""
     range_hat: ca.SX
-    """(n,) range from each apex to act on [m]."""
+    """(n,) filtered range from each apex [m]."""
     healthy: ca.SX
-    """(n,) 1 when the range may be believed, else 0."""
+    """(n,) 1 if the range is reliable, else 0."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SensorFilter:
-    """Average, gate and LMS of every sensor of an array, as one step with explicit state.
+    """Average, gate and LMS filter for every sensor of an array, in one step with explicit state.
 
     Attributes:
-        array: the sensors.
-        window: n of (4), values in the gate's window, at least 2.
-        taps: m of Algorithm 1, values a prediction rests on.
-        memory: N of (7), errors that are remembered.
-        refusals: refused values in a row after which a sensor counts as unhealthy.
-        jump: accepted change [m] from one firing to the next that means another object (*chosen*; closing at 0.5 m/s
-            makes 0.05 m): the LMS then starts anew, or it would predict phantoms between the two.
+        array: the sonar array.
+        window: n of (4), number of values in the gate's window, at least 2.
+        taps: m of Algorithm 1, number of values used for a prediction.
+        memory: N of (7), number of stored errors.
+        refusals: number of consecutive refused values after which a sensor counts as unhealthy.
+        jump: accepted change [m] between two firings that indicates another object (*chosen*; a closing speed of
+            0.5 m/s gives 0.05 m). The LMS filter then restarts, so that it predicts no ranges between the two objects.
         step: rule for μ, see `lms_step`.
     """
 
@@ -192,7 +192,7 @@ class SensorFilter:
     step: StepRule = "corrected"
 
     def __post_init__(self) -> None:
-        """Check the values; InputError names the wrong one."""
+        """Check the values; raise an InputError that names an invalid value."""
         for name, least in (("window", 2), ("taps", 1), ("memory", 1), ("refusals", 1)):
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
@@ -204,23 +204,23 @@ class SensorFilter:
             raise InputError("unknown LMS step", key="filter.step", value=self.step, remedy=remedy)
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
-        """The state, one row a sensor; it starts with nothing heard and no sensor believed."""
+        """Return the ports of the state, one row per sensor; initially no echo is stored and no sensor is healthy."""
         n, far = self.array.size, self.array.maximum
         return (
             Port(f"{prefix}window", (n, self.window), "m", "averaged raw ranges, newest first", far),
             Port(f"{prefix}history", (n, self.taps), "m", "gated ranges, newest first", far),
             Port(f"{prefix}theta", (n, self.taps), "1", "LMS weights", 1.0 / self.taps),
             Port(f"{prefix}theta_prev", (n, self.taps), "1", "LMS weights one firing ago", 1.0 / self.taps),
-            Port(f"{prefix}errors", (n, self.memory), "m", "sizes of the prediction errors, newest first"),
+            Port(f"{prefix}errors", (n, self.memory), "m", "absolute prediction errors, newest first"),
             Port(f"{prefix}mean_error", (n,), "m", "running mean of the corrected error"),
-            Port(f"{prefix}refused", (n,), "1", "refused values in a row", float(self.refusals)),
+            Port(f"{prefix}refused", (n,), "1", "number of consecutive refused values", float(self.refusals)),
         )
 
     def gain_ports(self, prefix: str = "") -> tuple[Port, ...]:
-        """The gains with their defaults (*chosen*)."""
+        """Return the ports of the gains with their defaults (*chosen*)."""
         return (
             Port(f"{prefix}lambda1", (1,), "1", "half-width of the gate (5) in standard deviations, >= 0", 3.0),
-            Port(f"{prefix}relaxation", (1,), "1", "LMS step as a part of the optimum, 0 to 1", 0.5),
+            Port(f"{prefix}relaxation", (1,), "1", "LMS step as a fraction of the optimum, 0 to 1", 0.5),
             Port(f"{prefix}beta_max", (1,), "1", "largest LMS momentum, 0 to 0.5", 0.2),
         )
 
@@ -233,20 +233,20 @@ class SensorFilter:
         gains: Mapping[str, ca.SX],
         prefix: str = "",
     ) -> FilterUpdate:
-        """One tick: sensors that fired since the last one take their samples in, the others keep their state.
+        """Return the ranges after one control step, in which sensors that fired process their samples.
 
-        The range is the smaller of the newest gated value and the prediction of the next one (it has to last
-        until the sensor fires again), held to [lowest, maximum]. A sensor is healthy while fewer than
-        `refusals` values in a row were refused; before its first accepted value it is not. With λ1 = 0
-        nothing counts as refused.
+        The range is the smaller of the newest gated value and the prediction of the next value, because it must be
+        valid until the sensor fires again; it is limited to [lowest, maximum]. A sensor is healthy while fewer than
+        `refusals` consecutive values are refused; before its first accepted value it is unhealthy. With λ1 = 0 no
+        value counts as refused.
 
         Args:
-            state: by port name, shapes of `ports(prefix)`.
+            state: state by port name, with the shapes of `ports(prefix)`; it changes only for sensors that fired.
             samples: (n, samples) raw samples [m], oldest first; rows of sensors that did not fire are ignored
                 (but must be finite).
-            fresh: (n,) 1 for a sensor that fired, else 0.
-            gains: by port name, `gain_ports(prefix)`.
-            prefix: of the names of state and gains.
+            fresh: (n,) 1 for a sensor that fired since the last step, else 0.
+            gains: gains by port name, see `gain_ports(prefix)`.
+            prefix: prefix of the port names of state and gains.
         """
         names = [port.name.removeprefix(prefix) for port in self.ports(prefix)]
         rows = []
@@ -262,7 +262,7 @@ class SensorFilter:
         return FilterUpdate({prefix + name: after[name] for name in names}, range_hat, healthy)
 
     def _fired(self, old: Mapping[str, ca.SX], samples: ca.SX, *, gains: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
-        """Next state of one sensor that fired; columns by unprefixed name."""
+        """Return the next state of one sensor that fired, as columns by name without prefix."""
         value = weighted_average(samples)
         lambda1 = gains["lambda1"]
         gated, accepted, window = gate(old["window"], value, lambda1=lambda1, resolution=self.array.resolution)
@@ -292,5 +292,5 @@ class SensorFilter:
 
 
 def _pushed(window: ca.SX, value: ca.SX) -> ca.SX:
-    """The window (n,) with `value` put in front and the oldest dropped."""
+    """Return the window (n,) with `value` in front and without the oldest value."""
     return ca.vertcat(value, window[:-1, :])

@@ -1,4 +1,4 @@
-"""Whether a stream that came back after a gap is late, by the known walls or by the robot's own motion."""
+"""Test whether a sensor's readings are late after a gap, based on known walls or on the robot's own motion."""
 
 from __future__ import annotations
 
@@ -9,28 +9,29 @@ from surctl.sensing.ranging.scene import Step
 
 __all__ = ["Late", "lateness"]
 
-_SMALL, _TELLING, _TELLING_WALL = 0.025, 0.035, 0.05  # m, shifts of a late stream
-_TRACK_SPREAD, _WALL_SPREAD = 0.012, 0.02  # m, of residuals on the old track, and on the expected range
+_SMALL, _TELLING, _TELLING_WALL = 0.025, 0.035, 0.05  # m, least shift that matters, and that can show a delay
+_TRACK_SPREAD, _WALL_SPREAD = 0.012, 0.02  # m, standard deviation of residuals from the old track and expected range
 _TRACK_GATE = _WALL_GATE = 0.05  # m
-_EVIDENCE, _LOOKS, _LOOKS_WALL = 60.0, 4, 6  # variances, and readings
-_FORGET = 0.95  # what of the old evidence stays
+_EVIDENCE, _LOOKS, _LOOKS_WALL = 60.0, 4, 6  # needed for a decision: shift² in variances, and numbers of readings
+_FORGET = 0.95  # factor on the old evidence at each new reading
 
 
 class Late(NamedTuple):
-    """What a stream that may be late means at this step."""
+    """Result of the test for late readings at this step."""
 
     late_by: Value
     late: Value
-    away: Value  # a late reading less the present range
-    undecided: Value  # and it matters
-    judging: Value  # this reading is evidence, and so not one for the track
+    away: Value  # a late reading minus the present range
+    undecided: Value  # the test has no decision yet, and the shift is large enough to matter
+    judging: Value  # this reading is evidence for the test and does not update the track
 
 
 def lateness(step: Step, sound: Value, reading: Value) -> Late:
-    """After a gap the stream may be late by the gap: compare it with the known walls, or with the old track.
+    """Test whether readings after a gap are late by the gap: compare them with the known walls or the old track.
 
-    A late reading is the range of `late_by` ago, longer by a shift that the known walls give, or own motion. The
-    residuals of the readings on the shift give the share of it that is real: 0 for a true stream, 1 for a late one.
+    A late reading is the range of `late_by` ago. It differs from the present range by a shift, which is computed from
+    the known walls or from own motion. The regression coefficient of the residuals on the shift is 0 for readings
+    without delay and 1 for late readings.
     """
     op, rules, old, state, _, scene = step
     missing = op.floor(state["since"] / rules.due + 0.5) - 1.0
@@ -52,7 +53,7 @@ def lateness(step: Step, sound: Value, reading: Value) -> Late:
     gate = op.where(by_wall, _WALL_GATE + scene.unsure, _TRACK_GATE + 0.25 * op.size(shift))
     fits = op.either(op.size(residual) <= gate, op.size(residual - shift) <= gate)
     judging = op.both(sound, telling, fits, op.either(by_wall, state["votes"] < 0.5))
-    # something stands before the wall
+    # an object lies in front of the wall
     elsewhere = op.both(sound, telling, by_wall, op.no(fits))
     weight = 1.0 / (spread * spread)
     cross = op.where(judging, _FORGET * old["cross"] + residual * shift * weight, old["cross"])

@@ -1,7 +1,7 @@
-"""The numeric twins of `filters`: the same rules on NumPy arrays, for recorded readings and for many runs at once.
+"""The filters of the paper on NumPy arrays, equal to those in `filters`, for recorded readings and many runs at once.
 
-Leading axes are free: runs, sensors. State goes in and comes out; nothing is changed in place. Windows and histories
-hold the newest value first. Ranges in metres.
+Arrays may have any leading axes, for example runs and sensors. The functions return the next state and change no array
+in place. Windows and histories hold the newest value first. Ranges are in metres.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 def plain_average(samples: Array) -> Array:
-    """`weighted_average` of samples (..., k) [m], oldest first: (...).
+    """Return the `weighted_average` (...) of samples (..., k) [m], oldest first.
 
     Example:
         >>> import numpy as np
@@ -35,11 +35,11 @@ def plain_average(samples: Array) -> Array:
 
 
 def plain_gate(window: Array, value: Array, *, lambda1: ArrayLike, resolution: float) -> tuple[Array, Array, Array]:
-    """`gate` (4)–(5).
+    """Apply the gate (4)–(5) as `gate` does.
 
     Args:
         window: (..., n) the last averaged raw values [m].
-        value: (...) the new one [m].
+        value: (...) the new averaged raw value [m].
         lambda1: λ1 ≥ 0.
         resolution: one conversion step [m].
 
@@ -63,12 +63,12 @@ def plain_gate(window: Array, value: Array, *, lambda1: ArrayLike, resolution: f
 
 
 class PlainLmsStep(NamedTuple):
-    """As `LmsStep`, arrays."""
+    """Result of one step of Algorithm 1 as arrays, see `LmsStep`."""
 
     theta: Array
     """(..., m) θ_{n+1}."""
     errors: Array
-    """(..., N) the last |ℜ| [m]."""
+    """(..., N) last values of |ℜ| [m]."""
     mean_error: Array
     """(...) ē [m]."""
     residual: Array
@@ -89,26 +89,26 @@ def plain_lms_step(
     beta_max: ArrayLike,
     step: StepRule = "corrected",
 ) -> PlainLmsStep:
-    """`lms_step`, Algorithm 1 with (6)–(7).
+    """Return the result of one step of Algorithm 1 with (6)–(7), as `lms_step` does.
 
     Args:
         theta: θ_n (..., m).
         theta_prev: θ_{n−1} (..., m).
         X: (..., m) the values before x_n [m].
         x_n: (...) the value to be predicted [m].
-        errors: (..., N) [m].
+        errors: (..., N) last values of |ℜ| before this step [m].
         mean_error: (...) ē before this step [m].
-        relaxation: ρ, held to [0, 1].
-        beta_max: held to [0, 0.5].
-        step: the rule for μ.
+        relaxation: ρ, limited to [0, 1].
+        beta_max: β_max, limited to [0, 0.5].
+        step: rule for μ.
 
     Raises:
-        InputError: unknown `step`.
+        InputError: if `step` is unknown.
 
     Example:
         >>> import numpy as np
         >>> from surctl.sensing import plain_lms_step
-        >>> x, half, zero = np.array([1.98, 2.0]), np.full(2, 0.5), np.array(0.0)  # closing by 2 cm a firing
+        >>> x, half, zero = np.array([1.98, 2.0]), np.full(2, 0.5), np.array(0.0)  # 2 cm less per firing
         >>> now = {"X": x, "x_n": np.array(1.96), "errors": np.zeros(4), "mean_error": zero}
         >>> step = plain_lms_step(half, half, relaxation=1.0, beta_max=0.0, **now)
         >>> round(float(step.residual), 3), round(float(step.theta @ x), 3)
@@ -134,14 +134,14 @@ def plain_lms_step(
 
 
 class PlainUpdate(NamedTuple):
-    """As `FilterUpdate`, arrays."""
+    """Result of `plain_filter` as arrays, see `FilterUpdate`."""
 
     state: dict[str, Array]
-    """Next state, keyed as the ports are named."""
+    """Next state, by port name."""
     range_hat: Array
-    """(..., n) range from each apex to act on [m]."""
+    """(..., n) filtered range from each apex [m]."""
     healthy: Array
-    """(..., n) 1 when the range may be believed, else 0."""
+    """(..., n) 1 if the range is reliable, else 0."""
 
 
 def plain_filter(
@@ -153,15 +153,15 @@ def plain_filter(
     gains: Mapping[str, ArrayLike],
     prefix: str = "",
 ) -> PlainUpdate:
-    """`SensorFilter.update`.
+    """Return the ranges after one control step, as `SensorFilter.update` does.
 
     Args:
         filter_: the filter.
-        state: by port name, each (..., *port.shape).
-        samples: (..., n, k) [m].
+        state: state by port name, each (..., *port.shape).
+        samples: (..., n, k) raw samples [m].
         fresh: (..., n) 1 for a sensor that fired, else 0.
-        gains: by port name, scalars.
-        prefix: of the names of state and gains.
+        gains: scalar gains by port name.
+        prefix: prefix of the port names of state and gains.
 
     Example:
         >>> import numpy as np
@@ -195,7 +195,7 @@ def plain_filter(
 def _fired(
     filter_: SensorFilter, old: Mapping[str, Array], samples: Array, gains: Mapping[str, float]
 ) -> dict[str, Array]:
-    """Next state of sensors that fired, by unprefixed name."""
+    """Return the next state of sensors that fired, by name without prefix."""
     lambda1 = gains["lambda1"]
     gated, accepted, window = plain_gate(
         old["window"], plain_average(samples), lambda1=lambda1, resolution=filter_.array.resolution

@@ -1,8 +1,8 @@
-"""The rules of `RangeTracker`, written once for symbols and numbers (`Elementwise`).
+"""The rules of `RangeTracker`, written once for CasADi symbols and NumPy numbers (`Elementwise`).
 
-A step moves the track by the robot's own motion, takes the new reading in if it can be honest and agrees with the
-track, and otherwise keeps it as a rival hypothesis until there is reason to believe it. What is not resolved widens the
-interval in which the range is promised to lie.
+A step moves the track by the robot's own motion. If the new reading is plausible and agrees with the track, it updates
+the track. Otherwise it is stored as a candidate for another track until there is enough evidence for it. An unresolved
+conflict widens the interval that shall contain the true range.
 """
 
 from __future__ import annotations
@@ -16,43 +16,43 @@ from surctl.sensing.ranging.scene import Rules, Step, StepInputs, opened, robust
 
 __all__ = ["range_step"]
 
-_UNSEEN = 0.03  # rad; a beam that turned further since the last believed reading tells nothing of what it sees now
-_STALE = 0.2  # rad; likewise, a reading that is near an older track is so by chance
+_UNSEEN = 0.03  # rad; after a larger turn since the track's last reading, the track does not describe the present beam
+_STALE = 0.2  # rad; after a larger turn since the track's last reading, a reading is near the track only by chance
 _GATE = 4.0  # standard deviations
 _GATE_LEAST, _GATE_MOST, _GATE_TURNING = 0.05, 0.10, 0.35  # m
-_SAME, _SAME_TURNING = 0.06, 0.16  # m, from one reading of a rival to the next, own motion taken out
-_VOTES = 3  # readings in a row that make a rival the track
-_VOTES_AFTER_FAULT = 8  # which no wall that is passed by chance gives
-_MARGIN, _DEVIATIONS = 0.015, 3.5  # m and standard deviations of a healthy bound
-_CANDIDATE = 0.04  # m, half-width of a rival
-_TWICE = 0.1  # m, by which a second echo may miss twice the range
-_CROSS = 0.05  # m, by which crosstalk may miss another sensor's reading
-_BEARABLE = 0.05  # m, shift of a stream that may be late, in a healthy bound
-_CAUTIOUS = 0.1  # part of the filter's gain while a stream may be late
-_CALM = 0.6  # part of a surprise that stays
-_SURPRISING, _SURPRISING_TURNING = 2.5, 0.5  # standard deviations
+_SAME, _SAME_TURNING = 0.06, 0.16  # m, largest difference of consecutive readings of a candidate, without own motion
+_VOTES = 3  # consecutive readings after which a candidate becomes the track
+_VOTES_AFTER_FAULT = 8  # more readings than a wall gives that the beam passes by chance
+_MARGIN, _DEVIATIONS = 0.015, 3.5  # m and standard deviations in the bound of a healthy sensor
+_CANDIDATE = 0.04  # m, half-width of the interval around a candidate
+_TWICE = 0.1  # m, largest difference between a second echo and twice the range
+_CROSS = 0.05  # m, largest difference between crosstalk and the other sensor's reading
+_BEARABLE = 0.05  # m, largest shift of a possibly late stream with which a sensor is healthy
+_CAUTIOUS = 0.1  # factor on the innovation while a stream may be late
+_CALM = 0.6  # part of a surprise that remains after the next reading
+_SURPRISING, _SURPRISING_TURNING = 2.5, 0.5  # standard deviations; a larger innovation is a surprise
 
 
 class _Compared(NamedTuple):
-    """A reading against what is known."""
+    """A reading compared with the track, the known walls and the other sensors."""
 
-    corrected: Value  # [m], a late one less its shift
-    innovation: Value  # [m] from the track
-    agrees: Value  # with the known walls
-    crosstalk: Value  # it is also another sensor's reading
-    near: Value  # it belongs to the track
+    corrected: Value  # [m], the reading; if it is late, minus its shift
+    innovation: Value  # [m], difference from the track
+    agrees: Value  # whether it agrees with the known walls
+    crosstalk: Value  # whether it equals another sensor's reading
+    near: Value  # whether it belongs to the track
 
 
 def range_step(
     op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: StepInputs
 ) -> tuple[dict[str, Value], tuple[Value, ...]]:
-    """Next state, and range, bound, rate, healthy, age, reading, accepted, carve.
+    """Return the next state, and the outputs range, bound, rate, healthy, age, reading, accepted, carve.
 
     Args:
-        op: operations of symbols or of numbers.
-        rules: numbers.
-        old: state by unprefixed port name; a port with columns is a list of them.
-        inputs: inputs.
+        op: operations on symbols or on numbers.
+        rules: parameters of the rules.
+        old: state by port name without prefix; a port with several columns is a list of columns.
+        inputs: inputs of the step.
     """
     step = opened(op, rules, old, inputs)
     reading = robust(op, rules, inputs.samples)
@@ -64,21 +64,21 @@ def range_step(
 
 
 def _compared(step: Step, late: Late, fine: Value, reading: Value) -> _Compared:
-    """The reading against track, walls, rival and the other sensors."""
+    """Compare the reading with the track, the known walls, the candidate and the other sensors."""
     op, rules, _, state, _, scene = step
     x, known = state["range"], state["known"] > 0.5
     corrected = op.where(late.late, op.least(op.most(reading - late.away, 0.0), rules.maximum), reading)
     innovation = corrected - x
     spread = op.root(op.most(state["var_range"], 0.0) + rules.sigma * rules.sigma)
     widest = op.where(scene.turning, _GATE_TURNING, _GATE_MOST)
-    # less than a second echo is away
+    # smaller than the distance to a second echo
     gate = op.most(op.least(_GATE * spread, widest, 0.5 * x), _GATE_LEAST)
     off = op.size(corrected - scene.expected)
     agrees = op.both(scene.wall, off <= rules.tolerance + scene.unsure)
     closely = op.both(scene.wall, off <= 0.5 * (rules.tolerance + scene.unsure))
     agrees = op.where(state["distrust"] > 0.5, closely, agrees)
     there = op.both(known, op.either(state["turned"] <= _STALE, op.both(agrees, state["distrust"] < 0.5)))
-    # a stream of a rival that happens to cross the track does not become true by it
+    # readings of a candidate that cross the track by chance do not update the track
     crossing = op.both(state["votes"] > 0.5, op.size(corrected - state["candidate"]) <= _SAME)
     crosstalk = _crosstalk(step, corrected)
     foreign = op.both(crosstalk, scene.turning, op.no(agrees))
@@ -88,17 +88,17 @@ def _compared(step: Step, late: Late, fine: Value, reading: Value) -> _Compared:
 
 
 def _believed(step: Step, late: Late, fine: Value, reading: Value) -> Value:
-    """Take the reading into the track, or into the rival; whether it was believed."""
+    """Update the track or the candidate with the reading; return whether the reading updated the track."""
     op, rules, _, state, _, scene = step
     new = _compared(step, late, fine, reading)
-    # a known wall comes into the beam
+    # a known wall enters the beam
     honest = op.both(state["known"] > 0.5, op.no(new.crosstalk), state["distrust"] < 0.5)
     entered = op.both(fine, honest, scene.turning, op.no(new.near), new.agrees, new.innovation < 0.0)
     other = op.both(fine, op.no(new.near), op.no(entered))
     anew = op.either(entered, _candidate(step, new, other))
     _filtered(step, late, new, anew)
     believed = op.either(new.near, anew)
-    # a set that repeats once is a sign, not yet a doubt
+    # one repetition of a sample set is not yet a reason to reject the reading
     fair = op.either(fine, op.both(state["repeated"] > 0.5, state["repeated"] < rules.stuck))
     rejected = op.where(fair, state["rejected"], 1.0)
     too_long = op.both(scene.fired, reading > scene.raw + scene.tolerance)
@@ -115,7 +115,7 @@ def _believed(step: Step, late: Late, fine: Value, reading: Value) -> Value:
 
 
 def _candidate(step: Step, new: _Compared, other: Value) -> Value:
-    """Keep a reading away from the track as a rival; whether the rival has become the track."""
+    """Store a reading that is not near the track as a candidate; return whether the candidate becomes the track."""
     op, rules, _, state, _, scene = step
     corrected, outward = new.corrected, new.innovation > 0.0
     x, top = state["range"], rules.maximum - 2.0 * rules.resolution
@@ -123,11 +123,11 @@ def _candidate(step: Step, new: _Compared, other: Value) -> Value:
     goes_on = op.both(state["votes"] > 0.5, op.size(corrected - state["candidate"]) <= same)
     twice = op.both(op.size(corrected - 2.0 * x) <= _TWICE, outward)
     vanished = op.both(corrected >= top, outward)
-    # within one conflict a suspicion stays: noise may break a stream in two
+    # a suspicion lasts for the whole conflict, because noise may split the readings into two groups
     suspect = op.either(op.both(state["votes"] > 0.5, state["suspect"] > 0.5), twice, vanished)
-    # what is narrow has left the beam
+    # after such a turn, a narrow object has left the beam
     passed = op.size(state["swung"]) > rules.beam
-    # before anything is known two sensors may well read alike, in a corridor or between walls
+    # before a track exists, two sensors may have equal readings without crosstalk, for example in a corridor
     foreign = op.both(new.crosstalk, state["known"] > 0.5)
     strange = op.either(foreign, op.both(op.no(new.agrees), state["distrust"] > 0.5))
     votes = op.where(op.both(goes_on, op.no(strange)), op.least(state["votes"] + 1.0, 9.0), 1.0)
@@ -143,9 +143,9 @@ def _candidate(step: Step, new: _Compared, other: Value) -> Value:
 
 
 def _crosstalk(step: Step, corrected: Value) -> Value:
-    """Whether the value is what another sensor heard; all may see nothing."""
+    """Return whether the value equals another sensor's echo; readings without an echo do not count."""
     op, rules = step.op, step.rules
-    match = op.size(corrected) < 0.0  # of none
+    match = op.size(corrected) < 0.0  # false everywhere
     for rate, newest, before in step.inputs.others:
         tolerance = _CROSS + op.size(rate) * rules.due
         for theirs in (newest, before):
@@ -155,21 +155,21 @@ def _crosstalk(step: Step, corrected: Value) -> Value:
 
 
 def _filtered(step: Step, late: Late, new: _Compared, anew: Value) -> None:
-    """Kalman update where the reading is near the track; a new track where it starts anew."""
+    """Update the track by the Kalman filter if the reading is near it, or start a new track."""
     op, rules, _, state, _, scene = step
     corrected, crosstalk = new.corrected, new.crosstalk
     x, u = state["range"], state["rate"]
     p11, p12, p22 = state["var_range"], state["covariance"], state["var_rate"]
     r = rules.sigma * rules.sigma
     total = p11 + r
-    # what may be late carries the track along little, and what is also another sensor's reading not at all
+    # a reading that may be late moves the track little, and one that equals another sensor's does not move it
     part = op.where(crosstalk, 0.0, op.where(late.undecided, _CAUTIOUS, 1.0))
     steady = op.either(crosstalk, late.undecided, scene.follow)
     k1, k2 = p11 / total, op.where(steady, 0.0, p12 / total)
     innovation = part * (corrected - x)
     usual = op.where(scene.turning, _SURPRISING_TURNING, _SURPRISING) * op.root(total)
     surprise = op.most(_CALM * state["surprise"], op.size(corrected - x) - usual, 0.0)
-    # it only bears the track out, as well as it agrees with it
+    # such a reading confirms the track only to within their difference
     from_wall = op.where(new.agrees, op.size(corrected - scene.expected), 0.0)
     shared = op.most(op.where(anew, 0.0, op.size(corrected - x)), from_wall)
     surprise = op.where(crosstalk, op.most(surprise, shared), surprise)
@@ -180,7 +180,7 @@ def _filtered(step: Step, late: Late, new: _Compared, anew: Value) -> None:
 
     state["range"] = chosen(op.least(op.most(x + k1 * innovation, 0.0), rules.maximum), corrected, x)
     state["rate"] = chosen(op.where(steady, 0.0, u + k2 * innovation), 0.0, u)
-    # the form that holds for any gain
+    # Joseph form, which is valid for any gain
     state["var_range"] = chosen((1.0 - k1) * (1.0 - k1) * p11 + k1 * k1 * r, r, p11)
     state["covariance"] = chosen((1.0 - k1) * (p12 - k2 * p11) + k1 * k2 * r, 0.0, p12)
     state["var_rate"] = chosen(p22 - 2.0 * k2 * p12 + k2 * k2 * total, rules.rate_variance, p22)
@@ -191,7 +191,7 @@ def _filtered(step: Step, late: Late, new: _Compared, anew: Value) -> None:
 
 
 def _record(step: Step, reading: Value) -> None:
-    """What later steps compare with."""
+    """Store the reading and samples with which later steps compare."""
     op, _, old, state, inputs, scene = step
     state["reading"] = op.where(scene.fired, reading, old["reading"])
     state["since"] = op.where(scene.fired, 0.0, state["since"])
@@ -204,7 +204,7 @@ def _record(step: Step, reading: Value) -> None:
 
 
 def _outputs(step: Step, late: Late, believed: Value) -> tuple[Value, ...]:
-    """Range, bound, rate, healthy, age, reading, accepted, carve."""
+    """Return range, bound, rate, healthy, age, reading, accepted and carve."""
     op, rules, _, state, _, scene = step
     x, far = state["range"], rules.maximum
     overdue = state["since"] > rules.due + 0.5 * rules.dt
@@ -236,11 +236,11 @@ def _outputs(step: Step, late: Late, believed: Value) -> tuple[Value, ...]:
     high = op.where(contested, op.most(high, state["candidate"] + _CANDIDATE), high)
     lost = op.both(op.no(healthy), op.either(state["turned"] > _UNSEEN, blind, op.both(scene.turning, late.late)))
     anything = op.either(state["known"] < 0.5, lost)
-    at_minimum = state["reading"] <= rules.minimum + 1.5 * rules.resolution  # it reads the same from there down to 0
+    at_minimum = state["reading"] <= rules.minimum + 1.5 * rules.resolution  # all ranges below give the same reading
     low = op.where(op.either(anything, at_minimum), 0.0, op.most(low, 0.0))
     ceiling = op.least(scene.expected + scene.tolerance, far)
     high = op.least(op.where(anything, far, high), ceiling)
-    # a track beyond what the walls allow: the wall itself
+    # if the track lies beyond a known wall, the interval ends at the wall
     low = op.where(low > ceiling, op.most(ceiling - 2.0 * scene.tolerance, 0.0), low)
     accepted = op.both(believed, healthy)
     nearest = op.least(*state["recent"])

@@ -1,4 +1,4 @@
-"""A step of `RangeTracker` up to the new reading: what surrounds a sensor, where its track has moved, what it heard."""
+"""The first part of a `RangeTracker` step: expected ranges, motion of the track, and the new reading."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from surctl.sensing.ranging.elementwise import Elementwise, Value
 __all__ = ["MOST_REPEATS", "Rules", "Scene", "Step", "StepInputs", "opened", "others", "robust", "sound"]
 
 MOST_REPEATS = 9
-"""Most repetitions of a sample set that are counted."""
+"""Largest number of repetitions of a sample set that is counted."""
 
-_TURNING = 0.05  # rad/s; below it the beam counts as still
-_SLIDING = 0.04  # m in a cycle, above the noise of an expected range
-_NOISE = 2.25e-3  # m²/s³, of the rate: an obstacle that changes its speed by 0.15 m/s within a second
-_NOISE_TURNING = 0.4  # m²/s³: nearest points slide along what the beam sweeps
-_VARIANCE = 0.09  # m², largest of the range
+_TURNING = 0.05  # rad/s; at a lower rate the beam counts as not turning
+_SLIDING = 0.04  # m per cycle, above the noise of an expected range
+_NOISE = 2.25e-3  # m²/s³, noise of the rate, for an obstacle that changes its speed by 0.15 m/s within a second
+_NOISE_TURNING = 0.4  # m²/s³, the same while turning: the nearest point slides along objects that the beam sweeps
+_VARIANCE = 0.09  # m², largest variance of the range
 _NEVER = 1e6  # s, rad
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rules:
-    """Numbers of the rules, SI units; see `RangeTracker`."""
+    """Parameters of the rules in SI units; see `RangeTracker`."""
 
     dt: float
     due: float
@@ -44,17 +44,17 @@ class Rules:
 
     @property
     def stuck(self) -> float:
-        """Repetitions above which a sensor is stuck; none are counted where the noise cannot tell."""
+        """Number of repetitions above which a sensor is stuck; with too little noise, repetitions are not counted."""
         return max(self.repeats, 1) - 0.5
 
     @property
     def rate_variance(self) -> float:
-        """Of a rate that is not known [m²/s²]."""
+        """Variance of an unknown rate [m²/s²]."""
         return max(self.obstacle_speed, 0.05) ** 2
 
 
 class StepInputs(NamedTuple):
-    """Inputs of a step."""
+    """Inputs of a tracker step."""
 
     samples: list[Value]
     fresh: Value
@@ -62,25 +62,25 @@ class StepInputs(NamedTuple):
     expected: Value
     turn: Value
     others: list[tuple[Value, Value, Value]]
-    """Of each other sensor: rate of its track [m/s], its newest reading and the one before [m]; see `others`."""
+    """For each other sensor: rate of its track [m/s], its newest and its previous reading [m]; see `others`."""
 
 
 class Scene(NamedTuple):
-    """What the rules share within a step: where the sensor stands with its surroundings and its stream."""
+    """Values that the rules share within a step: the motion of the beam, and the expected range with its tolerances."""
 
     fired: Value
     turning: Value
-    follow: Value  # the beam turns, and the track is a known wall: it moves as the expected range does
-    raw: Value  # the expected range as given
-    wall: Value  # a known wall is in reach
-    expected: Value  # held to the maximum
+    follow: Value  # the beam turns and the track is a known wall, so the track moves with the expected range
+    raw: Value  # expected range, not limited
+    wall: Value  # a known wall is within the maximum range
+    expected: Value  # expected range, limited to the maximum
     tolerance: Value
-    unsure: Value  # error of the expected range that the heading's brings [m]
-    slide: Value  # by how much the expected range moved within a cycle, while the beam turns
+    unsure: Value  # error of the expected range due to the error of the heading [m]
+    slide: Value  # change of the expected range within a cycle while the beam turns [m]
 
 
 class Step(NamedTuple):
-    """A step in work: its state is a dictionary of its own and filled rule by rule."""
+    """A tracker step in progress: the rules fill `state`, a copy of the old state, one after another."""
 
     op: Elementwise
     rules: Rules
@@ -91,13 +91,13 @@ class Step(NamedTuple):
 
 
 def opened(op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: StepInputs) -> Step:
-    """The step with the state moved on, before the reading.
+    """Return the step with the state predicted to the present, before the reading is used.
 
     Args:
-        op: operations of symbols or of numbers.
-        rules: numbers.
-        old: state by unprefixed port name; a port with columns is a list of them.
-        inputs: inputs.
+        op: operations on symbols or on numbers.
+        rules: parameters of the rules.
+        old: state by port name without prefix; a port with several columns is a list of columns.
+        inputs: inputs of the step.
     """
     scene = _scene(op, rules, old, inputs)
     return Step(op, rules, old, _moved(op, rules, old, inputs, scene), inputs, scene)
@@ -127,7 +127,7 @@ def _scene(op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: Step
 def _moved(
     op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: StepInputs, scene: Scene
 ) -> dict[str, Value]:
-    """The state a step later without a reading."""
+    """Return the state one step later, without a new reading."""
     dt, top = rules.dt, rules.maximum - 0.5 * rules.resolution
     state = dict(old)
     own = -inputs.closing * dt
@@ -143,12 +143,12 @@ def _moved(
     noise = op.where(scene.turning, _NOISE_TURNING, _NOISE) * dt
     p11, p12, p22 = old["var_range"], old["covariance"], old["var_rate"]
     state["range"] = op.least(op.most(old["range"] + known + drift, 0.0), rules.maximum)
-    # afterwards the bound grows by the obstacle's largest speed instead
+    # when a reading is overdue, the bound grows with the obstacle's largest speed instead
     growing = old["age"] + dt <= rules.due + 0.5 * dt
     largest = op.where(scene.turning, 16.0, 1.0) * rules.rate_variance
     ahead = op.least(p11 + 2.0 * dt * p12 + dt * dt * p22 + noise * dt * dt / 3.0, _VARIANCE)
     faster = op.least(p22 + noise, largest)
-    # a covariance matrix after its entries were capped, too
+    # keeps the covariance matrix positive definite after its entries were limited
     limit = 0.99 * op.root(op.most(ahead * faster, 0.0))
     both = op.least(op.most(p12 + dt * p22 + 0.5 * noise * dt, -limit), limit)
     state["var_range"] = op.where(growing, ahead, p11)
@@ -168,7 +168,7 @@ def _moved(
 def others(
     op: Elementwise, rules: Rules, old: Mapping[str, Value], samples: list[Value], fresh: Value
 ) -> list[tuple[Value, Value, Value]]:
-    """What each sensor is compared with, `Seen.others`: the sensors one place round, two places round, ..."""
+    """Return the values of `StepInputs.others` for all sensors: of the next sensor, of the one after it, and so on."""
     rate, newest, before = (
         old["rate"],
         op.where(fresh > 0.5, robust(op, rules, samples), old["reading"]),
@@ -179,7 +179,7 @@ def others(
 
 
 def robust(op: Elementwise, rules: Rules, samples: list[Value]) -> Value:
-    """Mean of a firing without its smallest and its largest sample [m]; the maximum where all read it."""
+    """Return the mean of a firing without its smallest and largest sample [m]; the maximum if all samples read it."""
     total = samples[0]
     for value in samples[1:]:
         total = total + value
@@ -191,13 +191,13 @@ def robust(op: Elementwise, rules: Rules, samples: list[Value]) -> Value:
 
 
 def sound(step: Step, reading: Value) -> Value:
-    """Whether this firing's reading can be honest by itself; counts repetitions."""
+    """Return whether this firing's reading is plausible by itself, and count repetitions of its sample set."""
     op, rules, old, state, inputs, scene = step
     code = rules.resolution
     differs = 0.0
     for new, before in zip(inputs.samples, old["samples"], strict=True):
         differs = differs + op.size(new - before)
-    # at the ends of its range an honest sensor repeats itself
+    # at the ends of its range, a working sensor also repeats its samples
     same = op.both(differs < 0.25 * code, reading > rules.minimum + code, reading < rules.maximum - code)
     count = (
         op.where(same, op.least(old["repeated"] + 1.0, float(MOST_REPEATS)), 0.0) if rules.repeats else 0.0 * reading

@@ -1,9 +1,9 @@
-"""A robust range for each sensor: what stands how far away, with a bound that holds, whatever a sensor does.
+"""The robust range tracker: the distance of the nearest object for each sensor, with a bound despite sensor faults.
 
-Per firing a trimmed mean of the samples; per sensor a Kalman filter of range and rate (constant velocity; Bar-Shalom,
-Li and Kirubarajan 2001, 6.2) into which the robot's own motion goes as a known input; around it rules that tell a
-faulty stream from a true one. The rules (`rules`) are written once and run on CasADi symbols, as part of the
-exported law, and on NumPy arrays, for recorded readings and for many runs at once.
+The tracker takes a trimmed mean of the samples of each firing. For each sensor, a Kalman filter estimates range and
+rate (constant velocity; Bar-Shalom, Li and Kirubarajan 2001, 6.2), with the robot's own motion as a known input.
+Additional rules distinguish faulty readings from true ones. The rules (`rules`) are written once and run on CasADi
+symbols, for the exported law, and on NumPy arrays, for recorded readings and many runs at once.
 """
 
 from __future__ import annotations
@@ -28,51 +28,51 @@ from surctl.sensing.sonar.array import SonarArray
 __all__ = ["RangeTracker", "Ranging"]
 
 _NEVER = 1e6  # s, and rad: longer than any run
-_REPEAT = 0.01  # largest chance of two equal honest sets at which one repetition counts as a sign
+_REPEAT = 0.01  # if a working sensor repeats a sample set more rarely than this, one repetition is suspicious
 
 
 class Ranging(NamedTuple):
-    """What a tick gives: SX expressions of `RangeTracker.update`, arrays of `RangeTracker.step`; (n,) each."""
+    """Result of a step, (n,) each: SX expressions from `RangeTracker.update`, arrays from `RangeTracker.step`."""
 
     state: dict[str, Any]
-    """Next state, keyed as the ports are named."""
+    """Next state, by port name."""
     range: Any
-    """[m] from the apex to the nearest thing, now; beyond the sensor's maximum it is the maximum."""
+    """[m] present range from the apex to the nearest object; the sensor's maximum if no object is nearer."""
     bound: Any
-    """[m] half-width: |min(true, maximum) − range| ≤ bound is promised."""
+    """[m] half-width of the interval around `range`: the tracker claims |min(true, maximum) − range| ≤ bound."""
     rate: Any
-    """[m/s] change of range that the robot's own motion does not explain; negative: it approaches."""
+    """[m/s] rate of the range that the robot's own motion does not explain; negative if the object approaches."""
     healthy: Any
-    """1 when the range may be believed, else 0: then the bound covers what the last believed readings allow."""
+    """1 if the range is reliable, else 0; then the bound is wide enough for all that earlier readings allow."""
     age: Any
-    """[s] since the last believed reading."""
+    """[s] time since a reading last updated the track."""
     reading: Any
-    """[m] robust value of the newest firing, believed or not."""
+    """[m] trimmed mean of the newest firing, even if it did not update the track."""
     accepted: Any
-    """1 where this step's reading may be used to mark a map, else 0."""
+    """1 if this step's reading may be used to mark a map, else 0."""
     carve: Any
-    """[m] up to which a map may be cleared by this step's firing: the smallest of the last three robust readings, each
-    moved by own motion; 0 when not healthy or without a firing."""
+    """[m] range up to which this step's firing may clear a map: the smallest of the last three readings, each moved by
+    own motion; 0 if the sensor is not healthy or did not fire."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RangeTracker:
-    """Filter, bound and health of every sensor of an array, as one step with explicit state.
+    """Filter, bound and health of every sensor of an array, in one step with explicit state.
 
-    The bound holds for what the last firing could see. What enters or leaves a turning beam between two firings is in
-    it only where the walls are known, and a sensor that reads its maximum in open water cannot be told from one that
-    sees nothing (study 10).
+    The bound covers objects that the last firing could detect. It covers an object that enters or leaves a turning beam
+    between two firings only if that object is a known wall. A sensor that reads its maximum in open water cannot be
+    distinguished from a sensor that receives no echoes (study 10).
 
     Attributes:
-        array: the sensors.
+        array: the sonar array.
         dt: period of the steps [s].
-        obstacle_speed: largest speed of what is tracked [m/s]; the bound grows with it while nothing is believed.
-        tolerance: by which an honest reading may exceed the expected range, and agree with it [m]: noise, and error
-            of the own position.
-        yaw_tolerance: error of the own heading that the bound allows for while the beam turns [rad].
-        longest_delay: of a stream that comes late after a gap [s].
-        hold: how long an echo that went out of sight without reason is kept [s] when the beam does not turn
-            (default: for ever, because a fault may last as long).
+        obstacle_speed: largest speed of an obstacle [m/s]; the bound grows at this speed while readings are overdue.
+        tolerance: difference from the expected range at which a reading still agrees with it, or exceeds it without
+            being a fault [m]; it covers noise and the error of the own position.
+        yaw_tolerance: error of the own heading that the bound covers while the beam turns [rad].
+        longest_delay: longest delay of readings after a gap that the tracker considers [s].
+        hold: time for which the tracker keeps an echo that vanished without explanation while the beam does not turn
+            [s] (default: for ever, because a fault may last as long).
     """
 
     array: SonarArray = field(default_factory=SonarArray)
@@ -84,7 +84,7 @@ class RangeTracker:
     hold: float = _NEVER
 
     def __post_init__(self) -> None:
-        """Check the values; InputError names the wrong one."""
+        """Check the values; raise an InputError that names an invalid value."""
         for name, unit in (
             ("dt", "s"),
             ("tolerance", "m"),
@@ -102,22 +102,22 @@ class RangeTracker:
 
     @property
     def due(self) -> float:
-        """Time from one arrival to the next [s]: the array's cycle, in whole steps."""
+        """Time from one arrival of a sensor's samples to the next [s]: the array's cycle, rounded up to whole steps."""
         return self.dt * ceil(self.array.cycle / self.dt - 1e-9)
 
     @property
     def repeats(self) -> int:
-        """Repetitions of a sample set after which a sensor counts as stuck; 0 when the noise cannot tell.
+        """Number of repetitions of a sample set after which a sensor counts as stuck; 0 if the noise is too small.
 
-        An honest sensor gives a set of codes twice with at most the chance p that two sets agree at the likeliest
-        place of the range between two steps; r repetitions are asked for such that p^r < 1e-4.
+        A working sensor gives the same set of codes twice with probability p at most, which it reaches at the worst
+        position of the range between two conversion steps. The number r of repetitions is such that p^r < 1e-4.
         """
         chance = _chance_of_equal_sets(self.array)
         needed = ceil(log(1e-4) / log(min(max(chance, 1e-12), 0.999)))
         return needed if needed <= MOST_REPEATS else 0
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
-        """The state; it starts with nothing heard and no sensor believed."""
+        """Return the ports of the state; in the initial state no sensor has a track."""
         n, far = self.array.size, self.array.maximum
         delays = self._delays
 
@@ -126,33 +126,33 @@ class RangeTracker:
 
         return (
             port("range", "m", "range of the track", far),
-            port("rate", "m/s", "its rate that own motion does not explain"),
+            port("rate", "m/s", "rate of the track that own motion does not explain"),
             port("var_range", "m^2", "variance of the range", 1.0),
-            port("covariance", "m^2/s", "of range and rate"),
+            port("covariance", "m^2/s", "covariance of range and rate"),
             port("var_rate", "m^2/s^2", "variance of the rate", 0.0625),
-            port("surprise", "m", "by how much innovations exceeded their spread"),
+            port("surprise", "m", "excess of recent innovations over their standard deviations"),
             port("known", "1", "1 once a track exists"),
             port("explained", "1", "1 while the track agrees with the expected range"),
-            port("rejected", "1", "1 while the last arrival was not believed"),
-            port("distrust", "1", "1 since a reading beyond a known wall, until one is honest again"),
+            port("rejected", "1", "1 while the last reading is rejected as a fault"),
+            port("distrust", "1", "1 after a reading beyond a known wall, until the readings are reliable again"),
             port("since", "s", "time since the last arrival", _NEVER),
-            port("age", "s", "time since the last believed reading", _NEVER),
-            port("turned", "rad", "beam's turn since the last believed reading", _NEVER),
-            port("swung", "rad", "the same with its sign"),
-            port("candidate", "m", "range of a second hypothesis", far),
-            port("votes", "1", "readings in a row that agree with it"),
-            port("suspect", "1", "1 while it looks like a fault"),
-            port("late_by", "s", "delay that the last gap may have left"),
-            port("late", "1", "1 when the stream is found late"),
-            port("absorbed", "m", "part of the delay's shift that the track took in"),
+            port("age", "s", "time since a reading last updated the track", _NEVER),
+            port("turned", "rad", "sum of the beam's turns since a reading last updated the track", _NEVER),
+            port("swung", "rad", "signed turn of the beam since a reading last updated the track"),
+            port("candidate", "m", "range of a candidate for another track", far),
+            port("votes", "1", "number of consecutive readings that agree with the candidate"),
+            port("suspect", "1", "1 while the candidate looks like a fault"),
+            port("late_by", "s", "possible delay of the readings after the last gap"),
+            port("late", "1", "1 if the readings are found to be late"),
+            port("absorbed", "m", "part of the delay's shift that is already in the track"),
             port("cross", "m^2", "evidence of delay: residual times shift"),
             port("power", "m^2", "evidence of delay: shift squared"),
-            port("looks", "1", "readings in that evidence"),
-            port("repeated", "1", "equal sample sets in a row"),
-            port("reading", "m", "robust value of the last firing", far),
-            port("recent", "m", "last three robust values moved by own motion, newest first", width=3),
+            port("looks", "1", "number of readings in the evidence of delay"),
+            port("repeated", "1", "number of consecutive equal sample sets"),
+            port("reading", "m", "trimmed mean of the last firing", far),
+            port("recent", "m", "last three readings moved by own motion, newest first", width=3),
             port("samples", "m", "samples of the last firing", -1.0, width=self.array.samples),
-            port("shifts", "m", "predicted range 1, 2, ... steps ago less the present one", width=delays),
+            port("shifts", "m", "predicted range 1, 2, ... steps ago minus the present one", width=delays),
             port("walls", "m", "expected range 1, 2, ... steps ago", far, width=delays + 1),
         )
 
@@ -167,20 +167,21 @@ class RangeTracker:
         turn: ca.SX,
         prefix: str = "",
     ) -> Ranging:
-        """One step, in symbols.
+        """Return the ranges after one step, in CasADi symbols.
 
         Args:
-            state: by port name, shapes of `ports(prefix)`.
+            state: state by port name, with the shapes of `ports(prefix)`.
             samples: (n, k) raw samples [m]; rows of sensors that did not fire are ignored (but must be finite).
-            fresh: (n,) 1 where a firing arrived since the last step, else 0.
-            closing: (n,) own velocity along each beam's axis [m/s]; positive shortens a range to what stands still.
-            expected: (n,) range [m] at which the known walls would give an echo; 2·maximum: none.
+            fresh: (n,) 1 for a sensor whose samples arrived since the last step, else 0.
+            closing: (n,) own velocity along each beam's axis [m/s]; a positive value shortens the range to an object
+                at rest.
+            expected: (n,) range [m] at which the known walls give an echo; 2·maximum without a known wall.
             turn: yaw rate [rad/s].
-            prefix: of the names of the state.
+            prefix: prefix of the port names of the state.
         """
         ports, count = self.ports(), self.array.samples
         old = {p.name: state[prefix + p.name] for p in ports}
-        wide = {p.name for p in ports if len(p.shape) == 2}  # what the rules take as a list of columns
+        wide = {p.name for p in ports if len(p.shape) == 2}  # ports that the rules take as lists of columns
         columns = {n: ca.horzsplit(v) if n in wide else v for n, v in old.items()}
         beside = others(SYMBOLS, self.rules(), columns, [samples[:, j] for j in range(count)], fresh)
 
@@ -219,16 +220,16 @@ class RangeTracker:
         turn: ArrayLike,
         prefix: str = "",
     ) -> Ranging:
-        """One step, in numbers; leading axes (runs) are free.
+        """Return the ranges after one step, as arrays with any leading axes (runs).
 
         Args:
-            state: by port name, each (..., *port.shape); `start` gives the first.
-            samples: (..., n, k) [m].
-            fresh: (..., n).
-            closing: (..., n) [m/s]; 0 where the own motion is not known.
-            expected: (..., n) [m]; 2·maximum where no wall is known.
-            turn: (...) [rad/s].
-            prefix: of the names of the state.
+            state: state by port name, each (..., *port.shape); `start` returns the initial state.
+            samples: (..., n, k) raw samples [m].
+            fresh: (..., n) 1 for a sensor whose samples arrived since the last step, else 0.
+            closing: (..., n) own velocity along each beam's axis [m/s]; 0 if the own motion is unknown.
+            expected: (..., n) range [m] at which the known walls give an echo; 2·maximum without a known wall.
+            turn: (...) yaw rate [rad/s].
+            prefix: prefix of the port names of the state.
         """
         old = {
             port.name.removeprefix(prefix): (
@@ -252,14 +253,14 @@ class RangeTracker:
         return Ranging(new, *(np.broadcast_to(v, lead).astype(float) for v in outputs))
 
     def start(self, runs: tuple[int, ...] = (), *, prefix: str = "") -> dict[str, NDArray[np.float64]]:
-        """The state before the first step, for `step`: each (*runs, *port.shape)."""
+        """Return the state before the first step, for `step`; each array is (*runs, *port.shape)."""
         return {port.name: np.full((*runs, *port.shape), port.default) for port in self.ports(prefix)}
 
     def rules(self) -> Rules:
-        """The numbers of the rules."""
+        """Return the parameters of the tracker's rules."""
         a = self.array
         spread = sqrt(a.noise_sd**2 + a.resolution**2 / 12.0)
-        # noise that is small against a step does not dither it, and a mean of equal codes keeps their error
+        # noise much smaller than a conversion step does not dither it: a mean of equal codes keeps the rounding error
         sigma = max(1.1 * spread / sqrt(a.samples), a.resolution / sqrt(12.0))
         return Rules(
             dt=self.dt,
@@ -292,7 +293,7 @@ def _column(parts: Iterable[Any]) -> ca.SX:
 
 @cache
 def _chance_of_equal_sets(array: SonarArray) -> float:
-    """Largest chance that two firings at one range give equal samples."""
+    """Return the largest probability that two firings at the same range give equal samples."""
     if array.noise_sd == 0.0:
         return 1.0
     largest = 0.0

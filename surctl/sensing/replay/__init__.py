@@ -1,1 +1,1 @@
-"""Recorded readings through the range tracker of the law."""
+"""Replay of recorded sonar readings through the range tracker of the control law."""

@@ -1,4 +1,4 @@
-"""A recording's CSV file in, filtered ranges out."""
+"""Recorded sonar readings from a CSV file, and filtered ranges as CSV text."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ _MOTION = ("closing_m_per_s", "turn_rad_per_s")
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """A file's readings, and what was left out of them.
+    """The readings of a file, and the numbers of skipped and changed rows.
 
     Attributes:
-        readings: on the tracker's steps.
-        name: of the file, printable.
-        rows: in the file.
-        incomplete: rows skipped because a number is missing, NaN or infinite.
-        back: rows skipped because their time lies before that of a row above.
-        crowded: rows skipped because another reading of that sensor came within the same step.
-        beyond: rows with a sample beyond the sensor's maximum, held to it.
-        cycle: usual time from one reading of a sensor to its next [s].
-        still: motion that the file does not tell, columns' names; it is taken for 0.
-        single: whether all samples of each reading are equal; they are then one sample.
+        readings: readings on the tracker's steps.
+        name: printable name of the file.
+        rows: number of rows in the file.
+        incomplete: number of rows skipped because a number is missing, NaN or infinite.
+        back: number of rows skipped because their time is before that of an earlier row.
+        crowded: number of rows skipped because a later reading of the same sensor is in the same step.
+        beyond: number of rows with a sample beyond the sensor's maximum, which replaces the sample.
+        cycle: usual time from one reading of a sensor to its next reading [s].
+        still: names of the motion columns that the file does not contain; their values are taken as 0.
+        single: whether all samples of each reading are equal; then only one sample is used.
     """
 
     readings: Readings
@@ -56,25 +56,25 @@ class Recording:
 
     @property
     def notes(self) -> list[str]:
-        """What a reader should know of the rows, a sentence each."""
+        """Notes on the rows for the user, one sentence each."""
         counts = (
             (self.incomplete, "rows skipped because a number is missing, NaN or infinite"),
             (self.back, "rows skipped because time goes back"),
-            (self.crowded, "rows skipped because a later reading of that sensor came within the same step"),
-            (self.beyond, "rows with a sample beyond the sensor's maximum, held to it"),
-            (len(self.readings.first) - 1, "silences after which the filter started anew"),
+            (self.crowded, "rows skipped because a later reading of the same sensor is in the same step"),
+            (self.beyond, "rows with a sample beyond the sensor's maximum, which was limited to the maximum"),
+            (len(self.readings.first) - 1, "gaps of all sensors after which the filter was restarted"),
         )
         said = [f"{text}: {count}" for count, text in counts if count]
-        said += [f"no column {name}: taken for 0" for name in self.still]
+        said += [f"no column {name}: taken as 0" for name in self.still]
         if self.single:
-            said.append("the samples of each reading are equal: taken for one sample")
+            said.append("the samples of each reading are equal: only one sample is used")
         if not _CYCLE / 2 <= self.cycle <= 1.5 * _CYCLE:
-            said.append(f"a sensor reads every {self.cycle:.3g} s; the filter was made for {_CYCLE:g} s")
+            said.append(f"each sensor reads every {self.cycle:.3g} s; the filter is designed for {_CYCLE:g} s")
         return said
 
 
 def sonar_array(sensors: int, **numbers: float | int) -> SonarArray:
-    """An array of evenly spaced sensors that fire one after another; `numbers` as `SonarArray` names them.
+    """Return an array of evenly spaced sensors that fire one after another; `numbers` are attributes of `SonarArray`.
 
     Example:
         >>> from surctl.sensing import sonar_array
@@ -93,21 +93,21 @@ def sonar_array(sensors: int, **numbers: float | int) -> SonarArray:
 
 
 def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recording:
-    """Read a recording.
+    """Read a recording of sonar readings from a CSV file.
 
-    Columns: `time_s`, `sensor` (0-based), `sample_1_m`, `sample_2_m`, … or one `range_m`; optional `closing_m_per_s`
-    (own velocity along that beam), `turn_rad_per_s` (yaw rate). Steps are half the usual time from one reading of a
-    sensor to its next; a reading belongs to the nearest step. Rows with a missing, NaN or infinite number, and rows
-    whose time goes back, are skipped and counted.
+    The file has the columns `time_s`, `sensor` (0-based), and `sample_1_m`, `sample_2_m`, … or one `range_m`. Optional
+    columns are `closing_m_per_s` (own velocity along that beam) and `turn_rad_per_s` (yaw rate). A step is half the
+    usual time from one reading of a sensor to its next; each reading is assigned to the nearest step. Rows with a
+    missing, NaN or infinite number, and rows whose time goes back, are skipped and counted.
 
     Args:
         path: the file.
-        array: the sensors; its `samples` and `firing_period` come from the file.
-        scale: of the sensor; readings are divided by it.
+        array: the sonar array; the file replaces its `samples` and `firing_period`.
+        scale: scale of the sensor; the readings are divided by it.
 
     Raises:
-        InputError: as `read_recorded`; a missing column, a sensor that is not there, a sample below 0, time that goes
-            back in more than a twentieth of the rows, too few rows, or a pace that no sonar has.
+        InputError: if `read_recorded` raises it, a column is missing, a sensor does not exist, a sample is below 0,
+            time goes back in more than 5 % of the rows, there are too few rows, or the cycle time is impossible.
 
     Example:
         >>> from pathlib import Path
@@ -118,7 +118,7 @@ def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recor
         >>> np.savetxt("log.csv", rows, delimiter=",", header="time_s,sensor,range_m", comments="")
         >>> recording = read_readings(Path("log.csv"), sonar_array(1))
         >>> recording.rows, round(recording.cycle, 3), recording.notes
-        (40, 0.1, ['no column closing_m_per_s: taken for 0', 'no column turn_rad_per_s: taken for 0'])
+        (40, 0.1, ['no column closing_m_per_s: taken as 0', 'no column turn_rad_per_s: taken as 0'])
     """
     table = read_recorded(path)
     sample_columns = _sample_columns(table)
@@ -135,23 +135,23 @@ def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recor
         row, column = low[0]
         raise InputError(
             "is below 0", file=table.at(good[row]), key=sample_columns[column], value=float(samples[row, column]),
-            remedy="give a distance, or leave the cell empty where nothing was read",
+            remedy="give a distance, or leave the cell empty if there is no reading",
         )  # fmt: skip
     single = len(sample_columns) > 1 and bool((samples == samples[:, :1]).all())
-    if single:  # one value, written several times: as several samples it would look like a stuck sensor
+    if single:  # one value written several times would look like a stuck sensor
         samples = samples[:, :1]
     samples = samples / scale
     beyond = int(np.count_nonzero((samples > array.maximum + array.resolution).any(axis=1)))
     time = columns["time_s"][good]
     cycle = usual_cycle(time, sensor, file=table.name)
-    dt = cycle / 2 if cycle <= 1.5 * _CYCLE else cycle  # then a reading is due after one or two whole steps
+    dt = cycle / 2 if cycle <= 1.5 * _CYCLE else cycle  # a reading is due after one or two whole steps
     array = replace(array, samples=samples.shape[1], firing_period=min(cycle, _CYCLE) / array.size)
     step, first, begin = on_steps(time, dt, file=table.name)
     still = tuple(name for name in _MOTION if name not in columns)
     closing, turn = (columns[name][good] if name in columns else np.zeros(len(good)) for name in _MOTION)
     count = int(step[-1]) + 1
     row = np.full((count, array.size), -1)
-    row[step, sensor] = np.arange(len(good))  # the last one of a step stays
+    row[step, sensor] = np.arange(len(good))  # the last reading of a step remains
     fresh = row >= 0
     stepped = np.zeros((count, array.size, array.samples))
     stepped[fresh] = np.minimum(samples, array.maximum)[row[fresh]]
@@ -174,14 +174,14 @@ def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recor
 
 
 def filtered_rows(replayed: Replay) -> str:
-    """Every step of every sensor that sent anything, as CSV text; `reading_m` only where one arrived.
+    """Return every step of every sensor with readings as CSV text; `reading_m` is empty if no reading arrived.
 
     Example:
         >>> from pathlib import Path
         >>> import numpy as np
         >>> from surctl.sensing import filtered_rows, read_readings, replay_readings, sonar_array
         >>> k = np.arange(40)
-        >>> rows = np.column_stack((0.1 * k, 0 * k, 2.0 - 0.01 * k))  # closing at 0.1 m/s
+        >>> rows = np.column_stack((0.1 * k, 0 * k, 2.0 - 0.01 * k))  # closing speed 0.1 m/s
         >>> np.savetxt("log.csv", rows, delimiter=",", header="time_s,sensor,range_m", comments="")
         >>> lines = filtered_rows(replay_readings(read_readings(Path("log.csv"), sonar_array(1)).readings)).splitlines()
         >>> for line in (lines[0], lines[-1]):
@@ -217,11 +217,11 @@ def _text_rows(replayed: Replay, part: slice, sensor: int) -> list[tuple[str, ..
 
 
 def _sample_columns(table: Recorded) -> list[str]:
-    """`range_m`, or `sample_1_m` to the last one without a hole."""
+    """Return the column `range_m`, or the columns `sample_1_m`, `sample_2_m`, … without gaps in their numbers."""
     samples = [name for name in table.columns if name.startswith("sample_") and name.endswith("_m")]
     if "range_m" in table.columns:
         if samples:
-            raise InputError(f"has range_m and {samples[0]}", file=table.name, remedy="leave one of them")
+            raise InputError(f"has range_m and {samples[0]}", file=table.name, remedy="give only one of them")
         return ["range_m"]
     if not samples:
         table.need(["time_s", "sensor", "range_m"])
@@ -229,9 +229,9 @@ def _sample_columns(table: Recorded) -> list[str]:
 
 
 def _forward(table: Recorded, time: Array, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], int]:
-    """The rows whose time does not lie before that of a row above, and the number of the others."""
+    """Return the rows whose time is not before that of an earlier row, and the number of the other rows."""
     if not len(rows):
-        raise InputError("has no complete row", file=table.name, remedy="every cell of a row needs a number")
+        raise InputError("has no complete row", file=table.name, remedy="give a number in every cell of a row")
     before = np.maximum.accumulate(time[rows])
     goes_back = time[rows] < before
     count = int(np.count_nonzero(goes_back))
@@ -239,7 +239,7 @@ def _forward(table: Recorded, time: Array, rows: NDArray[np.intp]) -> tuple[NDAr
         first = int(np.argmax(goes_back))
         raise InputError(
             f"time goes back in {count} of {len(rows)} rows", file=table.at(rows[first]), key="time_s",
-            value=float(time[rows[first]]), remedy="sort the file by time_s, or mend the wrong time above that line",
+            value=float(time[rows[first]]), remedy="sort the file by time_s, or correct the wrong time above this line",
         )  # fmt: skip
     return rows[~goes_back], count
 
@@ -250,13 +250,13 @@ def _sensors(table: Recorded, values: Array, rows: NDArray[np.intp], array: Sona
     if len(wrong):
         raise InputError(
             "no such sensor", file=table.at(rows[wrong[0]]), key="sensor", value=float(sensors[wrong[0]]),
-            remedy=f"give 0 to {array.size - 1}, or the number of sensors: --sensors",
+            remedy=f"give 0 to {array.size - 1}, or set the number of sensors with --sensors",
         )  # fmt: skip
     return sensors.astype(np.int64)
 
 
 def _held(values: Array, row: NDArray[np.int64]) -> Array:
-    """Values (rows,) at `row` (steps, n), the last one held where there is none (-1), 0 before the first."""
+    """Return values (rows,) at `row` (steps, n); for −1, the last value is held, or 0 before the first value."""
     newest = np.maximum.accumulate(row, axis=0)
     held: Array = np.where(newest >= 0, values[np.maximum(newest, 0)], 0.0)
     return held

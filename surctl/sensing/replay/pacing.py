@@ -1,4 +1,4 @@
-"""The pace of a recording, and the steps on which its readings lie."""
+"""The cycle time of a recording, and the assignment of its readings to steps."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from surctl.errors import InputError
 __all__ = ["on_steps", "usual_cycle"]
 
 Array = NDArray[np.float64]
-_SILENCE = 5.0  # s, at least; after a longer silence of all sensors a new segment begins
-_SLOWEST, _FASTEST = 10.0, 1e-3  # s from one reading of a sensor to its next
-_SURE = 20  # readings that a gap may swallow and still be counted
+_SILENCE = 5.0  # s, at least; after a longer gap of all sensors a new segment begins
+_SLOWEST, _FASTEST = 10.0, 1e-3  # s, from one reading of a sensor to its next
+_SURE = 20  # longest gap, in readings, whose number of missing readings is certain
 _MOST_STEPS = 5_000_000
 
 
 def usual_cycle(time: Array, sensor: NDArray[np.int64], *, file: str) -> float:
-    """Usual time from one reading of a sensor to its next [s].
+    """Return the usual time from one reading of a sensor to its next [s].
 
     Args:
-        time: (rows,) [s], ascending.
-        sensor: (rows,) index.
-        file: named in errors.
+        time: (rows,) times [s], ascending.
+        sensor: (rows,) index of the sensor.
+        file: name of the file for errors.
 
     Raises:
-        InputError: no sensor reads twice, or at a pace that cannot be filtered.
+        InputError: if no sensor has readings at two times, or the cycle time is outside the limits of the filter.
     """
     waits = np.concatenate([np.diff(time[sensor == i]) for i in np.unique(sensor)])
     waits = waits[waits > 0]
@@ -35,15 +35,15 @@ def usual_cycle(time: Array, sensor: NDArray[np.int64], *, file: str) -> float:
     if not _FASTEST <= cycle <= _SLOWEST:
         raise InputError(
             f"a sensor's readings are {cycle:.3g} s apart", file=file, key="time_s",
-            remedy=f"give seconds; {_FASTEST:g} to {_SLOWEST:g} s can be filtered",
+            remedy=f"give seconds; the filter needs readings {_FASTEST:g} to {_SLOWEST:g} s apart",
         )  # fmt: skip
     return cycle
 
 
 def _pace(time: Array, sensor: NDArray[np.int64], median: float) -> float:
-    """The median wait, sharpened: slope of time over the number of readings, so that jitter at the ends does not count.
+    """Return the time between readings [s], as the slope of time over the number of readings, to average out jitter.
 
-    A gap that is not surely a whole number of readings ends a run; each run has its own start.
+    A gap with an uncertain number of missing readings ends a series; each series has its own start.
     """
     over, under = 0.0, 0.0
     for i in np.unique(sensor):
@@ -55,19 +55,19 @@ def _pace(time: Array, sensor: NDArray[np.int64], median: float) -> float:
             over += float(number @ (own[run] - own[run].mean()))
             under += float(number @ number)
     pace = over / under if under > 0 else median
-    return pace if 0.5 * median < pace < 2.0 * median else median  # else the waits are too uneven to be counted
+    return pace if 0.5 * median < pace < 2.0 * median else median  # else the intervals are too uneven
 
 
 def on_steps(time: Array, dt: float, *, file: str) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Step of each row; first step of each segment between silences, and its time [s].
+    """Return the step of each row, and the first step and start time [s] of each segment between long gaps.
 
-    The steps lie such that jitter seldom moves a reading into the neighbouring one. A segment's first row lies in its
-    first step. InputError when there would be very many steps.
+    The steps are placed so that jitter rarely moves a reading into a neighbouring step. The first row of a segment lies
+    in the segment's first step. The function raises InputError if there are too many steps.
 
     Args:
-        time: (rows,) [s], ascending.
-        dt: from step to step [s].
-        file: named in errors.
+        time: (rows,) times [s], ascending.
+        dt: duration of a step [s].
+        file: name of the file for errors.
     """
     silence = max(_SILENCE, 20.0 * dt)
     breaks = np.flatnonzero(np.diff(time) > silence) + 1
@@ -76,14 +76,14 @@ def on_steps(time: Array, dt: float, *, file: str) -> tuple[NDArray[np.int64], N
     shifts = np.arange(20) / 20
     for rows in np.split(np.arange(len(time)), breaks):
         phase = (time[rows] - time[rows[0]]) / dt
-        # of the ways to lay the steps, that in which nearly all readings come in the middle of one
+        # among possible placements of the steps, choose the one with nearly all readings in the middle of a step
         off = [np.percentile(np.abs((phase[:10_000] + shift) % 1.0 - 0.5), 90) for shift in shifts]
         shift = shifts[int(np.argmin(off))]
         steps = np.floor(phase + shift)
         if steps[-1] + first[-1] > _MOST_STEPS:
             raise InputError(
                 f"would take more than {_MOST_STEPS} steps of {dt:.3g} s", file=file, key="time_s",
-                remedy="cut the recording",
+                remedy="split the recording into shorter files",
             )  # fmt: skip
         step[rows] = first[-1] + steps.astype(np.int64)
         first.append(int(step[rows[-1]]) + 1)

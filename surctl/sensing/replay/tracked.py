@@ -1,6 +1,6 @@
-"""Recorded readings through the range tracker of the law: what it would have told the controller, step by step.
+"""Replay of recorded readings through the range tracker: the ranges that the controller would have received.
 
-The tracker is called through `Tracked`, arrays in and arrays out; its symbols are evaluated by CasADi, which gives the
+`track` evaluates the tracker's CasADi expressions on arrays and returns `Tracked`. The results are therefore the
 numbers that the exported law computes.
 """
 
@@ -20,24 +20,24 @@ from surctl.sensing.sonar.array import SonarArray
 __all__ = ["Readings", "Replay", "SensorSummary", "Tracked", "replay_readings", "track"]
 
 Array = NDArray[np.float64]
-_CHUNK = 1000  # steps a call
-_GAP = 1.5  # of the time from one reading to the next that is due; a longer one is a gap
+_CHUNK = 1000  # steps per call
+_GAP = 1.5  # factor on the due time from one reading to the next; a longer time is a gap
 
 
 @dataclass(frozen=True, kw_only=True)
 class Readings:
-    """Raw readings on the tracker's steps; n sensors, k samples a firing.
+    """Raw readings on the tracker's steps, from n sensors with k samples per firing.
 
     Attributes:
-        time: (steps,) [s], ascending.
-        samples: (steps, n, k) [m]; 0 where nothing arrived.
-        fresh: (steps, n) whether a firing arrived since the step before.
-        row: (steps, n) index of its row in the file, -1 without.
+        time: (steps,) times of the steps [s], ascending.
+        samples: (steps, n, k) samples [m]; 0 if no reading arrived.
+        fresh: (steps, n) whether a reading arrived since the previous step.
+        row: (steps, n) index of the reading's row in the file; -1 if no reading arrived.
         closing: (steps, n) own velocity along each beam [m/s].
         turn: (steps,) yaw rate [rad/s].
-        first: (segments,) step at which the tracker starts anew, after a long silence; 0 is the first.
-        array: the sensors.
-        dt: from step to step within a segment [s].
+        first: (segments,) steps at which the tracker restarts: step 0, and the first step after each long gap.
+        array: the sonar array.
+        dt: time from step to step within a segment [s].
     """
 
     time: Array
@@ -53,15 +53,15 @@ class Readings:
 
 @dataclass(frozen=True, kw_only=True)
 class Tracked:
-    """What the tracker says after each step; (steps, n) each.
+    """Outputs of the tracker after each step; (steps, n) each.
 
     Attributes:
-        reading: value of the newest firing, believed or not [m].
-        range: to act on [m].
-        bound: half-width about it that the true range is promised to lie in [m].
-        healthy: whether the range may be believed.
-        age: since the last believed reading [s]; NaN before the first.
-        accepted: whether this step's reading was believed.
+        reading: trimmed mean of the newest firing, even if it did not update the track [m].
+        range: estimated range [m].
+        bound: half-width of the interval around `range` that shall contain the true range [m].
+        healthy: whether the range is reliable.
+        age: time since a reading last updated the track [s]; NaN before the first reading.
+        accepted: whether the tracker accepted this step's reading.
     """
 
     reading: Array
@@ -74,16 +74,16 @@ class Tracked:
 
 @dataclass(frozen=True, kw_only=True)
 class SensorSummary:
-    """One sensor of a replay.
+    """Summary of one sensor in a replay.
 
     Attributes:
-        sensor: index.
-        readings: firings that arrived.
-        refused: of these, not believed.
-        healthy: share of the steps, from its first reading to its last, in which its range may be believed.
-        gaps: times without a reading for more than 1.5 of what is due.
-        longest_gap: [s]; 0 without a gap.
-        median_bound: over healthy steps [m]; NaN without one.
+        sensor: index of the sensor.
+        readings: number of readings that arrived.
+        refused: number of readings that the tracker did not accept.
+        healthy: share of the steps with a reliable range, from the first to the last reading of the sensor.
+        gaps: number of gaps, in which no reading arrives for more than 1.5 times the due time.
+        longest_gap: duration of the longest gap [s]; 0 without a gap.
+        median_bound: median of the bound over healthy steps [m]; NaN without a healthy step.
     """
 
     sensor: int
@@ -95,7 +95,7 @@ class SensorSummary:
     median_bound: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data."""
+        """Return the summary as plain data for JSON."""
         return {
             "sensor": self.sensor,
             "readings": self.readings,
@@ -109,18 +109,18 @@ class SensorSummary:
 
 @dataclass(frozen=True, kw_only=True)
 class Replay:
-    """Readings and what became of them."""
+    """Readings, and the outputs of the tracker for them."""
 
     readings: Readings
     tracked: Tracked
 
     @property
     def sensors(self) -> list[int]:
-        """Indices of the sensors that sent anything."""
+        """Indices of the sensors with at least one reading."""
         return [int(i) for i in np.flatnonzero(self.readings.fresh.any(axis=0))]
 
     def summary(self, sensor: int) -> SensorSummary:
-        """Counts of one sensor, which must be one of `sensors`."""
+        """Return the summary of one sensor, which must be one of `sensors`."""
         r, t = self.readings, self.tracked
         at = np.flatnonzero(r.fresh[:, sensor])
         alive = slice(int(at[0]), int(at[-1]) + 1)
@@ -140,14 +140,14 @@ class Replay:
 
 
 def replay_readings(readings: Readings) -> Replay:
-    """Run the tracker over the readings; no wall is known to it.
+    """Run the tracker over the readings, without known walls.
 
     Example:
         >>> from pathlib import Path
         >>> import numpy as np
         >>> from surctl.sensing import read_readings, replay_readings, sonar_array
         >>> k = np.arange(40)
-        >>> rows = np.column_stack((0.1 * k, 0 * k, np.where(k == 20, 0.5, 2.0 + 0.01 * (k % 2))))  # a false one
+        >>> rows = np.column_stack((0.1 * k, 0 * k, np.where(k == 20, 0.5, 2.0 + 0.01 * (k % 2))))  # one is false
         >>> np.savetxt("log.csv", rows, delimiter=",", header="time_s,sensor,range_m", comments="")
         >>> replayed = replay_readings(read_readings(Path("log.csv"), sonar_array(1)).readings)
         >>> tracked = replayed.tracked
@@ -176,12 +176,12 @@ def replay_readings(readings: Readings) -> Replay:
 
 
 def tracker_of(readings: Readings) -> RangeTracker:
-    """The tracker at the pace of the readings."""
+    """Return a tracker with the array and step of the readings."""
     return RangeTracker(array=readings.array, dt=readings.dt)
 
 
 def track(tracker: RangeTracker, samples: Array, *, fresh: NDArray[np.bool_], closing: Array, turn: Array) -> Tracked:
-    """Steps of the tracker from its start: samples (steps, n, k), fresh and closing (steps, n), turn (steps,).
+    """Run the tracker from its initial state over samples (steps, n, k), fresh, closing (steps, n) and turn (steps,).
 
     Example:
         >>> import numpy as np
@@ -222,13 +222,13 @@ def track(tracker: RangeTracker, samples: Array, *, fresh: NDArray[np.bool_], cl
 
 
 def _function(tracker: RangeTracker) -> tuple[Layout, ca.Function]:
-    """(state, samples (n, k), fresh (n,), closing (n,), turn) -> (state, (n, 6)), and the state's layout."""
+    """Return the layout of the state and the function (state, samples, fresh, closing, turn) -> (state, (n, 6))."""
     n, k = tracker.array.size, tracker.array.samples
     layout = Layout(tracker.ports())
     state, parts = layout.symbols("state")
     samples, fresh, closing = ca.SX.sym("samples", n, k), ca.SX.sym("fresh", n), ca.SX.sym("closing", n)
     turn = ca.SX.sym("turn")
-    nothing = ca.SX(n, 1) + 2.0 * tracker.array.maximum  # beyond every reading: no wall is known
+    nothing = ca.SX(n, 1) + 2.0 * tracker.array.maximum  # beyond every reading: no known wall
     done = tracker.update(parts, samples, fresh=fresh, closing=closing, expected=nothing, turn=turn)
     outputs = ca.horzcat(done.reading, done.range, done.bound, done.healthy, done.age, done.accepted)
     return layout, ca.Function("track", [state, samples, fresh, closing, turn], [layout.join(done.state), outputs])

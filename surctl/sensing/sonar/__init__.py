@@ -1,1 +1,1 @@
-"""The sonars: where they look, what they hear and what may be wrong with them, in numbers and in symbols."""
+"""The sonar array: its geometry, echo model and faults, each for NumPy numbers and for CasADi symbols."""

@@ -1,7 +1,7 @@
-"""The ultrasonic array (II-B, Table I): geometry, conversion, firing order, and what makes an array impossible.
+"""The ultrasonic array (II-B, Table I): its geometry, conversion and firing order, and the checks of its values.
 
-A firing is one ping: its samples are conversions of one echo (*chosen*: five pings over 4.5 m, one after another,
-would take 30 ms in water, longer than ΔT).
+A firing is one ping, and all samples of a firing are conversions of the same echo (*chosen*: five pings over 4.5 m,
+one after another, would take 30 ms in water, longer than ΔT).
 """
 
 from __future__ import annotations
@@ -21,32 +21,33 @@ _SLACK = 1e-9  # s
 
 @dataclass(frozen=True, kw_only=True)
 class SonarArray:
-    """Sensors on the hull, fired one after another; defaults are the paper's, or *chosen* where it is silent.
+    """Sensors on the hull that fire one after another; defaults are from the paper, or *chosen* if it gives none.
 
     Attributes:
         azimuths: (n,) directions of the beams' axes in {B} [rad], counter-clockwise from forward (*chosen*).
-        mounts: (n, 2) apexes in {B} [m], not inside the hull; None: on the hull, each at its azimuth. Directions in
-            which the hull stands before an apex are no part of its beam, see `cones`.
-        hull_radius: [m] of the hull, a disc about the robot's centre.
+        mounts: (n, 2) apexes of the beams in {B} [m], not inside the hull; None: each apex lies on the hull at its
+            azimuth. A beam does not include directions that the hull blocks, see `cones`.
+        hull_radius: radius [m] of the hull, a disc about the robot's centre.
         beam_angle: full opening angle [rad], below π (*chosen* 75°).
-        incidence_limit: largest angle [rad] between a surface's outward normal and the way back at which it
-            reflects, in (0, π/2) (Webots' default for its sonars is 22.5°); None: everything reflects.
-        minimum: blind range [m]; anything closer reads it (*chosen*).
-        blind_time: time after a ping in which no echo is heard [s], in place of `minimum`: the blind range is then
-            half of it times the speed of sound.
-        maximum: longest range [m] that is waited for; also what a sensor without an echo reads.
-        medium, temperature: what the sound travels in, and its temperature [°C]; they give its speed.
-        calibrated_for: speed of sound [m/s] that the converter assumes; None: the true one. Readings are true ranges
-            times `scale`, the assumed speed over the true one.
-        firing_period: ΔT between two firings [s]; the echo from the maximum must be back within it.
+        incidence_limit: largest angle [rad] between the outward normal of a surface and the direction to the sensor
+            at which the surface reflects, in (0, π/2) (Webots' default for its sonars is 22.5°); None: every surface
+            reflects.
+        minimum: blind range [m]; for any closer object the sensor reads this value (*chosen*).
+        blind_time: time after a ping in which the sensor receives no echo [s]; it replaces `minimum`. The blind range
+            is then half the blind time, multiplied by the speed of sound.
+        maximum: longest range [m] that the sensor measures; a sensor without an echo also reads this value.
+        medium, temperature: medium in which the sound travels, and its temperature [°C]; they give the speed of sound.
+        calibrated_for: speed of sound [m/s] that the converter assumes; None: the true speed. A reading is the true
+            range times `scale`, which is the assumed speed divided by the true speed.
+        firing_period: ΔT between two firings [s]; the echo from the maximum must arrive within ΔT.
         cycle_limit: longest cycle [s]; II-B: "the cycle time is set to be less than 0.1 s".
-        order: the sensors in firing order, each once.
-        bits: of the conversion; a step is `resolution` (E4).
-        noise_sd: standard deviation of one sample [m].
-        bias: of every sample [m] (Table II, water).
-        samples: a firing, conversions of one echo.
-        cones: of each sensor, the parts of its beam that the hull leaves open, one or two: (offset from the axis,
-            half angle) [rad]; follows from the others.
+        order: the sensors in firing order, each exactly once.
+        bits: number of bits of the conversion; one conversion step is `resolution` (E4).
+        noise_sd: standard deviation of the noise of one sample [m].
+        bias: constant error of every sample [m] (Table II, water).
+        samples: number of samples in a firing; all are conversions of one echo.
+        cones: for each sensor, the one or two parts of its beam that the hull leaves open, each as (offset from the
+            axis, half angle) [rad]; computed from the other attributes.
     """
 
     azimuths: tuple[float, ...] = (0.0, pi / 2, pi, -pi / 2)
@@ -70,7 +71,7 @@ class SonarArray:
     cones: tuple[tuple[tuple[float, float], ...], ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Check the values; InputError names the wrong one."""
+        """Check the values; raise an InputError that names an invalid value."""
         object.__setattr__(self, "azimuths", tuple(float(a) for a in self.azimuths))
         object.__setattr__(self, "order", tuple(int(i) for i in self.order))
         if self.mounts is not None:
@@ -90,7 +91,7 @@ class SonarArray:
 
     @property
     def cycle(self) -> float:
-        """T = n·ΔT [s], after which a sensor fires again."""
+        """Cycle time T = n·ΔT [s], after which a sensor fires again."""
         return self.size * self.firing_period
 
     @property
@@ -100,22 +101,22 @@ class SonarArray:
 
     @property
     def scale(self) -> float:
-        """Reading over true range: what the converter assumes of the speed of sound, over what it is."""
+        """Reading divided by true range: the assumed speed of sound divided by the true speed."""
         return 1.0 if self.calibrated_for is None else self.calibrated_for / self.speed
 
     @property
     def blind(self) -> float:
-        """Blind range [m], true."""
+        """Blind range [m], as a true distance."""
         return self.minimum if self.blind_time is None else 0.5 * self.speed * self.blind_time
 
     @property
     def lowest(self) -> float:
-        """Lowest reading [m], before its conversion to codes: that of an echo from the blind range or closer."""
+        """Lowest reading [m] before the conversion to codes: the reading for an echo from the blind range or closer."""
         return self.blind * self.scale
 
     @property
     def echo_time(self) -> float:
-        """Time [s] until the echo from the maximum is back."""
+        """Time [s] until the echo from the maximum range arrives."""
         return 2.0 * self.maximum / self.speed
 
     @property
@@ -125,15 +126,15 @@ class SonarArray:
 
     @property
     def resolution(self) -> float:
-        """One conversion step [m]: maximum / (2^bits − 1), 17.65 mm (E4); the full code is the maximum."""
+        """One conversion step [m]: maximum / (2^bits − 1), 17.65 mm (E4); the largest code stands for the maximum."""
         return self.maximum / self.top_code
 
     def sensor_at(self, firing: int) -> int:
-        """The sensor that fires at time tick·ΔT."""
+        """Return the index of the sensor that fires at time firing·ΔT."""
         return self.order[firing % self.size]
 
     def apex(self, sensor: int, *, position: Vector2, heading: float) -> tuple[float, float, float]:
-        """Apex (x, y) [m] and axis [rad] of a sensor's cone in {E}; `position` (2,) [m], heading ψ [rad]."""
+        """Return apex x, y [m] and axis [rad] of a sensor's cone in {E}, for `position` (2,) [m], heading ψ [rad]."""
         if not 0 <= sensor < self.size:
             raise InputError("no such sensor", key="sensor", value=sensor, remedy=f"give 0 to {self.size - 1}")
         axis = heading + self.azimuths[sensor]
@@ -147,7 +148,7 @@ class SonarArray:
         )
 
     def _cones(self, sensor: int) -> tuple[tuple[float, float], ...]:
-        if self.mounts is None:  # on the hull, looking straight out: a beam below π passes it
+        if self.mounts is None:  # on the hull and pointing outward: the hull does not hide a beam narrower than π
             return ((0.0, self.half_angle),)
         cones = open_cones(
             self.mounts[sensor], self.azimuths[sensor], half_angle=self.half_angle, hull_radius=self.hull_radius
@@ -163,7 +164,7 @@ class SonarArray:
 
 
 def _check(array: SonarArray) -> None:
-    """InputError, keyed `array.<field>`, for the first value that no array can have."""
+    """Raise InputError, keyed `array.<field>`, for the first invalid value."""
     _check_geometry(array)
     _check_mounts(array)
     _check_conversion(array)
@@ -204,7 +205,7 @@ def _check_geometry(array: SonarArray) -> None:
         "must lie between 0 and pi/2",
         key="incidence_limit",
         value=limit,
-        remedy="give radians, or None when every surface reflects",
+        remedy="give radians, or None if every surface reflects",
     )
 
 
@@ -216,7 +217,7 @@ def _check_mounts(array: SonarArray) -> None:
         f"must be {array.size} finite points, one for each azimuth",
         key="mounts",
         value=array.mounts,
-        remedy="give x, y in {B} in m, or None: on the hull",
+        remedy="give x, y in {B} in m, or None for sensors on the hull",
     )
     for i, mount in enumerate(array.mounts):
         _require(
@@ -231,7 +232,7 @@ def _check_mounts(array: SonarArray) -> None:
 def _check_conversion(array: SonarArray) -> None:
     _require(
         isfinite(array.maximum) and 0 < array.minimum < array.maximum,
-        "must hold 0 < minimum < maximum",
+        "must satisfy 0 < minimum < maximum",
         key="minimum, maximum",
         value=(array.minimum, array.maximum),
         remedy="give m, shortest range first",
@@ -239,14 +240,14 @@ def _check_conversion(array: SonarArray) -> None:
     whole = isinstance(array.bits, int) and isinstance(array.samples, int)
     _require(
         whole and 1 <= array.bits <= 24 and array.samples >= 1,
-        "must be whole numbers, bits 1 to 24, samples at least 1",
+        "must be whole numbers: bits from 1 to 24, samples at least 1",
         key="bits, samples",
         value=(array.bits, array.samples),
-        remedy="the paper has 8 bits, 5 samples",
+        remedy="give for example the 8 bits and 5 samples of the paper",
     )
     _require(
         isfinite(array.noise_sd) and array.noise_sd >= 0 and isfinite(array.bias),
-        "must be finite, noise at least 0",
+        "must be finite, and noise_sd must be at least 0",
         key="noise_sd, bias",
         value=(array.noise_sd, array.bias),
         remedy="give m",
@@ -263,39 +264,39 @@ def _check_sound(array: SonarArray) -> None:
         "must be greater than 0",
         key="calibrated_for",
         value=array.calibrated_for,
-        remedy="give m/s, or None: the true speed",
+        remedy="give m/s, or None for the true speed",
     )
     if array.blind_time is not None:
         _require(
             array.minimum == type(array).minimum,
-            "is a second blind range, beside minimum",
+            "conflicts with minimum, because both set the blind range",
             key="blind_time",
             value=array.blind_time,
             remedy="give blind_time or minimum, not both",
         )
         _require(
             isfinite(array.blind_time) and 0 < 0.5 * speed * array.blind_time < array.maximum,
-            "must be greater than 0, and its range below the maximum",
+            "must be greater than 0, and its blind range must be less than maximum",
             key="blind_time",
             value=array.blind_time,
             remedy=f"give less than {2.0 * array.maximum / speed:.3g} s",
         )
     _require(
         array.lowest < array.maximum,
-        f"makes every reading the maximum, being {array.scale:.3g} times the true speed",
+        f"is {array.scale:.3g} times the true speed of sound, so that every reading equals the maximum",
         key="calibrated_for",
         value=array.calibrated_for,
-        remedy=f"give about {speed:.0f} m/s, or None: the true speed",
+        remedy=f"give about {speed:.0f} m/s, or None for the true speed",
     )
 
 
 def _check_timing(array: SonarArray) -> None:
     _require(
         sorted(array.order) == list(range(array.size)),
-        "must name every sensor once",
+        "must contain every sensor exactly once",
         key="order",
         value=array.order,
-        remedy=f"write an order of 0 to {array.size - 1}",
+        remedy=f"list the numbers 0 to {array.size - 1} in firing order",
     )
     _require(
         isfinite(array.firing_period) and array.firing_period > 0,
@@ -313,23 +314,23 @@ def _check_timing(array: SonarArray) -> None:
     )
     _require(
         array.cycle <= array.cycle_limit + _SLACK,
-        f"makes a cycle of {array.cycle:g} s, longer than {array.cycle_limit:g} s",
+        f"gives a cycle of {array.cycle:g} s, longer than the cycle_limit of {array.cycle_limit:g} s",
         key="firing_period",
         value=array.firing_period,
-        remedy=f"at most {array.cycle_limit / array.size:g} s for {array.size} sensors",
+        remedy=f"give at most {array.cycle_limit / array.size:g} s for {array.size} sensors",
     )
-    echo = f"its echo takes {1e3 * array.echo_time:.1f} ms in {array.medium}"
+    echo = f"an echo from it takes {1e3 * array.echo_time:.1f} ms in {array.medium}"
     _require(
         array.echo_time <= array.cycle_limit + _SLACK,
-        f"range beyond the cycle: {echo}, longer than a cycle of {array.cycle_limit:g} s",
+        f"is too long for the cycle: {echo}, longer than the cycle_limit of {array.cycle_limit:g} s",
         key="maximum",
         value=array.maximum,
-        remedy=f"at most {0.5 * array.speed * array.firing_period:.3g} m",
+        remedy=f"give at most {0.5 * array.speed * array.firing_period:.3g} m",
     )
     _require(
         array.echo_time <= array.firing_period + _SLACK,
-        f"overlapping firing windows: {echo}, the next sensor fires after {1e3 * array.firing_period:g} ms",
+        f"makes firings overlap: {echo}, but the next sensor fires after {1e3 * array.firing_period:g} ms",
         key="maximum",
         value=array.maximum,
-        remedy=f"at most {0.5 * array.speed * array.firing_period:.3g} m, or a longer firing_period",
+        remedy=f"give at most {0.5 * array.speed * array.firing_period:.3g} m, or a longer firing_period",
     )

@@ -1,4 +1,4 @@
-"""The echo model in symbols: what `true_range` and `firing_samples` give, for the closed loop that is compiled."""
+"""The echo model in CasADi symbols for the compiled closed loop, equal to `true_range` and `firing_samples`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Beam", "beam_of", "echo_range", "echo_samples"]
 
 @dataclass(frozen=True, eq=False)
 class Beam:
-    """Where a sensor listens: its apex (2, 1) in {E} [m], and the cones that the hull leaves open."""
+    """The beam of a sensor: its apex (2, 1) in {E} [m], and the cones that the hull leaves open."""
 
     apex: ca.SX
     cones: tuple[Cone, ...]
@@ -33,19 +33,19 @@ def beam_of(
     heading: ca.SX,
     hull_radius: ca.SX | float | None = None,
 ) -> Beam:
-    """The beam of the sensor whose turn it is.
+    """Return the beam of the sensor that fires, which `turn` selects from `sensors`.
 
     Args:
-        array: the array.
-        sensors: those of which one fires.
-        turn: which of them, 0, 1, …
+        array: the sonar array.
+        sensors: indices of the sensors of which one fires.
+        turn: position of the firing sensor in `sensors`, 0, 1, …
         position: (2, 1) centre of the robot in {E} [m].
         heading: ψ [rad].
-        hull_radius: [m] of sensors on the hull, as a symbol for a loop that any vehicle may fly; None: the array's.
-            Mounts, and the hull's shadow that goes with them, are the array's own.
+        hull_radius: hull radius [m] of an array without `mounts`, as a symbol if the loop is compiled for any vehicle;
+            None: the radius of the array. If the array has `mounts`, their positions and cones are used unchanged.
 
     Raises:
-        InputError: no sensors, or one that the array does not have.
+        InputError: if `sensors` is empty or contains an index that the array does not have.
 
     Example:
         >>> import casadi as ca
@@ -75,7 +75,7 @@ def beam_of(
 
 
 def echo_range(array: SonarArray, beam: Beam, solids: Sequence[Solid]) -> ca.SX:
-    """Distance [m] from the apex to the nearest reflecting point, as `true_range`; 2·maximum when none or further.
+    """Return the distance [m] from the apex to the nearest reflecting point, as `true_range`, but at most 2·maximum.
 
     Example:
         >>> import casadi as ca
@@ -83,7 +83,7 @@ def echo_range(array: SonarArray, beam: Beam, solids: Sequence[Solid]) -> ca.SX:
         >>> x, array = ca.SX.sym("x"), SonarArray()
         >>> beam = beam_of(array, [0], 0, position=ca.SX([1.0, 1.0]), heading=ca.SX(0.0))
         >>> distance = ca.Function("range", [x], [echo_range(array, beam, [SolidDisc(ca.vertcat(x, 1.0), ca.SX(0.2))])])
-        >>> distance(3.0), distance(0.0)  # ahead of the robot, and behind it
+        >>> distance(3.0), distance(0.0)  # disc ahead of the robot, then behind it
         (DM(1.53), DM(9))
     """
     nothing = 2.0 * array.maximum
@@ -111,11 +111,11 @@ def echo_range(array: SonarArray, beam: Beam, solids: Sequence[Solid]) -> ca.SX:
 
 
 def echo_samples(array: SonarArray, distance: ca.SX, *, noise: ca.SX) -> ca.SX:
-    """The samples (samples, 1) [m] of a firing whose echo comes from `distance` [m], as `firing_samples` gives them.
+    """Return the samples (samples, 1) [m] of a firing whose echo comes from `distance` [m], as `firing_samples` does.
 
     Args:
-        array: the array.
-        distance: true range [m], beyond the maximum when there is no echo.
+        array: the sonar array.
+        distance: true range [m]; beyond the maximum if there is no echo.
         noise: (samples, 1) standard normal numbers.
 
     Example:
@@ -134,7 +134,7 @@ def echo_samples(array: SonarArray, distance: ca.SX, *, noise: ca.SX) -> ca.SX:
 
 
 def _picked(turn: ca.SX | int, values: Sequence[float]) -> ca.SX | float:
-    """values[turn]; a plain number where all are the same."""
+    """Return values[turn]; a plain number if all values are equal."""
     if all(value == values[0] for value in values):
         return values[0]
     chosen = ca.SX(0)

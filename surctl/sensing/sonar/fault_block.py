@@ -1,4 +1,4 @@
-"""Faults in symbols: what `faulty` does, for the closed loop that is compiled."""
+"""Faults of sonars in CasADi symbols for the compiled closed loop, equal to `faulty`."""
 
 from __future__ import annotations
 
@@ -28,36 +28,36 @@ from surctl.sensing.sonar.faults import (
 __all__ = ["SLOT", "Arrival", "fault_ports", "fault_slots", "faulty_samples"]
 
 SLOT = 5
-"""Numbers of a fault: code of its kind (0: none), sensor, start [s], end [s], delay in firings."""
+"""Size of a slot, the numbers of one fault: code of its kind (0: none), sensor, start [s], end [s], delay [firings]."""
 
 _NEVER = 1e30  # s
 
 
 class Arrival(NamedTuple):
-    """What `faulty_samples` gives; SX expressions."""
+    """Result of `faulty_samples`, as CasADi SX expressions."""
 
     samples: ca.SX
-    """(samples, 1) [m]; what arrived last from the sensor, when nothing does."""
+    """(samples, 1) samples of the firing [m]; if none arrive, those that arrived last from the sensor."""
     arrived: ca.SX
-    """1 when something arrives, else 0."""
+    """1 if samples arrive, else 0."""
     state: dict[str, ca.SX]
-    """Next state, keyed as the ports are named."""
+    """Next state, by port name."""
 
 
 def fault_slots(array: SonarArray, faults: Sequence[Fault], count: int) -> NDArray[np.float64]:
-    """The numbers of up to `count` faults, (count, SLOT), in their order.
+    """Return the numbers of up to `count` faults in the given order, (count, SLOT); unused rows are 0.
 
     Raises:
-        InputError: more faults than that, or one that the array cannot have.
+        InputError: if there are more than `count` faults, or a fault is impossible for the array.
 
     Example:
         >>> from surctl.sensing import Fault, SonarArray, fault_slots
         >>> fault = Fault(sensor=1, kind="dropout", start_s=2.0, duration_s=0.5)
-        >>> fault_slots(SonarArray(), [fault], 2).tolist()  # kind, sensor, start, end, delay; room for two
+        >>> fault_slots(SonarArray(), [fault], 2).tolist()  # kind, sensor, start, end, delay
         [[1.0, 1.0, 2.0, 2.5, 0.0], [0.0, 0.0, 0.0, 0.0, 0.0]]
     """
     if len(faults) > count:
-        raise InputError(f"there are {len(faults)}, more than {count}", key="faults", remedy="name fewer")
+        raise InputError(f"{len(faults)} are given, but at most {count} fit", key="faults", remedy="give fewer")
     check_faults(array, faults)
     slots = np.zeros((count, SLOT))
     for k, fault in enumerate(faults):
@@ -67,9 +67,10 @@ def fault_slots(array: SonarArray, faults: Sequence[Fault], count: int) -> NDArr
 
 
 def fault_ports(array: SonarArray, *, delays: bool, prefix: str = "") -> tuple[Port, ...]:
-    """The state: what arrived last (the same as a loop's newest samples), and with `delays` what was heard before.
+    """Return the ports of the fault state: the samples that arrived last and, with `delays`, the earlier samples.
 
-    A row of the history holds `LONGEST_DELAY` firings end to end, newest first.
+    The samples that arrived last equal the newest samples of a loop. Each row of the earlier samples holds
+    `LONGEST_DELAY` firings of one sensor one after another, newest first.
 
     Example:
         >>> from surctl.sensing import SonarArray, fault_ports
@@ -77,10 +78,10 @@ def fault_ports(array: SonarArray, *, delays: bool, prefix: str = "") -> tuple[P
         [('last', (4, 5)), ('history', (4, 40))]
     """
     n, samples, far = array.size, array.samples, array.maximum
-    last = Port(f"{prefix}last", (n, samples), "m", "what arrived last from each sonar", far)
+    last = Port(f"{prefix}last", (n, samples), "m", "samples that arrived last from each sonar", far)
     if not delays:
         return (last,)
-    meaning = "what each sonar heard in its last firings, newest first"
+    meaning = "fault-free samples of each sonar's last firings, newest first"
     return (last, Port(f"{prefix}history", (n, LONGEST_DELAY * samples), "m", meaning, far))
 
 
@@ -98,20 +99,20 @@ def faulty_samples(
     delays: bool,
     prefix: str = "",
 ) -> Arrival:
-    """One firing, as `faulty`.
+    """Return the samples that arrive from one firing, and the next state, as `faulty` does.
 
     Args:
-        array: the array.
-        state: by port name, shapes of `fault_ports`.
-        sensor: index of the one that fires.
-        time: of the firing [s].
-        distance: of `echo_range` [m].
+        array: the sonar array.
+        state: state by port name, with the shapes of `fault_ports`.
+        sensor: index of the sensor that fires.
+        time: time of the firing [s].
+        distance: `echo_range` of the sensor [m].
         noise: (samples, 1) standard normal numbers.
-        slots: (k, SLOT) of `fault_slots`; k may be 0.
-        chances: (6, 1), `FaultChances.numbers`.
-        uniforms: (2, 1) in (0, 1).
-        delays: whether the state holds what was heard before; without it no slot may be a delay.
-        prefix: of the state's names.
+        slots: (k, SLOT) faults from `fault_slots`; k may be 0.
+        chances: (6, 1) probabilities of random faults, `FaultChances.numbers`.
+        uniforms: (2, 1) uniform numbers in (0, 1), as for `faulty`.
+        delays: whether the state holds the samples of earlier firings; if not, no slot may be a delay.
+        prefix: prefix of the port names of the state.
 
     Example:
         >>> import casadi as ca
@@ -163,7 +164,7 @@ def faulty_samples(
 
 
 def _active_fault(slots: ca.SX, sensor: ca.SX, time: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Code, delay and start of the first slot that acts; code 0 for none (an empty slot ends as it starts)."""
+    """Return code, delay and start of the first active slot; code 0 if none is (an empty slot is never active)."""
     kind, late, start = ca.SX(0), ca.SX(0), ca.SX(0)
     for k in reversed(range(slots.shape[0])):
         code, whose, begin, end, firings = (slots[k, j] for j in range(SLOT))
@@ -173,7 +174,7 @@ def _active_fault(slots: ca.SX, sensor: ca.SX, time: ca.SX) -> tuple[ca.SX, ca.S
 
 
 def _struck(chances: ca.SX, uniform: ca.SX) -> ca.SX:
-    """Code of the kind that a uniform number stands for; 0 for none."""
+    """Return the code of the random fault that a uniform number selects; 0 if no fault occurs."""
     passed, code, below = ca.SX(0), ca.SX(0), ca.SX(0)
     for k, kind in enumerate(FaultChances.kinds()):
         passed = passed + chances[k]

@@ -1,7 +1,7 @@
-"""What may be wrong with a sonar, and what then arrives of a firing.
+"""Faults of a sonar, and the samples that arrive from a firing under a fault.
 
-Faults are told beforehand (`Fault`: which sensor, from when, how long) or strike by chance (`FaultChances`: a
-probability per firing). One thing is wrong at a time: the first told fault that acts on the firing, else the one drawn.
+A fault is scheduled (`Fault`: which sensor, from when, how long) or random (`FaultChances`: a probability per firing).
+At most one fault acts on a firing: the first scheduled fault that is active, otherwise the random fault.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ FaultKind: TypeAlias = Literal[
 ]
 FAULT_KINDS: tuple[FaultKind, ...] = get_args(FaultKind)
 LONGEST_DELAY = 8
-"""Firings of a sensor that are remembered."""
+"""Largest delay of a fault, in firings of its sensor."""
 
 SLACK = 1e-6
-"""[s] of a fault's start and end: times are sums of steps."""
+"""Tolerance [s] for the start and end of a fault, because times are rounded sums of control periods."""
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -53,13 +53,13 @@ Chance = Annotated[float, Field(ge=0, le=1)]
 class Fault(Strict):
     """One fault of one sensor, from `start_s` on for `duration_s` (default: for ever; a spike: one firing).
 
-    Kinds, by what arrives of a firing:
-    `dropout` nothing. `dead` nothing, for ever. `stuck` what arrived last from this sensor, again and again (the
-    maximum, when nothing ever did). `zero` 0.0. `maximum` the maximum. `spike` one wrong value, drawn evenly over the
-    range. `second_echo` the echo after the next: twice the true range, beyond the maximum the maximum. `crosstalk`
-    what arrived last from the sensor that fires just before. `delay` what was heard `delay_s` ago, rounded to m whole
-    cycles of the sensor (halves up, at least one): nothing for m firings, then what was heard m firings ago; when it
-    ends, what is under way is lost.
+    The kind of the fault decides which samples arrive from a firing. `dropout`: none. `dead`: none, for ever. `stuck`:
+    the samples that arrived last from this sensor, repeated (the maximum, if none ever arrived). `zero`: 0.0.
+    `maximum`: the maximum. `spike`: one wrong value, drawn uniformly over the range. `second_echo`: twice the true
+    range (the maximum, if that lies beyond it). `crosstalk`: the samples that arrived last from the sensor that fires
+    just before. `delay`: the samples of m firings ago, where m is `delay_s` in whole cycles of the sensor (rounded,
+    halves up, at least 1). In the first m firings of a delay no samples arrive, and when it ends, the delayed samples
+    are lost.
     """
 
     sensor: Annotated[int, Field(ge=0)]
@@ -71,7 +71,7 @@ class Fault(Strict):
     @model_validator(mode="after")
     def _complete(self) -> Fault:
         if self.kind == "delay" and self.delay_s is None:
-            raise ValueError("a delay needs delay_s; add 0.1 to 0.8")
+            raise ValueError("a delay fault needs delay_s; give 0.1 to 0.8 s")
         if self.kind != "delay" and self.delay_s is not None:
             raise ValueError(f'a {self.kind} fault takes no delay_s; remove it or write kind = "delay"')
         if self.kind == "dead" and self.duration_s is not None:
@@ -80,7 +80,7 @@ class Fault(Strict):
 
 
 class FaultChances(Strict):
-    """Probability per firing, of every sensor, that a momentary fault strikes; at most one does."""
+    """Probabilities per firing of momentary random faults, the same for every sensor; at most one acts on a firing."""
 
     dropout: Chance = 0.0
     zero: Chance = 0.0
@@ -104,11 +104,11 @@ class FaultChances(Strict):
     @classmethod
     @cache
     def kinds(cls) -> tuple[FaultKind, ...]:
-        """The kinds that may strike by chance, in the order in which the drawn number passes them."""
+        """Return the kinds of random faults, in the order in which their probabilities are added up."""
         return tuple(kind for kind in FAULT_KINDS if kind in cls.model_fields)
 
     def strikes(self, uniform: float) -> FaultKind | None:
-        """Which kind a uniform number in (0, 1) stands for, if any."""
+        """Return the kind of fault that a uniform number in (0, 1) selects; None if no fault occurs."""
         passed = 0.0
         for kind, chance in zip(self.kinds(), self.numbers, strict=True):
             passed += chance
@@ -119,11 +119,11 @@ class FaultChances(Strict):
 
 @dataclass(frozen=True, eq=False)
 class FaultState:
-    """What faults remember.
+    """Samples of earlier firings, from which some faults take the samples that arrive.
 
     Attributes:
-        last: (n, samples) what arrived last from each sensor [m]; the maximum before anything did.
-        history: (n, `LONGEST_DELAY`, samples) what each sensor heard in its last firings, newest first [m].
+        last: (n, samples) samples that arrived last from each sensor [m]; the maximum until samples arrive.
+        history: (n, `LONGEST_DELAY`, samples) fault-free samples of each sensor's last firings, newest first [m].
     """
 
     last: NDArray[np.float64]
@@ -131,7 +131,7 @@ class FaultState:
 
 
 def fault_state(array: SonarArray) -> FaultState:
-    """The state before the first firing.
+    """Return the fault state before the first firing.
 
     Example:
         >>> from surctl.sensing import SonarArray, fault_state
@@ -144,7 +144,7 @@ def fault_state(array: SonarArray) -> FaultState:
 
 
 def check_faults(array: SonarArray, faults: Sequence[Fault], chances: FaultChances | None = None) -> None:
-    """InputError for a fault that this array cannot have: an unknown sensor, too long a delay, crosstalk of one.
+    """Raise InputError for an impossible fault: an unknown sensor, too long a delay, crosstalk with a single sensor.
 
     Example:
         >>> from surctl.sensing import Fault, SonarArray, check_faults
@@ -154,29 +154,29 @@ def check_faults(array: SonarArray, faults: Sequence[Fault], chances: FaultChanc
         surctl.errors.InputError: faults.0.sensor = 4: no such sensor; give 0 to 3
     """
     if chances is not None and chances.crosstalk > 0 and array.size == 1:
-        raise InputError("a single sensor hears no other", key="chances.crosstalk", value=chances.crosstalk)
+        raise InputError("crosstalk needs at least two sensors", key="chances.crosstalk", value=chances.crosstalk)
     for k, fault in enumerate(faults):
         if fault.sensor >= array.size:
             remedy = f"give 0 to {array.size - 1}"
             raise InputError("no such sensor", key=f"faults.{k}.sensor", value=fault.sensor, remedy=remedy)
         if fault.kind == "crosstalk" and array.size == 1:
-            raise InputError("a single sensor hears no other", key=f"faults.{k}.kind", value=fault.kind)
+            raise InputError("crosstalk needs at least two sensors", key=f"faults.{k}.kind", value=fault.kind)
         if delay_firings(array, fault) > LONGEST_DELAY:
             raise InputError(
                 f"is longer than {LONGEST_DELAY} cycles of {array.cycle:g} s",
                 key=f"faults.{k}.delay_s",
                 value=fault.delay_s,
-                remedy=f"at most {LONGEST_DELAY * array.cycle:g} s",
+                remedy=f"give at most {LONGEST_DELAY * array.cycle:g} s",
             )
 
 
 def delay_firings(array: SonarArray, fault: Fault) -> int:
-    """m: a fault's delay in firings of its sensor, 0 for the other kinds."""
+    """Return the delay m of a fault in firings of its sensor; 0 for the other kinds of fault."""
     return 0 if fault.delay_s is None else max(1, floor(fault.delay_s / array.cycle + 0.5 + 1e-9))
 
 
 def fault_end(array: SonarArray, fault: Fault) -> float:
-    """When a fault is over [s]; inf when never."""
+    """Return the time at which a fault ends [s]; inf if it never ends."""
     if fault.duration_s is None:
         return fault.start_s + array.cycle if fault.kind == "spike" else inf
     return fault.start_s + fault.duration_s
@@ -194,23 +194,24 @@ def faulty(
     chances: FaultChances | None = None,
     uniforms: Sequence[float] | NDArray[np.float64] = (0.5, 0.5),
 ) -> tuple[NDArray[np.float64] | None, FaultState]:
-    """What arrives of a firing, (samples,) [m], or None for nothing, and the next state.
+    """Return the samples that arrive from a firing, (samples,) [m], or None if none arrive, and the next state.
 
-    Without a fault it is `firing_samples` of the distance. Every sensor is taken to fire once a cycle.
+    Without a fault, the samples are `firing_samples` of the distance. The function assumes that every sensor fires
+    once per cycle.
 
     Args:
-        array: the array.
-        state: of `fault_state`, or of the firing before.
-        sensor: that fires.
-        time: of the firing [s].
-        distance: `true_range` [m].
+        array: the sonar array.
+        state: state from `fault_state`, or after the previous firing.
+        sensor: index of the sensor that fires.
+        time: time of the firing [s].
+        distance: `true_range` of the sensor [m].
         noise: (samples,) standard normal numbers.
-        faults: told beforehand, checked by `check_faults`; of several that act on a firing the first counts.
-        chances: what strikes by chance where none of them acts.
-        uniforms: two numbers in (0, 1): which chance strikes, and the value of a spike, told or not.
+        faults: scheduled faults, checked by `check_faults`; if several are active at a firing, the first one acts.
+        chances: probabilities of random faults, which may occur if no scheduled fault is active.
+        uniforms: two numbers in (0, 1): one selects the random fault, the other gives the value of any spike.
 
     Raises:
-        InputError: noise of another shape.
+        InputError: if `noise` has another shape.
 
     Example:
         >>> import numpy as np
@@ -257,6 +258,6 @@ def _acts(array: SonarArray, fault: Fault, time: float) -> bool:
 
 
 def _spike(array: SonarArray, uniform: float) -> float:
-    """A value between the lowest reading and the maximum, on a conversion step."""
+    """Return a value between the lowest reading and the maximum, rounded to a conversion step."""
     value, top = array.lowest + uniform * (array.maximum - array.lowest), array.top_code
     return floor(value * top / array.maximum + 0.5) * array.maximum / top

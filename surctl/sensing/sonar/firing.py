@@ -1,7 +1,7 @@
-"""A firing in the simulated world: the echo model in numbers.
+"""A sonar firing in the simulated world: the echo model in NumPy.
 
-The water's surface and the vertical opening of a beam are not modelled: cones are planar at the robot's
-depth. What of an obstacle's height a beam meets is said by who asks; in the closed loop, by `simulation.column`.
+The model omits the water surface and the vertical opening of a beam: cones are planar at the robot's depth. The caller
+selects the obstacles that a beam meets at this depth; in the closed loop, `simulation.column` selects them.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ __all__ = ["fire", "firing_samples", "true_range"]
 
 
 def true_range(array: SonarArray, sensor: int, *, position: Vector2, heading: float, shapes: Iterable[Shape]) -> float:
-    """Distance from the sensor's apex to the nearest reflecting point within its open cones [m]; inf when none.
+    """Return the distance from a sensor's apex to the nearest reflecting point within its cones [m]; inf if none.
 
     Args:
-        array: the array.
-        sensor: index into its azimuths.
+        array: the sonar array.
+        sensor: index of the sensor.
         position: (2,) centre of the robot in {E} [m].
         heading: ψ [rad].
-        shapes: all that reflects, where it is now.
+        shapes: all reflecting shapes at their present positions.
 
     Raises:
-        InputError: no such sensor, or position or heading not finite.
+        InputError: if the sensor does not exist, or the position or heading is not finite.
 
     Example:
         >>> from surctl.sensing import SonarArray, true_range
@@ -59,18 +59,18 @@ def fire(
     shapes: Iterable[Shape],
     noise: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """The raw samples of one firing, (samples,) [m]: `firing_samples` of the `true_range`.
+    """Return the raw samples of one firing, (samples,) [m]: `firing_samples` of the `true_range`.
 
     Args:
-        array: the array.
-        sensor: index into its azimuths.
+        array: the sonar array.
+        sensor: index of the sensor.
         position: (2,) centre of the robot in {E} [m].
         heading: ψ [rad].
-        shapes: all that reflects, where it is now.
+        shapes: all reflecting shapes at their present positions.
         noise: (samples,) standard normal numbers.
 
     Raises:
-        InputError: as `true_range`, or noise of another shape.
+        InputError: if `true_range` raises it, or `noise` has another shape.
 
     Example:
         >>> import numpy as np
@@ -86,19 +86,19 @@ def fire(
 
 
 def firing_samples(array: SonarArray, distance: float, *, noise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The raw samples of a firing whose echo comes from `distance`, (samples,) [m], in the order they are taken.
+    """Return the raw samples of a firing whose echo comes from `distance`, (samples,) [m], in their order in time.
 
-    Each is scale · distance + bias + noise, held to [lowest, maximum], then rounded to the nearest conversion step
-    (so the minimum of 0.2 m comes out as its nearest code, 0.194 m). Without an echo within the maximum every
+    Each sample is scale · distance + bias + noise, limited to [lowest, maximum] and rounded to the nearest conversion
+    step (for example, the minimum of 0.2 m gives the nearest code, 0.194 m). Without an echo within the maximum, every
     sample is the maximum.
 
     Args:
-        array: the array.
-        distance: true range [m]; inf when there is no echo.
+        array: the sonar array.
+        distance: true range [m]; inf if there is no echo.
         noise: (samples,) standard normal numbers.
 
     Raises:
-        InputError: noise of another shape.
+        InputError: if `noise` has another shape.
 
     Example:
         >>> import numpy as np

@@ -1,4 +1,4 @@
-"""What a beam sees past the robot's own hull: the open cones of a sensor that stands anywhere on or off it."""
+"""The open cones of a sensor on or outside the hull: the parts of its beam that the robot's own hull does not hide."""
 
 from __future__ import annotations
 
@@ -6,29 +6,29 @@ from math import asin, atan2, hypot, pi
 
 __all__ = ["SLIVER", "inside_hull", "open_cones"]
 
-SLIVER = 1e-6  # rad; an opening narrower than twice this is none
-_ON_HULL = 1e-9  # m; an apex this far inside the hull stands on it
+SLIVER = 1e-6  # rad; an opening narrower than twice this value is ignored
+_ON_HULL = 1e-9  # m; an apex up to this far inside the hull counts as on it
 
 
 def inside_hull(mount: tuple[float, float], hull_radius: float) -> bool:
-    """Whether an apex (x, y) in {B} [m] lies inside the hull, and not on it."""
+    """Return whether an apex (x, y) in {B} [m] lies strictly inside the hull."""
     return hypot(*mount) < hull_radius - _ON_HULL
 
 
 def open_cones(
     mount: tuple[float, float], azimuth: float, *, half_angle: float, hull_radius: float
 ) -> tuple[tuple[float, float], ...]:
-    """Parts of a beam that the hull does not hide: (offset from the beam's axis, half angle) [rad], from right to left.
+    """Return the parts of a beam that the hull does not hide: (offset from axis, half angle) [rad], right to left.
 
     Seen from an apex at distance ρ from the centre, the hull (a disc of radius R) hides the bearings within asin(R/ρ)
-    of the centre's; from an apex on the hull, the half-plane behind it. Nothing can stand between apex and hull. What
-    is left of the beam is all of it, one part, two parts either side of the hull, or nothing.
+    of the centre's bearing. Seen from an apex on the hull, it hides the half-plane behind the apex. No object can lie
+    between apex and hull. The result is the whole beam, one part of it, two parts on either side of the hull, or empty.
 
     Args:
         mount: (2,) apex in {B} [m], not inside the hull.
-        azimuth: of the beam's axis in {B} [rad].
-        half_angle: of the beam [rad], below π/2.
-        hull_radius: R [m]; 0 hides nothing.
+        azimuth: direction of the beam's axis in {B} [rad].
+        half_angle: half the opening angle of the beam [rad], below π/2.
+        hull_radius: R [m]; a radius of 0 hides nothing.
     """
     distance = hypot(*mount)
     if hull_radius <= 0.0:

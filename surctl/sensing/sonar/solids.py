@@ -1,6 +1,7 @@
-"""What reflects, in symbols: twins of `surctl.world`'s shapes for the closed loop that is compiled.
+"""Reflecting shapes in CasADi symbols for the compiled closed loop, equal to the shapes of `surctl.world`.
 
-Ranges beyond what a sensor waits for come out as `nothing`. Every branch is finite for finite numbers.
+If a ray or cone does not meet a shape, the range is `nothing`, a value beyond the sensor's maximum. Every branch is
+finite for finite inputs.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ __all__ = ["Cone", "Solid", "SolidBox", "SolidDisc", "SolidWalls"]
 
 _IN_CONE = 1e-12  # as `Shape.nearest_in_cone`
 _BESIDE = 1e-9  # rad, as `Shape.outlook`
-_PARALLEL = 1e-30  # stands for a direction of 0, so that a slab is crossed very far away
-_LEAST = 1e-30  # m, floor of a length that divides
+_PARALLEL = 1e-30  # replaces a direction component of 0, so that the ray crosses the slab very far away
+_LEAST = 1e-30  # m, lower limit of a length used as divisor
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,40 +30,40 @@ class Cone:
 
     @property
     def edges(self) -> tuple[ca.SX, ca.SX]:
-        """Unit vectors along its left and right edge."""
+        """Unit vectors along the left and the right edge of the cone."""
         return turned(self.axis, self.half_angle), turned(self.axis, -self.half_angle)
 
     def holds(self, ray: ca.SX) -> ca.SX:
-        """Whether a unit vector (2, 1) lies in it."""
+        """Return whether a unit vector (2, 1) lies in the cone."""
         return ca.dot(ray, self.axis) >= ca.cos(self.half_angle) - _IN_CONE
 
 
 class Solid(ABC):
-    """Something that reflects; see `surctl.world.Shape` for the meaning of each method."""
+    """A reflecting shape; see `surctl.world.Shape` for the meaning of each method."""
 
     present: ca.SX
-    """1 when it is there."""
+    """1 if the shape is present, else 0."""
 
     @abstractmethod
     def nearest_in_cone(self, apex: ca.SX, cone: Cone, *, nothing: float) -> ca.SX:
-        """Distance [m] from the apex (2, 1) to the nearest point in the cone; 0 from inside."""
+        """Return the distance [m] from the apex (2, 1) to the shape's nearest point in the cone; 0 from inside."""
 
     @abstractmethod
     def holds(self, apex: ca.SX) -> ca.SX:
-        """Whether the apex lies inside."""
+        """Return whether the apex lies inside the shape."""
 
     @abstractmethod
     def hit(self, apex: ca.SX, ray: ca.SX, *, nothing: float) -> tuple[ca.SX, ca.SX]:
-        """Distance [m] along a unit vector (2, 1) to the first hit, and the cosine of its incidence."""
+        """Return the distance [m] along a unit vector (2, 1) to the first hit, and the cosine of incidence there."""
 
     @abstractmethod
     def outlook(self, apex: ca.SX) -> list[ca.SX]:
-        """Unit vectors (2, 1) from the apex in which the nearest echo of a scene may lie."""
+        """Return unit vectors (2, 1) from the apex in whose directions the nearest echo of a scene may lie."""
 
 
 @dataclass(frozen=True, eq=False)
 class SolidDisc(Solid):
-    """`Disc` in symbols: centre (2, 1), radius [m]."""
+    """A `Disc` in CasADi symbols: centre (2, 1) and radius [m]."""
 
     centre: ca.SX
     radius: ca.SX
@@ -88,7 +89,7 @@ class SolidDisc(Solid):
         return ca.if_else(hits, along - root, nothing), root / ca.fmax(self.radius, _LEAST)
 
     def outlook(self, apex: ca.SX) -> list[ca.SX]:
-        """See `Solid.outlook`: the centre, and past the two rims."""
+        """See `Solid.outlook`: directions to the centre, and just past both sides of the disc."""
         to = self.centre - apex
         length = ca.fmax(ca.sqrt(ca.sumsqr(to)), _LEAST)
         ray, s = to / length, ca.fmin(1.0, self.radius / length)
@@ -98,7 +99,7 @@ class SolidDisc(Solid):
 
 @dataclass(frozen=True, eq=False)
 class SolidBox(Solid):
-    """`Box` in symbols: centre (2, 1), edges `size` (2, 1) [m] along its own axes, its angle [rad] in {E}."""
+    """A `Box` in CasADi symbols: centre (2, 1), edges `size` (2, 1) [m] along its axes, its angle [rad] in {E}."""
 
     centre: ca.SX
     size: ca.SX
@@ -126,7 +127,7 @@ class SolidBox(Solid):
         return self._entry(self._local(apex - self.centre), self._local(ray), nothing)
 
     def outlook(self, apex: ca.SX) -> list[ca.SX]:
-        """See `Solid.outlook`: the foot on a face, either side of the nearest corner, past its two neighbours."""
+        """See `Solid.outlook`: directions to the foot point on a face, and just beside the three nearest corners."""
         half, here = 0.5 * self.size, self._local(apex - self.centre)
         corner = ca.if_else(here >= 0, half, -half)
         either = _towards(corner - here)
@@ -141,7 +142,7 @@ class SolidBox(Solid):
         return [self._global(ray) for ray in rays]
 
     def _entry(self, here: ca.SX, ray: ca.SX, nothing: float) -> tuple[ca.SX, ca.SX]:
-        """Distance and cosine of the incidence of a ray in the box's frame; the slab method."""
+        """Return distance [m] and cosine of the incidence angle of a ray in the box's frame, by the slab method."""
         half = 0.5 * self.size
         ray = ca.if_else(ray == 0, _PARALLEL, ray)
         one, other = (-half - here) / ray, (half - here) / ray
@@ -160,7 +161,7 @@ class SolidBox(Solid):
 
 @dataclass(frozen=True, eq=False)
 class SolidWalls(Solid):
-    """`site_walls` in symbols: (4,) x_min, x_max, y_min, y_max [m]; 0 from behind one."""
+    """The `site_walls` in CasADi symbols: (4,) x_min, x_max, y_min, y_max [m]; from behind a wall the range is 0."""
 
     walls: ca.SX
     present: ca.SX = field(default_factory=lambda: ca.SX(1))
@@ -188,11 +189,11 @@ class SolidWalls(Solid):
         return ca.fmin(ca.fmin(along_x, along_y), nothing), cosine
 
     def outlook(self, apex: ca.SX) -> list[ca.SX]:
-        """See `Solid.outlook`: the four foot points."""
+        """See `Solid.outlook`: directions to the foot points on the four walls."""
         return [ca.SX(normal) for normal, _ in self._faces(apex)]
 
     def _faces(self, apex: ca.SX) -> tuple[tuple[tuple[float, float], ca.SX], ...]:
-        """Directions out of the water, and how far each wall is that way [m]."""
+        """Return the direction out of the water at each wall, and the distance to the wall in it [m]."""
         return (
             ((-1.0, 0.0), apex[0] - self.walls[0]),
             ((1.0, 0.0), self.walls[1] - apex[0]),
@@ -210,7 +211,7 @@ def _left(ray: ca.SX) -> ca.SX:
 
 
 def _beside(ray: ca.SX, side: ca.SX | float) -> ca.SX:
-    """The unit vector turned by 1e-9 rad, to the left for side 1."""
+    """Return the unit vector turned by 1e-9 rad, to the left for side 1 and to the right for side −1."""
     return ray + side * _BESIDE * _left(ray)
 
 

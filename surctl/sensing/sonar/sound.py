@@ -1,4 +1,4 @@
-"""How fast sound travels, in the water and, for converters that came with its constant, in air."""
+"""Speed of sound in water, and in air for converters that use the constant of air."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ __all__ = ["Medium", "speed_of_sound"]
 Medium: TypeAlias = Literal["water", "air"]
 
 _MARCZAK = (1.402385e3, 5.038813, -5.799136e-2, 3.287156e-4, -1.398845e-6, 2.787860e-9)
-_RANGE = {"water": (0.0, 95.0), "air": (-20.0, 50.0)}  # °C; of air *chosen*, where a tank may stand
+_RANGE = {"water": (0.0, 95.0), "air": (-20.0, 50.0)}  # °C; the range for air is *chosen*: temperatures of a test site
 
 
 def speed_of_sound(temperature: float, medium: Medium = "water") -> float:
-    """Speed of sound [m/s] at a temperature [°C] and atmospheric pressure.
+    """Return the speed of sound [m/s] at a temperature [°C] and atmospheric pressure.
 
-    Water: pure, Marczak 1997, "Water as a standard in the measurements of speed of sound in liquids", J. Acoust.
-    Soc. Am. 102, 2776 (0 to 95 °C, within 0.02 m/s). Air: dry and ideal, 331.3·sqrt(1 + T/273.15) (−20 to 50 °C).
+    For pure water: Marczak 1997, "Water as a standard in the measurements of speed of sound in liquids", J. Acoust.
+    Soc. Am. 102, 2776 (0 to 95 °C, within 0.02 m/s). For dry, ideal air: 331.3·sqrt(1 + T/273.15) (−20 to 50 °C).
 
     Raises:
-        InputError: unknown medium, or a temperature outside the formula's range.
+        InputError: if the medium is unknown, or the temperature is outside the range of the formula.
 
     Example:
         >>> from surctl.sensing import speed_of_sound
@@ -34,7 +34,7 @@ def speed_of_sound(temperature: float, medium: Medium = "water") -> float:
     low, high = _RANGE[medium]
     if not low <= temperature <= high:
         raise InputError(
-            f"lies outside the formula for {medium}",
+            f"lies outside the range of the formula for {medium}",
             key="temperature",
             value=temperature,
             remedy=f"give {low:g} to {high:g} °C",
