@@ -62,7 +62,7 @@ MUTATIONS: dict[str, list[tuple[object, str, object]]] = {
     "E10": [(avoidance, "printed_side", lambda phi: 1), (avoidance, "encounter_side", lambda v, n: -1)],
     "E11": [(avoidance, "avoidance_course", lambda *v, **k: avoidance_course(*v, **{**k, "delta": 0}))],
     "E12": [(avoidance, "clearance_rate", lambda c, phi, **k: clearance_rate(c, phi, **{**k, "closing": 0}))],
-    "E13": [(avoidance, "pushed", lambda start, s, a: pushed(start - [1.0, 0, 0, 0], s, a))],
+    "E13": [(avoidance, "inertial_motion", lambda start, s, a: pushed(start - [1.0, 0, 0, 0], s, a))],
     "E14": [(tracking, "printed_position_error", lambda x, y, z: (x * x + y * y + z * z) ** 0.5)],
     "E15": [(scenario, "PRINTED_HULL", "sur400")],
     "E16": [(scenario, "load_scenario", lambda name: replace(load_scenario(name), depth=-0.3))],
