@@ -22,9 +22,9 @@ class Freedom:
     """An affine set of velocities v = base + Z y.
 
     Attributes:
-            base: (n,), one velocity of the set.
-            Z: (n, d), orthonormal columns: the free directions.
-            fixed: (n − d, n), orthonormal rows: the fixed directions.
+        base: (n,), one velocity of the set.
+        Z: (n, d), orthonormal columns: the free directions.
+        fixed: (n − d, n), orthonormal rows: the fixed directions.
     """
 
     base: Array

@@ -19,7 +19,7 @@ def nsb(problem: PriorityProblem, *, cutoff: float = CUTOFF) -> NDArray[np.float
     rows.
 
     Raises:
-            InputError: a level is set-based; the printed law has no such task.
+        InputError: a level is set-based; the printed law has no such task.
 
     Example:
         >>> import numpy as np

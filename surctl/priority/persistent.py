@@ -81,8 +81,8 @@ class PersistentDaqp(_Persistent):
     Do not share an object between threads.
 
     Args:
-            warm: start from the last active set of that size. If off, the solution depends only on the problem, to the
-                bit.
+        warm: start from the last active set of that size. If off, the solution depends only on the problem, to the
+            bit.
     """
 
     def _first(self, G: Array, lower: Array, upper: Array) -> tuple[Any, KernelSolution]:
@@ -112,8 +112,8 @@ class PersistentOsqp(_Persistent):
     Do not share an object between threads.
 
     Args:
-            warm: start from the last point, multipliers and step size of that size. If off, the solution depends only
-                on the problem, to the bit.
+        warm: start from the last point, multipliers and step size of that size. If off, the solution depends only
+            on the problem, to the bit.
     """
 
     def _first(self, G: Array, lower: Array, upper: Array) -> tuple[Any, KernelSolution]:

@@ -26,7 +26,7 @@ class Polyhedron:
     """Rows scaled to length 1, so that a violation is a velocity, with their names and kinds.
 
     Attributes:
-            A: (m, n). lower, upper: (m,). length: (m,), of the rows before scaling.
+        A: (m, n). lower, upper: (m,). length: (m,), of the rows before scaling.
         kinds, names: (m,).
         box: the actuator rows that bound one velocity each, as lower and upper (n,); ±inf elsewhere.
     """

@@ -168,9 +168,9 @@ def build_problem(levels: Sequence[Level], rows: Sequence[Row] = ()) -> Priority
     """Check and freeze a problem.
 
     Raises:
-            InputError: no level, different numbers of columns, a value that is not a finite number, crossed bounds, an
-                unknown kind, or a name that is empty, has several lines or is used twice. The message names the task
-                (and its row) or the limit.
+        InputError: no level, different numbers of columns, a value that is not a finite number, crossed bounds, an
+            unknown kind, or a name that is empty, has several lines or is used twice. The message names the task
+            (and its row) or the limit.
 
     Example:
         >>> import numpy as np

@@ -42,16 +42,16 @@ def solve(
     of the same mode without rows.
 
     Args:
-            problem: from `build_problem`.
-            mode: "projected": the law (16) with its last projection restricted to the rows. "filter": the point inside
-                the rows that is nearest to (16). "lexicographic": strict priority. "nsb": (16) without limits (violated
-                rows are listed in `relaxed`).
-            sweeps, damping, cutoff: see `Settings`.
-            backend: a name in `BACKENDS`: "daqp", "osqp", "own", or another solver that qpsolvers finds; or a `Kernel`,
-                for example one that keeps its state between control periods. Not used in "nsb".
+        problem: from `build_problem`.
+        mode: "projected": the law (16) with its last projection restricted to the rows. "filter": the point inside
+            the rows that is nearest to (16). "lexicographic": strict priority. "nsb": (16) without limits (violated
+            rows are listed in `relaxed`).
+        sweeps, damping, cutoff: see `Settings`.
+        backend: a name in `BACKENDS`: "daqp", "osqp", "own", or another solver that qpsolvers finds; or a `Kernel`,
+            for example one that keeps its state between control periods. Not used in "nsb".
 
     Raises:
-            InputError: an unknown mode or backend, or a setting out of range.
+        InputError: an unknown mode or backend, or a setting out of range.
 
     Example:
         >>> import numpy as np

@@ -102,18 +102,18 @@ def measure_backend(
     constructed from weights ≥ 0 for which the weighted sum of the rows is 0 and that of the bounds negative (Farkas).
 
     Args:
-            backend: a name in `BACKENDS`, called as the toolkit calls it (rows scaled, solution polished and checked);
-                or a kernel, (G (m, d), lower (m,), upper (m,)) → KernelSolution, called directly.
-            families: names in `BACKEND_FAMILIES`.
-            problems: number of problems in each family.
-            size: number of unknowns d.
-            tol: largest accepted error, violation and gradient, relative to 1 + max |y*|; in the family "parallel" the
-                accepted error of y is tol divided by the angle between the rows.
-            seed: seed of numpy's PCG64 generator.
+        backend: a name in `BACKENDS`, called as the toolkit calls it (rows scaled, solution polished and checked);
+            or a kernel, (G (m, d), lower (m,), upper (m,)) → KernelSolution, called directly.
+        families: names in `BACKEND_FAMILIES`.
+        problems: number of problems in each family.
+        size: number of unknowns d.
+        tol: largest accepted error, violation and gradient, relative to 1 + max |y*|; in the family "parallel" the
+            accepted error of y is tol divided by the angle between the rows.
+        seed: seed of numpy's PCG64 generator.
 
     Raises:
-            InputError: an unknown backend or family, no problems, fewer than 2 unknowns, or a tolerance that is not
-                positive.
+        InputError: an unknown backend or family, no problems, fewer than 2 unknowns, or a tolerance that is not
+            positive.
 
     Example:
         >>> from surctl.testing import measure_backend

@@ -36,10 +36,10 @@ class LimitReport:
     """Properties of a limit that passed the check.
 
     Attributes:
-            names: names of its rows.
-            samples: number of points at which the rows were evaluated, including corners of the ranges.
-            narrowest, narrowest_row: smallest upper − lower found, as a velocity, and its row; inf for no bounded row.
-            compared: number of velocities for which `holds` was called.
+        names: names of its rows.
+        samples: number of points at which the rows were evaluated, including corners of the ranges.
+        narrowest, narrowest_row: smallest upper − lower found, as a velocity, and its row; inf for no bounded row.
+        compared: number of velocities for which `holds` was called.
     """
 
     names: tuple[str, ...]
@@ -66,17 +66,17 @@ def check_limit(
     random steps from the narrowest points. The actuator rows together must allow a velocity (by linear programming).
 
     Args:
-            limit: any object with a method `rows()`.
-            parameters: (symbol, lowest, highest) for every symbol in the rows.
-            holds: (v (4,), *values of the parameters) → whether v satisfies the limit as intended; compared with the
-                rows at random velocities and on both sides of every bound.
-            velocity: largest entry of those random velocities [m/s, rad/s].
-            samples: number of random points.
-            seed: seed of numpy's PCG64 generator.
+        limit: any object with a method `rows()`.
+        parameters: (symbol, lowest, highest) for every symbol in the rows.
+        holds: (v (4,), *values of the parameters) → whether v satisfies the limit as intended; compared with the
+            rows at random velocities and on both sides of every bound.
+        velocity: largest entry of those random velocities [m/s, rad/s].
+        samples: number of random points.
+        seed: seed of numpy's PCG64 generator.
 
     Raises:
-            CheckFailed: the first finding; the message names the row.
-            InputError: a symbol has no range or two ranges, there are no samples, or the velocity is not positive.
+        CheckFailed: the first finding; the message names the row.
+        InputError: a symbol has no range or two ranges, there are no samples, or the velocity is not positive.
 
     Example:
         >>> import casadi as ca
@@ -87,7 +87,7 @@ def check_limit(
         >>> ranges = [(eta, [-3, -3, -1, -3], [3, 3, 0, 3])]
         >>> check_limit(wall, parameters=ranges).samples
         66
-            >>> check_limit(wall, parameters=ranges, holds=lambda v, eta: v[0] <= 0.2)  # differs from the limit
+        >>> check_limit(wall, parameters=ranges, holds=lambda v, eta: v[0] <= 0.2)  # differs from the limit
         Traceback (most recent call last):
             ...
         surctl.testing.finding.CheckFailed: limit row 'wall': refuses v = [...], but holds() says otherwise, ...

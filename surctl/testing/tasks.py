@@ -66,19 +66,19 @@ def check_task(
     the reference. At the poses in `near` and close to them all values must be finite.
 
     Args:
-            task: the task, or a builder: eta SX (4, 1) → task.
-            parameters: (symbol, lowest, highest) for every symbol except eta.
-            near: poses (4,) at or near singularities, for example a pose at a waypoint.
-            samples: number of random poses.
-            extent: largest |x|, |y|, |z| of random poses [m]; ψ is in (−π, π).
-            full_turn: False for a task that counts turns, for example one that unwinds a tether.
-            tol: largest accepted error of J, relative to 1 + max |J|.
-            seed: seed of numpy's PCG64 generator.
+        task: the task, or a builder: eta SX (4, 1) → task.
+        parameters: (symbol, lowest, highest) for every symbol except eta.
+        near: poses (4,) at or near singularities, for example a pose at a waypoint.
+        samples: number of random poses.
+        extent: largest |x|, |y|, |z| of random poses [m]; ψ is in (−π, π).
+        full_turn: False for a task that counts turns, for example one that unwinds a tether.
+        tol: largest accepted error of J, relative to 1 + max |J|.
+        seed: seed of numpy's PCG64 generator.
 
     Raises:
         CheckFailed: the first finding.
-            InputError: the object is not a task, or its class refuses it; a symbol has no range or two ranges; there
-                are no samples; a pose in `near` is not four numbers.
+        InputError: the object is not a task, or its class refuses it; a symbol has no range or two ranges; there
+            are no samples; a pose in `near` is not four numbers.
 
     Example:
         >>> import casadi as ca
@@ -87,7 +87,7 @@ def check_task(
         >>> report = check_task(lambda eta: heading_task(eta, 0.4))
         >>> report.name, report.size, report.samples
         ('heading', 1, 50)
-            >>> check_task(lambda eta: Task(name="yaw", eta=eta, sigma=eta[3], target=0.4))  # angular=True is missing
+        >>> check_task(lambda eta: Task(name="yaw", eta=eta, sigma=eta[3], target=0.4))  # angular=True is missing
         Traceback (most recent call last):
             ...
         surctl.testing.finding.CheckFailed: ...the reference changes when the vehicle makes a full turn ...

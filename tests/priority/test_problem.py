@@ -31,8 +31,8 @@ def row(name="wall", kind="barrier", a=(1, 0, 0, 0), lower=-math.inf, upper=0.2)
         ([GOOD], [row(a=(1, 0, 0))], "limit wall: has 3 entries"),
         ([GOOD], [row(a=(1, 0, 0, np.nan))], "limit wall"),
         ([GOOD], [row(upper=math.nan)], "limit wall"),
-        ([GOOD], [row(lower=0.3)], "leave no velocity"),
-        ([GOOD], [row(upper=-math.inf)], "leave no velocity"),
+        ([GOOD], [row(lower=0.3)], "exclude every velocity"),
+        ([GOOD], [row(upper=-math.inf)], "exclude every velocity"),
         ([GOOD], [row(kind="actuatr")], "did you mean 'actuator'"),
     ],
 )

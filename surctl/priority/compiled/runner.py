@@ -28,10 +28,10 @@ _VIEWS = frozenset(("J", "lower", "upper", "rows", "box", *OUTPUTS))
 class PriorityStep:
     """`priority_step` compiled for one caller: write the inputs, call `solve`, read the outputs.
 
-            step = PriorityStep.of(problem, mode="projected")
-            step.J[...], step.lower[...], step.upper[...] = J, x, x
-            step.solve()
-            step.v, step.stage, step.binding()
+        step = PriorityStep.of(problem, mode="projected")
+        step.J[...], step.lower[...], step.upper[...] = J, x, x
+        step.solve()
+        step.v, step.stage, step.binding()
 
     Every array is a view of one buffer that each `solve` reads or overwrites: copy results that must last, and assign
     to the elements. Replacing an array is an InputError, because `solve` would never read the new array. Do not share a

@@ -70,28 +70,28 @@ def priority_step(
     1e140), or if lower ≠ upper for a level with one value; in the modes with rows also if a row is longer than 1e150.
 
     Args:
-            mode: the priority law.
-            n: number of velocities.
-            levels: shapes of the levels.
-            rows: number of rows m, at least 1.
-            sweeps: number of sweeps, each started from the result of the one before; 1 in mode lexicographic.
-            damping: λ [unit of J]; 0 in mode lexicographic.
-            precision: tolerances of the least-distance problems in modes filter and projected, for the number type with
-                which the routine runs; the other modes use those of double.
-            named: False in mode projected leaves the rows that limit task 1 out of `active`, which saves time.
-            fallback: "exact", or "bounded" for modes filter and projected without damping: a solution of constant cost
-                if rows and task 1 are incompatible or take more than 4 iterations, see `solver.bounded`.
+        mode: the priority law.
+        n: number of velocities.
+        levels: shapes of the levels.
+        rows: number of rows m, at least 1.
+        sweeps: number of sweeps, each started from the result of the one before; 1 in mode lexicographic.
+        damping: λ [unit of J]; 0 in mode lexicographic.
+        precision: tolerances of the least-distance problems in modes filter and projected, for the number type with
+            which the routine runs; the other modes use those of double.
+        named: False in mode projected leaves the rows that limit task 1 out of `active`, which saves time.
+        fallback: "exact", or "bounded" for modes filter and projected without damping: a solution of constant cost
+            if rows and task 1 are incompatible or take more than 4 iterations, see `solver.bounded`.
 
     Raises:
-            InputError: the mode is unknown, or a size or number is out of range; the message names the level.
+        InputError: the mode is unknown, or a size or number is out of range; the message names the level.
 
     Example:
         >>> import numpy as np
         >>> from surctl.ir import replay
-            >>> from surctl.priority import LevelShape, priority_step
-            >>> step = priority_step("projected", n=2, levels=(LevelShape(2),), rows=1)
-            >>> wall, box = [1.0, 0.0, -np.inf, 0.1, 1.0], [-1.0, -1.0, 1.0, 1.0]
-            >>> v, active, *_ = replay(step, [1.0, 0.0, 0.0, 1.0], [0.3, 0.4], [0.3, 0.4], wall, box)
+        >>> from surctl.priority import LevelShape, priority_step
+        >>> step = priority_step("projected", n=2, levels=(LevelShape(2),), rows=1)
+        >>> wall, box = [1.0, 0.0, -np.inf, 0.1, 1.0], [-1.0, -1.0, 1.0, 1.0]
+        >>> v, active, *_ = replay(step, [1.0, 0.0, 0.0, 1.0], [0.3, 0.4], [0.3, 0.4], wall, box)
         >>> v.round(3).tolist(), active.tolist()  # held back by row 1 at its upper bound
         ([0.1, 0.4], [1.0, 0.0])
     """

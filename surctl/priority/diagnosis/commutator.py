@@ -38,7 +38,7 @@ class Directions:
     """Right singular vectors and singular values of J (..., k, n); values below the cut-off are set to 0.
 
     Attributes:
-            vectors: (..., n, n), unit vectors as rows, largest singular value first.
+        vectors: (..., n, n), unit vectors as rows, largest singular value first.
         s: (..., n), singular values [unit of J]; 0 in the null space.
     """
 
@@ -93,7 +93,7 @@ def commutator_norms(jacobians: Sequence[Array]) -> Array:
         jacobians: J (..., k, n) of each level, highest priority first.
 
     Raises:
-            InputError: no level, different numbers of columns, or a non-finite number; the message names the level.
+        InputError: no level, different numbers of columns, or a non-finite number; the message names the level.
     """
     levels = _checked(jacobians)
     n = levels[0].shape[-1]
@@ -111,10 +111,10 @@ def equals_strict_priority(jacobians: Sequence[Array], *, tol: float = TOLERANCE
 
     Args:
         jacobians: J (k, n) of each level, highest priority first; with leading axes, all samples must commute.
-            tol: largest value of `commutator_norms` that counts as zero.
+        tol: largest value of `commutator_norms` that counts as zero.
 
     Raises:
-            InputError: in the same cases as `commutator_norms`.
+        InputError: in the same cases as `commutator_norms`.
     """
     return bool((commutator_norms(jacobians) <= tol).all())
 

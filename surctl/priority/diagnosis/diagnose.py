@@ -48,17 +48,17 @@ def diagnose(
     The function evaluates scrambled Sobol samples (rounded up to a power of two), then searches locally from the worst.
 
     Args:
-            stack: the tasks, each with one desired value (replace a set-based task by the task at its bound).
-            region: lower and upper corner of η, (4,) each [m, m, m, rad] in {E}.
-            parameters: (symbol, lower, upper) of every other symbol in the Jacobians or references.
-            samples: number of samples, at least 1.
-            seed: seed of the samples; the same seed gives the same diagnosis.
-            threshold: sine of an angle, relative strength, or step [m or rad] below which a pose counts as singular.
-            starts: largest number of local searches for one quantity, at least 1.
+        stack: the tasks, each with one desired value (replace a set-based task by the task at its bound).
+        region: lower and upper corner of η, (4,) each [m, m, m, rad] in {E}.
+        parameters: (symbol, lower, upper) of every other symbol in the Jacobians or references.
+        samples: number of samples, at least 1.
+        seed: seed of the samples; the same seed gives the same diagnosis.
+        threshold: sine of an angle, relative strength, or step [m or rad] below which a pose counts as singular.
+        starts: largest number of local searches for one quantity, at least 1.
 
     Raises:
-            InputError: `build_region` refuses the region or a parameter, a symbol has no range, a number is out of
-                range, a task is set-based or not finite at a sample; the message names the symbol or the task.
+        InputError: `build_region` refuses the region or a parameter, a symbol has no range, a number is out of
+            range, a task is set-based or not finite at a sample; the message names the symbol or the task.
     """
     _check_numbers(samples, threshold, starts, seed)
     box = build_region(stack, region, parameters)

@@ -30,9 +30,9 @@ class Values:
     Attributes:
         jacobians: (N, k, 4) of each task.
         references: (N, k) of each task [unit of σ per second].
-            turning: (N,) of each task: the smallest ‖a‖/‖∂a/∂η‖ of its rows a of ∂σ/∂η, inf where no row changes.
-                A step of this length [m or rad] may reverse the row. It goes to 0 at a singular point of the task, such
-                as the point from which a distance is measured, although the gradient has length 1 around that point.
+        turning: (N,) of each task: the smallest ‖a‖/‖∂a/∂η‖ of its rows a of ∂σ/∂η, inf where no row changes.
+            A step of this length [m or rad] may reverse the row. It goes to 0 at a singular point of the task, such
+            as the point from which a distance is measured, although the gradient has length 1 around that point.
     """
 
     jacobians: list[Array]
@@ -49,9 +49,9 @@ class Field:
     """A stack compiled over a region.
 
     Attributes:
-            names, sizes, units: of the tasks; the units are those of σ̇.
-            region: the region of poses and parameters.
-            function: point (d,) → vec(J), x, ‖a‖² and ‖∂a/∂η‖² of the rows, one task after another, as one column.
+        names, sizes, units: of the tasks; the units are those of σ̇.
+        region: the region of poses and parameters.
+        function: point (d,) → vec(J), x, ‖a‖² and ‖∂a/∂η‖² of the rows, one task after another, as one column.
     """
 
     names: tuple[str, ...]

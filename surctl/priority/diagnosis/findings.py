@@ -35,7 +35,7 @@ class Equality:
     Attributes:
         verdict: see `Verdict`.
         largest: largest commutator norm found; see `commutator_norms`.
-            task, where: the level with the largest norm and the pose; None when no level differs.
+        task, where: the level with the largest norm and the pose; None when no level differs.
         by_task: largest norm found at each level.
         structural: levels whose commutator vanishes as an expression.
         searches: number of local searches.
@@ -57,12 +57,12 @@ class Pair:
     Attributes:
         first, second: names, the higher priority first.
         kind: see `PairKind`.
-            smallest, largest: smallest and largest value over the region of the smallest principal angle [rad]. The
-                smallest value comes from a search, the largest from samples. None if the two are never active together.
-            where: the pose of `smallest`.
-            shared: largest number of common directions among the samples.
-            structural: True if `orthogonal` is an identity of the expressions.
-            equal: `Equality.verdict` for these two tasks alone (from samples, without search).
+        smallest, largest: smallest and largest value over the region of the smallest principal angle [rad]. The
+            smallest value comes from a search, the largest from samples. None if the two are never active together.
+        where: the pose of `smallest`.
+        shared: largest number of common directions among the samples.
+        structural: True if `orthogonal` is an identity of the expressions.
+        equal: `Equality.verdict` for these two tasks alone (from samples, without search).
     """
 
     first: str
@@ -81,14 +81,14 @@ class Singularity:
     """Poses where a level loses rank.
 
     Attributes:
-            task: name of the task.
-            kind: `algorithmic`: a direction of the task falls into the row space above while its own Jacobian is
-                regular; `kinematic`: the Jacobian itself loses rank, or has no limit.
-            symptom: see `Symptom`.
-            value: the smallest value found.
-            poses: the poses, worst first, at some distance from each other.
-            also_singular: tasks above that are singular by themselves at the first pose.
-            share: fraction of the samples below the threshold (0 … 1).
+        task: name of the task.
+        kind: `algorithmic`: a direction of the task falls into the row space above while its own Jacobian is
+            regular; `kinematic`: the Jacobian itself loses rank, or has no limit.
+        symptom: see `Symptom`.
+        value: the smallest value found.
+        poses: the poses, worst first, at some distance from each other.
+        also_singular: tasks above that are singular by themselves at the first pose.
+        share: fraction of the samples below the threshold (0 … 1).
     """
 
     task: str
@@ -114,14 +114,14 @@ class LevelReport:
     """How well one level is met.
 
     Attributes:
-            task: name of the task.
-            rank: largest rank of its Jacobian among the samples.
-            gained: largest number of its directions outside the row space above, among the samples.
-            rank_above: largest rank of all tasks above together, among the samples.
-            exhausted: share of the samples where the tasks above leave no freedom at all (0 … 1).
-            strict, nsb: residuals with strict priority and with the law (16).
-            met: see `Met`.
-            unit: unit of the residuals, for example "m/s"; "" if the task has none.
+        task: name of the task.
+        rank: largest rank of its Jacobian among the samples.
+        gained: largest number of its directions outside the row space above, among the samples.
+        rank_above: largest rank of all tasks above together, among the samples.
+        exhausted: share of the samples where the tasks above leave no freedom at all (0 … 1).
+        strict, nsb: residuals with strict priority and with the law (16).
+        met: see `Met`.
+        unit: unit of the residuals, for example "m/s"; "" if the task has none.
     """
 
     task: str

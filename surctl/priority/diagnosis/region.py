@@ -32,9 +32,9 @@ class Region:
     """A box of poses and parameters; `build_region` checks and builds it.
 
     Attributes:
-            symbols: SX (d, 1): eta, then every parameter that the stack uses.
-            names: (d,), as in a `Pose`.
-            lower, upper: (d,) [m, m, m, rad, then the unit of each parameter].
+        symbols: SX (d, 1): eta, then every parameter that the stack uses.
+        names: (d,), as in a `Pose`.
+        lower, upper: (d,) [m, m, m, rad, then the unit of each parameter].
     """
 
     symbols: ca.SX
@@ -71,8 +71,8 @@ def build_region(stack: Stack, region: Bounds, parameters: Sequence[Parameter] =
     """Check the box of eta, (4,) each [m, m, m, rad], and of the parameters; unused parameters are dropped.
 
     Raises:
-            InputError: a wrong size, NaN or infinity, crossed bounds, a parameter that is not a symbol, occurs twice or
-                has a name already in use, or a symbol of the stack without a range (the message names its task).
+        InputError: a wrong size, NaN or infinity, crossed bounds, a parameter that is not a symbol, occurs twice or
+            has a name already in use, or a symbol of the stack without a range (the message names its task).
     """
     lower, upper = _corners(region, 4, key="region", names=_AXES)
     symbols, names, low, high = [stack.eta[i] for i in range(4)], list(_AXES), [lower], [upper]

@@ -28,8 +28,8 @@ class Survey:
         field: the stack over its region.
         unit: (N, f), the samples in the unit box.
         points: (N, d), the samples.
-            values: the values of the tasks at the samples.
-            threshold: a measure up to this value counts as singular.
+        values: the values of the tasks at the samples.
+        threshold: a measure up to this value counts as singular.
         starts: largest number of local searches for one quantity.
     """
 

@@ -15,9 +15,9 @@ class Elimination(NamedTuple):
     """Elimination of p rows J (p, n) from n variables.
 
     Attributes:
-            lift: (n, p): v + lift (b − J v) is the point of J x = b nearest to v. Zero columns for dependent rows.
-            basis: (n, n), orthonormal columns; the first `rank` span the rows, the others are the free directions.
-            rank: number of independent rows.
+        lift: (n, p): v + lift (b − J v) is the point of J x = b nearest to v. Zero columns for dependent rows.
+        basis: (n, n), orthonormal columns; the first `rank` span the rows, the others are the free directions.
+        rank: number of independent rows.
     """
 
     lift: ca.SX

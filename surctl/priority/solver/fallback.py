@@ -48,10 +48,10 @@ def safe_step(n: int, p: int, m: int, *, precision: Precision = FLOAT64, fallbac
     Example:
         >>> import numpy as np
         >>> from surctl.ir import replay
-            >>> from surctl.priority import safe_step
-            >>> step = safe_step(2, 1, 1)
-            >>> wall, box = [1.0, 0.0, -np.inf, 0.1, 1.0], [-1.0, -1.0, 1.0, 1.0]
-            >>> v, active, force, *_ = replay(step, [0.3, 0.4], [0.0, 0.0], [0.0], wall, box)
+        >>> from surctl.priority import safe_step
+        >>> step = safe_step(2, 1, 1)
+        >>> wall, box = [1.0, 0.0, -np.inf, 0.1, 1.0], [-1.0, -1.0, 1.0, 1.0]
+        >>> v, active, force, *_ = replay(step, [0.3, 0.4], [0.0, 0.0], [0.0], wall, box)
         >>> v.round(3).tolist(), active.tolist(), force.round(3).tolist()
         ([0.1, 0.4], [1.0, 0.0], [0.2, 0.0])
     """

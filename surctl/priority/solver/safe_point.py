@@ -79,22 +79,22 @@ def least_distance(
     between the rows). Rows that intersect only far away (1e9 times the size of the box) are opened instead.
 
     Args:
-            target: (n,).
-            A, lower, upper: rows (m, n) of any length and bounds (m,); an absent bound is ±inf.
-            J, x: the task, (p, n) and (p,). None: no task.
-            soft: (m,), true for rows that may open when the rows contradict each other. None: all may.
-            box: lower and upper (n,) into which v is moved at the end. None: no box. A must contain its rows as well.
-            names: names of the rows; "row 0", … if None.
+        target: (n,).
+        A, lower, upper: rows (m, n) of any length and bounds (m,); an absent bound is ±inf.
+        J, x: the task, (p, n) and (p,). None: no task.
+        soft: (m,), true for rows that may open when the rows contradict each other. None: all may.
+        box: lower and upper (n,) into which v is moved at the end. None: no box. A must contain its rows as well.
+        names: names of the rows; "row 0", … if None.
 
     Raises:
-            InputError: the shapes disagree, a number is not finite, an entry of A or J exceeds 1e140, or bounds cross;
-                the message names the row.
+        InputError: the shapes disagree, a number is not finite, an entry of A or J exceeds 1e140, or bounds cross;
+            the message names the row.
 
     Example:
         >>> import numpy as np
         >>> from surctl.priority import least_distance
         >>> found = least_distance([0.3, 0.4], A=[[1.0, 0.0]], lower=[-np.inf], upper=[0.1], names=("wall",))
-            >>> found.v.round(3).tolist(), found.stage, [(name, round(force, 3)) for name, force in found.binding]
+        >>> found.v.round(3).tolist(), found.stage, [(name, round(force, 3)) for name, force in found.binding]
         ([0.1, 0.4], 'met', [('wall', 0.2)])
     """
     goal = _array("target", target, (None,))
@@ -179,7 +179,9 @@ def _box(box: tuple[ArrayLike, ArrayLike], n: int) -> Array:
 
 def _check_bounds(key: str, low: float, high: float) -> None:
     if not low <= high or low == np.inf or high == -np.inf:
-        raise InputError("bounds leave no velocity", key=key, value=[low, high], remedy="give lower <= upper, no NaN")
+        raise InputError(
+            "bounds exclude every velocity", key=key, value=[low, high], remedy="give lower <= upper, no NaN"
+        )
 
 
 def _array(key: str, value: ArrayLike, shape: tuple[int | None, ...], *, finite: bool = True) -> Array:

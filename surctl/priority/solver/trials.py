@@ -70,10 +70,10 @@ def draw_trials(count: int, *, n: int = 4, p: int = 2, m: int = 24, seed: int = 
     """Random problems: n box rows and some thrust rows are hard and consistent (0 satisfies them), the rest are soft.
 
     Args:
-            count: number of problems N.
-            n, p, m: number of velocities, task rows, rows; m > n.
-            seed: seed of numpy's PCG64 generator.
-            mixed: give each problem 0–3 features of `FAMILIES`; otherwise all are plain.
+        count: number of problems N.
+        n, p, m: number of velocities, task rows, rows; m > n.
+        seed: seed of numpy's PCG64 generator.
+        mixed: give each problem 0–3 features of `FAMILIES`; otherwise all are plain.
     """
     rng = np.random.default_rng(seed)
     picks = rng.random((count, len(FAMILIES))) < 0.2 if mixed else np.zeros((count, len(FAMILIES)), dtype=bool)
