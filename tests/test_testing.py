@@ -215,7 +215,7 @@ HIDDEN = ca.sumsqr(ECHO - ca.DM([0.31, -0.62])) - 0.003
         (Rows(row("mine.")), "is not identifiers"),
         (Rows(row(kind="soft")), "unknown kind 'soft'; known: actuator, barrier, set"),
         (Rows(row(a=(1, 0, 0))), "a has shape (1, 3), expected (1, 4)"),
-        (Renamed(), "other names at every call"),
+        (Renamed(), "different row names at every call"),
         (Rows(row(upper=ca.log(ECHO[0]))), "'mine.u': a bound is not a number"),
         (Rows(row(a=ca.vertcat(1 / (ECHO[0] - 1), 0, 0, 0))), "'mine.u': a is not finite: [inf"),
         (Rows(row(), row("mine.v", lower=ECHO[0], upper=ECHO[1])), "'mine.v': allows no velocity"),
@@ -409,7 +409,7 @@ KNOB = ca.SX.sym("knob")
         (lambda: check_backend("own", problems=0), "problems = 0"),
         (lambda: check_backend("own", size=1), "size = 1"),
         (lambda: check_backend("own", tol=math.nan), "tol = nan"),
-        (lambda: check_backend("own", families=[]), "no list of families"),
+        (lambda: check_backend("own", families=[]), "not a list of names"),
         (lambda: check_backend(3), "no such QP backend"),
     ],
 )

@@ -105,7 +105,7 @@ class _Job:
                 self.stop.set()
 
     def work(self) -> None:
-        """Process blocks of runs until none is left, with a short time in C for each call."""
+        """Process blocks of runs until none is left, with short calls into C."""
         lanes = int(self.library.surctl_lanes())
         # next run, end, whether more may follow, active runs, then for each lane its run and its remaining steps
         book = np.zeros(4 + 2 * lanes, dtype=np.dtype(ctypes.c_long))

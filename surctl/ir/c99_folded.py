@@ -2,7 +2,7 @@
 
 A value that is used once is inlined at its use, truth values are `int`, and one declaration covers several locals. The
 numbers equal those of `emit_c99`, operation by operation, if double is computed as double (FLT_EVAL_METHOD 0). A
-C99 pragma keeps products and sums separate; GCC does not support it and needs the flag `-ffp-contract=off`.
+C99 pragma keeps products and sums separate; GCC does not support this pragma and needs the flag `-ffp-contract=off`.
 """
 
 from __future__ import annotations

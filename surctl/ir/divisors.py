@@ -14,8 +14,8 @@ def shared_divisors(program: Program) -> Program:
     """Replace x / d by x · (1 / d) for every d that divides more than once.
 
     A division occupies a vector unit as long as thirty products. If 1 / d is a normal number, a quotient changes by at
-    most two units in the last place. `lower` does not do this, since it changes no bit; CasADi itself turns x · (1 / d)
-    back into x / d.
+    most two units in the last place. `lower` keeps divisions, since it must not change any bit; CasADi itself turns x ·
+    (1 / d) back into x / d.
 
     Example:
         >>> import casadi as ca

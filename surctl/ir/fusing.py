@@ -12,8 +12,8 @@ __all__ = ["fused"]
 def fused(block: Block) -> Block:
     """Return the block with `fma` for a b + c, a b - c and c - a b if only sums and differences use the product.
 
-    Results change by their rounding, so `lower` does not do this. They have the same bytes on every machine, since
-    `fma` is exact. A machine without the instruction uses the library function, which is slow.
+    Fusion changes the rounding of results, so `lower` does not fuse. The results have the same bytes on every machine,
+    since `fma` is exact. A machine without the instruction uses the library function, which is slow.
 
     Example:
         >>> import casadi as ca

@@ -96,7 +96,7 @@ class Native:
 
 
 def loaded(library: bytes) -> ctypes.CDLL:
-    """Load the library; after that the file is no longer needed."""
+    """Load a shared library; after that its file is no longer needed."""
     try:
         with tempfile.TemporaryDirectory(prefix="surctl-") as folder:
             path = Path(folder) / "block.so"

@@ -188,7 +188,7 @@ class Places:
 
     @cached_property
     def _final(self) -> dict[str, str]:
-        """Array that loops update in place → its last name."""
+        """Name of an array that loops update in place → its last name."""
         return {first: name for name, first in self._in_place.items()}
 
     @cached_property

@@ -70,7 +70,7 @@ class Layout:
         return self._slices[name]
 
     def port(self, name: str) -> Port:
-        """Return the port with this name; an unknown name is an InputError with the nearest known name."""
+        """Return the port with this name; an unknown name raises an InputError that suggests a known one."""
         if name in self._by_name:
             return self._by_name[name]
         raise InputError("no such field", key=name, remedy=nearest(name, self._slices))

@@ -27,9 +27,9 @@ _STARTED = time.time_ns()
 def source_digest(*packages: str) -> str:
     """Return the SHA-256 of the sources of these packages, and of the versions of the software that runs them.
 
-    It covers every .py and .toml file with its name inside the package, including inner packages; the versions of
-    CasADi, NumPy and Python; and the platform, whose mathematical library computes constants. It is computed once per
-    process.
+    The digest covers every .py and .toml file with its name inside the package, including inner packages; the versions
+    of CasADi, NumPy and Python; and the platform, whose mathematical library computes constants. It is computed once
+    per process.
 
     Raises:
         SurctlError: a package is missing, its sources cannot be read, or a file was changed after this process began,

@@ -1,6 +1,6 @@
 """Loops in symbolic functions: the body is written once, for one row of a table, and lowered as a bounded loop.
 
-CasADi's SX has no loops: a Python loop that builds expressions is unrolled, so its code grows with the turns.
+CasADi's SX has no loops: a Python loop that builds expressions is unrolled, so its code grows with the number of turns.
 While a `Recording` is open, `repeat`, `fold`, `each` and `only_if` call the body once, on fresh symbols, and return
 symbols for the results of the loop. `Recording.block` lowers expressions over such symbols to a routine. Without a
 recording the functions unroll, so the same code can be evaluated or differentiated directly.

@@ -61,7 +61,7 @@ class CascadeSolution:
         held: Mapping[str, float] | None = None,
         causes: Mapping[str, tuple[str, ...]] | None = None,
     ) -> CascadeSolution:
-        """Build from multipliers (m,) of rows of length 1; where a row is also in `held`, that multiplier counts."""
+        """Build from multipliers (m,) of rows of length 1; a multiplier in `held` replaces that of its row."""
         by_name = named_multipliers(rows, multipliers, above=_FELT * (1.0 + float(np.abs(v).max()))) | dict(held or {})
         return CascadeSolution(
             v,

@@ -102,7 +102,7 @@ def daqp_solution(m: int, y: Any, _: float, flag: int, info: Any) -> KernelSolut
 def osqp_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
     """OSQP (Stellato et al. 2020), an operator-splitting method, with tight settings.
 
-    Its default tolerances leave bounds violated by 1e-3 and call feasible problems infeasible.
+    OSQP's default tolerances leave bounds violated by 1e-3 and call feasible problems infeasible.
     """
     low, high = np.maximum(lower, -NO_BOUND), np.minimum(upper, NO_BOUND)
     return unfit(G, low, high) or osqp_solution(new_osqp(G, low, high, warm=False))

@@ -133,7 +133,7 @@ class PriorityProblem:
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> PriorityProblem:
-        """Build and check the problem from the data of `to_dict`. A missing key is an InputError."""
+        """Build and check the problem from the data of `to_dict`. A missing key raises an InputError."""
         try:
             levels = [
                 Level(

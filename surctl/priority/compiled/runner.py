@@ -34,8 +34,8 @@ class PriorityStep:
         step.v, step.stage, step.binding()
 
     Every array is a view of one buffer that each `solve` reads or overwrites: copy results that must last, and assign
-    to the elements. Replacing an array is an InputError, because `solve` would never read the new array. Do not share a
-    step between threads. Without a C compiler, `replay` computes the same numbers slowly.
+    to the elements. Replacing an array raises an InputError, because `solve` would never read the new array. Do not
+    share a step between threads. Without a C compiler, `replay` computes the same numbers slowly.
 
     Attributes:
         J (K, n), lower, upper (K,): the levels one below the other, highest priority first; upper = lower for a level

@@ -3,7 +3,7 @@
 J = A(η) R(ψ) with A = ∂σ/∂η, and R of (2) is orthogonal. So J_iᵀJ_i commutes with the projector of the tasks above
 exactly when A_iᵀA_i commutes with theirs. In {E} there are no sines and cosines, and most A are constant.
 
-True means that an identity of the expressions was shown; False means only that none was shown.
+A result of True means that an identity of the expressions was shown; False means only that none was shown.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _ROUNDING = 1e-12  # constants of this size are rounding errors of zero
 
 
 def world_jacobians(stack: Stack) -> list[ca.SX]:
-    """A = ∂σ/∂η, (k, 4), of each task: σ̇ = A η̇ in {E}. Equal subexpressions of two tasks are the same node."""
+    """A = ∂σ/∂η, (k, 4), of each task: σ̇ = A η̇ in {E}. Equal subexpressions are shared."""
     parts = [ca.jacobian(task.sigma, stack.eta) for task in stack.tasks]
     together = ca.cse(ca.vertcat(*parts))
     ends = np.cumsum([0, *(task.size for task in stack.tasks)])
@@ -36,8 +36,8 @@ def world_jacobians(stack: Stack) -> list[ca.SX]:
 def commuting_levels(stack: Stack) -> tuple[bool, ...]:
     """For each level, whether its commutator vanishes as an expression, that is, for all η and all parameters.
 
-    It vanishes if A_iᵀA_i maps the row space above into itself, which is tested row by row, or if that row space
-    contains all rows of A_i.
+    The commutator vanishes if A_iᵀA_i maps the row space above into itself, which is tested row by row, or if that row
+    space contains all rows of A_i.
     """
     levels = world_jacobians(stack)
     rows = [[A[i, :].T for i in range(A.shape[0])] for A in levels]
@@ -53,8 +53,8 @@ def orthogonal_pairs(stack: Stack) -> set[tuple[int, int]]:
 def _commutes(A: ca.SX, above: list[ca.SX]) -> bool:
     """Whether AᵀA maps the span of the rows above, given as columns (n, 1), into itself.
 
-    The span is range(P) of the constant rows plus the parts of the other rows outside it. Its dimension may vary from
-    pose to pose without effect on the result.
+    The span is range(P) of the constant rows plus the parts of the other rows outside it. The dimension of the span may
+    vary from pose to pose without effect on the result.
     """
     P = _projector([np.array(ca.DM(row)).ravel() for row in above if row.is_constant()], A.shape[1])
     outside = ca.SX(ca.sparsify(ca.DM(np.eye(A.shape[1]) - P)))

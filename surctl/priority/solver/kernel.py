@@ -1,7 +1,8 @@
 """The least-distance solver as a routine: the iteration of `dual_step` in a bounded loop.
 
 Rows are stored in blocks of one row for each lane, entry by entry (`surctl.ir.Loop`), so that one instruction prices
-several rows. The choice between equal rows does not depend on the lanes: one lane and four give the same numbers.
+several rows. The choice between equally violated rows does not depend on the lanes: one lane and four give the same
+numbers.
 """
 
 from __future__ import annotations

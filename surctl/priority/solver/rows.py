@@ -17,7 +17,7 @@ class Sizes:
 
     Attributes:
         precision: tolerances.
-        cap: largest number of iterations of a search for v; None means that of `kernel`.
+        cap: largest number of iterations of a search for v; None means the limit of `kernel`.
         general: search space with v free in n directions. fast: in n − p, after p independent task rows (None if
             p ≥ n). opening: with v and the opening free.
         rows: number of entries of all rows. lanes, blocks: rows in a block, and number of blocks.
