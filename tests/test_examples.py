@@ -1,4 +1,4 @@
-"""Every function that a room exports has an example in its docstring, and the example prints what it says."""
+"""Every exported function has an example in its docstring; it and those of classes print what they say."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ import pytest
 import surctl
 from tests.tools import need, need_compiler
 
-ROOMS = sorted(module.name for module in pkgutil.iter_modules(surctl.__path__) if module.name != "__main__")
+PACKAGES = sorted(module.name for module in pkgutil.iter_modules(surctl.__path__) if module.name != "__main__")
 
 
-def _exported() -> Iterator[tuple[str, FunctionType]]:
-    for room in ROOMS:
-        module = importlib.import_module(f"surctl.{room}")
+def _exported() -> Iterator[tuple[str, FunctionType | type]]:
+    for package in PACKAGES:
+        module = importlib.import_module(f"surctl.{package}")
         for name in getattr(module, "__all__", []):
             thing = getattr(module, name)
-            if inspect.isfunction(thing):
-                yield f"{room}.{name}", thing
+            if inspect.isfunction(thing) or (inspect.isclass(thing) and ">>>" in (thing.__doc__ or "")):
+                yield f"{package}.{name}", thing
 
 
-FUNCTIONS = dict(_exported())
+EXPORTED = dict(_exported())
 _BOARD = ("arm-none-eabi-gcc", "qemu-system-arm")
 TOOLS = {  # beside a C compiler
     "export.check_builds": ("gcc",),
@@ -39,15 +39,14 @@ TOOLS = {  # beside a C compiler
 }
 
 
-@pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.parametrize("name", EXPORTED)
 def test_its_example_prints_what_it_says(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     need_compiler()
     for tool in TOOLS.get(name, ()):
         need(tool)
     monkeypatch.chdir(tmp_path)  # what an example writes goes there
     monkeypatch.setenv("MPLBACKEND", "agg")
-    function = FUNCTIONS[name]
-    (test,) = doctest.DocTestFinder(recurse=False).find(function, name, globs={})
+    (test,) = doctest.DocTestFinder(recurse=False).find(EXPORTED[name], name, globs={})
     assert test.examples, "no example"
     said: list[str] = []
     runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)

@@ -35,7 +35,7 @@ PRINTED = {
     ),
     "02_priorities": (
         "NSB differs from strict priority at `look`",
-        "nsb: v is the null-space-based law. This mode knows no limits",
+        "nsb: v is the null-space-based law. This mode ignores limits",
         "projected: Task `go` gave up 0.35 m/s because `wall` binds.",
         "binding: wall",
     ),

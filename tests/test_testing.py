@@ -85,7 +85,7 @@ def test_ranks_are_reported_with_the_pose_of_the_least():
 def test_symbols_are_drawn_from_their_ranges():
     task = clearance_task(ETA, ECHO, margin=0.4, gain=GAIN)
     assert check_task(task, parameters=[(ECHO, -3, [3, 4]), (GAIN, 0.1, 2)]).rank == 1
-    with pytest.raises(InputError, match="task clearance: holds the symbol gain"):
+    with pytest.raises(InputError, match="task clearance: contains the symbol gain"):
         check_task(task, parameters=[(ECHO, -3, 3)])
     with pytest.raises(InputError, match="parameter echo"):
         check_task(task, parameters=[(ECHO, 3, -3), (GAIN, 0.1, 2)])
@@ -118,8 +118,8 @@ class Unwrapped(Task):
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda e: ForgetsTheFrame(name="bad", eta=e, sigma=e[:2]), ["row 0 of J says", "sigma changes", "eta = ["]),
-        (lambda e: SlightlyOff(name="bad", eta=e, sigma=e[:2]), ["of J says ", "but sigma changes at a rate of"]),
+        (lambda e: ForgetsTheFrame(name="bad", eta=e, sigma=e[:2]), ["row 0 of J is", "sigma changes", "eta = ["]),
+        (lambda e: SlightlyOff(name="bad", eta=e, sigma=e[:2]), ["of J is ", "but sigma changes at a rate of"]),
         (lambda e: TooShort(name="bad", eta=e, sigma=e[:2]), ["reference has shape (1, 1), expected (2, 1)"]),
         (lambda e: Task(name="bad", eta=e, sigma=e[3]), ["the reference changes", "full turn", "angular=True?"]),
         (lambda e: Unwrapped(name="bad", eta=e, sigma=3 * e[3], angular=True), ["the angular error", "half a turn"]),
@@ -210,18 +210,18 @@ HIDDEN = ca.sumsqr(ECHO - ca.DM([0.31, -0.62])) - 0.003
     ("limit", "says"),
     [
         (Rows(), "has no rows"),
-        (Rows(row(), row()), "'mine.u': stands twice"),
+        (Rows(row(), row()), "'mine.u': occurs twice"),
         (Rows(row("my row")), "'my row': is not identifiers"),
         (Rows(row("mine.")), "is not identifiers"),
         (Rows(row(kind="soft")), "unknown kind 'soft'; known: actuator, barrier, set"),
         (Rows(row(a=(1, 0, 0))), "a has shape (1, 3), expected (1, 4)"),
-        (Renamed(), "other names at every call"),
+        (Renamed(), "different row names at every call"),
         (Rows(row(upper=ca.log(ECHO[0]))), "'mine.u': a bound is not a number"),
         (Rows(row(a=ca.vertcat(1 / (ECHO[0] - 1), 0, 0, 0))), "'mine.u': a is not finite: [inf"),
-        (Rows(row(), row("mine.v", lower=ECHO[0], upper=ECHO[1])), "'mine.v': leaves no velocity"),
-        (Rows(row(), row("mine.v", lower=0.0, upper=HIDDEN)), "'mine.v': leaves no velocity: lower = 0, upper = -"),
-        (Rows(row(a=(0, 0, 0, 0), upper=-0.1)), "asks a row of zeros"),
-        (Rows(row(upper=-math.inf)), "leaves no velocity"),
+        (Rows(row(), row("mine.v", lower=ECHO[0], upper=ECHO[1])), "'mine.v': allows no velocity"),
+        (Rows(row(), row("mine.v", lower=0.0, upper=HIDDEN)), "'mine.v': allows no velocity: lower = 0, upper = -"),
+        (Rows(row(a=(0, 0, 0, 0), upper=-0.1)), "requires a row of zeros"),
+        (Rows(row(upper=-math.inf)), "allows no velocity"),
         (
             Rows(
                 row(kind="actuator", a=(2, 0, 0, 0), upper=0.2),
@@ -261,7 +261,7 @@ def test_a_predicate_is_compared_on_both_sides_of_every_bound():
     assert check_limit(limit, parameters=WIDE, holds=within([0.05, 0.1, 0.15, 0.2])).compared > 500
     with pytest.raises(CheckFailed) as caught:
         check_limit(limit, parameters=WIDE, holds=within([0.05, 0.1, 0.15, 0.19]))
-    one_line(caught, "and all others keep v = [", "but holds() says otherwise, at nu = [")
+    one_line(caught, "and all others allow v = [", "but holds() says otherwise, at nu = [")
     with pytest.raises(CheckFailed) as caught:
         check_limit(limit, parameters=WIDE, holds=lambda v, nu: True)
     one_line(caught, "refuses v = [")
@@ -340,17 +340,20 @@ def writes_into_its_arguments(G, lower, upper):
 @pytest.mark.parametrize(
     ("kernel", "says"),
     [
-        (only_upper, "a row is missed by"),
+        (only_upper, "a row is violated by"),
         (wrong(feasible_but_farther), "allowed 1e-08"),
         (wrong(lambda a, *_: a if a.y is None else with_(a, y=a.y + 1e-7)), "allowed 1e-08"),
         (wrong(lambda a, *_: a if a.y is None else with_(a, y=np.full(4, np.nan))), "is not finite"),
         (wrong(lambda a, *_: a if a.y is None else with_(a, y=a.y[:3])), "y has shape (3,)"),
         (wrong(lambda a, *_: with_(a, multipliers=-a.multipliers)), "y + G'·multipliers is off by"),
         (wrong(lambda a, *_: with_(a, multipliers=a.multipliers * 0)), "y + G'·multipliers is off by"),
-        (wrong(lambda a, G, *_: with_(a, status="optimal", y=np.zeros(4) if a.y is None else a.y)), "no y exists"),
-        (wrong(lambda a, *_: with_(a, status="infeasible")), "has a solution, but is called infeasible"),
+        (
+            wrong(lambda a, G, *_: with_(a, status="optimal", y=np.zeros(4) if a.y is None else a.y)),
+            "has no solution, but its status is optimal",
+        ),
+        (wrong(lambda a, *_: with_(a, status="infeasible")), "has a solution, but its status is infeasible"),
         (wrong(lambda a, *_: with_(a, status="solved")), "unknown status 'solved'"),
-        (wrong(lambda a, *_: KernelSolution(None, a.multipliers, 0, "optimal")), "there is no y"),
+        (wrong(lambda a, *_: KernelSolution(None, a.multipliers, 0, "optimal")), "has status optimal, but no y"),
         (broken, "raised ValueError: no idea"),
         (writes_into_its_arguments, "changed its own arguments"),
     ],
@@ -368,7 +371,7 @@ def test_multipliers_on_idle_rows_and_other_answers_are_caught():
     good = _compared(KernelSolution(problem.y, np.array([1.0, 0, 0, 0, 0]), 1, "optimal"), problem, problem.y, 1e-8)
     bad = _compared(KernelSolution(problem.y, np.array([2.0, 0, 0, 0, 1.0]), 1, "optimal"), problem, problem.y, 1e-8)
     assert good.finding == ""
-    assert "off its bound by" in bad.finding
+    assert "away from its bound by" in bad.finding
     elsewhere = _compared(
         KernelSolution(problem.y, np.array([1.0, 0, 0, 0, 0]), 1, "optimal"), problem, problem.y + 1e-6, 1e-8
     )
@@ -406,7 +409,7 @@ KNOB = ca.SX.sym("knob")
         (lambda: check_backend("own", problems=0), "problems = 0"),
         (lambda: check_backend("own", size=1), "size = 1"),
         (lambda: check_backend("own", tol=math.nan), "tol = nan"),
-        (lambda: check_backend("own", families=[]), "no list of families"),
+        (lambda: check_backend("own", families=[]), "not a list of names"),
         (lambda: check_backend(3), "no such QP backend"),
     ],
 )

@@ -1,4 +1,4 @@
-"""The instruction list of a symbolic function, bounded loops over it, and their back ends."""
+"""Intermediate representation: a symbolic function as a list of instructions with bounded loops, and its back ends."""
 
 from surctl.ir.angles import nearby_angles
 from surctl.ir.batch import Batch, compile_batch

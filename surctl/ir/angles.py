@@ -1,4 +1,4 @@
-"""Sines and cosines of angles that stay near one of them: turned from there by a short series."""
+"""Sine and cosine of angles that stay near a reference angle, by a short series around that angle."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ _COS = (-1 / 2, 1 / 24, -1 / 720, 1 / 40320, -1 / 3628800)
 
 
 def nearby_angles(program: Program, source: int, entry: int) -> Program:
-    """The program with sin and cos of a + d, for the entry a of an input, from those of a and d's Taylor series.
+    """Replace sin and cos of a + d by the angle-sum formula with a Taylor series in d, for the entry a of an input.
 
-    A third of the work of a sine that takes any angle. Meant for the stages of an integrator, whose angle moves little
-    within a call: the series is off by |d|¹¹ / 11! and |d|¹² / 12!, less than a unit in the last place of 1 up to
-    d = 0.18, and 1e-11 at d = 0.5. What is a sum of a and anything is turned, other angles are left alone.
+    This costs a third of a general sine. It is meant for the stages of an integrator, whose angle changes little within
+    a call: the series errors are |d|¹¹ / 11! and |d|¹² / 12!, less than a unit in the last place of 1 up to d = 0.18,
+    and 1e-11 at d = 0.5. Only angles that are sums with a are changed.
 
     Args:
         program: the instruction list.
-        source: which input.
-        entry: which entry of it.
+        source: index of the input.
+        entry: index of the entry in that input.
 
     Example:
         >>> import casadi as ca
@@ -36,7 +36,7 @@ def nearby_angles(program: Program, source: int, entry: int) -> Program:
         [[0.540302, 0.497571, 0.453596], [0.540302, 0.497571, 0.453596]]
     """
     text, moved = Numbering(), list[int]()
-    near: dict[int, int | None] = {}  # position → position in `text` of its distance from a; None at a itself
+    near: dict[int, int | None] = {}  # position → position in `text` of the distance from a; None for a itself
     for at, instruction in enumerate(program.instructions):
         if instruction.op == "input" and instruction.args == (source, entry):
             near[at] = None
@@ -55,7 +55,7 @@ def nearby_angles(program: Program, source: int, entry: int) -> Program:
 
 
 def _turned(text: Numbering, op: str, angle: int, distance: int) -> int:
-    """sin or cos of angle + distance."""
+    """Position of sin or cos of angle + distance."""
     square = text.add("sq", (distance,))
 
     def series(coefficients: tuple[float, ...]) -> int:

@@ -1,4 +1,4 @@
-"""A tick, again and again, for many runs side by side."""
+"""Repeated evaluation of a compiled step for many runs side by side."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ __all__ = ["Batch", "compile_batch"]
 Array: TypeAlias = NDArray[np.float64]
 
 _WIDEST = 8
-_TURN = 0.05  # s; about how long a call into C takes, after which an interrupt is seen
+_TURN = 0.05  # s; approximate length of one call into C; interrupts are handled between calls
 
 
 class Batch:
-    """A compiled tick: (state, parameters) → state, for any number of runs.
+    """A compiled step (state, parameters) → state, for any number of runs.
 
     Attributes:
-        tick: the block that was compiled.
-        lanes: runs that one thread has in flight.
+        step: the block that was compiled.
+        lanes: number of runs that one thread processes at a time.
     """
 
     def __init__(self, step: Block, library: bytes) -> None:
@@ -46,19 +46,20 @@ class Batch:
         self.lanes = int(self._library.surctl_lanes())
 
     def run(self, state: Array, parameters: Array, *, steps: int, threads: int = 1) -> Array:
-        """Final states. A run ends after the first tick that raises its flag, or after `steps` ticks.
+        """Return the final states. A run ends after the first step that sets its flag, or after `steps` steps.
 
         Args:
-            state: (runs, n); entry 0 of each is its flag, 0 while the run goes on (up at the start: no tick at all).
+            state: (runs, n); entry 0 of each run is its flag: 0 while the run continues. If the flag is set at the
+                start, no step is computed.
             parameters: (runs, m).
-            steps: largest number of ticks.
-            threads: that share the runs; the bytes do not depend on it.
+            steps: largest number of steps.
+            threads: number of threads; the resulting bytes do not depend on it.
 
         Returns:
-            (runs, n).
+            The final states (runs, n).
 
         Raises:
-            InputError: arrays of other shapes, negative `steps`, no thread.
+            InputError: an array has another shape, `steps` is negative, or `threads` is below 1.
         """
         (_, n), (_, m) = self.step.inputs
         arrays = [np.ascontiguousarray(x, dtype=np.float64) for x in (state, parameters)]
@@ -67,7 +68,7 @@ class Batch:
             if array.shape != (runs, size):
                 raise InputError(f"has shape {array.shape}, expected ({runs}, {size})", key=name)
         if steps < 0 or threads < 1:
-            raise InputError("cannot be run", key="steps, threads", value=(steps, threads))
+            raise InputError("must be at least 0 and 1", key="steps, threads", value=(steps, threads))
         out = np.empty_like(arrays[0])
         threads = max(1, min(threads, -(-runs // self.lanes)))
         job = _Job(self._library, arrays[0], arrays[1], out, steps, _blocks(runs, threads, self.lanes))
@@ -79,14 +80,14 @@ class Batch:
 
 
 def _blocks(runs: int, threads: int, lanes: int) -> Iterator[tuple[int, int]]:
-    """The runs in pieces that a thread takes one after the other."""
+    """Blocks (first run, end) of the runs, which the threads take one after another."""
     size = runs if threads == 1 else max(lanes, min(1024, runs // (16 * threads)))
     for first in range(0, runs, max(1, size)):
         yield first, min(runs, first + size)
 
 
 class _Job:
-    """One call of `Batch.run`, for the threads that work on it."""
+    """One call of `Batch.run`, shared by the threads that work on it."""
 
     def __init__(
         self, library: Any, state: Array, parameters: Array, out: Array, steps: int, blocks: Iterator[tuple[int, int]]
@@ -95,7 +96,7 @@ class _Job:
         self.lock, self.stop = threading.Lock(), threading.Event()
 
     def share(self, threads: int) -> None:
-        """Work in as many threads, and end all of them when one fails or the user interrupts."""
+        """Work in this many threads, and stop all of them when one fails or the user interrupts."""
         with ThreadPoolExecutor(threads) as pool:
             try:
                 for done in [pool.submit(self.work) for _ in range(threads)]:
@@ -104,9 +105,9 @@ class _Job:
                 self.stop.set()
 
     def work(self) -> None:
-        """Blocks of runs until there are none, a short while in C at a time."""
+        """Process blocks of runs until none is left, with short calls into C."""
         lanes = int(self.library.surctl_lanes())
-        # next run, end, whether more may come, runs in flight, then for each lane its run and the ticks that are left
+        # next run, end, whether more may follow, active runs, then for each lane its run and its remaining steps
         book = np.zeros(4 + 2 * lanes, dtype=np.dtype(ctypes.c_long))
         book[4 : 4 + lanes] = -1
         memory = _aligned(int(self.library.surctl_work()))
@@ -134,7 +135,7 @@ class _Job:
 
 
 def _aligned(size: int) -> Array:
-    """Zeros that begin at a multiple of a vector's length."""
+    """Zeros whose address is a multiple of the vector length."""
     memory = np.zeros(size + _WIDEST)
     skip = (-memory.ctypes.data // memory.itemsize) % _WIDEST
     return memory[skip : skip + size]
@@ -143,19 +144,19 @@ def _aligned(size: int) -> Array:
 def compile_batch(
     step: Block, *, lanes: int | None = None, flags: Sequence[str] = (), folder: Path | None = None
 ) -> Batch:
-    """Compile a tick for many runs, or take it from the cache.
+    """Compile a step for many runs, or load it from the cache.
 
     Args:
-        tick: inputs (state (n,), parameters (m,)), output (state (n,)); entry 0 of the state is the flag.
-        lanes: runs side by side in one thread, 1, 2, 4 or 8; what this machine's vectors hold if None. The bytes do
-            not depend on it, unless the tick uses functions of the mathematical library (see `without_libm`).
-        flags: more flags for the compiler; none that changes results.
-        folder: of the cache (`surctl.ir.cache.cache_folder()` if None).
+        step: inputs (state (n,), parameters (m,)), output (state (n,)); entry 0 of the state is the flag.
+        lanes: runs side by side in one thread, 1, 2, 4 or 8; None selects the vector width of this machine. The
+            resulting bytes do not depend on it, unless the step uses the mathematical library (see `without_libm`).
+        flags: additional compiler flags; none may change results.
+        folder: cache folder (`surctl.ir.cache.cache_folder()` if None).
 
     Raises:
-        InputError: a block of other inputs and outputs, another number of lanes, a flag that changes results.
-        ToolMissing: there is no compiler, or no folder to load from.
-        SurctlError: the compiler refuses.
+        InputError: the block has other inputs or outputs, `lanes` is invalid, or a flag changes results.
+        ToolMissing: there is no compiler, or no folder from which a library can be loaded.
+        SurctlError: the compiler reports an error.
 
     Example:
         >>> import casadi as ca
@@ -173,7 +174,7 @@ def compile_batch(
             f"takes {sizes} numbers and gives {output_sizes}", key=step.name, remedy="(state, parameters) in, state out"
         )
     if lanes not in (None, 1, 2, 4, 8):
-        raise InputError("is no width", key="lanes", value=lanes, remedy="take 1, 2, 4 or 8")
+        raise InputError("is not a lane count", key="lanes", value=lanes, remedy="use 1, 2, 4 or 8")
     width = () if lanes is None else (f"-DLANES={lanes}",)
     return Batch(step, shared_library(_source(step), flags=(*width, *flags), folder=folder, wide=True))
 
@@ -188,11 +189,11 @@ _DRIVER = r"""
 long surctl_lanes(void);
 long surctl_lanes(void) { return LANES; }
 
-/* numbers of memory that one thread needs */
+/* size of the memory that one thread needs, in numbers */
 long surctl_work(void);
 long surctl_work(void) { return (long)LANES * (STATE + PARAMETERS + WORK); }
 
-/* the next run that has something to do, in this lane; those that have not are done already */
+/* load the next unfinished run into this lane; a run that needs no step is copied to the output */
 static void refill(const double *state, const double *parameters, double *out, double *memory, long *book, int lane,
     long steps)
 {
@@ -213,7 +214,7 @@ static void refill(const double *state, const double *parameters, double *out, d
     }
 }
 
-/* lanes without a run do what a lane that has one does */
+/* a lane without a run repeats the computation of an active lane */
 static void shadow(double *memory, const long *book)
 {
     int busy = 0;
@@ -224,7 +225,7 @@ static void shadow(double *memory, const long *book)
     }
 }
 
-/* at most `chunk` steps, fewer when a lane is free and no run is left; the number of them */
+/* at most `chunk` steps, fewer if a lane is free and no run is left; returns the number of steps */
 long surctl_go(const double *state, const double *parameters, double *out, double *memory, long *book, long steps,
     long chunk);
 long surctl_go(const double *state, const double *parameters, double *out, double *memory, long *book, long steps,

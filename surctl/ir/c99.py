@@ -1,4 +1,4 @@
-"""Write an instruction list as one C99 function."""
+"""Writer of an instruction list as one C99 function."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from surctl.ir.program import Instruction, Program
 __all__ = ["Real", "c_literal", "emit_c99", "expression", "head", "identifier"]
 
 Real: TypeAlias = Literal["float64", "float32"]
-"""Type of every number in the C text: double or float."""
+"""Type of every number in the C text: double ("float64") or float ("float32")."""
 
 C_TYPE: Mapping[Real, str] = MappingProxyType({"float64": "double", "float32": "float"})
-"""The word for it."""
+"""The C type for each `Real`."""
 
-# C99, C11 and C++ keywords (headers are read by C++ too), and words that the standard headers define
+# C99, C11 and C++ keywords (C++ also reads the headers), and names that the standard headers define
 _WORDS = frozenset(
     re.findall(
         r"\w+",
@@ -44,11 +44,11 @@ _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 
 
 def identifier(name: str) -> str:
-    """The name itself, when generated C may use it.
+    """Return the name if generated C may use it.
 
     Raises:
-        InputError: not a C identifier (ASCII letters, digits and underscores, a letter first, at most 63), a
-            keyword of C or C++, or a word that the standard headers define.
+        InputError: the name is not a C identifier (ASCII letters, digits and underscores, a letter first, at most 63
+            characters), is a keyword of C or C++, or is defined by the standard headers.
 
     Example:
         >>> from surctl.ir import identifier
@@ -72,7 +72,7 @@ def identifier(name: str) -> str:
 
 
 def c_literal(value: float, real: Real = "float64") -> str:
-    """C99 text of exactly this number (rounded to `real`): decimal where that is exact and short, else hexadecimal.
+    """C99 literal with exactly this value (rounded to `real`): decimal if that is exact and short, else hexadecimal.
 
     Example:
         >>> from surctl.ir import c_literal
@@ -80,7 +80,7 @@ def c_literal(value: float, real: Real = "float64") -> str:
         ('0.25', '0x1.999999999999ap-4', '0x1.99999ap-4f')
     """
     if math.isnan(value):
-        raise InputError("NaN has no C literal", remedy="find the expression that has no value")
+        raise InputError("NaN has no C literal", remedy="find the expression that is undefined")
     with np.errstate(over="ignore"):
         value = float(value if real == "float64" else np.float32(value))
     tail = "" if real == "float64" else "f"
@@ -94,19 +94,19 @@ def c_literal(value: float, real: Real = "float64") -> str:
 
 
 def emit_c99(program: Program, *, symbol: str, real: Real = "float64", moves: Sequence[Move] = ()) -> str:
-    """`static void <symbol>(const double *in0, …, double *out0, …)`, one local a line.
+    """Write `static void <symbol>(const double *in0, …, double *out0, …)` with one local variable on each line.
 
-    Only locals and exact literals; every output is computed before any is stored, so that outputs may alias
-    inputs. The text needs <math.h> and, to keep its bytes, a compiler told `-ffp-contract=off`.
+    The text contains only locals and exact literals. All outputs are computed before any is stored, so outputs may
+    alias inputs. It needs <math.h> and, for identical bytes, the compiler flag `-ffp-contract=off`.
 
     Args:
         program: the instruction list, without dead instructions (`lower` leaves none).
         symbol: name of the C function, checked by `identifier`.
-        real: "float32" writes float for double, with literals and functions of that type.
-        moves: pieces to copy as a whole, see `handed_on`; no output may alias an input then.
+        real: "float32" writes float instead of double, with literals and functions of that type.
+        moves: pieces to copy as a whole, see `handed_on`; then no output may alias an input.
 
     Raises:
-        InputError: `symbol` is no identifier that C may use.
+        InputError: `symbol` is not a valid C identifier.
 
     Example:
         >>> import casadi as ca
@@ -136,7 +136,7 @@ def emit_c99(program: Program, *, symbol: str, real: Real = "float64", moves: Se
 
 
 def head(program: Program, symbol: str, c_type: str, *, apart: bool = False) -> list[str]:
-    """Comment and signature of a program's function; `apart`: its outputs are never its inputs."""
+    """Comment and signature of a program's function; `apart`: whether outputs never overlap inputs."""
     arguments = [f"const {c_type} *in{k}" for k in range(len(program.inputs))]
     arguments += [f"{c_type} *out{k}" for k in range(len(program.outputs))]
     sizes = [f"in{k}: {size} numbers" for k, (_, size) in enumerate(program.inputs)]
@@ -149,7 +149,7 @@ def head(program: Program, symbol: str, c_type: str, *, apart: bool = False) -> 
 
 
 def expression(instruction: Instruction, real: Real = "float64", *, operand: str = "v{}") -> str:
-    """Right side of one assignment; `operand` makes the text of an operand from its position."""
+    """Right-hand side of one assignment; `operand` formats the position of an operand."""
     if instruction.op == "const":
         return c_literal(instruction.number, real)
     if instruction.op == "input":

@@ -1,8 +1,8 @@
-"""Write an instruction list as C99 for readers and small files: nested expressions instead of one local an operation.
+"""Writer of an instruction list as readable, compact C99: nested expressions instead of one local per operation.
 
-What is used once stands where it is used, truth values are `int`, and several locals share a declaration. The numbers
-are those of `emit_c99`, operation by operation, where double is computed as double (FLT_EVAL_METHOD 0). A pragma of C99
-keeps a product and a sum two operations; GCC, which does not know it, has to be told `-ffp-contract=off`.
+A value that is used once is inlined at its use, truth values are `int`, and one declaration covers several locals. The
+numbers equal those of `emit_c99`, operation by operation, if double is computed as double (FLT_EVAL_METHOD 0). A
+C99 pragma keeps products and sums separate; GCC does not support this pragma and needs the flag `-ffp-contract=off`.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ _HELPERS = {
     "fmax": "max_of({0} a, {0} b) {{ return (a < b) ? b : a; }}",
     "sq": "square_of({0} a) {{ return a * a; }}",
 }
-# a processor without an instruction for it has a long function; bytes are floor's, the sign of a zero too; what has no
-# int is kept from the cast by comparisons, which Frama-C follows
+# Used on processors without a floor instruction, whose library function is long. The bytes equal those of floor, also
+# for the sign of a zero. Comparisons guard the cast against values that no int has; Frama-C can follow them.
 _FLOOR = """#if defined(__GNUC__)
 __attribute__((noinline)) /* or its text stands wherever it is used */
 #endif
@@ -42,16 +42,16 @@ _PRAGMA = "#if !defined(__GNUC__) || defined(__clang__)\n#pragma STDC FP_CONTRAC
 _CALLS = {"fmin": "min_of", "fmax": "max_of", "sq": "square_of"}
 
 _ATOM, _SIGNED, _TEST, _CHOICE = 9, 8, 5, 2
-_OPERAND = 6  # from here on, an operand of a comparison, a choice or a logical operation needs no parentheses
-_LONGEST = 90  # characters of what is put inside another expression
-_SHORT = 8  # characters of what is as short as a name: it may stand wherever it is used
-_LONG_LITERAL = 12  # characters from which on a constant that is used twice gets a name
+_OPERAND = 6  # at or above this rank, an operand of a comparison, choice or logical operation needs no parentheses
+_LONGEST = 90  # largest number of characters of an expression that is inlined into another one
+_SHORT = 8  # largest number of characters of an expression that may be repeated at every use
+_LONG_LITERAL = 12  # a constant longer than this that is used twice gets a name
 _WIDTH = 120
 
 
 @dataclass(frozen=True, slots=True)
 class _Text:
-    """An expression: `rank` says how tightly it binds, `truth` that it is 0 or 1 of type int."""
+    """An expression: `rank` is its precedence, `truth` means that it has type int and value 0 or 1."""
 
     text: str
     rank: int = _ATOM
@@ -59,7 +59,7 @@ class _Text:
 
 
 def preamble(programs: Iterable[Program], real: Real = "float64") -> str:
-    """What stands before the folded text of these programs: the pragma, and the small functions that they call."""
+    """Text before the folded functions of these programs: the pragma and the helper functions that they call."""
     used = {i.op for program in programs for i in program.instructions}
     kind = C_TYPE[real]
     called = [f"static inline {kind} {text.format(kind)}" for op, text in _HELPERS.items() if op in used]
@@ -70,17 +70,17 @@ def preamble(programs: Iterable[Program], real: Real = "float64") -> str:
 def emit_folded(
     program: Program, *, symbol: str, real: Real = "float64", moves: Sequence[Move] = (), apart: bool = False
 ) -> str:
-    """`static void <symbol>(const double *in0, …, double *out0, …)`; needs `preamble` before it.
+    """Write `static void <symbol>(const double *in0, …, double *out0, …)`; the text needs `preamble` before it.
 
     Args:
         program: the instruction list, without dead instructions.
         symbol: name of the C function, checked by `identifier`.
         real: type of the numbers.
         moves: pieces to copy as a whole, see `handed_on`; only with `apart`.
-        apart: no output is ever an input too.
+        apart: whether outputs never overlap inputs.
 
     Raises:
-        InputError: `symbol` is no identifier that C may use.
+        InputError: `symbol` is not a valid C identifier.
     """
     lines = [*head(program, identifier(symbol), C_TYPE[real], apart=apart), "{"]
     instructions, stores = remaining(program, moves)
@@ -106,15 +106,15 @@ def folded_lines(
     apart: bool = False,
     indent: str = "    ",
 ) -> list[str]:
-    """Declarations, then the stores.
+    """Return the declarations, then the stores.
 
     Args:
-        instructions: the list.
-        stores: (left side, position of the value) in order.
-        address: C text of an entry of an input.
+        instructions: the instruction list.
+        stores: (left-hand side, position of the value) in order.
+        address: returns the C text of an entry of an input.
         real: type of the numbers.
-        apart: whether a store may read inputs: none overwrites one.
-        indent: of every line.
+        apart: whether a store may read inputs, because no store overwrites one.
+        indent: indentation of every line.
     """
     folder = _Folder(instructions, stores, address, real, apart)
     folder.fold()
@@ -123,7 +123,7 @@ def folded_lines(
 
 
 def _declarations(named: Sequence[tuple[bool, str]], kind: str, indent: str) -> list[str]:
-    """As many assignments a line as fit, as many lines a declaration as are of one type."""
+    """Declarations with as many assignments on a line as fit, and one declaration for successive locals of one type."""
     lines: list[str] = []
     last = None
     for truth, text in named:
@@ -141,7 +141,7 @@ def _declarations(named: Sequence[tuple[bool, str]], kind: str, indent: str) -> 
 
 
 class _Folder:
-    """Text of every instruction, and the locals that are left."""
+    """Builds the text of every instruction, and the local variables that remain."""
 
     def __init__(
         self,
@@ -155,12 +155,12 @@ class _Folder:
         stored = [ref for _, ref in stores]
         self.uses = Counter(stored)
         self.uses.update(arg for i in instructions if i.op not in LEAVES for arg in i.args)
-        self.named = set() if apart else set(stored)  # all is computed before anything is stored
+        self.named = set() if apart else set(stored)  # all values are computed before the first store
         self.texts: list[_Text] = []
         self.locals: list[tuple[bool, str]] = []  # (whether a truth value, "name = expression")
 
     def fold(self) -> None:
-        """Go through the list."""
+        """Process the instructions in order."""
         for at, instruction in enumerate(self.instructions):
             text = self._expression(instruction)
             if not self._stays(at, instruction, text):
@@ -170,7 +170,7 @@ class _Folder:
             self.texts.append(text)
 
     def _stays(self, at: int, instruction: Instruction, text: _Text) -> bool:
-        """Whether the expression may stand where it is used."""
+        """Whether the expression is inlined where it is used."""
         if instruction.op == "const":
             return self.uses[at] < 2 or len(text.text) <= _LONG_LITERAL
         if at in self.named:
@@ -184,7 +184,7 @@ class _Folder:
         return self.uses[at] == 1 and len(text.text) <= _LONGEST
 
     def number(self, at: int) -> _Text:
-        """As a number."""
+        """The value as a number, converted from a truth value if necessary."""
         text = self.texts[at]
         if not text.truth:
             return text
@@ -229,7 +229,7 @@ class _Folder:
             sign, rank = _BINARY[op]
             text = f"{_within(operands[0], rank)} {sign} {_within(operands[1], rank + 1)}"
             return _Text(text, rank)
-        if op in ("inv", "twice"):  # twice a number is exact, whatever it is then added to
+        if op in ("inv", "twice"):  # doubling a number is exact, also as part of a sum
             left = c_literal(1.0, self.real) + " /" if op == "inv" else c_literal(2.0, self.real) + " *"
             return _Text(f"{left} {_within(operands[0], _SIGNED)}", 7)
         if op == "neg":
@@ -243,5 +243,5 @@ class _Folder:
 
 
 def _within(text: _Text, least: int) -> str:
-    """The expression, in parentheses where it binds less tightly than that."""
+    """The expression, in parentheses if its rank is below `least`."""
     return text.text if text.rank >= least else f"({text.text})"

@@ -1,7 +1,7 @@
-"""Write an instruction list as C99 over several runs side by side: GNU vector types, or the same in a loop.
+"""Writer of an instruction list as C99 for several runs side by side: GNU vector types, or an equivalent loop.
 
-Every lane does what the scalar text does, operation by operation, so that the bytes are the same whichever of the two
-the compiler takes. Truth values are masks of all bits until a number is needed.
+Every lane performs the operations of the scalar text in the same order, so both variants give the same bytes. Truth
+values are bit masks until a number is needed.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from surctl.ir.program import Instruction, Program
 __all__ = ["GUARD", "Feed", "chooses", "emit_lanes", "emit_straight"]
 
 GUARD = "defined(__GNUC__) && (defined(__AVX__) || defined(__ARM_NEON) || defined(__VSX__))"
-"""When the vector text is taken: elsewhere it would be unrolled to scalars."""
+"""Preprocessor condition of the vector variant; on other machines vectors would be unrolled to scalars."""
 
 _WIDTH = {"float64": 8, "float32": 4}
 _WHOLE = {"float64": "long long", "float32": "int"}
@@ -38,8 +38,8 @@ class Feed:
     """How the lanes read one input of the program.
 
     Attributes:
-        kind: "lanes": entry by entry, one number a lane; "spread": lane by lane, as many numbers as entries;
-            "shared": one number an entry, for all lanes.
+        kind: "lanes": entry by entry, one number for each lane; "spread": lane by lane, all entries of a lane together;
+            "shared": one number for each entry, used by all lanes.
     """
 
     kind: str = "lanes"
@@ -54,20 +54,20 @@ def emit_lanes(
     real: Real = "float64",
     folded: bool = False,
 ) -> str:
-    """`static void <symbol>(const double *in0, …, double *out0, …)`: as `emit_c99`, `lanes` runs at once.
+    """Write `static void <symbol>(const double *in0, …, double *out0, …)`, like `emit_c99`, for `lanes` runs at once.
 
-    Outputs stand entry by entry, one number a lane. Outputs may alias inputs of kind "lanes".
+    Outputs are stored entry by entry, one number for each lane. Outputs may alias inputs of kind "lanes".
 
     Args:
         program: the instruction list.
         symbol: name of the C function.
         lanes: number of runs, a power of 2.
-        feeds: one an input.
+        feeds: one for each input.
         real: type of the numbers.
-        folded: no vectors: a loop over the lanes, as `c99_folded` writes it.
+        folded: write a loop over the lanes in the style of `c99_folded`, without vectors.
 
     Raises:
-        InputError: `symbol` is no identifier that C may use.
+        InputError: `symbol` is not a valid C identifier.
 
     Example:
         >>> import casadi as ca
@@ -106,15 +106,15 @@ _CHOICES = frozenset({"select", "if_else_zero", "fmin", "fmax", "and", "or"})
 
 
 def chooses(program: Program) -> bool:
-    """Whether a compiler may turn some operation into a branch."""
+    """Whether a compiler might turn an operation into a branch."""
     return any(i.op in _CHOICES for i in program.instructions)
 
 
 def emit_straight(program: Program, *, symbol: str, real: Real = "float64") -> str:
-    """The function of `emit_c99`, as two equal lanes: choices become masks, where a compiler would take branches.
+    """Write the function of `emit_c99` as two equal lanes, so that choices become masks instead of branches.
 
-    A branch that depends on what an active-set method finds is guessed wrong half the time, at the price of twenty
-    operations.
+    A branch that depends on the course of an active-set method is mispredicted half the time, which costs as much as
+    twenty operations.
     """
     plain = emit_c99(program, symbol=symbol, real=real).splitlines()
     body = plain.index("{") + 1
@@ -163,7 +163,7 @@ def _folded_loop(program: Program, lanes: int, feeds: tuple[Feed, ...], real: Re
 
 
 def _vectors(program: Program, lanes: int, feeds: tuple[Feed, ...], real: Real, *, single: bool = False) -> list[str]:
-    """The body; with `single` only the first lane is stored."""
+    """Body of the vector variant; with `single` only the first lane is stored."""
     kind, size = C_TYPE[real], lanes * _WIDTH[real]
     ones = ", ".join([c_literal(1.0, real)] * lanes)
     lines = [
@@ -243,7 +243,7 @@ def _chosen(condition: str, then: str, otherwise: str) -> str:
 
 
 def _lane_by_lane(instruction: Instruction, at: int, masks: set[int], lanes: int, real: Real) -> list[str]:
-    """A function that has no vector form in C."""
+    """Lines for an operation that has no vector form in C."""
     text = expression(instruction, real, operand="w{}[lane]")
     copies = [f"const vec w{a} = {_number(a, masks)};" for a in sorted(set(instruction.args))]
     return [

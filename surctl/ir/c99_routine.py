@@ -1,4 +1,4 @@
-"""Write a routine as C99: one static function a block, `for` loops over local arrays, no other memory."""
+"""Writer of a routine as C99: one static function for each block, `for` loops over local arrays, no other memory."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 
 __all__ = ["emit_block"]
 
-_FEW = 8  # numbers that a compiler keeps in registers
-_LARGE = 32  # numbers in a routine's own arrays from which they are not to stay on the stack of its caller
+_FEW = 8  # largest number of values that a compiler keeps in registers
+_LARGE = 32  # from this many values on, a routine's own arrays should not stay on the stack of its caller
 _APART = """#if defined(__GNUC__)
 #define APART __attribute__((noinline)) /* its arrays leave the stack when it ends */
 #else
@@ -28,22 +28,22 @@ _TARGET = re.compile(r"\b\w+\[[^\]]*\] = ")
 
 
 def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: bool = False) -> str:
-    """C99 of the block and of every block inside it, callees first.
+    """Write C99 for the block and every block inside it, callees first.
 
     The last function is `static void <symbol>(const double *in0, …, double *out0, …)`. No output of a routine may
-    overlap an input or another output: it is written before the inputs are done with, so that nothing is copied
-    twice (a program alone reads first, see `emit_c99`). Blocks of one text become one function. Largest stack: the
-    local arrays along the deepest chain of calls, see `memory`.
+    overlap an input or another output: outputs are written before the last use of the inputs, which avoids copies (a
+    single program reads first, see `emit_c99`). Blocks with equal text become one function. The largest stack is that
+    of the local arrays along the deepest chain of calls, see `memory`.
 
     Args:
         block: program or routine.
-        symbol: name of the last function, and beginning of the others' names.
-        real: "float32" writes float for double.
-        folded: for readers and for any compiler: nested expressions (see `c99_folded`) and nothing beyond C99, a third
-            of the text; one such block a file. Without it, for speed: vectors where the compiler knows them.
+        symbol: name of the last function, and prefix of the other names.
+        real: "float32" writes float instead of double.
+        folded: True: readable text for any C99 compiler with nested expressions (see `c99_folded`), a third of the
+            length, one such block in a file. False: text for speed, with vectors where the compiler supports them.
 
     Raises:
-        InputError: `symbol` is no identifier that C may use.
+        InputError: `symbol` is not a valid C identifier.
 
     Example:
         >>> import casadi as ca
@@ -92,7 +92,7 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: boo
 
 
 def _with_function(block: Block) -> set[str]:
-    """Digests of the blocks that somebody calls by name: two objects of one text are one function."""
+    """Digests of the blocks that are called by name; two objects with equal text share one function."""
     routines = [inner for inner in nested(block).values() if isinstance(inner, Routine)]
     steps = [step for routine in routines for step in routine.steps if not isinstance(step, Gather)]
     return {
@@ -110,7 +110,7 @@ def run_alone(block: Block) -> set[str]:
 
 
 class _Writer:
-    """The functions so far, and their names by what they are the text of."""
+    """Collects the functions written so far, and their names by the digest of their text."""
 
     def __init__(self, symbol: str, real: Real, overlapping: Overlaps, folded: bool) -> None:
         self.symbol, self.real, self.kind = symbol, real, C_TYPE[real]
@@ -119,7 +119,7 @@ class _Writer:
         self.chunks: list[str] = []
 
     def block(self, block: Block, *, last: bool) -> None:
-        """Write it, unless its text is there already."""
+        """Write the block, unless a function with the same text exists."""
         digest = block.digest()
         if digest in self.named:
             return
@@ -181,7 +181,7 @@ def _routine(routine: Routine, symbol: str, writer: _Writer) -> str:
     overlaps = writer.overlapping.get(routine.digest(), frozenset())
     places = Places(routine, overlaps)
     sizes = routine.sizes()
-    # local arrays are numbered, so that no name from outside reaches the C text unchecked
+    # local arrays are numbered, so that no unchecked external name enters the C text
     pointers = {place: f"a{k}" for k, place in reversed(list(enumerate(places.of.values()))) if place[1]}
     local = {name: pointers.get(place, place[0]) for name, place in places.of.items()}
     named = [(f"in{k}", name) for k, (name, _) in enumerate(routine.inputs)]
@@ -204,7 +204,7 @@ def _routine(routine: Routine, symbol: str, writer: _Writer) -> str:
         body += (
             _moved(step, places) if inlined(step) else _step(step, sizes, local, writer, _stays(step, places, overlaps))
         )
-    for k, j in sorted(overlaps):  # a loop that carries an array passes it as both: nothing to copy then
+    for k, j in sorted(overlaps):  # a loop that carries an array passes the same array for both, and then needs no copy
         copied = _copy(f"out{k}", f"in{j}", sizes[routine.results[k]])
         if sizes[routine.results[k]] > _FEW and copied in body:
             body[body.index(copied)] = f"    if (out{k} != in{j}) {{\n{indent(copied, '    ')}\n    }}"
@@ -214,14 +214,14 @@ def _routine(routine: Routine, symbol: str, writer: _Writer) -> str:
         body += [_copy(f"out{k}", source, sizes[name])] if source != f"out{k}" else []
     text = "\n".join([*body, *(base for base, _ in pointers)])
     used, read = (set(re.findall(r"\w+", t)) for t in (text, _TARGET.sub("", text)))
-    lines += [f"    (void){name};" for name in places.own if name not in read]  # compilers warn of what is only set
+    lines += [f"    (void){name};" for name in places.own if name not in read]  # compilers warn about unread arrays
     others = [*(f"in{k}" for k in range(len(routine.inputs))), *pointers.values()]
     lines += [f"    (void){name};" for name in others if name not in used]
     return "\n".join([*lines, *body, "}"]) + "\n"
 
 
 def _moved(step: Step, places: Places) -> list[str]:
-    """What a call of nothing but moves leaves to copy: what does not stand there already."""
+    """Copies that remain of a call that only moves data: those whose source and destination differ."""
     lines = []
     for move in inlined(step):
         assert isinstance(step, Call)
@@ -233,7 +233,7 @@ def _moved(step: Step, places: Places) -> list[str]:
 
 
 def _copy(to: str, source: str, size: int) -> str:
-    """Copy `size` numbers; an array, or the beginning of an entry of it."""
+    """Copy `size` numbers between arrays; each text names an array, or the start of an entry in it."""
     to, source = (text if "[" in text else f"{text}[" for text in (to, source))
     if size <= _FEW:
         return "    " + " ".join(f"{to}{k}] = {source}{k}];" for k in range(size))
@@ -241,14 +241,14 @@ def _copy(to: str, source: str, size: int) -> str:
 
 
 def _stays(step: Step, places: Places, overlaps: Collection[tuple[int, int]]) -> dict[str, str]:
-    """Inputs that a loop of one turn at most, where it is not run, leaves as what they are: nothing is copied then.
+    """Inputs that a loop with at most one turn leaves unchanged if it does not run, by the name of the result.
 
-    By the result's name the input's; that result is a local array of its own, since others would have to move with it.
+    No copy is needed for them. The result must be a separate local array, because arrays that share it would move too.
     """
     if not isinstance(step, Loop) or step.count > 1 or step.until is None:
         return {}
     occupied = [place[0] for place in places.of.values()]
-    # a call of nothing but moves copies from where an array stands, and knows no pointer
+    # a call that only moves data copies from the place of an array, not through a pointer
     moved = {name for other in places.routine.steps if inlined(other) for name in reads(other)}
     read = {name for other in places.routine.steps for name in reads(other)}
     safe = {f"in{k}" for k in range(len(places.routine.inputs))} - {f"in{j}" for _, j in overlaps}
@@ -277,7 +277,7 @@ def _step(
 def _gather(step: Gather, count: int, local: Mapping[str, str], writer: _Writer) -> list[str]:
     index, source = f"{local[step.index]}[0]", local[step.source]
     none, one, last = (c_literal(value, writer.real) for value in (0.0, 1.0, count - 1.0))
-    # compared before it is cast: a NaN or a number beyond int has no value as an int
+    # compared before the cast: a NaN or a number outside the range of int cannot be cast
     lines = [
         "    {",
         f"        const {writer.kind} held = ({index} >= {one}) ? (({index} < {last}) ? {index} : {last}) : {none};",
@@ -295,7 +295,7 @@ def _gather(step: Gather, count: int, local: Mapping[str, str], writer: _Writer)
 def _loop(
     loop: Loop, sizes: Mapping[str, int], local: dict[str, str], writer: _Writer, stays: Mapping[str, str]
 ) -> list[str]:
-    """The lines; what `stays` is read through a pointer from here on, which `local` is told."""
+    """Lines of a loop; the results in `stays` are then read through a pointer, which is entered in `local`."""
     state = len(loop.carried)
     function = writer.named[_lanes_key(loop) if loop.lanes > 1 else loop.block.digest()]
     results = [local[name] for name in loop.results]
@@ -308,7 +308,7 @@ def _loop(
     now = {result: f"{local[result]}_now" for result in stays}
     lines += [f"    const {writer.kind} *{now[result]} = {local[name]};" for result, name in stays.items()]
     runs = "" if loop.until is None else f"({results[loop.until]}[0] == {c_literal(0.0, writer.real)})"
-    if stays:  # Frama-C takes the two cases apart: the array that the pointer leaves is not filled
+    if stays:  # Frama-C then treats the two cases separately: in one of them the array is not written
         chosen = f"{next(iter(now.values()))}_runs"
         lines += [f"    const int {chosen} = {runs};", f"    /*@ split {chosen}; */"]
         runs = chosen

@@ -1,7 +1,7 @@
-"""Write a block as C99 that does `LANES` runs side by side: every number of the block is a vector of one a run.
+"""Writer of a block as C99 for `LANES` runs side by side: every number becomes a vector with one entry for each run.
 
-The text is the same for every width. A prelude gives the words it is written in (LOAD, ADD, SELECT, …) for the vectors
-that the compiler has, or for one number at a time. Array entry e of lane l stands at e · LANES + l.
+The text is the same for every width. A prelude defines its macros (LOAD, ADD, SELECT, …) for the vectors of the
+compiler, or for one number at a time. Entry e of lane l in an array has index e · LANES + l.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Wide:
     Attributes:
         text: functions, callees first; the last is `static void <symbol>(const double *in0, …, double *out0, …,
             double *work)`, whose outputs may alias its inputs.
-        work: numbers a lane that `work` must hold; arrays live there, so that nothing large is on the stack.
+        work: required size of `work` in numbers for each lane; it holds the arrays, so that the stack stays small.
     """
 
     def __init__(self, text: str, work: int) -> None:
@@ -33,14 +33,14 @@ class Wide:
 
 
 def emit_wide(block: Block, *, symbol: str) -> Wide:
-    """Write the block and every block inside it. Blocks of one text become one function.
+    """Write the block and every block inside it. Blocks with equal text become one function.
 
     Args:
         block: program or routine.
-        symbol: name of the last function, and beginning of the others' names.
+        symbol: name of the last function, and prefix of the other names.
 
     Raises:
-        InputError: `symbol` is no identifier that C may use.
+        InputError: `symbol` is not a valid C identifier.
 
     Example:
         >>> import casadi as ca
@@ -79,7 +79,7 @@ def emit_wide(block: Block, *, symbol: str) -> Wide:
 
 
 def _strides(loop: Loop) -> tuple[int, ...]:
-    """Distance between two entries of each input, then of each output, of a body that inner lanes run."""
+    """Distance between two entries of each input, then of each output, of a body that runs in inner lanes."""
     own = loop.index + len(loop.carried) + len(loop.sliced)
     side = (loop.lanes,) * own
     return (
@@ -91,7 +91,7 @@ def _strides(loop: Loop) -> tuple[int, ...]:
 
 
 class _Writer:
-    """The functions so far, their names by what they are the text of, and the memory that they need."""
+    """Collects the functions written so far, their names by digest, and the memory that they need."""
 
     def __init__(self, symbol: str) -> None:
         self.symbol = symbol
@@ -101,7 +101,7 @@ class _Writer:
         self.overlapping: set[str] = set()
 
     def see(self, block: Block) -> None:
-        """Note the programs that somebody calls with one array both as an input and as an output."""
+        """Note the programs that are called with one array as both an input and an output."""
         self.overlapping.add(_key(block, ()))
         for inner in nested(block).values():
             if isinstance(inner, Routine):
@@ -110,11 +110,11 @@ class _Writer:
                 self.overlapping |= {_key(block, ()) for block in blocks}
 
     def name(self, block: Block, strides: tuple[int, ...] = ()) -> str:
-        """Name of the function of a block that is written."""
+        """Name of the function of a block that was written before."""
         return self.named[_key(block, strides)]
 
     def program(self, program: Program, strides: tuple[int, ...], *, last: bool = False) -> None:
-        """Write it, unless its text is there already."""
+        """Write the program, unless a function with the same text exists."""
         name = self._new(program, strides, last)
         if name:
             key = _key(program, strides)
@@ -122,7 +122,7 @@ class _Writer:
             self.chunks.append(text)
 
     def routine(self, routine: Routine, *, last: bool) -> None:
-        """Write it, unless its text is there already."""
+        """Write the routine, unless a function with the same text exists."""
         name = self._new(routine, (), last)
         if name:
             text, own = _Text(routine, self).function(name)
@@ -144,7 +144,7 @@ def _key(block: Block, strides: tuple[int, ...]) -> str:
 
 
 def _overlaps(step: Step, local: Mapping[str, str]) -> bool:
-    """Whether an output may be an input: an outer input may be an outer output, and a loop carries in place."""
+    """Whether an output may be an input: outer inputs may alias outer outputs, and loops update arrays in place."""
     if not isinstance(step, Call):
         return isinstance(step, Loop)
     inputs, outputs = {local[name] for name in step.args}, {local[name] for name in step.results}
@@ -158,14 +158,14 @@ def _lane_strides(step: Call | Loop) -> tuple[int, ...]:
 
 
 class _Text:
-    """One routine on its way to C."""
+    """Translates one routine to C."""
 
     def __init__(self, routine: Routine, writer: _Writer) -> None:
         self.routine, self.writer = routine, writer
         self.sizes = routine.sizes()
         self.own = 0
         self.lines: list[str] = []
-        # local arrays are numbered, so that no name from outside reaches the C text unchecked
+        # local arrays are numbered, so that no unchecked external name enters the C text
         self.local = {name: f"in{k}" for k, (name, _) in enumerate(routine.inputs)}
         self.local |= {name: f"a{k}" for k, name in enumerate(self.sizes) if name not in self.local}
         in_place = carried_in_place(routine)
@@ -177,7 +177,7 @@ class _Text:
                 self._array(self.local[name], self.sizes[name])
 
     def function(self, symbol: str) -> tuple[str, int]:
-        """(the function, numbers a lane of its own arrays)."""
+        """The function, and the size of its own arrays in numbers for each lane."""
         routine, local = self.routine, self.local
         read = {name for step in routine.steps for name in reads(step)} | set(routine.results)
         idle = [f"    (void){name};" for name in dict.fromkeys(local[x] for x in local if x not in read)]
@@ -248,7 +248,7 @@ class _Text:
         for name, array in zip(loop.carried, fresh, strict=True):
             self._array(array, self.sizes[name])
         flag = results[loop.until]
-        # the flag goes last: it says which lanes still run
+        # the flag is updated last, since it selects the lanes that still run
         order = [k for k in range(state) if k != loop.until] + [loop.until]
         keep = [f"            keep({results[k]}, {fresh[k]}, {flag}, {self.sizes[loop.carried[k]]});" for k in order]
         return [
@@ -288,7 +288,7 @@ class _Text:
 
 
 def _direct(routine: Routine) -> Mapping[str, int]:
-    """Results that the last step may write where they belong: a program reads all that it needs before it writes."""
+    """Results that the last step may write directly to the outputs, since a program reads all before it writes."""
     last = routine.steps[-1] if routine.steps else None
     inputs = {name for name, _ in routine.inputs}
     if not isinstance(last, Call) or not isinstance(last.block, Program) or inputs & set(routine.results):

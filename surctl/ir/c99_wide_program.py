@@ -1,4 +1,4 @@
-"""Write one instruction list as C99 in the words of `c99_words`: a function that does it for all lanes."""
+"""Writer of one instruction list as C99 with the macros of `c99_words`: a function that processes all lanes."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from surctl.ir.routine import Block
 
 __all__ = ["head", "program_text"]
 
-_INLINE = 300  # operations of the largest function that may be put where it is called
+_INLINE = 300  # largest number of operations of a function that may be inlined
 
-# kinds of the operands and of the result: v a number, m a truth value
+# kinds of the operands and of the result: v is a number, m a truth value
 _KINDS = {
     **dict.fromkeys(("lt", "le", "eq", "ne"), "vvm"),
     **dict.fromkeys(("and", "or"), "mmm"),
@@ -21,8 +21,8 @@ _KINDS = {
     "select": "mvvv",
     "if_else_zero": "mvv",
 }
-_WORDS = {"if_else_zero": "ONLY_IF"}  # the others are the names of the operations
-_IN_PLACE = {  # those that some dialects know only number by number
+_WORDS = {"if_else_zero": "ONLY_IF"}  # the names of all other macros are those of the operations
+_IN_PLACE = {  # operations that some dialects compute number by number
     "fma": "FUSED({0}, {1}, {2})",
     "sqrt": "ROOT({0})",
     "floor": "ROUND_DOWN({0})",
@@ -32,7 +32,7 @@ _IN_PLACE = {  # those that some dialects know only number by number
 
 
 def head(block: Block, symbol: str, outputs: int, operations: int) -> list[str]:
-    """Signature of a function, and the brace that opens it."""
+    """Signature of a function, and its opening brace."""
     arguments = [f"const double *in{k}" for k in range(len(block.inputs))]
     arguments += [f"double *out{k}" for k in range(outputs)]
     apart = "APART " if operations > _INLINE else ""
@@ -42,17 +42,17 @@ def head(block: Block, symbol: str, outputs: int, operations: int) -> list[str]:
 def program_text(
     program: Program, symbol: str, strides: tuple[int, ...] = (), *, overlapping: bool = True
 ) -> tuple[str, int]:
-    """The function, and the numbers a lane of memory that it needs.
+    """The function, and the size of the memory that it needs in numbers for each lane.
 
-    What the program only hands on is copied as a whole; where an output may be an input (`overlapping`), by way of
-    `work`, since the function has to read before it writes.
+    Pieces that the program only copies are copied as a whole. If an output may be an input (`overlapping`), they are
+    copied through `work`, since the function must read before it writes.
 
     Args:
         program: the instruction list.
         symbol: name of the function.
-        strides: distance between two entries of each input, then of each output, for a body that inner lanes run;
-            nothing is copied as a whole then. All 1 where empty.
-        overlapping: whether somebody calls it with one array both as an input and as an output.
+        strides: distance between two entries of each input, then of each output, for a body that runs in inner lanes;
+            then nothing is copied as a whole. Empty means 1 everywhere.
+        overlapping: whether the function is called with one array as both an input and an output.
     """
     moves = () if strides else handed_on(program)
     before, after, held = [], [], 0
@@ -80,7 +80,7 @@ def _text(
     before: Sequence[str],
     after: Sequence[str],
 ) -> str:
-    """The function; what is in `moves` is left to the lines `before` and `after`, which stand around the rest."""
+    """The function; the pieces in `moves` are copied by the lines `before` and `after`, around the other lines."""
     instructions, stored = remaining(program, moves)
     read = {i.args[0] for i in instructions if i.op == "input"} | {m.input for m in moves}
     lines = [

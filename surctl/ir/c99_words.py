@@ -1,4 +1,4 @@
-"""The words that wide C is written in, for the vectors that the compiler has: one text, four dialects."""
+"""Macros for the wide C text, defined for the vectors of the compiler: one text, four dialects."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ __all__ = ["PRELUDE"]
 PRELUDE = r"""#include <math.h>
 #include <string.h>
 
-/* how many runs go side by side, unless told */
+/* number of runs side by side, unless defined by the caller */
 #ifndef LANES
 #if defined(__GNUC__) && defined(__AVX512DQ__)
 #define LANES 8
@@ -20,7 +20,7 @@ PRELUDE = r"""#include <math.h>
 #endif
 #endif
 
-/* how many of them a vector holds */
+/* number of runs in one vector */
 #if defined(__GNUC__) && defined(__AVX512DQ__) && LANES % 8 == 0
 #define WIDTH 8
 #elif defined(__GNUC__) && defined(__AVX__) && LANES % 4 == 0
@@ -58,7 +58,7 @@ typedef __mmask8 truth;
 #define SELECT(m, a, b) _mm512_mask_blend_pd(m, b, a)
 #define ONLY_IF(m, a) _mm512_maskz_mov_pd(m, a)
 #define FABS(a) _mm512_abs_pd(a)
-/* the second operand where they are equal or one is no number */
+/* the second operand if both are equal or one is a NaN */
 #define FMIN(a, b) _mm512_min_pd(b, a)
 #define FMAX(a, b) _mm512_max_pd(b, a)
 #define ROOT(v) v = _mm512_sqrt_pd(v)
@@ -173,12 +173,12 @@ typedef double loose __attribute__((vector_size(8 * WIDTH), aligned(8), may_alia
 #endif
 #endif
 
-/* what a block may need: clang warns of a static function that it does not */
+/* helper functions; clang would warn about an unused static function */
 #define HELPER static inline __attribute__((unused))
 
 #define ALL_LANES ((1U << LANES) - 1U)
 
-/* the lanes whose flag is down, as bits */
+/* the lanes whose flag is 0, as bits */
 HELPER unsigned running(const double *flag)
 {
     unsigned run = 0U;
@@ -186,7 +186,7 @@ HELPER unsigned running(const double *flag)
     return run;
 }
 
-/* the piece that an index means: rounded down, the nearest there is, 0 for what is no number */
+/* the piece with this index: rounded down, limited to the pieces that exist, 0 for a NaN */
 HELPER int piece(double index, double last)
 {
     return (int)((index >= 1.0) ? ((index < last) ? index : last) : 0.0);
@@ -202,7 +202,7 @@ HELPER void fill(double *to, double value)
     for (int lane = 0; lane < LANES; ++lane) { to[lane] = value; }
 }
 
-/* fresh numbers for the lanes whose flag is down */
+/* new numbers for the lanes whose flag is 0 */
 HELPER void keep(double *to, const double *fresh, const double *flag, int size)
 {
     EACH_LANE {
@@ -213,4 +213,4 @@ HELPER void keep(double *to, const double *fresh, const double *flag, int size)
     }
 }
 """
-"""What the text of `emit_wide` is written in. LANES may be defined before; a power of 2."""
+"""C text that `emit_wide` needs before its own. LANES may be defined before it, as a power of 2."""

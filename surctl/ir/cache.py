@@ -1,7 +1,7 @@
-"""What is costly to build is built once, and read from disk by every later process: shared libraries, laws.
+"""Cache on disk for results that are costly to build, such as shared libraries and laws; later processes read them.
 
-An entry is trusted only if it lies in a folder of this user that nobody else may write to, and still has the
-digest that was noted when it was built. Anything else is built again.
+An entry is trusted only if it lies in a folder of this user to which nobody else may write, and if its digest equals
+the digest stored when it was built. Otherwise it is built again.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from surctl.ir.compiler import FLAGS, compile_program, compiler_version, find_co
 __all__ = ["CacheUnused", "cache_folder", "cached_bytes", "shared_library"]
 
 _SHARED = ("-shared", "-fPIC")
-_NOTE = hashlib.sha256().digest_size  # bytes of the digest before an entry: in one file with it, never another's
+_NOTE = hashlib.sha256().digest_size  # size of the digest, stored before the entry in the same file
 
 
 class CacheUnused(UserWarning):
-    """Nothing can be stored in the cache: each process builds anew."""
+    """Warning that the cache cannot be used, so each process builds its own results."""
 
 
 def cache_folder() -> Path:
-    """$SURCTL_CACHE, else $XDG_CACHE_HOME/surctl, else ~/.cache/surctl (XDG Base Directory Specification).
+    """Return $SURCTL_CACHE, or $XDG_CACHE_HOME/surctl, or ~/.cache/surctl (XDG Base Directory Specification).
 
     Example:
         >>> import os
@@ -47,16 +47,16 @@ def cache_folder() -> Path:
 
 
 def cached_bytes(key: str, suffix: str, build: Callable[[], bytes], *, folder: Path | None = None) -> bytes:
-    """What `build` gives, or gave when it was first asked for under this key.
+    """Return the bytes that `build` returns now, or returned when this key was first used.
 
-    Processes that build one entry at once each get what they built; the last one's stays.
+    If several processes build one entry at the same time, each uses its own result, and the last one is stored.
 
     Args:
         key: hexadecimal digest of everything that the result depends on.
-        suffix: of the entry's file, with the dot.
-        build: called if there is no entry that can be trusted; what it raises goes through.
-        folder: of the cache; `cache_folder()` if None. One that cannot be written to, or that another user could
-            write to, is left alone, with a warning `CacheUnused`.
+        suffix: suffix of the entry's file, with the dot.
+        build: called if no entry can be trusted; its exceptions are passed on.
+        folder: cache folder; `cache_folder()` if None. A folder that cannot be written to, or to which another user
+            could write, is not used; the warning `CacheUnused` reports this.
 
     Example:
         >>> from pathlib import Path
@@ -74,25 +74,25 @@ def cached_bytes(key: str, suffix: str, build: Callable[[], bytes], *, folder: P
     built = build()
     why = _write(path, built)
     if why:
-        text = f"the cache folder {place} is left alone: {why}; each process builds anew (set SURCTL_CACHE)"
+        text = f"the cache folder {place} is not used: {why}; each process builds its own results (set SURCTL_CACHE)"
         warnings.warn(text, CacheUnused, stacklevel=2)
     return built
 
 
 def shared_library(source: str, *, flags: Sequence[str] = (), folder: Path | None = None, wide: bool = False) -> bytes:
-    r"""The shared library compiled from one C source.
+    r"""Return the shared library compiled from one C source.
 
     Args:
         source: the C text.
-        flags: more flags for the compiler, after `FLAGS`, `further_flags` and `tuned_flags`.
-        folder: of the cache, as in `cached_bytes`.
-        wide: for the widest vectors, as `tuned_flags` says.
+        flags: additional compiler flags, after `FLAGS`, `further_flags` and `tuned_flags`.
+        folder: cache folder, as in `cached_bytes`.
+        wide: use the widest vectors, see `tuned_flags`.
 
     Returns:
-        The library's bytes: what was checked is what is loaded.
+        The bytes of the library, so that the library that was checked is the one that is loaded.
 
     Raises:
-        ToolMissing, InputError, SurctlError: as `compile_program`.
+        ToolMissing, InputError, SurctlError: as in `compile_program`.
 
     Example:
         >>> import ctypes
@@ -115,7 +115,7 @@ def _key(source: str, flags: Sequence[str]) -> str:
 
 
 def _processor() -> str:
-    """What -march=native depends on."""
+    """Properties of the processor on which -march=native depends."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -124,7 +124,7 @@ def _processor() -> str:
 
 
 def _read(path: Path) -> bytes | None:
-    """The entry if it can be trusted."""
+    """The entry if it can be trusted, otherwise None."""
     try:
         if not (_is_ours(path.parent) and _is_ours(path)):
             return None
@@ -136,7 +136,7 @@ def _read(path: Path) -> bytes | None:
 
 
 def _is_ours(path: Path) -> bool:
-    """Owned by this user, no link, and writable by nobody else."""
+    """Whether the path belongs to this user, is not a link, and is writable by nobody else."""
     status = path.lstat()
     if stat.S_ISLNK(status.st_mode) or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         return False
@@ -144,11 +144,11 @@ def _is_ours(path: Path) -> bool:
 
 
 def _write(path: Path, body: bytes) -> str:
-    """Store the entry; why not, if the folder cannot be written to or is not ours."""
+    """Store the entry; return the reason if the folder cannot be written to or is not ours, otherwise ""."""
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not _is_ours(path.parent):
-            return "it is another user's, a link, or others may write to it"
+            return "it belongs to another user, is a link, or others may write to it"
         _replace(path, hashlib.sha256(body).digest() + body)
     except OSError as error:
         return f"it cannot be written ({error.strerror})"
@@ -174,7 +174,7 @@ def _build(source: str, flags: Sequence[str], tuned: Sequence[str]) -> bytes:
             output = Path(folder) / "block.so"
             try:
                 compile_program([text], output, flags=[*_SHARED, *tuned, *flags])
-            except SurctlError:  # a compiler that does not know them; if the source is at fault, it fails again
+            except SurctlError:  # the compiler may not support these flags; if the source is wrong, it fails again
                 compile_program([text], output, flags=[*_SHARED, *flags])
             return output.read_bytes()
     except OSError as error:

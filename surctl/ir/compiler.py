@@ -1,4 +1,4 @@
-"""The system's C compiler: find it, and compile strictly, without any option that changes results."""
+"""Search for the system's C compiler, and strict compilation without options that change results."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ __all__ = ["FLAGS", "compile_program", "compiler_version", "find_compiler", "fur
 
 FLAGS = (
     *("-std=c99", "-O2", "-ffp-contract=off"),  # no fused multiply-add: it changes the bytes
-    "-fno-tree-vectorize",  # gcc 12's vectoriser on x86 fuses a b - c beside a b + c (vfmaddsub) in spite of that
+    "-fno-tree-vectorize",  # gcc 12's vectoriser on x86 fuses a b - c next to a b + c (vfmaddsub) despite that flag
     *("-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"),
 )
-"""Flags of every compilation; the generated Makefile uses the same."""
+"""Flags of every compilation; the generated Makefile uses the same flags."""
 
-# gcc's; clang always does, and says of the flags that it ignores them
+# for gcc; clang always reorders, and warns that it ignores these flags
 _REORDERED = ("-fschedule-insns", "-fsched-pressure", "-Wno-ignored-optimization-argument")
 _X86 = ("x86_64", "amd64", "i386", "i686")
 
 
 def tuned_flags(*, wide: bool = False) -> tuple[str, ...]:
-    """Flags for code that stays on this machine: all its instructions, but no other results.
+    """Return flags for code that stays on this machine: they use all its instructions but do not change results.
 
-    errno is not asked for, so that a root is one instruction. AVX-512 is left out unless `wide`: its masks are slower
-    than AVX2's for vectors of four, by a tenth of a solve; for vectors of eight there is nothing else. Wide code is
-    ordered anew before registers are given out, which saves an eighth of a closed loop's time.
+    errno is switched off, so that a square root is one instruction. AVX-512 is left out unless `wide`: for vectors of
+    four its masks make a solve a tenth slower than AVX2; vectors of eight need it. For wide code, instructions are
+    scheduled again before register allocation, which saves an eighth of the time of a closed loop.
 
     Example:
         >>> from surctl.ir import tuned_flags
@@ -46,10 +46,10 @@ def tuned_flags(*, wide: bool = False) -> tuple[str, ...]:
 
 
 def further_flags() -> tuple[str, ...]:
-    """$SURCTL_CFLAGS, after `FLAGS`: "-O1" compiles sooner than "-O2", to code that gives the same bytes.
+    """Return the flags in $SURCTL_CFLAGS, used after `FLAGS`; for example "-O1" compiles faster, with equal results.
 
     Raises:
-        InputError: quotes that do not close, or a flag that changes results.
+        InputError: a quote is not closed, or a flag changes results.
     """
     text = os.environ.get("SURCTL_CFLAGS", "")
     try:
@@ -76,17 +76,17 @@ _REFUSED = (
 
 
 def find_compiler() -> str:
-    """The command of the C compiler: $CC (may hold arguments), else the first of cc, gcc, clang.
+    """Return the command of the C compiler: $CC (may include arguments), or the first of cc, gcc, clang.
 
     Raises:
-        ToolMissing: $CC names no program, or there is no compiler.
-        InputError: $CC holds a flag that changes results.
+        ToolMissing: $CC does not name a program, or there is no compiler.
+        InputError: $CC contains a flag that changes results.
 
     Example:
         >>> import os
         >>> from unittest.mock import patch
         >>> from surctl.ir import find_compiler
-        >>> find_compiler()  # as a rule: cc
+        >>> find_compiler()  # usually cc
         '...c...'
         >>> with patch.dict(os.environ, CC="no-such-cc"):
         ...     find_compiler()
@@ -128,13 +128,13 @@ def _refuse(flags: Sequence[str], *, key: str = "flags") -> None:
 def compile_program(
     sources: Sequence[Path], output: Path, *, flags: Sequence[str] = (), compiler: str | None = None
 ) -> Path:
-    r"""Compile and link `sources` to `output` (with "-c" in `flags`: compile one source to an object).
+    r"""Compile and link `sources` to `output`; with "-c" in `flags`, compile one source to an object file.
 
     Args:
-        sources: C sources or objects.
-        output: the file to make.
-        flags: more flags, after `FLAGS` and `further_flags`.
-        compiler: another compiler's command, instead of `find_compiler`'s.
+        sources: C sources or object files.
+        output: the file to write.
+        flags: additional flags, after `FLAGS` and `further_flags`.
+        compiler: command of another compiler, instead of that of `find_compiler`.
 
     Returns:
         `output`.
@@ -142,7 +142,7 @@ def compile_program(
     Raises:
         ToolMissing: there is no compiler.
         InputError: a flag that changes results, such as -ffast-math, here or in $SURCTL_CFLAGS.
-        SurctlError: the compiler refuses; carries its first error line.
+        SurctlError: the compiler reports an error; the message has its first error line.
 
     Example:
         >>> import subprocess
@@ -176,25 +176,25 @@ def _first_error(text: str) -> str:
 
 
 def compiler_version(compiler: str | None = None) -> str:
-    """First line of the compiler's --version; of `find_compiler`'s if no command is given.
+    """Return the first line of the compiler's --version; without a command, that of `find_compiler`.
 
     Example:
         >>> from surctl.ir import compiler_version
-        >>> compiler_version()  # "cc (Debian 12.2.0-14) 12.2.0", for one
+        >>> compiler_version()  # for example "cc (Debian 12.2.0-14) 12.2.0"
         '...c...'
     """
     command = tuple(_words(find_compiler()) if compiler is None else [compiler])
     executable = os.path.realpath(shutil.which(command[0]) or command[0])
     try:
         state = Path(executable).stat()
-    except OSError:  # the asking says it
+    except OSError:  # the call below reports the error
         return _reported_version(command)
     return _known_version(command, executable, (state.st_ino, state.st_size, state.st_mtime_ns))
 
 
 @cache
 def _known_version(command: tuple[str, ...], _file: str, _state: tuple[int, ...]) -> str:
-    """Asked once a process of one command and the file that it is."""
+    """The version, requested once per process for each command and state of its file."""
     return _reported_version(command)
 
 

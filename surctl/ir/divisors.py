@@ -1,4 +1,4 @@
-"""Divisions by the same number, of which all but one can be saved."""
+"""Replacement of several divisions by the same number by one division and products."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ __all__ = ["shared_divisors"]
 
 
 def shared_divisors(program: Program) -> Program:
-    """The program with x / d as x · (1 / d) for every d that divides more than once.
+    """Replace x / d by x · (1 / d) for every d that divides more than once.
 
-    A division takes a vector unit as long as thirty products. A quotient changes by two units in the last place at
-    most where 1 / d is a normal number, so not by `lower`, which changes no bit; CasADi itself writes x · (1 / d) back
-    as x / d.
+    A division occupies a vector unit as long as thirty products. If 1 / d is a normal number, a quotient changes by at
+    most two units in the last place. `lower` keeps divisions, since it must not change any bit; CasADi itself turns x ·
+    (1 / d) back into x / d.
 
     Example:
         >>> import casadi as ca

@@ -1,18 +1,18 @@
 """sin, cos, atan2 and acos from exact operations only, so that their bytes are the same on every machine.
 
-The arguments are reduced as Cody and Waite (1980) do, to |r| ≤ π/4 for sin and cos and to |t| ≤ tan(π/8) for atan2.
-The polynomials in the square of the reduced argument interpolate, at Chebyshev's nodes, (sin r / r − 1) / r²,
-(cos r − 1 + r²/2) / r⁴ and (atan t / t − 1) / t²; they were computed with 60 digits and rounded to double, and are off
-by less than 3e-17, 2e-18 and 4e-17. For floats there are shorter ones, off by less than 1e-8, 1e-9 and 1e-9, and three
-parts of π/2: half the work, and the same errors to the digits stated below.
+The arguments are reduced as by Cody and Waite (1980), to |r| ≤ π/4 for sin and cos and to |t| ≤ tan(π/8) for atan2.
+The polynomials in the square of the reduced argument interpolate (sin r / r − 1) / r², (cos r − 1 + r²/2) / r⁴ and
+(atan t / t − 1) / t² at Chebyshev nodes. They were computed with 60 digits and rounded to double; their errors are
+below 3e-17, 2e-18 and 4e-17. Shorter polynomials for float have errors below 1e-8, 1e-9 and 1e-9, with three parts of
+π/2: they cost half as much, and the errors below do not change in the digits shown.
 
-Errors, in double: sin and cos 2e-16 for |x| ≤ 1e6, atan2 and acos 5e-16, which is two to three units in the last place
-near 1. In float: 1.5e-7 for sin and cos with |x| ≤ 3000 (beyond, half a unit in the last place of x), 4e-7 for the
-other two.
+Errors in double: 2e-16 for sin and cos with |x| ≤ 1e6, and 5e-16 for atan2 and acos, which is two to three units in the
+last place near 1. In float: 1.5e-7 for sin and cos with |x| ≤ 3000 (beyond, half a unit in the last place of x), and
+4e-7 for the other two.
 
-What has no value is NaN: sin and cos of a NaN, of an infinity and of |x| > 2²⁰, atan2 with a NaN or of two
-infinities, acos outside [−1, 1]. atan2 takes a zero of either sign as +0, so that it lies in (−π, π] and is 0 at the
-origin; sin keeps the sign of a zero. The sum of |y| and |x| must not overflow.
+Undefined values are NaN: sin and cos of a NaN, of an infinity and of |x| > 2²⁰, atan2 with a NaN or of two infinities,
+acos outside [−1, 1]. atan2 treats a zero of either sign as +0, so that it lies in (−π, π] and is 0 at the origin; sin
+keeps the sign of a zero. The sum of |y| and |x| must not overflow.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from surctl.ir.routine import Block, rebuilt
 
 __all__ = ["without_libm"]
 
-# π/2 in four parts: 13, 13 and 33 bits, so that their products with a quadrant's number are exact, and the rest
+# π/2 in four parts: 13, 13 and 33 bits, so that their products with a quadrant number are exact, and the remainder
 _HALF_PI = tuple(float.fromhex(x) for x in ("0x1.921p+0", "0x1.f6ap-13", "0x1.110b4611p-26", "0x1.4c4c6628b80dcp-59"))
 _TWO_BY_PI = float.fromhex("0x1.45f306dc9c883p-1")
 _LARGEST = 2.0**20
-_TAN_PI_8 = math.sqrt(2.0) - 1.0  # where atan is cut; its last bits do not matter
+_TAN_PI_8 = math.sqrt(2.0) - 1.0  # argument at which atan is reduced; its last bits do not matter
 
 _SIN = (
     *(-0.16666666666666666, 0.008333333333330936, -0.00019841269836740532, 2.7557316093198404e-06),
@@ -52,13 +52,13 @@ _ATAN = (
 
 
 class _Series(NamedTuple):
-    """Coefficients, and parts of π/2, that are enough for a precision."""
+    """Coefficients and parts of π/2 that suffice for a precision."""
 
     sin: tuple[float, ...]
     cos: tuple[float, ...]
     atan: tuple[float, ...]
     half_pi: tuple[float, ...]
-    within: float = 0.0  # what |r| is held to, for proofs in a precision whose largest number is soon reached
+    within: float = 0.0  # |r| is clamped to this, for proofs in a precision with a small largest number
 
 
 _SERIES: Mapping[Real, _Series] = MappingProxyType(
@@ -80,14 +80,14 @@ _SERIES: Mapping[Real, _Series] = MappingProxyType(
 
 
 def without_libm(block: Block, real: Real = "float64") -> Block:
-    """The block with sin, cos, atan2 and acos written out; one without them comes back as it is.
+    """Return the block with sin, cos, atan2 and acos written out; a block without them is returned unchanged.
 
-    See the module's text for the errors and for what happens at zeros, infinities and NaN. What two of them share, as
-    the reduction of one angle, is computed once.
+    The module docstring states the errors and the results for zeros, infinities and NaN. Common parts of several
+    functions, such as the reduction of one angle, are computed once.
 
     Args:
         block: program or routine.
-        real: "float32" where nothing but floats will compute it.
+        real: "float32" if the block is evaluated in float only.
 
     Example:
         >>> import casadi as ca
@@ -116,37 +116,37 @@ def _program(program: Program, *, series: _Series) -> Program:
 
 
 class _Formulas(Numbering):
-    """The list under construction; numbers stand for constants, positions for what is computed."""
+    """The list under construction; floats stand for constants, ints for positions of computed values."""
 
     def __init__(self, series: _Series) -> None:
         super().__init__()
         self.series = series
 
     def do(self, op: str, *args: int | float) -> int:
-        """One operation; a float operand is a constant."""
+        """Position of one operation; a float operand is a constant."""
         return self.add(op, tuple(self.constant(a) if isinstance(a, float) else a for a in args))
 
     def polynomial(self, z: int, coefficients: tuple[float, ...]) -> int:
-        """Horner's rule, the constant term first in the list."""
+        """Position of the polynomial by Horner's rule; the constant term is first in the list."""
         value: int | float = coefficients[-1]
         for coefficient in coefficients[-2::-1]:
             value = self.do("add", self.do("mul", value, z), coefficient)
         return int(value)
 
     def reduced(self, x: int) -> tuple[int, int]:
-        """(k, r) with x = k π/2 + r, |r| ≤ π/4 but for rounding."""
+        """(k, r) with x = k π/2 + r and |r| ≤ π/4 up to rounding."""
         inside = self.do("le", self.do("fabs", x), _LARGEST)
         x = self.do("select", inside, x, math.inf)
         k = self.do("floor", self.do("add", self.do("mul", x, _TWO_BY_PI), 0.5))
         r = x
         for part in self.series.half_pi:
             r = self.do("sub", r, self.do("mul", k, part))
-        if self.series.within:  # changes nothing (and keeps a NaN), but who reasons by intervals sees no more than that
+        if self.series.within:  # the clamp changes nothing (and keeps a NaN), but gives interval analysis a bound
             r = self.do("fmin", self.do("fmax", r, -self.series.within), self.series.within)
         return k, r
 
     def wave(self, x: int) -> tuple[int, int, int]:
-        """(quadrant 0 to 3, ± sin x, ± cos x), the last two by magnitude."""
+        """(quadrant 0 to 3, ± sin x, ± cos x); the last two are correct up to their sign."""
         k, r = self.reduced(x)
         z = self.do("sq", r)
         sine = self.do("mul", r, self.do("add", self.do("mul", z, self.polynomial(z, self.series.sin)), 1.0))
@@ -169,8 +169,8 @@ class _Formulas(Numbering):
         return self.do("select", middle, self.do("neg", size), size)
 
     def first_quadrant(self, y: int, x: int) -> int:
-        """atan2 of numbers that are not negative."""
-        # not fmin and fmax: they may lose a NaN
+        """atan2 of two non-negative numbers."""
+        # not fmin and fmax, because they may drop a NaN
         steep = self.do("lt", x, y)
         small, large = self.do("select", steep, x, y), self.do("select", steep, y, x)
         cut = self.do("lt", self.do("mul", large, _TAN_PI_8), small)

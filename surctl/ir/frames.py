@@ -1,4 +1,4 @@
-"""Stack that emitted C takes, as the compiler tells it: the frames along the deepest chain of calls."""
+"""Stack size of emitted C, from the compiler's own report: the frames along the deepest chain of calls."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ _CALL = re.compile(r"\b(\w+)\(")
 
 
 def stack_bytes(block: Block, *, real: Real = "float64", flags: Sequence[str] = ("-Os",)) -> int:
-    """Bytes of stack that the folded C of a block takes on this machine, its own frame and all below it.
+    """Return the bytes of stack that the folded C of a block uses on this machine, including all calls.
 
     Args:
         block: program or routine.
         real: type of the numbers.
-        flags: of the compiler, beside its usual ones.
+        flags: compiler flags in addition to the usual ones.
 
     Raises:
-        ToolMissing: there is no compiler, or it does not tell its frames (`-fstack-usage`).
-        SurctlError: the compiler refuses, or a frame has no fixed size.
+        ToolMissing: there is no compiler, or it does not report its frames (`-fstack-usage`).
+        SurctlError: the compiler reports an error, or a frame has no fixed size.
 
     Example:
         >>> import casadi as ca
@@ -38,7 +38,7 @@ def stack_bytes(block: Block, *, real: Real = "float64", flags: Sequence[str] = 
         >>> sums = Loop(lower(ca.Function("sums", [x], [ca.cumsum(x)])), 9, ("x",), ("last",))
         >>> block = Routine("mix", (("x", 200),), (sums,), ("last",))
         >>> double, single = (stack_bytes(block, real=real) for real in ("float64", "float32"))
-        >>> single < double < 4096  # 624 and 1360, for one
+        >>> single < double < 4096  # for example 624 and 1360
         True
     """
     kind, at, places = C_TYPE[real], 0, []
@@ -55,10 +55,10 @@ def stack_bytes(block: Block, *, real: Real = "float64", flags: Sequence[str] = 
 
 
 def stack_of(text: str, entry: str, *, flags: Sequence[str] = ("-Os",), compiler: str | None = None) -> int:
-    r"""Bytes of stack below a function of a C text whose functions do not recur, itself included.
+    r"""Return the bytes of stack that a function of a C text uses, with all calls; the text must not be recursive.
 
-    Every function begins on a line of its own. Those of the mathematical library are not counted; one that the compiler
-    put into its caller is in that frame.
+    Every function must begin on its own line. Functions of the mathematical library are not counted. A function that
+    the compiler inlined counts as part of its caller's frame.
 
     Example:
         >>> from surctl.ir import stack_of
@@ -75,45 +75,45 @@ def stack_of(text: str, entry: str, *, flags: Sequence[str] = ("-Os",), compiler
         except (SurctlError, FileNotFoundError) as error:
             if isinstance(error, SurctlError) and "stack-usage" not in str(error):
                 raise
-            raise ToolMissing("tells no frames (-fstack-usage)", key="CC", value=compiler_version(compiler)) from None
+            raise ToolMissing("has no -fstack-usage report", key="CC", value=compiler_version(compiler)) from None
     return stack_from_report(rows, text, entry)
 
 
 def stack_from_report(report: str, text: str, entry: str) -> int:
-    r"""As `stack_of`, of a text that was compiled with `-fstack-usage` already.
+    r"""Return the stack size as `stack_of` does, from the report of an earlier compilation with `-fstack-usage`.
 
     Args:
-        told: what the compiler wrote beside the object.
-        text: the C text, with all that it includes of its own.
-        entry: the function.
+        report: text that the compiler wrote next to the object file.
+        text: the C text, with all its own includes.
+        entry: name of the function.
 
     Raises:
         InputError: the text has no such function.
         SurctlError: a frame has no fixed size.
 
     Example:
-        >>> from surctl.ir import stack_told
-        >>> told = "text.c:1:7:half\t32\tstatic\ntext.c:2:7:mean\t96\tstatic\n"
+        >>> from surctl.ir import stack_from_report
+        >>> report = "text.c:1:7:half\t32\tstatic\ntext.c:2:7:mean\t96\tstatic\n"
         >>> text = "float half(float x) { return x / 2; }\nfloat mean(float x) { return half(x + 1); }\n"
-        >>> stack_told(told, text, "mean")
+        >>> stack_from_report(report, text, "mean")
         128
     """
     rows = [line.split("\t") for line in report.splitlines()]
     if any("dynamic" in row[2] and "bounded" not in row[2] for row in rows):
         raise SurctlError("a frame has no fixed size")
-    # "text.c:12:3:name", or "name.part.0" for a piece that was cut out
+    # "text.c:12:3:name", or "name.part.0" for a part that the compiler split off
     frames: dict[str, int] = {}
     for where, size, _ in rows:
         function = where.rsplit(":", 1)[-1].split(".")[0]
         frames[function] = frames.get(function, 0) + int(size)
     callees = _callees(text)
     if entry not in callees:
-        raise InputError("is no function of the text", key="entry", value=entry, remedy=nearest(entry, callees))
+        raise InputError("is not a function in the text", key="entry", value=entry, remedy=nearest(entry, callees))
     return _deepest(entry, callees, frames, {})
 
 
 def _callees(text: str) -> dict[str, set[str]]:
-    """Function → functions of the text that it calls."""
+    """The functions of the text, and which of its functions each one calls."""
     functions = _FUNCTION.findall(text)
     names = {name for name, _ in functions}
     return {name: set(_CALL.findall(body)) & names for name, body in functions}

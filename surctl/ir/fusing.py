@@ -1,4 +1,4 @@
-"""Products that are only added or subtracted, as one operation with the sum: half the work, and one rounding less."""
+"""Fusion of a product with the sum that uses it: half the operations, and one rounding less."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ __all__ = ["fused"]
 
 
 def fused(block: Block) -> Block:
-    """The block with a b + c, a b - c and c - a b as `fma` where nothing but sums and differences needs the product.
+    """Return the block with `fma` for a b + c, a b - c and c - a b if only sums and differences use the product.
 
-    A result changes by its rounding, so not by `lower`; it has the same bytes on every machine, since `fma` is exact. A
-    machine without the instruction takes its library's, which is slow.
+    Fusion changes the rounding of results, so `lower` does not fuse. The results have the same bytes on every machine,
+    since `fma` is exact. A machine without the instruction uses the library function, which is slow.
 
     Example:
         >>> import casadi as ca
@@ -47,7 +47,7 @@ def _program(program: Program) -> Program:
 
 
 def _additive(program: Program) -> set[int]:
-    """Positions of the products that only sums and differences use."""
+    """Positions of the products that are used only in sums and differences."""
     products = {at for at, i in enumerate(program.instructions) if i.op in ("mul", "sq")}
     for instruction in program.instructions:
         if instruction.op not in ("add", "sub", "const", "input"):

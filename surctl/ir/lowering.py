@@ -1,4 +1,4 @@
-"""From a CasADi function to the instruction list."""
+"""Conversion of a CasADi function to the instruction list."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ _NAMES: Mapping[int, str] = MappingProxyType(
 
 
 def lower(function: ca.Function, *, reciprocals: bool = False) -> Program:
-    """Instruction list of a function of dense vectors.
+    """Return the instruction list of a function of dense vectors.
 
-    Equal subexpressions are computed once, the four operations of `if_else` become one `select` (which,
-    unlike the sum that CasADi evaluates, keeps the sign of a zero), what no output needs is dropped.
-    Structural zeros of an output become the constant 0.
+    Equal subexpressions are computed once. The four operations of `if_else` become one `select`, which, unlike the sum
+    that CasADi evaluates, keeps the sign of a zero. Instructions that no output needs are dropped. Structural zeros of
+    an output become the constant 0.
 
     Args:
         function: SX function, or an MX function that expands to one.
-        reciprocals: several divisions by one number become products with its inverse: faster, and rounded once more.
-            CasADi turns every such product into a division on its own.
+        reciprocals: replace several divisions by one number by products with its inverse: faster, with one more
+            rounding. CasADi by itself turns every such product into a division.
 
     Raises:
-        UnsupportedOperation: an operation outside `surctl.ir.ops.OPERATIONS`, named with its substitute.
+        UnsupportedOperation: an operation is not in `surctl.ir.ops.OPERATIONS`; the message names a substitute.
         InputError: an input that is not a dense column vector.
 
     Example:
@@ -65,7 +65,7 @@ def lower(function: ca.Function, *, reciprocals: bool = False) -> Program:
 
 
 def lower_named(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX | float]) -> Program:
-    """Instruction list of the outputs as functions of the inputs, columns by name; an output is made dense.
+    """Return the instruction list of named outputs as functions of named input columns; outputs are made dense.
 
     Example:
         >>> import casadi as ca
@@ -83,7 +83,7 @@ def lower_named(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca
 
 
 def _with_reciprocals(old: _Builder) -> tuple[_Builder, list[int]]:
-    """The same list with shared divisors inverted once, and where each instruction is now."""
+    """The list with each shared divisor inverted once, and the new position of each instruction."""
     divisors = [i.args[1] for i in old.instructions if i.op == "div"]
     shared = {at for at in divisors if divisors.count(at) > 1}
     new, moved = _Builder(old.name), list[int]()
@@ -131,8 +131,8 @@ def _dense_refs(
 
 
 def _walk(function: ca.Function, builder: _Builder) -> dict[tuple[int, int], int]:
-    """Feed every instruction to the builder; returns the position stored in (output, nonzero)."""
-    slot: dict[int, int] = {}  # CasADi reuses work slots: each write gives the slot a new meaning
+    """Pass every instruction to the builder; return the position stored for each (output, nonzero)."""
+    slot: dict[int, int] = {}  # CasADi reuses work slots: each write gives a slot a new value
     stored: dict[tuple[int, int], int] = {}
     identity, operands, results = function.instruction_id, function.instruction_input, function.instruction_output
     for k in range(function.n_instructions()):
@@ -148,35 +148,35 @@ def _walk(function: ca.Function, builder: _Builder) -> dict[tuple[int, int], int
             slot[result[0]] = builder.add(op, tuple([slot[a] for a in args]))
         else:
             raise UnsupportedOperation(
-                f"operation {op!r} is not carried by the instruction list",
+                f"operation {op!r} is not supported by the instruction list",
                 key=builder.name,
-                remedy=SUBSTITUTES.get(op, "rewrite it with the operations that are: " + ", ".join(OPERATIONS)),
+                remedy=SUBSTITUTES.get(op, "rewrite it with the supported operations: " + ", ".join(OPERATIONS)),
             )
     return stored
 
 
 class _Builder(Numbering):
-    """Value numbering and the peepholes."""
+    """Value numbering and peephole simplifications."""
 
     def __init__(self, name: str) -> None:
         super().__init__()
         self.name = name
 
     def constant(self, value: float) -> int:
-        """Position of a constant, which is a number."""
+        """Position of a constant, which must not be a NaN."""
         if math.isnan(value):
             raise UnsupportedOperation(
-                "holds a NaN constant", key=self.name, remedy="find the expression that has no value"
+                "contains a NaN constant", key=self.name, remedy="find the expression that is undefined"
             )
         return super().constant(value)
 
     def add(self, op: str, args: tuple[int, ...]) -> int:
-        """Position of an operation on earlier positions, after the peepholes."""
+        """Position of an operation on earlier values, after the peephole simplifications."""
         chosen = self._as_select(*args) if op == "add" else None
         return super().add(op, args) if chosen is None else super().add("select", chosen)
 
     def _as_select(self, left: int, right: int) -> tuple[int, int, int] | None:
-        """(condition, then, otherwise) when the sum is `if_else_zero(c, a) + if_else_zero(not c, b)`."""
+        """(condition, then, otherwise) if the sum is `if_else_zero(c, a) + if_else_zero(not c, b)`, otherwise None."""
         first, second = self.instructions[left], self.instructions[right]
         if first.op != "if_else_zero" or second.op != "if_else_zero":
             return None

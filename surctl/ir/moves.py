@@ -1,4 +1,4 @@
-"""What a program only hands on: long pieces of its inputs that stand in its outputs as they are."""
+"""Moves: long pieces of a program's inputs that it copies to its outputs unchanged."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from surctl.ir.program import Instruction, Program, drop_dead
 
 __all__ = ["Move", "copy_loop", "entry", "handed_on", "move_lines", "only_moves", "remaining"]
 
-_FEW = 8  # pieces up to which a program of nothing but moves is written where it is called
-_LEAST = 8  # entries, from which on one call that copies is shorter than a line an entry
-_LEAST_LOOP = 4  # likewise a loop
+_FEW = 8  # largest number of pieces of a program of moves that is written inline at its call
+_LEAST = 8  # from this many entries on, one call that copies is shorter than one line for each entry
+_LEAST_LOOP = 4  # same for a loop
 
 
 @dataclass(frozen=True)
 class Move:
-    """Every `to_step`-th entry of an output from `to` on is the next `step`-th one of an input from `start` on."""
+    """Entries `to`, `to` + `to_step`, … of an output are the entries `start`, `start` + `step`, … of an input."""
 
     output: int
     to: int
@@ -28,12 +28,12 @@ class Move:
 
     @property
     def entries(self) -> range:
-        """Of the output."""
+        """Indices of the entries in the output."""
         return range(self.to, self.to + self.to_step * self.count, self.to_step)
 
 
 def handed_on(program: Program, *, strided: bool = False) -> tuple[Move, ...]:
-    """Every piece of at least 8 entries, by output; with `strided` of 4, and also what is spread or gathered."""
+    """Every moved piece of at least 8 entries, by output; with `strided` at least 4, also with steps other than 1."""
     return tuple(
         move
         for output in range(len(program.outputs))
@@ -42,7 +42,7 @@ def handed_on(program: Program, *, strided: bool = False) -> tuple[Move, ...]:
 
 
 def only_moves(program: Program) -> tuple[Move, ...]:
-    """All of it as a few pieces, in the order of the outputs; nothing if it does anything else, or if they are many."""
+    """The program as a few moves, in the order of the outputs; empty if it computes anything or has too many moves."""
     if any(i.op != "input" for i in program.instructions) or not all(program.output_refs):
         return ()
     moves = tuple(move for output in range(len(program.outputs)) for move in _of(program, output, 1))
@@ -66,7 +66,7 @@ def _of(program: Program, output: int, least: int = _LEAST) -> Iterator[Move]:
 
 
 def _strided(program: Program, output: int) -> Iterator[Move]:
-    """The pieces of an output, each as long as it can be with a step of 1 on one of the two sides."""
+    """The pieces of an output, each as long as possible with a step of 1 on one of the two sides."""
     loads = {
         at: i.args
         for at, ref in enumerate(program.output_refs[output])
@@ -97,7 +97,7 @@ def _strided(program: Program, output: int) -> Iterator[Move]:
 def remaining(
     program: Program, moves: Sequence[Move]
 ) -> tuple[tuple[Instruction, ...], tuple[tuple[int, int, int], ...]]:
-    """What is left to do beside the moves: the instructions, and (output, entry, position of its value) in order."""
+    """The part of the program without the moves: instructions, and (output, entry, position of its value) in order."""
     moved = {(m.output, e) for m in moves for e in m.entries}
     stored = [(k, e) for k, refs in enumerate(program.output_refs) for e in range(len(refs)) if (k, e) not in moved]
     refs: list[tuple[int, ...]] = [(program.output_refs[k][e],) for k, e in stored]
@@ -106,7 +106,7 @@ def remaining(
 
 
 def move_lines(moves: Sequence[Move]) -> list[str]:
-    """C99 of the moves, for outputs that are no inputs."""
+    """C99 lines of the moves, for outputs that do not alias inputs."""
     return [
         copy_loop(entry(f"out{m.output}", m.to, m.to_step), entry(f"in{m.input}", m.start, m.step), m.count)
         for m in moves
@@ -114,13 +114,13 @@ def move_lines(moves: Sequence[Move]) -> list[str]:
 
 
 def entry(array: str, first: int, step: int = 1) -> str:
-    """C text of an entry's beginning, to which the counter and ] are added."""
+    """C text of an entry up to the loop counter and the closing bracket, which follow it."""
     return "".join([array, "[", f"{first} + " if first else "", f"{step} * " if step != 1 else ""])
 
 
 def copy_loop(to: str, source: str, count: int) -> str:
-    """C99 that copies `count` numbers from one `entry` on to another.
+    """C99 loop that copies `count` numbers between two texts from `entry`.
 
-    The comment is for Frama-C: to it an array that a loop fills is filled once the loop is unrolled.
+    The comment is for Frama-C, which treats an array as fully written only after it has unrolled the loop.
     """
     return f"    /*@ loop unroll {count}; */\n    for (int k = 0; k < {count}; ++k) {{ {to}k] = {source}k]; }}"

@@ -1,4 +1,4 @@
-"""Compiled blocks, called from Python with as little in between as possible."""
+"""Compiled blocks that are called from Python with little overhead."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ _SYMBOL = "surctl_block"
 
 
 class Workspace:
-    """Buffers of one caller, and the compiled block bound to them: write `inputs`, call `run`, read `outputs`.
+    """Buffers of one caller with a compiled block bound to them: write `inputs`, call `run`, read `outputs`.
 
-    Not to be shared between threads; a `Native` gives any number of them.
+    Do not share a workspace between threads; `Native.workspace` creates any number of them.
 
     Attributes:
-        inputs, outputs: views of one buffer, one a name, in the block's order.
-        run: the compiled function; takes nothing, gives None.
+        inputs, outputs: views of one buffer, one for each name, in the block's order.
+        run: the compiled function; no arguments, returns None.
     """
 
     def __init__(self, native: Native) -> None:
@@ -50,16 +50,16 @@ class Workspace:
 
 
 class Native:
-    """A block compiled by the system's C compiler; the same bytes as `replay` for programs without libm.
+    """A block compiled by the system's C compiler; same bytes as `replay` for programs without `libm` operations.
 
     Attributes:
-        block: what was compiled.
-        dtype: of every array, np.float64 or np.float32.
+        block: the block that was compiled.
+        dtype: type of every array, np.float64 or np.float32.
     """
 
     def __init__(self, block: Block, library: bytes, *, real: Real = "float64") -> None:
         self.block, self.dtype = block, np.dtype(real)
-        self._inputs, self._outputs = block.inputs, block.outputs  # a routine works them out anew each time
+        self._inputs, self._outputs = block.inputs, block.outputs  # a routine would compute these at every access
         self._library = loaded(library)
         self._library.surctl_run.restype = None
         self._library.surctl_run.argtypes = [ctypes.c_void_p]
@@ -68,18 +68,18 @@ class Native:
         self._library.surctl_run_many.argtypes = [ctypes.c_long, *[ctypes.c_void_p] * count]
 
     def workspace(self) -> Workspace:
-        """Fresh buffers, bound to the compiled function."""
+        """Return new buffers, bound to the compiled function."""
         return Workspace(self)
 
     def bound(self, memory: Array) -> Callable[[], None]:
-        """The function on one flat buffer: inputs, then outputs, end to end. The caller keeps the buffer alive."""
+        """The function bound to a flat buffer: all inputs, then all outputs. The caller must keep the buffer alive."""
         if memory.dtype != self.dtype or not memory.flags.c_contiguous:
             raise InputError(f"is not a contiguous {self.dtype} buffer", key=self.block.name)
         function: Any = self._library.surctl_run
         return partial(function, ctypes.c_void_p(memory.ctypes.data))
 
     def __call__(self, *inputs: ArrayLike) -> list[Array]:
-        """As `replay`: (n,) or (batch, n) for each input gives (m,) or (batch, m) for each output."""
+        """Evaluate like `replay`: inputs of shape (n,) or (batch, n) give outputs of shape (m,) or (batch, m)."""
         expected = self._inputs
         if len(inputs) != len(expected):
             raise InputError(f"takes {len(expected)} inputs, got {len(inputs)}", key=self.block.name)
@@ -96,13 +96,13 @@ class Native:
 
 
 def loaded(library: bytes) -> ctypes.CDLL:
-    """Once loaded, the file is no longer needed."""
+    """Load a shared library; after that its file is no longer needed."""
     try:
         with tempfile.TemporaryDirectory(prefix="surctl-") as folder:
             path = Path(folder) / "block.so"
             path.write_bytes(library)
             return ctypes.CDLL(str(path))
-    except OSError as error:  # a folder that is full, or mounted noexec
+    except OSError as error:  # the folder may be full, or mounted noexec
         raise ToolMissing(
             f"compiled code cannot be loaded from there ({error})",
             key="TMPDIR",
@@ -114,32 +114,32 @@ def loaded(library: bytes) -> ctypes.CDLL:
 def compile_block(
     block: Block, *, flags: Sequence[str] = (), folder: Path | None = None, real: Real = "float64"
 ) -> Native:
-    """Compile a block, or take it from the cache.
+    """Compile a block, or load it from the cache.
 
     Args:
         block: program or routine.
-        flags: more flags for the compiler; none that changes results.
-        folder: of the cache (`surctl.ir.cache.cache_folder()` if None).
+        flags: additional compiler flags; none may change results.
+        folder: cache folder (`surctl.ir.cache.cache_folder()` if None).
         real: "float32" computes in float; inputs are rounded to it.
 
     Raises:
-        ToolMissing: there is no compiler, or no folder to load from; `replay` runs the same block.
-        InputError: a flag that changes results.
-        SurctlError: the compiler refuses.
+        ToolMissing: there is no compiler, or no folder from which a library can be loaded; use `replay` instead.
+        InputError: a flag changes results.
+        SurctlError: the compiler reports an error.
 
     Example:
         >>> import casadi as ca
         >>> from surctl.ir import compile_block, lower
         >>> v = ca.SX.sym("v", 2)
         >>> speed = compile_block(lower(ca.Function("speed", [v], [ca.norm_2(v)])))
-        >>> speed([[0.3, 0.4], [0.0, 0.2]])[0].tolist()  # one run a row
+        >>> speed([[0.3, 0.4], [0.0, 0.2]])[0].tolist()  # one run in each row
         [[0.5], [0.2]]
     """
     return Native(block, shared_library(_source(block, real), flags=flags, folder=folder), real=real)
 
 
 def runnable(block: Block) -> Callable[..., list[Array]]:
-    """The block compiled; its replay where there is no compiler: the same numbers, slower.
+    """Return the compiled block; without a compiler, its replay, which gives the same numbers but is slower.
 
     Example:
         >>> import casadi as ca

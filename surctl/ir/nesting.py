@@ -1,7 +1,7 @@
-"""From instructions by region to nested routines: programs between loops, and arrays that cross between them.
+"""Conversion of instructions with regions to nested routines: programs between loops, and the arrays between them.
 
-Inside one loop body the inner loops part the instructions into programs. Numbers cross from one to the other in arrays:
-an array that several loops read is put together once, and handed down whole.
+Inside a loop body, the inner loops divide the instructions into programs. Numbers pass from one to the next in arrays.
+An array that several loops read is assembled once and passed as a whole.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ __all__ = ["routine"]
 
 
 def routine(name: str, program: Program, inputs: int, outputs: Mapping[str, Key], loops: Sequence[Traced]) -> Block:
-    """The list as a routine with loops.
+    """Return the list as a routine with loops, or as a program if there are none.
 
     Args:
-        name: of the routine.
-        program: the list; its first `inputs` inputs are the routine's, the others stand for what loops hold.
+        name: name of the routine.
+        program: the list; its first `inputs` inputs are the routine's, the others represent state and rows of loops.
         inputs: see `program`.
-        outputs: positions of the outputs' entries.
-        loops: in the order in which they were traced: what a loop needs stands before it.
+        outputs: positions of the entries of each output.
+        loops: in the order in which they were traced, so that a loop follows the loops that it depends on.
     """
     regions = Regions(program, inputs, outputs, loops)
     return _Emitter(regions, name, outputs).root()
@@ -33,7 +33,7 @@ def routine(name: str, program: Program, inputs: int, outputs: Mapping[str, Key]
 
 @dataclass(frozen=True)
 class _Arguments:
-    """Arrays that a loop takes: with its state, to run over, and for every turn."""
+    """The arrays that a loop reads: its initial state, its tables (one row a turn), and arrays that stay fixed."""
 
     state: tuple[Key, ...]
     tables: tuple[Key, ...]
@@ -45,7 +45,7 @@ class _Arguments:
 
 
 class _Emitter:
-    """Blocks of the loops, innermost first."""
+    """Builds the blocks of the loops, innermost first."""
 
     def __init__(self, regions: Regions, name: str, outputs: Mapping[str, Key]) -> None:
         self.regions, self.name, self.outputs = regions, name, outputs
@@ -58,17 +58,17 @@ class _Emitter:
             self.blocks.append(self._body(k))
 
     def root(self) -> Block:
-        """The whole."""
+        """The block of the whole list."""
         program = self.regions.program
         inputs = [(name, self.entries(j)) for j, (name, _) in enumerate(program.inputs[: self.regions.inputs])]
         return _Body(self, self.name, inputs, self.outputs).block()
 
     def entries(self, j: int) -> Key:
-        """The values of an input of the list; -1 where nobody needs one."""
+        """The values of an input of the list; −1 for an entry that is not used."""
         return tuple(self.atoms.get((j, e), -1) for e in range(self.regions.program.inputs[j][1]))
 
     def stacked(self, k: int) -> list[int]:
-        """Positions among what loop k stacks of what somebody needs."""
+        """Indices of those stacked arrays of loop k that are used."""
         loop = self.regions.loops[k]
         results = loop.results[len(loop.state) :]
         return [at for at, j in enumerate(results) if any(v >= 0 for v in self.entries(j))]
@@ -84,7 +84,7 @@ class _Emitter:
         return self._known.setdefault(block.digest(), block)
 
     def _fixed(self, k: int) -> Iterator[Key]:
-        """Arrays from outside that the body reads: whole ones for its loops, then single numbers by their region."""
+        """Outer arrays that the body reads: first whole arrays of inner loops, then single numbers by region."""
         regions = self.regions
         through: dict[Key, None] = {}
         single: dict[int, dict[int, None]] = {}
@@ -113,7 +113,7 @@ class _Emitter:
 
 
 class _Body:
-    """One region as a program, or as a routine of programs and loops."""
+    """Builds one region as a program, or as a routine of programs and loops."""
 
     def __init__(
         self,
@@ -137,7 +137,7 @@ class _Body:
         self._schedule()
 
     def block(self) -> Block:
-        """Program or routine."""
+        """The region as a program or a routine."""
         if not any(node < 0 for node in self.order):
             return self._program(self.name, 0, self.outputs)
         steps: list[Step] = []
@@ -174,7 +174,7 @@ class _Body:
             yield from self.regions.code[node].args
 
     def _schedule(self) -> None:
-        """The program in which each instruction runs, as late as it may; each loop as soon as it can."""
+        """Assign each instruction to a program as late as possible, and each loop to a place as early as possible."""
         soon: dict[int, int] = {}
         for node in self.order:
             if node >= 0 and self.regions.loop_of(node) is not None and node not in self.place:
@@ -197,7 +197,7 @@ class _Body:
         for node in reversed(self.order):
             if node < 0:
                 self.stage[node] = soon[node]
-            if node < 0 or not self._is_operation(node):  # a load stands in any program that needs it
+            if node < 0 or not self._is_operation(node):  # a load is repeated in every program that needs it
                 continue
             uses = users.get(node, [])
             self.stage[node] = min(uses)
@@ -216,7 +216,7 @@ class _Body:
         return node not in self.place and self.regions.code[node].op not in ("input", "const")
 
     def _whole_result(self, key: Key) -> bool:
-        """Whether the array is one that a loop gives."""
+        """Whether the array is a result of a loop."""
         first = self.regions.code[key[0]] if key else None
         return (
             first is not None

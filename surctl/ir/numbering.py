@@ -1,4 +1,4 @@
-"""A growing instruction list that computes nothing twice."""
+"""An instruction list under construction in which equal instructions occur once."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["Numbering"]
 
 
 class Numbering:
-    """Value numbering: an instruction that is there already is not added again; no bit of a finite result changes.
+    """Value numbering: an instruction that exists is not added again; no bit of a finite result changes.
 
     Attributes:
         instructions: the list so far.
@@ -20,14 +20,14 @@ class Numbering:
         self._known: dict[tuple[str, tuple[int, ...] | str], int] = {}
 
     def constant(self, value: float) -> int:
-        """Position of a constant; -0.0 and 0.0 are two constants."""
-        # keyed by its bits: 0.0 == -0.0 as numbers
+        """Position of a constant; -0.0 and 0.0 are different constants."""
+        # the key is its bit pattern, since 0.0 == -0.0 as numbers
         key = ("const", value.hex())
         at = self._known.get(key)
         return self._append(key, Instruction("const", (), value)) if at is None else at
 
     def add(self, op: str, args: tuple[int, ...]) -> int:
-        """Position of an operation on earlier positions, or of a load."""
+        """Position of an operation on earlier values, or of a load."""
         if op not in LEAVES and OPERATIONS[op].commutative:
             args = tuple(sorted(args))
         key = (op, args)
@@ -35,7 +35,7 @@ class Numbering:
         return self._append(key, Instruction(op, args)) if at is None else at
 
     def copy(self, instruction: Instruction, moved: list[int]) -> int:
-        """Position of an instruction of another list, whose operands are at `moved` here."""
+        """Position of an instruction from another list, whose operands are at the positions `moved` in this list."""
         if instruction.op == "const":
             return self.constant(instruction.number)
         if instruction.op == "input":
@@ -43,7 +43,7 @@ class Numbering:
         return self.add(instruction.op, tuple(moved[a] for a in instruction.args))
 
     def rewritten(self, program: Program, moved: list[int]) -> Program:
-        """The program by this list, where its instructions are at `moved`, without what no output needs."""
+        """The program in terms of this list, with its instructions at `moved`, without those that no output needs."""
         refs = [tuple(moved[r] for r in group) for group in program.output_refs]
         instructions, output_refs = drop_dead(self.instructions, refs)
         return Program(program.name, program.inputs, program.outputs, instructions, output_refs)

@@ -1,8 +1,8 @@
-"""The operations of the instruction list, each stated once: arity, NumPy meaning and C99 text.
+"""The operations of the instruction list, each defined once: arity, meaning in NumPy, and C99 text.
 
-Every entry but the `LIBM` ones is exact: IEEE 754 defines its result to the last bit, so every back end
-gives the same bytes. `fma` is a product and a sum rounded once. Truth values are numbers, 1 for true and 0 for
-false; any number but 0 is true (a NaN too, as in C).
+All operations except those in `LIBM` are exact: IEEE 754 defines their result to the last bit, so every back end gives
+the same bytes. `fma` is a product and a sum with one rounding. Truth values are numbers, 1 for true and 0 for false;
+any nonzero number is true (also a NaN, as in C).
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ __all__ = ["LEAVES", "LIBM", "OPERATIONS", "SUBSTITUTES", "Operation"]
 Value = NDArray[np.floating[Any]]  # () or (batch,), of the replay's dtype
 
 LEAVES = frozenset({"const", "input"})
-"""Instructions without operands: `const` carries `value`, `input` carries (which input, which entry)."""
+"""Instructions without operands: `const` has a `value`, `input` has (index of the input, index of the entry)."""
 
 
 @dataclass(frozen=True)
 class Operation:
-    """One operation.
+    """One operation of the instruction list.
 
     Attributes:
         name: name in the instruction list (CasADi's, in lower case, and `select`).
         arity: number of operands.
-        numpy: its meaning on arrays of one dtype; a bool result stands for 0 and 1.
+        numpy: its meaning on arrays of one dtype; a bool result represents 0 and 1.
         c99: C expression with {0}, {1}, … for the operands, which are identifiers.
-        commutative: swapping the operands changes no bit of a finite result.
+        commutative: whether swapping the operands changes no bit of a finite result.
     """
 
     name: str
@@ -53,7 +53,7 @@ def _if_else_zero(condition: Value, then: Value) -> Any:
 
 
 def _fmin(a: Value, b: Value) -> Any:
-    # not np.fmin: ties on signed zeros and NaN must fall as in the C text
+    # not np.fmin: for signed zeros and NaN the result must be that of the C text
     return np.where(b < a, b, a)
 
 
@@ -67,11 +67,11 @@ def _fma(a: Value, b: Value, c: Value) -> Any:
 
 
 def _fma_double(*operands: Any) -> float:
-    """a b + c rounded once, by rational numbers: slow, and right for every double."""
+    """a b + c with one rounding, by rational numbers: slow, and correct for every double."""
     a, b, c = map(float, operands)
     if not (math.isfinite(a) and math.isfinite(b)) or (c == 0.0 and 0.0 in (a, b)):
         return a * b + c
-    if not math.isfinite(c):  # a b must not overflow to its opposite
+    if not math.isfinite(c):  # a b must not overflow to the opposite infinity
         return c
     exact = Fraction(a) * Fraction(b) + Fraction(c)
     try:
@@ -82,7 +82,7 @@ def _fma_double(*operands: Any) -> float:
 
 def _fma_single(a: Any, b: Any, c: Any) -> float:
     once = _fma_double(a, b, c)
-    if math.isfinite(once):  # the double nearest by a single's tie may be on the wrong side of it: its last bit tells
+    if math.isfinite(once):  # a second rounding errs if the double lies midway between floats; its last bit decides
         lost = Fraction(float(a)) * Fraction(float(b)) + Fraction(float(c)) - Fraction(once)
         if lost and not np.float64(once).view(np.int64) & 1:
             once = math.nextafter(once, math.copysign(math.inf, lost))
@@ -132,7 +132,7 @@ _TABLE = (
 )
 
 OPERATIONS: Mapping[str, Operation] = MappingProxyType({op.name: op for op in _TABLE})
-"""Operation by name."""
+"""The operations by name."""
 
 LIBM = frozenset({"sin", "cos", "atan2", "acos"})
 """Operations whose last bits depend on the platform's mathematical library."""
@@ -158,4 +158,4 @@ SUBSTITUTES: Mapping[str, str] = MappingProxyType(
         "tanh": "write x/sqrt(1 + x*x) or a clamp",
     }
 )
-"""What to write instead of an operation that the instruction list refuses."""
+"""Replacement to suggest for each operation that the instruction list does not support."""

@@ -1,12 +1,12 @@
-"""Where the arrays of a routine live: in its inputs, in its outputs, or in memory of its own.
+"""Placement of the arrays of a routine: in its inputs, in its outputs, or in its own memory.
 
-Every array is written once, by one step, so a copy is needed only where something else would be overwritten:
+Every array is written once, by one step, so a copy is needed only if a step would overwrite data that is still used:
 
-- a piece that a program of nothing but moves takes out of an array is a pointer into it;
-- what such a program joins is written where it will stand;
-- a result of the routine is written into its output, from the first number on;
-- a loop changes what it carries in place when nothing reads the array, or a piece of it, afterwards;
-- arrays that are never needed at the same time share their memory.
+- a piece that a program of moves takes out of an array is a pointer into that array;
+- the parts that such a program joins are written directly to their final place;
+- a result of the routine is written directly to its output;
+- a loop updates a carried array in place if nothing reads the array, or a piece of it, afterwards;
+- arrays that are never needed at the same time share memory.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 __all__ = ["Places", "carried_in_place", "inlined", "memory", "overlaid", "overlapping", "reads"]
 
 Overlaps = Mapping[str, frozenset[tuple[int, int]]]
-"""Digest of a block → (output, input) that somebody passes as one array."""
+"""Digest of a block → pairs (output, input) for which a caller passes the same array."""
 
 
-_WORTH_SHARING = 100  # numbers that must be saved by it
+_WORTH_SHARING = 100  # sharing memory must save at least this many numbers
 
 
 def reads(step: Step) -> tuple[str, ...]:
@@ -46,14 +46,14 @@ def writes(step: Step) -> tuple[str, ...]:
 
 
 def inlined(step: Step) -> tuple[Move, ...]:
-    """The moves of a call that does nothing else, and so needs no function."""
+    """The moves of a call that does nothing else and therefore needs no function."""
     if isinstance(step, Call) and isinstance(step.block, Program):
         return only_moves(step.block)
     return ()
 
 
 def overlapping(block: Block) -> Overlaps:
-    """What loops pass as one array: each carried array is an input of the body and an output."""
+    """Arrays that loops pass as both: each carried array is an input and an output of the body."""
     overlaps: dict[str, frozenset[tuple[int, int]]] = {}
     for inner in nested(block).values():
         for step in inner.steps if isinstance(inner, Routine) else ():
@@ -64,11 +64,11 @@ def overlapping(block: Block) -> Overlaps:
 
 
 def carried_in_place(routine: Routine, root: Callable[[str], str] = str) -> dict[str, str]:
-    """Last carried array → the array that held it before the loop, where nothing else reads that: no copy then.
+    """Final carried array → the array that held it before the loop, if nothing else reads that one; no copy is needed.
 
     Args:
-        routine: whose loops they are.
-        root: name of the array that another is a piece of; itself for a whole one.
+        routine: the routine with the loops.
+        root: returns the array of which another is a piece; a whole array is its own root.
     """
     inputs = {name for name, _ in routine.inputs}
     origin: dict[str, str] = {}
@@ -90,7 +90,7 @@ class Places:
 
     Attributes:
         routine: the routine.
-        overlaps: its outputs and inputs that may be one array; all others are apart.
+        overlaps: pairs (output, input) that may be the same array; all other pairs are distinct.
     """
 
     routine: Routine
@@ -98,24 +98,24 @@ class Places:
 
     @cached_property
     def sizes(self) -> dict[str, int]:
-        """Numbers an array."""
+        """Number of entries of each array."""
         return self.routine.sizes()
 
     @cached_property
     def of(self) -> dict[str, tuple[str, int]]:
-        """Name → (`in0` …, `out0` … or an array of its own, first entry there)."""
+        """Name → (`in0` …, `out0` … or one of the routine's own arrays, index of the first entry there)."""
         return {name: self._place(name) for name in self.sizes}
 
     @cached_property
     def own(self) -> dict[str, int]:
-        """Arrays of its own with their sizes."""
+        """The routine's own arrays with their sizes."""
         arrays = {self.of[name][0]: self.sizes[name] for name in self.sizes if self.of[name] == (self._own(name), 0)}
         return arrays | {f"held{k}": self.sizes[self.routine.results[k]] for k in self.held}
 
     @cached_property
     def pool(self) -> tuple[dict[str, int], int]:
-        """First entry of each array of its own in memory that they share, and the size of that; no entries where each
-        has its own, because little would be saved: a prover then knows the end of every one."""
+        """Start of each own array in shared memory, and the size of that memory. If sharing would save little, there
+        are no starts and each array is separate: a prover then knows the end of every array."""
         lives: dict[str, tuple[int, int, int]] = {}
         end = len(self.routine.steps)
         last = dict.fromkeys(self.routine.results, end)
@@ -131,13 +131,13 @@ class Places:
 
     @cached_property
     def held(self) -> tuple[int, ...]:
-        """Outputs whose numbers stand in an input that another output may overwrite."""
+        """Outputs whose values are in an input that another output may overwrite."""
         if not self.overlaps:
             return ()
         return tuple(k for k, name in enumerate(self.routine.results) if self.of[name][0].startswith("in"))
 
     def root(self, name: str) -> str:
-        """The array that it is a piece of."""
+        """The array of which this one is a piece."""
         while name in self._views or name in self._parts:
             name = (self._views.get(name) or self._parts[name])[0]
         return name
@@ -158,7 +158,7 @@ class Places:
 
     @cached_property
     def _views(self) -> dict[str, tuple[str, int]]:
-        """Piece → (array, first entry)."""
+        """Piece → (array that contains it, first entry there)."""
         views: dict[str, tuple[str, int]] = {}
         for step in self.routine.steps:
             for move in inlined(step):
@@ -170,7 +170,7 @@ class Places:
 
     @cached_property
     def _parts(self) -> dict[str, tuple[str, int]]:
-        """Array that is written where it is joined → (the joined array, first entry there)."""
+        """Array that is written directly into a joined array → (the joined array, first entry there)."""
         parts: dict[str, tuple[str, int]] = {}
         excluded = {*(name for name, _ in self.routine.inputs), *self.routine.results, *self._views}
         for step in self.routine.steps:
@@ -188,12 +188,12 @@ class Places:
 
     @cached_property
     def _final(self) -> dict[str, str]:
-        """Array that loops change in place → the last name of it."""
+        """Name of an array that loops update in place → its last name."""
         return {first: name for name, first in self._in_place.items()}
 
     @cached_property
     def _direct(self) -> dict[str, int]:
-        """Result → the output that it is written into."""
+        """Result → index of the output to which it is written."""
         results = self.routine.results
         inputs = {name for name, _ in self.routine.inputs}
         direct = {name: results.index(name) for name in results if name not in inputs}
@@ -203,7 +203,7 @@ class Places:
         return direct
 
     def _harmless(self, result: str, source: str) -> bool:
-        """Whether the result may be written over the input: nothing reads that later than the loop that carries it."""
+        """Whether the result may overwrite the input: no step reads it after the loop that carries it."""
         first = min(at for at, step in enumerate(self.routine.steps) if self._inside(result, step))
         steps = self.routine.steps[first:]
         later = [*(self.root(name) for step in steps for name in reads(step)), *self.routine.results]
@@ -222,7 +222,7 @@ class Places:
         )
 
     def _inside(self, result: str, step: Step) -> bool:
-        """Whether the step writes into the memory of that result."""
+        """Whether the step writes to the memory of that result."""
         for name in writes(step):
             while name != result:
                 final = self._final.get(self._in_place.get(name, name), name)
@@ -236,13 +236,13 @@ class Places:
 
 
 def overlaid(lives: Mapping[str, tuple[int, int, int]]) -> tuple[dict[str, int], int]:
-    """Where arrays stand in one piece of memory, and its size: those that live at the same time stand apart.
+    """Positions of arrays in shared memory, and its size; arrays that are needed at the same time do not overlap.
 
     Args:
-        lives: for each array its size, and the first and the last step that needs it.
+        lives: for each array its size, and the first and last step that need it.
     """
     starts: dict[str, int] = {}
-    # the large ones first: the small ones fit in between
+    # large arrays first, since small ones fit into the gaps
     for array, (size, first, last) in sorted(lives.items(), key=lambda entry: -entry[1][0]):
         occupied = sorted(
             (starts[other], starts[other] + lives[other][0])
@@ -259,9 +259,10 @@ def overlaid(lives: Mapping[str, tuple[int, int, int]]) -> tuple[dict[str, int],
 
 
 def memory(block: Block) -> int:
-    """Numbers in the arrays along the deepest chain of calls: inputs, outputs, and the routines' own arrays.
+    """Return the size, in numbers, of the arrays along the deepest chain of calls: inputs, outputs, and own arrays.
 
-    4 bytes each in float32. What a compiler keeps of a program's intermediate numbers on the stack is not in it.
+    In float32 each number has 4 bytes. Intermediate values of a program that a compiler keeps on the stack are not
+    included.
 
     Example:
         >>> import casadi as ca

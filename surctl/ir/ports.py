@@ -1,4 +1,4 @@
-"""Named blocks of a flat vector: what the law, the simulation and the exported header agree on."""
+"""Named blocks of a flat vector, which the law, the simulation and the exported header share."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ __all__ = ["Layout", "Port"]
 
 @dataclass(frozen=True)
 class Port:
-    """One named block.
+    """One named block of a flat vector.
 
     Attributes:
-        name: C-identifier-safe name.
+        name: name that is a valid C identifier.
         shape: (n,) or (rows, columns); stored row by row.
-        unit: SI unit in brackets-free text, "1" when dimensionless.
-        meaning: what it is and in which frame.
-        default: value of every entry when nothing is given.
+        unit: SI unit as text without brackets, "1" if dimensionless.
+        meaning: description, with the frame.
+        default: value of every entry if none is given.
     """
 
     name: str
@@ -36,18 +36,18 @@ class Port:
 
     @cached_property
     def size(self) -> int:
-        """Number of scalars."""
+        """Number of entries."""
         return math.prod(self.shape)
 
 
 class Layout:
-    """An ordered set of ports laid end to end in one flat vector (row-major inside a port)."""
+    """An ordered set of ports, stored one after another in one flat vector (row by row inside a port)."""
 
     def __init__(self, ports: tuple[Port, ...]) -> None:
         names = [p.name for p in ports]
         for name in names:
             if names.count(name) > 1:
-                raise InputError("two ports have one name", key=name, remedy="rename one of them")
+                raise InputError("is the name of two ports", key=name, remedy="rename one of them")
         self.ports = ports
         self._by_name = {p.name: p for p in ports}
         self._slices: dict[str, slice] = {}
@@ -65,18 +65,18 @@ class Layout:
         return name in self._slices
 
     def slice(self, name: str) -> slice:
-        """Where the port lies in the flat vector."""
+        """Range of the port in the flat vector."""
         self.port(name)
         return self._slices[name]
 
     def port(self, name: str) -> Port:
-        """The port of that name; InputError with the nearest known name otherwise."""
+        """Return the port with this name; an unknown name raises an InputError that suggests a known one."""
         if name in self._by_name:
             return self._by_name[name]
         raise InputError("no such field", key=name, remedy=nearest(name, self._slices))
 
     def pack(self, values: Mapping[str, object] | None = None) -> NDArray[np.float64]:
-        """Flat vector from named values; what is not named takes its default."""
+        """Return a flat vector from named values; other ports have their default."""
         flat = self._defaults.copy()
         for name, value in (values or {}).items():
             port = self.port(name)
@@ -89,16 +89,16 @@ class Layout:
         return flat
 
     def unpack(self, flat: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-        """Named arrays (views) of a flat vector."""
+        """Return named arrays (views) of a flat vector."""
         return {p.name: flat[self._slices[p.name]].reshape(p.shape) for p in self.ports}
 
     def symbols(self, prefix: str = "") -> tuple[ca.SX, dict[str, ca.SX]]:
-        """One flat SX symbol and its named parts, each of the port's shape (vectors as columns)."""
+        """Return one flat SX symbol and its named parts, each in the port's shape (vectors as columns)."""
         flat = ca.SX.sym(prefix or "x", self.size)
         return flat, self.split(flat)
 
     def split(self, flat: ca.SX) -> dict[str, ca.SX]:
-        """Named parts of a flat SX vector, each of the port's shape (vectors as columns)."""
+        """Return the named parts of a flat SX vector, each in the port's shape (vectors as columns)."""
         parts: dict[str, ca.SX] = {}
         for port in self.ports:
             block = flat[self.slice(port.name)]
@@ -106,7 +106,7 @@ class Layout:
         return parts
 
     def join(self, parts: Mapping[str, ca.SX]) -> ca.SX:
-        """Flat SX vector from named parts; every port must be given."""
+        """Return a flat SX vector from named parts; a part is required for every port."""
         blocks = []
         for port in self.ports:
             block = ca.SX(parts[port.name])

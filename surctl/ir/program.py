@@ -1,4 +1,4 @@
-"""The instruction list: a symbolic function as plain data, one assignment a line."""
+"""The instruction list: a symbolic function as plain data, with one assignment on each line."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _ARITY = {name: operation.arity for name, operation in OPERATIONS.items()}
 
 @dataclass(frozen=True, slots=True)
 class Instruction:
-    """One assignment; its own position in the list is its name.
+    """One assignment; its position in the list is its name.
 
     Attributes:
-        op: `const`, `input`, or a name of `surctl.ir.ops.OPERATIONS`.
-        args: operands as positions of earlier instructions; for `input` (which input, which entry).
+        op: `const`, `input`, or a name in `surctl.ir.ops.OPERATIONS`.
+        args: operands as positions of earlier instructions; for `input` (index of the input, index of the entry).
         value: the number of a `const`, None otherwise.
     """
 
@@ -31,7 +31,7 @@ class Instruction:
 
     @property
     def number(self) -> float:
-        """The value of a `const`; -0.0 is another than 0.0."""
+        """The value of a `const`; -0.0 and 0.0 are different."""
         assert self.value is not None
         return float(self.value)
 
@@ -41,15 +41,15 @@ class Program:
     """A function of flat vectors in static single assignment form.
 
     Attributes:
-        name: name of the function it came from.
+        name: name of the original function.
         inputs: (name, number of entries) of each input vector.
         outputs: (name, number of entries) of each output vector.
-        instructions: the list; every operand stands before its use.
-        output_refs: for each output, the position that gives each of its entries.
+        instructions: the list; every operand precedes its use.
+        output_refs: for each output, the positions of the values of its entries.
 
     Raises:
         InputError: an unknown operation, an operand that is not computed before its use, an entry outside
-            an input or a reference outside the list (construction from data that `lower` did not make).
+            an input or a reference outside the list (possible only for data that `lower` did not create).
     """
 
     name: str
@@ -62,7 +62,7 @@ class Program:
         """Refuse a list that a back end could not run."""
         for at, instruction in enumerate(self.instructions):
             args = instruction.args
-            # nearly all are operations on what stands before them
+            # most instructions are operations on earlier values
             if len(args) == _ARITY.get(instruction.op) and min(args) >= 0 and max(args) < at:
                 continue
             problem = self._problem(at, instruction)
@@ -77,7 +77,7 @@ class Program:
     def _problem(self, at: int, instruction: Instruction) -> str:
         op, args = instruction.op, instruction.args
         if op == "const":
-            return "" if instruction.value is not None and not args else "a constant needs a value, no operand"
+            return "" if instruction.value is not None and not args else "a constant needs a value and no operand"
         if op == "input":
             inside = len(args) == 2 and 0 <= args[0] < len(self.inputs)
             return "" if inside and 0 <= args[1] < self.inputs[args[0]][1] else "no such input entry"
@@ -89,20 +89,20 @@ class Program:
 
     @cached_property
     def libm(self) -> frozenset[str]:
-        """Names of the operations used whose last bits depend on the mathematical library."""
+        """Names of the operations in the list whose last bits depend on the mathematical library."""
         return frozenset(i.op for i in self.instructions) & LIBM
 
     @cached_property
     def operations(self) -> int:
-        """Number of instructions that compute something (neither constants nor loads)."""
+        """Number of instructions that compute a value (all except constants and loads)."""
         return sum(1 for i in self.instructions if i.op not in LEAVES)
 
     def text(self) -> str:
-        """The whole program as text; equal texts are equal programs, on any machine."""
+        """Return the whole program as text; equal texts are equal programs, on any machine."""
         return self._text
 
     @cached_property
-    def _text(self) -> str:  # kept: the digest of every routine around it is made of it
+    def _text(self) -> str:  # cached, since the digest of every routine around it uses it
         lines = [f"program {self.name}"]
         lines += [f"in{k} {name} {size}" for k, (name, size) in enumerate(self.inputs)]
         lines += [f"v{at} = {_right_side(i)}" for at, i in enumerate(self.instructions)]
@@ -111,7 +111,7 @@ class Program:
         return "\n".join(lines) + "\n"
 
     def digest(self) -> str:
-        """SHA-256 of `text`, in hexadecimal: the key of every cache and identity of the function."""
+        """Return the SHA-256 of `text`, in hexadecimal: the key of every cache and the identity of the function."""
         return self._digest
 
     @cached_property
@@ -122,7 +122,7 @@ class Program:
 def _right_side(instruction: Instruction) -> str:
     op, args = instruction.op, instruction.args
     if op == "const":
-        return f"const {float(0.0 if instruction.value is None else instruction.value).hex()}"  # -0.0 is no 0.0
+        return f"const {float(0.0 if instruction.value is None else instruction.value).hex()}"  # -0.0 differs from 0.0
     if op == "input":
         return f"in{args[0]}[{args[1]}]"
     if len(args) == 2:
@@ -133,7 +133,7 @@ def _right_side(instruction: Instruction) -> str:
 def drop_dead(
     instructions: list[Instruction], refs: list[tuple[int, ...]]
 ) -> tuple[tuple[Instruction, ...], tuple[tuple[int, ...], ...]]:
-    """Keep what an output needs, in the old order, renumbered. Returns (instructions, output_refs)."""
+    """Keep the instructions that outputs need, in the same order, renumbered. Returns (instructions, output_refs)."""
     live = bytearray(len(instructions))
     for group in refs:
         for ref in group:
@@ -147,7 +147,7 @@ def drop_dead(
     for at, instruction in enumerate(instructions):
         if live[at]:
             new[at] = len(remaining)
-            # before the first that is dropped no number changes
+            # before the first dropped instruction no position changes
             moved = new[at] != at and instruction.op not in LEAVES
             remaining.append(_renumbered(instruction, new) if moved else instruction)
     return tuple(remaining), tuple(tuple([new[r] for r in group]) for group in refs)

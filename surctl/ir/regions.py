@@ -1,9 +1,9 @@
-"""Which instruction of one flat list with traced loops runs in which loop.
+"""Assignment of the instructions of a flat list with traced loops to the loops in which they run.
 
-The list holds everything at once: what the inputs lead to, and the body of every loop, over symbols for its state and
-rows. An instruction belongs to the innermost loop on whose symbols it depends, so what a loop does not change is
-computed before it. What only a conditional (a loop of one turn that a flag may end before it begins) needs is moved
-into it.
+The flat list contains the results of the inputs and the body of every loop, with symbols for the loop's state and rows.
+An instruction belongs to the innermost loop whose symbols it depends on, so values that a loop does not change are
+computed before it. Values that only a conditional needs are moved into it. (A conditional is a loop with one turn that
+a flag can skip.)
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ from surctl.ir.program import Program
 __all__ = ["ROOT", "Key", "Regions", "Traced", "postorder"]
 
 Key = tuple[int, ...]
-"""The values in an array, by their positions in the list."""
+"""The values in an array, as positions in the list."""
 
 ROOT = -1
-"""The region of what no loop contains."""
+"""The region of instructions outside all loops."""
 
 
 @dataclass(frozen=True)
 class Traced:
-    """A loop by positions in the list.
+    """A loop in terms of positions in the list.
 
     Attributes:
-        name: of its body.
-        depth: number of loops that were open when it was traced, itself included.
-        count: turns.
-        own: inputs of the list that stand for its state, then for its rows.
-        results: inputs of the list that stand for its last state, then for what it stacks.
-        state, tables: what it begins with, and runs over, row by row.
-        next, rows: what a turn gives.
+        name: name of its body.
+        depth: nesting depth when it was traced; 1 for an outermost loop.
+        count: number of turns.
+        own: inputs of the list that represent its state, then its rows.
+        results: inputs of the list that represent its final state, then its stacked arrays.
+        state, tables: its initial state, and the tables that it reads row by row.
+        next, rows: values that one turn computes: the next state, and the rows of the stacked arrays.
         until: position of the flag in the state.
     """
 
@@ -50,21 +50,21 @@ class Traced:
 
     @property
     def before(self) -> tuple[Key, ...]:
-        """What it is given."""
+        """Values that exist before the loop: its initial state and its tables."""
         return (*self.state, *self.tables)
 
     @property
     def after(self) -> tuple[Key, ...]:
-        """What its body computes."""
+        """Values that its body computes."""
         return (*self.next, *self.rows)
 
 
 class Regions:
-    """Where every value is computed.
+    """The region in which every value is computed.
 
     Attributes:
-        region: for each value the loop whose body computes it.
-        parent: for each loop the loop in whose body it runs.
+        region: for each value, the loop whose body computes it.
+        parent: for each loop, the loop in whose body it runs.
     """
 
     def __init__(self, program: Program, inputs: int, outputs: Mapping[str, Key], loops: Sequence[Traced]) -> None:
@@ -84,12 +84,12 @@ class Regions:
             self._sink(outputs)
 
     def loop_of(self, value: int) -> int | None:
-        """The loop of which a value is a result."""
+        """The loop that has this value as a result, or None."""
         instruction = self.code[value]
         return self.maker.get(instruction.args[0]) if instruction.op == "input" else None
 
     def is_constant(self, value: int) -> bool:
-        """Whether every program may write it anew."""
+        """Whether the value is a constant, which every program may repeat."""
         return self.code[value].op == "const"
 
     def of(self, value: int) -> int:
@@ -99,14 +99,14 @@ class Regions:
         return region
 
     def deepest(self, values: Iterable[int]) -> int:
-        """The innermost of the regions of some values; they lie one in another."""
+        """The innermost of the regions of some values; the regions must be nested."""
         return max((self.of(v) for v in values if not self.is_constant(v)), key=self._depth, default=ROOT)
 
     def _depth(self, region: int) -> int:
         return 0 if region == ROOT else self.loops[region].depth
 
     def inside(self, region: int, loop: int) -> bool:
-        """Whether a region is a loop's body or lies in it."""
+        """Whether a region is a loop's body or lies inside it."""
         while region not in (ROOT, loop):
             region = self.parent[region] if region < len(self.parent) else ROOT
         return region == loop
@@ -152,9 +152,9 @@ class Regions:
         return self.deepest(outside)
 
     def _sink(self, outputs: Mapping[str, Key]) -> None:
-        """Move into each conditional what nothing else needs."""
+        """Move values into a conditional if nothing outside needs them."""
         order = list(postorder([v for key in outputs.values() for v in key], self._needs))
-        users: dict[int, list[int]] = {}  # node → the nodes that need it; the outputs are in the root
+        users: dict[int, list[int]] = {}  # node → the nodes that need it; the outputs belong to the root
         for node in order:
             for need in self._needs(node):
                 users.setdefault(need, []).append(node)
@@ -170,7 +170,7 @@ class Regions:
             for node in reversed(order):
                 if node in output_values or node == ~k or self._home(node) != self.parent[k]:
                     continue
-                # results of loops go with their loop, symbols and inputs stay
+                # results of a loop move with their loop; symbols and inputs stay
                 if node >= 0 and self.code[node].op in ("input", "const"):
                     continue
                 values = [node] if node >= 0 else results.get(~node, [])
@@ -189,7 +189,7 @@ class Regions:
         return self.of(node) if node >= 0 else self.parent[~node]
 
     def _needs(self, node: int) -> Iterator[int]:
-        """Nodes are values, and ~k for loop k."""
+        """The nodes on which a node depends; a node is a value, or ~k for loop k."""
         if node < 0:
             loop = self.loops[~node]
             return iter([v for key in (*loop.before, *loop.after) for v in key])
@@ -212,7 +212,7 @@ class Regions:
 
 
 def postorder(roots: Iterable[int], children: Callable[[int], Iterable[int]]) -> Iterator[int]:
-    """Each node once, after what it needs."""
+    """Yield each node once, after the nodes that it needs."""
     visited = set[int]()
     stack = [(root, False) for root in reversed(list(roots))]
     while stack:

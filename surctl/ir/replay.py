@@ -1,4 +1,4 @@
-"""Run an instruction list in NumPy, operation by operation, with C's semantics."""
+"""Evaluation of an instruction list in NumPy, operation by operation, with the semantics of C."""
 
 from __future__ import annotations
 
@@ -20,17 +20,18 @@ Value = NDArray[np.floating[Any]]
 
 
 def replay(program: Block, *inputs: ArrayLike, real: Real = np.float64) -> list[Value]:
-    """Outputs of the program, every intermediate rounded to `real`.
+    """Return the outputs of the program, with every intermediate value rounded to `real`.
 
-    Bit-equal to the emitted C for programs without `libm` operations; those differ in the last bits.
+    The results are bit-equal to those of the emitted C for programs without `libm` operations; those differ in the last
+    bits.
 
     Args:
         program: the instruction list, or a routine with loops.
-        inputs: one array an input, shape (n,), or (batch, n) for many runs at once.
+        inputs: one array for each input, shape (n,), or (batch, n) for many runs at once.
         real: np.float64 or np.float32.
 
     Returns:
-        One array an output, shape (m,) or (batch, m).
+        One array for each output, shape (m,) or (batch, m).
 
     Raises:
         InputError: a wrong number of inputs, or an input of the wrong size.
@@ -46,7 +47,7 @@ def replay(program: Block, *inputs: ArrayLike, real: Real = np.float64) -> list[
     """
     arrays = _checked(program, inputs, real)
     batch = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
-    with np.errstate(all="ignore"):  # C raises nothing for 1/0 either
+    with np.errstate(all="ignore"):  # C also reports no error for 1/0
         outputs = _run(program, arrays, real)
     return [np.array(np.broadcast_to(y, (*batch, y.shape[-1]))) for y in outputs]
 
@@ -93,14 +94,14 @@ def _run_loop(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
         fresh = outputs[: len(state)]
         if running is None or running.all():
             state = fresh
-        else:  # in a batch, the runs that ended stay as they are
+        else:  # in a batch, runs that have ended keep their state
             state = [np.where(running, a, b) for a, b in zip(fresh, state, strict=True)]
         stacked.append(outputs[len(state) :])
     return [*state, *(np.concatenate(parts, axis=-1) for parts in _broadcast(stacked))]
 
 
 def _run_at_once(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
-    """A loop whose turns do not depend on one another, the turns as a further axis of the batch."""
+    """A loop with independent turns, evaluated with the turns as an additional axis of the batch."""
     numbers: Value = np.array([[turn] for turn in range(loop.count)], dtype=real)
     tables = [_rows(scope[name], loop.count) for name in (*loop.sliced, *loop.spread)]
     outputs = _run(
@@ -112,12 +113,12 @@ def _run_at_once(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]
 
 
 def _rows(array: Value, count: int) -> Value:
-    """(…, count · entries) → (…, count, entries)."""
+    """Reshape (…, count · entries) to (…, count, entries)."""
     return array.reshape(*array.shape[:-1], count, -1)
 
 
 def _run_lanes(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
-    """The lanes as a further axis of the batch."""
+    """A loop over lanes, evaluated with the lanes as an additional axis of the batch."""
     lanes = loop.lanes
     state = [_by_lane(scope[name], lanes) for name in loop.carried]
     pieces = [[_by_lane(x, lanes) for x in np.split(scope[name], loop.count, axis=-1)] for name in loop.sliced]
@@ -139,25 +140,25 @@ def _run_lanes(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
 
 
 def _by_lane(array: Value, lanes: int) -> Value:
-    """(…, entries · lanes), entry by entry → (…, lanes, entries)."""
+    """Reorder (…, entries · lanes), entry by entry, to (…, lanes, entries)."""
     return np.swapaxes(array.reshape(*array.shape[:-1], -1, lanes), -1, -2)
 
 
 def _by_entry(array: Value, lanes: int) -> Value:
-    """(…, lanes or 1, entries) → (…, entries · lanes), entry by entry."""
-    array = array if array.ndim > 1 else array[None]  # a program without inputs knows no lanes
+    """Reorder (…, lanes or 1, entries) to (…, entries · lanes), entry by entry."""
+    array = array if array.ndim > 1 else array[None]  # a program without inputs has no axis of lanes
     full = np.broadcast_to(array, (*array.shape[:-2], lanes, array.shape[-1]))
     return np.swapaxes(full, -1, -2).reshape(*array.shape[:-2], -1)
 
 
 def _cut(array: Value, count: int, lanes: int) -> list[Value]:
-    """(…, count · lanes · entries) → for each turn (…, lanes, entries)."""
+    """Split (…, count · lanes · entries) into (…, lanes, entries) for each turn."""
     cut = array.reshape(*array.shape[:-1], count, lanes, -1)
     return [cut[..., turn, :, :] for turn in range(count)]
 
 
 def _plain(source: Value, width: int, lanes: int) -> Value:
-    """Pieces that stand `lanes` at a time entry by entry, one after the other."""
+    """Reorder blocks of `lanes` pieces, stored entry by entry, to pieces one after another."""
     if lanes == 1:
         return source
     blocks = source.reshape(*source.shape[:-1], -1, width, lanes)
@@ -165,7 +166,7 @@ def _plain(source: Value, width: int, lanes: int) -> Value:
 
 
 def _broadcast(stacked: list[list[Value]]) -> list[list[Value]]:
-    """Pieces of each stacked array, with one batch shape."""
+    """Pieces of each stacked array, broadcast to one batch shape."""
     groups = []
     for parts in zip(*stacked, strict=True):
         batch = np.broadcast_shapes(*(p.shape[:-1] for p in parts))
@@ -201,10 +202,10 @@ _TEXTS = {
     **{"and": "{0} & {1}", "or": "{0} | {1}", "not": "~{0}", "select": "where({0}, {1}, {2})"},
     "if_else_zero": "where({0}, {1}, zero)",
 }
-"""Operations as Python writes them; all others are called."""
+"""Operations with Python text; all others are called as functions."""
 
 _TRUE = frozenset({"lt", "le", "eq", "ne", "and", "or", "not"})
-"""Operations that give a truth value."""
+"""Operations whose result is a truth value."""
 
 _TAKE_TRUTHS = {"and": (0, 1), "or": (0, 1), "not": (0,), "select": (0,), "if_else_zero": (0,)}
 
@@ -228,14 +229,14 @@ def _python(program: Program) -> Callable[[list[Value], list[Any], Real], list[A
         names = ", ".join(_operand(program, at, truth=False) for at in range(len(program.instructions)))
         lines.append(f"    return [{names}]")
         scope: dict[str, Any] = {"where": np.where, **_CALLED}
-        exec("\n".join(lines), scope)  # of nothing but the names above and numbers of instructions
+        exec("\n".join(lines), scope)  # the text has only the names above and numbers of instructions
         cached = program.__dict__["_python"] = scope["run"]
     run: Callable[[list[Value], list[Any], Real], list[Any]] = cached
     return run
 
 
 def _operand(program: Program, at: int, *, truth: bool) -> str:
-    """A value as an operand that takes a truth value, or a number."""
+    """A value as the text of an operand that is a truth value or a number."""
     is_truth = program.instructions[at].op in _TRUE
     if truth == is_truth:
         return f"v{at}"

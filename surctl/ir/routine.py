@@ -1,8 +1,8 @@
-"""Bounded loops over nested programs: fixed arrays, explicit loop-carried state, no other memory.
+"""Bounded loops over nested programs, with fixed arrays, explicit carried state and no other memory.
 
-A routine is a list of steps over named arrays of fixed size. Every array is written by exactly one step, as a
-whole; what a loop changes from turn to turn is its carried state, and nothing else. So a routine stays plain data
-that can be printed, replayed in NumPy, differentiated by CasADi and written as C, and its cost has a bound.
+A routine is a list of steps over named arrays of fixed size. Every array is written by exactly one step, as a whole.
+Only the carried state of a loop changes from turn to turn. So a routine is plain data that can be printed, replayed in
+NumPy, differentiated by CasADi and written as C, and its cost is bounded.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ["Block", "Call", "Gather", "Loop", "Routine", "Step"]
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """results = block(args): one array an input, one an output."""
+    """The step results = block(args), with one array for each input and each output."""
 
     block: Block
     args: tuple[str, ...]
@@ -30,26 +30,26 @@ class Call:
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """At most `count` turns of a block.
+    """A step that runs a block for at most `count` turns.
 
-    In turn k the block takes, in this order: the number k (1,) if `index`; the carried arrays; piece k of each
-    sliced array; a piece of each spread array; the fixed arrays. It gives the next carried arrays, then a piece k of
-    each stacked array.
+    In turn k the inputs of the block are, in this order: the number k (1,) if `index`; the carried arrays; piece k of
+    each sliced array; a piece of each spread array; the fixed arrays. Its outputs are the next carried arrays, then
+    piece k of each stacked array.
 
     Attributes:
-        block: the body, a program or a routine (loops nest).
+        block: the body, a program or a routine (loops can be nested).
         count: largest number of turns, at least 1.
-        carried: arrays that hold the state before the first turn.
-        sliced: arrays of `count` equal pieces, read one piece a turn.
-        fixed: arrays that every turn reads.
-        results: names of the last carried arrays, then of the stacked ones.
-        index: whether the body takes the number of the turn.
-        until: position in `carried` of a flag of size 1; the loop ends before the first turn that finds it other
-            than 0 (a NaN too), so that a flag that is up at the start means no turn at all. No stacked arrays then.
+        carried: arrays with the state before the first turn.
+        sliced: arrays of `count` equal pieces, of which each turn reads one.
+        fixed: arrays that every turn reads as a whole.
+        results: names of the final carried arrays, then of the stacked arrays.
+        index: whether the number of the turn is an input of the body.
+        until: position in `carried` of a flag of size 1. The loop ends before the first turn at which the flag is not
+            0 (also for a NaN), so a flag that is set at the start skips all turns. A loop with a flag cannot stack.
         spread: arrays of `count` · `lanes` equal pieces; lane l of turn k reads piece k · `lanes` + l.
-        lanes: number of runs of the body side by side, each on its own numbers. The body is a program then; carried
-            and stacked arrays and the pieces of the sliced ones hold `lanes` numbers an entry, entry by entry; the
-            fixed arrays are shared, and the index of lane l is k · `lanes` + l. No `until`.
+        lanes: number of runs of the body side by side, each with its own numbers. The body must be a program, without
+            `until`. Carried arrays, stacked arrays and pieces of sliced arrays have `lanes` numbers for each entry,
+            stored entry by entry. The fixed arrays are shared, and the index of lane l is k · `lanes` + l.
     """
 
     block: Block
@@ -66,10 +66,11 @@ class Loop:
 
 @dataclass(frozen=True, slots=True)
 class Gather:
-    """result = piece `index` of the source, cut in pieces of `width`.
+    """A step that copies piece `index` of the source, which is divided into pieces of `width`.
 
-    The index (1,) is rounded down; outside the array the nearest piece is taken, and piece 0 for a NaN. With `lanes`
-    the source is one that a loop with as many lanes stacked: `lanes` pieces stand entry by entry.
+    The index (1,) is rounded down; an index outside the array selects the nearest piece, and a NaN selects piece 0.
+    With `lanes`, the source is an array stacked by a loop with as many lanes: blocks of `lanes` pieces, stored entry by
+    entry.
     """
 
     source: str
@@ -81,17 +82,17 @@ class Gather:
 
 @dataclass(frozen=True)
 class Routine:
-    """A function of flat vectors with loops inside.
+    """A function of flat vectors that contains loops.
 
     Attributes:
         name: C identifier.
         inputs: (name, number of entries) of each input array.
-        steps: run in this order.
+        steps: the steps, run in this order.
         results: names of the arrays that are the outputs.
 
     Raises:
-        InputError: an array that is read before it is written, written twice, or of the wrong size; it names the
-            routine and the step.
+        InputError: an array is read before it is written, written twice, or has the wrong size; the message names
+            the routine and the step.
     """
 
     name: str
@@ -100,12 +101,12 @@ class Routine:
     results: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        """Refuse what a back end could not run."""
+        """Refuse a routine that a back end could not run."""
         for name in self.results:
             _size(self._sizes, name, self.name)
 
     def sizes(self) -> dict[str, int]:
-        """Number of entries of every array, inputs first, then in the order of writing."""
+        """Return the number of entries of every array: inputs first, then in the order of writing."""
         return dict(self._sizes)
 
     @cached_property
@@ -126,21 +127,21 @@ class Routine:
 
     @cached_property
     def operations(self) -> int:
-        """Operations when every loop runs to its bound: the worst case, not the usual one."""
+        """Number of operations if every loop runs all its turns, which is the worst case."""
         return sum(_turns(step) * step.block.operations for step in self.steps if not isinstance(step, Gather))
 
     @cached_property
     def libm(self) -> frozenset[str]:
-        """Names of the operations used whose last bits depend on the mathematical library."""
+        """Names of the operations in the routine whose last bits depend on the mathematical library."""
         return frozenset().union(*(block.libm for block in nested(self).values() if isinstance(block, Program)))
 
     def text(self) -> str:
-        """The routine and all that it calls as text; equal texts are equal routines, on any machine."""
+        """Return the routine and all its blocks as text; equal texts are equal routines, on any machine."""
         texts = (block.text() if isinstance(block, Program) else own_text(block) for block in nested(self).values())
-        return "\n".join(dict.fromkeys(texts))  # two equal callees are one
+        return "\n".join(dict.fromkeys(texts))  # two blocks with equal text are written once
 
     def digest(self) -> str:
-        """SHA-256 of `text`, in hexadecimal."""
+        """Return the SHA-256 of `text`, in hexadecimal."""
         return self._digest
 
     @cached_property
@@ -149,20 +150,20 @@ class Routine:
 
 
 Block: TypeAlias = Program | Routine
-"""What a step can call."""
+"""A block that a step can run."""
 
 Step: TypeAlias = Call | Loop | Gather
 
 
 def nested(block: Block) -> dict[int, Block]:
-    """Every distinct block that this one runs, callees first, itself last; keyed by identity."""
+    """All distinct blocks that this one runs, callees first and itself last, by identity."""
     blocks: dict[int, Block] = {}
     _collect(block, blocks)
     return blocks
 
 
 def rebuilt(block: Block, change: Callable[[Program], Program]) -> Block:
-    """The block with every program in it changed, each once."""
+    """The block with `change` applied once to each program in it."""
     built: dict[int, Block] = {}
     for key, inner in nested(block).items():
         if isinstance(inner, Program):
@@ -188,7 +189,7 @@ def _turns(step: Call | Loop) -> int:
 
 
 def own_text(routine: Routine) -> str:
-    """The routine as text, without what it calls."""
+    """The routine as text, without its blocks."""
     lines = [f"routine {routine.name}"]
     lines += [f"in {name} {size}" for name, size in routine.inputs]
     lines += [_step_text(step) for step in routine.steps]
@@ -210,27 +211,27 @@ def _step_text(step: Step) -> str:
 
 def _write(sizes: dict[str, int], name: str, size: int, key: str) -> None:
     if name in sizes:
-        raise InputError("writes an array that is already there", key=key, value=name, remedy="rename the result")
+        raise InputError("writes an array that exists already", key=key, value=name, remedy="rename the result")
     sizes[name] = size
 
 
 def _size(sizes: Mapping[str, int], name: str, key: str) -> int:
     if name not in sizes:
-        raise InputError("reads an array that is not written yet", key=key, value=name)
+        raise InputError("reads an array that is not written before", key=key, value=name)
     return sizes[name]
 
 
 def written(step: Step, sizes: Mapping[str, int], key: str) -> Iterator[tuple[str, int]]:
-    """(name, size) of what the step writes, after a check of what it reads."""
+    """(name, size) of the arrays that the step writes, after a check of the arrays that it reads."""
     if isinstance(step, Gather):
         whole = step.width >= 1 and step.lanes >= 1 and not _size(sizes, step.source, key) % (step.width * step.lanes)
         if not whole or _size(sizes, step.index, key) != 1:
-            raise InputError("cannot be cut in such pieces", key=key, value=step.source)
+            raise InputError("cannot be divided into such pieces", key=key, value=step.source)
         return iter([(step.result, step.width)])
     passed = [_size(sizes, name, key) for name in step.args] if isinstance(step, Call) else _fed(step, sizes, key)
     expected = [size for _, size in step.block.inputs]
     if passed != expected:
-        raise InputError(f"passes arrays of {passed} entries, {step.block.name} takes {expected}", key=key)
+        raise InputError(f"passes arrays of {passed} entries, but {step.block.name} takes {expected}", key=key)
     outputs = [size for _, size in step.block.outputs]
     if isinstance(step, Loop):
         _check_carried(step, sizes, outputs, key)
@@ -238,22 +239,22 @@ def written(step: Step, sizes: Mapping[str, int], key: str) -> Iterator[tuple[st
         outputs = [size * step.lanes for size in outputs]
         outputs = outputs[:state] + [step.count * size for size in outputs[state:]]
     if len(outputs) != len(step.results):
-        raise InputError(f"names {len(step.results)} results, there are {len(outputs)}", key=key)
+        raise InputError(f"names {len(step.results)} results, but there are {len(outputs)}", key=key)
     return zip(step.results, outputs, strict=True)
 
 
 def _fed(loop: Loop, sizes: Mapping[str, int], key: str) -> list[int]:
-    """Sizes of what a turn passes to the body."""
+    """Sizes of the arrays that a turn passes to the body."""
     if loop.count < 1:
         raise InputError("a loop needs at least one turn", key=key, value=loop.count)
     if loop.lanes < 1 or (loop.lanes > 1 and (loop.until is not None or not isinstance(loop.block, Program))):
-        raise InputError("lanes run a program side by side, all turns of it", key=key, value=loop.lanes)
+        raise InputError("lanes must run a program, with all its turns", key=key, value=loop.lanes)
     carried, pieces, spread, fixed = (
         [_size(sizes, name, key) for name in names] for names in (loop.carried, loop.sliced, loop.spread, loop.fixed)
     )
     turns = loop.count * loop.lanes
     if any(size % turns for size in (*pieces, *spread)) or any(size % loop.lanes for size in carried):
-        raise InputError(f"cannot be cut in {turns} equal pieces", key=key, value=[*loop.sliced, *loop.spread])
+        raise InputError(f"cannot be divided into {turns} equal pieces", key=key, value=[*loop.sliced, *loop.spread])
     carried = [size // loop.lanes for size in carried]
     return [1] * loop.index + carried + [size // turns for size in (*pieces, *spread)] + fixed
 
@@ -261,10 +262,10 @@ def _fed(loop: Loop, sizes: Mapping[str, int], key: str) -> list[int]:
 def _check_carried(loop: Loop, sizes: Mapping[str, int], outputs: list[int], key: str) -> None:
     state = [_size(sizes, name, key) // loop.lanes for name in loop.carried]
     if outputs[: len(state)] != state:
-        raise InputError(f"carries arrays of {state} entries, the body gives {outputs}", key=key)
+        raise InputError(f"carries arrays of {state} entries, but the body gives {outputs}", key=key)
     if loop.until is None:
         return
     if not 0 <= loop.until < len(state) or state[loop.until] != 1:
-        raise InputError("the flag that ends a loop is a carried array of one entry", key=key, value=loop.until)
+        raise InputError("the flag that ends a loop must be a carried array of one entry", key=key, value=loop.until)
     if len(outputs) > len(state):
-        raise InputError("a loop that may end early has no stacked arrays", key=key)
+        raise InputError("a loop that may end early cannot have stacked arrays", key=key)

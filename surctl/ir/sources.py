@@ -1,4 +1,4 @@
-"""The identity of the code that builds a law: what is stored on disk is valid for that code alone."""
+"""The identity of the code that builds a law; data stored on disk is valid only for the code that wrote it."""
 
 from __future__ import annotations
 
@@ -25,14 +25,15 @@ _STARTED = time.time_ns()
 
 @cache
 def source_digest(*packages: str) -> str:
-    """SHA-256 of the sources of these packages, and of the versions of what runs them.
+    """Return the SHA-256 of the sources of these packages, and of the versions of the software that runs them.
 
-    That is every .py and .toml file, by its name inside the package, with those of packages inside it; the versions
-    of CasADi, NumPy and Python; and the platform, whose mathematical library computes constants. Read once a process.
+    The digest covers every .py and .toml file with its name inside the package, including inner packages; the versions
+    of CasADi, NumPy and Python; and the platform, whose mathematical library computes constants. It is computed once
+    per process.
 
     Raises:
-        SurctlError: no such package, its sources cannot be read, or one was changed since this process began: what is
-            loaded may be older than what is on disk. Whoever asks then builds without storing.
+        SurctlError: a package is missing, its sources cannot be read, or a file was changed after this process began,
+            so that the loaded code may be older than the file. The caller then builds without storing.
 
     Example:
         >>> from surctl.ir import source_digest
@@ -48,14 +49,14 @@ def source_digest(*packages: str) -> str:
         except (ImportError, OSError, ValueError) as error:
             raise SurctlError(f"the sources of {package} cannot be read: {error}") from None
         if not any(name.endswith(".py") for name, _ in sources):
-            raise SurctlError(f"{package} comes without its sources")
+            raise SurctlError(f"{package} has no source files")
         for name, body in sources:
             total.update(f"{package}\0{name}\0{len(body)}\0".encode() + body)
     return total.hexdigest()
 
 
 def _sources(package: str) -> Iterator[tuple[str, bytes]]:
-    """(name, text) of each file; of one alone if the package is a module."""
+    """(name, content) of each file of a package; if the package is a single module, of its file."""
     spec = importlib.util.find_spec(package)
     if spec is None:
         raise ImportError("there is no such package")
@@ -63,7 +64,7 @@ def _sources(package: str) -> Iterator[tuple[str, bytes]]:
         yield from _inside(importlib.resources.files(package), "")
     elif spec.origin and spec.origin.endswith(".py"):
         path = Path(spec.origin)
-        if path.exists():  # else in a zip file, as below
+        if path.exists():  # otherwise it is in a zip file, as below
             _refuse_changed(path)
         yield ".py", spec.loader.get_data(spec.origin)  # type: ignore[union-attr]
 
@@ -72,7 +73,7 @@ def _inside(folder: Traversable, above: str) -> Iterator[tuple[str, bytes]]:
     for item in folder.iterdir():
         name = f"{above}{item.name}"
         if item.name.endswith(_SUFFIXES):
-            if isinstance(item, Path):  # in a zip file nothing changes
+            if isinstance(item, Path):  # files in a zip file do not change
                 _refuse_changed(item)
             yield name, item.read_bytes()
         elif item.is_dir() and item.name != "__pycache__":
@@ -82,4 +83,4 @@ def _inside(folder: Traversable, above: str) -> Iterator[tuple[str, bytes]]:
 def _refuse_changed(path: Path) -> None:
     state = path.stat()
     if max(state.st_mtime_ns, state.st_ctime_ns) > _STARTED:
-        raise SurctlError(f"{path} was changed since this process began")
+        raise SurctlError(f"{path} was changed after this process began")

@@ -1,4 +1,4 @@
-"""Cut a long program into parts that a compiler handles one at a time: its effort grows faster than the length."""
+"""Division of a long program into parts, because the effort of a compiler grows faster than the length."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from surctl.ir.routine import Block, Call, Loop, Routine, Step, nested
 __all__ = ["shortened", "split"]
 
 _LONGEST = 1200
-"""Operations in one C function; gcc's time for a function of n operations grows faster than n."""
+"""Largest number of operations in one C function; gcc's time for n operations grows faster than n."""
 
 
 def shortened(block: Block) -> Block:
-    """The block with its long programs split; those that lanes run side by side stay whole."""
+    """Return the block with its long programs split; programs that run in lanes stay whole."""
     built: dict[int, Block] = {}
     for key, inner in nested(block).items():
         if isinstance(inner, Program):
@@ -34,16 +34,17 @@ def shortened(block: Block) -> Block:
 
 
 def split(program: Program, size: int) -> Block:
-    """The program as calls of parts of at most `size` operations, in its order; itself if it is no longer than that.
+    """Return the program as calls of parts of at most `size` operations, in order; a shorter program is unchanged.
 
-    A part gives what later parts or the outputs need as one array; constants and loads are repeated in each.
+    A part returns, as one array, the values that later parts or the outputs need; constants and loads are repeated in
+    each part.
     """
     count = -(-program.operations // size)
     if count < 2:
         return program
     owner = _owners(program, -(-program.operations // count))
     last = count - 1
-    needed: list[list[int]] = [[] for _ in range(count)]  # what each part hands on, in order
+    needed: list[list[int]] = [[] for _ in range(count)]  # values that each part passes on, in order
     place: dict[int, tuple[int, int]] = {}
     uses = [(at, arg) for at, i in enumerate(program.instructions) if i.op not in LEAVES for arg in i.args]
     uses += [(-1, ref) for refs in program.output_refs for ref in refs]

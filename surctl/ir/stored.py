@@ -1,6 +1,6 @@
-"""Blocks on disk: the text of a block is read back, to a block of the same digest.
+"""Storage of blocks as text: the text of a block is read back to a block with the same digest.
 
-A text is data: nothing in it is run, and what is not letter by letter the text of a block is refused.
+The text is data, and nothing in it is executed. A text that differs in any character from that of a block is refused.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, own_text
 __all__ = ["read_block", "write_block"]
 
 _ARITY = {name: operation.arity for name, operation in OPERATIONS.items()}
-_DEEPEST = 50  # routines inside one another; beyond, the walks over them would run out of Python's stack
-_MALFORMED = (IndexError, KeyError, OverflowError, ValueError)  # what the reading of a malformed line raises
+_DEEPEST = 50  # largest nesting depth of routines; recursion over deeper ones would exhaust Python's stack
+_MALFORMED = (IndexError, KeyError, OverflowError, ValueError)  # exceptions that reading a malformed line raises
 
 
 def write_block(block: Block) -> str:
-    """The block and all that it runs as text, for `read_block`: `block.text()`, sealed with `block.digest()`.
+    """Return the block and all its inner blocks as text for `read_block`: `block.text()`, then `block.digest()`.
 
     Raises:
-        InputError: the text would not be read as the same block: a constant is a NaN, a name holds a blank, or a loop
-            takes an array that is called like a word of the text ("fixed").
+        InputError: the text would not be read as the same block: a constant is a NaN, a name contains a blank, or an
+            array of a loop has the name of a keyword of the text ("fixed").
 
     Example:
         >>> import casadi as ca
@@ -47,15 +47,15 @@ def write_block(block: Block) -> str:
     """
     text = f"{block.text()}\nsha256 {block.digest()}\n"
     if read_block(text) != block:
-        raise InputError("holds names that its text cannot tell apart", key=block.name, remedy="rename its arrays")
+        raise InputError("has ambiguous names of arrays", key=block.name, remedy="rename its arrays")
     return text
 
 
 def read_block(text: str) -> Block:
-    """The block that `write_block` wrote; what several steps run is one object.
+    """Return the block that `write_block` wrote; a block that several steps run is one object.
 
     Raises:
-        InputError: the text is not, letter by letter, that of a block; it names the line.
+        InputError: the text differs in a character from that of a block; the message names the line.
 
     Example:
         >>> import casadi as ca
@@ -69,19 +69,19 @@ def read_block(text: str) -> Block:
     try:
         own = hashlib.sha256(body.encode()).hexdigest()
     except UnicodeEncodeError as error:
-        _refuse("holds no Unicode", body.count("\n", 0, error.start) + 1)
+        _refuse("contains invalid Unicode", body.count("\n", 0, error.start) + 1)
     if not mark or seal != f"{own}\n" or not body.endswith("\n"):
-        _refuse("is cut off or altered: its SHA-256 is another", text.count("\n") + 1, seal.strip())
+        _refuse("is cut off or altered: its SHA-256 differs", text.count("\n") + 1, seal.strip())
     with _without_collection():
         block = _read(body)
     if block.text() != body:
-        _refuse("holds a block that the last one does not run, or not in this order", 1)
+        _refuse("contains a block that the last one does not run, or in the wrong order", 1)
     return block
 
 
 @contextmanager
 def _without_collection() -> Iterator[None]:
-    """No search for garbage: it would look again and again at all that is read, for as long as the reading takes."""
+    """Switch off garbage collection, which would scan all blocks again and again while they are read."""
     searching = gc.isenabled()
     gc.disable()
     try:
@@ -92,7 +92,7 @@ def _without_collection() -> Iterator[None]:
 
 
 def _read(body: str) -> Block:
-    """The last of the blocks."""
+    """The last of the blocks in the text."""
     blocks: dict[str, Block] = {}
     depths: dict[int, int] = {}
     first = 1
@@ -102,17 +102,17 @@ def _read(body: str) -> Block:
         inner = [depths[id(s.block)] for s in getattr(block, "steps", ()) if not isinstance(s, Gather)]
         depths[id(block)] = 1 + max(inner, default=0)
         if depths[id(block)] > _DEEPEST:
-            _refuse(f"more than {_DEEPEST} blocks inside one another", first, lines[0])
+            _refuse(f"has more than {_DEEPEST} nested blocks", first, lines[0])
         key = f"{block.name}:{block.digest()[:16]}"
         if key in blocks:
-            _refuse("two blocks of one name and digest", first, lines[0])
+            _refuse("has the name and digest of another block", first, lines[0])
         blocks[key] = block
         first += len(lines) + 1
     return block
 
 
 def _program(lines: Sequence[str], first: int) -> Program:
-    """The program of these lines, the first of which is line `first` of the text."""
+    """The program in these lines, of which the first is line `first` of the text."""
     name = _name(lines, first, "program")
     inputs = _inputs(lines, first, "in{}")
     start = 1 + len(inputs)
@@ -128,17 +128,17 @@ def _program(lines: Sequence[str], first: int) -> Program:
             _same(which, f"out{len(outputs)}")
             references.append(tuple([places[word] for word in words]))
         except _MALFORMED:
-            _refuse("is no output of this program", at, line)
+            _refuse("is not an output of this program", at, line)
         outputs.append((output, len(words)))
     program = Program(name, tuple(inputs), tuple(outputs), tuple(instructions), tuple(references))
-    program.__dict__["_text"] = "\n".join([*lines, ""])  # no other text is read as this program
+    program.__dict__["_text"] = "\n".join([*lines, ""])  # only this text is read as this program
     return program
 
 
 def _instructions(
     lines: Sequence[str], inputs: Sequence[tuple[str, int]], first: int
 ) -> tuple[list[Instruction], dict[str, int]]:
-    """The instructions, and the position of each by its name; in one loop, for a law has tens of thousands."""
+    """The instructions, and the position of each by its name, in one fast loop: a law has tens of thousands."""
     instructions: list[Instruction] = []
     places: dict[str, int] = {}
     at = 0
@@ -147,7 +147,7 @@ def _instructions(
             words = line.split(" ")
             op = words[2]
             if op in _ARITY:
-                if len(words) == 5:  # nearly all
+                if len(words) == 5:  # most instructions
                     args: tuple[int, ...] = (places[words[3]], places[words[4]])
                 else:
                     args = tuple([places[word] for word in words[3:]])
@@ -157,18 +157,18 @@ def _instructions(
             elif op == "const":
                 value = float.fromhex(words[3])
                 if len(words) != 4 or value != value or value.hex() != words[3]:
-                    _refuse("is no constant: one that is a number, as float.hex writes it", first + at, line)
+                    _refuse("is not a constant: a number as float.hex writes it", first + at, line)
                 instructions.append(Instruction(op, (), value))
             else:
                 instructions.append(_load(op, inputs))
                 if len(words) != 3:
-                    _refuse("an input takes no operand", first + at, line)
+                    _refuse("is an input with an operand", first + at, line)
             name = words[0]
             if words[1] != "=" or name != f"v{at}":
                 _refuse(f"does not assign v{at}", first + at, line)
             places[name] = at
     except _MALFORMED:
-        _refuse("is no instruction on what stands before it", first + at, lines[at])
+        _refuse("is not an instruction on earlier values", first + at, lines[at])
     return instructions, places
 
 
@@ -181,7 +181,7 @@ def _load(word: str, inputs: Sequence[tuple[str, int]]) -> Instruction:
 
 
 def _routine(lines: Sequence[str], first: int, blocks: Mapping[str, Block]) -> Routine:
-    """Likewise; `found` holds the blocks before it, by name and digest."""
+    """The routine in these lines; `blocks` holds the blocks before it, by name and digest."""
     name = _name(lines, first, "routine")
     inputs = _inputs(lines[:-1], first, "in")
     steps: list[Step] = []
@@ -189,19 +189,19 @@ def _routine(lines: Sequence[str], first: int, blocks: Mapping[str, Block]) -> R
         try:
             steps.append(_step(line.split(" "), blocks))
         except _MALFORMED:
-            _refuse("is no step, or runs a block that does not stand before it", at, line)
+            _refuse("is not a step, or runs a block that does not precede it", at, line)
     try:
         routine = Routine(name, tuple(inputs), tuple(steps), tuple(lines[-1].split(" ")[1:]))
     except InputError as error:
         raise error.inside(f"line {first}") from None
     for at, (own, line) in enumerate(zip(own_text(routine).split("\n"), lines, strict=False), first):
         if own != line:
-            _refuse(f"is written {own!r}", at, line)
+            _refuse(f"should be {own!r}", at, line)
     return routine
 
 
 def _step(words: list[str], blocks: Mapping[str, Block]) -> Step:
-    """What is left over or out of order is not looked for: the routine's own text tells."""
+    """The step in these words; extra or misplaced words are found later, by comparison with the routine's text."""
     equals = words.index("=")
     results, kind, rest = _names(words[:equals]), words[equals + 1], words[equals + 2 :]
     if kind == "gather":
@@ -227,12 +227,12 @@ def _names(words: Sequence[str]) -> tuple[str, ...]:
 def _name(lines: Sequence[str], first: int, kind: str) -> str:
     head, _, name = lines[0].partition(" ")
     if head != kind or not name or " " in name:
-        _refuse(f"is no head of a {kind}", first, lines[0])
+        _refuse(f"is not the first line of a {kind}", first, lines[0])
     return name
 
 
 def _inputs(lines: Sequence[str], first: int, mark: str) -> list[tuple[str, int]]:
-    """(name, size) of each line after the head that is one of an input."""
+    """(name, size) of each input line after the first line."""
     inputs: list[tuple[str, int]] = []
     for at, line in enumerate(lines[1:], first + 1):
         words = line.split(" ")
@@ -242,9 +242,9 @@ def _inputs(lines: Sequence[str], first: int, mark: str) -> list[tuple[str, int]
             size = int(words[2])
             _same(words[2], str(size))
         except ValueError:
-            _refuse("is no size of an input", at, line)
+            _refuse("is not the size of an input", at, line)
         if size < 0:
-            _refuse("is no size of an input", at, line)
+            _refuse("is not the size of an input", at, line)
         inputs.append((words[1], size))
     return inputs
 

@@ -1,4 +1,4 @@
-"""Give a block back to CasADi: one function, for its derivatives and its virtual machine."""
+"""Conversion of a block to a CasADi function, for derivatives and for CasADi's virtual machine."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SYMBOLIC: Mapping[str, Callable[..., Any]] = MappingProxyType(
         "sub": lambda a, b: a - b,
         "mul": lambda a, b: a * b,
         "div": lambda a, b: a / b,
-        "fma": lambda a, b, c: a * b + c,  # rounded twice: CasADi knows no other
+        "fma": lambda a, b, c: a * b + c,  # rounded twice: CasADi has no fma
         "neg": lambda a: -a,
         "inv": lambda a: 1 / a,
         "sq": lambda a: a * a,
@@ -32,7 +32,7 @@ _SYMBOLIC: Mapping[str, Callable[..., Any]] = MappingProxyType(
         "sqrt": ca.sqrt,
         "fabs": ca.fabs,
         "floor": ca.floor,
-        # not ca.fmin: ties on signed zeros and NaN must fall as in the C text
+        # not ca.fmin: for signed zeros and NaN the result must be that of the C text
         "fmin": lambda a, b: ca.if_else(b < a, b, a),
         "fmax": lambda a, b: ca.if_else(a < b, b, a),
         "lt": lambda a, b: a < b,
@@ -53,10 +53,10 @@ _SYMBOLIC: Mapping[str, Callable[..., Any]] = MappingProxyType(
 
 
 def to_casadi(block: Block) -> ca.Function:
-    """The block as a CasADi function of column vectors: SX for a program, MX with unrolled loops for a routine.
+    """Return the block as a CasADi function of columns: SX for a program, MX with unrolled loops for a routine.
 
-    Same numbers as the replay, but for the sign of a zero (`if_else` of CasADi turns −0 into +0). Every loop runs
-    all its turns; one that has ended keeps its state, so derivatives are those of the turns that counted.
+    The numbers equal those of the replay, except for the sign of a zero (CasADi's `if_else` turns −0 into +0). Every
+    loop runs all its turns, but keeps its state after its flag is set, so derivatives are those of the effective turns.
 
     Example:
         >>> import casadi as ca
@@ -92,7 +92,7 @@ def _program(program: Program) -> ca.Function:
 
 @contextmanager
 def _as_written() -> Iterator[None]:
-    """CasADi would turn a product with an inverse into a division, which rounds otherwise."""
+    """Keep CasADi from turning a product with an inverse into a division, which rounds differently."""
     usual = ca.GlobalOptions.getSimplificationOnTheFly()
     ca.GlobalOptions.setSimplificationOnTheFly(False)
     try:
@@ -161,12 +161,12 @@ def _side_by_side(loop: Loop, function: ca.Function, scope: Mapping[str, ca.MX])
 
 
 def _by_entry(parts: list[ca.MX]) -> ca.MX:
-    """One array a lane → one array, entry by entry."""
+    """Join one array for each lane into one array, stored entry by entry."""
     return ca.reshape(ca.horzcat(*parts).T, -1, 1)
 
 
 def _plain(source: ca.MX, width: int, lanes: int) -> ca.MX:
-    """Pieces that stand `lanes` at a time entry by entry, one after the other."""
+    """Reorder blocks of `lanes` pieces, stored entry by entry, to pieces one after another."""
     if lanes == 1:
         return source
     blocks = ca.vertsplit(source, width * lanes)
@@ -180,12 +180,12 @@ def _piece(source: ca.MX, index: ca.MX, width: int) -> ca.MX:
 
 
 def on_vectors(function: ca.Function) -> Callable[..., list[NDArray[np.float64]]]:
-    """A CasADi function on NumPy vectors, (n,) for each input and output: the same numbers, a tenth of a call's time.
+    """Wrap a CasADi function for NumPy vectors (n,): the same numbers, in a tenth of the time of a normal call.
 
-    CasADi's own call turns every argument into a matrix of its own; this one writes into buffers that it reads.
+    CasADi's own call converts every argument to a matrix; this wrapper writes into buffers that CasADi reads.
 
     Raises:
-        InputError: an argument of another size, or another number of them.
+        InputError: an argument has another size, or the number of arguments is wrong.
 
     Example:
         >>> import casadi as ca
@@ -199,7 +199,7 @@ def on_vectors(function: ca.Function) -> Callable[..., list[NDArray[np.float64]]
     wholes = [function.numel_out(i) for i in range(function.n_out())]
     if any(function.nnz_in(i) != size for i, size in enumerate(sizes)):
         raise InputError("takes matrices that are not dense", key=function.name())
-    bound = threading.local()  # a buffer belongs to one call at a time
+    bound = threading.local()  # every call needs its own buffer
 
     def run(*arguments: ArrayLike) -> list[NDArray[np.float64]]:
         if not hasattr(bound, "trigger"):

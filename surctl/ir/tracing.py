@@ -1,13 +1,13 @@
-"""Loops in symbolic functions: write the body once, over rows of a table, and lower it as a bounded loop.
+"""Loops in symbolic functions: the body is written once, for one row of a table, and lowered as a bounded loop.
 
-CasADi's SX has no loops: a Python loop that builds expressions is unrolled, and its code grows with what it runs over.
-`repeat`, `fold`, `each` and `only_if` call the body once, on fresh symbols, while a `Recording` is open, and give
-symbols for what the loop computes. `Recording.block` lowers expressions over such symbols to a routine. Without a
-recording they unroll, so that the same text can be evaluated or differentiated directly.
+CasADi's SX has no loops: a Python loop that builds expressions is unrolled, so its code grows with the number of turns.
+While a `Recording` is open, `repeat`, `fold`, `each` and `only_if` call the body once, on fresh symbols, and return
+symbols for the results of the loop. `Recording.block` lowers expressions over such symbols to a routine. Without a
+recording the functions unroll, so the same code can be evaluated or differentiated directly.
 
-Bodies are closures: they may use any expression from outside. What does not depend on a loop's own rows or state is
-computed before it, once; what only a condition (`only_if`) needs is computed inside it; equal expressions are computed
-once wherever they stand.
+Bodies are closures and may use any outer expression. A value that does not depend on a loop's own rows or state is
+computed once, before the loop. A value that only a condition (`only_if`) needs is computed inside it. Equal expressions
+are computed once.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _open: ContextVar[Recording | None] = ContextVar("recording", default=None)
 
 @dataclass(frozen=True)
 class _Loop:
-    """One loop in symbols, as `regions.Traced` has it in positions; tables are row by row."""
+    """One loop in symbols, like `regions.Traced` in positions; tables are stored row by row."""
 
     name: str
     depth: int
@@ -50,12 +50,12 @@ class _Loop:
 
     @property
     def expressions(self) -> tuple[ca.SX, ...]:
-        """All that the loop is computed from."""
+        """All expressions from which the loop is computed."""
         return (*self.state, *self.tables, *self.next, *self.rows)
 
 
 class Recording:
-    """Loops that are traced while it is open (`with`), and what expressions over their results are lowered to.
+    """Traces loops while it is open (`with`), and lowers expressions over their results to a block.
 
     Example:
         >>> import casadi as ca
@@ -67,7 +67,7 @@ class Recording:
         ...     )
         >>> block = recording.block("watch", {"points": ca.vec(points.T), "here": here}, {"nearest": nearest})
         >>> print(block.text().splitlines()[0], "…", block.operations)
-        program watch_before_nearest … 30
+        program watch_before_nearest … 35
         >>> [float(replay(block, [3, 4, 1, 0, 2, 0, 0, 3, 9, 9], at)[0][0]) for at in ([0, 0], [2, 1])]
         [1.0, 1.0]
     """
@@ -86,15 +86,15 @@ class Recording:
         _open.reset(self._token)
 
     def block(self, name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX]) -> Block:
-        """The outputs as a block: a program, or a routine where loops are needed.
+        """Return the outputs as a block: a program, or a routine if loops are needed.
 
         Args:
-            name: of the block; what it calls has a name that begins with it, or the name of a loop.
+            name: name of the block; the names of its inner blocks begin with it, or are names of loops.
             inputs: symbols (n, 1) by name.
-            outputs: expressions by name; column by column in the block.
+            outputs: expressions by name; stored column by column in the block.
 
         Raises:
-            InputError, UnsupportedOperation: as `lower`; a symbol that is neither an input nor a loop's.
+            InputError, UnsupportedOperation: as in `lower`; also for a symbol that is not an input or from a loop.
         """
         dense = [ca.densify(ca.SX(value)) for value in outputs.values()]
         loops = self._reached(dense)
@@ -105,10 +105,8 @@ class Recording:
             output_names = [*outputs, *(f"of_loop{k}" for k in range(len(results) - len(outputs)))]
             function = ca.Function(name, arguments, results, names, output_names)
         except RuntimeError as error:
-            reason = next((line for line in str(error).splitlines() if "free" in line), "a symbol is no input")
-            raise InputError(
-                f"cannot be lowered ({reason.strip()})", key=name, remedy="name it among the inputs"
-            ) from None
+            reason = next((line for line in str(error).splitlines() if "free" in line), "a symbol is not an input")
+            raise InputError(f"cannot be lowered ({reason.strip()})", key=name, remedy="add it to the inputs") from None
         program = lower(function)
         if not loops:
             return program
@@ -134,7 +132,7 @@ class Recording:
         count: int,
         until: int | None,
     ) -> tuple[list[ca.SX], list[ca.SX]]:
-        """Call the body on fresh symbols, once."""
+        """Call the body once, on fresh symbols, and record the loop."""
         self._depth += 1
         held = [ca.SX.sym("s", part.numel()) for part in state]
         rows = [ca.SX.sym("t", table.shape[1]) for table in tables]
@@ -184,17 +182,17 @@ def repeat(
 
     Args:
         name: C identifier of the loop's body.
-        body: (state parts, rows) → (next state parts, rows of what is stacked), all as columns.
+        body: (state parts, rows) → (next state parts, rows to stack), all as columns.
         state: columns before the first turn.
-        tables: (turns, width) each; every turn gets one row of each, as a column.
-        count: turns where there is no table.
-        until: position in `state` of a flag (1, 1): no further turn once it is not 0. Nothing can be stacked then.
+        tables: (turns, width) each; every turn reads one row of each, as a column.
+        count: number of turns if there is no table.
+        until: position in `state` of a flag (1, 1): no further turn runs once it is not 0. Then nothing can be stacked.
 
     Returns:
-        The state after the last turn, and the tables (turns, width) of what was stacked.
+        The state after the last turn, and the stacked tables (turns, width).
 
     Raises:
-        InputError: tables of different length, a state that changes its size, or nothing to run over.
+        InputError: tables of different length, a state that changes its size, or neither a table nor a count.
 
     Example:
         >>> import casadi as ca
@@ -203,13 +201,13 @@ def repeat(
         >>> (total,), (products,) = repeat(
         ...     "sums", lambda total, row: ((total + row[0],), (row[0] * row[1],)), [ca.SX(0)], [ca.SX(table)]
         ... )
-        >>> float(total), ca.DM(products).full().ravel().tolist()  # without a recording it is unrolled
+        >>> float(total), ca.DM(products).full().ravel().tolist()  # unrolled, since no recording is open
         (4.0, [2.0, 12.0])
     """
     state, tables = _columns(state), [ca.densify(ca.SX(table)) for table in tables]
     lengths = {int(table.shape[0]) for table in tables} | ({count} if count is not None else set())
     if len(lengths) != 1:
-        raise InputError(f"runs over tables of {sorted(lengths)} rows", key=name, remedy="give them the same length")
+        raise InputError(f"runs over tables of {sorted(lengths)} rows", key=name, remedy="use tables of equal length")
     turns = lengths.pop()
     recording = _open.get()
     if recording is not None and turns and (turns > 1 or until is not None):
@@ -238,7 +236,7 @@ def fold(name: str, body: Callable[..., Vectors], state: Vectors, *tables: ca.SX
 def fold(
     name: str, body: Callable[..., ca.SX | Vectors], state: ca.SX | Vectors, *tables: ca.SX
 ) -> ca.SX | list[ca.SX]:
-    """The state after a body has run over the rows of tables; one column, or a list of columns as `state` is.
+    """Return the state after a body has run over the rows of tables: a column, or a list of columns like `state`.
 
     Example:
         >>> import casadi as ca
@@ -262,7 +260,7 @@ def fold(
 
 
 def each(name: str, body: Callable[..., Vectors], *tables: ca.SX) -> list[ca.SX]:
-    """Tables (turns, width) of what a body gives for each row of tables.
+    """Return tables (turns, width) of the values that a body returns for each row of tables.
 
     Example:
         >>> import casadi as ca
@@ -275,7 +273,7 @@ def each(name: str, body: Callable[..., Vectors], *tables: ca.SX) -> list[ca.SX]
 
 
 def only_if(name: str, condition: ca.SX, body: Callable[[], Vectors], otherwise: Vectors) -> list[ca.SX]:
-    """What a body gives where a condition holds, else other values; the body is run only where it holds.
+    """Return the values of a body if a condition holds, otherwise other values; the body runs only if it holds.
 
     Example:
         >>> import casadi as ca
@@ -291,7 +289,7 @@ def only_if(name: str, condition: ca.SX, body: Callable[[], Vectors], otherwise:
 
 
 def tabulated(rows: Iterable[Iterable[ca.SX | float]], width: int = 0) -> ca.SX:
-    """A table with a row for each group of columns or numbers; (0, width) without one.
+    """Return a table with one row for each group of columns or numbers; (0, width) if there is no group.
 
     Example:
         >>> import casadi as ca
@@ -310,6 +308,6 @@ def _columns(values: Vectors) -> list[ca.SX]:
 def _check(name: str, state: Vectors, after: Vectors, collected: Vectors, until: int | None) -> None:
     before, behind = [part.numel() for part in state], [part.numel() for part in after]
     if before != behind:
-        raise InputError(f"has a state of {before} numbers, and then of {behind}", key=name)
+        raise InputError(f"has a state of {before} numbers at first, then of {behind}", key=name)
     if until is not None and (before[until] != 1 or collected):
-        raise InputError("ends by a flag of one number, and stacks nothing", key=name)
+        raise InputError("needs a flag of one number, and cannot stack", key=name)

@@ -1,4 +1,4 @@
-"""Who wins: the paper's null-space-based law (16), and the same law kept inside limits by a QP."""
+"""Priority laws: the null-space-based sweep of projections (16) of the paper, and QP forms that satisfy limits."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""A task served as well as the rows allow: least squares over a polyhedron, by a primal active-set method.
+"""Least-squares solution of one priority level inside limit rows, by a primal active-set method.
 
-It starts at a point that keeps the rows and never leaves them, so that it can be stopped at any time; each step goes
-to the best point of the active rows, or as far as the next row in the way (Nocedal and Wright 2006, 16.5).
+The method starts at a point that satisfies the rows and stays inside them, so it can be stopped after any step. Each
+step goes to the best point on the active rows, or stops at the first blocking row (Nocedal and Wright 2006, 16.5).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 _CAP = 100
 _PATIENT = 20
-"""After this many steps rows are exchanged first come first served, which cannot go round in circles (Bland 1977)."""
+"""After this many steps the first wrong row is dropped, not the worst: this rule cannot cycle (Bland 1977)."""
 
 _STILL = 1e-14
 _WRONG_SIGN = 1e-11
@@ -31,13 +31,14 @@ _WRONG_SIGN = 1e-11
 
 @dataclass(frozen=True, eq=False)
 class LevelSolution:
-    """A point where the level is met as well as the rows allow.
+    """A point with the smallest residual of the level that the limit rows allow.
 
     Attributes:
-        v: (n,).
-        multipliers: (m,) of ½‖miss‖², positive at an upper bound.
-        iterations: steps.
-        settled: whether the last multipliers had the right signs; if not, v keeps the rows but may not be the best.
+        v: the velocity (n,).
+        multipliers: (m,) of ½‖residual‖², positive at an upper bound.
+        iterations: number of active-set steps.
+        converged: whether the last multipliers have the right signs; if not, v satisfies the rows but may not be
+            optimal.
     """
 
     v: Array
@@ -47,11 +48,11 @@ class LevelSolution:
 
 
 def solve_level(level: Level, start: Array, rows: Polyhedron, *, freedom: Freedom, cutoff: float) -> LevelSolution:
-    """argmin of the level's residual over the rows and the freedom, from a start (n,) that keeps both."""
+    """Minimise the level's residual over the rows and the freedom, from a start (n,) that lies in both."""
     goal = level.exact
     if goal.all():
         return _least_squares(level.J, level.lower, start, rows, Z=freedom.Z, cutoff=cutoff)
-    # a set-based row is met up to a slack of its own: J v + s inside the bounds, and s should be 0
+    # a set-based row gets a slack variable: J v + s lies inside the bounds, and the desired s is 0
     slack, n = np.flatnonzero(~goal), start.size
     q = slack.size
     J = np.block([[level.J[goal], np.zeros((int(goal.sum()), q))], [np.zeros((q, n)), np.eye(q)]])
@@ -65,7 +66,7 @@ def solve_level(level: Level, start: Array, rows: Polyhedron, *, freedom: Freedo
 
 
 def _least_squares(J: Array, x: Array, start: Array, rows: Polyhedron, *, Z: Array, cutoff: float) -> LevelSolution:
-    """min ‖J v − x‖ over start + Z y and the rows."""
+    """Minimise ‖J v − x‖ over v = start + Z y inside the rows."""
     rows = rows.holding(start)
     scale = float(np.linalg.norm(J, 2))
     v, active, multipliers = start, np.zeros(len(rows.names)), np.zeros(len(rows.names))
@@ -90,7 +91,7 @@ def _least_squares(J: Array, x: Array, start: Array, rows: Polyhedron, *, Z: Arr
 
 
 def _as_far_as(v: Array, step: Array, rows: Polyhedron, active: Array) -> tuple[float, int | None]:
-    """The part of the step that keeps the rows, at most 1, and the row that ends it."""
+    """The fraction of the step, at most 1, that stays inside the rows, and the row that blocks the rest (or None)."""
     rate = rows.A @ step
     with np.errstate(invalid="ignore"):
         slack = np.where(rate > 0.0, rows.upper, rows.lower) - rows.A @ v

@@ -1,7 +1,7 @@
-"""The least-distance problem min ‖v − target‖ over equalities and named rows: one adapter, several solvers.
+"""The least-distance problem: minimise ‖v − target‖ subject to equalities and named rows, with a choice of solvers.
 
-Equalities are eliminated first, rows are scaled to length 1, and every answer is checked here: a solver's own
-word that it found the optimum is not enough.
+Equalities are eliminated first and rows are scaled to length 1. The optimality conditions of every result are checked
+here; the status that a solver reports is not trusted.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Status: TypeAlias = Literal["optimal", "infeasible", "failed"]
 
 
 class _Solvers(Mapping[str, Kernel]):
-    """Three that are known by name; qpsolvers, which imports all that it finds, is asked for the rest only."""
+    """Three solvers are always known; other names import qpsolvers, which loads every solver that it finds."""
 
     _known: Mapping[str, Kernel] = MappingProxyType({"daqp": daqp_kernel, "osqp": osqp_kernel, "own": own_kernel})
 
@@ -54,31 +54,31 @@ class _Solvers(Mapping[str, Kernel]):
 
 
 BACKENDS: Mapping[str, Kernel] = _Solvers()
-"""Solvers of min ½‖y‖² subject to lower ≤ G y ≤ upper, rows of length 1."""
+"""Kernels by name: each minimises ½‖y‖² subject to lower ≤ G y ≤ upper, with rows of length 1."""
 
 Backend: TypeAlias = str | Kernel
-"""A name in `BACKENDS`, or a kernel itself, such as `KeptDaqp()`."""
+"""A name in `BACKENDS`, or a kernel object such as `PersistentDaqp()`."""
 
 FEASIBLE = 1e-9
-"""Largest violation of a row, as given, relative to 1 + max |v|, that passes as rounding."""
+"""Largest violation of a row (as passed in), relative to 1 + max |v|, that is accepted as rounding."""
 
-_FAR = 1e3  # times 1 + max |x|, from where on the target is brought near
+_FAR = 1e3  # times 1 + max |x|: a target farther away than this is moved closer
 _ROUNDS = 20
 _STAYS = 1e-14
 _STATIONARY = 1e-8
-_FIXED = 1e-9  # a row this short after elimination no longer depends on what is left to choose
+_FIXED = 1e-9  # a row that elimination shortens to this fraction no longer depends on the remaining variables
 
 
 @dataclass(frozen=True)
 class LeastDistance:
-    """Answer of `solve_least_distance`.
+    """Result of `solve_least_distance`.
 
     Attributes:
-        x: (n,), or None unless `status` is "optimal".
-        multipliers: (m,) of ½‖x − target‖², for the rows as given: positive at an upper bound, negative at a
-            lower one.
-        iterations: of the solver.
-        status: "infeasible" when no point satisfies rows and equalities, "failed" when the solver's answer
+        x: the nearest point (n,), or None unless `status` is "optimal".
+        multipliers: (m,) of ½‖x − target‖², for the rows as passed in: positive at an upper bound, negative at a
+            lower bound.
+        iterations: number of iterations of the solver.
+        status: "infeasible" when no point satisfies rows and equalities, "failed" when the solver's result
             did not pass the check.
     """
 
@@ -89,7 +89,7 @@ class LeastDistance:
 
 
 def check_backend(backend: Backend) -> Kernel:
-    """The kernel of that name, or the kernel itself; InputError with the nearest name otherwise."""
+    """Return the kernel with this name, or the kernel itself; an unknown name raises an InputError."""
     if isinstance(backend, str) and backend in BACKENDS:
         return BACKENDS[backend]
     if isinstance(backend, str) or not callable(backend):
@@ -108,10 +108,10 @@ def solve_least_distance(
     b_eq: Array | None = None,
     backend: Backend = "daqp",
 ) -> LeastDistance:
-    """The point nearest to target (n,) with A_eq x = b_eq and lower ≤ A x ≤ upper (m rows, ±inf allowed).
+    """Return the point nearest to target (n,) with A_eq x = b_eq and lower ≤ A x ≤ upper (m rows, ±inf allowed).
 
-    Dependent equalities are fine as long as they agree. Infeasibility is a status, not an error. `backend` is a name
-    in `BACKENDS` or a kernel; it meets the rows that are left after elimination, so their number varies.
+    Dependent equalities are allowed if they are consistent. Infeasibility is a status, not an error. `backend` is a
+    name in `BACKENDS` or a kernel. A kernel sees only the rows that are left after elimination, so their number varies.
 
     Raises:
         InputError: unknown backend.
@@ -127,8 +127,8 @@ def solve_least_distance(
     kernel = check_backend(backend)
     solution = _nearest(target, A, lower, upper, A_eq, b_eq, kernel)
     spent, converged = solution.iterations, False
-    # rounding is that of the largest number in play: a far target is brought near, along a ray that ends in one point,
-    # which it does only once that point stays where it is
+    # rounding errors scale with the largest number: a far target is moved closer along a ray, and each point of the ray
+    # has the same nearest point once that point no longer moves
     for _ in range(_ROUNDS):
         if solution.x is None or converged:
             break
@@ -159,9 +159,10 @@ def _nearest(
     *,
     guess: Array | None = None,
 ) -> LeastDistance:
-    """As `solve_least_distance`, with rows kept to a part of 1 + max |target|.
+    """Solve like `solve_least_distance`, with rows satisfied to a tolerance relative to 1 + max |target|.
 
-    Where the kernel has no answer, the rows that push in `guess` (m,) are tried; they pass the same check or none.
+    If the kernel finds no solution, the rows with a multiplier in `guess` (m,) are tried as the active set; that
+    candidate must pass the same check.
     """
     nothing = np.zeros(lower.size)
     base, free = _eliminate(target, A_eq, b_eq)
@@ -176,7 +177,7 @@ def _nearest(
     slack = FEASIBLE * np.where(length > 0.0, length, 1.0) * (1.0 + np.abs(base).max(initial=0.0))
     if np.any(fixed & ((below > slack) | (above < -slack))):
         return LeastDistance(None, nothing, 0, "infeasible")
-    # said as what is absent: a NaN is no bound, but neither is it none
+    # written with "not infinite" on purpose: a row with a NaN bound is not skipped
     use = np.flatnonzero(~fixed & ~((below == -np.inf) & (above == np.inf)))
     if use.size == 0:
         finite = bool(np.isfinite(base).all())
@@ -198,7 +199,7 @@ def _nearest(
 
 
 def _eliminate(target: Array, A_eq: Array | None, b_eq: Array | None) -> tuple[Array | None, Array]:
-    """The nearest point of A_eq x = b_eq (None if they disagree), and a basis (d, n) of what is left."""
+    """The nearest point of A_eq x = b_eq (None if there is none), and a basis (d, n) of the null space."""
     if A_eq is None or b_eq is None or A_eq.shape[0] == 0:
         return target, np.eye(target.size)
     space = row_space(A_eq)
@@ -209,7 +210,7 @@ def _eliminate(target: Array, A_eq: Array | None, b_eq: Array | None) -> tuple[A
 
 
 def _checked(solution: KernelSolution, G: Array, lower: Array, upper: Array, *, tolerance: Array) -> KernelSolution:
-    """The answer if it holds; otherwise what its active rows give, if that holds; otherwise "failed"."""
+    """Return the solution if it passes the check, else its polished form if that passes, else status "failed"."""
     if solution.y is None:
         return solution
     for candidate in (solution, _polish(solution, G, lower, upper)):
@@ -219,9 +220,9 @@ def _checked(solution: KernelSolution, G: Array, lower: Array, upper: Array, *, 
 
 
 def holds(solution: KernelSolution, G: Array, lower: Array, upper: Array, tolerance: Array | float) -> bool:
-    """Feasible within tolerance (m,) or (), stationary, complementary: the KKT conditions of min ½‖y‖².
+    """Whether the KKT conditions of min ½‖y‖² hold: feasible within tolerance (m,) or (), stationary, complementary.
 
-    A NaN holds nothing.
+    A solution with a NaN does not pass.
     """
     y, multipliers = solution.y, solution.multipliers
     if y is None:
@@ -236,7 +237,7 @@ def holds(solution: KernelSolution, G: Array, lower: Array, upper: Array, tolera
 
 
 def _polish(solution: KernelSolution, G: Array, lower: Array, upper: Array) -> KernelSolution:
-    """Take the rows with a multiplier as equalities, and solve those exactly."""
+    """Turn the rows with a nonzero multiplier into equalities and solve those exactly."""
     active = np.flatnonzero(np.abs(solution.multipliers) > 1e-6 * (1.0 + np.abs(solution.multipliers).max()))
     bound = np.where(solution.multipliers[active] > 0.0, upper[active], lower[active])
     if not np.isfinite(bound).all():

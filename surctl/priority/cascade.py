@@ -1,8 +1,9 @@
-"""Strict levels one after another inside the rows, then the nearest point to a target in what they leave.
+"""Strict levels solved one after another inside the limit rows, then the remaining point nearest to a target.
 
-With no strict level this is a filter of the target; with one, the last projection of the paper's sweep kept inside
-the rows; with all of them and target 0, strict (lexicographic) priority (Kanoun, Lamiraux and Wieber 2011; Escande,
-Mansard and Wieber 2014). What a level reached is kept by elimination, never by an inequality with a tolerance.
+With no strict level this filters the target. With one strict level it is the last projection of the paper's sweep,
+restricted to the rows. With all levels and target 0 it is strict (lexicographic) priority (Kanoun, Lamiraux and
+Wieber 2011; Escande, Mansard and Wieber 2014). The value that a level attains is fixed by eliminating variables, never
+by an inequality with a tolerance.
 """
 
 from __future__ import annotations
@@ -25,22 +26,22 @@ __all__ = ["CascadeSolution", "solve_cascade"]
 Array: TypeAlias = NDArray[np.float64]
 
 _MISSED = 1e-9
-_FELT = 1e-9  # a multiplier up to this, relative to 1 + max |v|, is rounding
+_FELT = 1e-9  # a multiplier up to this, relative to 1 + max |v|, counts as rounding
 _SLACK = 1e-9
-"""Room [row of length 1] for rows that may give, where the set has no inside and a solver calls it empty."""
+"""Widening of soft rows of length 1, used where the feasible set has no interior and a solver calls it empty."""
 
 
 @dataclass(frozen=True, eq=False)
 class CascadeSolution:
-    """Where the cascade ended.
+    """Result of the cascade.
 
     Attributes:
-        v: (n,).
-        binding: (name, multiplier) of the rows in the way, for the rows as given, in their order: of ½‖v − target‖²; of
-            ½‖miss‖² for rows that hold a strict level back.
-        blame: for each strict level that rows hold back, their names.
-        iterations: of all solvers.
-        confirmed: whether every step passed its check; if not, v keeps the rows but may not be the best.
+        v: the velocity (n,).
+        binding: (name, multiplier) of the active rows, for the rows as passed in and in their order. The multiplier is
+            that of ½‖v − target‖², or of ½‖residual‖² for a row that limits a strict level.
+        causes: for each strict level that rows limit, the names of these rows.
+        iterations: number of iterations of all solvers together.
+        confirmed: whether every step passed its check; if not, v satisfies the rows but may not be optimal.
     """
 
     v: Array
@@ -60,7 +61,7 @@ class CascadeSolution:
         held: Mapping[str, float] | None = None,
         causes: Mapping[str, tuple[str, ...]] | None = None,
     ) -> CascadeSolution:
-        """From multipliers (m,) of rows of length 1; `held`, of rows that hold a strict level back, count first."""
+        """Build from multipliers (m,) of rows of length 1; a multiplier in `held` replaces that of its row."""
         by_name = named_multipliers(rows, multipliers, above=_FELT * (1.0 + float(np.abs(v).max()))) | dict(held or {})
         return CascadeSolution(
             v,
@@ -72,15 +73,15 @@ class CascadeSolution:
 
 
 def named_multipliers(rows: Polyhedron, multipliers: Array, *, above: float) -> dict[str, float]:
-    """Multipliers (m,) of rows of length 1 that are larger than `above`, by name, for the rows as given."""
+    """Multipliers (m,) of rows of length 1 that exceed `above`, by name, converted to the rows as passed in."""
     return {rows.names[i]: float(u / rows.length[i]) for i, u in enumerate(multipliers) if abs(u) > above}
 
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """What some levels leave: a freedom, rows, and the point in both that is nearest to the target.
+    """State after some levels: the remaining freedom, the rows, and the point in both that is nearest to the target.
 
-    multipliers: (m,) of that point. held: the same of the level that rows hold back. confirmed: whether the point
+    multipliers: (m,) of that point. held: multipliers of the rows that limit the level. confirmed: whether the point
     passed its check.
     """
 
@@ -102,7 +103,7 @@ def solve_cascade(
     cutoff: float,
     inside: Array | None = None,
 ) -> CascadeSolution | None:
-    """The cascade; None if no v keeps the rows. target (n,); inside (n,): a point known to keep them, or None."""
+    """Solve the cascade; None if no v satisfies the rows. target (n,); inside (n,): a known feasible point, or None."""
     freedom = Freedom.whole(target.size)
     rows = rows if inside is None else rows.holding(inside)
     causes: dict[str, tuple[str, ...]] = {}
@@ -138,7 +139,7 @@ def solve_cascade(
 def _met(
     level: Level, target: Array, rows: Polyhedron, *, freedom: Freedom, backend: Backend, cutoff: float
 ) -> _Place | None:
-    """The level met as well as the levels above allow, if the rows allow that too."""
+    """The state with the level met as well as the higher levels allow; None if the rows do not allow that."""
     goal = level.exact
     narrow = freedom.narrowed(level.J[goal], level.lower[goal], cutoff=cutoff)
     more = _with_set_rows(level, rows, ~goal)
@@ -146,7 +147,7 @@ def _met(
 
 
 def _limited(level: Level, target: Array, place: _Place, *, backend: Backend, cutoff: float) -> _Place:
-    """The level met as well as the rows allow, and frozen there."""
+    """The state with the level met as well as the rows allow, and its value fixed there."""
     solution = solve_level(level, place.inside, place.rows, freedom=place.freedom, cutoff=cutoff)
     value = level.J @ solution.v
     off = np.abs(level.miss(solution.v)) > _MISSED * (1.0 + np.abs(value))
@@ -154,8 +155,8 @@ def _limited(level: Level, target: Array, place: _Place, *, backend: Backend, cu
     narrow = place.freedom.narrowed(level.J[frozen], value[frozen], cutoff=cutoff)
     rows = _with_set_rows(level, place.rows, ~frozen).holding(solution.v)
     after = _nearest(narrow, rows, target, backend=backend, inside=solution.v)
-    assert after is not None  # a point inside is known
-    # a level that rows hardly hold back (by 1e-9 of ‖J‖) counts as met
+    assert after is not None  # a feasible point is known
+    # a level whose residual the rows raise by at most 1e-9 of ‖J‖ counts as met
     felt = _MISSED * float(np.linalg.norm(level.J, 2)) ** 2
     held = named_multipliers(place.rows, solution.multipliers, above=felt)
     spent = after.iterations + solution.iterations
@@ -163,7 +164,7 @@ def _limited(level: Level, target: Array, place: _Place, *, backend: Backend, cu
 
 
 def _with_set_rows(level: Level, rows: Polyhedron, chosen: NDArray[np.bool_]) -> Polyhedron:
-    """The rows, and the chosen ones of a set-based level."""
+    """The rows together with the chosen rows of a set-based level."""
     if not chosen.any():
         return rows
     one = level.lower.size == 1
@@ -174,7 +175,7 @@ def _with_set_rows(level: Level, rows: Polyhedron, chosen: NDArray[np.bool_]) ->
 def _nearest(
     freedom: Freedom, rows: Polyhedron, target: Array, *, backend: Backend, inside: Array | None = None
 ) -> _Place | None:
-    """The nearest point to the target; else the one that is known to be inside, unconfirmed; None if there is none."""
+    """The point nearest to the target; if solvers fail, the known feasible point, unconfirmed; None without either."""
     solution = freedom.nearest(target, rows, backend=backend)
     spent = solution.iterations
     if solution.x is None and inside is not None:

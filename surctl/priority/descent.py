@@ -1,4 +1,4 @@
-"""Down the ladder: inside the rows; inside rows that were opened by the least; in the box at any rate."""
+"""Fallback stages: inside the rows; inside rows that are opened as little as possible; otherwise only in the box."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What a mode answers.
+    """Result of a priority mode.
 
     Attributes:
-        v: (n,). target: (n,), the point that the last projection started from. free: (n,), the answer without rows.
-        status: how it came about; "optimal" here also where rows hold levels back; "unconfirmed" where a solver's
-            failure left a point that keeps the rows.
-        binding, blame, iterations: as `Reached`.
+        v: (n,). target: (n,), the start of the last projection. free: (n,), the solution without rows.
+        status: the fallback stage; "optimal" includes the case that rows limit levels; "unconfirmed" means that v
+            satisfies the rows but a solver failed to confirm it.
+        binding, causes, iterations: as in `CascadeSolution`.
         conflict: names of the rows that contradict each other.
     """
 
@@ -46,12 +46,12 @@ class Solution:
 def descend(
     find: Callable[..., CascadeSolution | None], target: Array, rows: Polyhedron, *, free: Array, backend: Backend
 ) -> Solution:
-    """The first rung that holds; always a finite v inside the box.
+    """Return the solution of the first fallback stage that succeeds; v is always finite and inside the box.
 
     Args:
-        find: (rows, inside) → the mode's answer inside the rows, None if no v keeps them; `inside` (n,) is a point
-            known to keep them, or None.
-        target: (n,), what `find` starts from; free: (n,), the answer without rows.
+        find: (rows, inside) → the mode's solution inside the rows, None if no v satisfies them; `inside` (n,) is a
+            known feasible point, or None.
+        target: (n,), the start of `find`. free: (n,), the solution without rows.
     """
     result = find(rows, inside=None)
     if result is not None:
@@ -60,7 +60,7 @@ def descend(
     if relaxed is None:
         return _last_resort(free, target, rows, backend)
     result = find(relaxed.rows, inside=relaxed.inside)
-    if result is None:  # cannot be but by a solver's failure: a point inside is known
+    if result is None:  # only possible after a solver failure, since a feasible point is known
         return _last_resort(free, target, rows, backend)
     status: Outcome = "relaxed" if relaxed.opened else "optimal"
     if not (result.confirmed and relaxed.least):
@@ -82,7 +82,7 @@ def _solution(
 
 
 def _last_resort(free: Array, target: Array, rows: Polyhedron, backend: Backend) -> Solution:
-    """The actuator rows contradict each other, or every solver gave up: what misses those rows least."""
+    """Solution if actuator rows contradict each other or all solvers fail: the candidate that violates them least."""
     hard = rows.mask("actuator")
     solution = Freedom.whole(free.size).nearest(free, rows.only(hard), backend=backend)
     options = [rows.clamp(option) for option in (solution.x, free, np.zeros(free.size)) if option is not None]

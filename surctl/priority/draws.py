@@ -19,11 +19,11 @@ _N = 4
 def draw_levels(
     rng: np.random.Generator, *, most: int = 5, conditioned: bool = False, deficient: bool = True
 ) -> list[Level]:
-    """1 … `most` levels of 1–4 rows over 4 velocities, named task0, task1, …
+    """Return 1 … `most` random levels of 1–4 rows over 4 velocities, named task0, task1, …
 
     Args:
-        conditioned: singular values between 0.3 and 3.
-        deficient: some levels have doubled rows, rank 1, only zeros, or select velocities.
+        conditioned: if true, singular values lie between 0.3 and 3.
+        deficient: if true, some levels repeat a row, have rank 1, are zero, or select single velocities.
     """
     levels = []
     for i in range(rng.integers(1, most + 1)):
@@ -58,9 +58,9 @@ def unit(rng: np.random.Generator) -> Array:
 
 
 def draw_problem(rng: np.random.Generator, *, most: int = 5) -> PriorityProblem:
-    """Levels with a box and thrust rows, which agree, and with barriers and sets that often contradict them.
+    """Random levels with consistent box and thrust rows, and barrier and set rows that often contradict them.
 
-    Barrier rows have lengths between 0.1 and 10; some stand twice, some against each other.
+    Barrier rows have lengths between 0.1 and 10; some are repeated, some oppose each other.
     """
     half = rng.uniform(0.05, 1.0, _N)
     rows = [Row(f"box{i}", "actuator", np.eye(_N)[i], -half[i], half[i]) for i in range(_N)]
@@ -82,7 +82,7 @@ def draw_problem(rng: np.random.Generator, *, most: int = 5) -> PriorityProblem:
 
 
 def with_sets(problem: PriorityProblem, rng: np.random.Generator) -> PriorityProblem:
-    """The same problem with some rows of a third of its levels turned into bounds."""
+    """The same problem, with some rows of a third of its levels replaced by intervals."""
     levels = []
     for level in problem.levels:
         k = level.lower.size
@@ -101,7 +101,7 @@ def wide(levels: list[Level] | tuple[Level, ...], *, span: float = 1e3) -> Prior
 
 
 def inequality_problem(rng: np.random.Generator, *, most: int = 5) -> PriorityProblem:
-    """Levels of unit rows, some doubled, some shared with the level above, some set-based; limits that hold 0."""
+    """Random levels of unit rows (some repeated, some shared, some set-based), with limits that 0 satisfies."""
     levels: list[Level] = []
     for i in range(rng.integers(1, most + 1)):
         J = np.array([unit(rng) for _ in range(rng.integers(1, 4))])

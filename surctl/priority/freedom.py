@@ -1,4 +1,4 @@
-"""What the levels above leave free: v = base + Z y."""
+"""The velocities that the higher levels leave free: v = base + Z y."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Freedom:
-    """An affine set of velocities.
+    """An affine set of velocities v = base + Z y.
 
     Attributes:
-        base: (n,), one of them.
-        Z: (n, d), orthonormal columns: the directions that are free.
-        fixed: (n − d, n), orthonormal rows: the others.
+        base: (n,), one velocity of the set.
+        Z: (n, d), orthonormal columns: the free directions.
+        fixed: (n − d, n), orthonormal rows: the fixed directions.
     """
 
     base: Array
@@ -33,14 +33,14 @@ class Freedom:
 
     @staticmethod
     def whole(n: int) -> Freedom:
-        """All of them."""
+        """The set of all velocities."""
         return Freedom(np.zeros(n), np.eye(n), np.zeros((0, n)))
 
     def narrowed(self, J: Array, x: Array, *, cutoff: float) -> Freedom:
-        """Those that meet J v = x best, J (k, n).
+        """The velocities of the set that meet J v = x best, J (k, n).
 
-        What J can still move is cut off at `cutoff`·‖J‖, not at a part of what is left of it: once the freedom is
-        spent that would be a part of rounding noise.
+        Singular values of J Z below `cutoff`·‖J‖ count as 0. The cut-off is relative to J and not to J Z: if no freedom
+        is left, J Z is only rounding noise.
         """
         if J.shape[0] == 0:
             return self
@@ -50,7 +50,7 @@ class Freedom:
         return Freedom(base, self.Z @ space.null.T, np.vstack([self.fixed, space.rows @ self.Z.T]))
 
     def nearest(self, target: Array, rows: Polyhedron, *, backend: Backend) -> LeastDistance:
-        """The nearest of them to target (n,) that keeps the rows."""
+        """The velocity of the set that satisfies the rows and is nearest to target (n,)."""
         return solve_least_distance(
             target,
             A=rows.A,

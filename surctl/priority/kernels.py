@@ -1,4 +1,4 @@
-"""The solvers themselves, each behind the same three lines: min ½‖y‖² subject to lower ≤ G y ≤ upper."""
+"""Solvers behind a common interface: each minimises ½‖y‖² subject to lower ≤ G y ≤ upper."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ __all__ = [
 Array: TypeAlias = NDArray[np.float64]
 
 NO_BOUND = 1e30
-"""What stands for infinity in DAQP and OSQP."""
+"""The value that DAQP and OSQP use for infinity."""
 
 DAQP_TOLERANCE = 1e-11
-"""Largest violation of a row of length 1 that DAQP leaves."""
+"""Largest violation of a row of length 1 that DAQP accepts."""
 
 DAQP_INFEASIBLE = -1
-"""DAQP's flag of a problem without a point."""
+"""The flag with which DAQP reports an infeasible problem."""
 
 
 @dataclass(frozen=True)
 class KernelSolution:
-    """y (d,) or None, multipliers (m,) with y + Gᵀ·multipliers = 0, iterations, and what the solver says.
+    """y (d,) or None, multipliers (m,) with y + Gᵀ·multipliers = 0, iterations, and the status that the solver reports.
 
-    "unfinished": it stopped before it was done, at an iteration limit for instance, and y is where it stood.
+    "unfinished" means that the solver stopped early, for example at an iteration limit; y is its last iterate.
     """
 
     y: Array | None
@@ -56,19 +56,19 @@ class KernelSolution:
 
 
 class Kernel(Protocol):
-    """Any solver of min ½‖y‖² subject to lower ≤ G y ≤ upper: a function, or an object that keeps its memory."""
+    """Any solver of min ½‖y‖² subject to lower ≤ G y ≤ upper: a function, or an object with state between calls."""
 
     def __call__(self, G: Array, lower: Array, upper: Array, /) -> KernelSolution:
-        """The answer for rows G (m, d) of length 1 and bounds (m,), ±inf where there is none."""
+        """The solution for rows G (m, d) of length 1 and bounds (m,); an absent bound is ±inf."""
         ...
 
 
 def unfit(G: Array, lower: Array, upper: Array) -> KernelSolution | None:
-    """The answer that needs no solver: "infeasible" where bounds cross, "failed" for a NaN; None if it does.
+    """The result without a solver call: "infeasible" where bounds cross, "failed" for a NaN; None if a call is needed.
 
-    DAQP takes a NaN for a row that holds; DAQP and OSQP refuse crossed bounds, but then give the last answer again.
+    DAQP treats a row with a NaN as satisfied. DAQP and OSQP refuse crossed bounds but then return the last solution.
     """
-    if (lower <= upper).all() and np.isfinite(G).all():  # a NaN is not below anything
+    if (lower <= upper).all() and np.isfinite(G).all():  # comparisons with a NaN are false
         return None
     whole = np.isfinite(G).all() and not (np.isnan(lower).any() or np.isnan(upper).any())
     return KernelSolution(None, np.zeros(lower.size), 0, "infeasible" if whole else "failed")
@@ -92,7 +92,7 @@ def daqp_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
 
 
 def daqp_solution(m: int, y: Any, _: float, flag: int, info: Any) -> KernelSolution:
-    """What DAQP returned for m rows, with its flag looked at."""
+    """The result that DAQP returned for m rows, with its flag checked."""
     iterations = int(info["iterations"])
     if flag == 1:
         return KernelSolution(np.array(y, dtype=float), np.array(info["lam"], dtype=float), iterations, "optimal")
@@ -102,14 +102,14 @@ def daqp_solution(m: int, y: Any, _: float, flag: int, info: Any) -> KernelSolut
 def osqp_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
     """OSQP (Stellato et al. 2020), an operator-splitting method, with tight settings.
 
-    Its default tolerances leave bounds violated by 1e-3 and call feasible problems infeasible.
+    OSQP's default tolerances leave bounds violated by 1e-3 and call feasible problems infeasible.
     """
     low, high = np.maximum(lower, -NO_BOUND), np.minimum(upper, NO_BOUND)
     return unfit(G, low, high) or osqp_solution(new_osqp(G, low, high, warm=False))
 
 
 def new_osqp(G: Array, lower: Array, upper: Array, *, warm: bool) -> Any:
-    """An `osqp.OSQP` with every entry of G (m, d) in its pattern, so that all can be updated; finite bounds (m,)."""
+    """An `osqp.OSQP` that stores all entries of G (m, d), so that even zeros can be updated; finite bounds (m,)."""
     import osqp
     from scipy import sparse
 
@@ -126,8 +126,8 @@ def new_osqp(G: Array, lower: Array, upper: Array, *, warm: bool) -> Any:
         eps_rel=1e-10,
         eps_prim_inf=1e-10,
         max_iter=20_000,
-        polishing=False,  # it prints to the terminal; the caller polishes
-        scaling=0,  # rows have length 1 already; and scaled data, updated, would keep the last problem's rounding
+        polishing=False,  # polishing prints to the terminal; the caller polishes instead
+        scaling=0,  # rows already have length 1, and updated scaled data would keep rounding errors of the last problem
         warm_starting=warm,
         verbose=False,
     )
@@ -135,7 +135,7 @@ def new_osqp(G: Array, lower: Array, upper: Array, *, warm: bool) -> Any:
 
 
 def osqp_solution(solver: Any) -> KernelSolution:
-    """Solve what an `osqp.OSQP` was given; its status is looked at."""
+    """Solve the problem of an `osqp.OSQP`, and check its status."""
     import osqp
 
     result = solver.solve(raise_error=False)
@@ -157,7 +157,7 @@ def own_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
 
 
 def qpsolvers_kernels() -> dict[str, Kernel]:
-    """One kernel for every other solver that qpsolvers (Caron et al.) finds installed, for cross-checks."""
+    """One kernel for every other installed solver that qpsolvers (Caron et al.) finds, for cross-checks."""
     import qpsolvers
 
     others = sorted(set(qpsolvers.available_solvers) - {"daqp", "osqp"})
@@ -170,15 +170,15 @@ def _qpsolvers_kernel(G: Array, lower: Array, upper: Array, *, solver: str) -> K
 
     m, d = G.shape
     below, above = np.flatnonzero(lower > -NO_BOUND), np.flatnonzero(upper < NO_BOUND)
-    # qpsolvers knows one-sided rows only, and an infinite bound spoils its own check
+    # qpsolvers accepts one-sided rows only, and an infinite bound breaks its own check
     rows, bounds = np.vstack([G[above], -G[below]]), np.concatenate([upper[above], -lower[below]])
     form = sparse.csc_matrix if solver in qpsolvers.sparse_solvers else np.asarray
     problem = qpsolvers.Problem(form(np.eye(d)), np.zeros(d), G=form(rows), h=bounds)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # "terminated with status ..." is what the answer says already
+        warnings.simplefilter("ignore")  # the returned status already contains the warning "terminated with status ..."
         solution = qpsolvers.solve_problem(problem, solver=solver)
     if not solution.found or solution.x is None or solution.z is None:
-        # a solver that finds nothing seldom says why: not taken as a proof of infeasibility
+        # a solver without a solution rarely reports why, so this is not treated as a proof of infeasibility
         return KernelSolution(None, np.zeros(m), 0, "failed")
     multipliers = np.zeros(m)
     multipliers[above] += solution.z[: len(above)]

@@ -1,4 +1,4 @@
-"""The paper's law (16), null-space-based behaviours, as printed."""
+"""The null-space-based law (16), implemented as printed in the paper."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ __all__ = ["nsb"]
 
 
 def nsb(problem: PriorityProblem, *, cutoff: float = CUTOFF) -> NDArray[np.float64]:
-    """v (n,) of the printed law (16): v = v_1 + N_1(v_2 + N_2(v_3 + …)).
+    """Return v (n,) of the printed law (16): v = v_1 + N_1(v_2 + N_2(v_3 + …)).
 
-    v_i = J_i⁺x_i (15), N_i = I − J_i⁺J_i. Singular values below `cutoff`·‖J_i‖ count as 0. Rows (limits) are
-    no part of this law.
+    v_i = J_i⁺x_i (15), N_i = I − J_i⁺J_i. Singular values below `cutoff`·‖J_i‖ count as 0. The law ignores limit
+    rows.
 
     Raises:
-        InputError: a set-based level, which the printed law does not have.
+        InputError: a level is set-based; the printed law has no such task.
 
     Example:
         >>> import numpy as np

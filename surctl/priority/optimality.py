@@ -1,7 +1,7 @@
-"""Judging an answer without trusting who gave it: the optimality conditions, from v and the problem alone.
+"""An independent check of a solution: the optimality conditions, evaluated from v and the problem alone.
 
-Every condition says that some vector is a non-negative combination of the rows' outward normals, in which
-rows far from v have no part: weight times distance, summed, is the duality gap, and one more equation. It is
+Each condition states that a vector is a non-negative combination of the outward normals of the rows. Rows away from v
+must have weight 0: the sum of weight times distance is the duality gap, which gives one more equation. The test is
 a non-negative least-squares problem (Lawson and Hanson 1974), which shares no code with the QP solvers.
 """
 
@@ -25,12 +25,13 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 def is_optimal(v: Array, problem: PriorityProblem, *, settings: Settings, target: Array, tol: float = 1e-6) -> bool:
-    """Whether v (n,) is what the mode promises, within `tol` relative to 1 + the size of what is compared.
+    """Whether v (n,) is optimal for the mode, within `tol` relative to 1 + the size of the compared values.
 
-    nsb: v is the printed law (16), or its sweeps. The others: (a) no actuator row is missed; (b) what barrier rows,
-    then set rows, are missed by cannot be less; (c) of every strict level, no v in the set so relaxed that keeps what
-    the levels above reached meets it better; (d) none that keeps them all is nearer to `target` (n,), which is that
-    of the mode (where it is known from the problem alone: not for several sweeps of "projected").
+    In mode nsb, v must equal the printed law (16), or the result of its sweeps. In the other modes: (a) no actuator row
+    is violated; (b) the violation of the barrier rows, then of the set rows, cannot be smaller; (c) for every strict
+    level, no v in the relaxed set that preserves the higher levels meets the level better; (d) no v that preserves all
+    of them is nearer to `target` (n,), the target of the mode (computed from the problem alone; for several sweeps of
+    "projected" it is only checked to be finite).
     """
     if v.shape != (problem.width,) or not np.isfinite(v).all():
         return False
@@ -54,7 +55,7 @@ def is_optimal(v: Array, problem: PriorityProblem, *, settings: Settings, target
 
 
 def _is_target(target: Array, problem: PriorityProblem, settings: Settings, tol: float) -> bool:
-    """Whether the point is where the mode's last projection starts."""
+    """Whether the point is the start of the mode's last projection."""
     n = problem.width
     if settings.mode == "lexicographic":
         return not target.any()
@@ -77,7 +78,7 @@ def _size(level: Level) -> float:
 
 
 def _frozen(level: Level, v: Array, normals: Array, gaps: Array, tol: float) -> tuple[Array, Array]:
-    """The normals with those of the level's rows: both signs where the value is fixed, else those of its bounds."""
+    """Add the normals of the level's rows: both signs where the value is fixed, otherwise those of its bounds."""
     J = level.J / _size(level)
     fixed = level.exact | (np.abs(level.miss(v)) > tol * (1.0 + np.abs(level.J @ v)))
     value = level.J @ v
@@ -90,7 +91,7 @@ def _frozen(level: Level, v: Array, normals: Array, gaps: Array, tol: float) -> 
 
 
 def _least_relaxed(v: Array, rows: Polyhedron, tol: float) -> Polyhedron | None:
-    """The rows relaxed as far as v misses them, if no less would do; None otherwise."""
+    """The rows relaxed by their violation at v, if no smaller relaxation is feasible; None otherwise."""
     slack = tol * (1.0 + float(np.abs(v).max(initial=0.0)))
     missed = rows.violation(v)
     if missed[rows.mask("actuator")].max(initial=0.0) > slack:
@@ -108,7 +109,7 @@ def _least_relaxed(v: Array, rows: Polyhedron, tol: float) -> Polyhedron | None:
 
 
 def _cannot_be_less(v: Array, rows: Polyhedron, soft: NDArray[np.bool_], hard: NDArray[np.bool_], tol: float) -> bool:
-    """Farkas: normals of soft rows, with weights that sum to 1, balance those of the hard ones."""
+    """Farkas certificate: normals of soft rows, with weights that sum to 1, balance normals of hard rows."""
     pushing, near = _bounds(rows, v, soft)
     holding, far = _bounds(rows, v, hard)
     weight = np.append(np.ones(near.size), np.zeros(far.size))
@@ -118,7 +119,7 @@ def _cannot_be_less(v: Array, rows: Polyhedron, soft: NDArray[np.bool_], hard: N
 
 
 def _bounds(rows: Polyhedron, v: Array, chosen: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
-    """Outward normals (p, n) of all finite bounds of the chosen rows, and the distance (p,) of v to each."""
+    """Outward normals (p, n) of all finite bounds of the chosen rows, and the distance (p,) of v from each bound."""
     value = rows.A @ v
     above, below = np.isfinite(rows.upper), np.isfinite(rows.lower)
     if chosen is not None:
@@ -129,7 +130,7 @@ def _bounds(rows: Polyhedron, v: Array, chosen: NDArray[np.bool_] | None = None)
 
 
 def _in_cone(goal: Array, normals: Array, gaps: Array, tol: float) -> bool:
-    """Whether goal (d,) is a non-negative combination of normals (p, d) with vanishing weight · gap."""
+    """Whether goal (d,) is a non-negative combination of normals (p, d) with the sum of weight · gap equal to 0."""
     from scipy.optimize import nnls
 
     size = float(np.abs(goal).max(initial=0.0))

@@ -1,8 +1,8 @@
-"""Solvers that keep their memory from tick to tick: DAQP and OSQP through their own interfaces.
+"""Solvers that keep their state between control periods: DAQP and OSQP through their own interfaces.
 
-Both are kernels: `solve_least_distance(..., backend=KeptDaqp())`. The number of rows changes from tick to tick,
-since elimination drops some, and neither solver can change its size: one is kept for each size that occurs. A tick
-whose answer does not hold is never built upon: its solver is dropped, and set up anew when that size comes again.
+Both are kernels: `solve_least_distance(..., backend=PersistentDaqp())`. The number of rows varies between control
+periods, since elimination drops some, and neither solver can change its size, so one solver is kept for each size. If a
+solution fails its check, the solver is discarded and a new one is set up when that size occurs again.
 """
 
 from __future__ import annotations
@@ -31,33 +31,33 @@ __all__ = ["PersistentDaqp", "PersistentOsqp"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-_MOST = 64  # sizes kept; the one used first goes first
+_MOST = 64  # largest number of sizes; the one first stored is dropped first
 _RHO = 0.1  # OSQP's default step size, from which it adapts
 
 
 class _Persistent(ABC):
-    """One solver a size; what they share."""
+    """Common part of the persistent solvers: a dictionary with one solver for each problem size."""
 
     def __init__(self, *, warm: bool = False) -> None:
         self.warm = warm
         self._solvers: dict[tuple[int, int], Any] = {}
 
     def __call__(self, G: Array, lower: Array, upper: Array, /) -> KernelSolution:
-        """The point nearest to 0 with lower (m,) ≤ G (m, d) y ≤ upper (m,), rows of length 1, ±inf allowed.
+        """Return the point nearest to 0 with lower (m,) ≤ G (m, d) y ≤ upper (m,), rows of length 1, ±inf allowed.
 
-        "infeasible" also where bounds cross, "failed" for a NaN; never an exception for either.
+        The status is "infeasible" also where bounds cross, and "failed" for a NaN; neither raises an exception.
 
         Raises:
-            InputError: shapes that disagree (DAQP would leave the old bounds in place).
+            InputError: the shapes disagree (DAQP would then use the old bounds).
         """
         m, d = G.shape
         if not lower.shape == upper.shape == (m,):
-            raise InputError(f"have shapes {lower.shape} and {upper.shape}, G has {m} rows", key="lower, upper")
+            raise InputError(f"have shapes {lower.shape} and {upper.shape}, but G has {m} rows", key="lower, upper")
         low, high = np.maximum(lower, -NO_BOUND), np.minimum(upper, NO_BOUND)
         solution = unfit(G, low, high)
-        if solution is not None:  # the solver has not seen it
+        if solution is not None:  # the solver was not called
             return solution
-        # taken out, and put back only when its answer holds, whatever it says: a warm one starts from that point
+        # the solver is stored again only after its solution passes the check, since a warm start begins at that point
         solver = self._solvers.pop((m, d), None)
         solver, solution = self._first(G, low, high) if solver is None else self._again(solver, G, low, high)
         if solution.status == "optimal" and holds(solution, G, low, high, FEASIBLE):
@@ -68,20 +68,21 @@ class _Persistent(ABC):
 
     @abstractmethod
     def _first(self, G: Array, lower: Array, upper: Array) -> tuple[Any, KernelSolution]:
-        """Set a solver up, and solve."""
+        """Set up a solver, and solve."""
 
     @abstractmethod
     def _again(self, solver: Any, G: Array, lower: Array, upper: Array) -> tuple[Any, KernelSolution]:
-        """Give a solver of this size new numbers, and solve."""
+        """Update the numbers of a solver of this size, and solve."""
 
 
 class PersistentDaqp(_Persistent):
-    """DAQP's `Model` (Arnström, Bemporad and Axehill 2022), set up once a size.
+    """DAQP's `Model` (Arnström, Bemporad and Axehill 2022), set up once for each problem size.
 
-    Not to be shared between threads.
+    Do not share an object between threads.
 
     Args:
-        warm: start from the last active set of that size. Off, the answer depends on the problem alone, to the bit.
+        warm: start from the last active set of that size. If off, the solution depends only on the problem, to the
+            bit.
     """
 
     def _first(self, G: Array, lower: Array, upper: Array) -> tuple[Any, KernelSolution]:
@@ -90,29 +91,29 @@ class PersistentDaqp(_Persistent):
         model.settings = {"primal_tol": DAQP_TOLERANCE}
         rows = np.ascontiguousarray(G)
         flag, _ = model.setup(np.eye(d), np.zeros(d), rows, upper, lower, np.zeros(m, dtype=np.intc))
-        # without a model its `solve` raises
+        # `solve` raises without a model
         return model, _refused(m, flag) if flag < 0 else daqp_solution(m, *model.solve())
 
     def _again(self, solver: Any, G: Array, lower: Array, upper: Array) -> tuple[Any, KernelSolution]:
         m = len(G)
-        # it keeps the active set unless it is told otherwise
+        # DAQP keeps the active set unless `sense` resets it
         sense = None if self.warm else np.zeros(m, dtype=np.intc)
         flag = solver.update(A=G, bupper=upper, blower=lower, sense=sense)
-        # refused, its `solve` would give the last tick's answer and call it optimal
+        # after a refused update, `solve` would return the last solution and call it optimal
         return solver, _refused(m, flag) if flag < 0 else daqp_solution(m, *solver.solve())
 
 
 class PersistentOsqp(_Persistent):
-    """OSQP (Stellato et al. 2020), set up once a size, then `update(l, u, Ax)`; settings as in `osqp_kernel`.
+    """OSQP (Stellato et al. 2020), set up once for each size, then `update(l, u, Ax)`; settings as in `osqp_kernel`.
 
-    Like a fresh OSQP it may stop short of 1e-8 on degenerate rows, and then says "unfinished"; `solve_least_distance`
-    polishes and checks.
+    Like a new OSQP it may stop before it reaches 1e-8 on degenerate rows, with status "unfinished";
+    `solve_least_distance` then polishes and checks the point.
 
-    Not to be shared between threads.
+    Do not share an object between threads.
 
     Args:
-        warm: start from the last point, multipliers and step size of that size. Off, the answer depends on the
-            problem alone, to the bit.
+        warm: start from the last point, multipliers and step size of that size. If off, the solution depends only
+            on the problem, to the bit.
     """
 
     def _first(self, G: Array, lower: Array, upper: Array) -> tuple[Any, KernelSolution]:
@@ -122,7 +123,7 @@ class PersistentOsqp(_Persistent):
     def _again(self, solver: Any, G: Array, lower: Array, upper: Array) -> tuple[Any, KernelSolution]:
         solver.update(l=lower, u=upper, Ax=G.T.ravel())
         if not self.warm:
-            solver.update_settings(rho=_RHO)  # it has adapted to the last problem
+            solver.update_settings(rho=_RHO)  # the step size has adapted to the last problem
         return solver, osqp_solution(solver)
 
 

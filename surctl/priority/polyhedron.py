@@ -1,4 +1,4 @@
-"""The velocities that the rows allow: V = {v : lower ≤ A v ≤ upper}, every row of length 1."""
+"""The set of velocities that the rows allow: V = {v : lower ≤ A v ≤ upper}, every row scaled to length 1."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _ROUNDING = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Polyhedron:
-    """Rows scaled to length 1, so that a violation is a velocity; names and kinds beside them.
+    """Rows scaled to length 1, so that a violation is a velocity, with their names and kinds.
 
     Attributes:
-        A: (m, n). lower, upper: (m,). length: (m,), of the rows as given.
+        A: (m, n). lower, upper: (m,). length: (m,), of the rows before scaling.
         kinds, names: (m,).
         box: the actuator rows that bound one velocity each, as lower and upper (n,); ±inf elsewhere.
     """
@@ -41,47 +41,47 @@ class Polyhedron:
 
     @staticmethod
     def none(n: int) -> Polyhedron:
-        """No row at all over n velocities."""
+        """The set without any row, over n velocities."""
         nothing, unbounded = np.zeros(0), np.full(n, np.inf)
         return Polyhedron(np.zeros((0, n)), nothing, nothing, nothing, (), (), (-unbounded, unbounded))
 
     @property
     def width(self) -> int:
-        """n."""
+        """The number of velocities n."""
         return int(self.A.shape[1])
 
     def violation(self, v: Array) -> Array:
-        """(m,): by how much v (n,) misses each row; 0 where it is kept."""
+        """Violation (m,) of each row by v (n,); 0 where v satisfies the row."""
         value = self.A @ v
         return np.maximum(np.maximum(self.lower - value, value - self.upper), 0.0)
 
     def missed(self, v: Array) -> dict[str, float]:
-        """Rows that v misses by more than rounding, by name, with the amount in each row's own unit."""
+        """Rows that v violates by more than rounding, by name, with the violation in the unit of the row."""
         amount = self.violation(v)
         tolerance = _ROUNDING * (1.0 + float(np.abs(v).max()))
         return {self.names[i]: float(amount[i] * self.length[i]) for i in np.flatnonzero(amount > tolerance)}
 
     def contains(self, v: Array) -> bool:
-        """Whether v keeps every row, without tolerance; False for a NaN."""
+        """Whether v satisfies every row, without tolerance; False for a NaN."""
         value = self.A @ v
         return bool(((self.lower <= value) & (value <= self.upper)).all())
 
     def mask(self, *kinds: Kind) -> NDArray[np.bool_]:
-        """(m,): which rows are of these kinds."""
+        """Mask (m,) of the rows of these kinds."""
         return np.array([kind in kinds for kind in self.kinds], dtype=bool)
 
     def relaxed(self, rows: NDArray[np.bool_], by: float) -> Polyhedron:
-        """The same, with both bounds of the chosen rows moved outwards by `by`."""
+        """The same set with both bounds of the chosen rows moved outwards by `by`."""
         move = np.where(rows, by, 0.0)
         return replace(self, lower=self.lower - move, upper=self.upper + move)
 
     def holding(self, v: Array) -> Polyhedron:
-        """The same, with bounds moved just far enough to hold v exactly: for a v that is known to belong."""
+        """The same set with bounds moved just far enough that v satisfies them exactly; v must be feasible."""
         value = self.A @ v
         return replace(self, lower=np.minimum(self.lower, value), upper=np.maximum(self.upper, value))
 
     def only(self, rows: NDArray[np.bool_]) -> Polyhedron:
-        """The chosen rows alone."""
+        """The set that only the chosen rows define."""
         chosen = np.flatnonzero(rows)
         return replace(
             self,
@@ -94,7 +94,7 @@ class Polyhedron:
         )
 
     def also(self, J: Array, lower: Array, upper: Array, *, names: Sequence[str]) -> Polyhedron:
-        """The same with more rows J v in [lower, upper], J (k, n), kept like those of a set-based task."""
+        """The same set with additional rows J v in [lower, upper], J (k, n), of kind "set"."""
         length = _lengths(J)
         kind: Kind = "set"
         return replace(
@@ -108,7 +108,7 @@ class Polyhedron:
         )
 
     def widened(self, J: Array, lower: Array, upper: Array) -> Polyhedron:
-        """The rows over (v, s) with s (k,), and k more rows J v + s in [lower, upper]."""
+        """The rows over (v, s) with s (k,), and k additional rows J v + s in [lower, upper]."""
         k = J.shape[0]
         wide = replace(self, A=np.hstack([self.A, np.zeros((self.A.shape[0], k))]))
         return wide.also(np.hstack([J, np.eye(k)]), lower, upper, names=["slack"] * k)
@@ -120,7 +120,7 @@ class Polyhedron:
 
 
 def polyhedron_of(problem: PriorityProblem) -> Polyhedron:
-    """The problem's rows, scaled. A row of zeros keeps its bounds: it is met always or never."""
+    """The problem's rows, scaled. A row of zeros keeps its bounds: it is always or never satisfied."""
     rows, n = problem.rows, problem.width
     A = np.array([row.a for row in rows]).reshape(len(rows), n)
     length = _lengths(A)
@@ -135,20 +135,20 @@ def _lengths(A: Array) -> Array:
     """Length of each row; 1 for a row of zeros."""
     largest = np.abs(A).max(axis=1, initial=0.0)
     largest[largest == 0.0] = 1.0
-    scaled = A / largest[:, None]  # squared as it is, a row of 1e155 would be infinitely long
+    scaled = A / largest[:, None]  # without this scaling the square of a row of 1e155 would overflow
     length: Array = largest * np.sqrt(np.einsum("ij,ij->i", scaled, scaled))
     length[_is_zero(A)[:, 0]] = 1.0
     return length
 
 
 def _is_zero(A: Array) -> NDArray[np.bool_]:
-    """(m, 1): which rows count as rows of zeros."""
+    """Mask (m, 1) of the rows that count as zero."""
     zero: NDArray[np.bool_] = np.abs(A).max(axis=1, initial=0.0, keepdims=True) <= ZERO_ROW
     return zero
 
 
 def _box(A: Array, lower: Array, upper: Array, kinds: tuple[Kind, ...]) -> tuple[Array, Array]:
-    """Bounds of single velocities; where two rows contradict each other, the middle of both."""
+    """Bounds of single velocities; where two rows contradict each other, both bounds are their midpoint."""
     low, high = np.full(A.shape[1], -math.inf), np.full(A.shape[1], math.inf)
     for i in np.flatnonzero(np.count_nonzero(A, axis=1) == 1):
         if kinds[i] != "actuator":

@@ -1,4 +1,4 @@
-"""The priority problem of one tick as data: named levels, named rows; printable and saveable."""
+"""The priority problem of one control period as data: named levels and named rows that can be printed and saved."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ Array: TypeAlias = NDArray[np.float64]
 class Level:
     """One task at one instant, row by row: lower ≤ J v ≤ upper.
 
-    `Level(name, J, x)` asks for J v = x. A set-based task gives both bounds, ±inf for none; where they leave
-    room the row asks for nothing while it is kept.
+    `Level(name, J, x)` requires J v = x. A set-based task has both bounds, ±inf if absent; between different bounds a
+    row has no effect.
 
     Attributes:
         J: (k, n).
-        lower, upper: (k,) [unit of σ per second]; upper None: the same as lower.
-        unit: of σ̇, as "m/s"; for explanations.
+        lower, upper: (k,) [unit of σ per second]; upper = None means the same as lower.
+        unit: unit of σ̇, for example "m/s", for explanations.
     """
 
     name: str
@@ -40,39 +40,39 @@ class Level:
 
     @property
     def x(self) -> Array:
-        """(k,), the value asked for, of a level without a set-based row; otherwise its lower bounds."""
+        """The desired value (k,) of a level without set-based rows; otherwise its lower bounds."""
         return self.lower
 
     @property
     def high(self) -> Array:
-        """(k,), the upper bounds."""
+        """The upper bounds (k,)."""
         return self.lower if self.upper is None else self.upper
 
     @property
     def exact(self) -> NDArray[np.bool_]:
-        """(k,): which rows ask for one value."""
+        """Mask (k,) of the rows with one desired value."""
         rows: NDArray[np.bool_] = self.lower == self.high
         return rows
 
     @property
     def is_goal(self) -> bool:
-        """Whether every row asks for one value."""
+        """Whether every row has one desired value."""
         return self.upper is None or bool(self.exact.all())
 
     def miss(self, v: Array) -> Array:
-        """(k,): what J v lacks to the nearest allowed value, signed; v (n,). 0 where a row is kept."""
+        """Signed distance (k,) from J v to the nearest allowed value, for v (n,); 0 where a row is satisfied."""
         value = self.J @ v
         lacks: Array = np.clip(value, self.lower, self.high) - value
         return lacks
 
     def residual(self, v: Array) -> float:
-        """‖miss‖: ‖J v − x‖ for a task that asks for one value."""
+        """Norm of `miss`; this is ‖J v − x‖ for a task with one desired value."""
         return float(np.sqrt((self.miss(v) ** 2).sum()))
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One limit at one instant: lower ≤ a·v ≤ upper; a (n,); ±inf where there is none."""
+    """One limit at one instant: lower ≤ a·v ≤ upper with a (n,); an absent bound is ±inf."""
 
     name: str
     kind: Kind
@@ -83,7 +83,7 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class PriorityProblem:
-    """Levels, highest priority first, and rows; make it with `build_problem`, which checks it."""
+    """Levels, highest priority first, and limit rows; `build_problem` checks and builds it."""
 
     levels: tuple[Level, ...]
     rows: tuple[Row, ...] = ()
@@ -94,7 +94,7 @@ class PriorityProblem:
         return int(self.levels[0].J.shape[1])
 
     def __str__(self) -> str:
-        """A table: one line a task row, one a limit."""
+        """Return a table with one line for each task row and for each limit."""
         lines = [f"{'priority':<9} {'name':<20} row · v"]
         for place, level in enumerate(self.levels, start=1):
             lines += [
@@ -107,7 +107,7 @@ class PriorityProblem:
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON; an absent bound is null. Numbers survive the round trip exactly."""
+        """Return plain data for JSON; an absent bound is null. The numbers survive a round trip exactly."""
         return {
             "levels": [
                 {
@@ -133,7 +133,7 @@ class PriorityProblem:
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> PriorityProblem:
-        """The problem that `to_dict` gave; checked like any other. InputError for a missing key."""
+        """Build and check the problem from the data of `to_dict`. A missing key raises an InputError."""
         try:
             levels = [
                 Level(
@@ -168,9 +168,9 @@ def build_problem(levels: Sequence[Level], rows: Sequence[Row] = ()) -> Priority
     """Check and freeze a problem.
 
     Raises:
-        InputError: no level, widths that disagree, what is no number or not finite, bounds that cross, an unknown
-            kind, a name that is empty, not of one line or used twice; it names the task (and the row inside it) or
-            the limit.
+        InputError: no level, different numbers of columns, a value that is not a finite number, crossed bounds, an
+            unknown kind, or a name that is empty, has several lines or is used twice. The message names the task
+            (and its row) or the limit.
 
     Example:
         >>> import numpy as np
@@ -186,8 +186,8 @@ def build_problem(levels: Sequence[Level], rows: Sequence[Row] = ()) -> Priority
     _check_names("task", [level.name for level in levels])
     _check_names("limit", [row.name for row in rows])
     shared = {level.name for level in levels} & {row.name for row in rows}
-    if shared:  # a set-based task may bind like a limit: the answer would not say which of the two
-        raise InputError("names a limit too", key=f"task {min(shared)}", remedy="rename one of them")
+    if shared:  # a set-based task can bind like a limit: with equal names, the solution would be ambiguous
+        raise InputError("is also the name of a limit", key=f"task {min(shared)}", remedy="rename one of them")
     checked = tuple(_checked_level(level) for level in levels)
     width = checked[0].J.shape[1]
     for level in checked:
@@ -195,7 +195,7 @@ def build_problem(levels: Sequence[Level], rows: Sequence[Row] = ()) -> Priority
             raise InputError(
                 f"J has {level.J.shape[1]} columns, but task {checked[0].name} has {width}",
                 key=f"task {level.name}",
-                remedy="all Jacobians act on the same velocities",
+                remedy="use the same velocities in all Jacobians",
             )
     return PriorityProblem(checked, tuple(_checked_row(row, width) for row in rows))
 
@@ -207,7 +207,7 @@ def _checked_level(level: Level) -> Level:
     if J.ndim != 2 or J.shape[0] != lower.size or J.size == 0 or lower.size != upper.size:
         entries = f"{lower.size}" if lower.size == upper.size else f"{lower.size} and {upper.size}"
         raise InputError(
-            f"J has shape {J.shape}, its values have {entries} entries",
+            f"J has shape {J.shape}, but its values have {entries} entries",
             key=key,
             remedy="give J of shape (k, n) and k values",
         )
@@ -215,8 +215,8 @@ def _checked_level(level: Level) -> Level:
     finite &= np.isfinite(lower) | (lower < upper)
     crossed = ~(lower <= upper) | (lower == math.inf) | (upper == -math.inf)
     for wrong, problem, remedy in (
-        (~finite, "is not finite", "gate the inputs first"),
-        (crossed, "bounds leave no value", "give lower <= upper"),
+        (~finite, "is not finite", "check the inputs for NaN first"),
+        (crossed, "has bounds that exclude every value", "give lower <= upper"),
     ):
         if wrong.any():
             bad = int(np.flatnonzero(wrong)[0])
@@ -231,11 +231,11 @@ def _checked_row(row: Row, width: int) -> Row:
     if row.kind not in get_args(Kind):
         raise InputError("unknown kind", key=key, value=row.kind, remedy=nearest(str(row.kind), get_args(Kind)))
     if a.size != width:
-        raise InputError(f"has {a.size} entries, expected {width}", key=key, remedy="one entry a velocity")
+        raise InputError(f"has {a.size} entries, expected {width}", key=key, remedy="give one entry for each velocity")
     if not np.isfinite(a).all() or math.isnan(lower) or math.isnan(upper):
-        raise InputError("is not finite", key=key, value=[*a.tolist(), lower, upper], remedy="gate the inputs first")
+        raise InputError("is not finite", key=key, value=[*a.tolist(), lower, upper], remedy="check the inputs for NaN")
     if lower > upper or lower == math.inf or upper == -math.inf:
-        raise InputError("bounds leave no velocity", key=key, value=[lower, upper], remedy="give lower <= upper")
+        raise InputError("bounds exclude every velocity", key=key, value=[lower, upper], remedy="give lower <= upper")
     return Row(row.name, row.kind, a, lower, upper)
 
 
@@ -243,11 +243,11 @@ def _check_names(what: str, names: Sequence[str]) -> None:
     for i, name in enumerate(names):
         if not isinstance(name, str) or not name or not name.isprintable():
             raise InputError(
-                "is no name", key=f"name of {what} {i + 1}", value=name, remedy="give text of one line, not empty"
+                "is not a name", key=f"name of {what} {i + 1}", value=name, remedy="give a non-empty text of one line"
             )
         if name in names[:i]:
             raise InputError(
-                f"names both {what} {names.index(name) + 1} and {what} {i + 1}",
+                f"is the name of {what} {names.index(name) + 1} and of {what} {i + 1}",
                 key=f"{what} {name}",
                 remedy="rename one of them",
             )
@@ -263,7 +263,7 @@ def _numbers(value: Any, key: str) -> Array:
             return _array(value)
     except (TypeError, ValueError):
         pass
-    raise InputError("is not an array of numbers", key=key, value=value, remedy="give real numbers, rows of one length")
+    raise InputError("is not an array of numbers", key=key, value=value, remedy="give real numbers in equal rows")
 
 
 def _number(value: Any, key: str) -> float:

@@ -1,4 +1,4 @@
-"""Other ways to the same answer, which share no code with this package's solvers; for tests and studies."""
+"""Independent implementations of the priority laws, without code of this package's solvers; for tests and studies."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NO_BOUND = 1e30
 
 
 def printed_law(levels: Sequence[Level]) -> Array:
-    """(16) with numpy's own pseudo-inverse, nested outwards: v_1 + N_1 v_2 + N_1 N_2 v_3 + …"""
+    """The law (16) with numpy's own pseudo-inverse, nested outwards: v_1 + N_1 v_2 + N_1 N_2 v_3 + …"""
     n = levels[0].J.shape[1]
     v, chain = np.zeros(n), np.eye(n)
     for level in levels:
@@ -32,7 +32,7 @@ def printed_law(levels: Sequence[Level]) -> Array:
 
 
 def svd_cascade(levels: Sequence[Level]) -> Array:
-    """Strict priority without rows: v ← v + (J N)⁺(x − J v), N of all levels above, cut off at 1e-10·‖J‖."""
+    """Strict priority without rows: v ← v + (J N)⁺(x − J v), N of all levels above, with cut-off 1e-10·‖J‖."""
     n = levels[0].J.shape[1]
     v, N = np.zeros(n), np.eye(n)
     for level in levels:
@@ -44,12 +44,12 @@ def svd_cascade(levels: Sequence[Level]) -> Array:
 
 
 def daqp_hierarchy(problem: PriorityProblem) -> Array:
-    """DAQP's own lexicographic solver (Arnström, Bemporad and Axehill 2022), the limits as its first level.
+    """Solve with DAQP's own lexicographic solver (Arnström, Bemporad and Axehill 2022); the limits are its first level.
 
-    It scales rows to length 1: residuals compare with others where all rows have that length already.
+    DAQP scales rows to length 1, so its residuals are comparable only where all rows already have length 1.
 
     Raises:
-        SolverError: DAQP gives no answer.
+        SolverError: DAQP finds no solution.
     """
     levels, rows = problem.levels, problem.rows
     A = np.vstack([*[row.a for row in rows], *[level.J for level in levels]])
@@ -58,7 +58,7 @@ def daqp_hierarchy(problem: PriorityProblem) -> Array:
     ends = np.cumsum([len(rows), *[level.lower.size for level in levels]]).astype(np.intc)
     v, _, flag, _ = daqp.solve(
         None,
-        None,  # with a vector of zeros in its place the answer is not initialised
+        None,  # a vector of zeros here would leave the solution uninitialised
         A,
         np.minimum(upper, _NO_BOUND),
         np.maximum(lower, -_NO_BOUND),
@@ -68,5 +68,5 @@ def daqp_hierarchy(problem: PriorityProblem) -> Array:
         dual_tol=1e-11,
     )
     if flag <= 0:
-        raise SolverError(f"DAQP's hierarchy ends with flag {flag}")
+        raise SolverError(f"DAQP's hierarchical solver failed with flag {flag}")
     return np.array(v, dtype=float)

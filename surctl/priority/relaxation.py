@@ -1,4 +1,4 @@
-"""Rows that contradict each other: the least by which they must open, and a point inside."""
+"""Relaxation of rows that contradict each other: the smallest opening that makes them consistent, with a point."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ __all__ = ["Relaxed", "least_violation"]
 Array: TypeAlias = NDArray[np.float64]
 
 _OPEN = 1e-9
-"""Rows that open by no more than this were consistent all along."""
+"""Rows that open by at most this amount count as consistent."""
 
 
 @dataclass(frozen=True, eq=False)
 class Relaxed:
-    """Rows that are consistent again.
+    """Rows that were made consistent.
 
     Attributes:
-        rows: with their bounds moved.
-        inside: a point that keeps them.
-        iterations: of the solvers.
-        opened: whether any had to open (a solver may err when it says that none keeps them).
+        rows: the rows with moved bounds.
+        inside: a point that satisfies them.
+        iterations: number of iterations of the solvers.
+        opened: whether any row had to open (a solver can report infeasibility by mistake).
         conflict: names of the rows that contradict each other.
-        least: whether the searches for the least opening ended.
+        least: whether the searches for the smallest opening converged.
     """
 
     rows: Polyhedron
@@ -46,9 +46,9 @@ class Relaxed:
 
 
 def least_violation(rows: Polyhedron, start: Array, *, backend: Backend) -> Relaxed | None:
-    """Relax barrier rows, then rows of set-based tasks, each by the least uniform amount [row of length 1].
+    """Relax barrier rows, then rows of set-based tasks, each kind by the smallest uniform amount [row of length 1].
 
-    None if the actuator rows contradict each other, or no solver answers. `start` (n,).
+    Return None if the actuator rows contradict each other, or if no solver finds a solution. `start` is (n,).
     """
     firm = rows.only(rows.mask("actuator"))
     solution = Freedom.whole(start.size).nearest(start, firm, backend=backend)
@@ -72,9 +72,9 @@ def least_violation(rows: Polyhedron, start: Array, *, backend: Backend) -> Rela
 def _least_uniform(
     rows: Polyhedron, kind: Kind, hard: tuple[Kind, ...], inside: Array
 ) -> tuple[Array, float, LevelSolution, tuple[str, ...]]:
-    """A point, the least t ≥ 0 by which the rows of `kind` must open so that it exists, the search, who is in the way.
+    """A point, the least t ≥ 0 by which rows of `kind` must open to admit it, the solver result, and the limiting rows.
 
-    Itself a task over (v, t): t should be 0. `inside` keeps the hard rows.
+    This is a task over (v, t) with desired t = 0. `inside` satisfies the hard rows.
     """
     n = inside.size
     close = Level("opening", np.eye(1, n + 1, n), np.zeros(1))
@@ -86,7 +86,7 @@ def _least_uniform(
 
 
 def _opening(rows: Polyhedron, kind: Kind, hard: tuple[Kind, ...]) -> Polyhedron:
-    """Rows over (v, t): hard ones as they are, those of `kind` open by t at both ends."""
+    """Rows over (v, t): hard rows are unchanged, rows of `kind` are widened by t at both bounds."""
     keep, soft = np.flatnonzero(rows.mask(*hard)), np.flatnonzero(rows.mask(kind))
     order = np.concatenate([keep, soft, soft])
     none = np.full(soft.size, np.inf)

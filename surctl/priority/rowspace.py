@@ -1,4 +1,4 @@
-"""What a Jacobian can and cannot move: its row space, with a cut-off that noise does not pass."""
+"""Row space and null space of a Jacobian, with a cut-off that removes rounding noise."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ CUTOFF = 1e-10
 """Singular values below CUTOFF·‖J‖ count as 0."""
 
 ZERO_ROW = 1e-15
-"""A Jacobian smaller than this is that of an inactive task."""
+"""A Jacobian smaller than this belongs to an inactive task."""
 
 
 @dataclass(frozen=True)
 class RowSpace:
-    """J = left · diag(s) · rows, without what lies below the cut-off.
+    """J = left · diag(s) · rows, without singular values below the cut-off.
 
     Attributes:
         left: (k, r), orthonormal columns.
@@ -33,11 +33,11 @@ class RowSpace:
     null: NDArray[np.float64]
 
     def pinv(self) -> NDArray[np.float64]:
-        """J⁺, (n, k)."""
+        """The pseudo-inverse J⁺, (n, k)."""
         return (self.rows.T / self.s) @ self.left.T
 
     def particular(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """J⁺x, (n,)."""
+        """The product J⁺x, (n,)."""
         return self.rows.T @ ((self.left.T @ x) / self.s)
 
 
@@ -52,12 +52,12 @@ def row_space(J: NDArray[np.float64], *, cutoff: float = CUTOFF, scale: float | 
 def project(
     w: NDArray[np.float64], J: NDArray[np.float64], *, x: NDArray[np.float64], cutoff: float = CUTOFF
 ) -> NDArray[np.float64]:
-    """The point nearest to w (n,) of argmin ‖J z − x‖: w + J⁺(x − J w). Exact for rank-deficient J too."""
+    """The point of argmin ‖J z − x‖ nearest to w (n,): w + J⁺(x − J w). Exact also for rank-deficient J."""
     if J.shape[0] == 1:
         row = J[0]
         square = row @ row
         return w if square <= ZERO_ROW**2 else w + row * ((x[0] - row @ w) / square)
     space = row_space(J, cutoff=cutoff)
-    # J w is not formed: its error would be divided by the smallest singular value
+    # J w is not computed, because its error would be divided by the smallest singular value
     moved: NDArray[np.float64] = w + space.rows.T @ ((space.left.T @ x) / space.s - space.rows @ w)
     return moved

@@ -1,4 +1,4 @@
-"""How a priority problem is to be solved: mode, sweeps, damping, cut-off."""
+"""Settings of the priority law: mode, sweeps, damping, cut-off."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from surctl.priority.rowspace import CUTOFF
 __all__ = ["Fallback", "Mode", "Settings", "check_fallback"]
 
 Mode: TypeAlias = Literal["nsb", "filter", "projected", "lexicographic"]
-"""nsb: the printed law (16), which knows no rows. filter: the point of the rows nearest to it. projected: (16) with
-its last projection, that of the first task, kept inside the rows. lexicographic: strict priority inside the rows."""
+"""nsb: the printed law (16), without limit rows. filter: the point inside the rows nearest to nsb. projected: (16) with
+its last projection, that of the first task, restricted to the rows. lexicographic: strict priority inside the rows."""
 
 Fallback: TypeAlias = Literal["exact", "bounded"]
-"""How a compiled tick answers where task and rows cannot all be kept. exact: the best answer, whatever it takes.
-bounded: one of constant cost, never worse in rows than the target in the box or standing still."""
+"""What a compiled step does if task and rows are incompatible. exact: it computes the optimum, at any cost. bounded: it
+computes a solution of constant cost that violates the rows no more than the target in the box, or v = 0, does."""
 
 _BOUNDED: tuple[Mode, ...] = ("filter", "projected")
 
@@ -28,14 +28,14 @@ _LEAST_DAMPING = 1e-6
 
 @dataclass(frozen=True)
 class Settings:
-    """What `solve` takes beside the problem.
+    """Settings of `solve` other than the problem.
 
     Attributes:
         mode: see `Mode`.
-        sweeps: how often the sweep of projections is run, each from the last result; 1 is (16), and with more the
-            answer tends to strict priority where the tasks are compatible. 1 for lexicographic.
+        sweeps: number of sweeps of projections, each started from the result of the one before. One sweep is (16);
+            more sweeps approach strict priority where the tasks are compatible. 1 for lexicographic.
         damping: λ [unit of J], at least 1e-6, or 0 for none: every projection becomes min λ²‖z − w‖² + ‖J z − x‖²,
-            which is (16) with Jᵀ(JJᵀ + λ²I)⁻¹ in v_i and in N_i alike. 0 for lexicographic.
+            which is (16) with Jᵀ(JJᵀ + λ²I)⁻¹ in both v_i and N_i. 0 for lexicographic.
         cutoff: singular values below cutoff·‖J_i‖ count as 0, also those of J_i N.
 
     Raises:
@@ -48,7 +48,7 @@ class Settings:
     cutoff: float = CUTOFF
 
     def __post_init__(self) -> None:
-        """Check the range of each, and that the mode takes it."""
+        """Check the range of each setting, and that the mode uses it."""
         modes = get_args(Mode)
         if self.mode not in modes:
             raise InputError(
@@ -67,31 +67,31 @@ class Settings:
             raise InputError("is out of range", key="cutoff", value=self.cutoff, remedy="give a number between 0 and 1")
         if self.mode == "lexicographic" and (self.sweeps != 1 or self.damping != 0.0):
             raise InputError(
-                "belongs to the sweep, and mode lexicographic makes none",
+                "applies to sweeps, and mode lexicographic makes none",
                 key="sweeps" if self.sweeps != 1 else "damping",
                 value=self.sweeps if self.sweeps != 1 else self.damping,
-                remedy="leave it out, or take mode projected",
+                remedy="leave it out, or use mode projected",
             )
 
 
 def check_fallback(fallback: str, *, mode: str, damping: float = 0.0) -> None:
-    """Raise InputError for an unknown ladder, or one that the mode has not.
+    """Raise an InputError if the fallback is unknown or the mode does not support it.
 
     Example:
-        >>> from surctl.priority import check_ladder
-        >>> check_ladder("bounded", mode="projected")  # nothing to say
-        >>> check_ladder("bounded", mode="nsb")
+        >>> from surctl.priority import check_fallback
+        >>> check_fallback("bounded", mode="projected")  # valid: no error
+        >>> check_fallback("bounded", mode="nsb")
         Traceback (most recent call last):
             ...
-        surctl.errors.InputError: fallback = 'bounded': mode nsb has none; take mode filter or projected
+        surctl.errors.InputError: fallback = 'bounded': mode nsb has none; use mode filter or projected
     """
     known = get_args(Fallback)
     if fallback not in known:
         raise InputError("is not known", key="fallback", value=fallback, remedy=nearest(str(fallback), known))
     if fallback != "exact" and (mode not in _BOUNDED or damping != 0.0):
         raise InputError(
-            f"mode {mode} has none" if mode not in _BOUNDED else "goes with no damping",
+            f"mode {mode} has none" if mode not in _BOUNDED else "cannot be combined with damping",
             key="fallback",
             value=fallback,
-            remedy=f"take mode {' or '.join(_BOUNDED)}" if mode not in _BOUNDED else "leave the damping out",
+            remedy=f"use mode {' or '.join(_BOUNDED)}" if mode not in _BOUNDED else "leave the damping out",
         )

@@ -1,4 +1,4 @@
-"""What the priority law answers at one tick, and why."""
+"""The result of the priority law in one control period, with an explanation."""
 
 from __future__ import annotations
 
@@ -16,36 +16,36 @@ from surctl.priority.settings import Settings
 __all__ = ["Outcome", "PrioritySolution", "residuals_at"]
 
 Outcome: TypeAlias = Literal["optimal", "limited", "relaxed", "unconfirmed", "clamped"]
-"""optimal: what the mode promises, and the first task as well met as without rows where the mode cares; limited: it
-is met as well as the rows allow; relaxed: the rows contradict each other, and some gave way; unconfirmed: v keeps the
-rows as far as that was found possible, but no solution passed the check, so that a better v may exist; clamped: the
-actuator rows themselves contradict each other (or no solver answered), and v is only kept in the box."""
+"""optimal: the optimum of the mode, with the first task met as well as without rows (where the mode considers it);
+limited: the first task is met as well as the rows allow; relaxed: the rows contradict each other, so some were opened;
+unconfirmed: v satisfies the rows as far as a solver could, but no solution passed the check, so a better v may exist;
+clamped: the actuator rows contradict each other (or no solver found a solution), and v is only moved into the box."""
 
 _NOTICEABLE = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
 class PrioritySolution:
-    """A velocity that is always finite, and its reasons.
+    """A velocity that is always finite, and the reasons for it.
 
     Attributes:
         v: (n,); for this vehicle (u, v, w, r) in {B} [m/s, rad/s].
         settings: mode, sweeps, damping, cut-off.
-        target: (n,), the point that the last projection started from: w_2 of "projected", (16) of "filter", 0 of
+        target: (n,), the start of the last projection: w_2 for "projected", (16) for "filter", 0 for
             "lexicographic".
         residuals: ‖J_i v − x_i‖ of each level [unit of σ per second].
-        without_limits: the same for the law (16) without rows: what a level loses to levels above it alone.
-        binding: (row, multiplier) of the rows that hold v back, as given: positive at the upper bound, negative
-            at the lower. A set-based level that binds stands here by its name, with a dot and the row's place if it has
-            several. Of ½‖v − target‖² in the last projection; for a row that holds back a strict level (the first of
-            "projected", any of "lexicographic"), of ½‖J v − x‖² of that level.
-        blame: rows that hold back a strict level, by level.
-        relaxed: how far v misses the rows that it misses, in the unit of each row.
+        without_limits: the same for the law (16) without rows: what a level loses only to the levels above it.
+        binding: (row, multiplier) of the rows that limit v, for rows as passed in: positive at the upper bound,
+            negative at the lower. A set-based level that binds has its own name, with a dot and the row's index if it
+            has several rows. The multiplier is that of ½‖v − target‖²; for a row that limits a strict level (the first
+            of "projected", any of "lexicographic"), that of ½‖J v − x‖² of this level.
+        causes: the rows that limit a strict level, by level.
+        relaxed: violation of each violated row, in the unit of that row.
         conflict: the rows that contradict each other, which is why some were relaxed.
         fallback: 1 first task met, 2 met as well as the rows allow, 3 rows relaxed, v unconfirmed or clamped.
-        iterations: of the solvers, summed; 0 when none was needed.
+        iterations: total of all solvers; 0 when no solver was needed.
         status: see `Outcome`.
-        units: of each level's residual.
+        units: unit of each level's residual.
     """
 
     v: NDArray[np.float64]
@@ -64,32 +64,32 @@ class PrioritySolution:
 
     @property
     def mode(self) -> str:
-        """The mode's name."""
+        """The name of the mode."""
         return self.settings.mode
 
     def explain(self) -> str:
-        """One or two sentences: which task gave up how much, because of which row."""
+        """Return one or two sentences: which task gave up how much, because of which row."""
         if self.status == "clamped":
-            return "The actuator rows contradict each other, or no solver answered: v is only kept in the box."
+            return "The actuator rows contradict each other, or all solvers failed: v is only moved into the box."
         text = self._losses()
         if self.status == "unconfirmed":
-            text = f"{text} No solution of the solver passed the check: a better v may exist."
+            text = f"{text} No solution passed the optimality check, so a better v may exist."
         if not self.relaxed:
             return text
         missed = ", ".join(f"`{name}` by {amount:.2g}" for name, amount in self.relaxed.items())
         if self.mode == "nsb":
-            return f"{text} This mode knows no limits: v misses {missed}."
+            return f"{text} This mode ignores limits: v violates {missed}."
         who = f" ({_listed(self.conflict)})" if self.conflict else ""
         return f"{text} The limits contradict each other{who}, so the least violation was allowed: {missed}."
 
     def is_optimal(self, problem: PriorityProblem, tol: float = 1e-6) -> bool:
-        """Whether v is what `mode` promises for `problem`, judged from v alone; see `optimality`."""
+        """Whether v is optimal for `mode` and `problem`, checked from v alone; see `optimality`."""
         return self.status != "clamped" and is_optimal(
             self.v, problem, settings=self.settings, target=self.target, tol=tol
         )
 
     def _losses(self) -> str:
-        """The sentence on tasks: who gave up how much, grouped by the rows that are to blame."""
+        """The sentence on tasks: which task gave up how much, grouped by the rows that cause it."""
         bind = tuple(name for name, _ in self.binding)
         lost: dict[tuple[str, ...], list[str]] = {}
         for name, residual in self.residuals.items():
@@ -99,7 +99,7 @@ class PrioritySolution:
                 lost.setdefault(self.causes.get(name, bind), []).append(f"task `{name}` gave up {amount:.2g}{unit}")
         if not lost:
             if bind:
-                return f"{_listed(bind)} {_verb(bind)}, at no task's cost."
+                return f"{_listed(bind)} {_verb(bind)}, but no task gives up anything."
             known = "the null-space-based law" if self.mode != "lexicographic" else "that of strict priority"
             return f"v is {known}." if self.relaxed else f"No limit binds: v is {known}."
         because = [
@@ -119,5 +119,5 @@ def _verb(names: Sequence[str]) -> str:
 
 
 def residuals_at(v: NDArray[np.float64], levels: tuple[Level, ...]) -> dict[str, float]:
-    """‖J_i v − x_i‖ of each level, by name; of a set-based task, the distance from what it allows."""
+    """‖J_i v − x_i‖ of each level, by name; for a set-based task, the distance from its interval."""
     return {level.name: level.residual(v) for level in levels}

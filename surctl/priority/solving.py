@@ -1,4 +1,4 @@
-"""The four modes behind one call."""
+"""One function for the four priority modes."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ def solve(
     cutoff: float = CUTOFF,
     backend: Backend = "daqp",
 ) -> PrioritySolution:
-    """Solve one tick. It always answers: v is finite, whatever the problem holds.
+    """Solve the priority problem of one control period; v is finite for any problem.
 
-    (1) The first task is met inside the rows; (2) if no point does that, it is met as well as they allow; (3) if the
-    rows contradict each other, the same after rows of set-based tasks and, if those are not enough, barrier rows were
-    relaxed by the least uniform amount. Actuator rows never give way. Where no row binds the answer is that of the
-    same mode without rows.
+    (1) The first task is met inside the rows. (2) If no point does that, it is met as well as the rows allow. (3) If
+    the rows contradict each other, soft rows are first relaxed by the smallest uniform amount: rows of set-based tasks,
+    and barrier rows only if that is not enough. Actuator rows are never relaxed. If no row binds, the solution is that
+    of the same mode without rows.
 
     Args:
         problem: from `build_problem`.
-        mode: "projected": the law (16), its last projection kept inside the rows. "filter": the point of the rows
-            nearest to (16). "lexicographic": strict priority. "nsb": (16), which knows no rows (those that it misses
-            are listed in `relaxed`).
+        mode: "projected": the law (16) with its last projection restricted to the rows. "filter": the point inside
+            the rows that is nearest to (16). "lexicographic": strict priority. "nsb": (16) without limits (violated
+            rows are listed in `relaxed`).
         sweeps, damping, cutoff: see `Settings`.
         backend: a name in `BACKENDS`: "daqp", "osqp", "own", or another solver that qpsolvers finds; or a `Kernel`,
-            such as one that is kept alive between ticks. Plays no part in "nsb".
+            for example one that keeps its state between control periods. Not used in "nsb".
 
     Raises:
-        InputError: unknown mode or backend, a setting out of range.
+        InputError: an unknown mode or backend, or a setting out of range.
 
     Example:
         >>> import numpy as np
@@ -64,14 +64,14 @@ def solve(
     settings = Settings(mode, sweeps, damping, cutoff)
     check_backend(backend)
     rows = polyhedron_of(problem)
-    with np.errstate(all="ignore"):  # an overflow is dealt with below, not warned about
+    with np.errstate(all="ignore"):  # overflow is handled below, so no warning is needed
         try:
             solution = _MODES[settings.mode](problem.levels, rows, settings, backend)
             if np.isfinite(solution.v).all() and np.isfinite(solution.free).all():
                 return _solution(problem, settings, rows, solution)
         except (np.linalg.LinAlgError, ArithmeticError):
             pass
-        # the numbers ran away: no velocity, or as little as the box allows
+        # overflow: v is 0 moved into the box
         v = np.nan_to_num(rows.clamp(np.zeros(problem.width)))
         return _solution(problem, settings, rows, Solution(v, v, v, "clamped"))
 
@@ -130,7 +130,7 @@ _MODES: Mapping[Mode, Callable[[Sequence[Level], Polyhedron, Settings, Backend],
 def _damped(
     level: Level, target: Array, rows: Polyhedron, *, damping: float, backend: Backend, inside: Array | None = None
 ) -> CascadeSolution | None:
-    """The damped projection as a cascade that ends at once."""
+    """The damped projection as a cascade with no further level."""
     spent = 0
     if inside is None:
         start = Freedom.whole(target.size).nearest(target, rows, backend=backend)
@@ -144,7 +144,7 @@ def _damped(
 
 
 def _solution(problem: PriorityProblem, settings: Settings, rows: Polyhedron, solution: Solution) -> PrioritySolution:
-    """The answer in the words of the problem: names, and multipliers of the rows as given."""
+    """The solution as a `PrioritySolution` with names and residuals."""
     limited = solution.status == "optimal" and problem.levels[0].name in solution.causes
     status: Outcome = "limited" if limited else solution.status
     fallback: Literal[1, 2, 3] = 1 if status == "optimal" else 2 if status == "limited" else 3

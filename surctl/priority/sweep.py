@@ -1,4 +1,4 @@
-"""The law (16) as a sweep of Euclidean projections, which also takes set-based tasks and damping."""
+"""The law (16) as a sweep of Euclidean projections, extended to set-based tasks and damping."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ __all__ = ["damped_point", "nsb_sweep", "without_rows"]
 Array: TypeAlias = NDArray[np.float64]
 
 _PLAIN = Settings()
-_NOTHING = 1e-15  # a damped problem has full rank: no direction is cut off
+_NOTHING = 1e-15  # a damped problem has full rank, so no direction is cut off
 
 
 def nsb_sweep(levels: Sequence[Level], *, start: Array, settings: Settings = _PLAIN) -> Array:
-    """One sweep of projections from the lowest priority to the highest, from `start` (n,).
+    """Return the result of one sweep of projections from the lowest priority to the highest, from `start` (n,).
 
     w_{k+1} = start; w_i = argmin ‖z − w_{i+1}‖ over argmin ‖J_i z − x_i‖; v = w_1. From 0 this is (16), because
-    J_i⁺x_i + N_i w is that projection. A set-based task leaves w alone where it is kept. Of `settings` the damping
-    and the cut-off count here.
+    J_i⁺x_i + N_i w is that projection. A set-based task that w satisfies leaves w unchanged. Only the damping and the
+    cut-off of `settings` are used here.
 
     Example:
         >>> import numpy as np
@@ -47,10 +47,10 @@ def nsb_sweep(levels: Sequence[Level], *, start: Array, settings: Settings = _PL
 
 
 def without_rows(levels: Sequence[Level], *, width: int, settings: Settings = _PLAIN) -> Array:
-    """The mode's answer (width,) where there are no rows: some sweeps from 0, or strict priority.
+    """Return the mode's solution (width,) without limit rows: the sweeps from 0, or strict priority.
 
     Strict priority is v_i = v_{i−1} + (J_i N)⁺(x_i − J_i v_{i−1}) with N of all levels above (Siciliano and Slotine
-    1991), cut off at a part of ‖J_i‖.
+    1991), with a cut-off relative to ‖J_i‖.
     """
     v = np.zeros(width)
     if settings.mode == "lexicographic":
@@ -66,7 +66,7 @@ def _onto(level: Level, w: Array, settings: Settings) -> Array:
     if level.is_goal and damping == 0.0:
         return project(w, level.J, x=level.x, cutoff=settings.cutoff)
     if level.is_goal or level.J.shape[0] == 1:
-        # not by the Gram matrix: squared, λ is lost beside a Jacobian 1e8 times as large
+        # not by the Gram matrix: after squaring, λ would be lost next to a Jacobian 1e8 times as large
         left, s, right = np.linalg.svd(level.J, full_matrices=False)
         if damping == 0.0 and s[0] <= ZERO_ROW:
             return w
@@ -80,9 +80,9 @@ def _onto(level: Level, w: Array, settings: Settings) -> Array:
 
 
 def damped_point(level: Level, w: Array, rows: Polyhedron, *, damping: float, inside: Array) -> LevelSolution:
-    """argmin λ²‖v − w‖² + ‖miss of the level‖² over the rows; λ = `damping` > 0, w (n,).
+    """Minimise λ²‖v − w‖² + ‖residual of the level‖² over the rows; λ = `damping` > 0, w (n,).
 
-    `inside` (n,) keeps the rows. The multipliers are those of half the sum.
+    `inside` (n,) satisfies the rows. The multipliers are those of half the sum.
     """
     n, pull = w.size, damping * w
     both = Level(

@@ -1,4 +1,4 @@
-"""NSB as one CasADi expression: the form that is generated into C."""
+"""The NSB law as one CasADi expression, from which C code is generated."""
 
 from __future__ import annotations
 
@@ -11,25 +11,24 @@ from surctl.errors import InputError
 __all__ = ["nsb_symbolic", "projection"]
 
 _DEPENDENT = 1e-12
-"""A row whose squared distance from the rows above it is below this part of its square is dependent."""
+"""A row is dependent if its squared distance from the rows above it is below this fraction of its square."""
 
 _ZERO_SQUARE = 1e-30
-"""Square of a row that counts as zero: the task is inactive (`rowspace.ZERO_ROW` squared)."""
+"""Squared length below which a row counts as zero and its task as inactive (`rowspace.ZERO_ROW` squared)."""
 
 
 def nsb_symbolic(levels: Sequence[tuple[ca.SX, ca.SX]], *, damping: float = 0.0) -> ca.SX:
-    """v (n, 1) of the nested law (16) for levels (J (k, n), x (k, 1)), highest priority first.
+    """Return v (n, 1) of the nested law (16) for levels (J (k, n), x (k, 1)), highest priority first.
 
-    The sweep w ← w + J_λ(x − J w) from the lowest level to the highest, J_λ = Jᵀ(JJᵀ + λ²I)⁻¹ by a
-    factorisation LDLᵀ written out: no pseudo-inverse, no loop, no branch. `damping` λ (unit of J) stands in
-    v_i and in N_i alike, which is the only damped form that is still a sweep (min λ²‖z − w‖² + ‖J z − x‖²).
+    The sweep is w ← w + J_λ(x − J w) from the lowest level to the highest, with J_λ = Jᵀ(JJᵀ + λ²I)⁻¹ by an
+    explicit LDLᵀ factorisation: no pseudo-inverse, no loop, no branch. `damping` λ (unit of J) appears in both v_i and
+    N_i. Only this damped form is still a sweep (min λ²‖z − w‖² + ‖J z − x‖²).
 
-    Without damping a zero row (an inactive task) contributes nothing, and a row that depends on rows above it
-    in its own level is left to those; `nsb` differs there only if the two contradict each other (it takes
-    the mean).
+    Without damping, a zero row (an inactive task) contributes nothing, and a row that depends on rows above it in its
+    own level is ignored. `nsb` differs only if the two rows contradict each other (it takes the mean).
 
     Raises:
-        InputError: no level, shapes that disagree, negative damping.
+        InputError: no level, inconsistent shapes, or negative damping.
 
     Example:
         >>> import casadi as ca
@@ -48,12 +47,12 @@ def nsb_symbolic(levels: Sequence[tuple[ca.SX, ca.SX]], *, damping: float = 0.0)
 
 
 def projection(w: ca.SX, J: ca.SX, x: ca.SX, *, damping: float = 0.0) -> ca.SX:
-    """One step of the sweep, from w (n, 1): argmin λ²‖z − w‖² + ‖J z − x‖²; J (k, n), x (k, 1)."""
+    """One projection of the sweep, from w (n, 1): argmin λ²‖z − w‖² + ‖J z − x‖²; J (k, n), x (k, 1)."""
     return w + J.T @ _solve_gram(J, x - J @ w, damping)
 
 
 def _solve_gram(J: ca.SX, rhs: ca.SX, damping: float) -> ca.SX:
-    """y (k, 1) with (J Jᵀ + λ²I) y = rhs, by LDLᵀ; dependent and zero rows get y = 0."""
+    """Solve (J Jᵀ + λ²I) y = rhs for y (k, 1) by LDLᵀ; dependent and zero rows get y = 0."""
     G = ca.densify(J @ J.T + damping**2 * ca.SX.eye(J.shape[0]))
     L, inverse = _factorise(G, damping**2)
     k = G.shape[0]
@@ -71,7 +70,7 @@ def _solve_gram(J: ca.SX, rhs: ca.SX, damping: float) -> ca.SX:
 def _factorise(G: ca.SX, least: float) -> tuple[list[list[ca.SX]], list[ca.SX]]:
     """L (unit lower triangle, by rows) and the inverse pivots, 0 where the pivot vanishes.
 
-    With damping none does: no pivot is below λ², `least`, but for rounding; that it is said is what a proof needs.
+    With damping no pivot vanishes, since all are at least λ² (`least`) up to rounding. The explicit bound helps proofs.
     """
     k = G.shape[0]
     L: list[list[ca.SX]] = [[ca.SX(0)] * k for _ in range(k)]
@@ -82,11 +81,11 @@ def _factorise(G: ca.SX, least: float) -> tuple[list[list[ca.SX]], list[ca.SX]]:
         for m in range(j):
             pivot = pivot - L[j][m] * L[j][m] * pivots[m]
         if least > 0.0:
-            pivot = ca.fmax(pivot, least) if j else pivot  # the first is a sum of squares and λ²
+            pivot = ca.fmax(pivot, least) if j else pivot  # the first needs no bound: squares plus λ²
             inverse.append(1.0 / pivot)
         else:
             alive = pivot > _DEPENDENT * G[j, j] + _ZERO_SQUARE
-            # both arms are finite, so the arm not taken cannot poison the result
+            # both branches are finite, so the branch that is not selected cannot spoil the result
             inverse.append(ca.if_else(alive, 1.0 / ca.if_else(alive, pivot, 1.0), 0.0))
         pivots.append(pivot)
         for i in range(j + 1, k):
@@ -101,7 +100,7 @@ def _check(levels: Sequence[tuple[ca.SX, ca.SX]], damping: float) -> None:
     if not levels:
         raise InputError("has no level", key="stack", remedy="give at least one task")
     if not 0.0 <= damping < float("inf"):
-        raise InputError("must be at least 0", key="damping", value=damping, remedy="0 for none")
+        raise InputError("must be at least 0", key="damping", value=damping, remedy="give 0 for none")
     width = levels[0][0].shape[1]
     for place, (J, x) in enumerate(levels, start=1):
         if J.shape[1] != width or x.shape != (J.shape[0], 1):

@@ -1,4 +1,4 @@
-"""Conformance checks for what others write: tasks, limits and QP backends. Each names what fails, and where."""
+"""Conformance checks for custom tasks, limits and QP backends; a failed check reports the error and the point."""
 
 from surctl.testing.backends import BACKEND_FAMILIES, BackendReport, check_backend, measure_backend
 from surctl.testing.finding import CheckFailed

@@ -1,4 +1,4 @@
-"""Whether a QP backend solves min ½‖y‖² subject to lower ≤ G y ≤ upper, on problems whose answers are known."""
+"""Check whether a QP backend solves min ½‖y‖² subject to lower ≤ G y ≤ upper, on problems with known solutions."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BackendReport:
-    """How far a backend is from the known answers. Errors are relative to 1 + max |y|; worst over a family.
+    """Errors of a backend relative to the known solutions: the worst of each family, divided by 1 + max |y|.
 
     Attributes:
-        name: of the backend.
-        problems: solved in each family.
+        name: name of the backend.
+        problems: number of problems solved in each family.
         error: largest |y − y*|.
-        violation: largest miss of a row of length 1.
+        violation: largest violation of a row of length 1.
         gradient: largest |y + Gᵀ·multipliers|.
-        unsolved: problems with a solution that were not answered "optimal".
-        undetected: problems without one that were.
-        unnamed: problems without one that were answered "failed" instead of "infeasible".
-        iterations: most of a problem.
-        findings: one line a family that does not pass, its first problem.
+        unsolved: number of feasible problems whose status is not "optimal".
+        undetected: number of infeasible problems whose status is "optimal".
+        unnamed: number of infeasible problems whose status is "failed" instead of "infeasible".
+        iterations: largest number of iterations for one problem.
+        findings: one line for each family that fails, about its first failed problem.
     """
 
     name: str
@@ -52,8 +52,8 @@ class BackendReport:
     findings: tuple[str, ...]
 
     def __str__(self) -> str:
-        """A table: one line a family."""
-        lines = [f"{self.name}: {self.problems} problems a family, at most {self.iterations} iterations"]
+        """Return a table with one line for each family."""
+        lines = [f"{self.name}: {self.problems} problems per family, at most {self.iterations} iterations"]
         lines += [f"{'family':<12} {'error':>9} {'violation':>9} {'gradient':>9} {'unsolved':>8}"]
         lines += [
             f"{family:<12} {self.error[family]:>9.1e} {self.violation[family]:>9.1e} "
@@ -72,7 +72,7 @@ def check_backend(
     tol: float = 1e-8,
     seed: int = 0,
 ) -> BackendReport:
-    """As `measure_backend`; CheckFailed with the first finding, if there is one.
+    """Run `measure_backend`, and raise CheckFailed with the first finding, if any.
 
     Example:
         >>> from surctl.testing import check_backend
@@ -95,24 +95,25 @@ def measure_backend(
     tol: float = 1e-8,
     seed: int = 0,
 ) -> BackendReport:
-    """Solve problems that are made from their answers, so that no other solver is needed to judge.
+    """Measure a backend on problems constructed from their solutions, so that no other solver is needed as a reference.
 
-    A problem is drawn backwards from its optimality conditions: normals, multipliers ≥ 0 and the bound at which each
-    acts; y* = −Gᵀ·multipliers; bounds through y* there, and room elsewhere. One without a solution is drawn from
-    weights ≥ 0 under which the rows sum to 0 and the bounds to less (Farkas).
+    A feasible problem is constructed from its optimality conditions: random normals, multipliers ≥ 0 and active bounds;
+    y* = −Gᵀ·multipliers; active bounds pass through y*, the other bounds leave a margin. An infeasible problem is
+    constructed from weights ≥ 0 for which the weighted sum of the rows is 0 and that of the bounds negative (Farkas).
 
     Args:
-        backend: a name in `BACKENDS`, which is asked as the toolkit asks it (rows scaled, answer polished and
-            checked); or a kernel, (G (m, d), lower (m,), upper (m,)) → Answer, which is asked as it is.
+        backend: a name in `BACKENDS`, called as the toolkit calls it (rows scaled, solution polished and checked);
+            or a kernel, (G (m, d), lower (m,), upper (m,)) → KernelSolution, called directly.
         families: names in `BACKEND_FAMILIES`.
-        problems: in each family.
-        size: d, number of unknowns.
-        tol: largest error, violation and gradient that pass, relative to 1 + max |y*|; y may be wrong by tol over
-            the angle between the rows of the family "parallel".
-        seed: of numpy's PCG64.
+        problems: number of problems in each family.
+        size: number of unknowns d.
+        tol: largest accepted error, violation and gradient, relative to 1 + max |y*|; in the family "parallel" the
+            accepted error of y is tol divided by the angle between the rows.
+        seed: seed of numpy's PCG64 generator.
 
     Raises:
-        InputError: unknown backend or family; no problems, less than 2 unknowns, a tolerance that is not positive.
+        InputError: an unknown backend or family, no problems, fewer than 2 unknowns, or a tolerance that is not
+            positive.
 
     Example:
         >>> from surctl.testing import measure_backend
@@ -123,9 +124,9 @@ def measure_backend(
     checked_count("problems", problems)
     checked_count("size", size, least=2)
     if not 0.0 < tol < math.inf:
-        raise InputError("is no tolerance", key="tol", value=tol, remedy="give a positive number")
+        raise InputError("is not a tolerance", key="tol", value=tol, remedy="give a positive number")
     if isinstance(families, str) or not families:
-        raise InputError("is no list of families", key="families", value=families, remedy=nearest("", BACKEND_FAMILIES))
+        raise InputError("is not a list of names", key="families", value=families, remedy=nearest("", BACKEND_FAMILIES))
     for family in families:
         if family not in BACKEND_FAMILIES:
             raise InputError("no such family", key="families", value=family, remedy=nearest(family, BACKEND_FAMILIES))
@@ -158,7 +159,7 @@ def measure_backend(
 
 @dataclass(frozen=True)
 class _Mark:
-    """One problem's judgement; finding is "" when it passes."""
+    """Result for one problem; finding is "" when it passes."""
 
     status: str
     finding: str
@@ -169,7 +170,7 @@ class _Mark:
 
 
 def _named_kernel(backend: str | Kernel) -> tuple[str, Kernel]:
-    """A name to tell, and the kernel."""
+    """The name of the backend for the report, and its kernel."""
     if callable(backend):
         return getattr(backend, "__name__", type(backend).__name__), backend
     if not isinstance(backend, str) or backend not in BACKENDS:
@@ -184,36 +185,36 @@ def _named_kernel(backend: str | Kernel) -> tuple[str, Kernel]:
 
 
 def _judged(kernel: Kernel, problem: Known, tol: float) -> _Mark:
-    """Solve and judge one problem; whatever the kernel raises is a finding."""
+    """Solve and check one problem; any exception from the kernel is a finding."""
     G, lower, upper = problem.G.copy(), problem.lower.copy(), problem.upper.copy()
     try:
         result: object = kernel(G, lower, upper)
-    except Exception as error:  # a backend may raise anything; here it is what we are after
+    except Exception as error:  # a backend may raise any exception, and every one is a finding
         return _Mark("failed", f"raised {type(error).__name__}: {error}")
     if not isinstance(result, KernelSolution) or not isinstance(result.iterations, int | np.integer):
-        return _Mark("failed", f"gave {result!r:.60}, not an Answer with a whole number of iterations")
+        return _Mark("failed", f"returned {result!r:.60}, not a KernelSolution with a whole number of iterations")
     if not all(map(np.array_equal, (G, lower, upper), (problem.G, problem.lower, problem.upper))):
         return _Mark(result.status, "changed its own arguments")
     if result.status not in ("optimal", "infeasible", "failed"):
         return _Mark("failed", f"has the unknown status {result.status!r}")
     if problem.y is None:
         wrong = result.status == "optimal"
-        return _Mark(result.status, "no y exists, but it is called optimal" if wrong else "", result.iterations)
+        return _Mark(result.status, "has no solution, but its status is optimal" if wrong else "", result.iterations)
     if result.status != "optimal":
-        return _Mark(result.status, f"has a solution, but is called {result.status}", result.iterations)
+        return _Mark(result.status, f"has a solution, but its status is {result.status}", result.iterations)
     return _compared(result, problem, problem.y, tol)
 
 
 def _compared(result: KernelSolution, problem: Known, known: Array, tol: float) -> _Mark:
     d, m = known.size, problem.lower.size
     if result.y is None:
-        return _Mark("failed", "is called optimal, but there is no y")
+        return _Mark("failed", "has status optimal, but no y")
     try:
         y, multipliers = np.asarray(result.y, dtype=np.float64), np.asarray(result.multipliers, dtype=np.float64)
     except (TypeError, ValueError):
         return _Mark("failed", "y or the multipliers are not numbers")
     if np.shape(y) != (d,) or np.shape(multipliers) != (m,):
-        return _Mark("failed", f"y has shape {np.shape(y)}, multipliers {np.shape(multipliers)}")
+        return _Mark("failed", f"y has shape {np.shape(y)}, but the multipliers have {np.shape(multipliers)}")
     if not (np.isfinite(y).all() and np.isfinite(multipliers).all()):
         return _Mark("failed", "y or a multiplier is not finite")
     size, length = 1.0 + float(np.abs(known).max()), np.linalg.norm(problem.G, axis=1)
@@ -226,13 +227,13 @@ def _compared(result: KernelSolution, problem: Known, known: Array, tol: float) 
     loose = float(np.where(strong, away, 0.0).max(initial=0.0)) / size
     finding = ""
     for wrong, allowed, text in (
-        (violation, tol, "a row is missed by"),
+        (violation, tol, "a row is violated by"),
         (error, tol / problem.angle, "y is wrong by"),
         (gradient, tol, "y + G'·multipliers is off by"),
         (
             loose,
             tol / problem.angle,
-            "a multiplier stands on a row, or a side of it, that is off its bound by",
+            "a multiplier is nonzero for a row, or the side of a row, that is away from its bound by",
         ),
     ):
         if not wrong <= allowed and not finding:

@@ -1,4 +1,4 @@
-"""What a check found, in one line."""
+"""The exception of a failed check, with a message of one line."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ __all__ = ["CheckFailed"]
 
 
 class CheckFailed(SurctlError, AssertionError):
-    """A check failed: what (a task, a limit, a backend), how, and at which point.
+    """Raised when a check fails; the message states the object (task, limit, backend), the error and the point.
 
-    Also an AssertionError, so that test runners count it as a failed test.
+    The class is also an AssertionError, so that test runners count it as a failed test.
 
     Args:
-        what: what was checked, as "task depth" or "limit wall".
+        what: the object that was checked, for example "task depth" or "limit wall".
         problem: how it fails, without a full stop.
-        at: the values at which it does; "" if it always does.
+        at: the values at which it fails; "" if it always fails.
     """
 
     def __init__(self, what: str, problem: str, *, at: str = "") -> None:

@@ -1,4 +1,4 @@
-"""Least-distance problems that are made from their answers."""
+"""Least-distance problems that are constructed from their solutions."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """min ½‖y‖² subject to lower ≤ G y ≤ upper, with its answer.
+    """The problem min ½‖y‖² subject to lower ≤ G y ≤ upper, with its solution.
 
     Attributes:
         G: (m, d). lower, upper: (m,).
-        y: (d,), the only optimum; None when no y keeps the rows.
-        angle: smallest angle between rows that matter [rad], at most 1: errors in bounds grow by its inverse.
+        y: (d,), the only optimum; None when no y satisfies the rows.
+        angle: smallest angle between active rows [rad], at most 1; errors in the bounds are amplified by its inverse.
     """
 
     G: Array
@@ -39,9 +39,9 @@ def _unit(rng: np.random.Generator, count: int, size: int) -> Array:
 
 
 def _with_active(normals: Array, rng: np.random.Generator, *, idle: int = 6, free: int = 0) -> Known:
-    """y* = −normalsᵀ·multipliers, with each normal at its upper bound; then random sides and idle rows.
+    """y* = −normalsᵀ·multipliers, with each normal at its upper bound; then random signs and idle rows.
 
-    The last `free` of the normals get the multiplier 0: they go through y* without pushing.
+    The last `free` normals have multiplier 0: their rows pass through y* but do not affect it.
     """
     count, size = normals.shape
     multipliers = np.append(rng.uniform(0.1, 1.0, count - free), np.zeros(free))
@@ -52,7 +52,7 @@ def _with_active(normals: Array, rng: np.random.Generator, *, idle: int = 6, fre
     slack = np.concatenate([np.zeros(count), rng.exponential(0.5, idle) + 1e-3])
     width = rng.exponential(1.0, len(G)) + 1e-3
     upper, lower = value + slack, np.where(rng.random(len(G)) < 0.5, value - width, -np.inf)
-    side = np.where(rng.random(len(G)) < 0.5, -1.0, 1.0)  # a·y ≤ b is −b ≤ −a·y
+    side = np.where(rng.random(len(G)) < 0.5, -1.0, 1.0)  # a·y ≤ b is equivalent to −b ≤ −a·y
     turned = side < 0.0
     G, lower, upper = G * side[:, None], np.where(turned, -upper, lower), np.where(turned, -lower, upper)
     order = rng.permutation(len(G))
@@ -60,7 +60,7 @@ def _with_active(normals: Array, rng: np.random.Generator, *, idle: int = 6, fre
 
 
 def _loose(size: int, rng: np.random.Generator) -> Known:
-    """Nothing binds: 0 is the answer."""
+    """No row binds: the solution is 0."""
     return _with_active(np.zeros((0, size)), rng, idle=8)
 
 
@@ -69,7 +69,7 @@ def _plain(size: int, rng: np.random.Generator) -> Known:
 
 
 def _equal(size: int, rng: np.random.Generator) -> Known:
-    """Some rows leave one value."""
+    """Some rows have equal bounds, that is, are equalities."""
     problem = _with_active(_unit(rng, int(rng.integers(1, size)), size), rng)
     if problem.y is None:
         return problem
@@ -79,12 +79,12 @@ def _equal(size: int, rng: np.random.Generator) -> Known:
 
 
 def _degenerate(size: int, rng: np.random.Generator) -> Known:
-    """More rows through the answer than unknowns, most of them without pushing."""
+    """More rows pass through the solution than there are unknowns, most with multiplier 0."""
     return _with_active(_unit(rng, 2 * size, size), rng, free=int(rng.integers(size, 2 * size)))
 
 
 def _doubled(size: int, rng: np.random.Generator) -> Known:
-    """Rows that stand twice."""
+    """Some rows occur twice."""
     problem = _plain(size, rng)
     twice = rng.integers(0, len(problem.G), 4)
     side = rng.choice([-1.0, 1.0], 4)
@@ -95,7 +95,7 @@ def _doubled(size: int, rng: np.random.Generator) -> Known:
 
 
 def _parallel(size: int, rng: np.random.Generator) -> Known:
-    """Two rows that push are 1e-5 to 1e-2 rad apart."""
+    """Two active rows have an angle of 1e-5 to 1e-2 rad."""
     normals = _unit(rng, 2, size)
     angle = float(10.0 ** rng.uniform(-5, -2))
     across = normals[1] - (normals[0] @ normals[1]) * normals[0]
@@ -105,14 +105,14 @@ def _parallel(size: int, rng: np.random.Generator) -> Known:
 
 
 def _scaled(size: int, rng: np.random.Generator) -> Known:
-    """Rows of length 1e-3 to 1e3."""
+    """Rows have lengths from 1e-3 to 1e3."""
     problem = _plain(size, rng)
     length = 10.0 ** rng.uniform(-3, 3, len(problem.G))
     return Known(problem.G * length[:, None], problem.lower * length, problem.upper * length, problem.y)
 
 
 def _infeasible(size: int, rng: np.random.Generator) -> Known:
-    """Rows that sum to 0 under positive weights, with bounds that sum to less than 0."""
+    """Rows whose sum with positive weights is 0, while the weighted sum of their bounds is negative."""
     count = int(rng.integers(2, size + 2))
     weights = rng.uniform(0.2, 1.0, count)
     normals = _unit(rng, count, size)
@@ -141,10 +141,10 @@ _MAKERS: Mapping[str, Callable[[int, np.random.Generator], Known]] = MappingProx
 )
 
 BACKEND_FAMILIES = tuple(_MAKERS)
-"""Kinds of problems: nothing binds; random; equalities; too many rows through the answer; rows twice; nearly
-parallel rows; rows of length 1e-3 to 1e3; no answer."""
+"""Kinds of problems: no row binds; random rows; equalities; more rows through the solution than unknowns; repeated
+rows; nearly parallel rows; rows of length 1e-3 to 1e3; no solution."""
 
 
 def draw_known(family: str, *, size: int, rng: np.random.Generator) -> Known:
-    """One problem of a family in `BACKEND_FAMILIES` with `size` unknowns, at least 2."""
+    """Return one random problem of a family in `BACKEND_FAMILIES` with `size` unknowns, at least 2."""
     return _MAKERS[family](size, rng)

@@ -1,4 +1,4 @@
-"""Whether a limit's rows are rows: finite, named, and never contradicting themselves."""
+"""Check whether a limit is valid: its rows are finite and named, and do not contradict themselves."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ __all__ = ["LimitReport", "check_limit"]
 Array: TypeAlias = NDArray[np.float64]
 
 _DOTTED = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z0-9_]+)*")
-_STARTS, _ROUNDS, _TRIES = 3, 40, 20  # of the search for bounds that cross
-_EMPTY = 1e-9  # velocity by which actuator rows must open before they count as contradictory
+_STARTS, _ROUNDS, _TRIES = 3, 40, 20  # number of starts, rounds and trial steps of the search for crossing bounds
+_EMPTY = 1e-9  # actuator rows that must open by more than this velocity count as contradictory
 _SWEEPS = 10
-_BESIDE = 1e-3  # velocity by which a trial point stands beside the bound of a row
-_ON = 1e-7  # trial points nearer to a bound than this are no evidence
+_BESIDE = 1e-3  # distance, as a velocity, between a trial point and the bound of a row
+_ON = 1e-7  # trial points nearer than this to a bound are skipped
 
 
 @dataclass(frozen=True)
 class LimitReport:
-    """What a limit that passed looks like.
+    """Properties of a limit that passed the check.
 
     Attributes:
-        names: of its rows.
-        samples: points at which they were evaluated, corners of the ranges included.
-        narrowest, narrowest_row: least room upper − lower found, as a velocity, and the row; inf for none.
-        compared: velocities at which `holds` was asked.
+        names: names of its rows.
+        samples: number of points at which the rows were evaluated, including corners of the ranges.
+        narrowest, narrowest_row: smallest upper − lower found, as a velocity, and its row; inf for no bounded row.
+        compared: number of velocities for which `holds` was called.
     """
 
     names: tuple[str, ...]
@@ -60,23 +60,23 @@ def check_limit(
 ) -> LimitReport:
     """Check the rows of a limit over the ranges of its symbols.
 
-    Names are unique, identifiers joined by dots, and the same at every call; kinds are known; a is (1, 4). At random
-    points and at corners of the ranges: a is finite, bounds are no NaN and leave room (lower ≤ upper, a row of zeros
-    holds 0). Bounds that cross are then searched for, row by row, by random steps from the narrowest points found.
-    The actuator rows together leave a velocity (by linear programming).
+    Names must be unique, consist of identifiers joined by dots, and be the same at every call; kinds must be known; a
+    must be (1, 4). At random points and at corners of the ranges, a must be finite, the bounds must not be NaN and must
+    satisfy lower ≤ upper, and a row of zeros must allow 0. The check then searches for crossing bounds, row by row, by
+    random steps from the narrowest points. The actuator rows together must allow a velocity (by linear programming).
 
     Args:
-        limit: whatever has `rows()`.
+        limit: any object with a method `rows()`.
         parameters: (symbol, lowest, highest) for every symbol in the rows.
-        holds: (v (4,), *values of the parameters) → whether v keeps the limit, as its author means it; compared with
-            the rows at random velocities and on both sides of every bound.
+        holds: (v (4,), *values of the parameters) → whether v satisfies the limit as intended; compared with the
+            rows at random velocities and on both sides of every bound.
         velocity: largest entry of those random velocities [m/s, rad/s].
         samples: number of random points.
-        seed: of numpy's PCG64.
+        seed: seed of numpy's PCG64 generator.
 
     Raises:
-        CheckFailed: the first finding; it names the row.
-        InputError: a symbol has no range, or two; no samples; a velocity that is not positive.
+        CheckFailed: the first finding; the message names the row.
+        InputError: a symbol has no range or two ranges, there are no samples, or the velocity is not positive.
 
     Example:
         >>> import casadi as ca
@@ -87,14 +87,14 @@ def check_limit(
         >>> ranges = [(eta, [-3, -3, -1, -3], [3, 3, 0, 3])]
         >>> check_limit(wall, parameters=ranges).samples
         66
-        >>> check_limit(wall, parameters=ranges, holds=lambda v, eta: v[0] <= 0.2)  # that is not what it does
+        >>> check_limit(wall, parameters=ranges, holds=lambda v, eta: v[0] <= 0.2)  # differs from the limit
         Traceback (most recent call last):
             ...
         surctl.testing.finding.CheckFailed: limit row 'wall': refuses v = [...], but holds() says otherwise, ...
     """
     checked_count("samples", samples)
     if not 0.0 < velocity < math.inf:
-        raise InputError("is no size of a velocity", key="velocity", value=velocity, remedy="give a positive number")
+        raise InputError("is not a speed", key="velocity", value=velocity, remedy="give a positive number")
     rows = _shaped(limit)
     ranges = ranges_of(parameters)
     check = _Check(rows, ranges, Sampled("limit", ranges, _expressions(rows)))
@@ -116,7 +116,7 @@ def check_limit(
 
 
 def _shaped(limit: Limit) -> tuple[LimitRow, ...]:
-    """The rows, if all that does not depend on values is right."""
+    """The rows of the limit, after all checks that do not depend on values."""
     if not hasattr(limit, "rows"):
         raise CheckFailed("limit", f"is a {type(limit).__name__} without rows()")
     rows, again = tuple(limit.rows()), tuple(limit.rows())
@@ -126,14 +126,14 @@ def _shaped(limit: Limit) -> tuple[LimitRow, ...]:
         if not isinstance(row, LimitRow):
             raise CheckFailed("limit", f"has a row that is a {type(row).__name__}, not a LimitRow")
     if [row.name for row in rows] != [row.name for row in again]:
-        raise CheckFailed("limit", "gives other names at every call")
+        raise CheckFailed("limit", "has different row names at every call")
     names: set[str] = set()
     for row in rows:
         what = f"limit row {row.name!r}"
         if not isinstance(row.name, str) or not _DOTTED.fullmatch(row.name):
             raise CheckFailed(what, "is not identifiers joined by dots")
         if row.name in names:
-            raise CheckFailed(what, "stands twice")
+            raise CheckFailed(what, "occurs twice")
         names.add(row.name)
         if row.kind not in get_args(Kind):
             raise CheckFailed(what, f"has the unknown kind {row.kind!r}; known: {', '.join(get_args(Kind))}")
@@ -158,12 +158,12 @@ class _Check:
     at: Sampled
 
     def values(self, point: Array) -> tuple[Array, Array, Array]:
-        """A (m, 4), lower (m,), upper (m,)."""
+        """The values A (m, 4), lower (m,), upper (m,) at a point."""
         A, lower, upper = self.at(point)
         return A, lower.reshape(-1), upper.reshape(-1)
 
     def gaps(self, points: Array) -> Array:
-        """upper − lower (N, m), as a velocity where the row has a length; CheckFailed if a row is none somewhere."""
+        """upper − lower (N, m), as a velocity if the row has a length; CheckFailed if a row is invalid at a point."""
         A, lower, upper = self.at.many(points)
         lower, upper = lower[..., 0], upper[..., 0]
         length = np.linalg.norm(A, axis=2)
@@ -172,8 +172,8 @@ class _Check:
         for bad, problem in (
             (~np.isfinite(A).all(axis=2), "a is not finite: {a}"),
             (np.isnan(lower) | np.isnan(upper), "a bound is not a number: {low} to {high}"),
-            (crossed, "leaves no velocity: lower = {low}, upper = {high}"),
-            (never, "asks a row of zeros to lie in {low} to {high}"),
+            (crossed, "allows no velocity: lower = {low}, upper = {high}"),
+            (never, "requires a row of zeros to lie in {low} to {high}"),
         ):
             for k, i in np.argwhere(bad)[:1]:
                 details = {"a": A[k, i].tolist(), "low": f"{lower[k, i]:.6g}", "high": f"{upper[k, i]:.6g}"}
@@ -182,7 +182,7 @@ class _Check:
         return gaps
 
     def search(self, i: int, starts: Array, rng: np.random.Generator) -> Array:
-        """Narrow row i down from each start: random steps, half as wide when none helps; the narrowest room found."""
+        """Smallest gaps found: the gap of row i is minimised from each start by random steps, halved if none helps."""
         best = np.full(len(self.rows), math.inf)
         span = self.ranges.high - self.ranges.low
         for start in starts if span.any() else starts[:0]:
@@ -200,7 +200,7 @@ class _Check:
         return best
 
     def together(self, point: Array) -> None:
-        """Actuator rows must have a velocity in common: least t by which all open, rows of length 1, is 0."""
+        """Check that actuator rows have a common velocity: the smallest t by which all must open is 0."""
         A, lower, upper = self.values(point)
         hard = np.array([row.kind == "actuator" for row in self.rows]) & A.any(axis=1)
         if hard.sum() < 2:
@@ -227,7 +227,7 @@ class _Check:
             )
 
     def compare(self, point: Array, holds: Callable[..., bool], rng: np.random.Generator, velocity: float) -> int:
-        """Ask `holds` at random velocities and beside every bound; the number of velocities asked."""
+        """Call `holds` at random velocities and beside every bound; return the number of velocities compared."""
         A, lower, upper = self.values(point)
         compared = 0
         for v in self._trials(A, lower, upper, rng, velocity):
@@ -238,13 +238,13 @@ class _Check:
             feasible = bool((inside > 0.0).all())
             if bool(holds(v, *self.ranges.split(point))) != feasible:
                 i = int(np.argmin(inside))
-                verdict = "and all others keep" if feasible else "refuses"
+                verdict = "and all others allow" if feasible else "refuses"
                 text = np.array2string(v, precision=5, separator=", ")
                 self._fail(i, f"{verdict} v = {text}, but holds() says otherwise", point)
         return compared
 
     def _trials(self, A: Array, lower: Array, upper: Array, rng: np.random.Generator, velocity: float) -> list[Array]:
-        """Velocities anywhere, and on both sides of every bound where the other rows are kept."""
+        """Random velocities, and velocities on both sides of every bound that satisfy the other rows."""
         trials = list(rng.uniform(-velocity, velocity, (5, 4)))
         for a, *bounds in zip(A, lower, upper, strict=True):
             for bound in bounds:
@@ -259,7 +259,7 @@ class _Check:
 
 
 def _toward(A: Array, lower: Array, upper: Array, v: Array) -> Array:
-    """v after some sweeps of projections on the rows that it misses (Kaczmarz): mostly inside all of them."""
+    """v after some sweeps of projections on violated rows (Kaczmarz); in most cases inside all rows."""
     for _ in range(_SWEEPS):
         for a, low, high in zip(A, lower, upper, strict=True):
             if a.any():

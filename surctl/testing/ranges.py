@@ -1,4 +1,4 @@
-"""The symbols of an expression, with the ranges from which a check takes their values."""
+"""The symbols of an expression, and the ranges from which a check takes their values."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ __all__ = ["Parameter", "Ranges", "Sampled", "checked_count", "ranges_of"]
 Array: TypeAlias = NDArray[np.float64]
 
 Parameter: TypeAlias = tuple[ca.SX, float | Sequence[float], float | Sequence[float]]
-"""(symbol (k, 1), lowest, highest): one number for all entries, or (k,)."""
+"""(symbol (k, 1), lowest, highest); each range end is one number for all entries, or (k,)."""
 
-_MOST_CORNERS = 10  # entries up to which every corner of the box of values is visited
+_MOST_CORNERS = 10  # largest number of entries for which all corners of the box are evaluated
 
 
 @dataclass(frozen=True, eq=False)
 class Ranges:
-    """Symbols laid end to end, with the lowest and highest value of each entry; low, high: (total,)."""
+    """Symbols stored one after another, with the lowest and highest value of each entry; low, high: (total,)."""
 
     symbols: tuple[ca.SX, ...]
     low: Array
     high: Array
 
     def draw(self, rng: np.random.Generator, count: int) -> Array:
-        """(count, total), uniform."""
+        """Draw (count, total) uniform random values."""
         return rng.uniform(self.low, self.high, (count, self.low.size))
 
     def corners(self) -> Array:
-        """(corners, total): every corner of the box of values for few entries, else its two ends."""
+        """(corners, total): all corners of the box for few entries, otherwise only its lowest and highest corner."""
         if self.low.size == 0:
             return np.zeros((1, 0))
         if self.low.size > _MOST_CORNERS:
@@ -45,11 +45,11 @@ class Ranges:
         return np.array(list(ends)).reshape(-1, self.low.size)
 
     def split(self, values: Array) -> list[Array]:
-        """The flat values (total,) by symbol."""
+        """Split the flat values (total,) into one array for each symbol."""
         return np.split(values, np.cumsum([s.numel() for s in self.symbols])[:-1]) if self.symbols else []
 
     def text(self, values: Array) -> str:
-        """The values as text, "eta = [...], echo = [...]"."""
+        """The values as text, for example "eta = [...], echo = [...]"."""
         names = [_name(symbol) for symbol in self.symbols]
         return ", ".join(
             f"{name} = {np.array2string(part, precision=5, separator=', ', max_line_width=10_000)}"
@@ -58,10 +58,10 @@ class Ranges:
 
 
 class Sampled:
-    """Expressions as one numeric function of flat values.
+    """Expressions compiled to one numeric function of flat values.
 
     Raises:
-        InputError: the expressions hold a symbol without a range; it names the symbol.
+        InputError: the expressions contain a symbol without a range; the message names the symbol.
     """
 
     def __init__(self, what: str, ranges: Ranges, expressions: Sequence[ca.SX]) -> None:
@@ -69,18 +69,18 @@ class Sampled:
         for symbol in ca.symvar(ca.veccat(*expressions)):
             if not (known.numel() and ca.depends_on(known, symbol)):
                 raise InputError(
-                    f"holds the symbol {symbol.name()}, which has no range",
+                    f"contains the symbol {symbol.name()}, which has no range",
                     key=what,
                     remedy="give (symbol, lowest, highest) in parameters",
                 )
         self._function = ca.Function("sampled", [known], [ca.densify(e) for e in expressions])
 
     def __call__(self, values: Array) -> list[Array]:
-        """The value of each expression, in its own shape."""
+        """The value of each expression, in the shape of the expression."""
         return [part[0] for part in self.many(values[None, :])]
 
     def many(self, points: Array) -> list[Array]:
-        """The values at each of the points (N, total), (N, rows, columns) each."""
+        """The values at the points (N, total), one array (N, rows, columns) for each expression."""
         results = self._function.map(len(points)).call([ca.DM(np.ascontiguousarray(points.T))])
         return [
             np.array(part, dtype=float).reshape(part.shape[0], len(points), -1).transpose(1, 0, 2) for part in results
@@ -88,7 +88,7 @@ class Sampled:
 
 
 def ranges_of(parameters: Sequence[Parameter]) -> Ranges:
-    """The parameters as ranges; InputError, naming the symbol, when one is no symbol or its range is empty."""
+    """The parameters as ranges; an InputError names a parameter that is not a symbol or has an empty range."""
     low: list[Array] = []
     high: list[Array] = []
     for parameter in parameters:
@@ -112,16 +112,16 @@ def ranges_of(parameters: Sequence[Parameter]) -> Ranges:
 
 
 def checked_count(key: str, value: object, *, least: int = 1) -> None:
-    """InputError unless the value is a whole number of at least `least`: a check of nothing would pass."""
+    """Raise an InputError unless the value is a whole number of at least `least`, since an empty check would pass."""
     if not isinstance(value, int | np.integer) or value < least:
-        raise InputError("is not enough", key=key, value=value, remedy=f"give {least} or more")
+        raise InputError("is too small", key=key, value=value, remedy=f"give {least} or more")
 
 
 def _spread(name: str, value: float | Sequence[float], size: int) -> Array:
     try:
         values = np.asarray(value, dtype=float).reshape(-1)
     except (TypeError, ValueError):
-        raise InputError("needs numbers as its range", key=f"parameter {name}", value=value) from None
+        raise InputError("has a range that is not numeric", key=f"parameter {name}", value=value) from None
     if values.size not in (1, size) or not np.isfinite(values).all():
         raise InputError(f"needs finite ranges of 1 or {size} entries", key=f"parameter {name}", value=value)
     return np.broadcast_to(values, size).astype(float)
@@ -132,6 +132,6 @@ def _names(symbol: ca.SX) -> Iterator[str]:
 
 
 def _name(symbol: ca.SX) -> str:
-    """The name that the symbol was made with: CasADi numbers the entries of a vector, x_0, x_1, …"""
+    """The name with which the symbol was created; CasADi numbers the entries of a vector, x_0, x_1, …"""
     first = next(_names(symbol))
     return str(first if symbol.numel() == 1 else first.rsplit("_", 1)[0])

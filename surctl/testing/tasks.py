@@ -1,4 +1,4 @@
-"""Whether a task is what it says: its Jacobian, its reference, its wrap."""
+"""Check whether a task is consistent: its Jacobian, its reference, and its angle wrap."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ __all__ = ["TaskReport", "check_task"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-_STEPS = (1e-4, 1e-5, 1e-6)  # of the differences: rounding and curvature leave one of them accurate
-_OFFSETS = (0.0, 1e-12, 1e-9, 1e-6)  # about the poses given as near-singular
+_STEPS = (1e-4, 1e-5, 1e-6)  # of the differences: for one of them both rounding and curvature errors are small
+_OFFSETS = (0.0, 1e-12, 1e-9, 1e-6)  # offsets from the poses in `near`
 _SAME = 1e-9
 _DEPENDENT = 1e-9
 
 
 @dataclass(frozen=True)
 class TaskReport:
-    """What a task that passed looks like.
+    """Properties of a task that passed the check.
 
     Attributes:
-        name, size: of the task.
-        samples: poses at which it was differentiated.
-        derivative_error: largest difference of J from the differences of σ, relative to 1 + max |J|.
+        name, size: name and size of the task.
+        samples: number of poses at which it was differentiated.
+        derivative_error: largest difference between J and the differences of σ, relative to 1 + max |J|.
         rank: largest rank of J found.
-        least_rank, least_rank_at: smallest rank found, and where; smaller than `rank` at a singular pose.
+        least_rank, least_rank_at: smallest rank found, and the pose; smaller than `rank` at a singular pose.
     """
 
     name: str
@@ -58,27 +58,27 @@ def check_task(
     tol: float = 1e-6,
     seed: int = 0,
 ) -> TaskReport:
-    """Check a task, or what a builder makes of an eta symbol.
+    """Check a task, or the task that a builder returns for an eta symbol.
 
-    At random poses: J equals central differences of σ along the motion of every velocity, (1)–(2) written out anew;
-    σ, J and reference are finite (bounds of a set-based task may be infinite, outwards, and must not cross); an
-    angular error lies in [−π, π]. A full turn of the vehicle changes neither J nor the reference. At the poses in
-    `near` and close to them everything is finite.
+    At random poses, J must equal central differences of σ along the motion of every velocity, with (1)–(2) implemented
+    independently. σ, J and reference must be finite (a set-based task may have no lower or no upper bound; its bounds
+    must not cross), and an angular error must lie in [−π, π]. A full turn of the vehicle must change neither J nor
+    the reference. At the poses in `near` and close to them all values must be finite.
 
     Args:
         task: the task, or a builder: eta SX (4, 1) → task.
-        parameters: (symbol, lowest, highest) for every symbol but eta.
-        near: poses (4,) at or near singularities, such as a pose on top of a waypoint.
+        parameters: (symbol, lowest, highest) for every symbol except eta.
+        near: poses (4,) at or near singularities, for example a pose at a waypoint.
         samples: number of random poses.
-        extent: |x|, |y|, |z| of random poses are at most this [m]; ψ is in (−π, π).
-        full_turn: False for a task that counts turns, as one that unwinds a tether.
-        tol: largest difference of J, relative to 1 + max |J|.
-        seed: of numpy's PCG64.
+        extent: largest |x|, |y|, |z| of random poses [m]; ψ is in (−π, π).
+        full_turn: False for a task that counts turns, for example one that unwinds a tether.
+        tol: largest accepted error of J, relative to 1 + max |J|.
+        seed: seed of numpy's PCG64 generator.
 
     Raises:
         CheckFailed: the first finding.
-        InputError: the task is refused by its own class, or is none; a symbol has no range, or two; no samples; a
-            pose in `near` that is no four numbers.
+        InputError: the object is not a task, or its class refuses it; a symbol has no range or two ranges; there
+            are no samples; a pose in `near` is not four numbers.
 
     Example:
         >>> import casadi as ca
@@ -87,7 +87,7 @@ def check_task(
         >>> report = check_task(lambda eta: heading_task(eta, 0.4))
         >>> report.name, report.size, report.samples
         ('heading', 1, 50)
-        >>> check_task(lambda eta: Task(name="yaw", eta=eta, sigma=eta[3], target=0.4))  # angular=True is left out
+        >>> check_task(lambda eta: Task(name="yaw", eta=eta, sigma=eta[3], target=0.4))  # angular=True is missing
         Traceback (most recent call last):
             ...
         surctl.testing.finding.CheckFailed: ...the reference changes when the vehicle makes a full turn ...
@@ -129,7 +129,7 @@ def _pose(place: int, pose: Sequence[float]) -> Array:
 
 
 def _expressions(task: Task | SetTask) -> list[ca.SX]:
-    """σ, J, lower and upper bound of σ̇, error; shapes checked."""
+    """The expressions σ, J, lower and upper bound of σ̇, and error, with their shapes checked."""
     J = task.jacobian()
     if isinstance(task, SetTask):
         (lower, upper), error = task.slab(), ca.SX.zeros(task.size, 1)
@@ -153,7 +153,7 @@ class _Check:
     at: Sampled
 
     def finite(self, values: Array) -> list[Array]:
-        """Values of every expression, if they are numbers as they should be."""
+        """The values of all expressions, after a check that they are finite where required."""
         results = self.at(values)
         for what, part in zip(("sigma", "J"), results, strict=False):
             if not np.isfinite(part).all():
@@ -171,21 +171,21 @@ class _Check:
         return results
 
     def derivative(self, values: Array, J: Array, tol: float) -> float:
-        """The largest error of J; CheckFailed when it is more than tol."""
+        """The largest error of J; raise CheckFailed if it exceeds tol."""
         measured = np.stack([self._differences(values, step) for step in _STEPS])
         error = np.abs(measured - J).min(axis=0) / (1.0 + np.abs(J).max())
         row, column = np.unravel_index(int(np.argmax(error)), error.shape)
         if not error[row, column] <= tol:
             best = measured[np.argmin(np.abs(measured[:, row, column] - J[row, column])), row, column]
             self._fail(
-                f"row {row} of J says {J[row, column]:.9g} for {'uvwr'[column]}, "
+                f"row {row} of J is {J[row, column]:.9g} for {'uvwr'[column]}, "
                 f"but sigma changes at a rate of {best:.9g}",
                 values,
             )
         return float(error[row, column])
 
     def full_turn(self, values: Array) -> None:
-        """The same pose, a turn later."""
+        """Check that J and the reference are the same after a full turn of the vehicle."""
         turned = values.copy()
         turned[3] += 2.0 * math.pi
         before, after = self.at(values), self.at(turned)
@@ -195,7 +195,7 @@ class _Check:
                 self._fail(f"{what} changes when the vehicle makes a full turn{remedy}", values)
 
     def _differences(self, values: Array, step: float) -> Array:
-        """(k, 4): central differences of σ along each velocity."""
+        """Central differences (k, 4) of σ along each velocity."""
         c, s = math.cos(values[3]), math.sin(values[3])
         motion = np.array([[c, s, 0, 0], [-s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], dtype=float)
         columns = []

@@ -102,7 +102,7 @@ def test_an_entry_of_another_user_is_built_again(
     kept = entry(tmp_path).read_bytes()
     mine = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: mine + 1)
-    with pytest.warns(CacheUnused, match=rf"{tmp_path} is left alone: it is another user's.*set SURCTL_CACHE"):
+    with pytest.warns(CacheUnused, match=rf"{tmp_path} is not used: it belongs to another user.*set SURCTL_CACHE"):
         shared_library(SOURCE, folder=tmp_path)
     assert len(builds) == 2 and entry(tmp_path).read_bytes() == kept
 

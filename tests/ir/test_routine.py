@@ -170,8 +170,8 @@ def test_blocks_of_one_text_become_one_function() -> None:
 @pytest.mark.parametrize(
     ("steps", "why"),
     [
-        (lambda b: (Call(b, ("none",), ("y",)),), "not written yet"),
-        (lambda b: (Call(b, ("x",), ("x",)),), "already there"),
+        (lambda b: (Call(b, ("none",), ("y",)),), "not written before"),
+        (lambda b: (Call(b, ("x",), ("x",)),), "exists already"),
         (lambda b: (Call(b, ("wide",), ("y",)),), "takes"),
         (lambda b: (Call(b, ("x",), ("y", "z")),), "names 2 results"),
         (lambda b: (Loop(b, 0, ("x",), ("y",)),), "at least one turn"),

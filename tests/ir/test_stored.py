@@ -224,12 +224,12 @@ def test_exchanged_lines_are_refused_or_another_block(one: int, other: int) -> N
 
 
 PROGRAM = (
-    ("div v0 v1", "div v0 v2", "line 5.*stands before"),
-    ("div v0 v1", "div v0 v-1", "line 5.*stands before"),
-    ("div v0 v1", "div v0 v00", "line 5.*stands before"),
+    ("div v0 v1", "div v0 v2", "line 5.*earlier values"),
+    ("div v0 v1", "div v0 v-1", "line 5.*earlier values"),
+    ("div v0 v1", "div v0 v00", "line 5.*earlier values"),
     ("div v0 v1", "div v0", "line 5.*2 operands"),
     ("div v0 v1", "div v0 v1 v1", "line 5.*2 operands"),
-    ("div v0 v1", "div v0  v1", "line 5.*stands before"),
+    ("div v0 v1", "div v0  v1", "line 5.*earlier values"),
     ("div v0 v1", "pow v0 v1", "line 5"),
     ("div v0 v1", "__import__('os').abort() v0 v1", "line 5"),
     ("v2 = div", "v3 = div", "line 5.*assign v2"),
@@ -239,7 +239,7 @@ PROGRAM = (
     ("v0 = in0[0]", "v0 = in-1[0]", "line 3"),
     ("v0 = in0[0]", "v0 = in0[-1]", "line 3"),
     ("v0 = in0[0]", "v0 = in0[00]", "line 3"),
-    ("v0 = in0[0]", "v0 = in0[0] v0", "line 3.*no operand"),
+    ("v0 = in0[0]", "v0 = in0[0] v0", "line 3.*input with an operand"),
     ("v0 = in0[0]", f"v0 = in0[{'9' * 5000}]", "line 3"),
     ("v0 = in0[0]", "v0", "line 3"),
     ("const 0x1.0000000000000p+1", "const nan", "line 4.*number"),
@@ -258,10 +258,10 @@ PROGRAM = (
     ("out0 y v2", "out0", "line 6.*output"),
     ("out0 y v2", "out0 y v2\nout0 y v2", "line 7.*output"),
     ("out0 y v2", "", "line"),
-    ("program halve", "program", "line 1.*head"),
-    ("program halve", "program halve it", "line 1.*head"),
-    ("program halve", "pickle halve", "line 1.*head"),
-    ("program halve", "\n\nprogram halve", "line 1.*head"),
+    ("program halve", "program", "line 1.*first line"),
+    ("program halve", "program halve it", "line 1.*first line"),
+    ("program halve", "pickle halve", "line 1.*first line"),
+    ("program halve", "\n\nprogram halve", "line 1.*first line"),
 )
 
 
@@ -274,31 +274,31 @@ def test_a_program_that_is_none_is_refused_by_line(good: str, bad: str, message:
 
 ROUTINE = (
     ("in a 1", "in a 2", "line 42: every_step.*entries"),
-    ("in six 6", "in six 6\nin six 6", "already there"),
+    ("in six 6", "in six 6\nin six 6", "exists already"),
     ("in six 6", f"in six {10**30}", "equal pieces"),
     ("count 3", "count 0", "one turn"),
     ("count 3", f"count {10**30}", "equal pieces"),
-    ("count 3", "count 03", "is written"),
-    ("count 3", "count three", "no step"),
-    ("count 3", f"count {'9' * 5000}", "no step"),
-    ("spread six lanes 2", "spread six lanes -2", "side by side"),
+    ("count 3", "count 03", "should be"),
+    ("count 3", "count three", "not a step"),
+    ("count 3", f"count {'9' * 5000}", "not a step"),
+    ("spread six lanes 2", "spread six lanes -2", "lanes must run"),
     ("width 3 lanes 1", "width -3 lanes -1", "pieces"),
-    ("width 3 lanes 1", "width 3 lanes 1 lanes 1", "is written"),
-    ("index 1", "index 2", "is written"),
+    ("width 3 lanes 1", "width 3 lanes 1 lanes 1", "should be"),
+    ("index 1", "index 2", "should be"),
     ("until 1", "until 7", "flag"),
-    ("until 1", "until", "no step"),
+    ("until 1", "until", "not a step"),
     ("carried pair", "carried nobody", "not written"),
-    ("carried pair", "carried  pair", "is written"),
-    ("carried pair sliced", "carried pair", "no step"),
+    ("carried pair", "carried  pair", "should be"),
+    ("carried pair sliced", "carried pair", "not a step"),
     ("b c = call", "b = call", "names 1 results"),
-    ("b c = call", "b b = call", "already there"),
-    ("b c = call", "b c = run", "no step"),
-    ("b c = call", "b c call", "no step"),
-    ("half = call halve:", "half = call halved:", "no step"),
+    ("b c = call", "b b = call", "exists already"),
+    ("b c = call", "b c = run", "not a step"),
+    ("b c = call", "b c call", "not a step"),
+    ("half = call halve:", "half = call halved:", "not a step"),
     ("out pair_last", "out nobody", "not written"),
-    ("out pair_last", "exit pair_last", "is written"),
-    ("routine every_step", "routine every step", "head"),
-    ("routine every_step", "routine ", "head"),
+    ("out pair_last", "exit pair_last", "should be"),
+    ("routine every_step", "routine every step", "first line"),
+    ("routine every_step", "routine ", "first line"),
 )
 
 
@@ -314,12 +314,12 @@ def test_blocks_that_do_not_belong_together_are_refused() -> None:
     other = lower(ca.Function("other", [x], [3 * x]))
     one = Routine("one", (("x", 1),), (Call(halve(), ("x",), ("y",)),), ("y",)).text()
     for body, message in (
-        (f"{halve().text()}\n{one}", "two blocks of one name and digest"),
+        (f"{halve().text()}\n{one}", "has the name and digest of another block"),
         (f"{other.text()}\n{one}", "does not run"),
-        (one[one.index("routine") :], "does not stand before"),
-        (halve().text().replace("halve", "\ud800"), "no Unicode"),
+        (one[one.index("routine") :], "does not precede"),
+        (halve().text().replace("halve", "\ud800"), "invalid Unicode"),
         ("", "cut off"),
-        ("\n", "head"),
+        ("\n", "first line"),
     ):
         text = f"{body}\nsha256 {hashlib.sha256(body.encode(errors='replace')).hexdigest()}\n"
         assert message in refused(text)
@@ -331,7 +331,7 @@ def test_blocks_inside_one_another_have_an_end() -> None:
         inner = f"routine r{depth}\nin x 1\ny = call {call} x\nout y\n"
         body = f"{body}\n{inner}"
         call = f"r{depth}:{hashlib.sha256(body.encode()).hexdigest()[:16]}"
-    assert "inside one another" in refused(sealed(f"{body}\nsha256 "))
+    assert "nested blocks" in refused(sealed(f"{body}\nsha256 "))
 
 
 def test_what_a_text_cannot_tell_apart_is_not_written() -> None:

@@ -235,9 +235,9 @@ def test_mistakes_are_named() -> None:
     row = ca.SX.sym("row", 2, 2)
     with pytest.raises(InputError, match=r"sums: runs over tables of \[2, 3\] rows"):
         fold("sums", lambda s, a, b: s, ca.SX(0), ca.SX(2, 1), ca.SX(3, 1))
-    with pytest.raises(InputError, match=r"sums: has a state of \[1\] numbers, and then of \[2\]"):
+    with pytest.raises(InputError, match=r"sums: has a state of \[1\] numbers at first, then of \[2\]"):
         fold("sums", lambda s, a: ca.vertcat(s, s), ca.SX(0), row)
-    with pytest.raises(InputError, match="ends by a flag of one number"):
+    with pytest.raises(InputError, match="needs a flag of one number"):
         repeat("ends", lambda s, a: ([s], []), [ca.SX([0, 0])], [row], until=0)
     with Recording() as recording:
         total = fold("sums", lambda s, a: s + a[0], ca.SX(0), row)

@@ -195,7 +195,7 @@ def test_settings_out_of_range_are_refused(settings, says):
     [
         (
             Level("odd", E[:2], np.array([0.0, 0.3]), np.array([1.0, 0.1])),
-            "task odd = [0.0, 1.0, 0.0, 0.0, 0.3, 0.1]: row 1 bounds leave no value",
+            "task odd = [0.0, 1.0, 0.0, 0.0, 0.3, 0.1]: row 1 has bounds that exclude every value",
         ),
         (Level("odd", E[:2], np.zeros(2), np.array([1.0, np.nan])), "row 1 is not finite"),
         (Level("odd", E[:1], np.array([np.inf]), np.array([np.inf])), "row 0"),

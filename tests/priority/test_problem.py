@@ -22,8 +22,8 @@ def row(name="wall", kind="barrier", a=(1, 0, 0, 0), lower=-math.inf, upper=0.2)
     ("levels", "rows", "says"),
     [
         ([], [], "no level"),
-        ([GOOD, GOOD], [], "task depth: names both task 1 and task 2"),
-        ([GOOD], [row(), row()], "limit wall: names both"),
+        ([GOOD, GOOD], [], "task depth: is the name of task 1 and of task 2"),
+        ([GOOD], [row(), row()], "limit wall: is the name of"),
         ([GOOD, Level("odd", np.ones((1, 3)), np.ones(1))], [], "task odd: J has 3 columns"),
         ([Level("odd", np.ones((2, 4)), np.ones(1))], [], "task odd: J has shape (2, 4)"),
         ([Level("odd", np.array([[1, 1, 1, 1], [0, np.nan, 0, 0]]), np.ones(2))], [], "row 1 is not finite"),
@@ -31,8 +31,8 @@ def row(name="wall", kind="barrier", a=(1, 0, 0, 0), lower=-math.inf, upper=0.2)
         ([GOOD], [row(a=(1, 0, 0))], "limit wall: has 3 entries"),
         ([GOOD], [row(a=(1, 0, 0, np.nan))], "limit wall"),
         ([GOOD], [row(upper=math.nan)], "limit wall"),
-        ([GOOD], [row(lower=0.3)], "leave no velocity"),
-        ([GOOD], [row(upper=-math.inf)], "leave no velocity"),
+        ([GOOD], [row(lower=0.3)], "exclude every velocity"),
+        ([GOOD], [row(upper=-math.inf)], "exclude every velocity"),
         ([GOOD], [row(kind="actuatr")], "did you mean 'actuator'"),
     ],
 )
@@ -73,9 +73,9 @@ def test_the_callers_arrays_are_not_shared():
 
 @pytest.mark.parametrize("name", ["", "two\nlines", None, 3])
 def test_a_name_that_cannot_be_told_in_a_line_is_refused(name):
-    with pytest.raises(InputError, match=r"name of task 2.*is no name"):
+    with pytest.raises(InputError, match=r"name of task 2.*is not a name"):
         build_problem([Level("first", np.eye(4)[:1], np.ones(1)), Level(name, np.eye(4)[1:2], np.ones(1))])
-    with pytest.raises(InputError, match=r"name of limit 1.*is no name"):
+    with pytest.raises(InputError, match=r"name of limit 1.*is not a name"):
         build_problem([Level("first", np.eye(4)[:1], np.ones(1))], [Row(name, "actuator", np.ones(4), -1.0, 1.0)])
 
 
@@ -92,7 +92,7 @@ def test_a_bound_that_is_no_number_names_the_limit(bound):
 
 
 def test_a_task_and_a_limit_of_one_name_are_refused():
-    with pytest.raises(InputError, match="task wall: names a limit too"):
+    with pytest.raises(InputError, match="task wall: is also the name of a limit"):
         build_problem([Level("wall", np.eye(4)[:1], np.ones(1))], [Row("wall", "barrier", np.ones(4), -1.0, 1.0)])
 
 

@@ -182,7 +182,7 @@ def test_mode_nsb_knows_no_rows_and_says_so():
     got = solve(problem, mode="nsb")
     assert np.allclose(got.v, [1, 0, 0, 0])
     assert got.relaxed == {"box.u": pytest.approx(0.78)}
-    assert "knows no limits" in got.explain()
+    assert "ignores limits" in got.explain()
     assert got.is_optimal(problem, 1e-9)
 
 

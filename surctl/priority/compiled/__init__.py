@@ -1,3 +1,3 @@
-"""The four modes as routines with bounded loops: what a controller runs, and the fast path from Python."""
+"""The four priority modes as routines with bounded loops, for the exported controller and for fast runs in Python."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""From symbols to a tick: a stack and limits over poses and parameters, evaluated straight into a tick's arrays."""
+"""Compile a symbolic stack and its limits to a function that fills the input arrays of a priority step."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ _N = 4
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """A stack and limits as one function of named inputs; made by `assemble`.
+    """A stack and its limits as one function of named inputs; build it with `assemble`.
 
     Attributes:
-        stack, limits: as given; `limits` are the rows of all limits.
-        sizes: entries of each input, by name.
+        stack, limits: as passed to `assemble`; `limits` are the rows of all limits.
+        sizes: number of entries of each input, by name.
         function: CasADi function of the inputs, in their order → J (K·4,) row by row, lower, upper (K,), rows
-            (m·7,), box (8,), as `priority_tick` takes them (one idle row if there is no limit). The box is made of
-            the actuator rows that bound one velocity whatever the inputs are.
+            (m·7,), box (8,), in the form that `priority_step` takes (one idle row if there is no limit). The box comes
+            from the actuator rows that bound a single velocity for all inputs.
     """
 
     stack: Stack
@@ -45,18 +45,18 @@ class Assembly:
     function: ca.Function
 
     def problem(self, values: Mapping[str, ArrayLike]) -> PriorityProblem:
-        """The priority problem at these values, one array an input.
+        """Return the priority problem at these values, one array for each input.
 
         Raises:
-            InputError: an input that is missing, unknown, or of the wrong size; a level or a limit that is not
-                finite there, by name and row.
+            InputError: an input is missing, unknown, or of the wrong size, or a level or a limit is not finite at these
+                values; the message names it and its row.
         """
         arguments = self._checked(values)
         J, lower, upper, rows, _ = (np.array(part).reshape(-1) for part in self.function.call(arguments))
         levels, start = [], 0
         for task, shape in zip(self.stack.tasks, self.shapes, strict=True):
             end = start + shape.rows
-            # an equal pair stays one value, so that a NaN in it is told as such
+            # an equal pair stays one value, so that a NaN in it is reported as a NaN and not as a set
             high = upper[start:end] if shape.is_set else None
             levels.append(
                 Level(task.name, J[_N * start : _N * end].reshape(-1, _N), lower[start:end], high, task.rate_unit)
@@ -72,10 +72,10 @@ class Assembly:
     def step(
         self, mode: Mode = "projected", *, sweeps: int = 1, damping: float = 0.0, fallback: Fallback = "exact"
     ) -> AssembledStep:
-        """A compiled tick with buffers of its own, fed by this assembly.
+        """Compile a priority step with its own buffers that evaluates this assembly first.
 
         Raises:
-            InputError: a set-based task of more than one row; see `priority_tick` for the others.
+            InputError: a set-based task has more than one row; `priority_step` lists the other errors.
         """
         return AssembledStep(self, mode, sweeps=sweeps, damping=damping, fallback=fallback)
 
@@ -103,13 +103,13 @@ class Assembly:
 
 
 class AssembledStep(PriorityStep):
-    """A `PriorityTick` with its `Assembly` before it, in one compiled call: write `inputs`, call `solve`, read `v`.
+    """A `PriorityStep` and its `Assembly` in one compiled call: write `inputs`, call `solve`, read `v`.
 
-    J, lower, upper, rows and box are outputs here, so there is nothing to load. A number that is not finite anywhere
-    gives status CLAMPED and v = 0 in the box; `Assembly.problem` with the same values then names the task and the row.
+    J, lower, upper, rows and box are outputs of this step, so there is nothing to load. If any number is not finite,
+    the status is CLAMPED and v is 0 moved into the box; `Assembly.problem` then names the task and row.
 
     Attributes:
-        inputs: one array an input of the assembly, by name; read-only: write into the arrays.
+        inputs: one array for each input of the assembly, by name. The mapping is read-only: write into its arrays.
     """
 
     inputs: Mapping[str, Array]
@@ -117,7 +117,7 @@ class AssembledStep(PriorityStep):
     def __init__(
         self, assembly: Assembly, mode: Mode, *, sweeps: int = 1, damping: float = 0.0, fallback: Fallback = "exact"
     ) -> None:
-        """See `Assembly.tick`."""
+        """See `Assembly.step` for the arguments."""
         for task in assembly.stack.tasks:
             if isinstance(task, SetTask) and task.size > 1:
                 raise InputError(
@@ -136,15 +136,15 @@ class AssembledStep(PriorityStep):
         self.inputs = MappingProxyType(dict(zip(assembly.sizes, inputs, strict=True)))
 
     def load(self, problem: PriorityProblem) -> None:
-        """Always an InputError: what it would write is worked out anew from the inputs by every `solve`."""
+        """Raise an InputError always: `solve` computes these arrays from the inputs and would overwrite the problem."""
         del problem
         raise InputError(
-            "takes no problem, only inputs", key="step", remedy="write into them, or take PriorityStep.of(problem)"
+            "cannot load a problem", key="step", remedy="write into its inputs, or use PriorityStep.of(problem)"
         )
 
 
 def _fused(stack: Program, step: Routine) -> Routine:
-    """The tick on what the stack gives; both are outputs."""
+    """The priority step applied to the outputs of the stack function; the results of both are outputs."""
     inputs = tuple(name for name, _ in stack.inputs)
     between = tuple(name for name, _ in step.inputs)
     outputs = tuple(name for name, _ in step.outputs)
@@ -157,17 +157,17 @@ def _fused(stack: Program, step: Routine) -> Routine:
 
 
 def assemble(stack: Stack, limits: Sequence[Limit] = (), *, inputs: Mapping[str, ca.SX]) -> Assembly:
-    """One function for a stack and its limits.
+    """Build one function for a stack and its limits.
 
     Args:
         stack: tasks and set-based tasks.
-        limits: whatever gives rows.
-        inputs: every symbol that stands in them, by the name under which its values will be given, "eta" say; SX
-            columns of symbols.
+        limits: limits; each supplies one or more rows.
+        inputs: all symbols that tasks and limits contain, by the name under which values are passed later, for example
+            "eta"; SX columns of symbols.
 
     Raises:
-        InputError: an input that is no symbol or stands twice; a symbol of a task or a limit that is no input, by
-            name; a limit of the wrong width; two rows with one name.
+        InputError: an input is not a symbol or occurs twice; a task or limit contains a symbol that is not an input
+            (the message names it); a limit has the wrong width; two rows have the same name.
 
     Example:
         >>> import casadi as ca
@@ -213,12 +213,12 @@ def assemble(stack: Stack, limits: Sequence[Limit] = (), *, inputs: Mapping[str,
 
 
 def _known(inputs: Mapping[str, ca.SX]) -> set[int]:
-    """Hashes of all scalar symbols."""
+    """Hashes of all scalar symbols among the inputs."""
     known: set[int] = set()
     for name, symbol in inputs.items():
         for scalar in ca.vertsplit(symbol):
             if scalar.element_hash() in known:
-                raise InputError("stands in two inputs", key=f"inputs.{name}", value=str(scalar))
+                raise InputError("belongs to two inputs", key=f"inputs.{name}", value=str(scalar))
             known.add(scalar.element_hash())
     return known
 
@@ -248,7 +248,7 @@ def _table(rows: Sequence[LimitRow]) -> ca.SX:
 
 
 def _box(rows: Sequence[LimitRow]) -> ca.SX:
-    """Lower and upper of single velocities; where two rows contradict each other, the middle of both."""
+    """Lower and upper bound of each velocity; if two rows contradict each other, both bounds are their midpoint."""
     low, high = [ca.SX(-ca.inf)] * _N, [ca.SX(ca.inf)] * _N
     for row in rows:
         entries = [j for j in range(_N) if not row.a[j].is_zero()]

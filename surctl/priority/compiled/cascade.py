@@ -1,14 +1,14 @@
-"""Mode `lexicographic`: strict priority inside the rows, one level after another in a bounded loop.
+"""Mode `lexicographic`: strict priority inside the limit rows, one level after another in a bounded loop.
 
-What the levels above leave free is v = base + N y, with N an orthogonal projector and base orthogonal to it, so that
-the kernel's nearest point to base is the nearest to 0. A level then is one of
+The velocities that the higher levels leave free are v = base + N y. N is an orthogonal projector and base is orthogonal
+to its range, so the point that the kernel finds nearest to base is also the nearest to 0. Each level then is one of:
 
-1. reachable: its value is frozen by elimination (base moves, N loses the level's directions). A set-based level is
-   kept as a row instead;
-2. not reachable inside the rows: it is served as well as they allow (`serve`), and that value frozen.
+1. reachable: its value is fixed by elimination (base moves, N loses the level's directions). A set-based level becomes
+   a row instead;
+2. not reachable inside the rows: it is met as well as the rows allow (`limited_level`), and that value is fixed.
 
-Nothing is ever frozen by a row with a tolerance, so the rows stay consistent. If they are not from the start, the
-soft ones are opened first, as the safe tick does it.
+No value is ever fixed by a row with a tolerance, so consistent rows stay consistent. If the rows contradict each other
+from the start, the soft ones are opened first, as in `safe_step`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _STATE = ("stop", "v", "base", "N", "rows", "held", "hold", "active", "multiplie
 
 
 class _Sizes:
-    """n velocities, k rows of the tallest level, m rows with those of set-based levels at the end."""
+    """Sizes: n velocities, k rows of the largest level, m rows including one for each set-based level at the end."""
 
     def __init__(self, shape: StackShape, rows: int) -> None:
         self.shape, self.n, self.k, self.limit_rows = shape, shape.n, shape.tallest, rows
@@ -44,11 +44,11 @@ class _Sizes:
 
     @property
     def state(self) -> tuple[tuple[str, int], ...]:
-        """What a level hands to the next.
+        """Names and sizes of the state that each level passes to the next.
 
-        stop: nothing more to do. v: keeps the rows. base, N: what is free. rows: of length 1, opened. held, hold:
-        numbers and multipliers of rows that hold levels back. active, push: those of the last projection. limited:
-        whether level 1 was not reachable. count: iterations.
+        stop: 1 if nothing is left to do. v: satisfies the rows. base, N: the remaining freedom. rows: of length 1,
+        opened. held, hold: numbers and multipliers of rows that limit levels. active, multipliers: those of the last
+        projection. limited: whether level 1 was not reachable. count: iterations.
         """
         n = self.n
         sizes = (1, n, n, n * n, self.m * self.row, n, n, n, n, 1, 1)
@@ -56,7 +56,7 @@ class _Sizes:
 
     @property
     def level(self) -> tuple[tuple[str, int], ...]:
-        """What the loop reads of a level, padded: is_set, first: flags; slot: where the row of a set-based one goes."""
+        """Padded inputs of one level; is_set, first: flags; slot: selects the place for a set-based row."""
         return (
             ("J_i", self.k * self.n),
             ("lower_i", self.k),
@@ -70,7 +70,7 @@ class _Sizes:
 def cascade(shape: StackShape, rows: int) -> Routine:
     """(J, lower, upper, rows, box, sound) → v, active, multipliers, opening, status, count, target (0).
 
-    sound: 0 stops it before the first level.
+    With sound = 0 the cascade stops before the first level.
     """
     sizes = _Sizes(shape, rows)
     n, start = shape.n, tuple(f"{name}_0" for name in _STATE)
@@ -81,7 +81,7 @@ def cascade(shape: StackShape, rows: int) -> Routine:
     levels = tuple(f"{name}_all" for name, _ in sizes.level if name != "slot" or sizes.sets)
     steps: tuple[Step, ...] = (
         Call(_arrange(sizes), ("J", "lower", "upper", "rows"), (*levels, "zero", "no_J", "no_x", "rows_all")),
-        # no task, but places for one: so the levels can call the very same routine
+        # this call has no task, but has the size of one: the levels can then call the same routine
         Call(safe_step(n, sizes.k, sizes.m), ("zero", "no_J", "no_x", "rows_all", "box"), initial),
         Loop(opened_row(n), sizes.m, (), ("rows_0",), sliced=("rows_all",), fixed=("opening", "v_t")),
         Call(_begin(sizes), (*initial[:3], *initial[4:], "sound"), tuple(s for s in start if s != "rows_0")),
@@ -95,7 +95,7 @@ def cascade(shape: StackShape, rows: int) -> Routine:
 
 
 def _arrange(sizes: _Sizes) -> Program:
-    """(J, lower, upper, rows) → the levels padded to one size, flags, 0, no task, the rows with places for sets."""
+    """(J, lower, upper, rows) → levels padded to one size, flags, slots, zeros, rows with places for sets."""
     shape, n, k = sizes.shape, sizes.n, sizes.k
     flat, levels = shape.symbols()
     rows = ca.SX.sym("rows", sizes.limit_rows * sizes.row)
@@ -122,7 +122,7 @@ def _arrange(sizes: _Sizes) -> Program:
 
 
 def _begin(sizes: _Sizes) -> Program:
-    """(v, active, push, status, count, sound) → the state without its rows."""
+    """(v, active, multipliers, status, count, sound) → the initial state of the levels without its rows."""
     n = sizes.n
     v, active, multipliers = (ca.SX.sym(name, n) for name in ("v", "active", "multipliers"))
     status, count, sound = (ca.SX.sym(name) for name in ("status", "count", "sound"))
@@ -135,7 +135,7 @@ def _begin(sizes: _Sizes) -> Program:
 
 
 def _level(sizes: _Sizes) -> Routine:
-    """One level: try it, and serve it if it cannot be reached."""
+    """One level: test whether it is reachable; if not, meet it as well as the rows allow."""
     n, k, m = sizes.n, sizes.k, sizes.m
     space = Space(n, n)
     level = tuple(pair for pair in sizes.level if pair[1])
@@ -178,10 +178,10 @@ def _zero() -> Program:
 
 
 def _free(sizes: _Sizes) -> Program:
-    """(v, base, N, J, lower, upper, is_set) → what the level would leave free, and what is needed to serve it.
+    """(v, base, N, J, lower, upper, is_set) → the freedom that the level leaves, and the inputs of `limited_level`.
 
-    base (n + 1) and N if it is reached, N without its directions, its directions Q, its task T Q and the turn Pᵀ·scale
-    inside N (see `decomposition`), the value asked for, 1/scale², and its row if it is set-based.
+    The outputs are: base (n + 1) and N if the level is reached; N without the level's directions; its directions Q, its
+    task T Q and the matrix Pᵀ·scale inside N (see `decomposition`); the desired value; 1/scale²; its row if set-based.
     """
     n, k = sizes.n, sizes.k
     v, base, N, J = ca.SX.sym("v", n), ca.SX.sym("base", n), ca.SX.sym("N", n * n), ca.SX.sym("J", k * n)
@@ -193,7 +193,7 @@ def _free(sizes: _Sizes) -> Program:
     less = projector - parts.directions().T @ parts.directions()
     reached = base + parts.directions().T @ parts.coordinates(x - matrix @ base)
     length = ca.sqrt(ca.sumsqr(matrix[0, :]))
-    off = length <= ZERO_ROW  # a task that is switched off asks for nothing
+    off = length <= ZERO_ROW  # a task that is switched off puts no bound on v
     unit = 1 / ca.if_else(off, 1, length)
     bounds = [ca.if_else(off, -HUGE, low[0] * unit), ca.if_else(off, HUGE, high[0] * unit)]
     row = ca.vertcat(matrix[0, :].T * unit, *bounds, 0)
@@ -214,7 +214,7 @@ def _free(sizes: _Sizes) -> Program:
 
 
 def _added(sizes: _Sizes) -> Program:
-    """(rows, row[, slot]) → the rows with this one in its place."""
+    """(rows, row[, slot]) → the rows, with this row written to its slot."""
     rows, row = ca.SX.sym("rows", sizes.m * sizes.row), ca.SX.sym("row", sizes.row)
     slot = ca.SX.sym("slot", sizes.sets)
     first = sizes.limit_rows * sizes.row
@@ -225,9 +225,9 @@ def _added(sizes: _Sizes) -> Program:
 
 
 def _tried(sizes: _Sizes) -> Program:
-    """(what the kernel found, the freedom it was found in, the state, first) → the state for `serve`, limited.
+    """(result of the kernel, freedom in which it was found, state, first) → the state for `limited_level`, limited.
 
-    It begins with 1 if the level was reached: then there is nothing to serve.
+    The first output is 1 if the level was reached; `limited_level` is then skipped.
     """
     n = sizes.n
     point, numbers, u = ca.SX.sym("point", n + 1), ca.SX.sym("numbers", n), ca.SX.sym("u", n)
@@ -253,7 +253,7 @@ def _tried(sizes: _Sizes) -> Program:
 
 
 def _end(sizes: _Sizes) -> Program:
-    """(v, limited, status of the rows alone) → v, status, and the point that it is nearest to: 0."""
+    """(v, limited, status of the rows alone) → v, status, and the target of the last projection, which is 0."""
     v, limited, status = ca.SX.sym("v", sizes.n), ca.SX.sym("limited"), ca.SX.sym("status")
     outcome = ca.if_else(limited, ca.fmax(status, LIMITED), status)
     return lower(ca.Function("end_levels", [v, limited, status], [v, outcome, ca.SX.zeros(sizes.n)]))

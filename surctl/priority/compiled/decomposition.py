@@ -1,4 +1,4 @@
-"""What rows can move, as symbolic expressions: exact for dependent and contradicting rows, without squaring J."""
+"""Row space of a symbolic Jacobian: exact for dependent and contradicting rows, without forming J Jᵀ."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ __all__ = ["Decomposition", "decompose"]
 
 
 class Decomposition(NamedTuple):
-    """scale·J N = P T Q, a complete orthogonal decomposition (Golub and Van Loan 2013, 5.4.7), N a projector.
+    """Complete orthogonal decomposition scale·J N = P T Q (Golub and Van Loan 2013, 5.4.7) with a projector N.
 
     Attributes:
-        Q: k columns (n, 1), orthonormal rows of J N, zero where a row depends on those above it.
-        P: k columns (k, 1), orthonormal, zero where Q is.
-        T: k lists of k: upper triangle, with zero rows and columns where Q is zero.
-        inverse: k, of the diagonal of T, 0 where it is 0.
-        scale: 1/‖J‖ with ‖J‖ the length of the longest row; 0 for a J that is switched off.
+        Q: k columns (n, 1), orthonormal basis of the rows of J N; zero where a row depends on the rows above it.
+        P: k columns (k, 1), orthonormal; zero where the column of Q is zero.
+        T: k lists of k entries: upper triangle, with zero rows and columns where Q is zero.
+        inverse: k reciprocals of the diagonal of T; 0 where the diagonal is 0.
+        scale: 1/‖J‖, where ‖J‖ is the length of the longest row; 0 for a J that is switched off.
     """
 
     Q: list[ca.SX]
@@ -34,7 +34,7 @@ class Decomposition(NamedTuple):
         return sum((inverse > 0 for inverse in self.inverse), ca.SX(0))
 
     def turned(self, x: ca.SX) -> ca.SX:
-        """Pᵀ·scale·x (k, 1): ‖scale·(J N y − x)‖² = ‖T Q y − Pᵀ scale x‖² + what no y can change."""
+        """Pᵀ·scale·x (k, 1): ‖scale·(J N y − x)‖² = ‖T Q y − Pᵀ·scale·x‖² + a constant that does not depend on y."""
         rest, entries = x * self.scale, []
         for p in self.P:
             entries.append(ca.dot(p, rest))
@@ -42,7 +42,7 @@ class Decomposition(NamedTuple):
         return ca.vertcat(*entries)
 
     def coordinates(self, x: ca.SX) -> ca.SX:
-        """c (k, 1): Qᵀc is the shortest y in the range of N with ‖J N y − x‖ least."""
+        """Coordinates c (k, 1): Qᵀc is the shortest y in the range of N that minimises ‖J N y − x‖."""
         c = ca.vertsplit(self.turned(x))
         for j in reversed(range(len(c))):
             for i in range(j + 1, len(c)):
@@ -51,7 +51,7 @@ class Decomposition(NamedTuple):
         return ca.vertcat(*c)
 
     def task(self) -> ca.SX:
-        """T Q (k, n)."""
+        """The matrix T Q (k, n)."""
         return _matrix(self.T) @ self.directions()
 
     def directions(self) -> ca.SX:
@@ -60,10 +60,10 @@ class Decomposition(NamedTuple):
 
 
 def decompose(J: ca.SX, N: ca.SX | None = None) -> Decomposition:
-    """Decompose J (k, n) inside the range of the orthogonal projector N (n, n); None: everywhere.
+    """Decompose J (k, n) inside the range of the orthogonal projector N (n, n); N = None means the whole space.
 
-    A row counts as dependent when less than `CUTOFF`·‖J‖ of it is left by N and the rows above. The cut-off is
-    relative to J, never to J N: once N leaves nothing, that would be relative to rounding noise.
+    A row counts as dependent when N and the rows above it leave less than `CUTOFF`·‖J‖ of it. The cut-off is relative
+    to J and not to J N: if N leaves nothing free, J N is only rounding noise.
     """
     k = J.shape[0]
     longest = ca.SX(0)
@@ -75,14 +75,14 @@ def decompose(J: ca.SX, N: ca.SX | None = None) -> Decomposition:
     Q: list[ca.SX] = []
     for row in rows:
         Q.append(_direction(row, Q, N))
-    # row i is made of directions 1 … i; what rounding leaves of the others is dropped
+    # row i depends on directions 1 … i only; rounding errors in the other entries are dropped
     left = [[ca.dot(rows[i], Q[j]) if j <= i else ca.SX(0) for j in range(k)] for i in range(k)]
     P, T, inverse = _orthonormal_columns(left)
     return Decomposition(Q, P, T, inverse, scale)
 
 
 def _direction(row: ca.SX, Q: list[ca.SX], N: ca.SX | None) -> ca.SX:
-    """The part of the row outside all earlier directions, of length 1, or zero; twice is enough (Parlett 1998, 6.9)."""
+    """Part of the row orthogonal to earlier directions, normalised, or zero; two passes suffice (Parlett 1998, 6.9)."""
     q = _outside(row, Q, N)
     length = ca.sqrt(ca.sumsqr(q))
     alive = length > CUTOFF

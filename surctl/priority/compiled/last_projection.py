@@ -1,11 +1,11 @@
-"""The last projection of mode `projected`, that of level 1, kept inside the rows.
+"""The last projection of mode `projected`, that of level 1, restricted to the limit rows.
 
-A level that asks for a value is the task of the safe tick. A set-based one (lower ≤ J v ≤ upper) takes two of them:
-first the nearest point without a task; if it leaves the bounds, then with the nearer bound as the task. That is the
-projection on rows and bounds together where they share a point (a convex set that the first point misses is nearest
-at its border), and otherwise it misses the bounds by as little as the rows allow: the set never opens a soft row.
-With damping the miss of the task gets variables of its own, s with J v − λs = x: the nearest point in (v, s) is
-min ‖v − w‖² + ‖J v − x‖²/λ² over the rows.
+A level with one desired value is the task of `safe_step`. A set-based level (lower ≤ J v ≤ upper) takes two such steps:
+first the nearest point without a task, then, if this point violates the bounds, the nearer bound as the task. If rows
+and bounds have a common point, the result is the projection on both (a point outside a convex set is nearest to its
+boundary). Otherwise the level misses its bounds by as little as the rows allow; the level never opens a soft row.
+With damping the residual of the task gets its own variables s, with J v − λs = x: the nearest point in (v, s)
+minimises ‖v − w‖² + ‖J v − x‖²/λ² over the rows.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from surctl.priority.solver.precision import FLOAT64, Precision
 
 __all__ = ["last_projection"]
 
-_PLAIN = 1e-4  # in squares of lengths and of a sine: far above every cut-off, in floats too
+_PLAIN = 1e-4  # bound on squared lengths and a squared sine: far above every cut-off, also in single precision
 
-_APART, _SHORT = 1e-14, 1e-18  # squares again: with _PLAIN no row that `decompose` would pass over
+_APART, _SHORT = 1e-14, 1e-18  # squares too: with _PLAIN they exclude each row that `decompose` calls dependent
 
 _SOLUTION = ("v", "active", "multipliers", "opening", "status", "count")
 
@@ -44,7 +44,7 @@ def last_projection(
     fallback: Fallback = "exact",
 ) -> Routine:
     """(w (n,), count (1,), J, lower, upper, rows, box) → v, active, multipliers, opening, status, count."""
-    n, named = shape.n, named and fallback == "exact"  # a bounded ladder does not say what holds a task back
+    n, named = shape.n, named and fallback == "exact"  # the bounded fallback does not report which rows limit a task
     inputs = (("w", n), ("before", 1), *shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n))
     steps: tuple[Step, ...]
     if damping > 0.0:
@@ -64,9 +64,10 @@ def _sum() -> Program:
 
 
 def _task(shape: StackShape, fallback: Fallback) -> tuple[Step, ...]:
-    """J, lower, upper → J_1, and the x_1 that it can reach; two rows that are plainly independent reach any.
+    """J, lower, upper → J_1 and the part of x_1 that it can attain; two clearly independent rows attain any x_1.
 
-    A bounded ladder takes two others for no task: what they can reach is dear to know.
+    The bounded fallback ignores a pair of rows that is not clearly independent, since its attainable part is costly to
+    compute.
     """
     k, stack = shape.levels[0].rows, ("J", "lower", "upper")
     if k != 2:
@@ -88,7 +89,7 @@ def _task(shape: StackShape, fallback: Fallback) -> tuple[Step, ...]:
 
 
 def _plain(shape: StackShape) -> Program:
-    """(J, lower, upper) → J_1, x_1 of two rows, and whether they are of like length and no near-parallels."""
+    """(J, lower, upper) → J_1, x_1 of two rows, and whether these have similar lengths and are not nearly parallel."""
     flat, levels = shape.symbols()
     J = levels[0].J
     a, b, both = ca.sumsqr(J[0, :]), ca.sumsqr(J[1, :]), ca.dot(J[0, :].T, J[1, :].T)
@@ -98,7 +99,7 @@ def _plain(shape: StackShape) -> Program:
 
 
 def _independent(shape: StackShape) -> Program:
-    """(J, lower, upper) → J_1, x_1 of two rows, or zeros where they are near-parallel or of very different length."""
+    """(J, lower, upper) → J_1, x_1 of two rows, or zeros where they are nearly parallel or of very different length."""
     flat, levels = shape.symbols()
     J, x = levels[0].J, levels[0].lower
     a, b, both = ca.sumsqr(J[0, :]), ca.sumsqr(J[1, :]), ca.dot(J[0, :].T, J[1, :].T)
@@ -109,7 +110,7 @@ def _independent(shape: StackShape) -> Program:
 
 
 def _first(shape: StackShape) -> Program:
-    """(J, lower, upper) → J_1, and the x_1 that it can reach: what no v can change of the miss is left out."""
+    """(J, lower, upper) → J_1 and the x_1 that it can attain: the part of the residual that no v changes is removed."""
     flat, levels = shape.symbols()
     J, x = levels[0].J, levels[0].lower
     k = J.shape[0]
@@ -133,7 +134,7 @@ def _value(shape: StackShape, rows: int, precision: Precision, *, named: bool, f
 
 
 def _named(n: int, k: int, rows: int, precision: Precision) -> Routine:
-    """(J_1, x_1, rows, the answer) → the answer, and first among its rows those that hold task 1 back."""
+    """(J_1, x_1, rows, solution) → the solution, with the rows that limit task 1 first in its list of active rows."""
     solution = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1))
     fixed = (("rows", rows * (n + 3)), ("v", n), ("opening", 1), ("pull", n), ("Z", n * n))
     add = Routine(
@@ -160,7 +161,7 @@ def _named(n: int, k: int, rows: int, precision: Precision) -> Routine:
 
 
 def _pull(n: int, k: int) -> Program:
-    """(J_1, x_1, v, status) → whether nothing holds the task back, Jᵀ(x − J v), and the projector on everything."""
+    """(J_1, x_1, v, status) → whether no row limits the task, the gradient Jᵀ(x − J v), and the identity."""
     J, x, v, status = ca.SX.sym("J", k * n), ca.SX.sym("x", k), ca.SX.sym("v", n), ca.SX.sym("status")
     matrix = as_matrix(J, n)
     met = ca.logic_not(ca.logic_or(ca.eq(status, LIMITED), ca.eq(status, RELAXED)))
@@ -200,7 +201,7 @@ def _slab(shape: StackShape, rows: int, precision: Precision, *, named: bool, fa
 
 
 def _side(shape: StackShape, precision: Precision) -> Program:
-    """(J, lower, upper, the last answer, the new one) → the task for the next turn, the better answer, done."""
+    """(J, lower, upper, previous solution, new solution) → the task for the next step, the better solution, done."""
     n, (flat, levels) = shape.n, shape.symbols()
     sizes = (n, n, n, 1, 1, 1)
     old = [ca.SX.sym(f"{name}_old", size) for name, size in zip(_SOLUTION, sizes, strict=True)]
@@ -210,7 +211,7 @@ def _side(shape: StackShape, precision: Precision) -> Program:
     met = ca.fabs(value - desired) <= precision.priced * largest(J.T) * (1 + largest(v))
     inside = ca.logic_or(met, ca.logic_not(largest(J.T) > ZERO_ROW))
     second = old[4] != 0
-    # numbers that ran away in the second turn leave the answer of the first, which keeps the rows
+    # if the second step overflows, the solution of the first is returned, which satisfies the rows
     failed = ca.logic_and(second, ca.eq(new[4], CLAMPED))
     chosen = [ca.if_else(failed, a, b) for a, b in zip(old, new, strict=True)]
     chosen[4] = ca.if_else(failed, ca.fmax(old[4], LIMITED), new[4])
@@ -221,7 +222,7 @@ def _side(shape: StackShape, precision: Precision) -> Program:
 
 
 def _damped(shape: StackShape, rows: int, damping: float, precision: Precision) -> tuple[Step, ...]:
-    """The safe tick without a task, which opens rows where it must; then, in these rows, the one over (v, s)."""
+    """First `safe_step` without a task, which opens rows if it must, then `safe_step` over (v, s) inside these rows."""
     n, level = shape.n, shape.levels[0]
     q, wide = level.rows, shape.n + level.rows
     p, m = (1, rows + 1) if level.is_set else (q, rows)
@@ -244,7 +245,7 @@ def _damped(shape: StackShape, rows: int, damping: float, precision: Precision) 
 
 
 def _with_miss(shape: StackShape, rows: int, damping: float) -> Program:
-    """(w, J, lower, upper, rows, box) → the same over (v, s); a set-based level is one more row, and no task."""
+    """(w, J, lower, upper, rows, box) → the same over (v, s); a set-based level becomes a row and not a task."""
     n, (flat, levels) = shape.n, shape.symbols()
     level = levels[0]
     q = level.J.shape[0]
@@ -265,9 +266,9 @@ def _with_miss(shape: StackShape, rows: int, damping: float) -> Program:
 
 
 def _narrow(n: int, wide: int, rows: int, damping: float) -> Program:
-    """(the answer without a task, the answer over (v, s)) → the latter's v, or the former's if there is none.
+    """(solution without a task, solution over (v, s)) → v of the latter, or of the former if the latter has none.
 
-    At most n of its active rows are independent, so n places hold them. Multipliers of the damped problem.
+    At most n active rows are independent, so n places are enough. The multipliers are those of the damped problem.
     """
     plain = [ca.SX.sym(f"{name}_plain", size) for name, size in zip(_SOLUTION, (n, n, n, 1, 1, 1), strict=True)]
     full = [ca.SX.sym(f"{name}_wide", size) for name, size in zip(_SOLUTION, (wide,) * 3 + (1, 1, 1), strict=True)]

@@ -1,4 +1,4 @@
-"""The sizes of a stack of tasks: what a compiled tick is made for."""
+"""The sizes of a stack of tasks, for which a priority step is compiled."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ __all__ = ["LevelShape", "StackShape", "SymbolicLevel"]
 
 @dataclass(frozen=True)
 class LevelShape:
-    """One level of a compiled tick.
+    """The size and kind of one level of a compiled priority step.
 
     Attributes:
-        rows: k, at least 1.
-        is_set: the level asks for lower ≤ J v ≤ upper, not for J v = lower; then it has 1 row.
+        rows: number of rows k, at least 1.
+        is_set: True for a level lower ≤ J v ≤ upper, which has 1 row; False for a level J v = lower.
     """
 
     rows: int
@@ -29,7 +29,7 @@ class LevelShape:
 
 @dataclass(frozen=True)
 class SymbolicLevel:
-    """A level in symbols: J (k, n), lower, upper (k, 1)."""
+    """A level as symbolic expressions: J (k, n), lower, upper (k, 1)."""
 
     J: ca.SX
     lower: ca.SX
@@ -37,16 +37,17 @@ class SymbolicLevel:
     is_set: bool
 
     def desired(self, w: ca.SX) -> ca.SX:
-        """What J z should be for z near w: the value asked for, or J w moved between the bounds."""
+        """The desired value of J z for z near w: the level's own value, or J w moved between the bounds."""
         return ca.fmin(ca.fmax(self.J @ w, self.lower), self.upper) if self.is_set else self.lower
 
 
 @dataclass(frozen=True)
 class StackShape:
-    """n velocities and the levels over them, highest priority first.
+    """The shape of a stack: n velocities and the levels over them, highest priority first.
 
     Raises:
-        InputError: no velocity, no level, a level without a whole number of rows, or a set-based one of more than one.
+        InputError: n or the number of rows of a level is not a whole number of at least 1, the stack has no level,
+            or a set-based level has more than one row.
     """
 
     n: int
@@ -55,43 +56,43 @@ class StackShape:
     def __post_init__(self) -> None:
         """Check the sizes."""
         if not isinstance(self.n, int | np.integer) or self.n < 1:
-            raise InputError("must be at least 1, and whole", key="n", value=self.n)
+            raise InputError("must be a whole number of at least 1", key="n", value=self.n)
         if not self.levels:
             raise InputError("has no level", key="levels", remedy="give at least one task")
         for place, level in enumerate(self.levels, start=1):
             if not isinstance(level, LevelShape):
-                raise InputError("is no LevelShape", key=f"level {place}", value=level, remedy="as in LevelShape(2)")
+                raise InputError("is not a LevelShape", key=f"level {place}", value=level, remedy="as in LevelShape(2)")
             if not isinstance(level.rows, int | np.integer) or level.rows < 1:
-                raise InputError("is no number of rows", key=f"level {place}", value=level.rows, remedy="give 1, 2, …")
+                raise InputError("is not a row count", key=f"level {place}", value=level.rows, remedy="give 1, 2, …")
             if level.is_set and level.rows > 1:
                 raise InputError(
-                    f"is set-based and has {level.rows} rows; a compiled one has 1",
+                    f"is set-based and has {level.rows} rows; a compiled set-based level has 1",
                     key=f"level {place}",
-                    remedy="split it into one level a row",
+                    remedy="split it into one level for each row",
                 )
 
     @property
     def rows(self) -> int:
-        """Rows of all levels."""
+        """Number of rows of all levels together."""
         return sum(level.rows for level in self.levels)
 
     @property
     def tallest(self) -> int:
-        """Rows of the largest level."""
+        """Number of rows of the largest level."""
         return max(level.rows for level in self.levels)
 
     @property
     def starts(self) -> tuple[int, ...]:
-        """First row of each level in the stack."""
+        """Index of the first row of each level in the stack."""
         return tuple(sum(level.rows for level in self.levels[:i]) for i in range(len(self.levels)))
 
     @property
     def inputs(self) -> tuple[tuple[str, int], ...]:
-        """(name, entries) of the arrays that hold the stack: J row by row, lower, upper."""
+        """(name, number of entries) of the arrays that hold the stack: J row by row, lower, upper."""
         return (("J", self.rows * self.n), ("lower", self.rows), ("upper", self.rows))
 
     def symbols(self) -> tuple[list[ca.SX], list[SymbolicLevel]]:
-        """Symbols for these inputs, and the levels in them."""
+        """Symbols for the arrays in `inputs`, and the levels as expressions of these symbols."""
         flat = [ca.SX.sym(name, size) for name, size in self.inputs]
         return flat, list(self._levels(flat))
 

@@ -1,8 +1,8 @@
-"""A level of the cascade that the rows keep from its value: served as well as they allow, and frozen there.
+"""A level of the cascade that the limit rows keep from its value: it is met as well as they allow and fixed there.
 
-The safe tick finds min ‖J v − x‖ in the variables y of v + N y, from a v that keeps the rows, so that y = 0 always
-does. Near-dependent rows can cost it digits; it is started again from its own answer until what the rows leave of the
-pull vanishes (`tangent`), which are the optimality conditions. The value is then frozen by elimination.
+`safe_step` minimises ‖J v − x‖ over the variables y of v + N y, from a v that satisfies the rows, so y = 0 is always
+feasible. Nearly dependent rows can cost digits, so the step is repeated from its own solution until the optimality
+conditions hold: the rows leave nothing of the gradient (`tangent`). The value is then fixed by elimination.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from surctl.priority.solver.kernel import certificate, kernel, row_by_row
 __all__ = ["limited_level"]
 
 _TURNS = 6
-_CONVERGED = 1e-15  # part of the pull that is left, where a pull of 1 is that of a row of length 1
-_STILL = 1e-13  # a step no longer than this, relative to 1 + max |v|, changes nothing
+_CONVERGED = 1e-15  # allowed remainder of the gradient, relative to 1 + its largest entry
+_STILL = 1e-13  # a step of at most this length, relative to 1 + max |v|, counts as no step
 
 
 def limited_level(n: int, k: int, m: int) -> Routine:
-    """The state skip, v, base, N, rows, held, hold, active, push, count → the same with the level served and frozen.
+    """State skip, v, base, N, rows, held, hold, active, multipliers, count → the same after the level is met and fixed.
 
-    v keeps the rows (m·(n + 3), of length 1) before and after. What comes out holds the level's value: base, N
-    (without its directions), the nearest point v to 0 that is left, its active rows, and held with the rows that keep
-    the level from more. Fixed: N before and without its directions; Q, T Q and turn of the level inside N, see
-    `decomposition`; J, x; square, which is 1/scale², for the multipliers.
+    Before and after, v satisfies the rows (m·(n + 3), of length 1). The new state has the level's value fixed: base, N
+    (without its directions), the remaining point v nearest to 0, its active rows, and held with the rows that limit the
+    level. Fixed inputs: N before and without the level's directions; Q, T Q and Pᵀ·scale of the level inside N, see
+    `decomposition`; J, x; square = 1/scale², which scales the multipliers.
     """
     row, space = n + 3, Space(n, n)
     state = (
@@ -88,7 +88,7 @@ def _nothing(n: int) -> Program:
 
 
 def _again(n: int, k: int, m: int) -> Routine:
-    """One turn: from v to the point that the safe tick finds, the rows that hold it there, whether it is the best."""
+    """One pass: from v to the point that `safe_step` finds, the rows that limit it there, and whether it is optimal."""
     state = (("v", n), ("numbers", n), ("u", n), ("count", 1), ("converged", 1))
     fixed = (
         ("rows", m * (n + 3)), ("N", n * n), ("task", k * n), ("turn", k * k), ("J", k * n), ("x", k), ("square", 1),
@@ -117,7 +117,7 @@ def _again(n: int, k: int, m: int) -> Routine:
 
 
 def _lack(n: int, k: int) -> Program:
-    """(v, turn, J, x) → what T Q y should be, and 0, no box, 0."""
+    """(v, turn, J, x) → the desired value of T Q y, a zero vector, infinite box bounds, and 0."""
     v, turn, J, x = ca.SX.sym("v", n), ca.SX.sym("turn", k * k), ca.SX.sym("J", k * n), ca.SX.sym("x", k)
     lack = as_matrix(turn, k) @ (x - as_matrix(J, n) @ v)
     anywhere = ca.vertcat(-HUGE * ca.SX.ones(n), HUGE * ca.SX.ones(n))
@@ -125,14 +125,14 @@ def _lack(n: int, k: int) -> Program:
 
 
 def _moved(n: int) -> Program:
-    """(v, N, y, status) → v + N y (and no opening), or v if the tick found no point."""
+    """(v, N, y, status) → v + N y with opening 0, or v if `safe_step` found no point."""
     v, N, y, status = ca.SX.sym("v", n), ca.SX.sym("N", n * n), ca.SX.sym("y", n), ca.SX.sym("status")
     step = ca.if_else(status <= LIMITED, as_matrix(N, n) @ y, 0)
     return lower(ca.Function("moved", [v, N, y, status], [ca.vertcat(v + step, 0)]))
 
 
 def _pulled(n: int, k: int) -> Program:
-    """(v, point, kept, task, turn, J, x) → the point if it keeps the rows, the pull there, whether it is a new one."""
+    """(v, point, feasible, task, turn, J, x) → the point if feasible, else v; the gradient there; whether it moved."""
     v, point, feasible = ca.SX.sym("v", n), ca.SX.sym("point", n + 1), ca.SX.sym("feasible")
     task, turn, J, x = ca.SX.sym("task", k * n), ca.SX.sym("turn", k * k), ca.SX.sym("J", k * n), ca.SX.sym("x", k)
     chosen = ca.if_else(feasible, point[:n], v)
@@ -143,7 +143,7 @@ def _pulled(n: int, k: int) -> Program:
 
 
 def _converged(n: int) -> Program:
-    """(rest, pull, multipliers, square, moved, counts) → multipliers in the level's own size, count, settled."""
+    """(rest, pull, multipliers, square, moved, counts) → multipliers in the units of the level, count, converged."""
     rest, pull, part = (ca.SX.sym(name, n) for name in ("rest", "pull", "part"))
     square, moved = ca.SX.sym("square"), ca.SX.sym("moved")
     counts = [ca.SX.sym(name) for name in ("count", "spent", "more")]
@@ -153,14 +153,14 @@ def _converged(n: int) -> Program:
 
 
 def _frozen(n: int, k: int) -> Program:
-    """(v, base, Q) → the base of what is left when the level keeps the value that it has at v."""
+    """(v, base, Q) → the base of the remaining freedom when the level keeps its value at v."""
     v, base, Q = ca.SX.sym("v", n), ca.SX.sym("base", n), ca.SX.sym("Q", k * n)
     directions = as_matrix(Q, n)
     return lower(ca.Function("frozen", [v, base, Q], [ca.vertcat(base + directions.T @ (directions @ (v - base)), 0)]))
 
 
 def _chosen(n: int) -> Program:
-    """The nearest point to 0 with this value; or, where rounding leaves none, the point that has it."""
+    """The nearest point to 0 with the level's value; if rounding leaves no such point, v itself."""
     v, base, N = ca.SX.sym("v", n), ca.SX.sym("base", n + 1), ca.SX.sym("N", n * n)
     point, act, press = ca.SX.sym("point", n + 1), ca.SX.sym("act", n), ca.SX.sym("press", n)
     end, feasible, count, spent = (ca.SX.sym(name) for name in ("end", "feasible", "count", "spent"))

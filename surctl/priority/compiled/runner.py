@@ -1,4 +1,4 @@
-"""The fast path from Python: a tick compiled once, its arrays as named views, one call a tick."""
+"""Fast priority steps from Python: compiled once, with the arrays as named views; each step is a single call."""
 
 from __future__ import annotations
 
@@ -26,26 +26,27 @@ _VIEWS = frozenset(("J", "lower", "upper", "rows", "box", *OUTPUTS))
 
 
 class PriorityStep:
-    """`priority_tick` compiled for one caller: write the inputs, call `solve`, read the outputs.
+    """`priority_step` compiled for one caller: write the inputs, call `solve`, read the outputs.
 
-        tick = PriorityTick.of(problem, mode="projected")
-        tick.J[...], tick.lower[...], tick.upper[...] = J, x, x
-        tick.solve()
-        tick.v, tick.rung, tick.binding()
+        step = PriorityStep.of(problem, mode="projected")
+        step.J[...], step.lower[...], step.upper[...] = J, x, x
+        step.solve()
+        step.v, step.stage, step.binding()
 
-    Every array is a view of one buffer that each `solve` reads or overwrites: copy what must last, and write into it;
-    another array in its place would never be read, so that is an InputError. Not to be shared between threads. Where
-    there is no C compiler the same numbers come from the replay, slowly.
+    Every array is a view of one buffer that each `solve` reads or overwrites: copy results that must last, and assign
+    to the elements. Replacing an array raises an InputError, because `solve` would never read the new array. Do not
+    share a step between threads. Without a C compiler, `replay` computes the same numbers slowly.
 
     Attributes:
-        J (K, n), lower, upper (K,): the levels end to end, highest first; upper = lower for a level with one value.
-        rows (m, n + 3): normal, lower, upper, 1 if it may open; the rows of the box among them.
-        box (2, n): lower and upper, into which v is moved at the end.
-        v (n,), active, multipliers (n,), opening, status, count (1,), target (n,): see `priority_tick`.
-        solve: one tick; takes nothing, gives None.
+        J (K, n), lower, upper (K,): the levels one below the other, highest priority first; upper = lower for a level
+            with one desired value.
+        rows (m, n + 3): normal, lower, upper, 1 if the row may open; they include the rows of the box.
+        box (2, n): lower and upper bounds into which v is moved at the end.
+        v (n,), active, multipliers (n,), opening, status, count (1,), target (n,): see `priority_step`.
+        solve: computes one step; no arguments, returns None.
         level_names, row_names: set by `load`; otherwise "level 1", … and "row 0", ….
         levels: the shape of each level.
-        compiled: whether it runs in C.
+        compiled: whether the step runs as compiled C code.
     """
 
     J: Array
@@ -73,7 +74,7 @@ class PriorityStep:
         damping: float = 0.0,
         fallback: Fallback = "exact",
     ) -> None:
-        """As `priority_tick`, which raises the errors. All rows are idle and the box is open until they are written."""
+        """Take the arguments and raise the errors of `priority_step`. All rows start idle and the box unbounded."""
         shapes = tuple(levels)
         routine = priority_step(mode, n=n, levels=shapes, rows=rows, sweeps=sweeps, damping=damping, fallback=fallback)
         inputs, outputs, self.solve, self.compiled = bound(routine)
@@ -82,7 +83,7 @@ class PriorityStep:
         self.box[:] = [[-np.inf], [np.inf]]
 
     def __setattr__(self, name: str, value: object) -> None:
-        """Refuse another array in place of a view; `tick.J += 1` gives the same one back."""
+        """Refuse to replace a view by another array; `step.J += 1` is allowed, since it assigns the same array."""
         if name in _VIEWS and name in self.__dict__ and value is not self.__dict__[name]:
             raise InputError("is a view of the step's buffer", key=name, remedy=f"write into it: step.{name}[...] = …")
         super().__setattr__(name, value)
@@ -90,7 +91,7 @@ class PriorityStep:
     def _take(
         self, mode: Mode, n: int, levels: tuple[LevelShape, ...], inputs: Sequence[Array], outputs: Sequence[Array]
     ) -> None:
-        """Name the arrays of a tick."""
+        """Store the arrays of a step under their names."""
         self.mode, self.levels = mode, levels
         J, self.lower, self.upper, rows, box = inputs
         self.J, self.rows, self.box = J.reshape(-1, n), rows.reshape(-1, n + 3), box.reshape(2, n)
@@ -108,7 +109,7 @@ class PriorityStep:
         damping: float = 0.0,
         fallback: Fallback = "exact",
     ) -> PriorityStep:
-        """A tick for problems of this one's shape, loaded with it; `rows` places, as many as it has if None."""
+        """A step for problems with the shape of this one, loaded with it; rows = None: as many as the problem has."""
         places = max(1, len(problem.rows)) if rows is None else rows
         step = PriorityStep(
             mode,
@@ -125,10 +126,10 @@ class PriorityStep:
     def load(self, problem: PriorityProblem) -> None:
         """Write a checked problem: levels, rows with their names, and the box from its actuator rows.
 
-        Rows of kind "barrier" and "set" may open; unlike in `solve`, they open together.
+        Rows of kind "barrier" and "set" may open; unlike in `solve`, both kinds open together.
 
         Raises:
-            InputError: levels of another shape, or more rows than there are places; it names the level.
+            InputError: a level has another shape (the message names it), or the step has too few row places.
         """
         self._check(problem)
         self.J[:] = np.vstack([level.J for level in problem.levels])
@@ -144,17 +145,17 @@ class PriorityStep:
 
     @property
     def stage(self) -> Stage:
-        """How the last answer came about; InputError before the first."""
+        """The fallback stage that gave the last solution; an InputError before the first `solve`."""
         if self.status[0] == 0.0:
             raise InputError("has no solution yet", key="step", remedy="call solve() first")
         stages: tuple[Stage, ...] = get_args(Stage)
         return stages[int(self.status[0]) - 1]
 
     def binding(self) -> tuple[tuple[str, float], ...]:
-        """(name, multiplier) of the rows that shape v, rows as given: positive at an upper bound.
+        """(name, multiplier) of the rows that determine v, for rows as passed in: positive at an upper bound.
 
-        First those that hold a task back (of ½‖J v − x‖²), then those of ½‖v − target‖². A set-based level that
-        binds has its own name.
+        Rows that limit a task come first (multipliers of ½‖J v − x‖²), then those of ½‖v − target‖². A set-based level
+        that binds appears under its own name.
         """
         pairs = []
         for number, multiplier in zip(self.active, self.multipliers, strict=True):
@@ -166,7 +167,7 @@ class PriorityStep:
         return tuple(pairs)
 
     def _row(self, place: int) -> tuple[str, Array]:
-        """Name and normal of an active row; beyond the rows stand the set-based levels."""
+        """Name and normal of an active row; the numbers after the last row refer to set-based levels."""
         if place < len(self.rows):
             name = self.row_names[place] if place < len(self.row_names) else f"row {place}"
             return name, self.rows[place, :-3]
@@ -177,29 +178,29 @@ class PriorityStep:
 
     def _check(self, problem: PriorityProblem) -> None:
         if problem.width != self.v.size:
-            raise InputError(f"has {problem.width} velocities, the step {self.v.size}", key="problem")
+            raise InputError(f"has {problem.width} velocities, but the step has {self.v.size}", key="problem")
         if len(problem.levels) != len(self.levels):
-            raise InputError(f"has {len(problem.levels)} levels, the step {len(self.levels)}", key="problem")
+            raise InputError(f"has {len(problem.levels)} levels, but the step has {len(self.levels)}", key="problem")
         for level, shape in zip(problem.levels, self.levels, strict=True):
             if level.lower.size != shape.rows:
-                raise InputError(f"has {level.lower.size} rows, the step {shape.rows}", key=f"task {level.name}")
+                raise InputError(f"has {level.lower.size} rows, the step has {shape.rows}", key=f"task {level.name}")
             if not (shape.is_set or level.is_goal):
-                raise InputError("is set-based, its level in the step is not", key=f"task {level.name}")
+                raise InputError("is set-based, unlike its level in the step", key=f"task {level.name}")
         if len(problem.rows) > len(self.rows):
             raise InputError(
-                f"has {len(problem.rows)} rows, the step {len(self.rows)} places",
+                f"has {len(problem.rows)} rows, but the step has {len(self.rows)} places",
                 key="problem",
                 remedy="build the step with more rows",
             )
 
 
 def level_shapes(problem: PriorityProblem) -> tuple[LevelShape, ...]:
-    """The shape of each level; one with room between its bounds is set-based."""
+    """The shape of each level; a level with different lower and upper bounds is set-based."""
     return tuple(LevelShape(level.lower.size, not level.is_goal) for level in problem.levels)
 
 
 def bound(routine: Routine) -> tuple[list[Array], list[Array], Callable[[], None], bool]:
-    """Input and output arrays, and what computes the latter from the former; whether that is compiled."""
+    """Input arrays, output arrays, a function that computes the outputs, and whether that function is compiled."""
     try:
         workspace = compile_block(routine).workspace()
     except ToolMissing:

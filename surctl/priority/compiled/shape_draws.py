@@ -1,4 +1,4 @@
-"""Random priority problems of one shape: what a tick compiled once is tried on."""
+"""Random priority problems of one shape, for tests of a compiled step."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _N = 4
 def draw_of_shape(
     rng: np.random.Generator, shapes: tuple[LevelShape, ...], *, limits: bool = True, conditioned: bool = False
 ) -> PriorityProblem:
-    """Levels of these shapes over 4 velocities, with the actuator and barrier rows of `draw_problem`.
+    """Random levels of these shapes over 4 velocities, with the actuator and barrier rows of `draw_problem`.
 
-    Some levels are rank-deficient, doubled, switched off, or ask for something else than the level above with the
-    same row; rows often contradict each other. At most 22 rows.
+    Some levels are rank-deficient, repeat a row, are switched off, or contradict the level above in the same row; limit
+    rows often contradict each other. There are at most 22 rows.
 
     Args:
-        limits: whether there are rows.
-        conditioned: singular values between 0.3 and 3, and no deficient level.
+        limits: whether the problem has limit rows.
+        conditioned: if true, singular values lie between 0.3 and 3 and no level is rank-deficient.
     """
     levels: list[Level] = []
     while len(levels) < len(shapes):
@@ -33,7 +33,7 @@ def draw_of_shape(
     if len(levels) > 1 and not conditioned and rng.random() < 0.2:
         place = int(rng.integers(1, len(levels)))
         levels[place].J[0] = levels[place - 1].J[0]
-    # rows of kind "set" open after barriers in `solve`, and together with them in a compiled tick
+    # rows of kind "set" open after barriers in `solve`, but together with them in a compiled step
     rows = [row for row in draw_problem(rng).rows if row.kind != "set"] if limits else []
     return build_problem(levels, rows)
 

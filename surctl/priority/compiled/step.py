@@ -1,9 +1,9 @@
-"""One compiled tick a mode: a stack, rows and a box in, a finite velocity out, whatever the numbers.
+"""One compiled step for each priority mode: from a stack, rows and a box it computes a velocity that is always finite.
 
-nsb          the sweep of projections (16); knows no rows.
-filter       the point of the rows nearest to it.
+nsb          the sweep of projections (16), without limit rows.
+filter       the point inside the rows that is nearest to the result of nsb.
 projected    the sweep down to level 2, then the last projection, that of level 1, inside the rows (`last_projection`).
-lexicographic strict priority inside the rows (`compiled_cascade`).
+lexicographic strict priority inside the rows (`cascade`).
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from surctl.priority.solver.precision import FLOAT64, Precision
 
 __all__ = ["OUTPUTS", "priority_step"]
 
-_LEAST_DAMPING = 1e-3  # of the last projection: its rows shrink with λ/‖J‖, down to what the kernel calls parallel
+_LEAST_DAMPING = 1e-3  # of the last projection: its rows shrink with λ/‖J‖; the kernel must not call them parallel
 
 OUTPUTS = ("v", "active", "multipliers", "opening", "status", "count", "target")
-"""Names of a tick's outputs, in order."""
+"""Names of the outputs of a step, in order."""
 
 _RAW = tuple(f"{name}_raw" for name in OUTPUTS)
 _STACK = ("J", "lower", "upper")
@@ -48,51 +48,50 @@ def priority_step(
     named: bool = True,
     fallback: Fallback = "exact",
 ) -> Routine:
-    """(J (K·n,), lower (K,), upper (K,), rows (m·(n + 3),), box (2n,)) → the tick's answer; K rows in all levels.
+    """(J (K·n,), lower (K,), upper (K,), rows (m·(n + 3),), box (2n,)) → the outputs of one step; K rows in all levels.
 
-    J is row by row, highest priority first; lower = upper for a level that asks for a value. rows: a (n,), lower,
-    upper, soft (1: may open when the rows contradict each other), of any length, those of the box among them; a row
-    of zeros between infinite bounds is none. box: lower (n,), upper (n,), into which v is moved at the end.
+    J is stored row by row, highest priority first; lower = upper for a level with one desired value. Each row is
+    a (n,), lower, upper, soft (1: may open when rows contradict each other), of any length; the rows of the box are
+    included; a row of zeros with infinite bounds is idle. box: lower (n,), upper (n,); v is moved into it at the end.
 
-    Outputs: v (n,); active (n,), signed row numbers from 1 (+ at the upper bound, − at the lower, 0 none), first
-    those that hold a task back, with multipliers (n,) of ½‖J v − x‖² for these and of ½‖v − target‖² for the others,
-    for rows of length 1; opening (1,) of the soft rows; status (1,): MET (level 1 is met as well as its Jacobian
-    can), LIMITED (as well as the rows allow), RELAXED (soft rows opened), CLAMPED (only moved into the box), or BOUNDED
-    (what a bounded ladder has in place of the two before that, without active rows); count (1,), iterations; target
-    (n,), the point from which the last projection started.
+    Outputs: v (n,); active (n,), signed row numbers from 1 (+ at the upper bound, − at the lower, 0 empty), first the
+    rows that limit a task; multipliers (n,) of ½‖J v − x‖² for these and of ½‖v − target‖² for the others, for rows of
+    length 1; opening (1,) of the soft rows; status (1,): MET (level 1 is met as well as its Jacobian allows), LIMITED
+    (as well as the rows allow), RELAXED (soft rows opened), CLAMPED (only moved into the box), or BOUNDED (with the
+    bounded fallback, in place of LIMITED and RELAXED; without active rows); count (1,), iterations; target (n,), the
+    point from which the last projection started.
 
-    A set-based level keeps w where it is inside its bounds and moves it to the nearest bound otherwise: no switch, no
-    jump. In mode lexicographic one that is met is row m + 1, m + 2, … of those that bind (in the order of the levels).
-    In mode nsb the status is MET whenever (16) has a finite value, v knows neither rows nor box, and target is v.
-
-    With damping λ every projection is min λ²‖z − w‖² + ‖J z − x‖², in mode projected the last one too (inside the
-    rows): exact while ‖J‖ of the first level is below 5e4·λ; beyond, the rows it shares with λ are lost to rounding.
-    A number in J, lower or upper that is none (or above 1e300, in J above 1e140), or a value with lower ≠ upper:
-    CLAMPED, and v is 0 moved into the box; also in the modes with rows where one is longer than 1e150.
+    A set-based level leaves w unchanged inside its bounds and moves it to the nearest bound otherwise, so v does not
+    jump. In mode lexicographic the row numbers m + 1, m + 2, … denote set-based levels that bind, in level order. In
+    mode nsb the status is MET whenever (16) is finite, v ignores rows and box, and target is v. With damping λ every
+    projection minimises λ²‖z − w‖² + ‖J z − x‖², in mode projected also the last one (inside the rows). This is exact
+    while ‖J‖ of the first level is below 5e4·λ; for a larger ‖J‖, rounding loses the terms with λ. The status is
+    CLAMPED, with v = 0 moved into the box, if J, lower or upper contains a NaN or a number above 1e300 (J: above
+    1e140), or if lower ≠ upper for a level with one value; in the modes with rows also if a row is longer than 1e150.
 
     Args:
-        mode: the law.
-        n: velocities.
-        levels: their sizes.
-        rows: m, at least 1.
-        sweeps: how often the sweep is made, each from the last result; 1 in mode lexicographic.
+        mode: the priority law.
+        n: number of velocities.
+        levels: shapes of the levels.
+        rows: number of rows m, at least 1.
+        sweeps: number of sweeps, each started from the result of the one before; 1 in mode lexicographic.
         damping: λ [unit of J]; 0 in mode lexicographic.
-        precision: tolerances of the least-distance problems in modes filter and projected, those of the type of numbers
-            that the routine is run with; the other modes have those of double.
-        named: False in mode projected leaves out of `active` what holds task 1 back: v and status take less then.
-        ladder: exact, or for modes filter and projected without damping, bounded: where rows and task 1 cannot all be
-            kept, or not within 4 iterations, an answer of constant cost, see `solver.bounded`.
+        precision: tolerances of the least-distance problems in modes filter and projected, for the number type with
+            which the routine runs; the other modes use those of double.
+        named: False in mode projected leaves the rows that limit task 1 out of `active`, which saves time.
+        fallback: "exact", or "bounded" for modes filter and projected without damping: a solution of constant cost
+            if rows and task 1 are incompatible or take more than 4 iterations, see `solver.bounded`.
 
     Raises:
-        InputError: an unknown mode, a size or a number out of range; it names the level.
+        InputError: the mode is unknown, or a size or number is out of range; the message names the level.
 
     Example:
         >>> import numpy as np
         >>> from surctl.ir import replay
-        >>> from surctl.priority import LevelShape, priority_tick
-        >>> tick = priority_tick("projected", n=2, levels=(LevelShape(2),), rows=1)
+        >>> from surctl.priority import LevelShape, priority_step
+        >>> step = priority_step("projected", n=2, levels=(LevelShape(2),), rows=1)
         >>> wall, box = [1.0, 0.0, -np.inf, 0.1, 1.0], [-1.0, -1.0, 1.0, 1.0]
-        >>> v, active, *_ = replay(tick, [1.0, 0.0, 0.0, 1.0], [0.3, 0.4], [0.3, 0.4], wall, box)
+        >>> v, active, *_ = replay(step, [1.0, 0.0, 0.0, 1.0], [0.3, 0.4], [0.3, 0.4], wall, box)
         >>> v.round(3).tolist(), active.tolist()  # held back by row 1 at its upper bound
         ([0.1, 0.4], [1.0, 0.0])
     """
@@ -108,7 +107,7 @@ def priority_step(
             remedy=f"give 0, or {_LEAST_DAMPING:g} and more",
         )
     if not isinstance(rows, int | np.integer) or rows < 1:
-        raise InputError("must be at least 1, and whole", key="rows", value=rows, remedy="a row of zeros is none")
+        raise InputError("must be a whole number of at least 1", key="rows", value=rows, remedy="give 1 or more")
     steps = _MODES[mode](shape, rows, settings)
     inputs = (*shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n))
     start = Call(gate(shape), _STACK, ("sound", "zero", "none"))
@@ -118,14 +117,14 @@ def priority_step(
 
 @dataclass(frozen=True)
 class _Settings(Settings):
-    """With what a compiled tick has beside: see `priority_tick`."""
+    """`Settings` with the additional options of a compiled step; see `priority_step`."""
 
     precision: Precision = FLOAT64
     named: bool = True
     fallback: Fallback = "exact"
 
     def __post_init__(self) -> None:
-        """Check also that there is such a ladder."""
+        """Check also that the mode has this fallback."""
         super().__post_init__()
         check_fallback(self.fallback, mode=self.mode, damping=self.damping)
 
@@ -145,7 +144,7 @@ def _filter(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ..
 
 
 def _projected(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ...]:
-    """Turns of: the sweep of the lower levels from the last v, then the last projection."""
+    """Steps of mode projected: each sweep goes from the last v up to level 2, then makes the last projection."""
     n, damping, fixed = shape.n, settings.damping, (*_STACK, "rows", "box")
     carried = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1), ("target", n))
     after = tuple(f"{name}_next" for name in OUTPUTS)
@@ -182,14 +181,14 @@ def _with_target(n: int) -> Program:
 
 
 def _unlimited(n: int) -> Program:
-    """v → the outputs of a tick that no row shapes."""
+    """v → the outputs of a step without limit rows."""
     v = ca.SX.sym("v", n)
     empty, none = ca.SX.zeros(n), ca.SX.zeros(1)
     return lower(ca.Function("unlimited", [v], [v, empty, empty, none, ca.SX(MET), none, v]))
 
 
 def _finish(n: int, *, boxed: bool) -> Program:
-    """(the outputs, sound, box) → the outputs, finite: 0 moved into the box where the stack or its sweep is not."""
+    """(outputs, sound, box) → finite outputs; v is 0 moved into the box if the stack or the sweep is not finite."""
     flat = [ca.SX.sym(name, size) for name, size in zip(OUTPUTS, (n, n, n, 1, 1, 1, n), strict=True)]
     v, active, multipliers, opening, status, count, target = flat
     sound, box = ca.SX.sym("sound"), ca.SX.sym("box", 2 * n)

@@ -1,4 +1,4 @@
-"""The sweep of projections as instruction lists, and the gate that every input of a tick passes."""
+"""The sweep of projections as instruction lists, and a check that all inputs of a step are finite."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from surctl.priority.symbolic import projection
 __all__ = ["HUGE", "gate", "into", "project", "sweep", "swept"]
 
 HUGE = 1e300
-"""A number larger than this counts as none."""
+"""Numbers larger than this count as infinite."""
 
 
 def project(w: ca.SX, level: SymbolicLevel, *, damping: float) -> ca.SX:
-    """The point nearest to w (n, 1) among those that meet the level best; between bounds it is w itself.
+    """The point nearest to w (n, 1) among those that meet the level best; if w meets the bounds, that is w itself.
 
-    The damped form is that of `symbolic.projection`. Without damping several rows are decomposed, so that dependent
-    and contradicting rows are met in the least-squares sense, as by the pseudo-inverse.
+    With damping the formula is that of `symbolic.projection`. Without damping, several rows are decomposed, so that
+    dependent and contradicting rows are met in the least-squares sense, as with the pseudo-inverse.
     """
     if level.J.shape[0] == 1 or damping > 0.0:
         return projection(w, level.J, level.desired(w), damping=damping)
@@ -40,7 +40,7 @@ def sweep(shape: StackShape, *, damping: float, highest: int = 0) -> Program:
 
 
 def swept(shape: StackShape, settings: Settings) -> tuple[Step, ...]:
-    """Steps that turn `zero`, J, lower, upper into `swept`: as many sweeps as asked for, each from the last result."""
+    """Steps that compute `swept` from `zero`, J, lower, upper, with the set number of sweeps one after another."""
     one, fixed = sweep(shape, damping=settings.damping), ("J", "lower", "upper")
     if settings.sweeps == 1:
         return (Call(one, ("zero", *fixed), ("swept",)),)
@@ -50,8 +50,8 @@ def swept(shape: StackShape, settings: Settings) -> tuple[Step, ...]:
 def gate(shape: StackShape) -> Program:
     """(J, lower, upper) → sound (1,), zero (n,), none (1,).
 
-    sound: 1 if every number is one, a level that asks for a value has lower = upper, and the bounds of the others
-    leave room. Said as what holds: a NaN passes no comparison.
+    sound: 1 if all numbers are finite, lower = upper for levels with one value, and lower ≤ upper for the others. The
+    test states what must hold, because every comparison with a NaN is false.
     """
     flat, levels = shape.symbols()
     sound = ca.SX(1)
@@ -67,7 +67,7 @@ def gate(shape: StackShape) -> Program:
 
 
 def into(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
-    """The value moved between the bounds and finite, entry by entry; 0 where there is no such number."""
+    """The value moved between the bounds, entry by entry; 0 where the result would not be finite."""
     moved = []
     for i in range(value.numel()):
         above = ca.if_else(value[i] >= low[i], value[i], low[i])

@@ -1,8 +1,8 @@
-"""Which rows hold a task back: the multipliers of its least-squares problem, found from the answer itself.
+"""The rows that limit a task: the multipliers of its least-squares problem, computed from the solution.
 
-At the best point v of min ½‖J v − x‖² over the rows, the pull Jᵀ(x − J v) is made up of the normals of rows that v
-touches. The projection of the pull on the cone of directions that these rows leave is 0 there, its multipliers are
-those of the problem; what is left of the pull says how far from the best v is.
+At the minimiser v of ½‖J v − x‖² over the rows, the negative gradient Jᵀ(x − J v), here called the pull, is a
+combination of the normals of the rows that v touches. Its projection on the cone of feasible directions is then 0, and
+the multipliers of that projection are those of the problem. The remaining pull measures how far v is from optimal.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ __all__ = ["holding", "largest", "merged"]
 def holding(n: int, m: int, precision: Precision = FLOAT64) -> Routine:
     """(rows (m·(n + 3),), opening (1,), v (n,), pull (n,), Z (n·n,)) → numbers, multipliers, rest, count.
 
-    numbers (n,): signed, from 1, of the rows that hold the pull back (+ at the upper bound), 0 for none; multipliers
-    (n,) for rows of length 1; rest (n,): what they leave of the pull inside the range of the projector Z; count (1,)
-    of iterations. Soft rows have opened by `opening`.
+    numbers (n,): signed row numbers, from 1, of the rows that balance the pull (+ at the upper bound), 0 if empty;
+    multipliers (n,) for rows of length 1; rest (n,): the part of the pull in the range of the projector Z that the rows
+    do not balance; count (1,) of iterations. The bounds of soft rows are first moved outwards by `opening`.
     """
     space = Space(n, n, precision=precision)
     steps = (
@@ -46,7 +46,7 @@ def holding(n: int, m: int, precision: Precision = FLOAT64) -> Routine:
 
 
 def largest(vector: ca.SX) -> ca.SX:
-    """Largest absolute entry."""
+    """Largest absolute entry of the vector."""
     size = ca.SX(0)
     for i in range(vector.numel()):
         size = ca.fmax(size, ca.fabs(vector[i]))
@@ -54,7 +54,7 @@ def largest(vector: ca.SX) -> ca.SX:
 
 
 def _unit_pull(n: int, precision: Precision) -> Program:
-    """The pull with largest entry 1 and no opening, its size, and whether there is nothing to do."""
+    """The pull scaled to largest entry 1 with opening 0, its size, and whether it is zero (nothing to compute)."""
     pull = ca.SX.sym("pull", n)
     size = largest(pull)
     none = ca.logic_not(size > precision.priced)
@@ -63,7 +63,7 @@ def _unit_pull(n: int, precision: Precision) -> Program:
 
 
 def _touching(n: int, precision: Precision) -> Program:
-    """A row as a bound of directions: 0 on the side that v touches, none on the other."""
+    """A row as a bound on directions: 0 on the side of a bound that v touches, infinite on the other side."""
     row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
     length = ca.sqrt(ca.sumsqr(row[:n]))
     inverse = 1 / ca.if_else(length <= ZERO_ROW, 1, length)
@@ -74,7 +74,7 @@ def _touching(n: int, precision: Precision) -> Program:
 
 
 def _scaled(n: int) -> Program:
-    """Multipliers and rest in the size of the pull; nothing found leaves the pull as it is."""
+    """Multipliers and rest in the units of the pull; if the kernel found no solution, the rest is the whole pull."""
     point, active, weights = ca.SX.sym("point", n + 1), ca.SX.sym("active", n), ca.SX.sym("weights", n)
     end, size, pull = ca.SX.sym("end"), ca.SX.sym("size"), ca.SX.sym("pull", n)
     good = ca.eq(end, OPTIMAL)
@@ -89,9 +89,9 @@ def _scaled(n: int) -> Program:
 
 
 def merged(n: int) -> Program:
-    """(numbers, multipliers, more numbers, more multipliers), (n,) each → the first with those of the second added.
+    """(numbers, multipliers, more numbers, more multipliers), (n,) each → the first list extended by the second.
 
-    A row that stands in the first already is not added again, and one for which no place is left is dropped.
+    A row that the first list already contains is not added again; a row for which no slot is free is dropped.
     """
     numbers, multipliers = ca.SX.sym("numbers", n), ca.SX.sym("multipliers", n)
     more, further = ca.SX.sym("more", n), ca.SX.sym("further", n)

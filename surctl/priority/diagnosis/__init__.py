@@ -1,4 +1,4 @@
-"""What a stack of tasks will do before anything moves: is NSB strict priority here, who conflicts, what is singular."""
+"""Analysis of a task stack before a run: whether NSB equals strict priority, which tasks conflict, singularities."""
 
 from __future__ import annotations
 

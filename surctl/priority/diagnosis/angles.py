@@ -1,4 +1,4 @@
-"""Angles between row spaces, and how near a task or what is left of it is to losing rank; for many samples."""
+"""Angles between row spaces, and distances to rank loss of a task or of its remaining freedom, for many samples."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ Array: TypeAlias = NDArray[np.float64]
 def outside_sines(task: Directions, P: Array) -> Array:
     """Sines (N, n), largest first, of the principal angles between a task's rows and range(P); 0 beyond its rank.
 
-    They are the singular values of V(I − P) with V an orthonormal basis of the rows: those of J(I − P) without the
-    lengths of J's own rows, so that a weak task is not taken for a dependent one.
+    They are the singular values of V(I − P), where V is an orthonormal basis of the rows. Unlike those of J(I − P) they
+    do not depend on the lengths of the rows of J, so a task with short rows does not look dependent.
     """
     s = np.linalg.svd(task.rows @ (np.eye(P.shape[-1]) - P), compute_uv=False)
     sines: Array = np.minimum(np.asarray(s, dtype=float), 1.0)
@@ -38,7 +38,7 @@ def outside_sines(task: Directions, P: Array) -> Array:
 def pair_angles(first: Directions, second: Directions) -> tuple[Array, Array]:
     """Sine and cosine (N,) of the smallest principal angle between two row spaces (Björck and Golub 1973).
 
-    Both are computed, so that the angle is exact near 0 and near 90 degrees. NaN where one of them is empty.
+    Sine and cosine are both computed, so the angle is accurate near 0° and near 90°. NaN where a row space is empty.
     """
     P, rank = first.projector, second.rank
     least = np.take_along_axis(outside_sines(second, P), np.maximum(rank - 1, 0)[..., None], axis=-1)[..., 0]
@@ -48,12 +48,12 @@ def pair_angles(first: Directions, second: Directions) -> tuple[Array, Array]:
 
 
 def smallest_angle(i: int, j: int) -> Measure:
-    """The measure: sine (N,) of the smallest angle between tasks i and j."""
+    """Measure: the sine (N,) of the smallest angle between tasks i and j."""
     return lambda values: pair_angles(directions(values.jacobians[i]), directions(values.jacobians[j]))[0]
 
 
 def projector_above(values: Values, i: int) -> Array:
-    """(N, n, n), on the row space of the tasks above level i (counted from 0)."""
+    """Projector (N, n, n) on the row space of the tasks above level i (counted from 0)."""
     n = values.jacobians[i].shape[-1]
     P = np.zeros((len(values.jacobians[i]), n, n))
     for J in values.jacobians[:i]:
@@ -62,14 +62,14 @@ def projector_above(values: Values, i: int) -> Array:
 
 
 def freedom(values: Values, i: int) -> Array:
-    """`outside_sines` (N, n) of level i against all levels above it."""
+    """`outside_sines` (N, n) of level i relative to all levels above it."""
     return outside_sines(directions(values.jacobians[i]), projector_above(values, i))
 
 
 def remaining_sine(i: int, *, gained: int, rank: int) -> Measure:
-    """The measure: the sine (N,) that vanishes where level i loses one of the `gained` directions it usually finds.
+    """Measure: a sine (N,) that vanishes where level i loses one of the `gained` directions that it usually adds.
 
-    inf where its own Jacobian is below its usual `rank`: that is no matter of the levels above.
+    The value is inf where the level's own Jacobian has less than its usual `rank`: the levels above do not cause that.
     """
 
     def measure(values: Values) -> Array:
@@ -80,7 +80,7 @@ def remaining_sine(i: int, *, gained: int, rank: int) -> Measure:
 
 
 def task_strength(i: int, *, rank: int, size: float) -> Measure:
-    """The measure: the rank-th singular value (N,) of J_i, in parts of `size`; inf where the task is inactive."""
+    """Measure: the rank-th singular value (N,) of J_i, divided by `size`; inf where the task is inactive."""
 
     def measure(values: Values) -> Array:
         s = np.linalg.svd(values.jacobians[i], compute_uv=False)

@@ -1,16 +1,16 @@
-"""When the law (16) is strict priority: the commutator condition, on Jacobians as numbers.
+"""The commutator condition, evaluated for numeric Jacobians: when the law (16) equals strict priority.
 
 For all references x, NSB equals strict (lexicographic) priority
 
     v_i = v_{i−1} + (J_i N)⁺(x_i − J_i v_{i−1}),   N = I − P,   P the projector on the row space of all tasks above i
 
-if and only if J_iᵀJ_i commutes with P at every level i ≥ 2. The ranks play no part: a task may be deficient, depend
-on those above it, or find no freedom left. Proof in short. With x_i = 0 both laws of the first i levels must agree
-with those of the first i − 1 inside range(P), which strict priority fills; so its correction must vanish there:
-(J_i N)⁺J_i P = 0, which is N J_iᵀJ_i P = 0. Conversely N then commutes with J_iᵀJ_i, hence with J_i⁺J_i, so that
-(J_i N)⁺ = N J_i⁺ and N_1 ⋯ N_i is the projector on the intersection of the null spaces.
+if and only if J_iᵀJ_i commutes with P at every level i ≥ 2. Ranks do not matter: a task may be rank-deficient, depend
+on the tasks above it, or have no freedom left. Sketch of the proof: With x_i = 0, both laws for the first i levels must
+agree with those for the first i − 1 inside range(P), which strict priority fills. So the correction vanishes there:
+(J_i N)⁺J_i P = 0, which means N J_iᵀJ_i P = 0. Conversely, N then commutes with J_iᵀJ_i, hence with J_i⁺J_i, so that
+(J_i N)⁺ = N J_i⁺, and N_1 ⋯ N_i is the projector on the intersection of the null spaces.
 
-Everything here takes arrays with leading axes for samples: J (..., k, n).
+All functions here accept arrays with leading axes for samples: J (..., k, n).
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ __all__ = ["TOLERANCE", "Directions", "absorb", "commutator_norms", "directions"
 Array: TypeAlias = NDArray[np.float64]
 
 TOLERANCE = 1e-9
-"""Commutators up to this norm count as zero: far above rounding (1e-15), above the cut-off of ranks."""
+"""Commutators up to this norm count as zero: far above rounding errors (1e-15), and above the cut-off for ranks."""
 
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Right singular vectors and values of J (..., k, n), what lies below the cut-off set to 0.
+    """Right singular vectors and singular values of J (..., k, n); values below the cut-off are set to 0.
 
     Attributes:
-        vectors: (..., n, n), one unit vector a row, largest singular value first.
+        vectors: (..., n, n), unit vectors as rows, largest singular value first.
         s: (..., n), singular values [unit of J]; 0 in the null space.
     """
 
@@ -47,19 +47,19 @@ class Directions:
 
     @property
     def rank(self) -> NDArray[np.intp]:
-        """(...,), the number of singular values that count."""
+        """The number (...,) of nonzero singular values."""
         count: NDArray[np.intp] = np.asarray(np.count_nonzero(self.s, axis=-1), dtype=np.intp)
         return count
 
     @property
     def rows(self) -> Array:
-        """(..., n, n): an orthonormal basis of the row space, one vector a row, followed by rows of 0."""
+        """An orthonormal basis of the row space (..., n, n), one vector for each row, followed by zero rows."""
         basis: Array = self.vectors * (self.s > 0.0)[..., None]
         return basis
 
     @property
     def projector(self) -> Array:
-        """(..., n, n), orthogonal projector on the row space."""
+        """The orthogonal projector (..., n, n) on the row space."""
         product: Array = np.swapaxes(self.rows, -1, -2) @ self.rows
         return product
 
@@ -73,27 +73,27 @@ def directions(J: Array, *, cutoff: float = CUTOFF) -> Directions:
 
 
 def absorb(P: Array, task: Directions) -> Array:
-    """(..., n, n): the projector P enlarged by the row space of a task."""
+    """The projector P (..., n, n) extended by the row space of a task."""
     N = np.eye(P.shape[-1]) - P
     _, s, vectors = np.linalg.svd(task.rows @ N)
-    new = vectors @ N * (s > CUTOFF)[..., None]  # N again: a short remainder has lost digits
+    new = vectors @ N * (s > CUTOFF)[..., None]  # N again, because a short remainder has lost digits
     enlarged: Array = P + np.swapaxes(new, -1, -2) @ new
     return enlarged
 
 
 def commutator_norms(jacobians: Sequence[Array]) -> Array:
-    """How far J_iᵀJ_i is from commuting with P, level by level, (..., levels); 0 for the first.
+    """Commutator norm of J_iᵀJ_i and P at each level, (..., levels); 0 for the first level.
 
-    The spectral norm of the commutator, written in the singular vectors of J_i, each entry (a, b) divided by
-    s_a² + s_b². It is free of units, at most 1/2 for a task of one row and √(n/8) for any, and zero exactly where the
-    commutator is. Where all rows are of one length it is ‖[J_iᵀJ_i, P]‖/‖J_i‖²; that one is blind to the short rows
-    of a task that has long ones, though their share of both laws is as large.
+    This is the spectral norm of the commutator, written in the singular vectors of J_i, with each entry (a, b) divided
+    by s_a² + s_b². It has no unit, is at most 1/2 for a task of one row and √(n/8) for any task, and is zero exactly
+    where the commutator is zero. If all rows have equal length it is ‖[J_iᵀJ_i, P]‖/‖J_i‖². That ratio alone would
+    ignore the short rows of a task that also has long rows, although they matter as much in both laws.
 
     Args:
         jacobians: J (..., k, n) of each level, highest priority first.
 
     Raises:
-        InputError: no level, widths that disagree, a number that is not finite; it names the level.
+        InputError: no level, different numbers of columns, or a non-finite number; the message names the level.
     """
     levels = _checked(jacobians)
     n = levels[0].shape[-1]
@@ -111,10 +111,10 @@ def equals_strict_priority(jacobians: Sequence[Array], *, tol: float = TOLERANCE
 
     Args:
         jacobians: J (k, n) of each level, highest priority first; with leading axes, all samples must commute.
-        tol: for `commutator_norms`.
+        tol: largest value of `commutator_norms` that counts as zero.
 
     Raises:
-        InputError: as `commutator_norms`.
+        InputError: in the same cases as `commutator_norms`.
     """
     return bool((commutator_norms(jacobians) <= tol).all())
 
@@ -140,5 +140,5 @@ def _checked(jacobians: Sequence[Array]) -> list[Array]:
                 remedy="give (k, n), with the same n for all levels",
             )
         if not np.isfinite(J).all():
-            raise InputError("J is not finite", key=f"level {place}", remedy="gate the inputs first")
+            raise InputError("J is not finite", key=f"level {place}", remedy="check the inputs for NaN first")
     return levels

@@ -1,7 +1,7 @@
-"""Diagnosis of a stack over a region: is NSB strict priority here, who conflicts, where rank is lost, who is not met.
+"""Diagnosis of a stack over a region: equality of NSB and strict priority, conflicts, rank losses, unmet tasks.
 
-It answers from the symbolic Jacobians, once, before anything moves. Identities of expressions hold everywhere; what
-samples and local searches show is said to be that.
+The diagnosis uses the symbolic Jacobians once, before a run. Identities of expressions hold for all poses; results from
+samples and local searches are labelled as such.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ __all__ = ["diagnose"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-_MET = 1e-6  # residuals up to this, relative to 1 + ‖x‖ + ‖J‖‖v‖, are rounding
+_MET = 1e-6  # residuals up to this, relative to 1 + ‖x‖ + ‖J‖‖v‖, count as rounding
 
 
 def diagnose(
@@ -43,22 +43,22 @@ def diagnose(
     threshold: float = 1e-3,
     starts: int = 4,
 ) -> Diagnosis:
-    """What the priority law will do with this stack over a region of poses.
+    """Analyse how the priority law handles this stack over a region of poses.
 
-    Scrambled Sobol samples (rounded up to a power of two), then local searches from the worst of them.
+    The function evaluates scrambled Sobol samples (rounded up to a power of two), then searches locally from the worst.
 
     Args:
-        stack: the tasks; each asks for one value (of a set-based one, diagnose the task at its bound).
+        stack: the tasks, each with one desired value (replace a set-based task by the task at its bound).
         region: lower and upper corner of η, (4,) each [m, m, m, rad] in {E}.
-        parameters: (symbol, lower, upper) of every further symbol that Jacobians or references hold.
+        parameters: (symbol, lower, upper) of every other symbol in the Jacobians or references.
         samples: number of samples, at least 1.
-        seed: of the samples; the same seed gives the same diagnosis.
-        threshold: sine of an angle, strength, or step [m, or rad] below which something counts as singular.
+        seed: seed of the samples; the same seed gives the same diagnosis.
+        threshold: sine of an angle, relative strength, or step [m or rad] below which a pose counts as singular.
         starts: largest number of local searches for one quantity, at least 1.
 
     Raises:
-        InputError: a region or parameter that `build_region` refuses, a symbol without a range, nonsensical numbers,
-            a set-based task, or one that is not finite at a sample; it names the symbol or the task.
+        InputError: `build_region` refuses the region or a parameter, a symbol has no range, a number is out of
+            range, a task is set-based or not finite at a sample; the message names the symbol or the task.
     """
     _check_numbers(samples, threshold, starts, seed)
     box = build_region(stack, region, parameters)
@@ -90,7 +90,7 @@ def _check_numbers(samples: int, threshold: float, starts: int, seed: int) -> No
 
 
 def _equality(stack: Stack, survey: Survey) -> Equality:
-    """The commutator condition: as expressions, then on samples, then by searches where it fails."""
+    """The commutator condition: first on the expressions, then on samples, then by local searches where it fails."""
     structural = commuting_levels(stack)
     norms = commutator_norms(survey.values.jacobians)
     largest: dict[str, float] = {}
@@ -117,7 +117,7 @@ def _equality(stack: Stack, survey: Survey) -> Equality:
 
 
 def _commuting(i: int, values: Values) -> Array:
-    """The measure: 1 − commutator norm (N,) of level i, not negative for 4 velocities."""
+    """Measure: 1 − commutator norm (N,) of level i; never negative for 4 velocities."""
     closeness: Array = 1.0 - commutator_norms(values.jacobians)[:, i]
     return closeness
 
@@ -189,7 +189,7 @@ def _levels(survey: Survey) -> tuple[LevelReport, ...]:
 
 
 def _tolerance(J: Array, x: Array, v: Array) -> Array:
-    """(N,): residuals that count as none."""
+    """Largest residuals (N,) that count as zero."""
     size = np.linalg.norm(J, 2, axis=(1, 2)) * np.linalg.norm(v, axis=1)
     tolerance: Array = _MET * (1.0 + np.linalg.norm(x, axis=1) + size)
     return tolerance

@@ -1,4 +1,4 @@
-"""The tasks of a stack as fields over a region: Jacobians, references, and how fast the rows turn."""
+"""The tasks of a stack as functions on a region: Jacobians, references, and how fast rows change direction."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ __all__ = ["Field", "Measure", "Values", "best_of", "build_field", "descend"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-_STEP = 1e-7  # of the unit box, for differences
-_APART = 0.1  # least distance of two starts, in unit boxes per root of the dimension
+_STEP = 1e-7  # in units of the unit box, for finite differences
+_APART = 0.1  # least distance between two starts, in unit boxes, times the root of the dimension
 
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """What the tasks are at N points.
+    """Values of all tasks at N points.
 
     Attributes:
         jacobians: (N, k, 4) of each task.
         references: (N, k) of each task [unit of σ per second].
-        turning: (N,) of each task: the shortest ‖a‖/‖∂a/∂η‖ of its rows a of ∂σ/∂η, inf where no row changes.
-            A step of that length [m, or rad] may turn the row right round: it goes to 0 where the task has a
-            singular point, such as the point of a distance, whose gradient is of length 1 all around it.
+        turning: (N,) of each task: the smallest ‖a‖/‖∂a/∂η‖ of its rows a of ∂σ/∂η, inf where no row changes.
+            A step of this length [m or rad] may reverse the row. It goes to 0 at a singular point of the task, such
+            as the point from which a distance is measured, although the gradient has length 1 around that point.
     """
 
     jacobians: list[Array]
@@ -41,17 +41,17 @@ class Values:
 
 
 Measure: TypeAlias = Callable[[Values], Array]
-"""A number (N,) for each point, not negative; inf or NaN where it has no meaning."""
+"""A function that returns one non-negative number (N,) for each point; inf or NaN where it is undefined."""
 
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A stack, compiled over a region.
+    """A stack compiled over a region.
 
     Attributes:
-        names, sizes, units: of the tasks; units of σ̇.
-        region: where.
-        function: point (d,) → vec(J), x, ‖a‖² and ‖∂a/∂η‖² of the rows, task after task, as one column.
+        names, sizes, units: of the tasks; the units are those of σ̇.
+        region: the region of poses and parameters.
+        function: point (d,) → vec(J), x, ‖a‖² and ‖∂a/∂η‖² of the rows, one task after another, as one column.
     """
 
     names: tuple[str, ...]
@@ -61,7 +61,7 @@ class Field:
     function: ca.Function
 
     def at(self, points: Array) -> Values:
-        """The values at points (N, d); not finite ones are passed on."""
+        """The values at points (N, d); non-finite values are passed on unchanged."""
         column = np.asarray(self.function(points.T), dtype=float).T
         values, start = Values([], [], []), 0
         for k in self.sizes:
@@ -75,16 +75,16 @@ class Field:
         return values
 
     def require_finite(self, values: Values, points: Array) -> None:
-        """InputError, with the task and the pose, when a Jacobian or a reference is not finite."""
+        """Raise an InputError with the task and the pose if a Jacobian or a reference is not finite."""
         for name, J, x in zip(self.names, values.jacobians, values.references, strict=True):
             broken = np.flatnonzero(~(np.isfinite(J).all(axis=(1, 2)) & np.isfinite(x).all(axis=1)))
             if broken.size:
                 where = pose_text(self.region.pose(points[broken[0]]))
-                raise InputError(f"is not finite at {where}", key=f"task {name}", remedy="leave that part out")
+                raise InputError(f"is not finite at {where}", key=f"task {name}", remedy="exclude that pose")
 
 
 def build_field(stack: Stack, region: Region) -> Field:
-    """Compile a stack over a region that `build_region` made for it."""
+    """Compile a stack over a region from `build_region`."""
     parts = []
     for (J, x), A in zip(stack.levels(), world_jacobians(stack), strict=True):
         square = ca.sum2(A**2)
@@ -97,7 +97,7 @@ def build_field(stack: Stack, region: Region) -> Field:
 
 
 def best_of(measure: Array, unit: Array, *, most: int) -> NDArray[np.intp]:
-    """Indices of at most `most` samples (N, f) with the least measure (N,) that keep apart; none that is not finite."""
+    """Indices of up to `most` samples (N, f) with the smallest finite measure (N,), well apart from each other."""
     order = np.argsort(measure, kind="stable")
     left = order[np.isfinite(measure[order])]
     chosen: list[np.intp] = []
@@ -109,10 +109,10 @@ def best_of(measure: Array, unit: Array, *, most: int) -> NDArray[np.intp]:
 
 
 def descend(field: Field, measure: Measure, start: Array) -> tuple[Array, float]:
-    """From a point (f,) of the unit box to a local minimum of the measure: (point (d,), measure there).
+    """Search from a point (f,) of the unit box for a local minimum of the measure: (point (d,), measure there).
 
-    L-BFGS-B on the square, which is smooth where a distance or a sine reaches 0, with central differences; never
-    worse than the start.
+    The method is L-BFGS-B with central differences on the squared measure, which is smooth where a distance or a sine
+    reaches 0. The result is never worse than the start.
     """
     from scipy.optimize import minimize
 
@@ -143,10 +143,10 @@ def _value(field: Field, measure: Measure, unit: Array) -> Array:
 
 
 def _slope(field: Field, measure: Measure, u: Array, *, scale: float) -> tuple[float, Array]:
-    """(measure/scale)² and its gradient (f,), from one call for all the points."""
+    """(measure/scale)² and its gradient (f,), from one call for all points."""
     steps = _STEP * np.eye(u.size)
     around = np.clip(np.vstack([u[None], u + steps, u - steps]), 0.0, 1.0)
-    # a wall (no meaning: the very point of a distance) is no higher than it must be to halve a step that runs into it
+    # where the measure is undefined it is capped at a value just high enough to shorten a step that ends there
     values = np.minimum((_value(field, measure, around) / scale) ** 2, 2.0)
     ahead, behind = values[1 : u.size + 1], values[u.size + 1 :]
     width = (around[1 : u.size + 1] - around[u.size + 1 :]).diagonal()

@@ -1,4 +1,4 @@
-"""What a diagnosis finds, as data: one class for each question."""
+"""Findings of a diagnosis as data: one class for each question."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from surctl.priority.diagnosis.region import Pose
 __all__ = ["Equality", "LevelReport", "Met", "Pair", "PairKind", "Residual", "Singularity", "Symptom", "Verdict"]
 
 Verdict: TypeAlias = Literal["everywhere", "on all samples", "differs"]
-"""everywhere: the commutators vanish as expressions, for every pose and parameter; on all samples: nothing else was
-found, which proves nothing; differs: there is a pose."""
+"""everywhere: the commutators vanish as expressions, for every pose and parameter; on all samples: no difference was
+found, which is not a proof; differs: a pose with a difference was found."""
 
 PairKind: TypeAlias = Literal[
     "orthogonal", "independent", "dependent somewhere", "dependent everywhere", "never active together"
 ]
-"""Of two row spaces: at 90 degrees; without a direction in common; with one at some pose (down to the threshold), or
-at every sample; or one of the two is empty at every sample."""
+"""Relation of two row spaces: at 90 degrees; without a common direction; with a common direction at some pose (within
+the threshold) or at every sample; or one of the two is empty at every sample."""
 
 Met: TypeAlias = Literal["by both laws", "by strict priority only", "by neither law"]
-"""Whether the reference of a level is reached at all samples."""
+"""Whether the level attains its reference at all samples."""
 
 Symptom: TypeAlias = Literal["sine", "strength", "turning"]
-"""What went below the threshold: the sine of the angle to the row space above; the strength, a singular value in parts
-of the median of ‖J‖; the turning, a step [m, or rad] that may turn a row right round."""
+"""The quantity below the threshold: the sine of the angle to the row space above; the strength, a singular value
+relative to the median of ‖J‖; or the turning, the step [m or rad] that may reverse a row."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Equality:
     Attributes:
         verdict: see `Verdict`.
         largest: largest commutator norm found; see `commutator_norms`.
-        task, where: the level and the pose of it; None when no level differs.
+        task, where: the level with the largest norm and the pose; None when no level differs.
         by_task: largest norm found at each level.
         structural: levels whose commutator vanishes as an expression.
         searches: number of local searches.
@@ -52,17 +52,17 @@ class Equality:
 
 @dataclass(frozen=True)
 class Pair:
-    """How the row spaces of two tasks lie to each other.
+    """The relation between the row spaces of two tasks.
 
     Attributes:
         first, second: names, the higher priority first.
         kind: see `PairKind`.
-        smallest, largest: of the smallest principal angle over the region [rad]; the smallest one is searched for,
-            the largest is that of the samples. None when the two are never active together.
+        smallest, largest: smallest and largest value over the region of the smallest principal angle [rad]. The
+            smallest value comes from a search, the largest from samples. None if the two are never active together.
         where: the pose of `smallest`.
-        shared: directions in common, the most that a sample showed.
-        structural: `orthogonal` is an identity of the expressions.
-        equal: what `Equality.verdict` says of these two tasks alone (samples only, no search).
+        shared: largest number of common directions among the samples.
+        structural: True if `orthogonal` is an identity of the expressions.
+        equal: `Equality.verdict` for these two tasks alone (from samples, without search).
     """
 
     first: str
@@ -81,14 +81,14 @@ class Singularity:
     """Poses where a level loses rank.
 
     Attributes:
-        task: its name.
+        task: name of the task.
         kind: `algorithmic`: a direction of the task falls into the row space above while its own Jacobian is
             regular; `kinematic`: the Jacobian itself loses rank, or has no limit.
         symptom: see `Symptom`.
-        value: the least that was found.
-        poses: where, worst first; they keep apart.
+        value: the smallest value found.
+        poses: the poses, worst first, at some distance from each other.
         also_singular: tasks above that are singular by themselves at the first pose.
-        share: of the samples, how many are below the threshold (0 … 1).
+        share: fraction of the samples below the threshold (0 … 1).
     """
 
     task: str
@@ -102,7 +102,7 @@ class Singularity:
 
 @dataclass(frozen=True)
 class Residual:
-    """‖J_i v − x_i‖ over the samples [unit of σ per second]: median, largest, and where that is."""
+    """‖J_i v − x_i‖ over the samples [unit of σ per second]: the median, the largest, and the pose of the largest."""
 
     median: float
     largest: float
@@ -111,17 +111,17 @@ class Residual:
 
 @dataclass(frozen=True)
 class LevelReport:
-    """What one level gets.
+    """How well one level is met.
 
     Attributes:
-        task: its name.
-        rank: of its Jacobian, the largest of the samples.
-        gained: directions that it finds outside the row space above, the most of the samples.
-        rank_above: rank of all tasks above together, the largest of the samples.
+        task: name of the task.
+        rank: largest rank of its Jacobian among the samples.
+        gained: largest number of its directions outside the row space above, among the samples.
+        rank_above: largest rank of all tasks above together, among the samples.
         exhausted: share of the samples where the tasks above leave no freedom at all (0 … 1).
-        strict, nsb: residuals by strict priority and by the law (16).
+        strict, nsb: residuals with strict priority and with the law (16).
         met: see `Met`.
-        unit: of the residuals, as "m/s"; "" if the task has none.
+        unit: unit of the residuals, for example "m/s"; "" if the task has none.
     """
 
     task: str
@@ -136,5 +136,5 @@ class LevelReport:
 
     @property
     def dependent(self) -> int:
-        """Directions that the task shares with those above it, at every sample."""
+        """Number of directions that the task shares with the tasks above it at every sample."""
         return self.rank - self.gained

@@ -1,4 +1,4 @@
-"""Both laws on many samples at once: what each level is left with, and how much freedom it finds."""
+"""Velocities and residuals of NSB and of strict priority for many samples at once."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ Array: TypeAlias = NDArray[np.float64]
 def strict_velocities(jacobians: Sequence[Array], references: Sequence[Array]) -> Array:
     """v (..., n) of strict priority: v ← v + (J_i N)⁺(x_i − J_i v), N the null space of all levels above.
 
-    Siciliano and Slotine (1991). Singular values of J_i N up to `CUTOFF`·‖J_i‖ count as 0: where a task depends on
-    those above it, v does not grow without bound, but it jumps.
+    Siciliano and Slotine (1991). Singular values of J_i N up to `CUTOFF`·‖J_i‖ count as 0: where a task depends on the
+    tasks above it, v stays bounded but jumps.
 
     Args:
         jacobians: J (..., k, n) of each level, highest priority first, finite.
@@ -47,14 +47,14 @@ def nsb_velocities(jacobians: Sequence[Array], references: Sequence[Array]) -> A
 
 
 def residual_norms(jacobians: Sequence[Array], references: Sequence[Array], v: Array) -> Array:
-    """‖J_i v − x_i‖ of each level, (..., levels) [unit of σ per second]."""
+    """Residual norms ‖J_i v − x_i‖ of all levels, (..., levels) [unit of σ per second]."""
     return np.stack(
         [np.linalg.norm(_times(J, v) - x, axis=-1) for J, x in zip(jacobians, references, strict=True)], axis=-1
     )
 
 
 def _pulled(J: Array, y: Array, least: Array) -> Array:
-    """J⁺y, (..., n); singular values up to `least` (..., 1) count as 0."""
+    """The product J⁺y, (..., n); singular values up to `least` (..., 1) count as 0."""
     left, s, right = np.linalg.svd(J, full_matrices=False)
     significant = s > least
     share = np.where(significant, np.einsum("...ka,...k->...a", left, y), 0.0) / np.where(significant, s, 1.0)
@@ -63,7 +63,7 @@ def _pulled(J: Array, y: Array, least: Array) -> Array:
 
 
 def _span(J: Array, least: Array) -> Array:
-    """J⁺J, (..., n, n), with the same cut-off."""
+    """The projector J⁺J, (..., n, n); singular values up to `least` count as 0."""
     _, s, right = np.linalg.svd(J, full_matrices=False)
     rows = right * (s > least)[..., None]
     projector: Array = np.swapaxes(rows, -1, -2) @ rows

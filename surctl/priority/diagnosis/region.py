@@ -1,4 +1,4 @@
-"""The poses and parameters that a diagnosis speaks of: a box, its samples, and how a point of it is written."""
+"""The box of poses and parameters that a diagnosis covers: bounds, samples, and text for its points."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Array: TypeAlias = NDArray[np.float64]
 Bounds: TypeAlias = tuple[Sequence[float] | Array | float, Sequence[float] | Array | float]
 """Lower and upper corner of a box."""
 Parameter: TypeAlias = tuple[ca.SX, Sequence[float] | Array | float, Sequence[float] | Array | float]
-"""A symbol (k, 1) and its lower and upper corner, k numbers (or one for all) each, in the symbol's own unit."""
+"""A symbol (k, 1) with its lower and upper bounds: k numbers each (or one for all), in the unit of the symbol."""
 Pose: TypeAlias = Mapping[str, float]
 """x, y, z [m] in {E}, psi [rad], and every parameter by its name."""
 
@@ -29,12 +29,12 @@ _AXES = ("x", "y", "z", "psi")
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A box of poses and parameters; make it with `build_region`, which checks it.
+    """A box of poses and parameters; `build_region` checks and builds it.
 
     Attributes:
         symbols: SX (d, 1): eta, then every parameter that the stack uses.
-        names: (d,), as they stand in a `Pose`.
-        lower, upper: (d,) [m, m, m, rad, then each parameter's own unit].
+        names: (d,), as in a `Pose`.
+        lower, upper: (d,) [m, m, m, rad, then the unit of each parameter].
     """
 
     symbols: ca.SX
@@ -44,7 +44,7 @@ class Region:
 
     @property
     def free(self) -> NDArray[np.intp]:
-        """Indices of the variables that have room, (f,)."""
+        """Indices (f,) of the variables whose lower and upper bounds differ."""
         return np.flatnonzero(self.upper > self.lower)
 
     def place(self, unit: Array) -> Array:
@@ -54,7 +54,7 @@ class Region:
         return np.clip(points, self.lower, self.upper)
 
     def sample(self, samples: int, seed: int) -> Array:
-        """(2^k ≥ samples, f) scrambled Sobol points of the unit box; one point when nothing is free."""
+        """(2^k ≥ samples, f) scrambled Sobol points of the unit box; one point when no variable is free."""
         from scipy.stats import qmc
 
         if self.free.size == 0:
@@ -63,16 +63,16 @@ class Region:
         return np.asarray(points, dtype=float)
 
     def pose(self, point: Array) -> dict[str, float]:
-        """A point (d,) by names."""
+        """The point (d,) as a mapping from names to values."""
         return {name: float(value) for name, value in zip(self.names, point, strict=True)}
 
 
 def build_region(stack: Stack, region: Bounds, parameters: Sequence[Parameter] = ()) -> Region:
-    """Check a box of eta, (4,) each [m, m, m, rad], and those of the parameters; unused parameters are left out.
+    """Check the box of eta, (4,) each [m, m, m, rad], and of the parameters; unused parameters are dropped.
 
     Raises:
-        InputError: wrong sizes, NaN or infinity, crossed bounds, a parameter that is no symbol, is given twice or
-            shares its name; a symbol of the stack without a range, with the task that uses it.
+        InputError: a wrong size, NaN or infinity, crossed bounds, a parameter that is not a symbol, occurs twice or
+            has a name already in use, or a symbol of the stack without a range (the message names its task).
     """
     lower, upper = _corners(region, 4, key="region", names=_AXES)
     symbols, names, low, high = [stack.eta[i] for i in range(4)], list(_AXES), [lower], [upper]
@@ -81,7 +81,7 @@ def build_region(stack: Stack, region: Bounds, parameters: Sequence[Parameter] =
         symbol, bounds = _split(parameter)
         entries = _entries(symbol)
         if any(entry.element_hash() == s.element_hash() for entry in entries for s in symbols):
-            raise InputError("is given twice", key=f"parameters: {symbol}", remedy="give each symbol one range")
+            raise InputError("has two ranges", key=f"parameters: {symbol}", remedy="give each symbol one range")
         lower, upper = _corners(bounds, len(entries), key="parameters", names=[str(e) for e in entries])
         for entry, least, most in zip(entries, lower, upper, strict=True):
             if entry.element_hash() in used:
@@ -94,7 +94,7 @@ def build_region(stack: Stack, region: Bounds, parameters: Sequence[Parameter] =
 
 
 def pose_text(pose: Pose) -> str:
-    """`x = 0.5 m, y = …, psi = 0.3 rad, waypoint_0 = 1`; four significant digits."""
+    """The pose as text, `x = 0.5 m, y = …, psi = 0.3 rad, waypoint_0 = 1`, with four significant digits."""
     units = {"x": " m", "y": " m", "z": " m", "psi": " rad"}
     return ", ".join(f"{name} = {value:.4g}{units.get(name, '')}" for name, value in pose.items())
 
@@ -138,7 +138,7 @@ def _fresh(name: str, names: list[str]) -> str:
 
 
 def _corners(bounds: Bounds, size: int, *, key: str, names: Sequence[str]) -> tuple[Array, Array]:
-    """Both corners, (size,) each; one number stands for all entries of a parameter."""
+    """Both corners, (size,) each; for parameters, a single number applies to all entries."""
     try:
         lower, upper = (np.array(part, dtype=float).reshape(-1) for part in bounds)
     except (TypeError, ValueError):

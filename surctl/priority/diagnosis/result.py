@@ -1,4 +1,4 @@
-"""A diagnosis: all findings on one stack over one region, in data and in words."""
+"""A diagnosis: all findings on one stack over one region, as data and as text."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ __all__ = ["Diagnosis"]
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All findings on a stack over a region; `explain` (or `str`) says them in sentences.
+    """All findings on a stack over a region; `explain` (or `str`) returns them as sentences.
 
     Attributes:
         tasks: names, highest priority first.
-        region: (lower, upper) of every variable [m, m, m, rad, then each parameter's own unit].
+        region: (lower, upper) of every variable [m, m, m, rad, then the unit of each parameter].
         samples: number of samples.
-        seed: of the samples.
-        threshold: sine, strength or step [m, or rad] below which something counts as singular.
+        seed: seed of the samples.
+        threshold: sine, strength or step [m or rad] below which a pose counts as singular.
         equality, pairs, singularities, levels: the findings.
     """
 
@@ -36,23 +36,23 @@ class Diagnosis:
     levels: tuple[LevelReport, ...]
 
     def explain(self) -> str:
-        """One sentence a line: equality, pairs, singularities, levels, and what the numbers rest on."""
+        """Return one sentence per line: equality, pairs, singularities, levels, and the basis of the numbers."""
         lines = [say_equality(self.equality, levels=len(self.tasks), samples=self.samples)]
         lines += [say_pair(pair) for pair in self.pairs]
         lines += [say_singularity(singularity) for singularity in self.singularities]
         lines += [say_level(level) for level in self.levels]
         lines.append(
-            f"Numbers rest on {self.samples} samples (seed {self.seed}) and local searches from the worst of them: "
-            "what was not found may still be there."
+            f"These results rest on {self.samples} samples (seed {self.seed}) and local searches from the worst "
+            "samples, so the diagnosis can miss poses."
         )
         return "\n".join(lines)
 
     def __str__(self) -> str:
-        """The sentences of `explain`."""
+        """Return the sentences of `explain`."""
         return self.explain()
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON; every number is finite."""
+        """Return plain data for JSON; every number is finite."""
         return {name: _plain(value) for name, value in asdict(self).items()}
 
 

@@ -1,4 +1,4 @@
-"""Findings of a diagnosis in plain sentences."""
+"""Sentences that describe the findings of a diagnosis."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ __all__ = ["say_equality", "say_level", "say_pair", "say_singularity"]
 
 
 def say_equality(equality: Equality, *, levels: int, samples: int) -> str:
-    """Whether NSB is strict priority."""
+    """The sentence on whether NSB equals strict priority."""
     if levels == 1:
-        return "One task: NSB is strict priority."
+        return "With one task, NSB equals strict priority."
     if equality.verdict == "everywhere":
         return "NSB equals strict priority everywhere: all commutators vanish as expressions."
     if equality.where is None:
         return (
             f"NSB equals strict priority on all {samples} samples (largest commutator {equality.largest:.1g}), "
-            "which is no proof."
+            "which is not a proof."
         )
     at = pose_text(equality.where)
     return f"NSB differs from strict priority at `{equality.task}`: commutator {equality.largest:.2g} at {at}."
 
 
 def say_pair(pair: Pair) -> str:
-    """How two tasks lie to each other."""
+    """The sentence on how two tasks affect each other."""
     both = f"`{pair.first}` and `{pair.second}`"
     if pair.smallest is None or pair.largest is None or pair.where is None:
         return f"{both} are never active together."
@@ -39,7 +39,7 @@ def say_pair(pair: Pair) -> str:
         return f"{both} share {_directions(pair.shared)} at every sample{equal}."
     if pair.kind == "dependent somewhere":
         return (
-            f"{both} come to ask for the same direction: angle between {_degrees(pair.smallest)} and "
+            f"{both} nearly share a direction at some poses: angle between {_degrees(pair.smallest)} and "
             f"{_degrees(pair.largest)}, smallest at {at}."
         )
     return (
@@ -49,25 +49,25 @@ def say_pair(pair: Pair) -> str:
 
 
 def say_singularity(singularity: Singularity) -> str:
-    """Where a level loses rank, and by whose doing."""
+    """The sentence on where a level loses rank, and why."""
     at = pose_text(singularity.poses[0])
     more = f" ({len(singularity.poses) - 1} more poses found)" if len(singularity.poses) > 1 else ""
     if singularity.kind == "algorithmic":
         cause = "".join(f", where `{name}` is singular itself" for name in singularity.also_singular[:1])
         return (
             f"`{singularity.task}` loses a direction to the tasks above it{cause} (algorithmic singularity, sine "
-            f"{singularity.value:.2g}): strict priority has no bound near {at}{more}."
+            f"{singularity.value:.2g}): the velocity of strict priority is unbounded near {at}{more}."
         )
     reason = (
-        f"a step of {singularity.value:.2g} [m, or rad] may turn its Jacobian right round"
+        f"a step of {singularity.value:.2g} [m or rad] may reverse a row of its Jacobian"
         if singularity.symptom == "turning"
-        else f"its Jacobian loses rank, down to {singularity.value:.2g} of its usual size"
+        else f"its Jacobian loses rank (smallest singular value {singularity.value:.2g} of its usual size)"
     )
     return f"`{singularity.task}` is singular by itself (kinematic singularity): {reason} near {at}{more}."
 
 
 def say_level(level: LevelReport) -> str:
-    """Whether a level gets what it asks for, and why not."""
+    """The sentence on whether a level is met, and why not."""
     name = f"`{level.task}`"
     if level.met == "by both laws":
         text = f"{name} is met by both laws at all samples"
@@ -93,7 +93,7 @@ def _why(level: LevelReport) -> str:
 def _residual(residual: Residual, unit: str) -> str:
     named = f" {unit}" if unit else ""
     return (
-        f"{residual.median:.2g}{named} in the median and {residual.largest:.2g}{named} at worst, "
+        f"{residual.median:.2g}{named} (median) and at most {residual.largest:.2g}{named}, "
         f"at {pose_text(residual.where)}"
     )
 

@@ -1,4 +1,4 @@
-"""Where a level loses rank: by itself (kinematic), or only because of the tasks above it (algorithmic)."""
+"""Poses where a level loses rank by itself (kinematic), or only because of the tasks above it (algorithmic)."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """The samples of a diagnosis, and how it searches on from them.
+    """The samples of a diagnosis and the local searches that start from them.
 
     Attributes:
         field: the stack over its region.
         unit: (N, f), the samples in the unit box.
         points: (N, d), the samples.
-        values: what the tasks are there.
-        threshold: below it, something counts as singular.
+        values: the values of the tasks at the samples.
+        threshold: a measure up to this value counts as singular.
         starts: largest number of local searches for one quantity.
     """
 
@@ -41,7 +41,7 @@ class Survey:
     starts: int
 
     def search(self, measure: Measure) -> list[tuple[Array, float]]:
-        """(point (d,), measure) where the searches from the best samples end, least first."""
+        """The end (point (d,), measure) of each search from the best samples, smallest measure first."""
         chosen = best_of(measure(self.values), self.unit, most=self.starts)
         return sorted((descend(self.field, measure, self.unit[k]) for k in chosen), key=lambda end: end[1])
 
@@ -52,7 +52,7 @@ def task_rank(values: Values, i: int) -> int:
 
 
 def gained_rank(values: Values, i: int) -> int:
-    """Most directions that level i finds outside the row space above, over the samples."""
+    """Largest number of directions of level i outside the row space above, over the samples."""
     return int(np.count_nonzero(freedom(values, i) > TOLERANCE, axis=1).max())
 
 
@@ -70,7 +70,7 @@ def find_singularities(survey: Survey) -> tuple[Singularity, ...]:
 
 
 def _own(survey: Survey, i: int) -> dict[Symptom, Measure]:
-    """The two measures of task i alone; none when it is never active."""
+    """The two measures that involve task i alone; empty when it is never active."""
     rank = task_rank(survey.values, i)
     if rank == 0:
         return {}
@@ -88,7 +88,7 @@ def _regular(survey: Survey, i: int, point: Array) -> bool:
 def _singularity(
     survey: Survey, i: int, symptom: Symptom, measure: Measure, counts: Callable[[Array], bool]
 ) -> list[Singularity]:
-    """What the searches of one measure found below the threshold at points that count: one finding, or none."""
+    """The finding for one measure: search results below the threshold that `counts` accepts; empty if none."""
     ends = [end for end in survey.search(measure) if end[1] <= survey.threshold and counts(end[0])]
     if not ends:
         return []
@@ -107,7 +107,7 @@ def _singularity(
 
 
 def _apart(survey: Survey, points: list[Array]) -> list[Array]:
-    """The points without those that lie within 1 % of the region of an earlier one."""
+    """Remove points that lie within 1 % of the region of an earlier point."""
     region = survey.field.region
     width = np.where(region.upper > region.lower, region.upper - region.lower, 1.0)
     distinct: list[Array] = []

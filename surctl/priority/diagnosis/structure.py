@@ -1,9 +1,9 @@
-"""What the expressions of a stack show without numbers: levels that commute at every pose there is.
+"""Properties of a stack that hold as identities of its expressions: levels that commute at every pose.
 
-J = A(η) R(ψ) with A = ∂σ/∂η, and R of (2) is orthogonal: J_iᵀJ_i commutes with the projector of the tasks above
-exactly when A_iᵀA_i commutes with theirs. In {E} the sines and cosines are gone, and most A are constant.
+J = A(η) R(ψ) with A = ∂σ/∂η, and R of (2) is orthogonal. So J_iᵀJ_i commutes with the projector of the tasks above
+exactly when A_iᵀA_i commutes with theirs. In {E} there are no sines and cosines, and most A are constant.
 
-A yes is an identity of the expressions; a no only means that they do not show it.
+A result of True means that an identity of the expressions was shown; False means only that none was shown.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ __all__ = ["commuting_levels", "orthogonal_pairs", "world_jacobians"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-_ROUNDING = 1e-12  # constants of this size are what is left of a zero
+_ROUNDING = 1e-12  # constants of this size are rounding errors of zero
 
 
 def world_jacobians(stack: Stack) -> list[ca.SX]:
-    """A = ∂σ/∂η, (k, 4), of each task: σ̇ = A η̇ in {E}. What two of them share is one node in both."""
+    """A = ∂σ/∂η, (k, 4), of each task: σ̇ = A η̇ in {E}. Equal subexpressions are shared."""
     parts = [ca.jacobian(task.sigma, stack.eta) for task in stack.tasks]
     together = ca.cse(ca.vertcat(*parts))
     ends = np.cumsum([0, *(task.size for task in stack.tasks)])
@@ -34,10 +34,10 @@ def world_jacobians(stack: Stack) -> list[ca.SX]:
 
 
 def commuting_levels(stack: Stack) -> tuple[bool, ...]:
-    """For each level whether its commutator vanishes as an expression: for all η and all parameters.
+    """For each level, whether its commutator vanishes as an expression, that is, for all η and all parameters.
 
-    It does when A_iᵀA_i maps the row space above into itself, which is tried row by row; or when that row space
-    holds all rows of A_i.
+    The commutator vanishes if A_iᵀA_i maps the row space above into itself, which is tested row by row, or if that row
+    space contains all rows of A_i.
     """
     levels = world_jacobians(stack)
     rows = [[A[i, :].T for i in range(A.shape[0])] for A in levels]
@@ -51,10 +51,10 @@ def orthogonal_pairs(stack: Stack) -> set[tuple[int, int]]:
 
 
 def _commutes(A: ca.SX, above: list[ca.SX]) -> bool:
-    """Whether AᵀA maps the span of the rows above, columns (n, 1) here, into itself.
+    """Whether AᵀA maps the span of the rows above, given as columns (n, 1), into itself.
 
-    The span is range(P) of the constant rows and what the others hold outside it; its dimension may change from
-    pose to pose, which does not matter.
+    The span is range(P) of the constant rows plus the parts of the other rows outside it. The dimension of the span may
+    vary from pose to pose without effect on the result.
     """
     P = _projector([np.array(ca.DM(row)).ravel() for row in above if row.is_constant()], A.shape[1])
     outside = ca.SX(ca.sparsify(ca.DM(np.eye(A.shape[1]) - P)))
@@ -71,7 +71,7 @@ def _commutes(A: ca.SX, above: list[ca.SX]) -> bool:
 
 
 def _projector(rows: list[Array], n: int) -> Array:
-    """(n, n), on the span of constant rows; entries that are 0 or ±1 up to rounding are made exactly so."""
+    """Projector (n, n) on the span of constant rows; entries within rounding of 0 or ±1 are set to these values."""
     if not rows:
         return np.zeros((n, n))
     basis = row_space(np.array(rows)).rows
@@ -80,7 +80,7 @@ def _projector(rows: list[Array], n: int) -> Array:
 
 
 def _eigenvalues(A: ca.SX) -> list[float]:
-    """0, and those of AᵀA when it is constant."""
+    """The value 0, and the eigenvalues of AᵀA when it is constant."""
     if not A.is_constant():
         return [0.0]
     squares = np.linalg.svd(np.array(ca.DM(A)), compute_uv=False) ** 2
@@ -88,7 +88,7 @@ def _eigenvalues(A: ca.SX) -> list[float]:
 
 
 def _clean(expression: ca.SX) -> ca.SX:
-    """The same without entries that are zero, or constants of the size of rounding."""
+    """The expression without entries that are zero or constants of the size of rounding errors."""
     entries = ca.SX(*expression.shape)
     simple = ca.simplify(expression)
     for i, j in zip(*simple.sparsity().get_triplet(), strict=True):

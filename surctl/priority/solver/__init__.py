@@ -1,3 +1,3 @@
-"""The own least-distance solver: one dual active-set iteration as expressions, in bounded loops, with its ladder."""
+"""This package's own least-distance solver: a dual active-set iteration in bounded loops, with fallback stages."""
 
 from __future__ import annotations

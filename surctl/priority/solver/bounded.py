@@ -1,12 +1,13 @@
-"""The bounded ladder's last rung: an answer of constant cost, in place of rungs 2 to 4 of the exact ladder.
+"""The last stage of the bounded fallback: a solution of constant cost, in place of stages 2 to 4 of the exact fallback.
 
-It rests on a safe point: the target in the box or standing still, whichever keeps the hard rows and misses the soft
-ones by less. From where rung 1 stopped it projects on one missed row after the other, in a few sweeps over all rows
-(Agmon 1954; Motzkin and Schoenberg 1954), in the last not the whole way: rows may contradict each other. Then it goes
-from the safe point towards where that led, as far as no hard row is missed and no soft one by more than there.
+It starts from a safe point: the target in the box or v = 0, whichever satisfies the hard rows and violates the soft
+ones less. From the point where stage 1 stopped it projects on one violated row after another, in a few sweeps over all
+rows (Agmon 1954; Motzkin and Schoenberg 1954). The last sweep makes shorter steps, because rows may contradict each
+other. Then v moves from the safe point towards the result, as far as no hard row is violated, and no soft row more than
+at the safe point.
 
-So it is never worse than the safe point, but it is not the best: a point that keeps all rows may be overlooked, and
-the task is met as rung 1 and the projections left it.
+So v is never worse than the safe point, but not optimal: a point that satisfies all rows may be missed, and nothing
+improves the task after stage 1 and the projections.
 """
 
 from __future__ import annotations
@@ -24,24 +25,24 @@ from surctl.priority.solver.rows import Sizes, into
 __all__ = ["BOUNDED", "CAP", "eased"]
 
 CAP = 4
-"""Largest number of iterations of rung 1 in a bounded ladder."""
+"""Largest number of iterations of stage 1 with the bounded fallback."""
 
 BOUNDED = 5
-"""Status: an answer of constant cost; its opening tells by how much a soft row is missed, at most."""
+"""Status of a solution of constant cost; its opening is an upper bound on the violation of any soft row."""
 
-_SWEEPS = (1.0, 0.75)  # parts of the way to a missed row
-_TOGETHER = 4  # rows that a turn of a loop takes: a point stays in registers meanwhile
+_SWEEPS = (1.0, 0.75)  # fractions of the step to a violated row, one for each sweep
+_TOGETHER = 4  # rows in one pass of a loop, which keeps the point in registers meanwhile
 
 _Body: TypeAlias = Callable[[list[ca.SX], ca.SX, list[ca.SX]], list[ca.SX]]
-"""(state, row, fixed) → the next state."""
+"""A function (state, row, fixed) → the next state."""
 
 
 def eased(sizes: Sizes) -> Routine:
-    """The one turn of a loop that runs where rung 1 does not hold.
+    """Body of a loop that runs once if stage 1 fails.
 
-    (point (n + 1,), active, multipliers (n,), status, count, end, unit, target, box) → the first six; end is the status
-    of rung 1's search. status: `BOUNDED`, or 0 if neither safe point keeps the hard rows; the point is the target in
-    the box then.
+    (point (n + 1,), active, multipliers (n,), status, count, end, unit, target, box) → the first six; end is the
+    status of the search of stage 1. status: `BOUNDED`, or 0 if neither safe point satisfies the hard rows; the point is
+    then the target in the box.
     """
     n = sizes.n
     state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("end", 1))
@@ -79,7 +80,7 @@ def _over_rows(
     *,
     results: tuple[str, ...],
 ) -> Loop:
-    """A loop over all rows, one after the other whatever the lanes."""
+    """A loop over all rows, one after another for any number of lanes."""
     width, lanes = sizes.n + 3, sizes.lanes
     together = lanes if lanes > 1 else math.gcd(sizes.m, _TOGETHER)
     block = ca.SX.sym("rows", together * width)
@@ -98,8 +99,8 @@ def _over_rows(
 def _start(sizes: Sizes) -> Program:
     """(point, end, target, box) → near, limits (2,), worst (2,), hard (2,), stands, first.
 
-    near: the target in the box. limits: by how much it, and standing still, may miss a hard row. worst, hard: 0.
-    stands: whether the box holds 0. first: where the projections start, in the box.
+    near: the target in the box. limits: allowed violation of a hard row by near, and by v = 0. worst, hard: 0.
+    stands: whether the box contains 0. first: the start of the projections, inside the box.
     """
     n, precision = sizes.n, sizes.precision
     point, end = ca.SX.sym("point", n + 1), ca.SX.sym("end")
@@ -123,12 +124,12 @@ def _start(sizes: Sizes) -> Program:
 
 
 def _misses(row: ca.SX, value: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """By how much the row's value is above its upper and below its lower bound."""
+    """Amounts by which the row's value is above its upper bound and below its lower bound (negative if inside)."""
     return value - row[-2], row[-3] - value
 
 
 def _compare(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-    """The first sweep; and by how much near, and standing still, miss any row, and a hard one."""
+    """First sweep; also the largest violation of any row, and of a hard row, by near and by v = 0."""
     (point, worst, hard), (near,) = state, fixed
     after: list[tuple[ca.SX, ca.SX]] = []
     for k, (above, below) in enumerate((_misses(row, dot(row[:-3], near)), (-row[-2], row[-3]))):
@@ -138,10 +139,10 @@ def _compare(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
 
 
 def _choose(sizes: Sizes) -> Program:
-    """(near, limits, stands, worst, hard) → safe, room (2,), sound; 1, 0.
+    """(near, limits, stands, worst, hard) → safe, slack (2,), sound; 1, 0.
 
-    room: by how much a soft and a hard row may be missed from there on, as at the safe point and for rounding. sound:
-    whether it keeps the hard rows.
+    slack: allowed violation of a soft and of a hard row from here on: that of the safe point, plus rounding. sound:
+    whether the safe point satisfies the hard rows.
     """
     near, limits, stands = ca.SX.sym("near", sizes.n), ca.SX.sym("limits", 2), ca.SX.sym("stands")
     worst, hard = ca.SX.sym("worst", 2), ca.SX.sym("hard", 2)
@@ -160,19 +161,19 @@ def _choose(sizes: Sizes) -> Program:
 
 
 def _sweep_again(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-    """The second sweep."""
+    """One row of the second sweep."""
     return [_moved(state[0], row, _SWEEPS[1])]
 
 
 def _moved(point: ca.SX, row: ca.SX, part: float) -> ca.SX:
-    """The point moved by a part of what it misses the row by."""
+    """The point moved towards the row by a fraction of its violation."""
     value = dot(row[:-3], point)
     missed = value - ca.fmin(ca.fmax(value, row[-3]), row[-2])
     return point - (part * missed) * row[:-3]
 
 
 def _inside(sizes: Sizes) -> Program:
-    """(point (n,), near, box) → the point in the box; near where it is no number."""
+    """(point (n,), near, box) → the point moved into the box; near if the point is not finite."""
     n = sizes.n
     point, near, box = ca.SX.sym("point", n), ca.SX.sym("near", n), ca.SX.sym("box", 2 * n)
     finite = ca.SX(1)
@@ -183,7 +184,7 @@ def _inside(sizes: Sizes) -> Program:
 
 
 def _step_fraction(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-    """The part of the way from safe to goal that leaves the row its room; by how much the goal misses any row."""
+    """Fraction of the path from safe to goal within the row's slack; largest violation of any row at the goal."""
     (part, missed), (safe, goal, slack) = state, fixed
     from_, to = dot(row[:-3], safe), dot(row[:-3], goal)
     above, below = _misses(row, from_)
@@ -196,13 +197,13 @@ def _step_fraction(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[c
 
 
 def _end(sizes: Sizes) -> Program:
-    """(near, safe, goal, room, sound, part, missed) → point (n + 1,), no active rows, status."""
+    """(near, safe, goal, slack, sound, part, missed) → point (n + 1,), no active rows, status."""
     n = sizes.n
     near, safe, goal = (ca.SX.sym(name, n) for name in ("near", "safe", "goal"))
     slack, sound, part, missed = ca.SX.sym("slack", 2), ca.SX.sym("sound"), ca.SX.sym("part"), ca.SX.sym("missed")
     share = ca.if_else(part > 0, part, 0)
     v = ca.if_else(sound, safe + share * (goal - safe), near)
-    # the worst miss is convex along the way: never more than between those at its ends
+    # the largest violation is convex along the path, so interpolation between its ends is an upper bound
     opening = slack[0] + share * (missed - slack[0])
     opening = ca.if_else(ca.logic_and(sound, opening > slack[1]), opening, 0)
     outputs = [ca.vertcat(v, opening), ca.SX.zeros(n), ca.if_else(sound, BOUNDED, 0)]

@@ -4,11 +4,11 @@ The rows act on a point, and the point moves with the unknown y (d,):
 
     lower ≤ g·point ≤ upper,   point = start + M y
 
-or, where an opening t of the soft rows is free, lower − soft·t ≤ a·v ≤ upper + soft·t with point = (v, t). Rows are
-priced on the point itself, so that the last pricing is a check of what is handed out, `lanes` rows at a time. Up to d
-active rows stand in slots, the empty ones last: normal, multiplier and signed row number (+ at the upper bound, − at
-the lower, 0 empty). The slots are orthogonalised afresh in every iteration (modified Gram–Schmidt): no factor is
-updated, nothing drifts. A row that needs several steps is pending in between.
+or, if the opening t of the soft rows is free, lower − soft·t ≤ a·v ≤ upper + soft·t with point = (v, t). Rows are
+priced at the point itself, `lanes` rows at a time, so the last pricing also checks the returned point. Up to d
+active rows are stored in slots, the empty ones last: normal, multiplier and signed row number (+ at the upper bound, −
+at the lower, 0 empty). Every iteration orthogonalises the slots again (modified Gram–Schmidt), so no factor is updated
+and errors do not accumulate. A row that needs several steps is pending between them.
 """
 
 from __future__ import annotations
@@ -38,18 +38,18 @@ __all__ = [
 ]
 
 OPTIMAL, STUCK, SKIPPED = 1, 2, 3
-"""Why an iteration was the last: no row is missed; no point keeps the rows; there was nothing to do."""
+"""Reasons to stop: all rows are satisfied; no point satisfies the rows; the search was skipped."""
 
 
 @dataclass(frozen=True)
 class Space:
-    """Sizes, and which variables are free.
+    """Sizes of the search, and which variables are free.
 
     Attributes:
-        n: entries of the point that the rows act on; v without t.
+        n: number of entries of v, the point without t.
         d: length of y, at least 1.
-        opening: whether t is free as well; the point has n + 1 entries then, and d = n + 1.
-        mapped: whether M is given; otherwise it is the identity.
+        opening: whether t is free as well; the point then has n + 1 entries, and d = n + 1.
+        mapped: whether M is an input; otherwise it is the identity.
         precision: tolerances.
     """
 
@@ -61,19 +61,19 @@ class Space:
 
     @property
     def row(self) -> int:
-        """Entries of a row: its normal, lower, upper, soft (absent where M is the identity and t is not free)."""
+        """Number of entries of a row: normal, lower, upper, soft (no soft if M is the identity and t is fixed)."""
         return self.n + 3 if self.opening or self.mapped else self.n + 2
 
     @property
     def point(self) -> int:
-        """Entries of the point."""
+        """Number of entries of the point."""
         return self.n + self.opening
 
 
 def pricing(space: Space) -> Program:
-    """(turn, best, row, point) → best: the most violated row so far, (amount, its signed number from 1).
+    """(turn, best, row, point) → best: the most violated row so far, as (violation, signed row number from 1).
 
-    Strictly more than the best: the first of equals in a lane wins, and a NaN never does.
+    The comparison is strict: of equal rows in a lane the first is chosen, and a NaN never is.
     """
     turn, best = ca.SX.sym("turn"), ca.SX.sym("best", 2)
     row, point = ca.SX.sym("row", space.row), ca.SX.sym("point", space.point)
@@ -87,7 +87,7 @@ def pricing(space: Space) -> Program:
 
 
 def misses(space: Space, row: ca.SX, point: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """By how much the point is above the upper and below the lower bound (negative: inside)."""
+    """Amounts by which the point is above the upper bound and below the lower bound (negative if inside)."""
     n = space.n
     value = _sum([row[i] * point[i] for i in range(n)])
     if not space.opening:
@@ -97,26 +97,26 @@ def misses(space: Space, row: ca.SX, point: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _sum(terms: list[ca.SX]) -> ca.SX:
-    """In pairs: half the latency of one after the other."""
+    """Sum of the terms, added in pairs, which halves the latency."""
     while len(terms) > 1:
         terms = [a + b for a, b in zip(terms[::2], terms[1::2], strict=False)] + terms[len(terms) // 2 * 2 :]
     return terms[0]
 
 
 def dot(a: ca.SX, b: ca.SX) -> ca.SX:
-    """a · b, summed in pairs."""
+    """The product a · b, summed in pairs."""
     return _sum([a[i] * b[i] for i in range(a.numel())])
 
 
 def threshold(space: Space) -> Program:
-    """point → (smallest amount that counts, no row)."""
+    """point → (smallest violation that counts, row number 0)."""
     point = ca.SX.sym("point", space.point)
     least = space.precision.priced * _size(point[: space.n])
     return lower(ca.Function("threshold", [point], [ca.densify(ca.vertcat(least, 0))]))
 
 
 def halve() -> Program:
-    """(amount, amount, number, number) of two rows → (amount, number) of the one missed by more, else of the first."""
+    """(two violations, two row numbers) → (violation, number) of the row violated more; if equal, of the first row."""
     four = ca.SX.sym("four", 4)
     tie = ca.logic_and(ca.eq(four[0], four[1]), ca.fabs(four[3]) < ca.fabs(four[2]))
     second = ca.logic_or(four[0] < four[1], tie)
@@ -125,7 +125,7 @@ def halve() -> Program:
 
 
 def close() -> Program:
-    """(best, pending, status) → status: optimal if no row is missed and none is pending."""
+    """(best, pending, status) → status: optimal if no row is violated and none is pending."""
     best, pending, status = ca.SX.sym("best", 2), ca.SX.sym("pending", 2), ca.SX.sym("status")
     idle = ca.logic_and(ca.eq(best[1], 0), ca.eq(pending[0], 0))
     after = ca.if_else(ca.logic_and(ca.eq(status, 0), idle), OPTIMAL, status)
@@ -140,7 +140,7 @@ def _size(v: ca.SX) -> ca.SX:
 
 
 def which() -> Program:
-    """(best, pending) → index of the row to work on, and its signed number: the pending one, if there is one."""
+    """(best, pending) → index and signed number of the row to process: the pending row, if any."""
     best, pending = ca.SX.sym("best", 2), ca.SX.sym("pending", 2)
     number = ca.if_else(ca.eq(pending[0], 0), best[1], pending[0])
     return lower(ca.Function("which", [best, pending], [ca.fabs(number) - 1, number]))
@@ -148,7 +148,7 @@ def which() -> Program:
 
 @dataclass(frozen=True)
 class _Slots:
-    """Active rows: normals (d,) each, multipliers, numbers; the empty slots last."""
+    """Active rows in slots: normals (d,) each, multipliers, numbers; the empty slots last."""
 
     normals: list[ca.SX]
     multipliers: list[ca.SX]
@@ -157,7 +157,7 @@ class _Slots:
 
 @dataclass(frozen=True)
 class _Triangle:
-    """normals = Q R by modified Gram–Schmidt without roots: Q orthogonal, R unit upper triangular.
+    """Factors normals = Q R by modified Gram–Schmidt without square roots: Q orthogonal, R unit upper triangular.
 
     Attributes:
         Q: columns. R: above the diagonal. inverse: 1/‖q‖² of each column, 0 in an empty slot.
@@ -183,9 +183,9 @@ class _Triangle:
         return _Triangle(Q, R, inverse)
 
     def split(self, normal: ca.SX) -> tuple[ca.SX, list[ca.SX]]:
-        """(what stands outside the span, coordinates in Q); twice, which is enough (Parlett 1998, 6.9).
+        """(part outside the span of Q, coordinates in Q); two passes suffice (Parlett 1998, 6.9).
 
-        With the last slot taken nothing stands outside: it is left out of the first.
+        If the last slot is in use, nothing is outside the span, so the first result ignores that slot.
         """
         outside, inside = normal, [ca.SX(0)] * len(self.Q)
         for _ in range(2):
@@ -197,7 +197,7 @@ class _Triangle:
         return outside, inside
 
     def solve(self, rhs: list[ca.SX]) -> list[ca.SX]:
-        """r with R r = rhs, 0 in empty slots."""
+        """Solve R r = rhs; entries of empty slots are 0."""
         r = list(rhs)
         for j in reversed(range(len(r))):
             for k in range(j + 1, len(r)):
@@ -207,7 +207,7 @@ class _Triangle:
 
 @dataclass(frozen=True)
 class _Entering:
-    """The row at hand, turned so that it asks for normal · v ≤ bound: signed number, normal in y, and its miss."""
+    """The row to process, with its sign chosen so that normal · v ≤ bound: signed number, normal in y, violation."""
 
     number: ca.SX
     normal: ca.SX
@@ -226,12 +226,13 @@ class _Entering:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where the entering row stands to the active ones.
+    """Relation of the entering row to the active rows.
 
     Attributes:
-        outside: whether enough of its normal stands outside their span.
-        whole, full: step in the multiplier, and way (d,), that meet the row, if so.
-        rate: (d,), way for a step of 1. r: how fast the multipliers fall. ratios: multipliers divided by that.
+        outside: whether its normal is sufficiently outside their span.
+        whole, full: if so, step of the multiplier and displacement (d,) that satisfy the row.
+        rate: displacement (d,) for a unit step. r: decrease of the multipliers for a unit step. ratios: multipliers
+            divided by r.
     """
 
     outside: ca.SX
@@ -260,7 +261,7 @@ class _Place:
 
 @dataclass(frozen=True)
 class _Step:
-    """How far to go, and what happens to the slots."""
+    """Step length, and the change of the slots."""
 
     length: ca.SX
     displacement: ca.SX
@@ -271,7 +272,7 @@ class _Step:
     @staticmethod
     def of(slots: _Slots, entering: _Entering, place: _Place, size: ca.SX, precision: Precision) -> _Step:
         never = precision.never
-        # a full step needs a free slot: rounding may see a further direction where there is none
+        # a full step needs an empty slot: rounding can suggest an extra independent direction that does not exist
         free = ca.logic_and(place.outside, ca.eq(slots.numbers[-1], 0))
         whole = ca.if_else(free, place.whole, never)
         part, first = ca.SX(never), ca.SX(-1)
@@ -293,10 +294,10 @@ class _Step:
 
 
 def iteration(space: Space) -> Program:
-    """(point, normals, multipliers, numbers, pending, status, count, number, row[, M]) → the first seven, a step on.
+    """(point, normals, multipliers, numbers, pending, status, count, number, row[, M]) → the first seven after a step.
 
     normals: (d·d,), slot by slot. multipliers, numbers: (d,). pending: (2,), signed number (0: none) and multiplier.
-    number: signed, of the row. M: (n·d,) row by row, absent unless `mapped`.
+    number: signed number of the row. M: (n·d,) row by row, only if `mapped`.
     """
     n, d = space.n, space.d
     point, normals, u = ca.SX.sym("point", space.point), ca.SX.sym("normals", d * d), ca.SX.sym("multipliers", d)
@@ -328,7 +329,7 @@ def iteration(space: Space) -> Program:
 
 
 def _exchange(slots: _Slots, step: _Step, r: list[ca.SX], entering: _Entering, multiplier: ca.SX) -> _Slots:
-    """Multipliers after the step; those behind the dropped row move up, the entering one takes the first empty slot."""
+    """Slots after the step: those behind a dropped row move up, and the entering row takes the first empty slot."""
     columns: tuple[list[ca.SX], ...] = ([], [], [])
     left = [ca.fmax(u - step.length * ratio, 0) for u, ratio in zip(slots.multipliers, r, strict=True)]
     new = (entering.normal, multiplier, entering.number)

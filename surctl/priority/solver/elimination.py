@@ -12,11 +12,11 @@ __all__ = ["Elimination", "Reflection", "as_matrix", "eliminate", "flat", "pseud
 
 
 class Elimination(NamedTuple):
-    """What p rows J (p, n) leave of n variables.
+    """Elimination of p rows J (p, n) from n variables.
 
     Attributes:
         lift: (n, p): v + lift (b − J v) is the point of J x = b nearest to v. Zero columns for dependent rows.
-        basis: (n, n), orthonormal columns; the first `rank` belong to the rows, the others are free.
+        basis: (n, n), orthonormal columns; the first `rank` span the rows, the others are the free directions.
         rank: number of independent rows.
     """
 
@@ -26,7 +26,7 @@ class Elimination(NamedTuple):
 
 
 def as_matrix(entries: ca.SX, columns: int) -> ca.SX:
-    """Matrix from its entries, row by row."""
+    """Matrix with these entries, stored row by row."""
     return ca.reshape(entries, columns, entries.numel() // columns).T
 
 
@@ -36,13 +36,13 @@ def flat(matrix: ca.SX) -> ca.SX:
 
 
 class Reflection(NamedTuple):
-    """What p < n independent rows leave of n variables.
+    """Elimination of p < n independent rows from n variables.
 
     Attributes:
         origin: (n,), the shortest x with J x = b.
-        free: (n, n − p), orthonormal columns, the other directions.
-        start: (n − p,), the target's coordinates there.
-        full: whether the rows are independent; the others are of no use if not.
+        free: (n, n − p), orthonormal columns, the free directions.
+        start: (n − p,), the target's coordinates in the free directions.
+        full: whether the rows are independent; if not, the other attributes are invalid.
     """
 
     origin: ca.SX
@@ -52,7 +52,7 @@ class Reflection(NamedTuple):
 
 
 def reflect(J: ca.SX, b: ca.SX, target: ca.SX, precision: Precision = FLOAT64) -> Reflection:
-    """Householder elimination of p < n rows that are expected to be independent: a third of the work of `eliminate`."""
+    """Householder elimination of p < n rows, expected to be independent, at a third of the cost of `eliminate`."""
     p, n = J.shape
     full, normals, weights, solved = ca.SX(1), list[ca.SX](), list[ca.SX](), list[ca.SX]()
     for k in range(p):
@@ -80,10 +80,10 @@ def _mirror(x: ca.SX, normal: ca.SX, weight: ca.SX) -> ca.SX:
 
 
 def eliminate(J: ca.SX, precision: Precision = FLOAT64) -> Elimination:
-    """Householder elimination of the rows of J (p, n); dependent rows are passed over, first come first served."""
+    """Householder elimination of the rows of J (p, n); a row that depends on earlier rows is skipped."""
     p, n = J.shape
     basis, rank = ca.SX.eye(n), ca.SX(0)
-    triangle = ca.SX.zeros(n, p)  # column k: what the free variable of row k needs, as a function of b − J v
+    triangle = ca.SX.zeros(n, p)  # column k: coefficients of b − J v for the variable that row k determines
     for k in range(p):
         length = ca.sqrt(ca.sumsqr(J[k, :]))
         usable = length > precision.short
@@ -110,9 +110,9 @@ def eliminate(J: ca.SX, precision: Precision = FLOAT64) -> Elimination:
 
 
 def pseudo_inverse(J: ca.SX, precision: Precision = FLOAT64) -> ca.SX:
-    """(n, p): Moore-Penrose inverse of J (p, n), by a complete orthogonal decomposition.
+    """Moore-Penrose inverse (n, p) of J (p, n), by a complete orthogonal decomposition.
 
-    J = L Q.T with orthonormal columns Q of its row space; L, of full column rank, is eliminated in its turn.
+    J = L Q.T with orthonormal columns Q of its row space; then L, which has full column rank, is eliminated as well.
     """
     left = eliminate(J, precision)
     Q = ca.horzcat(*(ca.if_else(left.rank > i, left.basis[:, i], 0) for i in range(J.shape[1])))
@@ -120,12 +120,12 @@ def pseudo_inverse(J: ca.SX, precision: Precision = FLOAT64) -> ca.SX:
 
 
 def _at_least(i: int, rank: ca.SX, k: int) -> ca.SX:
-    """Whether variable i is still free before row k; known without looking for i ≥ k."""
+    """Whether variable i is still free before row k; always true for i ≥ k."""
     return ca.SX(1) if i >= k else rank <= i
 
 
 def _is(i: int, rank: ca.SX, k: int) -> ca.SX:
-    """Whether row k, if independent, takes variable i."""
+    """Whether row k, if independent, determines variable i."""
     if k == 0:
         return ca.SX(1 if i == 0 else 0)
     return ca.SX(0) if i > k else ca.eq(rank, i)

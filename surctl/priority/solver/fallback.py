@@ -1,13 +1,13 @@
-"""The safe tick as one routine: a finite answer for any input, by a ladder of least-distance problems.
+"""The safe step as one routine: a finite velocity for any input, by fallback stages of least-distance problems.
 
-1. The point nearest to the target that meets the task J v = x and every row.
-2. If there is none: the point that meets the task as well as the rows allow, nearest to the target among those.
-3. If the rows contradict each other: the least opening of the soft rows, then 2.
+1. The point nearest to the target that meets the task J v = x and satisfies every row.
+2. If stage 1 has no solution: of the points that meet the task as well as the rows allow, the nearest to the target.
+3. If the rows contradict each other: the smallest opening of the soft rows, then stage 2.
 4. If the hard rows contradict each other: the target in the box.
 
-Whatever came out is moved into the box, and checked. How 1 to 3 are found is told in `rungs`.
+Every result is moved into the box and checked. Module `stages` describes how stages 1 to 3 are solved.
 
-The bounded ladder tries 1 within a few iterations and then has one rung of constant cost, told in `bounded`.
+The bounded fallback tries stage 1 for a few iterations, then one stage of constant cost; see module `bounded`.
 """
 
 from __future__ import annotations
@@ -26,32 +26,32 @@ from surctl.priority.solver.stages import LIMITED, RELAXED, exact_stage, lower_s
 __all__ = ["BOUNDED", "CLAMPED", "LIMITED", "MET", "RELAXED", "safe_step"]
 
 MET, CLAMPED = 1, 4
-"""Status, beside `LIMITED` and `RELAXED` of the rungs between, and `BOUNDED`: task met; only kept in the box."""
+"""Status values in addition to `LIMITED`, `RELAXED` and `BOUNDED`: task met; v only moved into the box."""
 
 
 def safe_step(n: int, p: int, m: int, *, precision: Precision = FLOAT64, fallback: Fallback = "exact") -> Routine:
-    """(target (n,), J (p·n,), x (p,), rows (m·(n + 3),), box (2n,)) → the answer, always finite.
+    """(target (n,), J (p·n,), x (p,), rows (m·(n + 3),), box (2n,)) → the outputs of a safe step, always finite.
 
     rows: a (n,), lower, upper, soft (1: may open, 0: may not), of any length. box: lower (n,), upper (n,).
-    Outputs: v (n,); active (n,), signed row numbers from 1 (+ at the upper bound, − at the lower, 0 none) and
+    Outputs: v (n,); active (n,), signed row numbers from 1 (+ at the upper bound, − at the lower, 0 empty) and
     their multipliers (n,) of ½‖v − target‖², for rows of length 1; opening (1,) of the soft rows [row of length
-    1]; status (1,), see `MET` …; count (1,), iterations in all.
+    1]; status (1,), see `MET` …; count (1,), total number of iterations.
 
     Args:
-        n: velocities, at least 1.
-        p: rows of the task, at least 1 (a row of zeros with x = 0 is no task).
-        m: rows, at least 1 (a row of zeros between infinite bounds is none); fastest if a multiple of 8.
-        precision: tolerances; those of the type of numbers that the routine is run with.
-        ladder: exact, or bounded: where rung 1 finds an answer in `bounded.CAP` iterations it is the same, to the last
-            bit. Dependent rows of a task of several it does not look into.
+        n: number of velocities, at least 1.
+        p: number of task rows, at least 1 (for no task, pass a row of zeros with x = 0).
+        m: number of rows, at least 1 (a row of zeros with infinite bounds is idle); multiples of 8 are fastest.
+        precision: tolerances for the number type with which the routine runs.
+        fallback: "exact", or "bounded". Both give the same result, to the last bit, if stage 1 succeeds within
+            `bounded.CAP` iterations. For a task with several rows, "bounded" does not handle dependent rows.
 
     Example:
         >>> import numpy as np
         >>> from surctl.ir import replay
-        >>> from surctl.priority import safe_tick
-        >>> tick = safe_tick(2, 1, 1)
+        >>> from surctl.priority import safe_step
+        >>> step = safe_step(2, 1, 1)
         >>> wall, box = [1.0, 0.0, -np.inf, 0.1, 1.0], [-1.0, -1.0, 1.0, 1.0]
-        >>> v, active, force, *_ = replay(tick, [0.3, 0.4], [0.0, 0.0], [0.0], wall, box)
+        >>> v, active, force, *_ = replay(step, [0.3, 0.4], [0.0, 0.0], [0.0], wall, box)
         >>> v.round(3).tolist(), active.tolist(), force.round(3).tolist()
         ([0.1, 0.4], [1.0, 0.0], [0.2, 0.0])
     """
@@ -81,7 +81,7 @@ def safe_step(n: int, p: int, m: int, *, precision: Precision = FLOAT64, fallbac
 
 
 def _exact_stages(sizes: Sizes) -> tuple[Step, ...]:
-    """Whether rung 1 holds, and the lower ones where it does not."""
+    """Steps that check stage 1, and run the lower stages if it fails."""
     carried = ("point", "active", "multipliers", "status", "count", "none")
     after = tuple(f"{name}_down" for name in carried)
     return (
@@ -92,7 +92,7 @@ def _exact_stages(sizes: Sizes) -> tuple[Step, ...]:
 
 
 def _bounded_stages(sizes: Sizes) -> tuple[Step, ...]:
-    """The same with the rung of constant cost; the rows are looked at again only where the search found a point."""
+    """Steps that check stage 1, if its search found a point, and run the stage of constant cost if it fails."""
     end = ca.SX.sym("end")
     failed = lower(ca.Function("failed", [end], [ca.logic_not(ca.eq(end, OPTIMAL))]))
     one = lower(ca.Function("done", [ca.SX.sym("failed")], [ca.SX.ones(1)]))
@@ -117,7 +117,7 @@ def _zero() -> Program:
 
 
 def _down(sizes: Sizes) -> Routine:
-    """The one turn of a loop that runs where the first rung does not hold: two turns of the lower ones."""
+    """Body of a loop that runs once if stage 1 fails: up to two passes over the lower stages."""
     n, p = sizes.n, sizes.p
     state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("safe", 1))
     fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("box", 2 * n))
@@ -134,14 +134,14 @@ def _down(sizes: Sizes) -> Routine:
 
 
 def _near(n: int) -> Program:
-    """The target moved into the box: where rungs 2 and 3 start, as small numbers are exact ones; the same, t = 0."""
+    """The target moved into the box, as the start of stages 2 and 3 (small numbers lose less); the same with t = 0."""
     target, box = ca.SX.sym("target", n), ca.SX.sym("box", 2 * n)
     near = ca.vertcat(*(into(target[i], box[i], box[n + i]) for i in range(n)))
     return lower(ca.Function("near", [target, box], [near, ca.densify(ca.vertcat(near, 0))]))
 
 
 def _judge(sizes: Sizes) -> Program:
-    """(point, kernel status, kept, J, x) → MET or 0: every task row met, relative to its length."""
+    """(point, kernel status, feasible, J, x) → MET or 0: MET if every task row holds, relative to its length."""
     n, p = sizes.n, sizes.p
     point, end, feasible = ca.SX.sym("point", n + 1), ca.SX.sym("end"), ca.SX.sym("feasible")
     J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
@@ -157,10 +157,10 @@ def _judge(sizes: Sizes) -> Program:
 
 
 def _finish(sizes: Sizes) -> Program:
-    """(point, status, safe, target, J, x, box) → v inside the box, finite whatever came before; opening; outcome.
+    """(point, status, safe, target, J, x, box) → v inside the box, finite for any input; opening; outcome.
 
-    Whatever a task or a target that is not finite led to is not called an answer. A point of rung 3 that keeps the
-    opened rows will do when nothing better was found from there.
+    A point that results from a non-finite task or target does not count as a solution. If nothing better was found, a
+    point of stage 3 that satisfies the opened rows is accepted.
     """
     n, p, huge = sizes.n, sizes.p, sizes.precision.huge
     point, status, box = ca.SX.sym("point", n + 1), ca.SX.sym("status"), ca.SX.sym("box", 2 * n)

@@ -1,7 +1,8 @@
 """The least-distance solver as a routine: the iteration of `dual_step` in a bounded loop.
 
-Rows stand in blocks of as many as there are lanes, entry by entry (`surctl.ir.Loop`), so that one instruction prices
-several. Which of equals wins does not depend on the lanes: the answers are the same numbers with one as with four.
+Rows are stored in blocks of one row for each lane, entry by entry (`surctl.ir.Loop`), so that one instruction prices
+several rows. The choice between equally violated rows does not depend on the lanes: one lane and four give the same
+numbers.
 """
 
 from __future__ import annotations
@@ -34,23 +35,23 @@ CAP = 40
 """Largest number of iterations."""
 
 OPEN_CAP = 80
-"""The same where the opening is free: γ makes every soft row a candidate."""
+"""Largest number of iterations if the opening is free: then every soft row can enter."""
 
 
 def lanes_of(rows: int, precision: Precision = FLOAT64) -> int:
-    """Rows a block: the largest part of the precision's lanes (4, 2, 1) that leaves no rest."""
+    """Number of rows in a block: the largest of the precision's lanes (4, 2, 1) that divides the number of rows."""
     return math.gcd(rows, precision.lanes)
 
 
 def in_blocks(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(…, rows, width) → (…, rows·width), as the routines here take them in double."""
+    """Reorder (…, rows, width) to (…, rows·width) in blocks, as the routines here expect them in double."""
     *batch, count, width = rows.shape
     lanes = lanes_of(count)
     return np.swapaxes(rows.reshape(*batch, count // lanes, lanes, width), -1, -2).reshape(*batch, count * width)
 
 
 def row_by_row(routine: Routine, rows: int, precision: Precision = FLOAT64) -> Routine:
-    """The same routine with its first input, `rows` rows, row by row instead of in the blocks of that precision."""
+    """The same routine with its first input, `rows` rows, stored row by row instead of in blocks."""
     if lanes_of(rows, precision) == 1:
         return routine
     (name, size), *others = routine.inputs
@@ -65,11 +66,12 @@ def row_by_row(routine: Routine, rows: int, precision: Precision = FLOAT64) -> R
 def kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
     """(rows, base, skip[, Z]) → (point, numbers, multipliers, status, count).
 
-    The point nearest to the base, in y, that keeps all rows.
+    The routine finds the point nearest to the base, measured in y, that satisfies all rows.
 
-    rows: (rows·(n + 3),) in blocks, each a (of length 1, or 0), lower, upper, soft. base: (n + 1,), v and t. skip: not
-    0 gives the base with status `SKIPPED`. Z: (n·d,), row by row, orthonormal columns (or an orthogonal projector);
-    absent if the opening is free. status: 0 when `cap` (`CAP`, or `OPEN_CAP`) was reached; the point then misses rows.
+    rows: (rows·(n + 3),) in blocks, each a (of length 1, or 0), lower, upper, soft. base: (n + 1,), v and t. skip: if
+    nonzero, the result is the base with status `SKIPPED`. Z: (n·d,), row by row, orthonormal columns (or an orthogonal
+    projector); absent if the opening is free. status: 0 if `cap` (`CAP`, or `OPEN_CAP`) was reached; the point then
+    violates rows.
     """
     n, d = space.n, space.d
     free = () if space.opening else (("Z", n * d),)
@@ -92,10 +94,10 @@ def kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
 
 
 def reduced_kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
-    """(rows, origin, start, skip, Z) → (point, numbers, multipliers, status, count): as `kernel`, in d < n variables.
+    """(rows, origin, start, skip, Z) → (point, numbers, multipliers, status, count): like `kernel`, in d < n variables.
 
-    The point is origin + Z y, with y (d,) nearest to start; the rows are reduced to y once. The origin (n,) should be
-    of the size of the answer, or the rows' bounds lose digits; start may be far away. The point has t = 0.
+    The point is origin + Z y with opening 0, and y (d,) is nearest to start; the rows are reduced to y once. The origin
+    (n,) should be about as large as the solution, or the bounds of the rows lose digits; start may be far away.
     """
     n, d = space.n, space.d
     lanes = lanes_of(rows, space.precision)
@@ -114,7 +116,7 @@ def reduced_kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
 
 
 def _reduce(space: Space) -> Program:
-    """(row, origin, Z) → the row on y: Z.T a, lower and upper less what the origin takes."""
+    """(row, origin, Z) → the row on y: Z.T a, with lower and upper reduced by the row's value at the origin."""
     n, d = space.n, space.d
     row, origin, Z = ca.SX.sym("row", n + 3), ca.SX.sym("origin", n), ca.SX.sym("Z", n * d)
     value = ca.dot(row[:n], origin)
@@ -173,7 +175,7 @@ def _start(space: Space) -> Program:
 
 
 def _price(space: Space, rows: int, tag: str) -> tuple[Step, ...]:
-    """The most violated row at point{tag}: of each lane, then of half as many lanes, until one is left."""
+    """The most violated row at point{tag}: first of each lane, then of pairs of lanes, until one row is left."""
     lanes = lanes_of(rows, space.precision)
     names = [f"best{tag}" if left == 1 else f"best{tag}_of_{left}" for left in (8, 4, 2, 1) if left <= lanes]
     halves: list[Step] = []
@@ -191,7 +193,7 @@ def _price(space: Space, rows: int, tag: str) -> tuple[Step, ...]:
 
 
 def _turn(space: Space, rows: int) -> Routine:
-    """One step with the row that the last pricing found, or with the pending one; then all rows are priced."""
+    """One step with the pending row or the most violated row; then all rows are priced again."""
     state, lanes = _state(space), lanes_of(rows, space.precision)
     free = (("M", space.n * space.d),) if space.mapped else ()
     names = tuple(name for name, _ in state[:-2])
@@ -210,9 +212,9 @@ def _turn(space: Space, rows: int) -> Routine:
 
 
 def certificate(space: Space, rows: int) -> Routine:
-    """(rows, point) → 1 if the point (n + 1,) keeps every row within `kept` (relative to max |v| above 1), else 0.
+    """(rows, point) → 1 if the point (n + 1,) satisfies every row to `feasibility`·max(1, |v|), else 0.
 
-    Written as what holds, not as what is violated: a NaN keeps nothing.
+    The test states what must hold, not what is violated, because every comparison with a NaN is false.
     """
     n, lanes = space.n, lanes_of(rows, space.precision)
     full = Space(n, space.d, space.opening, precision=space.precision)

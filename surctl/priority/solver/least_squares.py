@@ -1,10 +1,10 @@
-"""Rung 2: the task as well as the rows allow, exact to rounding.
+"""Stage 2: the least-squares solution of the task inside the rows, exact to rounding.
 
-min ‖v − c‖² + ‖J v − x‖²/δ² over the rows is itself a least-distance problem, in v and the scaled misses
-(J v − x)/δ, whose equalities are always independent: a proximal step from c (Rockafellar 1976). It finds the active
-rows; on those the least-squares problem is solved directly, and that point is taken once it keeps every row and its
-multipliers have the right sign, so that it is the minimiser. Where it does not, the step is repeated from where it
-led, with a smaller δ: a direction in which J is shorter than δ hardly moves in one step.
+min ‖v − c‖² + ‖J v − x‖²/δ² over the rows is itself a least-distance problem, in v and the scaled residuals
+(J v − x)/δ, with equalities that are always independent: it is a proximal step from c (Rockafellar 1976). The step
+finds the active rows, and the least-squares problem is then solved directly on these. If that point satisfies every row
+and its multipliers have the right sign, it is the minimiser. Otherwise the step is repeated from its result with a
+smaller δ, because v hardly moves in a direction in which J is shorter than δ.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _STEPS = 5
 def least_squares(sizes: Sizes) -> Routine:
     """(open, near (n,), opening (1,), J, x) → (point (n + 1,), active (n,), multipliers (n,), status, count).
 
-    The point of ‖J v − x‖ least over the open rows (m·(n + 3),); status 1 if there is one. The active rows are those
-    of that problem; they have no multipliers in the distance, so these are 0.
+    The point minimises ‖J v − x‖ over the open rows (m·(n + 3),); status is 1 if it was found. The active rows are
+    those of this problem; they have no multipliers of the distance, so these outputs are 0.
     """
     n, p = sizes.n, sizes.p
     inputs = (("open", sizes.rows), ("near", n), ("opening", 1), ("J", p * n), ("x", p))
@@ -42,7 +42,7 @@ def least_squares(sizes: Sizes) -> Routine:
 
 
 def _begin(sizes: Sizes) -> Program:
-    """First state; J and x divided by J's longest row; no multipliers."""
+    """The initial state, J and x divided by the length of J's longest row, and zero multipliers."""
     n, p = sizes.n, sizes.p
     near, opening = ca.SX.sym("near", n), ca.SX.sym("opening")
     J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
@@ -57,7 +57,7 @@ def _begin(sizes: Sizes) -> Program:
 
 
 def _turn(sizes: Sizes) -> Routine:
-    """One proximal step, and the minimiser on the rows that it found active."""
+    """One proximal step, then the minimiser on the active rows of that step."""
     n, p = sizes.n, sizes.p
     state = (("point", n + 1), ("active", n), ("delta", 1), ("status", 1), ("count", 1))
     fixed = (("open", sizes.rows), ("matrix", p * n), ("pull", p))
@@ -80,13 +80,13 @@ def _turn(sizes: Sizes) -> Routine:
 
 
 def _unsolved() -> Program:
-    """status of the kernel → 0, whether it found no point."""
+    """Kernel status → 0, and whether the kernel found no point."""
     end = ca.SX.sym("end")
     return lower(ca.Function("unsolved", [end], [ca.SX.zeros(1), ca.logic_not(ca.eq(end, OPTIMAL))]))
 
 
 def _polish(sizes: Sizes) -> Routine:
-    """The one turn of a loop that runs where the kernel found a point: the direct one on its active rows."""
+    """Body of a loop that runs once if the kernel found a point: the direct solution on the active rows."""
     n, p = sizes.n, sizes.p
     state = (("candidate", n + 1), ("good", 1), ("feasible", 1), ("stop", 1))
     fixed = (("open", sizes.rows), ("matrix", p * n), ("pull", p), ("numbers", n))
@@ -103,7 +103,7 @@ def _polish(sizes: Sizes) -> Routine:
 
 
 def _weigh(sizes: Sizes) -> Program:
-    """(point, δ, J, x) → base and Z, in v, of the problem in (v, (J v − x)/δ); 0."""
+    """(point, δ, J, x) → base and Z (in v) of the problem in (v, (J v − x)/δ), and 0."""
     n, p = sizes.n, sizes.p
     point, delta = ca.SX.sym("point", n + 1), ca.SX.sym("delta")
     J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
@@ -115,15 +115,15 @@ def _weigh(sizes: Sizes) -> Program:
 
 
 def _indices(n: int) -> Program:
-    """Signed numbers → index of each row; an empty slot's is −1."""
+    """Signed row numbers → row indices; −1 for an empty slot."""
     numbers = ca.SX.sym("numbers", n)
     return lower(ca.Function("indices", [numbers], [ca.fabs(numbers[j]) - 1 for j in range(n)]))
 
 
 def _direct(sizes: Sizes) -> Program:
-    """(found, numbers, J, x, row of each slot) → minimiser of ‖J v − x‖ on the active rows; whether it is optimal.
+    """(candidate, numbers, J, x, row of each slot) → minimiser of ‖J v − x‖ on the active rows; whether it is optimal.
 
-    Optimal: J.T (x − J v) is a combination of the active normals, with the multipliers' signs.
+    It is optimal if J.T (x − J v) is a combination of the active normals with multipliers of the right sign.
     """
     n, p = sizes.n, sizes.p
     candidate, numbers = ca.SX.sym("candidate", n + 1), ca.SX.sym("numbers", n)
@@ -158,7 +158,7 @@ def _direct(sizes: Sizes) -> Program:
 
 
 def _without_noise(projected: ca.SX, matrix: ca.SX, precision: Precision) -> ca.SX:
-    """Rows of J in the free directions; what is left of a row by rounding alone counts as nothing."""
+    """Rows of J in the free directions; a row that is only rounding noise is set to zero."""
     rows = []
     for k in range(matrix.shape[0]):
         left = ca.sumsqr(projected[k, :]) > precision.cutoff**2 * ca.sumsqr(matrix[k, :])
@@ -167,7 +167,7 @@ def _without_noise(projected: ca.SX, matrix: ca.SX, precision: Precision) -> ca.
 
 
 def _decide(sizes: Sizes) -> Program:
-    """Done, if the direct point is optimal and keeps the rows (1), or if no point keeps them (3); else a smaller δ."""
+    """Stop if the direct point is optimal and feasible (1), or if no feasible point exists (3); otherwise reduce δ."""
     n = sizes.n
     point, active, delta = ca.SX.sym("point", n + 1), ca.SX.sym("active", n), ca.SX.sym("delta")
     status, count = ca.SX.sym("status"), ca.SX.sym("count")
@@ -188,7 +188,7 @@ def _decide(sizes: Sizes) -> Program:
 
 
 def _end(sizes: Sizes) -> Program:
-    """(status, δ, kept) → whether the point counts: optimal, or what at least one proximal step led to."""
+    """(status, δ, feasible) → whether the point is valid: optimal, or the result of at least one proximal step."""
     status, delta, feasible = ca.SX.sym("status"), ca.SX.sym("delta"), ca.SX.sym("feasible")
     stepped = ca.logic_or(ca.eq(status, OPTIMAL), delta < sizes.precision.delta)
     return lower(ca.Function("least_squares_end", [status, delta, feasible], [ca.logic_and(stepped, feasible)]))

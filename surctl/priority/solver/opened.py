@@ -1,9 +1,9 @@
-"""Rung 3: the least t by which the soft rows must open, exact to rounding.
+"""Stage 3: the smallest t by which the soft rows must open, exact to rounding.
 
-min t over the rows is a linear programme; a proximal step from (v, t) is the least-distance problem from (v, t − γ),
-and finitely many of them end in a minimiser (Mangasarian and Meyer 1979 for one, Ferris 1991 for several). A step of
-length s leaves t at most s·D/γ above the least one, D the width of what can be reached: the steps end when that is
-nothing. γ grows, since near-parallel rows need much of it, and is small in the last step, since rounding grows with it.
+min t over the rows is a linear programme. A proximal step from (v, t) is the least-distance problem from (v, t − γ).
+Finitely many steps reach a minimiser (Mangasarian and Meyer 1979 for one, Ferris 1991 for several). A step of length s
+leaves t at most s·D/γ above the minimum, where D is the diameter of the feasible set; the steps stop when this bound is
+negligible. γ grows, since nearly parallel rows need a large γ, and is small in the last step to limit rounding.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ _STEPS = 7
 
 
 def opened(sizes: Sizes) -> Routine:
-    """(unit, near (n,), point (n + 1,), skip) → (wide (n + 1,), found, kept, count).
+    """(unit, near (n,), point (n + 1,), skip) → (wide (n + 1,), solved, feasible, count).
 
-    wide: a point with the least opening, never below the given point's, and a margin for rounding; the given point
-    if not found. skip: not 0 does nothing. kept: it keeps the rows so opened.
+    wide: a point with the smallest opening (not below that of the input point) plus a margin for rounding, or the input
+    point if the search failed. skip: if nonzero, nothing is done. feasible: whether wide satisfies the opened rows.
     """
     n, tight = sizes.n, sizes.precision
     state = ("low", "gamma", "ends", "solved", "count")
@@ -48,14 +48,14 @@ def opened(sizes: Sizes) -> Routine:
 
 
 def _begin(n: int, precision: Precision) -> Program:
-    """(near, skip) → the point (near, 0), γ, whether it ends, nothing found, no iterations."""
+    """(near, skip) → the point (near, 0), γ, the stop flag, solved = 0, count = 0."""
     near, skip = ca.SX.sym("near", n), ca.SX.sym("skip")
     outputs = [ca.vertcat(near, 0), ca.SX(precision.pull), skip, ca.SX.zeros(1), ca.SX.zeros(1)]
     return lower(ca.Function("open_begin", [near, skip], list(map(ca.densify, outputs))))
 
 
 def _turn(sizes: Sizes) -> Routine:
-    """One proximal step; one that fails ends the loop and changes nothing."""
+    """One proximal step; a step that fails ends the loop and leaves the point unchanged."""
     n = sizes.n
     steps = (
         Call(_pull(n), ("low", "gamma"), ("base", "go")),
@@ -79,14 +79,14 @@ def _size(point: ca.SX) -> ca.SX:
 
 
 def _pull(n: int) -> Program:
-    """(point, γ) → (v, t − γ·size), 0."""
+    """(point, γ) → the base (v, t − γ·size), and 0."""
     point, gamma = ca.SX.sym("point", n + 1), ca.SX.sym("gamma")
     base = ca.vertcat(point[:n], point[n] - gamma * _size(point))
     return lower(ca.Function("pull", [point, gamma], [base, ca.SX.zeros(1)]))
 
 
 def _judge(n: int, precision: Precision) -> Program:
-    """The state after a step: ended when what t may still lose is nothing, or when the step failed."""
+    """The state after a step; the loop stops when t can hardly decrease further, or when the step failed."""
     low, gamma, ends, solved = ca.SX.sym("low", n + 1), ca.SX.sym("gamma"), ca.SX.sym("ends"), ca.SX.sym("solved")
     count, after, why, spent = ca.SX.sym("count"), ca.SX.sym("after", n + 1), ca.SX.sym("why"), ca.SX.sym("spent")
     good = ca.eq(why, OPTIMAL)
@@ -106,14 +106,14 @@ def _judge(n: int, precision: Precision) -> Program:
 
 
 def _clean(n: int, precision: Precision) -> Program:
-    """(point, found) → the base of the last step, and whether there is none."""
+    """(point, solved) → the base of the last step, and whether to skip that step."""
     low, solved = ca.SX.sym("low", n + 1), ca.SX.sym("solved")
     base = ca.vertcat(low[:n], low[n] - precision.pull * _size(low))
     return lower(ca.Function("clean", [low, solved], [base, ca.logic_not(solved)]))
 
 
 def _widened(n: int, precision: Precision) -> Program:
-    """The cleaned point with a margin on its opening, or the one before, or the given one; found; count."""
+    """The cleaned point (or the one before, or the input point) with a margin on its opening; solved; count."""
     low, solved, cleaned = ca.SX.sym("low", n + 1), ca.SX.sym("solved"), ca.SX.sym("cleaned", n + 1)
     end, point = ca.SX.sym("end"), ca.SX.sym("point", n + 1)
     count, spent = ca.SX.sym("count"), ca.SX.sym("spent")

@@ -1,4 +1,4 @@
-"""The step of `dual_step` in two unknowns, by Cramer's rule: half as long a chain of operations as with factors."""
+"""The step of `dual_step` for two unknowns by Cramer's rule: its chain of operations is half as long."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ __all__ = ["Planar", "planar"]
 
 
 class Planar(NamedTuple):
-    """Where the entering normal stands to the active ones.
+    """Relation of the entering normal to the active normals.
 
     Attributes:
-        apart: the part of it that stands outside their span, times the length of the first active one.
+        apart: its component outside their span, times the length of the first active normal.
         first: squared length of the first active normal.
-        r: coordinates in the active normals, 0 in empty slots. ratios: multipliers divided by those.
-        full: (2,), the way to meet the entering row, for a miss of 1. rate: (2,), what stands outside.
-        whole: length of the full step in the multiplier, for a miss of 1.
+        r: coordinates in the active normals, 0 in empty slots. ratios: multipliers divided by r.
+        full: (2,), displacement that satisfies the entering row, for a violation of 1. rate: (2,), component outside.
+        whole: length of the full step of the multiplier, for a violation of 1.
     """
 
     apart: ca.SX
@@ -30,9 +30,9 @@ class Planar(NamedTuple):
 
 
 def planar(normals: list[ca.SX], numbers: list[ca.SX], multipliers: list[ca.SX], entering: ca.SX) -> Planar:
-    """Two slots, the empty ones last. For an empty slot a vector across the other stands in.
+    """Compute the step for two slots, the empty ones last; a perpendicular vector replaces the normal of an empty slot.
 
-    What depends on the entering row is divided by at once, in parallel: the longest chain holds one division.
+    All divisions that depend on the entering row run in parallel, so the longest chain contains one division.
     """
     one, two = numbers[0] != 0, numbers[1] != 0
     first = ca.if_else(one, normals[0], _across(-entering))
@@ -61,5 +61,5 @@ def _cross(a: ca.SX, b: ca.SX) -> ca.SX:
 
 
 def _across(a: ca.SX) -> ca.SX:
-    """Turned a quarter to the left."""
+    """The vector rotated by 90° counter-clockwise."""
     return ca.vertcat(-a[1], a[0])

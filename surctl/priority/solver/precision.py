@@ -1,4 +1,4 @@
-"""The solver's tolerances for one type of numbers, and how many of those its processors work on at once."""
+"""Tolerances of the solver for one number type, and how many rows it processes side by side."""
 
 from __future__ import annotations
 
@@ -12,23 +12,24 @@ LONGEST = 1e140
 
 @dataclass(frozen=True)
 class Precision:
-    """Tolerances; those of rows are for rows of length 1 and relative to 1 + max |v|.
+    """Tolerances of the solver; those of rows are for rows of length 1 and relative to 1 + max |v|.
 
     Attributes:
-        priced: a row missed by no more than this counts as kept by the search.
-        rounding: likewise a row that depends on the active ones; missed by more, no point keeps both.
-        kept: a row missed by more than this is missed, when an answer is judged.
-        parallel: square of the smallest part of a normal outside the span of the active ones.
-        pushing: smallest rate at which a multiplier falls that counts.
-        cutoff: a row of length 1 that is this near to the span of the rows above it depends on them.
+        priced: during the search, a row violated by at most this counts as satisfied.
+        rounding: same for a row that depends on the active rows; above this, they are incompatible.
+        feasibility: when a solution is checked, a row violated by at most this counts as satisfied.
+        parallel: smallest squared component of a normal outside the span of the active normals.
+        pushing: smallest decrease rate of a multiplier that counts.
+        cutoff: a row of length 1 with this distance from the span of the rows above it counts as dependent.
         short: length up to which a row counts as a row of zeros.
-        unit: rows whose squared length is this near to 1 are not scaled.
-        never, huge: stand for infinity; the largest entry of an answer.
-        delta, shrink: of the proximal steps of rung 2.
-        sign, noise: what may be left of a multiplier's sign there: relative to the task's rest, to 1 + max |v|.
-        pull, growth, gap: of the proximal steps of rung 3.
-        margin: room that an opening gets beyond the least one.
-        lanes: rows that are worked on side by side, 1, 2 or 4: floats are for processors without vectors.
+        unit: rows whose squared length differs from 1 by at most this are not scaled.
+        never, huge: a number that replaces infinity; the largest entry of a solution.
+        delta, shrink: start value and reduction factor of δ in the proximal steps of stage 2.
+        sign, noise: tolerances for a multiplier of the wrong sign in stage 2, relative to the task residual and to
+            1 + max |v|.
+        pull, growth, gap: start value and growth factor of γ in the proximal steps of stage 3, and stop tolerance.
+        margin: margin added to the smallest opening.
+        lanes: rows processed side by side, 1, 2 or 4; float has 1, for processors without vector units.
     """
 
     priced: float
@@ -73,7 +74,7 @@ FLOAT64 = Precision(
     margin=1e-11,
     lanes=4,
 )
-"""Of double."""
+"""Tolerances for double."""
 
 FLOAT32 = Precision(
     priced=1e-6,
@@ -96,4 +97,4 @@ FLOAT32 = Precision(
     margin=1e-5,
     lanes=1,
 )
-"""Of float."""
+"""Tolerances for float."""

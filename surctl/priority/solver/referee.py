@@ -1,13 +1,13 @@
-"""A referee of the lower rungs that shares no code with the ladder: linear programmes, and non-negative least squares.
+"""An independent check of the lower fallback stages, by linear programmes and non-negative least squares.
 
-For `limited` and `relaxed` answers v with opening t of the soft rows it asks
+It shares no code with the solver. For `limited` and `relaxed` solutions v with opening t of the soft rows it computes
 
-* how much smaller t could be: the linear programme min t over all rows (HiGHS);
-* how much smaller ‖J v − x‖ could be: with r = x − J v, the largest r·J(w − v)/‖r‖ over all w that keep the rows
-  bounds it from above (a convex function lies above its tangent), a linear programme again. Its multipliers tell how
-  much of that is due to rounding of the rows: near-parallel ones make any answer doubtful;
-* where the nearest point with the same J v is: least distance as non-negative least squares (Lawson and Hanson
-  1974, chapter 23; scipy's nnls).
+* by how much t could be smaller: the linear programme min t over all rows (HiGHS);
+* by how much ‖J v − x‖ could be smaller: with r = x − J v, an upper bound is the largest r·J(w − v)/‖r‖ over all w
+  that satisfy the rows (a convex function lies above its tangent), also a linear programme. Its multipliers show how
+  much of the bound is due to rounding of the rows: nearly parallel rows make any solution inaccurate;
+* the nearest point with the same J v: least distance as non-negative least squares (Lawson and Hanson 1974,
+  chapter 23; scipy's nnls).
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ _TIGHT = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1
 
 @dataclass(frozen=True)
 class Finding:
-    """What the referee found for one answer; NaN where it has no answer itself.
+    """Result of the check for one solution; NaN where the check itself fails.
 
     Attributes:
-        opening: t minus the least one.
-        task: ‖J v − x‖ minus the smallest one that the opened rows allow, divided by the length of J's longest row.
-        weight: largest sum of multipliers behind that: by how much more the excess changes than the rows do.
-        distance: largest entry of v minus the nearest point, relative to 1 + max |target|.
+        opening: t minus the smallest t.
+        task: ‖J v − x‖ minus the smallest value that the opened rows allow, divided by the length of J's longest row.
+        weight: largest sum of the multipliers of that bound: its sensitivity to changes of the rows.
+        distance: largest entry of the difference between v and the nearest point, relative to 1 + max |target|.
     """
 
     opening: float
@@ -44,7 +44,7 @@ class Finding:
 
 
 def examine(trials: Trials, v: Array, opening: Array) -> list[Finding]:
-    """One finding a problem; v (N, n), opening (N,)."""
+    """Return one finding for each problem; v (N, n), opening (N,)."""
     A, lower, upper, soft = trials.unit()
     findings = []
     for k, (point, t) in enumerate(zip(v, opening, strict=True)):
@@ -63,7 +63,7 @@ def examine(trials: Trials, v: Array, opening: Array) -> list[Finding]:
 
 
 def _one_sided(rows: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """G, h with G z ≤ h; the last column is the opening's, which widens both sides."""
+    """G, h with G z ≤ h; the last column belongs to the opening, which widens both bounds."""
     above, below = np.isfinite(upper), np.isfinite(lower)
     turned = np.column_stack([-rows[below, :-1], rows[below, -1]])
     return np.vstack([rows[above], turned]), np.concatenate([upper[above], -lower[below]])
@@ -79,17 +79,17 @@ def _least_opening(G: Array, h: Array) -> float:
 
 
 def _excess(G: Array, h: Array, J: Array, x: Array, v: Array) -> tuple[float, float]:
-    """How far ‖J v − x‖ is above a lower bound of the least one, and the multipliers' largest sum.
+    """How far ‖J v − x‖ exceeds a lower bound of its minimum, and the largest sum of multipliers.
 
-    The bound is the tangent's at v, or at a better point where that is loose: the best combination of v and of what
-    the linear programmes gave so far (Frank and Wolfe 1956, fully corrective).
+    The bound is that of the tangent at v, or, where this is loose, at a better point: the best combination of v and the
+    solutions of the linear programmes so far (Frank and Wolfe 1956, fully corrective).
     """
     from scipy.optimize import linprog
 
     scale = float(np.linalg.norm(J, axis=1).max())
     if scale == 0.0:
         return 0.0, 0.0
-    # the answer keeps its rows to rounding only: without that much room the programme may have no point at all
+    # the solution satisfies its rows only up to rounding; without that tolerance the programme may be infeasible
     bounds, corners, best, weight = np.maximum(h, G @ v), v[None], 0.0, 0.0
     size, at = float(np.linalg.norm(x - J @ v)) / scale, v
     for _ in range(30):
@@ -111,7 +111,7 @@ def _excess(G: Array, h: Array, J: Array, x: Array, v: Array) -> tuple[float, fl
 
 
 def _closest(corners: Array, J: Array, x: Array) -> Array:
-    """The combination of corners, weights at least 0 and of sum 1, with ‖J v − x‖ least."""
+    """The combination of corners, with weights of at least 0 and sum 1, that minimises ‖J v − x‖."""
     from scipy.optimize import nnls
 
     images = (J @ corners.T) - x[:, None]
@@ -124,7 +124,7 @@ def _closest(corners: Array, J: Array, x: Array) -> Array:
 
 
 def _distance(G: Array, h: Array, J: Array, target: Array, v: Array) -> float:
-    """v against min ‖w − target‖ over w with J w = J v and G w ≤ h."""
+    """Distance between v and the minimiser of ‖w − target‖ over w with J w = J v and G w ≤ h."""
     from scipy.optimize import nnls
 
     length = np.linalg.norm(J, axis=1, keepdims=True)
@@ -132,12 +132,12 @@ def _distance(G: Array, h: Array, J: Array, target: Array, v: Array) -> float:
     free = right[int((values > 1e-10).sum()) :].T
     if free.shape[1] == 0:
         return 0.0
-    # y = free.T (w − start): the start has the task's value of v and no other part of the way
+    # y = free.T (w − start): the start has the task value of v and agrees with the target in the free directions
     start = target + (v - target) - free @ (free.T @ (v - target))
     rows, slack = G @ free, np.maximum(h, G @ v) - G @ start
     matters = np.linalg.norm(rows, axis=1) > 1e-9
     rows, slack = rows[matters], slack[matters]
-    # in units of the way to go, or the last entry below would be what is left of 1 after 1/way²
+    # scaled by the distance to go: otherwise the last entry below would lose all its digits
     unit = max(1.0, float(np.linalg.norm(v - start)))
     E = np.vstack([-rows.T, -slack / unit])
     f = np.append(np.zeros(len(E) - 1), 1.0)
@@ -150,5 +150,5 @@ def _distance(G: Array, h: Array, J: Array, target: Array, v: Array) -> float:
         return np.nan
     w = start - free @ rest[:-1] * (unit / rest[-1])
     if (G @ w - np.maximum(h, G @ v)).max() > 1e-9 or np.linalg.norm(w - target) > np.linalg.norm(v - target) + 1e-9:
-        return np.nan  # no answer: the feasible set is as good as a point, and nnls lost it
+        return np.nan  # no result: the feasible set is nearly a single point, and nnls failed
     return float(np.abs(w - v).max() / (1.0 + np.abs(target).max()))

@@ -1,4 +1,4 @@
-"""Sizes that the routines of the ladder share, and the routines that several of them call."""
+"""Sizes shared by the routines of the fallback stages, and routines that several of them call."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ __all__ = ["Sizes", "into", "unit_rows"]
 
 
 class Sizes:
-    """n velocities, p task rows, m rows; the routines of the ladder share them.
+    """Sizes of the fallback routines: n velocities, p task rows, m limit rows.
 
     Attributes:
         precision: tolerances.
-        cap: largest number of iterations of a search for v; None: that of `kernel`.
-        general: v free in n directions. fast: in n − p, after p independent task rows (None if p ≥ n). opening: v and
-            the opening free.
-        rows: entries of all rows. lanes, blocks: rows a block, and how many of those.
-        general_kernel, opening_kernel, certificate, opening_certificate: of `kernel`.
+        cap: largest number of iterations of a search for v; None means the limit of `kernel`.
+        general: search space with v free in n directions. fast: in n − p, after p independent task rows (None if
+            p ≥ n). opening: with v and the opening free.
+        rows: number of entries of all rows. lanes, blocks: rows in a block, and number of blocks.
+        general_kernel, opening_kernel, certificate, opening_certificate: routines from `kernel`.
     """
 
     def __init__(self, n: int, p: int, m: int, precision: Precision = FLOAT64, *, cap: int | None = None) -> None:
@@ -39,10 +39,10 @@ class Sizes:
 
 
 def unit_rows(sizes: Sizes) -> tuple[Step, ...]:
-    """From rows (m·(n + 3),), row by row, to unit, the same in blocks and scaled to length 1, where one has another.
+    """Convert rows (m·(n + 3),), stored row by row, to unit: in blocks, with each row scaled to length 1.
 
-    A row of zeros keeps its bounds: it is met always or never. One whose squared length is above `huge` is never met.
-    With one lane a block is a row: rows that are as they should be are only looked at.
+    A row of zeros keeps its bounds: it is always or never satisfied. A row whose squared length exceeds `huge` is never
+    satisfied. With one lane a block is a row, and rows that already have length 1 are checked without a copy.
     """
     if sizes.lanes == 1:
         look: tuple[Step, ...] = (
@@ -67,13 +67,13 @@ def _one() -> Program:
 
 
 def _load(sizes: Sizes) -> Program:
-    """(all rows of this lane are of length 1 or 0, row) → the same with this row; the row."""
+    """(all rows of this lane are of length 1 or 0, row) → the same including this row; the row."""
     yes, row = ca.SX.sym("yes"), ca.SX.sym("row", sizes.n + 3)
     return lower(ca.Function("load", [yes, row], [ca.if_else(_is_unit(sizes, row), yes, 0), row]))
 
 
 def _look(sizes: Sizes) -> Program:
-    """(all rows so far are of length 1 or 0, row) → the same with this row."""
+    """(all rows so far are of length 1 or 0, row) → the same including this row."""
     yes, row = ca.SX.sym("yes"), ca.SX.sym("row", sizes.n + 3)
     return lower(ca.Function("look", [yes, row], [ca.if_else(_is_unit(sizes, row), yes, 0)]))
 
@@ -91,14 +91,14 @@ def _every(lanes: int) -> Program:
 
 
 def _scaling(sizes: Sizes) -> Routine:
-    """The one turn of a loop that runs where some row has another length."""
+    """Body of a loop that runs once if some row has a length other than 0 or 1."""
     n = sizes.n
     row = ca.SX.sym("row", n + 3)
     square = ca.sumsqr(row[:n])
     length = ca.sqrt(square)
     inverse = 1 / ca.if_else(length <= sizes.precision.short, 1, length)
     scaled = ca.vertcat(row[: n + 2] * inverse, row[n + 2])
-    # its square overflows: it would come out as a row of zeros, met always, so it is made one that is never met
+    # its square overflows, so scaling would give a row of zeros that always holds; this row never holds instead
     never = ca.vertcat(ca.SX.zeros(n), 1, 1, 0)
     far = square > sizes.precision.huge
     scale = lower(ca.Function("unit_row", [row], [ca.if_else(far, never, scaled)]))
@@ -111,6 +111,6 @@ def _scaling(sizes: Sizes) -> Routine:
 
 
 def into(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
-    """The value moved between the bounds; a NaN goes to the lower one."""
+    """The value moved between the bounds; a NaN is replaced by the lower bound."""
     above = ca.if_else(low <= value, value, low)
     return ca.if_else(above <= high, above, high)

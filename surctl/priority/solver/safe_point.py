@@ -1,4 +1,4 @@
-"""The ladder, compiled for fixed sizes, and called with arrays."""
+"""The safe step, compiled for fixed sizes and called with arrays."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ __all__ = ["SafePoint", "Stage", "idle_row", "least_distance", "nearest_to_zero"
 Array: TypeAlias = NDArray[np.float64]
 Runner: TypeAlias = Callable[..., list[Array]]
 Stage: TypeAlias = Literal["met", "limited", "relaxed", "clamped", "bounded"]
-"""met: task and rows hold; limited: the task as well as the rows allow; relaxed: soft rows opened; clamped: only
-kept in the box; bounded: what a bounded ladder answers where it cannot have both, see `bounded`."""
+"""met: task and rows hold; limited: the task is met as well as the rows allow; relaxed: soft rows opened; clamped: v is
+only moved into the box; bounded: the bounded fallback ended in its stage of constant cost, see `bounded`."""
 
 _STAGES: tuple[Stage, ...] = get_args(Stage)
-_BUCKET = 8  # rows are padded to a multiple of this, so that few sizes are compiled
+_BUCKET = 8  # rows are padded to a multiple of this, to limit the number of compiled sizes
 
 
 @dataclass(frozen=True, eq=False)
 class SafePoint:
-    """Answer of `least_distance`.
+    """Result of `least_distance`.
 
     Attributes:
         v: (n,), finite and inside the box.
-        rung: how it came about.
-        binding: (name, multiplier) of the active rows, of ½‖v − target‖² for the rows as given: positive at an
-            upper bound, negative at a lower one. Empty unless a least-distance problem gave v.
-        opening: by how much soft rows had to open [row of length 1].
-        iterations: of the active-set method, over all rungs.
+        stage: the fallback stage that gave v.
+        binding: (name, multiplier) of the active rows, of ½‖v − target‖² for the rows as passed in: positive at an
+            upper bound, negative at a lower bound. Empty unless v solves a least-distance problem.
+        opening: amount by which soft rows had to open [row of length 1].
+        iterations: number of active-set iterations, over all stages.
     """
 
     v: Array
@@ -51,7 +51,7 @@ class SafePoint:
 
 @cache
 def step_runner(n: int, p: int, m: int) -> Runner:
-    """`safe_tick` of these sizes, compiled once; its replay where there is no compiler: the same numbers, slower."""
+    """`safe_step` of these sizes, compiled once; without a compiler `replay` gives the same numbers, but slower."""
     return runnable(safe_step(n, p, m))
 
 
@@ -72,29 +72,29 @@ def least_distance(
     box: tuple[ArrayLike, ArrayLike] | None = None,
     names: tuple[str, ...] | None = None,
 ) -> SafePoint:
-    """The point nearest to target (n,) with J v = x and lower ≤ A v ≤ upper, or the next best: see `ladder`.
+    """Return the point nearest to target (n,) with J v = x and lower ≤ A v ≤ upper, or the next fallback (`fallback`).
 
-    Every answer is exact to rounding, with two exceptions: where near-parallel rows contradict each other, the opening
-    is the least one but the task may be served less well than the opened rows allow (by 1e-11 times how sharp they
-    are); and rows that meet only far away (1e9 times as far as the box) are opened instead.
+    Results are exact to rounding, with two exceptions. If nearly parallel rows contradict each other, the opening is
+    the smallest one, but the task residual may be larger than the opened rows allow (by 1e-11 divided by the angle
+    between the rows). Rows that intersect only far away (1e9 times the size of the box) are opened instead.
 
     Args:
         target: (n,).
-        A, lower, upper: rows (m, n) and bounds (m,), ±inf where there is none. Any length.
+        A, lower, upper: rows (m, n) of any length and bounds (m,); an absent bound is ±inf.
         J, x: the task, (p, n) and (p,). None: no task.
         soft: (m,), true for rows that may open when the rows contradict each other. None: all may.
-        box: lower and upper (n,), into which v is moved at the end. None: no box. Give its rows in A as well.
-        names: of the rows; "row 0", … if None.
+        box: lower and upper (n,) into which v is moved at the end. None: no box. A must contain its rows as well.
+        names: names of the rows; "row 0", … if None.
 
     Raises:
-        InputError: shapes that disagree, a number that is not finite, or above 1e140 in A or J, bounds that cross; it
-            names the row.
+        InputError: the shapes disagree, a number is not finite, an entry of A or J exceeds 1e140, or bounds cross;
+            the message names the row.
 
     Example:
         >>> import numpy as np
         >>> from surctl.priority import least_distance
         >>> found = least_distance([0.3, 0.4], A=[[1.0, 0.0]], lower=[-np.inf], upper=[0.1], names=("wall",))
-        >>> found.v.round(3).tolist(), found.rung, [(name, round(force, 3)) for name, force in found.binding]
+        >>> found.v.round(3).tolist(), found.stage, [(name, round(force, 3)) for name, force in found.binding]
         ([0.1, 0.4], 'met', [('wall', 0.2)])
     """
     goal = _array("target", target, (None,))
@@ -103,13 +103,13 @@ def least_distance(
     matrix = _array("J", np.zeros((1, n)) if J is None else J, (None, n))
     value = _array("x", np.zeros(1) if x is None else x, (matrix.shape[0],))
     if J is None and value.any():
-        raise InputError("is given without J", key="x")
+        raise InputError("requires J", key="x")
     limits = np.array([np.full(n, -np.inf), np.full(n, np.inf)]) if box is None else _box(box, n)
     m = max(_BUCKET, -(-len(rows) // _BUCKET) * _BUCKET)
     for key, value_of in (("A", rows[:, :n]), ("J", matrix)):
         for i in np.flatnonzero(np.abs(value_of).max(axis=1, initial=0.0) > LONGEST)[:1]:
             raise InputError(
-                "is too long to be squared", key=f"{key}[{i}]", value=value_of[i].tolist(), remedy="use SI units"
+                "is too large to be squared", key=f"{key}[{i}]", value=value_of[i].tolist(), remedy="use SI units"
             )
     padded = np.vstack([rows, np.tile(idle_row(n), (m - len(rows), 1))])
     if matrix.shape[0] == 0:
@@ -127,9 +127,9 @@ def least_distance(
 
 
 def nearest_to_zero(G: Array, lower: Array, upper: Array) -> tuple[Array, Array, int, int]:
-    """min ½‖y‖² with lower ≤ G y ≤ upper, rows of length 1: (y, multipliers (m,), status, iterations).
+    """Solve min ½‖y‖² with lower ≤ G y ≤ upper, rows of length 1: (y, multipliers (m,), status, iterations).
 
-    The status is one of `dual_step` (0: cap reached).
+    The status is one of those in `dual_step` (0: iteration limit reached).
     """
     m, d = G.shape
     size = -(-m // _BUCKET) * _BUCKET
@@ -157,12 +157,12 @@ def _length(a: Array) -> float:
 def _rows(
     n: int, A: ArrayLike, lower: ArrayLike, upper: ArrayLike, soft: ArrayLike | None, names: tuple[str, ...] | None
 ) -> tuple[Array, tuple[str, ...]]:
-    """(m, n + 3) and names, checked."""
+    """The checked rows (m, n + 3) and their names."""
     normals = _array("A", A, (None, n))
     m = len(normals)
     named = tuple(f"row {i}" for i in range(m)) if names is None else names
     if len(named) != m:
-        raise InputError(f"has {len(named)} entries, A has {m} rows", key="names")
+        raise InputError(f"has {len(named)} entries, but A has {m} rows", key="names")
     low, high = _array("lower", lower, (m,), finite=False), _array("upper", upper, (m,), finite=False)
     opens = np.ones(m) if soft is None else (_array("soft", soft, (m,)) != 0.0).astype(float)
     for name, below, above in zip(named, low, high, strict=True):
@@ -179,7 +179,9 @@ def _box(box: tuple[ArrayLike, ArrayLike], n: int) -> Array:
 
 def _check_bounds(key: str, low: float, high: float) -> None:
     if not low <= high or low == np.inf or high == -np.inf:
-        raise InputError("bounds leave no velocity", key=key, value=[low, high], remedy="give lower <= upper, no NaN")
+        raise InputError(
+            "bounds exclude every velocity", key=key, value=[low, high], remedy="give lower <= upper, no NaN"
+        )
 
 
 def _array(key: str, value: ArrayLike, shape: tuple[int | None, ...], *, finite: bool = True) -> Array:
@@ -193,6 +195,6 @@ def _array(key: str, value: ArrayLike, shape: tuple[int | None, ...], *, finite:
     if finite and not np.isfinite(array).all():
         bad = int(np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))[0])
         raise InputError(
-            "is not finite", key=f"{key}[{bad}]", value=array[bad].tolist(), remedy="gate the inputs first"
+            "is not finite", key=f"{key}[{bad}]", value=array[bad].tolist(), remedy="check the inputs for NaN first"
         )
     return array

@@ -1,11 +1,11 @@
-"""The rungs of the safe tick, each a routine over the kernel: the task exact, or served, or rows opened for it.
+"""The stages of the safe step, each a routine over the kernel: exact task, limited task, opened rows.
 
-1. `exact_rung`: the point nearest to the target that meets the task J v = x and every row.
-2. The point that meets the task as well as the rows allow (`served`), and is nearest to the target among those: rung 1
-   again, with J v at its value.
-3. The least t by which the soft rows must open (`opened`), then 2.
+1. `exact_stage`: the point nearest to the target that meets the task J v = x and satisfies every row.
+2. The points that meet the task as well as the rows allow (`least_squares`), and of these the nearest to the target:
+   stage 1 again, with J v fixed at the value found.
+3. The smallest t by which the soft rows must open (`opened`), then stage 2.
 
-`lower_rungs` is one turn of 2 and 3; `ladder` runs the turns.
+`lower_stages` is one pass over stages 2 and 3; `fallback` runs the passes.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from surctl.priority.solver.rows import Sizes
 __all__ = ["LIMITED", "RELAXED", "exact_stage", "lower_stages"]
 
 LIMITED, RELAXED = 2, 3
-"""Status of rungs 2 and 3: task met as well as the rows allow; soft rows opened."""
+"""Status of stages 2 and 3: task met as well as the rows allow; soft rows opened."""
 
 
 def exact_stage(sizes: Sizes) -> Routine:
-    """(unit, target, J, x, skip) → (point, active, multipliers, status, count), the task exact; the point's t is 0.
+    """(unit, target, J, x, skip) → (point, active, multipliers, status, count): stage 1, with opening 0 in the point.
 
-    With independent task rows in n − p unknowns, otherwise in n; a bounded search over a task of several rows does
-    not look into dependent ones, and ends as `SKIPPED`.
+    Independent task rows are eliminated, which leaves n − p unknowns; otherwise there are n. The bounded fallback does
+    not handle dependent rows of a task with several rows; it then ends with status `SKIPPED`.
     """
     n, p, fast = sizes.n, sizes.p, sizes.fast
     outputs = ("point", "active", "multipliers", "status", "count")
@@ -55,7 +55,7 @@ def exact_stage(sizes: Sizes) -> Routine:
 
 
 def _reflected(sizes: Sizes, d: int) -> Program:
-    """(target, J, x, skip) → origin, start, Z of the fast kernel; whether that is all to do; whether to skip it."""
+    """(target, J, x, skip) → origin, start, Z of the fast kernel; whether it is sufficient; whether to skip it."""
     n, p = sizes.n, sizes.p
     target, J, x, skip = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("x", p), ca.SX.sym("skip")
     left = reflect(as_matrix(J, n), x, target, sizes.precision)
@@ -70,14 +70,14 @@ def _reflected(sizes: Sizes, d: int) -> Program:
 
 
 def _padded(n: int, d: int) -> Program:
-    """Active rows and multipliers with the slots that the fast kernel does not have, empty."""
+    """Active rows and multipliers of the fast kernel, extended by empty slots."""
     pair = [ca.SX.sym("active", d), ca.SX.sym("multipliers", d)]
     wide = [ca.densify(ca.vertcat(a, ca.SX.zeros(n - d, 1))) for a in pair]
     return lower(ca.Function("padded", pair, wide))
 
 
 def _otherwise(sizes: Sizes) -> Routine:
-    """The one turn of a loop that runs where the task rows are dependent: the general kernel in place of the fast."""
+    """Body of a loop that runs once if task rows are dependent: the general kernel replaces the fast one."""
     n, p = sizes.n, sizes.p
     sizes_of = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("ends", 1))
     fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("skip", 1))
@@ -90,7 +90,7 @@ def _otherwise(sizes: Sizes) -> Routine:
 
 
 def _dependent(sizes: Sizes) -> Routine:
-    """As `exact_rung`, for any task rows: those that depend on rows above them are passed over."""
+    """Variant of `exact_stage` for any task rows: a row that depends on earlier rows is skipped."""
     n, p = sizes.n, sizes.p
     target, J, x = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("x", p)
     matrix = as_matrix(J, n)
@@ -98,7 +98,7 @@ def _dependent(sizes: Sizes) -> Routine:
     spanned = [left.rank > i for i in range(n)]
     free = ca.horzcat(*(ca.if_else(spanned[i], 0, left.basis[:, i]) if i < p else left.basis[:, i] for i in range(n)))
     base = target + left.lift @ (x - matrix @ target)
-    base = base + left.lift @ (x - matrix @ base)  # a far target costs digits: once more
+    base = base + left.lift @ (x - matrix @ base)  # a far target costs digits, so the correction is repeated
     outputs = [ca.vertcat(base, 0), flat(free)]
     prepare = lower(ca.Function("eliminated", [target, J, x], list(map(ca.densify, outputs))))
     results = ("point", "active", "multipliers", "status", "count")
@@ -111,7 +111,7 @@ def _dependent(sizes: Sizes) -> Routine:
 
 
 def lower_stages(sizes: Sizes) -> Routine:
-    """Rungs 2 and 3: serve the task inside the rows; if no point keeps them, open the soft ones for the next turn."""
+    """Stages 2 and 3: meet the task as well as the rows allow; if infeasible, open soft rows for the next pass."""
     n, p = sizes.n, sizes.p
     state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("safe", 1))
     fixed = (("unit", sizes.rows), ("target", n), ("near", n), ("J", p * n), ("x", p))
@@ -145,7 +145,7 @@ def lower_stages(sizes: Sizes) -> Routine:
 
 
 def _again(sizes: Sizes) -> Routine:
-    """The one turn of a loop that runs where the task was served: rung 1 with its value, and whether it keeps rows."""
+    """Body of a loop that runs once after stage 2 found a task value: stage 1 with it, and a feasibility check."""
     n, p = sizes.n, sizes.p
     state = (
         ("point", n + 1), ("active", n), ("multipliers", n), ("end", 1), ("count", 1), ("feasible", 1), ("no", 1),
@@ -161,7 +161,7 @@ def _again(sizes: Sizes) -> Routine:
 
 
 def _opening_turn(sizes: Sizes) -> Routine:
-    """The one turn of a loop that runs where it was not: the least opening."""
+    """Body of a loop that runs once if stage 2 found no point: the smallest opening."""
     n = sizes.n
     state = (("point", n + 1), ("solved", 1), ("feasible", 1), ("count", 1), ("yes", 1))
     after = tuple(f"{name}_next" for name, _ in state)
@@ -173,18 +173,18 @@ def _opening_turn(sizes: Sizes) -> Routine:
 
 
 def _done(flag: str) -> Program:
-    """That the one turn was made."""
+    """A flag that ends the loop after one pass."""
     return lower(ca.Function("done", [ca.SX.sym(flag)], [ca.SX.ones(1)]))
 
 
 def _opening(n: int) -> Program:
-    """The opening of a point."""
+    """point → its opening."""
     point = ca.SX.sym("point", n + 1)
     return lower(ca.Function("opening", [point], [point[n]]))
 
 
 def _open_row(sizes: Sizes) -> Program:
-    """A row with its bounds moved outwards by the opening of the point, if it is soft."""
+    """A row whose bounds are moved outwards by the opening of the point, if it is soft."""
     n = sizes.n
     row, point = ca.SX.sym("row", n + 3), ca.SX.sym("point", n + 1)
     widening = row[n + 2] * point[n]
@@ -193,7 +193,7 @@ def _open_row(sizes: Sizes) -> Program:
 
 
 def _value(sizes: Sizes) -> Program:
-    """(served point, end, J) → the task's value there, and whether there is none, one; 0."""
+    """(least-squares point, end, J) → its task value, whether there is no point, whether there is one, and 0."""
     n, p = sizes.n, sizes.p
     point, end, J = ca.SX.sym("point", n + 1), ca.SX.sym("end"), ca.SX.sym("J", p * n)
     good = ca.eq(end, OPTIMAL)
@@ -202,7 +202,7 @@ def _value(sizes: Sizes) -> Program:
 
 
 def _outcome(sizes: Sizes) -> Program:
-    """The better of served and solved again; or, if neither, the opened rows' point and their opening."""
+    """The better of the two results of stage 2; if there is none, the point of the opened rows and its opening."""
     n = sizes.n
     point, count, safe = ca.SX.sym("point", n + 1), ca.SX.sym("count"), ca.SX.sym("safe")
     yes, feasible, wide = ca.SX.sym("yes"), ca.SX.sym("feasible"), ca.SX.sym("wide", n + 1)

@@ -1,4 +1,4 @@
-"""Random least-distance problems that are meant to break a solver, and a referee that trusts none."""
+"""Random least-distance problems that are difficult for a solver, and an independent check of the solutions."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ Array: TypeAlias = NDArray[np.float64]
 
 FAMILIES = (
     "plain",  # random rows
-    "doubled",  # rows that stand twice, some with different bounds
-    "parallel",  # pairs of rows 1e-3 … 1e-9 rad apart
-    "degenerate",  # many rows through one point
-    "opposed",  # soft rows that contradict each other, or leave exactly one value
+    "doubled",  # repeated rows, some with different bounds
+    "parallel",  # pairs of rows with an angle of 1e-3 … 1e-9 rad
+    "degenerate",  # many rows that intersect in one point
+    "opposed",  # soft rows that contradict each other, or allow exactly one value
     "scaled",  # rows of length 1e-8 … 1e8
-    "dependent",  # a task with doubled, zero or contradicting rows
-    "far",  # a target far outside
+    "dependent",  # a task with repeated, zero or contradicting rows
+    "far",  # a target far outside the feasible set
 )
-"""Kinds of problems; a problem has the features of one or of several."""
+"""Kinds of problems; a problem has the features of one or several kinds."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trials:
-    """A batch of problems, in the arrays that `surctl.priority.solver.fallback.safe_tick` takes.
+    """A batch of problems, in the arrays that `surctl.priority.solver.fallback.safe_step` takes.
 
     Attributes:
         target: (N, n). J: (N, p·n). x: (N, p). rows: (N, m·(n + 3)). box: (N, 2n).
-        features: (N, len(FAMILIES)), which features a problem has.
+        features: (N, len(FAMILIES)), the features of each problem.
     """
 
     target: Array
@@ -43,11 +43,11 @@ class Trials:
 
     @property
     def arrays(self) -> tuple[Array, Array, Array, Array, Array]:
-        """The five arrays, in order."""
+        """The five arrays of problem data, in the order of the attributes."""
         return self.target, self.J, self.x, self.rows, self.box
 
     def unit(self) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """A (N, m, n) with rows of length 1, lower, upper (N, m), and which rows are soft."""
+        """A (N, m, n) with rows of length 1, lower, upper (N, m), and a mask of the soft rows."""
         n = self.target.shape[1]
         rows = self.rows.reshape(len(self.rows), -1, n + 3)
         A, length = rows[..., :n], np.linalg.norm(rows[..., :n], axis=2)
@@ -55,7 +55,7 @@ class Trials:
         return A / length[..., None], rows[..., n] / length, rows[..., n + 1] / length, rows[..., n + 2] > 0
 
     def __getitem__(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Trials:
-        """The chosen problems."""
+        """Return the batch that contains only the chosen problems."""
         return Trials(
             self.target[chosen],
             self.J[chosen],
@@ -67,12 +67,12 @@ class Trials:
 
 
 def draw_trials(count: int, *, n: int = 4, p: int = 2, m: int = 24, seed: int = 0, mixed: bool = True) -> Trials:
-    """Random problems: n box rows and some thrust rows, hard and consistent (they hold 0), the rest soft.
+    """Random problems: n box rows and some thrust rows are hard and consistent (0 satisfies them), the rest are soft.
 
     Args:
         count: number of problems N.
-        n, p, m: velocities, task rows, rows; m > n.
-        seed: of numpy's PCG64.
+        n, p, m: number of velocities, task rows, rows; m > n.
+        seed: seed of numpy's PCG64 generator.
         mixed: give each problem 0–3 features of `FAMILIES`; otherwise all are plain.
     """
     rng = np.random.default_rng(seed)
@@ -145,12 +145,12 @@ def _task(inside: Array, p: int, has: dict[str, NDArray[np.bool_]], rng: np.rand
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """Residuals of an answer that claims to be optimal, each relative to 1 + max |v|, |target|; all (N,).
+    """KKT residuals of a solution that is reported as optimal, relative to 1 + max |v|, |target|; all (N,).
 
     Attributes:
-        missed: of rows of length 1. task: of task rows of length 1.
-        stationary: what target − v keeps outside the cone of active rows and the span of J.
-        loose: largest distance of a row with a multiplier from its bound.
+        missed: violation of rows of length 1. task: residual of task rows of length 1.
+        stationary: part of target − v outside the cone of active rows and the span of J.
+        loose: largest distance between a row with a multiplier and its bound.
         negative: largest multiplier of the wrong sign.
     """
 
@@ -161,7 +161,7 @@ class Verdict:
     negative: Array
 
     def worst(self) -> Array:
-        """(N,), the largest of all; the answer is that of the KKT conditions when it vanishes."""
+        """The largest of all residuals (N,); the KKT conditions hold when it is 0."""
         every = (self.missed, self.task, self.stationary, self.loose, self.negative)
         largest: Array = np.max(np.stack(every), axis=0)
         return largest

@@ -435,7 +435,7 @@ def test_an_array_in_place_of_a_view_is_refused() -> None:
 
 
 def test_before_the_first_tick_there_is_no_rung() -> None:
-    with pytest.raises(InputError, match=r"no answer yet; call solve\(\) first"):
+    with pytest.raises(InputError, match=r"no solution yet; call solve\(\) first"):
         _ = PriorityStep("nsb", n=N, levels=VALUES, rows=1).stage
 
 

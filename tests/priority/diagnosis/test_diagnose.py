@@ -116,7 +116,7 @@ def test_what_only_samples_show_is_not_called_a_proof():
     assert found.equality.verdict == "on all samples"
     assert found.equality.largest < 1e-12
     assert (found.pairs[0].kind, found.pairs[0].structural) == ("orthogonal", False)
-    assert "which is no proof" in str(found)
+    assert "which is not a proof" in str(found)
 
 
 def test_a_doubled_task_is_dependent_and_met_only_when_it_agrees():
@@ -225,7 +225,7 @@ def test_what_the_expressions_show_holds_at_every_sample(tasks, seed):
 def test_one_task_is_trivially_equal_and_a_fixed_pose_is_one_sample():
     found = look(HEADING, region=([0, 0, 0, 1.0], [0, 0, 0, 1.0]))
     assert (found.samples, found.equality.verdict, found.pairs) == (1, "everywhere", ())
-    assert "One task: NSB is strict priority." in str(found)
+    assert "With one task, NSB equals strict priority." in str(found)
     assert "point_0" not in found.region  # no task uses it
 
 
@@ -261,8 +261,8 @@ def test_a_bad_region_names_the_axis(region, message):
         ([(POINT, 1.0, 0.0)], "parameters: point_0 = .*bounds cross"),
         ([(POINT, [0.0, math.nan], 1.0)], "parameters: point_1 = .*is not finite"),
         ([(POINT, [0.0, 0.0, 0.0], 1.0)], "lower corner has 3 entries"),
-        ([(POINT, 0.0, 1.0), (POINT[1], 0.0, 1.0)], "given twice"),
-        ([(ETA, 0.0, 1.0)], "given twice"),
+        ([(POINT, 0.0, 1.0), (POINT[1], 0.0, 1.0)], "has two ranges"),
+        ([(ETA, 0.0, 1.0)], "has two ranges"),
         ([(POINT + 1.0, 0.0, 1.0)], "is not an SX symbol"),
         ([(POINT, 1.0)], "is not a symbol with a range"),
     ],

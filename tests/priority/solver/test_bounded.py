@@ -191,7 +191,7 @@ def test_a_set_based_first_level_and_mode_filter_have_it_too() -> None:
     [
         ({"mode": "nsb"}, "mode nsb has none.*filter or projected"),
         ({"mode": "lexicographic"}, "mode lexicographic has none"),
-        ({"mode": "projected", "damping": 0.1}, "no damping"),
+        ({"mode": "projected", "damping": 0.1}, "combined with damping"),
         ({"mode": "projected", "fallback": "bound"}, "did you mean 'bounded'"),
     ],
 )
