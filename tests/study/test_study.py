@@ -191,7 +191,7 @@ def test_a_vehicle_file_flies_the_built_in_study_with_that_vehicle(tmp_path):
 def test_a_vehicle_that_fits_nowhere_is_told_why(tmp_path):
     file = own_vehicle(tmp_path)
     file.write_text(file.read_text().replace("value = 0.27", "value = 2.6"))
-    with pytest.raises(InputError, match=r"no scenario can be flown.*tank-static"):
+    with pytest.raises(InputError, match=r"the vehicle fits no scenario.*tank-static"):
         load_plan(str(file))
 
 
