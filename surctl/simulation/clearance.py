@@ -109,7 +109,7 @@ def _at_moving(obstacle: Obstacle, scenario: Scenario, vehicle: Vehicle) -> list
     when = float(np.linalg.norm(end - centre)) / speed
     if obstacle.removed:
         text = (
-            f"the obstacle ends on the target and is removed at {when:.1f} s; the robot at cruise speed is there at "
+            f"the obstacle ends on the target and is removed at {when:.1f} s; at cruise speed the robot is there at "
             f"{scenario.path.length / scenario.cruise:.1f} s, but cannot arrive while the obstacle is near"
         )
         return [Finding("warning", f"{key}.to_m", text)]
@@ -145,7 +145,7 @@ def _gap(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
     text = (
         f"the widest passage to the target leads between {gap.between[0]} and {gap.between[1]} near "
         f"({gap.place[0]:.2f}, {gap.place[1]:.2f}): {max(gap.width, 0.0):.3f} m wide{drifts}; the hull of "
-        f"{vehicle.name} needs {hull:.3f} m, or {hull + 2 * error:.3f} m with an error of {error:g} m to either side"
+        f"{vehicle.name} needs {hull:.3f} m, or {hull + 2 * error:.3f} m with an error of {error:g} m on either side"
     )
     if gap.always >= hull:
         return [Finding("warning", "obstacles" if scenario.obstacles else "site", text)]
@@ -170,8 +170,8 @@ def _passes(scenario: Scenario, clearance: float, z: float, *, hull: float) -> b
 def layers(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[float]:
     """Return z [m] of the depths that the law tries besides the path's depth, see `control.layers`.
 
-    Depths above come first, the nearest first. The list is empty if the mission has no `depths`. Obstacles that the
-    echo sounders may detect on the way to a depth are not considered.
+    Depths above the path come first, the nearest first. The list is empty if the mission has no `depths`. Obstacles
+    that the echo sounders may detect on the way to a depth are not considered.
     """
     if scenario.depths is None:
         return []

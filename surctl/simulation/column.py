@@ -35,7 +35,7 @@ LONGEST = 10.0
 
 
 def beside(bodies: Sequence[Body], z: float, hull: float) -> list[Body]:
-    """Return the obstacles that a hull of this radius [m] at depth z can touch when it moves horizontally."""
+    """Return the obstacles that a hull of this radius [m] at z can touch when it moves horizontally."""
     return [body for body in bodies if body.heights.crosses(z, hull + BAND)]
 
 

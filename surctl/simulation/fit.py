@@ -113,8 +113,8 @@ def _short(scenario: Scenario, array: SonarArray, vehicle: Vehicle, gains: Gains
     if stop <= array.maximum:
         text += (
             f"but the law plans with the weaker of surge and sway, {min(vehicle.thrust_limit[:2]):g} N, and needs "
-            f"{braking:.2f} m: with sonars it will stay slower than that"
+            f"{braking:.2f} m: with sonars the law stays below the cruise speed"
         )
     else:
-        text += "which is farther: with sonars it will stay slower than that"
+        text += "which exceeds this range: with sonars the law stays below the cruise speed"
     return [Finding("error", "sonar.maximum_m", text)]

@@ -51,7 +51,7 @@ def closed_loop_system(
 
     Args:
         scenario, vehicle, gains, seed, model: as for `simulate`.
-        law: a law without sonar inputs; default: that of `build_law`.
+        law: a law without sonar inputs; default: the law that `build_law` returns.
 
     Returns:
         The system and its state at the start. Inputs `Fu_cmd` … `Fr_cmd` [N, N m] are added to the law's command. The

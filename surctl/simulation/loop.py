@@ -46,7 +46,7 @@ def simulate(
         scenario: the mission.
         vehicle: the simulated vehicle.
         gains: the law's gains.
-        law: default: that of `build_law`, with sonars if `sensing` is `sonar`.
+        law: the law; default: the law that `build_law` returns, with sonars if `sensing` is `sonar`.
         sensing: `truth`: the law receives every obstacle and its own pose exactly; `sonar`: it receives the echoes of
             its sonars, and measurements with noise of the moving obstacles and of its own pose.
         seed: seed of all random choices.

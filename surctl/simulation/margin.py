@@ -213,7 +213,10 @@ class Bound:
         return closing**2 * heaviest / (2 * self.gains["brake"] * weakest) + (closing + obstacle) * reaction
 
     def excess(self, speed: float) -> float:
-        """Return the speed excess [m/s] at which the velocity loop, with drag feedforward, commands least thrust."""
+        """Return the speed excess over the bound [m/s] at which the velocity loop commands the least braking thrust.
+
+        The velocity loop compensates drag by feedforward.
+        """
         v, pairs = max(speed, 0.0), (("Xu", "Xuu"), ("Yv", "Yvv"))
         drag = max(self.vehicle[a] * v + self.vehicle[b] * v**2 for a, b in pairs)
         return (self.brakes.least + drag) / (self.gains["k_v"] * (1 + BRAKE) * float(min(self.vehicle.mass[:2])))

@@ -60,7 +60,7 @@ METRICS: Mapping[str, MetricSpec] = MappingProxyType(
         "time_s": MetricSpec("s", "time at which the run ended", "low"),
         "min_clearance_m": MetricSpec("m", "smallest distance between the hull and an obstacle or a wall", "high"),
         "path_error_m": MetricSpec(
-            "m", "rms distance to the path, three axes, outside avoidance; NaN if there is none", "low"
+            "m", "rms distance to the path in three axes outside avoidance; NaN without such samples", "low"
         ),
         "deviation_m": MetricSpec("m", "rms horizontal distance to the path over the whole run", "low"),
         "max_deviation_m": MetricSpec("m", "largest horizontal distance to the path", "low"),
@@ -68,7 +68,7 @@ METRICS: Mapping[str, MetricSpec] = MappingProxyType(
         "overshoot_m": MetricSpec("m", "largest overshoot past the target along the last leg", "low"),
         "length_m": MetricSpec("m", "length of the path that the robot travelled", "low"),
         "effort_n": MetricSpec("N", "mean magnitude of the horizontal thrust command", "low"),
-        "peak_thrust_share": MetricSpec("1", "largest |thrust command| over its limit, any axis", "low"),
+        "peak_thrust_share": MetricSpec("1", "largest ratio of a thrust command to its limit, over all axes", "low"),
         "saturated_share": MetricSpec("1", "share of control steps with a thrust command at its limit", "low"),
         "thrust_rate_n_per_s": MetricSpec("N/s", "rms rate of change of the horizontal thrust command", "low"),
         "stopped": MetricSpec("1", "why the run ended: " + ", ".join(f"{k} {w}" for k, w in enumerate(STOPS)), None),

@@ -12,7 +12,7 @@ from surctl.vehicle import Vehicle
 __all__ = ["VISITED", "law_numbers"]
 
 VISITED = 0.5
-"""Share of the visit distance that the law requires of its measured position (*chosen*).
+"""Share of the visit distance within which the law counts a corner as visited by its measured position (*chosen*).
 
 The rest of the distance covers the error of that position.
 """

@@ -20,7 +20,7 @@ from surctl.simulation.scenario import Scenario
 
 __all__ = ["Gap", "tightest_gap"]
 
-_CELLS = 250  # along the site's diagonal: 45 mm in the tank, 14 mm in the pool
+_CELLS = 250  # grid cells along the site's diagonal; a cell is 45 mm in the tank and 14 mm in the pool
 
 Field = NDArray[np.float64]
 Cell = tuple[int, int]
@@ -70,8 +70,8 @@ def tightest_gap(scenario: Scenario, clearance: float, *, depth: float | None = 
 
     Args:
         scenario: the mission with its site and obstacles; moving obstacles are ignored.
-        clearance: half the required width [m]. If start or target have less clearance, the path begins or ends where
-            a climb along the grid towards more clearance stops.
+        clearance: half the required width [m]. If the start or the target has less clearance, the search moves it
+            along the grid to a point with enough clearance, or to a local maximum of the clearance.
         depth: z [m] of the path; default: that of the scenario. Obstacles that are more than `clearance` above or below
             this depth are ignored.
     """

@@ -154,39 +154,63 @@ def safety_claim(
     short = [speed for speed, margin in needed.items() if margin > gains["margin"]]
     sight = range_needed(brakes, watch, scenario.cap, obstacle=covered, stopping=stopping_distance_with_drag)
     assumptions: tuple[Figure, ...] = (
-        Figure("obstacle speed", covered, "m/s", "largest towards the vehicle at all times, as the law knows it"),
-        Figure("detection range", detection, "m", "from the hull, at which an obstacle is certainly detected"),
-        Figure("least thrust", brakes.least, "N", f"against the motion: {share:.0%} of the stated limit"),
-        Figure("largest thrust", brakes.most, "N", "that may still act towards the obstacle when braking begins"),
+        Figure(
+            "obstacle speed",
+            covered,
+            "m/s",
+            "largest speed towards the vehicle at all times, both true and as known to the law",
+        ),
+        Figure("detection range", detection, "m", "distance from the hull at which an obstacle is certainly detected"),
+        Figure(
+            "least thrust",
+            brakes.least,
+            "N",
+            f"thrust that certainly acts against the motion: {share:.0%} of the stated limit",
+        ),
+        Figure(
+            "largest thrust", brakes.most, "N", "thrust that may still act towards the obstacle when braking begins"
+        ),
         Figure("thrust lag", brakes.lag, "s", "time constant of the first-order lag"),
         Figure("least mass", brakes.masses[0], "kg", "lower bound of m11 and m22"),
         Figure("largest mass", brakes.masses[1], "kg", "upper bound of m11 and m22"),
-        Figure("least quadratic drag", brakes.quadratic[0], "N s^2/m^2", "lower bound, surge and sway, ahead"),
-        Figure("largest quadratic drag", brakes.quadratic[1], "N s^2/m^2", "upper bound, surge and sway, astern"),
+        Figure(
+            "least quadratic drag", brakes.quadratic[0], "N s^2/m^2", "lower bound in surge and sway, for motion ahead"
+        ),
+        Figure(
+            "largest quadratic drag",
+            brakes.quadratic[1],
+            "N s^2/m^2",
+            "upper bound in surge and sway, for motion astern",
+        ),
         Figure(
             "push",
             brakes.disturbance,
             "N",
             "force towards the obstacle by waves, drift, sideways drag and, in a turn, the mass difference",
         ),
-        Figure("current", brakes.current, "m/s", "of the water towards the obstacle"),
-        Figure("turn rate", turning, "rad/s", "of the hull while it brakes"),
-        Figure("mass difference", difference, "kg", "largest |m11 - m22|; in a turn it causes a force"),
+        Figure("current", brakes.current, "m/s", "speed of the water towards the obstacle"),
+        Figure("turn rate", turning, "rad/s", "yaw rate of the hull while it brakes"),
+        Figure("mass difference", difference, "kg", "largest |m11 - m22|, which causes a force in a turn"),
         Figure("sideways speed", sideways, "m/s", "largest sideways speed when braking begins"),
         Figure("speed cap", scenario.cap, "m/s", "largest own speed"),
-        Figure("sampling time", watch.period, "s", "between two decisions of the law"),
+        Figure("sampling time", watch.period, "s", "time between two decisions of the law"),
         Figure("range error", watch.range_error, "m", "largest error of a measured range"),
         Figure("range age", watch.age, "s", "largest age of a range when the law uses it"),
         Figure("speed error", watch.speed_error, "m/s", "largest error of the measured speed"),
     )
     if scenario.depths is not None:
-        coverage = "beyond the hull: the echo sounders detect every obstacle over or under this larger disc"
-        fan = "beyond the hull, above and below: the robot passes over or under obstacles outside this fan"
+        coverage = "extra radius beyond the hull: the echo sounders detect every obstacle over or under this disc"
+        fan = "thickness beyond the hull, above and below: the robot passes over or under obstacles outside this fan"
         assumptions += (Figure("sounder footprint", FOOTPRINT, "m", coverage), Figure("sonar fan", BAND, "m", fan))
     derived = (
-        Figure("range needed", sight, "m", "at which that obstacle must be detected, at the speed cap"),
-        Figure("margin needed", max(needed.values()), "m", "beyond the law's bound, at the worst speed"),
-        Figure("margin", gains["margin"], "m", "in the gains"),
+        Figure("range needed", sight, "m", "distance at which that obstacle must be detected, at the speed cap"),
+        Figure(
+            "margin needed",
+            max(needed.values()),
+            "m",
+            "margin that the vehicle needs beyond the law's bound, at the worst speed",
+        ),
+        Figure("margin", gains["margin"], "m", "margin in the gains"),
         Figure("covered speed", min(short, default=scenario.cap), "m/s", "own speed up to which that margin is enough"),
         Figure(
             "covered difference",
@@ -200,7 +224,9 @@ def safety_claim(
             "m/s",
             "speed over the bound, at the cap, at which the velocity loop commands the least thrust",
         ),
-        Figure("fastest obstacle", fastest_obstacle(brakes), "m/s", "above this speed, braking guarantees nothing"),
+        Figure(
+            "fastest obstacle", fastest_obstacle(brakes), "m/s", "obstacle speed above which braking guarantees nothing"
+        ),
     )
     what = "an obstacle at rest" if movers == "predict" else f"an obstacle that approaches at up to {covered:.3g} m/s"
     statement = f"the hull never touches {what} (one obstacle at a time, barrier {barrier})"

@@ -73,7 +73,8 @@ class Scenario:
         site: length along x, width along y, depth [m]; one corner of the floor plan is the origin.
         vehicle: name or path of the default vehicle of the mission.
         launch: distance around the hull [m] in which the operator ensures free water at the start. A law with sonars
-            relies on it, and a nearer obstacle is an error. It is 0.5 m in the built-in missions, or less if needed.
+            relies on it, and a nearer obstacle is an error. It is 0.5 m in the built-in missions, or less if an
+            obstacle is nearer.
         sensors: sonars and their faults, base station, and measurement of the own state.
         uncertainty: ranges of the numbers that a Monte Carlo campaign draws.
         depths: lowest and highest z [m] that the hull may use if the target can only be reached at another depth;
@@ -207,7 +208,7 @@ def _check(scenario: Scenario) -> None:
         -scenario.site[2] <= scenario.depths[0] < scenario.depth < scenario.depths[1] <= 0
     ):
         raise InputError(
-            f"does not enclose the path's depth of {scenario.depth:g} by two depths in the water",
+            f"must be a depth below and a depth above the path's depth of {scenario.depth:g}, both in the water",
             file=source,
             key="depths_m",
             value=list(scenario.depths),

@@ -43,12 +43,12 @@ class Study:
     """A finished study.
 
     Attributes:
-        passed: whether every deciding note of the summary holds.
+        passed: whether every note that counts towards the result passes.
         notes: the notes of the summary.
         runs: simulated runs with true positions and with sonar, in the plan's order.
-        inapplicable: claims that do not concern the vehicle, with the reason; they decide if the plan names them.
-        deciding: for each run, whether its result decides about the study.
-        replayed: the sonar runs that the exported C replayed: runs of deciding legs with the exported law.
+        inapplicable: claims that do not concern the vehicle, with the reason; they fail if the plan names them.
+        deciding: for each run, whether it counts towards the result of the study.
+        replayed: the sonar runs that the exported C replayed: runs of the exported law where the hull fits the site.
         linear: linear analysis of the nominal vehicle, and the worst one over the corners of its ranges.
         sil: software-in-the-loop (SIL) reports, one for each replayed run.
     """
@@ -71,7 +71,7 @@ class Study:
 
     @property
     def passed(self) -> bool:
-        """Whether every deciding note holds."""
+        """Whether every note that counts towards the result passes."""
         return all(note.passed is not False for note in self.notes)
 
     def to_dict(self) -> dict[str, Any]:

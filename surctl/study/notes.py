@@ -1,4 +1,4 @@
-"""The summary of a study: notes that pass, notes that fail, and notes that do not decide."""
+"""The summary of a study: notes that pass, notes that fail, and notes that do not count towards the result."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ __all__ = ["Note", "left_out", "summary"]
 
 @dataclass(frozen=True)
 class Note:
-    """One line of the study's summary; `passed` is None if it does not decide, `about` names a part of the report."""
+    """One line of the study's summary, about one part of the report.
+
+    `passed` is None if the note does not count towards the result; `about` names the part of the report.
+    """
 
     passed: bool | None
     text: str
@@ -39,7 +42,7 @@ def summary(
         swept: the sweep of the study.
         margins: stability margins of the velocity loops.
         verdicts: verdicts on the claims of the study.
-        runs: runs of the study, each with a flag that says whether it decides.
+        runs: runs of the study, each with a flag that says whether it counts towards the result.
         sil: software-in-the-loop (SIL) reports, one for each run that the exported law replayed.
     """
     notes = []
@@ -79,7 +82,7 @@ def summary(
     for leg in plan.legs:
         if leg.exclusion or leg.misfit:
             reason = leg.exclusion or leg.misfit
-            notes.append(Note(None, f"{leg.scenario.name} does not decide: {reason}"))
+            notes.append(Note(None, f"{leg.scenario.name} does not count towards the result: {reason}"))
     worst = max((max(r.tau.mixed, r.state.mixed, r.telemetry.mixed) for r in sil), default=0.0)
     steps, cases = sum(r.steps for r in sil), sum(r.fault_cases for r in sil)
     passed = bool(sil) and all(r.conclusive for r in sil)

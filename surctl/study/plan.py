@@ -60,7 +60,7 @@ class Leg:
 
     Attributes:
         exclusion: reason why the scenario cannot be simulated at all, or None.
-        misfit: reason why the hull does not fit the site, or None; such a run is shown but does not decide.
+        misfit: reason why the hull does not fit the site, or None; such a run is shown but does not count.
     """
 
     scenario: Scenario
@@ -89,7 +89,7 @@ class Plan:
 
     @property
     def deciding(self) -> tuple[Leg, ...]:
-        """The legs whose runs with true positions decide about the study."""
+        """The legs whose runs with true positions count towards the result of the study."""
         return tuple(leg for leg in self.legs if leg.exclusion is None and leg.misfit is None)
 
     @property
@@ -187,7 +187,12 @@ def _plan(study: _StudyFile, path: Path, *, lenient: bool = False, goals: str | 
     )
     if not plan.deciding:
         reasons = "; ".join(f"{leg.scenario.name}: {leg.exclusion or leg.misfit}" for leg in legs)
-        raise InputError(f"the vehicle fits no scenario ({reasons})", file=path, key="runs", remedy="add a larger site")
+        raise InputError(
+            f"the vehicle fits no scenario ({reasons})",
+            file=path,
+            key="runs",
+            remedy="add a scenario with a larger site",
+        )
     return plan
 
 

@@ -153,7 +153,7 @@ MISTAKES = {
     "depths without the path's": (
         _edited("depth_m = -0.15", "depth_m = -0.15\ndepths_m = [-0.9, -0.3]"),
         "depths_m = [-0.9, -0.3]",
-        "does not enclose the path's depth of -0.15",
+        "must be a depth below and a depth above the path's depth of -0.15",
     ),
     "depths out of the water": (
         _edited("depth_m = -0.15", "depth_m = -0.15\ndepths_m = [-0.9, 0.1]"),

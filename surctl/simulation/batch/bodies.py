@@ -67,7 +67,7 @@ class Body:
         return replace(self, present=ca.logic_and(self.present, self._gap(z) < hull + BAND))
 
     def over_and_under(self, place: ca.SX, hull: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the free water [m] that the obstacle leaves above and below a hull at (3, 1), at most `LONGEST`."""
+        """Return the free water [m] that the obstacle leaves above and below a hull at `place`, at most `LONGEST`."""
         if self.heights is None:
             return ca.SX(LONGEST), ca.SX(LONGEST)
         bottom, top, z = self.heights[0], self.heights[1], place[2]

@@ -115,7 +115,7 @@ class Replay:
         return toml_text(table)
 
     def difference(self, run: Run) -> float:
-        """Return the largest difference between a metric of this replay and of a run.
+        """Return the largest difference of any metric between this replay and a run.
 
         The difference is absolute in the metric's unit for values up to 1, and relative for larger values. It is inf if
         the run ended for another reason, or if other metrics are finite.

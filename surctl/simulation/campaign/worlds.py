@@ -84,7 +84,7 @@ def world_table(name: str, vehicle: Vehicle, obstacles: Sequence[Mapping[str, An
         "kind": "scenario",
         "name": name,
         "title": "A random world",
-        "provenance": "drawn; site, path and speeds as the paper's tank",
+        "provenance": "random obstacles; site, path and speeds as in the paper's tank",
         "vehicle": vehicle.name,
         "path_m": [list(START), list(TARGET)],
         "depth_m": -0.15,
@@ -93,7 +93,7 @@ def world_table(name: str, vehicle: Vehicle, obstacles: Sequence[Mapping[str, An
         "time_limit_s": 300.0,
         "site": {"length_m": LENGTH, "width_m": WIDTH, "depth_m": 5.0},
         "obstacles": [dict(o) for o in obstacles],
-        "paper": {"result": "none: drawn"},
+        "paper": {"result": "none: a random world"},
     }
 
 
