@@ -111,7 +111,7 @@ def cannot_write(place: Path, error: Exception) -> InputError:
     """Return the error for a full disk or a folder that cannot be written."""
     reason = getattr(error, "strerror", None) or str(error)
     return InputError(
-        f"cannot be written ({reason}); finished chunks are safe",
+        f"cannot be written ({reason}); finished chunks are kept",
         file=place,
         remedy="free disk space or name another folder with --out; the same command resumes",
     )

@@ -172,9 +172,9 @@ def test_a_cruise_that_the_thrust_cannot_hold() -> None:
     """2 s + 60 s² = 5 N at s = 0.2725 m/s: 0.2 m/s against 0.0725 m/s."""
     assert _found(_with(disturbance=Disturbance(current_m_per_s=(-0.072, 0.0)))) == {}
     text = _found(_with(disturbance=Disturbance(current_m_per_s=(-0.074, 0.0))))["error", "cruise_m_per_s"]
-    assert "0.274 m/s through the water" in text and "5.05 N" in text and "give 5.00 N" in text
+    assert "0.274 m/s through the water" in text and "5.05 N" in text and "deliver 5.00 N" in text
     weak = Disturbance(current_m_per_s=(-0.072, 0.0), thrust_error=0.05)
-    assert "give 4.75 N" in _found(_with(disturbance=weak))["error", "cruise_m_per_s"]
+    assert "deliver 4.75 N" in _found(_with(disturbance=weak))["error", "cruise_m_per_s"]
     assert _found(_with(disturbance=Disturbance(current_m_per_s=(0.074, 0.0)))) == {}
 
 

@@ -117,5 +117,5 @@ def test_the_way_to_stop_is_that_of_surge_and_the_law_s_caution_is_told_apart() 
     [told] = [f for f in findings(TANK, boat) if f.key == "sonar.maximum_m"]
     brake, reaction = (load_gains("default")[name] for name in ("brake", "reaction"))
     ahead, weak = (TANK.cruise**2 / (2 * brake * f / 50.0) + TANK.cruise * reaction for f in (50.0, 0.05))
-    assert f"stops in {ahead:.2f} m by surge thrust" in told.text and ahead < 1 < 4.5 < weak
+    assert f"stops within {ahead:.2f} m by surge thrust" in told.text and ahead < 1 < 4.5 < weak
     assert f"weaker of surge and sway, 0.05 N, and needs {weak:.2f} m" in told.text

@@ -115,7 +115,7 @@ MISTAKES = {
         "obstacles.Obstacle1.centre_m",
         "outside the site",
     ),
-    "above the water": (_edited("depth_m = -0.15", "depth_m = 0.15"), "depth_m", "is not in the water; z is up"),
+    "above the water": (_edited("depth_m = -0.15", "depth_m = 0.15"), "depth_m", "is not in the water; z points up"),
     "at the surface": (_edited("depth_m = -0.15", "depth_m = 0.0"), "depth_m", "is not in the water"),
     "in the floor": (_edited("depth_m = -0.15", "depth_m = -1.5"), "depth_m", "is not in the water"),
     "cruise above cap": (
@@ -170,7 +170,7 @@ MISTAKES = {
         "disturbance.thrust_error",
         "less than 1",
     ),
-    "a kind of no time": (_edited("time_s = 20.0\n", ""), "paper", "time_kind speaks of time_s"),
+    "a kind of no time": (_edited("time_s = 20.0\n", ""), "paper", "time_kind describes time_s"),
     "time of no kind": (_edited('time_kind = "about"', 'time_kind = "at most"'), "paper.time_kind", "'less than'"),
     "no time": (_edited("time_limit_s = 90.0", "time_limit_s = 0.0"), "time_limit_s", "greater than 0"),
     "another kind": (_edited('kind = "scenario"', 'kind = "vehicle"'), "kind", "'scenario'"),

@@ -93,7 +93,7 @@ def test_starting_afresh_takes_away_what_a_campaign_left_and_nothing_else(tmp_pa
 
 def test_more_campaigns_than_were_asked_are_refused(tmp_path):
     fly(tmp_path, DRAWN)
-    with pytest.raises(InputError, match="holds 1 campaigns where 2"):
+    with pytest.raises(InputError, match="describes 1 campaigns, but 2"):
         CampaignFolder(tmp_path, (DRAWN, OTHERS["another scenario"])).prepare()
 
 
