@@ -138,7 +138,7 @@ def test_a_fault_is_flown_and_a_halt_is_told(tmp_path) -> None:
     done = surctl(*words, "--json", cwd=tmp_path)
     (run,) = done.json["runs"]
     assert done.status == 1 and not run["reached"]
-    assert run["stopped_because"] == "stopped" and "no sonar" in run["stop_reason"]
+    assert run["stopped_because"] == "stopped" and "all sonars" in run["stop_reason"]
     assert run["sensors"]["faults"] == [{"sensor": i, "kind": "dead", "start_s": 2.0} for i in range(4)]
 
 

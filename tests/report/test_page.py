@@ -221,7 +221,7 @@ def test_every_parameter_and_gain_is_listed_with_its_provenance(page: str) -> No
     for name in GAINS.values:
         assert f"{name} " in text
     assert "Also simulated: sur400" in text
-    assert "0.05 m above the surface" in text  # E16
+    assert "stands 0.05 m out of the water" in text  # E16
 
 
 def test_a_run_says_whether_it_decides_and_how_to_fly_it_again(page: str) -> None:
