@@ -20,9 +20,50 @@ SOURCES = sorted((ROOT / "surctl").rglob("*.py"))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "notebooks").rglob("*.md"))]
 
 NAMES = frozenset(
-    "told given seen heard wish wishes wanted asked flown fly flies flight made kept taken found drawn answer push way "
-    "reach tick ladder rung trap stood halted knob lean senses chart sheet blame served stirred sift rival doubt room "
-    "twin settle settled".split()
+    [
+        "told",
+        "given",
+        "seen",
+        "heard",
+        "wish",
+        "wishes",
+        "wanted",
+        "asked",
+        "flown",
+        "fly",
+        "flies",
+        "flight",
+        "made",
+        "kept",
+        "taken",
+        "found",
+        "drawn",
+        "answer",
+        "push",
+        "way",
+        "reach",
+        "tick",
+        "ladder",
+        "rung",
+        "trap",
+        "stood",
+        "halted",
+        "knob",
+        "lean",
+        "senses",
+        "chart",
+        "sheet",
+        "blame",
+        "served",
+        "stirred",
+        "sift",
+        "rival",
+        "doubt",
+        "room",
+        "twin",
+        "settle",
+        "settled",
+    ]
 )
 ALLOWED = frozenset({"ticks", "_ticks", "_TICKS"})  # of a plot's axis
 
@@ -31,7 +72,9 @@ WORDS = re.compile(
     r"|sifts|sifted|rivals?|twins?|halted|stood|blames?|blamed)(?![\w-])",
     re.IGNORECASE,
 )
-QUOTED = re.compile(r"``[^`]*``|`[^`]*`|\"[\w.=-]*\"|^\s*(?:>>>|\.\.\.).*$", re.MULTILINE)  # names in text, and examples
+QUOTED = re.compile(
+    r"``[^`]*``|`[^`]*`|\"[\w.=-]*\"|^\s*(?:>>>|\.\.\.).*$", re.MULTILINE
+)  # names in text, and examples
 AXES = re.compile(r"(?:axis|plot|major|minor) ticks?|ticks? (?:labels?|marks?)")
 
 

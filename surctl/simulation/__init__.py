@@ -1,4 +1,4 @@
-"""Scenarios as files, the world of a run, the reference closed loop, many loops at once, and their metrics."""
+"""Scenario files, the simulated world, the reference closed loop, batches of closed loops, and their metrics."""
 
 from surctl.simulation.attitude import Attitude, attitude_of
 from surctl.simulation.batch import (

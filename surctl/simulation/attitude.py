@@ -1,4 +1,4 @@
-"""How a vehicle lies in its own motion: crab angle, heading error, and whether it swings like a limit cycle."""
+"""Attitude of a vehicle along its motion: crab angle, heading error, and oscillation like that of a limit cycle."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ __all__ = ["Attitude", "attitude_of"]
 
 Array = NDArray[np.float64]
 
-_MOVING = 0.25  # of the cruise speed: slower, a crab angle means nothing
-_TRANSIENT = 0.4  # share of the run that is left out before a swing is looked for
-_SWING = 0.05  # of the cruise speed: least amplitude of a swing in sway
-_ALIKE = 0.6  # least correlation of a swing with itself a period later
-_PERIODS = 3.0  # least number of periods in what is looked at
+_MOVING = 0.25  # share of the cruise speed: at lower speeds a crab angle has no meaning
+_TRANSIENT = 0.4  # share of the run that is skipped before the search for an oscillation
+_SWING = 0.05  # share of the cruise speed: smallest sway amplitude that counts as an oscillation
+_ALIKE = 0.6  # smallest autocorrelation after one period that counts as an oscillation
+_PERIODS = 3.0  # smallest number of periods in the examined part of the run
 
 
 @dataclass(frozen=True)
 class Attitude:
-    """Figures of one run.
+    """Crab angle, heading error and oscillation of one run.
 
     Attributes:
-        crab_angle_deg: mean angle between the hull and its velocity while it moves, without sign; NaN if it never does.
-        max_crab_angle_deg: the largest.
-        heading_error_deg: rms angle between the hull and the leg of the path that it is on while it moves.
-        oscillates: whether sway repeats itself over the last part of the run, as in a limit cycle.
-        period_s: of that oscillation; NaN without one.
-        swing_m_per_s: amplitude of sway over that part.
+        crab_angle_deg: mean absolute angle between hull and velocity while it moves; NaN if it never moves.
+        max_crab_angle_deg: largest absolute crab angle while it moves; NaN if it never moves.
+        heading_error_deg: rms angle between the hull and the current leg of the path while it moves.
+        oscillates: whether the sway velocity is periodic in the last part of the run, as in a limit cycle.
+        period_s: period of that oscillation [s]; NaN if there is none.
+        swing_m_per_s: amplitude of the sway velocity in that part of the run [m/s].
     """
 
     crab_angle_deg: float
@@ -42,18 +42,18 @@ class Attitude:
     swing_m_per_s: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data; NaN is left to the writer."""
+        """Return plain data; the writer of the file converts NaN."""
         return asdict(self)
 
 
 def attitude_of(follower: Follower, cruise: float, time: Array, eta: Array, nu: Array) -> Attitude:
-    """The figures of a motion.
+    """Return crab angle, heading error and oscillation of a recorded motion.
 
     Args:
-        follower: at the start of the path that is followed.
+        follower: path follower, at the start of its path.
         cruise: cruise speed [m/s].
-        time: (n,) [s], evenly spaced.
-        eta: (n, 4) place [m] and heading [rad] in {E}.
+        time: (n,) time [s], evenly spaced.
+        eta: (n, 4) position [m] and heading [rad] in {E}.
         nu: (n, 4) body velocity [m/s, rad/s].
 
     Example:
@@ -63,8 +63,8 @@ def attitude_of(follower: Follower, cruise: float, time: Array, eta: Array, nu: 
         >>> time = np.arange(0.0, 60.0, 0.05)
         >>> eta = np.stack([0.15 * time, 0 * time, 0 * time, 0 * time + 0.2], axis=1)
         >>> nu = np.tile([0.15 * np.cos(0.2), -0.15 * np.sin(0.2), 0.0, 0.0], (len(time), 1))
-        >>> found = attitude_of(Follower(Path([[0.0, 0.0], [9.0, 0.0]])), 0.15, time, eta, nu)
-        >>> round(found.crab_angle_deg, 1), round(found.heading_error_deg, 1), found.oscillates
+        >>> attitude = attitude_of(Follower(Path([[0.0, 0.0], [9.0, 0.0]])), 0.15, time, eta, nu)
+        >>> round(attitude.crab_angle_deg, 1), round(attitude.heading_error_deg, 1), attitude.oscillates
         (11.5, 11.5, False)
     """
     moving = np.hypot(nu[:, 0], nu[:, 1]) > _MOVING * cruise
@@ -86,7 +86,7 @@ def attitude_of(follower: Follower, cruise: float, time: Array, eta: Array, nu: 
 
 
 def _swing(time: Array, sway: Array, cruise: float) -> tuple[bool, float, float]:
-    """Whether sway repeats itself, its period [s] and amplitude [m/s], by its correlation with itself later."""
+    """Return whether the sway velocity is periodic, its period [s] and amplitude [m/s], from its autocorrelation."""
     late = sway[int(_TRANSIENT * len(sway)) :]
     nothing = False, float("nan"), 0.0
     if len(late) < 8:
@@ -99,7 +99,7 @@ def _swing(time: Array, sway: Array, cruise: float) -> tuple[bool, float, float]
     spectrum = np.fft.rfft(middle, 2 * size)
     raw = np.fft.irfft(np.abs(spectrum) ** 2)[:size]
     left = np.arange(size, 0, -1)
-    correlation = raw / left / (raw[0] / size)  # each lag by the samples that it has
+    correlation = raw / left / (raw[0] / size)  # divide each lag by its number of samples
     crossed = np.flatnonzero(correlation < 0)
     last = int(size / _PERIODS)
     if not crossed.size or crossed[0] >= last:

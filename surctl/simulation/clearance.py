@@ -1,4 +1,4 @@
-"""Whether a hull has room: at the start, at the target, and on the way between."""
+"""Check whether a hull fits at the start, at the target, and in the gaps between them."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from surctl.vehicle import Vehicle
 
 __all__ = ["clearance_findings", "end_findings", "layers"]
 
-_CLEARANCE = 0.02  # [m] two standard deviations of the base station's position: less room than that cannot be kept
+_CLEARANCE = 0.02  # [m] two standard deviations of the base station's position: the law cannot keep less than that
 
 
 def clearance_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
-    """Walls, still obstacles with their drift, and moving ones at both ends; gaps; the surface."""
+    """Return all findings about clearance: walls and obstacles at start and target, gaps, launch, and the surface."""
     return [
         *end_findings(scenario, vehicle),
         *_drifting_together(scenario),
@@ -33,13 +33,13 @@ def clearance_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> li
 
 
 def _met(scenario: Scenario, vehicle: Vehicle) -> list[Obstacle]:
-    """The obstacles that a hull at the path's depth meets, or whose ends it passes within `_ROOM`."""
+    """Return the obstacles that a hull at the path's depth can touch, or passes within `_CLEARANCE` of their ends."""
     extent = vehicle["radius"] + _CLEARANCE
     return [o for o in scenario.obstacles if o.heights.crosses(scenario.depth, extent)]
 
 
 def end_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """Those at start and target alone, without what takes time to find: the gaps between."""
+    """Return the findings at the start and the target only, without the slow search for gaps between them."""
     results = _at_walls(scenario, vehicle)
     for obstacle in _met(scenario, vehicle):
         results += _at_still(obstacle, scenario, vehicle) if obstacle.still else _at_moving(obstacle, scenario, vehicle)
@@ -47,25 +47,25 @@ def end_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
 
 
 def _ends(scenario: Scenario) -> list[tuple[str, NDArray[np.float64], float]]:
-    """Where the hull has to come: name, place, and how near [m] is enough."""
+    """Return the points that the hull must reach: name, position, and the distance [m] that counts as reached."""
     corners = scenario.path.waypoints[1:-1] if scenario.visit else ()
     visited = [(f"corner ({c[0]:g}, {c[1]:g})", c, scenario.arrival_radius) for c in corners]
     return [("start", scenario.start, 0.0), *visited, ("target", scenario.target, 0.0)]
 
 
 def _launch(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """What stands in the water that the mission says is free at the start: the law would not look before it moves."""
+    """Report obstacles in the water that `launch_m` declares free: the law relies on it before its first echoes."""
     results = []
     start = (float(scenario.start[0]), float(scenario.start[1]))
     for obstacle in _met(scenario, vehicle):
         own = vehicle["radius"] if not obstacle.still and obstacle.radius_m is None else 0.0
         clearance = obstacle.distance(start) - own - vehicle["radius"] - obstacle.drift_m
         if clearance <= 0 and obstacle.still:
-            continue  # told by `_at_still`
+            continue  # `_at_still` reports this obstacle
         if scenario.launch > 0 and clearance < scenario.launch:
             hull = f"the hull of {vehicle.name} at the start"
             text = f"obstacle {obstacle.name!r} may come within {clearance:.3f} m of {hull}"
-            results.append(Finding("error", "launch_m", f"{text}, where {scenario.launch:g} m are said to be free"))
+            results.append(Finding("error", "launch_m", f"{text}, but launch_m declares {scenario.launch:g} m free"))
     return results
 
 
@@ -74,7 +74,7 @@ def _at_walls(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     for name, point, near in _ends(scenario):
         clearance = min(wall.nearest(point)[0] for wall in scenario.walls) - vehicle["radius"] + near
         if clearance < _CLEARANCE:
-            where = f"{-clearance:.3f} m inside a wall" if clearance < 0 else f"only {clearance:.3f} m off a wall"
+            where = f"{-clearance:.3f} m inside a wall" if clearance < 0 else f"only {clearance:.3f} m from a wall"
             text = f"the {vehicle['radius']:g} m hull of {vehicle.name} is {where} at the {name} (E15)"
             results.append(Finding("error", "path_m", text))
     return results
@@ -91,8 +91,8 @@ def _at_still(obstacle: Obstacle, scenario: Scenario, vehicle: Vehicle) -> list[
             text = f"the {name} lies {-clearance:.3f} m too close to {what}"
         else:
             text = (
-                f"at the {name} the hull of {vehicle.name} is {clearance:.3f} m off obstacle {obstacle.name!r}, which "
-                f"drifts by {obstacle.drift_m:g} m: it may touch (E15)"
+                f"at the {name} the hull of {vehicle.name} is {clearance:.3f} m from obstacle {obstacle.name!r}, which "
+                f"drifts by up to {obstacle.drift_m:g} m: they may touch (E15)"
             )
         results.append(Finding("error", f"obstacles.{obstacle.name}", text))
     return results
@@ -109,11 +109,12 @@ def _at_moving(obstacle: Obstacle, scenario: Scenario, vehicle: Vehicle) -> list
     when = float(np.linalg.norm(end - centre)) / speed
     if obstacle.removed:
         text = (
-            f"it ends on the target and is taken out at {when:.1f} s; the robot at cruise speed is there at "
-            f"{scenario.path.length / scenario.cruise:.1f} s, and cannot arrive while the obstacle is near"
+            f"the obstacle ends on the target and is removed at {when:.1f} s; at cruise speed the robot is there at "
+            f"{scenario.path.length / scenario.cruise:.1f} s, but cannot arrive while the obstacle is near"
         )
         return [Finding("warning", f"{key}.to_m", text)]
-    text = f"it stays {-clearance:.3f} m too close to the target for the hull of {vehicle.name} from {when:.1f} s on"
+    near = f"{-clearance:.3f} m too close to the target for the hull of {vehicle.name}"
+    text = f"from {when:.1f} s on the obstacle stays {near}"
     return [Finding("error", f"{key}.to_m", text)]
 
 
@@ -131,33 +132,33 @@ def _drifting_together(scenario: Scenario) -> list[Finding]:
 
 
 def _gap(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
-    """A gap that the way must pass and the hull, with the error that is stated for its path, may not.
+    """Report the tightest gap on the widest passage to the target if it is too narrow for the hull and its path error.
 
-    Where another depth has a way on, that is told instead of an error.
+    If another depth has a passage, the finding is a warning that names this depth instead of an error.
     """
     error = scenario.paper.position_error_m or _CLEARANCE
     hull = 2 * vehicle["radius"]
     gap = tightest_gap(scenario, hull / 2 + error)
     if gap is None or gap.always >= hull + 2 * error:
         return []
-    drifts = f", of which their drift leaves {max(gap.always, 0.0):.3f} m" if gap.drift else ""
+    drifts = f", {max(gap.always, 0.0):.3f} m at the worst drift" if gap.drift else ""
     text = (
-        f"the widest way to the target passes between {gap.between[0]} and {gap.between[1]} near "
+        f"the widest passage to the target leads between {gap.between[0]} and {gap.between[1]} near "
         f"({gap.place[0]:.2f}, {gap.place[1]:.2f}): {max(gap.width, 0.0):.3f} m wide{drifts}; the hull of "
-        f"{vehicle.name} takes {hull:.3f} m, {hull + 2 * error:.3f} m with an error of {error:g} m to either side"
+        f"{vehicle.name} needs {hull:.3f} m, or {hull + 2 * error:.3f} m with an error of {error:g} m on either side"
     )
     if gap.always >= hull:
         return [Finding("warning", "obstacles" if scenario.obstacles else "site", text)]
-    lost = "no way through is guaranteed (E15)" if gap.width >= hull else "there is no way through"
+    lost = "no passage is guaranteed (E15)" if gap.width >= hull else "no passage is wide enough"
     if scenario.depths is None:
         return [Finding("error", "obstacles" if scenario.obstacles else "site", f"{lost}: {text}")]
     tried = layers(scenario, vehicle, gains)
     open_depths = [z for z in tried if _passes(scenario, hull / 2 + max(error, BAND), z, hull=hull)]
     if open_depths:
-        summary = f"only another depth leads on, z = {open_depths[0]:.2f} m is the first that is tried and free"
+        summary = f"the target can be reached only at another depth, first at z = {open_depths[0]:.2f} m"
         return [Finding("warning", "depths_m", f"{summary}; at the path's depth {lost}: {text}")]
-    listed = ", ".join(f"{z:.2f}" for z in tried) or "none has room"
-    summary = f"neither at the path's depth nor at another (z in m: {listed}) is there a way through"
+    listed = ", ".join(f"{z:.2f}" for z in tried) or "none fits"
+    summary = f"no passage is wide enough, neither at the path's depth nor at another depth (z in m: {listed})"
     return [Finding("error", "depths_m", f"{summary}: {text}")]
 
 
@@ -167,9 +168,10 @@ def _passes(scenario: Scenario, clearance: float, z: float, *, hull: float) -> b
 
 
 def layers(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[float]:
-    """z of the depths [m] that the law tries in turn besides the path's, see `control.layers`; none without `depths`.
+    """Return z [m] of the depths that the law tries besides the path's depth, see `control.layers`.
 
-    Those above come first, nearest first; what its echo sounders find in the way there is not known here.
+    Depths above the path come first, the nearest first. The list is empty if the mission has no `depths`. Obstacles
+    that the echo sounders may detect on the way to a depth are not considered.
     """
     if scenario.depths is None:
         return []
@@ -186,5 +188,5 @@ def _surface(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     out = vehicle["radius"] + scenario.depth
     if out <= 0:
         return []
-    text = f"the hull stands {out:.2f} m out of the water at this depth; the model has no buoyancy (E16)"
+    text = f"the top of the hull is {out:.2f} m above the surface at this depth; the model has no buoyancy (E16)"
     return [Finding("warning", "depth_m", text)]

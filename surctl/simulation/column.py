@@ -1,9 +1,10 @@
-"""What a hull meets above, below and beside it: which obstacles its sonars hear, and the free water over and under it.
+"""The water around a hull: the obstacles that its sonars can detect, and the free water above and below it.
 
-Two simplifications, the same in both loops. A sonar's beam is a fan as thick as the hull and `BAND` more above and
-below, at every range: it hears what crosses that, and nothing else. (A real beam is thinner at the hull and thicker
-far off: there it would hear a sill that the hull passes over.) An echo sounder hears, without noise, the nearest that
-stands over or under a disc `FOOTPRINT` wider than the hull, the surface and the floor among it.
+Both closed loops make the same two simplifications. First, the beam of a sonar is a horizontal fan, at every range as
+thick as the hull plus `BAND` above and below: the sonar detects the obstacles that cross this fan and no others. (A
+real beam is thinner near the hull and thicker far away, where it would detect a sill that the hull passes over.)
+Second, an echo sounder measures, without noise, the distance to the nearest obstacle over or under a disc that is
+`FOOTPRINT` wider than the hull. The limits of the mission's `depths` count as obstacles for it.
 """
 
 from __future__ import annotations
@@ -20,31 +21,34 @@ from surctl.simulation.world import Body
 __all__ = ["BAND", "FOOTPRINT", "LONGEST", "beside", "column"]
 
 BAND = 0.05
-"""[m] by which a sonar's fan is thicker than the hull, above and below (*chosen*)."""
+"""Thickness [m] of a sonar's fan beyond the hull, above and below (*chosen*)."""
 
 FOOTPRINT = 0.03
-"""[m] by which an echo sounder's footprint is wider than the hull, at every range (*chosen*: less than the stand-off
-from a wall, along which the robot may go up and down; what is nearer beside it, its sonars hear)."""
+"""Radius [m] of an echo sounder's footprint beyond the hull, at every range.
+
+It is *chosen* smaller than the distance that the robot keeps from a wall, so that the robot can change its depth along
+a wall. The sonars detect obstacles beside the hull that are nearer.
+"""
 
 LONGEST = 10.0
-"""[m] from the hull that an echo sounder hears (*chosen*)."""
+"""Longest range [m] of an echo sounder, from the hull (*chosen*)."""
 
 
 def beside(bodies: Sequence[Body], z: float, hull: float) -> list[Body]:
-    """Those of the obstacles that a hull of this radius [m] at z meets when it goes on horizontally."""
+    """Return the obstacles that a hull of this radius [m] at z can touch when it moves horizontally."""
     return [body for body in bodies if body.heights.crosses(z, hull + BAND)]
 
 
 def column(
     scenario: Scenario, bodies: Sequence[Body], place: NDArray[np.float64] | Sequence[float], hull: float
 ) -> tuple[float, float]:
-    """Free water above and below a hull [m], no further than the mission's `depths` allow; 0 without them.
+    """Return the free water above and below a hull [m], within the mission's `depths`; 0 if it has no `depths`.
 
     Args:
         scenario: the mission.
         bodies: obstacles at this instant.
-        place: (3,) of the hull's centre in {E} [m].
-        hull: its radius [m].
+        place: (3,) position of the hull's centre in {E} [m].
+        hull: radius of the hull [m].
     """
     if scenario.depths is None:
         return 0.0, 0.0

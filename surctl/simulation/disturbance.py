@@ -1,4 +1,4 @@
-"""What pushes the robot, and how far its thrust is off."""
+"""Disturbances of a scenario: waves, slow drift force, current, and thrust errors."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ Share = Annotated[float, Field(ge=0, lt=1)]
 
 
 class Disturbance(Strict):
-    """Waves and a slow drift as seeded sinusoidal forces in {E}, a constant current, and errors of the thrust.
+    """Waves and slow drift as seeded sinusoidal forces in {E}, a constant current, and thrust errors.
 
-    Every axis delivers (1 + g)·τ + b·τ_max of a command τ, within its limit τ_max, g uniform within ±`thrust_error`
-    and b within ±`thrust_bias`, both drawn once a run.
+    For a command τ, an axis with the limit τ_max delivers the thrust (1 + g)·τ + b·τ_max within that limit. The numbers
+    g and b are drawn once per run, uniformly within ±`thrust_error` and ±`thrust_bias`.
     """
 
     wave_force_n: NotNegative = 0.0
@@ -31,5 +31,5 @@ class Disturbance(Strict):
 
     @property
     def seeded(self) -> bool:
-        """Whether anything of it is drawn."""
+        """Whether any disturbance depends on the random seed."""
         return any((self.wave_force_n, self.drift_force_n, self.thrust_error, self.thrust_bias))

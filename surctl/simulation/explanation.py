@@ -1,4 +1,4 @@
-"""What the priority solver gave up during a run, and because of which row."""
+"""Explain a run: which tasks the priority solver relaxed, and which constraint rows caused it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["Explanation", "explain"]
 
 @dataclass(frozen=True)
 class Explanation:
-    """From `time_s` [s] on, until the next one: which rows bind, and what the tasks gave up at its first tick."""
+    """The binding and relaxed rows from `time_s` [s] until the next explanation; `text` describes its first step."""
 
     time_s: float
     binding: tuple[str, ...]
@@ -20,10 +20,10 @@ class Explanation:
 
 
 def explain(run: Run) -> list[Explanation]:
-    """Every tick of a run whose binding or relaxed rows are others than those of the tick before.
+    """Return one explanation for each control step whose binding or relaxed rows differ from the step before.
 
-    The ticks are solved again with names on every row; for mode nsb, which knows no rows, the relaxed ones are those
-    that it missed. Ticks that the law refused (`NONFINITE`) are left out.
+    Each control step is solved again with a name for every row. Mode nsb ignores the rows, so its relaxed rows are the
+    rows that its velocity violates. Steps whose input the law rejected (`NONFINITE`) are left out.
 
     Example:
         >>> from surctl.control import build_law, load_gains

@@ -1,4 +1,4 @@
-"""What is said of a scenario before it is flown."""
+"""A finding about a scenario, reported before the simulation."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ __all__ = ["Finding"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that cannot work (`error`), that a reader should know (`warning`), or may like to (`info`)."""
+    """One finding about a scenario: it cannot work (`error`), deserves attention (`warning`), or is a note (`info`)."""
 
     level: Literal["error", "warning", "info"]
     key: str
     text: str
 
     def to_dict(self) -> dict[str, str]:
-        """Plain data for JSON."""
+        """Return plain data for JSON."""
         return asdict(self)

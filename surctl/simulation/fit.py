@@ -1,4 +1,4 @@
-"""What a scenario cannot do with a vehicle, found before it is flown."""
+"""Check before the simulation whether a vehicle can carry out a scenario."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ __all__ = ["Finding", "findings"]
 
 
 def findings(scenario: Scenario, vehicle: Vehicle, *, gains: Gains | None = None) -> list[Finding]:
-    """Everything found, errors first, then warnings.
+    """Return all findings about a scenario and a vehicle: errors first, then warnings, then notes.
 
     Args:
         scenario: the mission.
-        vehicle: that flies it.
-        gains: of the law that looks around and brakes; default: the built-in ones.
+        vehicle: the vehicle of the mission.
+        gains: gains of the law, which set how it turns and brakes; default: the built-in gains.
 
     Raises:
-        InputError: the hull starts inside an obstacle, or one that moves starts on it.
+        InputError: the hull starts inside an obstacle, still or moving.
 
     Example:
         >>> from surctl.simulation import findings, load_scenario
@@ -47,30 +47,31 @@ def findings(scenario: Scenario, vehicle: Vehicle, *, gains: Gains | None = None
 
 
 def _sonars(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
-    """What the law that goes only where it has looked cannot do with these sonars."""
+    """Report sonars that do not suit the law, which enters only water that its sonars have observed."""
     try:
         array = scenario.sensors.on(vehicle["radius"]).array
     except InputError as error:
         return [Finding("error", error.key or "sonar", f"on {vehicle.name}: {error.problem}")]
     split = [i for i, cones in enumerate(array.cones) if len(cones) > 1]
     if split:
-        text = f"on {vehicle.name} the hull cuts the beam of sensor {split[0]} in two; the map knows one cone a sensor"
+        text = f"the hull of {vehicle.name} splits the beam of sensor {split[0]}; the map supports one cone per sensor"
         return [Finding("error", "sonar.mounts_m", text)]
     turning = min(gains["spin"], vehicle.steady_yaw(YAW_SHARE))
     return [*_unseen(array, turning), *_short(scenario, array, vehicle, gains)]
 
 
 def _unseen(array: SonarArray, turning: float) -> list[Finding]:
-    """Directions that no beam shows again before the map has forgotten them, at a yaw rate [rad/s].
+    """Report directions that no beam observes again before the map forgets them, at the yaw rate `turning` [rad/s].
 
-    A beam clears its middle alone (`MIDDLE` of its width), and a cleared place is forgotten after `LocalMap.memory`.
+    A beam clears the map only in its middle (`MIDDLE` of its width). The map forgets a cleared place after
+    `LocalMap.memory`.
     """
     memory, between = LocalMap(dt=0.05).memory, turning * array.cycle
     least = min(2 * atan(MIDDLE * tan(half)) for cones in array.cones for _, half in cones)
     if between > least:
         text = (
-            f"between two firings of a sensor the robot turns {degrees(between):.2g}°, and the middle of its beam, "
-            f"which clears the map, is {degrees(least):.2g}° wide: a turn leaves places ahead unseen"
+            f"between two firings of a sensor the robot turns {degrees(between):.2g}°, but the middle of its beam, "
+            f"which clears the map, is only {degrees(least):.2g}° wide: a turn leaves places ahead unobserved"
         )
         return [Finding("error", "sonar.beam_deg", text)]
     gap = _widest_gap(array)
@@ -78,14 +79,14 @@ def _unseen(array: SonarArray, turning: float) -> list[Finding]:
     if wait <= memory:
         return []
     text = (
-        f"the widest gap between two beams is {degrees(gap):.0f}°, which the robot's turn of {turning:.2g} rad/s "
-        f"takes {wait:.1f} s to show; the map forgets after {memory:.1f} s, so that places ahead stay unknown"
+        f"the widest gap between two beams is {degrees(gap):.0f}°; turning at {turning:.2g} rad/s, the robot needs "
+        f"{wait:.1f} s to observe it, but the map forgets after {memory:.1f} s, so places ahead stay unknown"
     )
     return [Finding("error", "sonar.azimuths_deg", text)]
 
 
 def _widest_gap(array: SonarArray) -> float:
-    """Largest angle [rad] between neighbouring cones, seen from afar; 0 when they leave none."""
+    """Return the largest angle [rad] between neighbouring cones in the far field; 0 if the cones leave no gap."""
     cones = sorted(
         ((azimuth + offset) % (2 * pi), half)
         for azimuth, parts in zip(array.azimuths, array.cones, strict=True)
@@ -98,7 +99,7 @@ def _widest_gap(array: SonarArray) -> float:
 
 
 def _short(scenario: Scenario, array: SonarArray, vehicle: Vehicle, gains: Gains) -> list[Finding]:
-    """A range within which the law cannot stop from the cruise speed: v²/(2a) + v t, as it brakes."""
+    """Report a sonar range that is shorter than the law's stopping distance v²/(2a) + v t from the cruise speed."""
     deceleration = gains["brake"] * float(np.min(vehicle.thrust_limit[:2]) / np.max(vehicle.mass[:2]))
     braking = scenario.cruise**2 / (2 * deceleration) + scenario.cruise * gains["reaction"]
     if array.maximum >= braking:
@@ -107,13 +108,13 @@ def _short(scenario: Scenario, array: SonarArray, vehicle: Vehicle, gains: Gains
     stop = scenario.cruise**2 / (2 * ahead) + scenario.cruise * gains["reaction"]
     text = (
         f"the sonars reach {array.maximum:g} m; from the cruise speed of {scenario.cruise:g} m/s {vehicle.name} stops "
-        f"in {stop:.2f} m by surge thrust, "
+        f"within {stop:.2f} m by surge thrust, "
     )
     if stop <= array.maximum:
         text += (
-            f"but the law counts on the weaker of surge and sway, {min(vehicle.thrust_limit[:2]):g} N, and keeps "
-            f"{braking:.2f} m: with sonars it will not go that fast"
+            f"but the law plans with the weaker of surge and sway, {min(vehicle.thrust_limit[:2]):g} N, and needs "
+            f"{braking:.2f} m: with sonars the law stays below the cruise speed"
         )
     else:
-        text += "which is more: with sonars it will not go that fast"
+        text += "which exceeds this range: with sonars the law stays below the cruise speed"
     return [Finding("error", "sonar.maximum_m", text)]

@@ -26,7 +26,7 @@ class ClosedLoopSystem(NamedTuple):
 
     Attributes:
         system: `control.NonlinearIOSystem` with `dt` the control period.
-        initial: its state at the scenario's start.
+        initial: state of the system at the scenario's start.
     """
 
     system: Any
@@ -42,22 +42,24 @@ def closed_loop_system(
     seed: int = 0,
     model: Vehicle | None = None,
 ) -> ClosedLoopSystem:
-    """The loop that `simulate` flies with true positions; with zero input, the same numbers to the last bit.
+    """Return the closed loop that `simulate` runs with true positions, as a system of python-control.
 
-    One step is a control period: the law decides, the plant moves with the thrust held. It goes on where a run would
-    end: at the target, in a collision. The world (obstacles, waves, the seed's draws) is a function of time, so times
-    must begin at a multiple of the period.
+    With zero input it gives the same numbers as `simulate`, to the last bit. One step is one control period: the law
+    computes the thrust, and the plant moves with constant thrust. The system continues where a run would end, at the
+    target or in a collision. The world (obstacles, waves, random choices of the seed) depends on time, so the first
+    time must be a multiple of the control period.
 
     Args:
-        scenario, vehicle, gains, seed, model: as `simulate`.
-        law: default: `build_law`; one that listens to no sonars.
+        scenario, vehicle, gains, seed, model: as for `simulate`.
+        law: a law without sonar inputs; default: the law that `build_law` returns.
 
     Returns:
-        System with inputs `Fu_cmd` … `Fr_cmd` [N, N m], added to what the law commands; states the plant's 12, then the
-        law's; outputs pose (4), body velocity (4), and the law's command (4). And the state at the start.
+        The system and its state at the start. Inputs `Fu_cmd` … `Fr_cmd` [N, N m] are added to the law's command. The
+        states are the 12 of the plant, then those of the law. The outputs are pose (4), body velocity (4), and the
+        law's command (4).
 
     Raises:
-        InputError: a law with sonars, whose sensors keep a state of their own; a scenario that starts inside an
+        InputError: the law uses sonars, whose state this system does not contain; or the hull starts inside an
             obstacle.
 
     Example:
@@ -67,17 +69,22 @@ def closed_loop_system(
         >>> from surctl.simulation import closed_loop_system, load_scenario
         >>> from surctl.vehicle import load_vehicle
         >>> mission, vehicle = load_scenario("pool-behind"), load_vehicle("sur400")
-        >>> flight = closed_loop_system(mission, vehicle, gains=load_gains("default"), law=build_law("closed_form"))
+        >>> loop = closed_loop_system(mission, vehicle, gains=load_gains("default"), law=build_law("closed_form"))
         >>> t, added = np.arange(100) * 0.05, np.zeros((4, 100))
-        >>> answer = control.input_output_response(flight.system, t, added, flight.initial)
-        >>> flight.system.output_labels[:2], answer.outputs[:2, -1].round(2).tolist()
+        >>> response = control.input_output_response(loop.system, t, added, loop.initial)
+        >>> loop.system.output_labels[:2], response.outputs[:2, -1].round(2).tolist()
         (['x [m]', 'y [m]'], [1.6, 1.12])
     """
-    import control  # seconds to import: only when asked for
+    import control  # this import takes seconds
 
     chosen = law or build_law(depths=scenario.depths is not None)
     if "samples" in chosen.inputs:
-        raise InputError("listens to sonars", key="law", value=chosen.name, remedy="build the law with sonar=False")
+        raise InputError(
+            "uses sonars, but this system has true positions only",
+            key="law",
+            value=chosen.name,
+            remedy="build the law with sonar=False",
+        )
     world, p = build_world(scenario, vehicle, seed=seed), law_numbers(scenario, gains, model or vehicle)
     loop = Loop(world, vehicle, chosen, p, "truth", NoiseStream(seed), chosen.step)
     start = np.concatenate([loop.state, chosen.initial_state()])

@@ -1,4 +1,4 @@
-"""The reference closed loop: plant 10 ms RK4, control 50 ms, one sonar every 25 ms, all noise from the seed."""
+"""The reference closed loop: plant by RK4 at 10 ms, control at 50 ms, a sonar every 25 ms, all noise from the seed."""
 
 from __future__ import annotations
 
@@ -40,21 +40,21 @@ def simulate(
     model: Vehicle | None = None,
     stepper: Stepper | None = None,
 ) -> Run:
-    """Fly one scenario.
+    """Simulate one scenario and return the run.
 
     Args:
         scenario: the mission.
-        vehicle: what is flown.
+        vehicle: the simulated vehicle.
         gains: the law's gains.
-        law: default: `build_law`, with sonars or without as `sensing` says.
-        sensing: `truth`: the law is told every obstacle and its own pose exactly; `sonar`: it hears four sonars, and
-            the base station tells it the moving obstacles and its own pose, with noise.
-        seed: of every random choice.
-        model: what the controller believes it flies; default the vehicle itself.
-        stepper: (x, u, p) → what the law commands, in the law's place: another precision of it, or another process.
+        law: the law; default: the law that `build_law` returns, with sonars if `sensing` is `sonar`.
+        sensing: `truth`: the law receives every obstacle and its own pose exactly; `sonar`: it receives the echoes of
+            its sonars, and measurements with noise of the moving obstacles and of its own pose.
+        seed: seed of all random choices.
+        model: vehicle model of the controller; default: the simulated vehicle.
+        stepper: (x, u, p) → step of the law; it replaces the law, for instance by another precision or process.
 
     Raises:
-        InputError: unknown sensing, or a scenario that starts inside an obstacle.
+        InputError: `sensing` is unknown or does not fit the law, or the hull starts inside an obstacle.
 
     Example:
         >>> from surctl.control import load_gains
@@ -72,7 +72,7 @@ def simulate(
     )
     if sonar != ("samples" in law.inputs):
         raise InputError(
-            "does not go with a law that listens to " + ("no sonars" if sonar else "the sonars"),
+            "does not fit a law that uses " + ("no sonars" if sonar else "sonars"),
             key="sensing",
             value=sensing,
             remedy="build the law with sonar=" + str(sonar),
@@ -93,8 +93,11 @@ def simulate(
 
 
 class _StepNoise(NamedTuple):
-    """Random numbers of one tick: normal ones (instants, k, samples), (6,) for fix and IMU, (slots, 4) for a message
-    and one for its loss; uniform ones (instants, k, 2) where a sonar may fail."""
+    """Random numbers of one control step.
+
+    Normal numbers: (instants, k, samples) for the sonars, (6,) for fix and IMU, (slots, 4) for a message, and one for
+    its loss. Uniform numbers: (instants, k, 2) for faults of the sonars.
+    """
 
     samples: NDArray[np.float64]
     uniforms: NDArray[np.float64]
@@ -104,7 +107,7 @@ class _StepNoise(NamedTuple):
 
 
 class Loop:
-    """State of a run while it is flown."""
+    """The state of a run during the simulation."""
 
     def __init__(
         self,
@@ -139,7 +142,7 @@ class Loop:
         self.rows: list[tuple[object, ...]] = []
 
     def run(self) -> str:
-        """Run to the end; the reason why it stopped."""
+        """Run to the end and return the reason why the run ended."""
         scenario, dt, stopped, standing, gone = self.world.scenario, self.law.dt, 0, 0, 0
         for index in range(int(np.ceil(scenario.time_limit / dt))):
             time = index * dt
@@ -175,15 +178,17 @@ class Loop:
         return LINK_LOST if gone else "time limit"
 
     def step_from(self, state: Vector, law_state: Vector, index: int, *, added: Vector) -> tuple[LawStep, Vector]:
-        """What the law commands in a state, and the plant's next one with thrust added; for `truth`, which keeps no
-        state of sensors."""
+        """Return the law's step in a state, and the next plant state with `added` thrust.
+
+        This is only for sensing `truth`, where the sensors have no state.
+        """
         self.state, time, noise = state, index * self.law.dt, self._draw()
         step = self.stepper(law_state, self._inputs(self.world.bodies(time), noise, index), self.p)
         self._advance(time, step.tau + added, noise)
         return step, self.state
 
     def record(self) -> Record:
-        """The rows as arrays."""
+        """Return the recorded steps as arrays."""
         time, state, tau, clearance, x, u, status, telemetry, bodies = zip(*self.rows, strict=True)
         states = np.array(state)
         return Record(
@@ -201,10 +206,10 @@ class Loop:
         )
 
     def _draw(self) -> _StepNoise:
-        """All the noise of one tick, in a fixed order: firings, own state, then every mover."""
+        """Draw all noise of one control step in a fixed order: firings, own state, then every moving obstacle."""
         instants, wide, size = round(self.law.dt / FIRING), len(self.firings.sensors[0]), self.array.samples
         firings = instants * wide * size
-        # in pairs, as the generator makes them
+        # an even number, because the generator makes normal numbers in pairs
         count = firings + firings % 2 + 8 + 4 * self.slots
         listens = self.sensing == "sonar"
         numbers = self.noise.normals(count) if listens else np.zeros(count)
@@ -254,7 +259,7 @@ class Loop:
         self.instant += 1
 
     def _left(self) -> float:
-        """Distance to the target [m]; from above, where the mission knows one depth only."""
+        """Return the distance to the target [m]: horizontal if the mission has only one depth, otherwise in 3D."""
         scenario = self.world.scenario
         level = float(np.hypot(*(self.state[:2] - scenario.target)))
         return level if scenario.depths is None else float(np.hypot(level, self.state[2] - scenario.depth))
@@ -280,7 +285,7 @@ class Loop:
         return self.law.inputs.pack({name: value for name, value in inputs.items() if name in self.law.inputs})
 
     def _measurements(self, rows: NDArray[np.float64], noise: _StepNoise, index: int) -> dict[str, object]:
-        """What camera, IMU and base station tell; a law without a filter of its own is told at once."""
+        """Return measurements of camera, IMU and base station, without delay if the law has no perception."""
         eta, nu, own = self.state[:4], self.state[4:8], self.sensors.equipment.own
         contacts = np.zeros((CONTACT_SLOTS, 6))
         if self.law.perception is None:
@@ -306,7 +311,7 @@ class Loop:
         return {**inputs, "fix": fix, "fix_fresh": fresh, "yaw": yaw, "yaw_rate": rate}
 
     def _mover_rows(self, bodies: Sequence[Body]) -> NDArray[np.float64]:
-        """A row a moving obstacle, zeros for one that is not there; the nearest ones if there are too many."""
+        """Return one row per moving obstacle, zero if it is absent; only the nearest ones if there are too many."""
         there = {b.name: b for b in bodies if b.moving}
         named = self.movers
         if len(named) > self.slots:

@@ -1,4 +1,4 @@
-"""The margin that a vehicle needs beyond the law's bound, and what a hull of two masses that turns adds to it."""
+"""The margin that a vehicle needs beyond the law's bound, and the part due to a turning hull with two masses."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from surctl.vehicle import Vehicle
 
 __all__ = ["Bound", "margin_needed", "mass_difference", "munk", "turn_rate", "turned"]
 
-_STEP = 0.002  # [m/s] between the speeds that are looked at
-_NEAR = 0.95  # of the fastest obstacle: nearer to it the range that is needed grows without end
-_FINEST = 1e-4  # [m/s] to which the largest obstacle speed is told
-_LIGHTEST = 1e-2  # [kg] to which the largest difference of masses is told
+_STEP = 0.002  # [m/s] between two examined speeds
+_NEAR = 0.95  # share of the fastest obstacle speed: beyond it the required range grows without bound
+_FINEST = 1e-4  # [m/s] resolution of the largest obstacle speed
+_LIGHTEST = 1e-2  # [kg] resolution of the largest mass difference
 
 
 def margin_needed(
@@ -40,23 +40,24 @@ def margin_needed(
     barrier: Barrier = "simple",
     turning: float = 0.0,
 ) -> float:
-    """Margin [m] that one vehicle with these very numbers needs beyond the law's bound; inf where it cannot brake.
+    """Return the margin [m] that the actual vehicle needs beyond the law's bound; inf if it cannot brake.
 
-    As in `safety_claim`, with the masses as different as they are and the thrust that the scenario's error leaves.
+    The margin is computed as in `safety_claim`, but with the exact numbers of the actual vehicle: its own two masses,
+    and its thrust less the scenario's thrust error.
 
     Args:
-        scenario, gains, barrier: as there.
-        believed: what the law believes in.
-        actual: what brakes.
-        turning: see `turn_rate`.
+        scenario, gains, barrier: as for `safety_claim`.
+        believed: vehicle model of the law.
+        actual: vehicle that brakes.
+        turning: yaw rate while braking [rad/s], see `turn_rate`.
 
     Example:
         >>> from surctl.control import load_gains
         >>> from surctl.simulation import load_scenario, margin_needed
         >>> from surctl.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> weak = vehicle.with_values({"Fu_max": 2.5, "Fv_max": 2.5})  # half the thrust that the law believes in
-        >>> gains["margin"], [round(margin_needed(mission, vehicle, gains, flown), 3) for flown in (vehicle, weak)]
+        >>> weak = vehicle.with_values({"Fu_max": 2.5, "Fv_max": 2.5})  # half the thrust of the law's model
+        >>> gains["margin"], [round(margin_needed(mission, vehicle, gains, actual), 3) for actual in (vehicle, weak)]
         (0.05, [0.047, 0.116])
     """
     d = scenario.disturbance
@@ -73,16 +74,17 @@ def margin_needed(
 def turn_rate(
     scenario: Scenario, believed: Vehicle, gains: Gains, *, sonar: bool, actual: Vehicle | None = None
 ) -> float:
-    """Yaw rate [rad/s] that the hull comes to when it looks around (sonar), else in the path's sharpest corner.
+    """Return the steady yaw rate [rad/s] of the hull: while it scans (sonar), otherwise in the path's sharpest corner.
 
-    The rate that is asked for is met where the yaw loop's moment is the drag's, which the law believes another one.
+    At the steady rate, the moment of the yaw loop equals the yaw drag. It differs from the desired rate if the drag
+    differs from that of the law's model.
 
     Args:
         scenario: the mission.
-        believed: what the law believes in.
-        gains: of the law.
-        sonar: whether it looks around.
-        actual: what turns; default: whatever turns the most of the stated ranges.
+        believed: vehicle model of the law.
+        gains: gains of the law.
+        sonar: whether the law turns the hull to scan with its sonars.
+        actual: vehicle that turns; default: the one that turns fastest within the stated ranges.
 
     Example:
         >>> from surctl.control import load_gains
@@ -113,13 +115,13 @@ def turn_rate(
 
 
 def mass_difference(vehicle: Vehicle, spread: float | None = None) -> float:
-    """Largest |m11 - m22| [kg] that the true vehicle may have.
+    """Return the largest |m11 - m22| [kg] that the true vehicle may have.
 
-    Where the file gives surge and sway one mass and one range, the true vehicle has one mass too.
+    If the file gives surge and sway the same mass and the same range, the two masses of the true vehicle are equal.
 
     Args:
-        vehicle: what is believed.
-        spread: share by which both masses together may be off; None takes the ranges of the vehicle file.
+        vehicle: vehicle model of the law.
+        spread: largest common relative error of both masses; None takes the ranges of the vehicle file.
     """
     surge, sway = (vehicle.parameters[name] for name in ("m11", "m22"))
     if spread is not None:
@@ -131,18 +133,18 @@ def mass_difference(vehicle: Vehicle, spread: float | None = None) -> float:
 
 
 def munk(difference: float, turning: float, speed: float) -> float:
-    """Most [N] by which a hull of two masses that turns is pushed: |m11 - m22| r v, in a direction that turns too."""
+    """Return the largest force [N] on a turning hull with two masses, |m11 - m22| r v; its direction turns too."""
     return difference * turning * speed
 
 
 def turned(brakes: Brakes, turning: float) -> Brakes:
-    """What the lag leaves of a force against the motion when the hull turns under it, see `guidance.braking`."""
+    """Return the brakes of a turning hull, whose thrust lag reduces the braking force, see `guidance.braking`."""
     return replace(brakes, least=brakes.least / (1 + (turning * brakes.lag) ** 2))
 
 
 @dataclass(frozen=True)
 class Bound:
-    """The law's bound, and what it must be compared with."""
+    """The law's speed bound, and the brakes and sampling that decide whether its margin is enough."""
 
     brakes: Brakes
     watch: Watch
@@ -152,13 +154,17 @@ class Bound:
     cap: float
 
     def difference(self, obstacle: float, turning: float) -> float:
-        """Largest |m11 - m22| [kg] that the margin suffices for, of brakes that leave it out; inf without turning."""
+        """Return the largest |m11 - m22| [kg] that the margin covers; inf without turning.
+
+        The disturbance of `brakes` must not include the force of that difference.
+        """
         if turning * self.cap <= 0:
             return inf
 
         def enough(difference: float) -> bool:
-            pushed = replace(self.brakes, disturbance=self.brakes.disturbance + munk(difference, turning, self.cap))
-            return max(replace(self, brakes=pushed).margins(obstacle).values()) <= self.gains["margin"]
+            disturbance = self.brakes.disturbance + munk(difference, turning, self.cap)
+            turning_brakes = replace(self.brakes, disturbance=disturbance)
+            return max(replace(self, brakes=turning_brakes).margins(obstacle).values()) <= self.gains["margin"]
 
         low, high = 0.0, self.brakes.least / (turning * self.cap)
         if not enough(0.0):
@@ -169,7 +175,7 @@ class Bound:
         return low
 
     def limit(self, detection: float) -> float:
-        """Largest speed [m/s] of an obstacle that range and margin suffice for; 0 if not even for one at rest."""
+        """Return the largest obstacle speed [m/s] that range and margin cover; 0 if they do not cover one at rest."""
         low, high = 0.0, min(_NEAR * fastest_obstacle(self.brakes), 10.0)
         if not self.suffices(0.0, detection):
             return 0.0
@@ -179,14 +185,14 @@ class Bound:
         return low
 
     def suffices(self, obstacle: float, detection: float) -> bool:
-        """Whether range and margin do, before an obstacle of that speed [m/s]."""
+        """Return whether detection range and margin are enough for an obstacle of that speed [m/s]."""
         needed = range_needed(
             self.brakes, self.watch, self.cap, obstacle=obstacle, stopping=stopping_distance_with_drag
         )
         return needed <= detection and max(self.margins(obstacle).values()) <= self.gains["margin"]
 
     def margins(self, obstacle: float) -> Mapping[float, float]:
-        """Own speed up to the cap → margin [m] that is needed beyond the bound."""
+        """Return a map from own speed [m/s], up to the cap, to the margin [m] that is needed beyond the bound."""
         result, top = {}, self.cap + self.watch.speed_error + self.excess(self.cap)
         distance = tabled_stopping_distance(
             self.brakes, top + self.brakes.acceleration(obstacle) * self.watch.period, obstacle=obstacle
@@ -198,7 +204,7 @@ class Bound:
         return result
 
     def law_distance(self, speed: float, obstacle: float) -> float:
-        """What the law keeps beside its margin when it goes as fast as it lets itself [m]."""
+        """Return the distance [m], without the margin, at which the law allows this speed before the obstacle."""
         if self.barrier == "inertia":
             own = brakes_of(self.vehicle, share=self.gains["brake"])
             return range_needed(own, Watch(self.watch.period), speed, obstacle=obstacle)
@@ -207,7 +213,10 @@ class Bound:
         return closing**2 * heaviest / (2 * self.gains["brake"] * weakest) + (closing + obstacle) * reaction
 
     def excess(self, speed: float) -> float:
-        """Speed above the bound at which the velocity loop, which feeds drag forward, asks for the least thrust."""
+        """Return the speed excess over the bound [m/s] at which the velocity loop commands the least braking thrust.
+
+        The velocity loop compensates drag by feedforward.
+        """
         v, pairs = max(speed, 0.0), (("Xu", "Xuu"), ("Yv", "Yvv"))
         drag = max(self.vehicle[a] * v + self.vehicle[b] * v**2 for a, b in pairs)
         return (self.brakes.least + drag) / (self.gains["k_v"] * (1 + BRAKE) * float(min(self.vehicle.mass[:2])))

@@ -1,4 +1,4 @@
-"""What a run is judged by."""
+"""The metrics of a run, and the reasons why a run ends."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ __all__ = [
     "path_error",
 ]
 
-TUBE = 0.10  # [m] |y_e| below which an avoidance interval has ended (*chosen*)
-NEAR_TARGET = 1.0  # [m] within which going past the target is overshoot (*chosen*)
+TUBE = 0.10  # [m] an avoidance interval ends only when |y_e| is at most this (*chosen*)
+NEAR_TARGET = 1.0  # [m] distance from the target within which overshoot is measured (*chosen*)
 
 STOPPED_LIMIT = 30.0
-"""[s] without a break in which a law with senses stands still for want of knowledge, before its run ends (*chosen*)."""
+"""Uninterrupted standstill [s] after which a run ends, if a law with perception lacks map knowledge (*chosen*)."""
 
 STANDSTILL = 10.0
-"""[s] for which a law that gave up in a dead end is watched standing, before its run ends (*chosen*)."""
+"""Time [s] between the moment at which the law gives up in a dead end and the end of its run (*chosen*)."""
 
 STOPS = ("time limit", "reached", "collision", "fault", "standstill", "dead end")
-"""Why a run can end; a batch gives the position in this tuple."""
+"""Reasons why a run can end; a batch returns the index in this tuple."""
 
 
 LATE, GONE = -10, -11
-"""Status of a tick in which a controller outside this process had no command there in time, or is gone for good."""
+"""Status of a control step whose external controller sent its command too late (LATE) or has disconnected (GONE)."""
 
 LINK_LOST = "link lost"
-"""Why a run ends whose controller is gone: not among `STOPS`, as no batch has such a controller."""
+"""Reason why a run ends if its external controller has disconnected; batches have none, so `STOPS` omits it."""
 
 
 @dataclass(frozen=True)
 class MetricSpec:
-    """Unit and meaning of a figure, and which way is better (None: neither)."""
+    """Unit and meaning of a metric, and whether low or high values are better (None: neither)."""
 
     unit: str
     meaning: str
@@ -55,41 +55,42 @@ class MetricSpec:
 
 METRICS: Mapping[str, MetricSpec] = MappingProxyType(
     {
-        "reached": MetricSpec("1", "1 if the run arrived within reach of the target", "high"),
-        "collided": MetricSpec("1", "1 if the hull touched something", "low"),
-        "time_s": MetricSpec("s", "when the run ended", "low"),
-        "min_clearance_m": MetricSpec("m", "least distance hull to obstacle or wall", "high"),
+        "reached": MetricSpec("1", "1 if the robot reached the target", "high"),
+        "collided": MetricSpec("1", "1 if the hull touched an obstacle or a wall", "low"),
+        "time_s": MetricSpec("s", "time at which the run ended", "low"),
+        "min_clearance_m": MetricSpec("m", "smallest distance between the hull and an obstacle or a wall", "high"),
         "path_error_m": MetricSpec(
-            "m", "rms distance to the path, three axes, outside avoidance; NaN if all was", "low"
+            "m", "rms distance to the path in three axes outside avoidance; NaN without such samples", "low"
         ),
         "deviation_m": MetricSpec("m", "rms horizontal distance to the path over the whole run", "low"),
         "max_deviation_m": MetricSpec("m", "largest horizontal distance to the path", "low"),
-        "missed_corner_m": MetricSpec("m", "largest distance at which the robot passed a corner of the path", "low"),
-        "overshoot_m": MetricSpec("m", "largest way past the target along the last leg, within 1 m of it", "low"),
-        "length_m": MetricSpec("m", "length of the way flown", "low"),
-        "effort_n": MetricSpec("N", "mean of |horizontal thrust command|", "low"),
-        "peak_thrust_share": MetricSpec("1", "largest |thrust command| over its limit, any axis", "low"),
-        "saturated_share": MetricSpec("1", "share of the ticks with a thrust command at its limit", "low"),
+        "missed_corner_m": MetricSpec("m", "largest distance at which the robot passed a path corner", "low"),
+        "overshoot_m": MetricSpec("m", "largest overshoot past the target along the last leg", "low"),
+        "length_m": MetricSpec("m", "length of the path that the robot travelled", "low"),
+        "effort_n": MetricSpec("N", "mean magnitude of the horizontal thrust command", "low"),
+        "peak_thrust_share": MetricSpec("1", "largest ratio of a thrust command to its limit, over all axes", "low"),
+        "saturated_share": MetricSpec("1", "share of control steps with a thrust command at its limit", "low"),
         "thrust_rate_n_per_s": MetricSpec("N/s", "rms rate of change of the horizontal thrust command", "low"),
         "stopped": MetricSpec("1", "why the run ended: " + ", ".join(f"{k} {w}" for k, w in enumerate(STOPS)), None),
     }
 )
-"""What a batch of runs gives for each run, in the order of its columns."""
+"""The metrics that a batch returns for each run, in the order of its columns."""
 
 
 @dataclass(frozen=True)
 class Metrics:
-    """Figures of one run.
+    """Metrics of one run.
 
     Attributes:
-        reached: arrived within the scenario's reach of the target.
-        time_s: when the run ended.
-        min_clearance_m: smallest distance hull to obstacle, or to a wall once the hull was clear of the walls.
+        reached: whether the robot came within the scenario's arrival radius of the target.
+        time_s: time at which the run ended.
+        min_clearance_m: smallest distance from the hull to an obstacle, or to a wall (walls count once the hull was
+            clear of them).
         path_error_m: rms distance to the reference path, all three axes, outside avoidance intervals; NaN if the
-            whole run was one.
+            whole run is one avoidance interval.
         deviation_m: rms horizontal distance to the reference path over the whole run, avoidance included.
-        length_m: length of the way flown.
-        effort_n: mean of |horizontal thrust|.
+        length_m: length of the path that the robot travelled.
+        effort_n: mean magnitude of the horizontal thrust command.
         stopped_because: one of `STOPS`, or `LINK_LOST`.
         max_deviation_m, missed_corner_m, overshoot_m, peak_thrust_share, saturated_share, thrust_rate_n_per_s: see
             `METRICS`.
@@ -111,7 +112,7 @@ class Metrics:
     thrust_rate_n_per_s: float
 
     def row(self) -> tuple[float, ...]:
-        """The figures in the order of `METRICS`."""
+        """Return the metrics in the order of `METRICS`."""
         coded = {
             "reached": float(self.reached),
             "collided": float(self.stopped_because == "collision"),
@@ -123,7 +124,7 @@ class Metrics:
 def avoidance_intervals(
     avoiding: NDArray[np.float64], distance: NDArray[np.float64], *, tube: float = TUBE
 ) -> NDArray[np.bool_]:
-    """Avoidance intervals (n,): they begin with the command and end only when |y_e| is back within the tube."""
+    """Return (n,) whether each sample is in an avoidance interval, which ends when |y_e| is back within the tube."""
     out = np.zeros(len(avoiding), dtype=bool)
     active = False
     for k, (commanded, away) in enumerate(zip(avoiding > 0.5, distance, strict=True)):
@@ -133,7 +134,7 @@ def avoidance_intervals(
 
 
 def path_error(horizontal: NDArray[np.float64], vertical: NDArray[np.float64], excluded: NDArray[np.bool_]) -> float:
-    """E_p as rms over the samples that are not excluded: √(mean(Δh² + Δz²)) [m] (E14); NaN if none is left."""
+    """Return E_p = √(mean(Δh² + Δz²)) [m] (E14) over the samples that are not excluded; NaN if all are excluded."""
     included = ~excluded
     if not included.any():
         return float("nan")

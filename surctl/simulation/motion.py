@@ -1,4 +1,4 @@
-"""Whether the speeds of a scenario can be held."""
+"""Check the speeds of a scenario: obstacles, current, thrust, speed cap and time limit."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["closest", "motion_findings"]
 
 
 def motion_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """Obstacles that run into each other, obstacles and currents too fast, thrust too small, time too short."""
+    """Return the findings about obstacles that collide or are too fast, current, thrust, speed cap and time limit."""
     return [
         *_obstacle_speeds(scenario),
         *_meetings(scenario, vehicle),
@@ -36,7 +36,7 @@ def _obstacle_speeds(scenario: Scenario) -> list[Finding]:
             "warning",
             f"obstacles.{o.name}.speed_m_per_s",
             f"obstacle {o.name!r} at {o.speed_m_per_s:g} m/s is faster than the cap of {scenario.cap:g} m/s: "
-            "it cannot be outrun, only sidestepped",
+            "the robot can evade it only sideways",
         )
         for o in scenario.obstacles
         if o.speed_m_per_s is not None and o.speed_m_per_s > scenario.cap
@@ -44,20 +44,21 @@ def _obstacle_speeds(scenario: Scenario) -> list[Finding]:
 
 
 def _meetings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """Moving obstacles that are in one place at one time."""
+    """Report moving obstacles that collide with each other."""
     results = []
     for a, b in combinations([o for o in scenario.obstacles if o.shape == "moving"], 2):
         apart = closest(a, b, until=scenario.time_limit) - sum(o.radius_m or vehicle["radius"] for o in (a, b))
         if apart < 0:
-            text = f"obstacles {a.name!r} and {b.name!r} run into each other: they overlap by {-apart:.2f} m"
+            text = f"obstacles {a.name!r} and {b.name!r} collide with each other: they overlap by {-apart:.2f} m"
             results.append(Finding("error", f"obstacles.{b.name}.to_m", text))
     return results
 
 
 def closest(a: Obstacle, b: Obstacle, *, until: float) -> float:
-    """Least distance [m] between the centres of two moving obstacles up to a time [s]; inf if never both are there.
+    """Return the smallest distance [m] between the centres of two moving obstacles up to a time [s].
 
-    Each goes straight at its speed, then stands at its end or, if it is `removed`, is there no more.
+    Each obstacle moves straight at its speed. At its end it stays, or it leaves the water if it is `removed`. The
+    distance is inf if the two are never in the water together.
     """
     ends = [_arrival(o) for o in (a, b)]
     last = min([until, *(end for end, o in zip(ends, (a, b), strict=True) if o.removed)])
@@ -72,7 +73,7 @@ def closest(a: Obstacle, b: Obstacle, *, until: float) -> float:
 
 
 def _arrival(obstacle: Obstacle) -> float:
-    """When it is at its end [s]."""
+    """Return the time [s] at which the obstacle arrives at its end; inf if it does not move."""
     distance = float(np.hypot(*np.subtract(obstacle.to_m or obstacle.centre_m, obstacle.centre_m)))
     return distance / obstacle.speed_m_per_s if obstacle.speed_m_per_s else inf
 
@@ -84,7 +85,7 @@ def _at(obstacle: Obstacle, time: float) -> NDArray[np.float64]:
 
 
 def _braking(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """Obstacles that are only evaded: braking, at the worst of the vehicle's ranges, does not keep them off."""
+    """Report obstacles that braking alone cannot avoid, at the worst values of the vehicle's ranges."""
     brakes, results = brakes_of(vehicle), []
     most, sight = fastest_obstacle(brakes), scenario.sensors.equipment.array.maximum
     for o in scenario.obstacles:
@@ -92,10 +93,10 @@ def _braking(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
         needed = range_needed(brakes, Watch(), scenario.cap, obstacle=speed, stopping=stopping_distance_with_drag)
         if speed <= 0 or needed <= sight:
             continue
-        why = f"it takes {needed:.2f} m to stop from the cap before it, and the sonars reach {sight:g} m"
+        why = f"stopping before it from the speed cap takes {needed:.2f} m, but the sonars reach {sight:g} m"
         if speed >= most:
-            why = f"braking guarantees nothing before obstacles faster than {most:.3f} m/s"
-        text = f"obstacle {o.name!r} at {speed:g} m/s is evaded sideways, not braked for: with {vehicle.name} {why}"
+            why = f"braking guarantees nothing against obstacles faster than {most:.3f} m/s"
+        text = f"braking cannot avoid obstacle {o.name!r} at {speed:g} m/s: evasion must; with {vehicle.name} {why}"
         results.append(Finding("info", f"obstacles.{o.name}.speed_m_per_s", text))
     return results
 
@@ -109,7 +110,7 @@ def _current(scenario: Scenario) -> list[Finding]:
 
 
 def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """Drag of the cruise speed through the water, heading along the leg or into the stream, whichever is easier."""
+    """Report a thrust below the drag at cruise speed, for the easier heading: along the leg or into the current."""
     d = scenario.disturbance
     current, weak = np.array(d.current_m_per_s), 1 - d.thrust_error - d.thrust_bias
     worst, figures = 0.0, (0.0, 0.0, 0.0)
@@ -129,24 +130,24 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
         return []
     speed, needed, limit = figures
     text = (
-        f"to hold the cruise speed of {scenario.cruise:g} m/s against the current {vehicle.name} goes {speed:.3g} m/s "
-        f"through the water and needs {needed:.2f} N, and its thrusters give {limit:.2f} N"
+        f"at the cruise speed of {scenario.cruise:g} m/s {vehicle.name} moves at {speed:.3g} m/s through the water and "
+        f"needs {needed:.2f} N, but its thrusters deliver {limit:.2f} N"
     )
     return [Finding("error", "cruise_m_per_s", text)]
 
 
 def _cap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """A cap that the thrust does not hold in still water: commanded speeds between are never reached."""
+    """Report a speed cap above the speed that the thrust holds in still water; the robot cannot reach such a cap."""
     held = {"surge": _held(vehicle, "Xu", "Fu_max"), "sway": _held(vehicle, "Yv", "Fv_max")}
     if scenario.cap <= min(held.values()):
         return []
     speeds = " and ".join(f"{speed:.3g} m/s in {axis}" for axis, speed in held.items())
-    text = f"the cap of {scenario.cap:g} m/s is above what the thrust of {vehicle.name} holds: {speeds}"
+    text = f"the cap of {scenario.cap:g} m/s is above the speeds that {vehicle.name} can hold by thrust: {speeds}"
     return [Finding("warning", "cap_m_per_s", text)]
 
 
 def _held(vehicle: Vehicle, axis: str, limit: str) -> float:
-    """Speed [m/s] at which the drag of an axis is its thrust limit; inf without drag."""
+    """Return the speed [m/s] at which the drag of an axis equals its thrust limit; inf without drag."""
     linear, quadratic, most = vehicle[axis], vehicle[axis + axis[-1]], vehicle[limit]
     root = linear + sqrt(linear**2 + 4 * quadratic * most)
     return 2 * most / root if root > 0 else inf

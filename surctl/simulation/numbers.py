@@ -1,4 +1,4 @@
-"""A mission, gains and a vehicle as the numbers that a law is given."""
+"""The parameter vector of a law from a mission, gains and a vehicle."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from surctl.vehicle import Vehicle
 __all__ = ["VISITED", "law_numbers"]
 
 VISITED = 0.5
-"""Share of the distance that counts as a visit, to which a law goes by what it measures (*chosen*: the rest is for
-the error of its position)."""
+"""Share of the visit distance within which the law counts a corner as visited by its measured position (*chosen*).
+
+The rest of the distance covers the error of that position.
+"""
 
 
 def law_numbers(scenario: Scenario, gains: Gains, model: Vehicle) -> NDArray[np.float64]:
-    """The law's parameters, as `PARAMETERS` packs them: of a scenario, gains, and the vehicle that is believed in.
+    """Return the law's parameters, packed as in `PARAMETERS`, from a scenario, gains, and the law's vehicle model.
 
     Example:
         >>> from surctl.control import PARAMETERS, load_gains

@@ -1,4 +1,4 @@
-"""Obstacles as scenario files hold them."""
+"""The obstacles of a scenario file."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ NotNegative = Annotated[float, Field(ge=0)]
 class Obstacle(Strict):
     """One obstacle; lengths in m, speeds in m/s, positions in {E} at the start.
 
-    A box or cylinder stands still but for its drift: a seeded sine of amplitude `drift_m` in a seeded direction. A
-    `moving` sphere goes in a straight line from `centre_m` to `to_m` and is taken out on arrival if `removed`.
-    `bottom_m` and `top_m` are z of its ends, negative below the surface like the path's `depth_m`; left out, it reaches
-    through the floor or the surface. A moving one is taken for an upright cylinder.
+    A box or a cylinder stands still except for its drift: a seeded sine of amplitude `drift_m` in a seeded direction. A
+    `moving` obstacle goes in a straight line from `centre_m` to `to_m` and is removed on arrival if `removed` is true.
+    `bottom_m` and `top_m` are z of its lower and upper end, negative below the surface like the path's `depth_m`.
+    Without them, the obstacle extends to the floor or to the surface. A moving obstacle is an upright cylinder.
     """
 
     name: str = Field(min_length=1)
@@ -55,31 +55,31 @@ class Obstacle(Strict):
 
     @property
     def still(self) -> bool:
-        """Whether it stays where it is, but for its drift."""
+        """Whether the obstacle stands still, except for its drift."""
         return self.shape != "moving"
 
     @property
     def heights(self) -> Heights:
-        """From which z to which z it reaches [m]."""
+        """Lowest and highest z of the obstacle [m]."""
         bottom, top = self.bottom_m, self.top_m
         return Heights(-inf if bottom is None else bottom, inf if top is None else top)
 
     @property
     def rounding(self) -> float:
-        """Radius [m] of what stands still; 0 of a box, and of what takes the hull's."""
+        """Radius [m] of the obstacle; 0 for a box, and for a moving obstacle that takes the radius of the hull."""
         return 0.0 if self.size_m is not None else self.radius_m or 0.0
 
     def distance(self, point: Point) -> float:
-        """Signed distance [m] from a point in {E} to its surface where the file puts it; without drift."""
+        """Return the signed distance [m] from a point in {E} to the obstacle's surface at its start, without drift."""
         return _between(self, point, (0.0, 0.0), 0.0)
 
     def apart(self, other: Obstacle) -> float:
-        """Signed distance [m] between the surfaces of two where the file puts them; negative when they overlap."""
+        """Return the signed distance [m] between two obstacles at their start; it is negative if they overlap."""
         return _between(self, other.centre_m, other.size_m or (0.0, 0.0), other.rounding)
 
 
 def _between(obstacle: Obstacle, centre: Point, size: tuple[float, float], radius: float) -> float:
-    """A box is round with radius 0, a cylinder a box of size 0: then one formula serves every pair."""
+    """Return the signed distance [m]; a box has radius 0 and a cylinder size 0, so one formula covers every pair."""
     own = obstacle.size_m or (0.0, 0.0)
     x, y = (abs(obstacle.centre_m[k] - centre[k]) - (own[k] + size[k]) / 2 for k in (0, 1))
     beyond = hypot(max(x, 0.0), max(y, 0.0)) if max(x, y) > 0 else max(x, y)

@@ -1,4 +1,4 @@
-"""What the paper reports of a scenario, in numbers."""
+"""The numbers that the paper reports for a scenario."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ _OF = {
 
 
 class PaperFigure(Strict):
-    """What the paper reports of the scenario; what it does not state is left out.
+    """The numbers that the paper reports for a scenario; numbers that the paper does not state are left out.
 
     Attributes:
-        result: in words; empty where the paper has no such scenario.
-        time_s: to the target; `time_kind` says whether about so much or less, `time_of` whether the paper states it
-            of this run, of every run of a series, or of a series' mean.
-        position_error_m: E_p to the reference path outside the avoidance, with kind and scope alike.
-        detected_s: when the moving obstacle is detected, about.
-        passed_s: when the moving obstacles are behind the robot, about.
-        transients_s: when avoidance disturbs the tracking, about.
+        result: the result in words; empty if the paper has no such scenario.
+        time_s: time to the target; `time_kind` says whether it is approximate or an upper limit, `time_of` whether
+            the paper states it for this run, for every run of a series, or for the mean of a series.
+        position_error_m: E_p to the reference path outside avoidance; `position_error_kind` and `position_error_of`
+            have the same meaning as for the time.
+        detected_s: approximate time at which the moving obstacle is detected.
+        passed_s: approximate time at which the moving obstacles are behind the robot.
+        transients_s: approximate times at which avoidance disturbs the path tracking.
     """
 
     result: str = ""
@@ -47,5 +48,5 @@ class PaperFigure(Strict):
     def _of_something(self) -> PaperFigure:
         for key, figure in _OF.items():
             if key in self.model_fields_set and getattr(self, figure) is None:
-                raise ValueError(f"{key} speaks of {figure}, which is not given; add {figure} or remove {key}")
+                raise ValueError(f"{key} describes {figure}, which is missing; add {figure} or remove {key}")
         return self

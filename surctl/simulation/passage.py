@@ -1,9 +1,9 @@
-"""The tightest gap on the widest way from start to target, between bodies that stand still.
+"""The tightest gap on the widest path from start to target, between obstacles and walls that stand still.
 
-A grid finds which gap that is: of all ways, the one whose least clearance is greatest (a shortest-path search whose
-length is the minimum instead of the sum; Pollack 1960, "The maximum capacity through a network"). Its width is then
-exact, from the two bodies alone. A drifting obstacle counts with its amplitude added to its size: what is left is the
-room that is always there.
+A search on a grid finds the gap: the widest path is the one whose smallest clearance is largest (a shortest-path search
+with the minimum instead of the sum; Pollack 1960, "The maximum capacity through a network"). The width of the gap is
+then computed exactly from the two bodies beside it. In the search, the drift amplitude of an obstacle is added to its
+size, so that the clearance is always available.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from surctl.simulation.scenario import Scenario
 
 __all__ = ["Gap", "tightest_gap"]
 
-_CELLS = 250  # along the site's diagonal: 45 mm in the tank, 14 mm in the pool
+_CELLS = 250  # grid cells along the site's diagonal; a cell is 45 mm in the tank and 14 mm in the pool
 
 Field = NDArray[np.float64]
 Cell = tuple[int, int]
@@ -28,13 +28,13 @@ Cell = tuple[int, int]
 
 @dataclass(frozen=True)
 class Gap:
-    """Room between two bodies.
+    """A gap between two bodies.
 
     Attributes:
-        between: their names.
-        place: (x, y) [m] in {E}, where the way passes, to a grid cell.
-        width: where the file puts them [m], not positive when they touch.
-        drift: by how much it may narrow [m].
+        between: names of the two bodies.
+        place: (x, y) [m] in {E} where the path crosses the gap, to within a grid cell.
+        width: distance between the bodies without drift [m]; not positive if they touch.
+        drift: amount by which drift may narrow the gap [m].
     """
 
     between: tuple[str, str]
@@ -44,7 +44,7 @@ class Gap:
 
     @property
     def always(self) -> float:
-        """The width that is left whatever the drift [m]."""
+        """Width of the gap at the worst drift [m]."""
         return self.width - self.drift
 
 
@@ -57,7 +57,7 @@ class _Still:
     drift: float
 
     def distance(self, x: Field, y: Field) -> Field:
-        """To the surface [m], negative inside, at the end of its drift."""
+        """Return the signed distance [m] to the surface at the worst drift; it is negative inside the body."""
         beyond = np.abs(x - self.centre[0]) - self.half[0], np.abs(y - self.centre[1]) - self.half[1]
         outside = np.hypot(np.maximum(beyond[0], 0), np.maximum(beyond[1], 0))
         inside = np.minimum(np.maximum(*beyond), 0)
@@ -66,14 +66,14 @@ class _Still:
 
 
 def tightest_gap(scenario: Scenario, clearance: float, *, depth: float | None = None) -> Gap | None:
-    """The tightest gap on the widest way from start to target; None where no way comes that close to two bodies.
+    """Return the tightest gap on the widest path from start to target; None if every gap on it is wide enough.
 
     Args:
-        scenario: what stands in the site; moving obstacles do not count.
-        clearance: half the required width [m]. Where start or target have less, the passage begins at the nearest
-            place that is no tighter than its surroundings.
-        depth: z [m] of the passage; default: the path's. What lies more than `clearance` above or below it is no
-            obstacle.
+        scenario: the mission with its site and obstacles; moving obstacles are ignored.
+        clearance: half the required width [m]. If the start or the target has less clearance, the search moves it
+            along the grid to a point with enough clearance, or to a local maximum of the clearance.
+        depth: z [m] of the path; default: that of the scenario. Obstacles that are more than `clearance` above or below
+            this depth are ignored.
     """
     length, width, _ = scenario.site
     step = float(np.hypot(length, width)) / _CELLS
@@ -93,7 +93,7 @@ def tightest_gap(scenario: Scenario, clearance: float, *, depth: float | None = 
 
 
 def _walls(length: float, width: float) -> list[_Still]:
-    """The walls as boxes, far thicker than the site is long."""
+    """Return the walls as boxes that are much thicker than the site is long."""
     far = length + width
     return [
         _Still("the wall x = 0", (-far, 0.0), (far, 4 * far), 0.0, 0.0),
@@ -116,7 +116,7 @@ def _apart(one: _Still, other: _Still) -> float:
 
 
 def _pair(bodies: Sequence[_Still], place: tuple[float, float], step: float) -> tuple[_Still, _Still]:
-    """The nearest body, and the nearest on the other side of the place."""
+    """Return the nearest body, and the nearest body on the other side of the place."""
     slope = step / 16
     away = []
     for body in bodies:
@@ -152,8 +152,8 @@ def _at(clear: Field) -> Callable[[Cell], float]:
 
 
 def _widest_path(clear: Field, start: Cell, target: Cell) -> list[Cell]:
-    """The cells from target to start of the way whose least clearance is greatest."""
-    # one row and column more on every side, seen beforehand, so that each cell has eight neighbours
+    """Return the cells, from target to start, of the path whose smallest clearance is largest."""
+    # one extra row and column on every side, marked as visited, so that each cell has eight neighbours
     around, row = np.pad(clear, 1), clear.shape[1] + 2
     cost, visited = (-around.ravel()).tolist(), bytearray(np.pad(np.zeros(clear.shape, bool), 1, constant_values=True))
     steps = [a * row + b for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]

@@ -1,4 +1,4 @@
-"""What each level of priority gave up over a run, and to which rows."""
+"""Timeline of a run's priority decisions: how much each level was relaxed, and which rows caused it."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from surctl.simulation.run import Run
 __all__ = ["NOTICEABLE", "PriorityTimeline", "priority_timeline"]
 
 NOTICEABLE = 1e-6
-"""What is less is rounding, in any level's unit."""
+"""Smallest residual that counts, in any level's unit; smaller residuals are rounding errors."""
 
 
 @dataclass(frozen=True, eq=False)
 class PriorityTimeline:
-    """The priority decisions of a run, tick by tick (n of them).
+    """The priority decisions of a run at each of its n control steps.
 
     Attributes:
-        time: (n,) [s].
-        levels: names, highest priority first; `units` of their residuals.
-        to_levels: (n, levels) residual of the law without rows: what a level gives up to those above it.
-        to_rows: (n, levels) what it gives up on top of that, because rows hold it back.
-        rows: names of those that hold back or are missed at some tick, in the law's order.
-        binding, missed: (n, rows) whether a row holds back, and by how much the wish misses it [m/s].
-        causes: (n, levels, rows) whether that level gave something up to that row.
+        time: (n,) time of each control step [s].
+        levels: names of the levels, highest priority first; `units` are the units of their residuals.
+        to_levels: (n, levels) residual without constraint rows: the part that higher levels cause.
+        to_rows: (n, levels) additional residual: the part that constraint rows cause.
+        rows: names of the rows that bind or are violated in some step, in the law's order.
+        binding, missed: (n, rows) whether a row binds, and by how much the velocity violates it [m/s].
+        causes: (n, levels, rows) whether that row caused a residual of that level.
     """
 
     time: NDArray[np.float64]
@@ -41,14 +41,14 @@ class PriorityTimeline:
 
     @property
     def eventful(self) -> bool:
-        """Whether any level gave up anything, or any row held back or was missed."""
+        """Whether any level has a residual, or any row binds or is violated, in some step."""
         return bool(self.rows) or bool((self.to_levels > NOTICEABLE).any())
 
 
 def priority_timeline(run: Run) -> PriorityTimeline:
-    """Solve every tick of a run again with names on every row; ticks that the law refused are left out.
+    """Return the priority timeline of a run: solve each control step again with a name for every row.
 
-    It takes about a millisecond a tick.
+    Steps whose input the law rejected are left out. This takes about 1 ms per control step.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -56,8 +56,8 @@ def priority_timeline(run: Run) -> PriorityTimeline:
         >>> from surctl.vehicle import load_vehicle
         >>> law = build_law(mode="filter", contacts=1)
         >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=load_gains("default"), law=law)
-        >>> found = priority_timeline(run)
-        >>> [(name, round(float(most), 2)) for name, most in zip(found.levels, found.to_rows.max(axis=0))]
+        >>> timeline = priority_timeline(run)
+        >>> [(name, round(float(most), 2)) for name, most in zip(timeline.levels, timeline.to_rows.max(axis=0))]
         [('velocity', 0.23), ('depth', 0.0), ('heading', 0.0)]
     """
     record, law = run.record, run.law

@@ -1,4 +1,4 @@
-"""What happened in a run of the reference loop, and its metrics."""
+"""The record of a run of the reference loop, and the metrics computed from it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Record", "measure"]
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """Everything that happened, one row a control tick; kept for plots and for checks of other lives of the law."""
+    """Everything that happened in a run, one row per control step, for plots and for replays of the law elsewhere."""
 
     time: NDArray[np.float64]
     eta: NDArray[np.float64]
@@ -34,7 +34,7 @@ class Record:
 
 
 def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least: float) -> Metrics:
-    """The metrics of a record; `reason` says why the run ended, `least` is its least clearance [m]."""
+    """Return the metrics of a record; `reason` says why the run ended, `least` is its smallest clearance [m]."""
     where, thrust = record.eta[:, :2], record.tau[:, :2]
     follower = scenario.follower()
     away = follower.track(where)

@@ -1,4 +1,4 @@
-"""A run as a file for other programs: CSV, MATLAB's .mat, netCDF; one row a control step."""
+"""A run as a file for other programs: CSV, MATLAB's .mat or netCDF, with one row per control step."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ _MEANING = {
     **dict(zip(LOG_MOTION[:4], ("x in {E}", "y in {E}", "z in {E}", "heading, from x to y"), strict=True)),
     **dict(zip(LOG_MOTION[4:], ("surge in {B}", "sway in {B}", "heave in {B}", "yaw rate"), strict=True)),
     **dict(zip(LOG_THRUST, (f"commanded {axis}" for axis in ("surge", "sway", "heave", "yaw")), strict=True)),
-    "clearance_m": "hull to the nearest obstacle or wall",
-    "status": "bits of the law's status",
+    "clearance_m": "distance from the hull to the nearest obstacle or wall",
+    "status": "status bits of the law",
 }
 
 
 def record_columns(run: Run, *, frame: Frame | str = "enu") -> dict[str, NDArray[np.float64]]:
-    """Columns (n,) by name, SI units: time, η, ν, commanded thrust, clearance, status; `from-log` reads the same.
+    """Return columns (n,) by name in SI units: time, η, ν, commanded thrust, clearance, status; `from-log` reads them.
 
     Raises:
-        InputError: an unknown frame.
+        InputError: the frame is unknown.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -70,21 +70,21 @@ def record_columns(run: Run, *, frame: Frame | str = "enu") -> dict[str, NDArray
 
 
 def save_record(run: Run, folder: Path, *, kind: RecordFormat | str, frame: Frame | str = "enu") -> Path:
-    """Write the run to `SCENARIO-SEED.KIND` in the folder; the path.
+    """Write the run to `SCENARIO-SEED.KIND` in the folder and return the path of the file.
 
-    The same run gives the same numbers in each format, to the last bit. CSV: as many digits as bring each number back,
-    below a comment that says frame and run. .mat: one column vector a name, texts `frame` and `about`, structs `units`
-    and `meaning` with a field a name. netCDF-4: along dimension `time`, with `units` and `long_name` of each variable,
-    and `frame` of the file.
+    Each format holds the same numbers, to the last bit. CSV: all digits that are needed to restore each number, below a
+    comment with the frame and the run. .mat: one column vector per name, the texts `frame` and `about`, and the structs
+    `units` and `meaning` with one field per name. netCDF-4: variables along the dimension `time` with `units` and
+    `long_name`, and the attribute `frame` of the file.
 
     Args:
         run: the run.
-        folder: it must be there.
-        kind: csv, mat or nc.
-        frame: enu (ENU/FLU), or ned (NED/FRD).
+        folder: an existing folder.
+        kind: file format: csv, mat or nc.
+        frame: coordinate frame: enu (ENU/FLU) or ned (NED/FRD).
 
     Raises:
-        InputError: an unknown format or frame, or a folder that cannot be written.
+        InputError: the format or the frame is unknown, or the folder cannot be written.
 
     Example:
         >>> from pathlib import Path
@@ -113,13 +113,13 @@ def save_record(run: Run, folder: Path, *, kind: RecordFormat | str, frame: Fram
         held = io.BytesIO()
         texts = {"frame": frame_text, "about": about, "units": _UNITS, "meaning": _MEANING}
         savemat(held, {**{k: v[:, None] for k, v in columns.items()}, **texts}, oned_as="column")
-        text = b"MATLAB 5.0 MAT-file, a run of surctl".ljust(116)  # scipy writes the date there
+        text = b"MATLAB 5.0 MAT-file, a run of surctl".ljust(116)  # replaces the date that scipy writes
         return write_file(path, text + held.getvalue()[116:])
     return _netcdf(path, columns, about, frame_text)
 
 
 def _plain(value: float) -> str:
-    # a clearance is inf where there is nothing to touch
+    # the clearance is inf if there is no obstacle or wall
     return repr(int(value)) if abs(value) < 1e15 and value == int(value) else repr(float(value))
 
 
@@ -136,10 +136,10 @@ def _netcdf(path: Path, columns: Mapping[str, NDArray[np.float64]], about: str, 
                 variable.setncatts({"units": _UNITS[name], "long_name": _MEANING[name]})
                 variable[:] = values
         part.replace(path)
-    except (OSError, RuntimeError) as error:  # netCDF tells a full disk as a RuntimeError
+    except (OSError, RuntimeError) as error:  # netCDF reports a full disk as a RuntimeError
         with suppress(OSError):
             part.unlink(missing_ok=True)
         reason = getattr(error, "strerror", None) or str(error)
-        remedy = "make room or name another folder"
+        remedy = "free disk space or name another folder"
         raise InputError(f"cannot be written ({reason})", file=path, remedy=remedy) from None
     return path

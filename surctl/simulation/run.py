@@ -1,4 +1,4 @@
-"""A run as it was flown, and when and where it left its depth."""
+"""A simulated run, and when and where it changed its depth."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ SENSING: tuple[Sensing, ...] = get_args(Sensing)
 
 @dataclass(frozen=True)
 class DepthChange:
-    """From `time_s` [s] on it changes its depth in place.
+    """A change of depth in place, which begins at `time_s` [s].
 
     Attributes:
-        place_m: (x, y) in {E} [m].
-        from_m, to_m: z of the two depths [m].
-        back: whether that is the path's depth again.
+        place_m: position (x, y) in {E} [m].
+        from_m, to_m: z of the old and of the new depth [m].
+        back: whether the new depth is the path's depth.
     """
 
     time_s: float
@@ -38,19 +38,19 @@ class DepthChange:
     back: bool
 
     def __str__(self) -> str:
-        """One line without a full stop."""
-        what = "back to the path's depth" if self.back else "a way is looked for at another depth"
+        """Return one line of text without a full stop."""
+        what = "back to the path's depth" if self.back else "search for a passage at another depth"
         x, y = self.place_m
         return f"{self.time_s:6.2f} s  at ({x:.2f}, {y:.2f}) m from z {self.from_m:.2f} to {self.to_m:.2f} m: {what}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Return plain data for JSON."""
         return asdict(self)
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One closed-loop run: what was flown, the metrics, and the record."""
+    """One closed-loop run: its scenario, vehicle and law, its metrics, and its record."""
 
     scenario: Scenario
     vehicle: Vehicle
@@ -62,19 +62,19 @@ class Run:
     record: Record = field(repr=False)
 
     def telemetry(self, name: str) -> NDArray[np.float64]:
-        """The law's telemetry port of that name over time, (n, size)."""
+        """Return the law's telemetry port of that name over time, (n, size)."""
         return self.record.telemetry[:, self.law.telemetry_slice(name)]
 
     @property
     def attitude(self) -> Attitude | None:
-        """Crab angle, heading error, limit cycle; None of a law that spins to look round."""
+        """Crab angle, heading error and limit cycle; None for a law that turns the hull to scan with its sonars."""
         if self.law.perception is not None:
             return None
         record, scenario = self.record, self.scenario
         return attitude_of(scenario.follower(), scenario.cruise, record.time, record.eta, record.nu)
 
     def to_dict(self) -> dict[str, Any]:
-        """The run as the command line's contract has it; numbers that are not finite are left to the writer."""
+        """Return the run as plain data for the command line; the writer converts numbers that are not finite."""
         return {
             "scenario": self.scenario.name,
             "vehicle": self.vehicle.name,
@@ -94,7 +94,7 @@ class Run:
 
 
 def depth_changes(run: Run) -> list[DepthChange]:
-    """All of a run, in their order; none of a law that keeps to the path's depth.
+    """Return all depth changes of a run in order; the list is empty if the law keeps to the path's depth.
 
     Example:
         >>> from dataclasses import replace
@@ -114,7 +114,7 @@ def depth_changes(run: Run) -> list[DepthChange]:
     changes, last = list[DepthChange](), run.scenario.depth
     turns = (np.flatnonzero(np.diff(reference) != 0) + 1).tolist()
     for k, until in zip(turns, [*turns[1:], len(reference) + 1], strict=True):
-        # a depth that is out of reach is turned down in the next step; once it gave up, it stays where it has come to
+        # the law drops an unreachable depth in the next step; after it gives up, it stays at its present depth
         if until - k < 2 or dead_end[k]:
             continue
         x, y, to = float(record.eta[k, 0]), float(record.eta[k, 1]), float(reference[k])

@@ -1,4 +1,4 @@
-"""What the barrier guarantees of a scenario, with the assumptions that it rests on: the safety claim as data."""
+"""The safety claim as data: what the barrier guarantees in a scenario, and under which assumptions."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = ["Figure", "SafetyClaim", "safety_claim"]
 
 @dataclass(frozen=True)
 class Figure:
-    """A number with its unit; inf where there is no bound."""
+    """A number with its unit and meaning; inf if there is no bound."""
 
     name: str
     value: float
@@ -39,15 +39,15 @@ class Figure:
 
 @dataclass(frozen=True)
 class SafetyClaim:
-    """An obstacle is never hit, as long as the assumptions hold; whether the law's numbers suffice for that.
+    """The claim that the hull never hits an obstacle if the assumptions hold, and whether range and margin suffice.
 
     Attributes:
-        scenario, vehicle: names.
-        barrier, movers: of the law, see `build_law`.
-        statement: in words.
-        assumptions: what must hold, with numbers.
-        derived: what follows.
-        holds: whether range and margin suffice at every speed up to the cap.
+        scenario, vehicle: names of the scenario and the vehicle.
+        barrier, movers: options of the law, see `build_law`.
+        statement: the claim in words.
+        assumptions: the assumptions, with numbers.
+        derived: numbers that follow from the assumptions.
+        holds: whether range and margin are enough at every speed up to the cap.
     """
 
     scenario: str
@@ -60,15 +60,15 @@ class SafetyClaim:
     holds: bool
 
     def __getitem__(self, name: str) -> float:
-        """Value of an assumption or of what is derived; KeyError without one."""
+        """Return the value of an assumption or a derived number; KeyError if the name is unknown."""
         return {f.name: f.value for f in (*self.assumptions, *self.derived)}[name]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON; numbers that are not finite are left to the writer."""
+        """Return plain data for JSON; the writer converts numbers that are not finite."""
         return asdict(self)
 
     def to_toml(self) -> str:
-        """The claim as a file; a number without a bound is the text "inf"."""
+        """Return the claim as the text of a TOML file; a number without a bound is the text "inf"."""
 
         def rows(figures: tuple[Figure, ...]) -> list[dict[str, Any]]:
             return [{**asdict(f), "value": f.value if isfinite(f.value) else str(f.value)} for f in figures]
@@ -77,7 +77,7 @@ class SafetyClaim:
         return toml_text({"kind": "safety claim", **table})
 
     def lines(self) -> list[str]:
-        """A few lines of text."""
+        """Return the claim as lines of text."""
         head = f"{self.scenario} by {self.vehicle}: {self.statement}"
         rows = [
             f"  {what:<8} {f.name:<24} {f.value:8.4g} {f.unit}"
@@ -101,29 +101,29 @@ def safety_claim(
     turning: float = 0.0,
     difference: float | None = None,
 ) -> SafetyClaim:
-    """The claim about the guarded law.
+    """Return the safety claim of the guarded law for a scenario and a vehicle.
 
-    The margin must be what a vehicle needs beyond the law's bound, at the worst of its ranges, if it brakes with the
-    least thrust once it is faster than the bound by what the velocity loop takes to ask for that (step 4 of
-    `guidance.braking`, with that excess as a further speed error, and the help of drag). Not covered: thrust is clipped
-    axis by axis, so that a large command sideways at the same time may take from the force against it; the law asks for
-    nothing sideways once it is 0.02 m/s too fast.
+    The claim holds if the margin is at least what the vehicle needs beyond the law's bound, at the worst values of its
+    ranges. The vehicle brakes with the least thrust once it exceeds the bound by the excess speed at which the velocity
+    loop commands that thrust. This is step 4 of `guidance.braking`, with the excess as a further speed error and with
+    the help of drag. The claim does not cover the clipping of thrust axis by axis: a large sideways command at the same
+    time may reduce the braking force. The law commands nothing sideways once it is 0.02 m/s too fast.
 
-    A change of depth rests on two assumptions more: that the echo sounders hear all that stands over or under the hull
-    (the sonars that look ahead say nothing of that water), and that depth is kept within the sonars' fan.
+    A change of depth needs two more assumptions. The echo sounders must detect every obstacle over or under the hull,
+    since the horizontal sonars do not observe that water. The depth error must stay within the sonars' fan.
 
     Args:
-        scenario: the mission: cap, current, forces.
-        vehicle: that flies it, and that the law believes in.
-        gains: of the law.
-        barrier, movers: of the law.
-        watch: what it knows; default: everything, every 0.05 s.
-        detection: range at which an obstacle is surely seen [m].
-        sideways: largest sideways speed when braking begins [m/s]; drag by axis then pushes.
+        scenario: the mission, with its speed cap, current and disturbance forces.
+        vehicle: the actual vehicle, and the model of the law.
+        gains: gains of the law.
+        barrier, movers: options of the law, see `build_law`.
+        watch: timing and errors of the measurements; default: exact measurements every 0.05 s.
+        detection: range at which an obstacle is certainly detected [m].
+        sideways: largest sideways speed when braking begins [m/s]; the drag by axis then causes a force.
         spread: see `brakes_of`.
-        turning: rate at which the hull turns while it brakes [rad/s], see `turn_rate`.
-        difference: largest |m11 - m22| [kg]; turning, it pushes, and the claim tells how much of it is covered.
-            None takes the vehicle's, see `mass_difference`.
+        turning: yaw rate of the hull while it brakes [rad/s], see `turn_rate`.
+        difference: largest |m11 - m22| [kg], which causes a force in a turn; the claim states the largest covered
+            difference. None takes that of the vehicle, see `mass_difference`.
 
     Example:
         >>> from surctl.control import load_gains
@@ -154,51 +154,82 @@ def safety_claim(
     short = [speed for speed, margin in needed.items() if margin > gains["margin"]]
     sight = range_needed(brakes, watch, scenario.cap, obstacle=covered, stopping=stopping_distance_with_drag)
     assumptions: tuple[Figure, ...] = (
-        Figure("obstacle speed", covered, "m/s", "largest towards the vehicle, for ever, and as the law is told"),
-        Figure("detection range", detection, "m", "from the hull, at which an obstacle is surely seen"),
-        Figure("least thrust", brakes.least, "N", f"against the motion: {share:.0%} of the stated"),
-        Figure("largest thrust", brakes.most, "N", "that still pushes when braking begins"),
-        Figure("thrust lag", brakes.lag, "s", "first order"),
-        Figure("least mass", brakes.masses[0], "kg", "of m11 and m22"),
-        Figure("largest mass", brakes.masses[1], "kg", "of m11 and m22"),
-        Figure("least quadratic drag", brakes.quadratic[0], "N s^2/m^2", "surge and sway, ahead"),
-        Figure("largest quadratic drag", brakes.quadratic[1], "N s^2/m^2", "surge and sway, astern"),
-        Figure("push", brakes.disturbance, "N", "towards the obstacle, of waves, drift and drag of sideways motion"),
-        Figure("current", brakes.current, "m/s", "towards the obstacle"),
-        Figure("turn rate", turning, "rad/s", "of the hull while it brakes"),
-        Figure("mass difference", difference, "kg", "largest |m11 - m22|; turning, it pushes by speed and turn rate"),
-        Figure("sideways speed", sideways, "m/s", "largest when braking begins"),
+        Figure(
+            "obstacle speed",
+            covered,
+            "m/s",
+            "largest speed towards the vehicle at all times, both true and as known to the law",
+        ),
+        Figure("detection range", detection, "m", "distance from the hull at which an obstacle is certainly detected"),
+        Figure(
+            "least thrust",
+            brakes.least,
+            "N",
+            f"thrust that certainly acts against the motion: {share:.0%} of the stated limit",
+        ),
+        Figure(
+            "largest thrust", brakes.most, "N", "thrust that may still act towards the obstacle when braking begins"
+        ),
+        Figure("thrust lag", brakes.lag, "s", "time constant of the first-order lag"),
+        Figure("least mass", brakes.masses[0], "kg", "lower bound of m11 and m22"),
+        Figure("largest mass", brakes.masses[1], "kg", "upper bound of m11 and m22"),
+        Figure(
+            "least quadratic drag", brakes.quadratic[0], "N s^2/m^2", "lower bound in surge and sway, for motion ahead"
+        ),
+        Figure(
+            "largest quadratic drag",
+            brakes.quadratic[1],
+            "N s^2/m^2",
+            "upper bound in surge and sway, for motion astern",
+        ),
+        Figure(
+            "push",
+            brakes.disturbance,
+            "N",
+            "force towards the obstacle by waves, drift, sideways drag and, in a turn, the mass difference",
+        ),
+        Figure("current", brakes.current, "m/s", "speed of the water towards the obstacle"),
+        Figure("turn rate", turning, "rad/s", "yaw rate of the hull while it brakes"),
+        Figure("mass difference", difference, "kg", "largest |m11 - m22|, which causes a force in a turn"),
+        Figure("sideways speed", sideways, "m/s", "largest sideways speed when braking begins"),
         Figure("speed cap", scenario.cap, "m/s", "largest own speed"),
-        Figure("sampling time", watch.period, "s", "between two decisions"),
-        Figure("range error", watch.range_error, "m", "largest"),
-        Figure("range age", watch.age, "s", "largest when it is used"),
-        Figure("speed error", watch.speed_error, "m/s", "largest"),
+        Figure("sampling time", watch.period, "s", "time between two decisions of the law"),
+        Figure("range error", watch.range_error, "m", "largest error of a measured range"),
+        Figure("range age", watch.age, "s", "largest age of a range when the law uses it"),
+        Figure("speed error", watch.speed_error, "m/s", "largest error of the measured speed"),
     )
     if scenario.depths is not None:
-        coverage = "wider than the hull: all that stands over or under that disc is heard by the echo sounders"
-        fan = "beyond the hull, above and below: what ends further off is passed over or under"
+        coverage = "extra radius beyond the hull: the echo sounders detect every obstacle over or under this disc"
+        fan = "thickness beyond the hull, above and below: the robot passes over or under obstacles outside this fan"
         assumptions += (Figure("sounder footprint", FOOTPRINT, "m", coverage), Figure("sonar fan", BAND, "m", fan))
     derived = (
-        Figure("range needed", sight, "m", "to be read at the cap before that obstacle"),
-        Figure("margin needed", max(needed.values()), "m", "beyond the law's bound, at the worst speed"),
-        Figure("margin", gains["margin"], "m", "the gains have"),
-        Figure("covered speed", min(short, default=scenario.cap), "m/s", "up to which that margin is enough"),
+        Figure("range needed", sight, "m", "distance at which that obstacle must be detected, at the speed cap"),
+        Figure(
+            "margin needed",
+            max(needed.values()),
+            "m",
+            "margin that the vehicle needs beyond the law's bound, at the worst speed",
+        ),
+        Figure("margin", gains["margin"], "m", "margin in the gains"),
+        Figure("covered speed", min(short, default=scenario.cap), "m/s", "own speed up to which that margin is enough"),
         Figure(
             "covered difference",
             replace(bound, brakes=level).difference(covered, turning),
             "kg",
-            "of the masses up to which that margin is enough",
+            "mass difference up to which that margin is enough",
         ),
         Figure(
             "excess",
             bound.excess(scenario.cap),
             "m/s",
-            "over the bound at the cap at which the velocity loop asks for the least thrust",
+            "speed over the bound, at the cap, at which the velocity loop commands the least thrust",
         ),
-        Figure("fastest obstacle", fastest_obstacle(brakes), "m/s", "for which braking guarantees anything"),
+        Figure(
+            "fastest obstacle", fastest_obstacle(brakes), "m/s", "obstacle speed above which braking guarantees nothing"
+        ),
     )
-    what = "what stands" if movers == "predict" else f"what comes on with at most {covered:.3g} m/s"
-    statement = f"the hull never touches {what}, one obstacle at a time, barrier {barrier}"
+    what = "an obstacle at rest" if movers == "predict" else f"an obstacle that approaches at up to {covered:.3g} m/s"
+    statement = f"the hull never touches {what} (one obstacle at a time, barrier {barrier})"
     return SafetyClaim(
         scenario.name, vehicle.name, barrier, movers, statement, assumptions, derived, not short and sight <= detection
     )

@@ -1,4 +1,4 @@
-"""Scenarios: a site, a path, obstacles, disturbances and the paper's figure, as TOML."""
+"""Scenarios as TOML files: site, path, obstacles, disturbances, sensors and the numbers of the paper."""
 
 from __future__ import annotations
 
@@ -62,24 +62,26 @@ class _ScenarioFile(Strict):
 
 @dataclass(frozen=True)
 class Scenario:
-    """One mission in one site.
+    """One mission in one site, as read from a scenario file.
 
     Attributes:
         path: horizontal reference path in {E}.
         depth: z of the path [m], negative below the surface.
-        cruise: U_d [m/s].
+        cruise: desired cruise speed U_d [m/s].
         cap: largest commanded horizontal speed [m/s].
         arrival_radius: distance to the target that counts as arrived [m].
         site: length along x, width along y, depth [m]; one corner of the floor plan is the origin.
-        vehicle: name or path of the vehicle that flies it by default.
-        launch: water around the hull at the start that whoever launches it sees to be free [m]: a law with sonars
-            relies on it, and what is nearer is an error. The library's missions say 0.5 m, or what there is.
-        sensors: sonars and their faults, base station, own state.
-        uncertainty: what a Monte Carlo campaign draws.
-        depths: lowest and highest z [m] that the hull may take up where only another depth leads on, or None: the
-            robot keeps to the path's depth. With them it carries an echo sounder upwards and one downwards.
-        corners: `pass`: a detour may leave out a corner of the path; `visit`: the robot has to come within
-            `arrival_radius` of each, in order, before it can arrive.
+        vehicle: name or path of the default vehicle of the mission.
+        launch: distance around the hull [m] in which the operator ensures free water at the start. A law with sonars
+            relies on it, and a nearer obstacle is an error. It is 0.5 m in the built-in missions, or less if an
+            obstacle is nearer.
+        sensors: sonars and their faults, base station, and measurement of the own state.
+        uncertainty: ranges of the numbers that a Monte Carlo campaign draws.
+        depths: lowest and highest z [m] that the hull may use if the target can only be reached at another depth;
+            None: the robot keeps to the path's depth. With `depths` it has two echo sounders, one upwards and one
+            downwards.
+        corners: `pass`: a detour may skip corners of the path; `visit`: the robot must come within `arrival_radius`
+            of each corner, in order, before it can arrive.
     """
 
     name: str
@@ -105,7 +107,7 @@ class Scenario:
 
     @cached_property
     def walls(self) -> tuple[Wall, ...]:
-        """The four walls of the site, which a run asks for at every step."""
+        """The four walls of the site, cached because a run needs them at every step."""
         return site_walls(self.site[1], self.site[0])
 
     @property
@@ -115,17 +117,17 @@ class Scenario:
         return np.array([*self.start, self.depth, np.arctan2(first_leg[1], first_leg[0])])
 
     def follower(self) -> Follower:
-        """A robot at the path's start."""
+        """Return a path follower at the start of the path."""
         return Follower(self.path, visit=self.visit)
 
     @property
     def visit(self) -> float | None:
-        """Distance [m] to a corner that counts as a visit; None where corners may be left out."""
+        """Distance [m] to a corner that counts as a visit; None if corners may be skipped."""
         return self.arrival_radius if self.corners == "visit" else None
 
     @property
     def seeded(self) -> bool:
-        """Whether a flight with true positions depends on the seed at all."""
+        """Whether a run with true positions depends on the random seed."""
         return self.disturbance.seeded or any(o.drift_m > 0 for o in self.obstacles)
 
     @property
@@ -142,7 +144,7 @@ class Scenario:
 
 
 def load_scenario(name_or_path: str) -> Scenario:
-    """A built-in scenario by name, or a scenario file by path; InputError when it cannot be flown at all.
+    """Load a built-in scenario by name or a scenario file by path; InputError if no vehicle could carry it out.
 
     Example:
         >>> from surctl.simulation import load_scenario
@@ -155,7 +157,7 @@ def load_scenario(name_or_path: str) -> Scenario:
 
 
 def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
-    """A scenario from the table of its file; `source` names the file in error messages."""
+    """Return a scenario from the table of its file; `source` names the file in error messages."""
     model = validate(table, _ScenarioFile, file=source)
     try:
         path = Path(np.array(model.path_m))
@@ -192,7 +194,7 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
 
 
 def _check(scenario: Scenario) -> None:
-    """What no vehicle could fly: points outside the site, a depth out of the water, twice the same name."""
+    """Raise InputError for a scenario that no vehicle could carry out, such as one with points outside the site."""
     source = scenario.source
     if not -scenario.site[2] < scenario.depth < 0:
         raise InputError(
@@ -200,17 +202,17 @@ def _check(scenario: Scenario) -> None:
             file=source,
             key="depth_m",
             value=scenario.depth,
-            remedy=f"z is up: write a value between {-scenario.site[2]:g} and 0",
+            remedy=f"z points up: write a value between {-scenario.site[2]:g} and 0",
         )
     if scenario.depths is not None and not (
         -scenario.site[2] <= scenario.depths[0] < scenario.depth < scenario.depths[1] <= 0
     ):
         raise InputError(
-            f"does not hold the path's depth of {scenario.depth:g} between two places in the water",
+            f"must be a depth below and a depth above the path's depth of {scenario.depth:g}, both in the water",
             file=source,
             key="depths_m",
             value=list(scenario.depths),
-            remedy=f"z is up: write [lowest, highest] between {-scenario.site[2]:g} and 0",
+            remedy=f"z points up: write [lowest, highest] between {-scenario.site[2]:g} and 0",
         )
     if scenario.cruise > scenario.cap:
         raise InputError(
@@ -235,12 +237,12 @@ def _unique(names: Sequence[str], source: str) -> None:
     for name in names:
         if names.count(name) > 1:
             raise InputError(
-                "two obstacles have one name", file=source, key="obstacles.name", value=name, remedy="rename one"
+                "is the name of two obstacles", file=source, key="obstacles.name", value=name, remedy="rename one"
             )
 
 
 def _apart(still: Sequence[Obstacle], scenario: Scenario) -> None:
-    """Bodies that stand still share no water, and none holds the target; drift is judged by `findings`."""
+    """Raise InputError if still obstacles overlap or cover the target, without drift; `findings` checks drift."""
     target = scenario.target.tolist()
     for k, obstacle in enumerate(still):
         here = obstacle.heights.crosses(scenario.depth, 0.0)

@@ -1,4 +1,4 @@
-"""A scenario as the table of its file."""
+"""Convert a scenario to the table of its file."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from surctl.simulation.sensors import Sensors
 
 __all__ = ["scenario_table"]
 
-_BESIDE = 4  # numbers to either side that rounding may have turned into one angle
+_BESIDE = 4  # floating-point neighbours on each side that may convert to the same angle
 
 
 def scenario_table(scenario: Scenario) -> dict[str, Any]:
-    """What `scenario_from_table` makes the same scenario of, but for where it was read.
+    """Return the table from which `scenario_from_table` restores the scenario, except for its source.
 
     Raises:
-        InputError: sonars that no scenario file can state.
+        InputError: a scenario file cannot describe these sonars.
     """
     table: dict[str, Any] = {
         "kind": "scenario",
@@ -58,7 +58,7 @@ def _sensors(sensors: Sensors) -> dict[str, Any]:
 def _array(array: SonarArray) -> dict[str, Any]:
     plain = SonarArray()
     if (array.medium, array.cycle_limit) != (plain.medium, plain.cycle_limit):
-        raise InputError("has sonars that its file cannot state", key="sonar", value=array.medium)
+        raise InputError("cannot be written to a scenario file", key="sonar", value=array.medium)
     table: dict[str, Any] = {
         "azimuths_deg": [_degrees(angle) for angle in array.azimuths],
         "order": list(array.order),
@@ -101,7 +101,7 @@ def _delivery(delivery: Delivery) -> dict[str, Any]:
 
 
 def _degrees(angle: float) -> float:
-    """Degrees that a file's reader turns into this very angle [rad], or into the next one if none do."""
+    """Return the degrees that a reader of the file converts to exactly this angle [rad], or to the nearest one."""
     exact = degrees(angle)
     near, low, high = [round(exact, 9), exact], exact, exact
     for _ in range(_BESIDE):

@@ -1,4 +1,4 @@
-"""The sensors of a scenario: what there is, what goes wrong with it, and which sonar fires when in the closed loop."""
+"""The sensors of a scenario: equipment, faults, and the firing plan of the sonars in the closed loop."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ __all__ = [
 T = TypeVar("T")
 
 FIRING = 0.025
-"""[s] between two instants at which sensors may fire; the plant's steps are split there."""
+"""Time [s] between two instants at which sonars may fire; the plant is integrated from one to the next."""
 
-_PERIOD = 0.05  # [s] of the control; what the base station sends is laid on it
+_PERIOD = 0.05  # [s] control period; messages of the base station arrive at its multiples
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -47,7 +47,7 @@ Degrees = Annotated[float, Field(gt=0, lt=180)]
 
 
 class SonarTable(Strict):
-    """`[sonar]` of a scenario file; what is not named is as `SonarArray` has it."""
+    """The table `[sonar]` of a scenario file; missing keys take the defaults of `SonarArray`."""
 
     azimuths_deg: tuple[float, ...] | None = None
     mounts_m: tuple[tuple[float, float], ...] | None = None
@@ -76,20 +76,20 @@ class _DeliveryTable(Strict):
     gaps_s: tuple[tuple[float, float], ...] = ()
 
     def delivery(self) -> Delivery:
-        """As the robot's side has it."""
+        """Return the table as the `Delivery` of the robot's equipment."""
         values = {"period": self.period_s, "latency": self.latency_s, "loss": self.loss}
         return Delivery(gaps=self.gaps_s, **{name: value for name, value in values.items() if value is not None})
 
 
 class StationTable(_DeliveryTable):
-    """`[base_station]` of a scenario file: what it tells of moving obstacles."""
+    """The table `[base_station]` of a scenario file: its messages about moving obstacles."""
 
     position_sd_m: NotNegative = 0.01
     velocity_sd_m_per_s: NotNegative = 0.01
 
 
 class OwnStateTable(_DeliveryTable):
-    """`[own_state]` of a scenario file: fixes of the camera, and the IMU; or the truth."""
+    """The table `[own_state]` of a scenario file: fixes of the camera and the IMU, or the true state."""
 
     truth: bool = False
     position_sd_m: NotNegative = 0.01
@@ -102,9 +102,9 @@ class Sensors:
     """The sensors of a scenario.
 
     Attributes:
-        equipment: as it is, and as the law believes it; the hull is that of the vehicle flown, see `on`.
-        faults: of sonars, told beforehand.
-        chances: of sonars, per firing.
+        equipment: the actual equipment, which is also the model of the law; `on` adds the vehicle's hull.
+        faults: sonar faults that are scheduled in the scenario.
+        chances: probabilities of random sonar faults per firing.
     """
 
     equipment: Equipment = field(default_factory=Equipment)
@@ -112,22 +112,22 @@ class Sensors:
     chances: FaultChances = field(default_factory=FaultChances)
 
     def on(self, hull_radius: float) -> Equipment:
-        """The equipment on a hull [m]; without mounts the hull does not matter to it.
+        """Return the equipment on a hull of this radius [m]; the hull matters only for sonars with mounts.
 
         Raises:
-            InputError: a mount inside that hull, or one whose beam it hides; it names table and key.
+            InputError: a mount is inside the hull, or the hull hides its beam; the error names table and key.
         """
         if self.equipment.array.mounts is None:
             return self.equipment
         return _in_table("sonar", lambda: replace(self.equipment, array=self.array_on(hull_radius)))
 
     def array_on(self, hull_radius: float) -> SonarArray:
-        """The sonars on a hull [m]."""
+        """Return the sonars on a hull of this radius [m]."""
         return replace(self.equipment.array, hull_radius=hull_radius)
 
     @property
     def may_fail(self) -> bool:
-        """Whether anything ever goes wrong with a sonar."""
+        """Whether a sonar can fail in this scenario."""
         return bool(self.faults) or any(self.chances.numbers)
 
 
@@ -151,11 +151,11 @@ _KEYS = {name: key for key, name in (_NAMES | _ANGLES | _TIMES).items()}
 
 
 def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateTable) -> Sensors:
-    """The sensors of a scenario's tables.
+    """Return the sensors that the tables of a scenario file describe.
 
     Raises:
-        InputError: an array that cannot be, or cannot have these faults, or does not fit the closed loop's steps; it
-            names the table and the key.
+        InputError: the sonar array is invalid, cannot have these faults, or does not fit the steps of the closed loop.
+            The error names the table and the key.
     """
     array = _in_table("sonar", lambda: _array(sonar))
     base_station = BaseStation(
@@ -180,7 +180,7 @@ def _in_table(table: str, make: Callable[[], T]) -> T:
     try:
         return make()
     except InputError as error:
-        # the first of them, where several fields are named
+        # an error may name several fields: take the first
         name = (error.key or "").removeprefix("array.").removeprefix("delivery.").partition(",")[0]
         raise InputError(
             error.problem, key=f"{table}.{_KEYS.get(name, name)}", value=error.value, remedy=error.remedy
@@ -197,11 +197,11 @@ def _array(table: SonarTable) -> SonarArray:
         values["azimuths"] = tuple(a * pi / 180.0 for a in table.azimuths_deg)
         values.setdefault("order", tuple(range(len(table.azimuths_deg))))
     if table.mounts_m is not None:
-        values["hull_radius"] = 0.0  # the vehicle that is flown has one, see `Sensors.on`
+        values["hull_radius"] = 0.0  # the vehicle defines the hull radius, see `Sensors.on`
     array = SonarArray(**values)
     if table.scale is not None:
         if table.calibrated_for_m_per_s is not None:
-            raise InputError("says the same as calibrated_for_m_per_s", key="scale", remedy="give one of them")
+            raise InputError("sets the same quantity as calibrated_for_m_per_s", key="scale", remedy="remove one")
         array = replace(array, calibrated_for=table.scale * array.speed)
     check_faults(array, table.faults, table.chances)
     firing_plan(array)
@@ -210,26 +210,26 @@ def _array(table: SonarTable) -> SonarArray:
 
 @dataclass(frozen=True)
 class FiringPlan:
-    """Who fires when.
+    """The sonars that fire at each instant of the closed loop.
 
     Attributes:
-        period: instants of `FIRING` after which it repeats.
-        sensors: (period, k) who fires at an instant; None for nobody.
+        period: number of instants (`FIRING` s apart) after which the plan repeats.
+        sensors: (period, k) indices of the sonars that fire at an instant; None if no sonar fires.
     """
 
     period: int
     sensors: tuple[tuple[int | None, ...], ...]
 
     def at(self, instant: int) -> tuple[int, ...]:
-        """The sensors that fire at an instant, in their order."""
+        """Return the sonars that fire at an instant, in their firing order."""
         return tuple(i for i in self.sensors[instant % self.period] if i is not None)
 
 
 def firing_plan(array: SonarArray) -> FiringPlan:
-    """Lay the array's firings on the closed loop's instants: several fire at one, or one every few.
+    """Return the firing plan of an array: several sonars fire at each instant, or one sonar every few instants.
 
     Raises:
-        InputError: a period of the firings that is no such part or multiple.
+        InputError: the firing period is neither a multiple nor an integer fraction of `FIRING`.
     """
     ratio = array.firing_period / FIRING
     several, every = round(1 / ratio), round(ratio)
@@ -241,7 +241,7 @@ def firing_plan(array: SonarArray) -> FiringPlan:
         rows = [[array.order[(k * several + j) % array.size] for j in range(several)] for k in range(period)]
         return FiringPlan(period, tuple(tuple(row) for row in rows))
     raise InputError(
-        f"is no whole part or multiple of the loop's {FIRING:g} s",
+        f"is neither a multiple nor an integer fraction of the loop's {FIRING:g} s",
         key="firing_period",
         value=array.firing_period,
         remedy="use 0.025, 0.0125 or 0.05",

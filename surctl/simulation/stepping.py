@@ -1,4 +1,4 @@
-"""The plant between two firings of the sonars."""
+"""Integration of the plant between two firings of the sonars."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _RK4_STEPS = (0.010, 0.010, 0.005)
 
 @cache
 def advance() -> ca.Function:
-    """(x, tau_command, d, p) → x after one firing interval of 25 ms: RK4 in steps of 10, 10 and 5 ms."""
+    """Return the function (x, tau_command, d, p) → x after 25 ms, by RK4 in steps of 10, 10 and 5 ms."""
     ode = build_plant().ode
     x, tau, d, p = (ca.SX.sym(n, ode.numel_in(i)) for i, n in enumerate(("x", "tau", "d", "p")))
     state = x
@@ -34,5 +34,5 @@ def advance() -> ca.Function:
 
 @cache
 def advanced() -> Callable[..., list[NDArray[np.float64]]]:
-    """`advance` on vectors."""
+    """Return `advance` as a function of NumPy vectors."""
     return on_vectors(advance())

@@ -1,4 +1,4 @@
-"""Why a law stood still until its run was ended, in words."""
+"""The reason in words why a run ended at a standstill."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ __all__ = ["stop_reason"]
 
 
 def stop_reason(run: Run) -> str:
-    """Why a run ended as `stopped` or `dead end`: one sentence without a full stop.
+    """Return why a run ended as `stopped` or `dead end`, in one sentence without a full stop.
 
-    What the law did not know, or where it gave up and for how long it had not got on.
+    The sentence names the missing knowledge of the law, or the place where it gave up and the time without progress.
 
     Raises:
-        InputError: the run ended otherwise.
+        InputError: the run ended for another reason.
 
     Example:
         >>> from dataclasses import replace
@@ -27,26 +27,26 @@ def stop_reason(run: Run) -> str:
         >>> mission = replace(load_scenario("pool-behind"), obstacles=(wall,))
         >>> run = simulate(mission, load_vehicle("sur400"), gains=load_gains("default").with_values({"patience": 5.0}))
         >>> print(f"{run.metrics.stopped_because}: {stop_reason(run)}")
-        dead end: no way on for 5 s, given up at (1.65, 0.79) m after 28 s; it came 0.9 m along a path of 2.0 m
+        dead end: no progress for 5 s, search ended at (1.65, 0.79) m after 28 s; reached 0.9 m of the 2.0 m path
     """
     law, record, why = run.law, run.record, run.metrics.stopped_because
     if why == "dead end":
         return _dead_end_reason(run)
     if why != "standstill" or law.perception is None:
-        raise InputError("did not end at a standstill", key="run", value=why)
+        raise InputError("ended neither at a standstill nor in a dead end", key="run", value=why)
     perceived = law.decision_inputs(record.law_state[-1], record.law_input[-1], record.law_parameters)
     silent = np.flatnonzero(run.telemetry("healthy")[-1] < 0.5).tolist()
     if perceived[law.perception.outputs.slice("placed")][0] < 0.5:
-        return "the robot does not know where it is" + (f"; {_named(silent)} not believed" if silent else "")
+        return "the robot does not know its position" + (f"; {_named(silent)} judged faulty" if silent else "")
     if len(silent) == law.outputs.port("healthy").size:
-        return f"no sonar can be believed ({', '.join(map(str, silent))})"
+        return f"all sonars are judged faulty ({', '.join(map(str, silent))})"
     if not silent:
-        return "places ahead stay unknown, though every sonar is believed"
-    return f"places ahead stay unknown; {_named(silent)} not believed"
+        return "the water ahead stays unknown, although every sonar is judged healthy"
+    return f"the water ahead stays unknown; {_named(silent)} judged faulty"
 
 
 def _dead_end_reason(run: Run) -> str:
-    """Where the law found no way on, and how far along the path that is."""
+    """Return where the law found no path to the target, and its progress along the path."""
     law, record = run.law, run.record
     first = int(np.argmax(run.telemetry("trapped").ravel() > 0.5))
     x, y = record.eta[first, :2]
@@ -56,8 +56,8 @@ def _dead_end_reason(run: Run) -> str:
     tried = [f"{change.to_m:.2f}" for change in depth_changes(run) if not change.back]
     depths = f"; depths tried besides the path's, z in m: {', '.join(tried)}" if tried else ""
     return (
-        f"no way on for {stalled:.0f} s, given up at ({x:.2f}, {y:.2f}) m after "
-        f"{record.time[first]:.0f} s; it came {furthest:.1f} m along a path of {length:.1f} m{depths}"
+        f"no progress for {stalled:.0f} s, search ended at ({x:.2f}, {y:.2f}) m after "
+        f"{record.time[first]:.0f} s; reached {furthest:.1f} m of the {length:.1f} m path{depths}"
     )
 
 

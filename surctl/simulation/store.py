@@ -1,4 +1,4 @@
-"""Finished chunks of many runs on disk, so that a killed one resumes with nothing lost but the chunks in flight."""
+"""Finished chunks of many runs on disk, so that a killed process can resume without repeating finished chunks."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _MAGIC = "surctl-chunk-1"
 
 @dataclass(frozen=True)
 class ChunkStore:
-    """A folder with one file a chunk.
+    """A folder with one file per chunk.
 
-    A file is one line of text (magic word, request, index, rows, columns, SHA-256) and the columns one after another
-    as little-endian doubles. It appears under its name only when it is complete and on the disk.
+    A file holds one line of text (magic word, request, index, rows, columns, SHA-256), then the columns one after
+    another as little-endian doubles. A file gets its name only when it is complete and on the disk.
 
     Attributes:
-        folder: where the chunks are.
-        request: digest of everything that the numbers depend on; a chunk of another request is not read.
+        folder: folder of the chunks.
+        request: digest of everything that the numbers depend on; chunks with another request are ignored.
     """
 
     folder: Path
@@ -39,10 +39,10 @@ class ChunkStore:
 
     @contextmanager
     def open(self) -> Iterator[None]:
-        """Make the folder, hold it, and clear away what a kill left half-written.
+        """Create and lock the folder, and remove incomplete files of a killed process.
 
         Raises:
-            InputError: it cannot be written, or another process holds it.
+            InputError: the folder cannot be written, or another process has locked it.
         """
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -56,7 +56,7 @@ class ChunkStore:
             yield
 
     def has(self, index: int, shape: tuple[int, int]) -> bool:
-        """Whether the chunk is there, of this request and shape, and unharmed."""
+        """Return whether an undamaged chunk with this request and shape exists."""
         try:
             raw = self._path(index).read_bytes()
         except OSError:
@@ -65,10 +65,10 @@ class ChunkStore:
         return len(payload) == 8 * shape[0] * shape[1] and line == self._line(index, shape, payload)
 
     def write(self, index: int, table: NDArray[np.float64]) -> None:
-        """Keep one finished chunk (rows, columns).
+        """Write one finished chunk (rows, columns).
 
         Raises:
-            InputError: the disk is full, or the folder cannot be written; what was kept before stays.
+            InputError: the disk is full, or the folder cannot be written; earlier chunks remain.
         """
         payload = np.ascontiguousarray(table.T, dtype="<f8").tobytes()
         path = self._path(index)
@@ -87,14 +87,14 @@ class ChunkStore:
             raise cannot_write(self.folder, error) from None
 
     def column(self, index: int, shape: tuple[int, int], column: int) -> NDArray[np.float64]:
-        """One column (rows,) of a chunk that `has` found."""
+        """Return one column (rows,) of a chunk for which `has` is true."""
         rows, columns = shape
         path = self._path(index)
         start = path.stat().st_size - 8 * rows * columns
         return np.fromfile(path, dtype="<f8", count=rows, offset=start + 8 * rows * column)
 
     def remove(self) -> None:
-        """Take the chunks away, once their numbers are kept elsewhere; the parent goes too if nothing else is in it."""
+        """Delete the chunks when they are no longer needed, and the parent folder if it is then empty."""
         shutil.rmtree(self.folder, ignore_errors=True)
         with suppress(OSError):
             self.folder.parent.rmdir()
@@ -108,17 +108,17 @@ class ChunkStore:
 
 
 def cannot_write(place: Path, error: Exception) -> InputError:
-    """One line for a disk that is full or a folder that cannot be written."""
+    """Return the error for a full disk or a folder that cannot be written."""
     reason = getattr(error, "strerror", None) or str(error)
     return InputError(
         f"cannot be written ({reason}); finished chunks are kept",
         file=place,
-        remedy="make room or name another folder with --out; the same command resumes",
+        remedy="free disk space or name another folder with --out; the same command resumes",
     )
 
 
 def _hold(lock: IO[str], folder: Path) -> None:
-    """Take the lock, which ends with the process that has it, however that ends."""
+    """Lock the folder; the system releases the lock when the process ends, even if it crashes."""
     if sys.platform == "win32":
         return
     import fcntl
@@ -132,7 +132,7 @@ def _hold(lock: IO[str], folder: Path) -> None:
 
 
 def _sync(folder: Path) -> None:
-    """The folder's entries on the disk, where the system can do that for a folder."""
+    """Write the folder's entries to the disk, if the operating system supports this."""
     with suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

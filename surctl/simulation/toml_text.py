@@ -1,4 +1,4 @@
-"""Plain data as TOML text."""
+"""Write plain data as TOML text."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ __all__ = ["toml_text"]
 
 
 def toml_text(table: Mapping[str, Any]) -> str:
-    """A TOML document: values first, then tables; reading it gives the same data, every number to its last bit.
+    """Return a TOML document, values first, then tables; reading it restores the data, numbers to the last bit.
 
     Args:
-        table: of texts, numbers, truth values, sequences of them, tables, and sequences of tables; no None.
+        table: texts, numbers, booleans, sequences of these, tables, and sequences of tables, but no None.
     """
     return "\n".join(_lines(table, ())).strip("\n") + "\n"
 

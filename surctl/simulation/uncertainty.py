@@ -1,4 +1,4 @@
-"""By how much a scenario's numbers may be off."""
+"""The uncertainty of a scenario's numbers."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ Share = Annotated[float, Field(ge=0, lt=1)]
 
 
 class Uncertainty(Strict):
-    """`[uncertainty]` of a scenario file: what a Monte Carlo campaign draws, evenly and independently.
+    """The table `[uncertainty]` of a scenario file, which controls the random draws of a Monte Carlo campaign.
+
+    All numbers are drawn uniformly and independently.
 
     Attributes:
-        vehicle: whether the vehicle that is flown is drawn within the ranges of its file; the law keeps the file's
-            values.
-        obstacle_size: largest share by which an obstacle is larger or smaller, both edges of a box alike (*chosen*).
-        obstacle_speed: largest share by which a moving obstacle is faster or slower (*chosen*).
+        vehicle: whether the simulated vehicle is drawn within the ranges of its file; the law keeps the file's values.
+        obstacle_size: largest relative error of an obstacle's size, the same for both edges of a box (*chosen*).
+        obstacle_speed: largest relative error of a moving obstacle's speed (*chosen*).
     """
 
     vehicle: bool = True

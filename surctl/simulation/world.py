@@ -1,4 +1,4 @@
-"""The world of one run: obstacles in motion, waves, all fixed by the seed."""
+"""The simulated world of one run: moving obstacles and waves, determined by the seed."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ __all__ = ["Body", "World", "WorldDraw", "build_world", "draw_world"]
 
 @dataclass(frozen=True)
 class Body:
-    """An obstacle at one instant: shape in {E}, velocity (2,) [m/s], and whether the base station follows it.
+    """An obstacle at one instant: shape in {E}, velocity (2,) [m/s], and whether the base station tracks it.
 
-    `heights` says from which z to which it reaches.
+    `heights` holds the lowest and the highest z of the obstacle [m].
     """
 
     name: str
@@ -36,15 +36,15 @@ class Body:
 
 @dataclass(frozen=True)
 class World:
-    """A scenario with its random choices made.
+    """A scenario with the random choices of one seed.
 
     Attributes:
-        drift_direction: unit vectors (n, 2), one an obstacle.
-        drift_phase: (n,) [rad].
-        wave_direction, wave_phase: of the wave force.
-        slow_direction, slow_phase: of the slow force.
-        gain_error, bias: (4,) in [-1, 1], of the thrust along each axis, to be scaled by what the scenario states.
-        hull: radius of the vehicle flown [m], also that of moving obstacles that name none.
+        drift_direction: unit vectors (n, 2) of the drift, one per obstacle.
+        drift_phase: (n,) phase of the drift of each obstacle [rad].
+        wave_direction, wave_phase: direction and phase of the wave force.
+        slow_direction, slow_phase: direction and phase of the slow drift force.
+        gain_error, bias: (4,) thrust errors per axis in [-1, 1]; the scenario states their scale.
+        hull: radius of the vehicle [m], also of moving obstacles without a radius of their own.
     """
 
     scenario: Scenario
@@ -59,37 +59,37 @@ class World:
     bias: NDArray[np.float64]
 
     def bodies(self, time: float) -> list[Body]:
-        """The obstacles that are in the water at `time` [s]."""
+        """Return the obstacles that are in the water at `time` [s]."""
         still = self._still
         bodies = [still.get(k) or self._body(k, o, time) for k, o in enumerate(self.scenario.obstacles)]
         return [body for body in bodies if body is not None]
 
     @cached_property
     def _still(self) -> dict[int, Body | None]:
-        """Those that never move, by their place in the scenario."""
+        """The obstacles that never move, by their index in the scenario."""
         obstacles = enumerate(self.scenario.obstacles)
         return {k: self._body(k, o, 0.0) for k, o in obstacles if o.shape != "moving" and o.drift_m == 0}
 
     def force(self, time: float) -> NDArray[np.float64]:
-        """Disturbance (4,) in {E} [N, N m]."""
+        """Return the disturbance force (4,) in {E} [N, N m]."""
         d = self.scenario.disturbance
         wave = d.wave_force_n * np.sin(2 * np.pi * time / d.wave_period_s + self.wave_phase)
         slow = d.drift_force_n * np.sin(2 * np.pi * time / d.drift_period_s + self.slow_phase)
         return np.array([*(wave * self.wave_direction + slow * self.slow_direction), 0.0, 0.0])
 
     def thrust(self, command: NDArray[np.float64], limit: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What reaches the thrusters of a command (4,) in {B} [N, N m] with these limits; see `Disturbance`."""
+        """Return the thrust (4,) in {B} [N, N m] for a command and its limits, with the errors of `Disturbance`."""
         d = self.scenario.disturbance
         delivered: NDArray[np.float64] = command * (1 + d.thrust_error * self.gain_error)
         return delivered + d.thrust_bias * self.bias * limit
 
     def clearance(self, place: NDArray[np.float64], bodies: Sequence[Body]) -> float:
-        """Hull at (3,) [m] to the nearest of the bodies [m], negative when it touches; walls apart."""
+        """Return the signed distance [m] from a hull at `place` (3,) [m] to the nearest body; walls do not count."""
         x, y, z = place.tolist()
         return min((Prism(b.shape, b.heights).distance(x, y, z) - self.hull for b in bodies), default=float("inf"))
 
     def wall_clearance(self, position: NDArray[np.float64]) -> float:
-        """Hull to nearest wall [m]."""
+        """Return the distance [m] from the hull to the nearest wall."""
         return min(wall.nearest(position)[0] for wall in self.scenario.walls) - self.hull
 
     def _body(self, k: int, obstacle: Obstacle, time: float) -> Body | None:
@@ -121,7 +121,7 @@ class World:
 
 
 class WorldDraw(NamedTuple):
-    """Random choices of a run, see `World`."""
+    """The random choices of a run, see `World`."""
 
     drift_direction: NDArray[np.float64]
     drift_phase: NDArray[np.float64]
@@ -134,10 +134,10 @@ class WorldDraw(NamedTuple):
 
 
 def draw_world(obstacles: int, *, seed: int) -> WorldDraw:
-    """The random choices of one seed for so many obstacles."""
+    """Return the random choices of one seed for this number of obstacles."""
     turns = (2 * np.pi * np.random.default_rng([seed, 1]).random(2 * obstacles + 2)).tolist()
     drifts, wave, phases, wave_phase = turns[:obstacles], turns[obstacles], turns[obstacles + 1 : -1], turns[-1]
-    # the library's sine: numpy's differs in the last digit with an array's length
+    # use math.sin: the last digit of numpy's sine depends on the length of the array
     directions = np.array([(cos(angle), sin(angle)) for angle in (*drifts, wave)])
     slow, slow_phase, *errors = np.random.default_rng([seed, 2]).random(10).tolist()
     slow_direction = np.array([cos(2 * np.pi * slow), sin(2 * np.pi * slow)])
@@ -155,10 +155,10 @@ def draw_world(obstacles: int, *, seed: int) -> WorldDraw:
 
 
 def build_world(scenario: Scenario, vehicle: Vehicle, *, seed: int) -> World:
-    """Draw the scenario's random choices for one seed.
+    """Return the world of a scenario, with the random choices of one seed.
 
     Raises:
-        InputError: the hull starts inside an obstacle (walls are judged once the hull is clear of them).
+        InputError: the hull starts inside an obstacle (walls count only once the hull has been clear of them).
 
     Example:
         >>> from surctl.simulation import build_world, load_scenario
@@ -183,5 +183,5 @@ def _check_start(world: World, vehicle: Vehicle, bodies: Sequence[Body]) -> None
                 file=scenario.source,
                 key="path_m",
                 value=scenario.start.tolist(),
-                remedy="move the start or the obstacle, or fly a smaller vehicle",
+                remedy="move the start or the obstacle, or use a smaller vehicle",
             )

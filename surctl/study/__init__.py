@@ -1,4 +1,4 @@
-"""The main job: from a vehicle or study file to gains, verdicts, flights, exported C and a report."""
+"""The main job: from a vehicle or study file to gains, verdicts, runs, exported C and a report."""
 
 from surctl.study.conduct import Study, conduct
 from surctl.study.notes import Note

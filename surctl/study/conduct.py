@@ -1,4 +1,4 @@
-"""The main job in one go: sweep, pick, margins, claims, flights, export, SIL, report."""
+"""Conduct a study in one call: sweep, choice of gains, margins, claims, runs, export, SIL test, and report."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ class Study:
     """A finished study.
 
     Attributes:
-        passed: every deciding note holds.
-        notes: the summary.
-        runs: flights with true positions and through the sonar, in the plan's order.
-        inapplicable: claims that are not about the vehicle, and why; deciding where the plan names them.
-        deciding: for each run, whether it decides.
-        replayed: the runs through the sonar that the exported C replayed: those of deciding legs with the exported law.
-        linear: the linear side of the vehicle as stated, and the worst of the corners of its ranges.
-        sil: one report for each of them.
+        passed: whether every note that counts towards the result passes.
+        notes: the notes of the summary.
+        runs: simulated runs with true positions and with sonar, in the plan's order.
+        inapplicable: claims that do not concern the vehicle, with the reason; they fail if the plan names them.
+        deciding: for each run, whether it counts towards the result of the study.
+        replayed: the sonar runs that the exported C replayed: runs of the exported law where the hull fits the site.
+        linear: linear analysis of the nominal vehicle, and the worst one over the corners of its ranges.
+        sil: software-in-the-loop (SIL) reports, one for each replayed run.
     """
 
     plan: Plan
@@ -71,11 +71,11 @@ class Study:
 
     @property
     def passed(self) -> bool:
-        """Whether every deciding note holds."""
+        """Whether every note that counts towards the result passes."""
         return all(note.passed is not False for note in self.notes)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON; numbers that are not finite are left to the writer."""
+        """Return plain data for JSON; the writer converts numbers that are not finite."""
         picked = self.sweep.picked
         return {
             "study": self.plan.name,
@@ -118,18 +118,18 @@ class Study:
 def conduct(
     plan: Plan, out: Path, *, workers: int = 2, progress: Progress = lambda _: None, command: str = ""
 ) -> Study:
-    """Do everything the plan says.
+    """Conduct all parts of the study in the plan and return the finished study.
 
     Args:
-        plan: the study.
-        out: folder for report, gain file, sweep table and exported bundle.
-        workers: processes of the sweep.
-        progress: told one line at a time what is going on.
-        command: the command line, for the report.
+        plan: the plan of the study.
+        out: output folder for report, gain file, sweep table and exported bundle.
+        workers: number of processes of the sweep.
+        progress: function that receives one line of text at each step of the work.
+        command: the command line, which the report shows.
 
     Raises:
-        InputError: the folder cannot be written, there is no compiler, or a scenario has sonars that the law cannot
-            listen to. All are found before the long work.
+        InputError: the folder cannot be written, there is no compiler, or the law cannot use the sonars of a
+            scenario. All these errors are raised before the long computations.
 
     Example:
         >>> from pathlib import Path
@@ -157,7 +157,7 @@ def conduct(
     prepare_folder(out)
     law, clock = build_law(plan.law, guidance=plan.guidance), _Clock(progress)
     legs = tuple(leg for leg in plan.legs if not leg.exclusion)
-    sonar_laws = tuple(with_perception(plan, leg) for leg in legs)  # a law that cannot be is told before the long work
+    sonar_laws = tuple(with_perception(plan, leg) for leg in legs)  # errors here come before the long work
     first = next(k for k, leg in enumerate(legs) if leg.misfit is None)
     with ExitStack() as stack:
         with clock("sweep"):
@@ -174,7 +174,7 @@ def conduct(
                 worst_linear_side(corners(plan.vehicle), swept.gains.values, cruise=cruise, dt=law.dt),
             )
         with clock("claims"):
-            # those about braking take a minute to be left open: they are checked where they are named
+            # claims about braking take a minute and stay undecided: check them only if the plan names them
             fastest = max((leg.scenario for leg in plan.deciding), key=lambda scenario: scenario.cruise)
             at_hand = {**swept.gains.values, "speed": fastest.cruise, "speed_max": fastest.cap}
             applicable, refused = applicable_claims(at_hand, plan.claims, vehicle=plan.vehicle)
@@ -186,7 +186,7 @@ def conduct(
         deciding = tuple(leg.misfit is None and run.sensing == "truth" for leg, run in leg_runs)
         sonar_runs = [run for leg, run in leg_runs if leg.misfit is None and run.sensing == "sonar"]
         replayed = tuple(run for run in sonar_runs if shipment.carries(run))
-        with clock("pictures of the runs"):  # while the compiler works
+        with clock("pictures of the runs"):  # in parallel with the compiler
             data = ReportData(
                 title=f"Study {plan.name}",
                 command=command,
@@ -276,7 +276,7 @@ def _sweep(plan: Plan, out: Path, workers: int, progress: Progress) -> SweepTabl
 def _simulate_legs(
     plan: Plan, legs: Sequence[Leg], laws: tuple[Law, Sequence[Law]], swept: SweepTable, progress: Progress
 ) -> list[tuple[Leg, Run]]:
-    """Each leg with true positions and through the sonar; `laws`: for true positions, and one a leg with senses."""
+    """Simulate each leg with true positions by `laws[0]`, and with sonar by the leg's law in `laws[1]`."""
     leg_runs = []
     for leg, sonar_law in zip(legs, laws[1], strict=True):
         for sensing, law in (("truth", laws[0]), ("sonar", sonar_law)):

@@ -1,4 +1,4 @@
-"""The lines that sum a study up: what holds, what fails, and what decides nothing."""
+"""The summary of a study: notes that pass, notes that fail, and notes that do not count towards the result."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ __all__ = ["Note", "left_out", "summary"]
 
 @dataclass(frozen=True)
 class Note:
-    """One line of the study's summary; `passed` is None when it does not decide, `about` names a part of the report."""
+    """One line of the study's summary, about one part of the report.
+
+    `passed` is None if the note does not count towards the result; `about` names the part of the report.
+    """
 
     passed: bool | None
     text: str
@@ -32,23 +35,21 @@ def summary(
     runs: Sequence[tuple[Run, bool]],
     sil: Sequence[SilReport],
 ) -> tuple[Note, ...]:
-    """The notes of a study.
+    """Return the notes that summarise a study.
 
     Args:
-        plan: the study.
-        swept: its sweep.
-        margins: of its loops.
-        verdicts: on its claims.
-        runs: each with whether it decides.
-        sil: one report for each flight that the exported law was replayed over.
+        plan: the plan of the study.
+        swept: the sweep of the study.
+        margins: stability margins of the velocity loops.
+        verdicts: verdicts on the claims of the study.
+        runs: runs of the study, each with a flag that says whether it counts towards the result.
+        sil: software-in-the-loop (SIL) reports, one for each run that the exported law replayed.
     """
     notes = []
     feasible = int((swept.column("feasible") > 0.5).sum())
     points = swept.column("feasible").size
     if swept.picked is None:
-        notes.append(
-            Note(False, f"sweep: none of {points} points is feasible; the gains of the file are kept", "sweep")
-        )
+        notes.append(Note(False, f"sweep: none of {points} points is feasible; the gains stay unchanged", "sweep"))
     else:
         at = list(zip(swept.axes, swept.picked, strict=True))
         chosen = ", ".join(f"{a.name} = {a.values[k]:g} {a.unit}" for a, k in at)
@@ -81,17 +82,17 @@ def summary(
     for leg in plan.legs:
         if leg.exclusion or leg.misfit:
             reason = leg.exclusion or leg.misfit
-            notes.append(Note(None, f"{leg.scenario.name} does not decide: {reason}"))
+            notes.append(Note(None, f"{leg.scenario.name} does not count towards the result: {reason}"))
     worst = max((max(r.tau.mixed, r.state.mixed, r.telemetry.mixed) for r in sil), default=0.0)
     steps, cases = sum(r.steps for r in sil), sum(r.fault_cases for r in sil)
     passed = bool(sil) and all(r.conclusive for r in sil)
-    runs_by_sonar = f"{len(sil)} run{'s' * (len(sil) != 1)} by sonar"
-    text = f"export of the law with perception: C equals Python to {worst:.1e} over {steps} steps of {runs_by_sonar}; "
-    notes.append(Note(passed, text + f"{cases} inputs of NaN or infinity tried", "export"))
+    sonar_runs = f"{len(sil)} sonar run{'s' * (len(sil) != 1)}"
+    text = f"export of the law with perception: C and Python agree to {worst:.1e} over {steps} steps of {sonar_runs}; "
+    notes.append(Note(passed, text + f"{cases} inputs with NaN or infinity tested", "export"))
     return tuple(notes)
 
 
 def left_out(runs: Sequence[Run]) -> tuple[Note, ...]:
-    """Flights with other senses than the exported law's: nobody replayed them."""
+    """Return notes on the runs that were not replayed, because their sensors differ from the exported law's."""
     text = "has other sensors than the exported law and is not replayed"
     return tuple(Note(None, f"{run.scenario.name} by {run.vehicle.name}, sonar, {text}", "export") for run in runs)

@@ -1,4 +1,4 @@
-"""What a study does: read from a study file, or derived from a vehicle file."""
+"""The plan of a study, read from a study file or derived from a vehicle file."""
 
 from __future__ import annotations
 
@@ -56,11 +56,11 @@ class _StudyFile(Strict):
 
 @dataclass(frozen=True)
 class Leg:
-    """One scenario with the vehicle that flies it.
+    """One scenario with its vehicle.
 
     Attributes:
-        exclusion: why it cannot be flown at all, or None.
-        misfit: why the hull does not fit the site: then the run is shown and does not decide; or None.
+        exclusion: reason why the scenario cannot be simulated at all, or None.
+        misfit: reason why the hull does not fit the site, or None; such a run is shown but does not count.
     """
 
     scenario: Scenario
@@ -71,7 +71,7 @@ class Leg:
 
 @dataclass(frozen=True)
 class Plan:
-    """A study, checked and loaded; without goals, or the name of a goals file, it has the built-in ones."""
+    """A checked and loaded study; its goals are the built-in ones unless it has its own or names a goals file."""
 
     name: str
     note: str
@@ -89,24 +89,24 @@ class Plan:
 
     @property
     def deciding(self) -> tuple[Leg, ...]:
-        """The legs whose runs with true positions decide."""
+        """The legs whose runs with true positions count towards the result of the study."""
         return tuple(leg for leg in self.legs if leg.exclusion is None and leg.misfit is None)
 
     @property
     def sweep_cases(self) -> tuple[Case, ...]:
-        """What every point of the sweep flies."""
+        """The cases that the sweep simulates at every point."""
         return tuple(
             Case(leg.scenario, leg.vehicle, self.gains, self.law, guidance=self.guidance) for leg in self.deciding
         )
 
 
 def load_plan(file: str | None = None) -> Plan:
-    """The built-in study, the study in a file, or the built-in study with the vehicle of a vehicle file.
+    """Load the built-in study, a study file, or the built-in study with the vehicle of a vehicle file.
 
     Names inside a study file may be built-in names or paths relative to the file.
 
     Raises:
-        InputError: a file, key or value that is wrong; no scenario is left that the vehicle can fly.
+        InputError: a file, a key or a value is wrong, or the vehicle fits no scenario of the study.
 
     Example:
         >>> from surctl.study import load_plan
@@ -145,7 +145,7 @@ def _study(table: dict[str, Any], path: Path) -> _StudyFile:
 
 
 def _own_goals(study: _StudyFile, path: Path, named: str | None) -> tuple[Goal, ...]:
-    """The goals of the file that the study names, those in its own tables, or the built-in ones."""
+    """Return the goals of the named file, those of the study's own tables, or the built-in goals."""
     if named is None:
         return goals_from_tables(study.goals, file=path) if study.goals else load_goals()
     try:
@@ -187,12 +187,17 @@ def _plan(study: _StudyFile, path: Path, *, lenient: bool = False, goals: str | 
     )
     if not plan.deciding:
         reasons = "; ".join(f"{leg.scenario.name}: {leg.exclusion or leg.misfit}" for leg in legs)
-        raise InputError(f"no scenario can be flown ({reasons})", file=path, key="runs", remedy="add a larger site")
+        raise InputError(
+            f"the vehicle fits no scenario ({reasons})",
+            file=path,
+            key="runs",
+            remedy="add a scenario with a larger site",
+        )
     return plan
 
 
 def _gain_axis(axis: _Axis, gains: Gains) -> Axis:
-    """The axis, if it is a gain: that is what a study picks."""
+    """Return a sweep axis; InputError if it is not a gain, because a study chooses only gains."""
     for value in axis.values:
         gains.with_values({axis.gain: value})
     return Axis(axis.gain, axis.values)

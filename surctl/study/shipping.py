@@ -1,4 +1,4 @@
-"""What a study ships: the law with its senses as C, compiled while the study goes on, and replayed over its flights."""
+"""Export of a study: the law with perception as C, compiled during the study and replayed over its runs."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ __all__ = ["Shipment", "shipping", "with_perception"]
 
 
 def with_perception(plan: Plan, leg: Leg) -> Law:
-    """The plan's law in closed form, with the senses that the leg's scenario has on the leg's hull.
+    """Return the plan's law with perception, for the sensors of the leg's scenario on the leg's hull.
 
     Raises:
-        InputError: sonars that the law cannot listen to.
+        InputError: the law cannot use these sonars.
     """
     mission = leg.scenario
     equipment = mission.sensors.on(leg.vehicle["radius"])
@@ -46,10 +46,10 @@ class Shipment:
     """An exported law.
 
     Attributes:
-        law: the law.
-        bundle: its C, with the gains and the mission of one leg.
-        files: as written.
-        compiling: the compiled bundle, sooner or later.
+        law: the exported law.
+        bundle: the exported C, with the gains and the mission of one leg.
+        files: the files as written.
+        compiling: future that holds the compiled bundle.
     """
 
     law: Law
@@ -58,14 +58,14 @@ class Shipment:
     compiling: Future[Controller]
 
     def carries(self, run: Run) -> bool:
-        """Whether the run was flown by this law, whatever its gains and its mission."""
+        """Return whether the run used this law, with any gains and any mission."""
         return run.law is self.law or run.law.block.digest() == self.law.block.digest()
 
     def replayed(self, runs: Sequence[Run]) -> tuple[SilReport, ...]:
-        """One report a run of this law; waits for the compiler.
+        """Replay runs of this law and return one report per run; wait for the compiler if necessary.
 
         Raises:
-            SurctlError: the compiler refuses the bundle, or the program crashes.
+            SurctlError: the compiler rejects the bundle, or the compiled program crashes.
         """
         records = [Records(r.law_state, r.law_input, r.law_parameters) for r in (run.record for run in runs)]
         return compare_runs(self.compiling.result(), records)
@@ -73,13 +73,13 @@ class Shipment:
 
 @contextmanager
 def shipping(law: Law, gains: Gains, leg: Leg, out: Path) -> Iterator[Shipment]:
-    """Write the law's C to `out`, and have it compiled beside what is done in the meantime.
+    """Write the law's C to `out` and compile it in parallel with the body of the `with` statement.
 
     Args:
-        law: the law.
+        law: the law to export.
         gains: complete gain set.
-        leg: whose mission and vehicle are the exported defaults.
-        out: folder of the bundle.
+        leg: the leg whose mission and vehicle become the defaults of the export.
+        out: folder of the exported bundle.
 
     Raises:
         InputError: the folder cannot be written.

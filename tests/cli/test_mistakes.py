@@ -91,7 +91,7 @@ SCENARIO_MISTAKES = {
         ["s.toml", "path_m = [2.75, 1.0]", "inside obstacle 'Obstacle4'", "move the target or the obstacle"],
     ),
     "unit in the key": (SCENARIO.replace("cruise_m_per_s", "cruise_km_per_h"), ["cruise_km_per_h", "'cruise_m_per_s'"]),
-    "depth in the air": (SCENARIO.replace("depth_m = -0.15", "depth_m = 0.15"), ["depth_m", "0.15", "z is up"]),
+    "depth in the air": (SCENARIO.replace("depth_m = -0.15", "depth_m = 0.15"), ["depth_m", "0.15", "z points up"]),
     "a quote in a name": (
         SCENARIO.replace('"Obstacle1"', "'Ob\"1'").replace("[[0.25, 0.25]", "[[0.55, 0.35]"),
         ['Ob"1'],

@@ -125,7 +125,7 @@ def test_without_a_compiler_the_machine_flies_and_says_how_slow(monkeypatch: pyt
 
     monkeypatch.setattr(engines, "compiled_loop", none)
     case = _case("pool-static", seconds=1.0)
-    with pytest.warns(SlowerEngine, match=r"µs a step"):
+    with pytest.warns(SlowerEngine, match=r"µs per control step"):
         assert simulate_batch(case).engine == "vm"
     with pytest.raises(ToolMissing):
         simulate_batch(case, engine="c")
@@ -253,8 +253,8 @@ def test_a_start_inside_an_obstacle_is_a_collision_at_once() -> None:
         ({"scenario.cruise": 0.5}, 0, "above scenario.cap"),
         ({"scenario.depth": 0.5}, 0, "scenario.depth"),
         ({"k_v": "fast"}, 0, "numbers"),
-        ({"k_v": [1.0, 2.0], "k_r": [1.0, 2.0, 3.0]}, 0, "do not fit"),
-        ({"k_v": [[1.0, 2.0]]}, 0, "do not fit"),
+        ({"k_v": [1.0, 2.0], "k_r": [1.0, 2.0, 3.0]}, 0, "do not match"),
+        ({"k_v": [[1.0, 2.0]]}, 0, "do not match"),
         ({}, -1, "seeds"),
         ({}, 0.5, "seeds"),
         ({"obstacle.Obstacle9.x": 1.0}, 0, "Obstacle"),

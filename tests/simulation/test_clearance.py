@@ -51,13 +51,11 @@ def test_the_pool_has_no_room_for_the_paper_s_own_hull() -> None:
     found = [f.text for f in findings(POOL, HULL) if f.level == "error"]
     assert len(found) == 4 and all("E15" in text for text in found)
     assert "0.020 m inside a wall at the start" in found[0] and "0.020 m inside a wall at the target" in found[1]
-    assert "0.044 m off obstacle 'Obstacle1', which drifts by 0.05 m" in found[2]
-    assert (
-        "the wall x = 0 and 'Obstacle1'" in found[3] and "0.550 m wide, of which their drift leaves 0.500 m" in found[3]
-    )
+    assert "0.044 m from obstacle 'Obstacle1', which drifts by up to 0.05 m" in found[2]
+    assert "the wall x = 0 and 'Obstacle1'" in found[3] and "0.550 m wide, 0.500 m at the worst drift" in found[3]
     small = _found(POOL, "sur400")
     assert list(small) == [("warning", "obstacles")]  # 0.40 m pass, but not with 0.08 m to either side
-    assert "takes 0.400 m, 0.560 m with an error of 0.08 m" in small["warning", "obstacles"]
+    assert "needs 0.400 m, or 0.560 m with an error of 0.08 m" in small["warning", "obstacles"]
 
 
 @pytest.mark.parametrize(
@@ -70,19 +68,19 @@ def test_a_gate_is_measured_exactly(width: float, level: str | None) -> None:
     if level is not None:
         text = found[level, "obstacles"]
         assert "'south'" in text and "'north'" in text and f"{width:.3f} m wide" in text and "0.620 m" in text
-        assert ("there is no way through" in text) == (level == "error")
+        assert ("no passage is wide enough" in text) == (level == "error")
 
 
 def test_a_drift_takes_from_the_gate() -> None:
     assert _found(_gate(0.70, drift=0.07)) == {}
     assert list(_found(_gate(0.70, drift=0.09))) == [("warning", "obstacles")]
     text = _found(_gate(0.70, drift=0.17))["error", "obstacles"]
-    assert text.startswith("no way through is guaranteed") and "their drift leaves 0.530 m" in text
+    assert text.startswith("no passage is guaranteed") and "0.530 m at the worst drift" in text
 
 
 def test_a_closed_way_is_an_error() -> None:
     text = _found(_with(_box("dam", 5.0, 0.0, 5.0)))["error", "obstacles"]
-    assert "there is no way through" in text and "0.000 m wide" in text and "'dam'" in text
+    assert "no passage is wide enough" in text and "0.000 m wide" in text and "'dam'" in text
 
 
 def test_of_two_gates_the_wider_is_the_way() -> None:
@@ -148,7 +146,7 @@ def _mover(**changes: Any) -> Obstacle:
 
 def test_a_moving_obstacle_that_ends_on_the_target() -> None:
     text = _found(_with(_mover()))["warning", "obstacles.OM.to_m"]
-    assert "taken out at 47.4 s" in text and "at 45.0 s" in text
+    assert "removed at 47.4 s" in text and "at 45.0 s" in text
     text = _found(_with(_mover(removed=False)))["error", "obstacles.OM.to_m"]
     assert "stays 0.540 m too close" in text
     assert _found(_with(_mover(to_m=(9.5, 3.05), removed=False))) == {}
@@ -174,9 +172,9 @@ def test_a_cruise_that_the_thrust_cannot_hold() -> None:
     """2 s + 60 s² = 5 N at s = 0.2725 m/s: 0.2 m/s against 0.0725 m/s."""
     assert _found(_with(disturbance=Disturbance(current_m_per_s=(-0.072, 0.0)))) == {}
     text = _found(_with(disturbance=Disturbance(current_m_per_s=(-0.074, 0.0))))["error", "cruise_m_per_s"]
-    assert "0.274 m/s through the water" in text and "5.05 N" in text and "give 5.00 N" in text
+    assert "0.274 m/s through the water" in text and "5.05 N" in text and "deliver 5.00 N" in text
     weak = Disturbance(current_m_per_s=(-0.072, 0.0), thrust_error=0.05)
-    assert "give 4.75 N" in _found(_with(disturbance=weak))["error", "cruise_m_per_s"]
+    assert "deliver 4.75 N" in _found(_with(disturbance=weak))["error", "cruise_m_per_s"]
     assert _found(_with(disturbance=Disturbance(current_m_per_s=(0.074, 0.0)))) == {}
 
 
@@ -197,7 +195,7 @@ def _sill(top: float | None = -1.8, bottom: float | None = None, **changes: Any)
 def test_a_sill_leaves_another_depth_alone_and_the_first_that_is_free_is_told() -> None:
     ((level, key), text), *rest = _found(_sill()).items()
     assert (level, key) == ("warning", "depths_m") and not rest
-    assert "only another depth leads on, z = -1.41 m" in text and "no way through" in text
+    assert "only at another depth, first at z = -1.41 m" in text and "no passage" in text
     assert "z = -0.82 m" in _found(_sill(top=-1.2))["warning", "depths_m"]
     assert "z = -2.59 m" in _found(_sill(top=None, bottom=-2.2))["warning", "depths_m"]
 
@@ -232,7 +230,7 @@ def test_the_layers_are_those_that_the_mission_has_room_for() -> None:
     assert layers(_sill(depths=(-2.5, -1.5)), HULL, gains) == [] == layers(_sill(depths=None), HULL, gains)
 
 
-@pytest.mark.parametrize(("off", "told"), [(0.01, "only 0.010 m off a wall"), (-0.01, "0.010 m inside"), (0.03, None)])
+@pytest.mark.parametrize(("off", "told"), [(0.01, "only 0.010 m from a wall"), (-0.01, "0.010 m inside"), (0.03, None)])
 def test_a_start_beside_a_wall_takes_room_for_an_error_of_the_place(off: float, told: str | None) -> None:
     path = Path(np.array([[HULL["radius"] + off, 2.0], [5.0, 2.0]]))
     found = _found(_with(path=path))

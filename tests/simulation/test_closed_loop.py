@@ -184,9 +184,9 @@ def test_with_truth_the_law_is_told_the_truth_and_with_sonar_it_estimates() -> N
 
 def test_a_law_with_sonars_needs_them() -> None:
     scenario = load_scenario("pool-behind")
-    with pytest.raises(InputError, match="listens to the sonars"):
+    with pytest.raises(InputError, match="law that uses sonars"):
         simulate(scenario, load_vehicle("sur400"), gains=load_gains("default"), law=build_law(sonar=True))
-    with pytest.raises(InputError, match="listens to no sonars"):
+    with pytest.raises(InputError, match="law that uses no sonars"):
         simulate(scenario, load_vehicle("sur400"), gains=load_gains("default"), law=build_law(), sensing="sonar")
 
 

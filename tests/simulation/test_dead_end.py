@@ -74,7 +74,7 @@ def test_a_dead_end_is_found_and_said_in_safety(scene: str, sensing: Sensing) ->
     assert np.count_nonzero(trapped) == round(STANDSTILL / run.law.dt)
     assert np.hypot(*run.record.nu[-1, :2]) < 0.05
     assert np.linalg.norm(run.record.eta[-1, :2] - run.record.eta[trapped][0, :2]) < 0.15
-    assert f"no way on for {run.gains['patience']:.0f} s, given up at (" in stop_reason(run)
+    assert f"no progress for {run.gains['patience']:.0f} s, search ended at (" in stop_reason(run)
 
 
 def test_patience_0_never_gives_up() -> None:

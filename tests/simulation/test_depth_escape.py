@@ -86,7 +86,7 @@ def test_where_only_another_depth_leads_on_it_is_found_and_left_again(scene: str
     told = run.to_dict()["depth_changes"]
     assert [change["to_m"] for change in told] == [change.to_m for change in depth_changes(run)]
     first, *_, last = further_output(run, {}, explained=False, out=None)
-    assert "m from z -2.00 to -1.41 m: a way is looked for at another depth" in first
+    assert "m from z -2.00 to -1.41 m: search for a passage at another depth" in first
     assert last.endswith("to -2.00 m: back to the path's depth")
 
 

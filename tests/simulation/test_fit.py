@@ -92,7 +92,7 @@ def test_a_beam_that_the_hull_cuts_in_two_is_found(tmp_path: Path) -> None:
     path = _file(tmp_path, "[[-0.9, 0.0], [0.0, 0.2], [-0.2, 0.0], [0.0, -0.2]]")
     done = surctl("lint", str(path), cwd=tmp_path)
     assert done.status == 1
-    assert "error: sonar.mounts_m: on sur400 the hull cuts the beam of sensor 0 in two" in done.out
+    assert "error: sonar.mounts_m: the hull of sur400 splits the beam of sensor 0" in done.out
 
 
 def test_a_fault_of_a_sensor_that_is_not_there_is_refused(tmp_path: Path) -> None:
@@ -117,5 +117,5 @@ def test_the_way_to_stop_is_that_of_surge_and_the_law_s_caution_is_told_apart() 
     [told] = [f for f in findings(TANK, boat) if f.key == "sonar.maximum_m"]
     brake, reaction = (load_gains("default")[name] for name in ("brake", "reaction"))
     ahead, weak = (TANK.cruise**2 / (2 * brake * f / 50.0) + TANK.cruise * reaction for f in (50.0, 0.05))
-    assert f"stops in {ahead:.2f} m by surge thrust" in told.text and ahead < 1 < 4.5 < weak
-    assert f"weaker of surge and sway, 0.05 N, and keeps {weak:.2f} m" in told.text
+    assert f"stops within {ahead:.2f} m by surge thrust" in told.text and ahead < 1 < 4.5 < weak
+    assert f"weaker of surge and sway, 0.05 N, and needs {weak:.2f} m" in told.text

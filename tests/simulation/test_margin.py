@@ -122,7 +122,7 @@ def test_how_near_two_that_move_come_is_what_a_walk_in_small_steps_finds(stays: 
 
 def test_lint_names_two_that_run_into_each_other() -> None:
     pair = mover("a", (2, 1), (6, 4), 0.1), mover("b", (6, 1), (2, 4), 0.1)
-    found = [f for f in findings(replace(SCENARIO, obstacles=pair), VEHICLE) if "run into" in f.text]
+    found = [f for f in findings(replace(SCENARIO, obstacles=pair), VEHICLE) if "collide with each other" in f.text]
     assert [(f.level, f.key) for f in found] == [("error", "obstacles.b.to_m")] and "0.40 m" in found[0].text
     late = pair[0], mover("b", (6, 1), (2, 4), 0.05)
-    assert not [f for f in findings(replace(SCENARIO, obstacles=late), VEHICLE) if "run into" in f.text]
+    assert not [f for f in findings(replace(SCENARIO, obstacles=late), VEHICLE) if "collide with each other" in f.text]

@@ -115,7 +115,7 @@ MISTAKES = {
         "obstacles.Obstacle1.centre_m",
         "outside the site",
     ),
-    "above the water": (_edited("depth_m = -0.15", "depth_m = 0.15"), "depth_m", "is not in the water; z is up"),
+    "above the water": (_edited("depth_m = -0.15", "depth_m = 0.15"), "depth_m", "is not in the water; z points up"),
     "at the surface": (_edited("depth_m = -0.15", "depth_m = 0.0"), "depth_m", "is not in the water"),
     "in the floor": (_edited("depth_m = -0.15", "depth_m = -1.5"), "depth_m", "is not in the water"),
     "cruise above cap": (
@@ -124,7 +124,7 @@ MISTAKES = {
         "above cap_m_per_s = 0.22",
     ),
     "no cruise": (_edited("cruise_m_per_s = 0.15", "cruise_m_per_s = 0"), "cruise_m_per_s", "greater than 0"),
-    "two of one name": (_edited("Obstacle2", "Obstacle1"), "obstacles.name", "two obstacles have one name"),
+    "two of one name": (_edited("Obstacle2", "Obstacle1"), "obstacles.name", "is the name of two obstacles"),
     "no radius": (_edited(FIRST, "centre_m = [0.6, 0.35]"), "obstacles.0", "a cylinder needs radius_m"),
     "negative radius": (_edited(FIRST, FIRST.replace("0.05", "-0.05")), "obstacles.0.radius_m", "greater than 0"),
     "box without size": (_edited('shape = "cylinder"', 'shape = "box"'), "obstacles.0", "a box needs size_m"),
@@ -153,7 +153,7 @@ MISTAKES = {
     "depths without the path's": (
         _edited("depth_m = -0.15", "depth_m = -0.15\ndepths_m = [-0.9, -0.3]"),
         "depths_m = [-0.9, -0.3]",
-        "does not hold the path's depth of -0.15",
+        "must be a depth below and a depth above the path's depth of -0.15",
     ),
     "depths out of the water": (
         _edited("depth_m = -0.15", "depth_m = -0.15\ndepths_m = [-0.9, 0.1]"),
@@ -170,7 +170,7 @@ MISTAKES = {
         "disturbance.thrust_error",
         "less than 1",
     ),
-    "a kind of no time": (_edited("time_s = 20.0\n", ""), "paper", "time_kind speaks of time_s"),
+    "a kind of no time": (_edited("time_s = 20.0\n", ""), "paper", "time_kind describes time_s"),
     "time of no kind": (_edited('time_kind = "about"', 'time_kind = "at most"'), "paper.time_kind", "'less than'"),
     "no time": (_edited("time_limit_s = 90.0", "time_limit_s = 0.0"), "time_limit_s", "greater than 0"),
     "another kind": (_edited('kind = "scenario"', 'kind = "vehicle"'), "kind", "'scenario'"),
@@ -229,7 +229,7 @@ def test_findings_before_flight() -> None:
     assert any(f.level == "error" and "0.020 m inside a wall at the start" in f.text for f in large)  # E15
     small = findings(pool, load_vehicle("sur400"))
     assert not [f for f in small if f.level == "error"]
-    assert any("out of the water" in f.text for f in small)  # E16
+    assert any("above the surface" in f.text for f in small)  # E16
 
 
 def test_what_ends_above_or_below_shares_no_water(tmp_path: Path) -> None:

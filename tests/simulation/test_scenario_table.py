@@ -65,7 +65,7 @@ def test_an_angle_of_a_file_comes_back_to_the_bit_and_any_other_to_the_next_numb
 
 def test_what_no_file_can_state_is_refused():
     air = Sensors(Equipment(array=SonarArray(medium="air", maximum=4.0)))
-    with pytest.raises(InputError, match="cannot state"):
+    with pytest.raises(InputError, match="cannot be written to a scenario file"):
         scenario_table(replace(load_scenario("tank-static"), sensors=air))
 
 

@@ -75,11 +75,11 @@ def test_only_a_law_with_senses_counts() -> None:
 
 
 def test_the_reason_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert stop_reason(_flown(DEAF_TWICE)) == "no sonar can be believed (0, 1, 2, 3)"
-    assert stop_reason(_flown(NOWHERE, "tank-static")).startswith("the robot does not know where it is")
+    assert stop_reason(_flown(DEAF_TWICE)) == "all sonars are judged faulty (0, 1, 2, 3)"
+    assert stop_reason(_flown(NOWHERE, "tank-static")).startswith("the robot does not know its position")
     monkeypatch.setattr(loop, "STOPPED_LIMIT", 1.0)  # it creeps on, and stands for moments only
     told = stop_reason(_flown(DEAF_AHEAD, "tank-static", turns=False))
-    assert told.startswith("places ahead stay unknown; sonar") and " 0 " in told and told.endswith(" not believed")
+    assert told.startswith("the water ahead stays unknown; sonar") and " 0 " in told and told.endswith(" judged faulty")
 
 
 def test_a_run_that_ended_otherwise_has_no_such_reason() -> None:

@@ -90,7 +90,7 @@ def test_the_exported_law_senses_and_c_equals_python_over_every_flight_by_sonar(
     assert "double samples[4][5];" in header and re.search(r"_at_map_cells = \d+", header)
     steps = sum(report["steps"] for report in reports)
     (line,) = [note["text"] for note in data["summary"] if note["text"].startswith("export")]
-    assert f"over {steps} steps of 4 runs by sonar" in line and "law with perception" in line
+    assert f"over {steps} steps of 4 sonar runs" in line and "law with perception" in line
 
 
 def test_files_are_there_and_hash_as_told(study, folder):
@@ -191,7 +191,7 @@ def test_a_vehicle_file_flies_the_built_in_study_with_that_vehicle(tmp_path):
 def test_a_vehicle_that_fits_nowhere_is_told_why(tmp_path):
     file = own_vehicle(tmp_path)
     file.write_text(file.read_text().replace("value = 0.27", "value = 2.6"))
-    with pytest.raises(InputError, match=r"no scenario can be flown.*tank-static"):
+    with pytest.raises(InputError, match=r"the vehicle fits no scenario.*tank-static"):
         load_plan(str(file))
 
 

@@ -1,4 +1,4 @@
-"""The obstacles of a scenario in symbols, and their numbers for many runs at once."""
+"""The obstacles of a scenario as CasADi expressions, and their numbers for many runs at once."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ __all__ = ["ABSENT", "NO_END", "Body", "BodyKind", "body_at", "body_columns", "b
 Columns: TypeAlias = NDArray[np.float64]
 BodyKind = Literal["box", "disc", "drifting box", "drifting disc", "mover"]
 
-ABSENT = 1e30  # [m] clearance of what is not there
-NO_END = 1e6  # [m] of a height: beyond floor and surface
+ABSENT = 1e30  # [m] clearance of an absent obstacle
+NO_END = 1e6  # [m] height of an end beyond the floor or the surface
 
 
 @dataclass(frozen=True)
 class Body:
-    """An obstacle at one instant, symbolic.
+    """An obstacle at one instant, as CasADi expressions.
 
     Attributes:
-        centre: (2, 1) [m] in {E}.
-        size: (2, 1) edges of a box, or (1, 1) radius of a disc [m].
-        velocity: (2, 1) [m/s] in {E}.
-        present: 0 when it has been taken out of the water.
-        moving: whether the base station follows it.
-        heights: (2, 1) z of its bottom and top [m], or None: the whole water column.
+        centre: (2, 1) centre of the obstacle in {E} [m].
+        size: (2, 1) edge lengths of a box, or (1, 1) radius of a disc [m].
+        velocity: (2, 1) velocity of the obstacle in {E} [m/s].
+        present: 1 if the obstacle is in the water, 0 after its removal.
+        moving: whether the base station tracks the obstacle.
+        heights: (2, 1) z of its bottom and top [m]; None if it fills the whole water column.
     """
 
     centre: ca.SX
@@ -45,13 +45,13 @@ class Body:
 
     @property
     def boxed(self) -> bool:
-        """Whether it is a box."""
+        """Whether the obstacle is a box."""
         return bool(self.size.numel() == 2)
 
     def clearance(self, position: ca.SX) -> ca.SX:
-        """Signed distance [m] from a point to the surface; `ABSENT` when it is not there.
+        """Return the signed distance [m] from a point to the obstacle's surface; `ABSENT` if it is not in the water.
 
-        The point is (2, 1), and then planar as the distance, or (3, 1): that counts for what has `heights`.
+        A point (2, 1) gives the planar distance; a point (3, 1) gives the distance in 3D if the obstacle has `heights`.
         """
         distance = self._planar(position[:2])
         if self.heights is not None and position.numel() == 3:
@@ -61,13 +61,13 @@ class Body:
         return ca.if_else(self.present, distance, ABSENT)
 
     def beside(self, z: ca.SX, hull: ca.SX) -> Body:
-        """The same, there only while a hull of that radius [m] at z meets it, see `simulation.column`."""
+        """Return the obstacle, present only if a hull of this radius [m] at z can touch it, see `simulation.column`."""
         if self.heights is None:
             return self
         return replace(self, present=ca.logic_and(self.present, self._gap(z) < hull + BAND))
 
     def over_and_under(self, place: ca.SX, hull: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Free water above and below a hull at a place (3, 1) that this one leaves [m], `LONGEST` at most."""
+        """Return the free water [m] that the obstacle leaves above and below a hull at `place`, at most `LONGEST`."""
         if self.heights is None:
             return ca.SX(LONGEST), ca.SX(LONGEST)
         bottom, top, z = self.heights[0], self.heights[1], place[2]
@@ -91,7 +91,7 @@ class Body:
         return distance
 
     def contact(self, position: ca.SX) -> ca.SX:
-        """Row (1, 6) of the law's contacts: x, y, radius, vx, vy, valid; of a box its point nearest to `position`."""
+        """Return the contact row (1, 6): x, y, radius, vx, vy, valid; for a box, its point nearest to `position`."""
         if self.boxed:
             half = 0.5 * self.size
             point = self.centre + ca.fmin(ca.fmax(position - self.centre, -half), half)
@@ -103,14 +103,14 @@ class Body:
 
     @property
     def solid(self) -> Solid:
-        """What a sonar hears of it."""
+        """The obstacle as a reflector of the sonars."""
         if self.boxed:
             return SolidBox(self.centre, self.size, present=self.present)
         return SolidDisc(self.centre, self.size, present=self.present)
 
 
 def kind_of(obstacle: Obstacle, *, drifting: bool) -> BodyKind:
-    """What of the obstacle is fixed in the compiled loop."""
+    """Return the kind of the obstacle, which is fixed in the compiled loop."""
     if obstacle.shape == "moving":
         return "mover"
     if obstacle.shape == "box":
@@ -119,12 +119,12 @@ def kind_of(obstacle: Obstacle, *, drifting: bool) -> BodyKind:
 
 
 def body_size(kind: BodyKind) -> int:
-    """How many numbers describe it."""
+    """Return the number of parameters that describe an obstacle of this kind."""
     return {"box": 4, "disc": 3, "drifting box": 8, "drifting disc": 7, "mover": 8}[kind]
 
 
 def body_at(kind: BodyKind, numbers: ca.SX, time: ca.SX) -> Body:
-    """The obstacle at a time [s], from the numbers of `body_columns`."""
+    """Return the obstacle at a time [s], from the numbers of `body_columns`."""
     start = numbers[:2]
     if kind == "mover":
         direction, distance, speed, stays = numbers[3:5], numbers[5], numbers[6], numbers[7]
@@ -150,16 +150,16 @@ def body_columns(
     direction: Columns,
     phase: Columns,
 ) -> list[Columns]:
-    """The numbers of `body_at` for n runs, one column (n,) or () each.
+    """Return the numbers that `body_at` needs for n runs, one column (n,) or () per number.
 
     Args:
-        obstacle: as the scenario has it.
-        kind: of `kind_of`.
-        number: value of one of the obstacle's knobs, by the last part of its name.
-        values: values by full knob name; tells whether a radius was chosen.
-        hull: (n,) [m], radius of a mover that has none of its own.
+        obstacle: the obstacle of the scenario.
+        kind: kind of the obstacle, from `kind_of`.
+        number: function that returns the values of one of the obstacle's parameters by the last part of its name.
+        values: changed parameter values by full name; they show whether the radius was changed.
+        hull: (n,) hull radius [m], used for a moving obstacle without a radius of its own.
         direction: (n, 2) unit vector of the drift.
-        phase: (n,) [rad] of the drift.
+        phase: (n,) phase of the drift [rad].
     """
     x, y = number("x"), number("y")
     if kind == "mover":

@@ -1,4 +1,4 @@
-"""What a batch flies, and every number of it that may be changed by name."""
+"""The case that a batch simulates, and its parameters, which a batch can change by name."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Case:
-    """One scenario, flown by one vehicle under one law.
+    """One scenario with one vehicle and one law.
 
     Attributes:
         scenario: the mission.
-        vehicle: what is flown.
+        vehicle: the simulated vehicle.
         gains: the law's gains.
-        law, avoidance, mode, guidance, barrier, movers: as `build_law`.
-        sensing: `truth` or `sonar`.
-        model: what the controller believes it flies; None: the vehicle itself.
+        law, avoidance, mode, guidance, barrier, movers: options of the law, as for `build_law`.
+        sensing: `truth` or `sonar`, as for `simulate`.
+        model: vehicle model of the controller; None: the simulated vehicle.
     """
 
     scenario: Scenario
@@ -51,11 +51,11 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Scenario, vehicle and sensing."""
+        """Name of the case: scenario, vehicle and sensing."""
         return f"{self.scenario.name}/{self.vehicle.name}/{self.sensing}"
 
     def build(self) -> Law:
-        """The law that is flown."""
+        """Build the law of the case."""
         sonar = self.sensing == "sonar"
         return build_law(
             self.law,
@@ -72,16 +72,16 @@ class Case:
 
 @dataclass(frozen=True)
 class CaseParameter:
-    """A number of a case that may be changed.
+    """A number of a case that a batch can change.
 
     Attributes:
-        name: `k_v`, `vehicle.m11` (plant and model), `plant.m11` (plant only), `scenario.cruise`,
-            `obstacle.NAME.speed`, …
-        unit: SI unit.
-        meaning: what it is.
-        value: in the case as it stands.
-        low, high: bounds; `low` itself is refused if `open_below`.
-        range: where the number may lie, as its file states it, or None.
+        name: for instance `k_v`, `vehicle.m11` (plant and model), `plant.m11` (plant only), `scenario.cruise` or
+            `obstacle.NAME.speed`.
+        unit: SI unit of the number.
+        meaning: description of the number.
+        value: value in the unchanged case.
+        low, high: bounds of the number; `low` itself is not allowed if `open_below` is true.
+        range: range of the number that the vehicle file states, or None.
     """
 
     name: str
@@ -94,7 +94,7 @@ class CaseParameter:
     range: tuple[float, float] | None = None
 
     def check(self, values: Vector) -> None:
-        """InputError unless every value is finite and within the bounds."""
+        """Raise InputError unless every value is finite and within the bounds."""
         good = np.isfinite(values) & (values <= self.high)
         good &= (values > self.low) if self.open_below else (values >= self.low)
         if not good.all():
@@ -110,7 +110,7 @@ class CaseParameter:
 
 
 def case_parameters(case: Case) -> Mapping[str, CaseParameter]:
-    """Every number of the case that a batch may change, by name.
+    """Return every number of the case that a batch can change, by name.
 
     Example:
         >>> from surctl.control import load_gains
@@ -131,7 +131,7 @@ def case_parameters(case: Case) -> Mapping[str, CaseParameter]:
                 f"vehicle.{name}", spec.unit, spec.meaning, known.value, 0.0, inf, not spec.zero_allowed, known.range
             )
         )
-        what = f"{spec.meaning}, of the vehicle that is flown; the controller keeps its model"
+        what = f"{spec.meaning}, of the simulated vehicle only; the controller keeps its model"
         listed.append(
             CaseParameter(f"plant.{name}", spec.unit, what, known.value, 0.0, inf, not spec.zero_allowed, known.range)
         )
@@ -145,13 +145,13 @@ def _scenario_parameters(scenario: Scenario) -> list[CaseParameter]:
     d, chances = scenario.disturbance, scenario.sensors.chances
     return [
         *(
-            CaseParameter(f"sonar.{kind}", "1", f"chance of fault {kind} per firing of a sonar", chance, 0.0, 1.0)
+            CaseParameter(f"sonar.{kind}", "1", f"probability of fault {kind} per sonar firing", chance, 0.0, 1.0)
             for kind, chance in zip(chances.kinds(), chances.numbers, strict=True)
         ),
-        CaseParameter("scenario.cruise", "m/s", "speed of the path's target", scenario.cruise, 0.0, inf, True),
+        CaseParameter("scenario.cruise", "m/s", "desired speed along the path", scenario.cruise, 0.0, inf, True),
         CaseParameter("scenario.cap", "m/s", "largest commanded horizontal speed", scenario.cap, 0.0, inf, True),
         CaseParameter(
-            "scenario.depth", "m", "wanted z, negative below the surface", scenario.depth, -scenario.site[2], 0.0
+            "scenario.depth", "m", "desired z, negative below the surface", scenario.depth, -scenario.site[2], 0.0
         ),
         CaseParameter(
             "scenario.arrival_radius",
@@ -162,17 +162,24 @@ def _scenario_parameters(scenario: Scenario) -> list[CaseParameter]:
             inf,
             True,
         ),
-        CaseParameter("scenario.time_limit", "s", "longest run", scenario.time_limit, 0.0, 1e6, True),
+        CaseParameter("scenario.time_limit", "s", "longest duration of a run", scenario.time_limit, 0.0, 1e6, True),
         CaseParameter("scenario.current_x", "m/s", "current along x of {E}", d.current_m_per_s[0]),
         CaseParameter("scenario.current_y", "m/s", "current along y of {E}", d.current_m_per_s[1]),
         CaseParameter("scenario.wave_force", "N", "amplitude of the wave force", d.wave_force_n, 0.0),
         CaseParameter("scenario.wave_period", "s", "period of the waves", d.wave_period_s, 0.0, inf, True),
-        CaseParameter("scenario.drift_force", "N", "amplitude of the slow force", d.drift_force_n, 0.0),
-        CaseParameter("scenario.drift_period", "s", "period of the slow force", d.drift_period_s, 0.0, inf, True),
+        CaseParameter("scenario.drift_force", "N", "amplitude of the slow drift force", d.drift_force_n, 0.0),
+        CaseParameter("scenario.drift_period", "s", "period of the slow drift force", d.drift_period_s, 0.0, inf, True),
         CaseParameter(
-            "scenario.thrust_error", "1", "largest error of an axis' thrust, as a share", d.thrust_error, 0.0, 1.0
+            "scenario.thrust_error", "1", "largest relative thrust error of an axis", d.thrust_error, 0.0, 1.0
         ),
-        CaseParameter("scenario.thrust_bias", "1", "bias of thrust, as a share of its limit", d.thrust_bias, 0.0, 1.0),
+        CaseParameter(
+            "scenario.thrust_bias",
+            "1",
+            "largest thrust bias of an axis, as a share of its limit",
+            d.thrust_bias,
+            0.0,
+            1.0,
+        ),
     ]
 
 
@@ -184,47 +191,59 @@ def _obstacle_parameters(obstacle: Obstacle, vehicle: Vehicle) -> list[CaseParam
         return CaseParameter(f"obstacle.{obstacle.name}.{name}", unit, meaning, value, low, inf, above)
 
     common = [
-        parameter("x", "m", "centre at the start, x in {E}", obstacle.centre_m[0]),
-        parameter("y", "m", "centre at the start, y in {E}", obstacle.centre_m[1]),
+        parameter("x", "m", "centre of the obstacle at the start, x in {E}", obstacle.centre_m[0]),
+        parameter("y", "m", "centre of the obstacle at the start, y in {E}", obstacle.centre_m[1]),
         CaseParameter(
-            f"obstacle.{obstacle.name}.there", "1", "1 where it is in the water, 0 where it is left out", 1.0, 0.0, 1.0
+            f"obstacle.{obstacle.name}.there",
+            "1",
+            "1 if the obstacle is in the water, 0 if it is left out",
+            1.0,
+            0.0,
+            1.0,
         ),
     ]
     if obstacle.size_m is not None:
         common += [
-            parameter(f"size_{axis}", "m", f"edge along {axis} of {{E}}", obstacle.size_m[k], 0.0, above=True)
+            parameter(
+                f"size_{axis}",
+                "m",
+                f"edge length of the box along {axis} of {{E}}",
+                obstacle.size_m[k],
+                0.0,
+                above=True,
+            )
             for k, axis in enumerate("xy")
         ]
     else:
         radius = obstacle.radius_m or vehicle["radius"]
-        common.append(parameter("radius", "m", "radius", radius, 0.0, above=True))
+        common.append(parameter("radius", "m", "radius of the obstacle", radius, 0.0, above=True))
     if obstacle.shape == "moving":
         to_x, to_y = obstacle.to_m or obstacle.centre_m
         return [
             *common,
-            parameter("to_x", "m", "where it goes, x in {E}", to_x),
-            parameter("to_y", "m", "where it goes, y in {E}", to_y),
-            parameter("speed", "m/s", "its speed", float(obstacle.speed_m_per_s or 0.0), 0.0, above=True),
+            parameter("to_x", "m", "end of the obstacle's motion, x in {E}", to_x),
+            parameter("to_y", "m", "end of the obstacle's motion, y in {E}", to_y),
+            parameter("speed", "m/s", "speed of the obstacle", float(obstacle.speed_m_per_s or 0.0), 0.0, above=True),
         ]
     return [
         *common,
-        parameter("drift", "m", "amplitude of its drift", obstacle.drift_m, 0.0),
-        parameter("drift_period", "s", "period of its drift", obstacle.drift_period_s, 0.0, above=True),
+        parameter("drift", "m", "amplitude of the obstacle's drift", obstacle.drift_m, 0.0),
+        parameter("drift_period", "s", "period of the obstacle's drift", obstacle.drift_period_s, 0.0, above=True),
     ]
 
 
 def check_values(case: Case, values: Mapping[str, Vector]) -> None:
-    """InputError for an unknown knob, or a value that it does not take."""
+    """Raise InputError for an unknown parameter, or for a value outside its bounds."""
     known = case_parameters(case)
     for name, column in values.items():
         if name not in known:
-            raise InputError("no such number in the case", key=name, value=case.name, remedy=nearest(name, known))
+            raise InputError("no such parameter in the case", key=name, value=case.name, remedy=nearest(name, known))
         known[name].check(column)
     check_speeds(case, values)
 
 
 def check_speeds(case: Case, values: Mapping[str, Vector]) -> None:
-    """InputError where the cruise speed is above the cap.
+    """Raise InputError if the cruise speed is above the speed cap.
 
     Example:
         >>> from surctl.control import load_gains
@@ -234,10 +253,10 @@ def check_speeds(case: Case, values: Mapping[str, Vector]) -> None:
         >>> check_speeds(case, {"scenario.cruise": [0.1, 0.3]})
         Traceback (most recent call last):
             ...
-        surctl.errors.InputError: scenario.cruise = 0.3: goes above scenario.cap; lower it
+        surctl.errors.InputError: scenario.cruise = 0.3: is above scenario.cap; lower it
     """
     at = {name: values.get(f"scenario.{name}", getattr(case.scenario, name)) for name in ("cruise", "cap")}
     if np.any(np.greater(at["cruise"], at["cap"])):
         raise InputError(
-            "goes above scenario.cap", key="scenario.cruise", value=float(np.max(at["cruise"])), remedy="lower it"
+            "is above scenario.cap", key="scenario.cruise", value=float(np.max(at["cruise"])), remedy="lower it"
         )

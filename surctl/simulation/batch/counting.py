@@ -1,4 +1,4 @@
-"""The metrics of a run in symbols, counted tick by tick."""
+"""The metrics of a run as CasADi expressions, accumulated at each control step."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from surctl.simulation.metrics import NEAR_TARGET, TUBE
 __all__ = ["SUMS", "counted", "modulo"]
 
 SUMS = (
-    ("sum_square", "m^2", "of the horizontal distance to the path"),
-    ("sum_error", "m^2", "squared distance to the path outside avoidance"),
-    ("count_error", "1", "ticks outside avoidance"),
-    ("sum_effort", "N", "of |horizontal thrust command|"),
-    ("sum_jump", "N^2", "squared change of the horizontal thrust command"),
-    ("count_saturated", "1", "ticks with a command at its limit"),
+    ("sum_square", "m^2", "sum of the squared horizontal distance to the path"),
+    ("sum_error", "m^2", "sum of the squared distance to the path outside avoidance"),
+    ("count_error", "1", "number of control steps outside avoidance"),
+    ("sum_effort", "N", "sum of the magnitude of the horizontal thrust command"),
+    ("sum_jump", "N^2", "sum of the squared change of the horizontal thrust command"),
+    ("count_saturated", "1", "number of control steps with a thrust command at its limit"),
     ("most_away", "m", "largest horizontal distance to the path"),
-    ("most_past", "m", "largest way past the target"),
-    ("most_thrust", "1", "largest share of a thrust limit"),
-    ("length", "m", "way flown"),
+    ("most_past", "m", "largest overshoot past the target"),
+    ("most_thrust", "1", "largest thrust command as a share of its limit"),
+    ("length", "m", "length of the path that the robot travelled"),
 )
-"""What a run carries for its metrics: name, unit, meaning."""
+"""State variables of a run for its metrics: name, unit, meaning."""
 
 
 def counted(
@@ -36,7 +36,7 @@ def counted(
     gap: ca.SX,
     leg: ca.SX,
 ) -> dict[str, ca.SX]:
-    """The metrics after this tick, see `metrics.METRICS`."""
+    """Return the state variables of the metrics after this control step, see `metrics.METRICS`."""
     place, depth = old["plant"][:2], old["plant"][2]
     square = _path_square(w["waypoints"], leg, place)
     away = ca.sqrt(square)
@@ -62,7 +62,7 @@ def counted(
 
 
 def _path_square(waypoints: ca.SX, leg: ca.SX, point: ca.SX) -> ca.SX:
-    """Squared distance [m²] to a leg of the polyline or one beside it; repeated waypoints are points."""
+    """Return the squared distance [m²] to the leg or to its two neighbours; repeated waypoints count as points."""
     best = ca.SX(1e30)
     for k in range(MAX_WAYPOINTS - 1):
         a, b = waypoints[k, :].T, waypoints[k + 1, :].T
@@ -74,5 +74,5 @@ def _path_square(waypoints: ca.SX, leg: ca.SX, point: ca.SX) -> ca.SX:
 
 
 def modulo(number: ca.SX, period: int) -> ca.SX:
-    """A whole number modulo a period."""
+    """Return an integer modulo a period."""
     return number - period * ca.floor(number / period)

@@ -1,4 +1,4 @@
-"""Many closed loops at once."""
+"""Simulate many closed loops at once, with compiled C or CasADi's virtual machine."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Columns = NDArray[np.float64]
 
 
 class SlowerEngine(UserWarning):
-    """There is no C compiler: the loop runs through CasADi's virtual machine."""
+    """Warning that there is no C compiler, so that the loop runs in CasADi's virtual machine."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +37,8 @@ class BatchResult:
     """Metrics of n runs.
 
     Attributes:
-        table: (n, len(METRICS)), in the order of `METRICS`.
-        engine: `c` or `vm`, whichever ran.
+        table: (n, len(METRICS)) metrics of each run, in the order of `METRICS`.
+        engine: the engine that was used, `c` or `vm`.
     """
 
     table: Columns = field(repr=False)
@@ -50,7 +50,7 @@ class BatchResult:
         return len(self.table)
 
     def column(self, name: str) -> Columns:
-        """One metric (n,); InputError with the nearest known name."""
+        """Return one metric (n,); InputError names the nearest metric if the name is unknown."""
         if name not in METRICS:
             raise InputError("no such metric", key="metric", value=name, remedy=nearest(name, METRICS))
         return self.table[:, list(METRICS).index(name)]
@@ -64,23 +64,24 @@ def simulate_batch(
     threads: int = 1,
     engine: Engine = "auto",
 ) -> BatchResult:
-    """Fly the case once for every value and seed; all are broadcast against each other.
+    """Simulate the case once for each set of values and seed; values and seeds are broadcast against each other.
 
-    A run depends on its own numbers alone: not on `threads`, on its neighbours or on their order. It equals
-    `simulate` of the same case and seed, but for the last digits; a run that starts inside an obstacle counts as a
-    collision at its start.
+    A run depends only on its own numbers, not on `threads`, the other runs or their order. It equals `simulate` of the
+    same case and seed, except for the last digits. A run that starts inside an obstacle counts as a collision at its
+    start.
 
     Args:
-        case: what is flown.
-        values: (n,) or a number, by knob name, see `parameters`.
-        seeds: (n,) or a number, at least 0.
-        threads: of the compiled loop.
-        engine: `c`: compiled by the system's C compiler; `vm`: CasADi's virtual machine; `auto`: `vm` only where
-            there is no compiler, with a warning `SlowerEngine`.
+        case: the simulated case.
+        values: (n,) values or one number by parameter name, see `parameters`.
+        seeds: (n,) seeds or one seed, at least 0.
+        threads: number of threads of the compiled loop.
+        engine: `c`: code from the system's C compiler; `vm`: CasADi's virtual machine; `auto`: `c`, or `vm` with a
+            warning `SlowerEngine` if there is no compiler.
 
     Raises:
-        InputError: an unknown knob or engine, a value out of its bounds, a negative seed, shapes that do not fit.
-        ToolMissing: `c` without a compiler.
+        InputError: a parameter or the engine is unknown, a value is out of bounds, a seed is negative, or the shapes
+            do not match.
+        ToolMissing: the engine is `c`, but there is no compiler.
 
     Example:
         >>> from surctl.control import load_gains
@@ -115,8 +116,8 @@ def simulate_batch(
         steps = float(np.sum(final[:, loop.state.slice("step")] + 1))
         spent = 1e6 * (time.perf_counter() - start) / steps
         warnings.warn(
-            f"no C compiler: {len(run_seeds)} runs through CasADi's machine took {spent:.0f} µs a step; compiled code "
-            "takes about a hundredth of that (install gcc or clang)",
+            f"no C compiler: {len(run_seeds)} runs in CasADi's virtual machine took {spent:.0f} µs per control step; "
+            "compiled code is about 100 times faster (install gcc or clang)",
             SlowerEngine,
             stacklevel=2,
         )
@@ -125,7 +126,7 @@ def simulate_batch(
 
 @cache
 def compiled_loop(structure: Structure) -> Batch:
-    """The loop of a structure, compiled or from the cache.
+    """Return the compiled loop of a structure, newly compiled or from the cache.
 
     Raises:
         ToolMissing: there is no C compiler.
@@ -139,7 +140,7 @@ def _machine(structure: Structure) -> Any:
 
 
 def _through_machine(loop: Loop, packed: Packed) -> Columns:
-    """The final states (n, …), all runs side by side, a tick at a time."""
+    """Return the final states (n, …); all runs advance side by side, one control step at a time."""
     step = _machine(loop.structure)
     state, left = packed.state.copy(), np.arange(len(packed.state))
     for _ in range(packed.steps):
@@ -166,14 +167,14 @@ def _broadcast(values: Mapping[str, ArrayLike], seeds: ArrayLike) -> tuple[dict[
         shape = (0, 0)
     if len(shape) > 1:
         sizes = {name: v.shape for name, v in arrays.items()}
-        raise InputError("do not fit together", key="values, seeds", value=sizes, remedy="give (n,) or a number each")
+        raise InputError("do not match", key="values, seeds", value=sizes, remedy="give arrays (n,) or numbers")
     n = shape[0] if shape else 1
     spread = {name: np.broadcast_to(v, (n,)) for name, v in arrays.items()}
     return spread, np.broadcast_to(seed, (n,)).astype(np.int64)
 
 
 def _metrics(loop: Loop, final: Columns) -> Columns:
-    """(n, len(METRICS)) from the final states."""
+    """Return the metrics (n, len(METRICS)) from the final states."""
     s = {port.name: final[:, loop.state.slice(port.name)][:, 0] for port in loop.state}
     rows, dt = s["step"] + 1, loop.law.dt
     error = np.divide(s["sum_error"], s["count_error"], out=np.full(len(final), np.nan), where=s["count_error"] > 0)

@@ -1,6 +1,6 @@
-"""What a closed loop hears and is told, in symbols: sonars instant by instant, fixes and messages that come late.
+"""Sensing in a closed loop as CasADi expressions: sonar echoes at each instant, and delayed fixes and messages.
 
-The counterpart of `run.Loop`'s `_listen` and `_told`.
+The counterpart of `_listen` and `_measurements` of `simulation.loop.Loop`.
 """
 
 from __future__ import annotations
@@ -36,49 +36,54 @@ __all__ = ["Listening", "flat", "slots"]
 
 
 class Listening:
-    """Sonars, base station and own state of a structure whose law listens to them."""
+    """Sonars, base station and own-state measurement of a structure whose law uses them."""
 
     def __init__(self, structure: Structure, law: Law) -> None:
         self.structure, self.law = structure, law
 
     def ports(self) -> tuple[Port, ...]:
-        """What a run carries for them."""
+        """Return the state ports of a run that sensing needs."""
         array = self.structure.equipment.array
         return (
             *self.echoes.ports,
-            Port("fresh", (array.size,), "1", "1 where a sonar's firing arrived since the last tick"),
+            Port("fresh", (array.size,), "1", "1 if an echo of the sonar arrived since the last step"),
             Port("noise", (NOISE_STATE,), "1", "state of the noise generator"),
             *self.late.ports,
         )
 
     @cached_property
     def echoes(self) -> Layout:
-        """What arrived of each sonar, and was heard before."""
+        """The layout of the last echoes of each sonar and of its fault state."""
         array = self.structure.equipment.array
         return Layout(fault_ports(array, delays=self.structure.delays, prefix="sonar_"))
 
     @cached_property
     def late(self) -> Layout:
-        """What the base station measured and has not sent yet."""
+        """The layout of measurements that have not been delivered yet."""
         if self.law.perception is None:
             return Layout(())
         own, station = self.structure.equipment.own, self.structure.equipment.station
         fixes, messages = own.fixes.late(self.law.dt) if own else 0, station.messages.late(self.law.dt)
         ports = (
             Port("places", (fixes, 3), "m", "last positions, newest first"),
-            Port("messages", (messages, self.structure.slots * 6), "m, m/s, 1", "last states of the moving obstacles"),
+            Port(
+                "messages",
+                (messages, self.structure.slots * 6),
+                "m, m/s, 1",
+                "last states of the moving obstacles, newest first",
+            ),
         )
         return Layout(tuple(port for port in ports if port.size))
 
     @property
     def normals(self) -> int:
-        """Normal numbers that the firings of a tick take."""
+        """Number of normal random numbers for the firings of one control step, which is even."""
         count = self._instants * self._wide * self.structure.equipment.array.samples
         return count + count % 2
 
     @property
     def uniforms(self) -> int:
-        """Uniform ones; at least 1, so that there is an array."""
+        """Number of uniform random numbers for one control step; at least 1, so that the array is not empty."""
         return 2 * self._instants * self._wide if self.structure.may_fail else 1
 
     @property
@@ -94,9 +99,10 @@ class Listening:
         return len(self._plan.sensors[0])
 
     def draw(self, noise: ca.SX, out: dict[str, ca.SX], *, movers: ca.SX | None = None) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Draw what a tick needs, see `run._Drawn`: for own state, message and its loss; for the firings into `out`.
+        """Draw the noise of one control step, see `simulation.loop._StepNoise`.
 
-        `movers` says how many moving obstacles the run has, where runs differ: it takes no number for one it has not.
+        The result is the noise of own state, of the message and of its loss; the noise of the firings goes into `out`.
+        `movers` is the number of moving obstacles of the run, if runs differ in it; absent ones take no numbers.
         """
         count = self.normals
         if movers is None:
@@ -124,7 +130,7 @@ class Listening:
         loss: ca.SX,
         out: dict[str, ca.SX],
     ) -> dict[str, ca.SX]:
-        """What camera, IMU and base station tell, as `run.Loop._told`."""
+        """Return the measurements of camera, IMU and base station, as `simulation.loop.Loop._measurements`."""
         equipment, dt, step = self.structure.equipment, self.law.dt, state["step"]
         own, station = equipment.own, equipment.station
         if self.law.perception is None:
@@ -148,7 +154,7 @@ class Listening:
             return {**inputs, "eta": eta, "nu": nu}
         place = eta[:3]
         if "places" in state:
-            # before the first step it was where it is
+            # before the first step the robot was at its present position
             past = ca.if_else(step > 0.5, state["places"], ca.repmat(place.T, state["places"].shape[0], 1))
             place, out["places"] = delayed_symbols(past, place)
         inputs["fix"], inputs["fix_fresh"] = own.fix_symbols(place, step, noise=own_noise[:4], dt=dt)
@@ -166,12 +172,12 @@ class Listening:
         *,
         instant: int,
     ) -> tuple[dict[str, ca.SX], ca.SX]:
-        """What has been heard after one instant of firing, and (sensors, 1) 1 for those whose firing arrived."""
+        """Return the echo state after one firing instant, and (sensors, 1) flags of the sonars whose echo arrived."""
         structure, plan, wide = self.structure, self._plan, self._wide
         array, samples = structure.equipment.array, structure.equipment.array.samples
         after = {name: value for name, value in echoes.items() if name.startswith("sonar_")}
         fresh = [ca.SX(0)] * array.size
-        period = plan.period // gcd(plan.period, self._instants)  # ticks
+        period = plan.period // gcd(plan.period, self._instants)  # control steps
         turn = modulo(step, period)
         for k in range(wide):
             turns = [plan.sensors[(t * self._instants + instant) % plan.period][k] for t in range(period)]
@@ -203,7 +209,7 @@ class Listening:
                 rows = [ca.if_else(sensor == i, row, last[i, :]) for i in range(array.size)]
                 now, arrived = {"sonar_last": ca.vertcat(*rows)}, ca.SX(1)
             silent = [t for t, i in enumerate(turns) if i is None]
-            for t in silent:  # nobody's turn
+            for t in silent:  # no sonar fires
                 now = {name: ca.if_else(turn == t, after[name], value) for name, value in now.items()}
                 arrived = ca.if_else(turn == t, 0, arrived)
             after |= now
@@ -212,7 +218,7 @@ class Listening:
 
 
 def slots(rows: Sequence[ca.SX], near: Sequence[ca.SX], most: int = CONTACT_SLOTS) -> ca.SX:
-    """The law's contacts, (k, 6): all rows, or the `most` nearest ones in their order."""
+    """Return the law's contacts (k, 6): all rows, or the `most` nearest rows in their order."""
     if len(rows) <= most:
         return ca.vertcat(ca.SX(0, 6), *rows)
     slots, filled = [ca.SX.zeros(1, 6) for _ in range(most)], ca.SX(0)
@@ -225,11 +231,11 @@ def slots(rows: Sequence[ca.SX], near: Sequence[ca.SX], most: int = CONTACT_SLOT
 
 
 def _observed(station: BaseStation, row: ca.SX, noise: ca.SX) -> ca.SX:
-    """A contact (1, 6) as the base station tells it at once."""
+    """Return a contact (1, 6) as the base station measures it, without delay."""
     spread = ca.horzcat(station.position_sd * noise[:2], 0, station.velocity_sd * noise[2:], 0)
     return ca.if_else(row[5], row + spread, ca.SX.zeros(1, 6))
 
 
 def flat(matrix: ca.SX) -> ca.SX:
-    """Row by row."""
+    """Return a matrix as a column vector, row by row."""
     return ca.reshape(matrix.T, -1, 1)

@@ -1,7 +1,7 @@
 """One control period of the closed loop as a block: world, sensing, law, plant and metrics in one state.
 
-What `run.simulate` does with objects is stated here in symbols, so that a whole run can be compiled, differentiated
-or sent through CasADi's machine. The two are written independently and compared by the tests.
+The module states the loop of `simulation.loop.simulate` as CasADi expressions, so that a whole run can be compiled,
+differentiated or run in CasADi's virtual machine. The two loops are written independently, and the tests compare them.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ class Loop:
     """The closed loop of a structure.
 
     Attributes:
-        law: what is flown.
-        state: layout of a run's state; its first entry `done` ends the run.
+        law: the law of the loop.
+        state: layout of a run's state; the run ends when its first entry `done` is 1.
         parameters: layout of a run's parameters.
         step: (state, parameters) → next state; one control period.
     """
@@ -65,8 +65,8 @@ class Loop:
 
 @cache
 def build_loop(structure: Structure) -> Loop:
-    """Assemble the loop of a structure once."""
-    law = build_law(  # no slot more than there are obstacles, no filter that hears nothing
+    """Assemble the loop of a structure; the result is cached."""
+    law = build_law(  # no more slots than obstacles, and no filter without input
         structure.law,
         avoidance=structure.avoidance,
         mode=structure.mode,
@@ -82,7 +82,7 @@ def build_loop(structure: Structure) -> Loop:
     state, parameters = Layout(_state_ports(law, structure)), Layout(_parameter_ports(structure))
     builder = _Builder(structure, law, state, parameters)
     sense, drive, between, close = builder.sense(), builder.drive(), builder.between(), builder.close()
-    # the heading of a stage is near that at the beginning: within 25 ms the hull turns little
+    # the headings of all RK4 stages are near the first: the hull turns little within 25 ms
     move = shared_divisors(nearby_angles(lower(advance()), source=0, entry=_HEADING))
     outputs = [tuple(name for name, _ in program.outputs) for program in (sense, between, close)]
     steps = (
@@ -100,28 +100,28 @@ def build_loop(structure: Structure) -> Loop:
 
 def _parameter_ports(structure: Structure) -> tuple[Port, ...]:
     world = (
-        Port("plant", (PLANT_PARAMETERS.size,), "SI", "the vehicle that is flown, as PLANT_PARAMETERS"),
-        Port("world_hull", (1,), "m", "its hull radius"),
+        Port("plant", (PLANT_PARAMETERS.size,), "SI", "parameters of the simulated vehicle, see PLANT_PARAMETERS"),
+        Port("world_hull", (1,), "m", "hull radius of the simulated vehicle"),
         Port("arrival_radius", (1,), "m", "distance to the target that counts as arrived"),
         Port("legs", (1,), "1", "number of legs of the path"),
-        Port("visited", (1,), "m", "distance to a corner that counts as a visit; 0 where corners may be left out"),
-        Port("steps", (1,), "1", "most control periods of the run"),
+        Port("visited", (1,), "m", "distance to a corner that counts as a visit; 0 if corners may be skipped"),
+        Port("steps", (1,), "1", "largest number of control periods of the run"),
         Port("leg", (2,), "1", "unit direction of the path's last leg in {E}"),
         Port("current", (2,), "m/s", "current in {E}"),
-        Port("wave", (4,), "N, rad/s, rad", "amplitude along x and y of {E}, rate, phase"),
-        Port("drift", (4,), "N, rad/s, rad", "the same of the slow force"),
-        Port("thrust_gain", (4,), "1", "delivered thrust by commanded, per axis"),
-        Port("thrust_bias", (4,), "N, N m", "what is delivered besides"),
+        Port("wave", (4,), "N, rad/s, rad", "wave force: amplitude along x and y of {E}, rate, phase"),
+        Port("drift", (4,), "N, rad/s, rad", "slow drift force: amplitude along x and y of {E}, rate, phase"),
+        Port("thrust_gain", (4,), "1", "ratio of delivered to commanded thrust, per axis"),
+        Port("thrust_bias", (4,), "N, N m", "bias of the delivered thrust, per axis"),
     )
     bodies = (Port(f"body{k}", (body_size(kind),), "SI", kind) for k, kind in enumerate(structure.bodies))
     failing = (
-        Port("fault_slots", (structure.faults, SLOT), "SI", "told faults, see fault_slots"),
-        Port("fault_chances", (len(FaultChances.kinds()),), "1", "per firing, see FaultChances"),
+        Port("fault_slots", (structure.faults, SLOT), "SI", "scheduled sonar faults, see fault_slots"),
+        Port("fault_chances", (len(FaultChances.kinds()),), "1", "fault probabilities per firing, see FaultChances"),
     )
     heights = Port("heights", (len(structure.bodies), 2), "m", "z of each obstacle's bottom and top")
-    mission = Port("depths", (2,), "m", "lowest and highest z that the hull may take up")
+    mission = Port("depths", (2,), "m", "lowest and highest z that the hull may use")
     upright = (*((heights,) if structure.heights else ()), *((mission,) if structure.depths else ()))
-    there = [Port("there", (len(structure.bodies),), "1", "1 where the obstacle is in the water")]
+    there = [Port("there", (len(structure.bodies),), "1", "1 if the obstacle is in the water")]
     optional = there if structure.optional else []
     return (
         *PARAMETERS,
@@ -137,35 +137,31 @@ def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
     return (
         Port("done", (1,), "1", "1 when the run has ended"),
         Port("step", (1,), "1", "number of the control period"),
-        Port("plant", (PLANT_STATE.size,), "SI", "PLANT_STATE"),
+        Port("plant", (PLANT_STATE.size,), "SI", "state of the plant, see PLANT_STATE"),
         Port("law", (law.state.size,), "SI", "the law's state"),
         *(Listening(structure, law).ports() if structure.sensing == "sonar" else ()),
-        Port("clear", (1,), "1", "1 once the hull was clear of the walls"),
-        Port("least", (1,), "m", "least clearance", ABSENT),
-        *(
-            (Port("stopped", (1,), "1", "control periods for which the law has stood halted"),)
-            if law.perception
-            else ()
-        ),
-        *((Port("standing", (1,), "1", "control periods since it gave up"),) if "trapped" in law.outputs else ()),
-        Port("stop", (1,), "1", "why the run ended, see STOPS"),
+        Port("clear", (1,), "1", "1 after the hull was clear of the walls once"),
+        Port("least", (1,), "m", "smallest clearance so far", ABSENT),
+        *((Port("stopped", (1,), "1", "control periods since the law stopped"),) if law.perception else ()),
+        *((Port("standing", (1,), "1", "control periods since the law gave up"),) if "trapped" in law.outputs else ()),
+        Port("stop", (1,), "1", "reason why the run ended, see STOPS"),
         Port("away", (1,), "1", "1 during an avoidance interval"),
-        Port("last_place", (2,), "m", "x, y at the last tick"),
-        Port("last_thrust", (2,), "N", "F_u, F_v at the last tick"),
+        Port("last_place", (2,), "m", "x, y at the last control step"),
+        Port("last_thrust", (2,), "N", "F_u, F_v at the last control step"),
         *FOLLOWING,
         *(Port(name, (1,), unit, meaning) for name, unit, meaning in SUMS),
     )
 
 
 class _Builder:
-    """What runs around the law and the plant."""
+    """Builds the parts of the loop around the law and the plant."""
 
     def __init__(self, structure: Structure, law: Law, state: Layout, parameters: Layout) -> None:
         self.structure, self.law, self.state, self.parameters = structure, law, state, parameters
         self.sonar, self.listening = structure.sensing == "sonar", Listening(structure, law)
 
     def sense(self) -> Program:
-        """World and first firing at the tick; what the law and the plant are given."""
+        """Build the world and the first firing of a control step, and the inputs of the law and the plant."""
         s, state = self.state.symbols("s")
         w, parameters = self.parameters.symbols("w")
         step, dt = state["step"], self.law.dt
@@ -206,14 +202,14 @@ class _Builder:
         return self.listening.late if self.sonar else Layout(())
 
     def drive(self) -> Program:
-        """What the thrusters deliver of a command."""
+        """Build the thrust that the thrusters deliver for a command."""
         w, parameters = self.parameters.symbols("w")
         tau = ca.SX.sym("tau", 4)
         thrust = tau * parameters["thrust_gain"] + parameters["thrust_bias"]
         return lower_named("drive", {"w": w, "tau": tau}, {"thrust": thrust})
 
     def between(self) -> Program:
-        """Second instant of firing and clearances, 25 ms after the tick."""
+        """Build the second firing and the clearances, 25 ms after the beginning of the control step."""
         w, parameters = self.parameters.symbols("w")
         sizes = {"plant_between": PLANT_STATE.size, "step": 1, "normals": 1, "uniforms": 1, "echoes": 1}
         if self.sonar:
@@ -234,7 +230,7 @@ class _Builder:
         )
 
     def close(self) -> Block:
-        """Judge the tick, count the metrics, and put the next state together."""
+        """Build the end of a control step: reason to stop, metrics, and the next state of the run."""
         s, old = self.state.symbols("s")
         w, parameters = self.parameters.symbols("w")
         law, sonar = self.law, self.sonar
@@ -293,7 +289,7 @@ class _Builder:
         return recording.block("close", {"s": s, "w": w, **v}, {"s_next": self.state.join(new)})
 
     def _standing(self, old: Mapping[str, ca.SX], telemetry: ca.SX) -> tuple[dict[str, ca.SX], ca.SX]:
-        """For how long the law has halted and given up, if it ever does, and the code once that is too long."""
+        """Return counters of control periods since the law stopped or gave up, and the stop code at their limits."""
         law, counts, stop = self.law, {}, ca.SX(0)
         if "trapped" in law.outputs:
             counts["standing"] = old["standing"] + (telemetry[law.telemetry_slice("trapped")] > 0.5)
@@ -317,7 +313,7 @@ class _Builder:
         return [body.beside(plant[2], w["world_hull"]) for body in bodies]
 
     def _movers(self, w: Mapping[str, ca.SX]) -> ca.SX | None:
-        """How many moving obstacles a run has; None where all have the same."""
+        """Return the number of moving obstacles of a run; None if it is the same in all runs."""
         if not self.structure.optional:
             return None
         kinds = enumerate(self.structure.bodies)
@@ -333,7 +329,7 @@ class _Builder:
 
 
 def _clearances(bodies: Sequence[Body], w: Mapping[str, ca.SX], position: ca.SX) -> ca.SX:
-    """(2, 1): hull to the nearest obstacle, hull to the nearest wall [m]."""
+    """Return the clearances (2, 1) [m] of the hull to the nearest obstacle and to the nearest wall."""
     nearest = ca.SX(ABSENT)
     for body in bodies:
         nearest = ca.fmin(nearest, body.clearance(position) - w["world_hull"])
@@ -343,7 +339,7 @@ def _clearances(bodies: Sequence[Body], w: Mapping[str, ca.SX], position: ca.SX)
 
 
 def _column(bodies: Sequence[Body], w: Mapping[str, ca.SX], place: ca.SX) -> ca.SX:
-    """(2, 1) as `simulation.column.column`."""
+    """Return the free water (2, 1) [m] above and below the hull, as `simulation.column.column`."""
     above = below = ca.SX(LONGEST)
     for body in bodies:
         over, under = body.over_and_under(place[:3], w["world_hull"])
@@ -354,7 +350,7 @@ def _column(bodies: Sequence[Body], w: Mapping[str, ca.SX], place: ca.SX) -> ca.
 
 
 def _with_walls(clear: ca.SX, clearances: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Whether the hull was ever clear of the walls, and the clearance: walls count from then on."""
+    """Return whether the hull has been clear of the walls, and the clearance; walls count from then on."""
     now = ca.logic_or(clear, clearances[1] > 0)
     return now, ca.if_else(now, ca.fmin(clearances[0], clearances[1]), clearances[0])
 

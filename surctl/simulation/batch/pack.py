@@ -1,4 +1,4 @@
-"""From a case, values by name and seeds to the numbers of every run."""
+"""Convert a case, parameter values and seeds to the numbers of every run."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ _VECTORS = {
     "quadratic_drag": ("Xuu", "Yvv", "Zww", "Nrr"),
     "thrust_limit": ("Fu_max", "Fv_max", "Fw_max", "Fr_max"),
 }
-"""Vectors that plant and model have in common, and the vehicle parameters they hold."""
+"""Vectors of both plant and model, with the vehicle parameters that they contain."""
 
 
 @dataclass(frozen=True, eq=False)
 class Packed:
-    """Numbers of n runs.
+    """The initial states and the parameters of n runs.
 
     Attributes:
-        state: (n, …) at the start.
-        parameters: (n, …).
-        steps: most control periods of any run.
+        state: (n, …) states at the start.
+        parameters: (n, …) parameters of each run.
+        steps: largest number of control periods of any run.
     """
 
     state: Columns
@@ -47,7 +47,7 @@ class Packed:
 
 
 def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
-    """What is compiled for the case; an obstacle drifts if it does in the scenario or in any value."""
+    """Return the structure that is compiled; an obstacle may drift if its drift is positive in any run."""
     kinds = []
     for obstacle in case.scenario.obstacles:
         moved = values.get(f"obstacle.{obstacle.name}.drift", np.asarray(obstacle.drift_m))
@@ -85,13 +85,13 @@ def _chances(case: Case) -> list[tuple[str, float]]:
 
 
 def pack(case: Case, loop: Loop, values: Mapping[str, Columns], seeds: NDArray[np.int64]) -> Packed:
-    """Fill in every run.
+    """Return the initial states and the parameters of every run.
 
     Args:
-        case: what is flown.
-        loop: of `structure_of(case, values)`.
-        values: (n,) by knob name, already checked by `check_values`.
-        seeds: (n,).
+        case: the simulated case.
+        loop: loop of `structure_of(case, values)`.
+        values: (n,) values by parameter name, already checked by `check_values`.
+        seeds: (n,) seed of each run.
     """
     filler = _Filler(case, loop, values, seeds)
     return Packed(filler.states(), filler.parameters(), filler.steps)
@@ -106,22 +106,22 @@ class _Filler:
         self.steps = int(np.max(self.step_limits))
 
     def number(self, name: str) -> Columns:
-        """Values of a knob: given ones (n,), or its own ()."""
+        """Return the values of a parameter: those of the runs (n,), or that of the case ()."""
         return np.asarray(self.values.get(name, self.known[name].value), dtype=float)
 
     def actual(self, name: str) -> Columns:
-        """A parameter of the vehicle that is flown."""
+        """Return the values of a parameter of the simulated vehicle."""
         if f"plant.{name}" in self.values:
             return self.values[f"plant.{name}"]
         return self.number(f"vehicle.{name}")
 
     def believed(self, name: str) -> Columns:
-        """The same as the controller believes it."""
+        """Return the values of a vehicle parameter in the controller's model."""
         model = self.case.model or self.case.vehicle
         return np.asarray(self.values.get(f"vehicle.{name}", model[name]), dtype=float)
 
     def states(self) -> Columns:
-        """(n, state)."""
+        """Return the initial states (n, state)."""
         layout, case = self.loop.state, self.case
         first = layout.pack({"plant": [*case.scenario.start_pose, *[0.0] * 8], "law": self.loop.law.initial_state()})
         out = np.tile(first, (len(self.seeds), 1))
@@ -131,7 +131,7 @@ class _Filler:
         return out
 
     def parameters(self) -> Columns:
-        """(n, parameters)."""
+        """Return the parameters (n, parameters)."""
         layout = self.loop.parameters
         out = np.empty((len(self.seeds), layout.size))
         self._law(out[:, : self.loop.law.gains.size])
@@ -217,7 +217,7 @@ class _Filler:
         return columns
 
     def _draws(self) -> WorldDraw:
-        """Random choices of every run, stacked."""
+        """Return the random choices of every run, stacked."""
         unique, back = np.unique(self.seeds, return_inverse=True)
         draws = [draw_world(len(self.case.scenario.obstacles), seed=int(seed)) for seed in unique]
         return WorldDraw(*(np.array(part)[back] for part in zip(*draws, strict=True)))  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""What of a case is compiled into its loop."""
+"""The structure of a case, which is compiled into its loop."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ __all__ = ["Structure"]
 
 @dataclass(frozen=True)
 class Structure:
-    """What of a case is fixed in the compiled loop; everything else is a number of a run.
+    """The part of a case that is fixed in the compiled loop; everything else is a number of each run.
 
     Attributes:
-        equipment: what is sensed with; the sonars' hull counts only if they have mounts.
-        faults: number of slots for told faults; `delays` if one of them may be a delay.
-        chances: whether faults may strike by chance.
+        equipment: the sensors; the hull of the sonars matters only if they have mounts.
+        faults: number of slots for scheduled sonar faults.
+        chances: whether random sonar faults may occur.
+        delays: whether one of the scheduled faults is a delay.
         optional: whether a run may leave obstacles out.
-        heights: whether an obstacle ends above the floor or below the surface.
-        depths: whether the mission allows other depths than the path's.
-        barrier, treats: of the law, `barrier` and `movers` of `build_law`.
+        heights: whether some obstacle ends above the floor or below the surface.
+        depths: whether the mission allows depths other than that of the path.
+        barrier, treats: options `barrier` and `movers` of `build_law`.
     """
 
     law: LawName
@@ -46,12 +47,12 @@ class Structure:
 
     @property
     def may_fail(self) -> bool:
-        """Whether a sonar may fail."""
+        """Whether a sonar can fail in a run."""
         return self.faults > 0 or self.chances
 
     @property
     def moving(self) -> bool:
-        """Whether what the law is told of may move."""
+        """Whether the contacts of the law may move."""
         return self.sensing == "sonar" or any(kind not in ("box", "disc") for kind in self.bodies)
 
     @property
@@ -61,10 +62,10 @@ class Structure:
 
     @property
     def slots(self) -> int:
-        """Moving obstacles that a message of the base station holds."""
+        """Number of moving obstacles in a message of the base station."""
         return min(CONTACT_SLOTS, self.movers)
 
     @property
     def contacts(self) -> int:
-        """Number of obstacles that the law is told of."""
+        """Number of contacts that the law receives."""
         return min(CONTACT_SLOTS, self.movers if self.sensing == "sonar" else len(self.bodies))

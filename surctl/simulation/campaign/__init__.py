@@ -1,4 +1,4 @@
-"""What many drawn flights of a scenario say together."""
+"""Monte Carlo campaigns: many random runs of a scenario, and their statistics."""
 
 from surctl.simulation.campaign.assumptions import assumptions
 from surctl.simulation.campaign.campaign import CHUNK, FASTEST, Campaign, run_campaign

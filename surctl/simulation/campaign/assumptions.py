@@ -1,4 +1,4 @@
-"""Which assumptions of the safety claim a drawn flight breaks."""
+"""The assumptions of the safety claim that a random run violates."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ __all__ = ["assumptions"]
 
 
 def assumptions(case: Case, draw: Mapping[str, float], *, detection: float, fastest: float) -> tuple[str, ...]:
-    """Names of what does not hold, in a fixed order; empty when all that can be judged holds.
+    """Return the names of the violated assumptions in a fixed order; empty if all assumptions that are checked hold.
 
-    `obstacle speed`: an obstacle, its drift included, goes faster than `fastest`. `detection`: from the cap, at the
-    worst of the vehicle's ranges, it needs more than the detection range to stop before that obstacle. `thrust`: the
-    draw has less than 85 % of a stated limit. `range`: a number of the draw is outside its stated range. `margin`: of
-    the guarded law alone: before what stands, the vehicle that is flown needs more than the law's margin to brake,
-    pushed as it turns by the difference of its masses, see `margin_needed`. `hull`: by `end_findings` the hull fits
-    not at the start or the target; whether it fits between is not judged.
+    `obstacle speed`: an obstacle moves or drifts faster than `fastest`. `detection`: to stop from the speed cap before
+    the fastest obstacle, the vehicle needs more than the detection range, at the worst values of its ranges. `thrust`:
+    a drawn thrust limit is less than 85 % of the stated limit. `range`: a drawn number is outside its stated range.
+    `margin` (guarded law only): to brake before an obstacle at rest, the simulated vehicle needs more than the law's
+    margin, including the force of its mass difference in a turn, see `margin_needed`. `hull`: by `end_findings` the
+    hull does not fit at the start or at the target; gaps between them are not checked.
 
     Args:
-        case: as flown; the law believes its model, else its vehicle.
-        draw: numbers of what flies that differ from its vehicle, by name, in the vehicle file's units.
-        detection: range at which an obstacle is surely seen, from the hull [m].
-        fastest: obstacle that the law vouches for [m/s].
+        case: the simulated case; the law's model is `case.model`, or `case.vehicle` if there is none.
+        draw: drawn vehicle parameters by name, in the units of the vehicle file.
+        detection: range from the hull at which an obstacle is certainly detected [m].
+        fastest: largest obstacle speed that the safety claim covers [m/s].
 
     Raises:
-        InputError: a number that no vehicle has.
+        InputError: the draw contains an unknown vehicle parameter.
     """
     scenario, believed = case.scenario, case.model or case.vehicle
     speeds = [
@@ -41,7 +41,7 @@ def assumptions(case: Case, draw: Mapping[str, float], *, detection: float, fast
     ]
     speed = max(speeds, default=0.0)
     for name in draw:
-        believed[name]  # names the nearest if there is none
+        believed[name]  # raises an error that names the nearest parameter if this one is unknown
     stated = {name: believed.parameters[name] for name in draw}
     limits = ("Fu_max", "Fv_max", "Fw_max", "Fr_max")
     broken = {
@@ -59,7 +59,7 @@ def assumptions(case: Case, draw: Mapping[str, float], *, detection: float, fast
 
 
 def _stops(case: Case, draw: Mapping[str, float]) -> bool:
-    """Whether the law's margin is enough for what flies; a number that no vehicle may have is told as `range`."""
+    """Return whether the law's margin is enough for the simulated vehicle; `range` reports impossible numbers."""
     believed = case.model or case.vehicle
     try:
         actual = case.vehicle.with_values(draw)

@@ -1,4 +1,4 @@
-"""Many drawn runs on the compiled loop, chunk by chunk."""
+"""Simulate many random runs with the compiled loop, chunk by chunk."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from surctl.simulation.store import ChunkStore
 __all__ = ["CHUNK", "FASTEST", "Campaign", "run_campaign"]
 
 CHUNK = 128
-"""Runs that are flown, and kept, together."""
+"""Number of runs that are simulated and stored together."""
 
 FASTEST = 0.15
-"""[m/s] of an obstacle up to which a collision counts against the law (*chosen*)."""
+"""Largest obstacle speed [m/s] for which a collision counts against the law (*chosen*)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """What was flown, and what came of it."""
+    """A finished campaign: its plan, the table of its runs, and their summary."""
 
     plan: Plan
     table: RunTable
     summary: Summary
 
     def worst(self, count: int) -> list[Replay]:
-        """The worst runs as files have them, the worst first, see `RunTable.worst`."""
+        """Return the worst runs, the worst first, ready to be saved to files, see `RunTable.worst`."""
         return [
             replay_of(self.plan.run(k), self.table.row(k), campaign=self.plan.name) for k in self.table.worst(count)
         ]
@@ -53,20 +53,20 @@ def run_campaign(
     store: ChunkStore | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Campaign:
-    """Fly the first runs of a plan.
+    """Simulate the first runs of a plan.
 
-    The result depends on neither threads, chunks, nor on what the store has already.
+    The result does not depend on the threads, the chunk size, or the chunks that the store already has.
 
     Args:
-        plan: which runs.
-        runs: how many, at least 1.
-        threads: of the compiled loop.
-        chunk: runs flown together.
-        store: an open one, of chunks of this size; finished ones are taken from it and others put there.
-        progress: told a line at a time.
+        plan: the plan of the runs.
+        runs: number of runs, at least 1.
+        threads: number of threads of the compiled loop.
+        chunk: number of runs that are simulated together.
+        store: open store with chunks of this size; finished chunks are read from it, new ones are written to it.
+        progress: function that receives one line of text after each chunk.
 
     Raises:
-        InputError: no run, a draw out of a number's bounds, or a chunk that cannot be written.
+        InputError: the number of runs is 0, a drawn number is out of its bounds, or a chunk cannot be written.
     """
     for key, value in (("runs", runs), ("chunk", chunk)):
         if value < 1:
@@ -82,7 +82,10 @@ def run_campaign(
             if store is not None:
                 store.write(index, parts[-1])
         rate = simulated / max(time.monotonic() - start, 1e-9)
-        progress(f"{plan.name}: {first + count}/{runs} runs" + (f", {rate:.3g} a second" if simulated else ", kept"))
+        progress(
+            f"{plan.name}: {first + count}/{runs} runs"
+            + (f", {rate:.3g} per second" if simulated else ", from the store")
+        )
     table = _table(plan, np.vstack(parts))
     return Campaign(plan, table, summarise(table))
 
@@ -92,7 +95,7 @@ def _cut(runs: int, chunk: int) -> Iterator[tuple[int, int]]:
 
 
 def _simulate_chunk(plan: Plan, first: int, count: int, threads: int) -> NDArray[np.float64]:
-    """(count, …): seed, metrics, values."""
+    """Return the table (count, …) of a chunk: seed, metrics, drawn values."""
     seeds, values = plan.seeds(first, count), plan.values(first, count)
     batch = simulate_batch(plan.case, values, seeds=seeds, threads=threads)
     return np.column_stack([seeds, batch.table, *(values[name] for name in plan.names)])
@@ -107,7 +110,7 @@ def _table(plan: Plan, whole: NDArray[np.float64]) -> RunTable:
 
 
 def _broken(run: SampledRun) -> tuple[str, ...]:
-    """Which assumptions do not hold; with true positions everything is seen at once."""
+    """Return the violated assumptions; with true positions the detection range is infinite."""
     case = run.case
     sees = case.scenario.sensors.equipment.array.maximum if case.sensing == "sonar" else inf
     return assumptions(case, run.draw, detection=sees, fastest=FASTEST)

@@ -1,4 +1,4 @@
-"""What a Monte Carlo campaign draws of a scenario: the vehicle that is flown, and its obstacles."""
+"""Random draws of a Monte Carlo campaign: the simulated vehicle and the obstacles of a scenario."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["MonteCarlo", "draw_plant", "obstacle_values"]
 
 
 def draw_plant(vehicle: Vehicle, *, seed: int) -> dict[str, float]:
-    """A vehicle within its stated ranges, by parameter name: each drawn evenly, one without a range left out."""
+    """Draw vehicle parameters uniformly within their stated ranges; parameters without a range are left out."""
     rng = np.random.default_rng([seed, 3])
     ranges = {name: p.range for name, p in vehicle.parameters.items() if p.range is not None}
     return {name: float(rng.uniform(*ends)) for name, ends in ranges.items()}
@@ -26,21 +26,21 @@ def draw_plant(vehicle: Vehicle, *, seed: int) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class MonteCarlo(SeededPlan):
-    """Runs of the scenario as its file has it, with drawn plants, obstacles and seeds, see `Uncertainty`.
+    """Runs of a scenario with random plants, obstacles and seeds, see `Uncertainty`.
 
     Raises:
-        InputError: obstacles that, as large as they may be drawn, cover the start.
+        InputError: the obstacles cover the start at their largest possible size.
     """
 
     def __post_init__(self) -> None:
-        """Check that every draw can be flown."""
+        """Check that every draw can be simulated."""
         u = self.case.scenario.uncertainty
         grown = [_scaled(o, self.case.vehicle, 1 + u.obstacle_size, 1.0) for o in self.case.scenario.obstacles]
         try:
             build_world(replace(self.case.scenario, obstacles=tuple(grown)), self.case.vehicle, seed=self.first)
         except InputError as error:
             raise InputError(
-                f"obstacles as large as they may be drawn cannot be flown: {error.problem}",
+                f"makes the scenario impossible at the largest obstacle size: {error.problem}",
                 file=self.case.scenario.source or self.case.scenario.name,
                 key="uncertainty.obstacle_size",
                 value=u.obstacle_size,
@@ -49,21 +49,21 @@ class MonteCarlo(SeededPlan):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """See `Plan`."""
+        """Names of the drawn parameters, see `Plan.names`."""
         return tuple(self._row(0))
 
     def values(self, first: int, count: int) -> Mapping[str, NDArray[np.float64]]:
-        """See `Plan`."""
+        """Return the drawn values of `count` runs, see `Plan.values`."""
         rows = [self._row(k) for k in range(first, first + count)]
         return {name: np.array([row[name] for row in rows]) for name in (rows[0] if rows else ())}
 
     def run(self, k: int) -> SampledRun:
-        """See `Plan`."""
+        """Return run k, see `Plan.run`."""
         scenario = replace(self.case.scenario, obstacles=tuple(self._obstacles(k)))
         return SampledRun(replace(self.case, scenario=scenario), self.first + k, self._plant(k))
 
     def settings(self) -> Mapping[str, object]:
-        """See `Plan`."""
+        """Return the settings of the draws, see `Plan.settings`."""
         return {"first seed": self.first, "draws": "plant and obstacles"}
 
     def _plant(self, k: int) -> dict[str, float]:
@@ -72,7 +72,7 @@ class MonteCarlo(SeededPlan):
         return draw_plant(self.case.vehicle, seed=self.first + k)
 
     def _obstacles(self, k: int) -> list[Obstacle]:
-        """As run k has them; each takes two numbers, whatever it is."""
+        """Return the obstacles of run k; each obstacle uses two random numbers, whatever its shape."""
         scenario, rng = self.case.scenario, np.random.default_rng([self.first + k, 4])
         u, shares = scenario.uncertainty, rng.uniform(-1, 1, (len(scenario.obstacles), 2)).tolist()
         if not (u.obstacle_size or u.obstacle_speed):
@@ -88,7 +88,7 @@ class MonteCarlo(SeededPlan):
 
 
 def _scaled(obstacle: Obstacle, vehicle: Vehicle, size: float, speed: float) -> Obstacle:
-    """So much larger and faster; a moving one that names no radius is drawn about the hull's."""
+    """Return the obstacle with scaled size and speed; a moving one without a radius scales the hull's radius."""
     changes: dict[str, object] = {}
     if obstacle.size_m is not None:
         changes["size_m"] = (obstacle.size_m[0] * size, obstacle.size_m[1] * size)
@@ -100,7 +100,7 @@ def _scaled(obstacle: Obstacle, vehicle: Vehicle, size: float, speed: float) -> 
 
 
 def obstacle_values(obstacles: Sequence[Obstacle]) -> dict[str, float]:
-    """Size and speed of obstacles by knob name."""
+    """Return size and speed of obstacles by parameter name."""
     values: dict[str, float] = {}
     for o in obstacles:
         if o.size_m is not None:

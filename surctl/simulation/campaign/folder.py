@@ -1,4 +1,4 @@
-"""A campaign's folder: what was asked, its finished chunks, its table, and its worst runs as files."""
+"""The folder of a campaign: its request, its finished chunks, its table, and its worst runs as files."""
 
 from __future__ import annotations
 
@@ -29,27 +29,28 @@ __all__ = ["CampaignFolder"]
 
 @dataclass(frozen=True)
 class CampaignFolder:
-    """Where campaigns are kept, so that a killed one continues and a finished one is not flown again.
+    """The folder of campaigns, from which an interrupted campaign resumes and a finished one need not run again.
 
-    `campaign.json` says what was asked, `campaign.chunks` has finished runs, `NAME.csv` all of them, and `worst` files
-    of the worst for `load_replay`. The number of runs is no part of the question: more may be asked for.
+    `campaign.json` describes the request, `campaign.chunks` holds finished runs, `NAME.csv` holds all runs, and `worst`
+    holds files of the worst runs for `load_replay`. The number of runs is not part of the request, so that a later
+    command may add runs.
 
     Attributes:
         path: the folder.
-        plans: of the campaigns, in their order.
+        plans: plans of the campaigns, in their order.
     """
 
     path: Path
     plans: tuple[Plan, ...]
 
     def prepare(self, *, fresh: bool = False) -> None:
-        """Make the folder, and note what is asked.
+        """Create the folder and write the request to `campaign.json`.
 
         Args:
-            fresh: whether what is kept there of any campaign is thrown away first.
+            fresh: whether to delete all earlier campaigns in the folder first.
 
         Raises:
-            InputError: it cannot be written, or holds a campaign of something else, which is named.
+            InputError: the folder cannot be written, or it belongs to another campaign; the error names the difference.
         """
         prepare_folder(self.path)
         note, requests = self.path / "campaign.json", [_request(plan) for plan in self.plans]
@@ -61,10 +62,10 @@ class CampaignFolder:
             write_file(note, json.dumps({"kind": "campaign", "campaigns": requests}, indent=1) + "\n")
 
     def _clear(self, note: Path) -> None:
-        """Take away what campaigns left here, and nothing else."""
+        """Delete the files of earlier campaigns in the folder, and nothing else."""
         shutil.rmtree(self.path / "campaign.chunks", ignore_errors=True)
         left = [note, self.path / "summary.json"] if note.exists() else []
-        with suppress(OSError, ValueError, KeyError, TypeError):  # a harmed note names nothing
+        with suppress(OSError, ValueError, KeyError, TypeError):  # a damaged file names no campaigns
             for one in json.loads(note.read_text(encoding="utf-8"))["campaigns"]:
                 name = _file_name(one["scenario"]["name"])
                 left += [self.path / f"{name}.csv", *(self.path / "worst").glob(f"{name}-worst-*.toml")]
@@ -73,10 +74,10 @@ class CampaignFolder:
 
     @contextmanager
     def store(self, plan: Plan) -> Iterator[ChunkStore]:
-        """The chunks of a campaign, held.
+        """Open and lock the chunk store of a campaign.
 
         Raises:
-            InputError: another process holds them, or they cannot be written.
+            InputError: another process has locked the store, or the store cannot be written.
         """
         structure = structure_of(plan.case, plan.values(0, 1))
         digest = build_loop(structure).step.digest()
@@ -88,10 +89,10 @@ class CampaignFolder:
             yield store
 
     def write(self, campaign: Campaign, *, worst: int) -> list[Path]:
-        """Write the table and the worst runs; the paths of these.
+        """Write the table and the worst runs; return the paths of the worst runs.
 
         Raises:
-            InputError: there is no room.
+            InputError: a file cannot be written, for instance because the disk is full.
         """
         name, files = _file_name(campaign.plan.name), self.path / "worst"
         write_file(self.path / f"{name}.csv", campaign.table.to_csv())
@@ -105,7 +106,7 @@ class CampaignFolder:
 
 
 def _file_name(name: str) -> str:
-    """A scenario's name without what means something in a path; one that has it is told apart by its digest."""
+    """Return a scenario's name without special characters of paths; a changed name gets a digest to stay unique."""
     plain = re.sub(r"[^A-Za-z0-9_-]", "-", name)
     return plain if plain == name else f"{plain}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
@@ -138,23 +139,25 @@ def _numbers(vehicle: Vehicle) -> str:
 
 
 def _compare(note: Path, requests: Sequence[Mapping[str, Any]]) -> None:
-    """InputError that names the first thing in which the folder's campaigns are others."""
+    """Raise InputError that names the first difference between the folder's campaigns and the requested ones."""
     try:
         table = json.loads(note.read_text(encoding="utf-8"))
         stored = [dict(one) for one in table["campaigns"]]
     except (OSError, ValueError, KeyError, TypeError):
-        raise _other(note, "is no note of a campaign", None) from None
+        raise _other(note, "does not describe a campaign", None) from None
     if len(stored) != len(requests):
-        raise _other(note, f"holds {len(stored)} campaigns where {len(requests)} are asked for", None)
+        raise _other(note, f"describes {len(stored)} campaigns, but {len(requests)} are requested", None)
     for old, new in zip(stored, requests, strict=True):
         for key, value in new.items():
             before = old.get(key)
             if before == value:
                 continue
             if isinstance(before, dict) and isinstance(value, dict) and before.get("name") == value["name"]:
-                raise _other(note, f"holds a campaign of a {key} of this name with other numbers", value["name"])
+                raise _other(
+                    note, f"belongs to a campaign that has other numbers in the {key} of this name", value["name"]
+                )
             shown = before.get("name") if isinstance(before, dict) else before
-            raise _other(note, f"holds a campaign of another {key}", shown)
+            raise _other(note, f"belongs to a campaign with another {key}", shown)
 
 
 def _other(note: Path, problem: str, value: object) -> InputError:

@@ -1,4 +1,4 @@
-"""One run of a campaign, as the reference loop flies it, and what plans of many runs are."""
+"""One run of a campaign for the reference loop, and plans of many runs."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ Columns = Mapping[str, NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class SampledRun:
-    """A drawn run.
+    """One random run of a campaign.
 
     Attributes:
-        case: its own scenario, and the vehicle as the law believes it.
-        seed: of every random choice that is left.
-        draw: numbers of the vehicle that is flown, by name, where they differ from the case's, in its file's units.
+        case: the case with the scenario of this run; its vehicle is the law's model unless `case.model` is set.
+        seed: seed of all remaining random choices.
+        draw: parameters of the simulated vehicle that differ from the case's vehicle, by name, in the file's units.
     """
 
     case: Case
@@ -34,10 +34,10 @@ class SampledRun:
     draw: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
     def simulate(self) -> Run:
-        """Fly it in the reference loop.
+        """Simulate the run in the reference loop.
 
         Raises:
-            InputError: the hull starts inside an obstacle, or a number outside the range that its file states.
+            InputError: the hull starts inside an obstacle, or a drawn number is outside the range in the vehicle file.
         """
         case = self.case
         return simulate(
@@ -53,10 +53,10 @@ class SampledRun:
 
 @dataclass(frozen=True)
 class SeededPlan:
-    """What all plans are that draw each run from a seed; run k flies seed `first` + k.
+    """Base of all plans that draw each run from a seed; run k has the seed `first` + k.
 
     Attributes:
-        case: what is compiled, and what every run is but for its draws.
+        case: the compiled case; every run is this case except for its draws.
         first: seed of the first run, at least 0.
     """
 
@@ -65,37 +65,37 @@ class SeededPlan:
 
     @property
     def name(self) -> str:
-        """The scenario's."""
+        """Name of the scenario."""
         return self.case.scenario.name
 
     def seeds(self, first: int, count: int) -> NDArray[np.int64]:
-        """See `Plan`."""
+        """Return the seeds of `count` runs, see `Plan.seeds`."""
         return np.arange(self.first + first, self.first + first + count)
 
 
 class Plan(Protocol):
-    """Which runs a campaign flies; run k depends on k alone."""
+    """The runs of a campaign; run k depends only on k."""
 
     @property
     def name(self) -> str:
-        """Of the campaign."""
+        """Name of the campaign."""
 
     @property
     def case(self) -> Case:
-        """What is compiled: every run is this case with values of its own."""
+        """The compiled case; every run is this case with its own values."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Knobs whose values it draws."""
+        """Names of the parameters that the plan draws."""
 
     def seeds(self, first: int, count: int) -> NDArray[np.int64]:
-        """(count,) seeds of the runs from `first` on."""
+        """Return the seeds (count,) of the runs from number `first` on."""
 
     def values(self, first: int, count: int) -> Columns:
-        """Their values by knob name, (count,) each."""
+        """Return the drawn values (count,) of these runs by parameter name."""
 
     def run(self, k: int) -> SampledRun:
-        """Run k by itself."""
+        """Return run k as a single run for the reference loop."""
 
     def settings(self) -> Mapping[str, object]:
-        """What the runs depend on besides the case, as plain data."""
+        """Return the settings that the runs depend on besides the case, as plain data."""

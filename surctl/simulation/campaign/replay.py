@@ -1,4 +1,4 @@
-"""One run as a file: everything that it takes to fly it again, and what it came to."""
+"""One run as a file: all data to repeat the run, and its results."""
 
 from __future__ import annotations
 
@@ -61,15 +61,15 @@ class _RunFile(Strict):
 
 @dataclass(frozen=True)
 class Replay:
-    """A run of a campaign, to be flown again.
+    """A run of a campaign that can be repeated, with its results.
 
     Attributes:
-        run: what was flown.
-        stopped_because: one of `STOPS`.
-        figures: metric → value, those that are finite.
-        campaign: that it is a run of.
-        broken: names of the assumptions that do not hold.
-        version: of the toolkit that flew it.
+        run: the random run, with its case, seed and draw.
+        stopped_because: reason why the run ended, one of `STOPS`.
+        figures: values of the finite metrics by name.
+        campaign: name of the campaign.
+        broken: names of the violated assumptions.
+        version: version of the toolkit that simulated the run.
     """
 
     run: SampledRun
@@ -80,10 +80,10 @@ class Replay:
     version: str = __version__
 
     def to_toml(self) -> str:
-        """The file's text.
+        """Return the text of the file.
 
         Raises:
-            InputError: sonars that no file can state.
+            InputError: a file cannot describe the sonars of the scenario.
         """
         run, case = self.run, self.run.case
         table: dict[str, Any] = {
@@ -115,9 +115,10 @@ class Replay:
         return toml_text(table)
 
     def difference(self, run: Run) -> float:
-        """Largest difference of a figure between this and a run, in its unit, or of one above 1 as a share of it.
+        """Return the largest difference of any metric between this replay and a run.
 
-        inf when the run ended for another reason.
+        The difference is absolute in the metric's unit for values up to 1, and relative for larger values. It is inf if
+        the run ended for another reason, or if other metrics are finite.
         """
         m = run.metrics
         if m.stopped_because != self.stopped_because:
@@ -131,7 +132,7 @@ class Replay:
 
 
 def replay_of(run: SampledRun, row: Mapping[str, Any], *, campaign: str) -> Replay:
-    """A run of a campaign from its flight and its row, see `RunTable.row`."""
+    """Return the replay of a run of a campaign from the run and its row, see `RunTable.row`."""
     figures = {name: row[name] for name in _FIGURES if isfinite(row[name])}
     return Replay(run, row["stopped_because"], figures, campaign, tuple(row["broken_assumptions"]))
 
@@ -140,19 +141,19 @@ def load_replay(path: Path | str) -> Replay:
     """Read the file of a run.
 
     Raises:
-        InputError: no such file, or one that is no run that could be flown; it says what is wrong in one line.
+        InputError: the file does not exist, or does not describe a run that can be simulated.
     """
     path = Path(path)
     file = validate(read_toml(path), _RunFile, file=path)
     unknown = [name for name in file.figures if name not in _FIGURES]
     if unknown:
-        raise InputError("no such figure", file=path, key=f"figures.{unknown[0]}", remedy="take it out")
+        raise InputError("no such metric", file=path, key=f"figures.{unknown[0]}", remedy="remove it")
     scenario = scenario_from_table(file.scenario, source=str(path))
     vehicle = vehicle_from_table(file.vehicle, source=str(path))
     model = None if file.model is None else vehicle_from_table(file.model, source=str(path))
     for name in file.draw:
         if name not in PARAMETERS:
-            raise InputError("no such vehicle parameter", file=path, key=f"draw.{name}", remedy="take it out")
+            raise InputError("no such vehicle parameter", file=path, key=f"draw.{name}", remedy="remove it")
     vehicle.with_values(file.draw)
     case = Case(
         scenario,

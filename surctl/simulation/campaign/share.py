@@ -1,4 +1,4 @@
-"""How often something happened in runs that were drawn, and how often it may happen at most."""
+"""The share of random runs with some event, and an upper bound of its true rate."""
 
 from __future__ import annotations
 
@@ -11,39 +11,46 @@ __all__ = ["Share"]
 
 @dataclass(frozen=True)
 class Share:
-    """So many of so many independent runs.
+    """The number of independent runs with some event, out of all runs.
 
     Attributes:
-        count: runs in which it happened.
-        runs: all runs, at least 1.
+        count: number of runs with the event.
+        runs: number of all runs, at least 1.
 
     Raises:
-        InputError: no runs, or a count outside 0 to runs.
+        InputError: `runs` is less than 1, or `count` is not between 0 and `runs`.
     """
 
     count: int
     runs: int
 
     def __post_init__(self) -> None:
-        """Check."""
+        """Check the two numbers."""
         if self.runs < 1:
-            raise InputError("a share needs a run", key="runs", value=self.runs, remedy="fly at least one")
+            raise InputError("must be at least 1", key="runs", value=self.runs, remedy="simulate at least one run")
         if not 0 <= self.count <= self.runs:
-            raise InputError("is not among the runs", key="count", value=self.count, remedy=f"0 to {self.runs}")
+            raise InputError(
+                "is not between 0 and the number of runs",
+                key="count",
+                value=self.count,
+                remedy=f"give 0 to {self.runs}",
+            )
 
     @property
     def rate(self) -> float:
-        """Share seen."""
+        """Observed share of the runs with the event."""
         return self.count / self.runs
 
     def at_most(self, confidence: float = 0.95) -> float:
-        """Exact one-sided upper bound of the true rate (Clopper and Pearson, Biometrika 26, 1934).
+        """Return the exact one-sided upper bound of the true rate (Clopper and Pearson, Biometrika 26, 1934).
 
         Raises:
-            InputError: a confidence that is not between 0 and 1.
+            InputError: the confidence is not between 0 and 1.
         """
         if not 0 < confidence < 1:
-            raise InputError("must be between 0 and 1", key="confidence", value=confidence, remedy="such as 0.95")
-        from scipy.stats import beta  # takes half a second to load
+            raise InputError(
+                "must be between 0 and 1", key="confidence", value=confidence, remedy="give for instance 0.95"
+            )
+        from scipy.stats import beta  # this import takes half a second
 
         return 1.0 if self.count == self.runs else float(beta.ppf(confidence, self.count + 1, self.runs - self.count))

@@ -1,4 +1,4 @@
-"""What a campaign says as a whole."""
+"""The summary of a campaign: shares and percentiles of its runs."""
 
 from __future__ import annotations
 
@@ -23,11 +23,12 @@ class Summary:
     """Shares and percentiles of n runs.
 
     Attributes:
-        stopped: why runs ended → their share, for every reason of `STOPS`.
-        time_s: percentile → when the runs that arrived did [s]; empty when none did.
-        clearance_m: percentile → least clearance of all runs [m]; empty when there is nothing to be clear of.
-        broken: assumption → runs that collided and break it; `none` counts those that break none.
-        inside: collisions among the runs that break none; None when there is none.
+        stopped: share of the runs that ended for each reason of `STOPS`, by reason.
+        time_s: percentiles of the arrival time of the runs that arrived [s]; empty if no run arrived.
+        clearance_m: percentiles of the smallest clearance of all runs [m]; empty without obstacles and walls.
+        broken: number of collided runs that violate an assumption, by assumption; `none` counts collided runs that
+            violate no assumption.
+        inside: share of collisions among the runs that violate no assumption; None if there is no such run.
     """
 
     stopped: Mapping[str, Share]
@@ -37,7 +38,7 @@ class Summary:
     inside: Share | None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Return plain data for JSON."""
         return {
             "stopped": {reason: _share_dict(share) for reason, share in self.stopped.items()},
             "collisions_within_assumptions": None if self.inside is None else _share_dict(self.inside),
@@ -47,7 +48,7 @@ class Summary:
         }
 
     def lines(self) -> list[str]:
-        """For people."""
+        """Return the summary as lines of text."""
         lines = []
         for reason in ("collision", "time limit", "standstill", "dead end", "fault"):
             s = self.stopped[reason]
@@ -61,9 +62,10 @@ class Summary:
                 values = ", ".join(f"{value:.4g} {unit} ({p} %)" for p, value in percentiles.items())
                 lines.append(f"  {name:<11}{values}")
         if self.broken:
-            lines.append("  collisions by broken assumption: " + ", ".join(f"{n} {k}" for k, n in self.broken.items()))
+            counts = ", ".join(f"{n} {k}" for k, n in self.broken.items())
+            lines.append(f"  collisions by violated assumption: {counts}")
         if self.inside is None:
-            lines.append("  every run breaks an assumption of the claim")
+            lines.append("  every run violates an assumption of the claim")
         else:
             s = self.inside
             lines.append(
@@ -74,10 +76,10 @@ class Summary:
 
 
 def summarise(table: RunTable) -> Summary:
-    """Count the runs of a table.
+    """Return the summary of a table of runs.
 
     Raises:
-        InputError: a table without a run.
+        InputError: the table has no runs.
     """
     ended = np.round(table.column("stopped"))
     stopped = {reason: Share(int(np.sum(ended == code)), len(table)) for code, reason in enumerate(STOPS)}

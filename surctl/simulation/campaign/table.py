@@ -1,4 +1,4 @@
-"""The runs of a campaign as a table."""
+"""The table of all runs of a campaign."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from surctl.simulation.metrics import METRICS, STOPS
 
 __all__ = ["RunTable"]
 
-_FIRST = ("collided", "reached")  # said by why it stopped
+_FIRST = ("collided", "reached")  # true or false
 
 
 @dataclass(frozen=True, eq=False)
 class RunTable:
-    """n runs.
+    """The results of n runs.
 
     Attributes:
-        seeds: (n,).
-        figures: (n, len(METRICS)), in the order of `METRICS`.
-        values: (n,) by knob name: what was drawn.
-        broken: (n,) names of the assumptions that do not hold.
+        seeds: (n,) seed of each run.
+        figures: (n, len(METRICS)) metrics of each run, in the order of `METRICS`.
+        values: (n,) drawn values by parameter name.
+        broken: (n,) names of the violated assumptions of each run.
     """
 
     seeds: NDArray[np.int64]
@@ -35,25 +35,25 @@ class RunTable:
     broken: tuple[tuple[str, ...], ...]
 
     def __len__(self) -> int:
-        """Number of runs."""
+        """Return the number of runs."""
         return len(self.seeds)
 
     def column(self, name: str) -> NDArray[np.float64]:
-        """One metric (n,)."""
+        """Return one metric (n,)."""
         return self.figures[:, list(METRICS).index(name)]
 
     def stopped(self, k: int) -> str:
-        """Why run k ended, one of `STOPS`."""
+        """Return the reason why run k ended, one of `STOPS`."""
         return STOPS[round(float(self.column("stopped")[k]))]
 
     def worst(self, count: int) -> list[int]:
-        """Indices of the worst runs, the worst first: collisions, then those that did not arrive, then by clearance."""
+        """Return the indices of the worst runs: collisions first, then runs that did not arrive, then by clearance."""
         collided, reached = self.column("collided"), self.column("reached")
         order = np.lexsort((self.seeds, self.column("min_clearance_m"), reached, -collided))
         return [int(k) for k in order[:count]]
 
     def row(self, k: int) -> dict[str, Any]:
-        """Run k as plain data: seed, why it ended, figures, broken assumptions, draws."""
+        """Return run k as plain data: seed, reason of its end, metrics, violated assumptions, drawn values."""
         figures = {name: float(self.figures[k, j]) for j, name in enumerate(METRICS) if name != "stopped"}
         for name in _FIRST:
             figures[name] = bool(figures[name])
@@ -62,7 +62,7 @@ class RunTable:
         return {**result, "broken_assumptions": list(self.broken[k]), "draw": draw}
 
     def to_csv(self) -> str:
-        """All runs, a line each, every number with all its digits."""
+        """Return all runs as CSV, one line per run, every number with all its digits."""
         text = io.StringIO()
         names = [name for name in METRICS if name != "stopped"]
         writer = csv.writer(text, lineterminator="\n")

@@ -1,4 +1,4 @@
-"""Random worlds: still and moving obstacles in the paper's tank, each a scenario of its own."""
+"""Random worlds: scenarios with random still and moving obstacles in the paper's tank."""
 
 from __future__ import annotations
 
@@ -21,40 +21,40 @@ from surctl.vehicle import Vehicle
 
 __all__ = ["FASTEST_MOVER", "SLOWEST", "WORLDS_VEHICLE", "RandomWorlds", "random_world", "world_template"]
 
-LENGTH, WIDTH = 10.0, 5.0  # [m] of the tank
+LENGTH, WIDTH = 10.0, 5.0  # [m] size of the tank
 START, TARGET = (0.5, 2.5), (9.5, 2.5)
 
 WORLDS_VEHICLE = "sur540-flooded"
-"""Who flies in them where nobody is named."""
+"""Default vehicle in random worlds."""
 
 FASTEST_MOVER = 0.15
-"""[m/s] of a moving obstacle."""
+"""Largest speed of a moving obstacle [m/s]."""
 
 SLOWEST = 0.03
-"""[m/s] of a moving obstacle (*chosen*)."""
+"""Smallest speed of a moving obstacle [m/s] (*chosen*)."""
 
 _BOXES, _CYLINDERS, _MOVERS = 2, 2, 4
-_EDGES = (0.2, 1.6)  # [m] of a box (*chosen*; the paper's are 0.3 by 1.6)
-_RADII = (0.1, 0.4)  # [m] of a cylinder (*chosen*)
-_BALLS = (0.15, 0.35)  # [m] of what moves (*chosen*; the paper's are as large as the robot)
-_NEAR = 1.0  # [m] between hull and what moves, at the start; the same at the target where it ends (*chosen*)
-_BETWEEN = 0.1  # [m] beside a hull between two that move (*chosen*)
-_LEAST_DISTANCE = 1.0  # [m] of what moves (*chosen*)
+_EDGES = (0.2, 1.6)  # [m] edge lengths of a box (*chosen*; the paper's boxes are 0.3 by 1.6)
+_RADII = (0.1, 0.4)  # [m] radii of a cylinder (*chosen*)
+_BALLS = (0.15, 0.35)  # [m] radii of a moving obstacle (*chosen*; the paper's are as large as the robot)
+_NEAR = 1.0  # [m] from a moving obstacle's start to the hull, and from its end to the target (*chosen*)
+_BETWEEN = 0.1  # [m] extra gap for a hull between two moving obstacles (*chosen*)
+_LEAST_DISTANCE = 1.0  # [m] shortest path of a moving obstacle (*chosen*)
 _TRIES = 100_000
 
 
 def random_world(vehicle: Vehicle, *, seed: int) -> Scenario:
-    """One world: 1 to 8 obstacles, half of them moving, the odd one either way.
+    """Return a random world with 1 to 8 obstacles, half of them moving; an odd obstacle is still or moving.
 
-    The path goes straight through the 10 x 5 m tank, as in the paper. What stands still lies inside the tank and apart
-    from the others; what moves goes in a straight line clear of it, begins and ends away from robot and target, leaves
-    a hull between it and whatever else moves 0.1 m of water at all times, and is taken out at its end. It may press a
-    hull against a wall or against what stands. `findings` has no error: the hull has room at both ends and in the
-    tightest gap of its way.
+    The path goes straight through the 10 x 5 m tank, as in the paper. Still obstacles lie inside the tank and do not
+    overlap. A moving obstacle goes in a straight line clear of the still ones, starts away from the robot, ends away
+    from the target, and is removed at its end. Two moving obstacles always leave a gap that is 0.1 m wider than the
+    hull. A moving obstacle may press the hull against a wall or a still obstacle. `findings` reports no error: the hull
+    fits at both ends and in the tightest gap of its path.
 
     Args:
-        vehicle: that must fit.
-        seed: of all choices.
+        vehicle: the vehicle that must fit into the world.
+        seed: seed of all random choices.
 
     Raises:
         SurctlError: no world fits this vehicle.
@@ -79,12 +79,12 @@ def random_world(vehicle: Vehicle, *, seed: int) -> Scenario:
 
 
 def world_table(name: str, vehicle: Vehicle, obstacles: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """The tank with these obstacles, as a scenario file's table."""
+    """Return the tank with these obstacles, as the table of a scenario file."""
     return {
         "kind": "scenario",
         "name": name,
         "title": "A random world",
-        "provenance": "drawn; site, path and speeds as the paper's tank",
+        "provenance": "random obstacles; site, path and speeds as in the paper's tank",
         "vehicle": vehicle.name,
         "path_m": [list(START), list(TARGET)],
         "depth_m": -0.15,
@@ -93,12 +93,12 @@ def world_table(name: str, vehicle: Vehicle, obstacles: Sequence[Mapping[str, An
         "time_limit_s": 300.0,
         "site": {"length_m": LENGTH, "width_m": WIDTH, "depth_m": 5.0},
         "obstacles": [dict(o) for o in obstacles],
-        "paper": {"result": "none: drawn"},
+        "paper": {"result": "none: a random world"},
     }
 
 
 def world_template(vehicle: Vehicle) -> Scenario:
-    """A scenario with every obstacle that a random world may have, of any size: what is compiled for all of them."""
+    """Return a scenario with every possible obstacle of a random world; its loop is compiled once for all worlds."""
     bodies: list[dict[str, Any]] = [
         {"name": f"box-{k + 1}", "shape": "box", "size_m": (1.0, 1.0)} for k in range(_BOXES)
     ]
@@ -113,48 +113,51 @@ def world_template(vehicle: Vehicle) -> Scenario:
 
 @dataclass(frozen=True)
 class RandomWorlds(SeededPlan):
-    """Drawn worlds, all flown by one compiled loop; run k flies the world of its seed.
+    """Random worlds for one compiled loop; run k takes place in the world of its seed.
 
-    The case is of `world_template`, with the sensors, the time limit and so on that all have.
+    The case has the scenario of `world_template`, with sensors, time limit and other settings that all worlds share.
 
     Attributes:
-        plant: whether the vehicle that is flown is drawn too, see `draw_plant`.
+        plant: whether the simulated vehicle is drawn too, see `draw_plant`.
 
     Raises:
-        InputError: waves, whose draw depends on how many obstacles there are.
+        InputError: the scenario has waves, whose random numbers depend on the number of obstacles.
     """
 
     plant: bool = False
     _known: dict[int, Scenario] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Check."""
+        """Check that the scenario has no waves."""
         if force := self.case.scenario.disturbance.wave_force_n:
             raise InputError(
-                "random worlds have no waves", key="disturbance.wave_force_n", value=force, remedy="write 0"
+                "must be 0, since random worlds have no waves",
+                key="disturbance.wave_force_n",
+                value=force,
+                remedy="write 0",
             )
 
     @property
     def names(self) -> tuple[str, ...]:
-        """See `Plan`."""
+        """Names of the drawn parameters, see `Plan.names`."""
         plant = [f"plant.{name}" for name in self._draw(0)]
         return (*plant, *(name for o in self.case.scenario.obstacles for name in _values(o, there=False)))
 
     def values(self, first: int, count: int) -> Mapping[str, NDArray[np.float64]]:
-        """See `Plan`."""
+        """Return the drawn values of `count` runs, see `Plan.values`."""
         rows = [self._row(k) for k in range(first, first + count)]
         return {name: np.array([row[name] for row in rows]) for name in self.names}
 
     def run(self, k: int) -> SampledRun:
-        """See `Plan`."""
+        """Return run k, see `Plan.run`."""
         return SampledRun(replace(self.case, scenario=self.world(k)), self.first + k, self._draw(k))
 
     def settings(self) -> Mapping[str, object]:
-        """See `Plan`."""
+        """Return the settings of the draws, see `Plan.settings`."""
         return {"first seed": self.first, "draws": "worlds and plant" if self.plant else "worlds"}
 
     def world(self, k: int) -> Scenario:
-        """The scenario of run k; drawn once."""
+        """Return the scenario of run k, which is drawn once and cached."""
         if k not in self._known:
             world = random_world(self.case.vehicle, seed=self.first + k)
             self._known[k] = replace(self.case.scenario, name=world.name, obstacles=world.obstacles)
@@ -172,7 +175,7 @@ class RandomWorlds(SeededPlan):
 
 
 def _values(obstacle: Obstacle, *, there: bool) -> dict[str, float]:
-    """All numbers of an obstacle, and whether it is there, by knob name."""
+    """Return all numbers of an obstacle by parameter name, including whether it is in the water."""
     values = {"there": float(there), "x": obstacle.centre_m[0], "y": obstacle.centre_m[1]}
     if obstacle.size_m is not None:
         values |= {"size_x": obstacle.size_m[0], "size_y": obstacle.size_m[1]}
@@ -200,7 +203,7 @@ def _still(rng: np.random.Generator, count: int) -> list[dict[str, Any]]:
 
 
 def _moving(rng: np.random.Generator, count: int, scenario: Scenario, vehicle: Vehicle) -> list[dict[str, Any]] | None:
-    """So many moving obstacles between what stands still; None when there is no room for one."""
+    """Draw `count` moving obstacles clear of the still ones; None if one of them does not fit."""
     obstacles: list[Obstacle] = []
     for k in range(count):
         for _ in range(200):
@@ -230,7 +233,7 @@ def _moving(rng: np.random.Generator, count: int, scenario: Scenario, vehicle: V
 
 
 def _leaves_gap(one: Obstacle, other: Obstacle, scenario: Scenario, vehicle: Vehicle) -> bool:
-    """Whether a hull fits between two that move, all the time that both are there."""
+    """Return whether a hull fits between two moving obstacles whenever both are in the water."""
     wide = (one.radius_m or 0.0) + (other.radius_m or 0.0) + 2 * vehicle["radius"] + _BETWEEN
     return closest(one, other, until=scenario.time_limit) >= wide
 
@@ -240,7 +243,7 @@ def _millimetres(vector: NDArray[np.float64]) -> list[float]:
 
 
 def _feasible(table: Mapping[str, Any], vehicle: Vehicle) -> Scenario | None:
-    """The scenario, if nothing in it is an error."""
+    """Return the scenario if `findings` reports no error, otherwise None."""
     try:
         scenario = scenario_from_table(dict(table), source="")
         results = findings(scenario, vehicle)

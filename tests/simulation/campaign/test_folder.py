@@ -63,10 +63,10 @@ OTHERS = {
     "another priority mode": changed(mode="filter"),
     "another sensing": changed(sensing="sonar"),
     "another gains": changed(gains=replace(GAINS, name="mine")),
-    "gains of this name with other numbers": changed(gains=GAINS.with_values({"k_v": 1.234})),
+    "other numbers in the gains of this name": changed(gains=GAINS.with_values({"k_v": 1.234})),
     "another scenario": plan("pool-static", seconds=3.0),
-    "scenario of this name with other numbers": plan("tank-static", seconds=3.5),
-    "vehicle of this name with other numbers": changed(vehicle=DRAWN.case.vehicle.with_values({"m11": 99.0})),
+    "other numbers in the scenario of this name": plan("tank-static", seconds=3.5),
+    "other numbers in the vehicle of this name": changed(vehicle=DRAWN.case.vehicle.with_values({"m11": 99.0})),
     "another first seed": replace(DRAWN, first=1),
 }
 
@@ -93,14 +93,14 @@ def test_starting_afresh_takes_away_what_a_campaign_left_and_nothing_else(tmp_pa
 
 def test_more_campaigns_than_were_asked_are_refused(tmp_path):
     fly(tmp_path, DRAWN)
-    with pytest.raises(InputError, match="holds 1 campaigns where 2"):
+    with pytest.raises(InputError, match="describes 1 campaigns, but 2"):
         CampaignFolder(tmp_path, (DRAWN, OTHERS["another scenario"])).prepare()
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"campaigns": 3}', '{"campaigns": [3]}', "\0"])
 def test_a_harmed_note_is_told(text, tmp_path):
     (tmp_path / "campaign.json").write_text(text)
-    with pytest.raises(InputError, match="is no note of a campaign"):
+    with pytest.raises(InputError, match="does not describe a campaign"):
         CampaignFolder(tmp_path, (DRAWN,)).prepare()
 
 

@@ -70,7 +70,7 @@ def test_another_run_is_told_apart(text, tmp_path):
         (r"m11 = [\d.]+", "m11 = 1e9", "lies outside its own range"),
         (r"m11 = [\d.]+", "m11 = nan", "draw.m11 = nan"),
         (r"m11 = [\d.]+", "m111 = 60.0", "draw.m111: no such vehicle parameter"),
-        (r"length_m = [\d.]+\n", "width = 3.0\n", "figures.width: no such figure"),
+        (r"length_m = [\d.]+\n", "width = 3.0\n", "figures.width: no such metric"),
         (r"k_v = [\d.]+", "k_v = -1.0", "gains.k_v = -1.0"),
         (r"k_v = [\d.]+\n", "", "gains.values.k_v: is missing"),
         (r"k_v = [\d.]+\n", "k_v = 1.0\nk_w = 1.0\n", "gains.k_w: no such gain"),
