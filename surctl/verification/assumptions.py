@@ -1,4 +1,4 @@
-"""What claims assume of the vehicle and the gains at hand; a claim whose assumption is violated is not applicable."""
+"""Check the assumptions of claims about vehicle and gains. A claim is not applicable if an assumption is violated."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _ALIKE: Mapping[str, tuple[str, str]] = {
 
 
 def check_alike(vehicle: Vehicle, *, mass_alone: bool = False, ranges: bool = False) -> None:
-    """NotApplicable unless surge and sway have one mass and one drag.
+    """Raise NotApplicable unless surge and sway have equal mass and equal drag.
 
     Args:
-        vehicle: what the claim would be about.
-        mass_alone: drag may differ.
-        ranges: the stated ranges must be the same too, since the claim takes those of surge for both.
+        vehicle: the vehicle to which the claim would apply.
+        mass_alone: compare the masses only; the drag may differ.
+        ranges: require equal parameter ranges too, because the claim uses the ranges of surge for both axes.
     """
     for what, (surge, sway) in list(_ALIKE.items())[: 1 if mass_alone else None]:
         unit = "" if PARAMETERS[surge].unit == "1" else f" {PARAMETERS[surge].unit}"
@@ -39,7 +39,7 @@ def check_alike(vehicle: Vehicle, *, mass_alone: bool = False, ranges: bool = Fa
 
 
 def check_no_integral(gains: Gains) -> None:
-    """NotApplicable where the gains have integral action, which the certified loops do not have."""
+    """Raise NotApplicable if the gains include integral action, because the certified loops have none."""
     if gains["k_i"]:
         raise NotApplicable(
             f"k_i = {gains['k_i']:g} 1/s^2 and the claim is about a loop without integral action", to="these gains"

@@ -49,9 +49,9 @@ def test_a_claim_that_is_false_by_a_hair_is_not_proved_whatever_the_falsifier_se
 
 def test_what_stops_a_proof_is_named() -> None:
     divided = prove(claim_from("d", {"x": (-1.0, 1.0)}, "-1/x^2", "0"), time_limit=0.5)
-    assert "division by an interval that holds 0" in divided.remaining
+    assert "division by an interval that contains 0" in divided.remaining
     rooted = prove(claim_from("r", {"x": (-1.0, 1.0)}, "-sqrt(x)", "0"), time_limit=0.5)
-    assert "square root of an interval that is negative in part" in rooted.remaining
+    assert "square root of an interval that is partly negative" in rooted.remaining
 
 
 def test_the_time_limit_is_kept() -> None:
