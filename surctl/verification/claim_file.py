@@ -189,7 +189,7 @@ def write_claim(claim: Claim) -> str:
     for v in claim.variables:
         if not IDENTIFIER.fullmatch(v.name) or v.name in (*FUNCTIONS, "pi"):
             raise InputError("is not a name for an expression", key=f"{claim.name}.{v.name}", remedy="rename it")
-    said = statement_of(claim)
+    stated = statement_of(claim)
     lines = [
         'kind = "claim"',
         f"name = {quoted(claim.name)}",
@@ -198,9 +198,9 @@ def write_claim(claim: Claim) -> str:
         f"errata = [{', '.join(quoted(e) for e in claim.errata)}]",
         f"expected = {quoted(claim.expected)}",
         f"unit = {quoted(claim.unit)}",
-        f"left = {quoted(text_of(said.left))}",
-        f"right = {quoted(text_of(said.right))}",
-        f"constraints = [{', '.join(quoted(text_of(g) + ' <= 0') for g in said.constraints)}]",
+        f"left = {quoted(text_of(stated.left))}",
+        f"right = {quoted(text_of(stated.right))}",
+        f"constraints = [{', '.join(quoted(text_of(g) + ' <= 0') for g in stated.constraints)}]",
         f"tolerance = {claim.tolerance!r}",
         f"witnesses = [{', '.join(_inline({k: repr(float(x)) for k, x in w.items()}) for w in claim.witnesses)}]",
         "",
