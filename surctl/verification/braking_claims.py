@@ -69,14 +69,16 @@ def braking_keeps(vehicle: Vehicle, fastest: float) -> Claim:
     g = Variable("g", ca.SX.sym("g"), "m/s", 0.0, half, "own speed astern")
     x = Variable("X", ca.SX.sym("X"), "N s/m", *b.linear, "linear drag")
     x2 = Variable("X2", ca.SX.sym("X2"), "N s^2/m^2", *b.quadratic, "quadratic drag")
-    more = Variable("more", ca.SX.sym("more"), "N", 0.0, max(b.most - b.least, 0.0), "brake beyond F_b")
-    lags = Variable("lags", ca.SX.sym("lags"), "N", 0.0, b.most + b.least, "F + F_b, what the lag has yet to turn")
+    more = Variable("more", ca.SX.sym("more"), "N", 0.0, max(b.most - b.least, 0.0), "braking thrust in excess of F_b")
+    lags = Variable(
+        "lags", ca.SX.sym("lags"), "N", 0.0, b.most + b.least, "F + F_b, thrust not yet reversed by the lag"
+    )
     z = s.symbol + b.lag * lags.symbol / m.symbol
     drag = x.symbol * g.symbol + x2.symbol * g.symbol * g.symbol
     return Claim(
         name="braking-keeps",
-        statement="d/dt (l - S) >= 0 while it brakes with F_b or more and s >= 0, times F': s F' <= z (F_b - D(g)), "
-        "astern at g before what comes on at g + s",
+        statement="d/dt (l - S) >= 0 while the vehicle brakes with F_b or more and s >= 0, multiplied by F': "
+        "s F' <= z (F_b - D(g)); the vehicle moves astern at g and the obstacle approaches at g + s",
         equation="guidance.braking, step 2",
         errata=(),
         expected="proved",
@@ -99,7 +101,8 @@ def braking_retreat(vehicle: Vehicle, fastest: float) -> Claim:
     r = Variable("r", ca.SX.sym("r"), "m/s", 0.0, box.swing / lightest, "speed at which the clearance opens")
     return Claim(
         name="braking-retreat",
-        statement="d/dt (l - S) >= 0 while it brakes and s = -r < 0 < z, times F': z (D(v_o + r) - F_b) <= r F'",
+        statement="d/dt (l - S) >= 0 while the vehicle brakes and s = -r < 0 < z, multiplied by F': "
+        "z (D(v_o + r) - F_b) <= r F'",
         equation="guidance.braking, step 2",
         errata=(),
         expected="proved",
@@ -118,10 +121,10 @@ def braking_mass(vehicle: Vehicle, fastest: float) -> Claim:
     """
     box = _box(vehicle, fastest)
     s = box.closing()
-    q = Variable("q", ca.SX.sym("q"), "N s", 0.0, box.swing, "what the lag leaves of the thrust that pushes")
+    q = Variable("q", ca.SX.sym("q"), "N s", 0.0, box.swing, "momentum that the lagging thrust still adds")
     lightest, heaviest = box.brakes.masses
-    above = Variable("above", ca.SX.sym("above"), "kg", 0.0, heaviest - lightest, "mass less the lighter one")
-    below = Variable("below", ca.SX.sym("below"), "kg", 0.0, heaviest - lightest, "the heavier one less the mass")
+    above = Variable("above", ca.SX.sym("above"), "kg", 0.0, heaviest - lightest, "mass minus the lightest mass")
+    below = Variable("below", ca.SX.sym("below"), "kg", 0.0, heaviest - lightest, "heavier mass minus the mass")
     a, b, m = above.symbol, below.symbol, lightest + above.symbol
 
     def distance(mass: ca.SX) -> ca.SX:
@@ -129,7 +132,7 @@ def braking_mass(vehicle: Vehicle, fastest: float) -> Claim:
 
     return Claim(
         name="braking-mass",
-        statement="m z^2, z = s + q/m, is below its chord between two masses, times what these differ by",
+        statement="m z^2 with z = s + q/m lies below its chord between two masses, multiplied by their difference",
         equation="guidance.braking, step 2",
         errata=(),
         expected="proved",
