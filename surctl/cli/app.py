@@ -95,7 +95,7 @@ def main() -> None:
         _print_message(lost)
         status = 1
     except (KeyboardInterrupt, click.Abort):
-        _print_message("stopped before anything was finished")
+        _print_message("stopped before a result was finished")
         status = 130
     sys.exit(status if isinstance(status, int) else 0)
 

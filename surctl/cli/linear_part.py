@@ -57,7 +57,7 @@ def linear_part(
     least = min(margins, key=lambda m: m.delay_margin_s)
     stable = all(m.stable for m in margins)
     off = f" with mass and drag off by ±{uncertainty:.0%}" if uncertainty else ""
-    word = f"stable, least delay {least.delay_margin_s:.2f} s ({least.name})" if stable else "UNSTABLE"
+    word = f"stable, least delay margin {least.delay_margin_s:.2f} s ({least.name})" if stable else "UNSTABLE"
     lines = [f"margins of {vehicle.name}{off}: {word}", *mode.lines()]
     if not stable:
         lines.append(

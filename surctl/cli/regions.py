@@ -78,7 +78,7 @@ def prove_regions(
     stated = {word: region_of(word) for word in words}
     refused: dict[str, Inapplicable] = {}
     cruise, cap = speeds
-    for word, statement in stated.items():  # what is wrong is said before anything is proved
+    for word, statement in stated.items():  # mistakes are reported before the first proof
         try:
             statement.claim(robot, values, cruise=cruise, cap=cap)
         except NotApplicable as reason:

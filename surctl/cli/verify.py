@@ -338,7 +338,7 @@ def claim_line(verdict: Verdict) -> str:
     where = ""
     if counterexample is not None:
         where = " at " + ", ".join(f"{k} = {v:.4g}" for k, v in counterexample.values.items())
-        where += f": exceeded by {counterexample.margin:.3g} {verdict.claim.unit}"
+        where += f": bound exceeded by {counterexample.margin:.3g} {verdict.claim.unit}"
     elif proof is not None and proof["claim"]["slack"]:
         where = f" to within {proof['claim']['slack']:.1g} {verdict.claim.unit}"
     elif verdict.open_ends:

@@ -29,12 +29,12 @@ def check_alike(vehicle: Vehicle, *, mass_alone: bool = False, ranges: bool = Fa
         unit = "" if PARAMETERS[surge].unit == "1" else f" {PARAMETERS[surge].unit}"
         if vehicle[surge] != vehicle[sway]:
             values = " and ".join(f"{name} = {vehicle[name]:g}{unit}" for name in (surge, sway))
-            raise NotApplicable(f"{values} differ and the claim assumes one {what} in surge and sway")
+            raise NotApplicable(f"{values} differ and the claim assumes equal {what} in surge and sway")
         stated = [vehicle.parameters[name].range for name in (surge, sway)]
         if ranges and stated[0] != stated[1]:
             raise NotApplicable(
                 f"the ranges of {surge} and {sway} differ ({stated[0]} and {stated[1]}{unit}) and the claim assumes "
-                f"one {what} in surge and sway"
+                f"equal {what} in surge and sway"
             )
 
 
@@ -42,5 +42,5 @@ def check_no_integral(gains: Gains) -> None:
     """Raise NotApplicable if the gains include integral action, because the certified loops have none."""
     if gains["k_i"]:
         raise NotApplicable(
-            f"k_i = {gains['k_i']:g} 1/s^2 and the claim is about a loop without integral action", to="these gains"
+            f"k_i = {gains['k_i']:g} 1/s^2 and the claim assumes a loop without integral action", to="these gains"
         )

@@ -61,14 +61,14 @@ _SHAPES = {
 }
 LINEAR_METRICS: Mapping[str, MetricSpec] = {
     "slowest_pole_per_s": MetricSpec("1/s", "largest real part of a closed-loop pole", "low"),
-    "least_damping": MetricSpec("1", "least damping ratio of the closed-loop poles; 1 without a complex one", "high"),
-    **{name: MetricSpec(m.unit, f"{m.meaning}, least of all loops", m.better) for name, m in _MARGINS.items()},
+    "least_damping": MetricSpec("1", "least damping ratio of the closed-loop poles; 1 if all poles are real", "high"),
+    **{name: MetricSpec(m.unit, f"{m.meaning}, least over all loops", m.better) for name, m in _MARGINS.items()},
     **{
         f"{name}.{loop}": MetricSpec(m.unit, f"{m.meaning}, loop {loop}", m.better)
         for loop in LOOP_NAMES
         for name, m in _MARGINS.items()
     },
-    "sensitivity_peak": MetricSpec("1", "largest |S| over frequency, most of all loops", "low"),
+    "sensitivity_peak": MetricSpec("1", "largest |S| over frequency and all loops", "low"),
     **{
         f"{name}.{loop}": MetricSpec(m.unit, f"{m.meaning}, loop {loop}", m.better)
         for loop in LOOP_NAMES

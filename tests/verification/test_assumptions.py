@@ -96,7 +96,7 @@ def test_a_refused_claim_costs_no_other_one_its_result() -> None:
     assert [c.name for c in found] == list(KINEMATIC) and tuple(refused) == STEPS
     assert str(refused["braking-mass"]) == (
         "braking-mass: not applicable to this vehicle, because m11 = 17 kg and m22 = 24.2 kg differ and the claim "
-        "assumes one mass in surge and sway"
+        "assumes equal mass in surge and sway"
     )
     with pytest.raises(NotApplicable, match=r"m22 = 24\.2 kg"):
         claims(names=["v1-printed", "braking-keeps"], vehicle=vehicle)

@@ -80,7 +80,7 @@ def test_every_claim_of_the_library_goes_out_and_comes_back(name, tmp_path) -> N
         ("y_e*u*", "y_e^2^2*", r"'\^' at column 6 has no defined order here; write parentheses"),
         ("y_e*u*", "y_e.real*", r"'\.' at column 4 is not part of the grammar"),
         ("y_e*u*", "__import__(1)*", r"'__import__' at column 1 is not a function"),
-        ("ahead))", "ahead)", r"'end of text' at column 29 is in the place of '\)'; write \)"),
+        ("ahead))", "ahead)", r"'end of text' at column 29 appears where '\)' is expected; write \)"),
         ("atan2(-y_e, ahead)", "atan2(-y_e)", r"'atan2' at column 11 has 1 argument; give 2 arguments"),
         ("sin(atan2", "sin*(atan2", r"'sin' at column 7 is a function"),
         ("<= 4*ahead^2", "<= 4*ahed^2", r"constraints\.0: 'ahed' at column 12"),

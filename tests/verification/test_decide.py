@@ -64,7 +64,7 @@ def test_what_is_left_open_counts_the_boxes_of_all_attempts(monkeypatch: pytest.
     module = sys.modules["surctl.verification.proving.prove"]
     monkeypatch.setattr(module, "_ROUNDS", ((20, 0.0), (200, 1.0)))
     proof = prove(claim_from("close", {"x": (-4.0, 4.0), "y": (-4.0, 4.0)}, "sin(3*x)*cos(2*y)*sin(x*y)", "0.9"))
-    words = r"the boxes allowed were used up after (\d+) boxes: (\d+) open"
+    words = r"the limit on boxes was reached after (\d+) boxes: (\d+) open"
     said, open_boxes = re.match(words, proof.remaining).groups()
     assert int(said) >= 220 and int(said) == proof.boxes and int(open_boxes) == len(proof.open_boxes)
 

@@ -112,7 +112,7 @@ class _Parser:
 
     def _expect(self, sign: str) -> None:
         if not self._takes(sign):
-            raise self._mistake(f"is in the place of {sign!r}", self._next, f"write {sign}")
+            raise self._mistake(f"appears where {sign!r} is expected", self._next, f"write {sign}")
 
     def _sum(self) -> Node:
         self._depth += 1
@@ -171,7 +171,7 @@ class _Parser:
             tree = self._sum()
             self._expect(")")
             return tree
-        raise self._mistake("is in the place of a number, a name or (", token, "complete the expression")
+        raise self._mistake("appears where a number, a name or ( is expected", token, "complete the expression")
 
     def _named(self, token: _Token) -> Node:
         if token.text in FUNCTIONS:

@@ -205,4 +205,4 @@ def _margin(disk: DiskMargin) -> str:
 
 
 def _seconds(period: float) -> str:
-    return f"{period:.2f} s" if np.isfinite(period) else "20 s and more"
+    return f"{period:.2f} s" if np.isfinite(period) else "at least 20 s"

@@ -121,7 +121,7 @@ def search(
             rows = slice(begin, begin + _CHUNK)
             box, ids = (low[:, rows], high[:, rows]), numbers[rows]
             if time.process_time() > deadline or looked >= most:
-                reason = "the time was up" if looked < most else "the boxes allowed were used up"
+                reason = "the time limit was reached" if looked < most else "the limit on boxes was reached"
                 parts.append((box[0], box[1], ids))
                 continue
             looked += ids.size
