@@ -86,7 +86,7 @@ def sweep_locus(
     swept = np.atleast_1d(np.asarray(values, dtype=float))
     if swept.ndim != 1 or len(swept) < 2 or not (np.all(np.diff(swept) > 0) or np.all(np.diff(swept) < 0)):
         raise InputError(
-            "needs at least two values in order", key=parameter, remedy="give an ascending or descending range"
+            "needs at least two values in order", key=parameter, remedy="give a range, ascending or descending"
         )
 
     def followed(values: NDArray[np.float64]) -> NDArray[np.complex128]:
