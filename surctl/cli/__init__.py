@@ -1,4 +1,4 @@
-"""The command line: one short file a command; heavy libraries are imported when a command runs."""
+"""The command line, with one module for each command; large libraries are imported only when a command runs."""
 
 from surctl.cli.app import main
 

@@ -1,4 +1,4 @@
-"""The option of `surctl simulate` for a moving picture of a run."""
+"""The option of `surctl simulate` that writes an animation of a run."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import click
 __all__ = ["animate_option", "check_animate"]
 
 animate_option = click.option(
-    "--animate", type=click.Path(path_type=Path), metavar="FILE", help="Animation: FILE.gif or FILE.mp4."
+    "--animate", type=click.Path(path_type=Path), metavar="FILE", help="Animation to write: FILE.gif or FILE.mp4."
 )
 
 
 def check_animate(path: Path | None, *, runs: int, campaign: bool) -> None:
-    """InputError for what cannot be animated, before anything is flown; the file's folder is made."""
+    """Create the folder of the animation; InputError, before any simulation, if the runs cannot be animated."""
     if path is None:
         return
     from surctl.errors import InputError
@@ -22,7 +22,7 @@ def check_animate(path: Path | None, *, runs: int, campaign: bool) -> None:
     from surctl.report import check_animation
 
     if campaign:
-        remedy = "fly one of DIR/worst: --from FILE --animate"
+        remedy = "simulate one run of DIR/worst: --from FILE --animate"
         raise InputError("shows one run, not a campaign", key="--animate", value=str(path), remedy=remedy)
     if runs != 1:
         raise InputError(

@@ -1,4 +1,4 @@
-"""The application: commands, and the one place where errors become a line and an exit status."""
+"""The application: it registers the commands and turns every error into one line and an exit status."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def app() -> None:
 
     Examples: surctl new vehicle my-robot; surctl study my-robot.toml; surctl simulate tank-static --out plots
 
-    Exit status: 0 done and as expected, 1 done and something came out otherwise, 2 bad input.
+    Exit status: 0 finished with the expected result, 1 finished with another result, 2 wrong input.
     """
 
 
@@ -56,7 +56,7 @@ def main() -> None:
     """Run the command line on `sys.argv` and exit with its status.
 
     Raises:
-        SystemExit: Always; 0 done, 1 a claim, goal or run failed, 2 a mistake of the user's, 130 stopped.
+        SystemExit: always. Status 0: success, 1: a claim, goal or run failed, 2: wrong input, 130: stopped by the user.
 
     Examples:
         >>> import sys
@@ -69,7 +69,7 @@ def main() -> None:
         surctl, version ...
         status 0
     """
-    # before NumPy is loaded; the matrices are small, and OpenBLAS's threads wait for each other in loops
+    # set before NumPy is loaded: for small matrices, OpenBLAS's threads only wait for each other
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     warnings.showwarning = lambda message, *_: _print_message(str(message))
     warnings.filterwarnings("always", category=OldName)  # a line each, whatever the filters
@@ -97,11 +97,11 @@ def main() -> None:
         _print_message(lost)
         status = 1
     except (KeyboardInterrupt, click.Abort):
-        _print_message("stopped before anything was finished")
+        _print_message("stopped before a result was finished")
         status = 130
     sys.exit(status if isinstance(status, int) else 0)
 
 
 def _print_message(text: str) -> None:
-    with suppress(OSError):  # where stderr is full, the exit status is what is left
+    with suppress(OSError):  # if stderr cannot be written, the exit status still reports the error
         sys.stderr.write("surctl: " + " ".join(text.split()) + "\n")

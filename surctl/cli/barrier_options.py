@@ -1,4 +1,4 @@
-"""The options that choose the barrier of the guarded law."""
+"""The options that select the barrier of the guarded law."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ barrier_options = together(
     click.option(
         "--barrier",
         default="simple",
-        help="Approach bound: simple or inertia.",
+        metavar="NAME",
+        help="Approach bound: simple (default) or inertia.",
     ),
-    click.option("--movers", default="predict", help="Moving obstacles: predict or barrier."),
+    click.option("--movers", default="predict", metavar="NAME", help="Moving obstacles: predict (default) or barrier."),
 )
-"""Give a command the options; it takes them as `barrier` and `movers`."""
+"""A decorator that adds these options to a command; the command receives them as `barrier` and `movers`."""

@@ -1,4 +1,4 @@
-"""Braking claims of `surctl verify`: what the barrier with inertia guarantees, as certificates."""
+"""Braking claims of `surctl verify`: certificates for the guarantee of the barrier with inertia."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _KINDS = ("braking-rule", "braking-inertia", "braking-simple")
 
 
 class Braking(NamedTuple):
-    """What the braking claims came to: plain data, lines to print, certificates, whether all were proved."""
+    """The result of the braking claims: plain data, lines to print, certificate files, and whether all are proved."""
 
     claims: list[dict[str, Any]]
     lines: list[str]
@@ -23,17 +23,17 @@ class Braking(NamedTuple):
 
 
 def is_braking(name: str) -> bool:
-    """Whether a claim's name is that of a braking claim, rather than of a step of its proof."""
+    """Whether a claim name denotes a braking claim; the names of the steps of its proof do not."""
     return name.startswith(_KINDS)
 
 
 def prove_all(names: Sequence[str], *, vehicle: str, gains: str, cap: float, out: Path | None = None) -> Braking:
-    """Prove braking claims by name, for a vehicle, a gain file and the cap on its speed [m/s].
+    """Prove the named braking claims for a vehicle, a gain file and a speed limit `cap` [m/s].
 
-    The certificates go to `out` as NAME.json.
+    The certificates are written to the folder `out` as NAME.json.
 
     Raises:
-        InputError: an unknown claim, vehicle or gain file; before anything is proved.
+        InputError: a claim, vehicle or gain file is unknown; the error is raised before the first proof.
     """
     if not names:
         return Braking([], [], [], True)

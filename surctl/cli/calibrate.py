@@ -20,11 +20,11 @@ __all__ = ["calibrate"]
 @out_folder
 @as_json
 def calibrate(file: str, out: Path | None, as_json: bool) -> None:
-    """Calibrate range sensors from a CSV of true and measured distances, with 95 % confidence intervals.
+    """Calibrate range sensors from a CSV file of true and measured distances, with 95 % confidence intervals.
 
-    Columns true_m and measured_m (or both in _cm, _mm), and sensor, medium if there are several; at least 6 rows at 3
-    distances each. --out writes a residual plot and a [sonar] table to paste into a scenario. The built-in table-ii is
-    the paper's range test.
+    The file has the columns true_m and measured_m (or both in _cm or _mm), and the columns sensor and medium if it has
+    several of them. Each sensor and medium needs at least 6 rows at 3 or more distances. --out writes a residual plot
+    and a [sonar] table to paste into a scenario. The built-in file table-ii holds the paper's range test.
 
     Examples: surctl calibrate range-test.csv --out calibration; surctl calibrate table-ii
     """
@@ -66,7 +66,7 @@ def _lines(one: SensorCalibration) -> list[str]:
         _row("bias", "mm", f.bias, 1e3),
         _row("noise sd", "mm", f.noise_sd, 1e3),
         *(f"  {text}" for text in _noise(one)),
-        "  errors measured - true, as they are",
+        "  errors measured - true, without calibration",
         _row("mean", "mm", f.mean_error, 1e3),
         _row("sd", "mm", f.error_sd, 1e3),
         f"    rms {_mm(f.rms)} mm, largest {worst}",
@@ -80,12 +80,12 @@ def _lines(one: SensorCalibration) -> list[str]:
 
 
 def _noise(one: SensorCalibration) -> list[str]:
-    """What the test of the noise against range said."""
+    """The result of the test whether the noise depends on the range, in lines of text."""
     from surctl.sensing.calibration.estimation import LEAST_ROWS_OF_SLOPE
 
     f = one.calibration
     if f.noise_slope is None or f.noise_slope_p is None:
-        few = f"fewer than {LEAST_ROWS_OF_SLOPE} rows: noise against range is not tested"
+        few = f"fewer than {LEAST_ROWS_OF_SLOPE} rows: not tested whether the noise depends on range"
         return [few if len(f.true) < LEAST_ROWS_OF_SLOPE else "the rows lie on a line: no noise"]
     slope = f"slope of the sd {_span(f.noise_slope)} mm/m (p = {f.noise_slope_p:.2g})"
     if f.noise_at_zero is None:
@@ -97,7 +97,7 @@ def _noise(one: SensorCalibration) -> list[str]:
 
 
 def _percentages() -> tuple[dict[str, Any], list[str]]:
-    """The percentages of Table II, recomputed."""
+    """The percentages of Table II recomputed, as data and as lines of text."""
     from surctl.sensing import table_ii
     from surctl.sensing.calibration.table2 import MEDIA
 
@@ -118,8 +118,8 @@ def _percentages() -> tuple[dict[str, Any], list[str]]:
     count = 2 * len(table.desired)
     lines = [f"{count - len(wrong)} of the {count} printed percentages agree with their readings"]
     lines += [
-        f"  {w['medium']}, {w['true_m']:g} m: reads {w['measured_m']:g} m, printed {w['printed_percent']:g} %, "
-        f"it is {w['recomputed_percent']:.1f} %"
+        f"  {w['medium']}, {w['true_m']:g} m: reading {w['measured_m']:g} m, printed {w['printed_percent']:g} %, "
+        f"recomputed {w['recomputed_percent']:.1f} %"
         for w in wrong
     ]
     return {"printed": count, "agree": count - len(wrong), "disagree": wrong}, lines

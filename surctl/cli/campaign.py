@@ -1,4 +1,4 @@
-"""The options of `surctl simulate` for many drawn runs, and for one of them flown again."""
+"""The options of `surctl simulate` for campaigns of random runs, and for repeating one of these runs."""
 
 from __future__ import annotations
 
@@ -20,33 +20,37 @@ if TYPE_CHECKING:
 
 __all__ = ["CampaignOptions", "campaign_options", "simulate_again"]
 
-MOST_ROWS = 100  # printed as JSON; DIR has them all
+MOST_ROWS = 100  # largest number of runs printed as JSON; the files in DIR hold all runs
 
 campaign_options = together(
-    click.option("--monte-carlo", is_flag=True, help="Draw vehicle and obstacles of each run."),
+    click.option("--monte-carlo", is_flag=True, help="Draw vehicle and obstacles of each run at random."),
     click.option(
         "--random-worlds", "worlds", type=click.IntRange(1, 1_000_000), metavar="N", help="Simulate N random worlds."
     ),
-    click.option("--worst", type=click.IntRange(0, 1000), help="Worst runs saved (5)."),
-    click.option("--threads", type=click.IntRange(1, 1024), help="Of a campaign (2)."),
-    click.option("--fresh", is_flag=True, help="Start again instead of resuming in DIR."),
     click.option(
-        "--from", "replayed", type=click.Path(path_type=Path), metavar="FILE", help="Simulate a run of DIR/worst again."
+        "--worst", type=click.IntRange(0, 1000), metavar="N", help="Number of worst runs to save (default 5)."
+    ),
+    click.option("--threads", type=click.IntRange(1, 1024), metavar="N", help="Threads of a campaign (default 2)."),
+    click.option("--fresh", is_flag=True, help="Start the campaign again instead of resuming it."),
+    click.option(
+        "--from", "replayed", type=click.Path(path_type=Path), metavar="FILE", help="Repeat a run saved in DIR/worst."
     ),
 )
-"""Give a command the options; it takes them as `monte_carlo`, `worlds`, `worst`, `threads`, `fresh`, `replayed`."""
+"""A decorator that adds these options to a command.
+
+The command receives them as `monte_carlo`, `worlds`, `worst`, `threads`, `fresh` and `replayed`."""
 
 
 @dataclass(frozen=True)
 class CampaignOptions:
-    """The options as they were typed.
+    """The campaign options of the command line; None for options that are not given.
 
     Attributes:
-        monte_carlo: draw plant and obstacles.
-        worlds: number of drawn worlds, or None.
-        worst: how many of the worst runs are kept, or None.
-        threads: of the compiled loop, or None.
-        fresh: start again.
+        monte_carlo: whether plant and obstacles are drawn at random.
+        worlds: number of random worlds.
+        worst: number of the worst runs that are saved.
+        threads: number of threads of the compiled loop.
+        fresh: whether to discard earlier results and start again.
     """
 
     monte_carlo: bool = False
@@ -57,32 +61,36 @@ class CampaignOptions:
 
     @property
     def any(self) -> bool:
-        """Whether a campaign is asked for."""
+        """Whether the options request a campaign."""
         return self.monte_carlo or self.worlds is not None
 
     def check(self, *, scenarios: tuple[str, ...], runs: int, explained: bool, out: Path | None) -> None:
-        """InputError for what does not go together."""
+        """Raise InputError for options that exclude each other or lack another option."""
         from surctl.errors import InputError
 
         if not self.any:
             for key, value in (("--worst", self.worst), ("--threads", self.threads), ("--fresh", self.fresh or None)):
                 if value is not None:
-                    remedy = "add --monte-carlo or --random-worlds N, or drop it"
-                    raise InputError("is about a campaign", key=key, value=value, remedy=remedy)
+                    remedy = "add --monte-carlo or --random-worlds N, or drop this option"
+                    raise InputError("applies only to a campaign", key=key, value=value, remedy=remedy)
         elif explained:
             raise InputError(
-                "is about single runs", key="--explain", remedy="fly one of DIR/worst: --from FILE --explain"
+                "applies only to single runs",
+                key="--explain",
+                remedy="simulate one run of DIR/worst: --from FILE --explain",
             )
         elif out is None and (self.fresh or self.worst is not None):
             key = "--fresh" if self.fresh else "--worst"
-            raise InputError("has no folder", key=key, remedy="name one with --out")
+            raise InputError("needs an output folder", key=key, remedy="add --out DIR")
         if self.worlds is not None and scenarios:
-            remedy = "drop one of them"
+            remedy = "drop the scenario or this option"
             raise InputError("draws its own scenarios", key="--random-worlds", value=scenarios[0], remedy=remedy)
         if self.worlds is not None and runs != 1:
-            raise InputError("says how many already", key="--random-worlds", value=self.worlds, remedy="drop --runs")
+            raise InputError(
+                "already sets the number of runs", key="--random-worlds", value=self.worlds, remedy="drop --runs"
+            )
         if self.worlds is None and not scenarios:
-            raise InputError("needs a scenario", key="SCENARIOS", remedy="surctl list names them")
+            raise InputError("needs a scenario", key="SCENARIOS", remedy="choose one of: surctl list")
         if len(set(scenarios)) < len(scenarios) and self.any:
             raise InputError("is named twice", key="SCENARIOS", value=" ".join(scenarios), remedy="name each once")
 
@@ -102,10 +110,10 @@ class CampaignOptions:
         sensing: str,
         seed: int,
     ) -> list[Plan]:
-        """The campaigns that are asked for.
+        """Return the requested campaigns.
 
         Raises:
-            InputError: an unknown name, or what the law or the scenarios do not take.
+            InputError: a name is unknown, or the law or a scenario does not support an option.
         """
         from surctl.simulation import load_scenario
         from surctl.simulation.campaign import WORLDS_VEHICLE, MonteCarlo, RandomWorlds, world_template
@@ -122,26 +130,28 @@ class CampaignOptions:
         options: dict[str, Any] = {"avoidance": avoidance, "barrier": barrier, "movers": movers}
         cases = tuple(replace(case, **options) for case in cases)
         for case in cases[:1]:
-            case.build()  # so that a mistake is told before anything is written
+            case.build()  # reports a mistake before any file is written
         if self.worlds is None:
             return [MonteCarlo(case, seed) for case in cases]
         return [RandomWorlds(case, seed, self.monte_carlo) for case in cases]
 
     def run(self, plans: list[Plan], *, runs: int, out: Path | None, as_json: bool) -> None:
-        """Fly the campaigns, keep them in `out`, print what they say, and end."""
+        """Simulate the campaigns, store them in `out`, print their results, and end the command."""
         from surctl.errors import InputError
         from surctl.files import write_file
         from surctl.simulation.campaign import CampaignFolder, run_campaign
 
         names = [plan.name for plan in plans]
         if len(set(names)) < len(names):
-            raise InputError("two scenarios have one name", key="SCENARIOS", value=" ".join(names), remedy="rename one")
+            raise InputError(
+                "two scenarios have the same name", key="SCENARIOS", value=" ".join(names), remedy="rename one"
+            )
         folder = None if out is None else CampaignFolder(out, tuple(plans))
         if folder is not None:
             folder.prepare(fresh=self.fresh)
         reports, lines, good = [], list[str](), True
-        nothing = "nothing is kept; with --out DIR the same command would go on"
-        message = nothing if out is None else f"the runs that were flown are in {out}; to go on: {same_command()}"
+        nothing = "the runs are not saved; with --out DIR the same command would continue"
+        message = nothing if out is None else f"the finished runs are in {out}; to continue: {same_command()}"
         for plan in plans:
             with (
                 stoppable(message, lines, as_json=as_json),
@@ -189,7 +199,7 @@ def _report(campaign: Campaign, files: list[Path], worst: int) -> dict[str, Any]
 
 
 def _claim(case: Case) -> SafetyClaim:
-    """What the law's barrier guarantees of the scenario as its file has it, by the vehicle's ranges."""
+    """The safety claim of the law's barrier for the scenario as in its file and the ranges of the vehicle."""
     from math import inf
 
     from surctl.simulation import safety_claim, turn_rate
@@ -207,7 +217,7 @@ def _lines(campaign: Campaign, files: list[Path], worst: int) -> list[str]:
     lines += campaign.summary.lines()
     for place, k in enumerate(table.worst(worst)):
         time, clear = table.column("time_s")[k], table.column("min_clearance_m")[k]
-        broken = f", broken: {', '.join(table.broken[k])}" if table.broken[k] else ""
+        broken = f", violated: {', '.join(table.broken[k])}" if table.broken[k] else ""
         saved = f"  {files[place]}" if place < len(files) else ""
         lines.append(
             f"  worst {place + 1}: seed {table.seeds[k]}, {table.stopped(k)} at {time:.2f} s, "
@@ -217,9 +227,9 @@ def _lines(campaign: Campaign, files: list[Path], worst: int) -> list[str]:
 
 
 def simulate_again(path: Path, *, explained: bool, out: Path | None, animate: Path | None, as_json: bool) -> None:
-    """Fly the run of a file in the reference loop, say whether it came to the same figures, and end.
+    """Simulate the run of a file in the reference loop, compare it with the campaign, and end the command.
 
-    Exit status 1 if it did not, or if the run does not arrive.
+    The exit status is 1 if the two differ or if the run does not arrive.
     """
     from surctl.files import prepare_folder
     from surctl.simulation.campaign import load_replay
@@ -230,7 +240,9 @@ def simulate_again(path: Path, *, explained: bool, out: Path | None, animate: Pa
 
             known = {param.name: param for param in click.get_current_context().command.params}
             what = known[name].opts[0] if isinstance(known[name], click.Option) else f"the {name}"
-            raise InputError("is said by the file", key="--from", value=str(path), remedy=f"drop {what}, or edit it")
+            raise InputError(
+                f"already sets {what}", key="--from", value=str(path), remedy=f"drop {what}, or edit the file"
+            )
     if out is not None:
         prepare_folder(out)
     replay = load_replay(path)
@@ -245,11 +257,11 @@ def simulate_again(path: Path, *, explained: bool, out: Path | None, animate: Pa
 
 
 SAME = 1e-9
-"""Largest difference between the compiled loop and the reference loop, see `Replay.difference`."""
+"""The largest difference allowed between the compiled loop and the reference loop; see `Replay.difference`."""
 
 
 def _typed() -> dict[str, bool]:
-    """Which parameters of the command were typed."""
+    """Whether each parameter of the command was given on the command line, by name."""
     context = click.get_current_context()
     default = (click.core.ParameterSource.DEFAULT, click.core.ParameterSource.DEFAULT_MAP)
     return {name: context.get_parameter_source(name) not in default for name in context.params}

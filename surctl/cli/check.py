@@ -16,22 +16,26 @@ __all__ = ["check"]
 
 @click.command
 @click.argument("certificate", type=click.Path(path_type=Path))
-@click.option("--bundle", type=click.Path(path_type=Path), metavar="DIR", help="Is it about this exported controller?")
+@click.option(
+    "--bundle", type=click.Path(path_type=Path), metavar="DIR", help="Compare with the exported controller in DIR."
+)
 @click.option(
     "--time-limit",
     type=click.FloatRange(min=0, min_open=True),
     default=None,
     metavar="S",
-    help="Processor time [s] after which it is rejected; 8 unless given.",
+    help="Largest processor time [s] of the check (default 8); then the certificate is rejected.",
 )
 @as_json
 def check(certificate: Path, bundle: Path | None, time_limit: float | None, as_json: bool) -> None:
     """Check a certificate without trusting the prover that wrote it.
 
-    With --bundle also whether it is about that exported controller: every number that it assumes is compared with the
-    manifest's, and every hash worked out anew; what the certificate leaves out is named. An inequality with slack is
-    proved to within that slack, and is no proof of asymptotic stability. Exit status 0 accepted (and belongs), 1
-    rejected, or of another controller, 2 no certificate or bundle.
+    --bundle also checks whether the certificate applies to an exported controller: every number that it assumes is
+    compared with the manifest of the bundle, and every hash is computed again. The output names the parts of the
+    controller that the certificate does not cover. An inequality with slack holds only to within this slack and does
+    not prove asymptotic stability. Exit status: 0 if the certificate is accepted (and applies to the controller), 1 if
+    it is rejected or belongs to another controller, 2 if a file is not a certificate or bundle.
+
     Examples: surctl check proofs/v2-static.json; surctl check firmware/certificate-v2-static.json --bundle firmware
     """
     from surctl.certcheck import PATIENCE, check_file
@@ -61,7 +65,7 @@ def check(certificate: Path, bundle: Path | None, time_limit: float | None, as_j
 
 
 def _shown(claim: Mapping[str, Any]) -> list[str]:
-    """What was checked, entry by entry: the words of a statement are nobody's proof."""
+    """The checked entries of the claim; the statement in words is omitted, because the checker does not verify it."""
     lines = []
     for key, value in claim.items():
         if key == "statement" or value in ([], "", 0.0):
@@ -75,7 +79,7 @@ def _shown(claim: Mapping[str, Any]) -> list[str]:
 
 
 def _entry(value: Any) -> str:
-    """A variable with its ends, or whatever else a kind of certificate claims."""
+    """One entry of a claim as text; a variable is shown with its bounds."""
     if isinstance(value, dict) and {"name", "lower", "upper", "unit"} <= set(value):
         return f"{value['name']} in [{value['lower']}, {value['upper']}] {value['unit']}"
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

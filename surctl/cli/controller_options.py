@@ -1,4 +1,4 @@
-"""Options of `surctl simulate` for a controller that is a process, or a processor, of its own."""
+"""Options of `surctl simulate` for a controller that runs in its own process or on an emulated processor."""
 
 from __future__ import annotations
 
@@ -27,19 +27,21 @@ __all__ = ["ControllerOptions", "controller_options"]
 controller_options = together(
     click.option(
         "--controller",
-        metavar="ADDRESS",
-        help="Exported C: tcp://HOST:PORT, qemu:cortex-m4f.",
+        metavar="URL",
+        help="Use exported C: tcp://HOST:PORT or qemu:cortex-m4f.",
     ),
-    click.option("--link-loss", type=float, help="Probability that a message is lost."),
-    click.option("--link-delay", type=float, metavar="S", help="Delay of each command."),
-    click.option("--link-deadline", type=float, metavar="S", help="Oldest command that is used (0.25)."),
-    click.option("--link-timeout", type=float, metavar="S", help="Silence that ends the run (5)."),
+    click.option("--link-loss", type=float, metavar="P", help="Probability that a message is lost (default 0)."),
+    click.option("--link-delay", type=float, metavar="S", help="Delay of each command [s] (default 0)."),
+    click.option("--link-deadline", type=float, metavar="S", help="Largest age of a used command [s] (default 0.25)."),
+    click.option(
+        "--link-timeout", type=float, metavar="S", help="Stop after this silence of the link [s] (default 5)."
+    ),
 )
 
 
 @dataclass(frozen=True)
 class ControllerOptions:
-    """What was said of the controller and its line; None: nothing."""
+    """The controller and link options of the command line; None for options that are not given."""
 
     controller: str | None
     loss: float | None
@@ -48,24 +50,28 @@ class ControllerOptions:
     timeout: float | None
 
     def check(self, *, campaign: bool) -> None:
-        """Raise InputError for options that do not go together."""
+        """Raise InputError for options that exclude each other or lack another option."""
         from surctl.errors import InputError
 
-        said = {"loss": self.loss, "delay": self.delay, "deadline": self.deadline, "timeout": self.timeout}
-        alone = [f"--link-{name}" for name, value in said.items() if value is not None]
+        options = {"loss": self.loss, "delay": self.delay, "deadline": self.deadline, "timeout": self.timeout}
+        alone = [f"--link-{name}" for name, value in options.items() if value is not None]
         if self.controller is None:
             if alone:
-                raise InputError("is for --controller", key=alone[0], remedy="add --controller tcp://127.0.0.1:PORT")
+                raise InputError("needs --controller", key=alone[0], remedy="add --controller tcp://127.0.0.1:PORT")
             return
         if campaign:
             raise InputError(
-                "flies single runs", key="--controller", remedy="leave --monte-carlo, --random-worlds and --from out"
+                "applies only to single runs",
+                key="--controller",
+                remedy="drop --monte-carlo, --random-worlds and --from",
             )
         if self.timeout is not None and not 0.0 < self.timeout <= 3600.0:
-            raise InputError("is no time", key="link-timeout", value=self.timeout, remedy="give seconds, above 0")
+            raise InputError(
+                "is not a valid time", key="link-timeout", value=self.timeout, remedy="give seconds, above 0"
+            )
         if not self.controller.startswith(("tcp://", "qemu:")):
             raise InputError(
-                "is no address of a controller",
+                "is not the address of a controller",
                 key="controller",
                 value=self.controller,
                 remedy="use tcp://HOST:PORT or qemu:cortex-m4f",
@@ -74,10 +80,10 @@ class ControllerOptions:
 
     @contextmanager
     def opened(self, law: Law, p: NDArray[np.float64], mission: Scenario, vehicle: Vehicle) -> Iterator[Line | None]:
-        """The line to the controller of this law with these numbers; None if the law itself is to fly.
+        """Open the connection to the controller of this law and these parameters; None if the law itself is simulated.
 
         Raises:
-            InputError: nobody listens there, or there is no such processor.
+            InputError: no controller listens at the address, or the processor is unknown.
         """
         if self.controller is None:
             yield None
@@ -102,10 +108,10 @@ class ControllerOptions:
     def linked(
         self, law: Law, p: NDArray[np.float64], line: Line | None, mission: Scenario, vehicle: Vehicle, *, seed: int
     ) -> LinkedLaw | None:
-        """A run's stepper over an open line.
+        """Return the stepper of a run that uses the open connection; None without a connection.
 
         Raises:
-            InputError: another controller than the one for this run is at the other end.
+            InputError: the connected controller is not the one of this run.
         """
         if line is None:
             return None
@@ -117,9 +123,9 @@ class ControllerOptions:
         from surctl.export import LinkFaults
 
         usual = LinkFaults()
-        said = (self.loss, self.delay, self.deadline)
+        options = (self.loss, self.delay, self.deadline)
         loss, delay, deadline = (
             value if value is not None else other
-            for value, other in zip(said, (usual.loss, usual.delay, usual.deadline), strict=True)
+            for value, other in zip(options, (usual.loss, usual.delay, usual.deadline), strict=True)
         )
         return LinkFaults(loss, delay, deadline, seed)

@@ -1,4 +1,4 @@
-"""`surctl export`: the controller as C."""
+"""`surctl export`: write the controller as C code."""
 
 from __future__ import annotations
 
@@ -15,30 +15,38 @@ from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
 __all__ = ["export"]
 
 MISSION = "pool-static"
-"""Scenario of an export that names none."""
+"""The default scenario of an export."""
 
 
 @click.command
-@click.option("--gains", default="default", help="Gains: name or file.")
-@click.option("--vehicle", help="Name or file; default: the scenario's.")
-@click.option("--scenario", default=MISSION, help="Default mission and sensors.")
+@click.option("--gains", default="default", metavar="FILE", help="Gain set: name or file (default set: default).")
+@click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
+@click.option(
+    "--scenario", default=MISSION, metavar="FILE", help="Mission and sensors: name or file (default pool-static)."
+)
 @click.option(
     "--law",
     default="guarded",
-    help="guarded, paper, closed_form, apf, dwa, vo or cbf.",
+    metavar="NAME",
+    help="Control law: guarded (default), paper, closed_form, apf, dwa, vo or cbf.",
 )
-@click.option("--avoidance", default="corrected", help="(20): printed, consistent or corrected.")
-@click.option("--guidance", default="los", help="los, ilos or alos.")
+@click.option(
+    "--avoidance",
+    default="corrected",
+    metavar="NAME",
+    help="Eq. (20): corrected (default), consistent or printed.",
+)
+@click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options
-@click.option("--sensing", default="sonar", help="sonar, or truth: obstacles as inputs.")
+@click.option("--sensing", default="sonar", metavar="NAME", help="Obstacles from sonar (default), or as inputs: truth.")
 @sensor_options
-@click.option("--name", help="Prefix of files and C symbols.")
-@click.option("--target", default="c99", help="c99; fmu adds an FMI 2.0 unit.")
-@click.option("--real", default="float64", help="float64 or float32.")
+@click.option("--name", metavar="TEXT", help="Prefix of files and C symbols (default: the law's name).")
+@click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), or fmu to add an FMI 2.0 unit.")
+@click.option("--real", default="float64", metavar="NAME", help="Number type: float64 (default) or float32.")
 @click.option(
     "--constant-gains",
     is_flag=True,
-    help="Compile gains and mission in (truth only).",
+    help="Compile gains and mission as constants; needs --sensing truth.",
 )
 @click.option(
     "--certificate",
@@ -46,20 +54,28 @@ MISSION = "pool-static"
     multiple=True,
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Certificate of the bundle; repeatable.",
+    help="Certificate to add to the bundle; repeatable.",
 )
-@click.option("--check", is_flag=True, help="Compare bytes of compilers and processors.")
+@click.option("--check", is_flag=True, help="Compare the output on several compilers and processors.")
 @click.option(
     "--prove",
     is_flag=True,
-    help="Prove no run-time error (Frama-C's Eva).",
+    help="Prove that no run-time error occurs (Frama-C's Eva).",
 )
-@click.option("--targets", help="Of --check, comma-separated.")
-@click.option("--steps", type=click.IntRange(min=1), help="Of --check (100000).")
+@click.option("--targets", metavar="A,B", help="Compilers and processors of --check (default: all available).")
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("surctl-out", "export"), help="Folder of the bundle."
+    "--steps", type=click.IntRange(min=1), metavar="N", help="Single steps that --check tries (default 100000)."
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of the replayed run.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("surctl-out", "export"),
+    metavar="DIR",
+    help="Folder of the bundle (default surctl-out/export).",
+)
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Seed of the replayed run (default 0)."
+)
 @as_json
 def export(
     gains: str,
@@ -88,12 +104,12 @@ def export(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Write the controller as C99, compile it, and compare it with Python over a whole run, step by step.
+    """Write the controller as C99, compile it, and compare it with Python at every step of a simulated run.
 
-    Sensor options override the scenario's tables. --check also steps it through gcc and clang at -O0 to -O3 and QEMU's
-    Cortex-M3, -M4F and -M7: each byte must be Python's; sizes and instructions are printed. --prove takes minutes with
-    sonars; gains that are no constants are then guarded by the ranges of the gain file. Exit status 1 when C and Python
-    differ.
+    Sensor options override the scenario's tables. --check also runs the code built by gcc and clang at -O0 to -O3 and
+    on QEMU's Cortex-M3, -M4F and -M7. Every output byte must equal Python's; code sizes and instruction counts are
+    printed. --prove takes minutes with sonar sensing; it covers gains within the ranges of the gain file. Exit status:
+    1 if C and Python differ.
 
     Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --sensing truth --real float32
     --check; surctl export --priority-mode projected --fallback bounded; surctl export --law closed_form --sensing truth
@@ -135,7 +151,7 @@ def export(
         if value not in known:
             raise InputError("is not available", key=key, value=value, remedy=nearest(value, known))
     if not check and (targets or steps):
-        raise InputError("is for --check", key="--targets" if targets else "--steps", remedy="add --check")
+        raise InputError("needs --check", key="--targets" if targets else "--steps", remedy="add --check")
     precision = REALS[REALS.index(real)]
     find_compiler()
     tried, untried = chosen_targets([name.strip() for name in targets.split(",")] if targets else ())
@@ -162,7 +178,7 @@ def export(
         within = replace(within, gains=gain_box(built, numbers, tuned.ranges))
     fixed = {} if constant_gains else built.gains.unpack(numbers)
     origin = origin_of(built, robot, load_certificates(certificates))
-    # before the flight, so that a name or a folder that will not do is told at once
+    # written before the simulation, so that an invalid name or folder is reported at once
     bundle = build_bundle(shipped, fixed, name=name, real=precision, envelope=within, origin=origin)
     proof = None
     if prove:
@@ -173,7 +189,7 @@ def export(
     if target == "fmu":
         progress("compiling the functional mock-up unit")
         files.append(write_fmu(shipped, bundle, shipped.gains.pack(fixed), out))
-    progress(f"flying {mission.name}")
+    progress(f"simulating {mission.name}")
     run = simulate(mission, robot, gains=tuned, law=built, sensing=sensing, seed=seed)
     record, metrics = run.record, run.metrics
     progress("compiling and replaying")
@@ -228,13 +244,13 @@ _RUN_OPTIONS = (
 
 
 def _how_to_start(out: Path, context: click.Context) -> tuple[str, str]:
-    """What starts the exported controller as a process, and what flies the same mission through it."""
+    """The command that starts the exported controller as a process, and the command that simulates with it."""
     words = [context.params["scenario"]]
     options = {parameter.name: parameter.opts[0] for parameter in context.command.params}
     for name in _RUN_OPTIONS:
         setting = context.params[name]
-        said = context.get_parameter_source(name) != ParameterSource.DEFAULT
-        if setting != "truth" if name == "sensing" else said:  # simulate has another default for that
+        given = context.get_parameter_source(name) != ParameterSource.DEFAULT
+        if setting != "truth" if name == "sensing" else given:  # simulate has another default for --sensing
             values = setting if isinstance(setting, tuple) else (setting,)
             words += [word for value in values for word in (options[name], str(value))]
     port = 5555

@@ -1,4 +1,4 @@
-"""The linear side of `surctl verify`: margins, poles, the slowest mode, the bearable speed."""
+"""The linear analysis of `surctl verify`: margins, poles, the slowest mode and the largest stable speed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["LinearPart", "linear_part"]
 
 
 class LinearPart(NamedTuple):
-    """What to print, what JSON has, and whether the loop is stable; None where there is no straight cruise."""
+    """Lines to print, data for JSON, and whether the loop is stable; None if no straight cruise is possible."""
 
     lines: list[str]
     data: dict[str, Any]
@@ -22,10 +22,10 @@ class LinearPart(NamedTuple):
 def linear_part(
     vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, uncertainty: float, requested: bool
 ) -> LinearPart:
-    """The linear side about a cruise speed [m/s], for the vehicle and the worst of its uncertainty.
+    """Return the linear analysis about a cruise speed [m/s], for the nominal vehicle and the worst uncertain one.
 
     Raises:
-        InputError: the vehicle cannot hold a cruise speed that was asked for; or a gain that is no gain.
+        InputError: the vehicle cannot hold a requested cruise speed, or a gain is missing or not positive.
     """
     import numpy as np
 
@@ -57,11 +57,11 @@ def linear_part(
     least = min(margins, key=lambda m: m.delay_margin_s)
     stable = all(m.stable for m in margins)
     off = f" with mass and drag off by ±{uncertainty:.0%}" if uncertainty else ""
-    word = f"stable, least delay {least.delay_margin_s:.2f} s ({least.name})" if stable else "UNSTABLE"
+    word = f"stable, least delay margin {least.delay_margin_s:.2f} s ({least.name})" if stable else "UNSTABLE"
     lines = [f"margins of {vehicle.name}{off}: {word}", *mode.lines()]
     if not stable:
         lines.append(
-            "  the kinematic claims assume that the vehicle follows the commanded velocity: this loop does not"
+            "  the kinematic claims assume that the vehicle follows the commanded velocity, but this loop is unstable"
         )
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt)
     curves = [sensitivity_of(open_loop(cascade, p), p, highest=np.pi / dt) for p in DISK_PLACES[:2] if cascade.stable]

@@ -1,4 +1,4 @@
-"""`surctl lint`: what in a file cannot work."""
+"""`surctl lint`: find entries of a file that cannot work."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ _NEXT = {
 
 
 def _file_findings(loaded: object) -> list[Finding]:
-    """What a vehicle or a region claim says that cannot work."""
+    """The entries of a vehicle or a region claim that cannot work."""
     from surctl.simulation import Finding
     from surctl.vehicle import Vehicle
     from surctl.verification.region import RegionStatement
 
     if isinstance(loaded, Vehicle) and set(loaded.name) & set("/\\"):
-        text = f"{loaded.name!r} cannot be part of a file name: leave / and \\ out"
+        text = f"{loaded.name!r} cannot be part of a file name: remove / and \\"
         return [Finding("error", "name", text)]
     if isinstance(loaded, RegionStatement) and loaded.loop == "cruise":
         cruise, cap = loaded.cruise_m_per_s, loaded.cap_m_per_s
@@ -46,10 +46,10 @@ def _file_findings(loaded: object) -> list[Finding]:
 
 @click.command
 @click.argument("file")
-@click.option("--vehicle", help="Vehicle of a scenario; default: its own.")
+@click.option("--vehicle", metavar="FILE", help="Vehicle for a scenario: name or file (default: the scenario's).")
 @as_json
 def lint(file: str, vehicle: str | None, as_json: bool) -> None:
-    """Check a file and say what in it cannot work, and why. Exit status 1 when something cannot.
+    """Check a file and print which entries cannot work, and why. Exit status: 1 if an entry cannot work.
 
     Examples: surctl lint my-vehicle.toml; surctl lint pool-static --vehicle sur540-flooded
     """

@@ -1,4 +1,4 @@
-"""`surctl list`: what there is."""
+"""`surctl list`: list the built-in files and claims."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["listing"]
 
 
 @click.command("list")
-@click.option("--show", metavar="NAME", help="Print the built-in file of that name instead.")
+@click.option("--show", metavar="NAME", help="Print the built-in file NAME instead of the list.")
 @as_json
 def listing(show: str | None, as_json: bool) -> None:
     """List built-in vehicles, gain files, scenarios, studies, goals, claims, region claims and braking claims.
@@ -41,7 +41,7 @@ def listing(show: str | None, as_json: bool) -> None:
             raise InputError("no such built-in file", key="--show", value=show, remedy=nearest(show, known))
         if len(hits) > 1:
             both = ", ".join(full for full, p in known.items() if p in hits)
-            raise InputError("is not unique", key="--show", value=show, remedy=f"name one of {both}")
+            raise InputError("is the name of several files", key="--show", value=show, remedy=f"choose one of {both}")
         sys.stdout.write(hits[0].read_text(encoding="utf-8"))
         return
     names = {kind: list(group) for kind, group in files.items()}

@@ -1,4 +1,4 @@
-"""`surctl new`: a commented file to start from."""
+"""`surctl new`: write a commented file to start from."""
 
 from __future__ import annotations
 
@@ -24,13 +24,17 @@ _NEXT = {
 @click.command
 @click.argument("kind", type=click.Choice(list(_NEXT)))
 @click.argument("name")
-@click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="Where to; default: NAME.toml, NAME.py.")
-@click.option("--force", is_flag=True, help="Write over a file that is there.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), metavar="FILE", help="File to write (default NAME.toml or NAME.py)."
+)
+@click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @as_json
 def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> None:
-    """Write a commented file to start from: a vehicle, scenario, study, or a task in Python.
+    """Write a commented file to start from: a vehicle, a scenario, a study, or a task in Python.
 
-    It works as it is. Examples: surctl new vehicle my-robot; surctl new scenario harbour --out sites/harbour.toml
+    The file works without changes.
+
+    Examples: surctl new vehicle my-robot; surctl new scenario harbour --out sites/harbour.toml
     """
     from surctl.errors import InputError
     from surctl.files import quoted
@@ -38,7 +42,7 @@ def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> N
     template = next(_TEMPLATES.glob(f"{kind}.*"))
     identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
     if kind == "task" and not identifier.isidentifier():
-        raise InputError("is no name of a task", key="name", value=name, remedy="begin with a letter")
+        raise InputError("cannot name a task", key="name", value=name, remedy="begin with a letter")
     text = template.read_text(encoding="utf-8").replace("@NAME@", quoted(name)).replace("@IDENTIFIER@", identifier)
     suffix = ".py" if kind == "task" else ".toml"
     target = write_new(out or path_of(name, suffix), text, force=force)
@@ -49,23 +53,23 @@ def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> N
 
 
 def path_of(name: str, suffix: str) -> Path:
-    """The file in this folder that is named after what it holds.
+    """Return the file in the current folder that has the given name and suffix.
 
     Raises:
-        InputError: a name that is empty, leads to another folder or holds what does not print.
+        InputError: the name is empty, contains a folder, or has characters that cannot be printed.
     """
     from surctl.errors import InputError
 
     if not name.strip() or Path(name).name != name or not name.isprintable():
-        raise InputError("cannot be a file's name", key="name", value=name, remedy="say where to with --out FILE")
+        raise InputError("cannot be a file name", key="name", value=name, remedy="choose a file with --out FILE")
     return Path(f"{name}{suffix}")
 
 
 def write_new(target: Path, text: str, *, force: bool) -> Path:
-    """Write a file that is not there yet.
+    """Write a new file; with `force`, overwrite an existing file.
 
     Raises:
-        InputError: it is there, and not `force`; or it cannot be written.
+        InputError: the file exists and `force` is not set, or the file cannot be written.
     """
     from surctl.errors import InputError
     from surctl.files import write_file
@@ -75,5 +79,5 @@ def write_new(target: Path, text: str, *, force: bool) -> Path:
     except OSError as error:  # a name too long
         raise InputError(f"cannot be written ({error.strerror})", file=target, remedy="choose another --out") from None
     if there and not force:
-        raise InputError("is there already", file=target, remedy="choose another --out, or give --force")
+        raise InputError("already exists", file=target, remedy="choose another --out, or add --force")
     return write_file(target, text)

@@ -1,4 +1,4 @@
-"""What every command prints: a summary for people, or one JSON object on stdout; progress goes to stderr."""
+"""The output of all commands: a text summary or one JSON object on stdout, and progress on stderr."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ C = TypeVar("C", bound=Callable[..., Any])
 
 
 def together(*options: Callable[[C], C]) -> Callable[[C], C]:
-    """Several options as one decorator; the help has them in this order."""
+    """Combine several options into one decorator; the help lists them in this order."""
 
     def decorate(command: C) -> C:
         for option in reversed(options):
@@ -50,11 +50,13 @@ def together(*options: Callable[[C], C]) -> Callable[[C], C]:
 
 
 as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
-out_folder = click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder for plots.")
+out_folder = click.option(
+    "--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder for plots and files (default: no files)."
+)
 
 
 def finite(value: Any) -> Any:
-    """The same data with every number that JSON does not know (NaN, infinities) as null."""
+    """Return the same data with null for every number that JSON cannot represent (NaN and infinities)."""
     if isinstance(value, Mapping):
         return {str(k): finite(v) for k, v in value.items()}
     if isinstance(value, str):
@@ -67,7 +69,7 @@ def finite(value: Any) -> Any:
 
 
 def printable(lines: Sequence[str]) -> list[str]:
-    """The lines with what is not printed as itself (control and format characters) escaped as in JSON."""
+    """Return the lines with control and format characters escaped as in JSON."""
     return [
         line if line.isprintable() else "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in line)
         for line in lines
@@ -77,10 +79,10 @@ def printable(lines: Sequence[str]) -> list[str]:
 def finish(
     result: Mapping[str, Any], lines: Sequence[str], *, as_json: bool, passed: bool, then: Sequence[str] = ()
 ) -> None:
-    """Print the result, with the commands that one would give next, and end with status 0 if `passed`, else 1."""
+    """Print the result and the suggested next commands, and exit with status 0 if `passed`, otherwise 1."""
     shown = [*lines, "next", *(f"  {command}" for command in then)] if then else lines
-    said = {**result, "next": list(then)} if then else result
-    lines = printable([json.dumps(finite(said), ensure_ascii=not is_utf8())]) if as_json else shown
+    data = {**result, "next": list(then)} if then else result
+    lines = printable([json.dumps(finite(data), ensure_ascii=not is_utf8())]) if as_json else shown
     text = "\n".join(lines)
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
@@ -88,12 +90,12 @@ def finish(
 
 
 class Stopped(click.Abort):
-    """The user stopped the command; the message says what is kept, and how to go on."""
+    """The user stopped the command; the message says which results are saved and how to continue."""
 
 
 @contextmanager
 def stoppable(message: str, lines: Sequence[str] = (), *, as_json: bool = False) -> Iterator[None]:
-    """Ctrl-C inside prints the lines that there are by then, unless JSON is asked for, and becomes `Stopped`."""
+    """Turn Ctrl-C in the block into `Stopped`; the lines collected so far are printed first, except with --json."""
     try:
         yield
     except KeyboardInterrupt:
@@ -104,7 +106,7 @@ def stoppable(message: str, lines: Sequence[str] = (), *, as_json: bool = False)
 
 
 def at_hand(scenario: Scenario, vehicle: Vehicle, gains: str) -> list[str]:
-    """The options by which a next command is about the same mission, vehicle and gain file."""
+    """Return the options that give a next command the same mission, vehicle and gain file."""
     from surctl.simulation import LIBRARY as SCENARIOS
     from surctl.vehicle import LIBRARY as VEHICLES
 
@@ -116,17 +118,17 @@ def at_hand(scenario: Scenario, vehicle: Vehicle, gains: str) -> list[str]:
 
 
 def refusal_line(refused: Inapplicable) -> str:
-    """A claim that is not about the case at hand, in one line."""
+    """Return one line for a claim that is not applicable."""
     return f"n/a  {refused.claim:<22} {refused.sentence}"
 
 
 def same_command() -> str:
-    """What was typed, for a shell."""
+    """Return the command line of this process, quoted for a shell."""
     return shlex.join(["surctl", *sys.argv[1:]])
 
 
 def progress(text: str) -> None:
-    """One line of progress on stderr."""
-    with suppress(OSError):  # a full disk under the log stops no computation
+    """Print one line of progress on stderr."""
+    with suppress(OSError):  # a log that cannot be written does not stop the computation
         sys.stderr.write(f"  {text}\n")
         sys.stderr.flush()

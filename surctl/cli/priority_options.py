@@ -1,4 +1,4 @@
-"""The options that choose how the law keeps limits."""
+"""The options that select how the law treats task priorities and infeasible limits."""
 
 from __future__ import annotations
 
@@ -9,11 +9,17 @@ from surctl.cli.output import together
 __all__ = ["priority_options"]
 
 priority_options = together(
-    click.option("--priority-mode", default="nsb", help="nsb, filter, projected or lexicographic."),
+    click.option(
+        "--priority-mode",
+        default="nsb",
+        metavar="NAME",
+        help="Priorities: nsb (default), filter, projected or lexicographic.",
+    ),
     click.option(
         "--fallback",
         default="exact",
-        help="Infeasible limits: exact or bounded solution.",
+        metavar="NAME",
+        help="If limits are infeasible: exact (default) or bounded.",
     ),
 )
-"""Give a command the options; it takes them as `priority_mode` and `fallback`."""
+"""A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""

@@ -1,4 +1,4 @@
-"""Region claims of `surctl verify`: names that begin with `region-`, and files of kind region."""
+"""Region claims of `surctl verify`: claims whose names begin with `region-`, and claim files of kind region."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["Regions", "is_region", "prove_regions", "region_of"]
 
 
 class Regions(NamedTuple):
-    """What the region claims came to: plain data, lines to print, certificates, whether all were proved."""
+    """The result of the region claims: plain data, lines to print, certificate files, and whether all are proved."""
 
     claims: list[dict[str, Any]]
     lines: list[str]
@@ -24,7 +24,7 @@ class Regions(NamedTuple):
 
 
 def is_region(word: str) -> bool:
-    """Whether a claim's name is that of a region claim, or a file's kind is region.
+    """Whether a word is the name of a region claim or a file of kind region.
 
     Raises:
         InputError: the file cannot be read.
@@ -37,10 +37,10 @@ def is_region(word: str) -> bool:
 
 
 def region_of(word: str) -> RegionStatement:
-    """The region claim of that name or file.
+    """Return the region claim with the given name or file.
 
     Raises:
-        InputError: no such claim, or a file that is none.
+        InputError: the claim is unknown, or the file is not a region claim.
     """
     from surctl.verification.region import load_region, region_statement
 
@@ -56,17 +56,17 @@ def prove_regions(
     seed: int = 0,
     out: Path | None = None,
 ) -> Regions:
-    """Prove region claims by name or file, for a vehicle and a gain file; the certificates go to `out` as NAME.json.
+    """Prove region claims for a vehicle and a gain file; the certificates are written to `out` as NAME.json.
 
     Args:
-        words: names and files.
+        words: names and files of the claims.
         vehicle, gains: names or files.
-        speeds: cruise speed and cap [m/s], for claims that do not name their own.
-        seed: of the search.
+        speeds: cruise speed and speed limit [m/s], for claims that do not set their own.
+        seed: seed of the search.
         out: folder of the certificates.
 
     Raises:
-        InputError: an unknown claim, vehicle or gain file; before anything is proved.
+        InputError: a claim, vehicle or gain file is unknown; the error is raised before the first proof.
     """
     from surctl.control import load_gains
     from surctl.errors import InputError, NotApplicable
@@ -78,7 +78,7 @@ def prove_regions(
     stated = {word: region_of(word) for word in words}
     refused: dict[str, Inapplicable] = {}
     cruise, cap = speeds
-    for word, statement in stated.items():  # what is wrong is said before anything is proved
+    for word, statement in stated.items():  # mistakes are reported before the first proof
         try:
             statement.claim(robot, values, cruise=cruise, cap=cap)
         except NotApplicable as reason:

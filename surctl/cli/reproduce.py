@@ -1,4 +1,4 @@
-"""`surctl reproduce`: the paper side by side."""
+"""`surctl reproduce`: compare our results with the paper's, row by row."""
 
 from __future__ import annotations
 
@@ -17,15 +17,18 @@ __all__ = ["reproduce", "row_lines"]
 
 @click.command
 @click.argument("rows", nargs=-1)
-@click.option("--quick", is_flag=True, help="3 seeds and fewer samples.")
-@click.option("--seeds", type=click.IntRange(min=1), help="Seeds of each scenario; default 20.")
+@click.option("--quick", is_flag=True, help="Use 3 seeds for each scenario and fewer samples.")
+@click.option(
+    "--seeds", type=click.IntRange(min=1), metavar="N", help="Number of seeds for each scenario (default 20)."
+)
 @out_folder
 @as_json
 def reproduce(rows: tuple[str, ...], quick: bool, seeds: int | None, out: Path | None, as_json: bool) -> None:
-    """Compute what the paper prints and say where it agrees, row by row; all rows, or those of the ids given.
+    """Compute the paper's results again and print where they agree: all rows, or only the rows with the given ids.
 
-    Exit status 1 when a row is missing, a verdict is not the one recorded with the row, or a flight collides or does
-    not arrive. A time that differs is told with its reason. With --out a page with the paper's figures redrawn.
+    Exit status: 1 if a row is missing, a verdict differs from the recorded one, or a simulated run collides or does not
+    arrive. A travel time that differs from the paper's is printed with the reason. --out writes a page with the paper's
+    figures drawn again.
 
     Examples: surctl reproduce --quick; surctl reproduce E5 v1-printed tank-static; surctl reproduce --out paper
     """
@@ -35,7 +38,7 @@ def reproduce(rows: tuple[str, ...], quick: bool, seeds: int | None, out: Path |
     if out is not None:
         prepare_folder(out)
     lines = list[str]()
-    with stoppable("the rows above are done; name the others: surctl reproduce ROW", lines, as_json=as_json):
+    with stoppable("the rows above are finished; for the others: surctl reproduce ROW", lines, as_json=as_json):
         done = compute(rows, quick=quick, seeds=seeds, progress=progress, done=lambda row: lines.extend(row_lines(row)))
     lines += [f"FAIL {name}: the row is missing" for name in done.missing]
     good = sum(row.as_expected for row in done.rows)
@@ -52,7 +55,7 @@ def reproduce(rows: tuple[str, ...], quick: bool, seeds: int | None, out: Path |
 
 
 def row_lines(row: Row) -> list[str]:
-    """One row: print and computation side by side, then the verdict and the command."""
+    """Return the lines of one row: the paper's result, our result, the verdict and the command."""
     item, mark = row.item, "ok  " if row.as_expected else "FAIL"
     return [
         f"{mark} {item.id:<26} {item.what}",

@@ -1,4 +1,4 @@
-"""The options of `surctl simulate` that change a scenario's sensors: read, checked, and laid over its tables."""
+"""The sensor options of `surctl simulate` and `surctl export`; they override the sensor tables of a scenario."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ FORM = "KIND:SENSOR[:START[:DURATION]]"
 OWN_STATES = ("measured", "truth")
 
 _PARTS = {
-    "sensor": ("sensor", "count them from 0"),
-    "start_s": ("start", "give s, at least 0"),
-    "duration_s": ("duration", "give s, greater than 0"),
+    "sensor": ("sensor", "count sensors from 0"),
+    "start_s": ("start", "give seconds, at least 0"),
+    "duration_s": ("duration", "give seconds, greater than 0"),
     "delay_s": ("delay", "give 0.1 to 0.8 s"),
 }
 sensor_options = together(
@@ -33,28 +33,30 @@ sensor_options = together(
         "faults",
         multiple=True,
         metavar="FAULT",
-        help="KIND:SENSOR[:START[:DURATION]]; repeatable.",
+        help="Fault KIND:SENSOR[:START_S[:DURATION_S]]; repeatable.",
     ),
     click.option(
         "--chance",
         "chances",
         multiple=True,
         metavar="KIND=P",
-        help="Fault probability per firing; repeatable.",
+        help="Probability P of this fault per firing; repeatable.",
     ),
-    click.option("--beam", type=float, metavar="DEG", help="Full opening angle of each sonar beam."),
-    click.option("--own-state", help="Own position: measured or truth."),
+    click.option("--beam", type=float, metavar="DEG", help="Sonar beam angle [deg] (default: the scenario's)."),
+    click.option("--own-state", metavar="NAME", help="Own pose: measured or truth (default: the scenario's)."),
 )
-"""Give a command the options; it takes them as `faults`, `chances`, `beam`, `own_state`."""
+"""A decorator that adds these options to a command.
+
+The command receives them as `faults`, `chances`, `beam` and `own_state`."""
 
 
 @dataclass(frozen=True)
 class SensorOptions:
-    """The options as they were typed; what is not given is as the scenario has it, what is given replaces it.
+    """The sensor options of the command line; an option that is not given leaves the scenario's value unchanged.
 
     Attributes:
-        faults: each as `parse_fault` reads it; any takes the place of all faults of the scenario.
-        chances: each as `parse_chances` reads it; any takes the place of all chances of the scenario.
+        faults: faults in the form of `parse_fault`; they replace all faults of the scenario.
+        chances: fault probabilities in the form of `parse_chances`; they replace all probabilities of the scenario.
         beam: full opening angle of the sonars [°].
         own_state: `measured` or `truth`.
     """
@@ -65,7 +67,7 @@ class SensorOptions:
     own_state: str | None = None
 
     def check(self, *, law: str, sensing: str) -> None:
-        """InputError for an option that would have no effect on these flights, or none that is known."""
+        """Raise InputError for an option that has no effect on these runs, or for an unknown value."""
         from surctl.errors import InputError, nearest
 
         options = {"--fault": self.faults, "--chance": self.chances, "--beam": self.beam, "--own-state": self.own_state}
@@ -73,21 +75,27 @@ class SensorOptions:
             if value is not None and value != () and sensing == "truth":
                 text = value if key in ("--beam", "--own-state") else " ".join(value)  # type: ignore[arg-type]
                 raise InputError(
-                    "has no effect with true positions", key=key, value=text, remedy="add --sensing sonar, or drop it"
+                    "has no effect with true positions",
+                    key=key,
+                    value=text,
+                    remedy="add --sensing sonar, or drop this option",
                 )
         if self.beam is not None and law == "paper":
             raise InputError(
-                "law paper has the four sonars of the paper", key="--beam", value=self.beam, remedy="fly law guarded"
+                "does not apply to law paper, which has the four sonars of the paper",
+                key="--beam",
+                value=self.beam,
+                remedy="use law guarded",
             )
         if self.own_state is not None and self.own_state not in OWN_STATES:
             remedy = nearest(self.own_state, OWN_STATES)
             raise InputError("is not known", key="--own-state", value=self.own_state, remedy=remedy)
 
     def over(self, scenario: Scenario) -> Scenario:
-        """The scenario with these sensors.
+        """Return the scenario with these sensor options.
 
         Raises:
-            InputError: an option that says nothing, or what the scenario's sonars cannot have.
+            InputError: an option cannot be read, or the scenario's sonars do not support it.
         """
         return replace(scenario, sensors=self._sensors(scenario.sensors))
 
@@ -105,10 +113,10 @@ class SensorOptions:
 
 
 def parse_fault(text: str) -> Fault:
-    """A fault from KIND:SENSOR[:START[:DURATION]], times in s; of a delay KIND is `delay=SECONDS`.
+    """Read a fault from KIND:SENSOR[:START[:DURATION]] with times in s; for a delay, KIND is `delay=SECONDS`.
 
     Raises:
-        InputError: an unknown kind, a part that is missing, too much, no number or out of its range.
+        InputError: the kind is unknown, or a part is missing, superfluous, not a number or out of range.
     """
     from surctl.errors import InputError, nearest
     from surctl.files import validate
@@ -118,17 +126,17 @@ def parse_fault(text: str) -> Fault:
     head, *rest = text.split(":")
     kind, equals, delay = head.partition("=")
     if kind not in FAULT_KINDS:
-        _refuse("no such fault", text, f"{nearest(kind, FAULT_KINDS)}; write {FORM}")
+        _refuse("is not a known fault", text, f"{nearest(kind, FAULT_KINDS)}; write {FORM}")
     if not 1 <= len(rest) <= 3:
         _refuse("names no sensor" if not rest else "has too many parts", text, f"write {FORM}")
     if kind == "delay" and not equals:
-        _refuse("a delay needs its length", text, "write delay=SECONDS:SENSOR")
+        _refuse("does not give the length of the delay", text, "write delay=SECONDS:SENSOR")
     if kind != "delay" and equals:
         _refuse(f"a {kind} fault takes no number", text, f"write {kind}:SENSOR")
     if kind == "dead" and len(rest) == 3:
-        _refuse("a dead sensor stays dead", text, "write dropout for one that comes back")
+        _refuse("a dead sensor stays dead", text, "use dropout for a fault that ends")
     if not (rest[0].isascii() and rest[0].isdecimal() and len(rest[0]) < 10):
-        _refuse(f"sensor {rest[0]!r} is no whole number", text, _PARTS["sensor"][1])
+        _refuse(f"sensor {rest[0]!r} is not a whole number", text, _PARTS["sensor"][1])
     table: dict[str, object] = {"kind": kind, "sensor": int(rest[0])}
     for key, part in (("delay_s", [delay] if equals else []), ("start_s", rest[1:2]), ("duration_s", rest[2:3])):
         if part:
@@ -141,11 +149,11 @@ def parse_fault(text: str) -> Fault:
 
 
 def parse_chances(texts: Sequence[str]) -> FaultChances:
-    """The chances of several KIND=P.
+    """Read the fault probabilities from several texts KIND=P.
 
     Raises:
-        InputError: an unknown kind, one that does not strike by chance, a kind twice, P that is no number in [0, 1],
-            or chances that add up to more than 1.
+        InputError: a kind is unknown, does not occur at random or is given twice, P is not a number in [0, 1], or the
+            probabilities add up to more than 1.
     """
     from surctl.errors import InputError, nearest
     from surctl.sensing import FAULT_KINDS, FaultChances
@@ -154,30 +162,30 @@ def parse_chances(texts: Sequence[str]) -> FaultChances:
     for text in texts:
         kind, equals, number = text.partition("=")
         if kind in FAULT_KINDS and kind not in FaultChances.kinds():
-            _refuse(f"{kind} does not strike by chance", text, f"write --fault {kind}:SENSOR", key="--chance")
+            _refuse(f"{kind} does not occur at random", text, f"write --fault {kind}:SENSOR", key="--chance")
         if kind not in FaultChances.kinds():
-            _refuse("no such fault", text, nearest(kind, FaultChances.kinds()), key="--chance")
+            _refuse("is not a known fault", text, nearest(kind, FaultChances.kinds()), key="--chance")
         if not equals:
-            _refuse("has no number", text, f"write {kind}=P", key="--chance")
+            _refuse("has no probability", text, f"write {kind}=P", key="--chance")
         if kind in chances:
             _refuse(f"{kind} is given twice", text, "give each kind once", key="--chance")
         chance = _float(number)
         if not 0 <= chance <= 1:
-            _refuse("is no chance", text, "give a number from 0 to 1", key="--chance")
+            _refuse("is not a probability", text, "give a number from 0 to 1", key="--chance")
         chances[kind] = chance
     total = sum(chances.values())
     if total > 1.0 + 1e-12:
         raise InputError(
-            f"the chances of one firing add up to {total:g}",
+            f"the fault probabilities of one firing add up to {total:g}",
             key="--chance",
             value=" ".join(texts),
-            remedy="at most one fault strikes: keep the sum to 1",
+            remedy="reduce them to a sum of at most 1, because at most one fault occurs",
         )
     return FaultChances(**chances)
 
 
 def sensor_data(scenario: Scenario) -> dict[str, Any]:
-    """What of a scenario's sensors the options may change, as plain data."""
+    """Return the sensor settings that the options may change, as plain data."""
     sensors = scenario.sensors
     return {
         "beam_deg": degrees(sensors.equipment.array.beam_angle),
@@ -195,7 +203,7 @@ def _checked(array: SonarArray, text: str) -> Fault:
     try:
         check_faults(array, [fault])
     except InputError as error:
-        _refuse(error.problem, text, error.remedy or "name another")
+        _refuse(error.problem, text, error.remedy or "choose another fault")
     return fault
 
 
@@ -207,7 +215,7 @@ def _possible(array: SonarArray, texts: Sequence[str]) -> FaultChances:
     try:
         check_faults(array, [], chances)
     except InputError as error:
-        _refuse(error.problem, " ".join(texts), error.remedy or "drop it", key="--chance")
+        _refuse(error.problem, " ".join(texts), error.remedy or "drop this option", key="--chance")
     return chances
 
 
@@ -215,11 +223,11 @@ def _widened(array: SonarArray, beam: float) -> SonarArray:
     from surctl.errors import InputError
 
     if not 0 < beam < 180:
-        raise InputError("is no opening angle", key="--beam", value=beam, remedy="give degrees between 0 and 180")
+        raise InputError("is not a beam angle", key="--beam", value=beam, remedy="give degrees between 0 and 180")
     try:
         return replace(array, beam_angle=radians(beam))
     except InputError as error:
-        now = f"the scenario has {degrees(array.beam_angle):g}"
+        now = f"the scenario has {degrees(array.beam_angle):g} degrees"
         raise InputError(error.problem, key="--beam", value=beam, remedy=error.remedy or now) from None
 
 
@@ -227,7 +235,7 @@ def _number(part: str, text: str, key: str) -> float:
     name, remedy = _PARTS[key]
     value = _float(part)
     if not isfinite(value):
-        _refuse(f"{name} {part!r} is no number", text, remedy)
+        _refuse(f"{name} {part!r} is not a number", text, remedy)
     return value
 
 

@@ -1,4 +1,4 @@
-"""`surctl simulate`: closed-loop runs."""
+"""`surctl simulate`: simulate scenarios in closed loop."""
 
 from __future__ import annotations
 
@@ -20,26 +20,34 @@ __all__ = ["simulate"]
 
 @click.command
 @click.argument("scenarios", nargs=-1)
-@click.option("--vehicle", help="Name or file; default: the scenario's.")
-@click.option("--gains", default="default", help="Gains: name or file.")
+@click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
+@click.option("--gains", default="default", metavar="FILE", help="Gain set: name or file (default set: default).")
 @click.option(
     "--law",
     default="guarded",
-    help="guarded, paper, closed_form, apf, dwa, vo or cbf.",
+    metavar="NAME",
+    help="Control law: guarded (default), paper, closed_form, apf, dwa, vo or cbf.",
 )
-@click.option("--avoidance", default="corrected", help="(20): printed, consistent or corrected.")
-@click.option("--guidance", default="los", help="los, ilos or alos.")
+@click.option(
+    "--avoidance",
+    default="corrected",
+    metavar="NAME",
+    help="Eq. (20): corrected (default), consistent or printed.",
+)
+@click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options
-@click.option("--sensing", default="truth", help="truth or sonar.")
+@click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
 @barrier_options
 @sensor_options
 @controller_options
-@click.option("--seed", type=click.IntRange(min=0), default=0, help="First seed.")
-@click.option("--runs", type=click.IntRange(min=1), default=1, help="Number of seeds.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="First seed (default 0).")
+@click.option(
+    "--runs", type=click.IntRange(min=1), default=1, metavar="N", help="Runs per scenario, one seed each (default 1)."
+)
 @click.option("--explain", "explained", is_flag=True, help="Print which limits override which tasks.")
 @animate_option
-@click.option("--save", metavar="FORMAT", help="Record each run in DIR: csv, mat or nc.")
-@click.option("--frame", help="Of --save: enu or ned.")
+@click.option("--save", metavar="FORMAT", help="Save each run in DIR as csv, mat or nc.")
+@click.option("--frame", metavar="NAME", help="Frame of --save: enu (default) or ned.")
 @campaign_options
 @out_folder
 @as_json
@@ -79,10 +87,10 @@ def simulate(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Simulate scenarios in closed loop; exit status 1 unless every run arrives unharmed.
+    """Simulate scenarios in closed loop. Exit status: 1 if a run collides or does not arrive.
 
-    Sensor options override the scenario's tables. A campaign (--monte-carlo, --random-worlds) keeps its runs in DIR and
-    resumes there. --controller steps the exported C and compares each command with Python's.
+    Sensor options override the scenario's tables. A campaign (--monte-carlo, --random-worlds) saves its runs in DIR and
+    resumes there. --controller compares each command of the exported C with Python's.
 
     Examples: surctl simulate pool-static --sensing sonar --runs 5; surctl simulate tank-static --runs 1000
     --monte-carlo --out mc; surctl simulate pool-static --controller tcp://127.0.0.1:5555
@@ -126,7 +134,7 @@ def simulate(
         campaign.run(campaign_plans, runs=worlds or runs, out=out, as_json=as_json)
     plans = [sensors.over(load_scenario(name)) for name in scenarios]
     vehicles = [load_vehicle(scenario.vehicle if vehicle is None else vehicle) for scenario in plans]
-    laws = [  # takes a second, so a mistake is told before
+    laws = [  # built after the other checks, because it takes a second
         build_law(
             law,
             avoidance=avoidance,
@@ -142,7 +150,7 @@ def simulate(
         for scenario, robot in zip(plans, vehicles, strict=True)
     ]
     results, lines = [], list[str]()
-    message = "the runs above are done" + (f", files in {out}" if out else "") + "; --seed K begins with another one"
+    message = "the runs above are finished" + (f", files in {out}" if out else "") + "; --seed N starts at another seed"
     with stoppable(message if runs * len(plans) > 1 else "the run was not finished", lines, as_json=as_json):
         for scenario, simulated, built in zip(plans, vehicles, laws, strict=True):
             p = law_numbers(scenario, chosen, simulated)
@@ -185,9 +193,9 @@ def _check_fallback(fallback: str, *, mode: str, explained: bool, campaign: bool
 
     check_fallback(fallback, mode=mode)
     if campaign:
-        raise InputError("flies single runs", key="--fallback", value=fallback, remedy="leave --monte-carlo out")
+        raise InputError("applies only to single runs", key="--fallback", value=fallback, remedy="drop --monte-carlo")
     if explained:
-        raise InputError("is not explained", key="--fallback", value=fallback, remedy="leave --explain out")
+        raise InputError("cannot be explained", key="--fallback", value=fallback, remedy="drop --explain")
 
 
 def _check_save(save: str | None, frame: str | None, *, out: Path | None, campaign: bool) -> None:
@@ -200,11 +208,11 @@ def _check_save(save: str | None, frame: str | None, *, out: Path | None, campai
     if frame is not None:
         check_frame(frame, key="--frame")
     if save is None:
-        raise InputError("says of what?", key="--frame", value=frame, remedy="add --save csv, mat or nc")
+        raise InputError("needs --save", key="--frame", value=frame, remedy="add --save csv, mat or nc")
 
     if save not in RECORD_FORMATS:
         raise InputError("is not known", key="--save", value=save, remedy=nearest(save, RECORD_FORMATS))
     if campaign:
-        raise InputError("does not go with a campaign", key="--save", remedy="its runs are in runs.csv")
+        raise InputError("cannot be combined with a campaign", key="--save", remedy="use the campaign's file runs.csv")
     if out is None:
-        raise InputError("needs a folder", key="--save", remedy="add --out DIR")
+        raise InputError("needs an output folder", key="--save", remedy="add --out DIR")

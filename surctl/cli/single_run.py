@@ -1,4 +1,4 @@
-"""What a command prints of one closed-loop run."""
+"""The output of a command about one closed-loop run."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["further_output", "linear_part", "run_line"]
 
 
 def run_line(run: Run) -> str:
-    """Who flew what, and how it ended."""
+    """Return one line with the scenario, the vehicle, the end of the run and its main metrics."""
     m = run.metrics
     missed = (
         f", a corner missed by {m.missed_corner_m:.3f} m" if m.missed_corner_m > run.scenario.arrival_radius else ""
@@ -25,7 +25,7 @@ def run_line(run: Run) -> str:
 
 
 def linear_part(run: Run, result: dict[str, Any]) -> list[str]:
-    """What the linear loop at the cruise speed says of a run, beside how it ended; a line where it is unstable."""
+    """Add the stability of the linear loop at the cruise speed to `result`; return lines if the loop is unstable."""
     from surctl.errors import InputError
     from surctl.verification.cascade import build_cascade, has_cascade
     from surctl.verification.linear import slowest_mode
@@ -36,7 +36,7 @@ def linear_part(run: Run, result: dict[str, Any]) -> list[str]:
         return []
     try:
         stable = build_cascade(run.vehicle, gains, cruise=cruise, dt=dt).stable
-    except InputError:  # the thrust does not hold that speed, which lint says
+    except InputError:  # the thrust cannot hold this speed; lint reports it
         return []
     result["linear"] = {"cruise_m_per_s": cruise, "stable": stable}
     if stable:
@@ -52,8 +52,10 @@ def linear_part(run: Run, result: dict[str, Any]) -> list[str]:
 def further_output(
     run: Run, result: dict[str, Any], *, explained: bool, out: Path | None, animate: Path | None = None
 ) -> list[str]:
-    """Further lines: changes of depth, explanations and moving picture, which go into `result` too, and the plots in
-    the folder `out`."""
+    """Return lines about depth changes, explanations, animation and plots, and write the plots to the folder `out`.
+
+    Explanations and the animation are added to `result` too.
+    """
     from surctl.simulation import depth_changes
 
     lines = [f"  {change}" for change in depth_changes(run)]

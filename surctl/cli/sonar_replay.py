@@ -1,4 +1,4 @@
-"""`surctl sonar-replay`: recorded readings through the sonar filter."""
+"""`surctl sonar-replay`: run recorded readings through the sonar filter."""
 
 from __future__ import annotations
 
@@ -16,18 +16,39 @@ _METRES = click.FloatRange(min=0.0, min_open=True)
 
 @click.command("sonar-replay")
 @click.argument("file")
-@click.option("--sensors", type=click.IntRange(1, 16), default=4, help="Sensors of the array (4).")
-@click.option("--minimum", type=_METRES, default=0.2, help="Shortest range of a sensor [m] (0.2).")
-@click.option("--maximum", type=_METRES, default=4.5, help="Longest range; no echo reads it [m] (4.5).")
-@click.option("--bits", type=click.IntRange(1, 24), default=8, help="Of the conversion (8).")
-@click.option("--bias", type=float, default=0.0, help="Of a sample [m], as surctl calibrate gives it (0).")
-@click.option("--scale", type=_METRES, default=1.0, help="Likewise [1] (1).")
-@click.option("--noise-sd", type=click.FloatRange(min=0.0), default=0.015, help="Likewise [m] (0.015).")
+@click.option(
+    "--sensors", type=click.IntRange(1, 16), default=4, metavar="N", help="Number of sensors in the array (default 4)."
+)
+@click.option("--minimum", type=_METRES, default=0.2, metavar="M", help="Shortest range of a sensor [m] (default 0.2).")
+@click.option(
+    "--maximum",
+    type=_METRES,
+    default=4.5,
+    metavar="M",
+    help="Longest range of a sensor [m] (default 4.5); the reading if no echo is received.",
+)
+@click.option(
+    "--bits", type=click.IntRange(1, 24), default=8, metavar="N", help="Bits of the analogue conversion (default 8)."
+)
+@click.option(
+    "--bias", type=float, default=0.0, metavar="M", help="Bias of a sample [m], from surctl calibrate (default 0)."
+)
+@click.option(
+    "--scale", type=_METRES, default=1.0, metavar="X", help="Scale of a sample, from surctl calibrate (default 1)."
+)
+@click.option(
+    "--noise-sd",
+    type=click.FloatRange(min=0.0),
+    default=0.015,
+    metavar="M",
+    help="Standard deviation of a sample [m], from surctl calibrate (default 0.015).",
+)
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
     default=Path("surctl-out", "sonar-replay"),
-    help="Folder of filtered.csv and the plot.",
+    metavar="DIR",
+    help="Folder of filtered.csv and the plot (default surctl-out/sonar-replay).",
 )
 @as_json
 def sonar_replay(
@@ -44,8 +65,8 @@ def sonar_replay(
 ) -> None:
     """Run recorded sonar readings through the filter of the controller: range, bound and health at each step.
 
-    Columns: time_s, sensor (0-based), and sample_1_m, sample_2_m, ... or one range_m; optional closing_m_per_s (own
-    speed along that beam) and turn_rad_per_s (yaw rate).
+    The CSV file has the columns time_s, sensor (counted from 0), and either sample_1_m, sample_2_m, ... or one range_m.
+    Optional columns are closing_m_per_s (own speed along the beam) and turn_rad_per_s (yaw rate).
 
     Examples: surctl sonar-replay log.csv --out replay; surctl sonar-replay log.csv --maximum 6 --noise-sd 0.02
     """
@@ -54,7 +75,7 @@ def sonar_replay(
     from surctl.sensing import filtered_rows, read_readings, replay_readings, sonar_array
 
     if not isfinite(scale):
-        raise InputError("must be finite", key="--scale", value=scale, remedy="give what surctl calibrate printed")
+        raise InputError("must be finite", key="--scale", value=scale, remedy="give the scale from surctl calibrate")
     array = sonar_array(
         sensors, minimum=minimum, maximum=maximum, bits=bits, bias=bias / scale, noise_sd=noise_sd / scale
     )
@@ -68,7 +89,7 @@ def sonar_replay(
     summaries = [replayed.summary(sensor) for sensor in replayed.sensors]
     span = recording.readings.time[-1] - recording.readings.time[0]
     lines = [
-        f"{recording.name}: {recording.rows} rows over {span:.4g} s, a sensor reads every {recording.cycle:.3g} s",
+        f"{recording.name}: {recording.rows} rows over {span:.4g} s, each sensor reads every {recording.cycle:.3g} s",
         "sensor  readings  refused  healthy  gaps  longest gap  median bound",
     ]
     lines += [

@@ -1,4 +1,4 @@
-"""Standard output as it may be: of any encoding, on a full disk, closed at the other end."""
+"""Handle standard output of any encoding, on a full disk, or closed by its reader."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _LOSES_TEXT = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
 def prepare_stdout() -> None:
-    r"""From now on, write what the encoding of stdout does not have as \uXXXX instead of failing.
+    r"""Write characters that the encoding of stdout lacks as \uXXXX instead of failing.
 
-    An error handler that the user has chosen (PYTHONIOENCODING=ascii:ignore) stays.
+    An error handler that the user has set (PYTHONIOENCODING=ascii:ignore) stays active.
     """
     codecs.register_error(_ESCAPE, _escaped)
     stream = sys.stdout
@@ -26,17 +26,18 @@ def prepare_stdout() -> None:
 
 
 def is_utf8() -> bool:
-    """Whether stdout takes every character as it is."""
+    """Whether stdout can write every character unchanged."""
     named = getattr(sys.stdout, "encoding", None) or "utf-8"
     return codecs.lookup(named).name == "utf-8"
 
 
 def failed_write(error: OSError) -> str | None:
-    """What to tell of an error that lost output, on stdout or in a file, in words; None for any other error."""
+    """Return the message for an error that lost output on stdout or in a file; None for any other error."""
     if error.errno not in _LOSES_TEXT:
         return None
     where = f"{error.filename}: " if error.filename else ""
-    return f"{where}the output cannot be written ({os.strerror(error.errno).lower()}); make room, or write elsewhere"
+    reason = os.strerror(error.errno).lower()
+    return f"{where}the output cannot be written ({reason}); free disk space, or write to another place"
 
 
 def _escaped(error: UnicodeError) -> tuple[str, int]:

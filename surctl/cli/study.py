@@ -1,4 +1,4 @@
-"""`surctl study`: the main job."""
+"""`surctl study`: sweep, verify, simulate and export in one command."""
 
 from __future__ import annotations
 
@@ -16,12 +16,20 @@ __all__ = ["study"]
 @click.command
 @click.argument("file", required=False)
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("surctl-out"), help="Folder for report, gains, code."
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("surctl-out"),
+    metavar="DIR",
+    help="Folder for report, gains and code (default surctl-out).",
 )
-@click.option("--workers", type=click.IntRange(min=1), default=2, help="Processes of the sweep.")
+@click.option(
+    "--workers", type=click.IntRange(min=1), default=2, metavar="N", help="Processes of the sweep (default 2)."
+)
 @as_json
 def study(file: str | None, out: Path, workers: int, as_json: bool) -> None:
-    """Sweep two gains, pick a point, print margins, check the claims, fly the scenarios, export and check the C.
+    """Sweep gains, select the best point, verify the claims, simulate the scenarios, and export and check the C code.
+
+    FILE is a study file or a vehicle file; without FILE, the built-in study runs.
 
     Examples: surctl study; surctl study my-vehicle.toml --out results; surctl study --json > study.json
     """
@@ -29,7 +37,7 @@ def study(file: str | None, out: Path, workers: int, as_json: bool) -> None:
 
     command = " ".join(["surctl study", *([file] if file else []), f"--out {out}"])
     plan = load_plan(file)
-    with stoppable(f"the points that were swept are in {out}; to go on: {same_command()}"):
+    with stoppable(f"the finished points are in {out}; to continue: {same_command()}"):
         result = conduct(plan, out, workers=workers, progress=progress, command=command)
     lines = [f"study {result.plan.name}: {'passed' if result.passed else 'NOT passed'}"]
     marks = {True: "ok  ", False: "FAIL", None: "    "}

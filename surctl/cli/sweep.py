@@ -1,4 +1,4 @@
-"""`surctl sweep`: closed-loop and linear metrics over any knobs."""
+"""`surctl sweep`: closed-loop and linear metrics over gains and other parameters."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 __all__ = ["sweep"]
 
-_SHOWN = 40  # points printed for people; the file has them all
-_MOST_JSON = 100_000  # points printed as JSON
-_LOCUS = 61  # poles are computed at so many values
-_SMOOTH = 0.02  # and at more where one goes further than this share of its modulus
-_PRINTED = (  # columns printed for people
+_SHOWN = 40  # largest number of points in the text output; the file holds all points
+_MOST_JSON = 100_000  # largest number of points printed as JSON
+_LOCUS = 61  # number of values at which poles are computed
+_SMOOTH = 0.02  # values are added where a pole moves further than this share of its modulus
+_PRINTED = (  # columns of the text output
     "deviation_m", "path_error_m", "time_s", "min_clearance_m_worst", "effort_n", "delay_margin_s", "disk_margin",
     "reached_worst", "score", "feasible",
 )  # fmt: skip
@@ -36,32 +36,75 @@ _PRINTED = (  # columns printed for people
 @click.command
 @click.argument("axes", nargs=-1, required=True, metavar="PARAMETER=V1,V2,...|LOW..HIGH[:COUNT][:log] ...")
 @click.option(
-    "--scenario", "scenarios", multiple=True, default=("tank-static", "pool-static"), help="Flown at each point."
+    "--scenario",
+    "scenarios",
+    multiple=True,
+    default=("tank-static", "pool-static"),
+    metavar="FILE",
+    help="Scenario simulated at each point: name or file; repeatable (default tank-static and pool-static).",
 )
-@click.option("--vehicle", "vehicles", multiple=True, help="Vehicles: names or files; default: each scenario's.")
-@click.option("--sensing", default="truth", help="truth, or through the sonar array: sonar.")
-@click.option("--gains", default="default", help="All other gains: name or path.")
+@click.option(
+    "--vehicle",
+    "vehicles",
+    multiple=True,
+    metavar="FILE",
+    help="Vehicle: name or file; repeatable (default: each scenario's).",
+)
+@click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
+@click.option(
+    "--gains", default="default", metavar="FILE", help="All other gains: name or file (default set: default)."
+)
 @click.option(
     "--law",
     default="guarded",
-    help="guarded, paper (the printed stack), closed_form (one obstacle), or a textbook law: apf, dwa, vo, cbf.",
+    metavar="NAME",
+    help="Control law: guarded (default), paper, closed_form, apf, dwa, vo or cbf.",
 )
-@click.option("--priority-mode", default="nsb", help="nsb, filter, projected or lexicographic.")
 @click.option(
-    "--guidance", default="los", help="los, ilos or alos; loop margins and --locus are those of los in any case."
+    "--priority-mode",
+    default="nsb",
+    metavar="NAME",
+    help="Priorities: nsb (default), filter, projected or lexicographic.",
 )
-@click.option("--design", default="grid", help="grid, or points that fill ranges: lhs, sobol.")
-@click.option("--points", type=click.IntRange(min=1), help="Number of points of lhs and sobol.")
-@click.option("--sensitivity", metavar="COLUMN", help="Sobol' indices of a column; takes N(axes + 2) points, N = 64.")
-@click.option("--locus", metavar="PARAMETER", help="Draw the closed-loop poles over this axis, about the picked gains.")
-@click.option("--seeds", type=click.IntRange(1, 1_000_000), default=1, help="Seeds 0 to N-1 of every scenario.")
-@click.option("--workers", type=click.IntRange(min=1), help="Processes (2); the result does not depend on them.")
-@click.option("--dask", metavar="ADDRESS", help="A Dask scheduler instead of processes of this machine.")
+@click.option(
+    "--guidance",
+    default="los",
+    metavar="NAME",
+    help="Path guidance: los (default), ilos or alos. Loop margins and --locus always use los.",
+)
+@click.option(
+    "--design",
+    default="grid",
+    metavar="NAME",
+    help="Points: grid (default), or space-filling in the ranges: lhs, sobol.",
+)
+@click.option("--points", type=click.IntRange(min=1), metavar="N", help="Number of points for lhs and sobol.")
+@click.option(
+    "--sensitivity",
+    metavar="COLUMN",
+    help="Compute the Sobol' indices of a column from N (axes + 2) points, N = --points (default 64).",
+)
+@click.option("--locus", metavar="PARAMETER", help="Plot the closed-loop poles over this axis, for the selected gains.")
+@click.option(
+    "--seeds",
+    type=click.IntRange(1, 1_000_000),
+    default=1,
+    metavar="N",
+    help="Simulate every scenario with the seeds 0 to N-1 (default 1).",
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Processes (default 2); the result does not depend on N.",
+)
+@click.option("--dask", metavar="ADDRESS", help="Use a Dask scheduler instead of local processes.")
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
     default=Path("surctl-out"),
-    help="Folder of sweep.nc; a killed sweep resumes.",
+    metavar="DIR",
+    help="Folder of sweep.nc (default surctl-out); an interrupted sweep resumes there.",
 )
 @as_json
 def sweep(
@@ -83,10 +126,10 @@ def sweep(
     out: Path,
     as_json: bool,
 ) -> None:
-    """Fly scenarios over any knobs, with loop margins, and pick a point.
+    """Simulate scenarios over values of parameters, compute loop margins, and select the best point.
 
-    A knob is a gain (k_v), a vehicle parameter (vehicle.m11; plant.m11 if the controller does not know), a number of
-    the scenario (scenario.cruise) or seed. Exit status 1 when no point is feasible.
+    A parameter is a gain (k_v), a vehicle parameter (vehicle.m11; plant.m11 changes the plant but not the controller's
+    model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if no point is feasible.
 
     Examples: surctl sweep lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log --scenario pool-static --out sweep;
     surctl sweep k_v=1..3 plant.m11=30..60 --design sobol --points 128;
@@ -105,7 +148,7 @@ def sweep(
     if sensitivity is None:
         chosen = make_design(design, parsed, count=points)
     elif design != "grid":
-        raise InputError("has points of its own", key="--sensitivity", value=sensitivity, remedy="leave --design away")
+        raise InputError("chooses its own points", key="--sensitivity", value=sensitivity, remedy="drop --design")
     else:
         check_column(sensitivity)
         chosen = saltelli(parsed, base=64 if points is None else points)
@@ -115,7 +158,7 @@ def sweep(
         )
     if as_json and len(chosen.points) > _MOST_JSON:
         raise InputError(
-            f"would print {len(chosen.points)} points", key="--json", remedy="leave it away and read sweep.nc"
+            f"would print {len(chosen.points)} points", key="--json", remedy="drop this option and read sweep.nc"
         )
     base = load_gains(gains)
     cases = build_cases(
@@ -124,11 +167,11 @@ def sweep(
         gains=base, law=law, mode=priority_mode, sensing=sensing, guidance=guidance,
     )  # fmt: skip
     executor = _executor(workers, dask)
-    if locus is not None:  # what is wrong with it is told now, not after the flights
+    if locus is not None:  # report a mistake before the simulations, not after them
         swept = chosen.points[:, chosen.names.index(locus)]
         _locus(cases, base, locus, swept, {})
     prepare_folder(out)
-    with stoppable(f"the points that were flown are in {out}; to go on: {same_command()}"):
+    with stoppable(f"the finished points are in {out}; to continue: {same_command()}"):
         table = run_sweep(cases, chosen, seeds=range(seeds), executor=executor, out=out, progress=progress)
     sobol = None if sensitivity is None else indices(table, sensitivity)
     picked = table.picked
@@ -182,7 +225,7 @@ def _pictures(table: SweepTable, sobol: Sensitivity | None, out: Path) -> list[P
 def _locus(
     cases: Sequence[Case], gains: Gains, parameter: str, swept: NDArray[np.float64], at: Mapping[str, float]
 ) -> Locus:
-    """Poles of the first case's vehicle at its largest cruise speed over the range of an axis, about a point."""
+    """The poles of the first vehicle at its largest cruise speed over the range of an axis, about a point."""
     import numpy as np
 
     from surctl.verification import sweep_locus
@@ -203,11 +246,13 @@ def _locus(
 
 
 def _lines(table: SweepTable, sobol: Sensitivity | None) -> list[str]:
-    """What people are told of the points, or of the indices."""
+    """The text output for the points, or for the Sobol' indices."""
     if sobol is not None:
         if sobol.constant:
-            return [f"{sobol.column} is constant over these ranges: it depends on none of the axes"]
-        head = f"{sobol.column}: share of the variance of each axis, alone and with others, with 95 % intervals"
+            return [f"{sobol.column} is constant over these ranges: it does not depend on any axis"]
+        head = (
+            f"{sobol.column}: share of the variance due to each axis, alone and with interactions, with 95 % intervals"
+        )
         shares = zip(sobol.axes, sobol.first, sobol.first_interval, sobol.total, sobol.total_interval, strict=True)
         return [head] + [
             f"{name:<16} {f:6.3f} ({a[0]:.3f} … {a[1]:.3f})  {t:6.3f} ({b[0]:.3f} … {b[1]:.3f})"

@@ -1,4 +1,4 @@
-"""`surctl tune`: gains that meet goals, checked by fresh runs."""
+"""`surctl tune`: find gains that meet goals, and verify them with new random runs."""
 
 from __future__ import annotations
 
@@ -20,31 +20,87 @@ __all__ = ["tune"]
 
 @click.command
 @click.argument("file", required=False, metavar="[STUDY]")
-@click.option("--gain", "gain", multiple=True, metavar="NAME[=LOW..HIGH]", help="A gain to tune; repeat it.")
-@click.option("--goals", "goals_file", help="Goals: name or file; default: the study's, else the built-in ones.")
-@click.option("--trials", type=click.IntRange(min=1), default=256, help="Gain sets that each search tries, twice.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of the search and of the fresh runs.")
-@click.option("--seeds", type=click.IntRange(1, 1_000_000), default=4, help="Seeds 0 to N-1 of every scenario.")
-@click.option("--vehicle", "vehicles", multiple=True, help="Flies every scenario: name or file; default: the study's.")
-@click.option("--guidance", help="los, ilos or alos; default: the study's. Loop margins are those of los in any case.")
-@click.option("--rounds", type=click.IntRange(min=1), default=3, help="Most rounds of tuning and verifying.")
+@click.option(
+    "--gain",
+    "gain",
+    multiple=True,
+    metavar="NAME[=LOW..HIGH]",
+    help="Gain to tune, with its range; repeatable.",
+)
+@click.option(
+    "--goals",
+    "goals_file",
+    metavar="FILE",
+    help="Goals: name or file (default: the study's, else the built-in goals).",
+)
+@click.option(
+    "--trials",
+    type=click.IntRange(min=1),
+    default=256,
+    metavar="N",
+    help="Gain sets tried by each of the two searches of a round (default 256).",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    metavar="N",
+    help="Seed of the search and of the new runs (default 0).",
+)
+@click.option(
+    "--seeds",
+    type=click.IntRange(1, 1_000_000),
+    default=4,
+    metavar="N",
+    help="Simulate every scenario with the seeds 0 to N-1 (default 4).",
+)
+@click.option(
+    "--vehicle",
+    "vehicles",
+    multiple=True,
+    metavar="FILE",
+    help="Vehicle of every scenario: name or file; repeatable (default: the study's).",
+)
+@click.option(
+    "--guidance",
+    metavar="NAME",
+    help="Path guidance: los, ilos or alos (default: the study's). Loop margins always use los.",
+)
+@click.option(
+    "--rounds",
+    type=click.IntRange(min=1),
+    default=3,
+    metavar="N",
+    help="Largest number of rounds of tuning and verifying (default 3).",
+)
 @click.option(
     "--monte-carlo",
     "runs",
     type=click.IntRange(min=0),
     default=2000,
-    help="Fresh runs that verify a round; ten times as many train.",
+    metavar="N",
+    help="New runs that verify a round (default 2000); up to 10 N more runs train.",
 )
-@click.option("--descend", is_flag=True, help="Start also from a descent along exact gradients; takes minutes.")
-@click.option("--workers", type=click.IntRange(min=1), default=2, help="Threads; the result does not depend on them.")
+@click.option("--descend", is_flag=True, help="Also start the search from a gradient descent; this takes minutes.")
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("surctl-out"), help="Folder; a killed one resumes."
+    "--workers",
+    type=click.IntRange(min=1),
+    default=2,
+    metavar="N",
+    help="Threads (default 2); the result does not depend on N.",
 )
-@click.option("--page", is_flag=True, help="Serve a page with sliders on this machine instead; needs marimo.")
-@click.option("--scenario", help="Of the page; default: the study's first.")
-@click.option("--gains", "gains_file", help="Of the page, gain file: name or path; default: the study's.")
-@click.option("--port", type=click.IntRange(1, 65535), help="Of the page; default: a free one.")
-@click.option("--no-browser", is_flag=True, help="Print the page's address and open nothing.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("surctl-out"),
+    metavar="DIR",
+    help="Output folder (default surctl-out); an interrupted tuning resumes there.",
+)
+@click.option("--page", is_flag=True, help="Open a local web page with sliders instead; needs the package marimo.")
+@click.option("--scenario", metavar="FILE", help="Scenario of --page: name or file (default: the study's first).")
+@click.option("--gains", "gains_file", metavar="FILE", help="Gain set of --page: name or file (default: the study's).")
+@click.option("--port", type=click.IntRange(1, 65535), metavar="N", help="Port of --page (default: a free port).")
+@click.option("--no-browser", is_flag=True, help="Print the address of --page, but do not open it.")
 @as_json
 def tune(
     file: str | None,
@@ -67,10 +123,11 @@ def tune(
     no_browser: bool,
     as_json: bool,
 ) -> None:
-    """Tune gains to goals, and tune again with the runs that refute them.
+    """Tune gains to goals, and tune them again with the runs in which they fail.
 
-    Hard goals must be met over every scenario, seed and corner of the vehicle's ranges; soft goals are brought low.
-    Fresh runs and the claims then try to refute the result. Exit status 1 when a hard goal is not met or does not hold.
+    The gains must meet the hard goals for every scenario, seed and corner of the vehicle's ranges; the soft goals are
+    minimised. New random runs and the claims then test the result. Exit status: 1 if a hard goal is not met, or fails
+    in the test.
 
     Examples: surctl tune; surctl tune my-study.toml --gain k_v=0.5..3 --gain lookahead --goals my-goals.toml;
     surctl tune --page --scenario pool-behind --gains my-gains.toml
@@ -81,7 +138,7 @@ def tune(
         serve_page(file, goals_file, vehicles, scenario=scenario, gains=gains_file, port=port, browser=not no_browser)
         return
     if scenario or gains_file or port or no_browser:
-        raise click.UsageError("--scenario, --gains, --port and --no-browser are of --page")
+        raise click.UsageError("--scenario, --gains, --port and --no-browser need --page")
     from surctl.control import write_gains
     from surctl.files import prepare_folder, write_file
     from surctl.study import load_plan
@@ -119,14 +176,14 @@ def tune(
         seed=seed,
         threads=workers,
     )
-    with stoppable(f"the trials that were flown are in {out}; to go on: {same_command()}"):
+    with stoppable(f"the finished trials are in {out}; to continue: {same_command()}"):
         tuning = run_tuning(
             request, trials=trials, rounds=rounds, runs=runs, descend=descend, folder=out, progress=progress
         )
     gains_path = write_file(out / "gains.toml", write_gains(tuned_gains(tuning)))
     result = tuning_dict(tuning)
     everything = write_file(out / "tuning.json", json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n")
-    from surctl.report import save_tuning  # matplotlib, once there is something to draw
+    from surctl.report import save_tuning  # loads matplotlib only now
 
     pictures = save_tuning(tuning, out)
     lines = [*summary(tuning), "", f"gains {gains_path}", f"all   {everything}"]
@@ -134,7 +191,7 @@ def tune(
     mission, robot = pairs[0]
     about = at_hand(mission, robot, str(gains_path))
     region = _region(robot)
-    # of the mission a region needs the speeds; its safety claim would decide the exit status too
+    # a region claim needs only the speeds; with --scenario, the safety claim would also affect the exit status
     speeds = ["--cruise", f"{mission.cruise:g}", "--cap", f"{mission.cap:g}"]
     arguments = [*region, *(speeds if region else about[:2]), *about[2:], "--out", str(out / "proofs")]
     law = shlex.join(["--law", plan.law, "--guidance", kind["guidance"]])
@@ -145,12 +202,12 @@ def tune(
     if not tuning.accepted:
         again = shlex.join([*sys.argv[1:], "--trials", str(2 * trials), "--rounds", str(rounds + 2)])
         then = [f"surctl {again}"]
-        lines.append("not met: search longer, or relax a goal")
+        lines.append("a hard goal is not met: increase --trials, or relax a goal")
     finish(result, lines, as_json=as_json, passed=tuning.accepted, then=then)
 
 
 def _region(vehicle: Vehicle) -> list[str]:
-    """The region claim that is worth trying next, where it applies to the vehicle."""
+    """The region claim to suggest next, if it applies to the vehicle."""
     from surctl.errors import NotApplicable
     from surctl.verification.assumptions import check_alike
 

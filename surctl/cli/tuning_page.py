@@ -1,4 +1,4 @@
-"""`surctl tune --page`: the page with sliders."""
+"""`surctl tune --page`: the web page with sliders."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def serve_page(
     port: int | None,
     browser: bool,
 ) -> None:
-    """Serve the page until Ctrl-C; what is not named is the study's."""
+    """Run the page until Ctrl-C; arguments that are None take the study's values."""
     from importlib.util import find_spec
 
     from surctl.control import load_gains
@@ -35,11 +35,11 @@ def serve_page(
     from surctl.tuning import load_goals
     from surctl.vehicle import load_vehicle
 
-    if find_spec("marimo") is None:  # told now, not after the compilation
+    if find_spec("marimo") is None:  # checked before the compilation
         remedy = 'pip install "surctl[notebooks]"'
         raise ToolMissing("the tuning page needs marimo, which is not installed", remedy=remedy)
     if len(vehicles) > 1:
-        raise click.BadParameter("the page flies one vehicle", param_hint="--vehicle")
+        raise click.BadParameter("the page simulates one vehicle only", param_hint="--vehicle")
     plan = load_plan(study)
     first = plan.deciding[0]
     mission = first.scenario if scenario is None else load_scenario(scenario)
@@ -47,18 +47,18 @@ def serve_page(
     vehicle = load_vehicle(vehicles[0]) if vehicles else own.get(mission.name) or load_vehicle(mission.vehicle)
     start = plan.gains if gains is None else load_gains(gains)
     bench = Bench(vehicle, mission, start, plan.goals if goals is None else load_goals(goals))
-    progress("compiling the closed loop; once, it is kept")
+    progress("compiling the closed loop; the next start uses the compiled file")
     bench.simulate(start)
     bench.judge(start)
 
     def ready(address: str) -> None:
-        click.echo(f"{address}  (Ctrl-C ends it)")
+        click.echo(f"{address}  (Ctrl-C stops the page)")
         if browser:
             click.launch(address)
 
     try:
         serve(bench, port=port, ready=ready)
     except KeyboardInterrupt:
-        click.echo("surctl: stopped; what was saved is kept", err=True)
+        click.echo("surctl: stopped; saved files stay", err=True)
         sys.stdout.flush()
-        os._exit(130)  # an open page's threads wait for its next move, and the interpreter for them; files are whole
+        os._exit(130)  # a normal exit would wait for the threads of an open page; all files are complete

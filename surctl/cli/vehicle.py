@@ -1,4 +1,4 @@
-"""`surctl vehicle`: a vehicle file from what can be measured."""
+"""`surctl vehicle`: derive a vehicle file from measurements."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["vehicle"]
 
 
 class _Measured(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
-    """A number with its unit, "54 cm"; without one it counts in the unit that the help names."""
+    """A number with its unit, such as "54 cm"; without a unit, the unit that the help names applies."""
 
     def __init__(self, unit: str) -> None:
         self.unit, self.name = unit, unit
@@ -36,14 +36,16 @@ class _Measured(click.ParamType):  # type: ignore[type-arg]  # generic since cli
             raise InputError(error.problem, key=key, value=value, remedy=error.remedy) from None
 
 
-_out = click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="Vehicle file; default: NAME.toml.")
-_over = click.option("--force", is_flag=True, help="Write over a file that is there.")
-_name = click.option("--name", default="my-vehicle", help="Name of the vehicle.")
+_out = click.option(
+    "--out", type=click.Path(path_type=Path), metavar="FILE", help="Vehicle file to write (default NAME.toml)."
+)
+_over = click.option("--force", is_flag=True, help="Overwrite an existing file.")
+_name = click.option("--name", default="my-vehicle", metavar="TEXT", help="Name of the vehicle (default my-vehicle).")
 
 
 @click.group()
 def vehicle() -> None:
-    """Make a vehicle file: from-geometry, or from-log with intervals from a CSV of motion and thrust.
+    """Write a vehicle file: from-geometry for a sphere, or from-log from a recording of motion and thrust.
 
     Examples: surctl vehicle from-geometry --help; surctl vehicle from-log --help
     """
@@ -51,14 +53,26 @@ def vehicle() -> None:
 
 @vehicle.command("from-geometry")
 @_name
-@click.option("--diameter", type=_Measured("m"), required=True, help='Of the sphere: m, or "54 cm".')
-@click.option("--mass", type=_Measured("kg"), required=True, help="In air, drained: kg.")
-@click.option("--flooded", type=float, default=0.75, help="Fraction of the water inside that moves along [0.75].")
-@click.option("--cd", type=float, default=0.52, help="Drag coefficient of the frontal area [0.52].")
-@click.option("--thrust", type=_Measured("N"), required=True, help="Largest force along each axis: N, kgf, lbf.")
-@click.option("--yaw-thrust", type=_Measured("N m"), required=True, help="Largest moment about the vertical: N m.")
-@click.option("--thrust-lag", type=_Measured("s"), default=0.3, help="First-order lag of the thrust: s [0.3].")
-@click.option("--density", type=_Measured("kg/m^3"), default=1000.0, help="Of the water: kg/m^3 [1000].")
+@click.option("--diameter", type=_Measured("m"), required=True, help='Diameter of the sphere [m], or e.g. "54 cm".')
+@click.option("--mass", type=_Measured("kg"), required=True, help="Mass in air, with the water drained [kg].")
+@click.option(
+    "--flooded",
+    type=float,
+    default=0.75,
+    metavar="X",
+    help="Fraction of the water inside the hull that moves with it (default 0.75).",
+)
+@click.option(
+    "--cd", type=float, default=0.52, metavar="X", help="Drag coefficient of the frontal area (default 0.52)."
+)
+@click.option(
+    "--thrust", type=_Measured("N"), required=True, help="Largest force along each axis [N], or with kgf or lbf."
+)
+@click.option("--yaw-thrust", type=_Measured("N m"), required=True, help="Largest moment about the vertical [N m].")
+@click.option("--thrust-lag", type=_Measured("s"), default=0.3, help="First-order lag of the thrust [s] (default 0.3).")
+@click.option(
+    "--density", type=_Measured("kg/m^3"), default=1000.0, help="Density of the water [kg/m^3] (default 1000)."
+)
 @_out
 @_over
 @as_json
@@ -76,10 +90,10 @@ def from_geometry(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Derive a spherical vehicle's numbers, each with a range and where it comes from.
+    """Derive the parameters of a spherical vehicle, each with a range and its source.
 
-    It knows spheres only. For another hull, fit the numbers to a log (surctl vehicle from-log), or write those that
-    you know into a file (surctl new vehicle).
+    This command covers spheres only. For another hull, fit the parameters to a log (surctl vehicle from-log), or write
+    known parameters into a file (surctl new vehicle).
 
     Example: surctl vehicle from-geometry --name mine --diameter "40 cm" --mass "6 kg" --thrust 0.5kgf
     --yaw-thrust "0.4 N m"
@@ -106,9 +120,16 @@ def from_geometry(
 
 @vehicle.command("from-log")
 @click.argument("log", type=click.Path(path_type=Path))
-@click.option("--start", default="sur540-flooded", help="Vehicle to begin with: name or file; gives hull and limits.")
 @click.option(
-    "--frame", help="Of the log: enu (ENU/FLU) or ned (NED/FRD); default: what its first line says, else enu."
+    "--start",
+    default="sur540-flooded",
+    metavar="FILE",
+    help="Vehicle that supplies hull, limits and initial values: name or file (default sur540-flooded).",
+)
+@click.option(
+    "--frame",
+    metavar="NAME",
+    help="Frame of the log: enu (ENU/FLU) or ned (NED/FRD) (default: as in its first line, else enu).",
 )
 @_name
 @_out
@@ -117,10 +138,11 @@ def from_geometry(
 def from_log(log: Path, start: str, frame: str | None, name: str, out: Path | None, force: bool, as_json: bool) -> None:
     """Fit masses, drag and thrust lag to a recording of motion and thrust (CSV, .mat, .nc), with 95 % intervals.
 
-    Columns t_s, Fu_N, Fv_N, Fw_N, Fr_N_m (commands, held from row to row), and of x_m, y_m, z_m, psi_rad, u_m_per_s,
-    v_m_per_s, w_m_per_s, r_rad_per_s those that were measured: x forward, y left, z up, or with --frame ned x north,
-    y east, z down, v to the right, w down. What the log cannot tell keeps the number of --start, and the file says so.
-    Runs can be written as such logs: surctl simulate --save csv, mat or nc.
+    The log has the columns t_s and Fu_N, Fv_N, Fw_N, Fr_N_m (commands, constant until the next row). It has those of
+    the columns x_m, y_m, z_m, psi_rad, u_m_per_s, v_m_per_s, w_m_per_s, r_rad_per_s that were measured: x forward,
+    y left, z up; or with --frame ned: x north, y east, z down, v to the right, w down. A parameter that the log does
+    not determine keeps its value from --start, and the file says so. surctl simulate --save csv (or mat, nc) writes
+    simulated runs as such logs.
 
     Example: surctl vehicle from-log trial.csv --start my-vehicle.toml --name fitted
     """
@@ -145,7 +167,7 @@ def _fit_lines(fit: Identified) -> list[str]:
     lines = [f"{fit.vehicle.name}: {fit.vehicle.note}", f"  {'':<10} {'estimate':>9}   95 % interval   start"]
     for key, (value, half) in fit.estimates.items():
         unit = fit.vehicle.parameters[key].unit
-        estimate = f"{value:>9.4g} ± {half:<9.3g}" if key in fit.identified else f"{'':>9}   the log cannot tell"
+        estimate = f"{value:>9.4g} ± {half:<9.3g}" if key in fit.identified else f"{'':>9}   not determined"
         lines.append(f"  {key:<10} {estimate:<23} {fit.start[key]:>8.4g} {unit}")
     lines += [f"  noise of {column}: {level:.3g}" for column, level in fit.noise.items()]
     return lines + [f"  note: {note}" for note in fit.notes]

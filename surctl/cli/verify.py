@@ -1,4 +1,4 @@
-"""`surctl verify`: claims and margins."""
+"""`surctl verify`: check claims and compute stability margins."""
 
 from __future__ import annotations
 
@@ -32,27 +32,41 @@ _SPEED = click.FloatRange(min=0, max=100, min_open=True)
 
 @click.command
 @click.argument("claims", nargs=-1, metavar="[CLAIM | FILE.toml]...")
-@click.option("--vehicle", default="sur540-flooded", help="Vehicle of claims and margins: name or file.")
-@click.option("--gains", default="default", help="Gain file: name or path.")
-@click.option("--uncertainty", type=float, default=0.0, help="Share by which mass and drag may be off, e.g. 0.2.")
 @click.option(
-    "--cruise", type=_SPEED, help="Cruise speed in m/s of claims and margins; default the scenario's, else 0.15."
+    "--vehicle", default="sur540-flooded", metavar="FILE", help="Vehicle: name or file (default sur540-flooded)."
 )
+@click.option("--gains", default="default", metavar="FILE", help="Gain set: name or file (default set: default).")
 @click.option(
-    "--cap", type=_SPEED, help="Largest commanded speed in m/s of the claims; default the scenario's, else 0.22."
+    "--uncertainty",
+    type=float,
+    default=0.0,
+    metavar="X",
+    help="Relative error of mass and drag, e.g. 0.2 (default 0).",
 )
-@click.option("--scenario", help="Speeds of this scenario, and its safety claim of the guarded law too: name or file.")
-@click.option("--stack", "stacks", multiple=True, help="Tell how the tasks of a law's stack lie: guarded or paper.")
+@click.option("--cruise", type=_SPEED, metavar="V", help="Cruise speed [m/s] (default: the scenario's, else 0.15).")
+@click.option(
+    "--cap", type=_SPEED, metavar="V", help="Largest commanded speed [m/s] (default: the scenario's, else 0.22)."
+)
+@click.option("--scenario", metavar="FILE", help="Scenario for the speeds and the safety claim: name or file.")
+@click.option(
+    "--stack", "stacks", multiple=True, metavar="LAW", help="Analyse the task stack of a law: guarded or paper."
+)
 @barrier_options
-@click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of the falsifier.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Seed of the falsifier (default 0).")
 @click.option(
     "--time-limit",
     type=click.FloatRange(min=0, max=1e6, min_open=True),
     default=20.0,
-    help="Processor seconds after which a proof is given up, per claim.",
+    metavar="S",
+    help="Largest processor time per claim [s] (default 20).",
 )
-@click.option("--show", is_flag=True, help="Print the claims as claim files and check nothing.")
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder for certificates and pictures.")
+@click.option("--show", is_flag=True, help="Print the claims as claim files without checking them.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Folder for certificates and plots (default: no files).",
+)
 @as_json
 def verify(
     claims: tuple[str, ...],
@@ -71,19 +85,19 @@ def verify(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Prove or refute the paper's claims, printed and corrected, or your own, and print the loop margins.
+    """Prove or refute the paper's claims, as printed and as corrected, or your own claims, and print stability margins.
 
-    A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown (with
-    what is left open), or not applicable: it assumes what this vehicle or these gains violate. The paper's claims are
-    about the kinematic loop at the cruise speed and the cap. With --scenario, the safety claim: what the law's barrier
-    promises, on which assumptions, and whether the margin is enough.
+    A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
+    (neither was found), or not applicable (this vehicle or these gains violate an assumption). The paper's claims
+    concern the kinematic loop at the cruise speed and the speed limit --cap. --scenario also prints the safety claim:
+    the guarantee of the law's barrier, its assumptions, and whether the margin suffices.
 
-    Beside them the linear side about straight cruise: margins, poles, the slowest mode and the states that make it, the
-    bearable cruise speed and sampling, for the vehicle and for the worst of --uncertainty, else of its ranges. Region
-    and braking claims are proved when they are named, see surctl list. A claim file is an inequality of your own (kind
-    claim) or a region claim with other numbers (kind region); --show prints those of the library to start from. --stack
-    tells which tasks of a law are orthogonal, independent or dependent, and which converge.
-    Exit status 0 when every verdict is the expected one; a claim that is not applicable counts if named.
+    The linear analysis about straight cruise gives margins, poles, the slowest mode, the largest stable speed and
+    sampling limits, for the nominal vehicle and for the worst of --uncertainty or of the vehicle's ranges. Region and
+    braking claims are checked only if they are named (see surctl list). A claim file holds an inequality of your own
+    (kind claim) or a region claim with other numbers (kind region); --show prints library claims as examples. --stack
+    prints which tasks of a law are orthogonal, independent or dependent, and which converge. Exit status: 1 if a
+    verdict is not as expected, a named claim is not applicable, the linear loop is unstable, or the safety claim fails.
 
     Examples: surctl verify --out proofs; surctl verify region-cruise-20; surctl verify v1-printed my-claim.toml --gains
     my-gains.toml; surctl verify region-cruise-20 --show; surctl verify braking-inertia-20 --scenario tank-static
@@ -99,8 +113,8 @@ def verify(
     from surctl.verification import Inapplicable, decide, write_claim
     from surctl.verification.region import write_region
 
-    if time_limit != time_limit:  # NaN is in every range of click's
-        raise InputError("is no time", key="--time-limit", value=time_limit, remedy="give seconds, above 0")
+    if time_limit != time_limit:  # click accepts NaN in any range
+        raise InputError("is not a valid time", key="--time-limit", value=time_limit, remedy="give seconds, above 0")
     values = load_gains(gains).values
     robot = load_vehicle(vehicle)
     speeds = _speeds(cruise, cap, scenario)
@@ -113,7 +127,7 @@ def verify(
         texts |= {word: write_region(region_of(word)) for word in claims if is_region(word)}
         braking = next((word for word in claims if is_braking(word)), None)
         if braking is not None:
-            remedy = "a braking claim is of its vehicle and law alone; leave it out"
+            remedy = "drop it; a braking claim is fixed by its vehicle and law"
             raise InputError("has no claim file", key="claim", value=braking, remedy=remedy)
         lines = [*texts.values(), *(refusal_line(one) for one in refused)]
         finish({"claims": texts}, ["\n".join(lines)], as_json=as_json, passed=not refused)
@@ -132,7 +146,7 @@ def verify(
     braked = prove_all([n for n in claims if is_braking(n)], vehicle=vehicle, gains=gains, cap=speeds[1], out=out)
     verdicts, files, lines = [], dict[str, Path](), list[str]()
     where = "" if out is None else f", certificates in {out}"
-    message = f"what was settled is told above{where}; name the other claims: surctl verify CLAIM"
+    message = f"the finished claims are above{where}; for the other claims: surctl verify CLAIM"
     for claim in chosen:
         progress(claim.name)
         with stoppable(message, lines, as_json=as_json):
@@ -179,7 +193,10 @@ def verify(
 
 
 def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tuple[float, float]:
-    """Cruise speed and cap [m/s]: as given, else the scenario's; a cap that is not given stays above the cruise."""
+    """The cruise speed and the speed limit [m/s] from the options or the scenario; a default limit is scaled up.
+
+    The default limit is the scenario's, or larger in proportion if the cruise speed exceeds it.
+    """
     from surctl.cli.export import MISSION
     from surctl.errors import InputError
     from surctl.simulation import load_scenario
@@ -195,7 +212,7 @@ def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tu
 
 
 def _export(scenario: str | None, vehicle: str, gains: str, certificates: Sequence[Path], law: Law) -> list[str]:
-    """The export that takes along what was proved; none where this vehicle cannot start the mission."""
+    """The export command with the certificates that apply; empty if the vehicle cannot start the mission."""
     from surctl.cli.export import MISSION
     from surctl.control import load_gains
     from surctl.errors import InputError
@@ -273,7 +290,10 @@ def _stack(name: str) -> StackConditions:
 def _chosen(
     words: Sequence[str], gains: Mapping[str, Any], vehicle: Vehicle
 ) -> tuple[list[Claim], Mapping[str, NotApplicable]]:
-    """The claims of those names and files, in this order, and those that do not apply; no words mean the library."""
+    """The claims with the given names and files, in this order, and the claims that do not apply.
+
+    Without names and files, all claims of the library are returned.
+    """
     from surctl.errors import InputError
     from surctl.verification import applicable_claims, load_claim
 
@@ -287,12 +307,12 @@ def _chosen(
     names = [claim.name for claim in chosen]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise InputError("is given twice", key="claim", value=twice[0], remedy="rename one, or leave it out")
+        raise InputError("is given twice", key="claim", value=twice[0], remedy="rename or drop one of them")
     return chosen, refused
 
 
 def _write_certificates(verdicts: Sequence[Verdict], out: Path | None) -> dict[str, Path]:
-    """Certificates by claim, one file each."""
+    """Write one file for each certificate; return the files by claim name."""
     from surctl.files import write_file
 
     if out is None:
@@ -313,12 +333,12 @@ def _verdict_data(verdict: Verdict, files: Mapping[str, Path]) -> dict[str, Any]
 
 
 def claim_line(verdict: Verdict) -> str:
-    """One verdict in one line, with its counterexample, its slack or what is left open."""
+    """Return one line for a verdict, with its counterexample, its slack or the reason why it is unknown."""
     counterexample, proof = verdict.counterexample, verdict.certificate
     where = ""
     if counterexample is not None:
         where = " at " + ", ".join(f"{k} = {v:.4g}" for k, v in counterexample.values.items())
-        where += f": exceeded by {counterexample.margin:.3g} {verdict.claim.unit}"
+        where += f": bound exceeded by {counterexample.margin:.3g} {verdict.claim.unit}"
     elif proof is not None and proof["claim"]["slack"]:
         where = f" to within {proof['claim']['slack']:.1g} {verdict.claim.unit}"
     elif verdict.open_ends:

@@ -1,4 +1,4 @@
-"""Claims as data that are proved with a certificate, refuted with a counterexample or left open; linear margins."""
+"""Claims: each is proved with a certificate, refuted with a counterexample or left open. Also linear loop margins."""
 
 from surctl.verification.avoidance_claims import settling_intrusion
 from surctl.verification.cascade import CASCADE_GAINS, Cascade, build_cascade

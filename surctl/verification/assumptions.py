@@ -1,4 +1,4 @@
-"""What claims assume of the vehicle and the gains at hand; a claim whose assumption is violated is not applicable."""
+"""Check the assumptions of claims about vehicle and gains. A claim is not applicable if an assumption is violated."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ _ALIKE: Mapping[str, tuple[str, str]] = {
 
 
 def check_alike(vehicle: Vehicle, *, mass_alone: bool = False, ranges: bool = False) -> None:
-    """NotApplicable unless surge and sway have one mass and one drag.
+    """Raise NotApplicable unless surge and sway have equal mass and equal drag.
 
     Args:
-        vehicle: what the claim would be about.
-        mass_alone: drag may differ.
-        ranges: the stated ranges must be the same too, since the claim takes those of surge for both.
+        vehicle: the vehicle to which the claim would apply.
+        mass_alone: compare the masses only; the drag may differ.
+        ranges: require equal parameter ranges too, because the claim uses the ranges of surge for both axes.
     """
     for what, (surge, sway) in list(_ALIKE.items())[: 1 if mass_alone else None]:
         unit = "" if PARAMETERS[surge].unit == "1" else f" {PARAMETERS[surge].unit}"
         if vehicle[surge] != vehicle[sway]:
             values = " and ".join(f"{name} = {vehicle[name]:g}{unit}" for name in (surge, sway))
-            raise NotApplicable(f"{values} differ and the claim assumes one {what} in surge and sway")
+            raise NotApplicable(f"{values} differ and the claim assumes equal {what} in surge and sway")
         stated = [vehicle.parameters[name].range for name in (surge, sway)]
         if ranges and stated[0] != stated[1]:
             raise NotApplicable(
                 f"the ranges of {surge} and {sway} differ ({stated[0]} and {stated[1]}{unit}) and the claim assumes "
-                f"one {what} in surge and sway"
+                f"equal {what} in surge and sway"
             )
 
 
 def check_no_integral(gains: Gains) -> None:
-    """NotApplicable where the gains have integral action, which the certified loops do not have."""
+    """Raise NotApplicable if the gains include integral action, because the certified loops have none."""
     if gains["k_i"]:
         raise NotApplicable(
-            f"k_i = {gains['k_i']:g} 1/s^2 and the claim is about a loop without integral action", to="these gains"
+            f"k_i = {gains['k_i']:g} 1/s^2 and the claim assumes a loop without integral action", to="these gains"
         )

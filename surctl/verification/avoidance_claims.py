@@ -1,7 +1,7 @@
-"""Claims about the avoidance law: V2 of (21)–(24), and the clearance as a barrier.
+"""Claims about the avoidance law: the function V2 of (21)–(24), and the clearance as a barrier function.
 
-Robot and obstacle in polar coordinates about the robot: l = R_OB + e2, bearing φ counter-clockwise (E1).
-Every course comes from the expressions that the law itself is built of (`surctl.guidance.avoidance`).
+The obstacle is given in polar coordinates about the robot: distance l = R_OB + e2, bearing φ counter-clockwise (E1).
+The claims use the same expressions for the course as the law itself (`surctl.guidance.avoidance`).
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ __all__ = [
     "v2_static",
 ]
 
-_LEAST_SPEED = 0.02  # [m/s] least u_dm of the claims
+_LEAST_SPEED = 0.02  # [m/s] lower bound of u_dm in the claims
 
 
 @dataclass(frozen=True, eq=False)
 class _Encounter:
-    """One robot and one obstacle, symbolic."""
+    """Symbolic variables of one robot and one obstacle."""
 
     setting: Setting
     e2: ca.SX
@@ -41,7 +41,7 @@ class _Encounter:
     delta: ca.SX
 
     def course(self, form: AvoidanceForm, side: int) -> ca.SX:
-        """ψ_dm [rad]."""
+        """The desired course ψ_dm [rad]."""
         s = self.setting
         return avoidance_course(
             form,
@@ -59,11 +59,11 @@ class _Encounter:
 
     @property
     def closing(self) -> ca.SX:
-        """v_o·n [m/s]."""
+        """The obstacle's velocity along the bearing, v_o·n [m/s]; positive if the obstacle moves away."""
         return self.u_ob * ca.cos(self.psi_ob - self.phi)
 
     def rate(self, form: AvoidanceForm, side: int) -> ca.SX:
-        """l̇ = ė2 [m/s] of (23)."""
+        """The rate of the clearance, l̇ = ė2 [m/s], from (23)."""
         return clearance_rate(self.course(form, side), self.phi, speed=self.u, closing=self.closing)
 
     def worse(self, form: AvoidanceForm, factor: ca.SX) -> ca.SX:
@@ -71,7 +71,7 @@ class _Encounter:
         return ca.fmax(factor * self.rate(form, 1), factor * self.rate(form, -1))
 
     def motion(self, form: AvoidanceForm, *, clearance: bool) -> Motion:
-        """l and φ under the law with λ2 = +1; the speeds and the obstacle's course are held."""
+        """The motion of l and φ under the law with λ2 = +1; the speeds and the obstacle's course stay constant."""
         across = self.u_ob * ca.sin(self.psi_ob - self.phi) - self.u * ca.sin(self.course(form, 1) - self.phi)
         rates = {"e2": self.rate(form, 1), "phi": across / (self.setting.radius + self.e2)}
         if clearance:
@@ -79,7 +79,7 @@ class _Encounter:
         return Motion(rates, self.e2**2 / 2, "V2", "m^2")
 
     def variables(self, *, static: bool, delta: tuple[float, float], outside: bool = False) -> tuple[Variable, ...]:
-        """Box of the encounter; `outside` keeps to l ≥ R_OB, `static` holds the obstacle."""
+        """The variables with their bounds; `outside` requires l ≥ R_OB, `static` sets the obstacle's speed to 0."""
         s = self.setting
         fastest = max(s.speed_max, s.avoidance_speed)
         moving = 0.0 if static else fastest
@@ -95,7 +95,7 @@ class _Encounter:
     def point(
         self, *, e2: float, phi: float = 0.0, u_ob: float = 0.0, recede: bool = False, delta: float = 0.0
     ) -> dict[str, float]:
-        """A witness at the printed speed; the obstacle approaches along the bearing, or recedes."""
+        """A witness at the paper's avoidance speed; the obstacle approaches along the bearing, or recedes along it."""
         course = phi if recede else phi + np.pi * (1 if phi <= 0 else -1)
         speed = self.setting.avoidance_speed
         return {"e2": e2, "phi": phi, "psi_ob": course, "u_ob": u_ob, "u": speed, "delta": delta}
@@ -106,12 +106,12 @@ def _encounter(setting: Setting) -> _Encounter:
 
 
 def _rate_bound(e: _Encounter) -> ca.SX:
-    """Right side of (24), −u_dm e2²/√(k3²R² + (e2 + δ)²) [m²/s]."""
+    """The right side of (24), −u_dm e2²/√(k3²R² + (e2 + δ)²) [m²/s]."""
     return -e.u * e.e2**2 / ca.sqrt((e.setting.k3 * e.setting.radius) ** 2 + (e.e2 + e.delta) ** 2)
 
 
 def v2_printed(setting: Setting) -> Claim:
-    """(24) for a static obstacle and δ > 0: the "safety" lets the robot in to R_OB − δ."""
+    """The claim (24) for a static obstacle and δ ≥ 0; refuted, because the robot comes as near as R_OB − δ."""
     e = _encounter(setting)
     return Claim(
         name="v2-printed",
@@ -129,7 +129,7 @@ def v2_printed(setting: Setting) -> Claim:
 
 
 def v2_static(setting: Setting) -> Claim:
-    """(24) where it holds: static obstacle, δ e2 ≥ 0."""
+    """The claim (24) under the conditions for which it holds: a static obstacle and δ e2 ≥ 0."""
     e = _encounter(setting)
     return Claim(
         name="v2-static",
@@ -147,7 +147,10 @@ def v2_static(setting: Setting) -> Claim:
 
 
 def v2_obstacle(setting: Setting) -> Claim:
-    """(24) for a moving obstacle slower than the robot: the dropped term decides; δ e2 ≥ 0 keeps E11 out."""
+    """The claim (24) for a moving obstacle slower than the robot; refuted by the term that (24) drops (E12).
+
+    The constraint δ e2 ≥ 0 excludes the failure that erratum E11 describes.
+    """
     e = _encounter(setting)
     obstacle = setting.obstacle_speed
     return Claim(
@@ -170,9 +173,9 @@ def v2_obstacle(setting: Setting) -> Claim:
 
 
 def settling_intrusion(setting: Setting) -> float:
-    """e2* [m] < 0 where the law (20) settles before an obstacle that approaches head-on at u_OB < u_dm (E12).
+    """Return the equilibrium e2* < 0 [m] of law (20) in front of an obstacle that approaches head-on (E12).
 
-    e2* = −k3 R_OB c/√(1 − c²), c = u_OB/u_dm, for δ = 0.
+    The obstacle's speed is u_OB < u_dm. For δ = 0, e2* = −k3 R_OB c/√(1 − c²) with c = u_OB/u_dm.
 
     Example:
         >>> from surctl.verification import Setting, settling_intrusion
@@ -184,9 +187,9 @@ def settling_intrusion(setting: Setting) -> float:
 
 
 def v2_clockwise(setting: Setting) -> Claim:
-    """(20) with the clockwise angle of (17), (22) used in (2)."""
+    """The claim V̇2 ≤ 0 if (2) uses the angle of (20) as (17) and (22) define it: clockwise."""
     e = _encounter(setting)
-    # bearing at which the printed course points 155° off, on the 45° of (20) that ζ = 1 gives
+    # at this bearing the printed course points 155° away from the obstacle; the angle of (20) is 45°, because ζ = 1
     phi = float(np.deg2rad(55.0))
     return Claim(
         name="v2-clockwise",
@@ -204,7 +207,7 @@ def v2_clockwise(setting: Setting) -> Claim:
 
 
 def clearance_printed(setting: Setting) -> Claim:
-    """The printed law as a barrier on the clearance: it flies into a static obstacle from some bearings."""
+    """The claim that the printed law keeps the clearance; refuted: it hits a static obstacle at some bearings."""
     e = _encounter(setting)
     return Claim(
         name="clearance-printed",
@@ -222,7 +225,7 @@ def clearance_printed(setting: Setting) -> Claim:
 
 
 def clearance_corrected(setting: Setting) -> Claim:
-    """The corrected law keeps h = l − R_OB − d_s a barrier, for obstacles up to u_OB = u − κ d_s."""
+    """The claim that h = l − R_OB − d_s is a barrier function of the corrected law if u_OB ≤ u − κ d_s."""
     e = _encounter(setting)
     needed = e.u_ob + setting.kappa * setting.standoff
     return Claim(

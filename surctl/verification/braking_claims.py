@@ -1,6 +1,7 @@
-"""The steps of the barrier's proof as claims over a vehicle's whole box of ranges (`surctl.guidance.braking`).
+"""The steps of the proof of the braking barrier, as claims over all parameter ranges of a vehicle.
 
-What follows of them for numbers, laws and sampled data is a certificate of its own: `surctl.verification.braking`.
+`surctl.guidance.braking` states the proof. For given numbers, laws and sampled control, `surctl.verification.braking`
+issues a separate certificate.
 """
 
 from __future__ import annotations
@@ -16,19 +17,19 @@ from surctl.verification.claim import Claim, Variable
 
 __all__ = ["braking_keeps", "braking_mass", "braking_retreat"]
 
-_OBSTACLE = 0.15  # [m/s] largest of the claims
+_OBSTACLE = 0.15  # [m/s] largest speed of an obstacle in the claims
 
 
 @dataclass(frozen=True, eq=False)
 class _Box:
-    """A vehicle anywhere in its ranges, symbolic."""
+    """The braking data of a vehicle whose parameters lie anywhere in their ranges, with symbolic variables."""
 
     brakes: Brakes
     fastest: float
 
     @property
     def swing(self) -> float:
-        """Largest τ(F + F_b) [N s]."""
+        """The largest momentum τ(F + F_b) [N s] that the thrust lag can add."""
         return self.brakes.lag * (self.brakes.most + self.brakes.least)
 
     def mass(self) -> Variable:
@@ -42,7 +43,7 @@ class _Box:
         return Variable("s", ca.SX.sym("s"), "m/s", 0.0, self.fastest + _OBSTACLE, "closing speed")
 
     def left(self, obstacle: ca.SX) -> ca.SX:
-        """F' [N]."""
+        """The least braking force F' [N]: the least thrust minus the largest drag at the obstacle's speed."""
         return self.brakes.least - self.most_drag(obstacle)
 
     def most_drag(self, speed: ca.SX) -> ca.SX:
@@ -50,15 +51,16 @@ class _Box:
 
 
 def _box(vehicle: Vehicle, fastest: float) -> _Box:
-    """NotApplicable where surge and sway differ in mass: Coriolis forces then push."""
+    """The braking data; NotApplicable if surge and sway differ in mass, because Coriolis forces then act."""
     check_alike(vehicle, mass_alone=True, ranges=True)
     return _Box(brakes_of(vehicle), fastest)
 
 
 def braking_keeps(vehicle: Vehicle, fastest: float) -> Claim:
-    """While it brakes and comes nearer, the clearance beyond S does not fall: step 2 of the proof, times F'.
+    """The claim that l − S does not decrease while the vehicle brakes and the distance l closes (step 2, times F').
 
-    In the worse half of the cases: it goes astern at g, the obstacle comes on at v_o = g + s. Ahead, drag helps.
+    S is the stopping distance. The claim covers the worse case: the vehicle moves astern at g and the obstacle
+    approaches at v_o = g + s. While the vehicle still moves ahead, drag helps to brake.
     """
     box = _box(vehicle, fastest)
     b = box.brakes
@@ -67,14 +69,16 @@ def braking_keeps(vehicle: Vehicle, fastest: float) -> Claim:
     g = Variable("g", ca.SX.sym("g"), "m/s", 0.0, half, "own speed astern")
     x = Variable("X", ca.SX.sym("X"), "N s/m", *b.linear, "linear drag")
     x2 = Variable("X2", ca.SX.sym("X2"), "N s^2/m^2", *b.quadratic, "quadratic drag")
-    more = Variable("more", ca.SX.sym("more"), "N", 0.0, max(b.most - b.least, 0.0), "brake beyond F_b")
-    lags = Variable("lags", ca.SX.sym("lags"), "N", 0.0, b.most + b.least, "F + F_b, what the lag has yet to turn")
+    more = Variable("more", ca.SX.sym("more"), "N", 0.0, max(b.most - b.least, 0.0), "braking thrust in excess of F_b")
+    lags = Variable(
+        "lags", ca.SX.sym("lags"), "N", 0.0, b.most + b.least, "F + F_b, thrust not yet reversed by the lag"
+    )
     z = s.symbol + b.lag * lags.symbol / m.symbol
     drag = x.symbol * g.symbol + x2.symbol * g.symbol * g.symbol
     return Claim(
         name="braking-keeps",
-        statement="d/dt (l - S) >= 0 while it brakes with F_b or more and s >= 0, times F': s F' <= z (F_b - D(g)), "
-        "astern at g before what comes on at g + s",
+        statement="d/dt (l - S) >= 0 while the vehicle brakes with F_b or more and s >= 0, multiplied by F': "
+        "s F' <= z (F_b - D(g)); the vehicle moves astern at g and the obstacle approaches at g + s",
         equation="guidance.braking, step 2",
         errata=(),
         expected="proved",
@@ -87,14 +91,18 @@ def braking_keeps(vehicle: Vehicle, fastest: float) -> Claim:
 
 
 def braking_retreat(vehicle: Vehicle, fastest: float) -> Claim:
-    """The same where it goes back at r beyond v_o, and z is still positive: drag then pushes more than D(v_o)."""
+    """The claim that l − S does not decrease while the vehicle retreats faster than the obstacle approaches.
+
+    The vehicle moves astern at v_o + r while z is still positive; its drag then exceeds D(v_o).
+    """
     box = _box(vehicle, fastest)
     m, vo = box.mass(), box.obstacle()
     lightest = box.brakes.masses[0]
     r = Variable("r", ca.SX.sym("r"), "m/s", 0.0, box.swing / lightest, "speed at which the clearance opens")
     return Claim(
         name="braking-retreat",
-        statement="d/dt (l - S) >= 0 while it brakes and s = -r < 0 < z, times F': z (D(v_o + r) - F_b) <= r F'",
+        statement="d/dt (l - S) >= 0 while the vehicle brakes and s = -r < 0 < z, multiplied by F': "
+        "z (D(v_o + r) - F_b) <= r F'",
         equation="guidance.braking, step 2",
         errata=(),
         expected="proved",
@@ -107,13 +115,16 @@ def braking_retreat(vehicle: Vehicle, fastest: float) -> Claim:
 
 
 def braking_mass(vehicle: Vehicle, fastest: float) -> Claim:
-    """No mass between two needs a longer way than the chord between them, so that an end of the range is the worst."""
+    """The claim that the stopping distance is largest at an end of the mass range.
+
+    Between two masses the distance lies below the chord that joins their distances.
+    """
     box = _box(vehicle, fastest)
     s = box.closing()
-    q = Variable("q", ca.SX.sym("q"), "N s", 0.0, box.swing, "what the lag leaves of the thrust that pushes")
+    q = Variable("q", ca.SX.sym("q"), "N s", 0.0, box.swing, "momentum that the lagging thrust still adds")
     lightest, heaviest = box.brakes.masses
-    above = Variable("above", ca.SX.sym("above"), "kg", 0.0, heaviest - lightest, "mass less the lighter one")
-    below = Variable("below", ca.SX.sym("below"), "kg", 0.0, heaviest - lightest, "the heavier one less the mass")
+    above = Variable("above", ca.SX.sym("above"), "kg", 0.0, heaviest - lightest, "mass minus the lightest mass")
+    below = Variable("below", ca.SX.sym("below"), "kg", 0.0, heaviest - lightest, "heavier mass minus the mass")
     a, b, m = above.symbol, below.symbol, lightest + above.symbol
 
     def distance(mass: ca.SX) -> ca.SX:
@@ -121,7 +132,7 @@ def braking_mass(vehicle: Vehicle, fastest: float) -> Claim:
 
     return Claim(
         name="braking-mass",
-        statement="m z^2, z = s + q/m, is below its chord between two masses, times what these differ by",
+        statement="m z^2 with z = s + q/m lies below its chord between two masses, multiplied by their difference",
         equation="guidance.braking, step 2",
         errata=(),
         expected="proved",

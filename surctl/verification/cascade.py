@@ -1,9 +1,10 @@
-"""The cascaded controller, linearised about cruise: guidance outside, velocity loops inside, one loop delay.
+"""The cascaded controller, linearised about cruise: an outer guidance loop, inner velocity loops and one loop delay.
 
 In the deviations from a straight cruise along x (path and heading along x) the controller is
 ν_c = (−k1 x, −(U/Δ_h) y − U ψ, −k2 z, −k_psi ψ), F = m̂ (k (ν_c − ν) + ξ) + D'(ν_0) ν_c, ξ̇ = k_i (ν_c − ν),
-with k = (k_v, k_v, k_v, k_r). −U ψ is the wish turned into {B}: guidance commands a velocity in {E}. D' is
-the slope of the drag that is fed forward at the wanted speed; neither Coriolis forces nor drag are cancelled.
+with k = (k_v, k_v, k_v, k_r). Guidance commands a velocity in {E}; its rotation into {B} gives the term −U ψ. D' is
+the slope of the drag that the controller feeds forward at the desired speed. The controller cancels neither Coriolis
+forces nor the measured drag.
 """
 
 from __future__ import annotations
@@ -28,24 +29,24 @@ _PADE_ORDER = 3
 
 
 def has_cascade(law: str, guidance: str) -> bool:
-    """Whether the linear loop about straight cruise, away from obstacles, is this cascade.
+    """Whether this cascade describes the linear loop about straight cruise, far from obstacles.
 
-    `dwa` chooses between velocities, so that it has no linear loop; guidance with memory has a state more.
+    The law `dwa` chooses among discrete velocities and has no linear loop. Guidance with memory has one more state.
     """
     return guidance == "los" and law != "dwa"
 
 
 @dataclass(frozen=True, eq=False)
 class Cascade:
-    """Delayed plant and controller: ẋ = A x + B f, y = C x, f = −K y; one, or many behind a leading axis.
+    """The delayed plant and the controller: ẋ = A x + B f, y = C x, f = −K y; a leading axis holds several cascades.
 
-    With integral action ξ (4,) joins the states and the end of y, and its rate the end of f.
+    With integral action, ξ (4,) is appended to the states and to y, and ξ̇ is appended to f.
 
     Attributes:
-        A: (…, n, n) plant with thrust lag, then the delay states, then ξ.
-        B: (…, n, 4 or 8) from commanded thrust [N, N m], then ξ̇.
-        C: (…, 8 or 12, n) to (x, y, z, ψ, u, v, w, r), then ξ.
-        K: (…, 4 or 8, 8 or 12) controller.
+        A: (…, n, n) dynamics of the plant with thrust lag, of the delay states and of ξ, in this order.
+        B: (…, n, 4 or 8) input matrix; the inputs are the commanded thrust [N, N m], then ξ̇.
+        C: (…, 8 or 12, n) output matrix; the outputs are (x, y, z, ψ, u, v, w, r), then ξ.
+        K: (…, 4 or 8, 8 or 12) controller gain.
     """
 
     A: NDArray[np.float64]
@@ -55,13 +56,13 @@ class Cascade:
 
     @property
     def closed(self) -> NDArray[np.float64]:
-        """A − B K C, (…, n, n)."""
+        """The closed-loop matrix A − B K C, (…, n, n)."""
         closed: NDArray[np.float64] = self.A - self.B @ self.K @ self.C
         return closed
 
     @property
     def poles(self) -> NDArray[np.complex128]:
-        """Closed-loop poles (…, n) [rad/s], the slowest first."""
+        """The closed-loop poles (…, n) [rad/s], the slowest first."""
         eigenvalues = np.linalg.eigvals(self.closed).astype(complex)
         return np.take_along_axis(eigenvalues, np.argsort(-eigenvalues.real, axis=-1, kind="stable"), axis=-1)
 
@@ -71,14 +72,14 @@ class Cascade:
         return bool(np.all(self.poles[..., 0].real < -1e-9))
 
     def at_thrust(self, axis: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Loop (A, b, c) broken at one thrust command, all others closed."""
+        """The loop (A, b, c) opened at one thrust command; all other loops are closed."""
         rest = self.K.copy()
         rest[..., axis, :] = 0
         closed = self.A - self.B @ rest @ self.C
         return closed, self.B[..., [axis]], self.K[..., [axis], :] @ self.C
 
     def at_output(self, index: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Loop (A, b, c) broken at one measured output, all others closed."""
+        """The loop (A, b, c) opened at one measured output; all other loops are closed."""
         rest = self.K.copy()
         rest[..., index] = 0
         closed = self.A - self.B @ rest @ self.C
@@ -98,11 +99,11 @@ def build_cascade(
 
     Args:
         vehicle: the plant.
-        gains: `CASCADE_GAINS` by name, and k_i [1/s²] if there is integral action; others are passed over.
-        cruise: U [m/s], > 0.
-        dt: control period [s], > 0; the loop delay is 1.5 dt: one to compute, half of one for the hold.
-        model: what the controller believes the vehicle to be; default the vehicle itself.
-        delay: another loop delay [s]; 0 leaves it out, for those who sample the loop themselves.
+        gains: `CASCADE_GAINS` by name, and k_i [1/s²] for integral action; other gains are ignored.
+        cruise: cruise speed U [m/s], > 0.
+        dt: control period [s], > 0. The loop delay is 1.5 dt: dt for the computation and dt/2 for the hold.
+        model: the controller's model of the vehicle; default the vehicle itself.
+        delay: loop delay [s] in place of 1.5 dt; 0 omits the delay, for callers that sample the loop themselves.
 
     Raises:
         InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed.
@@ -137,18 +138,21 @@ def build_cascades(
     model: NDArray[np.float64],
     delay: float | None = None,
 ) -> Cascade:
-    """`build_cascade` of n points at once, all with thrust lag or none, all with integral action or none.
+    """Build the cascades of n points at once; see `build_cascade`.
+
+    All points have the same order: all or none have thrust lag, and all or none have integral action.
 
     Args:
-        plant: (n, 17) as `plant_parameters` lays them out; whether it can cruise is the caller's to know.
-        gains: `CASCADE_GAINS`, and k_i if there is integral action, each (n,).
-        cruise: U (n,) [m/s].
+        plant: (n, 17) plant parameters in the order of `plant_parameters`; the caller checks that each plant can
+            hold the cruise speed.
+        gains: `CASCADE_GAINS` by name, and k_i for integral action, each (n,).
+        cruise: cruise speed U (n,) [m/s].
         dt: control period [s].
-        model: what the controller believes, as plant.
-        delay: as `build_cascade`.
+        model: (n, 17) parameters of the controller's model, in the order of `plant`.
+        delay: as in `build_cascade`.
 
     Raises:
-        InputError: a gain is missing or not positive, or the points are of different orders.
+        InputError: a gain is missing or not positive, or the points have different orders.
     """
     for name in CASCADE_GAINS:
         if name not in gains:
@@ -161,11 +165,15 @@ def build_cascades(
     lag = plant[:, PLANT_PARAMETERS.slice("thrust_lag")][:, 0]
     for key, value in (("thrust_lag", lag), ("k_i", k_i)):
         if np.any(value > 0) != np.all(value > 0):
-            raise InputError("is 0 for some and not for others", key=key, remedy="build those apart: other orders")
+            raise InputError(
+                "is 0 at some points and positive at others",
+                key=key,
+                remedy="build them in separate calls: their cascades have different orders",
+            )
     nu = np.zeros((len(cruise), 4))
     nu[:, 0] = cruise
     A, B, _ = plant_jacobians(plant, nu)
-    # states of the plant are its outputs; without lag the thrust states are none
+    # the first states of the plant are its outputs; without thrust lag there are no thrust states
     keep = A.shape[-1] if lag[0] > 0 else _OUTPUTS
     C = np.broadcast_to(np.eye(_OUTPUTS, keep), (len(nu), _OUTPUTS, keep))
     A, B = A[:, :keep, :keep], B[:, :keep]
@@ -177,7 +185,7 @@ def build_cascades(
 
 
 def check_positive(values: Mapping[str, NDArray[np.float64]]) -> None:
-    """InputError that names the first value which is not finite and > 0."""
+    """Raise InputError for the first value that is not finite or not greater than 0."""
     for name, entries in values.items():
         wrong = entries[~(np.isfinite(entries) & (entries > 0))]
         if wrong.size:
@@ -189,7 +197,7 @@ def _columns(flat: NDArray[np.float64], layout: Layout, name: str) -> NDArray[np
 
 
 def _guidance(k: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-    """(n, 4, 4): ν_c = −this · (x, y, z, ψ)."""
+    """The guidance gain G (n, 4, 4) in ν_c = −G (x, y, z, ψ)."""
     outer = np.zeros((len(k["cruise"]), 4, 4))
     for axis, slope in enumerate((k["k1"], k["cruise"] / k["lookahead"], k["k2"], k["k_psi"])):
         outer[:, axis, axis] = slope
@@ -200,7 +208,7 @@ def _guidance(k: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
 def _controller(
     model: Mapping[str, NDArray[np.float64]], k: Mapping[str, NDArray[np.float64]], nu: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """K (n, 4, 8) from deviations (x, y, z, ψ, u, v, w, r) to −F."""
+    """The controller gain K (n, 4, 8) from the deviations (x, y, z, ψ, u, v, w, r) to −F."""
     inner = model["mass"] * np.stack([k["k_v"], k["k_v"], k["k_v"], k["k_r"]], axis=-1)
     slope = model["linear_drag"] + 2 * model["quadratic_drag"] * np.abs(nu)  # D'(ν_0)
     return np.concatenate([(inner + slope)[..., None] * _guidance(k), inner[..., None] * np.eye(4)], axis=-1)
@@ -212,7 +220,7 @@ def _with_integral(
     k: Mapping[str, NDArray[np.float64]],
     k_i: NDArray[np.float64],
 ) -> Cascade:
-    """The cascade with ξ̇ = k_i (ν_c − ν) and m̂ ξ added to the thrust."""
+    """The cascade with integral action: ξ̇ = k_i (ν_c − ν), and m̂ ξ is added to the thrust."""
     eye = np.broadcast_to(np.eye(4), (len(k_i), 4, 4))
     drive = k_i[:, None, None] * np.concatenate([_guidance(k), eye], axis=-1)
     return Cascade(
@@ -224,7 +232,7 @@ def _with_integral(
 
 
 def _diagonal(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Both on the diagonal of a larger matrix; (n, …, …) each."""
+    """The block-diagonal matrix of two matrices, each (n, …, …)."""
     (n, rows, columns), (_, more, further) = first.shape, second.shape
     joined = np.zeros((n, rows + more, columns + further))
     joined[:, :rows, :columns], joined[:, rows:, columns:] = first, second
@@ -234,7 +242,7 @@ def _diagonal(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArra
 def _delayed(
     A: NDArray[np.float64], B: NDArray[np.float64], C: NDArray[np.float64], delay: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """The plants behind a Padé delay [s] on each of their inputs."""
+    """The plants with a Padé approximation of the delay [s] at each input."""
     eye = np.eye(B.shape[-1])
     a, b, c, d = (np.kron(eye, m) for m in _pade(delay))
     n, order, lags = len(A), A.shape[-1], len(a)
@@ -246,7 +254,10 @@ def _delayed(
 
 @cache
 def _pade(delay: float) -> tuple[NDArray[np.float64], ...]:
-    """A, B, C, D of the Padé approximation of order 3, in controller form (Golub and Van Loan, algorithm 11.3.1)."""
+    """The matrices A, B, C, D of the Padé approximation of order 3 (Golub and Van Loan, algorithm 11.3.1).
+
+    They are in controller canonical form.
+    """
     n, down = _PADE_ORDER, [1.0]
     for k in range(1, n + 1):
         down.append(down[-1] * delay * (n - k + 1) / (2 * n - k + 1) / k)

@@ -1,4 +1,4 @@
-"""What an attempt at a proof came to whose certificate the independent checker decides on."""
+"""The result of an attempted proof, whose certificate the independent checker accepts or rejects."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ __all__ = ["Certified"]
 class _Claim(Protocol):
     @property
     def name(self) -> str:
-        """Its name."""
+        """The name of the claim."""
 
 
 @dataclass(frozen=True)
 class Certified:
-    """Verdict and certificate.
+    """A claim with its verdict and its certificate.
 
     Attributes:
-        claim: what was claimed.
-        verdict: `proved` if the checker accepted, else `unknown`.
-        document: the certificate; empty when unknown.
-        reason: why the checker did not accept; empty when proved.
+        claim: the claim.
+        verdict: `proved` if the checker accepted the certificate, otherwise `unknown`.
+        document: the certificate; empty if the verdict is `unknown`.
+        reason: why the claim is not proved; empty if the verdict is `proved`.
     """
 
     claim: _Claim
@@ -33,19 +33,19 @@ class Certified:
     reason: str
 
     def certificate(self) -> dict[str, Any]:
-        """The certificate as plain data, ready for JSON; empty when nothing was proved."""
+        """The certificate as plain data for JSON; empty if the claim is not proved."""
         return self.document
 
     def text(self) -> str:
-        """The certificate's file."""
+        """The text of the certificate file."""
         return json.dumps(self.document, separators=(",", ":")) + "\n"
 
     def write(self, path: Path) -> None:
-        """Write the certificate's file."""
+        """Write the certificate file."""
         path.write_text(self.text(), encoding="utf-8")
 
     def decided(self) -> dict[str, Any]:
-        """Claim, verdict and certificate as plain data for JSON."""
+        """The claim's name, the verdict and the certificate as plain data for JSON."""
         return {
             "claim": self.claim.name,
             "expected": "proved",

@@ -1,4 +1,4 @@
-"""A claim: an inequality said to hold everywhere on a domain, as data that can be checked and printed."""
+"""A claim: an inequality that should hold everywhere on a domain, as data that can be checked and printed."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from surctl.errors import InputError, nearest
 __all__ = ["Claim", "Motion", "Variable", "VerdictWord"]
 
 VerdictWord = Literal["proved", "refuted", "unknown", "not refuted"]
-"""`proved` with a certificate, `refuted` with a counterexample, `unknown` with what is left open; `not refuted` is what
-the falsifier alone can say."""
+"""A claim is `proved` with a certificate, `refuted` with a counterexample, or `unknown` if neither was found.
+`not refuted` is the verdict of the falsifier alone, which cannot prove a claim."""
 
 
 @dataclass(frozen=True, eq=False)
 class Variable:
-    """One unknown of a claim and the interval it ranges over.
+    """One variable of a claim with its lower and upper bound.
 
     Attributes:
-        name: name in counterexamples.
+        name: name of the variable, as counterexamples show it.
         symbol: the scalar SX symbol.
-        unit: SI unit, "1" when dimensionless.
+        unit: SI unit; "1" if dimensionless.
         lower: least value, in `unit`.
         upper: largest value, in `unit`; not below `lower`.
-        meaning: what it is and in which frame.
+        meaning: description of the quantity, with its frame.
     """
 
     name: str
@@ -42,14 +42,14 @@ class Variable:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The kinematic loop behind a claim: what a counterexample is replayed on.
+    """The kinematic loop of a claim, on which a counterexample is replayed.
 
     Attributes:
-        rates: time derivative of each variable that moves, in its unit per second; the others are held.
-        watched: the quantity whose rate the claim bounds (a Lyapunov function, a clearance).
+        rates: time derivative of each variable that moves, in its unit per second; the other variables are constant.
+        watched: the quantity whose rate the claim bounds (a Lyapunov function or a clearance).
         name: name of `watched`.
         unit: unit of `watched`.
-        duration: how long to integrate at most [s].
+        duration: largest integration time [s].
     """
 
     rates: Mapping[str, ca.SX]
@@ -61,26 +61,27 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Claim:
-    """left(x) ≤ right(x) for every x in the box with constraint(x) ≤ 0. Equality is allowed.
+    """The claim left(x) ≤ right(x) for every x in a box with constraints(x) ≤ 0; the two sides may be equal.
 
-    A strict claim ("negative away from the origin") is written with a right side that is negative away from
-    the origin, for instance −c‖e‖²: then equality at the origin refutes nothing.
+    To claim "negative away from the origin", choose a right side that is negative away from the origin,
+    for instance −c‖e‖²: equality at the origin then does not refute the claim.
 
     Attributes:
-        name: short name, as the command line takes it.
+        name: short name, used on the command line.
         statement: the claim in words.
-        equation: where it stands: equation numbers of the paper.
-        errata: ids of the errata it belongs to.
-        expected: the verdict that is expected; a printed claim may be expected to be refuted.
-        variables: the unknowns with their box.
+        equation: numbers of the paper's equations to which the claim refers.
+        errata: ids of the errata that concern the claim.
+        expected: the expected verdict; for a claim as printed in the paper it may be `refuted`.
+        variables: the variables with their bounds.
         left: scalar SX in the variables.
         right: scalar SX in the variables.
         unit: unit of both sides.
-        constraints: SX column g; the domain is the part of the box with g ≤ 0.
-        witnesses: points known to matter, each a value for every variable.
-        motion: the loop to replay a counterexample on, if the claim bounds a rate.
-        paper: whether the paper says it, as printed or corrected.
-        tolerance: a point refutes when left − right exceeds this times the largest of |left|, |right| seen.
+        constraints: SX column g; the domain is the part of the box where g ≤ 0.
+        witnesses: points that the falsifier tries first, each with a value for every variable.
+        motion: the loop on which a counterexample is replayed, if the claim bounds a rate.
+        paper: whether the claim comes from the paper, as printed or as corrected.
+        tolerance: a point refutes the claim only if left − right exceeds this times the largest |left| or |right|
+            found.
     """
 
     name: str
@@ -99,7 +100,7 @@ class Claim:
     paper: bool = True
 
     def __post_init__(self) -> None:
-        """Raise InputError for a claim that cannot be checked, naming it."""
+        """Raise InputError, with the claim's name, if the claim cannot be checked."""
         names = [v.name for v in self.variables]
         if len(set(names)) < len(names) or not names:
             raise self._mistake("needs variables with different names", names)
@@ -113,30 +114,30 @@ class Claim:
             self.point(witness)
         for moving in self.motion.rates if self.motion else ():
             if moving not in names:
-                raise self._mistake("moves what is not among its variables", moving)
+                raise self._mistake("has a rate for a name that is not among its variables", moving)
 
     @property
     def margin(self) -> ca.SX:
-        """Left minus right, positive where the claim fails; in `unit`."""
+        """The expression left − right in `unit`; it is positive where the claim fails."""
         return self.left - self.right
 
     @property
     def symbols(self) -> ca.SX:
-        """(n, 1): the variables' symbols in order."""
+        """The symbols of the variables as a column (n, 1), in order."""
         return ca.vertcat(*[v.symbol for v in self.variables])
 
     @property
     def lower(self) -> NDArray[np.float64]:
-        """(n,): lower corner of the box."""
+        """The lower bounds (n,) of the variables."""
         return np.array([v.lower for v in self.variables], dtype=float)
 
     @property
     def upper(self) -> NDArray[np.float64]:
-        """(n,): upper corner of the box."""
+        """The upper bounds (n,) of the variables."""
         return np.array([v.upper for v in self.variables], dtype=float)
 
     def point(self, values: Mapping[str, float]) -> NDArray[np.float64]:
-        """(n,) vector from named values; InputError when a name is missing or unknown."""
+        """The vector (n,) of the named values; InputError if a name is missing or unknown."""
         names = [v.name for v in self.variables]
         for name in values:
             if name not in names:
@@ -147,11 +148,11 @@ class Claim:
         return np.array([float(values[name]) for name in names])
 
     def values(self, point: NDArray[np.float64]) -> dict[str, float]:
-        """Named values from an (n,) vector."""
+        """The values of a vector (n,) by variable name."""
         return {v.name: float(x) for v, x in zip(self.variables, point, strict=True)}
 
     def on(self, domain: Mapping[str, tuple[float, float]]) -> Claim:
-        """The same claim on another box, (lower, upper) by variable; witnesses outside it are dropped."""
+        """The same claim with other bounds (lower, upper) by variable; witnesses outside them are dropped."""
         known = [v.name for v in self.variables]
         for name in domain:
             if name not in known:

@@ -1,4 +1,4 @@
-"""Claims as TOML: a user's own inequality in, any claim of the library out."""
+"""Read a claim from a TOML file, and write any claim of the library as one."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class _ClaimTable(Strict):
 
 
 def load_claim(path: Path) -> Claim:
-    """A claim from a TOML file.
+    """Load a claim from a TOML file.
 
     ::
 
@@ -74,7 +74,7 @@ def load_claim(path: Path) -> Claim:
         left = "y_e*u*sin(atan2(-y_e, ahead))"
         right = "0"                               # default; left <= right is claimed
         unit = "m^2/s"
-        constraints = ["y_e^2 <= 4*ahead^2"]      # where it is claimed; each with one <= or >=
+        constraints = ["y_e^2 <= 4*ahead^2"]      # the domain of the claim; each constraint has one <= or >=
         expected = "proved"                       # default; or "refuted"; or "not refuted": no counterexample
         [constants]
         ahead = 0.5
@@ -82,12 +82,13 @@ def load_claim(path: Path) -> Claim:
         y_e = { lower = -2, upper = 2, unit = "m", meaning = "cross-track error" }
         u = { lower = 0.05, upper = 0.25, unit = "m/s" }
 
-    Also `statement`, `equation`, `errata`, `tolerance` (share of the larger side that counts as rounding, 1e-9),
-    `witnesses` (points, each a value for every variable) and `[motion]` (`rates` by variable, `watched`, `name`,
-    `unit`, `duration`): the loop on which a counterexample is replayed. Units are told, not converted: write SI.
+    Optional keys: `statement`, `equation`, `errata`, `tolerance` (the share of the larger side that counts as
+    rounding; default 1e-9), `witnesses` (points, each with a value for every variable) and the table `[motion]`
+    (`rates` by variable, `watched`, `name`, `unit`, `duration`), the loop on which a counterexample is replayed. Units
+    are printed but not converted: use SI units.
 
     Raises:
-        InputError: naming file, key, token and column, and the remedy.
+        InputError: the file is not a valid claim; the error names file, key, token and column, and the remedy.
 
     Example:
         >>> from pathlib import Path
@@ -118,7 +119,7 @@ def load_claim(path: Path) -> Claim:
         if len(sign) != 1 or text.count(sign[0]) != 1:
             raise InputError("needs one <= or >=", file=path, key=key, value=text, remedy='write e.g. "x^2 <= 4"')
         at = text.index(sign[0])
-        # blanks keep the columns of what stands behind the sign
+        # pad with blanks, so that errors name the right column for the text after the sign
         first, second = read(text[:at], key), read(" " * (at + 2) + text[at + 2 :], key)
         return first - second if sign[0] == "<=" else second - first
 
@@ -141,17 +142,17 @@ def _variable(name: str, symbol: ca.SX, entry: _VariableTable) -> Variable:
 
 
 def _checked_names(table: _ClaimTable, path: Path) -> list[str]:
-    """The variables' names; InputError for one that the grammar could not read."""
+    """The names of the variables; InputError for a name that the grammar cannot read."""
     if not table.variables:
         raise InputError("is empty", file=path, key="variables", remedy="give at least one variable with bounds")
     for kind, group in (("variables", table.variables), ("constants", table.constants)):
         for name in group:
             if not IDENTIFIER.fullmatch(name) or name in (*FUNCTIONS, "pi"):
-                remedy = "use letters, digits and _, beginning with a letter, and no name of the grammar"
+                remedy = "use letters, digits and _, begin with a letter, and do not use a name of the grammar"
                 raise InputError("is not a name for an expression", file=path, key=f"{kind}.{name}", remedy=remedy)
     both = sorted(set(table.variables) & set(table.constants))
     if both:
-        raise InputError("is a variable too", file=path, key=f"constants.{both[0]}", remedy="rename one of them")
+        raise InputError("is also a variable", file=path, key=f"constants.{both[0]}", remedy="rename one of them")
     for name, entry in table.variables.items():
         if entry.lower > entry.upper:
             raise InputError(
@@ -170,11 +171,11 @@ def _motion(table: _ClaimTable, read: Callable[[str, str], ca.SX]) -> Motion | N
 
 
 def write_claim(claim: Claim) -> str:
-    r"""The claim as the text of such a file; `load_claim` reads it back as the same claim.
+    r"""Return the claim as the text of a TOML claim file; `load_claim` reads it back as the same claim.
 
     Raises:
-        UnsupportedOperation: an operation that the claim grammar does not have.
-        InputError: a name that the grammar cannot read.
+        UnsupportedOperation: the claim uses an operation that the claim grammar does not have.
+        InputError: the claim has a name that the grammar cannot read.
 
     Example:
         >>> from surctl.verification import claims, write_claim
@@ -188,7 +189,7 @@ def write_claim(claim: Claim) -> str:
     for v in claim.variables:
         if not IDENTIFIER.fullmatch(v.name) or v.name in (*FUNCTIONS, "pi"):
             raise InputError("is not a name for an expression", key=f"{claim.name}.{v.name}", remedy="rename it")
-    said = statement_of(claim)
+    stated = statement_of(claim)
     lines = [
         'kind = "claim"',
         f"name = {quoted(claim.name)}",
@@ -197,9 +198,9 @@ def write_claim(claim: Claim) -> str:
         f"errata = [{', '.join(quoted(e) for e in claim.errata)}]",
         f"expected = {quoted(claim.expected)}",
         f"unit = {quoted(claim.unit)}",
-        f"left = {quoted(text_of(said.left))}",
-        f"right = {quoted(text_of(said.right))}",
-        f"constraints = [{', '.join(quoted(text_of(g) + ' <= 0') for g in said.constraints)}]",
+        f"left = {quoted(text_of(stated.left))}",
+        f"right = {quoted(text_of(stated.right))}",
+        f"constraints = [{', '.join(quoted(text_of(g) + ' <= 0') for g in stated.constraints)}]",
         f"tolerance = {claim.tolerance!r}",
         f"witnesses = [{', '.join(_inline({k: repr(float(x)) for k, x in w.items()}) for w in claim.witnesses)}]",
         "",

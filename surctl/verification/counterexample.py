@@ -1,4 +1,4 @@
-"""A point where a claim fails, and its replay: evaluated from the numbers, flown on the kinematic loop."""
+"""A counterexample, the point where a claim fails, and its replay: a second evaluation and a run of the loop."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ Origin = Literal["search", "witness"]
 
 @dataclass(frozen=True)
 class Counterexample:
-    """A point of a claim's domain with the margin there.
+    """A point of a claim's domain, with the margin at this point.
 
     Attributes:
         values: value of each variable, in its unit.
-        margin: left − right there; the claim fails where it is positive.
+        margin: left − right at the point; the claim fails if it is positive.
         unit: unit of the margin.
-        origin: found by `search`, or a `witness` that came with the claim.
+        origin: `search` if the falsifier found the point, `witness` if the claim supplied it.
     """
 
     values: Mapping[str, float]
@@ -36,12 +36,12 @@ class Counterexample:
     origin: Origin = "search"
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """The counterexample as plain data for JSON."""
         return {"values": dict(self.values), "margin": self.margin, "unit": self.unit, "origin": self.origin}
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any]) -> Counterexample:
-        """Back from `to_dict`; InputError when a field is missing or is no number."""
+        """Read the result of `to_dict`; InputError if a field is missing or is not a number."""
         try:
             values = {str(k): float(v) for k, v in table["values"].items()}
             origin: Origin = "witness" if table.get("origin") == "witness" else "search"
@@ -57,16 +57,16 @@ class Counterexample:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """What a counterexample shows when it is run again.
+    """The result of evaluating a counterexample again and simulating the claim's motion from it.
 
     Attributes:
-        margin: left − right, evaluated anew.
+        margin: left − right, evaluated again.
         inside: whether the point lies in the claim's domain.
-        name: name of the watched quantity; empty when the claim has no motion.
-        unit: its unit.
-        time: (k,) [s]; empty without motion.
-        watched: (k,) the quantity along the motion.
-        excess: (k,) ∫ margin dt: by how much it has outgrown what the claim allows.
+        name: name of the watched quantity; empty if the claim has no motion.
+        unit: unit of the watched quantity.
+        time: (k,) times [s]; empty if the claim has no motion.
+        watched: (k,) the watched quantity along the motion.
+        excess: (k,) ∫ margin dt: by how much the watched quantity exceeds the value that the claim allows.
     """
 
     margin: float
@@ -79,11 +79,11 @@ class Replay:
 
     @property
     def confirmed(self) -> bool:
-        """In the domain, a positive margin, and the motion outgrows what the claim allows."""
+        """Whether the point lies in the domain, its margin is positive, and the motion exceeds the claimed bound."""
         return self.inside and self.margin > 0 and (self.excess.size == 0 or bool(self.excess[-1] > 0))
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON and plots."""
+        """The replay as plain data for JSON and plots."""
         series = {key: getattr(self, key).tolist() for key in ("time", "watched", "excess")}
         return {
             "margin": self.margin, "inside": self.inside, "confirmed": self.confirmed,
@@ -92,7 +92,10 @@ class Replay:
 
 
 def evaluate(claim: Claim, values: Mapping[str, float]) -> tuple[float, bool]:
-    """Margin at named values, and whether they lie in the claim's domain. InputError for a wrong name.
+    """Return the margin at named values, and whether they lie in the claim's domain.
+
+    Raises:
+        InputError: a name is missing or is not a variable of the claim.
 
     Example:
         >>> from surctl.verification import claims, evaluate
@@ -106,24 +109,24 @@ def evaluate(claim: Claim, values: Mapping[str, float]) -> tuple[float, bool]:
 
 
 def replay(claim: Claim, counterexample: Counterexample, *, points: int = 101) -> Replay:
-    """Evaluate the counterexample from its numbers; where the claim bounds a rate, integrate the loop.
+    """Evaluate a counterexample again; if the claim bounds a rate, also integrate the claim's loop from this point.
 
-    The integration ends with the violation, or after the motion's duration.
+    The integration ends when the violation ends, or after the motion's duration.
 
     Args:
-        claim: the claim, with the same gains as when it was refuted.
+        claim: the claim, with the gains for which it was refuted.
         counterexample: the point; only its values are used.
-        points: length of the time series.
+        points: number of samples of the time series.
 
     Raises:
-        InputError: the counterexample does not name the claim's variables.
+        InputError: the names in the counterexample are not those of the claim's variables.
         SolverError: the integration failed.
 
     Example:
         >>> from surctl.verification import claims, falsify, replay
         >>> [claim] = claims(names=["v1-printed"])
-        >>> flown = replay(claim, falsify(claim, samples=256, starts=2).counterexample)
-        >>> print(f"{flown.name} [{flown.unit}]: {flown.watched[0]:.1f} to {flown.watched[-1]:.1f}")
+        >>> run = replay(claim, falsify(claim, samples=256, starts=2).counterexample)
+        >>> print(f"{run.name} [{run.unit}]: {run.watched[0]:.1f} to {run.watched[-1]:.1f}")
         V1 [m^2]: 4.0 to 8.9
     """
     margin, inside = evaluate(claim, counterexample.values)
@@ -137,7 +140,7 @@ def replay(claim: Claim, counterexample: Counterexample, *, points: int = 101) -
 def _replay(
     claim: Claim, motion: Motion, start: NDArray[np.float64], points: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Time, watched quantity and ∫ margin dt, until the violation ends; variables without a rate are held."""
+    """Time, watched quantity and ∫ margin dt until the violation ends; variables without a rate stay constant."""
     from scipy.integrate import solve_ivp
 
     x = claim.symbols

@@ -1,4 +1,4 @@
-"""Claims about the course in (9): what sway does to a robot that is steered by its heading (E7)."""
+"""Claims about the course in (9): how sway affects a robot that steers by its heading instead of its course (E7)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["course_corrected", "course_printed"]
 
 
 def _course(setting: Setting, *, corrected: bool) -> Claim:
-    """y_e ẏ_e under line of sight, straight path: steered by heading, or by course."""
+    """The claim on y_e ẏ_e for line-of-sight guidance on a straight path, steered by course or by heading."""
     y_e, u, v = ca.SX.sym("y_e"), ca.SX.sym("u"), ca.SX.sym("v")
     aim = -ca.atan2(y_e, setting.lookahead)
     heading = aim - ca.atan2(v, u) if corrected else aim
@@ -43,10 +43,10 @@ def _course(setting: Setting, *, corrected: bool) -> Claim:
 
 
 def course_printed(setting: Setting) -> Claim:
-    """(9) with the heading where the course belongs: sway leaves a cross-track error Δ_h v/u."""
+    """The claim for (9) as printed, which uses the heading for the course: sway leaves a cross-track error Δ_h v/u."""
     return _course(setting, corrected=False)
 
 
 def course_corrected(setting: Setting) -> Claim:
-    """(9) with the course: the sideslip is commanded away."""
+    """The claim for (9) with the course: the heading command compensates the sideslip angle."""
     return _course(setting, corrected=True)

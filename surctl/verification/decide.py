@@ -1,4 +1,4 @@
-"""Proved, refuted or unknown: the falsifier first, then the prover, and the checker has the last word."""
+"""Decide whether a claim is proved, refuted or unknown: falsifier, then prover, then the independent checker."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from surctl.verification.verdict import Verdict
 
 __all__ = ["decide"]
 
-_INSIDE = 1e-9  # how far a point is moved into the domain at first, in a constraint's own unit
+_INSIDE = 1e-9  # first distance by which a point is moved into the domain, in the constraint's unit
 _MOVES = 6
-_MOVED = 16  # of the worst violating points
+_MOVED = 16  # number of the worst violating points that are moved
 
 
 def decide(
@@ -34,22 +34,22 @@ def decide(
     time_limit: float = 20.0,
     progress: Callable[[str], None] | None = None,
 ) -> Verdict:
-    """Prove or refute a claim, or say what is left open.
+    """Prove or refute a claim, or report where neither succeeded.
 
-    `refuted`: at the counterexample, by interval arithmetic, left exceeds right and the point lies in the domain.
-    `proved`: `surctl.certcheck` accepts the certificate; left may exceed right by the slack that the certificate
-    names: 0, or what counts as rounding by the claim's tolerance.
+    `refuted`: interval arithmetic confirms that the counterexample lies in the domain and that left exceeds right.
+    `proved`: `surctl.certcheck` accepts the certificate. Left may exceed right by the slack that the certificate
+    states: 0, or the amount that counts as rounding by the claim's tolerance.
 
     Args:
         claim: the claim.
-        samples: of the falsifier.
-        starts: local searches of the falsifier.
-        seed: of the falsifier.
-        time_limit: of the prover [s].
-        progress: told a line now and then.
+        samples: number of samples of the falsifier.
+        starts: number of local searches of the falsifier.
+        seed: seed of the falsifier's samples.
+        time_limit: time limit of the prover [s].
+        progress: function that receives a line of progress from time to time.
 
     Raises:
-        InputError: as `falsify`.
+        InputError: as in `falsify`.
 
     Example:
         >>> from surctl.verification import claims, decide
@@ -65,7 +65,7 @@ def decide(
         sure = _confirmed(claim, verdict.counterexample, outcome.violating)
         if sure is not None:
             return replace(verdict, counterexample=sure, seconds=time.perf_counter() - began)
-        # by rounding alone, or outside by rounding: it does not count, and the claim may still be true
+        # rounding may explain the violation, or the point may lie outside the domain: the claim may still be true
         verdict = replace(verdict, verdict="not refuted", counterexample=None)
     proof = prove(claim, time_limit=time_limit, slack=verdict.threshold, progress=progress)
     reason = proof.remaining
@@ -81,15 +81,15 @@ def decide(
 
 
 def _confirmed(claim: Claim, worst: Counterexample, violating: NDArray[np.float64]) -> Counterexample | None:
-    """A counterexample that intervals confirm: the worst one, any other violating point (n, k), or one of the worst few
-    moved into the domain by a hair.
+    """A counterexample that interval arithmetic confirms, or None if there is none.
 
-    At the worst point alone intervals may say nothing: on the branch cut of atan2 they hold all angles.
+    Candidates are the worst point, then the other violating points (n, k), then the worst few of them moved slightly
+    into the domain. The worst point alone may not suffice: on the branch cut of atan2 an interval holds all angles.
     """
     points = np.column_stack([claim.point(worst.values), violating])
     try:
         excess = certain_excess(claim, points)
-    except InputError:  # operations that the claim grammar does not have: the numbers stand as they are
+    except InputError:  # an operation is missing in the claim grammar: accept the floating-point result
         return worst
     if excess[0] > 0:
         return worst
@@ -100,14 +100,14 @@ def _confirmed(claim: Claim, worst: Counterexample, violating: NDArray[np.float6
     for point in points.T[:_MOVED]:
         moved = np.column_stack([_moved(oracle, point, _INSIDE * 10.0**k) for k in range(_MOVES)])
         excess = certain_excess(claim, moved)
-        best = int(np.argmax(excess > 0))  # the least move that will do
+        best = int(np.argmax(excess > 0))  # the smallest move that suffices
         if excess[best] > 0:
             return replace(worst, values=claim.values(moved[:, best]), margin=float(excess[best]))
     return None
 
 
 def _moved(oracle: Oracle, point: NDArray[np.float64], by: float) -> NDArray[np.float64]:
-    """The point moved into the box and against every constraint that is not met by `by`."""
+    """The point moved into the box until every constraint holds with the margin `by`, if possible."""
     claim = oracle.claim
     at = np.clip(point, claim.lower, claim.upper)
     for _ in range(_MOVES):

@@ -1,4 +1,4 @@
-"""Falsifier: samples, then local optimisation with exact gradients. It can refute, it can never prove."""
+"""The falsifier: samples, then local optimisation with exact gradients. It can refute a claim but never prove one."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from surctl.verification.verdict import Verdict
 
 __all__ = ["Search", "falsify", "search"]
 
-_APART = 0.1  # least distance between two starts, in unit boxes per root of the dimension
+_APART = 0.1  # least distance between two starting points in the unit box, divided by the root of the dimension
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What the falsifier saw.
+    """The result of the falsifier.
 
     Attributes:
         verdict: `refuted`, with the worst point as counterexample, or `not refuted`.
-        violating: (n, k) every point seen where the margin exceeds the threshold, the worst first, in the variables'
-            units.
+        violating: (n, k) every evaluated point where the margin exceeds the threshold, the worst first, in the
+            variables' units.
     """
 
     verdict: Verdict
@@ -34,10 +34,11 @@ class Search:
 
 
 def falsify(claim: Claim, *, samples: int = 4096, starts: int = 16, seed: int = 0) -> Verdict:
-    """Look for a point of the domain where the claim fails.
+    """Search for a point of the domain where the claim fails.
 
-    Scrambled Sobol samples (rounded up to a power of two), then from the worst of them, kept apart, a local
-    ascent of the margin (L-BFGS-B, or SLSQP when the domain has constraints) in the unit box.
+    The falsifier evaluates scrambled Sobol samples, whose number is rounded up to a power of two. From the worst of
+    them that are far enough apart, it maximises the margin in the unit box with L-BFGS-B, or with SLSQP if the domain
+    has constraints.
 
     Args:
         claim: the claim.
@@ -46,7 +47,7 @@ def falsify(claim: Claim, *, samples: int = 4096, starts: int = 16, seed: int = 
         seed: seed of the samples; the same seed gives the same verdict.
 
     Raises:
-        InputError: nonsensical numbers, an empty domain, or a margin that is not finite inside the domain.
+        InputError: fewer than 2 samples or 1 start, an empty domain, or a margin that is not finite in the domain.
 
     Example:
         >>> from surctl.verification import claims, falsify
@@ -59,7 +60,7 @@ def falsify(claim: Claim, *, samples: int = 4096, starts: int = 16, seed: int = 
 
 
 def search(claim: Claim, *, samples: int, starts: int, seed: int) -> Search:
-    """As `falsify`, with every violating point beside the verdict."""
+    """Run the falsifier and return every violating point with the verdict; see `falsify` for the arguments."""
     began = time.perf_counter()
     if samples < 2 or starts < 1:
         raise InputError("needs at least 2 samples and 1 start", key=claim.name, value=(samples, starts))
@@ -71,7 +72,9 @@ def search(claim: Claim, *, samples: int, starts: int, seed: int) -> Search:
     maxima = _climb(oracle, begin)
     points = np.hstack([oracle.place(unit[:, inside]), maxima])
     if points.shape[1] == 0:
-        raise InputError("its domain is empty, as far as the samples see", key=f"claim {claim.name}", remedy="widen it")
+        raise InputError(
+            "no sample lies in its domain", key=f"claim {claim.name}", remedy="widen the bounds or the constraints"
+        )
     scale = max(np.max(size[inside], initial=0), np.max(oracle.evaluate(points)[1]))
     threshold = claim.tolerance * float(scale)
     witnesses = _weigh(oracle)
@@ -96,7 +99,7 @@ def search(claim: Claim, *, samples: int, starts: int, seed: int) -> Search:
 
 
 def _sobol(dimension: int, samples: int, seed: int) -> NDArray[np.float64]:
-    """(dimension, 2^k ≥ samples) points of the unit box."""
+    """Points (dimension, 2^k ≥ samples) of the unit box."""
     from scipy.stats import qmc
 
     sample = qmc.Sobol(dimension, seed=seed).random_base2(int(np.ceil(np.log2(samples))))
@@ -106,7 +109,7 @@ def _sobol(dimension: int, samples: int, seed: int) -> NDArray[np.float64]:
 def _require_finite(
     oracle: Oracle, unit: NDArray[np.float64], margin: NDArray[np.float64], inside: NDArray[np.bool_]
 ) -> None:
-    """A NaN compares false with everything: it would read as "not refuted"."""
+    """Raise InputError for a NaN or infinity in the domain: comparisons with NaN are false, as if nothing failed."""
     broken = np.flatnonzero(inside & ~np.isfinite(margin))
     if broken.size:
         where = oracle.claim.values(oracle.place(unit[:, broken[0]]))
@@ -114,7 +117,7 @@ def _require_finite(
             "is not finite inside its domain",
             key=f"claim {oracle.claim.name}",
             value=where,
-            remedy="exclude that part",
+            remedy="exclude this part of the domain",
         )
 
 
@@ -125,7 +128,7 @@ def _choose_starts(
     inside: NDArray[np.bool_],
     starts: int,
 ) -> NDArray[np.float64]:
-    """(n, ≤ starts): the worst samples that keep apart; those outside the domain come last, nearest first."""
+    """The worst samples (n, ≤ starts) that are far enough apart; those outside the domain come last, nearest first."""
     outside = np.flatnonzero(~inside)[: 8 * starts]
     miss = [-float(np.min(oracle.slack(unit[:, i]), initial=0)) for i in outside]
     order = np.append(np.flatnonzero(inside)[np.argsort(-margin[inside], kind="stable")], outside[np.argsort(miss)])
@@ -138,22 +141,22 @@ def _choose_starts(
 
 
 def _climb(oracle: Oracle, starts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, k): ends of the local searches that lie in the domain, in the variables' units."""
+    """The end points (n, k) of the local searches that lie in the domain, in the variables' units."""
     ends = np.column_stack([oracle.place(_ascend(oracle, start)) for start in starts.T])
     margin, _, inside = oracle.evaluate(ends)
     return ends[:, inside & np.isfinite(margin)]
 
 
 def _ascend(oracle: Oracle, start: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit-box point where a local search of the largest margin ends."""
+    """The point of the unit box where a local search for the largest margin ends."""
     from scipy.optimize import minimize
 
     slope = float(np.max(np.abs(oracle.gradient(start))))
-    scale = slope if slope > 0 else 1.0  # objective of size 1 per box width: the stopping rules then mean something
+    scale = slope if slope > 0 else 1.0  # scaled to a slope of 1 per box width, so that the stopping rules apply
     constrained = oracle.claim.constraints.numel() > 0
     rows = [{"type": "ineq", "fun": oracle.slack, "jac": oracle.slack_jacobian}] if constrained else ()
     run = minimize(
-        lambda p: min(-oracle.margin(p) / scale, 1e6),  # finite also where the margin is not
+        lambda p: min(-oracle.margin(p) / scale, 1e6),  # finite even if the margin is not
         start,
         jac=lambda p: -oracle.gradient(p) / scale,
         bounds=[(0.0, 1.0)] * start.size,
@@ -165,7 +168,7 @@ def _ascend(oracle: Oracle, start: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _weigh(oracle: Oracle) -> tuple[Counterexample, ...]:
-    """The claim's own points, evaluated; those outside the domain are left out."""
+    """The claim's witnesses with their margins; witnesses outside the domain are omitted."""
     claim, weighed = oracle.claim, []
     for witness in claim.witnesses:
         point = claim.point(witness)
@@ -178,7 +181,7 @@ def _weigh(oracle: Oracle) -> tuple[Counterexample, ...]:
 def _worst(
     oracle: Oracle, points: NDArray[np.float64], witnesses: tuple[Counterexample, ...], threshold: float
 ) -> tuple[Counterexample | None, float]:
-    """The worst point as a counterexample, if it is one, and its margin."""
+    """The worst point as a counterexample, or None if its margin is within the threshold; and the largest margin."""
     margin = oracle.evaluate(points)[0]
     best = int(np.argmax(margin))
     worst = max([float(margin[best]), *(w.margin for w in witnesses)])
@@ -189,7 +192,7 @@ def _worst(
 
 
 def _shorten(oracle: Oracle, point: NDArray[np.float64]) -> Counterexample:
-    """The point with as few decimals as keep it in the domain with nine tenths of its margin."""
+    """The point rounded to as few decimals as possible, still in the domain and with 90 % of its margin or more."""
     claim = oracle.claim
     full = float(oracle.evaluate(point[:, None])[0][0])
     for decimals in range(1, 8):

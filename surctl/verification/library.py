@@ -1,4 +1,4 @@
-"""The library of claims: what the paper says of V1, V2 and the course, as printed and as corrected; braking."""
+"""The library of claims: the paper's claims on V1, V2 and the course, as printed and as corrected, and on braking."""
 
 from __future__ import annotations
 
@@ -46,17 +46,17 @@ VEHICLE = "sur540-flooded"
 def claims(
     gains: Mapping[str, float] | None = None, names: Sequence[str] | None = None, *, vehicle: Vehicle | None = None
 ) -> tuple[Claim, ...]:
-    """The claims of that name, or all of them, for these gains.
+    """Return the named claims, or all claims, for the given gains.
 
     Args:
-        gains: values by name; those of `Setting` are used, the rest passed over; `speed` and `speed_max` are the
-            cruise speed and the cap. None takes the defaults.
-        names: which claims, in this order; None takes all.
-        vehicle: of the claims about braking; None takes sur540-flooded.
+        gains: values by name. The fields of `Setting` are used, other gains are ignored; `speed` and `speed_max` are
+            the cruise speed and the speed limit. None uses the defaults.
+        names: names of the claims, in the desired order; None returns all claims.
+        vehicle: the vehicle of the braking claims; None uses sur540-flooded.
 
     Raises:
-        InputError: an unknown claim, with the nearest known name; a gain that is not positive.
-        NotApplicable: a claim that assumes what the vehicle violates.
+        InputError: a claim is unknown (the error names the nearest known one), or a gain is not positive.
+        NotApplicable: the vehicle violates an assumption of a claim.
 
     Example:
         >>> from surctl.verification import claims
@@ -75,7 +75,9 @@ def claims(
 def applicable_claims(
     gains: Mapping[str, float] | None = None, names: Sequence[str] | None = None, *, vehicle: Vehicle | None = None
 ) -> tuple[tuple[Claim, ...], Mapping[str, NotApplicable]]:
-    """As `claims`; those whose assumptions the vehicle violates come apart, by name with the reason.
+    """Return the applicable claims, and by name the reason why each other claim does not apply to the vehicle.
+
+    The arguments are those of `claims`.
 
     Example:
         >>> from surctl.vehicle import load_vehicle

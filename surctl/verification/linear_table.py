@@ -1,8 +1,8 @@
-"""Linear figures of many points at once: poles, margins of the eight loops, step responses.
+"""Linear metrics of many points at once: poles, margins of the eight loops and step responses.
 
-A point is a set of gains, a vehicle and a cruise speed. Every figure is python-control's (`damp`, `stability_margins`,
-`disk_margins`, `step_info`), which the tests hold it to; computed over all points together it is some hundred times
-faster.
+A point is a set of gains, a vehicle and a cruise speed. Every metric is defined as in python-control (`damp`,
+`stability_margins`, `disk_margins`, `step_info`), and the tests compare the two. The computation over all points
+together is about a hundred times faster.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from surctl.verification.steps import STEP_NAMES, step_figures
 
 __all__ = ["LINEAR_METRICS", "LINEAR_PARAMETERS", "Points", "cascades_by_order", "linear_table", "read_points"]
 
-_CHUNK = 64  # points at a time: their frequency responses fit in the cache
+_CHUNK = 64  # points computed together, so that their frequency responses fit in the cache
 
-_PLACES = {  # vehicle parameter → its place in the plant's flat vector
+_PLACES = {  # vehicle parameter → its index in the plant's flat vector
     name: PLANT_PARAMETERS.slice(group).start + k
     for group, names in (
         ("mass", ("m11", "m22", "m33", "m44")),
@@ -45,13 +45,13 @@ LINEAR_PARAMETERS: tuple[str, ...] = (
     *(f"vehicle.{name}" for name in _PLACES),
     *(f"plant.{name}" for name in _PLACES),
 )
-"""The knobs that a linear figure depends on; no other one changes any."""
+"""The parameters on which the linear metrics depend; no other parameter changes them."""
 
 
 _MARGINS = {
-    "gain_margin": MetricSpec("1", "factor on the loop gain that is borne", "high"),
-    "phase_margin_deg": MetricSpec("deg", "phase lag that is borne", "high"),
-    "delay_margin_s": MetricSpec("s", "extra delay that is borne", "high"),
+    "gain_margin": MetricSpec("1", "least factor > 1 on the loop gain that destabilises", "high"),
+    "phase_margin_deg": MetricSpec("deg", "least extra phase lag that destabilises", "high"),
+    "delay_margin_s": MetricSpec("s", "least extra delay that destabilises", "high"),
     "disk_margin": MetricSpec("1", "radius of the balanced disk margin, 0 to 2", "high"),
 }
 _SHAPES = {
@@ -61,14 +61,14 @@ _SHAPES = {
 }
 LINEAR_METRICS: Mapping[str, MetricSpec] = {
     "slowest_pole_per_s": MetricSpec("1/s", "largest real part of a closed-loop pole", "low"),
-    "least_damping": MetricSpec("1", "least damping ratio of the closed-loop poles; 1 without a complex one", "high"),
-    **{name: MetricSpec(m.unit, f"{m.meaning}, least of all loops", m.better) for name, m in _MARGINS.items()},
+    "least_damping": MetricSpec("1", "least damping ratio of the closed-loop poles; 1 if all poles are real", "high"),
+    **{name: MetricSpec(m.unit, f"{m.meaning}, least over all loops", m.better) for name, m in _MARGINS.items()},
     **{
         f"{name}.{loop}": MetricSpec(m.unit, f"{m.meaning}, loop {loop}", m.better)
         for loop in LOOP_NAMES
         for name, m in _MARGINS.items()
     },
-    "sensitivity_peak": MetricSpec("1", "largest |S| over frequency, most of all loops", "low"),
+    "sensitivity_peak": MetricSpec("1", "largest |S| over frequency and all loops", "low"),
     **{
         f"{name}.{loop}": MetricSpec(m.unit, f"{m.meaning}, loop {loop}", m.better)
         for loop in LOOP_NAMES
@@ -77,7 +77,7 @@ LINEAR_METRICS: Mapping[str, MetricSpec] = {
     **{f"settling_time_s.{s}": MetricSpec("s", f"2 % settling time of a step in {s}", "low") for s in STEP_NAMES},
     **{f"overshoot.{s}": MetricSpec("1", f"overshoot of a step in {s}, share of the step", "low") for s in STEP_NAMES},
 }
-"""What `linear_table` finds, by column name."""
+"""The metrics that `linear_table` computes, by column name."""
 
 
 def linear_table(
@@ -91,26 +91,27 @@ def linear_table(
     columns: Collection[str] = tuple(LINEAR_METRICS),
     workers: int = 1,
 ) -> dict[str, NDArray[np.float64]]:
-    """`LINEAR_METRICS` columns of n points.
+    """Compute the linear metrics of n points, one array (n,) for each column.
 
-    An unstable point has margins 1, 0, 0, 0 (as `LoopMargins`), sensitivity peak, settling time and overshoot inf,
-    rejection 0, and no crossover: NaN. A point whose
-    vehicle cannot hold the cruise speed with its thrust has no linear model: NaN throughout.
+    An unstable point has margins 1, 0, 0, 0 (as in `LoopMargins`), an infinite sensitivity peak, settling time and
+    overshoot, a rejection frequency of 0, and NaN for the crossover. If the vehicle's thrust cannot hold the cruise
+    speed, the point has no linear model and every column is NaN.
 
     Args:
         vehicle: the plant.
-        values: knob → (n,) or scalar; `LINEAR_PARAMETERS` count, other names are passed over. `vehicle.*` changes plant
-            and model, `plant.*` (which goes before it) the plant alone.
+        values: values (n,) or scalar by parameter name, from `LINEAR_PARAMETERS`; other names are ignored.
+            `vehicle.*` changes the plant and the controller's model, `plant.*` the plant alone; `plant.*` takes
+            precedence.
         base: gains that `values` does not name.
-        cruise: U [m/s], (n,) or scalar, unless `scenario.cruise` is among the values.
+        cruise: cruise speed U [m/s], (n,) or scalar; ignored if `values` has `scenario.cruise`.
         dt: control period [s].
-        model: what the controller believes the vehicle to be; default the vehicle itself.
-        columns: those wanted; steps take three quarters of the time, margins most of the rest.
-        workers: threads; the numbers do not depend on them.
+        model: the controller's model of the vehicle; default the vehicle itself.
+        columns: columns to compute. Step responses take three quarters of the time, margins most of the rest.
+        workers: number of threads; the results do not depend on it.
 
     Raises:
-        InputError: an unknown column, a gain is missing or out of its bounds, a vehicle parameter of the wrong sign,
-            or shapes that disagree.
+        InputError: a column is unknown, a gain is missing or out of its bounds, a vehicle parameter has the wrong
+            sign, or the shapes disagree.
 
     Example:
         >>> from surctl.control import load_gains
@@ -140,7 +141,7 @@ def linear_table(
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """n operating points: plant and model (n, 17) as `plant_parameters`, gains and cruise (n,)."""
+    """The data of n operating points: plant and model (n, 17) as in `plant_parameters`, gains and cruise (n,)."""
 
     plant: NDArray[np.float64]
     model: NDArray[np.float64]
@@ -150,12 +151,12 @@ class Points:
 
     @property
     def count(self) -> int:
-        """n."""
+        """The number n of points."""
         return len(self.cruise)
 
     @property
     def feasible(self) -> NDArray[np.bool_]:
-        """(n,): whether the trim thrust at cruise lies strictly inside the thrust limits."""
+        """Whether the trim thrust at cruise lies strictly inside the thrust limits, (n,)."""
         nu = np.zeros((self.count, 4))
         nu[:, 0] = self.cruise
         trim = np.asarray(trim_function()(nu.T, self.plant.T)).T
@@ -163,7 +164,7 @@ class Points:
         return inside
 
     def cascade(self, chosen: NDArray[np.intp]) -> Cascade:
-        """The cascades of the chosen points, all of one order."""
+        """The cascades of the chosen points, which must all have the same order."""
         return build_cascades(
             self.plant[chosen],
             {name: column[chosen] for name, column in self.gains.items()},
@@ -182,14 +183,16 @@ def read_points(
     dt: float,
     model: Vehicle | None,
 ) -> Points:
-    """The points that the arguments of `linear_table` describe."""
+    """Return the operating points that the arguments of `linear_table` describe."""
     known = {name: np.asarray(values[name], dtype=float) for name in LINEAR_PARAMETERS if name in values}
     speed = known.pop("scenario.cruise", np.asarray(cruise, dtype=float))
     try:
         (count,) = np.broadcast_shapes((1,), speed.shape, *(v.shape for v in known.values()))
     except ValueError:
         shapes = {name: v.shape for name, v in known.items()} | {"cruise": speed.shape}
-        raise InputError(f"have shapes {shapes}", key="values", remedy="give (n,) each, or one number") from None
+        raise InputError(
+            f"have shapes {shapes} that do not match", key="values", remedy="give each as (n,) or as one number"
+        ) from None
 
     def column(value: ArrayLike) -> NDArray[np.float64]:
         return np.broadcast_to(np.asarray(value, dtype=float), (count,)).copy()
@@ -209,7 +212,7 @@ def read_points(
 
 
 def cascades_by_order(points: Points) -> Iterator[NDArray[np.intp]]:
-    """Indices of the points that can be flown, in groups whose cascades have the same states."""
+    """Yield the indices of the feasible points, in groups whose cascades have the same states."""
     lag = points.plant[:, _PLACES["thrust_lag"]] > 0
     integral = points.gains.get("k_i", np.zeros(points.count)) > 0
     feasible = points.feasible
@@ -231,7 +234,7 @@ def _check_parameter(name: str, key: str, values: NDArray[np.float64]) -> None:
 
 
 def _figures(cascade: Cascade, *, dt: float, columns: Collection[str]) -> dict[str, NDArray[np.float64]]:
-    """The columns, and whatever comes with them."""
+    """The requested columns, and other columns that the same computation gives."""
     poles = cascade.poles
     size = np.abs(poles)
     damping = np.where(poles.imag != 0, -poles.real / np.where(size > 0, size, 1), 1.0)

@@ -1,4 +1,4 @@
-"""Closed-loop poles over any one knob: a root locus in whatever a sweep can change."""
+"""Closed-loop poles as one parameter varies: a root locus over a gain, a vehicle parameter or the cruise speed."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from surctl.verification.linear_table import LINEAR_PARAMETERS, cascades_by_orde
 
 __all__ = ["Locus", "sweep_locus"]
 
-_HALVED = 8  # times that a step between two values is halved at most
+_HALVED = 8  # largest number of times that the step between two values is halved
 
 
 @dataclass(frozen=True, eq=False)
 class Locus:
-    """Poles over the values of a knob.
+    """Closed-loop poles over the values of one parameter.
 
     Attributes:
-        parameter: its name.
-        values: (n,) ascending or descending, in the knob's unit.
-        poles: (n, k) complex [rad/s]; a column is one pole, followed from value to value.
+        parameter: name of the parameter.
+        values: (n,) values of the parameter, ascending or descending, in its unit.
+        poles: (n, k) complex poles [rad/s]; each column follows one pole from value to value.
     """
 
     parameter: str
@@ -35,7 +35,7 @@ class Locus:
 
     @property
     def stable(self) -> NDArray[np.bool_]:
-        """(n,): whether every pole lies in the open left half-plane."""
+        """Whether every pole lies in the open left half-plane, (n,)."""
         stable: NDArray[np.bool_] = np.all(self.poles.real < -1e-9, axis=1)
         return stable
 
@@ -52,25 +52,25 @@ def sweep_locus(
     smooth: float = np.inf,
     about: Mapping[str, float] = MappingProxyType({}),
 ) -> Locus:
-    """Poles of the cascade over one knob.
+    """Compute the poles of the cascade over the values of one parameter.
 
-    From one value to the next the poles are paired so that the sum of the distances they go is least.
+    The poles at two neighbouring values are paired so that the sum of the distances between them is smallest.
 
     Args:
         vehicle: the plant.
-        gains: all gains, as `loop_margins`.
-        parameter: one of `LINEAR_PARAMETERS`.
-        values: (n,), n ≥ 2, in order.
-        cruise: U [m/s], unless it is the knob.
+        gains: all gains, as in `loop_margins`.
+        parameter: name of the parameter that varies, from `LINEAR_PARAMETERS`.
+        values: (n,) values of the parameter, n ≥ 2, in ascending or descending order.
+        cruise: cruise speed U [m/s]; ignored if the cruise speed is the parameter that varies.
         dt: control period [s].
-        model: what the controller believes; default the vehicle itself.
-        smooth: share of its modulus that a pole may go from one value to the next. Where one goes further, as where
-            two part, values are put in between, down to 2⁻⁸ of a step.
-        about: other knobs that stay at a value; those that move no pole are passed over.
+        model: the controller's model of the vehicle; default the vehicle itself.
+        smooth: largest step of a pole between two values, as a share of the pole's modulus. If a pole moves further,
+            for example where two poles separate, values are inserted, down to 2⁻⁸ of a step.
+        about: fixed values of other parameters; those that move no pole are ignored.
 
     Raises:
-        InputError: a knob without influence on any pole, values out of order or bounds, a cruise that the vehicle
-            cannot hold, or values that change the number of poles (0 and others of k_i or thrust_lag).
+        InputError: the parameter moves no pole, the values are not in order or out of bounds, the vehicle cannot hold
+            the cruise speed, or the values change the number of poles (k_i or thrust_lag both 0 and positive).
 
     Example:
         >>> from surctl.control import load_gains
@@ -85,7 +85,9 @@ def sweep_locus(
         raise InputError("moves no pole", key="locus", value=parameter, remedy=nearest(parameter, LINEAR_PARAMETERS))
     swept = np.atleast_1d(np.asarray(values, dtype=float))
     if swept.ndim != 1 or len(swept) < 2 or not (np.all(np.diff(swept) > 0) or np.all(np.diff(swept) < 0)):
-        raise InputError("needs at least two values in order", key=parameter, remedy="write a range, in order")
+        raise InputError(
+            "needs at least two values in order", key=parameter, remedy="give a range, ascending or descending"
+        )
 
     def followed(values: NDArray[np.float64]) -> NDArray[np.complex128]:
         points = read_points(vehicle, {**about, parameter: values}, base=gains, cruise=cruise, dt=dt, model=model)
@@ -94,7 +96,7 @@ def sweep_locus(
             raise InputError("needs more thrust than the vehicle has", key=parameter, value=at, remedy="cruise slower")
         groups = list(cascades_by_order(points))
         if len(groups) > 1:
-            raise InputError("changes the number of poles at 0", key=parameter, remedy="begin above 0")
+            raise InputError("changes the number of poles at 0", key=parameter, remedy="begin the range above 0")
         return _paired(points.cascade(groups[0]).poles)
 
     poles = followed(swept)
@@ -110,7 +112,7 @@ def sweep_locus(
 
 
 def _paired(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Every row in the order of the one before it."""
+    """The poles with each row reordered so that it matches the row before it."""
     from scipy.optimize import linear_sum_assignment
 
     for before, after in pairwise(poles):

@@ -1,8 +1,9 @@
-"""Loops and step responses of many cascades at once, from eigenvalues: what margins and tables are read from.
+"""Frequency responses of the loops of many cascades at once, computed from eigenvalues, and their margins.
 
-A loop l that leaves the system A_o open and A_c closed is l(s) = det(sI − A_c)/det(sI − A_o) − 1, so that its
-frequency response is a product over poles: no linear system is solved at any frequency. The blocks of A that do not
-touch each other (surge, heave, sway with yaw) are told apart first, and each loop sees its own.
+Let A_o be the system matrix with a loop open and A_c the matrix with this loop closed. The loop transfer function is
+l(s) = det(sI − A_c)/det(sI − A_o) − 1. Its frequency response is therefore a product over poles, and no linear system
+is solved at any frequency. A is first split into its decoupled blocks (surge, heave, sway with yaw), and each loop
+uses only its own block.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ __all__ = [
 LOOP_NAMES = ("surge", "sway", "heave", "yaw", "along_track", "cross_track", "depth", "heading")
 _LOWEST = 1e-4  # [rad/s]
 _POINTS = 800
-_SPURIOUS = 1e-6  # a crossing with |L| or 1/|L| below this is one at ω → ∞ or 0
+_SPURIOUS = 1e-6  # a crossing with |L| or 1/|L| below this value belongs to ω → ∞ or ω → 0
 _HALVINGS = 20
 _GOLDEN = (np.sqrt(5) - 1) / 2
 _SHRINKS = 16
@@ -37,18 +38,23 @@ _SHRINKS = 16
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """One loop of n points, broken at one place, all others closed.
+    """One loop of n points, opened at one place while all other loops are closed.
 
     Attributes:
-        closed: (n, k) poles with this loop closed too [rad/s].
-        opened: (n, k) poles with this loop open.
+        closed: (n, k) poles [rad/s] with this loop closed.
+        opened: (n, k) poles [rad/s] with this loop open.
     """
 
     closed: NDArray[np.complex128]
     opened: NDArray[np.complex128]
 
     def response(self, omega: NDArray[np.float64], points: NDArray[np.intp] | slice) -> NDArray[np.complex128]:
-        """L(jω), (p, …), at ω (p, …) or broadcast to it [rad/s], of the p points named."""
+        """Return the frequency response L(jω) (p, …) of the p selected points.
+
+        Args:
+            omega: frequencies [rad/s], (p, …) or broadcastable to it.
+            points: indices of the p points, or a slice.
+        """
         s = 1j * omega
         closed, opened = self.closed[points], self.opened[points]
         shape = (len(closed), *(1,) * (omega.ndim - 1))
@@ -60,7 +66,7 @@ class Loop:
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """Margins of one loop over n points, each (n,); see `LoopMargins` for what they mean."""
+    """Margins of one loop at n points, each (n,); `LoopMargins` defines them."""
 
     gain_margin: NDArray[np.float64]
     phase_margin_deg: NDArray[np.float64]
@@ -72,12 +78,13 @@ class Crossings:
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """How one loop answers disturbances over n points, each (n,).
+    """The response of one loop to disturbances at n points, each (n,).
 
     Attributes:
         sensitivity_peak: largest |S| = |1/(1 + L)| over frequency.
-        rejection_rad_per_s: up to where |S| ≤ −3 dB [rad/s], so that disturbances are attenuated; 0 where it never is.
-        crossover_rad_per_s: highest frequency with |L| = 1 [rad/s]; 0 when there is none.
+        rejection_rad_per_s: frequency [rad/s] up to which |S| ≤ −3 dB, so that disturbances are attenuated; 0 if |S|
+            is larger at all frequencies.
+        crossover_rad_per_s: highest frequency with |L| = 1 [rad/s]; 0 if there is none.
     """
 
     sensitivity_peak: NDArray[np.float64]
@@ -86,14 +93,14 @@ class Shape:
 
 
 def broken_loops(cascade: Cascade) -> list[Loop]:
-    """The eight loops of `LOOP_NAMES` of a batch of cascades."""
+    """Return the eight loops of `LOOP_NAMES` for a batch of cascades."""
     closed = cascade.closed
     blocks = state_blocks(closed)
     poles = [np.linalg.eigvals(closed[:, block[:, None], block]).astype(complex) for block in blocks]
     places = [cascade.at_thrust(k) for k in range(4)] + [cascade.at_output(k) for k in range(4)]
     loops = []
     for A, b, _ in places:
-        # the block that this loop acts on
+        # the block on which this loop acts
         where = next(k for k, block in enumerate(blocks) if np.any(b[:, block] != 0))
         block = blocks[where]
         loops.append(Loop(poles[where], np.linalg.eigvals(A[:, block[:, None], block]).astype(complex)))
@@ -101,7 +108,7 @@ def broken_loops(cascade: Cascade) -> list[Loop]:
 
 
 def state_blocks(A: NDArray[np.float64]) -> list[NDArray[np.intp]]:
-    """Indices of the states that touch each other in any of the points, one array a block."""
+    """Return the decoupled blocks of the states: one index array for each set of states coupled at any point."""
     touch = np.any((A != 0) | (A.swapaxes(-1, -2) != 0), axis=0)
     left, blocks = np.arange(len(touch)), []
     while left.size:
@@ -116,14 +123,14 @@ def state_blocks(A: NDArray[np.float64]) -> list[NDArray[np.intp]]:
 
 
 def crossings_of(loop: Loop, *, highest: float) -> Crossings:
-    """Margins of one loop of n points, each stable when closed.
+    """Return the margins of one loop at n points; the closed loop must be stable at each point.
 
-    As python-control's `stability_margins` and `disk_margins` define them: crossings are bracketed on a grid of
-    frequencies and then halved; the disk margin's frequency is found by golden section.
+    The margins are defined as in python-control's `stability_margins` and `disk_margins`. Crossings are bracketed on a
+    grid of frequencies and refined by bisection; a golden-section search finds the frequency of the disk margin.
 
     Args:
         loop: the loop.
-        highest: highest frequency looked at [rad/s].
+        highest: highest frequency of the grid [rad/s].
     """
     count = len(loop.closed)
     grid = np.geomspace(_LOWEST, highest, _POINTS)
@@ -137,7 +144,7 @@ def crossings_of(loop: Loop, *, highest: float) -> Crossings:
     def at_gain(value: NDArray[np.complex128]) -> NDArray[np.float64]:
         return np.asarray(np.abs(value) - 1, dtype=float)
 
-    left = response[:, :-1].real <= 0  # the other crossings of the real axis are no −180°
+    left = response[:, :-1].real <= 0  # where the real part is positive, the real axis is crossed at 0°, not −180°
     points, omega = _zeros(loop, grid, response, at_phase, left)
     gain = 1 / np.abs(loop.response(omega, points))
     still = _still(loop)
@@ -147,7 +154,7 @@ def crossings_of(loop: Loop, *, highest: float) -> Crossings:
     np.maximum.at(least_gain, points[less], gain[less])
 
     points, omega = _zeros(loop, grid, response, at_gain, np.ones_like(left))
-    # a phase lead is a lag of the rest of the turn
+    # a phase lead φ counts as a lag of 360° − φ
     phase = np.remainder(np.rad2deg(np.angle(-loop.response(omega, points))), 360.0)
     np.minimum.at(lag, points, phase)
     np.minimum.at(delay, points, np.deg2rad(phase) / omega)
@@ -156,7 +163,12 @@ def crossings_of(loop: Loop, *, highest: float) -> Crossings:
 
 
 def shape_of(loop: Loop, *, highest: float) -> Shape:
-    """Sensitivity and crossover of one loop of n points, each stable when closed; `highest` as in `crossings_of`."""
+    """Return sensitivity and crossover of one loop at n points; the closed loop must be stable at each point.
+
+    Args:
+        loop: the loop.
+        highest: highest frequency of the grid [rad/s].
+    """
     grid = np.geomspace(_LOWEST, highest, _POINTS)
     response = loop.response(grid[None], slice(None))
     every = np.ones((len(response), _POINTS - 1), dtype=bool)
@@ -175,7 +187,7 @@ def shape_of(loop: Loop, *, highest: float) -> Shape:
 
 
 def _still(loop: Loop) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Points whose loop has the phase −180° at ω = 0, where a real pole crosses the axis, and the factor for that."""
+    """The points whose loop has the phase −180° at ω = 0, and the gain factor that puts a real pole at 0."""
     points = np.flatnonzero(np.all(np.abs(loop.opened) > _SPURIOUS * _LOWEST, axis=1))
     value = loop.response(np.zeros(1), points).real
     return points[value < 0], -1 / value[value < 0]
@@ -188,7 +200,7 @@ def _zeros(
     value: Callable[[NDArray[np.complex128]], NDArray[np.float64]],
     selected: NDArray[np.bool_],
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Points and frequencies at which a value of the response changes sign, in the wanted intervals of the grid."""
+    """Points and frequencies at which a value of the response changes sign, in the selected intervals of the grid."""
     points, at = np.nonzero((np.diff(np.sign(value(response)), axis=1) != 0) & selected)
     low, high = np.log(grid[at]), np.log(grid[at + 1])
     first, second = value(response[points, at]), value(response[points, at + 1])
@@ -198,13 +210,13 @@ def _zeros(
         same = np.sign(at_middle) == np.sign(first)
         low, first = np.where(same, middle, low), np.where(same, at_middle, first)
         high, second = np.where(same, high, middle), np.where(same, second, at_middle)
-    # the rest is straight: one secant step
+    # the remaining interval is nearly linear: one secant step suffices
     share = np.where(second != first, first / np.where(second != first, first - second, 1), 0.5)
     return points, np.exp(low + np.clip(share, 0, 1) * (high - low))
 
 
 def _disk(loop: Loop, grid: NDArray[np.float64], response: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """α = min over ω of |2 (1 + L)/(1 − L)|: 1/‖S − T‖·2 of Seiler, Packard and Gahinet (2020), balanced."""
+    """The balanced disk margin α = min over ω of |2 (1 + L)/(1 − L)| (Seiler, Packard and Gahinet 2020)."""
 
     def radius(value: NDArray[np.complex128]) -> NDArray[np.float64]:
         with np.errstate(divide="ignore"):
@@ -219,7 +231,7 @@ def _least(
     response: NDArray[np.complex128],
     radius: Callable[[NDArray[np.complex128]], NDArray[np.float64]],
 ) -> NDArray[np.float64]:
-    """Least value of each point (n,), from the best one of the grid by golden section."""
+    """The least value at each point (n,): a golden-section search around the least value on the grid."""
     points, log = np.arange(len(response)), np.log(grid)
     coarse = radius(response)
     nearest = np.argmin(coarse, axis=1)

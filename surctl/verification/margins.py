@@ -1,4 +1,4 @@
-"""Linear margins of the cascaded controller about cruise, one loop at a time; python-control judges them."""
+"""Linear margins of the cascaded controller about cruise, one loop at a time; tests compare with python-control."""
 
 from __future__ import annotations
 
@@ -19,18 +19,19 @@ __all__ = ["LoopMargins", "closed_loop_poles", "least_margins", "loop_margins", 
 
 @dataclass(frozen=True)
 class LoopMargins:
-    """How much one loop bears before the closed loop becomes unstable, all other loops closed.
+    """The stability margins of one loop while all other loops are closed.
 
     Attributes:
-        name: the loop; see `loop_margins`.
-        stable: whether the closed loop is stable at all; if not, nothing is left: 1, 0, 0, 0, 0 and 1.
-        gain_margin: least factor > 1 on the loop gain that destabilises; inf when none does.
-        phase_margin_deg: least phase lag [deg] that does; inf when the loop gain never crosses 1.
-        delay_margin_s: least extra delay [s] that does: least phase margin over frequency of all crossings.
+        name: name of the loop; see `loop_margins`.
+        stable: whether the closed loop is stable; if not, the values below are 1, 0, 0, 0, 0 and 1.
+        gain_margin: least factor > 1 on the loop gain that destabilises the loop; inf if there is none.
+        phase_margin_deg: least extra phase lag [deg] that destabilises the loop; inf if the gain never crosses 1.
+        delay_margin_s: least extra delay [s] that destabilises the loop: the least ratio of phase margin to frequency
+            over all crossings.
         disk_margin: radius α of the balanced disk margin (Seiler, Packard and Gahinet 2020), 0 … 2.
-        crossover_rad_s: highest frequency [rad/s] at which the loop gain crosses 1; 0 when it never does.
-        least_gain: largest factor < 1 on the loop gain that destabilises, as there is one for every loop that is
-            unstable when open; 0 when none does.
+        crossover_rad_s: highest frequency [rad/s] at which the loop gain crosses 1; 0 if it never does.
+        least_gain: largest factor < 1 on the loop gain that destabilises the loop; 0 if there is none. A loop that is
+            unstable when open always has such a factor.
     """
 
     name: str
@@ -43,28 +44,28 @@ class LoopMargins:
     least_gain: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data; infinite margins stay inf."""
+        """The margins as plain data; infinite margins stay inf."""
         return asdict(self)
 
 
 def loop_margins(
     vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle | None = None
 ) -> tuple[LoopMargins, ...]:
-    """Margins of the eight loops about cruise; the parts are described in `cascade`.
+    """Return the margins of the eight loops about cruise; the module `cascade` describes the linear model.
 
-    `surge`, `sway`, `heave`, `yaw` are broken at the thrust command: a delay or gain error of that thrust,
-    with guidance closed around it. `along_track`, `cross_track`, `depth`, `heading` are broken at the
-    measured x_e, y_e, z_e, ψ: a delay or gain error of that measurement.
+    The loops `surge`, `sway`, `heave` and `yaw` are opened at the thrust command while guidance stays closed: their
+    margins bound a delay or gain error of this thrust. The loops `along_track`, `cross_track`, `depth` and `heading`
+    are opened at the measured x_e, y_e, z_e, ψ: their margins bound a delay or gain error of this measurement.
 
     Args:
         vehicle: the vehicle.
-        gains: k1, k2, k_psi, k_r, k_v [1/s], lookahead [m]; k_i [1/s²] if there is integral action.
-        cruise: U [m/s].
+        gains: k1, k2, k_psi, k_r, k_v [1/s], lookahead [m]; k_i [1/s²] for integral action.
+        cruise: cruise speed U [m/s].
         dt: control period [s].
-        model: what the controller believes the vehicle to be; default the vehicle itself.
+        model: the controller's model of the vehicle; default the vehicle itself.
 
     Raises:
-        InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed.
+        InputError: a gain is missing or not positive, or the vehicle cannot hold the cruise speed.
 
     Example:
         >>> from surctl.control import load_gains
@@ -77,7 +78,7 @@ def loop_margins(
         heave: 49 deg, 0.61 s
     """
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model)
-    highest = np.pi / dt  # beyond the Nyquist frequency a sampled controller has no loop
+    highest = np.pi / dt  # the Nyquist frequency: a sampled controller does not act above it
     if not cascade.stable:
         return tuple(LoopMargins(name, False, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0) for name in LOOP_NAMES)
     one = Cascade(*(m[None] for m in (cascade.A, cascade.B, cascade.C, cascade.K)))
@@ -90,20 +91,21 @@ def loop_margins(
 def worst_margins(
     vehicle: Vehicle, gains: Mapping[str, float], *, uncertainty: float, cruise: float, dt: float
 ) -> tuple[LoopMargins, ...]:
-    """Least margins of each loop over the corners of mass and drag, while the controller keeps the nominal model.
+    """Return the least margins of each loop over uncertain mass and drag; the controller keeps the nominal model.
 
-    All masses together are (1 ± uncertainty) times the nominal ones, all drag coefficients likewise: four corners, and
-    the nominal vehicle. Corners are where a linear loop is usually worst, not a proof for what lies between.
+    All masses are multiplied by 1 − uncertainty or 1 + uncertainty, and all drag coefficients likewise. This gives four
+    corner vehicles besides the nominal one. A linear loop is usually worst at a corner, but the result is no proof for
+    the values between the corners.
 
     Args:
         vehicle: the nominal vehicle.
-        gains: as `loop_margins`.
-        uncertainty: 0 ≤ uncertainty < 1.
-        cruise: U [m/s].
+        gains: as in `loop_margins`.
+        uncertainty: relative uncertainty of mass and drag, 0 ≤ uncertainty < 1.
+        cruise: cruise speed U [m/s].
         dt: control period [s].
 
     Raises:
-        InputError: as `loop_margins`, or an uncertainty out of range.
+        InputError: as in `loop_margins`, or the uncertainty is out of range.
 
     Example:
         >>> from surctl.control import load_gains
@@ -122,7 +124,7 @@ def worst_margins(
 
 
 def least_margins(margins: Sequence[tuple[LoopMargins, ...]]) -> tuple[LoopMargins, ...]:
-    """The least of each loop over several vehicles."""
+    """Return the least margins of each loop over several vehicles."""
     return tuple(_least(same) for same in zip(*margins, strict=True))
 
 
@@ -142,7 +144,7 @@ def _least(loops: Sequence[LoopMargins]) -> LoopMargins:
 def closed_loop_poles(
     vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float
 ) -> NDArray[np.complex128]:
-    """Poles (n,) [rad/s] of the whole cascade, slowest first; the arguments of `loop_margins`.
+    """Return the poles (n,) [rad/s] of the closed cascade, slowest first; for the arguments see `loop_margins`.
 
     Example:
         >>> from surctl.control import load_gains
@@ -158,14 +160,14 @@ def closed_loop_poles(
 def margins_of(
     name: str, A: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], *, highest: float
 ) -> LoopMargins:
-    """Margins of the loop L(s) = c (sI − A)⁻¹ b under negative feedback, which must be stable when closed.
+    """Return the margins of the loop L(s) = c (sI − A)⁻¹ b under negative feedback; the closed loop must be stable.
 
     Args:
         name: name of the loop.
-        A: (n, n).
-        b: (n, 1).
-        c: (1, n).
-        highest: highest frequency looked at [rad/s].
+        A: system matrix (n, n).
+        b: input matrix (n, 1).
+        c: output matrix (1, n).
+        highest: highest frequency that is evaluated [rad/s].
 
     Example:
         >>> import numpy as np
@@ -180,7 +182,7 @@ def margins_of(
 
 
 def _only(name: str, crossings: Crossings) -> LoopMargins:
-    """The margins of the one point there is."""
+    """The margins of a single point."""
     return LoopMargins(
         name,
         True,

@@ -1,4 +1,4 @@
-"""Margin, constraints and exact gradients of a claim on the unit box: what the search asks for."""
+"""Margin, constraints and exact gradients of a claim on the unit box, as the falsifier evaluates them."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from surctl.verification.claim import Claim
 
 __all__ = ["Oracle", "build_oracle"]
 
-_STEP = 1e-6  # of the box, for differences where the exact gradient is not finite
-_FEASIBLE = 1e-9  # by how much a bound or constraint may be missed, in its own unit: 0.15 / 3 < 0.05
+_STEP = 1e-6  # step of the finite differences, as a share of the box; used where the exact gradient is not finite
+_FEASIBLE = 1e-9  # tolerance of bounds and constraints in their own unit; in floating point 0.15 / 3 < 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Oracle:
-    """A claim, compiled. Points are columns in the unit box; `place` brings them back.
+    """A compiled claim. Points are columns in the unit box; `place` converts them to the variables' units.
 
     Attributes:
         claim: the claim.
@@ -31,13 +31,17 @@ class Oracle:
     slopes: ca.Function
 
     def place(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Unit-box points (n,) or (n, N) to the claim's box, in the variables' units."""
+        """Convert points (n,) or (n, N) of the unit box to the claim's box, in the variables' units."""
         lower, width = self.claim.lower, self.claim.upper - self.claim.lower
         clipped = np.clip(unit, 0, 1)
         return lower + width * clipped if unit.ndim == 1 else lower[:, None] + width[:, None] * clipped
 
     def evaluate(self, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-        """For points x (n, N) in their units: margin (N,), larger side's size (N,), in the domain (N,)."""
+        """Evaluate points x (n, N) given in the variables' units.
+
+        Returns:
+            The margin (N,), the larger of |left| and |right| (N,), and whether each point lies in the domain (N,).
+        """
         left, right, g = (np.asarray(part) for part in self.sides(x))
         left, right = np.broadcast_to(left, (1, x.shape[1]))[0], np.broadcast_to(right, (1, x.shape[1]))[0]
         beyond = np.maximum(self.claim.lower[:, None] - x, x - self.claim.upper[:, None])
@@ -45,22 +49,22 @@ class Oracle:
         return left - right, np.maximum(abs(left), abs(right)), in_box & np.all(g <= _FEASIBLE, axis=0)
 
     def margin(self, unit: NDArray[np.float64]) -> float:
-        """Margin at one unit-box point (n,); −inf where it is not finite: no search is drawn there."""
+        """The margin at a point (n,) of the unit box; −inf where it is not finite, so that no search goes there."""
         left, right, _ = self.sides(self.place(unit))
         value = float(left) - float(right)
         return value if np.isfinite(value) else -np.inf
 
     def gradient(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
-        """∂margin/∂unit, (n,): exact; by differences where that is not finite (a saturated arccos)."""
+        """The exact gradient ∂margin/∂unit (n,); finite differences where it is not finite (a saturated arccos)."""
         exact = np.asarray(self.slopes(self.place(unit))[0]).reshape(-1) * (self.claim.upper - self.claim.lower)
         return exact if np.all(np.isfinite(exact)) else self._differences(unit)
 
     def slack(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
-        """−g (m,), not negative inside the domain."""
+        """The slack −g (m,) of the constraints; it is not negative in the domain."""
         return -np.asarray(self.sides(self.place(unit))[2]).reshape(-1)
 
     def slack_jacobian(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
-        """∂slack/∂unit, (m, n)."""
+        """The Jacobian ∂slack/∂unit (m, n)."""
         jacobian = np.asarray(self.slopes(self.place(unit))[1])
         return -jacobian * (self.claim.upper - self.claim.lower)
 
@@ -74,10 +78,10 @@ class Oracle:
 
 
 def build_oracle(claim: Claim) -> Oracle:
-    """Compile a claim's sides and their derivatives."""
+    """Compile both sides of a claim and their derivatives."""
     x = claim.symbols
     slopes = [ca.gradient(claim.margin, x), ca.jacobian(claim.constraints, x)]
-    # densified, so that a side that is a constant still has an entry to read
+    # densified, because a constant 0 is structurally empty in CasADi
     sides = [ca.densify(ca.SX(claim.left)), ca.densify(ca.SX(claim.right)), ca.densify(claim.constraints)]
     return Oracle(
         claim,

@@ -1,8 +1,9 @@
-"""What a region certificate looks like: its level sets in a plane of states, the flow there, and where V̇ ≤ −aV fails.
+"""Phase portraits of a region certificate: level sets in a plane of states, the flow, and where V̇ ≤ −aV fails.
 
-The flow is the loop that steers by heading, or the cruise as the certificate states it, without thrust lag and
-sampling: place in the path frame, velocity over ground in it, thrust limited per body axis, drag per body axis. Failure
-is searched for over corners of the vehicle's ranges and over headings, so that white is no proof; the certificate is.
+The flow is that of the heading loop, or of the cruise that the certificate states, without thrust lag and sampling. The
+states are the position in the path frame and the velocity over ground in the path frame; thrust limits and drag act
+along the body axes. Violations are searched at the corners of the vehicle's ranges and over headings. An area without
+violations is therefore no proof; the certificate is.
 """
 
 from __future__ import annotations
@@ -23,33 +24,35 @@ __all__ = ["CRUISE_PLANES", "HEADING_PLANES", "Portrait", "planes_of", "portrait
 
 Array = NDArray[np.float64]
 Rates = Callable[[Array], Array]
-"""ξ̇ (n, k) of ξ (n, k)."""
+"""A function that returns the rates ξ̇ (n, k) of the states ξ (n, k)."""
 
 CRUISE_PLANES: Mapping[str, tuple[int, int]] = {"along": (0, 2), "across": (1, 3), "place": (0, 1)}
-"""Planes of states, all other deviations 0: x_e with its velocity, y_e with its velocity, x_e with y_e."""
+"""Planes of two states, with all other deviations 0: x_e and its velocity, y_e and its velocity, x_e and y_e."""
 
 HEADING_PLANES: Mapping[str, tuple[int, int]] = {
     "along": (0, 3), "across": (1, 4), "turning": (2, 5), "steering": (1, 2),
 }  # fmt: skip
-"""Planes of states, all other deviations 0: x_e, y_e and ψ each with its rate, y_e with ψ."""
+"""Planes of two states, with all other deviations 0: x_e, y_e or ψ and its rate, or y_e and ψ."""
 
-_SHARE = 0.85  # of quadratic drag along the path, the mean over the heading: where the cruise settles
+_SHARE = 0.85  # mean over the heading of the quadratic drag along the path, as a share; it gives the steady cruise
 _HEADINGS = np.linspace(0, 2 * np.pi, 16, endpoint=False)
 
 
 @dataclass(frozen=True, eq=False)
 class Portrait:
-    """A plane of deviations ξ from the steady cruise.
+    """A phase portrait in a plane of two deviations ξ from the steady cruise.
 
     Attributes:
-        plane: one of `planes_of`.
+        plane: name of the plane, one of `planes_of`.
         x, y: (m,), (k,) values of the two deviations [m, m/s, rad, rad/s].
-        flow: (2, k, m) their rates for one vehicle; in a cruise it heads along the path.
-        whose: what vehicle the flow is that of.
-        level: (k, m) V.
-        excess: (k, m) largest V̇/V + a [1/s] that was found over vehicles and headings; above 0 the rate fails there.
-        levels: V of the innermost shell, of the others, and 1; 0 first where it decays to the place of rest.
-        lagged: the certificate has thrust lag, which the flow here has not.
+        flow: (2, k, m) rates of the two deviations for one vehicle; in a cruise this vehicle heads along the path.
+        whose: the vehicle that the flow belongs to: `nominal` or `mid-range`.
+        level: (k, m) values of V.
+        excess: (k, m) largest V̇/V + a [1/s] found over vehicles and headings; where it is positive, V decays more
+            slowly than the certified rate.
+        levels: V of the innermost shell, then of the other shells, then 1; the first is 0 if V decays to the
+            equilibrium.
+        lagged: whether the certificate includes thrust lag; the flow of the portrait does not.
     """
 
     plane: str
@@ -65,7 +68,7 @@ class Portrait:
 
 @dataclass(frozen=True, eq=False)
 class _Loop:
-    """What a portrait is drawn of: V = ξᵀPξ, and rates of vehicles, the shown one first."""
+    """The data of a portrait: V = ξᵀPξ, the rates of the shown vehicle, and the rates of all vehicles tried."""
 
     P: Array
     shown: Rates
@@ -76,36 +79,38 @@ class _Loop:
 
 
 def planes_of(document: Mapping[str, Any]) -> Mapping[str, tuple[int, int]]:
-    """The planes that a certificate can be drawn in, by name: the two states of each.
+    """Return the planes in which a certificate can be drawn: by name, the indices of the two states.
 
     Raises:
-        InputError: a certificate that has no level sets.
+        InputError: the certificate has no level sets.
     """
     if document.get("kind") == "heading":
         return HEADING_PLANES
     if document.get("kind") == "region" and document["claim"].get("system") == "cruise":
         return CRUISE_PLANES
-    raise InputError("has no level sets", key="certificate", value=document.get("kind"), remedy="give a region one")
+    raise InputError(
+        "has no level sets", key="certificate", value=document.get("kind"), remedy="give a region certificate"
+    )
 
 
 def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, points: int = 61) -> Portrait:
-    """The portrait of a certificate of a region.
+    """Compute the phase portrait of a region certificate.
 
     Args:
-        document: of kind `region` or `heading`.
-        plane: one of `planes_of`.
-        extent: half-width of the plane in half-axes of V = 1.
-        points: of each axis.
+        document: a certificate of kind `region` or `heading`.
+        plane: name of the plane, one of `planes_of`.
+        extent: half-width of the plane, as a multiple of the half-axes of V = 1.
+        points: number of grid points along each axis.
 
     Raises:
-        InputError: another kind of certificate, or an unknown plane.
+        InputError: the certificate is of another kind, or the plane is unknown.
     """
     planes = planes_of(document)
     if plane not in planes:
         raise InputError("is not known", key="plane", value=plane, remedy=nearest(plane, planes))
     loop = _heading(document) if document["kind"] == "heading" else _cruise(document)
     first, second = planes[plane]
-    # of the section through 0, not of the projection
+    # half-axes of the section of V = 1 through 0, not of its projection
     section = np.linalg.inv(loop.P[np.ix_((first, second), (first, second))])
     half = extent * np.sqrt(np.diag(section))
     x, y = (np.linspace(-h, h, points) for h in half)
@@ -167,11 +172,11 @@ def _heading(document: Mapping[str, Any]) -> _Loop:
 
 
 Boat = tuple[float, tuple[float, ...], tuple[float, ...]]
-"""Mass, and linear and quadratic drag of surge and sway."""
+"""The mass, the linear drag of surge and sway, and the quadratic drag of surge and sway."""
 
 
 def _boats(claim: Mapping[str, Any]) -> list[Boat]:
-    """Corners of mass and drag, surge and sway alike and as unlike as the asymmetry lets them be."""
+    """Corner values of mass and drag, with equal drag in surge and sway and with the largest difference allowed."""
     vehicle = claim["vehicle"]
     ratio = (2 + vehicle["asymmetry"]) / (2 - vehicle["asymmetry"]) if vehicle["asymmetry"] < 2 else np.inf
 
@@ -183,7 +188,7 @@ def _boats(claim: Mapping[str, Any]) -> list[Boat]:
 
 
 def _state(claim: Mapping[str, Any], boat: Boat, xi: Array) -> Array:
-    """(x_e, y_e, U_x, U_y) from deviations: the steady cruise lags behind its target by what drag is not known."""
+    """The states (x_e, y_e, U_x, U_y) from the deviations; unmodelled drag makes the steady cruise lag its target."""
     law, (_, linear, quadratic) = claim["law"], boat
     v, hat, hat2 = law["cruise"], law["linear_drag"], law["quadratic_drag"]
     missing = (np.mean(linear) - hat) * v + _SHARE * (np.mean(quadratic) - hat2) * v * v
@@ -195,7 +200,7 @@ def _state(claim: Mapping[str, Any], boat: Boat, xi: Array) -> Array:
 
 
 def _rate(claim: Mapping[str, Any], boat: Boat, state: Array, psi: float) -> Array:
-    """d/dt (x_e, y_e, U_x, U_y), (n, 4), at heading ψ against the path."""
+    """The rates d/dt (x_e, y_e, U_x, U_y) (n, 4) at the heading ψ relative to the path."""
     law, limit = claim["law"], claim["vehicle"]["thrust_n"]
     mass, linear, quadratic = boat
     slant = np.hypot(1.0, state[:, 1] / law["lookahead"])

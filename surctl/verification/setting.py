@@ -1,4 +1,4 @@
-"""The numbers a claim is about: gains, speeds and radii."""
+"""The gains, speeds and radii that the library's claims use."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from surctl.errors import InputError
 
 __all__ = ["OVERSHOOT", "Setting", "setting_from"]
 
-OVERSHOOT = 0.25 / 0.22  # own speed over the commanded one that claims about braking count on
-_FASTEST = 0.25  # [m/s] the least that they range over
-_ALIASES = {"margin": "standoff"}  # the gain file's word for d_s
+OVERSHOOT = 0.25 / 0.22  # ratio of own speed to commanded speed that the braking claims assume
+_FASTEST = 0.25  # [m/s] least upper bound of the own speed in the braking claims
+_ALIASES = {"margin": "standoff"}  # name of d_s in the gain file
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Gains and speeds of the library's claims; the defaults are chosen, the paper prints none.
+    """The gains and speeds of the library's claims; the defaults are our choice, because the paper gives no values.
 
     Attributes:
         k1: along-track gain [1/s].
         k2: depth gain [1/s].
         k3: convergence coefficient of (20).
         lookahead: Δ_h [m].
-        delta: largest δ of (20) that the printed claims range over [m].
-        kappa: barrier gain of the corrected avoidance law [1/s].
-        standoff: d_s of the corrected avoidance law [m].
-        radius: R_OB, anti-collision radius [m].
-        speed: v_d = U_d, speed of the path's target [m/s].
-        speed_max: largest speed U_h and u_OB [m/s].
-        avoidance_speed: u_dm of the printed figures [m/s].
-        obstacle_speed: u_OB of the printed figures [m/s].
+        delta: scale of δ of (20) [m]; the claims as printed cover up to 2 delta.
+        kappa: barrier gain κ of the corrected avoidance law [1/s].
+        standoff: standoff distance d_s of the corrected avoidance law [m].
+        radius: anti-collision radius R_OB [m].
+        speed: speed v_d = U_d of the target on the path [m/s].
+        speed_max: largest speed U_h of the robot and u_OB of the obstacle [m/s].
+        avoidance_speed: robot speed u_dm in the paper's figures [m/s].
+        obstacle_speed: obstacle speed u_OB in the paper's figures [m/s].
     """
 
     k1: float = 0.5
@@ -50,11 +50,11 @@ class Setting:
 
     @property
     def fastest(self) -> float:
-        """Largest own speed [m/s] that claims about braking range over: overshoot beyond the cap included."""
+        """The largest own speed [m/s] in the braking claims, including overshoot beyond the speed limit."""
         return max(_FASTEST, OVERSHOOT * self.speed_max)
 
     def __post_init__(self) -> None:
-        """Raise InputError for a number that is not positive and finite, or a cap below the cruise speed."""
+        """Raise InputError for a value that is not positive and finite, or for inconsistent speeds."""
         for entry in fields(self):
             value = getattr(self, entry.name)
             if not (np.isfinite(value) and value > 0):
@@ -71,17 +71,17 @@ class Setting:
                 f"must be less than the avoidance speed, {self.avoidance_speed:g} m/s",
                 key="obstacle_speed",
                 value=self.obstacle_speed,
-                remedy="(20) settles nowhere before a faster obstacle",
+                remedy="lower it: law (20) has no equilibrium in front of a faster obstacle",
             )
 
 
 def setting_from(gains: Mapping[str, float] | None) -> Setting:
-    """The setting with the gains that bear its names; other gains do not enter a claim and are passed over.
+    """Return the setting with the given gains; gains that no claim uses are ignored.
 
-    A δ ≤ 0 is not the printed law's safety distance: the claims about the print keep their own δ.
+    A gain δ ≤ 0 is not the safety distance of the printed law, so it is ignored and `Setting.delta` keeps its default.
 
     Raises:
-        InputError: a gain that is not one finite number greater than 0.
+        InputError: a gain is not one finite number greater than 0.
 
     Example:
         >>> from surctl.verification import setting_from

@@ -1,4 +1,4 @@
-"""Step responses of many cascades at once: settling time and overshoot as python-control's `step_info` counts them."""
+"""Step responses of many cascades at once: settling time and overshoot as defined by python-control's `step_info`."""
 
 from __future__ import annotations
 
@@ -11,33 +11,34 @@ from surctl.verification.loops import state_blocks
 __all__ = ["STEP_NAMES", "step_figures", "step_system"]
 
 STEP_NAMES = ("cross_track", "heading", "surge_speed")
-_BAND = 0.02  # share of the final value within which a response has settled
-_DECAYS = 10.0  # time constants of the slowest pole that are looked at
-_LEVELS, _RATIO, _SAMPLES = 4, 8, 512  # grids of time, each `_RATIO` times longer than the last
+_BAND = 0.02  # half-width of the settling band, as a share of the final value
+_DECAYS = 10.0  # duration of the response, in time constants of the slowest pole
+_LEVELS, _RATIO, _SAMPLES = 4, 8, 512  # number of time grids, each `_RATIO` times longer than the one before; samples
 
 
 def step_system(cascade: Cascade, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """(A, b, c), behind a leading axis, from a wanted value to the value, all loops that matter closed.
+    """Return the systems (A, b, c), with a leading axis, from a reference to the controlled variable.
 
-    `cross_track`: the path moves sideways. `heading`: the wanted heading moves, the path does not. `surge_speed`:
-    the wanted surge speed moves, guidance along the path open; that one to a factor.
+    `cross_track`: a step of the path to one side, all loops closed. `heading`: a step of the desired heading, all loops
+    closed, while the path stays. `surge_speed`: a step of the desired surge speed, with the along-track loop open; its
+    response is correct up to a constant factor.
     """
     B, K = cascade.B, cascade.K
     if name == "cross_track":
         return cascade.closed, B @ K[..., [1]], cascade.C[..., [1], :]
     if name == "heading":
         drive = np.zeros_like(K[..., [3]])
-        drive[..., 3::4, :] = K[..., 3::4, [3]]  # the yaw rows: what ψ means to sway is the wish turned into {B}
+        drive[..., 3::4, :] = K[..., 3::4, [3]]  # yaw rows only: in sway, ψ enters by the rotation of ν_c into {B}
         return cascade.closed, B @ drive, cascade.C[..., [3], :]
     opened, b, _ = cascade.at_output(0)
-    # k1 x stands for the wanted speed, to a factor that no figure depends on; x itself no longer matters
+    # k1 x takes the place of the desired speed, up to a factor that does not change the metrics; x is then unused
     return opened[..., 1:, 1:], b[..., 1:, :], cascade.C[..., [4], 1:]
 
 
 def step_figures(
     cascade: Cascade, stable: NDArray[np.bool_]
 ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Settling time [s] and overshoot (share of the step) of n cascades by name of the step; inf where not stable."""
+    """Return settling time [s] and overshoot (share of the step) of n cascades by step name; inf if unstable."""
     figures = {}
     for name in STEP_NAMES:
         settling, overshoot = (np.full(len(stable), np.inf) for _ in range(2))
@@ -55,9 +56,9 @@ def _figures(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Settling time and overshoot of the stable systems (n, k, k), (n, k, 1), (n, 1, k), by exact sampling.
 
-    The response is 1 − d(t), d(t) = c e^(At) x_∞/(c x_∞) with x_∞ = −A⁻¹ b. It is sampled on four grids, each eight
-    times longer than the last, so that an early peak and a late end are both seen; between samples it is
-    interpolated.
+    The response is 1 − d(t) with d(t) = c e^(At) x_∞/(c x_∞) and x_∞ = −A⁻¹ b. It is sampled on four time grids, each
+    eight times longer than the one before, so that they resolve both an early peak and a late end. Between samples it
+    is interpolated.
     """
     from scipy.linalg import expm
 
@@ -71,7 +72,7 @@ def _figures(
         rows, power = _sampled(power, c)
         d = (rows @ rest)[:, :, 0] / final
         later = _last_outside(d)
-        # what the finer grid has seen, it has seen better
+        # where a finer grid covers the time, its more exact result stays
         newer = later >= (_SAMPLES // _RATIO if level else 0)
         settling = np.where(newer, later * step, settling)
         highest, refined = _peak(-d)
@@ -82,7 +83,7 @@ def _figures(
 
 
 def _sampled(power: NDArray[np.float64], c: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """c Φ^j for j = 0 … `_SAMPLES` (n, `_SAMPLES` + 1, k), by doubling; and Φ^`_RATIO`."""
+    """The rows c Φ^j for j = 0 … `_SAMPLES`, (n, `_SAMPLES` + 1, k), computed by doubling; and Φ^`_RATIO`."""
     rows, following = c, power
     while rows.shape[1] < _SAMPLES:
         rows = np.concatenate([rows, rows @ power], axis=1)
@@ -93,7 +94,7 @@ def _sampled(power: NDArray[np.float64], c: NDArray[np.float64]) -> tuple[NDArra
 
 
 def _last_outside(d: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where d (n, m) comes within the band for good, in samples; 0 if it never leaves it."""
+    """The sample after which d (n, m) stays within the settling band; 0 if d never leaves it."""
     outside = np.abs(d) >= _BAND
     last = d.shape[1] - 1 - np.argmax(outside[:, ::-1], axis=1)
     here = np.minimum(last, d.shape[1] - 2)
@@ -104,7 +105,7 @@ def _last_outside(d: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _peak(y: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Largest sample of y (n, m), at least 0, and the height of the parabola through it and its neighbours."""
+    """The largest sample of y (n, m), at least 0, and the peak of the parabola through it and its neighbours."""
     at = np.clip(np.argmax(y, axis=1), 1, y.shape[1] - 2)
     point = np.arange(len(y))
     left, middle, right = y[point, at - 1], y[point, at], y[point, at + 1]

@@ -1,6 +1,6 @@
-"""Claims about the tracking law: V1 of (11)–(12), its speed cap, and the norm chain of (12).
+"""Claims about the tracking law: the function V1 of (11)–(12), the speed limit, and the chain of norms in (12).
 
-Every rate comes from the expressions that the law itself is built of (`surctl.guidance.tracking`).
+The claims use the same expressions for the rates as the law itself (`surctl.guidance.tracking`).
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ __all__ = [
 ]
 
 _LEAST_BOX = 2.0  # [m] half-width of the box of tracking errors, unless the claim needs more
-_LEAST_CAP_BOX = 10.0  # [m] the same with the speed cap
+_LEAST_CAP_BOX = 10.0  # [m] half-width of the box in the claims with a speed limit, unless the claim needs more
 
 
 @dataclass(frozen=True, eq=False)
 class _Loop:
-    """The ideal kinematic tracking loop, symbolic in the error."""
+    """Symbolic expressions of the ideal kinematic tracking loop, in the tracking error."""
 
     error: ca.SX
     turn: ca.SX
@@ -41,16 +41,16 @@ class _Loop:
 
     @property
     def v1(self) -> ca.SX:
-        """(11), V1 = ½‖e‖² [m²]."""
+        """The Lyapunov function of (11), V1 = ½‖e‖² [m²]."""
         return ca.sumsqr(self.error) / 2
 
     @property
     def v1_rate(self) -> ca.SX:
-        """V̇1 [m²/s], by the chain rule; γ̇_d is in it and must cancel."""
+        """The rate V̇1 [m²/s] by the chain rule; the terms in γ̇_d must cancel."""
         return ca.dot(self.error, self.rate)
 
     def variables(self, half: float) -> tuple[Variable, ...]:
-        """x_e, y_e, z_e in ±half [m], and the path's turn rate in ±0.5 rad/s."""
+        """The variables x_e, y_e, z_e within ±half [m], and the turn rate of the path within ±0.5 rad/s."""
         names = ("x_e", "y_e", "z_e")
         meanings = (
             "along-track error, path frame",
@@ -61,7 +61,7 @@ class _Loop:
         return (*errors, Variable("turn", self.turn, "rad/s", -0.5, 0.5, "turn rate of the path"))
 
     def motion(self) -> Motion:
-        """The loop with the turn rate held."""
+        """The motion of the tracking error at a constant turn rate."""
         rates = {name: self.rate[i] for i, name in enumerate(("x_e", "y_e", "z_e"))}
         return Motion(rates, self.v1, "V1", "m^2")
 
@@ -89,17 +89,17 @@ def _loop(setting: Setting, *, repaired: bool, capped: bool = False) -> _Loop:
 
 
 def _half(setting: Setting) -> float:
-    """Half-width [m] of the box: 2 m, or more where the gains push the first violation of V1 farther out."""
+    """The half-width [m] of the box: 2 m, or more if V1 first increases farther out with these gains."""
     return max(_LEAST_BOX, 1.25 * 2 * setting.speed / setting.k1, 1.6 * _first_cross_track(setting))
 
 
 def _first_cross_track(setting: Setting) -> float:
-    """Least |y_e| [m] with V̇1 > 0 under signed surge: √(4 v_d Δ_h/k1), met at x_e = 2 v_d/k1."""
+    """The least |y_e| [m] with V̇1 > 0 if surge may be negative: √(4 v_d Δ_h/k1), reached at x_e = 2 v_d/k1."""
     return float(np.sqrt(4 * setting.speed * setting.lookahead / setting.k1))
 
 
 def v1_printed(setting: Setting) -> Claim:
-    """(12) as printed: the surge may change sign, and the y term with it."""
+    """The claim (12) as printed: the surge command may change sign, and with it the term in y_e."""
     loop = _loop(setting, repaired=False)
     witness = {
         "x_e": 2 * setting.speed / setting.k1,
@@ -123,10 +123,11 @@ def v1_printed(setting: Setting) -> Claim:
 
 
 def regional_rate(setting: Setting, half: float) -> float:
-    """c > 0 [1/s] with V̇1 ≤ −c‖e‖² on the box |e_i| ≤ half, for the clipped law.
+    """Return c > 0 [1/s] such that V̇1 ≤ −c‖e‖² on the box |e_i| ≤ half, for the law with surge clipped at 0.
 
-    For x_e ≤ q = v_d/(2 k1) the speed along the path is at least v_d/2, so every term is quadratic. Beyond,
-    the x term alone must pay for y_e², and it is concave in x_e past v_d/k1: its two ends decide.
+    For x_e ≤ q = v_d/(2 k1) the speed along the path is at least v_d/2, so every term is quadratic. For larger x_e,
+    the term in x_e alone must dominate y_e². It is concave in x_e beyond v_d/k1, so the two ends of the interval give
+    the least value.
     """
     q2 = (setting.speed / (2 * setting.k1)) ** 2
     return min(
@@ -139,7 +140,7 @@ def regional_rate(setting: Setting, half: float) -> float:
 
 
 def v1_corrected(setting: Setting) -> Claim:
-    """(12) with the surge clipped at 0: strictly decreasing, at a rate that depends on the box."""
+    """The claim (12) with surge clipped at 0: V1 decreases strictly, at a rate that depends on the box."""
     loop, half = _loop(setting, repaired=True), _half(setting)
     c = regional_rate(setting, half)
     return Claim(
@@ -157,19 +158,19 @@ def v1_corrected(setting: Setting) -> Claim:
 
 
 def cap_limit(setting: Setting) -> tuple[float, float]:
-    """First violation of V̇1 ≤ 0 under the cap U_h ≤ U: (|x_e|, |y_e|) [m], x_e behind the target.
+    """Return the point (|x_e|, |y_e|) [m] nearest to the target where V̇1 ≤ 0 fails under the speed limit U_h ≤ U.
 
-    With s = √(y_e² + Δ²), the target runs away where |x_e| > U (s² − Δ²)/(s v_d − U Δ); the least is at
-    s = Δ (U + √(U² − v_d²))/v_d, and is 2 U s/v_d.
+    The robot is behind the target. With s = √(y_e² + Δ²), V1 grows if |x_e| > U (s² − Δ²)/(s v_d − U Δ). This bound is
+    least at s = Δ (U + √(U² − v_d²))/v_d, where it is 2 U s/v_d.
 
     Raises:
-        NotApplicable: a cap that is not above the cruise speed.
+        NotApplicable: the speed limit is not above the cruise speed.
     """
     top, v, ahead = setting.speed_max, setting.speed, setting.lookahead
     if top <= v:
         raise NotApplicable(
-            f"the cap of {top:g} m/s is not above the cruise speed of {v:g} m/s: a robot that cannot catch up has no "
-            "tracking claim",
+            f"the speed limit of {top:g} m/s is not above the cruise speed of {v:g} m/s, and the tracking claims do "
+            "not cover a robot that cannot catch up with its target",
             to="these speeds",
         )
     s = ahead * (top + np.sqrt(top**2 - v**2)) / v
@@ -177,7 +178,7 @@ def cap_limit(setting: Setting) -> tuple[float, float]:
 
 
 def v1_speed_cap(setting: Setting) -> Claim:
-    """(12) with 0 ≤ U_h ≤ U_max: far behind the target the cap breaks it."""
+    """The claim (12) with 0 ≤ U_h ≤ U_max; refuted, because the speed limit makes V1 grow far behind the target."""
     loop = _loop(setting, repaired=True, capped=True)
     x, y = cap_limit(setting)
     return Claim(
@@ -196,7 +197,7 @@ def v1_speed_cap(setting: Setting) -> Claim:
 
 
 def v1_speed_cap_region(setting: Setting) -> Claim:
-    """The region that E9 asks for: how far behind the capped law may be."""
+    """The claim (12) on the region that E9 requires: how far the robot may be behind its target."""
     loop = _loop(setting, repaired=True, capped=True)
     x, _ = cap_limit(setting)
     half = max(_LEAST_CAP_BOX, 2 * x)
@@ -216,14 +217,14 @@ def v1_speed_cap_region(setting: Setting) -> Claim:
 
 
 def _norm_of_m(setting: Setting, loop: _Loop) -> tuple[ca.SX, ca.SX]:
-    """Least and largest diagonal entry of M in (12), the third one read as k2 (E8) [1/s]."""
+    """The least and the largest diagonal entry [1/s] of M in (12); its third entry is taken as k2 (E8)."""
     middle = loop.along / setting.lookahead  # U_h/√(y_e² + Δ²)
     least = ca.fmin(ca.fmin(setting.k1, setting.k2), middle)
     return least, ca.fmax(ca.fmax(setting.k1, setting.k2), ca.fabs(middle))
 
 
 def m_norm_printed(setting: Setting) -> Claim:
-    """The last step of (12), ‖e‖²‖M‖ ≤ 0."""
+    """The claim of the last step of (12), ‖e‖²‖M‖ ≤ 0."""
     loop = _loop(setting, repaired=True)
     return Claim(
         name="m-norm-printed",
@@ -240,7 +241,7 @@ def m_norm_printed(setting: Setting) -> Claim:
 
 
 def m_norm_corrected(setting: Setting) -> Claim:
-    """What (12) can say: V̇1 ≤ −λ_min(M)‖e‖² ≤ 0, where U_h ≥ 0."""
+    """The corrected conclusion of (12): V̇1 ≤ −λ_min(M)‖e‖² ≤ 0 where U_h ≥ 0."""
     loop = _loop(setting, repaired=False)
     return Claim(
         name="m-norm-corrected",

@@ -1,4 +1,4 @@
-"""A verdict is data: what was claimed, what came out, and the evidence."""
+"""A verdict as data: the claim, the result and the evidence."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ __all__ = ["Inapplicable", "Verdict"]
 
 @dataclass(frozen=True)
 class Inapplicable:
-    """A claim that is not about the case at hand, which is no verdict on the claim.
+    """A claim that does not apply to the given case; this is not a verdict on the claim.
 
     Attributes:
-        claim: its name.
+        claim: name of the claim.
         because: the assumption that is violated, with its numbers.
-        to: what the claim does not apply to: "this vehicle", "these gains".
+        to: the object to which the claim does not apply: "this vehicle" or "these gains".
     """
 
     claim: str
@@ -29,16 +29,16 @@ class Inapplicable:
 
     @classmethod
     def of(cls, claim: str, reason: NotApplicable) -> Inapplicable:
-        """From the error that said so."""
+        """Create the entry from the `NotApplicable` error of the claim."""
         return cls(claim, reason.because, reason.to)
 
     @property
     def sentence(self) -> str:
-        """The reason in one line."""
+        """The reason why the claim does not apply, in one line."""
         return f"not applicable to {self.to}, because {self.because}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON, with the keys that every claim has."""
+        """The entry as plain data for JSON, with the keys that every verdict has."""
         return {
             "claim": self.claim,
             "expected": None,
@@ -53,23 +53,23 @@ class Inapplicable:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a check of one claim came to.
+    """The result of checking one claim.
 
     Attributes:
         claim: the claim.
-        verdict: `proved`, with a certificate; `refuted`, with a counterexample; `unknown`, with what is left open; or,
-            of the falsifier alone, `not refuted`: a vain search proves nothing.
+        verdict: `proved` with a certificate, `refuted` with a counterexample, or `unknown` if neither was found.
+            `not refuted` is the verdict of the falsifier alone: a search without a counterexample proves nothing.
         counterexample: a point where the claim fails.
         worst_margin: largest left − right found in the domain, in the claim's unit.
-        threshold: margins up to this count as rounding.
-        fraction: share of the samples in the domain where the claim fails.
+        threshold: largest margin that counts as rounding, in the claim's unit.
+        fraction: share of the samples in the domain at which the claim fails.
         samples: number of samples in the domain.
         searches: number of local searches.
-        witnesses: the claim's own points with the margin found there.
-        seconds: time it took [s].
-        certificate: what `surctl.certcheck` accepts as a proof.
-        open_ends: what an attempt at a proof left open, in words.
-        open_boxes: the largest boxes of it, (lower, upper) by variable.
+        witnesses: the claim's witnesses with their margins.
+        seconds: duration of the check [s].
+        certificate: the certificate that `surctl.certcheck` accepts as a proof.
+        open_ends: description of the part of the domain that the prover could not decide.
+        open_boxes: the largest boxes that the prover could not decide, (lower, upper) by variable.
     """
 
     claim: Claim
@@ -88,10 +88,10 @@ class Verdict:
 
     @property
     def as_expected(self) -> bool:
-        """Whether the verdict is the one the claim ships with.
+        """Whether the verdict is the expected verdict of the claim.
 
-        The falsifier alone cannot prove: from it, "not refuted" is what is expected of a claim that can be proved. A
-        claim that ships as "not refuted" expects no more than that there is no counterexample.
+        The falsifier alone cannot prove a claim; for a claim expected to be proved, its verdict "not refuted" is as
+        expected. For a claim whose expected verdict is "not refuted", every verdict except "refuted" is as expected.
         """
         if self.claim.expected == "not refuted":
             return self.verdict != "refuted"
@@ -99,17 +99,17 @@ class Verdict:
 
     @property
     def remaining(self) -> str | None:
-        """What is left open; None when the claim is settled."""
+        """Why the claim is not decided; None if the claim is proved or refuted."""
         if self.verdict not in ("not refuted", "unknown"):
             return None
         stopped = f"{self.open_ends}; " if self.open_ends else ""
         return (
-            f"not proved: {stopped}{self.samples} samples and {self.searches} local searches found nothing worse than "
-            f"{self.worst_margin:.3g} {self.claim.unit}"
+            f"not proved: {stopped}the largest margin left - right that {self.samples} samples and {self.searches} "
+            f"local searches found is {self.worst_margin:.3g} {self.claim.unit}"
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """The verdict as plain data for JSON."""
         counterexample = self.counterexample
         return {
             "claim": self.claim.name,
@@ -131,7 +131,7 @@ class Verdict:
         }
 
     def _proof(self) -> dict[str, Any] | None:
-        """What is told of the certificate: its hash, and by how much left may exceed right."""
+        """The summary of the certificate: its kind, its hash, and by how much left may exceed right."""
         if self.certificate is None:
             return None
         slack = self.certificate["claim"]["slack"]

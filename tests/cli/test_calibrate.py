@@ -29,7 +29,7 @@ def test_table_ii(tmp_path):
         "16.41 mm",
         "-30 mm at 0.85 m",
         "35 of the 36",
-        "printed 3.6 %, it is 3.5 %",
+        "printed 3.6 %, recomputed 3.5 %",
         "water: 18 rows",
     ):
         assert words in told

@@ -172,7 +172,7 @@ def test_verify_tells_what_it_cannot_settle(tmp_path):
     (tmp_path / "open.toml").write_text(text, encoding="utf-8")
     done = surctl("verify", "open.toml", "--time-limit", 1, cwd=tmp_path)
     assert done.status == 1
-    assert "FAIL sway" in done.out and "unknown" in done.out and "division by an interval that holds 0" in done.out
+    assert "FAIL sway" in done.out and "unknown" in done.out and "division by an interval that contains 0" in done.out
 
 
 def test_sweep_finishes_picks_and_does_not_depend_on_workers(tmp_path):

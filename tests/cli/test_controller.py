@@ -153,13 +153,13 @@ def test_ctrl_c_ends_a_flight_in_one_line(bundle: Path, tmp_path: Path) -> None:
     [
         (("--controller", "tcp://127.0.0.1:9"), "nobody listens there"),
         (("--controller", "tcp://[::1]:9"), "nobody listens there"),
-        (("--controller", "udp://127.0.0.1:9"), "is no address of a controller"),
+        (("--controller", "udp://127.0.0.1:9"), "is not the address of a controller"),
         (("--controller", "qemu:cortex-m99"), "is no emulated processor"),
         (("--controller", "tcp://127.0.0.1:9", "--link-loss", "2"), "is no chance"),
         (("--controller", "tcp://127.0.0.1:9", "--link-delay", "-1"), "is no time"),
-        (("--link-loss", "0.1"), "is for --controller"),
-        (("--controller", "tcp://127.0.0.1:9", "--monte-carlo"), "flies single runs"),
-        (("--controller", "tcp://127.0.0.1:9", "--from", "run.toml"), "flies single runs"),
+        (("--link-loss", "0.1"), "needs --controller"),
+        (("--controller", "tcp://127.0.0.1:9", "--monte-carlo"), "applies only to single runs"),
+        (("--controller", "tcp://127.0.0.1:9", "--from", "run.toml"), "applies only to single runs"),
     ],
 )
 def test_mistakes_are_told_in_one_line(words: tuple[str, ...], told: str, tmp_path: Path) -> None:

@@ -129,7 +129,7 @@ WORDS = {
     "a ladder without limits": (["export", "--fallback", "bounded"], ["fallback", "mode nsb has none", "projected"]),
     "a ladder that is not explained": (
         ["simulate", "tank-static", "--priority-mode", "projected", "--fallback", "bounded", "--explain"],
-        ["--fallback", "not explained"],
+        ["--fallback", "cannot be explained"],
     ),
     "a ladder in a campaign": (
         ["simulate", "tank-static", "--priority-mode", "filter", "--fallback", "bounded", "--monte-carlo"],

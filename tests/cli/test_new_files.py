@@ -20,7 +20,7 @@ def test_a_new_file_is_one_that_works(tmp_path: Path, kind: str) -> None:
     assert checked.status == 0, checked.err
     assert checked.json["kind"] == kind
     again = surctl("new", kind, "other", "--out", "mine.toml", cwd=tmp_path)
-    assert again.status == 2 and "is there already" in again.complaint
+    assert again.status == 2 and "already exists" in again.complaint
     assert surctl("new", kind, "other", "--out", "mine.toml", "--force", cwd=tmp_path).status == 0
 
 
@@ -28,7 +28,7 @@ def test_a_new_task_passes_its_check(tmp_path: Path) -> None:
     assert surctl("new", "task", "stay-near", cwd=tmp_path).status == 0
     done = run_python(["stay-near.py"], cwd=tmp_path)
     assert done.returncode == 0 and "name='stay_near'" in done.stdout, done.stderr
-    for name, fragment in (("../x", "cannot be a file's name"), ("7", "is no name of a task")):
+    for name, fragment in (("../x", "cannot be a file name"), ("7", "cannot name a task")):
         wrong = surctl("new", "task", name, cwd=tmp_path)
         assert wrong.status == 2 and fragment in wrong.complaint
 
@@ -72,7 +72,7 @@ def test_a_run_as_a_log_gives_the_vehicle_back(tmp_path: Path) -> None:
     [
         (["--save", "cvs", "--out", "x"], "did you mean 'csv'"),
         (["--save", "csv"], "add --out DIR"),
-        (["--save", "csv", "--monte-carlo", "--out", "x"], "does not go with a campaign"),
+        (["--save", "csv", "--monte-carlo", "--out", "x"], "cannot be combined with a campaign"),
     ],
 )
 def test_a_run_that_cannot_be_saved(tmp_path: Path, words: list[str], fragment: str) -> None:

@@ -15,7 +15,7 @@ from tests.tools import PATIENCE
 
 SWEEP = ("sweep", "k_v=1..3:4000", "--scenario", "tank-static", "--seeds", "50", "--workers", "1", "--out", "a sweep")
 CASES = {
-    "sweep": (SWEEP, "points,", "the points that were flown are in a sweep; to go on: surctl sweep", "'a sweep'"),
+    "sweep": (SWEEP, "points,", "the finished points are in a sweep; to continue: surctl sweep", "'a sweep'"),
 }
 
 

@@ -70,7 +70,9 @@ def test_a_full_disk_under_stdout_is_one_line_and_a_status(
     words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     status = run(words, io.TextIOWrapper(Full(), encoding="utf-8"), monkeypatch)
-    line = "surctl: the output cannot be written (no space left on device); make room, or write elsewhere\n"
+    line = (
+        "surctl: the output cannot be written (no space left on device); free disk space, or write to another place\n"
+    )
     assert (status, capsys.readouterr().err) == (1, line)
 
 

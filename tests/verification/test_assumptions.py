@@ -96,7 +96,7 @@ def test_a_refused_claim_costs_no_other_one_its_result() -> None:
     assert [c.name for c in found] == list(KINEMATIC) and tuple(refused) == STEPS
     assert str(refused["braking-mass"]) == (
         "braking-mass: not applicable to this vehicle, because m11 = 17 kg and m22 = 24.2 kg differ and the claim "
-        "assumes one mass in surge and sway"
+        "assumes equal mass in surge and sway"
     )
     with pytest.raises(NotApplicable, match=r"m22 = 24\.2 kg"):
         claims(names=["v1-printed", "braking-keeps"], vehicle=vehicle)
@@ -146,6 +146,6 @@ def test_a_heavier_sway_pushes_a_hull_that_turns_in_the_safety_claim_too() -> No
 def test_a_cap_that_is_the_cruise_speed_leaves_no_claim_about_catching_up() -> None:
     found, refused = applicable_claims({**GAINS.values, "speed": 0.22, "speed_max": 0.22})
     assert sorted(refused) == ["v1-speed-cap", "v1-speed-cap-region"] and "v1-corrected" in {c.name for c in found}
-    assert "these speeds, because the cap of 0.22 m/s is not above" in str(refused["v1-speed-cap"])
+    assert "these speeds, because the speed limit of 0.22 m/s is not above" in str(refused["v1-speed-cap"])
     with pytest.raises(NotApplicable, match="not below the cap"):
         region_statement("region-cruise-20").claim(load_vehicle("sur400"), GAINS, cruise=0.22, cap=0.22)

@@ -49,9 +49,9 @@ def test_a_claim_that_is_false_by_a_hair_is_not_proved_whatever_the_falsifier_se
 
 def test_what_stops_a_proof_is_named() -> None:
     divided = prove(claim_from("d", {"x": (-1.0, 1.0)}, "-1/x^2", "0"), time_limit=0.5)
-    assert "division by an interval that holds 0" in divided.remaining
+    assert "division by an interval that contains 0" in divided.remaining
     rooted = prove(claim_from("r", {"x": (-1.0, 1.0)}, "-sqrt(x)", "0"), time_limit=0.5)
-    assert "square root of an interval that is negative in part" in rooted.remaining
+    assert "square root of an interval that is partly negative" in rooted.remaining
 
 
 def test_the_time_limit_is_kept() -> None:
@@ -64,7 +64,7 @@ def test_what_is_left_open_counts_the_boxes_of_all_attempts(monkeypatch: pytest.
     module = sys.modules["surctl.verification.proving.prove"]
     monkeypatch.setattr(module, "_ROUNDS", ((20, 0.0), (200, 1.0)))
     proof = prove(claim_from("close", {"x": (-4.0, 4.0), "y": (-4.0, 4.0)}, "sin(3*x)*cos(2*y)*sin(x*y)", "0.9"))
-    words = r"the boxes allowed were used up after (\d+) boxes: (\d+) open"
+    words = r"the limit on boxes was reached after (\d+) boxes: (\d+) open"
     said, open_boxes = re.match(words, proof.remaining).groups()
     assert int(said) >= 220 and int(said) == proof.boxes and int(open_boxes) == len(proof.open_boxes)
 

@@ -64,7 +64,7 @@ def test_where_poles_part_there_are_more_values() -> None:
         ("margin", [1.0, 2.0], "moves no pole"),
         ("k_v", [2.0], "in order"),
         ("k_v", [1.0, 3.0, 2.0], "in order"),
-        ("k_i", [0.0, 0.1], "begin above 0"),
+        ("k_i", [0.0, 0.1], "begin the range above 0"),
         ("scenario.cruise", [0.1, 0.9], "thrust"),
     ],
 )

@@ -1,4 +1,4 @@
-"""The language of claims: text, expression with exact numbers, CasADi, and back."""
+"""The claim grammar: conversion between text, expressions with exact numbers, and CasADi."""
 
 from surctl.verification.formula.node import Node, number, ordered, power, rebuilt, variable
 from surctl.verification.formula.parser import FUNCTIONS, IDENTIFIER, parse

@@ -1,4 +1,4 @@
-"""Expressions as plain data: exact numbers, names and the operations of the claim grammar."""
+"""Expressions as trees: exact numbers, names and the operations of the claim grammar."""
 
 from __future__ import annotations
 
@@ -14,24 +14,25 @@ ARITY: Mapping[str, int] = {
     "add": 2, "sub": 2, "mul": 2, "div": 2, "neg": 1, "pow": 1, "sqrt": 1, "sin": 1, "cos": 1, "atan": 1,
     "atan2": 2, "acos": 1, "abs": 1, "min": 2, "max": 2, "select": 4,
 }  # fmt: skip
-"""Operands of each operation; `select(a, b, x, y)` is x where a ≤ b, and y elsewhere."""
+"""The number of operands of each operation; `select(a, b, x, y)` is x if a ≤ b, and y otherwise."""
 
 BRANCHING = frozenset({"abs", "min", "max", "select"})
-"""Operations that are one of two expressions, depending on where one is."""
+"""The operations that equal one of two expressions, depending on the operands."""
 
 DEEPEST = 300
-"""Most operations that may stand inside one another."""
+"""The largest depth to which operations may be nested."""
 
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """One operation, number or name; compared by what it says.
+    """One operation, number or name of an expression; nodes with equal content are equal.
 
     Attributes:
         op: `num`, `pi`, `var`, or a key of `ARITY`.
         args: the operands.
-        value: the exact number of a `num`, the integer exponent of a `pow`.
+        value: the exact number of a `num`, or the integer exponent of a `pow`.
         name: the name of a `var`.
+        depth: the largest number of nested nodes.
     """
 
     op: str
@@ -42,10 +43,12 @@ class Node:
     _hash: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Refuse what no later step could walk through."""
+        """Raise InputError for an expression that is nested too deeply for later steps."""
         depth = 1 + max((a.depth for a in self.args), default=0)
         if depth > DEEPEST:
-            raise InputError(f"is nested more than {DEEPEST} deep", key="expression", remedy="write it flatter")
+            raise InputError(
+                f"is nested more than {DEEPEST} levels deep", key="expression", remedy="write it with less nesting"
+            )
         object.__setattr__(self, "depth", depth)
         object.__setattr__(self, "_hash", hash((self.op, self.args, self.value, self.name)))
 
@@ -79,22 +82,22 @@ PI = Node("pi")
 
 
 def number(value: int | Fraction) -> Node:
-    """An exact number."""
+    """Return the node of an exact number."""
     return Node("num", value=Fraction(value))
 
 
 def variable(name: str) -> Node:
-    """A name."""
+    """Return the node of a variable."""
     return Node("var", name=name)
 
 
 def power(base: Node, exponent: int) -> Node:
-    """An integer power."""
+    """Return the node of an integer power."""
     return base if exponent == 1 else Node("pow", (base,), Fraction(exponent))
 
 
 def ordered(*roots: Node) -> Iterator[Node]:
-    """Every distinct node below the roots, operands before their use."""
+    """Yield every distinct node of the expressions, each after its operands."""
     visited: set[Node] = set()
     stack = [(root, False) for root in reversed(roots)]
     while stack:
@@ -108,7 +111,7 @@ def ordered(*roots: Node) -> Iterator[Node]:
 
 
 def rebuilt(root: Node, change: Callable[[Node, tuple[Node, ...]], Node]) -> Node:
-    """The expression with every node replaced by change(node, operands as already replaced)."""
+    """Return the expression with every node replaced by change(node, operands that were already replaced)."""
     replaced: dict[Node, Node] = {}
     for node in ordered(root):
         replaced[node] = change(node, tuple(replaced[a] for a in node.args))

@@ -1,4 +1,4 @@
-"""Text to expression by recursive descent; nothing of what a file says is ever executed.
+"""Parse an expression by recursive descent; text from a file is never executed as code.
 
 ::
 
@@ -8,7 +8,7 @@
     power   = atom [ "^" ["-"] integer ]
     atom    = number | name | function "(" sum { "," sum } ")" | "(" sum ")"
 
-A number is the decimal as it is written, exactly; `pi` is π itself.
+A number has exactly the value of its decimal notation; `pi` is π exactly.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from surctl.verification.formula.node import ARITY, DEEPEST, PI, Node, number
 __all__ = ["FUNCTIONS", "IDENTIFIER", "LONGEST", "decimal", "parse"]
 
 FUNCTIONS = ("abs", "acos", "atan", "atan2", "cos", "max", "min", "select", "sin", "sqrt")
-"""Functions of the grammar; `select(a, b, x, y)` is x where a ≤ b, and y elsewhere."""
+"""The functions of the grammar; `select(a, b, x, y)` is x if a ≤ b, and y otherwise."""
 
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
 LONGEST = 60_000
-"""Most characters of one expression."""
+"""The largest number of characters in one expression."""
 _TOKEN = re.compile(
     r"\s*(?:(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)|([A-Za-z_]\w*)|(\*\*|[-+*/^(),])|(\S))"
 )
@@ -36,16 +36,17 @@ _LARGEST_POWER, _LARGEST_EXPONENT, _MOST_DIGITS = 64, 320, 400
 
 
 def parse(text: str, known: Mapping[str, Node], *, file: object = None, key: str | None = None) -> Node:
-    """The expression that the text says.
+    """Parse a text into an expression.
 
     Args:
-        text: an expression of the grammar above.
-        known: what each name stands for: a variable or a number.
-        file: where the text stands, for the errors.
-        key: under which key.
+        text: an expression of the claim grammar.
+        known: the variable or number for each name.
+        file: the file that holds the text, for error messages.
+        key: the key of the text in the file, for error messages.
 
     Raises:
-        InputError: with file, key, token and column, and the remedy; an unknown name with the nearest known one.
+        InputError: the text is not an expression of the grammar; the error names file, key, token and column, and the
+            remedy. For an unknown name it proposes the nearest known one.
     """
     if not isinstance(text, str):
         raise InputError("must be an expression in quotes", file=file, key=key, value=text, remedy='write e.g. "x^2"')
@@ -55,7 +56,7 @@ def parse(text: str, known: Mapping[str, Node], *, file: object = None, key: str
 
 
 def decimal(text: str) -> Fraction:
-    """The exact value of a decimal number such as 1.5e-3."""
+    """Return the exact value of a decimal number such as 1.5e-3."""
     return Fraction(text)
 
 
@@ -75,7 +76,7 @@ class _Parser:
     def whole(self) -> Node:
         tree = self._sum()
         if self._next.kind != "end":
-            remedy = "write * between factors" if self._next.kind in ("name", "number") else "remove it"
+            remedy = "write * between factors" if self._next.kind in ("name", "number") else "remove this token"
             raise self._mistake("is not expected here", self._next, remedy)
         return tree
 
@@ -83,13 +84,13 @@ class _Parser:
         tokens, at, end = [], 0, len(text.rstrip())
         while at < end:
             match = _TOKEN.match(text, at)
-            assert match is not None  # the last group takes any character
+            assert match is not None  # the last group matches any character
             kind = ("number", "name", "sign", "other")[(match.lastindex or 1) - 1]
             token = _Token(kind, match[match.lastindex or 1], match.start(match.lastindex or 1) + 1)
             if kind == "other":
-                raise self._mistake("is not of the grammar", token, "use + - * / ^ ( ) , numbers and names")
+                raise self._mistake("is not part of the grammar", token, "use + - * / ^ ( ) , numbers and names")
             if token.text == "**":
-                raise self._mistake("is not of the grammar", token, "write ^ for a power")
+                raise self._mistake("is not part of the grammar", token, "write ^ for a power")
             tokens.append(token)
             at = match.end()
         tokens.append(_Token("end", "end of text", end + 1))
@@ -111,12 +112,12 @@ class _Parser:
 
     def _expect(self, sign: str) -> None:
         if not self._takes(sign):
-            raise self._mistake(f"stands where {sign!r} should", self._next, f"write {sign}")
+            raise self._mistake(f"appears where {sign!r} is expected", self._next, f"write {sign}")
 
     def _sum(self) -> Node:
         self._depth += 1
         if self._depth > DEEPEST // 4:
-            raise self._mistake("is nested too deeply", self._next, "write it flatter")
+            raise self._mistake("is nested too deeply", self._next, "write it with less nesting")
         tree = self._product()
         while sign := self._takes("+", "-"):
             right = self._product()
@@ -154,7 +155,7 @@ class _Parser:
         if not (token.kind == "number" and token.text.isdigit() and int(token.text[:9]) <= _LARGEST_POWER):
             raise self._mistake("is not an exponent", token, f"write an integer up to {_LARGEST_POWER}, or use sqrt")
         if self._next.text == "^":
-            raise self._mistake("has no order here", self._next, "write parentheses")
+            raise self._mistake("has no defined order here", self._next, "write parentheses")
         return Node("pow", (base,), Fraction(sign * int(token.text)))
 
     def _atom(self) -> Node:
@@ -170,7 +171,7 @@ class _Parser:
             tree = self._sum()
             self._expect(")")
             return tree
-        raise self._mistake("stands where a number, a name or ( should", token, "complete the expression")
+        raise self._mistake("appears where a number, a name or ( is expected", token, "complete the expression")
 
     def _named(self, token: _Token) -> Node:
         if token.text in FUNCTIONS:
@@ -191,7 +192,8 @@ class _Parser:
             args.append(self._sum())
         self._expect(")")
         if len(args) != ARITY[token.text]:
-            takes = f"give it {ARITY[token.text]}"
+            count = ARITY[token.text]
+            takes = f"give {count} argument{'s' * (count != 1)}"
             raise self._mistake(f"has {len(args)} argument{'s' * (len(args) != 1)}", token, takes)
         return Node(token.text, tuple(args))
 

@@ -1,4 +1,4 @@
-"""Expressions to CasADi and back."""
+"""Convert expressions to CasADi and back."""
 
 from __future__ import annotations
 
@@ -29,24 +29,26 @@ _CASADI: Mapping[str, Callable[..., ca.SX]] = MappingProxyType(
     {"sqrt": ca.sqrt, "sin": ca.sin, "cos": ca.cos, "atan2": ca.atan2, "acos": ca.acos, "abs": ca.fabs,
      "min": ca.fmin, "max": ca.fmax}
 )  # fmt: skip
-_LONG = 15  # digits of a number that rounding must have made
+_LONG = 15  # a number with at least this many digits is assumed to result from rounding
 _ORDERED = frozenset({"lt", "le"})
 
 
 def from_casadi(symbols: ca.SX, names: Sequence[str], expressions: Sequence[ca.SX]) -> list[Node]:
-    """Scalar SX expressions in the symbols as expressions of the grammar.
+    """Convert scalar SX expressions in the symbols to expressions of the grammar.
 
-    A number is the shortest decimal that reads back as CasADi's double. CasADi folds constants before anybody sees
-    them: one that is a share of π in double precision is read as that share of π, and one of fifteen digits or more
-    that is the rounded product of two other constants as that product.
+    A number becomes the shortest decimal that reads back as CasADi's double. CasADi evaluates constant subexpressions
+    when they are created. Therefore a constant that equals a fraction of π in double precision is read as this fraction
+    of π. A constant of 15 digits or more that equals the rounded product of two other constants is read as this
+    product.
 
     Args:
-        symbols: (n, 1) column.
-        names: of the symbols, in order.
+        symbols: column of symbols (n, 1).
+        names: names of the symbols, in order.
         expressions: scalars, dense or structurally zero.
 
     Raises:
-        UnsupportedOperation: an operation that the grammar does not have (floor, logic other than a comparison).
+        UnsupportedOperation: an expression has an operation that the grammar lacks (floor, or logic other than a
+            comparison).
     """
     function = ca.Function("claim", [symbols], [ca.densify(ca.vertcat(*expressions, 0))])
     program = lower(function)
@@ -58,7 +60,7 @@ def from_casadi(symbols: ca.SX, names: Sequence[str], expressions: Sequence[ca.S
         elif instruction.op == "input":
             nodes.append(variable(names[instruction.args[1]]))
         elif instruction.op in _ORDERED:
-            nodes.append(None)  # read by the select that it decides
+            nodes.append(None)  # the select that uses the comparison reads it
         else:
             nodes.append(_operation(instruction, program.instructions, nodes))
     refs = program.output_refs[0][:-1]
@@ -84,7 +86,7 @@ def _operation(instruction: Instruction, all_of_them: Sequence[Instruction], nod
     if op == "fma":
         return args[0] * args[1] + args[2]
     raise UnsupportedOperation(
-        f"operation {op!r} is not of the claim grammar", key="claim", remedy="write it with min, max, abs or select"
+        f"operation {op!r} is not part of the claim grammar", key="claim", remedy="use min, max, abs or select"
     )
 
 
@@ -92,7 +94,7 @@ def _operand(nodes: Sequence[Node | None], at: int, op: str) -> Node:
     node = nodes[at]
     if node is None:
         raise UnsupportedOperation(
-            f"a comparison as an operand of {op!r} is not of the claim grammar", key="claim", remedy="use select"
+            f"a comparison as an operand of {op!r} is not part of the claim grammar", key="claim", remedy="use select"
         )
     return node
 
@@ -112,7 +114,7 @@ def _constant(value: float, others: Sequence[float]) -> Node:
 
 
 def to_casadi(root: Node, symbols: Mapping[str, ca.SX]) -> ca.SX:
-    """The expression in SX; numbers become doubles."""
+    """Convert an expression to SX; numbers become doubles."""
     converted: dict[Node, ca.SX] = {}
     for node in ordered(root):
         converted[node] = _symbolic(node, [converted[a] for a in node.args], symbols)
@@ -140,7 +142,7 @@ def _symbolic(node: Node, args: list[ca.SX], symbols: Mapping[str, ca.SX]) -> ca
         case "pow":
             return _multiplied(args[0], node.value.numerator)
         case "atan":
-            return ca.atan2(args[0], 1)  # the instruction list has no atan
+            return ca.atan2(args[0], 1)  # the instruction set has no atan
         case "select":
             return ca.if_else(args[0] <= args[1], args[2], args[3])
         case _:
@@ -148,7 +150,7 @@ def _symbolic(node: Node, args: list[ca.SX], symbols: Mapping[str, ca.SX]) -> ca
 
 
 def _multiplied(base: ca.SX, exponent: int) -> ca.SX:
-    """A power by squaring: the instruction list multiplies, it has no pow."""
+    """The power by repeated squaring, because the instruction set has no pow."""
     if exponent < 0:
         return 1 / _multiplied(base, -exponent)
     result, square = ca.SX(1), base

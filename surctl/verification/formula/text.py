@@ -1,4 +1,4 @@
-"""Expression to text that reads back as the same expression."""
+"""Write an expression as text that reads back as the same expression."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _LEVEL = {"add": 1, "sub": 1, "mul": 2, "div": 2, "neg": 3, "pow": 4}
 
 
 def text_of(root: Node) -> str:
-    """The expression in the claim grammar.
+    """Return the text of an expression in the claim grammar.
 
     Raises:
-        InputError: it would be longer than an expression may be (shared parts are written out each time).
+        InputError: the text would be too long; shared parts are written out at each use.
     """
     texts: dict[Node, tuple[str, int]] = {}
     for node in ordered(root):
@@ -29,7 +29,7 @@ def text_of(root: Node) -> str:
 
 
 def decimal_text(value: Fraction) -> str:
-    """A number as a decimal where that is exact, else as a fraction p/q."""
+    """Return a number as a decimal if that is exact, otherwise as a fraction p/q."""
     if value.denominator == 1 and abs(value.numerator) < 10**16:
         return str(value.numerator)
     short = repr(float(value))

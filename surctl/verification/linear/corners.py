@@ -1,4 +1,4 @@
-"""The corners of what a vehicle may be, as far as a linear loop about cruise sees them."""
+"""The corners of a vehicle's parameter ranges, for the parameters that affect the linear loop about cruise."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ __all__ = ["Corners", "corners"]
 _GROUPS: tuple[tuple[str, ...], ...] = (
     ("m11",), ("m22",), ("m33",), ("m44",), ("Xu", "Xuu"), ("Yv",), ("Zw",), ("Nr",), ("thrust_lag",),
 )  # fmt: skip
-"""Numbers that a loop about straight cruise depends on; those of one group enter as one slope, so they go together.
-Quadratic drag of sway, heave and yaw has none at rest."""
+"""The parameters that affect the linear loop about straight cruise. Parameters of one group enter as one slope, so they
+take the same end of their ranges. Quadratic drag of sway, heave and yaw is absent, because its slope is 0 at rest."""
 
 _MASSES = ("m11", "m22")
 
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """Vehicles to be tried, the nominal one first.
+    """The vehicles of a worst-case analysis, the nominal one first.
 
     Attributes:
         vehicles: the plants.
-        text: where they come from, for a sentence: "the corners of … ".
+        text: description of the vehicles, as part of a sentence: "the corners of … ".
     """
 
     vehicles: tuple[Vehicle, ...]
@@ -34,20 +34,20 @@ class Corners:
 
 
 def corners(vehicle: Vehicle, uncertainty: float | None = None, *, alike: bool = True) -> Corners:
-    """The nominal vehicle and the corners around it.
+    """Return the nominal vehicle and the corners of its uncertainty.
 
-    With a share: all masses (1 ± share) times the nominal ones, all drag likewise. Without one: every combination of
-    the ends of the ranges that the vehicle's file states. Corners are where a linear loop is usually worst, which is
-    no proof for what lies between.
+    If `uncertainty` is given, all masses are multiplied by 1 ± uncertainty, and all drag coefficients likewise.
+    Otherwise the corners are all combinations of the ends of the ranges in the vehicle file. A linear loop is usually
+    worst at a corner, but this is no proof for the values between the corners.
 
     Args:
         vehicle: the nominal vehicle.
-        uncertainty: share, 0 ≤ share < 1, or None for the stated ranges.
-        alike: where the file gives surge and sway the same mass and range, they have the same true mass too. A body
-            with more mass in sway than in surge is turned broadside by the Munk moment; False tries that as well.
+        uncertainty: relative uncertainty, 0 ≤ uncertainty < 1, or None for the ranges of the vehicle file.
+        alike: if the file gives surge and sway the same mass and range, vary the two masses together. False varies
+            them independently: the Munk moment turns a body broadside if its sway mass exceeds its surge mass.
 
     Raises:
-        InputError: a share out of range.
+        InputError: the uncertainty is out of range.
     """
     if uncertainty is None:
         groups = list(_GROUPS)
@@ -58,16 +58,16 @@ def corners(vehicle: Vehicle, uncertainty: float | None = None, *, alike: bool =
         sides = product((0, 1), repeat=len(free))
         vehicles = [_with(vehicle, _ends(vehicle, free, side)) for side in sides] if free else []
         if not vehicles:
-            return Corners((vehicle,), "itself alone: its file states no ranges")
-        tied = ", surge and sway of one mass" if _MASSES in groups else ""
-        return Corners((vehicle, *vehicles), f"the {len(vehicles)} corners of its stated ranges{tied}")
+            return Corners((vehicle,), "the nominal vehicle alone, because its file states no ranges")
+        tied = ", with equal mass in surge and sway" if _MASSES in groups else ""
+        return Corners((vehicle, *vehicles), f"the {len(vehicles)} corners of its parameter ranges{tied}")
     if not 0 <= uncertainty < 1:
         raise InputError(
             "must be at least 0 and less than 1", key="uncertainty", value=uncertainty, remedy="write 0.2 for ±20 %"
         )
     factors = (1 - uncertainty, 1 + uncertainty) if uncertainty > 0 else ()
     scaled = [_scaled(vehicle, m, d) for m in factors for d in factors]
-    return Corners((vehicle, *scaled), f"mass and drag off by ±{uncertainty:.0%}")
+    return Corners((vehicle, *scaled), f"the corners with mass and drag off by ±{uncertainty:.0%}")
 
 
 def _alike(vehicle: Vehicle) -> bool:
@@ -80,7 +80,7 @@ def _ends(vehicle: Vehicle, groups: list[list[str]], side: tuple[int, ...]) -> d
     for group, end in zip(groups, side, strict=True):
         for name in group:
             known = vehicle.parameters[name].range
-            assert known is not None  # the groups hold none without
+            assert known is not None  # every parameter of the groups has a range
             values[name] = float(known[end])
     return values
 

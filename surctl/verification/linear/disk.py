@@ -1,15 +1,17 @@
-"""Disk margin of many loops at once: how far every gain and phase may be off, all of them, in any combination.
+"""The disk margin of several loops at once: errors of gain and phase in all loops, in any combination, that are safe.
 
-Channel k is multiplied by (2 + δ_k)/(2 − δ_k), δ_k any stable complex dynamics with |δ_k| < α (Seiler, Packard and
-Gahinet 2020, balanced). The largest α is 1/sup_ω μ(M(jω)), M = (S − T)/2 and μ the structured singular value for a
-diagonal of complex numbers (Doyle 1982). μ lies between
+Channel k is multiplied by (2 + δ_k)/(2 − δ_k), where δ_k is any stable complex dynamics with |δ_k| < α (the balanced
+disk margin of Seiler, Packard and Gahinet 2020). The largest α is 1/sup_ω μ(M(jω)) with M = (S − T)/2, where μ is the
+structured singular value for diagonal complex perturbations (Doyle 1982). μ has two bounds:
 
-- min over D of σ_max(D M D⁻¹), D diagonal and positive: no perturbation smaller than its inverse destabilises, and
-- max over U of ρ(U M), U diagonal and unitary: the perturbation U/ρ does.
+- from above min over D of σ_max(D M D⁻¹), D diagonal and positive: no perturbation smaller than the inverse of this
+  bound destabilises the loop;
+- from below max over U of ρ(U M), U diagonal and unitary: the perturbation U/ρ destabilises the loop.
 
-Peaks are looked for on a grid of frequencies. That no peak hides between its points is shown without a grid: with D
-held, σ_max(D M(jω) D⁻¹) reaches the level γ only where a Hamiltonian matrix has an eigenvalue jω (Boyd and
-Balakrishnan 1990), so that one D covers all frequencies up to the next such ω, and the next D goes on from there.
+Peaks are first searched on a grid of frequencies. A second step shows without a grid that no higher peak lies between
+the grid points: for a fixed D, σ_max(D M(jω) D⁻¹) reaches the level γ only where a Hamiltonian matrix has an eigenvalue
+jω (Boyd and Balakrishnan 1990). One D therefore covers all frequencies up to the next such ω, and the next D continues
+from there.
 """
 
 from __future__ import annotations
@@ -31,32 +33,32 @@ Complex = NDArray[np.complex128]
 _LOWEST, _HIGHEST = 1e-4, 1e3  # [rad/s]
 _POINTS = 240
 _SCREENED, _SCREEN_POINTS = (1e-2, 1e2), 60
-_SCREENED_TOGETHER = 16  # loops: their responses fit in the cache
-_PEAKS = 3  # of the grid that are looked at closely
-_LOW_PEAK = 0.9  # of the highest
+_SCREENED_TOGETHER = 16  # loops evaluated together, so that their responses fit in the cache
+_PEAKS = 3  # largest number of peaks of the grid that are refined
+_LOW_PEAK = 0.9  # lowest peak that is refined, as a share of the highest
 _SHRINKS = 24
 _GOLDEN = (np.sqrt(5) - 1) / 2
-_EXCESS = 2e-3  # the level that is covered lies above the peak that was found by this share
+_EXCESS = 2e-3  # the covered level lies above the highest peak found by this share
 _ROUNDS = 40
 _STEPS = 400
-_ON_AXIS = 1e-7  # eigenvalues this near to the imaginary axis, in parts of their size, count as on it
-_WIDEST = 1e8  # of the ratio of two scalings
-_FLAT = 1e-8  # slope at which a scaling is the best one: the value is convex in its logarithm
+_ON_AXIS = 1e-7  # an eigenvalue nearer to the imaginary axis than this share of its modulus counts as on the axis
+_WIDEST = 1e8  # largest ratio of two scalings
+_FLAT = 1e-8  # slope at which a scaling counts as optimal; the value is convex in the logarithm of the scaling
 
 
 @dataclass(frozen=True)
 class DiskMargin:
-    """Balanced disk margin of several loops together.
+    """The balanced disk margin of several loops together.
 
     Attributes:
         place: where the loops are opened.
-        stable: whether the closed loop is stable at all; if not, the rest is 0, (1, 1) and 0.
-        guaranteed: α that is borne at every frequency (floating point; no grid is trusted), at most 2; NaN where this
-            could not be shown for any.
-        reached: α of a perturbation that was found to destabilise; not below `guaranteed`.
-        frequency_rad_s: where that one does.
-        gain: factors on all gains at once that are borne, by `guaranteed`.
-        phase_deg: phases of all loops at once that are borne.
+        stable: whether the closed loop is stable; if not, the values below are 0, (1, 1) and 0.
+        guaranteed: α ≤ 2 for which the loop is stable, shown for all frequencies without a grid (in floating point);
+            NaN if no α could be shown.
+        reached: α of a perturbation that destabilises the loop; not less than `guaranteed`.
+        frequency_rad_s: frequency [rad/s] of this perturbation.
+        gain: least and largest factor that may act on all gains at once, by `guaranteed`.
+        phase_deg: largest phase error [deg] that may act in all loops at once, by `guaranteed`.
     """
 
     place: str
@@ -68,25 +70,25 @@ class DiskMargin:
     phase_deg: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data."""
+        """The disk margin as plain data."""
         return {**asdict(self), "gain": list(self.gain)}
 
 
 def disk_margin(loop: OpenLoop, place: str = "") -> DiskMargin:
-    """The margin of a loop under unit negative feedback.
+    """Compute the disk margin of a loop under unit negative feedback.
+
+    If no α can be shown to hold at all frequencies, `guaranteed`, `gain` and `phase_deg` are NaN.
 
     Args:
-        loop: opened at q places.
-        place: name for the result.
-
-    Where no level can be shown to cover all frequencies, `guaranteed`, `gain` and `phase_deg` are NaN: not judged.
+        loop: the loop, opened at q places.
+        place: name of the place for the result.
     """
     closed = loop.complementary()
     if not np.all(np.linalg.eigvals(closed.A).real < -1e-9):
         return DiskMargin(place, False, 0.0, 0.0, 0.0, (1.0, 1.0), 0.0)
     grid = np.concatenate([[0.0], np.geomspace(_LOWEST, _HIGHEST, _POINTS)])
     coarse = _balanced(_sensitivity(closed, grid))[1]
-    least, where = 0.5, np.inf  # M → ½ I for ω → ∞, but for what scaling takes away
+    least, where = 0.5, np.inf  # lower bound of μ at ω → ∞, where M → ½ I
     level = 0.5
     open_ends = _refined(closed, grid, _local_peaks(coarse))
     for _ in range(_ROUNDS):
@@ -104,19 +106,19 @@ def disk_margin(loop: OpenLoop, place: str = "") -> DiskMargin:
             phase = float(np.rad2deg(2 * np.arctan(alpha / 2)))
             return DiskMargin(place, True, alpha, 1 / least, where, (gain, 1 / gain), phase)
         open_ends = [higher]
-        level *= 1 + _EXCESS / 4  # it may lie so near below the peak that rounding decides
+        level *= 1 + _EXCESS / 4  # raise the level, because rounding decides if it lies just below the peak
     nothing = float("nan")
     return DiskMargin(place, True, nothing, 1 / least, where, (nothing, nothing), nothing)
 
 
 def disk_profile(loop: OpenLoop, omega: Array) -> Array:
-    """α (k,) that is borne at each ω (k,) [rad/s] alone, from below; at most 2 by more than scaling leaves."""
+    """Return a lower bound (k,) of the disk margin α at each single frequency ω (k,) [rad/s]."""
     profile: Array = 1 / _balanced(_sensitivity(loop.complementary(), np.asarray(omega, dtype=float)))[1]
     return profile
 
 
 def screened_peaks(loops: OpenLoop) -> Array:
-    """About sup_ω μ of many loops (k,) on a coarse grid: which of them is worst, quickly; inf for an unstable one."""
+    """Return an estimate of sup_ω μ for k loops on a coarse grid, (k,), to find the worst loop; inf if unstable."""
     closed = loops.complementary()
     stable = np.all(np.linalg.eigvals(closed.A).real < -1e-9, axis=-1)
     grid = np.geomspace(_SCREENED[0], _SCREENED[1], _SCREEN_POINTS)
@@ -130,15 +132,16 @@ def screened_peaks(loops: OpenLoop) -> Array:
 
 
 def structured_bounds(M: Complex) -> tuple[float, float, Complex]:
-    """Upper and lower bound of μ(M), M (q, q), for q independent complex numbers, and δ (q,) of the lower one.
+    """Return the upper and lower bound of μ(M), and the perturbation δ (q,) of the lower bound.
 
-    det(I − diag(δ) M) = 0 with all |δ_k| = 1/lower. The bounds meet for q ≤ 3 (Packard and Doyle 1993) and mostly
-    beyond. Where M has no structured singular value, δ is inf.
+    M is (q, q), and the perturbation consists of q independent complex numbers. δ satisfies det(I − diag(δ) M) = 0 with
+    all |δ_k| = 1/lower. The bounds are equal for q ≤ 3 (Packard and Doyle 1993) and mostly also for larger q. If the
+    lower bound is 0, δ is infinite.
     """
     scale = _scaling(M)
     _, s, vh = np.linalg.svd(scale[:, None] * M / scale[None])
     upper = float(s[0])
-    # Δ w σ = v of the top pair holds by phases alone where the scaling balances the two
+    # if the scaling balances the top pair, phases alone satisfy Δ w σ = v
     v = vh[0].conj()
     w = (scale[:, None] * M / scale[None]) @ v
     lower, phases = _ascended(M, np.angle(v) - np.angle(w))
@@ -151,13 +154,13 @@ def structured_bounds(M: Complex) -> tuple[float, float, Complex]:
 
 
 def _sensitivity(closed: OpenLoop, omega: Array) -> Complex:
-    """M = ½ I − T at ω (k,), (…, k, q, q)."""
+    """The matrix M = ½ I − T (…, k, q, q) at the frequencies ω (k,)."""
     matrix: Complex = 0.5 * np.eye(closed.D.shape[-1]) - closed.response(omega)
     return matrix
 
 
 def _balanced(M: Complex) -> tuple[Array, Array]:
-    """Osborne's scaling (k, q) of many M (k, q, q), and σ_max with it (k,): near the least, and never below it."""
+    """Osborne's scaling (k, q) of k matrices M (k, q, q), and the scaled σ_max (k,): close to the minimum over D."""
     size = np.abs(M) ** 2
     size[:, np.arange(M.shape[1]), np.arange(M.shape[1])] = 0.0
     d = np.ones(M.shape[:2])
@@ -165,7 +168,7 @@ def _balanced(M: Complex) -> tuple[Array, Array]:
         for k in range(M.shape[1]):
             row = np.einsum("nj,nj->n", size[:, k], 1 / d**2)
             column = np.einsum("nj,nj->n", size[:, :, k], d**2)
-            # a channel that only acts, or is only acted on, is scaled as far as the widest ratio
+            # a channel with an empty row or column is scaled to the limit of the ratio
             floor = 1e-300
             d[:, k] = np.clip(((column + floor) / (row + floor)) ** 0.25, 1 / _WIDEST, _WIDEST)
     scaled = d[:, :, None] * M / d[:, None]
@@ -173,7 +176,7 @@ def _balanced(M: Complex) -> tuple[Array, Array]:
 
 
 def _scaling(M: Complex) -> Array:
-    """D (q,) that minimises σ_max(D M D⁻¹), convex in log D: from Osborne's by a quasi-Newton method."""
+    """The D (q,) that minimises σ_max(D M D⁻¹), convex in log D: quasi-Newton steps from Osborne's scaling."""
     from scipy.optimize import minimize
 
     start = np.log(_balanced(M[None])[0][0])
@@ -188,7 +191,7 @@ def _scaling(M: Complex) -> Array:
 
     run = minimize(value, start, jac=True, method="BFGS", options={"gtol": _FLAT})
     best = run.x if run.fun < value(start)[0] else start
-    if not run.success:  # no gradient where two singular values meet: a simplex finishes what BFGS leaves
+    if not run.success:  # two equal singular values have no gradient: a simplex search continues after BFGS
         simplex = minimize(lambda x: value(x)[0], best, method="Nelder-Mead")
         best = simplex.x if simplex.fun < value(best)[0] else best
     scale: Array = np.exp(best - best.mean())
@@ -196,14 +199,14 @@ def _scaling(M: Complex) -> Array:
 
 
 def _ascended(M: Complex, phases: Array) -> tuple[float, Array]:
-    """A local maximum of ρ(diag(e^{jφ}) M) from these phases: (ρ, φ)."""
+    """The pair (ρ, φ) at a local maximum of ρ(diag(e^{jφ}) M), searched from the given phases."""
     from scipy.optimize import minimize
 
     def radius(free: Array) -> float:
         turned = np.exp(1j * np.concatenate([[0.0], free]))
         return -float(np.max(np.abs(np.linalg.eigvals(turned[:, None] * M))))
 
-    start = phases[1:] - phases[0]  # a common phase changes nothing
+    start = phases[1:] - phases[0]  # a common phase does not change ρ
     best, least = start, radius(start)
     if start.size:
         for begin in (start, np.zeros_like(start)):
@@ -214,7 +217,7 @@ def _ascended(M: Complex, phases: Array) -> tuple[float, Array]:
 
 
 def _local_peaks(values: Array) -> list[int]:
-    """Indices of the highest local maxima: at most `_PEAKS`, none much lower than the highest."""
+    """The indices of the highest local maxima: at most `_PEAKS`, each at least `_LOW_PEAK` times the highest."""
     padded = np.concatenate([[-np.inf], values, [-np.inf]])
     tops = np.flatnonzero(
         (padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]) & (values >= _LOW_PEAK * values.max())
@@ -223,7 +226,7 @@ def _local_peaks(values: Array) -> list[int]:
 
 
 def _refined(closed: OpenLoop, grid: Array, at: list[int]) -> list[float]:
-    """The frequencies of peaks, each between its neighbours on the grid, by golden section."""
+    """The frequencies of the peaks, refined by a golden-section search between their neighbours on the grid."""
     places = np.array(at)
     low, high = grid[np.maximum(places - 1, 0)], grid[np.minimum(places + 1, len(grid) - 1)]
 
@@ -243,9 +246,9 @@ def _refined(closed: OpenLoop, grid: Array, at: list[int]) -> list[float]:
 
 
 def _uncovered(closed: OpenLoop, level: float) -> float | None:
-    """None where some D each has σ_max(D M D⁻¹) < level at every frequency; else a frequency that no D covers.
+    """A frequency at which no D gives σ_max(D M D⁻¹) < level; None if every frequency has such a D.
 
-    NaN where the steps get too short to come to an end.
+    The result is NaN if the steps become too short to cover all frequencies.
     """
     omega = 0.0
     for _ in range(_STEPS):
@@ -257,19 +260,19 @@ def _uncovered(closed: OpenLoop, level: float) -> float | None:
             return None
         beyond = _inner(end, _next(closed, _scaling(_sensitivity(closed, np.array([end]))[0]), end, level))
         if not _below(closed, beyond, level):
-            return beyond  # the peak that begins where the last D ended
+            return beyond  # a peak begins where the last D ended
         omega = end
     return float("nan")
 
 
 def _below(closed: OpenLoop, omega: float, level: float) -> bool:
-    """Whether some D stays below the level at that frequency alone; the quick scaling mostly does."""
+    """Whether some D stays below the level at this single frequency; Osborne's fast scaling is tried first."""
     M = _sensitivity(closed, np.array([omega]))
     return bool(_balanced(M)[1][0] < level) or _height(closed, _scaling(M[0]), omega) < level
 
 
 def _candidates(closed: OpenLoop, omega: float) -> Iterator[Array]:
-    """Scalings to go on from ω with: where channels are all but apart, the best one there reaches nowhere else."""
+    """Candidate scalings to continue from ω; if channels are nearly decoupled, the optimum at ω fails elsewhere."""
     for at in (omega, 1.02 * omega + 1e-3, 1.2 * omega + 1e-2, 2 * omega + 0.1):
         yield _balanced(_sensitivity(closed, np.array([at])))[0][0]
     for at in (omega, 1.02 * omega + 1e-3):
@@ -277,10 +280,10 @@ def _candidates(closed: OpenLoop, omega: float) -> Iterator[Array]:
 
 
 def _covered(closed: OpenLoop, scale: Array, omega: float, level: float) -> float | None:
-    """The frequency up to which D stays below the level from ω on; None where it does not.
+    """The frequency up to which D stays below the level from ω on; None if D is above the level.
 
-    Between two crossings it lies on one side of the level, so one point between them tells which: at a crossing
-    itself rounding would decide.
+    Between two crossings the value stays on one side of the level, so one point between them is tested. At a crossing
+    rounding would decide.
     """
     end = _next(closed, scale, omega, level)
     inside = _height(closed, scale, _inner(omega, end)) < level and _height(closed, scale, omega) < level * (1 + 1e-9)
@@ -288,14 +291,14 @@ def _covered(closed: OpenLoop, scale: Array, omega: float, level: float) -> floa
 
 
 def _next(closed: OpenLoop, scale: Array, omega: float, level: float) -> float:
-    """The first crossing after ω; inf where there is none."""
+    """The first crossing after ω; inf if there is none."""
     crossings = _crossings(closed, scale, level)
     ahead = crossings[crossings > omega * (1 + 1e-12) + 1e-12]
     return float(ahead[0]) if ahead.size else float("inf")
 
 
 def _inner(begin: float, end: float) -> float:
-    """A frequency between the two."""
+    """A frequency between the two ends."""
     return (begin + end) / 2 if np.isfinite(end) else 2 * begin + 1.0
 
 
@@ -305,7 +308,7 @@ def _height(closed: OpenLoop, scale: Array, omega: float) -> float:
 
 
 def _crossings(closed: OpenLoop, scale: Array, level: float) -> Array:
-    """Frequencies, ascending, at which a singular value of D M D⁻¹ may equal the level; inf² counts as none."""
+    """The ascending frequencies at which a singular value of D M D⁻¹ may equal the level."""
     B, C = closed.B / scale, -scale[:, None] * closed.C
     D = scale[:, None] * (0.5 * np.eye(len(scale)) - closed.D) / scale
     inverse = np.linalg.inv(level**2 * np.eye(len(scale)) - D.T @ D)

@@ -1,8 +1,8 @@
-"""The loops as python-control systems, for `control.bode_plot`, `margin`, `root_locus`, `disk_margins` and the rest.
+"""The loops as python-control systems, for `control.bode_plot`, `margin`, `root_locus`, `disk_margins` and others.
 
-They are the very matrices that `surctl verify` judges, so the same numbers come out. Signals carry their names with
-units. Root loci and margins of one loop need nothing more; `control.disk_margins` of several loops at once needs slycot
-(GPL), which is not installed with surctl: `disk_margin` of this room is for that.
+The systems have the same matrices that `surctl verify` uses, so both give the same numbers. Signal names include units.
+Root loci and margins of one loop need no further package. `control.disk_margins` of several loops at once needs slycot
+(GPL), which is not installed with surctl; use `disk_margin` of this package instead.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ __all__ = ["closed_system", "loop_system", "open_system", "sampled_loop_system"]
 
 _AXES = 4
 _AT = (*THRUST_NAMES, *STATE_NAMES[:_AXES])
-"""The signal at which each loop of `LOOP_NAMES` is broken."""
+"""The signal at which each loop of `LOOP_NAMES` is opened."""
 
 
 def loop_system(
@@ -39,27 +39,28 @@ def loop_system(
     model: Vehicle | None = None,
     delay: float | None = None,
 ) -> Any:
-    """`control.StateSpace` of one loop L(s) under negative feedback, all other loops closed; `loop_margins` judges it.
+    """Return one loop L(s) under negative feedback, all other loops closed, as a `control.StateSpace`.
 
-    `control.margin(L)`, `control.disk_margins(L, omega)` and `control.root_locus(L)` work on it. Its Padé delay makes
-    it meaningless beyond the Nyquist frequency π/dt, where `surctl verify` does not look.
+    It is the loop whose margins `loop_margins` computes. It works with `control.margin(L)`,
+    `control.disk_margins(L, omega)` and `control.root_locus(L)`. Because of the Padé approximation of the delay, L is
+    not valid above the Nyquist frequency π/dt; `surctl verify` does not use it there.
 
     Args:
         vehicle: the plant.
-        gains: as `build_cascade`.
-        loop: one of `LOOP_NAMES`: surge, sway, heave, yaw are broken at the thrust command; along_track, cross_track,
-            depth, heading at the measured x_e, y_e, z_e [m], ψ [rad].
-        cruise: U [m/s].
+        gains: as in `build_cascade`.
+        loop: one of `LOOP_NAMES`. The loops surge, sway, heave and yaw are opened at the thrust command; along_track,
+            cross_track, depth and heading at the measured x_e, y_e, z_e [m], ψ [rad].
+        cruise: cruise speed U [m/s].
         dt: control period [s].
-        model: what the controller believes the vehicle to be; default the vehicle itself.
-        delay: loop delay [s], third-order Padé; default 1.5 dt, 0 for none.
+        model: the controller's model of the vehicle; default the vehicle itself.
+        delay: loop delay [s], by a third-order Padé approximation; default 1.5 dt, 0 for none.
 
     Returns:
-        One input, the signal that enters behind the break, and one output, what comes back, in the same unit. Its
-        states are those that the loop touches: surge and heave are apart from sway and yaw.
+        A system with one input, the signal injected where the loop is opened, and one output, the returned signal, in
+        the same unit. Its states are those coupled to the loop: surge and heave are decoupled from sway and yaw.
 
     Raises:
-        InputError: an unknown loop, or as `build_cascade`.
+        InputError: the loop is unknown, or as in `build_cascade`.
     """
     at = _place(loop)
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=delay)
@@ -77,14 +78,16 @@ def open_system(
     model: Vehicle | None = None,
     delay: float | None = None,
 ) -> Any:
-    """`control.StateSpace` L(s) of all loops opened at once under negative feedback; `disk_margin` judges it.
+    """Return L(s) of all loops opened at once under negative feedback, as a `control.StateSpace`.
+
+    It is the system whose margin `disk_margin` computes.
 
     Args:
-        vehicle, gains, cruise, dt, model, delay: as `loop_system`.
-        place: one of `DISK_PLACES`: thrust (4 channels), measurement (4), both (8).
+        vehicle, gains, cruise, dt, model, delay: as in `loop_system`.
+        place: one of `DISK_PLACES`: thrust (4 channels), measurement (4 channels), both (8 channels).
 
     Raises:
-        InputError: an unknown place, or as `build_cascade`.
+        InputError: the place is unknown, or as in `build_cascade`.
     """
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=delay)
     loop = open_loop(cascade, place)
@@ -101,17 +104,17 @@ def closed_system(
     model: Vehicle | None = None,
     delay: float | None = None,
 ) -> Any:
-    """`control.StateSpace` of the closed loop about straight cruise.
+    """Return the closed loop about straight cruise, as a `control.StateSpace`.
 
-    Its inputs are a wanted pose x_ref, y_ref, z_ref [m], psi_ref [rad], read where the pose is measured, and a
-    disturbance Fu_dist, Fv_dist, Fw_dist [N], Fr_dist [N m] that joins the thrust command. Its outputs are the
-    deviations from the cruise: x, y, z [m], psi [rad], u, v, w [m/s], r [rad/s]. The other arguments are those of
+    The inputs are a reference pose x_ref, y_ref, z_ref [m], psi_ref [rad], which is subtracted from the measured pose,
+    and a disturbance Fu_dist, Fv_dist, Fw_dist [N], Fr_dist [N m], which is added to the thrust command. The outputs
+    are the deviations from the cruise: x, y, z [m], psi [rad], u, v, w [m/s], r [rad/s]. The arguments are those of
     `loop_system`.
 
     Raises:
-        InputError: as `build_cascade`.
+        InputError: as in `build_cascade`.
     """
-    import control  # seconds to import: only when asked for
+    import control  # slow to import, so only when it is needed
 
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=delay)
     enter = np.hstack([cascade.B @ cascade.K[:, :_AXES], cascade.B[:, :_AXES]])
@@ -139,17 +142,18 @@ def sampled_loop_system(
     delay: int = 0,
     model: Vehicle | None = None,
 ) -> Any:
-    """Discrete-time `control.StateSpace` L(z) of one loop as it is sampled, exact; see `sampled_poles`.
+    """Return the exactly sampled loop L(z) as a discrete-time `control.StateSpace`; see `sampled_poles`.
 
-    Thrust is held over a period and acts `delay` whole periods after the measurement. All other loops are closed.
+    The thrust is constant over each period and acts `delay` whole periods after the measurement. All other loops are
+    closed.
 
     Args:
-        vehicle, gains, loop, cruise, model: as `loop_system`.
-        period: T [s]; the system's `dt`.
-        delay: whole periods, at least 0.
+        vehicle, gains, loop, cruise, model: as in `loop_system`.
+        period: control period T [s], which becomes the system's `dt`.
+        delay: delay in whole periods, at least 0.
 
     Raises:
-        InputError: an unknown loop, a delay that is no whole number, or as `build_cascade`.
+        InputError: the loop is unknown, the delay is not a whole number, or as in `build_cascade`.
     """
     at = _place(loop)
     check_delay(delay)
@@ -162,10 +166,10 @@ def sampled_loop_system(
     else:
         c = np.zeros((1, len(rest)))
         c[:, : cascade.C.shape[1]] = cascade.C[at - _AXES]
-        deaf = cascade.K.copy()
-        deaf[:, at - _AXES] = 0.0
-        rest_deaf, _, law_deaf = open_transition(replace(cascade, K=deaf), period, delay)
-        A = rest_deaf + enter @ law_deaf
+        opened = cascade.K.copy()
+        opened[:, at - _AXES] = 0.0
+        rest_opened, _, law_opened = open_transition(replace(cascade, K=opened), period, delay)
+        A = rest_opened + enter @ law_opened
         b = (A - rest - enter @ law) @ c.T  # the measurement is one of the states
     return _only_loop(A, b, c, states, at, dt=period)
 
@@ -181,7 +185,7 @@ def _broken(places: Sequence[int]) -> list[str]:
 
 
 def _states(vehicle: Vehicle, cascade: Cascade) -> list[str]:
-    """Plant, delay states, ξ."""
+    """The names of the plant's states, of the delay states and of ξ."""
     plant = labelled(STATE_NAMES[: 12 if vehicle["thrust_lag"] > 0 else 8])
     inner = [f"xi_{name}" for name in LOOP_NAMES[: cascade.K.shape[0] - _AXES]]
     lags = cascade.A.shape[0] - len(plant) - len(inner)
@@ -198,7 +202,7 @@ def _only_loop(
     *,
     dt: float = 0.0,
 ) -> Any:
-    """One loop on the states that it touches: those of other axes would only cancel, and cost accuracy."""
+    """One loop on its own block of states; the states of decoupled axes would cancel and reduce accuracy."""
     block = next(k for k in state_blocks((A - b @ c)[None]) if np.any(b[k] != 0))
     A, b, c = A[np.ix_(block, block)], b[block], c[:, block]
     return _system(A, b, c, np.zeros((1, 1)), [states[k] for k in block], _broken([at]), name=LOOP_NAMES[at], dt=dt)
@@ -215,7 +219,7 @@ def _system(
     name: str,
     dt: float = 0.0,
 ) -> Any:
-    import control  # seconds to import: only when asked for
+    import control  # slow to import, so only when it is needed
 
     back = [f"{signal} back" for signal in broken]
     return control.ss(A, B, C, D, dt, states=states, inputs=broken, outputs=back, name=f"loop {name}")

@@ -1,4 +1,4 @@
-"""The slowest mode of the linear loop: which states make it, which physical term, which gain or speed changes it."""
+"""The slowest mode of the linear loop: its dominant states, its physical cause, and gains or speeds that change it."""
 
 from __future__ import annotations
 
@@ -17,28 +17,29 @@ __all__ = ["Mode", "bearable_speed", "slowest_mode"]
 
 Array = NDArray[np.float64]
 
-_SPEEDS, _ROUNDS = 60, 3  # of the search for the bearable speed; each round divides the interval
-_HIGHEST = 10.0  # [m/s] beyond it no speed is looked at
-_FACTORS = np.array([1.1, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0])  # by which a gain is changed
-_NAMED = 0.1  # least participation that is named
-_COUNTED = 1e-3  # least participation that is kept
+_SPEEDS, _ROUNDS = 60, 3  # speeds and rounds of the search for the bearable speed; each round divides the interval
+_HIGHEST = 10.0  # [m/s] largest speed that is tried
+_FACTORS = np.array([1.1, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0])  # factors by which a gain is changed
+_NAMED = 0.1  # least participation of a state that is printed
+_COUNTED = 1e-3  # least participation of a state that is stored
 _EDGE = 1e-9
-_BROUGHT = 0.02  # least share of |s| by which a term must move a pole to be named
+_BROUGHT = 0.02  # a term is named as the cause if it moves the pole by more than this share of |s|
 
 _SURGE, _SWAY, _YAW = (STATE_NAMES.index(name) for name in ("u", "v", "r"))
 
 
 @dataclass(frozen=True)
 class Mode:
-    """The slowest pole of the closed loop with its delay, or the one that grows fastest.
+    """The slowest pole of the closed loop with its delay; for an unstable loop, the fastest growing pole.
 
     Attributes:
-        cruise: U [m/s] that the loop is linearised about.
-        real, imaginary: of the pole [rad/s]; of a pair, the one above.
-        participation: share of each state in the mode, largest first, those above 0.001; the delay's states together,
-            as those of the integral action.
-        without: real part of the slowest pole [1/s] without one physical term, by the term's name.
-        remedies: the value of each gain, the nearest one tried, at which the loop is stable; empty where it is stable.
+        cruise: cruise speed U [m/s] about which the loop is linearised.
+        real, imaginary: parts of the pole [rad/s]; for a complex pair, of the pole in the upper half-plane.
+        participation: share of each state in the mode, largest first, if above 0.001. All delay states count as one
+            entry, and so do all states of the integral action.
+        without: real part of the slowest pole [1/s] if one physical term is omitted, by the name of the term.
+        remedies: by gain name, the value nearest to the present one among those tried for which the loop is stable;
+            empty if the loop is stable.
         bearable: largest U [m/s] up to which the loop is stable, see `bearable_speed`.
     """
 
@@ -52,12 +53,12 @@ class Mode:
 
     @property
     def stable(self) -> bool:
-        """Whether it decays."""
+        """Whether the mode decays."""
         return self.real < -_EDGE
 
     @property
     def cause(self) -> str | None:
-        """The physical term without which the slowest pole lies farthest to the left; None where none counts."""
+        """The physical term whose omission moves the slowest pole farthest to the left; None if no term matters."""
         if not self.without:
             return None
         term = min(self.without, key=lambda name: self.without[name])
@@ -65,12 +66,12 @@ class Mode:
         return term if moved > _BROUGHT * float(np.hypot(self.real, self.imaginary)) else None
 
     def lines(self) -> list[str]:
-        """The mode in words, and for an unstable loop what makes it stable."""
+        """Describe the mode in lines of text; for an unstable loop, also the changes that stabilise it."""
         pole = f"{self.real:.3g}" + (f" ± {self.imaginary:.3g}j" if self.imaginary else "")
         states = ", ".join(f"{name} {share:.0%}" for name, share in self.participation.items() if share >= _NAMED)
-        head = f"slowest mode at {self.cruise:g} m/s: pole {pole} 1/s, made by {states}"
+        head = f"slowest mode at {self.cruise:g} m/s: pole {pole} 1/s, dominant states {states}"
         if not self.stable:
-            head = f"UNSTABLE at {self.cruise:g} m/s: pole {pole} 1/s, made by {states}"
+            head = f"UNSTABLE at {self.cruise:g} m/s: pole {pole} 1/s, dominant states {states}"
         lines = [head]
         if self.cause is not None:
             alone = self.without[self.cause]
@@ -83,15 +84,15 @@ class Mode:
 
     @property
     def remedy(self) -> str:
-        """What makes an unstable loop stable: "with k_r = 4.5 (one gain changed, …), or at 0.2 m/s or less"."""
+        """The changes that stabilise an unstable loop, e.g. "with k_r = 4.5 (one gain changed, …), or at 0.2 m/s"."""
         slower = f"at {self.bearable:.3g} m/s or less" if self.bearable > 0 else "at no speed with these gains"
         if not self.remedies:
-            return f"{slower}; no single gain changed by up to a factor of {_FACTORS[-1]:g} makes it so"
+            return f"{slower}; changing a single gain by up to a factor of {_FACTORS[-1]:g} does not stabilise it"
         gains = ", or ".join(f"{name} = {value:.3g}" for name, value in self.remedies.items())
-        return f"with {gains} (one gain changed, the others kept), or {slower}"
+        return f"with {gains} (one gain changed, the others unchanged), or {slower}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """The mode as plain data for JSON."""
         return {
             "cruise_m_per_s": self.cruise,
             "stable": self.stable,
@@ -108,13 +109,13 @@ class Mode:
 def slowest_mode(
     vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle | None = None
 ) -> Mode:
-    """The mode of the slowest pole; the arguments of `loop_margins`.
+    """Return the mode of the slowest pole; for the arguments see `loop_margins`.
 
-    Participation of state k in mode i is |w_ki v_ki| of its left and right eigenvector, as a share of the sum
-    (Pérez-Arriaga, Verghese and Schweppe 1982).
+    The participation of state k in mode i is |w_ki v_ki|, from the left and right eigenvectors, as a share of the sum
+    over k (Pérez-Arriaga, Verghese and Schweppe 1982).
 
     Raises:
-        InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed.
+        InputError: a gain is missing or not positive, or the vehicle cannot hold the cruise speed.
 
     Example:
         >>> from surctl.control import load_gains
@@ -146,10 +147,11 @@ def slowest_mode(
 
 
 def bearable_speed(vehicle: Vehicle, gains: Mapping[str, float], *, dt: float, model: Vehicle | None = None) -> float:
-    """Largest cruise speed [m/s] up to which the linear loop is stable and the thrust holds it; 0 where there is none.
+    """Return the largest cruise speed [m/s] up to which the linear loop is stable and the thrust suffices; 0 if none.
 
-    Speeds are looked at in 60 steps up to what the thrust holds (10 m/s at most), and the step in which the loop is
-    lost is divided further: the first loss counts, whatever comes beyond.
+    The search divides the range up to the largest speed that the thrust can hold (10 m/s at most) into 60 steps. It
+    refines the first step in which the loop becomes unstable; higher speeds at which the loop is stable again do not
+    count.
 
     Raises:
         InputError: a gain is missing or not positive.
@@ -173,7 +175,7 @@ def bearable_speed(vehicle: Vehicle, gains: Mapping[str, float], *, dt: float, m
 
 
 def _fastest(vehicle: Vehicle) -> float:
-    """Surge speed [m/s] at which the drag is the thrust limit, a little less."""
+    """The surge speed [m/s] at which the drag equals the thrust limit, reduced slightly."""
     linear, quadratic, limit = vehicle["Xu"], vehicle["Xuu"], vehicle["Fu_max"]
     root = linear + np.sqrt(linear**2 + 4 * quadratic * limit)
     return float(2 * limit / root * (1 - _EDGE)) if root > 0 else np.inf
@@ -204,7 +206,7 @@ def _names(cascade: Cascade, vehicle: Vehicle, gains: Mapping[str, float]) -> li
 def _without(
     cascade: Cascade, vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle
 ) -> dict[str, float]:
-    """Real part of the slowest pole without each term."""
+    """The real part of the slowest pole without each physical term, by the name of the term."""
     closed, slowest = cascade.closed, {}
     munk, coriolis = closed.copy(), closed.copy()
     munk[_YAW, [_SURGE, _SWAY]] -= cascade.A[_YAW, [_SURGE, _SWAY]]
@@ -225,7 +227,7 @@ def _slowest(closed: Array) -> float:
 def _remedies(
     vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle
 ) -> dict[str, float]:
-    """Of each gain the value nearest to its own, of those tried, at which the loop is stable."""
+    """For each gain, the tried value nearest to the present one for which the loop is stable."""
     factors = np.concatenate([_FACTORS, 1 / _FACTORS])
     names = np.repeat(CASCADE_GAINS, len(factors))
     tried = np.tile(factors, len(CASCADE_GAINS))

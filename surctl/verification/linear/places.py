@@ -1,4 +1,4 @@
-"""The cascade opened at several places at once: all thrusts, all measurements of the pose, or both."""
+"""The cascade opened at several places at once: at all thrusts, at all measurements of the pose, or at both."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ __all__ = ["DISK_PLACES", "OpenLoop", "open_loop"]
 Array = NDArray[np.float64]
 
 DISK_PLACES = ("thrust", "measurement", "both")
-"""Where all loops are opened at once: the four thrust commands; x_e, y_e, z_e, ψ as measured; or all eight."""
+"""The places where all loops are opened at once: the four thrust commands, the measured x_e, y_e, z_e, ψ, or both."""
 
 _AXES = 4
 
 
 @dataclass(frozen=True, eq=False)
 class OpenLoop:
-    """L(s) = C (sI − A)⁻¹ B + D under negative feedback u = −L u; square, q channels; one, or many behind an axis.
+    """The open loop L(s) = C (sI − A)⁻¹ B + D with q channels under negative feedback; leading axes hold several loops.
 
     Attributes:
-        A: (…, n, n) [1/s].
-        B: (…, n, q).
-        C: (…, q, n).
-        D: (…, q, q); I + D must be regular.
+        A: system matrix (…, n, n) [1/s].
+        B: input matrix (…, n, q).
+        C: output matrix (…, q, n).
+        D: feedthrough (…, q, q); I + D must be invertible.
     """
 
     A: Array
@@ -37,17 +37,17 @@ class OpenLoop:
     D: Array
 
     def __getitem__(self, chosen: NDArray[np.intp]) -> OpenLoop:
-        """Those of many."""
+        """Return the selected loops."""
         return OpenLoop(self.A[chosen], self.B[chosen], self.C[chosen], self.D[chosen])
 
     def complementary(self) -> OpenLoop:
-        """T = L (I + L)⁻¹ in the same form, whose poles are those of the closed loop."""
+        """Return T = L (I + L)⁻¹ in the same form; its poles are those of the closed loop."""
         inverse = np.linalg.inv(np.eye(self.D.shape[-1]) + self.D)
         B = self.B @ inverse
         return OpenLoop(self.A - B @ self.C, B, inverse @ self.C, self.D @ inverse)
 
     def response(self, omega: Array) -> NDArray[np.complex128]:
-        """C (jω − A)⁻¹ B + D at ω (k,) [rad/s], (…, k, q, q)."""
+        """Return the frequency response (…, k, q, q) at the frequencies ω (k,) [rad/s]."""
         A, B, C, D = (m[..., None, :, :] for m in (self.A, self.B, self.C, self.D))
         pencil = 1j * np.asarray(omega)[:, None, None] * np.eye(A.shape[-1]) - A
         inner = np.linalg.solve(pencil, np.broadcast_to(B, (*pencil.shape[:-1], B.shape[-1])))
@@ -55,16 +55,16 @@ class OpenLoop:
 
 
 def open_loop(cascade: Cascade, place: str) -> OpenLoop:
-    """One cascade, or many, opened at `DISK_PLACES`, everything else closed.
+    """Open one cascade, or several, at a place of `DISK_PLACES`; all other connections stay closed.
 
     Raises:
-        InputError: an unknown place.
+        InputError: the place is unknown.
     """
     A, B, C, K = cascade.A, cascade.B, cascade.C, cascade.K
     thrust, pose = np.arange(K.shape[-2]) < _AXES, np.arange(K.shape[-1]) < _AXES
     nothing = np.zeros((*K.shape[:-2], _AXES, _AXES))
     if place == "thrust":
-        # the integral's own rows of K stay closed
+        # the rows of K for the integral action stay closed
         inner = A - B[..., ~thrust] @ K[..., ~thrust, :] @ C
         return OpenLoop(inner, B[..., thrust], K[..., thrust, :] @ C, nothing)
     if place == "measurement":
@@ -72,7 +72,7 @@ def open_loop(cascade: Cascade, place: str) -> OpenLoop:
         return OpenLoop(inner, B @ K[..., pose], C[..., pose, :], nothing)
     if place != "both":
         raise InputError("no such place", key="place", value=place, remedy=nearest(place, DISK_PLACES))
-    # u2 = −(pose as measured): what the law reads, with the sign of the feedback taken out
+    # the second input u2 is the negative of the measured pose that the law receives
     own, acting = K[..., ~thrust, :], K[..., thrust, :]
     inner = A - B[..., ~thrust] @ own[..., ~pose] @ C[..., ~pose, :]
     enter = np.concatenate([B[..., thrust], B[..., ~thrust] @ own[..., pose]], axis=-1)

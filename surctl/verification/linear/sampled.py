@@ -1,7 +1,7 @@
-"""The loop as it runs: a continuous plant, thrust held over a control period, and whole periods of delay.
+"""The sampled loop: a continuous plant, thrust that is constant over each control period, and whole periods of delay.
 
-Exact, no Padé approximation: x⁺ = Φ x + Γ f, f = −K y one period after another, d periods late. What is integrated
-inside the controller (ξ) is not delayed: it is the controller's own.
+The model is exact and uses no Padé approximation: x⁺ = Φ x + Γ f, where f = −K y acts d periods late. The integral
+state ξ is computed inside the controller and is not delayed.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ Array = NDArray[np.float64]
 
 _AXES = 4
 _SHORTEST, _LONGEST = 1e-3, 20.0  # [s]
-_GROWTH = 1.06  # from one period that is tried to the next
+_GROWTH = 1.06  # ratio of one tried period to the one before
 _HALVINGS = 24
-_MOST = 400  # periods of delay
-_EDGE = 1e-9  # a pole this near to the unit circle counts as on it
+_MOST = 400  # largest delay that is tried, in periods
+_EDGE = 1e-9  # a pole this close to the unit circle counts as on it
 DELAYS = (0, 1, 2)
 
 _Held = tuple[Array, Array]
@@ -43,14 +43,15 @@ _Held = tuple[Array, Array]
 
 @dataclass(frozen=True)
 class SampledLimits:
-    """What sampling and delay the loop bears.
+    """The control periods and delays for which the sampled loop is stable.
 
     Attributes:
         period_s: control period [s].
-        radius: largest |z| of a pole at that period with one period of delay.
-        largest_period_s: by whole periods of delay 0, 1, 2: every control period up to this one [s] that was tried is
-            stable (in steps of 6 %, the last halved); inf where 20 s is stable too, 0 where none is.
-        delay_periods: most whole periods of delay that are borne at `period_s`, all fewer too; −1 where none is.
+        radius: largest |z| of a pole at this period with one period of delay.
+        largest_period_s: largest control period [s] up to which the loop is stable, with 0, 1 and 2 periods of delay.
+            Periods are tried in steps of 6 % and refined by bisection; inf if 20 s is stable, 0 if no period is.
+        delay_periods: largest delay in whole periods up to which the loop is stable at `period_s`; −1 if it is unstable
+            without delay.
     """
 
     period_s: float
@@ -59,7 +60,7 @@ class SampledLimits:
     delay_periods: int
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data."""
+        """The limits as plain data."""
         return {**asdict(self), "largest_period_s": dict(zip(map(str, DELAYS), self.largest_period_s, strict=True))}
 
 
@@ -72,18 +73,18 @@ def sampled_poles(
     delay: int = 0,
     model: Vehicle | None = None,
 ) -> NDArray[np.complex128]:
-    """Poles z (n,) of the sampled loop, the largest first; stable where all lie inside the unit circle.
+    """Return the poles z (n,) of the sampled loop, the largest first; it is stable if all lie inside the unit circle.
 
     Args:
         vehicle: the plant.
-        gains: as `build_cascade`.
-        cruise: U [m/s].
-        period: T [s], > 0.
-        delay: whole periods from measurement to thrust, at least 0.
-        model: what the controller believes the vehicle to be; default the vehicle itself.
+        gains: as in `build_cascade`.
+        cruise: cruise speed U [m/s].
+        period: control period T [s], > 0.
+        delay: delay from measurement to thrust in whole periods, at least 0.
+        model: the controller's model of the vehicle; default the vehicle itself.
 
     Raises:
-        InputError: as `build_cascade`, or a delay that is no whole number of at least 0.
+        InputError: as in `build_cascade`, or the delay is not a whole number of at least 0.
     """
     check_delay(delay)
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=period, model=model, delay=0.0)
@@ -99,13 +100,13 @@ def largest_period(
     delay: int = 0,
     model: Vehicle | None = None,
 ) -> float:
-    """The end of the periods T [s] for which the sampled loop is stable, from the shortest up.
+    """Return the largest control period T [s] up to which the sampled loop is stable.
 
-    Periods grow from 1 ms by 6 % until one is unstable, and the last step is halved; inf where 20 s is stable too,
-    0 where 1 ms is not. Longer ones that are stable again do not count.
+    Periods grow from 1 ms in steps of 6 % until the loop is unstable, and bisection refines the last step. The result
+    is inf if 20 s is stable, and 0 if 1 ms is unstable. Longer periods at which the loop is stable again do not count.
 
     Raises:
-        InputError: as `sampled_poles`.
+        InputError: as in `sampled_poles`.
     """
     check_delay(delay)
     undelayed = build_cascade(vehicle, gains, cruise=cruise, dt=_SHORTEST, model=model, delay=0.0)
@@ -113,9 +114,9 @@ def largest_period(
 
 
 def sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
-    """The limits of a cascade that was built with `delay=0`; period [s] is the one it runs at.
+    """Return the limits of a cascade that was built with `delay=0` and runs at the given control period [s].
 
-    Of many cascades behind one axis, the worst of each.
+    If a leading axis holds several cascades, each limit is the worst of them.
     """
     held = cache(partial(_held, undelayed))  # each delay tries the same periods
     borne = -1
@@ -128,18 +129,18 @@ def sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
 
 
 def radius_of(undelayed: Cascade, period: float, delay: int) -> float:
-    """Largest |z| of the sampled loop."""
+    """Return the largest |z| of a pole of the sampled loop."""
     return float(_radius(undelayed, delay, _held(undelayed, period)))
 
 
 def _radius(undelayed: Cascade, delay: int, held: _Held) -> Array:
-    """Largest |z| (…,) of each sampled loop."""
+    """The largest |z| (…,) of the poles of each sampled loop."""
     radius: Array = np.max(np.abs(np.linalg.eigvals(_transition(undelayed, delay, held))), axis=-1)
     return radius
 
 
 def _largest(undelayed: Cascade, delay: int, held: Callable[[float], _Held]) -> float:
-    """The least over the cascades: the first period that one of them does not bear, halved for those that do not."""
+    """The least stable period over the cascades: the first unstable step, refined for the cascades unstable there."""
     good, bad = 0.0, _SHORTEST
     while True:
         lost = _radius(undelayed, delay, held(bad)) >= 1 - _EDGE * bad
@@ -160,14 +161,14 @@ def _largest(undelayed: Cascade, delay: int, held: Callable[[float], _Held]) -> 
 
 
 def _transition(cascade: Cascade, delay: int, held: _Held) -> Array:
-    """The matrix of one period, of plant, ξ and the thrusts that are on their way."""
+    """The transition matrix over one period, for the plant, ξ and the delayed thrusts."""
     rest, enter, thrust = _open_transition(cascade, delay, held)
     transition: Array = rest + enter @ thrust
     return transition
 
 
 def _held(cascade: Cascade, period: float | Array) -> _Held:
-    """(Φ, Γ) of a period in which the inputs are held; of many cascades, a period each or one for all."""
+    """The matrices (Φ, Γ) of a period with constant inputs; several cascades have one period each or a common one."""
     from scipy.linalg import expm
 
     n, m = cascade.B.shape[-2:]
@@ -178,10 +179,10 @@ def _held(cascade: Cascade, period: float | Array) -> _Held:
 
 
 def open_transition(cascade: Cascade, period: float, delay: int) -> tuple[Array, Array, Array]:
-    """(M, E, F) of a cascade built with `delay=0`: x⁺ = M x + E f with f = F x what the law commands, closed.
+    """Return (M, E, F) of a cascade built with `delay=0`: x⁺ = M x + E f, where the law commands f = F x.
 
-    x is the plant and ξ, (n,), then for each period of delay the thrusts (4,) that are on their way, the next to act
-    first. What is integrated in the controller is closed in M.
+    x holds the states of the plant and ξ (n,), then the delayed thrusts (4,) of each period of delay, the next to act
+    first. M includes the integral action of the controller.
     """
     return _open_transition(cascade, delay, _held(cascade, period))
 
@@ -190,7 +191,7 @@ def _open_transition(cascade: Cascade, delay: int, held: _Held) -> tuple[Array, 
     phi, gamma = held
     many, n = phi.shape[:-2], phi.shape[-1]
     law = -cascade.K @ cascade.C
-    # ξ̇ is written behind the thrusts, and comes at once
+    # the inputs ξ̇ follow the thrusts and act without delay
     now = phi + gamma[..., _AXES:] @ law[..., _AXES:, :]
     thrust, enter = law[..., :_AXES, :], gamma[..., :_AXES]
     if delay == 0:
@@ -205,6 +206,6 @@ def _open_transition(cascade: Cascade, delay: int, held: _Held) -> tuple[Array, 
 
 
 def check_delay(delay: int) -> None:
-    """InputError for a delay that is no whole number of at least 0."""
+    """Raise InputError for a delay that is not a whole number of at least 0."""
     if not isinstance(delay, int | np.integer) or isinstance(delay, bool) or delay < 0:
-        raise InputError("must be a whole number of at least 0", key="delay", value=delay, remedy="such as 1")
+        raise InputError("must be a whole number of at least 0", key="delay", value=delay, remedy="give e.g. 1")

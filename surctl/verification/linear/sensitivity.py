@@ -1,4 +1,4 @@
-"""Sensitivity S = (I + L)⁻¹ and complementary sensitivity T = L (I + L)⁻¹ of all loops together over frequency."""
+"""Sensitivity S = (I + L)⁻¹ and complementary sensitivity T = L (I + L)⁻¹ of all loops together, over frequency."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _LOWEST, _POINTS = 1e-3, 200
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """Largest singular values of S and T.
+    """The largest singular values of S and T over frequency.
 
     Attributes:
         place: where the loops are opened.
-        omega: (k,) [rad/s].
-        S: (k,) by how much disturbances and errors of the model are amplified at most.
-        T: (k,) by how much measurement noise and references are.
+        omega: frequencies (k,) [rad/s].
+        S: (k,) largest amplification of disturbances and model errors.
+        T: (k,) largest amplification of measurement noise and references.
     """
 
     place: str
@@ -35,7 +35,7 @@ class Sensitivity:
     T: Array
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data, with the peaks."""
+        """The values and their peaks as plain data."""
         return {
             "place": self.place,
             "omega_rad_s": self.omega.tolist(),
@@ -47,10 +47,10 @@ class Sensitivity:
 
 
 def sensitivity_of(loop: OpenLoop, place: str = "", *, highest: float) -> Sensitivity:
-    """S and T of a stable loop under unit negative feedback, from 0.001 rad/s to `highest`.
+    """Compute S and T of a stable loop under unit negative feedback, from 0.001 rad/s to `highest` [rad/s].
 
     Raises:
-        InputError: the closed loop is unstable, so that it has no frequency response.
+        InputError: the closed loop is unstable and therefore has no frequency response.
 
     Example:
         >>> import numpy as np
@@ -61,7 +61,9 @@ def sensitivity_of(loop: OpenLoop, place: str = "", *, highest: float) -> Sensit
     """
     closed = loop.complementary()
     if not np.all(np.linalg.eigvals(closed.A).real < 0):
-        raise InputError("is unstable: it has no frequency response", key="loop", value=place, remedy="lower the speed")
+        raise InputError(
+            "is unstable and has no frequency response", key="loop", value=place, remedy="lower the cruise speed"
+        )
     omega = np.geomspace(_LOWEST, highest, _POINTS)
     T = closed.response(omega)
     S = np.eye(T.shape[-1]) - T

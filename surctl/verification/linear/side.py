@@ -1,4 +1,4 @@
-"""The linear side of a verification in one object: what a report, a table and JSON show beside the nonlinear claims."""
+"""The linear analysis of a verification; reports, tables and JSON show it together with the nonlinear claims."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ __all__ = ["LinearSide", "Pole", "linear_side", "worst_linear_side"]
 
 @dataclass(frozen=True)
 class Pole:
-    """One closed-loop pole of the loop with its delay; of a pair, the one above.
+    """One pole s of the closed loop with its delay; of a complex pair, the pole in the upper half-plane.
 
     Attributes:
-        real, imaginary: [rad/s].
-        natural_rad_s: |s|.
-        damping: −real/|s|.
+        real, imaginary: parts of s [rad/s].
+        natural_rad_s: natural frequency |s| [rad/s].
+        damping: damping ratio −real/|s|.
     """
 
     real: float
@@ -39,15 +39,15 @@ class Pole:
 
 @dataclass(frozen=True)
 class LinearSide:
-    """Loops together, poles and sampling about straight cruise.
+    """Linear analysis about straight cruise: disk margins of all loops together, poles, and sampling.
 
     Attributes:
-        of: which vehicles: the nominal one, or the worst of corners.
-        disks: disk margins at `DISK_PLACES`; over corners, the least of each.
-        poles: of the nominal vehicle, slowest first; poles of the approximated delay are among them.
-        slowest_per_s: largest real part of a pole [1/s]; over corners, the largest.
-        least_damping: least damping ratio of the poles; over corners, the least.
-        sampled: the loop as it is sampled; over corners, the least of each entry and the largest radius.
+        of: description of the vehicles: the nominal one, or the worst of several corners.
+        disks: disk margins at `DISK_PLACES`; for several corners, the least of each.
+        poles: poles of the nominal vehicle, slowest first, including those of the approximated delay.
+        slowest_per_s: largest real part of a pole [1/s], over all corners.
+        least_damping: least damping ratio of the poles, over all corners.
+        sampled: limits of the sampled loop; for several corners, the least of each limit and the largest radius.
     """
 
     of: str
@@ -59,11 +59,11 @@ class LinearSide:
 
     @property
     def stable(self) -> bool:
-        """Whether all vehicles are, with the approximated delay and as sampled with one period of delay."""
+        """Whether the loop is stable for all vehicles, with approximated delay and sampled with one period of delay."""
         return all(d.stable for d in self.disks) and self.sampled.radius < 1
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data; infinite periods stay inf."""
+        """The analysis as plain data; infinite periods stay inf."""
         return {
             "of": self.of,
             "stable": self.stable,
@@ -75,32 +75,33 @@ class LinearSide:
         }
 
     def lines(self) -> list[str]:
-        """What to print."""
+        """The analysis as lines of text."""
         if not self.stable:
-            return [f"linear, {self.of}: UNSTABLE"]
+            return [f"linear loop of {self.of}: UNSTABLE"]
         disks = ", ".join(f"{_margin(d)} ({d.place})" for d in self.disks)
         none, one, two = (_seconds(t) for t in self.sampled.largest_period_s)
         return [
-            f"linear, {self.of}:",
+            f"linear loop of {self.of}:",
             f"  disk margin of all loops at once: {disks}; slowest pole {self.slowest_per_s:.3g} 1/s, least damping "
             f"{self.least_damping:.2f}",
-            f"  sampled: stable up to a period of {none}, {one} with one period of delay, {two} with two; "
-            f"{self.sampled.delay_periods} periods of delay are borne at {self.sampled.period_s:g} s",
+            f"  sampled: stable up to a control period of {none} without delay, {one} with one period of delay, {two} "
+            f"with two; at a period of {self.sampled.period_s:g} s stable with up to {self.sampled.delay_periods} "
+            "periods of delay",
         ]
 
 
 def linear_side(
     vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle | None = None
 ) -> LinearSide:
-    """The linear side of one vehicle; the arguments of `loop_margins`.
+    """Return the linear analysis of one vehicle; for the arguments see `loop_margins`.
 
     Raises:
-        InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed.
+        InputError: a gain is missing or not positive, or the vehicle cannot hold the cruise speed.
     """
     delayed, plain = (build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=d) for d in (None, 0.0))
     poles = _poles(delayed.poles)
     return LinearSide(
-        of=f"{vehicle.name} as stated",
+        of=f"{vehicle.name}, nominal",
         disks=tuple(disk_margin(open_loop(delayed, place), place) for place in DISK_PLACES),
         poles=poles,
         slowest_per_s=float(delayed.poles[0].real),
@@ -112,19 +113,21 @@ def linear_side(
 def worst_linear_side(
     tried: Corners, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle | None = None
 ) -> LinearSide:
-    """The worst of each figure over several vehicles, while the controller believes the first one (or `model`).
+    """Return the worst value of each metric over several vehicles; the controller's model is `model` or the first one.
 
-    Which one has the least disk margin is judged on a coarse grid of frequencies. Vehicles that cannot hold the
-    cruise speed have no straight cruise to linearise about: they are counted in `of` and left out.
+    A coarse grid of frequencies selects the vehicle with the least disk margin. Vehicles that cannot hold the cruise
+    speed have no straight cruise to linearise about; they are omitted, and `of` states their number.
 
     Raises:
-        InputError: as `linear_side`, or none of the vehicles can cruise at that speed.
+        InputError: as in `linear_side`, or none of the vehicles can hold the cruise speed.
     """
     believed = model or tried.vehicles[0]
     able = [v for v, can in zip(tried.vehicles, _can_cruise(tried.vehicles, cruise), strict=True) if can]
     unable = len(tried.vehicles) - len(able)
     if not able:
-        raise InputError("is beyond the thrust of every one", key="cruise", value=cruise, remedy="go slower")
+        raise InputError(
+            "needs more thrust than any of the vehicles has", key="cruise", value=cruise, remedy="lower it"
+        )
     groups = _alike_in_states(able)
     delayed, plain = ([_built(g, gains, cruise, dt, believed, d) for g in groups] for d in (None, 0.0))
     disks = []
@@ -146,7 +149,7 @@ def worst_linear_side(
 
 
 def _alike_in_states(vehicles: Sequence[Vehicle]) -> list[list[Vehicle]]:
-    """Those with thrust lag and those without, the first vehicle's group first: their cascades have other states."""
+    """The vehicles with and without thrust lag as two groups, the group of the first vehicle first; states differ."""
     lagged = vehicles[0]["thrust_lag"] > 0
     parts = [[v for v in vehicles if (v["thrust_lag"] > 0) is kind] for kind in (lagged, not lagged)]
     return [part for part in parts if part]
@@ -160,7 +163,7 @@ def _built(
     model: Vehicle,
     delay: float | None,
 ) -> Cascade:
-    """The cascades of vehicles that have the same states, behind one axis."""
+    """The cascades of vehicles with the same states, along a leading axis."""
     count = len(vehicles)
     return build_cascades(
         np.array([plant_parameters(v) for v in vehicles]),
@@ -189,7 +192,7 @@ def _least_sampled(limits: Sequence[SampledLimits]) -> SampledLimits:
 
 
 def _poles(poles: NDArray[np.complex128]) -> tuple[Pole, ...]:
-    """One of each pair."""
+    """The poles, with one pole of each complex pair."""
     return tuple(
         Pole(float(s.real), float(s.imag), float(abs(s)), float(-s.real / abs(s)) if s != 0 else 1.0)
         for s in poles
@@ -198,8 +201,8 @@ def _poles(poles: NDArray[np.complex128]) -> tuple[Pole, ...]:
 
 
 def _margin(disk: DiskMargin) -> str:
-    return "not judged" if np.isnan(disk.guaranteed) else f"{disk.guaranteed:.2f}"
+    return "not determined" if np.isnan(disk.guaranteed) else f"{disk.guaranteed:.2f}"
 
 
 def _seconds(period: float) -> str:
-    return f"{period:.2f} s" if np.isfinite(period) else "20 s and more"
+    return f"{period:.2f} s" if np.isfinite(period) else "at least 20 s"

@@ -1,4 +1,4 @@
-"""The prover: cases, exact rewriting, interval branch and bound; what it proves it writes as a certificate."""
+"""The prover: cases, exact rewriting and interval branch and bound; it writes each proof as a certificate."""
 
 from surctl.verification.proving.prove import Proof, certain_excess, prove
 from surctl.verification.proving.statement import Statement, statement_of

@@ -1,9 +1,9 @@
-"""Exact normal forms: what cancels on paper cancels here.
+"""Exact normal forms, in which equal terms cancel as they do on paper.
 
-An expression becomes numerator over denominators, polynomials in atoms: variables, π, square roots, sines and cosines
-of what no inverse function is in, and inverse angles. Used are: sqrt(p)² = p, sin² = 1 − cos², the sums of angles,
-and sine and cosine of atan2 and acos. A rewriting may enlarge the domain; whoever uses one proves separately that the
-expression is defined.
+An expression becomes a numerator over denominators, which are polynomials in atoms. Atoms are variables, π, square
+roots, sines and cosines of arguments without inverse functions, and the inverse functions atan2 and acos. The rules
+are sqrt(p)² = p, sin² = 1 − cos², the addition theorems, and the sine and cosine of atan2 and acos. A normal form may
+be defined on a larger domain; its user must prove separately that the original expression is defined.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ __all__ = ["Algebra", "Ratio", "TooLarge"]
 
 @dataclass(frozen=True)
 class Ratio:
-    """over / Π factor^exponent; the factors are numbers of `Algebra.factors`."""
+    """The fraction over / Π factor^exponent; each factor is an index into `Algebra.factors`."""
 
     over: Poly
     under: tuple[tuple[int, int], ...] = ()
 
 
 class Algebra:
-    """The atoms and denominators met so far, and the arithmetic on them.
+    """The atoms and denominators collected so far, and the arithmetic with them.
 
     Attributes:
-        atoms: what each atom is: a kind and, of functions, the arguments.
-        factors: the polynomials that divide, each with leading coefficient 1.
-        positive: numbers of factors that were taken to be positive on the way.
-        words: how an atom was written where it was first met: multiplied out, an interval through it is wider.
-        factor_words: the same for a factor.
+        atoms: each atom as its kind and, for a function, its arguments.
+        factors: the denominator polynomials, each with leading coefficient 1.
+        positive: indices of the factors that a rewriting assumed to be positive.
+        words: the original expression of an atom by index; multiplied out, it would give wider intervals.
+        factor_words: the original expression of a factor by index.
     """
 
     def __init__(self) -> None:
@@ -62,10 +62,10 @@ class Algebra:
     # ---- from expressions
 
     def of(self, root: Node) -> Ratio:
-        """Normal form of an expression without min, max, abs and select.
+        """Return the normal form of an expression without min, max, abs and select.
 
         Raises:
-            TooLarge: too many terms, or an operation that has no normal form.
+            TooLarge: the normal form has too many terms, or an operation has no normal form.
         """
         for node in ordered(root):
             if node not in self._known:
@@ -108,7 +108,7 @@ class Algebra:
     # ---- arithmetic
 
     def plus(self, a: Ratio, b: Ratio, factor: int = 1) -> Ratio:
-        """a + factor b."""
+        """Return a + factor b."""
         under = dict(a.under)
         for at, exponent in b.under:
             under[at] = max(under.get(at, 0), exponent)
@@ -116,14 +116,14 @@ class Algebra:
         return self._lowest(over, under)
 
     def times(self, a: Ratio, b: Ratio) -> Ratio:
-        """a b."""
+        """Return a b."""
         under = dict(a.under)
         for at, exponent in b.under:
             under[at] = under.get(at, 0) + exponent
         return self._lowest(self.product(a.over, b.over), under)
 
     def inverse(self, a: Ratio, *, words: Node | None = None) -> Ratio:
-        """1 / a, whose numerator becomes a denominator; `words` is how a was written."""
+        """Return 1 / a; the numerator of a becomes a denominator. `words` is the original expression of a."""
         if not a.over:
             raise TooLarge
         monomial, coefficient = leading(a.over)
@@ -141,11 +141,11 @@ class Algebra:
         return self._lowest(over, under)
 
     def product(self, a: Poly, b: Poly) -> Poly:
-        """a b with the relations between atoms used."""
+        """Return a b, simplified by the relations between atoms."""
         return self._reduced(multiplied(a, b))
 
     def root(self, a: Ratio, *, words: Node | None = None) -> Ratio:
-        """√a; denominators are taken to be positive; `words` is how a was written."""
+        """Return √a, with denominators assumed positive. `words` is the original expression of a."""
         if not a.over:
             return a
         over, under = a.over, {at: (exponent + 1) // 2 for at, exponent in a.under}
@@ -174,7 +174,7 @@ class Algebra:
         return result
 
     def _over(self, a: Ratio, under: Mapping[int, int]) -> Poly:
-        """Numerator of a over a multiple of its denominator."""
+        """The numerator of a for a denominator that is a multiple of its own."""
         own, over = dict(a.under), a.over
         for at, exponent in under.items():
             for _ in range(exponent - own.get(at, 0)):
@@ -182,7 +182,7 @@ class Algebra:
         return over
 
     def _lowest(self, over: Poly, under: Mapping[int, int]) -> Ratio:
-        """The fraction without the powers of single atoms that both sides hold."""
+        """The fraction after cancelling the powers of single atoms common to numerator and denominator."""
         left = {}
         for at, exponent in under.items():
             factor = self.factors[at]
@@ -194,7 +194,7 @@ class Algebra:
         return Ratio(over, tuple(sorted((at, e) for at, e in left.items() if e)) if over else ())
 
     def _reduced(self, a: Poly) -> Poly:
-        """sqrt(p)² → p and sin² → 1 − cos² until neither is left."""
+        """The polynomial after replacing sqrt(p)² by p and sin² by 1 − cos² until neither occurs."""
         pending: Poly = dict(a)
         total: Poly = {}
         while pending:
@@ -215,7 +215,7 @@ class Algebra:
     # ---- angles
 
     def _turned(self, angle: Ratio) -> tuple[Ratio, Ratio]:
-        """(cos, sin) of an angle: inverse functions and quarter turns are taken out of it."""
+        """The pair (cos, sin) of an angle; inverse functions and quarter turns in it are evaluated exactly."""
         if angle.under:
             return self._leaf_angle(angle)
         rest: Poly = {}
@@ -283,7 +283,7 @@ class Algebra:
 
 
 def _square_root(value: Fraction) -> Fraction:
-    """√value where that is rational, else 1."""
+    """√value if it is rational, otherwise 1."""
     over, under = isqrt(value.numerator), isqrt(value.denominator)
     return (
         Fraction(over, under) if over * over == value.numerator and under * under == value.denominator else Fraction(1)

@@ -1,4 +1,4 @@
-"""The boxes of an interval certificate, read back from its tree of halvings."""
+"""The boxes of an interval certificate, reconstructed from its tree of bisections."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """The settled boxes of one case of a claim.
+    """The proved boxes of one case of a claim.
 
     Attributes:
-        names: of the variables.
-        lower, upper: (n, k) ends of the k boxes.
-        rules: the letter of the rule that settled each.
-        choice: which side of its branches the case is about; empty where there is one case.
+        names: names of the n variables.
+        lower, upper: (n, k) bounds of the k boxes.
+        rules: for each box, the letter of the rule that proves it.
+        choice: the branch that the case takes at each min, max, abs and select; empty if there is one case only.
     """
 
     names: tuple[str, ...]
@@ -37,14 +37,14 @@ class Cells:
 
 
 def cells_of(certificate: Mapping[str, Any]) -> tuple[Cells, ...]:
-    """The boxes of a certificate of kind `interval`, one `Cells` a case.
+    """Return the boxes of a certificate of kind `interval`, with one `Cells` for each case.
 
     Raises:
-        InputError: a certificate of another kind.
+        InputError: the certificate is of another kind.
     """
     if certificate.get("kind") != "interval":
         raise InputError(
-            "has no cells", key="certificate", value=certificate.get("kind"), remedy="give an interval one"
+            "has no cells", key="certificate", value=certificate.get("kind"), remedy="give an interval certificate"
         )
     variables = certificate["claim"]["variables"]
     names = tuple(v["name"] for v in variables)
@@ -65,7 +65,7 @@ def _cells(names: tuple[str, ...], root: tuple[Array, Array], case: Mapping[str,
             rules.append(letter)
             continue
         k = DIMENSIONS.index(letter)
-        # as the search and the checker halve: at 0 where it lies inside
+        # search and checker bisect at 0 if the interval contains it, otherwise in the middle
         at = 0.0 if lower[k] < 0 < upper[k] else float(middle(lower[k : k + 1], upper[k : k + 1])[0])
         first, second = upper.copy(), lower.copy()
         first[k], second[k] = at, at

@@ -1,4 +1,4 @@
-"""Ways to show one case: as written, or as the exact normal form less nonnegative multiples of the constraints."""
+"""Forms of one case to prove: as written, or the exact normal form minus nonnegative multiples of the constraints."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _MOST_TERMS = 60
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """margin = numerator / Π denominators + Σ multiplier · constraint, multipliers ≥ 0, denominators > 0.
+    """A case as margin = numerator / Π denominators + Σ multiplier · constraint, multipliers ≥ 0, denominators > 0.
 
     Attributes:
-        numerator: what is left to be shown not positive.
-        denominators: positive expressions, one for each power.
-        multipliers: one for each constraint.
+        numerator: the expression that remains to be proved ≤ 0.
+        denominators: positive expressions; a power appears as repeated factors.
+        multipliers: nonnegative expressions, one for each constraint.
     """
 
     numerator: Node
@@ -38,12 +38,12 @@ class Form:
 
 
 def forms_of(case: Case, names: Sequence[str], box: Ends) -> list[Form]:
-    """What is worth trying, the most promising first; the case as written is always among them.
+    """Return the forms to try, the most promising first; the case as written is always among them.
 
     Args:
         case: the case.
-        names: variables.
-        box: (n, 1) the root box.
+        names: names of the variables.
+        box: the root box (n, 1).
     """
     plain = Form(case.margin, (), (number(0),) * len(case.constraints))
     try:
@@ -84,7 +84,7 @@ def _guard(algebra: Algebra, constraint: Node) -> Ratio | None:
 
 
 def _signs(algebra: Algebra, written: Written, names: Sequence[str], box: Ends) -> dict[int, int] | None:
-    """The sign of every denominator on the box; None where one is not known, or not as it was taken to be."""
+    """The sign of every denominator on the box; None if one is unknown, or negative although assumed positive."""
     signs: dict[int, int] = {}
     if not algebra.factors:
         return signs
@@ -103,7 +103,7 @@ def _signed(ratio: Ratio, signs: dict[int, int]) -> Poly:
 
 
 def _multiplier(written: Written, weight: Poly, guard: Ratio | None, margin: Ratio, factors: dict[int, Node]) -> Node:
-    """taken · (the constraint's denominator) / (the margin's)."""
+    """The multiplier: weight · (denominator of the constraint) / (denominator of the margin)."""
     if guard is None or not weight:
         return number(0)
     tree = written.poly(weight)
@@ -115,7 +115,7 @@ def _multiplier(written: Written, weight: Poly, guard: Ratio | None, margin: Rat
 
 
 class _Sizes:
-    """Ranges on the root box: a guide for the search, no proof."""
+    """Ranges on the root box; they guide the search but prove nothing."""
 
     def __init__(self, algebra: Algebra, written: Written, names: Sequence[str], box: Ends) -> None:
         self._written, self._names, self._box = written, names, box
@@ -124,7 +124,7 @@ class _Sizes:
         self._ends = [(float(j.value[0][0]), float(j.value[1][0])) for j in read.jets] if read else []
 
     def of(self, monomial: Monomial) -> tuple[float, float]:
-        """(least, largest) value."""
+        """Return the least and the largest value of a monomial on the root box."""
         low, high = 1.0, 1.0
         for at, exponent in monomial:
             a, b = self._ends[at]
@@ -134,12 +134,12 @@ class _Sizes:
         return low, high
 
     def bound(self, poly: Poly) -> float:
-        """A bound of the polynomial as it is nested."""
+        """Return an upper bound of the polynomial in nested form."""
         high = float(build_tape(self._names, [self._written.poly(poly)]).run(self._box).jets[0].value[1][0])
         return high if np.isfinite(high) else float("inf")
 
     def worst(self, poly: Poly) -> float:
-        """A coarser and quicker bound, term by term."""
+        """Return a coarser upper bound, computed faster as a sum over the terms."""
         total = 0.0
         for monomial, coefficient in poly.items():
             total += max(float(coefficient) * end for end in self.of(monomial))
@@ -147,7 +147,7 @@ class _Sizes:
 
 
 def _reduced(algebra: Algebra, over: Poly, guards: Sequence[Ratio | None], sizes: _Sizes) -> tuple[Poly, list[Poly]]:
-    """Numerator less nonnegative monomials times constraints, as long as its bound falls; and those multipliers."""
+    """The numerator minus nonnegative monomials times constraints while its bound decreases; and the monomials."""
     weights: list[Poly] = [{} for _ in guards]
     rest, bound = over, sizes.bound(over)
     for _ in range(_STEPS):
@@ -172,7 +172,7 @@ def _reduced(algebra: Algebra, over: Poly, guards: Sequence[Ratio | None], sizes
 
 
 def _candidates(rest: Poly, guard: Poly, sizes: _Sizes) -> Iterator[Poly]:
-    """Nonnegative monomials that would cancel a term of the rest by one of the constraint."""
+    """Nonnegative monomials by which a term of the constraint cancels a term of the rest."""
     visited: set[tuple[Monomial, object]] = set()
     for m, c in rest.items():
         powers = dict(m)

@@ -1,4 +1,4 @@
-"""Normal forms back to expressions, nested so that intervals through them stay narrow."""
+"""Convert normal forms to expressions, nested so that interval evaluation stays narrow."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ __all__ = ["Written"]
 
 
 class Written:
-    """Writes the polynomials of one algebra; each atom is written once."""
+    """Converts the polynomials of one algebra to expressions; each atom is converted once."""
 
     def __init__(self, algebra: Algebra) -> None:
         self._algebra = algebra
         self._atoms: dict[int, Node] = {}
 
     def ratio(self, a: Ratio) -> Node:
-        """over / factors."""
+        """Return a fraction as an expression."""
         tree = self.poly(a.over)
         for at, exponent in a.under:
             tree = tree / power(self.factor(at), exponent)
         return tree
 
     def factor(self, at: int) -> Node:
-        """A denominator."""
+        """Return a denominator as an expression."""
         return self._algebra.factor_words.get(at) or self.poly(self._algebra.factors[at])
 
     def poly(self, a: Poly) -> Node:
-        """Nested form: the power that most terms share is taken out first, an even one before an odd one."""
+        """Return a polynomial in nested form; the power shared by most terms is factored out first, even before odd."""
         if not a:
             return number(0)
         shared = self._shared(a)
@@ -55,7 +55,7 @@ class Written:
         return tree + self.poly(outside) if outside else tree
 
     def atom(self, at: int) -> Node:
-        """An atom as an expression."""
+        """Return an atom as an expression."""
         if at not in self._atoms:
             kind, args = self._algebra.atoms[at]
             if at in self._algebra.words:
@@ -75,7 +75,7 @@ class Written:
                 for e in range(1, exponent + 1):
                     counts[atom, e] = counts.get((atom, e), 0) + 1
         worth = {key: n + (0.5 if key[1] % 2 == 0 else 0.0) for key, n in counts.items() if n >= 2}
-        # a square that only one term keeps whole must not be broken up for its odd half
+        # do not split an even power e + 1 only to share its odd power e
         for (atom, e), n in counts.items():
             if e % 2 and (atom, e) in worth and counts.get((atom, e + 1), 0) > 0 and counts[atom, e + 1] < n:
                 worth[atom, e] -= 0.75

@@ -1,8 +1,8 @@
-"""Interval arithmetic on arrays with outward rounding: every result holds every value of the operation.
+"""Interval arithmetic on arrays with outward rounding: each result contains all values of the operation.
 
-+ − are rounded by the exact error of the sum, × ÷ √ by one step of the last place (IEEE 754 rounds them to the
-nearest), sin cos atan2 acos by `_LIBM_STEPS` steps: NumPy states 4 units in the last place for its vector routines,
-the C libraries 1.
+Sums and differences are rounded according to their exact rounding error. Products, quotients and roots are widened by
+one unit in the last place, because IEEE 754 rounds them to the nearest number. sin, cos, atan2 and acos are widened by
+`_LIBM_STEPS` units: NumPy states an error of up to 4 units for its vector routines, the C libraries of 1 unit.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ __all__ = [
 
 Array = NDArray[np.float64]
 Ends = tuple[Array, Array]
-"""(lower, upper), of one shape; the whole line is (−inf, inf)."""
+"""Intervals (lower, upper) as two arrays of equal shape; the whole real line is (−inf, inf)."""
 
 _LIBM_STEPS = 8  # twice the 4 units in the last place that NumPy allows its vector routines
-_LARGEST_ANGLE = 1e5  # beyond it the reduction of an argument is not worth bounding
+_LARGEST_ANGLE = 1e5  # [rad] for larger angles the error of the argument reduction is not bounded here
 _TINY = 5e-324
 
 
 def point(x: Array) -> Ends:
-    """Intervals of one number each."""
+    """Return intervals that contain one number each."""
     return x, x
 
 
@@ -38,15 +38,15 @@ def _up(x: Array) -> Array:
 
 
 def widened(a: Ends, steps: int = _LIBM_STEPS) -> Ends:
-    """Both ends moved outwards by so many units in the last place."""
+    """Return the intervals with both ends moved outwards by `steps` units in the last place."""
     lower, upper = a
-    # one unit is at most 2^-52 of the size; the tiny term serves where the result is subnormal
+    # one unit is at most 2^-52 of the magnitude; the tiny term covers subnormal results
     slack_low, slack_high = steps * 2.0**-52 * np.abs(lower), steps * 2.0**-52 * np.abs(upper)
     return _down(lower - slack_low - steps * _TINY), _up(upper + slack_high + steps * _TINY)
 
 
 def _sum_ends(a: Array, b: Array) -> tuple[Array, Array]:
-    """(a + b, its rounding error), the error exact where nothing overflows."""
+    """The sum a + b and its rounding error, which is exact unless the sum overflows."""
     total = a + b
     part = total - a
     error = (a - (total - part)) + (b - part)
@@ -54,27 +54,27 @@ def _sum_ends(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def add(a: Ends, b: Ends) -> Ends:
-    """a + b."""
+    """Return a + b."""
     low, error_low = _sum_ends(a[0], b[0])
     high, error_high = _sum_ends(a[1], b[1])
-    # "not ≥" also holds where the error is not a number: then the step is taken
+    # the comparison is false for a NaN error, so the end is then moved outwards
     low = np.where(error_low >= 0, low, _down(low))
     high = np.where(error_high <= 0, high, _up(high))
     return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
 
 
 def negate(a: Ends) -> Ends:
-    """−a."""
+    """Return −a."""
     return -a[1], -a[0]
 
 
 def subtract(a: Ends, b: Ends) -> Ends:
-    """a − b."""
+    """Return a − b."""
     return add(a, negate(b))
 
 
 def multiply(a: Ends, b: Ends) -> Ends:
-    """a b; an infinite end times 0 is 0."""
+    """Return a b; the product of an infinite end and 0 is 0."""
     products = [_product(x, y) for x in a for y in b]
     low = np.minimum(np.minimum(products[0][0], products[1][0]), np.minimum(products[2][0], products[3][0]))
     high = np.maximum(np.maximum(products[0][1], products[1][1]), np.maximum(products[2][1], products[3][1]))
@@ -88,12 +88,12 @@ def _product(x: Array, y: Array) -> Ends:
 
 
 def square(a: Ends) -> Ends:
-    """a²."""
+    """Return a²."""
     return to_power(a, 2)
 
 
 def to_power(a: Ends, exponent: int) -> Ends:
-    """a^exponent, exponent ≥ 0: even powers are not negative."""
+    """Return a^exponent for exponent ≥ 0; even powers are not negative."""
     if exponent == 0:
         return np.ones_like(a[0]), np.ones_like(a[1])
     if exponent % 2:
@@ -112,7 +112,7 @@ def _repeated(x: Array, exponent: int) -> Ends:
 
 
 def divide(a: Ends, b: Ends) -> Ends:
-    """a / b; the whole line where b holds 0."""
+    """Return a / b; the whole real line if b contains 0."""
     unsafe = (b[0] <= 0) & (b[1] >= 0)
     under = np.where(unsafe, 1.0, b[0]), np.where(unsafe, 1.0, b[1])
     quotients = [_quotient(x, y) for x in a for y in under]
@@ -129,27 +129,27 @@ def _quotient(x: Array, y: Array) -> Ends:
 
 
 def squared_root(a: Ends) -> Ends:
-    """√a of what is not negative in a."""
+    """Return √a for the nonnegative part of a."""
     low, high = np.sqrt(np.maximum(a[0], 0.0)), np.sqrt(np.maximum(a[1], 0.0))
     return np.where(low > 0, np.maximum(_down(low), 0.0), 0.0), np.where(high > 0, _up(high), 0.0)
 
 
 def sine_cosine(a: Ends) -> tuple[Ends, Ends]:
-    """(sin a, cos a)."""
+    """Return sin a and cos a."""
     return _wave(a, np.sin, 0.25), _wave(a, np.cos, 0.0)
 
 
 def _wave(a: Ends, function: np.ufunc, crest: float) -> Ends:
-    """A wave with crests at (k + crest) 2π and troughs half a turn later."""
+    """The range of a sinusoid with maxima at (k + crest) 2π and minima π later."""
     low, high = a
     wild = ~(np.maximum(np.abs(low), np.abs(high)) < _LARGEST_ANGLE)
     low, high = np.where(wild, 0.0, low), np.where(wild, 0.0, high)
     at_low, at_high = function(low), function(high)
     bottom, top = widened((np.minimum(at_low, at_high), np.maximum(at_low, at_high)))
-    # beyond a radian the reduction of the argument bounds the error of a small result by that of a large one only
+    # beyond 1 rad the argument reduction leaves an absolute error, which also affects small results
     reduced = np.where(np.maximum(np.abs(low), np.abs(high)) > 1.0, _LIBM_STEPS * 2.0**-52, 0.0)
     bottom, top = bottom - reduced, top + reduced
-    # in turns, with room for the rounding of the division: a crest too many only widens
+    # in turns, widened for the rounding of the division: an extra maximum only widens the interval
     rounding = 1e-15 * (1.0 + np.abs(low) + np.abs(high))
     first, last = low / (2 * np.pi) - rounding, high / (2 * np.pi) + rounding
     has_crest = np.floor(last - crest) >= np.ceil(first - crest)
@@ -159,7 +159,7 @@ def _wave(a: Ends, function: np.ufunc, crest: float) -> Ends:
 
 
 def atan2(y: Ends, x: Ends) -> Ends:
-    """The angle of (x, y); (−π, π] where the box meets the negative x axis or the origin."""
+    """Return the angle of the vector (x, y); [−π, π] if the box contains the origin or part of the negative x axis."""
     corners = [np.arctan2(b, a) for a in x for b in y]
     low, high = widened((np.minimum.reduce(corners), np.maximum.reduce(corners)))
     cut = (x[0] <= 0) & (y[0] <= 0) & (y[1] >= 0)
@@ -168,24 +168,24 @@ def atan2(y: Ends, x: Ends) -> Ends:
 
 
 def acos(a: Ends) -> Ends:
-    """arccos of what lies in [−1, 1] of a."""
+    """Return arccos of the part of a in [−1, 1]."""
     low, high = np.clip(a[0], -1.0, 1.0), np.clip(a[1], -1.0, 1.0)
     bottom, top = widened((np.arccos(high), np.arccos(low)))
     return np.maximum(bottom, 0.0), np.where(low >= 1.0, 0.0, top)
 
 
 def hull_min(a: Ends, b: Ends) -> Ends:
-    """min(a, b)."""
+    """Return min(a, b)."""
     return np.minimum(a[0], b[0]), np.minimum(a[1], b[1])
 
 
 def hull_max(a: Ends, b: Ends) -> Ends:
-    """max(a, b)."""
+    """Return max(a, b)."""
     return np.maximum(a[0], b[0]), np.maximum(a[1], b[1])
 
 
 def magnitude(a: Ends) -> Ends:
-    """|a|."""
+    """Return |a|."""
     holds = (a[0] <= 0) & (a[1] >= 0)
     ends = np.abs(a[0]), np.abs(a[1])
     return np.where(holds, 0.0, np.minimum(*ends)), np.maximum(*ends)

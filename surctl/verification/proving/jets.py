@@ -1,4 +1,4 @@
-"""Enclosures of value, gradient and Hessian together, by forward differentiation over intervals."""
+"""Interval enclosures of value, gradient and Hessian, computed together by forward differentiation."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ __all__ = ["Jet"]
 
 @dataclass(frozen=True, eq=False)
 class Jet:
-    """What is known of one quantity on B boxes of n variables.
+    """Enclosures of one quantity and its derivatives on B boxes of n variables.
 
     Attributes:
-        value: (B,) its range.
-        slope: (n, B) ranges of its gradient; None if not asked for. Of a kink: of every slope there is nearby.
-        bend: (n, n, B) ranges of its Hessian; None if not asked for.
+        value: (B,) range of the quantity.
+        slope: (n, B) ranges of its gradient; None if not computed. At a kink the range covers the slopes on both sides.
+        bend: (n, n, B) ranges of its Hessian; None if not computed.
     """
 
     value: Ends
@@ -50,7 +50,7 @@ class Jet:
         return Jet(value, slope, iv.add(own, iv.add(crossed, turned)))
 
     def through(self, value: Ends, first: Callable[[], Ends], second: Callable[[], Ends]) -> Jet:
-        """A function of this, of which value, first and second derivative (B,) are given."""
+        """Return a function of this quantity from the function's value and its first and second derivative (B,)."""
         if self.slope is None:
             return Jet(value)
         slope = first()
@@ -60,7 +60,7 @@ class Jet:
         return Jet(value, moved, iv.add(iv.multiply(self.bend, slope), iv.multiply(self._outer(), second())))
 
     def power(self, exponent: int) -> Jet:
-        """An integer power, exponent ≥ 0."""
+        """Return an integer power of this quantity, exponent ≥ 0."""
         n, x = exponent, self.value
         return self.through(
             iv.to_power(x, n),
@@ -69,14 +69,14 @@ class Jet:
         )
 
     def inverse(self) -> Jet:
-        """1 / this."""
+        """Return the reciprocal of this quantity."""
         one = np.ones_like(self.value[0])
         value = iv.divide(iv.point(one), self.value)
         squared = iv.square(value)
         return self.through(value, lambda: iv.negate(squared), lambda: _times(2, iv.multiply(squared, value)))
 
     def root(self) -> Jet:
-        """√ of this."""
+        """Return the square root of this quantity."""
         value = iv.squared_root(self.value)
         half = iv.point(np.full_like(value[0], 0.5))
 
@@ -89,17 +89,17 @@ class Jet:
         return self.through(value, first, second)
 
     def sine(self) -> Jet:
-        """Sine of this."""
+        """Return the sine of this quantity."""
         sine, cosine = iv.sine_cosine(self.value)
         return self.through(sine, lambda: cosine, lambda: iv.negate(sine))
 
     def cosine(self) -> Jet:
-        """Cosine of this."""
+        """Return the cosine of this quantity."""
         sine, cosine = iv.sine_cosine(self.value)
         return self.through(cosine, lambda: iv.negate(sine), lambda: iv.negate(cosine))
 
     def arccosine(self) -> Jet:
-        """Arccos of this: slope −1/√(1 − x²), bend −x/(1 − x²)^1.5."""
+        """Return arccos x of this quantity x: slope −1/√(1 − x²), second derivative −x/(1 − x²)^1.5."""
         x = self.value
         one = iv.point(np.ones_like(x[0]))
         rest = _not_negative(iv.subtract(one, iv.square(x)))
@@ -113,14 +113,14 @@ class Jet:
         return self.through(iv.acos(x), first, second)
 
     def angle(self, x: Jet) -> Jet:
-        """Atan2(this, x)."""
+        """Return atan2(y, x), where this quantity is y."""
         value = iv.atan2(self.value, x.value)
         if self.slope is None or x.slope is None:
             return Jet(value)
         length = iv.add(iv.square(x.value), iv.square(self.value))
         turn = iv.subtract(iv.multiply(self.slope, x.value), iv.multiply(x.slope, self.value))
         slope = iv.divide(turn, length)
-        # across the negative axis the angle jumps
+        # the angle jumps across the negative x axis
         jump = (x.value[0] <= 0) & (self.value[0] <= 0) & (self.value[1] >= 0)
         slope = np.where(jump, -np.inf, slope[0]), np.where(jump, np.inf, slope[1])
         if self.bend is None or x.bend is None:
@@ -134,17 +134,17 @@ class Jet:
         return Jet(value, slope, iv.divide(iv.subtract(iv.add(own, crossed), loss), length))
 
     def magnitude(self) -> Jet:
-        """|this|."""
+        """Return the absolute value of this quantity."""
         low, high = self.value
         zero = np.zeros_like(low)
         return choose((low, high), iv.point(zero), -self, self, iv.magnitude(self.value))
 
     def larger(self, other: Jet) -> Jet:
-        """Max of the two."""
+        """Return the larger of the two quantities."""
         return choose(self.value, other.value, other, self, iv.hull_max(self.value, other.value))
 
     def smaller(self, other: Jet) -> Jet:
-        """Min of the two."""
+        """Return the smaller of the two quantities."""
         return choose(self.value, other.value, self, other, iv.hull_min(self.value, other.value))
 
     def _linear(self, other: Jet, rule: Callable[[Ends, Ends], Ends]) -> Jet:
@@ -153,7 +153,7 @@ class Jet:
         return Jet(rule(self.value, other.value), slope, bend)
 
     def _outer(self) -> Ends:
-        """(n, n, B): slope times slope, not negative on the diagonal."""
+        """The outer product of the slope with itself (n, n, B); its diagonal is not negative."""
         assert self.slope is not None
         outer = iv.multiply(_column(self.slope), _row(self.slope))
         squares = iv.square(self.slope)
@@ -162,10 +162,10 @@ class Jet:
 
 
 def choose(a: Ends, b: Ends, x: Jet, y: Jet, value: Ends | None = None) -> Jet:
-    """x where a ≤ b, y elsewhere; where both occur, everything between them.
+    """Return x where a ≤ b and y elsewhere; on a box where both occur, the interval hull of x and y.
 
-    With `value` the function is continuous there, so that its slopes lie between those of x and y; its bend, and the
-    slope where it may jump, are not bounded.
+    If `value` is given, the function is continuous, so its slope lies in the hull of both slopes. Without `value` the
+    function may jump, and its slope is unbounded where both occur. Its Hessian is unbounded there in any case.
     """
     first, second = a[1] <= b[0], a[0] > b[1]
     jumps = value is None
@@ -197,5 +197,5 @@ def _times(factor: float, a: Ends) -> Ends:
 
 
 def _not_negative(a: Ends) -> Ends:
-    """What of a is not negative; what is not bounded above stays so."""
+    """The interval with its lower end raised to at least 0; the upper end is unchanged."""
     return np.maximum(a[0], 0.0), a[1]

@@ -1,4 +1,4 @@
-"""Polynomials with exact rational coefficients in numbered atoms."""
+"""Polynomials with exact rational coefficients in atoms, which are given by index."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ from fractions import Fraction
 __all__ = ["Monomial", "Poly", "TooLarge", "added", "constant", "key_of", "leading", "multiplied", "scaled", "single"]
 
 Monomial = tuple[tuple[int, int], ...]
-"""(atom, exponent ≥ 1) pairs in the order of the atoms."""
+"""Pairs (atom, exponent ≥ 1) in the order of the atoms."""
 Poly = dict[Monomial, Fraction]
-"""Coefficient by monomial; none is 0."""
+"""The coefficient of each monomial; no coefficient is 0."""
 
 _MOST = 400
 _KEY = frozenset
 
 
 class TooLarge(Exception):
-    """The algebra grew past what is worth carrying."""
+    """A polynomial has too many terms, or an operation has no normal form."""
 
 
 def constant(value: Fraction | int) -> Poly:
-    """A number."""
+    """Return a constant polynomial."""
     return {(): Fraction(value)} if value else {}
 
 
 def single(atom: int, exponent: int = 1) -> Poly:
-    """A power of one atom."""
+    """Return a power of one atom."""
     return {((atom, exponent),): Fraction(1)}
 
 
 def added(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction], factor: Fraction | int = 1) -> Poly:
-    """a + factor b."""
+    """Return a + factor b."""
     total = dict(a)
     for monomial, coefficient in b.items():
         value = total.get(monomial, Fraction(0)) + factor * coefficient
@@ -43,12 +43,12 @@ def added(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction], factor
 
 
 def scaled(a: Mapping[Monomial, Fraction], factor: Fraction | int) -> Poly:
-    """factor a."""
+    """Return factor a."""
     return {m: c * factor for m, c in a.items()} if factor else {}
 
 
 def multiplied(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction]) -> Poly:
-    """a b, before any relation between atoms is used."""
+    """Return a b without using relations between atoms."""
     if len(a) * len(b) > _MOST * 10:
         raise TooLarge
     total: Poly = {}
@@ -66,13 +66,13 @@ def multiplied(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction]) -
 
 
 def leading(a: Mapping[Monomial, Fraction]) -> tuple[Monomial, Fraction]:
-    """A monomial that equal polynomials agree upon, with its coefficient."""
+    """Return the leading monomial and its coefficient, in a fixed order of monomials."""
     first = max(a, key=lambda m: (sum(e for _, e in m), m))
     return first, a[first]
 
 
 def key_of(a: Mapping[Monomial, Fraction]) -> frozenset[tuple[Monomial, Fraction]]:
-    """Something hashable that equal polynomials share."""
+    """Return a hashable key that is the same for equal polynomials."""
     return _KEY(a.items())
 
 

@@ -22,23 +22,23 @@ from surctl.verification.proving.tape import Tape, build_tape
 __all__ = ["Proof", "certain_excess", "prove"]
 
 _ROUNDS = ((100, 0.0), (400, 1e-4), (2_000, 1.0), (20_000, 1.0), (10_000_000, 1.0))
-"""Most boxes of a search, and the share of the slack: exactly if that is cheap; every form gets its chance before one
-gets all the time."""
+"""The rounds of the search: the largest number of boxes and the share of the slack that each may use. The first round
+tries an exact proof; all forms are tried in short rounds before the last round uses the remaining time."""
 
-_MOST_SHOWN = 500  # open boxes that are kept, for a picture
+_MOST_SHOWN = 500  # largest number of open boxes that are stored for plots
 
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """What a proof came to.
+    """The result of an attempted proof.
 
     Attributes:
-        certificate: what `surctl.certcheck` accepts; None when something is open.
-        slack: how far left may exceed right by the certificate, in the claim's unit; 0 where it was shown exactly.
-        remaining: what is left open, in words; empty when nothing is.
-        open_boxes: the largest of the boxes that are open, (lower, upper) by variable.
-        boxes: number of boxes of the proof; where something is open, of all attempts at that case.
-        seconds: time it took [s].
+        certificate: the certificate for `surctl.certcheck`; None if the proof is incomplete.
+        slack: how far left may exceed right by the certificate, in the claim's unit; 0 if the proof is exact.
+        remaining: description of what the proof does not cover; empty if it is complete.
+        open_boxes: the largest boxes that are not proved, (lower, upper) by variable.
+        boxes: number of boxes of the proof; if it is incomplete, of all attempts at the case that failed.
+        seconds: duration of the attempt [s].
     """
 
     certificate: dict[str, Any] | None
@@ -54,17 +54,18 @@ def prove(
 ) -> Proof:
     """Try to prove left ≤ right on the claim's whole domain.
 
-    The numbers of the claim are read as the decimals they are written as, shares of π as shares of π. First equality
-    is demanded exactly; where that does not close, left may exceed right by `slack`, and the certificate says so.
+    The numbers of the claim have exactly the values of their decimal notation; fractions of π are exact. The prover
+    first tries to prove the inequality exactly. If that fails, left may exceed right by `slack`, and the certificate
+    states this slack.
 
     Args:
         claim: the claim.
-        time_limit: after how much of the processor's time to stop [s]; a busy machine changes no verdict.
+        time_limit: limit of the processor time [s]; other load on the machine therefore does not change the verdict.
         slack: largest excess that counts as rounding, in the claim's unit.
-        progress: told a line now and then.
+        progress: function that receives a line of progress from time to time.
 
     Raises:
-        InputError: nonsensical numbers.
+        InputError: the time limit is not positive, or the slack is negative or not finite.
 
     Example:
         >>> from surctl.verification import claims, prove
@@ -85,7 +86,7 @@ def prove(
         texts = [text_of(part) for part in statement.parts]
         parts = substituted(statement)
         cases = cases_of(parts)
-    except InputError as error:  # an expression that the grammar does not carry, or that is too long
+    except InputError as error:  # an expression is too long, or has an operation that the grammar lacks
         return _open(error.problem, 0, began)
     shown: list[dict[str, Any]] = []
     needed, boxes = 0.0, 0
@@ -103,14 +104,14 @@ def prove(
 
 
 def certain_excess(claim: Claim, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(k,) by how much left exceeds right at each point at least; −inf where it may lie outside the domain.
+    """Return a lower bound (k,) of left − right at each point; −inf if the point may lie outside the domain.
 
     Args:
         claim: the claim.
-        points: (n, k) in the variables' units.
+        points: points (n, k) in the variables' units.
 
     Raises:
-        InputError: an operation that the claim grammar does not have.
+        InputError: the claim has an operation that the claim grammar lacks.
     """
     statement = statement_of(claim)
     within = np.all((statement.lower[:, None] <= points) & (points <= statement.upper[:, None]), axis=0)
@@ -131,9 +132,9 @@ def _show(
     label: str,
     progress: Callable[[str], None] | None,
 ) -> tuple[Form, SearchResult, float]:
-    """The first form and slack by which the case closes; else the attempt that leaves the least open.
+    """The first form and slack that prove the case; otherwise the attempt with the smallest volume of open boxes.
 
-    What is left open tells the boxes of all attempts, and what stopped the last one.
+    The result of a failed proof counts the boxes of all attempts and gives the reason why the last one stopped.
     """
     began = time.process_time()
     looked = 0
@@ -149,7 +150,7 @@ def _show(
                 constraints, written, (statement.lower, statement.upper), part * slack,
             )  # fmt: skip
             rest = max(seconds - (time.process_time() - began), 0.0)
-            # the last round shares what is left among the forms
+            # the last round divides the remaining time among the forms
             share = rest / (len(usable) - k) if most == _ROUNDS[-1][0] else rest / 4
             result = search(task, deadline=time.process_time() + share, most=most, progress=_reporter(label, progress))
             looked += result.boxes
@@ -175,7 +176,7 @@ def _reporter(label: str, progress: Callable[[str], None] | None) -> Callable[[i
 
 
 def _usable(form: Form, names: tuple[str, ...], root: tuple[NDArray[np.float64], NDArray[np.float64]]) -> bool:
-    """Whether multipliers and denominators have the sign they need on the whole box."""
+    """Whether the multipliers are ≥ 0 and the denominators > 0 on the whole box."""
     read = build_tape(names, [*form.denominators, *form.multipliers]).run(root)
     count = len(form.denominators)
     positive = all(jet.value[0][0] > 0 for jet in read.jets[:count])

@@ -1,8 +1,9 @@
-"""Why a bound holds on a box: the rules that a leaf of a proof may name.
+"""The rules that prove the bound on a box; each leaf of a proof names one of them.
 
-`i` a constraint is positive on the whole box; `j` the same by its mean-value form; `n` the interval value is small
-enough; `m` the mean-value form is, after every variable with a monotone influence went to its worse end; `c` on that
-face the function is concave, so that its tangent at one point bounds it.
+`i`: a constraint is positive on the whole box, so the box lies outside the domain. `j`: the mean-value form shows the
+same. `n`: the interval value of the function satisfies the bound. `m`: the mean-value form satisfies the bound on the
+face where every variable with a monotone influence is at its worse end. `c`: the function is concave on that face, so
+its tangent at one point bounds it.
 """
 
 from __future__ import annotations
@@ -21,18 +22,18 @@ __all__ = ["Verdicts", "apply_rules", "middle"]
 
 Array = NDArray[np.float64]
 
-_NEWTON, _RESTS = 12, 1e-13  # steps, and the share of the box within which a point no longer moves
-_SNAP = 1e-12  # of the box: a point so near 0 is 0
+_NEWTON, _RESTS = 12, 1e-13  # largest number of Newton steps; step size at convergence, as a share of the box
+_SNAP = 1e-12  # a point nearer to 0 than this share of the box is set to 0
 
 
 @dataclass(frozen=True, eq=False)
 class Verdicts:
-    """The rule that settles each of B boxes ("" where none does), tangent points, and where to split the others.
+    """The rule that proves each of B boxes, with data for splitting the boxes that no rule proves.
 
     Attributes:
-        rule: (B,) one letter or nothing.
-        points: (n, B) the tangent point of a `c`.
-        smear: (n, B) how much each variable's width matters to what is still open.
+        rule: (B,) the letter of the rule; "" if no rule proves the box.
+        points: (n, B) the tangent point of rule `c`.
+        smear: (n, B) the contribution of each variable's width to the bounds that are not proved.
     """
 
     rule: NDArray[np.str_]
@@ -41,7 +42,7 @@ class Verdicts:
 
 
 def middle(low: Array, high: Array) -> Array:
-    """The centre of an interval as the checker computes it."""
+    """Return the centre of an interval, computed as the checker does."""
     return (low + high) / 2
 
 
@@ -49,11 +50,12 @@ def apply_rules(bound: Tape, constraints: Tape, box: Ends, slack: float, defined
     """Try every rule on every box.
 
     Args:
-        bound: the function that is not positive, then the positive factors of its denominator, one for each power.
-        constraints: the domain is where none of them is positive.
-        box: (n, B).
-        slack: how far the function over its denominator may exceed 0.
-        defined: (B,) where the claim as it was written is known to be defined.
+        bound: tape of the function to be proved ≤ 0, then of the positive factors of its denominator; a power appears
+            as repeated factors.
+        constraints: tape of the constraints; the domain is where none of them is positive.
+        box: the boxes (n, B).
+        slack: how far the function divided by its denominator may exceed 0.
+        defined: (B,) whether the claim as written is known to be defined on the box.
     """
     n, count = box[0].shape
     rule = np.full(count, "", dtype="<U1")
@@ -81,7 +83,7 @@ def _natural(bound: Tape, box: Ends, slack: float, defined: NDArray[np.bool_], r
 
 
 def _limit(factors: tuple[Jet, ...], slack: float) -> Array | float:
-    """slack times the least denominator, rounded down."""
+    """The slack times the least value of the denominator, rounded down."""
     if not slack:
         return 0.0
     least: Array | float = slack
@@ -122,7 +124,7 @@ def _by_derivatives(
 
 
 def _weight(jet: Jet, box: Ends) -> Array:
-    """(n, B): share of each variable in the width of what straddles 0; 0 where it does not."""
+    """The share (n, B) of each variable in the width of a function that may be positive; 0 where it is not."""
     assert jet.slope is not None
     steep = np.maximum(np.abs(jet.slope[0]), np.abs(jet.slope[1]))
     steep = np.where(np.isfinite(steep), steep, 1e100)
@@ -143,7 +145,7 @@ def _face(jet: Jet, box: Ends) -> tuple[Array, Array, NDArray[np.bool_]]:
 
 
 def _mean_value(jet: Jet, there: Jet, box: Ends, at: Array, *, lower: bool) -> Array:
-    """A bound of the function over the box from its value at a point and its slopes."""
+    """The mean-value bound of the function over the box, from its value at a point and its slopes."""
     assert jet.slope is not None
     with np.errstate(all="ignore"):
         offset = iv.subtract(box, iv.point(at))
@@ -155,7 +157,7 @@ def _mean_value(jet: Jet, there: Jet, box: Ends, at: Array, *, lower: bool) -> A
 
 
 def _concave(bound: Tape, face: Ends, free: NDArray[np.bool_], limit: Array | float) -> tuple[NDArray[np.bool_], Array]:
-    """Which faces a tangent settles, and the points where it touches."""
+    """The faces that a tangent proves, and the tangent points."""
     points = np.clip(np.zeros_like(face[0]), face[0], face[1])
     good = np.zeros(face[0].shape[1], dtype=bool)
     bend = bound.run(face, order=2).jets[0].bend
@@ -176,9 +178,9 @@ def _concave(bound: Tape, face: Ends, free: NDArray[np.bool_], limit: Array | fl
 
 
 def _bends_down(bend: Ends, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(B,): every symmetric matrix within −bend, on the free variables, is positive definite or has zero rows.
+    """Whether the function is concave on each of B boxes, by interval elimination on the free variables.
 
-    Elimination over intervals: all pivots positive.
+    All pivots are positive: every symmetric matrix in −bend is positive definite, except for rows that are zero.
     """
     with np.errstate(all="ignore"):
         m = iv.negate(bend)
@@ -199,21 +201,21 @@ def _bends_down(bend: Ends, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _tangent(bound: Tape, face: Ends, at: Array) -> Array:
-    """(B,): largest value on the face of the tangent at a point of it."""
+    """The largest value (B,) on the face of the tangent at a point of the face."""
     read = bound.run(iv.point(at), order=1)
     value = _mean_value(read.jets[0], read.jets[0], face, at, lower=False)
     return np.where(read.defined[0], value, np.inf)
 
 
 def _climbed(bound: Tape, face: Ends, start: Array, free: NDArray[np.bool_]) -> Array:
-    """Where Newton's steps towards the largest value on the face end."""
+    """The end point of Newton's method for the maximum on the face."""
     at = start
     n = len(at)
     for _ in range(_NEWTON):
         jet = bound.run(iv.point(at), order=2).jets[0]
         assert jet.slope is not None and jet.bend is not None
         slope, bend = middle(*jet.slope), middle(*jet.bend)
-        # a variable that stands at its end and would go beyond is held
+        # fix a variable at its bound if the step would move it beyond
         held = ~free | ((at <= face[0]) & (slope < 0)) | ((at >= face[1]) & (slope > 0))
         held |= ~np.isfinite(slope) | np.any(~np.isfinite(bend), axis=0)
         matrix = np.where(held[:, None] | held[None], 0.0, bend)

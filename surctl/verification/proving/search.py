@@ -1,4 +1,4 @@
-"""Branch and bound: boxes are halved until a rule settles each, and the tree of halvings is the proof."""
+"""Branch and bound: boxes are bisected until a rule proves each of them; the tree of bisections is the proof."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ __all__ = ["DIMENSIONS", "SearchResult", "Task", "corners", "search"]
 Array = NDArray[np.float64]
 
 DIMENSIONS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
-"""Letter of the variable that a box is halved in; rules are lower case."""
+"""The letters of the variables along which a box is bisected; rules have lower-case letters."""
 
 _CHUNK = 2048
-_NARROWEST = 1e-12  # of the root box: no halving goes on below
+_NARROWEST = 1e-12  # least width to bisect, as a share of the root box
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is to be shown on a box.
+    """The inequality to prove on a box.
 
     Attributes:
-        bound: tape of the function that is not positive and of its denominator's factors.
+        bound: tape of the function to be proved ≤ 0 and of the factors of its denominator.
         constraints: tape of the constraints.
-        written: tape of the claim as it was written, for where it is defined.
-        box: (n,) each, lower and upper corner.
-        slack: how far the function over its denominator may exceed 0.
+        written: tape of the claim as written, which shows where the claim is defined.
+        box: lower and upper bounds of the root box, each (n,).
+        slack: how far the function divided by its denominator may exceed 0.
     """
 
     bound: Tape
@@ -45,14 +45,15 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """What came of it.
+    """The result of the search.
 
     Attributes:
-        tree: the halvings in preorder, a letter each: of `DIMENSIONS` for a halved box, a rule for a settled one.
-        points: the tangent points of the rules `c`, in that order.
-        remaining: (n, k) lower and upper ends of boxes that are open.
-        boxes: number of boxes looked at.
-        reason: what stopped it; empty when nothing is open.
+        tree: the boxes in preorder, one letter each: a letter of `DIMENSIONS` for a bisected box, the letter of the
+            rule for a proved one.
+        points: the tangent points of the boxes proved by rule `c`, in preorder.
+        remaining: (n, k) lower and upper bounds of the boxes that are not proved.
+        boxes: number of boxes evaluated.
+        reason: why the search stopped; empty if all boxes are proved.
     """
 
     tree: str
@@ -63,12 +64,12 @@ class SearchResult:
 
     @property
     def closed(self) -> bool:
-        """Whether every box is settled."""
+        """Whether every box is proved."""
         return not self.reason
 
 
 class _Tree:
-    """Boxes by number: the letter of each, its first child, its tangent point."""
+    """The boxes by index: letter, first child and tangent point of each."""
 
     def __init__(self) -> None:
         self.letters = [""]
@@ -98,15 +99,16 @@ class _Tree:
 def search(
     task: Task, *, deadline: float, most: int = 200_000, progress: Callable[[int, int], None] | None = None
 ) -> SearchResult:
-    """Halve until all is settled, `time.process_time` reaches `deadline`, or `most` boxes were looked at.
+    """Bisect boxes until all are proved, `time.process_time` reaches `deadline`, or `most` boxes were evaluated.
 
-    A box that holds 0 inside is halved there, since claims touch equality there; others in the middle.
+    A box is bisected at 0 if its interval contains 0, because many claims hold with equality at 0; otherwise it is
+    bisected in the middle.
 
     Args:
-        task: what is to be shown.
-        deadline: reading of the clock.
-        most: boxes.
-        progress: told (boxes looked at, boxes open) after each round.
+        task: the inequality to prove.
+        deadline: reading of `time.process_time` [s] at which to stop.
+        most: largest number of boxes to evaluate.
+        progress: function called after each round with the numbers of boxes evaluated and boxes open.
     """
     lower, upper = task.box
     tree = _Tree()
@@ -119,7 +121,7 @@ def search(
             rows = slice(begin, begin + _CHUNK)
             box, ids = (low[:, rows], high[:, rows]), numbers[rows]
             if time.process_time() > deadline or looked >= most:
-                reason = "the time was up" if looked < most else "the boxes allowed were used up"
+                reason = "the time limit was reached" if looked < most else "the limit on boxes was reached"
                 parts.append((box[0], box[1], ids))
                 continue
             looked += ids.size
@@ -132,7 +134,7 @@ def search(
             progress(looked, numbers.size)
     left = [np.hstack([end, *(s[k] for s in stuck)]) for k, end in enumerate((low, high))]
     if not reason and left[0].shape[1]:
-        reason = "boxes became too small to halve"
+        reason = "some boxes became too small to bisect"
     if reason:
         return SearchResult("", (), (left[0], left[1]), looked, reason)
     text, points = tree.text()
@@ -142,7 +144,7 @@ def search(
 def _decide(
     task: Task, box: Ends, ids: NDArray[np.int_], tree: _Tree, everywhere: bool
 ) -> tuple[tuple[Array, Array, NDArray[np.int_]], Ends]:
-    """Write the settled boxes into the tree; the halves of the others, and those too narrow to halve."""
+    """Record the proved boxes in the tree; return the boxes too narrow to bisect, and the halves of the others."""
     count = ids.size
     defined = np.ones(count, dtype=bool)
     if not everywhere:
@@ -170,18 +172,18 @@ def _decide(
 
 
 def _dimension(task: Task, low: Array, high: Array, smear: Array) -> NDArray[np.int_]:
-    """Which variable to halve each box in; −1 where none is wide enough."""
+    """The variable along which each box is bisected; −1 if none is wide enough."""
     width = task.box[1] - task.box[0]
     share = (high - low) / np.where(width > 0, width, 1.0)[:, None]
     wide = share > _NARROWEST
-    # the derivatives may overlook a variable while they are infinite: width has a say
+    # infinite derivatives may hide a variable, so the width also contributes
     score = np.where(wide, smear + 1e-3 * share, -1.0)
     dimension: NDArray[np.int_] = np.where(wide.any(axis=0), np.argmax(score, axis=0), -1)
     return dimension
 
 
 def corners(boxes: Ends, names: Sequence[str], most: int = 3) -> list[dict[str, list[float]]]:
-    """The largest open boxes as plain data."""
+    """Return the largest open boxes as plain data, (lower, upper) by variable."""
     volume = np.prod(np.maximum(boxes[1] - boxes[0], 1e-300), axis=0)
     order = np.argsort(-volume, kind="stable")[:most]
     return [{name: [float(boxes[0][i, k]), float(boxes[1][i, k])] for i, name in enumerate(names)} for k in order]

@@ -1,4 +1,4 @@
-"""A claim as exact expressions, and its cases: each min, max, abs and select is one of two expressions."""
+"""A claim as exact expressions, and its cases: in each case, every min, max, abs and select takes one branch."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from surctl.verification.formula.node import BRANCHING
 __all__ = ["Case", "Statement", "cases_of", "statement_of"]
 
 MOST_BRANCHES = 5
-"""Most min, max, abs and select in a claim that is split into cases."""
+"""The largest number of min, max, abs and select in a claim that is split into cases."""
 
 
 @dataclass(frozen=True, eq=False)
 class Statement:
-    """left ≤ right on a box where no constraint is positive.
+    """The statement left ≤ right on the part of a box where no constraint is positive.
 
     Attributes:
-        names: the variables.
-        lower: (n,) lower ends.
-        upper: (n,) upper ends.
-        left: expression.
-        right: expression.
-        constraints: expressions.
+        names: names of the n variables.
+        lower: lower bounds (n,).
+        upper: upper bounds (n,).
+        left: expression of the left side.
+        right: expression of the right side.
+        constraints: expressions of the constraints.
     """
 
     names: tuple[str, ...]
@@ -41,19 +41,19 @@ class Statement:
 
     @property
     def parts(self) -> tuple[Node, ...]:
-        """Left, right and the constraints."""
+        """The expressions left, right and the constraints."""
         return (self.left, self.right, *self.constraints)
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A statement with every branch chosen.
+    """A statement in which every branching expression takes one of its branches.
 
     Attributes:
-        choice: "0" or "1" for each branching expression, in the order in which they are met reading left, right and
-            the constraints from the left; empty when nothing is chosen.
+        choice: "0" or "1" for each branching expression, in the order in which they occur in left, right and the
+            constraints; empty if there is nothing to choose.
         margin: left − right.
-        constraints: the statement's, then one for each choice.
+        constraints: the constraints of the statement, then one constraint for each choice.
     """
 
     choice: str
@@ -62,23 +62,23 @@ class Case:
 
 
 def statement_of(claim: Claim) -> Statement:
-    """The claim's expressions with exact numbers; a variable of no width is a number.
+    """Return the claim's expressions with exact numbers.
 
     Raises:
-        UnsupportedOperation: an operation that the claim grammar does not have.
-        InputError: an expression that is too long to write out.
+        UnsupportedOperation: the claim has an operation that the claim grammar lacks.
+        InputError: an expression is too long to write out.
     """
     names = tuple(v.name for v in claim.variables)
     rows = [claim.constraints[k] for k in range(claim.constraints.numel())]
     nodes = from_casadi(claim.symbols, names, [claim.left, claim.right, *rows])
-    # as a reader of the text sees them: what is one expression there is one here
+    # parse the written text, so that the expressions are those that a reader of the certificate obtains
     known = {name: variable(name) for name in names}
     nodes = [parse(text_of(node), known) for node in nodes]
     return Statement(names, claim.lower, claim.upper, nodes[0], nodes[1], tuple(nodes[2:]))
 
 
 def substituted(statement: Statement) -> tuple[Node, ...]:
-    """The statement's parts with every variable of no width as the decimal number that it is."""
+    """Return the parts of the statement; a variable with equal bounds is replaced by its decimal value."""
     ends = zip(statement.names, statement.lower, statement.upper, strict=True)
     fixed = {name: number(Fraction(repr(float(low)))) for name, low, high in ends if low == high}
 
@@ -89,7 +89,7 @@ def substituted(statement: Statement) -> tuple[Node, ...]:
 
 
 def cases_of(parts: Sequence[Node]) -> list[Case]:
-    """Every choice of branches; one case that chooses nothing where there are too many."""
+    """Return one case for each choice of branches; a single case without choices if there are too many branches."""
     branches = _branches(parts)
     left, right, *constraints = parts
     if len(branches) > MOST_BRANCHES:
@@ -103,7 +103,7 @@ def cases_of(parts: Sequence[Node]) -> list[Case]:
 
 
 def _branches(parts: Iterable[Node]) -> list[Node]:
-    """Distinct branching expressions in the order of reading."""
+    """The distinct branching expressions, in the order in which they occur."""
     met: dict[Node, None] = {}
     visited: set[Node] = set()
     stack = list(reversed(list(parts)))
@@ -119,7 +119,7 @@ def _branches(parts: Iterable[Node]) -> list[Node]:
 
 
 def _chosen(parts: Sequence[Node], choice: dict[Node, str]) -> tuple[list[Node], list[Node]]:
-    """The parts with the branches chosen, and under which conditions (≤ 0) that is right."""
+    """The parts with the chosen branches, and the conditions (expressions ≤ 0) under which the choice is valid."""
     conditions: dict[Node, Node] = {}
 
     def change(node: Node, args: tuple[Node, ...]) -> Node:

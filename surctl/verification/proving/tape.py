@@ -1,4 +1,4 @@
-"""Expressions as a list of operations that runs over many boxes at once."""
+"""Expressions as a list of operations that is evaluated on many boxes at once."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Read:
-    """What a tape gives on B boxes.
+    """The result of a tape on B boxes.
 
     Attributes:
-        jets: one for each expression.
-        defined: for each expression (B,): no operation in it met a number it is not defined at.
+        jets: the enclosures of each expression.
+        defined: for each expression (B,), whether all its operations are defined on the whole box.
     """
 
     jets: tuple[Jet, ...]
@@ -34,12 +34,12 @@ class Read:
 
 @dataclass(frozen=True, eq=False)
 class Tape:
-    """Expressions in evaluation order.
+    """The operations of several expressions in evaluation order.
 
     Attributes:
-        names: variables, in the order of the boxes' rows.
-        steps: every distinct node with the positions of its operands.
-        roots: positions of the expressions.
+        names: names of the variables, in the order of the boxes' rows.
+        steps: every distinct node, with the indices of its operands.
+        roots: indices of the expressions.
     """
 
     names: tuple[str, ...]
@@ -47,7 +47,7 @@ class Tape:
     roots: tuple[int, ...]
 
     def run(self, box: Ends, *, order: int = 0) -> Read:
-        """Enclosures on boxes (n, B); derivatives up to `order` ≤ 2."""
+        """Return the enclosures on boxes (n, B), with derivatives up to `order` ≤ 2."""
         count = box[0].shape[1]
         jets: list[Jet] = []
         defined: list[NDArray[np.bool_]] = []
@@ -62,7 +62,7 @@ class Tape:
         return Read(tuple(jets[r] for r in self.roots), tuple(defined[r] for r in self.roots))
 
     def trouble(self, box: Ends) -> str:
-        """The first operation that is not defined on a box (n, 1), in words; empty if there is none."""
+        """Describe the first operation that is not defined on a box (n, 1); empty if there is none."""
         jets: list[Jet] = []
         with np.errstate(all="ignore"):
             for node, args in self.steps:
@@ -89,7 +89,7 @@ class Tape:
             case "sub":
                 return args[0] - args[1]
             case "mul":
-                # the same factor twice is a square
+                # the product of equal factors is a square, which gives narrower intervals
                 return args[0].power(2) if node.args[0] == node.args[1] else args[0] * args[1]
             case "div":
                 return args[0] * args[1].inverse()
@@ -122,7 +122,7 @@ class Tape:
 
 
 def build_tape(names: Sequence[str], roots: Sequence[Node]) -> Tape:
-    """The tape of several expressions; what they share is computed once."""
+    """Return the tape of several expressions; shared subexpressions are computed once."""
     nodes = list(ordered(*roots))
     at = {node: k for k, node in enumerate(nodes)}
     steps = tuple((node, tuple(at[a] for a in node.args)) for node in nodes)
@@ -130,16 +130,16 @@ def build_tape(names: Sequence[str], roots: Sequence[Node]) -> Tape:
 
 
 _TROUBLES = {
-    "div": "division by an interval that holds 0:",
-    "pow": "division by an interval that holds 0:",
-    "sqrt": "square root of an interval that is negative in part:",
+    "div": "division by an interval that contains 0:",
+    "pow": "division by an interval that contains 0:",
+    "sqrt": "square root of an interval that is partly negative:",
     "acos": "arccos of an interval beyond [-1, 1]:",
-    "atan2": "atan2 of a box that holds (0, 0): x in",
+    "atan2": "atan2 of a box that contains (0, 0): x in",
 }
 
 
 def _undefined(node: Node, args: list[Jet], count: int) -> NDArray[np.bool_]:
-    """(B,): whether the operation meets a number at which it is not defined."""
+    """Whether the operation is undefined somewhere on the box, (B,)."""
     if node.op == "sqrt":
         return ~(args[0].value[0] >= 0)
     if node.op == "div" or (node.op == "pow" and node.value < 0):
@@ -162,7 +162,7 @@ def _jet(value: Ends, slope: Ends, n: int, order: int) -> Jet:
 
 
 def _enclosed(node: Node) -> tuple[float, float]:
-    """Doubles about an exact number, or π."""
+    """The nearest doubles below and above an exact number or π."""
     if node.op == "pi":
         return float(np.pi), float(np.nextafter(np.pi, 4.0))  # the double lies below π
     near = float(node.value)

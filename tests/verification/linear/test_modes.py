@@ -67,4 +67,4 @@ def test_a_disk_margin_that_cannot_be_shown_is_not_judged_and_ends_nothing(monke
     found: DiskMargin = disk_margin(loop, "thrust")
     assert found.stable and np.isnan(found.guaranteed) and found.reached > 0
     side = linear_side(WU, GAINS, cruise=0.15, dt=0.05)
-    assert side.stable and "not judged (thrust)" in "\n".join(side.lines())
+    assert side.stable and "not determined (thrust)" in "\n".join(side.lines())
