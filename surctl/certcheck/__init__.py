@@ -144,8 +144,8 @@ def _proves(kind: str, claim: Mapping[str, Any]) -> str:
         return "left <= right on the whole domain, exactly"
     slack = f"{claim['slack']:g} {claim['unit']}"
     return (
-        f"left <= right + {slack} on the whole domain: left <= right is proved only to within {slack}; "
-        "a rate that may be positive by that much does not prove asymptotic stability"
+        f"left <= right + {slack} on the whole domain: left <= right is proved to within {slack}; "
+        "a rate that may be positive by that much is no proof of asymptotic stability"
     )
 
 

@@ -102,7 +102,7 @@ class _Comparison:
 
     def heading(self) -> None:
         self.differs.append(
-            "law: the certificate is about the paper's law, which steers by heading; the exported law uses velocities"
+            "law: the certificate covers the paper's law, which steers by heading; the exported law steers by velocity"
         )
 
     def region(self) -> None:

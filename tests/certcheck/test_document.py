@@ -24,7 +24,7 @@ def test_the_hash_survives_the_file(tmp_path) -> None:
 @pytest.mark.parametrize("key", ["version", "kind", "claim", "cells", "sha256", "extra"])
 def test_any_changed_key_is_rejected_by_the_hash(key, tmp_path) -> None:
     document = certificate()
-    document[key] = {"sha256": "0" * 64, "claim": {}, "version": 2}.get(key, "other")
+    document[key] = {"sha256": "0" * 64, "claim": {}, "version": 3}.get(key, "other")
     path = tmp_path / "c.json"
     path.write_text(json.dumps(document))
     found = check_file(path)
