@@ -226,11 +226,12 @@ class _Comparison:
     def _hashes(self, *, lawless: bool = False) -> None:
         laws, vehicle = self.manifest.laws, self.manifest.vehicle
         if not lawless and self.claim["sha256_law"] not in laws:
-            self.differs.append(f"law: {self.claim['sha256_law'][:12]} certified, {laws[0][:12]} exported")
+            self.differs.append(f"law: SHA-256 {self.claim['sha256_law'][:12]} certified, {laws[0][:12]} exported")
         if not vehicle:
             self.differs.append("vehicle: the bundle does not name a vehicle")
         elif self.claim["sha256_vehicle"] != vehicle:
-            self.differs.append(f"vehicle: {self.claim['sha256_vehicle'][:12]} certified, {vehicle[:12]} exported")
+            certified = self.claim["sha256_vehicle"][:12]
+            self.differs.append(f"vehicle: SHA-256 {certified} certified, {vehicle[:12]} exported")
         if self.manifest.ranges is None:
             self._unknown("ranges of the vehicle")
 

@@ -23,9 +23,9 @@ ASSUMES = (
     "range and own speed are measured with no more than the stated age and errors; a decision holds for one period",
     "own speed is at most fastest_m_per_s; across the latched direction, the true and the commanded speed are at most "
     "sideways_m_per_s",
-    "law: the approach speed of obstacles in its input is the stated one; its velocity bounds are consistent; no "
-    "thruster saturates, so that no axis is scaled in favour of another; the retreat speed is not limited, as it is "
-    "for marks of the sonar map",
+    "law: its input gives the stated approach speed of the obstacles; its velocity bounds are consistent; no thruster "
+    "saturates, so that no axis is scaled in favour of another; its retreat speed is not limited (it is limited before "
+    "marks of the sonar map)",
     "at the start the clearance is at least the braking distance",
 )
 """Assumptions of the claim; a certificate repeats them word for word."""
@@ -38,7 +38,8 @@ LEMMAS = (
     "period: with any thrust during one period, the range needed is enough for the period and the braking distance "
     "after it",
     "law: wherever the law does not brake with brake_n, the clearance is at least the range needed",
-    "plane: the distance to a convex body is convex in the position, so that the latched direction decides",
+    "plane: the distance to a convex body is convex in the position, so that it is enough to consider the latched "
+    "direction",
 )
 """Lemmas from which the claim follows; a certificate repeats them word for word (proofs: `surctl.guidance.braking`)."""
 

@@ -1,7 +1,7 @@
-"""The manifest of an exported controller, with every entry verified that can be computed again.
+"""The manifest of an exported controller, with every entry verified that can be recomputed.
 
 The export writes `manifest.json`, which states the content of the bundle: every gain, the vehicle's parameters, the
-hash of the law's instructions, and the hashes of all files. This module computes again the hashes of the files, of the
+hash of the law's instructions, and the hashes of all files. This module recomputes the hashes of the files, of the
 gains and of the vehicle, and the id that the C source returns (a hash of law, period, precision, gains and initial
 state).
 """

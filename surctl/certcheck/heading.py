@@ -26,7 +26,7 @@ from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite,
 
 __all__ = ["check"]
 
-_MIRRORED = {(i, j) for i in (0, 3) for j in (1, 2, 4, 5)}  # pairs of a state with an even and one with an odd sign
+_MIRRORED = {(i, j) for i in (0, 3) for j in (1, 2, 4, 5)}  # only y, ψ, U_y, r change sign
 
 
 def check(document: Mapping[str, Any]) -> None:

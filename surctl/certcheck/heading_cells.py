@@ -28,7 +28,7 @@ _ROUNDING = 1e-11  # relative rounding error of a 6 × 6 product and its factori
 
 @dataclass(frozen=True)
 class _Form:
-    """P, a T with T P Tᵀ ≈ I, P⁻¹, the inverse S of its (ψ, y) block, the regression of ξ on (ψ, y), its residual."""
+    """P, T with T P Tᵀ ≈ I, P⁻¹, inverse S of its (ψ, y) block, regression of ξ on (ψ, y), residual covariance."""
 
     p: Array
     change: Array

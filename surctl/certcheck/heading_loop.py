@@ -1,4 +1,4 @@
-"""The heading-steered loop over cells of (ψ, y_e): rows that are affine over a cell up to a radius, as doubles.
+"""The heading-steered loop over cells of (ψ, y_e): rows that are affine up to an error radius, in doubles.
 
 With m11 = m22 the Coriolis force vanishes in the path frame, ξ = (x − x*, y, ψ, U_x − v, U_y, r), and
     m U̇ = e1(ψ) (φ_u f_u − σ_u δu) + e2(ψ) (φ_v f_v − σ_v v),   m44 ṙ = φ_r f_r − σ_r r,

@@ -93,8 +93,8 @@ def test_the_cruise_of_the_same_law_vehicle_and_gains_belongs(folder: Path) -> N
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (lambda c: c.update(sha256_law="0" * 64), "law: 000000000000 certified"),
-        (lambda c: c.update(sha256_vehicle="0" * 64), "vehicle: 000000000000 certified"),
+        (lambda c: c.update(sha256_law="0" * 64), "law: SHA-256 000000000000 certified"),
+        (lambda c: c.update(sha256_vehicle="0" * 64), "vehicle: SHA-256 000000000000 certified"),
         (lambda c: c["law"].update(k1=0.31), "k1[0]: 0.31 certified, 0.3 exported"),
         (lambda c: c["law"].update(lookahead=0.9), "lookahead[0]"),
         (lambda c: c["law"].update(k_v=1.4), "k_v[0]"),
@@ -149,7 +149,7 @@ def test_a_braking_certificate_belongs_to_the_law_and_the_vehicle_that_it_is_abo
 @pytest.mark.parametrize(
     ("name", "change", "told"),
     [
-        ("inertia-ranges", lambda c: c.update(sha256_law="0" * 64), "law: 000000000000 certified"),
+        ("inertia-ranges", lambda c: c.update(sha256_law="0" * 64), "law: SHA-256 000000000000 certified"),
         ("inertia-ranges", lambda c: c["vehicle"].update(mass_kg=[50.0, 94.0]), "mass: 50.0 to 94.0 certified"),
         ("inertia-ranges", lambda c: c["vehicle"].update(brake_n=5.5), "thrust_limit: at least 5.5 N certified"),
         ("inertia-ranges", lambda c: c["vehicle"].update(most_n=4.0), "thrust: at most 4.0 N certified, 5.0 exported"),

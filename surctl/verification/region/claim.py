@@ -74,7 +74,7 @@ class RegionClaim:
             if not getattr(self, key) > 0:
                 raise InputError("must be greater than 0", key=key, value=getattr(self, key), remedy="correct it")
         if self.gains["k_i"]:
-            raise NotApplicable("k_i is not 0, but the claim is about a loop without integral action", to="these gains")
+            raise NotApplicable("the claim is about a loop without integral action and k_i is not 0", to="these gains")
         if self.current and (self.period or self.lag[1]):
             raise InputError(
                 "is not supported together with thrust lag or held commands", key="current", value=self.current,

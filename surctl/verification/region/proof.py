@@ -60,9 +60,9 @@ class RegionProof(Certified):
             return f"unknown: {self.reason}"
         x, y = self.ultimate_bound
         return (
-            f"proved: from {self.offset:.3g} m beside the path, the Lyapunov function decays at {self.claim.rate:g}/s until the "
-            f"robot is within {x:.3g} m along and {y:.3g} m across the path; checked in {self.check_seconds:.2f} s"
-            + ("" if self.ratios is None else f"; {self.ratios.sentence}")
+            f"proved: from {self.offset:.3g} m beside the path, the Lyapunov function decays at {self.claim.rate:g}/s "
+            f"until the robot is within {x:.3g} m along and {y:.3g} m across the path; "
+            f"checked in {self.check_seconds:.2f} s" + ("" if self.ratios is None else f"; {self.ratios.sentence}")
         )
 
     def to_dict(self) -> dict[str, Any]:

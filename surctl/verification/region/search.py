@@ -1,4 +1,4 @@
-"""Search over start values of the synthesis: limits of the region, floor, and decay rate left to disturbances."""
+"""Search over start values of the synthesis: limits of the region, floor, part of the decay rate for disturbances."""
 
 from __future__ import annotations
 

@@ -15,8 +15,8 @@ prioritized closed-loop inverse kinematic algorithms):
   all scalar gains (vector Lyapunov function Σ p_i‖σ̃_i‖; a gain scales a column, which preserves the property).
 
 Orthogonality is decided by an identity of the expressions. Independence is proved by interval branch and bound on
-det[J_a; J_b][J_a; J_b]ᵀ ≥ s² det(J_aJ_aᵀ) det(J_bJ_bᵀ), where s is the product of the sines, and checked by the
-independent checker. If this proof fails, the verdict rests on samples and local searches, and says so.
+det[J_a; J_b][J_a; J_b]ᵀ ≥ s² det(J_aJ_aᵀ) det(J_bJ_bᵀ), where s bounds the product of the sines from below, and
+checked by the independent checker. If this proof fails, the verdict rests on samples and local searches, and says so.
 """
 
 from __future__ import annotations

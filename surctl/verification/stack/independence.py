@@ -81,7 +81,7 @@ def _claim(region: Region, name: str, left: ca.SX, right: ca.SX) -> Claim:
         for k, name in enumerate(region.names)
         if region.symbols[k].element_hash() in used or k == 0
     )
-    return Claim(name, "a task is independent of those above it", "(16)", (), "proved", variables, left, right, "1")
+    return Claim(name, "a task is independent of the tasks above it", "(16)", (), "proved", variables, left, right, "1")
 
 
 def _name(name: str) -> str:

@@ -14,7 +14,7 @@ from surctl.tasks import Stack, clearance_task, depth_task, heading_task, veloci
 __all__ = ["SHIPPED_STACKS", "ShippedStack", "shipped_stack"]
 
 SHIPPED_STACKS: Mapping[str, str] = {
-    "guarded": "velocity, depth, heading; obstacles and walls are rows of the priority problem, not tasks",
+    "guarded": "velocity, depth, heading; obstacles and walls are constraints of the priority problem, not tasks",
     "paper": "four sensor sub-tasks (17) by urgency, velocity, depth, heading",
 }
 
